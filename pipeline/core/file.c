@@ -1,0 +1,147 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/file.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+static int fill(int fd, const char *path, uint8_t *bytes, size_t size, struct gsn_error *err)
+{
+    for (size_t done = 0; done < size;) {
+        const ssize_t got = read(fd, bytes + done, size - done);
+
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got <= 0)
+            return gsn_fail(err, GSN_E_IO, "%s: reading stopped at byte %zu of %zu: %s", path, done,
+                            size, got < 0 ? strerror(errno) : "the file became shorter");
+        done += (size_t)got;
+    }
+    return GSN_OK;
+}
+
+static int read_open(int fd, const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct stat st;
+    int r;
+
+    if (fstat(fd, &st) < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (!S_ISREG(st.st_mode))
+        return gsn_fail(err, GSN_E_INPUT, "%s: not a regular file", path);
+    if ((uint64_t)st.st_size > limit)
+        return gsn_fail(err, GSN_E_LIMIT, "%s: %lld bytes are more than the limit of %zu", path,
+                        (long long)st.st_size, limit);
+    bytes = gsn_alloc((size_t)st.st_size + 1);
+    if (!bytes)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
+    r = fill(fd, path, bytes, (size_t)st.st_size, err);
+    if (r < 0)
+        return r;
+    bytes[st.st_size] = 0;
+    *ret_size = (size_t)st.st_size;
+    *ret_bytes = gsn_steal(&bytes);
+    return GSN_OK;
+}
+
+int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
+                  struct gsn_error *err)
+{
+    const int fd = open(path, O_RDONLY | O_CLOEXEC); /* door */
+    int r;
+
+    if (fd < 0)
+        return gsn_fail(err, errno == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", path,
+                        strerror(errno));
+    r = read_open(fd, path, limit, ret_bytes, ret_size, err);
+    (void)close(fd);
+    return r;
+}
+
+static int drain(int fd, const char *path, const uint8_t *bytes, size_t size, struct gsn_error *err)
+{
+    for (size_t done = 0; done < size;) {
+        const ssize_t put = write(fd, bytes + done, size - done);
+
+        if (put < 0 && errno == EINTR)
+            continue;
+        if (put < 0)
+            return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+        done += (size_t)put;
+    }
+    if (fsync(fd) < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: fsync: %s", path, strerror(errno));
+    return GSN_OK;
+}
+
+static int sync_parent(const char *path, struct gsn_error *err)
+{
+    gsn_auto_mem(char) parent = gsn_strdup(path);
+    char *slash;
+    int fd, r = 0;
+
+    if (!parent)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
+    slash = strrchr(parent, '/');
+    if (slash == parent)
+        slash[1] = '\0';
+    else if (slash)
+        *slash = '\0';
+    fd = open(slash ? parent : ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC); /* door */
+    if (fd >= 0) {
+        r = fsync(fd);
+        (void)close(fd);
+    }
+    if (fd < 0 || r < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: fsync of its directory: %s", path, strerror(errno));
+    return GSN_OK;
+}
+
+int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_error *err)
+{
+    gsn_auto_mem(char) temp = gsn_format("%s.XXXXXX", path);
+    int fd, r;
+
+    if (!temp)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
+    fd = mkostemp(temp, O_CLOEXEC);
+    if (fd < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    r = drain(fd, path, bytes, size, err);
+    if (r >= 0 && fchmod(fd, 0644) < 0)
+        r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (close(fd) < 0 && r >= 0)
+        r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (r >= 0 && rename(temp, path) < 0)
+        r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (r < 0) {
+        (void)unlink(temp);
+        return r;
+    }
+    return sync_parent(path, err);
+}
+
+int gsn_file_mkdir(const char *path, struct gsn_error *err)
+{
+    gsn_auto_mem(char) part = gsn_strdup(path);
+
+    if (!part)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
+    for (char *p = part + 1; *p; p++) {
+        if (*p != '/')
+            continue;
+        *p = '\0';
+        if (mkdir(part, 0755) < 0 && errno != EEXIST)
+            return gsn_fail(err, GSN_E_IO, "%s: %s", part, strerror(errno));
+        *p = '/';
+    }
+    if (mkdir(part, 0755) < 0 && errno != EEXIST)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", part, strerror(errno));
+    return GSN_OK;
+}

@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Whole files: read with a limit, written so that a power cut leaves the old file or the new one.
+ * (file.c is the one door to open().) */
+#ifndef GSN_CORE_FILE_H
+#define GSN_CORE_FILE_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/mem.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* gives: the content and one zero byte behind it, not counted in size.
+ * Fails with GSN_E_NOTFOUND, GSN_E_IO, or GSN_E_LIMIT (checked before anything is allocated). */
+int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
+                  struct gsn_error *err);
+
+/* temp file beside it -> fsync -> rename -> fsync of the directory. */
+int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_error *err);
+
+/* Makes a directory and its parents; one that exists is fine. */
+int gsn_file_mkdir(const char *path, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,65 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/hash.h"
+
+#include <openssl/evp.h>
+
+struct gsn_hash {
+    EVP_MD_CTX *evp;
+};
+
+int gsn_hash_new(struct gsn_hash **ret_hash, struct gsn_error *err)
+{
+    gsn_auto(gsn_hash) hash = gsn_alloc_array(1, sizeof *hash);
+
+    if (hash)
+        hash->evp = EVP_MD_CTX_new();
+    if (!hash || !hash->evp)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a hash");
+    if (EVP_DigestInit_ex(hash->evp, EVP_sha256(), NULL) != 1)
+        return gsn_fail(err, GSN_E_IO, "OpenSSL offers no SHA-256");
+    *ret_hash = gsn_steal(&hash);
+    return GSN_OK;
+}
+
+int gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size, struct gsn_error *err)
+{
+    if (EVP_DigestUpdate(hash->evp, bytes, size) != 1)
+        return gsn_fail(err, GSN_E_IO, "OpenSSL failed to hash");
+    return GSN_OK;
+}
+
+int gsn_hash_end(struct gsn_hash *hash, struct gsn_digest *ret_digest, struct gsn_error *err)
+{
+    static const char digits[] = "0123456789abcdef";
+    unsigned char raw[32];
+    unsigned length = 0;
+
+    if (EVP_DigestFinal_ex(hash->evp, raw, &length) != 1 || length != sizeof raw)
+        return gsn_fail(err, GSN_E_IO, "OpenSSL failed to finish a hash");
+    for (size_t i = 0; i < sizeof raw; i++) {
+        ret_digest->hex[2 * i] = digits[raw[i] >> 4];
+        ret_digest->hex[2 * i + 1] = digits[raw[i] & 15];
+    }
+    ret_digest->hex[64] = '\0';
+    return GSN_OK;
+}
+
+void gsn_hash_free(struct gsn_hash *hash)
+{
+    if (!hash)
+        return;
+    EVP_MD_CTX_free(hash->evp);
+    gsn_free(hash);
+}
+
+int gsn_sha256(const void *bytes, size_t size, struct gsn_digest *ret_digest, struct gsn_error *err)
+{
+    gsn_auto(gsn_hash) hash = NULL;
+    int r = gsn_hash_new(&hash, err);
+
+    if (r >= 0)
+        r = gsn_hash_add(hash, bytes, size, err);
+    if (r >= 0)
+        r = gsn_hash_end(hash, ret_digest, err);
+    return r;
+}

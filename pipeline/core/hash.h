@@ -1,0 +1,33 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* SHA-256, by OpenSSL's EVP (hash.c is the one door to libcrypto). */
+#ifndef GSN_CORE_HASH_H
+#define GSN_CORE_HASH_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/mem.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* 64 lower-case hexadecimal digits and the terminating zero. */
+struct gsn_digest {
+    char hex[65];
+};
+
+int gsn_sha256(const void *bytes, size_t size, struct gsn_digest *ret_digest,
+               struct gsn_error *err);
+
+/* The same in pieces. */
+struct gsn_hash;
+int gsn_hash_new(struct gsn_hash **ret_hash, struct gsn_error *err);
+int gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size, struct gsn_error *err);
+int gsn_hash_end(struct gsn_hash *hash, struct gsn_digest *ret_digest, struct gsn_error *err);
+void gsn_hash_free(struct gsn_hash *hash);
+GSN_DEFINE_AUTO(gsn_hash);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,69 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/mem.h"
+
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+void *gsn_alloc(size_t size)
+{
+    return gsn_mem_door(NULL, size ? size : 1);
+}
+
+void *gsn_alloc_array(size_t count, size_t size)
+{
+    void *memory;
+
+    if (size && count > SIZE_MAX / size)
+        return NULL;
+    memory = gsn_alloc(count * size);
+    if (memory)
+        memset(memory, 0, count * size);
+    return memory;
+}
+
+void *gsn_realloc_array(void *old, size_t count, size_t size)
+{
+    if (size && count > SIZE_MAX / size)
+        return NULL;
+    return gsn_mem_door(old, count && size ? count * size : 1);
+}
+
+void *gsn_memdup(const void *bytes, size_t size)
+{
+    void *copy = gsn_alloc(size);
+
+    if (copy && size)
+        memcpy(copy, bytes, size);
+    return copy;
+}
+
+char *gsn_strdup(const char *text)
+{
+    return gsn_memdup(text, strlen(text) + 1);
+}
+
+char *gsn_format(const char *format, ...)
+{
+    va_list args, again;
+    char *text = NULL;
+    int length;
+
+    va_start(args, format);
+    va_copy(again, args);
+    length = vsnprintf(NULL, 0, format, args);
+    if (length >= 0)
+        text = gsn_alloc((size_t)length + 1);
+    if (text)
+        (void)vsnprintf(text, (size_t)length + 1, format, again);
+    va_end(again);
+    va_end(args);
+    return text;
+}
+
+void gsn_free(void *memory)
+{
+    free(memory);
+}

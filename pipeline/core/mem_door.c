@@ -1,0 +1,10 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/mem.h"
+
+#include <stdlib.h>
+
+/* Alone in its file: the linker can only wrap a symbol that is used from elsewhere. */
+void *gsn_mem_door(void *old, size_t size)
+{
+    return realloc(old, size); /* door */
+}

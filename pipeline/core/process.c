@@ -1,0 +1,247 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/process.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdbool.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { COMPLAINT_BYTES = 200, CHUNK = 1 << 16 };
+
+/* One conversation: the ends we hold and what has crossed so far. */
+struct talk {
+    pid_t child;
+    int in, out, complaints; /* -1 once closed */
+    const uint8_t *question;
+    size_t question_size, sent;
+    uint8_t *answer;
+    size_t answer_size, answer_room;
+    char complaint[COMPLAINT_BYTES];
+    size_t complaint_size;
+};
+
+static void shut(int *fd)
+{
+    if (*fd >= 0)
+        (void)close(*fd);
+    *fd = -1;
+}
+
+static void limit(int what, uint64_t most)
+{
+    const struct rlimit value = { .rlim_cur = most, .rlim_max = most };
+
+    if (most)
+        (void)setrlimit((__rlimit_resource_t)what, &value);
+}
+
+/* Between fork and exec: only async-signal-safe calls. */
+static void become(const char *const argv[], const struct gsn_process_limits *limits, int in,
+                   int out, int complaints)
+{
+    if (dup2(in, 0) < 0 || dup2(out, 1) < 0 || dup2(complaints, 2) < 0)
+        _exit(127);
+    limit(RLIMIT_AS, limits->memory_bytes);
+    limit(RLIMIT_CPU, limits->cpu_s);
+    (void)execv(argv[0], (char *const *)(uintptr_t)argv);
+    _exit(127);
+}
+
+static int start(struct talk *talk, const char *const argv[],
+                 const struct gsn_process_limits *limits, struct gsn_error *err)
+{
+    int in[2] = { -1, -1 }, out[2] = { -1, -1 }, complaints[2] = { -1, -1 };
+
+    if (pipe2(in, O_CLOEXEC) == 0 && pipe2(out, O_CLOEXEC) == 0 &&
+        pipe2(complaints, O_CLOEXEC) == 0)
+        talk->child = fork();
+    if (talk->child == 0)
+        become(argv, limits, in[0], out[1], complaints[1]);
+    shut(&in[0]);
+    shut(&out[1]);
+    shut(&complaints[1]);
+    talk->in = in[1];
+    talk->out = out[0];
+    talk->complaints = complaints[0];
+    if (talk->child < 0)
+        return gsn_fail(err, GSN_E_PROCESS, "%s could not be started: %s", argv[0],
+                        strerror(errno));
+    (void)fcntl(talk->in, F_SETFL, O_NONBLOCK);
+    return GSN_OK;
+}
+
+static void feed(struct talk *talk)
+{
+    const ssize_t put =
+        write(talk->in, talk->question + talk->sent, talk->question_size - talk->sent);
+
+    if (put > 0)
+        talk->sent += (size_t)put;
+    if ((put < 0 && errno != EAGAIN && errno != EINTR) || talk->sent == talk->question_size)
+        shut(&talk->in);
+}
+
+static int hear(struct talk *talk, size_t most, struct gsn_error *err)
+{
+    ssize_t got;
+
+    if (talk->answer_room - talk->answer_size < CHUNK) {
+        const size_t room = 2 * talk->answer_room + CHUNK + 1;
+        uint8_t *larger = gsn_realloc_array(talk->answer, room, 1);
+
+        if (!larger)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for a child's answer");
+        talk->answer = larger;
+        talk->answer_room = room;
+    }
+    got = read(talk->out, talk->answer + talk->answer_size, CHUNK - 1);
+    if (got == 0 || (got < 0 && errno != EINTR))
+        shut(&talk->out);
+    if (got > 0)
+        talk->answer_size += (size_t)got;
+    if (talk->answer_size > most)
+        return gsn_fail(err, GSN_E_LIMIT, "a child's answer is longer than %zu bytes", most);
+    return GSN_OK;
+}
+
+static void listen_to_complaint(struct talk *talk)
+{
+    char rest[512];
+    const ssize_t got = read(talk->complaints, rest, sizeof rest);
+
+    if (got == 0 || (got < 0 && errno != EINTR))
+        shut(&talk->complaints);
+    for (ssize_t i = 0; i < got && talk->complaint_size + 1 < sizeof talk->complaint; i++)
+        talk->complaint[talk->complaint_size++] = rest[i];
+}
+
+static double seconds(void)
+{
+    struct timespec now;
+
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* Moves bytes both ways until the child closes its ends. */
+static int converse(struct talk *talk, const struct gsn_process_limits *limits,
+                    struct gsn_error *err)
+{
+    const double end = limits->wall_s ? seconds() + limits->wall_s : 0;
+
+    while (talk->out >= 0 || talk->complaints >= 0) {
+        struct pollfd ends[3] = { { .fd = talk->in, .events = POLLOUT },
+                                  { .fd = talk->out, .events = POLLIN },
+                                  { .fd = talk->complaints, .events = POLLIN } };
+        int r;
+
+        if (end > 0 && seconds() > end)
+            return gsn_fail(err, GSN_E_PROCESS, "gave no answer within %u s", limits->wall_s);
+        r = poll(ends, 3, 200);
+        if (r < 0 && errno != EINTR)
+            return gsn_fail(err, GSN_E_PROCESS, "poll: %s", strerror(errno));
+        if (r <= 0)
+            continue;
+        if (talk->in >= 0 && ends[0].revents)
+            feed(talk);
+        if (talk->out >= 0 && ends[1].revents) {
+            r = hear(talk, limits->answer_bytes, err);
+            if (r < 0)
+                return r;
+        }
+        if (talk->complaints >= 0 && ends[2].revents)
+            listen_to_complaint(talk);
+    }
+    return GSN_OK;
+}
+
+/* Waits for the child's end and turns it into a sentence. */
+static int verdict(struct talk *talk, bool quick, struct gsn_error *err)
+{
+    int status = 0;
+
+    if (quick)
+        (void)kill(talk->child, SIGKILL);
+    while (waitpid(talk->child, &status, 0) < 0 && errno == EINTR)
+        ;
+    if (quick || (WIFEXITED(status) && WEXITSTATUS(status) == 0))
+        return GSN_OK;
+    talk->complaint[talk->complaint_size] = '\0';
+    talk->complaint[strcspn(talk->complaint, "\n")] = '\0';
+    if (WIFSIGNALED(status))
+        return gsn_fail(err, GSN_E_PROCESS, "died of signal %d (%s)%s%s", WTERMSIG(status),
+                        strsignal(WTERMSIG(status)), talk->complaint[0] ? ": " : "",
+                        talk->complaint);
+    return gsn_fail(err, GSN_E_PROCESS, "ended with code %d%s%s", WEXITSTATUS(status),
+                    talk->complaint[0] ? ": " : "", talk->complaint);
+}
+
+int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *limits,
+                    const void *question, size_t question_size, uint8_t **ret_answer,
+                    size_t *ret_answer_size, struct gsn_error *err)
+{
+    struct talk talk = { .child = -1,
+                         .in = -1,
+                         .out = -1,
+                         .complaints = -1,
+                         .question = question,
+                         .question_size = question_size };
+    struct sigaction ignore = { .sa_handler = SIG_IGN }, before;
+    int r;
+
+    /* A child that dies early closes our pipe; that must be an error, not our own death. */
+    (void)sigaction(SIGPIPE, &ignore, &before);
+    r = start(&talk, argv, limits, err);
+    if (r >= 0) {
+        r = converse(&talk, limits, err);
+        shut(&talk.in);
+        const int ended = verdict(&talk, r < 0, err);
+        r = r < 0 ? r : ended;
+    }
+    shut(&talk.in);
+    shut(&talk.out);
+    shut(&talk.complaints);
+    (void)sigaction(SIGPIPE, &before, NULL);
+    if (r >= 0 && !talk.answer)
+        r = gsn_fail(err, GSN_E_PROCESS, "gave no answer");
+    if (r < 0) {
+        gsn_free(talk.answer);
+        return gsn_fail_at(err, "%s", argv[0]);
+    }
+    talk.answer[talk.answer_size] = 0;
+    *ret_answer = talk.answer;
+    *ret_answer_size = talk.answer_size;
+    return GSN_OK;
+}
+
+int gsn_process_sibling(const char *name, char **ret_path, struct gsn_error *err)
+{
+    char self[4096];
+    const ssize_t length = readlink("/proc/self/exe", self, sizeof self - 1);
+    gsn_auto_mem(char) beside = NULL;
+    char *slash;
+
+    if (length > 0) {
+        self[length] = '\0';
+        slash = strrchr(self, '/');
+        beside = gsn_format("%.*s/%s", slash ? (int)(slash - self) : 0, self, name);
+        if (!beside)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    }
+    if (!beside || access(beside, X_OK) < 0) {
+        gsn_free(beside);
+        beside = gsn_format("%s/%s", GSN_LIBEXECDIR, name);
+        if (!beside)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    }
+    if (access(beside, X_OK) < 0)
+        return gsn_fail(err, GSN_E_NOTFOUND, "the program %s is not installed", beside);
+    *ret_path = gsn_steal(&beside);
+    return GSN_OK;
+}

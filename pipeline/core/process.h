@@ -1,0 +1,42 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A child process that answers one question: bytes in on stdin, bytes out on stdout.
+ *
+ * Foreign code that aborts, hangs or leaks (the mesher) runs in one, under limits of memory and
+ * time, so that a crash costs one question and never the program that asked. */
+#ifndef GSN_CORE_PROCESS_H
+#define GSN_CORE_PROCESS_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/mem.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_process_limits {
+    uint64_t memory_bytes; /* address space; 0: no limit */
+    unsigned cpu_s;        /* processor seconds; 0: no limit */
+    unsigned wall_s;       /* seconds of the clock; 0: no limit */
+    size_t answer_bytes;   /* most that is read from the child's stdout */
+};
+
+/* Runs argv[0] with argv (NULL-terminated), feeds question, gives the answer.
+ *
+ * Fails with GSN_E_PROCESS when the child cannot be started, dies, exits other than 0 or is killed
+ * at a limit; the sentence then ends with the first line it wrote on stderr, if any. The child
+ * never outlives the call. gives: ret_answer, with one zero byte behind it, not counted. */
+int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *limits,
+                    const void *question, size_t question_size, uint8_t **ret_answer,
+                    size_t *ret_answer_size, struct gsn_error *err);
+
+/* gives: the path of a program that stands beside the running one ("<dir of this exe>/name") or,
+ * when there is none there, in libexec. Fails with GSN_E_NOTFOUND. */
+int gsn_process_sibling(const char *name, char **ret_path, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,51 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Least squares: the control points that make the spline follow the samples.
+ *
+ * Minimises sum (s(u_i) - f_i)^2 + smoothing * integral |grad s|^2 in sample units (docs/MATH.md).
+ * The normal equations are assembled tetrahedron by tetrahedron and solved by conjugate gradients
+ * with Jacobi preconditioning; sums run in a fixed order, so the answer does not depend on the
+ * number of threads. */
+#ifndef GSN_MODEL_FIT_H
+#define GSN_MODEL_FIT_H
+
+#include "pipeline/core/progress.h"
+#include "pipeline/model/spline.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_samples {
+    size_t count;
+    const double (*at)[3]; /* um; those outside the mesh are refused */
+    const float *value;    /* finite */
+};
+
+struct gsn_fit_options {
+    double smoothing;    /* relative weight of the gradient penalty; 0: 1e-6 */
+    double tolerance;    /* relative residual of the solver; 0: 1e-10 */
+    unsigned iterations; /* at most; 0: 2000 */
+    unsigned threads;    /* 0: all */
+    const struct gsn_progress *progress;
+};
+
+struct gsn_fit_report {
+    size_t unknowns, samples, empty_tets; /* empty: no sample inside, "no data" */
+    unsigned iterations;
+    double rms, worst; /* of the residuals s(u_i) - f_i */
+};
+
+/* gives: the spline, and per tetrahedron the number of samples in it and their rms residual (each
+ * may be NULL; otherwise gives arrays of tet_count). keeps: space. Fails with GSN_E_INPUT naming
+ * the first sample that is not finite or lies outside the mesh, GSN_E_FIT when the solver does not
+ * reach its tolerance, GSN_E_NOMEM. */
+int gsn_fit(const struct gsn_dms *space, const struct gsn_samples *samples,
+            const struct gsn_fit_options *options, struct gsn_spline **ret_spline,
+            struct gsn_fit_report *ret_report, uint32_t **ret_tet_samples, double **ret_tet_rms,
+            struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

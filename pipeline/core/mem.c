@@ -65,5 +65,5 @@ char *gsn_format(const char *format, ...)
 
 void gsn_free(void *memory)
 {
-    free(memory);
+    free(memory); /* door */
 }

@@ -1,0 +1,380 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/protocol.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <string.h>
+
+/* Limits that only a mistake exceeds. */
+enum { MOST_SLOTS = 400, MOST_SECTIONS = 100000, LONGEST_NAME = 1000 };
+
+static int bad(struct gsn_error *err, const char *key, const char *wanted)
+{
+    return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be %s", key, wanted);
+}
+
+static int get_text(const json_t *job, const char *key, char **text, struct gsn_error *err)
+{
+    const json_t *value = json_object_get(job, key);
+
+    if (value && (!json_is_string(value) || json_string_length(value) > LONGEST_NAME ||
+                  strlen(json_string_value(value)) != json_string_length(value)))
+        return bad(err, key, "text of at most 1000 bytes");
+    *text = gsn_strdup(value ? json_string_value(value) : "");
+    return *text ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
+}
+
+static int get_number(const json_t *job, const char *key, double low, double high, double *number,
+                      struct gsn_error *err)
+{
+    const json_t *value = json_object_get(job, key);
+
+    if (!value)
+        return GSN_OK;
+    if (!json_is_number(value) || !(json_number_value(value) >= low) ||
+        !(json_number_value(value) <= high))
+        return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be a number from %g to %g", key,
+                        low, high);
+    *number = json_number_value(value);
+    return GSN_OK;
+}
+
+static int get_count(const json_t *job, const char *key, unsigned most, unsigned *count,
+                     struct gsn_error *err)
+{
+    const json_t *value = json_object_get(job, key);
+
+    if (!value)
+        return GSN_OK;
+    if (!json_is_integer(value) || json_integer_value(value) < 1 ||
+        json_integer_value(value) > (json_int_t)most)
+        return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be a whole number from 1 to %u",
+                        key, most);
+    *count = (unsigned)json_integer_value(value);
+    return GSN_OK;
+}
+
+/* One of several words; *chosen is left alone when the key is absent. */
+static int get_word(const json_t *job, const char *key, const char *const *words, int *chosen,
+                    struct gsn_error *err)
+{
+    const json_t *value = json_object_get(job, key);
+
+    if (!value)
+        return GSN_OK;
+    for (int i = 0; words[i]; i++)
+        if (json_is_string(value) && strcmp(json_string_value(value), words[i]) == 0) {
+            *chosen = i;
+            return GSN_OK;
+        }
+    return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be one of \"%s\", \"%s\"%s%s%s", key,
+                    words[0], words[1], words[2] ? ", \"" : "", words[2] ? words[2] : "",
+                    words[2] ? "\"" : "");
+}
+
+static int get_numbers(const json_t *array, size_t count, double *numbers)
+{
+    if (!json_is_array(array) || json_array_size(array) != count)
+        return -1;
+    for (size_t i = 0; i < count; i++) {
+        const json_t *value = json_array_get(array, i);
+
+        if (!json_is_number(value) || !isfinite(json_number_value(value)))
+            return -1;
+        numbers[i] = json_number_value(value);
+    }
+    return 0;
+}
+
+static int read_layout(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *layout = json_object_get(job, "layout");
+    double n[2];
+
+    if (!layout)
+        return GSN_OK;
+    if (get_numbers(layout, 2, n) < 0 || n[0] < 1 || n[1] < 1 || n[0] * n[1] > MOST_SLOTS ||
+        n[0] != floor(n[0]) || n[1] != floor(n[1]))
+        return bad(err, "layout", "[rows, columns], two whole numbers with at most 400 slots");
+    p->rows = (unsigned)n[0];
+    p->columns = (unsigned)n[1];
+    return GSN_OK;
+}
+
+static int read_markers(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *markers = json_object_get(job, "markers_um");
+
+    if (!markers)
+        return GSN_OK;
+    for (size_t i = 0; i < 3; i++) {
+        double xy[2];
+
+        if (json_array_size(markers) != 3 || get_numbers(json_array_get(markers, i), 2, xy) < 0)
+            return bad(err, "markers_um", "three pairs [x, y] in micrometres");
+        p->markers_um[i] = (struct gsn_point){ .x = xy[0], .y = xy[1] };
+    }
+    p->has_markers = 1;
+    return GSN_OK;
+}
+
+static int read_thresholds(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *thresholds = json_object_get(job, "thresholds");
+    const size_t count = json_array_size(thresholds);
+
+    if (!thresholds)
+        return GSN_OK;
+    if (count < 1 || count > sizeof p->threshold / sizeof p->threshold[0] ||
+        get_numbers(thresholds, count, p->threshold) < 0)
+        return bad(err, "thresholds", "one to eight numbers");
+    p->threshold_count = count;
+    return GSN_OK;
+}
+
+static int read_box(const json_t *shape, struct gsn_region *region)
+{
+    double low[3], high[3];
+
+    if (get_numbers(json_object_get(shape, "min"), 3, low) < 0 ||
+        get_numbers(json_object_get(shape, "max"), 3, high) < 0)
+        return -1;
+    region->low = gsn_vec3_make(low[0], low[1], low[2]);
+    region->high = gsn_vec3_make(high[0], high[1], high[2]);
+    return low[0] < high[0] && low[1] < high[1] && low[2] < high[2] ? 0 : -1;
+}
+
+static int read_round(const json_t *shape, struct gsn_region *region)
+{
+    const json_t *radius = json_object_get(shape, "radius");
+    double centre[3] = { 0 }, z[2];
+
+    if (get_numbers(json_object_get(shape, "centre"), region->kind == GSN_REGION_SPHERE ? 3 : 2,
+                    centre) < 0)
+        return -1;
+    region->centre = gsn_vec3_make(centre[0], centre[1], centre[2]);
+    region->radius_um = json_is_number(radius) ? json_number_value(radius) : 0;
+    if (region->kind == GSN_REGION_CYLINDER) {
+        if (get_numbers(json_object_get(shape, "z"), 2, z) < 0 || !(z[0] < z[1]))
+            return -1;
+        region->low.z = z[0];
+        region->high.z = z[1];
+    }
+    return region->radius_um > 0 ? 0 : -1;
+}
+
+static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const shapes[] = { "box", "cylinder", "sphere", NULL };
+    const json_t *region = json_object_get(job, "region");
+    int shape = -1, r;
+
+    if (!region)
+        return GSN_OK;
+    if (json_is_string(region)) {
+        p->region.kind = GSN_REGION_MASK;
+        return get_text(job, "region", &p->region.file, err);
+    }
+    if (!json_is_object(region))
+        return bad(err, "region", "the name of a mask file or a shape");
+    r = get_word(region, "shape", shapes, &shape, err);
+    if (r < 0)
+        return r;
+    if (shape >= 0)
+        p->region.kind = (enum gsn_region_kind)(GSN_REGION_BOX + shape);
+    if (shape < 0 || (shape == 0 ? read_box(region, &p->region) : read_round(region, &p->region)))
+        return bad(err, "region",
+                   "{\"shape\": \"box\", \"min\": [x,y,z], \"max\": [x,y,z]}, {\"shape\": "
+                   "\"cylinder\", \"centre\": [x,y], \"radius\": r, \"z\": [from,to]} or "
+                   "{\"shape\": \"sphere\", \"centre\": [x,y,z], \"radius\": r}");
+    return GSN_OK;
+}
+
+static int read_light(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const transfers[] = { "unknown", "linear", "srgb", NULL };
+    static const char *const dyes[] = { "builtin", "estimate", NULL };
+    const json_t *white = json_object_get(job, "white");
+    int transfer = GSN_STATED_UNKNOWN;
+    int r;
+
+    r = get_word(job, "transfer", transfers, &transfer, err);
+    if (r >= 0)
+        r = get_word(job, "dyes", dyes, &p->estimate_dyes, err);
+    if (r < 0)
+        return r;
+    p->transfer = (enum gsn_stated_transfer)transfer;
+    if (!white)
+        return GSN_OK;
+    if (get_numbers(white, 3, p->white) < 0 || !(p->white[0] > 0 && p->white[0] <= 1) ||
+        !(p->white[1] > 0 && p->white[1] <= 1) || !(p->white[2] > 0 && p->white[2] <= 1))
+        return bad(err, "white", "three codes as fractions of full scale, above 0 and up to 1");
+    p->has_white = 1;
+    return GSN_OK;
+}
+
+static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const struct {
+        const char *key;
+        char **text;
+    } names[] = { { "specimen", &p->specimen },  { "study", &p->study },
+                  { "group", &p->group },        { "animal", &p->animal },
+                  { "baseline", &p->baseline },  { "file", &p->file },
+                  { "reference", &p->reference } };
+
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+        const int r = get_text(job, names[i].key, names[i].text, err);
+
+        if (r < 0)
+            return r;
+    }
+    if (!p->specimen[0])
+        return gsn_fail(err, GSN_E_INPUT, "job.json: \"specimen\" is missing: name the specimen");
+    if (strcmp(p->baseline, p->specimen) == 0 && p->baseline[0])
+        return gsn_fail(err, GSN_E_INPUT,
+                        "job.json: \"baseline\" names the specimen itself; leave it out for a "
+                        "control");
+    return GSN_OK;
+}
+
+/* Keys we do not know are named, not refused: a scanner's own notes must not stop the work, and a
+ * misspelt key must not pass unseen. */
+static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const known[] = { "specimen",   "study",     "group",       "animal",
+                                         "week",       "px_um",     "interval_um", "panels",
+                                         "layout",     "order",     "sections",    "region",
+                                         "markers_um", "baseline",  "transfer",    "dyes",
+                                         "white",      "kind",      "thresholds",  "tolerance",
+                                         "file",       "reference", "comment" };
+    void *at = json_object_iter((json_t *)(uintptr_t)job);
+
+    for (; at; at = json_object_iter_next((json_t *)(uintptr_t)job, at)) {
+        const char *key = json_object_iter_key(at);
+        size_t i = 0;
+        char *more;
+
+        while (i < sizeof known / sizeof known[0] && strcmp(key, known[i]) != 0)
+            i++;
+        if (i < sizeof known / sizeof known[0])
+            continue;
+        more =
+            gsn_format("%s%s\"%.60s\"", p->unknown ? p->unknown : "", p->unknown ? ", " : "", key);
+        if (!more)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
+        gsn_free(p->unknown);
+        p->unknown = more;
+    }
+    return GSN_OK;
+}
+
+static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const orders[] = { "row", "column", "snake", NULL };
+    static const char *const kinds[] = { "sections", "volume", "tile", NULL };
+    int order = GSN_STATED_ROW, kind = GSN_KIND_SECTIONS;
+    int r;
+
+    if ((r = note_unknown_keys(job, p, err)) < 0 || (r = read_names(job, p, err)) < 0 ||
+        (r = get_word(job, "kind", kinds, &kind, err)) < 0 ||
+        (r = get_word(job, "order", orders, &order, err)) < 0 ||
+        (r = get_number(job, "week", 0, 10000, &p->week, err)) < 0 ||
+        (r = get_number(job, "px_um", 0.01, 1000, &p->px_um, err)) < 0 ||
+        (r = get_number(job, "interval_um", 0.1, 10000, &p->interval_um, err)) < 0 ||
+        (r = get_number(job, "tolerance", 1e-9, 1e9, &p->tolerance, err)) < 0 ||
+        (r = get_count(job, "panels", 10000, &p->panels, err)) < 0 ||
+        (r = get_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
+        (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
+        (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, p, err)) < 0 ||
+        (r = read_light(job, p, err)) < 0)
+        return r;
+    p->kind = (enum gsn_kind)kind;
+    p->order = (enum gsn_stated_order)order;
+    if (p->kind != GSN_KIND_SECTIONS && !p->file[0])
+        return gsn_fail(err, GSN_E_INPUT, "job.json: \"file\" is missing: name the %s",
+                        kind == GSN_KIND_VOLUME ? "volume" : "picture");
+    return GSN_OK;
+}
+
+int gsn_protocol_parse(const char *text, size_t size, struct gsn_protocol **ret_protocol,
+                       struct gsn_error *err)
+{
+    gsn_auto(gsn_protocol) p = gsn_alloc_array(1, sizeof *p);
+    json_error_t where;
+    json_t *job;
+    int r;
+
+    if (!p)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
+    p->week = NAN;
+    p->interval_um = 24;
+    p->rows = 3;
+    p->columns = 4;
+    job = json_loadb(text, size, JSON_REJECT_DUPLICATES, &where);
+    if (!job)
+        return gsn_fail(err, GSN_E_INPUT, "job.json: line %d: %s", where.line, where.text);
+    r = json_is_object(job) ? read_all(job, p, err)
+                            : gsn_fail(err, GSN_E_INPUT, "job.json: not a JSON object");
+    json_decref(job);
+    if (r < 0)
+        return r;
+    *ret_protocol = gsn_steal(&p);
+    return GSN_OK;
+}
+
+void gsn_protocol_free(struct gsn_protocol *p)
+{
+    if (!p)
+        return;
+    gsn_free(p->specimen);
+    gsn_free(p->study);
+    gsn_free(p->group);
+    gsn_free(p->animal);
+    gsn_free(p->baseline);
+    gsn_free(p->file);
+    gsn_free(p->reference);
+    gsn_free(p->unknown);
+    gsn_free(p->region.file);
+    gsn_free(p);
+}
+
+unsigned gsn_protocol_sections(const struct gsn_protocol *p)
+{
+    const unsigned slots = p->panels * p->rows * p->columns;
+
+    return p->sections && (p->sections < slots || !slots) ? p->sections : slots;
+}
+
+static int holds(const struct gsn_region *region, struct gsn_vec3 u)
+{
+    const struct gsn_vec3 d = gsn_vec3_sub(u, region->centre);
+
+    if (region->kind == GSN_REGION_SPHERE)
+        return gsn_vec3_length(d) <= region->radius_um;
+    if (!(region->low.z <= u.z && u.z < region->high.z))
+        return 0;
+    if (region->kind == GSN_REGION_CYLINDER)
+        return hypot(d.x, d.y) <= region->radius_um;
+    return region->low.x <= u.x && u.x < region->high.x && region->low.y <= u.y &&
+           u.y < region->high.y;
+}
+
+int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,
+                      struct gsn_mask **ret_mask, struct gsn_error *err)
+{
+    gsn_auto(gsn_mask) mask = NULL;
+    const int r = gsn_mask_new(at, &mask, err);
+
+    if (r < 0)
+        return r;
+    for (size_t z = 0; z < at->nz; z++)
+        for (size_t y = 0; y < at->ny; y++)
+            for (size_t x = 0; x < at->nx; x++)
+                mask->inside[gsn_lattice_index(at, x, y, z)] =
+                    (uint8_t)holds(region, gsn_lattice_centre(at, x, y, z));
+    if (gsn_mask_count(mask) == 0)
+        return gsn_fail(err, GSN_E_INPUT, "the region of interest holds no voxel of this stack");
+    *ret_mask = gsn_steal(&mask);
+    return GSN_OK;
+}

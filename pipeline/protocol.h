@@ -1,0 +1,78 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What the operator states about a specimen: job.json, read once and checked key by key.
+ *
+ * The keys are documented in docs/job.md. Lengths are micrometres in the block frame. */
+#ifndef GSN_PIPELINE_PROTOCOL_H
+#define GSN_PIPELINE_PROTOCOL_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
+#include "pipeline/core/grid.h"
+#include "pipeline/core/mem.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum gsn_kind { GSN_KIND_SECTIONS, GSN_KIND_VOLUME, GSN_KIND_TILE };
+enum gsn_stated_order { GSN_STATED_ROW, GSN_STATED_COLUMN, GSN_STATED_SNAKE };
+enum gsn_stated_transfer { GSN_STATED_UNKNOWN, GSN_STATED_LINEAR, GSN_STATED_SRGB };
+enum gsn_region_kind {
+    GSN_REGION_NONE, /* not stated: everything that has data (volumes), or withheld (sections) */
+    GSN_REGION_MASK, /* a file */
+    GSN_REGION_BOX,
+    GSN_REGION_CYLINDER, /* axis along z */
+    GSN_REGION_SPHERE,
+};
+
+struct gsn_region {
+    enum gsn_region_kind kind;
+    char *file;                /* GSN_REGION_MASK: as stated, relative to the job's folder */
+    struct gsn_vec3 low, high; /* box; the cylinder's z range is low.z..high.z */
+    struct gsn_vec3 centre;    /* cylinder, sphere */
+    double radius_um;
+};
+
+struct gsn_protocol {
+    enum gsn_kind kind;
+    char *specimen, *study, *group, *animal; /* never NULL; "" when not stated */
+    char *baseline;                          /* specimen or group; "" when not stated */
+    double week;                             /* NaN when not stated */
+    double px_um;                            /* of the scan; 0 when not stated */
+    double interval_um;
+    unsigned panels, rows, columns, sections;
+    enum gsn_stated_order order;
+    enum gsn_stated_transfer transfer;
+    struct gsn_region region;
+    int has_markers;
+    struct gsn_point markers_um[3];
+    size_t threshold_count;
+    double threshold[8];
+    double tolerance;  /* of the fit, in density units; 0: the pipeline's default */
+    char *file;        /* kind volume: the volume; kind tile: the picture; else NULL */
+    char *reference;   /* kind tile: the mask to compare with; else NULL */
+    int estimate_dyes; /* "dyes": "estimate" */
+    int has_white;
+    double white[3]; /* tile without blank glass: the light of the empty slide, 0..1 codes */
+    char *unknown;   /* keys that are not ours, quoted and with commas; NULL when there is none */
+};
+
+/* gives. Fails with GSN_E_INPUT naming the key and what is allowed; GSN_E_NOMEM. */
+int gsn_protocol_parse(const char *json, size_t size, struct gsn_protocol **ret_protocol,
+                       struct gsn_error *err);
+void gsn_protocol_free(struct gsn_protocol *protocol);
+GSN_DEFINE_AUTO(gsn_protocol);
+
+/* The number of slots of all stated panels, or the stated sections when that is less. */
+unsigned gsn_protocol_sections(const struct gsn_protocol *protocol);
+
+/* gives: the shape as a mask on this lattice, by voxel centres.
+ * Fails with GSN_E_INPUT when no voxel centre lies inside. The kind is box, cylinder or sphere. */
+int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,
+                      struct gsn_mask **ret_mask, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

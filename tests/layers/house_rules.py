@@ -1,0 +1,181 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""The rules of the house that a compiler does not know: who may include whom, which calls have one
+door only, and that no failure is dropped.
+
+    house_rules.py ROOT              checks the tree; prints "file:line: sentence", exit 1 if any
+    house_rules.py ROOT --self-test  plants one violation of each rule in a copy and demands that
+                                     each is found
+"""
+import pathlib
+import re
+import shutil
+import sys
+import tempfile
+
+ROOMS = ("acquire", "pipeline", "storage", "ui", "systemd", "udev")
+
+# folder -> folders whose headers it may include (its own always). The longest match counts.
+LAYERS = {
+    "pipeline/core": (),
+    "acquire": ("pipeline/core",),
+    "storage": ("pipeline/core",),
+    "pipeline/decode": ("pipeline/core",),
+    "pipeline/register": ("pipeline/core",),
+    "pipeline/stain": ("pipeline/core",),
+    "pipeline/model": ("pipeline/core",),
+    "pipeline/measure": ("pipeline/core", "pipeline/model"),
+    "pipeline/render": ("pipeline/core", "pipeline/model"),
+    "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),
+    "pipeline": ("pipeline",),
+    "ui": ("pipeline/core", "storage"),
+    "systemd": ("pipeline", "acquire", "storage"),
+}
+
+# foreign header -> the only files that may name it
+FOREIGN = {
+    r"sqlite3\.h": r"^storage/",
+    r"opencv2/.*": r"^pipeline/.*_opencv\.cpp$",
+    r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
+    r"(tiffio|jpeglib|png|zlib|openslide/.*|lcms2)\.h": r"^pipeline/decode/",
+    r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",
+    r"openssl/.*": r"^pipeline/core/hash\.c$",
+    r"n?curses(w/.*)?\.h": r"^ui/",
+}
+
+# C only: C++ files of foreign libraries have other doors (new, delete).
+BANNED = ("malloc calloc realloc free strcpy strcat sprintf atoi atol atof strtod fopen open openat "
+          "sqlite3_open sqlite3_open_v2 sqlite3_exec system popen exit").split()
+BANNED_CALL = re.compile(r"(?<![\w.>])(" + "|".join(BANNED) + r")\s*\(")
+DOOR = "/* door */"
+INCLUDE = re.compile(r'^\s*#\s*include\s+(["<])([^">]+)[">]')
+# A statement that begins with a call of ours which takes err and lets its answer fall.
+DROPPED = re.compile(r"^\s+gsn_\w+\((?!.*\breturn\b).*[(, ]err\);\s*$")
+STATEMENT_ENDS = (";", "{", "}", ":", "*/")
+
+
+def strip_comments(text):
+    """Blanks comments and string contents, keeping the line structure and door marks."""
+    def blank(match):
+        piece = match.group(0)
+        if piece.startswith('"'):
+            return '""'
+        if piece == DOOR:
+            return piece
+        return "\n" * piece.count("\n")
+    return re.sub(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', blank, text, flags=re.S)
+
+
+def layer_of(path):
+    best = ""
+    for folder in LAYERS:
+        if path.startswith(folder + "/") and len(folder) > len(best):
+            best = folder
+    return best
+
+
+def allowed(owner, header):
+    if owner == "pipeline" or owner == "systemd":
+        return any(header.startswith(f + "/") for f in LAYERS[owner] + (owner,))
+    target = layer_of(header)
+    return target == owner or target in LAYERS[owner]
+
+
+def check_includes(path, text, say):
+    owner = layer_of(path)
+    for number, line in enumerate(text.splitlines(), 1):
+        match = INCLUDE.match(line)
+        if not match:
+            continue
+        quoted, header = match.groups()
+        if quoted == '"' and owner and header.split("/")[0] in ROOMS and not allowed(owner, header):
+            say(path, number, f"{owner} may not include {header}")
+        if quoted == '"' and header.split("/")[0] not in ROOMS and "/" not in header \
+                and not header.endswith(".inc"):
+            say(path, number, f'includes are written from the root, not "{header}"')
+        for pattern, door in FOREIGN.items():
+            if quoted == "<" and re.fullmatch(pattern, header) and not re.match(door, path):
+                say(path, number, f"<{header}> may be named only in {door}")
+
+
+def check_calls(path, text, say):
+    if not path.endswith((".c", ".h")):
+        return
+    previous = ";"
+    for number, line in enumerate(strip_comments(text).splitlines(), 1):
+        bare = line.rstrip()
+        for match in BANNED_CALL.finditer(line):
+            # A prototype or member of ours with that name is no call of the banned one.
+            if DOOR not in line:
+                say(path, number, f"{match.group(1)}() has one door, and this is not it")
+        if DROPPED.match(bare) and previous.endswith(STATEMENT_ENDS):
+            say(path, number, "an error is dropped: use the answer of this call or write (void)")
+        if bare.strip():
+            previous = bare.strip()
+
+
+def check_licence(path, text, say):
+    if path.endswith((".c", ".h", ".cpp")) and \
+            "SPDX-License-Identifier: AGPL-3.0-or-later" not in text[:120]:
+        say(path, 1, "the SPDX line is missing")
+
+
+def check(root):
+    found = []
+
+    def say(path, number, sentence):
+        found.append(f"{path}:{number}: {sentence}")
+    for room in ROOMS:
+        for file in sorted((root / room).rglob("*")):
+            if file.suffix not in (".c", ".h", ".cpp"):
+                continue
+            path = file.relative_to(root).as_posix()
+            text = file.read_text(encoding="utf-8")
+            check_includes(path, text, say)
+            check_calls(path, text, say)
+            check_licence(path, text, say)
+    return found
+
+
+SPDX = "/* SPDX-License-Identifier: AGPL-3.0-or-later */\n"
+PLANTED = {
+    "a layer violation": ("storage/planted.c", SPDX + '#include "pipeline/model/dms.h"\n',
+                          "storage may not include"),
+    "ui reaching into the pipeline": ("ui/planted.c", SPDX + '#include "pipeline/protocol.h"\n',
+                                      "ui may not include"),
+    "a foreign header": ("ui/planted.c", SPDX + "#include <sqlite3.h>\n", "may be named only in"),
+    "a banned call": ("acquire/planted.c", SPDX + "void f(void)\n{\n    void *p = malloc(3);\n}\n",
+                      "malloc() has one door"),
+    "an unhandled error": ("pipeline/core/planted.c",
+                           SPDX + "int f(struct gsn_error *err)\n{\n    gsn_file_mkdir(\"x\", err);\n"
+                           "    return 0;\n}\n", "an error is dropped"),
+    "a missing licence line": ("acquire/planted.c", "int f(void);\n", "SPDX line is missing"),
+}
+
+
+def self_test(root):
+    for name, (path, text, sentence) in PLANTED.items():
+        with tempfile.TemporaryDirectory() as folder:
+            copy = pathlib.Path(folder)
+            for room in ROOMS:
+                if (root / room).is_dir():
+                    shutil.copytree(root / room, copy / room)
+            (copy / path).write_text(text, encoding="utf-8")
+            if not any(path in line and sentence in line for line in check(copy)):
+                print(f"{name}, planted in {path}, was not found")
+                return 1
+            print(f"{name}: found")
+    return 0
+
+
+def main():
+    root = pathlib.Path(sys.argv[1])
+    if "--self-test" in sys.argv[2:]:
+        return self_test(root)
+    found = check(root)
+    print("\n".join(found) if found else "the rules of the house hold")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

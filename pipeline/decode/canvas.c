@@ -2,7 +2,6 @@
 #include "pipeline/decode/canvas.h"
 
 #include <assert.h>
-#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -130,9 +129,8 @@ void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)
 
 static double pitch(double per_unit, double unit_um)
 {
-    const double um = unit_um / per_unit;
-
-    return per_unit > 0 && isfinite(um) && um > 0 ? um : 0;
+    /* NaN is not above 0 either; what remains of nonsense would be pixels of kilometres. */
+    return per_unit > 1e-9 && per_unit < 1e12 ? unit_um / per_unit : 0;
 }
 
 void gsn_picture_pitch(struct gsn_picture *picture, double per_unit_x, double per_unit_y,

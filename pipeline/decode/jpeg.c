@@ -23,6 +23,7 @@ struct reader {
     jmp_buf out;
     struct gsn_bytes file;
     struct gsn_canvas canvas;
+    enum { IN_HEADER, IN_ROWS, IN_SCANS } stage;
     uint8_t *row;
     int code;
     struct gsn_error *err;
@@ -33,9 +34,9 @@ static void place(const struct reader *reader, char *text, size_t size)
 {
     const struct jpeg_decompress_struct *info = &reader->info;
 
-    if (info->input_scan_number == 0)
+    if (reader->stage == IN_HEADER)
         (void)snprintf(text, size, "in the header");
-    else if (jpeg_has_multiple_scans((j_decompress_ptr)&reader->info))
+    else if (reader->stage == IN_SCANS)
         (void)snprintf(text, size, "in scan %d", info->input_scan_number);
     else
         (void)snprintf(text, size, "in row %u of %u", info->output_scanline + 1,
@@ -243,6 +244,7 @@ static int read_rows(struct reader *reader, const struct gsn_decode_limits *limi
     JSAMPROW row;
     int r;
 
+    reader->stage = jpeg_has_multiple_scans(info) ? IN_SCANS : IN_ROWS;
     info->out_color_space = channels == 1 ? JCS_GRAYSCALE : JCS_RGB;
     info->dct_method = JDCT_ISLOW;
     info->do_block_smoothing = FALSE;

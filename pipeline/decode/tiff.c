@@ -73,9 +73,14 @@ static void on_unmap(thandle_t handle, void *base, toff_t size)
 /* Keeps the first complaint; the later ones mostly follow from it. */
 static void keep(struct gsn_tiff *t, const char *format, va_list args)
 {
+    char *consequence;
+
     if (t->said_code != GSN_OK)
         return;
     (void)vsnprintf(t->said, sizeof t->said, format, args);
+    consequence = strstr(t->said, "; tag ignored"); /* not here */
+    if (consequence)
+        *consequence = '\0';
     t->said_code = GSN_E_INPUT;
     if (strstr(t->said, "byte limit"))
         t->said_code = GSN_E_LIMIT;

@@ -140,6 +140,21 @@ TEST(a_progressive_jpeg_closed_before_its_last_scans_is_refused)
     check_refused(file, GSN_E_INPUT, "truncated JPEG: it ends after 3 scans");
 }
 
+/* An end marker in the middle: libjpeg would go on with grey and only warn. */
+TEST(jpeg_data_closed_too_early_are_refused_alone_and_inside_tiff)
+{
+    static const uint8_t end[] = { 0xff, 0xd9 };
+    gsn_auto(gsn_image) image = make_picture(64, 64, 3, 8);
+    const struct tiff_recipe inside = { .compression = COMPRESSION_JPEG, .jpeg_ycbcr = 1 };
+    struct made jpeg = make_jpeg(image, &(struct jpeg_recipe){ 0 });
+    struct made tiff = make_tiff(image, &inside);
+
+    memcpy(jpeg.bytes + find_scan(&jpeg, 1) + 200, end, sizeof end);
+    check_refused(jpeg, GSN_E_INPUT, "corrupt JPEG in row ");
+    memcpy(tiff.bytes + find_scan(&tiff, 2) + 60, end, sizeof end);
+    check_refused(tiff, GSN_E_INPUT, "corrupt TIFF near column 1, row 17 of 64 x 64: ");
+}
+
 TEST(the_sentence_names_row_and_byte)
 {
     gsn_auto(gsn_image) image = make_picture(64, 64, 3, 8);

@@ -119,7 +119,7 @@ static int on_warning(TIFF *tiff, void *user, const char *module, const char *fo
 
     (void)tiff;
     (void)module;
-    if (t->strict || !is_harmless(format))
+    if (!is_harmless(format))
         keep(t, format, args);
     return 1;
 }
@@ -375,7 +375,6 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
     r = gsn_canvas_open(&canvas, &layout, limits, picture, err);
     if (r < 0)
         return r;
-    t->strict = 1;
     return gsn_tiff_read_pixels(t, &canvas, err);
 }
 

@@ -20,7 +20,6 @@ struct gsn_tiff {
     uint16_t extra; /* samples beyond the colours */
     const uint16_t *palette[3];
 
-    int strict;     /* decoding has begun: a warning means damaged data */
     int said_code;  /* of the first complaint worth a refusal, or GSN_OK */
     char said[160]; /* its text */
 };

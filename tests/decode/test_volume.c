@@ -313,6 +313,9 @@ TEST(a_header_that_contradicts_its_data_is_refused)
     check_refused(&room, GSN_E_INPUT, "not the 24 bytes the header asks for");
     put(&room, "v.nrrd", NRRD "type: short\nencoding: gzip\nendian: little\n\n", packed, size - 1);
     check_refused(&room, GSN_E_INPUT, "not the 12 bytes the header asks for");
+    packed[size] = 0;
+    put(&room, "v.nrrd", NRRD "type: short\nencoding: gzip\nendian: little\n\n", packed, size + 1);
+    check_refused(&room, GSN_E_INPUT, "not the 12 bytes the header asks for");
     packed[size - 8] ^= 1; /* the checksum of gzip */
     put(&room, "v.nrrd", NRRD "type: short\nencoding: gzip\nendian: little\n\n", packed, size);
     check_refused(&room, GSN_E_INPUT, "incorrect data check");

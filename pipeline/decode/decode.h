@@ -1,0 +1,60 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Scanned pictures out of bytes: JPEG, TIFF, BigTIFF and PNG, strictly.
+ *
+ * A file is either decoded completely or refused with one sentence; no sample is ever made up, and
+ * what a header asks for is checked against limits before anything is allocated for it. Works from
+ * memory alone: no file is opened. Lengths are micrometres, samples are as the file stores them
+ * (transfer curve not undone). */
+#ifndef GSN_DECODE_DECODE_H
+#define GSN_DECODE_DECODE_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/image.h"
+#include "pipeline/core/mem.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A member of 0 stands for its default: 250 million pixels, 768 MiB of decoded samples. */
+struct gsn_decode_limits {
+    uint64_t most_pixels;
+    uint64_t most_bytes;
+};
+
+/* How samples relate to light, as far as the file says so. */
+enum gsn_transfer {
+    GSN_TRANSFER_UNKNOWN, /* not stated, or a curve that is none of the others */
+    GSN_TRANSFER_LINEAR,  /* PNG gAMA 1.0, or a straight TIFF TransferFunction */
+    GSN_TRANSFER_SRGB,    /* PNG sRGB or gAMA 1/2.2, sRGB TransferFunction, EXIF ColorSpace 1 */
+    GSN_TRANSFER_ICC,     /* an ICC profile is embedded; it wins over the others */
+};
+
+struct gsn_picture {
+    struct gsn_image *image; /* owned; upright: EXIF or TIFF orientation is applied */
+    double px_um_x, px_um_y; /* pixel pitch along the upright axes; 0: the file does not say */
+    enum gsn_transfer transfer;
+    unsigned pages; /* pages in the file; the first one is decoded */
+    char kind[24];  /* "JPEG", "TIFF", "BigTIFF" or "PNG" */
+    char note[160]; /* what was passed over or applied, "; " between; empty when nothing was */
+};
+
+/* Decodes the first page of a picture file.
+ *
+ * limits may be NULL for the defaults. Besides the samples the decoder needs at most about 200 MiB.
+ * Fails with GSN_E_INPUT (truncated, corrupt, or every pixel the same), GSN_E_UNSUPPORTED (12 bit,
+ * float, CMYK, Lab, old-style JPEG in TIFF, ...), GSN_E_LIMIT or GSN_E_NOMEM.
+ * borrows: bytes. gives: ret_picture. */
+int gsn_decode(const void *bytes, size_t size, const struct gsn_decode_limits *limits,
+               struct gsn_picture **ret_picture, struct gsn_error *err);
+
+void gsn_picture_free(struct gsn_picture *picture);
+GSN_DEFINE_AUTO(gsn_picture);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

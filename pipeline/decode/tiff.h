@@ -1,0 +1,37 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What the three TIFF files share: the open file, what its tags state, and what libtiff said.
+ * Internal to decoding. */
+#ifndef GSN_DECODE_TIFF_H
+#define GSN_DECODE_TIFF_H
+
+#include "pipeline/decode/canvas.h"
+
+#include <tiffio.h>
+
+struct gsn_tiff {
+    TIFF *tiff;
+    struct gsn_bytes file;
+    size_t at; /* where libtiff's reading stands */
+
+    uint32_t width, height;
+    uint16_t bits, samples; /* as stored, per pixel with alpha */
+    uint16_t photometric, planar, compression, orientation;
+    uint16_t extra; /* samples beyond the colours */
+    const uint16_t *palette[3];
+
+    int said_code;  /* of the first complaint worth a refusal, or GSN_OK */
+    char said[160]; /* its text */
+};
+
+/* Counts the pages by walking the chain of directories, without libtiff.
+ *
+ * Fails with GSN_E_INPUT when a directory lies beyond the end or the chain turns back on itself,
+ * and with GSN_E_LIMIT beyond 1024 pages. */
+int gsn_tiff_count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_error *err);
+
+/* Decodes all strips or tiles of the open page onto the canvas. */
+int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_canvas *canvas,
+                         struct gsn_error *err);
+
+#endif

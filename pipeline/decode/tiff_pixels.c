@@ -1,0 +1,199 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/decode/tiff.h"
+
+/* The pixels of one page on their way from libtiff to the canvas. */
+struct pixels {
+    struct gsn_tiff *t;
+    const struct gsn_canvas *canvas;
+    uint8_t *piece;  /* one stored row, or one tile */
+    uint8_t *colour; /* one palette row expanded to RGB; NULL without a palette */
+    int old_palette; /* the colour map holds 8-bit values in its 16-bit places */
+};
+
+/* Every strip or tile must lie in the file before anything is decoded, so that a truncated file is
+ * refused at once and with the place. */
+static int check_pieces(struct gsn_tiff *t, struct gsn_error *err)
+{
+    const int tiled = TIFFIsTiled(t->tiff);
+    const uint32_t count = tiled ? TIFFNumberOfTiles(t->tiff) : TIFFNumberOfStrips(t->tiff);
+    const char *what = tiled ? "tile" : "strip";
+
+    for (uint32_t i = 0; i < count; i++) {
+        int wrong = 0;
+        const uint64_t at = TIFFGetStrileOffsetWithErr(t->tiff, i, &wrong);
+        const uint64_t size = wrong ? 0 : TIFFGetStrileByteCountWithErr(t->tiff, i, &wrong);
+
+        if (wrong || at == 0 || size == 0)
+            return gsn_fail(err, GSN_E_INPUT, "corrupt TIFF: %s %u of %u has no place in the file",
+                            what, i + 1, count);
+        if (at > t->file.size || size > t->file.size - at)
+            return gsn_fail(err, GSN_E_INPUT,
+                            "truncated TIFF: %s %u of %u, at byte %llu, is to hold %llu bytes, the "
+                            "file ends at %zu; copy or scan it again",
+                            what, i + 1, count, (unsigned long long)at, (unsigned long long)size,
+                            t->file.size);
+    }
+    return GSN_OK;
+}
+
+/* libtiff failed, or warned, in the stored row or tile that begins at (x, y). */
+static int refuse_piece(const struct gsn_tiff *t, uint32_t x, uint32_t y, struct gsn_error *err)
+{
+    if (t->said_code == GSN_E_NOMEM)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding TIFF");
+    return gsn_fail(err, t->said_code == GSN_E_LIMIT ? GSN_E_LIMIT : GSN_E_INPUT,
+                    "corrupt TIFF near column %u, row %u of %u x %u: %s", x + 1, y + 1, t->width,
+                    t->height, t->said_code ? t->said : "the data cannot be decoded");
+}
+
+static unsigned packed(const uint8_t *row, uint32_t x, unsigned bits)
+{
+    const size_t at = (size_t)x * bits;
+
+    return row[at / 8] >> (8 - bits - at % 8) & ((1u << bits) - 1);
+}
+
+static void expand(const struct pixels *p, const uint8_t *row, uint32_t count)
+{
+    const struct gsn_tiff *t = p->t;
+
+    for (uint32_t x = 0; x < count; x++) {
+        const unsigned index = packed(row, x, t->bits);
+
+        for (unsigned c = 0; c < 3; c++)
+            p->colour[3 * (size_t)x + c] =
+                (uint8_t)(p->old_palette ? t->palette[c][index] : t->palette[c][index] >> 8);
+    }
+}
+
+static void invert(const struct gsn_tiff *t, uint8_t *row, size_t samples)
+{
+    uint16_t *wide = (void *)row;
+
+    for (size_t i = 0; i < samples && t->bits == 8; i++)
+        row[i] = (uint8_t)(255 - row[i]);
+    for (size_t i = 0; i < samples && t->bits == 16; i++)
+        wide[i] = (uint16_t)(65535 - wide[i]);
+}
+
+/* Puts count decoded pixels of stored row y, from x on; plane counts when planes are separate. */
+static void put(const struct pixels *p, uint32_t x, uint32_t y, uint32_t count, uint16_t plane,
+                uint8_t *row)
+{
+    const struct gsn_tiff *t = p->t;
+    const int contiguous = t->planar == PLANARCONFIG_CONTIG;
+    struct gsn_run run = { .x = x, .y = y, .step = 1, .count = count };
+
+    if (p->colour) {
+        expand(p, row, count);
+        run.channels = run.stride = 3;
+        gsn_canvas_put(p->canvas, &run, p->colour);
+        return;
+    }
+    run.channel = contiguous ? 0 : plane;
+    run.channels = contiguous ? p->canvas->image->channels : 1;
+    run.stride = contiguous ? t->samples : 1;
+    if (t->photometric == PHOTOMETRIC_MINISWHITE)
+        invert(t, row, (size_t)count * run.stride);
+    gsn_canvas_put(p->canvas, &run, row);
+}
+
+/* Row by row, so that a picture in a single strip needs no second copy. */
+static int read_strips(const struct pixels *p, uint16_t plane, struct gsn_error *err)
+{
+    struct gsn_tiff *t = p->t;
+
+    for (uint32_t y = 0; y < t->height; y++) {
+        if (TIFFReadScanline(t->tiff, p->piece, y, plane) < 0 || t->said_code != GSN_OK)
+            return refuse_piece(t, 0, y, err);
+        put(p, 0, y, t->width, plane, p->piece);
+    }
+    return GSN_OK;
+}
+
+static uint32_t least(uint32_t a, uint32_t b)
+{
+    return a < b ? a : b;
+}
+
+static int read_tiles(const struct pixels *p, uint16_t plane, struct gsn_error *err)
+{
+    struct gsn_tiff *t = p->t;
+    const size_t row_bytes = (size_t)TIFFTileRowSize(t->tiff);
+    uint32_t wide = 0, high = 0;
+
+    (void)TIFFGetField(t->tiff, TIFFTAG_TILEWIDTH, &wide);
+    (void)TIFFGetField(t->tiff, TIFFTAG_TILELENGTH, &high);
+    if (wide == 0 || high == 0)
+        return gsn_fail(err, GSN_E_INPUT, "corrupt TIFF: tiles of %u x %u pixels", wide, high);
+    for (uint64_t y = 0; y < t->height; y += high)
+        for (uint64_t x = 0; x < t->width; x += wide) {
+            const uint32_t left = (uint32_t)x, top = (uint32_t)y;
+            const uint32_t rows = least(high, t->height - top);
+
+            if (TIFFReadTile(t->tiff, p->piece, left, top, 0, plane) < 0 || t->said_code != GSN_OK)
+                return refuse_piece(t, left, top, err);
+            for (uint32_t i = 0; i < rows; i++)
+                put(p, left, top + i, least(wide, t->width - left), plane,
+                    p->piece + i * row_bytes);
+        }
+    return GSN_OK;
+}
+
+static int read_planes(const struct pixels *p, struct gsn_error *err)
+{
+    const struct gsn_tiff *t = p->t;
+    const int separate = t->planar == PLANARCONFIG_SEPARATE && t->samples > 1;
+    const uint16_t planes = separate ? (uint16_t)p->canvas->image->channels : 1;
+    int r = GSN_OK;
+
+    for (uint16_t s = 0; s < planes && r >= 0; s++)
+        r = TIFFIsTiled(t->tiff) ? read_tiles(p, s, err) : read_strips(p, s, err);
+    return r;
+}
+
+static int is_old_palette(const struct gsn_tiff *t)
+{
+    for (unsigned c = 0; c < 3; c++)
+        for (unsigned i = 0; i < 1u << t->bits; i++)
+            if (t->palette[c][i] > 255)
+                return 0;
+    return 1;
+}
+
+int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_canvas *canvas, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) piece = NULL;
+    gsn_auto_mem(uint8_t) colour = NULL;
+    const int is_palette = t->palette[0] != NULL;
+    uint64_t size;
+    int r;
+
+    /* libtiff then converts subsampled YCbCr itself, with libjpeg's own filter. */
+    if (t->photometric == PHOTOMETRIC_YCBCR)
+        (void)TIFFSetField(t->tiff, TIFFTAG_JPEGCOLORMODE, JPEGCOLORMODE_RGB);
+    r = check_pieces(t, err);
+    if (r < 0)
+        return r;
+    size = TIFFIsTiled(t->tiff) ? TIFFTileSize64(t->tiff) : TIFFScanlineSize64(t->tiff);
+    if (size == 0 || t->said_code != GSN_OK)
+        return refuse_piece(t, 0, 0, err);
+    if (size > GSN_DECODE_PIECE_BYTES)
+        return gsn_fail(err, GSN_E_LIMIT,
+                        "a TIFF of rows or tiles of %llu bytes: write smaller tiles",
+                        (unsigned long long)size);
+    piece = gsn_alloc((size_t)size);
+    /* A tile may be wider than the picture, but never more of it is put than the picture's width.
+     */
+    if (is_palette)
+        colour = gsn_alloc_array(t->width, 3);
+    if (!piece || (is_palette && !colour))
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding TIFF");
+
+    return read_planes(&(struct pixels){ .t = t,
+                                         .canvas = canvas,
+                                         .piece = piece,
+                                         .colour = colour,
+                                         .old_palette = is_palette && is_old_palette(t) },
+                       err);
+}

@@ -22,13 +22,12 @@ extern "C" {
 /* det[b - a, c - a, d - a] of a set of four knots a < b < c < d; knot holds the 4 (n + 1) knots of
  * the tetrahedron. Knots of one cloud are subtracted from each other first, so that the result is
  * accurate relative to itself however small the clouds are. */
-double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
-                       const double (*knot)[3]);
+double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[3]);
 
 /* (b - a) x (c - a) of a set of three knots a < b < c, as accurate. Unless ret_permanent is NULL it
  * gets, per component, the sum of the magnitudes that were subtracted. */
-void gsn_simplex_normal(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *triple,
-                        const double (*knot)[3], double ret_normal[3], double *ret_permanent);
+void gsn_simplex_normal(const struct gsn_simplex_set *triple, const double (*knot)[3],
+                        double ret_normal[3], double *ret_permanent);
 
 /* Chooses W, as the number of a set of four, for each of the sets->first[4] sets that have more
  * than four knots. */

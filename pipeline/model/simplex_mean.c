@@ -70,7 +70,7 @@ static const struct plane *plane_of(struct mean *mean, size_t triple)
     if (mean->knows_plane[slot])
         return plane;
     mean->knows_plane[slot] = 1;
-    gsn_simplex_normal(mean->sets, set, mean->knot, normal, NULL);
+    gsn_simplex_normal(set, mean->knot, normal, NULL);
     for (int i = 0; i < 4; i++) {
         const double *v = mean->cell->corner[i];
         const int sign = gsn_orient3d(at[0], at[1], at[2], v);
@@ -114,7 +114,7 @@ static double share(int k, double (*value)[FACES], int cuts)
 static double leaf(struct mean *mean, unsigned simplex, size_t quad)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[quad];
-    const double det = gsn_simplex_det(mean->sets, set, mean->knot);
+    const double det = gsn_simplex_det(set, mean->knot);
     double value[4][FACES];
     int cuts = 0, corners = 0;
 
@@ -150,14 +150,6 @@ static double leaf(struct mean *mean, unsigned simplex, size_t quad)
 }
 
 static double value_of(struct mean *mean, unsigned simplex, size_t s);
-
-/* The set s less one of its knots. */
-static size_t without(const struct gsn_simplex_sets *sets, size_t s, unsigned knot)
-{
-    const unsigned below = sets->set[s].mask & ((1u << knot) - 1);
-
-    return sets->set[s].without[__builtin_popcount(below)];
-}
 
 /* The recurrence holds for any point y of the simplex, with a boundary term for each face, weighted
  * by the barycentric coordinates of y. Rounding errors grow by the coordinates lambda of y in w,
@@ -214,18 +206,20 @@ static void choose_point(struct mean *mean, unsigned simplex, const struct gsn_s
 
 static double recur(struct mean *mean, unsigned simplex, size_t s)
 {
-    const struct gsn_simplex_sets *sets = mean->sets;
-    const struct gsn_simplex_set *w = &sets->set[mean->pick[s]];
-    const double det = gsn_simplex_det(sets, w, mean->knot);
-    const int n = sets->set[s].size - 4, k = __builtin_popcount(simplex) - 1;
+    const struct gsn_simplex_set *set = &mean->sets->set[s];
+    const struct gsn_simplex_set *w = &mean->sets->set[mean->pick[s]];
+    const double det = gsn_simplex_det(w, mean->knot);
+    const int n = set->size - 4, k = __builtin_popcount(simplex) - 1;
     double sum = 0, weight[4], lambda[4];
 
     if (det == 0)
         return 0;
     choose_point(mean, simplex, w, det, weight, lambda);
-    for (int i = 0; i < 4; i++) {
+    for (unsigned i = 0, m = 0; i < 4; i++) {
+        while (set->member[m] != w->member[i])
+            m++;
         if (lambda[i] != 0)
-            sum += n * lambda[i] * value_of(mean, simplex, without(sets, s, w->member[i]));
+            sum += n * lambda[i] * value_of(mean, simplex, set->without[m]);
     }
     for (int v = 0; v < 4 && k > 0; v++) {
         if (weight[v] != 0)

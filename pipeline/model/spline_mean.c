@@ -88,7 +88,7 @@ static int add_tet(void *context, uint32_t tet)
         pieces_means(space, tet, knot, &cell, mean);
     for (size_t f = 0; f < sets->functions; f++)
         visit->mean += visit->spline->control[id[f]] * mean[f] *
-                       fabs(gsn_simplex_det(sets, &sets->set[sets->corners[f]], knot));
+                       fabs(gsn_simplex_det(&sets->set[sets->corners[f]], knot));
     return 0;
 }
 

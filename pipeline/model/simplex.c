@@ -7,6 +7,9 @@
 #include <math.h>
 #include <string.h>
 
+/* W may have this share of the largest determinant. */
+#define NEARLY 0.5
+
 /* The barycentric coordinate of member i of a quad a < b < c < d is swap[i] times the plane value
  * of the other three, ascending, over the quad's determinant. */
 static const int swap[4] = { -1, 1, -1, 1 };
@@ -54,13 +57,17 @@ void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[
     for (size_t s = first; s < sets->first[3]; s++)
         size[s - first] = fabs(gsn_simplex_det(&sets->set[s], knot));
     for (size_t s = 0; s < first; s++) {
-        uint16_t best = sets->quad[sets->quads[s]];
+        size_t i = sets->quads[s + 1];
+        double largest = 0;
 
-        for (size_t i = sets->quads[s] + 1; i < sets->quads[s + 1]; i++) {
-            if (size[sets->quad[i] - first] > size[best - first])
-                best = sets->quad[i];
-        }
-        ret_pick[s] = best;
+        for (size_t j = sets->quads[s]; j < sets->quads[s + 1]; j++)
+            largest = fmax(largest, size[sets->quad[j] - first]);
+        /* The last one in the list that is nearly as good: taking away the last knots of clouds
+         * leads many sets to the same subsets. */
+        do
+            i--;
+        while (size[sets->quad[i] - first] < NEARLY * largest);
+        ret_pick[s] = sets->quad[i];
     }
 }
 

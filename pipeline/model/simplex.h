@@ -6,10 +6,10 @@
  *     M(u | V) = 1/|det V| inside the tetrahedron V, 0 outside     (degree 0),
  *     D_v M(u | V) = n sum_j mu_j(v | W) M(u | V \ k_j).
  *
- * The value does not depend on W but its rounding error does: W is the one of largest |det|,
- * chosen once per knot set whatever u is. Inside and outside are exact and half-open, with one
- * sign per knot triple and point, so that neighbouring tetrahedra never both claim or both refuse
- * a point (docs/MATH.md, sections 1, 2 and 9). */
+ * The value does not depend on W but its rounding error does: W has the largest |det|, or nearly
+ * so where that lets more sets share subsets, chosen once per knot set whatever u is. Inside and
+ * outside are exact and half-open, with one sign per knot triple and point, so that neighbouring
+ * tetrahedra never both claim or both refuse a point (docs/MATH.md, sections 1, 2 and 9). */
 #ifndef GSN_MODEL_SIMPLEX_H
 #define GSN_MODEL_SIMPLEX_H
 

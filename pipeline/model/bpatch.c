@@ -1,0 +1,131 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/bpatch.h"
+
+#include "pipeline/model/frame.h"
+#include "pipeline/model/simplex_sets.h"
+
+#include <string.h>
+
+/* The frame of X_gamma. */
+static void frame_of(unsigned degree, const double (*knot)[3], const uint8_t gamma[4],
+                     struct gsn_frame *ret)
+{
+    const double *x[4];
+
+    for (unsigned k = 0; k < 4; k++)
+        x[k] = knot[k * (degree + 1) + gamma[k]];
+    gsn_frame_init(ret, x[0], x[1], x[2], x[3]);
+}
+
+/* The last step of the polar form in the direction of axis c instead of u, times n. */
+static void add_gradient(const struct gsn_frame *frame, const uint8_t raised[4], double weight,
+                         double (*gradient)[3])
+{
+    for (int c = 0; c < 3; c++) {
+        double rest = 0;
+
+        for (unsigned j = 1; j < 4; j++) {
+            gradient[raised[j]][c] += weight * frame->row[j - 1][c];
+            rest -= frame->row[j - 1][c];
+        }
+        gradient[raised[0]][c] += weight * rest;
+    }
+}
+
+void gsn_bpatch_basis(unsigned degree, const double (*knot)[3], const double u[3],
+                      double *ret_value, double (*ret_gradient)[3])
+{
+    double lower[GSN_SIMPLEX_MAX_FUNCTIONS] = { 1 }, upper[GSN_SIMPLEX_MAX_FUNCTIONS];
+    const size_t functions = gsn_simplex_count(degree);
+
+    if (ret_gradient)
+        memset(ret_gradient, 0, functions * sizeof *ret_gradient);
+    for (unsigned r = 0; r < degree; r++) {
+        uint8_t gamma[4] = { (uint8_t)r, 0, 0, 0 };
+        struct gsn_frame frame;
+        double lambda[4];
+
+        memset(upper, 0, sizeof upper);
+        do {
+            const size_t place = gsn_simplex_place(gamma);
+            const uint8_t *raised = gsn_simplex_raised[place];
+
+            frame_of(degree, knot, gamma, &frame);
+            gsn_frame_at(&frame, u, lambda);
+            for (unsigned j = 0; j < 4; j++)
+                upper[raised[j]] += lambda[j] * lower[place];
+            if (ret_gradient && r + 1 == degree)
+                add_gradient(&frame, raised, degree * lower[place], ret_gradient);
+        } while (gsn_simplex_next(gamma));
+        memcpy(lower, upper, sizeof lower);
+    }
+    memcpy(ret_value, lower, functions * sizeof *ret_value);
+}
+
+double gsn_bpatch_polar(unsigned degree, const double (*knot)[3], const double *control,
+                        const double *const arg[])
+{
+    double value[GSN_SIMPLEX_MAX_FUNCTIONS];
+
+    memcpy(value, control, gsn_simplex_count(degree) * sizeof *value);
+    for (unsigned r = 1; r <= degree; r++) {
+        uint8_t gamma[4] = { (uint8_t)(degree - r), 0, 0, 0 };
+
+        /* In place: no gamma + e_j comes before gamma, and those after it are still the old
+         * ones. */
+        do {
+            struct gsn_frame frame;
+            const size_t place = gsn_simplex_place(gamma);
+            double lambda[4], sum = 0;
+
+            frame_of(degree, knot, gamma, &frame);
+            gsn_frame_at(&frame, arg[r - 1], lambda);
+            for (unsigned j = 0; j < 4; j++)
+                sum += lambda[j] * value[gsn_simplex_raised[place][j]];
+            value[place] = sum;
+        } while (gsn_simplex_next(gamma));
+    }
+    return value[0];
+}
+
+void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double *control,
+                          const double *const corner[4], double *ret_coefficient)
+{
+    uint8_t beta[4] = { (uint8_t)degree, 0, 0, 0 };
+
+    do {
+        const double *arg[GSN_SIMPLEX_MAX_DEGREE];
+        unsigned n = 0;
+
+        for (unsigned k = 0; k < 4; k++) {
+            for (unsigned l = 0; l < beta[k]; l++)
+                arg[n++] = corner[k];
+        }
+        ret_coefficient[gsn_simplex_place(beta)] = gsn_bpatch_polar(degree, knot, control, arg);
+    } while (gsn_simplex_next(beta));
+}
+
+double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,
+                        const double lambda[4], double *ret_gradient)
+{
+    double value[GSN_SIMPLEX_MAX_FUNCTIONS], sum = 0;
+
+    memcpy(value, coefficient, gsn_simplex_count(degree) * sizeof *value);
+    /* De Casteljau, in place as above, down to the four values of a linear function. */
+    for (unsigned r = degree - 1; r > 0; r--) {
+        for (size_t place = 0; place < gsn_simplex_count(r); place++) {
+            const uint8_t *raised = gsn_simplex_raised[place];
+
+            value[place] = lambda[0] * value[raised[0]] + lambda[1] * value[raised[1]] +
+                           lambda[2] * value[raised[2]] + lambda[3] * value[raised[3]];
+        }
+    }
+    for (int k = 0; k < 4; k++)
+        sum += lambda[k] * value[k];
+    for (int c = 0; ret_gradient && c < 3; c++) {
+        ret_gradient[c] = 0;
+        for (int k = 0; k < 3; k++)
+            ret_gradient[c] += degree * (value[k + 1] - value[0]) * frame->row[k][c];
+    }
+    return sum;
+}

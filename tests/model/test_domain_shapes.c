@@ -97,7 +97,7 @@ struct gsn_dms *shape_space(unsigned degree, double cloud, double max_tet_um3)
     return space;
 }
 
-struct shape_samples shape_grid(size_t n, double (*f)(const double u[3]))
+struct shape_samples shape_grid(double low, double high, size_t n, double (*f)(const double u[3]))
 {
     struct shape_samples grid = { .at = gsn_alloc_array(n * n * n, sizeof *grid.at),
                                   .value = gsn_alloc_array(n * n * n, sizeof *grid.value) };
@@ -107,7 +107,7 @@ struct shape_samples shape_grid(size_t n, double (*f)(const double u[3]))
         const size_t at[3] = { i % n, i / n % n, i / n / n };
 
         for (size_t k = 0; k < 3; k++)
-            grid.at[i][k] = 80 * ((double)at[k] + 0.5) / (double)n;
+            grid.at[i][k] = low + (high - low) * ((double)at[k] + 0.5) / (double)n;
         grid.value[i] = (float)f(grid.at[i]);
     }
     grid.samples = (struct gsn_samples){ n * n * n, grid.at, grid.value };

@@ -24,8 +24,8 @@ struct gsn_surface *shape_cube(double edge);
 struct gsn_domain_options shape_options(double cell_um, double max_tet_um3);
 /* gives: the mesh of a region. */
 struct gsn_tets *shape_mesh(const struct gsn_mask *region, double cell_um, double max_tet_um3);
-/* gives: the space over the mesh of [0, 80]^3 um and more around it: cells of 40 um, tetrahedra of
- * at most max_tet_um3. */
+/* gives: the space over the mesh of the region [0, 80]^3 um. Cells of 40 um make that the domain
+ * [-40, 120]^3. */
 struct gsn_dms *shape_space(unsigned degree, double cloud, double max_tet_um3);
 
 /* Samples that own their arrays. */
@@ -34,8 +34,8 @@ struct shape_samples {
     double (*at)[3];
     float *value;
 };
-/* gives: n^3 samples of f at the cell centres of [0, 80]^3 um. */
-struct shape_samples shape_grid(size_t n, double (*f)(const double u[3]));
+/* gives: n^3 samples of f at the cell centres of [low, high]^3 um. */
+struct shape_samples shape_grid(double low, double high, size_t n, double (*f)(const double u[3]));
 void shape_samples_done(struct shape_samples *samples);
 
 /* Standard normal numbers, the same ones for the same state. */

@@ -22,15 +22,28 @@ static void row(const struct gsn_simplex_sets *sets, const uint8_t *member, unsi
     gsn_subtract(knot[member[i]], knot[member[together ? i - 1 : 0]], ret);
 }
 
+void gsn_simplex_normal(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *triple,
+                        const double (*knot)[3], double ret_normal[3], double *ret_permanent)
+{
+    double p[3], q[3];
+
+    row(sets, triple->member, 1, knot, p);
+    row(sets, triple->member, 2, knot, q);
+    gsn_cross(p, q, ret_normal);
+    for (int i = 0; ret_permanent && i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+
+        ret_permanent[i] = fabs(p[j] * q[k]) + fabs(p[k] * q[j]);
+    }
+}
+
 double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
                        const double (*knot)[3])
 {
-    double p[3], q[3], r[3], normal[3];
+    double r[3], normal[3];
 
-    row(sets, quad->member, 1, knot, p);
-    row(sets, quad->member, 2, knot, q);
+    gsn_simplex_normal(sets, quad, knot, normal, NULL);
     row(sets, quad->member, 3, knot, r);
-    gsn_cross(p, q, normal);
     return gsn_dot(normal, r);
 }
 
@@ -106,28 +119,23 @@ void gsn_simplex_at_init(struct gsn_simplex_at *at, const struct gsn_simplex_set
 static const struct gsn_simplex_plane *plane_of(struct gsn_simplex_at *at, size_t triple)
 {
     const size_t slot = triple - at->sets->first[3];
+    const struct gsn_simplex_set *set = &at->sets->set[triple];
     struct gsn_simplex_plane *plane = &at->plane[slot];
-    const uint8_t *member = at->sets->set[triple].member;
-    double p[3], q[3], r[3], permanent = 0;
+    double r[3], permanent[3];
 
     if (at->knows_plane[slot])
         return plane;
     at->knows_plane[slot] = 1;
-    row(at->sets, member, 1, at->knot, p);
-    row(at->sets, member, 2, at->knot, q);
-    gsn_subtract(at->u, near_knot(at, member), r);
-    gsn_cross(p, q, plane->normal);
+    gsn_simplex_normal(at->sets, set, at->knot, plane->normal, permanent);
+    gsn_subtract(at->u, near_knot(at, set->member), r);
     plane->value = gsn_dot(plane->normal, r);
-    for (int i = 0; i < 3; i++) {
-        const int j = (i + 1) % 3, k = (i + 2) % 3;
-
-        permanent += fabs(r[i]) * (fabs(p[j] * q[k]) + fabs(p[k] * q[j]));
-    }
-    if (fabs(plane->value) > GSN_ORIENT_BOUND * permanent)
+    for (int c = 0; c < 3; c++)
+        r[c] = fabs(r[c]);
+    if (fabs(plane->value) > GSN_ORIENT_BOUND * gsn_dot(permanent, r))
         plane->side = plane->value > 0 ? 1 : -1;
     else
-        plane->side =
-            gsn_orient_side(at->knot[member[0]], at->knot[member[1]], at->knot[member[2]], at->u);
+        plane->side = gsn_orient_side(at->knot[set->member[0]], at->knot[set->member[1]],
+                                      at->knot[set->member[2]], at->u);
     return plane;
 }
 

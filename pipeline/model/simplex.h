@@ -25,6 +25,11 @@ extern "C" {
 double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
                        const double (*knot)[3]);
 
+/* (b - a) x (c - a) of a set of three knots a < b < c, as accurate. Unless ret_permanent is NULL it
+ * gets, per component, the sum of the magnitudes that were subtracted. */
+void gsn_simplex_normal(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *triple,
+                        const double (*knot)[3], double ret_normal[3], double *ret_permanent);
+
 /* Chooses W, as the number of a set of four, for each of the sets->first[4] sets that have more
  * than four knots. */
 void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],

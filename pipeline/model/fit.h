@@ -2,7 +2,11 @@
 
 /* Least squares: the control points that make the spline follow the samples.
  *
- * Minimises sum (s(u_i) - f_i)^2 + smoothing * integral |grad s|^2 in sample units (docs/MATH.md).
+ * Minimises  sum (s(u_i) - f_i)^2 + smoothing * d * h^2 * integral |grad s|^2,  d the samples per
+ * um^3 where there are samples, h the edge of a regular tetrahedron of the mean volume. The penalty
+ * fills tetrahedra without samples harmonically from those around them (a part of the mesh without
+ * any gets the mean of all samples) and leaves the mean residual at 0.
+ *
  * The normal equations are assembled tetrahedron by tetrahedron and solved by conjugate gradients
  * with Jacobi preconditioning; sums run in a fixed order, so the answer does not depend on the
  * number of threads. */

@@ -1,0 +1,454 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/fit_rows.h"
+
+#include "pipeline/core/parallel.h"
+#include "pipeline/model/bpatch.h"
+#include "pipeline/model/frame.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+enum {
+    SAMPLES_A_TASK = 4096,
+    TETS_A_TASK = 64,
+    MOST_SAMPLES = INT32_MAX,
+    FIRST_ROOM = 256, /* terms at one point; grows where more tetrahedra meet */
+};
+
+/* A barycentric coordinate this near to the core's edge is left to the exact seam evaluation. */
+static const double MARGIN = 1e-9;
+
+static size_t tasks_for(size_t count, size_t each)
+{
+    return (count + each - 1) / each;
+}
+
+static size_t smaller(size_t a, size_t b)
+{
+    return a < b ? a : b;
+}
+
+/* ---- where every sample lies ---- */
+
+struct location {
+    const struct gsn_fit_rows *rows;
+    uint32_t *tet;
+};
+
+static int locate_task(size_t task, void *context, struct gsn_error *err)
+{
+    const struct location *where = context;
+    const struct gsn_samples *samples = where->rows->samples;
+    const size_t end = smaller((task + 1) * SAMPLES_A_TASK, samples->count);
+    size_t tet = 0;
+
+    for (size_t i = task * SAMPLES_A_TASK; i < end; i++) {
+        const double *u = samples->at[i];
+
+        if (!isfinite(samples->value[i]) || !isfinite(u[0] + u[1] + u[2]))
+            return gsn_fail(err, GSN_E_INPUT, "sample %zu is not finite", i);
+        if (gsn_dms_locate(where->rows->space, u, tet, &tet) != GSN_OK)
+            return gsn_fail(err, GSN_E_INPUT,
+                            "sample %zu at (%.6g, %.6g, %.6g) um lies outside the mesh", i, u[0],
+                            u[1], u[2]);
+        where->tet[i] = (uint32_t)tet;
+    }
+    return GSN_OK;
+}
+
+static int sort(struct gsn_fit_rows *rows, const uint32_t *tet, struct gsn_error *err)
+{
+    const size_t tets = gsn_dms_mesh(rows->space)->tet_count, count = rows->samples->count;
+
+    rows->start = gsn_alloc_array(tets + 2, sizeof *rows->start);
+    rows->order = gsn_alloc_array(count, sizeof *rows->order);
+    if (!rows->start || !rows->order)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", count);
+    /* start[t + 1] counts up from the first of t to the first of t + 1. */
+    for (size_t i = 0; i < count; i++)
+        rows->start[tet[i] + 2]++;
+    for (size_t t = 0; t < tets; t++)
+        rows->start[t + 2] += rows->start[t + 1];
+    for (size_t i = 0; i < count; i++)
+        rows->order[rows->start[tet[i] + 1]++] = (uint32_t)i;
+    return GSN_OK;
+}
+
+int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
+                      const struct gsn_samples *samples, unsigned threads, struct gsn_error *err)
+{
+    gsn_auto_mem(uint32_t) tet = NULL;
+    struct location where = { .rows = rows };
+    double sum = 0;
+    int r;
+
+    *rows = (struct gsn_fit_rows){ .space = space, .samples = samples };
+    if (samples->count == 0)
+        return gsn_fail(err, GSN_E_INPUT, "there are no samples to fit");
+    if (samples->count > MOST_SAMPLES)
+        return gsn_fail(err, GSN_E_LIMIT, "%zu samples are more than a fit takes", samples->count);
+    tet = gsn_alloc_array(samples->count, sizeof *tet);
+    if (!tet)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", samples->count);
+    where.tet = tet;
+    r = gsn_parallel_for(tasks_for(samples->count, SAMPLES_A_TASK), threads, locate_task, &where,
+                         err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < samples->count; i++)
+        sum += samples->value[i];
+    rows->mean = sum / (double)samples->count;
+    return sort(rows, tet, err);
+}
+
+/* ---- what every sample contributes ---- */
+
+/* The seam rows of one task's tetrahedra. */
+struct part {
+    size_t rows, row_room, terms, term_room;
+    size_t *end; /* of each row's terms */
+    uint32_t *sample;
+    double *target;
+    uint32_t *control;
+    double *value;
+};
+
+struct evaluation {
+    struct gsn_fit_rows *rows;
+    struct part *part;
+};
+
+/* What is the same for all samples of a tetrahedron. */
+struct cell {
+    size_t tet;
+    struct gsn_frame frame;
+    double delta[4];
+    double knot[4 * (GSN_DMS_MAX_DEGREE + 1)][3];
+};
+
+static void cell_init(struct cell *cell, const struct gsn_dms *space, size_t tet)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(space);
+    const size_t each = gsn_dms_degree(space) + 1;
+    const uint32_t *v = mesh->tet[tet];
+
+    cell->tet = tet;
+    gsn_frame_init(&cell->frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                   mesh->vertex[v[3]]);
+    gsn_dms_core(space, tet, cell->delta);
+    for (size_t k = 0; k < 4; k++)
+        memcpy(cell->knot[k * each], gsn_dms_knots(space)[v[k] * each],
+               each * sizeof cell->knot[0]);
+}
+
+static bool in_core(const struct cell *cell, const double u[3])
+{
+    double lambda[4];
+
+    gsn_frame_at(&cell->frame, u, lambda);
+    for (size_t k = 0; k < 4; k++)
+        if (!(lambda[k] > cell->delta[k] + MARGIN))
+            return false;
+    return true;
+}
+
+static void add_core(struct gsn_fit_rows *rows, const struct cell *cell, size_t sample)
+{
+    const size_t functions = gsn_dms_functions(rows->space);
+    const double target = rows->samples->value[sample] - rows->mean;
+    double *block = rows->block + cell->tet * rows->packed;
+    double *right = rows->right + cell->tet * functions;
+    double value[GSN_DMS_MAX_FUNCTIONS];
+
+    gsn_bpatch_basis(gsn_dms_degree(rows->space), cell->knot, rows->samples->at[sample], value,
+                     NULL);
+    for (size_t f = 0; f < functions; f++) {
+        right[f] += value[f] * target;
+        for (size_t g = f; g < functions; g++)
+            *block++ += value[f] * value[g];
+    }
+}
+
+static int out_of_memory(struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_NOMEM, "out of memory for the basis values of the samples");
+}
+
+/* array: the address of a pointer of any type. */
+static bool grow(void *array, size_t room, size_t size)
+{
+    void *larger;
+
+    memcpy(&larger, array, sizeof larger);
+    larger = gsn_realloc_array(larger, room, size);
+    if (larger)
+        memcpy(array, &larger, sizeof larger);
+    return larger != NULL;
+}
+
+static bool room_for_row(struct part *part, size_t terms)
+{
+    if (part->rows == part->row_room) {
+        const size_t room = 2 * part->row_room + 64;
+
+        if (!grow(&part->end, room, sizeof *part->end) ||
+            !grow(&part->sample, room, sizeof *part->sample) ||
+            !grow(&part->target, room, sizeof *part->target))
+            return false;
+        part->row_room = room;
+    }
+    if (part->terms + terms > part->term_room) {
+        const size_t room = 2 * (part->term_room + terms) + 1024;
+
+        if (!grow(&part->control, room, sizeof *part->control) ||
+            !grow(&part->value, room, sizeof *part->value))
+            return false;
+        part->term_room = room;
+    }
+    return true;
+}
+
+/* Terms of one control point become one, in the order in which they first appear. */
+static int add_row(struct part *part, const struct gsn_fit_rows *rows, size_t sample,
+                   const struct gsn_dms_term *term, size_t count, struct gsn_error *err)
+{
+    const size_t first = part->terms;
+    double sum = 0;
+
+    if (!room_for_row(part, count))
+        return out_of_memory(err);
+    for (size_t i = 0; i < count; i++) {
+        size_t j = first;
+
+        while (j < part->terms && part->control[j] != term[i].control)
+            j++;
+        if (j == part->terms) {
+            part->control[part->terms] = term[i].control;
+            part->value[part->terms++] = 0;
+        }
+        part->value[j] += term[i].value;
+        sum += term[i].value;
+    }
+    part->sample[part->rows] = (uint32_t)sample;
+    part->target[part->rows] = rows->samples->value[sample] - rows->mean * sum;
+    part->end[part->rows++] = part->terms;
+    return GSN_OK;
+}
+
+struct term_room {
+    struct gsn_dms_term *term;
+    size_t room;
+};
+
+static int add_seam(struct part *part, const struct gsn_fit_rows *rows, const struct cell *cell,
+                    size_t sample, struct term_room *terms, struct gsn_error *err)
+{
+    size_t count = terms->room, hint = cell->tet;
+
+    do {
+        if (count > terms->room || !terms->term) {
+            if (!grow(&terms->term, count, sizeof *terms->term))
+                return out_of_memory(err);
+            terms->room = count;
+        }
+        if (gsn_dms_basis(rows->space, rows->samples->at[sample], 0, &hint, terms->term,
+                          terms->room, &count) != GSN_OK)
+            return gsn_fail(err, GSN_E_INPUT, "sample %zu has no basis", sample);
+    } while (count > terms->room);
+    return add_row(part, rows, sample, terms->term, count, err);
+}
+
+static int evaluate_tets(struct gsn_fit_rows *rows, struct part *part, size_t first, size_t end,
+                         struct term_room *terms, struct gsn_error *err)
+{
+    for (size_t t = first; t < end; t++) {
+        struct cell cell;
+
+        if (rows->start[t] < rows->start[t + 1])
+            cell_init(&cell, rows->space, t);
+        for (size_t i = rows->start[t]; i < rows->start[t + 1]; i++) {
+            const size_t sample = rows->order[i];
+            int r = GSN_OK;
+
+            if (in_core(&cell, rows->samples->at[sample]))
+                add_core(rows, &cell, sample);
+            else
+                r = add_seam(part, rows, &cell, sample, terms, err);
+            if (r < 0)
+                return r;
+        }
+        rows->seam_of_tet[t + 1] = part->rows; /* of this task so far; join() makes it all */
+    }
+    return GSN_OK;
+}
+
+static int evaluate_task(size_t task, void *context, struct gsn_error *err)
+{
+    const struct evaluation *work = context;
+    const size_t first = task * TETS_A_TASK;
+    struct term_room terms = { .room = FIRST_ROOM };
+    const int r = evaluate_tets(
+        work->rows, &work->part[task], first,
+        smaller(first + TETS_A_TASK, gsn_dms_mesh(work->rows->space)->tet_count), &terms, err);
+
+    gsn_free(terms.term);
+    return r;
+}
+
+static void part_done(struct part *part)
+{
+    gsn_free(part->end);
+    gsn_free(part->sample);
+    gsn_free(part->target);
+    gsn_free(part->control);
+    gsn_free(part->value);
+    *part = (struct part){ .end = NULL };
+}
+
+/* Puts the parts, in their order, into one list, and gives each back as soon as it is in. */
+static int join(struct gsn_fit_rows *rows, struct part *part, size_t parts, struct gsn_error *err)
+{
+    const size_t tets = gsn_dms_mesh(rows->space)->tet_count;
+    size_t terms = 0, row = 0, at = 0;
+
+    for (size_t p = 0; p < parts; p++) {
+        rows->seams += part[p].rows;
+        terms += part[p].terms;
+    }
+    rows->seam_first = gsn_alloc_array(rows->seams + 1, sizeof *rows->seam_first);
+    rows->seam_sample = gsn_alloc_array(rows->seams, sizeof *rows->seam_sample);
+    rows->seam_target = gsn_alloc_array(rows->seams, sizeof *rows->seam_target);
+    rows->seam_control = gsn_alloc_array(terms, sizeof *rows->seam_control);
+    rows->seam_value = gsn_alloc_array(terms, sizeof *rows->seam_value);
+    if (!rows->seam_first || !rows->seam_sample || !rows->seam_target || !rows->seam_control ||
+        !rows->seam_value)
+        return out_of_memory(err);
+    for (size_t p = 0; p < parts; p++) {
+        const size_t end = smaller((p + 1) * TETS_A_TASK, tets);
+
+        for (size_t t = p * TETS_A_TASK; t < end; t++)
+            rows->seam_of_tet[t + 1] += row;
+        for (size_t i = 0; i < part[p].rows; i++) {
+            rows->seam_sample[row] = part[p].sample[i];
+            rows->seam_target[row] = part[p].target[i];
+            rows->seam_first[++row] = at + part[p].end[i];
+        }
+        for (size_t i = 0; i < part[p].terms; i++) {
+            rows->seam_control[at] = part[p].control[i];
+            rows->seam_value[at++] = part[p].value[i];
+        }
+        part_done(&part[p]);
+    }
+    return GSN_OK;
+}
+
+int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gsn_error *err)
+{
+    const size_t tets = gsn_dms_mesh(rows->space)->tet_count;
+    const size_t functions = gsn_dms_functions(rows->space), tasks = tasks_for(tets, TETS_A_TASK);
+    gsn_auto_mem(struct part) part = gsn_alloc_array(tasks, sizeof *part);
+    struct evaluation work = { rows, part };
+    int r;
+
+    rows->packed = functions * (functions + 1) / 2;
+    rows->block = gsn_alloc_array(tets, rows->packed * sizeof *rows->block);
+    rows->right = gsn_alloc_array(tets, functions * sizeof *rows->right);
+    rows->seam_of_tet = gsn_alloc_array(tets + 1, sizeof *rows->seam_of_tet);
+    if (!part || !rows->block || !rows->right || !rows->seam_of_tet)
+        return out_of_memory(err);
+    r = gsn_parallel_for(tasks, threads, evaluate_task, &work, err);
+    if (r >= 0)
+        r = join(rows, part, tasks, err);
+    for (size_t p = 0; p < tasks; p++)
+        part_done(&part[p]);
+    return r;
+}
+
+void gsn_fit_rows_done(struct gsn_fit_rows *rows)
+{
+    gsn_free(rows->start);
+    gsn_free(rows->order);
+    gsn_free(rows->block);
+    gsn_free(rows->right);
+    gsn_free(rows->seam_first);
+    gsn_free(rows->seam_sample);
+    gsn_free(rows->seam_target);
+    gsn_free(rows->seam_control);
+    gsn_free(rows->seam_value);
+    gsn_free(rows->seam_of_tet);
+    *rows = (struct gsn_fit_rows){ .space = NULL };
+}
+
+/* ---- how far the fit is from every sample ---- */
+
+struct comparison {
+    const struct gsn_fit_rows *rows;
+    const double *control;
+    struct gsn_fit_residual *residual;
+};
+
+static double core_value(const struct comparison *with, const struct cell *cell, const double u[3])
+{
+    const struct gsn_dms *space = with->rows->space;
+    const uint32_t *id = gsn_dms_control_ids(space, cell->tet);
+    double value[GSN_DMS_MAX_FUNCTIONS], sum = 0;
+
+    gsn_bpatch_basis(gsn_dms_degree(space), cell->knot, u, value, NULL);
+    for (size_t f = 0; f < gsn_dms_functions(space); f++)
+        sum += value[f] * with->control[id[f]];
+    return sum;
+}
+
+static double seam_value(const struct comparison *with, size_t row)
+{
+    const struct gsn_fit_rows *rows = with->rows;
+    double sum = 0;
+
+    for (size_t i = rows->seam_first[row]; i < rows->seam_first[row + 1]; i++)
+        sum += rows->seam_value[i] * with->control[rows->seam_control[i]];
+    return sum;
+}
+
+static struct gsn_fit_residual compare_tet(const struct comparison *with, size_t tet)
+{
+    const struct gsn_fit_rows *rows = with->rows;
+    struct gsn_fit_residual sum = { 0 };
+    size_t seam = rows->seam_of_tet[tet];
+    struct cell cell;
+
+    if (rows->start[tet] < rows->start[tet + 1])
+        cell_init(&cell, rows->space, tet);
+    for (size_t i = rows->start[tet]; i < rows->start[tet + 1]; i++) {
+        const size_t sample = rows->order[i];
+        const bool in_seam = seam < rows->seam_of_tet[tet + 1] && rows->seam_sample[seam] == sample;
+        const double value =
+            in_seam ? seam_value(with, seam++) : core_value(with, &cell, rows->samples->at[sample]);
+        const double off = value - rows->samples->value[sample];
+
+        sum.squares += off * off;
+        sum.worst = fmax(sum.worst, fabs(off));
+    }
+    return sum;
+}
+
+static int compare_task(size_t task, void *context, struct gsn_error *err)
+{
+    const struct comparison *with = context;
+    const size_t end =
+        smaller((task + 1) * TETS_A_TASK, gsn_dms_mesh(with->rows->space)->tet_count);
+
+    (void)err;
+    for (size_t t = task * TETS_A_TASK; t < end; t++)
+        with->residual[t] = compare_tet(with, t);
+    return GSN_OK;
+}
+
+int gsn_fit_rows_residuals(const struct gsn_fit_rows *rows, const double *control, unsigned threads,
+                           struct gsn_fit_residual *ret, struct gsn_error *err)
+{
+    struct comparison with = { rows, control, ret };
+
+    return gsn_parallel_for(tasks_for(gsn_dms_mesh(rows->space)->tet_count, TETS_A_TASK), threads,
+                            compare_task, &with, err);
+}

@@ -1,0 +1,170 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/tetgen_bridge.h"
+
+#include <algorithm>
+#include <climits>
+#include <cmath>
+#include <cstdio>
+#include <memory>
+#include <new>
+
+/* TetGen 1.5.0 frees its mesh before it throws and again while unwinding. Its function is a weak
+ * symbol: ours, in the same file as the call, wins and leaves the freeing to the unwinding. */
+#define TETLIBRARY
+#define terminatetetgen terminatetetgen_as_shipped
+#include <tetgen.h>
+#undef terminatetetgen
+[[gnu::visibility("default")]] void terminatetetgen(tetgenmesh *, int reason);
+void terminatetetgen(tetgenmesh *, int reason)
+{
+    throw reason;
+}
+
+namespace
+{
+
+struct free_soup {
+    void operator()(gsn_soup *soup) const
+    {
+        gsn_soup_free(soup);
+    }
+};
+
+int checked_int(size_t count)
+{
+    if (count > INT_MAX / 4)
+        throw std::bad_alloc();
+    return static_cast<int>(count);
+}
+
+void fill_points(tetgenio &in, const double (*vertex)[3], size_t count)
+{
+    in.firstnumber = 0;
+    in.pointlist = new REAL[3 * count];
+    in.numberofpoints = checked_int(count);
+    std::copy(&vertex[0][0], &vertex[0][0] + 3 * count, in.pointlist);
+}
+
+/* tetgenio frees with delete[], and facets only as far as they were initialised. */
+void fill_facets(tetgenio &in, const gsn_surface &surface)
+{
+    in.facetlist = new tetgenio::facet[surface.facet_count];
+    for (size_t f = 0; f < surface.facet_count; f++)
+        tetgenio::init(&in.facetlist[f]);
+    in.numberoffacets = checked_int(surface.facet_count);
+    for (size_t f = 0; f < surface.facet_count; f++) {
+        const size_t corners = gsn_surface_corners(&surface, f);
+        tetgenio::facet &facet = in.facetlist[f];
+
+        facet.polygonlist = new tetgenio::polygon[1];
+        tetgenio::init(facet.polygonlist);
+        facet.numberofpolygons = 1;
+        facet.polygonlist->vertexlist = new int[corners];
+        facet.polygonlist->numberofvertices = static_cast<int>(corners);
+        std::copy(surface.facet[f], surface.facet[f] + corners, facet.polygonlist->vertexlist);
+    }
+}
+
+void fill_tetrahedra(tetgenio &in, const gsn_soup &mesh, const double *max_um3)
+{
+    in.tetrahedronlist = new int[4 * mesh.tet_count];
+    in.tetrahedronvolumelist = new REAL[mesh.tet_count];
+    in.numberoftetrahedra = checked_int(mesh.tet_count);
+    in.numberofcorners = 4;
+    std::copy(&mesh.tet[0][0], &mesh.tet[0][0] + 4 * mesh.tet_count, in.tetrahedronlist);
+    std::copy(max_um3, max_um3 + mesh.tet_count, in.tetrahedronvolumelist);
+}
+
+std::unique_ptr<gsn_soup, free_soup> copy_out(const tetgenio &out)
+{
+    gsn_soup *soup = nullptr;
+
+    if (gsn_soup_new(static_cast<size_t>(out.numberofpoints),
+                     static_cast<size_t>(out.numberoftetrahedra), &soup, nullptr) < 0)
+        throw std::bad_alloc();
+    std::copy(out.pointlist, out.pointlist + 3 * soup->vertex_count, &soup->vertex[0][0]);
+    std::copy(out.tetrahedronlist, out.tetrahedronlist + 4 * soup->tet_count, &soup->tet[0][0]);
+    return std::unique_ptr<gsn_soup, free_soup>(soup);
+}
+
+bool corners_exist(const gsn_soup &mesh)
+{
+    return std::all_of(&mesh.tet[0][0], &mesh.tet[0][0] + 4 * mesh.tet_count,
+                       [&mesh](uint32_t corner) { return corner < mesh.vertex_count; });
+}
+
+bool in_range(const gsn_tetgen_options &options)
+{
+    return std::isfinite(options.max_tet_um3) && options.max_tet_um3 >= 0 &&
+           options.radius_edge >= 1.1 && options.radius_edge <= 10 &&
+           options.min_dihedral_deg >= 0 && options.min_dihedral_deg <= 18;
+}
+
+/* p: a surface, r: a mesh; q: quality; a: largest volume, without a number one per tetrahedron. */
+void switches(const gsn_mesh_question &question, char *text, size_t room)
+{
+    const gsn_tetgen_options &options = question.options;
+    int length = std::snprintf(text, room, "%cq%.6f/%.6fQ", question.surface ? 'p' : 'r',
+                               options.radius_edge, options.min_dihedral_deg);
+
+    if (!question.surface)
+        std::snprintf(text + length, room - static_cast<size_t>(length), "a");
+    else if (options.max_tet_um3 > 0)
+        std::snprintf(text + length, room - static_cast<size_t>(length), "a%.17g",
+                      options.max_tet_um3);
+}
+
+const char *reason_words(int reason)
+{
+    switch (reason) {
+    case 2:
+        return "an internal error";
+    case 3:
+        return "the surface crosses itself";
+    case 4:
+        return "a feature is too small";
+    case 5:
+        return "two facets are too close";
+    default:
+        return "the input is wrong";
+    }
+}
+
+} // namespace
+
+int gsn_tetgen_mesh(const struct gsn_mesh_question *question, struct gsn_soup **ret_mesh,
+                    struct gsn_error *err)
+try {
+    tetgenio in, out;
+    tetgenbehavior behaviour;
+    char text[128];
+
+    if (!in_range(question->options))
+        return gsn_fail(err, GSN_E_INPUT, "the mesher's options are out of range");
+    if (question->surface) {
+        fill_points(in, question->surface->vertex, question->surface->vertex_count);
+        fill_facets(in, *question->surface);
+    } else {
+        if (!corners_exist(*question->mesh))
+            return gsn_fail(err, GSN_E_INPUT, "a tetrahedron has a corner that does not exist");
+        fill_points(in, question->mesh->vertex, question->mesh->vertex_count);
+        fill_tetrahedra(in, *question->mesh, question->max_um3);
+    }
+    switches(*question, text, sizeof text);
+    if (!behaviour.parse_commandline(text))
+        return gsn_fail(err, GSN_E_INPUT, "TetGen does not know the switches %s", text);
+    tetrahedralize(&behaviour, &in, &out);
+    if (out.numberoftetrahedra <= 0 || out.numberofcorners != 4)
+        return gsn_fail(err, GSN_E_MESH, "TetGen found nothing to fill");
+    *ret_mesh = copy_out(out).release();
+    return GSN_OK;
+} catch (const std::bad_alloc &) {
+    return gsn_fail(err, GSN_E_NOMEM, "out of memory while meshing");
+} catch (int reason) { /* TetGen throws its exit status */
+    if (reason == 1)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while meshing");
+    return gsn_fail(err, GSN_E_MESH, "TetGen gave up: %s (reason %d)", reason_words(reason),
+                    reason);
+} catch (...) {
+    return gsn_fail(err, GSN_E_MESH, "TetGen gave up");
+}

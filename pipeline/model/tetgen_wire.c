@@ -1,0 +1,294 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/tetgen_wire.h"
+
+#include <stdbool.h>
+#include <string.h>
+
+/* The first eight bytes of each kind of message. */
+enum kind { KIND_FILL, KIND_REFINE, KIND_MESH, KIND_REFUSAL, KINDS };
+static const char MAGIC[KINDS][8] = { "gsnfill1", "gsnrefi1", "gsnmesh1", "gsnnope1" };
+
+enum {
+    COUNTS = 3,              /* of vertices, facets, tetrahedra */
+    HEADER = 8 + 8 * COUNTS, /* every message */
+    OPTIONS = 3 * 8,         /* behind the header of a question */
+    VERTEX = 24,
+    CORNERS = 16,
+    LIMIT = 8,
+};
+
+struct cursor {
+    uint8_t *write;      /* packing */
+    const uint8_t *read; /* unpacking */
+};
+
+static void put(struct cursor *at, uint64_t value, size_t bytes)
+{
+    for (size_t i = 0; i < bytes; i++)
+        *at->write++ = (uint8_t)(value >> 8 * i);
+}
+
+static uint64_t get(struct cursor *at, size_t bytes)
+{
+    uint64_t value = 0;
+
+    for (size_t i = 0; i < bytes; i++)
+        value |= (uint64_t)*at->read++ << 8 * i;
+    return value;
+}
+
+static void put_double(struct cursor *at, double value)
+{
+    uint64_t bits;
+
+    memcpy(&bits, &value, sizeof bits);
+    put(at, bits, sizeof bits);
+}
+
+static double get_double(struct cursor *at)
+{
+    const uint64_t bits = get(at, sizeof bits);
+    double value;
+
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static void put_vertices(struct cursor *at, const double (*vertex)[3], size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        for (size_t k = 0; k < 3; k++)
+            put_double(at, vertex[i][k]);
+}
+
+static void put_corners(struct cursor *at, const uint32_t (*corner)[4], size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        for (size_t k = 0; k < 4; k++)
+            put(at, corner[i][k], 4);
+}
+
+static void get_vertices(struct cursor *at, double (*vertex)[3], size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        for (size_t k = 0; k < 3; k++)
+            vertex[i][k] = get_double(at);
+}
+
+static void get_corners(struct cursor *at, uint32_t (*corner)[4], size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        for (size_t k = 0; k < 4; k++)
+            corner[i][k] = (uint32_t)get(at, 4);
+}
+
+/* gives: a message of its final size with the header written. */
+static uint8_t *begin(enum kind kind, const size_t count[COUNTS], size_t size, struct cursor *at)
+{
+    uint8_t *bytes = gsn_alloc(size);
+
+    if (!bytes)
+        return NULL;
+    memcpy(bytes, MAGIC[kind], 8);
+    at->write = bytes + 8;
+    for (size_t i = 0; i < COUNTS; i++)
+        put(at, count[i], 8);
+    return bytes;
+}
+
+static bool is_kind(const uint8_t *bytes, size_t size, enum kind kind)
+{
+    return size >= HEADER && memcmp(bytes, MAGIC[kind], 8) == 0;
+}
+
+/* Reads the counts; false when one is beyond what 32-bit indices reach. */
+static bool get_counts(const uint8_t *bytes, struct cursor *at, size_t ret_count[COUNTS])
+{
+    bool sane = true;
+
+    at->read = bytes + 8;
+    for (size_t i = 0; i < COUNTS; i++) {
+        const uint64_t count = get(at, 8);
+
+        sane &= count < INT32_MAX;
+        ret_count[i] = (size_t)count;
+    }
+    return sane;
+}
+
+int gsn_soup_new(size_t vertex_count, size_t tet_count, struct gsn_soup **ret_soup,
+                 struct gsn_error *err)
+{
+    gsn_auto(gsn_soup) soup = gsn_alloc_array(1, sizeof *soup);
+
+    if (soup) {
+        soup->vertex = gsn_alloc_array(vertex_count, sizeof *soup->vertex);
+        soup->tet = gsn_alloc_array(tet_count, sizeof *soup->tet);
+        soup->vertex_count = vertex_count;
+        soup->tet_count = tet_count;
+    }
+    if (!soup || !soup->vertex || !soup->tet)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", tet_count);
+    *ret_soup = gsn_steal(&soup);
+    return GSN_OK;
+}
+
+void gsn_soup_free(struct gsn_soup *soup)
+{
+    if (!soup)
+        return;
+    gsn_free(soup->vertex);
+    gsn_free(soup->tet);
+    gsn_free(soup);
+}
+
+void gsn_mesh_question_done(struct gsn_mesh_question *question)
+{
+    gsn_surface_free(question->surface);
+    gsn_soup_free(question->mesh);
+    gsn_free(question->max_um3);
+    *question = (struct gsn_mesh_question){ .surface = NULL };
+}
+
+static size_t question_size(const size_t count[COUNTS], bool refine)
+{
+    return HEADER + OPTIONS + count[0] * VERTEX + count[1] * CORNERS +
+           count[2] * (size_t)(refine ? CORNERS + LIMIT : CORNERS);
+}
+
+int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **ret_bytes,
+                           size_t *ret_size, struct gsn_error *err)
+{
+    const struct gsn_surface *surface = question->surface;
+    const struct gsn_soup *mesh = question->mesh;
+    const size_t count[COUNTS] = { mesh ? mesh->vertex_count : surface->vertex_count,
+                                   mesh ? 0 : surface->facet_count, mesh ? mesh->tet_count : 0 };
+    const size_t size = question_size(count, mesh != NULL);
+    struct cursor at;
+    uint8_t *bytes = begin(mesh ? KIND_REFINE : KIND_FILL, count, size, &at);
+
+    if (!bytes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's question");
+    put_double(&at, question->options.max_tet_um3);
+    put_double(&at, question->options.radius_edge);
+    put_double(&at, question->options.min_dihedral_deg);
+    put_vertices(&at, mesh ? mesh->vertex : surface->vertex, count[0]);
+    if (surface)
+        put_corners(&at, surface->facet, count[1]);
+    if (mesh)
+        put_corners(&at, mesh->tet, count[2]);
+    for (size_t t = 0; t < count[2]; t++)
+        put_double(&at, question->max_um3[t]);
+    *ret_bytes = bytes;
+    *ret_size = size;
+    return GSN_OK;
+}
+
+static int get_surface(struct cursor *at, const size_t count[COUNTS],
+                       struct gsn_mesh_question *question, struct gsn_error *err)
+{
+    const int r = gsn_surface_new(count[0], count[1], &question->surface, err);
+
+    if (r < 0)
+        return r;
+    get_vertices(at, question->surface->vertex, count[0]);
+    get_corners(at, question->surface->facet, count[1]);
+    return GSN_OK;
+}
+
+static int get_mesh(struct cursor *at, const size_t count[COUNTS],
+                    struct gsn_mesh_question *question, struct gsn_error *err)
+{
+    const int r = gsn_soup_new(count[0], count[2], &question->mesh, err);
+
+    if (r < 0)
+        return r;
+    question->max_um3 = gsn_alloc_array(count[2], sizeof *question->max_um3);
+    if (!question->max_um3)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's question");
+    get_vertices(at, question->mesh->vertex, count[0]);
+    get_corners(at, question->mesh->tet, count[2]);
+    for (size_t t = 0; t < count[2]; t++)
+        question->max_um3[t] = get_double(at);
+    return GSN_OK;
+}
+
+int gsn_mesh_question_unpack(const uint8_t *bytes, size_t size,
+                             struct gsn_mesh_question *ret_question, struct gsn_error *err)
+{
+    const bool refine = is_kind(bytes, size, KIND_REFINE);
+    struct gsn_mesh_question question = { .surface = NULL };
+    size_t count[COUNTS];
+    struct cursor at;
+    int r;
+
+    if ((!refine && !is_kind(bytes, size, KIND_FILL)) || !get_counts(bytes, &at, count) ||
+        count[refine ? 1 : 2] != 0 || question_size(count, refine) != size)
+        return gsn_fail(err, GSN_E_INPUT, "%zu bytes that are no question for a mesher", size);
+    question.options.max_tet_um3 = get_double(&at);
+    question.options.radius_edge = get_double(&at);
+    question.options.min_dihedral_deg = get_double(&at);
+    r = refine ? get_mesh(&at, count, &question, err) : get_surface(&at, count, &question, err);
+    if (r < 0)
+        gsn_mesh_question_done(&question);
+    else
+        *ret_question = question;
+    return r;
+}
+
+int gsn_mesh_answer_pack(const struct gsn_soup *mesh, uint8_t **ret_bytes, size_t *ret_size,
+                         struct gsn_error *err)
+{
+    const size_t count[COUNTS] = { mesh->vertex_count, 0, mesh->tet_count };
+    const size_t size = HEADER + count[0] * VERTEX + count[2] * CORNERS;
+    struct cursor at;
+    uint8_t *bytes = begin(KIND_MESH, count, size, &at);
+
+    if (!bytes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's answer");
+    put_vertices(&at, mesh->vertex, count[0]);
+    put_corners(&at, mesh->tet, count[2]);
+    *ret_bytes = bytes;
+    *ret_size = size;
+    return GSN_OK;
+}
+
+/* The counts of a refusal are its code's absolute value, 0 and the sentence's length. */
+int gsn_mesh_refusal_pack(const struct gsn_error *why, uint8_t **ret_bytes, size_t *ret_size,
+                          struct gsn_error *err)
+{
+    const size_t count[COUNTS] = { (size_t)-why->code, 0, strlen(why->text) };
+    struct cursor at;
+    uint8_t *bytes = begin(KIND_REFUSAL, count, HEADER + count[2], &at);
+
+    if (!bytes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's answer");
+    memcpy(at.write, why->text, count[2]);
+    *ret_bytes = bytes;
+    *ret_size = HEADER + count[2];
+    return GSN_OK;
+}
+
+int gsn_mesh_answer_unpack(const uint8_t *bytes, size_t size, struct gsn_soup **ret_mesh,
+                           struct gsn_error *err)
+{
+    gsn_auto(gsn_soup) mesh = NULL;
+    const bool refused = is_kind(bytes, size, KIND_REFUSAL);
+    size_t count[COUNTS];
+    struct cursor at;
+    int r;
+
+    if ((!refused && !is_kind(bytes, size, KIND_MESH)) || !get_counts(bytes, &at, count) ||
+        count[1] != 0 || count[0] == 0 ||
+        size != HEADER + (refused ? count[2] : count[0] * VERTEX + count[2] * CORNERS))
+        return gsn_fail(err, GSN_E_MESH, "the mesher's answer of %zu bytes is damaged", size);
+    if (refused)
+        return gsn_fail(err, -(int)count[0], "%.*s", (int)count[2], (const char *)at.read);
+    r = gsn_soup_new(count[0], count[2], &mesh, err);
+    if (r < 0)
+        return r;
+    get_vertices(&at, mesh->vertex, count[0]);
+    get_corners(&at, mesh->tet, count[2]);
+    *ret_mesh = gsn_steal(&mesh);
+    return GSN_OK;
+}

@@ -1,0 +1,67 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What is asked of the mesher's process and what it answers, as bytes.
+ *
+ * Little-endian, every array's length is checked against the message's before anything is
+ * allocated. An answer is a mesh or a refusal (a code and a sentence): "this cannot be meshed" is
+ * an answer, only a process that cannot answer at all exits with an error. */
+#ifndef GSN_MODEL_TETGEN_WIRE_H
+#define GSN_MODEL_TETGEN_WIRE_H
+
+#include "pipeline/model/surface.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Vertices (um) and tetrahedra that nobody has verified yet. */
+struct gsn_soup {
+    size_t vertex_count, tet_count;
+    double (*vertex)[3];
+    uint32_t (*tet)[4];
+};
+
+/* gives: zeroed arrays. Fails with GSN_E_NOMEM. */
+int gsn_soup_new(size_t vertex_count, size_t tet_count, struct gsn_soup **ret_soup,
+                 struct gsn_error *err);
+void gsn_soup_free(struct gsn_soup *soup);
+GSN_DEFINE_AUTO(gsn_soup);
+
+struct gsn_tetgen_options {
+    double max_tet_um3;      /* no tetrahedron is larger; 0: no limit */
+    double radius_edge;      /* most circumradius / shortest edge */
+    double min_dihedral_deg; /* aimed at, not promised */
+};
+
+/* Either a surface to fill, or a mesh to refine until no tetrahedron in the place of t is larger
+ * than max_um3[t] (0: no limit). Exactly one of surface and mesh is not NULL. */
+struct gsn_mesh_question {
+    struct gsn_tetgen_options options;
+    struct gsn_surface *surface;
+    struct gsn_soup *mesh;
+    double *max_um3;
+};
+
+void gsn_mesh_question_done(struct gsn_mesh_question *question);
+
+/* gives: the bytes. Fails with GSN_E_NOMEM. */
+int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **ret_bytes,
+                           size_t *ret_size, struct gsn_error *err);
+/* gives: the parts; end with gsn_mesh_question_done(). Fails with GSN_E_INPUT, GSN_E_NOMEM. */
+int gsn_mesh_question_unpack(const uint8_t *bytes, size_t size,
+                             struct gsn_mesh_question *ret_question, struct gsn_error *err);
+
+/* give: the bytes. Fail with GSN_E_NOMEM. */
+int gsn_mesh_answer_pack(const struct gsn_soup *mesh, uint8_t **ret_bytes, size_t *ret_size,
+                         struct gsn_error *err);
+int gsn_mesh_refusal_pack(const struct gsn_error *why, uint8_t **ret_bytes, size_t *ret_size,
+                          struct gsn_error *err);
+/* gives: the mesh. A refusal comes back as the code and sentence it was packed with; bytes that
+ * are no answer as GSN_E_MESH. */
+int gsn_mesh_answer_unpack(const uint8_t *bytes, size_t size, struct gsn_soup **ret_mesh,
+                           struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,207 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The pieces a fit is made of, against closed forms and against the basis evaluated one by one. */
+#include "pipeline/model/fit_rows.h"
+#include "pipeline/model/fit_smooth.h"
+#include "pipeline/model/fit_system.h"
+
+#include <string.h>
+
+#include "tests/check.h"
+#include "tests/model/test_domain_shapes.h"
+
+static const double VERTEX[4][3] = { { 1, 2, 0 }, { 5, 2.5, 0.5 }, { 2, 6, -1 }, { 0.5, 3, 4 } };
+
+static struct gsn_dms *one_tet(unsigned degree)
+{
+    const uint32_t corner[1][4] = { { 0, 1, 2, 3 } };
+    gsn_auto(gsn_tets) mesh = NULL;
+    double(*knots)[3] = NULL;
+    struct gsn_dms *space = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_tets_new(VERTEX, 4, corner, 1, &mesh, &err), err);
+    CHECK_OK(gsn_dms_clouds(mesh, degree, 0.01, &knots, &err), err);
+    CHECK_OK(gsn_dms_new(mesh, degree, knots, GSN_DMS_OWN, &space, &err), err);
+    gsn_free(knots);
+    return space;
+}
+
+/* Bernstein coefficient beta of (a . u)^power over the tetrahedron: the polar form at its corners,
+ * power 1 or 2. */
+static double bernstein(const struct gsn_tets *mesh, const uint8_t *beta, unsigned degree,
+                        const double a[3], unsigned power)
+{
+    double at[3], sum = 0, pairs = 0;
+    size_t count = 0;
+
+    for (size_t k = 0; k < 4; k++)
+        for (unsigned i = 0; i < beta[k]; i++) {
+            const double *v = mesh->vertex[mesh->tet[0][k]];
+
+            at[count++] = a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
+        }
+    for (size_t i = 0; i < count; i++) {
+        sum += at[i];
+        for (size_t j = 0; j < i; j++)
+            pairs += at[i] * at[j];
+    }
+    return power == 1 ? sum / degree : 2 * pairs / (degree * (degree - 1.0));
+}
+
+static double energy(const struct gsn_dms *space, const double *c, double weight)
+{
+    const size_t functions = gsn_dms_functions(space);
+    double block[GSN_DMS_MAX_FUNCTIONS * (GSN_DMS_MAX_FUNCTIONS + 1) / 2] = { 0 }, sum = 0;
+    struct gsn_fit_smooth smooth;
+    size_t at = 0;
+
+    gsn_fit_smooth_init(&smooth, space);
+    gsn_fit_smooth_add(&smooth, gsn_dms_mesh(space), 0, weight, block);
+    for (size_t f = 0; f < functions; f++)
+        for (size_t g = f; g < functions; g++)
+            sum += (f == g ? 1 : 2) * c[f] * c[g] * block[at++];
+    return sum;
+}
+
+TEST(the_penalty_of_a_polynomial_is_the_integral_of_its_squared_gradient)
+{
+    const double a[3] = { 0.3, -1.2, 0.7 };
+    const double square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
+
+    for (unsigned degree = 1; degree <= 3; degree++) {
+        gsn_auto(gsn_dms) space = one_tet(degree);
+        const struct gsn_tets *mesh = gsn_dms_mesh(space);
+        const double volume = gsn_tets_volume(mesh, 0);
+        double one[GSN_DMS_MAX_FUNCTIONS], linear[GSN_DMS_MAX_FUNCTIONS],
+            quadratic[GSN_DMS_MAX_FUNCTIONS], at[4], sum = 0, squares = 0;
+
+        for (size_t f = 0; f < gsn_dms_functions(space); f++) {
+            one[f] = 1;
+            linear[f] = bernstein(mesh, gsn_dms_beta(space, f), degree, a, 1);
+            quadratic[f] = degree > 1 ? bernstein(mesh, gsn_dms_beta(space, f), degree, a, 2) : 0;
+        }
+        for (size_t k = 0; k < 4; k++) {
+            const double *v = mesh->vertex[mesh->tet[0][k]];
+
+            at[k] = a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
+            sum += at[k];
+            squares += at[k] * at[k];
+        }
+        CHECK_NEAR(energy(space, one, 2), 0, 1e-12);
+        CHECK_NEAR(energy(space, linear, 2), 2 * square * volume, 1e-10);
+        /* grad (a.u)^2 = 2 (a.u) a, and the mean of (a.u)^2 is ((sum)^2 + sum of squares) / 20. */
+        if (degree > 1)
+            CHECK_NEAR(energy(space, quadratic, 2),
+                       2 * 4 * square * volume * (sum * sum + squares) / 20, 1e-8);
+    }
+}
+
+/* The matrix and right hand side, each entry from gsn_dms_basis() at every sample. */
+static void dense_equations(const struct gsn_dms *space, const struct gsn_samples *samples,
+                            double mean, double *matrix, double *right)
+{
+    const size_t n = gsn_dms_controls(space);
+    struct gsn_dms_term term[1024];
+    size_t hint = 0, count = 0;
+
+    for (size_t i = 0; i < samples->count; i++) {
+        double target = samples->value[i];
+
+        CHECK(gsn_dms_basis(space, samples->at[i], 0, &hint, term, 1024, &count) == GSN_OK);
+        CHECK(count <= 1024);
+        for (size_t a = 0; a < count; a++)
+            target -= mean * term[a].value;
+        for (size_t a = 0; a < count; a++) {
+            right[term[a].control] += target * term[a].value;
+            for (size_t b = 0; b < count; b++)
+                matrix[term[a].control * n + term[b].control] += term[a].value * term[b].value;
+        }
+    }
+}
+
+static double wave(const double u[3])
+{
+    return sin(u[0] / 13) * cos(u[1] / 17) + u[2] / 60;
+}
+
+static void check_system(const struct gsn_fit_system *system, const double *matrix,
+                         const double *right)
+{
+    const size_t n = system->unknowns;
+    gsn_auto_mem(double) row = gsn_alloc_array(n, sizeof *row);
+
+    CHECK(row);
+    for (size_t i = 0; i < n; i++) {
+        memset(row, 0, n * sizeof *row);
+        for (size_t k = system->first[i]; k < system->first[i + 1]; k++) {
+            CHECK(k == system->first[i] || system->column[k] > system->column[k - 1]);
+            row[system->column[k]] = system->value[k];
+        }
+        for (size_t j = 0; j < n; j++)
+            CHECK_NEAR(row[j], matrix[i * n + j], 1e-9);
+        CHECK_NEAR(system->right[i], right[i], 1e-9);
+    }
+}
+
+static void check_assembly(unsigned degree, double cloud)
+{
+    gsn_auto(gsn_dms) space = shape_space(degree, cloud, 60000);
+    const size_t n = gsn_dms_controls(space);
+    struct shape_samples grid = shape_grid(0, 80, 16, wave);
+    gsn_auto_mem(double) matrix = gsn_alloc_array(n * n, sizeof *matrix);
+    gsn_auto_mem(double) right = gsn_alloc_array(n, sizeof *right);
+    struct gsn_fit_rows rows;
+    struct gsn_fit_system system;
+    struct gsn_error err = { 0 };
+
+    CHECK(matrix && right);
+    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples, 2, &err), err);
+    CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
+    CHECK_OK(gsn_fit_system_assemble(&system, &rows, 2, &err), err);
+    CHECK(rows.seams > 0 && rows.seams < grid.samples.count);
+    dense_equations(space, &grid.samples, rows.mean, matrix, right);
+    check_system(&system, matrix, right);
+    gsn_fit_system_done(&system);
+    gsn_fit_rows_done(&rows);
+    shape_samples_done(&grid);
+}
+
+TEST(the_equations_are_those_of_the_basis_sample_by_sample)
+{
+    check_assembly(1, 0.02);
+    check_assembly(2, 0.02);
+    check_assembly(2, 0.1);
+    check_assembly(3, 0.02);
+}
+
+/* A chain of n unknowns, -1 2 -1, and its known answer. */
+TEST(conjugate_gradients_solve_a_chain)
+{
+    enum { N = 50 };
+    size_t first[N + 1] = { 0 };
+    uint32_t column[3 * N];
+    double value[3 * N], right[N] = { 0 }, x[N];
+    struct gsn_fit_system system = { N, first, column, value, right };
+    struct gsn_error err = { 0 };
+    unsigned iterations = 0;
+    size_t at = 0;
+
+    for (size_t i = 0; i < N; i++) {
+        for (size_t j = i > 0 ? i - 1 : 0; j <= i + 1 && j < N; j++) {
+            column[at] = (uint32_t)j;
+            value[at++] = i == j ? 2 : -1;
+        }
+        first[i + 1] = at;
+    }
+    right[N - 1] = N + 1; /* answer: x_i = i + 1 */
+    CHECK_OK(gsn_fit_system_solve(&system, 1e-12, 2 * N, x, &iterations, &err), err);
+    for (size_t i = 0; i < N; i++)
+        CHECK_NEAR(x[i], (double)i + 1, 1e-9);
+
+    CHECK(gsn_fit_system_solve(&system, 1e-12, 5, x, &iterations, &err) == GSN_E_FIT);
+    CHECK(strstr(err.text, "5 iterations"));
+    value[3] = 0;
+    CHECK(gsn_fit_system_solve(&system, 1e-12, 99, x, &iterations, &err) == GSN_E_FIT);
+    CHECK(strstr(err.text, "control point 1"));
+}

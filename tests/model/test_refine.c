@@ -1,0 +1,223 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/refine.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "tests/check.h"
+#include "tests/model/test_domain_shapes.h"
+
+enum { GRID = 24 };
+
+struct result {
+    struct gsn_dms *space;
+    struct gsn_spline *spline;
+    struct gsn_adapt_report report;
+};
+
+static void result_done(struct result *result)
+{
+    gsn_spline_free(result->spline);
+    gsn_dms_free(result->space);
+    gsn_adapt_report_done(&result->report);
+}
+
+/* A ball of 1 in 0, sharp but for two micrometres. */
+static double ball(const double u[3])
+{
+    const double x = u[0] - 41, y = u[1] - 39, z = u[2] - 40;
+
+    return 1 / (1 + exp(2 * (sqrt(x * x + y * y + z * z) - 24)));
+}
+
+static double linear(const double u[3])
+{
+    return u[0] / 4 - u[1] / 8 + u[2] / 2;
+}
+
+static double noise(const double u[3])
+{
+    uint64_t dice = (uint64_t)(u[0] * 7919 + u[1] * 104729 + u[2] * 1299709);
+
+    return shape_normal(&dice);
+}
+
+static struct gsn_adapt_options options_with(double tolerance, unsigned rounds)
+{
+    return (struct gsn_adapt_options){ .domain = shape_options(40, 30000),
+                                       .tolerance = tolerance,
+                                       .rounds = rounds };
+}
+
+static int adapt(double (*f)(const double u[3]), const struct gsn_adapt_options *options,
+                 struct result *ret, struct gsn_error *err)
+{
+    gsn_auto(gsn_mask) region = shape_mask(8, 8, 8, 10, 10, 10, shape_everywhere);
+    struct shape_samples grid = shape_grid(0, 80, GRID, f);
+    const int r =
+        gsn_adapt(region, &grid.samples, options, &ret->space, &ret->spline, &ret->report, err);
+
+    shape_samples_done(&grid);
+    return r;
+}
+
+static struct result adapted(double (*f)(const double u[3]),
+                             const struct gsn_adapt_options *options)
+{
+    struct result result = { .space = NULL };
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(adapt(f, options, &result, &err), err);
+    return result;
+}
+
+/* The figures of the result are those of the last round that was taken, and only lower errors
+ * were. */
+static void check_rounds(const struct gsn_adapt_report *report)
+{
+    double rms = INFINITY;
+
+    CHECK(report->rounds >= 1);
+    for (size_t i = 0; i < report->rounds; i++) {
+        CHECK(report->round[i].accepted || i + 1 == report->rounds);
+        CHECK(report->round[i].accepted == (report->round[i].rms < 0.999 * rms));
+        if (report->round[i].accepted)
+            rms = report->round[i].rms;
+    }
+    CHECK(report->fit.rms == rms);
+}
+
+TEST(a_sharp_ball_is_followed_better_after_refinement)
+{
+    struct gsn_adapt_options options = options_with(0.01, 3);
+    struct result result;
+
+    options.samples_per_unknown = 3;
+    options.samples_per_tet = 4;
+    result = adapted(ball, &options);
+    check_rounds(&result.report);
+    CHECK(result.report.rounds >= 2);
+    CHECK(result.report.fit.rms < 0.6 * result.report.round[0].rms);
+    CHECK(result.report.round[1].tets > result.report.round[0].tets);
+    CHECK((double)result.report.fit.unknowns <= GRID * GRID * GRID / 3.0);
+    CHECK(gsn_dms_controls(result.space) == result.report.fit.unknowns);
+    result_done(&result);
+}
+
+TEST(what_is_within_tolerance_is_left_alone)
+{
+    const struct gsn_adapt_options options = options_with(0.1, 3);
+    struct result result = adapted(linear, &options);
+
+    CHECK(result.report.end == GSN_ADAPT_WITHIN);
+    CHECK(result.report.rounds == 1 && result.report.round[0].over_tolerance == 0);
+    result_done(&result);
+}
+
+TEST(the_samples_and_the_caller_bound_the_unknowns)
+{
+    struct gsn_adapt_options options = options_with(0.001, 6);
+    struct result result;
+
+    options.samples_per_tet = 1;
+    options.samples_per_unknown = 10;
+    result = adapted(ball, &options);
+    check_rounds(&result.report);
+    CHECK(result.report.end == GSN_ADAPT_SAMPLES);
+    CHECK(result.report.fit.unknowns <= GRID * GRID * GRID / 10);
+    result_done(&result);
+
+    options.most_unknowns = 1350;
+    options.samples_per_unknown = 3;
+    result = adapted(ball, &options);
+    check_rounds(&result.report);
+    CHECK(result.report.end == GSN_ADAPT_UNKNOWNS);
+    CHECK(result.report.fit.unknowns <= 1350);
+    result_done(&result);
+}
+
+TEST(without_rounds_there_is_one_fit)
+{
+    const struct gsn_adapt_options options = options_with(0.001, 0);
+    struct result result = adapted(ball, &options);
+
+    CHECK(result.report.end == GSN_ADAPT_ROUNDS);
+    CHECK(result.report.rounds == 1);
+    CHECK(result.report.tet_samples && result.report.tet_rms);
+    result_done(&result);
+}
+
+/* Noise has nothing to follow, and a heavy penalty makes finer fits no better. */
+TEST(a_fit_that_is_no_better_is_not_taken)
+{
+    struct gsn_adapt_options options = options_with(0.001, 4);
+    struct result result;
+
+    options.fit.smoothing = 1e9;
+    options.samples_per_unknown = 1;
+    options.samples_per_tet = 2;
+    result = adapted(noise, &options);
+    check_rounds(&result.report);
+    CHECK(result.report.end == GSN_ADAPT_NO_GAIN);
+    CHECK(result.report.rounds == 2 && !result.report.round[1].accepted);
+    CHECK(gsn_dms_mesh(result.space)->tet_count == result.report.round[0].tets);
+    result_done(&result);
+}
+
+TEST(a_refinement_that_fails_leaves_the_last_good_fit)
+{
+    struct gsn_adapt_options options = options_with(0.001, 2);
+    struct result result;
+
+    CHECK(setenv("GSN_MESHER", GSN_MESHER, 1) == 0);
+    options.domain.mesher = GSN_FIXTURES "/domain/mesher_that_will_not_refine";
+    result = adapted(ball, &options);
+    CHECK(result.report.end == GSN_ADAPT_FAILED);
+    CHECK(strstr(result.report.why.text, "tired"));
+    CHECK(result.report.rounds == 1 && result.spline);
+    result_done(&result);
+}
+
+TEST(bad_options_and_samples_are_refused)
+{
+    struct gsn_adapt_options options = options_with(0.01, GSN_ADAPT_MOST_ROUNDS + 1);
+    struct result result = { .space = NULL };
+    struct gsn_error err = { 0 };
+
+    CHECK(adapt(ball, &options, &result, &err) == GSN_E_INPUT);
+    options = options_with(NAN, 1);
+    CHECK(adapt(ball, &options, &result, &err) == GSN_E_INPUT);
+    options = options_with(0.01, 1);
+    options.domain.cell_um = 0;
+    CHECK(adapt(ball, &options, &result, &err) == GSN_E_INPUT);
+    CHECK(!result.space && !result.spline && !result.report.tet_rms);
+}
+
+static int adapt_once(const struct gsn_mask *region, const struct gsn_samples *samples,
+                      struct gsn_error *err)
+{
+    struct gsn_adapt_options options = options_with(1e-6, 1);
+    struct result result = { .space = NULL };
+    int r;
+
+    options.samples_per_tet = 1;
+    options.samples_per_unknown = 0.01;
+    r = gsn_adapt(region, samples, &options, &result.space, &result.spline, &result.report, err);
+    if (r >= 0)
+        result_done(&result);
+    return r;
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    gsn_auto(gsn_mask) region = shape_mask(1, 1, 1, 10, 10, 10, shape_everywhere);
+    struct shape_samples grid = shape_grid(0, 80, 24, ball);
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < grid.samples.count; i++)
+        for (size_t k = 0; k < 3; k++)
+            grid.at[i][k] /= 8;
+    grid.samples.count = 2000;
+    CHECK_EVERY_OOM(adapt_once(region, &grid.samples, &err), err);
+    shape_samples_done(&grid);
+}

@@ -1,0 +1,285 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/measure/piece.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Barycentric coordinates are sums of four products of order one: their rounding is some 1e-15. A
+ * box this much nearer than it seems is looked at too. */
+static const double lambda_slack = 1e-12;
+
+/* A value on a box is some hundred operations away from the Bernstein coefficients, each with a
+ * relative rounding of 1.1e-16 of terms no larger than the sizes kept: 1e-12 of their sum is more
+ * than all of it. */
+static const double value_slack = 1e-12;
+
+static size_t at(unsigned n, unsigned i, unsigned j, unsigned k)
+{
+    return (i * (n + 1U) + j) * (n + 1U) + k;
+}
+
+/* product = product * (c0 + c . x), degrees known to stay <= n. */
+static void times_linear(unsigned n, double *product, double c0, const double c[3])
+{
+    for (unsigned i = n + 1; i-- > 0;) {
+        for (unsigned j = n + 1 - i; j-- > 0;) {
+            for (unsigned k = n + 1 - i - j; k-- > 0;) {
+                double value = c0 * product[at(n, i, j, k)];
+
+                if (i > 0)
+                    value += c[0] * product[at(n, i - 1, j, k)];
+                if (j > 0)
+                    value += c[1] * product[at(n, i, j - 1, k)];
+                if (k > 0)
+                    value += c[2] * product[at(n, i, j, k - 1)];
+                product[at(n, i, j, k)] = value;
+            }
+        }
+    }
+}
+
+/* lambda[k] and the frame they live in. */
+static void place(struct gsn_piece *piece, const struct gsn_tets *mesh, size_t tet)
+{
+    double corner[4][3], reach = 0.0, det = 0.0;
+
+    for (int a = 0; a < 3; a++) {
+        piece->origin[a] = 0.0;
+        for (int k = 0; k < 4; k++)
+            piece->origin[a] += 0.25 * mesh->vertex[mesh->tet[tet][k]][a];
+    }
+    for (int k = 0; k < 4; k++) {
+        for (int a = 0; a < 3; a++) {
+            corner[k][a] = mesh->vertex[mesh->tet[tet][k]][a] - piece->origin[a];
+            reach = fmax(reach, fabs(corner[k][a]));
+        }
+    }
+    piece->scale = reach;
+    for (int k = 0; k < 4; k++) {
+        const double *p = corner[(k + 1) % 4], *q = corner[(k + 2) % 4], *r = corner[(k + 3) % 4];
+        const double e[3] = { q[0] - p[0], q[1] - p[1], q[2] - p[2] };
+        const double f[3] = { r[0] - p[0], r[1] - p[1], r[2] - p[2] };
+        const double g[3] = { e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2],
+                              e[0] * f[1] - e[1] * f[0] };
+
+        det = g[0] * (corner[k][0] - p[0]) + g[1] * (corner[k][1] - p[1]) +
+              g[2] * (corner[k][2] - p[2]);
+        for (int a = 0; a < 3; a++)
+            piece->lambda[k][a] = g[a] / det * reach;
+    }
+}
+
+/* The polynomial sum_f b_f (n! / beta!) lambda^beta as monomials, and the sizes of what was added:
+ * the same sum with every factor made positive. */
+static void expand(struct gsn_piece *piece, const struct gsn_dms *space, const double *bernstein)
+{
+    static const double factorial[GSN_PIECE_SIDE] = { 1.0, 1.0, 2.0, 6.0 };
+    const unsigned n = piece->degree;
+
+    memset(piece->monomial, 0, sizeof piece->monomial);
+    memset(piece->size, 0, sizeof piece->size);
+    for (size_t f = 0; f < gsn_dms_functions(space); f++) {
+        const uint8_t *beta = gsn_dms_beta(space, f);
+        double term[GSN_PIECE_TERMS] = { 0.0 }, major[GSN_PIECE_TERMS] = { 0.0 };
+        double weight = factorial[n];
+
+        for (int k = 0; k < 4; k++)
+            weight /= factorial[beta[k]];
+        term[0] = bernstein[f] * weight;
+        major[0] = fabs(term[0]);
+        for (int k = 0; k < 4; k++) {
+            const double positive[3] = { fabs(piece->lambda[k][0]), fabs(piece->lambda[k][1]),
+                                         fabs(piece->lambda[k][2]) };
+
+            for (unsigned power = 0; power < beta[k]; power++) {
+                times_linear(n, term, 0.25, piece->lambda[k]);
+                times_linear(n, major, 0.25, positive);
+            }
+        }
+        for (unsigned i = 0; i <= n; i++) {
+            for (unsigned j = 0; i + j <= n; j++) {
+                for (unsigned k = 0; i + j + k <= n; k++) {
+                    piece->monomial[at(n, i, j, k)] += term[at(n, i, j, k)];
+                    piece->size[i + j + k] += major[at(n, i, j, k)];
+                }
+            }
+        }
+    }
+}
+
+void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piece *ret_piece)
+{
+    const struct gsn_dms *space = gsn_spline_space(spline);
+    double bernstein[GSN_DMS_MAX_FUNCTIONS];
+    double slack = 0.0;
+
+    ret_piece->degree = gsn_dms_degree(space);
+    place(ret_piece, gsn_dms_mesh(space), tet);
+    gsn_dms_core(space, tet, ret_piece->delta);
+    gsn_spline_residual(spline, tet, &ret_piece->residual_low, &ret_piece->residual_high);
+    gsn_spline_bernstein(spline, tet, bernstein);
+    expand(ret_piece, space, bernstein);
+
+    ret_piece->whole_low = ret_piece->whole_high = bernstein[0];
+    for (size_t f = 0; f < gsn_dms_functions(space); f++) {
+        ret_piece->whole_low = fmin(ret_piece->whole_low, bernstein[f]);
+        ret_piece->whole_high = fmax(ret_piece->whole_high, bernstein[f]);
+        slack = fmax(slack, value_slack * fabs(bernstein[f]));
+    }
+    ret_piece->whole_low += ret_piece->residual_low - slack;
+    ret_piece->whole_high += ret_piece->residual_high + slack;
+}
+
+double gsn_piece_depth(const struct gsn_piece *piece, const double u[3])
+{
+    double depth = INFINITY;
+
+    for (int k = 0; k < 4; k++) {
+        double lambda = 0.25;
+
+        for (int a = 0; a < 3; a++)
+            lambda += piece->lambda[k][a] * ((u[a] - piece->origin[a]) / piece->scale);
+        depth = fmin(depth, lambda);
+    }
+    return depth;
+}
+
+enum gsn_piece_touch gsn_piece_meets(const struct gsn_piece *piece, const struct gsn_box *box)
+{
+    const double scale = 1.0 / piece->scale;
+    int in_core = 1;
+
+    for (int k = 0; k < 4; k++) {
+        double middle = 0.25, reach = 0.0;
+
+        for (int a = 0; a < 3; a++) {
+            middle += piece->lambda[k][a] * ((box->centre[a] - piece->origin[a]) * scale);
+            reach += fabs(piece->lambda[k][a]) * (box->half[a] * scale);
+        }
+        if (middle + reach < -lambda_slack)
+            return GSN_PIECE_APART;
+        if (middle - reach <= piece->delta[k] + lambda_slack)
+            in_core = 0;
+    }
+    return in_core ? GSN_PIECE_COVERS : GSN_PIECE_TOUCHES;
+}
+
+/* The coefficients of one line of the tensor about x0, for steps of w: Horner's rule, repeated. */
+static void shift_line(double *first, size_t stride, unsigned degree, double x0, double w)
+{
+    double power = w;
+
+    for (unsigned r = 0; r < degree; r++) {
+        for (unsigned i = degree; i-- > r;)
+            first[i * stride] += x0 * first[(i + 1) * stride];
+    }
+    for (unsigned i = 1; i <= degree; i++) {
+        first[i * stride] *= power;
+        power *= w;
+    }
+}
+
+/* The piece as a polynomial in the box's own t in [-1,1]^3. */
+static void shift(const struct gsn_piece *piece, const struct gsn_box *box, double *ret_term)
+{
+    const unsigned n = piece->degree;
+    const size_t stride[3] = { (n + 1U) * (n + 1U), n + 1U, 1 };
+
+    memcpy(ret_term, piece->monomial, (n + 1U) * (n + 1U) * (n + 1U) * sizeof *ret_term);
+    for (int a = 0; a < 3; a++) {
+        const double x0 = (box->centre[a] - piece->origin[a]) / piece->scale;
+        const double w = box->half[a] / piece->scale;
+        const size_t down = stride[(a + 1) % 3], across = stride[(a + 2) % 3];
+
+        for (unsigned i = 0; i <= n; i++) {
+            for (unsigned j = 0; i + j <= n; j++)
+                shift_line(ret_term + i * down + j * across, stride[a], n - i - j, x0, w);
+        }
+    }
+}
+
+void gsn_piece_tangent(const struct gsn_piece *piece, const struct gsn_box *box,
+                       struct gsn_piece_linear *ret_linear)
+{
+    const unsigned n = piece->degree;
+    double term[GSN_PIECE_TERMS];
+
+    shift(piece, box, term);
+    *ret_linear = (struct gsn_piece_linear){
+        .value = term[0],
+        .slope = { term[at(n, 1, 0, 0)], term[at(n, 0, 1, 0)], term[at(n, 0, 0, 1)] },
+    };
+}
+
+/* One line from powers of t in [-1,1] to Bernstein coefficients. */
+static void bernstein_line(double *c, size_t stride, unsigned n)
+{
+    const double a0 = c[0], a1 = c[stride];
+
+    if (n == 1) {
+        c[0] = a0 - a1;
+        c[stride] = a0 + a1;
+    } else if (n == 2) {
+        const double a2 = c[2 * stride];
+
+        c[0] = a0 - a1 + a2;
+        c[stride] = a0 - a2;
+        c[2 * stride] = a0 + a1 + a2;
+    } else {
+        const double a2 = c[2 * stride], a3 = c[3 * stride];
+
+        c[0] = a0 - a1 + a2 - a3;
+        c[stride] = a0 - (a1 + a2) / 3.0 + a3;
+        c[2 * stride] = a0 + (a1 - a2) / 3.0 - a3;
+        c[3 * stride] = a0 + a1 + a2 + a3;
+    }
+}
+
+/* More than the rounding in any coefficient of the piece on this box. */
+static double rounding(const struct gsn_piece *piece, const struct gsn_box *box)
+{
+    double reach = 0.0, sum = 0.0;
+
+    for (int a = 0; a < 3; a++)
+        reach = fmax(reach, fabs(box->centre[a] - piece->origin[a]) + box->half[a]);
+    reach /= piece->scale;
+    for (unsigned d = piece->degree + 1; d-- > 0;)
+        sum = sum * reach + piece->size[d];
+    return value_slack * sum;
+}
+
+void gsn_piece_bound(const struct gsn_piece *piece, const struct gsn_box *box,
+                     const struct gsn_piece_linear *linear, double *ret_low, double *ret_high)
+{
+    const unsigned n = piece->degree;
+    const size_t side = n + 1U, stride[3] = { side * side, side, 1 };
+    double term[GSN_PIECE_TERMS], low = INFINITY, high = -INFINITY;
+    double square_low = 0.0, square_high = 0.0, slack = rounding(piece, box);
+
+    shift(piece, box, term);
+    term[0] -= linear->value;
+    slack += value_slack * fabs(linear->value);
+    for (int a = 0; a < 3; a++) {
+        term[stride[a]] -= linear->slope[a];
+        slack += value_slack * fabs(linear->slope[a]);
+        /* t^2 is in [0,1]; its Bernstein hull would say [-1,1]. */
+        if (n >= 2) {
+            square_low += fmin(0.0, term[2 * stride[a]]);
+            square_high += fmax(0.0, term[2 * stride[a]]);
+            term[2 * stride[a]] = 0.0;
+        }
+    }
+    for (int a = 0; a < 3; a++) {
+        for (size_t i = 0; i < side; i++) {
+            for (size_t j = 0; j < side; j++)
+                bernstein_line(term + i * stride[(a + 1) % 3] + j * stride[(a + 2) % 3], stride[a],
+                               n);
+        }
+    }
+    for (size_t i = 0; i < side * side * side; i++) {
+        low = fmin(low, term[i]);
+        high = fmax(high, term[i]);
+    }
+    *ret_low = low + square_low - slack;
+    *ret_high = high + square_high + slack;
+}

@@ -1,0 +1,62 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The polynomial pieces of a spline, made ready to be bounded on axis-aligned boxes.
+ *
+ * On tetrahedron I the spline is p_I + something in [residual_low, residual_high]; the something is
+ * 0 on the core of I. A piece holds p_I as a tensor of monomials, so that moving it to a box costs
+ * some hundred operations. */
+#ifndef GSN_MEASURE_PIECE_H
+#define GSN_MEASURE_PIECE_H
+
+#include "pipeline/measure/box.h"
+#include "pipeline/model/spline.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    GSN_PIECE_SIDE = GSN_DMS_MAX_DEGREE + 1,
+    GSN_PIECE_TERMS = GSN_PIECE_SIDE * GSN_PIECE_SIDE * GSN_PIECE_SIDE,
+};
+
+struct gsn_piece {
+    unsigned degree;
+    double origin[3], scale; /* x = (u - origin) / scale; the centroid and the longest reach */
+    double lambda[4][3];     /* lambda_k = 1/4 + lambda[k] . x */
+    double delta[4];         /* the core: every lambda_k > delta[k] */
+    double residual_low, residual_high;
+    double whole_low, whole_high; /* of s on the tetrahedron */
+    /* coefficient of x^i y^j z^k at [(i (n+1) + j) (n+1) + k], 0 where i + j + k > n */
+    double monomial[GSN_PIECE_TERMS];
+    /* no less than the sum of the sizes of all terms that made the monomials of total degree d */
+    double size[GSN_PIECE_SIDE];
+};
+
+void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piece *ret_piece);
+
+/* Smallest barycentric coordinate of a point: >= 0 inside. */
+double gsn_piece_depth(const struct gsn_piece *piece, const double u[3]);
+
+enum gsn_piece_touch {
+    GSN_PIECE_APART,   /* the box meets the tetrahedron nowhere */
+    GSN_PIECE_TOUCHES, /* it may */
+    GSN_PIECE_COVERS,  /* it lies in the core: s is p_I on the box */
+};
+enum gsn_piece_touch gsn_piece_meets(const struct gsn_piece *piece, const struct gsn_box *box);
+
+/* l(t) = value + slope . t on the box, t in [-1,1]^3: value and gradient of p_I at its centre. */
+struct gsn_piece_linear {
+    double value, slope[3];
+};
+void gsn_piece_tangent(const struct gsn_piece *piece, const struct gsn_box *box,
+                       struct gsn_piece_linear *ret_linear);
+
+/* low <= p_I - l <= high on the whole box, rounding included. */
+void gsn_piece_bound(const struct gsn_piece *piece, const struct gsn_box *box,
+                     const struct gsn_piece_linear *linear, double *ret_low, double *ret_high);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

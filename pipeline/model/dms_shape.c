@@ -1,0 +1,92 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/dms_internal.h"
+
+#include <math.h>
+
+static double det_of(const double *const x[4])
+{
+    double p[3], q[3], r[3], normal[3];
+
+    gsn_subtract(x[1], x[0], p);
+    gsn_subtract(x[2], x[0], q);
+    gsn_subtract(x[3], x[0], r);
+    gsn_cross(p, q, normal);
+    return gsn_dot(normal, r);
+}
+
+/* Every X_beta, |beta| <= degree, has the orientation of the tetrahedron itself. */
+static int check_folds(unsigned degree, const double (*knot)[3], double whole, double margin,
+                       struct gsn_error *err)
+{
+    for (unsigned r = 0; r <= degree; r++) {
+        uint8_t beta[4] = { (uint8_t)r, 0, 0, 0 };
+
+        do {
+            const double *x[4];
+            double det;
+
+            for (unsigned k = 0; k < 4; k++)
+                x[k] = knot[k * (degree + 1) + beta[k]];
+            det = det_of(x);
+            if (!(det > margin * whole))
+                return gsn_fail(err, GSN_E_MESH,
+                                "the knots of its corners fold over (det X of beta %u %u %u %u is "
+                                "%.3g of the tetrahedron's); smaller knot clouds are needed",
+                                beta[0], beta[1], beta[2], beta[3], det / whole);
+        } while (gsn_simplex_next(beta));
+    }
+    return GSN_OK;
+}
+
+static void measure(unsigned degree, const double (*knot)[3], struct gsn_dms_shape *shape)
+{
+    for (unsigned k = 0; k < 4; k++)
+        shape->low[k] = shape->high[k] = 0;
+    for (unsigned i = 0; i < 4 * (degree + 1); i++) {
+        double lambda[4];
+
+        gsn_frame_at(&shape->frame, knot[i], lambda);
+        for (unsigned k = 0; k < 4; k++) {
+            shape->low[k] = fmin(shape->low[k], lambda[k]);
+            if (k != i / (degree + 1))
+                shape->high[k] = fmax(shape->high[k], lambda[k]);
+        }
+    }
+}
+
+int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, double widest,
+                       struct gsn_dms_shape *ret_shape, struct gsn_error *err)
+{
+    const double *corner[4];
+    double whole, wide;
+    int r;
+
+    for (unsigned k = 0; k < 4; k++)
+        corner[k] = knot[k * (degree + 1)];
+    whole = det_of(corner);
+    if (!(whole > 0))
+        return gsn_fail(err, GSN_E_MESH, "it is too flat for double precision");
+    r = check_folds(degree, knot, whole, margin, err);
+    if (r < 0)
+        return r;
+    (void)gsn_frame_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);
+    measure(degree, knot, ret_shape);
+    wide = ret_shape->high[0] + ret_shape->high[1] + ret_shape->high[2] + ret_shape->high[3];
+    if (!(wide < widest))
+        return gsn_fail(err, GSN_E_MESH,
+                        "its knot clouds leave no core (sum of delta is %.3g, less than %.3g is "
+                        "needed); smaller knot clouds are needed",
+                        wide, widest);
+    return GSN_OK;
+}
+
+unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4])
+{
+    unsigned clear = 0;
+
+    for (unsigned k = 0; k < 4; k++) {
+        if (lambda[k] > shape->high[k] + GSN_DMS_SLACK)
+            clear |= 1u << k;
+    }
+    return clear;
+}

@@ -1,0 +1,70 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Vectors as three doubles, and the barycentric coordinates of a tetrahedron. */
+#ifndef GSN_MODEL_FRAME_H
+#define GSN_MODEL_FRAME_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+static inline void gsn_subtract(const double a[3], const double b[3], double ret[3])
+{
+    for (int c = 0; c < 3; c++)
+        ret[c] = a[c] - b[c];
+}
+
+static inline void gsn_cross(const double a[3], const double b[3], double ret[3])
+{
+    ret[0] = a[1] * b[2] - a[2] * b[1];
+    ret[1] = a[2] * b[0] - a[0] * b[2];
+    ret[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static inline double gsn_dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* lambda_k(u) = row[k - 1] . (u - origin) for k = 1, 2, 3; lambda_0 is what is left to 1. So
+ * row[k - 1] is the gradient of lambda_k. */
+struct gsn_frame {
+    double origin[3], row[3][3];
+};
+
+/* Returns det[b - a, c - a, d - a]; the caller guarantees that it is not 0. */
+static inline double gsn_frame_init(struct gsn_frame *frame, const double a[3], const double b[3],
+                                    const double c[3], const double d[3])
+{
+    double edge[3][3], det;
+
+    gsn_subtract(b, a, edge[0]);
+    gsn_subtract(c, a, edge[1]);
+    gsn_subtract(d, a, edge[2]);
+    for (int k = 0; k < 3; k++) {
+        frame->origin[k] = a[k];
+        gsn_cross(edge[(k + 1) % 3], edge[(k + 2) % 3], frame->row[k]);
+    }
+    det = gsn_dot(frame->row[0], edge[0]);
+    for (int k = 0; k < 3; k++) {
+        for (int i = 0; i < 3; i++)
+            frame->row[k][i] /= det;
+    }
+    return det;
+}
+
+static inline void gsn_frame_at(const struct gsn_frame *frame, const double u[3],
+                                double ret_lambda[4])
+{
+    double d[3];
+
+    gsn_subtract(u, frame->origin, d);
+    for (int k = 0; k < 3; k++)
+        ret_lambda[k + 1] = gsn_dot(frame->row[k], d);
+    ret_lambda[0] = 1 - ret_lambda[1] - ret_lambda[2] - ret_lambda[3];
+}
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,205 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/orient.h"
+
+#include <math.h>
+
+enum { LONGEST = 192 }; /* parts of an exact 3x3 determinant of differences, at most */
+
+/* An exact number: the unevaluated sum of its parts, which do not overlap and grow in magnitude.
+ * Zeros are left out, so the sign is that of the last part. */
+struct expansion {
+    int count;
+    double part[LONGEST];
+};
+
+static void append(struct expansion *e, double part)
+{
+    if (part != 0)
+        e->part[e->count++] = part;
+}
+
+/* a + b = sum + rest, exactly. */
+static double two_sum(double a, double b, double *rest)
+{
+    const double sum = a + b;
+    const double of_b = sum - a;
+    const double of_a = sum - of_b;
+
+    *rest = (a - of_a) + (b - of_b);
+    return sum;
+}
+
+/* a b = product + rest, exactly. */
+static double two_product(double a, double b, double *rest)
+{
+    const double product = a * b;
+
+    *rest = fma(a, b, -product);
+    return product;
+}
+
+static void difference(double a, double b, struct expansion *ret)
+{
+    double rest;
+    const double sum = two_sum(a, -b, &rest);
+
+    ret->count = 0;
+    append(ret, rest);
+    append(ret, sum);
+}
+
+/* Shewchuk's fast expansion sum: merge by magnitude, then carry upwards. */
+static void add(const struct expansion *e, const struct expansion *f, struct expansion *ret)
+{
+    double carry = 0, rest;
+    int i = 0, j = 0;
+
+    ret->count = 0;
+    while (i < e->count || j < f->count) {
+        const int from_e = j == f->count || (i < e->count && fabs(e->part[i]) < fabs(f->part[j]));
+        const double next = from_e ? e->part[i++] : f->part[j++];
+
+        carry = two_sum(carry, next, &rest);
+        append(ret, rest);
+    }
+    append(ret, carry);
+}
+
+/* Shewchuk's scale expansion: e times one double. */
+static void scale(const struct expansion *e, double by, struct expansion *ret)
+{
+    double carry = 0, rest;
+
+    ret->count = 0;
+    for (int i = 0; i < e->count; i++) {
+        double low;
+        const double high = two_product(e->part[i], by, &low);
+        const double sum = two_sum(carry, low, &rest);
+
+        append(ret, rest);
+        carry = two_sum(high, sum, &rest);
+        append(ret, rest);
+    }
+    append(ret, carry);
+}
+
+/* f has at most two parts: a difference. */
+static void multiply(const struct expansion *e, const struct expansion *f, struct expansion *ret)
+{
+    struct expansion first, second;
+
+    ret->count = 0;
+    if (f->count == 0)
+        return;
+    if (f->count == 1) {
+        scale(e, f->part[0], ret);
+        return;
+    }
+    scale(e, f->part[0], &first);
+    scale(e, f->part[1], &second);
+    add(&first, &second, ret);
+}
+
+static void negate(struct expansion *e)
+{
+    for (int i = 0; i < e->count; i++)
+        e->part[i] = -e->part[i];
+}
+
+static int sign_of(double x)
+{
+    return (x > 0) - (x < 0);
+}
+
+static int sign_of_expansion(const struct expansion *e)
+{
+    return e->count ? sign_of(e->part[e->count - 1]) : 0;
+}
+
+/* ret = p_i q_j - p_j q_i. */
+static void exact_minor(const struct expansion p[3], const struct expansion q[3], int i, int j,
+                        struct expansion *ret)
+{
+    struct expansion plus, minus;
+
+    multiply(&p[i], &q[j], &plus);
+    multiply(&p[j], &q[i], &minus);
+    negate(&minus);
+    add(&plus, &minus, ret);
+}
+
+static void exact_rows(const double a[3], const double b[3], const double c[3],
+                       struct expansion p[3], struct expansion q[3])
+{
+    for (int i = 0; i < 3; i++) {
+        difference(b[i], a[i], &p[i]);
+        difference(c[i], a[i], &q[i]);
+    }
+}
+
+static int exact_orient3d(const double a[3], const double b[3], const double c[3],
+                          const double d[3])
+{
+    struct expansion p[3], q[3], r, minor, term, sum = { .count = 0 }, next;
+
+    exact_rows(a, b, c, p, q);
+    for (int i = 0; i < 3; i++) {
+        exact_minor(p, q, (i + 1) % 3, (i + 2) % 3, &minor);
+        difference(d[i], a[i], &r);
+        multiply(&minor, &r, &term);
+        add(&sum, &term, &next);
+        sum = next;
+    }
+    return sign_of_expansion(&sum);
+}
+
+int gsn_orient3d(const double a[3], const double b[3], const double c[3], const double d[3])
+{
+    const double p[3] = { b[0] - a[0], b[1] - a[1], b[2] - a[2] };
+    const double q[3] = { c[0] - a[0], c[1] - a[1], c[2] - a[2] };
+    double det = 0, permanent = 0;
+
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        const double r = d[i] - a[i], plus = p[j] * q[k], minus = p[k] * q[j];
+
+        det += r * (plus - minus);
+        permanent += fabs(r) * (fabs(plus) + fabs(minus));
+    }
+    if (fabs(det) > GSN_ORIENT_BOUND * permanent)
+        return sign_of(det);
+    return exact_orient3d(a, b, c, d);
+}
+
+/* The sign of component i of (b - a) x (c - a). */
+static int normal_sign(const double a[3], const double b[3], const double c[3], int i)
+{
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    const double plus = (b[j] - a[j]) * (c[k] - a[k]), minus = (b[k] - a[k]) * (c[j] - a[j]);
+    struct expansion p[3], q[3], minor;
+
+    if (fabs(plus - minus) > GSN_ORIENT_BOUND * (fabs(plus) + fabs(minus)))
+        return sign_of(plus - minus);
+    exact_rows(a, b, c, p, q);
+    exact_minor(p, q, j, k, &minor);
+    return sign_of_expansion(&minor);
+}
+
+int gsn_orient_side(const double a[3], const double b[3], const double c[3], const double u[3])
+{
+    int sign = gsn_orient3d(a, b, c, u);
+
+    for (int i = 0; i < 3 && sign == 0; i++)
+        sign = normal_sign(a, b, c, i);
+    return sign;
+}
+
+int gsn_orient_cross(const double p[2], const double q[2])
+{
+    double plus_rest, minus_rest;
+    const double plus = two_product(p[0], q[1], &plus_rest);
+    const double minus = two_product(p[1], q[0], &minus_rest);
+
+    /* Rounding is monotonic: different rounded products are in the order of the exact ones. */
+    return plus != minus ? sign_of(plus - minus) : sign_of(plus_rest - minus_rest);
+}

@@ -1,0 +1,234 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/model/simplex.h"
+
+#include "pipeline/model/frame.h"
+#include "pipeline/model/orient.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The barycentric coordinate of member i of a quad a < b < c < d is swap[i] times the plane value
+ * of the other three, ascending, over the quad's determinant. */
+static const int swap[4] = { -1, 1, -1, 1 };
+
+/* Row i of the determinant of ascending knots: knot i less the knot before it when both are of one
+ * cloud, less the first one otherwise. */
+static void row(const struct gsn_simplex_sets *sets, const uint8_t *member, unsigned i,
+                const double (*knot)[3], double ret[3])
+{
+    const unsigned per_cloud = sets->degree + 1;
+    const int together = member[i] / per_cloud == member[i - 1] / per_cloud;
+
+    gsn_subtract(knot[member[i]], knot[member[together ? i - 1 : 0]], ret);
+}
+
+double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
+                       const double (*knot)[3])
+{
+    double p[3], q[3], r[3], normal[3];
+
+    row(sets, quad->member, 1, knot, p);
+    row(sets, quad->member, 2, knot, q);
+    row(sets, quad->member, 3, knot, r);
+    gsn_cross(p, q, normal);
+    return gsn_dot(normal, r);
+}
+
+void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                      uint16_t *ret_pick)
+{
+    const size_t first = sets->first[4];
+    double size[GSN_SIMPLEX_MAX_QUADS];
+
+    for (size_t s = first; s < sets->first[3]; s++)
+        size[s - first] = fabs(gsn_simplex_det(sets, &sets->set[s], knot));
+    for (size_t s = 0; s < first; s++) {
+        uint16_t best = sets->quad[sets->quads[s]];
+
+        for (size_t i = sets->quads[s] + 1; i < sets->quads[s + 1]; i++) {
+            if (size[sets->quad[i] - first] > size[best - first])
+                best = sets->quad[i];
+        }
+        ret_pick[s] = best;
+    }
+}
+
+/* Sorts the four clouds by the distance of their first knot from u. */
+static void sort_clouds(struct gsn_simplex_at *at)
+{
+    double far[4];
+
+    for (unsigned k = 0; k < 4; k++) {
+        unsigned place = k;
+        double d[3], size;
+
+        gsn_subtract(at->u, at->knot[k * (at->sets->degree + 1)], d);
+        size = gsn_dot(d, d);
+        for (; place > 0 && far[place - 1] > size; place--) {
+            far[place] = far[place - 1];
+            at->nearest[place] = at->nearest[place - 1];
+        }
+        far[place] = size;
+        at->nearest[place] = (uint8_t)k;
+    }
+}
+
+/* A knot of the triple from the cloud nearest u: the shorter u - knot, the smaller the rounding of
+ * the plane value. */
+static const double *near_knot(const struct gsn_simplex_at *at, const uint8_t *member)
+{
+    const unsigned per_cloud = at->sets->degree + 1;
+
+    for (int i = 0; i < 3; i++) {
+        for (int m = 0; m < 3; m++) {
+            if (member[m] / per_cloud == at->nearest[i])
+                return at->knot[member[m]];
+        }
+    }
+    return at->knot[member[0]];
+}
+
+void gsn_simplex_at_init(struct gsn_simplex_at *at, const struct gsn_simplex_sets *sets,
+                         const double (*knot)[3], const uint16_t *pick, const double u[3],
+                         unsigned clear)
+{
+    at->sets = sets;
+    at->knot = knot;
+    at->pick = pick;
+    at->u = u;
+    at->clear = clear;
+    sort_clouds(at);
+    memset(at->knows_plane, 0, sizeof at->knows_plane);
+    memset(at->knows_det, 0, sizeof at->knows_det);
+    memset(at->knows_value, 0, sizeof at->knows_value);
+}
+
+static const struct gsn_simplex_plane *plane_of(struct gsn_simplex_at *at, size_t triple)
+{
+    const size_t slot = triple - at->sets->first[3];
+    struct gsn_simplex_plane *plane = &at->plane[slot];
+    const uint8_t *member = at->sets->set[triple].member;
+    double p[3], q[3], r[3], permanent = 0;
+
+    if (at->knows_plane[slot])
+        return plane;
+    at->knows_plane[slot] = 1;
+    row(at->sets, member, 1, at->knot, p);
+    row(at->sets, member, 2, at->knot, q);
+    gsn_subtract(at->u, near_knot(at, member), r);
+    gsn_cross(p, q, plane->normal);
+    plane->value = gsn_dot(plane->normal, r);
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+
+        permanent += fabs(r[i]) * (fabs(p[j] * q[k]) + fabs(p[k] * q[j]));
+    }
+    if (fabs(plane->value) > GSN_ORIENT_BOUND * permanent)
+        plane->side = plane->value > 0 ? 1 : -1;
+    else
+        plane->side =
+            gsn_orient_side(at->knot[member[0]], at->knot[member[1]], at->knot[member[2]], at->u);
+    return plane;
+}
+
+static double det_of(struct gsn_simplex_at *at, size_t quad)
+{
+    const size_t slot = quad - at->sets->first[4];
+
+    if (!at->knows_det[slot]) {
+        at->knows_det[slot] = 1;
+        at->det[slot] = gsn_simplex_det(at->sets, &at->sets->set[quad], at->knot);
+    }
+    return at->det[slot];
+}
+
+/* Degree 0. u is inside when it lies on the inner side of all four faces, that is when the signs of
+ * all four barycentric coordinates agree; a flat set of knots has no inside. */
+static double leaf(struct gsn_simplex_at *at, size_t quad)
+{
+    const uint16_t *face = at->sets->set[quad].without;
+    const int side = swap[0] * plane_of(at, face[0])->side;
+    double det;
+
+    if (side == 0)
+        return 0;
+    for (int i = 1; i < 4; i++) {
+        if (swap[i] * plane_of(at, face[i])->side != side)
+            return 0;
+    }
+    det = fabs(det_of(at, quad));
+    return det > 0 ? 1 / det : 0;
+}
+
+/* The set s less one of its knots. */
+static size_t without(const struct gsn_simplex_sets *sets, size_t s, unsigned knot)
+{
+    const unsigned below = sets->set[s].mask & ((1u << knot) - 1);
+
+    return sets->set[s].without[__builtin_popcount(below)];
+}
+
+double gsn_simplex_value(struct gsn_simplex_at *at, size_t s)
+{
+    const struct gsn_simplex_set *set = &at->sets->set[s];
+    const struct gsn_simplex_set *w;
+    double det, sum = 0;
+
+    if (set->missing & at->clear)
+        return 0;
+    if (at->knows_value[s])
+        return at->value[s];
+    at->knows_value[s] = 1;
+    if (set->size == 4)
+        return at->value[s] = leaf(at, s);
+    w = &at->sets->set[at->pick[s]];
+    det = det_of(at, at->pick[s]);
+    for (int i = 0; i < 4 && det != 0; i++) {
+        const double part = gsn_simplex_value(at, without(at->sets, s, w->member[i]));
+
+        if (part != 0)
+            sum += swap[i] * plane_of(at, w->without[i])->value / det * part;
+    }
+    return at->value[s] = sum;
+}
+
+void gsn_simplex_gradient(struct gsn_simplex_at *at, size_t s, double ret_gradient[3])
+{
+    const struct gsn_simplex_set *set = &at->sets->set[s];
+    const struct gsn_simplex_set *w;
+    double det;
+
+    ret_gradient[0] = ret_gradient[1] = ret_gradient[2] = 0;
+    if (set->size == 4 || set->missing & at->clear)
+        return;
+    w = &at->sets->set[at->pick[s]];
+    det = det_of(at, at->pick[s]);
+    for (int i = 0; i < 4 && det != 0; i++) {
+        const double part = gsn_simplex_value(at, without(at->sets, s, w->member[i]));
+        const double weight = swap[i] * (set->size - 4) * part / det;
+
+        if (part == 0)
+            continue;
+        for (int c = 0; c < 3; c++)
+            ret_gradient[c] += weight * plane_of(at, w->without[i])->normal[c];
+    }
+}
+
+void gsn_simplex_basis(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                       const uint16_t *pick, const double u[3], unsigned clear, double *ret_value,
+                       double (*ret_gradient)[3])
+{
+    struct gsn_simplex_at at;
+
+    gsn_simplex_at_init(&at, sets, knot, pick, u, clear);
+    for (size_t f = 0; f < sets->functions; f++) {
+        const double size = fabs(det_of(&at, sets->corners[f]));
+
+        ret_value[f] = size * gsn_simplex_value(&at, f);
+        if (!ret_gradient)
+            continue;
+        gsn_simplex_gradient(&at, f, ret_gradient[f]);
+        for (int c = 0; c < 3; c++)
+            ret_gradient[f][c] *= size;
+    }
+}

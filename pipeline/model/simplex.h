@@ -1,0 +1,77 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Simplex splines of the knots of one tetrahedron at one point, by Micchelli's recurrence:
+ *
+ *     M(u | V) = sum_j lambda_j(u | W) M(u | V \ k_j),      W four knots of V,
+ *     M(u | V) = 1/|det V| inside the tetrahedron V, 0 outside     (degree 0),
+ *     D_v M(u | V) = n sum_j mu_j(v | W) M(u | V \ k_j).
+ *
+ * The value does not depend on W but its rounding error does: W is the one of largest |det|,
+ * chosen once per knot set whatever u is. Inside and outside are exact and half-open, with one
+ * sign per knot triple and point, so that neighbouring tetrahedra never both claim or both refuse
+ * a point (docs/MATH.md, sections 1, 2 and 9). */
+#ifndef GSN_MODEL_SIMPLEX_H
+#define GSN_MODEL_SIMPLEX_H
+
+#include "pipeline/model/simplex_sets.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* det[b - a, c - a, d - a] of a set of four knots a < b < c < d; knot holds the 4 (n + 1) knots of
+ * the tetrahedron. Knots of one cloud are subtracted from each other first, so that the result is
+ * accurate relative to itself however small the clouds are. */
+double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
+                       const double (*knot)[3]);
+
+/* Chooses W, as the number of a set of four, for each of the sets->first[4] sets that have more
+ * than four knots. */
+void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                      uint16_t *ret_pick);
+
+/* The plane through a knot triple a < b < c as seen from u. */
+struct gsn_simplex_plane {
+    double normal[3]; /* (b - a) x (c - a) */
+    double value;     /* normal . (u - a), that is det[b - a, c - a, u - a] */
+    int side;         /* exact sign of value after the half-open rule; 0: a, b, c on one line */
+};
+
+/* One evaluation: everything known so far at u. Fill with gsn_simplex_at_init(); large, so keep it
+ * on the stack of one function. borrows all pointers. */
+struct gsn_simplex_at {
+    const struct gsn_simplex_sets *sets;
+    const double (*knot)[3];
+    const uint16_t *pick;
+    const double *u;
+    uint8_t nearest[4]; /* clouds by their distance from u */
+    unsigned clear;     /* clouds k such that sets without a knot of k vanish at u */
+    uint8_t knows_plane[GSN_SIMPLEX_MAX_TRIPLES];
+    uint8_t knows_det[GSN_SIMPLEX_MAX_QUADS];
+    uint8_t knows_value[GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
+    struct gsn_simplex_plane plane[GSN_SIMPLEX_MAX_TRIPLES];
+    double det[GSN_SIMPLEX_MAX_QUADS];
+    double value[GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
+};
+
+/* clear is a bit per cloud, 0 being always right: bit k may be set when lambda_k(u) exceeds that
+ * of every knot outside cloud k, lambda with respect to the tetrahedron. */
+void gsn_simplex_at_init(struct gsn_simplex_at *at, const struct gsn_simplex_sets *sets,
+                         const double (*knot)[3], const uint16_t *pick, const double u[3],
+                         unsigned clear);
+
+/* M(u | set s), for any set of four knots or more. */
+double gsn_simplex_value(struct gsn_simplex_at *at, size_t s);
+/* Its gradient; 0 for sets of four knots. */
+void gsn_simplex_gradient(struct gsn_simplex_at *at, size_t s, double ret_gradient[3]);
+
+/* Everything a tetrahedron contributes at u: N_beta = |det X_beta| M(V_beta) of all functions and,
+ * unless ret_gradient is NULL, their gradients. */
+void gsn_simplex_basis(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                       const uint16_t *pick, const double u[3], unsigned clear, double *ret_value,
+                       double (*ret_gradient)[3]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,40 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Exact values of simplex splines, computed in rational arithmetic: the folders of CSV files in
+ * tests/fixtures/model/golden, or in $GIESON_GOLDEN. */
+#ifndef GSN_TESTS_MODEL_GOLDEN_H
+#define GSN_TESTS_MODEL_GOLDEN_H
+
+#include "pipeline/model/dms.h"
+
+/* Numbers row by row; a cell that is no number is NaN. kind is the second column as text. */
+struct golden_table {
+    size_t rows, columns;
+    double *cell;
+    char (*kind)[24];
+};
+
+const double *golden_row(const struct golden_table *table, size_t row);
+
+/* A case: its space with own control points, and its control values in the space's order. */
+struct golden_case {
+    char folder[512];
+    struct gsn_tets *mesh;
+    struct gsn_dms *space;
+    double *control;
+    unsigned degree;
+    int collapsed;
+};
+
+/* Runs test on every case there is; fails when there is none, skips loudly when $GIESON_GOLDEN
+ * does not exist. */
+void golden_each(void (*test)(const struct golden_case *golden));
+
+/* gives: the table of one file of the case. */
+struct golden_table golden_read(const struct golden_case *golden, const char *file);
+void golden_done(struct golden_table *table);
+
+/* The function of a space with this beta, given as numbers of a table. */
+size_t golden_function(const struct gsn_dms *space, const double beta[4]);
+
+#endif

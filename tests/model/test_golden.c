@@ -1,0 +1,141 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "tests/model/golden.h"
+
+#include "tests/check.h"
+
+#include "pipeline/model/dms_internal.h"
+
+#include <string.h>
+
+/* Exact N of every function (tetrahedron by tetrahedron) at one point. */
+static double *exact_basis(const struct golden_case *golden, const struct golden_table *basis,
+                           size_t point)
+{
+    const size_t functions = gsn_dms_functions(golden->space);
+    double *exact = gsn_alloc_array(golden->mesh->tet_count * functions, sizeof *exact);
+
+    assert_non_null(exact);
+    for (size_t i = 0; i < basis->rows; i++) {
+        const double *row = golden_row(basis, i);
+
+        if ((size_t)row[0] == point)
+            exact[(size_t)row[1] * functions + golden_function(golden->space, row + 2)] = row[6];
+    }
+    return exact;
+}
+
+static double largest_slope(const struct golden_table *spline)
+{
+    double largest = 0;
+
+    for (size_t i = 0; i < spline->rows; i++) {
+        for (int c = 0; c < 3; c++)
+            largest = fmax(largest, fabs(golden_row(spline, i)[3 + c]));
+    }
+    return largest;
+}
+
+/* Whatever the walk and the pruning decide: every tetrahedron asked by itself. */
+static void check_recurrence(const struct golden_case *golden)
+{
+    struct golden_table points = golden_read(golden, "points");
+    struct golden_table basis = golden_read(golden, "basis");
+    struct golden_table spline = golden_read(golden, "spline");
+    const size_t functions = gsn_dms_functions(golden->space);
+    const double steepest = largest_slope(&spline);
+
+    for (size_t p = 0; p < points.rows; p++) {
+        double *exact = exact_basis(golden, &basis, p);
+        double s = 0, slope[3] = { 0 };
+
+        for (size_t t = 0; t < golden->mesh->tet_count; t++) {
+            double value[GSN_DMS_MAX_FUNCTIONS], gradient[GSN_DMS_MAX_FUNCTIONS][3];
+
+            if (!gsn_dms_tet_basis(golden->space, t, golden_row(&points, p) + 2, value, gradient)) {
+                memset(value, 0, sizeof value);
+                memset(gradient, 0, sizeof gradient);
+            }
+            for (size_t f = 0; f < functions; f++) {
+                const double control = golden->control[t * functions + f];
+
+                CHECK_NEAR(value[f], exact[t * functions + f], 1e-12);
+                s += control * value[f];
+                for (int c = 0; c < 3; c++)
+                    slope[c] += control * gradient[f][c];
+            }
+        }
+        CHECK_NEAR(s, golden_row(&spline, p)[2], 1e-12);
+        for (int c = 0; c < 3; c++)
+            CHECK_NEAR(slope[c], golden_row(&spline, p)[3 + c], 1e-10 * steepest);
+        gsn_free(exact);
+    }
+    golden_done(&points);
+    golden_done(&basis);
+    golden_done(&spline);
+}
+
+TEST(every_function_has_its_exact_value_and_slope_at_every_kind_of_point)
+{
+    golden_each(check_recurrence);
+}
+
+static void check_basis(const struct golden_case *golden)
+{
+    struct golden_table points = golden_read(golden, "points");
+    struct golden_table basis = golden_read(golden, "basis");
+    const size_t functions = gsn_dms_functions(golden->space);
+    const size_t all = golden->mesh->tet_count * functions;
+    size_t hint = 0;
+
+    for (size_t p = 0; p < points.rows; p++) {
+        double *exact = exact_basis(golden, &basis, p), *own = gsn_alloc_array(all, sizeof *own);
+        struct gsn_dms_term term[1000];
+        size_t count = 0;
+
+        assert_non_null(own);
+        if (gsn_dms_basis(golden->space, golden_row(&points, p) + 2, 0, &hint, term, 1000,
+                          &count) == GSN_DMS_OUTSIDE) {
+            CHECK(count == 0);
+            CHECK(strcmp(points.kind[p], "inside") != 0);
+        } else {
+            CHECK(strcmp(points.kind[p], "outside") != 0);
+            for (size_t i = 0; i < count; i++) {
+                own[term[i].tet * functions + term[i].function] = term[i].value;
+                CHECK(term[i].control == term[i].tet * functions + term[i].function);
+                CHECK(i == 0 || term[i - 1].tet * functions + term[i - 1].function <
+                                    term[i].tet * functions + term[i].function);
+            }
+            for (size_t i = 0; i < all; i++)
+                CHECK_NEAR(own[i], exact[i], 1e-12);
+        }
+        gsn_free(own);
+        gsn_free(exact);
+    }
+    golden_done(&points);
+    golden_done(&basis);
+}
+
+TEST(the_basis_at_a_point_of_the_mesh_lists_exactly_what_lives_there)
+{
+    golden_each(check_basis);
+}
+
+static void check_core(const struct golden_case *golden)
+{
+    struct golden_table core = golden_read(golden, "core");
+
+    for (size_t i = 0; i < core.rows; i++) {
+        const double *row = golden_row(&core, i);
+        double delta[4];
+
+        gsn_dms_core(golden->space, (size_t)row[0], delta);
+        for (int k = 0; k < 4; k++)
+            CHECK_NEAR(delta[k], row[2 + k], 1e-14);
+    }
+    golden_done(&core);
+}
+
+TEST(the_core_is_the_exact_one)
+{
+    golden_each(check_core);
+}

@@ -3,14 +3,7 @@
 
 #include <string.h>
 
-double draw(uint64_t *state)
-{
-    uint64_t z = *state += 0x9e3779b97f4a7c15U;
-
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9U;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebU;
-    return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
-}
+#include "tests/measure/draw.h"
 
 double quadric_at(const struct quadric *q, const double u[3])
 {

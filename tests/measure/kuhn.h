@@ -35,7 +35,4 @@ void kuhn_done(struct kuhn *kuhn);
 /* A mask of n voxels of this step, the outer corner of the first at corner; all inside. */
 struct gsn_mask *full_mask(const double corner[3], double step, size_t nx, size_t ny, size_t nz);
 
-/* Evenly in [0, 1); the same numbers on every machine. */
-double draw(uint64_t *state);
-
 #endif

@@ -2,7 +2,7 @@
 #include "pipeline/measure/box.h"
 
 #include "tests/check.h"
-#include "tests/measure/kuhn.h"
+#include "tests/measure/draw.h"
 
 /* The textbook form: inclusion and exclusion of the corners, in long double; good only while no
  * slope is small. */

@@ -2,7 +2,7 @@
 #include "pipeline/measure/stats.h"
 
 #include "tests/check.h"
-#include "tests/measure/kuhn.h"
+#include "tests/measure/draw.h"
 
 TEST(quantiles_are_those_of_the_tables)
 {

@@ -33,8 +33,8 @@ struct gsn_cut_style {
     enum gsn_colour_map map;
 };
 
-/* The centre of the region's voxel that is nearest to the mean of all of them, so that all three cuts
- * through it meet the region. Fails with GSN_E_INPUT on an empty region. */
+/* The centre of the region's voxel that is nearest to the mean of all of them, so that all three
+ * cuts through it meet the region. Fails with GSN_E_INPUT on an empty region. */
 int gsn_cut_centre(const struct gsn_mask *region, struct gsn_vec3 *ret_centre_um,
                    struct gsn_error *err);
 

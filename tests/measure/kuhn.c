@@ -74,14 +74,31 @@ static int make_mesh(const double low[3], const double high[3], const unsigned c
                         ret_mesh, err);
 }
 
+static void collapse_boundary(const struct gsn_tets *mesh, const double low[3],
+                              const double high[3], unsigned degree, double (*knots)[3])
+{
+    for (size_t v = 0; v < mesh->vertex_count; v++) {
+        const double *at = mesh->vertex[v];
+        int on_face = 0;
+
+        for (int a = 0; a < 3; a++)
+            on_face |= !(at[a] > low[a] && at[a] < high[a]);
+        for (unsigned l = 1; on_face && l <= degree; l++)
+            memcpy(knots[v * (degree + 1) + l], at, sizeof knots[0]);
+    }
+}
+
 static int make_space(const double low[3], const double high[3], const unsigned cells[3],
-                      unsigned degree, double fraction, struct kuhn *kuhn, struct gsn_error *err)
+                      unsigned degree, double fraction, int sharp, struct kuhn *kuhn,
+                      struct gsn_error *err)
 {
     double(*knots)[3] = NULL;
     int r = make_mesh(low, high, cells, &kuhn->mesh, err);
 
     if (r == GSN_OK)
         r = gsn_dms_clouds(kuhn->mesh, degree, fraction, &knots, err);
+    if (r == GSN_OK && sharp)
+        collapse_boundary(kuhn->mesh, low, high, degree, knots);
     if (r == GSN_OK)
         r = gsn_dms_new(kuhn->mesh, degree, (const double(*)[3])knots, GSN_DMS_SHARED, &kuhn->space,
                         err);
@@ -126,11 +143,11 @@ static int make_spline(const struct quadric *q, uint64_t seed, struct kuhn *kuhn
 }
 
 static int make(const double low[3], const double high[3], const unsigned cells[3], unsigned degree,
-                double fraction, const struct quadric *q, uint64_t seed, struct kuhn *ret_kuhn,
-                struct gsn_error *err)
+                double fraction, int sharp, const struct quadric *q, uint64_t seed,
+                struct kuhn *ret_kuhn, struct gsn_error *err)
 {
     struct kuhn kuhn = { NULL, NULL, NULL };
-    int r = make_space(low, high, cells, degree, fraction, &kuhn, err);
+    int r = make_space(low, high, cells, degree, fraction, sharp, &kuhn, err);
 
     if (r == GSN_OK)
         r = make_spline(q, seed, &kuhn, err);
@@ -145,13 +162,20 @@ static int make(const double low[3], const double high[3], const unsigned cells[
 int kuhn_new(const double low[3], const double high[3], const unsigned cells[3], unsigned degree,
              double fraction, const struct quadric *q, struct kuhn *ret_kuhn, struct gsn_error *err)
 {
-    return make(low, high, cells, degree, fraction, q, 0, ret_kuhn, err);
+    return make(low, high, cells, degree, fraction, 0, q, 0, ret_kuhn, err);
+}
+
+int kuhn_sharp(const double low[3], const double high[3], const unsigned cells[3], unsigned degree,
+               double fraction, const struct quadric *q, struct kuhn *ret_kuhn,
+               struct gsn_error *err)
+{
+    return make(low, high, cells, degree, fraction, 1, q, 0, ret_kuhn, err);
 }
 
 int kuhn_random(const double low[3], const double high[3], const unsigned cells[3], unsigned degree,
                 double fraction, uint64_t seed, struct kuhn *ret_kuhn, struct gsn_error *err)
 {
-    return make(low, high, cells, degree, fraction, NULL, seed, ret_kuhn, err);
+    return make(low, high, cells, degree, fraction, 0, NULL, seed, ret_kuhn, err);
 }
 
 void kuhn_done(struct kuhn *kuhn)

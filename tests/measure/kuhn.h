@@ -30,6 +30,11 @@ int kuhn_new(const double low[3], const double high[3], const unsigned cells[3],
 /* The same with control values drawn from [-1, 1). */
 int kuhn_random(const double low[3], const double high[3], const unsigned cells[3], unsigned degree,
                 double fraction, uint64_t seed, struct kuhn *ret_kuhn, struct gsn_error *err);
+/* kuhn_new() with the clouds of boundary vertices drawn into them: s ends sharply at the faces of
+ * the box, so that integrals over it have closed forms. */
+int kuhn_sharp(const double low[3], const double high[3], const unsigned cells[3], unsigned degree,
+               double fraction, const struct quadric *q, struct kuhn *ret_kuhn,
+               struct gsn_error *err);
 void kuhn_done(struct kuhn *kuhn);
 
 /* A mask of n voxels of this step, the outer corner of the first at corner; all inside. */

@@ -104,7 +104,7 @@ TEST(what_lies_outside_the_sheet_is_clipped)
 
 TEST(every_printable_character_has_a_face_of_its_own)
 {
-    gsn_auto(gsn_image) cell[95] = { NULL };
+    struct gsn_image *cell[95];
 
     for (int c = 0; c < 95; c++) {
         const char text[2] = { (char)(c + 32), '\0' };
@@ -115,10 +115,8 @@ TEST(every_printable_character_has_a_face_of_its_own)
         for (int other = 0; other < c; other++)
             CHECK(memcmp(cell[c]->samples, cell[other]->samples, gsn_image_bytes(cell[c])) != 0);
     }
-    for (int c = 0; c < 95; c++) {
+    for (int c = 0; c < 95; c++)
         gsn_image_free(cell[c]);
-        cell[c] = NULL;
-    }
 }
 
 TEST(text_is_as_wide_as_its_characters_not_its_bytes)

@@ -82,10 +82,10 @@ TEST(beyond_the_domain_there_is_no_data_and_no_zero)
             const double x = -300.0 + 30.0 * (i + 0.5), y = -300.0 + 30.0 * (j + 0.5);
             const int outside = x < 0.0 || x > 1200.0 || y < 0.0 || y > 900.0;
             /* Values are pure grey in this map, the hatching is bluish. */
-            const int drawn = gsn_image_at(image, 12 + i, 12 + j, 0) !=
-                              gsn_image_at(image, 12 + i, 12 + j, 2);
+            const int drawn =
+                gsn_image_at(image, 12 + i, 12 + j, 0) != gsn_image_at(image, 12 + i, 12 + j, 2);
 
-            CHECK(outside == isnan((double)plane->value[j * 60 + i]));
+            CHECK(outside == (isnan((double)plane->value[j * 60 + i]) != 0));
             CHECK(outside == drawn);
             hatched += (size_t)drawn;
         }

@@ -12,10 +12,9 @@ static const struct quadric nothing = { 0.0, { 0.0, 0.0, 0.0 }, { 0.0, 0.0, 0.0 
 
 TEST(looking_along_z_shows_the_scan_as_it_lies)
 {
-    const struct gsn_view view = { .direction = { 0, 0, 5 },
-                                   .up = { 0, -1, 0 },
-                                   .width = 300,
-                                   .height = 200 };
+    const struct gsn_view view = {
+        .direction = { 0, 0, 5 }, .up = { 0, -1, 0 }, .width = 300, .height = 200
+    };
     const double corner[3] = { 100.0, 200.0, 300.0 }, right_of[3] = { 600.0, 200.0, 300.0 };
     struct gsn_camera camera;
     struct gsn_error err = { 0 };

@@ -154,6 +154,11 @@ const struct gsn_box *gsn_bins_bounds(const struct gsn_bins *bins)
     return &bins->bounds;
 }
 
+const struct gsn_box *gsn_bins_box(const struct gsn_bins *bins, size_t box)
+{
+    return &bins->box[box];
+}
+
 size_t gsn_bins_at(const struct gsn_bins *bins, const double u[3], const uint32_t **ret_list)
 {
     size_t at[3], b;

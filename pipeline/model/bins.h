@@ -25,8 +25,10 @@ int gsn_bins_new(const struct gsn_box *box, size_t count, struct gsn_bins **ret_
 void gsn_bins_free(struct gsn_bins *bins);
 GSN_DEFINE_AUTO(gsn_bins);
 
-/* borrowed: the box around all boxes. */
+/* borrowed: the box around all boxes, and one of them. */
 const struct gsn_box *gsn_bins_bounds(const struct gsn_bins *bins);
+
+const struct gsn_box *gsn_bins_box(const struct gsn_bins *bins, size_t box);
 
 /* borrowed: a list, ascending, that has every box with u inside (and others). Returns its
  * length. */

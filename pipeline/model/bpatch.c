@@ -14,30 +14,21 @@ static void frame_of(unsigned degree, const double (*knot)[3], const uint8_t gam
 
     for (unsigned k = 0; k < 4; k++)
         x[k] = knot[k * (degree + 1) + gamma[k]];
-    (void)gsn_frame_init(ret, x[0], x[1], x[2], x[3]);
-}
-
-static size_t raised(const uint8_t gamma[4], unsigned j)
-{
-    uint8_t beta[4];
-
-    memcpy(beta, gamma, sizeof beta);
-    beta[j]++;
-    return gsn_simplex_place(beta);
+    gsn_frame_init(ret, x[0], x[1], x[2], x[3]);
 }
 
 /* The last step of the polar form in the direction of axis c instead of u, times n. */
-static void add_gradient(const struct gsn_frame *frame, const uint8_t gamma[4], double weight,
+static void add_gradient(const struct gsn_frame *frame, const uint8_t raised[4], double weight,
                          double (*gradient)[3])
 {
     for (int c = 0; c < 3; c++) {
         double rest = 0;
 
         for (unsigned j = 1; j < 4; j++) {
-            gradient[raised(gamma, j)][c] += weight * frame->row[j - 1][c];
+            gradient[raised[j]][c] += weight * frame->row[j - 1][c];
             rest -= frame->row[j - 1][c];
         }
-        gradient[raised(gamma, 0)][c] += weight * rest;
+        gradient[raised[0]][c] += weight * rest;
     }
 }
 
@@ -56,14 +47,15 @@ void gsn_bpatch_basis(unsigned degree, const double (*knot)[3], const double u[3
 
         memset(upper, 0, sizeof upper);
         do {
-            const double value = lower[gsn_simplex_place(gamma)];
+            const size_t place = gsn_simplex_place(gamma);
+            const uint8_t *raised = gsn_simplex_raised[place];
 
             frame_of(degree, knot, gamma, &frame);
             gsn_frame_at(&frame, u, lambda);
             for (unsigned j = 0; j < 4; j++)
-                upper[raised(gamma, j)] += lambda[j] * value;
+                upper[raised[j]] += lambda[j] * lower[place];
             if (ret_gradient && r + 1 == degree)
-                add_gradient(&frame, gamma, degree * value, ret_gradient);
+                add_gradient(&frame, raised, degree * lower[place], ret_gradient);
         } while (gsn_simplex_next(gamma));
         memcpy(lower, upper, sizeof lower);
     }
@@ -79,17 +71,18 @@ double gsn_bpatch_polar(unsigned degree, const double (*knot)[3], const double *
     for (unsigned r = 1; r <= degree; r++) {
         uint8_t gamma[4] = { (uint8_t)(degree - r), 0, 0, 0 };
 
-        /* In place: gamma comes at or before every gamma + e_j, and those after it are still the
-         * old ones. */
+        /* In place: no gamma + e_j comes before gamma, and those after it are still the old
+         * ones. */
         do {
             struct gsn_frame frame;
+            const size_t place = gsn_simplex_place(gamma);
             double lambda[4], sum = 0;
 
             frame_of(degree, knot, gamma, &frame);
             gsn_frame_at(&frame, arg[r - 1], lambda);
             for (unsigned j = 0; j < 4; j++)
-                sum += lambda[j] * value[raised(gamma, j)];
-            value[gsn_simplex_place(gamma)] = sum;
+                sum += lambda[j] * value[gsn_simplex_raised[place][j]];
+            value[place] = sum;
         } while (gsn_simplex_next(gamma));
     }
     return value[0];
@@ -110,4 +103,29 @@ void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double
         }
         ret_coefficient[gsn_simplex_place(beta)] = gsn_bpatch_polar(degree, knot, control, arg);
     } while (gsn_simplex_next(beta));
+}
+
+double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,
+                        const double lambda[4], double *ret_gradient)
+{
+    double value[GSN_SIMPLEX_MAX_FUNCTIONS], sum = 0;
+
+    memcpy(value, coefficient, gsn_simplex_count(degree) * sizeof *value);
+    /* De Casteljau, in place as above, down to the four values of a linear function. */
+    for (unsigned r = degree - 1; r > 0; r--) {
+        for (size_t place = 0; place < gsn_simplex_count(r); place++) {
+            const uint8_t *raised = gsn_simplex_raised[place];
+
+            value[place] = lambda[0] * value[raised[0]] + lambda[1] * value[raised[1]] +
+                           lambda[2] * value[raised[2]] + lambda[3] * value[raised[3]];
+        }
+    }
+    for (int k = 0; k < 4; k++)
+        sum += lambda[k] * value[k];
+    for (int c = 0; ret_gradient && c < 3; c++) {
+        ret_gradient[c] = 0;
+        for (int k = 0; k < 3; k++)
+            ret_gradient[c] += degree * (value[k + 1] - value[0]) * frame->row[k][c];
+    }
+    return sum;
 }

@@ -12,6 +12,8 @@
 #ifndef GSN_MODEL_BPATCH_H
 #define GSN_MODEL_BPATCH_H
 
+#include "pipeline/model/frame.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -29,6 +31,11 @@ double gsn_bpatch_polar(unsigned degree, const double (*knot)[3], const double *
  * repeated beta_k times. */
 void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double *control,
                           const double *const corner[4], double *ret_coefficient);
+
+/* A polynomial in Bernstein form at lambda, and its gradient unless that is NULL; frame is the one
+ * of its tetrahedron. */
+double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,
+                        const double lambda[4], double *ret_gradient);
 
 #ifdef __cplusplus
 }

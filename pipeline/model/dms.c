@@ -62,7 +62,8 @@ static int copy_in(const struct gsn_tets *mesh, const double (*knots)[3], struct
     space->knot = gsn_memdup(knots, mesh->vertex_count * (space->degree + 1) * sizeof *knots);
     space->shape = gsn_alloc_array(mesh->tet_count, sizeof *space->shape);
     space->pick = gsn_alloc_array(mesh->tet_count * space->sets->first[4], sizeof *space->pick);
-    if (!space->knot || !space->shape || !space->pick)
+    space->general = gsn_alloc_array(mesh->tet_count, sizeof *space->general);
+    if (!space->knot || !space->shape || !space->pick || !space->general)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the knots of %zu tetrahedra",
                         mesh->tet_count);
     return GSN_OK;
@@ -103,6 +104,7 @@ static int measure_tets(struct gsn_dms *space, struct gsn_error *err)
                                v[3]);
         gsn_simplex_pick(space->sets, (const double(*)[3])knot,
                          &space->pick[t * space->sets->first[4]]);
+        space->general[t] = (uint8_t)gsn_dms_is_general(space->sets, (const double(*)[3])knot);
         box[t] = box_around((const double(*)[3])knot, 4 * (space->degree + 1));
     }
     return gsn_bins_new(box, count, &space->bins, err);
@@ -153,6 +155,7 @@ void gsn_dms_free(struct gsn_dms *space)
     gsn_free(space->reach_start);
     gsn_free(space->reach);
     gsn_free(space->whole);
+    gsn_free(space->general);
     gsn_free(space);
 }
 

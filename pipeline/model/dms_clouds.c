@@ -3,7 +3,6 @@
 /* Where the knots go: small clouds around the vertices, in general position, valid, and outward on
  * the boundary. Directions come from the vertex number alone. */
 #include "pipeline/model/dms_internal.h"
-#include "pipeline/model/orient.h"
 
 #include <assert.h>
 #include <float.h>
@@ -118,8 +117,8 @@ static void plan_radii(const struct gsn_tets *mesh, double fraction, struct plan
         struct gsn_frame frame;
         double rest[3], steepest;
 
-        (void)gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                             mesh->vertex[v[3]]);
+        gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                       mesh->vertex[v[3]]);
         for (int c = 0; c < 3; c++)
             rest[c] = frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
         steepest = length(rest);
@@ -168,8 +167,8 @@ static size_t list_outer_faces(const struct gsn_tets *mesh, struct outer_face *r
 
             if (mesh->neighbour[t][k] >= 0)
                 continue;
-            (void)gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                                 mesh->vertex[v[3]]);
+            gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                           mesh->vertex[v[3]]);
             for (int c = 0; c < 3; c++)
                 face->normal[c] =
                     k ? -frame.row[k - 1][c] : frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
@@ -236,18 +235,6 @@ static int plan_outward(const struct gsn_tets *mesh, struct plan *plan, struct g
     return GSN_OK;
 }
 
-/* Whether some four knots of one V_beta lie in a plane. */
-static int is_special(const struct gsn_simplex_sets *sets, const double (*knot)[3])
-{
-    for (size_t s = sets->first[4]; s < sets->first[3]; s++) {
-        const uint8_t *m = sets->set[s].member;
-
-        if (gsn_orient3d(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]) == 0)
-            return 1;
-    }
-    return 0;
-}
-
 /* Marks the vertices whose clouds must change; returns how many tetrahedra ask for it, the last of
  * them in *ret_bad with its sentence in err. */
 static size_t find_faults(const struct gsn_tets *mesh, const struct gsn_simplex_sets *sets,
@@ -266,7 +253,7 @@ static size_t find_faults(const struct gsn_tets *mesh, const struct gsn_simplex_
             memcpy(own[k * per_cloud], knot[mesh->tet[t][k] * per_cloud], per_cloud * sizeof *knot);
         folds = gsn_dms_shape_init(sets->degree, (const double(*)[3])own, FRESH_FOLD_MARGIN,
                                    FRESH_WIDEST, &shape, err) < 0;
-        special = is_special(sets, (const double(*)[3])own);
+        special = !gsn_dms_is_general(sets, (const double(*)[3])own);
         for (int k = 0; k < 4; k++) {
             plan[mesh->tet[t][k]].shrink |= (uint8_t)folds;
             plan[mesh->tet[t][k]].redraw |= (uint8_t)special;

@@ -46,6 +46,7 @@ struct gsn_dms {
     /* Per tetrahedron: all functions sum to one everywhere in it, because no knot of its boundary
      * vertices lies on the inner side of the boundary. */
     uint8_t *whole;
+    uint8_t *general; /* per tetrahedron: no four knots of a V_beta lie in one plane */
 };
 
 /* The knots of one tetrahedron in local order, 4 (degree + 1) of them. */
@@ -58,6 +59,8 @@ const uint16_t *gsn_dms_pick_of(const struct gsn_dms *space, size_t tet);
  * tetrahedron, or sum high is not less than widest. */
 int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, double widest,
                        struct gsn_dms_shape *ret_shape, struct gsn_error *err);
+/* Whether no four knots of any V_beta lie in one plane. */
+int gsn_dms_is_general(const struct gsn_simplex_sets *sets, const double (*knot)[3]);
 /* A bit per corner k with lambda_k > high[k]; GSN_DMS_ALL in the core. */
 unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4]);
 

@@ -1,18 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/dms_internal.h"
 
+#include "pipeline/model/orient.h"
+
 #include <math.h>
-
-static double det_of(const double *const x[4])
-{
-    double p[3], q[3], r[3], normal[3];
-
-    gsn_subtract(x[1], x[0], p);
-    gsn_subtract(x[2], x[0], q);
-    gsn_subtract(x[3], x[0], r);
-    gsn_cross(p, q, normal);
-    return gsn_dot(normal, r);
-}
 
 /* Every X_beta, |beta| <= degree, has the orientation of the tetrahedron itself. */
 static int check_folds(unsigned degree, const double (*knot)[3], double whole, double margin,
@@ -27,7 +18,7 @@ static int check_folds(unsigned degree, const double (*knot)[3], double whole, d
 
             for (unsigned k = 0; k < 4; k++)
                 x[k] = knot[k * (degree + 1) + beta[k]];
-            det = det_of(x);
+            det = gsn_det(x[0], x[1], x[2], x[3]);
             if (!(det > margin * whole))
                 return gsn_fail(err, GSN_E_MESH,
                                 "the knots of its corners fold over (det X of beta %u %u %u %u is "
@@ -63,13 +54,13 @@ int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, 
 
     for (unsigned k = 0; k < 4; k++)
         corner[k] = knot[k * (degree + 1)];
-    whole = det_of(corner);
+    whole = gsn_det(corner[0], corner[1], corner[2], corner[3]);
     if (!(whole > 0))
         return gsn_fail(err, GSN_E_MESH, "it is too flat for double precision");
     r = check_folds(degree, knot, whole, margin, err);
     if (r < 0)
         return r;
-    (void)gsn_frame_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);
+    gsn_frame_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);
     measure(degree, knot, ret_shape);
     wide = ret_shape->high[0] + ret_shape->high[1] + ret_shape->high[2] + ret_shape->high[3];
     if (!(wide < widest))
@@ -89,4 +80,15 @@ unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4]
             clear |= 1u << k;
     }
     return clear;
+}
+
+int gsn_dms_is_general(const struct gsn_simplex_sets *sets, const double (*knot)[3])
+{
+    for (size_t s = sets->first[4]; s < sets->first[3]; s++) {
+        const uint8_t *m = sets->set[s].member;
+
+        if (gsn_orient3d(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]) == 0)
+            return 0;
+    }
+    return 1;
 }

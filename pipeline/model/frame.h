@@ -26,15 +26,28 @@ static inline double gsn_dot(const double a[3], const double b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+/* det[b - a, c - a, d - a]. */
+static inline double gsn_det(const double a[3], const double b[3], const double c[3],
+                             const double d[3])
+{
+    double p[3], q[3], r[3], normal[3];
+
+    gsn_subtract(b, a, p);
+    gsn_subtract(c, a, q);
+    gsn_subtract(d, a, r);
+    gsn_cross(p, q, normal);
+    return gsn_dot(normal, r);
+}
+
 /* lambda_k(u) = row[k - 1] . (u - origin) for k = 1, 2, 3; lambda_0 is what is left to 1. So
  * row[k - 1] is the gradient of lambda_k. */
 struct gsn_frame {
     double origin[3], row[3][3];
 };
 
-/* Returns det[b - a, c - a, d - a]; the caller guarantees that it is not 0. */
-static inline double gsn_frame_init(struct gsn_frame *frame, const double a[3], const double b[3],
-                                    const double c[3], const double d[3])
+/* The caller guarantees a determinant other than 0. */
+static inline void gsn_frame_init(struct gsn_frame *frame, const double a[3], const double b[3],
+                                  const double c[3], const double d[3])
 {
     double edge[3][3], det;
 
@@ -50,7 +63,6 @@ static inline double gsn_frame_init(struct gsn_frame *frame, const double a[3], 
         for (int i = 0; i < 3; i++)
             frame->row[k][i] /= det;
     }
-    return det;
 }
 
 static inline void gsn_frame_at(const struct gsn_frame *frame, const double u[3],

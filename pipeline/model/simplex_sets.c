@@ -6,6 +6,11 @@
 
 enum { MASKS = 1 << GSN_SIMPLEX_MAX_KNOTS, ABSENT = UINT16_MAX };
 
+const uint8_t gsn_simplex_raised[10][4] = {
+    { 0, 1, 2, 3 },    { 1, 4, 5, 6 },    { 2, 5, 7, 8 },    { 3, 6, 8, 9 },    { 4, 10, 11, 12 },
+    { 5, 11, 13, 14 }, { 6, 12, 14, 15 }, { 7, 13, 16, 17 }, { 8, 14, 17, 18 }, { 9, 15, 18, 19 },
+};
+
 size_t gsn_simplex_count(unsigned degree)
 {
     return (size_t)(degree + 1) * (degree + 2) * (degree + 3) / 6;

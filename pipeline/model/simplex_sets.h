@@ -64,6 +64,9 @@ GSN_DEFINE_AUTO(gsn_simplex_sets);
 /* The place of beta among the multi-indices of its own degree |beta| in the order (n,0,0,0),
  * (n-1,1,0,0), (n-1,0,1,0), (n-1,0,0,1), (n-2,2,0,0), ... */
 size_t gsn_simplex_place(const uint8_t beta[4]);
+/* The place of beta + e_j, for the places of degrees below the greatest; it depends on neither
+ * beta_0 nor the degree. */
+extern const uint8_t gsn_simplex_raised[10][4];
 /* The next multi-index in that order; beta = (n,0,0,0) comes first. Returns 0 after the last. */
 int gsn_simplex_next(uint8_t beta[4]);
 /* binomial(degree + 3, 3). */

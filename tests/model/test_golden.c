@@ -4,6 +4,7 @@
 #include "tests/check.h"
 
 #include "pipeline/model/dms_internal.h"
+#include "pipeline/model/spline.h"
 
 #include <string.h>
 
@@ -138,4 +139,127 @@ static void check_core(const struct golden_case *golden)
 TEST(the_core_is_the_exact_one)
 {
     golden_each(check_core);
+}
+
+static struct gsn_spline *spline_of(const struct golden_case *golden)
+{
+    struct gsn_spline *spline = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_spline_new(golden->space, golden->control, &spline, &err), err);
+    return spline;
+}
+
+static void check_values(const struct golden_case *golden)
+{
+    struct golden_table points = golden_read(golden, "points");
+    struct golden_table exact = golden_read(golden, "spline");
+    gsn_auto(gsn_spline) spline = spline_of(golden);
+    const double steepest = largest_slope(&exact);
+    size_t hint = 0;
+
+    for (size_t p = 0; p < points.rows; p++) {
+        const double *u = golden_row(&points, p) + 2, *row = golden_row(&exact, p);
+        double value = 99, alone = 99, slope[3] = { 99, 99, 99 };
+
+        if (gsn_spline_eval(spline, u, &hint, &value, slope) == GSN_DMS_OUTSIDE) {
+            CHECK(value == 99 && slope[0] == 99);
+            continue;
+        }
+        CHECK(gsn_spline_eval(spline, u, &hint, &alone, NULL) == GSN_OK);
+        CHECK(alone == value);
+        CHECK_NEAR(value, row[2], 1e-12);
+        for (int c = 0; c < 3; c++)
+            CHECK_NEAR(slope[c], row[3 + c], 1e-10 * steepest);
+    }
+    golden_done(&points);
+    golden_done(&exact);
+}
+
+TEST(the_spline_has_its_exact_value_and_gradient)
+{
+    golden_each(check_values);
+}
+
+static void check_bernstein(const struct golden_case *golden)
+{
+    struct golden_table exact = golden_read(golden, "bernstein");
+    gsn_auto(gsn_spline) spline = spline_of(golden);
+
+    for (size_t i = 0; i < exact.rows; i++) {
+        const double *row = golden_row(&exact, i);
+        double own[GSN_DMS_MAX_FUNCTIONS];
+
+        gsn_spline_bernstein(spline, (size_t)row[0], own);
+        CHECK_NEAR(own[golden_function(golden->space, row + 1)], row[5], 1e-12);
+    }
+    golden_done(&exact);
+}
+
+TEST(the_polynomials_of_the_cores_are_exact)
+{
+    golden_each(check_bernstein);
+}
+
+static void check_lines(const struct golden_case *golden)
+{
+    struct golden_table exact = golden_read(golden, "lines");
+    gsn_auto(gsn_spline) spline = spline_of(golden);
+
+    for (size_t i = 0; i < exact.rows; i++) {
+        const double *row = golden_row(&exact, i), *d = row + 4;
+        const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+        double sum = 0;
+
+        CHECK_NEAR(gsn_spline_line(spline, row + 1, d), row[7] * length, 1e-10);
+        for (size_t t = 0; t < golden->mesh->tet_count; t++)
+            sum += gsn_spline_tet_line(spline, t, row + 1, d);
+        CHECK_NEAR(sum, row[7] * length, 1e-10);
+    }
+    golden_done(&exact);
+}
+
+TEST(whole_line_integrals_are_exact)
+{
+    golden_each(check_lines);
+}
+
+static void check_cells(const struct golden_case *golden)
+{
+    static const int orders[3][4] = { { 0, 1, 2, 3 }, { 3, 1, 0, 2 }, { 2, 3, 1, 0 } };
+    const double tolerance = golden->degree == 3 ? 1e-7 : 1e-10;
+    struct golden_table exact = golden_read(golden, "cells");
+    gsn_auto(gsn_spline) spline = spline_of(golden);
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < exact.rows; i++) {
+        const double *row = golden_row(&exact, i);
+        double mean;
+
+        for (int o = 0; o < 3; o++) {
+            double cell[4][3];
+
+            for (int k = 0; k < 4; k++)
+                memcpy(cell[k], row + 2 + 3 * orders[o][k], sizeof cell[k]);
+            CHECK_OK(gsn_spline_cell_mean(spline, (const double(*)[3])cell, &mean, &err), err);
+            CHECK_NEAR(mean, row[15], tolerance);
+        }
+        for (size_t t = 0; t < golden->mesh->tet_count; t++) {
+            int same = 1;
+
+            for (int k = 0; k < 4; k++)
+                same = same && memcmp(golden->mesh->vertex[golden->mesh->tet[t][k]],
+                                      row + 2 + 3 * k, 3 * sizeof *row) == 0;
+            if (!same)
+                continue;
+            CHECK_OK(gsn_spline_tet_mean(spline, t, &mean, &err), err);
+            CHECK_NEAR(mean, row[15], tolerance);
+        }
+    }
+    golden_done(&exact);
+}
+
+TEST(means_over_cells_are_exact_also_when_faces_lie_in_knot_planes)
+{
+    golden_each(check_cells);
 }

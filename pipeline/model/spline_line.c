@@ -1,0 +1,107 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Integrals of a spline along whole lines. */
+#include "pipeline/model/simplex_line.h"
+#include "pipeline/model/spline_internal.h"
+
+#include <math.h>
+
+/* A line as two planes through it: a point's distances from them are its place in the picture. The
+ * start is moved along the line beside the mesh, to where all tetrahedra agree on it. */
+struct sight {
+    double start[3], axis[2][3];
+};
+
+static void normalise(double v[3])
+{
+    const double size = sqrt(gsn_dot(v, v));
+
+    for (int c = 0; c < 3; c++)
+        v[c] /= size;
+}
+
+static void sight_init(struct sight *sight, const struct gsn_dms *space, const double p[3],
+                       const double d[3])
+{
+    const struct gsn_box *bounds = gsn_bins_bounds(space->bins);
+    double along[3] = { d[0], d[1], d[2] }, beside[3] = { 0, 0, 0 }, to[3], shift;
+    int least = 0;
+
+    normalise(along);
+    for (int c = 0; c < 3; c++) {
+        to[c] = (bounds->low[c] + bounds->high[c]) / 2 - p[c];
+        if (fabs(along[c]) < fabs(along[least]))
+            least = c;
+    }
+    shift = gsn_dot(to, along);
+    for (int c = 0; c < 3; c++)
+        sight->start[c] = p[c] + shift * along[c];
+    beside[least] = 1;
+    gsn_cross(along, beside, sight->axis[0]);
+    normalise(sight->axis[0]);
+    gsn_cross(along, sight->axis[0], sight->axis[1]);
+}
+
+/* Whether the line comes near the box of the knots at all. */
+static int is_near(const struct sight *sight, const struct gsn_box *box)
+{
+    double middle[3], half[3], x, y;
+
+    for (int c = 0; c < 3; c++) {
+        middle[c] = (box->low[c] + box->high[c]) / 2 - sight->start[c];
+        half[c] = (box->high[c] - box->low[c]) / 2;
+    }
+    x = gsn_dot(middle, sight->axis[0]);
+    y = gsn_dot(middle, sight->axis[1]);
+    return x * x + y * y <= (1 + GSN_DMS_SLACK) * gsn_dot(half, half);
+}
+
+static double tet_line(const struct gsn_spline *spline, const struct sight *sight, size_t tet)
+{
+    const struct gsn_dms *space = spline->space;
+    const struct gsn_simplex_sets *sets = space->sets;
+    const uint32_t *id = gsn_dms_control_ids(space, tet);
+    double knot[GSN_SIMPLEX_MAX_KNOTS][3], seen[GSN_SIMPLEX_MAX_KNOTS][2];
+    double integral[GSN_DMS_MAX_FUNCTIONS], sum = 0;
+
+    if (!is_near(sight, gsn_bins_box(space->bins, tet)))
+        return 0;
+    gsn_dms_gather(space, tet, knot);
+    for (unsigned i = 0; i < 4 * (space->degree + 1); i++) {
+        double to[3];
+
+        gsn_subtract(knot[i], sight->start, to);
+        seen[i][0] = gsn_dot(to, sight->axis[0]);
+        seen[i][1] = gsn_dot(to, sight->axis[1]);
+    }
+    if (!gsn_simplex_line(sets, (const double(*)[2])seen, integral))
+        return 0;
+    for (size_t f = 0; f < sets->functions; f++) {
+        if (integral[f] != 0)
+            sum +=
+                spline->control[id[f]] * integral[f] *
+                fabs(gsn_simplex_det(sets, &sets->set[sets->corners[f]], (const double(*)[3])knot));
+    }
+    return sum;
+}
+
+double gsn_spline_tet_line(const struct gsn_spline *spline, size_t tet, const double p[3],
+                           const double d[3])
+{
+    struct sight sight;
+
+    sight_init(&sight, spline->space, p, d);
+    return tet_line(spline, &sight, tet);
+}
+
+double gsn_spline_line(const struct gsn_spline *spline, const double p[3], const double d[3])
+{
+    const size_t tets = gsn_dms_mesh(spline->space)->tet_count;
+    struct sight sight;
+    double sum = 0;
+
+    sight_init(&sight, spline->space, p, d);
+    for (size_t t = 0; t < tets; t++)
+        sum += tet_line(spline, &sight, t);
+    return sum;
+}

@@ -1,0 +1,132 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Means of a spline over tetrahedral cells. */
+#include "pipeline/model/bpatch.h"
+#include "pipeline/model/orient.h"
+#include "pipeline/model/simplex_mean.h"
+#include "pipeline/model/spline_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+/* A cell, and what the tetrahedra visited so far have in it. */
+struct visit {
+    const struct gsn_spline *spline;
+    const double (*corner)[3];
+    double mean;
+};
+
+/* Clouds k such that the whole cell has lambda_k > delta_k. */
+static unsigned clear_of(const struct gsn_dms *space, size_t tet, const double (*corner)[3])
+{
+    unsigned clear = GSN_DMS_ALL;
+
+    for (int i = 0; i < 4; i++) {
+        double lambda[4];
+
+        gsn_frame_at(&space->shape[tet].frame, corner[i], lambda);
+        clear &= gsn_dms_clear(&space->shape[tet], lambda);
+    }
+    return clear;
+}
+
+/* The mean of a polynomial over a tetrahedron is that of its Bernstein coefficients. */
+static double core_mean(const struct gsn_spline *spline, size_t tet, const double (*knot)[3],
+                        const double (*corner)[3])
+{
+    const struct gsn_dms *space = spline->space;
+    const double *at[4] = { corner[0], corner[1], corner[2], corner[3] };
+    double control[GSN_DMS_MAX_FUNCTIONS], coefficient[GSN_DMS_MAX_FUNCTIONS], sum = 0;
+
+    gsn_spline_gather(spline, tet, control);
+    gsn_bpatch_bernstein(space->degree, knot, control, at, coefficient);
+    for (size_t f = 0; f < gsn_dms_functions(space); f++)
+        sum += coefficient[f];
+    return sum / (double)gsn_dms_functions(space);
+}
+
+/* Functions that have no part in the cell keep a mean of 0. */
+static void pieces_means(const struct gsn_dms *space, size_t tet, const double (*knot)[3],
+                         const struct gsn_simplex_cell *cell, double *ret_mean)
+{
+    const struct gsn_simplex_sets *sets = space->sets;
+
+    for (size_t f = 0; f < sets->functions; f++) {
+        ret_mean[f] = 0;
+        if (!gsn_simplex_cell_misses(cell, sets->set[f].mask))
+            ret_mean[f] =
+                gsn_simplex_mean_by_pieces(sets, knot, gsn_dms_pick_of(space, tet), cell, f);
+    }
+}
+
+static int add_tet(void *context, uint32_t tet)
+{
+    struct visit *visit = context;
+    const struct gsn_dms *space = visit->spline->space;
+    const struct gsn_simplex_sets *sets = space->sets;
+    const unsigned knots = 4 * (space->degree + 1);
+    const uint32_t *id = gsn_dms_control_ids(space, tet);
+    double mean[GSN_DMS_MAX_FUNCTIONS], own[GSN_SIMPLEX_MAX_KNOTS][3];
+    const double(*knot)[3] = (const double(*)[3])own;
+    struct gsn_simplex_cell cell;
+    const unsigned clear = clear_of(space, tet, visit->corner);
+
+    gsn_dms_gather(space, tet, own);
+    if (clear == GSN_DMS_ALL) {
+        visit->mean += core_mean(visit->spline, tet, knot, visit->corner);
+        return 0;
+    }
+    gsn_simplex_cell_init(&cell, visit->corner, knot, knots);
+    if (gsn_simplex_cell_misses(&cell, (1u << knots) - 1))
+        return 0;
+    cell.clear = clear;
+    if (space->general[tet])
+        gsn_simplex_mean(sets, knot, gsn_dms_pick_of(space, tet), &cell, mean);
+    else
+        pieces_means(space, tet, knot, &cell, mean);
+    for (size_t f = 0; f < sets->functions; f++)
+        visit->mean += visit->spline->control[id[f]] * mean[f] *
+                       fabs(gsn_simplex_det(sets, &sets->set[sets->corners[f]], knot));
+    return 0;
+}
+
+int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret_mean,
+                        struct gsn_error *err)
+{
+    const struct gsn_dms *space = spline->space;
+    double corner[4][3];
+    struct visit visit = { .spline = spline, .corner = (const double(*)[3])corner };
+
+    if (tet >= space->mesh->tet_count)
+        return gsn_fail(err, GSN_E_INPUT, "tetrahedron %zu of %zu", tet, space->mesh->tet_count);
+    for (int k = 0; k < 4; k++)
+        memcpy(corner[k], space->mesh->vertex[space->mesh->tet[tet][k]], sizeof corner[k]);
+    for (size_t i = space->reach_start[tet]; i < space->reach_start[tet + 1]; i++)
+        (void)add_tet(&visit, space->reach[i] >> 4);
+    *ret_mean = visit.mean;
+    return GSN_OK;
+}
+
+int gsn_spline_cell_mean(const struct gsn_spline *spline, const double cell[4][3], double *ret_mean,
+                         struct gsn_error *err)
+{
+    struct visit visit = { .spline = spline, .corner = cell };
+    struct gsn_box box;
+
+    memcpy(box.low, cell[0], sizeof box.low);
+    memcpy(box.high, cell[0], sizeof box.high);
+    for (int i = 0; i < 4; i++) {
+        for (int c = 0; c < 3; c++) {
+            if (!isfinite(cell[i][c]))
+                return gsn_fail(err, GSN_E_INPUT, "corner %d of the cell is not finite", i);
+            box.low[c] = fmin(box.low[c], cell[i][c]);
+            box.high[c] = fmax(box.high[c], cell[i][c]);
+        }
+    }
+    if (gsn_orient3d(cell[0], cell[1], cell[2], cell[3]) == 0 ||
+        gsn_det(cell[0], cell[1], cell[2], cell[3]) == 0)
+        return gsn_fail(err, GSN_E_INPUT, "the cell is flat");
+    (void)gsn_bins_meeting(spline->space->bins, &box, add_tet, &visit);
+    *ret_mean = visit.mean;
+    return GSN_OK;
+}

@@ -5,11 +5,12 @@
 #include <string.h>
 
 #include "pipeline/core/parallel.h"
+#include "pipeline/measure/bracket.h"
 #include "pipeline/measure/overlap.h"
 
 enum {
     BATCH = 256,      /* items a thread takes at a time */
-    MOST_LEVELS = 12, /* a voxel edge is cut into at most 2^12 */
+    MOST_LEVELS = 12, /* a voxel's edge is cut into at most 2^12 */
 };
 
 static const double default_gap = 1e-3;
@@ -17,19 +18,12 @@ static const size_t default_cells = 2000000;
 /* Of the sums: those of some 1e6 shares are compensated, every share is good to about 1e-14. */
 static const double sum_slack = 1e-12;
 
-/* What s is on a box: between linear + low and linear + high, and between least and most. */
-struct bracket {
-    struct gsn_piece_linear linear;
-    double low, high;
-    double least, most;
-};
-
-/* One box that the threshold cuts: voxel v of the overlap, cell (x, y, z) of its 2^level per axis;
- * shares are of the voxel's volume. */
+/* One box that the threshold cuts: voxel v of the overlap, part place[a] of the 2^level[a] along
+ * each axis, and the axis along which to cut it next. Shares are of the voxel's volume. */
 struct cell {
     size_t v;
-    uint16_t x, y, z;
-    uint8_t level;
+    uint16_t place[3];
+    uint8_t level[3], axis;
     double lower, upper;
 };
 
@@ -50,7 +44,7 @@ static void add(struct sum *sum, double value)
 }
 
 struct work {
-    const struct gsn_piece *piece;
+    const struct gsn_pieces *pieces;
     const struct gsn_overlap *overlap;
     const double *threshold;
     size_t thresholds;
@@ -60,74 +54,17 @@ struct work {
 static struct gsn_box cell_box(const struct gsn_overlap *overlap, const struct cell *cell)
 {
     struct gsn_box box = gsn_overlap_box(&overlap->at, overlap->voxel[cell->v]);
-    const double parts = (double)(1U << cell->level);
-    const double place[3] = { cell->x, cell->y, cell->z };
 
     for (int a = 0; a < 3; a++) {
-        box.centre[a] += box.half[a] * ((2.0 * place[a] + 1.0) / parts - 1.0);
+        const double parts = (double)(1U << cell->level[a]);
+
+        box.centre[a] += box.half[a] * ((2.0 * cell->place[a] + 1.0) / parts - 1.0);
         box.half[a] /= parts;
     }
     return box;
 }
 
-/* The part of bracketing that needs no polynomial: least and most over the tetrahedra the box may
- * touch, and the one that holds its centre deepest. */
-static void hull(const struct work *work, size_t v, const struct gsn_box *box,
-                 struct bracket *bracket, const struct gsn_piece **ret_deepest)
-{
-    const struct gsn_overlap *overlap = work->overlap;
-    double depth = -INFINITY;
-
-    bracket->least = INFINITY;
-    bracket->most = -INFINITY;
-    for (size_t i = overlap->first[v]; i < overlap->first[v + 1]; i++) {
-        const struct gsn_piece *piece = &work->piece[overlap->tet[i]];
-        double here;
-
-        if (gsn_piece_meets(piece, box) == GSN_PIECE_APART)
-            continue;
-        bracket->least = fmin(bracket->least, piece->whole_low);
-        bracket->most = fmax(bracket->most, piece->whole_high);
-        here = gsn_piece_depth(piece, box->centre);
-        if (here > depth) {
-            depth = here;
-            *ret_deepest = piece;
-        }
-    }
-}
-
-/* The rest: every piece against the tangent of the deepest. */
-static void tighten(const struct work *work, size_t v, const struct gsn_box *box,
-                    const struct gsn_piece *deepest, struct bracket *bracket)
-{
-    const struct gsn_overlap *overlap = work->overlap;
-    double swing = 0.0;
-
-    gsn_piece_tangent(deepest, box, &bracket->linear);
-    bracket->low = INFINITY;
-    bracket->high = -INFINITY;
-    for (size_t i = overlap->first[v]; i < overlap->first[v + 1]; i++) {
-        const struct gsn_piece *piece = &work->piece[overlap->tet[i]];
-        const enum gsn_piece_touch touch = gsn_piece_meets(piece, box);
-        double low, high;
-
-        if (touch == GSN_PIECE_APART)
-            continue;
-        gsn_piece_bound(piece, box, &bracket->linear, &low, &high);
-        if (touch == GSN_PIECE_TOUCHES) {
-            low += piece->residual_low;
-            high += piece->residual_high;
-        }
-        bracket->low = fmin(bracket->low, low);
-        bracket->high = fmax(bracket->high, high);
-    }
-    for (int a = 0; a < 3; a++)
-        swing += fabs(bracket->linear.slope[a]);
-    bracket->least = fmax(bracket->least, bracket->linear.value - swing + bracket->low);
-    bracket->most = fmin(bracket->most, bracket->linear.value + swing + bracket->high);
-}
-
-static void shares(const struct bracket *bracket, double threshold, double *ret_lower,
+static void shares(const struct gsn_bracket *bracket, double threshold, double *ret_lower,
                    double *ret_upper)
 {
     const struct gsn_piece_linear *linear = &bracket->linear;
@@ -142,19 +79,36 @@ static void shares(const struct bracket *bracket, double threshold, double *ret_
     }
 }
 
-/* Fills the cell's shares for one threshold. */
+/* Where cutting helps most: across the strongest bend; where the gap is not bend, boxes are to get
+ * smaller all round. */
+static uint8_t cut_axis(const struct gsn_box *box, const struct gsn_bracket *bracket)
+{
+    const double *size = bracket->bent ? bracket->linear.bend : box->half;
+    uint8_t axis = 0;
+
+    for (uint8_t a = 1; a < 3; a++) {
+        if (size[a] > size[axis])
+            axis = a;
+    }
+    return axis;
+}
+
+/* Fills the cell's shares for one threshold, and its axis. */
 static void measure(const struct work *work, double threshold, struct cell *cell)
 {
     const struct gsn_box box = cell_box(work->overlap, cell);
-    const double part = ldexp(1.0, -3 * cell->level);
-    const struct gsn_piece *deepest = NULL;
-    struct bracket bracket;
+    const double part = ldexp(1.0, -(cell->level[0] + cell->level[1] + cell->level[2]));
+    const size_t first = work->overlap->first[cell->v];
+    const size_t count = work->overlap->first[cell->v + 1] - first;
+    const uint32_t *tet = work->overlap->tet + first;
+    struct gsn_bracket bracket;
+    uint32_t deepest = tet[0];
 
-    hull(work, cell->v, &box, &bracket, &deepest);
-    /* Between least and most of the hull the polynomials are not needed; a cell inside the domain
-     * always has a deepest piece. */
-    if (deepest && bracket.least <= threshold && bracket.most > threshold)
-        tighten(work, cell->v, &box, deepest, &bracket);
+    gsn_bracket_hull(work->pieces, tet, count, &box, &bracket, &deepest);
+    if (bracket.least <= threshold && bracket.most > threshold) {
+        gsn_bracket_tighten(work->pieces, tet, count, &box, deepest, &bracket);
+        cell->axis = cut_axis(&box, &bracket);
+    }
     shares(&bracket, threshold, &cell->lower, &cell->upper);
     cell->lower *= part;
     cell->upper *= part;
@@ -173,10 +127,12 @@ static void judge(const struct judging *judging, size_t v)
     const struct work *work = judging->work;
     const struct gsn_box box = gsn_overlap_box(&work->overlap->at, work->overlap->voxel[v]);
     uint8_t *verdict = judging->verdict + v * work->thresholds;
-    const struct gsn_piece *deepest = NULL;
-    struct bracket bracket;
+    const size_t first = work->overlap->first[v], count = work->overlap->first[v + 1] - first;
+    const uint32_t *tet = work->overlap->tet + first;
+    struct gsn_bracket bracket;
+    uint32_t deepest = tet[0];
 
-    hull(work, v, &box, &bracket, &deepest);
+    gsn_bracket_hull(work->pieces, tet, count, &box, &bracket, &deepest);
     for (int tight = 0; tight < 2; tight++) {
         size_t open = 0;
 
@@ -188,7 +144,7 @@ static void judge(const struct judging *judging, size_t v)
         }
         if (open == 0 || tight)
             return;
-        tighten(work, v, &box, deepest, &bracket);
+        gsn_bracket_tighten(work->pieces, tet, count, &box, deepest, &bracket);
     }
 }
 
@@ -248,24 +204,26 @@ static void settle(struct front *front, struct cell *cell, size_t count)
     }
 }
 
-static void eighths(const struct cell *cell, struct cell *ret_part)
+static void halves(const struct cell *cell, struct cell *ret_half)
 {
-    for (unsigned k = 0; k < 8; k++) {
-        ret_part[k] = (struct cell){
-            .v = cell->v,
-            .x = (uint16_t)(2U * cell->x + (k & 1U)),
-            .y = (uint16_t)(2U * cell->y + (k >> 1U & 1U)),
-            .z = (uint16_t)(2U * cell->z + (k >> 2U)),
-            .level = (uint8_t)(cell->level + 1U),
-        };
+    for (unsigned k = 0; k < 2; k++) {
+        const unsigned place = 2U * cell->place[cell->axis] + k;
+
+        ret_half[k] = *cell;
+        ret_half[k].place[cell->axis] = (uint16_t)place;
+        ret_half[k].level[cell->axis]++;
     }
 }
 
-/* Whether a cell is among those to be cut in this round: a gap of half the mean gap or more.
- * Together they hold at least half of the whole gap, and no sorting is needed. */
+static int can_be_cut(const struct cell *cell)
+{
+    return cell->level[cell->axis] < MOST_LEVELS;
+}
+
+/* Whether a cell is among those to be cut in this round. */
 static int is_wide(const struct cell *cell, double cutoff)
 {
-    return cell->level < MOST_LEVELS && cell->upper - cell->lower >= cutoff;
+    return can_be_cut(cell) && cell->upper - cell->lower >= cutoff;
 }
 
 /* Cuts the widest cells, at most most_cuts of them. *ret_cuts is how many. */
@@ -283,27 +241,27 @@ static int cut_round(const struct work *work, double threshold, double cutoff, s
     *ret_cuts = cuts;
     if (cuts == 0)
         return GSN_OK;
-    part = gsn_alloc_array(8 * cuts, sizeof *part);
-    grown = gsn_alloc_array(front->count + 7 * cuts, sizeof *grown);
+    part = gsn_alloc_array(2 * cuts, sizeof *part);
+    grown = gsn_alloc_array(front->count + cuts, sizeof *grown);
     old = front->cell;
     if (!part || !grown) {
         front->cell = gsn_steal(&old);
         gsn_free(grown);
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu cells", 8 * cuts);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu cells", 2 * cuts);
     }
     cuts = 0;
     for (size_t i = 0; i < front->count; i++) {
         if (cuts < most_cuts && is_wide(&old[i], cutoff))
-            eighths(&old[i], part + 8 * cuts++);
+            halves(&old[i], part + 2 * cuts++);
         else
             grown[kept++] = old[i];
     }
     front->cell = grown;
     front->count = kept;
-    r = measure_all(work, threshold, part, 8 * cuts, err);
+    r = measure_all(work, threshold, part, 2 * cuts, err);
     if (r < 0)
         return r;
-    settle(front, part, 8 * cuts);
+    settle(front, part, 2 * cuts);
     return GSN_OK;
 }
 
@@ -317,6 +275,19 @@ static void add_up(const struct front *front, double *ret_lower, double *ret_upp
     }
     *ret_lower = lower.value + lower.rest;
     *ret_upper = upper.value + upper.rest;
+}
+
+/* The largest gap of a cell that can still be cut. Every round cuts the cells with half of it or
+ * more: nearly largest first, without sorting, and in an order that no thread changes. */
+static double widest(const struct front *front)
+{
+    double gap = 0.0;
+
+    for (size_t i = 0; i < front->count; i++) {
+        if (can_be_cut(&front->cell[i]))
+            gap = fmax(gap, front->cell[i].upper - front->cell[i].lower);
+    }
+    return gap;
 }
 
 /* Cuts until the gap is small enough, the budget is spent or nothing can be cut. In voxels. */
@@ -333,15 +304,14 @@ static int refine(const struct work *work, double threshold, double wanted, size
 
         add_up(front, &bound->lower_um3, &bound->upper_um3);
         gap = bound->upper_um3 - bound->lower_um3;
-        if (gap <= wanted * fmax(bound->upper_um3, floor_voxels) || left < 8)
+        if (gap <= wanted * fmax(bound->upper_um3, floor_voxels) || left < 2)
             return GSN_OK;
-        r = cut_round(work, threshold, 0.5 * gap / (double)front->count, left / 8, front, &cuts,
-                      err);
+        r = cut_round(work, threshold, 0.5 * widest(front), left / 2, front, &cuts, err);
         if (r < 0)
             return r;
         if (cuts == 0)
             return GSN_OK;
-        bound->cells += 8 * cuts;
+        bound->cells += 2 * cuts;
     }
 }
 
@@ -401,22 +371,6 @@ static int bound_one(const struct work *work, const uint8_t *verdict, size_t t, 
     return GSN_OK;
 }
 
-struct making {
-    const struct gsn_spline *spline;
-    struct gsn_piece *piece;
-    size_t count;
-};
-
-static int make_batch(size_t batch, void *context, struct gsn_error *err)
-{
-    const struct making *making = context;
-
-    (void)err;
-    for (size_t t = batch * BATCH; t < making->count && t < (batch + 1) * BATCH; t++)
-        gsn_piece_make(making->spline, t, &making->piece[t]);
-    return GSN_OK;
-}
-
 static int judge_all(const struct work *work, const struct gsn_level_set_options *options,
                      struct gsn_volume_bound *ret_bounds, struct gsn_error *err)
 {
@@ -445,12 +399,10 @@ int gsn_level_set_volume(const struct gsn_spline *spline, const struct gsn_mask 
                          struct gsn_volume_bound *ret_bounds, struct gsn_error *err)
 {
     static const struct gsn_level_set_options plain = { 0 };
-    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(spline));
-    gsn_auto_mem(struct gsn_piece) piece = NULL;
+    gsn_auto(gsn_pieces) pieces = NULL;
     gsn_auto_mem(struct gsn_volume_bound) bound = NULL;
     gsn_auto(gsn_overlap) overlap = NULL;
     struct work work = { .threshold = thresholds, .thresholds = count };
-    struct making making = { .spline = spline, .count = mesh->tet_count };
     int r;
 
     for (size_t t = 0; t < count; t++) {
@@ -461,16 +413,14 @@ int gsn_level_set_volume(const struct gsn_spline *spline, const struct gsn_mask 
         options = &plain;
     work.threads = options->threads;
     bound = gsn_alloc_array(count, sizeof *bound);
-    piece = gsn_alloc_array(mesh->tet_count, sizeof *piece);
-    if (!bound || !piece)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", mesh->tet_count);
-    work.piece = making.piece = piece;
-    r = gsn_parallel_for((mesh->tet_count + BATCH - 1) / BATCH, work.threads, make_batch, &making,
-                         err);
+    if (!bound)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu thresholds", count);
+    r = gsn_pieces_new(spline, work.threads, &pieces, err);
     if (r == GSN_OK)
-        r = gsn_overlap_new(region, mesh, piece, &overlap, err);
+        r = gsn_overlap_new(region, gsn_spline_space(spline), pieces->piece, &overlap, err);
     if (r < 0)
         return r;
+    work.pieces = pieces;
     work.overlap = overlap;
     r = judge_all(&work, options, bound, err);
     if (r < 0)

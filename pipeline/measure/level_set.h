@@ -8,8 +8,8 @@
  *
  *     vol{ l + rmin > t }  <=  vol{ s > t }  <=  vol{ l + rmax > t },
  *
- * both sides a half-space cut out of a box. The boxes are the region's voxels, cut in eight where
- * the two sides differ most until the sum of the differences is small enough. Volumes in um^3. */
+ * both sides a half-space cut out of a box. The boxes are the region's voxels, halved where the two
+ * sides differ most until the sum of the differences is small enough. Volumes in um^3. */
 #ifndef GSN_MEASURE_LEVEL_SET_H
 #define GSN_MEASURE_LEVEL_SET_H
 

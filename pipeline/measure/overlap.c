@@ -2,6 +2,7 @@
 #include "pipeline/measure/overlap.h"
 
 #include <math.h>
+#include <string.h>
 
 /* A face of the domain may lie in a face of a voxel: only what reaches deeper than this part of the
  * voxel counts as cutting it. */
@@ -132,7 +133,7 @@ static int note_pair(size_t index, const struct gsn_box *box, void *context)
     const struct pairs *pairs = context;
     const size_t rank = pairs->rank[index];
 
-    if (gsn_piece_meets(pairs->piece, box) == GSN_PIECE_APART)
+    if (!gsn_piece_reaches(pairs->piece, box))
         return 0;
     if (pairs->list) {
         pairs->list[pairs->first[rank]++] = pairs->tet;
@@ -144,25 +145,29 @@ static int note_pair(size_t index, const struct gsn_box *box, void *context)
     return 0;
 }
 
-static void note_all(const struct gsn_mask *region, const struct gsn_tets *mesh,
+static void note_all(const struct gsn_mask *region, const struct gsn_dms *space,
                      const struct gsn_piece *pieces, struct pairs *pairs)
 {
     const struct visit visit = { region, note_pair, pairs };
+    const struct gsn_tets *mesh = gsn_dms_mesh(space);
+    const size_t cloud = gsn_dms_degree(space) + 1U;
 
     for (size_t t = 0; t < mesh->tet_count; t++) {
-        double corner[4][3];
+        double knot[4 * (GSN_DMS_MAX_DEGREE + 1)][3];
+        int count = 0;
 
         for (int k = 0; k < 4; k++) {
-            for (int a = 0; a < 3; a++)
-                corner[k][a] = mesh->vertex[mesh->tet[t][k]][a];
+            for (size_t l = 0; l < cloud; l++, count++)
+                memcpy(knot[count], gsn_dms_knots(space)[mesh->tet[t][k] * cloud + l],
+                       sizeof knot[0]);
         }
         pairs->piece = &pieces[t];
         pairs->tet = (uint32_t)t;
-        (void)walk(&visit, (const double(*)[3])corner, 4);
+        (void)walk(&visit, (const double(*)[3])knot, count);
     }
 }
 
-static int fill(const struct gsn_mask *region, const struct gsn_tets *mesh,
+static int fill(const struct gsn_mask *region, const struct gsn_dms *space,
                 const struct gsn_piece *pieces, struct gsn_overlap *overlap, struct gsn_error *err)
 {
     const size_t total = gsn_lattice_count(&region->at), count = overlap->voxel_count;
@@ -178,7 +183,7 @@ static int fill(const struct gsn_mask *region, const struct gsn_tets *mesh,
             rank[i] = v++;
         }
     }
-    note_all(region, mesh, pieces, &pairs);
+    note_all(region, space, pieces, &pairs);
     for (size_t v = 0; v < count; v++) {
         if (!held[v])
             return sticks_out(&region->at, overlap->voxel[v], err);
@@ -188,7 +193,7 @@ static int fill(const struct gsn_mask *region, const struct gsn_tets *mesh,
     if (!overlap->tet)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", count);
     pairs.list = overlap->tet;
-    note_all(region, mesh, pieces, &pairs);
+    note_all(region, space, pieces, &pairs);
     /* Filling moved every start to the next one's. */
     for (size_t v = count; v > 0; v--)
         overlap->first[v] = overlap->first[v - 1];
@@ -196,7 +201,7 @@ static int fill(const struct gsn_mask *region, const struct gsn_tets *mesh,
     return GSN_OK;
 }
 
-int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_tets *mesh,
+int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
                     const struct gsn_piece *pieces, struct gsn_overlap **ret_overlap,
                     struct gsn_error *err)
 {
@@ -206,7 +211,7 @@ int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_tets *mesh,
 
     if (count == 0)
         return gsn_fail(err, GSN_E_INPUT, "the region of interest is empty");
-    r = check_boundary(region, mesh, err);
+    r = check_boundary(region, gsn_dms_mesh(space), err);
     if (r < 0)
         return r;
     overlap = gsn_alloc_array(1, sizeof *overlap);
@@ -218,7 +223,7 @@ int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_tets *mesh,
     }
     if (!overlap || !overlap->voxel || !overlap->first)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", count);
-    r = fill(region, mesh, pieces, overlap, err);
+    r = fill(region, space, pieces, overlap, err);
     if (r < 0)
         return r;
     *ret_overlap = gsn_steal(&overlap);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Which tetrahedra of the domain each voxel of a region may touch, and that the region lies in the
- * domain at all. */
+/* The tetrahedra of the domain whose functions reach each voxel of a region, and that the region
+ * lies in the domain at all. */
 #ifndef GSN_MEASURE_OVERLAP_H
 #define GSN_MEASURE_OVERLAP_H
 
@@ -20,10 +20,11 @@ struct gsn_overlap {
     uint32_t *tet;      /* rising within a voxel */
 };
 
-/* gives: a superset of the touching pairs. pieces: one per tetrahedron of the mesh.
+/* gives: a superset of the pairs of a voxel and a tetrahedron whose functions reach it. pieces: one
+ * per tetrahedron of the space's mesh.
  * Fails with GSN_E_INPUT when the region is empty or one of its voxels sticks out of the mesh
  * (named), GSN_E_NOMEM. */
-int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_tets *mesh,
+int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
                     const struct gsn_piece *pieces, struct gsn_overlap **ret_overlap,
                     struct gsn_error *err);
 void gsn_overlap_free(struct gsn_overlap *overlap);

@@ -107,18 +107,157 @@ static void expand(struct gsn_piece *piece, const struct gsn_dms *space, const d
     }
 }
 
-void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piece *ret_piece)
+static double lambda_at(const struct gsn_piece *piece, int k, const double u[3])
+{
+    double lambda = 0.25;
+
+    for (int a = 0; a < 3; a++)
+        lambda += piece->lambda[k][a] * ((u[a] - piece->origin[a]) / piece->scale);
+    return lambda;
+}
+
+static const double *knot_of(const struct gsn_dms *space, size_t tet, int corner, unsigned l)
+{
+    const size_t vertex = gsn_dms_mesh(space)->tet[tet][corner];
+
+    return gsn_dms_knots(space)[vertex * (gsn_dms_degree(space) + 1U) + l];
+}
+
+/* least[k] of the knots t_{j,0..upto[j]}. */
+static void least_lambda(const struct gsn_piece *piece, const struct gsn_dms *space, size_t tet,
+                         const unsigned upto[4], double ret_least[4])
+{
+    for (int k = 0; k < 4; k++) {
+        ret_least[k] = INFINITY;
+        for (int j = 0; j < 4; j++) {
+            for (unsigned l = 0; l <= upto[j]; l++)
+                ret_least[k] = fmin(ret_least[k], lambda_at(piece, k, knot_of(space, tet, j, l)));
+        }
+    }
+}
+
+/* Inward: a knot of a boundary face on the inner side of its plane. The cancelling of the terms
+ * that lack a cloud stops at the boundary; those terms live on the hulls of such faces' knots. */
+static int points_inward(const struct gsn_piece *piece, const struct gsn_dms *space, size_t tet)
+{
+    for (int k = 0; k < 4; k++) {
+        if (gsn_dms_mesh(space)->neighbour[tet][k] >= 0)
+            continue;
+        for (int j = 0; j < 4; j++) {
+            for (unsigned l = 0; j != k && l <= piece->degree; l++) {
+                if (lambda_at(piece, k, knot_of(space, tet, j, l)) > lambda_slack)
+                    return 1;
+            }
+        }
+    }
+    return 0;
+}
+
+size_t gsn_piece_slopes(const struct gsn_dms *space)
+{
+    /* binomial(n + 2, 3) of binomial(n + 3, 3) */
+    const unsigned n = gsn_dms_degree(space);
+
+    return gsn_dms_functions(space) * n / (n + 3U);
+}
+
+/* The function g + e_j. */
+static size_t raised(const struct gsn_dms *space, const unsigned g[4], int j)
+{
+    size_t f = 0;
+
+    for (;; f++) {
+        const uint8_t *beta = gsn_dms_beta(space, f);
+        int same = 1;
+
+        for (int k = 0; k < 4; k++)
+            same &= beta[k] == g[k] + (k == j ? 1U : 0U);
+        if (same)
+            return f;
+    }
+}
+
+/* Gradient of the linear function with these values at these points. */
+static void linear_gradient(const double *const point[4], const double value[4], double ret[3])
+{
+    double e[3][3], rise[3], det;
+
+    for (int k = 0; k < 3; k++) {
+        for (int a = 0; a < 3; a++)
+            e[k][a] = point[k + 1][a] - point[0][a];
+        rise[k] = value[k + 1] - value[0];
+    }
+    det = e[0][0] * (e[1][1] * e[2][2] - e[1][2] * e[2][1]) -
+          e[0][1] * (e[1][0] * e[2][2] - e[1][2] * e[2][0]) +
+          e[0][2] * (e[1][0] * e[2][1] - e[1][1] * e[2][0]);
+    for (int a = 0; a < 3; a++) {
+        const int m = (a + 1) % 3, n = (a + 2) % 3;
+
+        ret[a] = 0.0;
+        for (int k = 0; k < 3; k++) {
+            const double *f = e[(k + 1) % 3], *g = e[(k + 2) % 3];
+
+            ret[a] += rise[k] * (f[m] * g[n] - f[n] * g[m]) / det;
+        }
+    }
+}
+
+static void make_slope(const struct gsn_spline *spline, size_t tet, const struct gsn_piece *piece,
+                       const unsigned g[4], struct gsn_piece_slope *ret_slope)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
+    const uint32_t *control = gsn_dms_control_ids(space, tet);
+    const double *point[4];
+    double value[4];
+
+    for (int a = 0; a < 3; a++)
+        ret_slope->node[a] = 0.0;
+    for (int j = 0; j < 4; j++) {
+        point[j] = knot_of(space, tet, j, g[j]);
+        value[j] = piece->degree * gsn_spline_controls(spline)[control[raised(space, g, j)]];
+        for (unsigned l = 0; l < g[j]; l++) {
+            for (int a = 0; a < 3; a++)
+                ret_slope->node[a] += knot_of(space, tet, j, l)[a] / (piece->degree - 1U);
+        }
+    }
+    linear_gradient(point, value, ret_slope->gradient);
+    least_lambda(piece, space, tet, g, ret_slope->least);
+}
+
+static void make_slopes(const struct gsn_spline *spline, size_t tet, const struct gsn_piece *piece,
+                        struct gsn_piece_slope *ret_slope)
+{
+    const unsigned most = piece->degree - 1U;
+    unsigned g[4];
+
+    for (g[0] = 0; g[0] <= most; g[0]++) {
+        for (g[1] = 0; g[0] + g[1] <= most; g[1]++) {
+            for (g[2] = 0; g[0] + g[1] + g[2] <= most; g[2]++) {
+                g[3] = most - g[0] - g[1] - g[2];
+                make_slope(spline, tet, piece, g, ret_slope++);
+            }
+        }
+    }
+}
+
+void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piece_slope *ret_slope,
+                    struct gsn_piece *ret_piece)
+{
+    const struct gsn_dms *space = gsn_spline_space(spline);
+    const unsigned n = gsn_dms_degree(space), all[4] = { n, n, n, n };
     double bernstein[GSN_DMS_MAX_FUNCTIONS];
     double slack = 0.0;
 
-    ret_piece->degree = gsn_dms_degree(space);
+    ret_piece->degree = n;
     place(ret_piece, gsn_dms_mesh(space), tet);
     gsn_dms_core(space, tet, ret_piece->delta);
+    least_lambda(ret_piece, space, tet, all, ret_piece->least);
+    ret_piece->inward = points_inward(ret_piece, space, tet);
     gsn_spline_residual(spline, tet, &ret_piece->residual_low, &ret_piece->residual_high);
     gsn_spline_bernstein(spline, tet, bernstein);
     expand(ret_piece, space, bernstein);
+    make_slopes(spline, tet, ret_piece, ret_slope);
+    ret_piece->slope = ret_slope;
 
     ret_piece->whole_low = ret_piece->whole_high = bernstein[0];
     for (size_t f = 0; f < gsn_dms_functions(space); f++) {
@@ -134,14 +273,37 @@ double gsn_piece_depth(const struct gsn_piece *piece, const double u[3])
 {
     double depth = INFINITY;
 
+    for (int k = 0; k < 4; k++)
+        depth = fmin(depth, lambda_at(piece, k, u));
+    return depth;
+}
+
+/* Whether lambda_k rises to least[k] or more somewhere in the box, for every k by itself. */
+static int rises_to(const struct gsn_piece *piece, const double least[4], const struct gsn_box *box)
+{
+    const double scale = 1.0 / piece->scale;
+
     for (int k = 0; k < 4; k++) {
-        double lambda = 0.25;
+        double most = 0.25;
 
         for (int a = 0; a < 3; a++)
-            lambda += piece->lambda[k][a] * ((u[a] - piece->origin[a]) / piece->scale);
-        depth = fmin(depth, lambda);
+            most += piece->lambda[k][a] * ((box->centre[a] - piece->origin[a]) * scale) +
+                    fabs(piece->lambda[k][a]) * (box->half[a] * scale);
+        if (most < least[k] - lambda_slack)
+            return 0;
     }
-    return depth;
+    return 1;
+}
+
+int gsn_piece_reaches(const struct gsn_piece *piece, const struct gsn_box *box)
+{
+    return rises_to(piece, piece->least, box);
+}
+
+int gsn_piece_slope_reaches(const struct gsn_piece *piece, const struct gsn_piece_slope *slope,
+                            const struct gsn_box *box)
+{
+    return rises_to(piece, slope->least, box);
 }
 
 enum gsn_piece_touch gsn_piece_meets(const struct gsn_piece *piece, const struct gsn_box *box)
@@ -199,7 +361,7 @@ static void shift(const struct gsn_piece *piece, const struct gsn_box *box, doub
 }
 
 void gsn_piece_tangent(const struct gsn_piece *piece, const struct gsn_box *box,
-                       struct gsn_piece_linear *ret_linear)
+                       struct gsn_piece_linear *ret_linear, struct gsn_piece_bend *ret_bend)
 {
     const unsigned n = piece->degree;
     double term[GSN_PIECE_TERMS];
@@ -209,6 +371,23 @@ void gsn_piece_tangent(const struct gsn_piece *piece, const struct gsn_box *box,
         .value = term[0],
         .slope = { term[at(n, 1, 0, 0)], term[at(n, 0, 1, 0)], term[at(n, 0, 0, 1)] },
     };
+    *ret_bend = (struct gsn_piece_bend){ { 0.0 }, { 0.0 } };
+    if (n >= 2)
+        *ret_bend = (struct gsn_piece_bend){
+            .square = { term[at(n, 2, 0, 0)], term[at(n, 0, 2, 0)], term[at(n, 0, 0, 2)] },
+            .cross = { term[at(n, 0, 1, 1)], term[at(n, 1, 0, 1)], term[at(n, 1, 1, 0)] },
+        };
+    for (unsigned i = 0; i <= n; i++) {
+        for (unsigned j = 0; i + j <= n; j++) {
+            for (unsigned k = 0; i + j + k <= n; k++) {
+                const double size = i + j + k > 1 ? fabs(term[at(n, i, j, k)]) : 0.0;
+
+                ret_linear->bend[0] += i > 0 ? size : 0.0;
+                ret_linear->bend[1] += j > 0 ? size : 0.0;
+                ret_linear->bend[2] += k > 0 ? size : 0.0;
+            }
+        }
+    }
 }
 
 /* One line from powers of t in [-1,1] to Bernstein coefficients. */

@@ -105,7 +105,7 @@ TEST(units_of_a_linear_field_hold_it_at_their_centroid_and_fill_the_region)
 
         for (int k = 0; k < 12; k++)
             centroid[k % 3] += 0.25 * kuhn.mesh->vertex[kuhn.mesh->tet[t][k / 3]][k % 3];
-        CHECK_NEAR(unit[t].mean, quadric_at(&linear, centroid), 1e-10);
+        CHECK_NEAR(unit[t].mean, quadric_at(&linear, centroid), 1e-8);
         CHECK(unit[t].inside_share >= 0.0 && unit[t].inside_share <= 1.0);
         CHECK(unit[t].state == (unit[t].inside_share > 0.0 ? GSN_UNIT_OK : GSN_UNIT_OUTSIDE));
         inside += unit[t].inside_share * unit[t].volume_um3;

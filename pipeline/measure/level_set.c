@@ -10,11 +10,12 @@
 
 enum {
     BATCH = 256,      /* items a thread takes at a time */
+    NEAR = 64,        /* tetrahedra that reach a cell, as a rule a few */
     MOST_LEVELS = 12, /* a voxel's edge is cut into at most 2^12 */
 };
 
 static const double default_gap = 1e-3;
-static const size_t default_cells = 2000000;
+static const size_t default_cells = 1000000;
 /* Of the sums: those of some 1e6 shares are compensated, every share is good to about 1e-14. */
 static const double sum_slack = 1e-12;
 
@@ -79,6 +80,27 @@ static void shares(const struct gsn_bracket *bracket, double threshold, double *
     }
 }
 
+/* The tetrahedra that matter to a box in voxel v: those that reach it, kept in near when they are
+ * few enough, else all that reach the voxel. */
+static const uint32_t *around(const struct work *work, size_t v, const struct gsn_box *box,
+                              uint32_t near[NEAR], size_t *ret_count)
+{
+    const uint32_t *tet = work->overlap->tet + work->overlap->first[v];
+    const size_t count = work->overlap->first[v + 1] - work->overlap->first[v];
+    size_t kept = 0;
+
+    *ret_count = count;
+    for (size_t i = 0; i < count; i++) {
+        if (!gsn_piece_reaches(&work->pieces->piece[tet[i]], box))
+            continue;
+        if (kept == NEAR)
+            return tet;
+        near[kept++] = tet[i];
+    }
+    *ret_count = kept;
+    return near;
+}
+
 /* Where cutting helps most: across the strongest bend; where the gap is not bend, boxes are to get
  * smaller all round. */
 static uint8_t cut_axis(const struct gsn_box *box, const struct gsn_bracket *bracket)
@@ -98,9 +120,9 @@ static void measure(const struct work *work, double threshold, struct cell *cell
 {
     const struct gsn_box box = cell_box(work->overlap, cell);
     const double part = ldexp(1.0, -(cell->level[0] + cell->level[1] + cell->level[2]));
-    const size_t first = work->overlap->first[cell->v];
-    const size_t count = work->overlap->first[cell->v + 1] - first;
-    const uint32_t *tet = work->overlap->tet + first;
+    uint32_t near[NEAR];
+    size_t count;
+    const uint32_t *tet = around(work, cell->v, &box, near, &count);
     struct gsn_bracket bracket;
     uint32_t deepest = tet[0];
 

@@ -30,7 +30,7 @@ struct gsn_volume_bound {
 
 struct gsn_level_set_options {
     double gap;        /* wanted (upper - lower) / max(upper, 1 % of the region); 0: 1e-3 */
-    size_t most_cells; /* boxes looked at per threshold, besides the voxels; 0: 2 million */
+    size_t most_cells; /* boxes looked at per threshold, besides the voxels; 0: 1 million */
     unsigned threads;  /* 0: all; the same bytes on any number */
     const struct gsn_progress *progress; /* may be NULL */
 };

@@ -229,12 +229,21 @@ void gsn_canvas_scale_bar(struct gsn_image *image, int x, int y, double um_per_p
     gsn_canvas_text(image, x, y - 4 - GSN_CANVAS_CELL_HEIGHT, 1, label, colour);
 }
 
-/* Digits enough that neighbouring numbers of the scale differ. */
+/* 1, 2 or 5 times a power of ten: the smallest that is not below. */
+static double round_step(double least)
+{
+    const double power = pow(10.0, floor(log10(least)));
+    const double digit = least / power;
+
+    return power * (digit <= 1.0 ? 1.0 : digit <= 2.0 ? 2.0 : digit <= 5.0 ? 5.0 : 10.0);
+}
+
+/* Just the digits that multiples of the step have. */
 static void number(char *text, size_t size, double value, double step)
 {
-    const int digits = step > 0.0 ? (int)fmin(6.0, fmax(0.0, ceil(-log10(step)) + 1.0)) : 3;
+    const int digits = (int)fmax(0.0, ceil(-log10(step) - 1e-9));
 
-    if (fabs(value) >= 1e5 || (step > 0.0 && step < 1e-5))
+    if (fabs(value) >= 1e6 || digits > 5)
         (void)snprintf(text, size, "%.3g", value);
     else
         (void)snprintf(text, size, "%.*f", digits, value);
@@ -244,15 +253,21 @@ void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int
                            enum gsn_colour_map map, double low, double high, const char *unit,
                            struct gsn_colour ink)
 {
+    const double step = round_step((high - low) / 6.0);
+    const double first = ceil(low / step - 1e-9);
+
+    assert(low < high);
     for (int j = 0; j < height; j++)
         gsn_canvas_box(image, x, y + j, width, 1,
                        gsn_colour_of(map, 1.0 - (j + 0.5) / (double)height));
     gsn_canvas_frame(image, x, y, width, height, ink);
-    for (int k = 0; k <= 4; k++) {
-        const int at = y + (height - 1) * (4 - k) / 4;
+    for (int k = 0; (first + k) * step <= high + 1e-9 * step; k++) {
+        /* + 0.0 makes a zero of a minus zero. */
+        const double value = (first + k) * step + 0.0;
+        const int at = y + (int)((height - 1) * (high - value) / (high - low) + 0.5);
         char text[32];
 
-        number(text, sizeof text, low + (high - low) * k / 4.0, (high - low) / 4.0);
+        number(text, sizeof text, value, step);
         gsn_canvas_box(image, x + width + 1, at, 3, 1, ink);
         gsn_canvas_text(image, x + width + 7, at - 3, 1, text, ink);
     }

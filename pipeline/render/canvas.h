@@ -56,8 +56,9 @@ enum { GSN_CANVAS_CELL_WIDTH = 6, GSN_CANVAS_CELL_HEIGHT = 10 };
 void gsn_canvas_scale_bar(struct gsn_image *image, int x, int y, double um_per_px, int most_px,
                           struct gsn_colour colour);
 
-/* An upright colour scale of this box with five numbers to the right of it and the unit above. It
- * needs GSN_CANVAS_SCALE_ROOM pixels of width beside the bar, and two cells above. */
+/* An upright colour scale of this box with round numbers to the right of it and the unit above;
+ * low < high. It needs GSN_CANVAS_SCALE_ROOM pixels of width beside the bar, and two cells above.
+ */
 void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int height,
                            enum gsn_colour_map map, double low, double high, const char *unit,
                            struct gsn_colour ink);

@@ -119,7 +119,7 @@ TEST(a_grid_is_shown_voxel_by_voxel_with_its_gaps)
             const float value = plane->value[j * 12 + i];
 
             if (i < 2 || i >= 10 || (j / 2 == 1 && i / 2 == 3))
-                CHECK(isnan((double)value));
+                CHECK(!(value >= 0.0F));
             else
                 CHECK_NEAR((double)value, 12.0 + 4.0 * (j / 2) + (i / 2 - 1), 0.0);
         }

@@ -8,7 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Half of what a fold test in floating point could get wrong on the flattest usable tetrahedra. */
+/* An X_beta smaller than this share of its tetrahedron counts as folded: near 0 the rounded
+ * determinant could not tell, and B-patches divide by it. */
 #define FOLD_MARGIN 1e-9
 
 void gsn_dms_gather(const struct gsn_dms *space, size_t tet,

@@ -40,10 +40,11 @@ struct gsn_dms;
 
 /* gives: (degree + 1) knots per vertex, knot l of vertex i at [i * (degree + 1) + l].
  *
- * The cloud of a vertex has radius fraction * (smallest altitude at that vertex in its star);
- * clouds of boundary vertices point outward where a common outward direction exists. Clouds are
- * shrunk until every det X_beta (|beta| <= n) is safely positive and sum delta < 1 in every
- * tetrahedron (docs/MATH.md). The same mesh gives the same clouds. */
+ * The cloud of a vertex has radius fraction * (smallest altitude of the tetrahedra around it),
+ * 0 < fraction <= 0.5; clouds of boundary vertices point outward where a common outward direction
+ * exists. Clouds are shrunk until every det X_beta (|beta| <= n) is safely positive and sum delta <
+ * 1 in every tetrahedron (docs/MATH.md), and drawn anew until no four knots of a V_beta lie in one
+ * plane. The same mesh gives the same clouds. Fails with GSN_E_INPUT, GSN_E_MESH, GSN_E_NOMEM. */
 int gsn_dms_clouds(const struct gsn_tets *mesh, unsigned degree, double fraction,
                    double (**ret_knots)[3], struct gsn_error *err);
 

@@ -153,6 +153,11 @@ static int exact_orient3d(const double a[3], const double b[3], const double c[3
     return sign_of_expansion(&sum);
 }
 
+static int equal(const double a[3], const double b[3])
+{
+    return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
+}
+
 int gsn_orient3d(const double a[3], const double b[3], const double c[3], const double d[3])
 {
     const double p[3] = { b[0] - a[0], b[1] - a[1], b[2] - a[2] };
@@ -168,6 +173,9 @@ int gsn_orient3d(const double a[3], const double b[3], const double c[3], const 
     }
     if (fabs(det) > GSN_ORIENT_BOUND * permanent)
         return sign_of(det);
+    /* The everyday zero: tetrahedra ask about vertices they share. */
+    if (equal(d, a) || equal(d, b) || equal(d, c))
+        return 0;
     return exact_orient3d(a, b, c, d);
 }
 

@@ -7,30 +7,44 @@
 #include <math.h>
 #include <string.h>
 
+/* W may have this share of the largest determinant. */
+#define NEARLY 0.5
+
 /* The barycentric coordinate of member i of a quad a < b < c < d is swap[i] times the plane value
  * of the other three, ascending, over the quad's determinant. */
 static const int swap[4] = { -1, 1, -1, 1 };
 
 /* Row i of the determinant of ascending knots: knot i less the knot before it when both are of one
  * cloud, less the first one otherwise. */
-static void row(const struct gsn_simplex_sets *sets, const uint8_t *member, unsigned i,
-                const double (*knot)[3], double ret[3])
+static void row(const struct gsn_simplex_set *set, unsigned i, const double (*knot)[3],
+                double ret[3])
 {
-    const unsigned per_cloud = sets->degree + 1;
-    const int together = member[i] / per_cloud == member[i - 1] / per_cloud;
+    const unsigned from = set->cloud[i] == set->cloud[i - 1] ? i - 1 : 0;
 
-    gsn_subtract(knot[member[i]], knot[member[together ? i - 1 : 0]], ret);
+    gsn_subtract(knot[set->member[i]], knot[set->member[from]], ret);
 }
 
-double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
-                       const double (*knot)[3])
+void gsn_simplex_normal(const struct gsn_simplex_set *triple, const double (*knot)[3],
+                        double ret_normal[3], double *ret_permanent)
 {
-    double p[3], q[3], r[3], normal[3];
+    double p[3], q[3];
 
-    row(sets, quad->member, 1, knot, p);
-    row(sets, quad->member, 2, knot, q);
-    row(sets, quad->member, 3, knot, r);
-    gsn_cross(p, q, normal);
+    row(triple, 1, knot, p);
+    row(triple, 2, knot, q);
+    gsn_cross(p, q, ret_normal);
+    for (int i = 0; ret_permanent && i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+
+        ret_permanent[i] = fabs(p[j] * q[k]) + fabs(p[k] * q[j]);
+    }
+}
+
+double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[3])
+{
+    double r[3], normal[3];
+
+    gsn_simplex_normal(quad, knot, normal, NULL);
+    row(quad, 3, knot, r);
     return gsn_dot(normal, r);
 }
 
@@ -41,15 +55,19 @@ void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[
     double size[GSN_SIMPLEX_MAX_QUADS];
 
     for (size_t s = first; s < sets->first[3]; s++)
-        size[s - first] = fabs(gsn_simplex_det(sets, &sets->set[s], knot));
+        size[s - first] = fabs(gsn_simplex_det(&sets->set[s], knot));
     for (size_t s = 0; s < first; s++) {
-        uint16_t best = sets->quad[sets->quads[s]];
+        size_t i = sets->quads[s + 1];
+        double largest = 0;
 
-        for (size_t i = sets->quads[s] + 1; i < sets->quads[s + 1]; i++) {
-            if (size[sets->quad[i] - first] > size[best - first])
-                best = sets->quad[i];
-        }
-        ret_pick[s] = best;
+        for (size_t j = sets->quads[s]; j < sets->quads[s + 1]; j++)
+            largest = fmax(largest, size[sets->quad[j] - first]);
+        /* The last one in the list that is nearly as good: taking away the last knots of clouds
+         * leads many sets to the same subsets. */
+        do
+            i--;
+        while (size[sets->quad[i] - first] < NEARLY * largest);
+        ret_pick[s] = sets->quad[i];
     }
 }
 
@@ -75,17 +93,16 @@ static void sort_clouds(struct gsn_simplex_at *at)
 
 /* A knot of the triple from the cloud nearest u: the shorter u - knot, the smaller the rounding of
  * the plane value. */
-static const double *near_knot(const struct gsn_simplex_at *at, const uint8_t *member)
+static const double *near_knot(const struct gsn_simplex_at *at,
+                               const struct gsn_simplex_set *triple)
 {
-    const unsigned per_cloud = at->sets->degree + 1;
-
     for (int i = 0; i < 3; i++) {
         for (int m = 0; m < 3; m++) {
-            if (member[m] / per_cloud == at->nearest[i])
-                return at->knot[member[m]];
+            if (triple->cloud[m] == at->nearest[i])
+                return at->knot[triple->member[m]];
         }
     }
-    return at->knot[member[0]];
+    return at->knot[triple->member[0]];
 }
 
 void gsn_simplex_at_init(struct gsn_simplex_at *at, const struct gsn_simplex_sets *sets,
@@ -106,28 +123,23 @@ void gsn_simplex_at_init(struct gsn_simplex_at *at, const struct gsn_simplex_set
 static const struct gsn_simplex_plane *plane_of(struct gsn_simplex_at *at, size_t triple)
 {
     const size_t slot = triple - at->sets->first[3];
+    const struct gsn_simplex_set *set = &at->sets->set[triple];
     struct gsn_simplex_plane *plane = &at->plane[slot];
-    const uint8_t *member = at->sets->set[triple].member;
-    double p[3], q[3], r[3], permanent = 0;
+    double r[3], permanent[3];
 
     if (at->knows_plane[slot])
         return plane;
     at->knows_plane[slot] = 1;
-    row(at->sets, member, 1, at->knot, p);
-    row(at->sets, member, 2, at->knot, q);
-    gsn_subtract(at->u, near_knot(at, member), r);
-    gsn_cross(p, q, plane->normal);
+    gsn_simplex_normal(set, at->knot, plane->normal, permanent);
+    gsn_subtract(at->u, near_knot(at, set), r);
     plane->value = gsn_dot(plane->normal, r);
-    for (int i = 0; i < 3; i++) {
-        const int j = (i + 1) % 3, k = (i + 2) % 3;
-
-        permanent += fabs(r[i]) * (fabs(p[j] * q[k]) + fabs(p[k] * q[j]));
-    }
-    if (fabs(plane->value) > GSN_ORIENT_BOUND * permanent)
+    for (int c = 0; c < 3; c++)
+        r[c] = fabs(r[c]);
+    if (fabs(plane->value) > GSN_ORIENT_BOUND * gsn_dot(permanent, r))
         plane->side = plane->value > 0 ? 1 : -1;
     else
-        plane->side =
-            gsn_orient_side(at->knot[member[0]], at->knot[member[1]], at->knot[member[2]], at->u);
+        plane->side = gsn_orient_side(at->knot[set->member[0]], at->knot[set->member[1]],
+                                      at->knot[set->member[2]], at->u);
     return plane;
 }
 
@@ -137,7 +149,7 @@ static double det_of(struct gsn_simplex_at *at, size_t quad)
 
     if (!at->knows_det[slot]) {
         at->knows_det[slot] = 1;
-        at->det[slot] = gsn_simplex_det(at->sets, &at->sets->set[quad], at->knot);
+        at->det[slot] = gsn_simplex_det(&at->sets->set[quad], at->knot);
     }
     return at->det[slot];
 }
@@ -160,14 +172,6 @@ static double leaf(struct gsn_simplex_at *at, size_t quad)
     return det > 0 ? 1 / det : 0;
 }
 
-/* The set s less one of its knots. */
-static size_t without(const struct gsn_simplex_sets *sets, size_t s, unsigned knot)
-{
-    const unsigned below = sets->set[s].mask & ((1u << knot) - 1);
-
-    return sets->set[s].without[__builtin_popcount(below)];
-}
-
 double gsn_simplex_value(struct gsn_simplex_at *at, size_t s)
 {
     const struct gsn_simplex_set *set = &at->sets->set[s];
@@ -183,8 +187,12 @@ double gsn_simplex_value(struct gsn_simplex_at *at, size_t s)
         return at->value[s] = leaf(at, s);
     w = &at->sets->set[at->pick[s]];
     det = det_of(at, at->pick[s]);
-    for (int i = 0; i < 4 && det != 0; i++) {
-        const double part = gsn_simplex_value(at, without(at->sets, s, w->member[i]));
+    for (unsigned i = 0, m = 0; i < 4 && det != 0; i++) {
+        double part;
+
+        while (set->member[m] != w->member[i])
+            m++;
+        part = gsn_simplex_value(at, set->without[m]);
 
         if (part != 0)
             sum += swap[i] * plane_of(at, w->without[i])->value / det * part;
@@ -196,17 +204,20 @@ void gsn_simplex_gradient(struct gsn_simplex_at *at, size_t s, double ret_gradie
 {
     const struct gsn_simplex_set *set = &at->sets->set[s];
     const struct gsn_simplex_set *w;
-    double det;
+    double det, weight;
 
     ret_gradient[0] = ret_gradient[1] = ret_gradient[2] = 0;
     if (set->size == 4 || set->missing & at->clear)
         return;
     w = &at->sets->set[at->pick[s]];
     det = det_of(at, at->pick[s]);
-    for (int i = 0; i < 4 && det != 0; i++) {
-        const double part = gsn_simplex_value(at, without(at->sets, s, w->member[i]));
-        const double weight = swap[i] * (set->size - 4) * part / det;
+    for (unsigned i = 0, m = 0; i < 4 && det != 0; i++) {
+        double part;
 
+        while (set->member[m] != w->member[i])
+            m++;
+        part = gsn_simplex_value(at, set->without[m]);
+        weight = swap[i] * (set->size - 4) * part / det;
         if (part == 0)
             continue;
         for (int c = 0; c < 3; c++)

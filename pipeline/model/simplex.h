@@ -6,10 +6,10 @@
  *     M(u | V) = 1/|det V| inside the tetrahedron V, 0 outside     (degree 0),
  *     D_v M(u | V) = n sum_j mu_j(v | W) M(u | V \ k_j).
  *
- * The value does not depend on W but its rounding error does: W is the one of largest |det|,
- * chosen once per knot set whatever u is. Inside and outside are exact and half-open, with one
- * sign per knot triple and point, so that neighbouring tetrahedra never both claim or both refuse
- * a point (docs/MATH.md, sections 1, 2 and 9). */
+ * The value does not depend on W but its rounding error does: W has the largest |det|, or nearly
+ * so where that lets more sets share subsets, chosen once per knot set whatever u is. Inside and
+ * outside are exact and half-open, with one sign per knot triple and point, so that neighbouring
+ * tetrahedra never both claim or both refuse a point (docs/MATH.md, sections 1, 2 and 9). */
 #ifndef GSN_MODEL_SIMPLEX_H
 #define GSN_MODEL_SIMPLEX_H
 
@@ -22,8 +22,12 @@ extern "C" {
 /* det[b - a, c - a, d - a] of a set of four knots a < b < c < d; knot holds the 4 (n + 1) knots of
  * the tetrahedron. Knots of one cloud are subtracted from each other first, so that the result is
  * accurate relative to itself however small the clouds are. */
-double gsn_simplex_det(const struct gsn_simplex_sets *sets, const struct gsn_simplex_set *quad,
-                       const double (*knot)[3]);
+double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[3]);
+
+/* (b - a) x (c - a) of a set of three knots a < b < c, as accurate. Unless ret_permanent is NULL it
+ * gets, per component, the sum of the magnitudes that were subtracted. */
+void gsn_simplex_normal(const struct gsn_simplex_set *triple, const double (*knot)[3],
+                        double ret_normal[3], double *ret_permanent);
 
 /* Chooses W, as the number of a set of four, for each of the sets->first[4] sets that have more
  * than four knots. */

@@ -6,7 +6,10 @@
 #include <math.h>
 #include <string.h>
 
-enum { SIDES = 8 };
+enum { SIDES = 8, CLOUDS = 4, SEARCH = 4 };
+
+/* A triangle with at least this share of the square of the longest edge in sight is wide. */
+#define WIDE 0.05
 
 /* One line: what is known about the knots around the origin. */
 struct view {
@@ -16,9 +19,49 @@ struct view {
     /* Knots strictly on one side of a line through the origin, eight such half-planes around. A set
      * all in one of them does not hold the origin. */
     unsigned aside[SIDES];
+    /* For sets by their missing clouds: the cloud to leave out of W, so that one knot each of the
+     * other three makes a wide triangle; SEARCH where no three clouds do. */
+    uint8_t spared[1 << CLOUDS];
     uint8_t knows[GSN_SIMPLEX_MAX_SETS];
     double value[GSN_SIMPLEX_MAX_SETS];
 };
+
+static double area(const struct view *view, unsigned a, unsigned b, unsigned c)
+{
+    const double *p = view->knot[a], *q = view->knot[b], *r = view->knot[c];
+
+    return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+}
+
+/* Finds the widest triangle of three clouds for every set of missing clouds. */
+static void spare(struct view *view)
+{
+    const unsigned step = view->sets->degree + 1;
+    double size[CLOUDS], longest = 0;
+
+    for (unsigned a = 0; a < CLOUDS; a++) {
+        for (unsigned b = 0; b < a; b++) {
+            const double x = view->knot[a * step][0] - view->knot[b * step][0];
+            const double y = view->knot[a * step][1] - view->knot[b * step][1];
+
+            longest = fmax(longest, x * x + y * y);
+        }
+    }
+    for (unsigned out = 0; out < CLOUDS; out++)
+        size[out] = fabs(area(view, (out + 1) % CLOUDS * step, (out + 2) % CLOUDS * step,
+                              (out + 3) % CLOUDS * step));
+    for (unsigned missing = 0; missing < 1 << CLOUDS; missing++) {
+        double best = WIDE * longest;
+
+        view->spared[missing] = SEARCH;
+        for (uint8_t out = 0; out < CLOUDS; out++) {
+            if (!(missing & ~(1u << out)) && size[out] > best) {
+                best = size[out];
+                view->spared[missing] = out;
+            }
+        }
+    }
+}
 
 static void look(struct view *view, const struct gsn_simplex_sets *sets, const double (*knot)[2])
 {
@@ -39,6 +82,7 @@ static void look(struct view *view, const struct gsn_simplex_sets *sets, const d
         for (unsigned b = 0; b < knots; b++)
             view->cross[a][b] = x * knot[b][1] - y * knot[b][0];
     }
+    spare(view);
 }
 
 static int misses(const struct view *view, unsigned mask)
@@ -63,13 +107,6 @@ static int side(const struct view *view, unsigned a, unsigned b)
     return (q[0] > p[0]) - (q[0] < p[0]);
 }
 
-static double area(const struct view *view, unsigned a, unsigned b, unsigned c)
-{
-    const double *p = view->knot[a], *q = view->knot[b], *r = view->knot[c];
-
-    return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-}
-
 static double leaf(const struct view *view, const uint8_t *m)
 {
     const int first = side(view, m[0], m[1]);
@@ -82,7 +119,7 @@ static double leaf(const struct view *view, const uint8_t *m)
 }
 
 /* The places in a set of the three knots with the largest triangle. */
-static void widest(const struct view *view, const struct gsn_simplex_set *set, unsigned ret[3])
+static void search(const struct view *view, const struct gsn_simplex_set *set, unsigned ret[3])
 {
     double best = -1;
 
@@ -105,6 +142,25 @@ static void widest(const struct view *view, const struct gsn_simplex_set *set, u
     }
 }
 
+/* The places of W in a set: the last knots of three clouds with a wide triangle, which makes many
+ * sets share their subsets, or else the three with the largest triangle. */
+static void choose(const struct view *view, const struct gsn_simplex_set *set, unsigned ret[3])
+{
+    const uint8_t spared = view->spared[set->missing];
+    unsigned n = 0;
+
+    if (spared == SEARCH) {
+        search(view, set, ret);
+        return;
+    }
+    for (unsigned i = 0; i < set->size; i++) {
+        const int last = i + 1 == set->size || set->cloud[i + 1] != set->cloud[i];
+
+        if (last && set->cloud[i] != spared)
+            ret[n++] = i;
+    }
+}
+
 static double value_of(struct view *view, size_t s)
 {
     const struct gsn_simplex_set *set = &view->sets->set[s];
@@ -119,7 +175,7 @@ static double value_of(struct view *view, size_t s)
         return 0;
     if (set->size == 3)
         return view->value[s] = leaf(view, set->member);
-    widest(view, set, w);
+    choose(view, set, w);
     size = area(view, set->member[w[0]], set->member[w[1]], set->member[w[2]]);
     for (int i = 0; i < 3 && size != 0; i++) {
         const double part = value_of(view, set->without[w[i]]);

@@ -9,7 +9,12 @@
 #include <math.h>
 #include <string.h>
 
-enum { FACES = 4 };
+enum {
+    FACES = 4,
+    WHOLE = 15, /* a simplex of the cell has a bit per corner; this is the cell itself */
+    MOST_STEPS = 8,
+    FAR = 64, /* sum of lambda^2 that is too much */
+};
 
 /* As in simplex.c: lambda of member i of a quad is swap[i] * plane value of the others / det. */
 static const int swap[4] = { -1, 1, -1, 1 };
@@ -19,38 +24,59 @@ struct plane {
     double value[4];
 };
 
-/* Everything known so far; E_k is found in value[k]. */
+/* Everything known so far; E[M(set); simplex] is found in value[simplex][set]. */
 struct mean {
     const struct gsn_simplex_sets *sets;
     const double (*knot)[3];
     const uint16_t *pick;
     const struct gsn_simplex_cell *cell;
     uint8_t knows_plane[GSN_SIMPLEX_MAX_TRIPLES];
-    uint8_t knows_value[4][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
+    uint8_t knows_value[WHOLE + 1][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
     struct plane plane[GSN_SIMPLEX_MAX_TRIPLES];
-    double value[4][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
+    double value[WHOLE + 1][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
 };
+
+static double distance2(const double a[3], const double b[3])
+{
+    double d[3];
+
+    gsn_subtract(a, b, d);
+    return gsn_dot(d, d);
+}
+
+/* normal . (v - a), with the knot nearest v for a. */
+static double height(const double normal[3], const double *const at[3], const double v[3])
+{
+    const double *nearest = at[0];
+    double r[3];
+
+    for (int i = 1; i < 3; i++) {
+        if (distance2(at[i], v) < distance2(nearest, v))
+            nearest = at[i];
+    }
+    gsn_subtract(v, nearest, r);
+    return gsn_dot(normal, r);
+}
 
 static const struct plane *plane_of(struct mean *mean, size_t triple)
 {
     const size_t slot = triple - mean->sets->first[3];
-    const uint8_t *m = mean->sets->set[triple].member;
-    const double *a = mean->knot[m[0]], *b = mean->knot[m[1]], *c = mean->knot[m[2]];
+    const struct gsn_simplex_set *set = &mean->sets->set[triple];
+    const double *at[3] = { mean->knot[set->member[0]], mean->knot[set->member[1]],
+                            mean->knot[set->member[2]] };
     struct plane *plane = &mean->plane[slot];
-    double p[3], q[3], r[3], normal[3];
+    double normal[3];
 
     if (mean->knows_plane[slot])
         return plane;
     mean->knows_plane[slot] = 1;
-    gsn_subtract(b, a, p);
-    gsn_subtract(c, a, q);
-    gsn_cross(p, q, normal);
+    gsn_simplex_normal(set, mean->knot, normal, NULL);
     for (int i = 0; i < 4; i++) {
-        const int sign = gsn_orient3d(a, b, c, mean->cell->corner[i]);
+        const double *v = mean->cell->corner[i];
+        const int sign = gsn_orient3d(at[0], at[1], at[2], v);
 
-        gsn_subtract(mean->cell->corner[i], a, r);
         /* The exact sign outranks the rounded value. */
-        plane->value[i] = sign ? sign * fmax(sign * gsn_dot(normal, r), DBL_MIN) : 0;
+        plane->value[i] = sign ? sign * fmax(sign * height(normal, at, v), DBL_MIN) : 0;
     }
     return plane;
 }
@@ -84,96 +110,158 @@ static double share(int k, double (*value)[FACES], int cuts)
     return 1;
 }
 
-/* Degree 0: which faces of the knot tetrahedron cut the simplex of corners 3 - k .. 3, and what
- * they leave of it. */
-static double leaf(struct mean *mean, int k, size_t quad)
+/* Degree 0: which faces of the knot tetrahedron cut the simplex, and what they leave of it. */
+static double leaf(struct mean *mean, unsigned simplex, size_t quad)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[quad];
-    const double det = gsn_simplex_det(mean->sets, set, mean->knot);
+    const double det = gsn_simplex_det(set, mean->knot);
     double value[4][FACES];
-    int cuts = 0;
+    int cuts = 0, corners = 0;
 
     if (det == 0)
         return 0;
     for (int i = 0; i < 4; i++) {
         const struct plane *plane = plane_of(mean, set->without[i]);
         const int inner = det > 0 ? swap[i] : -swap[i];
-        int in = 0, out = 0, zero = 1;
+        int in = 0, out = 0;
 
-        for (int v = 0; v <= k; v++) {
-            value[v][cuts] = inner * plane->value[3 - k + v];
-            in |= value[v][cuts] > 0;
-            out |= value[v][cuts] < 0;
+        corners = 0;
+        for (int v = 0; v < 4; v++) {
+            if (!(simplex >> v & 1))
+                continue;
+            value[corners][cuts] = inner * plane->value[v];
+            in |= value[corners][cuts] > 0;
+            out |= value[corners][cuts] < 0;
+            corners++;
         }
-        zero = !in && !out;
-        /* The whole simplex lies in the plane: pushed towards the corner left out last, and so on;
-         * not all four corners lie in one plane. */
-        for (int v = 2 - k; zero && v >= 0; v--) {
+        /* The whole simplex lies in the plane: pushed towards the first of the other corners that
+         * does not. Always the same one first, so that all knot sets see the same push. */
+        for (int v = 0; v < 4 && !in && !out; v++) {
             in = inner * plane->value[v] > 0;
             out = inner * plane->value[v] < 0;
-            zero = !in && !out;
+            if (out)
+                return 0;
         }
         if (!in)
             return 0;
         cuts += out;
     }
-    return share(k, value, cuts) / fabs(det);
+    return share(corners - 1, value, cuts) / fabs(det);
 }
 
-static double value_of(struct mean *mean, int k, size_t s);
+static double value_of(struct mean *mean, unsigned simplex, size_t s);
 
-/* The set s less one of its knots. */
-static size_t without(const struct gsn_simplex_sets *sets, size_t s, unsigned knot)
+/* The recurrence holds for any point y of the simplex, with a boundary term for each face, weighted
+ * by the barycentric coordinates of y. Rounding errors grow by the coordinates lambda of y in w,
+ * so y is taken where they are small: at a corner if one will do, else where a few steps of Frank
+ * and Wolfe's method towards the least sum of squares lead. ret_weight is 0 off the simplex. */
+static void choose_point(struct mean *mean, unsigned simplex, const struct gsn_simplex_set *w,
+                         double det, double ret_weight[4], double ret_lambda[4])
 {
-    const unsigned below = sets->set[s].mask & ((1u << knot) - 1);
+    double lambda[4][4], size, least = INFINITY;
+    int best = 0;
 
-    return sets->set[s].without[__builtin_popcount(below)];
+    for (int v = 0; v < 4; v++) {
+        ret_weight[v] = 0;
+        if (!(simplex >> v & 1))
+            continue;
+        size = 0;
+        for (int i = 0; i < 4; i++) {
+            lambda[v][i] = swap[i] * plane_of(mean, w->without[i])->value[v] / det;
+            size += lambda[v][i] * lambda[v][i];
+        }
+        if (size < least) {
+            least = size;
+            best = v;
+        }
+    }
+    ret_weight[best] = 1;
+    memcpy(ret_lambda, lambda[best], sizeof lambda[best]);
+    for (int step = 0; step < MOST_STEPS && least > FAR; step++) {
+        double slope = INFINITY, way = 0, by;
+
+        for (int v = 0; v < 4; v++) {
+            double along = 0;
+
+            for (int i = 0; simplex >> v & 1 && i < 4; i++)
+                along += ret_lambda[i] * (lambda[v][i] - ret_lambda[i]);
+            if (along < slope) {
+                slope = along;
+                best = v;
+            }
+        }
+        for (int i = 0; i < 4; i++)
+            way += (lambda[best][i] - ret_lambda[i]) * (lambda[best][i] - ret_lambda[i]);
+        if (!(slope < 0) || !(way > 0))
+            break;
+        by = fmin(1, -slope / way);
+        least = 0;
+        for (int i = 0; i < 4; i++) {
+            ret_weight[i] += by * ((i == best) - ret_weight[i]);
+            ret_lambda[i] += by * (lambda[best][i] - ret_lambda[i]);
+            least += ret_lambda[i] * ret_lambda[i];
+        }
+    }
 }
 
-static double recur(struct mean *mean, int k, size_t s)
+static double recur(struct mean *mean, unsigned simplex, size_t s)
 {
-    const struct gsn_simplex_sets *sets = mean->sets;
-    const struct gsn_simplex_set *w = &sets->set[mean->pick[s]];
-    const double det = gsn_simplex_det(sets, w, mean->knot);
-    const int n = sets->set[s].size - 4;
-    double sum = 0;
+    const struct gsn_simplex_set *set = &mean->sets->set[s];
+    const struct gsn_simplex_set *w = &mean->sets->set[mean->pick[s]];
+    const double det = gsn_simplex_det(w, mean->knot);
+    const int n = set->size - 4, k = __builtin_popcount(simplex) - 1;
+    double sum = 0, weight[4], lambda[4];
 
     if (det == 0)
         return 0;
-    for (int i = 0; i < 4; i++) {
-        const double part = value_of(mean, k, without(sets, s, w->member[i]));
-
-        if (part != 0)
-            sum += swap[i] * plane_of(mean, w->without[i])->value[3 - k] / det * part;
+    choose_point(mean, simplex, w, det, weight, lambda);
+    for (unsigned i = 0, m = 0; i < 4; i++) {
+        while (set->member[m] != w->member[i])
+            m++;
+        if (lambda[i] != 0)
+            sum += n * lambda[i] * value_of(mean, simplex, set->without[m]);
     }
-    sum *= n;
-    if (k > 0)
-        sum += k * value_of(mean, k - 1, s);
+    for (int v = 0; v < 4 && k > 0; v++) {
+        if (weight[v] != 0)
+            sum += k * weight[v] * value_of(mean, simplex & ~(1u << v), s);
+    }
     return sum / (n + k);
 }
 
-/* 1 / ((n + 1) (n + 2) (n + 3)), the integral of M over all of space. */
+/* n! / (n + 3)!, the integral of M over all of space. */
 static double integral_of(int n)
 {
     return 1.0 / ((n + 1) * (n + 2) * (n + 3));
 }
 
-static double value_of(struct mean *mean, int k, size_t s)
+static int vanishes(const struct gsn_simplex_cell *cell, unsigned simplex,
+                    const struct gsn_simplex_set *set)
+{
+    unsigned clear = set->missing;
+
+    for (int v = 0; v < 4; v++) {
+        if (simplex >> v & 1)
+            clear &= cell->clear[v];
+    }
+    return clear || gsn_simplex_cell_misses(cell, set->mask);
+}
+
+static double value_of(struct mean *mean, unsigned simplex, size_t s)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[s];
-    double *value = &mean->value[k][s];
+    double *value = &mean->value[simplex][s];
 
-    if (mean->knows_value[k][s])
+    if (mean->knows_value[simplex][s])
         return *value;
-    mean->knows_value[k][s] = 1;
-    if (set->missing & mean->cell->clear || gsn_simplex_cell_misses(mean->cell, set->mask))
+    mean->knows_value[simplex][s] = 1;
+    if (vanishes(mean->cell, simplex, set))
         *value = 0;
-    else if (k == 3 && !(set->mask & ~mean->cell->within))
+    else if (simplex == WHOLE && !(set->mask & ~mean->cell->within))
         *value = integral_of(set->size - 4) / mean->cell->volume;
     else if (set->size == 4)
-        *value = leaf(mean, k, s);
+        *value = leaf(mean, simplex, s);
     else
-        *value = recur(mean, k, s);
+        *value = recur(mean, simplex, s);
     return *value;
 }
 
@@ -189,50 +277,14 @@ void gsn_simplex_mean(const struct gsn_simplex_sets *sets, const double (*knot)[
     memset(mean.knows_plane, 0, sizeof mean.knows_plane);
     memset(mean.knows_value, 0, sizeof mean.knows_value);
     for (size_t f = 0; f < sets->functions; f++)
-        ret_mean[f] = value_of(&mean, 3, f);
+        ret_mean[f] = value_of(&mean, WHOLE, f);
 }
 
-static double distance2(const double a[3], const double b[3])
+static const int others[4][3] = { { 1, 2, 3 }, { 0, 2, 3 }, { 0, 1, 3 }, { 0, 1, 2 } };
+
+/* Sorts the knots by the planes of the cell's faces. */
+static void look_from_cell(struct gsn_simplex_cell *cell, const double (*knot)[3], unsigned knots)
 {
-    double d[3];
-
-    gsn_subtract(a, b, d);
-    return gsn_dot(d, d);
-}
-
-/* Corners in the order of their distance from the middle of the knots. */
-static void sort_corners(struct gsn_simplex_cell *cell, const double (*corner)[3],
-                         const double (*knot)[3], unsigned knots)
-{
-    double middle[3] = { 0, 0, 0 }, far[4];
-
-    for (unsigned i = 0; i < knots; i++) {
-        for (int c = 0; c < 3; c++)
-            middle[c] += knot[i][c] / knots;
-    }
-    for (int k = 0; k < 4; k++) {
-        const double size = distance2(corner[k], middle);
-        int place = k;
-
-        for (; place > 0 && far[place - 1] > size; place--) {
-            far[place] = far[place - 1];
-            memcpy(cell->corner[place], cell->corner[place - 1], sizeof *cell->corner);
-        }
-        far[place] = size;
-        memcpy(cell->corner[place], corner[k], sizeof *cell->corner);
-    }
-}
-
-void gsn_simplex_cell_init(struct gsn_simplex_cell *cell, const double (*corner)[3],
-                           const double (*knot)[3], unsigned knots)
-{
-    static const int others[4][3] = { { 1, 2, 3 }, { 0, 2, 3 }, { 0, 1, 3 }, { 0, 1, 2 } };
-
-    sort_corners(cell, corner, knot, knots);
-    cell->volume =
-        fabs(gsn_det(cell->corner[0], cell->corner[1], cell->corner[2], cell->corner[3])) / 6;
-    cell->within = (1u << knots) - 1;
-    cell->clear = 0;
     for (int k = 0; k < 4; k++) {
         const double *a = cell->corner[others[k][0]], *b = cell->corner[others[k][1]],
                      *c = cell->corner[others[k][2]];
@@ -250,9 +302,44 @@ void gsn_simplex_cell_init(struct gsn_simplex_cell *cell, const double (*corner)
     }
 }
 
-int gsn_simplex_cell_misses(const struct gsn_simplex_cell *cell, unsigned mask)
+/* Sorts the knots by the planes of their own tetrahedron's faces, where the whole cell lies on the
+ * outer side of one. */
+static void look_from_knots(struct gsn_simplex_cell *cell, const double (*knot)[3], unsigned degree)
 {
     for (int k = 0; k < 4; k++) {
+        const double *a = knot[others[k][0] * (int)(degree + 1)],
+                     *b = knot[others[k][1] * (int)(degree + 1)],
+                     *c = knot[others[k][2] * (int)(degree + 1)];
+        const int inner = gsn_orient3d(a, b, c, knot[k * (int)(degree + 1)]);
+        int apart = 1;
+
+        cell->beyond[4 + k] = 0;
+        for (int i = 0; i < 4 && apart; i++)
+            apart = inner * gsn_orient3d(a, b, c, cell->corner[i]) <= 0;
+        for (unsigned i = 0; apart && i < 4 * (degree + 1); i++) {
+            if (inner * gsn_orient3d(a, b, c, knot[i]) >= 0)
+                cell->beyond[4 + k] |= 1u << i;
+        }
+    }
+}
+
+void gsn_simplex_cell_init(struct gsn_simplex_cell *cell, const double (*corner)[3],
+                           const double (*knot)[3], unsigned degree)
+{
+    const unsigned knots = 4 * (degree + 1);
+
+    memcpy(cell->corner, corner, sizeof cell->corner);
+    cell->volume =
+        fabs(gsn_det(cell->corner[0], cell->corner[1], cell->corner[2], cell->corner[3])) / 6;
+    cell->within = (1u << knots) - 1;
+    memset(cell->clear, 0, sizeof cell->clear);
+    look_from_cell(cell, knot, knots);
+    look_from_knots(cell, knot, degree);
+}
+
+int gsn_simplex_cell_misses(const struct gsn_simplex_cell *cell, unsigned mask)
+{
+    for (int k = 0; k < 8; k++) {
         if (!(mask & ~cell->beyond[k]))
             return 1;
     }

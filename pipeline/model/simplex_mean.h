@@ -1,15 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Means of simplex splines over a tetrahedral cell, by the mean recurrence: for a simplex S of
- * dimension k with corners v_0.., and S_0 its face opposite v_0,
+ * dimension k with corners v and faces S_v opposite them, and any point y = sum_v mu_v v of it,
  *
- *     (n + k) E_k[M(V); S] = n sum_j lambda_j(v_0 | W) E_k[M(V \ k_j); S] + k E_{k-1}[M(V); S_0],
- *     E_k[M; S] = (part of S inside the tetrahedron) / |det|                 (degree 0),
+ *     (n + k) E[M(V); S] = n sum_j lambda_j(y | W) E[M(V \ k_j); S] + k sum_v mu_v E[M(V); S_v],
+ *     E[M; S] = (part of S inside the tetrahedron) / |det|                           (degree 0),
  *
- * over the chain of faces v_0 v_1 v_2 v_3 > v_1 v_2 v_3 > v_2 v_3 > v_3. A face of the cell that
- * lies in a knot plane is pushed off it towards the corners left out, and all such decisions are
- * exact: cells that are tetrahedra of the mesh touch knot planes everywhere (docs/MATH.md,
- * section 5). */
+ * where S runs through the cell and its faces, edges and corners. (docs/MATH.md, section 5, has it
+ * for y a corner; the right side is affine in y. The free choice keeps the lambda_j small, and
+ * with them the rounding errors.)
+ *
+ * Cells that are tetrahedra of the mesh touch knot planes everywhere. A face, edge or corner that
+ * lies in a knot plane counts as pushed off it into the cell, and all such decisions are exact. */
 #ifndef GSN_MODEL_SIMPLEX_MEAN_H
 #define GSN_MODEL_SIMPLEX_MEAN_H
 
@@ -22,19 +24,21 @@ extern "C" {
 /* A cell and where the knots lie with respect to it. */
 struct gsn_simplex_cell {
     double corner[4][3];
-    double volume;      /* > 0 */
-    unsigned beyond[4]; /* knots in the closed half-space beyond the face opposite corner k */
-    unsigned within;    /* knots in the closed cell */
-    unsigned clear;     /* clouds such that sets without a knot of them vanish all over the cell */
+    double volume; /* > 0 */
+    /* Knots in the closed half-space away from the cell, for the planes of the cell's own faces and
+     * of those faces of the knots' tetrahedron that have the cell on one side. A set all in one of
+     * them has no part in the cell. */
+    unsigned beyond[8];
+    unsigned within;   /* knots in the closed cell */
+    unsigned clear[4]; /* per corner, as in gsn_simplex_at_init() */
 };
 
-/* Finds beyond, within and volume for a cell with these corners (in any orientation; the caller
- * guarantees that they are no plane's), the corner nearest the knots first, which is the accurate
- * way round; clear is left 0. knots is the number of knots. */
+/* Finds everything but clear, which is left 0, for a cell with these corners (in any orientation;
+ * the caller guarantees that they are no plane's) and the 4 (degree + 1) knots of a tetrahedron. */
 void gsn_simplex_cell_init(struct gsn_simplex_cell *cell, const double (*corner)[3],
-                           const double (*knot)[3], unsigned knots);
+                           const double (*knot)[3], unsigned degree);
 
-/* Whether a set of knots has no part in the cell, seen through one of its faces. */
+/* Whether some plane, of those looked at, has the cell and a set of knots on different sides. */
 int gsn_simplex_cell_misses(const struct gsn_simplex_cell *cell, unsigned mask);
 
 /* Means of M(. | V_beta) over the cell, of all functions. No four knots of any V_beta may lie in

@@ -70,8 +70,10 @@ static void describe(struct gsn_simplex_set *set, unsigned mask, unsigned degree
     set->size = 0;
     set->missing = 0;
     for (unsigned i = 0; i < GSN_SIMPLEX_MAX_KNOTS; i++) {
-        if (mask >> i & 1)
-            set->member[set->size++] = (uint8_t)i;
+        if (!(mask >> i & 1))
+            continue;
+        set->cloud[set->size] = (uint8_t)(i / (degree + 1));
+        set->member[set->size++] = (uint8_t)i;
     }
     for (unsigned k = 0; k < 4; k++) {
         if (!(mask >> (k * (degree + 1)) & cloud))

@@ -37,6 +37,7 @@ struct gsn_simplex_set {
     uint8_t size;                              /* number of knots, 3..n + 4 */
     uint8_t missing;                           /* bit per cloud that has no knot in the set */
     uint8_t member[GSN_SIMPLEX_MAX_MEMBERS];   /* the knots, ascending */
+    uint8_t cloud[GSN_SIMPLEX_MAX_MEMBERS];    /* and the clouds they are of */
     uint16_t without[GSN_SIMPLEX_MAX_MEMBERS]; /* the set less member i; none for size 3 */
 };
 

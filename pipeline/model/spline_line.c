@@ -78,9 +78,8 @@ static double tet_line(const struct gsn_spline *spline, const struct sight *sigh
         return 0;
     for (size_t f = 0; f < sets->functions; f++) {
         if (integral[f] != 0)
-            sum +=
-                spline->control[id[f]] * integral[f] *
-                fabs(gsn_simplex_det(sets, &sets->set[sets->corners[f]], (const double(*)[3])knot));
+            sum += spline->control[id[f]] * integral[f] *
+                   fabs(gsn_simplex_det(&sets->set[sets->corners[f]], (const double(*)[3])knot));
     }
     return sum;
 }

@@ -16,18 +16,20 @@ struct visit {
     double mean;
 };
 
-/* Clouds k such that the whole cell has lambda_k > delta_k. */
-static unsigned clear_of(const struct gsn_dms *space, size_t tet, const double (*corner)[3])
+/* Per corner the clouds k with lambda_k > delta_k; returns those that all corners have. */
+static unsigned clear_of(const struct gsn_dms *space, size_t tet, const double (*corner)[3],
+                         unsigned ret_clear[4])
 {
-    unsigned clear = GSN_DMS_ALL;
+    unsigned common = GSN_DMS_ALL;
 
     for (int i = 0; i < 4; i++) {
         double lambda[4];
 
         gsn_frame_at(&space->shape[tet].frame, corner[i], lambda);
-        clear &= gsn_dms_clear(&space->shape[tet], lambda);
+        ret_clear[i] = gsn_dms_clear(&space->shape[tet], lambda);
+        common &= ret_clear[i];
     }
-    return clear;
+    return common;
 }
 
 /* The mean of a polynomial over a tetrahedron is that of its Bernstein coefficients. */
@@ -69,24 +71,24 @@ static int add_tet(void *context, uint32_t tet)
     double mean[GSN_DMS_MAX_FUNCTIONS], own[GSN_SIMPLEX_MAX_KNOTS][3];
     const double(*knot)[3] = (const double(*)[3])own;
     struct gsn_simplex_cell cell;
-    const unsigned clear = clear_of(space, tet, visit->corner);
+    unsigned clear[4];
 
     gsn_dms_gather(space, tet, own);
-    if (clear == GSN_DMS_ALL) {
+    if (clear_of(space, tet, visit->corner, clear) == GSN_DMS_ALL) {
         visit->mean += core_mean(visit->spline, tet, knot, visit->corner);
         return 0;
     }
-    gsn_simplex_cell_init(&cell, visit->corner, knot, knots);
+    gsn_simplex_cell_init(&cell, visit->corner, knot, space->degree);
     if (gsn_simplex_cell_misses(&cell, (1u << knots) - 1))
         return 0;
-    cell.clear = clear;
+    memcpy(cell.clear, clear, sizeof clear);
     if (space->general[tet])
         gsn_simplex_mean(sets, knot, gsn_dms_pick_of(space, tet), &cell, mean);
     else
         pieces_means(space, tet, knot, &cell, mean);
     for (size_t f = 0; f < sets->functions; f++)
         visit->mean += visit->spline->control[id[f]] * mean[f] *
-                       fabs(gsn_simplex_det(sets, &sets->set[sets->corners[f]], knot));
+                       fabs(gsn_simplex_det(&sets->set[sets->corners[f]], knot));
     return 0;
 }
 

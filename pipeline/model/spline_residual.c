@@ -8,10 +8,11 @@
  * and sum to at most one, the extreme coefficients bound the difference (docs/MATH.md, section 6).
  */
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/orient.h"
+#include "pipeline/model/simplex_mean.h"
 #include "pipeline/model/spline_internal.h"
 
 #include <math.h>
+#include <string.h>
 
 /* One tetrahedron, home, and the range found so far. */
 struct home {
@@ -26,48 +27,6 @@ static void widen(double value, double *low, double *high)
 {
     *low = fmin(*low, value);
     *high = fmax(*high, value);
-}
-
-/* Whether a knot lies in the closed half-space beyond face k of a positive tetrahedron. */
-static int is_beyond(const double *const corner[4], int k, const double lambda[4],
-                     const double *knot)
-{
-    static const int others[4][3] = { { 1, 3, 2 }, { 0, 2, 3 }, { 0, 3, 1 }, { 0, 1, 2 } };
-    const int *f = others[k];
-
-    if (fabs(lambda[k]) > GSN_DMS_SLACK)
-        return lambda[k] < 0;
-    return gsn_orient3d(corner[f[0]], corner[f[1]], corner[f[2]], knot) <= 0;
-}
-
-/* For each face of home the local knots of another tetrahedron that lie beyond it. */
-static void find_beyond(const struct home *home, const double (*knot)[3], unsigned ret_beyond[4])
-{
-    const struct gsn_dms *space = home->spline->space;
-    const double *corner[4];
-
-    for (unsigned k = 0; k < 4; k++) {
-        corner[k] = home->knot[k * (space->degree + 1)];
-        ret_beyond[k] = 0;
-    }
-    for (unsigned i = 0; i < 4 * (space->degree + 1); i++) {
-        double lambda[4];
-
-        gsn_frame_at(&space->shape[home->tet].frame, knot[i], lambda);
-        for (int k = 0; k < 4; k++) {
-            if (is_beyond(corner, k, lambda, knot[i]))
-                ret_beyond[k] |= 1u << i;
-        }
-    }
-}
-
-static int is_out_of_reach(unsigned knots, const unsigned beyond[4])
-{
-    for (int k = 0; k < 4; k++) {
-        if (!(knots & ~beyond[k]))
-            return 1;
-    }
-    return 0;
 }
 
 static int is_own_control(const struct home *home, uint32_t control)
@@ -99,15 +58,18 @@ static void add_foreign(struct home *home, size_t tet)
 {
     const struct gsn_dms *space = home->spline->space;
     const uint32_t *id = gsn_dms_control_ids(space, tet);
-    double knot[GSN_SIMPLEX_MAX_KNOTS][3];
-    unsigned beyond[4];
+    double knot[GSN_SIMPLEX_MAX_KNOTS][3], corner[4][3];
+    struct gsn_simplex_cell cell;
 
     gsn_dms_gather(space, tet, knot);
-    find_beyond(home, (const double(*)[3])knot, beyond);
+    for (unsigned k = 0; k < 4; k++)
+        memcpy(corner[k], home->knot[k * (space->degree + 1)], sizeof corner[k]);
+    gsn_simplex_cell_init(&cell, (const double(*)[3])corner, (const double(*)[3])knot,
+                          space->degree);
     for (size_t f = 0; f < gsn_dms_functions(space); f++) {
         const double control = home->spline->control[id[f]];
 
-        if (is_out_of_reach(space->sets->set[f].mask, beyond))
+        if (gsn_simplex_cell_misses(&cell, space->sets->set[f].mask))
             continue;
         widen(control, &home->least, &home->greatest);
         /* The polar value at knots of its own is home's own control value. */

@@ -5,10 +5,10 @@
 
 #include <string.h>
 
-double draw(uint64_t *state)
+double draw(uint64_t *seed)
 {
-    *state = *state * 6364136223846793005u + 1442695040888963407u;
-    return (double)(*state >> 11) * 0x1p-53;
+    *seed = *seed * 6364136223846793005u + 1442695040888963407u;
+    return (double)(*seed >> 11) * 0x1p-53;
 }
 
 static uint32_t number(const size_t cells[3], size_t x, size_t y, size_t z)
@@ -18,7 +18,7 @@ static uint32_t number(const size_t cells[3], size_t x, size_t y, size_t z)
 
 static void place(const size_t cells[3], double jitter, double (*vertex)[3])
 {
-    uint64_t state = 7;
+    uint64_t seed = 7;
 
     for (size_t z = 0; z <= cells[2]; z++) {
         for (size_t y = 0; y <= cells[1]; y++) {
@@ -30,7 +30,7 @@ static void place(const size_t cells[3], double jitter, double (*vertex)[3])
                 for (int c = 0; c < 3; c++)
                     inner = inner && at[c] > 0 && at[c] < cells[c];
                 for (int c = 0; c < 3; c++)
-                    v[c] = (double)at[c] + (inner ? jitter * (2 * draw(&state) - 1) : 0);
+                    v[c] = (double)at[c] + (inner ? jitter * (2 * draw(&seed) - 1) : 0);
             }
         }
     }
@@ -81,12 +81,12 @@ struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree
     return space;
 }
 
-void draw_inside(const struct gsn_tets *mesh, size_t t, uint64_t *state, double ret_u[3])
+void draw_inside(const struct gsn_tets *mesh, size_t t, uint64_t *seed, double ret_u[3])
 {
     double lambda[4], sum = 0;
 
     for (int k = 0; k < 4; k++)
-        sum += lambda[k] = -log(1 - draw(state));
+        sum += lambda[k] = -log(1 - draw(seed));
     for (int c = 0; c < 3; c++) {
         ret_u[c] = 0;
         for (int k = 0; k < 4; k++)
@@ -94,15 +94,15 @@ void draw_inside(const struct gsn_tets *mesh, size_t t, uint64_t *state, double 
     }
 }
 
-struct polynomial draw_polynomial(unsigned degree, uint64_t *state)
+struct polynomial draw_polynomial(unsigned degree, uint64_t *seed)
 {
     struct polynomial p = { .degree = degree };
 
     for (int j = 0; j < 20; j++) {
-        p.weight[j] = 2 * draw(state) - 1;
-        p.constant[j] = 2 * draw(state) - 1;
+        p.weight[j] = 2 * draw(seed) - 1;
+        p.constant[j] = 2 * draw(seed) - 1;
         for (int c = 0; c < 3; c++)
-            p.slope[j][c] = draw(state) - 0.5;
+            p.slope[j][c] = draw(seed) - 0.5;
     }
     return p;
 }

@@ -16,9 +16,9 @@ struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree
                            enum gsn_dms_sharing sharing);
 
 /* The next of a fixed sequence, in [0, 1). */
-double draw(uint64_t *state);
+double draw(uint64_t *seed);
 /* A point of tetrahedron t with random barycentric coordinates. */
-void draw_inside(const struct gsn_tets *mesh, size_t t, uint64_t *state, double ret_u[3]);
+void draw_inside(const struct gsn_tets *mesh, size_t t, uint64_t *seed, double ret_u[3]);
 
 /* A polynomial of three variables by its polar form: F(u_1..u_n) of
  * p = sum over j of weight[j] (a_j . u + b_j)^n is the sum of the products. */
@@ -26,7 +26,7 @@ struct polynomial {
     unsigned degree;
     double weight[20], slope[20][3], constant[20];
 };
-struct polynomial draw_polynomial(unsigned degree, uint64_t *state);
+struct polynomial draw_polynomial(unsigned degree, uint64_t *seed);
 double polynomial_at(const struct polynomial *p, const double u[3], double *ret_gradient);
 double polynomial_polar(const struct polynomial *p, const double *const arg[]);
 /* gives: the control points that make the spline that polynomial. */

@@ -5,7 +5,7 @@
 
 #include "pipeline/core/parallel.h"
 
-enum { BATCH = 64 };
+enum { BATCH = 64, MOST_PULLS = 256 };
 
 /* Evaluation is good to about 1e-14 of the largest control value, 1e-12 next to knot planes. */
 static const double value_slack = 1e-11;
@@ -164,41 +164,100 @@ static enum way choose(const struct gsn_pieces *pieces, const uint32_t *tet, siz
     return pieces->shared && !inward ? BY_GRADIENT : BY_RESIDUAL;
 }
 
-/* The gradient coefficients that reach the box, less what the deepest polynomial's bend makes of
- * their nodes: [low, high] per axis, in units of s per half edge. */
+/* A gradient coefficient that reaches the box, less what the deepest polynomial's bend makes of its
+ * node, in units of s per half edge; and how much it can weigh. */
+struct pull {
+    double gradient[3], weight;
+};
+
+static struct pull pull_of(const struct gsn_piece_slope *slope, double weight,
+                           const struct gsn_box *box, const struct gsn_piece_bend *bend)
+{
+    struct pull pull = { .weight = weight };
+    double t[3];
+
+    for (int a = 0; a < 3; a++)
+        t[a] = (slope->node[a] - box->centre[a]) / box->half[a];
+    for (int a = 0; a < 3; a++) {
+        const int b = (a + 1) % 3, c = (a + 2) % 3;
+
+        pull.gradient[a] = slope->gradient[a] * box->half[a] - 2.0 * bend->square[a] * t[a] -
+                           bend->cross[b] * t[c] - bend->cross[c] * t[b];
+    }
+    return pull;
+}
+
+/* When there is no room left, the last two places stand for the ends of all that came since, with
+ * any weight. */
+static void add_pull(struct pull *pull, size_t *count, struct pull more)
+{
+    if (*count < MOST_PULLS) {
+        pull[(*count)++] = more;
+        return;
+    }
+    for (int a = 0; a < 3; a++) {
+        struct pull *low = &pull[MOST_PULLS - 2], *high = &pull[MOST_PULLS - 1];
+        const double least = fmin(more.gradient[a], fmin(low->gradient[a], high->gradient[a]));
+        const double most = fmax(more.gradient[a], fmax(low->gradient[a], high->gradient[a]));
+
+        low->gradient[a] = least;
+        high->gradient[a] = most;
+    }
+    pull[MOST_PULLS - 2].weight = pull[MOST_PULLS - 1].weight = 1.0;
+}
+
+/* The largest mean of sign * gradient[a] with weights up to their bounds that sum to 1: the largest
+ * pulls first. */
+static double strongest(const struct pull *pull, size_t count, int a, double sign)
+{
+    double before = INFINITY, left = 1.0, mean = 0.0;
+
+    while (left > 0.0) {
+        double next = -INFINITY, weight = 0.0;
+
+        /* All that pull equally are taken together. */
+        for (size_t i = 0; i < count; i++) {
+            const double here = sign * pull[i].gradient[a];
+
+            if (here < before && here >= next) {
+                weight = (here > next ? 0.0 : weight) + pull[i].weight;
+                next = here;
+            }
+        }
+        /* Bounds sum to 1 or more; rounding may leave a crumb, which the weakest takes. */
+        if (isinf(next))
+            return mean + left * before;
+        mean += fmin(left, weight) * next;
+        left -= weight;
+        before = next;
+    }
+    return mean;
+}
+
+/* Between which bounds the mean gradient lies, less the bend. */
 static void spread(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
                    const struct gsn_box *box, const struct gsn_piece_bend *bend, double low[3],
                    double high[3])
 {
     const size_t slopes = gsn_piece_slopes(gsn_spline_space(pieces->spline));
+    struct pull pull[MOST_PULLS];
+    size_t pulls = 0;
 
-    for (int a = 0; a < 3; a++) {
-        low[a] = INFINITY;
-        high[a] = -INFINITY;
-    }
     for (size_t i = 0; i < count; i++) {
         const struct gsn_piece *piece = &pieces->piece[tet[i]];
 
         if (!gsn_piece_reaches(piece, box))
             continue;
         for (size_t f = 0; f < slopes; f++) {
-            const struct gsn_piece_slope *slope = &piece->slope[f];
-            double t[3];
+            const double weight = gsn_piece_slope_weight(piece, &piece->slope[f], box);
 
-            if (!gsn_piece_slope_reaches(piece, slope, box))
-                continue;
-            for (int a = 0; a < 3; a++)
-                t[a] = (slope->node[a] - box->centre[a]) / box->half[a];
-            for (int a = 0; a < 3; a++) {
-                const int b = (a + 1) % 3, c = (a + 2) % 3;
-                const double here = slope->gradient[a] * box->half[a] -
-                                    2.0 * bend->square[a] * t[a] - bend->cross[b] * t[c] -
-                                    bend->cross[c] * t[b];
-
-                low[a] = fmin(low[a], here);
-                high[a] = fmax(high[a], here);
-            }
+            if (weight > 0.0)
+                add_pull(pull, &pulls, pull_of(&piece->slope[f], weight, box, bend));
         }
+    }
+    for (int a = 0; a < 3; a++) {
+        low[a] = -strongest(pull, pulls, a, -1.0);
+        high[a] = strongest(pull, pulls, a, 1.0);
     }
 }
 

@@ -18,6 +18,7 @@ extern "C" {
 enum {
     GSN_PIECE_SIDE = GSN_DMS_MAX_DEGREE + 1,
     GSN_PIECE_TERMS = GSN_PIECE_SIDE * GSN_PIECE_SIDE * GSN_PIECE_SIDE,
+    GSN_PIECE_CAPS = 6,
 };
 
 /* One coefficient of the gradient. With shared control points the gradient of s is itself a simplex
@@ -31,6 +32,9 @@ enum {
 struct gsn_piece_slope {
     double gradient[3], node[3]; /* node: the mean of the n - 1 knots of g */
     double least[4];             /* of lambda_k over the knots of the function's support */
+    /* For n = 2 the function itself is nowhere above any of cap[i][0..2] . x + cap[i][3]. */
+    unsigned caps;
+    double cap[GSN_PIECE_CAPS][4];
 };
 
 struct gsn_piece {
@@ -58,9 +62,10 @@ void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piec
 
 /* Whether any function of the tetrahedron may differ from 0 somewhere in the box. */
 int gsn_piece_reaches(const struct gsn_piece *piece, const struct gsn_box *box);
-/* The same of one gradient coefficient. */
-int gsn_piece_slope_reaches(const struct gsn_piece *piece, const struct gsn_piece_slope *slope,
-                            const struct gsn_box *box);
+/* No less than the function of one gradient coefficient anywhere in the box; 0 when it does not
+ * reach it, at most 1. */
+double gsn_piece_slope_weight(const struct gsn_piece *piece, const struct gsn_piece_slope *slope,
+                              const struct gsn_box *box);
 
 /* Smallest barycentric coordinate of a point: >= 0 inside. */
 double gsn_piece_depth(const struct gsn_piece *piece, const double u[3]);

@@ -125,6 +125,50 @@ TEST(brackets_shrink_with_the_box_in_cores_and_in_skins)
     kuhn_done(&kuhn);
 }
 
+/* The gradient of degree 2 is made of the functions of degree 1 on the first two knots of each
+ * cloud: the least of the caps is that function, and not only above it. */
+TEST(the_caps_of_the_gradients_functions_are_those_functions)
+{
+    struct kuhn kuhn;
+    struct gsn_error err = { 0 };
+    gsn_auto(gsn_dms) first = NULL;
+    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto_mem(double) knot = NULL;
+    uint64_t seed = 31;
+    size_t hint = 0, checked = 0;
+
+    CHECK_OK(kuhn_random(low, high, cells, 2, 0.2, 5, &kuhn, &err), err);
+    knot = gsn_alloc_array(6 * kuhn.mesh->vertex_count, sizeof *knot);
+    for (size_t i = 0; i < 6 * kuhn.mesh->vertex_count; i++)
+        knot[i] = gsn_dms_knots(kuhn.space)[3 * (i / 6) + i / 3 % 2][i % 3];
+    CHECK_OK(gsn_dms_new(kuhn.mesh, 1, (const double(*)[3])knot, GSN_DMS_OWN, &first, &err), err);
+    CHECK_OK(gsn_pieces_new(kuhn.spline, 1, &pieces, &err), err);
+    for (int i = 0; i < 4000; i++) {
+        const struct gsn_box box = draw_box(&seed, 0.0);
+        struct gsn_dms_term term[256];
+        double sum = 0.0;
+        size_t count;
+
+        CHECK(gsn_dms_basis(first, box.centre, 0, &hint, term, 256, &count) == GSN_OK);
+        CHECK(count <= 256);
+        for (size_t k = 0; k < count; k++) {
+            const struct gsn_piece *piece = &pieces->piece[term[k].tet];
+
+            /* Functions of degree 1 are in the order of their corner; slopes in that of g. */
+            CHECK_NEAR(gsn_piece_slope_weight(piece, &piece->slope[3 - term[k].function], &box),
+                       term[k].value, 1e-9);
+        }
+        for (size_t t = 0; t < pieces->count; t++) {
+            for (size_t f = 0; f < 4; f++)
+                sum += gsn_piece_slope_weight(&pieces->piece[t], &pieces->piece[t].slope[f], &box);
+        }
+        CHECK_NEAR(sum, 1.0, 1e-8);
+        checked += count;
+    }
+    CHECK(checked > 16000);
+    kuhn_done(&kuhn);
+}
+
 /* Control points of each tetrahedron's own: cliffs at faces, where the gradient says nothing. */
 TEST(a_bracket_encloses_a_spline_with_cliffs)
 {

@@ -3,13 +3,15 @@
 /* How much of the region is denser than a threshold, with bounds that are guaranteed.
  *
  * Equation (10): on an axis-aligned box inside the domain the spline differs from a linear function
- * l by something in [rmin, rmax] (tensor Bernstein coefficients of the polynomial of every
- * tetrahedron the box may touch, plus the residual bound outside a core), so that
+ * l by something in [rmin, rmax], so that
  *
  *     vol{ l + rmin > t }  <=  vol{ s > t }  <=  vol{ l + rmax > t },
  *
- * both sides a half-space cut out of a box. The boxes are the region's voxels, halved where the two
- * sides differ most until the sum of the differences is small enough. Volumes in um^3. */
+ * both sides a half-space cut out of a box. Where s is one polynomial the interval comes from its
+ * tensor Bernstein coefficients and shrinks with the square of the box; across the skins between
+ * tetrahedra it comes from the coefficients of the gradient and shrinks in proportion (bracket.h).
+ * The boxes are the region's voxels, halved where the two sides differ most until the sum of the
+ * differences is small enough. Volumes in um^3. */
 #ifndef GSN_MEASURE_LEVEL_SET_H
 #define GSN_MEASURE_LEVEL_SET_H
 

@@ -74,7 +74,7 @@ TEST(the_gap_shrinks_to_0_6_or_less_when_the_cells_double)
     double gap = 0.0;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &q, &kuhn, &err), err);
-    for (size_t most = 4000; most <= 256000; most *= 2) {
+    for (size_t most = 4000; most <= 128000; most *= 2) {
         const struct gsn_level_set_options options = { .gap = 1e-12, .most_cells = most };
         struct gsn_volume_bound bound;
         double here;
@@ -135,7 +135,7 @@ TEST(a_constant_is_all_or_nothing)
     kuhn_done(&kuhn);
 }
 
-enum { THRESHOLDS = 5, POINTS = 3 };
+enum { THRESHOLDS = 3, POINTS = 3 };
 
 /* Volumes of {s > t} in the region by 3^3 points per voxel: independent of all bounding. */
 static void by_points(const struct gsn_spline *spline, const struct gsn_mask *region,
@@ -168,11 +168,11 @@ static void by_points(const struct gsn_spline *spline, const struct gsn_mask *re
 
 TEST(random_splines_lie_between_their_bounds_and_thresholds_are_in_order)
 {
-    const double thresholds[THRESHOLDS] = { -0.3, -0.1, 0.0, 0.1, 0.3 };
+    const double thresholds[THRESHOLDS] = { -0.2, 0.0, 0.2 };
     gsn_auto(gsn_mask) region = region_of(18);
 
     for (unsigned degree = 1; degree <= 3; degree++) {
-        const struct gsn_level_set_options options = { .gap = 0.02, .most_cells = 200000 };
+        const struct gsn_level_set_options options = { .gap = 0.02, .most_cells = 150000 };
         struct gsn_volume_bound bound[THRESHOLDS];
         double estimate[THRESHOLDS];
         struct gsn_error err = { 0 };
@@ -244,7 +244,7 @@ TEST(one_and_two_threads_give_the_same_bytes)
     CHECK_OK(kuhn_random(low, high, cells, 2, 0.03, 3, &kuhn, &err), err);
     memset(bound, 0, sizeof bound);
     for (unsigned threads = 1; threads <= 2; threads++) {
-        const struct gsn_level_set_options options = { .threads = threads, .most_cells = 100000 };
+        const struct gsn_level_set_options options = { .threads = threads, .most_cells = 20000 };
 
         CHECK_OK(gsn_level_set_volume(kuhn.spline, region, thresholds, 2, &options,
                                       bound[threads - 1], &err),

@@ -1,0 +1,59 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What a spline can be on an axis-aligned box: a linear function plus an interval, guaranteed.
+ *
+ * Where one tetrahedron's functions are alone the spline is its polynomial, bounded by its tensor
+ * Bernstein coefficients. Elsewhere the value at the centre is exact and the gradient is bounded by
+ * the gradient coefficients that reach the box (see piece.h). Both get better as boxes get smaller,
+ * the first with the square of the size, the second in proportion. Where the gradient says nothing
+ * (control points that are not shared, boundary clouds that point inward) the polynomials of all
+ * tetrahedra touched and their residual bounds are used. */
+#ifndef GSN_MEASURE_BRACKET_H
+#define GSN_MEASURE_BRACKET_H
+
+#include "pipeline/measure/piece.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* All pieces of a spline. */
+struct gsn_pieces {
+    const struct gsn_spline *spline;
+    size_t count;
+    struct gsn_piece *piece;
+    struct gsn_piece_slope *slope;
+    int shared;   /* whether neighbours agree on the control values of their common face */
+    double slack; /* more than the rounding of s anywhere */
+};
+
+/* gives; keeps spline. threads 0: all. Fails with GSN_E_NOMEM. */
+int gsn_pieces_new(const struct gsn_spline *spline, unsigned threads,
+                   struct gsn_pieces **ret_pieces, struct gsn_error *err);
+void gsn_pieces_free(struct gsn_pieces *pieces);
+GSN_DEFINE_AUTO(gsn_pieces);
+
+/* On the box, s lies between linear + low and linear + high, and between least and most. After
+ * gsn_bracket_hull() only the last two are set. bent says that the interval is mostly the bend of
+ * one polynomial, and not what smaller boxes escape. */
+struct gsn_bracket {
+    struct gsn_piece_linear linear;
+    double low, high;
+    double least, most;
+    int bent;
+};
+
+/* tet: count tetrahedra, among them all whose functions reach the box. Cheap: by the coefficients
+ * of the tetrahedra touched. *ret_deepest: which holds the box's centre; the caller guarantees that
+ * one does. */
+void gsn_bracket_hull(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
+                      const struct gsn_box *box, struct gsn_bracket *ret_bracket,
+                      uint32_t *ret_deepest);
+/* Sets the rest. */
+void gsn_bracket_tighten(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
+                         const struct gsn_box *box, uint32_t deepest, struct gsn_bracket *bracket);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

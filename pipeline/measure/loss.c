@@ -1,0 +1,94 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/measure/loss.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+#include "pipeline/measure/stats.h"
+
+/* A density is an optical figure of order 0.1 to 1; a mean this small is an empty region. */
+static const double nearly_zero = 1e-6;
+/* The same shape put on the same lattice agrees to rounding; 0.1 % is another region. */
+static const double most_volume_difference = 1e-3;
+
+static int check_side(const struct gsn_loss_side *side, struct gsn_error *err)
+{
+    if (!isfinite(side->mean) || !isfinite(side->volume_um3) || !(side->volume_um3 > 0.0))
+        return gsn_fail(err, GSN_E_INPUT, "%s: mean %g over %g um3 is no density of a region",
+                        side->name, side->mean, side->volume_um3);
+    if (!isfinite(side->standard_error) || side->standard_error < 0.0 || !isfinite(side->freedom) ||
+        side->freedom < 0.0)
+        return gsn_fail(err, GSN_E_INPUT, "%s: standard error %g with %g degrees of freedom",
+                        side->name, side->standard_error, side->freedom);
+    return GSN_OK;
+}
+
+static int check_alike(const struct gsn_loss_side *baseline, const struct gsn_loss_side *treated,
+                       struct gsn_error *err)
+{
+    if (strcmp(baseline->definition, treated->definition) != 0)
+        return gsn_fail(err, GSN_E_INPUT, "the density definitions differ: %s has %s, %s has %s",
+                        baseline->name, baseline->definition, treated->name, treated->definition);
+    if (strcmp(baseline->dyes, treated->dyes) != 0)
+        return gsn_fail(err, GSN_E_INPUT, "the dye vectors differ: %s has %s, %s has %s",
+                        baseline->name, baseline->dyes, treated->name, treated->dyes);
+    if (fabs(treated->volume_um3 - baseline->volume_um3) >
+        most_volume_difference * baseline->volume_um3)
+        return gsn_fail(err, GSN_E_INPUT, "the regions differ: %s has %.6g mm3, %s has %.6g mm3",
+                        baseline->name, baseline->volume_um3 * 1e-9, treated->name,
+                        treated->volume_um3 * 1e-9);
+    return GSN_OK;
+}
+
+static int interval(const struct gsn_loss_side *baseline, const struct gsn_loss_side *treated,
+                    double confidence, struct gsn_loss *loss, struct gsn_error *err)
+{
+    const double var_a = treated->standard_error * treated->standard_error;
+    const double var_b = baseline->standard_error * baseline->standard_error;
+    const double ratio = treated->mean / baseline->mean;
+    const double freedom =
+        gsn_welch_freedom(var_a, treated->freedom, ratio * ratio * var_b, baseline->freedom);
+    const double tail = 0.5 + confidence / 2.0;
+    const double quantile =
+        freedom > 0.0 ? gsn_student_quantile(tail, freedom) : gsn_normal_quantile(tail);
+    double low, high;
+    const int r =
+        gsn_fieller(treated->mean, var_a, baseline->mean, var_b, quantile, &low, &high, err);
+
+    if (r < 0)
+        return gsn_fail_at(err, "baseline %s", baseline->name);
+    loss->has_interval = 1;
+    loss->percent_low = 100.0 * (1.0 - high);
+    loss->percent_high = 100.0 * (1.0 - low);
+    return GSN_OK;
+}
+
+int gsn_loss(const struct gsn_loss_side *baseline, const struct gsn_loss_side *treated,
+             double confidence, struct gsn_loss *ret_loss, struct gsn_error *err)
+{
+    struct gsn_loss loss = { 0 };
+    int r;
+
+    assert(confidence > 0.0 && confidence < 1.0);
+    r = check_side(baseline, err);
+    if (r == GSN_OK)
+        r = check_side(treated, err);
+    if (r == GSN_OK)
+        r = check_alike(baseline, treated, err);
+    if (r < 0)
+        return r;
+    if (!(baseline->mean > nearly_zero))
+        return gsn_fail(err, GSN_E_WITHHELD,
+                        "the baseline %s has a mean density of %.3g, too near zero to divide by",
+                        baseline->name, baseline->mean);
+    loss.percent = 100.0 * (1.0 - treated->mean / baseline->mean);
+    loss.points = 100.0 * (baseline->mean - treated->mean);
+    if (baseline->standard_error > 0.0 && treated->standard_error > 0.0) {
+        r = interval(baseline, treated, confidence, &loss, err);
+        if (r < 0)
+            return r;
+    }
+    *ret_loss = loss;
+    return GSN_OK;
+}

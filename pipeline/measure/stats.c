@@ -1,0 +1,47 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/measure/stats.h"
+
+#include <assert.h>
+#include <math.h>
+
+#include <gsl/gsl_cdf.h>
+
+double gsn_normal_quantile(double probability)
+{
+    assert(probability > 0.0 && probability < 1.0);
+    return gsl_cdf_ugaussian_Pinv(probability);
+}
+
+double gsn_student_quantile(double probability, double freedom)
+{
+    assert(probability > 0.0 && probability < 1.0 && freedom > 0.0);
+    return gsl_cdf_tdist_Pinv(probability, freedom);
+}
+
+double gsn_welch_freedom(double variance_a, double freedom_a, double variance_b, double freedom_b)
+{
+    const double sum = variance_a + variance_b;
+    const double spread_a = freedom_a > 0.0 ? variance_a * variance_a / freedom_a : 0.0;
+    const double spread_b = freedom_b > 0.0 ? variance_b * variance_b / freedom_b : 0.0;
+
+    return spread_a + spread_b > 0.0 ? sum * sum / (spread_a + spread_b) : 0.0;
+}
+
+int gsn_fieller(double a, double var_a, double b, double var_b, double quantile, double *ret_low,
+                double *ret_high, struct gsn_error *err)
+{
+    const double q2 = quantile * quantile;
+    /* rho^2 (b^2 - q^2 var_b) - 2 rho a b + (a^2 - q^2 var_a) <= 0 */
+    const double lead = b * b - q2 * var_b;
+    /* (a b)^2 - lead (a^2 - q^2 var_a), written without the two large terms that cancel. */
+    const double root = q2 * (b * b * var_a + a * a * var_b - q2 * var_a * var_b);
+
+    if (!(lead > 0.0))
+        return gsn_fail(err, GSN_E_WITHHELD,
+                        "the baseline %.4g cannot be told from zero (standard error %.3g)", b,
+                        sqrt(var_b));
+    /* lead > 0 keeps root at or above q^2 a^2 var_b. */
+    *ret_low = (a * b - sqrt(root)) / lead;
+    *ret_high = (a * b + sqrt(root)) / lead;
+    return GSN_OK;
+}

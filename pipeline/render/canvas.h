@@ -1,0 +1,70 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A small canvas on RGB pictures of 8 bits: boxes, lines, text, scale bars and colour scales.
+ *
+ * Every function takes a struct gsn_image with 3 channels and 8 bits (the caller guarantees it),
+ * in pixels from the upper left corner; what falls outside is clipped. */
+#ifndef GSN_RENDER_CANVAS_H
+#define GSN_RENDER_CANVAS_H
+
+#include "pipeline/core/image.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_colour {
+    uint8_t r, g, b;
+};
+
+/* Maps that rise evenly in lightness, so that they survive grey printing. */
+enum gsn_colour_map { GSN_MAP_VIRIDIS, GSN_MAP_GREY };
+
+/* share 0..1; beyond is clamped. NaN gives the grey of "no data". */
+struct gsn_colour gsn_colour_of(enum gsn_colour_map map, double share);
+
+/* gives: a picture filled with one colour. Fails with GSN_E_NOMEM. */
+int gsn_canvas_new(uint32_t width, uint32_t height, struct gsn_colour background,
+                   struct gsn_image **ret_image, struct gsn_error *err);
+
+void gsn_canvas_put(struct gsn_image *image, int x, int y, struct gsn_colour colour);
+/* Mixes the colour in with this weight, 0..1. */
+void gsn_canvas_mix(struct gsn_image *image, int x, int y, struct gsn_colour colour, double weight);
+void gsn_canvas_box(struct gsn_image *image, int x, int y, int width, int height,
+                    struct gsn_colour colour);
+/* A frame one pixel wide, outside of the box. */
+void gsn_canvas_frame(struct gsn_image *image, int x, int y, int width, int height,
+                      struct gsn_colour colour);
+/* Diagonal hatching that says "no data", never to be taken for a value. */
+void gsn_canvas_no_data(struct gsn_image *image, int x, int y);
+/* Anti-aliased, round ends; coordinates have pixel centres at +0.5. */
+void gsn_canvas_line(struct gsn_image *image, double x0, double y0, double x1, double y1,
+                     double width, struct gsn_colour colour);
+/* Copies a picture of the same kind to (x, y). */
+void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, int x, int y);
+
+/* Text in a fixed 5x7 face on a 6x10 cell, enlarged scale times (1, 2, ...); (x, y) is the upper
+ * left corner of the first cell. Printable ASCII, and of UTF-8 the micro sign, the superscripts
+ * 2 and 3, the degree and the multiplication sign; anything else is drawn as an empty box. */
+void gsn_canvas_text(struct gsn_image *image, int x, int y, int scale, const char *text,
+                     struct gsn_colour colour);
+int gsn_canvas_text_width(const char *text, int scale);
+enum { GSN_CANVAS_CELL_WIDTH = 6, GSN_CANVAS_CELL_HEIGHT = 10 };
+
+/* A bar of a round length (1, 2 or 5 times a power of ten) of at most most_px, labelled above it;
+ * (x, y) is its lower left corner. */
+void gsn_canvas_scale_bar(struct gsn_image *image, int x, int y, double um_per_px, int most_px,
+                          struct gsn_colour colour);
+
+/* An upright colour scale of this box with round numbers to the right of it and the unit above;
+ * low < high. It needs GSN_CANVAS_SCALE_ROOM pixels of width beside the bar, and two cells above.
+ */
+void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int height,
+                           enum gsn_colour_map map, double low, double high, const char *unit,
+                           struct gsn_colour ink);
+enum { GSN_CANVAS_SCALE_ROOM = 62 };
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,265 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/render/cut.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdio.h>
+
+#include "pipeline/core/parallel.h"
+#include "pipeline/render/plate.h"
+
+static const struct gsn_colour outline_colour = { 214, 48, 49 };
+static const char axis_name[3] = { 'x', 'y', 'z' };
+
+/* Which axes run to the right and down in a cut. */
+static void plane_axes(enum gsn_axis axis, int *ret_right, int *ret_down)
+{
+    *ret_right = axis == GSN_AXIS_X ? 1 : 0;
+    *ret_down = axis == GSN_AXIS_Z ? 1 : 2;
+}
+
+static void voxel_place(const struct gsn_lattice *at, size_t index, double ret_centre[3])
+{
+    const struct gsn_vec3 centre =
+        gsn_lattice_centre(at, index % at->nx, index / at->nx % at->ny, index / at->nx / at->ny);
+
+    ret_centre[0] = centre.x;
+    ret_centre[1] = centre.y;
+    ret_centre[2] = centre.z;
+}
+
+static int empty_region(struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_INPUT, "the region of interest is empty: there is nothing to cut");
+}
+
+int gsn_cut_centre(const struct gsn_mask *region, struct gsn_vec3 *ret_centre_um,
+                   struct gsn_error *err)
+{
+    const size_t total = gsn_lattice_count(&region->at), count = gsn_mask_count(region);
+    double mean[3] = { 0.0, 0.0, 0.0 }, nearest = INFINITY;
+    struct gsn_vec3 centre = { 0.0, 0.0, 0.0 };
+
+    if (count == 0)
+        return empty_region(err);
+    for (size_t i = 0; i < total; i++) {
+        double p[3];
+
+        if (!region->inside[i])
+            continue;
+        voxel_place(&region->at, i, p);
+        for (int a = 0; a < 3; a++)
+            mean[a] += p[a] / (double)count;
+    }
+    for (size_t i = 0; i < total; i++) {
+        double p[3], away;
+
+        if (!region->inside[i])
+            continue;
+        voxel_place(&region->at, i, p);
+        away = (p[0] - mean[0]) * (p[0] - mean[0]) + (p[1] - mean[1]) * (p[1] - mean[1]) +
+               (p[2] - mean[2]) * (p[2] - mean[2]);
+        if (away < nearest) {
+            nearest = away;
+            centre = gsn_vec3_make(p[0], p[1], p[2]);
+        }
+    }
+    *ret_centre_um = centre;
+    return GSN_OK;
+}
+
+int gsn_cut_frame(const struct gsn_mask *region, enum gsn_axis axis, struct gsn_vec3 through_um,
+                  uint32_t longest_px, struct gsn_cut_frame *ret_frame, struct gsn_error *err)
+{
+    const size_t total = gsn_lattice_count(&region->at);
+    const double step[3] = { region->at.step_um.x, region->at.step_um.y, region->at.step_um.z };
+    const double through[3] = { through_um.x, through_um.y, through_um.z };
+    double low[3] = { INFINITY, INFINITY, INFINITY }, high[3] = { -INFINITY, -INFINITY, -INFINITY };
+    double longest, margin;
+    int right, down;
+
+    assert(longest_px > 0);
+    for (size_t i = 0; i < total; i++) {
+        double p[3];
+
+        if (!region->inside[i])
+            continue;
+        voxel_place(&region->at, i, p);
+        for (int a = 0; a < 3; a++) {
+            low[a] = fmin(low[a], p[a] - 0.5 * step[a]);
+            high[a] = fmax(high[a], p[a] + 0.5 * step[a]);
+        }
+    }
+    plane_axes(axis, &right, &down);
+    if (!(low[right] < high[right]))
+        return empty_region(err);
+    longest = fmax(high[right] - low[right], high[down] - low[down]);
+    margin = 0.03 * longest;
+    longest += 2.0 * margin;
+    *ret_frame = (struct gsn_cut_frame){
+        .axis = axis,
+        .at_um = through[axis],
+        .left_um = low[right] - margin,
+        .top_um = low[down] - margin,
+        .um_per_px = longest / longest_px,
+        .width =
+            (uint32_t)ceil((high[right] - low[right] + 2.0 * margin) / longest * longest_px - 1e-6),
+        .height =
+            (uint32_t)ceil((high[down] - low[down] + 2.0 * margin) / longest * longest_px - 1e-6),
+    };
+    return GSN_OK;
+}
+
+static struct gsn_vec3 pixel_point(const struct gsn_cut_frame *frame, double i, double j)
+{
+    double u[3];
+    int right, down;
+
+    plane_axes(frame->axis, &right, &down);
+    u[frame->axis] = frame->at_um;
+    u[right] = frame->left_um + (i + 0.5) * frame->um_per_px;
+    u[down] = frame->top_um + (j + 0.5) * frame->um_per_px;
+    return gsn_vec3_make(u[0], u[1], u[2]);
+}
+
+struct cutting {
+    const struct gsn_spline *spline;
+    const struct gsn_cut_frame *frame;
+    struct gsn_plane *plane;
+};
+
+static int cut_row(size_t row, void *context, struct gsn_error *err)
+{
+    const struct cutting *cutting = context;
+    float *to = cutting->plane->value + row * cutting->frame->width;
+    size_t hint = 0;
+
+    (void)err;
+    for (uint32_t i = 0; i < cutting->frame->width; i++) {
+        const struct gsn_vec3 p = pixel_point(cutting->frame, i, (double)row);
+        const double u[3] = { p.x, p.y, p.z };
+        double value;
+
+        to[i] =
+            gsn_spline_eval(cutting->spline, u, &hint, &value, NULL) == GSN_OK ? (float)value : NAN;
+    }
+    return GSN_OK;
+}
+
+int gsn_cut_spline(const struct gsn_spline *spline, const struct gsn_cut_frame *frame,
+                   unsigned threads, struct gsn_plane **ret_plane, struct gsn_error *err)
+{
+    gsn_auto(gsn_plane) plane = NULL;
+    struct cutting cutting = { spline, frame, NULL };
+    int r = gsn_plane_new(frame->width, frame->height, &plane, err);
+
+    if (r < 0)
+        return r;
+    cutting.plane = plane;
+    r = gsn_parallel_for(frame->height, threads, cut_row, &cutting, err);
+    if (r < 0)
+        return r;
+    *ret_plane = gsn_steal(&plane);
+    return GSN_OK;
+}
+
+/* The voxel along one axis whose cell holds the coordinate, or n. */
+static size_t cell_of(double at, double origin, double step, size_t n)
+{
+    const double cell = floor((at - origin) / step + 0.5);
+
+    return cell >= 0.0 && cell < (double)n ? (size_t)cell : n;
+}
+
+static float grid_at(const struct gsn_grid *grid, struct gsn_vec3 p)
+{
+    const struct gsn_lattice *at = &grid->at;
+    const size_t x = cell_of(p.x, at->origin_um.x, at->step_um.x, at->nx);
+    const size_t y = cell_of(p.y, at->origin_um.y, at->step_um.y, at->ny);
+    const size_t z = cell_of(p.z, at->origin_um.z, at->step_um.z, at->nz);
+
+    if (x >= at->nx || y >= at->ny || z >= at->nz)
+        return NAN;
+    return grid->value[gsn_lattice_index(at, x, y, z)];
+}
+
+int gsn_cut_grid(const struct gsn_grid *grid, const struct gsn_cut_frame *frame,
+                 struct gsn_plane **ret_plane, struct gsn_error *err)
+{
+    gsn_auto(gsn_plane) plane = NULL;
+    const int r = gsn_plane_new(frame->width, frame->height, &plane, err);
+
+    if (r < 0)
+        return r;
+    for (uint32_t j = 0; j < frame->height; j++) {
+        for (uint32_t i = 0; i < frame->width; i++)
+            plane->value[(size_t)j * frame->width + i] = grid_at(grid, pixel_point(frame, i, j));
+    }
+    *ret_plane = gsn_steal(&plane);
+    return GSN_OK;
+}
+
+void gsn_cut_range(const struct gsn_grid *grid, const struct gsn_mask *region, double *ret_low,
+                   double *ret_high)
+{
+    double low = INFINITY, high = -INFINITY;
+
+    assert(gsn_lattice_count(&grid->at) == gsn_lattice_count(&region->at));
+    for (size_t i = 0; i < gsn_lattice_count(&grid->at); i++) {
+        if (region->inside[i]) {
+            low = fmin(low, (double)grid->value[i]);
+            high = fmax(high, (double)grid->value[i]);
+        }
+    }
+    *ret_low = low <= high ? low : 0.0;
+    *ret_high = low <= high ? high : 1.0;
+}
+
+/* A line on every pixel edge at which the region ends. */
+static void draw_outline(struct gsn_image *sheet, int x0, int y0, const struct gsn_cut_frame *frame,
+                         const struct gsn_mask *region)
+{
+    for (int j = 0; j < (int)frame->height; j++) {
+        for (int i = 0; i < (int)frame->width; i++) {
+            const int here = gsn_mask_has(region, pixel_point(frame, i, j));
+
+            if (here != gsn_mask_has(region, pixel_point(frame, i + 1, j)))
+                gsn_canvas_line(sheet, x0 + i + 1, y0 + j, x0 + i + 1, y0 + j + 1, 1.2,
+                                outline_colour);
+            if (here != gsn_mask_has(region, pixel_point(frame, i, j + 1)))
+                gsn_canvas_line(sheet, x0 + i, y0 + j + 1, x0 + i + 1, y0 + j + 1, 1.2,
+                                outline_colour);
+        }
+    }
+}
+
+int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *frame,
+                  const struct gsn_mask *region, const struct gsn_cut_style *style,
+                  struct gsn_image **ret_image, struct gsn_error *err)
+{
+    gsn_auto(gsn_image) sheet = NULL;
+    struct gsn_plate plate = { .title = style->title,
+                               .um_per_px = frame->um_per_px,
+                               .has_scale = 1,
+                               .unit = style->unit,
+                               .low = style->low,
+                               .high = style->high,
+                               .map = style->map };
+    char note[64];
+    int r, x, y, right, down;
+
+    assert(plane->width == frame->width && plane->height == frame->height);
+    plane_axes(frame->axis, &right, &down);
+    (void)snprintf(note, sizeof note, "%c = %.0f \xc2\xb5m  (%c right, %c down)",
+                   axis_name[frame->axis], frame->at_um, axis_name[right], axis_name[down]);
+    plate.note = note;
+    gsn_plate_range(plane, &plate.low, &plate.high);
+    r = gsn_plate_new(&plate, plane->width, plane->height, &sheet, &x, &y, err);
+    if (r < 0)
+        return r;
+    gsn_plate_fill(sheet, x, y, plane, plate.map, plate.low, plate.high);
+    if (region)
+        draw_outline(sheet, x, y, frame, region);
+    *ret_image = gsn_steal(&sheet);
+    return GSN_OK;
+}

@@ -1,0 +1,308 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/render/isosurface.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "tests/check.h"
+#include "tests/measure/kuhn.h"
+
+static const double low[3] = { -1000.0, -1000.0, -1000.0 }, high[3] = { 1000.0, 1000.0, 1000.0 };
+static const unsigned cells[3] = { 4, 4, 4 };
+static const double radius = 733.0;
+/* radius^2 - |u|^2, in radius^2 */
+static const struct quadric ball = { 1.0,
+                                     { 0.0, 0.0, 0.0 },
+                                     { -1.0 / (733.0 * 733.0), -1.0 / (733.0 * 733.0),
+                                       -1.0 / (733.0 * 733.0) } };
+
+static int by_edge(const void *a, const void *b)
+{
+    return memcmp(a, b, 2 * sizeof(uint32_t));
+}
+
+/* How many directed edges have no partner the other way round; -1 when one comes twice. */
+static long open_edges(const struct gsn_surface *surface)
+{
+    const size_t count = 3 * surface->triangle_count;
+    uint32_t(*edge)[2] = gsn_alloc_array(count, sizeof *edge);
+    long alone = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        edge[i][0] = surface->triangle[i / 3][i % 3];
+        edge[i][1] = surface->triangle[i / 3][(i + 1) % 3];
+    }
+    qsort(edge, count, sizeof *edge, by_edge);
+    for (size_t i = 0; i < count && alone >= 0; i++) {
+        const uint32_t back[2] = { edge[i][1], edge[i][0] };
+
+        if (i > 0 && by_edge(edge[i - 1], edge[i]) == 0)
+            alone = -1;
+        else
+            alone += bsearch(back, edge, count, sizeof *edge, by_edge) == NULL;
+    }
+    gsn_free(edge);
+    return alone;
+}
+
+TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
+{
+    double area_error = INFINITY, volume_error = INFINITY;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    for (unsigned level = 0; level <= 2; level++) {
+        gsn_auto(gsn_surface) surface = NULL;
+        double area, volume;
+
+        CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, level, 0, &surface, &err), err);
+        CHECK(surface->triangle_count > 100);
+        for (size_t v = 0; v < surface->vertex_count; v++) {
+            const double *p = surface->vertex[v];
+            const double r = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+
+            CHECK_NEAR(r, radius, 1e-6 * radius);
+            for (int a = 0; a < 3; a++)
+                CHECK_NEAR((double)surface->normal[v][a], p[a] / r, 1e-6);
+        }
+        CHECK(open_edges(surface) == 0);
+        /* Euler: V - E + F = 2 for a sphere, with 2 E = 3 F. */
+        CHECK(2 * surface->vertex_count == 4 + surface->triangle_count);
+        area = fabs(gsn_surface_area(surface) - 4.0 * M_PI * radius * radius);
+        volume = fabs(gsn_surface_volume(surface) - 4.0 / 3.0 * M_PI * pow(radius, 3));
+        CHECK(area < 0.35 * area_error && volume < 0.35 * volume_error);
+        area_error = area;
+        volume_error = volume;
+    }
+    CHECK(area_error < 0.005 * 4.0 * M_PI * radius * radius);
+    CHECK(volume_error < 0.008 * 4.0 / 3.0 * M_PI * pow(radius, 3));
+    kuhn_done(&kuhn);
+}
+
+TEST(triangles_turn_with_their_normals)
+{
+    gsn_auto(gsn_surface) surface = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.3, 1, 0, &surface, &err), err);
+    for (size_t t = 0; t < surface->triangle_count; t++) {
+        const uint32_t *v = surface->triangle[t];
+        const double *p = surface->vertex[v[0]], *q = surface->vertex[v[1]],
+                     *r = surface->vertex[v[2]];
+        double turn = 0.0;
+
+        for (int a = 0; a < 3; a++) {
+            const int m = (a + 1) % 3, n = (a + 2) % 3;
+
+            turn += ((q[m] - p[m]) * (r[n] - p[n]) - (q[n] - p[n]) * (r[m] - p[m])) *
+                    (double)surface->normal[v[0]][a];
+        }
+        CHECK(turn > -1e-6);
+    }
+    /* Outward: the enclosed volume is positive. */
+    CHECK(gsn_surface_volume(surface) > 0.0);
+    kuhn_done(&kuhn);
+}
+
+TEST(a_plane_through_lattice_points_is_one_sheet_clipped_at_the_domain)
+{
+    /* Passes exactly through mesh vertices, edges and faces. */
+    const struct quadric plane = { 0.0, { 0.0, 0.0, 1.0 }, { 0.0, 0.0, 0.0 } };
+    gsn_auto(gsn_surface) surface = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &plane, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, 1, 0, &surface, &err), err);
+    CHECK_NEAR(gsn_surface_area(surface), 4e6, 1.0);
+    for (size_t v = 0; v < surface->vertex_count; v++)
+        CHECK_NEAR(surface->vertex[v][2], 0.0, 1e-6);
+    CHECK(open_edges(surface) > 0);
+    gsn_surface_free(surface);
+    surface = NULL;
+    CHECK_OK(gsn_isosurface(kuhn.spline, 123.4, 1, 0, &surface, &err), err);
+    CHECK_NEAR(gsn_surface_area(surface), 4e6, 1.0);
+    for (size_t v = 0; v < surface->vertex_count; v++) {
+        CHECK_NEAR(surface->vertex[v][2], 123.4, 1e-6);
+        CHECK_NEAR((double)surface->normal[v][2], -1.0, 1e-5);
+    }
+    kuhn_done(&kuhn);
+}
+
+TEST(a_level_that_is_never_met_gives_no_triangles)
+{
+    gsn_auto(gsn_surface) surface = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 5.0, 0, 0, &surface, &err), err);
+    CHECK(surface->triangle_count == 0 && surface->vertex_count == 0);
+    CHECK_NEAR(gsn_surface_area(surface), 0.0, 0.0);
+    CHECK_NEAR(gsn_surface_volume(surface), 0.0, 0.0);
+    kuhn_done(&kuhn);
+}
+
+TEST(a_rough_surface_is_closed_where_it_does_not_meet_the_boundary)
+{
+    gsn_auto(gsn_surface) surface = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+    uint32_t(*edge)[2];
+    size_t count, inner = 0;
+
+    CHECK_OK(kuhn_random(low, high, cells, 2, 0.05, 6, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, 1, 0, &surface, &err), err);
+    count = 3 * surface->triangle_count;
+    edge = gsn_alloc_array(count, sizeof *edge);
+    for (size_t i = 0; i < count; i++) {
+        edge[i][0] = surface->triangle[i / 3][i % 3];
+        edge[i][1] = surface->triangle[i / 3][(i + 1) % 3];
+    }
+    qsort(edge, count, sizeof *edge, by_edge);
+    for (size_t i = 0; i < count; i++) {
+        const uint32_t back[2] = { edge[i][1], edge[i][0] };
+        int on_box = 0;
+
+        CHECK(i == 0 || by_edge(edge[i - 1], edge[i]) != 0);
+        if (bsearch(back, edge, count, sizeof *edge, by_edge)) {
+            inner++;
+            continue;
+        }
+        /* An open edge lies in a face of the box. */
+        for (int a = 0; a < 3; a++) {
+            const double p = surface->vertex[back[0]][a], q = surface->vertex[back[1]][a];
+
+            on_box |= fabs(fabs(p) - 1000.0) < 1e-6 && fabs(p - q) < 1e-6;
+        }
+        CHECK(on_box);
+    }
+    CHECK(inner > 1000);
+    gsn_free(edge);
+    kuhn_done(&kuhn);
+}
+
+TEST(the_subdivision_follows_the_wanted_edge)
+{
+    const struct quadric nothing = { 0.0, { 0.0, 0.0, 0.0 }, { 0.0, 0.0, 0.0 } };
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    /* Cubes of 500 um in six: a regular tetrahedron of that volume has edges of 561 um. */
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &nothing, &kuhn, &err), err);
+    CHECK(gsn_isosurface_subdivision(kuhn.mesh, 562.0) == 0);
+    CHECK(gsn_isosurface_subdivision(kuhn.mesh, 560.0) == 1);
+    CHECK(gsn_isosurface_subdivision(kuhn.mesh, 280.0) == 2);
+    CHECK(gsn_isosurface_subdivision(kuhn.mesh, 1.0) == 2);
+    kuhn_done(&kuhn);
+}
+
+static const struct gsn_view view = { .direction = { -0.5, 0.4, 0.77 },
+                                      .up = { 0.0, -1.0, 0.0 },
+                                      .eye_distance = 4.0,
+                                      .width = 120,
+                                      .height = 100 };
+
+static int picture(const struct kuhn *kuhn, const struct gsn_view *from, unsigned threads,
+                   struct gsn_image **ret_image, struct gsn_error *err)
+{
+    const struct gsn_surface_style style = { .title = "level 0", .outline = 1 };
+    gsn_auto(gsn_surface) surface = NULL;
+    int r = gsn_isosurface(kuhn->spline, 0.0, 1, threads, &surface, err);
+
+    if (r == GSN_OK)
+        r = gsn_surface_paint(surface, kuhn->mesh, from, &style, threads, ret_image, err);
+    return r;
+}
+
+TEST(the_picture_of_a_ball_is_a_disc_of_the_right_size_on_any_number_of_threads)
+{
+    const struct gsn_view flat = {
+        .direction = { 0, 0, 1 }, .up = { 0, -1, 0 }, .width = 200, .height = 200
+    };
+    gsn_auto(gsn_image) one = NULL;
+    gsn_auto(gsn_image) two = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+    size_t bone = 0;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_OK(picture(&kuhn, &flat, 1, &one, &err), err);
+    CHECK_OK(picture(&kuhn, &flat, 2, &two, &err), err);
+    CHECK(gsn_image_bytes(one) == gsn_image_bytes(two));
+    CHECK(memcmp(one->samples, two->samples, gsn_image_bytes(one)) == 0);
+    /* Bone is warm, the background and the outline are not. */
+    for (uint32_t y = 0; y < one->height; y++) {
+        for (uint32_t x = 0; x < one->width; x++)
+            bone += gsn_image_at(one, x, y, 0) > gsn_image_at(one, x, y, 2) + 8;
+    }
+    /* 2000 um are 176 px; the surface of level 1 is inside the ball by 1.5 %. */
+    CHECK_NEAR((double)bone, M_PI * pow(radius * 176.0 / 2000.0, 2), 0.02 * 13080.0);
+    kuhn_done(&kuhn);
+}
+
+TEST(the_light_comes_from_above_left_and_both_sides_of_a_sheet_are_lit)
+{
+    const struct quadric sheet = { 0.0, { 0.0, 0.0, 1.0 }, { 0.0, 0.0, 0.0 } };
+    struct gsn_view flat = {
+        .direction = { 0, 0, 1 }, .up = { 0, -1, 0 }, .width = 60, .height = 60
+    };
+    gsn_auto(gsn_image) lit = NULL;
+    gsn_auto(gsn_image) front = NULL;
+    gsn_auto(gsn_image) back = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn, flat_kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_OK(picture(&kuhn, &flat, 1, &lit, &err), err);
+    CHECK(gsn_image_at(lit, 12 + 22, 26 + 20, 1) > gsn_image_at(lit, 12 + 38, 26 + 40, 1) + 30);
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &sheet, &flat_kuhn, &err), err);
+    CHECK_OK(picture(&flat_kuhn, &flat, 1, &front, &err), err);
+    flat.direction[2] = -1.0;
+    CHECK_OK(picture(&flat_kuhn, &flat, 1, &back, &err), err);
+    for (uint32_t channel = 0; channel < 3; channel++)
+        CHECK(gsn_image_at(front, 42, 56, channel) == gsn_image_at(back, 42, 56, channel));
+    CHECK(gsn_image_at(front, 42, 56, 0) > 120);
+    kuhn_done(&kuhn);
+    kuhn_done(&flat_kuhn);
+}
+
+TEST(what_cannot_be_drawn_is_refused)
+{
+    struct gsn_view nowhere = view;
+    struct gsn_surface *surface = NULL;
+    struct gsn_image *image = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK(gsn_isosurface(kuhn.spline, NAN, 0, 0, &surface, &err) == GSN_E_INPUT);
+    CHECK(gsn_isosurface(kuhn.spline, 0.0, 4, 0, &surface, &err) == GSN_E_INPUT);
+    CHECK(surface == NULL && strstr(err.text, "subdivision 4 is above 3") != NULL);
+    nowhere.direction[0] = nowhere.direction[1] = nowhere.direction[2] = 0.0;
+    CHECK(picture(&kuhn, &nowhere, 1, &image, &err) == GSN_E_INPUT);
+    CHECK(image == NULL);
+    kuhn_done(&kuhn);
+}
+
+static int once(const struct kuhn *kuhn, struct gsn_error *err)
+{
+    gsn_auto(gsn_image) image = NULL;
+
+    return picture(kuhn, &view, 1, &image, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    const unsigned two[3] = { 2, 2, 2 };
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, two, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_EVERY_OOM(once(&kuhn, &err), err);
+    kuhn_done(&kuhn);
+}

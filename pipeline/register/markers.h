@@ -77,10 +77,12 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
  * mirrored section, and only the stated pixel size.
  *
  * Where no triple fits, but two candidates do and the learnt tissue centre says which is which,
- * those two are found. ret_score and ret_runner_up (each may be NULL) are the likelihoods, 0..1, of
- * the choice and of the best other choice or numbering; the choice is refused, all three marks not
- * found, when the second is more than half of the first. In a triangle too nearly isosceles the
- * numbering that leaves the section unmirrored wins, and the pose says so. */
+ * those two are found; two marks say nothing about mirroring, so ret_mirrored (may be NULL) tells
+ * what the tissue's centre said. ret_score and ret_runner_up (each may be NULL) are the
+ * likelihoods, 0..1, of the choice and of the best other choice or numbering; the choice is
+ * refused, all three marks not found, when the second is more than half of the first. In a triangle
+ * too nearly isosceles the numbering that leaves the section unmirrored wins, and the pose says so.
+ */
 void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior,
                         struct gsn_mark ret_marks[GSN_MARKS], double *ret_score,
@@ -89,7 +91,7 @@ void gsn_markers_choose(const struct gsn_mark_candidates *section,
 /* Candidates and choice for one section. Fails as gsn_markers_candidates(). */
 int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,
                      const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
-                     double *ret_runner_up, struct gsn_error *err);
+                     int *ret_mirrored, double *ret_runner_up, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

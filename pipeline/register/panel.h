@@ -53,7 +53,7 @@ unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn
 
 /* Finds the sections of one panel.
  *
- * tissue grows with the amount of tissue (the sum of the three optical densities, say) and is about
+ * tissue is the sum of the optical densities of the three channels (or their like) and is about
  * 0 on glass; NaN counts as glass. ret_slots receives rows * columns entries, ordered by slot.
  * gives: ret_scraps, largest first (NULL when there are none); both it and ret_scrap_count may be
  * NULL. Fails with GSN_E_INPUT when there is no tissue or the grid cannot be told from the pieces

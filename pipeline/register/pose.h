@@ -25,6 +25,8 @@ struct gsn_pose_input {
     unsigned serial; /* 0-based; used in sentences only */
     struct gsn_mark marks[GSN_MARKS];
     double px_um;
+    int mirrored; /* what gsn_markers_choose() said; used only where two marks were found, since
+                     three tell by themselves */
 };
 
 enum gsn_pose_state {
@@ -58,8 +60,9 @@ struct gsn_pose_summary {
     double scale_vs_declared;     /* size of the mean triangle over that of the protocol's; 1 when
                                      none was given. Far from 1: the pixel size is wrong */
     double side_ratio[GSN_MARKS]; /* the same for sides 1-2, 2-3, 3-1 */
-    double isosceles_sigma; /* smallest difference of two sides over the localisation error per axis
-                               (not below a tenth of a pixel) */
+    double isosceles_sigma; /* smallest difference of two sides, or the smallest height when that is
+                               less, over the localisation error per axis (not below a tenth of a
+                               pixel) */
     int flips_told;         /* 0: isosceles_sigma < 10, a mirrored section cannot be told on this
                                block, and no section is called flipped */
     int chirality; /* +1, -1: most sections have, or mirror, the protocol's triangle (+1 when no
@@ -72,7 +75,9 @@ struct gsn_pose_options {
     size_t target_count;                /* 0: the TRE is given at the distance rho */
 };
 
-/* Solves the stack. borrows: everything. ret_poses receives count entries.
+/* Solves the stack. borrows: everything. Marks weigh by the variance of their fits, against that of
+ * the median mark; the FLE is that of the median mark, from the residuals of all sections (of the
+ * fits themselves where fewer than 3 sections have three marks). ret_poses receives count entries.
  *
  * Fails with GSN_E_MARKERS when no section has three marks, when the protocol's or the mean
  * triangle is degenerate, or when it is so nearly equilateral that not even rotations can be told;

@@ -85,7 +85,7 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
  */
 void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior,
-                        struct gsn_mark ret_marks[GSN_MARKS], double *ret_score,
+                        struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
                         double *ret_runner_up);
 
 /* Candidates and choice for one section. Fails as gsn_markers_candidates(). */

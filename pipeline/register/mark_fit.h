@@ -25,7 +25,8 @@ extern "C" {
  *
  * borrows: plane; NaN pixels are left out. The covariance takes the texture of the tissue into
  * account, as far as the ring lets it through and as far as it is correlated from pixel to pixel.
- * ret_mark.found is 0 when the fit runs away, does not settle, or less than half of the disc is
+ * ret_mark.found is 0 when the fit runs away, does not settle, explains
+ * too little, or less than half of the disc is
  * inside the plane and unmasked: that is no error. Fails with GSN_E_NOMEM. */
 int gsn_mark_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
                  struct gsn_mark *ret_mark, struct gsn_error *err);

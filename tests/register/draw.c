@@ -36,16 +36,27 @@ void draw_noise(struct gsn_plane *plane, struct draw_chance *chance, double sd)
         plane->value[i] += (float)(sd * draw_normal(chance));
 }
 
+static size_t clamp(double value, uint32_t most)
+{
+    return (size_t)fmin(fmax(floor(value), 0), most);
+}
+
 void draw_ellipse(struct gsn_plane *plane, struct gsn_point centre, double a, double b,
                   double angle, double value)
 {
-    for (size_t i = 0; i < (size_t)plane->width * plane->height; i++) {
-        const double dx = (double)(i % plane->width) + 0.5 - centre.x;
-        const double dy = (double)(i / plane->width) + 0.5 - centre.y;
-        const double u = cos(angle) * dx + sin(angle) * dy, v = cos(angle) * dy - sin(angle) * dx;
+    const double reach = fmax(a, b) + 1;
 
-        if (u * u / (a * a) + v * v / (b * b) < 1)
-            plane->value[i] += (float)value;
+    for (size_t y = clamp(centre.y - reach, plane->height);
+         y < clamp(centre.y + reach + 1, plane->height); y++) {
+        for (size_t x = clamp(centre.x - reach, plane->width);
+             x < clamp(centre.x + reach + 1, plane->width); x++) {
+            const double dx = (double)x + 0.5 - centre.x, dy = (double)y + 0.5 - centre.y;
+            const double u = cos(angle) * dx + sin(angle) * dy;
+            const double v = cos(angle) * dy - sin(angle) * dx;
+
+            if (u * u / (a * a) + v * v / (b * b) < 1)
+                plane->value[y * plane->width + x] += (float)value;
+        }
     }
 }
 

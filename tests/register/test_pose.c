@@ -141,12 +141,18 @@ TEST(errors_at_marks_and_targets_follow_the_formulas)
         const struct gsn_point target = { c.x + 0.6 * r, c.y + 0.8 * r };
         const struct gsn_pose_options options = { MARKS, &target, 1 };
         double squares = 0, predicted = 0;
+        size_t covered = 0;
 
         bench_solve(&b, &options);
         for (size_t i = 0; i < b.count; i++) {
             squares += pow(error_at(&b, i, target), 2);
             predicted += pow(b.pose[i].tre_um, 2);
+            /* Half of TRE^2 is the variance per axis; 5.991: 95 % of chi-squared with two. */
+            covered += pow(error_at(&b, i, target), 2) < 5.991 * 0.5 * pow(b.pose[i].tre_um, 2);
         }
+        /* At the centroid the error is round, so the circle must hold 95 %. */
+        if (k == 0)
+            CHECK_NEAR((double)covered / 6000, 0.95, 0.01);
         print_message("  TRE at %d rho: %.4f of the formula, predicted %.4f\n", k,
                       sqrt(squares / 6000) / gsn_pose_tre(fle, rho, r),
                       sqrt(predicted / 6000) / gsn_pose_tre(fle, rho, r));

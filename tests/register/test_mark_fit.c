@@ -121,6 +121,27 @@ TEST(a_burn_in_rough_tissue_is_found_and_its_error_is_known)
     CHECK(sqrt(claimed / squares) > 0.67 && sqrt(claimed / squares) < 1.5);
 }
 
+/* 75 um at 24 and 40 um per pixel: edges sharper than a pixel, where a fit settles least easily. */
+TEST(a_burn_of_two_pixels_radius_is_found_every_time)
+{
+    static float value[SIDE * SIDE];
+    struct gsn_plane plane = { SIDE, SIDE, value };
+    struct draw_chance chance = { 6 };
+
+    for (int n = 0; n < 200; n++) {
+        const struct gsn_point c = { draw_uniform(&chance, 31, 33), draw_uniform(&chance, 31, 33) };
+        const struct draw_mark burn = draw_phantom_mark(c, n % 2 ? 24 : 40);
+        struct gsn_mark mark;
+
+        draw_tissue(&plane, &chance);
+        draw_burn(&plane, &burn);
+        mark = fit(&plane, (struct gsn_point){ 32, 32 }, burn.radius);
+        CHECK(mark.found);
+        CHECK_NEAR(mark.px.x, c.x, 0.1);
+        CHECK_NEAR(mark.px.y, c.y, 0.1);
+    }
+}
+
 /* The tissue's border runs through the window but not through the ring. */
 TEST(the_edge_of_the_tissue_pulls_the_mark_by_little)
 {

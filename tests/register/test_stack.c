@@ -99,6 +99,23 @@ TEST(a_missing_section_leaves_a_gap)
     }
 }
 
+TEST(a_plane_shows_the_section_whose_serial_number_its_z_says)
+{
+    /* z = 54, 66, 78, 90: sections 1.75 -> 2, 2.25 -> 2, 2.75 -> 3 and 3.25 -> 3. */
+    const struct gsn_lattice at = { 1, 1, 4, { 0, 0, 54 }, { 8, 8, 12 } };
+    float two[SIDE * SIDE], three[SIDE * SIDE];
+    struct gsn_plane second = { SIDE, SIDE, two }, third = { SIDE, SIDE, three };
+    struct gsn_stack_section sections[2] = { section_of(&third, 3), section_of(&second, 2) };
+    gsn_auto(gsn_grid) grid = NULL;
+    struct gsn_error err = { 0 };
+
+    draw_fill(&second, 2);
+    draw_fill(&third, 3);
+    CHECK_OK(gsn_stack_resample(sections, 2, &at, 24, 1, &grid, &err), err);
+    CHECK(grid->value[0] == 2 && grid->value[1] == 2);
+    CHECK(grid->value[2] == 3 && grid->value[3] == 3);
+}
+
 TEST(no_section_at_all_is_one_large_gap)
 {
     gsn_auto(gsn_grid) grid = NULL;

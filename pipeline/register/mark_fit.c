@@ -1,0 +1,419 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/mark_fit.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* CX, CY are relative to the start; B = B0 + BX x + BY y with x, y from the start in units of the
+ * starting radius, so that all parameters are of order one or a few pixels. */
+enum { CX, CY, R, S, M, B0, BX, BY, P, RING, UNKNOWNS };
+
+enum { ROUNDS = 3, STEPS = 100, LAG = 2 };
+
+/* The window: far enough for the ring and some tissue around it, in starting radii. */
+static const double REACH = 2.3;
+/* The ring's outer radius and the blur, in radii of the disc, as far as the picture says nothing:
+ * weak beliefs that keep the fit well posed when there is no ring. */
+static const double RING_MEAN = 1.5, RING_SD = 0.25, BLUR_MEAN = 0.2, BLUR_SD = 0.3;
+static const double BLEACH_SD = 0.7;
+/* A relative gain in the sum of squares that no longer matters: with the few hundred pixels of a
+ * mark, a step of some thousandths of the centre's standard deviation. */
+static const double SETTLED = 1e-8;
+/* Less contrast than this is rounding, and a disc that explains less of the picture is none. */
+static const double CONTRAST_LEAST = 1e-4, SCORE_LEAST = 0.25;
+/* Beyond this many blurs from an edge it is over, to eleven digits. */
+static const double FAR = 7;
+static const double LAMBDA_FIRST = 1e-3, LAMBDA_MOST = 1e8;
+
+struct pixel {
+    int column, row;
+    double x, y; /* centre, from the start */
+    double value, weight;
+    double residual; /* in standard deviations, once fitted */
+};
+
+struct window {
+    struct pixel *pixel;
+    size_t count;
+    double radius; /* starting radius, px */
+};
+
+struct shape {
+    double a;           /* share of the disc, 1 - q */
+    double t;           /* share of the tissue that comes through, q - p e q^2 */
+    double model;       /* f */
+    double d[UNKNOWNS]; /* df / d parameter */
+};
+
+/* Phi((r - edge) / s), and its derivatives with respect to r and s. */
+static double edge_of(double r, double edge, double s, double *ret_dr, double *ret_ds)
+{
+    const double u = (r - edge) / s;
+    double g;
+
+    if (fabs(u) > FAR) {
+        *ret_dr = *ret_ds = 0;
+        return u > 0 ? 1 : 0;
+    }
+    g = exp(-0.5 * u * u) / (sqrt(2 * M_PI) * s);
+
+    *ret_dr = g;
+    *ret_ds = -g * u;
+    return 0.5 * erfc(-u / M_SQRT2);
+}
+
+static struct shape shape_at(const struct pixel *px, const double *v, double radius)
+{
+    const double dx = px->x - v[CX], dy = px->y - v[CY];
+    const double r = fmax(hypot(dx, dy), 1e-9);
+    const double bx = px->x / radius, by = px->y / radius;
+    const double b = v[B0] + v[BX] * bx + v[BY] * by;
+    double q_r, q_s, o_r, o_s;
+    const double q = edge_of(r, v[R], v[S], &q_r, &q_s);
+    const double e = 1 - edge_of(r, v[RING], v[S], &o_r, &o_s);
+    const double t = q - v[P] * e * q * q;
+    const double by_q = b * (1 - 2 * v[P] * e * q) - v[M];
+    const double by_e = -b * v[P] * q * q;
+    const double by_r = by_q * q_r - by_e * o_r;
+
+    return (struct shape){ .a = 1 - q,
+                           .t = t,
+                           .model = b * t + v[M] * (1 - q),
+                           .d = { [CX] = -by_r * dx / r,
+                                  [CY] = -by_r * dy / r,
+                                  [R] = -by_q * q_r,
+                                  [S] = by_q * q_s - by_e * o_s,
+                                  [M] = 1 - q,
+                                  [B0] = t,
+                                  [BX] = t * bx,
+                                  [BY] = t * by,
+                                  [P] = -b * e * q * q,
+                                  [RING] = by_e * o_r } };
+}
+
+/* Solves the symmetric positive definite n x n system in place (Cholesky); 0 when it is not. */
+static int solve_spd(double a[UNKNOWNS][UNKNOWNS], double *x)
+{
+    for (int i = 0; i < UNKNOWNS; i++) {
+        for (int j = 0; j <= i; j++) {
+            double sum = a[i][j];
+
+            for (int k = 0; k < j; k++)
+                sum -= a[i][k] * a[j][k];
+            if (i == j && !(sum > 0))
+                return 0;
+            a[i][j] = i == j ? sqrt(sum) : sum / a[j][j];
+        }
+    }
+    for (int i = 0; i < UNKNOWNS; i++) {
+        for (int k = 0; k < i; k++)
+            x[i] -= a[i][k] * x[k];
+        x[i] /= a[i][i];
+    }
+    for (int i = UNKNOWNS; i-- > 0;) {
+        for (int k = i + 1; k < UNKNOWNS; k++)
+            x[i] -= a[k][i] * x[k];
+        x[i] /= a[i][i];
+    }
+    return 1;
+}
+
+/* The weak beliefs, as residuals in standard deviations with their derivatives. */
+struct belief {
+    int of, per; /* parameter; its radius (R) or -1 */
+    double mean, sd;
+};
+
+static const struct belief BELIEFS[] = {
+    { RING, R, RING_MEAN, RING_SD },
+    { S, R, BLUR_MEAN, BLUR_SD },
+    { P, -1, 0, BLEACH_SD },
+};
+
+static double add_beliefs(const double *v, double h[UNKNOWNS][UNKNOWNS], double *g)
+{
+    double cost = 0;
+
+    for (size_t i = 0; i < sizeof BELIEFS / sizeof *BELIEFS; i++) {
+        const struct belief *b = &BELIEFS[i];
+        const double scale = b->per < 0 ? 1 : v[b->per];
+        const double res = (v[b->of] - b->mean * scale) / (b->sd * scale);
+        const double d = 1 / (b->sd * scale);
+
+        /* The dependence on the radius is left out of the slope: the belief then pulls the ring
+         * and the blur, never the disc. */
+        cost += res * res;
+        if (h) {
+            h[b->of][b->of] += d * d;
+            g[b->of] -= d * res;
+        }
+    }
+    return cost;
+}
+
+/* Sum of weighted squares; with h and g also J^T W J and J^T W (value - model). */
+static double normal_equations(const struct window *w, const double *v,
+                               double h[UNKNOWNS][UNKNOWNS], double *g)
+{
+    double cost = 0;
+
+    if (h) {
+        memset(h, 0, UNKNOWNS * sizeof *h);
+        memset(g, 0, UNKNOWNS * sizeof *g);
+    }
+    for (size_t i = 0; i < w->count; i++) {
+        const struct pixel *px = &w->pixel[i];
+        const struct shape shape = shape_at(px, v, w->radius);
+        const double res = px->value - shape.model;
+
+        cost += px->weight * res * res;
+        for (int j = 0; h && j < UNKNOWNS; j++) {
+            const double wd = px->weight * shape.d[j];
+
+            g[j] += wd * res;
+            for (int k = 0; k <= j; k++)
+                h[j][k] += wd * shape.d[k];
+        }
+    }
+    return cost + add_beliefs(v, h, g);
+}
+
+static int legal(const struct window *w, const double *v)
+{
+    return v[R] > 0.4 * w->radius && v[R] < 2.2 * w->radius && v[S] > 0.1 &&
+           v[S] < 1.2 * w->radius && v[RING] > v[R] && v[P] < 1 && v[P] > -1 &&
+           hypot(v[CX], v[CY]) < w->radius;
+}
+
+/* What a step by should gain if the model were linear: by . (lambda D by + g). */
+static double promise(double h[UNKNOWNS][UNKNOWNS], const double *g, double lambda,
+                      const double *by)
+{
+    double sum = 0;
+
+    for (int j = 0; j < UNKNOWNS; j++)
+        sum += by[j] * (lambda * h[j][j] * by[j] + g[j]);
+    return sum;
+}
+
+/* Levenberg-Marquardt from v, damped by how well each step kept its promise (Nielsen 1999); whether
+ * it settled. */
+static int descend(const struct window *w, double *v)
+{
+    double h[UNKNOWNS][UNKNOWNS], g[UNKNOWNS];
+    double lambda = LAMBDA_FIRST, raise = 2;
+    double cost = normal_equations(w, v, h, g);
+
+    for (int step = 0; step < STEPS && lambda < LAMBDA_MOST; step++) {
+        double a[UNKNOWNS][UNKNOWNS], trial[UNKNOWNS], by[UNKNOWNS], after = INFINITY, kept;
+
+        memcpy(a, h, sizeof a);
+        memcpy(by, g, sizeof by);
+        for (int j = 0; j < UNKNOWNS; j++)
+            a[j][j] += lambda * h[j][j];
+        if (solve_spd(a, by)) {
+            for (int j = 0; j < UNKNOWNS; j++)
+                trial[j] = v[j] + by[j];
+            if (legal(w, trial))
+                after = normal_equations(w, trial, NULL, NULL);
+        }
+        if (!(after < cost)) {
+            lambda *= raise;
+            raise *= 2;
+            continue;
+        }
+        kept = (cost - after) / promise(h, g, lambda, by);
+        lambda *= fmax(1.0 / 3, 1 - pow(2 * kept - 1, 3));
+        raise = 2;
+        memcpy(v, trial, sizeof trial);
+        if (cost - after <= SETTLED * cost)
+            return 1;
+        cost = normal_equations(w, v, h, g);
+    }
+    /* No step however small helps: this is the bottom, to rounding. */
+    return lambda >= LAMBDA_MOST;
+}
+
+/* The variance of a pixel is that of the scanner plus the tissue's as far as it comes through; both
+ * are read off the residuals. Weights are the inverse, so that a smooth disc in a rough tissue is
+ * measured by its inner edge. */
+static void reweigh(const struct window *w, const double *v)
+{
+    double inner = 0, inner_n = 0, outer = 0, outer_n = 0, outer_t = 0, noise, tissue;
+
+    for (size_t i = 0; i < w->count; i++) {
+        const struct shape shape = shape_at(&w->pixel[i], v, w->radius);
+        const double res = w->pixel[i].value - shape.model;
+
+        if (shape.t < 0.25) {
+            inner += res * res;
+            inner_n += 1;
+        } else {
+            outer += res * res;
+            outer_t += shape.t * shape.t;
+            outer_n += 1;
+        }
+    }
+    inner = inner / fmax(inner_n - 2, 1);
+    outer_t = outer_t / fmax(outer_n, 1);
+    outer = outer / fmax(outer_n - 5, 1);
+    /* A disc drawn without any noise must not silence everything else. */
+    noise = fmax(fmin(inner, outer), 0.01 * outer);
+    noise = fmax(noise, 1e-10 * (1 + v[M] * v[M]));
+    tissue = outer_t > 0 ? fmax(outer - noise, 0) / outer_t : 0;
+    for (size_t i = 0; i < w->count; i++) {
+        const double t = shape_at(&w->pixel[i], v, w->radius).t;
+
+        w->pixel[i].weight = 1 / (noise + tissue * t * t);
+    }
+}
+
+/* How much more neighbouring pixels' residuals vary together than alone: 1 for white noise. */
+static double correlation(const struct window *w, const double *v)
+{
+    double together = 0, alone = 0;
+
+    for (size_t i = 0; i < w->count; i++) {
+        struct pixel *p = &w->pixel[i];
+
+        p->residual = (p->value - shape_at(p, v, w->radius).model) * sqrt(p->weight);
+        alone += p->residual * p->residual;
+    }
+    for (size_t i = 0; i < w->count; i++) {
+        const struct pixel *p = &w->pixel[i];
+
+        for (size_t j = i + 1; j < w->count && w->pixel[j].row <= p->row + LAG; j++) {
+            const struct pixel *o = &w->pixel[j];
+
+            if (abs(o->column - p->column) <= LAG)
+                together += p->residual * o->residual;
+        }
+    }
+    return alone > 0 ? fmax(1 + 2 * together / alone, 1) : 1;
+}
+
+/* Share of the window's variance that the fit explains. */
+static double explained(const struct window *w, const double *v)
+{
+    double sum = 0, squares = 0, left = 0;
+    const double n = (double)w->count;
+
+    for (size_t i = 0; i < w->count; i++) {
+        const double value = w->pixel[i].value;
+        const double res = value - shape_at(&w->pixel[i], v, w->radius).model;
+
+        sum += value;
+        squares += value * value;
+        left += res * res;
+    }
+    squares -= sum * sum / n;
+    return squares > 0 ? fmax(1 - left / squares, 0) : 0;
+}
+
+/* The 2 x 2 block of the inverse of J^T W J that belongs to the centre. */
+static int covariance(const struct window *w, const double *v, struct gsn_mark *mark)
+{
+    double h[UNKNOWNS][UNKNOWNS], g[UNKNOWNS], column[2][UNKNOWNS];
+    const double inflation = correlation(w, v);
+
+    (void)normal_equations(w, v, h, g);
+    for (int c = 0; c < 2; c++) {
+        double a[UNKNOWNS][UNKNOWNS];
+
+        memcpy(a, h, sizeof a);
+        memset(column[c], 0, sizeof column[c]);
+        column[c][c == 0 ? CX : CY] = 1;
+        if (!solve_spd(a, column[c]))
+            return 0;
+    }
+    mark->cov_xx = inflation * column[0][CX];
+    mark->cov_xy = inflation * column[0][CY];
+    mark->cov_yy = inflation * column[1][CY];
+    return 1;
+}
+
+/* Pixels within REACH of the start; whether at least half of the disc is among them. */
+static int gather(const struct gsn_plane *plane, struct gsn_point start, struct window *w)
+{
+    const double reach = REACH * w->radius;
+    const int x0 = (int)fmax(floor(start.x - reach), 0), y0 = (int)fmax(floor(start.y - reach), 0);
+    const int x1 = (int)fmin(ceil(start.x + reach), plane->width);
+    const int y1 = (int)fmin(ceil(start.y + reach), plane->height);
+    double disc = 0;
+
+    for (int y = y0; y < y1; y++) {
+        for (int x = x0; x < x1; x++) {
+            const float value = plane->value[(size_t)y * plane->width + (size_t)x];
+            const double dx = x + 0.5 - start.x, dy = y + 0.5 - start.y;
+            const double r = hypot(dx, dy);
+
+            if (r > reach || !isfinite(value))
+                continue;
+            if (r <= w->radius)
+                disc += 1;
+            w->pixel[w->count++] = (struct pixel){
+                .column = x, .row = y, .x = dx, .y = dy, .value = value, .weight = 1
+            };
+        }
+    }
+    return disc >= 0.5 * M_PI * w->radius * w->radius && w->count > 3 * UNKNOWNS;
+}
+
+static void guess(const struct window *w, double *v)
+{
+    double in = 0, in_n = 0, out = 0, out_n = 0;
+
+    for (size_t i = 0; i < w->count; i++) {
+        const double r = hypot(w->pixel[i].x, w->pixel[i].y) / w->radius;
+
+        if (r < 0.6) {
+            in += w->pixel[i].value;
+            in_n += 1;
+        } else if (r > 1.7) {
+            out += w->pixel[i].value;
+            out_n += 1;
+        }
+    }
+    memset(v, 0, UNKNOWNS * sizeof *v);
+    v[M] = in / fmax(in_n, 1);
+    v[B0] = out / fmax(out_n, 1);
+    v[R] = w->radius;
+    v[S] = fmax(BLUR_MEAN * w->radius, 0.3);
+    v[RING] = RING_MEAN * w->radius;
+    v[P] = 0.1;
+}
+
+int gsn_mark_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
+                 struct gsn_mark *ret_mark, struct gsn_error *err)
+{
+    const size_t side = (size_t)ceil(2 * REACH * radius_px) + 3;
+    gsn_auto_mem(struct pixel) pixels = gsn_alloc_array(side * side, sizeof *pixels);
+    struct window w = { .pixel = pixels, .radius = radius_px };
+    struct gsn_mark mark = { 0 };
+    double v[UNKNOWNS];
+    int settled = 1;
+
+    assert(plane && radius_px > 0 && ret_mark);
+
+    if (!pixels)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
+    *ret_mark = mark;
+    if (!gather(plane, start, &w))
+        return GSN_OK;
+    guess(&w, v);
+    for (int round = 0; round < ROUNDS && settled; round++) {
+        reweigh(&w, v);
+        settled = descend(&w, v);
+    }
+    mark.px = (struct gsn_point){ start.x + v[CX], start.y + v[CY] };
+    mark.radius_px = v[R];
+    mark.contrast = v[M] - (v[B0] + (v[BX] * v[CX] + v[BY] * v[CY]) / w.radius);
+    mark.score = explained(&w, v);
+    mark.found = 1;
+    if (settled && mark.contrast >= CONTRAST_LEAST && mark.score >= SCORE_LEAST &&
+        covariance(&w, v, &mark))
+        *ret_mark = mark;
+    return GSN_OK;
+}

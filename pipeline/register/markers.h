@@ -1,0 +1,99 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The three laser marks of a section.
+ *
+ * Char absorbs red light and the dyes hardly do, so marks are looked for in the optical density
+ * (log10) of the red channel: dark round spots, each then measured by the fit of a blurred disc
+ * with a pale ring (mark_fit.h). Which spots are the marks, and which is which, is told by the side
+ * lengths of the triangle, which turning and mirroring leave alone. Positions are in panel pixels
+ * with centres at +0.5, triangles in micrometres.
+ *
+ * The order of work over a stack: gsn_markers_candidates() for each section; where the protocol
+ * gives no triangle, gsn_markers_consensus() over all of them; gsn_markers_learn() over all of
+ * them; gsn_markers_choose() for each. */
+#ifndef GSN_REGISTER_MARKERS_H
+#define GSN_REGISTER_MARKERS_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
+#include "pipeline/core/image.h"
+#include "pipeline/register/panel.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { GSN_MARKS = 3, GSN_MARK_CANDIDATES = 24 };
+
+struct gsn_mark {
+    struct gsn_point px;
+    double radius_px;
+    double contrast;               /* optical density of the disc above the tissue around it */
+    double cov_xx, cov_xy, cov_yy; /* of px, in px^2, from the fit's residuals */
+    double score; /* 0..1: the share of the picture's variance around it that the fit explains */
+    int found;    /* 0: no acceptable mark, everything else is 0 */
+};
+
+/* Every spot of one section that may be a mark, the likeliest first. */
+struct gsn_mark_candidates {
+    double px_um;
+    struct gsn_point tissue_px; /* centre of the section's tissue */
+    size_t count;
+    struct gsn_mark mark[GSN_MARK_CANDIDATES];
+};
+
+/* What is known of the triangle before looking at a section. */
+struct gsn_triangle_prior {
+    struct gsn_point mark_um[GSN_MARKS]; /* marks 1..3, in the block frame when the protocol gives
+                                            them, otherwise in a frame of the triangle's own */
+    /* Learnt from the stack; all 0 as long as nothing is known. */
+    int learnt;
+    struct gsn_point tissue_um; /* centre of the tissue, same frame */
+    double tissue_sd_um;        /* its scatter per axis from section to section */
+    double contrast, radius_um; /* of the typical mark */
+};
+
+/* borrows: red_od (optical density of the red channel; NaN: masked). Finding nothing is no error.
+ * Fails with GSN_E_INPUT when px_um is not positive, too coarse for a mark of 100 um, or the slot
+ * is empty or reaches outside the plane; GSN_E_NOMEM. */
+int gsn_markers_candidates(const struct gsn_plane *red_od, const struct gsn_slot *slot,
+                           double px_um, struct gsn_mark_candidates *ret_candidates,
+                           struct gsn_error *err);
+
+/* The triangle that most sections share, where the protocol gives none.
+ *
+ * Mark 1 lies between the shortest side (to mark 2) and the longest (to mark 3); the majority of
+ * sections is taken as the right way up. Nothing is learnt yet. Fails with GSN_E_MARKERS when fewer
+ * than 3 sections, or fewer than half of those with three candidates, agree. */
+int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t count,
+                          struct gsn_triangle_prior *ret_prior, struct gsn_error *err);
+
+/* Fills the learnt half of prior from the sections whose three marks are clear; leaves it as it is
+ * when fewer than 3 are. Fails with GSN_E_NOMEM. */
+int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
+                      struct gsn_triangle_prior *prior, struct gsn_error *err);
+
+/* Chooses and numbers the marks of one section: 1..3 as in the prior, allowing any rotation, a
+ * mirrored section, and only the stated pixel size.
+ *
+ * Where no triple fits, but two candidates do and the learnt tissue centre says which is which,
+ * those two are found; two marks say nothing about mirroring, so ret_mirrored (may be NULL) tells
+ * what the tissue's centre said. ret_score and ret_runner_up (each may be NULL) are the
+ * likelihoods, 0..1, of the choice and of the best other choice or numbering; the choice is
+ * refused, all three marks not found, when the second is more than half of the first. In a triangle
+ * too nearly isosceles the numbering that leaves the section unmirrored wins, and the pose says so.
+ */
+void gsn_markers_choose(const struct gsn_mark_candidates *section,
+                        const struct gsn_triangle_prior *prior,
+                        struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
+                        double *ret_runner_up);
+
+/* Candidates and choice for one section. Fails as gsn_markers_candidates(). */
+int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,
+                     const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
+                     int *ret_mirrored, double *ret_runner_up, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,68 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Which piece of a scanned panel is which section.
+ *
+ * The slots of a panel form a regular grid, declared by the protocol as rows, columns and the order
+ * of mounting; the grid's place and pitch are estimated from the tissue found, so that a label
+ * strip beside it and lost sections do no harm. Lengths and boxes are in panel pixels, x right and
+ * y down. An empty slot stays empty: sections are never moved up (a closed gap costs 9.6 % of
+ * volume). */
+#ifndef GSN_REGISTER_PANEL_H
+#define GSN_REGISTER_PANEL_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
+#include "pipeline/core/image.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Slot 0 is always at the top left. Snake: rows in turn, every second one from right to left. */
+enum gsn_order { GSN_ORDER_ROW, GSN_ORDER_COLUMN, GSN_ORDER_SNAKE };
+
+struct gsn_layout {
+    unsigned rows, columns;
+    enum gsn_order order;
+};
+
+struct gsn_slot {
+    unsigned slot;        /* 0-based, in the order of mounting */
+    unsigned row, column; /* 0-based */
+    int found;            /* 0: the slot is empty and everything below is 0 */
+    int touching;         /* the tissue runs over into another slot; the box ends at the border */
+    int x, y, width, height; /* box around the tissue with a margin of up to 150 um, inside the
+                                panel and never beyond half the way to a neighbour's tissue */
+    double area_px;
+    struct gsn_point centre_px; /* centre of area of the tissue */
+};
+
+/* A piece that belongs to no slot: print on the label, a scrap between sections. */
+struct gsn_scrap {
+    int x, y, width, height;
+    double area_px;
+    int inside_grid; /* lies among the slots, so it may be tissue; 0: outside, such as a label */
+};
+
+/* The row and column of a slot. The caller guarantees slot < rows * columns. */
+void gsn_panel_place(const struct gsn_layout *layout, unsigned slot, unsigned *ret_row,
+                     unsigned *ret_column);
+
+/* 0-based serial number of the section in a slot (0-based) of a panel (1-based). */
+unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn_layout *layout);
+
+/* Finds the sections of one panel.
+ *
+ * tissue is the sum of the optical densities of the three channels (or their like) and is about
+ * 0 on glass; NaN counts as glass. ret_slots receives rows * columns entries, ordered by slot.
+ * gives: ret_scraps, largest first (NULL when there are none); both it and ret_scrap_count may be
+ * NULL. Fails with GSN_E_INPUT when there is no tissue or the grid cannot be told from the pieces
+ * present (the sentence says why), GSN_E_NOMEM. */
+int gsn_panel_split(const struct gsn_plane *tissue, const struct gsn_layout *layout, double px_um,
+                    struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
+                    size_t *ret_scrap_count, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,96 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* How each section lies in the block: all sections of a stack solved together.
+ *
+ * Every section is laid rigidly (determinant exactly 1, after the pixel size) on the mean triangle
+ * of the whole stack, never on its neighbour: chains drift as the square root of their length, the
+ * common triangle does not. The residual of a section says nothing about its error at the target;
+ * that is predicted from the localisation error (FLE) of the whole stack by
+ *     TRE^2(r) = FLE^2/3 (1 + r^2 / (2 rho^2)).
+ * Residuals serve only to find gross mistakes. Lengths are micrometres in the block frame: that of
+ * the protocol's marks, or else the origin at the mean triangle's centroid and x from mark 1
+ * towards mark 2. */
+#ifndef GSN_REGISTER_POSE_H
+#define GSN_REGISTER_POSE_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
+#include "pipeline/register/markers.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_pose_input {
+    unsigned serial; /* 0-based; used in sentences only */
+    struct gsn_mark marks[GSN_MARKS];
+    double px_um;
+    int mirrored; /* what gsn_markers_choose() said; used only where two marks were found, since
+                     three tell by themselves */
+};
+
+enum gsn_pose_state {
+    GSN_POSE_NONE,      /* fewer than two marks: everything below is 0 */
+    GSN_POSE_TWO_MARKS, /* rigid on two marks: larger TRE, a person should look */
+    GSN_POSE_OK,
+};
+
+struct gsn_pose {
+    enum gsn_pose_state state;
+    int flipped;                         /* mounted face down: mirrored back by panel_to_block_um */
+    int rotated180;                      /* turned by more than 90 degrees */
+    struct gsn_affine panel_to_block_um; /* determinant px_um^2, negative when flipped */
+    double residual_um[GSN_MARKS];       /* distance of each mark from the mean triangle's; 0 where
+                                            it was not found */
+    double rms_um;                       /* root mean square of those found */
+    double tre_um;                       /* predicted, root mean square over the targets */
+    double chi2; /* sum of squared residuals over the variance of a mark: 3 degrees of freedom
+                    with three marks, 1 with two */
+    int gross;   /* chi2 beyond 0.1 %: a mark is wrong or the section is torn or stretched */
+    unsigned char order[GSN_MARKS]; /* mark i is the input's marks[order[i]]; other than 0 1 2 only
+                                       where flips cannot be told and two marks were swapped back */
+};
+
+struct gsn_pose_summary {
+    size_t with_three, with_two, without, flipped;
+    double fle_um; /* root mean square distance of a mark from its true place */
+    double
+        rho_um; /* root mean square distance of the mean triangle's corners from their centroid */
+    struct gsn_point mean_triangle[GSN_MARKS]; /* block frame */
+    double scale_vs_declared;     /* size of the mean triangle over that of the protocol's; 1 when
+                                     none was given. Far from 1: the pixel size is wrong */
+    double side_ratio[GSN_MARKS]; /* the same for sides 1-2, 2-3, 3-1 */
+    double isosceles_sigma; /* smallest difference of two sides, or the smallest height when that is
+                               less, over the localisation error per axis (not below a tenth of a
+                               pixel) */
+    int flips_told;         /* 0: isosceles_sigma < 10, a mirrored section cannot be told on this
+                               block, and no section is called flipped */
+    int chirality; /* +1, -1: most sections have, or mirror, the protocol's triangle (+1 when no
+                      triangle was given, or flips cannot be told) */
+};
+
+struct gsn_pose_options {
+    const struct gsn_point *markers_um; /* the protocol's three marks in the block frame, or NULL */
+    const struct gsn_point *targets_um; /* where the error matters, such as the region's voxels */
+    size_t target_count;                /* 0: the TRE is given at the distance rho */
+};
+
+/* Solves the stack. borrows: everything. Marks weigh by the variance of their fits, against that of
+ * the median mark; the FLE is that of the median mark, from the residuals of all sections (of the
+ * fits themselves where fewer than 3 sections have three marks). ret_poses receives count entries.
+ *
+ * Fails with GSN_E_MARKERS when no section has three marks, when the protocol's or the mean
+ * triangle is degenerate, or when it is so nearly equilateral that not even rotations can be told;
+ * with GSN_E_INPUT when a pixel size is not positive or a position not finite; GSN_E_NOMEM. */
+int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
+                   const struct gsn_pose_options *options, struct gsn_pose *ret_poses,
+                   struct gsn_pose_summary *ret_summary, struct gsn_error *err);
+
+/* The formula above, for a localisation error, a triangle's rho and a target's distance r from its
+ * centroid, all in one unit. */
+double gsn_pose_tre(double fle, double rho, double r);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,41 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The registered sections as one regular volume.
+ *
+ * z comes from the serial number: section k is the plane (k + 1/2) * interval. A section that is
+ * missing leaves its planes NaN: gaps stay gaps. */
+#ifndef GSN_REGISTER_STACK_H
+#define GSN_REGISTER_STACK_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
+#include "pipeline/core/grid.h"
+#include "pipeline/core/image.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_stack_section {
+    unsigned serial;                     /* 0-based */
+    const struct gsn_plane *density;     /* of the whole panel; NaN: masked */
+    struct gsn_affine panel_to_block_um; /* pixel centres at +0.5 */
+    int x, y, width, height;             /* the section's box: no pixel outside it is read */
+};
+
+/* Resamples the sections onto the lattice. borrows: sections and their planes.
+ *
+ * The plane k of the lattice holds section round(z_k / interval_um - 1/2). Within a section, cubic
+ * convolution (Keys 1981, a = -1/2: exact for quadratics); where one of its 16 pixels is masked or
+ * outside the box, bilinear over the valid ones of the nearest four; NaN where the nearest pixel
+ * itself is masked or outside. The result does not depend on threads (0: all). gives: ret_grid.
+ * Fails with GSN_E_INPUT naming both when two sections carry one serial number, when a box reaches
+ * outside its plane or an affine map is singular; GSN_E_NOMEM. */
+int gsn_stack_resample(const struct gsn_stack_section *sections, size_t count,
+                       const struct gsn_lattice *at, double interval_um, unsigned threads,
+                       struct gsn_grid **ret_grid, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,407 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/markers.h"
+
+#include "tests/check.h"
+#include "tests/register/draw.h"
+
+#include <string.h>
+
+static const struct gsn_triangle_prior PRIOR = {
+    .mark_um = { { -2050, -1000 }, { 1700, -1500 }, { -1500, 1300 } }
+};
+static const double PX = 16;
+enum { WIDTH = 420, HEIGHT = 420 };
+
+static float value[WIDTH * HEIGHT];
+static struct gsn_plane panel = { WIDTH, HEIGHT, value };
+
+/* Block um -> panel px for a section mounted turned by angle, or face down. */
+static struct gsn_point mount(struct gsn_point um, double angle, int flipped)
+{
+    const double x = flipped ? -um.x : um.x, c = cos(angle), s = sin(angle);
+
+    return (struct gsn_point){ WIDTH / 2 + (c * x - s * um.y) / PX,
+                               HEIGHT / 2 + (s * x + c * um.y) / PX };
+}
+
+static struct gsn_slot whole_panel(void)
+{
+    return (struct gsn_slot){
+        .found = 1, .width = WIDTH, .height = HEIGHT, .centre_px = { WIDTH / 2, HEIGHT / 2 }
+    };
+}
+
+/* A section with the marks whose bits are set. */
+static void draw_section(double angle, int flipped, unsigned marks, uint64_t seed)
+{
+    struct draw_chance chance = { seed };
+
+    draw_fill(&panel, 0);
+    draw_ellipse(&panel, (struct gsn_point){ WIDTH / 2, HEIGHT / 2 }, 190, 170,
+                 flipped ? -angle : angle, 0.15);
+    for (int n = 0; n < 400; n++) {
+        const struct gsn_point at = { draw_uniform(&chance, 0, WIDTH),
+                                      draw_uniform(&chance, 0, HEIGHT) };
+
+        draw_ellipse(&panel, at, 3, 3, 0, draw_normal(&chance) * 0.02);
+    }
+    draw_noise(&panel, &chance, 0.02);
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct draw_mark burn =
+            draw_phantom_mark(mount(PRIOR.mark_um[i], angle, flipped), PX);
+
+        if (marks & (1u << i))
+            draw_burn(&panel, &burn);
+    }
+}
+
+static void check_mark(const struct gsn_mark *mark, int i, double angle, int flipped)
+{
+    const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, flipped);
+
+    CHECK(mark->found);
+    CHECK_NEAR(mark->px.x, truth.x, 0.1);
+    CHECK_NEAR(mark->px.y, truth.y, 0.1);
+    CHECK_NEAR(mark->radius_px, 75 / PX, 0.2);
+    CHECK_NEAR(mark->contrast, 0.573 - 0.15, 0.05);
+    CHECK(mark->cov_xx > 0 && mark->cov_xx < 0.01 && mark->score > 0.8);
+}
+
+TEST(three_marks_are_found_and_numbered_however_the_section_lies)
+{
+    const struct gsn_slot slot = whole_panel();
+
+    for (int n = 0; n < 12; n++) {
+        const double angle = 0.6 * n;
+        const int flipped = n % 2;
+        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_error err = { 0 };
+        double runner_up;
+        int mirrored;
+
+        draw_section(angle, flipped, 7, (uint64_t)n);
+        CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, &mirrored, &runner_up, &err),
+                 err);
+        for (int i = 0; i < GSN_MARKS; i++)
+            check_mark(&marks[i], i, angle, flipped);
+        CHECK(mirrored == flipped && runner_up < 0.01);
+    }
+}
+
+TEST(debris_is_not_taken_for_a_mark)
+{
+    const struct gsn_slot slot = whole_panel();
+
+    for (int n = 0; n < 6; n++) {
+        struct draw_chance chance = { (uint64_t)n };
+        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_error err = { 0 };
+        double runner_up;
+
+        draw_section(0.3, 0, 7, (uint64_t)n);
+        for (int k = 0; k < 4; k++) {
+            const struct gsn_point at = { draw_uniform(&chance, 150, 270),
+                                          draw_uniform(&chance, 150, 270) };
+            const double r = draw_uniform(&chance, 40, 130) / PX;
+
+            draw_ellipse(&panel, at, r, r, 0, 0.5);
+        }
+        CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, &runner_up, &err), err);
+        for (int i = 0; i < GSN_MARKS; i++)
+            check_mark(&marks[i], i, 0.3, 0);
+        CHECK(runner_up < 0.5);
+    }
+}
+
+TEST(masked_pixels_do_no_harm)
+{
+    const struct gsn_slot slot = whole_panel();
+    const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
+    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_error err = { 0 };
+
+    draw_section(0, 0, 7, 1);
+    draw_box(&panel, 200, 200, 40, 40, NAN);
+    draw_box(&panel, (int)one.x + 3, (int)one.y - 8, 3, 16, NAN);
+    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+    for (int i = 0; i < GSN_MARKS; i++)
+        check_mark(&marks[i], i, 0, 0);
+}
+
+TEST(tissue_without_marks_has_none)
+{
+    const struct gsn_slot slot = whole_panel();
+    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_error err = { 0 };
+
+    draw_section(0, 0, 0, 1);
+    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+    draw_fill(&panel, NAN);
+    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+}
+
+/* Candidates without a picture. */
+static void add(struct gsn_mark_candidates *section, struct gsn_point px, double contrast)
+{
+    section->mark[section->count++] = (struct gsn_mark){
+        .px = px, .radius_px = 75 / PX, .contrast = contrast, .score = 1, .found = 1
+    };
+}
+
+static struct gsn_mark_candidates section_of(const struct gsn_triangle_prior *prior, double angle,
+                                             int flipped, unsigned marks)
+{
+    struct gsn_mark_candidates section = { .px_um = PX };
+
+    section.tissue_px = mount((struct gsn_point){ 0, 0 }, angle, flipped);
+    for (int i = GSN_MARKS; i-- > 0;) {
+        if (marks & (1u << i))
+            add(&section, mount(prior->mark_um[i], angle, flipped), 0.4);
+    }
+    return section;
+}
+
+static struct gsn_triangle_prior learnt(void)
+{
+    struct gsn_mark_candidates sections[5];
+    struct gsn_triangle_prior prior = PRIOR;
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < 5; i++)
+        sections[i] = section_of(&PRIOR, 0.1 * i, i == 2, 7);
+    sections[4].count = 0;
+    CHECK_OK(gsn_markers_learn(sections, 5, &prior, &err), err);
+    return prior;
+}
+
+TEST(the_stack_teaches_what_a_mark_looks_like_and_where_the_tissue_lies)
+{
+    const struct gsn_triangle_prior prior = learnt();
+
+    CHECK(prior.learnt);
+    CHECK_NEAR(prior.tissue_um.x, 0, 1e-9);
+    CHECK_NEAR(prior.tissue_um.y, 0, 1e-9);
+    CHECK_NEAR(prior.tissue_sd_um, 0, 1e-9);
+    CHECK_NEAR(prior.contrast, 0.4, 1e-12);
+    CHECK_NEAR(prior.radius_um, 75, 1e-12);
+}
+
+TEST(two_sections_teach_nothing)
+{
+    struct gsn_mark_candidates sections[2] = { section_of(&PRIOR, 0, 0, 7),
+                                               section_of(&PRIOR, 1, 0, 7) };
+    struct gsn_triangle_prior prior = PRIOR;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_markers_learn(sections, 2, &prior, &err), err);
+    CHECK(!prior.learnt);
+}
+
+TEST(of_two_marks_the_tissue_tells_which_is_which)
+{
+    const struct gsn_triangle_prior prior = learnt();
+
+    for (int n = 0; n < 24; n++) {
+        const double angle = 0.5 * n;
+        /* Mark 2 is gone: the tissue's centre lies well to one side of the other two. */
+        const struct gsn_mark_candidates section = section_of(&PRIOR, angle, n % 2, 5);
+        struct gsn_mark marks[GSN_MARKS];
+        int mirrored;
+
+        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        CHECK(marks[0].found && !marks[1].found && marks[2].found && mirrored == n % 2);
+        CHECK_NEAR(marks[0].px.x, mount(PRIOR.mark_um[0], angle, n % 2).x, 1e-9);
+        gsn_markers_choose(&section, &PRIOR, marks, NULL, NULL, NULL);
+        CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+    }
+}
+
+TEST(two_marks_that_the_tissue_cannot_tell_are_not_guessed)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    /* Mark 1 is gone: the tissue's centre lies in the middle of the other two. */
+    const struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 6);
+    struct gsn_mark marks[GSN_MARKS];
+    double score, runner_up;
+
+    gsn_markers_choose(&section, &prior, marks, NULL, &score, &runner_up);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+    CHECK(runner_up > 0.5 * score);
+}
+
+TEST(one_mark_is_no_section)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    const struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 1);
+    struct gsn_mark marks[GSN_MARKS];
+
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+}
+
+TEST(a_rival_spot_beside_a_mark_makes_the_section_doubtful)
+{
+    struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);
+    struct gsn_point beside = mount(PRIOR.mark_um[1], 0, 0);
+    struct gsn_mark marks[GSN_MARKS];
+    double score, runner_up;
+
+    beside.x += 1;
+    beside.y += 1;
+    add(&section, beside, 0.4);
+    gsn_markers_choose(&section, &PRIOR, marks, NULL, &score, &runner_up);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+    CHECK(score > 0.9 && runner_up > 0.5 * score);
+}
+
+TEST(a_wrong_pixel_size_matches_nothing)
+{
+    struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);
+    struct gsn_mark marks[GSN_MARKS];
+
+    section.px_um = 21.17;
+    gsn_markers_choose(&section, &PRIOR, marks, NULL, NULL, NULL);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+}
+
+TEST(in_an_isosceles_triangle_a_section_is_taken_as_upright)
+{
+    const struct gsn_triangle_prior prior = { .mark_um = {
+                                                  { -1500, 0 }, { 1503, 0 }, { 0, 2000 } } };
+
+    for (int flipped = 0; flipped < 2; flipped++) {
+        const struct gsn_mark_candidates section = section_of(&prior, 0.2, flipped, 7);
+        struct gsn_mark marks[GSN_MARKS];
+        int mirrored;
+
+        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        CHECK(marks[0].found && marks[1].found && marks[2].found && !mirrored);
+        CHECK_NEAR(marks[0].px.x, mount(prior.mark_um[flipped], 0.2, flipped).x, 1e-9);
+    }
+}
+
+TEST(sections_agree_on_a_triangle)
+{
+    struct gsn_mark_candidates sections[7];
+    struct gsn_triangle_prior prior;
+    struct gsn_error err = { 0 };
+    struct draw_chance chance = { 5 };
+
+    for (int i = 0; i < 7; i++) {
+        sections[i] = section_of(&PRIOR, 0.8 * i, i == 3, i == 5 ? 3 : 7);
+        for (int k = 0; k < 3; k++) {
+            const struct gsn_point at = { draw_uniform(&chance, 50, 370),
+                                          draw_uniform(&chance, 50, 370) };
+
+            add(&sections[i], at, 0.5);
+        }
+    }
+    CHECK_OK(gsn_markers_consensus(sections, 7, &prior, &err), err);
+    /* Shortest 1-2, longest 1-3: the protocol's marks 3, 1 and 2. */
+    CHECK_NEAR(hypot(prior.mark_um[1].x, prior.mark_um[1].y), hypot(550, 2300), 1);
+    CHECK_NEAR(hypot(prior.mark_um[2].x - prior.mark_um[1].x, prior.mark_um[2].y), hypot(3750, 500),
+               1);
+    CHECK_NEAR(hypot(prior.mark_um[2].x, prior.mark_um[2].y), hypot(3200, 2800), 1);
+}
+
+/* Sides 3-1, 1-2, 2-3 of the protocol are 2365, 3783 and 4252 um long. */
+TEST(the_agreed_triangle_numbers_every_section_alike)
+{
+    struct gsn_mark_candidates sections[5];
+    struct gsn_triangle_prior prior;
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < 5; i++)
+        sections[i] = section_of(&PRIOR, 0.8 * i, i == 3, 7);
+    CHECK_OK(gsn_markers_consensus(sections, 5, &prior, &err), err);
+    for (int i = 0; i < 5; i++) {
+        struct gsn_mark marks[GSN_MARKS];
+        const int protocol[GSN_MARKS] = { 2, 0, 1 };
+        int mirrored;
+
+        gsn_markers_choose(&sections[i], &prior, marks, &mirrored, NULL, NULL);
+        CHECK(mirrored == (i == 3));
+        for (int k = 0; k < GSN_MARKS; k++) {
+            const struct gsn_point truth = mount(PRIOR.mark_um[protocol[k]], 0.8 * i, i == 3);
+
+            CHECK(marks[k].found);
+            CHECK_NEAR(marks[k].px.x, truth.x, 1e-9);
+            CHECK_NEAR(marks[k].px.y, truth.y, 1e-9);
+        }
+    }
+}
+
+TEST(sections_that_do_not_agree_are_refused)
+{
+    struct gsn_mark_candidates sections[6];
+    struct gsn_triangle_prior prior = { .contrast = 77 };
+    struct gsn_error err = { 0 };
+    struct draw_chance chance = { 6 };
+
+    for (int i = 0; i < 6; i++) {
+        sections[i] = (struct gsn_mark_candidates){ .px_um = PX };
+        for (int k = 0; k < 3; k++) {
+            const struct gsn_point at = { draw_uniform(&chance, 50, 370),
+                                          draw_uniform(&chance, 50, 370) };
+
+            add(&sections[i], at, 0.5);
+        }
+    }
+    CHECK(gsn_markers_consensus(sections, 6, &prior, &err) == GSN_E_MARKERS);
+    CHECK(strstr(err.text, "no common triangle of marks: of 6 sections"));
+    CHECK(gsn_markers_consensus(NULL, 0, &prior, &err) == GSN_E_MARKERS);
+    CHECK(prior.contrast == 77);
+}
+
+TEST(bad_questions_are_refused_and_the_output_stays_untouched)
+{
+    struct gsn_slot slot = whole_panel();
+    struct gsn_mark_candidates candidates = { .count = 77 };
+    struct gsn_error err = { 0 };
+
+    CHECK(gsn_markers_candidates(&panel, &slot, 0, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&panel, &slot, NAN, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&panel, &slot, 60, &candidates, &err) == GSN_E_INPUT);
+    slot.x = 1;
+    CHECK(gsn_markers_candidates(&panel, &slot, PX, &candidates, &err) == GSN_E_INPUT);
+    CHECK(strcmp(err.text, "the box of slot 1 reaches outside the panel") == 0);
+    slot = whole_panel();
+    slot.found = 0;
+    CHECK(gsn_markers_candidates(&panel, &slot, PX, &candidates, &err) == GSN_E_INPUT);
+    CHECK(candidates.count == 77);
+}
+
+static int find_once(struct gsn_error *err)
+{
+    struct gsn_slot slot = whole_panel();
+    const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
+    struct gsn_mark marks[GSN_MARKS];
+
+    slot.x = (int)one.x - 20;
+    slot.y = (int)one.y - 20;
+    slot.width = slot.height = 40;
+    return gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, err);
+}
+
+static int learn_once(struct gsn_error *err)
+{
+    struct gsn_mark_candidates sections[3];
+    struct gsn_triangle_prior prior;
+    int r;
+
+    for (int i = 0; i < 3; i++)
+        sections[i] = section_of(&PRIOR, 0.1 * i, 0, 7);
+    r = gsn_markers_consensus(sections, 3, &prior, err);
+    return r < 0 ? r : gsn_markers_learn(sections, 3, &prior, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+
+    draw_section(0, 0, 7, 1);
+    CHECK_EVERY_OOM(find_once(&err), err);
+    CHECK_EVERY_OOM(learn_once(&err), err);
+}

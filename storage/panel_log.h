@@ -61,7 +61,7 @@ int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64
                        double px_um, struct gsn_error *err);
 
 struct gsn_marker_row {
-    int found; /* 0: the rest is not read, and reads back as NaN */
+    int64_t found; /* 0: the rest is not read, and reads back as NaN */
     double x_px, y_px, radius_px;
     double cov_xx, cov_xy, cov_yy; /* of the position, px^2 */
     double score;
@@ -88,8 +88,8 @@ void gsn_section_rows_free(struct gsn_section_rows *rows);
 GSN_DEFINE_AUTO(gsn_section_rows);
 
 /* Puts these in place of all sections of the panel, marks included, in one transaction; their
- * panel_id is not read. Fails with GSN_E_INPUT (an unknown panel or state, a slot twice), and then
- * the old ones are still there. */
+ * panel_id is not read. Fails with GSN_E_NOTFOUND (no such panel) or GSN_E_INPUT (an unknown state,
+ * a slot twice), and then the old ones are still there. */
 int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
                         const struct gsn_section_row *sections, size_t count,
                         struct gsn_error *err);

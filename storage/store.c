@@ -188,9 +188,15 @@ static int read_version(struct gsn_store *store, int64_t *ret_version, struct gs
 
 static int use_wal(struct gsn_store *store, struct gsn_error *err)
 {
+    enum { NAP_MS = 10 };
     int64_t wal = 0;
     int r = execute(store, "PRAGMA journal_mode = WAL", err);
 
+    /* SQLite's own waiting does not cover this change, which two creators may make at once. */
+    for (int waited = 0; r == GSN_E_BUSY && waited < BUSY_MS; waited += NAP_MS) {
+        (void)sqlite3_sleep(NAP_MS);
+        r = execute(store, "PRAGMA journal_mode = WAL", err);
+    }
     if (r >= 0)
         r = pragma(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode", &wal, err);
     if (r >= 0 && !wal)

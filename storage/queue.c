@@ -245,7 +245,7 @@ static int say_why_none(struct gsn_store *store, struct gsn_error *err)
         return gsn_fail(err, GSN_E_NOTFOUND, "the queue is empty");
     if (counts.waiting == 0)
         return gsn_fail(err, GSN_E_BUSY, "only running jobs: %lld", (long long)counts.running);
-    return gsn_fail(err, GSN_E_BUSY, "%lld jobs wait for %lld running ones",
+    return gsn_fail(err, GSN_E_BUSY, "nothing to claim: %lld waiting for %lld running",
                     (long long)counts.waiting, (long long)counts.running);
 }
 

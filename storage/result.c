@@ -153,7 +153,7 @@ static int insert(struct gsn_store *store, const struct gsn_sql_shape *shape, co
 static int finish(struct gsn_store *store, int64_t run_id, const struct gsn_run_end *end,
                   int64_t now, struct gsn_error *err)
 {
-    int r = check_running(store, run_id, err);
+    int r = GSN_OK;
 
     for (size_t i = 0; r >= 0 && i < end->measure_count; i++)
         r = insert(store, &measure_shape,
@@ -177,9 +177,14 @@ static int finish(struct gsn_store *store, int64_t run_id, const struct gsn_run_
 int gsn_run_finish(struct gsn_store *store, int64_t run_id, const struct gsn_run_end *end,
                    int64_t now, struct gsn_error *err)
 {
-    const int r = gsn_store_begin(store, err);
+    int r = gsn_store_begin(store, err);
 
-    return r < 0 ? r : gsn_sql_end(store, finish(store, run_id, end, now, err), err);
+    if (r < 0)
+        return r;
+    r = check_running(store, run_id, err);
+    if (r >= 0)
+        r = finish(store, run_id, end, now, err);
+    return gsn_sql_end(store, r, err);
 }
 
 int gsn_run_latest(struct gsn_store *store, int64_t specimen_id, const char *state,

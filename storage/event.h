@@ -49,7 +49,7 @@ int gsn_event_head(struct gsn_store *store, struct gsn_digest *ret_head, struct 
 /* What gsn_event_verify() found. */
 struct gsn_event_verdict {
     int64_t count;     /* events there are */
-    int64_t broken;    /* id of the first whose hash or place is wrong; 0: none */
+    int64_t broken;    /* id of the first that does not fit the chain; 0: none */
     int head_is_there; /* 1: the head asked for belongs to the chain, before any broken row */
 };
 

@@ -170,15 +170,16 @@ static int pick_specimen_job(struct gsn_store *store, int64_t *ret_job, struct g
 {
     void *nodes = NULL;
     size_t count = 0;
-    int r = gsn_sql_rows(
-        store, &node_shape,
-        "SELECT s.id, s.group_id, iif(count(*) = 1 AND j.kind = 'specimen' AND "
-        "j.state = 'waiting', j.id, 0), coalesce(b.id, 0), iif(b.id IS NULL AND s.baseline <> '', "
-        "coalesce(g.id, 0), 0) FROM job j JOIN specimen s ON s.id = j.specimen_id "
-        "LEFT JOIN specimen b ON b.name = s.baseline "
-        "LEFT JOIN study_group g ON g.study_id = s.study_id AND g.name = s.baseline "
-        "WHERE j.state IN ('waiting', 'running') GROUP BY s.id ORDER BY s.id",
-        SQL_NO_ARGS, &nodes, &count, err);
+    int r =
+        gsn_sql_rows(store, &node_shape,
+                     "SELECT s.id, s.group_id, iif(count(*) = 1 AND max(j.kind) = 'specimen' AND "
+                     "max(j.state) = 'waiting', max(j.id), 0), coalesce(b.id, 0), "
+                     "iif(b.id IS NULL AND s.baseline <> '', coalesce(g.id, 0), 0) FROM job j JOIN "
+                     "specimen s ON s.id = j.specimen_id "
+                     "LEFT JOIN specimen b ON b.name = s.baseline "
+                     "LEFT JOIN study_group g ON g.study_id = s.study_id AND g.name = s.baseline "
+                     "WHERE j.state IN ('waiting', 'running') GROUP BY s.id ORDER BY s.id",
+                     SQL_NO_ARGS, &nodes, &count, err);
 
     if (r >= 0)
         r = gsn_queue_next_specimen_job(nodes, count, ret_job, err);

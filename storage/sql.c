@@ -17,8 +17,7 @@ static int bind(sqlite3_stmt *statement, int index, const struct gsn_sql_value *
     if (value->type == GSN_SQL_INT)
         return sqlite3_bind_int64(statement, index, value->integer);
     if (value->type == GSN_SQL_REAL)
-        return isnan(value->real) ? sqlite3_bind_null(statement, index)
-                                  : sqlite3_bind_double(statement, index, value->real);
+        return sqlite3_bind_double(statement, index, value->real); /* a NaN becomes NULL */
     /* The arguments outlive the statement, so SQLite need not copy them. */
     return sqlite3_bind_text(statement, index, value->text ? value->text : "", -1, SQLITE_STATIC);
 }

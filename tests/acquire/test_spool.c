@@ -12,10 +12,12 @@
 #include <sys/statfs.h>
 #include <sys/statvfs.h>
 #include <sys/syscall.h>
+#include <sys/wait.h>
 #include <dirent.h>
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
+#include "storage/event.h"
 #include "storage/store.h"
 #include "tests/check.h"
 #include "tests/storage/scratch.h"
@@ -331,5 +333,82 @@ TEST(running_out_of_memory_leaves_no_temporary)
     struct gsn_error err = { 0 };
 
     CHECK_EVERY_OOM(take_once(scratch.dir, &err), err);
+    CHECK(count_in(&scratch, "objects/tmp") == 0);
+}
+
+struct delivery {
+    const char *dir;
+    int acknowledge; /* a pipe: one number for each delivery that is safe */
+    unsigned number;
+};
+
+/* Takes one picture after another: object, row, commit, acknowledge. Never returns of itself. */
+static int deliver_for_ever(void *context)
+{
+    struct delivery *const next = context;
+    gsn_auto(gsn_spool) spool = NULL;
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_spooled spooled;
+    char text[64];
+
+    if (gsn_spool_open(next->dir, 0, &spool, NULL) < 0 ||
+        gsn_store_open(next->dir, GSN_STORE_CREATE, &store, NULL) < 0)
+        return 1;
+    for (;; next->number++) {
+        (void)snprintf(text, sizeof text, "picture %u", next->number);
+        if (gsn_spool_take(spool, text, strlen(text), text, &spooled, NULL) < 0 ||
+            gsn_event_add(store, 0, "t", "taken", text, spooled.digest.hex, NULL) < 0 ||
+            write(next->acknowledge, &next->number, sizeof next->number) < 0)
+            return 2;
+    }
+}
+
+/* What was acknowledged is there, row and object; rows whose object is missing are not. */
+static unsigned check_deliveries(const struct gsn_scratch *scratch, unsigned acknowledged)
+{
+    gsn_auto(gsn_store) store = NULL;
+    gsn_auto(gsn_event_rows) rows = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_store_open(scratch->dir, GSN_STORE_CREATE, &store, &err), err);
+    CHECK_OK(gsn_event_list(store, 0, &rows, &err), err);
+    CHECK(rows->count >= acknowledged);
+    for (size_t i = 0; i < rows->count; i++) {
+        char name[100];
+
+        (void)snprintf(name, sizeof name, "objects/%.2s/%s", rows->at[i].text,
+                       rows->at[i].text + 2);
+        holds(scratch, name, rows->at[i].subject);
+    }
+    return (unsigned)rows->count;
+}
+
+TEST(a_killed_process_loses_nothing_that_it_acknowledged)
+{
+    enum { KILLS = 12 };
+    scratch_auto scratch = gsn_scratch_new();
+    struct delivery delivery = { .dir = scratch.dir };
+    unsigned acknowledged = 0, number;
+
+    for (unsigned i = 0; i < KILLS; i++) {
+        struct gsn_scratch_child child;
+        int pipes[2];
+
+        CHECK(pipe(pipes) == 0);
+        delivery.acknowledge = pipes[1];
+        child = gsn_scratch_start(0, deliver_for_ever, &delivery);
+        (void)close(pipes[1]);
+        gsn_scratch_open_gate(&child);
+        CHECK(usleep(20000 + 7919 * i % 60000) == 0);
+        CHECK(kill(child.pid, SIGKILL) == 0);
+        CHECK(gsn_scratch_wait(&child) == -1);
+        while (read(pipes[0], &number, sizeof number) == sizeof number)
+            acknowledged = number + 1;
+        (void)close(pipes[0]);
+        delivery.number = check_deliveries(&scratch, acknowledged);
+    }
+    print_message("%u deliveries acknowledged over %d kills\n", acknowledged, KILLS);
+    CHECK(acknowledged > 0);
+    gsn_spool_free(open_spool(&scratch));
     CHECK(count_in(&scratch, "objects/tmp") == 0);
 }

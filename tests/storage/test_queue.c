@@ -116,6 +116,22 @@ TEST(a_specimen_waits_for_its_own_running_panels)
     does(store, whole);
 }
 
+TEST(the_order_of_asking_lets_no_specimen_pass_its_panel)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const int64_t specimen = bench_add_specimen(store, "S", "g", "");
+    struct gsn_error err = { 0 };
+
+    (void)add(store, specimen, bench_add_panel(store, specimen, 1));
+    const int64_t whole = add(store, specimen, 0);
+    gsn_auto(gsn_job_row) panel = claim(store);
+
+    gives_none(store, NOON, GSN_E_BUSY, "1 waiting for 1 running");
+    CHECK_OK(gsn_queue_done(store, panel, &err), err);
+    does(store, whole);
+}
+
 TEST(a_baseline_may_be_a_group_of_the_same_study)
 {
     scratch_auto scratch = gsn_scratch_new();

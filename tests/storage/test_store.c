@@ -314,18 +314,20 @@ static int create_here(void *context)
 
 TEST(several_processes_may_create_the_store_at_once)
 {
-    enum { CHILDREN = 6 };
+    enum { CHILDREN = 6, ROUNDS = 12 };
     struct gsn_scratch_child child[CHILDREN];
     scratch_auto scratch = gsn_scratch_new();
     char dir[200];
 
-    (void)snprintf(dir, sizeof dir, "%s/store", scratch.dir);
-    for (int i = 0; i < CHILDREN; i++)
-        child[i] = gsn_scratch_start(0, create_here, dir);
-    for (int i = 0; i < CHILDREN; i++)
-        gsn_scratch_open_gate(&child[i]);
-    for (int i = 0; i < CHILDREN; i++)
-        CHECK(gsn_scratch_wait(&child[i]) == 0);
+    for (int round = 0; round < ROUNDS; round++) {
+        (void)snprintf(dir, sizeof dir, "%s/store%d", scratch.dir, round);
+        for (int i = 0; i < CHILDREN; i++)
+            child[i] = gsn_scratch_start(0, create_here, dir);
+        for (int i = 0; i < CHILDREN; i++)
+            gsn_scratch_open_gate(&child[i]);
+        for (int i = 0; i < CHILDREN; i++)
+            CHECK(gsn_scratch_wait(&child[i]) == 0);
+    }
 }
 
 TEST(an_inner_rollback_undoes_the_inner_part_alone)

@@ -199,6 +199,7 @@ TEST(a_directory_without_permission_gives_a_sentence)
 
         (void)snprintf(inner.dir, sizeof inner.dir, "%.120s", full);
         gsn_store_free(bench_open(&inner, GSN_STORE_CREATE));
+        CHECK(chmod(gsn_scratch_path(&inner, "gieson.db"), 0444) == 0);
     }
     CHECK(chmod(full, 0555) == 0 && chmod(scratch.dir, 0555) == 0);
     CHECK(in_child(1, opening_fails_with_io, full) == 0);

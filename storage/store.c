@@ -164,25 +164,43 @@ static int migrate(struct gsn_store *store, struct gsn_error *err)
     return gsn_sql_end(store, r, err);
 }
 
+/* What a database says of itself. */
+struct label {
+    int64_t application, version, tables;
+};
+
+/* In one transaction, or another process might create the store between two questions. */
+static int read_label(struct gsn_store *store, struct label *label, struct gsn_error *err)
+{
+    int r = execute(store, "BEGIN", err);
+
+    if (r < 0)
+        return r;
+    r = pragma(store, "PRAGMA user_version", &label->version, err);
+    if (r >= 0)
+        r = pragma(store, "PRAGMA application_id", &label->application, err);
+    if (r >= 0)
+        r = pragma(store, "SELECT count(*) FROM sqlite_schema", &label->tables, err);
+    (void)execute(store, "ROLLBACK", NULL);
+    return r;
+}
+
 /* 0 means empty, which is what a crash while creating leaves. */
 static int read_version(struct gsn_store *store, int64_t *ret_version, struct gsn_error *err)
 {
-    int64_t application = 0, version = 0, tables = 0;
-    int r = pragma(store, "PRAGMA user_version", &version, err);
+    struct label label = { 0 };
+    const int r = read_label(store, &label, err);
 
-    if (r >= 0)
-        r = pragma(store, "PRAGMA application_id", &application, err);
-    if (r >= 0)
-        r = pragma(store, "SELECT count(*) FROM sqlite_schema", &tables, err);
     if (r < 0)
         return r;
-    if (application != APPLICATION && (application != 0 || version != 0 || tables != 0))
+    if (label.application != APPLICATION &&
+        (label.application != 0 || label.version != 0 || label.tables != 0))
         return gsn_fail(err, GSN_E_STORE, "%s/gieson.db is another program's database", store->dir);
-    if (version > NEWEST)
+    if (label.version > NEWEST)
         return gsn_fail(err, GSN_E_UNSUPPORTED,
                         "%s was made by a newer gieson (schema %lld, this one knows %d)",
-                        store->dir, (long long)version, (int)NEWEST);
-    *ret_version = version;
+                        store->dir, (long long)label.version, (int)NEWEST);
+    *ret_version = label.version;
     return GSN_OK;
 }
 

@@ -50,15 +50,25 @@ static int read_open(int fd, const char *path, size_t limit, uint8_t **ret_bytes
     return GSN_OK;
 }
 
-int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
-                  struct gsn_error *err)
+int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err)
 {
-    const int fd = open(path, O_RDONLY | O_CLOEXEC); /* door */
-    int r;
+    /* O_NONBLOCK: a pipe somebody left in a folder must not stop us. */
+    const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* door */
 
     if (fd < 0)
         return gsn_fail(err, errno == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", path,
                         strerror(errno));
+    *ret_fd = fd;
+    return GSN_OK;
+}
+
+int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
+                  struct gsn_error *err)
+{
+    int fd = -1, r = gsn_file_open(path, &fd, err);
+
+    if (r < 0)
+        return r;
     r = read_open(fd, path, limit, ret_bytes, ret_size, err);
     (void)close(fd);
     return r;
@@ -80,11 +90,24 @@ static int drain(int fd, const char *path, const uint8_t *bytes, size_t size, st
     return GSN_OK;
 }
 
+int gsn_file_sync_dir(const char *dir, struct gsn_error *err)
+{
+    const int fd = open(dir, O_RDONLY | O_DIRECTORY | O_CLOEXEC); /* door */
+    int r;
+
+    if (fd < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", dir, strerror(errno));
+    r = fsync(fd);
+    if (r < 0)
+        r = gsn_fail(err, GSN_E_IO, "%s: fsync: %s", dir, strerror(errno));
+    (void)close(fd);
+    return r;
+}
+
 static int sync_parent(const char *path, struct gsn_error *err)
 {
     gsn_auto_mem(char) parent = gsn_strdup(path);
     char *slash;
-    int fd, r = 0;
 
     if (!parent)
         return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
@@ -93,14 +116,7 @@ static int sync_parent(const char *path, struct gsn_error *err)
         slash[1] = '\0';
     else if (slash)
         *slash = '\0';
-    fd = open(slash ? parent : ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC); /* door */
-    if (fd >= 0) {
-        r = fsync(fd);
-        (void)close(fd);
-    }
-    if (fd < 0 || r < 0)
-        return gsn_fail(err, GSN_E_IO, "%s: fsync of its directory: %s", path, strerror(errno));
-    return GSN_OK;
+    return gsn_file_sync_dir(slash ? parent : ".", err);
 }
 
 int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_error *err)

@@ -22,6 +22,13 @@ int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *r
 /* temp file beside it -> fsync -> rename -> fsync of the directory. */
 int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_error *err);
 
+/* For those who read a large file in pieces. gives: a descriptor to close(); what it stands for
+ * (a directory, a device) is for the caller to check. Fails with GSN_E_NOTFOUND, GSN_E_IO. */
+int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err);
+
+/* After this the names in the directory survive a power cut. */
+int gsn_file_sync_dir(const char *dir, struct gsn_error *err);
+
 /* Makes a directory and its parents; one that exists is fine. */
 int gsn_file_mkdir(const char *path, struct gsn_error *err);
 

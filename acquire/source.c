@@ -1,0 +1,126 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "acquire/source.h"
+
+#include <assert.h>
+#include <string.h>
+
+#include "acquire/folder_source.h"
+
+/* The kinds of source there are. */
+static const struct gsn_source_ops *const kinds[] = { &gsn_hot_folder_ops, &gsn_replay_folder_ops };
+
+struct gsn_source {
+    const struct gsn_source_ops *ops;
+    void *self;
+    char *address;
+};
+
+static const struct gsn_source_ops *find_kind(const char *address)
+{
+    const char *const colon = strchr(address, ':');
+
+    for (size_t i = 0; colon && i < sizeof kinds / sizeof kinds[0]; i++) {
+        const size_t length = (size_t)(colon - address);
+
+        if (strlen(kinds[i]->kind) == length && memcmp(kinds[i]->kind, address, length) == 0)
+            return kinds[i];
+    }
+    return NULL;
+}
+
+int gsn_source_open(const char *address, const struct gsn_source_options *options,
+                    struct gsn_source **ret_source, struct gsn_error *err)
+{
+    gsn_auto(gsn_source) source = NULL;
+    const struct gsn_source_ops *const ops = find_kind(address);
+    int r;
+
+    if (!ops)
+        return gsn_fail(err, GSN_E_UNSUPPORTED,
+                        "\"%.300s\" names no source: give hot:FOLDER or replay:FOLDER", address);
+    source = gsn_alloc_array(1, sizeof *source);
+    if (source)
+        source->address = gsn_strdup(address);
+    if (!source || !source->address)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
+    r = ops->open(strchr(address, ':') + 1, options, &source->self, err);
+    if (r < 0)
+        return r;
+    source->ops = ops;
+    *ret_source = gsn_steal(&source);
+    return GSN_OK;
+}
+
+void gsn_source_free(struct gsn_source *source)
+{
+    if (!source)
+        return;
+    if (source->ops)
+        source->ops->close(source->self);
+    gsn_free(source->address);
+    gsn_free(source);
+}
+
+const char *gsn_source_address(const struct gsn_source *source)
+{
+    return source->address;
+}
+
+int gsn_source_poll(struct gsn_source *source, int64_t now_ms,
+                    struct gsn_source_events **ret_events, int *ret_ended, struct gsn_error *err)
+{
+    gsn_auto(gsn_source_events) events = gsn_alloc_array(1, sizeof *events);
+    int ended = 0, r;
+
+    if (!events)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for events");
+    r = source->ops->poll(source->self, now_ms, events, &ended, err);
+    if (r < 0)
+        return r;
+    *ret_ended = ended;
+    *ret_events = gsn_steal(&events);
+    return GSN_OK;
+}
+
+int gsn_source_read(struct gsn_source *source, uint64_t item, uint64_t offset, void *buffer,
+                    size_t size, size_t *ret_got, struct gsn_error *err)
+{
+    return source->ops->read(source->self, item, offset, buffer, size, ret_got, err);
+}
+
+int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_error *err)
+{
+    return source->ops->acknowledge(source->self, item, err);
+}
+
+int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_event *event,
+                    struct gsn_error *err)
+{
+    gsn_auto_mem(char) name = gsn_strdup(event->name);
+    gsn_auto_mem(char) reason = gsn_strdup(event->reason);
+    struct gsn_source_event *at;
+
+    assert(event->name && event->reason);
+    if (!name || !reason)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for an event");
+    at = gsn_realloc_array(events->at, events->count + 1, sizeof *at);
+    if (!at)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for an event");
+    events->at = at;
+    at[events->count] = *event;
+    at[events->count].name = gsn_steal(&name);
+    at[events->count].reason = gsn_steal(&reason);
+    events->count++;
+    return GSN_OK;
+}
+
+void gsn_source_events_free(struct gsn_source_events *events)
+{
+    for (size_t i = 0; events && i < events->count; i++) {
+        gsn_free((void *)events->at[i].name);
+        gsn_free((void *)events->at[i].reason);
+    }
+    if (events)
+        gsn_free(events->at);
+    gsn_free(events);
+}

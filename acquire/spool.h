@@ -1,0 +1,63 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The original bytes, made durable before anything is computed from them.
+ *
+ * temporary in DIR/objects/tmp -> fsync -> rename to DIR/objects/ab/rest (the SHA-256 of the
+ * content) -> fsync of both directories. What follows is the caller's: insert the row, commit, and
+ * only then acknowledge to the source. Objects are read-only (0444) and never change. */
+#ifndef GSN_ACQUIRE_SPOOL_H
+#define GSN_ACQUIRE_SPOOL_H
+
+#include "acquire/source.h"
+#include "pipeline/core/error.h"
+#include "pipeline/core/hash.h"
+#include "pipeline/core/mem.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_spool;
+
+/* Opens the spool of a store's directory and makes DIR/objects when missing. gives: the spool.
+ *
+ * Temporaries of crashed writers are swept, but only while no other process has the spool open.
+ * reserve_bytes: space that must stay free on its file system after each object. */
+int gsn_spool_open(const char *dir, uint64_t reserve_bytes, struct gsn_spool **ret_spool,
+                   struct gsn_error *err);
+void gsn_spool_free(struct gsn_spool *spool);
+GSN_DEFINE_AUTO(gsn_spool);
+
+enum gsn_spool_found {
+    GSN_SPOOL_NEW,    /* written now */
+    GSN_SPOOL_SAME,   /* was there: read again in full, and found equal */
+    GSN_SPOOL_MENDED, /* was there, but damaged: replaced by the good bytes */
+};
+
+struct gsn_spooled {
+    struct gsn_digest digest;
+    uint64_t size;
+    enum gsn_spool_found found;
+};
+
+/* All three keep the bytes and tell their digest; name only serves the sentences.
+ *
+ * Fail with GSN_E_LIMIT "NAME: the disk is below its reserve of ..." before a byte is written,
+ * GSN_E_INPUT for 0 bytes, GSN_E_IO when the disk is full or refuses; then no temporary is left
+ * and no object was touched. */
+int gsn_spool_take(struct gsn_spool *spool, const void *bytes, uint64_t size, const char *name,
+                   struct gsn_spooled *ret_spooled, struct gsn_error *err);
+/* From the descriptor's start to its end, by pread(). */
+int gsn_spool_take_fd(struct gsn_spool *spool, int fd, const char *name,
+                      struct gsn_spooled *ret_spooled, struct gsn_error *err);
+/* A READY item; passes on the errors of gsn_source_read(). Does not acknowledge it. */
+int gsn_spool_take_item(struct gsn_spool *spool, struct gsn_source *source,
+                        const struct gsn_source_event *ready, struct gsn_spooled *ret_spooled,
+                        struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

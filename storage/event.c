@@ -1,0 +1,149 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/event.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "storage/sql.h"
+
+#define FIELD(type, name)                                                                          \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct gsn_event_row, name)                                       \
+    }
+static const struct gsn_sql_field event_fields[] = {
+    FIELD(INT, id),       FIELD(INT, time),  FIELD(TEXT, actor), FIELD(TEXT, kind),
+    FIELD(TEXT, subject), FIELD(TEXT, text), FIELD(TEXT, hash),
+};
+#undef FIELD
+#define COLUMNS "id, time, actor, kind, subject, text, hash"
+
+static const struct gsn_sql_shape event_shape = SQL_SHAPE(struct gsn_event_row, event_fields);
+
+SQL_DEFINE_ROWS(event);
+
+static const struct gsn_digest no_event = {
+    "0000000000000000000000000000000000000000000000000000000000000000"
+};
+
+/* The length in front keeps "ab" + "c" and "a" + "bc" apart. */
+static int hash_text(struct gsn_hash *hash, const char *text, struct gsn_error *err)
+{
+    char length[24];
+    int r;
+
+    (void)snprintf(length, sizeof length, "%zu:", strlen(text));
+    r = gsn_hash_add(hash, length, strlen(length), err);
+    return r >= 0 ? gsn_hash_add(hash, text, strlen(text), err) : r;
+}
+
+static int hash_event(const char *previous, const struct gsn_event_row *event,
+                      struct gsn_digest *ret_digest, struct gsn_error *err)
+{
+    gsn_auto(gsn_hash) hash = NULL;
+    char numbers[64];
+    const char *const texts[] = { previous,    numbers,        event->actor,
+                                  event->kind, event->subject, event->text };
+    int r = gsn_hash_new(&hash, err);
+
+    (void)snprintf(numbers, sizeof numbers, "%" PRId64 " %" PRId64, event->id, event->time);
+    for (size_t i = 0; r >= 0 && i < sizeof texts / sizeof texts[0]; i++)
+        r = hash_text(hash, texts[i], err);
+    return r >= 0 ? gsn_hash_end(hash, ret_digest, err) : r;
+}
+
+/* The last event as an id and a hash; 0 and zeros when there is none. */
+static int last_event(struct gsn_store *store, int64_t *ret_id, struct gsn_digest *ret_head,
+                      struct gsn_error *err)
+{
+    gsn_auto(gsn_event_rows) rows = NULL;
+    int r = gsn_event_list(store, 1, &rows, err);
+
+    if (r < 0)
+        return r;
+    *ret_id = rows->count ? rows->at[0].id : 0;
+    *ret_head = no_event;
+    if (rows->count)
+        (void)snprintf(ret_head->hex, sizeof ret_head->hex, "%s", rows->at[0].hash);
+    return GSN_OK;
+}
+
+static int append(struct gsn_store *store, struct gsn_event_row *event, struct gsn_error *err)
+{
+    struct gsn_sql_value values[sizeof event_fields / sizeof event_fields[0]];
+    struct gsn_digest previous, digest;
+    int64_t last = 0;
+    int r = last_event(store, &last, &previous, err);
+
+    event->id = last + 1;
+    if (r >= 0)
+        r = hash_event(previous.hex, event, &digest, err);
+    if (r < 0)
+        return r;
+    event->hash = digest.hex;
+    return gsn_sql_run(store, "INSERT INTO event (" COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                       gsn_sql_fields(&event_shape, event, values), NULL, err);
+}
+
+int gsn_event_add(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
+                  const char *subject, const char *text, struct gsn_error *err)
+{
+    struct gsn_event_row event = {
+        .time = now, .actor = actor, .kind = kind, .subject = subject, .text = text
+    };
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    return gsn_sql_end(store, append(store, &event, err), err);
+}
+
+int gsn_event_list(struct gsn_store *store, size_t most, struct gsn_event_rows **ret_rows,
+                   struct gsn_error *err)
+{
+    const int64_t limit = most == 0 || most > INT64_MAX ? INT64_MAX : (int64_t)most;
+
+    return event_rows(store,
+                      "SELECT * FROM (SELECT " COLUMNS " FROM event ORDER BY id DESC LIMIT ?1) "
+                      "ORDER BY id",
+                      SQL_ARGS(SQL_INT(limit)), ret_rows, err);
+}
+
+int gsn_event_head(struct gsn_store *store, struct gsn_digest *ret_head, struct gsn_error *err)
+{
+    struct gsn_digest head;
+    int64_t id = 0;
+    const int r = last_event(store, &id, &head, err);
+
+    if (r >= 0)
+        *ret_head = head;
+    return r;
+}
+
+int gsn_event_verify(struct gsn_store *store, const char *known_head,
+                     struct gsn_event_verdict *ret_verdict, struct gsn_error *err)
+{
+    gsn_auto(gsn_event_rows) rows = NULL;
+    struct gsn_event_verdict verdict = { 0 };
+    struct gsn_digest digest, previous = no_event;
+    int r = gsn_event_list(store, 0, &rows, err);
+
+    if (r < 0)
+        return r;
+    verdict.count = (int64_t)rows->count;
+    verdict.head_is_there = known_head && strcmp(known_head, no_event.hex) == 0;
+    for (size_t i = 0; i < rows->count && !verdict.broken; i++) {
+        const struct gsn_event_row *event = &rows->at[i];
+
+        r = hash_event(previous.hex, event, &digest, err);
+        if (r < 0)
+            return r;
+        if (strcmp(event->hash, digest.hex) != 0)
+            verdict.broken = event->id;
+        else if (known_head && strcmp(known_head, digest.hex) == 0)
+            verdict.head_is_there = 1;
+        previous = digest;
+    }
+    *ret_verdict = verdict;
+    return GSN_OK;
+}

@@ -1,0 +1,221 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/panel_log.h"
+
+#include "storage/sql.h"
+
+#define PANEL(type, name)                                                                          \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct gsn_panel_row, name)                                       \
+    }
+static const struct gsn_sql_field panel_fields[] = {
+    PANEL(INT, id),       PANEL(INT, specimen_id), PANEL(INT, number), PANEL(TEXT, file_name),
+    PANEL(TEXT, sha256),  PANEL(INT, size),        PANEL(TEXT, state), PANEL(TEXT, code),
+    PANEL(TEXT, message), PANEL(INT, width),       PANEL(INT, height), PANEL(REAL, px_um),
+};
+#undef PANEL
+
+#define SELECT_PANEL                                                                               \
+    "SELECT id, specimen_id, number, file_name, sha256, size, state, code, message, width, "       \
+    "height, px_um FROM panel "
+
+static const struct gsn_sql_shape panel_shape = SQL_SHAPE(struct gsn_panel_row, panel_fields);
+
+SQL_DEFINE_ROW(panel);
+SQL_DEFINE_ROWS(panel);
+
+#define SECTION(type, name)                                                                        \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct gsn_section_row, name)                                     \
+    }
+#define MARKER(i)                                                                                  \
+    SECTION(INT, marker[i].found), SECTION(REAL, marker[i].x_px), SECTION(REAL, marker[i].y_px),   \
+        SECTION(REAL, marker[i].radius_px), SECTION(REAL, marker[i].cov_xx),                       \
+        SECTION(REAL, marker[i].cov_xy), SECTION(REAL, marker[i].cov_yy),                          \
+        SECTION(REAL, marker[i].score)
+static const struct gsn_sql_field section_fields[] = {
+    SECTION(INT, panel_id),
+    SECTION(INT, slot),
+    SECTION(INT, serial),
+    SECTION(TEXT, state),
+    SECTION(TEXT, flags),
+    SECTION(REAL, bbox_x),
+    SECTION(REAL, bbox_y),
+    SECTION(REAL, bbox_w),
+    SECTION(REAL, bbox_h),
+    SECTION(REAL, area_px),
+    MARKER(0),
+    MARKER(1),
+    MARKER(2),
+};
+#undef MARKER
+#undef SECTION
+
+static const struct gsn_sql_shape section_shape = SQL_SHAPE(struct gsn_section_row, section_fields);
+
+SQL_DEFINE_ROWS(section);
+
+/* In a transaction. */
+static int put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
+               int *ret_again, struct gsn_error *err)
+{
+    int r =
+        gsn_sql_int(store, "SELECT id FROM panel WHERE specimen_id = ?1 AND sha256 = ?2",
+                    SQL_ARGS(SQL_INT(panel->specimen_id), SQL_TEXT(panel->sha256)), ret_id, err);
+
+    *ret_again = r >= 0;
+    if (r != GSN_E_NOTFOUND)
+        return r;
+    r = gsn_sql_run(
+        store,
+        "INSERT INTO panel (specimen_id, number, file_name, sha256, size, state, code, message, "
+        "width, height, px_um) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        SQL_ARGS(SQL_INT(panel->specimen_id), SQL_INT(panel->number), SQL_TEXT(panel->file_name),
+                 SQL_TEXT(panel->sha256), SQL_INT(panel->size), SQL_TEXT(panel->state),
+                 SQL_TEXT(panel->code), SQL_TEXT(panel->message), SQL_INT(panel->width),
+                 SQL_INT(panel->height), SQL_REAL(panel->px_um)),
+        NULL, err);
+    if (r < 0)
+        return r == GSN_E_INPUT ? gsn_fail_at(err, "panel %.200s", panel->file_name) : r;
+    *ret_id = gsn_sql_last_id(store);
+    return GSN_OK;
+}
+
+int gsn_panel_put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
+                  int *ret_again, struct gsn_error *err)
+{
+    int64_t id = 0;
+    int again = 0;
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_sql_end(store, put(store, panel, &id, &again, err), err);
+    if (r < 0)
+        return r;
+    *ret_id = id;
+    *ret_again = again;
+    return GSN_OK;
+}
+
+static int no_panel(int64_t id, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_NOTFOUND, "there is no panel of number %lld", (long long)id);
+}
+
+int gsn_panel_get(struct gsn_store *store, int64_t id, struct gsn_panel_row **ret_panel,
+                  struct gsn_error *err)
+{
+    const int r =
+        panel_row(store, SELECT_PANEL "WHERE id = ?1", SQL_ARGS(SQL_INT(id)), ret_panel, err);
+
+    return r == GSN_E_NOTFOUND ? no_panel(id, err) : r;
+}
+
+int gsn_panel_list(struct gsn_store *store, int64_t specimen_id, struct gsn_panel_rows **ret_rows,
+                   struct gsn_error *err)
+{
+    return panel_rows(store, SELECT_PANEL "WHERE specimen_id = ?1 ORDER BY number = 0, number, id",
+                      SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
+}
+
+static int update(struct gsn_store *store, int64_t id, const char *sql, struct gsn_sql_args args,
+                  struct gsn_error *err)
+{
+    int64_t changed = 0;
+    const int r = gsn_sql_run(store, sql, args, &changed, err);
+
+    if (r < 0)
+        return r;
+    return changed == 0 ? no_panel(id, err) : GSN_OK;
+}
+
+int gsn_panel_set_state(struct gsn_store *store, int64_t id, const char *state, const char *code,
+                        const char *message, struct gsn_error *err)
+{
+    return update(store, id, "UPDATE panel SET state = ?2, code = ?3, message = ?4 WHERE id = ?1",
+                  SQL_ARGS(SQL_INT(id), SQL_TEXT(state), SQL_TEXT(code), SQL_TEXT(message)), err);
+}
+
+int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64_t height,
+                       double px_um, struct gsn_error *err)
+{
+    return update(store, id, "UPDATE panel SET width = ?2, height = ?3, px_um = ?4 WHERE id = ?1",
+                  SQL_ARGS(SQL_INT(id), SQL_INT(width), SQL_INT(height), SQL_REAL(px_um)), err);
+}
+
+static int insert_marker(struct gsn_store *store, int64_t section_id, size_t mark,
+                         const struct gsn_marker_row *marker, struct gsn_error *err)
+{
+    if (!marker->found)
+        return gsn_sql_run(store, "INSERT INTO marker (section_id, mark, found) VALUES (?1, ?2, 0)",
+                           SQL_ARGS(SQL_INT(section_id), SQL_INT((int64_t)mark)), NULL, err);
+    return gsn_sql_run(
+        store,
+        "INSERT INTO marker (section_id, mark, found, x_px, y_px, radius_px, cov_xx, cov_xy, "
+        "cov_yy, score) VALUES (?1, ?2, 1, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+        SQL_ARGS(SQL_INT(section_id), SQL_INT((int64_t)mark), SQL_REAL(marker->x_px),
+                 SQL_REAL(marker->y_px), SQL_REAL(marker->radius_px), SQL_REAL(marker->cov_xx),
+                 SQL_REAL(marker->cov_xy), SQL_REAL(marker->cov_yy), SQL_REAL(marker->score)),
+        NULL, err);
+}
+
+static int insert_section(struct gsn_store *store, int64_t panel_id,
+                          const struct gsn_section_row *section, struct gsn_error *err)
+{
+    int64_t id;
+    int r = gsn_sql_run(
+        store,
+        "INSERT INTO section (panel_id, slot, serial, state, flags, bbox_x, bbox_y, bbox_w, "
+        "bbox_h, area_px) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
+        SQL_ARGS(SQL_INT(panel_id), SQL_INT(section->slot), SQL_INT(section->serial),
+                 SQL_TEXT(section->state), SQL_TEXT(section->flags), SQL_REAL(section->bbox_x),
+                 SQL_REAL(section->bbox_y), SQL_REAL(section->bbox_w), SQL_REAL(section->bbox_h),
+                 SQL_REAL(section->area_px)),
+        NULL, err);
+
+    id = gsn_sql_last_id(store);
+    for (size_t i = 0; r >= 0 && i < GSN_ROW_MARKS; i++)
+        r = insert_marker(store, id, i + 1, &section->marker[i], err);
+    return r == GSN_E_INPUT ? gsn_fail_at(err, "panel %lld, slot %lld", (long long)panel_id,
+                                          (long long)section->slot)
+                            : r;
+}
+
+int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
+                        const struct gsn_section_row *sections, size_t count, struct gsn_error *err)
+{
+    int64_t known = 0;
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_sql_int(store, "SELECT id FROM panel WHERE id = ?1", SQL_ARGS(SQL_INT(panel_id)),
+                    &known, err);
+    if (r == GSN_E_NOTFOUND)
+        r = no_panel(panel_id, err);
+    if (r >= 0)
+        r = gsn_sql_run(store, "DELETE FROM section WHERE panel_id = ?1",
+                        SQL_ARGS(SQL_INT(panel_id)), NULL, err);
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        r = insert_section(store, panel_id, &sections[i], err);
+    return gsn_sql_end(store, r, err);
+}
+
+#define MARKER_COLUMNS(m)                                                                          \
+    m ".found, " m ".x_px, " m ".y_px, " m ".radius_px, " m ".cov_xx, " m ".cov_xy, " m            \
+      ".cov_yy, " m ".score"
+
+int gsn_section_list(struct gsn_store *store, int64_t specimen_id,
+                     struct gsn_section_rows **ret_rows, struct gsn_error *err)
+{
+    return section_rows(
+        store,
+        "SELECT s.panel_id, s.slot, s.serial, s.state, s.flags, s.bbox_x, s.bbox_y, s.bbox_w, "
+        "s.bbox_h, s.area_px, " MARKER_COLUMNS("a") ", " MARKER_COLUMNS("b") ", " MARKER_COLUMNS(
+            "c") " FROM panel p JOIN section s ON s.panel_id = p.id "
+                 "JOIN marker a ON a.section_id = s.id AND a.mark = 1 "
+                 "JOIN marker b ON b.section_id = s.id AND b.mark = 2 "
+                 "JOIN marker c ON c.section_id = s.id AND c.mark = 3 "
+                 "WHERE p.specimen_id = ?1 ORDER BY s.serial = 0, s.serial, s.panel_id, s.slot",
+        SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
+}

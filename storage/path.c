@@ -1,0 +1,81 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/store.h"
+
+#include <stdbool.h>
+#include <string.h>
+
+#include "pipeline/core/hash.h"
+
+enum {
+    DIGEST_DIGITS = 64,
+    LONGEST_NAME = 150, /* with the digest below the 255 bytes a file system allows */
+};
+
+int gsn_store_object_path(const struct gsn_store *store, const char *hex, char **ret_path,
+                          struct gsn_error *err)
+{
+    char *path;
+
+    if (strlen(hex) != DIGEST_DIGITS || strspn(hex, "0123456789abcdef") != DIGEST_DIGITS)
+        return gsn_fail(err, GSN_E_INPUT, "\"%.80s\" is not a SHA-256", hex);
+    path = gsn_format("%s/objects/%.2s/%s", gsn_store_dir(store), hex, hex + 2);
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    *ret_path = path;
+    return GSN_OK;
+}
+
+static bool is_plain(char c, bool first)
+{
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' ||
+           c == '-' || (c == '.' && !first);
+}
+
+/* Writes at most room - 1 characters and a zero; whole escapes only. Returns false when cut. */
+static bool escape(const char *name, char *to, size_t room)
+{
+    static const char digits[] = "0123456789ABCDEF";
+    size_t used = 0;
+
+    for (const char *c = name; *c; c++) {
+        const bool plain = is_plain(*c, c == name);
+
+        to[used] = '\0';
+        if (used + (plain ? 1 : 3) >= room)
+            return false;
+        if (plain) {
+            to[used++] = *c;
+            continue;
+        }
+        to[used++] = '%';
+        to[used++] = digits[(unsigned char)*c >> 4];
+        to[used++] = digits[(unsigned char)*c & 15];
+    }
+    to[used] = '\0';
+    return true;
+}
+
+int gsn_store_report_dir(const struct gsn_store *store, const char *specimen, char **ret_path,
+                         struct gsn_error *err)
+{
+    struct gsn_digest digest = { "" };
+    char name[LONGEST_NAME];
+    bool whole;
+    char *path;
+    int r = GSN_OK;
+
+    if (!*specimen)
+        return gsn_fail(err, GSN_E_INPUT, "a specimen needs a name");
+    whole = escape(specimen, name, sizeof name);
+    if (!whole)
+        r = gsn_sha256(specimen, strlen(specimen), &digest, err);
+    if (r < 0)
+        return r;
+    /* '~' is never plain, so a cut name cannot be mistaken for a whole one. */
+    path =
+        gsn_format("%s/reports/%s%s%s", gsn_store_dir(store), name, whole ? "" : "~", digest.hex);
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    *ret_path = path;
+    return GSN_OK;
+}

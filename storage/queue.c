@@ -1,0 +1,383 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/queue.h"
+
+#include <assert.h>
+#include <math.h>
+
+#include "storage/lease.h"
+#include "storage/queue_order.h"
+#include "storage/sql.h"
+
+#define JOB(type, name)                                                                            \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct gsn_job_row, name)                                         \
+    }
+static const struct gsn_sql_field job_fields[] = {
+    JOB(INT, id),          JOB(TEXT, kind),    JOB(INT, specimen_id), JOB(INT, panel_id),
+    JOB(TEXT, specimen),   JOB(TEXT, panel),   JOB(TEXT, state),      JOB(INT, again),
+    JOB(INT, attempts),    JOB(INT, claim),    JOB(TEXT, owner),      JOB(INT, pid),
+    JOB(INT, lease_until), JOB(TEXT, stage),   JOB(INT, done),        JOB(INT, total),
+    JOB(REAL, eta_s),      JOB(TEXT, message), JOB(TEXT, code),
+};
+#undef JOB
+
+#define SELECT_JOB                                                                                 \
+    "SELECT j.id, j.kind, j.specimen_id, coalesce(j.panel_id, 0), s.name, "                        \
+    "coalesce(p.file_name, ''), j.state, j.again, j.attempts, j.claim, j.owner, j.pid, "           \
+    "j.lease_until, j.stage, j.done, j.total, j.eta_s, j.message, j.code "                         \
+    "FROM job j JOIN specimen s ON s.id = j.specimen_id LEFT JOIN panel p ON p.id = j.panel_id "
+
+static const struct gsn_sql_shape job_shape = SQL_SHAPE(struct gsn_job_row, job_fields);
+
+SQL_DEFINE_ROW(job);
+SQL_DEFINE_ROWS(job);
+
+/* What a job is like before anybody claims it. claim and owner stay: they are its history. */
+#define FRESH                                                                                      \
+    "state = 'waiting', again = 0, boot = '', processes = '', pid = 0, pid_start = 0, "            \
+    "lease_s = 0, lease_until = 0, stage = '', done = 0, total = 0, eta_s = NULL, "                \
+    "message = '', code = '' "
+
+static int check_panel(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
+                       struct gsn_error *err)
+{
+    int64_t id = 0;
+    const int r = gsn_sql_int(store,
+                              "SELECT 1 FROM specimen s WHERE s.id = ?1 AND (?2 = 0 OR EXISTS "
+                              "(SELECT 1 FROM panel WHERE id = ?2 AND specimen_id = s.id))",
+                              SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id)), &id, err);
+
+    if (r == GSN_E_NOTFOUND)
+        return gsn_fail(err, GSN_E_INPUT, "there is no panel %lld of specimen %lld to work on",
+                        (long long)panel_id, (long long)specimen_id);
+    return r;
+}
+
+/* In a transaction. */
+static int add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
+               struct gsn_error *err)
+{
+    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id));
+    int r = check_panel(store, specimen_id, panel_id, err);
+
+    if (r >= 0)
+        r = gsn_sql_run(store,
+                        "INSERT INTO job (kind, specimen_id, panel_id) VALUES "
+                        "(iif(?2 = 0, 'specimen', 'panel'), ?1, nullif(?2, 0)) "
+                        "ON CONFLICT DO NOTHING",
+                        job, NULL, err);
+    if (r >= 0)
+        r = gsn_sql_int(store,
+                        "SELECT id FROM job WHERE specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
+                        job, ret_id, err);
+    if (r < 0)
+        return r;
+
+    const struct gsn_sql_args id = SQL_ARGS(SQL_INT(*ret_id));
+
+    r = gsn_sql_run(store, "UPDATE job SET again = 1 WHERE id = ?1 AND state = 'running'", id, NULL,
+                    err);
+    if (r >= 0)
+        r = gsn_sql_run(store,
+                        "UPDATE job SET attempts = 0, " FRESH
+                        "WHERE id = ?1 AND state IN ('done', 'failed')",
+                        id, NULL, err);
+    return r;
+}
+
+int gsn_queue_add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
+                  struct gsn_error *err)
+{
+    int64_t id = 0;
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_sql_end(store, add(store, specimen_id, panel_id, &id, err), err);
+    if (r >= 0)
+        *ret_id = id;
+    return r;
+}
+
+struct lease {
+    int64_t job, pid, pid_start, lease_until;
+    const char *boot, *processes;
+};
+
+#define LEASE(type, name)                                                                          \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct lease, name)                                               \
+    }
+static const struct gsn_sql_field lease_fields[] = {
+    LEASE(INT, job),         LEASE(INT, pid),   LEASE(INT, pid_start),
+    LEASE(INT, lease_until), LEASE(TEXT, boot), LEASE(TEXT, processes),
+};
+#undef LEASE
+static const struct gsn_sql_shape lease_shape = SQL_SHAPE(struct lease, lease_fields);
+
+/* Back to waiting, with one death more; the last death fails it. */
+static int bury(struct gsn_store *store, int64_t job, struct gsn_error *err)
+{
+    int r = gsn_sql_run(store, "UPDATE job SET attempts = attempts + 1, " FRESH "WHERE id = ?1",
+                        SQL_ARGS(SQL_INT(job)), NULL, err);
+
+    if (r < 0)
+        return r;
+    return gsn_sql_run(
+        store,
+        "UPDATE job SET state = 'failed', code = ?3, "
+        "message = format('the worker died %d times', attempts) "
+        "WHERE id = ?1 AND attempts >= ?2",
+        SQL_ARGS(SQL_INT(job), SQL_INT(GSN_QUEUE_DEATHS), SQL_TEXT(gsn_code_name(GSN_E_PROCESS))),
+        NULL, err);
+}
+
+static int take_back(struct gsn_store *store, const struct gsn_lease_home *here, int64_t now,
+                     struct gsn_error *err)
+{
+    struct lease *leases = NULL;
+    void *rows = NULL;
+    size_t count = 0;
+    int r = gsn_sql_rows(store, &lease_shape,
+                         "SELECT id, pid, pid_start, lease_until, boot, processes FROM job "
+                         "WHERE state = 'running' ORDER BY id",
+                         SQL_NO_ARGS, &rows, &count, err);
+
+    leases = rows;
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        const struct lease *const l = &leases[i];
+
+        if (l->lease_until <= now ||
+            gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
+            r = bury(store, l->job, err);
+    }
+    gsn_sql_free_rows(&lease_shape, rows, count);
+    return r;
+}
+
+#define NODE(name)                                                                                 \
+    {                                                                                              \
+        GSN_SQL_INT, offsetof(struct gsn_queue_node, name)                                         \
+    }
+static const struct gsn_sql_field node_fields[] = {
+    NODE(specimen_id), NODE(group_id), NODE(ready_job), NODE(base_specimen), NODE(base_group),
+};
+#undef NODE
+static const struct gsn_sql_shape node_shape = SQL_SHAPE(struct gsn_queue_node, node_fields);
+
+/* A specimen job is the only one left when it is one of one. */
+static int pick_specimen_job(struct gsn_store *store, int64_t *ret_job, struct gsn_error *err)
+{
+    void *nodes = NULL;
+    size_t count = 0;
+    int r =
+        gsn_sql_rows(store, &node_shape,
+                     "SELECT s.id, s.group_id, iif(count(*) = 1 AND max(j.kind) = 'specimen' AND "
+                     "max(j.state) = 'waiting', max(j.id), 0), coalesce(b.id, 0), "
+                     "iif(b.id IS NULL AND s.baseline <> '', coalesce(g.id, 0), 0) FROM job j JOIN "
+                     "specimen s ON s.id = j.specimen_id "
+                     "LEFT JOIN specimen b ON b.name = s.baseline "
+                     "LEFT JOIN study_group g ON g.study_id = s.study_id AND g.name = s.baseline "
+                     "WHERE j.state IN ('waiting', 'running') GROUP BY s.id ORDER BY s.id",
+                     SQL_NO_ARGS, &nodes, &count, err);
+
+    if (r >= 0)
+        r = gsn_queue_next_specimen_job(nodes, count, ret_job, err);
+    gsn_sql_free_rows(&node_shape, nodes, count);
+    return r;
+}
+
+/* ret_job is 0 when none may go. */
+static int pick(struct gsn_store *store, int64_t *ret_job, struct gsn_error *err)
+{
+    const int r = gsn_sql_int(store,
+                              "SELECT coalesce(min(id), 0) FROM job "
+                              "WHERE state = 'waiting' AND kind = 'panel'",
+                              SQL_NO_ARGS, ret_job, err);
+
+    return r >= 0 && *ret_job == 0 ? pick_specimen_job(store, ret_job, err) : r;
+}
+
+struct claimant {
+    const char *owner;
+    int64_t pid, lease_s, now;
+};
+
+static int take(struct gsn_store *store, const struct gsn_lease_home *here,
+                const struct claimant *who, int64_t job, struct gsn_job_row **ret_job,
+                struct gsn_error *err)
+{
+    const int r = gsn_sql_run(
+        store,
+        "UPDATE job SET " FRESH ", state = 'running', claim = claim + 1, owner = ?2, "
+        "boot = ?3, processes = ?4, pid = ?5, pid_start = ?6, lease_s = ?7, "
+        "lease_until = ?8 WHERE id = ?1",
+        SQL_ARGS(SQL_INT(job), SQL_TEXT(who->owner), SQL_TEXT(here->boot),
+                 SQL_TEXT(here->processes), SQL_INT(who->pid), SQL_INT(gsn_lease_start(who->pid)),
+                 SQL_INT(who->lease_s), SQL_INT(who->now + who->lease_s)),
+        NULL, err);
+
+    if (r < 0)
+        return r;
+    return job_row(store, SELECT_JOB "WHERE j.id = ?1", SQL_ARGS(SQL_INT(job)), ret_job, err);
+}
+
+/* In a transaction. ret_job stays NULL when none may go: what was taken back must be kept. */
+static int claim(struct gsn_store *store, const struct claimant *who, struct gsn_job_row **ret_job,
+                 struct gsn_error *err)
+{
+    const struct gsn_lease_home here = gsn_lease_home();
+    int64_t job = 0;
+    int r = take_back(store, &here, who->now, err);
+
+    if (r >= 0)
+        r = pick(store, &job, err);
+    return r >= 0 && job ? take(store, &here, who, job, ret_job, err) : r;
+}
+
+static int say_why_none(struct gsn_store *store, struct gsn_error *err)
+{
+    struct gsn_job_counts counts;
+    const int r = gsn_queue_counts(store, &counts, err);
+
+    if (r < 0)
+        return r;
+    if (counts.waiting == 0 && counts.running == 0)
+        return gsn_fail(err, GSN_E_NOTFOUND, "the queue is empty");
+    if (counts.waiting == 0)
+        return gsn_fail(err, GSN_E_BUSY, "only running jobs: %lld", (long long)counts.running);
+    return gsn_fail(err, GSN_E_BUSY, "nothing to claim: %lld waiting for %lld running",
+                    (long long)counts.waiting, (long long)counts.running);
+}
+
+int gsn_queue_claim(struct gsn_store *store, const char *owner, pid_t pid, int64_t lease_s,
+                    int64_t now, struct gsn_job_row **ret_job, struct gsn_error *err)
+{
+    const struct claimant who = { owner, pid, lease_s, now };
+    gsn_auto(gsn_job_row) job = NULL;
+    int r;
+
+    assert(lease_s > 0);
+    r = gsn_store_begin(store, err);
+    if (r < 0)
+        return r;
+    r = gsn_sql_end(store, claim(store, &who, &job, err), err);
+    if (r < 0)
+        return r;
+    if (!job)
+        return say_why_none(store, err);
+    *ret_job = gsn_steal(&job);
+    return GSN_OK;
+}
+
+/* The statement's last words: only while the job is this claim's. */
+#define IF_MINE "WHERE id = ?1 AND claim = ?2 AND state = 'running'"
+
+static int change_mine(struct gsn_store *store, const struct gsn_job_row *job, const char *sql,
+                       struct gsn_sql_args args, struct gsn_error *err)
+{
+    int64_t changed = 0;
+    const int r = gsn_sql_run(store, sql, args, &changed, err);
+
+    if (r >= 0 && changed == 0)
+        return gsn_fail(err, GSN_E_BUSY, "job %lld is no longer %.100s's: its lease ran out",
+                        (long long)job->id, job->owner);
+    return r;
+}
+
+int gsn_queue_progress(struct gsn_store *store, const struct gsn_job_row *job, const char *stage,
+                       int64_t done, int64_t total, double eta_s, int64_t now,
+                       struct gsn_error *err)
+{
+    return change_mine(store, job,
+                       "UPDATE job SET stage = ?3, done = ?4, total = ?5, eta_s = ?6, "
+                       "lease_until = ?7 + lease_s " IF_MINE,
+                       SQL_ARGS(SQL_INT(job->id), SQL_INT(job->claim), SQL_TEXT(stage),
+                                SQL_INT(done), SQL_INT(total), SQL_REAL(eta_s), SQL_INT(now)),
+                       err);
+}
+
+/* In a transaction. */
+static int end_job(struct gsn_store *store, const struct gsn_job_row *job, const char *state,
+                   const char *code, const char *message, struct gsn_error *err)
+{
+    int r = change_mine(store, job,
+                        "UPDATE job SET state = ?3, code = ?4, message = ?5, attempts = 0, "
+                        "pid = 0, pid_start = 0, lease_until = 0, eta_s = NULL " IF_MINE,
+                        SQL_ARGS(SQL_INT(job->id), SQL_INT(job->claim), SQL_TEXT(state),
+                                 SQL_TEXT(code), SQL_TEXT(message)),
+                        err);
+
+    if (r < 0)
+        return r;
+    return gsn_sql_run(store, "UPDATE job SET " FRESH "WHERE id = ?1 AND again = 1",
+                       SQL_ARGS(SQL_INT(job->id)), NULL, err);
+}
+
+int gsn_queue_done(struct gsn_store *store, const struct gsn_job_row *job, struct gsn_error *err)
+{
+    const int r = gsn_store_begin(store, err);
+
+    return r < 0 ? r : gsn_sql_end(store, end_job(store, job, "done", "", "", err), err);
+}
+
+int gsn_queue_fail(struct gsn_store *store, const struct gsn_job_row *job, int code,
+                   const char *message, struct gsn_error *err)
+{
+    const int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    return gsn_sql_end(store, end_job(store, job, "failed", gsn_code_name(code), message, err),
+                       err);
+}
+
+int gsn_queue_retry(struct gsn_store *store, int64_t specimen_id, size_t *ret_count,
+                    struct gsn_error *err)
+{
+    int64_t changed = 0;
+    const int r = gsn_sql_run(store,
+                              "UPDATE job SET attempts = 0, " FRESH
+                              "WHERE state = 'failed' AND ?1 IN (0, specimen_id)",
+                              SQL_ARGS(SQL_INT(specimen_id)), &changed, err);
+
+    if (r >= 0)
+        *ret_count = (size_t)changed;
+    return r;
+}
+
+int gsn_queue_list(struct gsn_store *store, struct gsn_job_rows **ret_rows, struct gsn_error *err)
+{
+    return job_rows(store, SELECT_JOB "ORDER BY j.id", SQL_NO_ARGS, ret_rows, err);
+}
+
+#define COUNT(name)                                                                                \
+    {                                                                                              \
+        GSN_SQL_INT, offsetof(struct gsn_job_counts, name)                                         \
+    }
+static const struct gsn_sql_field count_fields[] = {
+    COUNT(waiting),
+    COUNT(running),
+    COUNT(done),
+    COUNT(failed),
+};
+#undef COUNT
+static const struct gsn_sql_shape count_shape = SQL_SHAPE(struct gsn_job_counts, count_fields);
+
+int gsn_queue_counts(struct gsn_store *store, struct gsn_job_counts *ret_counts,
+                     struct gsn_error *err)
+{
+    void *row = NULL;
+    const int r = gsn_sql_row(store, &count_shape,
+                              "SELECT count(*) FILTER (WHERE state = 'waiting'), "
+                              "count(*) FILTER (WHERE state = 'running'), "
+                              "count(*) FILTER (WHERE state = 'done'), "
+                              "count(*) FILTER (WHERE state = 'failed') FROM job",
+                              SQL_NO_ARGS, &row, err);
+
+    if (r < 0)
+        return r;
+    *ret_counts = *(const struct gsn_job_counts *)row;
+    gsn_sql_free_rows(&count_shape, row, 1);
+    return GSN_OK;
+}

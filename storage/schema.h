@@ -1,0 +1,10 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The SQL of schema/NNN_*.sql, built into the program: schema n takes a store from version n-1 to
+ * version n. */
+#ifndef GSN_STORAGE_SCHEMA_H
+#define GSN_STORAGE_SCHEMA_H
+
+extern const char gsn_schema_001[];
+
+#endif

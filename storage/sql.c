@@ -1,0 +1,251 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/sql.h"
+
+#include <assert.h>
+#include <math.h>
+#include <sqlite3.h>
+#include <string.h>
+
+static void statement_free(sqlite3_stmt **statement)
+{
+    (void)sqlite3_finalize(*statement);
+}
+#define auto_statement __attribute__((cleanup(statement_free))) sqlite3_stmt *
+
+static int bind(sqlite3_stmt *statement, int index, const struct gsn_sql_value *value)
+{
+    if (value->type == GSN_SQL_INT)
+        return sqlite3_bind_int64(statement, index, value->integer);
+    if (value->type == GSN_SQL_REAL)
+        return sqlite3_bind_double(statement, index, value->real); /* a NaN becomes NULL */
+    /* The arguments outlive the statement, so SQLite need not copy them. */
+    return sqlite3_bind_text(statement, index, value->text ? value->text : "", -1, SQLITE_STATIC);
+}
+
+static int prepare(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
+                   sqlite3_stmt **ret_statement, struct gsn_error *err)
+{
+    auto_statement statement = NULL;
+
+    if (sqlite3_prepare_v2(gsn_store_handle(store), sql, -1, &statement, NULL) != SQLITE_OK)
+        return gsn_store_failed(store, err);
+    assert((size_t)sqlite3_bind_parameter_count(statement) == args.count);
+    for (size_t i = 0; i < args.count; i++) {
+        if (bind(statement, (int)i + 1, &args.at[i]) != SQLITE_OK)
+            return gsn_store_failed(store, err);
+    }
+    *ret_statement = gsn_steal(&statement);
+    return GSN_OK;
+}
+
+int gsn_sql_run(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
+                int64_t *ret_changed, struct gsn_error *err)
+{
+    auto_statement statement = NULL;
+    int r = prepare(store, sql, args, &statement, err);
+
+    if (r < 0)
+        return r;
+    do
+        r = sqlite3_step(statement);
+    while (r == SQLITE_ROW);
+    if (r != SQLITE_DONE)
+        return gsn_store_failed(store, err);
+    if (ret_changed)
+        *ret_changed = sqlite3_changes64(gsn_store_handle(store));
+    return GSN_OK;
+}
+
+int gsn_sql_int(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
+                int64_t *ret_value, struct gsn_error *err)
+{
+    auto_statement statement = NULL;
+    int r = prepare(store, sql, args, &statement, err);
+
+    if (r < 0)
+        return r;
+    r = sqlite3_step(statement);
+    if (r == SQLITE_DONE)
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s: no such row", gsn_store_dir(store));
+    if (r != SQLITE_ROW)
+        return gsn_store_failed(store, err);
+    *ret_value = sqlite3_column_int64(statement, 0);
+    return GSN_OK;
+}
+
+static void free_texts(const struct gsn_sql_shape *shape, void *row)
+{
+    for (size_t i = 0; i < shape->count; i++) {
+        if (shape->field[i].type == GSN_SQL_TEXT)
+            gsn_free(*(char **)((char *)row + shape->field[i].offset));
+    }
+}
+
+void gsn_sql_free_rows(const struct gsn_sql_shape *shape, void *rows, size_t count)
+{
+    for (size_t i = 0; rows && i < count; i++)
+        free_texts(shape, (char *)rows + i * shape->size);
+    gsn_free(rows);
+}
+
+static int read_text(struct gsn_store *store, sqlite3_stmt *statement, int column, const char **to,
+                     struct gsn_error *err)
+{
+    const char *text = (const char *)sqlite3_column_text(statement, column);
+
+    /* A text that is there but cannot be had: SQLite ran out of memory. */
+    if (!text && sqlite3_column_type(statement, column) != SQLITE_NULL)
+        return gsn_store_failed(store, err);
+    *to = gsn_strdup(text ? text : "");
+    return *to ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a row");
+}
+
+/* row is zeroed, so that what was read before a failure can be freed. */
+static int read_row(struct gsn_store *store, sqlite3_stmt *statement,
+                    const struct gsn_sql_shape *shape, void *row, struct gsn_error *err)
+{
+    for (size_t i = 0; i < shape->count; i++) {
+        char *const to = (char *)row + shape->field[i].offset;
+        const int column = (int)i;
+        int r = GSN_OK;
+
+        if (shape->field[i].type == GSN_SQL_INT)
+            *(int64_t *)to = sqlite3_column_int64(statement, column);
+        else if (shape->field[i].type == GSN_SQL_TEXT)
+            r = read_text(store, statement, column, (const char **)to, err);
+        else if (sqlite3_column_type(statement, column) == SQLITE_NULL)
+            *(double *)to = NAN;
+        else
+            *(double *)to = sqlite3_column_double(statement, column);
+        if (r < 0)
+            return r;
+    }
+    return GSN_OK;
+}
+
+struct rows {
+    const struct gsn_sql_shape *shape;
+    size_t count, room;
+    char *at;
+};
+
+static void rows_done(struct rows *rows)
+{
+    gsn_sql_free_rows(rows->shape, rows->at, rows->count);
+}
+
+static int rows_grow(struct rows *rows, struct gsn_error *err)
+{
+    const size_t room = rows->room ? 2 * rows->room : 8;
+    char *at = gsn_realloc_array(rows->at, room, rows->shape->size);
+
+    if (!at)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu rows", room);
+    rows->at = at;
+    rows->room = room;
+    return GSN_OK;
+}
+
+static int rows_add(struct gsn_store *store, sqlite3_stmt *statement, struct rows *rows,
+                    struct gsn_error *err)
+{
+    char *row;
+    int r = GSN_OK;
+
+    if (rows->count == rows->room)
+        r = rows_grow(rows, err);
+    if (r < 0)
+        return r;
+    row = rows->at + rows->count++ * rows->shape->size;
+    memset(row, 0, rows->shape->size);
+    return read_row(store, statement, rows->shape, row, err);
+}
+
+static int collect(struct gsn_store *store, sqlite3_stmt *statement, size_t most, struct rows *rows,
+                   struct gsn_error *err)
+{
+    int r = rows_grow(rows, err);
+
+    if (r < 0)
+        return r;
+    assert((size_t)sqlite3_column_count(statement) == rows->shape->count);
+    while (rows->count < most && (r = sqlite3_step(statement)) != SQLITE_DONE) {
+        if (r != SQLITE_ROW)
+            return gsn_store_failed(store, err);
+        r = rows_add(store, statement, rows, err);
+        if (r < 0)
+            return r;
+    }
+    return GSN_OK;
+}
+
+static int query(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                 struct gsn_sql_args args, size_t most, void **ret_rows, size_t *ret_count,
+                 struct gsn_error *err)
+{
+    __attribute__((cleanup(rows_done))) struct rows rows = { .shape = shape };
+    auto_statement statement = NULL;
+    int r = prepare(store, sql, args, &statement, err);
+
+    if (r >= 0)
+        r = collect(store, statement, most, &rows, err);
+    if (r < 0)
+        return r;
+    *ret_count = rows.count;
+    *ret_rows = gsn_steal(&rows.at);
+    return GSN_OK;
+}
+
+int gsn_sql_rows(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                 struct gsn_sql_args args, void **ret_rows, size_t *ret_count,
+                 struct gsn_error *err)
+{
+    return query(store, shape, sql, args, SIZE_MAX, ret_rows, ret_count, err);
+}
+
+int gsn_sql_row(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                struct gsn_sql_args args, void **ret_row, struct gsn_error *err)
+{
+    void *row = NULL;
+    size_t count = 0;
+    const int r = query(store, shape, sql, args, 1, &row, &count, err);
+
+    if (r < 0)
+        return r;
+    if (count == 0) {
+        gsn_free(row);
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s: no such row", gsn_store_dir(store));
+    }
+    *ret_row = row;
+    return GSN_OK;
+}
+
+struct gsn_sql_args gsn_sql_fields(const struct gsn_sql_shape *shape, const void *row,
+                                   struct gsn_sql_value *values)
+{
+    for (size_t i = 0; i < shape->count; i++) {
+        const char *const from = (const char *)row + shape->field[i].offset;
+
+        values[i] = (struct gsn_sql_value){ .type = shape->field[i].type };
+        if (shape->field[i].type == GSN_SQL_INT)
+            values[i].integer = *(const int64_t *)from;
+        else if (shape->field[i].type == GSN_SQL_REAL)
+            values[i].real = *(const double *)from;
+        else
+            values[i].text = *(const char *const *)from;
+    }
+    return (struct gsn_sql_args){ shape->count, values };
+}
+
+int64_t gsn_sql_last_id(struct gsn_store *store)
+{
+    return sqlite3_last_insert_rowid(gsn_store_handle(store));
+}
+
+int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err)
+{
+    if (r >= 0)
+        return gsn_store_commit(store, err);
+    gsn_store_rollback(store);
+    return r;
+}

@@ -1,0 +1,136 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* How storage/ speaks to SQLite: one statement with its arguments, run to its end.
+ *
+ * A shape tells where the columns of a row go in a struct, so reading, writing and freeing rows is
+ * written once. Private to this folder. A NaN is written as NULL and NULL is read back as NaN. */
+#ifndef GSN_STORAGE_SQL_H
+#define GSN_STORAGE_SQL_H
+
+#include "storage/store.h"
+
+#include <stdint.h>
+
+enum gsn_sql_type { GSN_SQL_INT, GSN_SQL_REAL, GSN_SQL_TEXT };
+
+struct gsn_sql_value {
+    enum gsn_sql_type type;
+    int64_t integer;
+    double real;
+    const char *text;
+};
+
+#define SQL_INT(x) ((struct gsn_sql_value){ .type = GSN_SQL_INT, .integer = (x) })
+#define SQL_REAL(x) ((struct gsn_sql_value){ .type = GSN_SQL_REAL, .real = (x) })
+/* NULL stands for the empty text: our columns of text are never NULL. */
+#define SQL_TEXT(x) ((struct gsn_sql_value){ .type = GSN_SQL_TEXT, .text = (x) })
+
+/* The values of ?1, ?2, ... */
+struct gsn_sql_args {
+    size_t count;
+    const struct gsn_sql_value *at;
+};
+#define SQL_ARGS(...)                                                                              \
+    ((struct gsn_sql_args){ sizeof((struct gsn_sql_value[]){ __VA_ARGS__ }) /                      \
+                                sizeof(struct gsn_sql_value),                                      \
+                            (struct gsn_sql_value[]){ __VA_ARGS__ } })
+#define SQL_NO_ARGS ((struct gsn_sql_args){ 0, NULL })
+
+/* Where column i of a row goes: an int64_t, a double or a const char *. */
+struct gsn_sql_field {
+    enum gsn_sql_type type;
+    size_t offset;
+};
+
+struct gsn_sql_shape {
+    size_t size; /* of the struct */
+    size_t count;
+    const struct gsn_sql_field *field;
+};
+
+#define SQL_SHAPE(type_, fields)                                                                   \
+    {                                                                                              \
+        .size = sizeof(type_), .count = sizeof(fields) / sizeof((fields)[0]), .field = (fields)    \
+    }
+
+/* Runs one statement that returns no rows. ret_changed may be NULL: how many rows it changed. */
+int gsn_sql_run(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
+                int64_t *ret_changed, struct gsn_error *err);
+
+/* The first column of the first row. Fails with GSN_E_NOTFOUND when there is none. */
+int gsn_sql_int(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
+                int64_t *ret_value, struct gsn_error *err);
+
+/* All rows. gives: an array of count structs, whose texts gsn_sql_free_rows() frees; it is never
+ * NULL. */
+int gsn_sql_rows(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                 struct gsn_sql_args args, void **ret_rows, size_t *ret_count,
+                 struct gsn_error *err);
+
+/* The first row. gives: one struct. Fails with GSN_E_NOTFOUND when there is none. */
+int gsn_sql_row(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                struct gsn_sql_args args, void **ret_row, struct gsn_error *err);
+
+/* Frees the texts of count structs and the array itself. */
+void gsn_sql_free_rows(const struct gsn_sql_shape *shape, void *rows, size_t count);
+
+/* The fields of a struct as arguments, from ?1 on: fills values[0..shape->count-1]. */
+struct gsn_sql_args gsn_sql_fields(const struct gsn_sql_shape *shape, const void *row,
+                                   struct gsn_sql_value *values);
+
+/* The id of the row inserted last. */
+int64_t gsn_sql_last_id(struct gsn_store *store);
+
+/* Ends what gsn_store_begin() began: commits when r is no error, else rolls back and returns r. */
+int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err);
+
+/* For struct gsn_NAME_row with the shape NAME_shape: its frees, and NAME_rows() and NAME_row() that
+ * run a query and give what the public functions give. */
+#define SQL_DEFINE_ROW(name)                                                                       \
+    void gsn_##name##_row_free(struct gsn_##name##_row *row)                                       \
+    {                                                                                              \
+        gsn_sql_free_rows(&name##_shape, row, row ? 1 : 0);                                        \
+    }                                                                                              \
+    static int name##_row(struct gsn_store *store, const char *sql, struct gsn_sql_args args,      \
+                          struct gsn_##name##_row **ret_row, struct gsn_error *err)                \
+    {                                                                                              \
+        void *row = NULL;                                                                          \
+        const int r = gsn_sql_row(store, &name##_shape, sql, args, &row, err);                     \
+                                                                                                   \
+        if (r >= 0)                                                                                \
+            *ret_row = row;                                                                        \
+        return r;                                                                                  \
+    }                                                                                              \
+    struct gsn_##name##_row_needs_a_semicolon
+
+#define SQL_DEFINE_ROWS(name)                                                                      \
+    void gsn_##name##_rows_free(struct gsn_##name##_rows *rows)                                    \
+    {                                                                                              \
+        if (rows)                                                                                  \
+            gsn_sql_free_rows(&name##_shape, rows->at, rows->count);                               \
+        gsn_free(rows);                                                                            \
+    }                                                                                              \
+    static int name##_rows(struct gsn_store *store, const char *sql, struct gsn_sql_args args,     \
+                           struct gsn_##name##_rows **ret_rows, struct gsn_error *err)             \
+    {                                                                                              \
+        gsn_auto(gsn_##name##_rows) rows = gsn_alloc_array(1, sizeof *rows);                       \
+        void *at = NULL;                                                                           \
+        int r;                                                                                     \
+                                                                                                   \
+        if (!rows)                                                                                 \
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for a list of rows");                 \
+        r = gsn_sql_rows(store, &name##_shape, sql, args, &at, &rows->count, err);                 \
+        if (r < 0)                                                                                 \
+            return r;                                                                              \
+        rows->at = at;                                                                             \
+        *ret_rows = gsn_steal(&rows);                                                              \
+        return GSN_OK;                                                                             \
+    }                                                                                              \
+    struct gsn_##name##_rows_needs_a_semicolon
+
+/* store.c: the open database, and its last failure as a code and a sentence of ours. */
+struct sqlite3;
+struct sqlite3 *gsn_store_handle(struct gsn_store *store);
+int gsn_store_failed(struct gsn_store *store, struct gsn_error *err);
+
+#endif

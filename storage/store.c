@@ -1,0 +1,313 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/store.h"
+
+#include <assert.h>
+#include <errno.h>
+#include <sqlite3.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "pipeline/core/file.h"
+#include "storage/schema.h"
+#include "storage/sql.h"
+
+enum {
+    BUSY_MS = 10000,
+    APPLICATION = 0x67736e31, /* "gsn1": tells our databases from others' */
+    SYNCHRONOUS_FULL = 2,
+};
+
+static const char *const schemas[] = { gsn_schema_001 };
+enum { NEWEST = sizeof schemas / sizeof schemas[0] };
+
+struct gsn_store {
+    char *dir;
+    sqlite3 *db;
+    unsigned depth; /* of nested transactions */
+};
+
+struct sqlite3 *gsn_store_handle(struct gsn_store *store)
+{
+    return store->db;
+}
+
+const char *gsn_store_dir(const struct gsn_store *store)
+{
+    return store->dir;
+}
+
+static int code_of(int sqlite_code)
+{
+    switch (sqlite_code) {
+    case SQLITE_NOMEM:
+        return GSN_E_NOMEM;
+    case SQLITE_BUSY:
+    case SQLITE_LOCKED:
+        return GSN_E_BUSY;
+    case SQLITE_CONSTRAINT:
+        return GSN_E_INPUT;
+    case SQLITE_FULL:
+    case SQLITE_IOERR:
+    case SQLITE_READONLY:
+    case SQLITE_CANTOPEN:
+    case SQLITE_PERM:
+        return GSN_E_IO;
+    default:
+        return GSN_E_STORE;
+    }
+}
+
+int gsn_store_failed(struct gsn_store *store, struct gsn_error *err)
+{
+    return gsn_fail(err, code_of(sqlite3_errcode(store->db)), "%s/gieson.db: %s", store->dir,
+                    sqlite3_errmsg(store->db));
+}
+
+static int execute(struct gsn_store *store, const char *sql, struct gsn_error *err)
+{
+    if (sqlite3_exec(store->db, sql, NULL, NULL, NULL) != SQLITE_OK) /* door */
+        return gsn_store_failed(store, err);
+    return GSN_OK;
+}
+
+int gsn_store_begin(struct gsn_store *store, struct gsn_error *err)
+{
+    int r;
+
+    /* After a disk error SQLite rolls back by itself; what follows must not start anew. */
+    if (store->depth > 0 && sqlite3_get_autocommit(store->db))
+        return gsn_fail(err, GSN_E_STORE, "%s/gieson.db: the transaction was lost", store->dir);
+    r = execute(store, store->depth == 0 ? "BEGIN IMMEDIATE" : "SAVEPOINT inner", err);
+    if (r >= 0)
+        store->depth++;
+    return r;
+}
+
+void gsn_store_rollback(struct gsn_store *store)
+{
+    assert(store->depth > 0);
+    store->depth--;
+    if (sqlite3_get_autocommit(store->db))
+        return;
+    (void)execute(store, store->depth == 0 ? "ROLLBACK" : "ROLLBACK TO inner; RELEASE inner", NULL);
+}
+
+int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
+{
+    int r;
+
+    assert(store->depth > 0);
+    r = execute(store, store->depth == 1 ? "COMMIT" : "RELEASE inner", err);
+    if (r < 0)
+        gsn_store_rollback(store);
+    else
+        store->depth--;
+    return r;
+}
+
+static int no_store(const char *dir, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_NOTFOUND, "%s is not a gieson store; `gieson import` makes one",
+                    dir);
+}
+
+static int pragma(struct gsn_store *store, const char *sql, int64_t *ret_value,
+                  struct gsn_error *err)
+{
+    return gsn_sql_int(store, sql, SQL_NO_ARGS, ret_value, err);
+}
+
+/* What a commit promises rests on these two, so they are read back. */
+static int configure(struct gsn_store *store, struct gsn_error *err)
+{
+    int64_t synchronous = 0, keys = 0;
+    int keep_wal = 1, r;
+
+    if (sqlite3_busy_timeout(store->db, BUSY_MS) != SQLITE_OK ||
+        sqlite3_file_control(store->db, "main", SQLITE_FCNTL_PERSIST_WAL, &keep_wal) != SQLITE_OK)
+        return gsn_store_failed(store, err);
+    r = execute(store, "PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON", err);
+    if (r >= 0)
+        r = pragma(store, "PRAGMA synchronous", &synchronous, err);
+    if (r >= 0)
+        r = pragma(store, "PRAGMA foreign_keys", &keys, err);
+    if (r >= 0 && (synchronous != SYNCHRONOUS_FULL || keys != 1))
+        r = gsn_fail(err, GSN_E_STORE, "%s/gieson.db: SQLite does not promise durable commits",
+                     store->dir);
+    return r;
+}
+
+static int migrate_from(struct gsn_store *store, int64_t version, struct gsn_error *err)
+{
+    gsn_auto_mem(char) stamp = gsn_format("PRAGMA application_id = %d; PRAGMA user_version = %d",
+                                          (int)APPLICATION, (int)NEWEST);
+    int r = GSN_OK;
+
+    if (!stamp)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", store->dir);
+    for (int64_t next = version; r >= 0 && next < NEWEST; next++)
+        r = execute(store, schemas[next], err);
+    return r >= 0 ? execute(store, stamp, err) : r;
+}
+
+static int migrate(struct gsn_store *store, struct gsn_error *err)
+{
+    int64_t version = 0;
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    /* Read again under the lock: another process may have been first. */
+    r = pragma(store, "PRAGMA user_version", &version, err);
+    if (r >= 0)
+        r = migrate_from(store, version, err);
+    return gsn_sql_end(store, r, err);
+}
+
+/* What a database says of itself. */
+struct label {
+    int64_t application, version, tables;
+};
+
+/* In one transaction, or another process might create the store between two questions. */
+static int read_label(struct gsn_store *store, struct label *label, struct gsn_error *err)
+{
+    int r = execute(store, "BEGIN", err);
+
+    if (r < 0)
+        return r;
+    r = pragma(store, "PRAGMA user_version", &label->version, err);
+    if (r >= 0)
+        r = pragma(store, "PRAGMA application_id", &label->application, err);
+    if (r >= 0)
+        r = pragma(store, "SELECT count(*) FROM sqlite_schema", &label->tables, err);
+    (void)execute(store, "ROLLBACK", NULL);
+    return r;
+}
+
+/* 0 means empty, which is what a crash while creating leaves. */
+static int read_version(struct gsn_store *store, int64_t *ret_version, struct gsn_error *err)
+{
+    struct label label = { 0 };
+    const int r = read_label(store, &label, err);
+
+    if (r < 0)
+        return r;
+    if (label.application != APPLICATION &&
+        (label.application != 0 || label.version != 0 || label.tables != 0))
+        return gsn_fail(err, GSN_E_STORE, "%s/gieson.db is another program's database", store->dir);
+    if (label.version > NEWEST)
+        return gsn_fail(err, GSN_E_UNSUPPORTED,
+                        "%s was made by a newer gieson (schema %lld, this one knows %d)",
+                        store->dir, (long long)label.version, (int)NEWEST);
+    *ret_version = label.version;
+    return GSN_OK;
+}
+
+static int use_wal(struct gsn_store *store, struct gsn_error *err)
+{
+    enum { NAP_MS = 10 };
+    int64_t wal = 0;
+    int r = execute(store, "PRAGMA journal_mode = WAL", err);
+
+    /* SQLite's own waiting does not cover this change, which two creators may make at once. */
+    for (int waited = 0; r == GSN_E_BUSY && waited < BUSY_MS; waited += NAP_MS) {
+        (void)sqlite3_sleep(NAP_MS);
+        r = execute(store, "PRAGMA journal_mode = WAL", err);
+    }
+    if (r >= 0)
+        r = pragma(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode", &wal, err);
+    if (r >= 0 && !wal)
+        r = gsn_fail(err, GSN_E_STORE, "%s/gieson.db: this file system allows no WAL", store->dir);
+    return r;
+}
+
+static int prepare_schema(struct gsn_store *store, enum gsn_store_mode mode, struct gsn_error *err)
+{
+    int64_t version = 0;
+    int r = read_version(store, &version, err);
+
+    if (r < 0)
+        return r;
+    if (version == 0 && mode != GSN_STORE_CREATE)
+        return no_store(store->dir, err);
+    if (version < NEWEST && mode == GSN_STORE_READ)
+        return gsn_fail(err, GSN_E_UNSUPPORTED,
+                        "%s was made by an older gieson; any command that writes brings it up",
+                        store->dir);
+    if (mode != GSN_STORE_READ)
+        r = use_wal(store, err);
+    if (r >= 0 && version < NEWEST)
+        r = migrate(store, err);
+    return r;
+}
+
+static int open_database(struct gsn_store *store, const char *path, enum gsn_store_mode mode,
+                         struct gsn_error *err)
+{
+    const int flags = SQLITE_OPEN_NOMUTEX |
+                      (mode == GSN_STORE_READ     ? SQLITE_OPEN_READONLY
+                       : mode == GSN_STORE_CREATE ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE
+                                                  : SQLITE_OPEN_READWRITE);
+    int r;
+
+    if (sqlite3_open_v2(path, &store->db, flags, NULL) != SQLITE_OK) /* door */
+        return store->db ? gsn_store_failed(store, err)
+                         : gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
+    /* SQLite falls back to reading when it may not write; we want the sentence now. */
+    if (mode != GSN_STORE_READ && sqlite3_db_readonly(store->db, "main") == 1)
+        return gsn_fail(err, GSN_E_IO, "%s: no permission to write", path);
+    r = configure(store, err);
+    return r >= 0 ? prepare_schema(store, mode, err) : r;
+}
+
+static int make_dirs(const char *dir, struct gsn_error *err)
+{
+    static const char *const inside[] = { "objects", "reports" };
+
+    for (size_t i = 0; i < sizeof inside / sizeof inside[0]; i++) {
+        gsn_auto_mem(char) path = gsn_format("%s/%s", dir, inside[i]);
+        int r;
+
+        if (!path)
+            return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", dir);
+        r = gsn_file_mkdir(path, err);
+        if (r < 0)
+            return r;
+    }
+    return gsn_file_sync_dir(dir, err);
+}
+
+int gsn_store_open(const char *dir, enum gsn_store_mode mode, struct gsn_store **ret_store,
+                   struct gsn_error *err)
+{
+    gsn_auto(gsn_store) store = gsn_alloc_array(1, sizeof *store);
+    gsn_auto_mem(char) path = gsn_format("%s/gieson.db", dir);
+    int r = GSN_OK;
+
+    if (store)
+        store->dir = gsn_strdup(dir);
+    if (!store || !path || !store->dir)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", dir);
+    if (mode == GSN_STORE_CREATE)
+        r = make_dirs(dir, err);
+    else if (access(path, F_OK) < 0)
+        r = errno == ENOENT || errno == ENOTDIR
+                ? no_store(dir, err)
+                : gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (r >= 0)
+        r = open_database(store, path, mode, err);
+    if (r < 0)
+        return r;
+    *ret_store = gsn_steal(&store);
+    return GSN_OK;
+}
+
+void gsn_store_free(struct gsn_store *store)
+{
+    if (!store)
+        return;
+    (void)sqlite3_close(store->db);
+    gsn_free(store->dir);
+    gsn_free(store);
+}

@@ -181,8 +181,7 @@ struct gsn_report {
 
 /* give: the bytes, and a zero byte behind them that is not counted. docs/report.md is the schema of
  * the first; the second is one HTML file that fetches nothing.
- * Fail with GSN_E_INPUT when a text is not UTF-8 (JSON only; the page shows U+FFFD), with
- * GSN_E_NOMEM. */
+ * Bytes of a text that are not UTF-8 become U+FFFD. Fail with GSN_E_NOMEM. */
 int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *ret_size,
                     struct gsn_error *err);
 int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,

@@ -67,6 +67,12 @@ int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
 int gsn_glass_given(uint32_t width, uint32_t height, enum gsn_light light, const double white[3],
                     struct gsn_glass *ret_glass, struct gsn_error *err);
 
+/* The white of the brightest holes in a tile that shows too little glass to be measured: per
+ * channel the mean code (0..255) of the pixels between the 98.5th and the 99.5th percentile of
+ * brightness. Fails with GSN_E_STAIN when even they are darker than code 128 in a channel,
+ * GSN_E_INPUT when the image is grey, GSN_E_NOMEM. */
+int gsn_white_of_holes(const struct gsn_image *image, double ret_white[3], struct gsn_error *err);
+
 /* Linear light of the glass at a pixel. */
 double gsn_glass_at(const struct gsn_glass *glass, uint32_t x, uint32_t y, unsigned channel);
 
@@ -89,6 +95,12 @@ int gsn_unmix(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsign
 /* The same for one pixel: amounts of red, yellow and dark as lengths in optical density. */
 int gsn_unmix_one(const double od[3], const struct gsn_dyes *dyes, double ret_amount[3],
                   struct gsn_error *err);
+
+/* gives: red of all three dyes, 0..1 (0 where there is none of them); red as gsn_unmix gives it.
+ * Fails with GSN_E_INPUT when the planes differ in size, GSN_E_NOMEM. */
+int gsn_red_share(const struct gsn_plane *red, const struct gsn_plane *yellow,
+                  const struct gsn_plane *dark, const struct gsn_dyes *dyes,
+                  struct gsn_plane **ret_share, struct gsn_error *err);
 
 /* gives: R + G + B optical density (may be below 0 on glass).
  * ret_threshold: what separates tissue from glass, by Otsu on the square root, never below 6 times

@@ -14,20 +14,21 @@ extern "C" {
 #endif
 
 struct gsn_collagen {
-    double threshold; /* of density; a pixel above it is collagen */
+    double threshold; /* of what was thresholded; a pixel above it is collagen */
     size_t tissue_px, collagen_px;
     double area_fraction; /* collagen of tissue, 0..1 */
     double mean_density;  /* over the tissue */
     double mean_inside;   /* over the collagen; NaN where there is none */
 };
 
-/* gives: the map of the pixels whose density lies above the threshold (NaN: Otsu's over the
- * tissue). tissue: a map of the same size, NULL for all; borrows both.
- * Fails with GSN_E_STAIN when there is no tissue, GSN_E_INPUT when sizes differ or a density is
- * not finite, GSN_E_NOMEM. */
-int gsn_collagen_map(const struct gsn_plane *density, const struct gsn_image *tissue,
-                     double threshold, struct gsn_image **ret_map, struct gsn_collagen *ret_figures,
-                     struct gsn_error *err);
+/* gives: the map of the pixels of the tissue where `by` lies above the threshold (NaN: Otsu's over
+ * the tissue). by: the density itself, or the red share (gsn_red_share), which depends neither on
+ * thickness nor on how strongly the slide is stained. tissue: a map of the same size, NULL for all.
+ * Borrows all three. Fails with GSN_E_STAIN when there is no tissue, GSN_E_INPUT when sizes differ
+ * or a value is not finite, GSN_E_NOMEM. */
+int gsn_collagen_map(const struct gsn_plane *by, const struct gsn_plane *density,
+                     const struct gsn_image *tissue, double threshold, struct gsn_image **ret_map,
+                     struct gsn_collagen *ret_figures, struct gsn_error *err);
 
 /* gives: 255 where value > threshold. Fails with GSN_E_NOMEM. */
 int gsn_plane_above(const struct gsn_plane *plane, double threshold, struct gsn_image **ret_map,

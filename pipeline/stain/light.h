@@ -11,6 +11,9 @@
 extern "C" {
 #endif
 
+/* Length of the optical density below which a hue is noise (Macenko's beta). */
+#define GSN_PALE_OD 0.15
+
 /* gives: log10 of linear light of each of the 2^bits samples; 0 is read as half a code.
  * Fails with GSN_E_NOMEM. */
 int gsn_light_table(enum gsn_light light, unsigned bits, double **ret_table, struct gsn_error *err);

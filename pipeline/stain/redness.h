@@ -68,7 +68,7 @@ int gsn_glass_given(uint32_t width, uint32_t height, enum gsn_light light, const
                     struct gsn_glass *ret_glass, struct gsn_error *err);
 
 /* The white of the brightest holes in a tile that shows too little glass to be measured: per
- * channel the mean code (0..255) of the pixels between the 98.5th and the 99.5th percentile of
+ * channel the mean code (0..255) of the pixels between the 99th and the 99.9th percentile of
  * brightness. Fails with GSN_E_STAIN when even they are darker than code 128 in a channel,
  * GSN_E_INPUT when the image is grey, GSN_E_NOMEM. */
 int gsn_white_of_holes(const struct gsn_image *image, double ret_white[3], struct gsn_error *err);
@@ -96,15 +96,17 @@ int gsn_unmix(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsign
 int gsn_unmix_one(const double od[3], const struct gsn_dyes *dyes, double ret_amount[3],
                   struct gsn_error *err);
 
-/* gives: red of all three dyes, 0..1 (0 where there is none of them); red as gsn_unmix gives it.
+/* gives: red of all three dyes, 0..1; 0 where together they are less than 0.15, too pale to have a
+ * hue. The planes as gsn_unmix gives them.
  * Fails with GSN_E_INPUT when the planes differ in size, GSN_E_NOMEM. */
 int gsn_red_share(const struct gsn_plane *red, const struct gsn_plane *yellow,
                   const struct gsn_plane *dark, const struct gsn_dyes *dyes,
                   struct gsn_plane **ret_share, struct gsn_error *err);
 
 /* gives: R + G + B optical density (may be below 0 on glass).
- * ret_threshold: what separates tissue from glass, by Otsu on the square root, never below 6 times
- * the glass noise. Fails with GSN_E_INPUT when the planes differ in size, GSN_E_NOMEM. */
+ * ret_threshold: what separates tissue from glass, the emptiest place of the histogram between
+ * clear glass and Otsu's cut; never below 6 times the glass noise, nor below 0.05. Fails with
+ * GSN_E_INPUT when the planes differ in size, GSN_E_NOMEM. */
 int gsn_tissue_plane(struct gsn_plane *const od[3], const struct gsn_glass *glass,
                      struct gsn_plane **ret_total, double *ret_threshold, struct gsn_error *err);
 

@@ -21,6 +21,8 @@
 #define SMOOTH 0.02      /* a rougher cell does not count for a peak */
 #define FIRST_REACH 0.06 /* half of the light lost to vignetting within the first rounds' reach */
 #define LAST_REACH 0.004 /* quantisation of 8 bits stays within it */
+#define EVEN_HANDED 0.02 /* until the reach is this short, */
+#define DARKER 0.1       /* darker cells weigh less: glass is the brightest there is */
 #define NEUTRAL 0.03     /* glass beside brighter paper differs from it by no more colour */
 #define RIDGE 1e-4       /* keeps the surface flat where no glass was seen */
 
@@ -28,7 +30,7 @@ enum {
     MOST_CELLS_ACROSS = 384,
     SIDE_AT_LEAST = 16,
     BINS = 520, /* 10^-2.6 of full light is never glass */
-    HALF_WINDOW = 8,
+    HALF_WINDOW = 3,
     ROUNDS = 24,
     TERMS = 6,
 };
@@ -217,60 +219,83 @@ static int fit_surface(const struct cells *all, struct surface *surface)
     return 1;
 }
 
-/* The largest of the three residuals. */
-static double distance(const struct cells *all, size_t i, const struct surface *surface)
+/* The largest of the three residuals; negative where the cell is darker than the surface. */
+static double deviation(const struct cells *all, size_t i, const struct surface *surface)
 {
-    double t[TERMS], most = 0;
+    double t[TERMS], most = 0, sum = 0;
 
     basis(all, i, t);
-    for (int c = 0; c < 3; c++)
-        most = fmax(most, fabs(all->cell[i].light[c] - evaluate(surface->s[c], t)));
-    return most;
+    for (int c = 0; c < 3; c++) {
+        const double d = all->cell[i].light[c] - evaluate(surface->s[c], t);
+
+        most = fmax(most, fabs(d));
+        sum += d;
+    }
+    return sum < 0 ? -most : most;
 }
 
-/* Narrows the reach towards what the residuals within it deserve, and weighs anew. */
-static void reweigh(const struct cells *all, struct surface *surface)
+static void weigh(const struct cells *all, const struct surface *surface)
 {
-    const size_t count = all->nx * all->ny;
-    size_t near = 0;
+    for (size_t i = 0; i < all->nx * all->ny; i++) {
+        const double d = deviation(all, i, surface) / surface->reach;
+        const double biweight = (1 - d * d) * (1 - d * d);
+        const int takes_part = fabs(d) < 1 && all->cell[i].rough < surface->rough_limit;
 
-    for (size_t i = 0; i < count; i++)
-        if (all->cell[i].weight > 0)
-            all->scratch[near++] = distance(all, i, surface);
-    if (near > 0) {
-        const double deserved = 4.685 * gsn_order_pick(all->scratch, near, near / 2);
-
-        surface->reach = fmax(fmax(LAST_REACH, fmin(deserved, FIRST_REACH)), 0.85 * surface->reach);
+        all->cell[i].weight = !takes_part                             ? 0
+                              : d < 0 && surface->reach > EVEN_HANDED ? DARKER * biweight
+                                                                      : biweight;
     }
-    near = 0;
-    for (size_t i = 0; i < count; i++)
+}
+
+/* Narrows the reach towards what the noise of smooth cells deserves. The spread of the residuals
+ * must not decide it: pale tissue would widen it and stay. */
+static void narrow(const struct cells *all, struct surface *surface)
+{
+    size_t near = 0;
+    double rough;
+
+    for (size_t i = 0; i < all->nx * all->ny; i++)
         if (all->cell[i].weight > 0)
             all->scratch[near++] = all->cell[i].rough;
-    if (near > 0)
-        surface->rough_limit = 3 * gsn_order_pick(all->scratch, near, near / 2) + 0.002;
-    for (size_t i = 0; i < count; i++) {
-        const double d = distance(all, i, surface) / surface->reach;
-
-        all->cell[i].weight =
-            d < 1 && all->cell[i].rough < surface->rough_limit ? (1 - d * d) * (1 - d * d) : 0;
-    }
+    if (near == 0)
+        return;
+    rough = gsn_order_pick(all->scratch, near, near / 4);
+    surface->reach = fmax(LAST_REACH + 5 * rough / (double)all->side, 0.85 * surface->reach);
+    surface->rough_limit = 3 * rough + 0.002;
 }
 
-/* Share of the cells on the surface that grows out of the peak at this brightness. */
-static double grow(const struct cells *all, double peak, struct surface *surface)
+/* An even surface: the median colour of the smooth cells of this brightness. */
+static int start(const struct cells *all, double peak, struct surface *ret_surface)
+{
+    const size_t count = all->nx * all->ny;
+
+    *ret_surface = (struct surface){ .reach = FIRST_REACH, .rough_limit = SMOOTH };
+    for (int c = 0; c < 3; c++) {
+        size_t n = 0;
+
+        for (size_t i = 0; i < count; i++)
+            if (all->cell[i].rough < SMOOTH &&
+                fabs(brightness(&all->cell[i]) - peak) < BIN * HALF_WINDOW)
+                all->scratch[n++] = all->cell[i].light[c];
+        if (n == 0)
+            return 0;
+        ret_surface->s[c][0] = gsn_order_pick(all->scratch, n, n / 2);
+    }
+    return 1;
+}
+
+/* Share of the cells that end on the surface. */
+static double grow(const struct cells *all, struct surface *surface)
 {
     const size_t count = all->nx * all->ny;
     size_t on = 0;
 
-    for (size_t i = 0; i < count; i++)
-        all->cell[i].weight = all->cell[i].rough < SMOOTH &&
-                              fabs(brightness(&all->cell[i]) - peak) < BIN * HALF_WINDOW;
-    memset(surface, 0, sizeof *surface);
-    surface->reach = FIRST_REACH;
+    weigh(all, surface);
     for (int round = 0; round < ROUNDS; round++) {
         if (!fit_surface(all, surface))
             return 0;
-        reweigh(all, surface);
+        narrow(all, surface);
+        weigh(all, surface);
     }
     for (size_t i = 0; i < count; i++)
         on += all->cell[i].weight > 0;
@@ -302,14 +327,16 @@ static double find_glass(const struct cells *all, struct surface *ret_surface)
         struct surface surface;
         double share;
 
-        if (!is_peak(window, i, least))
+        if (!is_peak(window, i, least) || !start(all, -(i + 0.5) * BIN, &surface))
             continue;
-        share = grow(all, -(i + 0.5) * BIN, &surface);
-        if (first_share < 0) {
+        if (first_share < 0)
             first = surface;
+        else if (!same_hue(&first, &surface))
+            continue;
+        share = grow(all, &surface);
+        if (first_share < 0)
             first_share = share;
-        }
-        if (share >= LEAST_GLASS && same_hue(&first, &surface)) {
+        if (share >= LEAST_GLASS) {
             *ret_surface = surface;
             return share;
         }

@@ -317,7 +317,8 @@ int gsn_red_share(const struct gsn_plane *red, const struct gsn_plane *yellow,
     return GSN_OK;
 }
 
-/* The middle of the emptiest stretch of the histogram below `end`; values start at 0. */
+/* The middle of the emptiest stretch of the histogram below `end`, of the first where several are
+ * equally empty; values start at 0. */
 static double valley(const float *values, size_t count, double end)
 {
     enum { BINS = 128, AROUND = 3 };
@@ -335,9 +336,10 @@ static double valley(const float *values, size_t count, double end)
         if (sum < least) {
             least = sum;
             first = i;
-        }
-        if (sum == least)
             last = i;
+        } else if (sum == least && last + 1 == i) {
+            last = i;
+        }
     }
     return end * ((first + last) / 2 + 0.5) / BINS;
 }

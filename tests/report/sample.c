@@ -322,8 +322,7 @@ static void fill_head(struct gsn_report *r, enum gsn_report_kind kind)
     r->baseline_mean = .8431;
     r->density_name = "collagen-equivalent density";
     r->density_version = "van-gieson-gvp-1";
-    r->area_figure =
-        (struct gsn_report_value){ "Region above density 0.5", 59.5, "%", NULL };
+    r->area_figure = (struct gsn_report_value){ "Region above density 0.5", 59.5, "%", NULL };
     r->region =
         (struct gsn_report_region){ kind == GSN_REPORT_TILE ? (double)NAN : .9802, .53466,
                                     kind == GSN_REPORT_TILE ? (double)NAN : .992,

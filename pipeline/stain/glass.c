@@ -4,8 +4,8 @@
  *
  * The picture is cut into small square cells. The brightest peak of their brightness is where glass
  * begins; from there a quadratic surface is fitted to the logarithm of light with Tukey's biweight,
- * whose reach shrinks from round to round until only what lies on the surface is left. Rough cells
- * (edges, text, hair) never take part. */
+ * whose reach shrinks from round to round until only what lies on the surface is left. Tissue that
+ * is paler than about 0.03 everywhere cannot be told from glass that way. */
 #include "pipeline/stain/redness.h"
 
 #include <math.h>
@@ -51,7 +51,7 @@ struct cells {
 
 struct surface {
     double s[3][TERMS];
-    double reach, rough_limit;
+    double reach;
 };
 
 static void basis(const struct cells *all, size_t i, double ret[TERMS])
@@ -239,7 +239,7 @@ static void weigh(const struct cells *all, const struct surface *surface)
     for (size_t i = 0; i < all->nx * all->ny; i++) {
         const double d = deviation(all, i, surface) / surface->reach;
         const double biweight = (1 - d * d) * (1 - d * d);
-        const int takes_part = fabs(d) < 1 && all->cell[i].rough < surface->rough_limit;
+        const int takes_part = fabs(d) < 1;
 
         all->cell[i].weight = !takes_part                             ? 0
                               : d < 0 && surface->reach > EVEN_HANDED ? DARKER * biweight
@@ -261,7 +261,6 @@ static void narrow(const struct cells *all, struct surface *surface)
         return;
     rough = gsn_order_pick(all->scratch, near, near / 4);
     surface->reach = fmax(LAST_REACH + 5 * rough / (double)all->side, 0.85 * surface->reach);
-    surface->rough_limit = 3 * rough + 0.002;
 }
 
 /* An even surface: the median colour of the smooth cells of this brightness. */
@@ -269,7 +268,7 @@ static int start(const struct cells *all, double peak, struct surface *ret_surfa
 {
     const size_t count = all->nx * all->ny;
 
-    *ret_surface = (struct surface){ .reach = FIRST_REACH, .rough_limit = SMOOTH };
+    *ret_surface = (struct surface){ .reach = FIRST_REACH };
     for (int c = 0; c < 3; c++) {
         size_t n = 0;
 
@@ -406,40 +405,43 @@ int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
     return r;
 }
 
+static double sum_of_codes(const struct gsn_image *image, size_t i, double code[3])
+{
+    const uint32_t x = (uint32_t)(i % image->width), y = (uint32_t)(i / image->width);
+
+    for (unsigned c = 0; c < 3; c++)
+        code[c] = gsn_image_at(image, x, y, c);
+    return code[0] + code[1] + code[2];
+}
+
 int gsn_white_of_holes(const struct gsn_image *image, double ret_white[3], struct gsn_error *err)
 {
     const size_t count = (size_t)image->width * image->height;
-    const double top = image->bits == 8 ? 255 : 65535;
-    gsn_auto_mem(double) sum = gsn_alloc_array(count, sizeof *sum);
-    double low, high, white[3] = { 0 };
+    const double scale = image->bits == 8 ? 1 : 255.0 / 65535;
+    gsn_auto_mem(double) sum = NULL;
+    double code[3], white[3] = { 0 }, low, high;
     size_t n = 0;
 
     if (image->channels != 3 || count == 0)
         return gsn_fail(err, GSN_E_INPUT, "a grey picture tells no dyes apart");
+    sum = gsn_alloc_array(count, sizeof *sum);
     if (!sum)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the white of a picture");
-    for (size_t pass = 0; pass < 2; pass++) {
-        for (size_t i = 0; i < count; i++) {
-            const uint32_t x = (uint32_t)(i % image->width), y = (uint32_t)(i / image->width);
-            const unsigned code[3] = { gsn_image_at(image, x, y, 0), gsn_image_at(image, x, y, 1),
-                                       gsn_image_at(image, x, y, 2) };
-            const double all = code[0] + code[1] + code[2];
+    for (size_t i = 0; i < count; i++)
+        sum[i] = sum_of_codes(image, i, code);
+    low = gsn_order_pick(sum, count, (size_t)(0.99 * (double)(count - 1)));
+    high = gsn_order_pick(sum, count, (size_t)(0.999 * (double)(count - 1)));
+    for (size_t i = 0; i < count; i++) {
+        const double all = sum_of_codes(image, i, code);
 
-            if (pass == 0) {
-                sum[i] = all;
-            } else if (all >= low && all <= high) {
-                for (int c = 0; c < 3; c++)
-                    white[c] += code[c];
-                n++;
-            }
-        }
-        if (pass == 0) {
-            low = gsn_order_pick(sum, count, (size_t)(0.99 * (double)(count - 1)));
-            high = gsn_order_pick(sum, count, (size_t)(0.999 * (double)(count - 1)));
-        }
+        if (all < low || all > high)
+            continue;
+        n++;
+        for (int c = 0; c < 3; c++)
+            white[c] += code[c] * scale;
     }
     for (int c = 0; c < 3; c++) {
-        white[c] *= 255 / top / (double)n;
+        white[c] /= (double)n;
         if (white[c] < 128)
             return gsn_fail(err, GSN_E_STAIN,
                             "even the brightest parts of this picture are not white (%.0f of 255)",

@@ -83,20 +83,22 @@ TEST(uneven_light_is_followed_in_both_meanings_of_the_samples)
     }
 }
 
-TEST(sixty_per_cent_of_tissue_do_not_move_the_glass)
+TEST(seventy_per_cent_of_tissue_do_not_move_the_glass)
 {
-    static const double stain[3][3] = { { 0.5, 0.3, 0.1 }, { 0, 0.08, 0 }, { 0.05, 0.05, 0 } };
+    static const double stain[4][3] = {
+        { 0.5, 0.3, 0.1 }, { 0, 0.08, 0 }, { 0.05, 0.05, 0 }, { 0.02, 0.02, 0 }
+    };
 
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < 4; i++) {
         struct dice dice = { 3 };
         gsn_auto(gsn_image) image = paint_glass(460, 312, 8, &even, &dice);
         struct gsn_error err = { 0 };
         struct gsn_glass glass;
 
-        cover(image, &even, sqrt(0.6), stain[i], &dice);
+        cover(image, &even, sqrt(0.7), stain[i], &dice);
         CHECK_OK(gsn_glass_estimate(image, even.light, &glass, &err), err);
         CHECK(worst_error(&glass, &even, image) < 0.003);
-        CHECK_NEAR(glass.fraction, 0.4, 0.06);
+        CHECK_NEAR(glass.fraction, 0.3, 0.08);
     }
 }
 

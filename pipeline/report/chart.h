@@ -1,0 +1,29 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The drawings of the page, as SVG written into it. Colours and fonts are the style sheet's
+ * (classes), so that they follow the light and the dark scheme; each has a title for readers that
+ * do not see. */
+#ifndef GSN_REPORT_CHART_H
+#define GSN_REPORT_CHART_H
+
+#include "pipeline/report/report.h"
+#include "pipeline/report/text.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* How far each mark of each section lies from where the common triangle wants it. */
+void gsn_chart_residuals(struct gsn_text *text, const struct gsn_report *report);
+/* How many micro-units have which density; report->units is not NULL. */
+void gsn_chart_densities(struct gsn_text *text, const struct gsn_report_units *units);
+/* The mean density of the baseline and of this specimen as two bars, 0..1. */
+void gsn_chart_loss(struct gsn_text *text, double baseline, double specimen);
+
+/* The step of 1, 2 or 5 times a power of ten that cuts a range > 0 into at most so many parts. */
+double gsn_chart_step(double range, unsigned parts);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,37 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The parts of the page; html.c puts them together. Each writes into the text and leaves out what
+ * the report does not have. */
+#ifndef GSN_REPORT_HTML_H
+#define GSN_REPORT_HTML_H
+
+#include "pipeline/report/report.h"
+#include "pipeline/report/text.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The style sheet; its hash is what the page's security policy allows. */
+extern const unsigned char gsn_html_style[];
+extern const size_t gsn_html_style_size;
+
+/* <img> with the picture as a data: URI. */
+void gsn_html_image(struct gsn_text *text, const struct gsn_report_png *png, const char *said);
+/* A unit as people write it: mm3 becomes mm with a raised 3. */
+void gsn_html_unit(struct gsn_text *text, const char *unit);
+
+/* html_sheet.c: every slot of every panel, as laid out on the glass. */
+void gsn_html_sheet(struct gsn_text *text, const struct gsn_report *report);
+
+/* html_tables.c */
+void gsn_html_volumes(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_tile(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_exclusions(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_provenance(struct gsn_text *text, const struct gsn_report *report);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,270 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/report/html.h"
+
+#include <math.h>
+
+static void open_table(struct gsn_text *text, const char *style, const char *columns)
+{
+    gsn_text_print(text,
+                   "<div class=\"table %s scroll\"><table><thead><tr>%s</tr></thead><tbody>\n",
+                   style, columns);
+}
+
+static void close_table(struct gsn_text *text)
+{
+    gsn_text_raw(text, "</tbody></table></div>\n");
+}
+
+static void open_row(struct gsn_text *text, const char *name)
+{
+    gsn_text_raw(text, "<tr><th scope=\"row\" class=\"name\">");
+    gsn_text_escape(text, name);
+    gsn_text_raw(text, "</th>");
+}
+
+static void row_number(struct gsn_text *text, const char *name, double value, int decimals,
+                       const char *unit)
+{
+    open_row(text, name);
+    gsn_text_raw(text, "<td class=\"num\">");
+    gsn_text_number(text, value, decimals);
+    gsn_text_raw(text, "</td><td>");
+    gsn_html_unit(text, unit);
+    gsn_text_raw(text, "</td></tr>\n");
+}
+
+static void row_digits(struct gsn_text *text, const char *name, double value, const char *unit)
+{
+    open_row(text, name);
+    gsn_text_raw(text, "<td class=\"num\">");
+    gsn_text_digits(text, value, 4);
+    gsn_text_raw(text, "</td><td>");
+    gsn_html_unit(text, unit);
+    gsn_text_raw(text, "</td></tr>\n");
+}
+
+/* A setting, with the digits it was given. */
+static void row_plain(struct gsn_text *text, const char *name, double value, const char *unit)
+{
+    open_row(text, name);
+    gsn_text_raw(text, "<td class=\"num\">");
+    gsn_text_plain(text, value);
+    gsn_text_raw(text, "</td><td>");
+    gsn_html_unit(text, unit);
+    gsn_text_raw(text, "</td></tr>\n");
+}
+
+static void row_count(struct gsn_text *text, const char *name, size_t count)
+{
+    open_row(text, name);
+    gsn_text_raw(text, "<td class=\"num\">");
+    gsn_text_count(text, count);
+    gsn_text_raw(text, "</td><td></td></tr>\n");
+}
+
+static void row_text(struct gsn_text *text, const struct gsn_report_value *row)
+{
+    open_row(text, row->name);
+    gsn_text_raw(text, "<td colspan=\"2\">");
+    gsn_text_escape(text, row->text);
+    gsn_text_raw(text, " ");
+    gsn_html_unit(text, row->unit);
+    gsn_text_raw(text, "</td></tr>\n");
+}
+
+static void row_measure(struct gsn_text *text, const struct gsn_report_value *row)
+{
+    if (row->text)
+        row_text(text, row);
+    else
+        row_digits(text, row->name, row->value, row->unit);
+}
+
+void gsn_html_volumes(struct gsn_text *text, const struct gsn_report *report)
+{
+    if (report->volume_count == 0)
+        return;
+    gsn_text_raw(text,
+                 "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
+                 "<p class=\"lead\">The volume of the fitted model lies between the two bounds "
+                 "for certain.</p>\n");
+    open_table(text, "figures",
+               "<th class=\"num\">Density above</th><th class=\"num\">At least, "
+               "mm\xC2\xB3</th><th class=\"num\">At most, mm\xC2\xB3</th>"
+               "<th class=\"num\">Share of the region</th>");
+    for (size_t i = 0; i < report->volume_count; i++) {
+        const struct gsn_report_volume *volume = &report->volumes[i];
+        const double middle = (volume->lower_mm3 + volume->upper_mm3) / 2;
+
+        gsn_text_raw(text, "<tr><td class=\"num\">");
+        gsn_text_plain(text, volume->threshold);
+        gsn_text_raw(text, "</td><td class=\"num\">");
+        gsn_text_digits(text, volume->lower_mm3, 5);
+        gsn_text_raw(text, "</td><td class=\"num\">");
+        gsn_text_digits(text, volume->upper_mm3, 5);
+        gsn_text_raw(text, "</td><td class=\"num\">");
+        gsn_text_number(text, 100 * middle / report->region.volume_mm3, 1);
+        gsn_text_raw(text, " %</td></tr>\n");
+    }
+    close_table(text);
+    gsn_text_raw(text, "</section>\n");
+}
+
+void gsn_html_tile(struct gsn_text *text, const struct gsn_report *report)
+{
+    const struct gsn_report_tile *tile = report->tile;
+
+    if (!tile)
+        return;
+    gsn_text_raw(text, "<section id=\"tile\"><h2>Collagen map</h2>\n");
+    open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
+    row_number(text, "Collagen, of the tissue area", 100 * tile->area_fraction, 2, "%");
+    row_number(text, "Mean density of the tissue", tile->mean_density, 4, "");
+    row_digits(text, "Threshold of the map", tile->threshold, "");
+    if (tile->compared) {
+        row_number(text, "Dice with the mask", tile->dice, 4, "");
+        row_number(text, "Map, of the whole picture", 100 * tile->map_fraction, 2, "%");
+        row_number(text, "Mask, of the whole picture", 100 * tile->mask_fraction, 2, "%");
+        row_number(text, "Of the map, not in the mask", 100 * tile->false_positive, 2, "%");
+        row_number(text, "Of the mask, not in the map", 100 * tile->false_negative, 2, "%");
+    }
+    close_table(text);
+    gsn_text_raw(text, "</section>\n");
+}
+
+static void add_registration(struct gsn_text *text, const struct gsn_report_registration *done)
+{
+    row_count(text, "Sections expected", done->sections_expected);
+    row_count(text, "Sections in place", done->sections_posed);
+    row_number(text, "Localisation error of one mark (FLE)", done->fle_um, 2, "um");
+    row_number(text, "Residual of the marks, root mean square", done->rms_residual_um, 2, "um");
+    row_number(text, "Residual of the marks, largest", done->worst_residual_um, 2, "um");
+    row_number(text, "Predicted error at the region (TRE), mean", done->mean_tre_um, 2, "um");
+    row_number(text, "Predicted error at the region (TRE), largest", done->worst_tre_um, 2, "um");
+}
+
+static void add_fit(struct gsn_text *text, const struct gsn_report_fit *fit)
+{
+    row_count(text, "Degree of the spline", fit->degree);
+    row_count(text, "Tetrahedra", fit->tets);
+    row_count(text, "Tetrahedra without data", fit->empty_tets);
+    row_count(text, "Unknowns of the fit", fit->unknowns);
+    row_count(text, "Samples", fit->samples);
+    row_digits(text, "Residual of the fit, root mean square", fit->rms, "density");
+    row_digits(text, "Residual of the fit, largest", fit->worst, "density");
+    row_plain(text, "Smoothing", fit->smoothing, "");
+    row_plain(text, "Tolerance per tetrahedron", fit->tolerance, "density");
+    row_count(text, "Tetrahedra within the tolerance", fit->tets_in_tolerance);
+}
+
+static void add_units(struct gsn_text *text, const struct gsn_report_units *units)
+{
+    row_number(text, "Micro-unit of lowest density", units->smallest, 4, "density");
+    row_number(text, "Micro-units, median density", units->median, 4, "density");
+    row_number(text, "Micro-unit of highest density", units->largest, 4, "density");
+}
+
+void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report)
+{
+    gsn_text_raw(text, "<section id=\"measures\"><h2>Measures</h2>\n");
+    open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
+    if (!report->tile) {
+        if (report->baseline && *report->baseline) {
+            row_number(text, "Collagen loss, relative", report->loss_percent, 3, "%");
+            row_number(text, "Collagen loss, absolute", report->loss_points, 3, "points");
+            row_number(text, "Mean density of the baseline", report->baseline_mean, 5, "density");
+        }
+        row_number(text, "Mean density of the region", report->region.mean_density, 5, "density");
+        row_number(text, "Volume of the region", report->region.volume_mm3, 5, "mm3");
+        row_number(text, "Region with data", 100 * report->region.coverage, 2, "%");
+    }
+    if (report->area_figure.name)
+        row_measure(text, &report->area_figure);
+    if (report->registration)
+        add_registration(text, report->registration);
+    if (report->fit)
+        add_fit(text, report->fit);
+    if (report->units)
+        add_units(text, report->units);
+    for (size_t i = 0; i < report->measure_count; i++)
+        row_measure(text, &report->measures[i]);
+    close_table(text);
+    gsn_text_raw(text, "</section>\n");
+}
+
+void gsn_html_exclusions(struct gsn_text *text, const struct gsn_report *report)
+{
+    if (report->exclusion_count == 0)
+        return;
+    gsn_text_raw(text, "<section id=\"exclusions\"><h2>Left out, and why</h2>\n");
+    open_table(text, "", "<th>What</th><th>Reason</th>");
+    for (size_t i = 0; i < report->exclusion_count; i++) {
+        open_row(text, report->exclusions[i].what);
+        gsn_text_raw(text, "<td class=\"reason\">");
+        gsn_text_escape(text, report->exclusions[i].reason);
+        gsn_text_raw(text, "</td></tr>\n");
+    }
+    close_table(text);
+    gsn_text_raw(text, "</section>\n");
+}
+
+static void add_inputs(struct gsn_text *text, const struct gsn_report *report)
+{
+    gsn_text_raw(text, "<details open><summary>Input files</summary><div class=\"scroll\"><table>"
+                       "<thead><tr><th>File</th><th class=\"num\">Bytes</th><th>SHA-256</th></tr>"
+                       "</thead><tbody>\n");
+    for (size_t i = 0; i < report->input_count; i++) {
+        open_row(text, report->inputs[i].name);
+        gsn_text_raw(text, "<td class=\"num\">");
+        gsn_text_count(text, report->inputs[i].size);
+        gsn_text_raw(text, "</td><td class=\"hash\">");
+        gsn_text_escape(text, report->inputs[i].sha256);
+        gsn_text_raw(text, "</td></tr>\n");
+    }
+    gsn_text_raw(text, "</tbody></table></div></details>\n");
+}
+
+static void add_parameters(struct gsn_text *text, const struct gsn_report *report)
+{
+    gsn_text_raw(text, "<details><summary>Parameters</summary><div class=\"scroll\"><table>"
+                       "<thead><tr><th>Name</th><th class=\"num\">Value</th><th>Unit</th></tr>"
+                       "</thead><tbody>\n");
+    for (size_t i = 0; i < report->parameter_count; i++) {
+        const struct gsn_report_value *row = &report->parameters[i];
+
+        if (row->text)
+            row_text(text, row);
+        else
+            row_plain(text, row->name, row->value, row->unit);
+    }
+    gsn_text_raw(text, "</tbody></table></div></details>\n");
+}
+
+void gsn_html_provenance(struct gsn_text *text, const struct gsn_report *report)
+{
+    gsn_text_raw(text, "<section id=\"provenance\"><h2>Provenance</h2>\n"
+                       "<p class=\"lead\">The same inputs, parameters and version give this page "
+                       "again, byte for byte.</p>\n");
+    open_table(text, "", "<th>What</th><th>Value</th>");
+    open_row(text, "Run");
+    gsn_text_raw(text, "<td class=\"hash\">");
+    gsn_text_escape(text, report->key);
+    gsn_text_raw(text, "</td></tr>\n");
+    open_row(text, "Program");
+    gsn_text_raw(text, "<td>gieson ");
+    gsn_text_escape(text, report->version);
+    gsn_text_raw(text, "</td></tr>\n");
+    open_row(text, "Density");
+    gsn_text_raw(text, "<td class=\"reason\">");
+    gsn_text_escape(text, report->density_name);
+    gsn_text_raw(text, " (");
+    gsn_text_escape(text, report->density_version);
+    gsn_text_raw(text, ")</td></tr>\n");
+    close_table(text);
+    gsn_text_raw(text, "<p></p>\n");
+    if (report->input_count)
+        add_inputs(text, report);
+    if (report->parameter_count)
+        add_parameters(text, report);
+    gsn_text_raw(text, "</section>\n");
+}

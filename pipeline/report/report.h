@@ -1,0 +1,193 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What one run found out, as a page for people and as JSON for scripts.
+ *
+ * The conductor fills plain records; this folder turns them into bytes and looks nothing up. The
+ * same record gives the same bytes: no date, no locale, no address. A double that is NaN is a
+ * figure that does not exist: null in JSON, a dash on the page. Texts are UTF-8 and may hold
+ * anything; NULL is taken as empty. Everything is borrowed for the length of a call. */
+#ifndef GSN_REPORT_REPORT_H
+#define GSN_REPORT_REPORT_H
+
+#include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum gsn_report_kind {
+    GSN_REPORT_SPECIMEN, /* panels of sections */
+    GSN_REPORT_VOLUME,   /* an imported volume: no panels, no sections */
+    GSN_REPORT_TILE,     /* one picture of stained tissue */
+};
+
+enum gsn_report_verdict {
+    GSN_REPORT_FINE,     /* "reported" */
+    GSN_REPORT_WARNED,   /* "reported with warnings" */
+    GSN_REPORT_WITHHELD, /* "withheld" */
+};
+
+/* One file in memory; no picture when size is 0. */
+struct gsn_report_png {
+    const uint8_t *bytes;
+    size_t size;
+    unsigned width, height;
+};
+
+struct gsn_report_region {
+    double volume_mm3;
+    double mean_density;
+    double coverage;         /* share of the region with data, 0..1 */
+    const char *description; /* "wpdl <= d < wpdl+450, ..." or the mask's file name */
+};
+
+/* The volume of {density > threshold} in the region lies between these two, for certain. */
+struct gsn_report_volume {
+    double threshold, lower_mm3, upper_mm3;
+};
+
+struct gsn_report_section {
+    unsigned serial;      /* 0-based, over the whole specimen */
+    double z_um;          /* interval * (serial + 0.5) */
+    unsigned panel;       /* 1-based */
+    unsigned slot;        /* 0-based, in the order of mounting */
+    unsigned row, column; /* 0-based place on the panel, for the contact sheet */
+    /* "used", "doubtful", "held", "empty", "missing" have a symbol of their own; others a dot. */
+    const char *state;
+    int flipped, rotated180;
+    const char *const *flags; /* flag_count short texts */
+    size_t flag_count;
+    struct gsn_point marker_px[3]; /* panel pixels; meaningless where not found */
+    int marker_found[3];
+    double residual_um[3];
+    int posed; /* whether panel_to_block_um and predicted_tre_um are known */
+    struct gsn_affine panel_to_block_um;
+    double predicted_tre_um; /* at the centre of the region */
+    struct gsn_report_png thumbnail;
+};
+
+struct gsn_report_panel {
+    unsigned number; /* 1-based */
+    const char *file, *sha256, *state, *message;
+    unsigned rows, columns;
+    double white[3]; /* codes 0..255 */
+    double glass;    /* share of blank glass, 0..1 */
+};
+
+struct gsn_report_registration {
+    double fle_um;          /* localisation error of one mark, from the whole stack */
+    double rms_residual_um; /* of the marks */
+    double worst_residual_um;
+    double mean_tre_um, worst_tre_um; /* predicted */
+    unsigned sections_posed, sections_expected;
+};
+
+struct gsn_report_fit {
+    size_t tets, unknowns, samples, empty_tets, tets_in_tolerance;
+    double rms, worst; /* of the residuals, in density */
+    double smoothing, tolerance;
+    unsigned degree;
+};
+
+/* Mean densities of the tetrahedra, the micro-units. */
+struct gsn_report_units {
+    double first, last; /* range of the histogram, in density */
+    const size_t *bin;  /* bin_count counts of equal width */
+    size_t bin_count;
+    double smallest, median, largest;
+};
+
+/* For kind "tile": the collagen map, and its comparison with a mask where one was given. */
+struct gsn_report_tile {
+    double area_fraction; /* collagen of tissue */
+    double mean_density;
+    double threshold;
+    int compared;
+    const char *mask_name;
+    double dice, map_fraction, mask_fraction; /* the fractions are of the whole picture */
+    double false_positive, false_negative;
+};
+
+struct gsn_report_picture {
+    const char *id; /* short, unique; a key in report.json */
+    const char *title, *caption;
+    struct gsn_report_png png;
+};
+
+struct gsn_report_exclusion {
+    const char *what, *reason;
+};
+
+struct gsn_report_input {
+    const char *name, *sha256;
+    size_t size;
+};
+
+/* A row of the table of measures or of the parameters. */
+struct gsn_report_value {
+    const char *name;
+    double value;     /* NaN: not known, unless text is given */
+    const char *unit; /* "mm3", "um", "" */
+    const char *text; /* instead of the number, where it is not one */
+};
+
+struct gsn_report {
+    const char *specimen, *study, *group, *animal, *week;
+    enum gsn_report_kind kind;
+    enum gsn_report_verdict verdict;
+    const char *verdict_reason; /* one sentence; may be empty when fine */
+
+    const char *baseline;    /* name of the specimen or group; empty when there is none */
+    double loss_percent;     /* relative per cent of the baseline's density; NaN: withheld */
+    double loss_points;      /* difference of the mean densities in points of density (0..100) */
+    const char *loss_reason; /* why it is withheld */
+    double baseline_mean;    /* density */
+
+    const char *density_name;            /* "collagen-equivalent density" */
+    const char *density_version;         /* "van-gieson-gvp-1" */
+    struct gsn_report_value area_figure; /* the area figure with its own name and unit */
+
+    struct gsn_report_region region;
+    const struct gsn_report_volume *volumes;
+    size_t volume_count;
+    const struct gsn_report_section *sections; /* every slot, in serial order */
+    size_t section_count;
+    const struct gsn_report_panel *panels;
+    size_t panel_count;
+    const struct gsn_report_registration *registration; /* NULL: none was done */
+    const struct gsn_report_fit *fit;                   /* NULL: none was done */
+    const struct gsn_report_units *units;               /* NULL: none */
+    const struct gsn_report_tile *tile;                 /* NULL unless the kind is tile */
+    const struct gsn_report_picture *pictures;
+    size_t picture_count;
+    const char *const *warnings;
+    size_t warning_count;
+    const struct gsn_report_exclusion *exclusions;
+    size_t exclusion_count;
+    const struct gsn_report_value *measures; /* further rows for the table */
+    size_t measure_count;
+
+    const char *version; /* of gieson */
+    const char *key;     /* the run's: a hash of inputs, parameters and version */
+    const struct gsn_report_input *inputs;
+    size_t input_count;
+    const struct gsn_report_value *parameters;
+    size_t parameter_count;
+};
+
+/* give: the bytes, and a zero byte behind them that is not counted. docs/report.md is the schema of
+ * the first; the second is one HTML file that fetches nothing.
+ * Bytes of a text that are not UTF-8 become U+FFFD. Fail with GSN_E_NOMEM. */
+int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *ret_size,
+                    struct gsn_error *err);
+int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,
+                    struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

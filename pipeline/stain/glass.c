@@ -1,0 +1,452 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The blank glass of one scan, found in the picture itself.
+ *
+ * The picture is cut into small square cells. The brightest peak of their brightness is where glass
+ * begins; from there a quadratic surface is fitted to the logarithm of light with Tukey's biweight,
+ * whose reach shrinks from round to round until only what lies on the surface is left. Tissue that
+ * is paler than about 0.03 everywhere cannot be told from glass that way. */
+#include "pipeline/stain/redness.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "pipeline/stain/light.h"
+#include "pipeline/stain/order.h"
+
+/* Lengths below are optical densities unless said otherwise. */
+#define LEAST_GLASS 0.15 /* share of the picture that vendors and we ask for */
+#define LEAST_PEAK 0.01  /* share of the cells that makes a peak of brightness */
+#define BIN 0.005        /* of the histogram of brightness */
+#define SMOOTH 0.02      /* a rougher cell does not count for a peak */
+#define FIRST_REACH 0.06 /* half of the light lost to vignetting within the first rounds' reach */
+#define LAST_REACH 0.004 /* quantisation of 8 bits stays within it */
+#define EVEN_HANDED 0.02 /* until the reach is this short, */
+#define DARKER 0.1       /* darker cells weigh less: glass is the brightest there is */
+#define NEUTRAL 0.03     /* glass beside brighter paper differs from it by no more colour */
+#define RIDGE 1e-4       /* keeps the surface flat where no glass was seen */
+
+enum {
+    MOST_CELLS_ACROSS = 384,
+    SIDE_AT_LEAST = 16,
+    BINS = 520, /* 10^-2.6 of full light is never glass */
+    HALF_WINDOW = 3,
+    ROUNDS = 24,
+    TERMS = 6,
+};
+
+struct cell {
+    double light[3]; /* mean of log10 */
+    double rough;    /* deviation of one pixel in it */
+    uint32_t top;    /* pixels with a channel at the highest code */
+    double weight;
+};
+
+struct cells {
+    size_t nx, ny, side;
+    uint32_t width, height; /* of the picture */
+    struct cell *cell;
+    double *scratch; /* nx * ny */
+};
+
+struct surface {
+    double s[3][TERMS];
+    double reach;
+};
+
+static void basis(const struct cells *all, size_t i, double ret[TERMS])
+{
+    const double x = ((double)(i % all->nx) + 0.5) * (double)all->side;
+    const double y = ((double)(i / all->nx) + 0.5) * (double)all->side;
+    const double u = 2 * x / all->width - 1, v = 2 * y / all->height - 1;
+
+    ret[0] = 1;
+    ret[1] = u;
+    ret[2] = v;
+    ret[3] = u * u;
+    ret[4] = u * v;
+    ret[5] = v * v;
+}
+
+static double evaluate(const double s[TERMS], const double b[TERMS])
+{
+    double sum = 0;
+
+    for (int k = 0; k < TERMS; k++)
+        sum += s[k] * b[k];
+    return sum;
+}
+
+static double brightness(const struct cell *cell)
+{
+    return (cell->light[0] + cell->light[1] + cell->light[2]) / 3;
+}
+
+static void measure_cell(const struct gsn_image *image, const double *log_light, size_t x0,
+                         size_t y0, size_t side, struct cell *cell)
+{
+    const unsigned top = image->bits == 8 ? 255 : 65535;
+    const double n = (double)(side * side);
+    double sum[3] = { 0 }, squares[3] = { 0 }, variance = 0;
+
+    for (size_t y = y0; y < y0 + side; y++) {
+        for (size_t x = x0; x < x0 + side; x++) {
+            int at_top = 0;
+
+            for (unsigned c = 0; c < 3; c++) {
+                const unsigned sample = gsn_image_at(image, (uint32_t)x, (uint32_t)y, c);
+
+                sum[c] += log_light[sample];
+                squares[c] += log_light[sample] * log_light[sample];
+                at_top |= sample == top;
+            }
+            cell->top += (uint32_t)at_top;
+        }
+    }
+    for (int c = 0; c < 3; c++) {
+        cell->light[c] = sum[c] / n;
+        variance += fmax(squares[c] - sum[c] * sum[c] / n, 0) / (n - 1) / 3;
+    }
+    cell->rough = sqrt(variance);
+}
+
+static int cut_cells(const struct gsn_image *image, enum gsn_light light, struct cells *ret,
+                     struct gsn_error *err)
+{
+    const size_t longest = image->width > image->height ? image->width : image->height;
+    const size_t side = (longest + MOST_CELLS_ACROSS - 1) / MOST_CELLS_ACROSS;
+    gsn_auto_mem(double) log_light = NULL;
+    const int r = gsn_light_table(light, image->bits, &log_light, err);
+
+    if (r < 0)
+        return r;
+    ret->side = side < 2 ? 2 : side;
+    ret->width = image->width;
+    ret->height = image->height;
+    ret->nx = image->width / ret->side;
+    ret->ny = image->height / ret->side;
+    ret->cell = gsn_alloc_array(ret->nx * ret->ny, sizeof *ret->cell);
+    ret->scratch = gsn_alloc_array(ret->nx * ret->ny, sizeof *ret->scratch);
+    if (!ret->cell || !ret->scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the glass of a picture");
+    for (size_t i = 0; i < ret->nx * ret->ny; i++)
+        measure_cell(image, log_light, i % ret->nx * ret->side, i / ret->nx * ret->side, ret->side,
+                     &ret->cell[i]);
+    return GSN_OK;
+}
+
+/* How many smooth cells lie within the window around each bin; bin 0 is full light. */
+static void count_brightness(const struct cells *all, size_t window[BINS])
+{
+    size_t bin[BINS] = { 0 };
+
+    for (size_t i = 0; i < all->nx * all->ny; i++) {
+        const double at = -brightness(&all->cell[i]) / BIN;
+
+        if (all->cell[i].rough < SMOOTH && at < BINS)
+            bin[at > 0 ? (size_t)at : 0]++;
+    }
+    for (int i = 0; i < BINS; i++) {
+        window[i] = 0;
+        for (int j = i - HALF_WINDOW; j <= i + HALF_WINDOW; j++)
+            if (j >= 0 && j < BINS)
+                window[i] += bin[j];
+    }
+}
+
+static int is_peak(const size_t window[BINS], int i, size_t least)
+{
+    if (window[i] < least)
+        return 0;
+    for (int j = i - HALF_WINDOW; j <= i + HALF_WINDOW; j++)
+        if (j >= 0 && j < BINS && (window[j] > window[i] || (j < i && window[j] == window[i])))
+            return 0;
+    return 1;
+}
+
+/* Solves the 6 x 6 system by Cholesky for three right-hand sides; it is positive definite by the
+ * ridge. */
+static void solve(double a[TERMS][TERMS], double b[3][TERMS], double ret[3][TERMS])
+{
+    for (int j = 0; j < TERMS; j++) {
+        for (int k = 0; k < j; k++)
+            a[j][j] -= a[j][k] * a[j][k];
+        a[j][j] = sqrt(a[j][j]);
+        for (int i = j + 1; i < TERMS; i++) {
+            for (int k = 0; k < j; k++)
+                a[i][j] -= a[i][k] * a[j][k];
+            a[i][j] /= a[j][j];
+        }
+    }
+    for (int c = 0; c < 3; c++) {
+        for (int i = 0; i < TERMS; i++) {
+            for (int k = 0; k < i; k++)
+                b[c][i] -= a[i][k] * b[c][k];
+            b[c][i] /= a[i][i];
+        }
+        for (int i = TERMS - 1; i >= 0; i--) {
+            for (int k = i + 1; k < TERMS; k++)
+                b[c][i] -= a[k][i] * ret[c][k];
+            ret[c][i] = b[c][i] / a[i][i];
+        }
+    }
+}
+
+static int fit_surface(const struct cells *all, struct surface *surface)
+{
+    double a[TERMS][TERMS] = { { 0 } }, b[3][TERMS] = { { 0 } }, sum = 0;
+
+    for (size_t i = 0; i < all->nx * all->ny; i++) {
+        const struct cell *cell = &all->cell[i];
+        double t[TERMS];
+
+        if (!(cell->weight > 0))
+            continue;
+        sum += cell->weight;
+        basis(all, i, t);
+        for (int j = 0; j < TERMS; j++) {
+            for (int k = 0; k <= j; k++)
+                a[j][k] += cell->weight * t[j] * t[k];
+            for (int c = 0; c < 3; c++)
+                b[c][j] += cell->weight * t[j] * cell->light[c];
+        }
+    }
+    if (!(sum > 0))
+        return 0;
+    for (int j = 1; j < TERMS; j++)
+        a[j][j] += RIDGE * sum;
+    solve(a, b, surface->s);
+    return 1;
+}
+
+/* The largest of the three residuals; negative where the cell is darker than the surface. */
+static double deviation(const struct cells *all, size_t i, const struct surface *surface)
+{
+    double t[TERMS], most = 0, sum = 0;
+
+    basis(all, i, t);
+    for (int c = 0; c < 3; c++) {
+        const double d = all->cell[i].light[c] - evaluate(surface->s[c], t);
+
+        most = fmax(most, fabs(d));
+        sum += d;
+    }
+    return sum < 0 ? -most : most;
+}
+
+static void weigh(const struct cells *all, const struct surface *surface)
+{
+    for (size_t i = 0; i < all->nx * all->ny; i++) {
+        const double d = deviation(all, i, surface) / surface->reach;
+        const double biweight = (1 - d * d) * (1 - d * d);
+        const int takes_part = fabs(d) < 1;
+
+        all->cell[i].weight = !takes_part                             ? 0
+                              : d < 0 && surface->reach > EVEN_HANDED ? DARKER * biweight
+                                                                      : biweight;
+    }
+}
+
+/* Narrows the reach towards what the noise of smooth cells deserves. The spread of the residuals
+ * must not decide it: pale tissue would widen it and stay. */
+static void narrow(const struct cells *all, struct surface *surface)
+{
+    size_t near = 0;
+    double rough;
+
+    for (size_t i = 0; i < all->nx * all->ny; i++)
+        if (all->cell[i].weight > 0)
+            all->scratch[near++] = all->cell[i].rough;
+    if (near == 0)
+        return;
+    rough = gsn_order_pick(all->scratch, near, near / 4);
+    surface->reach = fmax(LAST_REACH + 5 * rough / (double)all->side, 0.85 * surface->reach);
+}
+
+/* An even surface: the median colour of the smooth cells of this brightness. */
+static int start(const struct cells *all, double peak, struct surface *ret_surface)
+{
+    const size_t count = all->nx * all->ny;
+
+    *ret_surface = (struct surface){ .reach = FIRST_REACH };
+    for (int c = 0; c < 3; c++) {
+        size_t n = 0;
+
+        for (size_t i = 0; i < count; i++)
+            if (all->cell[i].rough < SMOOTH &&
+                fabs(brightness(&all->cell[i]) - peak) < BIN * HALF_WINDOW)
+                all->scratch[n++] = all->cell[i].light[c];
+        if (n == 0)
+            return 0;
+        ret_surface->s[c][0] = gsn_order_pick(all->scratch, n, n / 2);
+    }
+    return 1;
+}
+
+/* Share of the cells that end on the surface. */
+static double grow(const struct cells *all, struct surface *surface)
+{
+    const size_t count = all->nx * all->ny;
+    size_t on = 0;
+
+    weigh(all, surface);
+    for (int round = 0; round < ROUNDS; round++) {
+        if (!fit_surface(all, surface))
+            return 0;
+        narrow(all, surface);
+        weigh(all, surface);
+    }
+    for (size_t i = 0; i < count; i++)
+        on += all->cell[i].weight > 0;
+    return (double)on / (double)count;
+}
+
+/* Whether b differs from a in brightness only, as glass does from the paper of a label. */
+static int same_hue(const struct surface *a, const struct surface *b)
+{
+    double low = INFINITY, high = -INFINITY;
+
+    for (int c = 0; c < 3; c++) {
+        low = fmin(low, a->s[c][0] - b->s[c][0]);
+        high = fmax(high, a->s[c][0] - b->s[c][0]);
+    }
+    return high - low < NEUTRAL;
+}
+
+/* The brightest peak is glass, unless it is too small and a darker one of the same hue is not. */
+static double find_glass(const struct cells *all, struct surface *ret_surface)
+{
+    const size_t least = (size_t)ceil(LEAST_PEAK * (double)(all->nx * all->ny));
+    struct surface first = { .reach = 0 };
+    size_t window[BINS];
+    double first_share = -1;
+
+    count_brightness(all, window);
+    for (int i = 0; i < BINS; i++) {
+        struct surface surface;
+        double share;
+
+        if (!is_peak(window, i, least) || !start(all, -(i + 0.5) * BIN, &surface))
+            continue;
+        if (first_share < 0)
+            first = surface;
+        else if (!same_hue(&first, &surface))
+            continue;
+        share = grow(all, &surface);
+        if (first_share < 0)
+            first_share = share;
+        if (share >= LEAST_GLASS) {
+            *ret_surface = surface;
+            return share;
+        }
+    }
+    return fmax(first_share, 0);
+}
+
+static void describe(const struct cells *all, struct gsn_glass *glass)
+{
+    enum { POINTS = 16 };
+    size_t near = 0, top = 0;
+
+    for (size_t i = 0; i < all->nx * all->ny; i++) {
+        if (!(all->cell[i].weight > 0))
+            continue;
+        all->scratch[near++] = all->cell[i].rough;
+        top += all->cell[i].top;
+    }
+    glass->overexposed = (double)top / (double)(near * all->side * all->side);
+    glass->noise_od = gsn_order_pick(all->scratch, near, near / 2);
+    for (unsigned c = 0; c < 3; c++) {
+        double sum = 0;
+
+        for (uint32_t i = 0; i < POINTS * POINTS; i++)
+            sum += gsn_glass_at(glass, (uint32_t)((i % POINTS + 0.5) * glass->width / POINTS),
+                                (uint32_t)((i / POINTS + 0.5) * glass->height / POINTS), c);
+        glass->white[c] = 255 * gsn_light_encode(glass->light, sum / (POINTS * POINTS));
+    }
+}
+
+static int estimate(const struct gsn_image *image, enum gsn_light light, struct cells *all,
+                    struct gsn_glass *ret_glass, struct gsn_error *err)
+{
+    struct gsn_glass glass = { .light = light, .width = image->width, .height = image->height };
+    struct surface surface;
+    const int r = cut_cells(image, light, all, err);
+
+    if (r < 0)
+        return r;
+    glass.fraction = find_glass(all, &surface);
+    if (glass.fraction < LEAST_GLASS)
+        return gsn_fail(
+            err, GSN_E_STAIN,
+            "only %.0f %% of this picture is blank glass; at least %.0f %% is needed to "
+            "measure how bright the light was",
+            floor(100 * glass.fraction), 100 * LEAST_GLASS);
+    memcpy(glass.surface, surface.s, sizeof glass.surface);
+    describe(all, &glass);
+    *ret_glass = glass;
+    return GSN_OK;
+}
+
+int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
+                       struct gsn_glass *ret_glass, struct gsn_error *err)
+{
+    struct cells all = { .nx = 0 };
+    int r;
+
+    if (image->channels != 3)
+        return gsn_fail(err, GSN_E_INPUT, "a grey picture tells no dyes apart");
+    if (image->width < SIDE_AT_LEAST || image->height < SIDE_AT_LEAST)
+        return gsn_fail(err, GSN_E_INPUT, "a picture of %u x %u pixels is too small to show glass",
+                        image->width, image->height);
+    r = estimate(image, light, &all, ret_glass, err);
+    gsn_free(all.cell);
+    gsn_free(all.scratch);
+    return r;
+}
+
+static double sum_of_codes(const struct gsn_image *image, size_t i, double code[3])
+{
+    const uint32_t x = (uint32_t)(i % image->width), y = (uint32_t)(i / image->width);
+
+    for (unsigned c = 0; c < 3; c++)
+        code[c] = gsn_image_at(image, x, y, c);
+    return code[0] + code[1] + code[2];
+}
+
+int gsn_white_of_holes(const struct gsn_image *image, double ret_white[3], struct gsn_error *err)
+{
+    const size_t count = (size_t)image->width * image->height;
+    const double scale = image->bits == 8 ? 1 : 255.0 / 65535;
+    gsn_auto_mem(double) sum = NULL;
+    double code[3], white[3] = { 0 }, low, high;
+    size_t n = 0;
+
+    if (image->channels != 3 || count == 0)
+        return gsn_fail(err, GSN_E_INPUT, "a grey picture tells no dyes apart");
+    sum = gsn_alloc_array(count, sizeof *sum);
+    if (!sum)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the white of a picture");
+    for (size_t i = 0; i < count; i++)
+        sum[i] = sum_of_codes(image, i, code);
+    low = gsn_order_pick(sum, count, (size_t)(0.99 * (double)(count - 1)));
+    high = gsn_order_pick(sum, count, (size_t)(0.999 * (double)(count - 1)));
+    for (size_t i = 0; i < count; i++) {
+        const double all = sum_of_codes(image, i, code);
+
+        if (all < low || all > high)
+            continue;
+        n++;
+        for (int c = 0; c < 3; c++)
+            white[c] += code[c] * scale;
+    }
+    for (int c = 0; c < 3; c++) {
+        white[c] /= (double)n;
+        if (white[c] < 128)
+            return gsn_fail(err, GSN_E_STAIN,
+                            "even the brightest parts of this picture are not white (%.0f of 255)",
+                            white[c]);
+    }
+    memcpy(ret_white, white, sizeof white);
+    return GSN_OK;
+}

@@ -1,0 +1,379 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/redness.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+#include "pipeline/core/parallel.h"
+#include "pipeline/stain/light.h"
+#include "pipeline/stain/segment.h"
+
+/* Rows handed to a thread at once: enough to outweigh the hand-over. */
+enum { ROWS = 32 };
+
+static size_t bands(uint32_t height)
+{
+    return ((size_t)height + ROWS - 1) / ROWS;
+}
+
+static uint32_t band_end(size_t band, uint32_t height)
+{
+    const size_t end = (band + 1) * ROWS;
+
+    return end < height ? (uint32_t)end : height;
+}
+
+static int same_size(const struct gsn_plane *a, const struct gsn_plane *b)
+{
+    return a->width == b->width && a->height == b->height;
+}
+
+static int check_three(struct gsn_plane *const od[3], struct gsn_error *err)
+{
+    for (int c = 1; c < 3; c++)
+        if (!same_size(od[0], od[c]))
+            return gsn_fail(err, GSN_E_INPUT,
+                            "the optical densities differ in size: %u x %u, %u x %u", od[0]->width,
+                            od[0]->height, od[c]->width, od[c]->height);
+    return GSN_OK;
+}
+
+/* Optical density */
+
+struct density_work {
+    const struct gsn_image *image;
+    const struct gsn_glass *glass;
+    const double *log_light;
+    struct gsn_plane *const *od;
+    size_t *clipped; /* per band */
+};
+
+static void density_row(const struct density_work *work, uint32_t y, size_t *clipped)
+{
+    const uint32_t width = work->image->width;
+    double row[3][3]; /* the surface along this row: constant, u, u^2 */
+
+    for (unsigned c = 0; c < 3; c++)
+        gsn_glass_row(work->glass, y, c, row[c]);
+    for (uint32_t x = 0; x < width; x++) {
+        const double u = 2 * (x + 0.5) / width - 1;
+        int at_zero = 0;
+
+        for (unsigned c = 0; c < 3; c++) {
+            const unsigned sample = gsn_image_at(work->image, x, y, c);
+            const double glass = row[c][0] + u * (row[c][1] + u * row[c][2]);
+
+            at_zero |= sample == 0;
+            work->od[c]->value[(size_t)y * width + x] = (float)(glass - work->log_light[sample]);
+        }
+        *clipped += (size_t)at_zero;
+    }
+}
+
+static int density_band(size_t band, void *context, struct gsn_error *err)
+{
+    const struct density_work *work = context;
+
+    (void)err;
+    for (uint32_t y = (uint32_t)(band * ROWS); y < band_end(band, work->image->height); y++)
+        density_row(work, y, &work->clipped[band]);
+    return GSN_OK;
+}
+
+int gsn_optical_density(const struct gsn_image *image, const struct gsn_glass *glass,
+                        unsigned threads, struct gsn_plane *ret_od[3], size_t *ret_clipped,
+                        struct gsn_error *err)
+{
+    const size_t count = bands(image->height);
+    gsn_auto(gsn_plane) red = NULL;
+    gsn_auto(gsn_plane) green = NULL;
+    gsn_auto(gsn_plane) blue = NULL;
+    gsn_auto_mem(double) log_light = NULL;
+    gsn_auto_mem(size_t) clipped = gsn_alloc_array(count, sizeof *clipped);
+    size_t sum = 0;
+    int r;
+
+    if (image->channels != 3)
+        return gsn_fail(err, GSN_E_INPUT, "a grey picture tells no dyes apart");
+    if (image->width != glass->width || image->height != glass->height)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the glass was measured on %u x %u pixels, not on %u x %u", glass->width,
+                        glass->height, image->width, image->height);
+    if (!clipped)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for optical densities");
+    r = gsn_light_table(glass->light, image->bits, &log_light, err);
+    if (r >= 0)
+        r = gsn_plane_new(image->width, image->height, &red, err);
+    if (r >= 0)
+        r = gsn_plane_new(image->width, image->height, &green, err);
+    if (r >= 0)
+        r = gsn_plane_new(image->width, image->height, &blue, err);
+    if (r < 0)
+        return r;
+
+    struct gsn_plane *const od[3] = { red, green, blue };
+    struct density_work work = { image, glass, log_light, od, clipped };
+
+    r = gsn_parallel_for(count, threads, density_band, &work, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < count; i++)
+        sum += clipped[i];
+    ret_od[0] = gsn_steal(&red);
+    ret_od[1] = gsn_steal(&green);
+    ret_od[2] = gsn_steal(&blue);
+    if (ret_clipped)
+        *ret_clipped = sum;
+    return GSN_OK;
+}
+
+/* Unmixing: min |V a - d|^2 with a >= 0 for three dyes. The minimum is the plain least-squares
+ * solution on the dyes it uses, and every such solution without a negative amount is allowed; so
+ * the best of the at most eight is exact. The residual is |d|^2 - a.b with b = V' d: the largest
+ * a.b wins. */
+
+struct unmixer {
+    double dye[3][3];
+    double inverse[8][3]
+                  [3]; /* of the Gram matrix of each subset; rows and columns of the others 0 */
+};
+
+static double dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* Below this sine of an angle between two dyes (0.6 degrees) the amounts mean nothing. */
+#define LEAST_SINE 0.01
+
+static int invert_pair(struct unmixer *mix, int i, int j, struct gsn_error *err)
+{
+    const double g = dot(mix->dye[i], mix->dye[j]), det = 1 - g * g;
+    double(*into)[3] = mix->inverse[1 << i | 1 << j];
+
+    if (det < LEAST_SINE * LEAST_SINE)
+        return gsn_fail(err, GSN_E_STAIN, "two of the three dyes have nearly the same colour");
+    into[i][i] = into[j][j] = 1 / det;
+    into[i][j] = into[j][i] = -g / det;
+    return GSN_OK;
+}
+
+static int invert_all(struct unmixer *mix, struct gsn_error *err)
+{
+    const double a = dot(mix->dye[0], mix->dye[1]), b = dot(mix->dye[0], mix->dye[2]),
+                 c = dot(mix->dye[1], mix->dye[2]);
+    const double det = 1 + 2 * a * b * c - a * a - b * b - c * c;
+    double(*into)[3] = mix->inverse[7];
+
+    /* The determinant is the squared volume the three span. */
+    if (det < LEAST_SINE * LEAST_SINE)
+        return gsn_fail(err, GSN_E_STAIN,
+                        "the three dyes lie in one plane, so one of them could be "
+                        "made of the other two");
+    into[0][0] = (1 - c * c) / det;
+    into[1][1] = (1 - b * b) / det;
+    into[2][2] = (1 - a * a) / det;
+    into[0][1] = into[1][0] = (b * c - a) / det;
+    into[0][2] = into[2][0] = (a * c - b) / det;
+    into[1][2] = into[2][1] = (a * b - c) / det;
+    return GSN_OK;
+}
+
+static int unmixer_init(struct unmixer *mix, const struct gsn_dyes *dyes, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    memset(mix, 0, sizeof *mix);
+    memcpy(mix->dye[0], dyes->red, sizeof dyes->red);
+    memcpy(mix->dye[1], dyes->yellow, sizeof dyes->yellow);
+    memcpy(mix->dye[2], dyes->dark, sizeof dyes->dark);
+    for (int i = 0; i < 3; i++) {
+        if (!(fabs(dot(mix->dye[i], mix->dye[i]) - 1) < 1e-6))
+            return gsn_fail(err, GSN_E_STAIN, "dye %d of %s is not a vector of length 1", i + 1,
+                            dyes->name);
+        mix->inverse[1 << i][i][i] = 1;
+    }
+    if (!(dyes->full_red_od > 0))
+        return gsn_fail(err, GSN_E_STAIN, "%s says no red density that counts as full", dyes->name);
+    for (int i = 0; i < 3 && r >= 0; i++)
+        r = invert_pair(mix, i, (i + 1) % 3, err);
+    return r < 0 ? r : invert_all(mix, err);
+}
+
+static void unmix(const struct unmixer *mix, const double od[3], double amount[3])
+{
+    const double b[3] = { dot(mix->dye[0], od), dot(mix->dye[1], od), dot(mix->dye[2], od) };
+    double best = 0;
+
+    amount[0] = amount[1] = amount[2] = 0;
+    for (int subset = 7; subset > 0; subset--) {
+        const double(*inverse)[3] = mix->inverse[subset];
+        const double a[3] = { dot(inverse[0], b), dot(inverse[1], b), dot(inverse[2], b) };
+
+        if (a[0] < 0 || a[1] < 0 || a[2] < 0 || dot(a, b) <= best)
+            continue;
+        best = dot(a, b);
+        memcpy(amount, a, sizeof a);
+        if (subset == 7) /* nothing beats the unconstrained minimum */
+            return;
+    }
+}
+
+int gsn_unmix_one(const double od[3], const struct gsn_dyes *dyes, double ret_amount[3],
+                  struct gsn_error *err)
+{
+    struct unmixer mix;
+    const int r = unmixer_init(&mix, dyes, err);
+
+    if (r >= 0)
+        unmix(&mix, od, ret_amount);
+    return r;
+}
+
+struct unmix_work {
+    const struct unmixer *mix;
+    struct gsn_plane *const *od;
+    struct gsn_plane *out[3]; /* NULL where not wanted */
+    double full_red_od;
+};
+
+static int unmix_band(size_t band, void *context, struct gsn_error *err)
+{
+    const struct unmix_work *work = context;
+    const size_t width = work->od[0]->width;
+    const size_t end = width * band_end(band, work->od[0]->height);
+
+    (void)err;
+    for (size_t i = width * band * ROWS; i < end; i++) {
+        const double od[3] = { work->od[0]->value[i], work->od[1]->value[i],
+                               work->od[2]->value[i] };
+        double amount[3];
+
+        unmix(work->mix, od, amount);
+        amount[0] /= work->full_red_od;
+        for (int k = 0; k < 3; k++)
+            if (work->out[k])
+                work->out[k]->value[i] = (float)amount[k];
+    }
+    return GSN_OK;
+}
+
+int gsn_unmix(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsigned threads,
+              struct gsn_plane **ret_red, struct gsn_plane **ret_yellow,
+              struct gsn_plane **ret_dark, struct gsn_error *err)
+{
+    const uint32_t width = od[0]->width, height = od[0]->height;
+    gsn_auto(gsn_plane) red = NULL;
+    gsn_auto(gsn_plane) yellow = NULL;
+    gsn_auto(gsn_plane) dark = NULL;
+    struct unmixer mix;
+    int r;
+
+    r = check_three(od, err);
+    if (r >= 0)
+        r = unmixer_init(&mix, dyes, err);
+    if (r >= 0)
+        r = gsn_plane_new(width, height, &red, err);
+    if (r >= 0 && ret_yellow)
+        r = gsn_plane_new(width, height, &yellow, err);
+    if (r >= 0 && ret_dark)
+        r = gsn_plane_new(width, height, &dark, err);
+    if (r < 0)
+        return r;
+
+    struct unmix_work work = { &mix, od, { red, yellow, dark }, dyes->full_red_od };
+
+    r = gsn_parallel_for(bands(height), threads, unmix_band, &work, err);
+    if (r < 0)
+        return r;
+    *ret_red = gsn_steal(&red);
+    if (ret_yellow)
+        *ret_yellow = gsn_steal(&yellow);
+    if (ret_dark)
+        *ret_dark = gsn_steal(&dark);
+    return GSN_OK;
+}
+
+int gsn_red_share(const struct gsn_plane *red, const struct gsn_plane *yellow,
+                  const struct gsn_plane *dark, const struct gsn_dyes *dyes,
+                  struct gsn_plane **ret_share, struct gsn_error *err)
+{
+    gsn_auto(gsn_plane) share = NULL;
+    int r;
+
+    if (!same_size(red, yellow) || !same_size(red, dark))
+        return gsn_fail(err, GSN_E_INPUT, "the planes of the dyes differ in size");
+    r = gsn_plane_new(red->width, red->height, &share, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < (size_t)red->width * red->height; i++) {
+        const double amount = red->value[i] * dyes->full_red_od;
+        const double all = amount + yellow->value[i] + dark->value[i];
+
+        share->value[i] = all > GSN_PALE_OD ? (float)(amount / all) : 0;
+    }
+    *ret_share = gsn_steal(&share);
+    return GSN_OK;
+}
+
+/* The middle of the emptiest stretch of the histogram below `end`, of the first where several are
+ * equally empty; values start at 0. */
+static double valley(const float *values, size_t count, double end)
+{
+    enum { BINS = 128, AROUND = 3 };
+    size_t bin[BINS] = { 0 }, least = SIZE_MAX;
+    int first = 0, last = 0;
+
+    for (size_t i = 0; i < count; i++)
+        if (values[i] < end)
+            bin[(size_t)(values[i] / end * BINS)]++;
+    for (int i = AROUND; i < BINS - AROUND; i++) {
+        size_t sum = 0;
+
+        for (int j = i - AROUND; j <= i + AROUND; j++)
+            sum += bin[j];
+        if (sum < least) {
+            least = sum;
+            first = i;
+            last = i;
+        } else if (sum == least && last + 1 == i) {
+            last = i;
+        }
+    }
+    return end * ((first + last) / 2 + 0.5) / BINS;
+}
+
+/* The palest stain that a scan of 8 bits tells from glass, R + G + B. */
+#define PALEST 0.05
+
+int gsn_tissue_plane(struct gsn_plane *const od[3], const struct gsn_glass *glass,
+                     struct gsn_plane **ret_total, double *ret_threshold, struct gsn_error *err)
+{
+    const size_t count = (size_t)od[0]->width * od[0]->height;
+    gsn_auto(gsn_plane) total = NULL;
+    gsn_auto_mem(float) root = NULL;
+    double split;
+    int r = check_three(od, err);
+
+    if (r >= 0)
+        r = gsn_plane_new(od[0]->width, od[0]->height, &total, err);
+    if (r < 0)
+        return r;
+    root = gsn_alloc_array(count, sizeof *root);
+    if (!root)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue threshold");
+
+    /* The root spreads what is pale and draws dark marks nearer to the tissue. */
+    for (size_t i = 0; i < count; i++) {
+        total->value[i] = od[0]->value[i] + od[1]->value[i] + od[2]->value[i];
+        root[i] = sqrtf(fmaxf(total->value[i], 0));
+    }
+    split = gsn_otsu(root, count);
+    if (split > 0)
+        split = valley(root, count, split);
+    /* The noises of three channels add in squares. */
+    *ret_threshold = fmax(fmax(split * split, 6 * sqrt(3) * glass->noise_od), PALEST);
+    *ret_total = gsn_steal(&total);
+    return GSN_OK;
+}

@@ -1,0 +1,61 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* report_sample DIR: writes one made-up page of each kind there, for looking at. */
+#include <math.h>
+#include <stdio.h>
+
+#include "pipeline/core/file.h"
+#include "tests/report/sample.h"
+
+static int write_page(const char *folder, const char *name, const struct gsn_report *report,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(char) page = NULL;
+    gsn_auto_mem(char) path = gsn_format("%s/%s.html", folder, name);
+    size_t size = 0;
+    int r = path ? gsn_report_html(report, &page, &size, err) : GSN_E_NOMEM;
+
+    if (r >= 0)
+        r = gsn_file_write(path, page, size, err);
+    return r;
+}
+
+static int write_all(const char *folder, struct gsn_error *err)
+{
+    static const char *const name[] = { "specimen", "volume", "tile" };
+    int r = GSN_OK;
+
+    for (int kind = 0; kind < 3 && r >= 0; kind++) {
+        struct sample *sample = sample_new((enum gsn_report_kind)kind, 420);
+
+        if (!sample)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for a sample");
+        r = write_page(folder, name[kind], sample_report(sample), err);
+        if (r >= 0 && kind == GSN_REPORT_SPECIMEN) {
+            sample_report(sample)->verdict = GSN_REPORT_WITHHELD;
+            sample_report(sample)->verdict_reason = "The evidence is too thin.";
+            sample_report(sample)->loss_percent = (double)NAN;
+            sample_report(sample)->loss_points = (double)NAN;
+            sample_report(sample)->loss_reason =
+                "Only 61 % of the region has data; at least 90 % is needed.";
+            r = write_page(folder, "withheld", sample_report(sample), err);
+        }
+        sample_free(sample);
+    }
+    return r;
+}
+
+int main(int argc, char **argv)
+{
+    struct gsn_error err = { 0 };
+
+    if (argc != 2) {
+        (void)fprintf(stderr, "usage: report_sample DIR\n");
+        return 2;
+    }
+    if (write_all(argv[1], &err) < 0) {
+        (void)fprintf(stderr, "report_sample: %s\n", err.text);
+        return 1;
+    }
+    return 0;
+}

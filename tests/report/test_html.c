@@ -1,0 +1,349 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "tests/check.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "pipeline/core/hash.h"
+#include "pipeline/core/mem.h"
+#include "pipeline/report/text.h"
+#include "tests/report/sample.h"
+
+enum { MOST_DEPTH = 64, MOST_NAME = 24 };
+
+static char *page_of(const struct gsn_report *report)
+{
+    struct gsn_error err = { 0 };
+    char *page = NULL;
+    size_t size = 0;
+
+    CHECK_OK(gsn_report_html(report, &page, &size, &err), err);
+    CHECK(page[size] == '\0' && strlen(page) == size);
+    return page;
+}
+
+static int is_one_of(const char *name, const char *const *names)
+{
+    for (; *names; names++)
+        if (strcmp(name, *names) == 0)
+            return 1;
+    return 0;
+}
+
+/* Walks over the attributes of a tag: each is a bare name or name="value". Returns behind '>'. */
+static const char *skip_attributes(const char *at, int *ret_closed)
+{
+    *ret_closed = 0;
+    for (;;) {
+        while (*at == ' ' || *at == '\n')
+            at++;
+        if (*at == '>')
+            return at + 1;
+        if (at[0] == '/' && at[1] == '>') {
+            *ret_closed = 1;
+            return at + 2;
+        }
+        const size_t length =
+            strspn(at, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-");
+
+        if (length == 0)
+            fail_msg("no attribute: %.40s", at);
+        at += length;
+        if (*at != '=')
+            continue;
+        CHECK(at[1] == '"');
+        at = strchr(at + 2, '"');
+        assert_non_null(at);
+        at++;
+    }
+}
+
+/* Every element is closed in the right order, and text holds no stray < or bare &. */
+static void check_well_formed(const char *page)
+{
+    static const char *const empty[] = { "meta", "img", "br", NULL };
+    char open[MOST_DEPTH][MOST_NAME];
+    size_t depth = 0;
+
+    CHECK(strncmp(page, "<!DOCTYPE html>", 15) == 0);
+    for (const char *at = page + 15; *at;) {
+        if (*at == '&') {
+            const size_t length = strcspn(at, ";");
+
+            CHECK(length <= 6);
+            at += length;
+            continue;
+        }
+        CHECK(*at != '>' || (depth && strcmp(open[depth - 1], "style") == 0));
+        if (*at != '<') {
+            at++;
+            continue;
+        }
+        const int closing = at[1] == '/';
+        const char *name = at + 1 + closing;
+        const size_t length = strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789");
+        char found[MOST_NAME];
+        int closed;
+
+        CHECK(length > 0 && length < MOST_NAME);
+        memcpy(found, name, length);
+        found[length] = '\0';
+        at = skip_attributes(name + length, &closed);
+        if (closing) {
+            CHECK(depth > 0);
+            assert_string_equal(open[--depth], found);
+        } else if (!closed && !is_one_of(found, empty)) {
+            CHECK(depth < MOST_DEPTH);
+            memcpy(open[depth++], found, sizeof found);
+        }
+    }
+    CHECK(depth == 0);
+}
+
+TEST(every_kind_of_page_is_well_formed_and_fetches_nothing)
+{
+    for (int kind = 0; kind < 3; kind++) {
+        struct sample *sample = sample_new((enum gsn_report_kind)kind, 24);
+        gsn_auto_mem(char) page = page_of(sample_report(sample));
+
+        check_well_formed(page);
+        assert_null(strstr(page, "http:"));
+        assert_null(strstr(page, "https:"));
+        assert_null(strstr(page, "<script"));
+        assert_null(strstr(page, "<link"));
+        assert_null(strstr(page, "url("));
+        assert_null(strstr(page, "@import"));
+        assert_null(strstr(page, " style=")); /* the policy would drop it */
+        assert_null(strstr(page, ">nan<"));
+        for (const char *at = strstr(page, "src="); at; at = strstr(at + 1, "src="))
+            CHECK(strncmp(at, "src=\"data:image/png;base64,", 27) == 0);
+        sample_free(sample);
+    }
+}
+
+/* CSP Level 3, section 2.3.1: base64 of the SHA-256 of the text between the tags. */
+TEST(the_policy_allows_just_this_style_sheet)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+    const char *const from = strstr(page, "<style>") + 7;
+    const char *const to = strstr(page, "</style>");
+    gsn_auto_text wanted = { .bytes = NULL };
+    struct gsn_error err = { 0 };
+    struct gsn_digest digest;
+    uint8_t raw[32];
+
+    CHECK_OK(gsn_sha256(from, (size_t)(to - from), &digest, &err), err);
+    for (size_t i = 0; i < 32; i++) {
+        unsigned byte = 0;
+
+        CHECK(sscanf(digest.hex + 2 * i, "%2x", &byte) == 1);
+        raw[i] = (uint8_t)byte;
+    }
+    gsn_text_raw(&wanted, "content=\"default-src 'none'; img-src data:; style-src 'sha256-");
+    gsn_text_base64(&wanted, raw, sizeof raw);
+    gsn_text_raw(&wanted, "'; base-uri 'none'; form-action 'none'\">");
+    assert_non_null(strstr(page, wanted.bytes));
+    sample_free(sample);
+}
+
+TEST(the_first_thing_said_is_the_loss_and_against_what)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+
+    assert_non_null(strstr(page, "Collagen loss against GVP-D-S00"));
+    assert_non_null(strstr(page, "<p class=\"big\">36.6<small>%</small></p>"));
+    assert_non_null(strstr(page, "Relative per cent"));
+    assert_non_null(strstr(page, "30.8 points"));
+    assert_non_null(strstr(page, "! Reported with warnings"));
+    CHECK(strstr(page, "Collagen loss against") < strstr(page, "<h2>"));
+    sample_free(sample);
+}
+
+TEST(a_withheld_loss_shows_its_reason_and_no_number)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+    struct gsn_report *report = sample_report(sample);
+
+    report->verdict = GSN_REPORT_WITHHELD;
+    report->loss_percent = report->loss_points = (double)NAN;
+    report->loss_reason = "Only 61 % of the region has data.";
+
+    gsn_auto_mem(char) page = page_of(report);
+
+    assert_non_null(strstr(page, "<p class=\"big word\">withheld</p>\n<p>Only 61 %"));
+    assert_null(strstr(page, "<small>%</small></p>\n<p class=\"soft\">Relative"));
+    sample_free(sample);
+}
+
+TEST(without_a_baseline_the_density_stands_in_front)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+
+    sample_report(sample)->baseline = NULL;
+    sample_report(sample)->loss_percent = (double)NAN;
+
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+
+    assert_non_null(strstr(page, "No baseline is named"));
+    assert_non_null(strstr(page, "<p class=\"big\">0.535</p>"));
+    assert_null(strstr(page, "Collagen loss"));
+    sample_free(sample);
+}
+
+TEST(the_contact_sheet_shows_every_slot_with_its_state_in_words)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+    char cell[60];
+    size_t slots = 0;
+
+    for (const char *at = strstr(page, "<td class=\"slot "); at;
+         at = strstr(at + 1, "<td class=\"slot "))
+        slots++;
+    CHECK(slots == 60);
+    for (unsigned serial = 0; serial < 60; serial++) {
+        (void)snprintf(cell, sizeof cell, "<p class=\"who\"><b>%u</b>", serial);
+        assert_non_null(strstr(page, cell));
+    }
+    assert_non_null(strstr(page, "\xE2\x9C\x93 56 used"));
+    assert_non_null(strstr(page, "! 2 doubtful"));
+    assert_non_null(strstr(page, "turned over"));
+    assert_non_null(strstr(page, "turned by 180"));
+    assert_non_null(strstr(page, "<b>29</b> <span class=\"state\">\xE2\x80\x93 missing"));
+    assert_non_null(strstr(page, "<b>52</b> <span class=\"state\">\xE2\x9C\x95 held"));
+    sample_free(sample);
+}
+
+/* Places without a record and records outside the stated layout are both drawn. */
+TEST(a_layout_that_does_not_fit_its_sections_grows)
+{
+    struct gsn_report_section section = {
+        .serial = 7, .panel = 3, .row = 1, .column = 2, .state = "odd", .z_um = 180
+    };
+    struct gsn_report_panel panel = { .number = 3, .file = "p.tif", .rows = 1, .columns = 1 };
+    const struct gsn_report report = { .specimen = "x",
+                                       .sections = &section,
+                                       .section_count = 1,
+                                       .panels = &panel,
+                                       .panel_count = 1 };
+    gsn_auto_mem(char) page = page_of(&report);
+    size_t slots = 0;
+
+    for (const char *at = strstr(page, "<td class=\"slot "); at;
+         at = strstr(at + 1, "<td class=\"slot "))
+        slots++;
+    CHECK(slots == 6);
+    assert_non_null(strstr(page, "\xE2\x80\xA2 odd"));
+    check_well_formed(page);
+}
+
+static const char hostile[] = "\"><script>alert('1')</script>&\x01\x80\xE2\x80\xAE\xC3\xA9";
+
+TEST(hostile_texts_anywhere_stay_text)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+    struct gsn_report *report = sample_report(sample);
+    const char *const said[] = { hostile };
+    struct gsn_report_section section = report->sections[17];
+    struct gsn_report_panel panel = report->panels[0];
+    struct gsn_report_picture picture = report->pictures[0];
+    const struct gsn_report_exclusion exclusion = { hostile, hostile };
+    const struct gsn_report_input input = { hostile, hostile, 7 };
+    const struct gsn_report_value values[] = { { hostile, 1, hostile, NULL },
+                                               { hostile, 1, hostile, hostile } };
+
+    section.state = hostile;
+    section.flags = said;
+    section.flag_count = 1;
+    panel.file = panel.sha256 = panel.state = panel.message = hostile;
+    picture.id = picture.title = picture.caption = hostile;
+    report->specimen = report->study = report->group = report->animal = report->week = hostile;
+    report->verdict_reason = report->baseline = report->region.description = hostile;
+    report->density_name = report->density_version = report->version = report->key = hostile;
+    report->area_figure = values[1];
+    report->sections = &section;
+    report->panels = &panel;
+    report->pictures = &picture;
+    report->warnings = said;
+    report->exclusions = &exclusion;
+    report->inputs = &input;
+    report->parameters = report->measures = values;
+    report->section_count = report->panel_count = report->picture_count = 1;
+    report->warning_count = report->exclusion_count = report->input_count = 1;
+    report->parameter_count = report->measure_count = 2;
+    for (int withheld = 0; withheld < 2; withheld++) {
+        gsn_auto_mem(char) page = NULL;
+
+        if (withheld) {
+            report->loss_percent = (double)NAN;
+            report->loss_reason = hostile;
+        }
+        page = page_of(report);
+        check_well_formed(page);
+        assert_null(strstr(page, "<script"));
+        assert_null(strchr(page, '\x01'));
+        assert_null(strstr(page, "\xE2\x80\xAE"));
+        assert_non_null(strstr(page, "&quot;&gt;&lt;script&gt;alert(&#39;1&#39;)&lt;/script&gt;"
+                                     "&amp;\xEF\xBF\xBD\xEF\xBF\xBD\xEF\xBF\xBD\xC3\xA9"));
+    }
+    sample_free(sample);
+}
+
+TEST(a_very_long_name_and_an_empty_report_are_fine)
+{
+    const struct gsn_report empty = { .loss_percent = (double)NAN };
+    struct gsn_report large = empty;
+    gsn_auto_mem(char) name = gsn_alloc_array(100001, 1);
+    gsn_auto_mem(char) page = page_of(&empty);
+    gsn_auto_mem(char) long_page = NULL;
+
+    check_well_formed(page);
+    memset(name, 'M', 100000);
+    large.specimen = name;
+    long_page = page_of(&large);
+    check_well_formed(long_page);
+    CHECK(strlen(long_page) < strlen(page) + 100200);
+}
+
+TEST(the_tile_page_compares_the_map_with_the_mask)
+{
+    struct sample *sample = sample_new(GSN_REPORT_TILE, 24);
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+
+    assert_non_null(strstr(page, "Agreement with psr_left_mask.jpg"));
+    assert_non_null(strstr(page, "<p class=\"big\">0.875</p>"));
+    assert_non_null(strstr(page, "<p class=\"big\">31.1<small>%</small></p>"));
+    assert_null(strstr(page, "Contact sheet"));
+    sample_free(sample);
+}
+
+TEST(the_same_record_gives_the_same_bytes)
+{
+    struct sample *one = sample_new(GSN_REPORT_SPECIMEN, 24);
+    struct sample *two = sample_new(GSN_REPORT_SPECIMEN, 24);
+    gsn_auto_mem(char) first = page_of(sample_report(one));
+    gsn_auto_mem(char) second = page_of(sample_report(two));
+
+    assert_string_equal(first, second);
+    sample_free(one);
+    sample_free(two);
+}
+
+static int html_once(const struct gsn_report *report, struct gsn_error *err)
+{
+    gsn_auto_mem(char) page = NULL;
+    size_t size = 0;
+
+    return gsn_report_html(report, &page, &size, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(html_once(sample_report(sample), &err), err);
+    sample_free(sample);
+}

@@ -1,0 +1,219 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "tests/check.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "pipeline/core/file.h"
+#include "pipeline/stain/segment.h"
+#include "tests/stain/paint.h"
+
+static double degrees(const double a[3], const double b[3])
+{
+    return acos(fmin(a[0] * b[0] + a[1] * b[1] + a[2] * b[2], 1)) * 180 / M_PI;
+}
+
+static void unit(double v[3])
+{
+    const double length = hypot(hypot(v[0], v[1]), v[2]);
+
+    for (int c = 0; c < 3; c++)
+        v[c] /= length;
+}
+
+/* Patches of pure red, pure yellow and mixtures, with nuclei on one pixel in ten. */
+static struct gsn_image *paint_slide(const struct scan *scan, const struct gsn_dyes *dyes)
+{
+    struct gsn_image *image = NULL;
+    struct dice dice = { 21 };
+
+    if (gsn_image_new(200, 200, 3, 8, &image, NULL) < 0)
+        return NULL;
+    for (uint32_t y = 0; y < 200; y++) {
+        for (uint32_t x = 0; x < 200; x++) {
+            const double share = fmin(fmax(1.3 * dice_even(&dice) - 0.15, 0), 1);
+            const double all = 0.3 + 0.5 * dice_even(&dice);
+            const double dark = dice_even(&dice) < 0.1 ? 0.5 : 0;
+
+            paint(image, x, y, scan, dyes,
+                  (const double[3]){ all * share, all * (1 - share), dark }, &dice);
+        }
+    }
+    return image;
+}
+
+static int densities(const struct gsn_image *image, const struct scan *scan,
+                     struct gsn_plane *ret_od[3], struct gsn_error *err)
+{
+    struct gsn_glass glass;
+    int r = gsn_glass_given(image->width, image->height, scan->light, scan->white, &glass, err);
+
+    if (r >= 0)
+        r = gsn_optical_density(image, &glass, 2, ret_od, NULL, err);
+    return r;
+}
+
+static void planes_free(struct gsn_plane *od[3])
+{
+    for (int c = 0; c < 3; c++)
+        gsn_plane_free(od[c]);
+}
+
+TEST(the_slides_own_vectors_are_found_within_two_degrees)
+{
+    const struct scan scan = { GSN_LIGHT_SRGB, { 248, 244, 238 }, 0, 1 };
+    struct gsn_dyes truth = gsn_dyes_builtin(), found;
+    struct gsn_plane *od[3] = { NULL, NULL, NULL };
+    const struct gsn_dyes start = gsn_dyes_builtin();
+    struct gsn_error err = { 0 };
+    double deviation[2];
+
+    truth.red[0] += 0.09; /* turned by about 5 and 4 degrees */
+    unit(truth.red);
+    truth.yellow[1] -= 0.07;
+    unit(truth.yellow);
+    CHECK(degrees(truth.red, start.red) > 4 && degrees(truth.yellow, start.yellow) > 3);
+
+    gsn_auto(gsn_image) image = paint_slide(&scan, &truth);
+
+    CHECK_OK(densities(image, &scan, od, &err), err);
+    CHECK_OK(gsn_dyes_estimate(od, NULL, &start, &found, deviation, &err), err);
+    CHECK(degrees(found.red, truth.red) < 2);
+    CHECK(degrees(found.yellow, truth.yellow) < 2);
+    CHECK(deviation[0] > 0 && deviation[0] < 1);
+    CHECK(deviation[1] > 0 && deviation[1] < 1);
+    assert_memory_equal(found.dark, start.dark, sizeof found.dark);
+    CHECK_NEAR(found.full_red_od, start.full_red_od, 0);
+    planes_free(od);
+}
+
+TEST(the_mask_decides_which_pixels_speak)
+{
+    const struct scan scan = { GSN_LIGHT_CODES_LINEAR, { 248, 244, 238 }, 0, 1 };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct gsn_plane *od[3] = { NULL, NULL, NULL };
+    gsn_auto(gsn_image) image = paint_slide(&scan, &dyes);
+    gsn_auto(gsn_image) mask = NULL;
+    struct gsn_error err = { 0 };
+    struct gsn_dyes found = { .full_red_od = -7 };
+    double deviation[2];
+
+    /* The lower half becomes pen ink, which the mask leaves out. */
+    for (uint32_t i = 100 * 200 * 3; i < 200 * 200 * 3; i++)
+        ((uint8_t *)image->samples)[i] = (uint8_t[3]){ 40, 60, 190 }[i % 3];
+    CHECK_OK(densities(image, &scan, od, &err), err);
+    CHECK_OK(gsn_image_new(200, 200, 1, 8, &mask, &err), err);
+    CHECK(gsn_dyes_estimate(od, mask, &dyes, &found, deviation, &err) == GSN_E_STAIN);
+    assert_non_null(strstr(err.text, "only 0 pixels are stained"));
+    CHECK_NEAR(found.full_red_od, -7, 0);
+    memset(mask->samples, 255, 100 * 200);
+    CHECK_OK(gsn_dyes_estimate(od, mask, &dyes, &found, deviation, &err), err);
+    CHECK(degrees(found.red, dyes.red) < 2);
+    CHECK(degrees(found.yellow, dyes.yellow) < 2);
+    planes_free(od);
+}
+
+/* A picture as PPM or PGM (one byte per sample). */
+static struct gsn_image *read_pnm(const char *path)
+{
+    struct gsn_error err = { 0 };
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct gsn_image *image = NULL;
+    unsigned width = 0, height = 0, top = 0;
+    size_t size = 0;
+    char kind = 0;
+    int start = 0;
+
+    CHECK_OK(gsn_file_read(path, 400000, &bytes, &size, &err), err);
+    CHECK(sscanf((const char *)bytes, "P%c %u %u %u%n", &kind, &width, &height, &top, &start) == 4);
+    CHECK_OK(gsn_image_new(width, height, kind == '6' ? 3 : 1, 8, &image, &err), err);
+    CHECK((size_t)start + 1 + gsn_image_bytes(image) == size);
+    memcpy(image->samples, bytes + start + 1, gsn_image_bytes(image));
+    return image;
+}
+
+TEST(real_picrosirius_is_segmented_like_its_authors_did)
+{
+    const struct scan scan = { GSN_LIGHT_SRGB, { 255, 245, 234 }, 0, 0 };
+    gsn_auto(gsn_image) image = read_pnm(GSN_FIXTURES "/stain/picrosirius.ppm");
+    gsn_auto(gsn_image) mask = read_pnm(GSN_FIXTURES "/stain/picrosirius_mask.pgm");
+    gsn_auto(gsn_plane) red = NULL;
+    gsn_auto(gsn_plane) yellow = NULL;
+    gsn_auto(gsn_plane) dark = NULL;
+    gsn_auto(gsn_plane) share = NULL;
+    gsn_auto(gsn_image) map = NULL;
+    struct gsn_plane *od[3] = { NULL, NULL, NULL };
+    const struct gsn_dyes start = gsn_dyes_builtin();
+    struct gsn_error err = { 0 };
+    struct gsn_collagen figures;
+    struct gsn_overlap overlap;
+    struct gsn_dyes dyes;
+    double deviation[2];
+
+    CHECK_OK(densities(image, &scan, od, &err), err);
+    CHECK_OK(gsn_dyes_estimate(od, NULL, &start, &dyes, deviation, &err), err);
+    CHECK(degrees(dyes.red, start.red) < 6); /* another red acid dye, the same picric acid */
+    CHECK(degrees(dyes.yellow, start.yellow) < 10);
+    CHECK_OK(gsn_unmix(od, &dyes, 2, &red, &yellow, &dark, &err), err);
+    CHECK_OK(gsn_red_share(red, yellow, dark, &dyes, &share, &err), err);
+    CHECK_OK(gsn_collagen_map(share, red, NULL, NAN, &map, &figures, &err), err);
+    CHECK_OK(gsn_mask_compare(map, mask, &overlap, &err), err);
+    print_message("picrosirius: Dice %.3f, area %.3f against %.3f\n", overlap.dice,
+                  (double)overlap.map_px / (double)overlap.pixels,
+                  (double)overlap.reference_px / (double)overlap.pixels);
+    CHECK(overlap.dice > 0.85);
+    planes_free(od);
+}
+
+TEST(real_haematoxylin_and_eosin_is_refused)
+{
+    const struct scan scan = { GSN_LIGHT_SRGB, { 245, 240, 245 }, 0, 0 };
+    gsn_auto(gsn_image) image = read_pnm(GSN_FIXTURES "/stain/he.ppm");
+    struct gsn_plane *od[3] = { NULL, NULL, NULL };
+    const struct gsn_dyes start = gsn_dyes_builtin();
+    struct gsn_dyes dyes = { .full_red_od = -7 };
+    struct gsn_error err = { 0 };
+    double deviation[2] = { -7, -7 };
+
+    CHECK_OK(densities(image, &scan, od, &err), err);
+    CHECK(gsn_dyes_estimate(od, NULL, &start, &dyes, deviation, &err) == GSN_E_STAIN);
+    assert_non_null(strstr(err.text, "does not look like Van Gieson"));
+    CHECK_NEAR(dyes.full_red_od, -7, 0);
+    CHECK_NEAR(deviation[0], -7, 0);
+    planes_free(od);
+}
+
+TEST(planes_and_masks_of_other_sizes_are_refused)
+{
+    struct gsn_plane *od[3] = { NULL, NULL, NULL };
+    const struct gsn_dyes start = gsn_dyes_builtin();
+    gsn_auto(gsn_image) mask = NULL;
+    struct gsn_error err = { 0 };
+    struct gsn_dyes dyes;
+    double deviation[2];
+
+    for (uint32_t c = 0; c < 3; c++)
+        CHECK_OK(gsn_plane_new(10, 10 + c / 2, &od[c], &err), err);
+    CHECK_OK(gsn_image_new(10, 9, 1, 8, &mask, &err), err);
+    CHECK(gsn_dyes_estimate(od, NULL, &start, &dyes, deviation, &err) == GSN_E_INPUT);
+    gsn_plane_free(od[2]);
+    od[2] = NULL;
+    CHECK_OK(gsn_plane_new(10, 10, &od[2], &err), err);
+    CHECK(gsn_dyes_estimate(od, mask, &start, &dyes, deviation, &err) == GSN_E_INPUT);
+    planes_free(od);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    const struct scan scan = { GSN_LIGHT_SRGB, { 248, 244, 238 }, 0, 1 };
+    const struct gsn_dyes start = gsn_dyes_builtin();
+    gsn_auto(gsn_image) image = paint_slide(&scan, &start);
+    struct gsn_plane *od[3] = { NULL, NULL, NULL };
+    struct gsn_error err = { 0 };
+    struct gsn_dyes dyes;
+    double deviation[2];
+
+    CHECK_OK(densities(image, &scan, od, &err), err);
+    CHECK_EVERY_OOM(gsn_dyes_estimate(od, NULL, &start, &dyes, deviation, &err), err);
+    planes_free(od);
+}

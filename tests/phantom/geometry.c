@@ -161,19 +161,19 @@ static double bone_width(struct gsn_vec3 at)
 /* How far the point is in the nearest marrow space, 0..1. */
 static double marrow(struct gsn_vec3 at)
 {
+    /* No space is thinner than 4 delta: its soft edge ends within 1 + 1/4 radii. */
+    const double far = 1.25;
     double most = 0;
 
     for (int i = 0; i < GSN_PHANTOM_MARROWS; i++) {
-        const struct gsn_vec3 r = GVP_D.marrow[i].radius;
-        const struct gsn_vec3 d = gsn_vec3_sub(at, GVP_D.marrow[i].centre);
-        const double edge = GVP_D.delta / fmin(r.x, fmin(r.y, r.z));
-        const double far = 1 + edge;
+        const struct gsn_vec3 c = GVP_D.marrow[i].centre, r = GVP_D.marrow[i].radius;
+        const double x = at.x - c.x, y = at.y - c.y, z = at.z - c.z;
         double q;
 
-        if (fabs(d.x) >= far * r.x || fabs(d.y) >= far * r.y || fabs(d.z) >= far * r.z)
+        if (fabs(x) > far * r.x || fabs(y) > far * r.y || fabs(z) > far * r.z)
             continue;
-        q = sqrt(d.x * d.x / (r.x * r.x) + d.y * d.y / (r.y * r.y) + d.z * d.z / (r.z * r.z));
-        most = fmax(most, gsn_phantom_step((1 - q) / edge));
+        q = sqrt(x * x / (r.x * r.x) + y * y / (r.y * r.y) + z * z / (r.z * r.z));
+        most = fmax(most, gsn_phantom_step((1 - q) * fmin(r.x, fmin(r.y, r.z)) / GVP_D.delta));
     }
     return most;
 }

@@ -123,8 +123,7 @@ static double spread(struct gsn_phantom_random *random, double most)
     return most * (2 * gsn_phantom_uniform(random) - 1);
 }
 
-/* p = c + R(theta) diag(sx, sy) Flip X / px_um, the inverse of X(p). */
-static struct gsn_affine map_of(const struct gsn_phantom_section *s, double px_um)
+struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *s, double px_um)
 {
     const double c = cos(s->theta) / px_um, n = sin(s->theta) / px_um;
     const double mirror = s->flip ? -1 : 1;
@@ -151,7 +150,7 @@ static void lay(struct gsn_phantom_plan *plan, int k)
     s->theta = RAD_PER_DEG * spread(&random, plan->level->turn_within_deg);
     s->centre_px.x = (centre.x + spread(&random, plan->level->jitter_um)) / plan->px_um;
     s->centre_px.y = (centre.y + spread(&random, plan->level->jitter_um)) / plan->px_um;
-    s->to_panel = map_of(s, plan->px_um);
+    s->to_panel = gsn_phantom_panel_map(s, plan->px_um);
 }
 
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,

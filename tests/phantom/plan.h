@@ -81,6 +81,9 @@ struct gsn_phantom_random gsn_phantom_plan_random(const struct gsn_phantom_plan 
 struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section, double px_um,
                                       struct gsn_point p);
 
+/* Its inverse, m: p = c + R(theta) diag(sx, sy) Flip X / px_um. */
+struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *section, double px_um);
+
 /* Where slot 0..11 lies on a panel, in um from its upper left corner. */
 struct gsn_point gsn_phantom_slot_centre_um(int slot);
 

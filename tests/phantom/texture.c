@@ -19,84 +19,87 @@ static const struct tile TILE[GSN_PHANTOM_TILES] = {
 
 _Static_assert(GSN_PHANTOM_TILES_SIZE == 180 * 170 + 300 * 430, "tiles.bin has another size");
 
-static double hann(uint32_t i)
+/* Hann weights, divided so that the squares of the two that meet at a texel sum to 1: that is
+ * sum(w t) / sqrt(sum w^2), one axis at a time. */
+static void make_weights(float weight[PATCH])
 {
-    return 0.5 - 0.5 * cos(2 * M_PI * (i + 0.5) / PATCH);
+    double hann[PATCH];
+
+    for (uint32_t i = 0; i < PATCH; i++)
+        hann[i] = 0.5 - 0.5 * cos(2 * M_PI * (i + 0.5) / PATCH);
+    for (uint32_t i = 0; i < PATCH; i++)
+        weight[i] = (float)(hann[i] / hypot(hann[i], hann[(i + PITCH) % PATCH]));
 }
 
 /* Adds one patch, mirrored at random, with its upper left texel at (left, top), which may lie
  * outside the quilt. */
-static void sew(const struct tile *tile, struct gsn_phantom_random *random, int64_t left,
-                int64_t top, struct gsn_plane *quilt)
+static void sew(const struct tile *tile, const float weight[PATCH],
+                struct gsn_phantom_random *random, int64_t left, int64_t top,
+                struct gsn_plane *quilt)
 {
     const uint32_t x0 = gsn_phantom_below(random, tile->width - PATCH + 1);
     const uint32_t y0 = gsn_phantom_below(random, tile->height - PATCH + 1);
     const uint32_t mirror = gsn_phantom_below(random, 4);
-    double weight[PATCH];
+    const int64_t first = left < 0 ? -left : 0;
+    const int64_t last = left + PATCH > quilt->width ? quilt->width - left : PATCH;
 
-    for (uint32_t i = 0; i < PATCH; i++)
-        weight[i] = hann(i);
     for (uint32_t j = 0; j < PATCH; j++) {
         const int64_t y = top + j;
         const uint32_t v = y0 + (mirror & 2 ? PATCH - 1 - j : j);
+        const int8_t *texel = gsn_phantom_tiles + tile->offset + (size_t)v * tile->width + x0;
+        const float scale = weight[j] / STEPS_PER_DEVIATION;
 
         if (y < 0 || y >= quilt->height)
             continue;
-        for (uint32_t i = 0; i < PATCH; i++) {
-            const int64_t x = left + i;
-            const uint32_t u = x0 + (mirror & 1 ? PATCH - 1 - i : i);
-            const int8_t texel = gsn_phantom_tiles[tile->offset + (size_t)v * tile->width + u];
-
-            if (x >= 0 && x < quilt->width)
-                quilt->value[y * quilt->width + x] +=
-                    (float)(weight[i] * weight[j] * texel / STEPS_PER_DEVIATION);
-        }
+        for (int64_t i = first; i < last; i++)
+            quilt->value[y * quilt->width + left + i] +=
+                scale * weight[i] * texel[mirror & 1 ? PATCH - 1 - i : i];
     }
 }
 
-/* Divides by sqrt(sum w^2); the sum is a product of one over x and one over y. */
-static void even_out(struct gsn_plane *quilt)
-{
-    double sum[PITCH];
-
-    for (uint32_t i = 0; i < PITCH; i++)
-        sum[i] = hann(i) * hann(i) + hann(i + PITCH) * hann(i + PITCH);
-    for (uint32_t y = 0; y < quilt->height; y++)
-        for (uint32_t x = 0; x < quilt->width; x++)
-            quilt->value[(size_t)y * quilt->width + x] /=
-                (float)sqrt(sum[x % PITCH] * sum[y % PITCH]);
-}
-
-/* Running mean over BOX items that lie stride apart; at the ends over those there are. */
-static void mean_line(const float *line, size_t count, size_t stride, float *ret_mean)
+/* Running mean over BOX neighbours in a row; at the ends over those there are. */
+static void mean_row(const float *row, size_t count, float *ret_mean)
 {
     double sum = 0;
     size_t first = 0, last = 0;
 
     for (size_t i = 0; i < count; i++) {
         for (; last < count && last <= i + BOX / 2; last++)
-            sum += (double)line[last * stride];
+            sum += (double)row[last];
         for (; first + BOX / 2 < i; first++)
-            sum -= (double)line[first * stride];
-        ret_mean[i * stride] = (float)(sum / (double)(last - first));
+            sum -= (double)row[first];
+        ret_mean[i] = (float)(sum / (double)(last - first));
     }
 }
 
+static void add_row(double *sum, const float *row, size_t count, double sign)
+{
+    for (size_t x = 0; x < count; x++)
+        sum[x] += sign * (double)row[x];
+}
+
+/* Subtracts the mean over BOX x BOX texels: along the rows first, then down the columns, which
+ * keep a running sum each. */
 static int subtract_mean(struct gsn_plane *quilt, struct gsn_error *err)
 {
-    const size_t width = quilt->width, height = quilt->height, count = width * height;
-    gsn_auto_mem(float) rows = gsn_alloc_array(count, sizeof *rows);
-    gsn_auto_mem(float) both = gsn_alloc_array(count, sizeof *both);
+    const size_t width = quilt->width, height = quilt->height;
+    gsn_auto_mem(float) mean = gsn_alloc_array(width * height, sizeof *mean);
+    gsn_auto_mem(double) sum = gsn_alloc_array(width, sizeof *sum);
+    size_t first = 0, last = 0;
 
-    if (!rows || !both)
+    if (!mean || !sum)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a texture of %zu x %zu", width,
                         height);
     for (size_t y = 0; y < height; y++)
-        mean_line(quilt->value + y * width, width, 1, rows + y * width);
-    for (size_t x = 0; x < width; x++)
-        mean_line(rows + x, height, width, both + x);
-    for (size_t i = 0; i < count; i++)
-        quilt->value[i] -= both[i];
+        mean_row(quilt->value + y * width, width, mean + y * width);
+    for (size_t y = 0; y < height; y++) {
+        for (; last < height && last <= y + BOX / 2; last++)
+            add_row(sum, mean + last * width, width, 1);
+        for (; first + BOX / 2 < y; first++)
+            add_row(sum, mean + first * width, width, -1);
+        for (size_t x = 0; x < width; x++)
+            quilt->value[y * width + x] -= (float)(sum[x] / (double)(last - first));
+    }
     return GSN_OK;
 }
 
@@ -105,15 +108,16 @@ int gsn_phantom_quilt(enum gsn_phantom_tile tile, uint32_t width, uint32_t heigh
                       struct gsn_error *err)
 {
     gsn_auto(gsn_plane) quilt = NULL;
+    float weight[PATCH];
     int r;
 
+    make_weights(weight);
     r = gsn_plane_new(width, height, &quilt, err);
     if (r < 0)
         return r;
     for (int64_t top = -PITCH; top < height; top += PITCH)
         for (int64_t left = -PITCH; left < width; left += PITCH)
-            sew(&TILE[tile], random, left, top, quilt);
-    even_out(quilt);
+            sew(&TILE[tile], weight, random, left, top, quilt);
     r = subtract_mean(quilt, err);
     if (r < 0)
         return r;

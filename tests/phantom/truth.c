@@ -460,10 +460,10 @@ int gsn_phantom_write_truth(const struct gsn_phantom_plan *plan,
     if (r >= 0)
         r = write_defects(folder, err);
     if (r >= 0)
-        r = write_loss(plan->specimen->depth, threads, folder, err);
-    if (r >= 0)
         r = write_region(&whole, folder, "roi", err);
     if (r >= 0 && with_density)
         r = write_density(plan->specimen->depth, threads, folder, err);
+    if (r >= 0)
+        r = write_loss(plan->specimen->depth, threads, folder, err);
     return r;
 }

@@ -188,8 +188,15 @@ static int tiff_encode(TIFF *tiff, const struct gsn_image *image, double px_um)
                TIFFSetField(tiff, TIFFTAG_XRESOLUTION, per_cm) &&
                TIFFSetField(tiff, TIFFTAG_YRESOLUTION, per_cm);
 
-    for (uint32_t y = 0; good && y < image->height; y++)
-        good = TIFFWriteScanline(tiff, (void *)(uintptr_t)row_of(image, y), y, 0) == 1;
+    /* By strips: scanline by scanline the predictor would work in the image itself. */
+    for (uint32_t y = 0; good && y < image->height; y += ROWS_PER_STRIP) {
+        const uint32_t left = image->height - y,
+                       rows = left < ROWS_PER_STRIP ? left : ROWS_PER_STRIP;
+        const tmsize_t size = (tmsize_t)rows * image->width * 3;
+
+        good = TIFFWriteEncodedStrip(tiff, y / ROWS_PER_STRIP, (void *)(uintptr_t)row_of(image, y),
+                                     size) == size;
+    }
     return good && TIFFFlush(tiff) == 1 ? 0 : -1;
 }
 

@@ -72,7 +72,7 @@ static int to_whole(const char *text, uint64_t most, uint64_t *ret_value)
 static error_t take_option(int key, char *value, struct argp_state *state)
 {
     struct request *request = state->input;
-    uint64_t threads;
+    uint64_t threads = 0;
 
     switch (key) {
     case KEY_CHECK:

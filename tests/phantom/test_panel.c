@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "tests/phantom/panel.h"
-#include "tests/phantom/stain.h"
 
 /* One panel and the plan it was drawn from. */
 struct drawn {
@@ -217,19 +216,6 @@ TEST(a_stronger_stain_darkens_tissue_and_leaves_glass_alone)
         darker += gsn_image_at(strong.image, x, y, 2) < gsn_image_at(plain.image, x, y, 2);
     }
     CHECK(darker > e->width * 9 / 10);
-}
-
-TEST(a_mark_is_a_dark_disc_in_a_bleached_ring)
-{
-    double inside[3] = { .3, .4, .5 }, ring[3] = { .3, .4, .5 }, beyond[3] = { .3, .4, .5 };
-    const double length = sqrt(.50 * .50 + .60 * .60 + .63 * .63);
-
-    gsn_phantom_burn(0, inside);
-    gsn_phantom_burn(95, ring);
-    gsn_phantom_burn(130, beyond);
-    CHECK_NEAR(inside[0], 1.15 * .50 / length, 1e-12);
-    CHECK_NEAR(ring[1], .35 * .4, 1e-12);
-    CHECK(beyond[2] == .5);
 }
 
 static int draw_once(const struct gsn_phantom_plan *plan, struct gsn_error *err)

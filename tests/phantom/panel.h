@@ -1,0 +1,30 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A panel as the scanner delivers it: twelve stained sections on glass, and a label. */
+#ifndef GSN_PHANTOM_PANEL_H
+#define GSN_PHANTOM_PANEL_H
+
+#include "pipeline/core/image.h"
+#include "tests/phantom/plan.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The pixels of a section that are at least half tissue. */
+struct gsn_phantom_extent {
+    uint32_t x, y, width, height;
+    size_t area_px;
+};
+
+/* Draws panel 1..5, 8-bit RGB. gives: ret_image; ret_extent is by slot. The pixels do not depend
+ * on the number of threads. Fails with GSN_E_NOMEM. borrows: plan. */
+int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, int panel, unsigned threads,
+                           struct gsn_image **ret_image,
+                           struct gsn_phantom_extent ret_extent[GSN_PHANTOM_SLOTS],
+                           struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,192 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "tests/phantom/plan.h"
+
+#include <math.h>
+#include <string.h>
+
+#define RAD_PER_DEG (M_PI / 180)
+
+const double gsn_phantom_slot_half_um = 4000;
+
+static const struct gsn_point FIRST_SLOT_UM = { 8200, 4300 };
+static const double PITCH_UM = 8000;
+static const double PANEL_WIDTH_UM = 36800, PANEL_HEIGHT_UM = 24960;
+static const double LEAST_PX_UM = 8, MOST_PX_UM = 48;
+
+static const struct gsn_phantom_level LEVEL[] = {
+    { .name = "L0", .generated = 1, .extension = "png" },
+    { .name = "L1",
+      .generated = 1,
+      .turn_within_deg = 10,
+      .jitter_um = 300,
+      .illumination = .02,
+      .noise_sd = 1.2,
+      .texture = 1,
+      .extension = "tif" },
+    { .name = "L2",
+      .turn_sd_deg = 12,
+      .half_turn_share = .05,
+      .flip_share = .03,
+      .jitter_um = 600,
+      .size_sd = .008,
+      .axis_sd = .004,
+      .warp_rms_um = 10,
+      .mark_missing_share = .03,
+      .mark_wander_um = 2,
+      .decoys_most = 2,
+      .ln_red_sd = .10,
+      .ln_yellow_sd = .15,
+      .dye_turn_deg = 2,
+      .white_sd = .01,
+      .ramp = .05,
+      .illumination = .06,
+      .noise_sd = 1.5,
+      .texture = 1,
+      .defects_least = 2,
+      .defects_most = 3,
+      .missing_most = 1,
+      .extension = "jpg" },
+    { .name = "L3",
+      .turn_within_deg = 180,
+      .flip_share = .10,
+      .jitter_um = 1300,
+      .size_sd = .02,
+      .axis_sd = .01,
+      .warp_rms_um = 30,
+      .mark_missing_share = .08,
+      .mark_wander_um = 6,
+      .decoys_most = 6,
+      .ln_red_sd = .20,
+      .ln_yellow_sd = .25,
+      .dye_turn_deg = 5,
+      .white_sd = .03,
+      .ramp = .10,
+      .illumination = .15,
+      .noise_sd = 3,
+      .texture = 1.3,
+      .defects_least = 6,
+      .defects_most = 8,
+      .missing_most = 3,
+      .extension = "jpg" },
+};
+
+/* S03 and S04 are the block, the cuts and the grain of S02 in another stain. */
+static const struct gsn_phantom_specimen SPECIMEN[] = {
+    { "S00", "N", "N1", 8, 0, 1, 1, 0, 1 },
+    { "S01", "S", "S1", 8, .3698, 1, 1, 1, 0 },
+    { "S02", "U", "U1", 8, .8153, 1, 1, 2, 0 },
+    { "S03", "U", "U2", 8, .8153, 1.15, 1.15, 2, 0 },
+    { "S04", "U", "U3", 8, .8153, .85, 1.20, 2, 0 },
+};
+
+static const struct gsn_phantom_specimen *find_specimen(const char *name)
+{
+    static const char prefix[] = GSN_PHANTOM_STUDY "-";
+
+    if (strncmp(name, prefix, sizeof prefix - 1) == 0)
+        name += sizeof prefix - 1;
+    for (size_t i = 0; i < sizeof SPECIMEN / sizeof *SPECIMEN; i++)
+        if (strcmp(SPECIMEN[i].name, name) == 0)
+            return &SPECIMEN[i];
+    return NULL;
+}
+
+static const struct gsn_phantom_level *find_level(const char *name)
+{
+    for (size_t i = 0; i < sizeof LEVEL / sizeof *LEVEL; i++)
+        if (strcmp(LEVEL[i].name, name) == 0)
+            return &LEVEL[i];
+    return NULL;
+}
+
+struct gsn_point gsn_phantom_slot_centre_um(int slot)
+{
+    const struct gsn_point centre = {
+        FIRST_SLOT_UM.x + PITCH_UM * (slot % GSN_PHANTOM_COLUMNS),
+        FIRST_SLOT_UM.y + PITCH_UM * (slot / GSN_PHANTOM_COLUMNS),
+    };
+    return centre;
+}
+
+struct gsn_phantom_random gsn_phantom_plan_random(const struct gsn_phantom_plan *plan,
+                                                  enum gsn_phantom_stream stream, int n,
+                                                  uint32_t minor)
+{
+    const uint64_t major = (uint64_t)plan->specimen->draws_as << 32 | (uint32_t)n;
+
+    return gsn_phantom_random_make(plan->seed, stream, major, minor);
+}
+
+/* Within -most..most. */
+static double spread(struct gsn_phantom_random *random, double most)
+{
+    return most * (2 * gsn_phantom_uniform(random) - 1);
+}
+
+struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *s, double px_um)
+{
+    const double c = cos(s->theta) / px_um, n = sin(s->theta) / px_um;
+    const double mirror = s->flip ? -1 : 1;
+    const struct gsn_affine map = {
+        c * s->sx * mirror, -n * s->sy, s->centre_px.x,
+        n * s->sx * mirror, c * s->sy,  s->centre_px.y,
+    };
+    return map;
+}
+
+static void lay(struct gsn_phantom_plan *plan, int k)
+{
+    struct gsn_phantom_section *s = &plan->section[k];
+    struct gsn_phantom_random random = gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_POSE, k, 0);
+    struct gsn_point centre;
+
+    *s = (struct gsn_phantom_section){ .k = k,
+                                       .panel = k / GSN_PHANTOM_SLOTS + 1,
+                                       .slot = k % GSN_PHANTOM_SLOTS,
+                                       .z_um = gsn_phantom_section_z(k),
+                                       .sx = 1,
+                                       .sy = 1 };
+    centre = gsn_phantom_slot_centre_um(s->slot);
+    s->theta = RAD_PER_DEG * spread(&random, plan->level->turn_within_deg);
+    s->centre_px.x = (centre.x + spread(&random, plan->level->jitter_um)) / plan->px_um;
+    s->centre_px.y = (centre.y + spread(&random, plan->level->jitter_um)) / plan->px_um;
+    s->to_panel = gsn_phantom_panel_map(s, plan->px_um);
+}
+
+int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
+                          struct gsn_phantom_plan *ret_plan, struct gsn_error *err)
+{
+    struct gsn_phantom_plan plan = { .specimen = find_specimen(specimen),
+                                     .level = find_level(level),
+                                     .seed = seed,
+                                     .px_um = px_um };
+
+    if (!plan.specimen)
+        return gsn_fail(err, GSN_E_NOTFOUND, "no specimen %s: there are S00 to S04", specimen);
+    if (!plan.level)
+        return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3", level);
+    if (!plan.level->generated)
+        return gsn_fail(err, GSN_E_UNSUPPORTED,
+                        "level %s is defined but not generated yet: choose L0 or L1", level);
+    if (!(px_um >= LEAST_PX_UM && px_um <= MOST_PX_UM))
+        return gsn_fail(err, GSN_E_LIMIT, "a pixel of %g um: it must be %g to %g um", px_um,
+                        LEAST_PX_UM, MOST_PX_UM);
+    plan.width = (uint32_t)lround(PANEL_WIDTH_UM / px_um);
+    plan.height = (uint32_t)lround(PANEL_HEIGHT_UM / px_um);
+    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++)
+        lay(&plan, k);
+    *ret_plan = plan;
+    return GSN_OK;
+}
+
+struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section, double px_um,
+                                      struct gsn_point p)
+{
+    const double c = cos(section->theta), n = sin(section->theta);
+    const double dx = (p.x - section->centre_px.x) * px_um;
+    const double dy = (p.y - section->centre_px.y) * px_um;
+    const double x = (c * dx + n * dy) / section->sx, y = (c * dy - n * dx) / section->sy;
+    const struct gsn_point at = { section->flip ? -x : x, y };
+
+    return at;
+}

@@ -1,0 +1,96 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Which specimen, at which level of difficulty, and how its sections lie on the panels.
+ *
+ * Panels are numbered from 1, slots 0..11 row by row, sections k from 0. Panel pixels have their
+ * centres at +0.5. A plan is a plain value: everything drawn at random for the poses is in it. */
+#ifndef GSN_PHANTOM_PLAN_H
+#define GSN_PHANTOM_PLAN_H
+
+#include "pipeline/core/error.h"
+#include "tests/phantom/geometry.h"
+#include "tests/phantom/random.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    GSN_PHANTOM_SECTIONS = 60,
+    GSN_PHANTOM_COLUMNS = 4,
+    GSN_PHANTOM_ROWS = 3,
+    GSN_PHANTOM_SLOTS = GSN_PHANTOM_COLUMNS * GSN_PHANTOM_ROWS,
+    GSN_PHANTOM_PANELS = GSN_PHANTOM_SECTIONS / GSN_PHANTOM_SLOTS
+};
+
+#define GSN_PHANTOM_STUDY "GVP-D"
+
+/* One column of the table of levels; angles in degrees, lengths in um, shares 0..1. */
+struct gsn_phantom_level {
+    const char *name;
+    int generated; /* 0: the row is known, its images are not made yet */
+    double turn_within_deg, turn_sd_deg, half_turn_share, flip_share;
+    double jitter_um, size_sd, axis_sd, warp_rms_um;
+    double mark_missing_share, mark_wander_um;
+    int decoys_most;
+    double ln_red_sd, ln_yellow_sd, dye_turn_deg, white_sd;
+    double ramp, illumination, noise_sd, texture;
+    int defects_least, defects_most, missing_most; /* in 12 sections */
+    const char *extension;                         /* of the panel files, without the dot */
+};
+
+struct gsn_phantom_specimen {
+    const char *name, *group, *animal;
+    int week;
+    double depth;                 /* A */
+    double red_gain, yellow_gain; /* of the stain */
+    int draws_as;                 /* whose random numbers it shares */
+    int is_baseline;
+};
+
+struct gsn_phantom_section {
+    int k, panel, slot, flip;
+    double z_um, theta, sx, sy;
+    struct gsn_point centre_px;
+    struct gsn_affine to_panel; /* m: block um -> panel px */
+};
+
+struct gsn_phantom_plan {
+    const struct gsn_phantom_specimen *specimen;
+    const struct gsn_phantom_level *level;
+    uint64_t seed;
+    double px_um;
+    uint32_t width, height; /* of a panel */
+    struct gsn_phantom_section section[GSN_PHANTOM_SECTIONS];
+};
+
+/* Plans specimen "S00".."S04" (with or without "GVP-D-") at level "L0".."L3", 8 to 48 um/px.
+ * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_UNSUPPORTED for a level whose images
+ * are not generated yet, GSN_E_LIMIT for the pixel size. */
+int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
+                          struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
+
+/* A stream of random numbers for the n-th thing of its kind in this specimen. */
+struct gsn_phantom_random gsn_phantom_plan_random(const struct gsn_phantom_plan *plan,
+                                                  enum gsn_phantom_stream stream, int n,
+                                                  uint32_t minor);
+
+/* X(p): the material point (um, in the block's x and y) that a panel pixel shows. */
+struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section, double px_um,
+                                      struct gsn_point p);
+
+/* Its inverse, m: p = c + R(theta) diag(sx, sy) Flip X / px_um. */
+struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *section, double px_um);
+
+/* Where slot 0..11 lies on a panel, in um from its upper left corner. */
+struct gsn_point gsn_phantom_slot_centre_um(int slot);
+
+/* Half the pitch of the slots, 4 mm. */
+extern const double gsn_phantom_slot_half_um;
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,23 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Panels as files: PNG and LZW TIFF with the pixel size in their resolution tags. */
+#ifndef GSN_PHANTOM_WRITER_H
+#define GSN_PHANTOM_WRITER_H
+
+#include "pipeline/core/image.h"
+#include "tests/phantom/buffer.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Encode an 8-bit RGB image into an empty buffer. Fail with GSN_E_NOMEM or GSN_E_UNSUPPORTED. */
+int gsn_phantom_png(const struct gsn_image *image, double px_um,
+                    struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
+int gsn_phantom_tiff(const struct gsn_image *image, double px_um,
+                     struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -4,6 +4,7 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <sysexits.h>
 
 int gsn_fail(struct gsn_error *err, int code, const char *format, ...)
 {
@@ -20,18 +21,22 @@ int gsn_fail(struct gsn_error *err, int code, const char *format, ...)
 
 int gsn_fail_at(struct gsn_error *err, const char *format, ...)
 {
-    char said[sizeof err->text];
+    struct gsn_error said;
     va_list args;
-    int used;
+    size_t used;
 
     if (!err)
         return GSN_E_INPUT;
-    memcpy(said, err->text, sizeof said);
+    said = *err;
     va_start(args, format);
-    used = vsnprintf(err->text, sizeof err->text, format, args);
+    (void)vsnprintf(err->text, sizeof err->text, format, args);
     va_end(args);
-    if (used >= 0 && (size_t)used < sizeof err->text)
-        (void)snprintf(err->text + used, sizeof err->text - (size_t)used, ": %s", said);
+    used = strlen(err->text);
+    for (const char *more = ": "; *more && used + 1 < sizeof err->text; more++)
+        err->text[used++] = *more;
+    for (const char *more = said.text; *more && used + 1 < sizeof err->text; more++)
+        err->text[used++] = *more;
+    err->text[used] = '\0';
     return err->code;
 }
 
@@ -41,7 +46,30 @@ const char *gsn_code_name(int code)
                                          "io",  "notfound", "markers", "stain",       "mesh",
                                          "fit", "store",    "busy",    "process",     "withheld" };
 
-    if (code > 0 || (size_t)-code >= sizeof names / sizeof names[0])
+    if (code > 0 || code <= -(int)(sizeof names / sizeof names[0]))
         return "unknown";
     return names[-code];
+}
+
+int gsn_code_exit(int code)
+{
+    switch (code) {
+    case GSN_OK:
+        return EX_OK;
+    case GSN_E_NOMEM:
+        return EX_OSERR;
+    case GSN_E_IO:
+    case GSN_E_STORE:
+        return EX_IOERR;
+    case GSN_E_NOTFOUND:
+        return EX_NOINPUT;
+    case GSN_E_BUSY:
+        return EX_TEMPFAIL;
+    case GSN_E_PROCESS:
+    case GSN_E_MESH:
+    case GSN_E_FIT:
+        return EX_UNAVAILABLE;
+    default:
+        return code > 0 ? EX_OK : EX_DATAERR;
+    }
 }

@@ -39,12 +39,18 @@ struct gsn_error {
 int gsn_fail(struct gsn_error *err, int code, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 
-/* Puts "<place>: " before the sentence already in err; returns err's code (or code 0 untouched). */
+/* Puts "<place>: " before the sentence already in err; returns err's code. Who may have been given
+ * no err returns the code it has instead: without one this can only say GSN_E_INPUT. */
 int gsn_fail_at(struct gsn_error *err, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 
 /* A code as the word used in rows and JSON: "nomem", "input", ... */
 const char *gsn_code_name(int code);
+
+/* The exit status a program ends with after this code: 0 for GSN_OK, otherwise that of sysexits.h
+ * which says the same (65 bad data, 66 no such input, 69 a helper failed, 71 no memory, 74 input or
+ * output, 75 busy: try again). */
+int gsn_code_exit(int code);
 
 #ifdef __cplusplus
 }

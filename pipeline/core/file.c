@@ -53,7 +53,7 @@ static int read_open(int fd, const char *path, size_t limit, uint8_t **ret_bytes
 int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err)
 {
     /* O_NONBLOCK: a pipe somebody left in a folder must not stop us. */
-    const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* door */
+    const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK | O_NOCTTY); /* door */
 
     if (fd < 0)
         return gsn_fail(err, errno == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", path,
@@ -143,21 +143,34 @@ int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_
     return sync_parent(path, err);
 }
 
+static int make_one(const char *path, struct gsn_error *err)
+{
+    struct stat st;
+
+    if (mkdir(path, 0755) == 0)
+        return GSN_OK;
+    if (errno != EEXIST)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (stat(path, &st) < 0 || !S_ISDIR(st.st_mode))
+        return gsn_fail(err, GSN_E_IO, "%s: not a directory", path);
+    return GSN_OK;
+}
+
 int gsn_file_mkdir(const char *path, struct gsn_error *err)
 {
     gsn_auto_mem(char) part = gsn_strdup(path);
 
     if (!part)
         return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
-    for (char *p = part + 1; *p; p++) {
-        if (*p != '/')
-            continue;
+    for (char *p = strchr(part, '/'); p; p = strchr(p + 1, '/')) {
+        int r = GSN_OK;
+
         *p = '\0';
-        if (mkdir(part, 0755) < 0 && errno != EEXIST)
-            return gsn_fail(err, GSN_E_IO, "%s: %s", part, strerror(errno));
+        if (p > part)
+            r = make_one(part, err);
         *p = '/';
+        if (r < 0)
+            return r;
     }
-    if (mkdir(part, 0755) < 0 && errno != EEXIST)
-        return gsn_fail(err, GSN_E_IO, "%s: %s", part, strerror(errno));
-    return GSN_OK;
+    return make_one(part, err);
 }

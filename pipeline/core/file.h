@@ -15,7 +15,8 @@ extern "C" {
 #endif
 
 /* gives: the content and one zero byte behind it, not counted in size.
- * Fails with GSN_E_NOTFOUND, GSN_E_IO, or GSN_E_LIMIT (checked before anything is allocated). */
+ * Fails with GSN_E_NOTFOUND, GSN_E_IO, GSN_E_INPUT (a directory, a device, a pipe), or GSN_E_LIMIT
+ * (checked before anything is allocated). */
 int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
                   struct gsn_error *err);
 
@@ -29,7 +30,8 @@ int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err);
 /* After this the names in the directory survive a power cut. */
 int gsn_file_sync_dir(const char *dir, struct gsn_error *err);
 
-/* Makes a directory and its parents; one that exists is fine. */
+/* Makes a directory and its parents; one that exists is fine. Fails with GSN_E_IO, also when a file
+ * has that name. */
 int gsn_file_mkdir(const char *path, struct gsn_error *err);
 
 #ifdef __cplusplus

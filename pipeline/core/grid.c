@@ -25,13 +25,23 @@ double gsn_lattice_voxel_um3(const struct gsn_lattice *at)
     return at->step_um.x * at->step_um.y * at->step_um.z;
 }
 
+/* Zeroed room for one item a voxel, or NULL, also when there are more than can be counted. */
+static void *voxels(const struct gsn_lattice *at, size_t size)
+{
+    size_t count;
+
+    if (__builtin_mul_overflow(at->nx, at->ny, &count) ||
+        __builtin_mul_overflow(count, at->nz, &count))
+        return NULL;
+    return gsn_alloc_array(count, size);
+}
+
 int gsn_grid_new(const struct gsn_lattice *at, struct gsn_grid **ret_grid, struct gsn_error *err)
 {
     gsn_auto(gsn_grid) grid = gsn_alloc_array(1, sizeof *grid);
 
     if (grid)
-        *grid = (struct gsn_grid){ .at = *at,
-                                   .value = gsn_alloc_array(gsn_lattice_count(at), sizeof(float)) };
+        *grid = (struct gsn_grid){ .at = *at, .value = voxels(at, sizeof(float)) };
     if (!grid || !grid->value)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a grid of %zu x %zu x %zu", at->nx,
                         at->ny, at->nz);
@@ -52,7 +62,7 @@ int gsn_mask_new(const struct gsn_lattice *at, struct gsn_mask **ret_mask, struc
     gsn_auto(gsn_mask) mask = gsn_alloc_array(1, sizeof *mask);
 
     if (mask)
-        *mask = (struct gsn_mask){ .at = *at, .inside = gsn_alloc_array(gsn_lattice_count(at), 1) };
+        *mask = (struct gsn_mask){ .at = *at, .inside = voxels(at, 1) };
     if (!mask || !mask->inside)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a mask of %zu x %zu x %zu", at->nx,
                         at->ny, at->nz);

@@ -37,7 +37,7 @@ size_t gsn_lattice_index(const struct gsn_lattice *at, size_t x, size_t y, size_
 struct gsn_vec3 gsn_lattice_centre(const struct gsn_lattice *at, size_t x, size_t y, size_t z);
 double gsn_lattice_voxel_um3(const struct gsn_lattice *at);
 
-/* give: zeroed. Fail with GSN_E_NOMEM. */
+/* give: zeroed. Fail with GSN_E_NOMEM, also when nx * ny * nz overflows. */
 int gsn_grid_new(const struct gsn_lattice *at, struct gsn_grid **ret_grid, struct gsn_error *err);
 void gsn_grid_free(struct gsn_grid *grid);
 GSN_DEFINE_AUTO(gsn_grid);

@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
+#include <spawn.h>
 #include <stdbool.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -24,6 +25,7 @@ struct talk {
     size_t answer_size, answer_room;
     char complaint[COMPLAINT_BYTES];
     size_t complaint_size;
+    double end; /* seconds() at which the child's time is over; 0: never */
 };
 
 static void shut(int *fd)
@@ -45,11 +47,24 @@ static void limit(int what, uint64_t most)
 static void become(const char *const argv[], const struct gsn_process_limits *limits, int in,
                    int out, int complaints)
 {
+    sigset_t none;
+    const char *why;
+
+    /* Where the caller's own streams are closed our pipes took their numbers; lift them first, so
+     * that no dup2() closes the next one's source or leaves close-on-exec as it is. */
+    in = fcntl(in, F_DUPFD_CLOEXEC, 3);
+    out = fcntl(out, F_DUPFD_CLOEXEC, 3);
+    complaints = fcntl(complaints, F_DUPFD_CLOEXEC, 3);
     if (dup2(in, 0) < 0 || dup2(out, 1) < 0 || dup2(complaints, 2) < 0)
         _exit(127);
+    (void)sigemptyset(&none);
+    (void)sigprocmask(SIG_SETMASK, &none, NULL);
     limit(RLIMIT_AS, limits->memory_bytes);
     limit(RLIMIT_CPU, limits->cpu_s);
     (void)execv(argv[0], (char *const *)(uintptr_t)argv);
+    why = strerrordesc_np(errno);
+    if (why)
+        (void)!write(2, why, strlen(why));
     _exit(127);
 }
 
@@ -129,20 +144,23 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
+static int too_late(const struct gsn_process_limits *limits, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_PROCESS, "gave no answer within %u s", limits->wall_s);
+}
+
 /* Moves bytes both ways until the child closes its ends. */
 static int converse(struct talk *talk, const struct gsn_process_limits *limits,
                     struct gsn_error *err)
 {
-    const double end = limits->wall_s ? seconds() + limits->wall_s : 0;
-
     while (talk->out >= 0 || talk->complaints >= 0) {
         struct pollfd ends[3] = { { .fd = talk->in, .events = POLLOUT },
                                   { .fd = talk->out, .events = POLLIN },
                                   { .fd = talk->complaints, .events = POLLIN } };
         int r;
 
-        if (end > 0 && seconds() > end)
-            return gsn_fail(err, GSN_E_PROCESS, "gave no answer within %u s", limits->wall_s);
+        if (talk->end > 0 && seconds() > talk->end)
+            return too_late(limits, err);
         r = poll(ends, 3, 200);
         if (r < 0 && errno != EINTR)
             return gsn_fail(err, GSN_E_PROCESS, "poll: %s", strerror(errno));
@@ -161,16 +179,44 @@ static int converse(struct talk *talk, const struct gsn_process_limits *limits,
     return GSN_OK;
 }
 
-/* Waits for the child's end and turns it into a sentence. */
-static int verdict(struct talk *talk, bool quick, struct gsn_error *err)
+/* Whether the child ends while it has time; one that closed its ends may still go on. */
+static bool ends_in_time(const struct talk *talk)
 {
+    const struct timespec nap = { .tv_nsec = 5000000 };
+
+    while (talk->end > 0) {
+        siginfo_t ended = { 0 };
+
+        if (waitid(P_PID, (id_t)talk->child, &ended, WEXITED | WNOHANG | WNOWAIT) < 0 ||
+            ended.si_pid == talk->child)
+            return true;
+        if (seconds() > talk->end)
+            return false;
+        (void)nanosleep(&nap, NULL);
+    }
+    return true;
+}
+
+/* Waits for the end of the child, with quick not for its own, and turns it into a sentence. */
+static int verdict(struct talk *talk, const struct gsn_process_limits *limits, bool quick,
+                   struct gsn_error *err)
+{
+    const bool late = !quick && !ends_in_time(talk);
+    pid_t ended;
     int status = 0;
 
-    if (quick)
+    if (quick || late)
         (void)kill(talk->child, SIGKILL);
-    while (waitpid(talk->child, &status, 0) < 0 && errno == EINTR)
-        ;
-    if (quick || (WIFEXITED(status) && WEXITSTATUS(status) == 0))
+    do
+        ended = waitpid(talk->child, &status, 0);
+    while (ended < 0 && errno == EINTR);
+    if (late)
+        return too_late(limits, err);
+    if (quick)
+        return GSN_OK;
+    if (ended < 0)
+        return gsn_fail(err, GSN_E_PROCESS, "its end cannot be learnt: %s", strerror(errno));
+    if (WIFEXITED(status) && WEXITSTATUS(status) == 0)
         return GSN_OK;
     talk->complaint[talk->complaint_size] = '\0';
     talk->complaint[strcspn(talk->complaint, "\n")] = '\0';
@@ -182,6 +228,37 @@ static int verdict(struct talk *talk, bool quick, struct gsn_error *err)
                     talk->complaint[0] ? ": " : "", talk->complaint);
 }
 
+/* A child that dies early closes our pipe: that must be an error, not our own death. The signal is
+ * held back in this thread alone, for other threads may be asking too. */
+struct hush {
+    sigset_t before;
+    bool was_pending;
+};
+
+static void hold_sigpipe(struct hush *hush)
+{
+    sigset_t held, pending;
+
+    (void)sigemptyset(&held);
+    (void)sigaddset(&held, SIGPIPE);
+    (void)sigemptyset(&pending);
+    (void)sigpending(&pending);
+    hush->was_pending = sigismember(&pending, SIGPIPE) == 1;
+    (void)pthread_sigmask(SIG_BLOCK, &held, &hush->before);
+}
+
+static void release_sigpipe(const struct hush *hush)
+{
+    const struct timespec at_once = { 0 };
+    sigset_t held;
+
+    (void)sigemptyset(&held);
+    (void)sigaddset(&held, SIGPIPE);
+    while (!hush->was_pending && sigtimedwait(&held, NULL, &at_once) < 0 && errno == EINTR)
+        ;
+    (void)pthread_sigmask(SIG_SETMASK, &hush->before, NULL);
+}
+
 int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *limits,
                     const void *question, size_t question_size, uint8_t **ret_answer,
                     size_t *ret_answer_size, struct gsn_error *err)
@@ -191,33 +268,66 @@ int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *l
                          .out = -1,
                          .complaints = -1,
                          .question = question,
-                         .question_size = question_size };
-    struct sigaction ignore = { .sa_handler = SIG_IGN }, before;
+                         .question_size = question_size,
+                         .end = limits->wall_s ? seconds() + limits->wall_s : 0 };
+    struct hush hush;
     int r;
 
-    /* A child that dies early closes our pipe; that must be an error, not our own death. */
-    (void)sigaction(SIGPIPE, &ignore, &before);
+    hold_sigpipe(&hush);
     r = start(&talk, argv, limits, err);
     if (r >= 0) {
         r = converse(&talk, limits, err);
         shut(&talk.in);
-        const int ended = verdict(&talk, r < 0, err);
+        const int ended = verdict(&talk, limits, r < 0, err);
         r = r < 0 ? r : ended;
     }
     shut(&talk.in);
     shut(&talk.out);
     shut(&talk.complaints);
-    (void)sigaction(SIGPIPE, &before, NULL);
-    if (r >= 0 && !talk.answer)
-        r = gsn_fail(err, GSN_E_PROCESS, "gave no answer");
+    release_sigpipe(&hush);
     if (r < 0) {
         gsn_free(talk.answer);
-        return gsn_fail_at(err, "%s", argv[0]);
+        (void)gsn_fail_at(err, "%s", argv[0]);
+        return r;
     }
     talk.answer[talk.answer_size] = 0;
     *ret_answer = talk.answer;
     *ret_answer_size = talk.answer_size;
     return GSN_OK;
+}
+
+int gsn_process_start(const char *const argv[], pid_t *ret_child, struct gsn_error *err)
+{
+    posix_spawnattr_t how;
+    sigset_t none;
+    int r = posix_spawnattr_init(&how);
+
+    (void)sigemptyset(&none);
+    if (r == 0) {
+        (void)posix_spawnattr_setsigmask(&how, &none);
+        (void)posix_spawnattr_setflags(&how, POSIX_SPAWN_SETSIGMASK);
+        r = posix_spawn(ret_child, argv[0], NULL, &how, (char *const *)(uintptr_t)argv, environ);
+        (void)posix_spawnattr_destroy(&how);
+    }
+    if (r != 0)
+        return gsn_fail(err, GSN_E_PROCESS, "%s could not be started: %s", argv[0], strerror(r));
+    return GSN_OK;
+}
+
+int gsn_process_wait(pid_t child, int block)
+{
+    int status = 0;
+
+    for (;;) {
+        const pid_t ended = waitpid(child, &status, block ? 0 : WNOHANG);
+
+        if (ended == child)
+            return WIFSIGNALED(status) ? 128 + WTERMSIG(status) : WEXITSTATUS(status);
+        if (ended == 0)
+            return -1;
+        if (errno != EINTR)
+            return 127; /* not ours, or already waited for */
+    }
 }
 
 int gsn_process_sibling(const char *name, char **ret_path, struct gsn_error *err)

@@ -11,6 +11,7 @@
 #include "pipeline/core/mem.h"
 
 #include <stdint.h>
+#include <sys/types.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -23,14 +24,22 @@ struct gsn_process_limits {
     size_t answer_bytes;   /* most that is read from the child's stdout */
 };
 
-/* Runs argv[0] with argv (NULL-terminated), feeds question, gives the answer.
+/* Runs argv[0] with argv (NULL-terminated) and no signal blocked, feeds question, gives the answer.
  *
  * Fails with GSN_E_PROCESS when the child cannot be started, dies, exits other than 0 or is killed
- * at a limit; the sentence then ends with the first line it wrote on stderr, if any. The child
- * never outlives the call. gives: ret_answer, with one zero byte behind it, not counted. */
+ * at a limit; the sentence then ends with the first line it wrote on stderr, if any. Fails with
+ * GSN_E_LIMIT when the answer is too long. The child never outlives the call. Several threads may
+ * ask at once. gives: ret_answer, with one zero byte behind it, not counted. */
 int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *limits,
                     const void *question, size_t question_size, uint8_t **ret_answer,
                     size_t *ret_answer_size, struct gsn_error *err);
+
+/* Starts argv[0] with our own stdin, stdout and stderr and with no signal blocked.
+ * Fails with GSN_E_PROCESS. The caller waits for the child. */
+int gsn_process_start(const char *const argv[], pid_t *ret_child, struct gsn_error *err);
+/* Waits for its end: the exit status, or 128 + N when signal N killed it. With block 0 returns -1
+ * at once while it runs. */
+int gsn_process_wait(pid_t child, int block);
 
 /* gives: the path of a program that stands beside the running one ("<dir of this exe>/name") or,
  * when there is none there, in libexec. Fails with GSN_E_NOTFOUND. */

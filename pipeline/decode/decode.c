@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/decode/decode.h"
 
-#include "pipeline/decode/canvas.h"
+#include "pipeline/decode/raster.h"
 
 #include <assert.h>
 #include <stdio.h>

@@ -2,7 +2,7 @@
 
 /* JPEG by libjpeg-turbo. The library repairs what it can and says so in a warning; here every
  * warning is a refusal, and data that end early are never continued with filler. */
-#include "pipeline/decode/canvas.h"
+#include "pipeline/decode/raster.h"
 #include "pipeline/decode/exif.h"
 
 #include <setjmp.h>
@@ -22,7 +22,7 @@ struct reader {
     struct jpeg_progress_mgr progress;
     jmp_buf out;
     struct gsn_bytes file;
-    struct gsn_canvas canvas;
+    struct gsn_raster canvas;
     enum { IN_HEADER, IN_ROWS, IN_SCANS } stage;
     uint8_t *row;
     int code;
@@ -215,7 +215,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
     layout.height = info->image_height;
     layout.channels = (uint32_t)info->num_components;
     layout.orientation = exif.orientation;
-    return gsn_canvas_open(&reader->canvas, &layout, limits, picture, reader->err);
+    return gsn_raster_open(&reader->canvas, &layout, limits, picture, reader->err);
 }
 
 /* An end marker set too early leaves coefficients that no scan has sent; libjpeg smooths over. */
@@ -263,7 +263,7 @@ static int read_rows(struct reader *reader, const struct gsn_decode_limits *limi
         };
 
         (void)jpeg_read_scanlines(info, &row, 1);
-        gsn_canvas_put(&reader->canvas, &run, row);
+        gsn_raster_put(&reader->canvas, &run, row);
     }
     (void)jpeg_finish_decompress(info);
     return GSN_OK;

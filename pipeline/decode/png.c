@@ -2,7 +2,7 @@
 
 /* PNG by libpng. Only the critical chunks are left to the library; of the others the few that
  * matter here are read below, so that a bad colour profile neither costs memory nor a scan. */
-#include "pipeline/decode/canvas.h"
+#include "pipeline/decode/raster.h"
 #include "pipeline/decode/exif.h"
 
 #include <setjmp.h>
@@ -17,7 +17,7 @@ struct reader {
     size_t at;
     uint32_t row; /* 0 until the first row was asked for, then 1-based */
     struct gsn_layout layout;
-    struct gsn_canvas canvas;
+    struct gsn_raster canvas;
     struct gsn_exif exif;
     uint8_t *samples; /* one row */
     int starved;      /* an allocation failed */
@@ -184,7 +184,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
     layout->bits = bits == 16 ? 16 : 8;
     layout->orientation = reader->exif.orientation;
     set_conversions(reader, colour, picture);
-    return gsn_canvas_open(&reader->canvas, layout, limits, picture, reader->err);
+    return gsn_raster_open(&reader->canvas, layout, limits, picture, reader->err);
 }
 
 static void read_row(struct reader *reader, struct gsn_run run)
@@ -192,7 +192,7 @@ static void read_row(struct reader *reader, struct gsn_run run)
     reader->row = run.y + 1;
     run.channels = run.stride = reader->layout.channels;
     png_read_row(reader->png, reader->samples, NULL);
-    gsn_canvas_put(&reader->canvas, &run, reader->samples);
+    gsn_raster_put(&reader->canvas, &run, reader->samples);
 }
 
 /* The seven sub-pictures of Adam7: first column and row, then the steps from one to the next. */

@@ -366,13 +366,13 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
                                        .channels = is_palette ? 3 : colours(t),
                                        .bits = is_palette ? 8 : t->bits,
                                        .orientation = t->orientation };
-    struct gsn_canvas canvas;
+    struct gsn_raster canvas;
     int r;
 
     read_pitch(t, picture);
     picture->transfer = read_transfer(t);
     remark(t, picture);
-    r = gsn_canvas_open(&canvas, &layout, limits, picture, err);
+    r = gsn_raster_open(&canvas, &layout, limits, picture, err);
     if (r < 0)
         return r;
     return gsn_tiff_read_pixels(t, &canvas, err);

@@ -5,7 +5,7 @@
 #ifndef GSN_DECODE_TIFF_H
 #define GSN_DECODE_TIFF_H
 
-#include "pipeline/decode/canvas.h"
+#include "pipeline/decode/raster.h"
 
 #include <tiffio.h>
 
@@ -31,7 +31,7 @@ struct gsn_tiff {
 int gsn_tiff_count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_error *err);
 
 /* Decodes all strips or tiles of the open page onto the canvas. */
-int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_canvas *canvas,
+int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_raster *canvas,
                          struct gsn_error *err);
 
 #endif

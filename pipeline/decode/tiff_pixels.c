@@ -4,7 +4,7 @@
 /* The pixels of one page on their way from libtiff to the canvas. */
 struct pixels {
     struct gsn_tiff *t;
-    const struct gsn_canvas *canvas;
+    const struct gsn_raster *canvas;
     uint8_t *piece;  /* one stored row, or one tile */
     uint8_t *colour; /* one palette row expanded to RGB; NULL without a palette */
     int old_palette; /* the colour map holds 8-bit values in its 16-bit places */
@@ -87,7 +87,7 @@ static void put(const struct pixels *p, uint32_t x, uint32_t y, uint32_t count, 
     if (p->colour) {
         expand(p, row, count);
         run.channels = run.stride = 3;
-        gsn_canvas_put(p->canvas, &run, p->colour);
+        gsn_raster_put(p->canvas, &run, p->colour);
         return;
     }
     run.channel = contiguous ? 0 : plane;
@@ -95,7 +95,7 @@ static void put(const struct pixels *p, uint32_t x, uint32_t y, uint32_t count, 
     run.stride = contiguous ? t->samples : 1;
     if (t->photometric == PHOTOMETRIC_MINISWHITE)
         invert(t, row, (size_t)count * run.stride);
-    gsn_canvas_put(p->canvas, &run, row);
+    gsn_raster_put(p->canvas, &run, row);
 }
 
 /* Row by row, so that a picture in a single strip needs no second copy. */
@@ -161,7 +161,7 @@ static int is_old_palette(const struct gsn_tiff *t)
     return 1;
 }
 
-int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_canvas *canvas, struct gsn_error *err)
+int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_raster *canvas, struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) piece = NULL;
     gsn_auto_mem(uint8_t) colour = NULL;

@@ -41,7 +41,7 @@ struct part {
 
 struct panel {
     struct cells cells;
-    struct gsn_pieces *pieces;
+    struct gsn_components *pieces;
     double section_area; /* cells */
     struct gsn_panel_axis columns, rows;
     size_t places;      /* rows * columns; place = row * columns + column */
@@ -123,7 +123,7 @@ static double threshold_of(const float *value, size_t count, double *ret_apart)
 }
 
 static int find_pieces(const struct gsn_plane *tissue, const struct cells *cells,
-                       struct gsn_pieces **ret_pieces, struct gsn_error *err)
+                       struct gsn_components **ret_pieces, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->width * (size_t)cells->height;
     gsn_auto_mem(float) value = gsn_alloc_array(count, sizeof *value);
@@ -142,14 +142,14 @@ static int find_pieces(const struct gsn_plane *tissue, const struct cells *cells
                             (int)fmax(floor(0.5 * TEAR_UM / cells->um), 1), ret_pieces, err);
 }
 
-static int is_dust(const struct gsn_piece *piece, const struct cells *cells)
+static int is_dust(const struct gsn_component *piece, const struct cells *cells)
 {
     return (double)piece->area * cells->um * cells->um < DUST_UM * DUST_UM;
 }
 
 /* The area that sections share: the size class of pieces that covers most of the panel. A label may
  * be larger than a section, and print is more numerous, but neither covers as much. */
-static double section_area(const struct gsn_pieces *pieces, const struct cells *cells)
+static double section_area(const struct gsn_components *pieces, const struct cells *cells)
 {
     double most = 0, area = 0;
 
@@ -182,7 +182,7 @@ static size_t centres_of(const struct panel *panel, int along_x, double *ret_cen
     size_t count = 0;
 
     for (size_t i = 0; i < panel->pieces->count; i++) {
-        const struct gsn_piece *piece = &panel->pieces->piece[i];
+        const struct gsn_component *piece = &panel->pieces->piece[i];
         const double share = (double)piece->area / panel->section_area;
 
         if (share >= GRID_LEAST && share <= SAME_AREA)
@@ -291,7 +291,7 @@ static int give_section(struct panel *panel, size_t piece)
     return 1;
 }
 
-static int is_near(const struct gsn_piece *piece, const struct part *held, double reach)
+static int is_near(const struct gsn_component *piece, const struct part *held, double reach)
 {
     return held->area > 0 && piece->x < held->x1 + reach &&
            piece->x + piece->width > held->x0 - reach && piece->y < held->y1 + reach &&
@@ -301,7 +301,7 @@ static int is_near(const struct gsn_piece *piece, const struct part *held, doubl
 /* A piece torn off a section goes with it. */
 static int give_fragment(struct panel *panel, size_t piece)
 {
-    const struct gsn_piece *whole = &panel->pieces->piece[piece];
+    const struct gsn_component *whole = &panel->pieces->piece[piece];
     const size_t home = home_of(panel, piece);
     const double reach = NEAR * sqrt(panel->section_area);
 
@@ -391,7 +391,7 @@ static int list_scraps(const struct panel *panel, const char *taken, struct gsn_
     if (!scraps)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
     for (size_t i = 0; i < panel->pieces->count; i++) {
-        const struct gsn_piece *p = &panel->pieces->piece[i];
+        const struct gsn_component *p = &panel->pieces->piece[i];
 
         if (taken[i] || is_dust(p, &panel->cells))
             continue;
@@ -448,7 +448,7 @@ int gsn_panel_split(const struct gsn_plane *tissue, const struct gsn_layout *lay
                     struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
                     size_t *ret_scrap_count, struct gsn_error *err)
 {
-    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto(gsn_components) pieces = NULL;
     struct panel panel = { 0 };
     int r;
 

@@ -6,7 +6,7 @@
 #include <new>
 #include <vector>
 
-void gsn_pieces_free(struct gsn_pieces *pieces)
+void gsn_components_free(struct gsn_components *pieces)
 {
     if (!pieces)
         return;
@@ -27,9 +27,9 @@ static void close_gaps(cv::Mat &mask, int cells)
     framed(cv::Rect(cells, cells, mask.cols, mask.rows)).copyTo(mask);
 }
 
-static gsn_piece piece_of(const cv::Mat &stats, const cv::Mat &centres, int label)
+static gsn_component piece_of(const cv::Mat &stats, const cv::Mat &centres, int label)
 {
-    gsn_piece piece = {};
+    gsn_component piece = {};
 
     piece.x = stats.at<int>(label, cv::CC_STAT_LEFT);
     piece.y = stats.at<int>(label, cv::CC_STAT_TOP);
@@ -42,7 +42,7 @@ static gsn_piece piece_of(const cv::Mat &stats, const cv::Mat &centres, int labe
 }
 
 /* OpenCV's numbers depend on how many threads it used; ours go by the first cell from the top. */
-static void fill(gsn_pieces &pieces, const cv::Mat &labels, const cv::Mat &stats,
+static void fill(gsn_components &pieces, const cv::Mat &labels, const cv::Mat &stats,
                  const cv::Mat &centres)
 {
     std::vector<int32_t> number(pieces.count + 1);
@@ -60,21 +60,22 @@ static void fill(gsn_pieces &pieces, const cv::Mat &labels, const cv::Mat &stats
 }
 
 int gsn_split_pieces(uint8_t *mask, int width, int height, int close_cells,
-                     struct gsn_pieces **ret_pieces, struct gsn_error *err)
+                     struct gsn_components **ret_pieces, struct gsn_error *err)
 try {
     cv::Mat picture(height, width, CV_8U, mask), labels, stats, centres;
-    gsn_auto(gsn_pieces) pieces = nullptr;
+    gsn_auto(gsn_components) pieces = nullptr;
     int count;
 
     if (close_cells > 0)
         close_gaps(picture, close_cells);
     count = cv::connectedComponentsWithStats(picture, labels, stats, centres, 8, CV_32S);
 
-    pieces = static_cast<gsn_pieces *>(gsn_alloc_array(1, sizeof *pieces));
+    pieces = static_cast<gsn_components *>(gsn_alloc_array(1, sizeof *pieces));
     if (!pieces)
         throw std::bad_alloc();
     pieces->count = static_cast<size_t>(count - 1);
-    pieces->piece = static_cast<gsn_piece *>(gsn_alloc_array(pieces->count, sizeof *pieces->piece));
+    pieces->piece =
+        static_cast<gsn_component *>(gsn_alloc_array(pieces->count, sizeof *pieces->piece));
     pieces->label = static_cast<int32_t *>(gsn_alloc_array(labels.total(), sizeof *pieces->label));
     if (!pieces->piece || !pieces->label)
         throw std::bad_alloc();

@@ -10,7 +10,7 @@
 
 enum { BATCH = 64 };
 
-void gsn_surface_free(struct gsn_surface *surface)
+void gsn_trimesh_free(struct gsn_trimesh *surface)
 {
     if (!surface)
         return;
@@ -45,7 +45,7 @@ struct marching {
     size_t edge_room;
     size_t triangle_room;
     struct gsn_slots slots;
-    struct gsn_surface *surface;
+    struct gsn_trimesh *surface;
 };
 
 /* s - level. The half-open rule puts the points of some boundary faces outside; s has a limit there
@@ -118,7 +118,7 @@ static int find_vertex(struct marching *marching, uint32_t inside, uint32_t outs
 static int add_triangle(struct marching *marching, uint32_t a, uint32_t b, uint32_t c,
                         struct gsn_error *err)
 {
-    struct gsn_surface *surface = marching->surface;
+    struct gsn_trimesh *surface = marching->surface;
 
     if (surface->triangle_count == marching->triangle_room) {
         const size_t room = marching->triangle_room ? 2 * marching->triangle_room : 1024;
@@ -258,7 +258,7 @@ static void set_normal(const struct marching *marching, size_t v, const double g
 static int place_batch(size_t batch, void *context, struct gsn_error *err)
 {
     const struct marching *marching = context;
-    struct gsn_surface *surface = marching->surface;
+    struct gsn_trimesh *surface = marching->surface;
 
     (void)err;
     for (size_t v = batch * BATCH; v < surface->vertex_count && v < (batch + 1) * BATCH; v++) {
@@ -276,7 +276,7 @@ static int build(struct marching *marching, unsigned threads, struct gsn_error *
 {
     const size_t points = marching->fine->point_count;
     gsn_auto_mem(double) value = gsn_alloc_array(points, sizeof *value);
-    struct gsn_surface *surface = marching->surface;
+    struct gsn_trimesh *surface = marching->surface;
     int r;
 
     if (!value)
@@ -296,10 +296,10 @@ static int build(struct marching *marching, unsigned threads, struct gsn_error *
 }
 
 int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
-                   unsigned threads, struct gsn_surface **ret_surface, struct gsn_error *err)
+                   unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err)
 {
     gsn_auto(gsn_fine) fine = NULL;
-    gsn_auto(gsn_surface) surface = NULL;
+    gsn_auto(gsn_trimesh) surface = NULL;
     struct marching marching = { .spline = spline, .level = level };
     int r;
 
@@ -326,7 +326,7 @@ int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdi
 }
 
 /* Twice the area vector of a triangle, and its first corner. */
-static const double *area_vector(const struct gsn_surface *surface, size_t triangle, double ret[3])
+static const double *area_vector(const struct gsn_trimesh *surface, size_t triangle, double ret[3])
 {
     const double *a = surface->vertex[surface->triangle[triangle][0]];
     const double *b = surface->vertex[surface->triangle[triangle][1]];
@@ -340,7 +340,7 @@ static const double *area_vector(const struct gsn_surface *surface, size_t trian
     return a;
 }
 
-double gsn_surface_area(const struct gsn_surface *surface)
+double gsn_trimesh_area(const struct gsn_trimesh *surface)
 {
     double area = 0.0;
 
@@ -353,7 +353,7 @@ double gsn_surface_area(const struct gsn_surface *surface)
     return area;
 }
 
-double gsn_surface_volume(const struct gsn_surface *surface)
+double gsn_trimesh_volume(const struct gsn_trimesh *surface)
 {
     const double *origin = surface->vertex_count > 0 ? surface->vertex[0] : NULL;
     double volume = 0.0;

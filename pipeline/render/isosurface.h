@@ -21,15 +21,15 @@ enum { GSN_ISOSURFACE_MOST_SUBDIVISION = 3 };
 
 /* Triangles are wound so that the normal by the right hand, like those of the vertices, points to
  * smaller s: out of the denser side. */
-struct gsn_surface {
+struct gsn_trimesh {
     size_t vertex_count, triangle_count;
     double (*vertex)[3];
     float (*normal)[3]; /* of length 1 */
     uint32_t (*triangle)[3];
 };
 
-void gsn_surface_free(struct gsn_surface *surface);
-GSN_DEFINE_AUTO(gsn_surface);
+void gsn_trimesh_free(struct gsn_trimesh *surface);
+GSN_DEFINE_AUTO(gsn_trimesh);
 
 /* The subdivision, 0..2, at which the edges of an average tetrahedron are at most edge_um long. */
 unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um);
@@ -39,13 +39,13 @@ unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um)
  * GSN_ISOSURFACE_MOST_SUBDIVISION, GSN_E_LIMIT when the finer mesh passes 2^31 tetrahedra,
  * GSN_E_NOMEM. */
 int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
-                   unsigned threads, struct gsn_surface **ret_surface, struct gsn_error *err);
+                   unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err);
 
 /* Area in um^2; enclosed volume in um^3 (meaningful for a closed surface). */
-double gsn_surface_area(const struct gsn_surface *surface);
-double gsn_surface_volume(const struct gsn_surface *surface);
+double gsn_trimesh_area(const struct gsn_trimesh *surface);
+double gsn_trimesh_volume(const struct gsn_trimesh *surface);
 
-struct gsn_surface_style {
+struct gsn_trimesh_style {
     struct gsn_colour colour; /* of the surface; all 0: bone white */
     const char *title;        /* NULL: none */
     int outline;              /* 1: draw the domain's boundary edges faintly behind */
@@ -54,8 +54,8 @@ struct gsn_surface_style {
 /* gives: the picture: z-buffer, two-sided diffuse light with a soft highlight, 2x2 samples a pixel,
  * light grey background, scale bar. mesh frames the view and is outlined. style may be NULL.
  * Fails with GSN_E_INPUT on an unusable view, GSN_E_NOMEM. */
-int gsn_surface_paint(const struct gsn_surface *surface, const struct gsn_tets *mesh,
-                      const struct gsn_view *view, const struct gsn_surface_style *style,
+int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *mesh,
+                      const struct gsn_view *view, const struct gsn_trimesh_style *style,
                       unsigned threads, struct gsn_image **ret_image, struct gsn_error *err);
 
 #ifdef __cplusplus

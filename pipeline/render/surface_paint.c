@@ -32,7 +32,7 @@ struct sample {
 };
 
 struct painting {
-    const struct gsn_surface *surface;
+    const struct gsn_trimesh *surface;
     const struct gsn_camera *camera;
     struct corner *corner;
     struct gsn_colour colour;
@@ -253,11 +253,11 @@ static void draw_outline(const struct painting *painting, const struct gsn_tets 
     }
 }
 
-int gsn_surface_paint(const struct gsn_surface *surface, const struct gsn_tets *mesh,
-                      const struct gsn_view *view, const struct gsn_surface_style *style,
+int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *mesh,
+                      const struct gsn_view *view, const struct gsn_trimesh_style *style,
                       unsigned threads, struct gsn_image **ret_image, struct gsn_error *err)
 {
-    static const struct gsn_surface_style plain = { 0 };
+    static const struct gsn_trimesh_style plain = { 0 };
     gsn_auto_mem(struct corner) corner = NULL;
     gsn_auto(gsn_image) sheet = NULL;
     struct gsn_camera camera;

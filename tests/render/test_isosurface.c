@@ -22,7 +22,7 @@ static int by_edge(const void *a, const void *b)
 }
 
 /* How many directed edges have no partner the other way round; -1 when one comes twice. */
-static long open_edges(const struct gsn_surface *surface)
+static long open_edges(const struct gsn_trimesh *surface)
 {
     const size_t count = 3 * surface->triangle_count;
     uint32_t(*edge)[2] = gsn_alloc_array(count, sizeof *edge);
@@ -53,7 +53,7 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
     for (unsigned level = 0; level <= 2; level++) {
-        gsn_auto(gsn_surface) surface = NULL;
+        gsn_auto(gsn_trimesh) surface = NULL;
         double area, volume;
 
         CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, level, 0, &surface, &err), err);
@@ -69,8 +69,8 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
         CHECK(open_edges(surface) == 0);
         /* Euler: V - E + F = 2 for a sphere, with 2 E = 3 F. */
         CHECK(2 * surface->vertex_count == 4 + surface->triangle_count);
-        area = fabs(gsn_surface_area(surface) - 4.0 * M_PI * radius * radius);
-        volume = fabs(gsn_surface_volume(surface) - 4.0 / 3.0 * M_PI * pow(radius, 3));
+        area = fabs(gsn_trimesh_area(surface) - 4.0 * M_PI * radius * radius);
+        volume = fabs(gsn_trimesh_volume(surface) - 4.0 / 3.0 * M_PI * pow(radius, 3));
         CHECK(area < 0.35 * area_error && volume < 0.35 * volume_error);
         area_error = area;
         volume_error = volume;
@@ -82,7 +82,7 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
 
 TEST(triangles_turn_with_their_normals)
 {
-    gsn_auto(gsn_surface) surface = NULL;
+    gsn_auto(gsn_trimesh) surface = NULL;
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
@@ -103,7 +103,7 @@ TEST(triangles_turn_with_their_normals)
         CHECK(turn > -1e-6);
     }
     /* Outward: the enclosed volume is positive. */
-    CHECK(gsn_surface_volume(surface) > 0.0);
+    CHECK(gsn_trimesh_volume(surface) > 0.0);
     kuhn_done(&kuhn);
 }
 
@@ -111,20 +111,20 @@ TEST(a_plane_through_lattice_points_is_one_sheet_clipped_at_the_domain)
 {
     /* Passes exactly through mesh vertices, edges and faces. */
     const struct quadric plane = { 0.0, { 0.0, 0.0, 1.0 }, { 0.0, 0.0, 0.0 } };
-    gsn_auto(gsn_surface) surface = NULL;
+    gsn_auto(gsn_trimesh) surface = NULL;
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &plane, &kuhn, &err), err);
     CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, 1, 0, &surface, &err), err);
-    CHECK_NEAR(gsn_surface_area(surface), 4e6, 1.0);
+    CHECK_NEAR(gsn_trimesh_area(surface), 4e6, 1.0);
     for (size_t v = 0; v < surface->vertex_count; v++)
         CHECK_NEAR(surface->vertex[v][2], 0.0, 1e-6);
     CHECK(open_edges(surface) > 0);
-    gsn_surface_free(surface);
+    gsn_trimesh_free(surface);
     surface = NULL;
     CHECK_OK(gsn_isosurface(kuhn.spline, 123.4, 1, 0, &surface, &err), err);
-    CHECK_NEAR(gsn_surface_area(surface), 4e6, 1.0);
+    CHECK_NEAR(gsn_trimesh_area(surface), 4e6, 1.0);
     for (size_t v = 0; v < surface->vertex_count; v++) {
         CHECK_NEAR(surface->vertex[v][2], 123.4, 1e-6);
         CHECK_NEAR((double)surface->normal[v][2], -1.0, 1e-5);
@@ -134,21 +134,21 @@ TEST(a_plane_through_lattice_points_is_one_sheet_clipped_at_the_domain)
 
 TEST(a_level_that_is_never_met_gives_no_triangles)
 {
-    gsn_auto(gsn_surface) surface = NULL;
+    gsn_auto(gsn_trimesh) surface = NULL;
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
     CHECK_OK(gsn_isosurface(kuhn.spline, 5.0, 0, 0, &surface, &err), err);
     CHECK(surface->triangle_count == 0 && surface->vertex_count == 0);
-    CHECK_NEAR(gsn_surface_area(surface), 0.0, 0.0);
-    CHECK_NEAR(gsn_surface_volume(surface), 0.0, 0.0);
+    CHECK_NEAR(gsn_trimesh_area(surface), 0.0, 0.0);
+    CHECK_NEAR(gsn_trimesh_volume(surface), 0.0, 0.0);
     kuhn_done(&kuhn);
 }
 
 TEST(a_rough_surface_is_closed_where_it_does_not_meet_the_boundary)
 {
-    gsn_auto(gsn_surface) surface = NULL;
+    gsn_auto(gsn_trimesh) surface = NULL;
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
     uint32_t(*edge)[2];
@@ -209,12 +209,12 @@ static const struct gsn_view view = { .direction = { -0.5, 0.4, 0.77 },
 static int picture(const struct kuhn *kuhn, const struct gsn_view *from, unsigned threads,
                    struct gsn_image **ret_image, struct gsn_error *err)
 {
-    const struct gsn_surface_style style = { .title = "level 0", .outline = 1 };
-    gsn_auto(gsn_surface) surface = NULL;
+    const struct gsn_trimesh_style style = { .title = "level 0", .outline = 1 };
+    gsn_auto(gsn_trimesh) surface = NULL;
     int r = gsn_isosurface(kuhn->spline, 0.0, 1, threads, &surface, err);
 
     if (r == GSN_OK)
-        r = gsn_surface_paint(surface, kuhn->mesh, from, &style, threads, ret_image, err);
+        r = gsn_trimesh_paint(surface, kuhn->mesh, from, &style, threads, ret_image, err);
     return r;
 }
 
@@ -274,7 +274,7 @@ TEST(the_light_comes_from_above_left_and_both_sides_of_a_sheet_are_lit)
 TEST(what_cannot_be_drawn_is_refused)
 {
     struct gsn_view nowhere = view;
-    struct gsn_surface *surface = NULL;
+    struct gsn_trimesh *surface = NULL;
     struct gsn_image *image = NULL;
     struct gsn_error err = { 0 };
     struct kuhn kuhn;

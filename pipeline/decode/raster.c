@@ -1,0 +1,145 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/decode/raster.h"
+
+#include <assert.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Where stored pixel (0, 0) goes and which way its row and column run, EXIF orientations 1..8:
+ * from_right, from_bottom say at which corner the first pixel ends up; turned swaps the axes. */
+static const struct corner {
+    unsigned from_right : 1, from_bottom : 1, turned : 1;
+} corners[9] = {
+    [1] = { 0, 0, 0 }, [2] = { 1, 0, 0 }, [3] = { 1, 1, 0 }, [4] = { 0, 1, 0 },
+    [5] = { 0, 0, 1 }, [6] = { 1, 0, 1 }, [7] = { 1, 1, 1 }, [8] = { 0, 1, 1 },
+};
+
+static int check_limits(const struct gsn_layout *layout, const struct gsn_decode_limits *limits,
+                        struct gsn_error *err)
+{
+    const uint64_t pixels = (uint64_t)layout->width * layout->height;
+    const uint64_t pixel_bytes = (uint64_t)layout->channels * layout->bits / 8;
+
+    if (pixels == 0)
+        return gsn_fail(err, GSN_E_INPUT, "the header states %u x %u pixels: nothing to decode",
+                        layout->width, layout->height);
+    if (pixels > limits->most_pixels)
+        return gsn_fail(err, GSN_E_LIMIT,
+                        "%u x %u pixels are more than the limit of %.0f million: scan at a lower "
+                        "resolution or raise the limit",
+                        layout->width, layout->height, (double)limits->most_pixels / 1e6);
+    if (pixels > limits->most_bytes / pixel_bytes)
+        return gsn_fail(err, GSN_E_LIMIT,
+                        "%u x %u pixels of %u x %u bit need more than the limit of %.0f MiB: scan "
+                        "at a lower resolution or raise the limit",
+                        layout->width, layout->height, layout->channels, layout->bits,
+                        (double)limits->most_bytes / 1048576.0);
+    return GSN_OK;
+}
+
+static void swap_pitch(struct gsn_picture *picture)
+{
+    const double x = picture->px_um_x;
+
+    picture->px_um_x = picture->px_um_y;
+    picture->px_um_y = x;
+}
+
+int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
+                    const struct gsn_decode_limits *limits, struct gsn_picture *picture,
+                    struct gsn_error *err)
+{
+    const struct corner corner = corners[layout->orientation];
+    const uint32_t width = corner.turned ? layout->height : layout->width;
+    const uint32_t height = corner.turned ? layout->width : layout->height;
+    ptrdiff_t right, down;
+    int r;
+
+    assert(layout->orientation >= 1 && layout->orientation <= 8 && !picture->image);
+
+    r = check_limits(layout, limits, err);
+    if (r < 0)
+        return r;
+    r = gsn_image_new(width, height, layout->channels, layout->bits, &picture->image, err);
+    if (r < 0)
+        return r;
+
+    right = corner.from_right ? -1 : 1;
+    down = corner.from_bottom ? -(ptrdiff_t)width : (ptrdiff_t)width;
+    *canvas = (struct gsn_raster){
+        .image = picture->image,
+        .origin = (corner.from_right ? (ptrdiff_t)width - 1 : 0) +
+                  (corner.from_bottom ? ((ptrdiff_t)height - 1) * (ptrdiff_t)width : 0),
+        .step_x = corner.turned ? down : right,
+        .step_y = corner.turned ? right : down,
+    };
+    if (corner.turned)
+        swap_pitch(picture);
+    if (layout->orientation != 1)
+        gsn_picture_remark(picture, "orientation %u applied", layout->orientation);
+    return GSN_OK;
+}
+
+static void scatter8(uint8_t *to, ptrdiff_t step, const uint8_t *from, const struct gsn_run *run)
+{
+    for (uint32_t i = 0; i < run->count; i++, to += step, from += run->stride)
+        for (uint32_t c = 0; c < run->channels; c++)
+            to[c] = from[c];
+}
+
+static void scatter16(uint16_t *to, ptrdiff_t step, const uint16_t *from, const struct gsn_run *run)
+{
+    for (uint32_t i = 0; i < run->count; i++, to += step, from += run->stride)
+        for (uint32_t c = 0; c < run->channels; c++)
+            to[c] = from[c];
+}
+
+void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run, const void *samples)
+{
+    const struct gsn_image *image = canvas->image;
+    const ptrdiff_t channels = (ptrdiff_t)image->channels;
+    const ptrdiff_t pixel =
+        canvas->origin + run->x * canvas->step_x + (ptrdiff_t)run->y * canvas->step_y;
+    const ptrdiff_t first = pixel * channels + (ptrdiff_t)run->channel;
+    const ptrdiff_t step = canvas->step_x * (ptrdiff_t)run->step * channels;
+
+    if (image->bits == 8 && step == channels && run->channels == image->channels &&
+        run->stride == run->channels)
+        memcpy((uint8_t *)image->samples + first, samples, (size_t)run->count * run->channels);
+    else if (image->bits == 8)
+        scatter8((uint8_t *)image->samples + first, step, samples, run);
+    else
+        scatter16((uint16_t *)image->samples + first, step, samples, run);
+}
+
+void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)
+{
+    char remark[sizeof picture->note];
+    const size_t used = strlen(picture->note);
+    const char *glue = used ? "; " : "";
+    va_list args;
+
+    va_start(args, format);
+    (void)vsnprintf(remark, sizeof remark, format, args);
+    va_end(args);
+    if (used + strlen(glue) + strlen(remark) < sizeof picture->note)
+        (void)snprintf(picture->note + used, sizeof picture->note - used, "%s%s", glue, remark);
+}
+
+static double pitch(double per_unit, double unit_um)
+{
+    /* NaN is not above 0 either; what remains of nonsense would be pixels of kilometres. */
+    return per_unit > 1e-9 && per_unit < 1e12 ? unit_um / per_unit : 0;
+}
+
+void gsn_picture_pitch(struct gsn_picture *picture, double per_unit_x, double per_unit_y,
+                       double unit_um)
+{
+    const double x = pitch(per_unit_x, unit_um), y = pitch(per_unit_y, unit_um);
+
+    if (x > 0 && y > 0) {
+        picture->px_um_x = x;
+        picture->px_um_y = y;
+    }
+}

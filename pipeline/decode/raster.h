@@ -1,0 +1,68 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What the codecs share: the bytes of a file, and a canvas that turns stored pixels upright while
+ * they arrive, so that no second copy of a large picture is ever needed. Internal to decoding. */
+#ifndef GSN_DECODE_RASTER_H
+#define GSN_DECODE_RASTER_H
+
+#include "pipeline/decode/decode.h"
+
+#include <stddef.h>
+
+struct gsn_bytes {
+    const uint8_t *at;
+    size_t size;
+};
+
+/* Working memory a codec may use beside the decoded samples. */
+#define GSN_DECODE_WORK_BYTES ((uint64_t)128 << 20)
+/* The longest row, or the largest tile, that is decoded in one piece. */
+#define GSN_DECODE_PIECE_BYTES ((uint64_t)64 << 20)
+
+/* A picture as its header describes it, before it is turned upright. */
+struct gsn_layout {
+    uint32_t width, height, channels, bits;
+    unsigned orientation; /* 1..8 as in EXIF and TIFF */
+};
+
+/* Pixel (x, y) as stored is at origin + x * step_x + y * step_y of the upright image. */
+struct gsn_raster {
+    struct gsn_image *image; /* borrowed from the picture */
+    ptrdiff_t origin, step_x, step_y;
+};
+
+/* A run of pixels of one stored row: x, x + step, ... Samples are native; stride counts the samples
+ * from one pixel of the source to the next; channels of them are taken, put from channel on. */
+struct gsn_run {
+    uint32_t x, y, step, count;
+    uint32_t channel, channels, stride;
+};
+
+/* Checks the limits, then allocates picture->image; turns px_um and notes the orientation.
+ *
+ * limits has no member 0. Fails with GSN_E_INPUT (no pixels), GSN_E_LIMIT or GSN_E_NOMEM. */
+int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
+                    const struct gsn_decode_limits *limits, struct gsn_picture *picture,
+                    struct gsn_error *err);
+
+/* The caller guarantees that the run lies inside the stored picture. */
+void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run,
+                    const void *samples);
+
+/* Adds a remark to picture->note; what does not fit is left out whole. */
+void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+
+/* Sets both pitches from pixels per unit of unit_um; values that make no sense state nothing. */
+void gsn_picture_pitch(struct gsn_picture *picture, double per_unit_x, double per_unit_y,
+                       double unit_um);
+
+/* One codec each: fill a picture that holds nothing yet. limits has no member 0. */
+int gsn_jpeg_decode(struct gsn_bytes file, const struct gsn_decode_limits *limits,
+                    struct gsn_picture *picture, struct gsn_error *err);
+int gsn_png_decode(struct gsn_bytes file, const struct gsn_decode_limits *limits,
+                   struct gsn_picture *picture, struct gsn_error *err);
+int gsn_tiff_decode(struct gsn_bytes file, const struct gsn_decode_limits *limits,
+                    struct gsn_picture *picture, struct gsn_error *err);
+
+#endif

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/refine.h"
 
+#include "pipeline/model/crossval.h"
+
 #include <assert.h>
 #include <math.h>
 #include <stdbool.h>
@@ -13,8 +15,12 @@ enum { DEGREE = 2, SAMPLES_PER_TET = 20, TRIES = 4 };
  * at about half the limit they are given. */
 static const double LIMIT = 0.25, COMES_OUT_AT = 0.5;
 
-/* A round must lower the rms by this part of it: less is not worth twice the unknowns. */
+/* A round must lower the predicted error by this part of it: less is not worth the unknowns. */
 static const double GAIN = 1e-3;
+
+/* The penalty's weight, where none is given, and how it is raised when there are folds. */
+static const double SMOOTHING = 1e-6, SMOOTHING_FACTOR = 4;
+enum { SMOOTHING_STEPS = 8 };
 
 /* A mesh with its fit. */
 struct state {
@@ -23,6 +29,7 @@ struct state {
     struct gsn_fit_report fit;
     uint32_t *tet_samples;
     double *tet_rms;
+    double predicted; /* error at samples not seen */
 };
 
 /* A tetrahedron that asks to be split. */
@@ -67,6 +74,8 @@ static int complete(const struct gsn_adapt_options *options, struct gsn_adapt_op
     *ret = *options;
     if (ret->degree == 0)
         ret->degree = DEGREE;
+    if (ret->fit.smoothing == 0)
+        ret->fit.smoothing = SMOOTHING;
     if (ret->cloud == 0)
         ret->cloud = CLOUD;
     if (ret->samples_per_unknown == 0)
@@ -99,9 +108,15 @@ static int space_on(const struct gsn_tets *mesh, const struct gsn_adapt_options 
 static int fit_state(struct state *state, const struct gsn_samples *samples,
                      const struct gsn_adapt_options *options, struct gsn_error *err)
 {
-    const int r = gsn_fit(state->space, samples, &options->fit, &state->spline, &state->fit,
-                          &state->tet_samples, &state->tet_rms, err);
+    int r = gsn_fit(state->space, samples, &options->fit, &state->spline, &state->fit,
+                    &state->tet_samples, &state->tet_rms, err);
 
+    if (r >= 0 && options->fold)
+        r = gsn_cross_validate(state->space, samples, options->fold, &options->fit,
+                               &state->predicted, err);
+    else if (r >= 0)
+        state->predicted =
+            gsn_generalised_cross_validation(&state->fit, gsn_dms_mesh(state->space)->tet_count);
     if (r < 0)
         state_done(state);
     return r;
@@ -126,6 +141,7 @@ static void record(struct gsn_adapt_report *report, const struct state *state, d
         .over_tolerance = over_tolerance(state, tolerance),
         .rms = state->fit.rms,
         .worst = state->fit.worst,
+        .predicted = state->predicted,
         .accepted = accepted,
     };
 }
@@ -256,7 +272,7 @@ static int refine_round(struct state *state, const struct gsn_samples *samples,
         return gsn_fail(err, r, "%s", report->why.text);
     if (!next.space)
         return GSN_OK;
-    *ret_more = next.fit.rms < state->fit.rms * (1 - GAIN);
+    *ret_more = next.predicted < state->predicted * (1 - GAIN);
     record(report, &next, options->tolerance, *ret_more);
     if (*ret_more) {
         const struct state old = *state;
@@ -291,6 +307,43 @@ static int refine_rounds(struct state *state, const struct gsn_samples *samples,
     return r;
 }
 
+/* A fit on the same space with another weight of the penalty; next owns a space of its own. */
+static int fit_again(const struct gsn_tets *mesh, const struct gsn_samples *samples,
+                     const struct gsn_adapt_options *options, struct state *next,
+                     struct gsn_error *err)
+{
+    int r = space_on(mesh, options, &next->space, err);
+
+    if (r >= 0)
+        r = fit_state(next, samples, options, err);
+    return r;
+}
+
+/* Raises the weight of the penalty as long as samples not seen are predicted better for it: as much
+ * smoothing as the noise asks for, and no constant that would bias a clean field. */
+static int tune_smoothing(struct state *state, const struct gsn_samples *samples,
+                          struct gsn_adapt_options *options, struct gsn_error *err)
+{
+    for (unsigned step = 0; options->fold && step < SMOOTHING_STEPS; step++) {
+        struct gsn_adapt_options more = *options;
+        struct state next = { .space = NULL };
+        int r;
+
+        more.fit.smoothing *= SMOOTHING_FACTOR;
+        r = fit_again(gsn_dms_mesh(state->space), samples, &more, &next, err);
+        if (r < 0)
+            return r;
+        if (!(next.predicted < state->predicted * (1 - GAIN))) {
+            state_done(&next);
+            return GSN_OK;
+        }
+        state_done(state);
+        *state = next;
+        *options = more;
+    }
+    return GSN_OK;
+}
+
 int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
               const struct gsn_adapt_options *options, struct gsn_dms **ret_space,
               struct gsn_spline **ret_spline, struct gsn_adapt_report *ret_report,
@@ -310,7 +363,10 @@ int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
         r = space_on(mesh, &full, &state.space, err);
     if (r >= 0)
         r = fit_state(&state, samples, &full, err);
+    if (r >= 0)
+        r = tune_smoothing(&state, samples, &full, err);
     if (r >= 0) {
+        report.smoothing = full.fit.smoothing;
         record(&report, &state, full.tolerance, true);
         r = refine_rounds(&state, samples, &full, &report, err);
     }

@@ -4,8 +4,8 @@
  *
  * A round splits the tetrahedra whose rms residual is above the tolerance and whose samples can
  * carry more unknowns, makes new clouds and fits again from the samples; splitting into four alone
- * would never converge (docs/MATH.md, section 8). A round is taken only if it lowers the rms by a
- * thousandth or more. */
+ * would never converge (docs/MATH.md, section 8). A round is taken only if it lowers the error
+ * at samples not seen by a thousandth or more (crossval.h): noise is not followed. */
 #ifndef GSN_MODEL_REFINE_H
 #define GSN_MODEL_REFINE_H
 
@@ -21,7 +21,7 @@ enum { GSN_ADAPT_MOST_ROUNDS = 16 };
 
 struct gsn_adapt_options {
     struct gsn_domain_options domain;
-    struct gsn_fit_options fit;
+    struct gsn_fit_options fit; /* with folds its smoothing is the least that is used */
     unsigned degree;            /* 0: 2 */
     double cloud;               /* radius / smallest altitude, see gsn_dms_clouds(); 0: 0.015 */
     double tolerance;           /* rms residual of a tetrahedron, in the unit of the samples */
@@ -29,6 +29,8 @@ struct gsn_adapt_options {
     size_t most_unknowns;       /* that refinement may reach; 0: as many as the samples carry */
     double samples_per_unknown; /* at least; 0: 8 */
     unsigned samples_per_tet;   /* at least, on average, in a new tetrahedron; 0: 20 */
+    const uint8_t *fold; /* 0 or 1 for every sample, both present: how they are cross-validated;
+                            NULL: as if their noise were independent */
     const struct gsn_progress *progress;
 };
 
@@ -47,6 +49,7 @@ const char *gsn_adapt_end_name(enum gsn_adapt_end end);
 struct gsn_adapt_round {
     size_t tets, unknowns, empty_tets, over_tolerance;
     double rms, worst;
+    double predicted; /* rms error at samples not seen */
     int accepted;
 };
 
@@ -55,6 +58,7 @@ struct gsn_adapt_report {
     struct gsn_adapt_round round[GSN_ADAPT_MOST_ROUNDS + 1];
     enum gsn_adapt_end end;
     struct gsn_error why;      /* with GSN_ADAPT_FAILED */
+    double smoothing;          /* weight of the penalty; with folds, as they asked for */
     struct gsn_fit_report fit; /* of the result */
     uint32_t *tet_samples;     /* per tetrahedron of the result; 0: "no data" */
     double *tet_rms;

@@ -71,20 +71,40 @@ static struct result adapted(double (*f)(const double u[3]),
     return result;
 }
 
-/* The figures of the result are those of the last round that was taken, and only lower errors
- * were. */
+/* The figures of the result are those of the last round that was taken, and only lower predicted
+ * errors were. */
 static void check_rounds(const struct gsn_adapt_report *report)
 {
-    double rms = INFINITY;
+    double best = INFINITY, rms = NAN;
 
     CHECK(report->rounds >= 1);
     for (size_t i = 0; i < report->rounds; i++) {
+        const double now = report->round[i].predicted;
+
         CHECK(report->round[i].accepted || i + 1 == report->rounds);
-        CHECK(report->round[i].accepted == (report->round[i].rms < 0.999 * rms));
-        if (report->round[i].accepted)
+        CHECK(report->round[i].accepted == (now > 0 && now < 0.999 * best));
+        if (report->round[i].accepted) {
+            best = now;
             rms = report->round[i].rms;
+        }
     }
     CHECK(report->fit.rms == rms);
+}
+
+TEST(noise_is_not_followed)
+{
+    struct gsn_adapt_options options = options_with(0.001, 4);
+    struct result result;
+
+    options.samples_per_unknown = 1.5;
+    options.samples_per_tet = 3;
+    result = adapted(noise, &options);
+    check_rounds(&result.report);
+    CHECK(result.report.end == GSN_ADAPT_NO_GAIN);
+    CHECK(result.report.rounds == 2);
+    /* It would have been by the residual alone. */
+    CHECK(result.report.round[1].rms < 0.99 * result.report.round[0].rms);
+    result_done(&result);
 }
 
 TEST(a_sharp_ball_is_followed_better_after_refinement)

@@ -154,15 +154,12 @@ static int fill_unit(size_t tet, void *context, struct gsn_error *err)
 {
     const struct units *units = context;
     const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(units->spline));
-    struct gsn_unit unit = { .volume_um3 = gsn_tets_volume(mesh, tet) };
+    struct gsn_unit unit = { .mean = NAN, .volume_um3 = gsn_tets_volume(mesh, tet) };
     double corner[4][3];
     int r;
 
     for (int k = 0; k < 4; k++)
         memcpy(corner[k], mesh->vertex[mesh->tet[tet][k]], sizeof corner[k]);
-    r = gsn_spline_tet_mean(units->spline, tet, &unit.mean, err);
-    if (r < 0)
-        return gsn_fail_at(err, "tetrahedron %zu", tet);
     unit.inside_share =
         fmin(1.0, volume_inside(units->region, (const double(*)[3])corner) / unit.volume_um3);
     unit.samples = units->samples ? units->samples[tet] : 0;
@@ -170,6 +167,11 @@ static int fill_unit(size_t tet, void *context, struct gsn_error *err)
         unit.state = GSN_UNIT_OUTSIDE;
     else
         unit.state = units->samples && unit.samples == 0 ? GSN_UNIT_NO_DATA : GSN_UNIT_OK;
+    if (unit.state == GSN_UNIT_OK) {
+        r = gsn_spline_tet_mean(units->spline, tet, &unit.mean, err);
+        if (r < 0)
+            return gsn_fail_at(err, "tetrahedron %zu", tet);
+    }
     units->unit[tet] = unit;
     return GSN_OK;
 }

@@ -39,7 +39,8 @@ enum gsn_unit_state {
     GSN_UNIT_NO_DATA, /* no sample in it: what the spline says there is interpolation only */
 };
 
-/* One tetrahedron. mean is over the whole tetrahedron, exact (equation (9)). */
+/* One tetrahedron. mean is over the whole tetrahedron, exact (equation (9)); NaN unless the state
+ * is GSN_UNIT_OK. */
 struct gsn_unit {
     double mean, volume_um3;
     double inside_share; /* part of the tetrahedron's volume in the region's voxel boxes, 0..1,

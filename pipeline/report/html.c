@@ -2,6 +2,7 @@
 #include "pipeline/report/html.h"
 
 #include <math.h>
+#include <stdbool.h>
 #include <string.h>
 
 #include "pipeline/core/hash.h"
@@ -311,6 +312,18 @@ static void add_warnings(struct gsn_text *text, const struct gsn_report *report)
     gsn_text_raw(text, "</ul></section>\n");
 }
 
+/* A wide picture takes the whole width and scrolls in its own box where that is narrow. */
+static void add_image(struct gsn_text *text, const struct gsn_report_picture *picture)
+{
+    const bool wide = 10 * (size_t)picture->png.width > 16 * (size_t)picture->png.height;
+
+    gsn_text_raw(text, wide ? "<figure class=\"wide\"><div class=\"scroll\">" : "<figure>");
+    if (picture->png.size)
+        gsn_html_image(text, &picture->png, picture->title);
+    if (wide)
+        gsn_text_raw(text, "</div>");
+}
+
 static void add_pictures(struct gsn_text *text, const struct gsn_report *report)
 {
     if (report->picture_count == 0)
@@ -320,9 +333,7 @@ static void add_pictures(struct gsn_text *text, const struct gsn_report *report)
     for (size_t i = 0; i < report->picture_count; i++) {
         const struct gsn_report_picture *picture = &report->pictures[i];
 
-        gsn_text_raw(text, "<figure>");
-        if (picture->png.size)
-            gsn_html_image(text, &picture->png, picture->title);
+        add_image(text, picture);
         gsn_text_raw(text, "<figcaption><h3>");
         gsn_text_escape(text, picture->title);
         gsn_text_raw(text, "</h3><p>");

@@ -136,6 +136,13 @@ int gsn_panel_set_state(struct gsn_store *store, int64_t id, const char *state, 
                   SQL_ARGS(SQL_INT(id), SQL_TEXT(state), SQL_TEXT(code), SQL_TEXT(message)), err);
 }
 
+int gsn_panel_set_name(struct gsn_store *store, int64_t id, int64_t number, const char *file_name,
+                       struct gsn_error *err)
+{
+    return update(store, id, "UPDATE panel SET number = ?2, file_name = ?3 WHERE id = ?1",
+                  SQL_ARGS(SQL_INT(id), SQL_INT(number), SQL_TEXT(file_name)), err);
+}
+
 int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64_t height,
                        double px_um, struct gsn_error *err)
 {

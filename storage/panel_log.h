@@ -56,6 +56,9 @@ int gsn_panel_list(struct gsn_store *store, int64_t specimen_id, struct gsn_pane
 /* code and message: NULL stands for empty. Fails with GSN_E_NOTFOUND, GSN_E_INPUT. */
 int gsn_panel_set_state(struct gsn_store *store, int64_t id, const char *state, const char *code,
                         const char *message, struct gsn_error *err);
+/* A file that was delivered again under another name: what it is called now counts. */
+int gsn_panel_set_name(struct gsn_store *store, int64_t id, int64_t number, const char *file_name,
+                       struct gsn_error *err);
 /* What the decoder found. */
 int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64_t height,
                        double px_um, struct gsn_error *err);

@@ -53,6 +53,15 @@ CREATE TABLE panel (
     UNIQUE (specimen_id, sha256)
 ) STRICT;
 
+-- Files that the job names beside its panels: masks, volumes, reference maps.
+CREATE TABLE attachment (
+    specimen_id INTEGER NOT NULL REFERENCES specimen,
+    name TEXT NOT NULL CHECK (name <> ''),
+    sha256 TEXT NOT NULL CHECK (length(sha256) = 64 AND sha256 NOT GLOB '*[^0-9a-f]*'),
+    size INTEGER NOT NULL CHECK (size >= 0),
+    PRIMARY KEY (specimen_id, name)
+) STRICT, WITHOUT ROWID;
+
 CREATE TABLE section (
     id INTEGER PRIMARY KEY,
     panel_id INTEGER NOT NULL REFERENCES panel,

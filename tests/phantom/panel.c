@@ -3,6 +3,7 @@
 
 #include "pipeline/core/parallel.h"
 #include "tests/phantom/label.h"
+#include "tests/phantom/matrix.h"
 #include "tests/phantom/stain.h"
 #include "tests/phantom/texture.h"
 
@@ -11,6 +12,10 @@
 
 static const double LABEL_INK = 1.2; /* optical density, the same in all channels */
 static const struct gsn_point LABEL_NAME_UM = { 320, 1600 }, LABEL_PANEL_UM = { 320, 2400 };
+/* Of the Data Matrix: its upper left corner, with more than its quiet zone around it; how large a
+ * module is wanted; and of how many pixels it is at least, because libdmtx reads none of two. */
+static const struct gsn_point MATRIX_UM = { 320, 3200 };
+static const double MODULE_UM = 96, LEAST_MODULE_PX = 3;
 
 /* Pixels x0 <= x < x1, y0 <= y < y1. Windows of neighbouring slots share their border only. */
 struct window {
@@ -187,24 +192,56 @@ static int draw_section(size_t slot, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-static void write_label(const struct canvas *canvas)
+static void ink(const struct canvas *canvas, uint32_t x, uint32_t y)
+{
+    for (size_t c = 0; c < 3; c++)
+        canvas->od[3 * ((size_t)y * canvas->plan->width + x) + c] = (float)LABEL_INK;
+}
+
+static void write_text(const struct canvas *canvas, const char *text, struct gsn_point corner_um)
 {
     const struct gsn_phantom_plan *plan = canvas->plan;
     const double strip_um = gsn_phantom_slot_centre_um(0).x - gsn_phantom_slot_half_um;
-    char name[32], panel[16];
 
-    (void)snprintf(name, sizeof name, GSN_PHANTOM_STUDY "-%s", plan->specimen->name);
-    (void)snprintf(panel, sizeof panel, "P%02d", canvas->panel);
     for (uint32_t y = 0; y < plan->height; y++)
         for (uint32_t x = 0; (x + 1) * plan->px_um < strip_um; x++) {
             const double u = (x + 0.5) * plan->px_um, v = (y + 0.5) * plan->px_um;
 
-            if (!gsn_phantom_label_has(name, u - LABEL_NAME_UM.x, v - LABEL_NAME_UM.y) &&
-                !gsn_phantom_label_has(panel, u - LABEL_PANEL_UM.x, v - LABEL_PANEL_UM.y))
-                continue;
-            for (size_t c = 0; c < 3; c++)
-                canvas->od[3 * ((size_t)y * plan->width + x) + c] = (float)LABEL_INK;
+            if (gsn_phantom_label_has(text, u - corner_um.x, v - corner_um.y))
+                ink(canvas, x, y);
         }
+}
+
+static void write_matrix(const struct canvas *canvas, const struct gsn_phantom_matrix *matrix)
+{
+    const double px_um = canvas->plan->px_um;
+    const uint32_t x0 = to_px(MATRIX_UM.x, px_um, canvas->plan->width);
+    const uint32_t y0 = to_px(MATRIX_UM.y, px_um, canvas->plan->height);
+    const uint32_t module = (uint32_t)fmax(round(MODULE_UM / px_um), LEAST_MODULE_PX);
+    const uint32_t side = GSN_PHANTOM_MATRIX_SIDE * module;
+
+    for (uint32_t y = 0; y < side; y++)
+        for (uint32_t x = 0; x < side; x++)
+            if (matrix->dark[y / module][x / module])
+                ink(canvas, x0 + x, y0 + y);
+}
+
+static int write_label(const struct canvas *canvas, struct gsn_error *err)
+{
+    struct gsn_phantom_matrix matrix;
+    char name[32], panel[16], whole[64];
+    int r;
+
+    (void)snprintf(name, sizeof name, GSN_PHANTOM_STUDY "-%s", canvas->plan->specimen->name);
+    (void)snprintf(panel, sizeof panel, "P%02d", canvas->panel);
+    (void)snprintf(whole, sizeof whole, "%s-%s", name, panel);
+    r = gsn_phantom_matrix_make(whole, &matrix, err);
+    if (r < 0)
+        return gsn_fail_at(err, "label");
+    write_text(canvas, name, LABEL_NAME_UM);
+    write_text(canvas, panel, LABEL_PANEL_UM);
+    write_matrix(canvas, &matrix);
+    return GSN_OK;
 }
 
 static uint8_t to_code(double value)
@@ -262,7 +299,9 @@ int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, int panel, unsig
     r = gsn_parallel_for(GSN_PHANTOM_SLOTS, threads, draw_section, &canvas, err);
     if (r < 0)
         return gsn_fail_at(err, "panel %d", panel);
-    write_label(&canvas);
+    r = write_label(&canvas, err);
+    if (r < 0)
+        return gsn_fail_at(err, "panel %d", panel);
     r = gsn_parallel_for(plan->height, threads, expose_row, &canvas, err);
     if (r < 0)
         return r;

@@ -1,0 +1,67 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What a region of interest holds: the spline fitted to its voxels and every figure and picture
+ * that is made from it. Sections and imported volumes meet here. */
+#ifndef GSN_PIPELINE_ACCOUNT_H
+#define GSN_PIPELINE_ACCOUNT_H
+
+#include "pipeline/core/grid.h"
+#include "pipeline/core/progress.h"
+#include "pipeline/measure/density.h"
+#include "pipeline/measure/level_set.h"
+#include "pipeline/model/refine.h"
+#include "pipeline/protocol.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { GSN_ACCOUNT_THRESHOLDS = 8, GSN_ACCOUNT_PICTURES = 8 };
+
+struct gsn_account_picture {
+    const char *id, *title;
+    char caption[240];
+    uint8_t *png; /* owned */
+    size_t size;
+    uint32_t width, height;
+};
+
+struct gsn_account {
+    struct gsn_dms *space;       /* owned */
+    struct gsn_spline *spline;   /* owned */
+    struct gsn_adapt_report fit; /* its arrays are owned */
+    double tolerance, smoothing;
+    size_t over_tolerance; /* tetrahedra whose rms residual is above the tolerance */
+    double coverage;       /* share of the region's voxels that have data, 0..1 */
+    struct gsn_region_density density;
+    struct gsn_unit *units; /* owned; one per tetrahedron */
+    struct gsn_units_summary summary;
+    size_t bound_count;
+    struct gsn_volume_bound bound[GSN_ACCOUNT_THRESHOLDS];
+    double above_threshold, above_share; /* area figure: share of sampled voxels above it */
+    size_t picture_count;
+    struct gsn_account_picture picture[GSN_ACCOUNT_PICTURES];
+};
+
+struct gsn_account_options {
+    const char *mesher; /* path of gieson-mesh */
+    unsigned threads;   /* 0: all */
+    const struct gsn_progress *progress;
+};
+
+/* gives: fit, figures and pictures of the region in this volume.
+ *
+ * Voxels of the grid whose centre lies in the region and that have data are the samples. The grid
+ * and the region may have different lattices. Fails with GSN_E_WITHHELD when the region is not
+ * covered well enough to say anything (less than half of it has data), and as gsn_adapt() and the
+ * measures do. borrows: everything. */
+int gsn_account_make(const struct gsn_grid *grid, const struct gsn_mask *region,
+                     const struct gsn_protocol *protocol, const struct gsn_account_options *options,
+                     struct gsn_account **ret_account, struct gsn_error *err);
+void gsn_account_free(struct gsn_account *account);
+GSN_DEFINE_AUTO(gsn_account);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,532 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/assembly.h"
+
+#include "pipeline/register/panel.h"
+#include "pipeline/register/stack.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Heat changes the stain around a burn, so a disc of this many mark radii is masked: the bleached
+ * ring of the marks seen so far ends at 1.5 radii, the rest is margin for the blur. */
+static const double HALO_RADII = 2.0;
+
+/* Voxels kept around the region of interest, so that cuts show what lies beside it. */
+enum { MARGIN_VOXELS = 6, THUMBNAIL_PX = 132, MOST_TARGETS = 4096 };
+
+/* A stack larger than this is a mistake in the region, not a block. */
+static const double MOST_VOXELS_PER_SIDE = 1 << 20, MOST_VOXELS = 2147483648.0;
+
+const char *gsn_assembly_state_name(enum gsn_assembly_state state)
+{
+    static const char *const names[] = { "used", "doubtful", "held", "missing", "empty" };
+
+    return names[state];
+}
+
+static void flag(struct gsn_assembly_section *section, const char *word)
+{
+    const size_t used = strlen(section->flags);
+
+    (void)snprintf(section->flags + used, sizeof section->flags - used, "%s%s", used ? " " : "",
+                   word);
+}
+
+/* ---- slots ------------------------------------------------------------------------------- */
+
+static int by_serial(const void *a, const void *b)
+{
+    const struct gsn_assembly_section *s = a, *t = b;
+
+    if (s->seen.serial != t->seen.serial)
+        return s->seen.serial < t->seen.serial ? -1 : 1;
+    return s->panel < t->panel ? -1 : s->panel > t->panel;
+}
+
+static struct gsn_assembly_section section_of(const struct gsn_panel_section *seen, unsigned panel)
+{
+    static const enum gsn_assembly_state states[] = {
+        [GSN_SIGHT_FOUND] = GSN_SECTION_HELD,
+        [GSN_SIGHT_NEEDS_EYE] = GSN_SECTION_HELD,
+        [GSN_SIGHT_MISSING] = GSN_SECTION_MISSING,
+        [GSN_SIGHT_EMPTY] = GSN_SECTION_EMPTY,
+    };
+    struct gsn_assembly_section section = { .panel = panel,
+                                            .seen = *seen,
+                                            .state = states[seen->sighting] };
+
+    if (seen->flags[0])
+        flag(&section, seen->flags);
+    return section;
+}
+
+static const struct gsn_specimen_panel *panel_numbered(const struct gsn_specimen *specimen,
+                                                       unsigned number)
+{
+    for (size_t i = 0; i < specimen->panel_count; i++)
+        if (specimen->panel[i].number == number && specimen->panel[i].section_count > 0)
+            return &specimen->panel[i];
+    return NULL;
+}
+
+/* Every slot of every panel that the job expects or that came. */
+static int list_slots(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                      struct gsn_error *err)
+{
+    const struct gsn_layout layout = gsn_protocol_layout(specimen->protocol);
+    const unsigned slots = layout.rows * layout.columns;
+    const unsigned expected = gsn_protocol_sections(specimen->protocol);
+    unsigned panels = specimen->protocol->panels;
+
+    for (size_t i = 0; i < specimen->panel_count; i++)
+        if (specimen->panel[i].section_count > 0 && specimen->panel[i].number > panels)
+            panels = specimen->panel[i].number;
+    a->section = gsn_alloc_array((size_t)panels * slots, sizeof *a->section);
+    if (!a->section)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the sections of a specimen");
+    for (unsigned number = 1; number <= panels; number++) {
+        const struct gsn_specimen_panel *panel = panel_numbered(specimen, number);
+
+        for (unsigned slot = 0; slot < slots; slot++) {
+            const unsigned serial = gsn_panel_serial(number, slot, &layout);
+            const struct gsn_panel_section none = { .serial = serial,
+                                                    .slot = slot,
+                                                    .sighting = expected && serial >= expected
+                                                                    ? GSN_SIGHT_EMPTY
+                                                                    : GSN_SIGHT_MISSING };
+            struct gsn_assembly_section *section = &a->section[a->section_count++];
+
+            if (panel && slot < panel->section_count) {
+                *section = section_of(&panel->section[slot], number);
+            } else {
+                *section = section_of(&none, number);
+                flag(section, "no-panel");
+            }
+        }
+    }
+    qsort(a->section, a->section_count, sizeof *a->section, by_serial);
+    return GSN_OK;
+}
+
+/* ---- region and lattice ------------------------------------------------------------------ */
+
+struct box {
+    struct gsn_vec3 low, high;
+};
+
+static struct box box_of_mask(const struct gsn_mask *mask)
+{
+    const struct gsn_lattice *at = &mask->at;
+    struct box box = { { INFINITY, INFINITY, INFINITY }, { -INFINITY, -INFINITY, -INFINITY } };
+
+    for (size_t i = 0, z = 0; z < at->nz; z++)
+        for (size_t y = 0; y < at->ny; y++)
+            for (size_t x = 0; x < at->nx; x++, i++) {
+                const struct gsn_vec3 u = gsn_lattice_centre(at, x, y, z);
+
+                if (!mask->inside[i])
+                    continue;
+                box.low =
+                    gsn_vec3_make(fmin(box.low.x, u.x), fmin(box.low.y, u.y), fmin(box.low.z, u.z));
+                box.high = gsn_vec3_make(fmax(box.high.x, u.x), fmax(box.high.y, u.y),
+                                         fmax(box.high.z, u.z));
+            }
+    return box;
+}
+
+static struct box box_of_shape(const struct gsn_region *region)
+{
+    const struct gsn_vec3 c = region->centre;
+    const double r = region->radius_um;
+
+    switch (region->kind) {
+    case GSN_REGION_CYLINDER:
+        return (struct box){ { c.x - r, c.y - r, region->low.z },
+                             { c.x + r, c.y + r, region->high.z } };
+    case GSN_REGION_SPHERE:
+        return (struct box){ { c.x - r, c.y - r, c.z - r }, { c.x + r, c.y + r, c.z + r } };
+    default:
+        return (struct box){ region->low, region->high };
+    }
+}
+
+/* Voxels of the scan's own pixel size, on the mask's raster where that has the same step. z planes
+ * are the sections' own: all that the region needs, also those that the block has not, so that they
+ * count as not seen; and one more on either side where the block has one. 0 when that makes no
+ * lattice that could be worked with. */
+static int lattice_for(struct box box, const struct gsn_mask *mask, double px_um,
+                       double interval_um, unsigned sections, struct gsn_lattice *lattice)
+{
+    const int same = mask && fabs(mask->at.step_um.x / px_um - 1) < 1e-3 &&
+                     fabs(mask->at.step_um.y / px_um - 1) < 1e-3;
+    const double sx = same ? mask->at.step_um.x : px_um, sy = same ? mask->at.step_um.y : px_um;
+    const double ox = same ? mask->at.origin_um.x : 0, oy = same ? mask->at.origin_um.y : 0;
+    const double x0 = floor((box.low.x - ox) / sx) - MARGIN_VOXELS;
+    const double y0 = floor((box.low.y - oy) / sy) - MARGIN_VOXELS;
+    const double first = floor(box.low.z / interval_um), last = ceil(box.high.z / interval_um) - 1;
+    const double z0 = first > 0 ? first - 1 : first;
+    const double z1 = last < sections - 1.0 ? last + 1 : last;
+    const double nx = ceil((box.high.x - ox) / sx) + MARGIN_VOXELS - x0 + 1;
+    const double ny = ceil((box.high.y - oy) / sy) + MARGIN_VOXELS - y0 + 1;
+    const double nz = z1 - z0 + 1;
+
+    if (!(first < sections && last >= 0 && nx <= MOST_VOXELS_PER_SIDE &&
+          ny <= MOST_VOXELS_PER_SIDE && nx * ny * nz <= MOST_VOXELS))
+        return 0;
+    *lattice = (struct gsn_lattice){
+        .nx = (size_t)nx,
+        .ny = (size_t)ny,
+        .nz = (size_t)nz,
+        .origin_um = gsn_vec3_make(ox + x0 * sx, oy + y0 * sy, (z0 + 0.5) * interval_um),
+        .step_um = gsn_vec3_make(sx, sy, interval_um),
+    };
+    return 1;
+}
+
+/* The stack's voxels are as fine as the finest panel. */
+static double finest_pixel(const struct gsn_specimen *specimen)
+{
+    double finest = 0;
+
+    for (size_t i = 0; i < specimen->panel_count; i++) {
+        const double px_um = specimen->panel[i].px_um;
+
+        if (specimen->panel[i].section_count > 0 && (finest == 0 || px_um < finest))
+            finest = px_um;
+    }
+    return finest;
+}
+
+static int copy_mask(const struct gsn_mask *mask, struct gsn_mask **ret_mask, struct gsn_error *err)
+{
+    const int r = gsn_mask_new(&mask->at, ret_mask, err);
+
+    if (r >= 0)
+        memcpy((*ret_mask)->inside, mask->inside, gsn_lattice_count(&mask->at));
+    return r;
+}
+
+static int place_region(const struct gsn_specimen *specimen, double px_um, unsigned sections,
+                        struct gsn_assembly *a, struct gsn_lattice *lattice, struct gsn_error *err)
+{
+    const struct gsn_region *stated = &specimen->protocol->region;
+    struct box box;
+
+    if (specimen->region && gsn_mask_count(specimen->region) == 0)
+        return gsn_fail(err, GSN_E_INPUT, "the region mask is empty: no voxel in it is set");
+    box = specimen->region ? box_of_mask(specimen->region) : box_of_shape(stated);
+    if (!lattice_for(box, specimen->region, px_um, specimen->protocol->interval_um, sections,
+                     lattice))
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the region of interest (z %g to %g um) does not lie in this block of "
+                        "%u sections every %g um",
+                        box.low.z, box.high.z, sections, specimen->protocol->interval_um);
+    return specimen->region ? copy_mask(specimen->region, &a->region, err)
+                            : gsn_region_raster(stated, lattice, &a->region, err);
+}
+
+/* ---- poses ------------------------------------------------------------------------------- */
+
+/* Points of the region, thinned evenly: where the predicted error matters. */
+static int targets_of(const struct gsn_mask *region, struct gsn_point **ret_points,
+                      size_t *ret_count, struct gsn_error *err)
+{
+    const size_t total = region ? gsn_mask_count(region) : 0;
+    const size_t every = total / MOST_TARGETS + 1;
+    gsn_auto_mem(struct gsn_point) points = gsn_alloc_array(total / every + 1, sizeof *points);
+    size_t seen = 0, count = 0;
+
+    if (!points)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for target points");
+    for (size_t i = 0; total && i < gsn_lattice_count(&region->at); i++) {
+        const size_t x = i % region->at.nx, y = i / region->at.nx % region->at.ny;
+        struct gsn_vec3 u;
+
+        if (!region->inside[i] || seen++ % every != 0)
+            continue;
+        u = gsn_lattice_centre(&region->at, x, y, 0);
+        points[count++] = (struct gsn_point){ .x = u.x, .y = u.y };
+    }
+    *ret_points = gsn_steal(&points);
+    *ret_count = count;
+    return GSN_OK;
+}
+
+static void take_pose(struct gsn_assembly_section *section, const struct gsn_pose *pose)
+{
+    struct gsn_mark in_order[GSN_MARKS];
+
+    section->pose = *pose;
+    section->posed = pose->state != GSN_POSE_NONE;
+    for (size_t i = 0; i < GSN_MARKS; i++)
+        in_order[i] = section->seen.mark[pose->order[i]];
+    if (section->posed)
+        memcpy(section->seen.mark, in_order, sizeof in_order);
+    if (pose->gross)
+        flag(section, "residual-too-large");
+    if (pose->flipped)
+        flag(section, "flipped");
+    if (pose->rotated180)
+        flag(section, "turned");
+    if (!section->posed || pose->gross)
+        section->state = GSN_SECTION_HELD;
+    else
+        section->state =
+            pose->state == GSN_POSE_TWO_MARKS ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
+}
+
+static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                       struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_pose_input) inputs = gsn_alloc_array(a->section_count, sizeof *inputs);
+    gsn_auto_mem(struct gsn_pose) poses = gsn_alloc_array(a->section_count, sizeof *poses);
+    gsn_auto_mem(struct gsn_point) targets = NULL;
+    struct gsn_pose_options options = { .markers_um = specimen->protocol->has_markers
+                                                          ? specimen->protocol->markers_um
+                                                          : NULL };
+    struct gsn_error why = { 0 };
+    size_t count = 0;
+    int r;
+
+    if (!inputs || !poses)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for poses");
+    r = targets_of(a->region, &targets, &options.target_count, err);
+    if (r < 0)
+        return r;
+    options.targets_um = targets;
+    for (size_t i = 0; i < a->section_count; i++)
+        if (a->section[i].state == GSN_SECTION_HELD) {
+            inputs[count] =
+                (struct gsn_pose_input){ .serial = a->section[i].seen.serial,
+                                         .px_um =
+                                             panel_numbered(specimen, a->section[i].panel)->px_um };
+            memcpy(inputs[count].marks, a->section[i].seen.mark, sizeof inputs[count].marks);
+            count++;
+        }
+    r = gsn_pose_solve(inputs, count, &options, poses, &a->summary, &why);
+    if (r == GSN_E_NOMEM)
+        return gsn_fail(err, r, "%s", why.text);
+    a->solved = r >= 0;
+    if (r < 0)
+        memcpy(a->unsolved, why.text, sizeof a->unsolved);
+    for (size_t i = 0, p = 0; r >= 0 && i < a->section_count; i++)
+        if (a->section[i].state == GSN_SECTION_HELD)
+            take_pose(&a->section[i], &poses[p++]);
+    return GSN_OK;
+}
+
+/* ---- density, panel by panel ------------------------------------------------------------- */
+
+static void mask_halo(struct gsn_plane *density, const struct gsn_mark *mark)
+{
+    const double radius = HALO_RADII * mark->radius_px;
+    const double x0 = fmax(0, floor(mark->px.x - radius)), y0 = fmax(0, floor(mark->px.y - radius));
+    const double x1 = fmin(density->width, mark->px.x + radius + 1);
+    const double y1 = fmin(density->height, mark->px.y + radius + 1);
+
+    for (double y = y0; y < y1; y++)
+        for (double x = x0; x < x1; x++)
+            if (hypot(x + 0.5 - mark->px.x, y + 0.5 - mark->px.y) <= radius)
+                density->value[(size_t)y * density->width + (size_t)x] = NAN;
+}
+
+static int thumbnails(const struct gsn_scan *scan, unsigned number, struct gsn_assembly *a,
+                      struct gsn_error *err)
+{
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        int r;
+
+        if (s->panel != number || s->seen.width <= 0 || s->seen.height <= 0)
+            continue;
+        r = gsn_thumbnail(scan->picture->image, s->seen.x, s->seen.y, s->seen.width, s->seen.height,
+                          s->seen.mark, THUMBNAIL_PX, &s->thumbnail, err);
+        if (r < 0)
+            return r;
+    }
+    return GSN_OK;
+}
+
+/* A serial that an earlier section of the list already fills. */
+static int taken(const struct gsn_assembly *a, size_t i)
+{
+    for (size_t j = 0; j < i; j++)
+        if (a->section[j].seen.serial == a->section[i].seen.serial &&
+            (a->section[j].state == GSN_SECTION_USED ||
+             a->section[j].state == GSN_SECTION_DOUBTFUL))
+            return 1;
+    return 0;
+}
+
+static size_t sections_of_panel(struct gsn_assembly *a, unsigned number,
+                                const struct gsn_plane *density, struct gsn_stack_section *sections)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+
+        if (s->panel != number ||
+            (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
+            continue;
+        if (taken(a, i)) {
+            s->state = GSN_SECTION_HELD;
+            flag(s, "duplicate-serial");
+            continue;
+        }
+        sections[count++] =
+            (struct gsn_stack_section){ .serial = s->seen.serial,
+                                        .density = density,
+                                        .panel_to_block_um = s->pose.panel_to_block_um,
+                                        .x = s->seen.x,
+                                        .y = s->seen.y,
+                                        .width = s->seen.width,
+                                        .height = s->seen.height };
+    }
+    return count;
+}
+
+static void merge(const struct gsn_grid *from, struct gsn_grid *into)
+{
+    const size_t total = gsn_lattice_count(&into->at);
+
+    for (size_t i = 0; i < total; i++)
+        if (!isnan(from->value[i]))
+            into->value[i] = from->value[i];
+}
+
+static int stack_panel(const struct gsn_specimen *specimen,
+                       const struct gsn_specimen_options *options, unsigned number,
+                       const struct gsn_plane *density, struct gsn_assembly *a,
+                       struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_stack_section) sections =
+        gsn_alloc_array(a->section_count, sizeof *sections);
+    gsn_auto(gsn_grid) grid = NULL;
+    size_t count;
+    int r;
+
+    if (!sections)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the stack");
+    count = sections_of_panel(a, number, density, sections);
+    if (count == 0)
+        return GSN_OK;
+    r = gsn_stack_resample(sections, count, &a->grid->at, specimen->protocol->interval_um,
+                           options->threads, &grid, err);
+    if (r >= 0)
+        merge(grid, a->grid);
+    return r;
+}
+
+static int work_panel(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options, struct gsn_assembly_panel *panel,
+                      struct gsn_assembly *a, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_scan) scan = NULL;
+    gsn_auto(gsn_plane) density = NULL;
+    struct gsn_specimen_stain *stain = &panel->stain;
+    size_t size;
+    int r = specimen->read(specimen->context, panel->given->sha256, &bytes, &size, err);
+
+    if (r >= 0)
+        r = gsn_scan_open(bytes, size, specimen->protocol, options->threads, &scan, err);
+    if (r >= 0)
+        r = gsn_scan_dyes(scan, specimen->protocol, &stain->dyes, stain->uncertainty_deg, err);
+    if (r >= 0)
+        r = thumbnails(scan, panel->given->number, a, err);
+    if (r < 0)
+        return r;
+    panel->opened = 1;
+    panel->glass = scan->glass;
+    stain->panel = panel->given->number;
+    memcpy(stain->white, scan->glass.white, sizeof stain->white);
+    (void)snprintf(panel->note, sizeof panel->note, "%s", scan->note);
+    if (!a->grid)
+        return GSN_OK;
+    r = gsn_unmix(scan->od, &stain->dyes, options->threads, &density, NULL, NULL, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < a->section_count; i++)
+        for (size_t m = 0; a->section[i].panel == stain->panel && m < GSN_MARKS; m++)
+            if (a->section[i].seen.mark[m].found)
+                mask_halo(density, &a->section[i].seen.mark[m]);
+    return stack_panel(specimen, options, stain->panel, density, a, err);
+}
+
+static int work_panels(const struct gsn_specimen *specimen,
+                       const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                       struct gsn_error *err)
+{
+    a->panel = gsn_alloc_array(specimen->panel_count, sizeof *a->panel);
+    if (!a->panel)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the panels of a specimen");
+    a->panel_count = specimen->panel_count;
+    for (size_t i = 0; i < specimen->panel_count; i++) {
+        int r;
+
+        a->panel[i].given = &specimen->panel[i];
+        gsn_progress_say(options->progress, "stacking", i, specimen->panel_count);
+        if (specimen->panel[i].section_count == 0)
+            continue;
+        r = work_panel(specimen, options, &a->panel[i], a, err);
+        if (r < 0)
+            return gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
+                               specimen->panel[i].file);
+    }
+    return GSN_OK;
+}
+
+static int empty_grid(const struct gsn_lattice *lattice, struct gsn_assembly *a,
+                      struct gsn_error *err)
+{
+    const int r = gsn_grid_new(lattice, &a->grid, err);
+
+    for (size_t i = 0; r >= 0 && i < gsn_lattice_count(lattice); i++)
+        a->grid->value[i] = NAN;
+    return r;
+}
+
+int gsn_assembly_make(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options,
+                      struct gsn_assembly **ret_assembly, struct gsn_error *err)
+{
+    gsn_auto(gsn_assembly) a = gsn_alloc_array(1, sizeof *a);
+    const double px_um = finest_pixel(specimen);
+    struct gsn_lattice lattice = { 0 };
+    int r;
+
+    if (!a)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the assembly of a specimen");
+    r = list_slots(specimen, a, err);
+    if (r >= 0 && px_um > 0 &&
+        (specimen->region || specimen->protocol->region.kind > GSN_REGION_MASK))
+        r = place_region(specimen, px_um,
+                         a->section_count ? a->section[a->section_count - 1].seen.serial + 1 : 0, a,
+                         &lattice, err);
+    if (r >= 0)
+        r = solve_poses(specimen, a, err);
+    if (r >= 0 && a->solved && a->region)
+        r = empty_grid(&lattice, a, err);
+    if (r >= 0)
+        r = work_panels(specimen, options, a, err);
+    if (r < 0)
+        return r;
+    *ret_assembly = gsn_steal(&a);
+    return GSN_OK;
+}
+
+void gsn_assembly_free(struct gsn_assembly *a)
+{
+    if (!a)
+        return;
+    for (size_t i = 0; i < a->section_count; i++)
+        gsn_free(a->section[i].thumbnail.png);
+    gsn_free(a->section);
+    gsn_free(a->panel);
+    gsn_mask_free(a->region);
+    gsn_grid_free(a->grid);
+    gsn_free(a);
+}

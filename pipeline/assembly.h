@@ -1,0 +1,69 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* From the panels of one specimen to one stack in the block frame: poses of all sections solved
+ * together, colour turned into density panel by panel, 24 um planes with gaps kept as gaps. */
+#ifndef GSN_PIPELINE_ASSEMBLY_H
+#define GSN_PIPELINE_ASSEMBLY_H
+
+#include "pipeline/pictures.h"
+#include "pipeline/register/pose.h"
+#include "pipeline/specimen.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum gsn_assembly_state {
+    GSN_SECTION_USED,
+    GSN_SECTION_DOUBTFUL, /* used, on two marks: a person should look */
+    GSN_SECTION_HELD,     /* not used: its place is not known well enough */
+    GSN_SECTION_MISSING,  /* expected, but not there or on a refused panel */
+    GSN_SECTION_EMPTY,
+};
+
+/* One slot, found or not. */
+struct gsn_assembly_section {
+    unsigned panel; /* 1-based */
+    struct gsn_panel_section seen;
+    int posed;
+    struct gsn_pose pose;
+    enum gsn_assembly_state state;
+    char flags[160];                      /* words with one space between */
+    struct gsn_account_picture thumbnail; /* png owned; size 0: none */
+};
+
+struct gsn_assembly_panel {
+    const struct gsn_specimen_panel *given; /* borrowed from the specimen */
+    int opened;
+    struct gsn_glass glass;
+    struct gsn_specimen_stain stain;
+    char note[400];
+};
+
+struct gsn_assembly {
+    size_t section_count;
+    struct gsn_assembly_section *section; /* owned; by serial, then panel and slot */
+    size_t panel_count;
+    struct gsn_assembly_panel *panel; /* owned; as in the specimen */
+    int solved;                       /* whether the stack's triangle could be solved */
+    struct gsn_pose_summary summary;
+    char unsolved[480];      /* why not, or empty */
+    struct gsn_mask *region; /* owned; NULL when the job states none */
+    struct gsn_grid *grid;   /* owned; NULL without region or solution */
+};
+
+/* gives. Sections and panels that cannot be used are states, not failures.
+ * Fails with GSN_E_NOMEM, GSN_E_IO, GSN_E_INPUT (a region that misses the stack). */
+int gsn_assembly_make(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options,
+                      struct gsn_assembly **ret_assembly, struct gsn_error *err);
+void gsn_assembly_free(struct gsn_assembly *assembly);
+GSN_DEFINE_AUTO(gsn_assembly);
+
+/* "used", "doubtful", "held", "missing", "empty". */
+const char *gsn_assembly_state_name(enum gsn_assembly_state state);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,62 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What can be seen on one panel alone: which slot holds which section, and where its marks are.
+ *
+ * This is the work of one panel job. It is kept as rows, so that the specimen's own job starts from
+ * it and a panel that is refused costs only itself. */
+#ifndef GSN_PIPELINE_EXAMINE_H
+#define GSN_PIPELINE_EXAMINE_H
+
+#include "pipeline/core/progress.h"
+#include "pipeline/protocol.h"
+#include "pipeline/register/markers.h"
+#include "pipeline/scan.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum gsn_sighting {
+    GSN_SIGHT_FOUND,     /* tissue with three marks */
+    GSN_SIGHT_NEEDS_EYE, /* tissue, but marks are missing or could be others */
+    GSN_SIGHT_MISSING,   /* no tissue where the protocol expects a section: a gap */
+    GSN_SIGHT_EMPTY,     /* no tissue, and none expected */
+};
+
+/* One slot of a panel; boxes and marks in pixels of the upright picture. */
+struct gsn_panel_section {
+    unsigned serial; /* 0-based in the block */
+    unsigned slot;   /* 0-based in the order of mounting */
+    enum gsn_sighting sighting;
+    char flags[96]; /* words with one space between, or empty: "touching", "two-marks", ... */
+    int x, y, width, height;
+    double area_px;
+    struct gsn_mark mark[GSN_MARKS];
+};
+
+struct gsn_panel_findings {
+    uint32_t width, height;
+    double px_um;
+    char note[512]; /* what was assumed or odd on this panel, "; " between */
+    size_t count;
+    struct gsn_panel_section *section; /* one per slot, in slot order */
+};
+
+/* "found", "needs-eye", "missing", "empty". */
+const char *gsn_sighting_name(enum gsn_sighting sighting);
+
+/* gives. number: of the panel, 1-based. Fails as gsn_scan_open() and gsn_panel_split() do.
+ * borrows: everything. */
+int gsn_panel_examine(const void *bytes, size_t size, const struct gsn_protocol *protocol,
+                      unsigned number, unsigned threads, const struct gsn_progress *progress,
+                      struct gsn_panel_findings **ret_findings, struct gsn_error *err);
+void gsn_panel_findings_free(struct gsn_panel_findings *findings);
+GSN_DEFINE_AUTO(gsn_panel_findings);
+
+/* The layout as the register's own record. */
+struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,279 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/pictures.h"
+
+#include "pipeline/decode/png_write.h"
+#include "pipeline/render/canvas.h"
+#include "pipeline/render/cut.h"
+#include "pipeline/render/isosurface.h"
+#include "pipeline/render/projection.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdio.h>
+
+enum { CUT_PX = 480, XRAY_PX = 440, SURFACE_PX = 600, GUTTER_PX = 12 };
+
+static int keep(const struct gsn_image *image, struct gsn_account_picture *picture,
+                struct gsn_error *err)
+{
+    picture->width = image->width;
+    picture->height = image->height;
+    return gsn_png_encode(image, &picture->png, &picture->size, err);
+}
+
+static struct gsn_account_picture *next(struct gsn_account *account, const char *id,
+                                        const char *title)
+{
+    struct gsn_account_picture *picture = &account->picture[account->picture_count];
+
+    assert(account->picture_count < GSN_ACCOUNT_PICTURES);
+    picture->id = id;
+    picture->title = title;
+    return picture;
+}
+
+static int side_by_side(const struct gsn_image *left, const struct gsn_image *right,
+                        struct gsn_image **ret_both, struct gsn_error *err)
+{
+    static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
+    const uint32_t height = left->height > right->height ? left->height : right->height;
+    const int r =
+        gsn_canvas_new(left->width + GUTTER_PX + right->width, height, white, ret_both, err);
+
+    if (r < 0)
+        return r;
+    gsn_canvas_paste(*ret_both, left, 0, 0);
+    gsn_canvas_paste(*ret_both, right, (int)left->width + GUTTER_PX, 0);
+    return GSN_OK;
+}
+
+/* Beyond the region the spline only goes on; a picture must not show that as data. */
+static void leave_region_only(struct gsn_plane *plane, const struct gsn_cut_frame *frame,
+                              const struct gsn_mask *region)
+{
+    for (uint32_t y = 0; y < plane->height; y++)
+        for (uint32_t x = 0; x < plane->width; x++) {
+            const double right = frame->left_um + (x + 0.5) * frame->um_per_px;
+            const double down = frame->top_um + (y + 0.5) * frame->um_per_px;
+            const struct gsn_vec3 u =
+                frame->axis == GSN_AXIS_Z   ? gsn_vec3_make(right, down, frame->at_um)
+                : frame->axis == GSN_AXIS_Y ? gsn_vec3_make(right, frame->at_um, down)
+                                            : gsn_vec3_make(frame->at_um, right, down);
+
+            if (!gsn_mask_has(region, u))
+                plane->value[(size_t)y * plane->width + x] = NAN;
+        }
+}
+
+struct scale {
+    double low, high;
+    const char *unit;
+};
+
+/* Data and model on one plane, with one colour scale. */
+static int cut(const struct gsn_grid *grid, const struct gsn_mask *region,
+               const struct gsn_cut_frame *frame, const struct scale *scale, unsigned threads,
+               struct gsn_account *account, struct gsn_account_picture *picture,
+               struct gsn_error *err)
+{
+    struct gsn_cut_style style = { .title = "data",
+                                   .unit = scale->unit,
+                                   .low = scale->low,
+                                   .high = scale->high,
+                                   .map = GSN_MAP_VIRIDIS };
+    gsn_auto(gsn_plane) data = NULL;
+    gsn_auto(gsn_plane) model = NULL;
+    gsn_auto(gsn_image) left = NULL;
+    gsn_auto(gsn_image) right = NULL;
+    gsn_auto(gsn_image) both = NULL;
+    int r = gsn_cut_grid(grid, frame, &data, err);
+
+    if (r >= 0)
+        r = gsn_cut_spline(account->spline, frame, threads, &model, err);
+    if (r >= 0)
+        leave_region_only(model, frame, region);
+    if (r >= 0)
+        r = gsn_cut_paint(data, frame, region, &style, &left, err);
+    style.title = "model";
+    if (r >= 0)
+        r = gsn_cut_paint(model, frame, region, &style, &right, err);
+    if (r >= 0)
+        r = side_by_side(left, right, &both, err);
+    return r < 0 ? r : keep(both, picture, err);
+}
+
+static int cuts(const struct gsn_grid *grid, const struct gsn_mask *region,
+                const struct scale *scale, unsigned threads, struct gsn_account *account,
+                struct gsn_error *err)
+{
+    static const struct {
+        enum gsn_axis axis;
+        const char *id, *title, *seen;
+    } planes[] = { { GSN_AXIS_Z, "cut-z", "Cut across z, as sectioned", "x right, y down" },
+                   { GSN_AXIS_Y, "cut-y", "Cut across y, through the stack", "x right, z down" },
+                   { GSN_AXIS_X, "cut-x", "Cut across x, through the stack", "y right, z down" } };
+    struct gsn_vec3 centre;
+    int r = gsn_cut_centre(region, &centre, err);
+
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < sizeof planes / sizeof planes[0]; i++) {
+        struct gsn_account_picture *picture = next(account, planes[i].id, planes[i].title);
+        struct gsn_cut_frame frame;
+
+        r = gsn_cut_frame(region, planes[i].axis, centre, CUT_PX, &frame, err);
+        if (r >= 0)
+            r = cut(grid, region, &frame, scale, threads, account, picture, err);
+        if (r < 0)
+            return r;
+        (void)snprintf(picture->caption, sizeof picture->caption,
+                       "Voxels as registered (left) and the fitted spline (right) at %s = %.0f um; "
+                       "%s. Hatched: no data. The line is the region of interest.",
+                       i == 0   ? "z"
+                       : i == 1 ? "y"
+                                : "x",
+                       i == 0   ? centre.z
+                       : i == 1 ? centre.y
+                                : centre.x,
+                       planes[i].seen);
+        account->picture_count++;
+    }
+    return GSN_OK;
+}
+
+/* Seen a little from above and the side, so that all three extents show. */
+static struct gsn_view view_of(uint32_t px)
+{
+    return (struct gsn_view){
+        .direction = { 0.45, 0.62, 0.64 }, .up = { 0, -0.35, -1 }, .width = px, .height = px
+    };
+}
+
+static int xray(const struct gsn_account_options *options, const char *unit,
+                struct gsn_account *account, struct gsn_error *err)
+{
+    struct gsn_account_picture *picture = next(account, "x-ray", "X-ray");
+    const struct gsn_view view = view_of(XRAY_PX);
+    gsn_auto(gsn_plane) plane = NULL;
+    gsn_auto(gsn_image) image = NULL;
+    struct gsn_camera camera;
+    int r = gsn_projection(account->spline, &view, options->threads, options->progress, &plane,
+                           &camera, err);
+
+    if (r >= 0)
+        r = gsn_projection_paint(plane, &camera, NULL, unit, 0, 0, GSN_MAP_GREY, &image, err);
+    if (r >= 0)
+        r = keep(image, picture, err);
+    if (r < 0)
+        return r;
+    (void)snprintf(picture->caption, sizeof picture->caption,
+                   "The integral of the fitted spline along every line of sight, by the exact "
+                   "projection formula: no steps, no sampling.");
+    account->picture_count++;
+    return GSN_OK;
+}
+
+static int surface(const struct gsn_account_options *options, struct gsn_account *account,
+                   struct gsn_error *err)
+{
+    struct gsn_account_picture *picture = next(account, "isosurface", "Isosurface");
+    const double level = account->bound[account->bound_count / 2].threshold;
+    const struct gsn_tets *mesh = gsn_dms_mesh(account->space);
+    const struct gsn_view view = view_of(SURFACE_PX);
+    gsn_auto(gsn_trimesh) triangles = NULL;
+    gsn_auto(gsn_image) image = NULL;
+    int r = gsn_isosurface(account->spline, level, mesh->tet_count > 40000 ? 0 : 1,
+                           options->threads, &triangles, err);
+
+    if (r >= 0)
+        r = gsn_trimesh_paint(triangles, mesh, &view, NULL, options->threads, &image, err);
+    if (r >= 0)
+        r = keep(image, picture, err);
+    if (r < 0)
+        return r;
+    (void)snprintf(picture->caption, sizeof picture->caption,
+                   "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
+                   "normals from the spline's own gradient. Open where it meets the edge of the "
+                   "domain.",
+                   level, triangles->triangle_count);
+    account->picture_count++;
+    return GSN_OK;
+}
+
+int gsn_pictures_make(const struct gsn_grid *grid, const struct gsn_mask *region,
+                      const struct gsn_protocol *protocol,
+                      const struct gsn_account_options *options, struct gsn_account *account,
+                      struct gsn_error *err)
+{
+    struct scale scale = { .low = 0, .high = 1, .unit = "density" };
+    int r;
+
+    if (protocol->kind == GSN_KIND_VOLUME) {
+        gsn_cut_range(grid, region, &scale.low, &scale.high);
+        scale.unit = "value";
+    }
+    gsn_progress_say(options->progress, "pictures", 0, 5);
+    r = cuts(grid, region, &scale, options->threads, account, err);
+    gsn_progress_say(options->progress, "pictures", 3, 5);
+    if (r >= 0)
+        r = xray(options, protocol->kind == GSN_KIND_VOLUME ? "value x um" : NULL, account, err);
+    gsn_progress_say(options->progress, "pictures", 4, 5);
+    return r < 0 ? r : surface(options, account, err);
+}
+
+/* The mean colour of the pixels that one pixel of the small picture stands for. */
+static struct gsn_colour box_mean(const struct gsn_image *image, int x0, int y0, int x1, int y1)
+{
+    const unsigned shift = image->bits == 16 ? 8 : 0;
+    unsigned long sum[3] = { 0 }, count = 0;
+
+    for (int y = y0; y < y1; y++)
+        for (int x = x0; x < x1; x++, count++)
+            for (unsigned c = 0; c < 3; c++)
+                sum[c] += gsn_image_at(image, (uint32_t)x, (uint32_t)y, c) >> shift;
+    count = count ? count : 1;
+    return (struct gsn_colour){ .r = (uint8_t)(sum[0] / count),
+                                .g = (uint8_t)(sum[1] / count),
+                                .b = (uint8_t)(sum[2] / count) };
+}
+
+static void ring(struct gsn_image *image, double x, double y, double radius)
+{
+    static const struct gsn_colour ink = { .r = 0, .g = 110, .b = 230 };
+    enum { SIDES = 20 };
+
+    for (int i = 0; i < SIDES; i++) {
+        const double a = 2 * M_PI * i / SIDES, b = 2 * M_PI * (i + 1) / SIDES;
+
+        gsn_canvas_line(image, x + radius * cos(a), y + radius * sin(a), x + radius * cos(b),
+                        y + radius * sin(b), 1.4, ink);
+    }
+}
+
+int gsn_thumbnail(const struct gsn_image *image, int x, int y, int width, int height,
+                  const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
+                  struct gsn_account_picture *ret_picture, struct gsn_error *err)
+{
+    static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
+    const int longest = width > height ? width : height;
+    const double scale = longest > (int)longest_px ? (double)longest_px / longest : 1;
+    const uint32_t w = (uint32_t)fmax(1, floor(width * scale));
+    const uint32_t h = (uint32_t)fmax(1, floor(height * scale));
+    gsn_auto(gsn_image) small = NULL;
+    int r = gsn_canvas_new(w, h, white, &small, err);
+
+    if (r < 0)
+        return r;
+    for (uint32_t v = 0; v < h; v++)
+        for (uint32_t u = 0; u < w; u++)
+            gsn_canvas_put(small, (int)u, (int)v,
+                           box_mean(image, x + (int)(u * (uint32_t)width / w),
+                                    y + (int)(v * (uint32_t)height / h),
+                                    x + (int)((u + 1) * (uint32_t)width / w),
+                                    y + (int)((v + 1) * (uint32_t)height / h)));
+    for (size_t i = 0; i < GSN_MARKS; i++)
+        if (mark[i].found)
+            ring(small, (mark[i].px.x - x) * scale, (mark[i].px.y - y) * scale,
+                 fmax(4, 2.2 * mark[i].radius_px * scale));
+    return keep(small, ret_picture, err);
+}

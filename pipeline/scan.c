@@ -1,0 +1,118 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/scan.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* A file and a job that differ by more than this about the pixel size cannot both be right. */
+static const double PX_UM_TOLERANCE = 0.01;
+
+static void note(struct gsn_scan *scan, const char *text)
+{
+    const size_t used = strlen(scan->note);
+
+    (void)snprintf(scan->note + used, sizeof scan->note - used, "%s%s", used ? "; " : "", text);
+}
+
+static enum gsn_light light_of(struct gsn_scan *scan, const struct gsn_protocol *protocol)
+{
+    const enum gsn_transfer stated = scan->picture->transfer;
+
+    if (protocol->transfer == GSN_STATED_LINEAR)
+        return GSN_LIGHT_CODES_LINEAR;
+    if (protocol->transfer == GSN_STATED_SRGB)
+        return GSN_LIGHT_SRGB;
+    if (stated == GSN_TRANSFER_ICC)
+        note(scan, "its ICC profile is read as sRGB");
+    if (stated == GSN_TRANSFER_ICC || stated == GSN_TRANSFER_SRGB)
+        return GSN_LIGHT_SRGB;
+    if (stated == GSN_TRANSFER_UNKNOWN)
+        note(scan, "transfer curve not stated: codes taken as linear light, as the dye vectors "
+                   "were measured");
+    return GSN_LIGHT_CODES_LINEAR;
+}
+
+static int size_of_pixels(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                          struct gsn_error *err)
+{
+    const double x = scan->picture->px_um_x, y = scan->picture->px_um_y;
+    char text[120];
+
+    scan->px_um = protocol->px_um > 0 ? protocol->px_um : x;
+    if (!(scan->px_um > 0))
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the pixel size is not known: neither \"px_um\" in job.json nor a "
+                        "resolution in the file");
+    if (x > 0 && (fabs(x / scan->px_um - 1) > PX_UM_TOLERANCE ||
+                  fabs(y / scan->px_um - 1) > PX_UM_TOLERANCE)) {
+        (void)snprintf(text, sizeof text,
+                       "the file states pixels of %.4g x %.4g um, the job %.4g um was used", x, y,
+                       scan->px_um);
+        note(scan, text);
+    }
+    return GSN_OK;
+}
+
+static int measure_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                         enum gsn_light light, struct gsn_error *err)
+{
+    const struct gsn_image *image = scan->picture->image;
+    const double white[3] = { 255 * protocol->white[0], 255 * protocol->white[1],
+                              255 * protocol->white[2] };
+
+    if (!protocol->has_white)
+        return gsn_glass_estimate(image, light, &scan->glass, err);
+    note(scan, "white point as stated in the job, not measured");
+    return gsn_glass_given(image->width, image->height, light, white, &scan->glass, err);
+}
+
+int gsn_scan_open(const void *bytes, size_t size, const struct gsn_protocol *protocol,
+                  unsigned threads, struct gsn_scan **ret_scan, struct gsn_error *err)
+{
+    gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
+    int r;
+
+    if (!scan)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a scan");
+    r = gsn_decode(bytes, size, NULL, &scan->picture, err);
+    if (r < 0)
+        return r;
+    if (scan->picture->image->channels != 3)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "a grey picture: collagen needs colour; scan again as RGB");
+    r = size_of_pixels(scan, protocol, err);
+    if (r >= 0)
+        r = measure_glass(scan, protocol, light_of(scan, protocol), err);
+    if (r >= 0)
+        r = gsn_optical_density(scan->picture->image, &scan->glass, threads, scan->od,
+                                &scan->clipped, err);
+    if (r < 0)
+        return r;
+    *ret_scan = gsn_steal(&scan);
+    return GSN_OK;
+}
+
+void gsn_scan_free(struct gsn_scan *scan)
+{
+    if (!scan)
+        return;
+    gsn_picture_free(scan->picture);
+    for (size_t c = 0; c < 3; c++)
+        gsn_plane_free(scan->od[c]);
+    gsn_free(scan);
+}
+
+int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                  struct gsn_dyes *ret_dyes, double ret_uncertainty_deg[2], struct gsn_error *err)
+{
+    struct gsn_dyes dyes = gsn_dyes_builtin();
+
+    if (!protocol->estimate_dyes && dyes.light == scan->glass.light) {
+        ret_uncertainty_deg[0] = ret_uncertainty_deg[1] = 0;
+        *ret_dyes = dyes;
+        return GSN_OK;
+    }
+    dyes.light = scan->glass.light;
+    return gsn_dyes_estimate(scan->od, NULL, &dyes, ret_dyes, ret_uncertainty_deg, err);
+}

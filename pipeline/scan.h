@@ -1,0 +1,44 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* One scanned picture, opened: decoded, its light understood, its glass measured, its colours
+ * turned into optical density. What a panel and a single tile have in common. */
+#ifndef GSN_PIPELINE_SCAN_H
+#define GSN_PIPELINE_SCAN_H
+
+#include "pipeline/decode/decode.h"
+#include "pipeline/protocol.h"
+#include "pipeline/stain/redness.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_scan {
+    struct gsn_picture *picture; /* RGB */
+    struct gsn_glass glass;
+    struct gsn_plane *od[3];
+    double px_um;   /* the job's, else the file's; never 0 */
+    size_t clipped; /* pixels with a channel at 0 */
+    char note[240]; /* what was assumed, "; " between; empty when nothing was */
+};
+
+/* gives. Samples are read as the job says, else as the file says, else as the built-in dye vectors
+ * were measured (codes in proportion to light), and that is noted.
+ *
+ * Fails as gsn_decode() and gsn_glass_estimate() do; with GSN_E_INPUT when neither job nor file
+ * states the pixel size, or the picture is grey. borrows: bytes, protocol. */
+int gsn_scan_open(const void *bytes, size_t size, const struct gsn_protocol *protocol,
+                  unsigned threads, struct gsn_scan **ret_scan, struct gsn_error *err);
+void gsn_scan_free(struct gsn_scan *scan);
+GSN_DEFINE_AUTO(gsn_scan);
+
+/* The dye vectors to unmix this scan with: the built-in ones, or those of the slide itself where
+ * the job asks for it or where the built-in ones were measured in another light.
+ * ret_uncertainty_deg: of red and yellow; 0 for the built-in ones. */
+int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                  struct gsn_dyes *ret_dyes, double ret_uncertainty_deg[2], struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

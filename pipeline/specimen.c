@@ -1,0 +1,189 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/specimen.h"
+
+#include "pipeline/account.h"
+#include "pipeline/assembly.h"
+#include "pipeline/summary.h"
+#include "pipeline/tile.h"
+
+#include <stdio.h>
+#include <string.h>
+
+/* What speaks of the evidence, not of the machine: the report is made all the same, without the
+ * figure and with the sentence. */
+static int is_about_evidence(int code)
+{
+    return code == GSN_E_WITHHELD || code == GSN_E_STAIN || code == GSN_E_MARKERS ||
+           code == GSN_E_INPUT || code == GSN_E_UNSUPPORTED || code == GSN_E_LIMIT;
+}
+
+static int keep_poses(const struct gsn_assembly *a, struct gsn_specimen_result *result,
+                      struct gsn_error *err)
+{
+    result->pose = gsn_alloc_array(a->section_count, sizeof *result->pose);
+    result->stain = gsn_alloc_array(a->panel_count, sizeof *result->stain);
+    if (!result->pose || !result->stain)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the poses of a specimen");
+    for (size_t i = 0; i < a->section_count; i++)
+        if (a->section[i].posed)
+            result->pose[result->pose_count++] =
+                (struct gsn_specimen_pose){ .panel = a->section[i].panel,
+                                            .slot = a->section[i].seen.slot,
+                                            .serial = a->section[i].seen.serial,
+                                            .pose = a->section[i].pose };
+    for (size_t i = 0; i < a->panel_count; i++)
+        if (a->panel[i].opened)
+            result->stain[result->stain_count++] = a->panel[i].stain;
+    return GSN_OK;
+}
+
+static struct gsn_account_options account_options(const struct gsn_specimen_options *options)
+{
+    return (struct gsn_account_options){ .mesher = options->mesher,
+                                         .threads = options->threads,
+                                         .progress = options->progress };
+}
+
+/* Makes the account, or says in why what stands against it. */
+static int try_account(const struct gsn_grid *grid, const struct gsn_mask *region,
+                       const struct gsn_specimen *specimen,
+                       const struct gsn_specimen_options *options, struct gsn_account **ret_account,
+                       struct gsn_error *why, struct gsn_error *err)
+{
+    const struct gsn_account_options how = account_options(options);
+    const int r = gsn_account_make(grid, region, specimen->protocol, &how, ret_account, why);
+
+    if (r < 0 && !is_about_evidence(r)) {
+        if (err)
+            *err = *why;
+        return r;
+    }
+    return GSN_OK;
+}
+
+static int work_sections(const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options,
+                         struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    gsn_auto(gsn_assembly) assembly = NULL;
+    gsn_auto(gsn_account) account = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_evidence evidence = { .specimen = specimen };
+    int r = gsn_assembly_make(specimen, options, &assembly, &why);
+
+    if (r < 0 && !is_about_evidence(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    if (r >= 0 && assembly->grid)
+        r = try_account(assembly->grid, assembly->region, specimen, options, &account, &why, err);
+    else if (r >= 0 && !assembly->solved)
+        (void)gsn_fail(&why, GSN_E_WITHHELD, "%s", assembly->unsolved);
+    else if (r >= 0)
+        (void)gsn_fail(&why, GSN_E_WITHHELD,
+                       "no region of interest is stated: add \"region\" to job.json");
+    if (r < 0 && !is_about_evidence(r))
+        return r;
+    if (assembly && (r = keep_poses(assembly, result, err)) < 0)
+        return r;
+    evidence.assembly = assembly;
+    evidence.account = account;
+    evidence.withheld = account ? NULL : why.text;
+    gsn_progress_say(options->progress, "report", 0, 1);
+    return gsn_summarise(&evidence, result, err);
+}
+
+/* The whole volume, where no region is stated. */
+static int whole(const struct gsn_grid *volume, struct gsn_mask **ret_mask, struct gsn_error *err)
+{
+    const int r = gsn_mask_new(&volume->at, ret_mask, err);
+
+    if (r >= 0)
+        memset((*ret_mask)->inside, 1, gsn_lattice_count(&volume->at));
+    return r;
+}
+
+static int work_volume(const struct gsn_specimen *specimen,
+                       const struct gsn_specimen_options *options,
+                       struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    gsn_auto(gsn_mask) made = NULL;
+    gsn_auto(gsn_account) account = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_evidence evidence = { .specimen = specimen };
+    int r = GSN_OK;
+
+    if (specimen->protocol->region.kind > GSN_REGION_MASK)
+        r = gsn_region_raster(&specimen->protocol->region, &specimen->volume->at, &made, &why);
+    else if (!specimen->region)
+        r = whole(specimen->volume, &made, &why);
+    if (r < 0 && !is_about_evidence(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    if (r >= 0)
+        r = try_account(specimen->volume, made ? made : specimen->region, specimen, options,
+                        &account, &why, err);
+    if (r < 0 && !is_about_evidence(r))
+        return r;
+    evidence.account = account;
+    evidence.withheld = account ? NULL : why.text;
+    return gsn_summarise(&evidence, result, err);
+}
+
+static int work_tile(const struct gsn_specimen *specimen,
+                     const struct gsn_specimen_options *options, struct gsn_specimen_result *result,
+                     struct gsn_error *err)
+{
+    gsn_auto(gsn_tile) tile = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_evidence evidence = { .specimen = specimen };
+    const int r = gsn_tile_work(specimen, options, &tile, &why);
+
+    if (r < 0 && !is_about_evidence(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    evidence.tile = tile;
+    evidence.withheld = tile ? NULL : why.text;
+    return gsn_summarise(&evidence, result, err);
+}
+
+int gsn_specimen_work(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options,
+                      struct gsn_specimen_result **ret_result, struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_result) result = gsn_alloc_array(1, sizeof *result);
+    int r;
+
+    if (!result)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the result of a specimen");
+    switch (specimen->protocol->kind) {
+    case GSN_KIND_VOLUME:
+        r = work_volume(specimen, options, result, err);
+        break;
+    case GSN_KIND_TILE:
+        r = work_tile(specimen, options, result, err);
+        break;
+    default:
+        r = work_sections(specimen, options, result, err);
+    }
+    if (r < 0)
+        return r;
+    *ret_result = gsn_steal(&result);
+    return GSN_OK;
+}
+
+void gsn_specimen_result_free(struct gsn_specimen_result *result)
+{
+    if (!result)
+        return;
+    gsn_free(result->json);
+    gsn_free(result->html);
+    gsn_free(result->pose);
+    gsn_free(result->stain);
+    gsn_free(result);
+}

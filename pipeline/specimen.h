@@ -1,0 +1,119 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The conductor: takes what is known of a specimen through every stage to its report.
+ *
+ *     sections:  marks -> poses -> density of each panel -> stack -> account -> report
+ *     volume:    voxels -> account -> report
+ *     tile:      picture -> dyes -> collagen map -> report
+ *
+ * It knows no store: the caller brings bytes and rows, and keeps what comes back. The same inputs
+ * give the same bytes, whatever the number of threads. */
+#ifndef GSN_PIPELINE_SPECIMEN_H
+#define GSN_PIPELINE_SPECIMEN_H
+
+#include "pipeline/core/grid.h"
+#include "pipeline/core/progress.h"
+#include "pipeline/examine.h"
+#include "pipeline/protocol.h"
+#include "pipeline/register/pose.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A panel as it was logged; sections come from gsn_panel_examine(), possibly in an earlier process.
+ * A panel that was refused or is held has none. All borrowed. */
+struct gsn_specimen_panel {
+    unsigned number; /* 1-based; 0: unknown */
+    const char *file, *sha256, *state, *message;
+    size_t size;
+    double px_um; /* as examined; 0 without sections */
+    size_t section_count;
+    const struct gsn_panel_section *section;
+};
+
+/* A file that the figures rest on, for the provenance. */
+struct gsn_specimen_input {
+    const char *name, *sha256;
+    size_t size;
+};
+
+/* The control's figures; name is "" when the job states no baseline. */
+struct gsn_specimen_baseline {
+    const char *name;
+    size_t specimens; /* with a result; more than one for a group; 0: none yet */
+    double mean_density, volume_mm3;
+    const char *definition, *dyes;
+};
+
+struct gsn_specimen {
+    const struct gsn_protocol *protocol;
+    size_t panel_count;
+    const struct gsn_specimen_panel *panel; /* in order of number */
+    const struct gsn_mask *region;          /* of a mask file, or NULL */
+    const struct gsn_grid *volume;          /* kind volume */
+    const char *picture_sha256;             /* kind tile */
+    const char *reference_sha256;           /* kind tile, may be NULL */
+    struct gsn_specimen_baseline baseline;
+    size_t input_count;
+    const struct gsn_specimen_input *input;
+    const char *key; /* hash of inputs, parameters and version */
+
+    /* Reads an object. gives: the bytes. */
+    int (*read)(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
+                struct gsn_error *err);
+    void *context;
+};
+
+struct gsn_specimen_options {
+    const char *mesher; /* path of gieson-mesh */
+    unsigned threads;   /* 0: all */
+    const struct gsn_progress *progress;
+};
+
+struct gsn_specimen_pose {
+    unsigned panel, slot, serial; /* panel 1-based, the others 0-based */
+    struct gsn_pose pose;
+};
+
+/* What the stain of one panel was. */
+struct gsn_specimen_stain {
+    unsigned panel;
+    struct gsn_dyes dyes;
+    double white[3];
+    double uncertainty_deg[2];
+};
+
+struct gsn_specimen_measure {
+    const char *name, *unit;
+    double value, lower, upper; /* NaN where there is none */
+};
+
+enum { GSN_SPECIMEN_MEASURES = 32 };
+
+struct gsn_specimen_result {
+    int withheld;      /* 1: no figure could be given, the report says why */
+    char message[480]; /* why withheld, or empty */
+    char *json, *html; /* owned */
+    size_t json_size, html_size;
+    char definition[96], dyes[48];
+    size_t pose_count;
+    struct gsn_specimen_pose *pose; /* owned */
+    size_t stain_count;
+    struct gsn_specimen_stain *stain; /* owned */
+    size_t measure_count;
+    struct gsn_specimen_measure measure[GSN_SPECIMEN_MEASURES];
+};
+
+/* gives. A specimen whose evidence is too thin has a result too: withheld, with a report that names
+ * the evidence and the next action. Fails with GSN_E_NOMEM, GSN_E_IO, GSN_E_PROCESS, GSN_E_FIT. */
+int gsn_specimen_work(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options,
+                      struct gsn_specimen_result **ret_result, struct gsn_error *err);
+void gsn_specimen_result_free(struct gsn_specimen_result *result);
+GSN_DEFINE_AUTO(gsn_specimen_result);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,34 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* From what was measured to what is said: the verdict, the warnings with their evidence, the
+ * exclusions with their reasons, the loss against the baseline; then the report's bytes. */
+#ifndef GSN_PIPELINE_SUMMARY_H
+#define GSN_PIPELINE_SUMMARY_H
+
+#include "pipeline/account.h"
+#include "pipeline/assembly.h"
+#include "pipeline/specimen.h"
+#include "pipeline/tile.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* What there is to say; members that do not apply are NULL. */
+struct gsn_evidence {
+    const struct gsn_specimen *specimen;
+    const struct gsn_assembly *assembly;
+    const struct gsn_account *account;
+    const struct gsn_tile *tile;
+    const char *withheld; /* the sentence why there is no account, or NULL */
+};
+
+/* Fills json, html, measures, definition, dyes, withheld and message of result. borrows: evidence.
+ * Fails with GSN_E_NOMEM. */
+int gsn_summarise(const struct gsn_evidence *evidence, struct gsn_specimen_result *result,
+                  struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

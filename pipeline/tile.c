@@ -1,0 +1,164 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/tile.h"
+
+#include "pipeline/decode/png_write.h"
+#include "pipeline/render/canvas.h"
+
+#include <math.h>
+#include <stdio.h>
+
+enum { LONGEST_PX = 700 };
+
+static int picture(const struct gsn_image *image, const char *id, const char *title,
+                   const char *caption, struct gsn_tile *tile, struct gsn_error *err)
+{
+    static const struct gsn_mark none[GSN_MARKS] = { 0 };
+    struct gsn_account_picture *kept = &tile->picture[tile->picture_count];
+    const int r = gsn_thumbnail(image, 0, 0, (int)image->width, (int)image->height, none,
+                                LONGEST_PX, kept, err);
+
+    if (r < 0)
+        return r;
+    kept->id = id;
+    kept->title = title;
+    (void)snprintf(kept->caption, sizeof kept->caption, "%s", caption);
+    tile->picture_count++;
+    return GSN_OK;
+}
+
+static int density_picture(const struct gsn_plane *density, struct gsn_tile *tile,
+                           struct gsn_error *err)
+{
+    static const struct gsn_colour black = { 0 };
+    gsn_auto(gsn_image) image = NULL;
+    const int r = gsn_canvas_new(density->width, density->height, black, &image, err);
+
+    if (r < 0)
+        return r;
+    for (uint32_t y = 0; y < density->height; y++)
+        for (uint32_t x = 0; x < density->width; x++)
+            gsn_canvas_put(image, (int)x, (int)y,
+                           gsn_colour_of(GSN_MAP_VIRIDIS,
+                                         (double)density->value[(size_t)y * density->width + x]));
+    return picture(image, "density", "Collagen-equivalent density",
+                   "Red dye after unmixing, 0 dark to 1 bright.", tile, err);
+}
+
+/* White: both maps; red: ours alone; blue: the reference alone; dark: neither. */
+static int agreement_picture(const struct gsn_image *map, const struct gsn_image *reference,
+                             struct gsn_tile *tile, struct gsn_error *err)
+{
+    static const struct gsn_colour colours[4] = {
+        { 24, 24, 28 }, { 60, 110, 230 }, { 220, 60, 50 }, { 240, 240, 236 }
+    };
+    const unsigned half = reference && reference->bits == 16 ? 32768 : 128;
+    const unsigned channel = reference && reference->channels == 3 ? 1 : 0;
+    gsn_auto(gsn_image) image = NULL;
+    const int r = gsn_canvas_new(map->width, map->height, colours[0], &image, err);
+
+    if (r < 0)
+        return r;
+    for (uint32_t y = 0; y < map->height; y++)
+        for (uint32_t x = 0; x < map->width; x++) {
+            const unsigned ours = gsn_image_at(map, x, y, 0) >= 128 ? 2 : 0;
+            const unsigned theirs =
+                reference ? gsn_image_at(reference, x, y, channel) >= half : ours / 2;
+
+            gsn_canvas_put(image, (int)x, (int)y, colours[ours | theirs]);
+        }
+    return picture(image, "map", "Collagen map",
+                   reference ? "White: both maps; red: this map alone; blue: the reference alone."
+                             : "White: collagen.",
+                   tile, err);
+}
+
+static int compare(const struct gsn_specimen *specimen, const struct gsn_image *map,
+                   struct gsn_tile *tile, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_picture) reference = NULL;
+    size_t size;
+    int r;
+
+    if (!specimen->reference_sha256)
+        return agreement_picture(map, NULL, tile, err);
+    r = specimen->read(specimen->context, specimen->reference_sha256, &bytes, &size, err);
+    if (r >= 0)
+        r = gsn_decode(bytes, size, NULL, &reference, err);
+    if (r >= 0)
+        r = gsn_mask_compare(map, reference->image, &tile->overlap, err);
+    if (r < 0)
+        return gsn_fail_at(err, "the reference mask");
+    tile->compared = 1;
+    return agreement_picture(map, reference->image, tile, err);
+}
+
+/* The share of red among the dyes decides what is collagen: unlike the density it depends neither
+ * on how thick the tissue is nor on how strongly it was stained. */
+static int map_collagen(const struct gsn_specimen *specimen, const struct gsn_scan *scan,
+                        unsigned threads, struct gsn_tile *tile, struct gsn_error *err)
+{
+    const struct gsn_protocol *protocol = specimen->protocol;
+    gsn_auto(gsn_plane) red = NULL;
+    gsn_auto(gsn_plane) yellow = NULL;
+    gsn_auto(gsn_plane) dark = NULL;
+    gsn_auto(gsn_plane) share = NULL;
+    gsn_auto(gsn_plane) total = NULL;
+    gsn_auto(gsn_image) tissue = NULL;
+    gsn_auto(gsn_image) map = NULL;
+    double least;
+    int r = gsn_unmix(scan->od, &tile->dyes, threads, &red, &yellow, &dark, err);
+
+    if (r >= 0)
+        r = gsn_red_share(red, yellow, dark, &tile->dyes, &share, err);
+    if (r >= 0)
+        r = gsn_tissue_plane(scan->od, &scan->glass, &total, &least, err);
+    if (r >= 0)
+        r = gsn_plane_above(total, least, &tissue, err);
+    if (r >= 0)
+        r = gsn_collagen_map(share, red, tissue,
+                             protocol->threshold_count ? protocol->threshold[0] : NAN, &map,
+                             &tile->collagen, err);
+    if (r >= 0)
+        r = density_picture(red, tile, err);
+    return r < 0 ? r : compare(specimen, map, tile, err);
+}
+
+int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen_options *options,
+                  struct gsn_tile **ret_tile, struct gsn_error *err)
+{
+    gsn_auto(gsn_tile) tile = gsn_alloc_array(1, sizeof *tile);
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_scan) scan = NULL;
+    size_t size;
+    int r;
+
+    if (!tile)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a tile");
+    gsn_progress_say(options->progress, "unmixing", 0, 1);
+    r = specimen->read(specimen->context, specimen->picture_sha256, &bytes, &size, err);
+    if (r >= 0)
+        r = gsn_scan_open(bytes, size, specimen->protocol, options->threads, &scan, err);
+    if (r >= 0)
+        r = gsn_scan_dyes(scan, specimen->protocol, &tile->dyes, tile->uncertainty_deg, err);
+    if (r >= 0)
+        r = picture(scan->picture->image, "picture", "The picture", "As scanned.", tile, err);
+    if (r >= 0)
+        r = map_collagen(specimen, scan, options->threads, tile, err);
+    if (r < 0)
+        return r;
+    tile->glass = scan->glass;
+    tile->px_um = scan->px_um;
+    (void)snprintf(tile->note, sizeof tile->note, "%s", scan->note);
+    *ret_tile = gsn_steal(&tile);
+    return GSN_OK;
+}
+
+void gsn_tile_free(struct gsn_tile *tile)
+{
+    if (!tile)
+        return;
+    for (size_t i = 0; i < tile->picture_count; i++)
+        gsn_free(tile->picture[i].png);
+    gsn_free(tile);
+}

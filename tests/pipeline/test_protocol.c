@@ -1,0 +1,186 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/protocol.h"
+
+#include "tests/check.h"
+
+#include <string.h>
+
+static int parse(const char *text, struct gsn_protocol **ret, struct gsn_error *err)
+{
+    return gsn_protocol_parse(text, strlen(text), ret, err);
+}
+
+/* Every key of docs/job.md. */
+static const char FULL[] =
+    "{\"specimen\": \"A/1\", \"study\": \"s\", \"group\": \"g\", \"animal\": \"a\", \"week\": 4,"
+    " \"px_um\": 10.58, \"interval_um\": 24, \"panels\": 5, \"layout\": [3, 4], \"order\": "
+    "\"snake\","
+    " \"sections\": 59, \"markers_um\": [[-2050, -1000], [1700, -1500], [-1500, 1300]],"
+    " \"region\": {\"shape\": \"cylinder\", \"centre\": [1, 2], \"radius\": 3, \"z\": [4, 50]},"
+    " \"baseline\": \"B\", \"thresholds\": [0.3, 0.5], \"tolerance\": 0.02, \"transfer\": \"srgb\","
+    " \"dyes\": \"estimate\", \"white\": [1, 0.9, 0.8], \"kind\": \"sections\", \"comment\": 1}";
+
+TEST(every_documented_key_is_read)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(parse(FULL, &p, &err), err);
+    CHECK(strcmp(p->specimen, "A/1") == 0 && strcmp(p->baseline, "B") == 0);
+    CHECK(p->order == GSN_STATED_SNAKE && p->transfer == GSN_STATED_SRGB && p->estimate_dyes);
+    CHECK(p->rows == 3 && p->columns == 4 && gsn_protocol_sections(p) == 59);
+    CHECK(p->has_markers && p->markers_um[2].y == 1300);
+    CHECK(p->region.kind == GSN_REGION_CYLINDER && p->region.high.z == 50);
+    CHECK(p->threshold_count == 2 && p->has_white && p->unknown == NULL);
+    CHECK_NEAR(p->px_um, 10.58, 0);
+}
+
+TEST(what_is_not_stated_has_the_documented_default)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(parse("{\"specimen\": \"x\"}", &p, &err), err);
+    CHECK(p->rows == 3 && p->columns == 4 && p->interval_um == 24 && p->px_um == 0);
+    CHECK(isnan(p->week) && p->region.kind == GSN_REGION_NONE && !p->has_markers);
+    CHECK(p->kind == GSN_KIND_SECTIONS && p->transfer == GSN_STATED_UNKNOWN);
+}
+
+TEST(an_unknown_key_is_named_and_not_refused)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(parse("{\"specimen\": \"x\", \"pxum\": 3, \"lens\": 1}", &p, &err), err);
+    CHECK(strcmp(p->unknown, "\"pxum\", \"lens\"") == 0);
+}
+
+TEST(a_wrong_value_is_refused_by_the_name_of_its_key)
+{
+    static const struct {
+        const char *text, *named;
+    } cases[] = {
+        { "[]", "not a JSON object" },
+        { "{\"specimen\": \"x\",}", "line 1" },
+        { "{\"specimen\": \"x\", \"specimen\": \"y\"}", "duplicate" },
+        { "{}", "\"specimen\" is missing" },
+        { "{\"specimen\": \"\"}", "\"specimen\" is missing" },
+        { "{\"specimen\": 3}", "\"specimen\"" },
+        { "{\"specimen\": \"x\", \"px_um\": 0}", "\"px_um\"" },
+        { "{\"specimen\": \"x\", \"px_um\": \"16\"}", "\"px_um\"" },
+        { "{\"specimen\": \"x\", \"layout\": [0, 4]}", "\"layout\"" },
+        { "{\"specimen\": \"x\", \"layout\": [3.5, 4]}", "\"layout\"" },
+        { "{\"specimen\": \"x\", \"layout\": [1e9, 1e9]}", "\"layout\"" },
+        { "{\"specimen\": \"x\", \"order\": \"zigzag\"}", "\"order\"" },
+        { "{\"specimen\": \"x\", \"markers_um\": [[1, 2], [3, 4]]}", "\"markers_um\"" },
+        { "{\"specimen\": \"x\", \"thresholds\": []}", "\"thresholds\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"shape\": \"cube\"}}", "\"shape\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"shape\": \"box\", \"min\": [0,0,0], \"max\": "
+          "[0,1,1]}}",
+          "\"region\"" },
+        { "{\"specimen\": \"x\", \"baseline\": \"x\"}", "names the specimen itself" },
+        { "{\"specimen\": \"x\", \"kind\": \"volume\"}", "\"file\" is missing" },
+        { "{\"specimen\": \"x\", \"panels\": -1}", "\"panels\"" },
+        { "{\"specimen\": \"x\", \"panels\": 1.5}", "\"panels\"" },
+        { "{\"specimen\": \"x\", \"sections\": 0}", "\"sections\"" },
+        { "{\"specimen\": \"x\", \"study\": 1}", "\"study\"" },
+        { "{\"specimen\": \"x\", \"week\": -1}", "\"week\"" },
+        { "{\"specimen\": \"x\", \"interval_um\": 0}", "\"interval_um\"" },
+        { "{\"specimen\": \"x\", \"tolerance\": 0}", "\"tolerance\"" },
+        { "{\"specimen\": \"x\", \"kind\": \"slide\"}", "\"kind\"" },
+        { "{\"specimen\": \"x\", \"kind\": \"tile\"}", "\"file\" is missing" },
+        { "{\"specimen\": \"x\", \"transfer\": \"gamma\"}", "\"transfer\"" },
+        { "{\"specimen\": \"x\", \"dyes\": 3}", "\"dyes\"" },
+        { "{\"specimen\": \"x\", \"white\": [1, 1, 0]}", "\"white\"" },
+        { "{\"specimen\": \"x\", \"white\": [255, 255, 255]}", "\"white\"" },
+        { "{\"specimen\": \"x\", \"layout\": 3}", "\"layout\"" },
+        { "{\"specimen\": \"x\", \"markers_um\": [[1, 2], [3, 4], [5, \"6\"]]}", "\"markers_um\"" },
+        { "{\"specimen\": \"x\", \"thresholds\": [1, 2, 3, 4, 5, 6, 7, 8, 9]}", "\"thresholds\"" },
+        { "{\"specimen\": \"x\", \"thresholds\": 0.5}", "\"thresholds\"" },
+        { "{\"specimen\": \"x\", \"region\": 7}", "\"region\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"shape\": \"sphere\", \"centre\": [0, 0], "
+          "\"radius\": 3}}",
+          "\"region\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"shape\": \"sphere\", \"centre\": [0, 0, 0], "
+          "\"radius\": -3}}",
+          "\"region\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"shape\": \"cylinder\", \"centre\": [0, 0], "
+          "\"radius\": 3, \"z\": [9, 4]}}",
+          "\"region\"" },
+    };
+
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        struct gsn_protocol *p = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK(parse(cases[i].text, &p, &err) == GSN_E_INPUT);
+        CHECK(p == NULL);
+        if (!strstr(err.text, cases[i].named))
+            fail_msg("%s\nsays: %s\nand does not name %s", cases[i].text, err.text, cases[i].named);
+    }
+}
+
+TEST(the_sections_are_the_slots_or_as_many_as_stated)
+{
+    static const struct {
+        const char *text;
+        unsigned sections;
+    } cases[] = {
+        { "{\"specimen\": \"x\"}", 0 },
+        { "{\"specimen\": \"x\", \"sections\": 7}", 7 },
+        { "{\"specimen\": \"x\", \"panels\": 2, \"layout\": [2, 3]}", 12 },
+        { "{\"specimen\": \"x\", \"panels\": 2, \"layout\": [2, 3], \"sections\": 11}", 11 },
+        { "{\"specimen\": \"x\", \"panels\": 2, \"layout\": [2, 3], \"sections\": 13}", 12 },
+    };
+
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        gsn_auto(gsn_protocol) p = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK_OK(parse(cases[i].text, &p, &err), err);
+        CHECK(gsn_protocol_sections(p) == cases[i].sections);
+    }
+}
+
+TEST(a_shape_covers_its_own_volume)
+{
+    const struct gsn_lattice at = {
+        .nx = 40, .ny = 40, .nz = 40, .origin_um = { -19.5, -19.5, -19.5 }, .step_um = { 1, 1, 1 }
+    };
+    /* Off the lattice's symmetry, where whole shells of voxels would lie on the border at once. */
+    const struct gsn_region ball = { .kind = GSN_REGION_SPHERE,
+                                     .centre = { 0.13, 0.27, 0.41 },
+                                     .radius_um = 15 };
+    const struct gsn_region box = { .kind = GSN_REGION_BOX,
+                                    .low = { -3, -4, -5 },
+                                    .high = { 3, 4, 5 } };
+    const struct gsn_region far = { .kind = GSN_REGION_SPHERE,
+                                    .centre = { 500, 0, 0 },
+                                    .radius_um = 15 };
+    gsn_auto(gsn_mask) in_ball = NULL;
+    gsn_auto(gsn_mask) in_box = NULL;
+    gsn_auto(gsn_mask) nowhere = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_region_raster(&ball, &at, &in_ball, &err), err);
+    /* Lattice points of a ball: the volume within a part of the voxels its surface meets. */
+    CHECK_NEAR((double)gsn_mask_count(in_ball), 4.0 / 3.0 * M_PI * 15 * 15 * 15,
+               0.1 * 4 * M_PI * 15 * 15);
+    CHECK_OK(gsn_region_raster(&box, &at, &in_box, &err), err);
+    CHECK(gsn_mask_count(in_box) == 6 * 8 * 10);
+    CHECK(gsn_region_raster(&far, &at, &nowhere, &err) == GSN_E_INPUT && nowhere == NULL);
+}
+
+static int parse_once(struct gsn_error *err)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+
+    return parse("{\"specimen\": \"x\", \"region\": \"m.mhd\", \"pxum\": 3}", &p, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(parse_once(&err), err);
+}

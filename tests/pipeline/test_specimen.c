@@ -1,0 +1,309 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/specimen.h"
+
+#include "pipeline/summary.h"
+#include "tests/check.h"
+#include "tests/pipeline/drawn_specimen.h"
+#include "tests/pipeline/often.h"
+
+#include <jansson.h>
+#include <string.h>
+
+static const struct gsn_specimen_options OPTIONS = { .mesher = GSN_MESHER, .threads = 1 };
+
+#define TREATED_JOB                                                                                \
+    "{\"specimen\": \"treated\", \"baseline\": \"control\", \"thresholds\": [0.5], \"lens\": "     \
+    "4, " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION "}"
+
+static struct gsn_specimen_result *worked(const struct drawn_specimen *d, unsigned threads)
+{
+    const struct gsn_specimen_options how = { .mesher = GSN_MESHER, .threads = threads };
+    struct gsn_specimen_result *result = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_specimen_work(&d->specimen, &how, &result, &err), err);
+    return result;
+}
+
+static double measure(const struct gsn_specimen_result *result, const char *name)
+{
+    for (size_t i = 0; i < result->measure_count; i++)
+        if (strcmp(result->measure[i].name, name) == 0)
+            return result->measure[i].value;
+    return NAN;
+}
+
+static int has_measure(const struct gsn_specimen_result *result, const char *name)
+{
+    return isfinite(measure(result, name)) != 0;
+}
+
+/* gives: the report, parsed. Its page is one whole document that holds the verdict's reason. */
+static json_t *report_of(const struct gsn_specimen_result *result)
+{
+    json_error_t where;
+    json_t *root = json_loadb(result->json, result->json_size, JSON_REJECT_DUPLICATES, &where);
+
+    if (!root)
+        fail_msg("report.json line %d: %s", where.line, where.text);
+    CHECK(strlen(result->html) == result->html_size);
+    CHECK(strncasecmp(result->html, "<!doctype html>", 15) == 0);
+    CHECK(strstr(result->html, "</html>") != NULL);
+    CHECK(result->withheld ==
+          (strcmp(json_string_value(json_object_get(root, "verdict")), "withheld") == 0));
+    /* Quotes look different on a page. */
+    gsn_auto_mem(char) reason =
+        gsn_format("%.*s", (int)strcspn(result->message, "\""), result->message);
+
+    CHECK(!result->withheld || (reason[0] && strstr(result->html, reason) != NULL));
+    return root;
+}
+
+static int has_text(const json_t *array, const char *words)
+{
+    for (size_t i = 0; i < json_array_size(array); i++)
+        if (strstr(json_string_value(json_array_get(array, i)), words))
+            return 1;
+    return 0;
+}
+
+static const char *text_at(const json_t *root, const char *key)
+{
+    const char *text = json_string_value(json_object_get(root, key));
+
+    return text ? text : "";
+}
+
+/* The control's figures as a store would hand them on. */
+static struct gsn_specimen_baseline baseline_of(const struct gsn_specimen_result *control)
+{
+    return (struct gsn_specimen_baseline){ .name = "control",
+                                           .specimens = 1,
+                                           .mean_density = measure(control, "mean_density"),
+                                           .volume_mm3 = measure(control, "region_volume"),
+                                           .definition = control->definition,
+                                           .dyes = control->dyes };
+}
+
+TEST(the_loss_of_two_drawn_specimens_is_that_of_their_densities)
+{
+    drawn_auto control, treated;
+
+    drawn_specimen_even(&control, DRAWN_JOB, 0.8);
+    drawn_specimen_even(&treated, TREATED_JOB, 0.6);
+    gsn_auto(gsn_specimen_result) base = worked(&control, 1);
+
+    treated.specimen.baseline = baseline_of(base);
+    gsn_auto(gsn_specimen_result) result = worked(&treated, 1);
+    json_t *root = report_of(result);
+
+    CHECK(!base->withheld && !result->withheld);
+    CHECK_NEAR(measure(base, "mean_density"), 0.8, 0.004);
+    CHECK_NEAR(measure(base, "region_volume"), 576e-3 * 336e-3 * 192e-3, 1e-6);
+    CHECK_NEAR(measure(base, "coverage"), 1, 0);
+    CHECK_NEAR(measure(result, "mean_density"), 0.6, 0.004);
+    CHECK_NEAR(measure(result, "loss"), 25, 0.5);
+    CHECK_NEAR(measure(result, "loss"),
+               100 * (1 - measure(result, "mean_density") / measure(base, "mean_density")), 1e-9);
+    CHECK_NEAR(measure(result, "loss_points"), 20, 0.5);
+    CHECK(!has_measure(base, "loss"));
+    CHECK_NEAR(json_number_value(json_object_get(root, "loss_percent")), 25, 0.5);
+    CHECK(result->pose_count == 12 && result->stain_count == 3);
+    CHECK(strcmp(text_at(root, "verdict"), "reported with warnings") == 0);
+    CHECK(has_text(json_object_get(root, "warnings"), "not used: \"lens\""));
+    CHECK(json_array_size(json_object_get(root, "warnings")) == 1);
+    CHECK(json_array_size(json_object_get(root, "sections")) == 12);
+    json_decref(root);
+
+    /* The same bytes on another number of threads. */
+    gsn_auto(gsn_specimen_result) two = worked(&treated, 2);
+
+    CHECK(two->json_size == result->json_size &&
+          memcmp(two->json, result->json, two->json_size) == 0);
+    CHECK(two->html_size == result->html_size &&
+          memcmp(two->html, result->html, two->html_size) == 0);
+}
+
+TEST(without_the_baselines_result_the_figures_stand_and_the_loss_does_not)
+{
+    drawn_auto d;
+
+    drawn_specimen_even(&d, TREATED_JOB, 0.6);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 2);
+    json_t *root = report_of(result);
+
+    CHECK(result->withheld);
+    CHECK(strcmp(result->message, "the baseline control has no result yet: import and run it") ==
+          0);
+    CHECK(json_is_null(json_object_get(root, "loss_percent")));
+    CHECK(strcmp(text_at(root, "loss_reason"), result->message) == 0);
+    CHECK_NEAR(measure(result, "mean_density"), 0.6, 0.004);
+    json_decref(root);
+}
+
+/* A region of which less than 90 % was seen has figures, but no loss. */
+TEST(a_loss_needs_most_of_the_region)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
+    panels[1].section[0].missing = panels[1].section[2].missing = 1;
+    drawn_specimen_init(&d, TREATED_JOB, panels, 3);
+    d.specimen.baseline =
+        (struct gsn_specimen_baseline){ .name = "control",
+                                        .specimens = 1,
+                                        .mean_density = 0.8,
+                                        .volume_mm3 = 576e-3 * 336e-3 * 192e-3,
+                                        .definition =
+                                            "collagen-equivalent density (red dye by unmixing)",
+                                        .dyes = gsn_dyes_builtin().name };
+    gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);
+    json_t *root = report_of(gaps);
+
+    CHECK(gaps->withheld);
+    CHECK(strcmp(gaps->message, "only 75 % of the region of interest has data") == 0);
+    CHECK(!has_measure(gaps, "loss"));
+    CHECK_NEAR(measure(gaps, "coverage"), 0.75, 1e-9);
+    CHECK_NEAR(measure(gaps, "mean_density"), 0.6, 0.004);
+    CHECK(has_text(json_object_get(root, "warnings"), "2 expected sections are missing"));
+    CHECK(json_array_size(json_object_get(root, "exclusions")) == 2);
+    json_decref(root);
+}
+
+/* Withheld reports: no figure, the reason, and still every section and panel. */
+struct withheld_case {
+    const char *job, *says;
+    int no_marks, refused;
+};
+
+static void check_withheld(const struct withheld_case *c)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 12; i++) {
+        if (i % 4 == 0)
+            panels[i / 4] = drawn_panel_of(i / 4 + 1, 24, 0.6);
+        panels[i / 4].section[i % 4].no_marks = c->no_marks ? 7 : 0;
+    }
+    drawn_specimen_init(&d, c->job, panels, 3);
+    for (size_t i = 0; c->refused && i < 3; i++) {
+        d.panel[i].section_count = 0;
+        d.panel[i].state = "refused";
+        d.panel[i].message = "the file is cut off";
+    }
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+    json_t *root = report_of(result);
+
+    CHECK(result->withheld);
+    if (!strstr(result->message, c->says))
+        fail_msg("%s\nsays: %s", c->job, result->message);
+    CHECK(!has_measure(result, "mean_density"));
+    CHECK(json_is_null(json_object_get(root, "loss_percent")));
+    if (c->refused)
+        CHECK(has_text(json_object_get(root, "warnings"),
+                       "P01.png was not used: the file is cut off"));
+    json_decref(root);
+}
+
+TEST(a_withheld_report_is_whole_and_says_why)
+{
+    static const struct withheld_case cases[] = {
+        { "{\"specimen\": \"x\", " DRAWN_JOB_HEAD "}", "add \"region\" to job.json", 0, 0 },
+        { DRAWN_JOB, "mark", 1, 0 },
+        { DRAWN_JOB, "", 0, 1 },
+        { "{\"specimen\": \"x\", " DRAWN_JOB_HEAD
+          ", \"region\": {\"shape\": \"box\", \"min\": [0, 0, 900], \"max\": [99, 99, 990]}}",
+          "does not lie in this block", 0, 0 },
+        { "{\"specimen\": \"x\", " DRAWN_JOB_HEAD
+          ", \"region\": {\"shape\": \"box\", \"min\": [5000, 0, 48], \"max\": [5200, 200, "
+          "240]}}",
+          "only 0 % of the region of interest has data", 0, 0 },
+    };
+
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++)
+        check_withheld(&cases[i]);
+}
+
+TEST(a_shape_outside_a_volume_is_withheld_and_no_failure_of_the_job)
+{
+    static const char job[] =
+        "{\"specimen\": \"v\", \"kind\": \"volume\", \"file\": \"v.mhd\", \"region\": "
+        "{\"shape\": \"sphere\", \"centre\": [9000, 0, 0], \"radius\": 50}}";
+    const struct gsn_lattice at = { .nx = 6, .ny = 6, .nz = 6, .step_um = { 20, 20, 20 } };
+    gsn_auto(gsn_grid) grid = NULL;
+    gsn_auto(gsn_protocol) protocol = drawn_protocol(job);
+    gsn_auto(gsn_specimen_result) result = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_grid_new(&at, &grid, &err), err);
+    const struct gsn_specimen specimen = {
+        .protocol = protocol, .volume = grid, .baseline = { .name = "" }, .key = "0"
+    };
+
+    CHECK_OK(gsn_specimen_work(&specimen, &OPTIONS, &result, &err), err);
+    CHECK(result->withheld && strstr(result->message, "holds no voxel") != NULL);
+    json_decref(report_of(result));
+}
+
+TEST(bytes_that_are_gone_fail_the_job_and_give_no_report)
+{
+    struct gsn_specimen_result *result = NULL;
+    struct gsn_error err = { 0 };
+    drawn_auto d;
+
+    drawn_specimen_even(&d, DRAWN_JOB, 0.6);
+    d.panel[2].sha256 = "none";
+    CHECK(gsn_specimen_work(&d.specimen, &OPTIONS, &result, &err) == GSN_E_NOTFOUND);
+    CHECK(result == NULL && strstr(err.text, "panel 3 (P03.png)") != NULL);
+}
+
+static int work_once(const struct gsn_specimen *specimen, struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_result) result = NULL;
+
+    return gsn_specimen_work(specimen, &OPTIONS, &result, err);
+}
+
+TEST(running_out_of_memory_anywhere_is_said_and_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+    drawn_auto d;
+
+    drawn_specimen_even(&d, DRAWN_JOB, 0.6);
+    CHECK_MANY_OOM(work_once(&d.specimen, &err), err, 40, 7);
+}
+
+static int summarise_once(const struct gsn_evidence *evidence, struct gsn_error *err)
+{
+    struct gsn_specimen_result *result = gsn_alloc_array(1, sizeof *result);
+    int r =
+        result ? gsn_summarise(evidence, result, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+
+    gsn_specimen_result_free(result);
+    return r;
+}
+
+/* Every text of the report is one allocation; none may go missing unsaid. */
+TEST(a_report_never_misses_a_text_for_want_of_memory)
+{
+    struct drawn_panel panels[3];
+    gsn_auto(gsn_assembly) assembly = NULL;
+    struct gsn_error err = { 0 };
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
+    panels[0].section[1].missing = 1;
+    panels[1].section[1].no_marks = 6;
+    panels[2].section[1].no_marks = 2;
+    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    CHECK_OK(gsn_assembly_make(&d.specimen, &OPTIONS, &assembly, &err), err);
+    const struct gsn_evidence evidence = { .specimen = &d.specimen,
+                                           .assembly = assembly,
+                                           .withheld = "there is no account" };
+
+    CHECK_EVERY_OOM(summarise_once(&evidence, &err), err);
+}

@@ -1,0 +1,456 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* gieson-work: the heavy program. It does one thing and ends, so that a crash in mathematics or in
+ * a decoder costs one job and never a scan. `gieson` and giesond start it; people rarely do.
+ *
+ *     gieson-work --store DIR import FOLDER
+ *     gieson-work --store DIR work          claims one job; 0: done, 66: nothing to do, 75: busy
+ *     gieson-work --store DIR verify RUN
+ *     gieson-work check FILE...             decodes strictly, says what each file is
+ */
+#include "pipeline/core/error.h"
+#include "pipeline/core/file.h"
+#include "pipeline/core/process.h"
+#include "pipeline/decode/decode.h"
+#include "storage/catalog.h"
+#include "storage/event.h"
+#include "storage/result.h"
+#include "systemd/import.h"
+#include "systemd/job.h"
+
+#include <argp.h>
+#include <jansson.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <sysexits.h>
+#include <unistd.h>
+
+enum { MOST_CHECK_BYTES = 1 << 30, MOST_THREADS = 64 };
+
+/* No picture that we accept needs more to be decoded; what asks for more is a bomb. */
+static const rlim_t CHECK_MEMORY = (rlim_t)1 << 30;
+
+const char *argp_program_version = "gieson-work " GSN_VERSION;
+
+enum { OPT_VOLUME = 256, OPT_TILE, OPT_REFERENCE, OPT_SPECIMEN, OPT_THRESHOLD, OPT_REPLACE };
+
+struct request {
+    const char *store_dir, *verb;
+    char **rest;
+    int rest_count, json, replace;
+    unsigned threads;
+    const char *volume, *tile, *reference, *specimen;
+    json_t *thresholds;
+};
+
+static const struct argp_option options[] = {
+    { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },
+    { "threads", 't', "N", 0, "Threads to use (default: as many as there are processors)", 0 },
+    { "json", 'j', NULL, 0, "Print JSON", 0 },
+    { "replace", OPT_REPLACE, NULL, 0, "import: a specimen of the same name takes the new job", 1 },
+    { "volume", OPT_VOLUME, "FILE", 0, "import: a volume (.mhd, .nrrd, .inr) instead of a folder",
+      1 },
+    { "tile", OPT_TILE, "FILE", 0, "import: one picture of stained tissue", 1 },
+    { "reference", OPT_REFERENCE, "FILE", 0, "import --tile: a mask to compare with, beside it",
+      1 },
+    { "specimen", OPT_SPECIMEN, "NAME", 0, "import --volume, --tile: its name", 1 },
+    { "threshold", OPT_THRESHOLD, "X", 0, "import --volume, --tile: may be given up to 8 times",
+      1 },
+    { 0 },
+};
+
+/* A decimal number of the command line, through the parser that reads every other number. */
+static json_t *number_of(const char *text)
+{
+    return json_loads(text, JSON_DECODE_ANY, NULL);
+}
+
+static void take_threads(const char *text, struct request *request, struct argp_state *state)
+{
+    json_t *number = number_of(text);
+
+    if (!json_is_integer(number) || json_integer_value(number) < 0 ||
+        json_integer_value(number) > MOST_THREADS)
+        argp_error(state, "--threads must be a whole number from 0 to %d", MOST_THREADS);
+    else
+        request->threads = (unsigned)json_integer_value(number);
+    json_decref(number);
+}
+
+static void take_threshold(const char *text, struct request *request, struct argp_state *state)
+{
+    json_t *number = number_of(text);
+
+    if (!json_is_number(number))
+        argp_error(state, "--threshold must be a number, not \"%s\"", text);
+    if (!request->thresholds)
+        request->thresholds = json_array();
+    (void)json_array_append_new(request->thresholds, number);
+}
+
+static error_t take_option(int key, char *arg, struct argp_state *state)
+{
+    struct request *request = state->input;
+
+    switch (key) {
+    case 's':
+        request->store_dir = arg;
+        return 0;
+    case 't':
+        take_threads(arg, request, state);
+        return 0;
+    case 'j':
+        request->json = 1;
+        return 0;
+    case OPT_REPLACE:
+        request->replace = 1;
+        return 0;
+    case OPT_VOLUME:
+        request->volume = arg;
+        return 0;
+    case OPT_TILE:
+        request->tile = arg;
+        return 0;
+    case OPT_REFERENCE:
+        request->reference = arg;
+        return 0;
+    case OPT_SPECIMEN:
+        request->specimen = arg;
+        return 0;
+    case OPT_THRESHOLD:
+        take_threshold(arg, request, state);
+        return 0;
+    case ARGP_KEY_ARG:
+        if (request->verb)
+            request->rest[request->rest_count++] = arg;
+        else
+            request->verb = arg;
+        return 0;
+    case ARGP_KEY_END:
+        if (!request->verb)
+            argp_error(state, "say what to do: import, work, verify or check");
+        return 0;
+    default:
+        return ARGP_ERR_UNKNOWN;
+    }
+}
+
+static int complain(const struct gsn_error *err, int code)
+{
+    (void)fprintf(stderr, "gieson: %s\n", err->text);
+    return gsn_code_exit(code);
+}
+
+static int usage(const char *sentence)
+{
+    (void)fprintf(stderr, "gieson: %s\n", sentence);
+    return EX_USAGE;
+}
+
+static const char *actor(void)
+{
+    const char *user = getenv("SUDO_USER"); /* who asked, not whom they became */
+
+    if (!user || !user[0])
+        user = getenv("USER");
+    return user && user[0] ? user : "gieson";
+}
+
+/* ---- import ------------------------------------------------------------------------------ */
+
+static void say_notice(void *context, const char *name, const char *sentence)
+{
+    (void)context;
+    (void)fprintf(stderr, "gieson: %s: %s\n", name, sentence);
+}
+
+static const char *base_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+
+    return slash ? slash + 1 : path;
+}
+
+/* The job that an operator would have written for a single file. gives. */
+static char *job_for_file(const struct request *request, const char *file)
+{
+    const char *name = base_name(file);
+    const char *dot = strrchr(name, '.');
+    gsn_auto_mem(char) stem = gsn_format("%.*s", dot ? (int)(dot - name) : (int)strlen(name), name);
+    json_t *job = json_pack("{s:s, s:s, s:s}", "specimen",
+                            request->specimen ? request->specimen : (stem ? stem : name), "kind",
+                            request->volume ? "volume" : "tile", "file", name);
+    char *dumped, *text;
+
+    if (request->thresholds)
+        (void)json_object_set(job, "thresholds", request->thresholds);
+    if (request->tile) {
+        (void)json_object_set_new(job, "dyes", json_string("estimate"));
+        (void)json_object_set_new(job, "transfer", json_string("srgb"));
+        (void)json_object_set_new(job, "px_um", json_real(1));
+        (void)json_object_set_new(job, "white", json_pack("[f, f, f]", 1.0, 1.0, 1.0));
+    }
+    if (request->tile && request->reference)
+        (void)json_object_set_new(job, "reference", json_string(base_name(request->reference)));
+    dumped = json_dumps(job, JSON_INDENT(2) | JSON_REAL_PRECISION(9));
+    text = dumped ? gsn_strdup(dumped) : NULL;
+    free(dumped); /* door */
+    json_decref(job);
+    return text;
+}
+
+static void print_import(const struct request *request, const char *specimen,
+                         const struct gsn_import_counts *counts)
+{
+    if (request->json) {
+        json_t *root = json_pack("{s:s, s:i, s:i, s:i, s:i}", "specimen", specimen, "panels_taken",
+                                 counts->taken, "panels_again", counts->again, "panels_unnumbered",
+                                 counts->held, "files", counts->attached);
+
+        (void)json_dumpf(root, stdout, JSON_INDENT(2));
+        (void)putchar('\n');
+        json_decref(root);
+        return;
+    }
+    (void)printf("%s:", specimen);
+    if (counts->taken || counts->again || !counts->attached)
+        (void)printf(" %u panel%s taken,", counts->taken, counts->taken == 1 ? "" : "s");
+    if (counts->again)
+        (void)printf(" %u here already,", counts->again);
+    if (counts->attached)
+        (void)printf(" %u file%s that the job names,", counts->attached,
+                     counts->attached == 1 ? "" : "s");
+    (void)printf(" `gieson run` works the queue\n");
+}
+
+static int do_import(const struct request *request)
+{
+    const char *file = request->volume ? request->volume : request->tile;
+    gsn_auto_mem(char) folder = NULL;
+    gsn_auto_mem(char) job = NULL;
+    gsn_auto_mem(char) specimen = NULL;
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_import import = { .notice = say_notice, .replace = request->replace };
+    struct gsn_import_counts counts;
+    struct gsn_error err = { 0 };
+    int r;
+
+    if (!file && request->rest_count != 1)
+        return usage("import needs one folder");
+    if (file) {
+        const int length = (int)(base_name(file) - file);
+
+        folder = length ? gsn_format("%.*s", length > 1 ? length - 1 : 1, file) : gsn_strdup(".");
+        job = job_for_file(request, file);
+    } else {
+        folder = gsn_strdup(request->rest[0]);
+    }
+    if (!folder || (file && !job))
+        return usage("out of memory");
+    r = gsn_store_open(request->store_dir, GSN_STORE_CREATE, &store, &err);
+    if (r < 0)
+        return complain(&err, r);
+    import.store = store;
+    import.dir = folder;
+    import.job_text = job;
+    import.actor = actor();
+    r = gsn_import_folder(&import, &specimen, &counts, &err);
+    if (r < 0)
+        return complain(&err, r);
+    print_import(request, specimen, &counts);
+    return EX_OK;
+}
+
+/* ---- work and verify --------------------------------------------------------------------- */
+
+static int job_options(const struct request *request, char **mesher, char owner[64],
+                       struct gsn_job_options *ret_options, struct gsn_error *err)
+{
+    const int r = gsn_process_sibling("gieson-mesh", mesher, err);
+
+    if (r < 0)
+        return r;
+    (void)snprintf(owner, 64, "gieson-work %ld", (long)getpid());
+    *ret_options =
+        (struct gsn_job_options){ .mesher = *mesher, .owner = owner, .threads = request->threads };
+    return GSN_OK;
+}
+
+static int do_work(const struct request *request)
+{
+    gsn_auto(gsn_store) store = NULL;
+    gsn_auto_mem(char) mesher = NULL;
+    char owner[64];
+    struct gsn_job_options how;
+    struct gsn_error err = { 0 };
+    int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
+
+    if (r >= 0)
+        r = job_options(request, &mesher, owner, &how, &err);
+    if (r >= 0)
+        r = gsn_job_next(store, &how, &err);
+    if (r == GSN_E_NOTFOUND || r == GSN_E_BUSY)
+        return gsn_code_exit(r);
+    return r < 0 ? complain(&err, r) : EX_OK;
+}
+
+/* A run by its number, or the latest of a specimen by its name. */
+static int find_run(struct gsn_store *store, const char *text, int64_t *ret_run,
+                    struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_row) specimen = NULL;
+    gsn_auto(gsn_run_row) run = NULL;
+    struct gsn_error quiet = { 0 };
+    json_t *number = number_of(text);
+    int r = gsn_specimen_get(store, text, &specimen, &quiet);
+
+    if (r < 0 && json_is_integer(number)) {
+        *ret_run = json_integer_value(number);
+        json_decref(number);
+        return GSN_OK;
+    }
+    json_decref(number);
+    if (r < 0)
+        return gsn_fail(err, r, "%s", quiet.text);
+    r = gsn_run_latest(store, specimen->id, NULL, &run, err);
+    if (r >= 0)
+        *ret_run = run->id;
+    return r;
+}
+
+/* The run's known head must still be in the diary, and no row before or after it changed. */
+static int print_verdict(const struct request *request, const struct gsn_job_verdict *v,
+                         const struct gsn_event_verdict *diary)
+{
+    const int whole = diary->broken == 0 && diary->head_is_there;
+    const int same = v->same_inputs && v->same_json && v->same_html && whole;
+
+    if (request->json) {
+        json_t *root =
+            json_pack("{s:I, s:b, s:b, s:b, s:b, s:b, s:I, s:s, s:s}", "run", (json_int_t)v->run,
+                      "verified", same, "same_inputs", v->same_inputs, "same_json", v->same_json,
+                      "same_html", v->same_html, "diary_whole", whole, "diary_events",
+                      (json_int_t)diary->count, "json_sha256_was", v->was, "json_sha256_is", v->is);
+
+        (void)json_dumpf(root, stdout, JSON_INDENT(2));
+        (void)putchar('\n');
+        json_decref(root);
+    } else if (same) {
+        (void)printf("run %lld: verified, report.json %.16s... and report.html are the same bytes, "
+                     "the diary of %lld events is whole\n",
+                     (long long)v->run, v->is, (long long)diary->count);
+    } else {
+        (void)printf("run %lld: NOT the same:%s%s%s%s\n", (long long)v->run,
+                     v->same_inputs ? "" : " its inputs or this version of gieson changed;",
+                     v->same_json ? "" : " report.json differs;",
+                     v->same_html ? "" : " report.html differs;",
+                     whole ? "" : " the diary was changed after it was written;");
+    }
+    return same ? EX_OK : 1;
+}
+
+static int do_verify(const struct request *request)
+{
+    gsn_auto(gsn_store) store = NULL;
+    gsn_auto_mem(char) mesher = NULL;
+    char owner[64];
+    struct gsn_job_options how;
+    gsn_auto(gsn_run_row) row = NULL;
+    struct gsn_job_verdict verdict;
+    struct gsn_event_verdict diary;
+    struct gsn_error err = { 0 };
+    int64_t run = 0;
+    int r;
+
+    if (request->rest_count != 1)
+        return usage("verify needs one run number or specimen");
+    r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
+    if (r >= 0)
+        r = find_run(store, request->rest[0], &run, &err);
+    if (r >= 0)
+        r = job_options(request, &mesher, owner, &how, &err);
+    if (r >= 0)
+        r = gsn_job_verify(store, run, &how, &verdict, &err);
+    if (r >= 0)
+        r = gsn_run_get(store, run, &row, &err);
+    if (r >= 0)
+        r = gsn_event_verify(store, row->event_head, &diary, &err);
+    return r < 0 ? complain(&err, r) : print_verdict(request, &verdict, &diary);
+}
+
+/* ---- check ------------------------------------------------------------------------------- */
+
+static int check_one(const char *path)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_picture) picture = NULL;
+    struct gsn_error err = { 0 };
+    size_t size;
+    int r = gsn_file_read(path, MOST_CHECK_BYTES, &bytes, &size, &err);
+
+    if (r >= 0)
+        r = gsn_decode(bytes, size, NULL, &picture, &err);
+    if (r < 0) {
+        (void)printf("%s: refused (%s): %s\n", path, gsn_code_name(r), err.text);
+        return gsn_code_exit(r);
+    }
+    (void)printf("%s: fine: %s, %u x %u, %s, %u bit%s%s\n", path, picture->kind,
+                 picture->image->width, picture->image->height,
+                 picture->image->channels == 3 ? "RGB" : "grey", picture->image->bits,
+                 picture->note[0] ? "; " : "", picture->note);
+    return EX_OK;
+}
+
+static int do_check(const struct request *request)
+{
+    const struct rlimit memory = { .rlim_cur = CHECK_MEMORY, .rlim_max = CHECK_MEMORY };
+    int status = EX_OK;
+
+    if (request->rest_count < 1)
+        return usage("check needs at least one file");
+    (void)setrlimit(RLIMIT_AS, &memory);
+    for (int i = 0; i < request->rest_count; i++) {
+        const int r = check_one(request->rest[i]);
+
+        if (r != EX_OK)
+            status = r;
+    }
+    return status;
+}
+
+int main(int argc, char **argv)
+{
+    static const struct {
+        const char *verb;
+        int needs_store;
+        int (*run)(const struct request *request);
+    } verbs[] = { { "import", 1, do_import },
+                  { "work", 1, do_work },
+                  { "verify", 1, do_verify },
+                  { "check", 0, do_check } };
+    static const struct argp parser = { .options = options,
+                                        .parser = take_option,
+                                        .args_doc = "VERB [ARGUMENT...]",
+                                        .doc = "Does one piece of gieson's work and ends." };
+    gsn_auto_mem(char *) rest = gsn_alloc_array((size_t)argc, sizeof *rest);
+    struct request request = { .store_dir = getenv("GIESON_STORE"), .rest = rest };
+    int status = EX_USAGE;
+    size_t i = 0;
+
+    if (!rest)
+        return EX_OSERR;
+    if (argp_parse(&parser, argc, argv, ARGP_IN_ORDER, NULL, &request) != 0)
+        return EX_USAGE;
+    while (i < sizeof verbs / sizeof verbs[0] && strcmp(verbs[i].verb, request.verb) != 0)
+        i++;
+    if (i == sizeof verbs / sizeof verbs[0])
+        status = usage("this verb is not known: import, work, verify or check");
+    else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
+        status = usage("no store: say --store DIR or set GIESON_STORE");
+    else
+        status = verbs[i].run(&request);
+    json_decref(request.thresholds);
+    return status;
+}

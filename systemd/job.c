@@ -1,0 +1,120 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/job.h"
+
+#include "pipeline/core/hash.h"
+#include "storage/queue.h"
+#include "storage/result.h"
+#include "systemd/panel_job.h"
+#include "systemd/specimen_job.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+enum {
+    LEASE_S = 600,       /* a stage that says nothing for so long has hung */
+    TELL_EVERY_MS = 400, /* rows are for eyes, not for profiling */
+};
+
+/* Progress as rows, not too often. */
+struct teller {
+    struct gsn_store *store;
+    const struct gsn_job_row *job;
+    int64_t told_ms, stage_began_ms;
+    char stage[48];
+};
+
+static int64_t milliseconds(void)
+{
+    struct timespec now;
+
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+static void tell(void *context, const char *stage, size_t done, size_t total)
+{
+    struct teller *teller = context;
+    const int64_t now = milliseconds();
+    struct gsn_error quiet = { 0 };
+    double eta = NAN;
+
+    if (strcmp(stage, teller->stage) != 0) {
+        (void)snprintf(teller->stage, sizeof teller->stage, "%s", stage);
+        teller->stage_began_ms = now;
+    } else if (now - teller->told_ms < TELL_EVERY_MS) {
+        return;
+    }
+    if (done > 0 && total >= done)
+        eta = 1e-3 * (double)(now - teller->stage_began_ms) * (double)(total - done) / (double)done;
+    teller->told_ms = now;
+    /* A job that was taken away is noticed when its end is written; a busy store is no reason to
+     * stop working. */
+    (void)gsn_queue_progress(teller->store, teller->job, stage, (int64_t)done, (int64_t)total, eta,
+                             time(NULL), &quiet);
+}
+
+int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
+                 struct gsn_error *err)
+{
+    gsn_auto(gsn_job_row) job = NULL;
+    struct teller teller = { .store = store };
+    const struct gsn_progress progress = { .report = tell, .context = &teller };
+    struct gsn_error why = { 0 };
+    int r = gsn_queue_claim(store, options->owner, getpid(), LEASE_S, time(NULL), &job, err);
+
+    if (r < 0)
+        return r;
+    teller.job = job;
+    r = strcmp(job->kind, "panel") == 0
+            ? gsn_panel_job(store, job, options->threads, &progress, &why)
+            : gsn_specimen_job(store, job, options, &progress, &why);
+    if (r >= 0)
+        return GSN_OK;
+    if (err)
+        *err = why;
+    if (r != GSN_E_BUSY) {
+        struct gsn_error quiet = { 0 };
+
+        (void)gsn_queue_fail(store, job, r, why.text, &quiet);
+    }
+    return gsn_fail_at(err, "%s %s%s%s", job->kind, job->specimen, job->panel[0] ? ", " : "",
+                       job->panel);
+}
+
+int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job_options *options,
+                   struct gsn_job_verdict *ret_verdict, struct gsn_error *err)
+{
+    const struct gsn_specimen_options how = { .mesher = options->mesher,
+                                              .threads = options->threads };
+    struct gsn_job_verdict verdict = { .run = run_id };
+    gsn_auto(gsn_run_row) run = NULL;
+    gsn_auto(gsn_material) material = NULL;
+    gsn_auto(gsn_specimen_result) result = NULL;
+    struct gsn_digest json, html;
+    int r = gsn_run_get(store, run_id, &run, err);
+
+    if (r < 0)
+        return r;
+    if (!run->json_sha256[0])
+        return gsn_fail(err, GSN_E_INPUT, "run %lld is %s and has no report to compare with",
+                        (long long)run_id, run->state);
+    r = gsn_material_load(store, run->specimen_id, &material, err);
+    if (r >= 0)
+        r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
+    if (r >= 0)
+        r = gsn_sha256(result->json, result->json_size, &json, err);
+    if (r >= 0)
+        r = gsn_sha256(result->html, result->html_size, &html, err);
+    if (r < 0)
+        return r;
+    verdict.same_inputs = strcmp(run->key, gsn_material_key(material)) == 0;
+    verdict.same_json = strcmp(run->json_sha256, json.hex) == 0;
+    verdict.same_html = strcmp(run->report_sha256, html.hex) == 0;
+    (void)snprintf(verdict.was, sizeof verdict.was, "%s", run->json_sha256);
+    (void)snprintf(verdict.is, sizeof verdict.is, "%s", json.hex);
+    *ret_verdict = verdict;
+    return GSN_OK;
+}

@@ -1,0 +1,39 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* One job of the queue, from claim to commit: rows and objects go into the pipeline, its results
+ * come back as rows and files. A worker that dies anywhere leaves a job that another one redoes. */
+#ifndef GSN_SYSTEMD_JOB_H
+#define GSN_SYSTEMD_JOB_H
+
+#include "storage/store.h"
+
+#include <stdint.h>
+
+struct gsn_job_options {
+    const char *mesher; /* path of gieson-mesh */
+    const char *owner;  /* who works, for people */
+    unsigned threads;   /* 0: all */
+};
+
+/* Claims the next job and does it. A job whose material is bad is done with a refusal in its rows:
+ * that is success here. Fails with GSN_E_NOTFOUND (the queue is empty), GSN_E_BUSY (only running
+ * jobs are left, or this one was taken away), and otherwise with what made the job itself fail,
+ * which its row says too. */
+int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
+                 struct gsn_error *err);
+
+/* What gsn_job_verify() found. */
+struct gsn_job_verdict {
+    int64_t run;
+    int same_inputs;          /* rows, objects, parameters and version are those of the run */
+    int same_json, same_html; /* re-made byte for byte */
+    char was[65], is[65];     /* SHA-256 of report.json then and now */
+};
+
+/* Works the specimen of a finished run again, from the original bytes, and compares; keeps nothing.
+ * A difference is a verdict, not a failure. Fails with GSN_E_NOTFOUND, GSN_E_INPUT for a run that
+ * has no report, and as the pipeline does. */
+int gsn_job_verify(struct gsn_store *store, int64_t run, const struct gsn_job_options *options,
+                   struct gsn_job_verdict *ret_verdict, struct gsn_error *err);
+
+#endif

@@ -1,0 +1,201 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/panel_job.h"
+
+#include "pipeline/core/file.h"
+#include "pipeline/core/hash.h"
+#include "storage/catalog.h"
+#include "storage/result.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { MOST_OBJECT_BYTES = 1 << 30 };
+
+int gsn_is_refusal(int code)
+{
+    return code == GSN_E_INPUT || code == GSN_E_UNSUPPORTED || code == GSN_E_LIMIT ||
+           code == GSN_E_STAIN || code == GSN_E_MARKERS;
+}
+
+int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_bytes,
+                    size_t *ret_size, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = NULL;
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct gsn_digest digest;
+    size_t size;
+    int r = gsn_store_object_path(store, sha256, &path, err);
+
+    if (r >= 0)
+        r = gsn_file_read(path, MOST_OBJECT_BYTES, &bytes, &size, err);
+    if (r >= 0)
+        r = gsn_sha256(bytes, size, &digest, err);
+    if (r < 0)
+        return r;
+    if (strcmp(digest.hex, sha256) != 0)
+        return gsn_fail(err, GSN_E_IO,
+                        "the stored object %s is damaged: its bytes no longer have this hash; "
+                        "import the original again",
+                        sha256);
+    *ret_bytes = gsn_steal(&bytes);
+    *ret_size = size;
+    return GSN_OK;
+}
+
+static struct gsn_section_row row_of(const struct gsn_panel_section *s)
+{
+    struct gsn_section_row row = { .slot = s->slot + 1,
+                                   .serial = s->serial + 1,
+                                   .state = gsn_sighting_name(s->sighting),
+                                   .flags = s->flags,
+                                   .bbox_x = s->x,
+                                   .bbox_y = s->y,
+                                   .bbox_w = s->width,
+                                   .bbox_h = s->height,
+                                   .area_px = s->area_px };
+
+    for (size_t m = 0; m < GSN_ROW_MARKS; m++)
+        row.marker[m] = (struct gsn_marker_row){ .found = s->mark[m].found,
+                                                 .x_px = s->mark[m].px.x,
+                                                 .y_px = s->mark[m].px.y,
+                                                 .radius_px = s->mark[m].radius_px,
+                                                 .cov_xx = s->mark[m].cov_xx,
+                                                 .cov_xy = s->mark[m].cov_xy,
+                                                 .cov_yy = s->mark[m].cov_yy,
+                                                 .score = s->mark[m].score };
+    return row;
+}
+
+struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *row)
+{
+    struct gsn_panel_section s = { .serial = (unsigned)(row->serial - 1),
+                                   .slot = (unsigned)(row->slot - 1),
+                                   .sighting = GSN_SIGHT_NEEDS_EYE,
+                                   .x = (int)row->bbox_x,
+                                   .y = (int)row->bbox_y,
+                                   .width = (int)row->bbox_w,
+                                   .height = (int)row->bbox_h,
+                                   .area_px = row->area_px };
+
+    for (int i = GSN_SIGHT_FOUND; i <= GSN_SIGHT_EMPTY; i++)
+        if (strcmp(row->state, gsn_sighting_name((enum gsn_sighting)i)) == 0)
+            s.sighting = (enum gsn_sighting)i;
+    (void)snprintf(s.flags, sizeof s.flags, "%s", row->flags);
+    for (size_t m = 0; m < GSN_ROW_MARKS; m++)
+        if (row->marker[m].found)
+            s.mark[m] = (struct gsn_mark){ .px = { row->marker[m].x_px, row->marker[m].y_px },
+                                           .radius_px = row->marker[m].radius_px,
+                                           .cov_xx = row->marker[m].cov_xx,
+                                           .cov_xy = row->marker[m].cov_xy,
+                                           .cov_yy = row->marker[m].cov_yy,
+                                           .score = row->marker[m].score,
+                                           .found = 1 };
+    return s;
+}
+
+/* Why this panel may not be used although its picture is fine, or GSN_OK. */
+static int check_number(const struct gsn_panel_row *panel, const struct gsn_protocol *protocol,
+                        struct gsn_error *why)
+{
+    if (panel->number == 0)
+        return gsn_fail(why, GSN_E_WITHHELD,
+                        "its name holds no panel number: rename it (...P03.tif) and import again");
+    if (protocol->panels && panel->number > protocol->panels)
+        return gsn_fail(why, GSN_E_WITHHELD,
+                        "panel number %lld, but job.json says there are %u: rename it or correct "
+                        "\"panels\"",
+                        (long long)panel->number, protocol->panels);
+    return GSN_OK;
+}
+
+/* A report that was made without this panel, or with what it was before, is made again. */
+static int ask_for_report(struct gsn_store *store, int64_t specimen, struct gsn_error *err)
+{
+    gsn_auto(gsn_run_row) run = NULL;
+    int64_t job;
+    const int r = gsn_run_latest(store, specimen, NULL, &run, err);
+
+    if (r == GSN_E_NOTFOUND)
+        return GSN_OK;
+    return r < 0 ? r : gsn_queue_add(store, specimen, 0, &job, err);
+}
+
+/* The panel's rows and the end of the job, all or nothing. */
+static int keep(struct gsn_store *store, const struct gsn_job_row *job,
+                const struct gsn_panel_findings *findings, const char *state, const char *code,
+                const char *message, struct gsn_error *err)
+{
+    const size_t count = findings && strcmp(state, "registered") == 0 ? findings->count : 0;
+    gsn_auto_mem(struct gsn_section_row) rows = gsn_alloc_array(count, sizeof *rows);
+    int r;
+
+    if (!rows)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the rows of a panel");
+    for (size_t i = 0; i < count; i++)
+        rows[i] = row_of(&findings->section[i]);
+    r = gsn_store_begin(store, err);
+    if (r < 0)
+        return r;
+    if (findings)
+        r = gsn_panel_set_size(store, job->panel_id, findings->width, findings->height,
+                               findings->px_um, err);
+    if (r >= 0)
+        r = gsn_section_replace(store, job->panel_id, rows, count, err);
+    if (r >= 0)
+        r = gsn_panel_set_state(store, job->panel_id, state, code, message, err);
+    if (r >= 0)
+        r = ask_for_report(store, job->specimen_id, err);
+    if (r >= 0)
+        r = gsn_queue_done(store, job, err);
+    if (r < 0) {
+        gsn_store_rollback(store);
+        return r;
+    }
+    return gsn_store_commit(store, err);
+}
+
+static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
+                   const struct gsn_protocol *protocol, unsigned threads,
+                   const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
+                   struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    size_t size;
+    int r = gsn_object_read(store, panel->sha256, &bytes, &size, err);
+
+    if (r >= 0)
+        r = gsn_panel_examine(bytes, size, protocol, (unsigned)(panel->number ? panel->number : 1),
+                              threads, progress, ret_findings, err);
+    return r;
+}
+
+int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job, unsigned threads,
+                  const struct gsn_progress *progress, struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_row) specimen = NULL;
+    gsn_auto(gsn_panel_row) panel = NULL;
+    gsn_auto(gsn_protocol) protocol = NULL;
+    gsn_auto(gsn_panel_findings) findings = NULL;
+    struct gsn_error why = { 0 };
+    int r = gsn_specimen_get_by_id(store, job->specimen_id, &specimen, err);
+
+    if (r >= 0)
+        r = gsn_panel_get(store, job->panel_id, &panel, err);
+    if (r >= 0)
+        r = gsn_protocol_parse(specimen->job_json, strlen(specimen->job_json), &protocol, err);
+    if (r < 0)
+        return r;
+    r = examine(store, panel, protocol, threads, progress, &findings, &why);
+    if (r < 0 && !gsn_is_refusal(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    if (r < 0)
+        return keep(store, job, NULL, "refused", gsn_code_name(r), why.text, err);
+    r = check_number(panel, protocol, &why);
+    if (r < 0)
+        return keep(store, job, findings, "held", gsn_code_name(r), why.text, err);
+    return keep(store, job, findings, "registered", "", findings->note, err);
+}

@@ -1,0 +1,29 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The job that looks at one panel, and the rows that its findings are. */
+#ifndef GSN_SYSTEMD_PANEL_JOB_H
+#define GSN_SYSTEMD_PANEL_JOB_H
+
+#include "pipeline/core/progress.h"
+#include "pipeline/examine.h"
+#include "storage/panel_log.h"
+#include "storage/queue.h"
+
+/* Examines the panel of a claimed job and ends the job in the same transaction as its rows.
+ * Fails when the job itself cannot be done (memory, disk, store); a panel that is refused or held
+ * is a row, not a failure. */
+int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job, unsigned threads,
+                  const struct gsn_progress *progress, struct gsn_error *err);
+
+/* A row read back as what gsn_panel_examine() found. */
+struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *row);
+
+/* gives: the bytes of an object, after its hash was compared with its name.
+ * Fails with GSN_E_NOTFOUND, GSN_E_INPUT "... is damaged", GSN_E_IO. */
+int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_bytes,
+                    size_t *ret_size, struct gsn_error *err);
+
+/* Refuses what no run of the same job could change: bad bytes, unsupported kinds, limits. */
+int gsn_is_refusal(int code);
+
+#endif

@@ -1,0 +1,252 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/specimen_job.h"
+
+#include "pipeline/core/file.h"
+#include "pipeline/core/hash.h"
+#include "storage/catalog.h"
+#include "storage/event.h"
+#include "storage/panel_log.h"
+#include "storage/result.h"
+
+#include <jansson.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+/* Where a report lies: reports/SPECIMEN/KEY, so that the same work makes the same files. */
+struct place {
+    char *html, *json; /* paths */
+    struct gsn_digest html_is, json_is;
+};
+
+static void place_done(struct place *place)
+{
+    gsn_free(place->html);
+    gsn_free(place->json);
+}
+
+static int write_files(struct gsn_store *store, const char *specimen, const char *key,
+                       const struct gsn_specimen_result *result, struct place *place,
+                       struct gsn_error *err)
+{
+    gsn_auto_mem(char) folder = NULL;
+    gsn_auto_mem(char) of_run = NULL;
+    int r = gsn_store_report_dir(store, specimen, &folder, err);
+
+    if (r < 0)
+        return r;
+    of_run = gsn_format("%s/%.16s", folder, key);
+    place->html = gsn_format("%s/%.16s/report.html", folder, key);
+    place->json = gsn_format("%s/%.16s/report.json", folder, key);
+    if (!of_run || !place->html || !place->json)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the report's place");
+    r = gsn_file_mkdir(of_run, err);
+    if (r >= 0)
+        r = gsn_file_write(place->html, result->html, result->html_size, err);
+    if (r >= 0)
+        r = gsn_file_write(place->json, result->json, result->json_size, err);
+    if (r >= 0)
+        r = gsn_sha256(result->html, result->html_size, &place->html_is, err);
+    if (r >= 0)
+        r = gsn_sha256(result->json, result->json_size, &place->json_is, err);
+    return r;
+}
+
+/* Paths in rows are relative to the store, so that a store can be moved. */
+static const char *relative(struct gsn_store *store, const char *path)
+{
+    const size_t length = strlen(gsn_store_dir(store));
+
+    return strncmp(path, gsn_store_dir(store), length) == 0 ? path + length + 1 : path;
+}
+
+static int64_t panel_id_of(const struct gsn_panel_rows *panels, unsigned number)
+{
+    for (size_t i = 0; i < panels->count; i++)
+        if (panels->at[i].number == number && strcmp(panels->at[i].state, "registered") == 0)
+            return panels->at[i].id;
+    return 0;
+}
+
+/* The result as rows. */
+struct rows {
+    struct gsn_measure_row *measure;
+    struct gsn_pose_row *pose;
+    struct gsn_stain_row *stain;
+};
+
+static void rows_done(struct rows *rows)
+{
+    gsn_free(rows->measure);
+    gsn_free(rows->pose);
+    gsn_free(rows->stain);
+}
+
+static struct gsn_pose_row pose_row(const struct gsn_specimen_pose *p, int64_t panel)
+{
+    const struct gsn_affine *m = &p->pose.panel_to_block_um;
+
+    return (struct gsn_pose_row){ .panel_id = panel,
+                                  .slot = p->slot + 1,
+                                  .serial = p->serial + 1,
+                                  .m00 = m->m00,
+                                  .m01 = m->m01,
+                                  .m02 = m->m02,
+                                  .m10 = m->m10,
+                                  .m11 = m->m11,
+                                  .m12 = m->m12,
+                                  .flipped = p->pose.flipped,
+                                  .rotated180 = p->pose.rotated180,
+                                  .rms_um = p->pose.rms_um,
+                                  .tre_um = p->pose.tre_um };
+}
+
+static struct gsn_stain_row stain_row(const struct gsn_specimen_stain *s, int64_t panel)
+{
+    struct gsn_stain_row row = { .panel_id = panel, .source = s->dyes.name };
+
+    for (size_t c = 0; c < 3; c++) {
+        row.white[c] = s->white[c];
+        row.vector[c] = s->dyes.red[c];
+        row.vector[3 + c] = s->dyes.yellow[c];
+        row.vector[6 + c] = s->dyes.dark[c];
+    }
+    return row;
+}
+
+static int make_rows(const struct gsn_specimen_result *result, const struct gsn_panel_rows *panels,
+                     struct rows *rows, struct gsn_error *err)
+{
+    rows->measure = gsn_alloc_array(result->measure_count, sizeof *rows->measure);
+    rows->pose = gsn_alloc_array(result->pose_count, sizeof *rows->pose);
+    rows->stain = gsn_alloc_array(result->stain_count, sizeof *rows->stain);
+    if (!rows->measure || !rows->pose || !rows->stain)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the rows of a result");
+    for (size_t i = 0; i < result->measure_count; i++)
+        rows->measure[i] = (struct gsn_measure_row){ .name = result->measure[i].name,
+                                                     .value = result->measure[i].value,
+                                                     .lower = result->measure[i].lower,
+                                                     .upper = result->measure[i].upper,
+                                                     .unit = result->measure[i].unit };
+    for (size_t i = 0; i < result->pose_count; i++)
+        rows->pose[i] = pose_row(&result->pose[i], panel_id_of(panels, result->pose[i].panel));
+    for (size_t i = 0; i < result->stain_count; i++)
+        rows->stain[i] = stain_row(&result->stain[i], panel_id_of(panels, result->stain[i].panel));
+    return GSN_OK;
+}
+
+/* Run, rows, job and the requests that follow from them: all or nothing. */
+static int commit(struct gsn_store *store, const struct gsn_job_row *job, int64_t run,
+                  const struct gsn_run_end *end, const struct gsn_material *material,
+                  struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_rows) dependents = NULL;
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_run_finish(store, run, end, time(NULL), err);
+    if (r >= 0)
+        r = gsn_event_add(store, time(NULL), "gieson-work", "run", job->specimen,
+                          gsn_material_key(material), err);
+    if (r >= 0)
+        r = gsn_specimen_dependents(store, job->specimen_id, &dependents, err);
+    for (size_t i = 0; r >= 0 && i < dependents->count; i++) {
+        gsn_auto(gsn_run_row) latest = NULL;
+        struct gsn_error quiet = { 0 };
+        int64_t id;
+
+        /* One that never ran waits for its own turn; one that rests on this result is up to date.
+         */
+        if (gsn_run_latest(store, dependents->at[i].id, NULL, &latest, &quiet) < 0 ||
+            strstr(latest->inputs_json, gsn_material_own_key(material)))
+            continue;
+        r = gsn_queue_add(store, dependents->at[i].id, 0, &id, err);
+    }
+    if (r >= 0)
+        r = gsn_queue_done(store, job, err);
+    if (r < 0) {
+        gsn_store_rollback(store);
+        return r;
+    }
+    return gsn_store_commit(store, err);
+}
+
+static int finish(struct gsn_store *store, const struct gsn_job_row *job, int64_t run,
+                  const struct gsn_material *material, const struct gsn_specimen_result *result,
+                  struct gsn_error *err)
+{
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    struct place place = { 0 };
+    struct rows rows = { 0 };
+    struct gsn_run_end end = { .state = result->withheld ? "withheld" : "reported",
+                               .message = result->message,
+                               .measure_count = result->measure_count,
+                               .pose_count = result->pose_count,
+                               .stain_count = result->stain_count };
+    struct gsn_digest head;
+    int r = gsn_panel_list(store, job->specimen_id, &panels, err);
+
+    if (r >= 0)
+        r = make_rows(result, panels, &rows, err);
+    if (r >= 0)
+        r = write_files(store, job->specimen, gsn_material_key(material), result, &place, err);
+    if (r >= 0)
+        r = gsn_event_head(store, &head, err);
+    if (r >= 0) {
+        end.report_path = relative(store, place.html);
+        end.report_sha256 = place.html_is.hex;
+        end.json_path = relative(store, place.json);
+        end.json_sha256 = place.json_is.hex;
+        end.event_head = head.hex;
+        end.measures = rows.measure;
+        end.poses = rows.pose;
+        end.stains = rows.stain;
+        r = commit(store, job, run, &end, material, err);
+    }
+    rows_done(&rows);
+    place_done(&place);
+    return r;
+}
+
+/* What the figures of this run mean, for those who compare with it later. gives. */
+static char *parameters_of(const struct gsn_material *material,
+                           const struct gsn_specimen_result *result)
+{
+    json_t *root = json_pack("{s:s, s:s, s:s}", "definition", result->definition, "dyes",
+                             result->dyes, "own_key", gsn_material_own_key(material));
+    char *dumped = json_dumps(root, JSON_COMPACT);
+    char *text = dumped ? gsn_strdup(dumped) : NULL;
+
+    free(dumped); /* door */
+    json_decref(root);
+    return text;
+}
+
+int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
+                     const struct gsn_job_options *options, const struct gsn_progress *progress,
+                     struct gsn_error *err)
+{
+    const struct gsn_specimen_options how = { .mesher = options->mesher,
+                                              .threads = options->threads,
+                                              .progress = progress };
+    gsn_auto(gsn_material) material = NULL;
+    gsn_auto(gsn_specimen_result) result = NULL;
+    gsn_auto_mem(char) parameters = NULL;
+    struct gsn_run_row run = { .specimen_id = job->specimen_id, .version = GSN_VERSION };
+    int64_t id;
+    int r = gsn_material_load(store, job->specimen_id, &material, err);
+
+    if (r >= 0)
+        r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
+    if (r < 0)
+        return r;
+    parameters = parameters_of(material, result);
+    if (!parameters)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the parameters of a run");
+    run.key = gsn_material_key(material);
+    run.inputs_json = gsn_material_inputs(material);
+    run.parameters_json = parameters;
+    r = gsn_run_begin(store, &run, time(NULL), &id, err);
+    return r < 0 ? r : finish(store, job, id, material, result, err);
+}

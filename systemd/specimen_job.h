@@ -1,0 +1,36 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The job that takes a specimen from its rows and objects to its report. */
+#ifndef GSN_SYSTEMD_SPECIMEN_JOB_H
+#define GSN_SYSTEMD_SPECIMEN_JOB_H
+
+#include "pipeline/core/progress.h"
+#include "pipeline/specimen.h"
+#include "storage/queue.h"
+#include "systemd/job.h"
+
+/* Everything a run rests on, loaded and hashed. Opaque; made by gsn_material_load(). */
+struct gsn_material;
+
+/* gives. Panels of one number that are both usable are held here, both, with the reason in their
+ * rows. Fails with GSN_E_NOTFOUND, GSN_E_IO (a damaged object), GSN_E_INPUT (a mask or volume that
+ * cannot be read), GSN_E_NOMEM. keeps: store. */
+int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
+                      struct gsn_material **ret_material, struct gsn_error *err);
+void gsn_material_free(struct gsn_material *material);
+GSN_DEFINE_AUTO(gsn_material);
+
+/* borrowed: what the pipeline asks for; SHA-256 of inputs, parameters and version; the inputs as
+ * JSON; the hash of this specimen's own inputs alone, without its baseline's. */
+const struct gsn_specimen *gsn_material_specimen(const struct gsn_material *material);
+const char *gsn_material_key(const struct gsn_material *material);
+const char *gsn_material_inputs(const struct gsn_material *material);
+const char *gsn_material_own_key(const struct gsn_material *material);
+
+/* Works the specimen of a claimed job, writes its report and ends run and job in one transaction;
+ * then asks for the specimens whose baseline this is. Fails as gsn_specimen_work() does. */
+int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
+                     const struct gsn_job_options *options, const struct gsn_progress *progress,
+                     struct gsn_error *err);
+
+#endif

@@ -1,0 +1,537 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""gieson as a person or a script meets it.
+
+    test_ui.py BIN [TOPIC [test]]      BIN is the folder with the programs
+"""
+import hashlib
+import json
+import os
+import pathlib
+import re
+import sqlite3
+import sys
+import unittest
+
+sys.dont_write_bytecode = True
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+import bench  # noqa: E402
+from bench import Bench, columns, png  # noqa: E402
+
+MANUAL = pathlib.Path(__file__).resolve().parents[2] / "docs" / "man" / "gieson.1"
+
+# What `gieson status --json` and `gieson show --json` promise; the manual page names every key.
+STATUS_KEYS = {"specimen", "group", "state", "detail", "action", "panels", "panels_registered",
+               "panels_refused", "sections", "sections_found", "loss_percent", "mean_density",
+               "run", "report"}
+SHOW_KEYS = {"specimen", "kind", "group", "baseline", "panels", "sections", "runs", "measures"}
+PANEL_KEYS = {"number", "file", "sha256", "state", "code", "message"}
+RUN_KEYS = {"run", "state", "message", "key", "version", "event_head"}
+
+ODD_NAMES = ["x" * 1000, "Gelenk Ü 7 \u6d4b\u8bd5", "e\u0301" * 30, "\u6d4b" * 60, "two\nlines",
+             "red \x1b[31m\x1b]0;title\x07", "it's $HOME `id` \"q\"", "--json-like", "a%sb%n",
+             "tab\tand\x7fdelete", "\u202eturned"]
+
+
+class Words(Bench):
+    """Mistakes on the command line: 64, one line that names it."""
+
+    def test_a_mistake_is_one_line_and_64(self):
+        self.empty_store()
+        for args in ([], ["frobnicate"], [""], ["status", "more"], ["show"], ["show", "a", "b"],
+                     ["report"], ["import"], ["verify"], ["check"], ["run", "--threads"],
+                     ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"],
+                     ["status", "--store"]):
+            with self.subTest(args=args):
+                self.refused(self.call(*args), 64)
+
+    def test_the_unknown_verb_is_named(self):
+        self.assertIn('"frobnicate"', self.refused(self.call("frobnicate"), 64))
+
+    def test_an_unknown_option_is_64_and_silent_on_stdout(self):
+        done = self.call("--frobnicate", store=False)
+        self.assertEqual((done.returncode, done.stdout), (64, ""))
+        self.assertIn("--frobnicate", done.stderr)
+
+    def test_help_names_every_verb_and_version_is_a_version(self):
+        done = self.call("--help", store=False)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        for verb in ("import", "run", "status", "show", "report", "retry", "verify", "check",
+                     "demo", "phantom"):
+            self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
+        done = self.call("--version", store=False)
+        self.assertEqual(done.returncode, 0)
+        self.assertRegex(done.stdout, r"^gieson \d+\.\d+\.\d+\n$")
+
+
+class Stores(Bench):
+    """Where the store is, and what when it is not."""
+
+    def test_no_store_named_is_64(self):
+        for args in (["status"], ["show", "x"], ["report", "x"], ["run"], ["retry"],
+                     ["import", "x"], ["verify", "1"]):
+            with self.subTest(args=args):
+                self.assertIn("GIESON_STORE", self.refused(self.call(*args, store=False), 64))
+        self.refused(self.call("status", store=False, env={"GIESON_STORE": ""}), 64)
+
+    def test_a_store_that_is_not_there_is_66_and_is_not_made(self):
+        for args in (["status"], ["status", "--json"], ["show", "x"], ["report", "x"], ["run"],
+                     ["retry"], ["verify", "1"]):
+            with self.subTest(args=args):
+                self.assertIn("is not a gieson store", self.refused(self.call(*args), 66))
+        self.assertFalse(self.store.exists())
+        self.store.write_text("a file")
+        self.refused(self.call("status"), 66)
+
+    def test_an_empty_store_says_what_to_do(self):
+        self.empty_store()
+        done = self.call("status")
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertIn("0 waiting", done.stdout)
+        self.assertIn("gieson import", done.stdout)
+        self.assertEqual(self.json("status"), {"queue": {"waiting": 0, "running": 0, "done": 0,
+                                                         "failed": 0}, "specimens": []})
+
+    def test_the_store_may_be_named_before_and_after_the_verb_and_by_the_environment(self):
+        self.imported("here")
+        there = str(self.store)
+        nowhere = str(self.folder / "nowhere")
+        for args, env in ((["--store", there, "status"], {}), (["-s", there, "status"], {}),
+                          (["--store=" + there, "status"], {}),
+                          (["status", "--store", there], {}), (["status", "--store=" + there], {}),
+                          (["status"], {"GIESON_STORE": there}),
+                          (["status", "--store", there], {"GIESON_STORE": nowhere}),
+                          (["--store", nowhere, "status", "--store", there], {})):
+            with self.subTest(args=args, env=env):
+                done = self.call(*args, store=False, env=env)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                self.assertIn("here", done.stdout)
+
+    def test_another_programs_database_a_newer_one_and_junk_are_refused(self):
+        self.empty_store()
+        database = self.store / "gieson.db"
+        with sqlite3.connect(database) as db:
+            db.execute("PRAGMA user_version = 99")
+        db.close()
+        self.assertIn("newer", self.refused(self.call("status"), 65))
+        with sqlite3.connect(database) as db:
+            db.execute("PRAGMA application_id = 7")
+        db.close()
+        self.assertIn("another program", self.refused(self.call("status"), 74))
+        for rest in self.store.glob("gieson.db-*"):
+            rest.unlink()
+        database.write_bytes(b"no database at all" * 1000)
+        self.refused(self.call("status"), 74)
+
+    def test_what_is_not_in_the_store_is_66(self):
+        self.imported("here")
+        for args in (["show", "nobody"], ["report", "nobody"], ["retry", "nobody"],
+                     ["verify", "nobody"], ["verify", "99"], ["report", "here"], ["show", ""]):
+            for late in ([], ["--json"]):
+                with self.subTest(args=args + late):
+                    self.refused(self.call(*args, *late), 66)
+
+
+class Plain(Bench):
+    """What scripts read."""
+
+    def test_a_pipe_gets_plain_text_and_a_terminal_colour(self):
+        self.imported("one")
+        self.reported_tile()
+        for args in (["status"], ["show", "one"], ["report", "tile"], ["status", "--json"]):
+            done = self.call(*args)
+            self.assertNotIn("\x1b", done.stdout + done.stderr)
+        self.assertIn("\x1b[32m", self.terminal(100, "status")[1])
+        self.assertIn("\x1b[32m", self.terminal(100, "status", env={"NO_COLOR": ""})[1])
+        code, screen = self.terminal(100, "status", env={"NO_COLOR": "1"})
+        self.assertEqual(code, 0)
+        self.assertNotIn("\x1b", screen)
+        self.assertNotIn("\x1b", self.terminal(100, "status", "--json")[1])
+
+    def test_state_is_a_word_and_a_symbol_and_not_only_a_colour(self):
+        self.imported("one")
+        self.assertRegex(self.call("status").stdout, r"(?m)^\. one +.* waiting ")
+
+    def test_json_has_the_documented_keys(self):
+        self.imported("one", group="G")
+        self.reported_tile()
+        root = self.json("status")
+        self.assertEqual(set(root), {"queue", "specimens"})
+        self.assertEqual(set(root["queue"]), {"waiting", "running", "done", "failed"})
+        for row in root["specimens"]:
+            self.assertEqual(set(row), STATUS_KEYS)
+        row = next(r for r in root["specimens"] if r["specimen"] == "one")
+        self.assertEqual((row["group"], row["state"], row["panels"]), ("G", "withheld", 1))
+        shown = self.json("show", "one")
+        self.assertEqual(set(shown), SHOW_KEYS)
+        self.assertEqual(set(shown["panels"][0]), PANEL_KEYS)
+        self.assertEqual(set(shown["runs"][0]), RUN_KEYS)
+        manual = MANUAL.read_text(encoding="utf-8")
+        for key in STATUS_KEYS | SHOW_KEYS | PANEL_KEYS | RUN_KEYS | set(root["queue"]):
+            self.assertRegex(manual, rf"\b{key}\b", f"the manual does not name {key}")
+
+    def test_the_report_is_that_of_the_file(self):
+        self.reported_tile()
+        lines = self.call("report", "tile").stdout.splitlines()
+        self.assertEqual(len(lines), 3)
+        self.assertTrue(pathlib.Path(lines[1]).is_file() and lines[1].endswith(".html"))
+        told = self.call("report", "tile", "--json").stdout
+        self.assertEqual(told, pathlib.Path(lines[2]).read_text(encoding="utf-8"))
+        for key in ("specimen", "baseline", "loss_percent", "region", "volumes", "sections"):
+            self.assertIn(key, json.loads(told))
+
+    def test_verify_says_that_the_bytes_are_the_same(self):
+        self.reported_tile()
+        self.assertTrue(self.json("verify", "tile")["verified"])
+
+
+class Names(Bench):
+    """Names are data: any text, of any length."""
+
+    def import_all(self):
+        for i, name in enumerate(ODD_NAMES):
+            self.imported(name, folder=f"scans{i}")
+
+    def test_a_name_beyond_a_thousand_bytes_is_refused(self):
+        self.refused(self.call("import", self.job("x" * 1001)), 65)
+        self.refused(self.call("show", "x" * 100000), 66)
+
+    def test_every_name_survives_the_way_through_json(self):
+        self.import_all()
+        self.assertEqual([r["specimen"] for r in self.json("status")["specimens"]], ODD_NAMES)
+        for name in ODD_NAMES:
+            self.assertEqual(self.json("show", name)["specimen"], name)
+
+    def test_nothing_in_a_name_reaches_the_terminal_as_a_command(self):
+        self.import_all()
+        done = self.call("status")
+        self.assertEqual(len(done.stdout.splitlines()), 2 + len(ODD_NAMES))
+        code, screen = self.terminal(200, "status", env={"NO_COLOR": "1"})
+        self.assertEqual(code, 0)
+        texts = [done.stdout, screen] + [self.call("show", n).stdout for n in ODD_NAMES]
+        texts += [self.call("show", n + "\x1b[31m\n").stderr for n in ODD_NAMES[1:]]
+        for text in texts:
+            self.assertNotRegex(text, r"[\x00-\x09\x0b-\x1f\x7f]")
+
+    def test_a_complaint_about_a_name_is_one_line(self):
+        self.empty_store()
+        for name in ODD_NAMES:
+            with self.subTest(name=name[:20]):
+                done = self.call("show", name)
+                self.assertEqual((done.returncode, done.stderr.count("\n")), (66, 1))
+
+    def test_the_next_command_can_be_pasted_into_a_shell(self):
+        self.import_all()
+        self.assertEqual(self.call("run").returncode, 0)
+        for row in self.json("status")["specimens"]:
+            self.assertTrue(row["action"].startswith("gieson show "), row["action"])
+            env = self.environment(GIESON_STORE=str(self.store),
+                                   PATH=f"{bench.BIN}:{os.environ['PATH']}")
+            done = bench.subprocess.run(["sh", "-c", row["action"] + " --json"], env=env,
+                                        capture_output=True, encoding="utf-8", check=False)
+            self.assertEqual(done.returncode, 0, done.stderr)
+            self.assertEqual(json.loads(done.stdout)["specimen"], row["specimen"])
+
+    def test_a_file_name_that_is_no_utf8_does_not_drop_its_row(self):
+        place = os.fsencode(self.job("odd"))
+        png(place + b"/caf\xe9_P02.png", 32, 32, seed=9)
+        self.assertEqual(self.call("import", os.fsdecode(place)).returncode, 0)
+        files = [p["file"] for p in self.json("show", "odd")["panels"]]
+        self.assertEqual(sorted(files), ["caf\ufffd_P02.png", "scan_P01.png"])
+        self.assertIn("caf?_P02.png", self.call("show", "odd").stdout)
+
+
+class Check(Bench):
+    """`gieson check` needs no store."""
+
+    def setUp(self):
+        super().setUp()
+        if b"__asan_init" in (bench.BIN / "gieson-work").read_bytes():
+            self.skipTest("check limits its address space, and ASan needs all of it")
+
+    def check(self, *files):
+        return self.call("check", *map(str, files), store=False)
+
+    def test_a_good_picture_is_fine(self):
+        png(self.folder / "good.png", 40, 30)
+        done = self.check(self.folder / "good.png")
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertRegex(done.stdout, r"good\.png: fine: .*40 x 30, RGB, 8 bit")
+
+    def test_every_truncation_is_refused(self):
+        whole = png(self.folder / "good.png", 24, 24)
+        cut = self.folder / "cut.png"
+        for size in (0, 1, 8, 20, 33, len(whole) // 2, len(whole) - 13):
+            with self.subTest(size=size):
+                cut.write_bytes(whole[:size])
+                done = self.check(cut)
+                self.assertEqual(done.returncode, 65, done.stdout)
+                self.assertRegex(done.stdout, r"cut\.png: refused \(\w+\): .+\n$")
+                self.assertEqual(done.stdout.count("\n"), 1)
+
+    def test_a_flipped_byte_is_refused(self):
+        whole = bytearray(png(self.folder / "good.png", 24, 24))
+        whole[len(whole) // 2] ^= 0xff
+        (self.folder / "bad.png").write_bytes(whole)
+        self.assertEqual(self.check(self.folder / "bad.png").returncode, 65)
+
+    def test_a_bad_file_does_not_hide_behind_a_good_one(self):
+        png(self.folder / "good.png", 24, 24)
+        (self.folder / "text.png").write_text("not a picture")
+        done = self.check(self.folder / "text.png", self.folder / "good.png")
+        self.assertEqual(done.returncode, 65)
+        self.assertEqual(len(done.stdout.splitlines()), 2)
+        done = self.check(self.folder / "nowhere.png", self.folder / "good.png")
+        self.assertEqual(done.returncode, 66)
+        self.assertIn("good.png: fine", done.stdout)
+
+
+class Import(Bench):
+    """What import refuses, and that it says so in one line."""
+
+    def refuse(self, code, job=None, folder="scans"):
+        place = self.folder / folder
+        place.mkdir(exist_ok=True)
+        if job is not None:
+            (place / "job.json").write_text(job, encoding="utf-8")
+        return self.refused(self.call("import", str(place)), code)
+
+    def test_a_folder_without_job_json_is_66_and_names_it(self):
+        self.assertIn("job.json", self.refuse(66))
+        self.refused(self.call("import", str(self.folder / "nowhere")), 66)
+
+    def test_a_wrong_job_is_65(self):
+        for job in ("", "{", "[]", "{}", '{"specimen": 7}', '{"specimen": ""}',
+                    '{"specimen": "a", "px_um": -1}', '{"specimen": "a", "region": "../x.mhd"}',
+                    '{"specimen": "a", "layout": [0, 4]}', '{"specimen": "a", "kind": "soup"}'):
+            with self.subTest(job=job):
+                self.refuse(65, job)
+        self.assertEqual(self.json("status")["queue"]["waiting"], 0)
+
+    def test_importing_again_takes_nothing_twice(self):
+        place = self.job("one", panels=2)
+        self.assertEqual(self.json("import", place)["panels_taken"], 2)
+        again = self.json("import", place)
+        self.assertEqual((again["panels_taken"], again["panels_again"]), (0, 2))
+        self.assertEqual(self.json("status")["queue"]["waiting"], 3)
+
+    def test_another_job_of_the_same_name_needs_replace(self):
+        self.imported("one")
+        place = self.job("one", week=3)
+        self.refused(self.call("import", place), 65)
+        self.assertEqual(self.call("import", "--replace", place).returncode, 0)
+
+
+class Run(Bench):
+    """The queue to its end."""
+
+    def test_an_empty_queue_is_no_error_and_nothing_to_say(self):
+        self.empty_store()
+        done = self.call("run")
+        self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
+        self.assertEqual(self.json("run"), {"done": 0, "failed": 0, "waiting": 0})
+
+    def test_a_truncated_panel_costs_only_itself(self):
+        place = self.job("one", panels=2)
+        file = pathlib.Path(place) / "scan_P02.png"
+        file.write_bytes(file.read_bytes()[:-40])
+        self.assertEqual(self.call("import", place).returncode, 0)
+        self.reported_tile()
+        rows = {r["specimen"]: r for r in self.json("status")["specimens"]}
+        self.assertEqual(rows["tile"]["state"], "reported")
+        self.assertEqual(rows["one"]["state"], "withheld")
+        panels = self.json("show", "one")["panels"]
+        self.assertEqual([p["state"] for p in panels], ["refused", "refused"])
+        self.assertRegex(panels[1]["message"], "truncated|ends")
+        self.assertEqual(self.json("status")["queue"]["waiting"], 0)
+
+    def test_a_figure_that_does_not_exist_is_null(self):
+        self.reported_tile()
+        row = self.json("status")["specimens"][0]
+        self.assertIsNone(row["loss_percent"])
+        self.assertIsInstance(row["mean_density"], float)
+
+    def test_threads_out_of_range_are_refused(self):
+        self.imported("one")
+        for threads in ("x", "-1", "65", "1.5"):
+            self.assertNotEqual(self.call("run", "--threads", threads).returncode, 0)
+        self.assertEqual(self.json("status")["queue"]["waiting"], 2)
+
+
+class Disk(Bench):
+    """A store that cannot be written to, seen by somebody who is not root."""
+
+    def setUp(self):
+        super().setUp()
+        self.person = {}
+        if os.geteuid() == 0:
+            self.person = {"user": 65534, "group": 65534, "extra_groups": []}
+            os.chmod(self.folder, 0o755)
+            try:
+                done = self.call("--version", store=False, **self.person)
+            except PermissionError:
+                self.skipTest("nobody may not start the programs here")
+            self.assertEqual(done.returncode, 0)
+
+    def freeze(self, *except_for):
+        for path in [self.store, *self.store.rglob("*")]:
+            if path not in except_for:
+                os.chmod(path, 0o555 if path.is_dir() else 0o444)
+        self.addCleanup(self.thaw)
+
+    def thaw(self):
+        for path in [self.store, *self.store.rglob("*")]:
+            os.chmod(path, 0o755 if path.is_dir() else 0o644)
+
+    def test_reading_works_and_writing_is_74(self):
+        self.imported("one")
+        scans = self.job("two", folder="more")
+        self.freeze()
+        done = self.call("status", **self.person)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("one", done.stdout)
+        for args in (["import", scans], ["retry"]):
+            with self.subTest(args=args):
+                self.refused(self.call(*args, **self.person), 74)
+
+    def test_a_run_that_cannot_write_ends_and_says_so(self):
+        self.imported("one")
+        self.freeze()
+        done = self.call("run", **self.person)
+        self.assertNotEqual(done.returncode, 0)
+        self.assertIn("permission", done.stderr)
+
+    def test_a_folder_where_no_store_can_be_made_is_74(self):
+        scans = self.job("one")
+        os.chmod(self.folder, 0o555)
+        self.addCleanup(os.chmod, self.folder, 0o755)
+        self.refused(self.call("import", scans, **self.person), 74)
+        self.assertFalse(self.store.exists())
+
+
+class Streams(Bench):
+    """Streams that are closed or full."""
+
+    def test_an_answer_that_cannot_be_written_is_74(self):
+        self.imported("one")
+        for args in (["status"], ["status", "--json"], ["show", "one"]):
+            with self.subTest(args=args), open("/dev/full", "w", encoding="utf-8") as full:
+                done = self.call(*args, stdout=full)
+                self.assertEqual(done.returncode, 74)
+                self.assertEqual(done.stderr.count("\n"), 1)
+
+    def test_a_closed_stdout_is_74_and_not_a_crash(self):
+        self.imported("one")
+        done = self.call("status", stdout=None, preexec_fn=lambda: os.close(1))
+        self.assertEqual(done.returncode, 74)
+        self.assertIn("could not be written", done.stderr)
+
+    def test_complaints_do_not_land_in_files_when_stderr_is_closed(self):
+        def close_both():
+            os.close(1)
+            os.close(2)
+
+        place = self.job("one", panels=2)
+        png(place + "/unnumbered.png", 32, 32, seed=8)  # import has something to say about it
+        self.call("import", place, stdout=None, stderr=None, preexec_fn=close_both)
+        objects = [p for p in (self.store / "objects").rglob("*") if p.is_file()]
+        self.assertGreaterEqual(len(objects), 3)
+        for path in objects:
+            self.assertEqual(hashlib.sha256(path.read_bytes()).hexdigest(),
+                             path.parent.name + path.name)
+
+    def test_closed_streams_do_not_stop_the_mesher(self):
+        def close_all():
+            for fd in (0, 1, 2):
+                os.close(fd)
+
+        bench.ball(self.folder / "ball.mhd")
+        done = self.call("import", "--volume", str(self.folder / "ball.mhd"), "--threshold", "50")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.call("run", stdin=None, stdout=None, stderr=None, preexec_fn=close_all)
+        row = self.json("status")["specimens"][0]
+        self.assertEqual(row["state"], "reported", row["detail"])
+
+    def test_a_reader_that_leaves_is_no_hang(self):
+        self.imported("one")
+        ours, theirs = os.pipe()
+        os.close(ours)
+        done = self.call("status", stdout=theirs, timeout=60)
+        os.close(theirs)
+        self.assertIn(done.returncode, (-13, 74))
+
+
+class Terminal(Bench):
+    """Narrow and wide terminals: nothing is cut off badly."""
+
+    def lines(self, width, *args):
+        code, screen = self.terminal(width, *args, env={"NO_COLOR": "1"})
+        self.assertEqual(code, 0, screen)
+        return screen.splitlines()
+
+    def fits(self, width, lines):
+        """A command to copy is never cut or wrapped, everything else fits."""
+        for line in lines:
+            if "next: gieson " not in line:
+                self.assertLessEqual(columns(line), width, line)
+
+    def test_status_fits_every_width_and_always_says_name_state_and_next(self):
+        for i, name in enumerate(["GVP-D-S00", "\u6d4b\u8bd5" * 12, "n" * 70]):
+            self.imported(name, folder=f"scans{i}")
+        for width in (20, 30, 40, 58, 59, 60, 80, 81, 120, 200):
+            with self.subTest(width=width):
+                lines = self.lines(width, "status")
+                if width >= 40:
+                    self.fits(width, [li for li in lines if "nnnn" not in li and "\u6d4b" not in li
+                                      or width > 58])
+                text = "\n".join(lines)
+                self.assertIn("GVP-D-S00", text)
+                self.assertEqual(text.count("waiting"), 4)
+                self.assertEqual(text.count("gieson run"), 3)
+
+    def test_columns_stand_below_their_headings_whatever_the_script(self):
+        for i, name in enumerate(["plain", "\u6d4b\u8bd5", "e\u0301t\u00e9"]):
+            self.imported(name, folder=f"scans{i}", group="G")
+        lines = self.lines(100, "status")
+        where = {columns(li[:li.index("waiting")]) for li in lines if " waiting " in li[10:]}
+        self.assertEqual(where, {columns(lines[1][:lines[1].index("STATE")])})
+
+    def test_an_empty_store_and_a_panels_sentence_are_wrapped(self):
+        self.empty_store()
+        self.fits(40, self.lines(40, "status"))
+        self.imported("one")
+        self.assertEqual(self.call("run").returncode, 0)
+        for width in (40, 80):
+            self.fits(width, self.lines(width, "status"))
+            self.fits(width, self.lines(width, "show", "one"))
+
+    def test_progress_stays_on_one_line_and_ends_wiped(self):
+        for width in (24, 40, 80):
+            name = f"a specimen with a long name for {width} columns"
+            place = self.job(name, folder=f"scans{width}")
+            png(place + "/a_long_name_too_P02.png", 1200, 1600, seed=width)
+            self.assertEqual(self.call("import", place).returncode, 0)
+            code, screen = self.terminal(width, "run", env={"NO_COLOR": "1"})
+            self.assertEqual(code, 0, screen)
+            drawn = [p for p in re.split(r"[\r\n]", screen) if p.startswith("[")]
+            self.assertGreater(len(drawn), 0, "the work was too quick to be seen")
+            for piece in drawn:
+                self.assertLess(columns(piece), width)
+                self.assertRegex(piece, r"^\[\d+/\d+\] .*(starting|\w+ \d+/\d+|~)")
+            self.assertIn("\r\x1b[K", screen)
+            self.assertNotIn("[", screen[screen.rindex("\x1b[K") + 3:])
+
+
+def main():
+    bench.BIN = pathlib.Path(sys.argv[1]).resolve()
+    topic = [".".join(sys.argv[2:])] if len(sys.argv) > 2 else []
+    result = unittest.main(argv=[sys.argv[0], *topic], exit=False).result
+    for test, reason in result.skipped:
+        print(f"skipped: {test.id()}: {reason}", file=sys.stderr)
+    if not result.wasSuccessful():
+        sys.exit(1)
+    sys.exit(bench.SKIPPED if result.skipped and len(result.skipped) == result.testsRun else 0)
+
+
+if __name__ == "__main__":
+    main()

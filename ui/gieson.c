@@ -1,0 +1,144 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* gieson: the technician's and the biologist's command. It reads the store and asks for work; the
+ * work itself is done by gieson-work, which it starts. */
+#include "ui/ui.h"
+
+#include <argp.h>
+#include <errno.h>
+#include <limits.h>
+#include <locale.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sysexits.h>
+#include <unistd.h>
+
+const char *argp_program_version = "gieson " GSN_VERSION;
+
+static const struct {
+    const char *name;
+    gsn_verb *run;
+} verbs[] = { { "status", gsn_cmd_status }, { "show", gsn_cmd_show },
+              { "import", gsn_cmd_import }, { "run", gsn_cmd_run },
+              { "retry", gsn_cmd_retry },   { "report", gsn_cmd_report },
+              { "verify", gsn_cmd_verify }, { "check", gsn_cmd_check },
+              { "demo", gsn_cmd_demo },     { "phantom", gsn_cmd_phantom } };
+
+static const char doc[] =
+    "From stained sections on scanned panels to the collagen that was lost.\v"
+    "Verbs:\n"
+    "  import FOLDER       take panels beside a job.json into the store (--volume FILE and\n"
+    "                      --tile FILE take a volume or a single picture)\n"
+    "  run                 work the queue to its end\n"
+    "  status              what is in the store, and what to do next\n"
+    "  show SPECIMEN       its panels, sections and figures\n"
+    "  report SPECIMEN     where its report is; with --json the report itself\n"
+    "  retry [SPECIMEN]    let failed jobs wait again\n"
+    "  verify RUN          work a finished run again and compare every byte\n"
+    "  check FILE...       decode pictures strictly and say what they are\n"
+    "  demo [FOLDER]       two phantom specimens from panels to reports\n"
+    "  phantom ...         make a specimen with a known truth (phantom --help)\n";
+
+static const struct argp_option options[] = {
+    { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },
+    { "json", 'j', NULL, 0, "Print JSON", 0 },
+    { 0 },
+};
+
+/* The verb and everything behind it. */
+struct rest {
+    struct gsn_ui *ui;
+    int argc;
+    char **argv;
+};
+
+static error_t take_option(int key, char *arg, struct argp_state *state)
+{
+    struct rest *rest = state->input;
+
+    switch (key) {
+    case 's':
+        rest->ui->store_dir = arg;
+        return 0;
+    case 'j':
+        rest->ui->json = 1;
+        return 0;
+    case ARGP_KEY_ARG:
+        return ARGP_ERR_UNKNOWN;
+    case ARGP_KEY_ARGS:
+        rest->argv = state->argv + state->next;
+        rest->argc = state->argc - state->next;
+        return 0;
+    default:
+        return ARGP_ERR_UNKNOWN;
+    }
+}
+
+/* --json and --store may also stand behind the verb; they are taken out of its arguments. */
+static int take_late_options(struct rest *rest)
+{
+    int kept = 0;
+
+    for (int i = 0; i < rest->argc; i++) {
+        if (strcmp(rest->argv[i], "--json") == 0)
+            rest->ui->json = 1;
+        else if (strcmp(rest->argv[i], "--store") == 0 && i + 1 < rest->argc)
+            rest->ui->store_dir = rest->argv[++i];
+        else if (strncmp(rest->argv[i], "--store=", 8) == 0)
+            rest->ui->store_dir = rest->argv[i] + 8;
+        else
+            rest->argv[kept++] = rest->argv[i];
+    }
+    return kept;
+}
+
+static void look_around(struct gsn_ui *ui)
+{
+    const char *no_colour = getenv("NO_COLOR");
+
+    ui->store_dir = getenv("GIESON_STORE");
+    ui->out_tty = isatty(STDOUT_FILENO);
+    ui->err_tty = isatty(STDERR_FILENO);
+    ui->colour = ui->out_tty && !(no_colour && no_colour[0]);
+    ui->width = ui->out_tty ? gsn_ui_columns(STDOUT_FILENO) : INT_MAX;
+}
+
+static int run_verb(struct gsn_ui *ui, struct rest *rest)
+{
+    if (rest->argc == 0)
+        return gsn_ui_usage("say what to do, for instance `gieson status`; `gieson --help` lists "
+                            "the verbs");
+    rest->argc = take_late_options(rest);
+    for (size_t i = 0; rest->argc > 0 && i < sizeof verbs / sizeof verbs[0]; i++)
+        if (strcmp(verbs[i].name, rest->argv[0]) == 0)
+            return verbs[i].run(ui, rest->argc, rest->argv);
+    return gsn_ui_usage("\"%s\" is not a verb; `gieson --help` lists them",
+                        rest->argc > 0 ? rest->argv[0] : "");
+}
+
+/* An answer that did not reach its reader is no success. */
+static int close_answer(int status)
+{
+    const int failed = ferror(stdout);
+
+    if (fflush(stdout) == 0 && !failed)
+        return status;
+    (void)fprintf(stderr, "gieson: the answer could not be written: %s\n", strerror(errno));
+    return status == EX_OK ? EX_IOERR : status;
+}
+
+int main(int argc, char **argv)
+{
+    static const struct argp parser = {
+        .options = options, .parser = take_option, .args_doc = "VERB [ARGUMENT...]", .doc = doc
+    };
+    struct gsn_ui ui = { 0 };
+    struct rest rest = { .ui = &ui };
+
+    (void)setlocale(LC_CTYPE, "C.UTF-8");
+    look_around(&ui);
+    if (argp_parse(&parser, argc, argv, ARGP_IN_ORDER, NULL, &rest) != 0)
+        return EX_USAGE;
+    return close_answer(run_verb(&ui, &rest));
+}

@@ -1,0 +1,36 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The store at one moment, as rows a person or a script would read: one per specimen, with the
+ * state of its work in a word and the next action as a command. */
+#ifndef GSN_UI_SNAPSHOT_H
+#define GSN_UI_SNAPSHOT_H
+
+#include "storage/queue.h"
+#include "storage/store.h"
+
+struct gsn_snapshot_row {
+    char *name, *group; /* owned */
+    const char *state;  /* "waiting", "working", "reported", "withheld" or "failed" */
+    char *detail;       /* owned; stage and progress, or the sentence of a refusal, or NULL */
+    char *action;       /* owned; the command to give next, or NULL when there is nothing to do */
+    unsigned panels, panels_registered, panels_refused;
+    unsigned sections, sections_found;
+    double loss_percent; /* NaN: none */
+    double mean_density; /* NaN: none */
+    int64_t run;         /* latest finished run; 0: none */
+    char *report;        /* owned; path of its HTML, or NULL */
+};
+
+struct gsn_snapshot {
+    size_t count;
+    struct gsn_snapshot_row *at;
+    struct gsn_job_counts jobs;
+};
+
+/* gives. Fails as the store does. */
+int gsn_snapshot_take(struct gsn_store *store, struct gsn_snapshot **ret_snapshot,
+                      struct gsn_error *err);
+void gsn_snapshot_free(struct gsn_snapshot *snapshot);
+GSN_DEFINE_AUTO(gsn_snapshot);
+
+#endif

@@ -1,0 +1,175 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "ui/text.h"
+
+#include <limits.h>
+#include <stdarg.h>
+#include <string.h>
+#include <wchar.h>
+
+struct glyph {
+    size_t bytes; /* 0 at the end of the text */
+    int columns;
+    int printable, utf8;
+};
+
+static struct glyph glyph_at(const char *text)
+{
+    const size_t room = strnlen(text, MB_LEN_MAX);
+    mbstate_t state = { 0 };
+    wchar_t character;
+    const size_t bytes = room ? mbrtowc(&character, text, room, &state) : 0;
+    int columns;
+
+    if (room == 0)
+        return (struct glyph){ 0 };
+    if (bytes > room)
+        return (struct glyph){ .bytes = 1, .columns = 1 };
+    columns = wcwidth(character);
+    return (struct glyph){
+        .bytes = bytes, .columns = columns < 0 ? 1 : columns, .printable = columns >= 0, .utf8 = 1
+    };
+}
+
+static void put(FILE *to, const char *text, struct glyph glyph)
+{
+    if (glyph.printable)
+        (void)fwrite(text, 1, glyph.bytes, to);
+    else
+        (void)fputc('?', to);
+}
+
+int gsn_text_columns(const char *text)
+{
+    int columns = 0;
+
+    for (struct glyph g = glyph_at(text); g.bytes > 0; g = glyph_at(text)) {
+        columns += g.columns;
+        text += g.bytes;
+    }
+    return columns;
+}
+
+char *gsn_text_cell(const char *text, int columns)
+{
+    const int room = gsn_text_columns(text) <= columns ? columns : columns - 1;
+    char *cell = gsn_alloc_array(strlen(text) + (size_t)columns + 2, 1);
+    size_t used = 0;
+    int filled = 0;
+
+    if (!cell)
+        return NULL;
+    for (struct glyph g = glyph_at(text); g.bytes > 0 && filled + g.columns <= room;
+         g = glyph_at(text)) {
+        if (g.printable)
+            memcpy(cell + used, text, g.bytes);
+        else
+            cell[used] = '?';
+        used += g.printable ? g.bytes : 1;
+        filled += g.columns;
+        text += g.bytes;
+    }
+    if (room < columns) {
+        cell[used++] = '~';
+        filled++;
+    }
+    for (; filled < columns; filled++)
+        cell[used++] = ' ';
+    return cell;
+}
+
+void gsn_text_line(FILE *to, const char *format, ...)
+{
+    gsn_auto_mem(char) line = NULL;
+    va_list args, again;
+    int length;
+
+    va_start(args, format);
+    va_copy(again, args);
+    length = vsnprintf(NULL, 0, format, args);
+    line = length < 0 ? NULL : gsn_alloc_array((size_t)length + 1, 1);
+    if (line)
+        (void)vsnprintf(line, (size_t)length + 1, format, again);
+    va_end(again);
+    va_end(args);
+    gsn_text_wrap(to, 0, INT_MAX, line ? line : "out of memory");
+}
+
+/* Bytes of the text that fit into a line: up to the last blank that does, or as many glyphs as fit,
+ * or one at least. */
+static size_t take_line(const char *text, int columns)
+{
+    size_t at = 0, blank = 0;
+    int filled = 0;
+
+    for (struct glyph g = glyph_at(text); g.bytes > 0; g = glyph_at(text + at)) {
+        if (at > 0 && filled > columns - g.columns)
+            return blank > 0 ? blank : at;
+        filled += g.columns;
+        at += g.bytes;
+        if (text[at] == ' ')
+            blank = at;
+    }
+    return at;
+}
+
+void gsn_text_wrap(FILE *to, int indent, int width, const char *text)
+{
+    do {
+        const size_t line = take_line(text, width - indent);
+
+        (void)fprintf(to, "%*s", indent, "");
+        for (size_t at = 0; at < line; at += glyph_at(text + at).bytes)
+            put(to, text + at, glyph_at(text + at));
+        (void)fputc('\n', to);
+        text += line;
+        while (line > 0 && *text == ' ')
+            text++;
+    } while (*text);
+}
+
+json_t *gsn_text_json(const char *text)
+{
+    static const char stranger[] = "\xef\xbf\xbd"; /* U+FFFD */
+    gsn_auto_mem(char) clean = gsn_alloc_array(strlen(text) + 1, sizeof stranger);
+    json_t *plain = json_string(text);
+    size_t used = 0;
+
+    if (plain || !clean)
+        return plain;
+    for (struct glyph g = glyph_at(text); g.bytes > 0; g = glyph_at(text)) {
+        json_t *alone = g.utf8 ? json_stringn(text, g.bytes) : NULL;
+
+        if (alone)
+            memcpy(clean + used, text, g.bytes);
+        else
+            memcpy(clean + used, stranger, strlen(stranger));
+        used += alone ? g.bytes : strlen(stranger);
+        text += g.bytes;
+        json_decref(alone);
+    }
+    return json_string(clean);
+}
+
+char *gsn_text_word(const char *text)
+{
+    static const char harmless[] = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+                                   "0123456789_-.,:+@%/";
+    char *word;
+    size_t used = 0;
+
+    if (text[0] && !text[strspn(text, harmless)])
+        return gsn_strdup(text);
+    word = gsn_alloc_array(strlen(text) + 1, 4);
+    if (!word)
+        return NULL;
+    word[used++] = '\'';
+    for (; *text; text++) {
+        if (*text == '\'') {
+            memcpy(word + used, "'\\'", 3);
+            used += 3;
+        }
+        word[used++] = *text;
+    }
+    word[used] = '\'';
+    return word;
+}

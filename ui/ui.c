@@ -1,0 +1,110 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "ui/ui.h"
+
+#include "pipeline/core/process.h"
+#include "ui/text.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <sysexits.h>
+
+int gsn_ui_complain(const struct gsn_error *err, int code)
+{
+    gsn_text_line(stderr, "gieson: %s", err->text);
+    return gsn_code_exit(code);
+}
+
+int gsn_ui_fail(int status, const char *format, ...)
+{
+    char sentence[512];
+    va_list args;
+
+    va_start(args, format);
+    (void)vsnprintf(sentence, sizeof sentence, format, args);
+    va_end(args);
+    gsn_text_line(stderr, "gieson: %s", sentence);
+    return status;
+}
+
+struct gsn_store *gsn_ui_store(const struct gsn_ui *ui, enum gsn_store_mode mode, int *ret_status)
+{
+    struct gsn_store *store = NULL;
+    struct gsn_error err = { 0 };
+    int r;
+
+    if (!ui->store_dir || !ui->store_dir[0]) {
+        *ret_status = gsn_ui_usage("no store: say --store DIR or set GIESON_STORE");
+        return NULL;
+    }
+    r = gsn_store_open(ui->store_dir, mode, &store, &err);
+    if (r < 0)
+        *ret_status = gsn_ui_complain(&err, r);
+    return store;
+}
+
+int gsn_ui_columns(int fd)
+{
+    struct winsize size;
+
+    return ioctl(fd, TIOCGWINSZ, &size) == 0 && size.ws_col > 0 ? size.ws_col : 80;
+}
+
+json_t *gsn_ui_number(double value)
+{
+    return isnan(value) ? json_null() : json_real(value);
+}
+
+void gsn_ui_print_json(json_t *root)
+{
+    (void)json_dumpf(root, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(9));
+    (void)putchar('\n');
+    json_decref(root);
+}
+
+pid_t gsn_ui_start(const struct gsn_ui *ui, const char *program, int with_store,
+                   const char *const args[])
+{
+    gsn_auto_mem(char) path = NULL;
+    gsn_auto_mem(const char *) argv = NULL;
+    struct gsn_error err = { 0 };
+    size_t given = 0, n = 0;
+    pid_t child;
+    int r = gsn_process_sibling(program, &path, &err);
+
+    if (r < 0) {
+        (void)gsn_ui_complain(&err, r);
+        return -1;
+    }
+    while (args[given])
+        given++;
+    argv = gsn_alloc_array(given + 5, sizeof *argv);
+    if (!argv)
+        return -1;
+    argv[n++] = path;
+    if (with_store) {
+        argv[n++] = "--store";
+        argv[n++] = ui->store_dir;
+    }
+    if (with_store && ui->json)
+        argv[n++] = "--json";
+    memcpy(argv + n, args, given * sizeof *argv);
+    r = gsn_process_start(argv, &child, &err);
+    if (r >= 0)
+        return child;
+    (void)gsn_ui_complain(&err, r);
+    return -1;
+}
+
+int gsn_ui_call(const struct gsn_ui *ui, const char *program, int with_store,
+                const char *const args[])
+{
+    pid_t child;
+
+    if (with_store && (!ui->store_dir || !ui->store_dir[0]))
+        return gsn_ui_usage("no store: say --store DIR or set GIESON_STORE");
+    child = gsn_ui_start(ui, program, with_store, args);
+    return child < 0 ? EX_OSERR : gsn_process_wait(child, 1);
+}

@@ -1,0 +1,58 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What every verb of `gieson` shares: where the store is, how to speak, how to start a helper.
+ *
+ * Data goes to stdout, words to stderr. A mistake gets one line. */
+#ifndef GSN_UI_UI_H
+#define GSN_UI_UI_H
+
+#include "pipeline/core/error.h"
+#include "storage/store.h"
+
+#include <jansson.h>
+#include <sys/types.h>
+#include <sysexits.h>
+
+struct gsn_ui {
+    const char *store_dir; /* NULL when not given */
+    int json;
+    int out_tty, err_tty; /* stdout, stderr are terminals */
+    int colour;           /* stdout is a terminal and NO_COLOR is not set */
+    int width;            /* columns of stdout's terminal; INT_MAX when it is none */
+};
+
+/* One verb: argv[0] is the verb itself. Returns the exit status. */
+typedef int gsn_verb(const struct gsn_ui *ui, int argc, char **argv);
+
+gsn_verb gsn_cmd_status, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run, gsn_cmd_retry, gsn_cmd_report,
+    gsn_cmd_verify, gsn_cmd_check, gsn_cmd_demo, gsn_cmd_phantom;
+
+/* "gieson: sentence" on stderr; returns the exit status for the code. */
+int gsn_ui_complain(const struct gsn_error *err, int code);
+/* The same with a sentence and a status of sysexits.h; returns status. */
+int gsn_ui_fail(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
+/* A mistake on the command line. */
+#define gsn_ui_usage(...) gsn_ui_fail(EX_USAGE, __VA_ARGS__)
+
+/* Opens the store for reading; complains and returns NULL when there is none, with the exit status
+ * in *ret_status. */
+struct gsn_store *gsn_ui_store(const struct gsn_ui *ui, enum gsn_store_mode mode, int *ret_status);
+
+/* Columns of the terminal behind a descriptor; 80 when it does not say. */
+int gsn_ui_columns(int fd);
+
+/* Prints and releases root. */
+void gsn_ui_print_json(json_t *root);
+/* gives: the number, or null for NaN. */
+json_t *gsn_ui_number(double value);
+
+/* Starts a program of ours that stands beside gieson or in libexec, with "--store DIR", "--json"
+ * (when asked for) in front of args (NULL-terminated; args[0] is its first argument). with_store 0
+ * leaves those out. Returns the child, or -1 after a complaint. */
+pid_t gsn_ui_start(const struct gsn_ui *ui, const char *program, int with_store,
+                   const char *const args[]);
+/* Starts it and waits; the exit status. */
+int gsn_ui_call(const struct gsn_ui *ui, const char *program, int with_store,
+                const char *const args[]);
+
+#endif

@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""Does what the README says.
+
+    test_readme.py BIN     BIN is the folder with the programs
+
+- The set-up is exactly two commands, `./run demo` and `./run test`, and they are all of their block.
+- Every `gieson ...` line of a block marked "sh example" ends with 0, in the order of the page, in an
+  empty folder with BIN first in PATH; `export NAME=VALUE` holds for the lines behind it.
+- Every other program named in an "sh" block is one of ours in BIN, one of the repository's, or one
+  that the build itself uses; every verb named anywhere in the page is one that --help lists.
+- Every "json" block parses, and every link to a file of the repository leads to one.
+"""
+import json
+import os
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+SETUP = ["./run demo", "./run test"]
+OF_THE_BUILD = {"cmake", "ctest"}
+FENCE = re.compile(r"^```(\w*)[ ]*(\w*)[ ]*\n(.*?)^```[ ]*$", re.S | re.M)
+EXPORT = re.compile(r"^export (\w+)=(\S+)$")
+LINE_LIMIT_S = 600
+
+
+def blocks(page):
+    """(language, mark, lines) of every fenced block."""
+    found = []
+    for language, mark, text in FENCE.findall(page):
+        lines = [line.strip() for line in text.replace("\\\n", " ").splitlines()]
+        found.append((language, mark, [line for line in lines if line and line[0] != "#"]))
+    return found
+
+
+def check_setup(found, say):
+    holding = [lines for language, _, lines in found
+               if language == "sh" and any(line.startswith("./run") for line in lines)]
+    if holding != [SETUP]:
+        say(f"the set-up must be one block of {SETUP}, not {holding}")
+
+
+def check_programs(found, bin_folder, say):
+    for language, mark, lines in found:
+        for line in lines if language == "sh" else []:
+            program = shlex.split(line)[0]
+            known = program == "export" or program in OF_THE_BUILD or \
+                (program.startswith("./") and os.access(ROOT / program, os.X_OK)) or \
+                os.access(bin_folder / program, os.X_OK)
+            if not known:
+                say(f"`{line}`: {program} is not a program of ours")
+            if mark == "example" and program not in ("gieson", "export"):
+                say(f"`{line}`: an example is typed by this test, which knows only gieson and export")
+
+
+def check_verbs(page, help_text, say):
+    for verb in sorted(set(re.findall(r"`gieson ([a-z]\w*)", page)) |
+                       set(re.findall(r"^gieson ([a-z]\w*)", page, re.M))):
+        if not re.search(rf"^\s+{verb}\b", help_text, re.M):
+            say(f"`gieson {verb}` is not a verb that --help lists")
+
+
+def check_json(found, say):
+    for language, _, lines in found:
+        if language == "json":
+            try:
+                json.loads("\n".join(lines))
+            except ValueError as reason:
+                say(f"a json block does not parse: {reason}")
+
+
+def check_links(page, say):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page):
+        if "://" not in target and not (ROOT / target).exists():
+            say(f"the link to {target} leads nowhere")
+
+
+def type_examples(found, environment, folder, say):
+    """Types every line of the examples; the number of gieson lines that ended well."""
+    done = 0
+    lines = [line for language, mark, block in found if (language, mark) == ("sh", "example")
+             for line in block]
+    for line in lines:
+        export = EXPORT.match(line)
+        if export:
+            environment[export.group(1)] = export.group(2)
+            continue
+        try:
+            ended = subprocess.run(["sh", "-c", line], cwd=folder, env=environment,
+                                   stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                                   errors="replace", timeout=LINE_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            say(f"`{line}` did not end within {LINE_LIMIT_S} s")
+            break
+        if ended.returncode != 0:
+            say(f"`{line}` ended with {ended.returncode}:\n{ended.stdout[-2000:]}"
+                f"{ended.stderr[-2000:]}")
+            break  # what follows rests on it
+        print(f"fine: {line}")
+        done += 1
+    return done
+
+
+def main():
+    bin_folder = pathlib.Path(sys.argv[1]).resolve()
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = blocks(page)
+    complaints = []
+    say = complaints.append
+    environment = {name: value for name, value in os.environ.items() if name != "GIESON_STORE"}
+    environment["PATH"] = f"{bin_folder}{os.pathsep}{environment.get('PATH', '')}"
+    help_text = subprocess.run([bin_folder / "gieson", "--help"], capture_output=True, text=True,
+                               check=True).stdout
+    check_setup(found, say)
+    check_programs(found, bin_folder, say)
+    check_verbs(page, help_text, say)
+    check_json(found, say)
+    check_links(page, say)
+    with tempfile.TemporaryDirectory(prefix="gieson-readme-") as folder:
+        if type_examples(found, environment, folder, say) == 0:
+            say("no example was typed to its end")
+    print("\n".join(complaints) if complaints else "the README does what it says")
+    return 1 if complaints else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

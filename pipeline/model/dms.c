@@ -127,6 +127,7 @@ int gsn_dms_new(const struct gsn_tets *mesh, unsigned degree, const double (*kno
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a spline space");
     space->degree = degree;
     space->sharing = sharing;
+    space->kernels = gsn_kernels_best();
     r = copy_in(mesh, knots, space, err);
     if (r == GSN_OK)
         r = measure_tets(space, err);
@@ -158,6 +159,11 @@ void gsn_dms_free(struct gsn_dms *space)
     gsn_free(space->whole);
     gsn_free(space->general);
     gsn_free(space);
+}
+
+void gsn_dms_use(struct gsn_dms *space, const struct gsn_kernels *kernels)
+{
+    space->kernels = kernels;
 }
 
 const struct gsn_tets *gsn_dms_mesh(const struct gsn_dms *space)

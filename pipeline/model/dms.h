@@ -18,6 +18,7 @@
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
+#include "pipeline/model/kernels.h"
 #include "pipeline/model/tets.h"
 
 #include <stdint.h>
@@ -55,6 +56,10 @@ int gsn_dms_new(const struct gsn_tets *mesh, unsigned degree, const double (*kno
                 enum gsn_dms_sharing sharing, struct gsn_dms **ret_space, struct gsn_error *err);
 void gsn_dms_free(struct gsn_dms *space);
 GSN_DEFINE_AUTO(gsn_dms);
+
+/* The kernels that evaluate splines of this space: the best of this processor until told otherwise.
+ * All give the same bits. keeps kernels. */
+void gsn_dms_use(struct gsn_dms *space, const struct gsn_kernels *kernels);
 
 /* borrowed: valid as long as the space. */
 const struct gsn_tets *gsn_dms_mesh(const struct gsn_dms *space);

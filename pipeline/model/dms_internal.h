@@ -7,6 +7,7 @@
 #include "pipeline/model/bins.h"
 #include "pipeline/model/dms.h"
 #include "pipeline/model/frame.h"
+#include "pipeline/model/kernels.h"
 #include "pipeline/model/simplex.h"
 
 #ifdef __cplusplus
@@ -31,6 +32,7 @@ struct gsn_dms {
     struct gsn_tets *mesh;
     unsigned degree;
     enum gsn_dms_sharing sharing;
+    const struct gsn_kernels *kernels;
     size_t controls;
     struct gsn_simplex_sets *sets;
     double (*knot)[3];

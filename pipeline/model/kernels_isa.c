@@ -1,0 +1,172 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Compiled once per instruction set, with GSN_ISA naming the version; and once more as the careful
+ * scalar version, whose plane values have been decided elsewhere. */
+#include "pipeline/model/kernels_isa.h"
+
+#include "pipeline/model/lanes.h"
+#include "pipeline/model/seam_data.h"
+
+#define NAME(what) what
+
+#define KERNEL(what)                                                                               \
+    static unsigned what(const struct gsn_seam_data *restrict data, const double *restrict px,     \
+                         const double *restrict py, const double *restrict pz,                     \
+                         double *restrict ret, const double *restrict fixed)
+
+/* x, y, z: the points in the axes of the face. */
+#define TURN(row)                                                                                  \
+    gsn_lanes_fma(gsn_lanes_all(data->turn[row][0]), dx,                                           \
+                  gsn_lanes_fma(gsn_lanes_all(data->turn[row][1]), dy,                             \
+                                gsn_lanes_all(data->turn[row][2]) * dz))
+
+#define BEGIN                                                                                      \
+    const gsn_lanes dx = gsn_lanes_load(px) - gsn_lanes_all(data->origin[0]);                      \
+    const gsn_lanes dy = gsn_lanes_load(py) - gsn_lanes_all(data->origin[1]);                      \
+    const gsn_lanes dz = gsn_lanes_load(pz) - gsn_lanes_all(data->origin[2]);                      \
+    const gsn_lanes x = TURN(0), y = TURN(1), z = TURN(2);                                         \
+    gsn_lanes least = gsn_lanes_all(INFINITY);                                                     \
+    (void)fixed;
+
+#ifdef GSN_SEAM_CAREFUL
+#define PLANE(i) gsn_lanes_all(fixed[i])
+#define END                                                                                        \
+    (void)least;                                                                                   \
+    (void)x;                                                                                       \
+    (void)y;                                                                                       \
+    (void)z;                                                                                       \
+    return 0;
+#else
+#define PLANE(i)                                                                                   \
+    gsn_lanes_fma(gsn_lanes_all(data->plane[i][0]), x,                                             \
+                  gsn_lanes_fma(gsn_lanes_all(data->plane[i][1]), y,                               \
+                                gsn_lanes_fma(gsn_lanes_all(data->plane[i][2]), z,                 \
+                                              gsn_lanes_all(data->plane[i][3]))))
+#define END return gsn_lanes_not_above(least, data->bound);
+#endif
+
+/* Back to the axes of the mesh. */
+#define TURN_BACK(column, gx, gy, gz)                                                              \
+    gsn_lanes_store(&ret[(1 + (column)) * GSN_LANES],                                              \
+                    gsn_lanes_fma(gsn_lanes_all(data->turn[0][column]), gx,                        \
+                                  gsn_lanes_fma(gsn_lanes_all(data->turn[1][column]), gy,          \
+                                                gsn_lanes_all(data->turn[2][column]) * (gz))))
+#define END_SLOPE(gx, gy, gz)                                                                      \
+    TURN_BACK(0, gx, gy, gz);                                                                      \
+    TURN_BACK(1, gx, gy, gz);                                                                      \
+    TURN_BACK(2, gx, gy, gz);
+
+#include "seam_kernels.inc"
+
+#ifndef GSN_SEAM_CAREFUL
+
+/* c + p (..) and so on, innermost first; i runs over the coefficients. */
+static inline gsn_lanes cubic(unsigned degree, const double *c, gsn_lanes p, gsn_lanes q,
+                              gsn_lanes r)
+{
+#define C(i) gsn_lanes_all(c[i])
+    gsn_lanes of_p = C(1), of_q = C(2), of_r = C(3);
+
+    if (degree == 2) {
+        of_p = gsn_lanes_fma(C(4), p, gsn_lanes_fma(C(5), q, gsn_lanes_fma(C(6), r, of_p)));
+        of_q = gsn_lanes_fma(C(7), q, gsn_lanes_fma(C(8), r, of_q));
+        of_r = gsn_lanes_fma(C(9), r, of_r);
+    }
+    if (degree == 3) {
+        const gsn_lanes pp =
+            gsn_lanes_fma(C(10), p, gsn_lanes_fma(C(11), q, gsn_lanes_fma(C(12), r, C(4))));
+        const gsn_lanes pq = gsn_lanes_fma(C(13), q, gsn_lanes_fma(C(14), r, C(5)));
+        const gsn_lanes pr = gsn_lanes_fma(C(15), r, C(6));
+        const gsn_lanes qq = gsn_lanes_fma(C(16), q, gsn_lanes_fma(C(17), r, C(7)));
+        const gsn_lanes qr = gsn_lanes_fma(C(18), r, C(8));
+        const gsn_lanes rr = gsn_lanes_fma(C(19), r, C(9));
+
+        of_p = gsn_lanes_fma(pp, p, gsn_lanes_fma(pq, q, gsn_lanes_fma(pr, r, of_p)));
+        of_q = gsn_lanes_fma(qq, q, gsn_lanes_fma(qr, r, of_q));
+        of_r = gsn_lanes_fma(rr, r, of_r);
+    }
+    return gsn_lanes_fma(of_p, p, gsn_lanes_fma(of_q, q, gsn_lanes_fma(of_r, r, C(0))));
+#undef C
+}
+
+static inline void run(unsigned degree, const double *c, const double start[3],
+                       const double step[3], size_t count, double *ret_value)
+{
+    static const double ramp[GSN_MOST_LANES] = { 0, 1, 2, 3, 4, 5, 6, 7 };
+
+    for (size_t i = 0; i < count; i += GSN_LANES) {
+        const gsn_lanes at = gsn_lanes_all((double)i) + gsn_lanes_load(ramp);
+        const gsn_lanes p = gsn_lanes_fma(at, gsn_lanes_all(step[0]), gsn_lanes_all(start[0]));
+        const gsn_lanes q = gsn_lanes_fma(at, gsn_lanes_all(step[1]), gsn_lanes_all(start[1]));
+        const gsn_lanes r = gsn_lanes_fma(at, gsn_lanes_all(step[2]), gsn_lanes_all(start[2]));
+        const gsn_lanes value = cubic(degree, c, p, q, r);
+
+        gsn_lanes_store_some(&ret_value[i], value, count - i);
+    }
+}
+
+/* The coefficients of the derivative with respect to one variable. */
+static void differentiate(unsigned degree, const double *c, int variable, double *ret)
+{
+    /* Of 1, p, q, r, pp, pq, pr, qq, qr, rr: its times, and where its coefficient stands. */
+    static const unsigned char from[3][10] = { { 1, 4, 5, 6, 10, 11, 12, 13, 14, 15 },
+                                               { 2, 5, 7, 8, 11, 13, 14, 16, 17, 18 },
+                                               { 3, 6, 8, 9, 12, 14, 15, 17, 18, 19 } };
+    static const unsigned char times[3][10] = { { 1, 2, 1, 1, 3, 2, 2, 1, 1, 1 },
+                                                { 1, 1, 2, 1, 1, 2, 1, 3, 2, 1 },
+                                                { 1, 1, 1, 2, 1, 1, 2, 1, 2, 3 } };
+    static const unsigned char terms[4] = { 0, 1, 4, 10 };
+
+    for (unsigned i = 0; i < terms[degree]; i++)
+        ret[i] = times[variable][i] * c[from[variable][i]];
+}
+
+static inline void points(unsigned degree, const double *c, const double *const at[3], size_t count,
+                          double *ret_value, double *const ret_slope[3])
+{
+    double steep[3][10];
+
+    for (int v = 0; ret_slope && v < 3; v++)
+        differentiate(degree, c, v, steep[v]);
+    for (size_t i = 0; i < count; i += GSN_LANES) {
+        const gsn_lanes p = gsn_lanes_load_some(&at[0][i], count - i);
+        const gsn_lanes q = gsn_lanes_load_some(&at[1][i], count - i);
+        const gsn_lanes r = gsn_lanes_load_some(&at[2][i], count - i);
+
+        gsn_lanes_store_some(&ret_value[i], cubic(degree, c, p, q, r), count - i);
+        for (int v = 0; ret_slope && v < 3; v++) {
+            const gsn_lanes slope =
+                degree == 1 ? gsn_lanes_all(steep[v][0]) : cubic(degree - 1, steep[v], p, q, r);
+
+            gsn_lanes_store_some(&ret_slope[v][i], slope, count - i);
+        }
+    }
+}
+
+#define OF_DEGREE(n)                                                                               \
+    static void run##n(const double *c, const double start[3], const double step[3], size_t count, \
+                       double *ret_value)                                                          \
+    {                                                                                              \
+        run(n, c, start, step, count, ret_value);                                                  \
+    }                                                                                              \
+    static void points##n(const double *c, const double *const at[3], size_t count,                \
+                          double *ret_value, double *const ret_slope[3])                           \
+    {                                                                                              \
+        points(n, c, at, count, ret_value, ret_slope);                                             \
+    }
+
+OF_DEGREE(1)
+OF_DEGREE(2)
+OF_DEGREE(3)
+
+#endif
+
+const struct gsn_kernels GSN_ISA = {
+    .name = GSN_ISA_NAME,
+    .lanes = GSN_LANES,
+    .seam = { CHOICES },
+#ifndef GSN_SEAM_CAREFUL
+    .run = { NULL, run1, run2, run3 },
+    .points = { NULL, points1, points2, points3 },
+#endif
+};

@@ -1,0 +1,208 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Several points at once: the few vector operations that the kernels are written in.
+ *
+ * A file that includes this is compiled once per instruction set. Every operation rounds alike in
+ * each of them, the fused multiply-add included, so that a lane holds the same bits whether eight,
+ * four or one of them are computed together, and a report does not depend on the processor. */
+#ifndef GSN_MODEL_LANES_H
+#define GSN_MODEL_LANES_H
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__AVX512F__) && defined(__AVX512DQ__)
+
+#include <immintrin.h>
+
+enum { GSN_LANES = 8 };
+typedef __m512d gsn_lanes;
+
+static inline gsn_lanes gsn_lanes_load(const double *from)
+{
+    return _mm512_loadu_pd(from);
+}
+
+static inline void gsn_lanes_store(double *to, gsn_lanes a)
+{
+    _mm512_storeu_pd(to, a);
+}
+
+/* The first count lanes, or all of them; 0 in the others. */
+static inline gsn_lanes gsn_lanes_load_some(const double *from, size_t count)
+{
+    return count < 8 ? _mm512_maskz_loadu_pd((__mmask8)((1u << count) - 1), from)
+                     : _mm512_loadu_pd(from);
+}
+
+static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
+{
+    if (count < 8)
+        _mm512_mask_storeu_pd(to, (__mmask8)((1u << count) - 1), a);
+    else
+        _mm512_storeu_pd(to, a);
+}
+
+static inline gsn_lanes gsn_lanes_all(double a)
+{
+    return _mm512_set1_pd(a);
+}
+
+static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
+{
+    return _mm512_fmadd_pd(a, b, c);
+}
+
+/* min(a, |b|) for a >= 0. */
+static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
+{
+    return _mm512_range_pd(a, b, 2 | 2 << 2);
+}
+
+/* A bit per lane: not a > bound. */
+static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
+{
+    return _mm512_cmp_pd_mask(a, _mm512_set1_pd(bound), _CMP_NGT_UQ);
+}
+
+/* value where the signs of a, b, c, d alternate, 0 elsewhere. */
+static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b, gsn_lanes c,
+                                                        gsn_lanes d, double value)
+{
+    /* (a ^ b) & (b ^ c), then & (c ^ d). */
+    const __m512i abc = _mm512_ternarylogic_epi64(_mm512_castpd_si512(a), _mm512_castpd_si512(b),
+                                                  _mm512_castpd_si512(c), 0x24);
+    const __m512i all =
+        _mm512_ternarylogic_epi64(abc, _mm512_castpd_si512(c), _mm512_castpd_si512(d), 0x60);
+
+    return _mm512_maskz_mov_pd(_mm512_movepi64_mask(all), _mm512_set1_pd(value));
+}
+
+#elif defined(__AVX2__) && defined(__FMA__)
+
+#include <immintrin.h>
+
+enum { GSN_LANES = 4 };
+typedef __m256d gsn_lanes;
+
+static inline gsn_lanes gsn_lanes_load(const double *from)
+{
+    return _mm256_loadu_pd(from);
+}
+
+static inline void gsn_lanes_store(double *to, gsn_lanes a)
+{
+    _mm256_storeu_pd(to, a);
+}
+
+static inline __m256i gsn_lanes_some(size_t count)
+{
+    return _mm256_cmpgt_epi64(_mm256_set1_epi64x((long long)count), _mm256_setr_epi64x(0, 1, 2, 3));
+}
+
+static inline gsn_lanes gsn_lanes_load_some(const double *from, size_t count)
+{
+    return _mm256_maskload_pd(from, gsn_lanes_some(count));
+}
+
+static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
+{
+    _mm256_maskstore_pd(to, gsn_lanes_some(count), a);
+}
+
+static inline gsn_lanes gsn_lanes_all(double a)
+{
+    return _mm256_set1_pd(a);
+}
+
+static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
+{
+    return _mm256_fmadd_pd(a, b, c);
+}
+
+static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
+{
+    return _mm256_min_pd(a, _mm256_andnot_pd(_mm256_set1_pd(-0.0), b));
+}
+
+static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
+{
+    return (unsigned)_mm256_movemask_pd(_mm256_cmp_pd(a, _mm256_set1_pd(bound), _CMP_NGT_UQ));
+}
+
+static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b, gsn_lanes c,
+                                                        gsn_lanes d, double value)
+{
+    const __m256d all =
+        _mm256_and_pd(_mm256_and_pd(_mm256_xor_pd(a, b), _mm256_xor_pd(b, c)), _mm256_xor_pd(c, d));
+
+    return _mm256_blendv_pd(_mm256_setzero_pd(), _mm256_set1_pd(value), all);
+}
+
+#else
+
+enum { GSN_LANES = 1 };
+typedef double gsn_lanes;
+
+static inline gsn_lanes gsn_lanes_load(const double *from)
+{
+    return *from;
+}
+
+static inline void gsn_lanes_store(double *to, gsn_lanes a)
+{
+    *to = a;
+}
+
+static inline gsn_lanes gsn_lanes_load_some(const double *from, size_t count)
+{
+    return count ? *from : 0;
+}
+
+static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
+{
+    if (count)
+        *to = a;
+}
+
+static inline gsn_lanes gsn_lanes_all(double a)
+{
+    return a;
+}
+
+static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
+{
+    return fma(a, b, c);
+}
+
+static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
+{
+    return fmin(a, fabs(b));
+}
+
+static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
+{
+    return !(a > bound);
+}
+
+static inline unsigned gsn_lanes_sign(double a)
+{
+    uint64_t bits;
+
+    memcpy(&bits, &a, sizeof bits);
+    return (unsigned)(bits >> 63);
+}
+
+static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b, gsn_lanes c,
+                                                        gsn_lanes d, double value)
+{
+    const unsigned p = gsn_lanes_sign(a), q = gsn_lanes_sign(b), r = gsn_lanes_sign(c),
+                   s = gsn_lanes_sign(d);
+
+    return (p ^ q) & (q ^ r) & (r ^ s) ? value : 0;
+}
+
+#endif
+#endif

@@ -1,0 +1,91 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Seams: what the knot clouds of a face add to the polynomials on its two sides.
+ *
+ * Let c_g^I(u), |g| = n - r, be the value after r steps of the B-patch recurrence of tetrahedron I
+ * (bpatch.h) with all arguments u, and p_I = c_0^I its polynomial. Expanding every N by Micchelli's
+ * recurrence with W = X_g for as long as the set has all four clouds leaves, everywhere in space,
+ *
+ *     s(u) = sum_I p_I(u) [u in I]
+ *          + sum_f sum_g (c_g^I(u) - c_g^J(u)) plane_g(u) M(u | T_g),      1 <= |g| <= n,
+ *
+ * f = (i,j,k) the faces, I and J the tetrahedra on their sides, g the multi-indices on i, j, k,
+ * T_g = {t_i,0..g_i, t_j,0..g_j, t_k,0..g_k}, and plane_g(u) = det[t_j,gj - t_i,gi,
+ * t_k,gk - t_i,gi, u - t_i,gi] taken positive on the side of I. Where there is no J its part is
+ * left out. With shared control points c_g^I = c_g^J for |g| = n, so that |g| stays below n.
+ *
+ * So s is one polynomial at u's own tetrahedron, corrected by those faces whose T_g hold u: thin
+ * prisms around the faces. T_g has |g| + 3 knots, and M is of degree |g| - 1: at n = 2 the
+ * corrections are three indicator functions of tetrahedra of knots.
+ *
+ * Which side of a knot plane a point lies on is decided in floating point where the value exceeds
+ * its rounding error, and exactly elsewhere (orient.h). */
+#ifndef GSN_MODEL_SEAM_H
+#define GSN_MODEL_SEAM_H
+
+#include "pipeline/model/dms_internal.h"
+#include "pipeline/model/kernels.h"
+#include "pipeline/model/seam_data.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A face, where its knots lie, and the prism that holds all of them. Plain memory. */
+struct gsn_prism {
+    size_t tet;         /* I, the one with the smaller number */
+    unsigned corner;    /* of I, opposite the face */
+    int64_t other;      /* J, or -1 */
+    unsigned top;       /* greatest |g| */
+    uint32_t vertex[3]; /* i < j < k */
+    double side;        /* 1 or -1: of I's last vertex in the direction (j - i) x (k - i) */
+    double size;        /* no knot is farther from the origin */
+    double origin[3], turn[3][3]; /* the axes of the face: along i j, in its plane, normal */
+    double at[3][2 * GSN_SEAM_MAX_KNOTS]; /* knots in these axes, then offsets from vertices */
+    /* Affine functions of d = u - origin: plane . (d, 1). u is in the prism when all of inside are
+     * >= 0. Cloud m is clear, sets without it vanish at u, where clear[m] > 0. */
+    double inside[5][4], clear[3][4];
+};
+
+/* The prism of the face opposite corner of tet. Returns 0, leaving ret_prism undefined, when the
+ * face has nothing to add inside the mesh, or belongs to the tetrahedron on its other side. */
+int gsn_prism_init(const struct gsn_dms *space, size_t tet, unsigned corner,
+                   struct gsn_prism *ret_prism);
+
+/* A bit per cloud that is not clear at u, or -1 when u is not in the prism. */
+int gsn_prism_at(const struct gsn_prism *prism, const double u[3]);
+
+/* A prism with all that its kernels need. Large: keep one per thread. borrows prism and space. */
+struct gsn_seam {
+    struct gsn_seam_data data;
+    const struct gsn_seam_tables *tables;
+    const struct gsn_kernels *kernels;
+    const struct gsn_prism *prism;
+    const double *knot[GSN_SEAM_MAX_KNOTS];
+    unsigned degree;
+    int all; /* prepared for points that are not clear of all clouds */
+    double det[GSN_SEAM_MAX_LEAVES];
+    uint8_t base[GSN_SEAM_MAX_NODES]; /* the leaf that is W */
+};
+
+/* control holds the control values of the space, or is NULL when only weights are wanted. */
+void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
+                   const struct gsn_prism *prism, const double *control);
+
+/* Adds what the face has at count points to value and, unless slope is NULL, its gradient to
+ * slope. The points are u[0][i], u[1][i], u[2][i]; all lie in the prism, and no cloud outside
+ * unclear is unclear at any of them. */
+void gsn_seam_add(struct gsn_seam *seam, unsigned unclear, const double *const u[3], size_t count,
+                  double *value, double *const slope[3]);
+
+/* The number of T_g, in the order (1,0,0), (0,1,0), (0,0,1), (2,0,0), (1,1,0), (1,0,1), ... */
+size_t gsn_seam_sets(unsigned top);
+
+/* plane_g M(T_g) at one point, all of them; positive on the side of (j - i) x (k - i). */
+void gsn_seam_weights(struct gsn_seam *seam, unsigned unclear, const double u[3],
+                      double ret_weight[GSN_SEAM_MAX_SETS]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -273,7 +273,6 @@ static void add_side(struct gsn_seam *seam, const struct beside *beside, double 
 void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
                    const struct gsn_prism *prism, const double *control)
 {
-    const double length = 2 * prism->size;
     struct beside beside;
 
     seam->prism = prism;
@@ -283,7 +282,6 @@ void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
     memcpy(seam->data.origin, prism->origin, sizeof prism->origin);
     memcpy(seam->data.turn, prism->turn, sizeof prism->turn);
     seam->data.bound = PLANE_ERROR * prism->size * prism->size * prism->size;
-    (void)length;
     for (unsigned i = 0; i < seam->tables->knots; i++)
         seam->knot[i] = space->knot[prism->vertex[i / (prism->top + 1)] * (space->degree + 1) +
                                     i % (prism->top + 1)];
@@ -297,6 +295,12 @@ void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
         return;
     beside_init(&beside, space, prism, (size_t)prism->other, control);
     add_side(seam, &beside, -prism->side);
+}
+
+void gsn_seam_complete(struct gsn_seam *seam)
+{
+    if (!seam->all)
+        prepare(seam, 1);
 }
 
 /* One point that a kernel could not be sure of: the sides of near planes are decided exactly. */
@@ -341,8 +345,7 @@ static void run_group(struct gsn_seam *seam, enum gsn_seam_kind kind, unsigned u
     for (size_t i = 0; unsure != 0 && i < count; i++) {
         if (!(unsure >> i & 1))
             continue;
-        if (!seam->all)
-            prepare(seam, 1);
+        gsn_seam_complete(seam);
         run_carefully(seam, kind, degree, (const double[3]){ at[0][i], at[1][i], at[2][i] },
                       careful);
         for (size_t j = 0; j < numbers; j++)
@@ -357,8 +360,8 @@ void gsn_seam_add(struct gsn_seam *seam, unsigned unclear, const double *const u
     const size_t lanes = seam->kernels->lanes;
     double ret[4 * GSN_MOST_LANES];
 
-    if (unclear != 0 && !seam->all)
-        prepare(seam, 1);
+    if (unclear != 0)
+        gsn_seam_complete(seam);
     for (size_t i = 0; i < count; i += lanes) {
         const double *at[3] = { &u[0][i], &u[1][i], &u[2][i] };
         const size_t now = count - i < lanes ? count - i : lanes;
@@ -385,8 +388,8 @@ void gsn_seam_weights(struct gsn_seam *seam, unsigned unclear, const double u[3]
     double ret[GSN_SEAM_MAX_SETS * GSN_MOST_LANES];
     const size_t sets = gsn_seam_sets(seam->prism->top);
 
-    if (unclear != 0 && !seam->all)
-        prepare(seam, 1);
+    if (unclear != 0)
+        gsn_seam_complete(seam);
     run_group(seam, GSN_SEAM_WEIGHTS, unclear, at, 1, sets, ret);
     for (size_t i = 0; i < sets; i++)
         ret_weight[i] = ret[i * seam->kernels->lanes];

@@ -81,9 +81,17 @@ void gsn_seam_add(struct gsn_seam *seam, unsigned unclear, const double *const u
 /* The number of T_g, in the order (1,0,0), (0,1,0), (0,0,1), (2,0,0), (1,1,0), (1,0,1), ... */
 size_t gsn_seam_sets(unsigned top);
 
+/* Prepares for points that are not clear of all clouds; the calls below do so themselves. */
+void gsn_seam_complete(struct gsn_seam *seam);
+
 /* plane_g M(T_g) at one point, all of them; positive on the side of (j - i) x (k - i). */
 void gsn_seam_weights(struct gsn_seam *seam, unsigned unclear, const double u[3],
                       double ret_weight[GSN_SEAM_MAX_SETS]);
+
+/* The integral of what the face adds, over a tetrahedral cell of positive volume whose corners are
+ * given in the axes of the mesh. On each tetrahedron of four knots the face adds a polynomial, so
+ * the sum over them of the integral over its part in the cell is exact. */
+double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3]);
 
 #ifdef __cplusplus
 }

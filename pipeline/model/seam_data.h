@@ -48,7 +48,9 @@ struct gsn_seam_tables {
     const uint8_t (*leaf)[4], (*leaf_plane)[4], (*leaf_row)[2];
     const uint16_t *base, *base_end; /* of a node: the leaves that W may be */
     const struct gsn_seam_weight *weight;
+    const uint8_t *child;   /* of a weight: the set without its knot. Leaves, then nodes */
     const uint8_t *corners; /* the plane of X_g */
+    const uint8_t *set;     /* T_g, numbered likewise */
 };
 
 #ifdef __cplusplus

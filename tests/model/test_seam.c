@@ -92,6 +92,66 @@ TEST(the_seams_complete_the_polynomials_to_the_exact_spline)
     golden_each(check_golden);
 }
 
+/* The mean over a tetrahedron of the mesh: its polynomial's, and what every face adds in it. */
+static double mean_over(const struct gsn_dms *space, const struct gsn_spline *spline, size_t tet)
+{
+    const struct gsn_tets *mesh = space->mesh;
+    const size_t functions = gsn_dms_functions(space);
+    double bernstein[GSN_DMS_MAX_FUNCTIONS], corner[4][3], mean = 0;
+
+    gsn_spline_bernstein(spline, tet, bernstein);
+    for (size_t f = 0; f < functions; f++)
+        mean += bernstein[f] / (double)functions;
+    for (int k = 0; k < 4; k++)
+        memcpy(corner[k], mesh->vertex[mesh->tet[tet][k]], sizeof corner[k]);
+    for (size_t t = 0; t < mesh->tet_count; t++) {
+        for (unsigned k = 0; k < 4; k++) {
+            static struct gsn_seam seam;
+            struct gsn_prism prism;
+
+            if (!gsn_prism_init(space, t, k, &prism))
+                continue;
+            gsn_seam_init(&seam, space, &prism, gsn_spline_controls(spline));
+            mean +=
+                gsn_seam_integral(&seam, (const double(*)[3])corner) / gsn_tets_volume(mesh, tet);
+        }
+    }
+    return mean;
+}
+
+static void check_means(const struct golden_case *golden)
+{
+    struct golden_table exact = golden_read(golden, "cells");
+    struct gsn_spline *spline = NULL;
+    struct gsn_error err = { 0 };
+    size_t found = 0;
+
+    CHECK_OK(gsn_spline_new(golden->space, golden->control, &spline, &err), err);
+    for (size_t i = 0; i < exact.rows; i++) {
+        const double *row = golden_row(&exact, i);
+
+        for (size_t t = 0; t < golden->mesh->tet_count; t++) {
+            int same = 1;
+
+            for (int k = 0; k < 4; k++)
+                same = same && memcmp(golden->mesh->vertex[golden->mesh->tet[t][k]],
+                                      row + 2 + 3 * k, 3 * sizeof *row) == 0;
+            if (!same)
+                continue;
+            CHECK_NEAR(mean_over(golden->space, spline, t), row[15], 1e-12);
+            found++;
+        }
+    }
+    CHECK(found > 0 || exact.rows == 0);
+    gsn_spline_free(spline);
+    golden_done(&exact);
+}
+
+TEST(the_seams_complete_the_mean_over_a_tetrahedron)
+{
+    golden_each(check_means);
+}
+
 enum { ROOM = 4096 };
 
 /* s and its gradient by the recurrence, over all functions. */

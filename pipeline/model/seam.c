@@ -2,6 +2,7 @@
 #include "pipeline/model/seam.h"
 
 #include "pipeline/model/orient.h"
+#include "pipeline/model/seam_jump.h"
 
 #include <assert.h>
 #include <float.h>
@@ -82,20 +83,16 @@ static void prepare_weights(struct gsn_seam *seam, unsigned from, unsigned to)
     const struct gsn_seam_tables *tables = seam->tables;
 
     for (unsigned w = from; w < to; w++) {
-        const unsigned leaf = seam->base[tables->weight[w].node];
-        double *weight = seam->data.weight[w];
+        const unsigned leaf = seam->base[tables->weight[w].node], knot = tables->weight[w].knot;
+        const unsigned mask = tables->leaf_mask[leaf];
+        const int place = __builtin_popcount(mask & ((1u << knot) - 1));
+        const double by = mask >> knot & 1
+                              ? swap[place & 3] * copysign(seam->data.leaf[leaf], seam->det[leaf])
+                              : 0;
+        const double *plane = seam->data.plane[tables->leaf_plane[leaf][place & 3]];
 
         for (int c = 0; c < 4; c++)
-            weight[c] = 0;
-        for (int i = 0; i < 4; i++) {
-            const double *plane = seam->data.plane[tables->leaf_plane[leaf][i]];
-            const double by = swap[i] * seam->data.leaf[leaf] * copysign(1, seam->det[leaf]);
-
-            if (tables->leaf[leaf][i] != tables->weight[w].knot || plane[3] == NO_PLANE)
-                continue;
-            for (int c = 0; c < 4; c++)
-                weight[c] = by * plane[c];
-        }
+            seam->data.weight[w][c] = by * plane[c];
     }
 }
 
@@ -112,169 +109,9 @@ static void prepare(struct gsn_seam *seam, int all)
     seam->all = all;
 }
 
-/* A tetrahedron beside the face, its corners in the order of the face's vertices, the one opposite
- * last, in the axes of the face. */
-struct beside {
-    unsigned degree;
-    uint8_t order[4];
-    double knot[4][GSN_DMS_MAX_DEGREE][3]; /* those with numbers below the degree */
-    double control[GSN_DMS_MAX_FUNCTIONS]; /* by place of the multi-index in that order */
-};
-
-/* A polynomial of degree up to 2 in the order of the generated code. */
-struct poly {
-    double c[10];
-};
-
-static void order_corners(const struct gsn_prism *prism, const uint32_t vertex[4],
-                          uint8_t ret_order[4])
-{
-    for (unsigned k = 0; k < 4; k++) {
-        unsigned place = 3;
-
-        for (unsigned m = 0; m < 3; m++) {
-            if (prism->vertex[m] == vertex[k])
-                place = m;
-        }
-        ret_order[place] = (uint8_t)k;
-    }
-}
-
-static void into_axes(const struct gsn_prism *prism, const double v[3], double ret[3])
-{
-    for (int c = 0; c < 3; c++)
-        ret[c] = gsn_dot(prism->turn[c], v);
-}
-
-static void beside_init(struct beside *beside, const struct gsn_dms *space,
-                        const struct gsn_prism *prism, size_t tet, const double *control)
-{
-    const uint32_t *v = space->mesh->tet[tet], *id = gsn_dms_control_ids(space, tet);
-    uint8_t beta[4] = { (uint8_t)space->degree, 0, 0, 0 };
-
-    beside->degree = space->degree;
-    order_corners(prism, v, beside->order);
-    for (unsigned k = 0; k < 4; k++) {
-        for (unsigned l = 0; l < space->degree; l++) {
-            double d[3];
-
-            gsn_subtract(space->knot[v[beside->order[k]] * (space->degree + 1) + l], prism->origin,
-                         d);
-            into_axes(prism, d, beside->knot[k][l]);
-        }
-    }
-    do {
-        uint8_t own[4];
-
-        for (unsigned k = 0; k < 4; k++)
-            own[beside->order[k]] = beta[k];
-        beside->control[gsn_simplex_place(beta)] = control[id[gsn_simplex_place(own)]];
-    } while (gsn_simplex_next(beta));
-}
-
-/* c_g(u) for |g| = degree - 1, degree - 2: one and two steps of the B-patch recurrence. */
-static void step_once(const struct beside *beside, const struct gsn_frame *frame,
-                      const uint8_t raised[4], struct poly *ret)
-{
-    const double *c = beside->control;
-
-    ret->c[0] = c[raised[0]];
-    for (int i = 0; i < 3; i++) {
-        ret->c[1 + i] = 0;
-        for (int j = 1; j < 4; j++)
-            ret->c[1 + i] += (c[raised[j]] - c[raised[0]]) * frame->row[j - 1][i];
-        ret->c[0] -= ret->c[1 + i] * frame->origin[i];
-    }
-}
-
-static void frame_of(const struct beside *beside, const uint8_t gamma[4], struct gsn_frame *ret)
-{
-    gsn_frame_init(ret, beside->knot[0][gamma[0]], beside->knot[1][gamma[1]],
-                   beside->knot[2][gamma[2]], beside->knot[3][gamma[3]]);
-}
-
-static void affine_of(const struct beside *beside, const uint8_t gamma[4], struct poly *ret)
-{
-    struct gsn_frame frame;
-
-    frame_of(beside, gamma, &frame);
-    step_once(beside, &frame, gsn_simplex_raised[gsn_simplex_place(gamma)], ret);
-}
-
-/* ret += lambda * (a - b), lambda = row . (u - origin). */
-static void add_product(struct poly *ret, const double row[3], const double origin[3],
-                        const struct poly *a, const struct poly *b)
-{
-    const double k = -gsn_dot(row, origin);
-    double d[4];
-
-    for (int i = 0; i < 4; i++)
-        d[i] = a->c[i] - b->c[i];
-    ret->c[0] += k * d[0];
-    for (int i = 0; i < 3; i++)
-        ret->c[1 + i] += row[i] * d[0] + k * d[1 + i];
-    ret->c[4] += row[0] * d[1];
-    ret->c[5] += row[0] * d[2] + row[1] * d[1];
-    ret->c[6] += row[0] * d[3] + row[2] * d[1];
-    ret->c[7] += row[1] * d[2];
-    ret->c[8] += row[1] * d[3] + row[2] * d[2];
-    ret->c[9] += row[2] * d[3];
-}
-
-static void quadratic_of(const struct beside *beside, const struct poly *affine,
-                         const uint8_t gamma[4], struct poly *ret)
-{
-    const uint8_t *raised = gsn_simplex_raised[gsn_simplex_place(gamma)];
-    struct gsn_frame frame;
-
-    frame_of(beside, gamma, &frame);
-    *ret = affine[raised[0]];
-    for (int i = 4; i < 10; i++)
-        ret->c[i] = 0;
-    for (int j = 1; j < 4; j++)
-        add_product(ret, frame.row[j - 1], frame.origin, &affine[raised[j]], &affine[raised[0]]);
-}
-
-/* Adds sign * c_g of one side to the jumps D_g. */
-static void add_side(struct gsn_seam *seam, const struct beside *beside, double sign)
-{
-    const unsigned n = seam->degree;
-    struct poly affine[10], poly = { { 0 } };
-    double *to = seam->data.poly;
-
-    for (unsigned m = n - 1; n > 1 && m == n - 1; m--) {
-        uint8_t gamma[4] = { (uint8_t)m, 0, 0, 0 };
-
-        do {
-            if (gamma[3] < (n == 2 ? 1 : 2))
-                affine_of(beside, gamma, &affine[gsn_simplex_place(gamma)]);
-        } while (gsn_simplex_next(gamma));
-    }
-    for (unsigned m = 1; m <= seam->prism->top; m++) {
-        uint8_t gamma[4] = { (uint8_t)m, 0, 0, 0 };
-
-        do {
-            const size_t place = gsn_simplex_place(gamma), size = gsn_simplex_count(n - m);
-
-            if (gamma[3] != 0)
-                continue;
-            if (m == n)
-                poly.c[0] = beside->control[place];
-            else if (m == n - 1)
-                poly = affine[place];
-            else
-                quadratic_of(beside, affine, gamma, &poly);
-            for (size_t i = 0; i < size; i++)
-                *to++ += sign * poly.c[i];
-        } while (gsn_simplex_next(gamma));
-    }
-}
-
 void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
                    const struct gsn_prism *prism, const double *control)
 {
-    struct beside beside;
-
     seam->prism = prism;
     seam->kernels = space->kernels;
     seam->tables = &gsn_seam_tables[prism->top - 1];
@@ -286,15 +123,8 @@ void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
         seam->knot[i] = space->knot[prism->vertex[i / (prism->top + 1)] * (space->degree + 1) +
                                     i % (prism->top + 1)];
     prepare(seam, 0);
-    if (!control)
-        return;
-    memset(seam->data.poly, 0, sizeof seam->data.poly);
-    beside_init(&beside, space, prism, prism->tet, control);
-    add_side(seam, &beside, prism->side);
-    if (prism->other < 0)
-        return;
-    beside_init(&beside, space, prism, (size_t)prism->other, control);
-    add_side(seam, &beside, -prism->side);
+    if (control)
+        gsn_seam_jumps(space, prism, control, seam->data.poly);
 }
 
 void gsn_seam_complete(struct gsn_seam *seam)
@@ -311,7 +141,8 @@ static void run_carefully(const struct gsn_seam *seam, enum gsn_seam_kind kind, 
     double fixed[GSN_SEAM_MAX_PLANES], d[3], at[3];
 
     gsn_subtract(u, seam->data.origin, d);
-    into_axes(seam->prism, d, at);
+    for (int c = 0; c < 3; c++)
+        at[c] = gsn_dot(seam->prism->turn[c], d);
     for (unsigned p = 0; p < tables->planes[1]; p++) {
         const double *plane = seam->data.plane[p];
         const uint8_t *m = tables->triple[p];

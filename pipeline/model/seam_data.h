@@ -46,6 +46,7 @@ struct gsn_seam_tables {
     const int *minuend[2], *subtrahend[2];
     const uint8_t (*triple)[3];
     const uint8_t (*leaf)[4], (*leaf_plane)[4], (*leaf_row)[2];
+    const uint16_t *leaf_mask;       /* its knots, a bit each */
     const uint16_t *base, *base_end; /* of a node: the leaves that W may be */
     const struct gsn_seam_weight *weight;
     const uint8_t *child;   /* of a weight: the set without its knot. Leaves, then nodes */

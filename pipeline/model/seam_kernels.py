@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """Writes the kernels of pipeline/model/seam.h as straight-line C.
 
-usage: seam_kernels.py tables|kernels > FILE
+usage: seam_kernels.py tables|kernels|orders > FILE
 
 A face has three clouds; its knot l of cloud k is number k (top + 1) + l. The sets are
 T_g = {t_k,0..g_k} for 1 <= |g| <= top and everything that removing knots leads to. A set that has
@@ -147,6 +147,7 @@ def write_tables():
                   [row(face, p, 1 + place // 2)[place % 2] for p in face.planes])
         array("uint8_t", name + "triple", face.planes)
         array("uint8_t", name + "leaf", face.leaves)
+        array("uint16_t", name + "leaf_mask", [sum(1 << k for k in l) for l in face.leaves])
         array("uint8_t", name + "leaf_plane", [face.leaf_planes(l) for l in face.leaves])
         array("uint8_t", name + "leaf_row", [row(face, l, 3) for l in face.leaves])
         bases, ends = [], []
@@ -172,9 +173,33 @@ def write_tables():
                   (field, face.counts["face"][index], face.counts["vertex"][index]))
         print("      .minuend = { %sminuend1, %sminuend2 }," % (name, name))
         print("      .subtrahend = { %ssubtrahend1, %ssubtrahend2 }," % (name, name))
-        for field in ("triple", "leaf", "leaf_plane", "leaf_row", "base", "base_end", "weight",
+        for field in ("triple", "leaf", "leaf_mask", "leaf_plane", "leaf_row", "base", "base_end", "weight",
                       "child", "corners", "set"):
             print("      .%s = %s%s," % (field, name, field))
+        print("    },")
+    print("};")
+
+
+def betas(degree):
+    """Multi-indices of four places in the order of gsn_simplex_place()."""
+    return [(degree - sum(rest),) + rest for rest in monomials(degree)]
+
+
+def write_orders():
+    """Where the multi-indices of a tetrahedron go when its corners are taken in another order."""
+    print("/* Made by seam_kernels.py. */")
+    print("static const uint8_t turned[%d][24][20] = {" % len(TOPS))
+    for degree in TOPS:
+        places = {beta: i for i, beta in enumerate(betas(degree))}
+        print("    {")
+        for order in itertools.permutations(range(4)):
+            row = []
+            for beta in betas(degree):
+                own = [0] * 4
+                for place, corner in enumerate(order):
+                    own[corner] = beta[place]
+                row.append(places[tuple(own)])
+            print("        { %s }," % ", ".join(map(str, row)))
         print("    },")
     print("};")
 
@@ -413,5 +438,7 @@ if __name__ == "__main__":
         write_tables()
     elif sys.argv[1:] == ["kernels"]:
         write_kernels()
+    elif sys.argv[1:] == ["orders"]:
+        write_orders()
     else:
         sys.exit(__doc__)

@@ -22,11 +22,6 @@ void gsn_dms_gather(const struct gsn_dms *space, size_t tet,
                per_cloud * sizeof *space->knot);
 }
 
-const uint16_t *gsn_dms_pick_of(const struct gsn_dms *space, size_t tet)
-{
-    return &space->pick[tet * space->sets->first[4]];
-}
-
 static int check_input(const struct gsn_tets *mesh, unsigned degree, const double (*knots)[3],
                        struct gsn_error *err)
 {
@@ -61,28 +56,29 @@ static int copy_in(const struct gsn_tets *mesh, const double (*knots)[3], struct
     if (r < 0)
         return r;
     space->knot = gsn_memdup(knots, mesh->vertex_count * (space->degree + 1) * sizeof *knots);
-    space->shape = gsn_alloc_array(mesh->tet_count, sizeof *space->shape);
-    space->pick = gsn_alloc_array(mesh->tet_count * space->sets->first[4], sizeof *space->pick);
-    space->general = gsn_alloc_array(mesh->tet_count, sizeof *space->general);
-    if (!space->knot || !space->shape || !space->pick || !space->general)
+    space->reach = gsn_alloc_array(mesh->tet_count, sizeof *space->reach);
+    if (!space->knot || !space->reach)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the knots of %zu tetrahedra",
                         mesh->tet_count);
     return GSN_OK;
 }
 
-static struct gsn_box box_around(const double (*knot)[3], size_t count)
+static float round_down(double x)
 {
-    struct gsn_box box;
+    const float nearest = (float)x;
 
-    memcpy(box.low, knot[0], sizeof box.low);
-    memcpy(box.high, knot[0], sizeof box.high);
-    for (size_t i = 1; i < count; i++) {
-        for (int c = 0; c < 3; c++) {
-            box.low[c] = fmin(box.low[c], knot[i][c]);
-            box.high[c] = fmax(box.high[c], knot[i][c]);
-        }
+    return (double)nearest > x ? nextafterf(nearest, -INFINITY) : nearest;
+}
+
+static struct gsn_dms_reach reach_of(const struct gsn_dms_shape *shape)
+{
+    struct gsn_dms_reach reach;
+
+    for (int k = 0; k < 4; k++) {
+        reach.low[k] = round_down(shape->low[k]);
+        reach.high[k] = -round_down(-shape->high[k]);
     }
-    return box;
+    return reach;
 }
 
 static int measure_tets(struct gsn_dms *space, struct gsn_error *err)
@@ -95,20 +91,19 @@ static int measure_tets(struct gsn_dms *space, struct gsn_error *err)
     for (size_t t = 0; t < count; t++) {
         const uint32_t *v = space->mesh->tet[t];
         double knot[GSN_SIMPLEX_MAX_KNOTS][3];
+        struct gsn_dms_shape shape;
         int r;
 
         gsn_dms_gather(space, t, knot);
-        r = gsn_dms_shape_init(space->degree, (const double(*)[3])knot, FOLD_MARGIN, 1,
-                               &space->shape[t], err);
+        r = gsn_dms_shape_init(space->degree, (const double(*)[3])knot, FOLD_MARGIN, 1, &shape,
+                               err);
         if (r < 0)
             return gsn_fail_at(err, "tetrahedron %zu (vertices %u %u %u %u)", t, v[0], v[1], v[2],
                                v[3]);
-        gsn_simplex_pick(space->sets, (const double(*)[3])knot,
-                         &space->pick[t * space->sets->first[4]]);
-        space->general[t] = (uint8_t)gsn_dms_is_general(space->sets, (const double(*)[3])knot);
-        box[t] = box_around((const double(*)[3])knot, 4 * (space->degree + 1));
+        space->reach[t] = reach_of(&shape);
+        box[t] = gsn_box_around((const double(*)[3])knot, 4 * (space->degree + 1));
     }
-    return gsn_bins_new(box, count, &space->bins, err);
+    return gsn_boxtree_new(box, count, &space->tree, err);
 }
 
 int gsn_dms_new(const struct gsn_tets *mesh, unsigned degree, const double (*knots)[3],
@@ -134,8 +129,6 @@ int gsn_dms_new(const struct gsn_tets *mesh, unsigned degree, const double (*kno
     if (r == GSN_OK)
         r = gsn_dms_number(space, err);
     if (r == GSN_OK)
-        r = gsn_dms_find_reach(space, err);
-    if (r == GSN_OK)
         r = gsn_dms_find_whole(space, err);
     if (r < 0)
         return r;
@@ -149,21 +142,33 @@ void gsn_dms_free(struct gsn_dms *space)
         return;
     gsn_tets_free(space->mesh);
     gsn_simplex_sets_free(space->sets);
-    gsn_bins_free(space->bins);
+    gsn_boxtree_free(space->tree);
     gsn_free(space->knot);
     gsn_free(space->id);
-    gsn_free(space->pick);
-    gsn_free(space->shape);
-    gsn_free(space->reach_start);
     gsn_free(space->reach);
     gsn_free(space->whole);
-    gsn_free(space->general);
     gsn_free(space);
 }
 
 void gsn_dms_use(struct gsn_dms *space, const struct gsn_kernels *kernels)
 {
     space->kernels = kernels;
+}
+
+size_t gsn_dms_bytes(const struct gsn_dms *space)
+{
+    const struct gsn_tets *mesh = space->mesh;
+    const struct gsn_simplex_sets *sets = space->sets;
+    const size_t per_vertex = sizeof *mesh->vertex + (space->degree + 1) * sizeof *space->knot;
+    const size_t per_tet = sizeof *mesh->tet + sizeof *mesh->neighbour +
+                           sets->functions * sizeof *space->id + sizeof *space->reach +
+                           sizeof *space->whole;
+    const size_t table = sizeof *sets + GSN_SIMPLEX_MAX_SETS * sizeof *sets->set +
+                         (sets->first[4] + 1) * sizeof *sets->quads +
+                         sets->quads[sets->first[4]] * sizeof *sets->quad;
+
+    return sizeof *space + sizeof *mesh + mesh->vertex_count * per_vertex +
+           mesh->tet_count * per_tet + gsn_boxtree_bytes(space->tree) + table;
 }
 
 const struct gsn_tets *gsn_dms_mesh(const struct gsn_dms *space)
@@ -203,5 +208,11 @@ const uint8_t *gsn_dms_beta(const struct gsn_dms *space, size_t function)
 
 void gsn_dms_core(const struct gsn_dms *space, size_t tet, double ret_delta[4])
 {
-    memcpy(ret_delta, space->shape[tet].high, sizeof space->shape[tet].high);
+    double knot[GSN_SIMPLEX_MAX_KNOTS][3];
+    struct gsn_dms_shape shape;
+
+    gsn_dms_gather(space, tet, knot);
+    gsn_dms_shape_of(space, tet, &shape);
+    gsn_dms_measure(space->degree, (const double(*)[3])knot, &shape);
+    memcpy(ret_delta, shape.high, sizeof shape.high);
 }

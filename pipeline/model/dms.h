@@ -61,6 +61,10 @@ GSN_DEFINE_AUTO(gsn_dms);
  * All give the same bits. keeps kernels. */
 void gsn_dms_use(struct gsn_dms *space, const struct gsn_kernels *kernels);
 
+/* Bytes of memory the space holds: its copies of mesh and knots, control numbers, search tree and
+ * tables. */
+size_t gsn_dms_bytes(const struct gsn_dms *space);
+
 /* borrowed: valid as long as the space. */
 const struct gsn_tets *gsn_dms_mesh(const struct gsn_dms *space);
 const double (*gsn_dms_knots(const struct gsn_dms *space))[3];
@@ -74,9 +78,9 @@ const uint32_t *gsn_dms_control_ids(const struct gsn_dms *space, size_t tet);
 /* borrowed: beta of function f of any tetrahedron of this space. */
 const uint8_t *gsn_dms_beta(const struct gsn_dms *space, size_t function);
 
-/* The tetrahedron that holds u by the half-open rule; hint is where to start walking (any
- * tetrahedron, best the last answer). Returns GSN_OK, or GSN_DMS_OUTSIDE with *ret_tet untouched.
- */
+/* The tetrahedron that holds u by the half-open rule; hint is where to start walking (any number,
+ * best the last answer: it is quick when u is near, and decides nothing). A point that is not
+ * finite is outside. Returns GSN_OK, or GSN_DMS_OUTSIDE with *ret_tet untouched. */
 int gsn_dms_locate(const struct gsn_dms *space, const double u[3], size_t hint, size_t *ret_tet);
 
 /* delta_k of the core of a tetrahedron: where every barycentric lambda_k > delta_k the spline is

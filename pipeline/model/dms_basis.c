@@ -1,82 +1,87 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Where a point lies, and which functions live there. */
+/* Which functions live at a point. */
 #include "pipeline/model/bpatch.h"
 #include "pipeline/model/dms_internal.h"
-#include "pipeline/model/orient.h"
 
 #include <assert.h>
 
-enum { MOST_STEPS = 32 }; /* of a walk before the bins are quicker */
-
-/* The face opposite corner k, in the order that has corner k on its positive side. */
-static const uint8_t face_of[4][3] = { { 1, 3, 2 }, { 0, 2, 3 }, { 0, 3, 1 }, { 0, 1, 2 } };
-
-/* The first corner whose opposite face u lies behind; 4 when u is inside. */
-static unsigned behind(const struct gsn_tets *mesh, size_t tet, const double u[3])
+static int is_beyond(const struct gsn_dms_shape *shape, const double lambda[4])
 {
-    const uint32_t *v = mesh->tet[tet];
-
-    for (unsigned k = 0; k < 4; k++) {
-        const uint8_t *f = face_of[k];
-
-        if (gsn_orient_side(mesh->vertex[v[f[0]]], mesh->vertex[v[f[1]]], mesh->vertex[v[f[2]]],
-                            u) < 0)
-            return k;
+    for (int k = 0; k < 4; k++) {
+        if (lambda[k] < shape->low[k] - GSN_DMS_SLACK)
+            return 1;
     }
-    return 4;
-}
-
-int gsn_dms_locate(const struct gsn_dms *space, const double u[3], size_t hint, size_t *ret_tet)
-{
-    const struct gsn_tets *mesh = space->mesh;
-    size_t tet = hint < mesh->tet_count ? hint : 0;
-    const uint32_t *list;
-    const size_t count = gsn_bins_at(space->bins, u, &list);
-
-    if (count == 0)
-        return GSN_DMS_OUTSIDE;
-    for (int step = 0; step < MOST_STEPS; step++) {
-        const unsigned k = behind(mesh, tet, u);
-
-        if (k == 4) {
-            *ret_tet = tet;
-            return GSN_OK;
-        }
-        if (mesh->neighbour[tet][k] < 0)
-            break;
-        tet = (size_t)mesh->neighbour[tet][k];
-    }
-    /* Far away, a cycle, a notch in the boundary, or outside: try all that can hold u. */
-    for (size_t i = 0; i < count; i++) {
-        if (behind(mesh, list[i], u) == 4) {
-            *ret_tet = list[i];
-            return GSN_OK;
-        }
-    }
-    return GSN_DMS_OUTSIDE;
+    return 0;
 }
 
 int gsn_dms_tet_basis(const struct gsn_dms *space, size_t tet, const double u[3], double *ret_value,
                       double (*ret_gradient)[3])
 {
-    const struct gsn_dms_shape *shape = &space->shape[tet];
-    double knot[GSN_SIMPLEX_MAX_KNOTS][3], lambda[4];
+    double own[GSN_SIMPLEX_MAX_KNOTS][3], lambda[4];
+    const double(*knot)[3] = (const double(*)[3])own;
+    uint16_t pick[GSN_SIMPLEX_MAX_LARGE];
+    struct gsn_dms_shape shape;
     unsigned clear;
 
-    gsn_frame_at(&shape->frame, u, lambda);
-    for (int k = 0; k < 4; k++) {
-        if (lambda[k] < shape->low[k] - GSN_DMS_SLACK)
+    gsn_dms_shape_of(space, tet, &shape);
+    gsn_frame_at(&shape.frame, u, lambda);
+    if (is_beyond(&shape, lambda))
+        return 0;
+    gsn_dms_gather(space, tet, own);
+    clear = gsn_dms_clear(&shape, lambda);
+    if (clear == GSN_DMS_ALL) {
+        gsn_bpatch_basis(space->degree, knot, u, ret_value, ret_gradient);
+        return 1;
+    }
+    gsn_simplex_pick(space->sets, knot, pick);
+    gsn_simplex_basis(space->sets, knot, pick, u, clear, ret_value, ret_gradient);
+    return 1;
+}
+
+/* A point in its tetrahedron, and those whose functions may live there too. */
+struct place {
+    const struct gsn_dms *space;
+    const double *u;
+    size_t home;
+    struct gsn_dms_shape shape; /* of home */
+    unsigned clear;             /* of u in home */
+    struct gsn_ascent ascent;
+};
+
+/* Whether some plane lambda_k = high[k] of home has u on one side and all knots of another
+ * tetrahedron on the other. */
+static int is_apart(const struct place *place, size_t tet)
+{
+    double knot[GSN_SIMPLEX_MAX_KNOTS][3];
+    unsigned apart = place->clear;
+
+    gsn_dms_gather(place->space, tet, knot);
+    for (unsigned i = 0; apart && i < 4 * (place->space->degree + 1); i++) {
+        double lambda[4];
+
+        gsn_frame_at(&place->shape.frame, knot[i], lambda);
+        for (unsigned k = 0; k < 4; k++) {
+            if (lambda[k] > place->shape.high[k])
+                apart &= ~(1u << k);
+        }
+    }
+    return apart != 0;
+}
+
+static int consider(void *context, uint32_t tet)
+{
+    struct place *place = context;
+    struct gsn_dms_shape shape;
+    double lambda[4];
+
+    if (tet != place->home) {
+        gsn_dms_shape_of(place->space, tet, &shape);
+        gsn_frame_at(&shape.frame, place->u, lambda);
+        if (is_beyond(&shape, lambda) || is_apart(place, tet))
             return 0;
     }
-    gsn_dms_gather(space, tet, knot);
-    clear = gsn_dms_clear(shape, lambda);
-    if (clear == GSN_DMS_ALL)
-        gsn_bpatch_basis(space->degree, (const double(*)[3])knot, u, ret_value, ret_gradient);
-    else
-        gsn_simplex_basis(space->sets, (const double(*)[3])knot, gsn_dms_pick_of(space, tet), u,
-                          clear, ret_value, ret_gradient);
-    return 1;
+    return gsn_ascent_add(&place->ascent, tet);
 }
 
 void gsn_dms_each(const struct gsn_dms *space, size_t home, const double u[3], int with_gradient,
@@ -86,19 +91,25 @@ void gsn_dms_each(const struct gsn_dms *space, size_t home, const double u[3], i
 {
     double lambda[4], value[GSN_DMS_MAX_FUNCTIONS], gradient[GSN_DMS_MAX_FUNCTIONS][3];
     double(*slopes)[3] = with_gradient ? gradient : NULL;
-    unsigned clear;
+    struct place place = { .space = space, .u = u, .home = home };
 
-    gsn_frame_at(&space->shape[home].frame, u, lambda);
-    clear = gsn_dms_clear(&space->shape[home], lambda);
-    for (size_t i = space->reach_start[home]; i < space->reach_start[home + 1]; i++) {
-        const size_t tet = space->reach[i] >> 4;
-
+    gsn_dms_shape_of(space, home, &place.shape);
+    gsn_frame_at(&place.shape.frame, u, lambda);
+    place.clear = gsn_dms_clear(&place.shape, lambda);
+    gsn_ascent_begin(&place.ascent);
+    do {
         /* In the core of home nothing else lives. */
-        if (tet != home && (clear == GSN_DMS_ALL || space->reach[i] & clear))
-            continue;
-        if (gsn_dms_tet_basis(space, tet, u, value, slopes))
-            visit(context, tet, value, (const double(*)[3])slopes);
-    }
+        if (place.clear == GSN_DMS_ALL)
+            (void)gsn_ascent_add(&place.ascent, (uint32_t)home);
+        else
+            (void)gsn_boxtree_at(space->tree, u, consider, &place);
+        for (size_t i = 0; i < place.ascent.count; i++) {
+            const uint32_t tet = place.ascent.item[i];
+
+            if (gsn_dms_tet_basis(space, tet, u, value, slopes))
+                visit(context, tet, value, (const double(*)[3])slopes);
+        }
+    } while (gsn_ascent_next(&place.ascent));
 }
 
 /* The caller's array of terms while it fills. */

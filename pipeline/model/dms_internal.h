@@ -4,7 +4,7 @@
 #ifndef GSN_MODEL_DMS_INTERNAL_H
 #define GSN_MODEL_DMS_INTERNAL_H
 
-#include "pipeline/model/bins.h"
+#include "pipeline/model/boxtree.h"
 #include "pipeline/model/dms.h"
 #include "pipeline/model/frame.h"
 #include "pipeline/model/kernels.h"
@@ -28,6 +28,14 @@ struct gsn_dms_shape {
     double low[4], high[4];
 };
 
+/* What is kept of it: low rounded down, high rounded up. */
+struct gsn_dms_reach {
+    float low[4], high[4];
+};
+
+/* Beside the mesh and the control points there are, per tetrahedron, 4 bytes for each function, 43
+ * bytes and its share of the knots. Whatever a recurrence needs beyond that is quickly made again
+ * from the knots. */
 struct gsn_dms {
     struct gsn_tets *mesh;
     unsigned degree;
@@ -37,38 +45,37 @@ struct gsn_dms {
     struct gsn_simplex_sets *sets;
     double (*knot)[3];
     uint32_t *id;                /* functions per tetrahedron */
-    uint16_t *pick;              /* gsn_simplex_pick(), sets->first[4] per tetrahedron */
-    struct gsn_dms_shape *shape; /* per tetrahedron */
-    struct gsn_bins *bins;       /* of the boxes around the knots of each tetrahedron */
-    /* Tetrahedron t is reached by the supports of reach[reach_start[t]] .. ascending, itself
-     * included. An entry is 16 * tetrahedron + a bit for each corner k of t such that all its knots
-     * have lambda_k <= high[k] of t: where lambda_k(u) is greater, it contributes nothing. */
-    size_t *reach_start;
-    uint32_t *reach;
+    struct gsn_dms_reach *reach; /* per tetrahedron */
+    struct gsn_boxtree *tree;    /* of the boxes around the knots of each tetrahedron */
     /* Per tetrahedron: all functions sum to one everywhere in it, because no knot of its boundary
      * vertices lies on the inner side of the boundary. */
     uint8_t *whole;
-    uint8_t *general; /* per tetrahedron: no four knots of a V_beta lie in one plane */
 };
 
 /* The knots of one tetrahedron in local order, 4 (degree + 1) of them. */
 void gsn_dms_gather(const struct gsn_dms *space, size_t tet,
                     double ret_knot[GSN_SIMPLEX_MAX_KNOTS][3]);
-const uint16_t *gsn_dms_pick_of(const struct gsn_dms *space, size_t tet);
+/* Its shape, from the vertices and what is kept. */
+void gsn_dms_shape_of(const struct gsn_dms *space, size_t tet, struct gsn_dms_shape *ret_shape);
 
 /* The shape of a tetrahedron from its knots in local order. Fails with GSN_E_MESH, without a
  * place, when some det X_beta, |beta| <= degree, is not greater than margin times that of the
  * tetrahedron, or sum high is not less than widest. */
 int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, double widest,
                        struct gsn_dms_shape *ret_shape, struct gsn_error *err);
+/* Finds low and high for the frame that is there. */
+void gsn_dms_measure(unsigned degree, const double (*knot)[3], struct gsn_dms_shape *shape);
 /* Whether no four knots of any V_beta lie in one plane. */
 int gsn_dms_is_general(const struct gsn_simplex_sets *sets, const double (*knot)[3]);
 /* A bit per corner k with lambda_k > high[k]; GSN_DMS_ALL in the core. */
 unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4]);
 
 int gsn_dms_number(struct gsn_dms *space, struct gsn_error *err);
-int gsn_dms_find_reach(struct gsn_dms *space, struct gsn_error *err);
 int gsn_dms_find_whole(struct gsn_dms *space, struct gsn_error *err);
+
+/* Brings tetrahedra whose supports reach into home, itself included, into ascending order: those
+ * that no face plane of either keeps apart. */
+void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_ascent *ascent);
 
 /* The values and (unless ret_gradient is NULL) gradients at u of all functions of one tetrahedron,
  * wherever u lies. Returns 0, leaving the outputs undefined, when all are 0. */

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/dms_internal.h"
 
-#include <stdlib.h>
+#include <string.h>
 
 /* A shared control point belongs to a multiset of vertices: vertex i_k taken beta_k times. That is
  * all its polar value depends on. Ascending; unused places are 0. */
@@ -10,21 +10,9 @@ struct key {
     uint32_t function; /* functions * tetrahedron + function */
 };
 
-static int compare_vertices(const struct key *a, const struct key *b)
+static int same_vertices(const struct key *a, const struct key *b)
 {
-    for (int i = 0; i < GSN_DMS_MAX_DEGREE; i++) {
-        if (a->vertex[i] != b->vertex[i])
-            return a->vertex[i] < b->vertex[i] ? -1 : 1;
-    }
-    return 0;
-}
-
-static int by_vertices(const void *left, const void *right)
-{
-    const struct key *a = left, *b = right;
-    const int order = compare_vertices(a, b);
-
-    return order ? order : (a->function > b->function) - (a->function < b->function);
+    return memcmp(a->vertex, b->vertex, sizeof a->vertex) == 0;
 }
 
 static struct key key_of(const struct gsn_dms *space, size_t function)
@@ -46,19 +34,45 @@ static struct key key_of(const struct gsn_dms *space, size_t function)
     return key;
 }
 
+/* Sorts by one place, leaving the order as it is among equals; start has a place for every vertex
+ * and one more. */
+static void sort_by(const struct key *from, struct key *to, size_t count, int place, size_t *start,
+                    size_t vertices)
+{
+    size_t sum = 0;
+
+    memset(start, 0, (vertices + 1) * sizeof *start);
+    for (size_t i = 0; i < count; i++)
+        start[from[i].vertex[place] + 1]++;
+    for (size_t v = 0; v <= vertices; v++)
+        start[v] = sum += start[v];
+    for (size_t i = 0; i < count; i++)
+        to[start[from[i].vertex[place]]++] = from[i];
+}
+
 /* Gives equal keys one number, in the order of the keys. */
 static int number_shared(struct gsn_dms *space, size_t count, struct gsn_error *err)
 {
-    gsn_auto_mem(struct key) key = gsn_alloc_array(count, sizeof *key);
+    const size_t vertices = space->mesh->vertex_count;
+    gsn_auto_mem(struct key) first = gsn_alloc_array(count, sizeof *first);
+    gsn_auto_mem(struct key) second = gsn_alloc_array(count, sizeof *second);
+    gsn_auto_mem(size_t) start = gsn_alloc_array(vertices + 1, sizeof *start);
+    struct key *key = first, *other = second;
 
-    if (!key)
+    if (!first || !second || !start)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu functions", count);
     for (size_t i = 0; i < count; i++)
         key[i] = key_of(space, i);
-    qsort(key, count, sizeof *key, by_vertices);
+    for (int place = (int)space->degree - 1; place >= 0; place--) {
+        struct key *const sorted = other;
+
+        sort_by(key, sorted, count, place, start, vertices);
+        other = key;
+        key = sorted;
+    }
     space->controls = 0;
     for (size_t i = 0; i < count; i++) {
-        if (i == 0 || compare_vertices(&key[i - 1], &key[i]) != 0)
+        if (i == 0 || !same_vertices(&key[i - 1], &key[i]))
             space->controls++;
         space->id[key[i].function] = (uint32_t)(space->controls - 1);
     }

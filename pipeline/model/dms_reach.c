@@ -1,131 +1,86 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Whose functions reach where. */
 #include "pipeline/model/dms_internal.h"
 #include "pipeline/model/orient.h"
 
-#include <math.h>
-#include <stdlib.h>
+#include <string.h>
 
-/* The growing list of tetrahedra that reach one of them, home. */
+/* A tetrahedron, home, and those that reach it. */
 struct search {
-    struct gsn_dms *space;
-    size_t home, count, room;
+    const struct gsn_dms *space;
+    size_t home;
+    double corner[4][3];
+    struct gsn_box box;
+    struct gsn_frame frame;
+    struct gsn_ascent *ascent;
 };
 
-/* Whether a face plane of home has all knots of the other beyond it; if not, the mask of an entry
- * in gsn_dms.reach. */
-static int seen_from_home(const struct gsn_dms *space, size_t home, size_t other,
-                          unsigned *ret_mask)
+/* Whether a face plane of home has all knots of the other beyond it. */
+static int is_beyond_home(const struct search *search, const double (*knot)[3], unsigned knots)
 {
-    const struct gsn_dms_shape *shape = &space->shape[home];
-    double knot[GSN_SIMPLEX_MAX_KNOTS][3],
-        greatest[4] = { -INFINITY, -INFINITY, -INFINITY, -INFINITY };
+    unsigned beyond = GSN_DMS_ALL;
 
-    gsn_dms_gather(space, other, knot);
-    for (unsigned i = 0; i < 4 * (space->degree + 1); i++) {
+    for (unsigned i = 0; beyond && i < knots; i++) {
         double lambda[4];
 
-        gsn_frame_at(&shape->frame, knot[i], lambda);
-        for (int k = 0; k < 4; k++)
-            greatest[k] = fmax(greatest[k], lambda[k]);
+        gsn_frame_at(&search->frame, knot[i], lambda);
+        for (unsigned k = 0; k < 4; k++) {
+            if (!(lambda[k] < -GSN_DMS_SLACK))
+                beyond &= ~(1u << k);
+        }
     }
-    *ret_mask = 0;
-    for (int k = 0; k < 4; k++) {
-        if (greatest[k] < -GSN_DMS_SLACK)
-            return 0;
-        if (greatest[k] <= shape->high[k])
-            *ret_mask |= 1u << k;
-    }
-    return 1;
+    return beyond != 0;
 }
 
 /* Whether home lies all beyond the knots of the other, seen through one of the other's faces. */
-static int beyond_other(const struct gsn_dms *space, size_t home, size_t other)
+static int is_beyond_other(const struct search *search, size_t other)
 {
-    const struct gsn_dms_shape *shape = &space->shape[other];
-    double greatest[4] = { -INFINITY, -INFINITY, -INFINITY, -INFINITY };
+    struct gsn_dms_shape shape;
+    unsigned beyond = GSN_DMS_ALL;
 
-    for (int i = 0; i < 4; i++) {
+    gsn_dms_shape_of(search->space, other, &shape);
+    for (int i = 0; beyond && i < 4; i++) {
         double lambda[4];
 
-        gsn_frame_at(&shape->frame, space->mesh->vertex[space->mesh->tet[home][i]], lambda);
-        for (int k = 0; k < 4; k++)
-            greatest[k] = fmax(greatest[k], lambda[k]);
+        gsn_frame_at(&shape.frame, search->corner[i], lambda);
+        for (unsigned k = 0; k < 4; k++) {
+            if (!(lambda[k] < shape.low[k] - GSN_DMS_SLACK))
+                beyond &= ~(1u << k);
+        }
     }
-    for (int k = 0; k < 4; k++) {
-        if (greatest[k] < shape->low[k] - GSN_DMS_SLACK)
-            return 1;
-    }
-    return 0;
-}
-
-static int append(struct search *search, uint32_t entry)
-{
-    if (search->count == search->room) {
-        const size_t room = 2 * search->room;
-        uint32_t *larger =
-            gsn_realloc_array(search->space->reach, room, sizeof *search->space->reach);
-
-        if (!larger)
-            return GSN_E_NOMEM;
-        search->space->reach = larger;
-        search->room = room;
-    }
-    search->space->reach[search->count++] = entry;
-    return 0;
+    return beyond != 0;
 }
 
 static int consider(void *context, uint32_t other)
 {
     struct search *search = context;
-    unsigned mask = 0;
+    const unsigned knots = 4 * (search->space->degree + 1);
+    double own[GSN_SIMPLEX_MAX_KNOTS][3];
+    const double(*knot)[3] = (const double(*)[3])own;
+    struct gsn_box box;
 
-    if (other != search->home && (beyond_other(search->space, search->home, other) ||
-                                  !seen_from_home(search->space, search->home, other, &mask)))
+    if (other == search->home)
+        return gsn_ascent_add(search->ascent, other);
+    gsn_dms_gather(search->space, other, own);
+    box = gsn_box_around(knot, knots);
+    if (!gsn_box_meets(&box, &search->box) || is_beyond_home(search, knot, knots) ||
+        is_beyond_other(search, other))
         return 0;
-    return append(search, other << 4 | mask);
+    return gsn_ascent_add(search->ascent, other);
 }
 
-static int ascending(const void *left, const void *right)
+void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_ascent *ascent)
 {
-    const uint32_t a = *(const uint32_t *)left, b = *(const uint32_t *)right;
+    struct search search = { .space = space, .home = home, .ascent = ascent };
 
-    return (a > b) - (a < b);
-}
-
-static struct gsn_box box_of_tet(const struct gsn_tets *mesh, size_t tet)
-{
-    struct gsn_box box = { { INFINITY, INFINITY, INFINITY }, { -INFINITY, -INFINITY, -INFINITY } };
-
-    for (int k = 0; k < 4; k++) {
-        for (int c = 0; c < 3; c++) {
-            box.low[c] = fmin(box.low[c], mesh->vertex[mesh->tet[tet][k]][c]);
-            box.high[c] = fmax(box.high[c], mesh->vertex[mesh->tet[tet][k]][c]);
-        }
-    }
-    return box;
-}
-
-int gsn_dms_find_reach(struct gsn_dms *space, struct gsn_error *err)
-{
-    const size_t count = space->mesh->tet_count;
-    struct search search = { .space = space, .room = 64 * count };
-
-    space->reach_start = gsn_alloc_array(count + 1, sizeof *space->reach_start);
-    space->reach = gsn_alloc_array(search.room, sizeof *space->reach);
-    if (!space->reach_start || !space->reach)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
-    for (size_t t = 0; t < count; t++) {
-        const struct gsn_box box = box_of_tet(space->mesh, t);
-
-        search.home = t;
-        if (gsn_bins_meeting(space->bins, &box, consider, &search) != 0)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reach of %zu tetrahedra",
-                            count);
-        qsort(&space->reach[space->reach_start[t]], search.count - space->reach_start[t],
-              sizeof *space->reach, ascending);
-        space->reach_start[t + 1] = search.count;
-    }
-    return GSN_OK;
+    for (int k = 0; k < 4; k++)
+        memcpy(search.corner[k], space->mesh->vertex[space->mesh->tet[home][k]],
+               sizeof search.corner[k]);
+    search.box = gsn_box_around((const double(*)[3])search.corner, 4);
+    gsn_frame_init(&search.frame, search.corner[0], search.corner[1], search.corner[2],
+                   search.corner[3]);
+    (void)gsn_boxtree_meeting(space->tree, &search.box, consider, &search);
 }
 
 /* Marks the corners of one boundary face that have a knot on its inner side. */

@@ -29,7 +29,7 @@ static int check_folds(unsigned degree, const double (*knot)[3], double whole, d
     return GSN_OK;
 }
 
-static void measure(unsigned degree, const double (*knot)[3], struct gsn_dms_shape *shape)
+void gsn_dms_measure(unsigned degree, const double (*knot)[3], struct gsn_dms_shape *shape)
 {
     for (unsigned k = 0; k < 4; k++)
         shape->low[k] = shape->high[k] = 0;
@@ -61,7 +61,7 @@ int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, 
     if (r < 0)
         return r;
     gsn_frame_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);
-    measure(degree, knot, ret_shape);
+    gsn_dms_measure(degree, knot, ret_shape);
     wide = ret_shape->high[0] + ret_shape->high[1] + ret_shape->high[2] + ret_shape->high[3];
     if (!(wide < widest))
         return gsn_fail(err, GSN_E_MESH,
@@ -69,6 +69,19 @@ int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, 
                         "needed); smaller knot clouds are needed",
                         wide, widest);
     return GSN_OK;
+}
+
+void gsn_dms_shape_of(const struct gsn_dms *space, size_t tet, struct gsn_dms_shape *ret_shape)
+{
+    const struct gsn_tets *mesh = space->mesh;
+    const uint32_t *v = mesh->tet[tet];
+
+    gsn_frame_init(&ret_shape->frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                   mesh->vertex[v[3]]);
+    for (int k = 0; k < 4; k++) {
+        ret_shape->low[k] = (double)space->reach[tet].low[k];
+        ret_shape->high[k] = (double)space->reach[tet].high[k];
+    }
 }
 
 unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4])
@@ -82,12 +95,37 @@ unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4]
     return clear;
 }
 
+/* The normal of each knot triple, and what its rounding is relative to. */
+struct normal {
+    double at[3], permanent[3];
+};
+
+static int is_flat(const struct gsn_simplex_set *quad, const double (*knot)[3],
+                   const struct normal *normal)
+{
+    const uint8_t *m = quad->member;
+    double r[3], size = 0;
+
+    gsn_subtract(knot[m[3]], knot[m[0]], r);
+    for (int c = 0; c < 3; c++)
+        size += normal->permanent[c] * fabs(r[c]);
+    return !(fabs(gsn_dot(normal->at, r)) > GSN_ORIENT_BOUND * size) &&
+           gsn_orient3d(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]) == 0;
+}
+
 int gsn_dms_is_general(const struct gsn_simplex_sets *sets, const double (*knot)[3])
 {
-    for (size_t s = sets->first[4]; s < sets->first[3]; s++) {
-        const uint8_t *m = sets->set[s].member;
+    struct normal normal[GSN_SIMPLEX_MAX_TRIPLES];
 
-        if (gsn_orient3d(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]) == 0)
+    for (size_t s = sets->first[3]; s < sets->first[2]; s++) {
+        struct normal *to = &normal[s - sets->first[3]];
+
+        gsn_simplex_normal(&sets->set[s], knot, to->at, to->permanent);
+    }
+    for (size_t s = sets->first[4]; s < sets->first[3]; s++) {
+        const struct gsn_simplex_set *quad = &sets->set[s];
+
+        if (is_flat(quad, knot, &normal[quad->without[3] - sets->first[3]]))
             return 0;
     }
     return 1;

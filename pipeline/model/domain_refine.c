@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/domain.h"
 
-#include "pipeline/model/bins.h"
+#include "pipeline/model/boxtree.h"
 #include "pipeline/model/domain_mesher.h"
 #include "pipeline/model/domain_verify.h"
 
@@ -21,7 +21,8 @@ static const double TOUCHES = 1e-7;
 static const double SLACK = 1e-9;
 
 /* gives: the bounding boxes of the tetrahedra, findable by a point. */
-static int boxes_of(const struct gsn_tets *mesh, struct gsn_bins **ret_bins, struct gsn_error *err)
+static int boxes_of(const struct gsn_tets *mesh, struct gsn_boxtree **ret_tree,
+                    struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_box) box = gsn_alloc_array(mesh->tet_count, sizeof *box);
 
@@ -39,7 +40,7 @@ static int boxes_of(const struct gsn_tets *mesh, struct gsn_bins **ret_bins, str
             box[t].low[k] = low - TOUCHES * (high - low);
             box[t].high[k] = high + TOUCHES * (high - low);
         }
-    return gsn_bins_new(box, mesh->tet_count, ret_bins, err);
+    return gsn_boxtree_new(box, mesh->tet_count, ret_tree, err);
 }
 
 static double det(const double *o, const double *a, const double *b, const double *c)
@@ -62,29 +63,42 @@ static double depth(const struct gsn_tets *mesh, size_t tet, const double u[3])
     return least / det(a, b, c, d);
 }
 
+/* A point, and the tetrahedron found so far in which it lies deepest. */
+struct deepest {
+    const struct gsn_tets *mesh;
+    const double *u;
+    double depth;
+    uint32_t tet;
+    bool found;
+};
+
+static int look_into(void *context, uint32_t tet)
+{
+    struct deepest *best = context;
+    const double here = depth(best->mesh, tet, best->u);
+
+    if (here > best->depth || (best->found && here == best->depth && tet < best->tet)) {
+        best->depth = here;
+        best->tet = tet;
+        best->found = true;
+    }
+    return 0;
+}
+
 /* The tetrahedron in which u lies deepest; false when it lies in none. */
-static bool find(const struct gsn_bins *bins, const struct gsn_tets *mesh, const double u[3],
+static bool find(const struct gsn_boxtree *tree, const struct gsn_tets *mesh, const double u[3],
                  size_t *ret_tet)
 {
-    const uint32_t *list = NULL;
-    const size_t count = gsn_bins_at(bins, u, &list);
-    double best = -TOUCHES;
-    bool found = false;
+    struct deepest best = { .mesh = mesh, .u = u, .depth = -TOUCHES };
 
-    for (size_t i = 0; i < count; i++) {
-        const double here = depth(mesh, list[i], u);
-
-        if (here > best) {
-            best = here;
-            *ret_tet = list[i];
-            found = true;
-        }
-    }
-    return found;
+    (void)gsn_boxtree_at(tree, u, look_into, &best);
+    if (best.found)
+        *ret_tet = best.tet;
+    return best.found;
 }
 
 /* The limit of the place where each tetrahedron of a refinement lies, and how many break theirs. */
-static int read_limits(const struct gsn_bins *bins, const struct gsn_tets *mesh,
+static int read_limits(const struct gsn_boxtree *tree, const struct gsn_tets *mesh,
                        const double *max_um3, const struct gsn_tets *fine, double *ret_limit,
                        size_t *ret_broken, struct gsn_error *err)
 {
@@ -97,7 +111,7 @@ static int read_limits(const struct gsn_bins *bins, const struct gsn_tets *mesh,
         for (size_t c = 0; c < 4; c++)
             for (size_t k = 0; k < 3; k++)
                 middle[k] += fine->vertex[fine->tet[t][c]][k] / 4;
-        if (!find(bins, mesh, middle, &place))
+        if (!find(tree, mesh, middle, &place))
             return gsn_fail(err, GSN_E_MESH, "tetrahedron %zu lies outside the mesh it refines", t);
         ret_limit[t] = max_um3[place];
         broken += ret_limit[t] > 0 && gsn_tets_volume(fine, t) > ret_limit[t] * (1 + SLACK);
@@ -107,7 +121,7 @@ static int read_limits(const struct gsn_bins *bins, const struct gsn_tets *mesh,
 }
 
 /* One pass: asks for a refinement of `from`, replaces `limit` by that of the answer. */
-static int refine_once(const struct gsn_tets *mesh, const struct gsn_bins *bins,
+static int refine_once(const struct gsn_tets *mesh, const struct gsn_boxtree *tree,
                        const double *max_um3, const struct gsn_domain_options *options,
                        const struct gsn_tets *from, double **limit, struct gsn_tets **ret_fine,
                        size_t *ret_broken, struct gsn_error *err)
@@ -125,7 +139,7 @@ static int refine_once(const struct gsn_tets *mesh, const struct gsn_bins *bins,
     next = gsn_alloc_array(fine->tet_count, sizeof *next);
     if (!next)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while refining a mesh");
-    r = read_limits(bins, mesh, max_um3, fine, next, ret_broken, err);
+    r = read_limits(tree, mesh, max_um3, fine, next, ret_broken, err);
     if (r < 0)
         return r;
     gsn_free(*limit);
@@ -134,9 +148,9 @@ static int refine_once(const struct gsn_tets *mesh, const struct gsn_bins *bins,
     return GSN_OK;
 }
 
-static int refine(const struct gsn_tets *mesh, const struct gsn_bins *bins, const double *max_um3,
-                  const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
-                  struct gsn_error *err)
+static int refine(const struct gsn_tets *mesh, const struct gsn_boxtree *tree,
+                  const double *max_um3, const struct gsn_domain_options *options,
+                  struct gsn_tets **ret_mesh, struct gsn_error *err)
 {
     gsn_auto_mem(double) limit = gsn_memdup(max_um3, mesh->tet_count * sizeof *limit);
     gsn_auto(gsn_tets) fine = NULL;
@@ -146,7 +160,7 @@ static int refine(const struct gsn_tets *mesh, const struct gsn_bins *bins, cons
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while refining a mesh");
     for (unsigned pass = 0; pass < PASSES && broken > 0; pass++) {
         struct gsn_tets *finer = NULL;
-        const int r = refine_once(mesh, bins, max_um3, options, fine ? fine : mesh, &limit, &finer,
+        const int r = refine_once(mesh, tree, max_um3, options, fine ? fine : mesh, &limit, &finer,
                                   &broken, err);
 
         if (r < 0)
@@ -165,7 +179,7 @@ int gsn_domain_refine(const struct gsn_tets *mesh, const double *max_um3,
                       const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
                       struct gsn_error *err)
 {
-    gsn_auto(gsn_bins) bins = NULL;
+    gsn_auto(gsn_boxtree) tree = NULL;
     int r;
 
     assert(mesh && max_um3 && options && options->mesher && ret_mesh);
@@ -173,6 +187,6 @@ int gsn_domain_refine(const struct gsn_tets *mesh, const double *max_um3,
         if (!isfinite(max_um3[t]) || max_um3[t] < 0)
             return gsn_fail(err, GSN_E_INPUT, "the limit %g um^3 of tetrahedron %zu", max_um3[t],
                             t);
-    r = boxes_of(mesh, &bins, err);
-    return r < 0 ? r : refine(mesh, bins, max_um3, options, ret_mesh, err);
+    r = boxes_of(mesh, &tree, err);
+    return r < 0 ? r : refine(mesh, tree, max_um3, options, ret_mesh, err);
 }

@@ -16,7 +16,7 @@ static const int swap[4] = { -1, 1, -1, 1 };
 
 /* Row i of the determinant of ascending knots: knot i less the knot before it when both are of one
  * cloud, less the first one otherwise. */
-static void row(const struct gsn_simplex_set *set, unsigned i, const double (*knot)[3],
+static inline void row(const struct gsn_simplex_set *set, unsigned i, const double (*knot)[3],
                 double ret[3])
 {
     const unsigned from = set->cloud[i] == set->cloud[i - 1] ? i - 1 : 0;
@@ -48,25 +48,44 @@ double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[
     return gsn_dot(normal, r);
 }
 
+/* |det| of every set of four, from the normals of the triples. */
+static void measure_quads(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                          double *ret_size)
+{
+    double normal[GSN_SIMPLEX_MAX_TRIPLES][3];
+
+    for (size_t s = sets->first[3]; s < sets->first[2]; s++)
+        gsn_simplex_normal(&sets->set[s], knot, normal[s - sets->first[3]], NULL);
+    for (size_t s = sets->first[4]; s < sets->first[3]; s++) {
+        const struct gsn_simplex_set *quad = &sets->set[s];
+        double r[3];
+
+        row(quad, 3, knot, r);
+        *ret_size++ = fabs(gsn_dot(normal[quad->without[3] - sets->first[3]], r));
+    }
+}
+
 void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
                       uint16_t *ret_pick)
 {
     const size_t first = sets->first[4];
-    double size[GSN_SIMPLEX_MAX_QUADS];
+    /* Of a set of four its |det|, of a larger one the greatest of its sets of four. */
+    double size[GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
 
-    for (size_t s = first; s < sets->first[3]; s++)
-        size[s - first] = fabs(gsn_simplex_det(&sets->set[s], knot));
-    for (size_t s = 0; s < first; s++) {
+    measure_quads(sets, knot, &size[first]);
+    for (size_t s = first; s-- > 0;) {
+        const struct gsn_simplex_set *set = &sets->set[s];
         size_t i = sets->quads[s + 1];
-        double largest = 0;
+        double largest = size[set->without[0]];
 
-        for (size_t j = sets->quads[s]; j < sets->quads[s + 1]; j++)
-            largest = fmax(largest, size[sets->quad[j] - first]);
+        for (unsigned m = 1; m < set->size; m++)
+            largest = size[set->without[m]] > largest ? size[set->without[m]] : largest;
+        size[s] = largest;
         /* The last one in the list that is nearly as good: taking away the last knots of clouds
          * leads many sets to the same subsets. */
         do
             i--;
-        while (size[sets->quad[i] - first] < NEARLY * largest);
+        while (size[sets->quad[i]] < NEARLY * largest);
         ret_pick[s] = sets->quad[i];
     }
 }

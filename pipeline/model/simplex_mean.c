@@ -31,10 +31,19 @@ struct mean {
     const uint16_t *pick;
     const struct gsn_simplex_cell *cell;
     uint8_t knows_plane[GSN_SIMPLEX_MAX_TRIPLES];
+    double distance2[GSN_SIMPLEX_MAX_KNOTS][4]; /* of a knot from a corner of the cell, squared */
+    uint8_t knows_det[GSN_SIMPLEX_MAX_QUADS];
+    double det[GSN_SIMPLEX_MAX_QUADS];
     uint8_t knows_value[WHOLE + 1][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
     struct plane plane[GSN_SIMPLEX_MAX_TRIPLES];
     double value[WHOLE + 1][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
 };
+
+/* What a rounding bound of normal . r is relative to. */
+static double uncertainty(const double permanent[3], const double r[3])
+{
+    return permanent[0] * fabs(r[0]) + permanent[1] * fabs(r[1]) + permanent[2] * fabs(r[2]);
+}
 
 static double distance2(const double a[3], const double b[3])
 {
@@ -44,41 +53,56 @@ static double distance2(const double a[3], const double b[3])
     return gsn_dot(d, d);
 }
 
-/* normal . (v - a), with the knot nearest v for a. */
-static double height(const double normal[3], const double *const at[3], const double v[3])
+/* normal . (v - a) for corner v of the cell, a being the knot nearest to it, and exactly 0 or of
+ * the exact sign. */
+static double height(const struct mean *mean, const struct gsn_simplex_set *set, int v,
+                     const double normal[3], const double permanent[3])
 {
-    const double *nearest = at[0];
-    double r[3];
+    const double *corner = mean->cell->corner[v];
+    unsigned nearest = set->member[0];
+    double r[3], value;
+    int sign;
 
     for (int i = 1; i < 3; i++) {
-        if (distance2(at[i], v) < distance2(nearest, v))
-            nearest = at[i];
+        if (mean->distance2[set->member[i]][v] < mean->distance2[nearest][v])
+            nearest = set->member[i];
     }
-    gsn_subtract(v, nearest, r);
-    return gsn_dot(normal, r);
+    gsn_subtract(corner, mean->knot[nearest], r);
+    if (r[0] == 0 && r[1] == 0 && r[2] == 0)
+        return 0;
+    value = gsn_dot(normal, r);
+    if (fabs(value) > GSN_ORIENT_BOUND * uncertainty(permanent, r))
+        return value;
+    sign = gsn_orient3d(mean->knot[set->member[0]], mean->knot[set->member[1]],
+                        mean->knot[set->member[2]], corner);
+    return sign ? sign * fmax(sign * value, DBL_MIN) : 0;
 }
 
 static const struct plane *plane_of(struct mean *mean, size_t triple)
 {
     const size_t slot = triple - mean->sets->first[3];
     const struct gsn_simplex_set *set = &mean->sets->set[triple];
-    const double *at[3] = { mean->knot[set->member[0]], mean->knot[set->member[1]],
-                            mean->knot[set->member[2]] };
     struct plane *plane = &mean->plane[slot];
-    double normal[3];
+    double normal[3], permanent[3];
 
     if (mean->knows_plane[slot])
         return plane;
     mean->knows_plane[slot] = 1;
-    gsn_simplex_normal(set, mean->knot, normal, NULL);
-    for (int i = 0; i < 4; i++) {
-        const double *v = mean->cell->corner[i];
-        const int sign = gsn_orient3d(at[0], at[1], at[2], v);
-
-        /* The exact sign outranks the rounded value. */
-        plane->value[i] = sign ? sign * fmax(sign * height(normal, at, v), DBL_MIN) : 0;
-    }
+    gsn_simplex_normal(set, mean->knot, normal, permanent);
+    for (int v = 0; v < 4; v++)
+        plane->value[v] = height(mean, set, v, normal, permanent);
     return plane;
+}
+
+static double det_of(struct mean *mean, size_t quad)
+{
+    const size_t slot = quad - mean->sets->first[4];
+
+    if (!mean->knows_det[slot]) {
+        mean->knows_det[slot] = 1;
+        mean->det[slot] = gsn_simplex_det(&mean->sets->set[quad], mean->knot);
+    }
+    return mean->det[slot];
 }
 
 /* The share of a simplex of dimension k, corners 0..k, where all cuts are positive: it is halved at
@@ -114,7 +138,7 @@ static double share(int k, double (*value)[FACES], int cuts)
 static double leaf(struct mean *mean, unsigned simplex, size_t quad)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[quad];
-    const double det = gsn_simplex_det(set, mean->knot);
+    const double det = det_of(mean, quad);
     double value[4][FACES];
     int cuts = 0, corners = 0;
 
@@ -208,7 +232,7 @@ static double recur(struct mean *mean, unsigned simplex, size_t s)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[s];
     const struct gsn_simplex_set *w = &mean->sets->set[mean->pick[s]];
-    const double det = gsn_simplex_det(w, mean->knot);
+    const double det = det_of(mean, mean->pick[s]);
     const int n = set->size - 4, k = __builtin_popcount(simplex) - 1;
     double sum = 0, weight[4], lambda[4];
 
@@ -275,6 +299,11 @@ void gsn_simplex_mean(const struct gsn_simplex_sets *sets, const double (*knot)[
     mean.pick = pick;
     mean.cell = cell;
     memset(mean.knows_plane, 0, sizeof mean.knows_plane);
+    memset(mean.knows_det, 0, sizeof mean.knows_det);
+    for (unsigned i = 0; i < 4 * (sets->degree + 1); i++) {
+        for (int v = 0; v < 4; v++)
+            mean.distance2[i][v] = distance2(knot[i], cell->corner[v]);
+    }
     memset(mean.knows_value, 0, sizeof mean.knows_value);
     for (size_t f = 0; f < sets->functions; f++)
         ret_mean[f] = value_of(&mean, WHOLE, f);
@@ -282,17 +311,54 @@ void gsn_simplex_mean(const struct gsn_simplex_sets *sets, const double (*knot)[
 
 static const int others[4][3] = { { 1, 2, 3 }, { 0, 2, 3 }, { 0, 1, 3 }, { 0, 1, 2 } };
 
+/* The plane of a face, for the signs of many points. */
+struct face {
+    const double *at[3];
+    double normal[3], permanent[3];
+    int inner; /* side of the fourth corner */
+};
+
+static int side_of(const struct face *face, const double v[3])
+{
+    double r[3], value;
+
+    gsn_subtract(v, face->at[0], r);
+    value = gsn_dot(face->normal, r);
+    if (fabs(value) > GSN_ORIENT_BOUND * uncertainty(face->permanent, r))
+        return value > 0 ? 1 : -1;
+    return gsn_orient3d(face->at[0], face->at[1], face->at[2], v);
+}
+
+static void face_init(struct face *face, const double *const corner[4], int k)
+{
+    double p[3], q[3];
+
+    for (int i = 0; i < 3; i++)
+        face->at[i] = corner[others[k][i]];
+    gsn_subtract(face->at[1], face->at[0], p);
+    gsn_subtract(face->at[2], face->at[0], q);
+    gsn_cross(p, q, face->normal);
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, l = (i + 2) % 3;
+
+        face->permanent[i] = fabs(p[j] * q[l]) + fabs(p[l] * q[j]);
+    }
+    face->inner = side_of(face, corner[k]);
+}
+
 /* Sorts the knots by the planes of the cell's faces. */
 static void look_from_cell(struct gsn_simplex_cell *cell, const double (*knot)[3], unsigned knots)
 {
-    for (int k = 0; k < 4; k++) {
-        const double *a = cell->corner[others[k][0]], *b = cell->corner[others[k][1]],
-                     *c = cell->corner[others[k][2]];
-        const int inner = gsn_orient3d(a, b, c, cell->corner[k]);
+    const double *const corner[4] = { cell->corner[0], cell->corner[1], cell->corner[2],
+                                      cell->corner[3] };
 
+    for (int k = 0; k < 4; k++) {
+        struct face face;
+
+        face_init(&face, corner, k);
         cell->beyond[k] = 0;
         for (unsigned i = 0; i < knots; i++) {
-            const int side = inner * gsn_orient3d(a, b, c, knot[i]);
+            const int side = face.inner * side_of(&face, knot[i]);
 
             if (side <= 0)
                 cell->beyond[k] |= 1u << i;
@@ -306,18 +372,19 @@ static void look_from_cell(struct gsn_simplex_cell *cell, const double (*knot)[3
  * outer side of one. */
 static void look_from_knots(struct gsn_simplex_cell *cell, const double (*knot)[3], unsigned degree)
 {
+    const double *const corner[4] = { knot[0], knot[degree + 1], knot[2 * (degree + 1)],
+                                      knot[3 * (degree + 1)] };
+
     for (int k = 0; k < 4; k++) {
-        const double *a = knot[others[k][0] * (int)(degree + 1)],
-                     *b = knot[others[k][1] * (int)(degree + 1)],
-                     *c = knot[others[k][2] * (int)(degree + 1)];
-        const int inner = gsn_orient3d(a, b, c, knot[k * (int)(degree + 1)]);
+        struct face face;
         int apart = 1;
 
+        face_init(&face, corner, k);
         cell->beyond[4 + k] = 0;
         for (int i = 0; i < 4 && apart; i++)
-            apart = inner * gsn_orient3d(a, b, c, cell->corner[i]) <= 0;
+            apart = face.inner * side_of(&face, cell->corner[i]) <= 0;
         for (unsigned i = 0; apart && i < 4 * (degree + 1); i++) {
-            if (inner * gsn_orient3d(a, b, c, knot[i]) >= 0)
+            if (face.inner * side_of(&face, knot[i]) >= 0)
                 cell->beyond[4 + k] |= 1u << i;
         }
     }

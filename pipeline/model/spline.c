@@ -59,6 +59,14 @@ void gsn_spline_free(struct gsn_spline *spline)
     gsn_free(spline);
 }
 
+size_t gsn_spline_bytes(const struct gsn_spline *spline)
+{
+    const struct gsn_dms *space = spline->space;
+
+    return sizeof *spline +
+           gsn_dms_mesh(space)->tet_count * gsn_dms_functions(space) * sizeof *spline->bernstein;
+}
+
 const struct gsn_dms *gsn_spline_space(const struct gsn_spline *spline)
 {
     return spline->space;
@@ -103,7 +111,7 @@ int gsn_spline_eval(const struct gsn_spline *spline, const double u[3], size_t *
 {
     const struct gsn_dms *space = spline->space;
     struct sum sum = { .spline = spline };
-    const struct gsn_dms_shape *shape;
+    struct gsn_dms_shape shape;
     double lambda[4];
     size_t tet;
 
@@ -112,12 +120,12 @@ int gsn_spline_eval(const struct gsn_spline *spline, const double u[3], size_t *
     if (gsn_dms_locate(space, u, *hint, &tet) != GSN_OK)
         return GSN_DMS_OUTSIDE;
     *hint = tet;
-    shape = &space->shape[tet];
-    gsn_frame_at(&shape->frame, u, lambda);
-    if (gsn_dms_clear(shape, lambda) == GSN_DMS_ALL) {
+    gsn_dms_shape_of(space, tet, &shape);
+    gsn_frame_at(&shape.frame, u, lambda);
+    if (gsn_dms_clear(&shape, lambda) == GSN_DMS_ALL) {
         *ret_value =
             gsn_bernstein_at(space->degree, &spline->bernstein[tet * gsn_dms_functions(space)],
-                             &shape->frame, lambda, ret_gradient);
+                             &shape.frame, lambda, ret_gradient);
         return GSN_OK;
     }
     gsn_dms_each(space, tet, u, ret_gradient != NULL, add_tet, &sum);

@@ -21,6 +21,10 @@ int gsn_spline_new(const struct gsn_dms *space, const double *control,
 void gsn_spline_free(struct gsn_spline *spline);
 GSN_DEFINE_AUTO(gsn_spline);
 
+/* Bytes of memory the spline holds beside its control values (8 bytes each) and its space: the
+ * coefficients of gsn_spline_bernstein(). */
+size_t gsn_spline_bytes(const struct gsn_spline *spline);
+
 const struct gsn_dms *gsn_spline_space(const struct gsn_spline *spline);
 const double *gsn_spline_controls(const struct gsn_spline *spline);
 

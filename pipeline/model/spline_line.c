@@ -9,7 +9,7 @@
 /* A line as two planes through it: a point's distances from them are its place in the picture. The
  * start is moved along the line beside the mesh, to where all tetrahedra agree on it. */
 struct sight {
-    double start[3], axis[2][3];
+    double start[3], along[3], axis[2][3];
 };
 
 static void normalise(double v[3])
@@ -23,10 +23,13 @@ static void normalise(double v[3])
 static void sight_init(struct sight *sight, const struct gsn_dms *space, const double p[3],
                        const double d[3])
 {
-    const struct gsn_box *bounds = gsn_bins_bounds(space->bins);
-    double along[3] = { d[0], d[1], d[2] }, beside[3] = { 0, 0, 0 }, to[3], shift;
+    const struct gsn_box *bounds = gsn_boxtree_bounds(space->tree);
+    double beside[3] = { 0, 0, 0 }, to[3], shift;
+    double *along = sight->along;
     int least = 0;
 
+    for (int c = 0; c < 3; c++)
+        along[c] = d[c];
     normalise(along);
     for (int c = 0; c < 3; c++) {
         to[c] = (bounds->low[c] + bounds->high[c]) / 2 - p[c];
@@ -42,18 +45,15 @@ static void sight_init(struct sight *sight, const struct gsn_dms *space, const d
     gsn_cross(along, sight->axis[0], sight->axis[1]);
 }
 
-/* Whether the line comes near the box of the knots at all. */
-static int is_near(const struct sight *sight, const struct gsn_box *box)
+/* Whether all points lie on one side of the line, in the picture. */
+static int is_beside(const double (*seen)[2], size_t count)
 {
-    double middle[3], half[3], x, y;
+    unsigned sides = 15;
 
-    for (int c = 0; c < 3; c++) {
-        middle[c] = (box->low[c] + box->high[c]) / 2 - sight->start[c];
-        half[c] = (box->high[c] - box->low[c]) / 2;
-    }
-    x = gsn_dot(middle, sight->axis[0]);
-    y = gsn_dot(middle, sight->axis[1]);
-    return x * x + y * y <= (1 + GSN_DMS_SLACK) * gsn_dot(half, half);
+    for (size_t i = 0; i < count; i++)
+        sides &= (seen[i][0] < 0) | (seen[i][0] > 0) << 1 | (seen[i][1] < 0) << 2 |
+                 (seen[i][1] > 0) << 3;
+    return sides != 0;
 }
 
 static double tet_line(const struct gsn_spline *spline, const struct sight *sight, size_t tet)
@@ -64,8 +64,6 @@ static double tet_line(const struct gsn_spline *spline, const struct sight *sigh
     double knot[GSN_SIMPLEX_MAX_KNOTS][3], seen[GSN_SIMPLEX_MAX_KNOTS][2];
     double integral[GSN_DMS_MAX_FUNCTIONS], sum = 0;
 
-    if (!is_near(sight, gsn_bins_box(space->bins, tet)))
-        return 0;
     gsn_dms_gather(space, tet, knot);
     for (unsigned i = 0; i < 4 * (space->degree + 1); i++) {
         double to[3];
@@ -74,7 +72,8 @@ static double tet_line(const struct gsn_spline *spline, const struct sight *sigh
         seen[i][0] = gsn_dot(to, sight->axis[0]);
         seen[i][1] = gsn_dot(to, sight->axis[1]);
     }
-    if (!gsn_simplex_line(sets, (const double(*)[2])seen, integral))
+    if (is_beside((const double(*)[2])seen, 4 * (space->degree + 1)) ||
+        !gsn_simplex_line(sets, (const double(*)[2])seen, integral))
         return 0;
     for (size_t f = 0; f < sets->functions; f++) {
         if (integral[f] != 0)
@@ -95,12 +94,17 @@ double gsn_spline_tet_line(const struct gsn_spline *spline, size_t tet, const do
 
 double gsn_spline_line(const struct gsn_spline *spline, const double p[3], const double d[3])
 {
-    const size_t tets = gsn_dms_mesh(spline->space)->tet_count;
+    struct gsn_ascent ascent;
     struct sight sight;
     double sum = 0;
 
     sight_init(&sight, spline->space, p, d);
-    for (size_t t = 0; t < tets; t++)
-        sum += tet_line(spline, &sight, t);
+    gsn_ascent_begin(&ascent);
+    do {
+        (void)gsn_boxtree_along(spline->space->tree, sight.start, sight.along, gsn_ascent_add,
+                                &ascent);
+        for (size_t i = 0; i < ascent.count; i++)
+            sum += tet_line(spline, &sight, ascent.item[i]);
+    } while (gsn_ascent_next(&ascent));
     return sum;
 }

@@ -13,6 +13,7 @@
 struct visit {
     const struct gsn_spline *spline;
     const double (*corner)[3];
+    struct gsn_box box;
     double mean;
 };
 
@@ -21,12 +22,14 @@ static unsigned clear_of(const struct gsn_dms *space, size_t tet, const double (
                          unsigned ret_clear[4])
 {
     unsigned common = GSN_DMS_ALL;
+    struct gsn_dms_shape shape;
 
+    gsn_dms_shape_of(space, tet, &shape);
     for (int i = 0; i < 4; i++) {
         double lambda[4];
 
-        gsn_frame_at(&space->shape[tet].frame, corner[i], lambda);
-        ret_clear[i] = gsn_dms_clear(&space->shape[tet], lambda);
+        gsn_frame_at(&shape.frame, corner[i], lambda);
+        ret_clear[i] = gsn_dms_clear(&shape, lambda);
         common &= ret_clear[i];
     }
     return common;
@@ -48,48 +51,50 @@ static double core_mean(const struct gsn_spline *spline, size_t tet, const doubl
 }
 
 /* Functions that have no part in the cell keep a mean of 0. */
-static void pieces_means(const struct gsn_dms *space, size_t tet, const double (*knot)[3],
-                         const struct gsn_simplex_cell *cell, double *ret_mean)
+static void pieces_means(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                         const uint16_t *pick, const struct gsn_simplex_cell *cell,
+                         double *ret_mean)
 {
-    const struct gsn_simplex_sets *sets = space->sets;
-
     for (size_t f = 0; f < sets->functions; f++) {
         ret_mean[f] = 0;
         if (!gsn_simplex_cell_misses(cell, sets->set[f].mask))
-            ret_mean[f] =
-                gsn_simplex_mean_by_pieces(sets, knot, gsn_dms_pick_of(space, tet), cell, f);
+            ret_mean[f] = gsn_simplex_mean_by_pieces(sets, knot, pick, cell, f);
     }
 }
 
-static int add_tet(void *context, uint32_t tet)
+static void add_tet(struct visit *visit, uint32_t tet)
 {
-    struct visit *visit = context;
     const struct gsn_dms *space = visit->spline->space;
     const struct gsn_simplex_sets *sets = space->sets;
     const unsigned knots = 4 * (space->degree + 1);
     const uint32_t *id = gsn_dms_control_ids(space, tet);
     double mean[GSN_DMS_MAX_FUNCTIONS], own[GSN_SIMPLEX_MAX_KNOTS][3];
     const double(*knot)[3] = (const double(*)[3])own;
+    uint16_t pick[GSN_SIMPLEX_MAX_LARGE];
     struct gsn_simplex_cell cell;
+    struct gsn_box box;
     unsigned clear[4];
 
     gsn_dms_gather(space, tet, own);
+    box = gsn_box_around(knot, knots);
+    if (!gsn_box_meets(&box, &visit->box))
+        return;
     if (clear_of(space, tet, visit->corner, clear) == GSN_DMS_ALL) {
         visit->mean += core_mean(visit->spline, tet, knot, visit->corner);
-        return 0;
+        return;
     }
     gsn_simplex_cell_init(&cell, visit->corner, knot, space->degree);
     if (gsn_simplex_cell_misses(&cell, (1u << knots) - 1))
-        return 0;
+        return;
     memcpy(cell.clear, clear, sizeof clear);
-    if (space->general[tet])
-        gsn_simplex_mean(sets, knot, gsn_dms_pick_of(space, tet), &cell, mean);
+    gsn_simplex_pick(sets, knot, pick);
+    if (gsn_dms_is_general(sets, knot))
+        gsn_simplex_mean(sets, knot, pick, &cell, mean);
     else
-        pieces_means(space, tet, knot, &cell, mean);
+        pieces_means(sets, knot, pick, &cell, mean);
     for (size_t f = 0; f < sets->functions; f++)
         visit->mean += visit->spline->control[id[f]] * mean[f] *
                        fabs(gsn_simplex_det(&sets->set[sets->corners[f]], knot));
-    return 0;
 }
 
 int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret_mean,
@@ -98,13 +103,19 @@ int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret
     const struct gsn_dms *space = spline->space;
     double corner[4][3];
     struct visit visit = { .spline = spline, .corner = (const double(*)[3])corner };
+    struct gsn_ascent ascent;
 
     if (tet >= space->mesh->tet_count)
         return gsn_fail(err, GSN_E_INPUT, "tetrahedron %zu of %zu", tet, space->mesh->tet_count);
     for (int k = 0; k < 4; k++)
         memcpy(corner[k], space->mesh->vertex[space->mesh->tet[tet][k]], sizeof corner[k]);
-    for (size_t i = space->reach_start[tet]; i < space->reach_start[tet + 1]; i++)
-        (void)add_tet(&visit, space->reach[i] >> 4);
+    visit.box = gsn_box_around((const double(*)[3])corner, 4);
+    gsn_ascent_begin(&ascent);
+    do {
+        gsn_dms_reaching(space, tet, &ascent);
+        for (size_t i = 0; i < ascent.count; i++)
+            add_tet(&visit, ascent.item[i]);
+    } while (gsn_ascent_next(&ascent));
     *ret_mean = visit.mean;
     return GSN_OK;
 }
@@ -112,23 +123,24 @@ int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret
 int gsn_spline_cell_mean(const struct gsn_spline *spline, const double cell[4][3], double *ret_mean,
                          struct gsn_error *err)
 {
-    struct visit visit = { .spline = spline, .corner = cell };
-    struct gsn_box box;
+    struct visit visit = { .spline = spline, .corner = cell, .box = gsn_box_around(cell, 4) };
+    struct gsn_ascent ascent;
 
-    memcpy(box.low, cell[0], sizeof box.low);
-    memcpy(box.high, cell[0], sizeof box.high);
     for (int i = 0; i < 4; i++) {
         for (int c = 0; c < 3; c++) {
             if (!isfinite(cell[i][c]))
                 return gsn_fail(err, GSN_E_INPUT, "corner %d of the cell is not finite", i);
-            box.low[c] = fmin(box.low[c], cell[i][c]);
-            box.high[c] = fmax(box.high[c], cell[i][c]);
         }
     }
     if (gsn_orient3d(cell[0], cell[1], cell[2], cell[3]) == 0 ||
         gsn_det(cell[0], cell[1], cell[2], cell[3]) == 0)
         return gsn_fail(err, GSN_E_INPUT, "the cell is flat");
-    (void)gsn_bins_meeting(spline->space->bins, &box, add_tet, &visit);
+    gsn_ascent_begin(&ascent);
+    do {
+        (void)gsn_boxtree_meeting(spline->space->tree, &visit.box, gsn_ascent_add, &ascent);
+        for (size_t i = 0; i < ascent.count; i++)
+            add_tet(&visit, ascent.item[i]);
+    } while (gsn_ascent_next(&ascent));
     *ret_mean = visit.mean;
     return GSN_OK;
 }

@@ -100,13 +100,18 @@ void gsn_spline_residual(const struct gsn_spline *spline, size_t tet, double *re
 {
     const struct gsn_dms *space = spline->space;
     struct home home = { .spline = spline, .tet = tet };
+    struct gsn_ascent ascent;
 
     gsn_dms_gather(space, tet, home.knot);
     gsn_spline_gather(spline, tet, home.control);
-    for (size_t i = space->reach_start[tet]; i < space->reach_start[tet + 1]; i++) {
-        if (space->reach[i] >> 4 != tet)
-            add_foreign(&home, space->reach[i] >> 4);
-    }
+    gsn_ascent_begin(&ascent);
+    do {
+        gsn_dms_reaching(space, tet, &ascent);
+        for (size_t i = 0; i < ascent.count; i++) {
+            if (ascent.item[i] != tet)
+                add_foreign(&home, ascent.item[i]);
+        }
+    } while (gsn_ascent_next(&ascent));
     if (!space->whole[tet])
         bound_apart(&home);
     *ret_low = home.low;

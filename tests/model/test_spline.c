@@ -152,24 +152,27 @@ TEST(the_polynomial_and_the_recurrence_agree_across_the_edge_of_the_core)
     for (unsigned degree = 1; degree <= 3; degree++) {
         gsn_auto(gsn_dms) space = kuhn_space(SMALL, 0.2, degree, 0.05, GSN_DMS_SHARED);
         const size_t tet = 17;
-        const struct gsn_dms_shape *shape = &space->shape[tet];
+        struct gsn_dms_shape shape;
+        uint16_t pick[GSN_SIMPLEX_MAX_LARGE];
         double knot[GSN_SIMPLEX_MAX_KNOTS][3];
 
         gsn_dms_gather(space, tet, knot);
+        gsn_dms_shape_of(space, tet, &shape);
+        gsn_simplex_pick(space->sets, (const double(*)[3])knot, pick);
         for (int k = 0; k < 4; k++) {
             for (int above = 0; above < 5; above++) {
                 double lambda[4], u[3] = { 0 }, patch[20], simplex[20], slope[20][3], exact[20][3];
 
                 for (int j = 0; j < 4; j++)
-                    lambda[j] = (1 - shape->high[k] - above * 1e-7) / 3;
-                lambda[k] = shape->high[k] + above * 1e-7;
+                    lambda[j] = (1 - shape.high[k] - above * 1e-7) / 3;
+                lambda[k] = shape.high[k] + above * 1e-7;
                 for (int j = 0; j < 4; j++) {
                     for (int c = 0; c < 3; c++)
                         u[c] += lambda[j] * knot[j * (int)(degree + 1)][c];
                 }
                 gsn_bpatch_basis(degree, (const double(*)[3])knot, u, patch, slope);
-                gsn_simplex_basis(space->sets, (const double(*)[3])knot,
-                                  gsn_dms_pick_of(space, tet), u, 0, simplex, exact);
+                gsn_simplex_basis(space->sets, (const double(*)[3])knot, pick, u, 0, simplex,
+                                  exact);
                 for (size_t f = 0; f < space->sets->functions; f++) {
                     CHECK_NEAR(patch[f], simplex[f], 1e-12);
                     for (int c = 0; c < 3; c++)
@@ -480,9 +483,10 @@ static void check_residual(struct made *made, uint64_t *seed)
     const struct gsn_tets *mesh = gsn_dms_mesh(made->space);
 
     for (size_t t = 0; t < mesh->tet_count; t++) {
-        const struct gsn_frame *frame = &made->space->shape[t].frame;
+        struct gsn_dms_shape shape;
         double bernstein[20], low, high;
 
+        gsn_dms_shape_of(made->space, t, &shape);
         gsn_spline_bernstein(made->spline, t, bernstein);
         gsn_spline_residual(made->spline, t, &low, &high);
         CHECK(low <= 0 && high >= 0);
@@ -493,9 +497,9 @@ static void check_residual(struct made *made, uint64_t *seed)
             draw_anywhere(mesh, t, seed, u);
             if (gsn_spline_eval(made->spline, u, &hint, &value, NULL) != GSN_OK || hint != t)
                 continue;
-            gsn_frame_at(frame, u, lambda);
-            off = value -
-                  gsn_bernstein_at(gsn_dms_degree(made->space), bernstein, frame, lambda, NULL);
+            gsn_frame_at(&shape.frame, u, lambda);
+            off = value - gsn_bernstein_at(gsn_dms_degree(made->space), bernstein, &shape.frame,
+                                           lambda, NULL);
             CHECK(off >= low - 1e-12 && off <= high + 1e-12);
         }
     }

@@ -49,9 +49,11 @@ struct gsn_seam_tables {
     const uint16_t *leaf_mask;       /* its knots, a bit each */
     const uint16_t *base, *base_end; /* of a node: the leaves that W may be */
     const struct gsn_seam_weight *weight;
-    const uint8_t *child;   /* of a weight: the set without its knot. Leaves, then nodes */
     const uint8_t *corners; /* the plane of X_g */
-    const uint8_t *set;     /* T_g, numbered likewise */
+    /* Of a set, leaves first, then nodes: the weights that lead to it, and the number of the g with
+     * T_g, or that of all. */
+    const uint16_t *parent, *parent_end;
+    const uint8_t *gamma;
 };
 
 #ifdef __cplusplus

@@ -11,6 +11,7 @@ struct part {
     const struct gsn_seam *seam;
     unsigned leaf;
     struct gsn_frame cell; /* all in the axes of the face */
+    uint8_t poly[GSN_SEAM_MAX_SETS], rest[GSN_SEAM_MAX_SETS];
 };
 
 static double affine_at(const double function[4], const double u[3])
@@ -31,41 +32,43 @@ static double jump_at(const double *c, unsigned degree, const double u[3])
     return sum;
 }
 
-/* D_g plane_g where the set is T_g, 0 where it is none. */
-static double own_factor(const struct gsn_seam *seam, unsigned set, const double u[3])
+/* What M(set) is multiplied by in the sum of the face: downwards from the T_g, each of which brings
+ * D_g plane_g, to the leaves. */
+static double factor(const struct part *part, unsigned set, const double u[3])
 {
-    const unsigned top = seam->prism->top;
-    const double *poly = seam->data.poly;
-    unsigned g = 0;
-
-    for (unsigned m = 1; m <= top; m++) {
-        const unsigned degree = seam->degree - m;
-
-        for (unsigned i = 0; i < (m + 1) * (m + 2) / 2; i++, g++) {
-            if (seam->tables->set[g] == set)
-                return jump_at(poly, degree, u) *
-                       affine_at(seam->data.plane[seam->tables->corners[g]], u);
-            poly += gsn_simplex_count(degree);
-        }
-    }
-    return 0;
-}
-
-/* What M(set) is multiplied by in the sum of the face: downwards, from the T_g to the leaves. */
-static double factor(const struct gsn_seam *seam, unsigned set, const double u[3])
-{
+    const struct gsn_seam *seam = part->seam;
     const struct gsn_seam_tables *tables = seam->tables;
-    double sum = own_factor(seam, set, u);
+    const unsigned gamma = tables->gamma[set];
+    double sum = 0;
 
-    for (unsigned w = 0; w < tables->weights[1]; w++) {
-        const double *weight = seam->data.weight[w];
+    if (gamma < gsn_seam_sets(seam->prism->top))
+        sum = jump_at(&seam->data.poly[part->poly[gamma]], part->rest[gamma], u) *
+              affine_at(seam->data.plane[tables->corners[gamma]], u);
+    for (unsigned i = set ? tables->parent_end[set - 1] : 0; i < tables->parent_end[set]; i++) {
+        const unsigned w = tables->parent[i];
+        const double weight = affine_at(seam->data.weight[w], u);
 
-        if (tables->child[w] != set ||
-            (weight[0] == 0 && weight[1] == 0 && weight[2] == 0 && weight[3] == 0))
-            continue;
-        sum += affine_at(weight, u) * factor(seam, tables->leaves[1] + tables->weight[w].node, u);
+        if (weight != 0)
+            sum += weight * factor(part, tables->leaves[1] + tables->weight[w].node, u);
     }
     return sum;
+}
+
+/* Where the jumps begin, and their degrees. */
+static void find_jumps(struct part *part)
+{
+    unsigned gamma = 0;
+    size_t next = 0;
+
+    for (unsigned m = 1; m <= part->seam->prism->top; m++) {
+        const unsigned rest = part->seam->degree - m;
+
+        for (unsigned i = 0; i < (m + 1) * (m + 2) / 2; i++, gamma++) {
+            part->poly[gamma] = (uint8_t)next;
+            part->rest[gamma] = (uint8_t)rest;
+            next += gsn_simplex_count(rest);
+        }
+    }
 }
 
 /* Over a piece that lies in the cell, by rules that are exact for degree 2 (Hammer, Marlowe and
@@ -85,7 +88,7 @@ static double integrate(const struct part *part, const double (*corner)[3])
 
             u[c] = i == 4 ? all / 4 : far * all + (near - far) * corner[i][c];
         }
-        sum += (i == 4 ? -0.8 : cubic ? 0.45 : 0.25) * factor(part->seam, part->leaf, u);
+        sum += (i == 4 ? -0.8 : cubic ? 0.45 : 0.25) * factor(part, part->leaf, u);
     }
     return volume * sum;
 }
@@ -118,32 +121,58 @@ static double clip(const struct part *part, unsigned face, const double (*corner
     return sum + clip(part, face, (const double(*)[3])piece);
 }
 
-double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3])
+/* A bit per face of the cell that a knot lies beyond. */
+static unsigned beyond(const struct part *part, const double knot[3])
 {
-    const struct gsn_prism *prism = seam->prism;
-    struct part part = { .seam = seam };
-    double cell[4][3], sum = 0;
+    double lambda[4];
+    unsigned faces = 0;
 
-    gsn_seam_complete(seam);
+    gsn_frame_at(&part->cell, knot, lambda);
+    for (int k = 0; k < 4; k++)
+        faces |= (unsigned)(lambda[k] < 0) << k;
+    return faces;
+}
+
+/* The corners of the cell in the axes of the face. */
+static void part_init(struct part *part, const struct gsn_seam *seam, const double (*corner)[3])
+{
+    double cell[4][3];
+
+    part->seam = seam;
+    find_jumps(part);
     for (int k = 0; k < 4; k++) {
         double d[3];
 
-        gsn_subtract(corner[k], prism->origin, d);
+        gsn_subtract(corner[k], seam->prism->origin, d);
         for (int c = 0; c < 3; c++)
-            cell[k][c] = gsn_dot(prism->turn[c], d);
+            cell[k][c] = gsn_dot(seam->prism->turn[c], d);
     }
-    gsn_frame_init(&part.cell, cell[0], cell[1], cell[2], cell[3]);
-    for (unsigned l = 0; l < seam->tables->leaves[1]; l++) {
-        double knot[4][3];
+    gsn_frame_init(&part->cell, cell[0], cell[1], cell[2], cell[3]);
+}
 
-        if (seam->data.leaf[l] == 0)
+double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3])
+{
+    double knot[GSN_SEAM_MAX_KNOTS][3], sum = 0;
+    unsigned off[GSN_SEAM_MAX_KNOTS];
+    struct part part;
+
+    gsn_seam_complete(seam);
+    part_init(&part, seam, corner);
+    for (unsigned i = 0; i < seam->tables->knots; i++) {
+        for (int c = 0; c < 3; c++)
+            knot[i][c] = seam->prism->at[c][i];
+        off[i] = beyond(&part, knot[i]);
+    }
+    for (unsigned l = 0; l < seam->tables->leaves[1]; l++) {
+        const uint8_t *m = seam->tables->leaf[l];
+        double own[4][3];
+
+        if (seam->data.leaf[l] == 0 || off[m[0]] & off[m[1]] & off[m[2]] & off[m[3]])
             continue;
-        for (int i = 0; i < 4; i++) {
-            for (int c = 0; c < 3; c++)
-                knot[i][c] = prism->at[c][seam->tables->leaf[l][i]];
-        }
+        for (int i = 0; i < 4; i++)
+            memcpy(own[i], knot[m[i]], sizeof own[i]);
         part.leaf = l;
-        sum += seam->data.leaf[l] * clip(&part, 0, (const double(*)[3])knot);
+        sum += seam->data.leaf[l] * clip(&part, 0, (const double(*)[3])own);
     }
     return sum;
 }

@@ -99,12 +99,6 @@ class Face:
             if self.corners(gamma) not in self.planes:
                 self.planes.append(self.corners(gamma))
 
-    def number(self, knots):
-        """Of a set: its leaf, or after those its node."""
-        if len(knots) == 4:
-            return self.leaves.index(knots)
-        return len(self.leaves) + self.nodes.index(knots)
-
     def leaf_planes(self, leaf):
         """The planes opposite the four knots."""
         return [self.planes.index(leaf[:i] + leaf[i + 1:]) for i in range(4)]
@@ -158,12 +152,18 @@ def write_tables():
         array("uint16_t", name + "base_end", ends)
         array("struct gsn_seam_weight", name + "weight",
               [(face.nodes.index(knots), knots[i]) for knots, i in face.weights])
-        array("uint8_t", name + "child", [face.number(knots[:knots.index(k)] +
-                                                      knots[knots.index(k) + 1:])
-                                          for knots, i in face.weights for k in (knots[i],)])
+        parents, ends = [], []
+        for child in face.leaves + face.nodes:
+            parents += [w for w, (knots, i) in enumerate(face.weights)
+                        if knots[:i] + knots[i + 1:] == child]
+            ends.append(len(parents))
+        array("uint16_t", name + "parent", parents)
+        array("uint16_t", name + "parent_end", ends)
         array("uint8_t", name + "corners",
               [face.planes.index(face.corners(g)) for g in gammas(top)])
-        array("uint8_t", name + "set", [face.number(face.of_gamma(g)) for g in gammas(top)])
+        sets = [face.of_gamma(g) for g in gammas(top)]
+        array("uint8_t", name + "gamma",
+              [sets.index(s) if s in sets else len(sets) for s in face.leaves + face.nodes])
     print("static const struct gsn_seam_tables gsn_seam_tables[%d] = {" % len(TOPS))
     for top, face in faces.items():
         name = "top%d_" % top
@@ -174,7 +174,7 @@ def write_tables():
         print("      .minuend = { %sminuend1, %sminuend2 }," % (name, name))
         print("      .subtrahend = { %ssubtrahend1, %ssubtrahend2 }," % (name, name))
         for field in ("triple", "leaf", "leaf_mask", "leaf_plane", "leaf_row", "base", "base_end", "weight",
-                      "child", "corners", "set"):
+                      "parent", "parent_end", "gamma", "corners"):
             print("      .%s = %s%s," % (field, name, field))
         print("    },")
     print("};")

@@ -97,29 +97,6 @@ static void add_tet(struct visit *visit, uint32_t tet)
                        fabs(gsn_simplex_det(&sets->set[sets->corners[f]], knot));
 }
 
-int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret_mean,
-                        struct gsn_error *err)
-{
-    const struct gsn_dms *space = spline->space;
-    double corner[4][3];
-    struct visit visit = { .spline = spline, .corner = (const double(*)[3])corner };
-    struct gsn_ascent ascent;
-
-    if (tet >= space->mesh->tet_count)
-        return gsn_fail(err, GSN_E_INPUT, "tetrahedron %zu of %zu", tet, space->mesh->tet_count);
-    for (int k = 0; k < 4; k++)
-        memcpy(corner[k], space->mesh->vertex[space->mesh->tet[tet][k]], sizeof corner[k]);
-    visit.box = gsn_box_around((const double(*)[3])corner, 4);
-    gsn_ascent_begin(&ascent);
-    do {
-        gsn_dms_reaching(space, tet, &ascent);
-        for (size_t i = 0; i < ascent.count; i++)
-            add_tet(&visit, ascent.item[i]);
-    } while (gsn_ascent_next(&ascent));
-    *ret_mean = visit.mean;
-    return GSN_OK;
-}
-
 int gsn_spline_cell_mean(const struct gsn_spline *spline, const double cell[4][3], double *ret_mean,
                          struct gsn_error *err)
 {

@@ -34,7 +34,7 @@ int gsn_dms_tet_basis(const struct gsn_dms *space, size_t tet, const double u[3]
         gsn_bpatch_basis(space->degree, knot, u, ret_value, ret_gradient);
         return 1;
     }
-    gsn_simplex_pick(space->sets, knot, pick);
+    (void)gsn_simplex_pick(space->sets, knot, pick);
     gsn_simplex_basis(space->sets, knot, pick, u, clear, ret_value, ret_gradient);
     return 1;
 }

@@ -16,36 +16,62 @@ struct search {
     struct gsn_ascent *ascent;
 };
 
-/* Whether a face plane of home has all knots of the other beyond it. */
-static int is_beyond_home(const struct search *search, const double (*knot)[3], unsigned knots)
+/* Which corner of a tetrahedron vertex v is; 4 when it is none. The coordinates of shared vertices
+ * are exactly 0 and 1, however they round. */
+static unsigned corner_of(const struct gsn_tets *mesh, size_t tet, uint32_t v)
 {
+    const uint32_t *corner = mesh->tet[tet];
+    unsigned k = 0;
+
+    while (k < 4 && corner[k] != v)
+        k++;
+    return k;
+}
+
+/* Whether a face plane of home has all knots of the other beyond it, or in it at shared vertices.
+ */
+static int is_beyond_home(const struct search *search, size_t other, const double (*knot)[3])
+{
+    const struct gsn_tets *mesh = search->space->mesh;
+    const unsigned per_cloud = search->space->degree + 1;
     unsigned beyond = GSN_DMS_ALL;
 
-    for (unsigned i = 0; beyond && i < knots; i++) {
-        double lambda[4];
+    for (unsigned c = 0; c < 4; c++) {
+        const unsigned shared = corner_of(mesh, search->home, mesh->tet[other][c]);
 
-        gsn_frame_at(&search->frame, knot[i], lambda);
-        for (unsigned k = 0; k < 4; k++) {
-            if (!(lambda[k] < -GSN_DMS_SLACK))
-                beyond &= ~(1u << k);
+        if (shared < 4)
+            beyond &= ~(1u << shared);
+        for (unsigned i = c * per_cloud + (shared < 4); beyond && i < (c + 1) * per_cloud; i++) {
+            double lambda[4];
+
+            gsn_frame_at(&search->frame, knot[i], lambda);
+            for (unsigned k = 0; k < 4; k++) {
+                if (!(lambda[k] < -GSN_DMS_SLACK))
+                    beyond &= ~(1u << k);
+            }
         }
     }
     return beyond != 0;
 }
 
-/* Whether home lies all beyond the knots of the other, seen through one of the other's faces. */
+/* Whether home lies all beyond the knots of the other, seen through one of the other's faces,
+ * shared vertices apart where no knot is beyond that face. */
 static int is_beyond_other(const struct search *search, size_t other)
 {
+    const struct gsn_tets *mesh = search->space->mesh;
     struct gsn_dms_shape shape;
     unsigned beyond = GSN_DMS_ALL;
 
     gsn_dms_shape_of(search->space, other, &shape);
     for (int i = 0; beyond && i < 4; i++) {
+        const unsigned shared = corner_of(mesh, other, mesh->tet[search->home][i]);
         double lambda[4];
 
         gsn_frame_at(&shape.frame, search->corner[i], lambda);
         for (unsigned k = 0; k < 4; k++) {
-            if (!(lambda[k] < shape.low[k] - GSN_DMS_SLACK))
+            const int touches = shared < 4 && shared != k && shape.low[k] == 0;
+
+            if (!touches && !(lambda[k] < shape.low[k] - GSN_DMS_SLACK))
                 beyond &= ~(1u << k);
         }
     }
@@ -55,7 +81,6 @@ static int is_beyond_other(const struct search *search, size_t other)
 static int consider(void *context, uint32_t other)
 {
     struct search *search = context;
-    const unsigned knots = 4 * (search->space->degree + 1);
     double own[GSN_SIMPLEX_MAX_KNOTS][3];
     const double(*knot)[3] = (const double(*)[3])own;
     struct gsn_box box;
@@ -63,8 +88,8 @@ static int consider(void *context, uint32_t other)
     if (other == search->home)
         return gsn_ascent_add(search->ascent, other);
     gsn_dms_gather(search->space, other, own);
-    box = gsn_box_around(knot, knots);
-    if (!gsn_box_meets(&box, &search->box) || is_beyond_home(search, knot, knots) ||
+    box = gsn_box_around(knot, 4 * (search->space->degree + 1));
+    if (!gsn_box_meets(&box, &search->box) || is_beyond_home(search, other, knot) ||
         is_beyond_other(search, other))
         return 0;
     return gsn_ascent_add(search->ascent, other);

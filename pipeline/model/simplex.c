@@ -17,7 +17,7 @@ static const int swap[4] = { -1, 1, -1, 1 };
 /* Row i of the determinant of ascending knots: knot i less the knot before it when both are of one
  * cloud, less the first one otherwise. */
 static inline void row(const struct gsn_simplex_set *set, unsigned i, const double (*knot)[3],
-                double ret[3])
+                       double ret[3])
 {
     const unsigned from = set->cloud[i] == set->cloud[i - 1] ? i - 1 : 0;
 
@@ -48,11 +48,11 @@ double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[
     return gsn_dot(normal, r);
 }
 
-/* |det| of every set of four, from the normals of the triples. */
-static void measure_quads(const struct gsn_simplex_sets *sets, const double (*knot)[3],
-                          double *ret_size)
+/* |det| of every set of four, from the normals of the triples; returns the least. */
+static double measure_quads(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                            double *ret_size)
 {
-    double normal[GSN_SIMPLEX_MAX_TRIPLES][3];
+    double normal[GSN_SIMPLEX_MAX_TRIPLES][3], least = INFINITY;
 
     for (size_t s = sets->first[3]; s < sets->first[2]; s++)
         gsn_simplex_normal(&sets->set[s], knot, normal[s - sets->first[3]], NULL);
@@ -61,18 +61,21 @@ static void measure_quads(const struct gsn_simplex_sets *sets, const double (*kn
         double r[3];
 
         row(quad, 3, knot, r);
-        *ret_size++ = fabs(gsn_dot(normal[quad->without[3] - sets->first[3]], r));
+        *ret_size = fabs(gsn_dot(normal[quad->without[3] - sets->first[3]], r));
+        least = *ret_size < least ? *ret_size : least;
+        ret_size++;
     }
+    return least;
 }
 
-void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
-                      uint16_t *ret_pick)
+double gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                        uint16_t *ret_pick)
 {
     const size_t first = sets->first[4];
     /* Of a set of four its |det|, of a larger one the greatest of its sets of four. */
     double size[GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
+    const double least = measure_quads(sets, knot, &size[first]);
 
-    measure_quads(sets, knot, &size[first]);
     for (size_t s = first; s-- > 0;) {
         const struct gsn_simplex_set *set = &sets->set[s];
         size_t i = sets->quads[s + 1];
@@ -88,6 +91,7 @@ void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[
         while (size[sets->quad[i]] < NEARLY * largest);
         ret_pick[s] = sets->quad[i];
     }
+    return least;
 }
 
 /* Sorts the four clouds by the distance of their first knot from u. */

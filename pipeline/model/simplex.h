@@ -30,9 +30,9 @@ void gsn_simplex_normal(const struct gsn_simplex_set *triple, const double (*kno
                         double ret_normal[3], double *ret_permanent);
 
 /* Chooses W, as the number of a set of four, for each of the sets->first[4] sets that have more
- * than four knots. */
-void gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
-                      uint16_t *ret_pick);
+ * than four knots. Returns the least |det| of all sets of four. */
+double gsn_simplex_pick(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                        uint16_t *ret_pick);
 
 /* The plane through a knot triple a < b < c as seen from u. */
 struct gsn_simplex_plane {

@@ -19,6 +19,8 @@ enum {
 /* As in simplex.c: lambda of member i of a quad is swap[i] * plane value of the others / det. */
 static const int swap[4] = { -1, 1, -1, 1 };
 
+enum { UNKNOWN, NO, YES };
+
 /* The plane of a knot triple as seen from the four corners of the cell; 0 is exactly 0. */
 struct plane {
     double value[4];
@@ -34,6 +36,8 @@ struct mean {
     double distance2[GSN_SIMPLEX_MAX_KNOTS][4]; /* of a knot from a corner of the cell, squared */
     uint8_t knows_det[GSN_SIMPLEX_MAX_QUADS];
     double det[GSN_SIMPLEX_MAX_QUADS];
+    uint8_t beside[GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS]; /* gsn_simplex_cell_misses() */
+    unsigned clear[WHOLE + 1];                                     /* of all corners of a simplex */
     uint8_t knows_value[WHOLE + 1][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
     struct plane plane[GSN_SIMPLEX_MAX_TRIPLES];
     double value[WHOLE + 1][GSN_SIMPLEX_MAX_LARGE + GSN_SIMPLEX_MAX_QUADS];
@@ -258,16 +262,13 @@ static double integral_of(int n)
     return 1.0 / ((n + 1) * (n + 2) * (n + 3));
 }
 
-static int vanishes(const struct gsn_simplex_cell *cell, unsigned simplex,
-                    const struct gsn_simplex_set *set)
+static int vanishes(struct mean *mean, unsigned simplex, size_t s)
 {
-    unsigned clear = set->missing;
+    const struct gsn_simplex_set *set = &mean->sets->set[s];
 
-    for (int v = 0; v < 4; v++) {
-        if (simplex >> v & 1)
-            clear &= cell->clear[v];
-    }
-    return clear || gsn_simplex_cell_misses(cell, set->mask);
+    if (mean->beside[s] == UNKNOWN)
+        mean->beside[s] = gsn_simplex_cell_misses(mean->cell, set->mask) ? YES : NO;
+    return mean->beside[s] == YES || set->missing & mean->clear[simplex];
 }
 
 static double value_of(struct mean *mean, unsigned simplex, size_t s)
@@ -278,7 +279,7 @@ static double value_of(struct mean *mean, unsigned simplex, size_t s)
     if (mean->knows_value[simplex][s])
         return *value;
     mean->knows_value[simplex][s] = 1;
-    if (vanishes(mean->cell, simplex, set))
+    if (vanishes(mean, simplex, s))
         *value = 0;
     else if (simplex == WHOLE && !(set->mask & ~mean->cell->within))
         *value = integral_of(set->size - 4) / mean->cell->volume;
@@ -300,6 +301,11 @@ void gsn_simplex_mean(const struct gsn_simplex_sets *sets, const double (*knot)[
     mean.cell = cell;
     memset(mean.knows_plane, 0, sizeof mean.knows_plane);
     memset(mean.knows_det, 0, sizeof mean.knows_det);
+    memset(mean.beside, UNKNOWN, sizeof mean.beside);
+    mean.clear[0] = WHOLE;
+    for (unsigned simplex = 1; simplex <= WHOLE; simplex++)
+        mean.clear[simplex] =
+            mean.clear[simplex & (simplex - 1)] & cell->clear[__builtin_ctz(simplex)];
     for (unsigned i = 0; i < 4 * (sets->degree + 1); i++) {
         for (int v = 0; v < 4; v++)
             mean.distance2[i][v] = distance2(knot[i], cell->corner[v]);
@@ -318,7 +324,7 @@ struct face {
     int inner; /* side of the fourth corner */
 };
 
-static int side_of(const struct face *face, const double v[3])
+static inline int side_of(const struct face *face, const double v[3])
 {
     double r[3], value;
 
@@ -326,6 +332,10 @@ static int side_of(const struct face *face, const double v[3])
     value = gsn_dot(face->normal, r);
     if (fabs(value) > GSN_ORIENT_BOUND * uncertainty(face->permanent, r))
         return value > 0 ? 1 : -1;
+    for (int i = 0; i < 3; i++) {
+        if (v[0] == face->at[i][0] && v[1] == face->at[i][1] && v[2] == face->at[i][2])
+            return 0;
+    }
     return gsn_orient3d(face->at[0], face->at[1], face->at[2], v);
 }
 

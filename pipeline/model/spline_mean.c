@@ -73,6 +73,7 @@ static void add_tet(struct visit *visit, uint32_t tet)
     uint16_t pick[GSN_SIMPLEX_MAX_LARGE];
     struct gsn_simplex_cell cell;
     struct gsn_box box;
+    double flat = 6 * GSN_ORIENT_BOUND;
     unsigned clear[4];
 
     gsn_dms_gather(space, tet, own);
@@ -83,12 +84,14 @@ static void add_tet(struct visit *visit, uint32_t tet)
         visit->mean += core_mean(visit->spline, tet, knot, visit->corner);
         return;
     }
+    /* A determinant that rounding alone can make has six products, each at most this box. */
+    for (int c = 0; c < 3; c++)
+        flat *= box.high[c] - box.low[c];
     gsn_simplex_cell_init(&cell, visit->corner, knot, space->degree);
     if (gsn_simplex_cell_misses(&cell, (1u << knots) - 1))
         return;
     memcpy(cell.clear, clear, sizeof clear);
-    gsn_simplex_pick(sets, knot, pick);
-    if (gsn_dms_is_general(sets, knot))
+    if (gsn_simplex_pick(sets, knot, pick) > flat || gsn_dms_is_general(sets, knot))
         gsn_simplex_mean(sets, knot, pick, &cell, mean);
     else
         pieces_means(sets, knot, pick, &cell, mean);

@@ -158,7 +158,7 @@ TEST(the_polynomial_and_the_recurrence_agree_across_the_edge_of_the_core)
 
         gsn_dms_gather(space, tet, knot);
         gsn_dms_shape_of(space, tet, &shape);
-        gsn_simplex_pick(space->sets, (const double(*)[3])knot, pick);
+        (void)gsn_simplex_pick(space->sets, (const double(*)[3])knot, pick);
         for (int k = 0; k < 4; k++) {
             for (int above = 0; above < 5; above++) {
                 double lambda[4], u[3] = { 0 }, patch[20], simplex[20], slope[20][3], exact[20][3];

@@ -248,6 +248,103 @@ void gsn_simplex_gradient(struct gsn_simplex_at *at, size_t s, double ret_gradie
     }
 }
 
+void gsn_simplex_hessian(struct gsn_simplex_at *at, size_t s, double ret_hessian[6])
+{
+    const struct gsn_simplex_set *set = &at->sets->set[s];
+    const struct gsn_simplex_set *w;
+    double det, sum[3][3] = { { 0 } };
+    int n = 0;
+
+    memset(ret_hessian, 0, 6 * sizeof *ret_hessian);
+    if (set->size <= 5 || set->missing & at->clear)
+        return;
+    w = &at->sets->set[at->pick[s]];
+    det = det_of(at, at->pick[s]);
+    for (unsigned i = 0, m = 0; i < 4 && det != 0; i++) {
+        const double weight = swap[i] * (set->size - 4) / det;
+        const double *normal = plane_of(at, w->without[i])->normal;
+        double slope[3];
+
+        while (set->member[m] != w->member[i])
+            m++;
+        gsn_simplex_gradient(at, set->without[m], slope);
+        for (int r = 0; r < 3; r++) {
+            for (int c = 0; c < 3; c++)
+                sum[r][c] += weight * normal[r] * slope[c];
+        }
+    }
+    for (int r = 0; r < 3; r++) {
+        for (int c = r; c < 3; c++)
+            ret_hessian[n++] = (sum[r][c] + sum[c][r]) / 2;
+    }
+}
+
+/* M(u | the set s with its knot t counted twice). Four of these knots that hold t twice are flat:
+ * they are never W, and 0 in degree 0. So W is that of s itself; taking t away once leaves s, and
+ * below five knots that is all there is. */
+static double doubled(struct gsn_simplex_at *at, size_t s, unsigned t)
+{
+    const struct gsn_simplex_set *set = &at->sets->set[s];
+    const size_t pick = set->size > 4 ? at->pick[s] : s;
+    const struct gsn_simplex_set *w = &at->sets->set[pick];
+    const double det = det_of(at, pick);
+    double sum = 0;
+
+    if (set->missing & at->clear)
+        return 0;
+    for (unsigned i = 0, m = 0; i < 4 && det != 0; i++) {
+        double part = 0;
+
+        while (set->member[m] != w->member[i])
+            m++;
+        if (w->member[i] == t)
+            part = gsn_simplex_value(at, s);
+        else if (set->size > 4)
+            part = doubled(at, set->without[m], t);
+        if (part != 0)
+            sum += swap[i] * plane_of(at, w->without[i])->value / det * part;
+    }
+    return sum;
+}
+
+/* ret += weight * the gradient of the barycentric coordinate of member i of a quad. */
+static void add_slope(struct gsn_simplex_at *at, size_t quad, unsigned i, double weight,
+                      double ret[3])
+{
+    const struct gsn_simplex_set *set = &at->sets->set[quad];
+    const double *normal = plane_of(at, set->without[i])->normal;
+    const double det = det_of(at, quad);
+
+    for (int c = 0; c < 3 && det != 0; c++)
+        ret[c] += swap[i] * weight / det * normal[c];
+}
+
+void gsn_simplex_knot_gradient(struct gsn_simplex_at *at, size_t function, unsigned t,
+                               double ret_gradient[3])
+{
+    const struct gsn_simplex_set *set = &at->sets->set[function];
+    const struct gsn_simplex_set *w = &at->sets->set[at->pick[function]];
+    const size_t corners = at->sets->corners[function];
+    const double size = fabs(det_of(at, corners));
+
+    ret_gradient[0] = ret_gradient[1] = ret_gradient[2] = 0;
+    if (!(set->mask >> t & 1) || set->missing & at->clear)
+        return;
+    for (unsigned i = 0, m = 0; i < 4; i++) {
+        double part;
+
+        while (set->member[m] != w->member[i])
+            m++;
+        part =
+            w->member[i] == t ? gsn_simplex_value(at, function) : doubled(at, set->without[m], t);
+        add_slope(at, at->pick[function], i, -size * part, ret_gradient);
+    }
+    for (unsigned i = 0; i < 4; i++) {
+        if (at->sets->set[corners].member[i] == t)
+            add_slope(at, corners, i, size * gsn_simplex_value(at, function), ret_gradient);
+    }
+}
+
 void gsn_simplex_basis(const struct gsn_simplex_sets *sets, const double (*knot)[3],
                        const uint16_t *pick, const double u[3], unsigned clear, double *ret_value,
                        double (*ret_gradient)[3])
@@ -264,5 +361,19 @@ void gsn_simplex_basis(const struct gsn_simplex_sets *sets, const double (*knot)
         gsn_simplex_gradient(&at, f, ret_gradient[f]);
         for (int c = 0; c < 3; c++)
             ret_gradient[f][c] *= size;
+    }
+}
+
+void gsn_simplex_basis_hessian(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                               const uint16_t *pick, const double u[3], unsigned clear,
+                               double (*ret_hessian)[6])
+{
+    struct gsn_simplex_at at;
+
+    gsn_simplex_at_init(&at, sets, knot, pick, u, clear);
+    for (size_t f = 0; f < sets->functions; f++) {
+        gsn_simplex_hessian(&at, f, ret_hessian[f]);
+        for (int i = 0; i < 6; i++)
+            ret_hessian[f][i] *= fabs(det_of(&at, sets->corners[f]));
     }
 }

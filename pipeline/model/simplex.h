@@ -4,7 +4,8 @@
  *
  *     M(u | V) = sum_j lambda_j(u | W) M(u | V \ k_j),      W four knots of V,
  *     M(u | V) = 1/|det V| inside the tetrahedron V, 0 outside     (degree 0),
- *     D_v M(u | V) = n sum_j mu_j(v | W) M(u | V \ k_j).
+ *     D_v M(u | V) = n sum_j mu_j(v | W) M(u | V \ k_j),
+ *     D_{t,v} M(u | V) = -1/(n + 1) D_v M(u | V + t)                (by a knot t of V).
  *
  * The value does not depend on W but its rounding error does: W has the largest |det|, or nearly
  * so where that lets more sets share subsets, chosen once per knot set whatever u is. Inside and
@@ -69,11 +70,29 @@ double gsn_simplex_value(struct gsn_simplex_at *at, size_t s);
 /* Its gradient; 0 for sets of four knots. */
 void gsn_simplex_gradient(struct gsn_simplex_at *at, size_t s, double ret_gradient[3]);
 
+/* Its second derivatives xx, xy, xz, yy, yz, zz, by the same formula applied twice; 0 for sets of
+ * five knots or fewer. On a knot plane they are the limit from the side of the half-open rule. */
+void gsn_simplex_hessian(struct gsn_simplex_at *at, size_t s, double ret_hessian[6]);
+
+/* The gradient of N_beta(u) of one function with respect to the place of knot t, equation (6)
+ * corrected:
+ *
+ *     D_{t,v} N = - |det X_beta| sum_m mu_m(v | W) M(u | (V_beta + t) \ k_m) + mu_t(v | X_beta) N,
+ *
+ * where t counts twice in V_beta + t, and the last term is there when t is a corner of X_beta. 0
+ * for knots outside V_beta. */
+void gsn_simplex_knot_gradient(struct gsn_simplex_at *at, size_t function, unsigned t,
+                               double ret_gradient[3]);
+
 /* Everything a tetrahedron contributes at u: N_beta = |det X_beta| M(V_beta) of all functions and,
  * unless ret_gradient is NULL, their gradients. */
 void gsn_simplex_basis(const struct gsn_simplex_sets *sets, const double (*knot)[3],
                        const uint16_t *pick, const double u[3], unsigned clear, double *ret_value,
                        double (*ret_gradient)[3]);
+/* The second derivatives of all N_beta, as in gsn_simplex_hessian(). */
+void gsn_simplex_basis_hessian(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                               const uint16_t *pick, const double u[3], unsigned clear,
+                               double (*ret_hessian)[6]);
 
 #ifdef __cplusplus
 }

@@ -5,16 +5,11 @@
 
 #include "pipeline/core/file.h"
 
+#include <dirent.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-
-static const char *const cases[] = {
-    "cube24_n1", "cube24_n2", "cube24_n3",         "cube5_n1",          "cube5_n2",
-    "cube5_n3",  "tet1_n1",   "tet1_n2",           "tet1_n3",           "tet2_n1",
-    "tet2_n2",   "tet2_n3",   "tet2_collapsed_n1", "tet2_collapsed_n2", "tet2_collapsed_n3",
-};
 
 const double *golden_row(const struct golden_table *table, size_t row)
 {
@@ -90,6 +85,15 @@ size_t golden_function(const struct gsn_dms *space, const double beta[4])
     return 0;
 }
 
+struct gsn_spline *golden_spline(const struct golden_case *golden)
+{
+    struct gsn_spline *spline = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_spline_new(golden->space, golden->control, &spline, &err), err);
+    return spline;
+}
+
 static void load(struct golden_case *golden)
 {
     struct golden_table knots = golden_read(golden, "knots");
@@ -137,30 +141,66 @@ static void load(struct golden_case *golden)
     golden_done(&control);
 }
 
-void golden_each(void (*test)(const struct golden_case *golden))
+static int has(const char *folder, const char *file)
+{
+    char path[1024];
+    struct stat there;
+
+    (void)snprintf(path, sizeof path, "%s/%s.csv", folder, file);
+    return stat(path, &there) == 0;
+}
+
+static void run_case(const char *folder, void (*test)(const struct golden_case *golden))
+{
+    struct golden_case golden = { 0 };
+
+    (void)snprintf(golden.folder, sizeof golden.folder, "%s", folder);
+    print_message("%s\n", folder);
+    load(&golden);
+    test(&golden);
+    gsn_dms_free(golden.space);
+    gsn_tets_free(golden.mesh);
+    gsn_free(golden.control);
+}
+
+/* Runs the cases in a folder and the folders in it; returns how many there were. */
+static size_t run_folder(const char *folder, const char *file,
+                         void (*test)(const struct golden_case *golden))
+{
+    struct dirent **entry;
+    const int entries = scandir(folder, &entry, NULL, alphasort);
+    size_t found = 0;
+
+    if (entries < 0) /* a file */
+        return 0;
+    if (has(folder, file) && has(folder, "knots")) {
+        run_case(folder, test);
+        found++;
+    }
+    for (int i = 0; i < entries; i++) {
+        char path[512];
+
+        (void)snprintf(path, sizeof path, "%s/%s", folder, entry[i]->d_name);
+        if (entry[i]->d_name[0] != '.')
+            found += run_folder(path, file, test);
+        free(entry[i]);
+    }
+    free(entry);
+    return found;
+}
+
+void golden_each(const char *file, void (*test)(const struct golden_case *golden))
 {
     const char *named = getenv("GIESON_GOLDEN");
-    const char *folder = named ? named : GSN_FIXTURES "/model/golden";
     struct stat there;
-    size_t found = 0;
 
     if (named && stat(named, &there) < 0) {
         print_message("skipped: GIESON_GOLDEN names %s, which does not exist\n", named);
         skip();
     }
-    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-        struct golden_case golden = { .collapsed = strstr(cases[i], "collapsed") != NULL };
-
-        (void)snprintf(golden.folder, sizeof golden.folder, "%s/%s", folder, cases[i]);
-        if (stat(golden.folder, &there) < 0)
-            continue;
-        found++;
-        print_message("%s\n", cases[i]);
-        load(&golden);
-        test(&golden);
-        gsn_dms_free(golden.space);
-        gsn_tets_free(golden.mesh);
-        gsn_free(golden.control);
-    }
-    CHECK(found > 0);
+    if (run_folder(named ? named : GSN_FIXTURES "/model/golden", file, test) > 0)
+        return;
+    CHECK(named);
+    print_message("skipped: no case of %s has a %s.csv\n", named, file);
+    skip();
 }

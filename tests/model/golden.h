@@ -5,7 +5,7 @@
 #ifndef GSN_TESTS_MODEL_GOLDEN_H
 #define GSN_TESTS_MODEL_GOLDEN_H
 
-#include "pipeline/model/dms.h"
+#include "pipeline/model/spline.h"
 
 /* Numbers row by row; a cell that is no number is NaN. kind is the second column as text. */
 struct golden_table {
@@ -23,16 +23,18 @@ struct golden_case {
     struct gsn_dms *space;
     double *control;
     unsigned degree;
-    int collapsed;
 };
 
-/* Runs test on every case there is; fails when there is none, skips loudly when $GIESON_GOLDEN
- * does not exist. */
-void golden_each(void (*test)(const struct golden_case *golden));
+/* Runs test on every case that has this file: folders of files at any depth. Fails when there is
+ * none, skips loudly when $GIESON_GOLDEN does not exist or has none. */
+void golden_each(const char *file, void (*test)(const struct golden_case *golden));
 
 /* gives: the table of one file of the case. */
 struct golden_table golden_read(const struct golden_case *golden, const char *file);
 void golden_done(struct golden_table *table);
+
+/* gives: the spline of a case. */
+struct gsn_spline *golden_spline(const struct golden_case *golden);
 
 /* The function of a space with this beta, given as numbers of a table. */
 size_t golden_function(const struct gsn_dms *space, const double beta[4]);

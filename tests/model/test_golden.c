@@ -2,8 +2,8 @@
 #include "tests/model/golden.h"
 
 #include "tests/check.h"
+#include "tests/model/formula.h"
 
-#include "pipeline/model/dms_internal.h"
 #include "pipeline/model/spline.h"
 
 #include <string.h>
@@ -36,7 +36,7 @@ static double largest_slope(const struct golden_table *spline)
     return largest;
 }
 
-/* Whatever the walk and the pruning decide: every tetrahedron asked by itself. */
+/* Whatever the walk, the pruning and the cores decide: every tetrahedron asked by itself. */
 static void check_recurrence(const struct golden_case *golden)
 {
     struct golden_table points = golden_read(golden, "points");
@@ -52,10 +52,7 @@ static void check_recurrence(const struct golden_case *golden)
         for (size_t t = 0; t < golden->mesh->tet_count; t++) {
             double value[GSN_DMS_MAX_FUNCTIONS], gradient[GSN_DMS_MAX_FUNCTIONS][3];
 
-            if (!gsn_dms_tet_basis(golden->space, t, golden_row(&points, p) + 2, value, gradient)) {
-                memset(value, 0, sizeof value);
-                memset(gradient, 0, sizeof gradient);
-            }
+            formula_basis(golden->space, t, golden_row(&points, p) + 2, value, gradient, NULL);
             for (size_t f = 0; f < functions; f++) {
                 const double control = golden->control[t * functions + f];
 
@@ -77,7 +74,7 @@ static void check_recurrence(const struct golden_case *golden)
 
 TEST(every_function_has_its_exact_value_and_slope_at_every_kind_of_point)
 {
-    golden_each(check_recurrence);
+    golden_each("basis", check_recurrence);
 }
 
 static void check_basis(const struct golden_case *golden)
@@ -118,7 +115,7 @@ static void check_basis(const struct golden_case *golden)
 
 TEST(the_basis_at_a_point_of_the_mesh_lists_exactly_what_lives_there)
 {
-    golden_each(check_basis);
+    golden_each("basis", check_basis);
 }
 
 static void check_core(const struct golden_case *golden)
@@ -138,23 +135,14 @@ static void check_core(const struct golden_case *golden)
 
 TEST(the_core_is_the_exact_one)
 {
-    golden_each(check_core);
-}
-
-static struct gsn_spline *spline_of(const struct golden_case *golden)
-{
-    struct gsn_spline *spline = NULL;
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_spline_new(golden->space, golden->control, &spline, &err), err);
-    return spline;
+    golden_each("core", check_core);
 }
 
 static void check_values(const struct golden_case *golden)
 {
     struct golden_table points = golden_read(golden, "points");
     struct golden_table exact = golden_read(golden, "spline");
-    gsn_auto(gsn_spline) spline = spline_of(golden);
+    gsn_auto(gsn_spline) spline = golden_spline(golden);
     const double steepest = largest_slope(&exact);
     size_t hint = 0;
 
@@ -178,13 +166,13 @@ static void check_values(const struct golden_case *golden)
 
 TEST(the_spline_has_its_exact_value_and_gradient)
 {
-    golden_each(check_values);
+    golden_each("spline", check_values);
 }
 
 static void check_bernstein(const struct golden_case *golden)
 {
     struct golden_table exact = golden_read(golden, "bernstein");
-    gsn_auto(gsn_spline) spline = spline_of(golden);
+    gsn_auto(gsn_spline) spline = golden_spline(golden);
 
     for (size_t i = 0; i < exact.rows; i++) {
         const double *row = golden_row(&exact, i);
@@ -198,13 +186,13 @@ static void check_bernstein(const struct golden_case *golden)
 
 TEST(the_polynomials_of_the_cores_are_exact)
 {
-    golden_each(check_bernstein);
+    golden_each("bernstein", check_bernstein);
 }
 
 static void check_lines(const struct golden_case *golden)
 {
     struct golden_table exact = golden_read(golden, "lines");
-    gsn_auto(gsn_spline) spline = spline_of(golden);
+    gsn_auto(gsn_spline) spline = golden_spline(golden);
 
     for (size_t i = 0; i < exact.rows; i++) {
         const double *row = golden_row(&exact, i), *d = row + 4;
@@ -221,7 +209,7 @@ static void check_lines(const struct golden_case *golden)
 
 TEST(whole_line_integrals_are_exact)
 {
-    golden_each(check_lines);
+    golden_each("lines", check_lines);
 }
 
 static void check_cells(const struct golden_case *golden)
@@ -229,7 +217,7 @@ static void check_cells(const struct golden_case *golden)
     static const int orders[3][4] = { { 0, 1, 2, 3 }, { 3, 1, 0, 2 }, { 2, 3, 1, 0 } };
     const double tolerance = golden->degree == 3 ? 1e-7 : 1e-10;
     struct golden_table exact = golden_read(golden, "cells");
-    gsn_auto(gsn_spline) spline = spline_of(golden);
+    gsn_auto(gsn_spline) spline = golden_spline(golden);
     struct gsn_error err = { 0 };
 
     for (size_t i = 0; i < exact.rows; i++) {
@@ -261,5 +249,5 @@ static void check_cells(const struct golden_case *golden)
 
 TEST(means_over_cells_are_exact_also_when_faces_lie_in_knot_planes)
 {
-    golden_each(check_cells);
+    golden_each("cells", check_cells);
 }

@@ -51,11 +51,15 @@ struct gsn_bodies {
     struct gsn_body outer, inner;
 };
 
-/* A row that meets the outer body: its numbers in y and z, where it meets the bodies, from low,
+enum { GSN_MOST_ROWS = 256 };
+
+/* Rows that meet the outer body: their numbers in y and z, where they meet the bodies, from low,
  * inclusive, to high. The inner part may be empty. */
-struct gsn_row {
-    uint32_t y, z;
-    int32_t low, high, inner_low, inner_high;
+struct gsn_rows {
+    size_t count;
+    int32_t y[GSN_MOST_ROWS + GSN_MOST_LANES], z[GSN_MOST_ROWS + GSN_MOST_LANES];
+    int32_t low[GSN_MOST_ROWS + GSN_MOST_LANES], high[GSN_MOST_ROWS + GSN_MOST_LANES];
+    int32_t inner_low[GSN_MOST_ROWS + GSN_MOST_LANES], inner_high[GSN_MOST_ROWS + GSN_MOST_LANES];
 };
 
 /* A polynomial on rows of voxels. Its variables are, at voxel x of row (y, z),
@@ -71,15 +75,14 @@ struct gsn_kernels {
     unsigned lanes;
     /* By kind, degree (0 for weights), greatest |g|, and the unclear clouds, a bit each. */
     struct gsn_seam_choice seam[GSN_SEAM_KINDS][4][4][8];
-    /* The rows that meet the outer body, of those with these y and z; room for ys zs. Returns how
-     * many, in the order of z, then y. */
-    size_t (*rows)(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
-                   size_t zs, struct gsn_row *ret_row);
+    /* The rows that meet the outer body, of those with these y and z, ys zs <= GSN_MOST_ROWS; in
+     * the order of z, then y. */
+    void (*rows)(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
+                 size_t zs, struct gsn_rows *ret_rows);
     /* Writes a polynomial into the voxels from low to high of rows, by degree. Row (y, z) of those
      * with these y and z begins at ret_value[y stride[0] + z stride[1]]. */
     void (*paint[4])(const struct gsn_paint *paint, const double *y, const double *z,
-                     const struct gsn_row *row, size_t count, const size_t stride[2],
-                     double *ret_value);
+                     const struct gsn_rows *rows, const size_t stride[2], double *ret_value);
     /* The values of a polynomial sum c_{abc} p^a q^b r^c, coefficients in the order of
      * gsn_simplex_place() for (n-a-b-c, a, b, c), at (p[i], q[i], r[i]); and unless ret_slope is
      * NULL its derivatives with respect to p, q and r; by degree. */

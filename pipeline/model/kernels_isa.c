@@ -90,27 +90,28 @@ static inline gsn_lanes cubic(unsigned degree, const double *c, gsn_lanes p, gsn
 }
 
 static inline void paint(unsigned degree, const struct gsn_paint *paint, const double *y,
-                         const double *z, const struct gsn_row *row, size_t count,
-                         const size_t stride[2], double *ret_value)
+                         const double *z, const struct gsn_rows *rows, const size_t stride[2],
+                         double *ret_value)
 {
     static const double ramp[GSN_MOST_LANES] = { 0, 1, 2, 3, 4, 5, 6, 7 };
     const gsn_lanes step[3] = { gsn_lanes_all(paint->x[0]), gsn_lanes_all(paint->x[1]),
                                 gsn_lanes_all(paint->x[2]) };
 
-    for (const struct gsn_row *end = row + count; row != end; row++) {
-        const double dy = y[row->y] - paint->origin[0], dz = z[row->z] - paint->origin[1];
-        double *to = &ret_value[row->y * stride[0] + row->z * stride[1]];
+    for (size_t r = 0; r < rows->count; r++) {
+        const double dy = y[rows->y[r]] - paint->origin[0], dz = z[rows->z[r]] - paint->origin[1];
+        const int32_t high = rows->high[r];
+        double *to = &ret_value[(size_t)rows->y[r] * stride[0] + (size_t)rows->z[r] * stride[1]];
         gsn_lanes start[3];
 
         for (int k = 0; k < 3; k++)
             start[k] = gsn_lanes_all(fma(paint->y[k], dy, fma(paint->z[k], dz, paint->at[k])));
-        for (int32_t i = row->low; i < row->high; i += GSN_LANES) {
+        for (int32_t i = rows->low[r]; i < high; i += GSN_LANES) {
             const gsn_lanes at = gsn_lanes_all((double)i) + gsn_lanes_load(ramp);
             const gsn_lanes value =
                 cubic(degree, paint->coefficient, gsn_lanes_fma(at, step[0], start[0]),
                       gsn_lanes_fma(at, step[1], start[1]), gsn_lanes_fma(at, step[2], start[2]));
 
-            gsn_lanes_store_some(&to[i], value, (size_t)(row->high - i));
+            gsn_lanes_store_some(&to[i], value, (size_t)(high - i));
         }
     }
 }
@@ -189,17 +190,16 @@ static inline void ends(const struct section section[2], const gsn_lanes range[2
 }
 
 /* Those of one z among them. */
-static inline struct gsn_row *rows_at(const struct gsn_bodies *bodies,
-                                      const struct section *section, const double *y, size_t ys,
-                                      size_t z, struct gsn_row *row)
+static inline void rows_at(const struct gsn_bodies *bodies, const struct section *section,
+                           const double *y, size_t ys, int32_t z, struct gsn_rows *rows)
 {
+    static const double ramp[GSN_MOST_LANES] = { 0, 1, 2, 3, 4, 5, 6, 7 };
     const gsn_lanes range[2] = { gsn_lanes_all(bodies->range[0]), gsn_lanes_all(bodies->range[1]) };
 
     for (size_t i = 0; i < ys; i += GSN_LANES) {
         const gsn_lanes at = gsn_lanes_load_some(&y[i], ys - i) - gsn_lanes_all(bodies->origin[0]);
         const unsigned now = ys - i < GSN_LANES ? (1u << (ys - i)) - 1 : (1u << GSN_LANES) - 1;
         gsn_lanes outer[2], inner[2];
-        int32_t end[4][GSN_LANES];
         unsigned some;
 
         ends(&section[0], range, at, outer);
@@ -207,43 +207,38 @@ static inline struct gsn_row *rows_at(const struct gsn_bodies *bodies,
         if (some == 0)
             continue;
         ends(&section[2], range, at, inner);
-        for (int k = 0; k < 2; k++) {
-            gsn_lanes_to_int(end[k], outer[k]);
-            gsn_lanes_to_int(end[2 + k], inner[k]);
-        }
-        for (; some != 0; some &= some - 1) {
-            const int j = __builtin_ctz(some);
-
-            *row++ = (struct gsn_row){
-                (uint32_t)(i + (size_t)j), (uint32_t)z, end[0][j], end[1][j], end[2][j], end[3][j]
-            };
-        }
+        gsn_lanes_squeeze(&rows->y[rows->count], gsn_lanes_all((double)i) + gsn_lanes_load(ramp),
+                          some);
+        gsn_lanes_squeeze(&rows->low[rows->count], outer[0], some);
+        gsn_lanes_squeeze(&rows->high[rows->count], outer[1], some);
+        gsn_lanes_squeeze(&rows->inner_low[rows->count], inner[0], some);
+        gsn_lanes_squeeze(&rows->inner_high[rows->count], inner[1], some);
+        for (int j = 0; j < GSN_LANES; j++)
+            rows->z[rows->count + (size_t)j] = z;
+        rows->count += (size_t)__builtin_popcount(some);
     }
-    return row;
 }
 
-static size_t rows(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
-                   size_t zs, struct gsn_row *ret_row)
+static void rows(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
+                 size_t zs, struct gsn_rows *ret_rows)
 {
     struct section section[4];
-    struct gsn_row *row = ret_row;
 
+    ret_rows->count = 0;
     for (size_t i = 0; i < zs; i++) {
         cut(&bodies->outer.low, z[i] - bodies->origin[1], &section[0]);
         cut(&bodies->outer.high, z[i] - bodies->origin[1], &section[1]);
         cut(&bodies->inner.low, z[i] - bodies->origin[1], &section[2]);
         cut(&bodies->inner.high, z[i] - bodies->origin[1], &section[3]);
-        row = rows_at(bodies, section, y, ys, i, row);
+        rows_at(bodies, section, y, ys, (int32_t)i, ret_rows);
     }
-    return (size_t)(row - ret_row);
 }
 
 #define OF_DEGREE(n)                                                                               \
     static void paint##n(const struct gsn_paint *what, const double *y, const double *z,           \
-                         const struct gsn_row *row, size_t count, const size_t stride[2],          \
-                         double *ret_value)                                                        \
+                         const struct gsn_rows *rows, const size_t stride[2], double *ret_value)   \
     {                                                                                              \
-        paint(n, what, y, z, row, count, stride, ret_value);                                       \
+        paint(n, what, y, z, rows, stride, ret_value);                                             \
     }                                                                                              \
     static void points##n(const double *c, const double *const at[3], size_t count,                \
                           double *ret_value, double *const ret_slope[3])                           \

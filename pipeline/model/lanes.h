@@ -81,10 +81,12 @@ static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
     return _mm512_range_pd(a, b, 2 | 2 << 2);
 }
 
-/* Towards zero; no number may be too large. */
-static inline void gsn_lanes_to_int(int32_t *to, gsn_lanes a)
+/* The lanes of keep, a bit each, one behind the other as whole numbers, which they must be. Writes
+ * as many numbers as there are lanes. */
+static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
 {
-    _mm256_storeu_si256((__m256i *)to, _mm512_cvttpd_epi32(a));
+    _mm256_storeu_si256((__m256i *)to,
+                        _mm512_cvttpd_epi32(_mm512_maskz_compress_pd((__mmask8)keep, a)));
 }
 
 /* A bit per lane: a < b. */
@@ -179,9 +181,15 @@ static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
     return _mm256_min_pd(a, _mm256_andnot_pd(_mm256_set1_pd(-0.0), b));
 }
 
-static inline void gsn_lanes_to_int(int32_t *to, gsn_lanes a)
+static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
 {
-    _mm_storeu_si128((__m128i *)to, _mm256_cvttpd_epi32(a));
+    int32_t whole[4];
+
+    _mm_storeu_si128((__m128i *)whole, _mm256_cvttpd_epi32(a));
+    for (unsigned i = 0, kept = 0; i < 4; i++) {
+        to[kept] = whole[i];
+        kept += keep >> i & 1;
+    }
 }
 
 static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
@@ -264,8 +272,9 @@ static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
     return fmin(a, fabs(b));
 }
 
-static inline void gsn_lanes_to_int(int32_t *to, gsn_lanes a)
+static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
 {
+    (void)keep;
     *to = (int32_t)a;
 }
 

@@ -13,7 +13,6 @@
 #include <string.h>
 
 enum {
-    ROWS = 256,        /* asked about at once */
     BUCKET = 256,      /* points that wait for one kernel */
     THINNEST = 16,     /* layers of a slab */
     SLABS_A_THREAD = 2 /* so that a thread that is done early finds more to do */
@@ -127,9 +126,9 @@ struct solid {
     int is_low[4];
 };
 
-/* Voxels of a row whose side of a face the rounding error leaves open. */
-struct open_part {
-    int32_t from, to;
+/* Part of a row. */
+struct span {
+    int32_t low, high;
 };
 
 static int is_inside(const struct job *job, const struct solid *solid, unsigned face, int32_t x,
@@ -143,16 +142,16 @@ static int is_inside(const struct job *job, const struct solid *solid, unsigned 
 
 /* Decides the open part by one face exactly. The side changes once at most along a row. */
 static void decide(const struct job *job, const struct solid *solid, unsigned face,
-                   struct open_part open, const double yz[2], struct gsn_row *row)
+                   struct span open, const double yz[2], struct span *row)
 {
     int first, last;
 
-    if (open.from >= open.to)
+    if (open.low >= open.high)
         return;
-    first = is_inside(job, solid, face, open.from, yz);
-    last = open.to - open.from > 1 ? is_inside(job, solid, face, open.to - 1, yz) : first;
+    first = is_inside(job, solid, face, open.low, yz);
+    last = open.high - open.low > 1 ? is_inside(job, solid, face, open.high - 1, yz) : first;
     if (first != last) {
-        int32_t same = open.from, other = open.to - 1;
+        int32_t same = open.low, other = open.high - 1;
 
         while (other - same > 1) {
             const int32_t middle = same + (other - same) / 2;
@@ -168,9 +167,9 @@ static void decide(const struct job *job, const struct solid *solid, unsigned fa
             row->low = other;
     } else if (!first) {
         if (solid->is_low[face])
-            row->low = open.to;
+            row->low = open.high;
         else
-            row->high = open.from;
+            row->high = open.low;
     }
 }
 
@@ -181,19 +180,19 @@ static int32_t clip(double x, int32_t low, int32_t high)
 
 /* A row between whose outer and inner ends lie voxels too near a face. */
 static void settle(const struct job *job, const struct gsn_bodies *bodies,
-                   const struct solid *solid, const double yz[2], struct gsn_row *row)
+                   const struct solid *solid, const double yz[2], struct span *row)
 {
     for (unsigned k = 0; k < 4 && row->low < row->high; k++) {
         const struct gsn_lines *lines = solid->is_low[k] ? &bodies->inner.low : &bodies->inner.high;
         const unsigned i = solid->line[k];
         const double end = lines->at[i] + lines->y[i] * (yz[0] - bodies->origin[0]) +
                            lines->z[i] * (yz[1] - bodies->origin[1]);
-        struct open_part open = { row->low, row->high };
+        struct span open = { row->low, row->high };
 
         if (solid->is_low[k])
-            open.to = clip(ceil(end), row->low, row->high);
+            open.high = clip(ceil(end), row->low, row->high);
         else
-            open.from = clip(floor(end) + 1, row->low, row->high);
+            open.low = clip(floor(end) + 1, row->low, row->high);
         decide(job, solid, k, open, yz, row);
     }
 }
@@ -272,11 +271,12 @@ static void paint_init(const struct job *job, size_t tet, const struct solid *so
     }
 }
 
-/* A block cut into parts of at most ROWS rows. Starts with part.high = block.low along y and z. */
+/* A block cut into parts of at most GSN_MOST_ROWS rows. Starts with part.high = block.low along y
+ * and z. */
 static int next_part(const struct block *block, struct block *part)
 {
     const size_t ys = block->high[1] - block->low[1];
-    const size_t zs = ys < ROWS ? ROWS / ys : 1;
+    const size_t zs = ys < GSN_MOST_ROWS ? GSN_MOST_ROWS / ys : 1;
 
     if (part->high[1] == block->high[1] || part->high[2] == block->low[2]) {
         if (part->high[2] == block->high[2])
@@ -286,7 +286,8 @@ static int next_part(const struct block *block, struct block *part)
         part->high[1] = block->low[1];
     }
     part->low[1] = part->high[1];
-    part->high[1] = block->high[1] - part->low[1] < ROWS ? block->high[1] : part->low[1] + ROWS;
+    part->high[1] = block->high[1] - part->low[1] < GSN_MOST_ROWS ? block->high[1]
+                                                                  : part->low[1] + GSN_MOST_ROWS;
     return 1;
 }
 
@@ -296,7 +297,7 @@ static void fill_tet(const struct job *job, size_t tet, const size_t layers[2])
     const struct gsn_kernels *kernels = job->space->kernels;
     const size_t stride[2] = { job->at->nx, job->at->nx * job->at->ny };
     double low[3], high[3];
-    struct gsn_row row[ROWS];
+    struct gsn_rows rows;
     struct gsn_bodies bodies;
     struct gsn_paint paint;
     struct solid solid;
@@ -311,16 +312,19 @@ static void fill_tet(const struct job *job, size_t tet, const size_t layers[2])
     memcpy(part.high, block.low, sizeof part.high);
     while (next_part(&block, &part)) {
         const double *y = &job->centre[1][part.low[1]], *z = &job->centre[2][part.low[2]];
-        const size_t count = kernels->rows(&bodies, y, part.high[1] - part.low[1], z,
-                                           part.high[2] - part.low[2], row);
+        kernels->rows(&bodies, y, part.high[1] - part.low[1], z, part.high[2] - part.low[2], &rows);
+        for (size_t i = 0; i < rows.count; i++) {
+            const double yz[2] = { y[rows.y[i]], z[rows.z[i]] };
+            struct span row = { rows.low[i], rows.high[i] };
 
-        for (size_t i = 0; i < count; i++) {
-            if (row[i].low != row[i].inner_low || row[i].high != row[i].inner_high)
-                settle(job, &bodies, &solid, (const double[2]){ y[row[i].y], z[row[i].z] },
-                       &row[i]);
+            if (row.low == rows.inner_low[i] && row.high == rows.inner_high[i])
+                continue;
+            settle(job, &bodies, &solid, yz, &row);
+            rows.low[i] = row.low;
+            rows.high[i] = row.high;
         }
         kernels->paint[job->space->degree](
-            &paint, y, z, row, count, stride,
+            &paint, y, z, &rows, stride,
             &job->value[gsn_lattice_index(job->at, 0, part.low[1], part.low[2])]);
     }
 }
@@ -387,20 +391,21 @@ static void put_unclear(const struct job *job, struct facing *facing, int32_t fr
     }
 }
 
-static void collect_row(const struct job *job, struct facing *facing, const struct gsn_row *row,
-                        const double yz[2], size_t first)
+static void collect_row(const struct job *job, struct facing *facing, const struct gsn_rows *rows,
+                        size_t i, const double yz[2], size_t first)
 {
-    const int32_t low = row->inner_low < row->low    ? row->low
-                        : row->inner_low > row->high ? row->high
-                                                     : row->inner_low;
-    const int32_t high = row->inner_high < low         ? low
-                         : row->inner_high > row->high ? row->high
-                                                       : row->inner_high;
+    const int32_t from = rows->low[i], to = rows->high[i];
+    const int32_t low = rows->inner_low[i] < from ? from
+                        : rows->inner_low[i] > to ? to
+                                                  : rows->inner_low[i];
+    const int32_t high = rows->inner_high[i] < low  ? low
+                         : rows->inner_high[i] > to ? to
+                                                    : rows->inner_high[i];
 
-    put_unclear(job, facing, row->low, low, yz, first);
+    put_unclear(job, facing, from, low, yz, first);
     for (int32_t x = low; x < high; x++)
         put(job, facing, 0, x, yz, first);
-    put_unclear(job, facing, high, row->high, yz, first);
+    put_unclear(job, facing, high, to, yz, first);
 }
 
 /* The prism, and the part of it that is clear of all clouds. */
@@ -443,7 +448,7 @@ static void add_face(const struct job *job, size_t tet, unsigned corner, const s
     const int64_t other = space->mesh->neighbour[tet][corner];
     const unsigned top =
         space->sharing == GSN_DMS_SHARED && other >= 0 ? space->degree - 1 : space->degree;
-    struct gsn_row row[ROWS];
+    struct gsn_rows rows;
     struct gsn_bodies bodies;
     double low[3], high[3];
     struct block block, part = { .low = { 0 } };
@@ -459,13 +464,12 @@ static void add_face(const struct job *job, size_t tet, unsigned corner, const s
     memcpy(part.high, block.low, sizeof part.high);
     while (next_part(&block, &part)) {
         const double *y = &job->centre[1][part.low[1]], *z = &job->centre[2][part.low[2]];
-        const size_t count = space->kernels->rows(&bodies, y, part.high[1] - part.low[1], z,
-                                                  part.high[2] - part.low[2], row);
-
-        for (size_t i = 0; i < count; i++)
-            collect_row(
-                job, facing, &row[i], (const double[2]){ y[row[i].y], z[row[i].z] },
-                gsn_lattice_index(job->at, 0, part.low[1] + row[i].y, part.low[2] + row[i].z));
+        space->kernels->rows(&bodies, y, part.high[1] - part.low[1], z, part.high[2] - part.low[2],
+                             &rows);
+        for (size_t i = 0; i < rows.count; i++)
+            collect_row(job, facing, &rows, i, (const double[2]){ y[rows.y[i]], z[rows.z[i]] },
+                        gsn_lattice_index(job->at, 0, part.low[1] + (size_t)rows.y[i],
+                                          part.low[2] + (size_t)rows.z[i]));
     }
     for (unsigned unclear = 0; unclear < 8; unclear++)
         flush(job, facing, unclear);
@@ -480,8 +484,8 @@ static int fill_slab(size_t index, void *context, struct gsn_error *err)
     struct facing facing;
 
     (void)err;
-    for (size_t i = layers[0] * area; i < layers[1] * area; i++)
-        job->value[i] = NAN;
+    /* Every byte 255 is a NaN, and memset() spares reading what it overwrites. */
+    memset(&job->value[layers[0] * area], 255, (layers[1] - layers[0]) * area * sizeof *job->value);
     for (size_t t = 0; t < job->space->mesh->tet_count; t++)
         fill_tet(job, t, layers);
     for (unsigned unclear = 0; unclear < 8; unclear++)

@@ -146,11 +146,30 @@ static void into_axes(const struct gsn_prism *prism, const double v[3], double r
         ret[c] = gsn_dot(prism->turn[c], v);
 }
 
+/* The places of all multi-indices of a degree in one order of the corners, by those in another
+ * whose corner j is order[j] of the former. */
+static void places_of(unsigned degree, const uint8_t order[4],
+                      uint8_t ret_place[GSN_DMS_MAX_FUNCTIONS])
+{
+    uint8_t lower[10];
+
+    ret_place[0] = 0;
+    for (unsigned r = 0; r < degree; r++) {
+        const size_t count = gsn_simplex_count(r);
+
+        memcpy(lower, ret_place, count);
+        for (size_t p = 0; p < count; p++) {
+            for (unsigned j = 0; j < 4; j++)
+                ret_place[gsn_simplex_raised[p][j]] = gsn_simplex_raised[lower[p]][order[j]];
+        }
+    }
+}
+
 static void beside_init(struct beside *beside, const struct gsn_dms *space,
                         const struct gsn_prism *prism, size_t tet, const double *control)
 {
     const uint32_t *v = space->mesh->tet[tet], *id = gsn_dms_control_ids(space, tet);
-    uint8_t beta[4] = { (uint8_t)space->degree, 0, 0, 0 };
+    uint8_t place[GSN_DMS_MAX_FUNCTIONS];
 
     beside->degree = space->degree;
     order_corners(prism, v, beside->order);
@@ -163,13 +182,9 @@ static void beside_init(struct beside *beside, const struct gsn_dms *space,
             into_axes(prism, d, beside->knot[k][l]);
         }
     }
-    do {
-        uint8_t own[4];
-
-        for (unsigned k = 0; k < 4; k++)
-            own[beside->order[k]] = beta[k];
-        beside->control[gsn_simplex_place(beta)] = control[id[gsn_simplex_place(own)]];
-    } while (gsn_simplex_next(beta));
+    places_of(space->degree, beside->order, place);
+    for (size_t f = 0; f < gsn_simplex_count(space->degree); f++)
+        beside->control[f] = control[id[place[f]]];
 }
 
 /* c_g(u) for |g| = degree - 1, degree - 2: one and two steps of the B-patch recurrence. */
@@ -193,12 +208,13 @@ static void frame_of(const struct beside *beside, const uint8_t gamma[4], struct
                    beside->knot[2][gamma[2]], beside->knot[3][gamma[3]]);
 }
 
-static void affine_of(const struct beside *beside, const uint8_t gamma[4], struct poly *ret)
+static void affine_of(const struct beside *beside, const uint8_t gamma[4], size_t place,
+                      struct poly *ret)
 {
     struct gsn_frame frame;
 
     frame_of(beside, gamma, &frame);
-    step_once(beside, &frame, gsn_simplex_raised[gsn_simplex_place(gamma)], ret);
+    step_once(beside, &frame, gsn_simplex_raised[place], ret);
 }
 
 /* ret += lambda * (a - b), lambda = row . (u - origin). */
@@ -222,9 +238,9 @@ static void add_product(struct poly *ret, const double row[3], const double orig
 }
 
 static void quadratic_of(const struct beside *beside, const struct poly *affine,
-                         const uint8_t gamma[4], struct poly *ret)
+                         const uint8_t gamma[4], size_t place, struct poly *ret)
 {
-    const uint8_t *raised = gsn_simplex_raised[gsn_simplex_place(gamma)];
+    const uint8_t *raised = gsn_simplex_raised[place];
     struct gsn_frame frame;
 
     frame_of(beside, gamma, &frame);
@@ -235,45 +251,56 @@ static void quadratic_of(const struct beside *beside, const struct poly *affine,
         add_product(ret, frame.row[j - 1], frame.origin, &affine[raised[j]], &affine[raised[0]]);
 }
 
+/* Multi-indices by place, their first member left out; and the places of those on the face, whose
+ * last member is 0. */
+static const uint8_t index_of[10][3] = { { 0, 0, 0 }, { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 },
+                                         { 2, 0, 0 }, { 1, 1, 0 }, { 1, 0, 1 }, { 0, 2, 0 },
+                                         { 0, 1, 1 }, { 0, 0, 2 } };
+static const uint8_t on_face[10] = { 0, 1, 2, 4, 5, 7, 10, 11, 13, 16 };
+
+static void gamma_of(unsigned m, size_t place, uint8_t ret_gamma[4])
+{
+    const uint8_t *index = index_of[place];
+
+    ret_gamma[0] = (uint8_t)(m - index[0] - index[1] - index[2]);
+    memcpy(&ret_gamma[1], index, 3);
+}
+
 /* Adds sign * c_g of one side to the jumps D_g. */
 static void add_side(struct gsn_seam *seam, const struct beside *beside, double sign)
 {
     const unsigned n = seam->degree;
     struct poly affine[10], poly = { { 0 } };
     double *to = seam->data.poly;
+    uint8_t gamma[4];
 
-    for (unsigned m = n - 1; n > 1 && m == n - 1; m--) {
-        uint8_t gamma[4] = { (uint8_t)m, 0, 0, 0 };
-
-        do {
-            if (gamma[3] < (n == 2 ? 1 : 2))
-                affine_of(beside, gamma, &affine[gsn_simplex_place(gamma)]);
-        } while (gsn_simplex_next(gamma));
+    /* Those that the quadratic ones come from have one vertex beyond the face. */
+    for (size_t place = 0; n > 1 && place < gsn_simplex_count(n - 1); place++) {
+        gamma_of(n - 1, place, gamma);
+        if (gamma[3] < n - 1)
+            affine_of(beside, gamma, place, &affine[place]);
     }
     for (unsigned m = 1; m <= seam->prism->top; m++) {
-        uint8_t gamma[4] = { (uint8_t)m, 0, 0, 0 };
+        for (size_t i = 0; i < (m + 1) * (m + 2) / 2; i++) {
+            const size_t size = gsn_simplex_count(n - m), place = on_face[i];
 
-        do {
-            const size_t place = gsn_simplex_place(gamma), size = gsn_simplex_count(n - m);
-
-            if (gamma[3] != 0)
-                continue;
             if (m == n)
                 poly.c[0] = beside->control[place];
             else if (m == n - 1)
                 poly = affine[place];
-            else
-                quadratic_of(beside, affine, gamma, &poly);
-            for (size_t i = 0; i < size; i++)
-                *to++ += sign * poly.c[i];
-        } while (gsn_simplex_next(gamma));
+            else {
+                gamma_of(m, place, gamma);
+                quadratic_of(beside, affine, gamma, place, &poly);
+            }
+            for (size_t j = 0; j < size; j++)
+                *to++ += sign * poly.c[j];
+        }
     }
 }
 
 void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
                    const struct gsn_prism *prism, const double *control)
 {
-    const double length = 2 * prism->size;
     struct beside beside;
 
     seam->prism = prism;
@@ -283,7 +310,6 @@ void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
     memcpy(seam->data.origin, prism->origin, sizeof prism->origin);
     memcpy(seam->data.turn, prism->turn, sizeof prism->turn);
     seam->data.bound = PLANE_ERROR * prism->size * prism->size * prism->size;
-    (void)length;
     for (unsigned i = 0; i < seam->tables->knots; i++)
         seam->knot[i] = space->knot[prism->vertex[i / (prism->top + 1)] * (space->degree + 1) +
                                     i % (prism->top + 1)];

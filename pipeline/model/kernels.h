@@ -6,6 +6,7 @@
 #define GSN_MODEL_KERNELS_H
 
 #include <stddef.h>
+#include <stdint.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -31,18 +32,60 @@ struct gsn_seam_choice {
     unsigned flops; /* per point, a fused multiply-add counting 2 */
 };
 
-/* A polynomial sum c_{abc} p^a q^b r^c of three variables: coefficients in the order of
- * gsn_simplex_place() for (n-a-b-c, a, b, c). */
+/* Half-spaces as rows of voxels along x see them: row (y, z) crosses the plane of one at voxel
+ * at + y (y - origin[0]) + z (z - origin[1]). Places from count on are 0. */
+struct gsn_lines {
+    unsigned count;
+    double at[GSN_MOST_LANES], y[GSN_MOST_LANES], z[GSN_MOST_LANES];
+};
+
+/* A convex body: rows lie in it from the greatest of the lines of low to the least of high. */
+struct gsn_body {
+    struct gsn_lines low, high;
+};
+
+/* Two bodies, one inside the other. */
+struct gsn_bodies {
+    double origin[2];
+    double range[2]; /* of voxels to consider, first and last */
+    struct gsn_body outer, inner;
+};
+
+enum { GSN_MOST_ROWS = 256 };
+
+/* Rows that meet the outer body: their numbers in y and z, where they meet the bodies, from low,
+ * inclusive, to high. The inner part may be empty. */
+struct gsn_rows {
+    size_t count;
+    int32_t y[GSN_MOST_ROWS + GSN_MOST_LANES], z[GSN_MOST_ROWS + GSN_MOST_LANES];
+    int32_t low[GSN_MOST_ROWS + GSN_MOST_LANES], high[GSN_MOST_ROWS + GSN_MOST_LANES];
+    int32_t inner_low[GSN_MOST_ROWS + GSN_MOST_LANES], inner_high[GSN_MOST_ROWS + GSN_MOST_LANES];
+};
+
+/* A polynomial on rows of voxels. Its variables are, at voxel x of row (y, z),
+ * at + x[.] x + y[.] (y - origin[0]) + z[.] (z - origin[1]). */
+struct gsn_paint {
+    double coefficient[20]; /* in the order of gsn_simplex_place() for (n-a-b-c, a, b, c) */
+    double origin[2];
+    double at[3], x[3], y[3], z[3];
+};
+
 struct gsn_kernels {
     const char *name;
     unsigned lanes;
     /* By kind, degree (0 for weights), greatest |g|, and the unclear clouds, a bit each. */
     struct gsn_seam_choice seam[GSN_SEAM_KINDS][4][4][8];
-    /* Its values at start + i step, i = 0..count - 1, by degree. */
-    void (*run[4])(const double *coefficient, const double start[3], const double step[3],
-                   size_t count, double *ret_value);
-    /* Its values at (p[i], q[i], r[i]), and unless ret_slope is NULL its derivatives with respect
-     * to p, q and r. */
+    /* The rows that meet the outer body, of those with these y and z, ys zs <= GSN_MOST_ROWS; in
+     * the order of z, then y. */
+    void (*rows)(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
+                 size_t zs, struct gsn_rows *ret_rows);
+    /* Writes a polynomial into the voxels from low to high of rows, by degree. Row (y, z) of those
+     * with these y and z begins at ret_value[y stride[0] + z stride[1]]. */
+    void (*paint[4])(const struct gsn_paint *paint, const double *y, const double *z,
+                     const struct gsn_rows *rows, const size_t stride[2], double *ret_value);
+    /* The values of a polynomial sum c_{abc} p^a q^b r^c, coefficients in the order of
+     * gsn_simplex_place() for (n-a-b-c, a, b, c), at (p[i], q[i], r[i]); and unless ret_slope is
+     * NULL its derivatives with respect to p, q and r; by degree. */
     void (*points[4])(const double *coefficient, const double *const at[3], size_t count,
                       double *ret_value, double *const ret_slope[3]);
 };

@@ -89,19 +89,30 @@ static inline gsn_lanes cubic(unsigned degree, const double *c, gsn_lanes p, gsn
 #undef C
 }
 
-static inline void run(unsigned degree, const double *c, const double start[3],
-                       const double step[3], size_t count, double *ret_value)
+static inline void paint(unsigned degree, const struct gsn_paint *paint, const double *y,
+                         const double *z, const struct gsn_rows *rows, const size_t stride[2],
+                         double *ret_value)
 {
     static const double ramp[GSN_MOST_LANES] = { 0, 1, 2, 3, 4, 5, 6, 7 };
+    const gsn_lanes step[3] = { gsn_lanes_all(paint->x[0]), gsn_lanes_all(paint->x[1]),
+                                gsn_lanes_all(paint->x[2]) };
 
-    for (size_t i = 0; i < count; i += GSN_LANES) {
-        const gsn_lanes at = gsn_lanes_all((double)i) + gsn_lanes_load(ramp);
-        const gsn_lanes p = gsn_lanes_fma(at, gsn_lanes_all(step[0]), gsn_lanes_all(start[0]));
-        const gsn_lanes q = gsn_lanes_fma(at, gsn_lanes_all(step[1]), gsn_lanes_all(start[1]));
-        const gsn_lanes r = gsn_lanes_fma(at, gsn_lanes_all(step[2]), gsn_lanes_all(start[2]));
-        const gsn_lanes value = cubic(degree, c, p, q, r);
+    for (size_t r = 0; r < rows->count; r++) {
+        const double dy = y[rows->y[r]] - paint->origin[0], dz = z[rows->z[r]] - paint->origin[1];
+        const int32_t high = rows->high[r];
+        double *to = &ret_value[(size_t)rows->y[r] * stride[0] + (size_t)rows->z[r] * stride[1]];
+        gsn_lanes start[3];
 
-        gsn_lanes_store_some(&ret_value[i], value, count - i);
+        for (int k = 0; k < 3; k++)
+            start[k] = gsn_lanes_all(fma(paint->y[k], dy, fma(paint->z[k], dz, paint->at[k])));
+        for (int32_t i = rows->low[r]; i < high; i += GSN_LANES) {
+            const gsn_lanes at = gsn_lanes_all((double)i) + gsn_lanes_load(ramp);
+            const gsn_lanes value =
+                cubic(degree, paint->coefficient, gsn_lanes_fma(at, step[0], start[0]),
+                      gsn_lanes_fma(at, step[1], start[1]), gsn_lanes_fma(at, step[2], start[2]));
+
+            gsn_lanes_store_some(&to[i], value, (size_t)(high - i));
+        }
     }
 }
 
@@ -143,11 +154,91 @@ static inline void points(unsigned degree, const double *c, const double *const 
     }
 }
 
+/* Lines at one z: a + b y. */
+struct section {
+    unsigned count;
+    const double *y;
+    double at[GSN_MOST_LANES];
+};
+
+static inline void cut(const struct gsn_lines *lines, double z, struct section *ret)
+{
+    ret->count = lines->count;
+    ret->y = lines->y;
+    for (unsigned i = 0; i < lines->count; i += GSN_LANES)
+        gsn_lanes_store(&ret->at[i], gsn_lanes_fma(gsn_lanes_load(&lines->z[i]), gsn_lanes_all(z),
+                                                   gsn_lanes_load(&lines->at[i])));
+}
+
+static inline gsn_lanes line(const struct section *section, unsigned i, gsn_lanes y)
+{
+    return gsn_lanes_fma(gsn_lanes_all(section->y[i]), y, gsn_lanes_all(section->at[i]));
+}
+
+/* The ends of the part of rows y that a body has; whole numbers, at most one beyond the range. */
+static inline void ends(const struct section section[2], const gsn_lanes range[2], gsn_lanes y,
+                        gsn_lanes ret_end[2])
+{
+    gsn_lanes low = range[0], high = range[1];
+
+    for (unsigned i = 0; i < section[0].count; i++)
+        low = gsn_lanes_max(line(&section[0], i, y), low);
+    for (unsigned i = 0; i < section[1].count; i++)
+        high = gsn_lanes_min(line(&section[1], i, y), high);
+    ret_end[0] = gsn_lanes_min(gsn_lanes_ceil(low), range[1] + gsn_lanes_all(1));
+    ret_end[1] = gsn_lanes_max(gsn_lanes_floor(high) + gsn_lanes_all(1), range[0]);
+}
+
+/* Those of one z among them. */
+static inline void rows_at(const struct gsn_bodies *bodies, const struct section *section,
+                           const double *y, size_t ys, int32_t z, struct gsn_rows *rows)
+{
+    static const double ramp[GSN_MOST_LANES] = { 0, 1, 2, 3, 4, 5, 6, 7 };
+    const gsn_lanes range[2] = { gsn_lanes_all(bodies->range[0]), gsn_lanes_all(bodies->range[1]) };
+
+    for (size_t i = 0; i < ys; i += GSN_LANES) {
+        const gsn_lanes at = gsn_lanes_load_some(&y[i], ys - i) - gsn_lanes_all(bodies->origin[0]);
+        const unsigned now = ys - i < GSN_LANES ? (1u << (ys - i)) - 1 : (1u << GSN_LANES) - 1;
+        gsn_lanes outer[2], inner[2];
+        unsigned some;
+
+        ends(&section[0], range, at, outer);
+        some = gsn_lanes_below(outer[0], outer[1]) & now;
+        if (some == 0)
+            continue;
+        ends(&section[2], range, at, inner);
+        gsn_lanes_squeeze(&rows->y[rows->count], gsn_lanes_all((double)i) + gsn_lanes_load(ramp),
+                          some);
+        gsn_lanes_squeeze(&rows->low[rows->count], outer[0], some);
+        gsn_lanes_squeeze(&rows->high[rows->count], outer[1], some);
+        gsn_lanes_squeeze(&rows->inner_low[rows->count], inner[0], some);
+        gsn_lanes_squeeze(&rows->inner_high[rows->count], inner[1], some);
+        for (int j = 0; j < GSN_LANES; j++)
+            rows->z[rows->count + (size_t)j] = z;
+        rows->count += (size_t)__builtin_popcount(some);
+    }
+}
+
+static void rows(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
+                 size_t zs, struct gsn_rows *ret_rows)
+{
+    struct section section[4];
+
+    ret_rows->count = 0;
+    for (size_t i = 0; i < zs; i++) {
+        cut(&bodies->outer.low, z[i] - bodies->origin[1], &section[0]);
+        cut(&bodies->outer.high, z[i] - bodies->origin[1], &section[1]);
+        cut(&bodies->inner.low, z[i] - bodies->origin[1], &section[2]);
+        cut(&bodies->inner.high, z[i] - bodies->origin[1], &section[3]);
+        rows_at(bodies, section, y, ys, (int32_t)i, ret_rows);
+    }
+}
+
 #define OF_DEGREE(n)                                                                               \
-    static void run##n(const double *c, const double start[3], const double step[3], size_t count, \
-                       double *ret_value)                                                          \
+    static void paint##n(const struct gsn_paint *what, const double *y, const double *z,           \
+                         const struct gsn_rows *rows, const size_t stride[2], double *ret_value)   \
     {                                                                                              \
-        run(n, c, start, step, count, ret_value);                                                  \
+        paint(n, what, y, z, rows, stride, ret_value);                                             \
     }                                                                                              \
     static void points##n(const double *c, const double *const at[3], size_t count,                \
                           double *ret_value, double *const ret_slope[3])                           \
@@ -166,7 +257,8 @@ const struct gsn_kernels GSN_ISA = {
     .lanes = GSN_LANES,
     .seam = { CHOICES },
 #ifndef GSN_SEAM_CAREFUL
-    .run = { NULL, run1, run2, run3 },
+    .rows = rows,
+    .paint = { NULL, paint1, paint2, paint3 },
     .points = { NULL, points1, points2, points3 },
 #endif
 };

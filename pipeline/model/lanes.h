@@ -55,10 +55,44 @@ static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
     return _mm512_fmadd_pd(a, b, c);
 }
 
+static inline gsn_lanes gsn_lanes_max(gsn_lanes a, gsn_lanes b)
+{
+    return _mm512_max_pd(a, b);
+}
+
+static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
+{
+    return _mm512_min_pd(a, b);
+}
+
+static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
+{
+    return _mm512_roundscale_pd(a, _MM_FROUND_TO_POS_INF | _MM_FROUND_NO_EXC);
+}
+
+static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
+{
+    return _mm512_roundscale_pd(a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+}
+
 /* min(a, |b|) for a >= 0. */
 static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
 {
     return _mm512_range_pd(a, b, 2 | 2 << 2);
+}
+
+/* The lanes of keep, a bit each, one behind the other as whole numbers, which they must be. Writes
+ * as many numbers as there are lanes. */
+static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
+{
+    _mm256_storeu_si256((__m256i *)to,
+                        _mm512_cvttpd_epi32(_mm512_maskz_compress_pd((__mmask8)keep, a)));
+}
+
+/* A bit per lane: a < b. */
+static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
+{
+    return _mm512_cmp_pd_mask(a, b, _CMP_LT_OQ);
 }
 
 /* A bit per lane: not a > bound. */
@@ -122,9 +156,45 @@ static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
     return _mm256_fmadd_pd(a, b, c);
 }
 
+static inline gsn_lanes gsn_lanes_max(gsn_lanes a, gsn_lanes b)
+{
+    return _mm256_max_pd(a, b);
+}
+
+static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
+{
+    return _mm256_min_pd(a, b);
+}
+
+static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
+{
+    return _mm256_ceil_pd(a);
+}
+
+static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
+{
+    return _mm256_floor_pd(a);
+}
+
 static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
 {
     return _mm256_min_pd(a, _mm256_andnot_pd(_mm256_set1_pd(-0.0), b));
+}
+
+static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
+{
+    int32_t whole[4];
+
+    _mm_storeu_si128((__m128i *)whole, _mm256_cvttpd_epi32(a));
+    for (unsigned i = 0, kept = 0; i < 4; i++) {
+        to[kept] = whole[i];
+        kept += keep >> i & 1;
+    }
+}
+
+static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
+{
+    return (unsigned)_mm256_movemask_pd(_mm256_cmp_pd(a, b, _CMP_LT_OQ));
 }
 
 static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
@@ -177,9 +247,40 @@ static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
     return fma(a, b, c);
 }
 
+static inline gsn_lanes gsn_lanes_max(gsn_lanes a, gsn_lanes b)
+{
+    return a > b ? a : b;
+}
+
+static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
+{
+    return a < b ? a : b;
+}
+
+static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
+{
+    return ceil(a);
+}
+
+static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
+{
+    return floor(a);
+}
+
 static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
 {
     return fmin(a, fabs(b));
+}
+
+static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
+{
+    (void)keep;
+    *to = (int32_t)a;
+}
+
+static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
+{
+    return a < b;
 }
 
 static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)

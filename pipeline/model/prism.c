@@ -9,6 +9,16 @@
 /* Room for rounding in tests that only spare work, relative to the size of the face. */
 #define SLACK 1e-10
 
+static double least(double a, double b)
+{
+    return a < b ? a : b;
+}
+
+static double greatest(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 static void sort_three(uint32_t v[3])
 {
     for (int i = 0; i < 3; i++) {
@@ -63,7 +73,7 @@ static void turn_knots(const struct gsn_dms *space, struct gsn_prism *prism)
             prism->at[c][i] = place;
             far += place * place;
         }
-        prism->size = fmax(prism->size, sqrt(far));
+        prism->size = greatest(prism->size, sqrt(far));
     }
 }
 
@@ -97,14 +107,14 @@ static void bound(const struct gsn_dms *space, struct gsn_prism *prism)
         double d[3];
 
         gsn_subtract(knot, prism->origin, d);
-        under = fmin(under, prism->at[2][i]);
-        over = fmax(over, prism->at[2][i]);
+        under = least(under, prism->at[2][i]);
+        over = greatest(over, prism->at[2][i]);
         for (unsigned m = 0; m < 3; m++) {
             const double value = gsn_dot(mu[m], d) + mu[m][3];
 
-            low[m] = fmin(low[m], value);
+            low[m] = least(low[m], value);
             if (m != i / per_cloud)
-                high[m] = fmax(high[m], value);
+                high[m] = greatest(high[m], value);
         }
     }
     for (int m = 0; m < 3; m++) {

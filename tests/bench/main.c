@@ -1,0 +1,65 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* gieson-bench [--quick] [measure ...]: how fast the splines are, one line of JSON a figure. */
+#include "tests/bench/bench.h"
+
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+
+int bench_quick;
+
+static const struct {
+    const char *name;
+    void (*run)(void);
+    const char *what;
+} MEASURES[] = {
+    { "machine", bench_machine, "peak of multiply-adds and memory bandwidth of this machine" },
+    { "plain", bench_plain, "the textbook recurrence, per point" },
+    { "resample", bench_resample, "splines onto 256^3 voxels, against the recurrences" },
+    { "threads", bench_threads, "the same on two threads" },
+    { "slope", bench_slope, "how its time grows with the number of tetrahedra" },
+    { "vtk", bench_vtk, "linear splines on 96^3 voxels, against vtkProbeFilter" },
+    { "kernel", bench_kernel, "seam kernels, as a fraction of the machine's peak" },
+    { "points", bench_points, "value and gradient at random points" },
+    { "locate", bench_locate, "which tetrahedron holds a point" },
+    { "mean", bench_mean, "exact means over tetrahedra" },
+    { "space", bench_space, "making a space and a spline, and their memory" },
+};
+
+enum { COUNT = sizeof MEASURES / sizeof *MEASURES };
+
+static int usage(const char *word)
+{
+    fprintf(stderr, "gieson-bench: no measure \"%s\"; there are\n", word);
+    for (size_t m = 0; m < COUNT; m++)
+        fprintf(stderr, "    %-10s %s\n", MEASURES[m].name, MEASURES[m].what);
+    return 64;
+}
+
+int main(int argc, char **argv)
+{
+    int wanted[COUNT] = { 0 }, all = 1;
+
+    /* A peer that dies shows as the end of its answers. */
+    (void)signal(SIGPIPE, SIG_IGN);
+    for (int a = 1; a < argc; a++) {
+        size_t m = 0;
+
+        if (strcmp(argv[a], "--quick") == 0) {
+            bench_quick = 1;
+            continue;
+        }
+        while (m < COUNT && strcmp(argv[a], MEASURES[m].name) != 0)
+            m++;
+        if (m == COUNT)
+            return usage(argv[a]);
+        wanted[m] = 1;
+        all = 0;
+    }
+    for (size_t m = 0; m < COUNT; m++) {
+        if (all || wanted[m])
+            MEASURES[m].run();
+    }
+    return 0;
+}

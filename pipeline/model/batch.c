@@ -220,11 +220,12 @@ static void list_face(void *context, size_t tet, unsigned corner)
 
 /* The polynomials of one tetrahedron at some of its points, and the faces of those that are not in
  * its core. */
-static void eval_group(struct work *work, size_t tet, const struct gsn_frame *frame,
+static void eval_group(struct work *work, const struct gsn_dms_shape *shape,
                        const double *coefficient, const struct key *key, size_t count)
 {
     const struct gsn_dms *space = work->job->space;
-    double lambda[3][GROUP], value[GROUP], slope[3][GROUP], delta[4];
+    const struct gsn_frame *frame = &shape->frame;
+    double lambda[3][GROUP], value[GROUP], slope[3][GROUP];
     const double *const at[3] = { lambda[0], lambda[1], lambda[2] };
     double *const slopes[3] = { slope[0], slope[1], slope[2] };
     const int with_gradient = work->job->gradient != NULL;
@@ -238,9 +239,6 @@ static void eval_group(struct work *work, size_t tet, const struct gsn_frame *fr
     }
     space->kernels->points[space->degree](coefficient, at, count, value,
                                           with_gradient ? slopes : NULL);
-    gsn_dms_core(space, tet, delta);
-    for (int k = 0; k < 4; k++)
-        delta[k] += GSN_DMS_SLACK;
     for (size_t i = 0; i < count; i++) {
         const uint32_t point = key[i].point;
 
@@ -250,31 +248,28 @@ static void eval_group(struct work *work, size_t tet, const struct gsn_frame *fr
                                     frame->row[1][c] * slope[1][i] + frame->row[2][c] * slope[2][i];
     }
     for (size_t i = 0; i < count; i++) {
-        const double l[3] = { lambda[0][i], lambda[1][i], lambda[2][i] };
+        const double all[4] = { 1 - lambda[0][i] - lambda[1][i] - lambda[2][i], lambda[0][i],
+                                lambda[1][i], lambda[2][i] };
 
-        if (l[0] > delta[1] && l[1] > delta[2] && l[2] > delta[3] &&
-            1 - l[0] - l[1] - l[2] > delta[0])
+        if (gsn_dms_clear(shape, all) == GSN_DMS_ALL)
             continue;
         work->point = key[i].point;
-        gsn_seam_each(space, tet, place_of(work, key[i].point), list_face, work);
+        gsn_seam_each(space, key[i].by, place_of(work, key[i].point), list_face, work);
     }
 }
 
 static void eval_home(struct work *work, const struct key *key, size_t count)
 {
     const struct gsn_dms *space = work->job->space;
-    const uint32_t *v = space->mesh->tet[key->by];
-    double(*const vertex)[3] = space->mesh->vertex;
     double coefficient[GSN_DMS_MAX_FUNCTIONS];
-    struct gsn_frame frame;
+    struct gsn_dms_shape shape;
 
-    gsn_frame_init(&frame, vertex[v[0]], vertex[v[1]], vertex[v[2]], vertex[v[3]]);
+    gsn_dms_shape_of(space, key->by, &shape);
     gsn_poly_of_bernstein(space->degree,
                           &work->job->spline->bernstein[key->by * gsn_dms_functions(space)],
                           coefficient);
     for (size_t i = 0; i < count; i += GROUP)
-        eval_group(work, key->by, &frame, coefficient, &key[i],
-                   count - i < GROUP ? count - i : GROUP);
+        eval_group(work, &shape, coefficient, &key[i], count - i < GROUP ? count - i : GROUP);
 }
 
 /* The homes of the points of a chunk; those outside get their answer here. Returns how many are

@@ -5,27 +5,15 @@
 
 #include <string.h>
 
-/* borrowed: the tetrahedra whose knots' box may hold u, ascending. */
-static size_t candidates(const struct gsn_dms *space, const double u[3], const uint32_t **ret_list)
-{
-    return gsn_bins_at(space->bins, u, ret_list);
-}
-
 /* A bit per corner of a tetrahedron that is not clear of its cloud at u. */
 static unsigned unclear_at(const struct gsn_dms *space, size_t tet, const double u[3])
 {
-    const uint32_t *v = space->mesh->tet[tet];
-    double(*const vertex)[3] = space->mesh->vertex;
-    double delta[4], lambda[4];
-    struct gsn_frame frame;
-    unsigned unclear = 0;
+    struct gsn_dms_shape shape;
+    double lambda[4];
 
-    gsn_frame_init(&frame, vertex[v[0]], vertex[v[1]], vertex[v[2]], vertex[v[3]]);
-    gsn_frame_at(&frame, u, lambda);
-    gsn_dms_core(space, tet, delta);
-    for (unsigned k = 0; k < 4; k++)
-        unclear |= (unsigned)!(lambda[k] > delta[k] + GSN_DMS_SLACK) << k;
-    return unclear;
+    gsn_dms_shape_of(space, tet, &shape);
+    gsn_frame_at(&shape.frame, u, lambda);
+    return GSN_DMS_ALL & ~gsn_dms_clear(&shape, lambda);
 }
 
 /* The greatest |g| of a face. */
@@ -66,13 +54,25 @@ static unsigned corner_towards(const struct gsn_tets *mesh, size_t tet, size_t o
     return k;
 }
 
+/* The faces of one tetrahedron that is the one with the smaller number. */
+static void each_face(const struct gsn_dms *space, size_t tet, const double u[3],
+                      void (*visit)(void *context, size_t tet, unsigned corner), void *context)
+{
+    for (unsigned k = 0; k < 4; k++) {
+        const int64_t other = space->mesh->neighbour[tet][k];
+        const unsigned top = top_of(space, tet, k);
+
+        if ((other < 0 || (size_t)other > tet) && top > 0 && box_holds(space, tet, k, top, u))
+            visit(context, tet, k);
+    }
+}
+
 void gsn_seam_each(const struct gsn_dms *space, size_t home, const double u[3],
                    void (*visit)(void *context, size_t tet, unsigned corner), void *context)
 {
     const struct gsn_tets *mesh = space->mesh;
     const unsigned unclear = unclear_at(space, home, u);
-    const uint32_t *list;
-    size_t count;
+    struct gsn_ascent ascent;
 
     if (unclear == 0)
         return;
@@ -88,16 +88,12 @@ void gsn_seam_each(const struct gsn_dms *space, size_t home, const double u[3],
             return;
         }
     }
-    count = candidates(space, u, &list);
-    for (size_t i = 0; i < count; i++) {
-        for (unsigned k = 0; k < 4; k++) {
-            const int64_t other = mesh->neighbour[list[i]][k];
-            const unsigned top = top_of(space, list[i], k);
-
-            if ((other < 0 || other > list[i]) && top > 0 && box_holds(space, list[i], k, top, u))
-                visit(context, list[i], k);
-        }
-    }
+    gsn_ascent_begin(&ascent);
+    do {
+        (void)gsn_boxtree_at(space->tree, u, gsn_ascent_add, &ascent);
+        for (size_t i = 0; i < ascent.count; i++)
+            each_face(space, ascent.item[i], u, visit, context);
+    } while (gsn_ascent_next(&ascent));
 }
 
 struct sum {

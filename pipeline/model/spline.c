@@ -2,6 +2,7 @@
 #include "pipeline/model/spline.h"
 
 #include "pipeline/model/bpatch.h"
+#include "pipeline/model/seam_at.h"
 #include "pipeline/model/spline_internal.h"
 
 #include <assert.h>
@@ -86,33 +87,12 @@ void gsn_spline_bernstein(const struct gsn_spline *spline, size_t tet,
            functions * sizeof *ret_coefficient);
 }
 
-/* s and its gradient while the tetrahedra that reach u add their share. */
-struct sum {
-    const struct gsn_spline *spline;
-    double value, gradient[3];
-};
-
-static void add_tet(void *context, size_t tet, const double *value, const double (*gradient)[3])
-{
-    struct sum *sum = context;
-    const uint32_t *id = gsn_dms_control_ids(sum->spline->space, tet);
-
-    for (size_t f = 0; f < gsn_dms_functions(sum->spline->space); f++) {
-        const double control = sum->spline->control[id[f]];
-
-        sum->value += control * value[f];
-        for (int c = 0; gradient && c < 3; c++)
-            sum->gradient[c] += control * gradient[f][c];
-    }
-}
-
 int gsn_spline_eval(const struct gsn_spline *spline, const double u[3], size_t *hint,
                     double *ret_value, double *ret_gradient)
 {
     const struct gsn_dms *space = spline->space;
-    struct sum sum = { .spline = spline };
+    double lambda[4], value, gradient[3];
     struct gsn_dms_shape shape;
-    double lambda[4];
     size_t tet;
 
     assert(hint && ret_value);
@@ -122,15 +102,12 @@ int gsn_spline_eval(const struct gsn_spline *spline, const double u[3], size_t *
     *hint = tet;
     gsn_dms_shape_of(space, tet, &shape);
     gsn_frame_at(&shape.frame, u, lambda);
-    if (gsn_dms_clear(&shape, lambda) == GSN_DMS_ALL) {
-        *ret_value =
-            gsn_bernstein_at(space->degree, &spline->bernstein[tet * gsn_dms_functions(space)],
-                             &shape.frame, lambda, ret_gradient);
-        return GSN_OK;
-    }
-    gsn_dms_each(space, tet, u, ret_gradient != NULL, add_tet, &sum);
-    *ret_value = sum.value;
+    value = gsn_bernstein_at(space->degree, &spline->bernstein[tet * gsn_dms_functions(space)],
+                             &shape.frame, lambda, ret_gradient ? gradient : NULL);
+    if (gsn_dms_clear(&shape, lambda) != GSN_DMS_ALL)
+        gsn_spline_add_seams(spline, tet, u, &value, ret_gradient ? gradient : NULL);
+    *ret_value = value;
     if (ret_gradient)
-        memcpy(ret_gradient, sum.gradient, sizeof sum.gradient);
+        memcpy(ret_gradient, gradient, sizeof gradient);
     return GSN_OK;
 }

@@ -89,7 +89,7 @@ static void check_golden(const struct golden_case *golden)
 
 TEST(the_seams_complete_the_polynomials_to_the_exact_spline)
 {
-    golden_each(check_golden);
+    golden_each("spline", check_golden);
 }
 
 /* The mean over a tetrahedron of the mesh: its polynomial's, and what every face adds in it. */
@@ -149,7 +149,7 @@ static void check_means(const struct golden_case *golden)
 
 TEST(the_seams_complete_the_mean_over_a_tetrahedron)
 {
-    golden_each(check_means);
+    golden_each("cells", check_means);
 }
 
 enum { ROOM = 4096 };

@@ -4,6 +4,7 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/model/bpatch.h"
 #include "pipeline/model/frame.h"
+#include "pipeline/model/seam_at.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -13,7 +14,7 @@ enum {
     SAMPLES_A_TASK = 4096,
     TETS_A_TASK = 64,
     MOST_SAMPLES = INT32_MAX,
-    FIRST_ROOM = 256, /* terms at one point; grows where more tetrahedra meet */
+    FIRST_ROOM = 256, /* control points of one sample; grows where more tetrahedra meet */
 };
 
 /* A barycentric coordinate this near to the core's edge is left to the exact seam evaluation. */
@@ -209,58 +210,31 @@ static bool room_for_row(struct part *part, size_t terms)
     return true;
 }
 
-/* Terms of one control point become one, in the order in which they first appear. */
-static int add_row(struct part *part, const struct gsn_fit_rows *rows, size_t sample,
-                   const struct gsn_dms_term *term, size_t count, struct gsn_error *err)
+static int add_seam(struct part *part, const struct gsn_fit_rows *rows, size_t tet, size_t sample,
+                    struct gsn_error *err)
 {
-    const size_t first = part->terms;
+    size_t room = FIRST_ROOM, count = 0;
     double sum = 0;
+    int r;
 
-    if (!room_for_row(part, count))
-        return out_of_memory(err);
-    for (size_t i = 0; i < count; i++) {
-        size_t j = first;
-
-        while (j < part->terms && part->control[j] != term[i].control)
-            j++;
-        if (j == part->terms) {
-            part->control[part->terms] = term[i].control;
-            part->value[part->terms++] = 0;
-        }
-        part->value[j] += term[i].value;
-        sum += term[i].value;
-    }
+    do {
+        if (!room_for_row(part, room))
+            return out_of_memory(err);
+        r = gsn_seam_row(rows->space, tet, rows->samples->at[sample], room,
+                         &part->control[part->terms], &part->value[part->terms], &count);
+        room *= 2;
+    } while (r == GSN_E_LIMIT);
+    for (size_t i = part->terms; i < part->terms + count; i++)
+        sum += part->value[i];
+    part->terms += count;
     part->sample[part->rows] = (uint32_t)sample;
     part->target[part->rows] = rows->samples->value[sample] - rows->mean * sum;
     part->end[part->rows++] = part->terms;
     return GSN_OK;
 }
 
-struct term_room {
-    struct gsn_dms_term *term;
-    size_t room;
-};
-
-static int add_seam(struct part *part, const struct gsn_fit_rows *rows, const struct cell *cell,
-                    size_t sample, struct term_room *terms, struct gsn_error *err)
-{
-    size_t count = terms->room, hint = cell->tet;
-
-    do {
-        if (count > terms->room || !terms->term) {
-            if (!grow(&terms->term, count, sizeof *terms->term))
-                return out_of_memory(err);
-            terms->room = count;
-        }
-        if (gsn_dms_basis(rows->space, rows->samples->at[sample], 0, &hint, terms->term,
-                          terms->room, &count) != GSN_OK)
-            return gsn_fail(err, GSN_E_INPUT, "sample %zu has no basis", sample);
-    } while (count > terms->room);
-    return add_row(part, rows, sample, terms->term, count, err);
-}
-
 static int evaluate_tets(struct gsn_fit_rows *rows, struct part *part, size_t first, size_t end,
-                         struct term_room *terms, struct gsn_error *err)
+                         struct gsn_error *err)
 {
     for (size_t t = first; t < end; t++) {
         struct cell cell;
@@ -274,7 +248,7 @@ static int evaluate_tets(struct gsn_fit_rows *rows, struct part *part, size_t fi
             if (in_core(&cell, rows->samples->at[sample]))
                 add_core(rows, &cell, sample);
             else
-                r = add_seam(part, rows, &cell, sample, terms, err);
+                r = add_seam(part, rows, t, sample, err);
             if (r < 0)
                 return r;
         }
@@ -287,13 +261,10 @@ static int evaluate_task(size_t task, void *context, struct gsn_error *err)
 {
     const struct evaluation *work = context;
     const size_t first = task * TETS_A_TASK;
-    struct term_room terms = { .room = FIRST_ROOM };
-    const int r = evaluate_tets(
-        work->rows, &work->part[task], first,
-        smaller(first + TETS_A_TASK, gsn_dms_mesh(work->rows->space)->tet_count), &terms, err);
+    const size_t tets = gsn_dms_mesh(work->rows->space)->tet_count;
 
-    gsn_free(terms.term);
-    return r;
+    return evaluate_tets(work->rows, &work->part[task], first, smaller(first + TETS_A_TASK, tets),
+                         err);
 }
 
 static void part_done(struct part *part)

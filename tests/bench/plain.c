@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/bench/plain.h"
 
-#include "pipeline/model/bins.h"
+#include "pipeline/model/boxtree.h"
 #include "pipeline/model/frame.h"
 #include "pipeline/model/orient.h"
 #include "tests/bench/bench.h"
@@ -13,8 +13,10 @@
  * step, 16 after two. Node i leads to nodes 4 i + 1 .. 4 i + 4. */
 enum { MOST_KNOTS = 7, MOST_NODES = 21 };
 
-/* A tetrahedron's barycentric coordinates and the least each takes at its knots. */
+/* A tetrahedron's barycentric coordinates and the least each takes at its knots, and the box around
+ * them. */
 struct cover {
+    struct gsn_box box;
     struct gsn_frame frame;
     double low[4];
 };
@@ -25,10 +27,10 @@ struct cover {
 struct plain {
     const struct gsn_spline *spline;
     const struct gsn_dms *space;
-    struct gsn_bins *bins; /* of the boxes around the knots of each tetrahedron */
-    struct cover *cover;   /* per tetrahedron */
-    size_t nodes;          /* per function */
-    uint8_t *largest;      /* W of each node of each function: a bit per knot of the set */
+    struct gsn_boxtree *tree; /* of the boxes around the knots of each tetrahedron */
+    struct cover *cover;      /* per tetrahedron */
+    size_t nodes;             /* per function */
+    uint8_t *largest;         /* W of each node of each function: a bit per knot of the set */
 };
 
 static double det(const double a[3], const double b[3], const double c[3], const double d[3])
@@ -207,7 +209,7 @@ static struct gsn_box knots_box(const struct gsn_dms *space, size_t tet)
 static struct cover cover_of(const struct gsn_dms *space, size_t tet)
 {
     const unsigned per_cloud = gsn_dms_degree(space) + 1;
-    struct cover cover = { .low = { 0 } };
+    struct cover cover = { .box = knots_box(space, tet) };
 
     gsn_frame_init(&cover.frame, knot_of(space, tet, 0), knot_of(space, tet, per_cloud),
                    knot_of(space, tet, 2 * per_cloud), knot_of(space, tet, 3 * per_cloud));
@@ -236,8 +238,8 @@ struct plain *plain_new(const struct gsn_spline *spline)
     plain->cover = bench_alloc(tets, sizeof *plain->cover);
     plain->largest = bench_alloc(tets * functions * plain->nodes, 1);
     for (size_t t = 0; t < tets; t++) {
-        box[t] = knots_box(space, t);
         plain->cover[t] = cover_of(space, t);
+        box[t] = plain->cover[t].box;
         for (size_t f = 0; f < functions; f++) {
             const double *knot[MOST_KNOTS];
             const size_t count = collect(space, t, f, knot);
@@ -245,7 +247,7 @@ struct plain *plain_new(const struct gsn_spline *spline)
             prepare(knot, count, &plain->largest[(t * functions + f) * plain->nodes], 0);
         }
     }
-    bench_need(gsn_bins_new(box, tets, &plain->bins, &err), &err, "bins");
+    bench_need(gsn_boxtree_new(box, tets, &plain->tree, &err), &err, "boxes");
     gsn_free(box);
     return plain;
 }
@@ -254,7 +256,7 @@ void plain_free(struct plain *plain)
 {
     if (!plain)
         return;
-    gsn_bins_free(plain->bins);
+    gsn_boxtree_free(plain->tree);
     gsn_free(plain->cover);
     gsn_free(plain->largest);
     gsn_free(plain);
@@ -301,16 +303,28 @@ static double eval_tet(const struct plain *plain, enum plain_choice choice, size
     return sum;
 }
 
+/* A sum over what the tree finds. */
+struct sum {
+    const struct plain *plain;
+    enum plain_choice choice;
+    const double *u;
+    double value;
+};
+
+static int add_tet(void *context, uint32_t tet)
+{
+    struct sum *sum = context;
+    const struct cover *cover = &sum->plain->cover[tet];
+
+    if (box_holds(&cover->box, sum->u) && (sum->choice == PLAIN_BOX || cover_holds(cover, sum->u)))
+        sum->value += eval_tet(sum->plain, sum->choice, tet, sum->u);
+    return 0;
+}
+
 double plain_eval(const struct plain *plain, enum plain_choice choice, const double u[3])
 {
-    const uint32_t *list;
-    const size_t count = gsn_bins_at(plain->bins, u, &list);
-    double sum = 0;
+    struct sum sum = { .plain = plain, .choice = choice, .u = u };
 
-    for (size_t i = 0; i < count; i++) {
-        if (box_holds(gsn_bins_box(plain->bins, list[i]), u) &&
-            (choice == PLAIN_BOX || cover_holds(&plain->cover[list[i]], u)))
-            sum += eval_tet(plain, choice, list[i], u);
-    }
-    return sum;
+    (void)gsn_boxtree_at(plain->tree, u, add_tet, &sum);
+    return sum.value;
 }

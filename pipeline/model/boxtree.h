@@ -3,11 +3,11 @@
 /* Which boxes hold this point, meet this box, come near this line? A small tree over axis-parallel
  * boxes.
  *
- * The boxes are sorted along a Morton curve through their centres and taken eight at a time; over
+ * The boxes are sorted along a Hilbert curve through their centres and taken six at a time; over
  * these leaves stands a balanced binary tree without pointers. A node knows the box around what is
  * below it, in single precision about the middle of everything, rounded outward. The boxes
  * themselves are not kept: a search may name items whose own box just fails the question, never
- * leave out one whose box does not, and the caller decides. That takes 10 bytes an item.
+ * leave out one whose box does not, and the caller decides. That takes 12 bytes an item.
  *
  * The order of a search depends on the boxes alone. Where the caller's result depends on the order
  * it sorts by item, with struct gsn_ascent. */

@@ -57,6 +57,52 @@ static struct gsn_tets *two_blocks(double origin, double edge)
     return mesh;
 }
 
+/* gives: a cube of cubes, four of ten missing. */
+static struct gsn_tets *cheese(void)
+{
+    const size_t cells[3] = { 7, 7, 7 };
+    gsn_auto(gsn_tets) all = kuhn_mesh(cells, 0);
+    uint32_t *place = gsn_alloc_array(all->vertex_count, sizeof *place);
+    uint32_t(*tet)[4] = gsn_alloc_array(all->tet_count, sizeof *tet);
+    double(*vertex)[3] = gsn_alloc_array(all->vertex_count, sizeof *vertex);
+    struct gsn_tets *mesh = NULL;
+    struct gsn_error err = { 0 };
+    size_t tets = 0;
+    uint32_t vertices = 0;
+
+    CHECK(place && tet && vertex);
+    for (size_t t = 0; t < all->tet_count; t++) {
+        unsigned cell[3];
+
+        for (int c = 0; c < 3; c++) {
+            double middle = 0;
+
+            for (int k = 0; k < 4; k++)
+                middle += all->vertex[all->tet[t][k]][c] / 4;
+            cell[c] = (unsigned)middle;
+        }
+        if ((cell[0] * 7 + cell[1] * 11 + cell[2] * 13 + cell[0] * cell[1] * cell[2]) % 10 < 4)
+            continue;
+        for (int k = 0; k < 4; k++) {
+            uint32_t *to = &place[all->tet[t][k]];
+
+            if (*to == 0) {
+                memcpy(vertex[vertices], all->vertex[all->tet[t][k]], sizeof *vertex);
+                *to = ++vertices;
+            }
+            tet[tets][k] = *to - 1;
+        }
+        tets++;
+    }
+    CHECK_OK(gsn_tets_new((const double(*)[3])vertex, vertices, (const uint32_t(*)[4])tet, tets,
+                          &mesh, &err),
+             err);
+    gsn_free(place);
+    gsn_free(tet);
+    gsn_free(vertex);
+    return mesh;
+}
+
 /* The tetrahedron with u on the inner side of all faces; tet_count when there is none. */
 static size_t holder_of(const struct gsn_tets *mesh, const double u[3])
 {
@@ -82,15 +128,16 @@ static void draw_in_box(const struct gsn_box *box, uint64_t *seed, double ret_u[
         ret_u[c] = box->low[c] + draw(seed) * (box->high[c] - box->low[c]);
 }
 
-static void check_locate(double origin, double edge)
+/* Takes the mesh. */
+static void check_locate(struct gsn_tets *taken)
 {
-    gsn_auto(gsn_dms) space = space_over(two_blocks(origin, edge), 2, 0.1);
+    gsn_auto(gsn_dms) space = space_over(taken, 2, 0.02);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
     const struct gsn_box box = gsn_box_around((const double(*)[3])mesh->vertex, mesh->vertex_count);
     uint64_t seed = 3;
     size_t hint = 0;
 
-    for (size_t i = 0; i < 600; i++) {
+    for (size_t i = 0; i < 1500; i++) {
         size_t tet = 12345, truth;
         double u[3];
 
@@ -111,10 +158,11 @@ static void check_locate(double origin, double edge)
 
 TEST(a_point_is_found_in_any_part_of_the_domain_wherever_that_lies)
 {
-    check_locate(0, 1);
-    check_locate(1e6, 1);
-    check_locate(-1e9, 100);
-    check_locate(1e-3, 1e-6);
+    check_locate(two_blocks(0, 1));
+    check_locate(two_blocks(1e6, 1));
+    check_locate(two_blocks(-1e9, 100));
+    check_locate(two_blocks(1e-3, 1e-6));
+    check_locate(cheese());
 }
 
 TEST(a_point_far_away_is_outside)

@@ -4,6 +4,7 @@
 #ifndef GSN_MODEL_DMS_INTERNAL_H
 #define GSN_MODEL_DMS_INTERNAL_H
 
+#include "pipeline/model/ascent.h"
 #include "pipeline/model/boxtree.h"
 #include "pipeline/model/dms.h"
 #include "pipeline/model/frame.h"

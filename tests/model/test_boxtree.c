@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/boxtree.h"
 
+#include "pipeline/model/ascent.h"
+
 #include "tests/check.h"
 #include "tests/model/kuhn.h"
 

@@ -7,8 +7,8 @@
 #include <string.h>
 
 enum {
-    LEAF = 8,         /* items of a leaf */
-    MORTON_BITS = 21, /* of an axis */
+    LEAF = 6,        /* items of a leaf */
+    CURVE_BITS = 21, /* of an axis */
 };
 
 /* Coordinates of a node are those of space less origin, times scale. All boxes lie in about
@@ -30,7 +30,7 @@ struct gsn_boxtree {
     size_t count, leaves;
     size_t deepest; /* the first node of the deepest level, which is the first leaf in space */
     struct node *node;
-    uint32_t *item; /* in Morton order */
+    uint32_t *item; /* along the curve */
 };
 
 struct place {
@@ -133,18 +133,44 @@ static uint64_t spread(uint64_t x)
     return (x | x << 2) & 0x1249249249249249;
 }
 
-static uint64_t morton_code(const struct gsn_boxtree *tree, const struct gsn_box *box)
+/* The place of a cell along Hilbert's curve, by Skilling's "Programming the Hilbert curve" (2004):
+ * coordinates, most significant bits first, are turned and mirrored into the bits of the place. */
+static uint64_t hilbert_code(uint32_t x[3])
 {
-    const double cells = (double)(1 << MORTON_BITS);
-    uint64_t code = 0;
+    uint32_t turn = 0;
+
+    for (uint32_t bit = 1u << (CURVE_BITS - 1); bit > 1; bit >>= 1) {
+        for (int c = 0; c < 3; c++) {
+            const uint32_t swapped = (x[0] ^ x[c]) & (bit - 1);
+
+            if (x[c] & bit) {
+                x[0] ^= bit - 1;
+            } else {
+                x[0] ^= swapped;
+                x[c] ^= swapped;
+            }
+        }
+    }
+    x[1] ^= x[0];
+    x[2] ^= x[1];
+    for (uint32_t bit = 1u << (CURVE_BITS - 1); bit > 1; bit >>= 1)
+        turn ^= x[2] & bit ? bit - 1 : 0;
+    return spread(x[0] ^ turn) << 2 | spread(x[1] ^ turn) << 1 | spread(x[2] ^ turn);
+}
+
+/* Where the middle of a box lies along the curve. */
+static uint64_t code_of(const struct gsn_boxtree *tree, const struct gsn_box *box)
+{
+    const double cells = (double)(1 << CURVE_BITS);
+    uint32_t cell[3];
 
     for (int c = 0; c < 3; c++) {
         const double middle = box->low[c] / 2 + box->high[c] / 2;
-        const double cell = (within(tree, middle, c) + 1) / 2 * cells;
+        const double place = (within(tree, middle, c) + 1) / 2 * cells;
 
-        code |= spread((uint64_t)fmin(fmax(cell, 0), cells - 1)) << c;
+        cell[c] = (uint32_t)fmin(fmax(place, 0), cells - 1);
     }
-    return code;
+    return hilbert_code(cell);
 }
 
 static int by_code(const void *left, const void *right)
@@ -163,14 +189,14 @@ static int sort_items(struct gsn_boxtree *tree, const struct gsn_box *box, struc
     if (!place)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu boxes", tree->count);
     for (size_t i = 0; i < tree->count; i++)
-        place[i] = (struct place){ morton_code(tree, &box[i]), (uint32_t)i };
+        place[i] = (struct place){ code_of(tree, &box[i]), (uint32_t)i };
     qsort(place, tree->count, sizeof *place, by_code);
     for (size_t i = 0; i < tree->count; i++)
         tree->item[i] = place[i].item;
     return GSN_OK;
 }
 
-/* The items of a leaf node: returns the first, and how many. Along the Morton curve the leaves of
+/* The items of a leaf node: returns the first, and how many. Along the curve the leaves of
  * the deepest level come before those one above it. */
 static const uint32_t *items_of(const struct gsn_boxtree *tree, size_t node, size_t *ret_count)
 {
@@ -350,43 +376,4 @@ int gsn_boxtree_along(const struct gsn_boxtree *tree, const double p[3], const d
         }
     }
     return r;
-}
-
-void gsn_ascent_begin(struct gsn_ascent *ascent)
-{
-    ascent->from = 0;
-    ascent->limit = UINT32_MAX;
-    ascent->count = 0;
-}
-
-int gsn_ascent_add(void *context, uint32_t item)
-{
-    struct gsn_ascent *ascent = context;
-    size_t at;
-
-    if (item < ascent->from || item >= ascent->limit)
-        return 0;
-    if (ascent->count == GSN_ASCENT_ROOM) {
-        /* The greatest waits for the next search. */
-        const uint32_t last = ascent->item[ascent->count - 1];
-
-        ascent->limit = item > last ? item : last;
-        if (item > last)
-            return 0;
-        ascent->count--;
-    }
-    for (at = ascent->count++; at > 0 && ascent->item[at - 1] > item; at--)
-        ascent->item[at] = ascent->item[at - 1];
-    ascent->item[at] = item;
-    return 0;
-}
-
-int gsn_ascent_next(struct gsn_ascent *ascent)
-{
-    if (ascent->limit == UINT32_MAX)
-        return 0;
-    ascent->from = ascent->limit;
-    ascent->limit = UINT32_MAX;
-    ascent->count = 0;
-    return 1;
 }

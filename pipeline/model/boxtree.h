@@ -3,14 +3,14 @@
 /* Which boxes hold this point, meet this box, come near this line? A small tree over axis-parallel
  * boxes.
  *
- * The boxes are sorted along a Morton curve through their centres and taken eight at a time; over
+ * The boxes are sorted along a Hilbert curve through their centres and taken six at a time; over
  * these leaves stands a balanced binary tree without pointers. A node knows the box around what is
  * below it, in single precision about the middle of everything, rounded outward. The boxes
  * themselves are not kept: a search may name items whose own box just fails the question, never
- * leave out one whose box does not, and the caller decides. That takes 10 bytes an item.
+ * leave out one whose box does not, and the caller decides. That takes 12 bytes an item.
  *
  * The order of a search depends on the boxes alone. Where the caller's result depends on the order
- * it sorts by item, with struct gsn_ascent. */
+ * it sorts by item (ascent.h). */
 #ifndef GSN_MODEL_BOXTREE_H
 #define GSN_MODEL_BOXTREE_H
 
@@ -56,32 +56,6 @@ int gsn_boxtree_meeting(const struct gsn_boxtree *tree, const struct gsn_box *bo
 /* Every item whose box the line p + t d meets, or nearly: d has length 1 or so. */
 int gsn_boxtree_along(const struct gsn_boxtree *tree, const double p[3], const double d[3],
                       gsn_boxtree_visit *visit, void *context);
-
-/* Brings what searches find into ascending order without memory of its own for any number of
- * items: it holds the least ones from `from` on, and when there are more, the search is made again
- * for the next.
- *
- *     struct gsn_ascent ascent = { 0 };
- *
- *     gsn_ascent_begin(&ascent);
- *     do {
- *         (search, with gsn_ascent_add() for each item found)
- *         (use item[0] .. item[count - 1])
- *     } while (gsn_ascent_next(&ascent));
- */
-enum { GSN_ASCENT_ROOM = 512 };
-
-struct gsn_ascent {
-    uint32_t from, limit; /* what it takes: from <= item < limit */
-    size_t count;
-    uint32_t item[GSN_ASCENT_ROOM];
-};
-
-void gsn_ascent_begin(struct gsn_ascent *ascent);
-/* A gsn_boxtree_visit; returns 0. An item is added once in a search. */
-int gsn_ascent_add(void *ascent, uint32_t item);
-/* Empties it for the items after those it had; 0 when there are none. */
-int gsn_ascent_next(struct gsn_ascent *ascent);
 
 #ifdef __cplusplus
 }

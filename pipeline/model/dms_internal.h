@@ -4,6 +4,7 @@
 #ifndef GSN_MODEL_DMS_INTERNAL_H
 #define GSN_MODEL_DMS_INTERNAL_H
 
+#include "pipeline/model/ascent.h"
 #include "pipeline/model/boxtree.h"
 #include "pipeline/model/dms.h"
 #include "pipeline/model/frame.h"
@@ -33,7 +34,7 @@ struct gsn_dms_reach {
     float low[4], high[4];
 };
 
-/* Beside the mesh and the control points there are, per tetrahedron, 4 bytes for each function, 43
+/* Beside the mesh and the control points there are, per tetrahedron, 4 bytes for each function, 45
  * bytes and its share of the knots. Whatever a recurrence needs beyond that is quickly made again
  * from the knots. */
 struct gsn_dms {

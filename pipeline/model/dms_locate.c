@@ -13,7 +13,7 @@
 enum {
     STEPS_FROM_HINT = 12,
     STEPS_FROM_LEAF = 64,
-    FAR = 6, /* heights behind a face: the tree is quicker than walking there */
+    FAR = 3, /* heights behind a face: the tree is quicker than walking there */
     INSIDE = 4,
 };
 

@@ -95,37 +95,12 @@ unsigned gsn_dms_clear(const struct gsn_dms_shape *shape, const double lambda[4]
     return clear;
 }
 
-/* The normal of each knot triple, and what its rounding is relative to. */
-struct normal {
-    double at[3], permanent[3];
-};
-
-static int is_flat(const struct gsn_simplex_set *quad, const double (*knot)[3],
-                   const struct normal *normal)
-{
-    const uint8_t *m = quad->member;
-    double r[3], size = 0;
-
-    gsn_subtract(knot[m[3]], knot[m[0]], r);
-    for (int c = 0; c < 3; c++)
-        size += normal->permanent[c] * fabs(r[c]);
-    return !(fabs(gsn_dot(normal->at, r)) > GSN_ORIENT_BOUND * size) &&
-           gsn_orient3d(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]) == 0;
-}
-
 int gsn_dms_is_general(const struct gsn_simplex_sets *sets, const double (*knot)[3])
 {
-    struct normal normal[GSN_SIMPLEX_MAX_TRIPLES];
-
-    for (size_t s = sets->first[3]; s < sets->first[2]; s++) {
-        struct normal *to = &normal[s - sets->first[3]];
-
-        gsn_simplex_normal(&sets->set[s], knot, to->at, to->permanent);
-    }
     for (size_t s = sets->first[4]; s < sets->first[3]; s++) {
-        const struct gsn_simplex_set *quad = &sets->set[s];
+        const uint8_t *m = sets->set[s].member;
 
-        if (is_flat(quad, knot, &normal[quad->without[3] - sets->first[3]]))
+        if (gsn_orient3d(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]) == 0)
             return 0;
     }
     return 1;

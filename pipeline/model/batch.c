@@ -41,7 +41,7 @@ struct key {
 /* What one thread needs for a chunk. */
 struct work {
     const struct job *job;
-    const struct stop *stop; /* of the chunk */
+    double u[CHUNK][3];
     struct key key[CHUNK], pair[PAIRS], scratch[PAIRS];
     size_t pairs;
     uint32_t point; /* whose faces are being listed */
@@ -141,11 +141,6 @@ static void sort_keys(struct key *key, size_t count, struct key *scratch)
     }
 }
 
-static const double *place_of(const struct work *work, uint32_t point)
-{
-    return work->job->at[work->stop[point].point];
-}
-
 /* Adds the seam of the face that has been prepared at up to GROUP points of one kind. */
 static void add_group(struct work *work, unsigned unclear, const uint32_t *point, size_t count)
 {
@@ -156,7 +151,7 @@ static void add_group(struct work *work, unsigned unclear, const uint32_t *point
     memset(slope, 0, sizeof slope);
     for (size_t i = 0; i < count; i++) {
         for (int c = 0; c < 3; c++)
-            at[c][i] = place_of(work, point[i])[c];
+            at[c][i] = work->u[point[i]][c];
     }
     gsn_seam_add(&work->seam, unclear, u, count, value, work->job->gradient ? slopes : NULL);
     for (size_t i = 0; i < count; i++) {
@@ -177,7 +172,7 @@ static void add_face(struct work *work, const struct key *pair, size_t count)
     if (!gsn_prism_init(space, pair->by / 4, pair->by % 4, &work->prism))
         return;
     for (size_t i = 0; i < count; i++) {
-        const int unclear = gsn_prism_at(&work->prism, place_of(work, pair[i].point));
+        const int unclear = gsn_prism_at(&work->prism, work->u[pair[i].point]);
 
         if (unclear < 0)
             continue;
@@ -233,7 +228,7 @@ static void eval_group(struct work *work, const struct gsn_dms_shape *shape,
     for (size_t i = 0; i < count; i++) {
         double d[3];
 
-        gsn_subtract(place_of(work, key[i].point), frame->origin, d);
+        gsn_subtract(work->u[key[i].point], frame->origin, d);
         for (int k = 0; k < 3; k++)
             lambda[k][i] = gsn_dot(frame->row[k], d);
     }
@@ -254,7 +249,7 @@ static void eval_group(struct work *work, const struct gsn_dms_shape *shape,
         if (gsn_dms_clear(shape, all) == GSN_DMS_ALL)
             continue;
         work->point = key[i].point;
-        gsn_seam_each(space, key[i].by, place_of(work, key[i].point), list_face, work);
+        gsn_seam_each(space, key[i].by, work->u[key[i].point], list_face, work);
     }
 }
 
@@ -279,7 +274,7 @@ static size_t locate(struct work *work, size_t count)
     size_t hint = 0, inside = 0;
 
     for (size_t i = 0; i < count; i++) {
-        const double *u = place_of(work, (uint32_t)i);
+        const double *u = work->u[i];
 
         if (is_finite(u) && gsn_dms_locate(work->job->space, u, hint, &hint) == GSN_OK) {
             work->key[inside++] = (struct key){ (uint32_t)hint, (uint32_t)i };
@@ -297,13 +292,16 @@ static int eval_chunk(size_t index, void *context, struct gsn_error *err)
     const struct job *job = context;
     const size_t first = index * CHUNK;
     const size_t count = job->count - first < CHUNK ? job->count - first : CHUNK;
+    const struct stop *stop = &job->stop[first];
     struct work work;
     size_t inside;
 
     (void)err;
     work.job = job;
-    work.stop = &job->stop[first];
     work.pairs = 0;
+    /* All at once: the memory is far away. */
+    for (size_t i = 0; i < count; i++)
+        memcpy(work.u[i], job->at[stop[i].point], sizeof work.u[i]);
     inside = locate(&work, count);
     sort_keys(work.key, inside, work.scratch);
     for (size_t i = 0, end; i < inside; i = end) {
@@ -313,7 +311,7 @@ static int eval_chunk(size_t index, void *context, struct gsn_error *err)
     }
     add_pairs(&work);
     for (size_t i = 0; i < count; i++) {
-        const size_t point = work.stop[i].point;
+        const size_t point = stop[i].point;
 
         job->value[point] = work.value[i];
         for (int c = 0; job->gradient && c < 3; c++)

@@ -33,7 +33,7 @@ struct gsn_seam_choice {
 };
 
 /* Half-spaces as rows of voxels along x see them: row (y, z) crosses the plane of one at voxel
- * at + y (y - origin[0]) + z (z - origin[1]). Places from count on are 0. */
+ * at + y (y - origin[0]) + z (z - origin[1]). */
 struct gsn_lines {
     unsigned count;
     double at[GSN_MOST_LANES], y[GSN_MOST_LANES], z[GSN_MOST_LANES];

@@ -165,9 +165,13 @@ static inline void cut(const struct gsn_lines *lines, double z, struct section *
 {
     ret->count = lines->count;
     ret->y = lines->y;
-    for (unsigned i = 0; i < lines->count; i += GSN_LANES)
-        gsn_lanes_store(&ret->at[i], gsn_lanes_fma(gsn_lanes_load(&lines->z[i]), gsn_lanes_all(z),
-                                                   gsn_lanes_load(&lines->at[i])));
+    for (unsigned i = 0; i < lines->count; i += GSN_LANES) {
+        const size_t some = lines->count - i;
+
+        gsn_lanes_store(&ret->at[i],
+                        gsn_lanes_fma(gsn_lanes_load_some(&lines->z[i], some), gsn_lanes_all(z),
+                                      gsn_lanes_load_some(&lines->at[i], some)));
+    }
 }
 
 static inline gsn_lanes line(const struct section *section, unsigned i, gsn_lanes y)

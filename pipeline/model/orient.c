@@ -153,6 +153,56 @@ static int exact_orient3d(const double a[3], const double b[3], const double c[3
     return sign_of_expansion(&sum);
 }
 
+/* b - a and c - a; returns whether one of them had to be rounded. */
+static int rounded_rows(const double a[3], const double b[3], const double c[3], double p[3],
+                        double q[3])
+{
+    int rounded = 0;
+    double rest;
+
+    for (int i = 0; i < 3; i++) {
+        p[i] = two_sum(b[i], -a[i], &rest);
+        rounded |= rest != 0;
+        q[i] = two_sum(c[i], -a[i], &rest);
+        rounded |= rest != 0;
+    }
+    return rounded;
+}
+
+/* p_i q_j - p_j q_i; returns whether it had to be rounded. */
+static int rounded_minor(const double p[3], const double q[3], int i, int j, double *ret_minor)
+{
+    double plus_rest, minus_rest, rest;
+    const double plus = two_product(p[i], q[j], &plus_rest);
+    const double minus = two_product(p[j], q[i], &minus_rest);
+
+    *ret_minor = two_sum(plus, -minus, &rest);
+    return plus_rest != 0 || minus_rest != 0 || rest != 0;
+}
+
+/* The determinant; returns whether it had to be rounded. Numbers of few digits, those of grids and
+ * of meshes made for them, need not be. */
+static int rounded_det(const double a[3], const double b[3], const double c[3], const double d[3],
+                       double *ret_det)
+{
+    double p[3], q[3], rest, minor;
+    int rounded = rounded_rows(a, b, c, p, q);
+
+    *ret_det = 0;
+    for (int i = 0; i < 3 && !rounded; i++) {
+        const double r = two_sum(d[i], -a[i], &rest);
+        double term;
+
+        rounded |= rest != 0;
+        rounded |= rounded_minor(p, q, (i + 1) % 3, (i + 2) % 3, &minor);
+        term = two_product(minor, r, &rest);
+        rounded |= rest != 0;
+        *ret_det = two_sum(*ret_det, term, &rest);
+        rounded |= rest != 0;
+    }
+    return rounded;
+}
+
 static int equal(const double a[3], const double b[3])
 {
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
@@ -176,6 +226,8 @@ int gsn_orient3d(const double a[3], const double b[3], const double c[3], const 
     /* The everyday zero: tetrahedra ask about vertices they share. */
     if (equal(d, a) || equal(d, b) || equal(d, c))
         return 0;
+    if (!rounded_det(a, b, c, d, &det))
+        return sign_of(det);
     return exact_orient3d(a, b, c, d);
 }
 
@@ -184,10 +236,13 @@ static int normal_sign(const double a[3], const double b[3], const double c[3], 
 {
     const int j = (i + 1) % 3, k = (i + 2) % 3;
     const double plus = (b[j] - a[j]) * (c[k] - a[k]), minus = (b[k] - a[k]) * (c[j] - a[j]);
+    double row[2][3], plain;
     struct expansion p[3], q[3], minor;
 
     if (fabs(plus - minus) > GSN_ORIENT_BOUND * (fabs(plus) + fabs(minus)))
         return sign_of(plus - minus);
+    if (!rounded_rows(a, b, c, row[0], row[1]) && !rounded_minor(row[0], row[1], j, k, &plain))
+        return sign_of(plain);
     exact_rows(a, b, c, p, q);
     exact_minor(p, q, j, k, &minor);
     return sign_of_expansion(&minor);

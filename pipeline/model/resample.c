@@ -95,8 +95,8 @@ static void start_bodies(const struct job *job, const struct block *block, const
     bodies->origin[1] = about[2];
     bodies->range[0] = (double)block->low[0];
     bodies->range[1] = (double)(block->high[0] - 1);
-    memset(&bodies->outer, 0, sizeof bodies->outer);
-    memset(&bodies->inner, 0, sizeof bodies->inner);
+    bodies->outer.low.count = bodies->outer.high.count = 0;
+    bodies->inner.low.count = bodies->inner.high.count = 0;
 }
 
 /* Adds {normal . (u - about) + constant >= 0} to a body. flattest: a slope per voxel that is
@@ -367,6 +367,7 @@ static void put(const struct job *job, struct facing *facing, unsigned unclear, 
     struct bucket *bucket = &facing->bucket[unclear];
     const size_t i = bucket->count++;
 
+    __builtin_prefetch(&job->value[first + (size_t)x], 1);
     bucket->voxel[i] = first + (size_t)x;
     bucket->at[0][i] = job->centre[0][x];
     bucket->at[1][i] = yz[0];

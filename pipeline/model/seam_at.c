@@ -106,7 +106,7 @@ static void add_face(void *context, size_t tet, unsigned corner)
 {
     const struct sum *sum = context;
     const double *const at[3] = { &sum->u[0], &sum->u[1], &sum->u[2] };
-    double *slope[3] = { sum->gradient, sum->gradient + 1, sum->gradient + 2 };
+    double *slope[3] = { NULL };
     struct gsn_prism prism;
     struct gsn_seam seam;
     int unclear;
@@ -116,6 +116,8 @@ static void add_face(void *context, size_t tet, unsigned corner)
     unclear = gsn_prism_at(&prism, sum->u);
     if (unclear < 0)
         return;
+    for (int c = 0; sum->gradient && c < 3; c++)
+        slope[c] = &sum->gradient[c];
     gsn_seam_init(&seam, sum->spline->space, &prism, sum->spline->control);
     gsn_seam_add(&seam, (unsigned)unclear, at, 1, sum->value, sum->gradient ? slope : NULL);
 }

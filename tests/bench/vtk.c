@@ -6,6 +6,7 @@
 
 #include "tests/bench/bench.h"
 
+#include <float.h>
 #include <math.h>
 #include <spawn.h>
 #include <stdio.h>
@@ -114,7 +115,7 @@ static double compare(const char *path, const double *ours, size_t count)
 
     for (size_t i = 0; i < count; i++) {
         if (!file || fread(&theirs, sizeof theirs, 1, file) != 1)
-            theirs = INFINITY;
+            theirs = DBL_MAX;
         worst = fmax(worst, fabs(theirs - ours[i]));
     }
     if (file)

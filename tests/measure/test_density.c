@@ -109,19 +109,21 @@ static void keep_middle(struct gsn_mask *region)
 
 TEST(slabs_of_any_shape_sum_what_single_points_give)
 {
-    /* Whole layers in one slab, in several, and layers that are cut; all reach beyond the mesh. */
+    /* Whole layers in one slab, in several, and layers that are cut where the region is; all reach
+     * beyond the mesh. */
     static const struct {
-        double step;
+        double corner[3], step;
         size_t nx, ny, nz;
-    } shape[] = { { 47.0, 31, 23, 17 }, { 23.0, 160, 140, 120 }, { 19.0, 1201, 1190, 33 } };
-    const double beyond[3] = { -61.0, -53.0, -47.0 };
+    } shape[] = { { { -61.0, -53.0, -47.0 }, 47.0, 31, 23, 17 },
+                  { { -61.0, -53.0, -47.0 }, 23.0, 160, 140, 120 },
+                  { { -61.0, 437.0 - 873.0 * 19.0, -47.0 }, 19.0, 1201, 1190, 33 } };
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_random(low, high, cells, 3, 0.04, 21, &kuhn, &err), err);
     for (size_t s = 0; s < sizeof shape / sizeof shape[0]; s++) {
         gsn_auto(gsn_mask) region =
-            full_mask(beyond, shape[s].step, shape[s].nx, shape[s].ny, shape[s].nz);
+            full_mask(shape[s].corner, shape[s].step, shape[s].nx, shape[s].ny, shape[s].nz);
         struct gsn_region_density density[2];
         double mean, centres;
 

@@ -52,17 +52,9 @@ static void leave_region_only(struct gsn_plane *plane, const struct gsn_cut_fram
                               const struct gsn_mask *region)
 {
     for (uint32_t y = 0; y < plane->height; y++)
-        for (uint32_t x = 0; x < plane->width; x++) {
-            const double right = frame->left_um + (x + 0.5) * frame->um_per_px;
-            const double down = frame->top_um + (y + 0.5) * frame->um_per_px;
-            const struct gsn_vec3 u =
-                frame->axis == GSN_AXIS_Z   ? gsn_vec3_make(right, down, frame->at_um)
-                : frame->axis == GSN_AXIS_Y ? gsn_vec3_make(right, frame->at_um, down)
-                                            : gsn_vec3_make(frame->at_um, right, down);
-
-            if (!gsn_mask_has(region, u))
+        for (uint32_t x = 0; x < plane->width; x++)
+            if (!gsn_mask_has(region, gsn_cut_pixel(frame, x, y)))
                 plane->value[(size_t)y * plane->width + x] = NAN;
-        }
 }
 
 struct scale {

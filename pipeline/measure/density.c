@@ -8,18 +8,24 @@
 
 #include "pipeline/core/parallel.h"
 #include "pipeline/measure/overlap.h"
+#include "pipeline/model/resample.h"
 
-enum { BATCHES = 16 }; /* how often progress is said */
+enum {
+    MOST_VOXELS = 1 << 20, /* of a slab: three numbers each, 24 MiB */
+    POINTS = 8             /* of the Gauss rule in a voxel */
+};
 
 /* Sums over one row of voxels: the centres, and the means of the eight Gauss points. */
 struct row {
     double centres, gauss;
 };
 
-struct rows {
-    const struct gsn_spline *spline;
+/* Some rows of one layer, or some whole layers, voxel by voxel. Where s has no data, NaN stays. */
+struct slab {
     const struct gsn_mask *region;
-    size_t first; /* of this batch */
+    struct gsn_lattice at; /* its voxels */
+    size_t first;          /* of these in the region's lattice */
+    double *centre, *gauss, *value;
     struct row *row;
 };
 
@@ -31,47 +37,118 @@ static int no_data(const struct gsn_mask *region, size_t index, struct gsn_error
                     index % at->nx, index / at->nx % at->ny, index / at->nx / at->ny);
 }
 
-static int voxel_means(const struct gsn_spline *spline, const struct gsn_box *box, size_t *hint,
-                       double *ret_centre, double *ret_gauss)
+/* How many rows of the lattice a slab has at most: whole layers if there is room for one. */
+static size_t rows_of_slab(const struct gsn_lattice *at)
 {
-    const double node = 1.0 / sqrt(3.0);
-    double sum = 0.0;
+    const size_t rows = MOST_VOXELS / at->nx;
 
-    if (gsn_spline_eval(spline, box->centre, hint, ret_centre, NULL) != GSN_OK)
-        return GSN_DMS_OUTSIDE;
-    for (int k = 0; k < 8; k++) {
-        double u[3], value;
+    if (rows == 0)
+        return 1;
+    return rows < at->ny ? rows : rows - rows % at->ny;
+}
 
-        for (int a = 0; a < 3; a++)
-            u[a] = box->centre[a] + ((k >> a & 1) ? node : -node) * box->half[a];
-        if (gsn_spline_eval(spline, u, hint, &value, NULL) != GSN_OK)
-            return GSN_DMS_OUTSIDE;
-        sum += value;
-    }
-    *ret_gauss = sum / 8.0;
+/* Takes the rows from first on. Returns how many it took: a part of a layer ends with it. */
+static size_t place_slab(const struct gsn_lattice *at, size_t first, size_t rows, struct slab *slab)
+{
+    const size_t y = first % at->ny, z = first / at->ny;
+    const size_t left = rows < at->ny ? at->ny - y : at->ny * (at->nz - z);
+    const size_t count = rows < left ? rows : left;
+
+    slab->first = first * at->nx;
+    slab->at = *at;
+    slab->at.ny = rows < at->ny ? count : at->ny;
+    slab->at.nz = count / slab->at.ny;
+    slab->at.origin_um = gsn_lattice_centre(at, 0, y, z);
+    return count;
+}
+
+static int add_row(size_t index, void *context, struct gsn_error *err)
+{
+    const struct slab *slab = context;
+    const size_t first = index * slab->at.nx;
+
+    (void)err;
+    for (size_t i = first; i < first + slab->at.nx; i++)
+        slab->gauss[i] += slab->value[i];
     return GSN_OK;
 }
 
+/* s at one Gauss point of every voxel, added up. */
+static int add_point(const struct gsn_spline *spline, struct slab *slab, int point,
+                     unsigned threads, struct gsn_error *err)
+{
+    const double node = 0.5 / sqrt(3.0);
+    struct gsn_lattice at = slab->at;
+    int r;
+
+    at.origin_um.x += (point & 1 ? node : -node) * at.step_um.x;
+    at.origin_um.y += (point & 2 ? node : -node) * at.step_um.y;
+    at.origin_um.z += (point & 4 ? node : -node) * at.step_um.z;
+    r = gsn_spline_resample(spline, &at, threads, slab->value, err);
+    return r < 0 ? r : gsn_parallel_for(at.ny * at.nz, threads, add_row, slab, err);
+}
+
+/* Only the region's voxels count: others may lie outside the mesh, or partly. */
 static int sum_row(size_t index, void *context, struct gsn_error *err)
 {
-    const struct rows *rows = context;
-    const struct gsn_lattice *at = &rows->region->at;
-    const size_t first = (rows->first + index) * at->nx;
+    const struct slab *slab = context;
+    const size_t first = index * slab->at.nx;
     struct row sum = { 0.0, 0.0 };
-    size_t hint = 0;
 
-    for (size_t i = first; i < first + at->nx; i++) {
-        const struct gsn_box box = gsn_overlap_box(at, i);
-        double centre, gauss;
-
-        if (!rows->region->inside[i])
+    for (size_t i = first; i < first + slab->at.nx; i++) {
+        if (!slab->region->inside[slab->first + i])
             continue;
-        if (voxel_means(rows->spline, &box, &hint, &centre, &gauss) != GSN_OK)
-            return no_data(rows->region, i, err);
-        sum.centres += centre;
-        sum.gauss += gauss;
+        if (isnan(slab->centre[i]) || isnan(slab->gauss[i]))
+            return no_data(slab->region, slab->first + i, err);
+        sum.centres += slab->centre[i];
+        sum.gauss += slab->gauss[i] / POINTS;
     }
-    rows->row[rows->first + index] = sum;
+    slab->row[slab->first / slab->at.nx + index] = sum;
+    return GSN_OK;
+}
+
+/* total: rows of the lattice, for progress. */
+static int sum_slab(const struct gsn_spline *spline, struct slab *slab, size_t total,
+                    unsigned threads, const struct gsn_progress *progress, struct gsn_error *err)
+{
+    const size_t rows = slab->at.ny * slab->at.nz, before = slab->first / slab->at.nx;
+    int r = gsn_spline_resample(spline, &slab->at, threads, slab->centre, err);
+
+    memset(slab->gauss, 0, rows * slab->at.nx * sizeof *slab->gauss);
+    for (int point = 0; point < POINTS && r >= 0; point++) {
+        gsn_progress_say(progress, "density", before + rows * (size_t)(point + 1) / (POINTS + 1),
+                         total);
+        r = add_point(spline, slab, point, threads, err);
+    }
+    return r < 0 ? r : gsn_parallel_for(rows, threads, sum_row, slab, err);
+}
+
+static int sum_slabs(const struct gsn_spline *spline, struct slab *slab, unsigned threads,
+                     const struct gsn_progress *progress, struct gsn_error *err)
+{
+    const struct gsn_lattice *at = &slab->region->at;
+    const size_t total = at->ny * at->nz, rows = rows_of_slab(at);
+    const size_t room = (rows < total ? rows : total) * at->nx;
+    gsn_auto_mem(double) centre = gsn_alloc_array(room, sizeof *centre);
+    gsn_auto_mem(double) gauss = gsn_alloc_array(room, sizeof *gauss);
+    gsn_auto_mem(double) value = gsn_alloc_array(room, sizeof *value);
+
+    if (!centre || !gauss || !value)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", room);
+    slab->centre = centre;
+    slab->gauss = gauss;
+    slab->value = value;
+    for (size_t first = 0; first < total;) {
+        const size_t count = place_slab(at, first, rows, slab);
+        int r;
+
+        gsn_progress_say(progress, "density", first, total);
+        r = sum_slab(spline, slab, total, threads, progress, err);
+        if (r < 0)
+            return r;
+        first += count;
+    }
+    gsn_progress_say(progress, "density", total, total);
     return GSN_OK;
 }
 
@@ -81,26 +158,19 @@ int gsn_region_density(const struct gsn_spline *spline, const struct gsn_mask *r
 {
     const size_t count = region->at.ny * region->at.nz, voxels = gsn_mask_count(region);
     gsn_auto_mem(struct row) row = NULL;
-    struct rows rows = { .spline = spline, .region = region };
+    struct slab slab = { .region = region };
     struct gsn_region_density density = { .voxels = voxels };
+    int r;
 
     if (voxels == 0)
         return gsn_fail(err, GSN_E_INPUT, "the region of interest is empty");
     row = gsn_alloc_array(count, sizeof *row);
     if (!row)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu rows of voxels", count);
-    rows.row = row;
-    for (size_t batch = 0; batch < BATCHES; batch++) {
-        const size_t first = count * batch / BATCHES, end = count * (batch + 1) / BATCHES;
-        int r;
-
-        gsn_progress_say(progress, "density", first, count);
-        rows.first = first;
-        r = gsn_parallel_for(end - first, threads, sum_row, &rows, err);
-        if (r < 0)
-            return r;
-    }
-    gsn_progress_say(progress, "density", count, count);
+    slab.row = row;
+    r = sum_slabs(spline, &slab, threads, progress, err);
+    if (r < 0)
+        return r;
     for (size_t i = 0; i < count; i++) {
         density.mean += row[i].gauss;
         density.centres_mean += row[i].centres;

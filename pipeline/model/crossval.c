@@ -1,7 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/crossval.h"
 
+#include "pipeline/model/batch.h"
+
 #include <math.h>
+
+enum { CHUNK = 1 << 16 }; /* samples whose values are held at once */
 
 /* The samples of one fold. */
 struct half {
@@ -37,20 +41,29 @@ static int take_half(const struct gsn_samples *samples, const uint8_t *fold, uin
     return GSN_OK;
 }
 
-/* Sum of squared errors at the samples of the other fold. Those on the mesh's upper boundary have
+/* Adds the squared errors at the samples of the other fold. Those on the mesh's upper boundary have
  * no value by the half-open rule; the domain is larger than the region, so there are none. */
-static double errors_at(const struct gsn_spline *spline, const struct gsn_samples *samples)
+static int add_errors(const struct gsn_spline *spline, const struct gsn_samples *samples,
+                      unsigned threads, double *sum, struct gsn_error *err)
 {
-    double sum = 0;
-    size_t hint = 0;
+    gsn_auto_mem(double) value = gsn_alloc_array(CHUNK, sizeof *value);
 
-    for (size_t i = 0; i < samples->count; i++) {
-        double value;
+    if (!value)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the values at a fold");
+    for (size_t first = 0; first < samples->count; first += CHUNK) {
+        const size_t left = samples->count - first, count = left < CHUNK ? left : CHUNK;
+        const int r =
+            gsn_spline_eval_many(spline, samples->at + first, count, threads, value, NULL, err);
 
-        if (gsn_spline_eval(spline, samples->at[i], &hint, &value, NULL) == GSN_OK)
-            sum += (value - (double)samples->value[i]) * (value - (double)samples->value[i]);
+        if (r < 0)
+            return r;
+        for (size_t i = 0; i < count; i++) {
+            const double error = value[i] - (double)samples->value[first + i];
+
+            *sum += isnan(value[i]) ? 0 : error * error;
+        }
     }
-    return sum;
+    return GSN_OK;
 }
 
 static int one_way(const struct gsn_dms *space, const struct half *seen, const struct half *unseen,
@@ -60,9 +73,7 @@ static int one_way(const struct gsn_dms *space, const struct half *seen, const s
     struct gsn_fit_report report;
     const int r = gsn_fit(space, &seen->samples, options, &spline, &report, NULL, NULL, err);
 
-    if (r >= 0)
-        *sum += errors_at(spline, &unseen->samples);
-    return r;
+    return r < 0 ? r : add_errors(spline, &unseen->samples, options->threads, sum, err);
 }
 
 int gsn_cross_validate(const struct gsn_dms *space, const struct gsn_samples *samples,

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <stdio.h>
 
-#include "pipeline/core/parallel.h"
+#include "pipeline/model/resample.h"
 #include "pipeline/render/plate.h"
 
 static const struct gsn_colour outline_colour = { 214, 48, 49 };
@@ -110,55 +110,60 @@ int gsn_cut_frame(const struct gsn_mask *region, enum gsn_axis axis, struct gsn_
     return GSN_OK;
 }
 
-static struct gsn_vec3 pixel_point(const struct gsn_cut_frame *frame, double i, double j)
+/* The pixels as voxels, one of them along the axis. */
+static struct gsn_lattice pixels_of(const struct gsn_cut_frame *frame)
 {
-    double u[3];
+    const double px = frame->um_per_px;
+    size_t n[3] = { 1, 1, 1 };
+    double first[3];
     int right, down;
 
     plane_axes(frame->axis, &right, &down);
-    u[frame->axis] = frame->at_um;
-    u[right] = frame->left_um + (i + 0.5) * frame->um_per_px;
-    u[down] = frame->top_um + (j + 0.5) * frame->um_per_px;
-    return gsn_vec3_make(u[0], u[1], u[2]);
+    n[right] = frame->width;
+    n[down] = frame->height;
+    first[frame->axis] = frame->at_um;
+    first[right] = frame->left_um + 0.5 * px;
+    first[down] = frame->top_um + 0.5 * px;
+    return (struct gsn_lattice){ .nx = n[0],
+                                 .ny = n[1],
+                                 .nz = n[2],
+                                 .origin_um = gsn_vec3_make(first[0], first[1], first[2]),
+                                 .step_um = gsn_vec3_make(px, px, px) };
 }
 
-struct cutting {
-    const struct gsn_spline *spline;
-    const struct gsn_cut_frame *frame;
-    struct gsn_plane *plane;
-};
-
-static int cut_row(size_t row, void *context, struct gsn_error *err)
+struct gsn_vec3 gsn_cut_pixel(const struct gsn_cut_frame *frame, size_t i, size_t j)
 {
-    const struct cutting *cutting = context;
-    float *to = cutting->plane->value + row * cutting->frame->width;
-    size_t hint = 0;
+    const struct gsn_lattice pixels = pixels_of(frame);
+    size_t at[3] = { 0, 0, 0 };
+    int right, down;
 
-    (void)err;
-    for (uint32_t i = 0; i < cutting->frame->width; i++) {
-        const struct gsn_vec3 p = pixel_point(cutting->frame, i, (double)row);
-        const double u[3] = { p.x, p.y, p.z };
-        double value;
-
-        to[i] =
-            gsn_spline_eval(cutting->spline, u, &hint, &value, NULL) == GSN_OK ? (float)value : NAN;
-    }
-    return GSN_OK;
+    plane_axes(frame->axis, &right, &down);
+    at[right] = i;
+    at[down] = j;
+    return gsn_lattice_centre(&pixels, at[0], at[1], at[2]);
 }
 
 int gsn_cut_spline(const struct gsn_spline *spline, const struct gsn_cut_frame *frame,
                    unsigned threads, struct gsn_plane **ret_plane, struct gsn_error *err)
 {
+    const struct gsn_lattice pixels = pixels_of(frame);
+    const size_t count = gsn_lattice_count(&pixels);
     gsn_auto(gsn_plane) plane = NULL;
-    struct cutting cutting = { spline, frame, NULL };
+    gsn_auto_mem(double) value = NULL;
     int r = gsn_plane_new(frame->width, frame->height, &plane, err);
 
     if (r < 0)
         return r;
-    cutting.plane = plane;
-    r = gsn_parallel_for(frame->height, threads, cut_row, &cutting, err);
+    value = gsn_alloc_array(count, sizeof *value);
+    if (!value)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a cut of %u x %u pixels", frame->width,
+                        frame->height);
+    r = gsn_spline_resample(spline, &pixels, threads, value, err);
     if (r < 0)
         return r;
+    /* The lattice runs along the right axis before the down axis, as a plane does. */
+    for (size_t i = 0; i < count; i++)
+        plane->value[i] = (float)value[i];
     *ret_plane = gsn_steal(&plane);
     return GSN_OK;
 }
@@ -193,7 +198,7 @@ int gsn_cut_grid(const struct gsn_grid *grid, const struct gsn_cut_frame *frame,
         return r;
     for (uint32_t j = 0; j < frame->height; j++) {
         for (uint32_t i = 0; i < frame->width; i++)
-            plane->value[(size_t)j * frame->width + i] = grid_at(grid, pixel_point(frame, i, j));
+            plane->value[(size_t)j * frame->width + i] = grid_at(grid, gsn_cut_pixel(frame, i, j));
     }
     *ret_plane = gsn_steal(&plane);
     return GSN_OK;
@@ -221,12 +226,13 @@ static void draw_outline(struct gsn_image *sheet, int x0, int y0, const struct g
 {
     for (int j = 0; j < (int)frame->height; j++) {
         for (int i = 0; i < (int)frame->width; i++) {
-            const int here = gsn_mask_has(region, pixel_point(frame, i, j));
+            const size_t x = (size_t)i, y = (size_t)j;
+            const int here = gsn_mask_has(region, gsn_cut_pixel(frame, x, y));
 
-            if (here != gsn_mask_has(region, pixel_point(frame, i + 1, j)))
+            if (here != gsn_mask_has(region, gsn_cut_pixel(frame, x + 1, y)))
                 gsn_canvas_line(sheet, x0 + i + 1, y0 + j, x0 + i + 1, y0 + j + 1, 1.2,
                                 outline_colour);
-            if (here != gsn_mask_has(region, pixel_point(frame, i, j + 1)))
+            if (here != gsn_mask_has(region, gsn_cut_pixel(frame, x, y + 1)))
                 gsn_canvas_line(sheet, x0 + i, y0 + j + 1, x0 + i + 1, y0 + j + 1, 1.2,
                                 outline_colour);
         }

@@ -43,8 +43,14 @@ int gsn_cut_centre(const struct gsn_mask *region, struct gsn_vec3 *ret_centre_um
 int gsn_cut_frame(const struct gsn_mask *region, enum gsn_axis axis, struct gsn_vec3 through_um,
                   uint32_t longest_px, struct gsn_cut_frame *ret_frame, struct gsn_error *err);
 
+/* The centre of pixel i to the right and j down, which may lie beyond the frame. Whatever a cut
+ * shows is asked at these very coordinates. */
+struct gsn_vec3 gsn_cut_pixel(const struct gsn_cut_frame *frame, size_t i, size_t j);
+
 /* give: values at the pixel centres; NaN outside the domain, the lattice or the data. threads 0:
- * all. Fail with GSN_E_NOMEM. The grid is shown by its nearest voxel, as it is. */
+ * all; the same bytes on any number. The grid is shown by its nearest voxel, as it is. Fail with
+ * GSN_E_NOMEM, the spline's also with GSN_E_INPUT on a frame that is not finite or has no pixels.
+ */
 int gsn_cut_spline(const struct gsn_spline *spline, const struct gsn_cut_frame *frame,
                    unsigned threads, struct gsn_plane **ret_plane, struct gsn_error *err);
 int gsn_cut_grid(const struct gsn_grid *grid, const struct gsn_cut_frame *frame,

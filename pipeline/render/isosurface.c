@@ -4,11 +4,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "pipeline/core/parallel.h"
+#include "pipeline/render/crossing.h"
 #include "pipeline/render/slots.h"
-#include "pipeline/render/subdivide.h"
-
-enum { BATCH = 64 };
 
 void gsn_trimesh_free(struct gsn_trimesh *surface)
 {
@@ -37,50 +34,14 @@ unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um)
 }
 
 struct marching {
-    const struct gsn_spline *spline;
     const struct gsn_fine *fine;
-    double level;
-    double *value;       /* of s - level at the fine mesh's points */
-    uint32_t (*edge)[2]; /* of each vertex of the surface: points with value >= 0 and < 0 */
+    double *height;      /* s - level at the fine mesh's points */
+    uint32_t (*edge)[2]; /* of each vertex of the surface: points with height >= 0 and < 0 */
     size_t edge_room;
     size_t triangle_room;
     struct gsn_slots slots;
     struct gsn_trimesh *surface;
 };
-
-/* s - level. The half-open rule puts the points of some boundary faces outside; s has a limit there
- * from inside, taken a little towards the middle of a tetrahedron that the point belongs to. */
-static double value_at(const struct marching *marching, const double u[3], uint32_t home,
-                       double *ret_gradient)
-{
-    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(marching->spline));
-    double step = 1e-9, at[3] = { u[0], u[1], u[2] }, value = 0.0;
-    size_t hint = home;
-
-    while (gsn_spline_eval(marching->spline, at, &hint, &value, ret_gradient) != GSN_OK &&
-           step <= 1.0) {
-        for (int a = 0; a < 3; a++) {
-            double middle = 0.0;
-
-            for (int k = 0; k < 4; k++)
-                middle += 0.25 * mesh->vertex[mesh->tet[home][k]][a];
-            at[a] = u[a] + step * (middle - u[a]);
-        }
-        step *= 1000.0;
-    }
-    return value - marching->level;
-}
-
-static int evaluate_batch(size_t batch, void *context, struct gsn_error *err)
-{
-    const struct marching *marching = context;
-    const struct gsn_fine *fine = marching->fine;
-
-    (void)err;
-    for (size_t i = batch * BATCH; i < fine->point_count && i < (batch + 1) * BATCH; i++)
-        marching->value[i] = value_at(marching, fine->point[i], fine->home[i], NULL);
-    return GSN_OK;
-}
 
 static int same_edge(uint32_t number, const void *key, const void *context)
 {
@@ -154,7 +115,7 @@ static int march_part(struct marching *marching, const uint32_t point[4], struct
     int r = GSN_OK;
 
     for (unsigned k = 0; k < 4; k++) {
-        if (marching->value[point[k]] >= 0.0) {
+        if (marching->height[point[k]] >= 0.0) {
             set |= 1U << k;
             count++;
         }
@@ -202,87 +163,18 @@ static int march(struct marching *marching, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* Where s is at the level between a point inside (f0 >= 0) and one outside (f1 < 0): false position
- * that halves the weight of an end that stays (Illinois), so that both ends close in. */
-static void cross_edge(const struct marching *marching, const uint32_t edge[2], double ret_at[3])
-{
-    const double *p = marching->fine->point[edge[0]], *q = marching->fine->point[edge[1]];
-    double t0 = 0.0, t1 = 1.0, f0 = marching->value[edge[0]], f1 = marching->value[edge[1]];
-    const double enough = 1e-12 * (f0 - f1);
-    double t = 0.0;
-    int stayed = 0;
-
-    for (int step = 0; step < 24; step++) {
-        double f;
-
-        t = t0 + (t1 - t0) * (f0 / (f0 - f1));
-        for (int a = 0; a < 3; a++)
-            ret_at[a] = p[a] + t * (q[a] - p[a]);
-        f = value_at(marching, ret_at, marching->fine->home[edge[0]], NULL);
-        if (fabs(f) <= enough || t1 - t0 < 1e-12)
-            return;
-        if (f >= 0.0) {
-            t0 = t;
-            f0 = f;
-            f1 *= stayed < 0 ? 0.5 : 1.0;
-            stayed = -1;
-        } else {
-            t1 = t;
-            f1 = f;
-            f0 *= stayed > 0 ? 0.5 : 1.0;
-            stayed = 1;
-        }
-    }
-}
-
-/* Out of the denser side: against the gradient, or along the edge where there is none. */
-static void set_normal(const struct marching *marching, size_t v, const double gradient[3])
-{
-    const uint32_t *edge = marching->edge[v];
-    double n[3], length = 0.0;
-
-    for (int a = 0; a < 3; a++) {
-        n[a] = -gradient[a];
-        length += n[a] * n[a];
-    }
-    if (!(length > 0.0)) {
-        for (int a = 0; a < 3; a++) {
-            n[a] = marching->fine->point[edge[1]][a] - marching->fine->point[edge[0]][a];
-            length += n[a] * n[a];
-        }
-    }
-    for (int a = 0; a < 3; a++)
-        marching->surface->normal[v][a] = (float)(n[a] / sqrt(length));
-}
-
-static int place_batch(size_t batch, void *context, struct gsn_error *err)
-{
-    const struct marching *marching = context;
-    struct gsn_trimesh *surface = marching->surface;
-
-    (void)err;
-    for (size_t v = batch * BATCH; v < surface->vertex_count && v < (batch + 1) * BATCH; v++) {
-        double gradient[3] = { 0.0, 0.0, 0.0 };
-
-        cross_edge(marching, marching->edge[v], surface->vertex[v]);
-        (void)value_at(marching, surface->vertex[v], marching->fine->home[marching->edge[v][0]],
-                       gradient);
-        set_normal(marching, v, gradient);
-    }
-    return GSN_OK;
-}
-
-static int build(struct marching *marching, unsigned threads, struct gsn_error *err)
+static int build(struct marching *marching, const struct gsn_level *level, unsigned threads,
+                 struct gsn_error *err)
 {
     const size_t points = marching->fine->point_count;
-    gsn_auto_mem(double) value = gsn_alloc_array(points, sizeof *value);
+    gsn_auto_mem(double) height = gsn_alloc_array(points, sizeof *height);
     struct gsn_trimesh *surface = marching->surface;
     int r;
 
-    if (!value)
+    if (!height)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", points);
-    marching->value = value;
-    r = gsn_parallel_for((points + BATCH - 1) / BATCH, threads, evaluate_batch, marching, err);
+    marching->height = height;
+    r = gsn_level_heights(level, threads, height, err);
     if (r == GSN_OK)
         r = march(marching, err);
     if (r < 0)
@@ -291,8 +183,9 @@ static int build(struct marching *marching, unsigned threads, struct gsn_error *
     surface->normal = gsn_alloc_array(surface->vertex_count, sizeof *surface->normal);
     if (!surface->vertex || !surface->normal)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu vertices", surface->vertex_count);
-    return gsn_parallel_for((surface->vertex_count + BATCH - 1) / BATCH, threads, place_batch,
-                            marching, err);
+    return gsn_level_crossings(level, height, (const uint32_t(*)[2])marching->edge,
+                               surface->vertex_count, threads, surface->vertex, surface->normal,
+                               err);
 }
 
 int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
@@ -300,7 +193,7 @@ int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdi
 {
     gsn_auto(gsn_fine) fine = NULL;
     gsn_auto(gsn_trimesh) surface = NULL;
-    struct marching marching = { .spline = spline, .level = level };
+    struct marching marching = { .edge = NULL };
     int r;
 
     if (!isfinite(level))
@@ -316,7 +209,7 @@ int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdi
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a surface");
     marching.fine = fine;
     marching.surface = surface;
-    r = build(&marching, threads, err);
+    r = build(&marching, &(struct gsn_level){ spline, level, fine }, threads, err);
     gsn_slots_done(&marching.slots);
     gsn_free(marching.edge);
     if (r < 0)

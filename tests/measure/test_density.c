@@ -65,6 +65,156 @@ TEST(the_mean_of_a_rough_spline_is_that_of_a_finer_lattice)
     kuhn_done(&kuhn);
 }
 
+/* The Gauss rule and the centre rule, one point after the other. */
+static void density_by_points(const struct gsn_spline *spline, const struct gsn_mask *region,
+                              double *ret_mean, double *ret_centres)
+{
+    const double node = 0.5 / sqrt(3.0);
+    const struct gsn_lattice *at = &region->at;
+    const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
+    size_t hint = 0, voxels = 0;
+
+    *ret_mean = *ret_centres = 0.0;
+    for (size_t i = 0; i < gsn_lattice_count(at); i++) {
+        const struct gsn_vec3 c =
+            gsn_lattice_centre(at, i % at->nx, i / at->nx % at->ny, i / at->nx / at->ny);
+
+        for (int k = 0; region->inside[i] && k <= 8; k++) {
+            double u[3] = { c.x, c.y, c.z }, value;
+
+            for (int a = 0; k < 8 && a < 3; a++)
+                u[a] += (k >> a & 1 ? node : -node) * step[a];
+            CHECK(gsn_spline_eval(spline, u, &hint, &value, NULL) == GSN_OK);
+            *(k < 8 ? ret_mean : ret_centres) += k < 8 ? value / 8.0 : value;
+        }
+        voxels += region->inside[i];
+    }
+    *ret_mean /= (double)voxels;
+    *ret_centres /= (double)voxels;
+}
+
+/* Only what lies in the middle of the domain is inside. */
+static void keep_middle(struct gsn_mask *region)
+{
+    const struct gsn_lattice *at = &region->at;
+
+    for (size_t i = 0; i < gsn_lattice_count(at); i++) {
+        const struct gsn_vec3 c =
+            gsn_lattice_centre(at, i % at->nx, i / at->nx % at->ny, i / at->nx / at->ny);
+
+        region->inside[i] = c.x > 200.0 && c.x < 900.0 && c.y > 150.0 && c.y < 700.0 &&
+                            c.z > 100.0 && c.z < 500.0 && i % 7 != 3;
+    }
+}
+
+TEST(slabs_of_any_shape_sum_what_single_points_give)
+{
+    /* Whole layers in one slab, in several, and layers that are cut where the region is; all reach
+     * beyond the mesh. */
+    static const struct {
+        double corner[3], step;
+        size_t nx, ny, nz;
+    } shape[] = { { { -61.0, -53.0, -47.0 }, 47.0, 31, 23, 17 },
+                  { { -61.0, -53.0, -47.0 }, 23.0, 160, 140, 120 },
+                  { { -61.0, 437.0 - 873.0 * 19.0, -47.0 }, 19.0, 1201, 1190, 33 } };
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_random(low, high, cells, 3, 0.04, 21, &kuhn, &err), err);
+    for (size_t s = 0; s < sizeof shape / sizeof shape[0]; s++) {
+        gsn_auto(gsn_mask) region =
+            full_mask(shape[s].corner, shape[s].step, shape[s].nx, shape[s].ny, shape[s].nz);
+        struct gsn_region_density density[2];
+        double mean, centres;
+
+        keep_middle(region);
+        memset(density, 0, sizeof density);
+        for (unsigned k = 0; k < 2; k++)
+            CHECK_OK(gsn_region_density(kuhn.spline, region, k + 1, NULL, &density[k], &err), err);
+        CHECK(memcmp(&density[0], &density[1], sizeof density[0]) == 0);
+        CHECK(density[0].voxels > 1000);
+        density_by_points(kuhn.spline, region, &mean, &centres);
+        CHECK_NEAR(density[0].mean, mean, 1e-12);
+        CHECK_NEAR(density[0].centres_mean, centres, 1e-12);
+    }
+    kuhn_done(&kuhn);
+}
+
+struct said {
+    size_t calls, done, total;
+    int in_order;
+};
+
+static void hear(void *context, const char *stage, size_t done, size_t total)
+{
+    struct said *said = context;
+
+    said->in_order &= strcmp(stage, "density") == 0 && done >= said->done && done <= total &&
+                      (said->calls == 0 ? done == 0 : total == said->total);
+    said->done = done;
+    said->total = total;
+    said->calls++;
+}
+
+TEST(progress_grows_from_nothing_to_all_rows)
+{
+    gsn_auto(gsn_mask) region = full_mask(low, 23.0, 160, 140, 120);
+    struct said said = { .in_order = 1 };
+    const struct gsn_progress progress = { hear, &said };
+    struct gsn_region_density density;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    keep_middle(region);
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
+    CHECK_OK(gsn_region_density(kuhn.spline, region, 1, &progress, &density, &err), err);
+    CHECK(said.in_order && said.calls > 16);
+    CHECK(said.total == 140 * 120 && said.done == said.total);
+    kuhn_done(&kuhn);
+}
+
+TEST(the_first_voxel_outside_is_named_whatever_slab_it_is_in)
+{
+    gsn_auto(gsn_mask) region = full_mask(low, 23.0, 160, 140, 120);
+    struct gsn_region_density density = { .mean = 7.0 };
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    keep_middle(region);
+    region->inside[gsn_lattice_index(&region->at, 20, 20, 100)] = 1;
+    region->inside[gsn_lattice_index(&region->at, 30, 19, 101)] = 1;
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
+    for (unsigned k = 1; k <= 2; k++) {
+        CHECK(gsn_region_density(kuhn.spline, region, k, NULL, &density, &err) == GSN_E_INPUT);
+        CHECK(strstr(err.text, "voxel (20, 20, 100) of the region lies outside") != NULL);
+    }
+    /* The centre of this one is inside (1184.5), the Gauss points beyond it are too (1191.1), so
+     * that it counts; those of its neighbour (1207.5) are not. */
+    region->inside[gsn_lattice_index(&region->at, 20, 20, 100)] = 0;
+    region->inside[gsn_lattice_index(&region->at, 30, 19, 101)] = 0;
+    region->inside[gsn_lattice_index(&region->at, 51, 20, 10)] = 1;
+    CHECK_OK(gsn_region_density(kuhn.spline, region, 1, NULL, &density, &err), err);
+    region->inside[gsn_lattice_index(&region->at, 52, 20, 10)] = 1;
+    CHECK(gsn_region_density(kuhn.spline, region, 1, NULL, &density, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "voxel (52, 20, 10)") != NULL);
+    kuhn_done(&kuhn);
+}
+
+TEST(a_voxel_whose_centre_alone_is_inside_is_outside)
+{
+    const double edge[3] = { 1188.0, 96.0, 48.0 }; /* centre 1198, far Gauss points 1203.8 */
+    gsn_auto(gsn_mask) region = full_mask(edge, 20.0, 1, 2, 2);
+    struct gsn_region_density density = { .mean = 7.0 };
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
+    CHECK(gsn_region_density(kuhn.spline, region, 1, NULL, &density, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "voxel (0, 0, 0)") != NULL);
+    CHECK_NEAR(density.mean, 7.0, 0.0);
+    kuhn_done(&kuhn);
+}
+
 TEST(one_and_two_threads_give_the_same_mean_and_the_same_units)
 {
     gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 20, 20, 16);

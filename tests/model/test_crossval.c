@@ -105,6 +105,60 @@ TEST(independent_noise_is_priced_by_its_unknowns)
     CHECK(gsn_generalised_cross_validation(&overfull, 10) > 1e300);
 }
 
+/* Square of the errors at the samples of one fold, one after the other. */
+static double errors_of_fold(const struct gsn_dms *space, const struct gsn_samples *samples,
+                             const uint8_t *fold, uint8_t seen, struct gsn_error *err)
+{
+    const struct gsn_fit_options options = { .threads = 1 };
+    struct shape_samples half = { .at = gsn_alloc_array(samples->count, sizeof *half.at),
+                                  .value = gsn_alloc_array(samples->count, sizeof *half.value) };
+    gsn_auto(gsn_spline) spline = NULL;
+    struct gsn_fit_report report;
+    size_t hint = 0;
+    double sum = 0;
+
+    CHECK(half.at && half.value);
+    for (size_t i = 0; i < samples->count; i++) {
+        if (fold[i] != seen)
+            continue;
+        memcpy(half.at[half.samples.count], samples->at[i], sizeof *half.at);
+        half.value[half.samples.count++] = samples->value[i];
+    }
+    half.samples.at = (const double(*)[3])half.at;
+    half.samples.value = half.value;
+    CHECK_OK(gsn_fit(space, &half.samples, &options, &spline, &report, NULL, NULL, err), *err);
+    for (size_t i = 0; i < samples->count; i++) {
+        double value;
+
+        if (fold[i] == seen)
+            continue;
+        CHECK(gsn_spline_eval(spline, samples->at[i], &hint, &value, NULL) == GSN_OK);
+        sum += (value - (double)samples->value[i]) * (value - (double)samples->value[i]);
+    }
+    shape_samples_done(&half);
+    return sum;
+}
+
+TEST(the_error_is_that_of_single_points_for_more_samples_than_are_held_at_once)
+{
+    gsn_auto(gsn_dms) space = shape_space(2, 0.05, 100000);
+    struct shape_samples grid = shape_grid(0, 80, 52, texture);
+    gsn_auto_mem(uint8_t) fold = folds(&grid.samples);
+    struct gsn_error err = { 0 };
+    double rms[2] = { 0, 0 }, sum;
+
+    for (unsigned k = 0; k < 2; k++) {
+        const struct gsn_fit_options options = { .threads = k + 1 };
+
+        CHECK_OK(gsn_cross_validate(space, &grid.samples, fold, &options, &rms[k], &err), err);
+    }
+    CHECK(memcmp(&rms[0], &rms[1], sizeof rms[0]) == 0);
+    sum = errors_of_fold(space, &grid.samples, fold, 0, &err) +
+          errors_of_fold(space, &grid.samples, fold, 1, &err);
+    CHECK_NEAR(rms[0], sqrt(sum / (double)grid.samples.count), 1e-12);
+    shape_samples_done(&grid);
+}
+
 static int validate_once(const struct gsn_dms *space, const struct gsn_samples *samples,
                          const uint8_t *fold, struct gsn_error *err)
 {

@@ -42,6 +42,56 @@ TEST(a_cut_of_a_linear_field_is_right_at_every_pixel_centre)
     kuhn_done(&kuhn);
 }
 
+TEST(a_pixel_is_the_spline_at_its_centre_on_any_axis_and_any_number_of_threads)
+{
+    gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 40, 30, 20);
+    const struct gsn_vec3 through = { 481.7, 399.3, 305.1 };
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_random(low, high, cells, 3, 0.05, 11, &kuhn, &err), err);
+    for (int axis = 0; axis < 3; axis++) {
+        struct gsn_cut_frame frame;
+        gsn_auto(gsn_plane) one = NULL;
+        gsn_auto(gsn_plane) two = NULL;
+        size_t hint = 0;
+
+        CHECK_OK(gsn_cut_frame(region, (enum gsn_axis)axis, through, 150, &frame, &err), err);
+        CHECK_OK(gsn_cut_spline(kuhn.spline, &frame, 1, &one, &err), err);
+        CHECK_OK(gsn_cut_spline(kuhn.spline, &frame, 2, &two, &err), err);
+        CHECK(memcmp(one->value, two->value,
+                     (size_t)frame.width * frame.height * sizeof *one->value) == 0);
+        for (uint32_t j = 0; j < frame.height; j++) {
+            for (uint32_t i = 0; i < frame.width; i++) {
+                const struct gsn_vec3 p = gsn_cut_pixel(&frame, i, j);
+                const double u[3] = { p.x, p.y, p.z };
+                double truth;
+
+                CHECK_NEAR(u[axis], frame.at_um, 0.0);
+                CHECK(gsn_spline_eval(kuhn.spline, u, &hint, &truth, NULL) == GSN_OK);
+                /* Half a unit in the last place of a float below 1. */
+                CHECK_NEAR((double)one->value[j * frame.width + i], truth, 6e-8);
+            }
+        }
+    }
+    kuhn_done(&kuhn);
+}
+
+TEST(a_frame_that_is_nowhere_is_refused)
+{
+    const struct gsn_cut_frame frame = {
+        .axis = GSN_AXIS_Y, .at_um = NAN, .um_per_px = 30.0, .width = 6, .height = 5
+    };
+    struct gsn_plane *plane = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
+    CHECK(gsn_cut_spline(kuhn.spline, &frame, 1, &plane, &err) == GSN_E_INPUT);
+    CHECK(plane == NULL && strstr(err.text, "not finite") != NULL);
+    kuhn_done(&kuhn);
+}
+
 TEST(a_frame_holds_the_region_with_a_margin_on_both_sides)
 {
     gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 40, 30, 20);

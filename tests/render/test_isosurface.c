@@ -185,6 +185,53 @@ TEST(a_rough_surface_is_closed_where_it_does_not_meet_the_boundary)
     kuhn_done(&kuhn);
 }
 
+/* s and its gradient, on the domain's boundary a nanometre further in. */
+static double spline_near(const struct gsn_spline *spline, const double at[3], double gradient[3])
+{
+    double u[3], value = NAN;
+    size_t hint = 0;
+
+    for (int a = 0; a < 3; a++)
+        u[a] = fmin(fmax(at[a], low[a] + 1e-6), high[a] - 1e-6);
+    CHECK(gsn_spline_eval(spline, u, &hint, &value, gradient) == GSN_OK);
+    return value;
+}
+
+TEST(every_vertex_of_a_rough_surface_is_at_the_level_with_the_gradient_s_normal)
+{
+    gsn_auto(gsn_trimesh) surface = NULL;
+    gsn_auto(gsn_trimesh) other = NULL;
+    struct gsn_error err = { 0 };
+    const unsigned more[3] = { 6, 6, 6 };
+    struct kuhn kuhn;
+    size_t on_box = 0;
+
+    CHECK_OK(kuhn_random(low, high, more, 3, 0.05, 6, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, 3, 1, &surface, &err), err);
+    /* More than are evaluated together. */
+    CHECK(surface->vertex_count > 70000);
+    for (size_t v = 0; v < surface->vertex_count; v++) {
+        const double *at = surface->vertex[v];
+        double gradient[3], length;
+
+        CHECK_NEAR(spline_near(kuhn.spline, at, gradient), 0.05, 1e-7);
+        length =
+            sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1] + gradient[2] * gradient[2]);
+        for (int a = 0; a < 3; a++) {
+            CHECK_NEAR((double)surface->normal[v][a], -gradient[a] / length, 1e-5);
+            on_box += fabs(at[a]) >= 1000.0;
+        }
+    }
+    CHECK(on_box > 100);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, 3, 2, &other, &err), err);
+    CHECK(other->vertex_count == surface->vertex_count);
+    CHECK(memcmp(other->vertex, surface->vertex, surface->vertex_count * sizeof *surface->vertex) ==
+          0);
+    CHECK(memcmp(other->normal, surface->normal, surface->vertex_count * sizeof *surface->normal) ==
+          0);
+    kuhn_done(&kuhn);
+}
+
 TEST(the_subdivision_follows_the_wanted_edge)
 {
     const struct quadric nothing = { 0.0, { 0.0, 0.0, 0.0 }, { 0.0, 0.0, 0.0 } };

@@ -5,6 +5,7 @@
 
 #include <malloc.h>
 #include <math.h>
+#include <string.h>
 
 #define CLOUD 0.03
 
@@ -103,39 +104,72 @@ void bench_space(void)
     }
 }
 
+enum { QUICK_CELLS = 3, CELLS = 500 };
+
 /* Every so-many-th tetrahedron. */
 struct mean_job {
     const struct bench_case *bench;
     size_t count;
-    double sink;
+    double mean[CELLS];
 };
 
-static void run_mean(void *context)
+static size_t cell_of(const struct mean_job *job, size_t i)
+{
+    return i * job->bench->mesh->tet_count / job->count;
+}
+
+static void run_seams(void *context)
 {
     struct mean_job *job = context;
     struct gsn_error err = { 0 };
 
-    for (size_t i = 0; i < job->count; i++) {
-        double mean = 0;
-
-        bench_need(gsn_spline_tet_mean(job->bench->spline,
-                                       i * job->bench->mesh->tet_count / job->count, &mean, &err),
+    for (size_t i = 0; i < job->count; i++)
+        bench_need(gsn_spline_tet_mean(job->bench->spline, cell_of(job, i), &job->mean[i], &err),
                    &err, "mean");
-        job->sink += mean;
+}
+
+static void run_recurrence(void *context)
+{
+    struct mean_job *job = context;
+    const struct gsn_tets *mesh = job->bench->mesh;
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < job->count; i++) {
+        double corner[4][3];
+
+        for (int k = 0; k < 4; k++)
+            memcpy(corner[k], mesh->vertex[mesh->tet[cell_of(job, i)][k]], sizeof corner[k]);
+        bench_need(gsn_spline_cell_mean(job->bench->spline, (const double(*)[3])corner,
+                                        &job->mean[i], &err),
+                   &err, "mean");
     }
 }
 
+/* Means over tetrahedra of the mesh: the mean recurrence, and the seams. */
 void bench_mean(void)
 {
     for (unsigned degree = 1; degree <= GSN_DMS_MAX_DEGREE; degree++) {
         struct bench_case bench = bench_case_new(BENCH_27K, degree, CLOUD);
-        struct mean_job what = { .bench = &bench, .count = bench_quick ? 3 : 500 };
-        struct bench_job job = { .run = run_mean, .context = &what };
-        json_t *details = describe(&bench);
+        const size_t count = bench_quick ? QUICK_CELLS : CELLS;
+        struct mean_job what[2] = { { .bench = &bench, .count = count },
+                                    { .bench = &bench, .count = count } };
+        struct bench_job job[2] = { { .run = run_recurrence, .context = &what[0] },
+                                    { .run = run_seams, .context = &what[1] } };
+        double worst = 0;
+        json_t *details[2] = { describe(&bench), describe(&bench) };
 
-        bench_race(&job, 1, bench_quick ? 1 : 3);
-        (void)json_object_set_new(details, "cells", json_integer((json_int_t)what.count));
-        bench_say("mean", job.cpu_s * 1e6 / (double)what.count, "us/cell", NULL, NAN, details);
+        bench_race(job, 2, bench_quick ? 1 : 3);
+        for (size_t i = 0; i < count; i++)
+            worst = fmax(worst, fabs(what[0].mean[i] - what[1].mean[i]));
+        for (int i = 0; i < 2; i++) {
+            (void)json_object_set_new(details[i], "cells", json_integer((json_int_t)count));
+            (void)json_object_set_new(details[i], "by",
+                                      json_string(i == 0 ? "mean recurrence" : "seams"));
+        }
+        (void)json_object_set_new(details[1], "largest_difference", json_real(worst));
+        bench_say("mean", job[0].cpu_s * 1e6 / (double)count, "us/cell", NULL, NAN, details[0]);
+        bench_say("mean", job[1].cpu_s * 1e6 / (double)count, "us/cell", "mean recurrence",
+                  job[0].cpu_s / job[1].cpu_s, details[1]);
         bench_case_done(&bench);
     }
 }

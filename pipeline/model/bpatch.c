@@ -88,21 +88,58 @@ double gsn_bpatch_polar(unsigned degree, const double (*knot)[3], const double *
     return value[0];
 }
 
+/* Values after r steps, by the multi-index alpha, |alpha| = r, of the corners taken and by gamma.
+ */
+typedef double steps[GSN_SIMPLEX_MAX_FUNCTIONS][GSN_SIMPLEX_MAX_FUNCTIONS];
+
+/* The next step for one gamma. The values are symmetric in the corners, so that any of those in
+ * alpha may be the last one taken. */
+static void step(unsigned r, const struct gsn_frame *frame, const double *const corner[4],
+                 size_t gamma, double (*from)[GSN_SIMPLEX_MAX_FUNCTIONS],
+                 double (*to)[GSN_SIMPLEX_MAX_FUNCTIONS])
+{
+    const uint8_t *raised = gsn_simplex_raised[gamma];
+    uint8_t alpha[4] = { (uint8_t)r, 0, 0, 0 };
+    double lambda[4][4];
+
+    for (int k = 0; k < 4; k++)
+        gsn_frame_at(frame, corner[k], lambda[k]);
+    do {
+        const size_t place = gsn_simplex_place(alpha);
+        const double *before;
+        unsigned k = 0;
+
+        while (alpha[k] == 0)
+            k++;
+        alpha[k]--;
+        before = from[gsn_simplex_place(alpha)];
+        alpha[k]++;
+        to[place][gamma] = lambda[k][0] * before[raised[0]] + lambda[k][1] * before[raised[1]] +
+                           lambda[k][2] * before[raised[2]] + lambda[k][3] * before[raised[3]];
+    } while (gsn_simplex_next(alpha));
+}
+
 void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double *control,
                           const double *const corner[4], double *ret_coefficient)
 {
-    uint8_t beta[4] = { (uint8_t)degree, 0, 0, 0 };
+    const size_t functions = gsn_simplex_count(degree);
+    double even[GSN_SIMPLEX_MAX_FUNCTIONS][GSN_SIMPLEX_MAX_FUNCTIONS];
+    double odd[GSN_SIMPLEX_MAX_FUNCTIONS][GSN_SIMPLEX_MAX_FUNCTIONS];
 
-    do {
-        const double *arg[GSN_SIMPLEX_MAX_DEGREE];
-        unsigned n = 0;
+    memcpy(even[0], control, functions * sizeof *control);
+    for (unsigned r = 1; r <= degree; r++) {
+        uint8_t gamma[4] = { (uint8_t)(degree - r), 0, 0, 0 };
 
-        for (unsigned k = 0; k < 4; k++) {
-            for (unsigned l = 0; l < beta[k]; l++)
-                arg[n++] = corner[k];
-        }
-        ret_coefficient[gsn_simplex_place(beta)] = gsn_bpatch_polar(degree, knot, control, arg);
-    } while (gsn_simplex_next(beta));
+        do {
+            struct gsn_frame frame;
+
+            frame_of(degree, knot, gamma, &frame);
+            step(r, &frame, corner, gsn_simplex_place(gamma), r % 2 ? even : odd,
+                 r % 2 ? odd : even);
+        } while (gsn_simplex_next(gamma));
+    }
+    for (size_t f = 0; f < functions; f++)
+        ret_coefficient[f] = (degree % 2 ? odd : even)[f][0];
 }
 
 double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,

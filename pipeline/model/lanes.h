@@ -67,12 +67,12 @@ static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
 
 static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
 {
-    return _mm512_roundscale_pd(a, _MM_FROUND_TO_POS_INF | _MM_FROUND_NO_EXC);
+    return _mm512_ceil_pd(a);
 }
 
 static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
 {
-    return _mm512_roundscale_pd(a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+    return _mm512_floor_pd(a);
 }
 
 /* min(a, |b|) for a >= 0. */

@@ -5,9 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "pipeline/measure/skin.h"
-#include "pipeline/model/bpatch.h"
-#include "pipeline/model/simplex_sets.h"
+#include "pipeline/measure/cell_part.h"
+#include "pipeline/model/frame.h"
 
 enum { MOST_LEVELS = 90 }; /* 30 along each of three edges */
 
@@ -22,24 +21,14 @@ static const double most_missing = 1e-9;
 /* Of the cell: parts that are not worth having, counted as missing. */
 static const double crumb = 1e-15;
 
-/* One part of the cell, all inside the skin's tetrahedron: p over it, and how much of it, um^3, is
- * above the threshold. */
-struct part {
-    struct gsn_tet_cell at;
-    const struct gsn_skin *skin;
-    double coefficient[GSN_DMS_MAX_FUNCTIONS];
-    double volume, lower, upper;
-    uint8_t level, edge[2]; /* the edge to halve next */
-};
-
 struct work {
     const struct gsn_spline *spline;
     const struct gsn_dms *space;
     struct gsn_tet_cell cell;
     double threshold, volume, slack; /* slack: um^3 */
     size_t most, count, room, open;
-    struct part *part; /* count, room */
-    size_t *heap;      /* open of them: parts that can be halved, widest first */
+    struct gsn_cell_part *part; /* count, room */
+    size_t *heap;               /* open of them: parts that can be halved, widest first */
     size_t skins;
     struct gsn_skin **skin;
 };
@@ -51,136 +40,6 @@ static void work_done(struct work *work)
     gsn_free(work->skin);
     gsn_free(work->part);
     gsn_free(work->heap);
-}
-
-static double linear_at(const uint8_t beta[4], const double corner[4], unsigned degree)
-{
-    double sum = 0.0;
-
-    for (int k = 0; k < 4; k++)
-        sum += beta[k] * corner[k];
-    return sum / degree;
-}
-
-/* p on a part, less the threshold: within low..high of the linear function with these corner
- * values, and within least..most. */
-struct linear {
-    double corner[4], low, high, least, most;
-};
-
-static struct linear linear_of(const struct work *work, const double *coefficient)
-{
-    const unsigned n = gsn_dms_degree(work->space);
-    struct linear linear = { { 0.0 }, 0.0, 0.0, INFINITY, -INFINITY };
-
-    for (int k = 0; k < 4; k++) {
-        uint8_t beta[4] = { 0, 0, 0, 0 };
-
-        beta[k] = (uint8_t)n;
-        linear.corner[k] = coefficient[gsn_simplex_place(beta)] - work->threshold;
-    }
-    for (size_t f = 0; f < gsn_dms_functions(work->space); f++) {
-        const double value = coefficient[f] - work->threshold;
-        const double rest = value - linear_at(gsn_dms_beta(work->space, f), linear.corner, n);
-
-        linear.low = fmin(linear.low, rest);
-        linear.high = fmax(linear.high, rest);
-        linear.least = fmin(linear.least, value);
-        linear.most = fmax(linear.most, value);
-    }
-    return linear;
-}
-
-/* Narrows the part's shares by one bound of what is to be added to p. */
-static void narrow(const struct linear *linear, const struct gsn_skin_bound *bound, double *lower,
-                   double *upper)
-{
-    double low[4], high[4];
-
-    for (int k = 0; k < 4; k++) {
-        low[k] = linear->corner[k] + bound->corner[k] + linear->low + bound->low;
-        high[k] = linear->corner[k] + bound->corner[k] + linear->high + bound->high;
-    }
-    *lower = fmax(*lower, gsn_tet_share_above(low));
-    *upper = fmin(*upper, gsn_tet_share_above(high));
-}
-
-static double square_length(const struct gsn_tet_cell *cell, int i, int j)
-{
-    double edge[3];
-
-    gsn_subtract(cell->corner[i], cell->corner[j], edge);
-    return gsn_dot(edge, edge);
-}
-
-/* The largest second difference of the coefficients along an edge. */
-static double bend(const struct work *work, const struct part *part, int i, int j)
-{
-    uint8_t g[4] = { (uint8_t)(gsn_dms_degree(work->space) - 2U), 0, 0, 0 };
-    double most = 0.0;
-
-    do {
-        double value[3];
-
-        for (int s = 0; s < 3; s++) {
-            uint8_t beta[4];
-
-            memcpy(beta, g, sizeof beta);
-            beta[i] = (uint8_t)(beta[i] + 2 - s);
-            beta[j] = (uint8_t)(beta[j] + s);
-            value[s] = part->coefficient[gsn_simplex_place(beta)];
-        }
-        most = fmax(most, fabs(value[0] - 2.0 * value[1] + value[2]));
-    } while (gsn_simplex_next(g));
-    return most;
-}
-
-/* Across the strongest bend; where the gap is not bend, parts are to get smaller all round. */
-static void choose_edge(const struct work *work, int bent, struct part *part)
-{
-    double best = -1.0;
-
-    for (uint8_t i = 0; i < 4; i++) {
-        for (uint8_t j = (uint8_t)(i + 1); j < 4; j++) {
-            const double size = bent ? bend(work, part, i, j) : square_length(&part->at, i, j);
-
-            if (size > best) {
-                best = size;
-                part->edge[0] = i;
-                part->edge[1] = j;
-            }
-        }
-    }
-}
-
-/* Finds the part's volumes, and its edge. */
-static void measure(const struct work *work, struct part *part)
-{
-    static const double nothing[GSN_DMS_MAX_FUNCTIONS] = { 0.0 };
-    const struct gsn_skin *skin = part->skin;
-    const int clear = gsn_skin_clear(skin, &part->at);
-    const struct linear alone = linear_of(work, nothing);
-    const struct linear linear = clear || skin->whole ? linear_of(work, part->coefficient) : alone;
-    struct gsn_skin_bound added = { .low = -skin->slack, .high = skin->slack };
-    struct gsn_skin_bound way[GSN_SKIN_WAYS];
-    const size_t reach = clear ? 0 : gsn_skin_by_values(skin, &part->at, &added);
-    double lower = 0.0, upper = 1.0, width;
-
-    narrow(&linear, &added, &lower, &upper);
-    if (linear.least + added.low > 0.0)
-        lower = 1.0;
-    if (linear.most + added.high <= 0.0)
-        upper = 0.0;
-    width = added.high - added.low;
-    if (reach > 0 && upper > lower && gsn_skin_by_slopes(skin, &part->at, way)) {
-        narrow(&linear, &way[GSN_SKIN_ADDED], &lower, &upper);
-        narrow(&alone, &way[GSN_SKIN_ALONE], &lower, &upper);
-        width = fmin(width, way[GSN_SKIN_ADDED].high - way[GSN_SKIN_ADDED].low);
-    }
-    choose_edge(work, gsn_dms_degree(work->space) > 1 && linear.high - linear.low > width, part);
-    /* Both are true; rounding may cross them by a little, which the slack of the sum covers. */
-    part->lower = fmin(lower, upper) * part->volume;
-    part->upper = fmax(lower, upper) * part->volume;
 }
 
 static double gap_of(const struct work *work, size_t part)
@@ -237,7 +96,7 @@ static void offer(struct work *work, size_t part)
 static int grow(struct work *work, struct gsn_error *err)
 {
     const size_t room = 2 * work->room + 64;
-    struct part *part;
+    struct gsn_cell_part *part;
     size_t *heap;
 
     if (work->count < work->room)
@@ -254,39 +113,9 @@ static int grow(struct work *work, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* The half of a part that keeps corner keep, while corner move goes to the middle of their edge:
- * coefficient beta is the mean of those with part of beta_move given to keep, weighted by the
- * binomials. */
-static void halve(const struct work *work, const struct part *part, int keep, int move,
-                  struct part *ret_half)
-{
-    static const double binomial[4][4] = { { 1 }, { 1, 1 }, { 1, 2, 1 }, { 1, 3, 3, 1 } };
-
-    *ret_half = *part;
-    for (int a = 0; a < 3; a++)
-        ret_half->at.corner[move][a] =
-            0.5 * part->at.corner[keep][a] + 0.5 * part->at.corner[move][a];
-    for (size_t f = 0; f < gsn_dms_functions(work->space); f++) {
-        uint8_t beta[4];
-        const uint8_t *whole = gsn_dms_beta(work->space, f);
-        double sum = 0.0;
-
-        memcpy(beta, whole, sizeof beta);
-        for (uint8_t s = 0; s <= whole[move]; s++) {
-            beta[move] = s;
-            beta[keep] = (uint8_t)(whole[keep] + whole[move] - s);
-            sum += binomial[whole[move]][s] * part->coefficient[gsn_simplex_place(beta)];
-        }
-        ret_half->coefficient[f] = ldexp(sum, -whole[move]);
-    }
-    ret_half->volume = 0.5 * part->volume;
-    ret_half->level++;
-    measure(work, ret_half);
-}
-
 static int halve_widest(struct work *work, struct gsn_error *err)
 {
-    struct part whole;
+    struct gsn_cell_part whole;
     size_t place;
     int r = grow(work, err);
 
@@ -294,8 +123,8 @@ static int halve_widest(struct work *work, struct gsn_error *err)
         return r;
     place = pop(work);
     whole = work->part[place];
-    halve(work, &whole, whole.edge[0], whole.edge[1], &work->part[place]);
-    halve(work, &whole, whole.edge[1], whole.edge[0], &work->part[work->count++]);
+    gsn_cell_part_halve(&whole, work->threshold, 0, &work->part[place]);
+    gsn_cell_part_halve(&whole, work->threshold, 1, &work->part[work->count++]);
     offer(work, place);
     offer(work, work->count - 1);
     return GSN_OK;
@@ -418,18 +247,11 @@ static int add_parts(struct work *work, const struct gsn_skin *skin,
                      const struct gsn_tet_parts *common, struct gsn_error *err)
 {
     for (size_t i = 0; i < common->count; i++) {
-        struct part part = { .at = common->cell[i], .skin = skin };
-        const double *const corner[4] = { part.at.corner[0], part.at.corner[1], part.at.corner[2],
-                                          part.at.corner[3] };
         const int r = grow(work, err);
 
         if (r < 0)
             return r;
-        gsn_bpatch_bernstein(skin->degree, (const double(*)[3])skin->knot, skin->control, corner,
-                             part.coefficient);
-        part.volume = gsn_tet_cell_volume(&part.at);
-        measure(work, &part);
-        work->part[work->count++] = part;
+        gsn_cell_part_make(skin, &common->cell[i], work->threshold, &work->part[work->count++]);
         offer(work, work->count - 1);
     }
     return GSN_OK;

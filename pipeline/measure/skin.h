@@ -23,9 +23,8 @@
  * outside. Neighbours that share control points have
  * no second sum.
  *
- * With 0 for the polynomial and d = c, functions of I included, the same formulas bound s itself:
- * wilder control values, and boundary knots that point into I so that functions are missing there,
- * leave that as the better or the only way. */
+ * Where functions are missing, because boundary knots point into I, the polynomial is 0 instead and
+ * d = c, those of I included: the same formulas. */
 #ifndef GSN_MEASURE_SKIN_H
 #define GSN_MEASURE_SKIN_H
 
@@ -47,12 +46,10 @@ struct gsn_skin_value {
     struct gsn_skin_hull hull;
     double d;
 };
-/* What the gradient is made of, beside a polynomial that is p_I [0] or 0 [1]. */
-enum { GSN_SKIN_ADDED, GSN_SKIN_ALONE, GSN_SKIN_WAYS };
 struct gsn_skin_slope {
     struct gsn_skin_hull hull;
     int jump; /* whether it adds up to the others by itself, at any weight from 0 to 1 */
-    double gradient[GSN_SKIN_WAYS][3];
+    double gradient[3];
 };
 
 /* All that acts in a tetrahedron besides its polynomial. */
@@ -86,10 +83,10 @@ struct gsn_skin_bound {
 /* By the d that reach the cell; returns how many there are. */
 size_t gsn_skin_by_values(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
                           struct gsn_skin_bound *ret_bound);
-/* By the gradient: of what is to be added, and of s itself. Returns 0, the outputs untouched, where
- * s cannot be evaluated or a slope has no bound. */
+/* By the gradient. Returns 0, the output untouched, where s cannot be evaluated or a slope has no
+ * bound. */
 int gsn_skin_by_slopes(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
-                       struct gsn_skin_bound ret_bound[GSN_SKIN_WAYS]);
+                       struct gsn_skin_bound *ret_bound);
 
 #ifdef __cplusplus
 }

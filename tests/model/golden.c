@@ -35,9 +35,10 @@ static void read_line(struct golden_table *table, size_t row, char *line)
 
         assert_non_null(word);
         table->cell[row * table->columns + column] = strtod(word, &end);
-        if (end == word || *end)
-            table->cell[row * table->columns + column] = NAN;
-        if (column == 1)
+        if (end != word && !*end)
+            continue;
+        table->cell[row * table->columns + column] = NAN;
+        if (column < 2)
             (void)snprintf(table->kind[row], sizeof table->kind[row], "%s", word);
     }
 }

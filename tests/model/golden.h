@@ -7,7 +7,8 @@
 
 #include "pipeline/model/spline.h"
 
-/* Numbers row by row; a cell that is no number is NaN. kind is the second column as text. */
+/* Numbers row by row; a cell that is no number is NaN. kind is the text of the one among the first
+ * two columns that is no number. */
 struct golden_table {
     size_t rows, columns;
     double *cell;

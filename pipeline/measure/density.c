@@ -1,32 +1,31 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/measure/density.h"
 
-#include <assert.h>
 #include <math.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/measure/overlap.h"
 #include "pipeline/model/resample.h"
 
 enum {
-    MOST_VOXELS = 1 << 20, /* of a slab: three numbers each, 24 MiB */
+    MOST_VOXELS = 1 << 22, /* of a slab: a number each, 32 MiB */
     POINTS = 8             /* of the Gauss rule in a voxel */
 };
 
-/* Sums over one row of voxels: the centres, and the means of the eight Gauss points. */
+/* One row of voxels: sums over its part of the region of the centres and of all Gauss points; the
+ * first voxel of that part of which a point lies outside the mesh, SIZE_MAX if none does. */
 struct row {
     double centres, gauss;
+    size_t outside;
 };
 
-/* Some rows of one layer, or some whole layers, voxel by voxel. Where s has no data, NaN stays. */
+/* Some rows of one layer, or some whole layers, at one point of every voxel. */
 struct slab {
     const struct gsn_mask *region;
     struct gsn_lattice at; /* its voxels */
     size_t first;          /* of these in the region's lattice */
-    double *centre, *gauss, *value;
-    struct row *row;
+    int is_centre;         /* which sum the values are of */
+    double *value;
+    struct row *row; /* of the region's lattice */
 };
 
 static int no_data(const struct gsn_mask *region, size_t index, struct gsn_error *err)
@@ -62,18 +61,27 @@ static size_t place_slab(const struct gsn_lattice *at, size_t first, size_t rows
     return count;
 }
 
+/* Only the region's voxels count: others may lie outside the mesh, or partly. */
 static int add_row(size_t index, void *context, struct gsn_error *err)
 {
     const struct slab *slab = context;
-    const size_t first = index * slab->at.nx;
+    const size_t n = slab->at.nx, first = slab->first + index * n;
+    const double *value = slab->value + index * n;
+    struct row *row = &slab->row[first / n];
+    double *sum = slab->is_centre ? &row->centres : &row->gauss;
 
     (void)err;
-    for (size_t i = first; i < first + slab->at.nx; i++)
-        slab->gauss[i] += slab->value[i];
+    for (size_t x = 0; x < n; x++) {
+        if (!slab->region->inside[first + x])
+            continue;
+        if (isnan(value[x]) && x < row->outside)
+            row->outside = x;
+        *sum += value[x];
+    }
     return GSN_OK;
 }
 
-/* s at one Gauss point of every voxel, added up. */
+/* s at the centre (point POINTS) or one Gauss point of every voxel, added up. */
 static int add_point(const struct gsn_spline *spline, struct slab *slab, int point,
                      unsigned threads, struct gsn_error *err)
 {
@@ -81,30 +89,14 @@ static int add_point(const struct gsn_spline *spline, struct slab *slab, int poi
     struct gsn_lattice at = slab->at;
     int r;
 
-    at.origin_um.x += (point & 1 ? node : -node) * at.step_um.x;
-    at.origin_um.y += (point & 2 ? node : -node) * at.step_um.y;
-    at.origin_um.z += (point & 4 ? node : -node) * at.step_um.z;
+    slab->is_centre = point == POINTS;
+    if (!slab->is_centre) {
+        at.origin_um.x += (point & 1 ? node : -node) * at.step_um.x;
+        at.origin_um.y += (point & 2 ? node : -node) * at.step_um.y;
+        at.origin_um.z += (point & 4 ? node : -node) * at.step_um.z;
+    }
     r = gsn_spline_resample(spline, &at, threads, slab->value, err);
     return r < 0 ? r : gsn_parallel_for(at.ny * at.nz, threads, add_row, slab, err);
-}
-
-/* Only the region's voxels count: others may lie outside the mesh, or partly. */
-static int sum_row(size_t index, void *context, struct gsn_error *err)
-{
-    const struct slab *slab = context;
-    const size_t first = index * slab->at.nx;
-    struct row sum = { 0.0, 0.0 };
-
-    for (size_t i = first; i < first + slab->at.nx; i++) {
-        if (!slab->region->inside[slab->first + i])
-            continue;
-        if (isnan(slab->centre[i]) || isnan(slab->gauss[i]))
-            return no_data(slab->region, slab->first + i, err);
-        sum.centres += slab->centre[i];
-        sum.gauss += slab->gauss[i] / POINTS;
-    }
-    slab->row[slab->first / slab->at.nx + index] = sum;
-    return GSN_OK;
 }
 
 /* total: rows of the lattice, for progress. */
@@ -112,15 +104,20 @@ static int sum_slab(const struct gsn_spline *spline, struct slab *slab, size_t t
                     unsigned threads, const struct gsn_progress *progress, struct gsn_error *err)
 {
     const size_t rows = slab->at.ny * slab->at.nz, before = slab->first / slab->at.nx;
-    int r = gsn_spline_resample(spline, &slab->at, threads, slab->centre, err);
 
-    memset(slab->gauss, 0, rows * slab->at.nx * sizeof *slab->gauss);
-    for (int point = 0; point < POINTS && r >= 0; point++) {
-        gsn_progress_say(progress, "density", before + rows * (size_t)(point + 1) / (POINTS + 1),
-                         total);
+    for (int point = 0; point <= POINTS; point++) {
+        int r;
+
+        gsn_progress_say(progress, "density", before + rows * (size_t)point / (POINTS + 1), total);
         r = add_point(spline, slab, point, threads, err);
+        if (r < 0)
+            return r;
     }
-    return r < 0 ? r : gsn_parallel_for(rows, threads, sum_row, slab, err);
+    for (size_t i = before; i < before + rows; i++) {
+        if (slab->row[i].outside < slab->at.nx)
+            return no_data(slab->region, i * slab->at.nx + slab->row[i].outside, err);
+    }
+    return GSN_OK;
 }
 
 static int sum_slabs(const struct gsn_spline *spline, struct slab *slab, unsigned threads,
@@ -129,21 +126,15 @@ static int sum_slabs(const struct gsn_spline *spline, struct slab *slab, unsigne
     const struct gsn_lattice *at = &slab->region->at;
     const size_t total = at->ny * at->nz, rows = rows_of_slab(at);
     const size_t room = (rows < total ? rows : total) * at->nx;
-    gsn_auto_mem(double) centre = gsn_alloc_array(room, sizeof *centre);
-    gsn_auto_mem(double) gauss = gsn_alloc_array(room, sizeof *gauss);
     gsn_auto_mem(double) value = gsn_alloc_array(room, sizeof *value);
 
-    if (!centre || !gauss || !value)
+    if (!value)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", room);
-    slab->centre = centre;
-    slab->gauss = gauss;
     slab->value = value;
     for (size_t first = 0; first < total;) {
         const size_t count = place_slab(at, first, rows, slab);
-        int r;
+        const int r = sum_slab(spline, slab, total, threads, progress, err);
 
-        gsn_progress_say(progress, "density", first, total);
-        r = sum_slab(spline, slab, total, threads, progress, err);
         if (r < 0)
             return r;
         first += count;
@@ -167,6 +158,8 @@ int gsn_region_density(const struct gsn_spline *spline, const struct gsn_mask *r
     row = gsn_alloc_array(count, sizeof *row);
     if (!row)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu rows of voxels", count);
+    for (size_t i = 0; i < count; i++)
+        row[i] = (struct row){ .outside = SIZE_MAX };
     slab.row = row;
     r = sum_slabs(spline, &slab, threads, progress, err);
     if (r < 0)
@@ -175,145 +168,9 @@ int gsn_region_density(const struct gsn_spline *spline, const struct gsn_mask *r
         density.mean += row[i].gauss;
         density.centres_mean += row[i].centres;
     }
-    density.mean /= (double)voxels;
+    density.mean /= POINTS * (double)voxels;
     density.centres_mean /= (double)voxels;
     density.volume_um3 = (double)voxels * gsn_lattice_voxel_um3(&region->at);
     *ret_density = density;
-    return GSN_OK;
-}
-
-/* The volume that a tetrahedron shares with the region's voxel boxes. */
-static double volume_inside(const struct gsn_mask *region, const double corner[4][3])
-{
-    size_t first[3], end[3];
-    double volume = 0.0;
-
-    for (int a = 0; a < 3; a++) {
-        double low = corner[0][a], high = corner[0][a];
-
-        for (int k = 1; k < 4; k++) {
-            low = fmin(low, corner[k][a]);
-            high = fmax(high, corner[k][a]);
-        }
-        gsn_overlap_range(&region->at, a, low, high, &first[a], &end[a]);
-    }
-    for (size_t z = first[2]; z < end[2]; z++) {
-        for (size_t y = first[1]; y < end[1]; y++) {
-            for (size_t x = first[0]; x < end[0]; x++) {
-                const size_t index = gsn_lattice_index(&region->at, x, y, z);
-
-                if (region->inside[index]) {
-                    const struct gsn_box box = gsn_overlap_box(&region->at, index);
-
-                    volume += gsn_box_tet_volume(&box, corner);
-                }
-            }
-        }
-    }
-    return volume;
-}
-
-struct units {
-    const struct gsn_spline *spline;
-    const struct gsn_mask *region;
-    const uint32_t *samples;
-    struct gsn_unit *unit;
-};
-
-static int fill_unit(size_t tet, void *context, struct gsn_error *err)
-{
-    const struct units *units = context;
-    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(units->spline));
-    struct gsn_unit unit = { .mean = NAN, .volume_um3 = gsn_tets_volume(mesh, tet) };
-    double corner[4][3];
-    int r;
-
-    for (int k = 0; k < 4; k++)
-        memcpy(corner[k], mesh->vertex[mesh->tet[tet][k]], sizeof corner[k]);
-    unit.inside_share =
-        fmin(1.0, volume_inside(units->region, (const double(*)[3])corner) / unit.volume_um3);
-    unit.samples = units->samples ? units->samples[tet] : 0;
-    if (!(unit.inside_share > 0.0))
-        unit.state = GSN_UNIT_OUTSIDE;
-    else
-        unit.state = units->samples && unit.samples == 0 ? GSN_UNIT_NO_DATA : GSN_UNIT_OK;
-    if (unit.state == GSN_UNIT_OK) {
-        r = gsn_spline_tet_mean(units->spline, tet, &unit.mean, err);
-        if (r < 0)
-            return gsn_fail_at(err, "tetrahedron %zu", tet);
-    }
-    units->unit[tet] = unit;
-    return GSN_OK;
-}
-
-int gsn_units(const struct gsn_spline *spline, const struct gsn_mask *region,
-              const uint32_t *samples, unsigned threads, struct gsn_unit **ret_units,
-              struct gsn_error *err)
-{
-    const size_t count = gsn_dms_mesh(gsn_spline_space(spline))->tet_count;
-    gsn_auto_mem(struct gsn_unit) unit = gsn_alloc_array(count, sizeof *unit);
-    struct units units = { spline, region, samples, unit };
-    int r;
-
-    if (!unit)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
-    r = gsn_parallel_for(count, threads, fill_unit, &units, err);
-    if (r < 0)
-        return r;
-    *ret_units = gsn_steal(&unit);
-    return GSN_OK;
-}
-
-static int by_value(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-
-    return (x > y) - (x < y);
-}
-
-/* sorted, count > 0 */
-static double quantile(const double *sorted, size_t count, double q)
-{
-    const double place = q * (double)(count - 1);
-    const size_t below = (size_t)place;
-
-    if (below + 1 >= count)
-        return sorted[count - 1];
-    return sorted[below] + (place - (double)below) * (sorted[below + 1] - sorted[below]);
-}
-
-static size_t bin_of(double value, double low, double high)
-{
-    const double place = (value - low) / (high - low) * GSN_UNIT_BINS;
-
-    return (size_t)fmin(GSN_UNIT_BINS - 1, fmax(0.0, place));
-}
-
-int gsn_units_summarise(const struct gsn_unit *units, size_t count, double low, double high,
-                        struct gsn_units_summary *ret_summary, struct gsn_error *err)
-{
-    gsn_auto_mem(double) mean = gsn_alloc_array(count, sizeof *mean);
-    struct gsn_units_summary summary = { .low = low, .high = high };
-
-    assert(low < high);
-    if (!mean)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
-    for (size_t i = 0; i < count; i++) {
-        summary.outside += units[i].state == GSN_UNIT_OUTSIDE;
-        summary.no_data += units[i].state == GSN_UNIT_NO_DATA;
-        if (units[i].state == GSN_UNIT_OK) {
-            mean[summary.ok++] = units[i].mean;
-            summary.bin[bin_of(units[i].mean, low, high)]++;
-        }
-    }
-    if (summary.ok > 0) {
-        qsort(mean, summary.ok, sizeof *mean, by_value);
-        summary.min = mean[0];
-        summary.quartile1 = quantile(mean, summary.ok, 0.25);
-        summary.median = quantile(mean, summary.ok, 0.5);
-        summary.quartile3 = quantile(mean, summary.ok, 0.75);
-        summary.max = mean[summary.ok - 1];
-    }
-    *ret_summary = summary;
     return GSN_OK;
 }

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/measure/density.h"
 
+#include "pipeline/measure/overlap.h"
+
 #include <string.h>
 
 #include "tests/check.h"
@@ -107,6 +109,10 @@ static void keep_middle(struct gsn_mask *region)
     }
 }
 
+/* Corner of 200 x 190 x 120 voxels of 23 um: layer 110, the first of the second slab, is in the
+ * middle of the domain. */
+static const double two_slabs[3] = { 0.0, 0.0, 300.0 - 110.0 * 23.0 };
+
 TEST(slabs_of_any_shape_sum_what_single_points_give)
 {
     /* Whole layers in one slab, in several, and layers that are cut where the region is; all reach
@@ -115,8 +121,8 @@ TEST(slabs_of_any_shape_sum_what_single_points_give)
         double corner[3], step;
         size_t nx, ny, nz;
     } shape[] = { { { -61.0, -53.0, -47.0 }, 47.0, 31, 23, 17 },
-                  { { -61.0, -53.0, -47.0 }, 23.0, 160, 140, 120 },
-                  { { -61.0, 437.0 - 873.0 * 19.0, -47.0 }, 19.0, 1201, 1190, 33 } };
+                  { { -61.0, -53.0, 300.0 - 110.0 * 23.0 }, 23.0, 200, 190, 120 },
+                  { { -61.0, 437.0 - 1997.0 * 19.0, 100.0 }, 19.0, 2100, 2010, 3 } };
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
@@ -158,7 +164,7 @@ static void hear(void *context, const char *stage, size_t done, size_t total)
 
 TEST(progress_grows_from_nothing_to_all_rows)
 {
-    gsn_auto(gsn_mask) region = full_mask(low, 23.0, 160, 140, 120);
+    gsn_auto(gsn_mask) region = full_mask(two_slabs, 23.0, 200, 190, 120);
     struct said said = { .in_order = 1 };
     const struct gsn_progress progress = { hear, &said };
     struct gsn_region_density density;
@@ -169,34 +175,34 @@ TEST(progress_grows_from_nothing_to_all_rows)
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
     CHECK_OK(gsn_region_density(kuhn.spline, region, 1, &progress, &density, &err), err);
     CHECK(said.in_order && said.calls > 16);
-    CHECK(said.total == 140 * 120 && said.done == said.total);
+    CHECK(said.total == 190 * 120 && said.done == said.total);
     kuhn_done(&kuhn);
 }
 
 TEST(the_first_voxel_outside_is_named_whatever_slab_it_is_in)
 {
-    gsn_auto(gsn_mask) region = full_mask(low, 23.0, 160, 140, 120);
+    gsn_auto(gsn_mask) region = full_mask(two_slabs, 23.0, 200, 190, 120);
     struct gsn_region_density density = { .mean = 7.0 };
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
     keep_middle(region);
-    region->inside[gsn_lattice_index(&region->at, 20, 20, 100)] = 1;
-    region->inside[gsn_lattice_index(&region->at, 30, 19, 101)] = 1;
+    region->inside[gsn_lattice_index(&region->at, 60, 20, 112)] = 1;
+    region->inside[gsn_lattice_index(&region->at, 53, 19, 113)] = 1;
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
     for (unsigned k = 1; k <= 2; k++) {
         CHECK(gsn_region_density(kuhn.spline, region, k, NULL, &density, &err) == GSN_E_INPUT);
-        CHECK(strstr(err.text, "voxel (20, 20, 100) of the region lies outside") != NULL);
+        CHECK(strstr(err.text, "voxel (60, 20, 112) of the region lies outside") != NULL);
     }
     /* The centre of this one is inside (1184.5), the Gauss points beyond it are too (1191.1), so
      * that it counts; those of its neighbour (1207.5) are not. */
-    region->inside[gsn_lattice_index(&region->at, 20, 20, 100)] = 0;
-    region->inside[gsn_lattice_index(&region->at, 30, 19, 101)] = 0;
-    region->inside[gsn_lattice_index(&region->at, 51, 20, 10)] = 1;
+    region->inside[gsn_lattice_index(&region->at, 60, 20, 112)] = 0;
+    region->inside[gsn_lattice_index(&region->at, 53, 19, 113)] = 0;
+    region->inside[gsn_lattice_index(&region->at, 51, 20, 112)] = 1;
     CHECK_OK(gsn_region_density(kuhn.spline, region, 1, NULL, &density, &err), err);
-    region->inside[gsn_lattice_index(&region->at, 52, 20, 10)] = 1;
+    region->inside[gsn_lattice_index(&region->at, 52, 20, 112)] = 1;
     CHECK(gsn_region_density(kuhn.spline, region, 1, NULL, &density, &err) == GSN_E_INPUT);
-    CHECK(strstr(err.text, "voxel (52, 20, 10)") != NULL);
+    CHECK(strstr(err.text, "voxel (52, 20, 112)") != NULL);
     kuhn_done(&kuhn);
 }
 
@@ -269,6 +275,33 @@ TEST(units_of_a_linear_field_hold_it_at_their_centroid_and_fill_the_region)
     CHECK_NEAR(volume, 1200.0 * 900.0 * 600.0, 1e-3);
     CHECK_NEAR(inside, 6400.0 * 13824.0, 1e-3);
     CHECK(outside > 0 && outside < kuhn.mesh->tet_count);
+    kuhn_done(&kuhn);
+}
+
+TEST(shares_of_a_region_with_holes_are_those_of_its_voxels_one_by_one)
+{
+    gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 20, 20, 16);
+    gsn_auto_mem(struct gsn_unit) unit = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    for (size_t i = 0; i < gsn_lattice_count(&region->at); i++)
+        region->inside[i] = i % 5 != 0 && i % 20 != 19 && (i / 400 < 4 || i % 11 > 2);
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
+    CHECK_OK(gsn_units(kuhn.spline, region, NULL, 2, &unit, &err), err);
+    for (size_t t = 0; t < kuhn.mesh->tet_count; t++) {
+        double tet[4][3], volume = 0.0;
+
+        for (int k = 0; k < 4; k++)
+            memcpy(tet[k], kuhn.mesh->vertex[kuhn.mesh->tet[t][k]], sizeof tet[k]);
+        for (size_t i = 0; i < gsn_lattice_count(&region->at); i++) {
+            const struct gsn_box box = gsn_overlap_box(&region->at, i);
+
+            if (region->inside[i])
+                volume += gsn_box_tet_volume(&box, (const double(*)[3])tet);
+        }
+        CHECK_NEAR(unit[t].inside_share, volume / unit[t].volume_um3, 1e-12);
+    }
     kuhn_done(&kuhn);
 }
 

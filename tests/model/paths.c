@@ -9,7 +9,7 @@
 
 #include <string.h>
 
-enum { TERMS = 40000, CONTROLS = 4000 };
+enum { TERMS = 2000, CONTROLS = 2000 };
 
 const char *path_name(enum path path)
 {

@@ -5,6 +5,11 @@
 
 #include <math.h>
 
+/* Determinants between these leave room for the products and quotients of two of them, of sets of
+ * knots a hundred thousand times flatter too. Lengths may be from 1e-33 to 1e33. */
+#define SMALLEST 1e-100
+#define LARGEST 1e100
+
 /* Every X_beta, |beta| <= degree, has the orientation of the tetrahedron itself. */
 static int check_folds(unsigned degree, const double (*knot)[3], double whole, double margin,
                        struct gsn_error *err)
@@ -57,6 +62,11 @@ int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, 
     whole = gsn_det(corner[0], corner[1], corner[2], corner[3]);
     if (!(whole > 0))
         return gsn_fail(err, GSN_E_MESH, "it is too flat for double precision");
+    if (!(whole > SMALLEST && whole < LARGEST))
+        return gsn_fail(
+            err, GSN_E_MESH,
+            "its volume, %g, is out of the range of what double precision can work with",
+            whole / 6);
     r = check_folds(degree, knot, whole, margin, err);
     if (r < 0)
         return r;

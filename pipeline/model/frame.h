@@ -4,6 +4,10 @@
 #ifndef GSN_MODEL_FRAME_H
 #define GSN_MODEL_FRAME_H
 
+#include "pipeline/model/orient.h"
+
+#include <math.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -45,11 +49,15 @@ struct gsn_frame {
     double origin[3], row[3][3];
 };
 
+/* A determinant smaller than this share of the product of its edges has lost digits that slivers
+ * cannot spare: then the rows are computed in twice the precision. */
+#define GSN_FRAME_FLAT 0x1p-9
+
 /* The caller guarantees a determinant other than 0. */
 static inline void gsn_frame_init(struct gsn_frame *frame, const double a[3], const double b[3],
                                   const double c[3], const double d[3])
 {
-    double edge[3][3], det;
+    double edge[3][3], det, size = 1;
 
     gsn_subtract(b, a, edge[0]);
     gsn_subtract(c, a, edge[1]);
@@ -59,6 +67,12 @@ static inline void gsn_frame_init(struct gsn_frame *frame, const double a[3], co
         gsn_cross(edge[(k + 1) % 3], edge[(k + 2) % 3], frame->row[k]);
     }
     det = gsn_dot(frame->row[0], edge[0]);
+    for (int k = 0; k < 3; k++)
+        size *= fabs(edge[k][0]) + fabs(edge[k][1]) + fabs(edge[k][2]);
+    if (!(fabs(det) > GSN_FRAME_FLAT * size)) {
+        gsn_orient_rows(a, b, c, d, frame->row);
+        return;
+    }
     for (int k = 0; k < 3; k++) {
         for (int i = 0; i < 3; i++)
             frame->row[k][i] /= det;

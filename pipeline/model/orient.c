@@ -257,6 +257,87 @@ int gsn_orient_side(const double a[3], const double b[3], const double c[3], con
     return sign;
 }
 
+/* A number in twice the precision (Dekker 1971): high is the sum rounded. */
+struct twofold {
+    double high, low;
+};
+
+static struct twofold twofold_difference(double a, double b)
+{
+    struct twofold ret;
+
+    ret.high = two_sum(a, -b, &ret.low);
+    return ret;
+}
+
+static struct twofold twofold_plus(struct twofold a, struct twofold b)
+{
+    struct twofold ret;
+    double rest;
+    const double sum = two_sum(a.high, b.high, &rest);
+
+    ret.high = two_sum(sum, rest + (a.low + b.low), &ret.low);
+    return ret;
+}
+
+static struct twofold twofold_times(struct twofold a, struct twofold b)
+{
+    struct twofold ret;
+    double rest;
+    const double product = two_product(a.high, b.high, &rest);
+
+    ret.high = two_sum(product, rest + (a.high * b.low + a.low * b.high), &ret.low);
+    return ret;
+}
+
+static struct twofold twofold_minus(struct twofold a, struct twofold b)
+{
+    return twofold_plus(a, (struct twofold){ -b.high, -b.low });
+}
+
+double gsn_orient_value(const double a[3], const double b[3], const double c[3], const double d[3])
+{
+    struct twofold p[3], q[3], sum = { 0, 0 };
+
+    for (int i = 0; i < 3; i++) {
+        p[i] = twofold_difference(b[i], a[i]);
+        q[i] = twofold_difference(c[i], a[i]);
+    }
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        const struct twofold minor =
+            twofold_minus(twofold_times(p[j], q[k]), twofold_times(p[k], q[j]));
+
+        sum = twofold_plus(sum, twofold_times(minor, twofold_difference(d[i], a[i])));
+    }
+    return sum.high;
+}
+
+void gsn_orient_rows(const double a[3], const double b[3], const double c[3], const double d[3],
+                     double (*ret_row)[3])
+{
+    const double *const end[3] = { b, c, d };
+    struct twofold edge[3][3], minor[3][3], det = { 0, 0 };
+
+    for (int k = 0; k < 3; k++) {
+        for (int i = 0; i < 3; i++)
+            edge[k][i] = twofold_difference(end[k][i], a[i]);
+    }
+    for (int k = 0; k < 3; k++) {
+        const struct twofold *p = edge[(k + 1) % 3], *q = edge[(k + 2) % 3];
+
+        for (int i = 0; i < 3; i++)
+            minor[k][i] = twofold_minus(twofold_times(p[(i + 1) % 3], q[(i + 2) % 3]),
+                                        twofold_times(p[(i + 2) % 3], q[(i + 1) % 3]));
+    }
+    for (int i = 0; i < 3; i++)
+        det = twofold_plus(det, twofold_times(minor[0][i], edge[0][i]));
+    for (int k = 0; k < 3; k++) {
+        for (int i = 0; i < 3; i++)
+            ret_row[k][i] = minor[k][i].high / det.high;
+    }
+}
+
 int gsn_orient_cross(const double p[2], const double q[2])
 {
     double plus_rest, minus_rest;

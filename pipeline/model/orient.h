@@ -26,6 +26,15 @@ int gsn_orient3d(const double a[3], const double b[3], const double c[3], const 
  * e -> 0+: the half-open rule. 0 only when a, b and c lie on one line. */
 int gsn_orient_side(const double a[3], const double b[3], const double c[3], const double u[3]);
 
+/* det[b - a, c - a, d - a] in twice the precision: right to its last digits however much of its
+ * products cancels, up to 28 digits of them. What is divided by a small determinant needs that. */
+double gsn_orient_value(const double a[3], const double b[3], const double c[3], const double d[3]);
+
+/* The gradients of the barycentric coordinates 1, 2, 3 of a tetrahedron a, b, c, d in that
+ * precision. The caller guarantees a determinant other than 0. */
+void gsn_orient_rows(const double a[3], const double b[3], const double c[3], const double d[3],
+                     double (*ret_row)[3]);
+
 /* The sign of p_x q_y - p_y q_x. */
 int gsn_orient_cross(const double p[2], const double q[2]);
 

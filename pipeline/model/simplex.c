@@ -10,6 +10,12 @@
 /* W may have this share of the largest determinant. */
 #define NEARLY 0.5
 
+/* A determinant that loses more than this to cancellation is computed in twice the precision. Sets
+ * of knots may be as flat as they like: M of degree 0 is 1 / |det|, and where u lies in such a set
+ * the coordinate that multiplies it is as small. Rounding relative to the products, not to the
+ * determinant, would lose in N as many digits as the set is flat. */
+#define CANCELS 0x1p-8
+
 /* The barycentric coordinate of member i of a quad a < b < c < d is swap[i] times the plane value
  * of the other three, ascending, over the quad's determinant. */
 static const int swap[4] = { -1, 1, -1, 1 };
@@ -41,11 +47,17 @@ void gsn_simplex_normal(const struct gsn_simplex_set *triple, const double (*kno
 
 double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[3])
 {
-    double r[3], normal[3];
+    const uint8_t *m = quad->member;
+    double r[3], normal[3], permanent[3], det;
 
-    gsn_simplex_normal(quad, knot, normal, NULL);
+    gsn_simplex_normal(quad, knot, normal, permanent);
     row(quad, 3, knot, r);
-    return gsn_dot(normal, r);
+    det = gsn_dot(normal, r);
+    for (int c = 0; c < 3; c++)
+        r[c] = fabs(r[c]);
+    if (fabs(det) > CANCELS * gsn_dot(permanent, r))
+        return det;
+    return gsn_orient_value(knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]);
 }
 
 /* |det| of every set of four, from the normals of the triples; returns the least. */
@@ -147,8 +159,9 @@ static const struct gsn_simplex_plane *plane_of(struct gsn_simplex_at *at, size_
 {
     const size_t slot = triple - at->sets->first[3];
     const struct gsn_simplex_set *set = &at->sets->set[triple];
+    const uint8_t *m = set->member;
     struct gsn_simplex_plane *plane = &at->plane[slot];
-    double r[3], permanent[3];
+    double r[3], permanent[3], all;
 
     if (at->knows_plane[slot])
         return plane;
@@ -158,11 +171,13 @@ static const struct gsn_simplex_plane *plane_of(struct gsn_simplex_at *at, size_
     plane->value = gsn_dot(plane->normal, r);
     for (int c = 0; c < 3; c++)
         r[c] = fabs(r[c]);
-    if (fabs(plane->value) > GSN_ORIENT_BOUND * gsn_dot(permanent, r))
+    all = gsn_dot(permanent, r);
+    if (fabs(plane->value) > GSN_ORIENT_BOUND * all)
         plane->side = plane->value > 0 ? 1 : -1;
     else
-        plane->side = gsn_orient_side(at->knot[set->member[0]], at->knot[set->member[1]],
-                                      at->knot[set->member[2]], at->u);
+        plane->side = gsn_orient_side(at->knot[m[0]], at->knot[m[1]], at->knot[m[2]], at->u);
+    if (!(fabs(plane->value) > CANCELS * all))
+        plane->value = gsn_orient_value(at->knot[m[0]], at->knot[m[1]], at->knot[m[2]], at->u);
     return plane;
 }
 

@@ -53,7 +53,8 @@ int gsn_spline_cell_mean(const struct gsn_spline *spline, const double cell[4][3
 
 /* What the functions of one tetrahedron contribute to the integral of s along the whole line
  * p + t d, per unit arc length of the line: the projection formula, exact for any knots. d need not
- * have length 1. The X-ray picture sums this over the tetrahedra whose support the line meets. */
+ * have length 1. NaN when d is 0, a number is not finite, or p so far away that the line cannot be
+ * followed. The X-ray picture sums this over the tetrahedra whose support the line meets. */
 double gsn_spline_tet_line(const struct gsn_spline *spline, size_t tet, const double p[3],
                            const double d[3]);
 /* The same summed over all tetrahedra. */

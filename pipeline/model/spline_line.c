@@ -12,24 +12,33 @@ struct sight {
     double start[3], along[3], axis[2][3];
 };
 
+/* Any length will do, but 0; NaN when there is no direction. */
 static void normalise(double v[3])
 {
-    const double size = sqrt(gsn_dot(v, v));
+    const double most = fmax(fabs(v[0]), fmax(fabs(v[1]), fabs(v[2])));
+    double size;
 
+    for (int c = 0; c < 3; c++)
+        v[c] = most > 0 ? v[c] / most : NAN;
+    size = sqrt(gsn_dot(v, v));
     for (int c = 0; c < 3; c++)
         v[c] /= size;
 }
 
-static void sight_init(struct sight *sight, const struct gsn_dms *space, const double p[3],
-                       const double d[3])
+/* Returns 0 when p or d is no place or direction. */
+static int sight_init(struct sight *sight, const struct gsn_dms *space, const double p[3],
+                      const double d[3])
 {
     const struct gsn_box *bounds = gsn_boxtree_bounds(space->tree);
     double beside[3] = { 0, 0, 0 }, to[3], shift;
     double *along = sight->along;
     int least = 0;
 
-    for (int c = 0; c < 3; c++)
+    for (int c = 0; c < 3; c++) {
+        if (!isfinite(p[c]) || !isfinite(d[c]))
+            return 0;
         along[c] = d[c];
+    }
     normalise(along);
     for (int c = 0; c < 3; c++) {
         to[c] = (bounds->low[c] + bounds->high[c]) / 2 - p[c];
@@ -39,10 +48,13 @@ static void sight_init(struct sight *sight, const struct gsn_dms *space, const d
     shift = gsn_dot(to, along);
     for (int c = 0; c < 3; c++)
         sight->start[c] = p[c] + shift * along[c];
+    if (!isfinite(shift) || !isfinite(sight->start[0] + sight->start[1] + sight->start[2]))
+        return 0;
     beside[least] = 1;
     gsn_cross(along, beside, sight->axis[0]);
     normalise(sight->axis[0]);
     gsn_cross(along, sight->axis[0], sight->axis[1]);
+    return 1;
 }
 
 /* Whether all points lie on one side of the line, in the picture. */
@@ -88,8 +100,7 @@ double gsn_spline_tet_line(const struct gsn_spline *spline, size_t tet, const do
 {
     struct sight sight;
 
-    sight_init(&sight, spline->space, p, d);
-    return tet_line(spline, &sight, tet);
+    return sight_init(&sight, spline->space, p, d) ? tet_line(spline, &sight, tet) : NAN;
 }
 
 double gsn_spline_line(const struct gsn_spline *spline, const double p[3], const double d[3])
@@ -98,7 +109,8 @@ double gsn_spline_line(const struct gsn_spline *spline, const double p[3], const
     struct sight sight;
     double sum = 0;
 
-    sight_init(&sight, spline->space, p, d);
+    if (!sight_init(&sight, spline->space, p, d))
+        return NAN;
     gsn_ascent_begin(&ascent);
     do {
         (void)gsn_boxtree_along(spline->space->tree, sight.start, sight.along, gsn_ascent_add,

@@ -130,3 +130,25 @@ TEST(plane_products_are_compared_exactly)
     }
     CHECK(zero > 100);
 }
+
+/* (1 + e) (1 - e) - 1 = -e^2, which rounding makes 0. */
+TEST(a_determinant_keeps_its_digits_when_its_products_cancel)
+{
+    const double e = 0x1p-30;
+    const double a[3] = { 0, 0, 0 }, b[3] = { 1 + e, 1, 0 }, c[3] = { 1, 1 - e, 0 };
+    const double d[3] = { 0.25, 0.5, 3 };
+    const double *const end[3] = { b, c, d };
+    double row[3][3];
+
+    CHECK(gsn_orient_value(a, b, c, d) == -3 * e * e);
+    CHECK(gsn_orient_value(a, c, b, d) == 3 * e * e);
+    CHECK(gsn_orient_value(a, b, c, b) == 0);
+    gsn_orient_rows(a, b, c, d, row);
+    /* The rows are 1 / e^2 long, so these sums cancel from there. */
+    for (int k = 0; k < 3; k++) {
+        for (int j = 0; j < 3; j++)
+            CHECK_NEAR(fma(row[k][0], end[j][0], row[k][1] * end[j][1]) + row[k][2] * end[j][2],
+                       k == j, 1e-15 / (e * e));
+    }
+    CHECK(row[0][0] == -(1 - e) / (e * e) && row[1][1] == -(1 + e) / (e * e));
+}

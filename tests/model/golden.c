@@ -205,3 +205,14 @@ void golden_each(const char *file, void (*test)(const struct golden_case *golden
     print_message("skipped: no case of %s has a %s.csv\n", named, file);
     skip();
 }
+
+double golden_steepest(const struct golden_table *spline)
+{
+    double largest = 0;
+
+    for (size_t i = 0; i < spline->rows; i++) {
+        for (int c = 0; c < 3; c++)
+            largest = fmax(largest, fabs(golden_row(spline, i)[3 + c]));
+    }
+    return largest;
+}

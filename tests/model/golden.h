@@ -34,6 +34,9 @@ void golden_each(const char *file, void (*test)(const struct golden_case *golden
 struct golden_table golden_read(const struct golden_case *golden, const char *file);
 void golden_done(struct golden_table *table);
 
+/* The largest derivative in a table "spline". */
+double golden_steepest(const struct golden_table *spline);
+
 /* gives: the spline of a case. */
 struct gsn_spline *golden_spline(const struct golden_case *golden);
 

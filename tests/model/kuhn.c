@@ -163,3 +163,23 @@ double *polynomial_controls(const struct polynomial *p, const struct gsn_dms *sp
     }
     return control;
 }
+
+struct kuhn_made kuhn_make(struct gsn_dms *space)
+{
+    gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(space), sizeof *control);
+    struct kuhn_made made = { .space = space };
+    struct gsn_error err = { 0 };
+    uint64_t seed = 11;
+
+    assert_non_null(control);
+    for (size_t i = 0; i < gsn_dms_controls(space); i++)
+        control[i] = draw(&seed);
+    CHECK_OK(gsn_spline_new(space, control, &made.spline, &err), err);
+    return made;
+}
+
+void kuhn_unmake(struct kuhn_made *made)
+{
+    gsn_spline_free(made->spline);
+    gsn_dms_free(made->space);
+}

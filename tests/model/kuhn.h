@@ -5,7 +5,7 @@
 #ifndef GSN_TESTS_MODEL_KUHN_H
 #define GSN_TESTS_MODEL_KUHN_H
 
-#include "pipeline/model/dms.h"
+#include "pipeline/model/spline.h"
 
 /* gives: the mesh of cells[0] x cells[1] x cells[2] cubes of edge 1 with corner 0. Inner vertices
  * are shifted at random by up to jitter along each axis. */
@@ -14,6 +14,16 @@ struct gsn_tets *kuhn_mesh(const size_t cells[3], double jitter);
 /* gives: a space over such a mesh, with clouds of this fraction. */
 struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree, double fraction,
                            enum gsn_dms_sharing sharing);
+
+/* A space, and a spline on it with random control values. */
+struct kuhn_made {
+    struct gsn_dms *space;
+    struct gsn_spline *spline;
+};
+
+/* takes: the space, until kuhn_unmake(). */
+struct kuhn_made kuhn_make(struct gsn_dms *space);
+void kuhn_unmake(struct kuhn_made *made);
 
 /* The next of a fixed sequence, in [0, 1). */
 double draw(uint64_t *seed);

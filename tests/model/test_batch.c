@@ -12,34 +12,10 @@
 
 enum { TERMS = 4000, POINTS = 3000 };
 
-struct made {
-    struct gsn_dms *space;
-    struct gsn_spline *spline;
-};
-
-static struct made make(struct gsn_dms *space)
-{
-    gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(space), sizeof *control);
-    struct made made = { .space = space };
-    struct gsn_error err = { 0 };
-    uint64_t seed = 11;
-
-    for (size_t i = 0; i < gsn_dms_controls(space); i++)
-        control[i] = draw(&seed);
-    CHECK_OK(gsn_spline_new(space, control, &made.spline, &err), err);
-    return made;
-}
-
-static void unmake(struct made *made)
-{
-    gsn_spline_free(made->spline);
-    gsn_dms_free(made->space);
-}
-
 static const size_t CUBES[3] = { 2, 2, 2 };
 
 /* Points in and about the mesh: anywhere, on mesh planes, edges and vertices, at knots, nowhere. */
-static double (*draw_points(const struct made *made, size_t count))[3]
+static double (*draw_points(const struct kuhn_made *made, size_t count))[3]
 {
     double(*at)[3] = gsn_alloc_array(count, sizeof *at);
     const size_t knots =
@@ -63,7 +39,7 @@ static double (*draw_points(const struct made *made, size_t count))[3]
 }
 
 /* s and its gradient by definition, the sum of all functions; returns 0 outside. */
-static int by_definition(const struct made *made, const double u[3], size_t *hint,
+static int by_definition(const struct kuhn_made *made, const double u[3], size_t *hint,
                          double *ret_value, double ret_gradient[3])
 {
     static struct gsn_dms_term term[TERMS];
@@ -87,7 +63,7 @@ static int by_definition(const struct made *made, const double u[3], size_t *hin
  * it. */
 static const double STEEP = 1e-9;
 
-static void check_points(const struct made *made)
+static void check_points(const struct kuhn_made *made)
 {
     double(*at)[3] = draw_points(made, POINTS), value[POINTS], slope[POINTS][3];
     struct gsn_error err = { 0 };
@@ -117,11 +93,11 @@ TEST(many_points_have_the_sum_of_all_functions_and_its_gradient)
     for (unsigned degree = 1; degree <= 3; degree++) {
         for (int own = 0; own < 2; own++) {
             for (int jitter = 0; jitter < 2; jitter++) {
-                struct made made = make(kuhn_space(CUBES, 0.1 * jitter, degree, 0.2,
-                                                   own ? GSN_DMS_OWN : GSN_DMS_SHARED));
+                struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1 * jitter, degree, 0.2,
+                                                             own ? GSN_DMS_OWN : GSN_DMS_SHARED));
 
                 check_points(&made);
-                unmake(&made);
+                kuhn_unmake(&made);
             }
         }
     }
@@ -130,7 +106,7 @@ TEST(many_points_have_the_sum_of_all_functions_and_its_gradient)
 TEST(one_point_has_what_it_has_among_many)
 {
     for (unsigned degree = 1; degree <= 3; degree++) {
-        struct made made = make(kuhn_space(CUBES, 0.1, degree, 0.2, GSN_DMS_SHARED));
+        struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, degree, 0.2, GSN_DMS_SHARED));
         double(*at)[3] = draw_points(&made, POINTS), value[POINTS], slope[POINTS][3];
         struct gsn_error err = { 0 };
         size_t home = 0;
@@ -160,7 +136,7 @@ TEST(one_point_has_what_it_has_among_many)
                 CHECK_NEAR(gradient[c], slope[i][c], 1e-11);
         }
         gsn_free(at);
-        unmake(&made);
+        kuhn_unmake(&made);
     }
 }
 
@@ -168,8 +144,8 @@ TEST(rows_hold_the_sum_of_the_functions_of_each_control_point)
 {
     for (unsigned degree = 1; degree <= 3; degree++) {
         for (int own = 0; own < 2; own++) {
-            struct made made =
-                make(kuhn_space(CUBES, 0.1, degree, 0.2, own ? GSN_DMS_OWN : GSN_DMS_SHARED));
+            struct kuhn_made made =
+                kuhn_make(kuhn_space(CUBES, 0.1, degree, 0.2, own ? GSN_DMS_OWN : GSN_DMS_SHARED));
             const size_t controls = gsn_dms_controls(made.space);
             gsn_auto_mem(double) truth = gsn_alloc_array(controls, sizeof *truth);
             double(*at)[3] = draw_points(&made, POINTS);
@@ -202,7 +178,7 @@ TEST(rows_hold_the_sum_of_the_functions_of_each_control_point)
                           GSN_E_LIMIT);
             }
             gsn_free(at);
-            unmake(&made);
+            kuhn_unmake(&made);
         }
     }
 }
@@ -210,7 +186,7 @@ TEST(rows_hold_the_sum_of_the_functions_of_each_control_point)
 TEST(threads_and_instruction_sets_give_the_same_bits)
 {
     for (unsigned degree = 1; degree <= 3; degree++) {
-        struct made made = make(kuhn_space(CUBES, 0.1, degree, 0.2, GSN_DMS_SHARED));
+        struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, degree, 0.2, GSN_DMS_SHARED));
         double(*at)[3] = draw_points(&made, 3 * POINTS);
         static double value[2][3 * POINTS], slope[2][3 * POINTS][3];
         struct gsn_error err = { 0 };
@@ -231,24 +207,24 @@ TEST(threads_and_instruction_sets_give_the_same_bits)
             }
         }
         gsn_free(at);
-        unmake(&made);
+        kuhn_unmake(&made);
     }
 }
 
 TEST(no_points_have_no_values)
 {
-    struct made made = make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
     struct gsn_error err = { 0 };
     double value = 5;
 
     CHECK_OK(gsn_spline_eval_many(made.spline, NULL, 0, 1, &value, NULL, &err), err);
     CHECK(value == 5);
-    unmake(&made);
+    kuhn_unmake(&made);
 }
 
 TEST(running_out_of_memory_leaks_nothing)
 {
-    struct made made = make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
     double(*at)[3] = draw_points(&made, POINTS), value[POINTS];
     struct gsn_error err = { 0 };
 
@@ -256,5 +232,5 @@ TEST(running_out_of_memory_leaks_nothing)
         gsn_spline_eval_many(made.spline, (const double(*)[3])at, POINTS, 2, value, NULL, &err),
         err);
     gsn_free(at);
-    unmake(&made);
+    kuhn_unmake(&made);
 }

@@ -25,17 +25,6 @@ static double *exact_basis(const struct golden_case *golden, const struct golden
     return exact;
 }
 
-static double largest_slope(const struct golden_table *spline)
-{
-    double largest = 0;
-
-    for (size_t i = 0; i < spline->rows; i++) {
-        for (int c = 0; c < 3; c++)
-            largest = fmax(largest, fabs(golden_row(spline, i)[3 + c]));
-    }
-    return largest;
-}
-
 /* Whatever the walk, the pruning and the cores decide: every tetrahedron asked by itself. */
 static void check_recurrence(const struct golden_case *golden)
 {
@@ -43,7 +32,7 @@ static void check_recurrence(const struct golden_case *golden)
     struct golden_table basis = golden_read(golden, "basis");
     struct golden_table spline = golden_read(golden, "spline");
     const size_t functions = gsn_dms_functions(golden->space);
-    const double steepest = largest_slope(&spline);
+    const double steepest = golden_steepest(&spline);
 
     for (size_t p = 0; p < points.rows; p++) {
         double *exact = exact_basis(golden, &basis, p);
@@ -143,7 +132,7 @@ static void check_values(const struct golden_case *golden)
     struct golden_table points = golden_read(golden, "points");
     struct golden_table exact = golden_read(golden, "spline");
     gsn_auto(gsn_spline) spline = golden_spline(golden);
-    const double steepest = largest_slope(&exact);
+    const double steepest = golden_steepest(&exact);
     size_t hint = 0;
 
     for (size_t p = 0; p < points.rows; p++) {

@@ -8,33 +8,8 @@
 
 enum { TERMS = 4000 };
 
-/* A spline with random control values, and its space. */
-struct made {
-    struct gsn_dms *space;
-    struct gsn_spline *spline;
-};
-
-static struct made make(struct gsn_dms *space)
-{
-    gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(space), sizeof *control);
-    struct made made = { .space = space };
-    struct gsn_error err = { 0 };
-    uint64_t seed = 11;
-
-    for (size_t i = 0; i < gsn_dms_controls(space); i++)
-        control[i] = draw(&seed);
-    CHECK_OK(gsn_spline_new(space, control, &made.spline, &err), err);
-    return made;
-}
-
-static void unmake(struct made *made)
-{
-    gsn_spline_free(made->spline);
-    gsn_dms_free(made->space);
-}
-
 /* s by its definition, the sum of all functions; NaN outside. */
-static double by_definition(const struct made *made, const double u[3], size_t *hint)
+static double by_definition(const struct kuhn_made *made, const double u[3], size_t *hint)
 {
     static struct gsn_dms_term term[TERMS];
     size_t count;
@@ -48,7 +23,8 @@ static double by_definition(const struct made *made, const double u[3], size_t *
     return sum;
 }
 
-static double *resampled(const struct made *made, const struct gsn_lattice *at, unsigned threads)
+static double *resampled(const struct kuhn_made *made, const struct gsn_lattice *at,
+                         unsigned threads)
 {
     double *value = gsn_alloc_array(gsn_lattice_count(at), sizeof *value);
     struct gsn_error err = { 0 };
@@ -58,7 +34,7 @@ static double *resampled(const struct made *made, const struct gsn_lattice *at, 
 }
 
 /* Returns how many voxels are outside. */
-static size_t check_all(const struct made *made, const struct gsn_lattice *at)
+static size_t check_all(const struct kuhn_made *made, const struct gsn_lattice *at)
 {
     gsn_auto_mem(double) value = resampled(made, at, 1);
     size_t hint = 0, outside = 0;
@@ -84,12 +60,12 @@ TEST(a_grid_has_the_sum_of_all_functions_at_every_voxel)
 
     for (unsigned degree = 1; degree <= 3; degree++) {
         for (int own = 0; own < 2; own++) {
-            struct made made =
-                make(kuhn_space(CUBES, 0.1, degree, 0.2, own ? GSN_DMS_OWN : GSN_DMS_SHARED));
+            struct kuhn_made made =
+                kuhn_make(kuhn_space(CUBES, 0.1, degree, 0.2, own ? GSN_DMS_OWN : GSN_DMS_SHARED));
             const size_t outside = check_all(&made, &at);
 
             CHECK(outside > 0 && outside < gsn_lattice_count(&at) / 2);
-            unmake(&made);
+            kuhn_unmake(&made);
         }
     }
 }
@@ -100,11 +76,11 @@ TEST(voxels_in_mesh_planes_belong_to_one_tetrahedron)
     const struct gsn_lattice at = { 13, 13, 13, { -0.5, -0.5, -0.5 }, { 0.25, 0.25, 0.25 } };
 
     for (unsigned degree = 1; degree <= 3; degree++) {
-        struct made made = make(kuhn_space(CUBES, 0, degree, 0.2, GSN_DMS_SHARED));
+        struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0, degree, 0.2, GSN_DMS_SHARED));
 
         /* The half-open rule leaves 8 of the 9 planes of each axis. */
         CHECK(check_all(&made, &at) == 13 * 13 * 13 - 8 * 8 * 8);
-        unmake(&made);
+        kuhn_unmake(&made);
     }
 }
 
@@ -112,10 +88,10 @@ TEST(voxels_in_mesh_planes_belong_to_one_tetrahedron)
 TEST(voxels_a_rounding_error_from_mesh_planes_too)
 {
     const struct gsn_lattice at = { 21, 21, 21, { 0, 0, 0 }, { 0.1, 0.1, 0.1 } };
-    struct made made = make(kuhn_space(CUBES, 0, 2, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0, 2, 0.2, GSN_DMS_SHARED));
 
     (void)check_all(&made, &at);
-    unmake(&made);
+    kuhn_unmake(&made);
 }
 
 static struct gsn_dms *one_tetrahedron(unsigned degree)
@@ -145,29 +121,29 @@ TEST(one_tetrahedron_far_from_the_origin_keeps_its_digits)
     };
 
     for (unsigned degree = 1; degree <= 3; degree++) {
-        struct made made = make(one_tetrahedron(degree));
+        struct kuhn_made made = kuhn_make(one_tetrahedron(degree));
 
         CHECK(check_all(&made, &at) < 17 * 9 * 9);
-        unmake(&made);
+        kuhn_unmake(&made);
     }
 }
 
 TEST(a_grid_beside_the_mesh_has_no_data)
 {
     const struct gsn_lattice at = { 4, 5, 6, { 3, 3, 3 }, { 0.1, 0.1, 0.1 } };
-    struct made made = make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
 
     CHECK(check_all(&made, &at) == 4 * 5 * 6);
-    unmake(&made);
+    kuhn_unmake(&made);
 }
 
 TEST(a_grid_of_one_voxel_is_the_value_at_a_point)
 {
     const struct gsn_lattice at = { 1, 1, 1, { 0.97, 1.02, 1.01 }, { 1, 1, 1 } };
-    struct made made = make(kuhn_space(CUBES, 0.1, 3, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, 3, 0.2, GSN_DMS_SHARED));
 
     CHECK(check_all(&made, &at) == 0);
-    unmake(&made);
+    kuhn_unmake(&made);
 }
 
 TEST(where_all_control_values_are_one_so_is_the_grid)
@@ -178,7 +154,7 @@ TEST(where_all_control_values_are_one_so_is_the_grid)
         struct gsn_dms *space = kuhn_space(CUBES, 0.1, 3, 0.2, own ? GSN_DMS_OWN : GSN_DMS_SHARED);
         gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(space), sizeof *control);
         gsn_auto_mem(double) value = NULL;
-        struct made made = { .space = space };
+        struct kuhn_made made = { .space = space };
         struct gsn_error err = { 0 };
 
         for (size_t i = 0; i < gsn_dms_controls(space); i++)
@@ -187,7 +163,7 @@ TEST(where_all_control_values_are_one_so_is_the_grid)
         value = resampled(&made, &at, 1);
         for (size_t i = 0; i < gsn_lattice_count(&at); i++)
             CHECK_NEAR(value[i], 1, 1e-12);
-        unmake(&made);
+        kuhn_unmake(&made);
     }
 }
 
@@ -196,7 +172,7 @@ TEST(threads_and_instruction_sets_give_the_same_bits)
     const struct gsn_lattice at = { 37, 41, 100, { -0.1, 0.013, 0.01 }, { 0.06, 0.05, 0.0203 } };
 
     for (unsigned degree = 1; degree <= 3; degree++) {
-        struct made made = make(kuhn_space(CUBES, 0.1, degree, 0.2, GSN_DMS_SHARED));
+        struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, degree, 0.2, GSN_DMS_SHARED));
         gsn_auto_mem(double) first = resampled(&made, &at, 1);
 
         for (int isa = 0; isa < GSN_ISA_COUNT; isa++) {
@@ -209,7 +185,7 @@ TEST(threads_and_instruction_sets_give_the_same_bits)
                 CHECK(memcmp(again, first, gsn_lattice_count(&at) * sizeof *first) == 0);
             }
         }
-        unmake(&made);
+        kuhn_unmake(&made);
     }
 }
 
@@ -222,7 +198,7 @@ TEST(a_grid_that_is_none_is_refused_and_the_output_stays_untouched)
         { 2, 2, 2, { 0, 0, 0 }, { 1, 1, 0 } },        { 2, 2, 2, { 0, 0, 0 }, { -1, 1, 1 } },
         { 2, 2, 2, { 0, 0, 0 }, { 1, 1, 1e308 } },
     };
-    struct made made = make(kuhn_space(CUBES, 0.1, 1, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, 1, 0.2, GSN_DMS_SHARED));
 
     for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
         struct gsn_error err = { 0 };
@@ -233,16 +209,16 @@ TEST(a_grid_that_is_none_is_refused_and_the_output_stays_untouched)
         for (int j = 0; j < 8; j++)
             CHECK(value[j] == 5);
     }
-    unmake(&made);
+    kuhn_unmake(&made);
 }
 
 TEST(running_out_of_memory_leaks_nothing)
 {
     const struct gsn_lattice at = { 5, 5, 40, { 0, 0, 0 }, { 0.4, 0.4, 0.05 } };
-    struct made made = make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
+    struct kuhn_made made = kuhn_make(kuhn_space(CUBES, 0.1, 2, 0.2, GSN_DMS_SHARED));
     gsn_auto_mem(double) value = gsn_alloc_array(gsn_lattice_count(&at), sizeof *value);
     struct gsn_error err = { 0 };
 
     CHECK_EVERY_OOM(gsn_spline_resample(made.spline, &at, 2, value, &err), err);
-    unmake(&made);
+    kuhn_unmake(&made);
 }

@@ -47,22 +47,11 @@ static int eval(const struct gsn_dms *space, const struct gsn_spline *spline, co
     return GSN_OK;
 }
 
-static double largest_slope(const struct golden_table *spline)
-{
-    double largest = 0;
-
-    for (size_t i = 0; i < spline->rows; i++) {
-        for (int c = 0; c < 3; c++)
-            largest = fmax(largest, fabs(golden_row(spline, i)[3 + c]));
-    }
-    return largest;
-}
-
 static void check_golden(const struct golden_case *golden)
 {
     struct golden_table points = golden_read(golden, "points");
     struct golden_table exact = golden_read(golden, "spline");
-    const double steepest = largest_slope(&exact);
+    const double steepest = golden_steepest(&exact);
     struct gsn_spline *spline = NULL;
     struct gsn_error err = { 0 };
 

@@ -7,6 +7,7 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/measure/bracket.h"
 #include "pipeline/measure/overlap.h"
+#include "pipeline/measure/sum.h"
 
 enum {
     BATCH = 256,      /* items a thread takes at a time */
@@ -27,22 +28,6 @@ struct cell {
     uint8_t level[3], axis;
     double lower, upper;
 };
-
-/* A sum that does not lose what it adds (Neumaier). */
-struct sum {
-    double value, rest;
-};
-
-static void add(struct sum *sum, double value)
-{
-    const double total = sum->value + value;
-
-    if (fabs(sum->value) >= fabs(value))
-        sum->rest += (sum->value - total) + value;
-    else
-        sum->rest += (value - total) + sum->value;
-    sum->value = total;
-}
 
 struct work {
     const struct gsn_pieces *pieces;
@@ -211,7 +196,7 @@ static int measure_all(const struct work *work, double threshold, struct cell *c
 struct front {
     struct cell *cell;
     size_t count;
-    struct sum sure;
+    struct gsn_sum sure;
     int was_open; /* whether the threshold cut any voxel at all */
 };
 
@@ -222,7 +207,7 @@ static void settle(struct front *front, struct cell *cell, size_t count)
         if (cell[i].upper > cell[i].lower)
             front->cell[front->count++] = cell[i];
         else
-            add(&front->sure, cell[i].lower);
+            gsn_sum_add(&front->sure, cell[i].lower);
     }
 }
 
@@ -289,11 +274,11 @@ static int cut_round(const struct work *work, double threshold, double cutoff, s
 
 static void add_up(const struct front *front, double *ret_lower, double *ret_upper)
 {
-    struct sum lower = front->sure, upper = front->sure;
+    struct gsn_sum lower = front->sure, upper = front->sure;
 
     for (size_t i = 0; i < front->count; i++) {
-        add(&lower, front->cell[i].lower);
-        add(&upper, front->cell[i].upper);
+        gsn_sum_add(&lower, front->cell[i].lower);
+        gsn_sum_add(&upper, front->cell[i].upper);
     }
     *ret_lower = lower.value + lower.rest;
     *ret_upper = upper.value + upper.rest;
@@ -349,7 +334,7 @@ static int start(const struct work *work, const uint8_t *verdict, size_t t, stru
         open += verdict[v * work->thresholds + t] == OPEN;
         above += verdict[v * work->thresholds + t] == ABOVE;
     }
-    add(&front->sure, (double)above);
+    gsn_sum_add(&front->sure, (double)above);
     front->was_open = open > 0;
     voxel = gsn_alloc_array(open, sizeof *voxel);
     front->cell = gsn_alloc_array(open, sizeof *front->cell);

@@ -7,6 +7,7 @@
 
 #include "pipeline/measure/cell_part.h"
 #include "pipeline/model/frame.h"
+#include "pipeline/measure/sum.h"
 
 enum { MOST_LEVELS = 90 }; /* 30 along each of three edges */
 
@@ -130,32 +131,16 @@ static int halve_widest(struct work *work, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* A sum that does not lose what it adds (Neumaier). */
-struct sum {
-    double value, rest;
-};
-
-static void add(struct sum *sum, double value)
-{
-    const double total = sum->value + value;
-
-    if (fabs(sum->value) >= fabs(value))
-        sum->rest += (sum->value - total) + value;
-    else
-        sum->rest += (value - total) + sum->value;
-    sum->value = total;
-}
-
 /* Adds up; what the parts do not cover may be above the threshold or not. */
 static void add_up(const struct work *work, struct gsn_volume_bound *ret_bound)
 {
-    struct sum lower = { 0.0, 0.0 }, upper = { 0.0, 0.0 }, covered = { 0.0, 0.0 };
+    struct gsn_sum lower = { 0.0, 0.0 }, upper = { 0.0, 0.0 }, covered = { 0.0, 0.0 };
     double missing;
 
     for (size_t i = 0; i < work->count; i++) {
-        add(&lower, work->part[i].lower);
-        add(&upper, work->part[i].upper);
-        add(&covered, work->part[i].volume);
+        gsn_sum_add(&lower, work->part[i].lower);
+        gsn_sum_add(&upper, work->part[i].upper);
+        gsn_sum_add(&covered, work->part[i].volume);
     }
     missing = fmax(0.0, work->volume - (covered.value + covered.rest));
     *ret_bound = (struct gsn_volume_bound){

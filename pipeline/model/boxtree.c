@@ -300,14 +300,15 @@ static int meet(const struct node *a, const struct node *b)
            (a->high[1] >= b->low[1]) & (a->low[2] <= b->high[2]) & (a->high[2] >= b->low[2]);
 }
 
-int gsn_boxtree_meeting(const struct gsn_boxtree *tree, const struct gsn_box *box,
-                        gsn_boxtree_visit *visit, void *context)
+/* All leaves below nodes that pass the question, from left to right. */
+static inline int search(const struct gsn_boxtree *tree,
+                         int (*passes)(const void *asked, const struct node *node),
+                         const void *asked, gsn_boxtree_visit *visit, void *context)
 {
-    const struct node asked = node_of(tree, box);
     int r = 0;
 
     for (size_t i = 1; i > 0 && r == 0;) {
-        if (!meet(&tree->node[i], &asked)) {
+        if (!passes(asked, &tree->node[i])) {
             i = beside(i);
         } else if (i < tree->leaves) {
             i = 2 * i;
@@ -317,6 +318,19 @@ int gsn_boxtree_meeting(const struct gsn_boxtree *tree, const struct gsn_box *bo
         }
     }
     return r;
+}
+
+static int meets_box(const void *asked, const struct node *node)
+{
+    return meet(node, asked);
+}
+
+int gsn_boxtree_meeting(const struct gsn_boxtree *tree, const struct gsn_box *box,
+                        gsn_boxtree_visit *visit, void *context)
+{
+    const struct node asked = node_of(tree, box);
+
+    return search(tree, meets_box, &asked, visit, context);
 }
 
 int gsn_boxtree_at(const struct gsn_boxtree *tree, const double u[3], gsn_boxtree_visit *visit,
@@ -352,12 +366,16 @@ static int near(const struct line *line, const struct node *node)
     return 1;
 }
 
+static int is_near_line(const void *asked, const struct node *node)
+{
+    return near(asked, node);
+}
+
 int gsn_boxtree_along(const struct gsn_boxtree *tree, const double p[3], const double d[3],
                       gsn_boxtree_visit *visit, void *context)
 {
     struct line line;
     double size = 1;
-    int r = 0;
 
     for (int c = 0; c < 3; c++) {
         line.start[c] = (p[c] - tree->origin[c]) * tree->scale;
@@ -365,15 +383,5 @@ int gsn_boxtree_along(const struct gsn_boxtree *tree, const double p[3], const d
         size += fabs(line.start[c]);
     }
     line.slack = LINE_SLACK * size;
-    for (size_t i = 1; i > 0 && r == 0;) {
-        if (!near(&line, &tree->node[i])) {
-            i = beside(i);
-        } else if (i < tree->leaves) {
-            i = 2 * i;
-        } else {
-            r = visit_leaf(tree, i, visit, context);
-            i = beside(i);
-        }
-    }
-    return r;
+    return search(tree, is_near_line, &line, visit, context);
 }

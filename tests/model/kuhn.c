@@ -66,10 +66,9 @@ struct gsn_tets *kuhn_mesh(const size_t cells[3], double jitter)
     return mesh;
 }
 
-struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree, double fraction,
-                           enum gsn_dms_sharing sharing)
+struct gsn_dms *kuhn_space_on(struct gsn_tets *mesh, unsigned degree, double fraction,
+                              enum gsn_dms_sharing sharing)
 {
-    struct gsn_tets *mesh = kuhn_mesh(cells, jitter);
     double(*knots)[3] = NULL;
     struct gsn_dms *space = NULL;
     struct gsn_error err = { 0 };
@@ -79,6 +78,12 @@ struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree
     gsn_free(knots);
     gsn_tets_free(mesh);
     return space;
+}
+
+struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree, double fraction,
+                           enum gsn_dms_sharing sharing)
+{
+    return kuhn_space_on(kuhn_mesh(cells, jitter), degree, fraction, sharing);
 }
 
 void draw_inside(const struct gsn_tets *mesh, size_t t, uint64_t *seed, double ret_u[3])

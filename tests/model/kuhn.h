@@ -15,6 +15,10 @@ struct gsn_tets *kuhn_mesh(const size_t cells[3], double jitter);
 struct gsn_dms *kuhn_space(const size_t cells[3], double jitter, unsigned degree, double fraction,
                            enum gsn_dms_sharing sharing);
 
+/* gives: the same over any mesh, which it takes. */
+struct gsn_dms *kuhn_space_on(struct gsn_tets *mesh, unsigned degree, double fraction,
+                              enum gsn_dms_sharing sharing);
+
 /* A space, and a spline on it with random control values. */
 struct kuhn_made {
     struct gsn_dms *space;

@@ -81,21 +81,6 @@ static struct gsn_tets *raw_mesh(const struct raw *raw)
     return mesh;
 }
 
-/* takes: a mesh. */
-static struct gsn_dms *space_on(struct gsn_tets *mesh, unsigned degree, double fraction,
-                                enum gsn_dms_sharing sharing)
-{
-    double(*knots)[3] = NULL;
-    struct gsn_dms *space = NULL;
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_dms_clouds(mesh, degree, fraction, &knots, &err), err);
-    CHECK_OK(gsn_dms_new(mesh, degree, (const double(*)[3])knots, sharing, &space, &err), err);
-    gsn_free(knots);
-    gsn_tets_free(mesh);
-    return space;
-}
-
 enum { EACH = 12 }; /* points of a tetrahedron */
 
 /* Points in and near every tetrahedron, on its corners, edges and faces, and in its clouds. */
@@ -161,8 +146,8 @@ static void check_mesh(struct gsn_tets *(*make)(const void *how), const void *ho
                        double fraction, struct allowed allowed)
 {
     for (int i = 0; i < 6; i++)
-        check_space(space_on(make(how), 1 + (unsigned)i % 3, fraction,
-                             i < 3 ? GSN_DMS_SHARED : GSN_DMS_OWN),
+        check_space(kuhn_space_on(make(how), 1 + (unsigned)i % 3, fraction,
+                                  i < 3 ? GSN_DMS_SHARED : GSN_DMS_OWN),
                     what, i < 3 ? allowed.shared : allowed.own, allowed.slope);
 }
 

@@ -2,6 +2,7 @@
 #include "pipeline/model/spline.h"
 
 #include "tests/check.h"
+#include "tests/model/formula.h"
 #include "tests/model/kuhn.h"
 
 #include "pipeline/model/bpatch.h"
@@ -96,20 +97,6 @@ static double turn_boundary(const double *v)
     return is_inner(v) ? 1 : -1;
 }
 
-/* A point: near the face, edge or vertex of its tetrahedron as often as inside. */
-static void draw_anywhere(const struct gsn_tets *mesh, size_t t, uint64_t *seed, double ret_u[3])
-{
-    double lambda[4], sum = 0;
-
-    for (int k = 0; k < 4; k++)
-        sum += lambda[k] = draw(seed) < 0.5 ? draw(seed) : 0.03 * draw(seed);
-    for (int c = 0; c < 3; c++) {
-        ret_u[c] = 0;
-        for (int k = 0; k < 4; k++)
-            ret_u[c] += lambda[k] / sum * mesh->vertex[mesh->tet[t][k]][c];
-    }
-}
-
 TEST(the_quick_way_in_the_core_agrees_with_the_sum_over_the_basis)
 {
     uint64_t seed = 21;
@@ -127,7 +114,7 @@ TEST(the_quick_way_in_the_core_agrees_with_the_sum_over_the_basis)
             double u[3], value, slope[3], sum = 0, slopes[3] = { 0 };
             size_t count;
 
-            draw_anywhere(mesh, i / 8, &seed, u);
+            draw_in_skins(mesh, i / 8, &seed, u);
             if (gsn_spline_eval(made.spline, u, &hint, &value, slope) == GSN_DMS_OUTSIDE)
                 continue;
             CHECK(gsn_dms_basis(made.space, u, 1, &hint, term, ROOM, &count) == GSN_OK);
@@ -196,7 +183,7 @@ TEST(the_gradient_is_the_limit_of_differences)
         for (size_t t = 0; t < mesh->tet_count; t++) {
             double u[3], slope[3], value, low, high;
 
-            draw_anywhere(mesh, t, &seed, u);
+            draw_in_skins(mesh, t, &seed, u);
             if (fmin(fmin(u[0], u[1]), u[2]) < 2 * h || fmax(fmax(u[0], u[1]), u[2]) > 3 - 2 * h)
                 continue;
             CHECK(gsn_spline_eval(made.spline, u, &hint, &value, slope) == GSN_OK);
@@ -494,7 +481,7 @@ static void check_residual(struct made *made, uint64_t *seed)
             double u[3], lambda[4], value, off;
             size_t hint = t;
 
-            draw_anywhere(mesh, t, seed, u);
+            draw_in_skins(mesh, t, seed, u);
             if (gsn_spline_eval(made->spline, u, &hint, &value, NULL) != GSN_OK || hint != t)
                 continue;
             gsn_frame_at(&shape.frame, u, lambda);

@@ -2,6 +2,8 @@
 #include "acquire/source.h"
 
 #include <assert.h>
+#include <errno.h>
+#include <poll.h>
 #include <string.h>
 
 #include "acquire/folder_source.h"
@@ -28,16 +30,55 @@ static const struct gsn_source_ops *find_kind(const char *address)
     return NULL;
 }
 
-int gsn_source_open(const char *address, const struct gsn_source_options *options,
-                    struct gsn_source **ret_source, struct gsn_error *err)
+static int check_keys(const struct gsn_source_ops *ops, const struct gsn_source_options *options,
+                      struct gsn_error *err)
 {
-    gsn_auto(gsn_source) source = NULL;
+    for (size_t i = 0; i < options->setting_count; i++) {
+        const char *const *known = ops->settings;
+
+        while (known && *known && strcmp(*known, options->setting[i].key) != 0)
+            known++;
+        if (!known || !*known)
+            return gsn_fail(err, GSN_E_INPUT, "a source of kind %s has no setting \"%.100s\"",
+                            ops->kind, options->setting[i].key);
+    }
+    return GSN_OK;
+}
+
+static int check(const char *address, const struct gsn_source_options *options,
+                 const struct gsn_source_ops **ret_ops, struct gsn_error *err)
+{
     const struct gsn_source_ops *const ops = find_kind(address);
     int r;
 
     if (!ops)
         return gsn_fail(err, GSN_E_UNSUPPORTED,
                         "\"%.300s\" names no source: give hot:FOLDER or replay:FOLDER", address);
+    r = check_keys(ops, options, err);
+    if (r >= 0 && ops->check)
+        r = ops->check(strchr(address, ':') + 1, options, err);
+    if (r >= 0)
+        *ret_ops = ops;
+    return r;
+}
+
+int gsn_source_check(const char *address, const struct gsn_source_options *options,
+                     struct gsn_error *err)
+{
+    const struct gsn_source_ops *ops;
+
+    return check(address, options, &ops, err);
+}
+
+int gsn_source_open(const char *address, const struct gsn_source_options *options,
+                    struct gsn_source **ret_source, struct gsn_error *err)
+{
+    gsn_auto(gsn_source) source = NULL;
+    const struct gsn_source_ops *ops;
+    int r = check(address, options, &ops, err);
+
+    if (r < 0)
+        return r;
     source = gsn_alloc_array(1, sizeof *source);
     if (source)
         source->address = gsn_strdup(address);
@@ -93,15 +134,49 @@ int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_
     return source->ops->acknowledge(source->self, item, err);
 }
 
+int gsn_source_wait(struct gsn_source *source, int timeout_ms, int stop_fd, struct gsn_error *err)
+{
+    struct pollfd stop = { .fd = stop_fd, .events = POLLIN };
+
+    if (source->ops->wait)
+        return source->ops->wait(source->self, timeout_ms, stop_fd, err);
+    if (poll(&stop, 1, timeout_ms) < 0 && errno != EINTR)
+        return gsn_fail(err, GSN_E_IO, "waiting: %s", strerror(errno));
+    return GSN_OK;
+}
+
+int gsn_source_capture(struct gsn_source *source, enum gsn_source_subject subject,
+                       struct gsn_error *err)
+{
+    if (!source->ops->capture)
+        return gsn_fail(err, GSN_E_UNSUPPORTED, "%.300s: pictures come by themselves here",
+                        source->address);
+    return source->ops->capture(source->self, subject, err);
+}
+
+const char *gsn_source_device(const struct gsn_source *source)
+{
+    return source->ops->device ? source->ops->device(source->self) : "";
+}
+
+const char *gsn_source_subsystem(const char *address)
+{
+    const struct gsn_source_ops *const ops = find_kind(address);
+
+    return ops ? ops->subsystem : NULL;
+}
+
 int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_event *event,
                     struct gsn_error *err)
 {
     gsn_auto_mem(char) name = gsn_strdup(event->name);
     gsn_auto_mem(char) reason = gsn_strdup(event->reason);
+    gsn_auto_mem(char) key = gsn_strdup(event->key ? event->key : "");
+    gsn_auto_mem(char) facts = gsn_strdup(event->facts ? event->facts : "");
     struct gsn_source_event *at;
 
     assert(event->name && event->reason);
-    if (!name || !reason)
+    if (!name || !reason || !key || !facts)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for an event");
     at = gsn_realloc_array(events->at, events->count + 1, sizeof *at);
     if (!at)
@@ -110,6 +185,8 @@ int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_ev
     at[events->count] = *event;
     at[events->count].name = gsn_steal(&name);
     at[events->count].reason = gsn_steal(&reason);
+    at[events->count].key = gsn_steal(&key);
+    at[events->count].facts = gsn_steal(&facts);
     events->count++;
     return GSN_OK;
 }
@@ -119,6 +196,8 @@ void gsn_source_events_free(struct gsn_source_events *events)
     for (size_t i = 0; events && i < events->count; i++) {
         gsn_free((void *)events->at[i].name);
         gsn_free((void *)events->at[i].reason);
+        gsn_free((void *)events->at[i].key);
+        gsn_free((void *)events->at[i].facts);
     }
     if (events)
         gsn_free(events->at);

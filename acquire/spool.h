@@ -52,10 +52,22 @@ int gsn_spool_take(struct gsn_spool *spool, const void *bytes, uint64_t size, co
 /* From the descriptor's start to its end, by pread(). */
 int gsn_spool_take_fd(struct gsn_spool *spool, int fd, const char *name,
                       struct gsn_spooled *ret_spooled, struct gsn_error *err);
-/* A READY item; passes on the errors of gsn_source_read(). Does not acknowledge it. */
+/* A READY item; passes on the errors of gsn_source_read(). Does not acknowledge it.
+ *
+ * Where the item has a key, a copy that its source broke off stays as DIR/objects/tmp/partial-*,
+ * and the next call for the same key and size goes on from there: the part is hashed again, and its
+ * last bytes are read again from the source; where they differ, the copy starts over. */
 int gsn_spool_take_item(struct gsn_spool *spool, struct gsn_source *source,
                         const struct gsn_source_event *ready, struct gsn_spooled *ret_spooled,
                         struct gsn_error *err);
+
+/* Reads an object again. Fails with GSN_E_NOTFOUND, GSN_E_INPUT when its bytes are not those of the
+ * digest, GSN_E_IO. */
+int gsn_spool_verify(struct gsn_spool *spool, const struct gsn_digest *digest,
+                     struct gsn_error *err);
+
+/* Whether one more object of this size would leave the reserve; GSN_E_LIMIT when not. */
+int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

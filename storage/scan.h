@@ -1,0 +1,81 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The ledger of what came from the bench: one row per picture, inserted when its bytes are durable
+ * and before its source is told so. */
+#ifndef GSN_STORAGE_SCAN_H
+#define GSN_STORAGE_SCAN_H
+
+#include "storage/store.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Texts may be empty but never NULL. */
+struct gsn_scan_row {
+    int64_t id;
+    const char *source;  /* its name in the configuration */
+    const char *device;  /* which device, as it says itself */
+    const char *name;    /* the file's or object's name there */
+    const char *key;     /* who the device says it is; empty: it cannot tell */
+    const char *subject; /* "panel", "blank" or "dark" */
+    const char *sha256;  /* names the object */
+    int64_t size;        /* bytes */
+    const char *facts;   /* what the device stated, JSON or empty */
+    const char *state;  /* "filed" (has its panel), "unfiled" (a person must say), "kept" (blank and
+                           dark frames) */
+    const char *reason; /* why it is unfiled, or by what it was filed */
+    int64_t panel_id;   /* 0: none */
+    const char *specimen; /* the panel's specimen, or empty; not read by put */
+    int64_t arrived;
+};
+
+struct gsn_scan_rows {
+    size_t count;
+    struct gsn_scan_row *at;
+};
+
+void gsn_scan_row_free(struct gsn_scan_row *row);
+GSN_DEFINE_AUTO(gsn_scan_row);
+void gsn_scan_rows_free(struct gsn_scan_rows *rows);
+GSN_DEFINE_AUTO(gsn_scan_rows);
+
+/* Takes a picture into the ledger and files it, in one transaction with its panel, its job and its
+ * line in the diary. The row's state, reason and panel_id are not read: a panel goes
+ *   1. to the specimen that the source is expected to deliver (gsn_scan_expect);
+ *   2. else to the specimen whose name its own name begins with, the longest of them, followed by
+ *      the end, '-', '_', ' ' or '.';
+ *   3. else it stays unfiled with the reason.
+ * number: the panel's number in its name, 0 for none; a picture without one that goes to an
+ * expected specimen takes the next free number there, else the panel is held as an import would.
+ * ret_again: 1 when the same picture (source, name, bytes) was there; then nothing is written. */
+int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
+                  int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err);
+
+/* Whether a scan with this key is in the ledger; an empty key never is. */
+int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
+                      struct gsn_error *err);
+
+/* gives: scans in this state (NULL: all), newest first, at most most of them (0: all). */
+int gsn_scan_list(struct gsn_store *store, const char *state, size_t most,
+                  struct gsn_scan_rows **ret_rows, struct gsn_error *err);
+/* gives. Fails with GSN_E_NOTFOUND "there is no scan N". */
+int gsn_scan_get(struct gsn_store *store, int64_t id, struct gsn_scan_row **ret_scan,
+                 struct gsn_error *err);
+
+/* A person says where an unfiled scan belongs. Fails with GSN_E_INPUT when it is filed already, is
+ * no picture of a panel, or number is 0. */
+int gsn_scan_file(struct gsn_store *store, int64_t id, const char *specimen, unsigned number,
+                  const char *actor, int64_t now, struct gsn_error *err);
+
+/* From now on what this source delivers belongs to the specimen; NULL: to nobody in particular.
+ * Fails with GSN_E_NOTFOUND when there is no such specimen. */
+int gsn_scan_expect(struct gsn_store *store, const char *source, const char *specimen,
+                    const char *actor, int64_t now, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

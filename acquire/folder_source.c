@@ -92,7 +92,7 @@ int gsn_natural_compare(const char *a, const char *b)
     return strcmp(a, b);
 }
 
-static bool is_called_picture(const char *name)
+int gsn_name_is_picture(const char *name)
 {
     static const char *const endings[] = { "jpg", "jpeg", "png", "tif", "tiff", "btf",  "tf8",
                                            "svs", "ndpi", "scn", "bmp", "gif",  "webp", "jp2",
@@ -101,9 +101,9 @@ static bool is_called_picture(const char *name)
 
     for (size_t i = 0; dot && i < sizeof endings / sizeof endings[0]; i++) {
         if (strcasecmp(dot + 1, endings[i]) == 0)
-            return true;
+            return 1;
     }
-    return false;
+    return 0;
 }
 
 static struct stamp stamp_of(const struct stat *st)
@@ -169,7 +169,7 @@ static int settle(const struct folder *folder, struct file *file, bool patient,
         set_state(file, folder->replay && !patient ? STATE_SKIPPED : STATE_WAITING, reason);
         return GSN_OK;
     }
-    if (container.kind == GSN_CONTAINER_UNKNOWN && !is_called_picture(file->name)) {
+    if (container.kind == GSN_CONTAINER_UNKNOWN && !gsn_name_is_picture(file->name)) {
         set_state(file, STATE_SKIPPED, "is no picture and is left alone");
         /* job.json describes the panels; whoever imports reads it himself. */
         file->told = file->told || strcmp(file->name, "job.json") == 0;

@@ -22,6 +22,9 @@ extern const struct gsn_source_ops gsn_replay_folder_ops; /* "replay:DIR" */
  * are equal so far (1, 01) fall back to bytes. Returns < 0, 0, > 0; 0 only for equal names. */
 int gsn_natural_compare(const char *a, const char *b);
 
+/* Whether a file of this name is called like a picture ("P01.TIF"). */
+int gsn_name_is_picture(const char *name);
+
 #ifdef __cplusplus
 }
 #endif

@@ -4,8 +4,8 @@
 #include <string.h>
 
 enum {
-    MOST_DATASET = 64 << 10,      /* bytes of DeviceInfo, ObjectInfo, StorageIDs */
-    MOST_LIST = 4 * ((1 << 20) + 1), /* bytes of a list of a million handles */
+    MOST_DATASET = 64 << 10,         /* bytes of DeviceInfo, ObjectInfo, StorageIDs */
+    MOST_LIST = 4 * ((1 << 17) + 1), /* bytes of a list of 131072 handles */
 };
 
 int gsn_ptp_device_new(struct gsn_ptp_transport *transport, struct gsn_ptp_device **ret_device,
@@ -90,39 +90,38 @@ int gsn_ptp_device_greet(struct gsn_ptp_device *device, struct gsn_error *err)
     return r;
 }
 
-static int add_handles(struct gsn_ptp_handles *handles, const uint8_t *bytes, uint32_t count,
-                       struct gsn_error *err)
+int gsn_ptp_handles_add(struct gsn_ptp_handles *handles, uint32_t handle, struct gsn_error *err)
 {
-    const size_t needed = handles->count + count;
-
-    if (needed > handles->room) {
-        const size_t room = needed + needed / 2;
+    if (handles->count == handles->room) {
+        const size_t room = handles->room ? 2 * handles->room : 16;
         uint32_t *at = gsn_realloc_array(handles->at, room, sizeof *at);
 
         if (!at)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu handles", needed);
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu handles", room);
         handles->at = at;
         handles->room = room;
     }
-    for (uint32_t i = 0; i < count; i++)
-        handles->at[handles->count++] = gsn_ptp_get32(bytes + 4 + 4 * (size_t)i);
+    handles->at[handles->count++] = handle;
     return GSN_OK;
 }
 
 static int list_once(struct gsn_ptp_device *device, uint32_t storage, uint32_t folder,
                      struct gsn_ptp_handles *handles, uint16_t *ret_code, struct gsn_error *err)
 {
-    const struct gsn_ptp_request request = { GSN_PTP_GET_OBJECT_HANDLES, 3,
+    const struct gsn_ptp_request request = { GSN_PTP_GET_OBJECT_HANDLES,
+                                             3,
                                              { storage, 0, folder } };
     gsn_auto_mem(uint8_t) bytes = NULL;
     uint32_t count = 0;
     size_t size = 0;
-    int r = fetch(device, &request, "to list what it holds", MOST_LIST, &bytes, &size, ret_code,
-                  err);
+    int r =
+        fetch(device, &request, "to list what it holds", MOST_LIST, &bytes, &size, ret_code, err);
 
     if (r >= 0)
         r = gsn_ptp_read_list(bytes, size, &count, err);
-    return r < 0 ? r : add_handles(handles, bytes, count, err);
+    for (uint32_t i = 0; r >= 0 && i < count; i++)
+        r = gsn_ptp_handles_add(handles, gsn_ptp_get32(bytes + 4 + 4 * (size_t)i), err);
+    return r;
 }
 
 static bool was_refused(int r, uint16_t code)
@@ -132,8 +131,7 @@ static bool was_refused(int r, uint16_t code)
 
 /* One storage: everything, or the root where the device insists on a folder. */
 static int list_storage(struct gsn_ptp_device *device, uint32_t storage,
-                        struct gsn_ptp_handles *handles, uint16_t *ret_code,
-                        struct gsn_error *err)
+                        struct gsn_ptp_handles *handles, uint16_t *ret_code, struct gsn_error *err)
 {
     int r = list_once(device, storage, 0, handles, ret_code, err);
 
@@ -149,8 +147,8 @@ static int list_storages(struct gsn_ptp_device *device, struct gsn_ptp_handles *
     gsn_auto_mem(uint8_t) bytes = NULL;
     uint32_t count = 0;
     size_t size = 0;
-    int r = fetch(device, &request, "to name its storages", MOST_DATASET, &bytes, &size, ret_code,
-                  err);
+    int r =
+        fetch(device, &request, "to name its storages", MOST_DATASET, &bytes, &size, ret_code, err);
 
     if (r >= 0)
         r = gsn_ptp_read_list(bytes, size, &count, err);
@@ -165,8 +163,7 @@ static int list_storages(struct gsn_ptp_device *device, struct gsn_ptp_handles *
 }
 
 int gsn_ptp_device_list(struct gsn_ptp_device *device, uint32_t storage, uint32_t folder,
-                        struct gsn_ptp_handles *handles, uint16_t *ret_code,
-                        struct gsn_error *err)
+                        struct gsn_ptp_handles *handles, uint16_t *ret_code, struct gsn_error *err)
 {
     int r;
 
@@ -186,7 +183,8 @@ int gsn_ptp_device_list(struct gsn_ptp_device *device, uint32_t storage, uint32_
 static int ask_size(struct gsn_ptp_device *device, uint32_t handle, uint64_t *ret_size,
                     struct gsn_error *err)
 {
-    const struct gsn_ptp_request request = { GSN_PTP_GET_OBJECT_PROP_VALUE, 2,
+    const struct gsn_ptp_request request = { GSN_PTP_GET_OBJECT_PROP_VALUE,
+                                             2,
                                              { handle, gsn_ptp_object_size } };
     gsn_auto_mem(uint8_t) bytes = NULL;
     uint16_t code = 0;

@@ -31,8 +31,8 @@ struct gsn_ptp_device {
     struct gsn_ptp_transport *transport;
     struct gsn_ptp_session *session;
     struct gsn_ptp_device_info info;
-    unsigned asked_in; /* the session that info was asked in; 0: none */
-    size_t piece;      /* bytes asked for at once */
+    unsigned asked_in;              /* the session that info was asked in; 0: none */
+    size_t piece;                   /* bytes asked for at once */
     bool no_partial, no_partial_64; /* offered, but refused when asked */
     bool no_list_of_all;
     struct gsn_ptp_stream stream;
@@ -56,11 +56,12 @@ struct gsn_ptp_handles {
     uint32_t *at;
 };
 
+int gsn_ptp_handles_add(struct gsn_ptp_handles *handles, uint32_t handle, struct gsn_error *err);
+
 /* Adds the handles in this folder, or all that the device lists by itself for folder 0: those in
  * the root at least. A device that does not list all storages at once is asked one by one. */
 int gsn_ptp_device_list(struct gsn_ptp_device *device, uint32_t storage, uint32_t folder,
-                        struct gsn_ptp_handles *handles, uint16_t *ret_code,
-                        struct gsn_error *err);
+                        struct gsn_ptp_handles *handles, uint16_t *ret_code, struct gsn_error *err);
 
 /* ret_size: in 64 bits; UINT64_MAX when it is over 4 GiB and the device does not tell. */
 int gsn_ptp_device_describe(struct gsn_ptp_device *device, uint32_t handle,

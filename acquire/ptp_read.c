@@ -7,8 +7,7 @@
 
 enum { TRIES = 2 };
 
-static int judge(const struct gsn_ptp_response *response, uint16_t *ret_code,
-                 struct gsn_error *err)
+static int judge(const struct gsn_ptp_response *response, uint16_t *ret_code, struct gsn_error *err)
 {
     char words[80];
 
@@ -33,8 +32,8 @@ static int ask_partial(struct gsn_ptp_device *device, const struct gsn_ptp_reque
         if (r < 0)
             return r;
         /* The response counts the bytes as well; devices that do not count say 0. */
-        if (got > 0 && (response.count == 0 || response.parameter[0] == 0 ||
-                        response.parameter[0] == got)) {
+        if (got > 0 &&
+            (response.count == 0 || response.parameter[0] == 0 || response.parameter[0] == got)) {
             *ret_got = got;
             return GSN_OK;
         }
@@ -50,7 +49,8 @@ static int read_partial(struct gsn_ptp_device *device, uint32_t handle, uint64_t
                         void *buffer, size_t size, size_t *ret_got, uint16_t *ret_code,
                         struct gsn_error *err)
 {
-    const struct gsn_ptp_request request = { GSN_PTP_GET_PARTIAL_OBJECT, 3,
+    const struct gsn_ptp_request request = { GSN_PTP_GET_PARTIAL_OBJECT,
+                                             3,
                                              { handle, (uint32_t)offset, (uint32_t)size } };
 
     return ask_partial(device, &request, buffer, size, ret_got, ret_code, err);
@@ -60,10 +60,10 @@ static int read_partial_64(struct gsn_ptp_device *device, uint32_t handle, uint6
                            void *buffer, size_t size, size_t *ret_got, uint16_t *ret_code,
                            struct gsn_error *err)
 {
-    const struct gsn_ptp_request request = {
-        GSN_PTP_GET_PARTIAL_OBJECT_64, 4,
-        { handle, (uint32_t)offset, (uint32_t)(offset >> 32), (uint32_t)size }
-    };
+    const struct gsn_ptp_request request = { GSN_PTP_GET_PARTIAL_OBJECT_64,
+                                             4,
+                                             { handle, (uint32_t)offset, (uint32_t)(offset >> 32),
+                                               (uint32_t)size } };
 
     return ask_partial(device, &request, buffer, size, ret_got, ret_code, err);
 }
@@ -76,8 +76,7 @@ static int wind(struct gsn_ptp_device *device, uint32_t handle, uint64_t offset,
     struct gsn_ptp_stream *const stream = &device->stream;
     int r = GSN_OK;
 
-    if (!gsn_ptp_stream_is_on(device->session) || stream->handle != handle ||
-        stream->at > offset) {
+    if (!gsn_ptp_stream_is_on(device->session) || stream->handle != handle || stream->at > offset) {
         *stream = (struct gsn_ptp_stream){ .handle = handle };
         r = gsn_ptp_stream_start(device->session, &request, err);
     }

@@ -55,6 +55,11 @@ unsigned gsn_ptp_session_number(const struct gsn_ptp_session *session)
     return session->number;
 }
 
+void gsn_ptp_session_count_from(struct gsn_ptp_session *session, unsigned number)
+{
+    session->number = number;
+}
+
 static uint32_t next_transaction(struct gsn_ptp_session *session, uint16_t operation)
 {
     if (operation == GSN_PTP_OPEN_SESSION || !session->open)

@@ -53,8 +53,10 @@ int gsn_ptp_session_open(struct gsn_ptp_session *session, struct gsn_error *err)
 /* CloseSession, as far as the device listens. */
 void gsn_ptp_session_close(struct gsn_ptp_session *session);
 
-/* Counts the sessions opened: a device's handles are valid within one session alone. */
+/* Counts the sessions opened: a device's handles are valid within one session alone. Who meets a
+ * device again counts on from what he had. */
 unsigned gsn_ptp_session_number(const struct gsn_ptp_session *session);
+void gsn_ptp_session_count_from(struct gsn_ptp_session *session, unsigned number);
 
 /* Asks, and keeps up to size bytes of data. A response other than OK is an answer, not a failure:
  * look at ret_response->code. ret_got and ret_response are set on success alone; buffer is not.

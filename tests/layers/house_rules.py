@@ -41,6 +41,7 @@ FOREIGN = {
     r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",
     r"openssl/.*": r"^pipeline/core/hash\.c$",
     r"n?curses(w/.*)?\.h": r"^ui/",
+    r"(seccomp|linux/(landlock|seccomp))\.h": r"^pipeline/core/sandbox\.c$",
 }
 
 # C only: C++ files of foreign libraries have other doors (new, delete).

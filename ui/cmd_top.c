@@ -122,8 +122,10 @@ static void retry(const struct watch *watch, struct gsn_queue_view *view, int64_
     size_t count = 0;
     int r = gsn_store_open(watch->ui->store_dir, GSN_STORE_WRITE, &store, &err);
 
-    if (r >= 0)
+    if (r >= 0) {
+        gsn_store_set_patience(store, PATIENCE_MS);
         r = gsn_queue_retry(store, specimen, &count, &err);
+    }
     if (r < 0)
         said = gsn_strdup(err.text);
     else

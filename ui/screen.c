@@ -177,6 +177,14 @@ static int key_of(int code)
     }
 }
 
+/* Taken out, so that it does not end us a second time when signals are let through again. */
+static void take_signal(int fd)
+{
+    struct signalfd_siginfo taken;
+
+    (void)!read(fd, &taken, sizeof taken);
+}
+
 int gsn_screen_key(struct gsn_screen *screen, int wait_ms)
 {
     struct pollfd from[] = { { .fd = STDIN_FILENO, .events = POLLIN },
@@ -186,6 +194,8 @@ int gsn_screen_key(struct gsn_screen *screen, int wait_ms)
     if (code == ERR) {
         const int ready = poll(from, 2, wait_ms);
 
+        if (ready > 0 && from[1].revents)
+            take_signal(screen->ends);
         if (ready > 0 && (from[1].revents || from[0].revents & (POLLHUP | POLLERR | POLLNVAL)))
             return GSN_KEY_CLOSED;
         code = getch();

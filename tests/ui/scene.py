@@ -143,9 +143,12 @@ class Tmux:
                           "set -g status off\nset -sg escape-time 0\nset -g remain-on-exit on\n",
                           encoding="utf-8")
         self.environment = {**environment, "LC_ALL": "C.UTF-8", "TMUX_TMPDIR": str(folder)}
-        self.config = str(config)
-        self.tmux("-f", self.config, "new-session", "-d", "-x", str(columns), "-y", str(rows),
-                  "-c", str(folder), f"LC_ALL={'C.UTF-8' if utf8 else 'C'} exec {command}")
+        self.status = pathlib.Path(folder) / f"{self.socket}.status"
+        locale = "C.UTF-8" if utf8 else "C"
+        # Not every end of a pane is told by tmux, so the shell keeps it.
+        self.tmux("-f", str(config), "new-session", "-d", "-x", str(columns), "-y", str(rows),
+                  "-c", str(folder), f"trap : INT; LC_ALL={locale} {command}; "
+                  f"echo $? >{self.status.name}.new; mv {self.status.name}.new {self.status.name}")
 
     def tmux(self, *args):
         done = subprocess.run(["tmux", "-u", "-L", self.socket, *args], env=self.environment,
@@ -182,8 +185,7 @@ class Tmux:
 
     def ended(self):
         """Its exit status, or None while it runs."""
-        status = self.tmux("display-message", "-p", "#{pane_dead} #{pane_dead_status}").split()
-        return int(status[1]) if status[0] == "1" else None
+        return int(self.status.read_text("ascii")) if self.status.exists() else None
 
     def wait_for_end(self):
         end = time.monotonic() + SECONDS
@@ -194,7 +196,9 @@ class Tmux:
         raise AssertionError(f"it did not end:\n{self.screen()}")
 
     def pid(self):
-        return int(self.tmux("display-message", "-p", "#{pane_pid}"))
+        """Of the program, which is the shell's child."""
+        shell = self.tmux("display-message", "-p", "#{pane_pid}").strip()
+        return int(pathlib.Path(f"/proc/{shell}/task/{shell}/children").read_text("ascii"))
 
     def close(self):
         subprocess.run(["tmux", "-L", self.socket, "kill-server"], env=self.environment,

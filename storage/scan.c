@@ -42,6 +42,7 @@ struct place {
     struct gsn_specimen_row *specimen; /* owned; NULL: nowhere */
     int64_t number, panel;
     bool is_expected;
+    char named[200]; /* another specimen, which its name begins with; empty: none */
 };
 
 static void place_done(struct place *place)
@@ -62,21 +63,29 @@ static int find_specimen(struct gsn_store *store, const char *sql, const char *t
     return r < 0 ? r : gsn_specimen_get_by_id(store, id, &place->specimen, err);
 }
 
+/* Whose name a scan's name begins with. */
+#define NAMED_SPECIMEN                                                                             \
+    "SELECT id FROM specimen WHERE kind = 'sections' AND substr(?1, 1, length(name)) = name AND "  \
+    "substr(?1, length(name) + 1, 1) IN ('', '-', '_', ' ', '.') ORDER BY length(name) DESC "      \
+    "LIMIT 1"
+
 static int find_place(struct gsn_store *store, const struct gsn_scan_row *scan, struct place *place,
                       struct gsn_error *err)
 {
+    auto_place named = { .panel = 0 };
     int r = find_specimen(store, "SELECT specimen_id FROM expectation WHERE source = ?1",
                           scan->source, place, err);
 
-    place->is_expected = r >= 0 && place->specimen;
-    if (r >= 0 && !place->specimen)
-        r = find_specimen(store,
-                          "SELECT id FROM specimen WHERE kind = 'sections' AND "
-                          "substr(?1, 1, length(name)) = name AND "
-                          "substr(?1, length(name) + 1, 1) IN ('', '-', '_', ' ', '.') "
-                          "ORDER BY length(name) DESC LIMIT 1",
-                          scan->name, place, err);
-    return r;
+    if (r >= 0)
+        r = find_specimen(store, NAMED_SPECIMEN, scan->name, &named, err);
+    if (r < 0)
+        return r;
+    place->is_expected = place->specimen != NULL;
+    if (!place->specimen)
+        place->specimen = gsn_steal(&named.specimen);
+    else if (named.specimen && named.specimen->id != place->specimen->id)
+        (void)snprintf(place->named, sizeof place->named, "%s", named.specimen->name);
+    return GSN_OK;
 }
 
 /* What stands for the specimen in a name says nothing about the panel: "S02.tif" is not panel 2. */
@@ -117,6 +126,15 @@ static int judge(struct gsn_store *store, const struct gsn_scan_row *scan, unsig
                        "nothing is expected from %.100s and no specimen has the name that this one "
                        "begins with: say whose it is with `gieson file`",
                        scan->source);
+        return GSN_OK;
+    }
+    if (place->named[0]) {
+        place->state = "unfiled";
+        (void)snprintf(place->reason, sizeof place->reason,
+                       "%.100s is expected from %.100s, but its name is that of %.100s: say whose "
+                       "it is with `gieson file`",
+                       place->specimen->name, scan->source, place->named);
+        gsn_specimen_row_free(gsn_steal(&place->specimen));
         return GSN_OK;
     }
     place->state = "filed";

@@ -44,7 +44,8 @@ GSN_DEFINE_AUTO(gsn_scan_rows);
 
 /* Takes a picture into the ledger and files it, in one transaction with its panel, its job and its
  * line in the diary. The row's state, reason and panel_id are not read: a panel goes
- *   1. to the specimen that the source is expected to deliver (gsn_scan_expect);
+ *   1. to the specimen that the source is expected to deliver (gsn_scan_expect), unless its own
+ *      name begins with another one's: then a person must say;
  *   2. else to the specimen whose name its own name begins with, the longest of them, followed by
  *      the end, '-', '_', ' ' or '.';
  *   3. else it stays unfiled with the reason.

@@ -19,7 +19,7 @@ static const char png[] = "\x89PNG\r\n\x1a\n\0\0\0\0IEND\xae\x42\x60\x82";
 
 enum { SETTLE = 1000, PATIENCE = 60000, MOST_TOLD = 4096 };
 
-static const struct gsn_source_options options = { SETTLE, PATIENCE };
+static const struct gsn_source_options options = { .settle_ms = SETTLE, .patience_ms = PATIENCE };
 
 static void write_file(const struct gsn_scratch *scratch, const char *name, const char *bytes,
                        size_t size)

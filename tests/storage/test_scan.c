@@ -113,7 +113,7 @@ TEST(digits_of_the_specimen_are_no_panel_number)
     CHECK(number_of(store, got->panel_id) == 0);
 }
 
-TEST(what_is_expected_goes_before_what_a_name_says)
+TEST(what_is_expected_takes_its_number_or_the_next_one)
 {
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
@@ -123,9 +123,8 @@ TEST(what_is_expected_goes_before_what_a_name_says)
     struct gsn_error err = { 0 };
 
     (void)bench_add_specimen(store, "A", "g", "");
-    (void)bench_add_specimen(store, "B", "g", "");
     CHECK_OK(gsn_scan_expect(store, "flatbed", "A", "ann", NOON, &err), err);
-    numbered = arrive(store, "B-P4.tif", 1, 4);
+    numbered = arrive(store, "scan-P4.tif", 1, 4);
     CHECK(strcmp(numbered->specimen, "A") == 0 && number_of(store, numbered->panel_id) == 4);
     next = arrive(store, "IMG.JPG", 2, 0);
     CHECK(strcmp(next->specimen, "A") == 0 && number_of(store, next->panel_id) == 5);
@@ -133,6 +132,25 @@ TEST(what_is_expected_goes_before_what_a_name_says)
     after = arrive(store, "IMG2.JPG", 3, 0);
     CHECK(strcmp(after->state, "unfiled") == 0);
     CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'expect'") == 2);
+}
+
+TEST(a_name_that_contradicts_what_is_expected_is_for_a_person_to_settle)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) other = NULL;
+    gsn_auto(gsn_scan_row) same = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "A", "g", "");
+    (void)bench_add_specimen(store, "B", "g", "");
+    CHECK_OK(gsn_scan_expect(store, "flatbed", "A", "ann", NOON, &err), err);
+    other = arrive(store, "B-P4.tif", 1, 4);
+    CHECK(strcmp(other->state, "unfiled") == 0 && other->panel_id == 0);
+    CHECK(strcmp(other->reason, "A is expected from flatbed, but its name is that of B: say whose "
+                                "it is with `gieson file`") == 0);
+    same = arrive(store, "A-P2.tif", 2, 2);
+    CHECK(strcmp(same->specimen, "A") == 0 && number_of(store, same->panel_id) == 2);
 }
 
 TEST(the_same_picture_again_writes_nothing)

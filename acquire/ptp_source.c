@@ -7,8 +7,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "acquire/folder_source.h"
+#include "acquire/natural.h"
 #include "acquire/ptp_table.h"
+#include "acquire/usb_transport.h"
 
 enum {
     LOOK_GAP_MS = 250, /* a device is not listed more often */
@@ -434,9 +435,41 @@ int gsn_ptp_source_new(const struct gsn_ptp_door *door, const struct gsn_source_
     return GSN_OK;
 }
 
+static int open_usb(void *context, struct gsn_ptp_transport **ret_transport, struct gsn_error *err)
+{
+    return gsn_ptp_usb_open(context, ret_transport, err);
+}
+
+static int ptp_open(const char *rest, const struct gsn_source_options *options, void **ret_self,
+                    struct gsn_error *err)
+{
+    gsn_auto_mem(char) copy = gsn_strdup(rest);
+    const struct gsn_ptp_door door = { open_usb, copy };
+    void *self = NULL;
+    int r;
+
+    if (!copy)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a PTP source");
+    r = gsn_ptp_source_new(&door, options, &self, err);
+    if (r < 0)
+        return r;
+    ((struct source *)self)->rest = gsn_steal(&copy);
+    *ret_self = self;
+    return GSN_OK;
+}
+
+static int ptp_check(const char *rest, const struct gsn_source_options *options,
+                     struct gsn_error *err)
+{
+    (void)options;
+    return gsn_ptp_usb_check(rest, err);
+}
+
 const struct gsn_source_ops gsn_ptp_source_ops = {
     .kind = "ptp",
     .subsystem = "usb",
+    .check = ptp_check,
+    .open = ptp_open,
     .poll = ptp_poll,
     .read = ptp_read,
     .acknowledge = ptp_acknowledge,

@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "acquire/folder_source.h"
+#include "acquire/natural.h"
 
 enum {
     CHECKS_A_LOOK = 32,  /* taken objects that are described again at each listing */

@@ -8,14 +8,23 @@
 #include <string.h>
 
 #include "acquire/folder_source.h"
+#include "acquire/ptp_source.h"
+#include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
-static const struct gsn_source_ops *const kinds[] = { &gsn_hot_folder_ops, &gsn_replay_folder_ops };
+static const struct gsn_source_ops *const kinds[] = {
+    &gsn_hot_folder_ops,
+    &gsn_replay_folder_ops,
+    &gsn_ptp_source_ops,
+    &gsn_v4l2_source_ops,
+};
 
 struct gsn_source {
     const struct gsn_source_ops *ops;
     void *self;
     char *address;
+    int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
+    void *context;
 };
 
 static const struct gsn_source_ops *find_kind(const char *address)
@@ -46,19 +55,18 @@ static int check_keys(const struct gsn_source_ops *ops, const struct gsn_source_
     return GSN_OK;
 }
 
+/* "give hot:FOLDER, replay:FOLDER or ptp:DEVICE", from the table. */
 static int name_kinds(const char *address, struct gsn_error *err)
 {
     const size_t count = sizeof kinds / sizeof kinds[0];
     char list[200] = "";
 
     for (size_t i = 0; i < count; i++) {
+        const char *const joint = i == 0 ? "" : i + 1 < count ? ", " : " or ";
         const size_t used = strlen(list);
 
-        (void)snprintf(list + used, sizeof list - used, "%s%s:%s",
-                       i == 0          ? ""
-                       : i + 1 < count ? ", "
-                                       : " or ",
-                       kinds[i]->kind, kinds[i]->subsystem ? "DEVICE" : "FOLDER");
+        (void)snprintf(list + used, sizeof list - used, "%s%s:%s", joint, kinds[i]->kind,
+                       kinds[i]->subsystem ? "DEVICE" : "FOLDER");
     }
     return gsn_fail(err, GSN_E_UNSUPPORTED, "\"%.200s\" names no source: give %s", address, list);
 }
@@ -88,7 +96,8 @@ int gsn_source_check(const char *address, const struct gsn_source_options *optio
 }
 
 int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
-                    struct gsn_source **ret_source, struct gsn_error *err)
+                    const struct gsn_source_options *options, struct gsn_source **ret_source,
+                    struct gsn_error *err)
 {
     struct gsn_source *const source = gsn_alloc_array(1, sizeof *source);
     char *const copy = gsn_strdup(address);
@@ -99,7 +108,7 @@ int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *ad
         ops->close(self);
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
     }
-    *source = (struct gsn_source){ ops, self, copy };
+    *source = (struct gsn_source){ ops, self, copy, options->on_read, options->context };
     *ret_source = source;
     return GSN_OK;
 }
@@ -113,7 +122,7 @@ int gsn_source_open(const char *address, const struct gsn_source_options *option
 
     if (r >= 0)
         r = ops->open(strchr(address, ':') + 1, options, &self, err);
-    return r < 0 ? r : gsn_source_make(ops, self, address, ret_source, err);
+    return r < 0 ? r : gsn_source_make(ops, self, address, options, ret_source, err);
 }
 
 void gsn_source_free(struct gsn_source *source)
@@ -149,7 +158,14 @@ int gsn_source_poll(struct gsn_source *source, int64_t now_ms,
 int gsn_source_read(struct gsn_source *source, uint64_t item, uint64_t offset, void *buffer,
                     size_t size, size_t *ret_got, struct gsn_error *err)
 {
-    return source->ops->read(source->self, item, offset, buffer, size, ret_got, err);
+    size_t got = 0;
+    const int r = source->ops->read(source->self, item, offset, buffer, size, &got, err);
+
+    if (source->on_read && source->on_read(source->context, item, offset + got, r) && r >= 0)
+        return gsn_fail(err, GSN_E_BUSY, "the copy was broken off");
+    if (r >= 0)
+        *ret_got = got;
+    return r;
 }
 
 int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_error *err)

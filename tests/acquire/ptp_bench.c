@@ -51,7 +51,9 @@ void bench_open(struct bench *bench)
     void *self = NULL;
 
     CHECK_OK(gsn_ptp_source_new(&door, &bench->options, &self, &err), err);
-    CHECK_OK(gsn_source_make(&gsn_ptp_source_ops, self, "ptp:SN0001", &bench->source, &err), err);
+    CHECK_OK(gsn_source_make(&gsn_ptp_source_ops, self, "ptp:SN0001", &bench->options,
+                             &bench->source, &err),
+             err);
 }
 
 void bench_restart(struct bench *bench)

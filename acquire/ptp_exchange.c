@@ -5,6 +5,7 @@
 
 enum {
     LARGEST_READ = 65536,
+    SMALLEST_PACKET = 8, /* of bulk pipes at full speed */
     LARGEST_PACKET = 1024,
     SEND_MS = 5000,
     MOST_EMPTY = 64,  /* zero-length packets in one transaction */
@@ -22,7 +23,7 @@ int gsn_ptp_exchange_init(struct gsn_ptp_exchange *exchange, struct gsn_ptp_tran
     const size_t packet = transport->packet_size;
     uint8_t *in;
 
-    if (packet < GSN_PTP_LONGEST_RESPONSE || packet > LARGEST_PACKET || LARGEST_READ % packet != 0)
+    if (packet < SMALLEST_PACKET || packet > LARGEST_PACKET || LARGEST_READ % packet != 0)
         return gsn_fail(err, GSN_E_UNSUPPORTED, "the device's packets of %zu bytes are no USB",
                         packet);
     /* A read appends to less than a response that is not complete yet. */

@@ -8,6 +8,16 @@
 
 enum { HEADER = 12, DATA = 2, RESPONSE = 3, PARTS = 4 };
 
+/* clang-format off */
+const uint8_t ptp_config_descriptor[PTP_CONFIG] = {
+    9, 2, WIRE16(PTP_CONFIG), 1, 1, 0, 0xc0, 50,
+    9, 4, 0, 0, 3, 6, 1, 1, 0,
+    7, 5, 0x81, 2, WIRE16(PTP_PACKET), 0,
+    7, 5, 0x02, 2, WIRE16(PTP_PACKET), 0,
+    7, 5, 0x83, 3, WIRE16(28), 8,
+};
+/* clang-format on */
+
 /* What comes after the last byte of a part. */
 enum end {
     RUN_ON,   /* the next part, in the same packet */
@@ -26,9 +36,9 @@ struct queued {
     int64_t ready_ms;
     bool held;
     uint8_t header[HEADER], response[HEADER + 20];
-    struct part part[PARTS];
     size_t parts, now;
     uint64_t at; /* in the part of now */
+    struct part part[];
 };
 
 struct ptp_answers {
@@ -133,23 +143,41 @@ static void add_response(const struct ptp_answers *answers, struct queued *queue
     add_bytes(queued, queued->response, size, FINISHED);
 }
 
+/* An answer of up to so many parts, the last to be given. */
+static struct queued *add_answer(struct ptp_answers *answers, size_t parts)
+{
+    struct queued **last = &answers->first;
+    struct queued *const queued = calloc(1, sizeof *queued + parts * sizeof queued->part[0]);
+
+    if (!queued)
+        abort();
+    while (*last)
+        last = &(*last)->next;
+    *last = queued;
+    return queued;
+}
+
+void ptp_answers_add_raw(struct ptp_answers *answers, uint8_t *bytes, const size_t *ends,
+                         size_t count)
+{
+    struct queued *const queued = add_answer(answers, count);
+
+    for (size_t i = 0, at = 0; i < count; at = ends[i++])
+        add_bytes(queued, bytes + at, ends[i] - at, FINISHED);
+    queued->part[0].payload.owned = bytes;
+}
+
 void ptp_answers_add(struct ptp_answers *answers, const struct ptp_answer *answer, int64_t now_ms)
 {
     const struct ptp_faults *const faults = answers->faults;
     const uint32_t id = answer->transaction + (answer->nth == faults->wrong_id_at ? 0x100u : 0u);
-    struct queued **last = &answers->first;
-    struct queued *const queued = calloc(1, sizeof *queued);
+    struct queued *const queued = add_answer(answers, PARTS);
 
-    if (!queued)
-        abort();
     queued->ready_ms = now_ms + faults->late_ms;
     queued->held = answer->nth == faults->late_at;
     if (answer->payload)
         add_data(answers, queued, answer, id);
     add_response(answers, queued, answer, id);
-    while (*last)
-        last = &(*last)->next;
-    *last = queued;
 }
 
 void ptp_answers_release(struct ptp_answers *answers)

@@ -6,27 +6,12 @@
 #include <fcntl.h>
 #include <stdio.h>
 #include <string.h>
-#include <strings.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "acquire/container.h"
 #include "acquire/natural.h"
 #include "pipeline/core/file.h"
-
-static bool is_called_picture(const char *name)
-{
-    static const char *const endings[] = { "jpg", "jpeg", "png", "tif", "tiff", "btf",  "tf8",
-                                           "svs", "ndpi", "scn", "bmp", "gif",  "webp", "jp2",
-                                           "pam", "pnm",  "ppm", "pgm", "heic" };
-    const char *const dot = strrchr(name, '.');
-
-    for (size_t i = 0; dot && i < sizeof endings / sizeof endings[0]; i++) {
-        if (strcasecmp(dot + 1, endings[i]) == 0)
-            return true;
-    }
-    return false;
-}
 
 static struct gsn_folder_stamp stamp_of(const struct stat *st)
 {
@@ -93,7 +78,7 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
                              reason);
         return GSN_OK;
     }
-    if (container.kind == GSN_CONTAINER_UNKNOWN && !is_called_picture(file->name)) {
+    if (container.kind == GSN_CONTAINER_UNKNOWN && !gsn_name_is_picture(file->name)) {
         gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is no picture and is left alone");
         /* job.json describes the panels; whoever imports reads it himself. */
         file->told = file->told || strcmp(file->name, "job.json") == 0;

@@ -109,6 +109,11 @@ static void add_bytes(struct queued *queued, const uint8_t *bytes, size_t size, 
     add_part(queued, &(struct ptp_payload){ .size = size, .bytes = bytes }, end);
 }
 
+static bool is_hit(const struct ptp_answer *answer, unsigned at)
+{
+    return at > 0 && answer->nth == at;
+}
+
 static void add_data(struct ptp_answers *answers, struct queued *queued,
                      const struct ptp_answer *answer, uint32_t id)
 {
@@ -118,7 +123,7 @@ static void add_data(struct ptp_answers *answers, struct queued *queued,
     put_header(queued->header, HEADER + payload.size, DATA, answer->operation, id);
     if (++answers->headers == faults->lying_length_at)
         wire_put32(queued->header, answers->headers % 2 ? 0x7fffffff : 5);
-    if (answer->nth == faults->short_data_at)
+    if (is_hit(answer, faults->short_data_at))
         payload.size /= 2;
     add_bytes(queued, queued->header, HEADER, faults->split_header ? FINISHED : RUN_ON);
     if (payload.size == 0 && faults->split_header)
@@ -170,11 +175,11 @@ void ptp_answers_add_raw(struct ptp_answers *answers, uint8_t *bytes, const size
 void ptp_answers_add(struct ptp_answers *answers, const struct ptp_answer *answer, int64_t now_ms)
 {
     const struct ptp_faults *const faults = answers->faults;
-    const uint32_t id = answer->transaction + (answer->nth == faults->wrong_id_at ? 0x100u : 0u);
+    const uint32_t id = answer->transaction + (is_hit(answer, faults->wrong_id_at) ? 0x100u : 0u);
     struct queued *const queued = add_answer(answers, PARTS);
 
     queued->ready_ms = now_ms + faults->late_ms;
-    queued->held = answer->nth == faults->late_at;
+    queued->held = is_hit(answer, faults->late_at);
     if (answer->payload)
         add_data(answers, queued, answer, id);
     add_response(answers, queued, answer, id);

@@ -7,9 +7,14 @@
 #include <string.h>
 
 #include "acquire/folder_source.h"
+#include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
-static const struct gsn_source_ops *const kinds[] = { &gsn_hot_folder_ops, &gsn_replay_folder_ops };
+static const struct gsn_source_ops *const kinds[] = {
+    &gsn_hot_folder_ops,
+    &gsn_replay_folder_ops,
+    &gsn_v4l2_source_ops,
+};
 
 struct gsn_source {
     const struct gsn_source_ops *ops;

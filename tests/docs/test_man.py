@@ -54,7 +54,7 @@ def check_options():
 def check_example():
     """Every key that the installed example shows is explained, with the same default."""
     page = roff("gieson.conf.5")
-    keys = re.findall(r"^#([A-Z][A-Za-z]+)=(.*)$", (sources / "systemd/gieson.conf").read_text(), re.M)
+    keys = re.findall(r"^#?([A-Z][A-Za-z]+)=(.*)$", (sources / "systemd/gieson.conf").read_text(), re.M)
     assert len(keys) > 5
     for key, value in keys:
         item = re.search(rf"^\.It Va .*\b{key}\b.*\n((?:(?!^\.It Va).*\n)*)", page, re.M)

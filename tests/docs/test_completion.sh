@@ -14,8 +14,7 @@ store=\$GIESON_STORE
 [ "\$1" != --store ] || { store=\$2; shift 2; }
 [ "\$store" = "/srv/my lab" ] || exit 66
 case \$1 in
-status) printf '{\n  "specimens": [\n    {\n      "specimen": "R07-left",\n      "group": "x"\n    },\n    {\n      "specimen": "R07 right",\n      "group": "x"\n    }\n  ]\n}\n' ;;
-devices) printf '{\n  "sources": [\n    {\n      "source": "scanner",\n      "address": "ptp:any"\n    }\n  ]\n}\n' ;;
+status) printf '{\n  "sources": [\n    {\n      "source": "scanner",\n      "address": "ptp:any"\n    }\n  ],\n  "unfiled": [\n    {\n      "scan": 12,\n      "source": "scanner"\n    }\n  ],\n  "specimens": [\n    {\n      "specimen": "R07-left",\n      "group": "x"\n    },\n    {\n      "specimen": "R07 right",\n      "group": "x"\n    }\n  ]\n}\n' ;;
 esac
 PLAYED
 chmod +x "$work/gieson"
@@ -53,9 +52,12 @@ completes "gieson run --th" "--threads"
 completes "gieson run --threads " ""
 completes "gieson expect " "scanner"
 completes "gieson expect scanner R07-" "R07-left"
+completes "gieson file " "12"
 completes "gieson file 12 R07-" "R07-left"
 completes "gieson file 12 --panel 3 R07-" "R07-left"
 completes "gieson capture s" "scanner"
+completes "gieson capture scanner --b" "--blank"
+completes "gieson expect scanner --n" "--nobody"
 completes "gieson --ver" "--version"
 completes "gieson status x" ""
 

@@ -53,27 +53,40 @@ inside su tech -c 'gieson --store /var/lib/gieson report GVP-D-S00 --json' | gre
     wrong "a technician gets no report"
 
 stage "boot: the services start, and start again"
+mkdir "$root/srv/scans"
+printf '[source folder]\nAddress=hot:/srv/scans\nPatienceS=2\n' >"$root/etc/gieson/conf.d/10-here.conf"
+inside gieson phantom --specimen S02 --level L0 --px 48 --out /srv/scans/S02 >/dev/null
 cat >"$root/root/boot.sh" <<'BOOT'
-sleep_until() { # at most 30 s for a condition
-    for i in $(seq 300); do eval "$1" && return 0; sleep 0.1; done
+until_true() { # at most a minute
+    for i in $(seq 600); do eval "$1" && return 0; sleep 0.1; done
     return 1
 }
+is_another() { [ "$(systemctl show -P MainPID $1)" != "$2" ] && systemctl is-active -q $1; }
 for service in gieson gieson-worker; do
-    sleep_until "systemctl is-active -q $service" || echo "wrong: $service is not active"
+    until_true "systemctl is-active -q $service" || echo "wrong: $service is not active"
     old=$(systemctl show -P MainPID $service)
     [ "$old" -gt 1 ] || continue
     kill -KILL "$old"
     killed=$(date +%s%N)
-    sleep_until '[ "$(systemctl show -P MainPID $service)" != "$old" ] && systemctl is-active -q $service' ||
-        echo "wrong: $service did not come back"
-    echo "$service was back after $((($(date +%s%N) - killed) / 1000000)) ms"
+    until_true "is_another $service $old" || echo "wrong: $service did not come back"
+    ms=$((($(date +%s%N) - killed) / 1000000))
+    echo "$service was back $ms ms after it was killed"
+    [ $ms -lt 3000 ] || echo "wrong: too late"
 done
+export GIESON_STORE=/var/lib/gieson
+until_true 'gieson report GVP-D-S02 >/dev/null 2>&1' || echo "wrong: the folder was not worked"
+gieson status
+systemctl reload gieson gieson-worker || echo "wrong: no reload"
 for service in gieson-night gieson-scrub; do
-    systemctl start $service || { echo "wrong: $service failed"; journalctl -u $service | cat; }
+    systemctl start $service || { echo "wrong: $service failed"; journalctl --no-pager -u $service; }
 done
+old=$(systemctl show -P MainPID gieson)
+kill -STOP "$old"
+until_true "is_another gieson $old" || echo "wrong: a hang was not noticed"
 systemctl status --no-pager gieson gieson-worker
 systemctl stop gieson gieson-worker
-systemctl is-failed gieson gieson-worker && echo "wrong: stopped with a failure"
+! systemctl is-failed gieson gieson-worker || echo "wrong: stopped with a failure"
+journalctl --no-pager -p warning -u 'gieson*'
 systemctl poweroff
 BOOT
 cat >"$root/etc/systemd/system/cycle.service" <<'UNIT'
@@ -98,7 +111,6 @@ mount -t proc proc "$root/proc"
 
 stage "upgrade: what an administrator changed stays"
 echo '#changed here' >>"$root/etc/gieson/gieson.conf"
-printf '[store]\nReserveMiB=1\n' >"$root/etc/gieson/conf.d/10-here.conf"
 dpkg-deb -R "$deb" "$root/next"
 sed -i 's/^Version: .*/&+1/' "$root/next/DEBIAN/control"
 dpkg-deb -b --root-owner-group "$root/next" "$root/root/next.deb" >/dev/null

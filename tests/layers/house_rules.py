@@ -42,6 +42,7 @@ FOREIGN = {
     r"libusb\.h": r"^acquire/usb_transport\.c$",
     r"openssl/.*": r"^pipeline/core/hash\.c$",
     r"n?curses(w/.*)?\.h": r"^ui/",
+    r"(seccomp|linux/(landlock|seccomp))\.h": r"^pipeline/core/sandbox\.c$",
 }
 
 # C only: C++ files of foreign libraries have other doors (new, delete).

@@ -224,7 +224,9 @@ void gsn_snapshot_free(struct gsn_snapshot *snapshot)
     gsn_free(snapshot);
 }
 
-char *gsn_snapshot_file_command(const struct gsn_scan_row *scan)
+char *gsn_snapshot_file_command(int64_t scan, const char *specimen)
 {
-    return gsn_format("gieson file %lld SPECIMEN --panel N", (long long)scan->id);
+    gsn_auto_mem(char) name = specimen ? gsn_text_word(specimen) : gsn_strdup("SPECIMEN");
+
+    return name ? gsn_format("gieson file %lld %s --panel N", (long long)scan, name) : NULL;
 }

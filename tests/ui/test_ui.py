@@ -28,8 +28,9 @@ ROOT_KEYS = {"queue", "service", "sources", "troubles", "unfiled", "specimens"}
 STATUS_KEYS = {"specimen", "group", "state", "detail", "action", "panels", "panels_registered",
                "panels_refused", "sections", "sections_found", "loss_percent", "mean_density",
                "run", "report"}
-SHOW_KEYS = {"specimen", "kind", "group", "baseline", "panels", "sections", "runs", "measures"}
-PANEL_KEYS = {"number", "file", "sha256", "state", "code", "message"}
+SHOW_KEYS = {"specimen", "kind", "group", "baseline", "delivered_by", "panels", "sections", "runs",
+             "measures"}
+PANEL_KEYS = {"number", "file", "sha256", "state", "code", "message", "action"}
 RUN_KEYS = {"run", "state", "message", "key", "version", "event_head"}
 
 ODD_NAMES = ["x" * 1000, "Gelenk Ü 7 \u6d4b\u8bd5", "e\u0301" * 30, "\u6d4b" * 60, "two\nlines",
@@ -180,7 +181,7 @@ class Plain(Bench):
         self.assertEqual(set(shown["panels"][0]), PANEL_KEYS)
         self.assertEqual(set(shown["runs"][0]), RUN_KEYS)
         manual = MANUAL.read_text(encoding="utf-8")
-        for key in STATUS_KEYS | SHOW_KEYS | PANEL_KEYS | RUN_KEYS | set(root["queue"]):
+        for key in ROOT_KEYS | STATUS_KEYS | SHOW_KEYS | PANEL_KEYS | RUN_KEYS | set(root["queue"]):
             self.assertRegex(manual, rf"\b{key}\b", f"the manual does not name {key}")
 
     def test_the_report_is_that_of_the_file(self):
@@ -395,6 +396,25 @@ class Told(Bench):
         panels = self.json("show", "R07-left")["panels"]
         self.assertEqual([p["number"] for p in panels], [1, 2, 7])
         self.assertEqual(panels[2]["file"], "IMG_0041.JPG")
+
+    def test_a_held_panel_that_came_by_a_source_is_given_its_number(self):
+        self.scene.panel(1, 0, "held", "no number in its name", age=100, name="IMG_0042.JPG")
+        panel = self.json("show", "R07-left")["panels"][-1]
+        scan = self.scene.db.execute("SELECT max(id) FROM scan").fetchone()[0]
+        self.assertEqual((panel["state"], panel["action"]),
+                         ("held", f"gieson file {scan} R07-left --panel N"))
+        self.assertIn(f"    next: {panel['action']}\n", self.call("show", "R07-left").stdout)
+        self.assertEqual(self.call(*panel["action"].replace("N", "5").split()[1:]).returncode, 0)
+        self.assertIn(5, [p["number"] for p in self.json("show", "R07-left")["panels"]])
+
+    def test_a_specimen_names_the_sources_that_deliver_it_and_their_troubles(self):
+        self.assertEqual(self.call("expect", "copystand", "R07-left").returncode, 0)
+        self.scene.trouble("copystand", "bad.jpg", "bad.jpg ends too early", "scan it again")
+        self.assertEqual(self.json("show", "R07-left")["delivered_by"], ["copystand"])
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("  delivered by copystand, which is ready\n", shown)
+        self.assertIn("  trouble  bad.jpg\n    bad.jpg ends too early\n    next: scan it again\n",
+                      shown)
 
     def test_what_cannot_be_filed_is_refused_and_changes_nothing(self):
         scan = str(self.scene.scan("copystand", "IMG_0041.JPG", reason="nobody knows"))

@@ -145,20 +145,27 @@ static int check(struct round *round, const char *sha256, struct gsn_error *err)
 
 /* ---- what is found ----------------------------------------------------------------------- */
 
-/* "P03.tif of R07-left (and 2 more)". gives. */
-static char *who_rests(struct gsn_store *store, const char *sha256)
+/* gives: "P03.tif of R07-left and 2 more". */
+static int who_rests(struct gsn_store *store, const char *sha256, char **ret_who,
+                     struct gsn_error *err)
 {
     gsn_auto(gsn_object_use_rows) uses = NULL;
-    gsn_auto_mem(char) more = NULL;
-    struct gsn_error quiet = { 0 };
+    gsn_auto_mem(char) first = NULL;
+    const int r = gsn_object_uses(store, sha256, &uses, err);
 
-    if (gsn_object_uses(store, sha256, &uses, &quiet) < 0 || uses->count == 0)
-        return gsn_strdup(sha256);
-    more = uses->count > 1 ? gsn_format(" and %zu more", uses->count - 1) : gsn_strdup("");
-    if (!more)
-        return NULL;
-    return gsn_format("%.200s%s%.200s%s", uses->at[0].name, uses->at[0].specimen[0] ? " of " : "",
-                      uses->at[0].specimen, more);
+    if (r < 0)
+        return r;
+    /* Its row went while it was read. */
+    if (uses->count == 0)
+        first = gsn_strdup("nothing");
+    else
+        first = gsn_format("%.200s%s%.200s", uses->at[0].name,
+                           uses->at[0].specimen[0] ? " of " : "", uses->at[0].specimen);
+    if (!first)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    *ret_who =
+        uses->count > 1 ? gsn_format("%s and %zu more", first, uses->count - 1) : gsn_steal(&first);
+    return *ret_who ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 }
 
 static int tell(struct round *round, const char *sha256, const char *reason, struct gsn_error *err)
@@ -166,15 +173,17 @@ static int tell(struct round *round, const char *sha256, const char *reason, str
     static const char action[] = "import the original again, or put the file back from a backup; "
                                  "then `gieson scrub`";
     const struct gsn_scrub *scrub = round->scrub;
-    gsn_auto_mem(char) who = who_rests(scrub->store, sha256);
-    gsn_auto_mem(char) sentence = who ? gsn_format("%s rests on it: %s", who, reason) : NULL;
-    const struct gsn_trouble_row trouble = {
-        .source = SOURCE, .name = sha256, .reason = sentence, .action = action
-    };
-    int r;
+    struct gsn_trouble_row trouble = { .source = SOURCE, .name = sha256, .action = action };
+    gsn_auto_mem(char) who = NULL;
+    gsn_auto_mem(char) sentence = NULL;
+    int r = who_rests(scrub->store, sha256, &who, err);
 
+    if (r < 0)
+        return r;
+    sentence = gsn_format("%s rests on it: %s", who, reason);
     if (!sentence)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    trouble.reason = sentence;
     round->counts.damaged++;
     round->counts.round_damaged++;
     r = gsn_event_add(scrub->store, time(NULL), scrub->actor, "damaged", sha256, sentence, err);
@@ -183,7 +192,9 @@ static int tell(struct round *round, const char *sha256, const char *reason, str
     if (scrub->damaged) {
         gsn_auto_mem(char) whole = gsn_format("%s; %s", sentence, action);
 
-        scrub->damaged(scrub->context, sha256, whole ? whole : sentence);
+        if (!whole)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+        scrub->damaged(scrub->context, sha256, whole);
     }
     return r;
 }

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "acquire/natural.h"
+#include "acquire/ptp_record.h"
 #include "acquire/ptp_table.h"
 #include "acquire/usb_transport.h"
 
@@ -18,7 +19,7 @@ enum {
 
 struct source {
     struct gsn_ptp_door door;
-    char *rest;                    /* the door's context, where this source made it */
+    void *place;                   /* the door's context, where this source made it */
     struct gsn_ptp_device *device; /* NULL while it is away */
     struct gsn_ptp_table table;
     struct gsn_ptp_hints hints;
@@ -412,7 +413,7 @@ static void ptp_close(void *self)
         return;
     gsn_ptp_device_free(source->device);
     gsn_ptp_table_done(&source->table);
-    gsn_free(source->rest);
+    gsn_free(source->place);
     gsn_free(source);
 }
 
@@ -435,25 +436,54 @@ int gsn_ptp_source_new(const struct gsn_ptp_door *door, const struct gsn_source_
     return GSN_OK;
 }
 
+/* Where libusb finds the device, and what is to be written down of the talk with it. */
+struct usb_place {
+    const char *record; /* of the settings; NULL: nothing */
+    char rest[];
+};
+
 static int open_usb(void *context, struct gsn_ptp_transport **ret_transport, struct gsn_error *err)
 {
-    return gsn_ptp_usb_open(context, ret_transport, err);
+    const struct usb_place *const place = context;
+    struct gsn_ptp_transport *transport = NULL;
+    int r = gsn_ptp_usb_open(place->rest, &transport, err);
+
+    if (r >= 0 && place->record)
+        r = gsn_ptp_record(transport, place->record, &transport, err);
+    if (r >= 0)
+        *ret_transport = transport;
+    return r;
+}
+
+/* gives. */
+static struct usb_place *make_place(const char *rest, const struct gsn_source_options *options)
+{
+    const size_t size = strlen(rest) + 1;
+    struct usb_place *const place = gsn_alloc(sizeof *place + size);
+
+    if (!place)
+        return NULL;
+    memcpy(place->rest, rest, size);
+    place->record = NULL;
+    for (size_t i = 0; i < options->setting_count; i++) /* Record is the only one there is */
+        place->record = options->setting[i].value;
+    return place;
 }
 
 static int ptp_open(const char *rest, const struct gsn_source_options *options, void **ret_self,
                     struct gsn_error *err)
 {
-    gsn_auto_mem(char) copy = gsn_strdup(rest);
-    const struct gsn_ptp_door door = { open_usb, copy };
+    gsn_auto_mem(struct usb_place) place = make_place(rest, options);
+    const struct gsn_ptp_door door = { open_usb, place };
     void *self = NULL;
     int r;
 
-    if (!copy)
+    if (!place)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a PTP source");
     r = gsn_ptp_source_new(&door, options, &self, err);
     if (r < 0)
         return r;
-    ((struct source *)self)->rest = gsn_steal(&copy);
+    ((struct source *)self)->place = gsn_steal(&place);
     *ret_self = self;
     return GSN_OK;
 }
@@ -461,13 +491,19 @@ static int ptp_open(const char *rest, const struct gsn_source_options *options, 
 static int ptp_check(const char *rest, const struct gsn_source_options *options,
                      struct gsn_error *err)
 {
-    (void)options;
+    for (size_t i = 0; i < options->setting_count; i++)
+        if (options->setting[i].value[0] != '/')
+            return gsn_fail(err, GSN_E_INPUT, "Record=%.200s: give the whole path of a file",
+                            options->setting[i].value);
     return gsn_ptp_usb_check(rest, err);
 }
+
+static const char *const ptp_settings[] = { "Record", NULL };
 
 const struct gsn_source_ops gsn_ptp_source_ops = {
     .kind = "ptp",
     .subsystem = "usb",
+    .settings = ptp_settings,
     .check = ptp_check,
     .open = ptp_open,
     .poll = ptp_poll,

@@ -13,7 +13,10 @@
  * device is not disturbed. When the device goes, poll fails with GSN_E_NOTFOUND, reading with
  * GSN_E_IO (a copy can go on later); the next poll looks for the device again, and objects that
  * have a key keep their item. Keys are made only where the device states a serial number and a date
- * of capture that its clock may have known; two objects that would share one get none. */
+ * of capture that its clock may have known; two objects that would share one get none.
+ *
+ * Its one setting, Record=FILE (a whole path), writes down what crosses the bus, pictures and all,
+ * for a bug report or a test: acquire/ptp_record.h. */
 #ifndef GSN_ACQUIRE_PTP_SOURCE_H
 #define GSN_ACQUIRE_PTP_SOURCE_H
 

@@ -74,9 +74,9 @@ TEST(gphoto2_lists_and_pulls_byte_equal)
     scratch_auto scratch = gsn_scratch_new();
     struct umock *const umock = umock_new();
     struct ptp_model *const model = ptp_model_new("SN0001", NULL);
-    uint8_t *const bytes = malloc(LARGEST);
+    uint8_t *const bytes = malloc(LARGEST + KEPT);
 
-    for (size_t i = 0; i < LARGEST; i++)
+    for (size_t i = 0; i < LARGEST + KEPT; i++)
         bytes[i] = (uint8_t)(i * 13 + i / 509);
     for (size_t i = 0; i < KEPT; i++)
         (void)ptp_model_add(model,

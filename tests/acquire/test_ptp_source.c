@@ -704,6 +704,140 @@ TEST(what_vanished_is_told_once)
     CHECK(said == 1 && object->taken == 0);
 }
 
+/* Puts itself between the source and the model, and changes one kind of question. */
+struct meddler {
+    const struct usb_model *truth;
+    struct usb_model usb;
+    uint16_t operation;
+    size_t parameter; /* which one is changed; 0 is the first */
+    uint32_t from, to;
+    bool swallows; /* instead: the device never hears of it */
+};
+
+static long meddle(void *self, uint8_t endpoint, const uint8_t *bytes, size_t size)
+{
+    const struct meddler *const meddler = self;
+    const size_t at = GSN_PTP_HEADER + 4 * meddler->parameter;
+    uint8_t changed[GSN_PTP_LONGEST_RESPONSE];
+
+    memcpy(changed, bytes, size);
+    if (gsn_ptp_get16(bytes + 6) == meddler->operation && at + 4 <= size &&
+        gsn_ptp_get32(bytes + at) == meddler->from) {
+        if (meddler->swallows)
+            return (long)size;
+        for (size_t i = 0; i < 4; i++)
+            changed[at + i] = (uint8_t)(meddler->to >> 8 * i);
+    }
+    return meddler->truth->out(meddler->truth->self, endpoint, changed, size);
+}
+
+static long pass_in(void *self, uint8_t endpoint, uint8_t *buffer, size_t size)
+{
+    const struct meddler *const meddler = self;
+
+    return meddler->truth->in(meddler->truth->self, endpoint, buffer, size);
+}
+
+static long pass_control(void *self, const uint8_t setup[8], const uint8_t *out, size_t out_size,
+                         uint8_t *in, size_t in_size)
+{
+    const struct meddler *const meddler = self;
+
+    return meddler->truth->control(meddler->truth->self, setup, out, out_size, in, in_size);
+}
+
+static void pass_tick(void *self, int64_t now_ms)
+{
+    const struct meddler *const meddler = self;
+
+    meddler->truth->tick(meddler->truth->self, now_ms);
+}
+
+static void stand_between(struct meddler *meddler, struct bench *bench)
+{
+    meddler->truth = bench->bus.model;
+    meddler->usb = *meddler->truth;
+    meddler->usb.self = meddler;
+    meddler->usb.out = meddle;
+    meddler->usb.in = pass_in;
+    meddler->usb.control = pass_control;
+    meddler->usb.tick = pass_tick;
+    bench->bus.model = &meddler->usb;
+}
+
+/* qemu's usb-mtp and umtp-responder take "everywhere" for "in the root". */
+TEST(a_device_that_lists_its_root_alone_is_walked)
+{
+    struct meddler meddler = {
+        .operation = GSN_PTP_GET_OBJECT_HANDLES, .parameter = 2, .from = 0, .to = UINT32_MAX
+    };
+    static uint8_t bytes[900];
+    bench_auto bench;
+    struct bench_object *object;
+    uint32_t folder;
+
+    bench_init(&bench, NULL);
+    folder = add_folder(&bench, "B", add_folder(&bench, "A", 0));
+    object = bench_scan(&bench, "P01.TIF", sizeof bytes, 1, NULL, 0);
+    ptp_model_remove(bench.model, object->handle);
+    (void)ptp_model_add(bench.model,
+                        &(struct ptp_object){ .name = "P01.TIF",
+                                              .date = "20260101T120000",
+                                              .format = PTP_TIFF,
+                                              .size = sizeof bytes,
+                                              .bytes = object->bytes,
+                                              .parent = folder },
+                        0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(strstr(bench.key[0], "/A/B/P01.TIF/"));
+}
+
+TEST(an_object_that_silences_the_device_when_described_is_set_aside)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO, .swallows = true };
+    bench_auto bench;
+    unsigned resets;
+
+    bench_init(&bench, NULL);
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    meddler.from = bench_scan(&bench, "P02.TIF", 3000, 2, NULL, 0)->handle;
+    (void)bench_scan(&bench, "P03.TIF", 3000, 3, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    for (int i = 0; i < 10; i++)
+        bench_turn(&bench);
+    CHECK(bench.object[0].taken == 1 && bench.object[1].taken == 0 && bench.object[2].taken == 1);
+    CHECK(bench_told(&bench, "object 00000002", "did not answer")->what == GSN_SOURCE_WAITING);
+    resets = bench.bus.resets;
+    CHECK(resets > 0 && resets < 4);
+    meddler.swallows = false;
+    meddler.to = meddler.from;
+    for (int i = 0; i < 400 && !bench_is_complete(&bench); i++) {
+        bench_turn(&bench);
+        memory_bus_sleep(&bench.bus, 10000);
+    }
+    CHECK(bench_is_complete(&bench) && bench.again == 0);
+}
+
+/* DeviceInfo promises GetPartialObject, but the device does not know it. */
+TEST(a_promise_of_partial_reads_that_is_not_kept_is_got_over)
+{
+    bench_auto bench;
+
+    bench_init(&bench, NULL);
+    (void)bench_scan(&bench, "P01.TIF", 2 * MIB, 1, NULL, 0);
+    bench_open(&bench);
+    for (int i = 0; i < 2; i++)
+        bench_turn(&bench);
+    /* Offered when it was asked what it offers, and gone since. */
+    ptp_model_set_faults(bench.model,
+                         &(struct ptp_faults){ .no_partial = true, .no_partial64 = true });
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_GET_OBJECT) == 1);
+}
+
 TEST(facts_are_what_the_device_said)
 {
     bench_auto bench;

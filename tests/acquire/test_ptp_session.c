@@ -132,6 +132,9 @@ TEST(a_session_opens_with_transaction_zero_and_counts_from_one)
         CHECK_OK(gsn_ptp_ask(tap.session, &info, bytes, sizeof bytes, &got, &response, &err), err);
         CHECK(tap.transaction == n);
     }
+    gsn_ptp_session_close(tap.session);
+    CHECK_OK(gsn_ptp_ask(tap.session, &info, bytes, sizeof bytes, &got, &response, &err), err);
+    CHECK(tap.transaction == 1 && gsn_ptp_session_number(tap.session) == 2);
 }
 
 /* The reads a recorded camera allows: one packet, 64 KiB, whole packets, the rest, the response. */

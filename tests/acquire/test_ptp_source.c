@@ -711,7 +711,8 @@ struct meddler {
     uint16_t operation;
     size_t parameter; /* which one is changed; 0 is the first */
     uint32_t from, to;
-    bool swallows; /* instead: the device never hears of it */
+    bool swallows;  /* instead: the device never hears of it */
+    bool root_only; /* "everywhere" is taken for "in the root" as well */
 };
 
 static long meddle(void *self, uint8_t endpoint, const uint8_t *bytes, size_t size)
@@ -721,6 +722,8 @@ static long meddle(void *self, uint8_t endpoint, const uint8_t *bytes, size_t si
     uint8_t changed[GSN_PTP_LONGEST_RESPONSE];
 
     memcpy(changed, bytes, size);
+    if (meddler->root_only && at + 4 <= size && gsn_ptp_get32(bytes + at) == 0)
+        memset(changed + at, 0xFF, 4);
     if (gsn_ptp_get16(bytes + 6) == meddler->operation && at + 4 <= size &&
         gsn_ptp_get32(bytes + at) == meddler->from) {
         if (meddler->swallows)
@@ -819,6 +822,137 @@ TEST(an_object_that_silences_the_device_when_described_is_set_aside)
         memory_bus_sleep(&bench.bus, 10000);
     }
     CHECK(bench_is_complete(&bench) && bench.again == 0);
+}
+
+/* Turns without copying until something is ready; returns its item and size. */
+static uint64_t find_ready(struct bench *bench)
+{
+    for (int i = 0; i < 5; i++) {
+        gsn_auto(gsn_source_events) events = NULL;
+        struct gsn_error err = { 0 };
+        int ended;
+
+        memory_bus_sleep(&bench->bus, 1000);
+        CHECK_OK(gsn_source_poll(bench->source, bench->bus.now_ms, &events, &ended, &err), err);
+        for (size_t n = 0; n < events->count; n++) {
+            if (events->at[n].what == GSN_SOURCE_READY)
+                return events->at[n].item;
+        }
+    }
+    return 0;
+}
+
+/* From now on, who asks about the one is told about the other. */
+static void describe_another(struct meddler *meddler, struct bench *bench)
+{
+    meddler->from = bench->object[0].handle;
+    meddler->to = ptp_model_add(bench->model,
+                                &(struct ptp_object){ .name = "P99.TIF", .format = PTP_TIFF }, 0);
+}
+
+TEST(what_changed_while_it_was_read_is_not_delivered)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    uint8_t bytes[3000];
+    bench_auto bench;
+    uint64_t item;
+    size_t got = 77;
+
+    bench_init(&bench, NULL);
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 1000, &got, &err), err);
+    describe_another(&meddler, &bench);
+    CHECK(gsn_source_read(bench.source, item, got, bytes, 2000, &got, &err) == GSN_E_BUSY);
+    CHECK(got == 1000 && strstr(err.text, "P01.TIF"));
+    CHECK(gsn_source_acknowledge(bench.source, item, &err) == GSN_E_NOTFOUND);
+}
+
+TEST(what_changed_after_it_was_read_is_not_deleted)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    uint8_t bytes[3000];
+    bench_auto bench;
+    uint64_t item;
+    size_t got;
+
+    bench_init(&bench, NULL);
+    bench.options.delete_there = 1;
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 3000, &got, &err), err);
+    describe_another(&meddler, &bench);
+    CHECK_OK(gsn_source_acknowledge(bench.source, item, &err), err);
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_DELETE_OBJECT) == 0);
+}
+
+TEST(after_a_reset_a_handle_is_asked_about_before_its_bytes_are_believed)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    static uint8_t bytes[MIB];
+    bench_auto bench;
+    uint64_t item;
+    size_t got = 77;
+
+    bench_init(&bench, &(struct ptp_faults){ .crash_above = 100000 });
+    (void)bench_scan(&bench, "P01.TIF", 2 * MIB, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    describe_another(&meddler, &bench);
+    CHECK(gsn_source_read(bench.source, item, 0, bytes, sizeof bytes, &got, &err) == GSN_E_BUSY);
+    CHECK(bench.bus.resets > 0 && got == 77);
+}
+
+TEST(a_folder_that_is_refused_keeps_nobody_and_loses_nothing)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_HANDLES,
+                               .parameter = 2,
+                               .root_only = true };
+    bench_auto bench;
+    uint32_t folder;
+
+    bench_init(&bench, NULL);
+    folder = add_folder(&bench, "100SCANS", 0);
+    (void)ptp_model_add(
+        bench.model,
+        &(struct ptp_object){ .name = "EMPTY.TIF", .format = PTP_TIFF, .parent = folder }, 0);
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    meddler.from = meddler.to = folder;
+    bench_open(&bench);
+    bench_turn(&bench);
+    CHECK(bench_told(&bench, "EMPTY.TIF", "second look"));
+    meddler.to = 0x77777777;
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(!bench_told(&bench, NULL, "vanished"));
+}
+
+TEST(with_no_time_to_settle_it_still_takes_two_looks)
+{
+    struct gsn_error err = { 0 };
+    bench_auto bench;
+
+    bench_init(&bench, NULL);
+    bench.options.settle_ms = 0;
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    bench_open(&bench);
+    for (int look = 0; look < 2; look++) {
+        gsn_auto(gsn_source_events) events = NULL;
+        int ended;
+
+        CHECK_OK(gsn_source_poll(bench.source, bench.bus.now_ms, &events, &ended, &err), err);
+        CHECK(events->count == 1);
+        CHECK(events->at[0].what == (look == 0 ? GSN_SOURCE_WAITING : GSN_SOURCE_READY));
+        memory_bus_sleep(&bench.bus, 1000);
+    }
 }
 
 /* DeviceInfo promises GetPartialObject, but the device does not know it. */

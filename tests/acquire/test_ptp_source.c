@@ -230,7 +230,7 @@ TEST(lying_and_missing_events_do_not_matter)
     }
 }
 
-TEST(an_object_that_changed_after_it_was_taken_is_taken_again)
+TEST(a_name_that_is_used_again_is_another_object)
 {
     bench_auto bench;
     struct bench_object *object;
@@ -890,6 +890,27 @@ TEST(what_changed_after_it_was_read_is_not_deleted)
     describe_another(&meddler, &bench);
     CHECK_OK(gsn_source_acknowledge(bench.source, item, &err), err);
     CHECK(ptp_model_asked(bench.model, GSN_PTP_DELETE_OBJECT) == 0);
+}
+
+TEST(what_was_taken_and_changes_without_a_word_is_noticed)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    bench_auto bench;
+    unsigned waiting = 0;
+
+    bench_init(&bench, &(struct ptp_faults){ .no_events = true });
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    CHECK(bench_work(&bench, TURNS));
+    describe_another(&meddler, &bench);
+    for (int i = 0; i < 3; i++)
+        bench_turn(&bench);
+    /* The one that is called so, and the one that is called so now. */
+    for (size_t i = 0; i < bench.lines; i++)
+        waiting += strcmp(bench.line[i].name, "P99.TIF") == 0 &&
+                   strstr(bench.line[i].reason, "second look");
+    CHECK(waiting == 2);
 }
 
 TEST(after_a_reset_a_handle_is_asked_about_before_its_bytes_are_believed)

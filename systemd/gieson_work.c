@@ -11,7 +11,8 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/file.h"
 #include "pipeline/core/process.h"
-#include "pipeline/decode/decode.h"
+#include "pipeline/core/sandbox.h"
+#include "pipeline/decode/apart.h"
 #include "storage/catalog.h"
 #include "storage/event.h"
 #include "storage/result.h"
@@ -23,14 +24,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/resource.h>
 #include <sysexits.h>
 #include <unistd.h>
 
 enum { MOST_CHECK_BYTES = 1 << 30, MOST_THREADS = 64 };
-
-/* No picture that we accept needs more to be decoded; what asks for more is a bomb. */
-static const rlim_t CHECK_MEMORY = (rlim_t)1 << 30;
 
 const char *argp_program_version = "gieson-work " GSN_VERSION;
 
@@ -265,32 +262,56 @@ static int do_import(const struct request *request)
 
 /* ---- work and verify --------------------------------------------------------------------- */
 
-static int job_options(const struct request *request, char **mesher, char owner[64],
+/* The programs a job asks, by their paths. */
+struct helpers {
+    char *mesher, *decoder, owner[64];
+};
+
+static void helpers_done(struct helpers *helpers)
+{
+    gsn_free(helpers->mesher);
+    gsn_free(helpers->decoder);
+}
+
+static int job_options(const struct request *request, struct helpers *helpers,
                        struct gsn_job_options *ret_options, struct gsn_error *err)
 {
-    const int r = gsn_process_sibling("gieson-mesh", mesher, err);
+    int r = gsn_process_sibling("gieson-mesh", &helpers->mesher, err);
 
+    if (r >= 0)
+        r = gsn_process_sibling("gieson-decode", &helpers->decoder, err);
     if (r < 0)
         return r;
-    (void)snprintf(owner, 64, "gieson-work %ld", (long)getpid());
-    *ret_options =
-        (struct gsn_job_options){ .mesher = *mesher, .owner = owner, .threads = request->threads };
+    (void)snprintf(helpers->owner, sizeof helpers->owner, "gieson-work %ld", (long)getpid());
+    *ret_options = (struct gsn_job_options){ .mesher = helpers->mesher,
+                                             .decoder = helpers->decoder,
+                                             .owner = helpers->owner,
+                                             .threads = request->threads };
     return GSN_OK;
+}
+
+/* A wall that is not there must not go unnoticed. */
+static void say_walls(void)
+{
+    if (gsn_sandbox_landlock() == 0)
+        (void)fprintf(stderr, "gieson: this kernel has no Landlock: decoder and mesher are held by "
+                              "their list of system calls alone\n");
 }
 
 static int do_work(const struct request *request)
 {
     gsn_auto(gsn_store) store = NULL;
-    gsn_auto_mem(char) mesher = NULL;
-    char owner[64];
+    __attribute__((cleanup(helpers_done))) struct helpers helpers = { .mesher = NULL };
     struct gsn_job_options how;
     struct gsn_error err = { 0 };
     int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
 
     if (r >= 0)
-        r = job_options(request, &mesher, owner, &how, &err);
-    if (r >= 0)
+        r = job_options(request, &helpers, &how, &err);
+    if (r >= 0) {
+        say_walls();
         r = gsn_job_next(store, &how, &err);
+    }
     if (r == GSN_E_NOTFOUND || r == GSN_E_BUSY)
         return gsn_code_exit(r);
     return r < 0 ? complain(&err, r) : EX_OK;
@@ -354,8 +375,7 @@ static int print_verdict(const struct request *request, const struct gsn_job_ver
 static int do_verify(const struct request *request)
 {
     gsn_auto(gsn_store) store = NULL;
-    gsn_auto_mem(char) mesher = NULL;
-    char owner[64];
+    __attribute__((cleanup(helpers_done))) struct helpers helpers = { .mesher = NULL };
     struct gsn_job_options how;
     gsn_auto(gsn_run_row) row = NULL;
     struct gsn_job_verdict verdict;
@@ -370,7 +390,7 @@ static int do_verify(const struct request *request)
     if (r >= 0)
         r = find_run(store, request->rest[0], &run, &err);
     if (r >= 0)
-        r = job_options(request, &mesher, owner, &how, &err);
+        r = job_options(request, &helpers, &how, &err);
     if (r >= 0)
         r = gsn_job_verify(store, run, &how, &verdict, &err);
     if (r >= 0)
@@ -382,7 +402,7 @@ static int do_verify(const struct request *request)
 
 /* ---- check ------------------------------------------------------------------------------- */
 
-static int check_one(const char *path)
+static int check_one(const char *decoder, const char *path)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_picture) picture = NULL;
@@ -391,7 +411,7 @@ static int check_one(const char *path)
     int r = gsn_file_read(path, MOST_CHECK_BYTES, &bytes, &size, &err);
 
     if (r >= 0)
-        r = gsn_decode(bytes, size, NULL, &picture, &err);
+        r = gsn_decode_apart(decoder, bytes, size, NULL, &picture, &err);
     if (r < 0) {
         (void)printf("%s: refused (%s): %s\n", path, gsn_code_name(r), err.text);
         return gsn_code_exit(r);
@@ -405,14 +425,17 @@ static int check_one(const char *path)
 
 static int do_check(const struct request *request)
 {
-    const struct rlimit memory = { .rlim_cur = CHECK_MEMORY, .rlim_max = CHECK_MEMORY };
-    int status = EX_OK;
+    gsn_auto_mem(char) decoder = NULL;
+    struct gsn_error err = { 0 };
+    int status = EX_OK, r;
 
     if (request->rest_count < 1)
         return usage("check needs at least one file");
-    (void)setrlimit(RLIMIT_AS, &memory);
+    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    if (r < 0)
+        return complain(&err, r);
     for (int i = 0; i < request->rest_count; i++) {
-        const int r = check_one(request->rest[i]);
+        r = check_one(decoder, request->rest[i]);
 
         if (r != EX_OK)
             status = r;

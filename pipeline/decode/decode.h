@@ -19,10 +19,12 @@
 extern "C" {
 #endif
 
-/* A member of 0 stands for its default: 250 million pixels, 768 MiB of decoded samples. */
+/* A member of 0 stands for its default: 250 million pixels, 768 MiB of decoded samples, and two
+ * minutes, which count where decoding has a process of its own (pipeline/decode/apart.h). */
 struct gsn_decode_limits {
     uint64_t most_pixels;
     uint64_t most_bytes;
+    unsigned seconds;
 };
 
 /* How samples relate to light, as far as the file says so. */
@@ -40,6 +42,9 @@ struct gsn_picture {
     unsigned pages; /* pages in the file; the first one is decoded */
     char kind[24];  /* "JPEG", "TIFF", "BigTIFF" or "PNG" */
     char note[160]; /* what was passed over or applied, "; " between; empty when nothing was */
+
+    void *place;         /* where the samples are when they are not allocated, or NULL */
+    size_t mapped_bytes; /* of it, to be unmapped; 0: it is somebody else's */
 };
 
 /* Decodes the first page of a picture file.

@@ -70,6 +70,15 @@ static int by_value(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+static double mean(const double *at, size_t count)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < count; i++)
+        sum += at[i];
+    return sum / (double)count;
+}
+
 static double median(double *at, size_t count)
 {
     qsort(at, count, sizeof *at, by_value);
@@ -78,11 +87,13 @@ static double median(double *at, size_t count)
 
 /* ---- one scan's rows, against one row ---- */
 
-enum { SCANS = 400, QUICK_SCANS = 8 };
+enum { SCANS = 400, QUICK_SCANS = 8, PANELS = 20 };
 
-static void put_specimen(struct gsn_store *store)
+/* S1, S2, ...: as many as the scans need when each has so many panels. */
+static void put_specimen(struct gsn_store *store, size_t number)
 {
-    const struct gsn_specimen_row specimen = { .name = "S1",
+    char name[20];
+    const struct gsn_specimen_row specimen = { .name = name,
                                                .study = "study",
                                                .group = "group",
                                                .animal = "animal",
@@ -94,6 +105,7 @@ static void put_specimen(struct gsn_store *store)
     struct gsn_error err = { 0 };
     int64_t id = 0;
 
+    (void)snprintf(name, sizeof name, "S%zu", number);
     bench_need(gsn_specimen_put(store, &specimen, GSN_SPECIMEN_REFUSE, "bench", 1, &id, &err), &err,
                "specimen");
 }
@@ -179,7 +191,7 @@ static void race_logs(struct gsn_store *store, sqlite3_stmt *insert, size_t coun
                                      .facts =
                                          "{\"Format\":\"JPEG\",\"Date\":\"20260101T120000\"}" };
 
-        (void)snprintf(name, sizeof name, "S1-P%04zu.jpg", i + 1);
+        (void)snprintf(name, sizeof name, "S%zu-P%02zu.jpg", i / PANELS + 1, i % PANELS + 1);
         (void)snprintf(key, sizeof key, "SN0001/00010001/%s/12345678/20260101T120000", name);
         bench_need(gsn_sha256(name, strlen(name), &digest, &err), &err, "digest");
         scan.sha256 = digest.hex;
@@ -202,14 +214,17 @@ static void bench_log(void)
 
     (void)snprintf(dir, sizeof dir, "%s/store", folder.path);
     bench_need(gsn_store_open(dir, GSN_STORE_CREATE, &store, &err), &err, "store");
-    put_specimen(store);
+    for (size_t i = 0; i <= (count - 1) / PANELS; i++)
+        put_specimen(store, i + 1);
     insert = open_bare(&folder, &db);
     race_logs(store, insert, count, times);
-    ours = median(times->ours, count);
-    bare = median(times->bare, count);
+    /* Means: checkpoints belong to it. */
+    ours = mean(times->ours, count);
+    bare = mean(times->bare, count);
     bench_say("ingest_log", ours * 1e3, "ms/scan", "one INSERT", bare / ours,
-              json_pack("{s:f, s:f, s:f, s:I}", "bare_ms", bare * 1e3, "cpu_ms",
-                        times->ours_cpu * 1e3 / (double)count, "bare_cpu_ms",
+              json_pack("{s:f, s:f, s:f, s:f, s:I}", "ratio_of_medians",
+                        median(times->bare, count) / median(times->ours, count), "bare_ms",
+                        bare * 1e3, "cpu_ms", times->ours_cpu * 1e3 / (double)count, "bare_cpu_ms",
                         times->bare_cpu * 1e3 / (double)count, "scans", (json_int_t)count));
     (void)sqlite3_finalize(insert);
     (void)sqlite3_close(db);
@@ -228,13 +243,13 @@ struct picture {
     uint8_t *bytes;
     size_t size;
     int fd;
-    double hash_s, copy_s, sync_s, pass_s, total_s; /* of one round */
-    double hash_cpu, copy_cpu, pass_cpu;
+    double hash_s, copy_s, sync_s, total_s; /* of one round */
+    double hash_cpu, pass_cpu;              /* the hash alone, and within the pass */
 };
 
 static void hash_alone(struct picture *picture)
 {
-    const double cpu = seconds(CLOCK_PROCESS_CPUTIME_ID), start = seconds(CLOCK_MONOTONIC);
+    const double cpu = seconds(CLOCK_THREAD_CPUTIME_ID), start = seconds(CLOCK_MONOTONIC);
     EVP_MD_CTX *const evp = EVP_MD_CTX_new();
     unsigned char digest[32];
 
@@ -244,7 +259,7 @@ static void hash_alone(struct picture *picture)
          "OpenSSL");
     EVP_MD_CTX_free(evp);
     picture->hash_s = seconds(CLOCK_MONOTONIC) - start;
-    picture->hash_cpu = seconds(CLOCK_PROCESS_CPUTIME_ID) - cpu;
+    picture->hash_cpu = seconds(CLOCK_THREAD_CPUTIME_ID) - cpu;
 }
 
 static int new_file(const struct picture *picture, char path[static 100])
@@ -262,7 +277,7 @@ static void copy_alone(struct picture *picture, uint8_t *piece)
 {
     char path[100];
     const int fd = new_file(picture, path);
-    const double cpu = seconds(CLOCK_PROCESS_CPUTIME_ID), start = seconds(CLOCK_MONOTONIC);
+    const double start = seconds(CLOCK_MONOTONIC);
     double copied;
 
     for (size_t at = 0; at < picture->size;) {
@@ -272,11 +287,28 @@ static void copy_alone(struct picture *picture, uint8_t *piece)
         at += (size_t)got;
     }
     copied = seconds(CLOCK_MONOTONIC);
-    picture->copy_cpu = seconds(CLOCK_PROCESS_CPUTIME_ID) - cpu;
     need(fsync(fd) == 0, path);
     picture->copy_s = copied - start;
     picture->sync_s = seconds(CLOCK_MONOTONIC) - copied;
     need(close(fd) == 0 && unlink(path) == 0, path);
+}
+
+/* The hash within the spool's pass is timed where the linker lets us in between. */
+static double hash_cpu;
+
+int __real_gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size,
+                        struct gsn_error *err);
+int __wrap_gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size,
+                        struct gsn_error *err);
+
+int __wrap_gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size,
+                        struct gsn_error *err)
+{
+    const double start = seconds(CLOCK_THREAD_CPUTIME_ID);
+    const int r = __real_gsn_hash_add(hash, bytes, size, err);
+
+    hash_cpu += seconds(CLOCK_THREAD_CPUTIME_ID) - start;
+    return r;
 }
 
 /* The spool's pass into a file, without the sync. */
@@ -287,14 +319,11 @@ static void pass_alone(struct picture *picture)
     const struct gsn_spool_feed feed = { gsn_spool_read_fd, &picture->fd, picture->size };
     gsn_auto(gsn_spool_copy) copy = NULL;
     struct gsn_error err = { 0 };
-    double cpu, start;
 
     bench_need(gsn_spool_copy_new(&copy, &err), &err, "copy");
-    cpu = seconds(CLOCK_PROCESS_CPUTIME_ID);
-    start = seconds(CLOCK_MONOTONIC);
+    hash_cpu = 0;
     bench_need(gsn_spool_copy_run(copy, &feed, fd, path, &err), &err, "copy");
-    picture->pass_s = seconds(CLOCK_MONOTONIC) - start;
-    picture->pass_cpu = seconds(CLOCK_PROCESS_CPUTIME_ID) - cpu;
+    picture->pass_cpu = hash_cpu;
     need(close(fd) == 0 && unlink(path) == 0, path);
 }
 
@@ -356,7 +385,7 @@ static void bench_picture(size_t size)
         pass_alone(&picture);
         take_whole(&picture);
         all[HASH][i] = picture.hash_cpu;
-        all[PASS][i] = picture.pass_cpu - picture.copy_cpu;
+        all[PASS][i] = picture.pass_cpu;
         all[COPY][i] = picture.copy_s;
         all[SYNC][i] = picture.sync_s;
         all[TOTAL][i] = picture.total_s;

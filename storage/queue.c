@@ -333,6 +333,25 @@ int gsn_queue_fail(struct gsn_store *store, const struct gsn_job_row *job, int c
                        err);
 }
 
+int gsn_queue_release(struct gsn_store *store, const struct gsn_job_row *job, struct gsn_error *err)
+{
+    return change_mine(store, job, "UPDATE job SET " FRESH IF_MINE,
+                       SQL_ARGS(SQL_INT(job->id), SQL_INT(job->claim)), err);
+}
+
+int gsn_queue_of_process(struct gsn_store *store, pid_t pid, struct gsn_job_row **ret_job,
+                         struct gsn_error *err)
+{
+    const struct gsn_lease_home here = gsn_lease_home();
+    const int r = job_row(store,
+                          SELECT_JOB "WHERE j.state = 'running' AND j.pid = ?1 AND j.boot = ?2 AND "
+                                     "j.processes = ?3",
+                          SQL_ARGS(SQL_INT(pid), SQL_TEXT(here.boot), SQL_TEXT(here.processes)),
+                          ret_job, err);
+
+    return r == GSN_E_NOTFOUND ? gsn_fail(err, r, "process %ld has no job", (long)pid) : r;
+}
+
 int gsn_queue_retry(struct gsn_store *store, int64_t specimen_id, size_t *ret_count,
                     struct gsn_error *err)
 {

@@ -8,16 +8,13 @@
 
 #include "acquire/spool.h"
 #include "storage/catalog.h"
-#include "storage/scan.h"
-#include "storage/store.h"
+#include "systemd/intake.h"
 
 enum { NOW = 1700000000 };
 
 struct session {
     const struct power_ingest *ingest;
-    struct gsn_source *source;
-    struct gsn_store *store;
-    struct gsn_spool *spool;
+    struct gsn_intake intake;
     unsigned taken;
 };
 
@@ -57,28 +54,15 @@ static void checkpoint(const struct session *session)
 static int take(struct session *session, const struct gsn_source_event *ready,
                 struct gsn_error *err)
 {
-    struct gsn_spooled spooled;
-    struct gsn_scan_row scan = { .source = "t",
-                                 .device = "",
-                                 .name = ready->name,
-                                 .key = ready->key,
-                                 .subject = "panel",
-                                 .facts = ready->facts };
-    int64_t id = 0;
-    int again = 0;
-    int r = gsn_spool_take_item(session->spool, session->source, ready, &spooled, err);
+    struct gsn_intake_taken taken;
+    enum gsn_intake_fault fault;
+    const int r = gsn_intake_take(&session->intake, ready, NOW, &taken, &fault, err);
 
     if (r < 0)
         return r;
-    scan.sha256 = spooled.digest.hex;
-    scan.size = (int64_t)spooled.size;
-    r = gsn_scan_take(session->store, &scan, 0, NOW, &id, &again, err);
-    if (r >= 0)
-        r = gsn_source_acknowledge(session->source, ready->item, err);
-    if (r < 0)
-        return r;
     if (session->ingest->acknowledged)
-        session->ingest->acknowledged(session->ingest->context, ready->name, spooled.digest.hex);
+        session->ingest->acknowledged(session->ingest->context, ready->name,
+                                      taken.spooled.digest.hex);
     session->taken++;
     checkpoint(session);
     return GSN_OK;
@@ -96,7 +80,7 @@ static int run(struct session *session, struct gsn_error *err)
     for (int64_t now = 0; r >= 0 && !is_over(session, ended); now++) {
         gsn_auto(gsn_source_events) events = NULL;
 
-        r = gsn_source_poll(session->source, now, &events, &ended, err);
+        r = gsn_source_poll(session->intake.source, now, &events, &ended, err);
         for (size_t i = 0; r >= 0 && i < events->count && !is_over(session, 0); i++) {
             if (events->at[i].what == GSN_SOURCE_READY)
                 r = take(session, &events->at[i], err);
@@ -107,11 +91,14 @@ static int run(struct session *session, struct gsn_error *err)
 
 int power_ingest(const struct power_ingest *ingest, unsigned *ret_taken, struct gsn_error *err)
 {
-    const struct gsn_source_options options = { .patience_ms = 1 };
+    struct session session = { .ingest = ingest, .intake.name = "t" };
+    const struct gsn_source_options options = { .patience_ms = 1,
+                                                .is_known = gsn_intake_is_known,
+                                                .on_read = gsn_intake_on_read,
+                                                .context = &session.intake };
     gsn_auto(gsn_source) source = NULL;
     gsn_auto(gsn_store) store = NULL;
     gsn_auto(gsn_spool) spool = NULL;
-    struct session session = { .ingest = ingest };
     int r = gsn_store_open(ingest->store, GSN_STORE_CREATE, &store, err);
 
     if (r >= 0)
@@ -122,9 +109,9 @@ int power_ingest(const struct power_ingest *ingest, unsigned *ret_taken, struct 
         r = gsn_source_open(ingest->address, &options, &source, err);
     if (r < 0)
         return r;
-    session.source = source;
-    session.store = store;
-    session.spool = spool;
+    session.intake.source = source;
+    session.intake.store = store;
+    session.intake.spool = spool;
     r = run(&session, err);
     *ret_taken = session.taken;
     return r;

@@ -7,14 +7,21 @@
 #include <string.h>
 
 #include "acquire/folder_source.h"
+#include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
-static const struct gsn_source_ops *const kinds[] = { &gsn_hot_folder_ops, &gsn_replay_folder_ops };
+static const struct gsn_source_ops *const kinds[] = {
+    &gsn_hot_folder_ops,
+    &gsn_replay_folder_ops,
+    &gsn_v4l2_source_ops,
+};
 
 struct gsn_source {
     const struct gsn_source_ops *ops;
     void *self;
     char *address;
+    int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
+    void *context;
 };
 
 static const struct gsn_source_ops *find_kind(const char *address)
@@ -88,6 +95,8 @@ int gsn_source_open(const char *address, const struct gsn_source_options *option
     if (r < 0)
         return r;
     source->ops = ops;
+    source->on_read = options->on_read;
+    source->context = options->context;
     *ret_source = gsn_steal(&source);
     return GSN_OK;
 }
@@ -126,7 +135,14 @@ int gsn_source_poll(struct gsn_source *source, int64_t now_ms,
 int gsn_source_read(struct gsn_source *source, uint64_t item, uint64_t offset, void *buffer,
                     size_t size, size_t *ret_got, struct gsn_error *err)
 {
-    return source->ops->read(source->self, item, offset, buffer, size, ret_got, err);
+    size_t got = 0;
+    const int r = source->ops->read(source->self, item, offset, buffer, size, &got, err);
+
+    if (source->on_read && source->on_read(source->context, item, offset + got, r) && r >= 0)
+        return gsn_fail(err, GSN_E_BUSY, "the copy was broken off");
+    if (r >= 0)
+        *ret_got = got;
+    return r;
 }
 
 int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_error *err)

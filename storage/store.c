@@ -105,6 +105,11 @@ int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
     return r;
 }
 
+void gsn_store_set_patience(struct gsn_store *store, int patience_ms)
+{
+    (void)sqlite3_busy_timeout(store->db, patience_ms);
+}
+
 static int no_store(const char *dir, struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_NOTFOUND, "%s is not a gieson store; `gieson import` makes one",
@@ -115,6 +120,11 @@ static int pragma(struct gsn_store *store, const char *sql, int64_t *ret_value,
                   struct gsn_error *err)
 {
     return gsn_sql_int(store, sql, SQL_NO_ARGS, ret_value, err);
+}
+
+int gsn_store_change(struct gsn_store *store, int64_t *ret_change, struct gsn_error *err)
+{
+    return pragma(store, "PRAGMA data_version", ret_change, err);
 }
 
 /* What a commit promises rests on these two, so they are read back. */

@@ -19,11 +19,12 @@ const char *argp_program_version = "gieson " GSN_VERSION;
 static const struct {
     const char *name;
     gsn_verb *run;
-} verbs[] = { { "status", gsn_cmd_status }, { "show", gsn_cmd_show },
-              { "import", gsn_cmd_import }, { "run", gsn_cmd_run },
-              { "retry", gsn_cmd_retry },   { "report", gsn_cmd_report },
-              { "verify", gsn_cmd_verify }, { "check", gsn_cmd_check },
-              { "demo", gsn_cmd_demo },     { "phantom", gsn_cmd_phantom } };
+} verbs[] = { { "status", gsn_cmd_status },  { "top", gsn_cmd_top },
+              { "show", gsn_cmd_show },      { "import", gsn_cmd_import },
+              { "run", gsn_cmd_run },        { "retry", gsn_cmd_retry },
+              { "report", gsn_cmd_report },  { "verify", gsn_cmd_verify },
+              { "check", gsn_cmd_check },    { "demo", gsn_cmd_demo },
+              { "phantom", gsn_cmd_phantom } };
 
 static const char doc[] =
     "From stained sections on scanned panels to the collagen that was lost.\v"
@@ -32,6 +33,7 @@ static const char doc[] =
     "                      --tile FILE take a volume or a single picture)\n"
     "  run                 work the queue to its end\n"
     "  status              what is in the store, and what to do next\n"
+    "  top                 the same on a screen that follows; ? there lists the keys\n"
     "  show SPECIMEN       its panels, sections and figures\n"
     "  report SPECIMEN     where its report is; with --json the report itself\n"
     "  retry [SPECIMEN]    let failed jobs wait again\n"

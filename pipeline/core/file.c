@@ -62,6 +62,16 @@ int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err)
     return GSN_OK;
 }
 
+int gsn_file_open_lock(const char *path, int *ret_fd, struct gsn_error *err)
+{
+    const int fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC | O_NOCTTY, 0644); /* door */
+
+    if (fd < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    *ret_fd = fd;
+    return GSN_OK;
+}
+
 int gsn_file_reopen(const char *path, int *ret_fd, struct gsn_error *err)
 {
     const int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW); /* door */

@@ -27,6 +27,10 @@ int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_
  * (a directory, a device) is for the caller to check. Fails with GSN_E_NOTFOUND, GSN_E_IO. */
 int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err);
 
+/* A file to be locked, made when it is missing. gives: a descriptor to close(). Fails with
+ * GSN_E_IO. */
+int gsn_file_open_lock(const char *path, int *ret_fd, struct gsn_error *err);
+
 /* The same, to go on writing a file that exists. */
 int gsn_file_reopen(const char *path, int *ret_fd, struct gsn_error *err);
 

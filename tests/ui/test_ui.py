@@ -21,6 +21,7 @@ from bench import Bench, columns, png  # noqa: E402
 MANUAL = pathlib.Path(__file__).resolve().parents[2] / "docs" / "man" / "gieson.1"
 
 # What `gieson status --json` and `gieson show --json` promise; the manual page names every key.
+ROOT_KEYS = {"queue", "service", "sources", "troubles", "unfiled", "specimens"}
 STATUS_KEYS = {"specimen", "group", "state", "detail", "action", "panels", "panels_registered",
                "panels_refused", "sections", "sections_found", "loss_percent", "mean_density",
                "run", "report"}
@@ -38,7 +39,7 @@ class Words(Bench):
 
     def test_a_mistake_is_one_line_and_64(self):
         self.empty_store()
-        for args in ([], ["frobnicate"], [""], ["status", "more"], ["show"], ["show", "a", "b"],
+        for args in ([], ["frobnicate"], [""], ["status", "more"], ["top", "more"], ["top", "--json"], ["show"], ["show", "a", "b"],
                      ["report"], ["import"], ["verify"], ["check"], ["run", "--threads"],
                      ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"],
                      ["status", "--store"]):
@@ -56,7 +57,7 @@ class Words(Bench):
     def test_help_names_every_verb_and_version_is_a_version(self):
         done = self.call("--help", store=False)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
-        for verb in ("import", "run", "status", "show", "report", "retry", "verify", "check",
+        for verb in ("import", "run", "status", "top", "show", "report", "retry", "verify", "check",
                      "demo", "phantom"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
@@ -68,14 +69,14 @@ class Stores(Bench):
     """Where the store is, and what when it is not."""
 
     def test_no_store_named_is_64(self):
-        for args in (["status"], ["show", "x"], ["report", "x"], ["run"], ["retry"],
+        for args in (["status"], ["top"], ["show", "x"], ["report", "x"], ["run"], ["retry"],
                      ["import", "x"], ["verify", "1"]):
             with self.subTest(args=args):
                 self.assertIn("GIESON_STORE", self.refused(self.call(*args, store=False), 64))
         self.refused(self.call("status", store=False, env={"GIESON_STORE": ""}), 64)
 
     def test_a_store_that_is_not_there_is_66_and_is_not_made(self):
-        for args in (["status"], ["status", "--json"], ["show", "x"], ["report", "x"], ["run"],
+        for args in (["status"], ["status", "--json"], ["top"], ["show", "x"], ["report", "x"], ["run"],
                      ["retry"], ["verify", "1"]):
             with self.subTest(args=args):
                 self.assertIn("is not a gieson store", self.refused(self.call(*args), 66))
@@ -89,8 +90,10 @@ class Stores(Bench):
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         self.assertIn("0 waiting", done.stdout)
         self.assertIn("gieson import", done.stdout)
-        self.assertEqual(self.json("status"), {"queue": {"waiting": 0, "running": 0, "done": 0,
-                                                         "failed": 0}, "specimens": []})
+        self.assertEqual(self.json("status"),
+                         {"queue": {"waiting": 0, "running": 0, "done": 0, "failed": 0},
+                          "service": {"intake": False, "works_queue": False}, "sources": [],
+                          "troubles": [], "unfiled": [], "specimens": []})
 
     def test_the_store_may_be_named_before_and_after_the_verb_and_by_the_environment(self):
         self.imported("here")
@@ -156,7 +159,7 @@ class Plain(Bench):
         self.imported("one", group="G")
         self.reported_tile()
         root = self.json("status")
-        self.assertEqual(set(root), {"queue", "specimens"})
+        self.assertEqual(set(root), ROOT_KEYS)
         self.assertEqual(set(root["queue"]), {"waiting", "running", "done", "failed"})
         for row in root["specimens"]:
             self.assertEqual(set(row), STATUS_KEYS)

@@ -1,0 +1,168 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "acquire/rest.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Points looked at along each side of a cell: enough to average noise away, cheap at any size. */
+enum { POINTS = 16 };
+
+/* Cells of a still picture without any noise still differ by rounding. */
+static const float ROUNDING = 0.25F;
+
+/* The brightness at (x, y), 0..255. */
+static float bright(const struct gsn_frame *frame, uint32_t x, uint32_t y)
+{
+    const struct gsn_pixel_format *const format = frame->format;
+    const uint8_t *const row = frame->bytes + (size_t)y * frame->stride;
+
+    switch (format->packing) {
+    case GSN_PACKING_WORDS:
+        return (float)(row[2 * (size_t)x] | row[2 * (size_t)x + 1] << 8) * 255.0F /
+               (float)((1 << format->bits) - 1);
+    case GSN_PACKING_CSI10:
+        return row[(size_t)x / 4 * 5 + x % 4];
+    case GSN_PACKING_CSI12:
+        return row[(size_t)x / 2 * 3 + x % 2];
+    default:
+        return row[format->luma + (size_t)x * format->luma_step];
+    }
+}
+
+static bool is_complete(const struct gsn_frame *frame)
+{
+    const uint64_t row = gsn_pixel_format_row(frame->format, frame->width);
+
+    return row > 0 && frame->height > 0 && frame->stride >= row &&
+           (frame->height - 1) * (uint64_t)frame->stride + row <= frame->size;
+}
+
+/* Where cell i of count begins; every cell has a pixel, also of a tiny frame. */
+static uint32_t edge(uint32_t size, unsigned i, unsigned count)
+{
+    return (uint32_t)((uint64_t)size * i / count);
+}
+
+static float mean(const struct gsn_frame *frame, unsigned column, unsigned row)
+{
+    const uint32_t x0 = edge(frame->width, column, GSN_THUMBNAIL_COLUMNS);
+    const uint32_t x1 = edge(frame->width, column + 1, GSN_THUMBNAIL_COLUMNS);
+    const uint32_t y0 = edge(frame->height, row, GSN_THUMBNAIL_ROWS);
+    const uint32_t y1 = edge(frame->height, row + 1, GSN_THUMBNAIL_ROWS);
+    /* An odd step meets all four colours of a Bayer pattern. */
+    const uint32_t step_x = (x1 - x0) / POINTS | 1, step_y = (y1 - y0) / POINTS | 1;
+    float sum = bright(frame, x0, y0);
+    unsigned count = 1;
+
+    for (uint32_t y = y0; y < y1; y += step_y) {
+        for (uint32_t x = x0; x < x1; x += step_x, count++)
+            sum += bright(frame, x, y);
+    }
+    return sum / (float)count;
+}
+
+int gsn_thumbnail_make(const struct gsn_frame *frame, struct gsn_thumbnail *ret_thumbnail)
+{
+    if (!is_complete(frame))
+        return 0;
+    for (unsigned row = 0; row < GSN_THUMBNAIL_ROWS; row++) {
+        for (unsigned column = 0; column < GSN_THUMBNAIL_COLUMNS; column++)
+            ret_thumbnail->cell[row * GSN_THUMBNAIL_COLUMNS + column] = mean(frame, column, row);
+    }
+    return 1;
+}
+
+float gsn_thumbnail_difference(const struct gsn_thumbnail *a, const struct gsn_thumbnail *b)
+{
+    float most = 0;
+
+    for (size_t i = 0; i < sizeof a->cell / sizeof a->cell[0]; i++)
+        most = fmaxf(most, fabsf(a->cell[i] - b->cell[i]));
+    return most;
+}
+
+struct gsn_rest gsn_rest_begin(unsigned frames, float noise)
+{
+    return (struct gsn_rest){ .frames = frames, .noise = noise };
+}
+
+static int compare(const void *a, const void *b)
+{
+    const float x = *(const float *)a, y = *(const float *)b;
+
+    return (x > y) - (x < y);
+}
+
+/* What neighbours differ by, in the frames of this run. */
+static float median_between(const struct gsn_rest *rest)
+{
+    const unsigned count = rest->run - 1;
+    float sorted[GSN_REST_MOST_FRAMES];
+
+    memcpy(sorted, rest->between, count * sizeof sorted[0]);
+    qsort(sorted, count, sizeof sorted[0], compare);
+    return sorted[count / 2];
+}
+
+/* A run begins anew with this frame. */
+static void restart(struct gsn_rest *rest, const struct gsn_thumbnail *now)
+{
+    rest->first = *now;
+    rest->run = 1;
+}
+
+static bool is_known(const struct gsn_rest *rest, const struct gsn_thumbnail *now)
+{
+    static const struct gsn_thumbnail darkness;
+
+    return gsn_thumbnail_difference(&darkness, now) <= 2 * rest->noise ||
+           (rest->has_taken && gsn_thumbnail_difference(&rest->taken, now) <= rest->noise) ||
+           (rest->has_blank && gsn_thumbnail_difference(&rest->blank, now) <= rest->noise);
+}
+
+/* The run is long enough: did only noise differ in it? */
+static enum gsn_rest_answer judge(struct gsn_rest *rest, const struct gsn_thumbnail *now)
+{
+    const float across = gsn_thumbnail_difference(&rest->first, now);
+    const float drift = 2 * median_between(rest) + ROUNDING;
+    bool known;
+
+    restart(rest, now);
+    if (across > drift)
+        return GSN_REST_MOVING;
+    known = is_known(rest, now);
+    rest->is_waiting = true;
+    if (known)
+        return GSN_REST_WAITING;
+    rest->taken = *now;
+    rest->has_taken = true;
+    return GSN_REST_TAKE;
+}
+
+enum gsn_rest_answer gsn_rest_look(struct gsn_rest *rest, const struct gsn_thumbnail *now)
+{
+    const float step = rest->run ? gsn_thumbnail_difference(&rest->previous, now) : 0;
+
+    rest->previous = *now;
+    /* While waiting, first is the frame at which rest was found; a lamp that drifts away from it
+     * by that much makes a second picture: better twice than never. */
+    if (rest->is_waiting &&
+        (step > 2 * rest->noise || gsn_thumbnail_difference(&rest->first, now) > 2 * rest->noise))
+        rest->is_waiting = false;
+    else if (rest->is_waiting)
+        return GSN_REST_WAITING;
+    if (rest->run == 0 || step > rest->noise) {
+        restart(rest, now);
+        return GSN_REST_MOVING;
+    }
+    rest->between[rest->run - 1] = step;
+    rest->run++;
+    return rest->run < rest->frames ? GSN_REST_MOVING : judge(rest, now);
+}
+
+void gsn_rest_blank(struct gsn_rest *rest, const struct gsn_thumbnail *blank)
+{
+    rest->blank = *blank;
+    rest->has_blank = true;
+}

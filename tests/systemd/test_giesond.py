@@ -225,6 +225,7 @@ def specimen(bench):
     shutil.copy(made / "job.json", wrong / "job.json")
     text = json.loads((wrong / "job.json").read_text())
     text["specimen"] = "corrected"
+    del text["region"]  # a mask that is not in this folder
     (wrong / "job.json").write_text(json.dumps(text))
     bench.wait("the corrected folder", lambda: bench.ask("SELECT name FROM trouble") == [])
     demand(bench.ask("SELECT count(*) FROM specimen") == [(2,)], "both are specimens")

@@ -62,6 +62,7 @@ void bench_restart(struct bench *bench)
     gsn_spool_free(bench->spool);
     bench->source = NULL;
     bench->spool = NULL;
+    bench->dies = false;
     open_spool(bench);
     bench_open(bench);
 }
@@ -146,6 +147,8 @@ static void take(struct bench *bench, const struct gsn_source_event *event)
         return;
     }
     write_down(bench, event, &spooled);
+    if (bench->dies)
+        return;
     (void)gsn_source_acknowledge(bench->source, event->item, &err);
 }
 

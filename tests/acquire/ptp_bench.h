@@ -43,6 +43,7 @@ struct bench {
     unsigned again;               /* taken a second time, and recognised by the hash */
     unsigned away;                /* polls that found no device */
     unsigned failed_copies;
+    bool dies;    /* the process dies between the ledger and the acknowledgement, once */
     size_t lines; /* what was told but READY */
     struct bench_line line[BENCH_LINES];
 };

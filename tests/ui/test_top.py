@@ -9,6 +9,7 @@ import os
 import pathlib
 import re
 import signal
+import subprocess
 import sys
 import time
 import unittest
@@ -274,6 +275,29 @@ class Live(Top):
             terminal.wait_for_text("giesond takes panels in; only `gieson run` works the queue")
         with self.hold(1):
             terminal.wait_for_text("giesond works the queue; nothing comes in by itself")
+
+    def test_the_service_itself_is_seen_to_come_and_go(self):
+        terminal = self.open()
+        terminal.wait_for_text("giesond is not running")
+        scans = self.folder / "scans"
+        scans.mkdir()
+        config = self.folder / "gieson.conf"
+        config.write_text(f"[source scanner]\nAddress=hot:{scans}\n", encoding="utf-8")
+        service = subprocess.Popen([bench.BIN / "giesond", "--store", str(self.store), "--config",
+                                    str(config)], env=self.environment(),
+                                   stderr=subprocess.DEVNULL)
+        try:
+            terminal.wait_for_text("giesond takes panels in and works the queue")
+            terminal.wait_for(lambda screen: re.search(r"(?m)^\+ scanner +ready", screen))
+            second = subprocess.run([bench.BIN / "giesond", "--store", str(self.store), "--config",
+                                     str(config)], env=self.environment(), check=False,
+                                    capture_output=True, encoding="utf-8", timeout=60)
+            self.assertEqual(second.returncode, 75)
+            self.assertIn("another giesond takes panels in", second.stderr)
+        finally:
+            service.kill()
+            service.wait()
+        terminal.wait_for_text("giesond is not running")
 
     def test_a_store_that_is_gone_is_a_line_and_comes_back(self):
         terminal = self.busy()

@@ -51,6 +51,7 @@ class Words(Bench):
                      ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
                      ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
                      ["expect", "cam", "S", "T"], ["capture"], ["capture", "cam", "--red"],
+                     ["check-config", "a", "b"],
                      ["status", "--store"]):
             with self.subTest(args=args):
                 self.refused(self.call(*args), 64)
@@ -67,7 +68,8 @@ class Words(Bench):
         done = self.call("--help", store=False)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
-                     "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture"):
+                     "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
+                     "check-config"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)
@@ -473,6 +475,27 @@ class Told(Bench):
         self.assertEqual(json.loads(done.stdout)["kind"], "capture-dark")
         done = self.capture_answered("capture-blank", "refused", "the lens is covered", "--blank")
         self.assertIn("the lens is covered", self.refused(done, 65))
+
+
+class Config(Bench):
+    """The service's configuration, before it is used."""
+
+    def check(self, text):
+        file = self.folder / "gieson.conf"
+        file.write_text(text, encoding="utf-8")
+        return file, self.call("check-config", str(file), store=False)
+
+    def test_a_good_one_is_fine(self):
+        (self.folder / "scans").mkdir()
+        _, done = self.check(f"[source scanner]\nAddress=hot:{self.folder}/scans\n")
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertIn("1 source", done.stdout)
+
+    def test_mistakes_are_78_with_file_line_and_reason(self):
+        file, done = self.check("[work]\nWorkers=many\n[kitchen]\nSink=1\n")
+        self.assertEqual((done.returncode, done.stdout), (78, ""))
+        self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:2: .*Workers")
+        self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:[34]: .*kitchen")
 
 
 class Night(Bench):

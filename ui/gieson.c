@@ -35,6 +35,7 @@ static const struct {
     { "scrub", gsn_cmd_scrub },
     { "check", gsn_cmd_check },
     { "check-config", gsn_cmd_check_config },
+    { "devices", gsn_cmd_devices },
     { "demo", gsn_cmd_demo },
     { "phantom", gsn_cmd_phantom },
 };
@@ -62,6 +63,7 @@ static const char doc[] =
     "                                 `expect SOURCE --nobody`\n"
     "  capture SOURCE                 take a picture now (--blank: of clean glass, --dark: with\n"
     "                                 the lens covered)\n"
+    "  devices                        what is plugged in, with the addresses to configure\n"
     "  check-config [FILE]            what is wrong with the service's configuration\n";
 
 static const struct argp_option options[] = {

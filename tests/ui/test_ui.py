@@ -9,6 +9,7 @@ import json
 import os
 import pathlib
 import re
+import shutil
 import sqlite3
 import sys
 import threading
@@ -69,7 +70,7 @@ class Words(Bench):
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
                      "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
-                     "check-config"):
+                     "check-config", "devices"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)
@@ -496,6 +497,68 @@ class Config(Bench):
         self.assertEqual((done.returncode, done.stdout), (78, ""))
         self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:2: .*Workers")
         self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:[34]: .*kitchen")
+
+
+# A PTP camera whose node may not be spoken to, and a UVC camera with an odd name.
+DEVICES = """P: /devices/pci0000:00/usb1/1-1
+N: bus/usb/001/007
+E: SUBSYSTEM=usb
+E: DEVTYPE=usb_device
+E: BUSNUM=001
+E: DEVNUM=007
+E: DEVNAME=/dev/bus/usb/001/007
+A: busnum=1\\n
+A: devnum=7\\n
+A: speed=480\\n
+A: bConfigurationValue=1\\n
+H: descriptors={}
+
+P: /devices/pci0000:00/video4linux/video3
+N: video3
+S: v4l/by-id/usb-Cheap_Cam_7-video-index0
+E: SUBSYSTEM=video4linux
+E: DEVNAME=/dev/video3
+A: name=Cheap \033[31m Cam\\n
+
+"""
+DESCRIPTORS = ("12010002000000 40 a904 1932 0001 000000 01"  # 04a9:3219, no strings
+               "09022700010100c032" "090400000306010100"    # one interface, 06/01/01
+               "07058102000200" "07050202000200" "07058303080009").replace(" ", "")
+
+
+class Devices(Bench):
+    """What is plugged in."""
+
+    def devices(self, *args):
+        if not shutil.which("umockdev-run"):
+            self.skipTest("umockdev is not there")
+        if b"__asan_init" in (bench.BIN / "gieson-intake").read_bytes():
+            self.skipTest("ASan must come first, and umockdev must too")
+        file = self.folder / "bench.umockdev"
+        file.write_text(DEVICES.format(DESCRIPTORS), encoding="utf-8")
+        done = bench.subprocess.run(["umockdev-run", "-d", str(file), "--",
+                                     str(bench.BIN / "gieson"), "devices", *args],
+                                    env=self.environment(), capture_output=True, encoding="utf-8",
+                                    check=False, timeout=60)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        return done.stdout
+
+    def test_each_has_its_address_and_its_name(self):
+        told = json.loads(self.devices("--json"))["devices"]
+        self.assertEqual([d["address"] for d in told],
+                         ["ptp:04a9:3219", "v4l2:usb-Cheap_Cam_7-video-index0"])
+        self.assertEqual(told[1]["name"], "Cheap \x1b[31m Cam")
+
+    def test_a_devices_name_is_no_command_to_the_terminal(self):
+        lines = self.devices().splitlines()
+        self.assertEqual(len(lines), 2)
+        self.assertEqual(lines[1], "v4l2:usb-Cheap_Cam_7-video-index0  Cheap ?[31m Cam")
+
+    def test_nothing_is_no_error(self):
+        self.refused(self.call("devices", "more", store=False), 64)
+        done = self.call("devices", store=False)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertGreaterEqual(done.stdout.count("\n"), 1)
 
 
 class Night(Bench):

@@ -222,7 +222,7 @@ class Live(Top):
         terminal = self.open()
         terminal.wait_for_text("gieson import FOLDER")
         self.imported("R12-right", panels=2)
-        after = terminal.wait_for_text("R12-right")
+        after = terminal.wait_for_text("panel 2")
         self.assertRegex(after, r"\. R12-right +waiting +0/2 panels +now +run\n")
         self.assertRegex(after, r"  \. panel 1 +waiting +scan_P01\.png +now\n")
         self.assertEqual(self.call("run").returncode, 0)

@@ -6,27 +6,12 @@
 #include <fcntl.h>
 #include <stdio.h>
 #include <string.h>
-#include <strings.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "acquire/container.h"
 #include "acquire/natural.h"
 #include "pipeline/core/file.h"
-
-static bool is_called_picture(const char *name)
-{
-    static const char *const endings[] = { "jpg", "jpeg", "png", "tif", "tiff", "btf",  "tf8",
-                                           "svs", "ndpi", "scn", "bmp", "gif",  "webp", "jp2",
-                                           "pam", "pnm",  "ppm", "pgm", "heic" };
-    const char *const dot = strrchr(name, '.');
-
-    for (size_t i = 0; dot && i < sizeof endings / sizeof endings[0]; i++) {
-        if (strcasecmp(dot + 1, endings[i]) == 0)
-            return true;
-    }
-    return false;
-}
 
 static struct gsn_folder_stamp stamp_of(const struct stat *st)
 {
@@ -93,7 +78,7 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
                              reason);
         return GSN_OK;
     }
-    if (container.kind == GSN_CONTAINER_UNKNOWN && !is_called_picture(file->name)) {
+    if (container.kind == GSN_CONTAINER_UNKNOWN && !gsn_name_is_picture(file->name)) {
         gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is no picture and is left alone");
         /* job.json describes the panels; whoever imports reads it himself. */
         file->told = file->told || strcmp(file->name, "job.json") == 0;
@@ -103,6 +88,24 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
                          container.reason);
     file->incomplete = !container.complete;
     return GSN_OK;
+}
+
+/* A file that is as it was when it was taken need not be read again, whatever it is called now. On
+ * file systems that give a file another number after each mount it is, and is recognised then. */
+static void make_key(struct gsn_folder_file *file)
+{
+    const struct gsn_folder_stamp *const stamp = &file->stamp;
+
+    (void)snprintf(file->key, sizeof file->key, "file %llx:%llx %llu %lld.%09ld %lld.%09ld",
+                   (unsigned long long)stamp->device, (unsigned long long)stamp->inode,
+                   (unsigned long long)stamp->size, (long long)stamp->modified.tv_sec,
+                   stamp->modified.tv_nsec, (long long)stamp->changed.tv_sec,
+                   stamp->changed.tv_nsec);
+}
+
+static bool is_known(const struct gsn_folder *folder, const struct gsn_folder_file *file)
+{
+    return folder->options.is_known && folder->options.is_known(folder->options.context, file->key);
 }
 
 static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *file,
@@ -115,6 +118,11 @@ static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *fil
     file->stamp = stamp_of(st);
     file->unsettled = false;
     file->since_ms = now_ms;
+    file->key[0] = '\0';
+    if (S_ISREG(st->st_mode))
+        make_key(file);
+    if (S_ISREG(st->st_mode) && is_known(folder, file))
+        gsn_folder_set_state(file, GSN_FILE_DONE, "");
     if (S_ISDIR(st->st_mode))
         gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is a folder and is not looked into");
     else if (!S_ISREG(st->st_mode))

@@ -25,6 +25,7 @@ static bool has_news(const struct gsn_folder_file *file, struct gsn_source_event
         ret_event->what = GSN_SOURCE_READY;
         ret_event->size = (uint64_t)file->stamp.size;
         ret_event->incomplete = file->incomplete;
+        ret_event->key = file->key;
         return true;
     case GSN_FILE_WAITING:
         ret_event->what = GSN_SOURCE_WAITING;

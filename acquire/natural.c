@@ -3,6 +3,7 @@
 
 #include <stdbool.h>
 #include <string.h>
+#include <strings.h>
 
 static bool is_digit(char c)
 {
@@ -44,4 +45,18 @@ int gsn_natural_compare(const char *a, const char *b)
     if (*x || *y)
         return *x ? 1 : -1;
     return strcmp(a, b);
+}
+
+int gsn_name_is_picture(const char *name)
+{
+    static const char *const endings[] = { "jpg", "jpeg", "png", "tif", "tiff", "btf",  "tf8",
+                                           "svs", "ndpi", "scn", "bmp", "gif",  "webp", "jp2",
+                                           "pam", "pnm",  "ppm", "pgm", "heic" };
+    const char *const dot = strrchr(name, '.');
+
+    for (size_t i = 0; dot && i < sizeof endings / sizeof endings[0]; i++) {
+        if (strcasecmp(dot + 1, endings[i]) == 0)
+            return 1;
+    }
+    return 0;
 }

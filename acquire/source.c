@@ -4,15 +4,18 @@
 #include <assert.h>
 #include <errno.h>
 #include <poll.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "acquire/folder_source.h"
+#include "acquire/ptp_source.h"
 #include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
 static const struct gsn_source_ops *const kinds[] = {
     &gsn_hot_folder_ops,
     &gsn_replay_folder_ops,
+    &gsn_ptp_source_ops,
     &gsn_v4l2_source_ops,
 };
 
@@ -52,6 +55,22 @@ static int check_keys(const struct gsn_source_ops *ops, const struct gsn_source_
     return GSN_OK;
 }
 
+/* "give hot:FOLDER, replay:FOLDER or ptp:DEVICE", from the table. */
+static int name_kinds(const char *address, struct gsn_error *err)
+{
+    const size_t count = sizeof kinds / sizeof kinds[0];
+    char list[200] = "";
+
+    for (size_t i = 0; i < count; i++) {
+        const char *const joint = i == 0 ? "" : i + 1 < count ? ", " : " or ";
+        const size_t used = strlen(list);
+
+        (void)snprintf(list + used, sizeof list - used, "%s%s:%s", joint, kinds[i]->kind,
+                       kinds[i]->subsystem ? "DEVICE" : "FOLDER");
+    }
+    return gsn_fail(err, GSN_E_UNSUPPORTED, "\"%.200s\" names no source: give %s", address, list);
+}
+
 static int check(const char *address, const struct gsn_source_options *options,
                  const struct gsn_source_ops **ret_ops, struct gsn_error *err)
 {
@@ -59,8 +78,7 @@ static int check(const char *address, const struct gsn_source_options *options,
     int r;
 
     if (!ops)
-        return gsn_fail(err, GSN_E_UNSUPPORTED,
-                        "\"%.300s\" names no source: give hot:FOLDER or replay:FOLDER", address);
+        return name_kinds(address, err);
     r = check_keys(ops, options, err);
     if (r >= 0 && ops->check)
         r = ops->check(strchr(address, ':') + 1, options, err);
@@ -77,36 +95,41 @@ int gsn_source_check(const char *address, const struct gsn_source_options *optio
     return check(address, options, &ops, err);
 }
 
+int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
+                    const struct gsn_source_options *options, struct gsn_source **ret_source,
+                    struct gsn_error *err)
+{
+    struct gsn_source *const source = gsn_alloc_array(1, sizeof *source);
+    char *const copy = gsn_strdup(address);
+
+    if (!source || !copy) {
+        gsn_free(source);
+        gsn_free(copy);
+        ops->close(self);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
+    }
+    *source = (struct gsn_source){ ops, self, copy, options->on_read, options->context };
+    *ret_source = source;
+    return GSN_OK;
+}
+
 int gsn_source_open(const char *address, const struct gsn_source_options *options,
                     struct gsn_source **ret_source, struct gsn_error *err)
 {
-    gsn_auto(gsn_source) source = NULL;
-    const struct gsn_source_ops *ops;
+    const struct gsn_source_ops *ops = NULL;
+    void *self = NULL;
     int r = check(address, options, &ops, err);
 
-    if (r < 0)
-        return r;
-    source = gsn_alloc_array(1, sizeof *source);
-    if (source)
-        source->address = gsn_strdup(address);
-    if (!source || !source->address)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
-    r = ops->open(strchr(address, ':') + 1, options, &source->self, err);
-    if (r < 0)
-        return r;
-    source->ops = ops;
-    source->on_read = options->on_read;
-    source->context = options->context;
-    *ret_source = gsn_steal(&source);
-    return GSN_OK;
+    if (r >= 0)
+        r = ops->open(strchr(address, ':') + 1, options, &self, err);
+    return r < 0 ? r : gsn_source_make(ops, self, address, options, ret_source, err);
 }
 
 void gsn_source_free(struct gsn_source *source)
 {
     if (!source)
         return;
-    if (source->ops)
-        source->ops->close(source->self);
+    source->ops->close(source->self);
     gsn_free(source->address);
     gsn_free(source);
 }

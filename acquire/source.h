@@ -158,6 +158,12 @@ struct gsn_source_ops {
     void (*close)(void *self);
 };
 
+/* A source that its maker opened himself (a device behind a bus of the maker's own). address is only
+ * told again; takes: self, also on failure. gives: the source. */
+int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
+                    const struct gsn_source_options *options, struct gsn_source **ret_source,
+                    struct gsn_error *err);
+
 /* Appends a copy of event (its texts are copied too; NULL stands for an empty key or facts) to the
  * list. Fails with GSN_E_NOMEM. */
 int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_event *event,

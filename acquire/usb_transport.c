@@ -512,6 +512,10 @@ static int claim(struct usb *usb, libusb_device *device, struct gsn_error *err)
 
     (void)libusb_set_auto_detach_kernel_driver(usb->handle, 1);
     r = libusb_claim_interface(usb->handle, usb->pipes.interface);
+    if (r == LIBUSB_ERROR_OTHER) { /* an emulated bus knows no drivers to detach */
+        (void)libusb_set_auto_detach_kernel_driver(usb->handle, 0);
+        r = libusb_claim_interface(usb->handle, usb->pipes.interface);
+    }
     if (r == LIBUSB_ERROR_BUSY) {
         const int seen = gsn_usb_holder(libusb_get_bus_number(device),
                                         libusb_get_device_address(device), holder, sizeof holder);

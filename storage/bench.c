@@ -239,6 +239,15 @@ int gsn_request_next(struct gsn_store *store, const char *source, struct gsn_req
     return r == GSN_E_NOTFOUND ? gsn_fail(err, r, "nothing is asked of %.200s", source) : r;
 }
 
+int gsn_request_get(struct gsn_store *store, int64_t id, struct gsn_request_row **ret_row,
+                    struct gsn_error *err)
+{
+    const int r =
+        request_row(store, SELECT_REQUEST "WHERE id = ?1", SQL_ARGS(SQL_INT(id)), ret_row, err);
+
+    return r == GSN_E_NOTFOUND ? gsn_fail(err, r, "there is no request %lld", (long long)id) : r;
+}
+
 /* In a transaction. */
 static int answer(struct gsn_store *store, int64_t id, const char *message, int64_t now,
                   struct gsn_error *err)

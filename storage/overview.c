@@ -25,11 +25,10 @@ static const struct gsn_sql_shape overview_shape =
         GSN_SQL_##type, offsetof(struct gsn_open_panel_row, name)                                  \
     }
 static const struct gsn_sql_field open_panel_fields[] = {
-    FIELD(INT, id),           FIELD(INT, specimen_id), FIELD(INT, number),
-    FIELD(TEXT, file_name),   FIELD(TEXT, state),      FIELD(TEXT, message),
-    FIELD(INT, arrived),      FIELD(TEXT, job.state),  FIELD(TEXT, job.stage),
-    FIELD(INT, job.done),     FIELD(INT, job.total),   FIELD(REAL, job.eta_s),
-    FIELD(TEXT, job.message),
+    FIELD(INT, id),         FIELD(INT, specimen_id),  FIELD(INT, number),   FIELD(TEXT, file_name),
+    FIELD(TEXT, state),     FIELD(TEXT, message),     FIELD(INT, arrived),  FIELD(INT, scan),
+    FIELD(TEXT, job.state), FIELD(TEXT, job.stage),   FIELD(INT, job.done), FIELD(INT, job.total),
+    FIELD(REAL, job.eta_s), FIELD(TEXT, job.message),
 };
 #undef FIELD
 static const struct gsn_sql_shape open_panel_shape =
@@ -43,9 +42,9 @@ SQL_DEFINE_ROWS(open_panel);
 #define ARRIVAL                                                                                    \
     "WITH told AS MATERIALIZED (SELECT text AS sha256, time FROM event WHERE kind = 'panel' AND "  \
     "id > (SELECT coalesce(max(id), 0) FROM event) - 20000), "                                     \
-    "arrival AS MATERIALIZED (SELECT panel_id, max(at) AS at FROM ("                               \
-    "SELECT panel_id, arrived AS at FROM scan WHERE panel_id IS NOT NULL "                         \
-    "UNION ALL SELECT p.id, t.time FROM panel p JOIN told t ON t.sha256 = p.sha256) "              \
+    "arrival AS MATERIALIZED (SELECT panel_id, max(at) AS at, max(scan) AS scan FROM ("            \
+    "SELECT panel_id, arrived AS at, id AS scan FROM scan WHERE panel_id IS NOT NULL "             \
+    "UNION ALL SELECT p.id, t.time, 0 FROM panel p JOIN told t ON t.sha256 = p.sha256) "           \
     "GROUP BY panel_id) "
 
 #define JOB                                                                                        \
@@ -85,7 +84,8 @@ int gsn_overview_panels(struct gsn_store *store, struct gsn_open_panel_rows **re
         store,
         ARRIVAL
         "SELECT p.id, p.specimen_id, p.number, p.file_name, p.state, p.message, "
-        "coalesce(a.at, 0), " JOB "FROM panel p LEFT JOIN job j ON j.kind = 'panel' AND "
+        "coalesce(a.at, 0), coalesce(a.scan, 0), " JOB
+        "FROM panel p LEFT JOIN job j ON j.kind = 'panel' AND "
         "j.specimen_id = p.specimen_id AND coalesce(j.panel_id, 0) = p.id AND j.state <> 'done' "
         "LEFT JOIN arrival a ON a.panel_id = p.id "
         "WHERE j.id IS NOT NULL OR p.state IN ('refused', 'held') "

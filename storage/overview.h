@@ -52,6 +52,7 @@ struct gsn_open_panel_row {
     const char *file_name;
     const char *state, *message; /* of the panel */
     int64_t arrived;             /* 0: unknown */
+    int64_t scan;                /* that it came as; 0: it was imported */
     struct gsn_overview_job job;
 };
 

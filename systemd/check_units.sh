@@ -56,4 +56,11 @@ systemd-tmpfiles --root="$root" --create - <"$folder/gieson.tmpfiles" ||
 mode=$(stat -c '%a' "$root/var/lib/gieson")
 test "$mode" = 2750 || wrong "the directory has mode $mode"
 grep -q '^StateDirectoryMode=2750' "$units/gieson.service" || wrong "the service changes its mode"
+
+# One store for all: where the directory is, where the configuration says, what the timers' services
+# are told.
+grep -qx 'Directory=/var/lib/gieson' "$folder/gieson.conf" || wrong "gieson.conf has another store"
+for unit in gieson-night gieson-scrub; do
+    grep -qx 'Environment=GIESON_STORE=%S/gieson' "$units/$unit.service" || wrong "$unit: its store"
+done
 exit $status

@@ -65,7 +65,7 @@ struct place {
     const char *file;
     unsigned number;
     char section[MOST_LINE + 1];
-    bool in_section; /* false before the first heading, and after a wrong one */
+    bool is_lost; /* behind a wrong heading, whose keys nobody can judge */
     bool no_memory;
 };
 
@@ -103,8 +103,8 @@ static int take_pair(void *user, const char *section, const char *name, const ch
 
 static void take_heading(struct place *place, const char *line, size_t length)
 {
-    place->in_section = length > 2 && line[length - 1] == ']';
-    if (!place->in_section) {
+    place->is_lost = length <= 2 || line[length - 1] != ']';
+    if (place->is_lost) {
         gsn_config_mistake(place->lines, place->file, place->number,
                            "a heading must be like [source NAME], on a line of its own");
         return;
@@ -136,6 +136,8 @@ static void take_line(struct place *place, const char *line, size_t length)
         take_heading(place, line, length);
         return;
     }
+    if (place->is_lost)
+        return;
     (void)snprintf(text, sizeof text, "%.*s", (int)length, line);
     if (!strchr(text, '=') || ini_parse_string(text, take_pair, place) != 0) {
         if (!place->no_memory)

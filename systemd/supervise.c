@@ -21,7 +21,7 @@
 #include "systemd/spawn.h"
 
 enum {
-    KILLED_DELAY_MS = 1000,
+    KILLED_DELAY_MS = 500,
     FIRST_DELAY_MS = 1000,
     LONGEST_DELAY_MS = 60000,
     AWAY_DELAY_MS = 60000,

@@ -2,7 +2,7 @@
 
 /* Keeps one gieson-intake alive per source of the configuration.
  *
- * One that ends is started again: after a second when somebody killed it; later each time, up to a
+ * One that ends is started again: at once when somebody killed it; later each time, up to a
  * minute, while it fails by itself; when its device is away, once the kernel reports something in
  * that subsystem, and every minute. One that is silent for its patience hangs in a driver and is
  * killed. */

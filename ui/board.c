@@ -161,7 +161,7 @@ static void add_trouble(struct maker *maker, const struct gsn_trouble_row *troub
 static void add_scan(struct maker *maker, const struct gsn_scan_row *scan)
 {
     struct gsn_board_line *line = add(maker, GSN_BOARD_SCAN, "unfiled");
-    gsn_auto_mem(char) action = gsn_snapshot_file_command(scan);
+    gsn_auto_mem(char) action = gsn_snapshot_file_command(scan->id, NULL);
     gsn_auto_mem(char) size = gsn_look_bytes(scan->size);
 
     maker->no_memory |= !action || !size;
@@ -262,12 +262,16 @@ static const char *panel_sentence(const struct gsn_open_panel_row *panel)
 }
 
 static void panel_action(struct maker *maker, struct gsn_board_line *line,
+                         const struct gsn_open_panel_row *panel,
                          const struct gsn_snapshot_row *specimen)
 {
     gsn_auto_mem(char) name = gsn_text_word(specimen->name);
     const char *verb = strcmp(line->state, "failed") == 0 ? "retry" : "show";
 
-    set(maker, &line->action, name ? gsn_format("gieson %s %s", verb, name) : NULL);
+    if (panel->scan && strcmp(line->state, "held") == 0)
+        set(maker, &line->action, gsn_snapshot_file_command(panel->scan, specimen->name));
+    else
+        set(maker, &line->action, name ? gsn_format("gieson %s %s", verb, name) : NULL);
 }
 
 static void add_panel(struct maker *maker, const struct gsn_open_panel_row *panel,
@@ -288,7 +292,7 @@ static void add_panel(struct maker *maker, const struct gsn_open_panel_row *pane
         set(maker, &line->detail, gsn_strdup(sentence[0] ? sentence : panel->file_name));
     if (sentence[0]) {
         set(maker, &line->sentence, gsn_strdup(sentence));
-        panel_action(maker, line, specimen);
+        panel_action(maker, line, panel, specimen);
     }
     fact(maker, line, gsn_format("specimen  %s", specimen->name));
     fact(maker, line, gsn_format("file      %s", panel->file_name));

@@ -119,7 +119,7 @@ static void print_bench(const struct gsn_ui *ui, const struct gsn_snapshot *snap
         print_need(ui, "trouble", troubles->at[i].name, troubles->at[i].source,
                    troubles->at[i].reason, troubles->at[i].action);
     for (size_t i = 0; i < unfiled->count; i++) {
-        gsn_auto_mem(char) action = gsn_snapshot_file_command(&unfiled->at[i]);
+        gsn_auto_mem(char) action = gsn_snapshot_file_command(unfiled->at[i].id, NULL);
 
         print_need(ui, "unfiled", unfiled->at[i].name, unfiled->at[i].source, unfiled->at[i].reason,
                    action ? action : "gieson file");
@@ -203,7 +203,7 @@ static json_t *unfiled_json(const struct gsn_scan_rows *scans)
 
     for (size_t i = 0; i < scans->count; i++) {
         const struct gsn_scan_row *s = &scans->at[i];
-        gsn_auto_mem(char) action = gsn_snapshot_file_command(s);
+        gsn_auto_mem(char) action = gsn_snapshot_file_command(s->id, NULL);
 
         (void)json_array_append_new(
             array,

@@ -7,7 +7,6 @@
 #include "ui/ui.h"
 
 #include "storage/queue.h"
-#include "storage/service.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -63,15 +62,12 @@ static int reopen(struct watch *watch, struct gsn_error *err)
  */
 static int has_news(struct watch *watch, int64_t now, int *ret_news, struct gsn_error *err)
 {
-    const char *dir = watch->ui->store_dir;
     int intake = 0, queue = 0;
     int64_t change = 0;
     int r = gsn_store_change(watch->store, &change, err);
 
     if (r >= 0)
-        r = gsn_service_is_there(dir, GSN_SERVICE_INTAKE, &intake, err);
-    if (r >= 0)
-        r = gsn_service_is_there(dir, GSN_SERVICE_QUEUE, &queue, err);
+        r = gsn_snapshot_services(watch->ui->store_dir, &intake, &queue, err);
     if (r < 0)
         return r;
     *ret_news = change != watch->change || intake != watch->intake || queue != watch->queue ||

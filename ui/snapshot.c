@@ -134,6 +134,30 @@ static int take_row(struct gsn_store *store, const struct gsn_snapshot *snapshot
     return r >= 0 ? advise(snapshot, row, err) : r;
 }
 
+/* A lock that we may not read says nothing, and is no reason to show nothing. */
+static int ask_service(const char *dir, enum gsn_service service, int *ret_there,
+                       struct gsn_error *err)
+{
+    struct gsn_error quiet = { 0 };
+    const int r = gsn_service_is_there(dir, service, ret_there, &quiet);
+
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", quiet.text) : GSN_OK;
+}
+
+int gsn_snapshot_services(const char *dir, int *ret_intake, int *ret_queue, struct gsn_error *err)
+{
+    int intake = 0, queue = 0;
+    int r = ask_service(dir, GSN_SERVICE_INTAKE, &intake, err);
+
+    if (r >= 0)
+        r = ask_service(dir, GSN_SERVICE_QUEUE, &queue, err);
+    if (r < 0)
+        return r;
+    *ret_intake = intake;
+    *ret_queue = queue;
+    return GSN_OK;
+}
+
 static int take_bench(struct gsn_store *store, struct gsn_snapshot *snapshot, struct gsn_error *err)
 {
     const char *dir = gsn_store_dir(store);
@@ -147,11 +171,7 @@ static int take_bench(struct gsn_store *store, struct gsn_snapshot *snapshot, st
         r = gsn_overview_panels(store, &snapshot->panels, err);
     if (r >= 0)
         r = gsn_queue_counts(store, &snapshot->jobs, err);
-    if (r >= 0)
-        r = gsn_service_is_there(dir, GSN_SERVICE_INTAKE, &snapshot->intake, err);
-    if (r >= 0)
-        r = gsn_service_is_there(dir, GSN_SERVICE_QUEUE, &snapshot->queue, err);
-    return r;
+    return r >= 0 ? gsn_snapshot_services(dir, &snapshot->intake, &snapshot->queue, err) : r;
 }
 
 int gsn_snapshot_take(struct gsn_store *store, struct gsn_snapshot **ret_snapshot,
@@ -204,7 +224,9 @@ void gsn_snapshot_free(struct gsn_snapshot *snapshot)
     gsn_free(snapshot);
 }
 
-char *gsn_snapshot_file_command(const struct gsn_scan_row *scan)
+char *gsn_snapshot_file_command(int64_t scan, const char *specimen)
 {
-    return gsn_format("gieson file %lld SPECIMEN --panel N", (long long)scan->id);
+    gsn_auto_mem(char) name = specimen ? gsn_text_word(specimen) : gsn_strdup("SPECIMEN");
+
+    return name ? gsn_format("gieson file %lld %s --panel N", (long long)scan, name) : NULL;
 }

@@ -45,7 +45,11 @@ int gsn_snapshot_take(struct gsn_store *store, struct gsn_snapshot **ret_snapsho
 void gsn_snapshot_free(struct gsn_snapshot *snapshot);
 GSN_DEFINE_AUTO(gsn_snapshot);
 
-/* gives: the command that resolves it, quoted for a shell. NULL when memory runs out. */
-char *gsn_snapshot_file_command(const struct gsn_scan_row *scan);
+/* Who serves the store in this directory: 1 or 0 each. Fails with GSN_E_NOMEM. */
+int gsn_snapshot_services(const char *dir, int *ret_intake, int *ret_queue, struct gsn_error *err);
+
+/* gives: the command that says where a scan belongs, quoted for a shell; specimen NULL: that is to
+ * be said too. NULL when memory runs out. */
+char *gsn_snapshot_file_command(int64_t scan, const char *specimen);
 
 #endif

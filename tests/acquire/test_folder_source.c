@@ -313,6 +313,46 @@ TEST(an_empty_folder_ends_at_once_when_replayed_and_never_when_hot)
     CHECK(last_ended == 0);
 }
 
+struct ledger {
+    char key[200];
+};
+
+static int is_known(void *context, const char *key)
+{
+    const struct ledger *const ledger = context;
+
+    return strcmp(ledger->key, key) == 0;
+}
+
+TEST(a_file_that_was_taken_before_is_not_offered_again_unless_it_changes)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    struct ledger ledger = { "" };
+    struct gsn_source_options knowing = options;
+    gsn_auto(gsn_source) source = open_source(&scratch, "hot");
+    gsn_auto(gsn_source) later = NULL;
+    struct gsn_error err = { 0 };
+    char address[200];
+
+    write_file(&scratch, "a.jpg", whole, sizeof whole - 1);
+    tells(source, 0, "WAITING a.jpg; ");
+    {
+        gsn_auto(gsn_source_events) events = poll(source, SETTLE);
+
+        CHECK(events->count == 1 && events->at[0].key[0]);
+        (void)snprintf(ledger.key, sizeof ledger.key, "%s", events->at[0].key);
+    }
+    (void)snprintf(address, sizeof address, "hot:%s", scratch.dir);
+    knowing.is_known = is_known;
+    knowing.context = &ledger;
+    CHECK_OK(gsn_source_open(address, &knowing, &later, &err), err);
+    tells(later, 0, "");
+    tells(later, SETTLE, "");
+    gsn_scratch_append(gsn_scratch_path(&scratch, "a.jpg"), whole, sizeof whole - 1);
+    tells(later, 2 * SETTLE, "WAITING a.jpg; ");
+    tells(later, 3 * SETTLE, "READY a.jpg; ");
+}
+
 TEST(reading_gives_the_bytes_in_pieces)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -8,6 +8,16 @@
 
 enum { HEADER = 12, DATA = 2, RESPONSE = 3, PARTS = 4 };
 
+/* clang-format off */
+const uint8_t ptp_config_descriptor[PTP_CONFIG] = {
+    9, 2, WIRE16(PTP_CONFIG), 1, 1, 0, 0xc0, 50,
+    9, 4, 0, 0, 3, 6, 1, 1, 0,
+    7, 5, 0x81, 2, WIRE16(PTP_PACKET), 0,
+    7, 5, 0x02, 2, WIRE16(PTP_PACKET), 0,
+    7, 5, 0x83, 3, WIRE16(28), 8,
+};
+/* clang-format on */
+
 /* What comes after the last byte of a part. */
 enum end {
     RUN_ON,   /* the next part, in the same packet */
@@ -26,9 +36,9 @@ struct queued {
     int64_t ready_ms;
     bool held;
     uint8_t header[HEADER], response[HEADER + 20];
-    struct part part[PARTS];
     size_t parts, now;
     uint64_t at; /* in the part of now */
+    struct part part[];
 };
 
 struct ptp_answers {
@@ -99,6 +109,11 @@ static void add_bytes(struct queued *queued, const uint8_t *bytes, size_t size, 
     add_part(queued, &(struct ptp_payload){ .size = size, .bytes = bytes }, end);
 }
 
+static bool is_hit(const struct ptp_answer *answer, unsigned at)
+{
+    return at > 0 && answer->nth == at;
+}
+
 static void add_data(struct ptp_answers *answers, struct queued *queued,
                      const struct ptp_answer *answer, uint32_t id)
 {
@@ -108,7 +123,7 @@ static void add_data(struct ptp_answers *answers, struct queued *queued,
     put_header(queued->header, HEADER + payload.size, DATA, answer->operation, id);
     if (++answers->headers == faults->lying_length_at)
         wire_put32(queued->header, answers->headers % 2 ? 0x7fffffff : 5);
-    if (answer->nth == faults->short_data_at)
+    if (is_hit(answer, faults->short_data_at))
         payload.size /= 2;
     add_bytes(queued, queued->header, HEADER, faults->split_header ? FINISHED : RUN_ON);
     if (payload.size == 0 && faults->split_header)
@@ -133,23 +148,41 @@ static void add_response(const struct ptp_answers *answers, struct queued *queue
     add_bytes(queued, queued->response, size, FINISHED);
 }
 
-void ptp_answers_add(struct ptp_answers *answers, const struct ptp_answer *answer, int64_t now_ms)
+/* An answer of up to so many parts, the last to be given. */
+static struct queued *add_answer(struct ptp_answers *answers, size_t parts)
 {
-    const struct ptp_faults *const faults = answers->faults;
-    const uint32_t id = answer->transaction + (answer->nth == faults->wrong_id_at ? 0x100u : 0u);
     struct queued **last = &answers->first;
-    struct queued *const queued = calloc(1, sizeof *queued);
+    struct queued *const queued = calloc(1, sizeof *queued + parts * sizeof queued->part[0]);
 
     if (!queued)
         abort();
-    queued->ready_ms = now_ms + faults->late_ms;
-    queued->held = answer->nth == faults->late_at;
-    if (answer->payload)
-        add_data(answers, queued, answer, id);
-    add_response(answers, queued, answer, id);
     while (*last)
         last = &(*last)->next;
     *last = queued;
+    return queued;
+}
+
+void ptp_answers_add_raw(struct ptp_answers *answers, uint8_t *bytes, const size_t *ends,
+                         size_t count)
+{
+    struct queued *const queued = add_answer(answers, count);
+
+    for (size_t i = 0, at = 0; i < count; at = ends[i++])
+        add_bytes(queued, bytes + at, ends[i] - at, FINISHED);
+    queued->part[0].payload.owned = bytes;
+}
+
+void ptp_answers_add(struct ptp_answers *answers, const struct ptp_answer *answer, int64_t now_ms)
+{
+    const struct ptp_faults *const faults = answers->faults;
+    const uint32_t id = answer->transaction + (is_hit(answer, faults->wrong_id_at) ? 0x100u : 0u);
+    struct queued *const queued = add_answer(answers, PARTS);
+
+    queued->ready_ms = now_ms + faults->late_ms;
+    queued->held = is_hit(answer, faults->late_at);
+    if (answer->payload)
+        add_data(answers, queued, answer, id);
+    add_response(answers, queued, answer, id);
 }
 
 void ptp_answers_release(struct ptp_answers *answers)

@@ -7,7 +7,10 @@
 
 #include "tests/device/ptp_model.h"
 
-enum { PTP_PACKET = 512 };
+enum { PTP_PACKET = 512, PTP_CONFIG = 39 };
+
+/* One configuration: interface 06/01/01 with bulk in 0x81, bulk out 0x02, interrupt in 0x83. */
+extern const uint8_t ptp_config_descriptor[PTP_CONFIG];
 
 struct ptp_answers;
 
@@ -37,6 +40,10 @@ void ptp_answers_free(struct ptp_answers *answers);
 
 /* Takes the payload's owned bytes, also when the answer is never given. */
 void ptp_answers_add(struct ptp_answers *answers, const struct ptp_answer *answer, int64_t now_ms);
+/* Bytes as they are, responses and all: a part ends with a short packet at each of these offsets,
+ * which rise; there is at least one. Takes bytes. */
+void ptp_answers_add_raw(struct ptp_answers *answers, uint8_t *bytes, const size_t *ends,
+                         size_t count);
 /* What was held back until another question came may go now. */
 void ptp_answers_release(struct ptp_answers *answers);
 /* Forgets what was not given. */

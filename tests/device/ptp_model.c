@@ -93,28 +93,6 @@ struct question {
 static const uint8_t device_descriptor[] = {
     18, 1, WIRE16(0x0200), 0, 0, 0, 64, WIRE16(0x1209), WIRE16(0x0001), WIRE16(0x0100), 1, 2, 3, 1,
 };
-/* One configuration: interface 06/01/01 with bulk in 0x81, bulk out 0x02, interrupt in 0x83. */
-static const uint8_t config_descriptor[] = {
-    9,          2,
-    WIRE16(39), 1,
-    1,          0,
-    0xc0,       50,
-    9,          4,
-    0,          0,
-    3,          6,
-    1,          1,
-    0,          7,
-    5,          0x81,
-    2,          WIRE16(PTP_PACKET),
-    0,          7,
-    5,          0x02,
-    2,          WIRE16(PTP_PACKET),
-    0,          7,
-    5,          0x83,
-    3,          WIRE16(28),
-    8,
-};
-
 static void *grow(void *old, size_t count, size_t size)
 {
     void *const larger = reallocarray(old, count, size);
@@ -673,8 +651,8 @@ struct ptp_model *ptp_model_new(const char *serial, const struct ptp_faults *fau
     if (!model->serial || !model->answers)
         abort();
     model->usb = (struct usb_model){ .device = device_descriptor,
-                                     .config = config_descriptor,
-                                     .config_size = sizeof config_descriptor,
+                                     .config = ptp_config_descriptor,
+                                     .config_size = PTP_CONFIG,
                                      .strings = { NULL, "gieson", "Slide Scanner", model->serial },
                                      .self = model,
                                      .control = ptp_control,

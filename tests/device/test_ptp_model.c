@@ -381,3 +381,135 @@ TEST(a_buffer_that_ends_inside_a_packet_is_overrun)
     CHECK(in(model, IN, 100) == USB_MODEL_BABBLE);
     ptp_model_free(model);
 }
+
+/* Asks without parameters but these and demands a response without data. */
+static void answers(struct ptp_model *model, uint16_t operation, uint32_t a, uint32_t b, uint32_t c,
+                    uint16_t code)
+{
+    (void)ask(model, operation, a, b, c);
+    responds(model, code);
+}
+
+/* Whether a 16-bit number is in one of the lists of DeviceInfo. */
+static bool is_listed(struct ptp_model *model, uint16_t number)
+{
+    long got;
+
+    (void)ask(model, 0x1001, 0, 0, 0);
+    got = in(model, IN, PACKET);
+    CHECK(got > 12);
+    for (long at = 12; at + 1 < got; at++)
+        if (wire_get16(buffer + at) == number) {
+            responds(model, 0x2001);
+            return true;
+        }
+    responds(model, 0x2001);
+    return false;
+}
+
+TEST(what_is_not_offered_is_neither_listed_nor_answered)
+{
+    struct ptp_model *const model = start(&(struct ptp_faults){
+        .no_partial = true, .no_partial64 = true, .no_properties = true, .no_delete = true });
+    const uint32_t handle = add(model, "a.tif", 100, 0);
+
+    CHECK(!is_listed(model, 0x101b) && !is_listed(model, 0x95c1) && !is_listed(model, 0x9803));
+    answers(model, 0x101b, handle, 0, 10, 0x2005);
+    answers(model, 0x95c1, handle, 0, 0, 0x2005);
+    answers(model, 0x9803, handle, 0xdc04, 0, 0x2005);
+    answers(model, 0x100b, handle, 0, 0, 0x200d);
+    answers(model, 0x9999, 0, 0, 0, 0x2005);
+    CHECK(ptp_model_has(model, handle));
+    ptp_model_set_faults(model, NULL);
+    CHECK(is_listed(model, 0x101b) && is_listed(model, 0x95c1) && is_listed(model, 0x9803));
+    ptp_model_free(model);
+}
+
+TEST(who_insists_on_a_session_says_nothing_before)
+{
+    struct ptp_model *const model =
+        ptp_model_new("SN0001", &(struct ptp_faults){ .info_needs_session = true });
+
+    answers(model, 0x1001, 0, 0, 0, 0x2003);
+    answers(model, 0x1002, 0, 0, 0, 0x201d);
+    answers(model, 0x1002, 1, 0, 0, 0x2001);
+    CHECK(is_listed(model, 0x1009));
+    answers(model, 0x1003, 0, 0, 0, 0x2001);
+    answers(model, 0x1004, 0, 0, 0, 0x2003);
+    ptp_model_free(model);
+}
+
+TEST(events_can_be_missing_hidden_and_wrong)
+{
+    struct ptp_model *const model = start(&(struct ptp_faults){ .no_events = true });
+
+    (void)add(model, "a.tif", 100, 1);
+    CHECK(in(model, EVENT, 64) == USB_MODEL_NAK && is_listed(model, 0x4002));
+    ptp_model_set_faults(model,
+                         &(struct ptp_faults){ .hidden_events = true, .wrong_event_handle = true });
+    (void)add(model, "b.tif", 100, 1);
+    CHECK(!is_listed(model, 0x4002));
+    CHECK(in(model, EVENT, 64) == 16 && !ptp_model_has(model, wire_get32(buffer + 12)));
+    CHECK(in(model, EVENT, 64) == 16 && wire_get32(buffer + 12) == 2);
+    ptp_model_remove(model, 2);
+    CHECK(in(model, EVENT, 64) == 16 && wire_get16(buffer + 6) == 0x4003);
+    answers(model, 0x1009, 2, 0, 0, 0x2009);
+    ptp_model_free(model);
+}
+
+TEST(handles_can_change_with_the_plug_and_folders_follow)
+{
+    struct ptp_model *const model = start(&(struct ptp_faults){ .new_handles = true });
+    const uint32_t folder =
+        ptp_model_add(model, &(struct ptp_object){ .name = "DCIM", .format = PTP_FOLDER }, 0);
+    const uint32_t child =
+        ptp_model_add(model, &(struct ptp_object){ .name = "a.tif", .parent = folder }, 0);
+
+    ptp_model_unplug(model);
+    ptp_model_replug(model);
+    answers(model, 0x1002, 1, 0, 0, 0x2001);
+    CHECK(!ptp_model_has(model, folder) && !ptp_model_has(model, child));
+    (void)ask(model, 0x1007, UINT32_MAX, 0, UINT32_MAX);
+    CHECK(in(model, IN, PACKET) == 20);
+    const uint32_t moved = wire_get32(buffer + 16);
+
+    responds(model, 0x2001);
+    (void)ask(model, 0x1007, UINT32_MAX, 0, moved);
+    CHECK(in(model, IN, PACKET) == 20 && ptp_model_has(model, wire_get32(buffer + 16)));
+    responds(model, 0x2001);
+    ptp_model_free(model);
+}
+
+TEST(every_nth_transfer_can_stall)
+{
+    struct ptp_model *const model = start(NULL);
+    const uint32_t handle = add(model, "a.tif", 4000, 0);
+    unsigned stalls = 0;
+    long total = 0;
+
+    ptp_model_set_faults(model, &(struct ptp_faults){ .stall_every = 3 });
+    (void)ask(model, 0x1009, handle, 0, 0);
+    while (total < 4012) {
+        const long got = in(model, IN, PACKET);
+
+        if (got == USB_MODEL_STALL) {
+            stalls++;
+            CHECK(control(model, 0x02, 1, IN) == 0);
+        } else {
+            CHECK(got > 0);
+            total += got;
+        }
+    }
+    CHECK(total == 4012 && stalls == 4);
+    ptp_model_free(model);
+}
+
+TEST(huge_lies_about_the_length_are_told_too)
+{
+    struct ptp_model *const model = start(&(struct ptp_faults){ .lying_length_at = 1 });
+
+    (void)ask(model, 0x1004, 0, 0, 0);
+    CHECK(in(model, IN, PACKET) == 20 && wire_get32(buffer) == 0x7fffffff);
+    responds(model, 0x2001);
+    ptp_model_free(model);
+}

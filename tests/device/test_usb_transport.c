@@ -11,6 +11,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "acquire/ptp_record.h"
 #include "acquire/usb_address.h"
 #include "tests/check.h"
 #include "tests/device/ptp_model.h"
@@ -383,5 +384,26 @@ TEST(who_holds_the_device_is_said)
     CHECK(strstr(err.text, "another program"));
     umock_claim(bench.umock, NUMBER, 0);
     open_usb(&bench);
+    tear_down(&bench);
+}
+
+static int open_recorded_once(struct gsn_error *err)
+{
+    struct gsn_ptp_transport *usb = NULL;
+    int r = gsn_ptp_usb_open("SN0001", &usb, err);
+
+    if (r >= 0)
+        r = gsn_ptp_record(usb, "/dev/null", &usb, err);
+    if (r >= 0)
+        usb->ops->close(usb->self);
+    return r;
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct bench bench = set_up(NULL);
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(open_recorded_once(&err), err);
     tear_down(&bench);
 }

@@ -56,7 +56,7 @@ exec udevadm test --action="$3" "/sys$4"
 INSIDE
 # udev_says MODEL HWDB ACTION DEVPATH: into $work/said
 udev_says() {
-    rm -rf "$work/dev"
+    rm -rf "${work:?}/dev"
     umockdev-run -d "$1" -- unshare -rm sh "$work/inside" "$work" "$2" "$3" "$4" \
         >"$work/said" 2>&1 || wrong "udevadm failed: $(tail -n 3 "$work/said")"
     ! grep -E '65-gieson.rules.*(Invalid|Unknown|unknown|ignoring|overflow)' "$work/said" ||

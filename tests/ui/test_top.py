@@ -5,12 +5,10 @@
     test_top.py BIN [TOPIC [test]]     BIN is the folder with the programs
     test_top.py BIN --write            writes the screens anew: look at every one before it is kept
 """
-import fcntl
 import os
 import pathlib
 import re
 import signal
-import struct
 import sys
 import time
 import unittest
@@ -259,13 +257,10 @@ class Live(Top):
         terminal.wait_for_text("COMES IN")
         self.compare("queue_80x24", terminal.wait_for_text(READY))
 
-    def hold(self, *bytes_of_the_lock):
-        """As giesond holds its lock."""
+    def hold(self, *services):
         file = open(self.store / "giesond.lock", "w", encoding="utf-8")
         self.addCleanup(file.close)
-        for byte in bytes_of_the_lock:
-            fcntl.fcntl(file, fcntl.F_OFD_SETLK,
-                        struct.pack("hhqqi4x", fcntl.F_WRLCK, 0, byte, 1, 0))
+        bench.hold_lock(file, *services)
         return file
 
     def test_it_says_whether_the_service_is_there(self):

@@ -26,7 +26,8 @@ struct gsn_scan {
  * were measured (codes in proportion to light), and that is noted.
  *
  * Fails as gsn_decode() and gsn_glass_estimate() do; with GSN_E_INPUT when neither job nor file
- * states the pixel size, or the picture is grey. borrows: bytes, protocol. */
+ * states the pixel size, or the picture is grey; with GSN_E_STAIN when whoever took the picture says
+ * in it that its colours must not be measured. borrows: bytes, protocol. */
 int gsn_scan_open(const void *bytes, size_t size, const struct gsn_protocol *protocol,
                   unsigned threads, struct gsn_scan **ret_scan, struct gsn_error *err);
 void gsn_scan_free(struct gsn_scan *scan);

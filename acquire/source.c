@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "acquire/folder_source.h"
+#include "acquire/libcamera_source.h"
 #include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
@@ -14,6 +15,7 @@ static const struct gsn_source_ops *const kinds[] = {
     &gsn_hot_folder_ops,
     &gsn_replay_folder_ops,
     &gsn_v4l2_source_ops,
+    &gsn_libcamera_source_ops,
 };
 
 struct gsn_source {
@@ -58,7 +60,9 @@ static int check(const char *address, const struct gsn_source_options *options,
 
     if (!ops)
         return gsn_fail(err, GSN_E_UNSUPPORTED,
-                        "\"%.300s\" names no source: give hot:FOLDER or replay:FOLDER", address);
+                        "\"%.300s\" names no source: give hot:FOLDER, replay:FOLDER, v4l2:NAME or "
+                        "libcamera:ID",
+                        address);
     r = check_keys(ops, options, err);
     if (r >= 0 && ops->check)
         r = ops->check(strchr(address, ':') + 1, options, err);

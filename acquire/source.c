@@ -4,24 +4,26 @@
 #include <assert.h>
 #include <errno.h>
 #include <poll.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "acquire/folder_source.h"
 #include "acquire/libcamera_source.h"
+#include "acquire/ptp_source.h"
 #include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
 static const struct gsn_source_ops *const kinds[] = {
-    &gsn_hot_folder_ops,
-    &gsn_replay_folder_ops,
-    &gsn_v4l2_source_ops,
-    &gsn_libcamera_source_ops,
+    &gsn_hot_folder_ops,  &gsn_replay_folder_ops,    &gsn_ptp_source_ops,
+    &gsn_v4l2_source_ops, &gsn_libcamera_source_ops,
 };
 
 struct gsn_source {
     const struct gsn_source_ops *ops;
     void *self;
     char *address;
+    int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
+    void *context;
 };
 
 static const struct gsn_source_ops *find_kind(const char *address)
@@ -52,6 +54,22 @@ static int check_keys(const struct gsn_source_ops *ops, const struct gsn_source_
     return GSN_OK;
 }
 
+/* "give hot:FOLDER, replay:FOLDER or ptp:DEVICE", from the table. */
+static int name_kinds(const char *address, struct gsn_error *err)
+{
+    const size_t count = sizeof kinds / sizeof kinds[0];
+    char list[200] = "";
+
+    for (size_t i = 0; i < count; i++) {
+        const char *const joint = i == 0 ? "" : i + 1 < count ? ", " : " or ";
+        const size_t used = strlen(list);
+
+        (void)snprintf(list + used, sizeof list - used, "%s%s:%s", joint, kinds[i]->kind,
+                       kinds[i]->subsystem ? "DEVICE" : "FOLDER");
+    }
+    return gsn_fail(err, GSN_E_UNSUPPORTED, "\"%.200s\" names no source: give %s", address, list);
+}
+
 static int check(const char *address, const struct gsn_source_options *options,
                  const struct gsn_source_ops **ret_ops, struct gsn_error *err)
 {
@@ -59,10 +77,7 @@ static int check(const char *address, const struct gsn_source_options *options,
     int r;
 
     if (!ops)
-        return gsn_fail(err, GSN_E_UNSUPPORTED,
-                        "\"%.300s\" names no source: give hot:FOLDER, replay:FOLDER, v4l2:NAME or "
-                        "libcamera:ID",
-                        address);
+        return name_kinds(address, err);
     r = check_keys(ops, options, err);
     if (r >= 0 && ops->check)
         r = ops->check(strchr(address, ':') + 1, options, err);
@@ -79,34 +94,41 @@ int gsn_source_check(const char *address, const struct gsn_source_options *optio
     return check(address, options, &ops, err);
 }
 
+int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
+                    const struct gsn_source_options *options, struct gsn_source **ret_source,
+                    struct gsn_error *err)
+{
+    struct gsn_source *const source = gsn_alloc_array(1, sizeof *source);
+    char *const copy = gsn_strdup(address);
+
+    if (!source || !copy) {
+        gsn_free(source);
+        gsn_free(copy);
+        ops->close(self);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
+    }
+    *source = (struct gsn_source){ ops, self, copy, options->on_read, options->context };
+    *ret_source = source;
+    return GSN_OK;
+}
+
 int gsn_source_open(const char *address, const struct gsn_source_options *options,
                     struct gsn_source **ret_source, struct gsn_error *err)
 {
-    gsn_auto(gsn_source) source = NULL;
-    const struct gsn_source_ops *ops;
+    const struct gsn_source_ops *ops = NULL;
+    void *self = NULL;
     int r = check(address, options, &ops, err);
 
-    if (r < 0)
-        return r;
-    source = gsn_alloc_array(1, sizeof *source);
-    if (source)
-        source->address = gsn_strdup(address);
-    if (!source || !source->address)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
-    r = ops->open(strchr(address, ':') + 1, options, &source->self, err);
-    if (r < 0)
-        return r;
-    source->ops = ops;
-    *ret_source = gsn_steal(&source);
-    return GSN_OK;
+    if (r >= 0)
+        r = ops->open(strchr(address, ':') + 1, options, &self, err);
+    return r < 0 ? r : gsn_source_make(ops, self, address, options, ret_source, err);
 }
 
 void gsn_source_free(struct gsn_source *source)
 {
     if (!source)
         return;
-    if (source->ops)
-        source->ops->close(source->self);
+    source->ops->close(source->self);
     gsn_free(source->address);
     gsn_free(source);
 }
@@ -135,7 +157,14 @@ int gsn_source_poll(struct gsn_source *source, int64_t now_ms,
 int gsn_source_read(struct gsn_source *source, uint64_t item, uint64_t offset, void *buffer,
                     size_t size, size_t *ret_got, struct gsn_error *err)
 {
-    return source->ops->read(source->self, item, offset, buffer, size, ret_got, err);
+    size_t got = 0;
+    const int r = source->ops->read(source->self, item, offset, buffer, size, &got, err);
+
+    if (source->on_read && source->on_read(source->context, item, offset + got, r) && r >= 0)
+        return gsn_fail(err, GSN_E_BUSY, "the copy was broken off");
+    if (r >= 0)
+        *ret_got = got;
+    return r;
 }
 
 int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_error *err)

@@ -65,6 +65,12 @@ struct gsn_source_options {
     int delete_there;    /* acknowledged items are deleted on the device */
     /* Whether an item with this key was taken before; NULL: none was. */
     int (*is_known)(void *context, const char *key);
+    /* Told of every piece of an item as it was read: the offset behind it, and the code of the
+     * read. It is a sign of life, and says whose failure a broken copy is. An answer other than 0
+     * breaks the copy off: gsn_source_read() fails with GSN_E_BUSY. NULL: nobody wants to know. A
+     * source whose listing takes long may tell item 0 now and then; the answer means nothing there.
+     */
+    int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
     void *context;
     size_t setting_count;
     const struct gsn_source_setting *setting; /* keeps */
@@ -151,6 +157,12 @@ struct gsn_source_ops {
     const char *(*device)(const void *self);
     void (*close)(void *self);
 };
+
+/* A source that its maker opened himself (a device behind a bus of the maker's own). address is only
+ * told again; takes: self, also on failure. gives: the source. */
+int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
+                    const struct gsn_source_options *options, struct gsn_source **ret_source,
+                    struct gsn_error *err);
 
 /* Appends a copy of event (its texts are copied too; NULL stands for an empty key or facts) to the
  * list. Fails with GSN_E_NOMEM. */

@@ -1,34 +1,21 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "acquire/spool.h"
 
-#include <dirent.h>
 #include <errno.h>
-#include <fcntl.h>
 #include <stdbool.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
 
+#include "acquire/spool_copy.h"
+#include "acquire/spool_temp.h"
 #include "pipeline/core/file.h"
-
-enum { PIECE = 1 << 20 };
 
 struct gsn_spool {
     char *objects, *temporaries; /* directories */
     uint64_t reserve;
-    DIR *lock; /* the directory of temporaries, locked (shared) while the spool is open */
-};
-
-/* Where the bytes come from: fills up to size bytes from offset, 0 at the end. */
-struct feed {
-    int (*read)(void *context, uint64_t offset, void *buffer, size_t size, size_t *ret_got,
-                struct gsn_error *err);
-    void *context;
-    uint64_t size; /* announced */
 };
 
 static int refused(const char *what, struct gsn_error *err)
@@ -36,33 +23,20 @@ static int refused(const char *what, struct gsn_error *err)
     return gsn_fail(err, GSN_E_IO, "%s: %s", what, strerror(errno));
 }
 
-static int sweep(const struct gsn_spool *spool, struct gsn_error *err)
+/* All at once, so that no panel has to wait for its shelf to be durable. */
+static int make_shelves(const struct gsn_spool *spool, struct gsn_error *err)
 {
-    const struct dirent *entry;
+    enum { SHELVES = 256 };
 
-    rewinddir(spool->lock);
-    while ((entry = readdir(spool->lock))) {
-        if (entry->d_name[0] != '.' && unlinkat(dirfd(spool->lock), entry->d_name, 0) < 0)
-            return refused(entry->d_name, err);
+    for (unsigned i = 0; i < SHELVES; i++) {
+        gsn_auto_mem(char) shelf = gsn_format("%s/%02x", spool->objects, i);
+
+        if (!shelf)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+        if (mkdir(shelf, 0755) < 0 && errno != EEXIST)
+            return refused(shelf, err);
     }
     return GSN_OK;
-}
-
-/* Who gets the lock alone knows that every temporary was left by a crash. */
-static int lock_and_sweep(struct gsn_spool *spool, struct gsn_error *err)
-{
-    int r = GSN_OK;
-
-    spool->lock = opendir(spool->temporaries);
-    if (!spool->lock)
-        return refused(spool->temporaries, err);
-    if (flock(dirfd(spool->lock), LOCK_EX | LOCK_NB) == 0)
-        r = sweep(spool, err);
-    else if (errno != EWOULDBLOCK)
-        return refused(spool->temporaries, err);
-    if (r >= 0 && flock(dirfd(spool->lock), LOCK_SH) < 0)
-        return refused(spool->temporaries, err);
-    return r;
 }
 
 int gsn_spool_open(const char *dir, uint64_t reserve_bytes, struct gsn_spool **ret_spool,
@@ -80,11 +54,14 @@ int gsn_spool_open(const char *dir, uint64_t reserve_bytes, struct gsn_spool **r
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a spool");
     r = gsn_file_mkdir(spool->temporaries, err);
     if (r >= 0)
+        r = make_shelves(spool, err);
+    /* Also when nothing had to be made: whoever made it may have died before this. */
+    if (r >= 0)
         r = gsn_file_sync_dir(spool->objects, err);
     if (r >= 0)
         r = gsn_file_sync_dir(dir, err);
     if (r >= 0)
-        r = lock_and_sweep(spool, err);
+        r = gsn_spool_temp_sweep(spool->temporaries, GSN_SPOOL_PARTS, err);
     if (r < 0)
         return r;
     *ret_spool = gsn_steal(&spool);
@@ -95,15 +72,14 @@ void gsn_spool_free(struct gsn_spool *spool)
 {
     if (!spool)
         return;
-    if (spool->lock)
-        (void)closedir(spool->lock);
     gsn_free(spool->temporaries);
     gsn_free(spool->objects);
     gsn_free(spool);
 }
 
-static int check_reserve(const struct gsn_spool *spool, uint64_t size, const char *name,
-                         struct gsn_error *err)
+/* spare: bytes that could be freed. */
+static int check_reserve(const struct gsn_spool *spool, uint64_t size, uint64_t spare,
+                         const char *name, struct gsn_error *err)
 {
     const double MiB = 1024.0 * 1024.0;
     struct statvfs fs;
@@ -111,7 +87,7 @@ static int check_reserve(const struct gsn_spool *spool, uint64_t size, const cha
 
     if (statvfs(spool->objects, &fs) < 0)
         return refused(spool->objects, err);
-    free_bytes = (uint64_t)fs.f_bavail * fs.f_frsize;
+    free_bytes = (uint64_t)fs.f_bavail * fs.f_frsize + spare;
     if (free_bytes >= size && free_bytes - size >= spool->reserve)
         return GSN_OK;
     return gsn_fail(err, GSN_E_LIMIT,
@@ -121,61 +97,29 @@ static int check_reserve(const struct gsn_spool *spool, uint64_t size, const cha
                     (double)free_bytes / MiB);
 }
 
-static int write_all(int fd, const uint8_t *bytes, size_t size, const char *name,
+/* Parts of other pictures are worth less than a whole one. */
+static int make_room(const struct gsn_spool *spool, uint64_t size, const char *name,
                      struct gsn_error *err)
 {
-    for (size_t done = 0; done < size;) {
-        const ssize_t put = write(fd, bytes + done, size - done);
+    int r = check_reserve(spool, size, 0, name, err);
 
-        if (put < 0 && errno == EINTR)
-            continue;
-        if (put < 0)
-            return refused(name, err);
-        done += (size_t)put;
-    }
-    return GSN_OK;
-}
-
-/* Passes the feed through the hash, and into fd unless that is -1. */
-static int copy(const struct feed *feed, int fd, const char *name, struct gsn_spooled *ret_spooled,
-                struct gsn_error *err)
-{
-    gsn_auto(gsn_hash) hash = NULL;
-    gsn_auto_mem(uint8_t) piece = gsn_alloc(PIECE);
-    uint64_t size = 0;
-    int r = gsn_hash_new(&hash, err);
-
-    if (!piece)
-        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", name);
-    for (size_t got = 1; r >= 0 && got > 0 && size <= feed->size; size += got) {
-        r = feed->read(feed->context, size, piece, PIECE, &got, err);
+    if (r == GSN_E_LIMIT) {
+        r = gsn_spool_temp_sweep(spool->temporaries, 0, err);
         if (r >= 0)
-            r = gsn_hash_add(hash, piece, got, err);
-        if (r >= 0 && fd >= 0)
-            r = write_all(fd, piece, got, name, err);
-        if (r < 0)
-            return r;
+            r = check_reserve(spool, size, 0, name, err);
     }
-    if (r >= 0 && size != feed->size)
-        r = gsn_fail(err, GSN_E_IO, "%s: %llu bytes came where %llu were announced", name,
-                     (unsigned long long)size, (unsigned long long)feed->size);
-    if (r >= 0)
-        r = gsn_hash_end(hash, &ret_spooled->digest, err);
-    ret_spooled->size = size;
     return r;
 }
 
-/* fd is closed. */
-static int fill_temporary(int fd, const struct feed *feed, const char *name,
-                          struct gsn_spooled *ret_spooled, struct gsn_error *err)
+int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err)
 {
-    int r = copy(feed, fd, name, ret_spooled, err);
+    uint64_t parts = 0;
+    int r = check_reserve(spool, size, 0, "the next picture", err);
 
-    if (r >= 0 && (fchmod(fd, 0444) < 0 || fsync(fd) < 0))
-        r = refused(name, err);
-    if (close(fd) < 0 && r >= 0)
-        r = refused(name, err);
-    return r;
+    if (r != GSN_E_LIMIT)
+        return r;
+    r = gsn_spool_temp_parts(spool->temporaries, &parts, err);
+    return r >= 0 ? check_reserve(spool, size, parts, "the next picture", err) : r;
 }
 
 struct bytes {
@@ -195,20 +139,6 @@ static int read_bytes(void *context, uint64_t offset, void *buffer, size_t size,
     return GSN_OK;
 }
 
-static int read_fd(void *context, uint64_t offset, void *buffer, size_t size, size_t *ret_got,
-                   struct gsn_error *err)
-{
-    ssize_t got;
-
-    do
-        got = pread(*(const int *)context, buffer, size, (off_t)offset);
-    while (got < 0 && errno == EINTR);
-    if (got < 0)
-        return refused("reading", err);
-    *ret_got = (size_t)got;
-    return GSN_OK;
-}
-
 static int size_of(int fd, const char *name, uint64_t *ret_size, struct gsn_error *err)
 {
     struct stat st;
@@ -219,29 +149,28 @@ static int size_of(int fd, const char *name, uint64_t *ret_size, struct gsn_erro
     return GSN_OK;
 }
 
-/* Reads what lies under the name of these bytes. It is synced too: whoever wrote it may have died
- * before he came to that. */
-static int compare(int fd, const char *path, const struct gsn_spooled *spooled, bool *ret_same,
+/* Whether what lies in the file has this digest. */
+static int compare(int fd, const char *path, const struct gsn_digest *digest, bool *ret_same,
                    struct gsn_error *err)
 {
-    struct feed feed = { .read = read_fd, .context = &fd };
-    struct gsn_spooled there = { 0 };
+    gsn_auto(gsn_spool_copy) copy = NULL;
+    struct gsn_spool_feed feed = { .read = gsn_spool_read_fd, .context = &fd };
+    struct gsn_digest there;
     int r = size_of(fd, path, &feed.size, err);
 
-    if (r < 0)
-        return r;
-    if (feed.size != spooled->size) {
-        *ret_same = false;
-        return GSN_OK;
-    }
-    r = copy(&feed, -1, path, &there, err);
-    if (r >= 0 && fsync(fd) < 0)
-        r = refused(path, err);
     if (r >= 0)
-        *ret_same = strcmp(there.digest.hex, spooled->digest.hex) == 0;
+        r = gsn_spool_copy_new(&copy, err);
+    if (r >= 0)
+        r = gsn_spool_copy_run(copy, &feed, -1, path, err);
+    if (r >= 0)
+        r = gsn_hash_end(copy->hash, &there, err);
+    if (r >= 0)
+        *ret_same = strcmp(there.hex, digest->hex) == 0;
     return r;
 }
 
+/* Reads what lies under the name of these bytes. It is synced too: whoever wrote it may have died
+ * before he came to that. */
 static int look_for(const char *path, const struct gsn_spooled *spooled,
                     enum gsn_spool_found *ret_found, struct gsn_error *err)
 {
@@ -254,89 +183,151 @@ static int look_for(const char *path, const struct gsn_spooled *spooled,
     }
     if (r < 0)
         return r;
-    r = compare(fd, path, spooled, &same, err);
+    r = compare(fd, path, &spooled->digest, &same, err);
+    if (r >= 0)
+        r = gsn_file_sync(fd, path, err);
     (void)close(fd);
     if (r >= 0)
         *ret_found = same ? GSN_SPOOL_SAME : GSN_SPOOL_MENDED;
     return r;
 }
 
-static int make_shelf(const struct gsn_spool *spool, const char *shelf, struct gsn_error *err)
-{
-    if (mkdir(shelf, 0755) == 0)
-        return gsn_file_sync_dir(spool->objects, err);
-    return errno == EEXIST ? GSN_OK : refused(shelf, err);
-}
-
-/* Afterwards the temporary's name is free, whatever happened. */
-static int shelve(const struct gsn_spool *spool, const char *temporary, struct gsn_spooled *spooled,
-                  struct gsn_error *err)
+/* Gives the temporary its name. That the old name is gone need not be durable: it would be swept.
+ */
+static int shelve(const struct gsn_spool *spool, struct gsn_spool_temp *temp,
+                  struct gsn_spooled *spooled, struct gsn_error *err)
 {
     gsn_auto_mem(char) shelf = gsn_format("%s/%.2s", spool->objects, spooled->digest.hex);
     gsn_auto_mem(char) path =
         gsn_format("%s/%.2s/%s", spool->objects, spooled->digest.hex, spooled->digest.hex + 2);
-    int r = GSN_OK;
+    int r;
 
     if (!shelf || !path)
-        r = gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
-    if (r >= 0)
-        r = make_shelf(spool, shelf, err);
-    if (r >= 0)
-        r = look_for(path, spooled, &spooled->found, err);
-    if (r >= 0 && spooled->found != GSN_SPOOL_SAME && rename(temporary, path) < 0)
-        r = refused(path, err);
-    if (r < 0 || spooled->found == GSN_SPOOL_SAME)
-        (void)unlink(temporary);
-    if (r >= 0)
-        r = gsn_file_sync_dir(shelf, err);
-    return r >= 0 ? gsn_file_sync_dir(spool->temporaries, err) : r;
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    r = look_for(path, spooled, &spooled->found, err);
+    if (r < 0)
+        return r;
+    if (spooled->found != GSN_SPOOL_SAME) {
+        if (rename(temp->path, path) < 0)
+            return refused(path, err);
+        gsn_free(gsn_steal(&temp->path));
+    }
+    return gsn_file_sync_dir(shelf, err);
 }
 
-static int take(struct gsn_spool *spool, const struct feed *feed, const char *name,
-                struct gsn_spooled *ret_spooled, struct gsn_error *err)
+/* The rest of the way for a temporary that holds all bytes. */
+static int finish(const struct gsn_spool *spool, struct gsn_spool_temp *temp,
+                  struct gsn_spool_copy *copy, const char *name, struct gsn_spooled *ret_spooled,
+                  struct gsn_error *err)
 {
-    gsn_auto_mem(char) temporary = gsn_format("%s/XXXXXX", spool->temporaries);
-    struct gsn_spooled spooled = { 0 };
-    int fd, r;
+    struct gsn_spooled spooled = { .size = copy->done };
+    int r = gsn_hash_end(copy->hash, &spooled.digest, err);
 
-    if (!temporary)
-        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", name);
+    if (r >= 0 && fchmod(temp->fd, 0444) < 0)
+        r = refused(name, err);
+    if (r >= 0)
+        r = gsn_file_sync(temp->fd, name, err);
+    if (r >= 0)
+        r = shelve(spool, temp, &spooled, err);
+    if (r >= 0)
+        *ret_spooled = spooled;
+    return r;
+}
+
+/* Goes on from a part, where one of this key is there and fits. */
+static int resume(const struct gsn_spool *spool, const struct gsn_spool_feed *feed,
+                  const struct gsn_digest *key, struct gsn_spool_copy *copy,
+                  struct gsn_spool_temp *temp, struct gsn_error *err)
+{
+    struct gsn_spool_feed ours = { gsn_spool_read_fd, &temp->fd, 0 };
+    struct gsn_spool_part part;
+    struct gsn_digest digest;
+    int fits = 0, r = gsn_spool_temp_find(spool->temporaries, key, temp, &part, err);
+
+    if (r < 0)
+        return r == GSN_E_NOTFOUND ? GSN_OK : r;
+    ours.size = part.length;
+    r = gsn_spool_copy_run(copy, &ours, -1, temp->path, err);
+    copy->broken_off = 0;
+    if (r >= 0)
+        r = gsn_hash_peek(copy->hash, &digest, err);
+    if (r == GSN_E_NOMEM)
+        return r;
+    if (r >= 0 && strcmp(digest.hex, part.digest.hex) == 0) {
+        r = gsn_spool_copy_fits(copy, feed, temp->fd, &fits, err);
+        if (r < 0 || fits)
+            return r;
+    }
+    gsn_spool_temp_drop(temp);
+    return gsn_spool_copy_rewind(copy, err);
+}
+
+/* What the source broke off, or the disk has no room for now, is worth keeping; what changed under
+ * the reader is not. */
+static int keep(const struct gsn_spool *spool, const struct gsn_digest *key,
+                const struct gsn_spool_copy *copy, struct gsn_spool_temp *temp, int why,
+                struct gsn_error *err)
+{
+    struct gsn_spool_part part = { .length = copy->done };
+    struct gsn_error ignored = { 0 };
+    int r;
+
+    if (!key || temp->fd < 0 || part.length == 0 || why == GSN_E_BUSY ||
+        (!copy->broken_off && why != GSN_E_LIMIT))
+        return why;
+    r = gsn_hash_peek(copy->hash, &part.digest, &ignored);
+    if (r >= 0)
+        r = gsn_spool_temp_keep(spool->temporaries, key, &part, temp, &ignored);
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", ignored.text) : why;
+}
+
+/* key NULL: there is none. */
+static int take(struct gsn_spool *spool, const struct gsn_spool_feed *feed,
+                const struct gsn_digest *key, const char *name, struct gsn_spooled *ret_spooled,
+                struct gsn_error *err)
+{
+    gsn_auto(gsn_spool_copy) copy = NULL;
+    auto_temp temp = { .fd = -1 };
+    int r;
+
     if (feed->size == 0)
         return gsn_fail(err, GSN_E_INPUT, "%s is empty", name);
-    r = check_reserve(spool, feed->size, name, err);
+    r = gsn_spool_copy_new(&copy, err);
     if (r < 0)
         return r;
-    fd = mkostemp(temporary, O_CLOEXEC);
-    if (fd < 0)
-        return refused(spool->temporaries, err);
-    r = fill_temporary(fd, feed, name, &spooled, err);
-    if (r < 0) {
-        (void)unlink(temporary);
-        return r;
-    }
-    r = shelve(spool, temporary, &spooled, err);
+    if (key)
+        r = resume(spool, feed, key, copy, &temp, err);
+    if (r >= 0)
+        r = make_room(spool, feed->size - copy->done, name, err);
+    if (r >= 0 && temp.fd < 0)
+        r = gsn_spool_temp_make(spool->temporaries, &temp, err);
+    if (r >= 0)
+        r = gsn_spool_copy_run(copy, feed, temp.fd, name, err);
     if (r < 0)
-        return r;
-    *ret_spooled = spooled;
-    return GSN_OK;
+        return keep(spool, key, copy, &temp, r, err);
+    r = finish(spool, &temp, copy, name, ret_spooled, err);
+    /* Another copy of it may have been broken off meanwhile; a sweep will find what stays. */
+    if (r >= 0 && key)
+        (void)gsn_spool_temp_forget(spool->temporaries, key, NULL);
+    return r;
 }
 
 int gsn_spool_take(struct gsn_spool *spool, const void *bytes, uint64_t size, const char *name,
                    struct gsn_spooled *ret_spooled, struct gsn_error *err)
 {
     struct bytes all = { bytes, size };
-    const struct feed feed = { read_bytes, &all, size };
+    const struct gsn_spool_feed feed = { read_bytes, &all, size };
 
-    return take(spool, &feed, name, ret_spooled, err);
+    return take(spool, &feed, NULL, name, ret_spooled, err);
 }
 
 int gsn_spool_take_fd(struct gsn_spool *spool, int fd, const char *name,
                       struct gsn_spooled *ret_spooled, struct gsn_error *err)
 {
-    struct feed feed = { read_fd, &fd, 0 };
+    struct gsn_spool_feed feed = { gsn_spool_read_fd, &fd, 0 };
     const int r = size_of(fd, name, &feed.size, err);
 
-    return r < 0 ? r : take(spool, &feed, name, ret_spooled, err);
+    return r < 0 ? r : take(spool, &feed, NULL, name, ret_spooled, err);
 }
 
 struct item {
@@ -352,12 +343,48 @@ static int read_item(void *context, uint64_t offset, void *buffer, size_t size, 
     return gsn_source_read(item->source, item->number, offset, buffer, size, ret_got, err);
 }
 
+/* An object that became longer is another one. */
+static int digest_of_key(const struct gsn_source_event *ready, struct gsn_digest *ret_key,
+                         struct gsn_error *err)
+{
+    gsn_auto_mem(char) text = gsn_format("%llu %s", (unsigned long long)ready->size, ready->key);
+
+    if (!text)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", ready->name);
+    return gsn_sha256(text, strlen(text), ret_key, err);
+}
+
 int gsn_spool_take_item(struct gsn_spool *spool, struct gsn_source *source,
                         const struct gsn_source_event *ready, struct gsn_spooled *ret_spooled,
                         struct gsn_error *err)
 {
     struct item item = { source, ready->item };
-    const struct feed feed = { read_item, &item, ready->size };
+    const struct gsn_spool_feed feed = { read_item, &item, ready->size };
+    const bool has_key = ready->key && ready->key[0] != '\0';
+    struct gsn_digest key;
+    int r = GSN_OK;
 
-    return take(spool, &feed, ready->name, ret_spooled, err);
+    if (has_key)
+        r = digest_of_key(ready, &key, err);
+    return r < 0 ? r : take(spool, &feed, has_key ? &key : NULL, ready->name, ret_spooled, err);
+}
+
+int gsn_spool_verify(struct gsn_spool *spool, const struct gsn_digest *digest,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(char) path =
+        gsn_format("%s/%.2s/%s", spool->objects, digest->hex, digest->hex + 2);
+    bool same = false;
+    int fd = -1, r;
+
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    r = gsn_file_open(path, &fd, err);
+    if (r < 0)
+        return r;
+    r = compare(fd, path, digest, &same, err);
+    (void)close(fd);
+    if (r >= 0 && !same)
+        r = gsn_fail(err, GSN_E_INPUT, "%s: its bytes are not those of its name any more", path);
+    return r;
 }

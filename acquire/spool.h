@@ -3,8 +3,9 @@
 /* The original bytes, made durable before anything is computed from them.
  *
  * temporary in DIR/objects/tmp -> fsync -> rename to DIR/objects/ab/rest (the SHA-256 of the
- * content) -> fsync of both directories. What follows is the caller's: insert the row, commit, and
- * only then acknowledge to the source. Objects are read-only (0444) and never change. */
+ * content) -> fsync of that directory. What follows is the caller's: insert the row, commit, and
+ * only then acknowledge to the source. Objects are read-only (0444) and never change. That a
+ * temporary's old name is gone is not synced: if it comes back after a power cut, it is swept. */
 #ifndef GSN_ACQUIRE_SPOOL_H
 #define GSN_ACQUIRE_SPOOL_H
 
@@ -21,9 +22,11 @@ extern "C" {
 
 struct gsn_spool;
 
-/* Opens the spool of a store's directory and makes DIR/objects when missing. gives: the spool.
+/* Opens the spool of a store's directory and makes DIR/objects with its 256 folders when missing.
+ * gives: the spool.
  *
- * Temporaries of crashed writers are swept, but only while no other process has the spool open.
+ * Temporaries of crashed writers are swept, those of living ones are not: they hold a lock. Parts
+ * of broken-off copies stay for a week, the newest eight of them.
  * reserve_bytes: space that must stay free on its file system after each object. */
 int gsn_spool_open(const char *dir, uint64_t reserve_bytes, struct gsn_spool **ret_spool,
                    struct gsn_error *err);
@@ -56,7 +59,8 @@ int gsn_spool_take_fd(struct gsn_spool *spool, int fd, const char *name,
  *
  * Where the item has a key, a copy that its source broke off stays as DIR/objects/tmp/partial-*,
  * and the next call for the same key and size goes on from there: the part is hashed again, and its
- * last bytes are read again from the source; where they differ, the copy starts over. */
+ * last bytes are read again from the source; where they differ, the copy starts over. Parts give
+ * way when a picture needs their room. */
 int gsn_spool_take_item(struct gsn_spool *spool, struct gsn_source *source,
                         const struct gsn_source_event *ready, struct gsn_spooled *ret_spooled,
                         struct gsn_error *err);
@@ -66,7 +70,8 @@ int gsn_spool_take_item(struct gsn_spool *spool, struct gsn_source *source,
 int gsn_spool_verify(struct gsn_spool *spool, const struct gsn_digest *digest,
                      struct gsn_error *err);
 
-/* Whether one more object of this size would leave the reserve; GSN_E_LIMIT when not. */
+/* Whether one more object of this size would leave the reserve, if need be without the parts of
+ * broken-off copies; GSN_E_LIMIT when not. */
 int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -432,7 +432,8 @@ static int work_panel(const struct gsn_specimen *specimen,
     int r = specimen->read(specimen->context, panel->given->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_scan_open(bytes, size, specimen->protocol, options->threads, &scan, err);
+        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, options->threads,
+                          &scan, err);
     if (r >= 0)
         r = gsn_scan_dyes(scan, specimen->protocol, &stain->dyes, stain->uncertainty_deg, err);
     if (r >= 0)

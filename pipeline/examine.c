@@ -173,9 +173,10 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     return find_marks(scan, protocol, slots, findings, progress, err);
 }
 
-int gsn_panel_examine(const void *bytes, size_t size, const struct gsn_protocol *protocol,
-                      unsigned number, unsigned threads, const struct gsn_progress *progress,
-                      struct gsn_panel_findings **ret_findings, struct gsn_error *err)
+int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
+                      const struct gsn_protocol *protocol, unsigned number, unsigned threads,
+                      const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
+                      struct gsn_error *err)
 {
     gsn_auto(gsn_panel_findings) findings = gsn_alloc_array(1, sizeof *findings);
     gsn_auto(gsn_scan) scan = NULL;
@@ -188,7 +189,7 @@ int gsn_panel_examine(const void *bytes, size_t size, const struct gsn_protocol 
     if (!findings || !findings->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
     gsn_progress_say(progress, "decoding", 0, 1);
-    r = gsn_scan_open(bytes, size, protocol, threads, &scan, err);
+    r = gsn_scan_open(decoder, bytes, size, protocol, threads, &scan, err);
     if (r < 0)
         return r;
     findings->width = scan->picture->image->width;

@@ -45,11 +45,12 @@ struct gsn_panel_findings {
 /* "found", "needs-eye", "missing", "empty". */
 const char *gsn_sighting_name(enum gsn_sighting sighting);
 
-/* gives. number: of the panel, 1-based. Fails as gsn_scan_open() and gsn_panel_split() do.
- * borrows: everything. */
-int gsn_panel_examine(const void *bytes, size_t size, const struct gsn_protocol *protocol,
-                      unsigned number, unsigned threads, const struct gsn_progress *progress,
-                      struct gsn_panel_findings **ret_findings, struct gsn_error *err);
+/* gives. number: of the panel, 1-based; decoder: as for gsn_decode_apart(). Fails as
+ * gsn_scan_open() and gsn_panel_split() do. borrows: everything. */
+int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
+                      const struct gsn_protocol *protocol, unsigned number, unsigned threads,
+                      const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
+                      struct gsn_error *err);
 void gsn_panel_findings_free(struct gsn_panel_findings *findings);
 GSN_DEFINE_AUTO(gsn_panel_findings);
 

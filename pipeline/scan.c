@@ -67,15 +67,16 @@ static int measure_glass(struct gsn_scan *scan, const struct gsn_protocol *proto
     return gsn_glass_given(image->width, image->height, light, white, &scan->glass, err);
 }
 
-int gsn_scan_open(const void *bytes, size_t size, const struct gsn_protocol *protocol,
-                  unsigned threads, struct gsn_scan **ret_scan, struct gsn_error *err)
+int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
+                  const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
+                  struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
     int r;
 
     if (!scan)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a scan");
-    r = gsn_decode(bytes, size, NULL, &scan->picture, err);
+    r = gsn_decode_apart(decoder, bytes, size, NULL, &scan->picture, err);
     if (r < 0)
         return r;
     if (scan->picture->withheld[0])

@@ -5,7 +5,7 @@
 #ifndef GSN_PIPELINE_SCAN_H
 #define GSN_PIPELINE_SCAN_H
 
-#include "pipeline/decode/decode.h"
+#include "pipeline/decode/apart.h"
 #include "pipeline/protocol.h"
 #include "pipeline/stain/redness.h"
 
@@ -25,11 +25,13 @@ struct gsn_scan {
 /* gives. Samples are read as the job says, else as the file says, else as the built-in dye vectors
  * were measured (codes in proportion to light), and that is noted.
  *
- * Fails as gsn_decode() and gsn_glass_estimate() do; with GSN_E_INPUT when neither job nor file
- * states the pixel size, or the picture is grey; with GSN_E_STAIN when whoever took the picture says
- * in it that its colours must not be measured. borrows: bytes, protocol. */
-int gsn_scan_open(const void *bytes, size_t size, const struct gsn_protocol *protocol,
-                  unsigned threads, struct gsn_scan **ret_scan, struct gsn_error *err);
+ * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_glass_estimate() do; with
+ * GSN_E_INPUT when neither job nor file states the pixel size, or the picture is grey; with
+ * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
+ * borrows: bytes, protocol. */
+int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
+                  const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
+                  struct gsn_error *err);
 void gsn_scan_free(struct gsn_scan *scan);
 GSN_DEFINE_AUTO(gsn_scan);
 

@@ -66,8 +66,9 @@ struct gsn_specimen {
 };
 
 struct gsn_specimen_options {
-    const char *mesher; /* path of gieson-mesh */
-    unsigned threads;   /* 0: all */
+    const char *mesher;  /* path of gieson-mesh */
+    const char *decoder; /* path of gieson-decode; NULL: as for gsn_decode_apart() */
+    unsigned threads;    /* 0: all */
     const struct gsn_progress *progress;
 };
 

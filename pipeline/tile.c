@@ -72,8 +72,8 @@ static int agreement_picture(const struct gsn_image *map, const struct gsn_image
                    tile, err);
 }
 
-static int compare(const struct gsn_specimen *specimen, const struct gsn_image *map,
-                   struct gsn_tile *tile, struct gsn_error *err)
+static int compare(const struct gsn_specimen *specimen, const char *decoder,
+                   const struct gsn_image *map, struct gsn_tile *tile, struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_picture) reference = NULL;
@@ -84,7 +84,7 @@ static int compare(const struct gsn_specimen *specimen, const struct gsn_image *
         return agreement_picture(map, NULL, tile, err);
     r = specimen->read(specimen->context, specimen->reference_sha256, &bytes, &size, err);
     if (r >= 0)
-        r = gsn_decode(bytes, size, NULL, &reference, err);
+        r = gsn_decode_apart(decoder, bytes, size, NULL, &reference, err);
     if (r >= 0)
         r = gsn_mask_compare(map, reference->image, &tile->overlap, err);
     if (r < 0)
@@ -95,8 +95,9 @@ static int compare(const struct gsn_specimen *specimen, const struct gsn_image *
 
 /* The share of red among the dyes decides what is collagen: unlike the density it depends neither
  * on how thick the tissue is nor on how strongly it was stained. */
-static int map_collagen(const struct gsn_specimen *specimen, const struct gsn_scan *scan,
-                        unsigned threads, struct gsn_tile *tile, struct gsn_error *err)
+static int map_collagen(const struct gsn_specimen *specimen,
+                        const struct gsn_specimen_options *options, const struct gsn_scan *scan,
+                        struct gsn_tile *tile, struct gsn_error *err)
 {
     const struct gsn_protocol *protocol = specimen->protocol;
     gsn_auto(gsn_plane) red = NULL;
@@ -107,7 +108,7 @@ static int map_collagen(const struct gsn_specimen *specimen, const struct gsn_sc
     gsn_auto(gsn_image) tissue = NULL;
     gsn_auto(gsn_image) map = NULL;
     double least;
-    int r = gsn_unmix(scan->od, &tile->dyes, threads, &red, &yellow, &dark, err);
+    int r = gsn_unmix(scan->od, &tile->dyes, options->threads, &red, &yellow, &dark, err);
 
     if (r >= 0)
         r = gsn_red_share(red, yellow, dark, &tile->dyes, &share, err);
@@ -121,7 +122,7 @@ static int map_collagen(const struct gsn_specimen *specimen, const struct gsn_sc
                              &tile->collagen, err);
     if (r >= 0)
         r = density_picture(red, tile, err);
-    return r < 0 ? r : compare(specimen, map, tile, err);
+    return r < 0 ? r : compare(specimen, options->decoder, map, tile, err);
 }
 
 int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen_options *options,
@@ -138,13 +139,14 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
     gsn_progress_say(options->progress, "unmixing", 0, 1);
     r = specimen->read(specimen->context, specimen->picture_sha256, &bytes, &size, err);
     if (r >= 0)
-        r = gsn_scan_open(bytes, size, specimen->protocol, options->threads, &scan, err);
+        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, options->threads,
+                          &scan, err);
     if (r >= 0)
         r = gsn_scan_dyes(scan, specimen->protocol, &tile->dyes, tile->uncertainty_deg, err);
     if (r >= 0)
         r = picture(scan->picture->image, "picture", "The picture", "As scanned.", tile, err);
     if (r >= 0)
-        r = map_collagen(specimen, scan, options->threads, tile, err);
+        r = map_collagen(specimen, options, scan, tile, err);
     if (r < 0)
         return r;
     tile->glass = scan->glass;

@@ -85,6 +85,9 @@ int gsn_request_add(struct gsn_store *store, const char *source, const char *kin
 /* gives: the oldest waiting one for this source. Fails with GSN_E_NOTFOUND. */
 int gsn_request_next(struct gsn_store *store, const char *source, struct gsn_request_row **ret_row,
                      struct gsn_error *err);
+/* gives. Fails with GSN_E_NOTFOUND. */
+int gsn_request_get(struct gsn_store *store, int64_t id, struct gsn_request_row **ret_row,
+                    struct gsn_error *err);
 /* message NULL: done; else refused because of it. A line in the diary. */
 int gsn_request_answer(struct gsn_store *store, int64_t id, const char *message, int64_t now,
                        struct gsn_error *err);

@@ -68,7 +68,8 @@ static int add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, i
                         job, NULL, err);
     if (r >= 0)
         r = gsn_sql_int(store,
-                        "SELECT id FROM job WHERE specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
+                        "SELECT id FROM job WHERE kind = iif(?2 = 0, 'specimen', 'panel') AND "
+                        "specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
                         job, ret_id, err);
     if (r < 0)
         return r;
@@ -330,6 +331,25 @@ int gsn_queue_fail(struct gsn_store *store, const struct gsn_job_row *job, int c
         return r;
     return gsn_sql_end(store, end_job(store, job, "failed", gsn_code_name(code), message, err),
                        err);
+}
+
+int gsn_queue_release(struct gsn_store *store, const struct gsn_job_row *job, struct gsn_error *err)
+{
+    return change_mine(store, job, "UPDATE job SET " FRESH IF_MINE,
+                       SQL_ARGS(SQL_INT(job->id), SQL_INT(job->claim)), err);
+}
+
+int gsn_queue_of_process(struct gsn_store *store, pid_t pid, struct gsn_job_row **ret_job,
+                         struct gsn_error *err)
+{
+    const struct gsn_lease_home here = gsn_lease_home();
+    const int r = job_row(store,
+                          SELECT_JOB "WHERE j.state = 'running' AND j.pid = ?1 AND j.boot = ?2 AND "
+                                     "j.processes = ?3",
+                          SQL_ARGS(SQL_INT(pid), SQL_TEXT(here.boot), SQL_TEXT(here.processes)),
+                          ret_job, err);
+
+    return r == GSN_E_NOTFOUND ? gsn_fail(err, r, "process %ld has no job", (long)pid) : r;
 }
 
 int gsn_queue_retry(struct gsn_store *store, int64_t specimen_id, size_t *ret_count,

@@ -72,7 +72,7 @@ int gsn_queue_claim(struct gsn_store *store, const char *owner, pid_t pid, int64
 
 /* Tells how far a claimed job is, and renews its lease. eta_s NaN: unknown.
  *
- * This and the two below fail with GSN_E_BUSY when the job is no longer this claim's: the worker
+ * This and the three below fail with GSN_E_BUSY when the job is no longer this claim's: the worker
  * must then stop and write nothing. */
 int gsn_queue_progress(struct gsn_store *store, const struct gsn_job_row *job, const char *stage,
                        int64_t done, int64_t total, double eta_s, int64_t now,
@@ -82,6 +82,13 @@ int gsn_queue_done(struct gsn_store *store, const struct gsn_job_row *job, struc
 /* Failed with this code (enum gsn_code) and sentence; or waiting again when asked for meanwhile. */
 int gsn_queue_fail(struct gsn_store *store, const struct gsn_job_row *job, int code,
                    const char *message, struct gsn_error *err);
+
+/* Given back undone, because the service stops: it waits again, and no death is counted. */
+int gsn_queue_release(struct gsn_store *store, const struct gsn_job_row *job,
+                      struct gsn_error *err);
+/* gives: the running job that this process of this machine claimed. Fails with GSN_E_NOTFOUND. */
+int gsn_queue_of_process(struct gsn_store *store, pid_t pid, struct gsn_job_row **ret_job,
+                         struct gsn_error *err);
 
 /* Failed jobs of the specimen (0: of all) wait again, their deaths forgotten. ret_count: how many.
  */

@@ -44,12 +44,16 @@ GSN_DEFINE_AUTO(gsn_scan_rows);
 
 /* Takes a picture into the ledger and files it, in one transaction with its panel, its job and its
  * line in the diary. The row's state, reason and panel_id are not read: a panel goes
- *   1. to the specimen that the source is expected to deliver (gsn_scan_expect);
+ *   1. to the specimen that the source is expected to deliver (gsn_scan_expect), unless its own
+ *      name begins with another one's: then a person must say;
  *   2. else to the specimen whose name its own name begins with, the longest of them, followed by
  *      the end, '-', '_', ' ' or '.';
  *   3. else it stays unfiled with the reason.
- * number: the panel's number in its name, 0 for none; a picture without one that goes to an
- * expected specimen takes the next free number there, else the panel is held as an import would.
+ * number: the panel's number as far as the source's names tell it, 0 for none. Where the picture's
+ * name begins with its specimen's, the number is read from what follows, never from the specimen's
+ * own digits. A picture without one that goes to an expected specimen takes the number behind the
+ * highest there; else the panel is held as an import would. Only specimens cut into sections have
+ * panels.
  * ret_again: 1 when the same picture (source, name, bytes) was there; then nothing is written. */
 int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
                   int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err);
@@ -65,13 +69,14 @@ int gsn_scan_list(struct gsn_store *store, const char *state, size_t most,
 int gsn_scan_get(struct gsn_store *store, int64_t id, struct gsn_scan_row **ret_scan,
                  struct gsn_error *err);
 
-/* A person says where an unfiled scan belongs. Fails with GSN_E_INPUT when it is filed already, is
- * no picture of a panel, or number is 0. */
+/* A person says where an unfiled scan belongs, or which number a held panel has. Fails with
+ * GSN_E_INPUT when it is filed already (and its panel not held), is no picture of a panel, the
+ * specimen has no panels or number is 0; with GSN_E_NOTFOUND. */
 int gsn_scan_file(struct gsn_store *store, int64_t id, const char *specimen, unsigned number,
                   const char *actor, int64_t now, struct gsn_error *err);
 
 /* From now on what this source delivers belongs to the specimen; NULL: to nobody in particular.
- * Fails with GSN_E_NOTFOUND when there is no such specimen. */
+ * Fails with GSN_E_NOTFOUND when there is no such specimen, GSN_E_INPUT when it has no panels. */
 int gsn_scan_expect(struct gsn_store *store, const char *source, const char *specimen,
                     const char *actor, int64_t now, struct gsn_error *err);
 

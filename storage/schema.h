@@ -6,5 +6,6 @@
 #define GSN_STORAGE_SCHEMA_H
 
 extern const char gsn_schema_001[];
+extern const char gsn_schema_002[];
 
 #endif

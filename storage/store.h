@@ -13,6 +13,8 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
 
+#include <stdint.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -45,6 +47,12 @@ int gsn_store_begin(struct gsn_store *store, struct gsn_error *err);
 int gsn_store_commit(struct gsn_store *store, struct gsn_error *err);
 /* Undoes the innermost begin; keeps quiet, because there is a first error to tell. */
 void gsn_store_rollback(struct gsn_store *store);
+
+/* A number that changes when another handle has committed: cheap enough to be asked twice a second.
+ */
+int gsn_store_change(struct gsn_store *store, int64_t *ret_change, struct gsn_error *err);
+/* Waits at most so long (ms) for others' locks from now on; 10 seconds when nothing is said. */
+void gsn_store_set_patience(struct gsn_store *store, int patience_ms);
 
 /* As given to gsn_store_open(). borrows: valid as long as the store. */
 const char *gsn_store_dir(const struct gsn_store *store);

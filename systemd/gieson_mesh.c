@@ -2,40 +2,28 @@
 
 /* gieson-mesh: one question on stdin, one answer on stdout (pipeline/model/tetgen_wire.h).
  *
+ * It enters the sandbox (pipeline/core/sandbox.h) before it reads the first byte.
+ *
  * Exit status: 0 answered, a refusal included; 1 the question is damaged; 2 memory ran out before
- * an answer; 3 the answer could not be written. Anything but 0 comes with one line on stderr. */
+ * an answer; 3 the answer could not be written; 4 there is no sandbox. Anything but 0 comes with
+ * one line on stderr. */
+#include "pipeline/core/sandbox.h"
 #include "pipeline/model/tetgen_bridge.h"
 
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/mman.h>
-#include <sys/prctl.h>
-#include <sys/resource.h>
 #include <unistd.h>
 
-enum { EXIT_ANSWERED, EXIT_QUESTION, EXIT_MEMORY, EXIT_ANSWER };
+enum { EXIT_ANSWERED, EXIT_QUESTION, EXIT_MEMORY, EXIT_ANSWER, EXIT_SANDBOX };
+enum { ANSWER_FD = 3 };
 enum { CHUNK = 1 << 16 };
 static const size_t MOST_BYTES = (size_t)1 << 30;
 
-/* A specimen's shape belongs neither in a core file nor in another process's hands. */
-static void keep_private(void)
-{
-    const struct rlimit none = { 0, 0 };
-
-    (void)setrlimit(RLIMIT_CORE, &none);
-    (void)prctl(PR_SET_DUMPABLE, 0, 0, 0, 0);
-}
-
-/* TetGen talks on stdout. Keeps that for the answer and gives TetGen somewhere else to talk.
- * Returns the descriptor of the answer, or -1. */
+/* TetGen talks on stdout. Keeps that for the answer and leaves TetGen to talk to nobody. */
 static int take_stdout(void)
 {
-    const int answer = dup(1), chatter = memfd_create("chatter", MFD_CLOEXEC);
-
-    if (answer < 0 || chatter < 0 || dup2(chatter, 1) < 0)
-        return -1;
-    return answer;
+    return dup2(1, ANSWER_FD) < 0 || close(1) < 0 ? -1 : 0;
 }
 
 static int read_question(uint8_t **ret_bytes, size_t *ret_size, struct gsn_error *err)
@@ -69,10 +57,10 @@ static int read_question(uint8_t **ret_bytes, size_t *ret_size, struct gsn_error
     return GSN_OK;
 }
 
-static int write_answer(int to, const uint8_t *bytes, size_t size)
+static int write_answer(const uint8_t *bytes, size_t size)
 {
     while (size > 0) {
-        const ssize_t put = write(to, bytes, size);
+        const ssize_t put = write(ANSWER_FD, bytes, size);
 
         if (put < 0 && errno != EINTR)
             return -1;
@@ -103,21 +91,21 @@ static int complain(const struct gsn_error *err, int status)
     return status;
 }
 
-int main(void)
+static int work(void)
 {
     struct gsn_mesh_question question = { .surface = NULL };
     gsn_auto_mem(uint8_t) asked = NULL;
     gsn_auto_mem(uint8_t) said = NULL;
     struct gsn_error err = { 0 };
     size_t asked_size = 0, said_size = 0;
-    int to, r;
+    int r;
 
-    keep_private();
-    to = take_stdout();
-    if (to < 0) {
+    if (take_stdout() < 0) {
         (void)gsn_fail(&err, GSN_E_IO, "stdout: %s", strerror(errno));
         return complain(&err, EXIT_ANSWER);
     }
+    if (gsn_sandbox_enter(ANSWER_FD, &err) < 0)
+        return complain(&err, EXIT_SANDBOX);
     r = read_question(&asked, &asked_size, &err);
     if (r >= 0)
         r = gsn_mesh_question_unpack(asked, asked_size, &question, &err);
@@ -127,9 +115,14 @@ int main(void)
     gsn_mesh_question_done(&question);
     if (r < 0)
         return complain(&err, EXIT_MEMORY);
-    if (write_answer(to, said, said_size) < 0) {
+    if (write_answer(said, said_size) < 0) {
         (void)gsn_fail(&err, GSN_E_IO, "the answer cannot be written: %s", strerror(errno));
         return complain(&err, EXIT_ANSWER);
     }
     return EXIT_ANSWERED;
+}
+
+int main(void)
+{
+    _exit(work());
 }

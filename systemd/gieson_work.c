@@ -6,17 +6,22 @@
  *     gieson-work --store DIR import FOLDER
  *     gieson-work --store DIR work          claims one job; 0: done, 66: nothing to do, 75: busy
  *     gieson-work --store DIR verify RUN
+ *     gieson-work --store DIR changed       asks for the job of every specimen that changed
+ *     gieson-work --store DIR scrub         reads stored objects again; 65: some are damaged
  *     gieson-work check FILE...             decodes strictly, says what each file is
  */
 #include "pipeline/core/error.h"
 #include "pipeline/core/file.h"
 #include "pipeline/core/process.h"
-#include "pipeline/decode/decode.h"
+#include "pipeline/core/sandbox.h"
+#include "pipeline/decode/apart.h"
 #include "storage/catalog.h"
 #include "storage/event.h"
 #include "storage/result.h"
 #include "systemd/import.h"
 #include "systemd/job.h"
+#include "systemd/night.h"
+#include "systemd/scrub.h"
 
 #include <argp.h>
 #include <jansson.h>
@@ -24,23 +29,29 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <sysexits.h>
 #include <unistd.h>
 
-enum { MOST_CHECK_BYTES = 1 << 30, MOST_THREADS = 64 };
-
-/* No picture that we accept needs more to be decoded; what asks for more is a bomb. */
-static const rlim_t CHECK_MEMORY = (rlim_t)1 << 30;
+enum { MOST_CHECK_BYTES = 1 << 30, MOST_THREADS = 64, MOST_MINUTES = 10000 };
 
 const char *argp_program_version = "gieson-work " GSN_VERSION;
 
-enum { OPT_VOLUME = 256, OPT_TILE, OPT_REFERENCE, OPT_SPECIMEN, OPT_THRESHOLD, OPT_REPLACE };
+enum {
+    OPT_VOLUME = 256,
+    OPT_TILE,
+    OPT_REFERENCE,
+    OPT_SPECIMEN,
+    OPT_THRESHOLD,
+    OPT_REPLACE,
+    OPT_MINUTES
+};
 
 struct request {
     const char *store_dir, *verb;
     char **rest;
     int rest_count, json, replace;
-    unsigned threads;
+    unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen;
     json_t *thresholds;
 };
@@ -58,6 +69,7 @@ static const struct argp_option options[] = {
     { "specimen", OPT_SPECIMEN, "NAME", 0, "import --volume, --tile: its name", 1 },
     { "threshold", OPT_THRESHOLD, "X", 0, "import --volume, --tile: may be given up to 8 times",
       1 },
+    { "minutes", OPT_MINUTES, "N", 0, "scrub: stop after so long; the next one goes on there", 1 },
     { 0 },
 };
 
@@ -67,16 +79,16 @@ static json_t *number_of(const char *text)
     return json_loads(text, JSON_DECODE_ANY, NULL);
 }
 
-static void take_threads(const char *text, struct request *request, struct argp_state *state)
+static unsigned take_whole(const char *text, const char *option, unsigned most,
+                           struct argp_state *state)
 {
     json_t *number = number_of(text);
+    const json_int_t value = json_is_integer(number) ? json_integer_value(number) : -1;
 
-    if (!json_is_integer(number) || json_integer_value(number) < 0 ||
-        json_integer_value(number) > MOST_THREADS)
-        argp_error(state, "--threads must be a whole number from 0 to %d", MOST_THREADS);
-    else
-        request->threads = (unsigned)json_integer_value(number);
     json_decref(number);
+    if (value < 0 || value > most)
+        argp_error(state, "--%s must be a whole number from 0 to %u", option, most);
+    return (unsigned)value;
 }
 
 static void take_threshold(const char *text, struct request *request, struct argp_state *state)
@@ -99,10 +111,13 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         request->store_dir = arg;
         return 0;
     case 't':
-        take_threads(arg, request, state);
+        request->threads = take_whole(arg, "threads", MOST_THREADS, state);
         return 0;
     case 'j':
         request->json = 1;
+        return 0;
+    case OPT_MINUTES:
+        request->minutes = take_whole(arg, "minutes", MOST_MINUTES, state);
         return 0;
     case OPT_REPLACE:
         request->replace = 1;
@@ -130,7 +145,7 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case ARGP_KEY_END:
         if (!request->verb)
-            argp_error(state, "say what to do: import, work, verify or check");
+            argp_error(state, "say what to do: import, work, changed, verify, scrub or check");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -265,32 +280,56 @@ static int do_import(const struct request *request)
 
 /* ---- work and verify --------------------------------------------------------------------- */
 
-static int job_options(const struct request *request, char **mesher, char owner[64],
+/* The programs a job asks, by their paths. */
+struct helpers {
+    char *mesher, *decoder, owner[64];
+};
+
+static void helpers_done(struct helpers *helpers)
+{
+    gsn_free(helpers->mesher);
+    gsn_free(helpers->decoder);
+}
+
+static int job_options(const struct request *request, struct helpers *helpers,
                        struct gsn_job_options *ret_options, struct gsn_error *err)
 {
-    const int r = gsn_process_sibling("gieson-mesh", mesher, err);
+    int r = gsn_process_sibling("gieson-mesh", &helpers->mesher, err);
 
+    if (r >= 0)
+        r = gsn_process_sibling("gieson-decode", &helpers->decoder, err);
     if (r < 0)
         return r;
-    (void)snprintf(owner, 64, "gieson-work %ld", (long)getpid());
-    *ret_options =
-        (struct gsn_job_options){ .mesher = *mesher, .owner = owner, .threads = request->threads };
+    (void)snprintf(helpers->owner, sizeof helpers->owner, "gieson-work %ld", (long)getpid());
+    *ret_options = (struct gsn_job_options){ .mesher = helpers->mesher,
+                                             .decoder = helpers->decoder,
+                                             .owner = helpers->owner,
+                                             .threads = request->threads };
     return GSN_OK;
+}
+
+/* A wall that is not there must not go unnoticed. */
+static void say_walls(void)
+{
+    if (gsn_sandbox_landlock() == 0)
+        (void)fprintf(stderr, "gieson: this kernel has no Landlock: decoder and mesher are held by "
+                              "their list of system calls alone\n");
 }
 
 static int do_work(const struct request *request)
 {
     gsn_auto(gsn_store) store = NULL;
-    gsn_auto_mem(char) mesher = NULL;
-    char owner[64];
+    __attribute__((cleanup(helpers_done))) struct helpers helpers = { .mesher = NULL };
     struct gsn_job_options how;
     struct gsn_error err = { 0 };
     int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
 
     if (r >= 0)
-        r = job_options(request, &mesher, owner, &how, &err);
-    if (r >= 0)
+        r = job_options(request, &helpers, &how, &err);
+    if (r >= 0) {
+        say_walls();
         r = gsn_job_next(store, &how, &err);
+    }
     if (r == GSN_E_NOTFOUND || r == GSN_E_BUSY)
         return gsn_code_exit(r);
     return r < 0 ? complain(&err, r) : EX_OK;
@@ -354,8 +393,7 @@ static int print_verdict(const struct request *request, const struct gsn_job_ver
 static int do_verify(const struct request *request)
 {
     gsn_auto(gsn_store) store = NULL;
-    gsn_auto_mem(char) mesher = NULL;
-    char owner[64];
+    __attribute__((cleanup(helpers_done))) struct helpers helpers = { .mesher = NULL };
     struct gsn_job_options how;
     gsn_auto(gsn_run_row) row = NULL;
     struct gsn_job_verdict verdict;
@@ -370,7 +408,7 @@ static int do_verify(const struct request *request)
     if (r >= 0)
         r = find_run(store, request->rest[0], &run, &err);
     if (r >= 0)
-        r = job_options(request, &mesher, owner, &how, &err);
+        r = job_options(request, &helpers, &how, &err);
     if (r >= 0)
         r = gsn_job_verify(store, run, &how, &verdict, &err);
     if (r >= 0)
@@ -380,9 +418,82 @@ static int do_verify(const struct request *request)
     return r < 0 ? complain(&err, r) : print_verdict(request, &verdict, &diary);
 }
 
+/* ---- changed and scrub ------------------------------------------------------------------- */
+
+static int do_changed(const struct request *request)
+{
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_error err = { 0 };
+    size_t count;
+    int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
+
+    if (r >= 0)
+        r = gsn_night_ask(store, &count, &err);
+    return r < 0 ? complain(&err, r) : EX_OK;
+}
+
+static void say_damaged(void *context, const char *sha256, const char *sentence)
+{
+    json_t *list = context;
+
+    (void)fprintf(stderr, "gieson: damaged: %s\n", sentence);
+    (void)json_array_append_new(
+        list, json_pack("{s:s, s:o}", "sha256", sha256, "message", json_string(sentence)));
+}
+
+static void print_scrub(const struct request *request, const struct gsn_scrub_counts *c,
+                        json_t *damaged)
+{
+    if (request->json) {
+        json_t *root = json_pack("{s:I, s:I, s:b, s:I, s:O}", "checked", (json_int_t)c->checked,
+                                 "bytes", (json_int_t)c->bytes, "complete", c->complete,
+                                 "round_checked", (json_int_t)c->round_checked, "damaged", damaged);
+
+        (void)json_dumpf(root, stdout, JSON_INDENT(2));
+        (void)putchar('\n');
+        json_decref(root);
+        return;
+    }
+    (void)printf("%lld objects (%.1f MB) read again, %lld damaged%s\n", (long long)c->checked,
+                 1e-6 * (double)c->bytes, (long long)c->damaged,
+                 c->complete ? "" : "; the next `gieson scrub` goes on from here");
+}
+
+/* Whoever works or looks at a screen goes first. */
+static void step_back(void)
+{
+    enum { IOPRIO_WHO_PROCESS = 1, IOPRIO_CLASS_IDLE = 3, IOPRIO_CLASS_SHIFT = 13 };
+
+    (void)setpriority(PRIO_PROCESS, 0, PRIO_MAX - 1);
+    (void)syscall(SYS_ioprio_set, IOPRIO_WHO_PROCESS, 0, IOPRIO_CLASS_IDLE << IOPRIO_CLASS_SHIFT);
+}
+
+static int do_scrub(const struct request *request)
+{
+    gsn_auto(gsn_store) store = NULL;
+    json_t *damaged = json_array();
+    struct gsn_scrub scrub = {
+        .actor = actor(), .minutes = request->minutes, .damaged = say_damaged, .context = damaged
+    };
+    struct gsn_scrub_counts counts = { 0 };
+    struct gsn_error err = { 0 };
+    int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
+
+    step_back();
+    scrub.store = store;
+    if (r >= 0)
+        r = gsn_scrub_run(&scrub, &counts, &err);
+    if (r >= 0)
+        print_scrub(request, &counts, damaged);
+    json_decref(damaged);
+    if (r < 0)
+        return complain(&err, r);
+    return counts.damaged > 0 ? EX_DATAERR : EX_OK;
+}
+
 /* ---- check ------------------------------------------------------------------------------- */
 
-static int check_one(const char *path)
+static int check_one(const char *decoder, const char *path)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_picture) picture = NULL;
@@ -391,7 +502,7 @@ static int check_one(const char *path)
     int r = gsn_file_read(path, MOST_CHECK_BYTES, &bytes, &size, &err);
 
     if (r >= 0)
-        r = gsn_decode(bytes, size, NULL, &picture, &err);
+        r = gsn_decode_apart(decoder, bytes, size, NULL, &picture, &err);
     if (r < 0) {
         (void)printf("%s: refused (%s): %s\n", path, gsn_code_name(r), err.text);
         return gsn_code_exit(r);
@@ -405,14 +516,17 @@ static int check_one(const char *path)
 
 static int do_check(const struct request *request)
 {
-    const struct rlimit memory = { .rlim_cur = CHECK_MEMORY, .rlim_max = CHECK_MEMORY };
-    int status = EX_OK;
+    gsn_auto_mem(char) decoder = NULL;
+    struct gsn_error err = { 0 };
+    int status = EX_OK, r;
 
     if (request->rest_count < 1)
         return usage("check needs at least one file");
-    (void)setrlimit(RLIMIT_AS, &memory);
+    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    if (r < 0)
+        return complain(&err, r);
     for (int i = 0; i < request->rest_count; i++) {
-        const int r = check_one(request->rest[i]);
+        r = check_one(decoder, request->rest[i]);
 
         if (r != EX_OK)
             status = r;
@@ -426,10 +540,9 @@ int main(int argc, char **argv)
         const char *verb;
         int needs_store;
         int (*run)(const struct request *request);
-    } verbs[] = { { "import", 1, do_import },
-                  { "work", 1, do_work },
-                  { "verify", 1, do_verify },
-                  { "check", 0, do_check } };
+    } verbs[] = { { "import", 1, do_import },   { "work", 1, do_work },
+                  { "changed", 1, do_changed }, { "verify", 1, do_verify },
+                  { "scrub", 1, do_scrub },     { "check", 0, do_check } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
                                         .args_doc = "VERB [ARGUMENT...]",
@@ -446,7 +559,7 @@ int main(int argc, char **argv)
     while (i < sizeof verbs / sizeof verbs[0] && strcmp(verbs[i].verb, request.verb) != 0)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
-        status = usage("this verb is not known: import, work, verify or check");
+        status = usage("this verb is not known: import, work, changed, verify, scrub or check");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = usage("no store: say --store DIR or set GIESON_STORE");
     else

@@ -1,221 +1,425 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* giesond: the service at the bench. Light and long-lived: it looks at the folders that scanners
- * write to, has whatever is ready taken into the store, and keeps the queue worked. Everything that
- * can crash runs in gieson-work.
+/* giesond: the service at the bench. Light and long-lived: it keeps a gieson-intake alive for every
+ * source and the queue worked by gieson-work. Everything that can crash or hang is in those.
  *
- *     giesond --store DIR [--watch FOLDER]...
+ *     giesond [--store DIR] [--config FILE] [--watch FOLDER]... [--only intake|queue]
+ *     giesond --check-config [--config FILE]
  *
- * A watched folder holds one folder per specimen, each with its job.json. */
-#include "acquire/source.h"
-#include "pipeline/core/process.h"
-#include "storage/queue.h"
+ * SIGHUP: reads the configuration again. SIGTERM: ends what it started, then itself. */
+#include "storage/bench.h"
 #include "storage/store.h"
+#include "systemd/config.h"
+#include "systemd/hotplug.h"
+#include "systemd/log.h"
+#include "systemd/queue_runner.h"
+#include "systemd/status_text.h"
+#include "systemd/supervise.h"
 
 #include <argp.h>
-#include <dirent.h>
+#include <inttypes.h>
 #include <signal.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/inotify.h>
 #include <sysexits.h>
 #include <systemd/sd-daemon.h>
 #include <time.h>
-#include <unistd.h>
 
 enum {
     MOST_WATCHED = 32,
-    SWEEP_MS = 2000,     /* folders are looked at this often: inotify is silent on SMB and NFS */
-    SETTLE_MS = 1500,    /* two looks that agree */
-    PATIENCE_MS = 60000, /* an unchanged file that is not whole is taken in, to be refused aloud */
+    SLOW_S = 30,     /* looks at the queue even when nothing was heard of the store */
+    GATHER_MS = 250, /* writes to the store that come together are one */
 };
 
 const char *argp_program_version = "giesond " GSN_VERSION;
 
-struct watch {
-    char *folder;
-    struct gsn_source *source;
+enum { OPT_ONLY = 256, OPT_CHECK };
+
+struct request {
+    const char *store_dir, *config;
+    const char *watched[MOST_WATCHED];
+    size_t watched_count;
+    unsigned parts;
+    bool check;
 };
 
 struct service {
-    const char *store_dir;
-    const char *watched[MOST_WATCHED];
-    size_t watched_count;
+    const struct request *request;
+    struct gsn_config *config;
     struct gsn_store *store;
-    char *worker;
-    struct watch *watch; /* one per specimen's folder */
-    size_t watch_count;
+    sd_event *loop;
+    struct gsn_supervisor *supervisor; /* NULL: not our part */
+    struct gsn_queue_runner *runner;   /* the same */
+    struct gsn_hotplug *hotplug;
+    sd_event_source *gather;
+    bool stopping;
+    char status[256];
 };
 
 static const struct argp_option options[] = {
-    { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },
-    { "watch", 'w', "FOLDER", 0, "A folder of specimens' folders; may be given often", 0 },
+    { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE, else the configuration's)", 0 },
+    { "config", 'c', "FILE", 0, "The configuration (default: " GSN_CONFIG_FILE ")", 0 },
+    { "watch", 'w', "FOLDER", 0, "A folder that pictures come into; may be given often", 0 },
+    { "only", OPT_ONLY, "PART", 0, "intake: serve the sources; queue: work the queue", 0 },
+    { "check-config", OPT_CHECK, NULL, 0, "Say what is wrong with the configuration, and end", 0 },
     { 0 },
 };
 
+static void take_part(const char *text, struct request *request, struct argp_state *state)
+{
+    if (strcmp(text, "intake") == 0)
+        request->parts = GSN_STATUS_INTAKE;
+    else if (strcmp(text, "queue") == 0)
+        request->parts = GSN_STATUS_QUEUE;
+    else
+        argp_error(state, "--only must be intake or queue");
+}
+
 static error_t take_option(int key, char *arg, struct argp_state *state)
 {
-    struct service *service = state->input;
+    struct request *request = state->input;
 
     switch (key) {
     case 's':
-        service->store_dir = arg;
+        request->store_dir = arg;
+        return 0;
+    case 'c':
+        request->config = arg;
         return 0;
     case 'w':
-        if (service->watched_count == MOST_WATCHED)
+        if (request->watched_count == MOST_WATCHED)
             argp_error(state, "at most %d folders can be watched", MOST_WATCHED);
         else
-            service->watched[service->watched_count++] = arg;
+            request->watched[request->watched_count++] = arg;
+        return 0;
+    case OPT_ONLY:
+        take_part(arg, request, state);
+        return 0;
+    case OPT_CHECK:
+        request->check = true;
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
     }
 }
 
-static int64_t milliseconds(void)
-{
-    struct timespec now;
+/* ---- the configuration ------------------------------------------------------------------- */
 
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+static void log_mistake(void *context, const char *sentence)
+{
+    (void)context;
+    gsn_log(LOG_ERR, NULL, "%s", sentence);
 }
 
-/* Runs gieson-work to its end; its exit status. */
-static int work(const struct service *service, const char *verb, const char *argument)
+static void print_mistake(void *context, const char *sentence)
 {
-    const char *const argv[] = { service->worker, "--store", service->store_dir, verb,
-                                 argument,        NULL };
+    (void)context;
+    (void)fprintf(stderr, "%s\n", sentence);
+}
+
+static int read_config(const struct request *request, struct gsn_config **ret_config,
+                       struct gsn_error *err)
+{
+    const struct gsn_config_ear ear = { .say = log_mistake };
+    gsn_auto(gsn_config) config = NULL;
+    int r = gsn_config_read(request->config, &ear, &config, err);
+
+    for (size_t i = 0; r >= 0 && i < request->watched_count; i++)
+        r = gsn_config_add_folder(config, request->watched[i], err);
+    if (r >= 0)
+        *ret_config = gsn_steal(&config);
+    return r;
+}
+
+static int check_config(const struct request *request)
+{
+    const struct gsn_config_ear ear = { .say = print_mistake };
+    gsn_auto(gsn_config) config = NULL;
     struct gsn_error err = { 0 };
-    pid_t child;
+    const int r = gsn_config_read(request->config, &ear, &config, &err);
 
-    if (gsn_process_start(argv, &child, &err) < 0) {
-        (void)fprintf(stderr, SD_ERR "%s\n", err.text);
-        return EX_OSERR;
+    if (r == GSN_E_INPUT)
+        return EX_CONFIG;
+    if (r < 0) {
+        print_mistake(NULL, err.text);
+        return gsn_code_exit(r);
     }
-    return gsn_process_wait(child, 1);
+    (void)printf("the configuration is fine: %zu source%s, %u worker%s\n", config->source_count,
+                 config->source_count == 1 ? "" : "s", config->workers,
+                 config->workers == 1 ? "" : "s");
+    return EX_OK;
 }
 
-static int is_watched(const struct service *service, const char *folder)
+static void on_arrival(void *context, const char *subsystem)
 {
-    for (size_t i = 0; i < service->watch_count; i++)
-        if (strcmp(service->watch[i].folder, folder) == 0)
-            return 1;
+    const struct service *const service = context;
+
+    gsn_supervisor_arrival(service->supervisor, subsystem);
+}
+
+/* Listens before the sources are started, so that nothing arrives unheard in between. */
+static void listen_to_devices(struct service *service)
+{
+    const struct gsn_config *const config = service->config;
+    gsn_auto_mem(const char *) addresses =
+        gsn_alloc_array(config->source_count, sizeof(const char *));
+    struct gsn_error err = { 0 };
+
+    gsn_hotplug_free(service->hotplug);
+    service->hotplug = NULL;
+    for (size_t i = 0; addresses && i < config->source_count; i++)
+        addresses[i] = config->source[i].address;
+    if (addresses && gsn_hotplug_new(service->loop, addresses, config->source_count, on_arrival,
+                                     service, &service->hotplug, &err) < 0)
+        gsn_log(LOG_WARNING, NULL, "%s; devices are looked for every minute", err.text);
+}
+
+static int keep_rows(const struct service *service, struct gsn_error *err)
+{
+    const struct gsn_config *const config = service->config;
+    gsn_auto_mem(const char *) names = gsn_alloc_array(config->source_count, sizeof(const char *));
+
+    if (!names)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for names");
+    for (size_t i = 0; i < config->source_count; i++)
+        names[i] = config->source[i].name;
+    return gsn_bench_keep(service->store, names, config->source_count, time(NULL), err);
+}
+
+static int apply_config(struct service *service, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    if (service->runner)
+        gsn_queue_runner_set(service->runner, service->config);
+    if (!service->supervisor)
+        return GSN_OK;
+    listen_to_devices(service);
+    r = keep_rows(service, err);
+    return r < 0 ? r : gsn_supervisor_set(service->supervisor, service->config, err);
+}
+
+/* ---- events ------------------------------------------------------------------------------ */
+
+static void tell_status(struct service *service)
+{
+    char status[sizeof service->status];
+    struct gsn_error quiet = { 0 };
+
+    if (gsn_status_text(service->store, service->request->parts, status, sizeof status, &quiet) < 0)
+        return;
+    if (service->runner && gsn_queue_runner_is_paused(service->runner))
+        (void)snprintf(status + strlen(status), sizeof status - strlen(status),
+                       "; the queue rests for want of disk space");
+    if (strcmp(status, service->status) == 0)
+        return;
+    (void)snprintf(service->status, sizeof service->status, "%s", status);
+    (void)sd_notifyf(0, "STATUS=%s", status);
+}
+
+static void look(struct service *service)
+{
+    if (service->stopping)
+        return;
+    if (service->runner)
+        gsn_queue_runner_look(service->runner);
+    tell_status(service);
+}
+
+static int on_gathered(sd_event_source *source, uint64_t usec, void *context)
+{
+    struct service *const service = context;
+
+    (void)source;
+    (void)usec;
+    service->gather = sd_event_source_disable_unref(service->gather);
+    look(service);
     return 0;
 }
 
-static int add_watch(struct service *service, const char *folder, struct gsn_error *err)
+static int on_store_change(sd_event_source *source, const struct inotify_event *event,
+                           void *context)
 {
-    const struct gsn_source_options how = { .settle_ms = SETTLE_MS, .patience_ms = PATIENCE_MS };
-    gsn_auto_mem(char) address = gsn_format("hot:%s", folder);
-    gsn_auto_mem(char) name = gsn_strdup(folder);
-    gsn_auto(gsn_source) source = NULL;
-    struct watch *more;
-    int r;
+    struct service *const service = context;
 
-    if (!address || !name)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    r = gsn_source_open(address, &how, &source, err);
+    (void)source;
+    (void)event;
+    if (!service->gather)
+        (void)sd_event_add_time_relative(service->loop, &service->gather, CLOCK_MONOTONIC,
+                                         GATHER_MS * 1000, 0, on_gathered, service);
+    return 0;
+}
+
+static int on_slow_timer(sd_event_source *source, uint64_t usec, void *context)
+{
+    look(context);
+    (void)sd_event_source_set_time(source, usec + (uint64_t)SLOW_S * 1000000);
+    return sd_event_source_set_enabled(source, SD_EVENT_ON);
+}
+
+static int on_end(sd_event_source *source, const struct signalfd_siginfo *info, void *context)
+{
+    struct service *const service = context;
+
+    (void)source;
+    (void)info;
+    if (service->stopping)
+        return 0;
+    service->stopping = true;
+    (void)sd_notify(0, "STOPPING=1\nSTATUS=stopping");
+    if (service->supervisor)
+        gsn_supervisor_stop(service->supervisor);
+    if (service->runner)
+        gsn_queue_runner_stop(service->runner);
+    return 0;
+}
+
+static int on_reload(sd_event_source *source, const struct signalfd_siginfo *info, void *context)
+{
+    struct service *const service = context;
+    gsn_auto(gsn_config) config = NULL;
+    struct gsn_error err = { 0 };
+    struct timespec now;
+
+    (void)source;
+    (void)info;
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    (void)sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%" PRIu64,
+                     (uint64_t)now.tv_sec * 1000000 + (uint64_t)now.tv_nsec / 1000);
+    if (read_config(service->request, &config, &err) < 0) {
+        gsn_log(LOG_ERR, NULL, "%s; the old configuration stays", err.text);
+    } else {
+        gsn_config_free(service->config);
+        service->config = gsn_steal(&config);
+        if (apply_config(service, &err) < 0)
+            gsn_log(LOG_ERR, NULL, "%s", err.text);
+        else
+            gsn_log(LOG_INFO, NULL, "the configuration was read again");
+    }
+    (void)sd_notify(0, "READY=1");
+    look(service);
+    return 0;
+}
+
+/* After every event: whether the last child of a stopping service has ended. */
+static int on_any(sd_event_source *source, void *context)
+{
+    const struct service *const service = context;
+
+    (void)source;
+    if (service->stopping &&
+        (!service->supervisor || gsn_supervisor_running(service->supervisor) == 0) &&
+        (!service->runner || gsn_queue_runner_running(service->runner) == 0))
+        (void)sd_event_exit(service->loop, 0);
+    return 0;
+}
+
+/* ---- life -------------------------------------------------------------------------------- */
+
+static int open_loop(struct service *service, struct gsn_error *err)
+{
+    const char *const dir = gsn_store_dir(service->store);
+    sd_event *loop = NULL;
+    int r = sd_event_default(&loop);
+
+    service->loop = loop;
+    if (r >= 0)
+        r = sd_event_add_signal(loop, NULL, SIGTERM, on_end, service);
+    if (r >= 0)
+        r = sd_event_add_signal(loop, NULL, SIGINT, on_end, service);
+    if (r >= 0)
+        r = sd_event_add_signal(loop, NULL, SIGHUP, on_reload, service);
+    if (r >= 0)
+        r = sd_event_add_post(loop, NULL, on_any, service);
+    if (r >= 0)
+        r = sd_event_add_time_relative(loop, NULL, CLOCK_MONOTONIC, (uint64_t)SLOW_S * 1000000,
+                                       5000000, on_slow_timer, service);
+    if (r >= 0)
+        r = sd_event_add_inotify(loop, NULL, dir, IN_MODIFY, on_store_change, service);
+    if (r >= 0)
+        r = sd_event_set_watchdog(loop, 1);
+    return r < 0 ? gsn_fail(err, GSN_E_IO, "the loop of events: %s", strerror(-r)) : GSN_OK;
+}
+
+static int open_parts(struct service *service, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    if (service->request->parts & GSN_STATUS_QUEUE)
+        r = gsn_queue_runner_new(service->loop, service->store, &service->runner, err);
+    if (r >= 0 && (service->request->parts & GSN_STATUS_INTAKE))
+        r = gsn_supervisor_new(service->loop, service->store, &service->supervisor, err);
+    return r < 0 ? r : apply_config(service, err);
+}
+
+static const char *store_dir(const struct service *service)
+{
+    return service->request->store_dir && service->request->store_dir[0]
+               ? service->request->store_dir
+               : service->config->store_dir;
+}
+
+static int serve(struct service *service, struct gsn_error *err)
+{
+    int r = gsn_store_open(store_dir(service), GSN_STORE_CREATE, &service->store, err);
+
+    if (r >= 0)
+        r = open_loop(service, err);
+    if (r >= 0)
+        r = open_parts(service, err);
     if (r < 0)
         return r;
-    more = gsn_realloc_array(service->watch, service->watch_count + 1, sizeof *more);
-    if (!more)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    service->watch = more;
-    more[service->watch_count++] =
-        (struct watch){ .folder = gsn_steal(&name), .source = gsn_steal(&source) };
-    return GSN_OK;
-}
-
-/* Folders with a job.json that are new. */
-static void find_specimens(struct service *service, const char *folder)
-{
-    DIR *directory = opendir(folder);
-    const struct dirent *entry;
-
-    while (directory && (entry = readdir(directory))) {
-        gsn_auto_mem(char) specimen = gsn_format("%s/%s", folder, entry->d_name);
-        gsn_auto_mem(char) job = specimen ? gsn_format("%s/job.json", specimen) : NULL;
-        struct gsn_error err = { 0 };
-
-        if (!job || entry->d_name[0] == '.' || access(job, R_OK) < 0 ||
-            is_watched(service, specimen))
-            continue;
-        if (add_watch(service, specimen, &err) < 0)
-            (void)fprintf(stderr, SD_WARNING "%s: %s\n", specimen, err.text);
-        else
-            (void)fprintf(stderr, SD_INFO "watching %s\n", specimen);
-    }
-    if (directory)
-        (void)closedir(directory);
-}
-
-/* Has a folder taken in when something in it is ready; gieson-work makes the bytes durable before
- * it returns, and only then are they acknowledged here. */
-static void sweep(struct service *service, struct watch *watch)
-{
-    gsn_auto(gsn_source_events) events = NULL;
-    struct gsn_error err = { 0 };
-    size_t ready = 0;
-    int ended = 0;
-
-    if (gsn_source_poll(watch->source, milliseconds(), &events, &ended, &err) < 0) {
-        (void)fprintf(stderr, SD_WARNING "%s\n", err.text);
-        return;
-    }
-    for (size_t i = 0; i < events->count; i++)
-        ready += events->at[i].what == GSN_SOURCE_READY;
-    if (ready == 0 || work(service, "import", watch->folder) != EX_OK)
-        return;
-    for (size_t i = 0; i < events->count; i++)
-        if (events->at[i].what == GSN_SOURCE_READY)
-            (void)gsn_source_acknowledge(watch->source, events->at[i].item, &err);
-}
-
-/* Whether a signal that ends us waits: systemd sends it to the worker too, and what died of it must
- * not be followed by the next. */
-static int is_ending(const sigset_t *ends)
-{
-    sigset_t waiting;
-
-    (void)sigpending(&waiting);
-    return sigandset(&waiting, &waiting, ends) == 0 && !sigisemptyset(&waiting);
-}
-
-static void work_queue(const struct service *service)
-{
-    struct gsn_job_counts counts = { 0 };
-    struct gsn_error err = { 0 };
-
-    if (gsn_queue_counts(service->store, &counts, &err) >= 0 && counts.waiting + counts.running > 0)
-        (void)work(service, "work", NULL);
-}
-
-static void serve(struct service *service, const sigset_t *ends)
-{
-    const struct timespec pause = { .tv_sec = SWEEP_MS / 1000 };
-
     (void)sd_notify(0, "READY=1");
-    do {
-        for (size_t i = 0; i < service->watched_count; i++)
-            find_specimens(service, service->watched[i]);
-        for (size_t i = 0; i < service->watch_count && !is_ending(ends); i++)
-            sweep(service, &service->watch[i]);
-        if (!is_ending(ends))
-            work_queue(service);
-        (void)sd_notifyf(0, "WATCHDOG=1\nSTATUS=watching %zu specimens", service->watch_count);
-    } while (sigtimedwait(ends, NULL, &pause) < 0);
-    (void)sd_notify(0, "STOPPING=1");
+    look(service);
+    r = sd_event_loop(service->loop);
+    return r < 0 ? gsn_fail(err, GSN_E_IO, "the loop of events: %s", strerror(-r)) : GSN_OK;
 }
 
 static void service_done(struct service *service)
 {
-    for (size_t i = 0; i < service->watch_count; i++) {
-        gsn_source_free(service->watch[i].source);
-        gsn_free(service->watch[i].folder);
-    }
-    gsn_free(service->watch);
-    gsn_free(service->worker);
+    gsn_supervisor_free(service->supervisor);
+    gsn_queue_runner_free(service->runner);
+    gsn_hotplug_free(service->hotplug);
+    (void)sd_event_source_disable_unref(service->gather);
+    (void)sd_event_unref(service->loop);
     gsn_store_free(service->store);
+    gsn_config_free(service->config);
+}
+
+static void block_signals(void)
+{
+    sigset_t ours;
+
+    (void)sigemptyset(&ours);
+    (void)sigaddset(&ours, SIGTERM);
+    (void)sigaddset(&ours, SIGINT);
+    (void)sigaddset(&ours, SIGHUP);
+    (void)sigaddset(&ours, SIGCHLD);
+    (void)sigprocmask(SIG_BLOCK, &ours, NULL);
+    (void)signal(SIGPIPE, SIG_IGN);
+}
+
+static int run(const struct request *request)
+{
+    __attribute__((cleanup(service_done))) struct service service = { .request = request };
+    struct gsn_error err = { 0 };
+    int r = read_config(request, &service.config, &err);
+
+    if (r < 0) {
+        gsn_log(LOG_ERR, NULL, "%s", err.text);
+        return r == GSN_E_INPUT ? EX_CONFIG : gsn_code_exit(r);
+    }
+    if (!store_dir(&service)[0]) {
+        gsn_log(LOG_ERR, NULL, "no store: say --store DIR or set GIESON_STORE or Directory=");
+        return EX_USAGE;
+    }
+    r = serve(&service, &err);
+    if (r < 0)
+        gsn_log(LOG_ERR, NULL, "%s", err.text);
+    return gsn_code_exit(r);
 }
 
 int main(int argc, char **argv)
@@ -225,28 +429,14 @@ int main(int argc, char **argv)
         .parser = take_option,
         .doc = "Takes panels in by itself and keeps the queue worked."
     };
-    struct service service = { .store_dir = getenv("GIESON_STORE") };
-    struct gsn_error err = { 0 };
-    sigset_t ends;
-    int r;
+    struct request request = { .store_dir = getenv("GIESON_STORE"),
+                               .config = GSN_CONFIG_FILE,
+                               .parts = GSN_STATUS_INTAKE | GSN_STATUS_QUEUE };
 
-    if (argp_parse(&parser, argc, argv, 0, NULL, &service) != 0)
+    if (argp_parse(&parser, argc, argv, 0, NULL, &request) != 0)
         return EX_USAGE;
-    if (!service.store_dir || !service.store_dir[0]) {
-        (void)fprintf(stderr, SD_ERR "no store: say --store DIR or set GIESON_STORE\n");
-        return EX_USAGE;
-    }
-    (void)sigemptyset(&ends);
-    (void)sigaddset(&ends, SIGTERM);
-    (void)sigaddset(&ends, SIGINT);
-    (void)sigprocmask(SIG_BLOCK, &ends, NULL);
-    r = gsn_store_open(service.store_dir, GSN_STORE_CREATE, &service.store, &err);
-    if (r >= 0)
-        r = gsn_process_sibling("gieson-work", &service.worker, &err);
-    if (r >= 0)
-        serve(&service, &ends);
-    else
-        (void)fprintf(stderr, SD_ERR "%s\n", err.text);
-    service_done(&service);
-    return gsn_code_exit(r);
+    if (request.check)
+        return check_config(&request);
+    block_signals();
+    return run(&request);
 }

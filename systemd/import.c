@@ -9,6 +9,7 @@
 #include "storage/catalog.h"
 #include "storage/event.h"
 #include "storage/panel_log.h"
+#include "storage/panel_name.h"
 #include "storage/queue.h"
 
 #include <ctype.h>
@@ -21,7 +22,6 @@
 enum {
     MOST_JOB_BYTES = 1 << 20,
     MOST_ATTACHED_BYTES = 1 << 30,
-    MOST_PANEL_NUMBER = 10000,
     SETTLE_MS = 150, /* two looks at the folder, this far apart, must agree */
     MOST_LOOKS = 100,
 };
@@ -33,50 +33,6 @@ static void notice(const struct gsn_import *import, const char *name, const char
 {
     if (import->notice)
         import->notice(import->context, name, sentence);
-}
-
-/* ---- panel numbers ----------------------------------------------------------------------- */
-
-static int ends_with_panel(const char *stem, size_t length)
-{
-    return length >= 5 && strncasecmp(stem + length - 5, "panel", 5) == 0;
-}
-
-/* Whether the digits at this place are called a panel: "panel 3", "Panel_3", "-P03"; not "grp2". */
-static int is_panel_mark(const char *stem, size_t digits_at)
-{
-    size_t i = digits_at;
-
-    while (i > 0 && strchr("-_ .", stem[i - 1]))
-        i--;
-    if (i < digits_at || ends_with_panel(stem, i))
-        return ends_with_panel(stem, i);
-    return i > 0 && (stem[i - 1] == 'P' || stem[i - 1] == 'p') &&
-           (i == 1 || !isalnum((unsigned char)stem[i - 2]));
-}
-
-unsigned gsn_import_panel_number(const char *name)
-{
-    const char *dot = strrchr(name, '.');
-    const size_t length = dot && dot > name ? (size_t)(dot - name) : strlen(name);
-    unsigned last = 0, marked = 0;
-
-    for (size_t i = 0; i < length;) {
-        const size_t start = i;
-        unsigned long value = 0;
-
-        if (!isdigit((unsigned char)name[i])) {
-            i++;
-            continue;
-        }
-        for (; i < length && isdigit((unsigned char)name[i]); i++)
-            if (value <= MOST_PANEL_NUMBER)
-                value = 10 * value + (unsigned long)(name[i] - '0');
-        last = value <= MOST_PANEL_NUMBER ? (unsigned)value : 0;
-        if (is_panel_mark(name, start))
-            marked = last;
-    }
-    return marked ? marked : last;
 }
 
 /* ---- files the job names ----------------------------------------------------------------- */
@@ -259,7 +215,7 @@ static int rename_panel(struct intake *in, int64_t panel, const struct gsn_panel
 static int log_panel(struct intake *in, const struct gsn_source_event *item,
                      const struct gsn_spooled *spooled, struct gsn_error *err)
 {
-    const unsigned number = gsn_import_panel_number(item->name);
+    const unsigned number = gsn_panel_number(item->name, 0);
     const struct gsn_panel_row row = { .specimen_id = in->specimen,
                                        .number = number,
                                        .file_name = item->name,

@@ -33,8 +33,4 @@ struct gsn_import_counts {
 int gsn_import_folder(const struct gsn_import *import, char **ret_specimen,
                       struct gsn_import_counts *ret_counts, struct gsn_error *err);
 
-/* The panel number in a file name: the digits behind a last "P", "panel" or "_", else the last run
- * of digits; 0 when there is none or it is beyond 10000. */
-unsigned gsn_import_panel_number(const char *name);
-
 #endif

@@ -68,9 +68,8 @@ int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
     if (r < 0)
         return r;
     teller.job = job;
-    r = strcmp(job->kind, "panel") == 0
-            ? gsn_panel_job(store, job, options->threads, &progress, &why)
-            : gsn_specimen_job(store, job, options, &progress, &why);
+    r = strcmp(job->kind, "panel") == 0 ? gsn_panel_job(store, job, options, &progress, &why)
+                                        : gsn_specimen_job(store, job, options, &progress, &why);
     if (r >= 0)
         return GSN_OK;
     if (err)
@@ -88,6 +87,7 @@ int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job
                    struct gsn_job_verdict *ret_verdict, struct gsn_error *err)
 {
     const struct gsn_specimen_options how = { .mesher = options->mesher,
+                                              .decoder = options->decoder,
                                               .threads = options->threads };
     struct gsn_job_verdict verdict = { .run = run_id };
     gsn_auto(gsn_run_row) run = NULL;

@@ -10,9 +10,10 @@
 #include <stdint.h>
 
 struct gsn_job_options {
-    const char *mesher; /* path of gieson-mesh */
-    const char *owner;  /* who works, for people */
-    unsigned threads;   /* 0: all */
+    const char *mesher;  /* path of gieson-mesh */
+    const char *decoder; /* path of gieson-decode; NULL: as for gsn_decode_apart() */
+    const char *owner;   /* who works, for people */
+    unsigned threads;    /* 0: all */
 };
 
 /* Claims the next job and does it. A job whose material is bad is done with a refusal in its rows:

@@ -406,6 +406,25 @@ static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
     return r;
 }
 
+/* What the key is made of. */
+static int take_rows(struct gsn_material *m, struct gsn_store *store, int64_t id,
+                     struct gsn_error *err)
+{
+    int r;
+
+    m->store = store;
+    m->specimen.read = read_object;
+    m->specimen.context = store;
+    r = load_rows(m, id, err);
+    if (r >= 0)
+        r = take_panels(m, err);
+    if (r >= 0)
+        r = take_baseline(m, err);
+    if (r >= 0)
+        r = list_inputs(m, err);
+    return r >= 0 ? make_keys(m, err) : r;
+}
+
 int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
                       struct gsn_material **ret_material, struct gsn_error *err)
 {
@@ -414,24 +433,25 @@ int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
 
     if (!m)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a specimen");
-    m->store = store;
-    m->specimen.read = read_object;
-    m->specimen.context = store;
-    r = load_rows(m, specimen_id, err);
-    if (r >= 0)
-        r = take_panels(m, err);
+    r = take_rows(m, store, specimen_id, err);
     if (r >= 0)
         r = take_files(m, err);
-    if (r >= 0)
-        r = take_baseline(m, err);
-    if (r >= 0)
-        r = list_inputs(m, err);
-    if (r >= 0)
-        r = make_keys(m, err);
     if (r < 0)
         return r;
     *ret_material = gsn_steal(&m);
     return GSN_OK;
+}
+
+int gsn_material_key_now(struct gsn_store *store, int64_t specimen_id, struct gsn_digest *ret_key,
+                         struct gsn_error *err)
+{
+    gsn_auto(gsn_material) m = gsn_alloc_array(1, sizeof *m);
+    const int r = m ? take_rows(m, store, specimen_id, err)
+                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for a specimen");
+
+    if (r >= 0)
+        *ret_key = m->key;
+    return r;
 }
 
 void gsn_material_free(struct gsn_material *m)

@@ -156,7 +156,7 @@ static int keep(struct gsn_store *store, const struct gsn_job_row *job,
 }
 
 static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
-                   const struct gsn_protocol *protocol, unsigned threads,
+                   const struct gsn_protocol *protocol, const struct gsn_job_options *options,
                    const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
                    struct gsn_error *err)
 {
@@ -165,13 +165,15 @@ static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
     int r = gsn_object_read(store, panel->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_panel_examine(bytes, size, protocol, (unsigned)(panel->number ? panel->number : 1),
-                              threads, progress, ret_findings, err);
+        r = gsn_panel_examine(options->decoder, bytes, size, protocol,
+                              (unsigned)(panel->number ? panel->number : 1), options->threads,
+                              progress, ret_findings, err);
     return r;
 }
 
-int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job, unsigned threads,
-                  const struct gsn_progress *progress, struct gsn_error *err)
+int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
+                  const struct gsn_job_options *options, const struct gsn_progress *progress,
+                  struct gsn_error *err)
 {
     gsn_auto(gsn_specimen_row) specimen = NULL;
     gsn_auto(gsn_panel_row) panel = NULL;
@@ -186,7 +188,7 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job, unsign
         r = gsn_protocol_parse(specimen->job_json, strlen(specimen->job_json), &protocol, err);
     if (r < 0)
         return r;
-    r = examine(store, panel, protocol, threads, progress, &findings, &why);
+    r = examine(store, panel, protocol, options, progress, &findings, &why);
     if (r < 0 && !gsn_is_refusal(r)) {
         if (err)
             *err = why;

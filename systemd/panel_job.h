@@ -8,12 +8,14 @@
 #include "pipeline/examine.h"
 #include "storage/panel_log.h"
 #include "storage/queue.h"
+#include "systemd/job.h"
 
 /* Examines the panel of a claimed job and ends the job in the same transaction as its rows.
  * Fails when the job itself cannot be done (memory, disk, store); a panel that is refused or held
  * is a row, not a failure. */
-int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job, unsigned threads,
-                  const struct gsn_progress *progress, struct gsn_error *err);
+int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
+                  const struct gsn_job_options *options, const struct gsn_progress *progress,
+                  struct gsn_error *err);
 
 /* A row read back as what gsn_panel_examine() found. */
 struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *row);

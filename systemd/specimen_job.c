@@ -228,6 +228,7 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      struct gsn_error *err)
 {
     const struct gsn_specimen_options how = { .mesher = options->mesher,
+                                              .decoder = options->decoder,
                                               .threads = options->threads,
                                               .progress = progress };
     gsn_auto(gsn_material) material = NULL;

@@ -4,6 +4,7 @@
 #ifndef GSN_SYSTEMD_SPECIMEN_JOB_H
 #define GSN_SYSTEMD_SPECIMEN_JOB_H
 
+#include "pipeline/core/hash.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/specimen.h"
 #include "storage/queue.h"
@@ -19,6 +20,10 @@ int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
                       struct gsn_material **ret_material, struct gsn_error *err);
 void gsn_material_free(struct gsn_material *material);
 GSN_DEFINE_AUTO(gsn_material);
+
+/* The key that a run of the specimen would have now; reads no object. Fails as above. */
+int gsn_material_key_now(struct gsn_store *store, int64_t specimen_id, struct gsn_digest *ret_key,
+                         struct gsn_error *err);
 
 /* borrowed: what the pipeline asks for; SHA-256 of inputs, parameters and version; the inputs as
  * JSON; the hash of this specimen's own inputs alone, without its baseline's. */

@@ -11,20 +11,12 @@
 #include <stdio.h>
 #include <string.h>
 #include <sysexits.h>
-#include <time.h>
 #include <unistd.h>
 
 enum {
     LOOK_EVERY_MS = 100,
     FRUITLESS_STARTS = 8, /* workers that ended without touching the queue: something is broken */
 };
-
-static void pause_ms(long ms)
-{
-    const struct timespec time = { .tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000L };
-
-    (void)nanosleep(&time, NULL);
-}
 
 /* "decoding 3/5, 12 s left" */
 static char *how_far(const struct gsn_job_row *job)
@@ -108,7 +100,7 @@ static int wait_and_draw(const struct gsn_ui *ui, struct gsn_store *store, pid_t
         if (status >= 0)
             return status;
         draw(ui, store);
-        pause_ms(LOOK_EVERY_MS);
+        gsn_ui_pause_ms(LOOK_EVERY_MS);
     }
 }
 
@@ -125,8 +117,7 @@ static int64_t attempts(struct gsn_store *store)
     return sum;
 }
 
-/* Starts one worker after the other until the queue is empty. */
-static int work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[])
+int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[])
 {
     int fruitless = 0;
 
@@ -142,14 +133,14 @@ static int work_queue(const struct gsn_ui *ui, struct gsn_store *store, const ch
         if (status == EX_NOINPUT)
             return EX_OK;
         if (status == EX_TEMPFAIL)
-            pause_ms(LOOK_EVERY_MS); /* another worker has it */
+            gsn_ui_pause_ms(LOOK_EVERY_MS); /* another worker has it */
         else
             fruitless = attempts(store) == before ? fruitless + 1 : 0;
     }
     return gsn_ui_fail(EX_UNAVAILABLE, "workers end without taking a job: look at the lines above");
 }
 
-static void print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *row)
+void gsn_ui_print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *row)
 {
     gsn_auto_mem(char) loss =
         isnan(row->loss_percent) ? gsn_strdup("") : gsn_format(", loss %.2f %%", row->loss_percent);
@@ -174,7 +165,7 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
         failed += strcmp(row->state, "failed") == 0;
         if (ui->json)
             continue;
-        print_end(ui, row);
+        gsn_ui_print_end(ui, row);
     }
     if (ui->json)
         gsn_ui_print_json(json_pack("{s:I, s:I, s:I}", "done", (json_int_t)snapshot->jobs.done,
@@ -183,25 +174,34 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
     return failed ? EX_DATAERR : EX_OK;
 }
 
+int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args[4])
+{
+    int n = 0;
+
+    for (int i = 1; i < argc; i++) {
+        if (strcmp(argv[i], "--threads") != 0 || i + 1 == argc || n > 0)
+            return gsn_ui_usage("%s takes only --threads N, not \"%s\"", verb, argv[i]);
+        ret_args[n++] = argv[i++];
+        ret_args[n++] = argv[i];
+    }
+    ret_args[n] = "work";
+    return EX_OK;
+}
+
 int gsn_cmd_run(const struct gsn_ui *ui, int argc, char **argv)
 {
     const char *args[4] = { 0 };
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
-    int status = EX_OK, n = 0;
+    int status = gsn_ui_threads("run", argc, argv, args);
 
-    for (int i = 1; i < argc; i++) {
-        if (strcmp(argv[i], "--threads") != 0 || i + 1 == argc)
-            return gsn_ui_usage("run takes only --threads N, not \"%s\"", argv[i]);
-        args[n++] = argv[i++];
-        args[n++] = argv[i];
-    }
-    args[n] = "work";
+    if (status != EX_OK)
+        return status;
     store = gsn_ui_store(ui, GSN_STORE_READ, &status);
     if (!store)
         return status;
     quiet.json = 0;
-    status = work_queue(&quiet, store, args);
+    status = gsn_ui_work_queue(&quiet, store, args);
     return status == EX_OK ? report_end(ui, store) : status;
 }
 

@@ -1,4 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "ui/snapshot.h"
 #include "ui/text.h"
 #include "ui/ui.h"
 
@@ -19,6 +20,9 @@ struct view {
     struct gsn_section_rows *sections;
     struct gsn_run_rows *runs;
     struct gsn_measure_rows *measures; /* of the latest run; NULL when there is none */
+    struct gsn_open_panel_rows *open;
+    struct gsn_bench_sources *sources;
+    struct gsn_trouble_rows *troubles;
 };
 
 static void view_done(struct view *view)
@@ -28,6 +32,9 @@ static void view_done(struct view *view)
     gsn_section_rows_free(view->sections);
     gsn_run_rows_free(view->runs);
     gsn_measure_rows_free(view->measures);
+    gsn_open_panel_rows_free(view->open);
+    gsn_bench_sources_free(view->sources);
+    gsn_trouble_rows_free(view->troubles);
 }
 
 static int load(struct gsn_store *store, const char *name, struct view *view, struct gsn_error *err)
@@ -42,18 +49,62 @@ static int load(struct gsn_store *store, const char *name, struct view *view, st
         r = gsn_run_list(store, view->specimen->id, &view->runs, err);
     if (r >= 0 && view->runs->count > 0)
         r = gsn_measure_list(store, view->runs->at[view->runs->count - 1].id, &view->measures, err);
-    return r;
+    if (r >= 0)
+        r = gsn_overview_panels(store, &view->open, err);
+    if (r >= 0)
+        r = gsn_bench_list(store, &view->sources, err);
+    return r >= 0 ? gsn_trouble_list(store, &view->troubles, err) : r;
+}
+
+/* gives: the command that says which number a held panel has, or NULL. */
+static char *panel_action(const struct view *view, const struct gsn_panel_row *panel)
+{
+    for (size_t i = 0; strcmp(panel->state, "held") == 0 && i < view->open->count; i++)
+        if (view->open->at[i].id == panel->id && view->open->at[i].scan)
+            return gsn_snapshot_file_command(view->open->at[i].scan, view->specimen->name);
+    return NULL;
+}
+
+static int delivers(const struct view *view, const char *source)
+{
+    for (size_t i = 0; i < view->sources->count; i++)
+        if (strcmp(view->sources->at[i].name, source) == 0)
+            return strcmp(view->sources->at[i].expects, view->specimen->name) == 0;
+    return 0;
+}
+
+/* The sources that deliver this specimen, and what they could not take in. */
+static void print_sources(const struct gsn_ui *ui, const struct view *view)
+{
+    for (size_t i = 0; i < view->sources->count; i++) {
+        const struct gsn_bench_source *source = &view->sources->at[i];
+
+        if (delivers(view, source->name))
+            gsn_text_line(stdout, "  delivered by %s, which is %s", source->name, source->state);
+    }
+    for (size_t i = 0; i < view->troubles->count; i++) {
+        const struct gsn_trouble_row *trouble = &view->troubles->at[i];
+
+        if (!delivers(view, trouble->source))
+            continue;
+        gsn_text_line(stdout, "  trouble  %s", trouble->name);
+        gsn_text_wrap(stdout, 4, ui->width, trouble->reason);
+        gsn_text_line(stdout, "    next: %s", trouble->action);
+    }
 }
 
 static void print_panels(const struct gsn_ui *ui, const struct view *view)
 {
     for (size_t i = 0; i < view->panels->count; i++) {
         const struct gsn_panel_row *p = &view->panels->at[i];
+        gsn_auto_mem(char) action = panel_action(view, p);
 
         gsn_text_line(stdout, "  panel %lld  %-10s %s", (long long)p->number, p->state,
                       p->file_name);
         if (p->message[0])
             gsn_text_wrap(stdout, 4, ui->width, p->message);
+        if (action)
+            gsn_text_line(stdout, "    next: %s", action);
     }
 }
 
@@ -106,6 +157,7 @@ static void print_text(const struct gsn_ui *ui, const struct view *view)
                       s->group[0] ? s->group : "-", s->animal[0] ? s->animal : "-");
     if (s->baseline[0])
         gsn_text_line(stdout, "  baseline %s", s->baseline);
+    print_sources(ui, view);
     print_panels(ui, view);
     print_sections(view);
     print_runs(ui, view);
@@ -117,12 +169,24 @@ static json_t *panels_json(const struct view *view)
 
     for (size_t i = 0; i < view->panels->count; i++) {
         const struct gsn_panel_row *p = &view->panels->at[i];
+        gsn_auto_mem(char) action = panel_action(view, p);
 
         (void)json_array_append_new(
-            array, json_pack("{s:I, s:o, s:s, s:s, s:s, s:o}", "number", (json_int_t)p->number,
+            array, json_pack("{s:I, s:o, s:s, s:s, s:s, s:o, s:o}", "number", (json_int_t)p->number,
                              "file", gsn_text_json(p->file_name), "sha256", p->sha256, "state",
-                             p->state, "code", p->code, "message", gsn_text_json(p->message)));
+                             p->state, "code", p->code, "message", gsn_text_json(p->message),
+                             "action", gsn_text_json(action ? action : "")));
     }
+    return array;
+}
+
+static json_t *delivered_json(const struct view *view)
+{
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < view->sources->count; i++)
+        if (delivers(view, view->sources->at[i].name))
+            (void)json_array_append_new(array, gsn_text_json(view->sources->at[i].name));
     return array;
 }
 
@@ -189,12 +253,12 @@ int gsn_cmd_show(const struct gsn_ui *ui, int argc, char **argv)
     if (r < 0)
         status = gsn_ui_complain(&err, r);
     else if (ui->json)
-        gsn_ui_print_json(json_pack("{s:o, s:s, s:o, s:o, s:o, s:o, s:o, s:o}", "specimen",
-                                    gsn_text_json(view.specimen->name), "kind", view.specimen->kind,
-                                    "group", gsn_text_json(view.specimen->group), "baseline",
-                                    gsn_text_json(view.specimen->baseline), "panels",
-                                    panels_json(&view), "sections", sections_json(&view), "runs",
-                                    runs_json(&view), "measures", measures_json(&view)));
+        gsn_ui_print_json(json_pack(
+            "{s:o, s:s, s:o, s:o, s:o, s:o, s:o, s:o, s:o}", "specimen",
+            gsn_text_json(view.specimen->name), "kind", view.specimen->kind, "group",
+            gsn_text_json(view.specimen->group), "baseline", gsn_text_json(view.specimen->baseline),
+            "delivered_by", delivered_json(&view), "panels", panels_json(&view), "sections",
+            sections_json(&view), "runs", runs_json(&view), "measures", measures_json(&view)));
     else
         print_text(ui, &view);
     view_done(&view);

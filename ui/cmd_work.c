@@ -1,8 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The verbs that gieson-work does: import, verify, check; and phantom, which has its own program.
- */
+/* The verbs that other programs do: import, verify, scrub and check are gieson-work's, phantom has
+ * a program of its own, and the configuration is the service's. */
 #include "ui/ui.h"
+
+#include <string.h>
+
+enum { MOST_MINUTES = 10000 };
 
 static int pass_on(const struct gsn_ui *ui, const char *program, int with_store, int argc,
                    char **argv, int from)
@@ -40,4 +44,16 @@ int gsn_cmd_check(const struct gsn_ui *ui, int argc, char **argv)
 int gsn_cmd_phantom(const struct gsn_ui *ui, int argc, char **argv)
 {
     return pass_on(ui, "gieson-phantom", 0, argc, argv, 1);
+}
+
+int gsn_cmd_scrub(const struct gsn_ui *ui, int argc, char **argv)
+{
+    int64_t minutes = 0;
+
+    if (argc != 1 && (argc != 3 || strcmp(argv[1], "--minutes") != 0))
+        return gsn_ui_usage("scrub takes only --minutes N, not \"%s\"", argv[argc > 2 ? 2 : 1]);
+    if (argc == 3 && !gsn_ui_whole(argv[2], 1, MOST_MINUTES, &minutes))
+        return gsn_ui_usage("--minutes must be a whole number from 1 to %d, not \"%s\"",
+                            (int)MOST_MINUTES, argv[2]);
+    return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }

@@ -19,11 +19,14 @@ const char *argp_program_version = "gieson " GSN_VERSION;
 static const struct {
     const char *name;
     gsn_verb *run;
-} verbs[] = { { "status", gsn_cmd_status }, { "show", gsn_cmd_show },
-              { "import", gsn_cmd_import }, { "run", gsn_cmd_run },
-              { "retry", gsn_cmd_retry },   { "report", gsn_cmd_report },
-              { "verify", gsn_cmd_verify }, { "check", gsn_cmd_check },
-              { "demo", gsn_cmd_demo },     { "phantom", gsn_cmd_phantom } };
+} verbs[] = {
+    { "status", gsn_cmd_status },   { "top", gsn_cmd_top },       { "show", gsn_cmd_show },
+    { "import", gsn_cmd_import },   { "file", gsn_cmd_file },     { "expect", gsn_cmd_expect },
+    { "capture", gsn_cmd_capture }, { "run", gsn_cmd_run },       { "night", gsn_cmd_night },
+    { "retry", gsn_cmd_retry },     { "report", gsn_cmd_report }, { "verify", gsn_cmd_verify },
+    { "scrub", gsn_cmd_scrub },     { "check", gsn_cmd_check },   { "demo", gsn_cmd_demo },
+    { "phantom", gsn_cmd_phantom },
+};
 
 static const char doc[] =
     "From stained sections on scanned panels to the collagen that was lost.\v"
@@ -31,14 +34,23 @@ static const char doc[] =
     "  import FOLDER       take panels beside a job.json into the store (--volume FILE and\n"
     "                      --tile FILE take a volume or a single picture)\n"
     "  run                 work the queue to its end\n"
+    "  night               work every specimen that changed since its last report\n"
     "  status              what is in the store, and what to do next\n"
+    "  top                 the same on a screen that follows; ? there lists the keys\n"
     "  show SPECIMEN       its panels, sections and figures\n"
     "  report SPECIMEN     where its report is; with --json the report itself\n"
     "  retry [SPECIMEN]    let failed jobs wait again\n"
     "  verify RUN          work a finished run again and compare every byte\n"
+    "  scrub               read every stored original again and compare its hash\n"
     "  check FILE...       decode pictures strictly and say what they are\n"
     "  demo [FOLDER]       two phantom specimens from panels to reports\n"
-    "  phantom ...         make a specimen with a known truth (phantom --help)\n";
+    "  phantom ...         make a specimen with a known truth (phantom --help)\n"
+    "The bench:\n"
+    "  file SCAN SPECIMEN --panel N   say where a scan belongs that nobody could place\n"
+    "  expect SOURCE SPECIMEN         what this source delivers is this specimen's, until\n"
+    "                                 `expect SOURCE --nobody`\n"
+    "  capture SOURCE                 take a picture now (--blank: of clean glass, --dark: with\n"
+    "                                 the lens covered)\n";
 
 static const struct argp_option options[] = {
     { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },

@@ -1,9 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/snapshot.h"
 
-#include "storage/catalog.h"
-#include "storage/panel_log.h"
-#include "storage/result.h"
+#include "storage/service.h"
+#include "ui/look.h"
 #include "ui/text.h"
 
 #include <math.h>
@@ -19,105 +18,58 @@ static int replace(char **old, char *text, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int count_panels(struct gsn_store *store, int64_t specimen, struct gsn_snapshot_row *row,
-                        struct gsn_error *err)
+static int take_result(struct gsn_store *store, const struct gsn_overview_row *from,
+                       struct gsn_snapshot_row *row, struct gsn_error *err)
 {
-    gsn_auto(gsn_panel_rows) panels = NULL;
-    const int r = gsn_panel_list(store, specimen, &panels, err);
+    int r;
 
-    for (size_t i = 0; r >= 0 && i < panels->count; i++) {
-        row->panels++;
-        row->panels_registered += strcmp(panels->at[i].state, "registered") == 0;
-        row->panels_refused +=
-            strcmp(panels->at[i].state, "refused") == 0 || strcmp(panels->at[i].state, "held") == 0;
-    }
-    return r;
-}
-
-static int count_sections(struct gsn_store *store, int64_t specimen, struct gsn_snapshot_row *row,
-                          struct gsn_error *err)
-{
-    gsn_auto(gsn_section_rows) sections = NULL;
-    const int r = gsn_section_list(store, specimen, &sections, err);
-
-    for (size_t i = 0; r >= 0 && i < sections->count; i++) {
-        row->sections += strcmp(sections->at[i].state, "empty") != 0;
-        row->sections_found += strcmp(sections->at[i].state, "found") == 0;
-    }
-    return r;
-}
-
-static int take_result(struct gsn_store *store, int64_t specimen, struct gsn_snapshot_row *row,
-                       struct gsn_error *err)
-{
-    gsn_auto(gsn_run_row) run = NULL;
-    gsn_auto(gsn_measure_rows) measures = NULL;
-    struct gsn_error quiet = { 0 };
-    int r = gsn_run_latest(store, specimen, NULL, &run, &quiet);
-
-    row->loss_percent = row->mean_density = NAN;
-    if (r == GSN_E_NOTFOUND)
+    if (!from->report_path[0])
         return GSN_OK;
-    if (r >= 0)
-        r = gsn_measure_list(store, run->id, &measures, &quiet);
-    if (r < 0)
-        return gsn_fail(err, r, "%s", quiet.text);
-    for (size_t i = 0; i < measures->count; i++) {
-        if (strcmp(measures->at[i].name, "loss") == 0)
-            row->loss_percent = measures->at[i].value;
-        if (strcmp(measures->at[i].name, "mean_density") == 0)
-            row->mean_density = measures->at[i].value;
-    }
-    if (!run->report_path[0])
-        return GSN_OK;
-    row->run = run->id;
-    row->state = strcmp(run->state, "withheld") == 0 ? "withheld" : "reported";
-    r = run->message[0] ? replace(&row->detail, gsn_strdup(run->message), err) : GSN_OK;
+    row->run = from->run;
+    row->state = strcmp(from->run_state, "withheld") == 0 ? "withheld" : "reported";
+    r = from->run_message[0] ? replace(&row->detail, gsn_strdup(from->run_message), err) : GSN_OK;
     if (r < 0)
         return r;
-    return replace(&row->report, gsn_format("%s/%s", gsn_store_dir(store), run->report_path), err);
+    return replace(&row->report, gsn_format("%s/%s", gsn_store_dir(store), from->report_path), err);
 }
 
-static int tell_progress(const struct gsn_job_row *job, struct gsn_snapshot_row *row,
-                         struct gsn_error *err)
+static int tell_progress(const struct gsn_overview_job *job, const char *panel,
+                         struct gsn_snapshot_row *row, struct gsn_error *err)
 {
-    const char *who = job->panel, *between = job->panel[0] ? ": " : "";
+    const char *between = panel[0] ? ": " : "";
 
     row->state = "working";
     if (!job->stage[0])
-        return replace(&row->detail, gsn_format("%s%sstarting", who, between), err);
+        return replace(&row->detail, gsn_format("%s%sstarting", panel, between), err);
     return replace(&row->detail,
-                   gsn_format("%s%s%s %lld/%lld", who, between, job->stage, (long long)job->done,
+                   gsn_format("%s%s%s %lld/%lld", panel, between, job->stage, (long long)job->done,
                               (long long)job->total),
                    err);
 }
 
 /* Jobs speak louder than an older result, and failures louder than other jobs. */
-static int take_jobs(const struct gsn_job_rows *jobs, int64_t specimen,
-                     struct gsn_snapshot_row *row, struct gsn_error *err)
+static int take_job(const struct gsn_overview_job *job, const char *panel,
+                    struct gsn_snapshot_row *row, struct gsn_error *err)
 {
-    int r = GSN_OK;
-
-    for (size_t i = 0; r >= 0 && i < jobs->count; i++) {
-        const struct gsn_job_row *job = &jobs->at[i];
-
-        if (job->specimen_id != specimen || strcmp(row->state, "failed") == 0)
-            continue;
-        if (strcmp(job->state, "failed") == 0) {
-            row->state = "failed";
-            r = replace(&row->detail, gsn_strdup(job->message), err);
-        } else if (strcmp(job->state, "running") == 0) {
-            r = tell_progress(job, row, err);
-        } else if (strcmp(job->state, "waiting") == 0 && strcmp(row->state, "working") != 0) {
-            row->state = "waiting";
-            gsn_free(row->detail);
-            row->detail = NULL;
-        }
+    if (strcmp(row->state, "failed") == 0)
+        return GSN_OK;
+    if (strcmp(job->state, "failed") == 0) {
+        row->state = "failed";
+        return replace(&row->detail, gsn_strdup(job->message), err);
     }
-    return r;
+    if (strcmp(job->state, "running") == 0)
+        return tell_progress(job, panel, row, err);
+    if (strcmp(job->state, "waiting") == 0 && strcmp(row->state, "working") != 0) {
+        row->state = "waiting";
+        gsn_free(row->detail);
+        row->detail = NULL;
+    }
+    return GSN_OK;
 }
 
-static int advise(struct gsn_snapshot_row *row, struct gsn_error *err)
+/* What waits is worked by itself where somebody works the queue. */
+static int advise(const struct gsn_snapshot *snapshot, struct gsn_snapshot_row *row,
+                  struct gsn_error *err)
 {
     gsn_auto_mem(char) name = gsn_text_word(row->name);
     const char *verb = NULL;
@@ -125,7 +77,7 @@ static int advise(struct gsn_snapshot_row *row, struct gsn_error *err)
     if (!name)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (strcmp(row->state, "waiting") == 0)
-        return replace(&row->action, gsn_strdup("gieson run"), err);
+        return snapshot->queue ? GSN_OK : replace(&row->action, gsn_strdup("gieson run"), err);
     if (strcmp(row->state, "failed") == 0)
         verb = "retry";
     else if (row->panels_refused > 0 || strcmp(row->state, "withheld") == 0)
@@ -135,40 +87,104 @@ static int advise(struct gsn_snapshot_row *row, struct gsn_error *err)
     return verb ? replace(&row->action, gsn_format("gieson %s %s", verb, name), err) : GSN_OK;
 }
 
-static int take_row(struct gsn_store *store, const struct gsn_specimen_row *specimen,
-                    const struct gsn_job_rows *jobs, struct gsn_snapshot_row *row,
-                    struct gsn_error *err)
+static int take_words(const struct gsn_overview_row *from, struct gsn_snapshot_row *row,
+                      struct gsn_error *err)
 {
+    const struct gsn_overview_job *job = &from->job;
+    int r = replace(&row->name, gsn_strdup(from->name), err);
+
+    if (r >= 0)
+        r = replace(&row->group, gsn_strdup(from->group), err);
+    if (r >= 0 && strcmp(job->state, "running") == 0)
+        r = replace(&row->progress,
+                    gsn_look_progress(job->stage, job->done, job->total, job->eta_s), err);
+    return r;
+}
+
+static void take_counts(const struct gsn_overview_row *from, struct gsn_snapshot_row *row)
+{
+    row->id = from->id;
+    row->state = "waiting";
+    row->panels = (unsigned)from->panels;
+    row->panels_registered = (unsigned)from->registered;
+    row->panels_refused = (unsigned)from->refused;
+    row->sections = (unsigned)from->sections;
+    row->sections_found = (unsigned)from->found;
+    row->loss_percent = from->loss;
+    row->mean_density = from->mean_density;
+    row->changed = from->changed;
+}
+
+/* *panel goes on to the first panel that is not this specimen's. */
+static int take_row(struct gsn_store *store, const struct gsn_snapshot *snapshot,
+                    const struct gsn_overview_row *from, size_t *panel,
+                    struct gsn_snapshot_row *row, struct gsn_error *err)
+{
+    const struct gsn_open_panel_rows *panels = snapshot->panels;
     int r;
 
-    row->state = "waiting";
-    row->name = gsn_strdup(specimen->name);
-    row->group = gsn_strdup(specimen->group);
-    if (!row->name || !row->group)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    r = count_panels(store, specimen->id, row, err);
+    take_counts(from, row);
+    r = take_words(from, row, err);
     if (r >= 0)
-        r = count_sections(store, specimen->id, row, err);
+        r = take_result(store, from, row, err);
+    for (; r >= 0 && *panel < panels->count && panels->at[*panel].specimen_id == from->id; ++*panel)
+        r = take_job(&panels->at[*panel].job, panels->at[*panel].file_name, row, err);
     if (r >= 0)
-        r = take_result(store, specimen->id, row, err);
+        r = take_job(&from->job, "", row, err);
+    return r >= 0 ? advise(snapshot, row, err) : r;
+}
+
+/* A lock that we may not read says nothing, and is no reason to show nothing. */
+static int ask_service(const char *dir, enum gsn_service service, int *ret_there,
+                       struct gsn_error *err)
+{
+    struct gsn_error quiet = { 0 };
+    const int r = gsn_service_is_there(dir, service, ret_there, &quiet);
+
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", quiet.text) : GSN_OK;
+}
+
+int gsn_snapshot_services(const char *dir, int *ret_intake, int *ret_queue, struct gsn_error *err)
+{
+    int intake = 0, queue = 0;
+    int r = ask_service(dir, GSN_SERVICE_INTAKE, &intake, err);
+
     if (r >= 0)
-        r = take_jobs(jobs, specimen->id, row, err);
-    return r >= 0 ? advise(row, err) : r;
+        r = ask_service(dir, GSN_SERVICE_QUEUE, &queue, err);
+    if (r < 0)
+        return r;
+    *ret_intake = intake;
+    *ret_queue = queue;
+    return GSN_OK;
+}
+
+static int take_bench(struct gsn_store *store, struct gsn_snapshot *snapshot, struct gsn_error *err)
+{
+    const char *dir = gsn_store_dir(store);
+    int r = gsn_bench_list(store, &snapshot->sources, err);
+
+    if (r >= 0)
+        r = gsn_trouble_list(store, &snapshot->troubles, err);
+    if (r >= 0)
+        r = gsn_scan_list(store, "unfiled", 0, &snapshot->unfiled, err);
+    if (r >= 0)
+        r = gsn_overview_panels(store, &snapshot->panels, err);
+    if (r >= 0)
+        r = gsn_queue_counts(store, &snapshot->jobs, err);
+    return r >= 0 ? gsn_snapshot_services(dir, &snapshot->intake, &snapshot->queue, err) : r;
 }
 
 int gsn_snapshot_take(struct gsn_store *store, struct gsn_snapshot **ret_snapshot,
                       struct gsn_error *err)
 {
     gsn_auto(gsn_snapshot) snapshot = gsn_alloc_array(1, sizeof *snapshot);
-    gsn_auto(gsn_specimen_rows) specimens = NULL;
-    gsn_auto(gsn_job_rows) jobs = NULL;
-    int r = snapshot ? gsn_specimen_list(store, &specimens, err)
+    gsn_auto(gsn_overview_rows) specimens = NULL;
+    size_t panel = 0;
+    int r = snapshot ? gsn_overview_list(store, &specimens, err)
                      : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 
     if (r >= 0)
-        r = gsn_queue_list(store, &jobs, err);
-    if (r >= 0)
-        r = gsn_queue_counts(store, &snapshot->jobs, err);
+        r = take_bench(store, snapshot, err);
     if (r < 0)
         return r;
     snapshot->at = gsn_alloc_array(specimens->count, sizeof *snapshot->at);
@@ -176,7 +192,11 @@ int gsn_snapshot_take(struct gsn_store *store, struct gsn_snapshot **ret_snapsho
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
     for (size_t i = 0; i < specimens->count; i++) {
         snapshot->count = i + 1;
-        r = take_row(store, &specimens->at[i], jobs, &snapshot->at[i], err);
+        /* A specimen may have appeared between the two questions. */
+        while (panel < snapshot->panels->count &&
+               snapshot->panels->at[panel].specimen_id < specimens->at[i].id)
+            panel++;
+        r = take_row(store, snapshot, &specimens->at[i], &panel, &snapshot->at[i], err);
         if (r < 0)
             return r;
     }
@@ -192,9 +212,21 @@ void gsn_snapshot_free(struct gsn_snapshot *snapshot)
         gsn_free(snapshot->at[i].name);
         gsn_free(snapshot->at[i].group);
         gsn_free(snapshot->at[i].detail);
+        gsn_free(snapshot->at[i].progress);
         gsn_free(snapshot->at[i].action);
         gsn_free(snapshot->at[i].report);
     }
     gsn_free(snapshot->at);
+    gsn_open_panel_rows_free(snapshot->panels);
+    gsn_bench_sources_free(snapshot->sources);
+    gsn_trouble_rows_free(snapshot->troubles);
+    gsn_scan_rows_free(snapshot->unfiled);
     gsn_free(snapshot);
+}
+
+char *gsn_snapshot_file_command(int64_t scan, const char *specimen)
+{
+    gsn_auto_mem(char) name = specimen ? gsn_text_word(specimen) : gsn_strdup("SPECIMEN");
+
+    return name ? gsn_format("gieson file %lld %s --panel N", (long long)scan, name) : NULL;
 }

@@ -77,6 +77,21 @@ char *gsn_text_cell(const char *text, int columns)
     return cell;
 }
 
+void gsn_text_ascii(char *text)
+{
+    char *to = text;
+
+    for (struct glyph g = glyph_at(text); g.bytes > 0; g = glyph_at(text)) {
+        if (g.bytes == 1 && g.printable)
+            *to++ = *text;
+        else
+            for (int i = 0; i < g.columns; i++)
+                *to++ = '?';
+        text += g.bytes;
+    }
+    *to = '\0';
+}
+
 void gsn_text_line(FILE *to, const char *format, ...)
 {
     gsn_auto_mem(char) line = NULL;
@@ -94,9 +109,7 @@ void gsn_text_line(FILE *to, const char *format, ...)
     gsn_text_wrap(to, 0, INT_MAX, line ? line : "out of memory");
 }
 
-/* Bytes of the text that fit into a line: up to the last blank that does, or as many glyphs as fit,
- * or one at least. */
-static size_t take_line(const char *text, int columns)
+size_t gsn_text_fit(const char *text, int columns)
 {
     size_t at = 0, blank = 0;
     int filled = 0;
@@ -115,7 +128,7 @@ static size_t take_line(const char *text, int columns)
 void gsn_text_wrap(FILE *to, int indent, int width, const char *text)
 {
     do {
-        const size_t line = take_line(text, width - indent);
+        const size_t line = gsn_text_fit(text, width - indent);
 
         (void)fprintf(to, "%*s", indent, "");
         for (size_t at = 0; at < line; at += glyph_at(text + at).bytes)

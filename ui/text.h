@@ -20,6 +20,14 @@ int gsn_text_columns(const char *text);
  * "~". NULL when memory runs out. */
 char *gsn_text_cell(const char *text, int columns);
 
+/* Bytes of the text that make a line of at most so many columns: up to the last blank that fits, or
+ * as many characters as do, or one at least. */
+size_t gsn_text_fit(const char *text, int columns);
+
+/* Puts "?" for every column of what is not ASCII, in place, for a terminal that shows nothing else.
+ */
+void gsn_text_ascii(char *text);
+
 /* Prints one line and its end; a line break inside counts as unprintable. */
 void gsn_text_line(FILE *to, const char *format, ...) __attribute__((format(printf, 2, 3)));
 

@@ -4,12 +4,15 @@
 #include "pipeline/core/process.h"
 #include "ui/text.h"
 
+#include <errno.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <sysexits.h>
+#include <time.h>
 
 int gsn_ui_complain(const struct gsn_error *err, int code)
 {
@@ -55,6 +58,38 @@ int gsn_ui_columns(int fd)
 json_t *gsn_ui_number(double value)
 {
     return isnan(value) ? json_null() : json_real(value);
+}
+
+int gsn_ui_whole(const char *text, int64_t least, int64_t most, int64_t *ret_number)
+{
+    long long number;
+    char *end;
+
+    /* What strtoll() takes besides digits (blanks, signs) is no number of ours. */
+    if (text[0] < '0' || text[0] > '9')
+        return 0;
+    errno = 0;
+    number = strtoll(text, &end, 10);
+    if (*end || errno || number < least || number > most)
+        return 0;
+    *ret_number = number;
+    return 1;
+}
+
+const char *gsn_ui_actor(void)
+{
+    const char *user = getenv("SUDO_USER"); /* who asked, not whom they became */
+
+    if (!user || !user[0])
+        user = getenv("USER");
+    return user && user[0] ? user : "gieson";
+}
+
+void gsn_ui_pause_ms(long ms)
+{
+    const struct timespec time = { .tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000L };
+
+    (void)nanosleep(&time, NULL);
 }
 
 void gsn_ui_print_json(json_t *root)

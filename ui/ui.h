@@ -10,6 +10,7 @@
 #include "storage/store.h"
 
 #include <jansson.h>
+#include <stdint.h>
 #include <sys/types.h>
 #include <sysexits.h>
 
@@ -24,8 +25,9 @@ struct gsn_ui {
 /* One verb: argv[0] is the verb itself. Returns the exit status. */
 typedef int gsn_verb(const struct gsn_ui *ui, int argc, char **argv);
 
-gsn_verb gsn_cmd_status, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run, gsn_cmd_retry, gsn_cmd_report,
-    gsn_cmd_verify, gsn_cmd_check, gsn_cmd_demo, gsn_cmd_phantom;
+gsn_verb gsn_cmd_status, gsn_cmd_top, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run, gsn_cmd_retry,
+    gsn_cmd_report, gsn_cmd_verify, gsn_cmd_check, gsn_cmd_demo, gsn_cmd_phantom, gsn_cmd_file,
+    gsn_cmd_expect, gsn_cmd_capture, gsn_cmd_night, gsn_cmd_scrub;
 
 /* "gieson: sentence" on stderr; returns the exit status for the code. */
 int gsn_ui_complain(const struct gsn_error *err, int code);
@@ -41,6 +43,12 @@ struct gsn_store *gsn_ui_store(const struct gsn_ui *ui, enum gsn_store_mode mode
 /* Columns of the terminal behind a descriptor; 80 when it does not say. */
 int gsn_ui_columns(int fd);
 
+/* A whole number of decimal digits from least to most: 1, and the number; else 0. */
+int gsn_ui_whole(const char *text, int64_t least, int64_t most, int64_t *ret_number);
+/* Who asks, for the diary. borrows: valid as long as the environment. */
+const char *gsn_ui_actor(void);
+void gsn_ui_pause_ms(long ms);
+
 /* Prints and releases root. */
 void gsn_ui_print_json(json_t *root);
 /* gives: the number, or null for NaN. */
@@ -54,5 +62,14 @@ pid_t gsn_ui_start(const struct gsn_ui *ui, const char *program, int with_store,
 /* Starts it and waits; the exit status. */
 int gsn_ui_call(const struct gsn_ui *ui, const char *program, int with_store,
                 const char *const args[]);
+
+/* What gieson-work is asked for when it works the queue: "--threads N" of the verb's arguments, as
+ * far as they are given, then "work". Complains about any other argument and returns a status. */
+int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args[4]);
+/* Starts one worker after the other until the queue is empty; the exit status. */
+int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[]);
+/* How a specimen ended, in a line. */
+struct gsn_snapshot_row;
+void gsn_ui_print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *row);
 
 #endif

@@ -62,6 +62,37 @@ int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err)
     return GSN_OK;
 }
 
+int gsn_file_open_lock(const char *path, int *ret_fd, struct gsn_error *err)
+{
+    const int fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC | O_NOCTTY, 0644); /* door */
+
+    if (fd < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    *ret_fd = fd;
+    return GSN_OK;
+}
+
+int gsn_file_reopen(const char *path, int *ret_fd, struct gsn_error *err)
+{
+    const int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW); /* door */
+
+    if (fd < 0)
+        return gsn_fail(err, errno == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", path,
+                        strerror(errno));
+    *ret_fd = fd;
+    return GSN_OK;
+}
+
+int gsn_file_sync(int fd, const char *path, struct gsn_error *err)
+{
+    int r;
+
+    do
+        r = fsync(fd);
+    while (r < 0 && errno == EINTR);
+    return r < 0 ? gsn_fail(err, GSN_E_IO, "%s: fsync: %s", path, strerror(errno)) : GSN_OK;
+}
+
 int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
                   struct gsn_error *err)
 {
@@ -85,9 +116,7 @@ static int drain(int fd, const char *path, const uint8_t *bytes, size_t size, st
             return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
         done += (size_t)put;
     }
-    if (fsync(fd) < 0)
-        return gsn_fail(err, GSN_E_IO, "%s: fsync: %s", path, strerror(errno));
-    return GSN_OK;
+    return gsn_file_sync(fd, path, err);
 }
 
 int gsn_file_sync_dir(const char *dir, struct gsn_error *err)
@@ -97,9 +126,7 @@ int gsn_file_sync_dir(const char *dir, struct gsn_error *err)
 
     if (fd < 0)
         return gsn_fail(err, GSN_E_IO, "%s: %s", dir, strerror(errno));
-    r = fsync(fd);
-    if (r < 0)
-        r = gsn_fail(err, GSN_E_IO, "%s: fsync: %s", dir, strerror(errno));
+    r = gsn_file_sync(fd, dir, err);
     (void)close(fd);
     return r;
 }
@@ -148,7 +175,7 @@ static int make_one(const char *path, struct gsn_error *err)
     struct stat st;
 
     if (mkdir(path, 0755) == 0)
-        return GSN_OK;
+        return sync_parent(path, err);
     if (errno != EEXIST)
         return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
     if (stat(path, &st) < 0 || !S_ISDIR(st.st_mode))

@@ -27,11 +27,21 @@ int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_
  * (a directory, a device) is for the caller to check. Fails with GSN_E_NOTFOUND, GSN_E_IO. */
 int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err);
 
+/* A file to be locked, made when it is missing. gives: a descriptor to close(). Fails with
+ * GSN_E_IO. */
+int gsn_file_open_lock(const char *path, int *ret_fd, struct gsn_error *err);
+
+/* The same, to go on writing a file that exists. */
+int gsn_file_reopen(const char *path, int *ret_fd, struct gsn_error *err);
+
+/* Until the file's bytes are on the disk; a signal in between does not end it. */
+int gsn_file_sync(int fd, const char *path, struct gsn_error *err);
+
 /* After this the names in the directory survive a power cut. */
 int gsn_file_sync_dir(const char *dir, struct gsn_error *err);
 
-/* Makes a directory and its parents; one that exists is fine. Fails with GSN_E_IO, also when a file
- * has that name. */
+/* Makes a directory and its parents, each durable before the next; one that exists is fine. Fails
+ * with GSN_E_IO, also when a file has that name. */
 int gsn_file_mkdir(const char *path, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -44,6 +44,16 @@ int gsn_hash_end(struct gsn_hash *hash, struct gsn_digest *ret_digest, struct gs
     return GSN_OK;
 }
 
+int gsn_hash_peek(const struct gsn_hash *hash, struct gsn_digest *ret_digest, struct gsn_error *err)
+{
+    gsn_auto(gsn_hash) copy = NULL;
+    int r = gsn_hash_new(&copy, err);
+
+    if (r >= 0 && EVP_MD_CTX_copy_ex(copy->evp, hash->evp) != 1)
+        r = gsn_fail(err, GSN_E_NOMEM, "out of memory for a hash");
+    return r >= 0 ? gsn_hash_end(copy, ret_digest, err) : r;
+}
+
 void gsn_hash_free(struct gsn_hash *hash)
 {
     if (!hash)

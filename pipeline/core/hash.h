@@ -23,6 +23,9 @@ int gsn_sha256(const void *bytes, size_t size, struct gsn_digest *ret_digest,
 struct gsn_hash;
 int gsn_hash_new(struct gsn_hash **ret_hash, struct gsn_error *err);
 int gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size, struct gsn_error *err);
+/* The digest of what was added so far; more may follow. */
+int gsn_hash_peek(const struct gsn_hash *hash, struct gsn_digest *ret_digest,
+                  struct gsn_error *err);
 int gsn_hash_end(struct gsn_hash *hash, struct gsn_digest *ret_digest, struct gsn_error *err);
 void gsn_hash_free(struct gsn_hash *hash);
 GSN_DEFINE_AUTO(gsn_hash);

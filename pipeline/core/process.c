@@ -8,12 +8,14 @@
 #include <spawn.h>
 #include <stdbool.h>
 #include <string.h>
+#include <sys/pidfd.h>
+#include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
 
-enum { COMPLAINT_BYTES = 200, CHUNK = 1 << 16 };
+enum { CHUNK = 1 << 16 };
 
 /* One conversation: the ends we hold and what has crossed so far. */
 struct talk {
@@ -23,7 +25,7 @@ struct talk {
     size_t question_size, sent;
     uint8_t *answer;
     size_t answer_size, answer_room;
-    char complaint[COMPLAINT_BYTES];
+    struct gsn_process_end how;
     size_t complaint_size;
     double end; /* seconds() at which the child's time is over; 0: never */
 };
@@ -35,9 +37,10 @@ static void shut(int *fd)
     *fd = -1;
 }
 
+/* A second of grace for processor time: at the hard limit the kernel kills without saying why. */
 static void limit(int what, uint64_t most)
 {
-    const struct rlimit value = { .rlim_cur = most, .rlim_max = most };
+    const struct rlimit value = { .rlim_cur = most, .rlim_max = most + (what == RLIMIT_CPU) };
 
     if (most)
         (void)setrlimit((__rlimit_resource_t)what, &value);
@@ -57,6 +60,7 @@ static void become(const char *const argv[], const struct gsn_process_limits *li
     complaints = fcntl(complaints, F_DUPFD_CLOEXEC, 3);
     if (dup2(in, 0) < 0 || dup2(out, 1) < 0 || dup2(complaints, 2) < 0)
         _exit(127);
+    (void)prctl(PR_SET_PDEATHSIG, SIGKILL, 0, 0, 0);
     (void)sigemptyset(&none);
     (void)sigprocmask(SIG_SETMASK, &none, NULL);
     limit(RLIMIT_AS, limits->memory_bytes);
@@ -68,16 +72,17 @@ static void become(const char *const argv[], const struct gsn_process_limits *li
     _exit(127);
 }
 
+/* lent: the child's stdin, or -1 for a pipe from us. */
 static int start(struct talk *talk, const char *const argv[],
-                 const struct gsn_process_limits *limits, struct gsn_error *err)
+                 const struct gsn_process_limits *limits, int lent, struct gsn_error *err)
 {
     int in[2] = { -1, -1 }, out[2] = { -1, -1 }, complaints[2] = { -1, -1 };
 
-    if (pipe2(in, O_CLOEXEC) == 0 && pipe2(out, O_CLOEXEC) == 0 &&
+    if ((lent >= 0 || pipe2(in, O_CLOEXEC) == 0) && pipe2(out, O_CLOEXEC) == 0 &&
         pipe2(complaints, O_CLOEXEC) == 0)
         talk->child = fork();
     if (talk->child == 0)
-        become(argv, limits, in[0], out[1], complaints[1]);
+        become(argv, limits, lent >= 0 ? lent : in[0], out[1], complaints[1]);
     shut(&in[0]);
     shut(&out[1]);
     shut(&complaints[1]);
@@ -87,7 +92,8 @@ static int start(struct talk *talk, const char *const argv[],
     if (talk->child < 0)
         return gsn_fail(err, GSN_E_PROCESS, "%s could not be started: %s", argv[0],
                         strerror(errno));
-    (void)fcntl(talk->in, F_SETFL, O_NONBLOCK);
+    if (talk->in >= 0)
+        (void)fcntl(talk->in, F_SETFL, O_NONBLOCK);
     return GSN_OK;
 }
 
@@ -132,8 +138,8 @@ static void listen_to_complaint(struct talk *talk)
 
     if (got == 0 || (got < 0 && errno != EINTR))
         shut(&talk->complaints);
-    for (ssize_t i = 0; i < got && talk->complaint_size + 1 < sizeof talk->complaint; i++)
-        talk->complaint[talk->complaint_size++] = rest[i];
+    for (ssize_t i = 0; i < got && talk->complaint_size + 1 < sizeof talk->how.complaint; i++)
+        talk->how.complaint[talk->complaint_size++] = rest[i];
 }
 
 static double seconds(void)
@@ -144,12 +150,7 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-static int too_late(const struct gsn_process_limits *limits, struct gsn_error *err)
-{
-    return gsn_fail(err, GSN_E_PROCESS, "gave no answer within %u s", limits->wall_s);
-}
-
-/* Moves bytes both ways until the child closes its ends. */
+/* Moves bytes both ways until the child closes its ends or its time is over. */
 static int converse(struct talk *talk, const struct gsn_process_limits *limits,
                     struct gsn_error *err)
 {
@@ -159,8 +160,10 @@ static int converse(struct talk *talk, const struct gsn_process_limits *limits,
                                   { .fd = talk->complaints, .events = POLLIN } };
         int r;
 
-        if (talk->end > 0 && seconds() > talk->end)
-            return too_late(limits, err);
+        if (talk->end > 0 && seconds() > talk->end) {
+            talk->how.late = 1;
+            return GSN_OK;
+        }
         r = poll(ends, 3, 200);
         if (r < 0 && errno != EINTR)
             return gsn_fail(err, GSN_E_PROCESS, "poll: %s", strerror(errno));
@@ -182,50 +185,58 @@ static int converse(struct talk *talk, const struct gsn_process_limits *limits,
 /* Whether the child ends while it has time; one that closed its ends may still go on. */
 static bool ends_in_time(const struct talk *talk)
 {
-    const struct timespec nap = { .tv_nsec = 5000000 };
+    struct pollfd child = { .fd = talk->end > 0 ? pidfd_open(talk->child, 0) : -1,
+                            .events = POLLIN };
+    int r = 1;
 
-    while (talk->end > 0) {
-        siginfo_t ended = { 0 };
+    if (child.fd < 0)
+        return true;
+    do {
+        const double left = talk->end - seconds();
 
-        if (waitid(P_PID, (id_t)talk->child, &ended, WEXITED | WNOHANG | WNOWAIT) < 0 ||
-            ended.si_pid == talk->child)
-            return true;
-        if (seconds() > talk->end)
-            return false;
-        (void)nanosleep(&nap, NULL);
-    }
-    return true;
+        r = left > 0 ? poll(&child, 1, (int)(1000 * left) + 1) : 0;
+    } while (r < 0 && errno == EINTR);
+    (void)close(child.fd);
+    return r != 0;
 }
 
-/* Waits for the end of the child, with quick not for its own, and turns it into a sentence. */
-static int verdict(struct talk *talk, const struct gsn_process_limits *limits, bool quick,
-                   struct gsn_error *err)
+/* Waits for the end of the child, with quick not for its own, and keeps how it was. */
+static int reap(struct talk *talk, bool quick, struct gsn_error *err)
 {
-    const bool late = !quick && !ends_in_time(talk);
+    struct gsn_process_end *how = &talk->how;
     pid_t ended;
     int status = 0;
 
-    if (quick || late)
+    if (!quick && !how->late)
+        how->late = !ends_in_time(talk);
+    if (quick || how->late)
         (void)kill(talk->child, SIGKILL);
     do
         ended = waitpid(talk->child, &status, 0);
     while (ended < 0 && errno == EINTR);
-    if (late)
-        return too_late(limits, err);
-    if (quick)
-        return GSN_OK;
     if (ended < 0)
         return gsn_fail(err, GSN_E_PROCESS, "its end cannot be learnt: %s", strerror(errno));
-    if (WIFEXITED(status) && WEXITSTATUS(status) == 0)
+    how->code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    how->signal = WIFSIGNALED(status) ? WTERMSIG(status) : 0;
+    how->complaint[talk->complaint_size] = '\0';
+    how->complaint[strcspn(how->complaint, "\n")] = '\0';
+    return GSN_OK;
+}
+
+/* Its end as a sentence. */
+static int verdict(const struct gsn_process_end *how, const struct gsn_process_limits *limits,
+                   struct gsn_error *err)
+{
+    const char *colon = how->complaint[0] ? ": " : "";
+
+    if (how->late)
+        return gsn_fail(err, GSN_E_PROCESS, "gave no answer within %u s", limits->wall_s);
+    if (how->code == 0)
         return GSN_OK;
-    talk->complaint[talk->complaint_size] = '\0';
-    talk->complaint[strcspn(talk->complaint, "\n")] = '\0';
-    if (WIFSIGNALED(status))
-        return gsn_fail(err, GSN_E_PROCESS, "died of signal %d (%s)%s%s", WTERMSIG(status),
-                        strsignal(WTERMSIG(status)), talk->complaint[0] ? ": " : "",
-                        talk->complaint);
-    return gsn_fail(err, GSN_E_PROCESS, "ended with code %d%s%s", WEXITSTATUS(status),
-                    talk->complaint[0] ? ": " : "", talk->complaint);
+    if (how->signal)
+        return gsn_fail(err, GSN_E_PROCESS, "died of signal %d (%s)%s%s", how->signal,
+                        strsignal(how->signal), colon, how->complaint);
+    return gsn_fail(err, GSN_E_PROCESS, "ended with code %d%s%s", how->code, colon, how->complaint);
 }
 
 /* A child that dies early closes our pipe: that must be an error, not our own death. The signal is
@@ -259,6 +270,30 @@ static void release_sigpipe(const struct hush *hush)
     (void)pthread_sigmask(SIG_SETMASK, &hush->before, NULL);
 }
 
+/* From the start of the child to its end; a failure here is one of ours, not of the child's. */
+static int hold_talk(struct talk *talk, const char *const argv[],
+                     const struct gsn_process_limits *limits, int lent, struct gsn_error *err)
+{
+    struct hush hush;
+    int r;
+
+    talk->end = limits->wall_s ? seconds() + limits->wall_s : 0;
+    hold_sigpipe(&hush);
+    r = start(talk, argv, limits, lent, err);
+    if (r >= 0) {
+        const int talked = converse(talk, limits, err);
+
+        shut(&talk->in);
+        r = reap(talk, talked < 0, talked < 0 ? NULL : err);
+        r = talked < 0 ? talked : r;
+    }
+    shut(&talk->in);
+    shut(&talk->out);
+    shut(&talk->complaints);
+    release_sigpipe(&hush);
+    return r;
+}
+
 int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *limits,
                     const void *question, size_t question_size, uint8_t **ret_answer,
                     size_t *ret_answer_size, struct gsn_error *err)
@@ -268,23 +303,11 @@ int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *l
                          .out = -1,
                          .complaints = -1,
                          .question = question,
-                         .question_size = question_size,
-                         .end = limits->wall_s ? seconds() + limits->wall_s : 0 };
-    struct hush hush;
-    int r;
+                         .question_size = question_size };
+    int r = hold_talk(&talk, argv, limits, -1, err);
 
-    hold_sigpipe(&hush);
-    r = start(&talk, argv, limits, err);
-    if (r >= 0) {
-        r = converse(&talk, limits, err);
-        shut(&talk.in);
-        const int ended = verdict(&talk, limits, r < 0, err);
-        r = r < 0 ? r : ended;
-    }
-    shut(&talk.in);
-    shut(&talk.out);
-    shut(&talk.complaints);
-    release_sigpipe(&hush);
+    if (r >= 0)
+        r = verdict(&talk.how, limits, err);
     if (r < 0) {
         gsn_free(talk.answer);
         (void)gsn_fail_at(err, "%s", argv[0]);
@@ -293,6 +316,21 @@ int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *l
     talk.answer[talk.answer_size] = 0;
     *ret_answer = talk.answer;
     *ret_answer_size = talk.answer_size;
+    return GSN_OK;
+}
+
+int gsn_process_lend(const char *const argv[], const struct gsn_process_limits *limits, int fd,
+                     struct gsn_process_end *ret_end, struct gsn_error *err)
+{
+    struct talk talk = { .child = -1, .in = -1, .out = -1, .complaints = -1 };
+    const int r = hold_talk(&talk, argv, limits, fd, err);
+
+    gsn_free(talk.answer);
+    if (r < 0) {
+        (void)gsn_fail_at(err, "%s", argv[0]);
+        return r;
+    }
+    *ret_end = talk.how;
     return GSN_OK;
 }
 

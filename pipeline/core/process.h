@@ -2,8 +2,9 @@
 
 /* A child process that answers one question: bytes in on stdin, bytes out on stdout.
  *
- * Foreign code that aborts, hangs or leaks (the mesher) runs in one, under limits of memory and
- * time, so that a crash costs one question and never the program that asked. */
+ * Foreign code that aborts, hangs or leaks (the mesher, the decoders) runs in one, under limits of
+ * memory and time, so that a crash costs one question and never the program that asked. A child
+ * does not outlive the thread that asked, however that one ends. */
 #ifndef GSN_CORE_PROCESS_H
 #define GSN_CORE_PROCESS_H
 
@@ -33,6 +34,21 @@ struct gsn_process_limits {
 int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *limits,
                     const void *question, size_t question_size, uint8_t **ret_answer,
                     size_t *ret_answer_size, struct gsn_error *err);
+
+/* How a child came to its end. */
+struct gsn_process_end {
+    int code;            /* its exit status; -1 when a signal ended it */
+    int signal;          /* that signal, or 0 */
+    int late;            /* it was killed at the end of wall_s */
+    char complaint[200]; /* the first line it wrote on stderr, or empty */
+};
+
+/* Runs argv[0] as gsn_process_ask() does, but its stdin is the descriptor fd itself: what both have
+ * mapped needs no copying. What it writes on stdout is dropped, up to answer_bytes. How it ended is
+ * for the caller to judge. Fails with GSN_E_PROCESS when it cannot be started or waited for, and
+ * with GSN_E_LIMIT when it talks too much. */
+int gsn_process_lend(const char *const argv[], const struct gsn_process_limits *limits, int fd,
+                     struct gsn_process_end *ret_end, struct gsn_error *err);
 
 /* Starts argv[0] with our own stdin, stdout and stderr and with no signal blocked.
  * Fails with GSN_E_PROCESS. The caller waits for the child. */

@@ -6,6 +6,7 @@
 #include <assert.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/mman.h>
 
 typedef int decode_body(struct gsn_bytes file, const struct gsn_decode_limits *limits,
                         struct gsn_picture *picture, struct gsn_error *err);
@@ -97,21 +98,22 @@ static void remark_unused_bits(struct gsn_picture *picture)
         gsn_picture_remark(picture, "only %u of 16 bits are used", bits);
 }
 
-static struct gsn_decode_limits with_defaults(const struct gsn_decode_limits *limits)
+struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *limits)
 {
     const struct gsn_decode_limits asked = limits ? *limits : (struct gsn_decode_limits){ 0 };
 
     return (struct gsn_decode_limits){
         .most_pixels = asked.most_pixels ? asked.most_pixels : 250000000,
         .most_bytes = asked.most_bytes ? asked.most_bytes : (uint64_t)768 << 20,
+        .seconds = asked.seconds,
     };
 }
 
-int gsn_decode(const void *bytes, size_t size, const struct gsn_decode_limits *limits,
-               struct gsn_picture **ret_picture, struct gsn_error *err)
+int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limits *limits,
+                    void *place, struct gsn_picture **ret_picture, struct gsn_error *err)
 {
     const struct gsn_bytes file = { .at = bytes, .size = size };
-    const struct gsn_decode_limits most = with_defaults(limits);
+    const struct gsn_decode_limits most = gsn_decode_defaults(limits);
     const struct kind *kind = sniff(file);
     gsn_auto(gsn_picture) picture = NULL;
     int r;
@@ -125,6 +127,7 @@ int gsn_decode(const void *bytes, size_t size, const struct gsn_decode_limits *l
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding");
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", kind->name);
     picture->pages = 1;
+    picture->place = place;
     r = kind->decode(file, &most, picture, err);
     if (r < 0)
         return r;
@@ -136,10 +139,20 @@ int gsn_decode(const void *bytes, size_t size, const struct gsn_decode_limits *l
     return GSN_OK;
 }
 
+int gsn_decode(const void *bytes, size_t size, const struct gsn_decode_limits *limits,
+               struct gsn_picture **ret_picture, struct gsn_error *err)
+{
+    return gsn_decode_into(bytes, size, limits, NULL, ret_picture, err);
+}
+
 void gsn_picture_free(struct gsn_picture *picture)
 {
     if (!picture)
         return;
+    if (picture->place && picture->image)
+        picture->image->samples = NULL;
+    if (picture->mapped_bytes > 0)
+        (void)munmap(picture->place, picture->mapped_bytes);
     gsn_image_free(picture->image);
     gsn_free(picture);
 }

@@ -19,10 +19,12 @@
 extern "C" {
 #endif
 
-/* A member of 0 stands for its default: 250 million pixels, 768 MiB of decoded samples. */
+/* A member of 0 stands for its default: 250 million pixels, 768 MiB of decoded samples, and two
+ * minutes, which count where decoding has a process of its own (pipeline/decode/apart.h). */
 struct gsn_decode_limits {
     uint64_t most_pixels;
     uint64_t most_bytes;
+    unsigned seconds;
 };
 
 /* How samples relate to light, as far as the file says so. */
@@ -43,6 +45,9 @@ struct gsn_picture {
     /* Why colours of this picture must not be measured, as whoever took it says in the file (its
      * camera could not be locked); empty: they may. */
     char withheld[160];
+
+    void *place;         /* where the samples are when they are not allocated, or NULL */
+    size_t mapped_bytes; /* of it, to be unmapped; 0: it is somebody else's */
 };
 
 /* Decodes the first page of a picture file.

@@ -46,6 +46,23 @@ static void swap_pitch(struct gsn_picture *picture)
     picture->px_um_y = x;
 }
 
+/* The picture's image, allocated or at the place that was given for its samples. */
+static int make_image(const struct gsn_layout *layout, uint32_t width, uint32_t height,
+                      struct gsn_picture *picture, struct gsn_error *err)
+{
+    if (!picture->place)
+        return gsn_image_new(width, height, layout->channels, layout->bits, &picture->image, err);
+    picture->image = gsn_alloc_array(1, sizeof *picture->image);
+    if (!picture->image)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding");
+    *picture->image = (struct gsn_image){ .width = width,
+                                          .height = height,
+                                          .channels = layout->channels,
+                                          .bits = layout->bits,
+                                          .samples = picture->place };
+    return GSN_OK;
+}
+
 int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
                     const struct gsn_decode_limits *limits, struct gsn_picture *picture,
                     struct gsn_error *err)
@@ -61,7 +78,7 @@ int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
     r = check_limits(layout, limits, err);
     if (r < 0)
         return r;
-    r = gsn_image_new(width, height, layout->channels, layout->bits, &picture->image, err);
+    r = make_image(layout, width, height, picture, err);
     if (r < 0)
         return r;
 

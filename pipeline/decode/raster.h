@@ -45,6 +45,14 @@ int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
                     const struct gsn_decode_limits *limits, struct gsn_picture *picture,
                     struct gsn_error *err);
 
+/* As gsn_decode(), with the samples at place, which holds limits->most_bytes zeros; NULL allocates
+ * them. borrows: place, as long as the picture lives. */
+int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limits *limits,
+                    void *place, struct gsn_picture **ret_picture, struct gsn_error *err);
+
+/* The limits with their defaults put in; limits may be NULL. */
+struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *limits);
+
 /* The caller guarantees that the run lies inside the stored picture. */
 void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run,
                     const void *samples);

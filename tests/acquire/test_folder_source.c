@@ -2,11 +2,14 @@
 #include "acquire/folder_source.h"
 
 #include <fcntl.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
+#include "acquire/natural.h"
 #include "acquire/spool.h"
 #include "pipeline/core/file.h"
 #include "tests/check.h"
@@ -19,7 +22,7 @@ static const char png[] = "\x89PNG\r\n\x1a\n\0\0\0\0IEND\xae\x42\x60\x82";
 
 enum { SETTLE = 1000, PATIENCE = 60000, MOST_TOLD = 4096 };
 
-static const struct gsn_source_options options = { SETTLE, PATIENCE };
+static const struct gsn_source_options options = { .settle_ms = SETTLE, .patience_ms = PATIENCE };
 
 static void write_file(const struct gsn_scratch *scratch, const char *name, const char *bytes,
                        size_t size)
@@ -310,6 +313,46 @@ TEST(an_empty_folder_ends_at_once_when_replayed_and_never_when_hot)
     CHECK(last_ended == 0);
 }
 
+struct ledger {
+    char key[200];
+};
+
+static int is_known(void *context, const char *key)
+{
+    const struct ledger *const ledger = context;
+
+    return strcmp(ledger->key, key) == 0;
+}
+
+TEST(a_file_that_was_taken_before_is_not_offered_again_unless_it_changes)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    struct ledger ledger = { "" };
+    struct gsn_source_options knowing = options;
+    gsn_auto(gsn_source) source = open_source(&scratch, "hot");
+    gsn_auto(gsn_source) later = NULL;
+    struct gsn_error err = { 0 };
+    char address[200];
+
+    write_file(&scratch, "a.jpg", whole, sizeof whole - 1);
+    tells(source, 0, "WAITING a.jpg; ");
+    {
+        gsn_auto(gsn_source_events) events = poll(source, SETTLE);
+
+        CHECK(events->count == 1 && events->at[0].key[0]);
+        (void)snprintf(ledger.key, sizeof ledger.key, "%s", events->at[0].key);
+    }
+    (void)snprintf(address, sizeof address, "hot:%s", scratch.dir);
+    knowing.is_known = is_known;
+    knowing.context = &ledger;
+    CHECK_OK(gsn_source_open(address, &knowing, &later, &err), err);
+    tells(later, 0, "");
+    tells(later, SETTLE, "");
+    gsn_scratch_append(gsn_scratch_path(&scratch, "a.jpg"), whole, sizeof whole - 1);
+    tells(later, 2 * SETTLE, "WAITING a.jpg; ");
+    tells(later, 3 * SETTLE, "READY a.jpg; ");
+}
+
 TEST(reading_gives_the_bytes_in_pieces)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -451,4 +494,79 @@ TEST(running_out_of_memory_leaks_and_forgets_nothing)
     (void)snprintf(address, sizeof address, "replay:%s", scratch.dir);
     write_file(&scratch, "b.jpg", whole, 4);
     CHECK_EVERY_OOM(look_twice(address, &err), err);
+}
+
+enum { LONG_MS = 300000, GENEROUS_MS = 60000 };
+
+static int64_t now_ms(void)
+{
+    struct timespec now;
+
+    CHECK(clock_gettime(CLOCK_MONOTONIC, &now) == 0);
+    return now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+static bool wakes_early(struct gsn_source *source, int stop_fd)
+{
+    const int64_t start = now_ms();
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_source_wait(source, LONG_MS, stop_fd, &err), err);
+    return now_ms() - start < GENEROUS_MS;
+}
+
+TEST(a_file_that_comes_wakes_who_waits)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_source) source = open_source(&scratch, "hot");
+    struct gsn_error err = { 0 };
+
+    tells(source, 0, "");
+    gsn_scratch_append(gsn_scratch_path(&scratch, "P1.jpg"), whole, 4);
+    CHECK(wakes_early(source, -1));
+    /* What was told of is over: nothing else happens until the time is. */
+    const int64_t start = now_ms();
+
+    CHECK_OK(gsn_source_wait(source, 30, -1, &err), err);
+    CHECK(now_ms() - start >= 29);
+    write_file(&scratch, "P2.jpg", whole, 4); /* by rename */
+    CHECK(wakes_early(source, -1));
+}
+
+TEST(a_folder_that_was_replaced_is_watched_again)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_source) source = NULL;
+    gsn_auto(gsn_source_events) events = NULL;
+    const char *const dir = gsn_scratch_path(&scratch, "medium");
+    struct gsn_error err = { 0 };
+    char address[200];
+    int ended;
+
+    CHECK(mkdir(dir, 0755) == 0);
+    (void)snprintf(address, sizeof address, "hot:%s", dir);
+    CHECK_OK(gsn_source_open(address, &options, &source, &err), err);
+    tells(source, 0, "");
+    CHECK(rename(dir, gsn_scratch_path(&scratch, "old")) == 0);
+    CHECK(gsn_source_poll(source, 0, &events, &ended, &err) == GSN_E_IO);
+    CHECK(mkdir(dir, 0755) == 0);
+    tells(source, 0, "");
+    write_file(&scratch, "medium/P1.jpg", whole, 4);
+    CHECK(wakes_early(source, -1));
+    tells(source, 0, "WAITING P1.jpg; ");
+}
+
+TEST(who_waits_can_be_stopped)
+{
+    static const char *const kinds[] = { "hot", "replay" };
+    scratch_auto scratch = gsn_scratch_new();
+    int pipes[2];
+
+    CHECK(pipe(pipes) == 0 && write(pipes[1], "", 1) == 1);
+    for (size_t i = 0; i < 2; i++) {
+        gsn_auto(gsn_source) source = open_source(&scratch, kinds[i]);
+
+        CHECK(wakes_early(source, pipes[0]));
+    }
+    CHECK(close(pipes[0]) == 0 && close(pipes[1]) == 0);
 }

@@ -250,7 +250,7 @@ TEST(a_child_that_takes_too_much_processor_dies_with_a_sentence)
     struct gsn_error err = { 0 };
 
     CHECK(ask_shell("while :; do :; done", &limits, &err) == GSN_E_PROCESS);
-    assert_string_equal(err.text, "/bin/sh: died of signal 9 (Killed)");
+    assert_string_equal(err.text, "/bin/sh: died of signal 24 (CPU time limit exceeded)");
 }
 
 TEST(an_answer_may_reach_its_limit_and_not_pass_it)

@@ -11,6 +11,8 @@
 
 struct ptp_model;
 
+enum { PTP_TIFF = 0x380d, PTP_JPEG = 0x3801, PTP_FOLDER = 0x3001 };
+
 /* Each is off when zero. "At" counts transfers, transactions or bytes since the model was made or
  * plugged in, from 1. */
 struct ptp_faults {
@@ -27,12 +29,14 @@ struct ptp_faults {
     unsigned late_at;         /* this transaction's answer comes after the next one was asked */
     unsigned late_ms;         /* every answer waits this long */
     unsigned silent_at;       /* this transaction is never answered */
-    unsigned lying_length_at; /* this data header's length field is nonsense */
-    uint64_t unplug_at_byte;  /* gone after this many bulk-in bytes, until ptp_model_replug() */
+    unsigned lying_length_at; /* this data header's length is nonsense: odd huge, even tiny */
+    uint64_t unplug_at_byte;  /* gone before this bulk-in byte, until ptp_model_replug(), which
+                                 counts anew */
     /* How it answers. */
     bool info_needs_session; /* GetDeviceInfo before OpenSession: 0x2003 */
     bool no_list_of_all;     /* GetObjectHandles(0xffffffff): 0x2008 */
     bool session_stays_open; /* a replug does not close the session: 0x201E */
+    bool new_handles;        /* a replug gives every object another handle */
     bool no_partial;         /* GetPartialObject is not offered */
     bool no_partial64;       /* 0x95C1 is not offered */
     bool no_properties;      /* GetObjectPropValue is not offered */
@@ -43,8 +47,9 @@ struct ptp_faults {
     /* Events. */
     bool no_events;          /* none are sent, though DeviceInfo lists them */
     bool hidden_events;      /* sent, though DeviceInfo lists none */
-    bool size_zero_first;    /* ObjectAdded at size 0; grows until ptp_model_complete() */
-    unsigned changed_flood;  /* this many ObjectInfoChanged before an object is complete */
+    bool size_zero_first;    /* ObjectAdded at size 0; every look sees more, never all of it,
+                                until ptp_model_complete() */
+    unsigned changed_flood;  /* this many ObjectInfoChanged after each ObjectAdded */
     bool wrong_event_handle; /* an ObjectAdded for a handle that is not there comes before each */
 };
 
@@ -52,17 +57,19 @@ struct ptp_faults {
 struct ptp_object {
     const char *name;
     const char *date; /* "20260101T120000", or "" */
-    uint16_t format;  /* 0x380D TIFF, 0x3801 JPEG, 0x3001 a folder */
+    uint16_t format;  /* PTP_TIFF, ... */
     uint64_t size;
     const uint8_t *bytes; /* keeps */
     void (*read)(void *context, uint64_t offset, uint8_t *buffer, size_t size);
     void *context;
+    uint32_t parent;  /* the handle of its folder; 0: none */
+    unsigned storage; /* 0: the first card, 1: the second, ... */
 };
 
-/* NULL when memory is out. The model keeps copies of names and dates, not of bytes. */
+/* gives: the model, plugged in. It copies serial, faults, names and dates, not the bytes. */
 struct ptp_model *ptp_model_new(const char *serial, const struct ptp_faults *faults);
 void ptp_model_free(struct ptp_model *model);
-const struct usb_model *ptp_model_usb(struct ptp_model *model);
+const struct usb_model *ptp_model_usb(const struct ptp_model *model);
 
 /* A scan is finished: the object appears. Returns its handle. announce 0: without an event. */
 uint32_t ptp_model_add(struct ptp_model *model, const struct ptp_object *object, int announce);
@@ -77,7 +84,8 @@ void ptp_model_set_faults(struct ptp_model *model, const struct ptp_faults *faul
 void ptp_model_unplug(struct ptp_model *model);
 void ptp_model_replug(struct ptp_model *model);
 
-/* What was asked of it, for tests: how often an operation came, and the bulk-in bytes it gave. */
+/* What was asked of it, since it was made: how often an operation came, and the bulk-in bytes it
+ * gave. */
 unsigned ptp_model_asked(const struct ptp_model *model, uint16_t operation);
 uint64_t ptp_model_given(const struct ptp_model *model);
 

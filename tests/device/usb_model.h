@@ -11,9 +11,10 @@
 #include <stdint.h>
 
 enum {
-    USB_MODEL_NAK = -1,   /* nothing yet: keep the request waiting */
-    USB_MODEL_STALL = -2, /* the endpoint is halted, or the control request refused */
-    USB_MODEL_GONE = -3,  /* unplugged */
+    USB_MODEL_NAK = -1,    /* nothing yet: keep the request waiting */
+    USB_MODEL_STALL = -2,  /* the endpoint is halted, or the control request refused */
+    USB_MODEL_GONE = -3,   /* unplugged */
+    USB_MODEL_BABBLE = -4, /* the buffer ends inside a packet: those bytes are lost */
 };
 
 struct usb_model {

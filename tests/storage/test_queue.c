@@ -308,6 +308,27 @@ TEST(an_owner_is_known_by_boot_and_start_and_not_by_its_number_alone)
     frees("UPDATE job SET pid = 4194305", 1); /* above any number Linux gives */
 }
 
+TEST(a_job_that_is_given_back_waits_again_and_no_death_is_counted)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const int64_t specimen = bench_add_specimen(store, "S", "g", "");
+    gsn_auto(gsn_job_row) none = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)add(store, specimen, 0);
+    for (int i = 0; i < 2 * GSN_QUEUE_DEATHS; i++) {
+        gsn_auto(gsn_job_row) job = claim(store);
+        gsn_auto(gsn_job_row) found = NULL;
+
+        CHECK_OK(gsn_queue_of_process(store, getpid(), &found, &err), err);
+        CHECK(found->id == job->id && found->claim == job->claim && found->attempts == 0);
+        CHECK_OK(gsn_queue_release(store, job, &err), err);
+        CHECK(gsn_queue_release(store, job, &err) == GSN_E_BUSY);
+    }
+    CHECK(gsn_queue_of_process(store, getpid(), &none, &err) == GSN_E_NOTFOUND && none == NULL);
+}
+
 TEST(after_five_deaths_a_job_is_given_up_until_somebody_retries)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -5,30 +5,6 @@
 #include "tests/check.h"
 #include "tests/systemd/bench_job.h"
 
-TEST(a_panel_number_is_read_as_a_number)
-{
-    static const struct {
-        const char *name;
-        unsigned number;
-    } cases[] = { { "GVP-D-S02-P01.tif", 1 },
-                  { "GVP-D-S02-P10.tif", 10 },
-                  { "panel 3.png", 3 },
-                  { "panel-12 of 40.png", 12 },
-                  { "Panel_7_rescan2.jpg", 7 },
-                  { "1.tif", 1 },
-                  { "10.tif", 10 },
-                  { "scan.tif", 0 },
-                  { "a99999999999999999999.tif", 0 },
-                  { "S02.P4.jpeg", 4 },
-                  { "grp2-07.tif", 7 },
-                  { "", 0 } };
-
-    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++)
-        if (gsn_import_panel_number(cases[i].name) != cases[i].number)
-            fail_msg("%s is read as panel %u, not %u", cases[i].name,
-                     gsn_import_panel_number(cases[i].name), cases[i].number);
-}
-
 TEST(a_wrong_job_is_refused_with_its_sentence_and_leaves_no_specimen)
 {
     static const struct {

@@ -15,9 +15,9 @@
 #include <time.h>
 #include <unistd.h>
 
-static const struct gsn_job_options OPTIONS = { .mesher = GSN_MESHER,
-                                                .owner = "test",
-                                                .threads = 1 };
+static const struct gsn_job_options OPTIONS = {
+    .mesher = GSN_MESHER, .decoder = GSN_DECODER, .owner = "test", .threads = 1
+};
 
 #define HEAD                                                                                       \
     "\"px_um\": 24, \"layout\": [2, 2], \"panels\": 2, \"transfer\": \"linear\", \"thresholds\": " \
@@ -207,6 +207,31 @@ TEST(awkward_panels_cost_only_themselves)
     gsn_panel_rows_free(gsn_steal(&panels));
     CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
     CHECK(panels->count == 7);
+}
+
+/* The figures are the same whoever decodes; a panel that does harm to its decoder is refused. */
+TEST(a_decoder_apart_changes_nothing_and_a_harmful_panel_costs_only_itself)
+{
+    const struct gsn_job_options here = { .mesher = GSN_MESHER, .owner = "test", .threads = 1 };
+    struct gsn_job_options attacked = OPTIONS;
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    struct gsn_job_verdict verdict = { 0 };
+    struct gsn_error err = { 0 };
+
+    attacked.decoder = GSN_MISBEHAVING;
+    write_specimen(&scratch, "a", "", 0.6);
+    (void)take(&scratch, store, "a");
+    CHECK_OK(gsn_job_next(store, &attacked, &err), err);
+    CHECK(work_all(store, 9) == 2);
+    CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
+    check_panel(panels, "P01.png", "refused", "input", "an answer that cannot be");
+    check_panel(panels, "P02.png", "registered", "", "");
+    gsn_auto(gsn_run_row) run = latest(store, "a");
+
+    CHECK_OK(gsn_job_verify(store, run->id, &here, &verdict, &err), err);
+    CHECK(verdict.same_inputs && verdict.same_json && verdict.same_html);
 }
 
 TEST(a_held_panel_is_released_by_importing_it_under_its_right_name)

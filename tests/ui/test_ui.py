@@ -11,21 +11,26 @@ import pathlib
 import re
 import sqlite3
 import sys
+import threading
+import time
 import unittest
 
 sys.dont_write_bytecode = True
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import bench  # noqa: E402
 from bench import Bench, columns, png  # noqa: E402
+from scene import Scene  # noqa: E402
 
 MANUAL = pathlib.Path(__file__).resolve().parents[2] / "docs" / "man" / "gieson.1"
 
 # What `gieson status --json` and `gieson show --json` promise; the manual page names every key.
+ROOT_KEYS = {"queue", "service", "sources", "troubles", "unfiled", "specimens"}
 STATUS_KEYS = {"specimen", "group", "state", "detail", "action", "panels", "panels_registered",
                "panels_refused", "sections", "sections_found", "loss_percent", "mean_density",
                "run", "report"}
-SHOW_KEYS = {"specimen", "kind", "group", "baseline", "panels", "sections", "runs", "measures"}
-PANEL_KEYS = {"number", "file", "sha256", "state", "code", "message"}
+SHOW_KEYS = {"specimen", "kind", "group", "baseline", "delivered_by", "panels", "sections", "runs",
+             "measures"}
+PANEL_KEYS = {"number", "file", "sha256", "state", "code", "message", "action"}
 RUN_KEYS = {"run", "state", "message", "key", "version", "event_head"}
 
 ODD_NAMES = ["x" * 1000, "Gelenk Ü 7 \u6d4b\u8bd5", "e\u0301" * 30, "\u6d4b" * 60, "two\nlines",
@@ -38,9 +43,14 @@ class Words(Bench):
 
     def test_a_mistake_is_one_line_and_64(self):
         self.empty_store()
-        for args in ([], ["frobnicate"], [""], ["status", "more"], ["show"], ["show", "a", "b"],
+        for args in ([], ["frobnicate"], [""], ["status", "more"], ["top", "more"], ["top", "--json"], ["show"], ["show", "a", "b"],
                      ["report"], ["import"], ["verify"], ["check"], ["run", "--threads"],
-                     ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"],
+                     ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"], ["night", "more"],
+                     ["night", "--threads"], ["scrub", "--minutes"], ["scrub", "--minutes", "x"],
+                     ["file"], ["file", "1", "S"], ["file", "x", "S", "--panel", "1"],
+                     ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
+                     ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
+                     ["expect", "cam", "S", "T"], ["capture"], ["capture", "cam", "--red"],
                      ["status", "--store"]):
             with self.subTest(args=args):
                 self.refused(self.call(*args), 64)
@@ -56,8 +66,8 @@ class Words(Bench):
     def test_help_names_every_verb_and_version_is_a_version(self):
         done = self.call("--help", store=False)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
-        for verb in ("import", "run", "status", "show", "report", "retry", "verify", "check",
-                     "demo", "phantom"):
+        for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
+                     "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)
@@ -68,15 +78,17 @@ class Stores(Bench):
     """Where the store is, and what when it is not."""
 
     def test_no_store_named_is_64(self):
-        for args in (["status"], ["show", "x"], ["report", "x"], ["run"], ["retry"],
-                     ["import", "x"], ["verify", "1"]):
+        for args in (["status"], ["top"], ["show", "x"], ["report", "x"], ["run"], ["retry"],
+                     ["import", "x"], ["verify", "1"], ["night"], ["scrub"], ["expect", "a", "b"],
+                     ["file", "1", "s", "--panel", "1"], ["capture", "cam"]):
             with self.subTest(args=args):
                 self.assertIn("GIESON_STORE", self.refused(self.call(*args, store=False), 64))
         self.refused(self.call("status", store=False, env={"GIESON_STORE": ""}), 64)
 
     def test_a_store_that_is_not_there_is_66_and_is_not_made(self):
-        for args in (["status"], ["status", "--json"], ["show", "x"], ["report", "x"], ["run"],
-                     ["retry"], ["verify", "1"]):
+        for args in (["status"], ["status", "--json"], ["top"], ["show", "x"], ["report", "x"], ["run"],
+                     ["retry"], ["verify", "1"], ["night"], ["scrub"], ["expect", "a", "b"],
+                     ["file", "1", "s", "--panel", "1"], ["capture", "cam"]):
             with self.subTest(args=args):
                 self.assertIn("is not a gieson store", self.refused(self.call(*args), 66))
         self.assertFalse(self.store.exists())
@@ -89,8 +101,10 @@ class Stores(Bench):
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         self.assertIn("0 waiting", done.stdout)
         self.assertIn("gieson import", done.stdout)
-        self.assertEqual(self.json("status"), {"queue": {"waiting": 0, "running": 0, "done": 0,
-                                                         "failed": 0}, "specimens": []})
+        self.assertEqual(self.json("status"),
+                         {"queue": {"waiting": 0, "running": 0, "done": 0, "failed": 0},
+                          "service": {"intake": False, "works_queue": False}, "sources": [],
+                          "troubles": [], "unfiled": [], "specimens": []})
 
     def test_the_store_may_be_named_before_and_after_the_verb_and_by_the_environment(self):
         self.imported("here")
@@ -156,7 +170,7 @@ class Plain(Bench):
         self.imported("one", group="G")
         self.reported_tile()
         root = self.json("status")
-        self.assertEqual(set(root), {"queue", "specimens"})
+        self.assertEqual(set(root), ROOT_KEYS)
         self.assertEqual(set(root["queue"]), {"waiting", "running", "done", "failed"})
         for row in root["specimens"]:
             self.assertEqual(set(row), STATUS_KEYS)
@@ -167,7 +181,7 @@ class Plain(Bench):
         self.assertEqual(set(shown["panels"][0]), PANEL_KEYS)
         self.assertEqual(set(shown["runs"][0]), RUN_KEYS)
         manual = MANUAL.read_text(encoding="utf-8")
-        for key in STATUS_KEYS | SHOW_KEYS | PANEL_KEYS | RUN_KEYS | set(root["queue"]):
+        for key in ROOT_KEYS | STATUS_KEYS | SHOW_KEYS | PANEL_KEYS | RUN_KEYS | set(root["queue"]):
             self.assertRegex(manual, rf"\b{key}\b", f"the manual does not name {key}")
 
     def test_the_report_is_that_of_the_file(self):
@@ -356,6 +370,231 @@ class Run(Bench):
         for threads in ("x", "-1", "65", "1.5"):
             self.assertNotEqual(self.call("run", "--threads", threads).returncode, 0)
         self.assertEqual(self.json("status")["queue"]["waiting"], 2)
+
+
+class Told(Bench):
+    """What a person says to the bench."""
+
+    def setUp(self):
+        super().setUp()
+        self.imported("R07-left", panels=2)
+        self.scene = Scene(self.store / "gieson.db")
+        self.addCleanup(self.scene.close)
+        self.scene.source("copystand", "ptp:any", "ready")
+
+    def test_an_unfiled_scan_is_told_and_filed_and_then_no_longer_told(self):
+        scan = self.scene.scan("copystand", "IMG_0041.JPG", reason="nobody knows whose it is",
+                               age=100)
+        told = self.json("status")["unfiled"]
+        self.assertEqual([(s["scan"], s["source"], s["name"], s["reason"]) for s in told],
+                         [(scan, "copystand", "IMG_0041.JPG", "nobody knows whose it is")])
+        self.assertEqual(told[0]["action"], f"gieson file {scan} SPECIMEN --panel N")
+        self.assertIn(f"    next: {told[0]['action']}\n", self.call("status").stdout)
+        done = self.json("file", str(scan), "R07-left", "--panel", "7")
+        self.assertEqual(done, {"scan": scan, "specimen": "R07-left", "panel": 7})
+        self.assertEqual(self.json("status")["unfiled"], [])
+        panels = self.json("show", "R07-left")["panels"]
+        self.assertEqual([p["number"] for p in panels], [1, 2, 7])
+        self.assertEqual(panels[2]["file"], "IMG_0041.JPG")
+
+    def test_a_held_panel_that_came_by_a_source_is_given_its_number(self):
+        self.scene.panel(1, 0, "held", "no number in its name", age=100, name="IMG_0042.JPG")
+        panel = self.json("show", "R07-left")["panels"][-1]
+        scan = self.scene.db.execute("SELECT max(id) FROM scan").fetchone()[0]
+        self.assertEqual((panel["state"], panel["action"]),
+                         ("held", f"gieson file {scan} R07-left --panel N"))
+        self.assertIn(f"    next: {panel['action']}\n", self.call("show", "R07-left").stdout)
+        self.assertEqual(self.call(*panel["action"].replace("N", "5").split()[1:]).returncode, 0)
+        self.assertIn(5, [p["number"] for p in self.json("show", "R07-left")["panels"]])
+
+    def test_a_specimen_names_the_sources_that_deliver_it_and_their_troubles(self):
+        self.assertEqual(self.call("expect", "copystand", "R07-left").returncode, 0)
+        self.scene.trouble("copystand", "bad.jpg", "bad.jpg ends too early", "scan it again")
+        self.assertEqual(self.json("show", "R07-left")["delivered_by"], ["copystand"])
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("  delivered by copystand, which is ready\n", shown)
+        self.assertIn("  trouble  bad.jpg\n    bad.jpg ends too early\n    next: scan it again\n",
+                      shown)
+
+    def test_what_cannot_be_filed_is_refused_and_changes_nothing(self):
+        scan = str(self.scene.scan("copystand", "IMG_0041.JPG", reason="nobody knows"))
+        self.refused(self.call("file", scan, "nobody", "--panel", "1"), 66)
+        self.refused(self.call("file", "99", "R07-left", "--panel", "1"), 66)
+        self.assertEqual(self.call("file", scan, "R07-left", "--panel=3").returncode, 0)
+        self.refused(self.call("file", scan, "R07-left", "--panel", "4"), 65)
+        self.assertEqual(len(self.json("show", "R07-left")["panels"]), 3)
+
+    def test_a_source_delivers_a_specimen_until_somebody_says_otherwise(self):
+        self.assertEqual(self.json("expect", "copystand", "R07-left"),
+                         {"source": "copystand", "delivers": "R07-left"})
+        self.assertEqual(self.json("status")["sources"][0]["delivers"], "R07-left")
+        self.assertIn("delivers R07-left", self.call("status").stdout)
+        self.assertEqual(self.json("expect", "copystand", "--nobody")["delivers"], "")
+        self.assertEqual(self.json("status")["sources"][0]["delivers"], "")
+        self.refused(self.call("expect", "copystand", "nobody"), 66)
+        self.assertIn("gieson status",
+                      self.refused(self.call("expect", "nowhere", "R07-left"), 66))
+
+    def test_a_trouble_is_told_with_what_to_do(self):
+        self.scene.trouble("copystand", "bad.jpg", "bad.jpg ends too early", "scan it again", 3)
+        trouble = self.json("status")["troubles"][0]
+        self.assertEqual((trouble["name"], trouble["tries"]), ("bad.jpg", 3))
+        self.assertIn("! trouble bad.jpg from copystand\n    bad.jpg ends too early\n"
+                      "    next: scan it again\n", self.call("status").stdout)
+
+    def test_a_capture_without_the_service_is_75_and_leaves_no_request(self):
+        self.assertIn("systemctl start", self.refused(self.call("capture", "copystand"), 75))
+        self.refused(self.call("capture", "nowhere", "--blank"), 66)
+        self.assertEqual(self.scene.db.execute("SELECT count(*) FROM request").fetchone()[0], 0)
+
+    def capture_answered(self, kind, state, message, *args):
+        """As the service would: it holds its lock and answers."""
+        def answer():
+            db = sqlite3.connect(self.store / "gieson.db", isolation_level=None, timeout=30)
+            end = time.monotonic() + 30
+            while time.monotonic() < end and not db.execute(
+                    "UPDATE request SET state = ?, message = ? WHERE state = 'waiting' AND "
+                    "kind = ?", (state, message, kind)).rowcount:
+                time.sleep(0.02)
+            db.close()
+
+        with open(self.store / "giesond.lock", "w", encoding="utf-8") as lock:
+            bench.hold_lock(lock, 0)
+            service = threading.Thread(target=answer)
+            service.start()
+            done = self.call("capture", "copystand", *args)
+            service.join()
+        return done
+
+    def test_a_capture_waits_for_its_answer(self):
+        done = self.capture_answered("capture-panel", "done", "")
+        self.assertEqual((done.returncode, done.stdout), (0, "copystand took its picture\n"))
+        done = self.capture_answered("capture-dark", "done", "", "--dark", "--json")
+        self.assertEqual(json.loads(done.stdout)["kind"], "capture-dark")
+        done = self.capture_answered("capture-blank", "refused", "the lens is covered", "--blank")
+        self.assertIn("the lens is covered", self.refused(done, 65))
+
+
+class Night(Bench):
+    """What changed is worked, and nothing else."""
+
+    def worked(self, **more):
+        return [(r["specimen"], r["state"]) for r in self.json("night", **more)["worked"]]
+
+    def test_new_panels_and_new_settings_are_worked_and_a_second_night_has_nothing_to_do(self):
+        self.imported("one")
+        self.imported("two", folder="more")
+        self.assertEqual(self.worked(), [("one", "withheld"), ("two", "withheld")])
+        done = self.call("night")
+        self.assertEqual((done.returncode, done.stdout, done.stderr),
+                         (0, "nothing changed since the last reports\n", ""))
+        self.assertEqual(self.worked(), [])
+        place = self.job("one", week=3)
+        self.assertEqual(self.call("import", "--replace", place).returncode, 0)
+        self.assertRegex(self.call("night").stdout, r"^one: withheld: .+\n$")
+        png(place + "/scan_P02.png", 32, 32, seed=5)
+        self.assertEqual(self.call("import", place).returncode, 0)
+        self.assertEqual(self.worked(), [("one", "withheld")])
+        self.assertEqual(self.worked(), [])
+
+    def test_a_change_that_nobody_asked_for_is_seen_from_the_rows(self):
+        self.reported_tile()
+        self.assertEqual(self.worked(), [])
+        with sqlite3.connect(self.store / "gieson.db") as db:
+            db.execute("UPDATE specimen SET job_sha256 = ?", ("7" * 64,))
+        db.close()
+        self.assertEqual(self.worked(), [("tile", "reported")])
+        self.assertEqual(self.worked(), [])
+
+    def test_what_failed_earlier_is_told_and_not_tried_again_without_a_change(self):
+        self.imported("one")
+        self.assertEqual(self.call("run").returncode, 0)
+        with sqlite3.connect(self.store / "gieson.db") as db:
+            db.execute("UPDATE job SET state = 'failed', message = 'no mesh' WHERE kind = "
+                       "'specimen'")
+        db.close()
+        done = self.call("night")
+        self.assertEqual((done.returncode, done.stdout),
+                         (0, "nothing changed since the last reports\n"))
+        self.assertIn("1 specimen failed earlier", done.stderr)
+        self.assertEqual(self.call("retry").returncode, 0)
+        self.assertEqual(self.worked(), [("one", "withheld")])
+
+    def test_a_failure_in_the_night_is_65_and_costs_only_itself(self):
+        png(self.folder / "bad.png", seed=9)
+        self.assertEqual(self.call("import", "--tile", str(self.folder / "bad.png")).returncode, 0)
+        self.reported_tile("good")
+        with sqlite3.connect(self.store / "gieson.db") as db:
+            sha = db.execute("SELECT a.sha256 FROM attachment a JOIN specimen s ON s.id = "
+                             "a.specimen_id WHERE s.name = 'bad'").fetchone()[0]
+            db.execute("UPDATE specimen SET job_sha256 = ?", ("7" * 64,))
+        db.close()
+        other = self.store / "objects" / sha[:2] / sha[2:]
+        other.chmod(0o644)
+        png(self.folder / "other.png", 40, 40, seed=77)
+        other.write_bytes((self.folder / "other.png").read_bytes())
+        told = self.json("night", code=65)
+        self.assertEqual({r["specimen"]: r["state"] for r in told["worked"]}["bad"], "failed")
+        self.assertEqual(told["failed"], 1)
+
+
+class Scrub(Bench):
+    """Originals are read again."""
+
+    def objects(self):
+        return sorted(p for p in (self.store / "objects").glob("??/*") if p.is_file())
+
+    def damage(self, path):
+        path.chmod(0o644)
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+
+    def diary(self, kind):
+        with sqlite3.connect(self.store / "gieson.db") as db:
+            rows = db.execute("SELECT subject, text FROM event WHERE kind = ?", (kind,)).fetchall()
+        db.close()
+        return rows
+
+    def test_a_whole_store_is_whole(self):
+        self.imported("one", panels=3)
+        told = self.json("scrub")
+        size = sum(p.stat().st_size for p in self.objects())
+        self.assertEqual((told["checked"], told["bytes"], told["damaged"], told["complete"]),
+                         (3, size, [], True))
+        self.assertEqual(self.diary("scrub"), [("", "3 objects read again, 0 damaged")])
+        self.assertFalse((self.store / "scrub.json").exists())
+
+    def test_a_damaged_and_a_lost_object_are_named_with_their_panels_until_they_are_mended(self):
+        place = self.job("one", panels=3)
+        self.assertEqual(self.call("import", place).returncode, 0)
+        broken, lost, _ = self.objects()
+        self.damage(broken)
+        lost.unlink()
+        done = self.call("scrub")
+        self.assertEqual(done.returncode, 65)
+        self.assertRegex(done.stdout, r"^3 objects \(.* MB\) read again, 2 damaged\n$")
+        self.assertEqual(done.stderr.count("\n"), 2)
+        self.assertRegex(done.stderr, r"scan_P0\d\.png of one rests on it: .*its bytes are no "
+                         r"longer those that came in; import the original again")
+        self.assertEqual({s for s, _ in self.diary("damaged")},
+                         {p.parent.name + p.name for p in (broken, lost)})
+        self.assertEqual(len(self.json("status")["troubles"]), 2)
+        self.assertIn("next: import the original again", self.call("status").stdout)
+        self.assertEqual(self.call("import", place).returncode, 0)
+        self.assertEqual(self.json("scrub")["damaged"], [])
+        self.assertEqual(self.json("status")["troubles"], [])
+
+    def test_a_round_goes_on_where_the_last_one_stopped(self):
+        self.imported("one", panels=4)
+        names = [p.parent.name + p.name for p in self.objects()]
+        (self.store / "scrub.json").write_text(
+            json.dumps({"after": names[1], "checked": 2, "damaged": 0}), encoding="utf-8")
+        told = self.json("scrub", "--minutes", "5")
+        self.assertEqual((told["checked"], told["round_checked"], told["complete"]), (2, 4, True))
+        self.assertEqual(self.diary("scrub"), [("", "4 objects read again, 0 damaged")])
+        (self.store / "scrub.json").write_text("{junk", encoding="utf-8")
+        self.assertEqual(self.json("scrub")["checked"], 4)
 
 
 class Disk(Bench):

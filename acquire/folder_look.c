@@ -1,0 +1,259 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "acquire/folder_look.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "acquire/container.h"
+#include "acquire/natural.h"
+#include "pipeline/core/file.h"
+
+static struct gsn_folder_stamp stamp_of(const struct stat *st)
+{
+    return (struct gsn_folder_stamp){ st->st_dev, st->st_ino, st->st_size, st->st_mtim,
+                                      st->st_ctim };
+}
+
+static bool same_time(struct timespec a, struct timespec b)
+{
+    return a.tv_sec == b.tv_sec && a.tv_nsec == b.tv_nsec;
+}
+
+static bool same_stamp(const struct gsn_folder_stamp *a, const struct gsn_folder_stamp *b)
+{
+    return a->device == b->device && a->inode == b->inode && a->size == b->size &&
+           same_time(a->modified, b->modified) && same_time(a->changed, b->changed);
+}
+
+void gsn_folder_set_state(struct gsn_folder_file *file, enum gsn_folder_state state,
+                          const char *reason)
+{
+    if (file->state != state || strcmp(file->reason, reason) != 0)
+        file->told = false;
+    file->state = state;
+    (void)snprintf(file->reason, sizeof file->reason, "%s", reason);
+}
+
+int gsn_folder_open_file(const struct gsn_folder *folder, const struct gsn_folder_file *file,
+                         int *ret_fd, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = gsn_format("%s/%s", folder->dir, file->name);
+
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    return gsn_file_open(path, ret_fd, err);
+}
+
+static int judge(const struct gsn_folder *folder, const struct gsn_folder_file *file,
+                 struct gsn_container *ret_container, struct gsn_error *err)
+{
+    int fd = -1, r = gsn_folder_open_file(folder, file, &fd, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_container_check_fd(fd, ret_container, err);
+    (void)close(fd);
+    return r;
+}
+
+/* The file kept still for long enough: is it whole, and is it for us at all? */
+static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file, bool patient,
+                  struct gsn_error *err)
+{
+    struct gsn_container container;
+    struct gsn_error why = { 0 };
+    char reason[160];
+    const int r = judge(folder, file, &container, &why);
+
+    if (r == GSN_E_NOMEM)
+        return gsn_fail(err, r, "%s", why.text);
+    if (r < 0) {
+        (void)snprintf(reason, sizeof reason, "cannot be read: %.140s", why.text);
+        gsn_folder_set_state(file, folder->replay && !patient ? GSN_FILE_SKIPPED : GSN_FILE_WAITING,
+                             reason);
+        return GSN_OK;
+    }
+    if (container.kind == GSN_CONTAINER_UNKNOWN && !gsn_name_is_picture(file->name)) {
+        gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is no picture and is left alone");
+        /* job.json describes the panels; whoever imports reads it himself. */
+        file->told = file->told || strcmp(file->name, "job.json") == 0;
+        return GSN_OK;
+    }
+    gsn_folder_set_state(file, container.complete || !patient ? GSN_FILE_READY : GSN_FILE_WAITING,
+                         container.reason);
+    file->incomplete = !container.complete;
+    return GSN_OK;
+}
+
+/* A file that is as it was when it was taken need not be read again, whatever it is called now. On
+ * file systems that give a file another number after each mount it is, and is recognised then. */
+static void make_key(struct gsn_folder_file *file)
+{
+    const struct gsn_folder_stamp *const stamp = &file->stamp;
+
+    (void)snprintf(file->key, sizeof file->key, "file %llx:%llx %llu %lld.%09ld %lld.%09ld",
+                   (unsigned long long)stamp->device, (unsigned long long)stamp->inode,
+                   (unsigned long long)stamp->size, (long long)stamp->modified.tv_sec,
+                   stamp->modified.tv_nsec, (long long)stamp->changed.tv_sec,
+                   stamp->changed.tv_nsec);
+}
+
+static bool is_known(const struct gsn_folder *folder, const struct gsn_folder_file *file)
+{
+    return folder->options.is_known && folder->options.is_known(folder->options.context, file->key);
+}
+
+static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *file,
+                          const struct stat *st, int64_t now_ms)
+{
+    /* Another content under a known name is another item. */
+    if (file->state == GSN_FILE_DONE)
+        file->item = ++folder->last_item;
+    gsn_folder_set_state(file, GSN_FILE_WAITING, "a second look has yet to find it unchanged");
+    file->stamp = stamp_of(st);
+    file->unsettled = false;
+    file->since_ms = now_ms;
+    file->key[0] = '\0';
+    if (S_ISREG(st->st_mode))
+        make_key(file);
+    if (S_ISREG(st->st_mode) && is_known(folder, file))
+        gsn_folder_set_state(file, GSN_FILE_DONE, "");
+    if (S_ISDIR(st->st_mode))
+        gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is a folder and is not looked into");
+    else if (!S_ISREG(st->st_mode))
+        gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is no regular file and is left alone");
+}
+
+static int look_at(struct gsn_folder *folder, struct gsn_folder_file *file, const struct stat *st,
+                   int64_t now_ms, struct gsn_error *err)
+{
+    const struct gsn_folder_stamp stamp = stamp_of(st);
+    /* A folder changes whenever something in it does; once told is enough. */
+    const bool same =
+        (same_stamp(&stamp, &file->stamp) && !file->unsettled) || S_ISDIR(st->st_mode);
+
+    file->present = true;
+    if (!same) {
+        start_waiting(folder, file, st, now_ms);
+        return GSN_OK;
+    }
+    if (file->state != GSN_FILE_WAITING || now_ms - file->since_ms < folder->options.settle_ms)
+        return GSN_OK;
+    return settle(folder, file, now_ms - file->since_ms < folder->options.patience_ms, err);
+}
+
+/* Where the name is, or belongs. */
+static size_t find_place(const struct gsn_folder *folder, const char *name, bool *ret_found)
+{
+    size_t low = 0, high = folder->count;
+
+    *ret_found = false;
+    while (low < high) {
+        const size_t middle = low + (high - low) / 2;
+        const int order = gsn_natural_compare(folder->at[middle].name, name);
+
+        if (order == 0) {
+            *ret_found = true;
+            return middle;
+        }
+        if (order < 0)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+static int insert(struct gsn_folder *folder, size_t place, const char *name, const struct stat *st,
+                  int64_t now_ms, struct gsn_error *err)
+{
+    gsn_auto_mem(char) copy = gsn_strdup(name);
+    struct gsn_folder_file *file;
+
+    if (copy && folder->count == folder->room) {
+        const size_t room = folder->room ? 2 * folder->room : 16;
+        struct gsn_folder_file *at = gsn_realloc_array(folder->at, room, sizeof *at);
+
+        if (!at)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu files", room);
+        folder->at = at;
+        folder->room = room;
+    }
+    if (!copy)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a file name");
+    file = &folder->at[place];
+    memmove(file + 1, file, (folder->count - place) * sizeof *file);
+    folder->count++;
+    *file = (struct gsn_folder_file){ .name = gsn_steal(&copy),
+                                      .item = ++folder->last_item,
+                                      .present = true };
+    start_waiting(folder, file, st, now_ms);
+    return GSN_OK;
+}
+
+static int look_at_name(struct gsn_folder *folder, int dir_fd, const char *name, int64_t now_ms,
+                        struct gsn_error *err)
+{
+    struct stat st;
+    bool found;
+    size_t place;
+
+    if (name[0] == '.')
+        return GSN_OK;
+    /* A link to nothing is told as what it is; a file that has just vanished is none. */
+    if (fstatat(dir_fd, name, &st, 0) < 0 && fstatat(dir_fd, name, &st, AT_SYMLINK_NOFOLLOW) < 0)
+        return GSN_OK;
+    place = find_place(folder, name, &found);
+    if (found)
+        return look_at(folder, &folder->at[place], &st, now_ms, err);
+    if (folder->replay && folder->listed)
+        return GSN_OK;
+    return insert(folder, place, name, &st, now_ms, err);
+}
+
+static int list(struct gsn_folder *folder, DIR *dir, int64_t now_ms, struct gsn_error *err)
+{
+    for (;;) {
+        const struct dirent *entry;
+        int r;
+
+        errno = 0;
+        entry = readdir(dir);
+        if (!entry)
+            return errno == 0 ? GSN_OK
+                              : gsn_fail(err, GSN_E_IO, "%s: %s", folder->dir, strerror(errno));
+        r = look_at_name(folder, dirfd(dir), entry->d_name, now_ms, err);
+        if (r < 0)
+            return r;
+    }
+}
+
+int gsn_folder_look(struct gsn_folder *folder, int64_t now_ms, struct gsn_error *err)
+{
+    DIR *const dir = opendir(folder->dir);
+    int r;
+
+    if (!dir)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", folder->dir, strerror(errno));
+    for (size_t i = 0; i < folder->count; i++)
+        folder->at[i].present = false;
+    r = list(folder, dir, now_ms, err);
+    (void)closedir(dir);
+    return r;
+}
+
+bool gsn_folder_is_as_told(int fd, const struct gsn_folder_file *file)
+{
+    struct stat st;
+    struct gsn_folder_stamp stamp;
+
+    if (fstat(fd, &st) < 0)
+        return false;
+    stamp = stamp_of(&st);
+    return same_stamp(&stamp, &file->stamp);
+}

@@ -1,0 +1,515 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "acquire/ptp_source.h"
+
+#include <errno.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "acquire/natural.h"
+#include "acquire/ptp_record.h"
+#include "acquire/ptp_table.h"
+#include "acquire/usb_transport.h"
+
+enum {
+    LOOK_GAP_MS = 250, /* a device is not listed more often */
+    LOOK_TRIES = 3,    /* when it begins anew in the middle */
+};
+
+struct source {
+    struct gsn_ptp_door door;
+    void *place;                   /* the door's context, where this source made it */
+    struct gsn_ptp_device *device; /* NULL while it is away */
+    struct gsn_ptp_table table;
+    struct gsn_ptp_hints hints;
+    unsigned sessions; /* of devices that went */
+    int64_t now_ms;    /* of the last poll */
+    int64_t next_look_ms;
+    bool looked, busy_told;
+    char busy[200]; /* to be told once */
+    char name[300];
+};
+
+static void name_device(struct source *source)
+{
+    const char *const serial = gsn_ptp_device_serial(source->device);
+
+    (void)snprintf(source->name, sizeof source->name, "%04x:%04x%s%.200s",
+                   source->device->transport->vendor, source->device->transport->product,
+                   serial[0] ? " " : "", serial);
+}
+
+static int connect_device(struct source *source, struct gsn_error *err)
+{
+    struct gsn_ptp_transport *transport = NULL;
+    int r;
+
+    if (source->device)
+        return GSN_OK;
+    r = source->door.open(source->door.context, &transport, err);
+    if (r >= 0)
+        r = gsn_ptp_device_new(transport, &source->device, err);
+    if (r < 0)
+        return r;
+    gsn_ptp_session_count_from(source->device->session, source->sessions);
+    name_device(source);
+    source->looked = false;
+    return GSN_OK;
+}
+
+/* The device went; its handles mean nothing to the next one. */
+static void disconnect(struct source *source)
+{
+    source->sessions = gsn_ptp_session_number(source->device->session);
+    gsn_ptp_device_free(source->device);
+    source->device = NULL;
+}
+
+static bool is_hinted(const struct source *source)
+{
+    return source->hints.any || source->hints.all_changed || source->hints.changed_count > 0;
+}
+
+static void add_hints(struct gsn_ptp_hints *to, const struct gsn_ptp_hints *more)
+{
+    const size_t room = sizeof to->changed / sizeof to->changed[0];
+
+    to->any |= more->any;
+    to->all_changed |= more->all_changed;
+    for (size_t i = 0; i < more->changed_count; i++) {
+        if (to->changed_count == room)
+            to->all_changed = 1;
+        else
+            to->changed[to->changed_count++] = more->changed[i];
+    }
+}
+
+static int take_hints(struct source *source, struct gsn_error *err)
+{
+    struct gsn_ptp_hints hints = { 0 };
+    const int r = gsn_ptp_session_hints(source->device->session, &hints, err);
+
+    if (r >= 0)
+        add_hints(&source->hints, &hints);
+    return r;
+}
+
+/* A device that falls back into a new session while it is listed is listed again. */
+static int look(struct source *source, int64_t now_ms, struct gsn_error *err)
+{
+    int r = gsn_ptp_device_greet(source->device, err);
+
+    for (int tries = 0; r >= 0 && tries < LOOK_TRIES; tries++) {
+        const unsigned session = gsn_ptp_session_number(source->device->session);
+
+        r = gsn_ptp_table_look(&source->table, source->device, &source->hints, now_ms, err);
+        if (r != GSN_E_IO || session == gsn_ptp_session_number(source->device->session))
+            break;
+        r = tries + 1 < LOOK_TRIES ? GSN_OK : r;
+    }
+    if (r < 0)
+        return r;
+    name_device(source);
+    source->hints = (struct gsn_ptp_hints){ 0 };
+    source->looked = true;
+    source->next_look_ms = now_ms + LOOK_GAP_MS;
+    source->busy_told = false;
+    return GSN_OK;
+}
+
+/* Deletes what was taken and is still due, once each: it must be the object that was taken. */
+static void delete_due(struct source *source, struct gsn_ptp_object *object)
+{
+    struct gsn_error why = { 0 };
+    uint16_t code = 0;
+    int r;
+
+    if (!source->device || object->session != gsn_ptp_session_number(source->device->session))
+        return;
+    r = gsn_ptp_table_confirm(&source->table, source->device, object, source->now_ms, &why);
+    if (r >= 0)
+        r = gsn_ptp_device_delete(source->device, object->handle, &code, &why);
+    /* Trouble with the bus leaves it for the next look; what changed is not deleted at all. */
+    if (r < 0 && r != GSN_E_INPUT && object->state == GSN_PTP_TAKEN)
+        return;
+    object->delete_due = false;
+    if (r == GSN_E_INPUT && code != GSN_PTP_INVALID_OBJECT_HANDLE)
+        (void)snprintf(object->notice, sizeof object->notice,
+                       "was taken, but %.150s; delete it there by hand", why.text);
+}
+
+static void delete_all_due(struct source *source)
+{
+    for (size_t i = 0; i < source->table.count; i++) {
+        if (source->table.at[i].delete_due && source->table.at[i].state == GSN_PTP_TAKEN)
+            delete_due(source, &source->table.at[i]);
+    }
+}
+
+static bool has_news(const struct gsn_ptp_object *object, struct gsn_source_event *ret_event)
+{
+    *ret_event = (struct gsn_source_event){ .item = object->item, .reason = object->reason };
+    if (object->gone) {
+        ret_event->what = GSN_SOURCE_GONE;
+        ret_event->reason = "vanished before it was taken";
+        return object->state == GSN_PTP_WAITING || object->state == GSN_PTP_READY;
+    }
+    switch (object->state) {
+    case GSN_PTP_READY:
+        ret_event->what = GSN_SOURCE_READY;
+        ret_event->size = object->size;
+        ret_event->key = object->key;
+        return true;
+    case GSN_PTP_WAITING:
+        ret_event->what = GSN_SOURCE_WAITING;
+        return !object->told;
+    case GSN_PTP_LEFT:
+        ret_event->what = GSN_SOURCE_NOTICE;
+        ret_event->item = 0;
+        return !object->told;
+    default:
+        return false;
+    }
+}
+
+static int tell_event(const struct gsn_ptp_object *object, const struct source *source,
+                      struct gsn_source_event *event, struct gsn_source_events *events,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(char) facts = NULL;
+    char handle[32];
+
+    (void)snprintf(handle, sizeof handle, "object %08lX", (unsigned long)object->handle);
+    event->name = object->name ? object->name : handle;
+    if (event->what == GSN_SOURCE_READY && source->device) {
+        facts = gsn_ptp_object_facts(object, source->device);
+        if (!facts)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for an event");
+    }
+    event->facts = facts;
+    return gsn_source_tell(events, event, err);
+}
+
+static int tell_object(const struct gsn_ptp_object *object, const struct source *source,
+                       struct gsn_source_events *events, struct gsn_error *err)
+{
+    struct gsn_source_event event;
+    int r = GSN_OK;
+
+    if (has_news(object, &event))
+        r = tell_event(object, source, &event, events, err);
+    if (r >= 0 && object->notice[0]) {
+        event = (struct gsn_source_event){ .what = GSN_SOURCE_NOTICE, .reason = object->notice };
+        r = tell_event(object, source, &event, events, err);
+    }
+    return r;
+}
+
+static int by_name(const void *a, const void *b)
+{
+    const struct gsn_source_event *const x = a, *const y = b;
+    const int order = gsn_natural_compare(x->name, y->name);
+
+    return order != 0 ? order : x->item < y->item ? -1 : x->item > y->item;
+}
+
+static int tell(struct source *source, struct gsn_source_events *events, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && i < source->table.count; i++)
+        r = tell_object(&source->table.at[i], source, events, err);
+    if (r >= 0 && source->busy[0]) {
+        const struct gsn_source_event event = { .what = GSN_SOURCE_NOTICE,
+                                                .name = source->name,
+                                                .reason = source->busy };
+
+        r = gsn_source_tell(events, &event, err);
+    }
+    if (r < 0)
+        return r;
+    if (events->count > 1)
+        qsort(events->at, events->count, sizeof *events->at, by_name);
+    return GSN_OK;
+}
+
+/* Only now that every event is in the caller's list: a poll that fails has told nothing. */
+static void forget_news(struct source *source)
+{
+    for (size_t i = 0; i < source->table.count; i++) {
+        source->table.at[i].told = true;
+        source->table.at[i].notice[0] = '\0';
+    }
+    gsn_ptp_table_sweep(&source->table);
+    source->busy[0] = '\0';
+}
+
+/* A device that stays busy is no failure: it is said once, and what was known stands. */
+static void note_busy(struct source *source, const struct gsn_error *why)
+{
+    if (!source->busy_told)
+        (void)snprintf(source->busy, sizeof source->busy, "%.190s", why->text);
+    source->busy_told = true;
+}
+
+/* What the device has to say, as far as it is time to ask. */
+static int ask_device(struct source *source, int64_t now_ms, struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
+    int r = take_hints(source, &why);
+
+    if (r >= 0 && (!source->looked || now_ms >= source->next_look_ms)) {
+        r = look(source, now_ms, &why);
+        if (r >= 0)
+            delete_all_due(source);
+    }
+    if (r == GSN_E_BUSY) {
+        note_busy(source, &why);
+        return GSN_OK;
+    }
+    if (r == GSN_E_INPUT)
+        r = GSN_E_IO;
+    return r < 0 ? gsn_fail(err, r, "%s", why.text) : GSN_OK;
+}
+
+static int ptp_poll(void *self, int64_t now_ms, struct gsn_source_events *events, int *ret_ended,
+                    struct gsn_error *err)
+{
+    struct source *const source = self;
+    int r = connect_device(source, err);
+
+    if (r < 0)
+        return r;
+    source->now_ms = now_ms;
+    r = ask_device(source, now_ms, err);
+    if (r == GSN_E_NOTFOUND)
+        disconnect(source);
+    if (r >= 0)
+        r = tell(source, events, err);
+    if (r < 0)
+        return r;
+    forget_news(source);
+    *ret_ended = 0;
+    return GSN_OK;
+}
+
+static int no_item(uint64_t item, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_NOTFOUND, "item %llu is not ready", (unsigned long long)item);
+}
+
+/* A piece of it, and after the last piece the question whether it is still the same. A device that
+ * began anew meanwhile may have given the handle to another object. */
+static int read_piece(struct source *source, struct gsn_ptp_object *object, uint64_t offset,
+                      void *buffer, size_t size, size_t *ret_got, uint16_t *ret_code,
+                      struct gsn_error *err)
+{
+    struct gsn_ptp_device *const device = source->device;
+    size_t got = 0;
+    int r = gsn_ptp_device_read(device, object->handle, object->size, offset, buffer, size, &got,
+                                ret_code, err);
+    const unsigned session = gsn_ptp_session_number(device->session);
+
+    if (r >= 0 && (offset + got == object->size || session != object->session))
+        r = gsn_ptp_table_confirm(&source->table, device, object, source->now_ms, err);
+    if (r >= 0)
+        *ret_got = got;
+    return r;
+}
+
+/* What a failed read means for the object and for the caller. */
+static int judge_failure(struct source *source, struct gsn_ptp_object *object, int r, uint16_t code,
+                         const struct gsn_error *why, struct gsn_error *err)
+{
+    switch (r) {
+    case GSN_E_NOTFOUND: /* the device, or the object: the next poll will tell */
+        return gsn_fail(err, GSN_E_IO, "%.100s: %.300s", object->name, why->text);
+    case GSN_E_INPUT:
+        if (code == GSN_PTP_INVALID_OBJECT_HANDLE) {
+            source->looked = false;
+            return gsn_fail(err, GSN_E_NOTFOUND, "%.100s is no longer on the device", object->name);
+        }
+        break;
+    case GSN_E_BUSY:
+        gsn_ptp_object_wait(object, why->text);
+        return gsn_fail(err, GSN_E_BUSY, "%.100s: %.300s", object->name, why->text);
+    case GSN_E_NOMEM:
+        return gsn_fail(err, r, "%s", why->text);
+    default:
+        break;
+    }
+    gsn_ptp_object_set_aside(object, why->text, source->now_ms);
+    return gsn_fail(err, r == GSN_E_IO ? GSN_E_IO : GSN_E_BUSY, "%.100s: %.300s", object->name,
+                    why->text);
+}
+
+static int ptp_read(void *self, uint64_t item, uint64_t offset, void *buffer, size_t size,
+                    size_t *ret_got, struct gsn_error *err)
+{
+    struct source *const source = self;
+    struct gsn_ptp_object *const object = gsn_ptp_table_find(&source->table, item);
+    struct gsn_error why = { 0 };
+    uint16_t code = 0;
+    size_t got = 0;
+    int r;
+
+    if (!object)
+        return no_item(item, err);
+    if (!source->device)
+        return gsn_fail(err, GSN_E_IO, "%.100s: the device is away", object->name);
+    if (offset >= object->size || size == 0) {
+        *ret_got = 0;
+        return GSN_OK;
+    }
+    r = read_piece(source, object, offset, buffer, size, &got, &code, &why);
+    if (r < 0)
+        return judge_failure(source, object, r, code, &why, err);
+    *ret_got = got;
+    return GSN_OK;
+}
+
+static int ptp_acknowledge(void *self, uint64_t item, struct gsn_error *err)
+{
+    struct source *const source = self;
+    struct gsn_ptp_object *const object = gsn_ptp_table_find(&source->table, item);
+
+    if (!object)
+        return no_item(item, err);
+    object->state = GSN_PTP_TAKEN;
+    object->failures = 0;
+    object->delete_due = source->table.options.delete_there != 0;
+    if (object->delete_due)
+        delete_due(source, object);
+    return GSN_OK;
+}
+
+static int ptp_wait(void *self, int timeout_ms, int stop_fd, struct gsn_error *err)
+{
+    struct source *const source = self;
+    struct pollfd stop = { .fd = stop_fd, .events = POLLIN };
+
+    /* What was hinted at already waits only until the device may be listed again. */
+    if (is_hinted(source) && (timeout_ms < 0 || timeout_ms > LOOK_GAP_MS))
+        timeout_ms = LOOK_GAP_MS;
+    if (source->device)
+        return source->device->transport->ops->wait(source->device->transport->self, timeout_ms,
+                                                    stop_fd, err);
+    if (poll(&stop, 1, timeout_ms) < 0 && errno != EINTR)
+        return gsn_fail(err, GSN_E_IO, "waiting: %s", strerror(errno));
+    return GSN_OK;
+}
+
+static const char *ptp_device(const void *self)
+{
+    return ((const struct source *)self)->name;
+}
+
+static void ptp_close(void *self)
+{
+    struct source *const source = self;
+
+    if (!source)
+        return;
+    gsn_ptp_device_free(source->device);
+    gsn_ptp_table_done(&source->table);
+    gsn_free(source->place);
+    gsn_free(source);
+}
+
+int gsn_ptp_source_new(const struct gsn_ptp_door *door, const struct gsn_source_options *options,
+                       void **ret_self, struct gsn_error *err)
+{
+    struct source *const source = gsn_alloc_array(1, sizeof *source);
+    int r;
+
+    if (!source)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a PTP source");
+    source->door = *door;
+    source->table.options = *options;
+    r = connect_device(source, err);
+    if (r < 0) {
+        ptp_close(source);
+        return r;
+    }
+    *ret_self = source;
+    return GSN_OK;
+}
+
+/* Where libusb finds the device, and what is to be written down of the talk with it. */
+struct usb_place {
+    const char *record; /* of the settings; NULL: nothing */
+    char rest[];
+};
+
+static int open_usb(void *context, struct gsn_ptp_transport **ret_transport, struct gsn_error *err)
+{
+    const struct usb_place *const place = context;
+    struct gsn_ptp_transport *transport = NULL;
+    int r = gsn_ptp_usb_open(place->rest, &transport, err);
+
+    if (r >= 0 && place->record)
+        r = gsn_ptp_record(transport, place->record, &transport, err);
+    if (r >= 0)
+        *ret_transport = transport;
+    return r;
+}
+
+/* gives. */
+static struct usb_place *make_place(const char *rest, const struct gsn_source_options *options)
+{
+    const size_t size = strlen(rest) + 1;
+    struct usb_place *const place = gsn_alloc(sizeof *place + size);
+
+    if (!place)
+        return NULL;
+    memcpy(place->rest, rest, size);
+    place->record = NULL;
+    for (size_t i = 0; i < options->setting_count; i++) /* Record is the only one there is */
+        place->record = options->setting[i].value;
+    return place;
+}
+
+static int ptp_open(const char *rest, const struct gsn_source_options *options, void **ret_self,
+                    struct gsn_error *err)
+{
+    gsn_auto_mem(struct usb_place) place = make_place(rest, options);
+    const struct gsn_ptp_door door = { open_usb, place };
+    void *self = NULL;
+    int r;
+
+    if (!place)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a PTP source");
+    r = gsn_ptp_source_new(&door, options, &self, err);
+    if (r < 0)
+        return r;
+    ((struct source *)self)->place = gsn_steal(&place);
+    *ret_self = self;
+    return GSN_OK;
+}
+
+static int ptp_check(const char *rest, const struct gsn_source_options *options,
+                     struct gsn_error *err)
+{
+    for (size_t i = 0; i < options->setting_count; i++)
+        if (options->setting[i].value[0] != '/')
+            return gsn_fail(err, GSN_E_INPUT, "Record=%.200s: give the whole path of a file",
+                            options->setting[i].value);
+    return gsn_ptp_usb_check(rest, err);
+}
+
+static const char *const ptp_settings[] = { "Record", NULL };
+
+const struct gsn_source_ops gsn_ptp_source_ops = {
+    .kind = "ptp",
+    .subsystem = "usb",
+    .settings = ptp_settings,
+    .check = ptp_check,
+    .open = ptp_open,
+    .poll = ptp_poll,
+    .read = ptp_read,
+    .acknowledge = ptp_acknowledge,
+    .wait = ptp_wait,
+    .device = ptp_device,
+    .close = ptp_close,
+};

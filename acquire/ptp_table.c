@@ -1,0 +1,582 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "acquire/ptp_table.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "acquire/natural.h"
+
+enum {
+    CHECKS_A_LOOK = 32,  /* taken objects that are described again at each listing */
+    MOST_FOLDERS = 4096, /* walked in one listing */
+    MOST_DEPTH = 16,     /* of folders in a path */
+    FIRST_RETRY_MS = 30 * 1000,
+    LAST_RETRY_MS = 60 * 60 * 1000,
+};
+
+static const char unsettled[] = "a second look has yet to find it unchanged";
+
+static void free_texts(struct gsn_ptp_object *object)
+{
+    gsn_free(object->name);
+    gsn_free(object->key);
+    object->name = object->key = NULL;
+}
+
+void gsn_ptp_table_done(struct gsn_ptp_table *table)
+{
+    for (size_t i = 0; i < table->count; i++)
+        free_texts(&table->at[i]);
+    gsn_free(table->at);
+    table->at = NULL;
+    table->count = table->room = 0;
+}
+
+/* A reason is told once, and again when it becomes another. */
+static void set_state(struct gsn_ptp_object *object, enum gsn_ptp_state state, const char *reason)
+{
+    if (object->state != state || strcmp(object->reason, reason) != 0)
+        object->told = false;
+    object->state = state;
+    (void)snprintf(object->reason, sizeof object->reason, "%.190s", reason);
+}
+
+void gsn_ptp_object_wait(struct gsn_ptp_object *object, const char *reason)
+{
+    set_state(object, GSN_PTP_WAITING, reason);
+}
+
+void gsn_ptp_object_set_aside(struct gsn_ptp_object *object, const char *reason, int64_t now_ms)
+{
+    int64_t delay = FIRST_RETRY_MS;
+
+    for (unsigned i = 0; i < object->failures && delay < LAST_RETRY_MS; i++)
+        delay *= 2;
+    object->failures++;
+    object->retry_ms = now_ms + (delay < LAST_RETRY_MS ? delay : LAST_RETRY_MS);
+    set_state(object, GSN_PTP_WAITING, reason);
+}
+
+struct gsn_ptp_object *gsn_ptp_table_find(struct gsn_ptp_table *table, uint64_t item)
+{
+    for (size_t i = 0; i < table->count; i++) {
+        if (table->at[i].item == item && table->at[i].state == GSN_PTP_READY && !table->at[i].gone)
+            return &table->at[i];
+    }
+    return NULL;
+}
+
+/* Where the handle of this session is, or belongs. */
+static size_t find_place(const struct gsn_ptp_table *table, unsigned session, uint32_t handle,
+                         bool *ret_found)
+{
+    size_t low = 0, high = table->count;
+
+    while (low < high) {
+        const size_t middle = low + (high - low) / 2;
+        const struct gsn_ptp_object *const there = &table->at[middle];
+
+        if (there->session < session || (there->session == session && there->handle < handle))
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    *ret_found =
+        low < table->count && table->at[low].session == session && table->at[low].handle == handle;
+    return low;
+}
+
+static struct gsn_ptp_object *find_handle(struct gsn_ptp_table *table, unsigned session,
+                                          uint32_t handle)
+{
+    bool found;
+    const size_t place = find_place(table, session, handle, &found);
+
+    return found ? &table->at[place] : NULL;
+}
+
+/* The handle was listed. ret_seen: it was so in this listing already. */
+static int see(struct gsn_ptp_table *table, unsigned session, uint32_t handle, bool *ret_seen,
+               struct gsn_error *err)
+{
+    bool found;
+    const size_t place = find_place(table, session, handle, &found);
+
+    if (!found && table->count == table->room) {
+        const size_t room = table->room ? 2 * table->room : 16;
+        struct gsn_ptp_object *at = gsn_realloc_array(table->at, room, sizeof *at);
+
+        if (!at)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu objects", room);
+        table->at = at;
+        table->room = room;
+    }
+    if (!found) {
+        memmove(&table->at[place + 1], &table->at[place],
+                (table->count - place) * sizeof *table->at);
+        table->count++;
+        table->at[place] = (struct gsn_ptp_object){
+            .handle = handle, .session = session, .item = ++table->last_item, .told = true
+        };
+    }
+    *ret_seen = found && table->at[place].last_look == table->looks;
+    table->at[place].last_look = table->looks;
+    table->at[place].gone = false;
+    return GSN_OK;
+}
+
+/* A date that a clock which was never set would not show; such a clock names pictures alike. */
+static bool is_trusted_date(const char *date)
+{
+    size_t digits = 0;
+
+    while (digits < 8 && date[digits] >= '0' && date[digits] <= '9')
+        digits++;
+    return digits == 8 && strlen(date) >= 15 && date[8] == 'T' && strncmp(date, "2001", 4) >= 0;
+}
+
+/* gives: "100SCANS/P01.TIF"; names alone where the folders are not known. */
+static char *make_path(struct gsn_ptp_table *table, const struct gsn_ptp_object *object)
+{
+    char *path = gsn_strdup(object->name);
+    uint32_t parent = object->parent;
+
+    for (int depth = 0; path && parent != 0 && depth < MOST_DEPTH; depth++) {
+        const struct gsn_ptp_object *const folder = find_handle(table, object->session, parent);
+        char *longer;
+
+        if (!folder || !folder->name)
+            break;
+        longer = gsn_format("%s/%s", folder->name, path);
+        gsn_free(path);
+        path = longer;
+        parent = folder->parent;
+    }
+    return path;
+}
+
+/* gives: who it is, or an empty text where the device cannot tell two objects apart. */
+static char *make_key(struct gsn_ptp_table *table, const struct gsn_ptp_device *device,
+                      const struct gsn_ptp_object *object)
+{
+    const char *const serial = gsn_ptp_device_serial(device);
+    gsn_auto_mem(char) path = NULL;
+
+    if (!serial[0] || !is_trusted_date(object->captured))
+        return gsn_strdup("");
+    path = make_path(table, object);
+    if (!path)
+        return NULL;
+    return gsn_format("ptp %04x:%04x %s/%08lx/%s/%llu/%s", device->transport->vendor,
+                      device->transport->product, serial, (unsigned long)object->storage, path,
+                      (unsigned long long)object->size, object->captured);
+}
+
+static bool is_picture(const struct gsn_ptp_object *object)
+{
+    if (object->format >= GSN_PTP_FORMAT_FIRST_IMAGE && object->format <= GSN_PTP_FORMAT_LAST_IMAGE)
+        return true;
+    /* Many responders call everything undefined; 0xB000 and above are a vendor's own. */
+    return (object->format == GSN_PTP_FORMAT_UNDEFINED || object->format >= 0xB000) &&
+           gsn_name_is_picture(object->name);
+}
+
+static bool is_as_before(const struct gsn_ptp_object *object,
+                         const struct gsn_ptp_object_info *info, uint64_t size)
+{
+    return object->name && object->storage == info->storage && object->parent == info->parent &&
+           object->format == info->format && object->size == size &&
+           strcmp(object->name, info->name) == 0 && strcmp(object->captured, info->captured) == 0 &&
+           strcmp(object->modified, info->modified) == 0;
+}
+
+/* A name that is there, and without what would make it a path. */
+static void tidy(char *name, size_t room)
+{
+    if (!name[0])
+        (void)snprintf(name, room, "unnamed");
+    for (; *name; name++) {
+        if (*name == '/')
+            *name = '_';
+    }
+}
+
+/* Takes over what the device says it is now; its key is made when all folders are known. On
+ * failure it is what it was. */
+static int redescribe(struct gsn_ptp_object *object, const struct gsn_ptp_object_info *info,
+                      uint64_t size, struct gsn_error *err)
+{
+    char *const name = gsn_strdup(info->name);
+
+    if (!name)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for an object");
+    object->fresh = object->fresh || !object->name;
+    free_texts(object);
+    object->name = name;
+    object->storage = info->storage;
+    object->parent = info->parent;
+    object->format = info->format;
+    object->size = size;
+    memcpy(object->captured, info->captured, sizeof object->captured);
+    memcpy(object->modified, info->modified, sizeof object->modified);
+    return GSN_OK;
+}
+
+/* The same object in an earlier session, which this one then stands for. A bad one without a key
+ * is at least not tried again at once. */
+static void meet_again(struct gsn_ptp_table *table, struct gsn_ptp_object *object)
+{
+    for (size_t i = 0; i < table->count && table->at[i].session < object->session; i++) {
+        struct gsn_ptp_object *const old = &table->at[i];
+
+        if (!old->name || old->gone)
+            continue;
+        if (object->key[0] && old->key && strcmp(old->key, object->key) == 0) {
+            object->item = old->item;
+            object->told = old->told;
+            object->state = old->state;
+            object->look = old->look;
+            object->since_ms = old->since_ms;
+            object->delete_due = old->delete_due;
+            memcpy(object->reason, old->reason, sizeof object->reason);
+            /* The old entry stands for nobody now, and nobody is told. */
+            old->state = GSN_PTP_NEW;
+            old->gone = true;
+        } else if (old->failures == 0 || old->size != object->size ||
+                   strcmp(old->name, object->name) != 0) {
+            continue;
+        }
+        object->failures = old->failures;
+        object->retry_ms = old->retry_ms;
+        return;
+    }
+}
+
+static bool is_known(const struct gsn_ptp_table *table, const struct gsn_ptp_object *object)
+{
+    return table->options.is_known && object->key && object->key[0] &&
+           table->options.is_known(table->options.context, object->key);
+}
+
+/* It is another than at the last look. */
+static void start_waiting(struct gsn_ptp_table *table, struct gsn_ptp_object *object,
+                          int64_t now_ms)
+{
+    /* Another content under a known handle is another item. */
+    if (object->state == GSN_PTP_TAKEN)
+        object->item = ++table->last_item;
+    object->look = table->looks;
+    object->since_ms = now_ms;
+    object->failures = 0;
+    object->retry_ms = now_ms;
+    object->delete_due = false;
+    if (object->format == GSN_PTP_FORMAT_ASSOCIATION)
+        set_state(object, GSN_PTP_FOLDER, "");
+    else if (!is_picture(object))
+        set_state(object, GSN_PTP_LEFT, "is no picture and is left alone");
+    else
+        set_state(object, GSN_PTP_WAITING, unsettled);
+}
+
+/* It is as it was: has it been so for long enough? */
+static void settle(struct gsn_ptp_table *table, struct gsn_ptp_object *object, int64_t now_ms)
+{
+    if (object->state != GSN_PTP_WAITING || object->look == table->looks || !object->key ||
+        now_ms - object->since_ms < table->options.settle_ms || now_ms < object->retry_ms)
+        return;
+    if (object->size == 0)
+        set_state(object, GSN_PTP_WAITING, "is empty as yet");
+    else if (object->size == UINT64_MAX)
+        set_state(object, GSN_PTP_WAITING,
+                  "is larger than 4 GiB, and the device does not tell how large");
+    else if (is_known(table, object))
+        set_state(object, GSN_PTP_TAKEN, "");
+    else
+        set_state(object, GSN_PTP_READY, "");
+}
+
+/* Asks for it and judges it. An object that cannot be described is set aside alone. */
+static int describe(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
+                    struct gsn_ptp_object *object, int64_t now_ms, struct gsn_error *err)
+{
+    struct gsn_ptp_object_info info;
+    struct gsn_error why = { 0 };
+    uint16_t code = 0;
+    uint64_t size = 0;
+    int r = gsn_ptp_device_describe(device, object->handle, &info, &size, &code, &why);
+
+    if (r == GSN_E_INPUT) {
+        /* Listed and yet not there: the next listing will know. */
+        if (code != GSN_PTP_INVALID_OBJECT_HANDLE)
+            gsn_ptp_object_set_aside(object, why.text, now_ms);
+        return GSN_OK;
+    }
+    if (r < 0)
+        return gsn_fail(err, r, "%s", why.text);
+    object->check = false;
+    tidy(info.name, sizeof info.name);
+    if (is_as_before(object, &info, size)) {
+        settle(table, object, now_ms);
+        return GSN_OK;
+    }
+    r = redescribe(object, &info, size, err);
+    if (r >= 0)
+        start_waiting(table, object, now_ms);
+    return r;
+}
+
+static bool is_due(const struct gsn_ptp_object *object, int64_t now_ms)
+{
+    switch (object->state) {
+    case GSN_PTP_NEW:
+    case GSN_PTP_WAITING:
+        return object->failures == 0 || now_ms >= object->retry_ms;
+    case GSN_PTP_READY:
+        return true;
+    case GSN_PTP_TAKEN:
+    case GSN_PTP_LEFT:
+        return object->check;
+    default:
+        return false;
+    }
+}
+
+static void mark_checks(struct gsn_ptp_table *table, unsigned session,
+                        const struct gsn_ptp_hints *hints)
+{
+    for (size_t i = 0; i < hints->changed_count; i++) {
+        struct gsn_ptp_object *const object = find_handle(table, session, hints->changed[i]);
+
+        if (object)
+            object->check = true;
+    }
+    for (size_t i = 0; hints->all_changed && i < table->count; i++)
+        table->at[i].check = true;
+    /* No event is to be relied on: in turn, everybody is looked at again. */
+    for (size_t i = 0; i < CHECKS_A_LOOK && i < table->count; i++) {
+        table->next_check = (table->next_check + 1) % table->count;
+        table->at[table->next_check].check = true;
+    }
+}
+
+static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, uint32_t storage,
+                   uint32_t folder, struct gsn_ptp_handles *new_handles, struct gsn_error *err)
+{
+    struct gsn_ptp_handles handles = { 0 };
+    gsn_auto_mem(uint32_t) owned = NULL;
+    uint16_t code = 0;
+    int r = gsn_ptp_device_list(device, storage, folder, &handles, &code, err);
+    size_t kept = 0;
+
+    owned = handles.at;
+    /* A folder that cannot be listed does not keep the others from it. */
+    if (r == GSN_E_INPUT && folder != 0)
+        return GSN_OK;
+    for (size_t i = 0; r >= 0 && i < handles.count; i++) {
+        bool seen = false;
+
+        r = see(table, gsn_ptp_session_number(device->session), handles.at[i], &seen, err);
+        if (r >= 0 && !seen)
+            handles.at[kept++] = handles.at[i];
+    }
+    if (r < 0)
+        return r;
+    handles.count = kept;
+    *new_handles = handles;
+    owned = NULL;
+    return GSN_OK;
+}
+
+/* Thousands of objects take their time; whoever watches over us is told that it passes well. */
+static void sign_of_life(const struct gsn_ptp_table *table)
+{
+    if (table->options.on_read)
+        (void)table->options.on_read(table->options.context, 0, 0, GSN_OK);
+}
+
+/* Describes those that were just listed and are due, and appends the folders among them. */
+static int describe_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
+                        const struct gsn_ptp_handles *handles, struct gsn_ptp_handles *folders,
+                        int64_t now_ms, struct gsn_error *err)
+{
+    const unsigned session = gsn_ptp_session_number(device->session);
+
+    for (size_t i = 0; i < handles->count; i++) {
+        struct gsn_ptp_object *const object = find_handle(table, session, handles->at[i]);
+        int r = GSN_OK;
+
+        if (object && is_due(object, now_ms)) {
+            r = describe(table, device, object, now_ms, err);
+            sign_of_life(table);
+        }
+        if (r < 0)
+            return r;
+        if (gsn_ptp_session_number(device->session) != session)
+            return gsn_fail(err, GSN_E_IO, "the device began anew while it was listed");
+        if (object && object->state == GSN_PTP_FOLDER)
+            r = gsn_ptp_handles_add(folders, handles->at[i], err);
+        if (r < 0)
+            return r;
+    }
+    return GSN_OK;
+}
+
+/* One folder and what is right in it; 0: what the device lists by itself. */
+static int look_into(struct gsn_ptp_table *table, struct gsn_ptp_device *device, uint32_t storage,
+                     uint32_t folder, struct gsn_ptp_handles *folders, int64_t now_ms,
+                     struct gsn_error *err)
+{
+    struct gsn_ptp_handles handles = { 0 };
+    int r = see_all(table, device, storage, folder, &handles, err);
+
+    if (r >= 0)
+        r = describe_all(table, device, &handles, folders, now_ms, err);
+    gsn_free(handles.at);
+    return r;
+}
+
+/* The tree from the root; a folder is never walked twice, whatever the device says of parents. */
+static int walk(struct gsn_ptp_table *table, struct gsn_ptp_device *device, int64_t now_ms,
+                struct gsn_error *err)
+{
+    const unsigned session = gsn_ptp_session_number(device->session);
+    struct gsn_ptp_handles folders = { 0 };
+    int r = look_into(table, device, 0, 0, &folders, now_ms, err);
+
+    for (size_t i = 0; r >= 0 && i < folders.count && i < MOST_FOLDERS; i++) {
+        const struct gsn_ptp_object *const folder = find_handle(table, session, folders.at[i]);
+
+        if (folder)
+            r = look_into(table, device, folder->storage, folders.at[i], &folders, now_ms, err);
+    }
+    gsn_free(folders.at);
+    return r;
+}
+
+/* Two objects that look the same to us are not told apart by keys. */
+static void drop_twins(struct gsn_ptp_table *table, struct gsn_ptp_object *object)
+{
+    for (size_t i = 0; object->key[0] && i < table->count; i++) {
+        struct gsn_ptp_object *const other = &table->at[i];
+
+        if (other != object && other->session == object->session && other->key &&
+            other->size == object->size && strcmp(other->key, object->key) == 0)
+            other->key[0] = object->key[0] = '\0';
+    }
+}
+
+/* All folders are known, so everybody's path is. */
+static int make_keys(struct gsn_ptp_table *table, const struct gsn_ptp_device *device,
+                     struct gsn_error *err)
+{
+    for (size_t i = 0; i < table->count; i++) {
+        struct gsn_ptp_object *const object = &table->at[i];
+
+        if (!object->name || object->key)
+            continue;
+        object->key = make_key(table, device, object);
+        if (!object->key)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for an object");
+        drop_twins(table, object);
+        if (object->fresh)
+            meet_again(table, object);
+        object->fresh = false;
+    }
+    return GSN_OK;
+}
+
+/* The listing is whole: who was not in it is gone. */
+static void find_gone(struct gsn_ptp_table *table)
+{
+    for (size_t i = 0; i < table->count; i++) {
+        if (table->at[i].last_look != table->looks)
+            table->at[i].gone = true;
+    }
+}
+
+int gsn_ptp_table_look(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
+                       const struct gsn_ptp_hints *hints, int64_t now_ms, struct gsn_error *err)
+{
+    int r;
+
+    table->looks++;
+    mark_checks(table, gsn_ptp_session_number(device->session), hints);
+    r = walk(table, device, now_ms, err);
+    if (r >= 0)
+        r = make_keys(table, device, err);
+    if (r >= 0)
+        find_gone(table);
+    return r;
+}
+
+int gsn_ptp_table_confirm(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
+                          struct gsn_ptp_object *object, int64_t now_ms, struct gsn_error *err)
+{
+    struct gsn_ptp_object_info info;
+    uint16_t code = 0;
+    uint64_t size = 0;
+    int r = gsn_ptp_device_describe(device, object->handle, &info, &size, &code, err);
+
+    if (r == GSN_E_INPUT)
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s is no longer on the device", object->name);
+    if (r < 0)
+        return r;
+    tidy(info.name, sizeof info.name);
+    if (is_as_before(object, &info, size))
+        return GSN_OK;
+    /* The next look describes it as it is now; what was taken stays so, and this is another. */
+    if (object->state == GSN_PTP_TAKEN)
+        object->item = ++table->last_item;
+    object->look = table->looks;
+    object->since_ms = now_ms;
+    set_state(object, GSN_PTP_WAITING, "changed while it was read");
+    return gsn_fail(err, GSN_E_BUSY, "%s changed while it was read", object->name);
+}
+
+void gsn_ptp_table_sweep(struct gsn_ptp_table *table)
+{
+    size_t kept = 0;
+
+    for (size_t i = 0; i < table->count; i++) {
+        if (table->at[i].gone)
+            free_texts(&table->at[i]);
+        else
+            table->at[kept++] = table->at[i];
+    }
+    table->count = kept;
+}
+
+/* gives: the text as a JSON string without its quotes. Control characters do not occur. */
+static char *quote(const char *text)
+{
+    char *const quoted = gsn_alloc(2 * strlen(text) + 1);
+    size_t n = 0;
+
+    for (; quoted && *text; text++) {
+        if (*text == '"' || *text == '\\')
+            quoted[n++] = '\\';
+        quoted[n++] = (unsigned char)*text < 0x20 ? ' ' : *text;
+    }
+    if (quoted)
+        quoted[n] = '\0';
+    return quoted;
+}
+
+char *gsn_ptp_object_facts(const struct gsn_ptp_object *object, const struct gsn_ptp_device *device)
+{
+    gsn_auto_mem(char) maker = quote(device->info.maker);
+    gsn_auto_mem(char) model = quote(device->info.model);
+    gsn_auto_mem(char) serial = quote(gsn_ptp_device_serial(device));
+    gsn_auto_mem(char) name = quote(object->name);
+    gsn_auto_mem(char) captured = quote(object->captured);
+
+    if (!maker || !model || !serial || !name || !captured)
+        return NULL;
+    return gsn_format("{\"vendor\":\"%04x\",\"product\":\"%04x\",\"maker\":\"%s\",\"model\":\"%s\","
+                      "\"serial\":\"%s\",\"storage\":\"0x%08lx\",\"handle\":\"0x%08lx\","
+                      "\"name\":\"%s\",\"format\":\"0x%04x\",\"size\":%llu,\"captured\":\"%s\"}",
+                      device->transport->vendor, device->transport->product, maker, model, serial,
+                      (unsigned long)object->storage, (unsigned long)object->handle, name,
+                      object->format, (unsigned long long)object->size, captured);
+}

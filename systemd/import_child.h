@@ -1,0 +1,21 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Has gieson-work take in a specimen's folder, because that needs the pipeline's reading of
+ * job.json, and waits for it without losing breath. */
+#ifndef GSN_SYSTEMD_IMPORT_CHILD_H
+#define GSN_SYSTEMD_IMPORT_CHILD_H
+
+#include "systemd/lifeline.h"
+
+struct gsn_import_child {
+    const char *worker, *store_dir; /* borrowed */
+    const char *source, *folder;
+    struct gsn_lifeline *line;
+};
+
+/* Runs it to its end. What it says goes to the log; its last line is the sentence when it fails.
+ * Fails with GSN_E_BUSY when the folder still changes or we were asked to stop, GSN_E_PROCESS when
+ * it cannot be run, and GSN_E_INPUT when it refused. */
+int gsn_import_child_run(const struct gsn_import_child *child, struct gsn_error *err);
+
+#endif

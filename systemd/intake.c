@@ -1,0 +1,141 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/intake.h"
+
+#include "storage/panel_name.h"
+#include "storage/scan.h"
+
+int gsn_intake_is_known(void *context, const char *key)
+{
+    const struct gsn_intake *const intake = context;
+    struct gsn_error quiet = { 0 };
+    int known = 0;
+
+    /* A store that cannot answer now gets the picture again, and recognises it. */
+    if (gsn_scan_is_known(intake->store, key, &known, &quiet) < 0)
+        return 0;
+    return known;
+}
+
+int gsn_intake_on_read(void *context, uint64_t item, uint64_t offset, int r)
+{
+    struct gsn_intake *const intake = context;
+
+    (void)item;
+    intake->read_code = r;
+    intake->read_nothing = r >= 0 && offset == intake->read_to;
+    intake->read_to = offset;
+    return intake->on_copy ? intake->on_copy(intake->context, offset) : 0;
+}
+
+static const char *name_of_subject(enum gsn_source_subject subject)
+{
+    static const char *const names[] = { "panel", "blank", "dark" };
+
+    return names[subject];
+}
+
+/* A folder's names are given by people; a device's count its pictures. */
+static unsigned number_in_name(const struct gsn_source *source, const char *name)
+{
+    return gsn_source_subsystem(gsn_source_address(source)) ? gsn_panel_number_called(name, 0)
+                                                            : gsn_panel_number(name, 0);
+}
+
+static int log_scan(const struct gsn_intake *intake, const struct gsn_source_event *ready,
+                    int64_t now, struct gsn_intake_taken *taken, struct gsn_error *err)
+{
+    const struct gsn_scan_row row = { .source = intake->name,
+                                      .device = gsn_source_device(intake->source),
+                                      .name = ready->name,
+                                      .key = ready->key,
+                                      .subject = name_of_subject(ready->subject),
+                                      .sha256 = taken->spooled.digest.hex,
+                                      .size = (int64_t)taken->spooled.size,
+                                      .facts = ready->facts };
+
+    return gsn_scan_take(intake->store, &row, number_in_name(intake->source, ready->name), now,
+                         &taken->scan, &taken->again, err);
+}
+
+/* The source failed, or has more or fewer bytes than it announced; what the spool's own disk
+ * refuses is not the picture's failure. */
+static int is_source_to_blame(const struct gsn_intake *intake, uint64_t size)
+{
+    return intake->read_code < 0 || intake->read_to > size ||
+           (intake->read_nothing && intake->read_to < size);
+}
+
+static enum gsn_intake_fault fault_of_copy(const struct gsn_intake *intake, uint64_t size, int r)
+{
+    switch (r) {
+    case GSN_E_LIMIT:
+        return GSN_FAULT_ROOM;
+    case GSN_E_BUSY:
+    case GSN_E_NOTFOUND:
+        return GSN_FAULT_LATER;
+    case GSN_E_INPUT:
+    case GSN_E_UNSUPPORTED:
+        return GSN_FAULT_ITEM;
+    default:
+        return is_source_to_blame(intake, size) ? GSN_FAULT_ITEM : GSN_FAULT_STORE;
+    }
+}
+
+static int copy(struct gsn_intake *intake, const struct gsn_source_event *ready,
+                struct gsn_spooled *spooled, enum gsn_intake_fault *ret_fault,
+                struct gsn_error *err)
+{
+    int r = gsn_spool_has_room(intake->spool, ready->size, err);
+
+    if (r < 0) {
+        *ret_fault = r == GSN_E_LIMIT ? GSN_FAULT_ROOM : GSN_FAULT_STORE;
+        return r;
+    }
+    intake->read_code = GSN_OK;
+    intake->read_nothing = 0;
+    intake->read_to = 0;
+    r = gsn_spool_take_item(intake->spool, intake->source, ready, spooled, err);
+    if (r < 0)
+        *ret_fault = fault_of_copy(intake, ready->size, r);
+    return r;
+}
+
+static int refuse_empty(const struct gsn_intake *intake, const struct gsn_source_event *ready,
+                        enum gsn_intake_fault *ret_fault, struct gsn_error *err)
+{
+    struct gsn_error quiet = { 0 };
+
+    *ret_fault = GSN_FAULT_ITEM;
+    if (!intake->delete_there)
+        (void)gsn_source_acknowledge(intake->source, ready->item, &quiet);
+    return gsn_fail(err, GSN_E_INPUT, "%.200s is empty", ready->name);
+}
+
+int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *ready, int64_t now,
+                    struct gsn_intake_taken *ret_taken, enum gsn_intake_fault *ret_fault,
+                    struct gsn_error *err)
+{
+    struct gsn_intake_taken taken = { 0 };
+    int r;
+
+    *ret_fault = GSN_FAULT_NONE;
+    if (ready->size == 0)
+        return refuse_empty(intake, ready, ret_fault, err);
+    r = copy(intake, ready, &taken.spooled, ret_fault, err);
+    if (r < 0)
+        return r;
+    r = log_scan(intake, ready, now, &taken, err);
+    if (r >= 0 && intake->delete_there)
+        r = gsn_spool_verify(intake->spool, &taken.spooled.digest, err);
+    if (r < 0) {
+        *ret_fault = GSN_FAULT_STORE;
+        return r;
+    }
+    r = gsn_source_acknowledge(intake->source, ready->item, err);
+    if (r < 0) {
+        *ret_fault = GSN_FAULT_LATER;
+        return r;
+    }
+    *ret_taken = taken;
+    return GSN_OK;
+}

@@ -1,0 +1,57 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* One picture's way from its source into the store, in the order that loses nothing: room on the
+ * disk -> bytes durable -> row, panel, job and diary in one transaction -> (where the device is to
+ * delete its copy: the object read again) -> the source is told. A crash anywhere leaves a picture
+ * that is offered again and recognised. */
+#ifndef GSN_SYSTEMD_INTAKE_H
+#define GSN_SYSTEMD_INTAKE_H
+
+#include "acquire/source.h"
+#include "acquire/spool.h"
+#include "storage/store.h"
+
+#include <stdint.h>
+
+/* keeps: everything in it. */
+struct gsn_intake {
+    const char *name; /* of the source, in the configuration */
+    struct gsn_store *store;
+    struct gsn_spool *spool;
+    struct gsn_source *source;
+    int delete_there;
+    /* Told how far a copy is; another answer than 0 breaks it off. May be NULL. */
+    int (*on_copy)(void *context, uint64_t offset);
+    void *context;
+    /* Of the source's last read, for gsn_intake_take(): its code, where it ended, and whether
+     * nothing came any more. */
+    int read_code, read_nothing;
+    uint64_t read_to;
+};
+
+/* For gsn_source_options, with the intake as their context. */
+int gsn_intake_is_known(void *intake, const char *key);
+int gsn_intake_on_read(void *intake, uint64_t item, uint64_t offset, int r);
+
+/* Whose failure it was, which is what decides what to do next. */
+enum gsn_intake_fault {
+    GSN_FAULT_NONE,
+    GSN_FAULT_ITEM,  /* this picture cannot be had; others may */
+    GSN_FAULT_LATER, /* it changed or vanished, or the copy was broken off: the next poll tells */
+    GSN_FAULT_ROOM,  /* the disk is below its reserve: nothing can be taken */
+    GSN_FAULT_STORE, /* the store or its disk refuses: nothing can be taken */
+};
+
+struct gsn_intake_taken {
+    int64_t scan;
+    int again; /* it was in the ledger before */
+    struct gsn_spooled spooled;
+};
+
+/* Takes one READY item. ret_taken is set on success, ret_fault always. An empty item is a fault of
+ * its own, and acknowledged where nothing is deleted for it. */
+int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *ready, int64_t now,
+                    struct gsn_intake_taken *ret_taken, enum gsn_intake_fault *ret_fault,
+                    struct gsn_error *err);
+
+#endif

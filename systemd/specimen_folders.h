@@ -1,0 +1,42 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The folders inside a hot folder that hold a job.json: each is a specimen, taken in as a whole by
+ * `gieson-work import` whenever something new in it is ready and nothing in it still changes. */
+#ifndef GSN_SYSTEMD_SPECIMEN_FOLDERS_H
+#define GSN_SYSTEMD_SPECIMEN_FOLDERS_H
+
+#include "acquire/source.h"
+
+#include <stdint.h>
+
+struct gsn_specimen_folders;
+
+/* gives. The times are those of gsn_source_options. */
+int gsn_specimen_folders_new(const char *root, int64_t settle_ms, int64_t patience_ms,
+                             struct gsn_specimen_folders **ret_folders, struct gsn_error *err);
+void gsn_specimen_folders_free(struct gsn_specimen_folders *folders);
+GSN_DEFINE_AUTO(gsn_specimen_folders);
+
+/* One that is due for an import. */
+struct gsn_specimen_due {
+    const char *path, *name; /* borrowed until the folder vanishes */
+    uint64_t bytes;          /* that are ready */
+    size_t index;
+};
+
+/* Looks at all of them. ret_due: gives the first that is due after the one of index `after` (-1:
+ * from the beginning), else its path is NULL. A folder that vanished is forgotten. */
+int gsn_specimen_folders_next(struct gsn_specimen_folders *folders, int64_t now_ms, long after,
+                              struct gsn_specimen_due *ret_due, struct gsn_error *err);
+
+/* What came of the import: it is done, and what was ready is acknowledged; or it is tried again,
+ * later each time. */
+void gsn_specimen_folders_done(struct gsn_specimen_folders *folders, size_t index);
+void gsn_specimen_folders_failed(struct gsn_specimen_folders *folders, size_t index,
+                                 int64_t now_ms);
+
+/* How many there are, and whether in any something changes or is to be taken. */
+size_t gsn_specimen_folders_count(const struct gsn_specimen_folders *folders);
+int gsn_specimen_folders_is_busy(const struct gsn_specimen_folders *folders);
+
+#endif

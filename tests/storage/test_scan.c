@@ -1,0 +1,388 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "storage/scan.h"
+
+#include <string.h>
+
+#include "storage/event.h"
+#include "storage/panel_log.h"
+#include "storage/queue.h"
+#include "storage/schema.h"
+#include "storage/sql.h"
+#include "tests/storage/bench.h"
+
+static struct gsn_scan_row arrival(const char *name, unsigned digest)
+{
+    return (struct gsn_scan_row){ .source = "flatbed",
+                                  .device = "04a9:31c0 SN1",
+                                  .name = name,
+                                  .key = "",
+                                  .subject = "panel",
+                                  .sha256 = bench_digest(digest),
+                                  .size = 4711,
+                                  .facts = "{\"ISO\":100}" };
+}
+
+/* Takes a picture and gives its row. */
+static struct gsn_scan_row *arrive(struct gsn_store *store, const char *name, unsigned digest,
+                                   unsigned number)
+{
+    const struct gsn_scan_row row = arrival(name, digest);
+    struct gsn_scan_row *got = NULL;
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+    int again = -1;
+
+    CHECK_OK(gsn_scan_take(store, &row, number, NOON, &id, &again, &err), err);
+    CHECK(again == 0);
+    CHECK_OK(gsn_scan_get(store, id, &got, &err), err);
+    return got;
+}
+
+static int64_t ask(struct gsn_store *store, const char *sql)
+{
+    struct gsn_error err = { 0 };
+    int64_t value = -1;
+
+    CHECK_OK(gsn_sql_int(store, sql, SQL_NO_ARGS, &value, &err), err);
+    return value;
+}
+
+static int64_t number_of(struct gsn_store *store, int64_t panel)
+{
+    gsn_auto(gsn_panel_row) row = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_panel_get(store, panel, &row, &err), err);
+    return row->number;
+}
+
+TEST(a_scan_reads_back_as_it_was_taken)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) got = arrive(store, "IMG_1.JPG", 1, 0);
+
+    CHECK(strcmp(got->source, "flatbed") == 0 && strcmp(got->device, "04a9:31c0 SN1") == 0);
+    CHECK(strcmp(got->name, "IMG_1.JPG") == 0 && strcmp(got->subject, "panel") == 0);
+    CHECK(strcmp(got->sha256, bench_digest(1)) == 0 && got->size == 4711);
+    CHECK(strcmp(got->facts, "{\"ISO\":100}") == 0 && got->arrived == NOON);
+    CHECK(strcmp(got->specimen, "") == 0 && got->panel_id == 0);
+}
+
+TEST(a_scan_that_nobody_can_place_is_unfiled_with_the_reason)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) got = NULL;
+
+    (void)bench_add_specimen(store, "S1", "g", "");
+    got = arrive(store, "S10-P1.tif", 1, 1); /* S10 is not S1 */
+    CHECK(strcmp(got->state, "unfiled") == 0 && got->panel_id == 0);
+    CHECK(strstr(got->reason, "gieson file") && strstr(got->reason, "flatbed"));
+    CHECK(ask(store, "SELECT count(*) FROM panel") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM job") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'scan'") == 1);
+}
+
+TEST(the_longest_name_that_a_scan_begins_with_is_its_specimen)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) longer = NULL;
+    gsn_auto(gsn_scan_row) shorter = NULL;
+
+    (void)bench_add_specimen(store, "GVP", "g", "");
+    (void)bench_add_specimen(store, "GVP-D-S02", "g", "");
+    longer = arrive(store, "GVP-D-S02-P03.tif", 1, 3);
+    CHECK(strcmp(longer->state, "filed") == 0 && strcmp(longer->specimen, "GVP-D-S02") == 0);
+    CHECK(number_of(store, longer->panel_id) == 3);
+    shorter = arrive(store, "GVP-D-S03-P03.tif", 2, 3);
+    CHECK(strcmp(shorter->specimen, "GVP") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM job WHERE kind = 'panel'") == 2);
+    CHECK(ask(store, "SELECT count(*) FROM job WHERE kind = 'specimen'") == 2);
+}
+
+TEST(digits_of_the_specimen_are_no_panel_number)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) got = NULL;
+
+    (void)bench_add_specimen(store, "S02", "g", "");
+    got = arrive(store, "S02.tif", 1, 2);
+    CHECK(number_of(store, got->panel_id) == 0);
+}
+
+TEST(what_is_expected_takes_its_number_or_the_next_one)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) numbered = NULL;
+    gsn_auto(gsn_scan_row) next = NULL;
+    gsn_auto(gsn_scan_row) after = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "A", "g", "");
+    CHECK_OK(gsn_scan_expect(store, "flatbed", "A", "ann", NOON, &err), err);
+    numbered = arrive(store, "scan-P4.tif", 1, 4);
+    CHECK(strcmp(numbered->specimen, "A") == 0 && number_of(store, numbered->panel_id) == 4);
+    next = arrive(store, "IMG.JPG", 2, 0);
+    CHECK(strcmp(next->specimen, "A") == 0 && number_of(store, next->panel_id) == 5);
+    CHECK_OK(gsn_scan_expect(store, "flatbed", NULL, "ann", NOON, &err), err);
+    after = arrive(store, "IMG2.JPG", 3, 0);
+    CHECK(strcmp(after->state, "unfiled") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'expect'") == 2);
+}
+
+TEST(a_name_that_contradicts_what_is_expected_is_for_a_person_to_settle)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) other = NULL;
+    gsn_auto(gsn_scan_row) same = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "A", "g", "");
+    (void)bench_add_specimen(store, "B", "g", "");
+    CHECK_OK(gsn_scan_expect(store, "flatbed", "A", "ann", NOON, &err), err);
+    other = arrive(store, "B-P4.tif", 1, 4);
+    CHECK(strcmp(other->state, "unfiled") == 0 && other->panel_id == 0);
+    CHECK(strcmp(other->reason, "A is expected from flatbed, but its name is that of B: say whose "
+                                "it is with `gieson file`") == 0);
+    same = arrive(store, "A-P2.tif", 2, 2);
+    CHECK(strcmp(same->specimen, "A") == 0 && number_of(store, same->panel_id) == 2);
+}
+
+TEST(the_same_picture_again_writes_nothing)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) first = NULL;
+    const struct gsn_scan_row row = arrival("S-P1.tif", 1);
+    struct gsn_error err = { 0 };
+    int64_t id = 0, events;
+    int again = -1;
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    first = arrive(store, "S-P1.tif", 1, 1);
+    events = ask(store, "SELECT count(*) FROM event");
+    CHECK_OK(gsn_scan_take(store, &row, 1, NOON + 1, &id, &again, &err), err);
+    CHECK(again == 1 && id == first->id);
+    CHECK(ask(store, "SELECT count(*) FROM scan") == 1);
+    CHECK(ask(store, "SELECT count(*) FROM event") == events);
+}
+
+TEST(the_same_bytes_under_another_name_are_one_panel_and_two_scans)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) first = NULL;
+    gsn_auto(gsn_scan_row) second = NULL;
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    first = arrive(store, "S-P1.tif", 1, 1);
+    second = arrive(store, "S-P1 (2).tif", 1, 1);
+    CHECK(first->panel_id == second->panel_id && first->id != second->id);
+    CHECK(ask(store, "SELECT count(*) FROM panel") == 1);
+}
+
+TEST(blank_glass_and_dark_frames_are_kept_and_are_no_panels)
+{
+    static const char *const subjects[] = { "blank", "dark" };
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    for (unsigned i = 0; i < 2; i++) {
+        struct gsn_scan_row row = arrival("S-P1.pam", i);
+        gsn_auto(gsn_scan_row) got = NULL;
+        int64_t id = 0;
+        int again = -1;
+
+        row.subject = subjects[i];
+        CHECK_OK(gsn_scan_take(store, &row, 1, NOON, &id, &again, &err), err);
+        CHECK_OK(gsn_scan_get(store, id, &got, &err), err);
+        CHECK(strcmp(got->state, "kept") == 0 && got->panel_id == 0);
+        CHECK(gsn_scan_file(store, id, "S", 1, "ann", NOON, &err) == GSN_E_INPUT);
+        CHECK(strstr(err.text, "is no picture of a panel"));
+    }
+}
+
+TEST(a_person_files_a_scan_once)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) scan = arrive(store, "x.tif", 1, 0);
+    gsn_auto(gsn_scan_row) filed = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    CHECK(gsn_scan_file(store, scan->id, "S", 0, "ann", NOON, &err) == GSN_E_INPUT);
+    CHECK(gsn_scan_file(store, scan->id, "T", 1, "ann", NOON, &err) == GSN_E_NOTFOUND);
+    CHECK(gsn_scan_file(store, 99, "S", 1, "ann", NOON, &err) == GSN_E_NOTFOUND);
+    CHECK(strstr(err.text, "there is no scan 99"));
+    CHECK_OK(gsn_scan_file(store, scan->id, "S", 7, "ann", NOON, &err), err);
+    CHECK_OK(gsn_scan_get(store, scan->id, &filed, &err), err);
+    CHECK(strcmp(filed->state, "filed") == 0 && strcmp(filed->specimen, "S") == 0);
+    CHECK(strstr(filed->reason, "ann") && number_of(store, filed->panel_id) == 7);
+    CHECK(gsn_scan_file(store, scan->id, "S", 8, "ann", NOON, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "is filed already, as a panel of S"));
+    CHECK(number_of(store, filed->panel_id) == 7);
+}
+
+TEST(a_held_panel_takes_the_number_that_a_person_gives_and_is_looked_at_again)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) scan = NULL;
+    gsn_auto(gsn_panel_row) panel = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    scan = arrive(store, "S.tif", 1, 0);
+    CHECK_OK(gsn_panel_set_state(store, scan->panel_id, "held", "input", "no number", &err), err);
+    CHECK(bench_raw(&scratch, "UPDATE job SET state = 'done'") == 0);
+    CHECK_OK(gsn_scan_file(store, scan->id, "S", 2, "ann", NOON, &err), err);
+    CHECK_OK(gsn_panel_get(store, scan->panel_id, &panel, &err), err);
+    CHECK(panel->number == 2 && strcmp(panel->state, "waiting") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting'") == 2);
+}
+
+TEST(what_has_no_panels_is_not_expected)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_specimen_row tile = bench_specimen("T", "g", "");
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+
+    tile.kind = "tile";
+    CHECK_OK(gsn_specimen_put(store, &tile, GSN_SPECIMEN_REFUSE, "test", NOON, &id, &err), err);
+    CHECK(gsn_scan_expect(store, "flatbed", "T", "ann", NOON, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "T is a tile and has no panels"));
+    CHECK(gsn_scan_expect(store, "flatbed", "U", "ann", NOON, &err) == GSN_E_NOTFOUND);
+    CHECK(ask(store, "SELECT count(*) FROM expectation") == 0);
+}
+
+TEST(a_key_is_known_once_its_scan_is_there_and_an_empty_one_never)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_scan_row row = arrival("a", 1);
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+    int again = -1, known = -1;
+
+    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_is_known(store, "", &known, &err), err);
+    CHECK(known == 0);
+    row = arrival("b", 2);
+    row.key = "SN1/1/b/4711/20260101T120000";
+    CHECK_OK(gsn_scan_is_known(store, row.key, &known, &err), err);
+    CHECK(known == 0);
+    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_is_known(store, row.key, &known, &err), err);
+    CHECK(known == 1);
+}
+
+TEST(the_list_is_newest_first_by_state_and_no_longer_than_asked)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_rows) all = NULL;
+    gsn_auto(gsn_scan_rows) unfiled = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    gsn_scan_row_free(arrive(store, "x.tif", 1, 0));
+    gsn_scan_row_free(arrive(store, "S-P1.tif", 2, 1));
+    gsn_scan_row_free(arrive(store, "y.tif", 3, 0));
+    CHECK_OK(gsn_scan_list(store, NULL, 2, &all, &err), err);
+    CHECK(all->count == 2 && strcmp(all->at[0].name, "y.tif") == 0);
+    CHECK(strcmp(all->at[1].name, "S-P1.tif") == 0);
+    CHECK_OK(gsn_scan_list(store, "unfiled", 0, &unfiled, &err), err);
+    CHECK(unfiled->count == 2 && strcmp(unfiled->at[1].name, "x.tif") == 0);
+}
+
+TEST(what_is_no_scan_is_refused_and_the_output_stays_untouched)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_scan_row row = arrival("a", 1);
+    struct gsn_error err = { 0 };
+    int64_t id = 55;
+    int again = 56;
+
+    row.sha256 = "no digest";
+    CHECK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "scan a"));
+    row = arrival("a", 1);
+    row.size = 0;
+    CHECK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err) == GSN_E_INPUT);
+    CHECK(id == 55 && again == 56);
+    CHECK(ask(store, "SELECT count(*) FROM event") == 0);
+}
+
+static int take_once(struct gsn_store *store, const struct gsn_scan_row *row, struct gsn_error *err)
+{
+    int64_t id;
+    int again;
+
+    return gsn_scan_take(store, row, 1, NOON, &id, &again, err);
+}
+
+static int list_once(struct gsn_store *store, struct gsn_error *err)
+{
+    gsn_auto(gsn_scan_rows) rows = NULL;
+
+    return gsn_scan_list(store, NULL, 0, &rows, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_scan_row filed = arrival("S-P1.tif", 1), unfiled = arrival("x", 2);
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    CHECK_EVERY_OOM(take_once(store, &filed, &err), err);
+    CHECK_EVERY_OOM(take_once(store, &unfiled, &err), err);
+    CHECK_EVERY_OOM(gsn_scan_file(store, 2, "S", 2, "ann", NOON, &err), err);
+    CHECK_EVERY_OOM(gsn_scan_expect(store, "flatbed", "S", "ann", NOON, &err), err);
+    CHECK_EVERY_OOM(list_once(store, &err), err);
+    CHECK(ask(store, "SELECT count(*) FROM scan") == 2);
+    CHECK(ask(store, "SELECT count(*) FROM panel") == 2);
+}
+
+TEST(a_store_of_the_first_schema_is_brought_up_with_its_data_kept)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_scan_row) scan = NULL;
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_error err = { 0 };
+    int64_t id = 0, panel;
+
+    CHECK(bench_raw(&scratch, gsn_schema_001) == 0);
+    CHECK(bench_raw(&scratch, "PRAGMA application_id = 0x67736e31; PRAGMA user_version = 1; "
+                              "PRAGMA journal_mode = WAL") == 0);
+    CHECK(
+        bench_raw(&scratch,
+                  "INSERT INTO study VALUES (1, 'st'); INSERT INTO study_group VALUES (1, 1, 'g'); "
+                  "INSERT INTO animal VALUES (1, 1, 'rat'); INSERT INTO specimen VALUES "
+                  "(1, 'S', 1, 1, 1, 4, 'sections', '', '{}', printf('%064d', 0)); "
+                  "INSERT INTO panel VALUES (1, 1, 3, 'P3.tif', printf('%064d', 3), 9, 'waiting', "
+                  "'', '', 0, 0, NULL); INSERT INTO job (kind, specimen_id, panel_id) VALUES "
+                  "('panel', 1, 1)") == 0);
+    CHECK(gsn_store_open(scratch.dir, GSN_STORE_READ, &store, &err) == GSN_E_UNSUPPORTED);
+    CHECK(strstr(err.text, "older gieson") && store == NULL);
+    store = bench_open(&scratch, GSN_STORE_WRITE);
+    CHECK(ask(store, "PRAGMA user_version") == 2);
+    CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting' AND panel_id = 1") == 1);
+    CHECK(number_of(store, 1) == 3);
+    scan = arrive(store, "S-P4.tif", 4, 4);
+    CHECK(strcmp(scan->specimen, "S") == 0 && number_of(store, scan->panel_id) == 4);
+    panel = bench_add_panel(store, 1, 5);
+    CHECK_OK(gsn_queue_add(store, 1, panel, &id, &err), err);
+}

@@ -1,0 +1,645 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""giesond and gieson-intake as an administrator runs them, with hot folders for scanners.
+
+    test_giesond.py BIN SCENARIO
+
+BIN is the folder with the programs. Scenarios are the functions marked as such below; each ends the
+processes it started. Exit 0: all that was demanded holds; 77: it cannot be tried here.
+
+GIESON_KILLS=200: as many kills in `killed` as that. GIESON_REST_S=60: `rest` measures so long."""
+import hashlib
+import json
+import os
+import pathlib
+import random
+import re
+import shutil
+import signal
+import socket
+import sqlite3
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import zlib
+
+SKIPPED = 77
+GENEROUS_S = 60  # the machine may be busy; nothing that works comes near
+SCENARIOS = {}
+
+
+def scenario(function):
+    SCENARIOS[function.__name__] = function
+    return function
+
+
+def picture(number):
+    """A PNG of its own for each number."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + \
+            struct.pack(">I", zlib.crc32(kind + data))
+    rows = b"".join(b"\0" + number.to_bytes(4, "big") * 6 for _ in range(8))
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0)) +
+            chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def demand(claim, sentence):
+    if not claim:
+        raise SystemExit(f"not true: {sentence}")
+
+
+class Bench:
+    """A store, a hot folder and a configuration of their own; the service when it was started."""
+
+    def __init__(self, programs, folder):
+        self.programs = pathlib.Path(programs).resolve()
+        self.folder = pathlib.Path(folder)
+        self.store = self.folder / "store"
+        self.hot = self.folder / "hot"
+        self.config = self.folder / "gieson.conf"
+        self.log = self.folder / "log"
+        self.service = None
+        self.environment = dict(os.environ)
+        for name in ("GIESON_STORE", "JOURNAL_STREAM", "NOTIFY_SOCKET", "WATCHDOG_USEC"):
+            self.environment.pop(name, None)
+        self.hot.mkdir()
+
+    def configure(self, reserve=1, patience=30, more="", work=""):
+        # No limit of memory: AddressSanitizer reserves more than any machine has.
+        self.config.write_text(
+            f"[store]\nReserveMiB={reserve}\n[work]\nMemoryMiB=0\n{work}"
+            f"[source flatbed]\nAddress=hot:{self.hot}\nSettleMs=50\nSweepS=1\n"
+            f"PatienceS={patience}\n{more}")
+
+    def start(self, *arguments, log=None):
+        command = [str(self.programs / "giesond"), "--store", str(self.store),
+                   "--config", str(self.config), *arguments]
+        with open(self.log, "ab") as file:
+            self.service = subprocess.Popen(command, stderr=log or file, stdout=file,
+                                            env=self.environment)
+
+    def stop(self):
+        if self.service and self.service.poll() is None:
+            self.service.terminate()
+            try:
+                self.service.wait(GENEROUS_S)
+            except subprocess.TimeoutExpired:
+                self.service.kill()
+                self.service.wait()
+                raise SystemExit("giesond did not end when asked to")
+
+    def words(self):
+        return self.log.read_text(errors="replace") if self.log.exists() else ""
+
+    def ask(self, sql, *values):
+        """None while the store is not there yet."""
+        try:
+            with sqlite3.connect(f"file:{self.store}/gieson.db?mode=ro", uri=True, timeout=10) as db:
+                return db.execute(sql, values).fetchall()
+        except sqlite3.OperationalError:
+            return None
+
+    def wait(self, what, condition, seconds=GENEROUS_S):
+        end = time.monotonic() + seconds
+        while not condition():
+            if self.service and self.service.poll() is not None:
+                raise SystemExit(f"giesond ended with {self.service.returncode} while waiting for "
+                                 f"{what}\n{self.words()}")
+            if time.monotonic() > end:
+                raise SystemExit(f"waited {seconds} s in vain for {what}\n{self.words()}\n"
+                                 f"{self.ask('SELECT * FROM source')}")
+            time.sleep(0.02)
+
+    def state(self):
+        rows = self.ask("SELECT state FROM source WHERE name = 'flatbed'")
+        return rows[0][0] if rows else None
+
+    def wait_ready(self):
+        self.wait("the source to be ready", lambda: self.state() == "ready")
+
+    def deliver(self, name, data):
+        """As a careful scanner does it: under a name that nobody looks at, then renamed."""
+        hidden = self.hot / f".{name}"
+        hidden.write_bytes(data)
+        hidden.rename(self.hot / name)
+
+    def scans(self, name):
+        rows = self.ask("SELECT sha256, state FROM scan WHERE name = ?", name)
+        return rows or []
+
+    def wait_scan(self, name):
+        self.wait(f"a scan of {name}", lambda: self.scans(name))
+
+    def intake(self):
+        """The process of the source, or None."""
+        for entry in os.listdir("/proc"):
+            if not entry.isdigit():
+                continue
+            try:
+                words = pathlib.Path(f"/proc/{entry}/cmdline").read_bytes().split(b"\0")
+                stat = pathlib.Path(f"/proc/{entry}/stat").read_text()
+            except OSError:
+                continue
+            fields = stat.rsplit(")", 1)[1].split()
+            if words[0].endswith(b"gieson-intake") and int(fields[1]) == self.service.pid \
+                    and fields[0] != "Z":
+                return int(entry)
+        return None
+
+    def check_whole(self, delivered):
+        """Every picture is one row and its exact bytes; nothing is left over."""
+        rows = self.ask("SELECT name, sha256, count(*) FROM scan GROUP BY name")
+        found = {name: (digest, count) for name, digest, count in rows}
+        for name, data in delivered.items():
+            digest = hashlib.sha256(data).hexdigest()
+            demand(found.get(name) == (digest, 1), f"{name} is one scan: {found.get(name)}")
+            path = self.store / "objects" / digest[:2] / digest[2:]
+            demand(path.read_bytes() == data, f"the object of {name} has its bytes")
+        demand(len(found) == len(delivered), "there are no other scans")
+        demand(self.ask("PRAGMA integrity_check") == [("ok",)], "the database is whole")
+        panels = self.ask("SELECT count(*), count(DISTINCT sha256) FROM panel")[0]
+        demand(panels[0] == panels[1], f"no panel is doubled: {panels}")
+
+    def add_specimen(self, name):
+        """As an import would have made it."""
+        with sqlite3.connect(f"{self.store}/gieson.db", timeout=10) as db:
+            db.executescript(
+                "INSERT OR IGNORE INTO study VALUES (1, 'st');"
+                "INSERT OR IGNORE INTO study_group VALUES (1, 1, 'g');"
+                "INSERT OR IGNORE INTO animal VALUES (1, 1, 'rat');")
+            db.execute("INSERT INTO specimen (name, study_id, group_id, animal_id, kind, baseline, "
+                       "job_json, job_sha256) VALUES (?, 1, 1, 1, 'sections', '', '{}', "
+                       "printf('%064d', 0))", (name,))
+
+
+# ---- what comes in ----------------------------------------------------------------------------
+
+@scenario
+def delivers(bench):
+    """A picture nobody can place is unfiled; one named after a specimen is its panel."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.add_specimen("GVP-D-S02")
+    delivered = {"lonely.png": picture(1), "GVP-D-S02-P03.png": picture(2)}
+    for name, data in delivered.items():
+        bench.deliver(name, data)
+        bench.wait_scan(name)
+    demand(bench.scans("lonely.png")[0][1] == "unfiled", "lonely.png waits for a person")
+    demand(bench.scans("GVP-D-S02-P03.png")[0][1] == "filed", "the named one is filed")
+    demand(bench.ask("SELECT number FROM panel") == [(3,)], "it is panel 3")
+    demand(bench.ask("SELECT count(*) FROM job WHERE kind = 'panel'") == [(1,)], "a job waits")
+    (bench.hot / "empty.png").write_bytes(b"")
+    (bench.hot / "notes.txt").write_text("not a picture")
+    bench.deliver("later.png", picture(3))
+    bench.wait_scan("later.png")
+    delivered["later.png"] = picture(3)
+    bench.stop()
+    demand(bench.state() == "off", "a source whose service was stopped is off")
+    demand("notes.txt: is no picture" in bench.words(), "what is left alone is named")
+    bench.check_whole(delivered)
+
+
+@scenario
+def specimen(bench):
+    """A folder with a job.json is taken in as a whole, and what is wrong with one is a trouble."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    made = bench.folder / "GVP-D-S00"
+    subprocess.run([bench.programs / "gieson", "phantom", "--specimen", "S00", "--level", "L0",
+                    "--seed", "1", "--out", made], check=True, stdout=subprocess.DEVNULL)
+    panels = len(list(made.glob("*-P*.*")))
+    wrong = bench.hot / "wrong"
+    wrong.mkdir()
+    (wrong / "job.json").write_text("{ no json")
+    (wrong / "P1.png").write_bytes(picture(1))
+    shutil.copytree(made, bench.hot / "GVP-D-S00")
+    bench.wait("the specimen's panels", lambda: bench.ask("SELECT count(*) FROM panel") ==
+               [(panels,)])
+    bench.wait("the trouble", lambda: bench.ask("SELECT name FROM trouble") == [("wrong",)])
+    demand("job.json" in bench.ask("SELECT reason FROM trouble")[0][0], "its reason is told")
+    shutil.copy(made / "job.json", wrong / "job.json")
+    text = json.loads((wrong / "job.json").read_text())
+    text["specimen"] = "corrected"
+    (wrong / "job.json").write_text(json.dumps(text))
+    bench.wait("the corrected folder", lambda: bench.ask("SELECT name FROM trouble") == [])
+    demand(bench.ask("SELECT count(*) FROM specimen") == [(2,)], "both are specimens")
+
+
+@scenario
+def watched(bench):
+    """--watch needs no configuration."""
+    bench.config = bench.folder / "nowhere.conf"
+    bench.start("--watch", str(bench.hot), "--only", "intake")
+    bench.deliver("a.png", picture(1))
+    bench.wait_scan("a.png")
+    demand(bench.ask("SELECT name, state FROM source") == [("hot", "ready")], "it is named hot")
+
+
+@scenario
+def reserve(bench):
+    """Below the reserve of disk nothing is taken; with room again everything is, by itself."""
+    free = shutil.disk_usage(bench.folder).free >> 20
+    bench.configure(reserve=free + 100000)
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.deliver("a.png", picture(1))
+    bench.wait("the pause", lambda: bench.state() == "paused")
+    message = bench.ask("SELECT message FROM source")[0][0]
+    demand("below its reserve" in message, f"the sentence says why: {message}")
+    demand(not bench.scans("a.png"), "nothing was taken")
+    bench.configure(reserve=1)
+    bench.service.send_signal(signal.SIGHUP)
+    bench.wait_scan("a.png")
+    bench.wait_ready()
+
+
+@scenario
+def returning_folder(bench):
+    """A folder that goes away (a mount) is away, and served again when it is back."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.hot.rename(bench.folder / "gone")
+    bench.wait("the source to be away", lambda: bench.state() == "away")
+    (bench.folder / "gone").rename(bench.hot)
+    bench.deliver("a.png", picture(1))
+    bench.wait_scan("a.png")
+    bench.wait_ready()
+
+
+@scenario
+def requests(bench):
+    """A folder takes no pictures when asked to, and says so."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    with sqlite3.connect(f"{bench.store}/gieson.db", timeout=10) as db:
+        db.execute("INSERT INTO request (time, actor, kind, source) VALUES (0, 'ann', "
+                   "'capture-blank', 'flatbed')")
+    bench.wait("the answer", lambda: bench.ask("SELECT state FROM request") == [("refused",)])
+    demand("by themselves" in bench.ask("SELECT message FROM request")[0][0], "it says why")
+
+
+# ---- death and hanging ------------------------------------------------------------------------
+
+@scenario
+def killed(bench):
+    """Killed at any time, the intake is back soon; nothing is lost and nothing doubled."""
+    kills = int(os.environ.get("GIESON_KILLS", "20"))
+    chance = random.Random(4)
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    delivered, back, over = {}, [], threading.Event()
+
+    def scan_on():
+        number = 0
+        while not over.is_set():
+            number += 1
+            name = f"P{number}.png"
+            data = picture(number)
+            bench.deliver(name, data)
+            delivered[name] = data
+            over.wait(0.05)
+
+    scanner = threading.Thread(target=scan_on)
+    scanner.start()
+    try:
+        for _ in range(kills):
+            time.sleep(chance.uniform(0, 0.4))
+            bench.wait("an intake", bench.intake)
+            before = bench.intake()
+            began = time.monotonic()
+            os.kill(before, signal.SIGKILL)
+            bench.wait("another intake", lambda: bench.intake() not in (None, before))
+            seen = bench.ask("SELECT coalesce(max(id), 0) FROM scan")[0][0]
+            bench.wait("it to deliver", lambda: bench.ask("SELECT coalesce(max(id), 0) FROM scan")
+                       [0][0] > seen)
+            back.append(time.monotonic() - began)
+    finally:
+        over.set()
+        scanner.join()
+    bench.wait("all pictures", lambda: bench.ask("SELECT count(*) FROM scan")[0][0] >=
+               len(delivered))
+    bench.stop()
+    bench.check_whole(delivered)
+    left = list((bench.store / "objects" / "tmp").iterdir())
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.deliver("last.png", picture(0))
+    bench.wait_scan("last.png")
+    bench.stop()
+    after = [p for p in (bench.store / "objects" / "tmp").iterdir()
+             if not p.name.startswith("partial-")]
+    demand(not after, f"temporaries are swept: {after} of {len(left)}")
+    back.sort()
+    print(f"{kills} kills, {len(delivered)} pictures: delivering again after {back[len(back) // 2]:.2f} s "
+          f"(median), {back[-1]:.2f} s at worst")
+
+
+@scenario
+def daemon_killed(bench):
+    """When giesond itself is killed its intake ends too, and a new one goes on."""
+    bench.configure()
+    delivered = {}
+    for number in range(5):
+        bench.start("--only", "intake")
+        bench.wait("an intake", bench.intake)
+        intake = bench.intake()
+        delivered[f"P{number}.png"] = picture(number)
+        bench.deliver(f"P{number}.png", picture(number))
+        if number % 2:
+            bench.wait_scan(f"P{number}.png")
+        bench.service.kill()
+        bench.service.wait()
+        end = time.monotonic() + GENEROUS_S
+        while os.path.exists(f"/proc/{intake}") and time.monotonic() < end:
+            time.sleep(0.02)
+        demand(not os.path.exists(f"/proc/{intake}"), "the orphaned intake ended")
+    bench.start("--only", "intake")
+    for name in delivered:
+        bench.wait_scan(name)
+    bench.stop()
+    bench.check_whole(delivered)
+
+
+@scenario
+def hangs(bench):
+    """An intake that is silent for its patience is killed and started again."""
+    bench.configure(patience=2)
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.wait("an intake", bench.intake)
+    before = bench.intake()
+    os.kill(before, signal.SIGSTOP)
+    bench.deliver("a.png", picture(1))
+    bench.wait("another intake", lambda: bench.intake() not in (None, before))
+    bench.wait_scan("a.png")
+    demand("silent for 2 s" in bench.words(), "it is said why")
+
+
+@scenario
+def ends(bench):
+    """SIGTERM ends the service within two seconds, in the middle of anything, and it says off."""
+    bench.configure()
+    bench.start()
+    bench.wait_ready()
+    for number in range(200):
+        bench.deliver(f"P{number}.png", picture(number))
+    bench.wait_scan("P0.png")
+    began = time.monotonic()
+    bench.service.terminate()
+    status = bench.service.wait(GENEROUS_S)
+    took = time.monotonic() - began
+    demand(status == 0, f"it ended with {status}")
+    demand(bench.state() == "off", "its source is off")
+    print(f"ended after {took:.2f} s")
+    demand(took < 10, f"it took {took:.1f} s")
+    bench.start("--only", "intake")
+    bench.wait("all pictures", lambda: bench.ask("SELECT count(*) FROM scan")[0][0] >= 200)
+    bench.stop()
+    bench.check_whole({f"P{n}.png": picture(n) for n in range(200)})
+
+
+# ---- the configuration ------------------------------------------------------------------------
+
+@scenario
+def reloads(bench):
+    """SIGHUP: what is new is served, what is gone is off, a wrong configuration changes nothing."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.wait("an intake", bench.intake)
+    kept = bench.intake()
+    second = bench.folder / "second"
+    second.mkdir()
+    bench.configure(more=f"[source second]\nAddress=hot:{second}\nSettleMs=50\n")
+    bench.service.send_signal(signal.SIGHUP)
+    bench.wait("the second source", lambda: bench.ask(
+        "SELECT state FROM source WHERE name = 'second'") == [("ready",)])
+    demand(os.path.exists(f"/proc/{kept}"), "the first one was left alone")
+    bench.configure(more="Nonsense=1\n")
+    bench.service.send_signal(signal.SIGHUP)
+    bench.wait("the mistake", lambda: "the old configuration stays" in bench.words())
+    demand(re.search(r"gieson\.conf:\d+: .*Nonsense", bench.words()), "file and line are told")
+    (second / "a.png").write_bytes(picture(1))
+    bench.wait_scan("a.png")
+    bench.configure()
+    bench.service.send_signal(signal.SIGHUP)
+    bench.wait("the second source to be off", lambda: bench.ask(
+        "SELECT state FROM source WHERE name = 'second'") == [("off",)])
+
+
+@scenario
+def checks(bench):
+    """--check-config says what is wrong and where, and touches nothing."""
+    def run():
+        return subprocess.run([bench.programs / "giesond", "--check-config", "--config",
+                               bench.config], capture_output=True, text=True, timeout=GENEROUS_S,
+                              env=bench.environment, check=False)
+    bench.configure()
+    fine = run()
+    demand(fine.returncode == 0 and "1 source" in fine.stdout, f"a good one: {fine}")
+    bench.configure(more="Gain=3\n", work="Workers=x\n")
+    wrong = run()
+    lines = wrong.stderr.splitlines()
+    demand(wrong.returncode == 78 and len(lines) == 2, f"two mistakes: {wrong}")
+    demand(all(re.match(r".*gieson\.conf:\d+: .", line) for line in lines), f"places: {lines}")
+    demand(not bench.store.exists(), "no store was made")
+    bench.start()
+    demand(bench.service.wait(GENEROUS_S) == 78, "a service does not start on it")
+
+
+# ---- the queue --------------------------------------------------------------------------------
+
+FAKE_WORKER = """#!{python}
+# Claims a job as gieson-work would, and does what the file `do` beside it says.
+import os, pathlib, sqlite3, sys, time
+here = pathlib.Path(sys.argv[0]).parent
+store = sys.argv[sys.argv.index("--store") + 1]
+db = sqlite3.connect(store + "/gieson.db", timeout=10, isolation_level=None)
+boot = open("/proc/sys/kernel/random/boot_id").read().strip()
+start = int(open("/proc/self/stat").read().rsplit(")", 1)[1].split()[19])
+db.execute("BEGIN IMMEDIATE")
+row = db.execute("SELECT id FROM job WHERE state = 'waiting' OR (state = 'running' AND pid <> 0 AND "
+                 "NOT EXISTS (SELECT 1)) ORDER BY id LIMIT 1").fetchone()
+if not row:
+    sys.exit(66)
+db.execute("UPDATE job SET state = 'running', claim = claim + 1, owner = 'fake', boot = ?, "
+           "processes = ?, pid = ?, pid_start = ?, lease_s = 600, lease_until = ? WHERE id = ?",
+           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start, int(time.time()) + 600,
+            row[0]))
+db.execute("COMMIT")
+(here / "limits").write_text(open("/proc/self/limits").read() + "nice " + str(os.nice(0)))
+while (here / "do").read_text() == "hang":
+    time.sleep(0.05)
+db.execute("UPDATE job SET state = 'done', pid = 0 WHERE id = ?", row)
+"""
+
+
+def with_fake_worker(bench, what):
+    """The service beside a gieson-work whose behaviour the test decides."""
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-intake"):
+        shutil.copy(bench.programs / name, place / name)
+    worker = place / "gieson-work"
+    worker.write_text(FAKE_WORKER.format(python=sys.executable))
+    worker.chmod(0o755)
+    (place / "do").write_text(what)
+    bench.programs = place
+
+
+@scenario
+def queue(bench):
+    """Jobs are worked when they come; a service that stops gives a job back without a death."""
+    with_fake_worker(bench, "go on")
+    bench.configure(work="Workers=2\n")
+    bench.start()
+    bench.wait_ready()
+    bench.add_specimen("S")
+    bench.deliver("S-P1.png", picture(1))
+    bench.wait("the jobs", lambda: bench.ask("SELECT count(*) FROM job WHERE state = 'done'") ==
+               [(2,)])
+    limits = (bench.programs / "limits").read_text()
+    demand(re.search(r"Max cpu time\s+\d+", limits), "processor time is limited")
+    demand("nice 10" in limits, "it runs in the background")
+    (bench.programs / "do").write_text("hang")
+    bench.deliver("S-P2.png", picture(2))
+    bench.wait("a running job", lambda: bench.ask(
+        "SELECT count(*) FROM job WHERE state = 'running'") != [(0,)])
+    bench.stop()
+    rows = bench.ask("SELECT state, attempts, pid FROM job WHERE state <> 'done'")
+    demand(rows and all(row == ("waiting", 0, 0) for row in rows), f"given back: {rows}")
+
+
+@scenario
+def job_late(bench):
+    """A job that outlives TimeMinutes is ended and fails with a sentence."""
+    if not os.environ.get("GIESON_LONG"):
+        print("skipped: it takes more than a minute; GIESON_LONG=1 runs it")
+        sys.exit(SKIPPED)
+    with_fake_worker(bench, "hang")
+    bench.configure(work="TimeMinutes=1\n")
+    bench.start()
+    bench.wait_ready()
+    bench.add_specimen("S")
+    bench.deliver("S-P1.png", picture(1))
+    bench.wait("the failed job", lambda: bench.ask(
+        "SELECT count(*) FROM job WHERE state = 'failed'") != [(0,)], 180)
+    message, code = bench.ask("SELECT message, code FROM job WHERE state = 'failed'")[0]
+    demand("limit of 1 minutes of time" in message and code == "process", message)
+
+
+# ---- what systemd and its journal hear --------------------------------------------------------
+
+@scenario
+def notifies(bench):
+    """READY, STATUS in words, WATCHDOG and STOPPING arrive at systemd's socket."""
+    address = str(bench.folder / "notify")
+    heard = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+        end.bind(address)
+        end.settimeout(GENEROUS_S)
+        bench.environment["NOTIFY_SOCKET"] = address
+        bench.environment["WATCHDOG_USEC"] = "1000000"
+        bench.configure(more=f"[source lost]\nAddress=hot:{bench.folder}/nowhere\n")
+        bench.start()
+
+        def listen_for(text):
+            while not any(text in message for message in heard):
+                heard.append(end.recv(4096).decode())
+        listen_for("READY=1")
+        listen_for("STATUS=1 source ready, 1 away; no jobs waiting")
+        listen_for("WATCHDOG=1")
+        bench.stop()
+        listen_for("STOPPING=1")
+
+
+@scenario
+def journal(bench):
+    """With the journal behind stderr the messages have fields. Needs a place for its socket."""
+    place = pathlib.Path("/run/systemd/journal/socket")
+    if place.exists() or os.geteuid() != 0:
+        print("skipped: a journal's socket can be made only by root where there is none")
+        return SKIPPED
+    # In a namespace of its own nobody else sees the socket.
+    if not os.environ.get("GIESON_IN_NAMESPACE"):
+        done = subprocess.run(["unshare", "--mount", "env", "GIESON_IN_NAMESPACE=1", sys.executable,
+                               __file__, bench.programs, "journal"], check=False)
+        return done.returncode if done.returncode in (0, 1) else SKIPPED
+    os.makedirs("/run", exist_ok=True)
+    if subprocess.run(["mount", "-t", "tmpfs", "tmpfs", "/run"], check=False).returncode != 0:
+        print("skipped: no tmpfs can be mounted")
+        return SKIPPED
+    place.parent.mkdir(parents=True)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+        end.bind(str(place))
+        end.settimeout(GENEROUS_S)
+        with open(bench.folder / "stream", "wb") as stream:
+            stat = os.fstat(stream.fileno())
+            bench.environment["JOURNAL_STREAM"] = f"{stat.st_dev}:{stat.st_ino}"
+            bench.configure()
+            bench.start("--only", "intake", log=stream)
+        bench.wait_ready()
+        bench.add_specimen("S")
+        bench.deliver("S-P1.png", picture(1))
+        fields = {}
+        while "GIESON_SCAN" not in fields:
+            message = end.recv(65536).decode(errors="replace")
+            fields = dict(line.split("=", 1) for line in message.splitlines() if "=" in line)
+        demand(fields["GIESON_SOURCE"] == "flatbed" and fields["GIESON_SPECIMEN"] == "S", fields)
+        demand(fields["GIESON_SCAN"] == "1" and len(fields["MESSAGE_ID"]) == 32, fields)
+        demand(fields["PRIORITY"] == "6" and "S-P1.png" in fields["MESSAGE"], fields)
+        bench.stop()
+    return 0
+
+
+@scenario
+def rest(bench):
+    """At rest the service needs next to nothing."""
+    seconds = float(os.environ.get("GIESON_REST_S", "5"))
+    is_checked = b"libasan" in subprocess.run(["ldd", bench.programs / "giesond"],
+                                              capture_output=True, check=True).stdout
+    bench.configure()
+    bench.start()
+    bench.wait_ready()
+    bench.wait("an intake", bench.intake)
+    time.sleep(1)
+
+    def ticks(pid):
+        fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return int(fields[11]) + int(fields[12])
+    processes = {"giesond": bench.service.pid, "gieson-intake": bench.intake()}
+    before = {name: ticks(pid) for name, pid in processes.items()}
+    time.sleep(seconds)
+    for name, pid in processes.items():
+        status = pathlib.Path(f"/proc/{pid}/status").read_text()
+        resident = int(re.search(r"VmRSS:\s+(\d+) kB", status).group(1)) / 1024
+        peak = int(re.search(r"VmHWM:\s+(\d+) kB", status).group(1)) / 1024
+        used = (ticks(pid) - before[name]) / os.sysconf("SC_CLK_TCK")
+        print(f"{name}: {resident:.1f} MiB resident (peak {peak:.1f}), {100 * used / seconds:.2f} % of a "
+              f"processor over {seconds:.0f} s")
+        demand(is_checked or resident <= 20, f"{name} has {resident:.1f} MiB")
+        demand(is_checked or used <= 0.01 * seconds + 0.02, f"{name} used {used} s")
+
+
+def main():
+    programs, name = sys.argv[1:3]
+    with tempfile.TemporaryDirectory(prefix="gieson-service-") as folder:
+        bench = Bench(programs, folder)
+        try:
+            return SCENARIOS[name](bench) or 0
+        finally:
+            if sys.exc_info()[0] and bench.log.exists():
+                print(bench.words()[-6000:])
+            bench.stop()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,195 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What a person says to the bench: where a scan belongs, whose panels a source delivers, take a
+ * picture now. */
+#include "ui/text.h"
+#include "ui/ui.h"
+
+#include "storage/bench.h"
+#include "storage/scan.h"
+#include "storage/service.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <sysexits.h>
+#include <time.h>
+
+enum {
+    MOST_PANELS = 100000,
+    ANSWER_WITHIN_S = 60,
+    ASK_EVERY_MS = 200,
+};
+
+/* ---- file -------------------------------------------------------------------------------- */
+
+struct filing {
+    const char *scan, *specimen, *panel; /* as typed */
+    int64_t id, number;
+};
+
+static int read_filing(int argc, char **argv, struct filing *filing)
+{
+    for (int i = 1; i < argc; i++) {
+        if (strcmp(argv[i], "--panel") == 0 && i + 1 < argc)
+            filing->panel = argv[++i];
+        else if (strncmp(argv[i], "--panel=", 8) == 0)
+            filing->panel = argv[i] + 8;
+        else if (!filing->scan)
+            filing->scan = argv[i];
+        else if (!filing->specimen)
+            filing->specimen = argv[i];
+        else
+            return -1;
+    }
+    return filing->scan && filing->specimen && filing->panel ? 0 : -1;
+}
+
+int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
+{
+    gsn_auto(gsn_store) store = NULL;
+    struct filing filing = { 0 };
+    struct gsn_error err = { 0 };
+    int status = EX_OK, r;
+
+    if (read_filing(argc, argv, &filing) < 0)
+        return gsn_ui_usage("say `gieson file SCAN SPECIMEN --panel N`; `gieson status` lists the "
+                            "scans that nobody could place");
+    if (!gsn_ui_whole(filing.scan, 1, INT64_MAX, &filing.id))
+        return gsn_ui_usage("a scan is named by its number, not \"%s\"", filing.scan);
+    if (!gsn_ui_whole(filing.panel, 1, MOST_PANELS, &filing.number))
+        return gsn_ui_usage("--panel must be a whole number from 1 to %d, not \"%s\"",
+                            (int)MOST_PANELS, filing.panel);
+    store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
+    if (!store)
+        return status;
+    r = gsn_scan_file(store, filing.id, filing.specimen, (unsigned)filing.number, gsn_ui_actor(),
+                      time(NULL), &err);
+    if (r < 0)
+        return gsn_ui_complain(&err, r);
+    if (ui->json)
+        gsn_ui_print_json(json_pack("{s:I, s:o, s:I}", "scan", (json_int_t)filing.id, "specimen",
+                                    gsn_text_json(filing.specimen), "panel",
+                                    (json_int_t)filing.number));
+    else
+        gsn_text_line(stdout, "scan %lld is panel %lld of %s", (long long)filing.id,
+                      (long long)filing.number, filing.specimen);
+    return EX_OK;
+}
+
+/* ---- expect ------------------------------------------------------------------------------ */
+
+/* Whether the configuration named it when the service last began. */
+static int knows_source(struct gsn_store *store, const char *name, struct gsn_error *err)
+{
+    gsn_auto(gsn_bench_sources) sources = NULL;
+    const int r = gsn_bench_list(store, &sources, err);
+
+    for (size_t i = 0; r >= 0 && i < sources->count; i++)
+        if (strcmp(sources->at[i].name, name) == 0 && strcmp(sources->at[i].state, "off") != 0)
+            return GSN_OK;
+    return r < 0 ? r
+                 : gsn_fail(err, GSN_E_NOTFOUND,
+                            "there is no source %.200s: `gieson status` lists them", name);
+}
+
+int gsn_cmd_expect(const struct gsn_ui *ui, int argc, char **argv)
+{
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_error err = { 0 };
+    const char *specimen = argc == 3 && strcmp(argv[2], "--nobody") != 0 ? argv[2] : NULL;
+    int status = EX_OK, r;
+
+    if (argc != 3)
+        return gsn_ui_usage("say `gieson expect SOURCE SPECIMEN` or `gieson expect SOURCE "
+                            "--nobody`");
+    store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
+    if (!store)
+        return status;
+    r = knows_source(store, argv[1], &err);
+    if (r >= 0)
+        r = gsn_scan_expect(store, argv[1], specimen, gsn_ui_actor(), time(NULL), &err);
+    if (r < 0)
+        return gsn_ui_complain(&err, r);
+    if (ui->json)
+        gsn_ui_print_json(json_pack("{s:o, s:o}", "source", gsn_text_json(argv[1]), "delivers",
+                                    gsn_text_json(specimen ? specimen : "")));
+    else if (specimen)
+        gsn_text_line(stdout, "%s delivers panels of %s from now on", argv[1], specimen);
+    else
+        gsn_text_line(stdout, "%s delivers panels of whom their names say", argv[1]);
+    return EX_OK;
+}
+
+/* ---- capture ----------------------------------------------------------------------------- */
+
+/* Waits until the request is answered. gives: the row, still waiting when nobody answered. */
+static int wait_for_answer(struct gsn_store *store, int64_t id, struct gsn_request_row **ret_row,
+                           struct gsn_error *err)
+{
+    const int64_t end = time(NULL) + ANSWER_WITHIN_S;
+
+    for (;;) {
+        gsn_auto(gsn_request_row) row = NULL;
+        const int r = gsn_request_get(store, id, &row, err);
+
+        if (r < 0)
+            return r;
+        if (strcmp(row->state, "waiting") != 0 || time(NULL) >= end) {
+            *ret_row = gsn_steal(&row);
+            return GSN_OK;
+        }
+        gsn_ui_pause_ms(ASK_EVERY_MS);
+    }
+}
+
+static int tell_answer(const struct gsn_ui *ui, const struct gsn_request_row *row)
+{
+    const int refused = strcmp(row->state, "refused") == 0;
+
+    if (ui->json)
+        gsn_ui_print_json(json_pack("{s:I, s:o, s:s, s:s, s:o}", "request", (json_int_t)row->id,
+                                    "source", gsn_text_json(row->source), "kind", row->kind,
+                                    "state", row->state, "message", gsn_text_json(row->message)));
+    if (strcmp(row->state, "waiting") == 0)
+        return gsn_ui_fail(EX_TEMPFAIL,
+                           "%s has not answered within %d s; it still will: see `gieson status`",
+                           row->source, (int)ANSWER_WITHIN_S);
+    if (refused)
+        return gsn_ui_fail(EX_DATAERR, "%s refused: %s", row->source, row->message);
+    if (!ui->json)
+        gsn_text_line(stdout, "%s took its picture", row->source);
+    return EX_OK;
+}
+
+int gsn_cmd_capture(const struct gsn_ui *ui, int argc, char **argv)
+{
+    static const char *const kinds[][2] = { { "--blank", "capture-blank" },
+                                            { "--dark", "capture-dark" } };
+    gsn_auto(gsn_store) store = NULL;
+    gsn_auto(gsn_request_row) row = NULL;
+    const char *kind = argc == 2 ? "capture-panel" : NULL;
+    struct gsn_error err = { 0 };
+    int status = EX_OK, there = 0, r;
+    int64_t id = 0;
+
+    for (size_t i = 0; argc == 3 && i < 2; i++)
+        if (strcmp(argv[2], kinds[i][0]) == 0)
+            kind = kinds[i][1];
+    if (!kind)
+        return gsn_ui_usage("say `gieson capture SOURCE`, with --blank for clean glass or --dark "
+                            "for a covered lens");
+    store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
+    if (!store)
+        return status;
+    r = knows_source(store, argv[1], &err);
+    if (r >= 0)
+        r = gsn_service_is_there(gsn_store_dir(store), GSN_SERVICE_INTAKE, &there, &err);
+    if (r >= 0 && !there)
+        return gsn_ui_fail(EX_TEMPFAIL, "giesond is not running, and only it speaks to devices: "
+                                        "`systemctl start gieson`");
+    if (r >= 0)
+        r = gsn_request_add(store, argv[1], kind, gsn_ui_actor(), time(NULL), &id, &err);
+    if (r >= 0)
+        r = wait_for_answer(store, id, &row, &err);
+    return r < 0 ? gsn_ui_complain(&err, r) : tell_answer(ui, row);
+}

@@ -77,8 +77,9 @@ void gsn_spool_free(struct gsn_spool *spool)
     gsn_free(spool);
 }
 
-static int check_reserve(const struct gsn_spool *spool, uint64_t size, const char *name,
-                         struct gsn_error *err)
+/* spare: bytes that could be freed. */
+static int check_reserve(const struct gsn_spool *spool, uint64_t size, uint64_t spare,
+                         const char *name, struct gsn_error *err)
 {
     const double MiB = 1024.0 * 1024.0;
     struct statvfs fs;
@@ -86,7 +87,7 @@ static int check_reserve(const struct gsn_spool *spool, uint64_t size, const cha
 
     if (statvfs(spool->objects, &fs) < 0)
         return refused(spool->objects, err);
-    free_bytes = (uint64_t)fs.f_bavail * fs.f_frsize;
+    free_bytes = (uint64_t)fs.f_bavail * fs.f_frsize + spare;
     if (free_bytes >= size && free_bytes - size >= spool->reserve)
         return GSN_OK;
     return gsn_fail(err, GSN_E_LIMIT,
@@ -100,19 +101,25 @@ static int check_reserve(const struct gsn_spool *spool, uint64_t size, const cha
 static int make_room(const struct gsn_spool *spool, uint64_t size, const char *name,
                      struct gsn_error *err)
 {
-    int r = check_reserve(spool, size, name, err);
+    int r = check_reserve(spool, size, 0, name, err);
 
     if (r == GSN_E_LIMIT) {
         r = gsn_spool_temp_sweep(spool->temporaries, 0, err);
         if (r >= 0)
-            r = check_reserve(spool, size, name, err);
+            r = check_reserve(spool, size, 0, name, err);
     }
     return r;
 }
 
 int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err)
 {
-    return make_room(spool, size, "the next picture", err);
+    uint64_t parts = 0;
+    int r = check_reserve(spool, size, 0, "the next picture", err);
+
+    if (r != GSN_E_LIMIT)
+        return r;
+    r = gsn_spool_temp_parts(spool->temporaries, &parts, err);
+    return r >= 0 ? check_reserve(spool, size, parts, "the next picture", err) : r;
 }
 
 struct bytes {

@@ -124,6 +124,7 @@ struct entry {
     char *path;
     struct gsn_spool_part part;
     bool is_part;
+    uint64_t bytes; /* of disk */
     struct timespec changed;
 };
 
@@ -163,6 +164,7 @@ static int list_add(struct listing *listing, const char *dir, const char *name,
         (struct entry){ .path = gsn_steal(&path),
                         .is_part = part != NULL,
                         .part = part ? *part : (struct gsn_spool_part){ 0 },
+                        .bytes = (uint64_t)st.st_blocks * 512,
                         .changed = st.st_mtim };
     return GSN_OK;
 }
@@ -288,6 +290,19 @@ int gsn_spool_temp_sweep(const char *dir, size_t parts, struct gsn_error *err)
         if (!entry->is_part || i >= parts || entry->changed.tv_sec < oldest)
             r = remove_dead(entry->path, err);
     }
+    return r;
+}
+
+int gsn_spool_temp_parts(const char *dir, uint64_t *ret_bytes, struct gsn_error *err)
+{
+    auto_listing listing = { 0 };
+    const int r = list(dir, NULL, &listing, err);
+    uint64_t bytes = 0;
+
+    for (size_t i = 0; r >= 0 && i < listing.count; i++)
+        bytes += listing.at[i].is_part ? listing.at[i].bytes : 0;
+    if (r >= 0)
+        *ret_bytes = bytes;
     return r;
 }
 

@@ -50,6 +50,8 @@ int gsn_spool_temp_keep(const char *dir, const struct gsn_digest *key,
 /* Removes what nobody writes any more: everything but the parts newest parts younger than
  * GSN_SPOOL_PART_DAYS. */
 int gsn_spool_temp_sweep(const char *dir, size_t parts, struct gsn_error *err);
+/* How many bytes of disk all parts take. */
+int gsn_spool_temp_parts(const char *dir, uint64_t *ret_bytes, struct gsn_error *err);
 /* Removes the parts of this key. */
 int gsn_spool_temp_forget(const char *dir, const struct gsn_digest *key, struct gsn_error *err);
 

@@ -68,7 +68,8 @@ static int add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, i
                         job, NULL, err);
     if (r >= 0)
         r = gsn_sql_int(store,
-                        "SELECT id FROM job WHERE specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
+                        "SELECT id FROM job WHERE kind = iif(?2 = 0, 'specimen', 'panel') AND "
+                        "specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
                         job, ret_id, err);
     if (r < 0)
         return r;

@@ -6,11 +6,19 @@
 #include <sqlite3.h>
 #include <string.h>
 
-static void statement_free(sqlite3_stmt **statement)
+#include "storage/kept.h"
+
+/* Goes back to those that are kept. */
+struct statement {
+    struct gsn_store *store;
+    sqlite3_stmt *sqlite;
+};
+
+static void statement_done(struct statement *statement)
 {
-    (void)sqlite3_finalize(*statement);
+    gsn_kept_give(gsn_store_kept(statement->store), statement->sqlite);
 }
-#define auto_statement __attribute__((cleanup(statement_free))) sqlite3_stmt *
+#define auto_statement __attribute__((cleanup(statement_done))) struct statement
 
 static int bind(sqlite3_stmt *statement, int index, const struct gsn_sql_value *value)
 {
@@ -22,32 +30,34 @@ static int bind(sqlite3_stmt *statement, int index, const struct gsn_sql_value *
     return sqlite3_bind_text(statement, index, value->text ? value->text : "", -1, SQLITE_STATIC);
 }
 
-static int prepare(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
-                   sqlite3_stmt **ret_statement, struct gsn_error *err)
+static int prepare(struct statement *statement, const char *sql, struct gsn_sql_args args,
+                   struct gsn_error *err)
 {
-    auto_statement statement = NULL;
+    struct gsn_store *const store = statement->store;
 
-    if (sqlite3_prepare_v2(gsn_store_handle(store), sql, -1, &statement, NULL) != SQLITE_OK)
+    statement->sqlite = gsn_kept_take(gsn_store_kept(store), sql);
+    if (!statement->sqlite &&
+        sqlite3_prepare_v3(gsn_store_handle(store), sql, -1, SQLITE_PREPARE_PERSISTENT,
+                           &statement->sqlite, NULL) != SQLITE_OK)
         return gsn_store_failed(store, err);
-    assert((size_t)sqlite3_bind_parameter_count(statement) == args.count);
+    assert((size_t)sqlite3_bind_parameter_count(statement->sqlite) == args.count);
     for (size_t i = 0; i < args.count; i++) {
-        if (bind(statement, (int)i + 1, &args.at[i]) != SQLITE_OK)
+        if (bind(statement->sqlite, (int)i + 1, &args.at[i]) != SQLITE_OK)
             return gsn_store_failed(store, err);
     }
-    *ret_statement = gsn_steal(&statement);
     return GSN_OK;
 }
 
 int gsn_sql_run(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
                 int64_t *ret_changed, struct gsn_error *err)
 {
-    auto_statement statement = NULL;
-    int r = prepare(store, sql, args, &statement, err);
+    auto_statement statement = { .store = store };
+    int r = prepare(&statement, sql, args, err);
 
     if (r < 0)
         return r;
     do
-        r = sqlite3_step(statement);
+        r = sqlite3_step(statement.sqlite);
     while (r == SQLITE_ROW);
     if (r != SQLITE_DONE)
         return gsn_store_failed(store, err);
@@ -59,17 +69,17 @@ int gsn_sql_run(struct gsn_store *store, const char *sql, struct gsn_sql_args ar
 int gsn_sql_int(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
                 int64_t *ret_value, struct gsn_error *err)
 {
-    auto_statement statement = NULL;
-    int r = prepare(store, sql, args, &statement, err);
+    auto_statement statement = { .store = store };
+    int r = prepare(&statement, sql, args, err);
 
     if (r < 0)
         return r;
-    r = sqlite3_step(statement);
+    r = sqlite3_step(statement.sqlite);
     if (r == SQLITE_DONE)
         return gsn_fail(err, GSN_E_NOTFOUND, "%s: no such row", gsn_store_dir(store));
     if (r != SQLITE_ROW)
         return gsn_store_failed(store, err);
-    *ret_value = sqlite3_column_int64(statement, 0);
+    *ret_value = sqlite3_column_int64(statement.sqlite, 0);
     return GSN_OK;
 }
 
@@ -184,11 +194,11 @@ static int query(struct gsn_store *store, const struct gsn_sql_shape *shape, con
                  struct gsn_error *err)
 {
     __attribute__((cleanup(rows_done))) struct rows rows = { .shape = shape };
-    auto_statement statement = NULL;
-    int r = prepare(store, sql, args, &statement, err);
+    auto_statement statement = { .store = store };
+    int r = prepare(&statement, sql, args, err);
 
     if (r >= 0)
-        r = collect(store, statement, most, &rows, err);
+        r = collect(store, statement.sqlite, most, &rows, err);
     if (r < 0)
         return r;
     *ret_count = rows.count;

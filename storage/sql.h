@@ -131,6 +131,8 @@ int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err);
 /* store.c: the open database, and its last failure as a code and a sentence of ours. */
 struct sqlite3;
 struct sqlite3 *gsn_store_handle(struct gsn_store *store);
+struct gsn_kept;
+struct gsn_kept *gsn_store_kept(struct gsn_store *store);
 int gsn_store_failed(struct gsn_store *store, struct gsn_error *err);
 
 #endif

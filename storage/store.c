@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
+#include "storage/kept.h"
 #include "storage/schema.h"
 #include "storage/sql.h"
 
@@ -24,7 +25,13 @@ struct gsn_store {
     char *dir;
     sqlite3 *db;
     unsigned depth; /* of nested transactions */
+    struct gsn_kept kept;
 };
+
+struct gsn_kept *gsn_store_kept(struct gsn_store *store)
+{
+    return &store->kept;
+}
 
 struct sqlite3 *gsn_store_handle(struct gsn_store *store)
 {
@@ -77,7 +84,8 @@ int gsn_store_begin(struct gsn_store *store, struct gsn_error *err)
     /* After a disk error SQLite rolls back by itself; what follows must not start anew. */
     if (store->depth > 0 && sqlite3_get_autocommit(store->db))
         return gsn_fail(err, GSN_E_STORE, "%s/gieson.db: the transaction was lost", store->dir);
-    r = execute(store, store->depth == 0 ? "BEGIN IMMEDIATE" : "SAVEPOINT inner", err);
+    r = gsn_sql_run(store, store->depth == 0 ? "BEGIN IMMEDIATE" : "SAVEPOINT inner", SQL_NO_ARGS,
+                    NULL, err);
     if (r >= 0)
         store->depth++;
     return r;
@@ -97,7 +105,7 @@ int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
     int r;
 
     assert(store->depth > 0);
-    r = execute(store, store->depth == 1 ? "COMMIT" : "RELEASE inner", err);
+    r = gsn_sql_run(store, store->depth == 1 ? "COMMIT" : "RELEASE inner", SQL_NO_ARGS, NULL, err);
     if (r < 0)
         gsn_store_rollback(store);
     else
@@ -317,6 +325,7 @@ void gsn_store_free(struct gsn_store *store)
 {
     if (!store)
         return;
+    gsn_kept_done(&store->kept);
     (void)sqlite3_close(store->db);
     gsn_free(store->dir);
     gsn_free(store);

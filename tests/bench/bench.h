@@ -101,5 +101,6 @@ void bench_points(void);
 void bench_locate(void);
 void bench_mean(void);
 void bench_space(void);
+void bench_ingest(void);
 
 #endif

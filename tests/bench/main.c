@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* gieson-bench [--quick] [measure ...]: how fast the splines are, one line of JSON a figure. */
+/* gieson-bench [--quick] [measure ...]: how fast the splines are and how fast pictures are
+ * kept, one line of JSON a figure. */
 #include "tests/bench/bench.h"
 
 #include <signal.h>
@@ -25,6 +26,7 @@ static const struct {
     { "locate", bench_locate, "which tetrahedron holds a point" },
     { "mean", bench_mean, "exact means over tetrahedra" },
     { "space", bench_space, "making a space and a spline, and their memory" },
+    { "ingest", bench_ingest, "keeping a picture: rows, hash and bytes, in this folder" },
 };
 
 enum { COUNT = sizeof MEASURES / sizeof *MEASURES };

@@ -127,13 +127,14 @@ struct meddler {
     uint16_t operation;
     size_t parameter; /* which one is changed; 0 is the first */
     uint32_t from, to;
-    bool swallows;  /* instead: the device never hears of it */
+    bool swallows; /* instead: the device never hears of it */
+    unsigned swallowed;
     bool root_only; /* "everywhere" is taken for "in the root" as well */
 };
 
 static long meddle(void *self, uint8_t endpoint, const uint8_t *bytes, size_t size)
 {
-    const struct meddler *const meddler = self;
+    struct meddler *const meddler = self;
     const size_t at = GSN_PTP_HEADER + 4 * meddler->parameter;
     uint8_t changed[GSN_PTP_LONGEST_RESPONSE];
 
@@ -142,6 +143,7 @@ static long meddle(void *self, uint8_t endpoint, const uint8_t *bytes, size_t si
         memset(changed + at, 0xFF, 4);
     if (gsn_ptp_get16(bytes + 6) == meddler->operation && at + 4 <= size &&
         gsn_ptp_get32(bytes + at) == meddler->from) {
+        meddler->swallowed += meddler->swallows;
         if (meddler->swallows)
             return (long)size;
         for (size_t i = 0; i < 4; i++)
@@ -308,6 +310,27 @@ TEST(what_changed_after_it_was_read_is_not_deleted)
     CHECK(ptp_model_asked(bench.model, GSN_PTP_DELETE_OBJECT) == 0);
 }
 
+/* The handle of a deletion that was not answered may be another object's after a reset. */
+TEST(a_deletion_is_not_asked_for_again_without_looking)
+{
+    struct meddler meddler = { .operation = GSN_PTP_DELETE_OBJECT, .swallows = true };
+    bench_auto bench;
+    struct bench_object *object;
+
+    bench_init(&bench, NULL);
+    bench.options.delete_there = 1;
+    object = bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    meddler.from = meddler.to = object->handle;
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(meddler.swallowed == 1 && bench.bus.resets == 0);
+    meddler.swallows = false;
+    memory_bus_sleep(&bench.bus, 60000);
+    bench_turn(&bench);
+    CHECK(!ptp_model_has(bench.model, object->handle));
+}
+
 TEST(what_was_taken_and_changes_without_a_word_is_noticed)
 {
     struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
@@ -327,6 +350,50 @@ TEST(what_was_taken_and_changes_without_a_word_is_noticed)
         waiting += strcmp(bench.line[i].name, "P99.TIF") == 0 &&
                    strstr(bench.line[i].reason, "second look");
     CHECK(waiting == 2);
+}
+
+TEST(after_a_replug_an_object_with_a_key_is_the_same_item)
+{
+    bench_auto bench;
+    uint64_t dated, undated;
+
+    bench_init(&bench, &(struct ptp_faults){ .new_handles = true });
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    bench_open(&bench);
+    dated = find_ready(&bench);
+    ptp_model_unplug(bench.model);
+    bench_turn(&bench);
+    ptp_model_replug(bench.model);
+    CHECK(dated != 0 && find_ready(&bench) == dated);
+    CHECK(bench_work(&bench, TURNS));
+
+    (void)bench_scan(&bench, "P02.TIF", 3000, 2, "", 0);
+    undated = find_ready(&bench);
+    ptp_model_unplug(bench.model);
+    bench_turn(&bench);
+    ptp_model_replug(bench.model);
+    CHECK(undated != 0 && find_ready(&bench) != undated);
+    CHECK(bench_work(&bench, TURNS) && bench.again == 0);
+}
+
+TEST(after_a_replug_a_bad_object_without_a_key_is_still_set_aside)
+{
+    bench_auto bench;
+    unsigned asked;
+
+    bench_init(&bench, &(struct ptp_faults){ .bad_object = 1, .new_handles = true });
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, "", 0);
+    bench_open(&bench);
+    for (int i = 0; i < 8; i++)
+        bench_turn(&bench);
+    CHECK(bench_told(&bench, "P01.TIF", "General Error (0x2002)"));
+    asked = ptp_model_asked(bench.model, GSN_PTP_GET_PARTIAL_OBJECT);
+    ptp_model_unplug(bench.model);
+    bench_turn(&bench);
+    ptp_model_replug(bench.model);
+    for (int i = 0; i < 8; i++)
+        bench_turn(&bench);
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_GET_PARTIAL_OBJECT) == asked);
 }
 
 TEST(after_a_reset_a_handle_is_asked_about_before_its_bytes_are_believed)

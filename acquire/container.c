@@ -155,6 +155,61 @@ static struct gsn_container walk_jpeg(struct gsn_walk *walk)
     }
 }
 
+/* The number behind a key at the beginning of a line; 0 when it is another line or no number. */
+static uint64_t number_behind(const char *line, const char *key)
+{
+    const size_t length = strlen(key);
+    uint64_t value = 0;
+
+    if (strncmp(line, key, length) != 0)
+        return 0;
+    line += length + strspn(line + length, " \t");
+    for (; *line >= '0' && *line <= '9' && value < (uint64_t)1 << 32; line++)
+        value = value * 10 + (uint64_t)(*line - '0');
+    return *line == '\0' && value <= UINT32_MAX ? value : 0;
+}
+
+enum pam_key { PAM_WIDTH, PAM_HEIGHT, PAM_DEPTH, PAM_MAXVAL, PAM_KEYS };
+
+/* All factors are below 2^32 and the last two below 2^17: held against the size one by one. */
+static bool fits(const uint64_t value[PAM_KEYS], uint64_t room)
+{
+    const uint64_t pixel = value[PAM_DEPTH] * (value[PAM_MAXVAL] > 255 ? 2 : 1);
+
+    return value[PAM_WIDTH] <= room / pixel && value[PAM_HEIGHT] <= room / pixel / value[PAM_WIDTH];
+}
+
+/* netpbm's pam(5): lines of text to ENDHDR, then the samples, one or two bytes each. */
+static struct gsn_container walk_pam(struct gsn_walk *walk)
+{
+    static const char *const keys[PAM_KEYS] = { "WIDTH", "HEIGHT", "DEPTH", "MAXVAL" };
+    uint64_t value[PAM_KEYS] = { 0 };
+    uint64_t at = 3;
+
+    for (;;) {
+        const size_t run = (size_t)(walk->size - at < 1024 ? walk->size - at : 1024);
+        const uint8_t *const bytes = run ? gsn_walk_view(walk, at, run) : NULL;
+        const uint8_t *const end = bytes ? memchr(bytes, '\n', run) : NULL;
+        char line[1024];
+
+        if (!end)
+            return gsn_walk_missing(GSN_CONTAINER_PAM, "the file ends inside the PAM's header");
+        (void)snprintf(line, sizeof line, "%.*s", (int)(end - bytes), (const char *)bytes);
+        at += (uint64_t)(end - bytes) + 1;
+        if (strcmp(line, "ENDHDR") == 0)
+            break;
+        for (size_t i = 0; i < PAM_KEYS; i++)
+            value[i] = value[i] ? value[i] : number_behind(line, keys[i]);
+    }
+    for (size_t i = 0; i < PAM_KEYS; i++) {
+        if (!value[i])
+            return gsn_walk_missing(GSN_CONTAINER_PAM, "the PAM's header has no %s", keys[i]);
+    }
+    if (!fits(value, walk->size - at))
+        return gsn_walk_missing(GSN_CONTAINER_PAM, "the file ends before the PAM's last row");
+    return (struct gsn_container){ .kind = GSN_CONTAINER_PAM, .complete = 1 };
+}
+
 static struct gsn_container judge(struct gsn_walk *walk)
 {
     const uint8_t *head;
@@ -171,7 +226,9 @@ static struct gsn_container judge(struct gsn_walk *walk)
     head = gsn_walk_view(walk, 0, 3);
     if (head && head[0] == 0xff && head[1] == JPEG_SOI && head[2] == 0xff)
         return walk_jpeg(walk);
-    return gsn_walk_missing(GSN_CONTAINER_UNKNOWN, "its bytes are no PNG, JPEG or TIFF");
+    if (head && memcmp(head, "P7\n", 3) == 0)
+        return walk_pam(walk);
+    return gsn_walk_missing(GSN_CONTAINER_UNKNOWN, "its bytes are no PNG, JPEG, TIFF or PAM");
 }
 
 struct gsn_container gsn_container_check(const void *bytes, size_t size)
@@ -199,7 +256,7 @@ int gsn_container_check_fd(int fd, struct gsn_container *ret_container, struct g
 
 const char *gsn_container_kind_name(enum gsn_container_kind kind)
 {
-    static const char *const names[] = { "unknown", "PNG", "JPEG", "TIFF" };
+    static const char *const names[] = { "unknown", "PNG", "JPEG", "TIFF", "PAM" };
 
     return names[kind];
 }

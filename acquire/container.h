@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Is a picture file all there? Walks the container, not the picture: PNG chunks to IEND, JPEG
- * markers to EOI, TIFF and BigTIFF directories with all their strips and tiles.
+ * markers to EOI, TIFF and BigTIFF directories with all their strips and tiles, PAM by what its
+ * header states.
  *
  * The answer keeps half-copied files out of the store; whether the picture is any good is for the
  * decoder to say. Input is hostile: every offset is checked, work is bounded by the file's size. */
@@ -22,6 +23,7 @@ enum gsn_container_kind {
     GSN_CONTAINER_PNG,
     GSN_CONTAINER_JPEG,
     GSN_CONTAINER_TIFF, /* classic and BigTIFF */
+    GSN_CONTAINER_PAM,
 };
 
 struct gsn_container {
@@ -37,7 +39,7 @@ int gsn_container_check_fd(int fd, struct gsn_container *ret_container, struct g
 /* The same for bytes in memory; cannot fail. */
 struct gsn_container gsn_container_check(const void *bytes, size_t size);
 
-/* "PNG", "JPEG", "TIFF" or "unknown". */
+/* "PNG", "JPEG", "TIFF", "PAM" or "unknown". */
 const char *gsn_container_kind_name(enum gsn_container_kind kind);
 
 #ifdef __cplusplus

@@ -8,15 +8,14 @@
 #include <string.h>
 
 #include "acquire/folder_source.h"
+#include "acquire/libcamera_source.h"
 #include "acquire/ptp_source.h"
 #include "acquire/v4l2_source.h"
 
 /* The kinds of source there are. */
 static const struct gsn_source_ops *const kinds[] = {
-    &gsn_hot_folder_ops,
-    &gsn_replay_folder_ops,
-    &gsn_ptp_source_ops,
-    &gsn_v4l2_source_ops,
+    &gsn_hot_folder_ops,  &gsn_replay_folder_ops,    &gsn_ptp_source_ops,
+    &gsn_v4l2_source_ops, &gsn_libcamera_source_ops,
 };
 
 struct gsn_source {

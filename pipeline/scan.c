@@ -79,6 +79,11 @@ int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
     r = gsn_decode_apart(decoder, bytes, size, NULL, &scan->picture, err);
     if (r < 0)
         return r;
+    if (scan->picture->withheld[0])
+        return gsn_fail(err, GSN_E_STAIN,
+                        "its camera says that colours must not be measured (%s): lock the camera "
+                        "and take the panel again",
+                        scan->picture->withheld);
     if (scan->picture->image->channels != 3)
         return gsn_fail(err, GSN_E_INPUT,
                         "a grey picture: collagen needs colour; scan again as RGB");

@@ -195,6 +195,7 @@ static int take(const struct shared *shared, const struct gsn_decode_page *said,
     picture->pages = said->pages;
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", said->kind);
     (void)snprintf(picture->note, sizeof picture->note, "%s", said->note);
+    (void)snprintf(picture->withheld, sizeof picture->withheld, "%s", said->withheld);
     *ret_picture = gsn_steal(&picture);
     return GSN_OK;
 }
@@ -209,6 +210,7 @@ static int hear(const struct shared *shared, const struct gsn_decode_limits *lim
     clean(said.text, sizeof said.text);
     clean(said.kind, sizeof said.kind);
     clean(said.note, sizeof said.note);
+    clean(said.withheld, sizeof said.withheld);
     if (!said.answered)
         return lied(err);
     if (said.code != GSN_OK)

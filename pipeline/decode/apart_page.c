@@ -52,6 +52,7 @@ static void describe(const struct gsn_picture *picture, struct gsn_decode_page *
     page->px_um_y = picture->px_um_y;
     memcpy(page->kind, picture->kind, sizeof page->kind);
     memcpy(page->note, picture->note, sizeof page->note);
+    memcpy(page->withheld, picture->withheld, sizeof page->withheld);
 }
 
 void gsn_decode_page_answer(struct gsn_decode_page *page)

@@ -7,7 +7,7 @@
 
 #include "pipeline/decode/decode.h"
 
-#define GSN_DECODE_PAGE_MAGIC "gsndec1"
+#define GSN_DECODE_PAGE_MAGIC "gsndec2"
 
 struct gsn_decode_page {
     char magic[8];
@@ -21,7 +21,7 @@ struct gsn_decode_page {
     char text[480];
     uint32_t width, height, channels, bits, pages, transfer;
     double px_um_x, px_um_y;
-    char kind[24], note[160];
+    char kind[24], note[160], withheld[160];
 };
 enum { GSN_DECODE_PAGE_BYTES = 4096 };
 

@@ -24,6 +24,7 @@ static const struct kind {
     { "TIFF", 0, 4, "MM\0*", gsn_tiff_decode },
     { "BigTIFF", 0, 4, "II+\0", gsn_tiff_decode },
     { "BigTIFF", 0, 4, "MM\0+", gsn_tiff_decode },
+    { "PAM", 0, 3, "P7\n", gsn_pam_decode },
     { "PDF", 0, 5, "%PDF-", NULL },
     { "JPEG 2000", 0, 8, "\0\0\0\x0cjP  ", NULL },
     { "JPEG 2000", 0, 4, "\xff\x4f\xff\x51", NULL },
@@ -58,7 +59,7 @@ static int refuse_kind(struct gsn_bytes file, const struct kind *kind, struct gs
                         "a %s file is not read: scan again as TIFF, PNG or JPEG", kind->name);
     memcpy(head, file.at, file.size < sizeof head ? file.size : sizeof head);
     return gsn_fail(err, GSN_E_UNSUPPORTED,
-                    "neither TIFF nor PNG nor JPEG: the %zu bytes begin with %02x %02x %02x %02x",
+                    "neither TIFF, PNG, JPEG nor PAM: the %zu bytes begin with %02x %02x %02x %02x",
                     file.size, head[0], head[1], head[2], head[3]);
 }
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Scanned pictures out of bytes: JPEG, TIFF, BigTIFF and PNG, strictly.
+/* Scanned pictures out of bytes: JPEG, TIFF, BigTIFF, PNG and PAM (frames of cameras), strictly.
  *
  * A file is either decoded completely or refused with one sentence; no sample is ever made up, and
  * what a header asks for is checked against limits before anything is allocated for it. Works from
@@ -40,8 +40,11 @@ struct gsn_picture {
     double px_um_x, px_um_y; /* pixel pitch along the upright axes; 0: the file does not say */
     enum gsn_transfer transfer;
     unsigned pages; /* pages in the file; the first one is decoded */
-    char kind[24];  /* "JPEG", "TIFF", "BigTIFF" or "PNG" */
+    char kind[24];  /* "JPEG", "TIFF", "BigTIFF", "PNG" or "PAM" */
     char note[160]; /* what was passed over or applied, "; " between; empty when nothing was */
+    /* Why colours of this picture must not be measured, as whoever took it says in the file (its
+     * camera could not be locked); empty: they may. */
+    char withheld[160];
 
     void *place;         /* where the samples are when they are not allocated, or NULL */
     size_t mapped_bytes; /* of it, to be unmapped; 0: it is somebody else's */

@@ -4,6 +4,7 @@
  * warning is a refusal, and data that end early are never continued with filler. */
 #include "pipeline/decode/raster.h"
 #include "pipeline/decode/exif.h"
+#include "pipeline/decode/frame_notes.h"
 
 #include <setjmp.h>
 #include <stdio.h>
@@ -293,6 +294,11 @@ int gsn_jpeg_decode(struct gsn_bytes file, const struct gsn_decode_limits *limit
     reader->file = file;
     reader->err = err;
     r = read_guarded(reader, limits, picture);
+    if (r >= 0) {
+        const struct gsn_frame_notes notes = gsn_frame_notes_of_jpeg(file);
+
+        gsn_frame_notes_apply(&notes, picture);
+    }
     gsn_free(reader->row);
     jpeg_destroy_decompress(&reader->info);
     return r;

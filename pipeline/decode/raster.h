@@ -70,6 +70,8 @@ int gsn_jpeg_decode(struct gsn_bytes file, const struct gsn_decode_limits *limit
                     struct gsn_picture *picture, struct gsn_error *err);
 int gsn_png_decode(struct gsn_bytes file, const struct gsn_decode_limits *limits,
                    struct gsn_picture *picture, struct gsn_error *err);
+int gsn_pam_decode(struct gsn_bytes file, const struct gsn_decode_limits *limits,
+                   struct gsn_picture *picture, struct gsn_error *err);
 int gsn_tiff_decode(struct gsn_bytes file, const struct gsn_decode_limits *limits,
                     struct gsn_picture *picture, struct gsn_error *err);
 

@@ -336,3 +336,28 @@ TEST(real_pictures_are_whole_unless_they_are_cut)
             fail_msg("%s: complete %d, reason \"%s\"", known[i].name, got.complete, got.reason);
     }
 }
+
+TEST(a_pam_is_complete_when_its_last_sample_is_there)
+{
+    static const char head[] = "P7\n# device: WIDTH 9\nWIDTH 3\nHEIGHT 2\nDEPTH 2\nMAXVAL 1023\n"
+                               "TUPLTYPE X\nENDHDR\n";
+    static const char huge[] = "P7\nWIDTH 4294967295\nHEIGHT 4294967295\nDEPTH 4294967295\n"
+                               "MAXVAL 65535\nENDHDR\nxxxxxxxx";
+    struct gsn_container got;
+    struct draft draft = { .size = 0 };
+
+    put(&draft, head, sizeof head - 1);
+    for (size_t i = 0; i < 3 * 2 * 2 * 2; i++)
+        put(&draft, "\n", 1);
+    for (size_t cut = 3; cut < draft.size; cut++) {
+        got = gsn_container_check(draft.at, cut);
+        CHECK(got.kind == GSN_CONTAINER_PAM && !got.complete && got.reason[0]);
+    }
+    got = gsn_container_check(draft.at, draft.size);
+    CHECK(got.kind == GSN_CONTAINER_PAM && got.complete && !got.reason[0]);
+    CHECK(strcmp(gsn_container_kind_name(got.kind), "PAM") == 0);
+    got = gsn_container_check(huge, sizeof huge - 1);
+    CHECK(got.kind == GSN_CONTAINER_PAM && !got.complete);
+    got = gsn_container_check("P7\nWIDTH 1\nENDHDR\n", 18);
+    CHECK(strcmp(got.reason, "the PAM's header has no HEIGHT") == 0);
+}

@@ -14,7 +14,9 @@
 #include <unistd.h>
 
 #include "acquire/container.h"
+#include "pipeline/decode/decode.h"
 #include "tests/check.h"
+#include "tests/decode/make.h"
 #include "tests/device/umock_v4l2.h"
 
 enum { WIDTH = 64, HEIGHT = 48, ROW = 2 * WIDTH, PADDING = 32, STRIDE = ROW + PADDING };
@@ -644,6 +646,122 @@ TEST(a_camera_held_by_another_is_busy)
     refuses("v4l2:" BY_ID, &options, GSN_E_BUSY, "another program holds the camera");
     v4l2_mock_fail(camera, VIDIOC_STREAMON, ENOSPC, 1);
     refuses("v4l2:" BY_ID, &options, GSN_E_IO, "the USB bus has no room for this stream");
+}
+
+/* Opens with another format than YUYV, and no automatic rest. */
+static struct gsn_source *open_by_request(const char *format)
+{
+    struct gsn_source_setting changed[7];
+    const struct gsn_source_options with = { .setting_count = 7, .setting = changed };
+    struct gsn_source *source = NULL;
+    struct gsn_error err = { 0 };
+
+    memcpy(changed, settings, sizeof settings);
+    changed[0].value = format;
+    changed[3].value = "no";
+    CHECK_OK(gsn_source_open("v4l2:" BY_ID, &with, &source, &err), err);
+    return source;
+}
+
+static void ask_for(struct gsn_source *source, enum gsn_source_subject subject)
+{
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_source_capture(source, subject, &err), err);
+}
+
+TEST(a_jpeg_that_ends_early_is_said_and_the_next_one_is_taken)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 0, &webcam);
+    gsn_auto(gsn_source) source = open_by_request("MJPG");
+    gsn_auto(gsn_image) image = make_picture(WIDTH, HEIGHT, 3, 8);
+    auto_made jpeg = make_jpeg(image, &(struct jpeg_recipe){ .quality = 60 });
+    gsn_auto(gsn_source_events) events = NULL;
+    gsn_auto(gsn_picture) picture = NULL;
+    gsn_auto(gsn_picture) truth = NULL;
+    struct gsn_error err = { 0 };
+    struct item *item;
+
+    for (unsigned i = 0; i < 9; i++)
+        v4l2_mock_push(camera, jpeg.bytes, jpeg.size, 0);
+    CHECK(drain(source, camera) == 0); /* nobody asked */
+    ask_for(source, GSN_SUBJECT_PANEL);
+    for (unsigned i = 0; i < 4; i++)
+        v4l2_mock_push(camera, jpeg.bytes, jpeg.size, 0);
+    v4l2_mock_push(camera, jpeg.bytes, jpeg.size / 2, 0);
+    events = poll_at(source, 0);
+    CHECK(events->count == 1 && events->at[0].what == GSN_SOURCE_NOTICE);
+    CHECK(strstr(events->at[0].reason, "before the JPEG's EOI") != NULL);
+    v4l2_mock_push(camera, jpeg.bytes, jpeg.size, 0);
+    CHECK(drain(source, camera) == 1);
+    item = first_item(source);
+    CHECK(strcmp(item->name, "panel.jpg") == 0);
+    CHECK_OK(gsn_decode(item->bytes, item->size, NULL, &picture, &err), err);
+    CHECK_OK(gsn_decode(jpeg.bytes, jpeg.size, NULL, &truth, &err), err);
+    CHECK(same_picture(picture->image, truth->image) && picture->withheld[0] == '\0');
+}
+
+/* A mono camera of 10 bits: white balance is nothing to it, and what cannot be is refused. */
+TEST(raw_samples_need_no_white_balance)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_recipe recipe = webcam;
+    struct v4l2_mock_camera *camera;
+    uint8_t words[HEIGHT * STRIDE] = { 0 };
+    gsn_auto(gsn_picture) picture = NULL;
+    struct gsn_error err = { 0 };
+    struct item *item;
+
+    recipe.size[0] = (struct v4l2_mock_size){ V4L2_PIX_FMT_Y10, WIDTH, HEIGHT };
+    recipe.colorspace = V4L2_COLORSPACE_RAW;
+    recipe.control[3].id = recipe.control[4].id = 0;
+    for (size_t i = 0; i < HEIGHT * STRIDE; i += 2) {
+        words[i] = (uint8_t)i;
+        words[i + 1] = (uint8_t)(i / 2 % 4);
+    }
+    camera = v4l2_mock_plug(mock, 0, &recipe);
+    gsn_auto(gsn_source) source = open_by_request("Y10");
+    ask_for(source, GSN_SUBJECT_DARK);
+    for (unsigned i = 0; i < 5; i++)
+        v4l2_mock_push(camera, words, sizeof words, 0);
+    CHECK(drain(source, camera) == 1);
+    item = first_item(source);
+    CHECK(item->subject == GSN_SUBJECT_DARK && strcmp(item->name, "dark.pam") == 0);
+    CHECK(says(item, "MAXVAL 1023\nTUPLTYPE GRAYSCALE\n") && says(item, "# transfer: linear\n"));
+    CHECK(!says(item, "not to be measured"));
+    CHECK_OK(gsn_decode(item->bytes, item->size, NULL, &picture, &err), err);
+    for (uint32_t x = 0; x < WIDTH; x++)
+        CHECK_NEAR(
+            gsn_image_at(picture->image, x, 3, 0),
+            (words[3 * STRIDE + 2 * x] | words[3 * STRIDE + 2 * x + 1] << 8) * 65535.0 / 1023, 0.5);
+}
+
+/* What the camera said of its colours is what the decoder uses: a level of 16 is black here. */
+TEST(a_frame_is_decoded_by_what_the_camera_states)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_recipe recipe = webcam;
+    struct v4l2_mock_camera *camera;
+    static uint8_t frame[HEIGHT * STRIDE];
+    gsn_auto(gsn_picture) picture = NULL;
+    struct gsn_error err = { 0 };
+    struct item *item;
+
+    recipe.colorspace = V4L2_COLORSPACE_REC709;
+    camera = v4l2_mock_plug(mock, 0, &recipe);
+    for (size_t i = 0; i < sizeof frame; i += 2)
+        memcpy(frame + i, (uint8_t[]){ i % STRIDE < 64 ? 16 : 235, 128 }, 2);
+    gsn_auto(gsn_source) source = open_by_request("YUYV");
+    ask_for(source, GSN_SUBJECT_PANEL);
+    for (unsigned i = 0; i < 5; i++)
+        v4l2_mock_push(camera, frame, sizeof frame, 0);
+    CHECK(drain(source, camera) == 1);
+    item = first_item(source);
+    CHECK(says(item, "# matrix: BT.709\n# range: limited\n"));
+    CHECK_OK(gsn_decode(item->bytes, item->size, NULL, &picture, &err), err);
+    CHECK(gsn_image_at(picture->image, 0, 0, 1) == 0);
+    CHECK(gsn_image_at(picture->image, WIDTH - 1, HEIGHT - 1, 1) == 65535);
 }
 
 static int open_once(struct gsn_error *err)

@@ -26,7 +26,8 @@ static int same_text_and_numbers(const struct gsn_picture *a, const struct gsn_p
     return a->pages == b->pages && a->transfer == b->transfer &&
            memcmp(&a->px_um_x, &b->px_um_x, sizeof a->px_um_x) == 0 &&
            memcmp(&a->px_um_y, &b->px_um_y, sizeof a->px_um_y) == 0 &&
-           strcmp(a->kind, b->kind) == 0 && strcmp(a->note, b->note) == 0;
+           strcmp(a->kind, b->kind) == 0 && strcmp(a->note, b->note) == 0 &&
+           strcmp(a->withheld, b->withheld) == 0;
 }
 
 /* The same answer in and out of the sandbox: code, sentence, samples and what is known of them. */
@@ -84,6 +85,22 @@ TEST(made_pictures_of_every_kind_come_back_whole)
 }
 
 /* Samples are the caller's own: writing to one picture changes no other. */
+/* Else a camera that was not locked would be measured after all. */
+TEST(why_a_picture_must_not_be_measured_comes_out_of_the_sandbox)
+{
+    static char frame[] =
+        "P7\n# gieson frame 1\n# not to be measured: gain is not locked\nWIDTH 2\n"
+        "HEIGHT 1\nDEPTH 3\nMAXVAL 255\nTUPLTYPE RGB\nENDHDR\nabcdef";
+    const struct made file = { (uint8_t *)frame, sizeof frame - 1 };
+    struct gsn_error err;
+    int r;
+    gsn_auto(gsn_picture) picture = decode(GSN_DECODER, &file, &r, &err);
+
+    CHECK_OK(r, err);
+    CHECK(strcmp(picture->withheld, "gain is not locked") == 0);
+    CHECK(is_same_apart(&file));
+}
+
 TEST(a_picture_outlives_its_decoder_and_may_be_written_to)
 {
     gsn_auto(gsn_image) image = make_picture(100, 80, 3, 8);

@@ -215,7 +215,7 @@ TEST(what_is_no_picture_is_refused_by_name)
     check_refused(copy("%PDF-1.7 ", 9), GSN_E_UNSUPPORTED, "a PDF file is not read");
     check_refused(copy("....ftypheic....", 16), GSN_E_UNSUPPORTED, "a HEIF or AVIF file");
     check_refused(copy("hello", 5), GSN_E_UNSUPPORTED,
-                  "neither TIFF nor PNG nor JPEG: the 5 bytes begin with 68 65 6c 6c");
+                  "neither TIFF, PNG, JPEG nor PAM: the 5 bytes begin with 68 65 6c 6c");
     check_refused(copy("II*\0", 4), GSN_E_INPUT, "truncated TIFF: the file ends in its header");
     check_refused(copy("MM\0+\0\x08\0\0", 8), GSN_E_INPUT, "truncated TIFF: the file ends in its");
     check_refused(copy("II*\0\0\0\0\0", 8), GSN_E_INPUT, "a TIFF without a page");

@@ -208,3 +208,19 @@ TEST(running_out_of_memory_leaks_nothing)
 
     CHECK_EVERY_OOM(open_once(&oom, &err), err);
 }
+
+/* A frame of a camera that could not be locked may be looked at, never measured. */
+TEST(a_picture_whose_camera_was_not_locked_is_refused_aloud)
+{
+    static const char head[] = "P7\n# gieson frame 1\n# not to be measured: gain is not locked: it "
+                               "is automatic\nWIDTH 2\nHEIGHT 1\nDEPTH 3\nMAXVAL 255\n"
+                               "TUPLTYPE RGB\nENDHDR\nabcdef";
+    struct made frame = { (uint8_t *)(uintptr_t)head, sizeof head - 1 };
+    struct gsn_scan *scan = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK(open_as(&frame, "{" PX "}", &scan, &err) == GSN_E_STAIN);
+    CHECK(scan == NULL);
+    CHECK(strstr(err.text, "must not be measured (gain is not locked: it is automatic)") != NULL);
+    CHECK(strstr(err.text, "lock the camera and take the panel again") != NULL);
+}

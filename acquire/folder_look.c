@@ -80,8 +80,6 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
     }
     if (container.kind == GSN_CONTAINER_UNKNOWN && !gsn_name_is_picture(file->name)) {
         gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is no picture and is left alone");
-        /* job.json describes the panels; whoever imports reads it himself. */
-        file->told = file->told || strcmp(file->name, "job.json") == 0;
         return GSN_OK;
     }
     gsn_folder_set_state(file, container.complete || !patient ? GSN_FILE_READY : GSN_FILE_WAITING,

@@ -15,6 +15,9 @@ static bool has_news(const struct gsn_folder_file *file, struct gsn_source_event
 {
     *ret_event =
         (struct gsn_source_event){ .item = file->item, .name = file->name, .reason = file->reason };
+    /* job.json describes the panels; whoever imports reads it himself. */
+    if (strcmp(file->name, "job.json") == 0)
+        return false;
     if (!file->present) {
         ret_event->what = GSN_SOURCE_GONE;
         ret_event->reason = "vanished before it was taken";
@@ -32,7 +35,6 @@ static bool has_news(const struct gsn_folder_file *file, struct gsn_source_event
         return !file->told;
     case GSN_FILE_SKIPPED:
         ret_event->what = GSN_SOURCE_NOTICE;
-        ret_event->item = 0;
         return !file->told;
     default:
         return false;

@@ -5,6 +5,7 @@
 
 enum {
     LARGEST_READ = 65536,
+    SMALLEST_PACKET = 8, /* of bulk pipes at full speed */
     LARGEST_PACKET = 1024,
     SEND_MS = 5000,
     MOST_EMPTY = 64,  /* zero-length packets in one transaction */
@@ -22,7 +23,7 @@ int gsn_ptp_exchange_init(struct gsn_ptp_exchange *exchange, struct gsn_ptp_tran
     const size_t packet = transport->packet_size;
     uint8_t *in;
 
-    if (packet < GSN_PTP_LONGEST_RESPONSE || packet > LARGEST_PACKET || LARGEST_READ % packet != 0)
+    if (packet < SMALLEST_PACKET || packet > LARGEST_PACKET || LARGEST_READ % packet != 0)
         return gsn_fail(err, GSN_E_UNSUPPORTED, "the device's packets of %zu bytes are no USB",
                         packet);
     /* A read appends to less than a response that is not complete yet. */
@@ -272,16 +273,41 @@ static int receive_data(struct gsn_ptp_exchange *exchange, struct gsn_error *err
     return GSN_OK;
 }
 
+/* Whether what is left of the transfer may be the beginning of our response, cut by the end of a
+ * packet. */
+static bool begins_like_response(const struct gsn_ptp_exchange *exchange)
+{
+    const size_t size = exchange->size - exchange->at;
+    uint8_t truth[GSN_PTP_HEADER] = { 0, 0, 0, 0, GSN_PTP_RESPONSE_BLOCK };
+
+    if (size >= GSN_PTP_HEADER)
+        return false;
+    truth[0] = exchange->in[exchange->at]; /* the length: any */
+    for (size_t i = 6; i < 8 && i < size; i++)
+        truth[i] = exchange->in[exchange->at + i]; /* the code: any */
+    for (size_t i = 8; i < GSN_PTP_HEADER; i++)
+        truth[i] = (uint8_t)(exchange->transaction >> 8 * (i - 8));
+    return truth[0] >= GSN_PTP_HEADER && truth[0] <= GSN_PTP_LONGEST_RESPONSE &&
+           memcmp(exchange->in + exchange->at, truth, size) == 0;
+}
+
 /* The data that were announced are all there, and the transfer may hold more: our response, or
  * what shows that the length was a lie. */
-static void leave_data(struct gsn_ptp_exchange *exchange)
+static int leave_data(struct gsn_ptp_exchange *exchange, struct gsn_error *err)
 {
+    int r = GSN_OK;
+
+    if (exchange->at < exchange->size && begins_like_response(exchange))
+        r = need(exchange, GSN_PTP_HEADER, GSN_PTP_ANSWER_MS, err);
+    if (r < 0)
+        return r;
     if (exchange->at == exchange->size || is_response(exchange, exchange->at)) {
         exchange->phase = GSN_PTP_ANSWERED;
-        return;
+        return GSN_OK;
     }
     exchange->untold = true;
     find_end(exchange);
+    return GSN_OK;
 }
 
 static size_t hand_out(struct gsn_ptp_exchange *exchange, uint8_t *buffer, size_t size)
@@ -317,7 +343,7 @@ int gsn_ptp_exchange_data(struct gsn_ptp_exchange *exchange, uint8_t *buffer, si
         r = meet_answer(exchange, err);
     while (r >= 0 && exchange->phase == GSN_PTP_DATA && got < size) {
         if (!exchange->untold && exchange->left == 0)
-            leave_data(exchange);
+            r = leave_data(exchange, err);
         else if (is_at_end(exchange))
             exchange->phase = GSN_PTP_ANSWERED;
         else if (exchange->at < exchange->end)

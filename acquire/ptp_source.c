@@ -340,8 +340,7 @@ static int judge_failure(struct source *source, struct gsn_ptp_object *object, i
         break;
     }
     gsn_ptp_object_set_aside(object, why->text, source->now_ms);
-    return gsn_fail(err, r == GSN_E_IO ? GSN_E_IO : GSN_E_BUSY, "%.100s: %.300s", object->name,
-                    why->text);
+    return gsn_fail(err, GSN_E_IO, "%.100s: %.300s", object->name, why->text);
 }
 
 static int ptp_read(void *self, uint64_t item, uint64_t offset, void *buffer, size_t size,

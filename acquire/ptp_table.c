@@ -96,6 +96,33 @@ static struct gsn_ptp_object *find_handle(struct gsn_ptp_table *table, unsigned 
     return found ? &table->at[place] : NULL;
 }
 
+/* An object that silenced the device when it was described is known by its handle alone; after the
+ * reset it stays set aside. */
+static void inherit_silence(const struct gsn_ptp_table *table, struct gsn_ptp_object *object)
+{
+    for (size_t i = 0; table->has_silent && i < table->count; i++) {
+        const struct gsn_ptp_object *const old = &table->at[i];
+
+        if (old->session == object->session || old->handle != object->handle || old->name ||
+            old->failures <= object->failures)
+            continue;
+        object->state = GSN_PTP_WAITING;
+        object->failures = old->failures;
+        object->retry_ms = old->retry_ms;
+        memcpy(object->reason, old->reason, sizeof object->reason);
+        object->told = old->told;
+    }
+}
+
+/* What is right in a folder that could not be listed is not gone because of that. */
+static void keep_children(struct gsn_ptp_table *table, unsigned session, uint32_t folder)
+{
+    for (size_t i = 0; i < table->count; i++) {
+        if (table->at[i].session == session && table->at[i].parent == folder)
+            table->at[i].last_look = table->looks;
+    }
+}
+
 /* The handle was listed. ret_seen: it was so in this listing already. */
 static int see(struct gsn_ptp_table *table, unsigned session, uint32_t handle, bool *ret_seen,
                struct gsn_error *err)
@@ -119,6 +146,7 @@ static int see(struct gsn_ptp_table *table, unsigned session, uint32_t handle, b
         table->at[place] = (struct gsn_ptp_object){
             .handle = handle, .session = session, .item = ++table->last_item, .told = true
         };
+        inherit_silence(table, &table->at[place]);
     }
     *ret_seen = found && table->at[place].last_look == table->looks;
     table->at[place].last_look = table->looks;
@@ -312,6 +340,10 @@ static int describe(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
             gsn_ptp_object_set_aside(object, why.text, now_ms);
         return GSN_OK;
     }
+    if (r == GSN_E_IO && !object->name) {
+        gsn_ptp_object_set_aside(object, why.text, now_ms);
+        table->has_silent = true;
+    }
     if (r < 0)
         return gsn_fail(err, r, "%s", why.text);
     object->check = false;
@@ -371,8 +403,10 @@ static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, u
 
     owned = handles.at;
     /* A folder that cannot be listed does not keep the others from it. */
-    if (r == GSN_E_INPUT && folder != 0)
+    if (r == GSN_E_INPUT && folder != 0) {
+        keep_children(table, gsn_ptp_session_number(device->session), folder);
         return GSN_OK;
+    }
     for (size_t i = 0; r >= 0 && i < handles.count; i++) {
         bool seen = false;
 
@@ -448,7 +482,8 @@ static int walk(struct gsn_ptp_table *table, struct gsn_ptp_device *device, int6
         const struct gsn_ptp_object *const folder = find_handle(table, session, folders.at[i]);
 
         if (folder)
-            r = look_into(table, device, folder->storage, folders.at[i], &folders, now_ms, err);
+            r = look_into(table, device, folder->storage ? folder->storage : gsn_ptp_every,
+                          folders.at[i], &folders, now_ms, err);
     }
     gsn_free(folders.at);
     return r;

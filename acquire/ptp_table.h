@@ -54,6 +54,7 @@ struct gsn_ptp_table {
     struct gsn_ptp_object *at; /* by session, then handle */
     unsigned looks;            /* listings so far */
     uint64_t last_item;
+    bool has_silent;   /* an object silenced the device when it was described */
     size_t next_check; /* among those taken, who is described again */
 };
 

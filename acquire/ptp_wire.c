@@ -44,7 +44,7 @@ size_t gsn_ptp_write_command(const struct gsn_ptp_request *request, uint32_t tra
     put16(ret_bytes + 4, GSN_PTP_COMMAND_BLOCK);
     put16(ret_bytes + 6, request->operation);
     put32(ret_bytes + 8, transaction);
-    for (size_t i = 0; i < request->count; i++)
+    for (size_t i = 0; i < request->count && i < GSN_PTP_PARAMETERS; i++)
         put32(ret_bytes + GSN_PTP_HEADER + 4 * i, request->parameter[i]);
     return size;
 }

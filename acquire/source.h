@@ -33,7 +33,8 @@ enum gsn_source_what {
 
 struct gsn_source_event {
     enum gsn_source_what what;
-    uint64_t item;      /* for read and acknowledge; 0 with a notice */
+    uint64_t
+        item; /* for read and acknowledge; a notice ends the waiting for its item, 0: for none */
     const char *name;   /* as the source calls it, without folder */
     const char *reason; /* a sentence without full stop; empty when READY and whole */
     uint64_t size;      /* bytes, when READY */
@@ -158,8 +159,8 @@ struct gsn_source_ops {
     void (*close)(void *self);
 };
 
-/* A source that its maker opened himself (a device behind a bus of the maker's own). address is only
- * told again; takes: self, also on failure. gives: the source. */
+/* A source that its maker opened himself (a device behind a bus of the maker's own). address is
+ * only told again; takes: self, also on failure. gives: the source. */
 int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
                     const struct gsn_source_options *options, struct gsn_source **ret_source,
                     struct gsn_error *err);

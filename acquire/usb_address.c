@@ -74,10 +74,11 @@ int gsn_usb_address_matches(const struct gsn_usb_address *address, uint16_t vend
            (!address->serial[0] || strcmp(address->serial, serial) == 0);
 }
 
-/* Whether /proc/PID/fd has a link that ends with node. */
-static int has_open(const char *process, const char *node)
+/* The first file open in /proc/PROCESS/fd whose path ends with end; 0 when there is none. */
+static int find_open(const char *process, const char *end, char *ret_path, size_t size)
 {
-    char path[64], link[300];
+    char path[64], link[400];
+    const size_t tail = strlen(end);
     struct dirent *entry;
     DIR *dir;
     int found = 0;
@@ -85,14 +86,26 @@ static int has_open(const char *process, const char *node)
     (void)snprintf(path, sizeof path, "/proc/%.20s/fd", process);
     dir = opendir(path);
     while (dir && !found && (entry = readdir(dir))) {
-        const size_t tail = strlen(node);
         const ssize_t length = readlinkat(dirfd(dir), entry->d_name, link, sizeof link);
 
-        found = length >= (ssize_t)tail && memcmp(link + (size_t)length - tail, node, tail) == 0;
+        found = length >= (ssize_t)tail && (size_t)length < size &&
+                memcmp(link + (size_t)length - tail, end, tail) == 0;
+        if (found) {
+            memcpy(ret_path, link, (size_t)length);
+            ret_path[length] = '\0';
+        }
     }
     if (dir)
         (void)closedir(dir);
     return found;
+}
+
+/* Whether the process has this very file open. */
+static int has_open(const char *process, const char *node)
+{
+    char path[400];
+
+    return find_open(process, node, path, sizeof path) && strcmp(path, node) == 0;
 }
 
 static void describe_process(const char *process, char *ret_text, size_t size)
@@ -114,12 +127,15 @@ static void describe_process(const char *process, char *ret_text, size_t size)
 
 int gsn_usb_holder(unsigned bus, unsigned device, char *ret_text, size_t size)
 {
-    char node[40], own[24];
+    char name[40], node[400], own[24];
     struct dirent *entry;
     DIR *proc;
     int found = 0;
 
-    (void)snprintf(node, sizeof node, "/dev/bus/usb/%03u/%03u", bus, device);
+    (void)snprintf(name, sizeof name, "/dev/bus/usb/%03u/%03u", bus, device);
+    /* Who asks has it open as well; an emulated bus keeps the file elsewhere. */
+    if (!find_open("self", name, node, sizeof node))
+        (void)snprintf(node, sizeof node, "%s", name);
     (void)snprintf(own, sizeof own, "%ld", (long)getpid());
     proc = opendir("/proc");
     while (proc && !found && (entry = readdir(proc))) {

@@ -34,6 +34,7 @@ struct usb {
     libusb_context *context;
     libusb_device_handle *handle;
     struct pipes pipes;
+    char name[140]; /* "04a9:31c0 SN0001", for sentences */
     int claimed;
     /* An interrupt transfer waits for the next event all the time. */
     struct libusb_transfer *event;
@@ -44,16 +45,14 @@ struct usb {
 
 static int fail(const struct usb *usb, int r, const char *doing, struct gsn_error *err)
 {
-    const struct gsn_ptp_transport *const transport = &usb->transport;
     const int code = r == LIBUSB_ERROR_NO_DEVICE ? GSN_E_NOTFOUND
                      : r == LIBUSB_ERROR_NO_MEM  ? GSN_E_NOMEM
                                                  : GSN_E_IO;
 
     if (code == GSN_E_NOTFOUND)
-        return gsn_fail(err, code, "USB device %04x:%04x %s: it was unplugged while %s",
-                        transport->vendor, transport->product, transport->serial, doing);
-    return gsn_fail(err, code, "USB device %04x:%04x %s: %s failed: %s", transport->vendor,
-                    transport->product, transport->serial, doing, libusb_strerror(r));
+        return gsn_fail(err, code, "USB device %s: it was unplugged while %s", usb->name, doing);
+    return gsn_fail(err, code, "USB device %s: %s failed: %s", usb->name, doing,
+                    libusb_strerror(r));
 }
 
 /* Finding */
@@ -462,8 +461,7 @@ static int usb_status(void *self, uint16_t *ret_code, struct gsn_error *err)
     if (r < 0)
         return fail(usb, r, "asking for the status", err);
     if (r < 4)
-        return gsn_fail(err, GSN_E_IO, "USB device %04x:%04x %s: a status of %d bytes",
-                        usb->transport.vendor, usb->transport.product, usb->transport.serial, r);
+        return gsn_fail(err, GSN_E_IO, "USB device %s: a status of %d bytes", usb->name, r);
     *ret_code = (uint16_t)(bytes[2] | bytes[3] << 8);
     return GSN_OK;
 }
@@ -506,7 +504,6 @@ static void close_half_made(struct usb **usb)
 
 static int claim(struct usb *usb, libusb_device *device, struct gsn_error *err)
 {
-    const struct gsn_ptp_transport *const transport = &usb->transport;
     char holder[120];
     int r;
 
@@ -520,8 +517,7 @@ static int claim(struct usb *usb, libusb_device *device, struct gsn_error *err)
         const int seen = gsn_usb_holder(libusb_get_bus_number(device),
                                         libusb_get_device_address(device), holder, sizeof holder);
 
-        return gsn_fail(err, GSN_E_BUSY, "USB device %04x:%04x %s is held by %s: end that first",
-                        transport->vendor, transport->product, transport->serial,
+        return gsn_fail(err, GSN_E_BUSY, "USB device %s is held by %s: end that first", usb->name,
                         seen
                             ? holder
                             : "another program (on a desktop often gvfsd-gphoto2; which one cannot "
@@ -562,6 +558,8 @@ static int open_device(struct usb *usb, libusb_device *device, struct gsn_error 
     usb->transport.vendor = described.vendor;
     usb->transport.product = described.product;
     memcpy(usb->transport.serial, described.serial, sizeof usb->transport.serial);
+    (void)snprintf(usb->name, sizeof usb->name, "%04x:%04x%s%s", described.vendor,
+                   described.product, described.serial[0] ? " " : "", described.serial);
     if (!find_pipes(device, &usb->pipes))
         return fail(usb, LIBUSB_ERROR_NO_DEVICE, "it was opened", err);
     usb->transport.packet_size = usb->pipes.in_packet;

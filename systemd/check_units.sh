@@ -51,8 +51,11 @@ grep -q '^gieson:' "$root/etc/passwd" || wrong "no user gieson is made"
 for group in gieson $(sed -n 's/^SupplementaryGroups=//p' "$units/gieson.service"); do
     grep -q "^$group:" "$root/etc/group" || wrong "no group $group is made"
 done
-systemd-tmpfiles --root="$root" --create - <"$folder/gieson.tmpfiles" ||
-    wrong "the directory is not made"
+# Only root can give it to another.
+owner="gieson gieson"
+[ "$(id -u)" -eq 0 ] || owner="- -"
+sed "s/gieson gieson/$owner/" "$folder/gieson.tmpfiles" |
+    systemd-tmpfiles --root="$root" --create - || wrong "the directory is not made"
 mode=$(stat -c '%a' "$root/var/lib/gieson")
 test "$mode" = 2750 || wrong "the directory has mode $mode"
 grep -q '^StateDirectoryMode=2750' "$units/gieson.service" || wrong "the service changes its mode"

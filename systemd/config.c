@@ -352,18 +352,35 @@ line_of(const struct reading *reading, const struct gsn_config_source *source, c
     return NULL;
 }
 
-/* Names the line of every setting that is wrong by itself; true when there was one. */
-static bool blame_settings(struct reading *reading, const struct gsn_config_source *source)
+/* Whether the sentence is about this setting: they begin with "Key=value". */
+static bool is_about(const char *sentence, const char *key)
+{
+    const size_t length = strlen(key);
+
+    return strncmp(sentence, key, length) == 0 && sentence[length] == '=';
+}
+
+/* Names the line of every setting that is wrong: of one that is wrong by itself, and of the one
+ * that `whole` is about. What is said of no setting at all, `none`, is no setting's fault (a camera
+ * needs several at once). True when there was one. */
+static bool blame_settings(struct reading *reading, const struct gsn_config_source *source,
+                           const char *none, const char *whole)
 {
     bool blamed = false;
 
     for (size_t i = 0; i < source->setting_count; i++) {
-        const struct gsn_config_line *const line = line_of(reading, source, source->setting[i].key);
+        const char *const key = source->setting[i].key;
+        const struct gsn_config_line *const line = line_of(reading, source, key);
+        const char *sentence = whole;
         struct gsn_error why = { 0 };
 
-        if (judge_settings(source, i, 1, &why) >= 0 || !line)
+        if (judge_settings(source, i, 1, &why) < 0 && strcmp(why.text, none) != 0)
+            sentence = why.text;
+        else if (!is_about(whole, key))
             continue;
-        gsn_config_mistake(&reading->lines, line->file, line->number, "%.380s", why.text);
+        if (!line)
+            continue;
+        gsn_config_mistake(&reading->lines, line->file, line->number, "%.380s", sentence);
         blamed = true;
     }
     return blamed;
@@ -373,7 +390,7 @@ static void judge_source(struct reading *reading, size_t i)
 {
     struct gsn_config_source *const source = &reading->config->source[i];
     const struct seen *const seen = &reading->seen[i];
-    struct gsn_error why = { 0 };
+    struct gsn_error none = { 0 }, whole = { 0 };
 
     if (source->sweep_s == 0)
         source->sweep_s = gsn_source_subsystem(source->address) ? DEVICE_SWEEP_S : FOLDER_SWEEP_S;
@@ -382,16 +399,15 @@ static void judge_source(struct reading *reading, size_t i)
                            "[source %s] has no Address", source->name);
         return;
     }
-    if (judge_settings(source, 0, 0, &why) < 0) {
+    if (judge_settings(source, 0, source->setting_count, &whole) >= 0)
+        return;
+    (void)judge_settings(source, 0, 0, &none);
+    if (strcmp(none.text, whole.text) == 0)
         gsn_config_mistake(&reading->lines, seen->address->file, seen->address->number, "%.380s",
-                           why.text);
-        return;
-    }
-    if (judge_settings(source, 0, source->setting_count, &why) >= 0)
-        return;
-    if (!blame_settings(reading, source))
+                           whole.text);
+    else if (!blame_settings(reading, source, none.text, whole.text))
         gsn_config_mistake(&reading->lines, seen->heading->file, seen->heading->number,
-                           "[source %s]: %.300s", source->name, why.text);
+                           "[source %s]: %.300s", source->name, whole.text);
 }
 
 static int judge(struct reading *reading, struct gsn_error *err)

@@ -4,32 +4,37 @@
  * a driver that hangs or crashes costs this source and no other.
  *
  *     gieson-intake --store DIR [--config FILE] NAME
+ *     gieson-intake --list      what is plugged in, for `gieson devices`: address, name and note of
+ *                               each device, each ended by a zero byte
  *
  * Exit status: 0 asked to stop, or a source that ends has ended; 66 the device is away; 78 the
  * configuration is wrong; else that of sysexits.h which says what is in the way. */
 #include "systemd/config.h"
+#include "systemd/devices.h"
 #include "systemd/lifeline.h"
 #include "systemd/log.h"
 #include "systemd/serve_source.h"
 
 #include <argp.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sysexits.h>
 
 const char *argp_program_version = "gieson-intake " GSN_VERSION;
 
-enum { OPT_HEARTBEAT = 256 };
+enum { OPT_HEARTBEAT = 256, OPT_LIST };
 
 struct request {
     const char *store_dir, *config, *name;
-    int heartbeat;
+    int heartbeat, list;
 };
 
 static const struct argp_option options[] = {
     { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },
     { "config", 'c', "FILE", 0, "The configuration (default: " GSN_CONFIG_FILE ")", 0 },
     { "heartbeat", OPT_HEARTBEAT, "FD", 0, "Tell this descriptor that we live", 0 },
+    { "list", OPT_LIST, NULL, 0, "Say what is plugged in, and end", 0 },
     { 0 },
 };
 
@@ -47,13 +52,16 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case OPT_HEARTBEAT:
         request->heartbeat = (int)strtol(arg, NULL, 10);
         return 0;
+    case OPT_LIST:
+        request->list = 1;
+        return 0;
     case ARGP_KEY_ARG:
         if (request->name)
             argp_error(state, "one source at a time");
         request->name = arg;
         return 0;
     case ARGP_KEY_END:
-        if (!request->name)
+        if (!request->name && !request->list)
             argp_error(state, "say which source to serve");
         return 0;
     default:
@@ -102,6 +110,22 @@ static int run(const struct request *request)
     return r < 0 ? complain(request, &err, r) : EX_OK;
 }
 
+static int list(void)
+{
+    gsn_auto(gsn_devices) devices = NULL;
+    struct gsn_error err = { 0 };
+    const int r = gsn_devices_list(&devices, &err);
+
+    if (r < 0) {
+        (void)fprintf(stderr, "%s\n", err.text);
+        return gsn_code_exit(r);
+    }
+    for (size_t i = 0; i < devices->count; i++)
+        (void)printf("%s%c%s%c%s%c", devices->at[i].address, 0, devices->at[i].name, 0,
+                     devices->at[i].note, 0);
+    return fflush(stdout) == 0 ? EX_OK : EX_IOERR;
+}
+
 int main(int argc, char **argv)
 {
     static const struct argp parser = { .options = options,
@@ -114,6 +138,8 @@ int main(int argc, char **argv)
 
     if (argp_parse(&parser, argc, argv, 0, NULL, &request) != 0)
         return EX_USAGE;
+    if (request.list)
+        return list();
     if (!request.store_dir || !request.store_dir[0]) {
         gsn_log(LOG_ERR, NULL, "no store: say --store DIR or set GIESON_STORE");
         return EX_USAGE;

@@ -8,6 +8,7 @@
  *
  * SIGHUP: reads the configuration again. SIGTERM: ends what it started, then itself. */
 #include "storage/bench.h"
+#include "storage/service.h"
 #include "storage/store.h"
 #include "systemd/config.h"
 #include "systemd/hotplug.h"
@@ -27,6 +28,7 @@
 #include <sysexits.h>
 #include <systemd/sd-daemon.h>
 #include <time.h>
+#include <unistd.h>
 
 enum {
     MOST_WATCHED = 32,
@@ -55,6 +57,7 @@ struct service {
     struct gsn_queue_runner *runner;   /* the same */
     struct gsn_hotplug *hotplug;
     sd_event_source *gather;
+    int intake_lock, queue_lock; /* -1: not our part; they tell others that we are there */
     bool stopping;
     char status[256];
 };
@@ -346,11 +349,17 @@ static int open_loop(struct service *service, struct gsn_error *err)
 
 static int open_parts(struct service *service, struct gsn_error *err)
 {
+    const char *const dir = gsn_store_dir(service->store);
+    const unsigned parts = service->request->parts;
     int r = GSN_OK;
 
-    if (service->request->parts & GSN_STATUS_QUEUE)
+    if (parts & GSN_STATUS_INTAKE)
+        r = gsn_service_take(dir, GSN_SERVICE_INTAKE, &service->intake_lock, err);
+    if (r >= 0 && (parts & GSN_STATUS_QUEUE))
+        r = gsn_service_take(dir, GSN_SERVICE_QUEUE, &service->queue_lock, err);
+    if (r >= 0 && (parts & GSN_STATUS_QUEUE))
         r = gsn_queue_runner_new(service->loop, service->store, &service->runner, err);
-    if (r >= 0 && (service->request->parts & GSN_STATUS_INTAKE))
+    if (r >= 0 && (parts & GSN_STATUS_INTAKE))
         r = gsn_supervisor_new(service->loop, service->store, &service->supervisor, err);
     return r < 0 ? r : apply_config(service, err);
 }
@@ -387,6 +396,10 @@ static void service_done(struct service *service)
     (void)sd_event_unref(service->loop);
     gsn_store_free(service->store);
     gsn_config_free(service->config);
+    if (service->intake_lock >= 0)
+        (void)close(service->intake_lock);
+    if (service->queue_lock >= 0)
+        (void)close(service->queue_lock);
 }
 
 static void block_signals(void)
@@ -404,7 +417,9 @@ static void block_signals(void)
 
 static int run(const struct request *request)
 {
-    __attribute__((cleanup(service_done))) struct service service = { .request = request };
+    __attribute__((cleanup(service_done))) struct service service = { .request = request,
+                                                                      .intake_lock = -1,
+                                                                      .queue_lock = -1 };
     struct gsn_error err = { 0 };
     int r = read_config(request, &service.config, &err);
 

@@ -30,6 +30,8 @@ enum {
     MOST_STORE_FAILURES = 5,
 };
 
+static const char hot[] = "hot:"; /* the address of a folder that specimens' folders may lie in */
+
 struct serving {
     struct gsn_store *store;
     const struct gsn_config_source *config;
@@ -170,6 +172,17 @@ static void ensure_expected(struct serving *serving)
         gsn_log(LOG_WARNING, &what, "Specimen=%s: %s", serving->config->specimen, err.text);
 }
 
+/* Folders of specimens are no business of the folder they lie in. */
+static bool is_of_specimen(const struct serving *serving, const char *name)
+{
+    gsn_auto_mem(char) job = NULL;
+
+    if (!serving->folders)
+        return false;
+    job = gsn_format("%s/%s/job.json", serving->config->address + strlen(hot), name);
+    return job && access(job, F_OK) == 0;
+}
+
 /* What is told without being delivered. Something that still changes is looked at again soon. */
 static void tell_news(struct serving *serving, const struct gsn_source_event *event)
 {
@@ -178,7 +191,8 @@ static void tell_news(struct serving *serving, const struct gsn_source_event *ev
 
     if (event->what == GSN_SOURCE_WAITING && soon < serving->next_look_ms)
         serving->next_look_ms = soon;
-    if (event->what == GSN_SOURCE_NOTICE || event->what == GSN_SOURCE_GONE)
+    if (event->what == GSN_SOURCE_GONE ||
+        (event->what == GSN_SOURCE_NOTICE && !is_of_specimen(serving, event->name)))
         gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "",
                 event->reason);
 }
@@ -468,9 +482,9 @@ static int open_folders(struct serving *serving, struct gsn_error *err)
 {
     const char *const address = serving->config->address;
 
-    if (strncmp(address, "hot:", 4) != 0)
+    if (strncmp(address, hot, strlen(hot)) != 0)
         return GSN_OK;
-    return gsn_specimen_folders_new(address + 4, serving->config->settle_ms,
+    return gsn_specimen_folders_new(address + strlen(hot), serving->config->settle_ms,
                                     serving->config->patience_s * 1000, &serving->folders, err);
 }
 

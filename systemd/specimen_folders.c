@@ -14,7 +14,7 @@ struct specimen {
     struct gsn_source *source;
     struct gsn_source_events *events; /* of the last look */
     size_t waiting_count;
-    uint64_t *waiting; /* items that were told as WAITING and neither READY nor GONE since */
+    char **waiting; /* names that were told as WAITING and not as anything else since */
     uint64_t ready_bytes;
     size_t ready;
     int64_t next_ms, delay_ms;
@@ -36,6 +36,8 @@ static void specimen_done(struct specimen *specimen)
 {
     gsn_source_events_free(specimen->events);
     gsn_source_free(specimen->source);
+    for (size_t i = 0; i < specimen->waiting_count; i++)
+        gsn_free(specimen->waiting[i]);
     gsn_free(specimen->waiting);
     gsn_free(specimen->path);
 }
@@ -122,23 +124,31 @@ static int find_new(struct gsn_specimen_folders *folders, struct gsn_error *err)
     return r == GSN_E_NOMEM ? r : GSN_OK;
 }
 
-static void forget_waiting(struct specimen *specimen, uint64_t item)
+static void forget_waiting(struct specimen *specimen, const char *name)
 {
-    for (size_t i = 0; i < specimen->waiting_count; i++)
-        if (specimen->waiting[i] == item)
-            specimen->waiting[i--] = specimen->waiting[--specimen->waiting_count];
+    size_t kept = 0;
+
+    for (size_t i = 0; i < specimen->waiting_count; i++) {
+        if (strcmp(specimen->waiting[i], name) == 0)
+            gsn_free(specimen->waiting[i]);
+        else
+            specimen->waiting[kept++] = specimen->waiting[i];
+    }
+    specimen->waiting_count = kept;
 }
 
-static int note_waiting(struct specimen *specimen, uint64_t item, struct gsn_error *err)
+static int note_waiting(struct specimen *specimen, const char *name, struct gsn_error *err)
 {
-    uint64_t *more;
+    gsn_auto_mem(char) copy = gsn_strdup(name);
+    char **more;
 
-    forget_waiting(specimen, item);
-    more = gsn_realloc_array(specimen->waiting, specimen->waiting_count + 1, sizeof *more);
+    forget_waiting(specimen, name);
+    more = copy ? gsn_realloc_array(specimen->waiting, specimen->waiting_count + 1, sizeof *more)
+                : NULL;
     if (!more)
         return out_of_memory(err);
     specimen->waiting = more;
-    more[specimen->waiting_count++] = item;
+    more[specimen->waiting_count++] = gsn_steal(&copy);
     return GSN_OK;
 }
 
@@ -157,10 +167,11 @@ static int look(struct specimen *specimen, int64_t now_ms, struct gsn_error *err
     for (size_t i = 0; r >= 0 && i < events->count; i++) {
         const struct gsn_source_event *const event = &events->at[i];
 
-        if (event->what == GSN_SOURCE_WAITING)
-            r = note_waiting(specimen, event->item, err);
+        /* That job.json is no picture is never told. */
+        if (event->what == GSN_SOURCE_WAITING && strcmp(event->name, "job.json") != 0)
+            r = note_waiting(specimen, event->name, err);
         else
-            forget_waiting(specimen, event->item);
+            forget_waiting(specimen, event->name);
         if (event->what == GSN_SOURCE_READY) {
             specimen->ready++;
             specimen->ready_bytes += event->size;

@@ -57,3 +57,13 @@ int gsn_cmd_scrub(const struct gsn_ui *ui, int argc, char **argv)
                             (int)MOST_MINUTES, argv[2]);
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
+
+int gsn_cmd_check_config(const struct gsn_ui *ui, int argc, char **argv)
+{
+    const char *const args[] = { "--check-config", argc == 2 ? "--config" : NULL,
+                                 argc == 2 ? argv[1] : NULL, NULL };
+
+    if (argc > 2)
+        return gsn_ui_usage("check-config takes one file or none, not \"%s\"", argv[2]);
+    return gsn_ui_call(ui, "giesond", 0, args);
+}

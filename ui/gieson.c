@@ -20,11 +20,23 @@ static const struct {
     const char *name;
     gsn_verb *run;
 } verbs[] = {
-    { "status", gsn_cmd_status },   { "top", gsn_cmd_top },       { "show", gsn_cmd_show },
-    { "import", gsn_cmd_import },   { "file", gsn_cmd_file },     { "expect", gsn_cmd_expect },
-    { "capture", gsn_cmd_capture }, { "run", gsn_cmd_run },       { "night", gsn_cmd_night },
-    { "retry", gsn_cmd_retry },     { "report", gsn_cmd_report }, { "verify", gsn_cmd_verify },
-    { "scrub", gsn_cmd_scrub },     { "check", gsn_cmd_check },   { "demo", gsn_cmd_demo },
+    { "status", gsn_cmd_status },
+    { "top", gsn_cmd_top },
+    { "show", gsn_cmd_show },
+    { "import", gsn_cmd_import },
+    { "file", gsn_cmd_file },
+    { "expect", gsn_cmd_expect },
+    { "capture", gsn_cmd_capture },
+    { "run", gsn_cmd_run },
+    { "night", gsn_cmd_night },
+    { "retry", gsn_cmd_retry },
+    { "report", gsn_cmd_report },
+    { "verify", gsn_cmd_verify },
+    { "scrub", gsn_cmd_scrub },
+    { "check", gsn_cmd_check },
+    { "check-config", gsn_cmd_check_config },
+    { "devices", gsn_cmd_devices },
+    { "demo", gsn_cmd_demo },
     { "phantom", gsn_cmd_phantom },
 };
 
@@ -50,7 +62,9 @@ static const char doc[] =
     "  expect SOURCE SPECIMEN         what this source delivers is this specimen's, until\n"
     "                                 `expect SOURCE --nobody`\n"
     "  capture SOURCE                 take a picture now (--blank: of clean glass, --dark: with\n"
-    "                                 the lens covered)\n";
+    "                                 the lens covered)\n"
+    "  devices                        what is plugged in, with the addresses to configure\n"
+    "  check-config [FILE]            what is wrong with the service's configuration\n";
 
 static const struct argp_option options[] = {
     { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },

@@ -399,24 +399,45 @@ static void put_details(const struct gsn_queue_view *view, struct gsn_screen *sc
     put_back(screen);
 }
 
+/* Side by side where there is room; where there is none, the keys come first: symbols stand beside
+ * their words anyway. */
 static void put_help(struct gsn_screen *screen)
 {
-    static const char *const lines[] = {
-        "arrows, j k   choose a line       PgUp PgDn Home End  further",
-        "Enter         all about it        r   let its failed jobs wait again",
-        "q             quit                R   let all failed jobs wait again",
-        "",
-        ". waiting     > working, receiving    + reported, ready",
-        "x failed, refused                     ! withheld, held, trouble",
-        "? unfiled: say whose it is            - away   = paused",
-        "",
-        "Nothing here changes the store but r and R.",
+    static const char *const keys[] = {
+        "arrows, j, k   choose a line",
+        "PgUp PgDn      a screen further",
+        "Home End       first, last",
+        "Enter          all about it",
+        "r              let its failed jobs wait",
+        "R              let all failed jobs wait",
+        "q              quit",
     };
-    const int last = gsn_screen_rows(screen) - 2;
-    int row = put_wrapped(screen, 0, last, high, "gieson top");
+    static const char *const symbols[] = {
+        ". waiting",
+        "> working, receiving",
+        "+ reported, ready",
+        "! withheld, held, trouble",
+        "? unfiled: say whose it is",
+        "x failed, refused",
+        "- away    = paused",
+    };
+    enum { ROWS = sizeof keys / sizeof keys[0] };
+    const int width = gsn_screen_columns(screen), last = gsn_screen_rows(screen) - 2;
+    const int beside = width >= 2 * LEAST_COLUMNS;
 
-    for (size_t i = 0; i < sizeof lines / sizeof lines[0]; i++)
-        row = lines[i][0] ? put_wrapped(screen, row, last, plain, lines[i]) : row + 1;
+    gsn_screen_put(screen, 0, 0, width, high, "gieson top");
+    for (int i = 0; i < ROWS; i++) {
+        const int row = beside ? 2 + i : 2 + ROWS + i;
+
+        if (1 + i + beside <= last)
+            gsn_screen_put(screen, 1 + i + beside, 0, LEAST_COLUMNS, plain, keys[i]);
+        if (row <= last)
+            gsn_screen_put(screen, row, beside ? LEAST_COLUMNS + GAP : 0, LEAST_COLUMNS, plain,
+                           symbols[i]);
+    }
+    if (3 + ROWS + 2 <= last)
+        gsn_screen_put(screen, beside ? 3 + ROWS : 3 + 2 * ROWS, 0, width, low,
+                       "Only r and R change anything.");
     put_back(screen);
 }
 

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/screen.h"
 
+#include "ui/terminal.h"
 #include "ui/text.h"
 
 #include <langinfo.h>
@@ -70,8 +71,9 @@ int gsn_screen_open(int colour, struct gsn_screen **ret_screen, struct gsn_error
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a screen");
     screen->utf8 = shows_utf8();
     screen->ends = block_ends(screen);
-    screen->terminal = newterm(NULL, stdout, stdin);
-    if (!screen->terminal || !tigetstr("cup"))
+    if (gsn_terminal_places_text())
+        screen->terminal = newterm(NULL, stdout, stdin);
+    if (!screen->terminal)
         return gsn_fail(err, GSN_E_UNSUPPORTED, "this terminal cannot place text");
     (void)cbreak();
     (void)noecho();

@@ -12,6 +12,15 @@ struct glyph {
     int printable, utf8;
 };
 
+/* Characters that turn the direction of what follows on a terminal that knows them: no part of a
+ * text that stands in columns. */
+static int turns(wchar_t character)
+{
+    return (character >= 0x202a && character <= 0x202e) ||
+           (character >= 0x2066 && character <= 0x2069) || character == 0x200e ||
+           character == 0x200f;
+}
+
 static struct glyph glyph_at(const char *text)
 {
     const size_t room = strnlen(text, MB_LEN_MAX);
@@ -24,7 +33,7 @@ static struct glyph glyph_at(const char *text)
         return (struct glyph){ 0 };
     if (bytes > room)
         return (struct glyph){ .bytes = 1, .columns = 1 };
-    columns = wcwidth(character);
+    columns = turns(character) ? -1 : wcwidth(character);
     return (struct glyph){
         .bytes = bytes, .columns = columns < 0 ? 1 : columns, .printable = columns >= 0, .utf8 = 1
     };

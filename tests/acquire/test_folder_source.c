@@ -274,7 +274,7 @@ TEST(only_pictures_are_delivered_and_the_rest_is_named)
     CHECK(mkfifo(gsn_scratch_path(&scratch, "pipe.jpg"), 0644) == 0);
     CHECK(symlink("nowhere", gsn_scratch_path(&scratch, "link.jpg")) == 0);
     tells(source, 0,
-          "WAITING empty.png; NOTICE folder.jpg; WAITING job.json; NOTICE link.jpg; "
+          "WAITING empty.png; NOTICE folder.jpg; NOTICE link.jpg; "
           "WAITING panel; NOTICE pipe.jpg; WAITING roi.mhd; WAITING text.TIF; ");
     write_file(&scratch, "folder.jpg/inside.jpg", whole, 4);
     tells(source, SETTLE, "WAITING empty.png; READY panel; NOTICE roi.mhd; WAITING text.TIF; ");

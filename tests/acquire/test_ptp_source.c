@@ -230,7 +230,7 @@ TEST(lying_and_missing_events_do_not_matter)
     }
 }
 
-TEST(an_object_that_changed_after_it_was_taken_is_taken_again)
+TEST(a_name_that_is_used_again_is_another_object)
 {
     bench_auto bench;
     struct bench_object *object;
@@ -431,13 +431,20 @@ TEST(an_object_that_is_too_large_to_tell_waits_with_its_reason)
     CHECK(bench_told(&bench, "LARGE.TIF", "larger than 4 GiB"));
 }
 
+/* The device goes on with the older answer whatever it is told, and gives it before the next. */
 TEST(late_packets_of_an_older_transaction_are_dropped)
 {
-    for (unsigned at = 2; at < 16; at++) {
+    for (unsigned at = 2; at < 20; at++) {
         bench_auto bench;
 
-        takes_three(&(struct ptp_faults){ .late_at = at }, &bench);
-        CHECK(bench.bus.resets == 0);
+        bench_init(&bench, &(struct ptp_faults){ .late_at = at });
+        bench.bus.no_cancel = 1;
+        for (unsigned i = 0; i < 3; i++)
+            (void)bench_scan(&bench, (const char *[]){ "P01.TIF", "P02.TIF", "P03.TIF" }[i], 4000,
+                             i, NULL, 0);
+        bench_open(&bench);
+        CHECK(bench_work(&bench, TURNS));
+        CHECK(bench.bus.cancels == 1 && bench.bus.resets == 0 && bench.again == 0);
     }
 }
 
@@ -447,6 +454,7 @@ TEST(answers_with_a_wrong_transaction_id_are_not_believed)
         bench_auto bench;
 
         takes_three(&(struct ptp_faults){ .wrong_id_at = at }, &bench);
+        CHECK(bench.bus.cancels == 1 && bench.bus.resets == 0);
     }
 }
 
@@ -694,6 +702,295 @@ TEST(what_vanished_is_told_once)
     for (size_t i = 0; i < bench.lines; i++)
         said += bench.line[i].what == GSN_SOURCE_GONE;
     CHECK(said == 1 && object->taken == 0);
+}
+
+/* Puts itself between the source and the model, and changes one kind of question. */
+struct meddler {
+    const struct usb_model *truth;
+    struct usb_model usb;
+    uint16_t operation;
+    size_t parameter; /* which one is changed; 0 is the first */
+    uint32_t from, to;
+    bool swallows;  /* instead: the device never hears of it */
+    bool root_only; /* "everywhere" is taken for "in the root" as well */
+};
+
+static long meddle(void *self, uint8_t endpoint, const uint8_t *bytes, size_t size)
+{
+    const struct meddler *const meddler = self;
+    const size_t at = GSN_PTP_HEADER + 4 * meddler->parameter;
+    uint8_t changed[GSN_PTP_LONGEST_RESPONSE];
+
+    memcpy(changed, bytes, size);
+    if (meddler->root_only && at + 4 <= size && gsn_ptp_get32(bytes + at) == 0)
+        memset(changed + at, 0xFF, 4);
+    if (gsn_ptp_get16(bytes + 6) == meddler->operation && at + 4 <= size &&
+        gsn_ptp_get32(bytes + at) == meddler->from) {
+        if (meddler->swallows)
+            return (long)size;
+        for (size_t i = 0; i < 4; i++)
+            changed[at + i] = (uint8_t)(meddler->to >> 8 * i);
+    }
+    return meddler->truth->out(meddler->truth->self, endpoint, changed, size);
+}
+
+static long pass_in(void *self, uint8_t endpoint, uint8_t *buffer, size_t size)
+{
+    const struct meddler *const meddler = self;
+
+    return meddler->truth->in(meddler->truth->self, endpoint, buffer, size);
+}
+
+static long pass_control(void *self, const uint8_t setup[8], const uint8_t *out, size_t out_size,
+                         uint8_t *in, size_t in_size)
+{
+    const struct meddler *const meddler = self;
+
+    return meddler->truth->control(meddler->truth->self, setup, out, out_size, in, in_size);
+}
+
+static void pass_tick(void *self, int64_t now_ms)
+{
+    const struct meddler *const meddler = self;
+
+    meddler->truth->tick(meddler->truth->self, now_ms);
+}
+
+static void stand_between(struct meddler *meddler, struct bench *bench)
+{
+    meddler->truth = bench->bus.model;
+    meddler->usb = *meddler->truth;
+    meddler->usb.self = meddler;
+    meddler->usb.out = meddle;
+    meddler->usb.in = pass_in;
+    meddler->usb.control = pass_control;
+    meddler->usb.tick = pass_tick;
+    bench->bus.model = &meddler->usb;
+}
+
+/* qemu's usb-mtp and umtp-responder take "everywhere" for "in the root". */
+TEST(a_device_that_lists_its_root_alone_is_walked)
+{
+    struct meddler meddler = {
+        .operation = GSN_PTP_GET_OBJECT_HANDLES, .parameter = 2, .from = 0, .to = UINT32_MAX
+    };
+    static uint8_t bytes[900];
+    bench_auto bench;
+    struct bench_object *object;
+    uint32_t folder;
+
+    bench_init(&bench, NULL);
+    folder = add_folder(&bench, "B", add_folder(&bench, "A", 0));
+    object = bench_scan(&bench, "P01.TIF", sizeof bytes, 1, NULL, 0);
+    ptp_model_remove(bench.model, object->handle);
+    (void)ptp_model_add(bench.model,
+                        &(struct ptp_object){ .name = "P01.TIF",
+                                              .date = "20260101T120000",
+                                              .format = PTP_TIFF,
+                                              .size = sizeof bytes,
+                                              .bytes = object->bytes,
+                                              .parent = folder },
+                        0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(strstr(bench.key[0], "/A/B/P01.TIF/"));
+}
+
+TEST(an_object_that_silences_the_device_when_described_is_set_aside)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO, .swallows = true };
+    bench_auto bench;
+    unsigned resets;
+
+    bench_init(&bench, NULL);
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    meddler.from = bench_scan(&bench, "P02.TIF", 3000, 2, NULL, 0)->handle;
+    (void)bench_scan(&bench, "P03.TIF", 3000, 3, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    for (int i = 0; i < 10; i++)
+        bench_turn(&bench);
+    CHECK(bench.object[0].taken == 1 && bench.object[1].taken == 0 && bench.object[2].taken == 1);
+    CHECK(bench_told(&bench, "object 00000002", "did not answer")->what == GSN_SOURCE_WAITING);
+    resets = bench.bus.resets;
+    CHECK(resets > 0 && resets < 4);
+    meddler.swallows = false;
+    meddler.to = meddler.from;
+    for (int i = 0; i < 400 && !bench_is_complete(&bench); i++) {
+        bench_turn(&bench);
+        memory_bus_sleep(&bench.bus, 10000);
+    }
+    CHECK(bench_is_complete(&bench) && bench.again == 0);
+}
+
+/* Turns without copying until something is ready; returns its item and size. */
+static uint64_t find_ready(struct bench *bench)
+{
+    for (int i = 0; i < 5; i++) {
+        gsn_auto(gsn_source_events) events = NULL;
+        struct gsn_error err = { 0 };
+        int ended;
+
+        memory_bus_sleep(&bench->bus, 1000);
+        CHECK_OK(gsn_source_poll(bench->source, bench->bus.now_ms, &events, &ended, &err), err);
+        for (size_t n = 0; n < events->count; n++) {
+            if (events->at[n].what == GSN_SOURCE_READY)
+                return events->at[n].item;
+        }
+    }
+    return 0;
+}
+
+/* From now on, who asks about the one is told about the other. */
+static void describe_another(struct meddler *meddler, struct bench *bench)
+{
+    meddler->from = bench->object[0].handle;
+    meddler->to = ptp_model_add(bench->model,
+                                &(struct ptp_object){ .name = "P99.TIF", .format = PTP_TIFF }, 0);
+}
+
+TEST(what_changed_while_it_was_read_is_not_delivered)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    uint8_t bytes[3000];
+    bench_auto bench;
+    uint64_t item;
+    size_t got = 77;
+
+    bench_init(&bench, NULL);
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 1000, &got, &err), err);
+    describe_another(&meddler, &bench);
+    CHECK(gsn_source_read(bench.source, item, got, bytes, 2000, &got, &err) == GSN_E_BUSY);
+    CHECK(got == 1000 && strstr(err.text, "P01.TIF"));
+    CHECK(gsn_source_acknowledge(bench.source, item, &err) == GSN_E_NOTFOUND);
+}
+
+TEST(what_changed_after_it_was_read_is_not_deleted)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    uint8_t bytes[3000];
+    bench_auto bench;
+    uint64_t item;
+    size_t got;
+
+    bench_init(&bench, NULL);
+    bench.options.delete_there = 1;
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 3000, &got, &err), err);
+    describe_another(&meddler, &bench);
+    CHECK_OK(gsn_source_acknowledge(bench.source, item, &err), err);
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_DELETE_OBJECT) == 0);
+}
+
+TEST(what_was_taken_and_changes_without_a_word_is_noticed)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    bench_auto bench;
+    unsigned waiting = 0;
+
+    bench_init(&bench, &(struct ptp_faults){ .no_events = true });
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    CHECK(bench_work(&bench, TURNS));
+    describe_another(&meddler, &bench);
+    for (int i = 0; i < 3; i++)
+        bench_turn(&bench);
+    /* The one that is called so, and the one that is called so now. */
+    for (size_t i = 0; i < bench.lines; i++)
+        waiting += strcmp(bench.line[i].name, "P99.TIF") == 0 &&
+                   strstr(bench.line[i].reason, "second look");
+    CHECK(waiting == 2);
+}
+
+TEST(after_a_reset_a_handle_is_asked_about_before_its_bytes_are_believed)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    static uint8_t bytes[MIB];
+    bench_auto bench;
+    uint64_t item;
+    size_t got = 77;
+
+    bench_init(&bench, &(struct ptp_faults){ .crash_above = 100000 });
+    (void)bench_scan(&bench, "P01.TIF", 2 * MIB, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    describe_another(&meddler, &bench);
+    CHECK(gsn_source_read(bench.source, item, 0, bytes, sizeof bytes, &got, &err) == GSN_E_BUSY);
+    CHECK(bench.bus.resets > 0 && got == 77);
+}
+
+TEST(a_folder_that_is_refused_keeps_nobody_and_loses_nothing)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_HANDLES,
+                               .parameter = 2,
+                               .root_only = true };
+    bench_auto bench;
+    uint32_t folder;
+
+    bench_init(&bench, NULL);
+    folder = add_folder(&bench, "100SCANS", 0);
+    (void)ptp_model_add(
+        bench.model,
+        &(struct ptp_object){ .name = "EMPTY.TIF", .format = PTP_TIFF, .parent = folder }, 0);
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    meddler.from = meddler.to = folder;
+    bench_open(&bench);
+    bench_turn(&bench);
+    CHECK(bench_told(&bench, "EMPTY.TIF", "second look"));
+    meddler.to = 0x77777777;
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(!bench_told(&bench, NULL, "vanished"));
+}
+
+TEST(with_no_time_to_settle_it_still_takes_two_looks)
+{
+    struct gsn_error err = { 0 };
+    bench_auto bench;
+
+    bench_init(&bench, NULL);
+    bench.options.settle_ms = 0;
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    bench_open(&bench);
+    for (int look = 0; look < 2; look++) {
+        gsn_auto(gsn_source_events) events = NULL;
+        int ended;
+
+        CHECK_OK(gsn_source_poll(bench.source, bench.bus.now_ms, &events, &ended, &err), err);
+        CHECK(events->count == 1);
+        CHECK(events->at[0].what == (look == 0 ? GSN_SOURCE_WAITING : GSN_SOURCE_READY));
+        memory_bus_sleep(&bench.bus, 1000);
+    }
+}
+
+/* DeviceInfo promises GetPartialObject, but the device does not know it. */
+TEST(a_promise_of_partial_reads_that_is_not_kept_is_got_over)
+{
+    bench_auto bench;
+
+    bench_init(&bench, NULL);
+    (void)bench_scan(&bench, "P01.TIF", 2 * MIB, 1, NULL, 0);
+    bench_open(&bench);
+    for (int i = 0; i < 2; i++)
+        bench_turn(&bench);
+    /* Offered when it was asked what it offers, and gone since. */
+    ptp_model_set_faults(bench.model,
+                         &(struct ptp_faults){ .no_partial = true, .no_partial64 = true });
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_GET_OBJECT) == 1);
 }
 
 TEST(facts_are_what_the_device_said)

@@ -110,6 +110,8 @@ static int memory_cancel(void *self, uint32_t transaction, struct gsn_error *err
                               (uint8_t)(transaction >> 24) };
 
     bus->cancels++;
+    if (bus->no_cancel)
+        return GSN_PTP_STALLED;
     return judge(request(bus, setup, data, sizeof data, NULL, 0), err);
 }
 

@@ -615,6 +615,8 @@ static long ptp_control(void *self, const uint8_t setup[8], const uint8_t *out, 
 
     if (model->gone)
         return USB_MODEL_GONE;
+    if ((setup[0] & 0x60) == 0x20 && setup[4] != 0) /* not of its one interface */
+        return USB_MODEL_STALL;
     if (setup[0] == 0xa1 && setup[1] == 0x67)
         return get_status(model, in, in_size);
     if (setup[0] == 0x21 && setup[1] == 0x64)

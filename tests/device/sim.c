@@ -5,9 +5,10 @@
  *     gieson-sim SOCKET ptp [--serial S] [--fault NAME=VALUE]... FILE...
  *     gieson-sim SOCKET uvc [--serial S] [--fault NAME=VALUE]... WIDTH HEIGHT FRAMES
  *
- * ptp: the first FILE is there from the start; each SIGUSR1 finishes the next scan. uvc: FRAMES is
- * raw YUY2 or JPEGs one after the other, played five a second. SIGUSR2 unplugs the device, and
- * plugs it in again when the guest has seen that; SIGTERM unplugs it and ends. */
+ * ptp: the first FILE is there from the start; each SIGUSR1 finishes the next scan. uvc: FRAMES are
+ * raw YUY2, JPEGs, or frames that gieson took, one after the other, played five a second. SIGUSR2
+ * unplugs the device, and plugs it in again when the guest has seen that; SIGTERM unplugs it and
+ * ends. */
 #include <fcntl.h>
 #include <signal.h>
 #include <stdio.h>
@@ -41,6 +42,8 @@ struct sim {
     char **file; /* of scans to come */
     int file_count;
     int64_t plug_at_ms; /* 0: it is plugged in */
+    uint8_t **kept;     /* the files' bytes, which the models do not own */
+    size_t kept_count;
 };
 
 static int64_t now_ms(void)
@@ -68,7 +71,8 @@ static void give_up(int code, const char *what, const char *why)
     exit(code);
 }
 
-static uint8_t *read_file(const char *path, size_t *ret_size)
+/* The bytes live as long as sim does. */
+static const uint8_t *read_file(struct sim *sim, const char *path, size_t *ret_size)
 {
     const int fd = open(path, O_RDONLY | O_CLOEXEC);
     uint8_t *bytes = NULL;
@@ -87,11 +91,14 @@ static uint8_t *read_file(const char *path, size_t *ret_size)
     if (!bytes)
         give_up(NO_INPUT, path, "it cannot be read");
     (void)close(fd);
+    sim->kept = reallocarray(sim->kept, sim->kept_count + 1, sizeof *sim->kept);
+    if (!sim->kept)
+        give_up(71, path, "out of memory");
+    sim->kept[sim->kept_count++] = bytes;
     *ret_size = done;
     return bytes;
 }
 
-/* The scanner keeps the bytes as long as it lives, which is as long as this program. */
 static void finish_scan(struct sim *sim, int announce)
 {
     struct ptp_object object = { .date = "20260101T120000" };
@@ -104,7 +111,7 @@ static void finish_scan(struct sim *sim, int announce)
     sim->file_count--;
     slash = strrchr(path, '/');
     object.name = slash ? slash + 1 : path;
-    object.bytes = read_file(path, &size);
+    object.bytes = read_file(sim, path, &size);
     object.size = size;
     object.format = size > 1 && object.bytes[0] == 0xff ? PTP_JPEG : PTP_TIFF;
     (void)ptp_model_add(sim->scanner, &object, announce);
@@ -142,15 +149,15 @@ static unsigned number(const char *text)
 static void make_camera(struct sim *sim, const char *serial, const struct uvc_faults *faults,
                         char **argument, int count)
 {
-    uint8_t *bytes;
+    const uint8_t *bytes;
     size_t size;
 
     if (count != 3)
         usage();
     sim->camera = uvc_model_new(serial, number(argument[0]), number(argument[1]), FRAME_MS, faults);
-    bytes = read_file(argument[2], &size);
+    bytes = read_file(sim, argument[2], &size);
     if (uvc_model_add_file(sim->camera, bytes, size) == 0)
-        give_up(NO_INPUT, argument[2], "neither JPEGs nor whole YUY2 frames of that size");
+        give_up(NO_INPUT, argument[2], "neither JPEGs nor whole YUYV frames of that size");
 }
 
 static void make_scanner(struct sim *sim, const char *serial, const struct ptp_faults *faults,
@@ -251,5 +258,10 @@ int main(int argc, char **argv)
     unplug(&sim, redir);
     (void)redir_turn(redir, 0);
     redir_free(redir);
+    uvc_model_free(sim.camera);
+    ptp_model_free(sim.scanner);
+    while (sim.kept_count > 0)
+        free(sim.kept[--sim.kept_count]);
+    free(sim.kept);
     return 0;
 }

@@ -166,6 +166,24 @@ TEST(a_device_is_found_by_serial_by_ids_and_by_any)
     tear_down(&bench);
 }
 
+TEST(a_device_without_a_serial_number_is_found_by_its_ids)
+{
+    struct umock *const umock = umock_new();
+    struct ptp_model *const model = ptp_model_new("", NULL);
+    struct gsn_ptp_transport *usb = NULL;
+    struct gsn_error err = { 0 };
+
+    umock_plug(umock, ptp_model_usb(model), NUMBER);
+    CHECK_OK(gsn_ptp_usb_open("1209:0001", &usb, &err), err);
+    CHECK(usb->serial[0] == '\0');
+    umock_unplug(umock, NUMBER);
+    CHECK(usb->ops->wait(usb->self, SOON_MS, -1, &err) == GSN_E_NOTFOUND);
+    CHECK(strstr(err.text, "1209:0001: it was unplugged"));
+    usb->ops->close(usb->self);
+    umock_free(umock);
+    ptp_model_free(model);
+}
+
 TEST(of_two_any_is_refused_and_both_are_listed)
 {
     struct bench bench = set_up(NULL);

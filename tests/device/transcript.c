@@ -326,7 +326,7 @@ static bool synthesise(struct transcript *transcript, const struct question *que
     uint32_t most;
     uint8_t *bytes;
 
-    if (!asks_for_bytes(question, &offset, &most) || offset > size)
+    if (!asks_for_bytes(question, &offset, &most) || size == 0 || offset > size)
         return false;
     payload.size = most > 0 && most < size - offset ? most : size - offset;
     bytes = grow(NULL, (size_t)payload.size + 1, 1);

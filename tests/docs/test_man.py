@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 sources, gieson, giesond = Path(sys.argv[1]), sys.argv[2], sys.argv[3]
@@ -64,7 +65,47 @@ def check_example():
             wrong.append(f"{key}: gieson.conf.5 does not say {value}")
 
 
+def mistakes(text):
+    """What the service says of a configuration."""
+    with tempfile.TemporaryDirectory() as there:
+        file = Path(there) / "gieson.conf"
+        file.write_text(text)
+        return said(giesond, "--check-config", "--config", str(file)).stderr
+
+
+def is_refused(address, keys, key):
+    """Whether this kind of source does not know the key; its value may be as wrong as it likes."""
+    lines = "".join(f"{name}={value}\n" for name, value in keys.items())
+    sentences = mistakes(f"[source a]\nAddress={address}\n{lines}")
+    return f'no setting "{key}"' in sentences or "names no source" in sentences
+
+
+def check_keys():
+    """What the program knows is explained, and what is explained it knows."""
+    page = roff("gieson.conf.5")
+    explained = set()
+    for line in re.findall(r"^\.It Va (.*)$", page, re.M):
+        explained.update(re.findall(r"[A-Z][A-Za-z]+", line))
+    known = set()
+    for section in ("store", "work"):
+        sentence = mistakes(f"[{section}]\nNosuch=1\n")
+        known.update(re.findall(r"[A-Z][A-Za-z]+", sentence.split("it has ")[1]))
+    kinds = re.findall(r"([a-z0-9]+):", mistakes("[source a]\nAddress=nosuch:\n").split("give ")[1])
+    assert len(known) > 4 and "hot" in kinds, (known, kinds)
+    for kind in kinds:
+        if not re.search(rf"^\.It Li {kind}:", page, re.M):
+            wrong.append(f"sources of kind {kind} are not in gieson.conf.5")
+    for key in known - explained:
+        wrong.append(f"{key} is not in gieson.conf.5")
+    for key in sorted(explained - known - {"Address"}):
+        camera = {"Format": "YUYV", "Width": "640", "Height": "480"} | {key: "1"}
+        sections = ("hot:/srv", {key: "1"}), ("ptp:any", {key: "1"}), ("v4l2:any", camera)
+        if all(is_refused(address, keys, key) for address, keys in sections):
+            wrong.append(f"gieson.conf.5 explains {key}, which giesond does not know")
+
+
 check_pages()
+check_keys()
 check_verbs()
 check_options()
 check_example()

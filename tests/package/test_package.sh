@@ -67,6 +67,11 @@ for program in "$work"/one/gieson/obj-*/bin/*; do
     [ "$(find "$work/in/usr/bin" "$work/in/usr/libexec/gieson" -name "${program##*/}" | wc -l)" = 1 ] ||
         wrong "${program##*/} is not in the package"
 done
+# The units, as they are installed, start programs that are installed.
+if command -v systemd-analyze >/dev/null; then
+    (cd "$work/in/lib/systemd/system" && systemd-analyze verify --man=no --recursive-errors=no \
+        --root="$work/in" -- *) || wrong "the units"
+fi
 "$work/in/usr/bin/gieson" --version | grep -qx "gieson $version" || wrong "gieson is no $version"
 ! grep -rlaF "$work" "$work/in" || wrong "the place of the build is in the package"
 grep -qx /etc/gieson/gieson.conf "$work/in/DEBIAN/conffiles" || wrong "gieson.conf is no conffile"

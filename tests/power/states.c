@@ -7,7 +7,6 @@
  * purpose, and one of the disks must show it. Works in /dev/shm, or in TMPDIR. */
 #include <errno.h>
 #include <fcntl.h>
-#include <ftw.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,111 +16,33 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "pipeline/core/file.h"
 #include "pipeline/core/mem.h"
+#include "tests/power/bench.h"
 #include "tests/power/disk.h"
 #include "tests/power/judge.h"
 
 enum { PICTURES = 24, SESSIONS = 3, ROOM = 600 };
 
-struct bench {
-    char dir[200], root[220], folder[220], trace[220], address[240];
-};
-
-static void give_up(const char *what)
-{
-    fprintf(stderr, "%s: %s\n", what, strerror(errno));
-    exit(70);
-}
-
-static int remove_one(const char *path, const struct stat *st, int what, struct FTW *walk)
-{
-    (void)st;
-    (void)what;
-    (void)walk;
-    return remove(path);
-}
-
-static void remove_tree(const char *path)
-{
-    if (nftw(path, remove_one, 32, FTW_DEPTH | FTW_PHYS) < 0 && errno != ENOENT)
-        give_up(path);
-}
-
 /* ---- the recording ---- */
 
-static uint32_t next_random(uint32_t *seed)
+static void record(const struct power_bench *bench, const char *recorder, const char *program)
 {
-    *seed = *seed * 1664525u + 1013904223u;
-    return *seed >> 8;
-}
-
-/* A JPEG of comments: whole, and of any length. */
-static void write_picture(const char *folder, unsigned number, size_t size)
-{
-    gsn_auto_mem(uint8_t) bytes = gsn_alloc(size + 70000);
-    gsn_auto_mem(char) path = gsn_format("%s/S1-P%02u.jpg", folder, number);
-    struct gsn_error err = { 0 };
-    uint32_t seed = number;
-    size_t at = 2;
-
-    if (!bytes || !path)
-        give_up("memory");
-    memcpy(bytes, "\xff\xd8", 2);
-    while (at < size) {
-        const size_t length = size - at < 60000 ? size - at + 2 : 60000;
-
-        memcpy(bytes + at, "\xff\xfe", 2);
-        bytes[at + 2] = (uint8_t)(length >> 8);
-        bytes[at + 3] = (uint8_t)length;
-        for (size_t i = 4; i < length + 2; i++)
-            bytes[at + i] = (uint8_t)next_random(&seed);
-        at += length + 2;
-    }
-    memcpy(bytes + at, "\xff\xd9", 2);
-    if (gsn_file_write(path, bytes, at + 2, &err) < 0)
-        give_up(err.text);
-}
-
-static struct bench bench_new(void)
-{
-    const char *const tmp = getenv("TMPDIR");
-    struct bench bench;
-
-    (void)snprintf(bench.dir, sizeof bench.dir, "%.150s/gieson-power-XXXXXX",
-                   access("/dev/shm", W_OK) == 0 ? "/dev/shm" : (tmp ? tmp : "/tmp"));
-    if (!mkdtemp(bench.dir))
-        give_up(bench.dir);
-    (void)snprintf(bench.root, sizeof bench.root, "%s/root", bench.dir);
-    (void)snprintf(bench.folder, sizeof bench.folder, "%s/folder", bench.dir);
-    (void)snprintf(bench.trace, sizeof bench.trace, "%s/trace", bench.dir);
-    (void)snprintf(bench.address, sizeof bench.address, "replay:%s", bench.folder);
-    if (mkdir(bench.root, 0755) < 0 || mkdir(bench.folder, 0755) < 0)
-        give_up(bench.dir);
-    for (unsigned i = 1; i <= PICTURES; i++)
-        write_picture(bench.folder, i, i % 8 == 5 ? 600000 : 300 + 777 * i);
-    return bench;
-}
-
-static void record(const struct bench *bench, const char *recorder, const char *program)
-{
-    char store[240], sessions[12], pictures[12];
+    char trace[240], sessions[12], pictures[12];
     int status = 0;
     const pid_t child = fork();
 
     if (child == 0) {
-        (void)snprintf(store, sizeof store, "%s/store", bench->root);
+        (void)snprintf(trace, sizeof trace, "%s/trace", bench->dir);
         (void)snprintf(sessions, sizeof sessions, "%d", SESSIONS);
         (void)snprintf(pictures, sizeof pictures, "%d", PICTURES);
         if (setenv("GSN_POWER_ROOT", bench->root, 1) == 0 &&
-            setenv("GSN_POWER_TRACE", bench->trace, 1) == 0 &&
-            setenv("LD_PRELOAD", recorder, 1) == 0 &&
+            setenv("GSN_POWER_TRACE", trace, 1) == 0 && setenv("LD_PRELOAD", recorder, 1) == 0 &&
             setenv("ASAN_OPTIONS", "verify_asan_link_order=0:detect_leaks=0", 1) == 0)
-            (void)execl(program, program, store, bench->folder, sessions, pictures, NULL);
-        give_up(program);
+            (void)execl(program, program, bench->store, bench->folder, sessions, pictures, NULL);
+        power_give_up(program);
     }
     if (child < 0 || waitpid(child, &status, 0) < 0)
-        give_up(program);
+        power_give_up(program);
     if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) {
         fprintf(stderr, "%s failed under the recorder\n", program);
         exit(70);
@@ -129,20 +50,20 @@ static void record(const struct bench *bench, const char *recorder, const char *
 }
 
 /* What the trace leads to must be what the program left, but for files written through memory. */
-static void check_recording(const struct bench *bench, const struct power_disk *disk)
+static void check_recording(const struct power_bench *bench, const struct power_disk *disk)
 {
     gsn_auto_mem(char) copy = gsn_format("%s/copy", bench->dir);
     gsn_auto_mem(char) command = gsn_format(
         "diff -r --no-dereference --exclude='*-shm' '%s' '%s/copy'", bench->root, bench->dir);
 
     if (!copy || !command || mkdir(copy, 0755) < 0)
-        give_up("a copy of the disk");
+        power_give_up("a copy of the disk");
     power_disk_make_all(disk, copy);
     if (system(command) != 0) {
         fprintf(stderr, "the recorder missed something\n");
         exit(70);
     }
-    remove_tree(copy);
+    power_remove_tree(copy);
 }
 
 /* ---- the states ---- */
@@ -154,7 +75,7 @@ struct tally {
 };
 
 struct plan {
-    const struct bench *bench;
+    const struct power_bench *bench;
     const struct power_trace *trace;
     const struct power_disk *disk;
 };
@@ -187,7 +108,7 @@ static enum power_verdict look(const struct plan *plan, size_t cut, uint64_t see
     pid_t child;
 
     if (!dir || !store || mkdir(dir, 0755) < 0 || pipe(pipes) < 0)
-        give_up("a state");
+        power_give_up("a state");
     child = fork();
     if (child == 0) {
         enum power_verdict verdict;
@@ -203,8 +124,8 @@ static enum power_verdict look(const struct plan *plan, size_t cut, uint64_t see
     text[got > 0 ? got : 0] = '\0';
     (void)close(pipes[0]);
     if (child < 0 || waitpid(child, &status, 0) < 0)
-        give_up("a state");
-    remove_tree(dir);
+        power_give_up("a state");
+    power_remove_tree(dir);
     if (WIFEXITED(status) && WEXITSTATUS(status) < POWER_VERDICTS)
         return (enum power_verdict)WEXITSTATUS(status);
     return POWER_DIED;
@@ -246,18 +167,20 @@ int main(int argc, char **argv)
     const bool caught = argc > 4 && strcmp(argv[4], "caught") == 0;
     const size_t most = argc > 3 ? strtoull(argv[3], NULL, 10) : 0;
     const uint64_t first = argc > 5 ? strtoull(argv[5], NULL, 10) : 1;
-    struct bench bench;
+    struct power_bench bench;
     struct power_trace trace;
     struct tally tally = { .states = 0 };
     struct timespec start, end;
     struct plan plan;
+    char path[240];
     int result;
 
     if (most == 0)
         return 64;
-    bench = bench_new();
+    bench = power_bench_new(PICTURES);
     record(&bench, argv[1], argv[2]);
-    trace = power_trace_read(bench.trace);
+    (void)snprintf(path, sizeof path, "%s/trace", bench.dir);
+    trace = power_trace_read(path);
     plan = (struct plan){ &bench, &trace, power_disk_new(&trace) };
     check_recording(&bench, plan.disk);
     (void)clock_gettime(CLOCK_MONOTONIC, &start);
@@ -272,6 +195,6 @@ int main(int argc, char **argv)
             (double)(end.tv_sec - start.tv_sec) + 1e-9 * (double)(end.tv_nsec - start.tv_nsec));
     power_disk_free((struct power_disk *)plan.disk);
     power_trace_done(&trace);
-    remove_tree(bench.dir);
+    power_bench_done(&bench);
     return result;
 }

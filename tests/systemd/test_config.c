@@ -105,6 +105,9 @@ TEST(of_a_key_the_last_file_counts_by_name)
 }
 
 /* One wrong text, the line that is to blame and a part of the sentence. */
+/* What a camera needs, all at once. */
+#define CAMERA "Format=YUYV\nWidth=640\nHeight=480\n"
+
 static const struct {
     const char *text;
     unsigned line;
@@ -133,6 +136,10 @@ static const struct {
     { "[source a]\nAddress=hot:/a\nPatienceS=0\n", 3, "must be a whole number from 1" },
     { "[source a]\nAddress=hot:/a\nDeleteAfterCopy=true\n", 3, "must be yes or no" },
     { "[source a]\nAddress=hot:/a\n\nExposure=3\n", 4, "has no setting \"Exposure\"" },
+    { "[source a]\nAddress=v4l2:cam\nWidth=640\n", 2, "a camera needs Format=" },
+    { "[source a]\nAddress=v4l2:cam\n" CAMERA "Exposure=x\n", 6, "Exposure=x: " },
+    { "[source a]\nAddress=v4l2:cam\n" CAMERA "Light=1\n", 6, "has no setting \"Light\"" },
+    { "[source a]\nAddress=v4l2:/dev/video0\n" CAMERA, 2, "v4l2" },
 };
 
 TEST(every_mistake_is_told_with_file_line_and_reason)
@@ -153,6 +160,16 @@ TEST(every_mistake_is_told_with_file_line_and_reason)
             fail_msg("%s -> %zu: %s", wrongs[i].text, heard.count, heard.text);
         CHECK(strstr(err.text, "1 mistake"));
     }
+}
+
+TEST(a_camera_is_judged_by_all_its_settings_at_once)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_config) config = NULL;
+
+    write_text(&scratch, "gieson.conf", "[source a]\nAddress=v4l2:cam\n" CAMERA "Exposure=10\n");
+    config = read_fine(&scratch);
+    CHECK(config->source_count == 1 && config->source[0].setting_count == 4);
 }
 
 TEST(all_mistakes_are_told_and_not_the_first_alone)

@@ -222,9 +222,11 @@ def specimen(bench):
                [(panels,)])
     bench.wait("the trouble", lambda: bench.ask("SELECT name FROM trouble") == [("wrong",)])
     demand("job.json" in bench.ask("SELECT reason FROM trouble")[0][0], "its reason is told")
-    shutil.copy(made / "job.json", wrong / "job.json")
-    text = json.loads((wrong / "job.json").read_text())
+    for file in made.glob("region*"):
+        shutil.copy(file, wrong)
+    text = json.loads((made / "job.json").read_text())
     text["specimen"] = "corrected"
+    del text["region"]  # a mask that is not in this folder
     (wrong / "job.json").write_text(json.dumps(text))
     bench.wait("the corrected folder", lambda: bench.ask("SELECT name FROM trouble") == [])
     demand(bench.ask("SELECT count(*) FROM specimen") == [(2,)], "both are specimens")

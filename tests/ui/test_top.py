@@ -9,6 +9,7 @@ import os
 import pathlib
 import re
 import signal
+import subprocess
 import sys
 import time
 import unittest
@@ -25,7 +26,8 @@ WRITE = False
 READY = "q quit"
 COLOUR = re.compile(r"\x1b\[[0-9;]*(3[0-7]|38)[;m]")
 ODD_NAMES = ["x" * 1000, "Gelenk \u00dc \u6d4b\u8bd5", "e\u0301" * 30, "two\nlines",
-             "red \x1b[31m\x1b]0;title\x07\x1b[2J", "tab\tand\x7fdelete", "a%sb%n", "-"]
+             "red \x1b[31m\x1b]0;title\x07\x1b[2J", "tab\tand\x7fdelete", "a%sb%n", "-",
+             "\u202eturned"]
 
 
 class Top(Bench):
@@ -220,7 +222,7 @@ class Live(Top):
         terminal = self.open()
         terminal.wait_for_text("gieson import FOLDER")
         self.imported("R12-right", panels=2)
-        after = terminal.wait_for_text("R12-right")
+        after = terminal.wait_for_text("panel 2")
         self.assertRegex(after, r"\. R12-right +waiting +0/2 panels +now +run\n")
         self.assertRegex(after, r"  \. panel 1 +waiting +scan_P01\.png +now\n")
         self.assertEqual(self.call("run").returncode, 0)
@@ -274,6 +276,32 @@ class Live(Top):
             terminal.wait_for_text("giesond takes panels in; only `gieson run` works the queue")
         with self.hold(1):
             terminal.wait_for_text("giesond works the queue; nothing comes in by itself")
+
+    def test_the_service_itself_is_seen_to_come_and_go(self):
+        terminal = self.open()
+        terminal.wait_for_text("giesond is not running")
+        self.imported("R07", folder="earlier")
+        scans = self.folder / "scans"
+        scans.mkdir()
+        config = self.folder / "gieson.conf"
+        config.write_text(f"[source scanner]\nAddress=hot:{scans}\n", encoding="utf-8")
+        service = subprocess.Popen([bench.BIN / "giesond", "--store", str(self.store), "--config",
+                                    str(config)], env=self.environment(),
+                                   stderr=subprocess.DEVNULL)
+        try:
+            terminal.wait_for_text("giesond takes panels in and works the queue")
+            terminal.wait_for(lambda screen: re.search(r"(?m)^\+ scanner +ready", screen))
+            bench.png(scans / "R07-P07.png", 32, 32, seed=7)
+            terminal.wait_for_text("panel 7")
+            second = subprocess.run([bench.BIN / "giesond", "--store", str(self.store), "--config",
+                                     str(config)], env=self.environment(), check=False,
+                                    capture_output=True, encoding="utf-8", timeout=60)
+            self.assertEqual(second.returncode, 75)
+            self.assertIn("another giesond takes panels in", second.stderr)
+        finally:
+            service.kill()
+            service.wait()
+        terminal.wait_for_text("giesond is not running")
 
     def test_a_store_that_is_gone_is_a_line_and_comes_back(self):
         terminal = self.busy()
@@ -346,6 +374,7 @@ class Terminals(Top):
         at = {columns(line[:line.index("  away  ")]) for line in screen.split("\n")
               if "  away  " in line}
         self.assertEqual(len(at), 1, screen)
+        self.assertIn("?turned", screen)
         for _ in range(3 * len(ODD_NAMES)):
             terminal.press("Enter")
             terminal.wait_for_text("any key: back")

@@ -9,6 +9,7 @@ import json
 import os
 import pathlib
 import re
+import shutil
 import sqlite3
 import sys
 import threading
@@ -51,6 +52,7 @@ class Words(Bench):
                      ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
                      ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
                      ["expect", "cam", "S", "T"], ["capture"], ["capture", "cam", "--red"],
+                     ["check-config", "a", "b"],
                      ["status", "--store"]):
             with self.subTest(args=args):
                 self.refused(self.call(*args), 64)
@@ -67,7 +69,8 @@ class Words(Bench):
         done = self.call("--help", store=False)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
-                     "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture"):
+                     "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
+                     "check-config", "devices"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)
@@ -473,6 +476,89 @@ class Told(Bench):
         self.assertEqual(json.loads(done.stdout)["kind"], "capture-dark")
         done = self.capture_answered("capture-blank", "refused", "the lens is covered", "--blank")
         self.assertIn("the lens is covered", self.refused(done, 65))
+
+
+class Config(Bench):
+    """The service's configuration, before it is used."""
+
+    def check(self, text):
+        file = self.folder / "gieson.conf"
+        file.write_text(text, encoding="utf-8")
+        return file, self.call("check-config", str(file), store=False)
+
+    def test_a_good_one_is_fine(self):
+        (self.folder / "scans").mkdir()
+        _, done = self.check(f"[source scanner]\nAddress=hot:{self.folder}/scans\n")
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertIn("1 source", done.stdout)
+
+    def test_mistakes_are_78_with_file_line_and_reason(self):
+        file, done = self.check("[work]\nWorkers=many\n[kitchen]\nSink=1\n")
+        self.assertEqual((done.returncode, done.stdout), (78, ""))
+        self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:2: .*Workers")
+        self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:[34]: .*kitchen")
+
+
+# A PTP camera whose node may not be spoken to, and a UVC camera with an odd name.
+DEVICES = """P: /devices/pci0000:00/usb1/1-1
+N: bus/usb/001/007
+E: SUBSYSTEM=usb
+E: DEVTYPE=usb_device
+E: BUSNUM=001
+E: DEVNUM=007
+E: DEVNAME=/dev/bus/usb/001/007
+A: busnum=1\\n
+A: devnum=7\\n
+A: speed=480\\n
+A: bConfigurationValue=1\\n
+H: descriptors={}
+
+P: /devices/pci0000:00/video4linux/video3
+N: video3
+S: v4l/by-id/usb-Cheap_Cam_7-video-index0
+E: SUBSYSTEM=video4linux
+E: DEVNAME=/dev/video3
+A: name=Cheap \033[31m Cam\\n
+
+"""
+DESCRIPTORS = ("12010002000000 40 a904 1932 0001 000000 01"  # 04a9:3219, no strings
+               "09022700010100c032" "090400000306010100"    # one interface, 06/01/01
+               "07058102000200" "07050202000200" "07058303080009").replace(" ", "")
+
+
+class Devices(Bench):
+    """What is plugged in."""
+
+    def devices(self, *args):
+        if not shutil.which("umockdev-run"):
+            self.skipTest("umockdev is not there")
+        if b"__asan_init" in (bench.BIN / "gieson-intake").read_bytes():
+            self.skipTest("ASan must come first, and umockdev must too")
+        file = self.folder / "bench.umockdev"
+        file.write_text(DEVICES.format(DESCRIPTORS), encoding="utf-8")
+        done = bench.subprocess.run(["umockdev-run", "-d", str(file), "--",
+                                     str(bench.BIN / "gieson"), "devices", *args],
+                                    env=self.environment(), capture_output=True, encoding="utf-8",
+                                    check=False, timeout=60)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        return done.stdout
+
+    def test_each_has_its_address_and_its_name(self):
+        told = json.loads(self.devices("--json"))["devices"]
+        self.assertEqual([d["address"] for d in told],
+                         ["ptp:04a9:3219", "v4l2:usb-Cheap_Cam_7-video-index0"])
+        self.assertEqual(told[1]["name"], "Cheap \x1b[31m Cam")
+
+    def test_a_devices_name_is_no_command_to_the_terminal(self):
+        lines = self.devices().splitlines()
+        self.assertEqual(len(lines), 2)
+        self.assertEqual(lines[1], "v4l2:usb-Cheap_Cam_7-video-index0  Cheap ?[31m Cam")
+
+    def test_nothing_is_no_error(self):
+        self.refused(self.call("devices", "more", store=False), 64)
+        done = self.call("devices", store=False)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertGreaterEqual(done.stdout.count("\n"), 1)
 
 
 class Night(Bench):

@@ -26,9 +26,9 @@ PROGRAMS = ("sqlite3", "v4l2-ctl", "cam", "umtp-responder")
 MODULES = ("virtio_pci virtio_blk ext4 autofs4 xhci_pci xhci_hcd uvcvideo vivid dummy_hcd libcomposite usb_f_fs "
            "usb_storage sd_mod vfat nls_ascii nls_cp437 rtc_cmos").split()
 NOT_IN = re.compile(r"^/usr/share/(doc|man|locale|info|lintian|i18n|zoneinfo|perl|X11|fonts|bash-completion)/"
-                    r"|/gconv/|/hwdb\.d/|^/usr/lib/python|^/usr/include/|\.a$")
+                    r"|/gconv/|^/usr/lib/udev/hwdb\.d/|^/lib/udev/hwdb\.d/|^/usr/lib/python|^/usr/include/|\.a$")
 # Units that only cost time in a machine that is thrown away.
-MASKED = ("systemd-networkd systemd-timesyncd systemd-firstboot systemd-hwdb-update ldconfig "
+MASKED = ("systemd-networkd systemd-timesyncd systemd-firstboot ldconfig "
           "systemd-update-done systemd-journal-catalog-update systemd-pstore apt-daily "
           "getty@tty1 systemd-random-seed").split()
 MASKED_TIMERS = ("apt-daily.timer", "apt-daily-upgrade.timer", "dpkg-db-backup.timer",
@@ -231,10 +231,8 @@ def add_gieson(archive, build, folder):
                          in_guest("/" + unit.relative_to(stage).as_posix()))
 
 
-def build_image(folder, build, extra):
-    """Makes folder/vmlinuz and folder/root.cpio; gives a name for what is in them.
-
-    extra: files for the guest, name there -> path here."""
+def build_image(folder, build):
+    """Makes folder/vmlinuz and folder/root.cpio; gives a name for what is in them."""
     need_programs()
     folder.mkdir(parents=True, exist_ok=True)
     tree = kernel(folder)
@@ -244,8 +242,6 @@ def build_image(folder, build, extra):
     for name, path in module_files(tree).items():
         archive.file(name, path)
     add_gieson(archive, build, folder)
-    for name, path in extra.items():
-        archive.file(name, path)
     shutil.copyfile(next((tree / "boot").glob("vmlinuz-*")), folder / "vmlinuz")
     key = hashlib.sha256()
     for name, (mode, content) in sorted(archive.entry.items()):

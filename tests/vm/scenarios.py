@@ -1,0 +1,500 @@
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""What happens on the bench, and what must be true afterwards. Every scenario has a machine of its
+own, waits for conditions and never for a time, and gives its figures in words."""
+import base64
+import hashlib
+import io
+import os
+import pathlib
+import random
+import signal
+import struct
+import subprocess
+import tarfile
+import time
+import zlib
+
+from image import Unavailable
+from machine import Failed, Machine
+
+SCENARIOS = {}
+DB = "/var/lib/gieson/gieson.db"
+
+
+def scenario(function):
+    SCENARIOS[function.__name__] = function
+    return function
+
+
+def demand(claim, sentence):
+    if not claim:
+        raise Failed(sentence)
+
+
+class Bench:
+    def __init__(self, build, home, scratch, asked):
+        self.build, self.home, self.scratch = build, home, scratch
+        self.cuts, self.kills, self.patience = asked.cuts, asked.kills, asked.patience
+        self.frozen = None
+        self.random = random.Random(1)
+
+    def machine(self):
+        return Machine(self.home, self.frozen)
+
+    def wait(self, seconds):
+        return seconds * self.patience
+
+    def sim(self):
+        found = sorted(self.build.rglob("gieson-sim"))
+        if not found:
+            raise Unavailable("gieson-sim is not built")
+        return found[0]
+
+    def tiff(self, name, width, height):
+        """An RGB TIFF nobody has seen before, uncompressed: its size on the bus is known."""
+        path = self.scratch / name
+        row = self.random.randbytes(3 * width)
+        rows = b"".join(row[3 * y % len(row):] + row[:3 * y % len(row)] for y in range(height))
+        tags = ((256, 4, 1, width), (257, 4, 1, height), (258, 3, 3, 200), (259, 3, 1, 1), (262, 3, 1, 2),
+                (273, 4, 1, 512), (277, 3, 1, 3), (278, 4, 1, height), (279, 4, 1, len(rows)))
+        head = b"II*\0" + struct.pack("<IH", 8, len(tags))
+        head += b"".join(struct.pack("<HHII", *tag) for tag in tags) + b"\0\0\0\0"
+        head = head.ljust(200, b"\0") + struct.pack("<HHH", 8, 8, 8)
+        path.write_bytes(head.ljust(512, b"\0") + rows)
+        return path
+
+
+def png(number):
+    """A small PNG of its own for each number."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    rows = b"".join(b"\0" + number.to_bytes(4, "big") * 6 for _ in range(8))
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0)) +
+            chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def sha256(path):
+    return hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()
+
+
+# ---- the guest ----------------------------------------------------------------------------
+
+def sql(vm, query):
+    return vm.tell(f'sqlite3 -readonly -cmd ".timeout 20000" {DB} "{query}"')
+
+
+def sql_is(query, answer):
+    return f'test "$(sqlite3 -readonly -cmd ".timeout 20000" {DB} "{query}")" = "{answer}"'
+
+
+def configure(vm, sources):
+    """Sets the sources of the bench as an administrator does."""
+    text = base64.b64encode(sources.encode()).decode()
+    vm.tell(f"mkdir -p /etc/gieson/conf.d && base64 -d <<<{text} >/etc/gieson/conf.d/bench.conf && "
+            "gieson check-config && systemctl reload-or-restart gieson.service gieson-worker.service")
+
+
+def put(vm, files, folder):
+    """Small files into the guest: name -> bytes."""
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
+        for name, content in files.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    text = base64.b64encode(packed.getvalue()).decode()
+    for at in range(0, len(text), 60000):
+        vm.tell(f"echo {text[at:at + 60000]} >>/run/put.b64")
+    vm.tell(f"mkdir -p {folder} && base64 -d /run/put.b64 | tar -xzf - -C {folder} && rm /run/put.b64")
+
+
+def check_objects(vm, demanded=None):
+    """Every row of the ledger has its exact object; with demanded (name -> hash), these are there.
+    Gives the rows."""
+    rows = [line.split("|") for line in sql(vm, "SELECT name, sha256, size FROM scan").splitlines()]
+    hashes = vm.tell("cd /var/lib/gieson/objects && sha256sum ??/* 2>/dev/null; true").splitlines()
+    here = {line.split()[1].replace("/", ""): line.split()[0] for line in hashes}
+    for name, digest, _ in rows:
+        demand(here.get(digest) == digest, f"the row of {name} has no object with its bytes")
+    known = {(name, digest) for name, digest, _ in rows}
+    demand(len(known) == len(rows), "a scan is in the ledger twice")
+    for name, digest in (demanded or {}).items():
+        demand((name, digest) in known, f"{name} was acknowledged and is gone")
+    return rows
+
+
+PTP = "[source scanner]\nAddress=ptp:any\nSettleMs=300\nSweepS=2\n"
+
+
+# ---- scanners -----------------------------------------------------------------------------
+
+@scenario
+def plug(bench):
+    """a scanner is plugged in: udev starts the service, its scans are rows with equal bytes"""
+    first, second = bench.tiff("first.tif", 900, 700), bench.tiff("second.tif", 600, 500)
+    with bench.machine() as vm:
+        configure(vm, PTP)
+        vm.tell("systemctl stop gieson.service")
+        began = time.monotonic()
+        sim = vm.plug(bench.sim(), "ptp", first, second)
+        started = vm.until("systemctl is-active gieson.service", bench.wait(60))
+        vm.until(sql_is("SELECT count(*) FROM scan", 1), bench.wait(120))
+        taken = time.monotonic() - began
+        check_objects(vm, {"first.tif": sha256(first)})
+        sim.signal(signal.SIGUSR1)
+        event = vm.until(sql_is("SELECT count(*) FROM scan", 2), bench.wait(120))
+        check_objects(vm, {"first.tif": sha256(first), "second.tif": sha256(second)})
+        demand(sql(vm, "SELECT state FROM source") == "ready", "the source is not ready afterwards")
+        link = vm.tell("ls /dev/gieson")
+        demand(link.startswith("ptp-"), f"/dev/gieson holds {link!r}")
+    return (f"plug -> udev -> service {started:.1f} s -> row {taken:.1f} s, equal; ObjectAdded -> row "
+            f"{event:.1f} s, equal; link {link}")
+
+
+@scenario
+def unplug(bench):
+    """unplugged in mid-object and plugged in again: the copy goes on where it stopped"""
+    large = bench.tiff("large.tif", 2000, 1700)  # 10.2 MB
+    with bench.machine() as vm:
+        configure(vm, PTP)
+        # The device counts anew after the replug, so a copy begun over would be broken off again.
+        sim = vm.plug(bench.sim(), "ptp", "--fault", "unplug_at_byte=6000000", large)
+        vm.until("lsusb | grep -q . && ls /dev/gieson/ptp-*", bench.wait(60))
+        gone = vm.until(f'! ls /dev/gieson/ptp-* 2>/dev/null && {sql_is("SELECT state FROM source", "away")}',
+                        bench.wait(180))
+        demand(sql(vm, "SELECT count(*) FROM scan") == "0", "half an object has a row")
+        began = time.monotonic()
+        sim.signal(signal.SIGUSR2)
+        vm.until(sql_is("SELECT count(*) FROM scan", 1), bench.wait(180))
+        again = time.monotonic() - began
+        check_objects(vm, {"large.tif": sha256(large)})
+        left = vm.tell("find /var/lib/gieson -name '*tmp*' -o -name '*part*' | grep -v gieson.db; true")
+        demand(left == "", f"temporaries are left: {left}")
+    return (f"broken off at 6.0 of {large.stat().st_size / 1e6:.1f} MB, source away after {gone:.1f} s; resumed and "
+            f"equal {again:.1f} s after the replug")
+
+
+@scenario
+def foreign(bench):
+    """scanners that are not ours: qemu's usb-mtp and umtp-responder"""
+    said = [usb_mtp(bench), umtp_responder(bench)]
+    return "; ".join(said)
+
+
+def usb_mtp(bench):
+    """Its storage is a folder here; one file is renamed into it, one written in place, slowly."""
+    folder = bench.scratch / "mtp"
+    folder.mkdir()
+    there, renamed = bench.tiff("there.tif", 500, 400), bench.tiff("renamed.tif", 600, 400)
+    written = bench.tiff("written.tif", 700, 300)
+    (folder / "there.tif").write_bytes(there.read_bytes())
+    with bench.machine() as vm:
+        configure(vm, PTP)
+        vm.plug_mtp(folder)
+        vm.until(sql_is("SELECT count(*) FROM scan", 1), bench.wait(120))
+        os.rename(renamed, folder / "renamed.tif")
+        vm.until(sql_is("SELECT count(*) FROM scan", 2), bench.wait(120))
+        with open(folder / "written.tif", "wb", buffering=0) as file:
+            content = written.read_bytes()
+            for at in range(0, len(content), 1 << 16):
+                file.write(content[at:at + (1 << 16)])
+                time.sleep(0.1)
+        vm.until(sql_is("SELECT count(*) FROM scan", 3), bench.wait(180))
+        check_objects(vm, {p.name: sha256(folder / p.name) for p in (there, renamed, written)})
+    return "usb-mtp: 3 objects equal (there, renamed in, written in place)"
+
+
+UMTP = """manufacturer "bench"
+product "umtp"
+serial "UMTP1"
+firmware_version "1"
+interface "Still Image"
+storage "/srv/umtp" "panels" "rw"
+usb_vendor_id  0x1D6B
+usb_product_id 0x0100
+usb_class 0x6
+usb_subclass 0x1
+usb_protocol 0x1
+usb_dev_version 0x3008
+usb_functionfs_mode 0x1
+usb_dev_path   "/dev/ffs-umtp/ep0"
+usb_epin_path  "/dev/ffs-umtp/ep1"
+usb_epout_path "/dev/ffs-umtp/ep2"
+usb_epint_path "/dev/ffs-umtp/ep3"
+usb_max_packet_size 0x200
+"""
+GADGET = """set -e
+modprobe -a dummy_hcd libcomposite usb_f_fs
+mount -t configfs none /sys/kernel/config 2>/dev/null || true
+g=/sys/kernel/config/usb_gadget/umtp; mkdir -p $g/strings/0x409 $g/configs/c.1/strings/0x409 $g/functions/ffs.umtp
+echo 0x1D6B >$g/idVendor; echo 0x0100 >$g/idProduct; echo UMTP1 >$g/strings/0x409/serialnumber
+echo bench >$g/strings/0x409/manufacturer; echo umtp >$g/strings/0x409/product
+echo c >$g/configs/c.1/strings/0x409/configuration; ln -s $g/functions/ffs.umtp $g/configs/c.1/
+mkdir -p /dev/ffs-umtp; mount -t functionfs umtp /dev/ffs-umtp
+systemd-run --quiet --unit=umtp umtp-responder -conf /etc/umtprd/umtprd.conf
+for i in $(seq 300); do test -e /dev/ffs-umtp/ep3 && break; sleep 0.1; done
+ls /sys/class/udc | head -1 >$g/UDC
+"""
+
+
+def umtp_responder(bench):
+    panel = bench.tiff("umtp.tif", 300, 200)
+    with bench.machine() as vm:
+        if vm.run("command -v umtp-responder")[0] != 0:
+            raise Unavailable("umtp-responder is not installed here")
+        put(vm, {"umtp.tif": panel.read_bytes()}, "/srv/umtp")
+        put(vm, {"umtprd.conf": UMTP.encode()}, "/etc/umtprd")
+        configure(vm, PTP)
+        vm.tell(GADGET, bench.wait(90))
+        vm.until(sql_is("SELECT count(*) FROM scan", 1), bench.wait(120))
+        check_objects(vm, {"umtp.tif": sha256(panel)})
+    return "umtp-responder on FunctionFS: equal"
+
+
+# ---- cameras ------------------------------------------------------------------------------
+
+def frames_of(bench, width, height, count):
+    """Raw YUY2, each frame its own."""
+    frames = [bench.random.randbytes(width) * 2 * height for _ in range(count)]
+    path = bench.scratch / "frames.yuv"
+    path.write_bytes(b"".join(frames))
+    return path, [hashlib.sha256(frame).hexdigest() for frame in frames]
+
+
+def captured(vm, source, payload_bytes, seconds):
+    """Asks for a picture; gives the hash of its payload: the PAM without its header."""
+    before = int(sql(vm, "SELECT count(*) FROM scan"))
+    vm.tell(f"gieson --store /var/lib/gieson capture {source}", seconds)
+    vm.until(sql_is("SELECT count(*) FROM scan", before + 1), seconds)
+    digest = sql(vm, "SELECT sha256 FROM scan ORDER BY id DESC LIMIT 1")
+    path = f"/var/lib/gieson/objects/{digest[:2]}/{digest[2:]}"
+    return vm.tell(f"tail -c {payload_bytes} {path} | sha256sum").split()[0]
+
+
+CAMERA = "[source camera]\nAddress={address}\nFormat=YUYV\nWidth={width}\nHeight={height}\nAtRest=no\n"
+
+
+@scenario
+def camera(bench):
+    """a UVC camera by V4L2 and by libcamera: the frames are equal to those that were played"""
+    width, height = 320, 240
+    path, played = frames_of(bench, width, height, 2)
+    figures = []
+    with bench.machine() as vm:
+        vm.tell("modprobe uvcvideo")
+        sim = vm.plug(bench.sim(), "uvc", width, height, path)
+        vm.until("ls /dev/v4l/by-id/*-video-index0", bench.wait(60))
+        name = vm.tell("ls /dev/v4l/by-id | grep -m1 video-index0")
+        addresses = [f"v4l2:{name}"]
+        listed = vm.run("cam -l 2>/dev/null | sed -n 's/.*(\\(.*\\)).*/\\1/p' | head -1", bench.wait(60))[1].strip()
+        if listed and "libcamera" in vm.run("gieson-intake --version; ldd $(command -v giesond || echo /dev/null) "
+                                            "$(ls /usr/local/libexec/gieson/* /usr/libexec/gieson/* 2>/dev/null) "
+                                            "2>/dev/null | grep libcamera", 30)[1]:
+            addresses.append(f"libcamera:{listed}")
+        for address in addresses:
+            configure(vm, CAMERA.format(address=address, width=width, height=height))
+            vm.until(sql_is("SELECT state FROM source WHERE name = 'camera'", "ready"), bench.wait(90))
+            for _ in range(2):
+                digest = captured(vm, "camera", 2 * width * height, bench.wait(90))
+                demand(digest in played, f"a frame by {address} is none that was played")
+            figures.append(f"2 frames by {address.split(':')[0]} equal")
+        sim.unplug()
+        away = vm.until(sql_is("SELECT state FROM source WHERE name = 'camera'", "away"), bench.wait(60))
+        figures.append(f"unplugged: away after {away:.1f} s")
+    if len(addresses) == 1:
+        figures.append("libcamera: no such source in this build")
+    return "; ".join(figures)
+
+
+VIVID_RULE = ('SUBSYSTEM=="video4linux", ATTR{name}=="vivid-000-vid-cap", SYMLINK+="v4l/by-id/vivid"')
+
+
+@scenario
+def vivid(bench):
+    """the kernel's test camera with injected errors: the source survives and says so"""
+    with bench.machine() as vm:
+        vm.tell(f"echo '{VIVID_RULE}' >/etc/udev/rules.d/90-vivid.rules && udevadm control --reload && "
+                "modprobe vivid n_devs=1 node_types=0x1 && udevadm settle && ls /dev/v4l/by-id/vivid", 120)
+        configure(vm, CAMERA.format(address="v4l2:vivid", width=640, height=360))
+        vm.until(sql_is("SELECT state FROM source WHERE name = 'camera'", "ready"), bench.wait(90))
+        captured(vm, "camera", 1, bench.wait(90))
+        said = []
+        controls = vm.tell("v4l2-ctl -d /dev/v4l/by-id/vivid -l")
+        for control, value in (("inject_vidioc_qbuf_error", 1), ("inject_vidioc_streamon_error", 1),
+                               ("percentage_of_dropped_buffers", 50), ("inject_fatal_streaming_error", 1),
+                               ("disconnect", 1)):
+            if control not in controls:
+                continue
+            vm.run(f"v4l2-ctl -d /dev/v4l/by-id/vivid -c {control}={value}")
+            vm.run(f"timeout {bench.wait(60):.0f} gieson --store /var/lib/gieson capture camera", bench.wait(90))
+            vm.run("v4l2-ctl -d /dev/v4l/by-id/vivid -c percentage_of_dropped_buffers=0")
+            if control != "disconnect":
+                captured(vm, "camera", 1, bench.wait(120))
+                said.append(control)
+        demand(vm.run("systemctl is-active gieson.service")[0] == 0, "the service is gone")
+        restarts = vm.tell("systemctl show -P NRestarts gieson.service")
+        demand(restarts == "0", f"the service was restarted {restarts} times")
+        message = sql(vm, "SELECT state || ': ' || message FROM source WHERE name = 'camera'")
+        check_objects(vm)
+    return f"survived {', '.join(said)}; after disconnect the source is {message!r}"
+
+
+# ---- power --------------------------------------------------------------------------------
+
+def with_disk(vm, disk):
+    """Puts the store on a disk of its own, as after a boot with this disk."""
+    vm.tell("systemctl stop gieson.service gieson-worker.service")
+    vm.plug_disk(disk, "store")
+    vm.tell("mount /dev/disk/by-id/virtio-store /var/lib/gieson && chown gieson:gieson /var/lib/gieson && "
+            "chmod 2750 /var/lib/gieson", 60)
+
+
+def seen(vm):
+    return dict(line.split("|") for line in sql(vm, "SELECT name, sha256 FROM scan").splitlines())
+
+
+@scenario
+def power(bench):
+    """the power is cut at moments of an intake: nothing acknowledged is lost, the work is finished"""
+    disk = bench.scratch / "disk"
+    files = [bench.tiff(f"scan{i:02}.tif", 300, 250 + i) for i in range(2 * bench.cuts + 4)]
+    with open(disk, "wb") as to:
+        to.truncate(96 << 20)
+    subprocess.run(["/sbin/mke2fs", "-q", "-t", "ext4", "-F", str(disk)], check=True)
+    acknowledged = {}
+    for cut in range(bench.cuts):
+        vm = bench.machine()
+        try:
+            with_disk(vm, disk)
+            configure(vm, PTP)
+            if acknowledged or cut:
+                check_objects(vm, acknowledged)
+            sim = vm.plug(bench.sim(), "ptp", *files)
+            for _ in range(2 * cut + 3):
+                sim.signal(signal.SIGUSR1)
+                time.sleep(0.01)
+            target = len(acknowledged) + 1
+            vm.until(f'test "$(sqlite3 -readonly -cmd ".timeout 20000" {DB} "SELECT count(*) FROM scan")" -ge {target}',
+                     bench.wait(180))
+            acknowledged = seen(vm)
+            time.sleep(bench.random.uniform(0, 1.5))
+            vm.cut()
+        finally:
+            vm.close()
+    with bench.machine() as vm:
+        with_disk(vm, disk)
+        configure(vm, PTP)
+        check_objects(vm, acknowledged)
+        sim = vm.plug(bench.sim(), "ptp", *files)
+        for _ in files[1:]:
+            sim.signal(signal.SIGUSR1)
+            time.sleep(0.01)
+        vm.until(sql_is("SELECT count(*) FROM scan", len(files)), bench.wait(300))
+        check_objects(vm, {f.name: sha256(f) for f in files})
+        whole = vm.tell(f"sqlite3 -readonly {DB} 'PRAGMA integrity_check'")
+        demand(whole == "ok", f"the database is damaged: {whole}")
+        left = vm.tell("ls /var/lib/gieson/objects/tmp /var/lib/gieson/tmp 2>/dev/null; true")
+    return (f"{bench.cuts} cuts, {len(acknowledged)} scans acknowledged before the last, 0 lost, 0 rows without their "
+            f"object; then all {len(files)} are in, once each{', left over: ' + left if left else ''}")
+
+
+# ---- work ---------------------------------------------------------------------------------
+
+def specimen(bench, name):
+    """Two small panels and their job, drawn by the tests' own hand."""
+    draw = bench.build / "tests/test_vm_specimen"
+    if not draw.exists():
+        raise Unavailable("test_vm_specimen is not built")
+    folder = bench.scratch / name
+    folder.mkdir()
+    subprocess.run([str(draw)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                   env={**os.environ, "GIESON_SPECIMEN": str(folder), "GIESON_SPECIMEN_NAME": name})
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@scenario
+def timer(bench):
+    """the clock comes to half past two: the nightly run writes the report of what changed"""
+    files = specimen(bench, "S1")
+    with bench.machine() as vm:
+        vm.tell("systemctl stop gieson-worker.service")
+        put(vm, files, "/srv/S1")
+        vm.tell("runuser -u gieson -- gieson --store /var/lib/gieson import /srv/S1", 60)
+        demand(sql(vm, "SELECT count(*) FROM run") == "0", "there is a run before the night")
+        # The delay spreads several machines; here there is one.
+        vm.tell("mkdir -p /etc/systemd/system/gieson-night.timer.d && printf '[Timer]\\nRandomizedDelaySec=0\\n"
+                "AccuracySec=1s\\n' >/etc/systemd/system/gieson-night.timer.d/bench.conf && "
+                "systemctl daemon-reload && date -s '2030-01-15 02:29:55' && systemctl restart gieson-night.timer", 90)
+        took = vm.until(sql_is("SELECT state FROM run ORDER BY id DESC LIMIT 1", "reported"), bench.wait(300))
+        report = sql(vm, "SELECT report_path || '|' || report_sha256 FROM run ORDER BY id DESC LIMIT 1").split("|")
+        found = vm.tell(f"sha256sum /var/lib/gieson/{report[0]}").split()[0]
+        demand(found == report[1], "the report is not the one that its row tells of")
+        vm.until("! systemctl is-active gieson-night.service", bench.wait(60))
+        demand(vm.tell("systemctl show -P Result gieson-night.service") == "success", "the night did not end well")
+        listed = vm.tell("systemctl show -P NextElapseUSecRealtime gieson-night.timer")
+        demand("2030-01-16 02:30" in listed, f"the next night is {listed}")
+    return f"02:30 -> report {took:.0f} s later; next night {listed}"
+
+
+@scenario
+def sandbox(bench):
+    """decoder and mesher behind all their walls, under the service's own limits"""
+    with bench.machine() as vm:
+        status, said = vm.run("cat /sys/kernel/security/lsm 2>/dev/null || "
+                              "(mount -t securityfs none /sys/kernel/security && cat /sys/kernel/security/lsm)")
+        demand(status == 0 and "landlock" in said, f"the guest's kernel has no Landlock: {said}")
+        files = specimen(bench, "S1")
+        files["P02.png"] = files["P02.png"][:2000]
+        put(vm, {f"S1/{name}": content for name, content in files.items()}, "/srv/scans")
+        configure(vm, "[source folder]\nAddress=hot:/srv/scans\nSettleMs=300\nPatienceS=2\n")
+        vm.until(sql_is("SELECT count(*) FROM panel WHERE state = 'registered'", 1), bench.wait(180))
+        vm.until(sql_is("SELECT count(*) FROM panel WHERE state = 'refused'", 1), bench.wait(180))
+        vm.until(sql_is("SELECT count(*) FROM job WHERE state <> 'done'", 0), bench.wait(300))
+        said = sql(vm, "SELECT message FROM panel WHERE state = 'refused'")
+        demand("truncated PNG" in said, f"the panel is refused with {said!r}")
+    return f"Landlock and seccomp under the worker's service; one panel registered, one refused ({said[:40]}...)"
+
+
+# ---- accidents ----------------------------------------------------------------------------
+
+@scenario
+def kills(bench):
+    """service, intake and worker are killed again and again: back in 3 s, nothing lost or doubled"""
+    script = (pathlib.Path(__file__).parent / "guest/kills.sh").read_text(encoding="utf-8")
+    with bench.machine() as vm:
+        put(vm, {f"{i:03}.png": png(i) for i in range(bench.kills)}, "/srv/pictures")
+        put(vm, {f"S1/{name}": content for name, content in specimen(bench, "S1").items()}, "/srv/scans")
+        put(vm, {"kills.sh": script.encode()}, "/run")
+        configure(vm, "[source folder]\nAddress=hot:/srv/scans\nSettleMs=100\nSweepS=1\n")
+        vm.until(sql_is("SELECT state FROM source", "ready"), bench.wait(90))
+        said = vm.tell(f"bash /run/kills.sh {bench.kills}", bench.wait(60 + 12 * bench.kills))
+        slowest = float(said.split("slowest ")[1].split()[0])
+        vm.until(sql_is("SELECT count(*) FROM scan WHERE name LIKE '%.png' AND length(name) = 7", bench.kills),
+                 bench.wait(300))
+        check_objects(vm)
+        vm.until(sql_is("SELECT count(*) FROM job WHERE state <> 'done'", 0), bench.wait(300))
+        doubled = sql(vm, "SELECT count(*) FROM (SELECT 1 FROM job GROUP BY kind, specimen_id, panel_id "
+                          "HAVING count(*) > 1 AND min(claim) = 0)")
+        runs = sql(vm, "SELECT count(*) FROM (SELECT key FROM run WHERE state = 'reported' GROUP BY key HAVING count(*) > 1)")
+        demand(doubled == "0" and runs == "0", f"{doubled} jobs and {runs} runs are doubled")
+        vm.tell("systemctl restart gieson.service")
+        vm.until(sql_is("SELECT state FROM source", "ready"), bench.wait(90))
+        left = vm.tell("find /var/lib/gieson -name '*.tmp*' -o -name 'tmp.*' | head; true")
+        demand(left == "", f"temporaries are left: {left}")
+        demand(slowest < 3 * bench.patience, f"slowest return {slowest} s")
+    return f"{said.strip().splitlines()[-1]}; {bench.kills} pictures in once each, jobs done, temporaries swept"
+
+
+@scenario
+def hang(bench):
+    """the service hangs: the watchdog ends it and it comes back"""
+    with bench.machine() as vm:
+        configure(vm, "[source folder]\nAddress=hot:/srv/scans\n")
+        vm.tell("mkdir -p /srv/scans")
+        pid = vm.tell("systemctl show -P MainPID gieson.service")
+        vm.tell(f"kill -STOP {pid}")
+        took = vm.until(f'p=$(systemctl show -P MainPID gieson.service); test "$p" != 0 && test "$p" != {pid} && '
+                        "systemctl is-active gieson.service", bench.wait(120))
+        result = vm.run("journalctl -q -u gieson.service | grep -c -i 'watchdog timeout'")[1].strip()
+        demand(result not in ("", "0"), "the journal knows of no watchdog")
+    return f"stopped by a signal, killed by the watchdog and back {took:.0f} s later"

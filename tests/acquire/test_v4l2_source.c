@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "acquire/container.h"
+#include "pipeline/core/file.h"
 #include "pipeline/decode/decode.h"
 #include "tests/check.h"
 #include "tests/decode/make.h"
@@ -671,6 +672,38 @@ TEST(a_camera_held_by_another_is_busy)
     refuses("v4l2:" BY_ID, &options, GSN_E_BUSY, "another program holds the camera");
     v4l2_mock_fail(camera, VIDIOC_STREAMON, ENOSPC, 1);
     refuses("v4l2:" BY_ID, &options, GSN_E_IO, "the USB bus has no room for this stream");
+}
+
+static void notes(const char *set, size_t size, const char *note)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_recipe recipe = webcam;
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct gsn_error err = { 0 };
+    char path[300], got[400] = "untouched";
+    size_t whole = 0;
+
+    if (set) {
+        (void)snprintf(path, sizeof path, "%s/device/%s.descriptors", GSN_FIXTURES, set);
+        CHECK_OK(gsn_file_read(path, 65536, &bytes, &whole, &err), err);
+    }
+    recipe.descriptors = bytes;
+    recipe.descriptors_size = size ? size : whole;
+    (void)v4l2_mock_plug(mock, 0, &recipe);
+    gsn_v4l2_note(BY_ID, got, sizeof got);
+    if (strcmp(got, note) != 0)
+        fail_msg("\"%s\", not \"%s\"", got, note);
+    gsn_v4l2_note("nobody", got, sizeof got);
+    CHECK(got[0] == '\0');
+}
+
+TEST(it_is_said_of_a_camera_beforehand_that_it_cannot_be_locked)
+{
+    notes("logitech_c270", 0, "");
+    notes("anker_powerconf_c200", 0, "cannot be locked (no gain): its pictures are not measured");
+    notes("logitech_c270", 100,
+          "its description cannot be trusted: the configuration states 2466 bytes, 82 are there");
+    notes(NULL, 0, "");
 }
 
 /* Opens with another format than YUYV, and no automatic rest. */

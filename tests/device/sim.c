@@ -5,9 +5,10 @@
  *     gieson-sim SOCKET ptp [--serial S] [--fault NAME=VALUE]... FILE...
  *     gieson-sim SOCKET uvc [--serial S] [--fault NAME=VALUE]... WIDTH HEIGHT FRAMES
  *
- * ptp: the first FILE is there from the start; each SIGUSR1 finishes the next scan. uvc: FRAMES is
- * raw YUY2 or JPEGs one after the other, played five a second. SIGUSR2 unplugs the device, and
- * plugs it in again when the guest has seen that; SIGTERM unplugs it and ends. */
+ * ptp: the first FILE is there from the start; each SIGUSR1 finishes the next scan. uvc: FRAMES are
+ * raw YUY2, JPEGs, or frames that gieson took, one after the other, played five a second. SIGUSR2
+ * unplugs the device, and plugs it in again when the guest has seen that; SIGTERM unplugs it and
+ * ends. */
 #include <fcntl.h>
 #include <signal.h>
 #include <stdio.h>
@@ -156,7 +157,7 @@ static void make_camera(struct sim *sim, const char *serial, const struct uvc_fa
     sim->camera = uvc_model_new(serial, number(argument[0]), number(argument[1]), FRAME_MS, faults);
     bytes = read_file(sim, argument[2], &size);
     if (uvc_model_add_file(sim->camera, bytes, size) == 0)
-        give_up(NO_INPUT, argument[2], "neither JPEGs nor whole YUY2 frames of that size");
+        give_up(NO_INPUT, argument[2], "neither JPEGs nor whole YUYV frames of that size");
 }
 
 static void make_scanner(struct sim *sim, const char *serial, const struct ptp_faults *faults,

@@ -125,6 +125,31 @@ TEST(motion_jpegs_are_parted_at_their_seams)
     uvc_model_free(model);
 }
 
+TEST(frames_that_were_captured_are_played_again)
+{
+    static const char header[] = "P7\n# gieson frame 1\n# device: X\nWIDTH 160\nHEIGHT 100\n"
+                                 "DEPTH 2\nMAXVAL 255\nTUPLTYPE YUYV\nENDHDR\n";
+    struct uvc_model *const model = uvc_model_new("CAM1", WIDTH, HEIGHT, 0, NULL);
+    struct uvc_model *const other = uvc_model_new("CAM1", WIDTH, HEIGHT + 1, 0, NULL);
+    static uint8_t file[2 * (sizeof header - 1 + SIZE)];
+    uint8_t *at = file, flags;
+
+    for (size_t i = 0; i < sizeof frames; i++)
+        frames[i] = (uint8_t)(i * 5 + i / 253);
+    for (size_t i = 0; i < 2; i++) {
+        at = (uint8_t *)mempcpy(at, header, sizeof header - 1);
+        at = (uint8_t *)mempcpy(at, frames + i * SIZE, SIZE);
+    }
+    CHECK(uvc_model_add_file(model, file, sizeof file) == 2);
+    commit(model, 1);
+    CHECK(pull(model, &flags) == SIZE && memcmp(picture, frames, SIZE) == 0);
+    CHECK(pull(model, &flags) == SIZE && memcmp(picture, frames + SIZE, SIZE) == 0);
+    CHECK(uvc_model_add_file(model, file, sizeof file - 1) == 0);
+    CHECK(uvc_model_add_file(other, file, sizeof file) == 0);
+    uvc_model_free(model);
+    uvc_model_free(other);
+}
+
 TEST(faults_hit_one_frame)
 {
     struct uvc_model *const model = uvc_model_new(

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/device/uvc_model.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -498,6 +499,31 @@ static size_t jpeg_size(const uint8_t *bytes, size_t size)
     return size;
 }
 
+/* The header of a PAM (netpbm's P7) with a YUYV picture of the model's size; 0 for anything else.
+ */
+static size_t pam_header(const struct uvc_model *model, const uint8_t *bytes, size_t size)
+{
+    static const char start[] = "P7\n", end[] = "\nENDHDR\n";
+    const uint8_t *const found = memmem(bytes, size, end, sizeof end - 1);
+    char lines[3][40], text[4096];
+    size_t length;
+
+    if (size < sizeof start || memcmp(bytes, start, sizeof start - 1) != 0 || !found)
+        return 0;
+    length = (size_t)(found - bytes) + sizeof end - 1;
+    if (length >= sizeof text)
+        return 0;
+    memcpy(text, bytes, length);
+    text[length] = '\0';
+    (void)snprintf(lines[0], sizeof lines[0], "\nWIDTH %u\n", model->width);
+    (void)snprintf(lines[1], sizeof lines[1], "\nHEIGHT %u\n", model->height);
+    (void)snprintf(lines[2], sizeof lines[2], "\nTUPLTYPE YUYV\n");
+    for (size_t i = 0; i < 3; i++)
+        if (!strstr(text, lines[i]))
+            return 0;
+    return length;
+}
+
 size_t uvc_model_add_file(struct uvc_model *model, const uint8_t *bytes, size_t size)
 {
     const bool jpeg = size >= 4 && bytes[0] == 0xff && bytes[1] == 0xd8;
@@ -505,12 +531,13 @@ size_t uvc_model_add_file(struct uvc_model *model, const uint8_t *bytes, size_t 
     size_t count = 0;
 
     for (size_t at = 0; at < size; count++) {
+        const size_t header = jpeg ? 0 : pam_header(model, bytes + at, size - at);
         const size_t n = jpeg ? jpeg_size(bytes + at, size - at) : raw;
 
-        if (n == 0 || n > size - at)
+        if (n == 0 || header + n > size - at)
             return 0;
-        uvc_model_add(model, jpeg ? UVC_MJPEG : UVC_YUY2, bytes + at, n);
-        at += n;
+        uvc_model_add(model, jpeg ? UVC_MJPEG : UVC_YUY2, bytes + at + header, n);
+        at += header + n;
     }
     return count;
 }

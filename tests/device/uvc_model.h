@@ -48,7 +48,8 @@ void uvc_model_free(struct uvc_model *model);
  * is first plugged in with a frame of it, so add them before uvc_model_usb(). */
 void uvc_model_add(struct uvc_model *model, enum uvc_format format, const uint8_t *bytes,
                    size_t size);
-/* Frames of a file: JPEGs one after the other, or raw YUY2. Returns how many, 0 for neither. */
+/* Frames of a file, one after the other: what the spool keeps of a camera (JPEGs, or PAMs of YUYV,
+ * see acquire/frame.h), or raw YUY2. Returns how many, 0 for none of these. */
 size_t uvc_model_add_file(struct uvc_model *model, const uint8_t *bytes, size_t size);
 
 const struct usb_model *uvc_model_usb(struct uvc_model *model);

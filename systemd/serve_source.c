@@ -8,6 +8,7 @@
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/inotify.h>
+#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -172,15 +173,16 @@ static void ensure_expected(struct serving *serving)
         gsn_log(LOG_WARNING, &what, "Specimen=%s: %s", serving->config->specimen, err.text);
 }
 
-/* Folders of specimens are no business of the folder they lie in. */
-static bool is_of_specimen(const struct serving *serving, const char *name)
+/* Folders in a hot folder are looked into, once they say whose panels they hold. */
+static bool is_specimen_folder(const struct serving *serving, const char *name)
 {
-    gsn_auto_mem(char) job = NULL;
+    gsn_auto_mem(char) path = NULL;
+    struct stat st;
 
     if (!serving->folders)
         return false;
-    job = gsn_format("%s/%s/job.json", serving->config->address + strlen(hot), name);
-    return job && access(job, F_OK) == 0;
+    path = gsn_format("%s/%s", serving->config->address + strlen(hot), name);
+    return path && stat(path, &st) == 0 && S_ISDIR(st.st_mode);
 }
 
 /* What is told without being delivered. Something that still changes is looked at again soon. */
@@ -191,8 +193,10 @@ static void tell_news(struct serving *serving, const struct gsn_source_event *ev
 
     if (event->what == GSN_SOURCE_WAITING && soon < serving->next_look_ms)
         serving->next_look_ms = soon;
-    if (event->what == GSN_SOURCE_GONE ||
-        (event->what == GSN_SOURCE_NOTICE && !is_of_specimen(serving, event->name)))
+    if (event->what == GSN_SOURCE_NOTICE && is_specimen_folder(serving, event->name))
+        gsn_log(LOG_INFO, &what, "%s: is taken in as a specimen once it holds a job.json",
+                event->name);
+    else if (event->what == GSN_SOURCE_NOTICE || event->what == GSN_SOURCE_GONE)
         gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "",
                 event->reason);
 }

@@ -435,6 +435,40 @@ def ends(bench):
     bench.check_whole({f"P{n}.png": picture(n) for n in range(200)})
 
 
+@scenario
+def crashes(bench):
+    """An intake that fails by itself is started again later each time, and its row says so."""
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-work"):
+        shutil.copy(bench.programs / name, place / name)
+    fake = place / "gieson-intake"
+    fake.write_text(f"#!/bin/sh\ndate +%s.%N >> {bench.folder}/starts\nkill -SEGV $$\n")
+    fake.chmod(0o755)
+    bench.programs = place
+    bench.configure()
+    bench.start("--only", "intake")
+    starts = bench.folder / "starts"
+    bench.wait("three starts", lambda: starts.exists() and len(starts.read_text().split()) >= 3)
+    first, second, third = map(float, starts.read_text().split()[:3])
+    demand(second - first >= 0.9 and third - second >= 1.9, f"{first} {second} {third}")
+    demand(bench.state() == "failed" and "signal 11" in bench.words(), bench.words())
+
+
+@scenario
+def away(bench):
+    """A device that is not there is away, said once, and costs nothing but a look now and then."""
+    bench.config.write_text("[store]\nReserveMiB=1\n[source cam]\n"
+                            "Address=ptp:no-such-serial\n")
+    bench.start("--only", "intake")
+    bench.wait("the source to be away", lambda: bench.ask("SELECT state FROM source") ==
+               [("away",)])
+    message = bench.ask("SELECT message FROM source")[0][0]
+    demand("no-such-serial" in message, f"it says which: {message}")
+    bench.wait("the intake to end", lambda: not bench.intake())
+    demand(bench.words().count(message) == 1, bench.words())
+
+
 # ---- the configuration ------------------------------------------------------------------------
 
 @scenario

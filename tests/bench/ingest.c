@@ -195,12 +195,16 @@ static void race_logs(struct gsn_store *store, sqlite3_stmt *insert, size_t coun
         (void)snprintf(key, sizeof key, "SN0001/00010001/%s/12345678/20260101T120000", name);
         bench_need(gsn_sha256(name, strlen(name), &digest, &err), &err, "digest");
         scan.sha256 = digest.hex;
+        if (i % 2)
+            times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
         times->ours[i] = time_ours(store, &scan, &times->ours_cpu);
-        times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
+        if (i % 2 == 0)
+            times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
     }
 }
 
-static void bench_log(void)
+/* One scan's row, panel, job and line in the diary, committed. */
+void bench_log(void)
 {
     const size_t count = bench_quick ? QUICK_SCANS : SCANS;
     struct folder folder = folder_new();
@@ -404,10 +408,9 @@ static void bench_picture(size_t size)
     picture_done(&picture);
 }
 
-/* One scan's row, panel, job and line in the diary, committed; and its bytes, made durable. */
-void bench_ingest(void)
+/* A picture's bytes, made durable. */
+void bench_spool(void)
 {
-    bench_log();
     if (bench_quick) {
         bench_picture(1 << 20);
         return;

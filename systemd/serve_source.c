@@ -531,6 +531,26 @@ static void serving_done(struct serving *serving)
         (void)close(serving->wake);
 }
 
+/* Says in the row why the source is not served; and in the log, unless an earlier process has said
+ * the same. */
+static void say_why_not(struct serving *serving, int code, const char *why)
+{
+    const bool is_away = code == GSN_E_NOTFOUND;
+    const struct gsn_log_about what = about(serving, GSN_LOG_AWAY);
+    gsn_auto(gsn_bench_sources) rows = NULL;
+    struct gsn_error quiet = { 0 };
+    bool is_said = false;
+
+    if (is_away && gsn_bench_list(serving->store, &rows, &quiet) >= 0)
+        for (size_t i = 0; i < rows->count; i++)
+            is_said = is_said || (strcmp(rows->at[i].name, serving->config->name) == 0 &&
+                                  strcmp(rows->at[i].state, "away") == 0 &&
+                                  strcmp(rows->at[i].message, why) == 0);
+    if (is_away && !is_said)
+        gsn_log(LOG_NOTICE, &what, "%s", why);
+    gsn_source_row_say(&serving->row, is_away ? "away" : "failed", why);
+}
+
 int gsn_serve_source(struct gsn_store *store, const struct gsn_config *config,
                      const struct gsn_config_source *source, struct gsn_lifeline *line,
                      struct gsn_error *err)
@@ -550,7 +570,6 @@ int gsn_serve_source(struct gsn_store *store, const struct gsn_config *config,
     if (r >= 0)
         r = serve(&serving, err);
     if (r < 0)
-        gsn_source_row_say(&serving.row, r == GSN_E_NOTFOUND ? "away" : "failed",
-                           err ? err->text : "");
+        say_why_not(&serving, r, err->text);
     return r;
 }

@@ -21,7 +21,7 @@
 #include "systemd/spawn.h"
 
 enum {
-    KILLED_DELAY_MS = 500,
+    KILLED_DELAY_MS = 200,
     FIRST_DELAY_MS = 1000,
     LONGEST_DELAY_MS = 60000,
     AWAY_DELAY_MS = 60000,
@@ -213,6 +213,8 @@ static void judge_exit(struct intake *intake, int status)
     if (status == EX_OK) {
         intake->state = STATE_ENDED;
         gsn_log(LOG_INFO, &what, "has ended: everything in it is taken in");
+    } else if (status == GSN_INTAKE_STOPPED) {
+        rest(intake, STATE_RESTING, KILLED_DELAY_MS);
     } else if (status == EX_NOINPUT) {
         intake->delay_ms = 0;
         rest(intake, STATE_AWAY, is_device ? AWAY_DELAY_MS : FOLDER_AWAY_DELAY_MS);

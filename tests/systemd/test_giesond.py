@@ -386,6 +386,33 @@ def hangs(bench):
 
 
 @scenario
+def intake_stopped(bench):
+    """An intake that somebody stops politely is started again, too."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.wait("an intake", bench.intake)
+    before = bench.intake()
+    os.kill(before, signal.SIGTERM)
+    bench.wait("another intake", lambda: bench.intake() not in (None, before))
+    bench.deliver("a.png", picture(1))
+    bench.wait_scan("a.png")
+
+
+@scenario
+def replays(bench):
+    """A source that ends is served once, and is not started again."""
+    bench.deliver("a.png", picture(1))
+    bench.config.write_text(f"[store]\nReserveMiB=1\n[source flatbed]\nAddress=replay:{bench.hot}\n"
+                            "SettleMs=50\nSweepS=1\n")
+    bench.start("--only", "intake")
+    bench.wait_scan("a.png")
+    bench.wait("its end", lambda: "has ended" in bench.words())
+    demand(bench.ask("SELECT state, message FROM source")[0] ==
+           ("ready", "everything in it is taken in"), "the row says so")
+
+
+@scenario
 def ends(bench):
     """SIGTERM ends the service within two seconds, in the middle of anything, and it says off."""
     bench.configure()

@@ -110,7 +110,8 @@ static void put_specimen(struct gsn_store *store, size_t number)
                "specimen");
 }
 
-/* Twelve columns of one table without an index, in one prepared statement: as bare as it goes. */
+/* One table without an index, in one prepared statement: as bare as it goes. The last column holds
+ * what else our transaction writes: the texts of panel, job and diary. */
 static sqlite3_stmt *open_bare(const struct folder *folder, sqlite3 **ret_db)
 {
     char path[100];
@@ -121,12 +122,12 @@ static sqlite3_stmt *open_bare(const struct folder *folder, sqlite3 **ret_db)
              sqlite3_exec(*ret_db,
                           "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; CREATE TABLE scan "
                           "(id INTEGER PRIMARY KEY, source, device, name, key, subject, sha256, "
-                          "size, facts, state, reason, panel_id, arrived)",
+                          "size, facts, state, reason, panel_id, arrived, rest)",
                           NULL, NULL, NULL) == SQLITE_OK &&
              sqlite3_prepare_v2(*ret_db,
                                 "INSERT INTO scan (source, device, name, key, subject, sha256, "
-                                "size, facts, state, reason, panel_id, arrived) VALUES "
-                                "(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
+                                "size, facts, state, reason, panel_id, arrived, rest) VALUES "
+                                "(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)",
                                 -1, &insert, NULL) == SQLITE_OK,
          "bare SQLite");
     return insert;
@@ -138,6 +139,12 @@ static void insert_bare(sqlite3_stmt *insert, const struct gsn_scan_row *scan)
                                   scan->key,    scan->subject, scan->sha256,
                                   scan->facts,  "filed",       "by its name" };
     static const int columns[] = { 1, 2, 3, 4, 5, 6, 8, 9, 10 };
+    char rest[500];
+
+    (void)snprintf(rest, sizeof rest,
+                   "%s %s waiting panel waiting gieson-intake scan %s %s, from %s, filed: by its "
+                   "name %s",
+                   scan->name, scan->sha256, scan->name, scan->sha256, scan->source, scan->sha256);
 
     for (size_t i = 0; i < sizeof columns / sizeof *columns; i++)
         need(sqlite3_bind_text(insert, columns[i], texts[i], -1, SQLITE_STATIC) == SQLITE_OK,
@@ -145,6 +152,7 @@ static void insert_bare(sqlite3_stmt *insert, const struct gsn_scan_row *scan)
     need(sqlite3_bind_int64(insert, 7, scan->size) == SQLITE_OK &&
              sqlite3_bind_int64(insert, 11, 1) == SQLITE_OK &&
              sqlite3_bind_int64(insert, 12, 1) == SQLITE_OK &&
+             sqlite3_bind_text(insert, 13, rest, -1, SQLITE_STATIC) == SQLITE_OK &&
              sqlite3_step(insert) == SQLITE_DONE && sqlite3_reset(insert) == SQLITE_OK,
          "bare SQLite");
 }
@@ -195,12 +203,16 @@ static void race_logs(struct gsn_store *store, sqlite3_stmt *insert, size_t coun
         (void)snprintf(key, sizeof key, "SN0001/00010001/%s/12345678/20260101T120000", name);
         bench_need(gsn_sha256(name, strlen(name), &digest, &err), &err, "digest");
         scan.sha256 = digest.hex;
+        if (i % 2)
+            times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
         times->ours[i] = time_ours(store, &scan, &times->ours_cpu);
-        times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
+        if (i % 2 == 0)
+            times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
     }
 }
 
-static void bench_log(void)
+/* One scan's row, panel, job and line in the diary, committed. */
+void bench_log(void)
 {
     const size_t count = bench_quick ? QUICK_SCANS : SCANS;
     struct folder folder = folder_new();
@@ -222,9 +234,10 @@ static void bench_log(void)
     ours = mean(times->ours, count);
     bare = mean(times->bare, count);
     bench_say("ingest_log", ours * 1e3, "ms/scan", "one INSERT", bare / ours,
-              json_pack("{s:f, s:f, s:f, s:f, s:I}", "ratio_of_medians",
-                        median(times->bare, count) / median(times->ours, count), "bare_ms",
-                        bare * 1e3, "cpu_ms", times->ours_cpu * 1e3 / (double)count, "bare_cpu_ms",
+              json_pack("{s:f, s:f, s:f, s:f, s:f, s:I}", "ratio_of_medians",
+                        median(times->bare, count) / median(times->ours, count), "bare_median_ms",
+                        median(times->bare, count) * 1e3, "bare_ms", bare * 1e3, "cpu_ms",
+                        times->ours_cpu * 1e3 / (double)count, "bare_cpu_ms",
                         times->bare_cpu * 1e3 / (double)count, "scans", (json_int_t)count));
     (void)sqlite3_finalize(insert);
     (void)sqlite3_close(db);
@@ -404,10 +417,9 @@ static void bench_picture(size_t size)
     picture_done(&picture);
 }
 
-/* One scan's row, panel, job and line in the diary, committed; and its bytes, made durable. */
-void bench_ingest(void)
+/* A picture's bytes, made durable. */
+void bench_spool(void)
 {
-    bench_log();
     if (bench_quick) {
         bench_picture(1 << 20);
         return;

@@ -20,7 +20,8 @@
 
 #include <stdint.h>
 
-#define GSN_CONFIG_FILE "/etc/gieson/gieson.conf"
+/* Where `cmake --install` puts it: /etc/gieson/gieson.conf for a prefix of /usr. */
+#define GSN_CONFIG_FILE GSN_SYSCONFDIR "/gieson/gieson.conf"
 
 struct gsn_config_source {
     char *name; /* letters, digits, '-', '_' and '.' */

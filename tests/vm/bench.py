@@ -37,7 +37,7 @@ def freeze(bench, key):
     booted = machine.Machine(bench.home)
     try:
         booted.until("systemctl is-active gieson.service gieson-worker.service", 300 * bench.patience)
-        booted.until("test -e /var/lib/gieson/gieson.db && ! systemctl list-jobs | grep -q running", 120)
+        booted.until("test -e /var/lib/gieson/gieson.db && ! systemctl list-jobs --no-legend | grep -q [0-9]", 120)
         booted.tell("modprobe -a xhci_pci ext4 virtio_blk; udevadm settle; sync")
         failed = booted.tell("systemctl --failed --no-legend --plain; true")
         if failed:
@@ -58,7 +58,7 @@ def run_one(bench, name):
     except image.Unavailable as why:
         figures, verdict = str(why), "SKIPPED"
     except machine.Failed as why:
-        figures, verdict = str(why), "FAILED"
+        figures, verdict = f"{why} (journal: {bench.home / 'failed.journal'})", "FAILED"
     print(f"{name}: {figures}; {time.monotonic() - began:.0f} s, {verdict}", flush=True)
     return verdict
 

@@ -65,6 +65,7 @@ class Line:
 class Machine:
     def __init__(self, image, frozen=None):
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="gieson-vm."))
+        self.image = image
         self.console = self.folder / "console"
         self.number = 0
         self.sims = []
@@ -144,7 +145,12 @@ class Machine:
     def __enter__(self):
         return self
 
-    def __exit__(self, *why):
+    def __exit__(self, kind, *why):
+        if kind is Failed and self.process.poll() is None:
+            try:
+                (self.image / "failed.journal").write_text(self.journal(400), encoding="utf-8")
+            except Failed:
+                pass
         self.close()
 
     # ---- the guest -------------------------------------------------------------------------

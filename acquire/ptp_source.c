@@ -373,19 +373,30 @@ static int ptp_read(void *self, uint64_t item, uint64_t offset, void *buffer, si
     return GSN_OK;
 }
 
-static int ptp_acknowledge(void *self, uint64_t item, struct gsn_error *err)
+static int finish(struct source *source, uint64_t item, bool delete_there, struct gsn_error *err)
 {
-    struct source *const source = self;
     struct gsn_ptp_object *const object = gsn_ptp_table_find(&source->table, item);
 
     if (!object)
         return no_item(item, err);
     object->state = GSN_PTP_TAKEN;
     object->failures = 0;
-    object->delete_due = source->table.options.delete_there != 0;
+    object->delete_due = delete_there;
     if (object->delete_due)
         delete_due(source, object);
     return GSN_OK;
+}
+
+static int ptp_acknowledge(void *self, uint64_t item, struct gsn_error *err)
+{
+    struct source *const source = self;
+
+    return finish(source, item, source->table.options.delete_there != 0, err);
+}
+
+static int ptp_keep(void *self, uint64_t item, struct gsn_error *err)
+{
+    return finish(self, item, false, err);
 }
 
 static int ptp_wait(void *self, int timeout_ms, int stop_fd, struct gsn_error *err)
@@ -513,6 +524,7 @@ const struct gsn_source_ops gsn_ptp_source_ops = {
     .poll = ptp_poll,
     .read = ptp_read,
     .acknowledge = ptp_acknowledge,
+    .keep = ptp_keep,
     .wait = ptp_wait,
     .device = ptp_device,
     .close = ptp_close,

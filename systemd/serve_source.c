@@ -126,6 +126,22 @@ static int settle_blame(struct serving *serving, struct gsn_error *err)
     return r;
 }
 
+static int tell_kept(struct serving *serving, const char *name, const char *reason,
+                     struct gsn_error *err)
+{
+    const struct gsn_log_about what = about(serving, GSN_LOG_TROUBLE);
+    int is_new = 0;
+    const int r =
+        gsn_failing_add(&serving->failing, name, reason,
+                        "look whether the device has finished it: what changes there comes "
+                        "in again by itself; what is whole there is deleted by hand",
+                        gsn_now_ms(), &is_new, err);
+
+    if (is_new)
+        gsn_log(LOG_WARNING, &what, "%s %s", name, reason);
+    return r;
+}
+
 /* Takes one. Fails only where nothing more can be taken in this round. */
 static int take(struct serving *serving, const struct gsn_source_event *ready,
                 struct gsn_error *err)
@@ -143,6 +159,8 @@ static int take(struct serving *serving, const struct gsn_source_event *ready,
     if (r >= 0) {
         serving->store_failures = 0;
         tell_taken(serving, ready, &taken);
+        if (taken.kept[0])
+            return tell_kept(serving, ready->name, taken.kept, err);
         return gsn_failing_over(&serving->failing, ready->name, err);
     }
     if (fault == GSN_FAULT_ITEM)

@@ -41,6 +41,15 @@ static void name_device(struct source *source)
                    serial[0] ? " " : "", serial);
 }
 
+static void sign_of_life(void *context)
+{
+    const struct source *const source = context;
+    const struct gsn_source_options *const options = &source->table.options;
+
+    if (options->on_read)
+        (void)options->on_read(options->context, 0, 0, GSN_OK);
+}
+
 static int connect_device(struct source *source, struct gsn_error *err)
 {
     struct gsn_ptp_transport *transport = NULL;
@@ -53,6 +62,8 @@ static int connect_device(struct source *source, struct gsn_error *err)
         r = gsn_ptp_device_new(transport, &source->device, err);
     if (r < 0)
         return r;
+    transport->alive = sign_of_life;
+    transport->alive_context = source;
     gsn_ptp_session_count_from(source->device->session, source->sessions);
     name_device(source);
     source->looked = false;

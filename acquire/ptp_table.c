@@ -431,13 +431,6 @@ static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, u
     return GSN_OK;
 }
 
-/* Thousands of objects take their time; whoever watches over us is told that it passes well. */
-static void sign_of_life(const struct gsn_ptp_table *table)
-{
-    if (table->options.on_read)
-        (void)table->options.on_read(table->options.context, 0, 0, GSN_OK);
-}
-
 /* Describes those that were just listed and are due, and appends the folders among them. */
 static int describe_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
                         const struct gsn_ptp_handles *handles, struct gsn_ptp_handles *folders,
@@ -449,10 +442,8 @@ static int describe_all(struct gsn_ptp_table *table, struct gsn_ptp_device *devi
         struct gsn_ptp_object *const object = find_handle(table, session, handles->at[i]);
         int r = GSN_OK;
 
-        if (object && is_due(object, now_ms)) {
+        if (object && is_due(object, now_ms))
             r = describe(table, device, object, now_ms, err);
-            sign_of_life(table);
-        }
         if (r < 0)
             return r;
         if (gsn_ptp_session_number(device->session) != session)

@@ -69,7 +69,8 @@ struct gsn_source_options {
     /* Told of every piece of an item as it was read: the offset behind it, and the code of the
      * read. It is a sign of life, and says whose failure a broken copy is. An answer other than 0
      * breaks the copy off: gsn_source_read() fails with GSN_E_BUSY. NULL: nobody wants to know. A
-     * source whose listing takes long may tell item 0 now and then; the answer means nothing there.
+     * source that is busy otherwise (listing, skipping through an object, waking a silent device)
+     * tells item 0 now and then; the answer means nothing there.
      */
     int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
     void *context;

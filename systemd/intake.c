@@ -25,11 +25,12 @@ int gsn_intake_on_read(void *context, uint64_t item, uint64_t offset, int r)
 {
     struct gsn_intake *const intake = context;
 
-    (void)item;
-    intake->read_code = r;
-    intake->read_nothing = r >= 0 && offset == intake->read_to;
-    intake->read_to = offset;
-    return intake->on_copy ? intake->on_copy(intake->context, offset) : 0;
+    if (item != 0) {
+        intake->read_code = r;
+        intake->read_nothing = r >= 0 && offset == intake->read_to;
+        intake->read_to = offset;
+    }
+    return intake->on_copy ? intake->on_copy(intake->context, intake->read_to) : 0;
 }
 
 static const char *name_of_subject(enum gsn_source_subject subject)

@@ -268,6 +268,57 @@ static void describe_another(struct meddler *meddler, struct bench *bench)
                                 &(struct ptp_object){ .name = "P99.TIF", .format = PTP_TIFF }, 0);
 }
 
+static int count(void *context, uint64_t item, uint64_t offset, int r)
+{
+    (void)item;
+    (void)offset;
+    (void)r;
+    ++*(unsigned *)context;
+    return 0;
+}
+
+/* Without partial reads a copy that goes on has to skip gigabytes of a slow device first. */
+TEST(skipping_to_where_a_copy_goes_on_gives_signs_of_life)
+{
+    struct gsn_error err = { 0 };
+    unsigned signs = 0;
+    uint8_t byte;
+    bench_auto bench;
+    uint64_t item;
+    size_t got;
+
+    bench_init(&bench, &(struct ptp_faults){ .no_partial = true, .no_partial64 = true });
+    (void)bench_scan(&bench, "P01.TIF", 4 * MIB, 1, NULL, 0);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    gsn_source_free(bench.source);
+    bench.options.is_known = NULL;
+    bench.options.on_read = count;
+    bench.options.context = &signs;
+    bench_open(&bench);
+    item = find_ready(&bench);
+    signs = 0;
+    CHECK_OK(gsn_source_read(bench.source, item, 4 * MIB - 1, &byte, 1, &got, &err), err);
+    CHECK(got == 1 && signs >= 4 * MIB / 65536);
+}
+
+TEST(a_device_that_is_silent_is_woken_with_signs_of_life)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO, .swallows = true };
+    unsigned signs = 0;
+    bench_auto bench;
+
+    bench_init(&bench, NULL);
+    meddler.from = bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0)->handle;
+    stand_between(&meddler, &bench);
+    bench.options.is_known = NULL;
+    bench.options.on_read = count;
+    bench.options.context = &signs;
+    bench_open(&bench);
+    CHECK(find_ready(&bench) == 0);
+    CHECK(signs > 10);
+}
+
 TEST(what_changed_while_it_was_read_is_not_delivered)
 {
     struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };

@@ -68,11 +68,18 @@ static int on_copy(void *context, uint64_t offset)
 {
     struct serving *const serving = context;
 
-    gsn_lifeline_breathe(serving->line, GSN_READY);
+    gsn_lifeline_breathe(serving->line, serving->item ? GSN_READY : GSN_BREATH);
     if (serving->item)
         gsn_source_row_progress(&serving->row, serving->item, serving->item_began_ms, offset,
                                 serving->item_size);
     return gsn_lifeline_is_over(serving->line);
+}
+
+static void on_piece(void *context)
+{
+    const struct serving *const serving = context;
+
+    gsn_lifeline_breathe(serving->line, GSN_READY);
 }
 
 static void tell_taken(const struct serving *serving, const struct gsn_source_event *ready,
@@ -523,6 +530,8 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
                                                 .setting = config->setting };
     int r = gsn_spool_open(gsn_store_dir(serving->store), reserve_bytes, &serving->spool, err);
 
+    if (r >= 0)
+        gsn_spool_watch(serving->spool, on_piece, serving);
     if (r >= 0)
         r = gsn_failing_load(&serving->failing, err);
     if (r >= 0)

@@ -49,6 +49,7 @@ struct intake {
     bool wanted;    /* by the present configuration */
     bool is_hung;   /* it was killed because of that */
     bool was_ready; /* its source answered */
+    bool was_late;  /* a device came while this process was looking already */
     pid_t pid;
     int heartbeat; /* our end; -1 */
     int64_t began_ms, delay_ms;
@@ -216,7 +217,7 @@ static void back_off(struct intake *intake)
  * event. */
 static void wait_for_device(struct intake *intake)
 {
-    if (intake->was_ready)
+    if (intake->was_ready || intake->was_late)
         rest(intake, STATE_AWAY, next_delay(intake));
     else if (gsn_source_subsystem(intake->address))
         rest(intake, STATE_AWAY, AWAY_DELAY_MS);
@@ -347,7 +348,7 @@ static void start(struct intake *intake)
     int r = spawn(intake, &err);
 
     intake->began_ms = gsn_now_ms();
-    intake->is_hung = intake->was_ready = false;
+    intake->is_hung = intake->was_ready = intake->was_late = false;
     if (r >= 0)
         r = listen_to(intake, &err);
     if (r >= 0) {
@@ -459,8 +460,10 @@ void gsn_supervisor_arrival(struct gsn_supervisor *supervisor, const char *subsy
         struct intake *const intake = supervisor->at[i];
         const char *const its = gsn_source_subsystem(intake->address);
 
-        if (!its || strcmp(its, subsystem) != 0 ||
-            (intake->state != STATE_AWAY && intake->state != STATE_RESTING))
+        if (!its || strcmp(its, subsystem) != 0)
+            continue;
+        intake->was_late = intake->state == STATE_RUNNING;
+        if (intake->state != STATE_AWAY && intake->state != STATE_RESTING)
             continue;
         intake->timer = sd_event_source_disable_unref(intake->timer);
         start(intake);

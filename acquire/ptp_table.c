@@ -154,14 +154,16 @@ static int see(struct gsn_ptp_table *table, unsigned session, uint32_t handle, b
     return GSN_OK;
 }
 
-/* A date that a clock which was never set would not show; such a clock names pictures alike. */
+/* A date that a clock which was never set would not show; such a clock names pictures alike, and
+ * stands at the first second of some day of its maker's. */
 static bool is_trusted_date(const char *date)
 {
     size_t digits = 0;
 
     while (digits < 8 && date[digits] >= '0' && date[digits] <= '9')
         digits++;
-    return digits == 8 && strlen(date) >= 15 && date[8] == 'T' && strncmp(date, "2001", 4) >= 0;
+    return digits == 8 && strlen(date) >= 15 && date[8] == 'T' && strncmp(date, "2001", 4) >= 0 &&
+           strncmp(date + 9, "000000", 6) != 0;
 }
 
 /* gives: "100SCANS/P01.TIF"; names alone where the folders are not known. */

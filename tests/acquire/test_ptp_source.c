@@ -73,9 +73,9 @@ TEST(what_was_taken_is_not_copied_again_after_a_restart)
 
 TEST(without_a_date_of_capture_it_is_copied_again_and_recognised)
 {
-    static const char *const dates[] = { "", "19800101T000000" };
+    static const char *const dates[] = { "", "19800101T000000", "20200101T000000" };
 
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < 3; i++) {
         bench_auto bench;
 
         bench_init(&bench, NULL);

@@ -28,6 +28,8 @@ enum {
     FOLDER_AWAY_DELAY_MS = 5000, /* a mount is no event of a device */
     STEADY_MS = 60000,           /* who lived so long begins a new series of failures */
     STOP_MS = 4000,              /* an intake ends by itself within two seconds */
+    /* A device that is silent breaks its transfers off after 10 s, and class requests follow. */
+    DEVICE_PATIENCE_MS = 30000,
     ITS_CONFIG = 3,
     ITS_HEARTBEAT = 4,
 };
@@ -432,6 +434,8 @@ static int configure(struct gsn_supervisor *supervisor, const struct gsn_config 
     intake->text = gsn_steal(&text);
     intake->address = gsn_steal(&address);
     intake->patience_ms = source->patience_s * 1000;
+    if (gsn_source_subsystem(source->address) && intake->patience_ms < DEVICE_PATIENCE_MS)
+        intake->patience_ms = DEVICE_PATIENCE_MS;
     stop(intake);
     if (intake->state != STATE_STOPPING)
         start(intake);

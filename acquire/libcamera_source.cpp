@@ -684,8 +684,8 @@ try {
         r = grabber->open(rest, settings, err);
     if (r < 0)
         return r;
-    return gsn_camera_new({ &grabber_ops, grabber.release(), buffer_count }, &settings, ret_self,
-                          err);
+    return gsn_camera_new({ &grabber_ops, grabber.release(), buffer_count }, &settings, options,
+                          ret_self, err);
 } catch (...) {
     return failed(err);
 }

@@ -22,7 +22,7 @@ extern "C" {
 #endif
 
 /* What a picture is of. Blank glass and dark frames are taken on purpose, by request. */
-enum gsn_source_subject { GSN_SUBJECT_PANEL, GSN_SUBJECT_BLANK, GSN_SUBJECT_DARK };
+enum gsn_source_subject { GSN_SUBJECT_PANEL, GSN_SUBJECT_BLANK, GSN_SUBJECT_DARK, GSN_SUBJECTS };
 
 enum gsn_source_what {
     GSN_SOURCE_READY,   /* can be read now; told at every poll until acknowledged */
@@ -76,6 +76,10 @@ struct gsn_source_options {
     void *context;
     size_t setting_count;
     const struct gsn_source_setting *setting; /* keeps */
+    /* The facts of the picture of each subject that was taken from this source last, by whichever
+     * process; NULL: none was, or it is not known. borrows, while the source is opened. A camera
+     * knows by them what still lies on its stage. */
+    const char *last_facts[GSN_SUBJECTS];
 };
 
 struct gsn_source;

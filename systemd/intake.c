@@ -7,7 +7,6 @@
 #include "acquire/container.h"
 #include "pipeline/core/file.h"
 #include "storage/panel_name.h"
-#include "storage/scan.h"
 
 int gsn_intake_is_known(void *context, const char *key)
 {
@@ -38,6 +37,27 @@ static const char *name_of_subject(enum gsn_source_subject subject)
     static const char *const names[] = { "panel", "blank", "dark" };
 
     return names[subject];
+}
+
+int gsn_intake_recall(struct gsn_store *store, const char *name, struct gsn_intake_past *past,
+                      struct gsn_source_options *options, struct gsn_error *err)
+{
+    *past = (struct gsn_intake_past){ { NULL } };
+    for (int i = 0; i < GSN_SUBJECTS; i++) {
+        const char *const subject = name_of_subject((enum gsn_source_subject)i);
+        const int r = gsn_scan_newest(store, name, subject, &past->scan[i], err);
+
+        if (r < 0 && r != GSN_E_NOTFOUND)
+            return r;
+        options->last_facts[i] = past->scan[i] ? past->scan[i]->facts : NULL;
+    }
+    return GSN_OK;
+}
+
+void gsn_intake_past_done(struct gsn_intake_past *past)
+{
+    for (int i = 0; i < GSN_SUBJECTS; i++)
+        gsn_scan_row_free(past->scan[i]);
 }
 
 /* A folder's names are given by people; a device's count its pictures. */

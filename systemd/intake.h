@@ -9,6 +9,7 @@
 
 #include "acquire/source.h"
 #include "acquire/spool.h"
+#include "storage/scan.h"
 #include "storage/store.h"
 
 #include <stdint.h>
@@ -32,6 +33,18 @@ struct gsn_intake {
 /* For gsn_source_options, with the intake as their context. */
 int gsn_intake_is_known(void *intake, const char *key);
 int gsn_intake_on_read(void *intake, uint64_t item, uint64_t offset, int r);
+
+/* What was taken from the source last, one scan for each subject; NULL where there is none. owned:
+ * the scans. */
+struct gsn_intake_past {
+    struct gsn_scan_row *scan[GSN_SUBJECTS];
+};
+
+/* Reads the ledger, and lets the options tell the source of it. keeps: the past, in the options.
+ * gives: its scans, for gsn_intake_past_done(). */
+int gsn_intake_recall(struct gsn_store *store, const char *name, struct gsn_intake_past *past,
+                      struct gsn_source_options *options, struct gsn_error *err);
+void gsn_intake_past_done(struct gsn_intake_past *past);
 
 /* Whose failure it was, which is what decides what to do next. */
 enum gsn_intake_fault {

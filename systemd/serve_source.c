@@ -520,14 +520,15 @@ static int open_folders(struct serving *serving, struct gsn_error *err)
 static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_error *err)
 {
     const struct gsn_config_source *const config = serving->config;
-    const struct gsn_source_options options = { .settle_ms = config->settle_ms,
-                                                .patience_ms = config->patience_s * 1000,
-                                                .delete_there = config->delete_after_copy,
-                                                .is_known = gsn_intake_is_known,
-                                                .on_read = gsn_intake_on_read,
-                                                .context = &serving->intake,
-                                                .setting_count = config->setting_count,
-                                                .setting = config->setting };
+    __attribute__((cleanup(gsn_intake_past_done))) struct gsn_intake_past past = { { NULL } };
+    struct gsn_source_options options = { .settle_ms = config->settle_ms,
+                                          .patience_ms = config->patience_s * 1000,
+                                          .delete_there = config->delete_after_copy,
+                                          .is_known = gsn_intake_is_known,
+                                          .on_read = gsn_intake_on_read,
+                                          .context = &serving->intake,
+                                          .setting_count = config->setting_count,
+                                          .setting = config->setting };
     int r = gsn_spool_open(gsn_store_dir(serving->store), reserve_bytes, &serving->spool, err);
 
     if (r >= 0)
@@ -544,6 +545,8 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
                                            .delete_there = config->delete_after_copy,
                                            .on_copy = on_copy,
                                            .context = serving };
+    if (r >= 0)
+        r = gsn_intake_recall(serving->store, config->name, &past, &options, err);
     if (r >= 0)
         r = gsn_source_open(config->address, &options, &serving->source, err);
     serving->intake.source = serving->source;

@@ -176,6 +176,56 @@ TEST(a_picture_that_was_taken_is_not_offered_to_a_later_process)
     CHECK(ready(&stage) == 0);
 }
 
+static void log_picture(const struct stage *stage, const char *subject, const char *facts)
+{
+    const struct gsn_scan_row row = { .source = "camera",
+                                      .device = "",
+                                      .name = facts,
+                                      .key = "",
+                                      .subject = subject,
+                                      .sha256 = bench_digest(1),
+                                      .size = 1,
+                                      .facts = facts };
+    struct gsn_error err = { 0 };
+    int64_t id;
+    int again;
+
+    CHECK_OK(gsn_scan_take(stage->store, &row, 0, NOON, &id, &again, &err), err);
+}
+
+static int recall_once(const struct stage *stage, struct gsn_error *err)
+{
+    struct gsn_source_options options = { .settle_ms = 0 };
+    struct gsn_intake_past past;
+    const int r = gsn_intake_recall(stage->store, "camera", &past, &options, err);
+
+    gsn_intake_past_done(&past);
+    return r;
+}
+
+TEST(a_later_process_tells_the_source_what_was_taken_last)
+{
+    auto_stage stage;
+    struct gsn_source_options options = { .settle_ms = 0 };
+    struct gsn_intake_past past;
+    struct gsn_error err = { 0 };
+
+    stage_begin(&stage, 0);
+    CHECK_OK(gsn_intake_recall(stage.store, "camera", &past, &options, &err), err);
+    for (int i = 0; i < GSN_SUBJECTS; i++)
+        CHECK(options.last_facts[i] == NULL);
+    gsn_intake_past_done(&past);
+    log_picture(&stage, "panel", "{\"n\":1}");
+    log_picture(&stage, "panel", "{\"n\":2}");
+    log_picture(&stage, "blank", "{\"n\":3}");
+    CHECK_OK(gsn_intake_recall(stage.store, "camera", &past, &options, &err), err);
+    CHECK(strcmp(options.last_facts[GSN_SUBJECT_PANEL], "{\"n\":2}") == 0);
+    CHECK(strcmp(options.last_facts[GSN_SUBJECT_BLANK], "{\"n\":3}") == 0);
+    CHECK(options.last_facts[GSN_SUBJECT_DARK] == NULL);
+    gsn_intake_past_done(&past);
+    CHECK_EVERY_OOM(recall_once(&stage, &err), err);
+}
+
 TEST(a_disk_below_its_reserve_takes_nothing_and_everything_later)
 {
     auto_stage stage;

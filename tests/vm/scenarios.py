@@ -123,6 +123,10 @@ def check_objects(vm, demanded=None):
     return rows
 
 
+def temporaries(vm):
+    return vm.tell("find /var/lib/gieson/objects/tmp /var/lib/gieson/tmp -type f 2>/dev/null; true")
+
+
 PTP = "[source scanner]\nAddress=ptp:any\nSettleMs=300\nSweepS=2\n"
 
 
@@ -168,8 +172,7 @@ def unplug(bench):
         vm.until(sql_is("SELECT count(*) FROM scan", 1), bench.wait(180))
         again = time.monotonic() - began
         check_objects(vm, {"large.tif": sha256(large)})
-        left = vm.tell("find /var/lib/gieson -name '*tmp*' -o -name '*part*' | grep -v gieson.db; true")
-        demand(left == "", f"temporaries are left: {left}")
+        demand(temporaries(vm) == "", f"temporaries are left: {temporaries(vm)}")
     return (f"broken off at 6.0 of {large.stat().st_size / 1e6:.1f} MB, source away after {gone:.1f} s; resumed and "
             f"equal {again:.1f} s after the replug")
 
@@ -393,7 +396,7 @@ def power(bench):
         check_objects(vm, {f.name: sha256(f) for f in files})
         whole = vm.tell(f"sqlite3 -readonly {DB} 'PRAGMA integrity_check'")
         demand(whole == "ok", f"the database is damaged: {whole}")
-        left = vm.tell("ls /var/lib/gieson/objects/tmp /var/lib/gieson/tmp 2>/dev/null; true")
+        left = temporaries(vm)
     return (f"{bench.cuts} cuts, {len(acknowledged)} scans acknowledged before the last, 0 lost, 0 rows without their "
             f"object; then all {len(files)} are in, once each{', left over: ' + left if left else ''}")
 
@@ -479,8 +482,7 @@ def kills(bench):
         demand(doubled == "0" and runs == "0", f"{doubled} jobs and {runs} runs are doubled")
         vm.tell("systemctl restart gieson.service")
         vm.until(sql_is("SELECT state FROM source", "ready"), bench.wait(90))
-        left = vm.tell("find /var/lib/gieson -name '*.tmp*' -o -name 'tmp.*' | head; true")
-        demand(left == "", f"temporaries are left: {left}")
+        demand(temporaries(vm) == "", f"temporaries are left: {temporaries(vm)}")
         demand(slowest < 3 * bench.patience, f"slowest return {slowest} s")
     return f"{said.strip().splitlines()[-1]}; {bench.kills} pictures in once each, jobs done, temporaries swept"
 

@@ -152,7 +152,7 @@ static int take_frames(struct camera *camera, unsigned *ret_count, struct gsn_er
     int there = 1, r = GSN_OK;
 
     *ret_count = 0;
-    while (r >= 0 && there && !camera->gone && *ret_count < MOST_FRAMES) {
+    while (r >= 0 && there && *ret_count < MOST_FRAMES) {
         struct gsn_frame frame = { 0 };
         struct gsn_error why = { 0 };
 

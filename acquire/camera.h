@@ -46,6 +46,10 @@ extern const char *const gsn_camera_keys[];
 int gsn_camera_settings_read(const struct gsn_source_options *options,
                              struct gsn_camera_settings *ret_settings, struct gsn_error *err);
 
+/* A row of gsn_source_ops: the settings, and a name that is not empty. */
+int gsn_camera_check(const char *rest, const struct gsn_source_options *options,
+                     struct gsn_error *err);
+
 /* Pictures of one camera, as its interface gives them. self is the interface's.
  * Each may fail with GSN_E_NOTFOUND: the camera was unplugged, nothing will follow. */
 struct gsn_grabber_ops {

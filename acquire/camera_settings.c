@@ -114,3 +114,13 @@ int gsn_camera_settings_read(const struct gsn_source_options *options,
     *ret_settings = settings;
     return GSN_OK;
 }
+
+int gsn_camera_check(const char *rest, const struct gsn_source_options *options,
+                     struct gsn_error *err)
+{
+    struct gsn_camera_settings settings;
+
+    if (!rest[0])
+        return gsn_fail(err, GSN_E_INPUT, "which camera? Its name is missing behind the colon");
+    return gsn_camera_settings_read(options, &settings, err);
+}

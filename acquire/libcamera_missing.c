@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The kind "libcamera" of a build that has no libcamera. */
+/* The kind "libcamera" of a program that is not linked with libcamera. */
 #include "acquire/camera.h"
 #include "acquire/libcamera_source.h"
 
@@ -10,8 +10,8 @@ static int refuse(const char *rest, const struct gsn_source_options *options, vo
     (void)options;
     (void)ret_self;
     return gsn_fail(err, GSN_E_UNSUPPORTED,
-                    "libcamera:%.200s: this build of gieson has no libcamera: install the package "
-                    "that has, or address the camera as v4l2:",
+                    "libcamera:%.200s: this program was built without libcamera: install it and "
+                    "build again, or address the camera as v4l2:",
                     rest);
 }
 
@@ -19,6 +19,7 @@ const struct gsn_source_ops gsn_libcamera_source_ops = {
     .kind = "libcamera",
     .subsystem = "video4linux",
     .settings = gsn_camera_keys,
+    .check = gsn_camera_check,
     .open = refuse,
     .poll = gsn_camera_poll,
     .read = gsn_camera_read,

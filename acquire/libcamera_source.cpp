@@ -673,15 +673,6 @@ const gsn_grabber_ops grabber_ops = {
     count_damaged, wait_for_frame, name_device, close_grabber,
 };
 
-int check(const char *rest, const gsn_source_options *options, gsn_error *err)
-{
-    gsn_camera_settings settings;
-
-    if (!rest[0])
-        return gsn_fail(err, GSN_E_INPUT, "libcamera: give the name of a camera (\"cam -l\")");
-    return gsn_camera_settings_read(options, &settings, err);
-}
-
 int open_source(const char *rest, const gsn_source_options *options, void **ret_self,
                 gsn_error *err)
 try {
@@ -702,7 +693,7 @@ try {
 } // namespace
 
 extern "C" const gsn_source_ops gsn_libcamera_source_ops = {
-    "libcamera",     "video4linux",      gsn_camera_keys,   check,
+    "libcamera",     "video4linux",      gsn_camera_keys,   gsn_camera_check,
     open_source,     gsn_camera_poll,    gsn_camera_read,   gsn_camera_acknowledge,
     gsn_camera_wait, gsn_camera_capture, gsn_camera_device, gsn_camera_close,
 };

@@ -7,8 +7,8 @@
  * controller that the firmware does not name has none: address that as v4l2:. The settings are
  * those of a camera (acquire/camera.h); Gain is in thousandths.
  *
- * One source of this kind in a process, for libcamera allows one manager there. A build without
- * libcamera has the kind, too, and says so when it is opened. */
+ * One source of this kind in a process, for libcamera allows one manager there. A program that is
+ * not linked with gsn_libcamera knows the kind and judges its settings, but cannot open it. */
 #ifndef GSN_ACQUIRE_LIBCAMERA_SOURCE_H
 #define GSN_ACQUIRE_LIBCAMERA_SOURCE_H
 

@@ -79,14 +79,13 @@ int gsn_ptp_device_greet(struct gsn_ptp_device *device, struct gsn_error *err)
     size_t size = 0;
     int r;
 
-    if (device->asked_in != 0)
+    if (device->greeted)
         return GSN_OK;
     /* Some responders refuse to introduce themselves outside a session, so it comes first. */
     r = fetch(device, &request, "to say what it is", MOST_DATASET, &bytes, &size, &code, err);
     if (r >= 0)
         r = gsn_ptp_read_device_info(bytes, size, &device->info, err);
-    if (r >= 0)
-        device->asked_in = gsn_ptp_session_number(device->session);
+    device->greeted = r >= 0;
     return r;
 }
 

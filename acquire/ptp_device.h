@@ -31,7 +31,7 @@ struct gsn_ptp_device {
     struct gsn_ptp_transport *transport;
     struct gsn_ptp_session *session;
     struct gsn_ptp_device_info info;
-    unsigned asked_in;              /* the session that info was asked in; 0: none */
+    bool greeted;                   /* info is known */
     size_t piece;                   /* bytes asked for at once */
     bool no_partial, no_partial_64; /* offered, but refused when asked */
     bool no_list_of_all;

@@ -134,7 +134,7 @@ static bool is_whole_response(const struct gsn_ptp_exchange *exchange, size_t at
 static void find_end(struct gsn_ptp_exchange *exchange)
 {
     exchange->end = exchange->size;
-    if (!exchange->untold || !exchange->transfer_was_short)
+    if (!exchange->untold)
         return;
     for (size_t size = GSN_PTP_HEADER; size <= GSN_PTP_LONGEST_RESPONSE; size += 4) {
         if (size <= exchange->size - exchange->at &&

@@ -248,7 +248,35 @@ int gsn_ptp_session_open(struct gsn_ptp_session *session, struct gsn_error *err)
     }
 }
 
-/* Once more, in a session that is open for sure. */
+/* A deletion is asked for once, in the session that its handle is of: in the next one, the handle
+ * may be another object's. */
+static bool is_for_once(const struct gsn_ptp_request *request)
+{
+    return request->operation == GSN_PTP_DELETE_OBJECT;
+}
+
+static bool is_session_lost(const struct gsn_ptp_response *response)
+{
+    return response->code == GSN_PTP_SESSION_NOT_OPEN ||
+           response->code == GSN_PTP_INVALID_TRANSACTION_ID;
+}
+
+static int ask_this_once(struct gsn_ptp_session *session, const struct gsn_ptp_request *request,
+                         struct sink *sink, struct gsn_ptp_response *response,
+                         struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    if (session->open)
+        r = ask_once(session, request, sink, response, err);
+    if (r >= 0 && is_session_lost(response))
+        session->open = false;
+    if (r >= 0 && !session->open)
+        return gsn_fail(err, GSN_E_IO, "the device began anew");
+    return r;
+}
+
+/* In a session that is open for sure. */
 static int ask_in_session(struct gsn_ptp_session *session, const struct gsn_ptp_request *request,
                           struct sink *sink, struct gsn_ptp_response *response,
                           struct gsn_error *err)
@@ -257,8 +285,7 @@ static int ask_in_session(struct gsn_ptp_session *session, const struct gsn_ptp_
 
     if (r >= 0)
         r = ask_once(session, request, sink, response, err);
-    if (r < 0 || (response->code != GSN_PTP_SESSION_NOT_OPEN &&
-                  response->code != GSN_PTP_INVALID_TRANSACTION_ID))
+    if (r < 0 || !is_session_lost(response))
         return r;
     /* It forgot the session, or counts differently: both begin afresh. */
     session->open = false;
@@ -278,8 +305,10 @@ static int ask(struct gsn_ptp_session *session, const struct gsn_ptp_request *re
 
         if (gsn_ptp_exchange_is_on(&session->exchange))
             r = gsn_ptp_exchange_resync(&session->exchange, err);
-        if (r >= 0)
+        if (r >= 0 && !is_for_once(request))
             r = ask_in_session(session, request, sink, &response, err);
+        else if (r >= 0)
+            r = ask_this_once(session, request, sink, &response, err);
         if (r >= 0 && response.code == GSN_PTP_DEVICE_BUSY)
             mended = wait_for_busy(session, &pauses, err);
         else if (r >= 0)
@@ -287,7 +316,7 @@ static int ask(struct gsn_ptp_session *session, const struct gsn_ptp_request *re
         if (r == GSN_E_BUSY || (is_final(r) && response.code != GSN_PTP_DEVICE_BUSY))
             return r;
         /* Opening a session has mended all it could. */
-        if (r < 0 && !session->open)
+        if (r < 0 && (!session->open || is_for_once(request)))
             return r;
         if (r < 0 && (++failures == MOST_TRIES || r == GSN_E_LIMIT))
             return r;

@@ -13,7 +13,8 @@
  * What goes wrong is mended here, each step once for a question: a halted pipe is cleared and read
  * again; answers to older transactions are dropped; silence and nonsense end in Cancel (0x64) and
  * draining, then the question again; then in Device Reset (0x66) and a new session, then the
- * question a last time. Device Busy is waited for with growing pauses. All of it is bounded.
+ * question a last time. Device Busy is waited for with growing pauses. All of it is bounded. A
+ * deletion alone is never asked for twice.
  *
  * Time passes in the transport alone. A session belongs to one thread. */
 #ifndef GSN_ACQUIRE_PTP_SESSION_H

@@ -14,7 +14,8 @@
 
 enum {
     LOOK_GAP_MS = 250, /* a device is not listed more often */
-    LOOK_TRIES = 3,    /* when it begins anew in the middle */
+    DELETE_AGAIN_MS = 30 * 1000,
+    LOOK_TRIES = 3, /* when it begins anew in the middle */
 };
 
 struct source {
@@ -130,7 +131,8 @@ static void delete_due(struct source *source, struct gsn_ptp_object *object)
     r = gsn_ptp_table_confirm(&source->table, source->device, object, source->now_ms, &why);
     if (r >= 0)
         r = gsn_ptp_device_delete(source->device, object->handle, &code, &why);
-    /* Trouble with the bus leaves it for the next look; what changed is not deleted at all. */
+    /* Trouble with the bus leaves it for a later look; what changed is not deleted at all. */
+    object->retry_ms = source->now_ms + DELETE_AGAIN_MS;
     if (r < 0 && r != GSN_E_INPUT && object->state == GSN_PTP_TAKEN)
         return;
     object->delete_due = false;
@@ -142,8 +144,11 @@ static void delete_due(struct source *source, struct gsn_ptp_object *object)
 static void delete_all_due(struct source *source)
 {
     for (size_t i = 0; i < source->table.count; i++) {
-        if (source->table.at[i].delete_due && source->table.at[i].state == GSN_PTP_TAKEN)
-            delete_due(source, &source->table.at[i]);
+        struct gsn_ptp_object *const object = &source->table.at[i];
+
+        if (object->delete_due && object->state == GSN_PTP_TAKEN &&
+            source->now_ms >= object->retry_ms)
+            delete_due(source, object);
     }
 }
 

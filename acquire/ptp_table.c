@@ -264,7 +264,6 @@ static void meet_again(struct gsn_ptp_table *table, struct gsn_ptp_object *objec
             object->item = old->item;
             object->told = old->told;
             object->state = old->state;
-            object->look = old->look;
             object->since_ms = old->since_ms;
             object->delete_due = old->delete_due;
             memcpy(object->reason, old->reason, sizeof object->reason);
@@ -294,7 +293,6 @@ static void start_waiting(struct gsn_ptp_table *table, struct gsn_ptp_object *ob
     /* Another content under a known handle is another item. */
     if (object->state == GSN_PTP_TAKEN)
         object->item = ++table->last_item;
-    object->look = table->looks;
     object->since_ms = now_ms;
     object->failures = 0;
     object->retry_ms = now_ms;
@@ -310,7 +308,7 @@ static void start_waiting(struct gsn_ptp_table *table, struct gsn_ptp_object *ob
 /* It is as it was: has it been so for long enough? */
 static void settle(struct gsn_ptp_table *table, struct gsn_ptp_object *object, int64_t now_ms)
 {
-    if (object->state != GSN_PTP_WAITING || object->look == table->looks || !object->key ||
+    if (object->state != GSN_PTP_WAITING || !object->key ||
         now_ms - object->since_ms < table->options.settle_ms || now_ms < object->retry_ms)
         return;
     if (object->size == 0)
@@ -392,6 +390,14 @@ static void mark_checks(struct gsn_ptp_table *table, unsigned session,
     }
 }
 
+static int by_number(const void *a, const void *b)
+{
+    const uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
+
+    return x < y ? -1 : x > y;
+}
+
+/* Lists a folder and keeps the handles that were not met before in this look. */
 static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, uint32_t storage,
                    uint32_t folder, struct gsn_ptp_handles *new_handles, struct gsn_error *err)
 {
@@ -407,6 +413,9 @@ static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, u
         keep_children(table, gsn_ptp_session_number(device->session), folder);
         return GSN_OK;
     }
+    /* In order, each is put behind the last one. */
+    if (r >= 0 && handles.count > 1)
+        qsort(handles.at, handles.count, sizeof *handles.at, by_number);
     for (size_t i = 0; r >= 0 && i < handles.count; i++) {
         bool seen = false;
 
@@ -563,7 +572,6 @@ int gsn_ptp_table_confirm(struct gsn_ptp_table *table, struct gsn_ptp_device *de
     /* The next look describes it as it is now; what was taken stays so, and this is another. */
     if (object->state == GSN_PTP_TAKEN)
         object->item = ++table->last_item;
-    object->look = table->looks;
     object->since_ms = now_ms;
     set_state(object, GSN_PTP_WAITING, "changed while it was read");
     return gsn_fail(err, GSN_E_BUSY, "%s changed while it was read", object->name);

@@ -35,9 +35,8 @@ struct gsn_ptp_object {
     char *name; /* NULL until described */
     char *key;  /* who it is; empty where that cannot be told, NULL until all folders are known */
     char captured[64], modified[64];
-    unsigned look;      /* the listing that described it first as it is now */
     unsigned last_look; /* the listing that it was in */
-    int64_t since_ms;   /* when that was */
+    int64_t since_ms;   /* when it was first described as it is now */
     unsigned failures;  /* in a row; set aside until retry_ms */
     int64_t retry_ms;
     bool told, gone;

@@ -250,12 +250,15 @@ int gsn_spool_temp_keep(const char *dir, const struct gsn_digest *key,
     return r >= 0 ? gsn_spool_temp_sweep(dir, GSN_SPOOL_PARTS, err) : r;
 }
 
+/* One that cannot be opened (another user's, or gone by now) is left alone: no picture has to wait
+ * for it. */
 static int remove_dead(const char *path, struct gsn_error *err)
 {
-    int fd = -1, r = gsn_file_open(path, &fd, err);
+    struct gsn_error quiet = { 0 };
+    int fd = -1, r = gsn_file_open(path, &fd, &quiet);
 
     if (r < 0)
-        return r == GSN_E_NOTFOUND ? GSN_OK : r;
+        return GSN_OK;
     if (lock(fd, path, LOCK_NB) && unlink(path) < 0 && errno != ENOENT)
         r = refused(path, err);
     (void)close(fd);

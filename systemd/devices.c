@@ -3,6 +3,7 @@
 
 #include "acquire/usb_address.h"
 #include "acquire/usb_transport.h"
+#include "acquire/v4l2_source.h"
 #include "pipeline/core/file.h"
 
 #include <dirent.h>
@@ -123,9 +124,13 @@ static int add_cameras(struct gsn_devices *devices, struct gsn_error *err)
     int r = GSN_OK;
 
     while (r >= 0 && folder && (entry = readdir(folder)))
-        if (takes_pictures(entry))
+        if (takes_pictures(entry)) {
+            char note[400];
+
+            gsn_v4l2_note(entry->d_name, note, sizeof note);
             r = add(devices, gsn_format("v4l2:%s", entry->d_name), camera_name(entry->d_name),
-                    gsn_strdup(""), err);
+                    gsn_strdup(note), err);
+        }
     if (folder)
         (void)closedir(folder);
     if (devices->count > first)

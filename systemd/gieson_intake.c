@@ -7,8 +7,8 @@
  *     gieson-intake --list      what is plugged in, for `gieson devices`: address, name and note of
  *                               each device, each ended by a zero byte
  *
- * Exit status: 0 asked to stop, or a source that ends has ended; 66 the device is away; 78 the
- * configuration is wrong; else that of sysexits.h which says what is in the way. */
+ * Exit status: 0 a source that ends (replay:) has ended; 143 asked to stop; 66 the device is away;
+ * 78 the configuration is wrong; else that of sysexits.h which says what is in the way. */
 #include "systemd/config.h"
 #include "systemd/devices.h"
 #include "systemd/lifeline.h"
@@ -77,10 +77,11 @@ static void say_mistake(void *context, const char *sentence)
 
 static int complain(const struct request *request, const struct gsn_error *err, int r)
 {
-    const struct gsn_log_about about = { .id = r == GSN_E_NOTFOUND ? GSN_LOG_AWAY : NULL,
-                                         .source = request->name };
+    const struct gsn_log_about about = { .source = request->name };
 
-    gsn_log(r == GSN_E_NOTFOUND ? LOG_NOTICE : LOG_ERR, &about, "%s", err->text);
+    /* That a device is away is looked at every minute, and said once: see gsn_serve_source(). */
+    if (r != GSN_E_NOTFOUND)
+        gsn_log(LOG_ERR, &about, "%s", err->text);
     return gsn_code_exit(r);
 }
 
@@ -107,6 +108,8 @@ static int run(const struct request *request)
     r = gsn_store_open(request->store_dir, GSN_STORE_CREATE, &store, &err);
     if (r >= 0)
         r = gsn_serve_source(store, config, source, line, &err);
+    if (gsn_lifeline_is_over(line))
+        return GSN_INTAKE_STOPPED;
     return r < 0 ? complain(request, &err, r) : EX_OK;
 }
 

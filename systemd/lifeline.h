@@ -15,8 +15,9 @@
 #include <stdint.h>
 
 enum {
-    GSN_BREATH = 'b', /* alive */
-    GSN_READY = 'r',  /* alive, and the source answers */
+    GSN_BREATH = 'b',         /* alive */
+    GSN_READY = 'r',          /* alive, and the source answers */
+    GSN_INTAKE_STOPPED = 143, /* the exit status of who was asked to stop, as a shell says it */
 };
 
 struct gsn_lifeline;

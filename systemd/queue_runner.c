@@ -127,7 +127,11 @@ static int on_end(sd_event_source *source, const siginfo_t *end, void *context)
         judge_exit(runner, end->si_status, lived_ms);
     else if (worker->is_late || end->si_status == SIGXCPU)
         fail_job(runner, pid, worker->is_late ? "time" : "a processor's time");
-    else {
+    else if (end->si_status == SIGTERM) {
+        /* Who stops us stops our children too, and theirs may be heard first. */
+        give_back(runner, pid);
+        put_off(runner, FAILED_MS);
+    } else {
         gsn_log(LOG_WARNING, NULL, "gieson-work died of signal %d (%s); its job is done again",
                 end->si_status, strsignal(end->si_status));
         put_off(runner, FAILED_MS);

@@ -8,6 +8,7 @@
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/inotify.h>
+#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -172,15 +173,16 @@ static void ensure_expected(struct serving *serving)
         gsn_log(LOG_WARNING, &what, "Specimen=%s: %s", serving->config->specimen, err.text);
 }
 
-/* Folders of specimens are no business of the folder they lie in. */
-static bool is_of_specimen(const struct serving *serving, const char *name)
+/* Folders in a hot folder are looked into, once they say whose panels they hold. */
+static bool is_specimen_folder(const struct serving *serving, const char *name)
 {
-    gsn_auto_mem(char) job = NULL;
+    gsn_auto_mem(char) path = NULL;
+    struct stat st;
 
     if (!serving->folders)
         return false;
-    job = gsn_format("%s/%s/job.json", serving->config->address + strlen(hot), name);
-    return job && access(job, F_OK) == 0;
+    path = gsn_format("%s/%s", serving->config->address + strlen(hot), name);
+    return path && stat(path, &st) == 0 && S_ISDIR(st.st_mode);
 }
 
 /* What is told without being delivered. Something that still changes is looked at again soon. */
@@ -191,8 +193,10 @@ static void tell_news(struct serving *serving, const struct gsn_source_event *ev
 
     if (event->what == GSN_SOURCE_WAITING && soon < serving->next_look_ms)
         serving->next_look_ms = soon;
-    if (event->what == GSN_SOURCE_GONE ||
-        (event->what == GSN_SOURCE_NOTICE && !is_of_specimen(serving, event->name)))
+    if (event->what == GSN_SOURCE_NOTICE && is_specimen_folder(serving, event->name))
+        gsn_log(LOG_INFO, &what, "%s: is taken in as a specimen once it holds a job.json",
+                event->name);
+    else if (event->what == GSN_SOURCE_NOTICE || event->what == GSN_SOURCE_GONE)
         gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "",
                 event->reason);
 }
@@ -531,6 +535,26 @@ static void serving_done(struct serving *serving)
         (void)close(serving->wake);
 }
 
+/* Says in the row why the source is not served; and in the log, unless an earlier process has said
+ * the same. */
+static void say_why_not(struct serving *serving, int code, const char *why)
+{
+    const bool is_away = code == GSN_E_NOTFOUND;
+    const struct gsn_log_about what = about(serving, GSN_LOG_AWAY);
+    gsn_auto(gsn_bench_sources) rows = NULL;
+    struct gsn_error quiet = { 0 };
+    bool is_said = false;
+
+    if (is_away && gsn_bench_list(serving->store, &rows, &quiet) >= 0)
+        for (size_t i = 0; i < rows->count; i++)
+            is_said = is_said || (strcmp(rows->at[i].name, serving->config->name) == 0 &&
+                                  strcmp(rows->at[i].state, "away") == 0 &&
+                                  strcmp(rows->at[i].message, why) == 0);
+    if (is_away && !is_said)
+        gsn_log(LOG_NOTICE, &what, "%s", why);
+    gsn_source_row_say(&serving->row, is_away ? "away" : "failed", why);
+}
+
 int gsn_serve_source(struct gsn_store *store, const struct gsn_config *config,
                      const struct gsn_config_source *source, struct gsn_lifeline *line,
                      struct gsn_error *err)
@@ -550,7 +574,6 @@ int gsn_serve_source(struct gsn_store *store, const struct gsn_config *config,
     if (r >= 0)
         r = serve(&serving, err);
     if (r < 0)
-        gsn_source_row_say(&serving.row, r == GSN_E_NOTFOUND ? "away" : "failed",
-                           err ? err->text : "");
+        say_why_not(&serving, r, err->text);
     return r;
 }

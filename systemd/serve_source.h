@@ -11,7 +11,7 @@
 
 /* Opens the source and serves it until the lifeline is over or nothing will ever follow (GSN_OK).
  * Fails with GSN_E_NOTFOUND when its device is away, and with what else keeps it from being served;
- * its row in the store then says so too. */
+ * its row in the store then says so too. err is not NULL. */
 int gsn_serve_source(struct gsn_store *store, const struct gsn_config *config,
                      const struct gsn_config_source *source, struct gsn_lifeline *line,
                      struct gsn_error *err);

@@ -15,14 +15,16 @@
 enum {
     MOST_FDS = 4,
     NICE = 10,
+    CPU_GRACE_S = 5,
     /* linux/ioprio.h: the best-effort class at its lowest level. */
     IOPRIO_WHO_PROCESS = 1,
     IOPRIO_LOW = (2 << 13) | 7,
 };
 
-static void limit(__rlimit_resource_t what, uint64_t most)
+/* The kernel warns at the first and kills at the second; for memory it makes no difference. */
+static void limit(__rlimit_resource_t what, uint64_t most, uint64_t grace)
 {
-    const struct rlimit value = { .rlim_cur = most, .rlim_max = most };
+    const struct rlimit value = { .rlim_cur = most, .rlim_max = most + grace };
 
     if (most)
         (void)setrlimit(what, &value);
@@ -61,8 +63,8 @@ static void become(const struct gsn_spawn *what, pid_t parent)
     }
     if (place_fds(what) < 0)
         return;
-    limit(RLIMIT_AS, what->memory_bytes);
-    limit(RLIMIT_CPU, what->cpu_s);
+    limit(RLIMIT_AS, what->memory_bytes, 0);
+    limit(RLIMIT_CPU, what->cpu_s, CPU_GRACE_S);
     (void)execv(what->argv[0], (char *const *)(uintptr_t)what->argv);
 }
 

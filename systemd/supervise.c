@@ -21,7 +21,7 @@
 #include "systemd/spawn.h"
 
 enum {
-    KILLED_DELAY_MS = 500,
+    KILLED_DELAY_MS = 200,
     FIRST_DELAY_MS = 1000,
     LONGEST_DELAY_MS = 60000,
     AWAY_DELAY_MS = 60000,
@@ -46,8 +46,9 @@ struct intake {
     char *address;
     int64_t patience_ms;
     enum state state;
-    bool wanted;  /* by the present configuration */
-    bool is_hung; /* it was killed because of that */
+    bool wanted;    /* by the present configuration */
+    bool is_hung;   /* it was killed because of that */
+    bool was_ready; /* its source answered */
     pid_t pid;
     int heartbeat; /* our end; -1 */
     int64_t began_ms, delay_ms;
@@ -171,6 +172,7 @@ static int on_breath(sd_event_source *source, int fd, uint32_t events, void *con
             (void)sd_event_source_set_enabled(source, SD_EVENT_OFF);
         return 0;
     }
+    intake->was_ready = intake->was_ready || memchr(said, GSN_READY, (size_t)got);
     if (intake->state == STATE_RUNNING && !intake->is_hung)
         set_timer(intake, intake->patience_ms, on_silence);
     return 0;
@@ -193,8 +195,8 @@ static void forget_unwanted(struct gsn_supervisor *supervisor)
     supervisor->count = kept;
 }
 
-/* It failed by itself: later each time. */
-static void back_off(struct intake *intake)
+/* Later each time, until it was steady for a while. */
+static int64_t next_delay(struct intake *intake)
 {
     if (intake->delay_ms == 0 || gsn_now_ms() - intake->began_ms >= STEADY_MS)
         intake->delay_ms = FIRST_DELAY_MS;
@@ -202,20 +204,37 @@ static void back_off(struct intake *intake)
         intake->delay_ms *= 2;
     else
         intake->delay_ms = LONGEST_DELAY_MS;
-    rest(intake, STATE_RESTING, intake->delay_ms);
+    return intake->delay_ms;
+}
+
+static void back_off(struct intake *intake)
+{
+    rest(intake, STATE_RESTING, next_delay(intake));
+}
+
+/* A device that answered before may only have been reset; one that was not there comes with an
+ * event. */
+static void wait_for_device(struct intake *intake)
+{
+    if (intake->was_ready)
+        rest(intake, STATE_AWAY, next_delay(intake));
+    else if (gsn_source_subsystem(intake->address))
+        rest(intake, STATE_AWAY, AWAY_DELAY_MS);
+    else
+        rest(intake, STATE_AWAY, FOLDER_AWAY_DELAY_MS);
 }
 
 static void judge_exit(struct intake *intake, int status)
 {
     const struct gsn_log_about what = about(intake, NULL);
-    const bool is_device = gsn_source_subsystem(intake->address) != NULL;
 
     if (status == EX_OK) {
         intake->state = STATE_ENDED;
         gsn_log(LOG_INFO, &what, "has ended: everything in it is taken in");
+    } else if (status == GSN_INTAKE_STOPPED) {
+        rest(intake, STATE_RESTING, KILLED_DELAY_MS);
     } else if (status == EX_NOINPUT) {
-        intake->delay_ms = 0;
-        rest(intake, STATE_AWAY, is_device ? AWAY_DELAY_MS : FOLDER_AWAY_DELAY_MS);
+        wait_for_device(intake);
     } else {
         back_off(intake);
         gsn_log(LOG_WARNING, &what, "gieson-intake ended with %d; it starts again in %lld s",
@@ -328,7 +347,7 @@ static void start(struct intake *intake)
     int r = spawn(intake, &err);
 
     intake->began_ms = gsn_now_ms();
-    intake->is_hung = false;
+    intake->is_hung = intake->was_ready = false;
     if (r >= 0)
         r = listen_to(intake, &err);
     if (r >= 0) {

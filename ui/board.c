@@ -201,7 +201,8 @@ static char *specimen_detail(const struct gsn_snapshot_row *row)
 
     if (!panels)
         return NULL;
-    if (strcmp(row->state, "failed") == 0 || strcmp(row->state, "withheld") == 0)
+    if (strcmp(row->state, "failed") == 0 || strcmp(row->state, "withheld") == 0 ||
+        (strcmp(row->state, "waiting") == 0 && row->panels == 0))
         return gsn_strdup(row->detail ? row->detail : "");
     if (row->progress)
         return gsn_format("%s%s%s", panels, between, row->progress);

@@ -68,7 +68,7 @@ static int take_job(const struct gsn_overview_job *job, const char *panel,
 }
 
 /* What waits is worked by itself where somebody works the queue. */
-static int advise(const struct gsn_snapshot *snapshot, struct gsn_snapshot_row *row,
+static int advise(const struct gsn_snapshot *snapshot, int has_work, struct gsn_snapshot_row *row,
                   struct gsn_error *err)
 {
     gsn_auto_mem(char) name = gsn_text_word(row->name);
@@ -76,8 +76,11 @@ static int advise(const struct gsn_snapshot *snapshot, struct gsn_snapshot_row *
 
     if (!name)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    if (strcmp(row->state, "waiting") == 0 && !has_work && row->panels == 0)
+        return replace(&row->detail, gsn_strdup("no panel yet"), err);
     if (strcmp(row->state, "waiting") == 0)
-        return snapshot->queue ? GSN_OK : replace(&row->action, gsn_strdup("gieson run"), err);
+        return has_work && !snapshot->queue ? replace(&row->action, gsn_strdup("gieson run"), err)
+                                            : GSN_OK;
     if (strcmp(row->state, "failed") == 0)
         verb = "retry";
     else if (row->panels_refused > 0 || strcmp(row->state, "withheld") == 0)
@@ -121,17 +124,21 @@ static int take_row(struct gsn_store *store, const struct gsn_snapshot *snapshot
                     struct gsn_snapshot_row *row, struct gsn_error *err)
 {
     const struct gsn_open_panel_rows *panels = snapshot->panels;
+    int has_work = from->job.state[0] != '\0';
     int r;
 
     take_counts(from, row);
     r = take_words(from, row, err);
     if (r >= 0)
         r = take_result(store, from, row, err);
-    for (; r >= 0 && *panel < panels->count && panels->at[*panel].specimen_id == from->id; ++*panel)
+    for (; r >= 0 && *panel < panels->count && panels->at[*panel].specimen_id == from->id;
+         ++*panel) {
+        has_work |= panels->at[*panel].job.state[0] != '\0';
         r = take_job(&panels->at[*panel].job, panels->at[*panel].file_name, row, err);
+    }
     if (r >= 0)
         r = take_job(&from->job, "", row, err);
-    return r >= 0 ? advise(snapshot, row, err) : r;
+    return r >= 0 ? advise(snapshot, has_work, row, err) : r;
 }
 
 /* A lock that we may not read says nothing, and is no reason to show nothing. */

@@ -10,7 +10,7 @@
 #include "pipeline/core/file.h"
 #include "tests/check.h"
 
-enum { WAIT_MS = 500, AWAY_MS = 2000 };
+enum { WAIT_MS = 500, AWAY_MS = 2000, MIB = 1 << 20 };
 
 static int is_known(void *context, const char *key)
 {
@@ -207,4 +207,16 @@ const struct bench_line *bench_told(const struct bench *bench, const char *name,
             return line;
     }
     return NULL;
+}
+
+void bench_take_three(const struct ptp_faults *faults, struct bench *bench)
+{
+    bench_init(bench, faults);
+    (void)bench_scan(bench, "P01.TIF", 1000, 1, NULL, 0);
+    (void)bench_scan(bench, "P02.TIF", 512 * 8 - 12, 2, NULL, 0);
+    (void)bench_scan(bench, "P10.TIF", 2 * MIB + 12345, 3, NULL, 0);
+    bench_open(bench);
+    CHECK(bench_work(bench, BENCH_TURNS));
+    CHECK(bench->again == 0);
+    CHECK(ptp_model_count(bench->model) == 3);
 }

@@ -13,7 +13,7 @@
 #include "tests/device/ptp_model.h"
 #include "tests/storage/scratch.h"
 
-enum { BENCH_OBJECTS = 16, BENCH_LINES = 256 };
+enum { BENCH_OBJECTS = 16, BENCH_LINES = 256, BENCH_TURNS = 60 };
 
 struct bench_object {
     char name[64];
@@ -68,6 +68,10 @@ void bench_turn(struct bench *bench);
 bool bench_work(struct bench *bench, unsigned turns);
 /* Every object is in the ledger exactly once, and nothing else is. */
 bool bench_is_complete(const struct bench *bench);
+
+/* Makes a bench whose scanner has these faults, and demands that three scans come in whole: a small
+ * one, one of exact packets, and one of several pieces. */
+void bench_take_three(const struct ptp_faults *faults, struct bench *bench);
 
 /* borrows: the last line told about this name (NULL: about anybody) with this in its reason. */
 const struct bench_line *bench_told(const struct bench *bench, const char *name, const char *part);

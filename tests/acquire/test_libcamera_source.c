@@ -36,7 +36,7 @@ TEST(a_camera_that_is_not_there_is_refused_cleanly_and_again)
         CHECK(source == NULL);
 #ifdef GSN_WITHOUT_LIBCAMERA
         CHECK(r == GSN_E_UNSUPPORTED);
-        CHECK(strstr(err.text, "this build of gieson has no libcamera") != NULL);
+        CHECK(strstr(err.text, "was built without libcamera") != NULL);
 #else
         CHECK(r == GSN_E_NOTFOUND);
         CHECK(strstr(err.text, "libcamera lists ") != NULL);

@@ -10,28 +10,11 @@
 
 #include "acquire/ptp_wire.h"
 #include "tests/check.h"
+#include "tests/device/dice.h"
 #include "tests/device/memory_transport.h"
 #include "tests/device/ptp_model.h"
 
 enum { RUNS = 400, TURNS = 12, OBJECTS = 4, MOST_TRANSFERS = 2000000, MOST_MS = 3600 * 1000 };
-
-struct dice {
-    uint64_t state;
-};
-
-static uint64_t roll(struct dice *dice)
-{
-    uint64_t z = dice->state += 0x9E3779B97F4A7C15u;
-
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
-    return z ^ z >> 31;
-}
-
-static unsigned below(struct dice *dice, unsigned limit)
-{
-    return (unsigned)(roll(dice) % limit);
-}
 
 /* Stands between a true responder and the bus. */
 struct liar {

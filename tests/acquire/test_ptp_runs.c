@@ -9,27 +9,9 @@
 
 #include "tests/acquire/ptp_bench.h"
 #include "tests/check.h"
+#include "tests/device/dice.h"
 
 enum { RUNS = 500, STORMY_TURNS = 60, CALM_TURNS = 400, MOST_SIZE = 1 << 19 };
-
-struct dice {
-    uint64_t state;
-};
-
-static uint64_t roll(struct dice *dice)
-{
-    uint64_t z = dice->state += 0x9E3779B97F4A7C15u;
-
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
-    return z ^ z >> 31;
-}
-
-/* 0 .. below - 1 */
-static unsigned below(struct dice *dice, unsigned limit)
-{
-    return (unsigned)(roll(dice) % limit);
-}
 
 static bool one_in(struct dice *dice, unsigned n)
 {

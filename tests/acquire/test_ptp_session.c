@@ -202,6 +202,88 @@ TEST(sizes_around_packets_and_pieces_come_whole)
     free(read);
 }
 
+/* A responder that tells no length of data, as one must for objects over 4 GiB. */
+struct untold {
+    const struct usb_model *truth;
+    struct usb_model usb;
+};
+
+static long untold_out(void *self, uint8_t endpoint, const uint8_t *bytes, size_t size)
+{
+    const struct untold *const untold = self;
+
+    return untold->truth->out(untold->truth->self, endpoint, bytes, size);
+}
+
+static long untold_in(void *self, uint8_t endpoint, uint8_t *buffer, size_t size)
+{
+    const struct untold *const untold = self;
+    const long got = untold->truth->in(untold->truth->self, endpoint, buffer, size);
+
+    if (got >= GSN_PTP_HEADER && gsn_ptp_get16(buffer + 4) == GSN_PTP_DATA_BLOCK &&
+        gsn_ptp_get16(buffer + 6) == GSN_PTP_GET_OBJECT)
+        memset(buffer, 0xFF, 4);
+    return got;
+}
+
+static long untold_control(void *self, const uint8_t setup[8], const uint8_t *out, size_t out_size,
+                           uint8_t *in, size_t in_size)
+{
+    const struct untold *const untold = self;
+
+    return untold->truth->control(untold->truth->self, setup, out, out_size, in, in_size);
+}
+
+static void untold_tick(void *self, int64_t now_ms)
+{
+    const struct untold *const untold = self;
+
+    untold->truth->tick(untold->truth->self, now_ms);
+}
+
+TEST(data_of_untold_length_end_where_they_end)
+{
+    static const struct ptp_faults ways[] = {
+        { 0 },
+        { .merge_response = true },
+        { .split_header = true },
+        { .no_zlp = true },
+        { .leftover_zlp = true },
+    };
+    static const size_t sizes[] = { 1, 100, 476, 488, 500, 1000, 1012, 5000, 66036, 100000 };
+    uint8_t *const bytes = make_bytes(100000), *const read = malloc(100000);
+
+    for (size_t way = 0; way < sizeof ways / sizeof ways[0]; way++) {
+        struct gsn_error err = { 0 };
+        struct untold untold;
+        tap_auto tap;
+
+        tap_init(&tap, &ways[way]);
+        untold.truth = tap.bus.model;
+        untold.usb = *untold.truth;
+        untold.usb.self = &untold;
+        untold.usb.in = untold_in;
+        untold.usb.out = untold_out;
+        untold.usb.control = untold_control;
+        untold.usb.tick = untold_tick;
+        tap.bus.model = &untold.usb;
+        for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
+            const struct gsn_ptp_request request = { GSN_PTP_GET_OBJECT,
+                                                     1,
+                                                     { add_object(&tap, bytes, sizes[i]) } };
+            struct gsn_ptp_response response;
+            size_t got = 0;
+
+            CHECK_OK(gsn_ptp_ask(tap.session, &request, read, 100000, &got, &response, &err), err);
+            CHECK(got == sizes[i] && memcmp(read, bytes, got) == 0);
+        }
+        CHECK(tap.bus.cancels == 0 && tap.bus.resets == 0);
+        tap.bus.model = untold.truth;
+    }
+    free(bytes);
+    free(read);
+}
+
 TEST(more_data_than_asked_for_are_a_failure_and_not_an_overflow)
 {
     uint8_t *const bytes = make_bytes(5000);

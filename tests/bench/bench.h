@@ -101,6 +101,7 @@ void bench_points(void);
 void bench_locate(void);
 void bench_mean(void);
 void bench_space(void);
-void bench_ingest(void);
+void bench_log(void);
+void bench_spool(void);
 
 #endif

@@ -2,13 +2,11 @@
 
 /* What it costs to keep a picture. All of it happens in a folder below the one the program was
  * started in, because the disk is what is measured: start it where the store will be. */
-#include "tests/bench/bench.h"
+#include "tests/bench/folder.h"
 
 #include <fcntl.h>
-#include <ftw.h>
 #include <math.h>
 #include <openssl/evp.h>
-#include <sqlite3.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -18,220 +16,6 @@
 
 #include "acquire/spool.h"
 #include "acquire/spool_copy.h"
-#include "storage/catalog.h"
-#include "storage/scan.h"
-#include "storage/store.h"
-
-static void need(int holds, const char *what)
-{
-    if (!holds) {
-        perror(what);
-        exit(gsn_code_exit(GSN_E_IO));
-    }
-}
-
-static int remove_one(const char *path, const struct stat *st, int what, struct FTW *walk)
-{
-    (void)st;
-    (void)what;
-    (void)walk;
-    return remove(path);
-}
-
-struct folder {
-    char path[64];
-};
-
-static struct folder folder_new(void)
-{
-    struct folder folder = { "gieson-bench-XXXXXX" };
-
-    need(mkdtemp(folder.path) != NULL, folder.path);
-    return folder;
-}
-
-static void folder_done(struct folder *folder)
-{
-    need(nftw(folder->path, remove_one, 32, FTW_DEPTH | FTW_PHYS) == 0, folder->path);
-}
-
-static double seconds(clockid_t clock)
-{
-    struct timespec now;
-
-    need(clock_gettime(clock, &now) == 0, "clock");
-    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
-
-static int by_value(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-
-    return (x > y) - (x < y);
-}
-
-static double mean(const double *at, size_t count)
-{
-    double sum = 0;
-
-    for (size_t i = 0; i < count; i++)
-        sum += at[i];
-    return sum / (double)count;
-}
-
-static double median(double *at, size_t count)
-{
-    qsort(at, count, sizeof *at, by_value);
-    return at[count / 2];
-}
-
-/* ---- one scan's rows, against one row ---- */
-
-enum { SCANS = 400, QUICK_SCANS = 8, PANELS = 20 };
-
-/* S1, S2, ...: as many as the scans need when each has so many panels. */
-static void put_specimen(struct gsn_store *store, size_t number)
-{
-    char name[20];
-    const struct gsn_specimen_row specimen = { .name = name,
-                                               .study = "study",
-                                               .group = "group",
-                                               .animal = "animal",
-                                               .week = 1,
-                                               .kind = "sections",
-                                               .baseline = "",
-                                               .job_json = "{}",
-                                               .job_sha256 = "" };
-    struct gsn_error err = { 0 };
-    int64_t id = 0;
-
-    (void)snprintf(name, sizeof name, "S%zu", number);
-    bench_need(gsn_specimen_put(store, &specimen, GSN_SPECIMEN_REFUSE, "bench", 1, &id, &err), &err,
-               "specimen");
-}
-
-/* Twelve columns of one table without an index, in one prepared statement: as bare as it goes. */
-static sqlite3_stmt *open_bare(const struct folder *folder, sqlite3 **ret_db)
-{
-    char path[100];
-    sqlite3_stmt *insert = NULL;
-
-    (void)snprintf(path, sizeof path, "%s/bare.db", folder->path);
-    need(sqlite3_open(path, ret_db) == SQLITE_OK &&
-             sqlite3_exec(*ret_db,
-                          "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; CREATE TABLE scan "
-                          "(id INTEGER PRIMARY KEY, source, device, name, key, subject, sha256, "
-                          "size, facts, state, reason, panel_id, arrived)",
-                          NULL, NULL, NULL) == SQLITE_OK &&
-             sqlite3_prepare_v2(*ret_db,
-                                "INSERT INTO scan (source, device, name, key, subject, sha256, "
-                                "size, facts, state, reason, panel_id, arrived) VALUES "
-                                "(?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12)",
-                                -1, &insert, NULL) == SQLITE_OK,
-         "bare SQLite");
-    return insert;
-}
-
-static void insert_bare(sqlite3_stmt *insert, const struct gsn_scan_row *scan)
-{
-    const char *const texts[] = { scan->source, scan->device,  scan->name,
-                                  scan->key,    scan->subject, scan->sha256,
-                                  scan->facts,  "filed",       "by its name" };
-    static const int columns[] = { 1, 2, 3, 4, 5, 6, 8, 9, 10 };
-
-    for (size_t i = 0; i < sizeof columns / sizeof *columns; i++)
-        need(sqlite3_bind_text(insert, columns[i], texts[i], -1, SQLITE_STATIC) == SQLITE_OK,
-             "bind");
-    need(sqlite3_bind_int64(insert, 7, scan->size) == SQLITE_OK &&
-             sqlite3_bind_int64(insert, 11, 1) == SQLITE_OK &&
-             sqlite3_bind_int64(insert, 12, 1) == SQLITE_OK &&
-             sqlite3_step(insert) == SQLITE_DONE && sqlite3_reset(insert) == SQLITE_OK,
-         "bare SQLite");
-}
-
-static double time_ours(struct gsn_store *store, const struct gsn_scan_row *scan, double *cpu_s)
-{
-    const double cpu = seconds(CLOCK_PROCESS_CPUTIME_ID), start = seconds(CLOCK_MONOTONIC);
-    struct gsn_error err = { 0 };
-    int64_t id = 0;
-    int again = 0;
-
-    bench_need(gsn_scan_take(store, scan, 0, 1, &id, &again, &err), &err, "scan");
-    *cpu_s += seconds(CLOCK_PROCESS_CPUTIME_ID) - cpu;
-    return seconds(CLOCK_MONOTONIC) - start;
-}
-
-static double time_bare(sqlite3_stmt *insert, const struct gsn_scan_row *scan, double *cpu_s)
-{
-    const double cpu = seconds(CLOCK_PROCESS_CPUTIME_ID), start = seconds(CLOCK_MONOTONIC);
-
-    insert_bare(insert, scan);
-    *cpu_s += seconds(CLOCK_PROCESS_CPUTIME_ID) - cpu;
-    return seconds(CLOCK_MONOTONIC) - start;
-}
-
-struct log_times {
-    double ours[SCANS], bare[SCANS], ours_cpu, bare_cpu;
-};
-
-/* In turns, scan by scan, so that both meet the same disk. */
-static void race_logs(struct gsn_store *store, sqlite3_stmt *insert, size_t count,
-                      struct log_times *times)
-{
-    for (size_t i = 0; i < count; i++) {
-        struct gsn_error err = { 0 };
-        struct gsn_digest digest;
-        char name[40], key[100];
-        struct gsn_scan_row scan = { .source = "scanner",
-                                     .device = "04a9:31c0 SN0001",
-                                     .name = name,
-                                     .key = key,
-                                     .subject = "panel",
-                                     .size = 12345678,
-                                     .facts =
-                                         "{\"Format\":\"JPEG\",\"Date\":\"20260101T120000\"}" };
-
-        (void)snprintf(name, sizeof name, "S%zu-P%02zu.jpg", i / PANELS + 1, i % PANELS + 1);
-        (void)snprintf(key, sizeof key, "SN0001/00010001/%s/12345678/20260101T120000", name);
-        bench_need(gsn_sha256(name, strlen(name), &digest, &err), &err, "digest");
-        scan.sha256 = digest.hex;
-        times->ours[i] = time_ours(store, &scan, &times->ours_cpu);
-        times->bare[i] = time_bare(insert, &scan, &times->bare_cpu);
-    }
-}
-
-static void bench_log(void)
-{
-    const size_t count = bench_quick ? QUICK_SCANS : SCANS;
-    struct folder folder = folder_new();
-    struct log_times *const times = bench_alloc(1, sizeof *times);
-    gsn_auto(gsn_store) store = NULL;
-    struct gsn_error err = { 0 };
-    char dir[100];
-    sqlite3 *db = NULL;
-    sqlite3_stmt *insert;
-    double ours, bare;
-
-    (void)snprintf(dir, sizeof dir, "%s/store", folder.path);
-    bench_need(gsn_store_open(dir, GSN_STORE_CREATE, &store, &err), &err, "store");
-    for (size_t i = 0; i <= (count - 1) / PANELS; i++)
-        put_specimen(store, i + 1);
-    insert = open_bare(&folder, &db);
-    race_logs(store, insert, count, times);
-    /* Means: checkpoints belong to it. */
-    ours = mean(times->ours, count);
-    bare = mean(times->bare, count);
-    bench_say("ingest_log", ours * 1e3, "ms/scan", "one INSERT", bare / ours,
-              json_pack("{s:f, s:f, s:f, s:f, s:I}", "ratio_of_medians",
-                        median(times->bare, count) / median(times->ours, count), "bare_ms",
-                        bare * 1e3, "cpu_ms", times->ours_cpu * 1e3 / (double)count, "bare_cpu_ms",
-                        times->bare_cpu * 1e3 / (double)count, "scans", (json_int_t)count));
-    (void)sqlite3_finalize(insert);
-    (void)sqlite3_close(db);
-    gsn_store_free(gsn_steal(&store));
-    gsn_free(times);
-    folder_done(&folder);
-}
 
 /* ---- a picture's bytes ---- */
 
@@ -404,10 +188,9 @@ static void bench_picture(size_t size)
     picture_done(&picture);
 }
 
-/* One scan's row, panel, job and line in the diary, committed; and its bytes, made durable. */
-void bench_ingest(void)
+/* A picture's bytes, made durable. */
+void bench_spool(void)
 {
-    bench_log();
     if (bench_quick) {
         bench_picture(1 << 20);
         return;

@@ -26,7 +26,8 @@ static const struct {
     { "locate", bench_locate, "which tetrahedron holds a point" },
     { "mean", bench_mean, "exact means over tetrahedra" },
     { "space", bench_space, "making a space and a spline, and their memory" },
-    { "ingest", bench_ingest, "keeping a picture: rows, hash and bytes, in this folder" },
+    { "log", bench_log, "a scan's rows, in this folder, against one bare INSERT" },
+    { "spool", bench_spool, "a picture's bytes, in this folder: hash, copy and sync" },
 };
 
 enum { COUNT = sizeof MEASURES / sizeof *MEASURES };

@@ -197,6 +197,28 @@ TEST(a_file_can_be_opened_to_be_read_in_pieces)
     CHECK(fd == 77);
 }
 
+TEST(a_file_can_be_gone_on_with_but_not_made_so)
+{
+    IN_A_FOLDER(folder);
+    char path[ROOM];
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct gsn_error err = { 0 };
+    size_t size = 0;
+    int fd = 77;
+
+    CHECK(gsn_file_reopen(in(&folder, "file", path), &fd, &err) == GSN_E_NOTFOUND);
+    CHECK(fd == 77);
+    put(path, "abc");
+    CHECK_OK(gsn_file_reopen(path, &fd, &err), err);
+    CHECK(pwrite(fd, "d", 1, 3) == 1);
+    CHECK_OK(gsn_file_sync(fd, path, &err), err);
+    CHECK(close(fd) == 0);
+    CHECK_OK(gsn_file_read(path, 10, &bytes, &size, &err), err);
+    CHECK(size == 4 && memcmp(bytes, "abcd", 4) == 0);
+    CHECK(gsn_file_sync(-1, "name", &err) == GSN_E_IO);
+    CHECK(strcmp(err.text, "name: fsync: Bad file descriptor") == 0);
+}
+
 TEST(a_directory_can_be_made_durable_and_nothing_else)
 {
     IN_A_FOLDER(folder);

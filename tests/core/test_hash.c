@@ -113,6 +113,24 @@ TEST(one_bit_changes_the_digest)
     CHECK(strcmp(was.hex, is.hex) != 0);
 }
 
+TEST(a_look_at_the_digest_so_far_changes_nothing)
+{
+    gsn_auto(gsn_hash) hash = NULL;
+    struct gsn_digest so_far, whole, expected;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_hash_new(&hash, &err), err);
+    for (size_t i = 0; i <= 3; i++) {
+        CHECK_OK(gsn_hash_peek(hash, &so_far, &err), err);
+        CHECK_OK(gsn_sha256("abc", i, &expected, &err), err);
+        assert_string_equal(so_far.hex, expected.hex);
+        if (i < 3)
+            CHECK_OK(gsn_hash_add(hash, &"abc"[i], 1, &err), err);
+    }
+    CHECK_OK(gsn_hash_end(hash, &whole, &err), err);
+    assert_string_equal(whole.hex, examples[1].digest);
+}
+
 static int hash_once(struct gsn_digest *digest, struct gsn_error *err)
 {
     return gsn_sha256("abc", 3, digest, err);

@@ -252,13 +252,15 @@ TEST(every_pixel_of_a_bayer_frame_keeps_its_own_sample_and_a_uniform_colour_its_
 
     for (uint32_t i = 0; i < 24; i++)
         samples[i] = (uint8_t)(i / 6 % 2 ? (i % 2 ? 30 : 20) : (i % 2 ? 20 : 10)); /* RGGB */
-    samples[23] = 77; /* a blue one, at the corner */
+    samples[23] = 77; /* a blue one and a green one, at the corners */
+    samples[18] = 55;
     file = pam("", 6, 4, 1, 255, "BAYER_RGGB", samples, sizeof samples);
     gsn_auto(gsn_picture) picture = decode(&file);
 
     CHECK(gsn_image_at(picture->image, 5, 3, 2) == 77 * 257);
+    CHECK(gsn_image_at(picture->image, 0, 3, 1) == 55 * 257);
     for (uint32_t i = 0; i < 24; i++) {
-        for (uint32_t c = 0; c < 3 && (i % 6 < 4 || i / 6 < 2); c++)
+        for (uint32_t c = 0; c < 3 && i / 6 < 2; c++)
             CHECK(gsn_image_at(picture->image, i % 6, i / 6, c) == (c + 1) * 10 * 257);
     }
 }

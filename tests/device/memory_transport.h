@@ -15,7 +15,7 @@ extern "C" {
 struct memory_bus {
     const struct usb_model *model; /* keeps */
     int64_t now_ms;
-    int no_cancel; /* the device refuses to cancel anything */
+    int no_cancel;                                      /* the device refuses to cancel anything */
     unsigned transfers, halts_cleared, cancels, resets; /* so far, for tests */
 };
 

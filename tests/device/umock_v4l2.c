@@ -517,25 +517,38 @@ static void check(gboolean done, GError *error, const char *what)
 }
 
 /* The USB device, its interface, and the node that hangs on that. */
+static char *describe_usb(const struct v4l2_mock_recipe *recipe)
+{
+    GString *const text = g_string_new(recipe->descriptors ? "H: descriptors=" : "");
+
+    for (size_t i = 0; recipe->descriptors && i < recipe->descriptors_size; i++)
+        g_string_append_printf(text, "%02x", recipe->descriptors[i]);
+    if (recipe->descriptors)
+        (void)g_string_append_c(text, '\n');
+    return g_string_free(text, FALSE);
+}
+
 static void add(const struct v4l2_mock_camera *camera)
 {
     const unsigned n = camera->number;
     UMockdevTestbed *const testbed = camera->mock->testbed;
     GError *error = NULL;
+    char *const usb = describe_usb(&camera->recipe);
     char *const text = g_strdup_printf(
         "P: /devices/pci0000:00/usb1/1-%u\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\n"
-        "A: serial=%s\\n\n\n"
+        "A: serial=%s\\n\n%s\n"
         "P: /devices/pci0000:00/usb1/1-%u/1-%u:1.0\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_interface\n\n"
         "P: /devices/pci0000:00/usb1/1-%u/1-%u:1.0/video4linux/video%u\n"
         "N: video%u%s\n"
         "E: SUBSYSTEM=video4linux\nE: DEVNAME=/dev/video%u\nE: MAJOR=81\nE: MINOR=%u\n"
         "E: ID_V4L_CAPABILITIES=:capture:\n"
         "A: dev=81:%u\\n\nA: index=0\\n\nA: name=%s\\n\nL: device=../../../1-%u:1.0\n",
-        n, camera->recipe.serial, n, n, n, n, n, n, camera->recipe.is_pty ? "" : "=00", n, n, n,
-        camera->recipe.card, n);
+        n, camera->recipe.serial, usb, n, n, n, n, n, n, camera->recipe.is_pty ? "" : "=00", n, n,
+        n, camera->recipe.card, n);
 
     check(umockdev_testbed_add_from_string(testbed, text, &error), error, text);
     g_free(text);
+    g_free(usb);
 }
 
 struct v4l2_mock_camera *v4l2_mock_plug(struct v4l2_mock *mock, unsigned number,

@@ -29,8 +29,10 @@ struct v4l2_mock_control {
 
 struct v4l2_mock_recipe {
     const char *card, *serial;
-    const char *by_id; /* its name in /dev/v4l/by-id; NULL: none */
-    int is_pty;        /* a node that cannot be mapped */
+    const char *by_id;          /* its name in /dev/v4l/by-id; NULL: none */
+    const uint8_t *descriptors; /* of its USB device, as in sysfs; NULL: it is none */
+    size_t descriptors_size;
+    int is_pty; /* a node that cannot be mapped */
     int no_mmap, no_userptr, has_read;
     struct v4l2_mock_size size[V4L2_MOCK_SIZES]; /* what is asked for and not here becomes the
                                                     first, as drivers do */

@@ -1,7 +1,7 @@
 #!/bin/sh
 # SPDX-License-Identifier: AGPL-3.0-or-later
-# giesond and gieson stay light: a crash in mathematics must not be able to reach them. Reads the
-# libraries each program needs, all the way down, and refuses OpenCV and TetGen.
+# giesond, gieson-intake and gieson stay light: a crash in mathematics must not be able to reach
+# them. Reads the libraries each program needs, all the way down, and refuses OpenCV and TetGen.
 #     needed_libraries.sh PROGRAM...
 status=0
 for program in "$@"; do

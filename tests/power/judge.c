@@ -73,7 +73,7 @@ static bool asks(const struct judge *judge, const char *sql, char answer[static 
 static enum power_verdict judge_database(struct judge *judge)
 {
     struct gsn_event_verdict diary;
-    char answer[100];
+    char answer[100] = "";
 
     if (!asks(judge, "PRAGMA integrity_check", answer) || strcmp(answer, "ok") != 0)
         return found(judge, POWER_DAMAGED, answer);
@@ -140,7 +140,8 @@ static bool is_true(struct judge *judge, const char *hex)
     return gsn_spool_verify(judge->spool, &digest, &judge->err) >= 0;
 }
 
-static bool is_empty(const struct judge *judge)
+/* Parts of copies that their source broke off may stay for its next offer. */
+static bool is_empty(const struct judge *judge, bool but_parts)
 {
     const struct dirent *entry;
     char path[600];
@@ -150,7 +151,8 @@ static bool is_empty(const struct judge *judge)
     (void)snprintf(path, sizeof path, "%s/objects/tmp", judge->dir);
     dir = opendir(path);
     while (dir && (entry = readdir(dir)))
-        empty &= entry->d_name[0] == '.';
+        empty &=
+            entry->d_name[0] == '.' || (but_parts && strncmp(entry->d_name, "partial-", 8) == 0);
     if (dir)
         (void)closedir(dir);
     return dir && empty;
@@ -159,22 +161,21 @@ static bool is_empty(const struct judge *judge)
 static enum power_verdict judge_again(struct judge *judge, const char *address, size_t pictures)
 {
     const struct power_ingest ingest = { .store = judge->dir, .address = address };
-    char answer[100], expected[100];
+    char answer[100] = "", expected[100];
     unsigned taken = 0;
 
     if (power_ingest(&ingest, &taken, &judge->err) < 0)
         return found(judge, POWER_NOT_AGAIN, "");
     (void)snprintf(expected, sizeof expected, "%zu %zu %zu %zu", pictures, pictures, pictures,
                    pictures + 1);
-    if (taken != pictures ||
-        !asks(judge,
+    if (!asks(judge,
               "SELECT (SELECT count(*) FROM scan) || ' ' || (SELECT count(DISTINCT name) FROM "
               "scan WHERE state = 'filed') || ' ' || (SELECT count(*) FROM panel) || ' ' || "
               "(SELECT count(*) FROM job)",
               answer) ||
         strcmp(answer, expected) != 0)
         return found(judge, POWER_NOT_ONCE, answer);
-    return is_empty(judge) ? POWER_FINE : found(judge, POWER_LEFT_OVER, "");
+    return is_empty(judge, false) ? POWER_FINE : found(judge, POWER_LEFT_OVER, "");
 }
 
 enum power_verdict power_judge(const char *store, const char *address, const char *const *safe,
@@ -195,7 +196,7 @@ enum power_verdict power_judge(const char *store, const char *address, const cha
         verdict = judge_rows(&judge, safe, count);
     if (verdict == POWER_FINE && !each_object(&judge, is_true, &judge))
         verdict = found(&judge, POWER_FALSE_NAME, "");
-    if (verdict == POWER_FINE && !is_empty(&judge))
+    if (verdict == POWER_FINE && !is_empty(&judge, true))
         verdict = found(&judge, POWER_LEFT_OVER, "after opening");
     return verdict == POWER_FINE ? judge_again(&judge, address, pictures) : verdict;
 }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* record STORE FOLDER SESSIONS: takes the pictures of the folder in so many sessions, each with the
- * store opened anew, and says to the recorder which are safe. */
+/* record STORE FOLDER SESSIONS PICTURES: takes the pictures of the folder in so many sessions, each
+ * with the store opened anew, and says to the recorder which are safe. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,14 +19,13 @@ static void mark(void *context, const char *name, const char *sha256)
         power_mark(text);
 }
 
-/* A folder that is replayed forgets nothing, so each session sees those of the sessions before
- * again: they are acknowledged again, and the last session takes the rest. */
 int main(int argc, char **argv)
 {
     struct gsn_error err = { 0 };
     char address[4096];
     unsigned taken = 0;
     const int sessions = argc == 5 ? atoi(argv[3]) : 0;
+    const unsigned pictures = argc == 5 ? (unsigned)atoi(argv[4]) : 0;
 
     if (sessions < 1)
         return 64;
@@ -34,9 +33,8 @@ int main(int argc, char **argv)
     for (int i = 1; i <= sessions; i++) {
         const struct power_ingest ingest = { .store = argv[1],
                                              .address = address,
-                                             .most = i < sessions
-                                                         ? (unsigned)(i * atoi(argv[4]) / sessions)
-                                                         : 0,
+                                             .most =
+                                                 i < sessions ? pictures / (unsigned)sessions : 0,
                                              .checkpoint_every = 5,
                                              .acknowledged = mark };
 

@@ -386,6 +386,33 @@ def hangs(bench):
 
 
 @scenario
+def intake_stopped(bench):
+    """An intake that somebody stops politely is started again, too."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.wait("an intake", bench.intake)
+    before = bench.intake()
+    os.kill(before, signal.SIGTERM)
+    bench.wait("another intake", lambda: bench.intake() not in (None, before))
+    bench.deliver("a.png", picture(1))
+    bench.wait_scan("a.png")
+
+
+@scenario
+def replays(bench):
+    """A source that ends is served once, and is not started again."""
+    bench.deliver("a.png", picture(1))
+    bench.config.write_text(f"[store]\nReserveMiB=1\n[source flatbed]\nAddress=replay:{bench.hot}\n"
+                            "SettleMs=50\nSweepS=1\n")
+    bench.start("--only", "intake")
+    bench.wait_scan("a.png")
+    bench.wait("its end", lambda: "has ended" in bench.words())
+    demand(bench.ask("SELECT state, message FROM source")[0] ==
+           ("ready", "everything in it is taken in"), "the row says so")
+
+
+@scenario
 def ends(bench):
     """SIGTERM ends the service within two seconds, in the middle of anything, and it says off."""
     bench.configure()
@@ -406,6 +433,40 @@ def ends(bench):
     bench.wait("all pictures", lambda: bench.ask("SELECT count(*) FROM scan")[0][0] >= 200)
     bench.stop()
     bench.check_whole({f"P{n}.png": picture(n) for n in range(200)})
+
+
+@scenario
+def crashes(bench):
+    """An intake that fails by itself is started again later each time, and its row says so."""
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-work"):
+        shutil.copy(bench.programs / name, place / name)
+    fake = place / "gieson-intake"
+    fake.write_text(f"#!/bin/sh\ndate +%s.%N >> {bench.folder}/starts\nkill -SEGV $$\n")
+    fake.chmod(0o755)
+    bench.programs = place
+    bench.configure()
+    bench.start("--only", "intake")
+    starts = bench.folder / "starts"
+    bench.wait("three starts", lambda: starts.exists() and len(starts.read_text().split()) >= 3)
+    first, second, third = map(float, starts.read_text().split()[:3])
+    demand(second - first >= 0.9 and third - second >= 1.9, f"{first} {second} {third}")
+    demand(bench.state() == "failed" and "signal 11" in bench.words(), bench.words())
+
+
+@scenario
+def away(bench):
+    """A device that is not there is away, said once, and costs nothing but a look now and then."""
+    bench.config.write_text("[store]\nReserveMiB=1\n[source cam]\n"
+                            "Address=ptp:no-such-serial\n")
+    bench.start("--only", "intake")
+    bench.wait("the source to be away", lambda: bench.ask("SELECT state FROM source") ==
+               [("away",)])
+    message = bench.ask("SELECT message FROM source")[0][0]
+    demand("no-such-serial" in message, f"it says which: {message}")
+    bench.wait("the intake to end", lambda: not bench.intake())
+    demand(bench.words().count(message) == 1, bench.words())
 
 
 # ---- the configuration ------------------------------------------------------------------------

@@ -67,13 +67,39 @@ static unsigned number_in_name(const struct gsn_source *source, const char *name
                                                             : gsn_panel_number(name, 0);
 }
 
+/* Walks what is in the store now as a container. */
+static int look_into(const struct gsn_intake *intake, const struct gsn_spooled *spooled,
+                     struct gsn_container *ret_container, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = NULL;
+    int fd = -1;
+    int r = gsn_store_object_path(intake->store, spooled->digest.hex, &path, err);
+
+    if (r >= 0)
+        r = gsn_file_open(path, &fd, err);
+    if (r < 0)
+        return r;
+    r = gsn_container_check_fd(fd, ret_container, err);
+    (void)close(fd);
+    return r;
+}
+
+/* Half a picture keeps no key: a scanner that told the whole size from the start has the whole one
+ * under the same key later, and the next process must not take that for known. */
+static const char *key_of(const struct gsn_source_event *ready,
+                          const struct gsn_container *container)
+{
+    return container->complete || container->kind == GSN_CONTAINER_UNKNOWN ? ready->key : "";
+}
+
 static int log_scan(const struct gsn_intake *intake, const struct gsn_source_event *ready,
-                    int64_t now, struct gsn_intake_taken *taken, struct gsn_error *err)
+                    const struct gsn_container *container, int64_t now,
+                    struct gsn_intake_taken *taken, struct gsn_error *err)
 {
     const struct gsn_scan_row row = { .source = intake->name,
                                       .device = gsn_source_device(intake->source),
                                       .name = ready->name,
-                                      .key = ready->key,
+                                      .key = key_of(ready, container),
                                       .subject = name_of_subject(ready->subject),
                                       .sha256 = taken->spooled.digest.hex,
                                       .size = (int64_t)taken->spooled.size,
@@ -137,35 +163,12 @@ static int refuse_empty(const struct gsn_intake *intake, const struct gsn_source
     return gsn_fail(err, GSN_E_INPUT, "%.200s is empty", ready->name);
 }
 
-/* A scanner that rests in the middle of a file, for longer than it takes to settle, would lose what
- * it has yet to write: the original goes only where what is here is a whole picture. */
-static int look_whole(const struct gsn_intake *intake, struct gsn_intake_taken *taken,
-                      struct gsn_error *err)
-{
-    gsn_auto_mem(char) path = NULL;
-    struct gsn_container container;
-    int fd = -1;
-    int r = gsn_spool_verify(intake->spool, &taken->spooled.digest, err);
-
-    if (r >= 0)
-        r = gsn_store_object_path(intake->store, taken->spooled.digest.hex, &path, err);
-    if (r >= 0)
-        r = gsn_file_open(path, &fd, err);
-    if (r < 0)
-        return r;
-    r = gsn_container_check_fd(fd, &container, err);
-    (void)close(fd);
-    if (r >= 0 && !container.complete)
-        (void)snprintf(taken->kept, sizeof taken->kept,
-                       "was taken in as it is, but not deleted there: %s", container.reason);
-    return r;
-}
-
 int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *ready, int64_t now,
                     struct gsn_intake_taken *ret_taken, enum gsn_intake_fault *ret_fault,
                     struct gsn_error *err)
 {
     struct gsn_intake_taken taken = { 0 };
+    struct gsn_container container;
     int r;
 
     *ret_fault = GSN_FAULT_NONE;
@@ -174,9 +177,16 @@ int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *re
     r = copy(intake, ready, &taken.spooled, ret_fault, err);
     if (r < 0)
         return r;
-    r = log_scan(intake, ready, now, &taken, err);
+    r = look_into(intake, &taken.spooled, &container, err);
+    if (r >= 0)
+        r = log_scan(intake, ready, &container, now, &taken, err);
     if (r >= 0 && intake->delete_there)
-        r = look_whole(intake, &taken, err);
+        r = gsn_spool_verify(intake->spool, &taken.spooled.digest, err);
+    /* A scanner that rests in the middle of a file, for longer than it takes to settle, would lose
+     * what it has yet to write: the original goes only where a whole picture is here. */
+    if (r >= 0 && intake->delete_there && !container.complete)
+        (void)snprintf(taken.kept, sizeof taken.kept,
+                       "was taken in as it is, but not deleted there: %s", container.reason);
     if (r < 0) {
         *ret_fault = GSN_FAULT_STORE;
         return r;

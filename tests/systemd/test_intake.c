@@ -344,16 +344,19 @@ TEST(running_out_of_memory_takes_a_picture_once_or_not_at_all)
 struct device {
     const char *bytes;
     size_t size;
-    int acknowledged, kept;
+    int acknowledged, kept, known;
 };
 
 static int device_poll(void *self, int64_t now_ms, struct gsn_source_events *events, int *ret_ended,
                        struct gsn_error *err)
 {
     const struct device *const device = self;
-    const struct gsn_source_event event = {
-        .what = GSN_SOURCE_READY, .item = 1, .name = "P01.TIF", .reason = "", .size = device->size
-    };
+    const struct gsn_source_event event = { .what = GSN_SOURCE_READY,
+                                            .item = 1,
+                                            .name = "P01.TIF",
+                                            .reason = "",
+                                            .size = device->size,
+                                            .key = "key" };
 
     (void)now_ms;
     *ret_ended = 0;
@@ -422,7 +425,21 @@ static void take_of_device(struct device *device, int delete_there, char kept[20
     CHECK_OK(gsn_source_poll(source, 0, &events, &ended, &err), err);
     CHECK_OK(gsn_intake_take(&stage.intake, &events->at[0], NOON, &taken, &fault, &err), err);
     CHECK(ask(&stage, "SELECT count(*) FROM scan WHERE name = 'P01.TIF'") == 1);
+    device->known = ask(&stage, "SELECT count(*) FROM scan WHERE key = 'key'") == 1;
     (void)snprintf(kept, 200, "%s", taken.kept);
+}
+
+TEST(half_a_picture_is_not_known_by_its_key)
+{
+    struct device whole = { .bytes = picture, .size = SIZE };
+    struct device half = { .bytes = picture, .size = SIZE - 1 };
+    struct device raw = { .bytes = "raw sensor data", .size = 15 };
+    char kept[200];
+
+    take_of_device(&whole, 0, kept);
+    take_of_device(&half, 0, kept);
+    take_of_device(&raw, 0, kept);
+    CHECK(whole.known == 1 && half.known == 0 && raw.known == 1);
 }
 
 TEST(what_is_whole_is_deleted_there)

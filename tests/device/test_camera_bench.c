@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
@@ -148,6 +149,7 @@ static void start(struct bench *bench)
 
     bench->giesond = fork();
     if (bench->giesond == 0) {
+        (void)prctl(PR_SET_PDEATHSIG, SIGTERM); /* a failed test leaves nobody behind */
         (void)unsetenv("NOTIFY_SOCKET");
         (void)execl(GSN_GIESOND, GSN_GIESOND, "--store", store, "--config", config, "--only",
                     "intake", (char *)NULL);

@@ -14,15 +14,21 @@ static const struct gsn_sql_shape attachment_shape =
 SQL_DEFINE_ROWS(attachment);
 
 int gsn_attachment_put(struct gsn_store *store, int64_t specimen_id,
-                       const struct gsn_attachment_row *row, struct gsn_error *err)
+                       const struct gsn_attachment_row *row, int *ret_again, struct gsn_error *err)
 {
-    return gsn_sql_run(store,
-                       "INSERT INTO attachment (specimen_id, name, sha256, size) "
-                       "VALUES (?1, ?2, ?3, ?4) ON CONFLICT (specimen_id, name) "
-                       "DO UPDATE SET sha256 = excluded.sha256, size = excluded.size",
-                       SQL_ARGS(SQL_INT(specimen_id), SQL_TEXT(row->name), SQL_TEXT(row->sha256),
-                                SQL_INT(row->size)),
-                       NULL, err);
+    int64_t changed = 0;
+    const int r = gsn_sql_run(
+        store,
+        "INSERT INTO attachment (specimen_id, name, sha256, size) VALUES (?1, ?2, ?3, ?4) "
+        "ON CONFLICT (specimen_id, name) DO UPDATE SET sha256 = excluded.sha256, "
+        "size = excluded.size WHERE sha256 <> excluded.sha256",
+        SQL_ARGS(SQL_INT(specimen_id), SQL_TEXT(row->name), SQL_TEXT(row->sha256),
+                 SQL_INT(row->size)),
+        &changed, err);
+
+    if (r >= 0)
+        *ret_again = changed == 0;
+    return r;
 }
 
 int gsn_attachment_list(struct gsn_store *store, int64_t specimen_id,

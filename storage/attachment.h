@@ -27,10 +27,11 @@ struct gsn_attachment_rows {
 void gsn_attachment_rows_free(struct gsn_attachment_rows *rows);
 GSN_DEFINE_AUTO(gsn_attachment_rows);
 
-/* Inserts the row, or lets an existing name stand for these bytes from now on.
+/* Inserts the row, or lets an existing name stand for these bytes from now on. ret_again: 1 when it
+ * stood for them already.
  * Fails with GSN_E_INPUT when the specimen is unknown or the digest is none. */
 int gsn_attachment_put(struct gsn_store *store, int64_t specimen_id,
-                       const struct gsn_attachment_row *row, struct gsn_error *err);
+                       const struct gsn_attachment_row *row, int *ret_again, struct gsn_error *err);
 
 /* gives: one specimen's attachments, by name. */
 int gsn_attachment_list(struct gsn_store *store, int64_t specimen_id,

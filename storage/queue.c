@@ -100,6 +100,14 @@ int gsn_queue_add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id
     return r;
 }
 
+int gsn_queue_add_first(struct gsn_store *store, int64_t specimen_id, struct gsn_error *err)
+{
+    return gsn_sql_run(store,
+                       "INSERT INTO job (kind, specimen_id) VALUES ('specimen', ?1) "
+                       "ON CONFLICT DO NOTHING",
+                       SQL_ARGS(SQL_INT(specimen_id)), NULL, err);
+}
+
 struct lease {
     int64_t job, pid, pid_start, lease_until;
     const char *boot, *processes;

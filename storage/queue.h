@@ -61,6 +61,9 @@ GSN_DEFINE_AUTO(gsn_job_rows);
 int gsn_queue_add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                   struct gsn_error *err);
 
+/* Asks for a specimen's job where nobody ever did; one that is there stays as it is. */
+int gsn_queue_add_first(struct gsn_store *store, int64_t specimen_id, struct gsn_error *err);
+
 /* gives: the job to do next, now running under the lease of owner (words for people) and pid.
  *
  * First takes back what dead owners left: leases that ran out, and leases of processes that are

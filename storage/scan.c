@@ -262,6 +262,10 @@ int gsn_scan_list(struct gsn_store *store, const char *state, size_t most,
 {
     const int64_t limit = most == 0 || most > INT64_MAX ? INT64_MAX : (int64_t)most;
 
+    /* Spelt out, so that the index of the unfiled ones is used. */
+    if (state && strcmp(state, "unfiled") == 0)
+        return scan_rows(store, SELECT_SCAN "WHERE c.state = 'unfiled' ORDER BY c.id DESC LIMIT ?1",
+                         SQL_ARGS(SQL_INT(limit)), ret_rows, err);
     return scan_rows(store, SELECT_SCAN "WHERE ?1 IN ('', c.state) ORDER BY c.id DESC LIMIT ?2",
                      SQL_ARGS(SQL_TEXT(state), SQL_INT(limit)), ret_rows, err);
 }

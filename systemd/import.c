@@ -83,6 +83,25 @@ static int check_files(const struct gsn_import *import, const struct gsn_protoco
     return GSN_OK;
 }
 
+/* What rests on an attachment is asked for together with its change. */
+static int log_attachment(struct intake *in, const struct gsn_attachment_row *row,
+                          struct gsn_error *err)
+{
+    int64_t job = 0;
+    int again = 0, r = gsn_store_begin(in->import->store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_attachment_put(in->import->store, in->specimen, row, &again, err);
+    if (r >= 0 && !again)
+        r = gsn_queue_add(in->import->store, in->specimen, 0, &job, err);
+    if (r < 0) {
+        gsn_store_rollback(in->import->store);
+        return r;
+    }
+    return gsn_store_commit(in->import->store, err);
+}
+
 static int attach_one(struct intake *in, const char *name, uint8_t **ret_bytes, size_t *ret_size,
                       struct gsn_error *err)
 {
@@ -106,7 +125,7 @@ static int attach_one(struct intake *in, const char *name, uint8_t **ret_bytes, 
                                                 .sha256 = spooled.digest.hex,
                                                 .size = (int64_t)size };
 
-        r = gsn_attachment_put(in->import->store, in->specimen, &row, err);
+        r = log_attachment(in, &row, err);
     }
     if (r < 0)
         return r;
@@ -350,10 +369,20 @@ static int ask_again(struct intake *in, struct gsn_error *err)
     return r;
 }
 
+/* Panels and attachments that are new have asked for it; importing a folder again in which nothing
+ * is new must not. */
+static int ask_for_report(struct intake *in, struct gsn_error *err)
+{
+    int64_t job;
+
+    if (in->import->replace)
+        return gsn_queue_add(in->import->store, in->specimen, 0, &job, err);
+    return gsn_queue_add_first(in->import->store, in->specimen, err);
+}
+
 static int take_everything(struct intake *in, const struct gsn_protocol *protocol, const char *text,
                            struct gsn_error *err)
 {
-    int64_t job;
     int r = check_files(in->import, protocol, err);
 
     if (r >= 0)
@@ -365,7 +394,7 @@ static int take_everything(struct intake *in, const struct gsn_protocol *protoco
     if (r >= 0 && protocol->kind == GSN_KIND_SECTIONS)
         r = take_panels(in, err);
     if (r >= 0)
-        r = gsn_queue_add(in->import->store, in->specimen, 0, &job, err);
+        r = ask_for_report(in, err);
     return r;
 }
 

@@ -1,6 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/intake.h"
 
+#include <stdio.h>
+#include <unistd.h>
+
+#include "acquire/container.h"
+#include "pipeline/core/file.h"
 #include "storage/panel_name.h"
 
 int gsn_intake_is_known(void *context, const char *key)
@@ -19,11 +24,12 @@ int gsn_intake_on_read(void *context, uint64_t item, uint64_t offset, int r)
 {
     struct gsn_intake *const intake = context;
 
-    (void)item;
-    intake->read_code = r;
-    intake->read_nothing = r >= 0 && offset == intake->read_to;
-    intake->read_to = offset;
-    return intake->on_copy ? intake->on_copy(intake->context, offset) : 0;
+    if (item != 0) {
+        intake->read_code = r;
+        intake->read_nothing = r >= 0 && offset == intake->read_to;
+        intake->read_to = offset;
+    }
+    return intake->on_copy ? intake->on_copy(intake->context, intake->read_to) : 0;
 }
 
 static const char *name_of_subject(enum gsn_source_subject subject)
@@ -131,6 +137,30 @@ static int refuse_empty(const struct gsn_intake *intake, const struct gsn_source
     return gsn_fail(err, GSN_E_INPUT, "%.200s is empty", ready->name);
 }
 
+/* A scanner that rests in the middle of a file, for longer than it takes to settle, would lose what
+ * it has yet to write: the original goes only where what is here is a whole picture. */
+static int look_whole(const struct gsn_intake *intake, struct gsn_intake_taken *taken,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = NULL;
+    struct gsn_container container;
+    int fd = -1;
+    int r = gsn_spool_verify(intake->spool, &taken->spooled.digest, err);
+
+    if (r >= 0)
+        r = gsn_store_object_path(intake->store, taken->spooled.digest.hex, &path, err);
+    if (r >= 0)
+        r = gsn_file_open(path, &fd, err);
+    if (r < 0)
+        return r;
+    r = gsn_container_check_fd(fd, &container, err);
+    (void)close(fd);
+    if (r >= 0 && !container.complete)
+        (void)snprintf(taken->kept, sizeof taken->kept,
+                       "was taken in as it is, but not deleted there: %s", container.reason);
+    return r;
+}
+
 int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *ready, int64_t now,
                     struct gsn_intake_taken *ret_taken, enum gsn_intake_fault *ret_fault,
                     struct gsn_error *err)
@@ -146,12 +176,13 @@ int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *re
         return r;
     r = log_scan(intake, ready, now, &taken, err);
     if (r >= 0 && intake->delete_there)
-        r = gsn_spool_verify(intake->spool, &taken.spooled.digest, err);
+        r = look_whole(intake, &taken, err);
     if (r < 0) {
         *ret_fault = GSN_FAULT_STORE;
         return r;
     }
-    r = gsn_source_acknowledge(intake->source, ready->item, err);
+    r = taken.kept[0] ? gsn_source_keep(intake->source, ready->item, err)
+                      : gsn_source_acknowledge(intake->source, ready->item, err);
     if (r < 0) {
         *ret_fault = GSN_FAULT_LATER;
         return r;

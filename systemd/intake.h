@@ -2,8 +2,8 @@
 
 /* One picture's way from its source into the store, in the order that loses nothing: room on the
  * disk -> bytes durable -> row, panel, job and diary in one transaction -> (where the device is to
- * delete its copy: the object read again) -> the source is told. A crash anywhere leaves a picture
- * that is offered again and recognised. */
+ * delete its copy: the object read again, and found to be a whole picture) -> the source is told. A
+ * crash anywhere leaves a picture that is offered again and recognised. */
 #ifndef GSN_SYSTEMD_INTAKE_H
 #define GSN_SYSTEMD_INTAKE_H
 
@@ -59,6 +59,8 @@ struct gsn_intake_taken {
     int64_t scan;
     int again; /* it was in the ledger before */
     struct gsn_spooled spooled;
+    char kept[200]; /* why the device keeps its copy though it was to delete it; empty: no such case
+                     */
 };
 
 /* Takes one READY item. ret_taken is set on success, ret_fault always. An empty item is a fault of

@@ -14,6 +14,8 @@
 #include <sysexits.h>
 #include <unistd.h>
 
+#define SERVICE_STORE "/var/lib/gieson"
+
 const char *argp_program_version = "gieson " GSN_VERSION;
 
 static const struct {
@@ -67,7 +69,7 @@ static const char doc[] =
     "  check-config [FILE]            what is wrong with the service's configuration\n";
 
 static const struct argp_option options[] = {
-    { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE)", 0 },
+    { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE, else the service's)", 0 },
     { "json", 'j', NULL, 0, "Print JSON", 0 },
     { 0 },
 };
@@ -124,6 +126,9 @@ static void look_around(struct gsn_ui *ui)
     const char *no_colour = getenv("NO_COLOR");
 
     ui->store_dir = getenv("GIESON_STORE");
+    /* Where the package's services keep theirs; only when there is one. */
+    if ((!ui->store_dir || !ui->store_dir[0]) && access(SERVICE_STORE "/gieson.db", F_OK) == 0)
+        ui->store_dir = SERVICE_STORE;
     ui->out_tty = isatty(STDOUT_FILENO);
     ui->err_tty = isatty(STDERR_FILENO);
     ui->colour = ui->out_tty && !(no_colour && no_colour[0]);

@@ -34,8 +34,9 @@ CREATE TABLE scan (
     UNIQUE (source, name, sha256)
 ) STRICT;
 CREATE INDEX scan_key ON scan (key) WHERE key <> '';
-CREATE INDEX scan_state ON scan (state, id);
-CREATE INDEX scan_sha256 ON scan (sha256);
+-- Only what is looked for often and is rare: each index is another page to sync for every scan.
+CREATE INDEX scan_unfiled ON scan (id) WHERE state = 'unfiled';
+CREATE INDEX scan_alone ON scan (sha256) WHERE panel_id IS NULL;
 
 -- What could not be taken in, until it can, or is dismissed by a person.
 CREATE TABLE trouble (

@@ -65,12 +65,14 @@ def judge(scans, store, count):
     # An import that is killed may leave some panels to the next: then there are two reports, of
     # different material. Two of the same were one job done twice.
     for name, runs in db.execute("SELECT s.name, count(*) FROM run r JOIN specimen s "
-                                 "ON s.id = r.specimen_id GROUP BY s.id, r.key HAVING count(*) > 1"):
+                                 "ON s.id = r.specimen_id WHERE r.state IN ('reported', 'withheld') "
+                                 "GROUP BY s.id, r.key HAVING count(*) > 1"):
         wrong.append(f"{name} was worked {runs} times from the same material")
     left = [str(f) for f in (store / "objects/tmp").rglob("*") if f.is_file()]
     if left:
         wrong.append(f"half copied: {left}")
-    print(f"{len(taken)} panels of {count} specimens, jobs {states}, "
+    runs = db.execute("SELECT state, count(*) FROM run GROUP BY state").fetchall()
+    print(f"{len(taken)} panels of {count} specimens, jobs {states}, runs {runs}, "
           f"{'; '.join(wrong) if wrong else 'nothing lost, doubled or left'}")
     return 1 if wrong else 0
 

@@ -23,6 +23,7 @@ import tempfile
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SETUP = ["./run demo", "./run test"]
 OF_THE_BUILD = {"cmake", "ctest"}
+OF_DEBIAN = {"dpkg-buildpackage", "apt"}  # tests/package types these
 FENCE = re.compile(r"^```(\w*)[ ]*(\w*)[ ]*\n(.*?)^```[ ]*$", re.S | re.M)
 EXPORT = re.compile(r"^export (\w+)=(\S+)$")
 LINE_LIMIT_S = 600
@@ -48,7 +49,7 @@ def check_programs(found, bin_folder, say):
     for language, mark, lines in found:
         for line in lines if language == "sh" else []:
             program = shlex.split(line)[0]
-            known = program == "export" or program in OF_THE_BUILD or \
+            known = program == "export" or program in OF_THE_BUILD | OF_DEBIAN or \
                 (program.startswith("./") and os.access(ROOT / program, os.X_OK)) or \
                 os.access(bin_folder / program, os.X_OK)
             if not known:

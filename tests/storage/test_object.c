@@ -28,7 +28,7 @@ static void fill(struct gsn_store *store)
     (void)bench_add_panel(store, one, 2);
     (void)bench_add_panel(store, two, 1);
     mask.sha256 = bench_digest(3);
-    CHECK_OK(gsn_attachment_put(store, two, &mask, &err), err);
+    CHECK_OK(gsn_attachment_put(store, two, &mask, &again, &err), err);
     blank.sha256 = bench_digest(4);
     CHECK_OK(gsn_scan_take(store, &blank, 0, NOON, &id, &again, &err), err);
 }

@@ -114,3 +114,37 @@ TEST(a_mask_brings_the_file_of_its_voxels)
     CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
     CHECK(counts.attached == 2);
 }
+
+static int64_t waiting(struct gsn_store *store)
+{
+    struct gsn_job_counts counts = { 0 };
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_queue_counts(store, &counts, &err), err);
+    return counts.waiting;
+}
+
+TEST(a_folder_in_which_nothing_is_new_asks_for_nothing)
+{
+    static const char header[] = "ObjectType = Image\nNDims = 3\nDimSize = 2 2 2\nElementType = "
+                                 "MET_UCHAR\nElementDataFile = roi.raw\n";
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_job_row) job = NULL;
+    struct gsn_import_counts counts = { 0 };
+    struct gsn_error err = { 0 };
+    struct heard heard;
+
+    bench_write_job(&scratch, "in", "{\"specimen\": \"a\", \"region\": \"roi.mhd\"}");
+    bench_write(&scratch, "in", "roi.mhd", header, sizeof header - 1);
+    bench_write(&scratch, "in", "roi.raw", "\1\1\1\1\1\1\1\1", 8);
+    CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
+    CHECK(waiting(store) == 1);
+    CHECK_OK(gsn_queue_claim(store, "t", 1, 60, 0, &job, &err), err);
+    CHECK_OK(gsn_queue_done(store, job, &err), err);
+    CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
+    CHECK(waiting(store) == 0);
+    bench_write(&scratch, "in", "roi.raw", "\1\1\1\1\1\1\1\0", 8);
+    CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
+    CHECK(waiting(store) == 1);
+}

@@ -7,7 +7,7 @@ plugged into it, in software. Needs qemu-system-x86 and the kernel's package; no
     bench.py BUILD --all             every scenario
     bench.py BUILD NAME...           these scenarios; --list names them
       --cuts N     power cuts of "power" (10)
-      --kills N    kills of "kills" (200)
+      --kills N    kills of "kills" (30)
       --keep DIR   the folder of kernel, image and frozen machine (BUILD/vm)
       --patience X everything may take X times as long (1)
 
@@ -71,7 +71,7 @@ def main():
     parser.add_argument("--all", action="store_true")
     parser.add_argument("--list", action="store_true")
     parser.add_argument("--cuts", type=int, default=10)
-    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--keep", type=pathlib.Path)
     parser.add_argument("--patience", type=float, default=1)
     asked = parser.parse_args()

@@ -12,6 +12,7 @@
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -788,7 +789,8 @@ static pid_t hold(const char *node)
     CHECK(pipe2(pipe_of, O_CLOEXEC) == 0);
     pid = fork();
     if (pid == 0) {
-        if (open(node, O_RDWR) >= 0) /* inherited by what follows */
+        (void)prctl(PR_SET_PDEATHSIG, SIGKILL); /* a failed test leaves nobody behind */
+        if (open(node, O_RDWR) >= 0)            /* inherited by what follows */
             (void)execlp("sleep", "sleep", "1000", (char *)NULL);
         _exit(127);
     }

@@ -244,7 +244,7 @@ echo 0x1D6B >$g/idVendor; echo 0x0100 >$g/idProduct; echo UMTP1 >$g/strings/0x40
 echo bench >$g/strings/0x409/manufacturer; echo umtp >$g/strings/0x409/product
 echo c >$g/configs/c.1/strings/0x409/configuration; ln -s $g/functions/ffs.umtp $g/configs/c.1/
 mkdir -p /dev/ffs-umtp; mount -t functionfs umtp /dev/ffs-umtp
-systemd-run --quiet --unit=umtp umtp-responder -conf /etc/umtprd/umtprd.conf
+systemd-run --quiet --unit=umtp umtprd -conf /etc/umtprd/umtprd.conf
 for i in $(seq 300); do test -e /dev/ffs-umtp/ep3 && break; sleep 0.1; done
 ls /sys/class/udc | head -1 >$g/UDC
 """
@@ -253,7 +253,7 @@ ls /sys/class/udc | head -1 >$g/UDC
 def umtp_responder(bench):
     panel = bench.tiff("umtp.tif", 300, 200)
     with bench.machine() as vm:
-        if vm.run("command -v umtp-responder")[0] != 0:
+        if vm.run("command -v umtprd")[0] != 0:
             raise Unavailable("umtp-responder is not installed here")
         put(vm, {"umtp.tif": panel.read_bytes()}, "/srv/umtp")
         put(vm, {"umtprd.conf": UMTP.encode()}, "/etc/umtprd")
@@ -366,6 +366,9 @@ def seen(vm):
     return dict(line.split("|") for line in sql(vm, "SELECT name, sha256 FROM scan").splitlines())
 
 
+SMALL_DISK = "[store]\nReserveMiB=4\n"
+
+
 @scenario
 def power(bench):
     """the power is cut at moments of an intake: nothing acknowledged is lost, the work is finished"""
@@ -379,13 +382,11 @@ def power(bench):
         vm = bench.machine()
         try:
             with_disk(vm, disk)
-            configure(vm, PTP)
+            configure(vm, SMALL_DISK + PTP)
             if acknowledged or cut:
                 check_objects(vm, acknowledged)
             sim = vm.plug(bench.sim(), "ptp", *files)
-            for _ in range(2 * cut + 3):
-                sim.signal(signal.SIGUSR1)
-                time.sleep(0.01)
+            sim.finish_scans(2 * cut + 4)
             target = len(acknowledged) + 1
             vm.until(f'test "$(sqlite3 -readonly -cmd ".timeout 20000" {DB} "SELECT count(*) FROM scan")" -ge {target}',
                      bench.wait(180))
@@ -396,12 +397,10 @@ def power(bench):
             vm.close()
     with bench.machine() as vm:
         with_disk(vm, disk)
-        configure(vm, PTP)
+        configure(vm, SMALL_DISK + PTP)
         check_objects(vm, acknowledged)
         sim = vm.plug(bench.sim(), "ptp", *files)
-        for _ in files[1:]:
-            sim.signal(signal.SIGUSR1)
-            time.sleep(0.01)
+        sim.finish_scans(len(files))
         vm.until(sql_is("SELECT count(*) FROM scan", len(files)), bench.wait(300))
         check_objects(vm, {f.name: sha256(f) for f in files})
         whole = vm.tell(f"sqlite3 -readonly {DB} 'PRAGMA integrity_check'")

@@ -18,7 +18,7 @@ SKIPPED = 77
 GUEST = pathlib.Path(__file__).resolve().parent / "guest"
 
 # In the root with everything they depend on; and alone.
-PACKAGES = ("systemd udev kmod dbus dash bash coreutils util-linux mount sed grep gawk findutils "
+PACKAGES = ("systemd udev kmod dbus dash bash coreutils util-linux mount sed grep findutils "
             "procps libusb-1.0-0 dpkg tar gzip base-files").split()
 ALONE = ("libcamera-ipa",)
 PROGRAMS = ("sqlite3", "v4l2-ctl", "cam", "umtprd")

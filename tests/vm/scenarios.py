@@ -277,7 +277,8 @@ def frames_of(bench, width, height, count):
 def captured(vm, source, payload_bytes, seconds):
     """Asks for a picture; gives the hash of its payload: the PAM without its header."""
     before = int(sql(vm, "SELECT count(*) FROM scan"))
-    vm.tell(f"gieson --store /var/lib/gieson capture {source}", seconds)
+    # Refused while the picture before is still to come.
+    vm.until(f"gieson --store /var/lib/gieson capture {source}", seconds)
     vm.until(sql_is("SELECT count(*) FROM scan", before + 1), seconds)
     digest = sql(vm, "SELECT sha256 FROM scan ORDER BY id DESC LIMIT 1")
     path = f"/var/lib/gieson/objects/{digest[:2]}/{digest[2:]}"
@@ -480,7 +481,7 @@ def kills(bench):
         configure(vm, "[source folder]\nAddress=hot:/srv/scans\nSettleMs=100\nSweepS=1\n")
         vm.until(sql_is("SELECT state FROM source", "ready"), bench.wait(90))
         said = vm.tell(f"bash /run/kills.sh {bench.kills}", bench.wait(60 + 12 * bench.kills))
-        slowest = float(said.split("slowest ")[1].split()[0])
+        slowest = int(said.split("slowest ")[1].split()[0]) / 1000
         vm.until(sql_is("SELECT count(*) FROM scan WHERE name LIKE '%.png' AND length(name) = 7", bench.kills),
                  bench.wait(300))
         check_objects(vm)

@@ -178,14 +178,8 @@ def unplug(bench):
 
 
 @scenario
-def foreign(bench):
-    """scanners that are not ours: qemu's usb-mtp and umtp-responder"""
-    said = [usb_mtp(bench), umtp_responder(bench)]
-    return "; ".join(said)
-
-
-def usb_mtp(bench):
-    """Its storage is a folder here; one file is renamed into it, one written in place, slowly."""
+def mtp(bench):
+    """a scanner that is not ours: qemu's usb-mtp; a file renamed into it, one written in place, slowly"""
     folder = bench.scratch / "mtp"
     folder.mkdir()
     there, renamed = bench.tiff("there.tif", 500, 400), bench.tiff("renamed.tif", 600, 400)
@@ -250,7 +244,9 @@ ls /sys/class/udc | head -1 >$g/UDC
 """
 
 
-def umtp_responder(bench):
+@scenario
+def umtp(bench):
+    """a scanner that is not ours: umtp-responder on FunctionFS and dummy_hcd"""
     panel = bench.tiff("umtp.tif", 300, 200)
     with bench.machine() as vm:
         if vm.run("command -v umtprd")[0] != 0:

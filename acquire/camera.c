@@ -63,22 +63,29 @@ static void empty(struct item *item)
     *item = (struct item){ 0 };
 }
 
-/* Keeps the frame in a free place, with the controls as they are read back now. */
-static int keep(struct camera *camera, struct gsn_frame *frame, enum gsn_source_subject subject,
+/* Keeps the frame in a free place, with the controls as they are read back now; from then on the
+ * scene is known. thumbnail NULL: the frame tells none. */
+static int keep(struct camera *camera, struct gsn_frame *frame,
+                const struct gsn_thumbnail *thumbnail, enum gsn_source_subject subject,
                 struct item *item, struct gsn_error *err)
 {
+    char text[GSN_THUMBNAIL_TEXT + 1];
     int r;
 
+    if (thumbnail)
+        gsn_thumbnail_write(thumbnail, text);
     frame->subject = subject;
     r = camera->grabber.ops->read_back(camera->grabber.self, frame, err);
     if (r >= 0)
         r = gsn_frame_encode(frame, &item->bytes, &item->size, err);
     if (r >= 0)
-        r = gsn_frame_facts(frame, camera->damaged, &item->facts, err);
+        r = gsn_frame_facts(frame, camera->damaged, thumbnail ? text : NULL, &item->facts, err);
     if (r < 0) {
         empty(item);
         return r;
     }
+    if (thumbnail)
+        gsn_rest_know(&camera->rest, subject, thumbnail);
     item->subject = subject;
     item->name = gsn_frame_name(frame);
     item->number = ++camera->last_item;
@@ -88,21 +95,19 @@ static int keep(struct camera *camera, struct gsn_frame *frame, enum gsn_source_
 }
 
 /* A picture that was asked for: the first frame that was exposed since. */
-static int serve_request(struct camera *camera, struct gsn_frame *frame, struct item *place,
+static int serve_request(struct camera *camera, struct gsn_frame *frame,
+                         const struct gsn_thumbnail *thumbnail, struct item *place,
                          struct gsn_error *err)
 {
-    struct gsn_thumbnail thumbnail;
     int r;
 
     if (camera->stale > 0) {
         camera->stale--;
         return GSN_OK;
     }
-    r = keep(camera, frame, camera->subject, place, err);
+    r = keep(camera, frame, thumbnail, camera->subject, place, err);
     if (r < 0)
         return r;
-    if (camera->subject == GSN_SUBJECT_BLANK && gsn_thumbnail_make(frame, &thumbnail))
-        gsn_rest_blank(&camera->rest, &thumbnail);
     camera->wanted = false;
     return GSN_OK;
 }
@@ -111,7 +116,8 @@ static int look(struct camera *camera, struct gsn_frame *frame, struct gsn_error
 {
     const struct gsn_rest before = camera->rest;
     struct item *const place = free_place(camera);
-    struct gsn_thumbnail thumbnail;
+    struct gsn_thumbnail made;
+    const struct gsn_thumbnail *thumbnail;
     int r = GSN_OK;
 
     if (!place && !camera->full)
@@ -119,11 +125,13 @@ static int look(struct camera *camera, struct gsn_frame *frame, struct gsn_error
     camera->full = !place;
     if (!place)
         return GSN_OK;
+    if (!camera->wanted && !camera->settings.at_rest)
+        return GSN_OK;
+    thumbnail = gsn_thumbnail_make(frame, &made) ? &made : NULL;
     if (camera->wanted)
-        return serve_request(camera, frame, place, err);
-    if (camera->settings.at_rest && gsn_thumbnail_make(frame, &thumbnail) &&
-        gsn_rest_look(&camera->rest, &thumbnail) == GSN_REST_TAKE)
-        r = keep(camera, frame, GSN_SUBJECT_PANEL, place, err);
+        return serve_request(camera, frame, thumbnail, place, err);
+    if (thumbnail && gsn_rest_look(&camera->rest, thumbnail) == GSN_REST_TAKE)
+        r = keep(camera, frame, thumbnail, GSN_SUBJECT_PANEL, place, err);
     if (r < 0)
         camera->rest = before; /* the next frame is tried in its place */
     return r;
@@ -372,8 +380,19 @@ void gsn_camera_close(void *self)
     gsn_free(camera);
 }
 
+/* What was taken before this process began: it may lie on the stage still. */
+static void remember(struct camera *camera, const struct gsn_source_options *options)
+{
+    struct gsn_thumbnail thumbnail;
+
+    for (int subject = 0; subject < GSN_SUBJECTS; subject++) {
+        if (gsn_thumbnail_read(options->last_facts[subject], &thumbnail))
+            gsn_rest_know(&camera->rest, (enum gsn_source_subject)subject, &thumbnail);
+    }
+}
+
 int gsn_camera_new(struct gsn_grabber grabber, const struct gsn_camera_settings *settings,
-                   void **ret_self, struct gsn_error *err)
+                   const struct gsn_source_options *options, void **ret_self, struct gsn_error *err)
 {
     struct camera *const camera = gsn_alloc_array(1, sizeof *camera);
     int r;
@@ -385,6 +404,7 @@ int gsn_camera_new(struct gsn_grabber grabber, const struct gsn_camera_settings 
     camera->grabber = grabber;
     camera->settings = *settings;
     camera->rest = gsn_rest_begin(settings->at_rest, settings->noise);
+    remember(camera, options);
     camera->last_frame_ms = -1;
     r = grabber.ops->start(grabber.self, err);
     if (r < 0) {

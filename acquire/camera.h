@@ -18,7 +18,8 @@
  *   Noise=         brightness, 0 to 255, by which neighbouring frames may differ at rest (4)
  *   SilenceS=      seconds without a frame after which it is said and the stream begun anew (5)
  *
- * At open there may be a panel on the stage already: it is taken when at rest, as any other. */
+ * At open there may be a panel on the stage already: it is taken when at rest, as any other, unless
+ * it is the one that was taken last before (the last_facts of gsn_source_options). */
 #ifndef GSN_ACQUIRE_CAMERA_H
 #define GSN_ACQUIRE_CAMERA_H
 
@@ -76,10 +77,12 @@ struct gsn_grabber {
     unsigned depth; /* frames that may have been taken before a request, and wait in line */
 };
 
-/* Starts the stream. takes: the grabber, also when it fails. gives: a void pointer for the
- * functions below, which are rows of gsn_source_ops and obey their contract. */
+/* Starts the stream. Of the options only last_facts is read. takes: the grabber, also when it
+ * fails. gives: a void pointer for the functions below, which are rows of gsn_source_ops and obey
+ * their contract. */
 int gsn_camera_new(struct gsn_grabber grabber, const struct gsn_camera_settings *settings,
-                   void **ret_self, struct gsn_error *err);
+                   const struct gsn_source_options *options, void **ret_self,
+                   struct gsn_error *err);
 
 /* An unplugged camera fails with GSN_E_NOTFOUND, but only when no item is left to be read. */
 int gsn_camera_poll(void *self, int64_t now_ms, struct gsn_source_events *events, int *ret_ended,

@@ -134,6 +134,14 @@ static bool read_elements(struct tiff *tiff, const struct entry *entry, uint64_t
     return true;
 }
 
+/* Who writes the directory first leaves zeros in it for what is to come. */
+static bool is_awaited(struct tiff *tiff, const char *what, uint64_t index)
+{
+    tiff->answer = gsn_walk_missing(GSN_CONTAINER_TIFF, "%s, number %llu, is not written yet", what,
+                                    (unsigned long long)index + 1);
+    return false;
+}
+
 /* Without lengths only the starts can be looked at. Offsets and lengths lie apart in the file, so
  * they are read in turns of some hundred rather than one by one. */
 static bool check_pieces(struct tiff *tiff, const struct entry *offsets,
@@ -154,6 +162,9 @@ static bool check_pieces(struct tiff *tiff, const struct entry *offsets,
             !read_elements(tiff, lengths, first, count, length))
             return false;
         for (uint64_t i = 0; i < count; i++) {
+            if (offsets->tag != JPEG_OFFSET &&
+                (at[i] == 0 || (first + i < lengths->count && length[i] == 0)))
+                return is_awaited(tiff, what, first + i);
             if (!is_inside(tiff, at[i], length[i]))
                 return give_up(tiff, what, at[i]);
         }

@@ -88,6 +88,16 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
     return GSN_OK;
 }
 
+/* Cards and sticks have no numbers of files, only sizes and times; and of a clock that was never
+ * set each card has the same times, so that another scan of the same size would pass for the one
+ * that was taken. Such a file is read again, and recognised by its bytes. */
+static bool is_trusted_time(const struct timespec *time)
+{
+    static const time_t year_2001 = 978307200;
+
+    return time->tv_sec >= year_2001;
+}
+
 /* A file that is as it was when it was taken need not be read again, whatever it is called now. On
  * file systems that give a file another number after each mount it is, and is recognised then. */
 static void make_key(struct gsn_folder_file *file)
@@ -103,7 +113,8 @@ static void make_key(struct gsn_folder_file *file)
 
 static bool is_known(const struct gsn_folder *folder, const struct gsn_folder_file *file)
 {
-    return folder->options.is_known && folder->options.is_known(folder->options.context, file->key);
+    return file->key[0] && folder->options.is_known &&
+           folder->options.is_known(folder->options.context, file->key);
 }
 
 static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *file,
@@ -117,7 +128,7 @@ static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *fil
     file->unsettled = false;
     file->since_ms = now_ms;
     file->key[0] = '\0';
-    if (S_ISREG(st->st_mode))
+    if (S_ISREG(st->st_mode) && is_trusted_time(&st->st_mtim))
         make_key(file);
     if (S_ISREG(st->st_mode) && is_known(folder, file))
         gsn_folder_set_state(file, GSN_FILE_DONE, "");

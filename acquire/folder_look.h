@@ -31,7 +31,7 @@ struct gsn_folder_file {
     char *name;
     uint64_t item;
     struct gsn_folder_stamp stamp;
-    char key[128];  /* the stamp as a text; empty for what is no regular file */
+    char key[128];  /* the stamp as a text; empty for what is no regular file or has no date */
     bool unsettled; /* the stamp is worth nothing: the file changed under a reader */
     int64_t since_ms;
     enum gsn_folder_state state;

@@ -241,8 +241,8 @@ static void add_control_members(struct gsn_text *text, const struct gsn_frame_co
     gsn_text_add(text, "}");
 }
 
-int gsn_frame_facts(const struct gsn_frame *frame, unsigned damaged, char **ret_json,
-                    struct gsn_error *err)
+int gsn_frame_facts(const struct gsn_frame *frame, unsigned damaged, const char *thumbnail,
+                    char **ret_json, struct gsn_error *err)
 {
     struct gsn_text text = { 0 };
 
@@ -264,6 +264,7 @@ int gsn_frame_facts(const struct gsn_frame *frame, unsigned damaged, char **ret_
     }
     gsn_text_add(&text, "],\"quantify\":%s", frame->withheld ? "false" : "true");
     add_member(&text, "reason", frame->withheld);
+    add_member(&text, "thumbnail", thumbnail);
     gsn_text_add(&text, "}");
     if (text.starved) {
         gsn_free(text.at);

@@ -66,9 +66,9 @@ int gsn_frame_encode(const struct gsn_frame *frame, uint8_t **ret_bytes, size_t 
                      struct gsn_error *err);
 
 /* gives: the same facts as a JSON object, with how many frames the camera had flagged as damaged
- * since the one before. */
-int gsn_frame_facts(const struct gsn_frame *frame, unsigned damaged, char **ret_json,
-                    struct gsn_error *err);
+ * since the one before, and the frame's thumbnail as text (acquire/rest.h; NULL: none). */
+int gsn_frame_facts(const struct gsn_frame *frame, unsigned damaged, const char *thumbnail,
+                    char **ret_json, struct gsn_error *err);
 
 /* "panel.pam", "blank.jpg": without a number, for a name's number is that of its panel. */
 const char *gsn_frame_name(const struct gsn_frame *frame);

@@ -684,8 +684,8 @@ try {
         r = grabber->open(rest, settings, err);
     if (r < 0)
         return r;
-    return gsn_camera_new({ &grabber_ops, grabber.release(), buffer_count }, &settings, ret_self,
-                          err);
+    return gsn_camera_new({ &grabber_ops, grabber.release(), buffer_count }, &settings, options,
+                          ret_self, err);
 } catch (...) {
     return failed(err);
 }
@@ -693,7 +693,8 @@ try {
 } // namespace
 
 extern "C" const gsn_source_ops gsn_libcamera_source_ops = {
-    "libcamera",     "video4linux",      gsn_camera_keys,   gsn_camera_check,
-    open_source,     gsn_camera_poll,    gsn_camera_read,   gsn_camera_acknowledge,
-    gsn_camera_wait, gsn_camera_capture, gsn_camera_device, gsn_camera_close,
+    "libcamera",      "video4linux",   gsn_camera_keys,    gsn_camera_check,
+    open_source,      gsn_camera_poll, gsn_camera_read,    gsn_camera_acknowledge,
+    nullptr,          gsn_camera_wait, gsn_camera_capture, gsn_camera_device,
+    gsn_camera_close,
 };

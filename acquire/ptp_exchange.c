@@ -55,6 +55,13 @@ static void forget_transfer(struct gsn_ptp_exchange *exchange)
     exchange->at = exchange->end = exchange->size = 0;
 }
 
+static int alive(const struct gsn_ptp_exchange *exchange, int r)
+{
+    if (exchange->transport->alive)
+        exchange->transport->alive(exchange->transport->alive_context);
+    return r;
+}
+
 static int broken(const char *what, struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_IO, "the device %s", what);
@@ -72,7 +79,8 @@ static int receive(struct gsn_ptp_exchange *exchange, size_t size, unsigned time
     memmove(exchange->in, exchange->in + exchange->at, had);
     exchange->at = 0;
     exchange->end = exchange->size = had;
-    r = to->ops->receive(to->self, GSN_PTP_IN, exchange->in + had, size, timeout_ms, &got, err);
+    r = alive(exchange, to->ops->receive(to->self, GSN_PTP_IN, exchange->in + had, size, timeout_ms,
+                                         &got, err));
     if (r == GSN_PTP_STALLED) {
         r = to->ops->clear_halt(to->self, GSN_PTP_IN, err);
         if (r >= 0)
@@ -157,7 +165,7 @@ int gsn_ptp_exchange_begin(struct gsn_ptp_exchange *exchange, const struct gsn_p
     exchange->untold = exchange->data_were_short = false;
     exchange->left = 0;
     exchange->empty = 0;
-    r = to->ops->send(to->self, command, size, SEND_MS, err);
+    r = alive(exchange, to->ops->send(to->self, command, size, SEND_MS, err));
     if (r == GSN_PTP_STALLED) {
         r = to->ops->clear_halt(to->self, GSN_PTP_OUT, err);
         if (r >= 0)
@@ -397,7 +405,7 @@ static bool is_fatal(int r)
 static int clear_halts(struct gsn_ptp_exchange *exchange, struct gsn_error *err)
 {
     const struct gsn_ptp_transport *const to = exchange->transport;
-    int r = to->ops->clear_halt(to->self, GSN_PTP_IN, err);
+    int r = alive(exchange, to->ops->clear_halt(to->self, GSN_PTP_IN, err));
 
     if (!is_fatal(r))
         r = to->ops->clear_halt(to->self, GSN_PTP_OUT, err);
@@ -412,8 +420,8 @@ static int drain(struct gsn_ptp_exchange *exchange, struct gsn_error *err)
     forget_transfer(exchange);
     for (unsigned n = 0; n < MOST_DRAINS; n++) {
         size_t got = 0;
-        int r = to->ops->receive(to->self, GSN_PTP_IN, exchange->in, LARGEST_READ, GSN_PTP_DRAIN_MS,
-                                 &got, err);
+        int r = alive(exchange, to->ops->receive(to->self, GSN_PTP_IN, exchange->in, LARGEST_READ,
+                                                 GSN_PTP_DRAIN_MS, &got, err));
 
         if (r == GSN_PTP_STALLED)
             r = to->ops->clear_halt(to->self, GSN_PTP_IN, err);
@@ -430,7 +438,7 @@ static int await_status(struct gsn_ptp_exchange *exchange, struct gsn_error *err
 
     for (unsigned n = 0; n < MOST_STATUS_ASKED; n++) {
         uint16_t code = GSN_PTP_OK;
-        int r = to->ops->status(to->self, &code, err);
+        int r = alive(exchange, to->ops->status(to->self, &code, err));
 
         if (is_fatal(r))
             return r;
@@ -447,7 +455,7 @@ static int await_status(struct gsn_ptp_exchange *exchange, struct gsn_error *err
 int gsn_ptp_exchange_resync(struct gsn_ptp_exchange *exchange, struct gsn_error *err)
 {
     const struct gsn_ptp_transport *const to = exchange->transport;
-    int r = to->ops->cancel(to->self, exchange->transaction, err);
+    int r = alive(exchange, to->ops->cancel(to->self, exchange->transaction, err));
 
     exchange->phase = GSN_PTP_IDLE;
     if (!is_fatal(r))
@@ -458,7 +466,7 @@ int gsn_ptp_exchange_resync(struct gsn_ptp_exchange *exchange, struct gsn_error 
 int gsn_ptp_exchange_reset(struct gsn_ptp_exchange *exchange, struct gsn_error *err)
 {
     const struct gsn_ptp_transport *const to = exchange->transport;
-    int r = to->ops->reset(to->self, err);
+    int r = alive(exchange, to->ops->reset(to->self, err));
 
     exchange->phase = GSN_PTP_IDLE;
     if (!is_fatal(r))
@@ -492,7 +500,8 @@ int gsn_ptp_exchange_pause(struct gsn_ptp_exchange *exchange, unsigned ms, struc
     for (unsigned n = 0; n < MOST_EVENTS; n++) {
         uint8_t bytes[LARGEST_PACKET];
         size_t got = 0;
-        int r = to->ops->receive(to->self, GSN_PTP_EVENT, bytes, sizeof bytes, ms, &got, err);
+        int r = alive(exchange, to->ops->receive(to->self, GSN_PTP_EVENT, bytes, sizeof bytes, ms,
+                                                 &got, err));
 
         if (r == GSN_PTP_STALLED)
             r = to->ops->clear_halt(to->self, GSN_PTP_EVENT, err);

@@ -41,6 +41,15 @@ static void name_device(struct source *source)
                    serial[0] ? " " : "", serial);
 }
 
+static void sign_of_life(void *context)
+{
+    const struct source *const source = context;
+    const struct gsn_source_options *const options = &source->table.options;
+
+    if (options->on_read)
+        (void)options->on_read(options->context, 0, 0, GSN_OK);
+}
+
 static int connect_device(struct source *source, struct gsn_error *err)
 {
     struct gsn_ptp_transport *transport = NULL;
@@ -53,6 +62,8 @@ static int connect_device(struct source *source, struct gsn_error *err)
         r = gsn_ptp_device_new(transport, &source->device, err);
     if (r < 0)
         return r;
+    transport->alive = sign_of_life;
+    transport->alive_context = source;
     gsn_ptp_session_count_from(source->device->session, source->sessions);
     name_device(source);
     source->looked = false;
@@ -373,19 +384,30 @@ static int ptp_read(void *self, uint64_t item, uint64_t offset, void *buffer, si
     return GSN_OK;
 }
 
-static int ptp_acknowledge(void *self, uint64_t item, struct gsn_error *err)
+static int finish(struct source *source, uint64_t item, bool delete_there, struct gsn_error *err)
 {
-    struct source *const source = self;
     struct gsn_ptp_object *const object = gsn_ptp_table_find(&source->table, item);
 
     if (!object)
         return no_item(item, err);
     object->state = GSN_PTP_TAKEN;
     object->failures = 0;
-    object->delete_due = source->table.options.delete_there != 0;
+    object->delete_due = delete_there;
     if (object->delete_due)
         delete_due(source, object);
     return GSN_OK;
+}
+
+static int ptp_acknowledge(void *self, uint64_t item, struct gsn_error *err)
+{
+    struct source *const source = self;
+
+    return finish(source, item, source->table.options.delete_there != 0, err);
+}
+
+static int ptp_keep(void *self, uint64_t item, struct gsn_error *err)
+{
+    return finish(self, item, false, err);
 }
 
 static int ptp_wait(void *self, int timeout_ms, int stop_fd, struct gsn_error *err)
@@ -513,6 +535,7 @@ const struct gsn_source_ops gsn_ptp_source_ops = {
     .poll = ptp_poll,
     .read = ptp_read,
     .acknowledge = ptp_acknowledge,
+    .keep = ptp_keep,
     .wait = ptp_wait,
     .device = ptp_device,
     .close = ptp_close,

@@ -154,14 +154,16 @@ static int see(struct gsn_ptp_table *table, unsigned session, uint32_t handle, b
     return GSN_OK;
 }
 
-/* A date that a clock which was never set would not show; such a clock names pictures alike. */
+/* A date that a clock which was never set would not show; such a clock names pictures alike, and
+ * stands at the first second of some day of its maker's. */
 static bool is_trusted_date(const char *date)
 {
     size_t digits = 0;
 
     while (digits < 8 && date[digits] >= '0' && date[digits] <= '9')
         digits++;
-    return digits == 8 && strlen(date) >= 15 && date[8] == 'T' && strncmp(date, "2001", 4) >= 0;
+    return digits == 8 && strlen(date) >= 15 && date[8] == 'T' && strncmp(date, "2001", 4) >= 0 &&
+           strncmp(date + 9, "000000", 6) != 0;
 }
 
 /* gives: "100SCANS/P01.TIF"; names alone where the folders are not known. */
@@ -431,13 +433,6 @@ static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, u
     return GSN_OK;
 }
 
-/* Thousands of objects take their time; whoever watches over us is told that it passes well. */
-static void sign_of_life(const struct gsn_ptp_table *table)
-{
-    if (table->options.on_read)
-        (void)table->options.on_read(table->options.context, 0, 0, GSN_OK);
-}
-
 /* Describes those that were just listed and are due, and appends the folders among them. */
 static int describe_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
                         const struct gsn_ptp_handles *handles, struct gsn_ptp_handles *folders,
@@ -449,10 +444,8 @@ static int describe_all(struct gsn_ptp_table *table, struct gsn_ptp_device *devi
         struct gsn_ptp_object *const object = find_handle(table, session, handles->at[i]);
         int r = GSN_OK;
 
-        if (object && is_due(object, now_ms)) {
+        if (object && is_due(object, now_ms))
             r = describe(table, device, object, now_ms, err);
-            sign_of_life(table);
-        }
         if (r < 0)
             return r;
         if (gsn_ptp_session_number(device->session) != session)

@@ -53,6 +53,11 @@ struct gsn_ptp_transport {
     size_t packet_size; /* of bulk in: 64, 512 or 1024 */
     uint16_t vendor, product;
     char serial[128]; /* from the USB descriptor; empty where it has none */
+    /* Told after every transfer and class request, whatever came of it: a silent device costs
+     * minutes, an object that is skipped through too, and whoever watches over us must hear that
+     * they pass well. NULL: nobody does. */
+    void (*alive)(void *context);
+    void *alive_context;
 };
 
 #ifdef __cplusplus

@@ -82,6 +82,58 @@ float gsn_thumbnail_difference(const struct gsn_thumbnail *a, const struct gsn_t
     return most;
 }
 
+/* Sixteenths of a step of brightness, which two letters can count. */
+static const float FINENESS = 16;
+static const char letters[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+
+void gsn_thumbnail_write(const struct gsn_thumbnail *thumbnail,
+                         char ret_text[GSN_THUMBNAIL_TEXT + 1])
+{
+    for (size_t i = 0; i < GSN_THUMBNAIL_TEXT / 2; i++) {
+        const float bounded = fminf(fmaxf(thumbnail->cell[i], 0), 255);
+        const unsigned count = (unsigned)(bounded * FINENESS + 0.5F);
+
+        ret_text[2 * i] = letters[count / 64];
+        ret_text[2 * i + 1] = letters[count % 64];
+    }
+    ret_text[GSN_THUMBNAIL_TEXT] = '\0';
+}
+
+/* What a letter counts; -1: it is none. */
+static int count_of(char letter)
+{
+    const char *const at = letter ? strchr(letters, letter) : NULL;
+
+    return at ? (int)(at - letters) : -1;
+}
+
+/* In JSON the key with its bare quotes cannot stand inside of a string. */
+static const char *find_thumbnail(const char *facts)
+{
+    static const char key[] = "\"thumbnail\":\"";
+    const char *const at = facts ? strstr(facts, key) : NULL;
+
+    return at ? at + sizeof key - 1 : NULL;
+}
+
+int gsn_thumbnail_read(const char *facts, struct gsn_thumbnail *ret_thumbnail)
+{
+    const char *const text = find_thumbnail(facts);
+    struct gsn_thumbnail thumbnail;
+
+    if (!text || strcspn(text, "\"") != GSN_THUMBNAIL_TEXT || !text[GSN_THUMBNAIL_TEXT])
+        return 0;
+    for (size_t i = 0; i < GSN_THUMBNAIL_TEXT / 2; i++) {
+        const int high = count_of(text[2 * i]), low = count_of(text[2 * i + 1]);
+
+        if (high < 0 || low < 0 || high * 64 + low > 255 * FINENESS)
+            return 0;
+        thumbnail.cell[i] = (float)(high * 64 + low) / FINENESS;
+    }
+    *ret_thumbnail = thumbnail;
+    return 1;
+}
+
 struct gsn_rest gsn_rest_begin(unsigned frames, float noise)
 {
     return (struct gsn_rest){ .frames = frames, .noise = noise };
@@ -115,10 +167,11 @@ static void restart(struct gsn_rest *rest, const struct gsn_thumbnail *now)
 static bool is_known(const struct gsn_rest *rest, const struct gsn_thumbnail *now)
 {
     static const struct gsn_thumbnail darkness;
+    bool known = gsn_thumbnail_difference(&darkness, now) <= 2 * rest->noise;
 
-    return gsn_thumbnail_difference(&darkness, now) <= 2 * rest->noise ||
-           (rest->has_taken && gsn_thumbnail_difference(&rest->taken, now) <= rest->noise) ||
-           (rest->has_blank && gsn_thumbnail_difference(&rest->blank, now) <= rest->noise);
+    for (size_t i = 0; i < GSN_SUBJECTS && !known; i++)
+        known = rest->is_known[i] && gsn_thumbnail_difference(&rest->known[i], now) <= rest->noise;
+    return known;
 }
 
 /* The run is long enough: did only noise differ in it? */
@@ -135,8 +188,7 @@ static enum gsn_rest_answer judge(struct gsn_rest *rest, const struct gsn_thumbn
     rest->is_waiting = true;
     if (known)
         return GSN_REST_WAITING;
-    rest->taken = *now;
-    rest->has_taken = true;
+    gsn_rest_know(rest, GSN_SUBJECT_PANEL, now);
     return GSN_REST_TAKE;
 }
 
@@ -161,8 +213,9 @@ enum gsn_rest_answer gsn_rest_look(struct gsn_rest *rest, const struct gsn_thumb
     return rest->run < rest->frames ? GSN_REST_MOVING : judge(rest, now);
 }
 
-void gsn_rest_blank(struct gsn_rest *rest, const struct gsn_thumbnail *blank)
+void gsn_rest_know(struct gsn_rest *rest, enum gsn_source_subject subject,
+                   const struct gsn_thumbnail *thumbnail)
 {
-    rest->blank = *blank;
-    rest->has_blank = true;
+    rest->known[subject] = *thumbnail;
+    rest->is_known[subject] = true;
 }

@@ -11,9 +11,10 @@
  *
  * What lies there is not asked. An empty stage at rest is taken as a panel would be, for a faint
  * section and clean glass cannot be told apart from a distance; a person files it or does not.
- * Three pictures are known beforehand and not taken: the one taken last (a hand passed over it),
- * the blank glass a person has shown (gsn_rest_blank), both within the noise, and darkness: no cell
- * brighter than twice the noise, for a panel is seen by the light that goes through it. */
+ * Some pictures are known beforehand and not taken: the panel taken last (a hand passed over it),
+ * and what a person has shown as blank glass or as dark, all within the noise (gsn_rest_know); and
+ * darkness: no cell brighter than twice the noise, for a panel is seen by the light that goes
+ * through it. */
 #ifndef GSN_ACQUIRE_REST_H
 #define GSN_ACQUIRE_REST_H
 
@@ -39,6 +40,17 @@ int gsn_thumbnail_make(const struct gsn_frame *frame, struct gsn_thumbnail *ret_
 /* The largest difference of a cell. */
 float gsn_thumbnail_difference(const struct gsn_thumbnail *a, const struct gsn_thumbnail *b);
 
+/* A thumbnail as text: each cell in two letters of the base64 alphabet, in sixteenths of a step of
+ * brightness, so that it may stand in a JSON string. Reading costs no more than 1/32. */
+enum { GSN_THUMBNAIL_TEXT = 2 * GSN_THUMBNAIL_COLUMNS * GSN_THUMBNAIL_ROWS };
+
+void gsn_thumbnail_write(const struct gsn_thumbnail *thumbnail,
+                         char ret_text[GSN_THUMBNAIL_TEXT + 1]);
+
+/* The thumbnail among the facts of a frame (gsn_frame_facts); 0 when facts are NULL, hold none, or
+ * were not written by these rules. facts may be any text. */
+int gsn_thumbnail_read(const char *facts, struct gsn_thumbnail *ret_thumbnail);
+
 enum gsn_rest_answer {
     GSN_REST_MOVING,  /* not still yet */
     GSN_REST_TAKE,    /* take this frame */
@@ -48,10 +60,11 @@ enum gsn_rest_answer {
 struct gsn_rest {
     unsigned frames; /* in a row that must be still: 2..GSN_REST_MOST_FRAMES */
     float noise;     /* 0..255: neighbours that differ by more than this are never at rest */
-    struct gsn_thumbnail previous, first, taken, blank; /* first of the frames in a row */
-    float between[GSN_REST_MOST_FRAMES];                /* differences of those neighbours */
-    unsigned run;                                       /* of those frames; 0: none was seen */
-    bool has_taken, has_blank, is_waiting;
+    struct gsn_thumbnail previous, first; /* first of the frames in a row */
+    float between[GSN_REST_MOST_FRAMES];  /* differences of those neighbours */
+    unsigned run;                         /* of those frames; 0: none was seen */
+    struct gsn_thumbnail known[GSN_SUBJECTS];
+    bool is_known[GSN_SUBJECTS], is_waiting;
 };
 
 struct gsn_rest gsn_rest_begin(unsigned frames, float noise);
@@ -59,8 +72,10 @@ struct gsn_rest gsn_rest_begin(unsigned frames, float noise);
 /* Looks at the next frame. */
 enum gsn_rest_answer gsn_rest_look(struct gsn_rest *rest, const struct gsn_thumbnail *now);
 
-/* This is the blank glass. */
-void gsn_rest_blank(struct gsn_rest *rest, const struct gsn_thumbnail *blank);
+/* This is the picture of that subject which was taken last, by rest, on request or by an earlier
+ * process. It takes the place of the one before. */
+void gsn_rest_know(struct gsn_rest *rest, enum gsn_source_subject subject,
+                   const struct gsn_thumbnail *thumbnail);
 
 #ifdef __cplusplus
 }

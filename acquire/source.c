@@ -172,6 +172,12 @@ int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_
     return source->ops->acknowledge(source->self, item, err);
 }
 
+int gsn_source_keep(struct gsn_source *source, uint64_t item, struct gsn_error *err)
+{
+    return source->ops->keep ? source->ops->keep(source->self, item, err)
+                             : gsn_source_acknowledge(source, item, err);
+}
+
 int gsn_source_wait(struct gsn_source *source, int timeout_ms, int stop_fd, struct gsn_error *err)
 {
     struct pollfd stop = { .fd = stop_fd, .events = POLLIN };

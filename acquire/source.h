@@ -22,7 +22,7 @@ extern "C" {
 #endif
 
 /* What a picture is of. Blank glass and dark frames are taken on purpose, by request. */
-enum gsn_source_subject { GSN_SUBJECT_PANEL, GSN_SUBJECT_BLANK, GSN_SUBJECT_DARK };
+enum gsn_source_subject { GSN_SUBJECT_PANEL, GSN_SUBJECT_BLANK, GSN_SUBJECT_DARK, GSN_SUBJECTS };
 
 enum gsn_source_what {
     GSN_SOURCE_READY,   /* can be read now; told at every poll until acknowledged */
@@ -69,12 +69,17 @@ struct gsn_source_options {
     /* Told of every piece of an item as it was read: the offset behind it, and the code of the
      * read. It is a sign of life, and says whose failure a broken copy is. An answer other than 0
      * breaks the copy off: gsn_source_read() fails with GSN_E_BUSY. NULL: nobody wants to know. A
-     * source whose listing takes long may tell item 0 now and then; the answer means nothing there.
+     * source that is busy otherwise (listing, skipping through an object, waking a silent device)
+     * tells item 0 now and then; the answer means nothing there.
      */
     int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
     void *context;
     size_t setting_count;
     const struct gsn_source_setting *setting; /* keeps */
+    /* The facts of the picture of each subject that was taken from this source last, by whichever
+     * process; NULL: none was, or it is not known. borrows, while the source is opened. A camera
+     * knows by them what still lies on its stage. */
+    const char *last_facts[GSN_SUBJECTS];
 };
 
 struct gsn_source;
@@ -109,6 +114,8 @@ int gsn_source_read(struct gsn_source *source, uint64_t item, uint64_t offset, v
  * delete_there was asked for, the device deletes its copy now; a device that refuses is told of by
  * the next poll. Fails with GSN_E_NOTFOUND when no such item is READY. */
 int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_error *err);
+/* The same, but the device keeps its copy whatever delete_there says. */
+int gsn_source_keep(struct gsn_source *source, uint64_t item, struct gsn_error *err);
 
 /* Sleeps until the source has a hint that a poll is worth while, timeout_ms have passed, or
  * stop_fd (-1: none) can be read. Hints may be missing or false. */
@@ -137,6 +144,7 @@ const char *gsn_source_subsystem(const char *address);
  *   open         rest is the address behind "kind:".
  *   poll         fills a list the caller made empty, through gsn_source_tell().
  *   acknowledge  must not fail for a lack of memory: the bytes are already safe.
+ *   keep         may be NULL, where acknowledging deletes nothing.
  *   wait         may be NULL: the table waits for stop_fd and the time alone.
  *   capture      may be NULL: unsupported.
  *   device       may be NULL: a folder.
@@ -153,6 +161,7 @@ struct gsn_source_ops {
     int (*read)(void *self, uint64_t item, uint64_t offset, void *buffer, size_t size,
                 size_t *ret_got, struct gsn_error *err);
     int (*acknowledge)(void *self, uint64_t item, struct gsn_error *err);
+    int (*keep)(void *self, uint64_t item, struct gsn_error *err);
     int (*wait)(void *self, int timeout_ms, int stop_fd, struct gsn_error *err);
     int (*capture)(void *self, enum gsn_source_subject subject, struct gsn_error *err);
     const char *(*device)(const void *self);

@@ -16,6 +16,8 @@
 struct gsn_spool {
     char *objects, *temporaries; /* directories */
     uint64_t reserve;
+    void (*alive)(void *context);
+    void *alive_context;
 };
 
 static int refused(const char *what, struct gsn_error *err)
@@ -75,6 +77,24 @@ void gsn_spool_free(struct gsn_spool *spool)
     gsn_free(spool->temporaries);
     gsn_free(spool->objects);
     gsn_free(spool);
+}
+
+void gsn_spool_watch(struct gsn_spool *spool, void (*alive)(void *context), void *context)
+{
+    spool->alive = alive;
+    spool->alive_context = context;
+}
+
+static int new_copy(const struct gsn_spool *spool, struct gsn_spool_copy **ret_copy,
+                    struct gsn_error *err)
+{
+    const int r = gsn_spool_copy_new(ret_copy, err);
+
+    if (r >= 0) {
+        (*ret_copy)->alive = spool->alive;
+        (*ret_copy)->alive_context = spool->alive_context;
+    }
+    return r;
 }
 
 /* spare: bytes that could be freed. */
@@ -150,8 +170,8 @@ static int size_of(int fd, const char *name, uint64_t *ret_size, struct gsn_erro
 }
 
 /* Whether what lies in the file has this digest. */
-static int compare(int fd, const char *path, const struct gsn_digest *digest, bool *ret_same,
-                   struct gsn_error *err)
+static int compare(const struct gsn_spool *spool, int fd, const char *path,
+                   const struct gsn_digest *digest, bool *ret_same, struct gsn_error *err)
 {
     gsn_auto(gsn_spool_copy) copy = NULL;
     struct gsn_spool_feed feed = { .read = gsn_spool_read_fd, .context = &fd };
@@ -159,7 +179,7 @@ static int compare(int fd, const char *path, const struct gsn_digest *digest, bo
     int r = size_of(fd, path, &feed.size, err);
 
     if (r >= 0)
-        r = gsn_spool_copy_new(&copy, err);
+        r = new_copy(spool, &copy, err);
     if (r >= 0)
         r = gsn_spool_copy_run(copy, &feed, -1, path, err);
     if (r >= 0)
@@ -171,8 +191,9 @@ static int compare(int fd, const char *path, const struct gsn_digest *digest, bo
 
 /* Reads what lies under the name of these bytes. It is synced too: whoever wrote it may have died
  * before he came to that. */
-static int look_for(const char *path, const struct gsn_spooled *spooled,
-                    enum gsn_spool_found *ret_found, struct gsn_error *err)
+static int look_for(const struct gsn_spool *spool, const char *path,
+                    const struct gsn_spooled *spooled, enum gsn_spool_found *ret_found,
+                    struct gsn_error *err)
 {
     bool same = false;
     int fd = -1, r = gsn_file_open(path, &fd, err);
@@ -183,7 +204,7 @@ static int look_for(const char *path, const struct gsn_spooled *spooled,
     }
     if (r < 0)
         return r;
-    r = compare(fd, path, &spooled->digest, &same, err);
+    r = compare(spool, fd, path, &spooled->digest, &same, err);
     if (r >= 0)
         r = gsn_file_sync(fd, path, err);
     (void)close(fd);
@@ -204,7 +225,7 @@ static int shelve(const struct gsn_spool *spool, struct gsn_spool_temp *temp,
 
     if (!shelf || !path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
-    r = look_for(path, spooled, &spooled->found, err);
+    r = look_for(spool, path, spooled, &spooled->found, err);
     if (r < 0)
         return r;
     if (spooled->found != GSN_SPOOL_SAME) {
@@ -292,7 +313,7 @@ static int take(struct gsn_spool *spool, const struct gsn_spool_feed *feed,
 
     if (feed->size == 0)
         return gsn_fail(err, GSN_E_INPUT, "%s is empty", name);
-    r = gsn_spool_copy_new(&copy, err);
+    r = new_copy(spool, &copy, err);
     if (r < 0)
         return r;
     if (key)
@@ -382,7 +403,7 @@ int gsn_spool_verify(struct gsn_spool *spool, const struct gsn_digest *digest,
     r = gsn_file_open(path, &fd, err);
     if (r < 0)
         return r;
-    r = compare(fd, path, digest, &same, err);
+    r = compare(spool, fd, path, digest, &same, err);
     (void)close(fd);
     if (r >= 0 && !same)
         r = gsn_fail(err, GSN_E_INPUT, "%s: its bytes are not those of its name any more", path);

@@ -31,6 +31,9 @@ struct gsn_spool;
 int gsn_spool_open(const char *dir, uint64_t reserve_bytes, struct gsn_spool **ret_spool,
                    struct gsn_error *err);
 void gsn_spool_free(struct gsn_spool *spool);
+/* From now on alive is told after every piece that is read or written, also of what is only read
+ * again: gigabytes on a slow disk take longer than anybody waits for a sign of life. */
+void gsn_spool_watch(struct gsn_spool *spool, void (*alive)(void *context), void *context);
 GSN_DEFINE_AUTO(gsn_spool);
 
 enum gsn_spool_found {

@@ -96,6 +96,8 @@ static int step(struct gsn_spool_copy *copy, const struct gsn_spool_feed *feed, 
     if (fd >= 0)
         start_writing(fd, copy->done, copy->done + *ret_got);
     copy->done += *ret_got;
+    if (copy->alive)
+        copy->alive(copy->alive_context);
     return GSN_OK;
 }
 

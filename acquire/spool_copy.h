@@ -29,7 +29,9 @@ enum { GSN_SPOOL_TAIL = 1 << 16 };
 struct gsn_spool_copy {
     struct gsn_hash *hash; /* of the first done bytes */
     uint64_t done;
-    int broken_off; /* the feed failed, not the disk */
+    int broken_off;               /* the feed failed, not the disk */
+    void (*alive)(void *context); /* told after every piece; NULL: nobody is */
+    void *alive_context;
     uint8_t *piece;
     uint8_t tail[GSN_SPOOL_TAIL]; /* room to compare a part's end */
 };

@@ -124,9 +124,24 @@ int gsn_v4l2_find(const char *name, char **ret_node, struct gsn_error *err)
     return *ret_node ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a camera");
 }
 
+/* Whether this descriptor of a process is the node. Its name is looked at first: asking for more
+ * of a file that is none of ours may take for ever (a network that is gone). */
+static bool is_node(const char *descriptor, const char *node)
+{
+    char target[PATH_MAX];
+    const ssize_t length = readlink(descriptor, target, sizeof target - 1);
+    const char *last;
+    struct stat held, own;
+
+    target[length > 0 ? length : 0] = '\0';
+    last = strrchr(target, '/');
+    return last && strcmp(last, strrchr(node, '/')) == 0 && stat(descriptor, &held) == 0 &&
+           stat(node, &own) == 0 && held.st_dev == own.st_dev && held.st_ino == own.st_ino;
+}
+
 static bool has_open(const char *pid, const char *node)
 {
-    char path[PATH_MAX], target[PATH_MAX];
+    char path[PATH_MAX];
     const struct dirent *entry;
     bool found = false;
     DIR *dir;
@@ -134,12 +149,8 @@ static bool has_open(const char *pid, const char *node)
     (void)snprintf(path, sizeof path, "/proc/%.20s/fd", pid);
     dir = opendir(path);
     while (dir && !found && (entry = readdir(dir))) {
-        ssize_t length;
-
         (void)snprintf(path, sizeof path, "/proc/%.20s/fd/%.20s", pid, entry->d_name);
-        length = readlink(path, target, sizeof target - 1);
-        target[length > 0 ? length : 0] = '\0';
-        found = strcmp(target, node) == 0;
+        found = is_node(path, node);
     }
     if (dir)
         (void)closedir(dir);

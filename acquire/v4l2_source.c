@@ -180,7 +180,7 @@ static int v4l2_open(const char *rest, const struct gsn_source_options *options,
         return r;
     }
     return gsn_camera_new((struct gsn_grabber){ &grabber_ops, v4l2, GSN_V4L2_BUFFERS },
-                          &v4l2->settings, ret_self, err);
+                          &v4l2->settings, options, ret_self, err);
 }
 
 const struct gsn_source_ops gsn_v4l2_source_ops = {

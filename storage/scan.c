@@ -279,6 +279,18 @@ int gsn_scan_get(struct gsn_store *store, int64_t id, struct gsn_scan_row **ret_
     return r == GSN_E_NOTFOUND ? gsn_fail(err, r, "there is no scan %lld", (long long)id) : r;
 }
 
+int gsn_scan_newest(struct gsn_store *store, const char *source, const char *subject,
+                    struct gsn_scan_row **ret_scan, struct gsn_error *err)
+{
+    const int r = scan_row(
+        store, SELECT_SCAN "WHERE c.source = ?1 AND c.subject = ?2 ORDER BY c.id DESC LIMIT 1",
+        SQL_ARGS(SQL_TEXT(source), SQL_TEXT(subject)), ret_scan, err);
+
+    return r == GSN_E_NOTFOUND
+               ? gsn_fail(err, r, "%.100s has given no %.20s picture yet", source, subject)
+               : r;
+}
+
 static int is_held(struct gsn_store *store, int64_t panel, bool *ret_held, struct gsn_error *err)
 {
     gsn_auto(gsn_panel_row) row = NULL;

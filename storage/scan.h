@@ -69,6 +69,11 @@ int gsn_scan_list(struct gsn_store *store, const char *state, size_t most,
 int gsn_scan_get(struct gsn_store *store, int64_t id, struct gsn_scan_row **ret_scan,
                  struct gsn_error *err);
 
+/* gives: the newest picture of this subject from this source. Fails with GSN_E_NOTFOUND when there
+ * is none. */
+int gsn_scan_newest(struct gsn_store *store, const char *source, const char *subject,
+                    struct gsn_scan_row **ret_scan, struct gsn_error *err);
+
 /* A person says where an unfiled scan belongs, or which number a held panel has. Fails with
  * GSN_E_INPUT when it is filed already (and its panel not held), is no picture of a panel, the
  * specimen has no panels or number is 0; with GSN_E_NOTFOUND. */

@@ -1,8 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/intake.h"
 
+#include <stdio.h>
+#include <unistd.h>
+
+#include "acquire/container.h"
+#include "pipeline/core/file.h"
 #include "storage/panel_name.h"
-#include "storage/scan.h"
 
 int gsn_intake_is_known(void *context, const char *key)
 {
@@ -20,11 +24,12 @@ int gsn_intake_on_read(void *context, uint64_t item, uint64_t offset, int r)
 {
     struct gsn_intake *const intake = context;
 
-    (void)item;
-    intake->read_code = r;
-    intake->read_nothing = r >= 0 && offset == intake->read_to;
-    intake->read_to = offset;
-    return intake->on_copy ? intake->on_copy(intake->context, offset) : 0;
+    if (item != 0) {
+        intake->read_code = r;
+        intake->read_nothing = r >= 0 && offset == intake->read_to;
+        intake->read_to = offset;
+    }
+    return intake->on_copy ? intake->on_copy(intake->context, intake->read_to) : 0;
 }
 
 static const char *name_of_subject(enum gsn_source_subject subject)
@@ -32,6 +37,27 @@ static const char *name_of_subject(enum gsn_source_subject subject)
     static const char *const names[] = { "panel", "blank", "dark" };
 
     return names[subject];
+}
+
+int gsn_intake_recall(struct gsn_store *store, const char *name, struct gsn_intake_past *past,
+                      struct gsn_source_options *options, struct gsn_error *err)
+{
+    *past = (struct gsn_intake_past){ { NULL } };
+    for (int i = 0; i < GSN_SUBJECTS; i++) {
+        const char *const subject = name_of_subject((enum gsn_source_subject)i);
+        const int r = gsn_scan_newest(store, name, subject, &past->scan[i], err);
+
+        if (r < 0 && r != GSN_E_NOTFOUND)
+            return r;
+        options->last_facts[i] = past->scan[i] ? past->scan[i]->facts : NULL;
+    }
+    return GSN_OK;
+}
+
+void gsn_intake_past_done(struct gsn_intake_past *past)
+{
+    for (int i = 0; i < GSN_SUBJECTS; i++)
+        gsn_scan_row_free(past->scan[i]);
 }
 
 /* A folder's names are given by people; a device's count its pictures. */
@@ -111,6 +137,30 @@ static int refuse_empty(const struct gsn_intake *intake, const struct gsn_source
     return gsn_fail(err, GSN_E_INPUT, "%.200s is empty", ready->name);
 }
 
+/* A scanner that rests in the middle of a file, for longer than it takes to settle, would lose what
+ * it has yet to write: the original goes only where what is here is a whole picture. */
+static int look_whole(const struct gsn_intake *intake, struct gsn_intake_taken *taken,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = NULL;
+    struct gsn_container container;
+    int fd = -1;
+    int r = gsn_spool_verify(intake->spool, &taken->spooled.digest, err);
+
+    if (r >= 0)
+        r = gsn_store_object_path(intake->store, taken->spooled.digest.hex, &path, err);
+    if (r >= 0)
+        r = gsn_file_open(path, &fd, err);
+    if (r < 0)
+        return r;
+    r = gsn_container_check_fd(fd, &container, err);
+    (void)close(fd);
+    if (r >= 0 && !container.complete)
+        (void)snprintf(taken->kept, sizeof taken->kept,
+                       "was taken in as it is, but not deleted there: %s", container.reason);
+    return r;
+}
+
 int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *ready, int64_t now,
                     struct gsn_intake_taken *ret_taken, enum gsn_intake_fault *ret_fault,
                     struct gsn_error *err)
@@ -126,12 +176,13 @@ int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *re
         return r;
     r = log_scan(intake, ready, now, &taken, err);
     if (r >= 0 && intake->delete_there)
-        r = gsn_spool_verify(intake->spool, &taken.spooled.digest, err);
+        r = look_whole(intake, &taken, err);
     if (r < 0) {
         *ret_fault = GSN_FAULT_STORE;
         return r;
     }
-    r = gsn_source_acknowledge(intake->source, ready->item, err);
+    r = taken.kept[0] ? gsn_source_keep(intake->source, ready->item, err)
+                      : gsn_source_acknowledge(intake->source, ready->item, err);
     if (r < 0) {
         *ret_fault = GSN_FAULT_LATER;
         return r;

@@ -2,13 +2,14 @@
 
 /* One picture's way from its source into the store, in the order that loses nothing: room on the
  * disk -> bytes durable -> row, panel, job and diary in one transaction -> (where the device is to
- * delete its copy: the object read again) -> the source is told. A crash anywhere leaves a picture
- * that is offered again and recognised. */
+ * delete its copy: the object read again, and found to be a whole picture) -> the source is told. A
+ * crash anywhere leaves a picture that is offered again and recognised. */
 #ifndef GSN_SYSTEMD_INTAKE_H
 #define GSN_SYSTEMD_INTAKE_H
 
 #include "acquire/source.h"
 #include "acquire/spool.h"
+#include "storage/scan.h"
 #include "storage/store.h"
 
 #include <stdint.h>
@@ -33,6 +34,18 @@ struct gsn_intake {
 int gsn_intake_is_known(void *intake, const char *key);
 int gsn_intake_on_read(void *intake, uint64_t item, uint64_t offset, int r);
 
+/* What was taken from the source last, one scan for each subject; NULL where there is none. owned:
+ * the scans. */
+struct gsn_intake_past {
+    struct gsn_scan_row *scan[GSN_SUBJECTS];
+};
+
+/* Reads the ledger, and lets the options tell the source of it. keeps: the past, in the options.
+ * gives: its scans, for gsn_intake_past_done(). */
+int gsn_intake_recall(struct gsn_store *store, const char *name, struct gsn_intake_past *past,
+                      struct gsn_source_options *options, struct gsn_error *err);
+void gsn_intake_past_done(struct gsn_intake_past *past);
+
 /* Whose failure it was, which is what decides what to do next. */
 enum gsn_intake_fault {
     GSN_FAULT_NONE,
@@ -46,6 +59,8 @@ struct gsn_intake_taken {
     int64_t scan;
     int again; /* it was in the ledger before */
     struct gsn_spooled spooled;
+    char kept[200]; /* why the device keeps its copy though it was to delete it; empty: no such case
+                     */
 };
 
 /* Takes one READY item. ret_taken is set on success, ret_fault always. An empty item is a fault of

@@ -46,6 +46,22 @@ static int send_fields(const struct fields *fields)
     return sd_journal_sendv(parts, fields->count);
 }
 
+/* Names come from devices and strangers' disks: what a terminal would obey, or what would begin a
+ * line of its own, is shown as '?'. */
+static void tame(char *text)
+{
+    unsigned char *at = (unsigned char *)text;
+
+    for (; *at; at++) {
+        const int is_c1 = at[0] == 0xc2 && at[1] >= 0x80 && at[1] < 0xa0; /* in UTF-8 */
+
+        if (is_c1)
+            at[1] = '?';
+        if (is_c1 || *at < ' ' || *at == 0x7f)
+            *at = '?';
+    }
+}
+
 void gsn_log(int priority, const struct gsn_log_about *about, const char *format, ...)
 {
     struct fields fields = { 0 };
@@ -55,6 +71,7 @@ void gsn_log(int priority, const struct gsn_log_about *about, const char *format
     va_start(arguments, format);
     (void)vsnprintf(message, sizeof message, format, arguments);
     va_end(arguments);
+    tame(message);
     if (is_journal()) {
         (void)snprintf(number, sizeof number, "%d", priority);
         add(&fields, "MESSAGE", message);

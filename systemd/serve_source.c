@@ -68,11 +68,18 @@ static int on_copy(void *context, uint64_t offset)
 {
     struct serving *const serving = context;
 
-    gsn_lifeline_breathe(serving->line, GSN_READY);
+    gsn_lifeline_breathe(serving->line, serving->item ? GSN_READY : GSN_BREATH);
     if (serving->item)
         gsn_source_row_progress(&serving->row, serving->item, serving->item_began_ms, offset,
                                 serving->item_size);
     return gsn_lifeline_is_over(serving->line);
+}
+
+static void on_piece(void *context)
+{
+    const struct serving *const serving = context;
+
+    gsn_lifeline_breathe(serving->line, GSN_READY);
 }
 
 static void tell_taken(const struct serving *serving, const struct gsn_source_event *ready,
@@ -126,6 +133,22 @@ static int settle_blame(struct serving *serving, struct gsn_error *err)
     return r;
 }
 
+static int tell_kept(struct serving *serving, const char *name, const char *reason,
+                     struct gsn_error *err)
+{
+    const struct gsn_log_about what = about(serving, GSN_LOG_TROUBLE);
+    int is_new = 0;
+    const int r =
+        gsn_failing_add(&serving->failing, name, reason,
+                        "look whether the device has finished it: what changes there comes "
+                        "in again by itself; what is whole there is deleted by hand",
+                        gsn_now_ms(), &is_new, err);
+
+    if (is_new)
+        gsn_log(LOG_WARNING, &what, "%s %s", name, reason);
+    return r;
+}
+
 /* Takes one. Fails only where nothing more can be taken in this round. */
 static int take(struct serving *serving, const struct gsn_source_event *ready,
                 struct gsn_error *err)
@@ -143,6 +166,8 @@ static int take(struct serving *serving, const struct gsn_source_event *ready,
     if (r >= 0) {
         serving->store_failures = 0;
         tell_taken(serving, ready, &taken);
+        if (taken.kept[0])
+            return tell_kept(serving, ready->name, taken.kept, err);
         return gsn_failing_over(&serving->failing, ready->name, err);
     }
     if (fault == GSN_FAULT_ITEM)
@@ -495,16 +520,19 @@ static int open_folders(struct serving *serving, struct gsn_error *err)
 static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_error *err)
 {
     const struct gsn_config_source *const config = serving->config;
-    const struct gsn_source_options options = { .settle_ms = config->settle_ms,
-                                                .patience_ms = config->patience_s * 1000,
-                                                .delete_there = config->delete_after_copy,
-                                                .is_known = gsn_intake_is_known,
-                                                .on_read = gsn_intake_on_read,
-                                                .context = &serving->intake,
-                                                .setting_count = config->setting_count,
-                                                .setting = config->setting };
+    __attribute__((cleanup(gsn_intake_past_done))) struct gsn_intake_past past = { { NULL } };
+    struct gsn_source_options options = { .settle_ms = config->settle_ms,
+                                          .patience_ms = config->patience_s * 1000,
+                                          .delete_there = config->delete_after_copy,
+                                          .is_known = gsn_intake_is_known,
+                                          .on_read = gsn_intake_on_read,
+                                          .context = &serving->intake,
+                                          .setting_count = config->setting_count,
+                                          .setting = config->setting };
     int r = gsn_spool_open(gsn_store_dir(serving->store), reserve_bytes, &serving->spool, err);
 
+    if (r >= 0)
+        gsn_spool_watch(serving->spool, on_piece, serving);
     if (r >= 0)
         r = gsn_failing_load(&serving->failing, err);
     if (r >= 0)
@@ -517,6 +545,8 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
                                            .delete_there = config->delete_after_copy,
                                            .on_copy = on_copy,
                                            .context = serving };
+    if (r >= 0)
+        r = gsn_intake_recall(serving->store, config->name, &past, &options, err);
     if (r >= 0)
         r = gsn_source_open(config->address, &options, &serving->source, err);
     serving->intake.source = serving->source;

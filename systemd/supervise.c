@@ -28,6 +28,8 @@ enum {
     FOLDER_AWAY_DELAY_MS = 5000, /* a mount is no event of a device */
     STEADY_MS = 60000,           /* who lived so long begins a new series of failures */
     STOP_MS = 4000,              /* an intake ends by itself within two seconds */
+    /* A device that is silent breaks its transfers off after 10 s, and class requests follow. */
+    DEVICE_PATIENCE_MS = 30000,
     ITS_CONFIG = 3,
     ITS_HEARTBEAT = 4,
 };
@@ -49,6 +51,7 @@ struct intake {
     bool wanted;    /* by the present configuration */
     bool is_hung;   /* it was killed because of that */
     bool was_ready; /* its source answered */
+    bool was_late;  /* a device came while this process was looking already */
     pid_t pid;
     int heartbeat; /* our end; -1 */
     int64_t began_ms, delay_ms;
@@ -216,7 +219,7 @@ static void back_off(struct intake *intake)
  * event. */
 static void wait_for_device(struct intake *intake)
 {
-    if (intake->was_ready)
+    if (intake->was_ready || intake->was_late)
         rest(intake, STATE_AWAY, next_delay(intake));
     else if (gsn_source_subsystem(intake->address))
         rest(intake, STATE_AWAY, AWAY_DELAY_MS);
@@ -347,7 +350,7 @@ static void start(struct intake *intake)
     int r = spawn(intake, &err);
 
     intake->began_ms = gsn_now_ms();
-    intake->is_hung = intake->was_ready = false;
+    intake->is_hung = intake->was_ready = intake->was_late = false;
     if (r >= 0)
         r = listen_to(intake, &err);
     if (r >= 0) {
@@ -431,6 +434,8 @@ static int configure(struct gsn_supervisor *supervisor, const struct gsn_config 
     intake->text = gsn_steal(&text);
     intake->address = gsn_steal(&address);
     intake->patience_ms = source->patience_s * 1000;
+    if (gsn_source_subsystem(source->address) && intake->patience_ms < DEVICE_PATIENCE_MS)
+        intake->patience_ms = DEVICE_PATIENCE_MS;
     stop(intake);
     if (intake->state != STATE_STOPPING)
         start(intake);
@@ -459,8 +464,10 @@ void gsn_supervisor_arrival(struct gsn_supervisor *supervisor, const char *subsy
         struct intake *const intake = supervisor->at[i];
         const char *const its = gsn_source_subsystem(intake->address);
 
-        if (!its || strcmp(its, subsystem) != 0 ||
-            (intake->state != STATE_AWAY && intake->state != STATE_RESTING))
+        if (!its || strcmp(its, subsystem) != 0)
+            continue;
+        intake->was_late = intake->state == STATE_RUNNING;
+        if (intake->state != STATE_AWAY && intake->state != STATE_RESTING)
             continue;
         intake->timer = sd_event_source_disable_unref(intake->timer);
         start(intake);

@@ -230,6 +230,22 @@ TEST(other_bytes_are_unknown)
     CHECK(strcmp(gsn_container_kind_name(GSN_CONTAINER_UNKNOWN), "unknown") == 0);
 }
 
+/* As libtiff leaves it between TIFFWriteCheckpointDirectory() and the last strip. */
+TEST(a_tiff_whose_directory_came_before_its_strips_is_awaited)
+{
+    enum { SECOND_OFFSET = 112, SECOND_LENGTH = 120 };
+    struct draft draft = tiff(true, false);
+    struct gsn_container got = gsn_container_check(draft.at, draft.size);
+
+    CHECK(got.complete == 1);
+    memset(draft.at + SECOND_LENGTH, 0, 4);
+    got = gsn_container_check(draft.at, draft.size);
+    CHECK(got.complete == 0 && strstr(got.reason, "strip, number 2, is not written yet"));
+    draft = tiff(true, false);
+    memset(draft.at + SECOND_OFFSET, 0, 4);
+    CHECK(gsn_container_check(draft.at, draft.size).complete == 0);
+}
+
 TEST(a_loop_of_directories_ends)
 {
     struct draft draft = { .size = 0 };

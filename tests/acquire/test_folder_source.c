@@ -353,6 +353,34 @@ TEST(a_file_that_was_taken_before_is_not_offered_again_unless_it_changes)
     tells(later, 3 * SETTLE, "READY a.jpg; ");
 }
 
+static int is_any_known(void *context, const char *key)
+{
+    (void)context;
+    (void)key;
+    return 1;
+}
+
+/* 1980 is where the clocks of cards begin. */
+TEST(a_file_without_a_true_date_is_never_taken_for_one_that_was_taken)
+{
+    static const struct timespec begin[2] = { { .tv_sec = 315532800 }, { .tv_sec = 315532800 } };
+    scratch_auto scratch = gsn_scratch_new();
+    struct gsn_source_options knowing = options;
+    gsn_auto(gsn_source) source = NULL;
+    gsn_auto(gsn_source_events) events = NULL;
+    struct gsn_error err = { 0 };
+    char address[200];
+
+    write_file(&scratch, "a.jpg", whole, sizeof whole - 1);
+    CHECK(utimensat(AT_FDCWD, gsn_scratch_path(&scratch, "a.jpg"), begin, 0) == 0);
+    (void)snprintf(address, sizeof address, "hot:%s", scratch.dir);
+    knowing.is_known = is_any_known;
+    CHECK_OK(gsn_source_open(address, &knowing, &source, &err), err);
+    tells(source, 0, "WAITING a.jpg; ");
+    events = poll(source, SETTLE);
+    CHECK(events->count == 1 && events->at[0].what == GSN_SOURCE_READY && !events->at[0].key[0]);
+}
+
 TEST(reading_gives_the_bytes_in_pieces)
 {
     scratch_auto scratch = gsn_scratch_new();

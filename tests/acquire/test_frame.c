@@ -117,14 +117,15 @@ TEST(what_was_stated_and_read_back_is_one_json_object)
         "\"damaged_before\":3,\"controls\":[{\"name\":\"exposure\",\"value\":156,"
         "\"unit\":\"x 100 us\",\"locked\":true},{\"name\":\"gain\",\"value\":10,\"locked\":false,"
         "\"reason\":\"its automatic reads on\"},{\"name\":\"white balance\",\"unit\":\"K\","
-        "\"locked\":false,\"reason\":\"the camera has no control for it\"}],\"quantify\":true}";
+        "\"locked\":false,\"reason\":\"the camera has no control for it\"}],\"quantify\":true,"
+        "\"thumbnail\":\"AAB/\"}";
     struct gsn_frame frame = frame_of("GREY", 2, 1, 2, "ab", 2);
     struct gsn_error err = { 0 };
     char *facts = NULL;
 
     frame.control = controls;
     frame.control_count = 3;
-    CHECK_OK(gsn_frame_facts(&frame, 3, &facts, &err), err);
+    CHECK_OK(gsn_frame_facts(&frame, 3, "AAB/", &facts, &err), err);
     if (strcmp(facts, expected) != 0)
         fail_msg("%s", facts);
     gsn_free(facts);
@@ -312,7 +313,7 @@ static int encode_once(struct gsn_error *err)
     int r = gsn_frame_encode(&frame, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_frame_facts(&frame, 0, &facts, err);
+        r = gsn_frame_facts(&frame, 0, NULL, &facts, err);
     gsn_free(bytes);
     gsn_free(facts);
     return r;

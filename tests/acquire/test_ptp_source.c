@@ -73,9 +73,9 @@ TEST(what_was_taken_is_not_copied_again_after_a_restart)
 
 TEST(without_a_date_of_capture_it_is_copied_again_and_recognised)
 {
-    static const char *const dates[] = { "", "19800101T000000" };
+    static const char *const dates[] = { "", "19800101T000000", "20200101T000000" };
 
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < 3; i++) {
         bench_auto bench;
 
         bench_init(&bench, NULL);
@@ -268,6 +268,57 @@ static void describe_another(struct meddler *meddler, struct bench *bench)
                                 &(struct ptp_object){ .name = "P99.TIF", .format = PTP_TIFF }, 0);
 }
 
+static int count(void *context, uint64_t item, uint64_t offset, int r)
+{
+    (void)item;
+    (void)offset;
+    (void)r;
+    ++*(unsigned *)context;
+    return 0;
+}
+
+/* Without partial reads a copy that goes on has to skip gigabytes of a slow device first. */
+TEST(skipping_to_where_a_copy_goes_on_gives_signs_of_life)
+{
+    struct gsn_error err = { 0 };
+    unsigned signs = 0;
+    uint8_t byte;
+    bench_auto bench;
+    uint64_t item;
+    size_t got;
+
+    bench_init(&bench, &(struct ptp_faults){ .no_partial = true, .no_partial64 = true });
+    (void)bench_scan(&bench, "P01.TIF", 4 * MIB, 1, NULL, 0);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    gsn_source_free(bench.source);
+    bench.options.is_known = NULL;
+    bench.options.on_read = count;
+    bench.options.context = &signs;
+    bench_open(&bench);
+    item = find_ready(&bench);
+    signs = 0;
+    CHECK_OK(gsn_source_read(bench.source, item, 4 * MIB - 1, &byte, 1, &got, &err), err);
+    CHECK(got == 1 && signs >= 4 * MIB / 65536);
+}
+
+TEST(a_device_that_is_silent_is_woken_with_signs_of_life)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO, .swallows = true };
+    unsigned signs = 0;
+    bench_auto bench;
+
+    bench_init(&bench, NULL);
+    meddler.from = bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0)->handle;
+    stand_between(&meddler, &bench);
+    bench.options.is_known = NULL;
+    bench.options.on_read = count;
+    bench.options.context = &signs;
+    bench_open(&bench);
+    CHECK(find_ready(&bench) == 0);
+    CHECK(signs > 10);
+}
+
 TEST(what_changed_while_it_was_read_is_not_delivered)
 {
     struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
@@ -287,6 +338,29 @@ TEST(what_changed_while_it_was_read_is_not_delivered)
     CHECK(gsn_source_read(bench.source, item, got, bytes, 2000, &got, &err) == GSN_E_BUSY);
     CHECK(got == 1000 && strstr(err.text, "P01.TIF"));
     CHECK(gsn_source_acknowledge(bench.source, item, &err) == GSN_E_NOTFOUND);
+}
+
+TEST(what_is_kept_is_not_deleted_and_comes_again_when_it_changes)
+{
+    struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
+    struct gsn_error err = { 0 };
+    uint8_t bytes[3000];
+    bench_auto bench;
+    uint64_t item;
+    size_t got;
+
+    bench_init(&bench, NULL);
+    bench.options.delete_there = 1;
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
+    stand_between(&meddler, &bench);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 3000, &got, &err), err);
+    CHECK_OK(gsn_source_keep(bench.source, item, &err), err);
+    CHECK(gsn_source_keep(bench.source, item, &err) == GSN_E_NOTFOUND);
+    describe_another(&meddler, &bench);
+    CHECK(find_ready(&bench) != item);
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_DELETE_OBJECT) == 0);
 }
 
 TEST(what_changed_after_it_was_read_is_not_deleted)

@@ -2,6 +2,7 @@
 #include "acquire/rest.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "tests/check.h"
@@ -109,7 +110,7 @@ TEST(known_blank_glass_and_darkness_are_not_taken)
     unsigned seed = 11;
     struct gsn_thumbnail blank = slide(10, 0, &seed);
 
-    gsn_rest_blank(&rest, &blank);
+    gsn_rest_know(&rest, GSN_SUBJECT_BLANK, &blank);
     CHECK(taken(&rest, 10, 0.5, 5 * FRAMES, &seed) == 0);
     CHECK(taken(&rest, 12, 0.5, 5 * FRAMES, &seed) == 1);
     CHECK(taken(&rest, 10, 0.5, 5 * FRAMES, &seed) == 0);
@@ -129,6 +130,64 @@ TEST(an_empty_stage_nobody_has_shown_is_taken_for_nobody_can_tell)
     for (unsigned i = 0; i < 3 * FRAMES; i++)
         count += gsn_rest_look(&rest, &white) == GSN_REST_TAKE;
     CHECK(count == 1);
+}
+
+/* The facts that hold this text as their thumbnail. */
+static const char *facts_with(const char *text)
+{
+    static char facts[2 * GSN_THUMBNAIL_TEXT];
+
+    (void)snprintf(facts, sizeof facts, "{\"device\":\"x\",\"thumbnail\":\"%s\"}", text);
+    return facts;
+}
+
+TEST(a_thumbnail_reads_back_from_the_facts_as_it_was)
+{
+    unsigned seed = 21;
+
+    for (unsigned i = 0; i < 20; i++) {
+        const struct gsn_thumbnail written = slide(i, 60, &seed);
+        struct gsn_thumbnail read;
+        char text[GSN_THUMBNAIL_TEXT + 1];
+
+        gsn_thumbnail_write(&written, text);
+        CHECK(strlen(text) == GSN_THUMBNAIL_TEXT);
+        CHECK(gsn_thumbnail_read(facts_with(text), &read) == 1);
+        CHECK(gsn_thumbnail_difference(&written, &read) <= 1.0F / 32);
+    }
+}
+
+TEST(a_thumbnail_as_text_is_sixteenths_in_two_letters)
+{
+    struct gsn_thumbnail thumbnail = { { 0, 1, 255, 4, -3, 999 } };
+    char text[GSN_THUMBNAIL_TEXT + 1];
+
+    gsn_thumbnail_write(&thumbnail, text);
+    CHECK(memcmp(text, "AAAQ/wBAAA/wAA", 14) == 0);
+}
+
+TEST(facts_that_hold_no_thumbnail_give_none)
+{
+    const struct gsn_thumbnail before = { { 17, 4 } };
+    struct gsn_thumbnail thumbnail = before;
+    char good[GSN_THUMBNAIL_TEXT + 40], bad[sizeof good];
+
+    (void)snprintf(good, sizeof good, "{\"thumbnail\":\"%0*d\"}", GSN_THUMBNAIL_TEXT, 0);
+    CHECK(gsn_thumbnail_read(good, &(struct gsn_thumbnail){ { 0 } }) == 1);
+    for (size_t cut = 0; good[cut + 1]; cut++) { /* every end but that behind the last quote */
+        memcpy(bad, good, sizeof bad);
+        bad[cut] = '\0';
+        CHECK(gsn_thumbnail_read(bad, &thumbnail) == (good[cut] == '}'));
+        memcpy(bad, good, sizeof bad);
+        bad[cut] = '\x80';
+        CHECK(gsn_thumbnail_read(bad, &thumbnail) == (cut == 0 || good[cut] == '}'));
+    }
+    thumbnail = before;
+    CHECK(gsn_thumbnail_read(NULL, &thumbnail) == 0);
+    CHECK(gsn_thumbnail_read("{\"thumbnail\":\"\"}", &thumbnail) == 0);
+    memcpy(good + 14, "//", 2); /* 4095 sixteenths are more than 255 */
+    CHECK(gsn_thumbnail_read(good, &thumbnail) == 0);
+    CHECK(memcmp(&thumbnail, &before, sizeof before) == 0);
 }
 
 /* A frame of one brightness has thumbnails of that brightness, in every layout. */

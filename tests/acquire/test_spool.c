@@ -164,6 +164,31 @@ TEST(the_same_bytes_again_are_compared_and_not_rewritten)
     CHECK(count_in(&scratch, "objects/tmp") == 0);
 }
 
+static void count(void *context)
+{
+    ++*(unsigned *)context;
+}
+
+TEST(what_is_only_read_again_gives_signs_of_life)
+{
+    enum { SIZE = 1 << 20 };
+    gsn_auto_mem(uint8_t) bytes = gsn_alloc_array(SIZE, 1);
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_spool) spool = open_spool(&scratch);
+    struct gsn_spooled spooled;
+    struct gsn_error err = { 0 };
+    unsigned signs = 0, once;
+
+    gsn_spool_watch(spool, count, &signs);
+    CHECK_OK(gsn_spool_take(spool, bytes, SIZE, "x", &spooled, &err), err);
+    once = signs;
+    CHECK(once >= 4);
+    CHECK_OK(gsn_spool_take(spool, bytes, SIZE, "x", &spooled, &err), err);
+    CHECK(spooled.found == GSN_SPOOL_SAME && signs == 3 * once);
+    CHECK_OK(gsn_spool_verify(spool, &spooled.digest, &err), err);
+    CHECK(signs == 4 * once);
+}
+
 TEST(a_damaged_object_is_mended_and_that_is_told)
 {
     static const char *const damages[] = { "abd", "abcd", "" };

@@ -5,9 +5,11 @@
 #include "acquire/v4l2_source.h"
 
 #include <errno.h>
+#include <fcntl.h>
 #include <linux/videodev2.h>
 #include <stdbool.h>
 #include <stdio.h>
+#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
@@ -143,7 +145,7 @@ static size_t drain(struct gsn_source *source, struct v4l2_mock_camera *camera)
 struct item {
     uint64_t number;
     enum gsn_source_subject subject;
-    char name[32], facts[1500];
+    char name[32], facts[4000];
     size_t size;
     uint8_t bytes[3 * HEIGHT * STRIDE];
 };
@@ -548,6 +550,108 @@ TEST(a_picture_asked_for_is_none_that_was_exposed_before)
     CHECK(drain(source, camera) == 1);
 }
 
+/* Frames of the same picture as another process sees it: brighter or darker by a step or two. */
+static void push_noisy(struct v4l2_mock_camera *camera, unsigned which, unsigned count)
+{
+    static uint8_t frame[HEIGHT * STRIDE];
+
+    for (unsigned i = 0; i < count; i++) {
+        draw(frame, which);
+        for (size_t at = 0; at < sizeof frame; at += 2)
+            frame[at] = (uint8_t)(frame[at] + 1 + i % 2);
+        v4l2_mock_push(camera, frame, sizeof frame, 0);
+    }
+}
+
+/* The facts of a picture that a process took before it ended. gives. */
+static char *facts_of(struct v4l2_mock_camera *camera, enum gsn_source_subject subject,
+                      unsigned which)
+{
+    gsn_auto(gsn_source) source = open_camera("v4l2:" BY_ID);
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_source_capture(source, subject, &err), err);
+    push(camera, which, 5);
+    CHECK(drain(source, camera) == 1);
+    return gsn_strdup(first_item(source)->facts);
+}
+
+/* Opens with what the ledger says was taken of this subject last. */
+static struct gsn_source *open_after(enum gsn_source_subject subject, const char *facts)
+{
+    struct gsn_source_options with = options;
+    struct gsn_source *source = NULL;
+    struct gsn_error err = { 0 };
+
+    with.last_facts[subject] = facts;
+    CHECK_OK(gsn_source_open("v4l2:" BY_ID, &with, &source, &err), err);
+    return source;
+}
+
+TEST(a_panel_that_was_taken_before_the_restart_is_not_taken_again)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 0, &webcam);
+    gsn_auto_mem(char) facts = facts_of(camera, GSN_SUBJECT_PANEL, 1);
+    gsn_auto(gsn_source) source = open_after(GSN_SUBJECT_PANEL, facts);
+
+    push_noisy(camera, 1, 4 * REST);
+    CHECK(drain(source, camera) == 0);
+    push(camera, 2, REST + 1);
+    CHECK(drain(source, camera) == 1);
+    is_frame(first_item(source), 2);
+    acknowledge(source, first_item(source)->number);
+    push(camera, 1, REST + 1); /* another lay there meanwhile */
+    CHECK(drain(source, camera) == 1);
+}
+
+TEST(blank_glass_and_dark_frames_shown_before_the_restart_are_no_panels)
+{
+    for (unsigned subject = GSN_SUBJECT_BLANK; subject <= GSN_SUBJECT_DARK; subject++) {
+        mock_auto mock = v4l2_mock_new();
+        struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 0, &webcam);
+        gsn_auto_mem(char) facts = facts_of(camera, (enum gsn_source_subject)subject, 1);
+        gsn_auto(gsn_source) source = open_after((enum gsn_source_subject)subject, facts);
+
+        push_noisy(camera, 1, 4 * REST);
+        CHECK(drain(source, camera) == 0);
+        push(camera, 2, REST + 1);
+        CHECK(drain(source, camera) == 1);
+        acknowledge(source, first_item(source)->number);
+        push_noisy(camera, 1, 4 * REST); /* and not only the first time */
+        CHECK(drain(source, camera) == 0);
+    }
+}
+
+TEST(a_panel_is_taken_where_the_ledger_tells_nothing_of_it)
+{
+    static const char *const texts[] = { NULL, "", "{\"ISO\":100}", "{\"thumbnail\":\"",
+                                         "{\"thumbnail\":\"AAAA\"}" };
+
+    for (size_t i = 0; i < sizeof texts / sizeof texts[0]; i++) {
+        mock_auto mock = v4l2_mock_new();
+        struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 0, &webcam);
+        gsn_auto(gsn_source) source = open_after(GSN_SUBJECT_PANEL, texts[i]);
+
+        push(camera, 1, 2 * REST);
+        CHECK(drain(source, camera) == 1);
+    }
+}
+
+TEST(a_panel_that_was_asked_for_is_not_taken_again_at_rest)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 0, &webcam);
+    gsn_auto(gsn_source) source = open_camera("v4l2:" BY_ID);
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_source_capture(source, GSN_SUBJECT_PANEL, &err), err);
+    push(camera, 1, 5 + 4 * REST);
+    CHECK(drain(source, camera) == 1);
+    push(camera, 2, REST + 1);
+    CHECK(drain(source, camera) == 2);
+}
+
 TEST(damaged_and_short_frames_are_dropped_and_counted)
 {
     mock_auto mock = v4l2_mock_new();
@@ -672,6 +776,48 @@ TEST(a_camera_held_by_another_is_busy)
     refuses("v4l2:" BY_ID, &options, GSN_E_BUSY, "another program holds the camera");
     v4l2_mock_fail(camera, VIDIOC_STREAMON, ENOSPC, 1);
     refuses("v4l2:" BY_ID, &options, GSN_E_IO, "the USB bus has no room for this stream");
+}
+
+/* A program of another name that has the node open; it is ready when this returns. */
+static pid_t hold(const char *node)
+{
+    int pipe_of[2];
+    char byte;
+    pid_t pid;
+
+    CHECK(pipe2(pipe_of, O_CLOEXEC) == 0);
+    pid = fork();
+    if (pid == 0) {
+        if (open(node, O_RDWR) >= 0) /* inherited by what follows */
+            (void)execlp("sleep", "sleep", "1000", (char *)NULL);
+        _exit(127);
+    }
+    (void)close(pipe_of[1]);
+    CHECK(read(pipe_of[0], &byte, 1) == 0); /* closed by exec */
+    (void)close(pipe_of[0]);
+    return pid;
+}
+
+TEST(the_program_that_holds_a_camera_is_named)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 1, &webcam);
+    struct v4l2_mock_recipe other = webcam;
+    const pid_t pid = hold("/dev/video1");
+    char words[80];
+
+    (void)snprintf(words, sizeof words, "process %ld (sleep) holds the camera; close that first",
+                   (long)pid);
+    v4l2_mock_fail(camera, VIDIOC_S_FMT, EBUSY, 1);
+    refuses("v4l2:" BY_ID, &options, GSN_E_BUSY, words);
+    /* What it holds is that camera and no other. */
+    other.serial = "SN0002";
+    other.by_id = NULL;
+    v4l2_mock_fail(v4l2_mock_plug(mock, 0, &other), VIDIOC_S_FMT, EBUSY, 1);
+    refuses("v4l2:SN0002", &options, GSN_E_BUSY, "another program holds the camera");
+    CHECK(kill(pid, SIGKILL) == 0 && waitpid(pid, NULL, 0) == pid);
+    v4l2_mock_fail(camera, VIDIOC_S_FMT, EBUSY, 1);
+    refuses("v4l2:" BY_ID, &options, GSN_E_BUSY, "another program holds the camera");
 }
 
 static void notes(const char *set, size_t size, const char *note)

@@ -69,6 +69,31 @@ TEST(a_scan_reads_back_as_it_was_taken)
     CHECK(strcmp(got->specimen, "") == 0 && got->panel_id == 0);
 }
 
+TEST(the_newest_of_a_subject_is_that_of_this_source)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_scan_row rows[] = { arrival("1", 1), arrival("2", 2), arrival("3", 3),
+                                   arrival("4", 4) };
+    gsn_auto(gsn_scan_row) panel = NULL;
+    gsn_auto(gsn_scan_row) blank = NULL;
+    gsn_auto(gsn_scan_row) none = NULL;
+    struct gsn_error err = { 0 };
+    int64_t id;
+    int again;
+
+    rows[2].subject = "blank";
+    rows[3].source = "camera";
+    for (size_t i = 0; i < 4; i++)
+        CHECK_OK(gsn_scan_take(store, &rows[i], 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_newest(store, "flatbed", "panel", &panel, &err), err);
+    CHECK(strcmp(panel->name, "2") == 0);
+    CHECK_OK(gsn_scan_newest(store, "flatbed", "blank", &blank, &err), err);
+    CHECK(strcmp(blank->name, "3") == 0);
+    CHECK(gsn_scan_newest(store, "flatbed", "dark", &none, &err) == GSN_E_NOTFOUND && !none);
+    CHECK(strcmp(err.text, "flatbed has given no dark picture yet") == 0);
+}
+
 TEST(a_scan_that_nobody_can_place_is_unfiled_with_the_reason)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -498,6 +498,36 @@ def reloads(bench):
         "SELECT state FROM source WHERE name = 'second'") == [("off",)])
 
 
+def status_of(pid):
+    return pathlib.Path(f"/proc/{pid}/status").read_text()
+
+
+def is_pending(pid, number):
+    status = status_of(pid)
+    return any(int(bits, 16) >> (number - 1) & 1
+               for bits in re.findall(r"(?:SigPnd|ShdPnd):\s*([0-9a-f]+)", status))
+
+
+@scenario
+def reload_too_late(bench):
+    """SIGHUP while the service stops starts nothing that would keep it from ending."""
+    bench.configure()
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    bench.wait("an intake", bench.intake)
+    frozen = bench.intake()
+    os.kill(frozen, signal.SIGSTOP)  # so that stopping takes its time
+    bench.wait("it to stand still", lambda: "State:\tT" in status_of(frozen))
+    second = bench.folder / "second"
+    second.mkdir()
+    bench.configure(more=f"[source second]\nAddress=hot:{second}\nSettleMs=50\n")
+    bench.service.send_signal(signal.SIGTERM)
+    bench.wait("the intake to be asked to stop", lambda: is_pending(frozen, signal.SIGTERM))
+    bench.service.send_signal(signal.SIGHUP)
+    bench.stop()
+    demand(bench.service.returncode == 0, bench.words())
+
+
 @scenario
 def checks(bench):
     """--check-config says what is wrong and where, and touches nothing."""

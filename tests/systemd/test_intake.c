@@ -176,6 +176,56 @@ TEST(a_picture_that_was_taken_is_not_offered_to_a_later_process)
     CHECK(ready(&stage) == 0);
 }
 
+static void log_picture(const struct stage *stage, const char *subject, const char *facts)
+{
+    const struct gsn_scan_row row = { .source = "camera",
+                                      .device = "",
+                                      .name = facts,
+                                      .key = "",
+                                      .subject = subject,
+                                      .sha256 = bench_digest(1),
+                                      .size = 1,
+                                      .facts = facts };
+    struct gsn_error err = { 0 };
+    int64_t id;
+    int again;
+
+    CHECK_OK(gsn_scan_take(stage->store, &row, 0, NOON, &id, &again, &err), err);
+}
+
+static int recall_once(const struct stage *stage, struct gsn_error *err)
+{
+    struct gsn_source_options options = { .settle_ms = 0 };
+    struct gsn_intake_past past;
+    const int r = gsn_intake_recall(stage->store, "camera", &past, &options, err);
+
+    gsn_intake_past_done(&past);
+    return r;
+}
+
+TEST(a_later_process_tells_the_source_what_was_taken_last)
+{
+    auto_stage stage;
+    struct gsn_source_options options = { .settle_ms = 0 };
+    struct gsn_intake_past past;
+    struct gsn_error err = { 0 };
+
+    stage_begin(&stage, 0);
+    CHECK_OK(gsn_intake_recall(stage.store, "camera", &past, &options, &err), err);
+    for (int i = 0; i < GSN_SUBJECTS; i++)
+        CHECK(options.last_facts[i] == NULL);
+    gsn_intake_past_done(&past);
+    log_picture(&stage, "panel", "{\"n\":1}");
+    log_picture(&stage, "panel", "{\"n\":2}");
+    log_picture(&stage, "blank", "{\"n\":3}");
+    CHECK_OK(gsn_intake_recall(stage.store, "camera", &past, &options, &err), err);
+    CHECK(strcmp(options.last_facts[GSN_SUBJECT_PANEL], "{\"n\":2}") == 0);
+    CHECK(strcmp(options.last_facts[GSN_SUBJECT_BLANK], "{\"n\":3}") == 0);
+    CHECK(options.last_facts[GSN_SUBJECT_DARK] == NULL);
+    gsn_intake_past_done(&past);
+    CHECK_EVERY_OOM(recall_once(&stage, &err), err);
+}
+
 TEST(a_disk_below_its_reserve_takes_nothing_and_everything_later)
 {
     auto_stage stage;
@@ -286,6 +336,130 @@ TEST(running_out_of_memory_takes_a_picture_once_or_not_at_all)
     CHECK(events->count == 1);
     CHECK_EVERY_OOM(take_once(&stage, &events->at[0], &err), err);
     CHECK(ask(&stage, "SELECT count(*) FROM scan") == 1 && ready(&stage) == 0);
+}
+
+/* ---- where the device is to delete its copy ---------------------------------------------- */
+
+/* A device with one object, which counts what it is told. */
+struct device {
+    const char *bytes;
+    size_t size;
+    int acknowledged, kept;
+};
+
+static int device_poll(void *self, int64_t now_ms, struct gsn_source_events *events, int *ret_ended,
+                       struct gsn_error *err)
+{
+    const struct device *const device = self;
+    const struct gsn_source_event event = {
+        .what = GSN_SOURCE_READY, .item = 1, .name = "P01.TIF", .reason = "", .size = device->size
+    };
+
+    (void)now_ms;
+    *ret_ended = 0;
+    return gsn_source_tell(events, &event, err);
+}
+
+static int device_read(void *self, uint64_t item, uint64_t offset, void *buffer, size_t size,
+                       size_t *ret_got, struct gsn_error *err)
+{
+    const struct device *const device = self;
+    const size_t left = offset < device->size ? device->size - (size_t)offset : 0;
+
+    (void)item;
+    (void)err;
+    *ret_got = left < size ? left : size;
+    memcpy(buffer, device->bytes + offset, *ret_got);
+    return GSN_OK;
+}
+
+static int device_acknowledge(void *self, uint64_t item, struct gsn_error *err)
+{
+    (void)item;
+    (void)err;
+    ((struct device *)self)->acknowledged++;
+    return GSN_OK;
+}
+
+static int device_keep(void *self, uint64_t item, struct gsn_error *err)
+{
+    (void)item;
+    (void)err;
+    ((struct device *)self)->kept++;
+    return GSN_OK;
+}
+
+static void device_close(void *self)
+{
+    (void)self;
+}
+
+static const struct gsn_source_ops device_ops = { .kind = "device",
+                                                  .poll = device_poll,
+                                                  .read = device_read,
+                                                  .acknowledge = device_acknowledge,
+                                                  .keep = device_keep,
+                                                  .close = device_close };
+
+/* Takes what the device has and gives why it keeps its copy. */
+static void take_of_device(struct device *device, int delete_there, char kept[200])
+{
+    auto_stage stage;
+    gsn_auto(gsn_source) source = NULL;
+    gsn_auto(gsn_source_events) events = NULL;
+    struct gsn_intake_taken taken;
+    enum gsn_intake_fault fault;
+    struct gsn_error err = { 0 };
+    int ended = 0;
+
+    stage_begin(&stage, 0);
+    const struct gsn_source_options options = { .on_read = gsn_intake_on_read,
+                                                .context = &stage.intake };
+
+    CHECK_OK(gsn_source_make(&device_ops, device, "device:one", &options, &source, &err), err);
+    stage.intake.source = source;
+    stage.intake.delete_there = delete_there;
+    CHECK_OK(gsn_source_poll(source, 0, &events, &ended, &err), err);
+    CHECK_OK(gsn_intake_take(&stage.intake, &events->at[0], NOON, &taken, &fault, &err), err);
+    CHECK(ask(&stage, "SELECT count(*) FROM scan WHERE name = 'P01.TIF'") == 1);
+    (void)snprintf(kept, 200, "%s", taken.kept);
+}
+
+TEST(what_is_whole_is_deleted_there)
+{
+    struct device device = { .bytes = picture, .size = SIZE };
+    char kept[200];
+
+    take_of_device(&device, 1, kept);
+    CHECK(device.acknowledged == 1 && device.kept == 0 && !kept[0]);
+}
+
+TEST(half_a_picture_is_taken_in_and_stays_there)
+{
+    struct device device = { .bytes = picture, .size = SIZE - 1 };
+    char kept[200];
+
+    take_of_device(&device, 1, kept);
+    CHECK(device.acknowledged == 0 && device.kept == 1);
+    CHECK(strstr(kept, "not deleted there: ") && strstr(kept, "the file ends before"));
+}
+
+TEST(what_nobody_can_judge_is_taken_in_and_stays_there)
+{
+    struct device device = { .bytes = "raw sensor data", .size = 15 };
+    char kept[200];
+
+    take_of_device(&device, 1, kept);
+    CHECK(device.acknowledged == 0 && device.kept == 1 && strstr(kept, "no PNG"));
+}
+
+TEST(where_nothing_is_deleted_half_a_picture_needs_no_word)
+{
+    struct device device = { .bytes = picture, .size = SIZE - 1 };
+    char kept[200];
+
+    take_of_device(&device, 0, kept);
+    CHECK(device.acknowledged == 1 && device.kept == 0 && !kept[0]);
 }
 
 /* ---- what fails is tried again later each time ------------------------------------------- */

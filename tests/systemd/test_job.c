@@ -169,6 +169,7 @@ TEST(awkward_panels_cost_only_themselves)
     struct gsn_import_counts counts = { 0 };
     struct gsn_error err = { 0 };
     struct heard heard;
+    int64_t asked = 0;
 
     write_awkward(&scratch);
     CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
@@ -195,9 +196,12 @@ TEST(awkward_panels_cost_only_themselves)
     CHECK_NEAR(measure(store, run, "mean_density"), 0.6, 0.004);
     check_report(&scratch, run);
 
-    /* The same folder again brings nothing new, and the report is the same. */
+    /* The same folder again brings nothing new and asks for nothing; asked for, the report is the
+     * same. */
     CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
     CHECK(counts.taken == 0 && counts.again == 7);
+    CHECK(work_all(store, 20) == 0);
+    CHECK_OK(gsn_queue_add(store, run->specimen_id, 0, &asked, &err), err);
     CHECK(work_all(store, 20) == 1);
     gsn_auto(gsn_run_row) again = latest(store, "a");
 

@@ -57,7 +57,7 @@ def run_one(bench, name):
         verdict = "ok"
     except image.Unavailable as why:
         figures, verdict = str(why), "SKIPPED"
-    except machine.Failed as why:
+    except (machine.Failed, ValueError, IndexError, OSError) as why:
         figures, verdict = f"{why} (journal: {bench.home / 'failed.journal'})", "FAILED"
     print(f"{name}: {figures}; {time.monotonic() - began:.0f} s, {verdict}", flush=True)
     return verdict

@@ -18,10 +18,10 @@ SKIPPED = 77
 GUEST = pathlib.Path(__file__).resolve().parent / "guest"
 
 # In the root with everything they depend on; and alone.
-PACKAGES = ("systemd udev kmod dbus dash bash coreutils util-linux mount sed grep gawk findutils "
+PACKAGES = ("systemd udev kmod dbus dash bash coreutils util-linux mount sed grep findutils "
             "procps libusb-1.0-0 dpkg tar gzip base-files").split()
 ALONE = ("libcamera-ipa",)
-PROGRAMS = ("sqlite3", "v4l2-ctl", "cam", "umtp-responder")
+PROGRAMS = ("sqlite3", "v4l2-ctl", "cam", "umtprd")
 # What may be loaded in the guest; modprobe knows what those need in turn.
 MODULES = ("virtio_pci virtio_blk ext4 autofs4 xhci_pci xhci_hcd uvcvideo vivid dummy_hcd libcomposite usb_f_fs "
            "usb_storage sd_mod vfat nls_ascii nls_cp437 rtc_cmos").split()

@@ -40,4 +40,4 @@ for ((i = 0; i < number; i++)); do
     took=$(($(milliseconds) - began))
     [ "$took" -gt "$slowest" ] && slowest=$took
 done
-echo "$service kills of the service, $intake of the intake, $worker of the worker: slowest $(awk "BEGIN { print $slowest / 1000 }") s"
+echo "$service kills of the service, $intake of the intake, $worker of the worker: slowest $slowest ms"

@@ -61,7 +61,8 @@ static void become(const struct gsn_spawn *what, pid_t parent)
         (void)setpriority(PRIO_PROCESS, 0, NICE);
         (void)syscall(SYS_ioprio_set, IOPRIO_WHO_PROCESS, 0, IOPRIO_LOW);
     }
-    if (place_fds(what) < 0)
+    /* It gets what it is given and nothing that somebody left open before us. */
+    if (close_range(3, ~0U, CLOSE_RANGE_CLOEXEC) < 0 || place_fds(what) < 0)
         return;
     limit(RLIMIT_AS, what->memory_bytes, 0);
     limit(RLIMIT_CPU, what->cpu_s, CPU_GRACE_S);

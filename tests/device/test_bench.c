@@ -15,6 +15,7 @@
 #include "storage/bench.h"
 #include "storage/scan.h"
 #include "tests/check.h"
+#include "tests/device/aside.h"
 #include "tests/device/ptp_model.h"
 #include "tests/device/umock.h"
 #include "tests/storage/scratch.h"
@@ -51,6 +52,7 @@ static void start(struct bench *bench)
     CHECK_OK(gsn_store_open(store, GSN_STORE_CREATE, &bench->store, &err), err);
     bench->giesond = fork();
     if (bench->giesond == 0) {
+        umock_open_aside();
         (void)unsetenv("NOTIFY_SOCKET");
         (void)execl(GSN_GIESOND, GSN_GIESOND, "--store", store, "--config", config, "--only",
                     "intake", (char *)NULL);

@@ -21,6 +21,7 @@
 #include "storage/scan.h"
 #include "systemd/job.h"
 #include "tests/check.h"
+#include "tests/device/aside.h"
 #include "tests/device/umock_v4l2.h"
 #include "tests/pipeline/drawn_panel.h"
 #include "tests/storage/bench.h"
@@ -149,6 +150,7 @@ static void start(struct bench *bench)
 
     bench->giesond = fork();
     if (bench->giesond == 0) {
+        umock_open_aside();
         (void)prctl(PR_SET_PDEATHSIG, SIGTERM); /* a failed test leaves nobody behind */
         (void)unsetenv("NOTIFY_SOCKET");
         (void)execl(GSN_GIESOND, GSN_GIESOND, "--store", store, "--config", config, "--only",

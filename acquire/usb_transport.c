@@ -287,6 +287,8 @@ static int take_event(struct usb *usb, void *buffer, size_t size, size_t *ret_go
         *ret_got = got;
         return GSN_PTP_DONE;
     case LIBUSB_TRANSFER_STALL:
+        /* A pipe that stalls again and again is given up like one that fails: events are hints. */
+        usb->event_failures++;
         *ret_got = 0;
         return GSN_PTP_STALLED;
     case LIBUSB_TRANSFER_NO_DEVICE:

@@ -44,29 +44,32 @@ static const struct {
 
 static const char doc[] =
     "From stained sections on scanned panels to the collagen that was lost.\v"
+    /* Lines of at most 76 columns: argp breaks longer ones where it likes. */
     "Verbs:\n"
-    "  import FOLDER       take panels beside a job.json into the store (--volume FILE and\n"
-    "                      --tile FILE take a volume or a single picture)\n"
+    "  import FOLDER       take panels beside a job.json into the store\n"
+    "                      (--volume FILE, --tile FILE: a volume or one picture)\n"
     "  run                 work the queue to its end\n"
-    "  night               work every specimen that changed since its last report\n"
+    "  night               work every specimen that changed since its report\n"
     "  status              what is in the store, and what to do next\n"
-    "  top                 the same on a screen that follows; ? there lists the keys\n"
+    "  top                 the same on a screen that follows; ? lists its keys\n"
     "  show SPECIMEN       its panels, sections and figures\n"
     "  report SPECIMEN     where its report is; with --json the report itself\n"
     "  retry [SPECIMEN]    let failed jobs wait again\n"
     "  verify RUN          work a finished run again and compare every byte\n"
-    "  scrub               read every stored original again and compare its hash\n"
+    "  scrub               read every stored original again, compare its hash\n"
     "  check FILE...       decode pictures strictly and say what they are\n"
     "  demo [FOLDER]       two phantom specimens from panels to reports\n"
     "  phantom ...         make a specimen with a known truth (phantom --help)\n"
     "The bench:\n"
-    "  file SCAN SPECIMEN --panel N   say where a scan belongs that nobody could place\n"
-    "  expect SOURCE SPECIMEN         what this source delivers is this specimen's, until\n"
-    "                                 `expect SOURCE --nobody`\n"
-    "  capture SOURCE                 take a picture now (--blank: of clean glass, --dark: with\n"
-    "                                 the lens covered)\n"
-    "  devices                        what is plugged in, with the addresses to configure\n"
-    "  check-config [FILE]            what is wrong with the service's configuration\n";
+    "  file SCAN SPECIMEN --panel N\n"
+    "                      say where a scan belongs that nobody could place\n"
+    "  expect SOURCE SPECIMEN\n"
+    "                      what this source delivers is this specimen's, until\n"
+    "                      `expect SOURCE --nobody`\n"
+    "  capture SOURCE      take a picture now (--blank: of clean glass,\n"
+    "                      --dark: with the lens covered)\n"
+    "  devices             what is plugged in, with the addresses to configure\n"
+    "  check-config [FILE] what is wrong with the service's configuration\n";
 
 static const struct argp_option options[] = {
     { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE, else the service's)", 0 },

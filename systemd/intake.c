@@ -2,6 +2,7 @@
 #include "systemd/intake.h"
 
 #include <stdio.h>
+#include <string.h>
 #include <unistd.h>
 
 #include "acquire/container.h"
@@ -152,6 +153,84 @@ static int copy(struct gsn_intake *intake, const struct gsn_source_event *ready,
     return r;
 }
 
+/* A picture that was not whole when it was read, since when. */
+struct gsn_intake_half {
+    struct gsn_intake_half *next;
+    char *name;
+    struct gsn_digest digest;
+    int64_t since;
+};
+
+static void forget_half(struct gsn_intake *intake, const char *name)
+{
+    for (struct gsn_intake_half **at = &intake->half; *at; at = &(*at)->next) {
+        struct gsn_intake_half *const half = *at;
+
+        if (strcmp(half->name, name) != 0)
+            continue;
+        *at = half->next;
+        gsn_free(half->name);
+        gsn_free(half);
+        return;
+    }
+}
+
+void gsn_intake_done(struct gsn_intake *intake)
+{
+    while (intake->half)
+        forget_half(intake, intake->half->name);
+}
+
+static int note_half(struct gsn_intake *intake, const char *name, const struct gsn_digest *digest,
+                     int64_t now, struct gsn_error *err)
+{
+    struct gsn_intake_half *const half = gsn_alloc_array(1, sizeof *half);
+
+    if (half)
+        half->name = gsn_strdup(name);
+    if (!half || !half->name) {
+        gsn_free(half);
+        return gsn_fail(err, GSN_E_NOMEM, "%.200s: out of memory", name);
+    }
+    half->digest = *digest;
+    half->since = now;
+    half->next = intake->half;
+    intake->half = half;
+    return GSN_OK;
+}
+
+/* Some responders measure an object before it is written to its end, and some scanners rest in the
+ * middle of one: half a picture is read again until it is whole, or has stayed the same for the
+ * patience. Fails with GSN_E_BUSY while it is to be waited for. */
+static int wait_for_whole(struct gsn_intake *intake, const struct gsn_source_event *ready,
+                          const struct gsn_spooled *spooled, const struct gsn_container *container,
+                          int64_t now, struct gsn_error *err)
+{
+    const struct gsn_intake_half *half = intake->half;
+    int r = GSN_OK;
+
+    if (intake->patience_s == 0 || ready->incomplete || container->complete ||
+        container->kind == GSN_CONTAINER_UNKNOWN ||
+        !gsn_source_subsystem(gsn_source_address(intake->source))) {
+        forget_half(intake, ready->name);
+        return GSN_OK;
+    }
+    while (half && strcmp(half->name, ready->name) != 0)
+        half = half->next;
+    if (half && strcmp(half->digest.hex, spooled->digest.hex) == 0) {
+        if (now - half->since >= intake->patience_s) {
+            forget_half(intake, ready->name);
+            return GSN_OK;
+        }
+    } else {
+        forget_half(intake, ready->name);
+        r = note_half(intake, ready->name, &spooled->digest, now, err);
+    }
+    return r < 0 ? r
+                 : gsn_fail(err, GSN_E_BUSY, "%.200s is not whole yet: %s; it is read again",
+                            ready->name, container->reason);
+}
+
 static int refuse_empty(const struct gsn_intake *intake, const struct gsn_source_event *ready,
                         enum gsn_intake_fault *ret_fault, struct gsn_error *err)
 {
@@ -178,6 +257,12 @@ int gsn_intake_take(struct gsn_intake *intake, const struct gsn_source_event *re
     if (r < 0)
         return r;
     r = look_into(intake, &taken.spooled, &container, err);
+    if (r >= 0)
+        r = wait_for_whole(intake, ready, &taken.spooled, &container, now, err);
+    if (r == GSN_E_BUSY) {
+        *ret_fault = GSN_FAULT_ITEM;
+        return r;
+    }
     if (r >= 0)
         r = log_scan(intake, ready, &container, now, &taken, err);
     if (r >= 0 && intake->delete_there)

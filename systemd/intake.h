@@ -21,6 +21,10 @@ struct gsn_intake {
     struct gsn_spool *spool;
     struct gsn_source *source;
     int delete_there;
+    /* For so long the half picture of a device is asked for again, as long as it stays the same,
+     * before it is taken as it is; 0: it is taken at once. Folders wait by themselves. */
+    int64_t patience_s;
+    struct gsn_intake_half *half; /* owned; what is waited for: gsn_intake_done() */
     /* Told how far a copy is; another answer than 0 breaks it off. May be NULL. */
     int (*on_copy)(void *context, uint64_t offset);
     void *context;
@@ -29,6 +33,9 @@ struct gsn_intake {
     int read_code, read_nothing;
     uint64_t read_to;
 };
+
+/* Frees what the intake owns; the rest is the caller's. */
+void gsn_intake_done(struct gsn_intake *intake);
 
 /* For gsn_source_options, with the intake as their context. */
 int gsn_intake_is_known(void *intake, const char *key);

@@ -543,6 +543,7 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
                                            .store = serving->store,
                                            .spool = serving->spool,
                                            .delete_there = config->delete_after_copy,
+                                           .patience_s = config->patience_s,
                                            .on_copy = on_copy,
                                            .context = serving };
     if (r >= 0)
@@ -558,6 +559,7 @@ static void serving_done(struct serving *serving)
     gsn_source_free(serving->source);
     gsn_specimen_folders_free(serving->folders);
     gsn_failing_done(&serving->failing);
+    gsn_intake_done(&serving->intake);
     gsn_spool_free(serving->spool);
     if (serving->changes >= 0)
         (void)close(serving->changes);

@@ -503,7 +503,10 @@ def status_of(pid):
 
 
 def is_pending(pid, number):
-    status = status_of(pid)
+    try:
+        status = status_of(pid)
+    except FileNotFoundError:
+        return True  # it has been asked long since, and ended
     return any(int(bits, 16) >> (number - 1) & 1
                for bits in re.findall(r"(?:SigPnd|ShdPnd):\s*([0-9a-f]+)", status))
 

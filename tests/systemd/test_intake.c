@@ -442,6 +442,60 @@ TEST(half_a_picture_is_not_known_by_its_key)
     CHECK(whole.known == 1 && half.known == 0 && raw.known == 1);
 }
 
+/* One look of a patient intake at a scanner's object, so many seconds after noon. */
+static int take_patiently(struct stage *stage, struct device *device, int64_t after_s,
+                          struct gsn_error *err)
+{
+    const struct gsn_source_options options = { .on_read = gsn_intake_on_read,
+                                                .context = &stage->intake };
+    gsn_auto(gsn_source) source = NULL;
+    gsn_auto(gsn_source_events) events = NULL;
+    struct gsn_intake_taken taken;
+    enum gsn_intake_fault fault;
+    int ended = 0, r;
+
+    CHECK_OK(gsn_source_make(&device_ops, device, "ptp:one", &options, &source, err), *err);
+    stage->intake.source = source;
+    stage->intake.patience_s = 60;
+    CHECK_OK(gsn_source_poll(source, 0, &events, &ended, err), *err);
+    r = gsn_intake_take(&stage->intake, &events->at[0], NOON + after_s, &taken, &fault, err);
+    CHECK(r >= 0 || (r == GSN_E_BUSY && fault == GSN_FAULT_ITEM));
+    CHECK(r >= 0 || strstr(err->text, "P01.TIF is not whole yet: the file ends before"));
+    return r;
+}
+
+TEST(half_a_picture_is_asked_for_again_until_it_is_whole)
+{
+    auto_stage stage;
+    struct device device = { .bytes = picture, .size = SIZE - 1 };
+    struct gsn_error err = { 0 };
+
+    stage_begin(&stage, 0);
+    CHECK(take_patiently(&stage, &device, 0, &err) == GSN_E_BUSY);
+    CHECK(ask(&stage, "SELECT count(*) FROM scan") == 0 && device.acknowledged == 0);
+    device.size = SIZE;
+    CHECK_OK(take_patiently(&stage, &device, 10, &err), err);
+    CHECK(ask(&stage, "SELECT count(*) FROM scan") == 1 && device.acknowledged == 1);
+    gsn_intake_done(&stage.intake);
+}
+
+TEST(half_a_picture_that_stays_so_is_taken_after_the_patience)
+{
+    auto_stage stage;
+    static const char begun[] = "\xff\xd8\xff\xfe\x00\x09";
+    struct device device = { .bytes = begun, .size = sizeof begun - 2 };
+    struct gsn_error err = { 0 };
+
+    stage_begin(&stage, 0);
+    CHECK(take_patiently(&stage, &device, 0, &err) == GSN_E_BUSY);
+    device.size++; /* it grows: the patience begins anew */
+    CHECK(take_patiently(&stage, &device, 50, &err) == GSN_E_BUSY);
+    CHECK(take_patiently(&stage, &device, 109, &err) == GSN_E_BUSY);
+    CHECK_OK(take_patiently(&stage, &device, 110, &err), err);
+    CHECK(ask(&stage, "SELECT count(*) FROM scan") == 1 && device.acknowledged == 1);
+    gsn_intake_done(&stage.intake);
+}
+
 TEST(what_is_whole_is_deleted_there)
 {
     struct device device = { .bytes = picture, .size = SIZE };

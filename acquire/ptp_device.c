@@ -134,48 +134,53 @@ static int list_storage(struct gsn_ptp_device *device, uint32_t storage,
 {
     int r = list_once(device, storage, 0, handles, ret_code, err);
 
-    if (was_refused(r, *ret_code))
+    if (was_refused(r, *ret_code) && *ret_code != GSN_PTP_STORE_NOT_AVAILABLE)
         r = list_once(device, storage, gsn_ptp_every, handles, ret_code, err);
-    return r;
+    /* The card is out, or locked: nothing is there, and the others have a say all the same. */
+    return was_refused(r, *ret_code) && *ret_code == GSN_PTP_STORE_NOT_AVAILABLE ? GSN_OK : r;
 }
 
-static int list_storages(struct gsn_ptp_device *device, struct gsn_ptp_handles *handles,
+/* gives: ret_bytes, the identifiers of ret_count storages. */
+static int name_storages(struct gsn_ptp_device *device, uint8_t **ret_bytes, uint32_t *ret_count,
                          uint16_t *ret_code, struct gsn_error *err)
 {
     const struct gsn_ptp_request request = { .operation = GSN_PTP_GET_STORAGE_IDS };
     gsn_auto_mem(uint8_t) bytes = NULL;
-    uint32_t count = 0;
     size_t size = 0;
     int r =
         fetch(device, &request, "to name its storages", MOST_DATASET, &bytes, &size, ret_code, err);
 
     if (r >= 0)
-        r = gsn_ptp_read_list(bytes, size, &count, err);
-    for (uint32_t i = 0; r >= 0 && i < count; i++) {
-        const uint32_t storage = gsn_ptp_get32(bytes + 4 + 4 * (size_t)i);
-
-        /* Without a logical part there is a slot and no card in it. */
-        if ((storage & 0xFFFF) != 0)
-            r = list_storage(device, storage, handles, ret_code, err);
-    }
+        r = gsn_ptp_read_list(bytes, size, ret_count, err);
+    if (r >= 0)
+        *ret_bytes = gsn_steal(&bytes);
     return r;
 }
 
+/* Storage by storage. To ask for all storages at once is allowed, but not every responder survives
+ * it: umtp-responder refuses, and then hangs at the next listing. So that is asked only of a device
+ * that does not name its storages. */
 int gsn_ptp_device_list(struct gsn_ptp_device *device, uint32_t storage, uint32_t folder,
                         struct gsn_ptp_handles *handles, uint16_t *ret_code, struct gsn_error *err)
 {
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    uint32_t count = 0;
     int r;
 
     *ret_code = 0;
     if (folder != 0)
         return list_once(device, storage, folder, handles, ret_code, err);
-    if (device->no_list_of_all)
-        return list_storages(device, handles, ret_code, err);
-    r = list_once(device, gsn_ptp_every, 0, handles, ret_code, err);
-    if (!was_refused(r, *ret_code))
-        return r;
-    device->no_list_of_all = true;
-    return list_storages(device, handles, ret_code, err);
+    r = name_storages(device, &bytes, &count, ret_code, err);
+    if (was_refused(r, *ret_code))
+        return list_once(device, gsn_ptp_every, 0, handles, ret_code, err);
+    for (uint32_t i = 0; r >= 0 && i < count; i++) {
+        const uint32_t id = gsn_ptp_get32(bytes + 4 + 4 * (size_t)i);
+
+        /* Without a logical part there is a slot and no card in it. */
+        if ((id & 0xFFFF) != 0)
+            r = list_storage(device, id, handles, ret_code, err);
+    }
+    return r;
 }
 
 /* The size of an object that 32 bits do not hold. */

@@ -34,7 +34,6 @@ struct gsn_ptp_device {
     bool greeted;                   /* info is known */
     size_t piece;                   /* bytes asked for at once */
     bool no_partial, no_partial_64; /* offered, but refused when asked */
-    bool no_list_of_all;
     struct gsn_ptp_stream stream;
 };
 
@@ -59,7 +58,7 @@ struct gsn_ptp_handles {
 int gsn_ptp_handles_add(struct gsn_ptp_handles *handles, uint32_t handle, struct gsn_error *err);
 
 /* Adds the handles in this folder, or all that the device lists by itself for folder 0: those in
- * the root at least. A device that does not list all storages at once is asked one by one. */
+ * the root at least, of every storage. */
 int gsn_ptp_device_list(struct gsn_ptp_device *device, uint32_t storage, uint32_t folder,
                         struct gsn_ptp_handles *handles, uint16_t *ret_code, struct gsn_error *err);
 

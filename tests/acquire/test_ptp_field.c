@@ -133,29 +133,59 @@ TEST(a_device_that_introduces_itself_only_in_a_session_is_asked_there)
     CHECK(bench.bus.resets == 0);
 }
 
-TEST(a_refused_listing_of_all_storages_is_asked_for_storage_by_storage)
+/* A scan on the second card. */
+static void add_far_scan(struct bench *bench)
 {
-    static const uint8_t far[2000] = { 1 };
+    struct bench_object *const object = bench_scan(bench, "P02.TIF", 2000, 2, NULL, 0);
+
+    ptp_model_remove(bench->model, object->handle);
+    object->handle = ptp_model_add(bench->model,
+                                   &(struct ptp_object){ .name = object->name,
+                                                         .date = "20260101T120000",
+                                                         .format = PTP_TIFF,
+                                                         .size = object->size,
+                                                         .bytes = object->bytes,
+                                                         .storage = 1 },
+                                   0);
+}
+
+TEST(a_device_that_hangs_when_asked_for_all_storages_is_asked_for_each)
+{
     bench_auto bench;
-    struct bench_object *object;
 
     bench_init(&bench, &(struct ptp_faults){ .no_list_of_all = true });
     (void)bench_scan(&bench, "P01.TIF", 1000, 1, NULL, 0);
-    object = &bench.object[bench.objects++];
-    *object = (struct bench_object){ .name = "P02.TIF", .size = sizeof far };
-    object->bytes = malloc(sizeof far);
-    memcpy(object->bytes, far, sizeof far);
-    (void)ptp_model_add(bench.model,
-                        &(struct ptp_object){ .name = "P02.TIF",
-                                              .date = "20260101T120000",
-                                              .format = PTP_TIFF,
-                                              .size = sizeof far,
-                                              .bytes = far,
-                                              .storage = 1 },
-                        0);
+    add_far_scan(&bench);
+    bench_open(&bench);
+    CHECK(bench_work(&bench, TURNS));
+    CHECK(bench.bus.resets == 0);
+}
+
+TEST(a_device_that_does_not_name_its_storages_is_asked_for_all)
+{
+    bench_auto bench;
+
+    bench_init(&bench, &(struct ptp_faults){ .no_storage_ids = true });
+    (void)bench_scan(&bench, "P01.TIF", 1000, 1, NULL, 0);
+    add_far_scan(&bench);
     bench_open(&bench);
     CHECK(bench_work(&bench, TURNS));
     CHECK(ptp_model_asked(bench.model, GSN_PTP_GET_STORAGE_IDS) > 0);
+}
+
+TEST(a_storage_that_is_closed_keeps_nobody)
+{
+    bench_auto bench;
+
+    bench_init(&bench, &(struct ptp_faults){ .closed_storage = 2 });
+    (void)bench_scan(&bench, "P01.TIF", 1000, 1, NULL, 0);
+    add_far_scan(&bench);
+    bench_open(&bench);
+    for (int i = 0; i < 10; i++)
+        bench_turn(&bench);
+    CHECK(bench.object[0].taken == 1 && bench.object[1].taken == 0);
+    ptp_model_set_faults(bench.model, &(struct ptp_faults){ 0 });
+    CHECK(bench_work(&bench, TURNS));
 }
 
 TEST(an_object_is_taken_only_when_it_stopped_growing)

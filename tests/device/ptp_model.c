@@ -29,6 +29,7 @@ enum {
     SESSION_NOT_OPEN = 0x2003,
     NOT_SUPPORTED = 0x2005,
     INVALID_STORAGE = 0x2008,
+    STORE_NOT_AVAILABLE = 0x2013,
     INVALID_HANDLE = 0x2009,
     WRITE_PROTECTED = 0x200d,
     NO_THUMBNAIL = 0x2010,
@@ -54,6 +55,8 @@ struct held {
     uint32_t handle;
     bool growing, removed;
     unsigned looks;
+    uint64_t measured; /* in this session (measures_once) */
+    bool is_measured;
 };
 
 struct event {
@@ -73,7 +76,7 @@ struct ptp_model {
     size_t event_count;
     uint32_t last_handle, session, transaction;
     unsigned transactions, busy, cancelling;
-    bool gone, crashed;
+    bool gone, crashed, hung;
     int64_t now_ms;
     struct {
         uint16_t operation;
@@ -130,7 +133,7 @@ static unsigned storage_count(const struct ptp_model *model)
 /* What the device says the size is: while it grows, never all of it. */
 static uint64_t size_now(const struct held *held)
 {
-    const uint64_t size = held->object.size;
+    const uint64_t size = held->is_measured ? held->measured : held->object.size;
     const uint64_t missing = size / (held->looks + 1);
 
     return !held->growing || size == 0 ? size : size - (missing ? missing : 1);
@@ -175,7 +178,8 @@ static bool offers(const struct ptp_model *model, uint16_t operation)
 {
     const struct ptp_faults *const faults = &model->faults;
 
-    return !(operation == GET_PARTIAL_OBJECT && faults->no_partial) &&
+    return !(operation == GET_STORAGE_IDS && faults->no_storage_ids) &&
+           !(operation == GET_PARTIAL_OBJECT && faults->no_partial) &&
            !(operation == GET_PARTIAL_OBJECT_64 && faults->no_partial64) &&
            !(operation == GET_OBJECT_PROP_VALUE && faults->no_properties);
 }
@@ -243,6 +247,8 @@ static void open_session(struct ptp_model *model, struct question *q)
         q->answer.parameter[0] = model->session;
     } else {
         model->session = q->parameter[0];
+        for (size_t i = 0; i < model->object_count; i++)
+            model->object[i]->is_measured = false;
     }
 }
 
@@ -293,14 +299,19 @@ static bool is_listed(const struct held *held, const uint32_t parameter[5])
            (parameter[2] == 0 || held->object.parent == folder);
 }
 
-static bool may_list(const struct ptp_model *model, struct question *q)
+static bool may_list(struct ptp_model *model, struct question *q)
 {
     const bool all = q->parameter[0] == UINT32_MAX;
     const uint32_t folder = q->parameter[2];
 
-    if (all ? model->faults.no_list_of_all : !is_storage(model, q->parameter[0]))
+    model->crashed = model->hung;
+    if (all ? model->faults.no_list_of_all : !is_storage(model, q->parameter[0])) {
         refuse(q, INVALID_STORAGE);
-    else if (folder != 0 && folder != UINT32_MAX && !find(model, folder))
+        model->hung = all;
+    } else if (!all && q->parameter[0] >> 16 == model->faults.closed_storage) {
+        refuse(q, STORE_NOT_AVAILABLE);
+    }
+    if (q->answer.code == OK && folder != 0 && folder != UINT32_MAX && !find(model, folder))
         refuse(q, INVALID_HANDLE);
     return q->answer.code == OK;
 }
@@ -349,6 +360,8 @@ static void get_object_info(struct ptp_model *model, struct question *q)
     const uint64_t size = size_now(held);
 
     held->looks++;
+    held->is_measured = model->faults.measures_once;
+    held->measured = size;
     blob_u32(data, storage_of(held));
     blob_u16(data, held->object.format);
     blob_u16(data, 0);
@@ -579,7 +592,7 @@ static void restart(struct ptp_model *model)
 {
     ptp_answers_clear(model->answers);
     model->event_count = 0;
-    model->crashed = false;
+    model->crashed = model->hung = false;
 }
 
 /* Get Device Status (0x67): the endpoint that is halted is named. */
@@ -704,6 +717,16 @@ uint32_t ptp_model_add(struct ptp_model *model, const struct ptp_object *object,
         tell(model, OBJECT_INFO_CHANGED, held->handle, model->faults.changed_flood);
     }
     return held->handle;
+}
+
+void ptp_model_write(struct ptp_model *model, uint32_t handle, uint64_t size)
+{
+    struct held *const held = find(model, handle);
+
+    if (!held)
+        return;
+    held->object.size = size;
+    tell(model, OBJECT_INFO_CHANGED, handle, 1);
 }
 
 void ptp_model_complete(struct ptp_model *model, uint32_t handle)

@@ -34,7 +34,11 @@ struct ptp_faults {
                                  counts anew */
     /* How it answers. */
     bool info_needs_session; /* GetDeviceInfo before OpenSession: 0x2003 */
-    bool no_list_of_all;     /* GetObjectHandles(0xffffffff): 0x2008 */
+    bool no_list_of_all;     /* GetObjectHandles(0xffffffff): 0x2008, and then it hangs at the
+                                next one, as umtp-responder does */
+    bool no_storage_ids;     /* GetStorageIDs is not offered */
+    unsigned closed_storage; /* the n-th is named, and listing it refused: 0x2013 */
+    bool measures_once;      /* an object's size is looked at once in a session */
     bool session_stays_open; /* a replug does not close the session: 0x201E */
     bool new_handles;        /* a replug gives every object another handle */
     bool no_partial;         /* GetPartialObject is not offered */
@@ -73,6 +77,8 @@ const struct usb_model *ptp_model_usb(const struct ptp_model *model);
 
 /* A scan is finished: the object appears. Returns its handle. announce 0: without an event. */
 uint32_t ptp_model_add(struct ptp_model *model, const struct ptp_object *object, int announce);
+/* So much of it is written now, and an event says so. */
+void ptp_model_write(struct ptp_model *model, uint32_t handle, uint64_t size);
 /* Its size is final now (size_zero_first). */
 void ptp_model_complete(struct ptp_model *model, uint32_t handle);
 void ptp_model_remove(struct ptp_model *model, uint32_t handle);

@@ -322,8 +322,6 @@ TEST(folders_cards_and_deletion)
     const uint32_t second =
         ptp_model_add(model, &(struct ptp_object){ .name = "b.tif", .storage = 1 }, 0);
 
-    (void)ask(model, 0x1007, UINT32_MAX, 0, 0);
-    responds(model, 0x2008);
     (void)ask(model, 0x1004, 0, 0, 0);
     CHECK(in(model, IN, PACKET) == 24 && wire_get32(buffer + 20) == 0x20001);
     responds(model, 0x2001);
@@ -342,6 +340,10 @@ TEST(folders_cards_and_deletion)
     (void)ask(model, 0x100b, first, 0, 0);
     responds(model, 0x2001);
     CHECK(!ptp_model_has(model, first) && ptp_model_count(model) == 2);
+    (void)ask(model, 0x1007, UINT32_MAX, 0, 0);
+    responds(model, 0x2008);
+    (void)ask(model, 0x1007, 0x20001, 0, UINT32_MAX);
+    CHECK(in(model, IN, PACKET) == USB_MODEL_NAK);
     ptp_model_free(model);
 }
 

@@ -15,7 +15,8 @@
 enum {
     LOOK_GAP_MS = 250, /* a device is not listed more often */
     DELETE_AGAIN_MS = 30 * 1000,
-    LOOK_TRIES = 3, /* when it begins anew in the middle */
+    LOOK_TRIES = 3,      /* when it begins anew in the middle */
+    RENEW_GAP_MS = 2000, /* a session is not given up for a new one more often */
 };
 
 struct source {
@@ -26,7 +27,7 @@ struct source {
     struct gsn_ptp_hints hints;
     unsigned sessions; /* of devices that went */
     int64_t now_ms;    /* of the last poll */
-    int64_t next_look_ms;
+    int64_t next_look_ms, next_renewal_ms;
     bool looked, busy_told;
     char busy[200]; /* to be told once */
     char name[300];
@@ -269,12 +270,27 @@ static void note_busy(struct source *source, const struct gsn_error *why)
     source->busy_told = true;
 }
 
+/* What was read to its end and is still not acknowledged was not whole, and what stays empty may
+ * not be so: in a new session, a device that measured it too early measures it again. */
+static int renew_session(struct source *source, int64_t now_ms, struct gsn_error *err)
+{
+    if (now_ms < source->next_renewal_ms || !gsn_ptp_table_doubt(&source->table, now_ms))
+        return GSN_OK;
+    gsn_ptp_session_close(source->device->session);
+    source->next_renewal_ms = now_ms + RENEW_GAP_MS;
+    source->hints = (struct gsn_ptp_hints){ 0 }; /* of handles that are no more */
+    source->looked = false;
+    return gsn_ptp_session_open(source->device->session, err);
+}
+
 /* What the device has to say, as far as it is time to ask. */
 static int ask_device(struct source *source, int64_t now_ms, struct gsn_error *err)
 {
     struct gsn_error why = { 0 };
     int r = take_hints(source, &why);
 
+    if (r >= 0)
+        r = renew_session(source, now_ms, &why);
     if (r >= 0 && (!source->looked || now_ms >= source->next_look_ms)) {
         r = look(source, now_ms, &why);
         if (r >= 0)
@@ -329,9 +345,11 @@ static int read_piece(struct source *source, struct gsn_ptp_object *object, uint
 
     if (r >= 0 && (offset + got == object->size || session != object->session))
         r = gsn_ptp_table_confirm(&source->table, device, object, source->now_ms, err);
-    if (r >= 0)
-        *ret_got = got;
-    return r;
+    if (r < 0)
+        return r;
+    object->doubtful = offset + got == object->size;
+    *ret_got = got;
+    return GSN_OK;
 }
 
 /* What a failed read means for the object and for the caller. */

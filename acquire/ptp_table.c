@@ -13,6 +13,8 @@ enum {
     MOST_DEPTH = 16,     /* of folders in a path */
     FIRST_RETRY_MS = 30 * 1000,
     LAST_RETRY_MS = 60 * 60 * 1000,
+    EMPTY_MS = 5 * 1000, /* an object that is empty for so long may have been measured too early */
+    MOST_DOUBTS = 16,
 };
 
 static const char unsettled[] = "a second look has yet to find it unchanged";
@@ -253,6 +255,13 @@ static int redescribe(struct gsn_ptp_object *object, const struct gsn_ptp_object
     return GSN_OK;
 }
 
+/* The old one was doubted, and this is what it is by now. */
+static bool is_measured_anew(const struct gsn_ptp_object *old, const struct gsn_ptp_object *object)
+{
+    return old->doubtful && old->storage == object->storage && old->size != object->size &&
+           strcmp(old->name, object->name) == 0;
+}
+
 /* The same object in an earlier session, which this one then stands for. A bad one without a key
  * is at least not tried again at once. */
 static void meet_again(struct gsn_ptp_table *table, struct gsn_ptp_object *object)
@@ -267,11 +276,16 @@ static void meet_again(struct gsn_ptp_table *table, struct gsn_ptp_object *objec
             object->told = old->told;
             object->state = old->state;
             object->since_ms = old->since_ms;
+            object->doubts = old->doubts;
             object->delete_due = old->delete_due;
             memcpy(object->reason, old->reason, sizeof object->reason);
             /* The old entry stands for nobody now, and nobody is told. */
             old->state = GSN_PTP_NEW;
             old->gone = true;
+        } else if (is_measured_anew(old, object)) {
+            old->state = GSN_PTP_NEW;
+            old->gone = true;
+            continue;
         } else if (old->failures == 0 || old->size != object->size ||
                    strcmp(old->name, object->name) != 0) {
             continue;
@@ -298,7 +312,8 @@ static void start_waiting(struct gsn_ptp_table *table, struct gsn_ptp_object *ob
     object->since_ms = now_ms;
     object->failures = 0;
     object->retry_ms = now_ms;
-    object->delete_due = false;
+    object->delete_due = object->doubtful = false;
+    object->doubts = 0;
     if (object->format == GSN_PTP_FORMAT_ASSOCIATION)
         set_state(object, GSN_PTP_FOLDER, "");
     else if (!is_picture(object))
@@ -568,6 +583,33 @@ int gsn_ptp_table_confirm(struct gsn_ptp_table *table, struct gsn_ptp_device *de
     object->since_ms = now_ms;
     set_state(object, GSN_PTP_WAITING, "changed while it was read");
     return gsn_fail(err, GSN_E_BUSY, "%s changed while it was read", object->name);
+}
+
+/* It is empty, for twice as long as when it was doubted last. */
+static bool is_long_empty(const struct gsn_ptp_object *object, int64_t now_ms)
+{
+    return object->state == GSN_PTP_WAITING && object->name && object->size == 0 &&
+           object->doubts < MOST_DOUBTS &&
+           now_ms - object->since_ms >= (int64_t)EMPTY_MS << object->doubts;
+}
+
+bool gsn_ptp_table_doubt(struct gsn_ptp_table *table, int64_t now_ms)
+{
+    bool any = false;
+
+    for (size_t i = 0; i < table->count; i++) {
+        struct gsn_ptp_object *const object = &table->at[i];
+
+        if (!object->key || !object->key[0] || object->gone)
+            continue;
+        if (is_long_empty(object, now_ms)) {
+            object->doubtful = true;
+            object->doubts++;
+        }
+        any |= object->doubtful &&
+               (object->state == GSN_PTP_READY || object->state == GSN_PTP_WAITING);
+    }
+    return any;
 }
 
 void gsn_ptp_table_sweep(struct gsn_ptp_table *table)

@@ -40,8 +40,10 @@ struct gsn_ptp_object {
     unsigned failures;  /* in a row; set aside until retry_ms */
     int64_t retry_ms;
     bool told, gone;
-    bool check; /* it is described again although it was taken */
-    bool fresh; /* it may be one of an earlier session */
+    bool check;      /* it is described again although it was taken */
+    bool fresh;      /* it may be one of an earlier session */
+    bool doubtful;   /* the device may have measured it too early in this session */
+    unsigned doubts; /* so often it was measured anew because it is empty */
     bool delete_due;
     char notice[200]; /* to be told once */
     char reason[200];
@@ -71,6 +73,12 @@ struct gsn_ptp_object *gsn_ptp_table_find(struct gsn_ptp_table *table, uint64_t 
  * when there is no such object any more. */
 int gsn_ptp_table_confirm(struct gsn_ptp_table *table, struct gsn_ptp_device *device,
                           struct gsn_ptp_object *object, int64_t now_ms, struct gsn_error *err);
+
+/* Whether a new session is called for: some responders measure an object once a session, and one
+ * that was not whole, or is empty for long, may be larger by now; of an empty one this is so ever
+ * more rarely. Only objects with a key are known again in the next session, so others do not call
+ * for it. */
+bool gsn_ptp_table_doubt(struct gsn_ptp_table *table, int64_t now_ms);
 
 /* It waits, for this reason, from now on. */
 void gsn_ptp_object_wait(struct gsn_ptp_object *object, const char *reason);

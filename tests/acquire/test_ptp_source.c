@@ -405,6 +405,77 @@ TEST(a_deletion_is_not_asked_for_again_without_looking)
     CHECK(!ptp_model_has(bench.model, object->handle));
 }
 
+static void read_whole(struct bench *bench, uint64_t item, size_t size)
+{
+    struct gsn_error err = { 0 };
+    uint8_t bytes[8000];
+    size_t got = 0;
+
+    CHECK_OK(gsn_source_read(bench->source, item, 0, bytes, sizeof bytes, &got, &err), err);
+    CHECK(got == size);
+}
+
+TEST(what_was_measured_too_early_and_not_acknowledged_is_measured_anew)
+{
+    bench_auto bench;
+    struct bench_object *object;
+    uint64_t half;
+
+    bench_init(&bench, &(struct ptp_faults){ .measures_once = true });
+    object = bench_scan(&bench, "P01.TIF", 8000, 1, NULL, 0);
+    ptp_model_write(bench.model, object->handle, 3000);
+    bench_open(&bench);
+    half = find_ready(&bench);
+    ptp_model_write(bench.model, object->handle, 8000);
+    read_whole(&bench, half, 3000);
+    for (int i = 0; i < 3; i++)
+        bench_turn(&bench);
+    CHECK(bench_work(&bench, TURNS) && bench.again == 0);
+    CHECK(!bench_told(&bench, "P01.TIF", "vanished"));
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_OPEN_SESSION) == 2);
+}
+
+TEST(what_stays_empty_is_measured_anew_ever_more_rarely)
+{
+    bench_auto bench;
+    struct bench_object *object;
+
+    bench_init(&bench, &(struct ptp_faults){ .measures_once = true, .no_events = true });
+    object = bench_scan(&bench, "P01.TIF", 8000, 1, NULL, 0);
+    ptp_model_write(bench.model, object->handle, 0);
+    bench_open(&bench);
+    for (int i = 0; i < 60; i++) {
+        bench_turn(&bench);
+        memory_bus_sleep(&bench.bus, 10000);
+    }
+    CHECK(bench_told(&bench, "P01.TIF", "is empty as yet"));
+    /* Ten minutes and more: after 5, 10, ..., 640 s. */
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_OPEN_SESSION) >= 5);
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_OPEN_SESSION) <= 10);
+    ptp_model_write(bench.model, object->handle, 8000);
+    for (int i = 0; i < 200 && !bench_is_complete(&bench); i++) {
+        bench_turn(&bench);
+        memory_bus_sleep(&bench.bus, 10000);
+    }
+    CHECK(bench_is_complete(&bench));
+    CHECK(!bench_told(&bench, "P01.TIF", "vanished"));
+}
+
+/* Without a date nobody is known again, and everything would be copied again. */
+TEST(without_a_key_nothing_is_measured_anew)
+{
+    bench_auto bench;
+    uint64_t item;
+
+    bench_init(&bench, &(struct ptp_faults){ .measures_once = true });
+    (void)bench_scan(&bench, "P01.TIF", 3000, 1, "", 0);
+    bench_open(&bench);
+    item = find_ready(&bench);
+    read_whole(&bench, item, 3000);
+    CHECK(find_ready(&bench) == item);
+    CHECK(ptp_model_asked(bench.model, GSN_PTP_OPEN_SESSION) == 1);
+}
+
 TEST(what_was_taken_and_changes_without_a_word_is_noticed)
 {
     struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };

@@ -179,11 +179,11 @@ def unplug(bench):
 
 @scenario
 def mtp(bench):
-    """a scanner that is not ours: qemu's usb-mtp; a file renamed into it, one written in place, slowly"""
+    """a scanner that is not ours: qemu's usb-mtp; a file renamed into it, two written in place, slowly"""
     folder = bench.scratch / "mtp"
     folder.mkdir()
     there, renamed = bench.tiff("there.tif", 500, 400), bench.tiff("renamed.tif", 600, 400)
-    written = bench.tiff("written.tif", 700, 300)
+    written, halved = bench.tiff("written.tif", 700, 300), bench.tiff("halved.tif", 700, 310)
     (folder / "there.tif").write_bytes(there.read_bytes())
     with bench.machine() as vm:
         configure(vm, PTP)
@@ -198,8 +198,16 @@ def mtp(bench):
                 time.sleep(0.1)
         equal = sql_is(f"SELECT count(*) FROM scan WHERE sha256 = '{sha256(folder / 'written.tif')}'", 1)
         vm.until(equal, bench.wait(60))
-        check_objects(vm, {p.name: sha256(folder / p.name) for p in (there, renamed, written)})
-    return "usb-mtp: 3 objects equal (there, renamed in, written in place)"
+        # This responder measures an object when it sees it first, and tells of no change.
+        content = halved.read_bytes()
+        halved.write_bytes(content[:300000])
+        os.rename(halved, folder / "halved.tif")
+        vm.until("journalctl -q --no-pager | grep -q 'halved.tif is not whole yet'", bench.wait(60))
+        with open(folder / "halved.tif", "ab", buffering=0) as file:
+            file.write(content[300000:])
+        vm.until(sql_is("SELECT count(*) FROM scan", 4), bench.wait(60))
+        check_objects(vm, {p.name: sha256(folder / p.name) for p in (there, renamed, written, halved)})
+    return "usb-mtp: 4 objects equal (there, renamed in, written in place, read at half its size)"
 
 
 UMTP = """manufacturer "bench"

@@ -194,7 +194,11 @@ static int begin_anew(struct camera *camera, struct gsn_error *err)
     camera->silent = true;
     grabber->ops->stop(grabber->self);
     r = grabber->ops->start(grabber->self, &why);
-    return r < 0 ? bear(camera, r, &why, err) : r;
+    if (r >= 0 || r == GSN_E_NOMEM)
+        return r < 0 ? gsn_fail(err, r, "%s", why.text) : r;
+    /* Some drivers stay in a stream that failed until their node is closed: whoever serves this
+     * source opens it anew. */
+    return bear(camera, GSN_E_NOTFOUND, &why, err);
 }
 
 static int watch_silence(struct camera *camera, unsigned frames, int64_t now_ms,

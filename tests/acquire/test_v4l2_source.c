@@ -726,6 +726,25 @@ TEST(a_camera_that_gives_nothing_is_said_once_and_begun_anew)
     CHECK(drain(source, camera) == 1);
 }
 
+TEST(a_stream_that_cannot_be_begun_anew_ends_the_source)
+{
+    mock_auto mock = v4l2_mock_new();
+    struct v4l2_mock_camera *const camera = v4l2_mock_plug(mock, 0, &webcam);
+    gsn_auto(gsn_source) source = open_camera("v4l2:" BY_ID);
+    gsn_auto(gsn_source_events) events = NULL;
+    struct gsn_error err = { 0 };
+    int64_t now = 1000;
+    int ended = 0, r = GSN_OK;
+
+    v4l2_mock_fail(camera, VIDIOC_STREAMON, EBUSY, 100);
+    for (; r >= 0 && now < 1000 + 3 * SILENCE_MS; now += 500) {
+        gsn_source_events_free(gsn_steal(&events));
+        r = gsn_source_poll(source, now, &events, &ended, &err);
+    }
+    CHECK(r == GSN_E_NOTFOUND && now < 1000 + 2 * SILENCE_MS);
+    CHECK(strstr(err.text, "starting the stream") != NULL);
+}
+
 TEST(waiting_on_a_poll_that_is_always_ready_ends_in_time)
 {
     mock_auto mock = v4l2_mock_new();

@@ -43,7 +43,7 @@ stage "use: as the owner takes in, a technician reads"
 inside useradd -m -G gieson tech
 inside useradd -m stranger
 inside su gieson -s /bin/sh -c 'cd /tmp &&
-    gieson phantom --specimen S00 --level L0 --px 48 --out /tmp/scans/S00 >/dev/null &&
+    gieson phantom --specimen S00 --level L0 --px 36 --out /tmp/scans/S00 >/dev/null &&
     gieson --store /var/lib/gieson import /tmp/scans/S00'
 inside su tech -c 'gieson --store /var/lib/gieson status' || wrong "a technician cannot read"
 ! inside su stranger -c 'gieson --store /var/lib/gieson status' 2>/dev/null ||
@@ -55,7 +55,7 @@ inside su tech -c 'gieson --store /var/lib/gieson report GVP-D-S00 --json' | gre
 stage "boot: the services start, and start again"
 mkdir "$root/srv/scans"
 printf '[source folder]\nAddress=hot:/srv/scans\nPatienceS=2\n' >"$root/etc/gieson/conf.d/10-here.conf"
-inside gieson phantom --specimen S02 --level L0 --px 48 --out /srv/scans/S02 >/dev/null
+inside gieson phantom --specimen S02 --level L0 --px 36 --out /srv/scans/S02 >/dev/null
 cat >"$root/root/boot.sh" <<'BOOT'
 until_true() { # at most a minute
     for i in $(seq 600); do eval "$1" && return 0; sleep 0.1; done
@@ -76,6 +76,7 @@ done
 export GIESON_STORE=/var/lib/gieson
 until_true 'gieson report GVP-D-S02 >/dev/null 2>&1' || echo "wrong: the folder was not worked"
 gieson status
+[ "$(gieson status | grep -c reported)" -eq 2 ] || echo "wrong: a specimen has no figures"
 systemctl reload gieson gieson-worker || echo "wrong: no reload"
 for service in gieson-night gieson-scrub; do
     systemctl start $service || { echo "wrong: $service failed"; journalctl --no-pager -u $service; }

@@ -8,6 +8,7 @@ plugged into it, in software. Needs qemu-system-x86 and the kernel's package; no
     bench.py BUILD NAME...           these scenarios; --list names them
       --cuts N     power cuts of "power" (10)
       --kills N    kills of "kills" (30)
+      --package F  what is installed, a .deb (`cmake --install` of BUILD)
       --keep DIR   the folder of kernel, image and frozen machine (BUILD/vm)
       --patience X everything may take X times as long (1)
 
@@ -73,6 +74,7 @@ def main():
     parser.add_argument("--cuts", type=int, default=10)
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--keep", type=pathlib.Path)
+    parser.add_argument("--package", type=pathlib.Path, help="the .deb that is installed")
     parser.add_argument("--patience", type=float, default=1)
     asked = parser.parse_args()
     names = asked.name + (list(SCENARIOS) if asked.all else ["plug", "unplug"] if asked.short else [])
@@ -83,7 +85,7 @@ def main():
     try:
         home = (asked.keep or asked.build / "vm").resolve()
         began = time.monotonic()
-        key = image.build_image(home, asked.build.resolve())
+        key = image.build_image(home, asked.build.resolve(), asked.package)
         print(f"image: {(home / 'root.cpio').stat().st_size / 1e6:.0f} MB of root and Debian's kernel; "
               f"{time.monotonic() - began:.0f} s, ok", flush=True)
         bench = Bench(asked.build.resolve(), home, scratch, asked)

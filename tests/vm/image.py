@@ -213,12 +213,16 @@ def add_settings(archive):
     archive.text("/etc/systemd/journald.conf.d/bench.conf", "[Journal]\nStorage=volatile\nRateLimitIntervalSec=0\n")
 
 
-def add_gieson(archive, build, folder):
-    """What `cmake --install` of this build puts on a machine, with the libraries it needs."""
+def add_gieson(archive, build, package, folder):
+    """What the Debian package, or else `cmake --install` of this build, puts on a machine, with the
+    libraries it needs. What its scripts do beyond that, systemd does at the first boot."""
     stage = folder / "stage"
     shutil.rmtree(stage, ignore_errors=True)
-    subprocess.run(["cmake", "--install", build], env={**os.environ, "DESTDIR": str(stage)}, check=True,
-                   stdout=subprocess.DEVNULL)
+    if package:
+        subprocess.run(["dpkg-deb", "-x", package, stage], check=True)
+    else:
+        subprocess.run(["cmake", "--install", build], env={**os.environ, "DESTDIR": str(stage)},
+                       check=True, stdout=subprocess.DEVNULL)
     archive.tree(stage)
     programs = [p for p in stage.rglob("*") if p.is_file() and os.access(p, os.X_OK)
                 and p.read_bytes()[:4] == b"\x7fELF"]
@@ -231,7 +235,7 @@ def add_gieson(archive, build, folder):
                          in_guest("/" + unit.relative_to(stage).as_posix()))
 
 
-def build_image(folder, build):
+def build_image(folder, build, package):
     """Makes folder/vmlinuz and folder/root.cpio; gives a name for what is in them."""
     need_programs()
     folder.mkdir(parents=True, exist_ok=True)
@@ -241,7 +245,7 @@ def build_image(folder, build):
     add_settings(archive)
     for name, path in module_files(tree).items():
         archive.file(name, path)
-    add_gieson(archive, build, folder)
+    add_gieson(archive, build, package, folder)
     shutil.copyfile(next((tree / "boot").glob("vmlinuz-*")), folder / "vmlinuz")
     key = hashlib.sha256()
     for name, (mode, content) in sorted(archive.entry.items()):

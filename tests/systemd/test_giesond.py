@@ -568,8 +568,8 @@ if not row:
     sys.exit(66)
 db.execute("UPDATE job SET state = 'running', claim = claim + 1, owner = 'fake', boot = ?, "
            "processes = ?, pid = ?, pid_start = ?, lease_s = 600, lease_until = ? WHERE id = ?",
-           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start, int(time.time()) + 600,
-            row[0]))
+           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start,
+            int(time.clock_gettime(time.CLOCK_BOOTTIME)) + 600, row[0]))
 db.execute("COMMIT")
 (here / "limits").write_text(open("/proc/self/limits").read() + "nice " + str(os.nice(0)))
 while (here / "do").read_text() == "hang":

@@ -212,7 +212,8 @@ static int run_import(const struct gsn_serving *serving, const char *folder, str
                                             .store_dir = gsn_store_dir(serving->store),
                                             .source = serving->config->name,
                                             .folder = folder,
-                                            .line = serving->line };
+                                            .line = serving->line,
+                                            .patience_ms = serving->config->patience_s * 1000 };
 
     return r < 0 ? r : gsn_import_child_run(&child, err);
 }

@@ -252,7 +252,7 @@ ls /sys/class/udc | head -1 >$g/UDC
 """
 
 
-@scenario(seconds=60)
+@scenario(seconds=90)
 def umtp(bench):
     """a scanner that is not ours: umtp-responder on FunctionFS and dummy_hcd"""
     panel = bench.tiff("umtp.tif", 300, 200)

@@ -141,7 +141,7 @@ PTP = "[source scanner]\nAddress=ptp:any\nSettleMs=300\nSweepS=2\n"
 
 # ---- scanners -----------------------------------------------------------------------------
 
-@scenario(seconds=60)
+@scenario(seconds=90)
 def plug(bench):
     """a scanner is plugged in: udev starts the service, its scans are rows with equal bytes"""
     first, second = bench.tiff("first.tif", 900, 700), bench.tiff("second.tif", 600, 500)
@@ -164,7 +164,7 @@ def plug(bench):
             f"{event:.1f} s, equal; link {link}")
 
 
-@scenario(seconds=60)
+@scenario(seconds=90)
 def unplug(bench):
     """unplugged in mid-object and plugged in again: the copy goes on where it stopped"""
     large = bench.tiff("large.tif", 2000, 1700)  # 10.2 MB
@@ -186,7 +186,7 @@ def unplug(bench):
             f"equal {again:.1f} s after the replug")
 
 
-@scenario(seconds=90)
+@scenario(seconds=120)
 def mtp(bench):
     """a scanner that is not ours: qemu's usb-mtp; a file renamed into it, two written in place, slowly"""
     folder = bench.scratch / "mtp"
@@ -292,7 +292,7 @@ def captured(vm, source, payload_bytes, seconds):
 CAMERA = "[source camera]\nAddress={address}\nFormat=YUYV\nWidth={width}\nHeight={height}\nAtRest=no\n"
 
 
-@scenario(seconds=90)
+@scenario(seconds=120)
 def camera(bench):
     """a UVC camera by V4L2 and by libcamera: the frames are equal to those that were played"""
     width, height = 320, 240
@@ -327,7 +327,7 @@ def camera(bench):
 VIVID_RULE = ('SUBSYSTEM=="video4linux", ATTR{name}=="vivid-000-vid-cap", SYMLINK+="v4l/by-id/vivid"')
 
 
-@scenario(seconds=120)
+@scenario(seconds=180)
 def vivid(bench):
     """the kernel's test camera with injected errors: the source survives and says so"""
     with bench.machine() as vm:
@@ -374,7 +374,7 @@ def seen(vm):
 SMALL_DISK = "[store]\nReserveMiB=4\n"
 
 
-@scenario(seconds=300)
+@scenario(seconds=420)
 def power(bench):
     """the power is cut at moments of an intake: nothing acknowledged is lost, the work is finished"""
     disk = bench.scratch / "disk"
@@ -474,7 +474,7 @@ def sandbox(bench):
 
 # ---- accidents ----------------------------------------------------------------------------
 
-@scenario(seconds=300)
+@scenario(seconds=360)
 def kills(bench):
     """service, intake and worker are killed again and again: back in 3 s, nothing lost or doubled"""
     script = (pathlib.Path(__file__).parent / "guest/kills.sh").read_text(encoding="utf-8")
@@ -507,7 +507,7 @@ def kills(bench):
     return f"{said} (allowed: {allowed:.1f} s); {bench.kills} pictures in once each, jobs done, temporaries swept"
 
 
-@scenario(seconds=90)
+@scenario(seconds=120)
 def hang(bench):
     """the service hangs: the watchdog ends it and it comes back"""
     with bench.machine() as vm:

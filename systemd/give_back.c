@@ -3,6 +3,7 @@
 
 #include <pthread.h>
 #include <signal.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <string.h>
 #include <unistd.h>
@@ -12,6 +13,7 @@
 struct gsn_give_back {
     struct gsn_store *store; /* the thread's own: a connection is for one */
     sigset_t ends;
+    atomic_bool over; /* the signal is ours, to end the thread */
     bool has_thread;
     pthread_t thread;
 };
@@ -19,14 +21,15 @@ struct gsn_give_back {
 /* Who is started with a signal ignored (nohup, a shell's background) is not to hear it. */
 static sigset_t ends(void)
 {
-    static const int all[] = { SIGTERM, SIGINT, SIGHUP };
+    static const int people[] = { SIGINT, SIGHUP };
     struct sigaction now;
     sigset_t set;
 
     (void)sigemptyset(&set);
-    for (size_t i = 0; i < sizeof all / sizeof all[0]; i++)
-        if (sigaction(all[i], NULL, &now) == 0 && now.sa_handler != SIG_IGN)
-            (void)sigaddset(&set, all[i]);
+    (void)sigaddset(&set, SIGTERM);
+    for (size_t i = 0; i < sizeof people / sizeof people[0]; i++)
+        if (sigaction(people[i], NULL, &now) == 0 && now.sa_handler != SIG_IGN)
+            (void)sigaddset(&set, people[i]);
     return set;
 }
 
@@ -42,12 +45,11 @@ static void give_back(struct gsn_store *store)
 
 static void *wait_for_the_end(void *context)
 {
-    const struct gsn_give_back *const watch = context;
-    int signal_number = 0, before;
+    struct gsn_give_back *const watch = context;
+    int signal_number = 0;
 
-    if (sigwait(&watch->ends, &signal_number) != 0)
+    if (sigwait(&watch->ends, &signal_number) != 0 || atomic_load(&watch->over))
         return NULL;
-    (void)pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &before);
     give_back(watch->store);
     /* Whoever waits for us is to see what ended us. */
     (void)pthread_sigmask(SIG_UNBLOCK, &watch->ends, NULL);
@@ -84,7 +86,8 @@ void gsn_give_back_free(struct gsn_give_back *watch)
     if (!watch)
         return;
     if (watch->has_thread) {
-        (void)pthread_cancel(watch->thread);
+        atomic_store(&watch->over, true);
+        (void)pthread_kill(watch->thread, SIGTERM);
         (void)pthread_join(watch->thread, NULL);
         (void)pthread_sigmask(SIG_UNBLOCK, &watch->ends, NULL);
     }

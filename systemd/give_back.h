@@ -19,8 +19,8 @@ extern "C" {
 
 struct gsn_give_back;
 
-/* Takes the three signals away from the process, but for those that are ignored; to be called
- * before any other thread is made and before a job is claimed. gives. */
+/* Takes the three signals away from the process, but for SIGINT and SIGHUP where they are ignored;
+ * to be called before any other thread is made and before a job is claimed. gives. */
 int gsn_give_back_new(const char *store_dir, struct gsn_give_back **ret_watch,
                       struct gsn_error *err);
 void gsn_give_back_free(struct gsn_give_back *watch);

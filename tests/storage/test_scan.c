@@ -422,7 +422,8 @@ TEST(a_store_of_the_first_schema_is_brought_up_with_its_data_kept)
     CHECK(gsn_store_open(scratch.dir, GSN_STORE_READ, &store, &err) == GSN_E_UNSUPPORTED);
     CHECK(strstr(err.text, "older gieson") && store == NULL);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK(ask(store, "PRAGMA user_version") == 2);
+    CHECK(ask(store, "PRAGMA user_version") == 3);
+    CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
     CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting' AND panel_id = 1") == 1);
     CHECK(number_of(store, 1) == 3);
     scan = arrive(store, "S-P4.tif", 4, 4);

@@ -29,12 +29,18 @@ static const struct gsn_digest no_event = {
 /* The length in front keeps "ab" + "c" and "a" + "bc" apart. */
 static int hash_text(struct gsn_hash *hash, const char *text, struct gsn_error *err)
 {
-    char length[24];
+    const size_t length = strlen(text);
+    char digits[24];
+    size_t at = sizeof digits, rest = length;
     int r;
 
-    (void)snprintf(length, sizeof length, "%zu:", strlen(text));
-    r = gsn_hash_add(hash, length, strlen(length), err);
-    return r >= 0 ? gsn_hash_add(hash, text, strlen(text), err) : r;
+    digits[--at] = ':';
+    do {
+        digits[--at] = (char)('0' + rest % 10);
+        rest /= 10;
+    } while (rest > 0);
+    r = gsn_hash_add(hash, digits + at, sizeof digits - at, err);
+    return r >= 0 ? gsn_hash_add(hash, text, length, err) : r;
 }
 
 static int hash_event(const char *previous, const struct gsn_event_row *event,

@@ -54,11 +54,9 @@ static int check_panel(struct gsn_store *store, int64_t specimen_id, int64_t pan
     return r;
 }
 
-#define THIS_JOB                                                                                   \
-    "WHERE kind = iif(?2 = 0, 'specimen', 'panel') AND specimen_id = ?1 AND "                      \
-    "coalesce(panel_id, 0) = ?2 "
+#define THIS_JOB "WHERE kind = ?3 AND specimen_id = ?1 AND coalesce(panel_id, 0) = ?2 "
 
-/* The job is there and not waiting: one that runs is done again, one that ended waits anew. */
+/* The job is there: one that runs is done again, one that ended waits anew. */
 static int wake(struct gsn_store *store, const struct gsn_sql_args job, int64_t *ret_id,
                 struct gsn_error *err)
 {
@@ -75,23 +73,26 @@ static int wake(struct gsn_store *store, const struct gsn_sql_args job, int64_t 
 int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                   struct gsn_error *err)
 {
-    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id));
+    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id),
+                                             SQL_TEXT(panel_id ? "panel" : "specimen"));
     int64_t inserted = 0;
-    int r = gsn_sql_run(store,
-                        "INSERT INTO job (kind, specimen_id, panel_id) VALUES "
-                        "(iif(?2 = 0, 'specimen', 'panel'), ?1, nullif(?2, 0)) "
-                        "ON CONFLICT DO NOTHING",
-                        job, &inserted, err);
+    int r = GSN_E_NOTFOUND;
 
-    if (r < 0)
+    /* A panel is asked for when it is new, a specimen with each of its panels. */
+    if (panel_id == 0)
+        r = gsn_sql_int(store, "SELECT id FROM job " THIS_JOB "AND state = 'waiting'", job, ret_id,
+                        err);
+    if (r != GSN_E_NOTFOUND)
         return r;
-    if (inserted) {
+    r = gsn_sql_run(store,
+                    "INSERT INTO job (kind, specimen_id, panel_id) VALUES (?3, ?1, nullif(?2, 0)) "
+                    "ON CONFLICT DO NOTHING",
+                    job, &inserted, err);
+    if (r >= 0 && !inserted)
+        return wake(store, job, ret_id, err);
+    if (r >= 0)
         *ret_id = gsn_sql_last_id(store);
-        return GSN_OK;
-    }
-    r = gsn_sql_int(store, "SELECT id FROM job " THIS_JOB "AND state = 'waiting'", job, ret_id,
-                    err);
-    return r == GSN_E_NOTFOUND ? wake(store, job, ret_id, err) : r;
+    return r;
 }
 
 /* In a transaction. */

@@ -2,7 +2,6 @@
 #include "storage/scan.h"
 
 #include <math.h>
-#include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -12,7 +11,7 @@
 
 /* A specimen, as far as a scan needs it. */
 struct whose {
-    int64_t id; /* 0: nobody's */
+    int64_t is_expected, id;
     const char *name;
 };
 
@@ -20,15 +19,10 @@ struct whose {
     {                                                                                              \
         GSN_SQL_##type, offsetof(struct whose, name)                                               \
     }
-static const struct gsn_sql_field whose_fields[] = { WHOSE(INT, id), WHOSE(TEXT, name) };
+static const struct gsn_sql_field whose_fields[] = { WHOSE(INT, is_expected), WHOSE(INT, id),
+                                                     WHOSE(TEXT, name) };
 #undef WHOSE
 static const struct gsn_sql_shape whose_shape = SQL_SHAPE(struct whose, whose_fields);
-
-static void whose_done(struct whose **whose)
-{
-    gsn_sql_free_rows(&whose_shape, *whose, *whose ? 1 : 0);
-}
-#define auto_whose __attribute__((cleanup(whose_done))) struct whose
 
 /* Where a picture goes, and why. */
 struct place {
@@ -38,44 +32,49 @@ struct place {
     int64_t number, panel;
 };
 
-/* NULL when the query finds none. */
-static int find_specimen(struct gsn_store *store, const char *sql, struct gsn_sql_args args,
-                         struct whose **ret_whose, struct gsn_error *err)
-{
-    void *row = NULL;
-    const int r = gsn_sql_row(store, &whose_shape, sql, args, &row, err);
+struct candidates {
+    struct whose *at; /* owned */
+    size_t count;
+    const struct whose *expected, *named; /* NULL: none */
+};
 
-    if (r < 0 && r != GSN_E_NOTFOUND)
+static void candidates_done(struct candidates *candidates)
+{
+    gsn_sql_free_rows(&whose_shape, candidates->at, candidates->count);
+}
+#define auto_candidates __attribute__((cleanup(candidates_done))) struct candidates
+
+/* Whom the source (?1) is expected to deliver, and whose name the scan's name (?2) begins with. The
+ * names that a name begins with lie, in order of length, between its first word (?3) and itself,
+ * so the index leads to them. */
+#define CANDIDATES                                                                                 \
+    "SELECT 1, s.id, s.name FROM expectation e JOIN specimen s ON s.id = e.specimen_id "           \
+    "WHERE e.source = ?1 UNION ALL SELECT * FROM (SELECT 0, id, name FROM specimen "               \
+    "WHERE name BETWEEN ?3 AND ?2 AND kind = 'sections' AND substr(?2, 1, length(name)) = name "   \
+    "AND instr('-_ .', substr(?2, length(name) + 1, 1)) > 0 ORDER BY name DESC LIMIT 1)"
+
+static int find_candidates(struct gsn_store *store, const struct gsn_scan_row *scan,
+                           struct candidates *candidates, struct gsn_error *err)
+{
+    const char *const name = scan->name;
+    char word[64]; /* of a long one the beginning: it comes before the whole, too */
+    void *rows = NULL;
+    int r;
+
+    (void)snprintf(word, sizeof word, "%.*s", *name ? 1 + (int)strcspn(name + 1, "-_ .") : 0, name);
+    r = gsn_sql_rows(store, &whose_shape, CANDIDATES,
+                     SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(name), SQL_TEXT(word)), &rows,
+                     &candidates->count, err);
+    if (r < 0)
         return r;
-    *ret_whose = row;
+    candidates->at = rows;
+    for (size_t i = 0; i < candidates->count; i++) {
+        if (candidates->at[i].is_expected)
+            candidates->expected = &candidates->at[i];
+        else
+            candidates->named = &candidates->at[i];
+    }
     return GSN_OK;
-}
-
-static int find_expected(struct gsn_store *store, const char *source, struct whose **ret_whose,
-                         struct gsn_error *err)
-{
-    return find_specimen(store,
-                         "SELECT s.id, s.name FROM expectation e JOIN specimen s "
-                         "ON s.id = e.specimen_id WHERE e.source = ?1",
-                         SQL_ARGS(SQL_TEXT(source)), ret_whose, err);
-}
-
-/* Whose name a scan's name begins with. Such names lie, in order of length, between the first of
- * its words (?2) and the whole, so the index leads to them. */
-static int find_named(struct gsn_store *store, const char *name, struct whose **ret_whose,
-                      struct gsn_error *err)
-{
-    const size_t word = *name ? 1 + strcspn(name + 1, "-_ .") : 0;
-    gsn_auto_mem(char) first = gsn_format("%.*s", (int)word, name);
-
-    if (!first)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a name");
-    return find_specimen(store,
-                         "SELECT id, name FROM specimen WHERE name BETWEEN ?2 AND ?1 AND "
-                         "kind = 'sections' AND substr(?1, 1, length(name)) = name AND "
-                         "instr('-_ .', substr(?1, length(name) + 1, 1)) > 0 "
-                         "ORDER BY name DESC LIMIT 1",
-                         SQL_ARGS(SQL_TEXT(name), SQL_TEXT(first)), ret_whose, err);
 }
 
 /* What stands for the specimen in a name says nothing about the panel: "S02.tif" is not panel 2. */
@@ -103,11 +102,11 @@ static void keep(const struct gsn_scan_row *scan, struct place *place)
                    strcmp(scan->subject, "dark") == 0 ? "a dark frame" : "blank glass");
 }
 
-static void leave_unfiled(const struct gsn_scan_row *scan, const struct whose *expected,
-                          const struct whose *named, struct place *place)
+static void leave_unfiled(const struct gsn_scan_row *scan, const struct candidates *found,
+                          struct place *place)
 {
     place->state = "unfiled";
-    if (!expected)
+    if (!found->expected)
         (void)snprintf(place->reason, sizeof place->reason,
                        "nothing is expected from %.100s and no specimen has the name that this one "
                        "begins with: say whose it is with `gieson file`",
@@ -116,18 +115,18 @@ static void leave_unfiled(const struct gsn_scan_row *scan, const struct whose *e
         (void)snprintf(place->reason, sizeof place->reason,
                        "%.100s is expected from %.100s, but its name is that of %.100s: say whose "
                        "it is with `gieson file`",
-                       expected->name, scan->source, named->name);
+                       found->expected->name, scan->source, found->named->name);
 }
 
 static void file(const struct gsn_scan_row *scan, unsigned number, const struct whose *whose,
-                 bool is_expected, struct place *place)
+                 struct place *place)
 {
     place->state = "filed";
     place->specimen = whose->id;
     place->number = number_behind(scan->name, whose->name, number);
     (void)snprintf(place->reason, sizeof place->reason,
-                   is_expected ? "%.200s is expected from this source"
-                               : "its name begins with %.200s",
+                   whose->is_expected ? "%.200s is expected from this source"
+                                      : "its name begins with %.200s",
                    whose->name);
 }
 
@@ -135,24 +134,23 @@ static void file(const struct gsn_scan_row *scan, unsigned number, const struct 
 static int judge(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
                  struct place *place, struct gsn_error *err)
 {
-    auto_whose *expected = NULL;
-    auto_whose *named = NULL;
-    int r = GSN_OK;
+    auto_candidates found = { .count = 0 };
+    int r;
 
     if (strcmp(scan->subject, "panel") != 0) {
         keep(scan, place);
         return GSN_OK;
     }
-    r = find_expected(store, scan->source, &expected, err);
-    if (r >= 0)
-        r = find_named(store, scan->name, &named, err);
+    r = find_candidates(store, scan, &found, err);
     if (r < 0)
         return r;
-    if (!(expected || named) || (expected && named && expected->id != named->id))
-        leave_unfiled(scan, expected, named, place);
+    if (found.expected && (!found.named || found.named->id == found.expected->id))
+        file(scan, number, found.expected, place);
+    else if (found.named && !found.expected)
+        file(scan, number, found.named, place);
     else
-        file(scan, number, expected ? expected : named, expected != NULL, place);
-    if (place->specimen && expected && place->number == 0)
+        leave_unfiled(scan, &found, place);
+    if (place->specimen && found.expected && place->number == 0)
         r = next_number(store, place->specimen, &place->number, err);
     return r;
 }

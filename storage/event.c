@@ -43,14 +43,15 @@ static int hash_text(struct gsn_hash *hash, const char *text, struct gsn_error *
     return r >= 0 ? gsn_hash_add(hash, text, length, err) : r;
 }
 
-static int hash_event(const char *previous, const struct gsn_event_row *event,
-                      struct gsn_digest *ret_digest, struct gsn_error *err)
+static int hash_event(struct gsn_store *store, const char *previous,
+                      const struct gsn_event_row *event, struct gsn_digest *ret_digest,
+                      struct gsn_error *err)
 {
-    gsn_auto(gsn_hash) hash = NULL;
+    struct gsn_hash *hash = NULL;
     char numbers[64];
     const char *const texts[] = { previous,    numbers,        event->actor,
                                   event->kind, event->subject, event->text };
-    int r = gsn_hash_new(&hash, err);
+    int r = gsn_store_hash(store, &hash, err);
 
     (void)snprintf(numbers, sizeof numbers, "%" PRId64 " %" PRId64, event->id, event->time);
     for (size_t i = 0; r >= 0 && i < sizeof texts / sizeof texts[0]; i++)
@@ -99,7 +100,7 @@ int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, co
 
     event.id = last + 1;
     if (r >= 0)
-        r = hash_event(previous.hex, &event, &digest, err);
+        r = hash_event(store, previous.hex, &event, &digest, err);
     if (r < 0)
         return r;
     event.hash = digest.hex;
@@ -155,7 +156,7 @@ int gsn_event_verify(struct gsn_store *store, const char *known_head,
     for (size_t i = 0; i < rows->count && !verdict.broken; i++) {
         const struct gsn_event_row *event = &rows->at[i];
 
-        r = hash_event(previous.hex, event, &digest, err);
+        r = hash_event(store, previous.hex, event, &digest, err);
         if (r < 0)
             return r;
         if (strcmp(event->hash, digest.hex) != 0)

@@ -18,7 +18,7 @@ static const double MODULE_UM = 96, LEAST_MODULE_PX = 3;
 
 struct canvas {
     const struct gsn_phantom_plan *plan;
-    int panel;
+    int panel, again;
     struct gsn_phantom_sheet *sheet; /* by slot */
     float *od;                       /* three per pixel */
     struct gsn_image *image;
@@ -105,22 +105,25 @@ static int write_label(const struct canvas *canvas, struct gsn_error *err)
     return GSN_OK;
 }
 
-static uint8_t to_code(double value)
+static double to_code(double value, double most)
 {
-    return (uint8_t)floor(fmin(fmax(value, 0), 255) + 0.5);
+    return floor(fmin(fmax(value, 0), most) + 0.5);
 }
 
 /* Pixel = I0 illum 10^-OD + noise, for one row; each row has its own stream of noise. */
 static int expose_row(size_t row, void *context, struct gsn_error *err)
 {
+    /* Streams of noise of a second scan, beyond those of all panels. */
+    enum { AGAIN = 100 };
     const struct canvas *canvas = context;
     const struct gsn_phantom_plan *plan = canvas->plan;
     const size_t samples = 3 * (size_t)plan->width;
     const float *od = canvas->od + row * samples;
     const double *white = plan->batch[canvas->panel - 1].white;
     uint8_t *out = (uint8_t *)canvas->image->samples + row * samples;
-    struct gsn_phantom_random random =
-        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_NOISE, canvas->panel, (uint32_t)row);
+    uint16_t *deep = (uint16_t *)canvas->image->samples + row * samples;
+    struct gsn_phantom_random random = gsn_phantom_plan_random(
+        plan, GSN_PHANTOM_STREAM_NOISE, canvas->panel + AGAIN * canvas->again, (uint32_t)row);
     const double v = ((double)row + 0.5) / plan->height - 0.45;
     double noise[2] = { 0 };
 
@@ -129,10 +132,15 @@ static int expose_row(size_t row, void *context, struct gsn_error *err)
         const double u = ((double)(i / 3) + 0.5) / plan->width - 0.55;
         const double light = 1 - 2 * plan->level->illumination * (u * u + v * v);
         const double passed = od[i] > 0 ? pow(10, -(double)od[i]) : 1;
+        double code;
 
         if (plan->level->noise_sd > 0 && i % 2 == 0)
             gsn_phantom_normals(&random, noise);
-        out[i] = to_code(white[i % 3] * light * passed + plan->level->noise_sd * noise[i % 2]);
+        code = white[i % 3] * light * passed + plan->level->noise_sd * noise[i % 2];
+        if (canvas->image->bits == 8)
+            out[i] = (uint8_t)to_code(code, 255);
+        else
+            deep[i] = (uint16_t)to_code(code * 257, 65535);
     }
     return GSN_OK;
 }
@@ -154,22 +162,24 @@ static int draw_glass(struct canvas *canvas, unsigned threads, struct gsn_error 
     return gsn_parallel_for(plan->height, threads, expose_row, canvas, err);
 }
 
-int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, int panel, unsigned threads,
-                           struct gsn_image **ret_image,
+int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, const struct gsn_phantom_file *file,
+                           unsigned threads, struct gsn_image **ret_image,
                            struct gsn_phantom_extent ret_extent[GSN_PHANTOM_SLOTS],
                            struct gsn_error *err)
 {
     struct gsn_phantom_sheet sheet[GSN_PHANTOM_SLOTS] = { 0 };
     gsn_auto_mem(float) od = NULL;
     gsn_auto(gsn_image) image = NULL;
-    struct canvas canvas = { .plan = plan, .panel = panel, .sheet = sheet };
+    struct canvas canvas = {
+        .plan = plan, .panel = file->panel, .again = file->again, .sheet = sheet
+    };
     int r;
 
     od = gsn_alloc_array((size_t)plan->width * plan->height, 3 * sizeof *od);
     if (!od)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel of %u x %u", plan->width,
                         plan->height);
-    r = gsn_image_new(plan->width, plan->height, 3, 8, &image, err);
+    r = gsn_image_new(plan->width, plan->height, 3, (uint32_t)file->bits, &image, err);
     if (r < 0)
         return r;
     canvas.od = od;

@@ -81,6 +81,32 @@ TEST(the_same_arguments_give_the_same_bytes_with_one_and_two_threads)
         check_same_file(one, two, name[i]);
 }
 
+/* The panel that is missing, the file that is cut: every trouble leaves a folder that is complete.
+ */
+TEST(a_bad_day_s_files_are_those_that_the_truth_lists)
+{
+    const struct gsn_phantom_plan plan = plan_of("S02", "L3", 7, 48);
+    auto_folder folder[32] = "/tmp/gsn_phantom_XXXXXX";
+    gsn_auto_mem(uint8_t) table = NULL;
+    gsn_auto_mem(char) text = NULL;
+    struct gsn_error err = { 0 };
+    size_t size, lines = 0;
+
+    CHECK(mkdtemp(folder));
+    CHECK_OK(gsn_phantom_make(&plan, 0, 0, folder, NULL, &err), err);
+    table = slurp(folder, "truth/files.csv", &size);
+    text = gsn_format("%.*s", (int)size, (const char *)table);
+    CHECK(text);
+    for (char *line = strchr(text, '\n'); line && line[1]; line = strchr(line + 1, '\n')) {
+        gsn_auto_mem(char) name = gsn_format("%.*s", (int)strcspn(line + 1, ","), line + 1);
+        gsn_auto_mem(uint8_t) bytes = slurp(folder, name, &size);
+
+        CHECK(bytes && size > 10000);
+        lines++;
+    }
+    CHECK(lines == 5);
+}
+
 TEST(a_damaged_specimen_is_the_same_with_one_and_two_threads)
 {
     static const char *const name[] = {

@@ -21,7 +21,7 @@ static struct gsn_image *draw(const struct gsn_phantom_plan *plan, int panel)
     struct gsn_image *image = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_phantom_panel_draw(plan, panel, 0, &image, extent, &err), err);
+    CHECK_OK(gsn_phantom_panel_draw(plan, &plan->file[panel - 1], 0, &image, extent, &err), err);
     return image;
 }
 

@@ -99,7 +99,7 @@ static void check_jpeg(double px_um, UINT8 unit, UINT16 density)
 
     for (size_t i = 0; i < gsn_image_bytes(image); i++)
         ((uint8_t *)image->samples)[i] = (uint8_t)(40 + i / 300);
-    CHECK_OK(gsn_phantom_jpeg(image, px_um, 85, &file, &err), err);
+    CHECK_OK(gsn_phantom_jpeg(image, px_um, 85, 1, &file, &err), err);
     jpeg.err = jpeg_std_error(&errors);
     jpeg_create_decompress(&jpeg);
     jpeg_mem_src(&jpeg, file.bytes, file.size);
@@ -133,7 +133,7 @@ TEST(another_kind_of_image_is_refused)
     CHECK_OK(gsn_image_new(4, 4, 1, 16, &grey, &err), err);
     CHECK(gsn_phantom_png(grey, 16, &file, &err) == GSN_E_UNSUPPORTED);
     CHECK(gsn_phantom_tiff(grey, 16, &file, &err) == GSN_E_UNSUPPORTED);
-    CHECK(gsn_phantom_jpeg(grey, 16, 85, &file, &err) == GSN_E_UNSUPPORTED);
+    CHECK(gsn_phantom_jpeg(grey, 16, 85, 1, &file, &err) == GSN_E_UNSUPPORTED);
     CHECK(file.bytes == NULL);
 }
 
@@ -146,7 +146,7 @@ static int write_all(const struct gsn_image *image, struct gsn_error *err)
 
     if (r >= 0)
         r = gsn_phantom_tiff(image, 16, &tiff, err);
-    return r < 0 ? r : gsn_phantom_jpeg(image, 16, 85, &jpeg, err);
+    return r < 0 ? r : gsn_phantom_jpeg(image, 16, 85, 1, &jpeg, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

@@ -2,6 +2,7 @@
 #include "tests/phantom/phantom.h"
 
 #include "pipeline/core/file.h"
+#include "tests/phantom/calibration.h"
 #include "tests/phantom/delivery.h"
 #include "tests/phantom/panel.h"
 #include "tests/phantom/truth.h"
@@ -48,6 +49,9 @@ int gsn_phantom_make(const struct gsn_phantom_plan *plan, int with_density, unsi
         if (r < 0)
             return r;
     }
+    r = gsn_phantom_calibration_write(plan, threads, folder, err);
+    if (r < 0)
+        return r;
     gsn_progress_say(progress, "writing the truth", panels, steps);
     r = gsn_phantom_write_truth(plan, extent, with_density, threads, truth, err);
     if (r < 0)

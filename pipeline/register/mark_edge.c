@@ -14,7 +14,7 @@ enum { CX, CY, R };
 /* What a sector knows of: the shift of its edge, the blur, the disc's level, its tissue's level. */
 enum { SHIFT, BLUR, DISC, TISSUE, LOCAL };
 
-enum { SECTORS_LEAST = 8, SECTORS_MOST = 48, BINS = 48, STEPS = 15 };
+enum { SECTORS_LEAST = 8, SECTORS_MOST = 48, BINS = 48, STEPS = 16, ROUND = 2 };
 
 /* Width of a sector along the rim, px: two to three pixels across carry one edge. */
 static const double SECTOR_PX = 2.5;
@@ -23,18 +23,20 @@ static const double REACH = 2.0;
 /* Edges are looked for between these, in starting radii. */
 static const double EDGE_FROM = 0.45, EDGE_TO = 1.7;
 /* A burn's outline is round to some per cent of its radius (one standard deviation per lobe). */
-static const double LOBE_SD = 0.04;
+static const double LOBE_SD = 0.04, LOBE_LEAST = 0.002, LOBE_FIRST = 0.015;
 /* Where Tukey's biweight cuts off, in standard deviations: 98 % efficient when nothing is wrong. */
 static const double TUKEY = 6;
 /* Fewer sectors than this share of the rim that agree are no round edge. */
 static const double RIM_LEAST = 0.4;
+/* An outline's distance from a circle, in radii and at least in pixels, that is still its own. */
+static const double ROUGH = 0.06, ROUGH_PX = 0.75;
 static const double CONTRAST_LEAST = 1e-4, SCORE_LEAST = 0.25;
 /* Beyond this many blurs from an edge it is over, to five digits; the table's steps per blur. */
 enum { FAR = 4, PER_BLUR = 32, TABLE = 2 * FAR * PER_BLUR + 2 };
 
 struct sample {
     float x, y, value; /* centre, from the start */
-    int sector;
+    unsigned sector;
 };
 
 struct sector {
@@ -47,14 +49,18 @@ struct sector {
 };
 
 struct edge_fit {
+    double at_x, at_y; /* where the samples' origin has got to, from the start */
+    double tolerance;  /* of a sector's edge as the first look sees it */
     size_t count, sectors;
-    struct sample *sample;
+    struct sample *sample; /* by sector; twice the room, for sorting */
+    size_t first[SECTORS_MOST + 1];
     struct sector sector[SECTORS_MOST];
-    double radius;        /* starting radius */
-    double v[UNKNOWNS];   /* shape, then the four below */
-    int lobes;            /* orders that are fitted, 1 for none */
-    double noise, tissue; /* variance of a pixel: noise + tissue q^2 */
-    double spread;        /* variance of the sectors' b */
+    double radius;         /* starting radius */
+    double v[UNKNOWNS];    /* shape, then the four below */
+    int lobes, most_lobes; /* orders that are fitted, 1 for none */
+    double noise, tissue;  /* variance of a pixel: noise + tissue q^2 */
+    double spread;         /* variance of the sectors' b */
+    double lobe;           /* standard deviation of a lobe */
     float cdf[TABLE], pdf[TABLE];
 };
 
@@ -62,7 +68,7 @@ enum { V_BLUR = SHAPE, V_DISC, V_B0, V_BX, V_BY };
 
 static int gather(const struct gsn_plane *plane, struct gsn_point start, struct edge_fit *fit)
 {
-    const double reach = REACH * fit->radius, per_turn = (double)fit->sectors / (2 * M_PI);
+    const double reach = REACH * fit->radius;
     const int x0 = (int)fmax(floor(start.x - reach), 0), y0 = (int)fmax(floor(start.y - reach), 0);
     const int x1 = (int)fmin(ceil(start.x + reach), plane->width);
     const int y1 = (int)fmin(ceil(start.y + reach), plane->height);
@@ -81,32 +87,43 @@ static int gather(const struct gsn_plane *plane, struct gsn_point start, struct 
                 (struct sample){ .x = (float)dx, .y = (float)dy, .value = value };
         }
     }
-    (void)per_turn;
     return disc >= 0.5 * M_PI * fit->radius * fit->radius && fit->count > 4 * UNKNOWNS;
 }
 
 /* atan2 in turns, 0..1, to 1e-4 of a turn: enough to sort pixels into sectors. */
-static double turn_of(double y, double x)
+static float turn_of(float y, float x)
 {
-    const double ax = fabs(x), ay = fabs(y);
-    const double z = fmin(ax, ay) / fmax(fmax(ax, ay), 1e-12);
-    double a = z * (0.1591549 - z * z * (0.0530516 - z * z * 0.0286 + z * z * z * z * 0.0097));
+    const float ax = fabsf(x), ay = fabsf(y);
+    const float z = (ax < ay ? ax : ay) / ((ax > ay ? ax : ay) + 1e-12f), zz = z * z;
+    float a = z * (0.1591549f - zz * (0.0530516f - zz * (0.0286f - zz * 0.0097f)));
 
     if (ay > ax)
-        a = 0.25 - a;
+        a = 0.25f - a;
     if (x < 0)
-        a = 0.5 - a;
+        a = 0.5f - a;
     return y < 0 ? 1 - a : a;
 }
 
-static void set_sectors(struct edge_fit *fit, double cx, double cy)
+/* Says which sector each pixel belongs to, and sorts the pixels by that. */
+static void set_sectors(struct edge_fit *fit)
 {
+    size_t next[SECTORS_MOST];
+    struct sample *spare = fit->sample + fit->count;
+
+    memset(fit->first, 0, sizeof fit->first);
     for (size_t i = 0; i < fit->count; i++) {
         struct sample *p = &fit->sample[i];
-        const double turn = turn_of(p->y - cy, p->x - cx);
 
-        p->sector = (int)(turn * (double)fit->sectors) % (int)fit->sectors;
+        p->sector = (unsigned)(turn_of(p->y, p->x) * (float)fit->sectors) % (unsigned)fit->sectors;
+        fit->first[p->sector + 1]++;
     }
+    for (size_t k = 0; k < fit->sectors; k++) {
+        fit->first[k + 1] += fit->first[k];
+        next[k] = fit->first[k];
+    }
+    for (size_t i = 0; i < fit->count; i++)
+        spare[next[fit->sample[i].sector]++] = fit->sample[i];
+    memcpy(fit->sample, spare, fit->count * sizeof *spare);
 }
 
 static void set_angles(struct edge_fit *fit)
@@ -139,20 +156,28 @@ static double mean_of(const struct profile *profile, size_t sector, int from, in
     return n > 0 ? sum / n : NAN;
 }
 
+static double fall_at(const struct profile *profile, size_t k, int bin)
+{
+    return mean_of(profile, k, bin - 2, bin) - mean_of(profile, k, bin, bin + 2);
+}
+
 /* Where the sector falls most from inside to outside, or NaN. */
 static double sharpest(const struct edge_fit *fit, const struct profile *profile, size_t k)
 {
     const int from = (int)(EDGE_FROM * fit->radius / profile->width);
     const int to = (int)(EDGE_TO * fit->radius / profile->width);
-    double best = 0, at = NAN;
+    double best = 0, at = NAN, before = 0;
 
     for (int b = from; b <= to; b++) {
-        const double fall = mean_of(profile, k, b - 2, b) - mean_of(profile, k, b, b + 2);
+        const double fall = fall_at(profile, k, b);
 
         if (fall > best) {
+            const double after = fall_at(profile, k, b + 1), bend = before - 2 * fall + after;
+
             best = fall;
-            at = b * profile->width;
+            at = (b + (bend < 0 ? 0.5 * (before - after) / bend : 0)) * profile->width;
         }
+        before = fall;
     }
     return at;
 }
@@ -165,6 +190,8 @@ static void look_for_edges(struct edge_fit *fit)
         const struct sample *p = &fit->sample[i];
         const int bin = (int)(sqrt((double)(p->x * p->x + p->y * p->y)) / profile.width);
 
+        if (bin >= BINS)
+            continue;
         profile.sum[p->sector][bin] += p->value;
         profile.n[p->sector][bin] += 1;
     }
@@ -208,9 +235,21 @@ static double misfit(const struct edge_fit *fit, const struct circle *circle, do
     return sum;
 }
 
-static double tolerance_of(const struct edge_fit *fit)
+/* Standard deviation of a sector's edge as the first look sees it, from how it lies between its
+ * neighbours': lobes and cuts hardly show in that. */
+static double jitter(const struct edge_fit *fit)
 {
-    return fmax(0.12 * fit->radius, 1);
+    double off[SECTORS_MOST];
+    size_t n = 0;
+
+    for (size_t k = 0; k < fit->sectors; k++) {
+        const double second = fit->sector[k].edge - 2 * fit->sector[(k + 1) % fit->sectors].edge +
+                              fit->sector[(k + 2) % fit->sectors].edge;
+
+        if (isfinite(second))
+            off[n++] = fabs(second) / sqrt(6);
+    }
+    return n > 0 ? 1.4826 * gsn_median(off, n) : 0;
 }
 
 /* The circle that most sectors agree on, out of those through three of them a third, a quarter or a
@@ -218,7 +257,7 @@ static double tolerance_of(const struct edge_fit *fit)
 static int majority(struct edge_fit *fit)
 {
     const size_t n = fit->sectors, apart[3] = { n / 3, n / 4, n / 6 };
-    const double tolerance = tolerance_of(fit);
+    const double tolerance = fit->tolerance;
     double least = (1 - RIM_LEAST) * (double)n;
     struct circle best = { 0 };
 
@@ -241,7 +280,7 @@ static int majority(struct edge_fit *fit)
     if (best.radius == 0)
         return 0;
     for (size_t k = 0; k < n; k++)
-        fit->sector[k].weight = fabs(beside(&fit->sector[k], &best)) < 1.5 * tolerance;
+        fit->sector[k].weight = 1;
     fit->v[CX] = best.x;
     fit->v[CY] = best.y;
     fit->v[R] = best.radius;
@@ -277,6 +316,7 @@ static void guess_levels(struct edge_fit *fit)
     fit->v[V_B0] = out / fmax(out_n, 1);
     fit->v[V_BLUR] = fmax(0.08 * fit->v[R], 0.7);
     fit->noise = 1;
+    fit->lobe = LOBE_FIRST * fit->v[R];
     fit->spread = pow(0.2 * contrast_of(fit), 2);
 }
 
@@ -320,57 +360,77 @@ struct sums {
     double inner, inner_n, outer, outer_n, outer_q; /* squared residuals on either side */
 };
 
-/* Every sector's part of the normal equations. */
-static void accumulate(struct edge_fit *fit, struct sums *sums)
+static void edge_at(const struct edge_fit *fit, float u, float *ret_q, float *ret_g)
 {
-    const double from = -inwards(fit), to = outwards(fit), blur = fit->v[V_BLUR];
-    double edge[SECTORS_MOST], level[SECTORS_MOST];
+    const float at = (fminf(fmaxf(u, -FAR), FAR) + FAR) * PER_BLUR;
+    const int i = (int)at;
+    const float part = at - (float)i;
 
-    memset(sums, 0, sizeof *sums);
-    for (size_t k = 0; k < fit->sectors; k++) {
-        struct sector *s = &fit->sector[k];
+    *ret_q = fit->cdf[i] + part * (fit->cdf[i + 1] - fit->cdf[i]);
+    *ret_g = fit->pdf[i] + part * (fit->pdf[i + 1] - fit->pdf[i]);
+}
 
-        memset(s->s, 0, sizeof s->s);
-        memset(s->t, 0, sizeof s->t);
-        edge[k] = outline(fit, s);
-        level[k] = plane_at(fit, s) + s->b;
-    }
-    for (size_t i = 0; i < fit->count; i++) {
+/* One sector's part of the normal equations. Single precision: a sector holds some tens of pixels.
+ */
+static void accumulate_sector(const struct edge_fit *fit, size_t k, struct sector *s,
+                              struct sums *sums)
+{
+    const float from = (float)-inwards(fit), to = (float)outwards(fit);
+    const float per_blur = (float)(1 / fit->v[V_BLUR]), edge = (float)outline(fit, s);
+    const float level = (float)(plane_at(fit, s) + s->b), disc = (float)fit->v[V_DISC];
+    const float cx = (float)fit->v[CX], cy = (float)fit->v[CY];
+    const float noise = (float)fit->noise, tissue = (float)fit->tissue;
+    float t[LOCAL] = { 0 }, m[LOCAL][LOCAL] = { { 0 } };
+    float inner = 0, inner_n = 0, outer = 0, outer_n = 0, outer_q = 0;
+
+    for (size_t i = fit->first[k]; i < fit->first[k + 1]; i++) {
         const struct sample *p = &fit->sample[i];
-        const double dx = p->x - fit->v[CX], dy = p->y - fit->v[CY];
-        const double off = sqrt(dx * dx + dy * dy) - edge[p->sector];
-        struct sector *s = &fit->sector[p->sector];
+        const float dx = p->x - cx, dy = p->y - cy, off = sqrtf(dx * dx + dy * dy) - edge;
+        float q, g, res, w;
 
         if (off < from || off > to)
             continue;
-        const double u = fmin(fmax(off / blur, -FAR), FAR), at = (u + FAR) * PER_BLUR;
-        const int j = (int)at;
-        const double part = at - j;
-        const double q = fit->cdf[j] + part * (fit->cdf[j + 1] - fit->cdf[j]);
-        const double g = (fit->pdf[j] + part * (fit->pdf[j + 1] - fit->pdf[j])) / blur *
-                         (fit->v[V_DISC] - level[p->sector]);
-        const double res = p->value - level[p->sector] * q - fit->v[V_DISC] * (1 - q);
-        const double w = 1 / (fit->noise + fit->tissue * q * q);
-        const double d[LOCAL] = { g, g * u, 1 - q, q };
+        edge_at(fit, off * per_blur, &q, &g);
+        res = p->value - level * q - disc * (1 - q);
+        w = 1 / (noise + tissue * q * q);
+        g *= per_blur * (disc - level);
+        {
+            const float d[LOCAL] = { g, g * off * per_blur, 1 - q, q };
 
-        for (int a = 0; a < LOCAL; a++) {
-            s->t[a] += w * d[a] * res;
-            for (int b = 0; b <= a; b++)
-                s->s[a][b] += w * d[a] * d[b];
+            for (int a = 0; a < LOCAL; a++) {
+                const float wd = w * d[a];
+
+                t[a] += wd * res;
+                for (int b = 0; b <= a; b++)
+                    m[a][b] += wd * d[b];
+            }
         }
-        if (q < 0.25) {
-            sums->inner += s->weight * res * res;
-            sums->inner_n += s->weight;
+        if (q < 0.25f) {
+            inner += res * res;
+            inner_n += 1;
         } else {
-            sums->outer += s->weight * res * res;
-            sums->outer_q += s->weight * q * q;
-            sums->outer_n += s->weight;
+            outer += res * res;
+            outer_q += q * q;
+            outer_n += 1;
         }
     }
+    for (int a = 0; a < LOCAL; a++) {
+        s->t[a] = t[a];
+        for (int b = 0; b <= a; b++)
+            s->s[a][b] = s->s[b][a] = m[a][b];
+    }
+    sums->inner += s->weight * inner;
+    sums->inner_n += s->weight * inner_n;
+    sums->outer += s->weight * outer;
+    sums->outer_n += s->weight * outer_n;
+    sums->outer_q += s->weight * outer_q;
+}
+
+static void accumulate(struct edge_fit *fit, struct sums *sums)
+{
+    memset(sums, 0, sizeof *sums);
     for (size_t k = 0; k < fit->sectors; k++)
-        for (int a = 0; a < LOCAL; a++)
-            for (int b = 0; b < a; b++)
-                fit->sector[k].s[b][a] = fit->sector[k].s[a][b];
+        accumulate_sector(fit, k, &fit->sector[k], sums);
 }
 
 /* The variance of a pixel: the scanner's inside, with the tissue's as far as it comes through. */
@@ -447,7 +507,7 @@ static int solve_spd(double a[UNKNOWNS][UNKNOWNS], double *x)
 
 static void assemble(const struct edge_fit *fit, double h[UNKNOWNS][UNKNOWNS], double *g)
 {
-    const double lobe = 1 / pow(LOBE_SD * fit->v[R], 2);
+    const double lobe = 1 / (fit->lobe * fit->lobe);
 
     memset(h, 0, UNKNOWNS * sizeof *h);
     memset(g, 0, UNKNOWNS * sizeof *g);
@@ -518,6 +578,26 @@ static double excess(const struct edge_fit *fit)
     return n > 0 ? fmax(1.4826 * gsn_median(off, n), 1) : 1;
 }
 
+/* Sectors whose own edge lies off the outline: what moved it does not end at the sector's border,
+ * so its neighbours are not heard either. A fit that sees only an edge's foot takes it for nearer.
+ */
+static void gate(struct edge_fit *fit)
+{
+    const struct circle circle = { fit->v[CX], fit->v[CY], fit->v[R] };
+    const size_t n = fit->sectors;
+    int off[SECTORS_MOST];
+
+    for (size_t k = 0; k < n; k++) {
+        const struct sector *s = &fit->sector[k];
+
+        off[k] = !(fabs(beside(s, &circle) - outline(fit, s) + fit->v[R]) < fit->tolerance) &&
+                 !(fabs(s->off) < 3 * sqrt(s->variance));
+    }
+    for (size_t k = 0; k < n; k++)
+        if (off[k] || off[(k + 1) % n] || off[(k + n - 1) % n])
+            fit->sector[k].weight = 0;
+}
+
 static void reweigh_sectors(struct edge_fit *fit)
 {
     const double scale = TUKEY * excess(fit);
@@ -532,8 +612,23 @@ static void reweigh_sectors(struct edge_fit *fit)
         claimed += s->weight / (s->s[TISSUE][TISSUE] + 1 / fit->spread);
         n += s->weight;
     }
+    gate(fit);
     /* The posterior variance of b_k is added back (expectation maximisation). */
     fit->spread = fmax((spread + claimed) / fmax(n - 3, 1), 1e-8 * pow(contrast_of(fit), 2));
+}
+
+/* How lobed this outline is: an arc that is missing must not be made up by lobes that the rest of
+ * the rim does not have. */
+static void learn_lobes(struct edge_fit *fit, double h[UNKNOWNS][UNKNOWNS])
+{
+    double sum = 0, n = 0;
+
+    for (int i = 3; i < 2 * fit->lobes + 1; i++) {
+        sum += fit->v[i] * fit->v[i] + 1 / h[i][i];
+        n += 1;
+    }
+    if (n > 0)
+        fit->lobe = fmin(fmax(sqrt(sum / n), LOBE_LEAST * fit->v[R]), LOBE_SD * fit->v[R]);
 }
 
 static int legal(const struct edge_fit *fit)
@@ -560,6 +655,8 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
         double h[UNKNOWNS][UNKNOWNS], by[UNKNOWNS];
         struct sums sums;
 
+        /* A circle first: lobes would bend to an arc that is not the mark's. */
+        fit->lobes = step < ROUND ? 1 : fit->most_lobes;
         accumulate(fit, &sums);
         assemble(fit, h, by);
         memcpy(ret_h, h, sizeof h);
@@ -576,9 +673,11 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
         reweigh_pixels(fit, &sums);
         if (step > 0)
             reweigh_sectors(fit);
+        if (step > ROUND)
+            learn_lobes(fit, ret_h);
         settled = hypot(by[CX], by[CY]);
         /* A thousandth of a pixel is well below what any picture tells. */
-        if (step > 2 && settled < 1e-3)
+        if (step > ROUND && settled < 1e-3)
             return 1;
     }
     return settled < 0.05;
@@ -626,24 +725,31 @@ static int covariance(const struct edge_fit *fit, double h[UNKNOWNS][UNKNOWNS],
     return 1;
 }
 
+/* Share of the variance around the mark that the fit explains, where the edge is the mark's. */
 static double explained(const struct edge_fit *fit)
 {
+    const float reach = (float)(1.5 * fit->v[R]), disc = (float)fit->v[V_DISC];
     double sum = 0, squares = 0, left = 0, n = 0;
 
-    for (size_t i = 0; i < fit->count; i++) {
-        const struct sample *p = &fit->sample[i];
-        const struct sector *s = &fit->sector[p->sector];
-        const double r = hypot(p->x - fit->v[CX], p->y - fit->v[CY]);
-        const double u = (r - outline(fit, s)) / fit->v[V_BLUR];
-        const double q = 0.5 * erfc(-fmin(fmax(u, -FAR), FAR) / M_SQRT2);
-        const double level = plane_at(fit, s) + s->b;
+    for (size_t k = 0; k < fit->sectors; k++) {
+        const struct sector *s = &fit->sector[k];
+        const float edge = (float)outline(fit, s), level = (float)(plane_at(fit, s) + s->b);
 
-        if (r > 1.5 * fit->v[R])
-            continue;
-        sum += p->value;
-        squares += (double)p->value * p->value;
-        left += pow(p->value - level * q - fit->v[V_DISC] * (1 - q), 2);
-        n += 1;
+        for (size_t i = fit->first[k]; s->weight > 0 && i < fit->first[k + 1]; i++) {
+            const struct sample *p = &fit->sample[i];
+            const float dx = p->x - (float)fit->v[CX], dy = p->y - (float)fit->v[CY];
+            const float r = sqrtf(dx * dx + dy * dy);
+            float q, g, res;
+
+            if (r > reach)
+                continue;
+            edge_at(fit, (r - edge) / (float)fit->v[V_BLUR], &q, &g);
+            res = p->value - level * q - disc * (1 - q);
+            sum += p->value;
+            squares += p->value * p->value;
+            left += res * res;
+            n += 1;
+        }
     }
     squares -= sum * sum / fmax(n, 1);
     return squares > 0 ? fmax(1 - left / squares, 0) : 0;
@@ -658,18 +764,54 @@ static double rim(const struct edge_fit *fit)
     return sum / (double)fit->sectors;
 }
 
+/* Moves the origin to the circle just found, so that sectors are sectors of it. */
+static void centre(struct edge_fit *fit)
+{
+    for (size_t i = 0; i < fit->count; i++) {
+        fit->sample[i].x -= (float)fit->v[CX];
+        fit->sample[i].y -= (float)fit->v[CY];
+    }
+    for (size_t k = 0; k < fit->sectors; k++) {
+        struct sector *s = &fit->sector[k];
+
+        s->edge += fit->v[R] -
+                   hypot(fit->v[R] * s->cos[1] + fit->v[CX], fit->v[R] * s->sin[1] + fit->v[CY]);
+    }
+    fit->at_x += fit->v[CX];
+    fit->at_y += fit->v[CY];
+    fit->radius = fit->v[R];
+    fit->v[CX] = fit->v[CY] = 0;
+}
+
+static void set_tolerance(struct edge_fit *fit)
+{
+    fit->tolerance = fmax(fmax(ROUGH * fit->radius, ROUGH_PX), 5 * jitter(fit));
+}
+
+/* Twice, since a look from beside the centre sees some edges aslant. */
+static int look(struct edge_fit *fit)
+{
+    set_angles(fit);
+    for (int i = 0; i < 2; i++) {
+        set_sectors(fit);
+        look_for_edges(fit);
+        set_tolerance(fit);
+        if (!majority(fit))
+            return 0;
+        centre(fit);
+    }
+    return 1;
+}
+
 static int run(struct edge_fit *fit, struct gsn_mark *mark)
 {
     double h[UNKNOWNS][UNKNOWNS];
 
-    set_angles(fit);
-    set_sectors(fit, 0, 0);
-    look_for_edges(fit);
-    if (!majority(fit))
+    if (!look(fit))
         return 0;
-    /* The weights of the first look belong to nearly the same sectors. */
-    set_sectors(fit, fit->v[CX], fit->v[CY]);
-    fit->lobes = fit->v[R] >= 8 ? LOBES : fit->v[R] >= 5 ? 2 : 1;
+    set_sectors(fit);
+    gate(fit);
+    fit->most_lobes = fit->v[R] >= 8 ? LOBES : fit->v[R] >= 5 ? 2 : 1;
     guess_levels(fit);
     make_tables(fit);
     if (!(contrast_of(fit) > CONTRAST_LEAST) || !descend(fit, h) || rim(fit) < RIM_LEAST)
@@ -685,7 +827,7 @@ int gsn_mark_edge_fit(const struct gsn_plane *plane, struct gsn_point start, dou
                       struct gsn_mark *ret_mark, struct gsn_error *err)
 {
     const size_t side = (size_t)ceil(2 * REACH * radius_px) + 3;
-    gsn_auto_mem(struct sample) samples = gsn_alloc_array(side * side, sizeof *samples);
+    gsn_auto_mem(struct sample) samples = gsn_alloc_array(2 * side * side, sizeof *samples);
     gsn_auto_mem(struct edge_fit) fit = gsn_alloc_array(1, sizeof *fit);
     struct gsn_mark mark = { 0 };
 
@@ -700,7 +842,8 @@ int gsn_mark_edge_fit(const struct gsn_plane *plane, struct gsn_point start, dou
     *ret_mark = (struct gsn_mark){ 0 };
     if (!gather(plane, start, fit) || !run(fit, &mark))
         return GSN_OK;
-    mark.px = (struct gsn_point){ start.x + fit->v[CX], start.y + fit->v[CY] };
+    mark.px =
+        (struct gsn_point){ start.x + fit->at_x + fit->v[CX], start.y + fit->at_y + fit->v[CY] };
     mark.found = 1;
     *ret_mark = mark;
     return GSN_OK;

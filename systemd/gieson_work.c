@@ -27,6 +27,7 @@
 
 #include <argp.h>
 #include <jansson.h>
+#include <malloc.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -567,6 +568,9 @@ static int do_register(const struct request *request)
 
     if (request->rest_count != 1)
         return usage("register needs one folder of pictures");
+    /* One section after the other works in the same pages. */
+    (void)mallopt(M_MMAP_THRESHOLD, 32 << 20);
+    (void)mallopt(M_TRIM_THRESHOLD, 256 << 20);
     r = gsn_process_sibling("gieson-decode", &decoder, &err);
     if (r >= 0)
         r = gsn_register_folder(&folder, decoder, &lost, &err);

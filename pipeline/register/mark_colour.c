@@ -1,13 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_colour.h"
 
-#include "pipeline/register/median.h"
-
 #include <assert.h>
 #include <math.h>
 #include <string.h>
 
-enum { CHANNELS = 3 };
+enum { CHANNELS = 3, CODES = 256 };
 /* Where the mark surely is, and where the tissue around it, in radii. A radius may be a third off.
  */
 static const double INSIDE = 0.5, RING_FROM = 1.35, RING_TO = 2.0;
@@ -80,21 +78,23 @@ static void average(const struct gsn_image *window, struct gsn_point centre, dou
     }
 }
 
-/* Channel by channel; 0 when there is not a single block. */
-static int median_of(const struct blocks *blocks, size_t channels, double *scratch,
-                     double *ret_median)
+/* Channel by channel, to a code: enough to tell tissue from what is not. */
+static void median_of(const struct blocks *blocks, size_t channels, double *ret_median)
 {
     for (size_t c = 0; c < channels; c++) {
-        size_t n = 0;
+        unsigned histogram[CODES] = { 0 };
+        size_t n = 0, below = 0, code = 0;
 
-        for (size_t b = 0; b < blocks->width * blocks->height; b++)
-            if (!isnan(blocks->mean[CHANNELS * b]))
-                scratch[n++] = blocks->mean[CHANNELS * b + c];
-        if (n == 0)
-            return 0;
-        ret_median[c] = gsn_median(scratch, n);
+        for (size_t b = 0; b < blocks->width * blocks->height; b++) {
+            if (isnan(blocks->mean[CHANNELS * b]))
+                continue;
+            histogram[(size_t)blocks->mean[CHANNELS * b + c]]++;
+            n++;
+        }
+        for (; code + 1 < CODES && 2 * (below + histogram[code]) < n; code++)
+            below += histogram[code];
+        ret_median[c] = (double)code + 0.5;
     }
-    return 1;
 }
 
 /* Blocks that hold something else than tissue take no part. */
@@ -195,7 +195,6 @@ int gsn_mark_mix(const struct gsn_image *window, struct gsn_point centre, double
     struct blocks blocks = { window->width / side, window->height / side, side, NULL };
     const size_t count = blocks.width * blocks.height + 1, channels = window->channels;
     gsn_auto_mem(float) mean = gsn_alloc_array(CHANNELS * count, sizeof *mean);
-    gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     gsn_auto(gsn_plane) plane = NULL;
     double mark[CHANNELS], tissue[CHANNELS] = { 0 }, contrast[CHANNELS], weight[CHANNELS];
     double cov[CHANNELS][CHANNELS], length = 0;
@@ -203,7 +202,7 @@ int gsn_mark_mix(const struct gsn_image *window, struct gsn_point centre, double
 
     assert(window && radius_px > 0 && ret_plane && ret_contrast);
 
-    if (!mean || !scratch)
+    if (!mean)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
     r = gsn_plane_new(window->width, window->height, &plane, err);
     if (r < 0)
@@ -211,7 +210,7 @@ int gsn_mark_mix(const struct gsn_image *window, struct gsn_point centre, double
     blocks.mean = mean;
     inside_of(window, centre, radius_px, mark);
     average(window, centre, radius_px, &blocks);
-    (void)median_of(&blocks, channels, scratch, tissue);
+    median_of(&blocks, channels, tissue);
     for (size_t c = 0; c < channels; c++)
         weight[c] = contrast[c] = tissue[c] - mark[c];
     reject(&blocks, channels, tissue, contrast);

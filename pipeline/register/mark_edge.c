@@ -219,7 +219,9 @@ static int circle_through(const struct sector *a, const struct sector *b, const 
 
 static double beside(const struct sector *s, const struct circle *circle)
 {
-    return hypot(s->edge * s->cos[1] - circle->x, s->edge * s->sin[1] - circle->y) - circle->radius;
+    const double x = s->edge * s->cos[1] - circle->x, y = s->edge * s->sin[1] - circle->y;
+
+    return sqrt(x * x + y * y) - circle->radius;
 }
 
 /* Sum of squared distances, none counting for more than one beyond tolerance. */
@@ -300,7 +302,7 @@ static void guess_levels(struct edge_fit *fit)
 
     for (size_t i = 0; i < fit->count; i++) {
         const struct sample *p = &fit->sample[i];
-        const double r = hypot(p->x - fit->v[CX], p->y - fit->v[CY]) / fit->v[R];
+        const float r = sqrtf(p->x * p->x + p->y * p->y) / (float)fit->v[R];
 
         if (fit->sector[p->sector].weight == 0)
             continue;
@@ -676,8 +678,8 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
         if (step > ROUND)
             learn_lobes(fit, ret_h);
         settled = hypot(by[CX], by[CY]);
-        /* A thousandth of a pixel is well below what any picture tells. */
-        if (step > ROUND && settled < 1e-3)
+        /* The next step will be a tenth of it. */
+        if (step > ROUND && settled < 4e-3)
             return 1;
     }
     return settled < 0.05;

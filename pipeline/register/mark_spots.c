@@ -9,7 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { CODES = 256, SAMPLES = 4, CHANNELS = 3 };
+enum { CODES = 256, SAMPLES = 2, CHANNELS = 3 };
 static const double PX_MOST_UM = 40;
 /* A window reaches a little further than the fit's, from a centre that may be half a cell off. */
 static const double WINDOW = 2.1;
@@ -29,24 +29,21 @@ static inline unsigned code_at(const struct gsn_image *image, size_t sample)
                             : (unsigned)(((const uint16_t *)image->samples)[sample] >> 8);
 }
 
-/* Four pixels of a cell stand for it: more would find no more marks and cost a pass over all. */
+/* Two pixels of a cell stand for it: more would find no more marks, and cost another pass over the
+ * picture. */
 static void reduce(const struct gsn_image *image, size_t step, struct gsn_mark_field *field)
 {
-    const size_t near = step / 4, far = step - 1 - step / 4, line = image->width * image->channels;
+    const size_t near = step / 4, far = step - 1 - step / 4, channels = image->channels;
     float table[SAMPLES * (CODES - 1) + 1];
 
     density_table(table, SAMPLES);
     for (size_t y = 0; y < field->height; y++) {
-        const size_t above = (y * step + near) * line, below = (y * step + far) * line;
+        const size_t row = (y * step + step / 2) * image->width;
 
-        for (size_t x = 0; x < field->width; x++) {
-            const size_t left = (x * step + near) * image->channels;
-            const size_t right = (x * step + far) * image->channels;
-
+        for (size_t x = 0; x < field->width; x++)
             field->od[y * field->width + x] =
-                table[code_at(image, above + left) + code_at(image, above + right) +
-                      code_at(image, below + left) + code_at(image, below + right)];
-        }
+                table[code_at(image, (row + x * step + near) * channels) +
+                      code_at(image, (row + x * step + far) * channels)];
     }
 }
 
@@ -77,11 +74,11 @@ static size_t part(const unsigned *histogram, size_t bins)
     return at;
 }
 
-/* Centre of what is darker, in its darkest channel, than the glass: one pixel of every other cell
- * in both directions. */
+/* Centre of what is darker, in its darkest channel, than the glass: one pixel of every fourth
+ * cell in both directions. */
 static struct gsn_point tissue_of(const struct gsn_image *image, size_t step)
 {
-    const size_t apart = 2 * step, channels = image->channels;
+    const size_t apart = 4 * step, channels = image->channels;
     unsigned histogram[CODES] = { 0 };
     double sum_x = 0, sum_y = 0, n = 0;
     size_t level = 0;

@@ -187,35 +187,37 @@ static int measure(struct work *work, int all, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* What was chosen from afar is measured and chosen again; where that does not stand, everything is
- * measured. Three measured marks of every clear section then tell how like the triangles are. */
+static int choose_all(struct folder *folder, const struct gsn_triangle_prior *prior, int last,
+                      struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && i < folder->stack->count; i++) {
+        struct work *work = &folder->work[i];
+
+        if (!work->spots)
+            continue;
+        choose(folder, i, prior);
+        r = measure(work, found_of(work) < GSN_MARKS, err);
+        if (last)
+            choose(folder, i, prior);
+    }
+    return r;
+}
+
+/* What was chosen from afar is measured, everything where nothing could be chosen; three measured
+ * marks of every clear section then tell how like the triangles are, and the choice is made again.
+ */
 static int settle(struct folder *folder, struct gsn_error *err)
 {
     struct gsn_triangle_prior prior;
     int r = know_triangle(folder, &prior, err);
 
-    for (int round = 0; r >= 0 && round < 2; round++) {
-        for (size_t i = 0; r >= 0 && i < folder->stack->count; i++) {
-            struct work *work = &folder->work[i];
-
-            if (!work->spots)
-                continue;
-            choose(folder, i, &prior);
-            r = measure(work, found_of(work) < GSN_MARKS, err);
-        }
-        if (r >= 0)
-            r = know_triangle(folder, &prior, err);
-    }
-    for (size_t i = 0; r >= 0 && i < folder->stack->count; i++) {
-        if (!folder->work[i].spots)
-            continue;
-        choose(folder, i, &prior);
-        if (found_of(&folder->work[i]) == GSN_MARKS)
-            continue;
-        r = measure(&folder->work[i], 1, err);
-        choose(folder, i, &prior);
-    }
-    return r;
+    if (r >= 0)
+        r = choose_all(folder, &prior, 0, err);
+    if (r >= 0)
+        r = know_triangle(folder, &prior, err);
+    return r < 0 ? r : choose_all(folder, &prior, 1, err);
 }
 
 /* ---- Solving and telling -------------------------------------------------------------------- */

@@ -10,6 +10,9 @@
 #include <string.h>
 
 enum { CODES = 256, SAMPLES = 2, CHANNELS = 3 };
+/* A spot this much fainter than the strongest is none of three marks burnt alike, were the
+ * strongest a blot of ink. */
+static const double FAINTEST = 0.125;
 static const double PX_MOST_UM = 40;
 /* A window reaches a little further than the fit's, from a centre that may be half a cell off. */
 static const double WINDOW = 2.1;
@@ -75,7 +78,7 @@ static size_t part(const unsigned *histogram, size_t bins)
 }
 
 /* Centre of what is darker, in its darkest channel, than the glass: one pixel of every fourth
- * cell in both directions. */
+ * cell in both directions, of those that the reduction has just read. */
 static struct gsn_point tissue_of(const struct gsn_image *image, size_t step)
 {
     const size_t apart = 4 * step, channels = image->channels;
@@ -84,8 +87,8 @@ static struct gsn_point tissue_of(const struct gsn_image *image, size_t step)
     size_t level = 0;
 
     for (int pass = 0; pass < 2; pass++) {
-        for (size_t y = step; y < image->height; y += apart) {
-            for (size_t x = step; x < image->width; x += apart) {
+        for (size_t y = step / 2; y < image->height; y += apart) {
+            for (size_t x = step / 4; x < image->width; x += apart) {
                 const size_t at = (y * image->width + x) * channels;
                 unsigned darkest = code_at(image, at);
 
@@ -159,6 +162,10 @@ int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
     spots->candidates.tissue_px = tissue_of(picture, step);
     r = gsn_mark_field_spots(&field, px_um, GSN_MARK_CANDIDATES, spots->candidates.mark,
                              &spots->candidates.count, err);
+    while (spots->candidates.count > 0 &&
+           spots->candidates.mark[spots->candidates.count - 1].contrast <
+               FAINTEST * spots->candidates.mark[0].contrast)
+        spots->candidates.count--;
     for (size_t i = 0; r >= 0 && i < spots->candidates.count; i++)
         r = cut_window(picture, spots, i, err);
     if (r < 0)

@@ -364,12 +364,65 @@ struct sums {
 
 static void edge_at(const struct edge_fit *fit, float u, float *ret_q, float *ret_g)
 {
-    const float at = (fminf(fmaxf(u, -FAR), FAR) + FAR) * PER_BLUR;
+    const float at = ((u < -FAR ? -FAR : u > FAR ? FAR : u) + FAR) * PER_BLUR;
     const int i = (int)at;
     const float part = at - (float)i;
 
     *ret_q = fit->cdf[i] + part * (fit->cdf[i + 1] - fit->cdf[i]);
     *ret_g = fit->pdf[i] + part * (fit->pdf[i + 1] - fit->pdf[i]);
+}
+
+/* What a pixel at off from its sector's edge adds. */
+struct tally {
+    float t[LOCAL], m[LOCAL][LOCAL];
+    float inner, inner_n, outer, outer_n, outer_q;
+};
+
+static inline void add_edge(const struct edge_fit *fit, float off, float value, float level,
+                            struct tally *y)
+{
+    const float per_blur = (float)(1 / fit->v[V_BLUR]), disc = (float)fit->v[V_DISC];
+    float d[LOCAL], q, g, res, w;
+
+    edge_at(fit, off * per_blur, &q, &g);
+    res = value - level * q - disc * (1 - q);
+    w = 1 / ((float)fit->noise + (float)fit->tissue * q * q);
+    g *= per_blur * (disc - level);
+    d[SHIFT] = g;
+    d[BLUR] = g * off * per_blur;
+    d[DISC] = 1 - q;
+    d[TISSUE] = q;
+    for (int a = 0; a < LOCAL; a++) {
+        const float wd = w * d[a];
+
+        y->t[a] += wd * res;
+        for (int b = 0; b <= a; b++)
+            y->m[a][b] += wd * d[b];
+    }
+    if (q < 0.25f) {
+        y->inner += res * res;
+        y->inner_n += 1;
+    } else {
+        y->outer += res * res;
+        y->outer_q += q * q;
+        y->outer_n += 1;
+    }
+}
+
+/* The same for many pixels beyond the edge on one side, of which count, sum and sum of squares of
+ * the residuals are known. */
+static void add_level(struct tally *y, int side, float variance, const float sum[3])
+{
+    y->t[side] += sum[1] / variance;
+    y->m[side][side] += sum[0] / variance;
+    if (side == DISC) {
+        y->inner += sum[2];
+        y->inner_n += sum[0];
+    } else {
+        y->outer += sum[2];
+        y->outer_n += sum[0];
+        y->outer_q += sum[0];
+    }
 }
 
 /* One sector's part of the normal equations. Single precision: a sector holds some tens of pixels.
@@ -378,54 +431,41 @@ static void accumulate_sector(const struct edge_fit *fit, size_t k, struct secto
                               struct sums *sums)
 {
     const float from = (float)-inwards(fit), to = (float)outwards(fit);
-    const float per_blur = (float)(1 / fit->v[V_BLUR]), edge = (float)outline(fit, s);
+    const float over = FAR * (float)fit->v[V_BLUR], edge = (float)outline(fit, s);
     const float level = (float)(plane_at(fit, s) + s->b), disc = (float)fit->v[V_DISC];
     const float cx = (float)fit->v[CX], cy = (float)fit->v[CY];
-    const float noise = (float)fit->noise, tissue = (float)fit->tissue;
-    float t[LOCAL] = { 0 }, m[LOCAL][LOCAL] = { { 0 } };
-    float inner = 0, inner_n = 0, outer = 0, outer_n = 0, outer_q = 0;
+    float inside[3] = { 0 }, outside[3] = { 0 };
+    struct tally y = { 0 };
 
     for (size_t i = fit->first[k]; i < fit->first[k + 1]; i++) {
         const struct sample *p = &fit->sample[i];
         const float dx = p->x - cx, dy = p->y - cy, off = sqrtf(dx * dx + dy * dy) - edge;
-        float q, g, res, w;
 
         if (off < from || off > to)
             continue;
-        edge_at(fit, off * per_blur, &q, &g);
-        res = p->value - level * q - disc * (1 - q);
-        w = 1 / (noise + tissue * q * q);
-        g *= per_blur * (disc - level);
-        {
-            const float d[LOCAL] = { g, g * off * per_blur, 1 - q, q };
-
-            for (int a = 0; a < LOCAL; a++) {
-                const float wd = w * d[a];
-
-                t[a] += wd * res;
-                for (int b = 0; b <= a; b++)
-                    m[a][b] += wd * d[b];
-            }
-        }
-        if (q < 0.25f) {
-            inner += res * res;
-            inner_n += 1;
+        if (off < over && off > -over) {
+            add_edge(fit, off, p->value, level, &y);
         } else {
-            outer += res * res;
-            outer_q += q * q;
-            outer_n += 1;
+            float *sum = off > 0 ? outside : inside;
+            const float res = p->value - (off > 0 ? level : disc);
+
+            sum[0] += 1;
+            sum[1] += res;
+            sum[2] += res * res;
         }
     }
+    add_level(&y, TISSUE, (float)(fit->noise + fit->tissue), outside);
+    add_level(&y, DISC, (float)fit->noise, inside);
     for (int a = 0; a < LOCAL; a++) {
-        s->t[a] = t[a];
+        s->t[a] = y.t[a];
         for (int b = 0; b <= a; b++)
-            s->s[a][b] = s->s[b][a] = m[a][b];
+            s->s[a][b] = s->s[b][a] = y.m[a][b];
     }
-    sums->inner += s->weight * inner;
-    sums->inner_n += s->weight * inner_n;
-    sums->outer += s->weight * outer;
-    sums->outer_n += s->weight * outer_n;
-    sums->outer_q += s->weight * outer_q;
+    sums->inner += s->weight * y.inner;
+    sums->inner_n += s->weight * y.inner_n;
+    sums->outer += s->weight * y.outer;
+    sums->outer_n += s->weight * y.outer_n;
+    sums->outer_q += s->weight * y.outer_q;
 }
 
 static void accumulate(struct edge_fit *fit, struct sums *sums)

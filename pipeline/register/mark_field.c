@@ -36,24 +36,23 @@ static void blend(const float *restrict a, const float *restrict b, const float 
 }
 
 /* One blur, its taps apart cells away from each other; edges repeat. row holds width + 4 apart. */
-static void blur(const float *from, size_t width, size_t height, size_t apart, float *between,
-                 float *row, float *onto)
+static void blur(const float *from, size_t width, size_t height, size_t apart, float *row,
+                 float *onto)
 {
+    const ptrdiff_t step = (ptrdiff_t)apart;
+
     for (size_t y = 0; y < height; y++) {
-        const ptrdiff_t at = (ptrdiff_t)y, step = (ptrdiff_t)apart;
+        const ptrdiff_t at = (ptrdiff_t)y;
+        float *line = onto + y * width;
 
         blend(from + clamp(at - 2 * step, height) * width, from + clamp(at - step, height) * width,
               from + y * width, from + clamp(at + step, height) * width,
-              from + clamp(at + 2 * step, height) * width, between + y * width, width);
-    }
-    for (size_t y = 0; y < height; y++) {
-        memcpy(row + 2 * apart, between + y * width, width * sizeof *row);
+              from + clamp(at + 2 * step, height) * width, row + 2 * apart, width);
         for (size_t i = 0; i < 2 * apart; i++) {
-            row[i] = between[y * width];
-            row[2 * apart + width + i] = between[y * width + width - 1];
+            row[i] = row[2 * apart];
+            row[2 * apart + width + i] = row[2 * apart + width - 1];
         }
-        blend(row, row + apart, row + 2 * apart, row + 3 * apart, row + 4 * apart, onto + y * width,
-              width);
+        blend(row, row + apart, row + 2 * apart, row + 3 * apart, row + 4 * apart, line, width);
     }
 }
 
@@ -213,14 +212,15 @@ int gsn_mark_field_spots(const struct gsn_mark_field *field, double px_um, size_
         *ret_count = 0;
         return GSN_OK;
     }
-    values = gsn_alloc_array(cells * (ladder.rungs + 2), sizeof *values);
+    values = gsn_alloc_array(cells * ladder.rungs, sizeof *values);
     row = gsn_alloc_array(field->width + 32, sizeof *row);
     if (!values || !row)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     tabulate(&ladder, cell_um);
     for (size_t k = 0; k <= ladder.rungs; k++) {
-        ladder.level[k] = values + cells * (k + 1);
-        blur(from, field->width, field->height, (size_t)1 << k, values, row, ladder.level[k]);
+        /* The cells themselves are not asked for again: the second blur takes their place. */
+        ladder.level[k] = k == 1 ? field->od : values + cells * (k == 0 ? 0 : k - 1);
+        blur(from, field->width, field->height, (size_t)1 << k, row, ladder.level[k]);
         from = ladder.level[k];
     }
     *ret_count = find_spots(&ladder, ret_spots, most);

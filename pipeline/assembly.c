@@ -298,10 +298,11 @@ static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly 
     options.targets_um = targets;
     for (size_t i = 0; i < a->section_count; i++)
         if (a->section[i].state == GSN_SECTION_HELD) {
-            inputs[count] =
-                (struct gsn_pose_input){ .serial = a->section[i].seen.serial,
-                                         .px_um =
-                                             panel_numbered(specimen, a->section[i].panel)->px_um };
+            inputs[count] = (struct gsn_pose_input){
+                .serial = a->section[i].seen.serial,
+                .px_um = panel_numbered(specimen, a->section[i].panel)->px_um,
+                .mirrored = strstr(a->section[i].seen.flags, "mirrored") != NULL
+            };
             memcpy(inputs[count].marks, a->section[i].seen.mark, sizeof inputs[count].marks);
             count++;
         }

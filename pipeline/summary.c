@@ -2,6 +2,7 @@
 #include "pipeline/summary.h"
 
 #include "pipeline/measure/loss.h"
+#include "pipeline/pose_words.h"
 #include "pipeline/report/report.h"
 
 #include <math.h>
@@ -12,9 +13,6 @@
 /* Below this share of region voxels with data a loss is not printed: at 5 sections in 100 lost the
  * density of what was not seen can move the mean by as much as the effects people look for. */
 static const double LEAST_COVERAGE = 0.9;
-
-/* A mean triangle larger or smaller than declared by more than this: the pixel size is wrong. */
-static const double SCALE_TOLERANCE = 0.01;
 
 /* Glass pixels at the highest code hide how bright the glass was. */
 static const double MOST_OVEREXPOSED = 0.02;
@@ -203,17 +201,20 @@ static void exclude(struct draft *d, const char *what, const char *reason)
         (struct gsn_report_exclusion){ .what = what, .reason = reason };
 }
 
-static const char *reason_of(const struct gsn_assembly_section *s)
+static const char *reason_of(struct draft *d, const struct gsn_assembly_section *s)
 {
+    char sentence[GSN_POSE_SENTENCE];
+
     if (s->state == GSN_SECTION_MISSING)
         return strstr(s->flags, "no-panel") ? "its panel is not there or was refused; the gap is "
                                               "kept at its place"
                                             : "the slot is empty; the gap is kept at its place";
     if (strstr(s->flags, "duplicate-serial"))
         return "another section already has this serial number: rename the panel or approve one";
-    if (strstr(s->flags, "residual-too-large"))
-        return "its three marks do not fit the stack's triangle: look for a torn section or a "
-               "mistaken mark";
+    if (strstr(s->flags, "residual-too-large")) {
+        gsn_pose_reason(&s->pose, sentence);
+        return say(d, "%s", sentence);
+    }
     if (strstr(s->flags, "ambiguous-marks"))
         return "more than one choice of marks fits the triangle: look at it";
     return "fewer than two marks were found: look at it";
@@ -234,7 +235,7 @@ static void fill_sections(const struct gsn_evidence *e, struct draft *d)
         if (s->state == GSN_SECTION_HELD || s->state == GSN_SECTION_MISSING)
             exclude(
                 d, say(d, "section %u (panel %u, slot %u)", s->seen.serial, s->panel, s->seen.slot),
-                reason_of(s));
+                reason_of(d, s));
     }
     if (doubtful)
         warn(d, say(d, "%zu section%s laid by two marks only: compare with the neighbours",
@@ -283,8 +284,10 @@ static void fill_panels(const struct gsn_evidence *e, struct draft *d)
     d->report.panel_count = a->panel_count;
 }
 
-static void fill_registration(const struct gsn_assembly *a, struct draft *d)
+static void fill_registration(const struct gsn_assembly *a, double interval_um, struct draft *d)
 {
+    char sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE];
+    size_t count;
     struct gsn_report_registration *r = &d->registration;
     double sum = 0, tre = 0;
 
@@ -306,16 +309,9 @@ static void fill_registration(const struct gsn_assembly *a, struct draft *d)
         r->rms_residual_um = sqrt(sum / r->sections_posed);
         r->mean_tre_um = tre / r->sections_posed;
     }
-    if (!a->summary.flips_told)
-        warn(d, say(d,
-                    "a section mounted face down cannot be told on this block: two sides of the "
-                    "marks' triangle differ by only %.1f sigma",
-                    a->summary.isosceles_sigma));
-    if (fabs(a->summary.scale_vs_declared - 1) > SCALE_TOLERANCE)
-        warn(d, say(d,
-                    "the marks' triangle is %.2f times the declared one: the pixel size is wrong, "
-                    "and so are all volumes",
-                    a->summary.scale_vs_declared));
+    count = gsn_pose_sentences(&a->summary, interval_um, sentence);
+    for (size_t i = 0; i < count; i++)
+        warn(d, say(d, "%s", sentence[i]));
     d->report.registration = r;
 }
 
@@ -324,7 +320,7 @@ static void fill_assembly(const struct gsn_evidence *e, struct draft *d)
     fill_sections(e, d);
     fill_panels(e, d);
     if (e->assembly->solved)
-        fill_registration(e->assembly, d);
+        fill_registration(e->assembly, e->specimen->protocol->interval_um, d);
     else
         warn(d, e->assembly->unsolved);
 }

@@ -313,20 +313,23 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
     return GSN_OK;
 }
 
+/* Whether two marks could be laid at all. */
+static int laid(const struct gsn_pose_candidate *candidate)
+{
+    return gsn_affine_det(&candidate->panel_to_block_um) != 0;
+}
+
 int gsn_pose_preferred(const struct gsn_pose *pose, const double mismatch[GSN_MARKS])
 {
     int best = -1;
 
     assert(pose && mismatch);
 
-    for (int i = 0; i < GSN_MARKS; i++) {
-        if (isnan(mismatch[i]) || gsn_affine_det(&pose->candidate[i].panel_to_block_um) == 0)
-            continue;
-        if (best < 0 || mismatch[i] < mismatch[best])
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (laid(&pose->candidate[i]) && (best < 0 || mismatch[i] < mismatch[best]))
             best = i;
-    }
     for (int i = 0; best >= 0 && i < GSN_MARKS; i++)
-        if (i != best && !(mismatch[best] < CLEARLY * mismatch[i]))
+        if (i != best && laid(&pose->candidate[i]) && !(mismatch[best] < CLEARLY * mismatch[i]))
             return -1;
     return best;
 }

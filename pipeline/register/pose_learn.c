@@ -14,11 +14,13 @@
 #include <math.h>
 #include <string.h>
 
-enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 8 };
+enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
 
-/* Chi-squared beyond which 0.1 % lie, with 5 and with 2 degrees of freedom: those in which three,
- * and two, variances can differ from being one. */
-static const double CHI2_ROUND3 = 20.515, CHI2_ROUND2 = 13.816;
+/* Chi-squared with 5 and with 2 degrees of freedom: those in which three, and two, variances and
+ * their axes can differ from being one. 0.1 % lie beyond the first, as saying that sections stretch
+ * is a claim; 5 % beyond the second, as then it only remains to say in which direction they do not.
+ */
+static const double CHI2_ROUND3 = 20.515, CHI2_ROUND2 = 5.991;
 /* A chance of 0.1 % each. */
 static const double ALPHA = 1e-3;
 /* A mark this much poorer than the median one says little of the stack. */
@@ -335,7 +337,7 @@ static void set_limits(struct gsn_pose_stack *s, const struct lesson *l)
     const double n = (double)l->count;
 
     if (s->stretches)
-        s->freedom = n - 1;
+        s->freedom = n - 3;
     s->limit[0] = gsn_chance_limit(1, fmax(s->freedom, 2), ALPHA);
     s->limit[2] = s->stretches ? gsn_chance_limit(3, n - 3, ALPHA) * (n - 1) / (n - 3)
                                : gsn_chance_limit(3, fmax(s->freedom, 2), ALPHA);

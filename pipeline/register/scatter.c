@@ -12,7 +12,7 @@
  * third of the mean of what lies below that. */
 static const double MEDIAN = 2.365974, LIMIT = 16.26624, BELOW = 2.984575 / 3;
 
-enum { ROUNDS = 60, REWEIGHTED = 10 };
+enum { ROUNDS = 30, REWEIGHTED = 8 };
 
 /* square of each vector under the covariance; -1 where it has none. */
 static int measure(struct gsn_scatter_vector *vectors, size_t count, const double c[3][3])

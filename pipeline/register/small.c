@@ -145,47 +145,38 @@ void gsn_small_eigen3(const double a[3][3], double ret_value[3], double ret_vect
     }
 }
 
-/* Proportional to the density at w, where w^2 is the sum over its estimated variance times what the
- * substitution w^2 = freedom v^2 / (1 - v^2) leaves; see chance_beyond(). */
+/* Proportional to the density at v, where freedom v^2 / (freedom - v^2) is the sum of squares over
+ * its estimated variance: v^2 / freedom is then Beta(p / 2, freedom / 2). */
 static double density(unsigned p, double freedom, double v)
 {
     const double power = pow(v, p - 1.0);
 
     return isinf(freedom) ? power * exp(-0.5 * v * v)
-                          : power * pow(1 - v * v / freedom, 0.5 * freedom - 1);
-}
-
-/* Simpson's rule from 0 to `to`. */
-static double integral(unsigned p, double freedom, double to)
-{
-    enum { STEPS = 400 };
-    double sum = 0;
-
-    for (int i = 0; i <= STEPS; i++)
-        sum += (i == 0 || i == STEPS ? 1
-                : i % 2              ? 4
-                                     : 2) *
-               density(p, freedom, to * (double)i / STEPS);
-    return sum * to / (3 * STEPS);
+                          : power * pow(fmax(1 - v * v / freedom, 0), 0.5 * freedom - 1);
 }
 
 double gsn_chance_limit(unsigned p, double freedom, double alpha)
 {
+    enum { STEPS = 2000 };
     /* Nothing that matters lies beyond 12 standard deviations. */
-    const double far = isinf(freedom) ? 12 : fmin(12, sqrt(freedom));
-    double low = 0, high = far, whole;
+    const double far = isinf(freedom) ? 12 : fmin(12, sqrt(freedom)), step = far / STEPS;
+    double cell[STEPS], whole = 0, sum = 0, v = far;
 
     assert(p >= 1 && p <= 6 && freedom >= 2 && alpha > 0 && alpha <= 0.5);
 
-    /* v^2 / freedom is Beta(p/2, freedom/2) when v^2 = freedom x / (freedom + x). */
-    whole = integral(p, freedom, far);
-    for (int i = 0; i < 60; i++) {
-        const double middle = 0.5 * (low + high);
-
-        if (integral(p, freedom, middle) < (1 - alpha) * whole)
-            low = middle;
-        else
-            high = middle;
+    /* Simpson's rule in each step. */
+    for (int i = 0; i < STEPS; i++) {
+        cell[i] = (density(p, freedom, i * step) + 4 * density(p, freedom, (i + 0.5) * step) +
+                   density(p, freedom, (i + 1) * step)) /
+                  6;
+        whole += cell[i];
     }
-    return isinf(freedom) ? low * low : low * low / (1 - low * low / freedom);
+    for (int i = 0; i < STEPS; i++) {
+        if (sum + cell[i] >= (1 - alpha) * whole) {
+            v = (i + ((1 - alpha) * whole - sum) / cell[i]) * step;
+            break;
+        }
+        sum += cell[i];
+    }
+    return isinf(freedom) ? v * v : v * v / (1 - v * v / freedom);
 }

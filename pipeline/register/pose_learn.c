@@ -16,11 +16,9 @@
 
 enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
 
-/* Chi-squared with 5 and with 2 degrees of freedom: those in which three, and two, variances and
- * their axes can differ from being one. 0.1 % lie beyond the first, as saying that sections stretch
- * is a claim; 5 % beyond the second, as then it only remains to say in which direction they do not.
- */
-static const double CHI2_ROUND3 = 20.515, CHI2_ROUND2 = 5.991;
+/* Chi-squared beyond which 0.1 % lie with 5 degrees of freedom: those in which three variances and
+ * their axes can differ from being one. */
+static const double CHI2_ROUND = 20.515;
 /* A chance of 0.1 % each. */
 static const double ALPHA = 1e-3;
 /* A mark this much poorer than the median one says little of the stack. */
@@ -291,6 +289,15 @@ static int learn_axes(struct gsn_pose_stack *s, struct lesson *l)
     return 0;
 }
 
+/* The noise by the smallest of three sample variances, which chance makes too small by the more
+ * the nearer the others are (Lawley 1956); never more than the mean with the next. */
+static double smallest(const double value[3], double n)
+{
+    const double near = value[1] / (value[1] - value[2]), far = value[0] / (value[0] - value[2]);
+
+    return fmin(value[2] * (1 + (near + far) / n), 0.5 * (value[1] + value[2]));
+}
+
 /* Splits the spread of n vectors into noise, alike in all directions, and the rest. Mauchly's test
  * of sphericity with Bartlett's correction says whether there is a rest. */
 static void learn_strain(struct gsn_pose_stack *s, const struct lesson *l)
@@ -304,19 +311,13 @@ static void learn_strain(struct gsn_pose_stack *s, const struct lesson *l)
     if (!(value[2] > 0))
         return;
     mean = (value[0] + value[1] + value[2]) / 3;
-    noise = mean;
     s->stretches =
-        -(n - 1 - 23.0 / 18) * log(value[0] * value[1] * value[2] / pow(mean, 3)) > CHI2_ROUND3;
-    if (s->stretches) {
-        const double two = 0.5 * (value[1] + value[2]);
-        const int alike = -(n - 1 - 1) * log(value[1] * value[2] / (two * two)) < CHI2_ROUND2;
-
-        noise = alike ? two : value[2];
-        for (size_t e = 0; e < (alike ? 1u : 2u); e++)
-            for (size_t i = 0; i < 3; i++)
-                for (size_t j = 0; j < 3; j++)
-                    rest[i][j] += (value[e] - noise) * axis[i][e] * axis[j][e];
-    }
+        -(n - 1 - 23.0 / 18) * log(value[0] * value[1] * value[2] / pow(mean, 3)) > CHI2_ROUND;
+    noise = s->stretches ? smallest(value, n) : mean;
+    for (size_t e = 0; s->stretches && e < 2; e++)
+        for (size_t i = 0; i < 3; i++)
+            for (size_t j = 0; j < 3; j++)
+                rest[i][j] += fmax(value[e] - noise, 0) * axis[i][e] * axis[j][e];
     for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j < 3; j++) {
             double sum = 0;

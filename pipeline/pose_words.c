@@ -50,7 +50,37 @@ static void say_axes(const struct gsn_axes *axes, double interval_um, struct lis
             axes->bend_sd);
 }
 
-size_t gsn_pose_sentences(const struct gsn_pose_summary *summary, double interval_um,
+/* The tensor's parts along its own directions differ by twice the deviator. */
+static void say_strain(const struct gsn_pose_summary *summary, enum gsn_strain_mode mode,
+                       struct list *list)
+{
+    if (!summary->stretches || mode == GSN_STRAIN_RIGID)
+        return;
+    say(list,
+        "the sections of this block differ in shape by more than their marks' errors: standard "
+        "deviation %.1f %% in size and %.1f %% between directions. %s",
+        100 * summary->strain_sd[0], 200 * hypot(summary->strain_sd[1], summary->strain_sd[2]),
+        mode == GSN_STRAIN_CORRECTED
+            ? "Each was stretched back by what its own marks make likely, as the job asks"
+            : "The poses stay rigid, and the predicted error includes it");
+}
+
+static void say_panel(const struct gsn_strain_common *panel, struct list *list)
+{
+    if (!panel->anisotropic)
+        return;
+    say(list,
+        "all sections are %.1f %% longer along the scan's x than along its y (standard deviation "
+        "%.1f %%), %s: the scan's pixels are not square, such as by a wrong speed of its carriage. "
+        "That is the device's fault, not the tissue's; have it looked at and scan again",
+        100 * panel->along_x, 100 * panel->sd,
+        panel->from_declared ? "measured on the declared triangle"
+                             : "whichever way they are turned");
+}
+
+size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
+                          const struct gsn_strain_common *panel, enum gsn_strain_mode mode,
+                          double interval_um,
                           char ret_sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE])
 {
     struct list list = { ret_sentence, 0 };
@@ -66,7 +96,9 @@ size_t gsn_pose_sentences(const struct gsn_pose_summary *summary, double interva
             "the marks' triangle is %.2f times the declared one: the pixel size is wrong, and so "
             "are all volumes",
             summary->scale_vs_declared);
+    say_panel(panel, &list);
     say_axes(&summary->axes, interval_um, &list);
+    say_strain(summary, mode, &list);
     return list.count;
 }
 

@@ -5,7 +5,7 @@
 #ifndef GSN_PIPELINE_POSE_WORDS_H
 #define GSN_PIPELINE_POSE_WORDS_H
 
-#include "pipeline/register/pose.h"
+#include "pipeline/register/strain.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -14,7 +14,9 @@ extern "C" {
 enum { GSN_POSE_SENTENCES = 8, GSN_POSE_SENTENCE = 480 };
 
 /* One sentence for each thing to say about the whole stack; their number. */
-size_t gsn_pose_sentences(const struct gsn_pose_summary *summary, double interval_um,
+size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
+                          const struct gsn_strain_common *panel, enum gsn_strain_mode mode,
+                          double interval_um,
                           char ret_sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE]);
 
 /* Why a section whose marks contradict the stack is held, with the three poses on two marks. */

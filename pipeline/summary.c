@@ -166,7 +166,7 @@ static size_t split_flags(struct draft *d, const char *flags, const char *ret_fl
 }
 
 static void fill_section(const struct gsn_assembly_section *s, const struct gsn_protocol *p,
-                         struct draft *d, size_t i)
+                         int strained, struct draft *d, size_t i)
 {
     const struct gsn_layout layout = gsn_protocol_layout(p);
     struct gsn_report_section *row = &d->section[i];
@@ -185,6 +185,14 @@ static void fill_section(const struct gsn_assembly_section *s, const struct gsn_
                                                        .size = s->thumbnail.size,
                                                        .width = s->thumbnail.width,
                                                        .height = s->thumbnail.height } };
+    if (s->posed && strained) {
+        const struct gsn_strain_axes axes = gsn_strain_principal(s->pose.strain);
+
+        row->strained = 1;
+        row->strain_percent[0] = 100 * axes.most;
+        row->strain_percent[1] = 100 * axes.least;
+        row->strain_deg = axes.angle * 180 / M_PI;
+    }
     gsn_panel_place(&layout, s->seen.slot, &row->row, &row->column);
     row->flags = d->flag[i];
     row->flag_count = split_flags(d, s->flags, d->flag[i]);
@@ -228,7 +236,8 @@ static void fill_sections(const struct gsn_evidence *e, struct draft *d)
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
 
-        fill_section(s, e->specimen->protocol, d, i);
+        fill_section(s, e->specimen->protocol,
+                     a->summary.stretches && a->strain_mode != GSN_STRAIN_RIGID, d, i);
         doubtful += s->state == GSN_SECTION_DOUBTFUL;
         held += s->state == GSN_SECTION_HELD;
         missing += s->state == GSN_SECTION_MISSING;
@@ -309,7 +318,8 @@ static void fill_registration(const struct gsn_assembly *a, double interval_um, 
         r->rms_residual_um = sqrt(sum / r->sections_posed);
         r->mean_tre_um = tre / r->sections_posed;
     }
-    count = gsn_pose_sentences(&a->summary, interval_um, sentence);
+    count =
+        gsn_pose_sentences(&a->summary, &a->panel_stretch, a->strain_mode, interval_um, sentence);
     for (size_t i = 0; i < count; i++)
         warn(d, say(d, "%s", sentence[i]));
     d->report.registration = r;

@@ -7,10 +7,13 @@
 
 static const struct gsn_pose_summary CLEAN = { .flips_told = 1, .scale_vs_declared = 1 };
 
-static int said(const struct gsn_pose_summary *summary, const char *words)
+static const struct gsn_strain_common SQUARE;
+
+static int said_of(const struct gsn_pose_summary *summary, const struct gsn_strain_common *panel,
+                   enum gsn_strain_mode mode, const char *words)
 {
     char sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE];
-    const size_t count = gsn_pose_sentences(summary, 24, sentence);
+    const size_t count = gsn_pose_sentences(summary, panel, mode, 24, sentence);
     int found = 0;
 
     for (size_t i = 0; i < count; i++)
@@ -18,11 +21,16 @@ static int said(const struct gsn_pose_summary *summary, const char *words)
     return found;
 }
 
+static int said(const struct gsn_pose_summary *summary, const char *words)
+{
+    return said_of(summary, &SQUARE, GSN_STRAIN_REPORTED, words);
+}
+
 TEST(a_clean_stack_has_nothing_to_say)
 {
     char sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE];
 
-    CHECK(gsn_pose_sentences(&CLEAN, 24, sentence) == 0);
+    CHECK(gsn_pose_sentences(&CLEAN, &SQUARE, GSN_STRAIN_REPORTED, 24, sentence) == 0);
 }
 
 /* Case 18. */
@@ -59,6 +67,32 @@ TEST(slanted_axes_are_told_per_mm_and_what_cannot_be_seen_too)
     s.axes.bent = 1;
     s.axes.bend[1].x = 33;
     CHECK(said(&s, "0, 33 and 0 um farther off at the ends") == 1);
+}
+
+/* Case 15. */
+TEST(pixels_that_are_not_square_are_the_devices_fault)
+{
+    struct gsn_strain_common panel = { .anisotropic = 1, .along_x = 0.012, .sd = 0.001 };
+
+    CHECK(said_of(&CLEAN, &panel, GSN_STRAIN_RIGID,
+                  "1.2 % longer along the scan's x than along its y (standard deviation 0.1 %), "
+                  "whichever way they are turned: the scan's pixels are not square") == 1);
+    panel.from_declared = 1;
+    CHECK(said_of(&CLEAN, &panel, GSN_STRAIN_RIGID, "measured on the declared triangle") == 1);
+}
+
+/* Case 47. */
+TEST(what_becomes_of_strain_is_said_unless_the_job_says_rigid)
+{
+    struct gsn_pose_summary s = CLEAN;
+
+    s.stretches = 1;
+    s.strain_sd[0] = 0.008;
+    s.strain_sd[1] = 0.002;
+    CHECK(said(&s, "standard deviation 0.8 % in size and 0.4 % between directions. The poses stay "
+                   "rigid") == 1);
+    CHECK(said_of(&s, &SQUARE, GSN_STRAIN_CORRECTED, "was stretched back") == 1);
+    CHECK(said_of(&s, &SQUARE, GSN_STRAIN_RIGID, "differ in shape") == 0);
 }
 
 TEST(a_contradicting_section_names_its_three_poses)

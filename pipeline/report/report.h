@@ -66,7 +66,9 @@ struct gsn_report_section {
     double residual_um[3];
     int posed; /* whether panel_to_block_um and predicted_tre_um are known */
     struct gsn_affine panel_to_block_um;
-    double predicted_tre_um; /* at the centre of the region */
+    double predicted_tre_um;              /* over the region */
+    int strained;                         /* whether the section's stretch is known */
+    double strain_percent[2], strain_deg; /* longer along that direction, and across it */
     struct gsn_report_png thumbnail;
 };
 

@@ -33,7 +33,7 @@ const char *gsn_defect_reason(unsigned i)
 
 /* One section at work. */
 struct part {
-    struct gsn_cells *cells;
+    struct gsn_mask_cells *cells;
     struct gsn_plane *sharpness;
     double median;
 };
@@ -48,7 +48,7 @@ struct work {
 static void work_done(struct work *work)
 {
     for (size_t i = 0; work->part && i < work->panel->section_count; i++) {
-        gsn_cells_free(work->part[i].cells);
+        gsn_mask_cells_free(work->part[i].cells);
         gsn_plane_free(work->part[i].sharpness);
     }
     gsn_free(work->part);
@@ -60,7 +60,7 @@ static int in_disc(const struct gsn_mask_disc *disc, double x, double y)
     return hypot(x - disc->px.x, y - disc->px.y) <= disc->radius_px;
 }
 
-static void mark_halos(const struct gsn_mask_section *section, struct gsn_cells *cells)
+static void mark_halos(const struct gsn_mask_section *section, struct gsn_mask_cells *cells)
 {
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++) {
         const double x = cells->x0 + cells->side * ((double)(i % cells->nx) + 0.5 - cells->rim);
@@ -79,7 +79,7 @@ static int look_at_section(size_t i, void *context, struct gsn_error *err)
     const struct work *work = context;
     const struct gsn_mask_section *section = &work->panel->section[i];
     struct part *part = &work->part[i];
-    int r = gsn_cells_cut(work->panel, section, work->clear, &part->cells, err);
+    int r = gsn_mask_cells_cut(work->panel, section, work->clear, &part->cells, err);
 
     if (r < 0)
         return r;
@@ -122,7 +122,7 @@ static int find_usual(struct work *work, struct gsn_error *err)
 }
 
 /* From cells to pixels; halos are round to the pixel. */
-static void paint(const struct gsn_mask_section *section, const struct gsn_cells *cells,
+static void paint(const struct gsn_mask_section *section, const struct gsn_mask_cells *cells,
                   struct gsn_image *labels)
 {
     for (int y = 0; y < section->height; y++) {
@@ -155,7 +155,7 @@ static void paint_halo(const struct gsn_mask_disc *disc, struct gsn_image *label
 
 static struct gsn_mask_figures count(const struct part *part)
 {
-    const struct gsn_cells *cells = part->cells;
+    const struct gsn_mask_cells *cells = part->cells;
     const double area = cells->um * cells->um;
     struct gsn_mask_figures figures = { .sharpness = part->median };
 

@@ -38,7 +38,8 @@ static void detail_done(struct detail *d)
 }
 
 /* Tissue well away from borders, which are sharp or not for reasons of their own. */
-static int inner_tissue(const struct gsn_cells *cells, uint8_t **ret_set, struct gsn_error *err)
+static int inner_tissue(const struct gsn_mask_cells *cells, uint8_t **ret_set,
+                        struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) set = gsn_alloc_array(count, 1);
@@ -48,14 +49,14 @@ static int inner_tissue(const struct gsn_cells *cells, uint8_t **ret_set, struct
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     for (size_t i = 0; i < count; i++)
         set[i] = cells->tissue[i] && !cells->label[i];
-    r = gsn_cells_erode(cells, set, (COARSE + 1) * cells->um, err);
+    r = gsn_mask_cells_erode(cells, set, (COARSE + 1) * cells->um, err);
     if (r >= 0)
         *ret_set = gsn_steal(&set);
     return r;
 }
 
 /* Squares of the two kinds of detail of green's density, where light is absorbed most. */
-static void take_detail(const struct gsn_cells *cells, const uint8_t *inner,
+static void take_detail(const struct gsn_mask_cells *cells, const uint8_t *inner,
                         const struct gsn_plane *broad, struct detail *d)
 {
     const float *g = cells->od[1]->value;
@@ -79,7 +80,7 @@ static void take_detail(const struct gsn_cells *cells, const uint8_t *inner,
 static int smooth_in_place(struct gsn_plane **plane, struct gsn_error *err)
 {
     struct gsn_plane *smooth;
-    const int r = gsn_cells_smooth(*plane, WINDOW, &smooth, err);
+    const int r = gsn_mask_cells_smooth(*plane, WINDOW, &smooth, err);
 
     if (r < 0)
         return r;
@@ -88,12 +89,12 @@ static int smooth_in_place(struct gsn_plane **plane, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int measure_detail(const struct gsn_cells *cells, const uint8_t *inner, struct detail *d,
-                          struct gsn_error *err)
+static int measure_detail(const struct gsn_mask_cells *cells, const uint8_t *inner,
+                          struct detail *d, struct gsn_error *err)
 {
     struct gsn_plane **const planes[] = { &d->fine, &d->coarse, &d->noise, &d->share };
     gsn_auto(gsn_plane) broad = NULL;
-    int r = gsn_cells_smooth(cells->od[1], COARSE, &broad, err);
+    int r = gsn_mask_cells_smooth(cells->od[1], COARSE, &broad, err);
 
     for (size_t i = 0; r >= 0 && i < 4; i++)
         r = gsn_plane_new(cells->nx, cells->ny, planes[i], err);
@@ -116,7 +117,7 @@ static float ratio(const struct detail *d, size_t i)
     return (float)fmax(0, (d->fine->value[i] - 1.25 * noise) / coarse);
 }
 
-int gsn_mask_sharpness(const struct gsn_cells *cells, struct gsn_plane **ret_sharpness,
+int gsn_mask_sharpness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_sharpness,
                        double *ret_median, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
@@ -145,7 +146,7 @@ int gsn_mask_sharpness(const struct gsn_cells *cells, struct gsn_plane **ret_sha
     return GSN_OK;
 }
 
-int gsn_mask_blur(struct gsn_cells *cells, const struct gsn_plane *sharpness, double usual,
+int gsn_mask_blur(struct gsn_mask_cells *cells, const struct gsn_plane *sharpness, double usual,
                   struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
@@ -156,13 +157,13 @@ int gsn_mask_blur(struct gsn_cells *cells, const struct gsn_plane *sharpness, do
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     for (size_t i = 0; i < count; i++)
         set[i] = sharpness->value[i] < BLURRED * usual; /* false for NaN */
-    r = gsn_cells_erode(cells, set, LEAST_BLUR_UM / 2, err);
+    r = gsn_mask_cells_erode(cells, set, LEAST_BLUR_UM / 2, err);
     /* Half of the window at the border of a blurred place looks at what is sharp. */
     if (r >= 0)
-        r = gsn_cells_dilate(cells, set, LEAST_BLUR_UM / 2 + WINDOW / 2.0 * cells->um, err);
+        r = gsn_mask_cells_dilate(cells, set, LEAST_BLUR_UM / 2 + WINDOW / 2.0 * cells->um, err);
     for (size_t i = 0; i < count; i++)
         set[i] &= cells->outline[i];
     if (r >= 0)
-        gsn_cells_mark(cells, set, GSN_DEFECT_BLUR);
+        gsn_mask_cells_mark(cells, set, GSN_DEFECT_BLUR);
     return r;
 }

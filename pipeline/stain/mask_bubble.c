@@ -43,8 +43,8 @@ static float at(const struct gsn_plane *plane, double x, double y)
 }
 
 /* How well a rim shows at this radius: the share of the directions inside the box. */
-static double look(const struct gsn_cells *cells, const struct gsn_plane *dark, double x, double y,
-                   double radius)
+static double look(const struct gsn_mask_cells *cells, const struct gsn_plane *dark, double x,
+                   double y, double radius)
 {
     const double rim = RIM_UM / cells->um;
     int inside = 0, shows = 0;
@@ -64,8 +64,8 @@ static double look(const struct gsn_cells *cells, const struct gsn_plane *dark, 
     return inside >= LEAST_IN_BOX * DIRECTIONS ? (double)shows / inside : 0;
 }
 
-static struct ring best_ring(const struct gsn_cells *cells, const struct gsn_plane *dark, double x,
-                             double y)
+static struct ring best_ring(const struct gsn_mask_cells *cells, const struct gsn_plane *dark,
+                             double x, double y)
 {
     struct ring best = { .seen = 0 };
 
@@ -80,13 +80,13 @@ static struct ring best_ring(const struct gsn_cells *cells, const struct gsn_pla
     return best;
 }
 
-static void add_vote(const struct gsn_cells *cells, double x, double y, uint32_t *votes)
+static void add_vote(const struct gsn_mask_cells *cells, double x, double y, uint32_t *votes)
 {
     if (x >= 0 && y >= 0 && x < cells->nx && y < cells->ny)
         votes[(size_t)(y / BIN) * (cells->nx / BIN + 1) + (size_t)(x / BIN)]++;
 }
 
-static void vote(const struct gsn_cells *cells, const struct gsn_plane *dark, uint32_t *votes)
+static void vote(const struct gsn_mask_cells *cells, const struct gsn_plane *dark, uint32_t *votes)
 {
     const double least = LEAST_RADIUS_UM / cells->um, most = MOST_RADIUS_UM / cells->um;
 
@@ -119,7 +119,7 @@ static size_t take_best(uint32_t *votes, size_t nx, size_t ny)
     return best;
 }
 
-static void add_disc(const struct gsn_cells *cells, const struct ring *ring, uint8_t *set)
+static void add_disc(const struct gsn_mask_cells *cells, const struct ring *ring, uint8_t *set)
 {
     const double radius = ring->radius + RIM_UM / cells->um;
 
@@ -129,13 +129,13 @@ static void add_disc(const struct gsn_cells *cells, const struct ring *ring, uin
                 set[(size_t)y * cells->nx + x] = 1;
 }
 
-int gsn_mask_bubbles(struct gsn_cells *cells, struct gsn_error *err)
+int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t nx = cells->nx / BIN + 1, ny = cells->ny / BIN + 1;
     gsn_auto(gsn_plane) dark = NULL;
     gsn_auto_mem(uint32_t) votes = gsn_alloc_array(nx * ny, sizeof *votes);
     gsn_auto_mem(uint8_t) set = gsn_alloc_array((size_t)cells->nx * cells->ny, 1);
-    const int r = votes && set ? gsn_cells_smooth(cells->dark, 1, &dark, err)
+    const int r = votes && set ? gsn_mask_cells_smooth(cells->dark, 1, &dark, err)
                                : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     if (r < 0)
@@ -149,6 +149,6 @@ int gsn_mask_bubbles(struct gsn_cells *cells, struct gsn_error *err)
         if (ring.seen >= SEEN)
             add_disc(cells, &ring, set);
     }
-    gsn_cells_mark(cells, set, GSN_DEFECT_BUBBLE);
+    gsn_mask_cells_mark(cells, set, GSN_DEFECT_BUBBLE);
     return GSN_OK;
 }

@@ -15,11 +15,17 @@ static const double CELL_UM = 21.5;
 /* A piece of tissue smaller than this share of the largest one is a scrap or dirt. */
 static const double LEAST_PIECE = 0.05;
 
+/* On a square of half a millimetre not even the three marks find room: it is no section. */
+static const double LEAST_SECTION_UM2 = 500.0 * 500.0;
+
 /* How much more of one channel than of another a piece must absorb, as a share of the sum of all
  * three (the palest dye mixtures have 0.2, grey has 0), and in codes of 8 bits about 5. */
 static const double LEAST_COLOUR = 0.06, LEAST_TINT = 0.01;
 
-void gsn_cells_free(struct gsn_cells *cells)
+/* Rounding to codes of 8 bits moves bright light by a deviation of 0.29 codes. */
+static const double ROUNDING_OD = 0.0006;
+
+void gsn_mask_cells_free(struct gsn_mask_cells *cells)
 {
     if (!cells)
         return;
@@ -55,8 +61,8 @@ static void smooth_line(const float *in, float *out, size_t n, size_t stride, si
     }
 }
 
-int gsn_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_plane **ret_smooth,
-                     struct gsn_error *err)
+int gsn_mask_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_plane **ret_smooth,
+                          struct gsn_error *err)
 {
     const size_t nx = plane->width, ny = plane->height;
     gsn_auto(gsn_plane) rows = NULL;
@@ -76,7 +82,7 @@ int gsn_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_plane
 }
 
 /* set becomes 1 within um of where it was `value`, else 0. */
-static int near(const struct gsn_cells *cells, uint8_t *set, uint8_t value, double um,
+static int near(const struct gsn_mask_cells *cells, uint8_t *set, uint8_t value, double um,
                 struct gsn_error *err)
 {
     const struct gsn_distance_box box = { cells->nx, cells->ny, 1, cells->um, cells->um, 1 };
@@ -94,12 +100,14 @@ static int near(const struct gsn_cells *cells, uint8_t *set, uint8_t value, doub
     return r;
 }
 
-int gsn_cells_dilate(const struct gsn_cells *cells, uint8_t *set, double um, struct gsn_error *err)
+int gsn_mask_cells_dilate(const struct gsn_mask_cells *cells, uint8_t *set, double um,
+                          struct gsn_error *err)
 {
     return near(cells, set, 1, um, err);
 }
 
-int gsn_cells_erode(const struct gsn_cells *cells, uint8_t *set, double um, struct gsn_error *err)
+int gsn_mask_cells_erode(const struct gsn_mask_cells *cells, uint8_t *set, double um,
+                         struct gsn_error *err)
 {
     const int r = near(cells, set, 0, um, err);
 
@@ -108,7 +116,7 @@ int gsn_cells_erode(const struct gsn_cells *cells, uint8_t *set, double um, stru
     return r;
 }
 
-void gsn_cells_mark(struct gsn_cells *cells, const uint8_t *set, enum gsn_defect defect)
+void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum gsn_defect defect)
 {
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
         if (set[i])
@@ -117,7 +125,7 @@ void gsn_cells_mark(struct gsn_cells *cells, const uint8_t *set, enum gsn_defect
 
 /* ---- pieces ------------------------------------------------------------------------------ */
 
-void gsn_cells_pieces_free(struct gsn_cells_pieces *pieces)
+void gsn_mask_cells_pieces_free(struct gsn_mask_cells_pieces *pieces)
 {
     if (!pieces)
         return;
@@ -127,7 +135,7 @@ void gsn_cells_pieces_free(struct gsn_cells_pieces *pieces)
 }
 
 /* Takes the piece that holds start out of left, appending its cells to list. */
-static size_t flood(const struct gsn_cells *cells, uint8_t *left, size_t start, uint32_t *list)
+static size_t flood(const struct gsn_mask_cells *cells, uint8_t *left, size_t start, uint32_t *list)
 {
     size_t count = 0;
 
@@ -149,8 +157,8 @@ static size_t flood(const struct gsn_cells *cells, uint8_t *left, size_t start, 
     return count;
 }
 
-static void measure_piece(const struct gsn_cells *cells, const uint32_t *list,
-                          struct gsn_cells_piece *piece)
+static void measure_piece(const struct gsn_mask_cells *cells, const uint32_t *list,
+                          struct gsn_mask_cells_piece *piece)
 {
     double xx = 1.0 / 12, yy = 1.0 / 12, xy = 0; /* a cell is a square, not a point */
     double half, turn;
@@ -174,11 +182,11 @@ static void measure_piece(const struct gsn_cells *cells, const uint32_t *list,
     piece->along_y = sin(turn);
 }
 
-int gsn_cells_pieces(const struct gsn_cells *cells, const uint8_t *set,
-                     struct gsn_cells_pieces **ret_pieces, struct gsn_error *err)
+int gsn_mask_cells_pieces(const struct gsn_mask_cells *cells, const uint8_t *set,
+                          struct gsn_mask_cells_pieces **ret_pieces, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
-    gsn_auto(gsn_cells_pieces) pieces = gsn_alloc_array(1, sizeof *pieces);
+    gsn_auto(gsn_mask_cells_pieces) pieces = gsn_alloc_array(1, sizeof *pieces);
     gsn_auto_mem(uint8_t) left = gsn_memdup(set, count);
     size_t room = 0, used = 0;
 
@@ -197,7 +205,7 @@ int gsn_cells_pieces(const struct gsn_cells *cells, const uint8_t *set,
             pieces->piece = more;
             room = 2 * room + 64;
         }
-        struct gsn_cells_piece piece = { .first = used };
+        struct gsn_mask_cells_piece piece = { .first = used };
 
         piece.count = flood(cells, left, i, pieces->cell + used);
         measure_piece(cells, pieces->cell + used, &piece);
@@ -208,21 +216,21 @@ int gsn_cells_pieces(const struct gsn_cells *cells, const uint8_t *set,
     return GSN_OK;
 }
 
-int gsn_cells_grow(const struct gsn_cells *cells, const uint8_t *sure, uint8_t *weak, double um,
-                   struct gsn_error *err)
+int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure, uint8_t *weak,
+                        double um, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
-    gsn_auto(gsn_cells_pieces) pieces = NULL;
+    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
     gsn_auto_mem(uint8_t) reach = gsn_memdup(sure, count);
     int r;
 
     if (!reach)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    r = gsn_cells_dilate(cells, reach, um, err);
+    r = gsn_mask_cells_dilate(cells, reach, um, err);
     for (size_t i = 0; i < count; i++)
         weak[i] = sure[i] || (weak[i] && reach[i]);
     if (r >= 0)
-        r = gsn_cells_pieces(cells, weak, &pieces, err);
+        r = gsn_mask_cells_pieces(cells, weak, &pieces, err);
     for (size_t p = 0; r >= 0 && p < pieces->count; p++) {
         const uint32_t *cell = pieces->cell + pieces->piece[p].first;
         int held = 0;
@@ -237,22 +245,22 @@ int gsn_cells_grow(const struct gsn_cells *cells, const uint8_t *sure, uint8_t *
 
 /* ---- cutting out ------------------------------------------------------------------------- */
 
-static struct gsn_cells sizes(const struct gsn_mask_panel *panel,
-                              const struct gsn_mask_section *section)
+static struct gsn_mask_cells sizes(const struct gsn_mask_panel *panel,
+                                   const struct gsn_mask_section *section)
 {
-    struct gsn_cells c = { .x0 = section->x, .y0 = section->y };
+    struct gsn_mask_cells c = { .x0 = section->x, .y0 = section->y };
 
     c.side = (uint32_t)fmax(1, floor(CELL_UM / panel->px_um));
     c.um = c.side * panel->px_um;
     c.rim = (uint32_t)ceil(CLEFT_UM / c.um) + 2;
     c.nx = ((uint32_t)section->width + c.side - 1) / c.side + 2 * c.rim;
     c.ny = ((uint32_t)section->height + c.side - 1) / c.side + 2 * c.rim;
-    c.noise = (float)(panel->glass->noise_od / c.side);
+    c.noise = (float)(hypot(panel->glass->noise_od, ROUNDING_OD) / c.side);
     return c;
 }
 
 /* Mean of the pixels of each cell; a masked pixel and the rim are clear glass. */
-static void average(const struct gsn_plane *od, const struct gsn_cells *cells,
+static void average(const struct gsn_plane *od, const struct gsn_mask_cells *cells,
                     const struct gsn_mask_section *section, struct gsn_plane *into)
 {
     for (uint32_t y = 0; y < (uint32_t)section->height; y++) {
@@ -275,7 +283,7 @@ static void average(const struct gsn_plane *od, const struct gsn_cells *cells,
 
 /* What no mixture of the dyes explains, of densities smoothed over 3 x 3 cells: the noise of single
  * pixels lies outside of every mixture. */
-static int find_foreign(struct gsn_cells *cells, struct gsn_plane *const od[3],
+static int find_foreign(struct gsn_mask_cells *cells, struct gsn_plane *const od[3],
                         const struct gsn_dyes *dyes, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) red = NULL;
@@ -299,7 +307,7 @@ static int find_foreign(struct gsn_cells *cells, struct gsn_plane *const od[3],
     return r;
 }
 
-static int explain(struct gsn_cells *cells, const struct gsn_dyes *dyes, struct gsn_error *err)
+static int explain(struct gsn_mask_cells *cells, const struct gsn_dyes *dyes, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     int r = gsn_unmix(cells->od, dyes, 1, &cells->red, &cells->yellow, &cells->dark, err);
@@ -307,7 +315,7 @@ static int explain(struct gsn_cells *cells, const struct gsn_dyes *dyes, struct 
     for (size_t i = 0; r >= 0 && i < count; i++)
         cells->red->value[i] *= (float)dyes->full_red_od;
     for (int c = 0; c < 3 && r >= 0; c++)
-        r = gsn_cells_smooth(cells->od[c], 1, &cells->even[c], err);
+        r = gsn_mask_cells_smooth(cells->od[c], 1, &cells->even[c], err);
     if (r >= 0)
         r = find_foreign(cells, cells->even, dyes, err);
     if (r >= 0)
@@ -322,8 +330,9 @@ static int explain(struct gsn_cells *cells, const struct gsn_dyes *dyes, struct 
 
 /* Whether a piece has colour: stained tissue has dye in it, a smear, a shadow or a line has none.
  */
-static int has_colour(const struct gsn_cells *cells, const struct gsn_cells_pieces *pieces,
-                      const struct gsn_cells_piece *piece)
+static int has_colour(const struct gsn_mask_cells *cells,
+                      const struct gsn_mask_cells_pieces *pieces,
+                      const struct gsn_mask_cells_piece *piece)
 {
     double mean[3] = { 0 };
 
@@ -338,16 +347,16 @@ static int has_colour(const struct gsn_cells *cells, const struct gsn_cells_piec
 }
 
 /* Only the large pieces of what is not glass and has colour. */
-static int find_tissue(struct gsn_cells *cells, struct gsn_error *err)
+static int find_tissue(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
-    gsn_auto(gsn_cells_pieces) pieces = NULL;
+    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
     size_t largest = 0;
     int r;
 
     for (size_t i = 0; i < count; i++)
         cells->tissue[i] = cells->total->value[i] > cells->clear;
-    r = gsn_cells_pieces(cells, cells->tissue, &pieces, err);
+    r = gsn_mask_cells_pieces(cells, cells->tissue, &pieces, err);
     if (r < 0)
         return r;
     memset(cells->tissue, 0, count);
@@ -356,6 +365,8 @@ static int find_tissue(struct gsn_cells *cells, struct gsn_error *err)
             pieces->piece[p].count = 0;
     for (size_t p = 0; p < pieces->count; p++)
         largest = pieces->piece[p].count > largest ? pieces->piece[p].count : largest;
+    if ((double)largest * cells->um * cells->um < LEAST_SECTION_UM2)
+        return GSN_OK;
     for (size_t p = 0; p < pieces->count; p++)
         for (size_t i = 0; i < pieces->piece[p].count; i++)
             if ((double)pieces->piece[p].count >= LEAST_PIECE * (double)largest)
@@ -364,7 +375,7 @@ static int find_tissue(struct gsn_cells *cells, struct gsn_error *err)
 }
 
 /* What no way of glass from the border reaches is inside. */
-static int fill_holes(const struct gsn_cells *cells, uint8_t *set, struct gsn_error *err)
+static int fill_holes(const struct gsn_mask_cells *cells, uint8_t *set, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) outside = gsn_alloc(count);
@@ -382,21 +393,21 @@ static int fill_holes(const struct gsn_cells *cells, uint8_t *set, struct gsn_er
     return GSN_OK;
 }
 
-static int draw_outline(struct gsn_cells *cells, struct gsn_error *err)
+static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     int r;
 
     memcpy(cells->outline, cells->tissue, (size_t)cells->nx * cells->ny);
-    r = gsn_cells_dilate(cells, cells->outline, CLEFT_UM, err);
+    r = gsn_mask_cells_dilate(cells, cells->outline, CLEFT_UM, err);
     if (r >= 0)
-        r = gsn_cells_erode(cells, cells->outline, CLEFT_UM, err);
+        r = gsn_mask_cells_erode(cells, cells->outline, CLEFT_UM, err);
     return r < 0 ? r : fill_holes(cells, cells->outline, err);
 }
 
-int gsn_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_mask_section *section,
-                  double clear, struct gsn_cells **ret_cells, struct gsn_error *err)
+int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_mask_section *section,
+                       double clear, struct gsn_mask_cells **ret_cells, struct gsn_error *err)
 {
-    gsn_auto(gsn_cells) cells = gsn_alloc_array(1, sizeof *cells);
+    gsn_auto(gsn_mask_cells) cells = gsn_alloc_array(1, sizeof *cells);
     size_t count;
     int r = GSN_OK;
 

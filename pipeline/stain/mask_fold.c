@@ -29,7 +29,7 @@ struct line {
     double a, k;
 };
 
-static int counts(const struct gsn_cells *cells, size_t i)
+static int counts(const struct gsn_mask_cells *cells, size_t i)
 {
     /* A cell full of the dark dye says little of the other two. */
     return cells->tissue[i] && !cells->label[i] && cells->dark->value[i] < 0.3F;
@@ -37,7 +37,7 @@ static int counts(const struct gsn_cells *cells, size_t i)
 
 /* Fits yellow = a - k red with Tukey's biweight; k is not negative, for that would take a section
  * that is thicker on one side for the rule. Returns 0 when there is too little tissue. */
-static int fit_line(const struct gsn_cells *cells, const struct gsn_plane *red,
+static int fit_line(const struct gsn_mask_cells *cells, const struct gsn_plane *red,
                     const struct gsn_plane *yellow, struct line *ret_line)
 {
     struct line line = { 0, 0 };
@@ -100,17 +100,17 @@ static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, long x,
     return 0;
 }
 
-static int measure_thickness(const struct gsn_cells *cells, struct gsn_plane **ret_thick,
+static int measure_thickness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_thick,
                              struct gsn_error *err)
 {
     gsn_auto(gsn_plane) red = NULL;
     gsn_auto(gsn_plane) yellow = NULL;
     struct line line;
-    int r = gsn_cells_smooth(cells->red, 1, &red, err);
+    int r = gsn_mask_cells_smooth(cells->red, 1, &red, err);
 
     *ret_thick = NULL;
     if (r >= 0)
-        r = gsn_cells_smooth(cells->yellow, 1, &yellow, err);
+        r = gsn_mask_cells_smooth(cells->yellow, 1, &yellow, err);
     if (r < 0 || !fit_line(cells, red, yellow, &line))
         return r;
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
@@ -119,7 +119,7 @@ static int measure_thickness(const struct gsn_cells *cells, struct gsn_plane **r
     return GSN_OK;
 }
 
-int gsn_mask_folds(struct gsn_cells *cells, struct gsn_error *err)
+int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) thick = NULL;
@@ -139,10 +139,10 @@ int gsn_mask_folds(struct gsn_cells *cells, struct gsn_error *err)
         sure[i] = weak[i] && thick->value[i] > FOLD_MEAN &&
                   on_fold(thick, cells->tissue, (long)(i % cells->nx), (long)(i / cells->nx));
     }
-    r = gsn_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
+    r = gsn_mask_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
     if (r >= 0)
-        r = gsn_cells_dilate(cells, weak, 1.5 * cells->um, err);
+        r = gsn_mask_cells_dilate(cells, weak, 1.5 * cells->um, err);
     if (r >= 0)
-        gsn_cells_mark(cells, weak, GSN_DEFECT_FOLD);
+        gsn_mask_cells_mark(cells, weak, GSN_DEFECT_FOLD);
     return r;
 }

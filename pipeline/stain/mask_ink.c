@@ -27,14 +27,14 @@
 /* A void that is smaller may be a vessel or a fat cell, or noise in pale tissue. */
 #define LEAST_VOID_UM 80.0
 
-static int new_set(const struct gsn_cells *cells, uint8_t **ret_set, struct gsn_error *err)
+static int new_set(const struct gsn_mask_cells *cells, uint8_t **ret_set, struct gsn_error *err)
 {
     *ret_set = gsn_alloc_array((size_t)cells->nx * cells->ny, 1);
     return *ret_set ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 }
 
 /* The length of the three densities. */
-static double strength(const struct gsn_cells *cells, size_t i)
+static double strength(const struct gsn_mask_cells *cells, size_t i)
 {
     double sum = 0;
 
@@ -43,7 +43,7 @@ static double strength(const struct gsn_cells *cells, size_t i)
     return sqrt(sum);
 }
 
-static int is_black(const struct gsn_cells *cells, size_t i)
+static int is_black(const struct gsn_mask_cells *cells, size_t i)
 {
     const double r = cells->even[0]->value[i], g = cells->even[1]->value[i],
                  b = cells->even[2]->value[i];
@@ -53,7 +53,7 @@ static int is_black(const struct gsn_cells *cells, size_t i)
 }
 
 /* Adds broad black to sure. */
-static int add_black(const struct gsn_cells *cells, uint8_t *sure, struct gsn_error *err)
+static int add_black(const struct gsn_mask_cells *cells, uint8_t *sure, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) black = NULL;
@@ -65,15 +65,15 @@ static int add_black(const struct gsn_cells *cells, uint8_t *sure, struct gsn_er
     core = r >= 0 ? gsn_memdup(black, count) : NULL;
     if (!core)
         return r < 0 ? r : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    r = gsn_cells_erode(cells, core, BLACK_HALF_UM, err);
+    r = gsn_mask_cells_erode(cells, core, BLACK_HALF_UM, err);
     if (r >= 0)
-        r = gsn_cells_grow(cells, core, black, 3 * BLACK_HALF_UM, err);
+        r = gsn_mask_cells_grow(cells, core, black, 3 * BLACK_HALF_UM, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         sure[i] |= black[i];
     return r;
 }
 
-int gsn_mask_ink(struct gsn_cells *cells, struct gsn_error *err)
+int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) sure = NULL;
@@ -93,16 +93,16 @@ int gsn_mask_ink(struct gsn_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = add_black(cells, sure, err);
     if (r >= 0)
-        r = gsn_cells_grow(cells, sure, weak, FADES_UM, err);
+        r = gsn_mask_cells_grow(cells, sure, weak, FADES_UM, err);
     if (r >= 0)
-        r = gsn_cells_dilate(cells, weak, SMEAR_UM, err);
+        r = gsn_mask_cells_dilate(cells, weak, SMEAR_UM, err);
     if (r >= 0)
-        gsn_cells_mark(cells, weak, GSN_DEFECT_INK);
+        gsn_mask_cells_mark(cells, weak, GSN_DEFECT_INK);
     return r;
 }
 
 /* Tears and holes are glass within the outline. What a mark burnt is its halo's. */
-int gsn_mask_voids(struct gsn_cells *cells, struct gsn_error *err)
+int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) clear = NULL;
@@ -114,15 +114,15 @@ int gsn_mask_voids(struct gsn_cells *cells, struct gsn_error *err)
     core = r >= 0 ? gsn_memdup(clear, count) : NULL;
     if (!core)
         return r < 0 ? r : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    r = gsn_cells_erode(cells, core, LEAST_VOID_UM / 2, err);
+    r = gsn_mask_cells_erode(cells, core, LEAST_VOID_UM / 2, err);
     if (r >= 0)
-        r = gsn_cells_grow(cells, core, clear, 1e9, err);
+        r = gsn_mask_cells_grow(cells, core, clear, 1e9, err);
     /* The cells at its border hold glass too. */
     if (r >= 0)
-        r = gsn_cells_dilate(cells, clear, 1.5 * cells->um, err);
+        r = gsn_mask_cells_dilate(cells, clear, 1.5 * cells->um, err);
     for (size_t i = 0; i < count; i++)
         clear[i] &= cells->outline[i];
     if (r >= 0)
-        gsn_cells_mark(cells, clear, GSN_DEFECT_VOID);
+        gsn_mask_cells_mark(cells, clear, GSN_DEFECT_VOID);
     return r;
 }

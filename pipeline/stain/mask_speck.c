@@ -30,14 +30,14 @@ enum {
 #define LEAST_GRAIN 3 /* cells */
 #define GRAIN_WIDE_UM 40.0
 
-static double dark_at(const struct gsn_cells *cells, long x, long y)
+static double dark_at(const struct gsn_mask_cells *cells, long x, long y)
 {
     if (x < 0 || y < 0 || x >= (long)cells->nx || y >= (long)cells->ny)
         return 0;
     return fmin(cells->dark->value[(size_t)y * cells->nx + (size_t)x], 1.0);
 }
 
-static int on_line(const struct gsn_cells *cells, long x, long y)
+static int on_line(const struct gsn_mask_cells *cells, long x, long y)
 {
     for (int angle = 0; angle < ANGLES; angle++) {
         const double c = cos(M_PI * angle / ANGLES), s = sin(M_PI * angle / ANGLES);
@@ -58,14 +58,14 @@ static int on_line(const struct gsn_cells *cells, long x, long y)
 }
 
 /* Sorts lines into edges and hairs; what is shorter than a line is nothing. */
-static int sort_lines(struct gsn_cells *cells, const uint8_t *lines, uint8_t *edges, uint8_t *hairs,
-                      struct gsn_error *err)
+static int sort_lines(struct gsn_mask_cells *cells, const uint8_t *lines, uint8_t *edges,
+                      uint8_t *hairs, struct gsn_error *err)
 {
-    gsn_auto(gsn_cells_pieces) pieces = NULL;
-    const int r = gsn_cells_pieces(cells, lines, &pieces, err);
+    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
+    const int r = gsn_mask_cells_pieces(cells, lines, &pieces, err);
 
     for (size_t p = 0; r >= 0 && p < pieces->count; p++) {
-        const struct gsn_cells_piece *piece = &pieces->piece[p];
+        const struct gsn_mask_cells_piece *piece = &pieces->piece[p];
         const int straight = piece->length * cells->um > EDGE_LENGTH_UM &&
                              piece->breadth * cells->um < EDGE_BREADTH_UM;
 
@@ -75,14 +75,14 @@ static int sort_lines(struct gsn_cells *cells, const uint8_t *lines, uint8_t *ed
     return r;
 }
 
-static int find_lines(struct gsn_cells *cells, struct gsn_error *err)
+static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) around = NULL;
     gsn_auto_mem(uint8_t) lines = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) edges = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) hairs = gsn_alloc_array(count, 1);
-    int r = lines && edges && hairs ? gsn_cells_smooth(cells->dark, AROUND, &around, err)
+    int r = lines && edges && hairs ? gsn_mask_cells_smooth(cells->dark, AROUND, &around, err)
                                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     for (size_t i = 0; r >= 0 && i < count; i++)
@@ -92,40 +92,40 @@ static int find_lines(struct gsn_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = sort_lines(cells, lines, edges, hairs, err);
     if (r >= 0)
-        r = gsn_cells_dilate(cells, edges, LINE_WIDE_UM, err);
+        r = gsn_mask_cells_dilate(cells, edges, LINE_WIDE_UM, err);
     if (r >= 0)
-        r = gsn_cells_dilate(cells, hairs, LINE_WIDE_UM, err);
+        r = gsn_mask_cells_dilate(cells, hairs, LINE_WIDE_UM, err);
     if (r >= 0)
-        gsn_cells_mark(cells, edges, GSN_DEFECT_EDGE);
+        gsn_mask_cells_mark(cells, edges, GSN_DEFECT_EDGE);
     if (r >= 0)
-        gsn_cells_mark(cells, hairs, GSN_DEFECT_HAIR);
+        gsn_mask_cells_mark(cells, hairs, GSN_DEFECT_HAIR);
     return r;
 }
 
-static int find_grains(struct gsn_cells *cells, struct gsn_error *err)
+static int find_grains(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) dark = NULL;
-    gsn_auto(gsn_cells_pieces) pieces = NULL;
+    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
     gsn_auto_mem(uint8_t) grains = gsn_alloc_array(count, 1);
-    int r = grains ? gsn_cells_smooth(cells->dark, 1, &dark, err)
+    int r = grains ? gsn_mask_cells_smooth(cells->dark, 1, &dark, err)
                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     for (size_t i = 0; r >= 0 && i < count; i++)
         grains[i] = !(cells->label[i] & ~GSN_DEFECT_BUBBLE) && dark->value[i] > GRAIN_OD;
     if (r >= 0)
-        r = gsn_cells_pieces(cells, grains, &pieces, err);
+        r = gsn_mask_cells_pieces(cells, grains, &pieces, err);
     for (size_t p = 0; r >= 0 && p < pieces->count; p++)
         for (size_t i = 0; i < pieces->piece[p].count && pieces->piece[p].count < LEAST_GRAIN; i++)
             grains[pieces->cell[pieces->piece[p].first + i]] = 0;
     if (r >= 0)
-        r = gsn_cells_dilate(cells, grains, GRAIN_WIDE_UM, err);
+        r = gsn_mask_cells_dilate(cells, grains, GRAIN_WIDE_UM, err);
     if (r >= 0)
-        gsn_cells_mark(cells, grains, GSN_DEFECT_DEBRIS);
+        gsn_mask_cells_mark(cells, grains, GSN_DEFECT_DEBRIS);
     return r;
 }
 
-int gsn_mask_specks(struct gsn_cells *cells, struct gsn_error *err)
+int gsn_mask_specks(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const int r = find_lines(cells, err);
 

@@ -3,6 +3,8 @@
 
 #include <assert.h>
 #include <math.h>
+#include <stdbool.h>
+#include <time.h>
 
 #include "storage/lease.h"
 #include "storage/queue_order.h"
@@ -108,8 +110,16 @@ int gsn_queue_add_first(struct gsn_store *store, int64_t specimen_id, struct gsn
                        SQL_ARGS(SQL_INT(specimen_id)), NULL, err);
 }
 
+int64_t gsn_queue_clock(void)
+{
+    struct timespec now;
+
+    /* CLOCK_BOOTTIME is there on every Linux that this is built for. */
+    return clock_gettime(CLOCK_BOOTTIME, &now) == 0 ? (int64_t)now.tv_sec : 0;
+}
+
 struct lease {
-    int64_t job, pid, pid_start, lease_until;
+    int64_t job, pid, pid_start, lease_s, lease_until;
     const char *boot, *processes;
 };
 
@@ -118,7 +128,7 @@ struct lease {
         GSN_SQL_##type, offsetof(struct lease, name)                                               \
     }
 static const struct gsn_sql_field lease_fields[] = {
-    LEASE(INT, job),         LEASE(INT, pid),   LEASE(INT, pid_start),
+    LEASE(INT, job),         LEASE(INT, pid),   LEASE(INT, pid_start),  LEASE(INT, lease_s),
     LEASE(INT, lease_until), LEASE(TEXT, boot), LEASE(TEXT, processes),
 };
 #undef LEASE
@@ -141,23 +151,29 @@ static int bury(struct gsn_store *store, int64_t job, struct gsn_error *err)
         NULL, err);
 }
 
+/* One that ends later than a whole lease from now was counted by the clock of another start. */
+static bool ran_out(const struct lease *lease, int64_t now)
+{
+    return lease->lease_until <= now || lease->lease_until - now > lease->lease_s;
+}
+
 static int take_back(struct gsn_store *store, const struct gsn_lease_home *here, int64_t now,
                      struct gsn_error *err)
 {
     struct lease *leases = NULL;
     void *rows = NULL;
     size_t count = 0;
-    int r = gsn_sql_rows(store, &lease_shape,
-                         "SELECT id, pid, pid_start, lease_until, boot, processes FROM job "
-                         "WHERE state = 'running' ORDER BY id",
-                         SQL_NO_ARGS, &rows, &count, err);
+    int r =
+        gsn_sql_rows(store, &lease_shape,
+                     "SELECT id, pid, pid_start, lease_s, lease_until, boot, processes FROM job "
+                     "WHERE state = 'running' ORDER BY id",
+                     SQL_NO_ARGS, &rows, &count, err);
 
     leases = rows;
     for (size_t i = 0; r >= 0 && i < count; i++) {
         const struct lease *const l = &leases[i];
 
-        if (l->lease_until <= now ||
-            gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
+        if (ran_out(l, now) || gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
             r = bury(store, l->job, err);
     }
     gsn_sql_free_rows(&lease_shape, rows, count);

@@ -233,6 +233,25 @@ def specimen(bench):
 
 
 @scenario
+def import_hangs(bench):
+    """A folder whose import hangs is a trouble with a sentence, and the next picture comes in."""
+    with_fake_worker(bench, "hang")
+    bench.configure(patience=2)
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    folder = bench.hot / "S01"
+    folder.mkdir()
+    (folder / "P1.png").write_bytes(picture(1))
+    (folder / "job.json").write_text("{}")
+    bench.wait("the trouble", lambda: bench.ask("SELECT name FROM trouble") == [("S01",)])
+    reason = bench.ask("SELECT reason FROM trouble")[0][0]
+    demand("did nothing for 2 s" in reason, reason)
+    bench.deliver("a.png", picture(2))
+    bench.wait_scan("a.png")
+    demand("silent for" not in bench.words(), "the source itself was never given up")
+
+
+@scenario
 def watched(bench):
     """--watch needs no configuration."""
     bench.config = bench.folder / "nowhere.conf"
@@ -557,6 +576,8 @@ FAKE_WORKER = """#!{python}
 # Claims a job as gieson-work would, and does what the file `do` beside it says.
 import os, pathlib, sqlite3, sys, time
 here = pathlib.Path(sys.argv[0]).parent
+if "import" in sys.argv:
+    time.sleep(3600)
 store = sys.argv[sys.argv.index("--store") + 1]
 db = sqlite3.connect(store + "/gieson.db", timeout=10, isolation_level=None)
 boot = open("/proc/sys/kernel/random/boot_id").read().strip()
@@ -568,8 +589,8 @@ if not row:
     sys.exit(66)
 db.execute("UPDATE job SET state = 'running', claim = claim + 1, owner = 'fake', boot = ?, "
            "processes = ?, pid = ?, pid_start = ?, lease_s = 600, lease_until = ? WHERE id = ?",
-           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start, int(time.time()) + 600,
-            row[0]))
+           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start,
+            int(time.clock_gettime(time.CLOCK_BOOTTIME)) + 600, row[0]))
 db.execute("COMMIT")
 (here / "limits").write_text(open("/proc/self/limits").read() + "nice " + str(os.nice(0)))
 while (here / "do").read_text() == "hang":

@@ -8,6 +8,7 @@
 #include "pipeline/pictures.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
+#include "pipeline/stain/mask.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -28,8 +29,10 @@ struct gsn_assembly_section {
     int posed;
     struct gsn_pose pose;
     enum gsn_assembly_state state;
-    char flags[160];                      /* words with one space between */
-    struct gsn_account_picture thumbnail; /* png owned; size 0: none */
+    char flags[160];                              /* words with one space between */
+    struct gsn_mask_figures masked;               /* what of it is not measured, and why */
+    double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
+    struct gsn_account_picture thumbnail;         /* png owned; size 0: none */
 };
 
 struct gsn_assembly_panel {

@@ -66,7 +66,7 @@ static int draft_init(struct draft *d, size_t sections, size_t panels, size_t in
 {
     *d = (struct draft){ 0 };
     d->warning = gsn_alloc_array(64 + 3 * panels, sizeof *d->warning);
-    d->exclusion = gsn_alloc_array(sections + panels + 1, sizeof *d->exclusion);
+    d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
     d->flag = gsn_alloc_array(sections + 1, sizeof *d->flag);
     d->panel = gsn_alloc_array(panels + 1, sizeof *d->panel);
@@ -171,6 +171,19 @@ static size_t split_flags(struct draft *d, const char *flags, const char *ret_fl
     return count;
 }
 
+static void fill_masked(const struct gsn_assembly_section *s, struct gsn_report_section *row)
+{
+    row->outline_mm2 = 1e-6 * s->masked.outline_um2;
+    row->masked_mm2 = 1e-6 * s->masked.masked_um2;
+    row->region_masked = s->region_masked;
+    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
+        if (s->masked.area_um2[bit] > 0)
+            row->masked[row->masked_count++] =
+                (struct gsn_report_masked){ .reason = gsn_defect_word(bit),
+                                            .area_mm2 = 1e-6 * s->masked.area_um2[bit],
+                                            .region_share = s->region_by[bit] };
+}
+
 static void fill_section(const struct gsn_assembly_section *s, const struct gsn_protocol *p,
                          int strained, struct draft *d, size_t i)
 {
@@ -200,6 +213,7 @@ static void fill_section(const struct gsn_assembly_section *s, const struct gsn_
         row->strain_deg = axes.angle * 180 / M_PI;
     }
     gsn_panel_place(&layout, s->seen.slot, &row->row, &row->column);
+    fill_masked(s, row);
     row->flags = d->flag[i];
     row->flag_count = split_flags(d, s->flags, d->flag[i]);
     for (size_t m = 0; m < GSN_MARKS; m++) {
@@ -234,6 +248,18 @@ static const char *reason_of(struct draft *d, const struct gsn_assembly_section 
     return "fewer than two marks were found: look at it";
 }
 
+/* One row for each reason, in words. */
+static void exclude_masked(const struct gsn_assembly_section *s, struct draft *d)
+{
+    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
+        if (1u << bit != GSN_DEFECT_HALO && s->masked.area_um2[bit] > 0)
+            exclude(d,
+                    say(d, "%.3g mm2 of section %u (panel %u, slot %u), %.1f %% of its region",
+                        1e-6 * s->masked.area_um2[bit], s->seen.serial, s->panel, s->seen.slot,
+                        100 * s->region_by[bit]),
+                    say(d, "%s: %s", gsn_defect_word(bit), gsn_defect_reason(bit)));
+}
+
 static void fill_sections(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_assembly *a = e->assembly;
@@ -251,6 +277,7 @@ static void fill_sections(const struct gsn_evidence *e, struct draft *d)
             exclude(
                 d, say(d, "section %u (panel %u, slot %u)", s->seen.serial, s->panel, s->seen.slot),
                 reason_of(d, s));
+        exclude_masked(s, d);
     }
     if (doubtful)
         warn(d, say(d, "%zu section%s laid by two marks only: compare with the neighbours",

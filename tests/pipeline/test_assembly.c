@@ -173,7 +173,7 @@ TEST(a_flipped_section_with_two_marks_is_laid_the_right_way_up)
 }
 
 /* One mark moved by a third of a millimetre: the triangle is another one, so its place is not
- * known. */
+ * known, and the char that no mark accounts for is debris. */
 TEST(a_section_whose_marks_contradict_the_stack_is_held)
 {
     drawn_auto d;
@@ -183,7 +183,7 @@ TEST(a_section_whose_marks_contradict_the_stack_is_held)
     gsn_auto(gsn_assembly) a = assembled(&d);
 
     CHECK(a->section[4].state == GSN_SECTION_HELD);
-    CHECK(strcmp(a->section[4].flags, "residual-too-large") == 0);
+    CHECK(strcmp(a->section[4].flags, "residual-too-large debris") == 0);
     check_gap(a->grid, 4);
     check_plane(a->grid, 5, DENSITY);
 }

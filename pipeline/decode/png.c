@@ -189,8 +189,16 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
 
 static void read_row(struct reader *reader, struct gsn_run run)
 {
+    void *const straight = run.step == 1 && run.count == reader->layout.width
+                               ? gsn_raster_row(&reader->canvas, run.y)
+                               : NULL;
+
     reader->row = run.y + 1;
     run.channels = run.stride = reader->layout.channels;
+    if (straight) {
+        png_read_row(reader->png, straight, NULL);
+        return;
+    }
     png_read_row(reader->png, reader->samples, NULL);
     gsn_raster_put(&reader->canvas, &run, reader->samples);
 }

@@ -57,6 +57,10 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
 void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run,
                     const void *samples);
 
+/* Where stored row y goes when its pixels, all channels of them, come to lie side by side as they
+ * are stored; rows then follow each other. NULL when they have to be turned. */
+void *gsn_raster_row(const struct gsn_raster *canvas, uint32_t y);
+
 /* Adds a remark to picture->note; what does not fit is left out whole. */
 void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)
     __attribute__((format(printf, 2, 3)));

@@ -198,7 +198,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
                        struct gsn_picture *picture)
 {
     struct jpeg_decompress_struct *info = &reader->info;
-    struct gsn_layout layout = { .bits = 8 };
+    struct gsn_raster_layout layout = { .bits = 8 };
     struct gsn_exif exif;
 
     (void)jpeg_read_header(info, TRUE);

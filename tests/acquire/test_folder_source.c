@@ -113,6 +113,7 @@ TEST(a_file_is_ready_when_two_looks_agree)
     CHECK(access(gsn_scratch_path(&scratch, "a.jpg"), F_OK) == 0);
 }
 
+/* Case 65. */
 TEST(a_file_that_grows_waits_until_it_is_whole)
 {
     scratch_auto scratch = gsn_scratch_new();

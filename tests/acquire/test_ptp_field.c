@@ -320,6 +320,7 @@ TEST(firmware_that_large_requests_crash_gets_smaller_ones)
     CHECK(bench.bus.resets > 0);
 }
 
+/* Case 1. */
 TEST(an_unplugged_object_comes_in_whole_after_the_replug)
 {
     bench_auto bench;

@@ -260,6 +260,7 @@ TEST(a_camera_answers_to_its_serial_number)
     a_panel_comes_in(&webcam, "v4l2:SN0001");
 }
 
+/* Case 6. */
 TEST(of_two_cameras_the_one_that_is_named_is_opened)
 {
     mock_auto mock = v4l2_mock_new();
@@ -341,6 +342,7 @@ TEST(settings_are_judged_without_a_camera)
     CHECK(strstr(err.text, "Format=, Width= and Height=") != NULL);
 }
 
+/* Case 2. */
 TEST(a_format_the_driver_would_change_is_refused_with_what_it_has)
 {
     mock_auto mock = v4l2_mock_new();
@@ -410,6 +412,7 @@ static void is_withheld(const struct v4l2_mock_recipe *recipe, const char *reaso
     is_frame(item, 1);
 }
 
+/* Case 7. */
 TEST(what_cannot_be_locked_is_said_in_the_frame)
 {
     struct v4l2_mock_recipe recipe = webcam;

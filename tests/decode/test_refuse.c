@@ -153,6 +153,7 @@ TEST(jpeg_data_closed_too_early_are_refused_alone_and_inside_tiff)
     check_refused(tiff, GSN_E_INPUT, "corrupt TIFF near column 1, row 17 of 64 x 64: ");
 }
 
+/* Case 3. */
 TEST(the_sentence_names_row_and_byte)
 {
     gsn_auto(gsn_image) image = make_picture(64, 64, 3, 8);
@@ -308,6 +309,7 @@ static void check_bomb(struct made file, const char *sentence)
         fail_msg("%d \"%s\"", code, said.text);
 }
 
+/* Case 64. */
 TEST(a_header_that_asks_for_too_much_is_refused_before_allocation)
 {
     check_bomb(png_bomb(100000, 90000), "100000 x 90000 pixels are more than the limit of 250 mil");

@@ -305,6 +305,7 @@ TEST(shares_of_a_region_with_holes_are_those_of_its_voxels_one_by_one)
     kuhn_done(&kuhn);
 }
 
+/* Case 55. */
 TEST(a_unit_without_samples_is_no_data_and_not_in_the_summary)
 {
     gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 20, 20, 16);

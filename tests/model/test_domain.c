@@ -212,6 +212,7 @@ TEST(a_mesher_that_hangs_is_killed_at_its_time_limit)
     CHECK(time(NULL) - before <= 5);
 }
 
+/* Case 54. */
 TEST(a_mesher_that_dies_babbles_or_is_missing_is_an_error)
 {
     struct gsn_error err = { 0 };

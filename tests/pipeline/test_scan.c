@@ -37,7 +37,8 @@ static struct gsn_scan *opened(const struct made *png, const char *job)
     return scan;
 }
 
-/* The job decides, then the file; where neither says, codes are taken as light, and that is noted.
+/* Case 13. The job decides, then the file; where neither says, codes are taken as light, and that
+ * is noted.
  */
 TEST(light_is_what_the_job_says_then_what_the_file_says_then_noted)
 {
@@ -84,6 +85,7 @@ TEST(a_file_coded_by_srgb_has_the_densities_of_one_in_proportion_to_light)
     CHECK_NEAR(worst, 0, 0.02); /* rounding of the darkest pixels, the marks */
 }
 
+/* Case 14. */
 TEST(the_pixel_size_is_the_jobs_else_the_files)
 {
     /* 1/24 um is 41667 pixels per metre. */
@@ -209,7 +211,7 @@ TEST(running_out_of_memory_leaks_nothing)
     CHECK_EVERY_OOM(open_once(&oom, &err), err);
 }
 
-/* A frame of a camera that could not be locked may be looked at, never measured. */
+/* Case 7. A frame of a camera that could not be locked may be looked at, never measured. */
 TEST(a_picture_whose_camera_was_not_locked_is_refused_aloud)
 {
     static const char head[] = "P7\n# gieson frame 1\n# not to be measured: gain is not locked: it "

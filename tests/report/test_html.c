@@ -100,6 +100,7 @@ static void check_well_formed(const char *page)
     CHECK(depth == 0);
 }
 
+/* Case 68. */
 TEST(every_kind_of_page_is_well_formed_and_fetches_nothing)
 {
     for (int kind = 0; kind < 3; kind++) {

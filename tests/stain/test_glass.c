@@ -62,6 +62,7 @@ TEST(bare_glass_is_measured_to_a_tenth_of_a_percent)
     CHECK_NEAR(glass.overexposed, 0, 0.001);
 }
 
+/* Case 11. */
 TEST(uneven_light_is_followed_in_both_meanings_of_the_samples)
 {
     static const double falloff[] = { 0.02, 0.06, 0.15 };
@@ -129,6 +130,7 @@ TEST(a_white_label_with_text_and_pen_do_not_pull_it)
     CHECK(worst_error(&glass, &scan, image) < 0.003);
 }
 
+/* Case 9. */
 TEST(too_little_glass_is_refused_and_the_share_named)
 {
     struct dice dice = { 5 };

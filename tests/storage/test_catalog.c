@@ -41,6 +41,7 @@ TEST(a_week_not_told_stays_not_told)
     CHECK(got->week != got->week);
 }
 
+/* Case 63. */
 TEST(any_name_is_data)
 {
     static char endless[100001];
@@ -102,6 +103,7 @@ TEST(other_settings_under_a_known_name_are_refused)
     CHECK(strcmp(got->job_json, "{}") == 0 && strcmp(got->group, "g") == 0);
 }
 
+/* Case 61. */
 TEST(replacing_keeps_the_old_settings_in_the_diary)
 {
     scratch_auto scratch = gsn_scratch_new();

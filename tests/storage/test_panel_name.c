@@ -28,6 +28,7 @@ static const struct {
               { "GVP-D-S02_3.jp2", "GVP-D-S02", 3, 0 },
               { "rat 7 panel 4.png", "rat 7", 4, 4 } };
 
+/* Case 32. */
 TEST(a_panel_number_is_read_as_a_number)
 {
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {

@@ -168,6 +168,7 @@ TEST(a_circle_of_baselines_does_not_stand_still)
         does(store, jobs[i]);
 }
 
+/* Case 67. */
 TEST(asking_twice_is_asking_once)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -121,6 +121,7 @@ TEST(a_run_ends_as_a_whole_or_not_at_all)
     CHECK(strcmp(run->state, "running") == 0 && run->finished == 0);
 }
 
+/* Case 60. */
 TEST(a_finished_run_never_changes)
 {
     scratch_auto scratch = gsn_scratch_new();

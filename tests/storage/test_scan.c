@@ -94,6 +94,7 @@ TEST(the_newest_of_a_subject_is_that_of_this_source)
     CHECK(strcmp(err.text, "flatbed has given no dark picture yet") == 0);
 }
 
+/* Case 35. */
 TEST(a_scan_that_nobody_can_place_is_unfiled_with_the_reason)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -159,6 +160,7 @@ TEST(what_is_expected_takes_its_number_or_the_next_one)
     CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'expect'") == 2);
 }
 
+/* Case 33. */
 TEST(a_name_that_contradicts_what_is_expected_is_for_a_person_to_settle)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -216,6 +218,7 @@ TEST(a_picture_that_nobody_could_place_is_not_placed_by_coming_again)
     CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'scan'") == 1);
 }
 
+/* Case 4. */
 TEST(the_same_bytes_under_another_name_are_one_panel_and_two_scans)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -34,6 +34,7 @@ TEST(a_service_is_there_from_taking_to_closing_and_each_for_itself)
     CHECK(!there(scratch.dir, GSN_SERVICE_INTAKE));
 }
 
+/* Case 59. */
 TEST(a_second_service_is_refused_and_its_output_stays_untouched)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -263,7 +263,7 @@ def watched(bench):
 
 @scenario
 def reserve(bench):
-    """Below the reserve of disk nothing is taken; with room again everything is, by itself."""
+    """Case 56. Below the reserve of disk nothing is taken; with room again everything is."""
     free = shutil.disk_usage(bench.folder).free >> 20
     bench.configure(reserve=free + 100000)
     bench.start("--only", "intake")
@@ -476,7 +476,7 @@ def crashes(bench):
 
 @scenario
 def away(bench):
-    """A device that is not there is away, said once, and costs nothing but a look now and then."""
+    """Case 1. A device that is not there is away, said once, and costs but a look now and then."""
     bench.config.write_text("[store]\nReserveMiB=1\n[source cam]\n"
                             "Address=ptp:no-such-serial\n")
     bench.start("--only", "intake")

@@ -102,6 +102,7 @@ TEST(a_store_without_objects_is_whole)
     CHECK(counts.checked == 0 && counts.complete);
 }
 
+/* Case 62. */
 TEST(a_damaged_object_is_a_trouble_until_it_is_whole_again)
 {
     scratch_auto scratch = gsn_scratch_new();

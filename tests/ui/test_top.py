@@ -388,6 +388,7 @@ class Terminals(Top):
             terminal.wait_for_text("? help")
             terminal.press("Down")
 
+    # Case 66.
     def test_what_is_no_terminal_gets_a_table(self):
         self.scene.busy_bench()
         done = self.call("top")

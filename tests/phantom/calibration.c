@@ -124,7 +124,7 @@ int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned 
     if (r < 0)
         return r;
     gsn_phantom_buffer_print(&table, "file,panel,D,x_px,y_px,w_px,h_px,od_r,od_g,od_b\n");
-    for (int batch = 1; batch <= GSN_PHANTOM_PANELS; batch++) {
+    for (int batch = 1; batch <= plan->panels; batch++) {
         gsn_auto_mem(char) name = gsn_format(GSN_PHANTOM_STUDY "-%s-C%02d.%s", plan->specimen->name,
                                              batch, plan->level->extension);
 

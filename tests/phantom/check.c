@@ -12,12 +12,12 @@ const double gsn_phantom_thresholds[GSN_PHANTOM_THRESHOLDS] = { 0.3, 0.5, 0.7 };
 
 struct layer_sum {
     size_t inside, above[GSN_PHANTOM_DEPTHS][GSN_PHANTOM_THRESHOLDS];
-    double intact, lost;
+    double intact, lost, bone;
 };
 
 struct job {
     const double *depth;
-    double step_um;
+    double step_um, gain;
     size_t across; /* steps over the region's diameter */
     struct layer_sum *layer;
 };
@@ -30,6 +30,8 @@ static void add_point(const struct job *job, struct gsn_vec3 at, struct layer_su
     sum->inside++;
     sum->intact += field.intact;
     sum->lost += field.lost;
+    sum->bone += field.bone;
+    gsn_phantom_field_thicken(&field, job->gain);
     for (int a = 0; a < GSN_PHANTOM_DEPTHS; a++)
         for (int t = 0; t < GSN_PHANTOM_THRESHOLDS; t++)
             if (gsn_phantom_density(&field, job->depth[a]) > gsn_phantom_thresholds[t])
@@ -57,8 +59,8 @@ static int add_layer(size_t index, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], unsigned threads,
-                    struct gsn_phantom_sums *ret_sums, struct gsn_error *err)
+int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], double gain,
+                    unsigned threads, struct gsn_phantom_sums *ret_sums, struct gsn_error *err)
 {
     const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
     const double height = 2 * g->region_half_height;
@@ -68,6 +70,7 @@ int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], unsi
     struct gsn_phantom_sums sums = { 0 };
     struct job job = { .depth = depth,
                        .step_um = step,
+                       .gain = gain,
                        .across = (size_t)ceil(2 * g->region_radius / step - 1e-9),
                        .layer = layer };
     int r;
@@ -81,6 +84,7 @@ int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], unsi
         sums.volume += (double)layer[z].inside * cell;
         sums.intact += layer[z].intact * cell;
         sums.lost += layer[z].lost * cell;
+        sums.bone += layer[z].bone * cell;
         for (int a = 0; a < GSN_PHANTOM_DEPTHS; a++)
             for (int t = 0; t < GSN_PHANTOM_THRESHOLDS; t++)
                 sums.above[a][t] += (double)layer[z].above[a][t] * cell;
@@ -117,7 +121,7 @@ int gsn_phantom_check_all(double step_um, unsigned threads,
     const double points = 0.02, relative = 0.001;
     struct gsn_phantom_check *next = ret_check;
     struct gsn_phantom_sums sums;
-    const int r = gsn_phantom_sum(step_um, depth, threads, &sums, err);
+    const int r = gsn_phantom_sum(step_um, depth, 1, threads, &sums, err);
 
     if (r < 0)
         return r;

@@ -20,7 +20,8 @@ enum { GSN_PHANTOM_DEPTHS = 4, GSN_PHANTOM_THRESHOLDS = 3, GSN_PHANTOM_CHECKS = 
 /* All in mm3, except that intact and lost are integrals of a density over mm3. */
 struct gsn_phantom_sums {
     double volume;
-    double intact, lost; /* I(A) = intact - A lost */
+    double intact, lost; /* I(A) = intact - A lost, of bone of the ordinary density */
+    double bone;         /* the bone's share of intact */
     double above[GSN_PHANTOM_DEPTHS][GSN_PHANTOM_THRESHOLDS];
 };
 
@@ -28,9 +29,10 @@ struct gsn_phantom_sums {
 extern const double gsn_phantom_thresholds[GSN_PHANTOM_THRESHOLDS];
 
 /* Sums at steps of about step_um (rounded so that the region's height is a whole number of them),
- * volumes above the thresholds for each of the depths A. Fails with GSN_E_NOMEM. borrows: depth. */
-int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], unsigned threads,
-                    struct gsn_phantom_sums *ret_sums, struct gsn_error *err);
+ * volumes above the thresholds for each of the depths A in bone gain times as dense as ordinary.
+ * Fails with GSN_E_NOMEM. borrows: depth. */
+int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], double gain,
+                    unsigned threads, struct gsn_phantom_sums *ret_sums, struct gsn_error *err);
 
 /* 100 (1 - I(A)/I(0)). */
 double gsn_phantom_loss_percent(const struct gsn_phantom_sums *sums, double depth);

@@ -10,10 +10,11 @@
 /* What programs state that do not know the resolution: 300 dpi. */
 static const double USUAL_TAG_UM = 25400.0 / 300;
 
-/* The roles of the panels of an awkward delivery; each falls to one of them. */
+/* The roles of the panels of an awkward delivery; each panel plays one, the first of them when
+ * there are fewer panels. */
 enum role { MISSING, CUT, TURNED, DEEP, WRONG_TAG, ROLES };
 
-_Static_assert((int)ROLES == GSN_PHANTOM_PANELS, "each panel has one role");
+_Static_assert((int)ROLES >= GSN_PHANTOM_PANELS, "each panel has one role");
 
 static struct gsn_phantom_file plain(const struct gsn_phantom_plan *plan, int panel)
 {
@@ -66,14 +67,14 @@ void gsn_phantom_delivery_draw(struct gsn_phantom_plan *plan)
     struct gsn_phantom_file again = { 0 };
 
     plan->files = 0;
-    for (int i = 0; i < GSN_PHANTOM_PANELS; i++)
+    for (int i = 0; i < plan->panels; i++)
         plan->file[plan->files++] = plain(plan, i + 1);
     if (!plan->level->awkward)
         return;
-    shuffle(&random, role, GSN_PHANTOM_PANELS);
-    shuffle(&random, order, GSN_PHANTOM_PANELS);
+    shuffle(&random, role, plan->panels);
+    shuffle(&random, order, plan->panels);
     plan->files = 0;
-    for (int i = 0; i < GSN_PHANTOM_PANELS; i++) {
+    for (int i = 0; i < plan->panels; i++) {
         const int panel = order[i] + 1;
 
         if (role[order[i]] == MISSING) {

@@ -228,11 +228,19 @@ void gsn_phantom_field_at(struct gsn_vec3 at, struct gsn_phantom_field *ret_fiel
         for (int i = 0; i < GSN_PHANTOM_LAYERS; i++)
             if (i != GSN_PHANTOM_BONE)
                 sum += g->density[i] * f.layer[i];
+        f.bone = f.tissue * bone;
         f.intact = f.tissue * (sum + bone);
         f.lost = f.tissue * f.lesion *
                  (bone + g->lesion_in_pdl * g->density[GSN_PHANTOM_PDL] * f.layer[GSN_PHANTOM_PDL]);
     }
     *ret_field = f;
+}
+
+void gsn_phantom_field_thicken(struct gsn_phantom_field *field, double gain)
+{
+    field->intact += (gain - 1) * field->bone;
+    field->lost += (gain - 1) * field->lesion * field->bone;
+    field->bone *= gain;
 }
 
 double gsn_phantom_density(const struct gsn_phantom_field *field, double depth)

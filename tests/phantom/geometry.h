@@ -59,6 +59,7 @@ struct gsn_phantom_field {
     double layer[GSN_PHANTOM_LAYERS]; /* sum to 1 where there is tissue */
     double lesion;                    /* E */
     double intact, lost;              /* D = intact - A lost */
+    double bone;                      /* the bone's share of intact */
 };
 
 /* The one instance. */
@@ -73,6 +74,9 @@ double gsn_phantom_section_z(int k);
 double gsn_phantom_root_distance(struct gsn_vec3 at);
 
 void gsn_phantom_field_at(struct gsn_vec3 at, struct gsn_phantom_field *ret_field);
+
+/* Makes all bone gain times as dense, as animals differ; 1 changes nothing. */
+void gsn_phantom_field_thicken(struct gsn_phantom_field *field, double gain);
 
 /* D for the lesion depth A in 0..1. */
 double gsn_phantom_density(const struct gsn_phantom_field *field, double depth);

@@ -390,7 +390,7 @@ static void deal_defects(struct gsn_phantom_plan *plan)
         gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DEFECTS, 0, 0);
     int card[GSN_PHANTOM_ACCIDENTS] = { 0 }, dealt = 0;
 
-    for (int panel = 0; panel < GSN_PHANTOM_PANELS; panel++) {
+    for (int panel = 0; panel < plan->panels; panel++) {
         struct dealing deal = { .plan = plan, .random = &random, .panel = panel };
         int count;
 
@@ -414,7 +414,7 @@ void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
 {
     if (plan->level->handled)
         deal_defects(plan);
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
+    for (int k = 0; k < plan->sections; k++) {
         burn_marks(plan, &plan->section[k]);
         if (plan->level->handled)
             strew(plan, &plan->section[k]);

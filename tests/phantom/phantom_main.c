@@ -4,6 +4,7 @@
  * one. Exit status: 0 done, 1 failed, 2 a check value was missed, 64 the command line is wrong. */
 #include "tests/phantom/check.h"
 #include "tests/phantom/phantom.h"
+#include "tests/phantom/study.h"
 
 #include <argp.h>
 #include <errno.h>
@@ -12,7 +13,7 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { KEY_CHECK = 256, KEY_SEED, KEY_PX, KEY_DENSITY, KEY_THREADS };
+enum { KEY_CHECK = 256, KEY_STUDY, KEY_SEED, KEY_PX, KEY_DENSITY, KEY_THREADS };
 enum { STATUS_FAILED = 1, STATUS_MISSED = 2 };
 
 static const double CHECK_STEP_UM = 6;
@@ -21,20 +22,22 @@ struct request {
     const char *specimen, *level, *out;
     uint64_t seed;
     double px_um;
-    int check, density;
+    int check, study, density;
     unsigned threads;
 };
 
 static const struct argp_option OPTIONS[] = {
     { "check", KEY_CHECK, NULL, 0, "compare the phantom with its check values", 0 },
-    { "specimen", 's', "NAME", 0, "S00 (no lesion), S01, S02, S03 or S04", 0 },
+    { "specimen", 's', "NAME", 0,
+      "S00 (no lesion), S01, S02, S03 or S04; N1 and so on of the study", 0 },
+    { "study", KEY_STUDY, NULL, 0, "make all 15 animals of the study", 0 },
     { "level", 'l', "LEVEL", 0,
       "L0 (ideal), L1 (a careful bench, the default), L2 (an ordinary one, with defects) or L3 (a "
       "bad one)",
       0 },
     { "seed", KEY_SEED, "NUMBER", 0, "what is drawn at random follows from it; default 1", 0 },
     { "out", 'o', "DIR", 0, "the folder to write", 0 },
-    { "px", KEY_PX, "UM", 0, "pixel size, 8 to 48 um; default 16", 0 },
+    { "px", KEY_PX, "UM", 0, "pixel size, 8 to 48 um; default 16, for the study 24", 0 },
     { "density", KEY_DENSITY, NULL, 0, "write truth/density.raw (20 MB) as well", 0 },
     { "threads", KEY_THREADS, "COUNT", 0, "default: as many as there are processors", 0 },
     { 0 },
@@ -81,6 +84,9 @@ static error_t take_option(int key, char *value, struct argp_state *state)
     case KEY_CHECK:
         request->check = 1;
         return 0;
+    case KEY_STUDY:
+        request->study = 1;
+        return 0;
     case 's':
         request->specimen = value;
         return 0;
@@ -96,7 +102,7 @@ static error_t take_option(int key, char *value, struct argp_state *state)
         return 0;
     case KEY_PX:
         request->px_um = to_number(value);
-        if (request->px_um < 0)
+        if (request->px_um <= 0)
             argp_error(state, "--px %s: not a number of micrometres", value);
         return 0;
     case KEY_DENSITY:
@@ -108,8 +114,8 @@ static error_t take_option(int key, char *value, struct argp_state *state)
         request->threads = (unsigned)threads;
         return 0;
     case ARGP_KEY_END:
-        if (!request->check && (!request->specimen || !request->out))
-            argp_error(state, "--check, or --specimen and --out, must be given");
+        if (!request->check && (!(request->specimen || request->study) || !request->out))
+            argp_error(state, "--check, or --specimen or --study and --out, must be given");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -143,14 +149,19 @@ static void show_progress(void *context, const char *stage, size_t done, size_t 
 static int run_make(const struct request *request, struct gsn_error *err)
 {
     const struct gsn_progress progress = { show_progress, NULL };
+    const struct gsn_progress *shown = isatty(STDERR_FILENO) ? &progress : NULL;
     struct gsn_phantom_plan plan;
     int r;
 
+    if (request->study) {
+        r = gsn_phantom_study_make(request->level, request->seed, request->px_um, request->threads,
+                                   request->out, shown, err);
+        return r < 0 ? STATUS_FAILED : 0;
+    }
     r = gsn_phantom_plan_make(request->specimen, request->level, request->seed, request->px_um,
                               &plan, err);
     if (r >= 0)
-        r = gsn_phantom_make(&plan, request->density, request->threads, request->out,
-                             isatty(STDERR_FILENO) ? &progress : NULL, err);
+        r = gsn_phantom_make(&plan, request->density, request->threads, request->out, shown, err);
     return r < 0 ? STATUS_FAILED : 0;
 }
 
@@ -162,7 +173,7 @@ int main(int argc, char **argv)
         .doc = "Makes a phantom specimen, stained serial sections whose collagen loss is known, as "
                "a folder that gieson import reads.",
     };
-    struct request request = { .level = "L1", .seed = 1, .px_um = 16 };
+    struct request request = { .level = "L1", .seed = 1 };
     struct gsn_error err = { 0 };
     int status = 0;
 
@@ -171,7 +182,7 @@ int main(int argc, char **argv)
         return STATUS_FAILED;
     if (request.check)
         status = run_check(request.threads, &err);
-    if (status == 0 && request.specimen && request.out)
+    if (status == 0 && (request.specimen || request.study) && request.out)
         status = run_make(&request, &err);
     if (err.code)
         (void)fprintf(stderr, "gieson-phantom: %s\n", err.text);

@@ -79,27 +79,6 @@ static const struct gsn_phantom_level LEVEL[] = {
       .quality = 60 },
 };
 
-/* S03 and S04 are the block, the cuts and the grain of S02 in another stain. */
-static const struct gsn_phantom_specimen SPECIMEN[] = {
-    { "S00", "N", "N1", 8, 0, 1, 1, 0, 1 },
-    { "S01", "S", "S1", 8, .3698, 1, 1, 1, 0 },
-    { "S02", "U", "U1", 8, .8153, 1, 1, 2, 0 },
-    { "S03", "U", "U2", 8, .8153, 1.15, 1.15, 2, 0 },
-    { "S04", "U", "U3", 8, .8153, .85, 1.20, 2, 0 },
-};
-
-static const struct gsn_phantom_specimen *find_specimen(const char *name)
-{
-    static const char prefix[] = GSN_PHANTOM_STUDY "-";
-
-    if (strncmp(name, prefix, sizeof prefix - 1) == 0)
-        name += sizeof prefix - 1;
-    for (size_t i = 0; i < sizeof SPECIMEN / sizeof *SPECIMEN; i++)
-        if (strcmp(SPECIMEN[i].name, name) == 0)
-            return &SPECIMEN[i];
-    return NULL;
-}
-
 static const struct gsn_phantom_level *find_level(const char *name)
 {
     for (size_t i = 0; i < sizeof LEVEL / sizeof *LEVEL; i++)
@@ -227,23 +206,30 @@ static void mix_batch(struct gsn_phantom_plan *plan, int panel)
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
                           struct gsn_phantom_plan *ret_plan, struct gsn_error *err)
 {
-    struct gsn_phantom_plan plan = { .specimen = find_specimen(specimen),
+    struct gsn_phantom_plan plan = { .specimen = gsn_phantom_specimen_find(specimen),
                                      .level = find_level(level),
                                      .seed = seed,
                                      .px_um = px_um };
 
     if (!plan.specimen)
-        return gsn_fail(err, GSN_E_NOTFOUND, "no specimen %s: there are S00 to S04", specimen);
+        return gsn_fail(err, GSN_E_NOTFOUND,
+                        "no specimen %s: there are S00 to S04, and of the study N1 to N4, S1 to "
+                        "S4, U1 to U4, T2, T4 and T8",
+                        specimen);
+    plan.sections = plan.specimen->sections;
+    plan.panels = (plan.sections + GSN_PHANTOM_SLOTS - 1) / GSN_PHANTOM_SLOTS;
     if (!plan.level)
         return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3", level);
+    if (px_um == 0)
+        plan.px_um = px_um = plan.specimen->usual_px_um;
     if (!(px_um >= LEAST_PX_UM && px_um <= MOST_PX_UM))
         return gsn_fail(err, GSN_E_LIMIT, "a pixel of %g um: it must be %g to %g um", px_um,
                         LEAST_PX_UM, MOST_PX_UM);
     plan.width = (uint32_t)lround(PANEL_WIDTH_UM / px_um);
     plan.height = (uint32_t)lround(PANEL_HEIGHT_UM / px_um);
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++)
+    for (int k = 0; k < plan.sections; k++)
         lay(&plan, k);
-    for (int panel = 0; panel < GSN_PHANTOM_PANELS; panel++)
+    for (int panel = 0; panel < plan.panels; panel++)
         mix_batch(&plan, panel);
     gsn_phantom_delivery_draw(&plan);
     gsn_phantom_mishaps_draw(&plan);

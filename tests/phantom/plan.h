@@ -54,7 +54,10 @@ struct gsn_phantom_specimen {
     double depth;                 /* A */
     double red_gain, yellow_gain; /* of the stain */
     int draws_as;                 /* whose random numbers it shares */
-    int is_baseline;
+    const char *baseline;         /* what its loss is measured against; NULL for a control */
+    int sections;
+    double bone_gain;   /* of this animal, against the block */
+    double usual_px_um; /* what it is scanned with when nothing else is asked for */
 };
 
 /* One laser mark in one section, as burnt: its centre in the block, and an ellipse of this mean
@@ -113,6 +116,7 @@ struct gsn_phantom_file {
 
 struct gsn_phantom_plan {
     const struct gsn_phantom_specimen *specimen;
+    int sections, panels; /* of the arrays below only so many count */
     const struct gsn_phantom_level *level;
     uint64_t seed;
     double px_um;
@@ -125,7 +129,15 @@ struct gsn_phantom_plan {
     struct gsn_phantom_defect defect[GSN_PHANTOM_DEFECTS_MOST];
 };
 
-/* Plans specimen "S00".."S04" (with or without "GVP-D-") at level "L0".."L3", 8 to 48 um/px.
+/* The specimens "S00".."S04", and those of the study: animals N1..N4 (controls), S1..S4 and U1..U4
+ * in week 8, T2, T4 and T8 along time. By name, with or without "GVP-D-", NULL for a name nobody
+ * defined; and by number, the study's following each other from GSN_PHANTOM_STUDY_FIRST on. */
+enum { GSN_PHANTOM_STUDY_FIRST = 5, GSN_PHANTOM_SPECIMENS = 20 };
+const struct gsn_phantom_specimen *gsn_phantom_specimen_find(const char *name);
+const struct gsn_phantom_specimen *gsn_phantom_specimen_at(int i);
+
+/* Plans a specimen at level "L0".."L3", 8 to 48 um/px, 0
+ * for what is usual.
  * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_LIMIT for the pixel size. */
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
                           struct gsn_phantom_plan *ret_plan, struct gsn_error *err);

@@ -25,6 +25,7 @@ class Block:
     def __init__(self, truth):
         self.g = truth["geometry"]
         self.lesion = truth["lesion"]
+        self.bone_gain = truth.get("bone_gain", 1)
 
     def axis(self, z):
         g = self.g
@@ -85,7 +86,7 @@ class Block:
         tissue = self.tissue(x, y, z)
         whole = rest + k["pdl"] * pdl + k["bone"] * bone
         left = rest + k["pdl"] * pdl * (1 - self.lesion["in_pdl"] * taken)
-        left += k["bone"] * bone * (1 - taken)
+        left += k["bone"] * bone * self.bone_gain * (1 - taken)
         return tissue * whole, tissue * left
 
     def region(self, step):

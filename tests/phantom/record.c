@@ -41,7 +41,7 @@ static void add_decoys(struct gsn_phantom_buffer *text, const struct gsn_phantom
 static void add_sections(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan)
 {
     gsn_phantom_buffer_print(text, "  \"sections\": [");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
+    for (int k = 0; k < plan->sections; k++) {
         const struct gsn_phantom_section *s = &plan->section[k];
 
         gsn_phantom_buffer_print(
@@ -79,7 +79,7 @@ static void add_vector(struct gsn_phantom_buffer *text, const char *name, const 
 static void add_panels(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan)
 {
     gsn_phantom_buffer_print(text, "  \"panels\": [");
-    for (int i = 0; i < GSN_PHANTOM_PANELS; i++) {
+    for (int i = 0; i < plan->panels; i++) {
         const struct gsn_phantom_batch *b = &plan->batch[i];
 
         gsn_phantom_buffer_print(text, "%s\n    {\"panel\": %d, \"kr\": %.15g, \"ky\": %.15g",

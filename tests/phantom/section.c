@@ -121,6 +121,7 @@ static double draw_layer(struct brush *brush, struct gsn_point p, struct gsn_poi
     double od[3] = { 0 };
 
     gsn_phantom_field_at(gsn_vec3_make(at.x, at.y, brush->sight.cut_z_um), &field);
+    gsn_phantom_field_thicken(&field, brush->plan->specimen->bone_gain);
     if (field.tissue > 0)
         draw_tissue(brush, p, at, &field, od);
     burn_marks(brush->sight.section, at, od);

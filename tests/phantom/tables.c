@@ -32,7 +32,7 @@ static int write_sections(const struct gsn_phantom_plan *plan,
     gsn_phantom_buffer_print(&text, "k,z_um,panel,slot,present,flip,theta_deg,sx,sy,cx_px,cy_px,"
                                     "px_um,m00,m01,m02,m10,m11,m12,bbox_x,bbox_y,bbox_w,bbox_h,"
                                     "area_px,kr,ky,defects\n");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
+    for (int k = 0; k < plan->sections; k++) {
         const struct gsn_phantom_section *s = &plan->section[k];
         const struct gsn_phantom_batch *batch = &plan->batch[s->panel - 1];
         const struct gsn_affine *m = &s->to_panel;
@@ -58,7 +58,7 @@ static int write_markers(const struct gsn_phantom_plan *plan, const char *folder
     gsn_auto_phantom_buffer text = { 0 };
 
     gsn_phantom_buffer_print(&text, "k,marker,x_px,y_px,visible,occluded_by\n");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
+    for (int k = 0; k < plan->sections; k++) {
         struct gsn_phantom_sight sight;
 
         gsn_phantom_sight_make(plan, k, &sight);
@@ -101,7 +101,7 @@ static int write_decoys(const struct gsn_phantom_plan *plan, const char *folder,
     gsn_auto_phantom_buffer text = { 0 };
 
     gsn_phantom_buffer_print(&text, "k,type,x_px,y_px,radius_um\n");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++)
+    for (int k = 0; k < plan->sections; k++)
         for (int i = 0; i < plan->section[k].decoys; i++) {
             const struct gsn_phantom_decoy *d = &plan->section[k].decoy[i];
 
@@ -166,7 +166,7 @@ int gsn_phantom_tables_write(const struct gsn_phantom_plan *plan,
         r = write_decoys(plan, folder, err);
     if (r >= 0 && plan->level->awkward)
         r = write_files(plan, folder, err);
-    for (int k = 0; r >= 0 && plan->level->warp_rms_um > 0 && k < GSN_PHANTOM_SECTIONS; k++)
+    for (int k = 0; r >= 0 && plan->level->warp_rms_um > 0 && k < plan->sections; k++)
         if (plan->section[k].shows >= 0)
             r = write_warp(plan, k, folder, err);
     return r;

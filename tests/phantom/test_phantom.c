@@ -191,7 +191,7 @@ TEST(the_density_grid_holds_the_density_at_its_voxel_centres)
     gsn_auto(gsn_grid) grid = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_phantom_density_grid(&part, 0.5, 0, &grid, &err), err);
+    CHECK_OK(gsn_phantom_density_grid(&part, 0.5, 1, 0, &grid, &err), err);
     for (size_t i = 0; i < part.nx; i++) {
         const size_t y = i % part.ny, z = i % part.nz;
         struct gsn_phantom_field field;

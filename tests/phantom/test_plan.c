@@ -90,20 +90,49 @@ TEST(poses_of_level_1_keep_within_their_limits_and_use_them)
     CHECK(most_shift > 270 && most_shift <= 300);
 }
 
-TEST(another_stain_changes_nothing_else)
+static void check_same_section(const struct gsn_phantom_section *a,
+                               const struct gsn_phantom_section *b)
+{
+    CHECK(memcmp(&a->to_panel, &b->to_panel, sizeof a->to_panel) == 0);
+    CHECK(a->flip == b->flip && a->shows == b->shows && a->decoys == b->decoys);
+    for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
+        CHECK(a->mark[i].missing == b->mark[i].missing);
+        CHECK(a->mark[i].centre.x == b->mark[i].centre.x && a->mark[i].ratio == b->mark[i].ratio);
+    }
+    for (int i = 0; i < a->decoys; i++)
+        CHECK(a->decoy[i].kind == b->decoy[i].kind && a->decoy[i].at_um.x == b->decoy[i].at_um.x);
+}
+
+static void check_same_but_for_the_stain(const char *level)
 {
     struct gsn_phantom_plan s01, s02, s03;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_phantom_plan_make("S01", "L1", 5, 16, &s01, &err), err);
-    CHECK_OK(gsn_phantom_plan_make("S02", "L1", 5, 16, &s02, &err), err);
-    CHECK_OK(gsn_phantom_plan_make("S03", "L1", 5, 16, &s03, &err), err);
+    CHECK_OK(gsn_phantom_plan_make("S01", level, 5, 16, &s01, &err), err);
+    CHECK_OK(gsn_phantom_plan_make("S02", level, 5, 16, &s02, &err), err);
+    CHECK_OK(gsn_phantom_plan_make("S03", level, 5, 16, &s03, &err), err);
     for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
-        CHECK(s02.section[k].theta == s03.section[k].theta);
         CHECK(s01.section[k].theta != s02.section[k].theta);
+        check_same_section(&s02.section[k], &s03.section[k]);
+    }
+    CHECK(s02.defects == s03.defects);
+    for (size_t i = 0; i < s02.defects; i++) {
+        CHECK(s02.defect[i].kind == s03.defect[i].kind && s02.defect[i].k == s03.defect[i].k);
+        CHECK(s02.defect[i].at.x == s03.defect[i].at.x);
     }
     CHECK(s03.specimen->depth == s02.specimen->depth);
-    CHECK(s03.specimen->red_gain == 1.15 && s02.specimen->red_gain == 1);
+    for (int i = 0; i < GSN_PHANTOM_PANELS; i++) {
+        CHECK_NEAR(s03.batch[i].red_gain, 1.15 * s02.batch[i].red_gain, 1e-12);
+        CHECK(memcmp(s03.batch[i].dye, s02.batch[i].dye, sizeof s02.batch[i].dye) == 0);
+        CHECK(memcmp(s03.batch[i].white, s02.batch[i].white, sizeof s02.batch[i].white) == 0);
+    }
+}
+
+TEST(another_stain_changes_nothing_else)
+{
+    check_same_but_for_the_stain("L1");
+    check_same_but_for_the_stain("L2");
+    check_same_but_for_the_stain("L3");
 }
 
 TEST(what_does_not_exist_is_refused_in_one_sentence)

@@ -3,12 +3,12 @@
 
 #include "pipeline/core/parallel.h"
 #include "tests/phantom/buffer.h"
-#include "tests/phantom/check.h"
 #include "tests/phantom/record.h"
 #include "tests/phantom/stain.h"
 #include "tests/phantom/tables.h"
 #include "tests/phantom/texture.h"
 
+#include <assert.h>
 #include <math.h>
 
 #define DEG_PER_RAD (180 / M_PI)
@@ -76,7 +76,7 @@ int gsn_phantom_region_mask(const struct gsn_lattice *at, struct gsn_mask **ret_
 
 struct density_job {
     struct gsn_grid *grid;
-    double depth;
+    double depth, gain;
 };
 
 static int fill_density(size_t z, void *context, struct gsn_error *err)
@@ -89,17 +89,18 @@ static int fill_density(size_t z, void *context, struct gsn_error *err)
     for (size_t y = 0; y < at->ny; y++)
         for (size_t x = 0; x < at->nx; x++) {
             gsn_phantom_field_at(gsn_lattice_centre(at, x, y, z), &field);
+            gsn_phantom_field_thicken(&field, job->gain);
             job->grid->value[gsn_lattice_index(at, x, y, z)] =
                 (float)gsn_phantom_density(&field, job->depth);
         }
     return GSN_OK;
 }
 
-int gsn_phantom_density_grid(const struct gsn_lattice *at, double depth, unsigned threads,
-                             struct gsn_grid **ret_grid, struct gsn_error *err)
+int gsn_phantom_density_grid(const struct gsn_lattice *at, double depth, double gain,
+                             unsigned threads, struct gsn_grid **ret_grid, struct gsn_error *err)
 {
     gsn_auto(gsn_grid) grid = NULL;
-    struct density_job job = { .depth = depth };
+    struct density_job job = { .depth = depth, .gain = gain };
     int r;
 
     r = gsn_grid_new(at, &grid, err);
@@ -159,13 +160,14 @@ static int write_region(const struct gsn_lattice *at, const char *folder, const 
     return write_header(at, "MET_UCHAR", folder, name, err);
 }
 
-static int write_density(double depth, unsigned threads, const char *folder, struct gsn_error *err)
+static int write_density(const struct gsn_phantom_specimen *s, unsigned threads, const char *folder,
+                         struct gsn_error *err)
 {
     const struct gsn_lattice at = gsn_phantom_truth_lattice();
     gsn_auto(gsn_grid) grid = NULL;
     int r;
 
-    r = gsn_phantom_density_grid(&at, depth, threads, &grid, err);
+    r = gsn_phantom_density_grid(&at, s->depth, s->bone_gain, threads, &grid, err);
     if (r < 0)
         return r;
     r = write_raw(grid->value, gsn_lattice_count(&at) * sizeof *grid->value, folder, "density",
@@ -191,14 +193,14 @@ int gsn_phantom_write_job(const struct gsn_phantom_plan *plan, const char *folde
                              "  \"group\": \"%s\",\n  \"animal\": \"%s\",\n  \"week\": %d,\n",
                              GSN_PHANTOM_STUDY, GSN_PHANTOM_STUDY, s->name, s->group, s->animal,
                              s->week);
-    if (!s->is_baseline)
-        gsn_phantom_buffer_print(&text, "  \"baseline\": \"%s-S00\",\n", GSN_PHANTOM_STUDY);
+    if (s->baseline)
+        gsn_phantom_buffer_print(&text, "  \"baseline\": \"%s\",\n", s->baseline);
     gsn_phantom_buffer_print(&text,
                              "  \"px_um\": %.15g,\n  \"interval_um\": %.15g,\n  \"panels\": %d,\n"
                              "  \"layout\": [%d, %d],\n  \"order\": \"row\",\n"
                              "  \"sections\": %d,\n",
-                             plan->px_um, g->interval, GSN_PHANTOM_PANELS, GSN_PHANTOM_ROWS,
-                             GSN_PHANTOM_COLUMNS, GSN_PHANTOM_SECTIONS);
+                             plan->px_um, g->interval, plan->panels, GSN_PHANTOM_ROWS,
+                             GSN_PHANTOM_COLUMNS, plan->sections);
     gsn_phantom_buffer_print(&text, "  \"markers_um\": [");
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++)
         gsn_phantom_buffer_print(&text, "%s[%.15g, %.15g]", i ? ", " : "", g->mark[i].x,
@@ -215,24 +217,41 @@ int gsn_phantom_write_job(const struct gsn_phantom_plan *plan, const char *folde
     return gsn_phantom_buffer_write(&text, folder, "job.json", err);
 }
 
-static int write_loss(double depth, unsigned threads, const char *folder, struct gsn_error *err)
+int gsn_phantom_truth_sums(const struct gsn_phantom_specimen *s, unsigned threads,
+                           struct gsn_phantom_sums *ret_sums, struct gsn_error *err)
 {
-    const double depths[GSN_PHANTOM_DEPTHS] = { depth, depth, depth, depth };
+    const double depths[GSN_PHANTOM_DEPTHS] = { s->depth, s->depth, s->depth, s->depth };
+
+    return gsn_phantom_sum(LOSS_STEP_UM, depths, s->bone_gain, threads, ret_sums, err);
+}
+
+double gsn_phantom_truth_loss(const struct gsn_phantom_specimen *s,
+                              const struct gsn_phantom_sums *sums)
+{
+    const double denser = 100 * (s->bone_gain - 1) * sums->bone / sums->intact;
+
+    assert(s->depth == 0 || s->bone_gain == 1);
+    return gsn_phantom_loss_percent(sums, s->depth) - denser;
+}
+
+static int write_loss(const struct gsn_phantom_specimen *s, unsigned threads, const char *folder,
+                      struct gsn_error *err)
+{
     gsn_auto_phantom_buffer text = { 0 };
     struct gsn_phantom_sums sums;
     double integral;
     int r;
 
-    r = gsn_phantom_sum(LOSS_STEP_UM, depths, threads, &sums, err);
+    r = gsn_phantom_truth_sums(s, threads, &sums, err);
     if (r < 0)
         return r;
-    integral = sums.intact - depth * sums.lost;
+    integral = sums.intact - s->depth * sums.lost + (s->bone_gain - 1) * sums.bone;
     gsn_phantom_buffer_print(&text, "region,volume_mm3,mean_D,integral_D,baseline_integral,"
                                     "loss_pct,V_gt_0.3,V_gt_0.5,V_gt_0.7\n");
     gsn_phantom_buffer_print(&text, "roi,%.9f,%.9f,%.9f,%.9f,%.6f,%.9f,%.9f,%.9f\n", sums.volume,
                              integral / sums.volume, integral, sums.intact,
-                             gsn_phantom_loss_percent(&sums, depth), sums.above[0][0],
-                             sums.above[0][1], sums.above[0][2]);
+                             gsn_phantom_truth_loss(s, &sums), sums.above[0][0], sums.above[0][1],
+                             sums.above[0][2]);
     return gsn_phantom_buffer_write(&text, folder, "loss.csv", err);
 }
 
@@ -363,6 +382,8 @@ static int write_parameters(const struct gsn_phantom_plan *plan, const char *fol
                              (unsigned long long)plan->seed, plan->px_um);
     add_geometry(&text);
     add_lesion(&text, plan->specimen->depth);
+    if (plan->specimen->bone_gain != 1)
+        gsn_phantom_buffer_print(&text, "  \"bone_gain\": %.15g,\n", plan->specimen->bone_gain);
     add_stain(&text, plan);
     gsn_phantom_buffer_print(&text,
                              "  \"texture_source\": {\"file\": \"%s\", \"sha256\": \"%s\"},\n",
@@ -386,8 +407,8 @@ int gsn_phantom_write_truth(const struct gsn_phantom_plan *plan,
     if (r >= 0)
         r = write_region(&whole, folder, "roi", err);
     if (r >= 0 && with_density)
-        r = write_density(plan->specimen->depth, threads, folder, err);
+        r = write_density(plan->specimen, threads, folder, err);
     if (r >= 0)
-        r = write_loss(plan->specimen->depth, threads, folder, err);
+        r = write_loss(plan->specimen, threads, folder, err);
     return r;
 }

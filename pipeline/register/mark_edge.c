@@ -319,7 +319,7 @@ static void guess_levels(struct edge_fit *fit)
     fit->v[V_BLUR] = fmax(0.08 * fit->v[R], 0.7);
     fit->noise = 1;
     fit->lobe = LOBE_FIRST * fit->v[R];
-    fit->spread = pow(0.2 * contrast_of(fit), 2);
+    fit->spread = pow(0.05 * contrast_of(fit), 2);
 }
 
 static void make_tables(struct edge_fit *fit)

@@ -25,7 +25,7 @@ static const double LIKELIHOOD_LEAST = 0.0111;
 static const double STRETCH_TAUGHT = 2;
 /* A second choice with more than this share of the first's likelihood makes both worthless. */
 static const double RUNNER_UP_MOST = 0.5;
-/* A spot this much fainter than the strongest one is no mark as long as nothing is learnt... */
+/* A spot this much fainter than the third strongest is no mark as long as nothing is learnt... */
 static const double FAINTEST = 0.3;
 /* ...and afterwards one that differs from the typical mark by more than these factors. A burn may
  * be half burnt in, and half of the rest bleached. */
@@ -78,11 +78,20 @@ static double strength(const struct gsn_mark *mark)
     return mark->contrast * mark->score;
 }
 
+/* The strength that one of three marks burnt alike reaches, in a section with the marks and maybe a
+ * blot of ink or two: the third strongest. */
+static double third_strength(const struct gsn_mark_candidates *section)
+{
+    const size_t third = section->count < GSN_MARKS ? section->count : GSN_MARKS;
+
+    return third > 0 ? strength(&section->mark[third - 1]) : 0;
+}
+
 /* The contrast against which a candidate is held. */
 static double reference(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior)
 {
-    return prior->learnt ? prior->contrast : strength(&section->mark[0]);
+    return prior->learnt ? prior->contrast : third_strength(section);
 }
 
 static int acceptable(const struct gsn_mark_candidates *section, size_t i,
@@ -92,7 +101,7 @@ static int acceptable(const struct gsn_mark_candidates *section, size_t i,
     const double um = mark->radius_px * section->px_um;
 
     if (!prior->learnt)
-        return strength(mark) >= FAINTEST * strength(&section->mark[0]);
+        return strength(mark) >= FAINTEST * third_strength(section);
     return mark->contrast <= STRONGER * prior->contrast &&
            strength(mark) >= prior->contrast / FAINTER && um <= RADIUS_FACTOR * prior->radius_um &&
            um >= prior->radius_um / RADIUS_FACTOR;

@@ -45,12 +45,14 @@ struct sector {
     double b;                              /* its tissue's level above the plane */
     double weight;                         /* 0..1: what the majority thinks of it */
     double s[LOCAL][LOCAL], t[LOCAL];      /* its part of the normal equations */
+    double own_b;                          /* the same by its own account alone */
     double off, variance;                  /* its own edge, beyond the outline; of it */
 };
 
 struct edge_fit {
-    double at_x, at_y; /* where the samples' origin has got to, from the start */
-    double tolerance;  /* of a sector's edge as the first look sees it */
+    double at_x, at_y;  /* where the samples' origin has got to, from the start */
+    double level_noise; /* variance of a sector's level by its pixels' noise */
+    double tolerance;   /* of a sector's edge as the first look sees it */
     size_t count, sectors;
     struct sample *sample; /* by sector; twice the room, for sorting */
     size_t first[SECTORS_MOST + 1];
@@ -319,7 +321,7 @@ static void guess_levels(struct edge_fit *fit)
     fit->v[V_BLUR] = fmax(0.08 * fit->v[R], 0.7);
     fit->noise = 1;
     fit->lobe = LOBE_FIRST * fit->v[R];
-    fit->spread = pow(0.2 * contrast_of(fit), 2);
+    fit->spread = fit->level_noise = pow(0.05 * contrast_of(fit), 2);
 }
 
 static void make_tables(struct edge_fit *fit)
@@ -347,7 +349,8 @@ static double plane_at(const struct edge_fit *fit, const struct sector *s)
 }
 
 /* How far inside and outside of the outline pixels take part: the whole edge, and enough of either
- * side to know its level. Tissue from further away tells less about that under the edge. */
+ * side to know its level. Where tissue differs from place to place more than noise makes it seem
+ * to, that from further away tells less about that under the edge. */
 static double inwards(const struct edge_fit *fit)
 {
     return fmax(3 * fit->v[V_BLUR] + 1, 0.35 * fit->v[R]);
@@ -355,7 +358,9 @@ static double inwards(const struct edge_fit *fit)
 
 static double outwards(const struct edge_fit *fit)
 {
-    return fmax(3 * fit->v[V_BLUR] + 2, 0.8 * fit->v[R]);
+    const double alike = fit->level_noise / (fit->level_noise + fit->spread);
+
+    return fmax(3 * fit->v[V_BLUR] + 2, (0.4 + 0.6 * alike) * fit->v[R]);
 }
 
 struct sums {
@@ -602,6 +607,7 @@ static void follow(struct edge_fit *fit, const double *by)
             t[SHIFT] -= m[SHIFT][a] * d[a];
             tissue -= s->s[TISSUE][a] * d[a];
         }
+        s->own_b = s->b + (tissue + belief * s->b) / fmax(s->s[TISSUE][TISSUE], 1e-30);
         s->b += tissue / pivot;
         s->off = m[SHIFT][SHIFT] > 0 ? t[SHIFT] / m[SHIFT][SHIFT] : 0;
         s->variance = m[SHIFT][SHIFT] > 0 ? 1 / m[SHIFT][SHIFT] : INFINITY;
@@ -643,20 +649,35 @@ static void gate(struct edge_fit *fit)
 static void reweigh_sectors(struct edge_fit *fit)
 {
     const double scale = TUKEY * excess(fit);
-    double spread = 0, claimed = 0, n = 0;
 
     for (size_t k = 0; k < fit->sectors; k++) {
         struct sector *s = &fit->sector[k];
         const double z = s->off / (scale * sqrt(s->variance));
 
         s->weight = z * z < 1 ? pow(1 - z * z, 2) : 0;
-        spread += s->weight * s->b * s->b;
-        claimed += s->weight / (s->s[TISSUE][TISSUE] + 1 / fit->spread);
-        n += s->weight;
     }
     gate(fit);
-    /* The posterior variance of b_k is added back (expectation maximisation). */
-    fit->spread = fmax((spread + claimed) / fmax(n - 3, 1), 1e-8 * pow(contrast_of(fit), 2));
+}
+
+/* How much the tissue differs from sector to sector, beyond what noise alone would show. */
+static void learn_spread(struct edge_fit *fit)
+{
+    double squares = 0, precision = 0, n = 0;
+
+    /* By their precision: a sector that is mostly masked says little. */
+    for (size_t k = 0; k < fit->sectors; k++) {
+        const struct sector *s = &fit->sector[k];
+
+        squares += s->weight * s->s[TISSUE][TISSUE] * s->own_b * s->own_b;
+        precision += s->weight * s->s[TISSUE][TISSUE];
+        n += s->weight;
+    }
+    if (!(precision > 0))
+        return;
+    fit->level_noise = n / precision;
+    /* Three of them are the plane's. */
+    fit->spread = fmax(squares / precision * n / fmax(n - 3, 1) - fit->level_noise,
+                       1e-2 * fit->level_noise + 1e-8 * pow(contrast_of(fit), 2));
 }
 
 /* How lobed this outline is: an arc that is missing must not be made up by lobes that the rest of
@@ -715,6 +736,7 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
         reweigh_pixels(fit, &sums);
         if (step > 0)
             reweigh_sectors(fit);
+        learn_spread(fit);
         if (step > ROUND)
             learn_lobes(fit, ret_h);
         settled = hypot(by[CX], by[CY]);

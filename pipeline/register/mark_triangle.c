@@ -12,16 +12,24 @@
  * stretch and shrink by some per cent of the triangle's size. The error of localisation is far
  * smaller and is dealt with by the joint solution, which knows it. */
 static const double STRETCH = 0.02;
+/* What the stack has taught of that is believed for nine sections in ten, and never to less than
+ * this share of the triangle's size, or a pixel: the tenth may be torn. */
+static const double ORDINARY = 0.9, STRETCH_LEAST = 0.004;
 /* The tissue's centre moves when a piece is lost. */
 static const double TISSUE_SD_LEAST_UM = 100;
 /* exp(-4.5): three standard deviations. */
 static const double LIKELIHOOD_LEAST = 0.0111;
+/* A misfit that one section in a thousand exceeds, over the median one: chi-squared of 3 degrees of
+ * freedom, 16.3 and 2.4; three standard deviations are let in, so a third of its root does. The
+ * rest is for triangles that stretch unequally. */
+static const double STRETCH_TAUGHT = 2;
 /* A second choice with more than this share of the first's likelihood makes both worthless. */
 static const double RUNNER_UP_MOST = 0.5;
-/* A spot this much fainter than the strongest one is no mark as long as nothing is learnt... */
+/* A spot this much fainter than the third strongest is no mark as long as nothing is learnt... */
 static const double FAINTEST = 0.3;
-/* ...and afterwards one that differs from the typical mark by more than these factors. */
-static const double CONTRAST_FACTOR = 2.5, RADIUS_FACTOR = 2;
+/* ...and afterwards one that differs from the typical mark by more than these factors. A burn may
+ * be half burnt in, and half of the rest bleached. */
+static const double STRONGER = 2.5, FAINTER = 5, RADIUS_FACTOR = 2;
 
 /* Sections that must share a triangle before it is believed, and the candidates of each that are
  * tried. */
@@ -70,11 +78,20 @@ static double strength(const struct gsn_mark *mark)
     return mark->contrast * mark->score;
 }
 
+/* The strength that one of three marks burnt alike reaches, in a section with the marks and maybe a
+ * blot of ink or two: the third strongest. */
+static double third_strength(const struct gsn_mark_candidates *section)
+{
+    const size_t third = section->count < GSN_MARKS ? section->count : GSN_MARKS;
+
+    return third > 0 ? strength(&section->mark[third - 1]) : 0;
+}
+
 /* The contrast against which a candidate is held. */
 static double reference(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior)
 {
-    return prior->learnt ? prior->contrast : strength(&section->mark[0]);
+    return prior->learnt ? prior->contrast : third_strength(section);
 }
 
 static int acceptable(const struct gsn_mark_candidates *section, size_t i,
@@ -84,10 +101,10 @@ static int acceptable(const struct gsn_mark_candidates *section, size_t i,
     const double um = mark->radius_px * section->px_um;
 
     if (!prior->learnt)
-        return strength(mark) >= FAINTEST * strength(&section->mark[0]);
-    return mark->contrast <= CONTRAST_FACTOR * prior->contrast &&
-           strength(mark) >= prior->contrast / CONTRAST_FACTOR &&
-           um <= RADIUS_FACTOR * prior->radius_um && um >= prior->radius_um / RADIUS_FACTOR;
+        return strength(mark) >= FAINTEST * third_strength(section);
+    return mark->contrast <= STRONGER * prior->contrast &&
+           strength(mark) >= prior->contrast / FAINTER && um <= RADIUS_FACTOR * prior->radius_um &&
+           um >= prior->radius_um / RADIUS_FACTOR;
 }
 
 /* -2 ln of the likelihood that looks give: marks are as strong as each other. */
@@ -103,6 +120,19 @@ static double looks(const struct gsn_mark_candidates *section,
                             0);
     }
     return sum;
+}
+
+/* Of a misfit in tolerances, what is known of the section apart. */
+static double fitting(const struct gsn_mark_candidates *section,
+                      const struct gsn_triangle_prior *prior, double chi2)
+{
+    const double loose = tolerance(prior, section->px_um);
+    const double least = fmax(STRETCH_LEAST * size_of(prior->mark_um), section->px_um);
+    const double tight = fmin(fmax(prior->stretch_um, least), loose);
+
+    if (!prior->learnt || !(prior->stretch_um > 0))
+        return exp(-0.5 * chi2);
+    return ORDINARY * exp(-0.5 * chi2 * pow(loose / tight, 2)) + (1 - ORDINARY) * exp(-0.5 * chi2);
 }
 
 /* Lays the marks of a choice on the prior's; ret_chi2 is the misfit in tolerances. */
@@ -162,7 +192,8 @@ static void weigh_triple(const struct gsn_mark_candidates *section,
 
         if (!lay(section, prior, &choice, &motion, &chi2))
             continue;
-        choice.likelihood = exp(-0.5 * (chi2 + looks(section, prior, &choice)));
+        choice.likelihood =
+            fitting(section, prior, chi2) * exp(-0.5 * looks(section, prior, &choice));
         rank(ranking, &choice);
     }
 }
@@ -198,8 +229,9 @@ static void weigh_pair(const struct gsn_mark_candidates *section,
     if (!lay(section, prior, &choice, &motion, &chi2))
         return;
     tissue = gsn_rigid_apply(&motion, to_um(section->tissue_px, section->px_um, choice.mirrored));
-    chi2 += pow(distance(tissue, prior->tissue_um) / sd, 2);
-    choice.likelihood = exp(-0.5 * (chi2 + looks(section, prior, &choice)));
+    choice.likelihood = fitting(section, prior, chi2) *
+                        exp(-0.5 * (pow(distance(tissue, prior->tissue_um) / sd, 2) +
+                                    looks(section, prior, &choice)));
     rank(ranking, &choice);
 }
 
@@ -306,7 +338,7 @@ int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot
 }
 
 /* What learning gathers: one number per section and kind. */
-enum { TISSUE_X, TISSUE_Y, CONTRAST, RADIUS, KINDS };
+enum { TISSUE_X, TISSUE_Y, CONTRAST, RADIUS, MISFIT, KINDS };
 
 static int gather(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
                   double found[KINDS])
@@ -336,6 +368,7 @@ static int gather(const struct gsn_mark_candidates *section, const struct gsn_tr
     tissue = gsn_rigid_apply(&best, to_um(section->tissue_px, section->px_um, mirrored));
     found[TISSUE_X] = tissue.x;
     found[TISSUE_Y] = tissue.y;
+    found[MISFIT] = least;
     found[CONTRAST] = (marks[0].contrast + marks[1].contrast + marks[2].contrast) / GSN_MARKS;
     found[RADIUS] =
         (marks[0].radius_px + marks[1].radius_px + marks[2].radius_px) / GSN_MARKS * section->px_um;
@@ -373,6 +406,8 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
         return GSN_OK;
     prior->tissue_um.x = gsn_median(value + TISSUE_X * count, n);
     prior->tissue_um.y = gsn_median(value + TISSUE_Y * count, n);
+    /* Of sections whose marks lie exactly nothing is learnt. */
+    prior->stretch_um = STRETCH_TAUGHT * gsn_median(value + MISFIT * count, n);
     prior->contrast = gsn_median(value + CONTRAST * count, n);
     prior->radius_um = gsn_median(value + RADIUS * count, n);
     prior->tissue_sd_um = fmax(scatter(value + TISSUE_X * count, n, prior->tissue_um.x),

@@ -51,6 +51,7 @@ struct gsn_triangle_prior {
     struct gsn_point tissue_um; /* centre of the tissue, same frame */
     double tissue_sd_um;        /* its scatter per axis from section to section */
     double contrast, radius_um; /* of the typical mark */
+    double stretch_um;          /* how far an ordinary section's marks lie from a rigid triangle */
 };
 
 /* borrows: red_od (optical density of the red channel; NaN: masked). Finding nothing is no error.

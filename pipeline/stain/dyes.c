@@ -19,7 +19,7 @@
 #define DIFFERENCE (0.05 * RAD) /* for the second derivatives: small beside any error of ours */
 #define LEAST_APART_DEG 6.0     /* vectors of one dye seen twice lie nearer than that */
 
-enum { ROUNDS = 30, REFITS = 3, HALVINGS = 6, MOST_PIXELS = 6000 };
+enum { ROUNDS = 30, REFITS = 3, HALVINGS = 6, MOST_PIXELS = 4000 };
 
 /* Pixels are many but alike: neighbours share their tissue, and no tissue is truly log-normal. So
  * they count as no more than this many that know nothing of each other; then what the dyes of
@@ -309,8 +309,9 @@ static int fit_turns(struct search *s, const struct gsn_dyes_prior *prior,
         struct search other = start;
 
         r = search_with(classes, &other, scores, err);
-        if (r >= 0 && (classes == 1 || evidence(&other) > evidence(s)))
-            *s = other;
+        if (r >= 0 && classes > 1 && !(evidence(&other) > evidence(s)))
+            break;
+        *s = other;
     }
     if (r < 0)
         return r;

@@ -13,7 +13,7 @@ static const double TWO_SIDED = 1.959964;
  * they are used for, larger than what floats of densities lose. */
 static const double TURN = 0.5 * M_PI / 180, WHITE_OD = 0.002;
 
-enum { MOST_FOR_SLOPES = 20000 };
+enum { MOST_FOR_SLOPES = 5000 };
 
 static int is_in(struct gsn_plane *const od[3], const struct gsn_image *mask, size_t i)
 {

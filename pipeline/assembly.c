@@ -471,7 +471,7 @@ static int work_panel(const struct gsn_specimen *specimen,
         r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, options->threads,
                           &scan, err);
     if (r >= 0)
-        r = gsn_scan_dyes(scan, specimen->protocol, &stain->dyes, stain->uncertainty_deg, err);
+        r = gsn_scan_dyes(scan, specimen->protocol, &stain->fit, err);
     if (r >= 0)
         r = thumbnails(scan, panel->given->number, a, err);
     if (r < 0)
@@ -483,7 +483,7 @@ static int work_panel(const struct gsn_specimen *specimen,
     (void)snprintf(panel->note, sizeof panel->note, "%s", scan->note);
     if (!a->grid)
         return GSN_OK;
-    r = gsn_unmix(scan->od, &stain->dyes, options->threads, &density, NULL, NULL, err);
+    r = gsn_unmix(scan->od, &stain->fit.dyes, options->threads, &density, NULL, NULL, err);
     if (r < 0)
         return r;
     r = mask_panel(specimen, options, scan, stain, density, a, err);

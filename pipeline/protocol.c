@@ -13,6 +13,13 @@ static int bad(struct gsn_error *err, const char *key, const char *wanted)
     return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be %s", key, wanted);
 }
 
+/* It stands behind the name of the dyes wherever that is kept. */
+enum { LONGEST_BATCH = 20 };
+
+#define REFERENCE_FORM                                                                             \
+    "a mask file for a tile, or for sections {\"tissue\": a shape, \"density\": what it is taken " \
+    "to be, at least 0.05}"
+
 static int get_text(const json_t *job, const char *key, char **text, struct gsn_error *err)
 {
     const json_t *value = json_object_get(job, key);
@@ -163,11 +170,28 @@ static int read_round(const json_t *shape, struct gsn_region *region)
     return region->radius_um > 0 ? 0 : -1;
 }
 
-static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+static int read_shape(const json_t *shape_of, const char *key, struct gsn_region *region,
+                      struct gsn_error *err)
 {
     static const char *const shapes[] = { "box", "cylinder", "sphere", NULL };
+    int shape = -1;
+    const int r = get_word(shape_of, "shape", shapes, &shape, err);
+
+    if (r < 0)
+        return r;
+    if (shape >= 0)
+        region->kind = (enum gsn_region_kind)(GSN_REGION_BOX + shape);
+    if (shape < 0 || (shape == 0 ? read_box(shape_of, region) : read_round(shape_of, region)))
+        return bad(err, key,
+                   "{\"shape\": \"box\", \"min\": [x,y,z], \"max\": [x,y,z]}, {\"shape\": "
+                   "\"cylinder\", \"centre\": [x,y], \"radius\": r, \"z\": [from,to]} or "
+                   "{\"shape\": \"sphere\", \"centre\": [x,y,z], \"radius\": r}");
+    return GSN_OK;
+}
+
+static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
     const json_t *region = json_object_get(job, "region");
-    int shape = -1, r;
 
     if (!region)
         return GSN_OK;
@@ -177,17 +201,33 @@ static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_err
     }
     if (!json_is_object(region))
         return bad(err, "region", "the name of a mask file or a shape");
-    r = get_word(region, "shape", shapes, &shape, err);
+    return read_shape(region, "region", &p->region, err);
+}
+
+/* Of sections it is the tissue that tells how strong the stain is, of a tile a mask. */
+static int read_reference(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *reference = json_object_get(job, "reference");
+    const json_t *tissue = json_object_get(reference, "tissue");
+    const int r = get_text(job, "batch", &p->batch, err);
+
     if (r < 0)
         return r;
-    if (shape >= 0)
-        p->region.kind = (enum gsn_region_kind)(GSN_REGION_BOX + shape);
-    if (shape < 0 || (shape == 0 ? read_box(region, &p->region) : read_round(region, &p->region)))
-        return bad(err, "region",
-                   "{\"shape\": \"box\", \"min\": [x,y,z], \"max\": [x,y,z]}, {\"shape\": "
-                   "\"cylinder\", \"centre\": [x,y], \"radius\": r, \"z\": [from,to]} or "
-                   "{\"shape\": \"sphere\", \"centre\": [x,y,z], \"radius\": r}");
-    return GSN_OK;
+    if (strlen(p->batch) > LONGEST_BATCH)
+        return bad(err, "batch", "a name of at most 20 bytes");
+    if (!json_is_object(reference)) {
+        if (reference && p->kind == GSN_KIND_SECTIONS)
+            return bad(err, "reference", REFERENCE_FORM);
+        return get_text(job, "reference", &p->reference, err);
+    }
+    p->reference = gsn_strdup("");
+    if (!p->reference)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
+    if (p->kind != GSN_KIND_SECTIONS || !json_is_object(tissue) ||
+        get_number(reference, "density", 0.05, 1000, &p->reference_density, NULL) < 0 ||
+        !(p->reference_density > 0))
+        return bad(err, "reference", REFERENCE_FORM);
+    return read_shape(tissue, "tissue", &p->reference_tissue, err);
 }
 
 static int read_strain(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
@@ -229,10 +269,9 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
     const struct {
         const char *key;
         char **text;
-    } names[] = { { "specimen", &p->specimen },  { "study", &p->study },
-                  { "group", &p->group },        { "animal", &p->animal },
-                  { "baseline", &p->baseline },  { "file", &p->file },
-                  { "reference", &p->reference } };
+    } names[] = { { "specimen", &p->specimen }, { "study", &p->study },
+                  { "group", &p->group },       { "animal", &p->animal },
+                  { "baseline", &p->baseline }, { "file", &p->file } };
 
     for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
         const int r = get_text(job, names[i].key, names[i].text, err);
@@ -253,12 +292,12 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
  * misspelt key must not pass unseen. */
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
-    static const char *const known[] = { "specimen",   "study",     "group",       "animal",
-                                         "week",       "px_um",     "interval_um", "panels",
-                                         "layout",     "order",     "sections",    "region",
-                                         "markers_um", "baseline",  "transfer",    "dyes",
-                                         "white",      "kind",      "thresholds",  "tolerance",
-                                         "file",       "reference", "comment",     "strain" };
+    static const char *const known[] = {
+        "specimen",  "study",  "group",   "animal",   "week",       "px_um",      "interval_um",
+        "panels",    "layout", "order",   "sections", "region",     "markers_um", "baseline",
+        "transfer",  "dyes",   "white",   "kind",     "thresholds", "tolerance",  "file",
+        "reference", "batch",  "comment", "strain"
+    };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
     for (; at; at = json_object_iter_next((json_t *)(uintptr_t)job, at)) {
@@ -302,6 +341,9 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         return r;
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;
+    r = read_reference(job, p, err);
+    if (r < 0)
+        return r;
     if (p->kind != GSN_KIND_SECTIONS && !p->file[0])
         return gsn_fail(err, GSN_E_INPUT, "job.json: \"file\" is missing: name the %s",
                         kind == GSN_KIND_VOLUME ? "volume" : "picture");
@@ -345,6 +387,7 @@ void gsn_protocol_free(struct gsn_protocol *p)
     gsn_free(p->baseline);
     gsn_free(p->file);
     gsn_free(p->reference);
+    gsn_free(p->batch);
     gsn_free(p->unknown);
     gsn_free(p->region.file);
     gsn_free(p);

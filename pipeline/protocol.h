@@ -51,6 +51,9 @@ struct gsn_protocol {
     enum gsn_stated_transfer transfer;
     enum gsn_stated_strain strain; /* what becomes of a section's own stretch */
     struct gsn_region region;
+    struct gsn_region reference_tissue; /* a shape; GSN_REGION_NONE: the stain is not normalised */
+    double reference_density;           /* what that tissue's density is taken to be */
+    char *batch;                        /* of the stain; "" when not stated */
     int has_markers;
     struct gsn_point markers_um[3];
     size_t threshold_count;

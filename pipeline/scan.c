@@ -190,16 +190,29 @@ void gsn_scan_free(struct gsn_scan *scan)
     gsn_free(scan);
 }
 
-int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                  struct gsn_dyes *ret_dyes, double ret_uncertainty_deg[2], struct gsn_error *err)
+/* What the slide itself says of its dyes. */
+static int infer_dyes(const struct gsn_scan *scan, struct gsn_dyes_fit *ret_fit,
+                      struct gsn_error *err)
 {
-    struct gsn_dyes dyes = gsn_dyes_builtin();
+    const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(scan->glass.light);
+    gsn_auto(gsn_stain_sample) sample = NULL;
+    struct gsn_stain_look look;
+    int r = gsn_stain_sample_new(&sample, err);
 
-    if (!protocol->estimate_dyes && dyes.light == scan->glass.light) {
-        ret_uncertainty_deg[0] = ret_uncertainty_deg[1] = 0;
-        *ret_dyes = dyes;
-        return GSN_OK;
-    }
-    dyes.light = scan->glass.light;
-    return gsn_dyes_estimate(scan->od, NULL, &dyes, ret_dyes, ret_uncertainty_deg, err);
+    if (r >= 0)
+        r = gsn_stain_sample_add(sample, scan->od, NULL, &scan->glass, err);
+    if (r >= 0)
+        r = gsn_stain_look(sample, &look, err);
+    return r < 0 ? r : gsn_dyes_estimate(sample, &prior, ret_fit, err);
+}
+
+int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                  struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
+{
+    const struct gsn_dyes builtin = gsn_dyes_builtin();
+
+    if (protocol->estimate_dyes || builtin.light != scan->glass.light)
+        return infer_dyes(scan, ret_fit, err);
+    *ret_fit = (struct gsn_dyes_fit){ .dyes = builtin };
+    return GSN_OK;
 }

@@ -7,7 +7,7 @@
 
 #include "pipeline/decode/apart.h"
 #include "pipeline/protocol.h"
-#include "pipeline/stain/redness.h"
+#include "pipeline/stain/dyes.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -43,11 +43,11 @@ int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
 void gsn_scan_free(struct gsn_scan *scan);
 GSN_DEFINE_AUTO(gsn_scan);
 
-/* The dye vectors to unmix this scan with: the built-in ones, or those of the slide itself where
- * the job asks for it or where the built-in ones were measured in another light.
- * ret_uncertainty_deg: of red and yellow; 0 for the built-in ones. */
+/* The dye vectors to unmix this scan with: the built-in ones, taken as exact, or those of the slide
+ * itself where the job asks for it or where the built-in ones were measured in another light.
+ * Fails as gsn_stain_look() and gsn_dyes_estimate() do. */
 int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                  struct gsn_dyes *ret_dyes, double ret_uncertainty_deg[2], struct gsn_error *err);
+                  struct gsn_dyes_fit *ret_fit, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

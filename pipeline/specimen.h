@@ -16,6 +16,7 @@
 #include "pipeline/examine.h"
 #include "pipeline/protocol.h"
 #include "pipeline/register/pose.h"
+#include "pipeline/stain/dyes.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -80,9 +81,8 @@ struct gsn_specimen_pose {
 /* What the stain of one panel was. */
 struct gsn_specimen_stain {
     unsigned panel;
-    struct gsn_dyes dyes;
+    struct gsn_dyes_fit fit; /* covariance 0: taken as exact */
     double white[3];
-    double uncertainty_deg[2];
 };
 
 struct gsn_specimen_measure {

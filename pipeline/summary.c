@@ -481,10 +481,10 @@ static const char *too_little_known(const struct gsn_evidence *e, struct draft *
 static const char *dyes_of(const struct gsn_evidence *e)
 {
     if (e->tile)
-        return e->tile->dyes.name;
+        return e->tile->fit.dyes.name;
     for (size_t i = 0; e->assembly && i < e->assembly->panel_count; i++)
         if (e->assembly->panel[i].opened)
-            return e->assembly->panel[i].stain.dyes.name;
+            return e->assembly->panel[i].stain.fit.dyes.name;
     return "";
 }
 
@@ -570,9 +570,9 @@ static void fill_tile(const struct gsn_evidence *e, struct draft *d)
                                                   t->picture[i].width, t->picture[i].height } };
     d->report.pictures = d->picture;
     d->report.picture_count = t->picture_count;
-    if (t->uncertainty_deg[0] > 0)
+    if (t->fit.deviation_deg[0] > 0)
         value_row(d->measure, &d->report.measure_count, "red dye direction, uncertainty",
-                  t->uncertainty_deg[0], "deg");
+                  t->fit.deviation_deg[0], "deg");
     if (t->note[0])
         warn(d, t->note);
 }

@@ -108,10 +108,10 @@ static int map_collagen(const struct gsn_specimen *specimen,
     gsn_auto(gsn_image) tissue = NULL;
     gsn_auto(gsn_image) map = NULL;
     double least;
-    int r = gsn_unmix(scan->od, &tile->dyes, options->threads, &red, &yellow, &dark, err);
+    int r = gsn_unmix(scan->od, &tile->fit.dyes, options->threads, &red, &yellow, &dark, err);
 
     if (r >= 0)
-        r = gsn_red_share(red, yellow, dark, &tile->dyes, &share, err);
+        r = gsn_red_share(red, yellow, dark, &tile->fit.dyes, &share, err);
     if (r >= 0)
         r = gsn_tissue_plane(scan->od, &scan->glass, &total, &least, err);
     if (r >= 0)
@@ -142,7 +142,7 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
         r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, options->threads,
                           &scan, err);
     if (r >= 0)
-        r = gsn_scan_dyes(scan, specimen->protocol, &tile->dyes, tile->uncertainty_deg, err);
+        r = gsn_scan_dyes(scan, specimen->protocol, &tile->fit, err);
     if (r >= 0)
         r = picture(scan->picture->image, "picture", "The picture", "As scanned.", tile, err);
     if (r >= 0)

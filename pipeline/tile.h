@@ -16,8 +16,7 @@ extern "C" {
 
 struct gsn_tile {
     struct gsn_glass glass;
-    struct gsn_dyes dyes;
-    double uncertainty_deg[2];
+    struct gsn_dyes_fit fit;
     double px_um;
     char note[400];
     struct gsn_collagen collagen;

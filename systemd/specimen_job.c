@@ -103,13 +103,13 @@ static struct gsn_pose_row pose_row(const struct gsn_specimen_pose *p, int64_t p
 
 static struct gsn_stain_row stain_row(const struct gsn_specimen_stain *s, int64_t panel)
 {
-    struct gsn_stain_row row = { .panel_id = panel, .source = s->dyes.name };
+    struct gsn_stain_row row = { .panel_id = panel, .source = s->fit.dyes.name };
 
     for (size_t c = 0; c < 3; c++) {
         row.white[c] = s->white[c];
-        row.vector[c] = s->dyes.red[c];
-        row.vector[3 + c] = s->dyes.yellow[c];
-        row.vector[6 + c] = s->dyes.dark[c];
+        row.vector[c] = s->fit.dyes.red[c];
+        row.vector[3 + c] = s->fit.dyes.yellow[c];
+        row.vector[6 + c] = s->fit.dyes.dark[c];
     }
     return row;
 }

@@ -1,308 +1,390 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The dye vectors of one slide, from its own stained pixels (Macenko 2009). */
-#include "pipeline/stain/redness.h"
+/* The most probable dye vectors of a sample: maximum a posteriori by Fisher scoring on the six
+ * turns, with the classes of tissue refitted by expectation-maximisation in between.
+ *
+ * An amount a seen with noise s enters as z = log((a + sqrt(a^2 + 4 s^2)) / 2), which is log a
+ * where a is well above the noise and stays finite where noise made it negative (Rocke and Durbin
+ * 2003, 10.1093/bioinformatics/btg107). The classes are normal in the three z. */
+#include "pipeline/stain/classes.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
-#include "pipeline/stain/light.h"
-#include "pipeline/stain/order.h"
+#define RAD (M_PI / 180)
+#define PRIOR_DEG 5.0
+#define LONGEST_STEP (3 * RAD)
+#define SETTLED (0.03 * RAD)
+#define DIFFERENCE (0.05 * RAD) /* for the second derivatives: small beside any error of ours */
+#define LEAST_APART_DEG 6.0     /* vectors of one dye seen twice lie nearer than that */
 
-#define TOO_DENSE 2.0 /* beyond it, 8 bits hold no hue any more */
-#define TRACE_OF_DARK                                                                              \
-    0.15             /* share of the dark dye above which a pixel says little of the others        \
-                      */
-#define EXTREME 0.01 /* the angle that 1 % of the pixels pass stands for the pure dye */
+enum { ROUNDS = 30, REFITS = 3, HALVINGS = 6, MOST_PIXELS = 4000 };
 
-enum {
-    MOST_SAMPLES = 200000,
-    LEAST_SAMPLES = 1000,
-    PARTS_ACROSS = 4,
-    PARTS = PARTS_ACROSS * PARTS_ACROSS,
-};
-
-struct sample {
-    float od[3];
-    uint8_t part, dark;
-};
-
-struct slide {
-    struct sample *sample;
-    size_t count;
-    double *angle; /* count; scratch */
-};
-
-struct pair {
-    double red[3], yellow[3];
-};
+/* Pixels are many but alike: neighbours share their tissue, and no tissue is truly log-normal. So
+ * they count as no more than this many that know nothing of each other; then what the dyes of
+ * drawn and of layered tissue were off by is what the covariance says. */
+static const double INDEPENDENT = 200;
 
 static double dot(const double a[3], const double b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Jacobi rotations: the columns of v become the eigenvectors of the symmetric m. */
-static void eigen(double m[3][3], double v[3][3])
+static void cross(const double a[3], const double b[3], double ret[3])
 {
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            v[i][j] = i == j;
-    for (int sweep = 0; sweep < 12; sweep++) {
-        for (int p = 0; p < 2; p++) {
-            for (int q = p + 1; q < 3; q++) {
-                const double theta = 0.5 * atan2(2 * m[p][q], m[p][p] - m[q][q]);
-                const double c = cos(theta), s = sin(theta);
+    for (int c = 0; c < 3; c++)
+        ret[c] = a[(c + 1) % 3] * b[(c + 2) % 3] - a[(c + 2) % 3] * b[(c + 1) % 3];
+}
 
-                for (int k = 0; k < 3; k++) {
-                    const double a = m[k][p], b = m[k][q], e = v[k][p], f = v[k][q];
+static void unit(double v[3])
+{
+    const double length = sqrt(dot(v, v));
 
-                    m[k][p] = c * a + s * b;
-                    m[k][q] = c * b - s * a;
-                    v[k][p] = c * e + s * f;
-                    v[k][q] = c * f - s * e;
-                }
-                for (int k = 0; k < 3; k++) {
-                    const double a = m[p][k], b = m[q][k];
+    for (int c = 0; c < 3; c++)
+        v[c] /= length;
+}
 
-                    m[p][k] = c * a + s * b;
-                    m[q][k] = c * b - s * a;
-                }
-            }
+/* ---- turns ------------------------------------------------------------------------------- */
+
+/* The two ways a vector can turn: across to the axis it has least of, and across to both. */
+static void ways(const double v[3], double ret_way[2][3])
+{
+    int least = 0;
+    double axis[3] = { 0 };
+
+    for (int c = 1; c < 3; c++)
+        if (fabs(v[c]) < fabs(v[least]))
+            least = c;
+    axis[least] = 1;
+    cross(v, axis, ret_way[0]);
+    unit(ret_way[0]);
+    cross(v, ret_way[0], ret_way[1]);
+}
+
+static void turn_one(const double v[3], const double turn[2], double ret[3])
+{
+    double way[2][3];
+
+    ways(v, way);
+    for (int c = 0; c < 3; c++)
+        ret[c] = fmax(v[c] + turn[0] * way[0][c] + turn[1] * way[1][c], 0);
+    unit(ret);
+}
+
+struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS])
+{
+    struct gsn_dyes turned = *dyes;
+
+    turn_one(dyes->red, &turn[0], turned.red);
+    turn_one(dyes->yellow, &turn[2], turned.yellow);
+    turn_one(dyes->dark, &turn[4], turned.dark);
+    return turned;
+}
+
+/* The vectors at these turns, their inverse, and how they move with each turn. Returns 0 when they
+ * lie nearly in one plane. */
+static int look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS],
+                        struct gsn_optics *ret)
+{
+    const struct gsn_dyes turned = gsn_dyes_turned(dyes, turn);
+    const double *from[3] = { dyes->red, dyes->yellow, dyes->dark };
+    const double *v[3] = { turned.red, turned.yellow, turned.dark };
+    double det, way[2][3];
+
+    for (int k = 0; k < 3; k++)
+        cross(v[(k + 1) % 3], v[(k + 2) % 3], ret->inverse[k]);
+    det = dot(v[0], ret->inverse[0]);
+    for (int k = 0; k < 3; k++)
+        for (int c = 0; c < 3; c++)
+            ret->inverse[k][c] /= det;
+    ret->log_det = log(fabs(det));
+    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+        const int k = m / 2;
+        double along;
+
+        ways(from[k], way);
+        along = dot(way[m % 2], v[k]);
+        for (int c = 0; c < 3; c++)
+            ret->slope[m][c] = way[m % 2][c] - along * v[k][c];
+    }
+    return fabs(det) > 1e-3;
+}
+
+/* ---- fit --------------------------------------------------------------------------------- */
+
+struct search {
+    const struct gsn_stain_sample *sample;
+    const struct gsn_dyes *dyes; /* the prior's */
+    double precision[GSN_DYE_TURNS];
+    double turn[GSN_DYE_TURNS];
+    struct gsn_classes classes;
+    double weight; /* of each pixel */
+    double best;   /* the objective here */
+};
+
+static double objective(const struct search *s, const struct gsn_classes *classes,
+                        const double turn[GSN_DYE_TURNS])
+{
+    struct gsn_optics optics;
+    double sum;
+
+    if (!look_through(s->dyes, turn, &optics))
+        return -INFINITY;
+    sum = s->weight * gsn_classes_likelihood(classes, s->sample, &optics);
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        sum -= s->precision[m] * turn[m] * turn[m] / 2;
+    return sum;
+}
+
+/* The objective at other turns, once the classes have followed there. */
+static double objective_following(const struct search *s, const double turn[GSN_DYE_TURNS],
+                                  struct gsn_classes *ret_classes)
+{
+    struct gsn_optics optics;
+
+    if (!look_through(s->dyes, turn, &optics))
+        return -INFINITY;
+    *ret_classes = s->classes;
+    for (int i = 0; i < REFITS; i++)
+        gsn_classes_refit(ret_classes, s->sample, &optics);
+    return objective(s, ret_classes, turn);
+}
+
+/* One Fisher step; returns the longest turn made in it. */
+static double step(struct search *s, struct gsn_scores *scores)
+{
+    double a[GSN_DYE_TURNS * GSN_DYE_TURNS], b[GSN_DYE_TURNS], longest = 0;
+    struct gsn_optics optics;
+
+    (void)look_through(s->dyes, s->turn, &optics);
+    gsn_classes_score(&s->classes, s->sample, &optics, scores);
+    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+        for (int n = 0; n < GSN_DYE_TURNS; n++)
+            a[m * GSN_DYE_TURNS + n] = s->weight * scores->information[m][n];
+        a[m * GSN_DYE_TURNS + m] += s->precision[m];
+        b[m] = s->weight * scores->total[m] - s->precision[m] * s->turn[m];
+    }
+    if (!gsn_solve(a, GSN_DYE_TURNS, b))
+        return 0;
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        longest = fmax(longest, fabs(b[m]));
+
+    double scale = fmin(1, LONGEST_STEP / longest);
+
+    for (int i = 0; i < HALVINGS; i++, scale /= 2) {
+        struct gsn_classes classes;
+        double turn[GSN_DYE_TURNS], there;
+
+        for (int m = 0; m < GSN_DYE_TURNS; m++)
+            turn[m] = s->turn[m] + scale * b[m];
+        there = objective_following(s, turn, &classes);
+        if (there > s->best) {
+            memcpy(s->turn, turn, sizeof turn);
+            s->classes = classes;
+            s->best = there;
+            return scale * longest;
         }
     }
+    return 0;
 }
 
-static int takes_part(const struct sample *sample, int without)
+/* Minus the second derivatives of the likelihood, the classes following. */
+static void curvature(const struct search *s, struct gsn_scores *scores,
+                      double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
 {
-    return !sample->dark && sample->part != without;
-}
+    for (int n = 0; n < GSN_DYE_TURNS; n++) {
+        double side[2][GSN_DYE_TURNS];
 
-/* The two largest directions of the samples, the first pointing towards more density. */
-static void widest_plane(const struct slide *slide, int without, double first[3], double second[3])
-{
-    double m[3][3] = { { 0 } }, v[3][3];
-    int order[3] = { 0, 1, 2 };
+        for (int way = 0; way < 2; way++) {
+            double turn[GSN_DYE_TURNS];
+            struct gsn_optics optics;
 
-    for (size_t n = 0; n < slide->count; n++)
-        if (takes_part(&slide->sample[n], without))
-            for (int i = 0; i < 3; i++)
-                for (int j = 0; j < 3; j++)
-                    m[i][j] += (double)slide->sample[n].od[i] * slide->sample[n].od[j];
-    eigen(m, v);
-    for (int i = 0; i < 2; i++)
-        for (int j = i + 1; j < 3; j++)
-            if (m[order[j]][order[j]] > m[order[i]][order[i]]) {
-                const int kept = order[i];
-
-                order[i] = order[j];
-                order[j] = kept;
-            }
-
-    const double sign = v[0][order[0]] + v[1][order[0]] + v[2][order[0]] < 0 ? -1 : 1;
-
-    for (int i = 0; i < 3; i++) {
-        first[i] = sign * v[i][order[0]];
-        second[i] = v[i][order[1]];
+            memcpy(turn, s->turn, sizeof turn);
+            turn[n] += way ? DIFFERENCE : -DIFFERENCE;
+            (void)look_through(s->dyes, turn, &optics);
+            gsn_classes_score_again(&s->classes, s->sample, &optics, scores);
+            memcpy(side[way], scores->total, sizeof side[way]);
+        }
+        for (int m = 0; m < GSN_DYE_TURNS; m++)
+            ret[m][n] = (side[0][m] - side[1][m]) / (2 * DIFFERENCE);
     }
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        for (int n = 0; n < m; n++)
+            ret[m][n] = ret[n][m] = (ret[m][n] + ret[n][m]) / 2;
 }
 
-static void direction(const double first[3], const double second[3], double angle, double ret[3])
+/* Of the posterior. */
+static void covariance(const struct search *s, struct gsn_scores *scores,
+                       double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
 {
-    double length;
+    enum { N = GSN_DYE_TURNS };
+    double bend[N][N];
 
-    for (int i = 0; i < 3; i++)
-        ret[i] = fmax(cos(angle) * first[i] + sin(angle) * second[i], 0);
-    length = sqrt(dot(ret, ret));
-    for (int i = 0; i < 3; i++)
-        ret[i] /= length;
-}
+    struct gsn_optics optics;
 
-/* Returns the number of pixels it rests on; below LEAST_SAMPLES ret_pair is not set. */
-static size_t extremes(const struct slide *slide, int without, struct pair *ret_pair)
-{
-    double first[3], second[3], low[3], high[3], from, to;
-    size_t n = 0;
-
-    widest_plane(slide, without, first, second);
-    for (size_t i = 0; i < slide->count; i++) {
-        const struct sample *s = &slide->sample[i];
-        const double od[3] = { s->od[0], s->od[1], s->od[2] };
-
-        if (takes_part(s, without))
-            slide->angle[n++] = atan2(dot(od, second), dot(od, first));
-    }
-    if (n < LEAST_SAMPLES)
-        return n;
-    from = gsn_order_pick(slide->angle, n, (size_t)(EXTREME * (double)n));
-    to = gsn_order_pick(slide->angle, n, (size_t)((1 - EXTREME) * (double)n));
-    direction(first, second, from, low);
-    direction(first, second, to, high);
-
-    /* Fuchsin absorbs green most, picric acid blue. */
-    const int low_is_red = low[1] - low[2] > high[1] - high[2];
-
-    memcpy(ret_pair->red, low_is_red ? low : high, sizeof low);
-    memcpy(ret_pair->yellow, low_is_red ? high : low, sizeof low);
-    return n;
-}
-
-static int is_stained(struct gsn_plane *const od[3], const struct gsn_image *mask, size_t i)
-{
-    double squares = 0;
-
-    if (mask && ((const uint8_t *)mask->samples)[i] == 0)
-        return 0;
-    for (int c = 0; c < 3; c++) {
-        if (!(od[c]->value[i] < TOO_DENSE))
-            return 0;
-        squares += (double)od[c]->value[i] * od[c]->value[i];
-    }
-    return squares > GSN_PALE_OD * GSN_PALE_OD;
-}
-
-static int gather(struct gsn_plane *const od[3], const struct gsn_image *mask, struct slide *slide,
-                  struct gsn_error *err)
-{
-    const size_t width = od[0]->width, height = od[0]->height;
-    size_t stained = 0, seen = 0, stride;
-
-    for (size_t i = 0; i < width * height; i++)
-        stained += (size_t)is_stained(od, mask, i);
-    if (stained < LEAST_SAMPLES)
-        return gsn_fail(err, GSN_E_STAIN,
-                        "only %zu pixels are stained; at least %d are needed to tell the dyes",
-                        stained, LEAST_SAMPLES);
-    stride = (stained + MOST_SAMPLES - 1) / MOST_SAMPLES;
-    slide->sample = gsn_alloc_array(stained / stride + 1, sizeof *slide->sample);
-    slide->angle = gsn_alloc_array(stained / stride + 1, sizeof *slide->angle);
-    if (!slide->sample || !slide->angle)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
-    for (size_t i = 0; i < width * height; i++) {
-        if (!is_stained(od, mask, i) || seen++ % stride != 0)
-            continue;
-        slide->sample[slide->count++] = (struct sample){
-            .od = { od[0]->value[i], od[1]->value[i], od[2]->value[i] },
-            .part = (uint8_t)(i / width * PARTS_ACROSS / height * PARTS_ACROSS +
-                              i % width * PARTS_ACROSS / width),
-        };
-    }
-    return GSN_OK;
-}
-
-static int check_hues(const struct pair *pair, struct gsn_error *err)
-{
-    const double *red = pair->red, *yellow = pair->yellow;
-
-    if (!(yellow[2] > 1.5 * yellow[1]))
-        return gsn_fail(err, GSN_E_STAIN,
-                        "this does not look like Van Gieson: the yellowest pixels absorb blue %.1f "
-                        "times as much as green, picric acid does it more than 1.5 times",
-                        yellow[2] / fmax(yellow[1], 0.01));
-    if (!(red[1] > 0.8 * red[2] && red[1] > 1.3 * red[0]))
-        return gsn_fail(err, GSN_E_STAIN,
-                        "this does not look like Van Gieson: the reddest pixels absorb red, green "
-                        "and blue as %.2f : %.2f : %.2f, acid fuchsin absorbs green most",
-                        red[0], red[1], red[2]);
-    return GSN_OK;
-}
-
-static void name_dyes(const struct pair *pair, const struct gsn_dyes *start,
-                      struct gsn_dyes *ret_dyes)
-{
-    *ret_dyes = *start;
-    (void)snprintf(ret_dyes->name, sizeof ret_dyes->name, "macenko-1");
-    memcpy(ret_dyes->red, pair->red, sizeof pair->red);
-    memcpy(ret_dyes->yellow, pair->yellow, sizeof pair->yellow);
-}
-
-static int leave_out_dark(struct slide *slide, const struct gsn_dyes *dyes, struct gsn_error *err)
-{
-    for (size_t i = 0; i < slide->count; i++) {
-        struct sample *s = &slide->sample[i];
-        const double od[3] = { s->od[0], s->od[1], s->od[2] };
-        double amount[3];
-        const int r = gsn_unmix_one(od, dyes, amount, err);
-
-        if (r < 0)
-            return r;
-        s->dark = amount[2] > TRACE_OF_DARK * (amount[0] + amount[1] + amount[2]);
-    }
-    return GSN_OK;
+    (void)look_through(s->dyes, s->turn, &optics);
+    gsn_classes_score(&s->classes, s->sample, &optics, scores);
+    curvature(s, scores, bend);
+    for (int m = 0; m < N; m++)
+        for (int n = 0; n < N; n++)
+            bend[m][n] = s->weight * bend[m][n] + (m == n ? s->precision[m] : 0);
+    if (gsn_invert(&bend[0][0], N, &ret[0][0]))
+        return;
+    for (int m = 0; m < N; m++)
+        for (int n = 0; n < N; n++)
+            bend[m][n] = s->weight * scores->information[m][n] + (m == n ? s->precision[m] : 0);
+    (void)gsn_invert(&bend[0][0], N, &ret[0][0]);
 }
 
 static double angle_deg(const double a[3], const double b[3])
 {
-    return acos(fmin(dot(a, b), 1)) * 180 / M_PI;
+    return acos(fmin(dot(a, b), 1)) / RAD;
 }
 
-/* Jackknife: the slide without one of its parts at a time. */
-static void jackknife(const struct slide *slide, const struct pair *whole, double ret_deg[2])
+static int check_apart(const struct gsn_dyes *dyes, struct gsn_error *err)
 {
-    double red = 0, yellow = 0;
-    int parts = 0;
+    static const char *const names[3] = { "red", "yellow", "dark" };
+    const double *v[3] = { dyes->red, dyes->yellow, dyes->dark };
 
-    for (int part = 0; part < PARTS; part++) {
-        struct pair without;
-        double a;
+    for (int k = 0; k < 3; k++) {
+        const double apart = angle_deg(v[k], v[(k + 1) % 3]);
 
-        if (extremes(slide, part, &without) < LEAST_SAMPLES)
-            continue;
-        a = angle_deg(without.red, whole->red);
-        red += a * a;
-        a = angle_deg(without.yellow, whole->yellow);
-        yellow += a * a;
-        parts++;
+        if (!(apart > LEAST_APART_DEG))
+            return gsn_fail(err, GSN_E_STAIN,
+                            "the %s and the %s dye of this slide come out only %.1f degrees apart: "
+                            "it shows one of them twice",
+                            names[k], names[(k + 1) % 3], apart);
     }
-    ret_deg[0] = parts > 1 ? sqrt(red * (parts - 1) / parts) : (double)NAN;
-    ret_deg[1] = parts > 1 ? sqrt(yellow * (parts - 1) / parts) : (double)NAN;
-}
-
-static int estimate(struct slide *slide, const struct gsn_dyes *start, struct gsn_dyes *ret_dyes,
-                    double ret_uncertainty_deg[2], struct gsn_error *err)
-{
-    enum { NONE = -1 };
-    struct gsn_dyes rough;
-    struct pair pair;
-    int r;
-
-    (void)extremes(slide, NONE, &pair);
-    r = check_hues(&pair, err);
-    if (r < 0)
-        return r;
-    name_dyes(&pair, start, &rough);
-    r = leave_out_dark(slide, &rough, err);
-    if (r < 0)
-        return r;
-    if (extremes(slide, NONE, &pair) < LEAST_SAMPLES)
-        return gsn_fail(err, GSN_E_STAIN, "nearly every stained pixel holds the dark dye");
-    r = check_hues(&pair, err);
-    if (r < 0)
-        return r;
-    jackknife(slide, &pair, ret_uncertainty_deg);
-    name_dyes(&pair, start, ret_dyes);
     return GSN_OK;
 }
 
-int gsn_dyes_estimate(struct gsn_plane *const od[3], const struct gsn_image *mask,
-                      const struct gsn_dyes *start, struct gsn_dyes *ret_dyes,
-                      double ret_uncertainty_deg[2], struct gsn_error *err)
+static void describe(const struct gsn_dyes_prior *prior, struct gsn_dyes_fit *fit)
 {
-    struct slide slide = { .count = 0 };
+    const struct gsn_dyes *a = &prior->dyes, *b = &fit->dyes;
+
+    fit->moved_deg[0] = angle_deg(a->red, b->red);
+    fit->moved_deg[1] = angle_deg(a->yellow, b->yellow);
+    fit->moved_deg[2] = angle_deg(a->dark, b->dark);
+    for (int k = 0; k < 3; k++)
+        fit->deviation_deg[k] =
+            sqrt(fit->covariance[2 * k][2 * k] + fit->covariance[2 * k + 1][2 * k + 1]) / RAD;
+}
+
+/* How far the evidence for so many classes goes (Schwarz 1978): what they explain, less what their
+ * unknowns would explain of chance. */
+static double evidence(const struct search *s)
+{
+    const double unknowns = (double)gsn_classes_unknowns(&s->classes);
+
+    return s->best - unknowns / 2 * log(s->weight * (double)s->sample->count);
+}
+
+static int search_with(size_t classes, struct search *s, struct gsn_scores *scores,
+                       struct gsn_error *err)
+{
+    struct gsn_optics optics;
+
+    if (!look_through(s->dyes, s->turn, &optics))
+        return gsn_fail(err, GSN_E_STAIN, "the dyes of %s lie in one plane", s->dyes->name);
+    gsn_classes_start(&s->classes, classes, s->sample, &optics);
+    s->best = objective_following(s, s->turn, &s->classes);
+    for (int i = 0; i < ROUNDS; i++)
+        if (step(s, scores) < SETTLED && i > 2)
+            break;
+    return GSN_OK;
+}
+
+static int fit_turns(struct search *s, const struct gsn_dyes_prior *prior,
+                     struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_scores) scores = gsn_alloc_array(1, sizeof *scores);
+    struct gsn_dyes_fit fit = { .pixels = s->sample->count };
+    const struct search start = *s;
+    int r = GSN_OK;
+
+    if (!scores)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
+    for (size_t classes = 1; classes <= GSN_CLASSES && r >= 0; classes++) {
+        struct search other = start;
+
+        r = search_with(classes, &other, scores, err);
+        if (r >= 0 && classes > 1 && !(evidence(&other) > evidence(s)))
+            break;
+        *s = other;
+    }
+    if (r < 0)
+        return r;
+    covariance(s, scores, fit.covariance);
+    fit.dyes = gsn_dyes_turned(&prior->dyes, s->turn);
+    fit.classes = s->classes.count;
+    fit.strays = s->classes.strays;
+    (void)snprintf(fit.dyes.name, sizeof fit.dyes.name, "inferred-1");
+    r = check_apart(&fit.dyes, err);
+    if (r < 0)
+        return r;
+    describe(prior, &fit);
+    *ret_fit = fit;
+    return GSN_OK;
+}
+
+/* gives: an even choice of the pixels. */
+static int thin(const struct gsn_stain_sample *sample, struct gsn_stain_sample **ret_few,
+                struct gsn_error *err)
+{
+    const size_t stride = (sample->count + MOST_PIXELS - 1) / MOST_PIXELS;
+    gsn_auto(gsn_stain_sample) few = NULL;
+    int r = gsn_stain_sample_new(&few, err);
+
+    if (r < 0)
+        return r;
+    few->pixel = gsn_alloc_array(sample->count / stride + 1, sizeof *few->pixel);
+    if (!few->pixel)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
+    for (size_t i = 0; i < sample->count; i += stride)
+        few->pixel[few->count++] = sample->pixel[i];
+    *ret_few = gsn_steal(&few);
+    return GSN_OK;
+}
+
+int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dyes_prior *prior,
+                      struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
+{
+    gsn_auto(gsn_stain_sample) few = NULL;
+    struct search search = { .dyes = &prior->dyes };
     int r;
 
-    for (int c = 1; c < 3; c++)
-        if (od[c]->width != od[0]->width || od[c]->height != od[0]->height)
-            return gsn_fail(err, GSN_E_INPUT, "the optical densities differ in size");
-    if (mask && (mask->width != od[0]->width || mask->height != od[0]->height ||
-                 mask->channels != 1 || mask->bits != 8))
-        return gsn_fail(err, GSN_E_INPUT, "the mask is not an 8-bit grey image of %u x %u",
-                        od[0]->width, od[0]->height);
-    r = gather(od, mask, &slide, err);
-    if (r >= 0)
-        r = estimate(&slide, start, ret_dyes, ret_uncertainty_deg, err);
-    gsn_free(slide.sample);
-    gsn_free(slide.angle);
-    return r;
+    if (sample->count < GSN_SAMPLE_LEAST)
+        return gsn_fail(err, GSN_E_STAIN,
+                        "only %zu pixels are stained; at least %d are needed to tell the dyes",
+                        sample->count, GSN_SAMPLE_LEAST);
+    r = thin(sample, &few, err);
+    if (r < 0)
+        return r;
+    search.sample = few;
+    search.weight = fmin(1, INDEPENDENT / (double)few->count);
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        search.precision[m] =
+            1 / (prior->deviation_deg[m / 2] * RAD * prior->deviation_deg[m / 2] * RAD);
+    return fit_turns(&search, prior, ret_fit, err);
+}
+
+struct gsn_dyes_prior gsn_dyes_prior_builtin(enum gsn_light light)
+{
+    struct gsn_dyes_prior prior = { .dyes = gsn_dyes_builtin(),
+                                    .deviation_deg = { PRIOR_DEG, PRIOR_DEG, PRIOR_DEG } };
+
+    prior.dyes.light = light;
+    return prior;
+}
+
+struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior)
+{
+    struct gsn_dyes_fit fit = { .dyes = prior->dyes };
+
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        fit.covariance[m][m] =
+            prior->deviation_deg[m / 2] * RAD * prior->deviation_deg[m / 2] * RAD;
+    describe(prior, &fit);
+    return fit;
 }

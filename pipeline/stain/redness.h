@@ -110,20 +110,6 @@ int gsn_red_share(const struct gsn_plane *red, const struct gsn_plane *yellow,
 int gsn_tissue_plane(struct gsn_plane *const od[3], const struct gsn_glass *glass,
                      struct gsn_plane **ret_total, double *ret_threshold, struct gsn_error *err);
 
-/* The red and yellow directions as this slide has them: robust extreme angles in the plane of the
- * two largest directions of the densities (Macenko 2009, 10.1109/ISBI.2009.5193250), with pixels
- * that hold more than a trace of the dark dye left out. The dark vector and full_red_od are
- * start's.
- *
- * mask: 8-bit grey of the planes' size, 0 leaves a pixel out; NULL takes every pixel above 0.15.
- * ret_uncertainty_deg: standard deviation of the red and of the yellow angle, from 16 parts of the
- * picture. Fails with GSN_E_STAIN when fewer than 1000 pixels are stained or when the slide does
- * not look like Van Gieson (no yellow dye that absorbs blue far more than green, beside a red one
- * that absorbs green most), GSN_E_INPUT when sizes differ, GSN_E_NOMEM. */
-int gsn_dyes_estimate(struct gsn_plane *const od[3], const struct gsn_image *mask,
-                      const struct gsn_dyes *start, struct gsn_dyes *ret_dyes,
-                      double ret_uncertainty_deg[2], struct gsn_error *err);
-
 #ifdef __cplusplus
 }
 #endif

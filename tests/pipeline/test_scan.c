@@ -175,18 +175,17 @@ TEST(built_in_dyes_serve_the_light_they_were_measured_in_and_no_other)
     gsn_auto(gsn_protocol) builtin = drawn_protocol("{" PX "}");
     gsn_auto(gsn_protocol) estimate = drawn_protocol("{" PX ", \"dyes\": \"estimate\"}");
     gsn_auto(gsn_scan) scan = opened(&png, "{" PX "}");
-    struct gsn_dyes dyes = { 0 };
-    double uncertainty[2] = { -1, -1 };
+    struct gsn_dyes_fit fit = { .deviation_deg = { -1, -1, -1 } };
     struct gsn_error err = { 0 };
     int r;
 
-    CHECK_OK(gsn_scan_dyes(scan, builtin, &dyes, uncertainty, &err), err);
-    CHECK(strcmp(dyes.name, gsn_dyes_builtin().name) == 0);
-    CHECK(uncertainty[0] == 0 && uncertainty[1] == 0);
+    CHECK_OK(gsn_scan_dyes(scan, builtin, &fit, &err), err);
+    CHECK(strcmp(fit.dyes.name, gsn_dyes_builtin().name) == 0);
+    CHECK(fit.deviation_deg[0] == 0 && fit.deviation_deg[2] == 0);
     /* These sections have one density, so they cannot say what red and yellow are by themselves:
      * estimated or refused, they are not the built-in vectors. */
-    r = gsn_scan_dyes(scan, estimate, &dyes, uncertainty, &err);
-    CHECK(r == GSN_E_STAIN || strcmp(dyes.name, gsn_dyes_builtin().name) != 0);
+    r = gsn_scan_dyes(scan, estimate, &fit, &err);
+    CHECK(r == GSN_E_STAIN || strcmp(fit.dyes.name, gsn_dyes_builtin().name) != 0);
 }
 
 struct oom {

@@ -1,0 +1,73 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Classes of tissue: how much of each dye a pixel holds, as a mixture of normals in the logarithms
+ * of the three amounts, and how likely that makes the pixels for given dye vectors. */
+#ifndef GSN_STAIN_CLASSES_H
+#define GSN_STAIN_CLASSES_H
+
+#include "pipeline/stain/sample.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    GSN_CLASSES = 3,
+    /* Each class has 3 means and 6 covariances; its share is known but for the last one's. */
+    GSN_CLASS_UNKNOWNS = GSN_CLASSES * 9 + GSN_CLASSES - 1,
+    GSN_SCORE_UNKNOWNS = GSN_DYE_TURNS + GSN_CLASS_UNKNOWNS,
+};
+
+/* The way from densities to amounts: amount k = inverse[k] . density. */
+struct gsn_optics {
+    double inverse[3][3];
+    double log_det;                 /* of the vectors */
+    double slope[GSN_DYE_TURNS][3]; /* of the vector that the turn belongs to */
+};
+
+struct gsn_class {
+    double share, mean[3];
+    double precision[3][3]; /* inverse of the covariance */
+    double log_norm;
+};
+
+struct gsn_classes {
+    size_t count;
+    struct gsn_class class[GSN_CLASSES];
+    double strays; /* share of the pixels that are none of theirs, as of the last refit */
+};
+
+/* Slopes of the log-likelihood by the turns, freed of what the classes could follow. */
+struct gsn_scores {
+    double total[GSN_DYE_TURNS], part[GSN_SAMPLE_PARTS][GSN_DYE_TURNS];
+    double information[GSN_DYE_TURNS][GSN_DYE_TURNS];
+    double outer[GSN_SCORE_UNKNOWNS][GSN_SCORE_UNKNOWNS]; /* scratch */
+    double follow[GSN_DYE_TURNS][GSN_CLASS_UNKNOWNS];     /* what the classes follow */
+};
+
+/* count classes, at most GSN_CLASSES. */
+void gsn_classes_start(struct gsn_classes *classes, size_t count,
+                       const struct gsn_stain_sample *sample, const struct gsn_optics *optics);
+size_t gsn_classes_unknowns(const struct gsn_classes *classes);
+/* One round of expectation-maximisation. */
+void gsn_classes_refit(struct gsn_classes *classes, const struct gsn_stain_sample *sample,
+                       const struct gsn_optics *optics);
+double gsn_classes_likelihood(const struct gsn_classes *classes,
+                              const struct gsn_stain_sample *sample,
+                              const struct gsn_optics *optics);
+void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
+                       const struct gsn_optics *optics, struct gsn_scores *ret_scores);
+/* total and part anew at other turns, with what the classes follow as it was. */
+void gsn_classes_score_again(const struct gsn_classes *classes,
+                             const struct gsn_stain_sample *sample, const struct gsn_optics *optics,
+                             struct gsn_scores *scores);
+
+/* Solves a x = b for a positive definite a (destroyed); x replaces b. 0 when a is not. */
+int gsn_solve(double *a, size_t n, double *b);
+/* The inverse of a positive definite a. 0 when it is not. */
+int gsn_invert(const double *a, size_t n, double *ret_inverse);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,123 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/sample.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "pipeline/stain/light.h"
+
+/* Optical densities. */
+#define TOO_NOISY 0.1 /* a channel whose noise is larger holds no hue any more */
+#define PALEST 0.05   /* length below which white errors of a percent turn the hue by 5 degrees */
+#define SRGB_TOE 0.04045 /* below this code the curve is a line (IEC 61966-2-1) */
+#define QUANTISED 0.001  /* noise of a scan of 8 bits that claims to have none */
+
+enum { MOST_PER_PANEL = 4000, ACROSS = 4 };
+
+int gsn_stain_sample_new(struct gsn_stain_sample **ret_sample, struct gsn_error *err)
+{
+    struct gsn_stain_sample *sample = gsn_alloc_array(1, sizeof *sample);
+
+    if (!sample)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
+    *ret_sample = sample;
+    return GSN_OK;
+}
+
+void gsn_stain_sample_free(struct gsn_stain_sample *sample)
+{
+    if (!sample)
+        return;
+    gsn_free(sample->pixel);
+    gsn_free(sample);
+}
+
+size_t gsn_stain_sample_count(const struct gsn_stain_sample *sample)
+{
+    return sample->count;
+}
+
+/* Optical density per code (of 0..1) at this light: how far an error of the code reaches. */
+static double reach_of_code(enum gsn_light light, double linear)
+{
+    const double code = gsn_light_encode(light, linear);
+
+    if (light == GSN_LIGHT_CODES_LINEAR || code <= SRGB_TOE)
+        return M_LOG10E / code;
+    return 2.4 * M_LOG10E / (code + 0.055);
+}
+
+/* Returns whether the pixel speaks. Codes are read with the same error everywhere; densities with
+ * one that grows as the light falls. */
+static int pixel_at(struct gsn_plane *const od[3], const struct gsn_glass *glass, size_t i,
+                    struct gsn_stain_pixel *ret_pixel)
+{
+    const double noise = fmax(glass->noise_od, QUANTISED);
+    const double palest = fmax(PALEST, 10 * noise);
+    double squares = 0;
+
+    for (int c = 0; c < 3; c++)
+        squares += (double)od[c]->value[i] * (double)od[c]->value[i];
+    if (!(squares > palest * palest))
+        return 0;
+    for (int c = 0; c < 3; c++) {
+        const double d = od[c]->value[i];
+        const double white =
+            gsn_light_of_sample(glass->light, (unsigned)lround(glass->white[c]), 8);
+        const double deviation = noise * reach_of_code(glass->light, white * pow(10, -fmax(d, 0))) /
+                                 reach_of_code(glass->light, white);
+
+        if (!(deviation < TOO_NOISY))
+            return 0;
+        ret_pixel->od[c] = (float)d;
+        ret_pixel->noise[c] = (float)deviation;
+    }
+    return 1;
+}
+
+static int is_masked(const struct gsn_image *mask, size_t i)
+{
+    return mask && ((const uint8_t *)mask->samples)[i] == 0;
+}
+
+static int check_sizes(struct gsn_plane *const od[3], const struct gsn_image *mask,
+                       struct gsn_error *err)
+{
+    for (int c = 1; c < 3; c++)
+        if (od[c]->width != od[0]->width || od[c]->height != od[0]->height)
+            return gsn_fail(err, GSN_E_INPUT, "the optical densities differ in size");
+    if (mask && (mask->width != od[0]->width || mask->height != od[0]->height ||
+                 mask->channels != 1 || mask->bits != 8))
+        return gsn_fail(err, GSN_E_INPUT, "the mask is not an 8-bit grey image of %u x %u",
+                        od[0]->width, od[0]->height);
+    return GSN_OK;
+}
+
+int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *const od[3],
+                         const struct gsn_image *mask, const struct gsn_glass *glass,
+                         struct gsn_error *err)
+{
+    struct gsn_stain_pixel *more, pixel;
+    size_t speaking = 0, seen = 0, stride;
+    int r = check_sizes(od, mask, err);
+
+    if (r < 0)
+        return r;
+
+    const size_t width = od[0]->width, height = od[0]->height;
+
+    for (size_t i = 0; i < width * height; i++)
+        speaking += !is_masked(mask, i) && pixel_at(od, glass, i, &pixel);
+    stride = speaking / MOST_PER_PANEL + 1;
+    more = gsn_realloc_array(sample->pixel, sample->count + speaking / stride + 1, sizeof *more);
+    if (!more)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
+    sample->pixel = more;
+    for (size_t i = 0; i < width * height; i++) {
+        if (is_masked(mask, i) || !pixel_at(od, glass, i, &pixel) || seen++ % stride != 0)
+            continue;
+        pixel.part = (uint8_t)(i / width * ACROSS / height * ACROSS + i % width * ACROSS / width);
+        sample->pixel[sample->count++] = pixel;
+    }
+    return GSN_OK;
+}

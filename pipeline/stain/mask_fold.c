@@ -21,8 +21,7 @@ enum {
 };
 
 /* A line through a fold: nearer to twice than to once on average, beyond what the grain of this
- * section makes of 21 places by chance (neighbours are alike: as good as half of them), and nowhere
- * near once. */
+ * section makes of such a row by chance, and nowhere near once. */
 #define FOLD_MEAN 1.6
 #define FOLD_DEVIATIONS 6.0
 #define FOLD_LEAST 1.25
@@ -107,14 +106,32 @@ static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, double 
     return 0;
 }
 
-/* The robust deviation of the thickness over the tissue; the thickness is divided by its median. */
+/* The mean of a straight row of cells, in steps as on_fold() takes them; NaN where not all of it is
+ * tissue to be counted. */
+static double row_mean(const struct gsn_mask_cells *cells, const struct gsn_plane *thick, size_t i,
+                       size_t stride)
+{
+    double sum = 0;
+
+    for (size_t j = 0; j <= 2 * REACH; j++) {
+        const size_t at = i + STEP * stride * j;
+
+        if (at >= (size_t)cells->nx * cells->ny || !counts(cells, at))
+            return NAN;
+        sum += fmin(thick->value[at], 2.2) / (2 * REACH + 1);
+    }
+    return sum;
+}
+
+/* Divides the thickness by its median. How much rows of cells differ by their grain alone is taken
+ * from the middle two thirds of them, which folds do not reach. */
 static int scale_thickness(const struct gsn_mask_cells *cells, struct gsn_plane *thick,
                            double *ret_deviation, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(double) list = gsn_alloc_array(count, sizeof *list);
-    size_t n = 0;
-    double middle, upper;
+    size_t n = 0, rows = 0;
+    double middle;
 
     if (!list)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
@@ -122,10 +139,17 @@ static int scale_thickness(const struct gsn_mask_cells *cells, struct gsn_plane 
         if (counts(cells, i))
             list[n++] = thick->value[i];
     middle = gsn_order_pick(list, n, n / 2);
-    upper = gsn_order_pick(list, n, n - n / 6); /* one deviation above the middle */
     for (size_t i = 0; i < count; i++)
         thick->value[i] = (float)(thick->value[i] / middle);
-    *ret_deviation = upper / middle - 1;
+    for (size_t i = 0; i < count; i += 3) {
+        list[rows] = row_mean(cells, thick, i, i % 2 ? cells->nx : 1);
+        rows += isnan(list[rows]) ? 0 : 1;
+    }
+    *ret_deviation = 0;
+    if (rows > 0)
+        *ret_deviation = (gsn_order_pick(list, rows, rows - 1 - rows / 6) -
+                          gsn_order_pick(list, rows, rows / 6)) /
+                         2;
     return GSN_OK;
 }
 
@@ -182,7 +206,7 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
     r = measure_thickness(cells, &thick, &deviation, err);
     if (r < 0 || !thick)
         return r;
-    least = fmax(FOLD_MEAN, 1 + FOLD_DEVIATIONS * deviation * sqrt(2.0 / (2 * REACH + 1)));
+    least = fmax(FOLD_MEAN, 1 + FOLD_DEVIATIONS * deviation);
     for (size_t i = 0; i < count; i++) {
         const int apart = (cells->label[i] & (GSN_DEFECT_INK | GSN_DEFECT_HALO)) != 0;
 

@@ -9,6 +9,7 @@
 #include "storage/lease.h"
 #include "storage/queue_order.h"
 #include "storage/sql.h"
+#include "storage/within.h"
 
 #define JOB(type, name)                                                                            \
     {                                                                                              \
@@ -55,37 +56,54 @@ static int check_panel(struct gsn_store *store, int64_t specimen_id, int64_t pan
     return r;
 }
 
+#define THIS_JOB "WHERE kind = ?3 AND specimen_id = ?1 AND coalesce(panel_id, 0) = ?2 "
+
+/* The job is there: one that runs is done again, one that ended waits anew. */
+static int wake(struct gsn_store *store, const struct gsn_sql_args job, int64_t *ret_id,
+                struct gsn_error *err)
+{
+    int r = gsn_sql_run(store, "UPDATE job SET again = 1 " THIS_JOB "AND state = 'running'", job,
+                        NULL, err);
+
+    if (r >= 0)
+        r = gsn_sql_run(
+            store, "UPDATE job SET attempts = 0, " FRESH THIS_JOB "AND state IN ('done', 'failed')",
+            job, NULL, err);
+    return r >= 0 ? gsn_sql_int(store, "SELECT id FROM job " THIS_JOB, job, ret_id, err) : r;
+}
+
+int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
+                  struct gsn_error *err)
+{
+    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id),
+                                             SQL_TEXT(panel_id ? "panel" : "specimen"));
+    int64_t inserted = 0;
+    int r = GSN_E_NOTFOUND;
+
+    /* A panel is asked for when it is new, a specimen with each of its panels. */
+    if (panel_id == 0)
+        r = gsn_sql_int(store, "SELECT id FROM job " THIS_JOB "AND state = 'waiting'", job, ret_id,
+                        err);
+    if (r != GSN_E_NOTFOUND)
+        return r;
+    r = gsn_sql_run(store,
+                    "INSERT INTO job (kind, specimen_id, panel_id) VALUES (?3, ?1, nullif(?2, 0)) "
+                    "ON CONFLICT DO NOTHING",
+                    job, &inserted, err);
+    if (r >= 0 && !inserted)
+        return wake(store, job, ret_id, err);
+    if (r >= 0)
+        *ret_id = gsn_sql_last_id(store);
+    return r;
+}
+
 /* In a transaction. */
 static int add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                struct gsn_error *err)
 {
-    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id));
-    int r = check_panel(store, specimen_id, panel_id, err);
+    const int r = check_panel(store, specimen_id, panel_id, err);
 
-    if (r >= 0)
-        r = gsn_sql_run(store,
-                        "INSERT INTO job (kind, specimen_id, panel_id) VALUES "
-                        "(iif(?2 = 0, 'specimen', 'panel'), ?1, nullif(?2, 0)) "
-                        "ON CONFLICT DO NOTHING",
-                        job, NULL, err);
-    if (r >= 0)
-        r = gsn_sql_int(store,
-                        "SELECT id FROM job WHERE kind = iif(?2 = 0, 'specimen', 'panel') AND "
-                        "specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
-                        job, ret_id, err);
-    if (r < 0)
-        return r;
-
-    const struct gsn_sql_args id = SQL_ARGS(SQL_INT(*ret_id));
-
-    r = gsn_sql_run(store, "UPDATE job SET again = 1 WHERE id = ?1 AND state = 'running'", id, NULL,
-                    err);
-    if (r >= 0)
-        r = gsn_sql_run(store,
-                        "UPDATE job SET attempts = 0, " FRESH
-                        "WHERE id = ?1 AND state IN ('done', 'failed')",
-                        id, NULL, err);
-    return r;
+    return r >= 0 ? gsn_queue_ask(store, specimen_id, panel_id, ret_id, err) : r;
 }
 
 int gsn_queue_add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,

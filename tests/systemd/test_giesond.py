@@ -636,6 +636,50 @@ def queue(bench):
 
 
 @scenario
+def orphaned(bench):
+    """A service that is killed gives its jobs no death, however often; a worker that is killed does."""
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-intake", "gieson-work", "gieson-mesh"):
+        shutil.copy(bench.programs / name, place / name)
+    # A decoder that never ends holds the worker in the middle of its job.
+    (place / "gieson-decode").write_text("#!/bin/sh\nexec sleep 600\n")
+    (place / "gieson-decode").chmod(0o755)
+    made = bench.folder / "S00"
+    subprocess.run([bench.programs / "gieson", "phantom", "--specimen", "S00", "--level", "L0", "--seed", "1",
+                    "--out", made], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([bench.programs / "gieson", "--store", bench.store, "import", made], check=True,
+                   stdout=subprocess.DEVNULL)
+    bench.programs = place
+    bench.configure(work="Workers=1\n")
+
+    def job():
+        rows = bench.ask("SELECT state, stage, attempts, pid FROM job ORDER BY kind, id LIMIT 1")
+        return rows[0] if rows else ("", "", 0, 0)
+
+    def held_worker():
+        bench.wait("a worker in mid-job", lambda: job()[:2] == ("running", "decoding"))
+        return job()[3]
+
+    bench.start()
+    for _ in range(7):  # more deaths than a job is given
+        worker = held_worker()
+        bench.service.kill()
+        bench.service.wait()
+        end = time.monotonic() + GENEROUS_S
+        while os.path.exists(f"/proc/{worker}") and time.monotonic() < end:
+            time.sleep(0.02)
+        demand(not os.path.exists(f"/proc/{worker}"), "the orphaned worker ended")
+        demand(job()[0] == "waiting" and job()[2:] == (0, 0), f"the job was given back: {job()}")
+        bench.start()
+    for deaths, signal_number in ((0, signal.SIGTERM), (1, signal.SIGKILL), (2, signal.SIGKILL)):
+        worker = held_worker()
+        os.kill(worker, signal_number)
+        bench.wait("another worker", lambda: held_worker() != worker)
+        demand(job()[2] == deaths, f"{deaths} deaths are counted: {job()}")
+
+
+@scenario
 def job_late(bench):
     """A job that outlives TimeMinutes is ended and fails with a sentence."""
     if not os.environ.get("GIESON_LONG"):

@@ -158,9 +158,9 @@ int gsn_mask_blur(struct gsn_mask_cells *cells, const struct gsn_plane *sharpnes
     for (size_t i = 0; i < count; i++)
         set[i] = sharpness->value[i] < BLURRED * usual; /* false for NaN */
     r = gsn_mask_cells_erode(cells, set, LEAST_BLUR_UM / 2, err);
-    /* Half of the window at the border of a blurred place looks at what is sharp. */
+    /* Most of the window at the border of a blurred place must be blurred to be told. */
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, set, LEAST_BLUR_UM / 2 + WINDOW / 2.0 * cells->um, err);
+        r = gsn_mask_cells_dilate(cells, set, LEAST_BLUR_UM / 2 + 0.75 * WINDOW * cells->um, err);
     for (size_t i = 0; i < count; i++)
         set[i] &= cells->outline[i];
     if (r >= 0)

@@ -9,21 +9,26 @@
 
 #include <math.h>
 
+#include "pipeline/stain/order.h"
+
 enum {
     ANGLES = 16,
     REACH = 10, /* steps of a line to either side */
     STEP = 2,   /* cells */
     ROUNDS = 6,
     LEAST_CELLS = 400,
+    PLACE = 4, /* half width, cells */
 };
 
-/* A line through a fold: midway between once and twice on average, and nowhere near once. */
-#define FOLD_MEAN 1.5
+/* A line through a fold: nearer to twice than to once on average, beyond what the grain of this
+ * section makes of such a row by chance, and nowhere near once. */
+#define FOLD_MEAN 1.6
+#define FOLD_DEVIATIONS 6.0
 #define FOLD_LEAST 1.25
 #define MOST_BELOW 3
 /* What belongs to a fold beside it. */
 #define FOLD_EDGE 1.35
-#define FOLD_WIDE_UM 250.0
+#define FOLD_WIDE_UM 130.0
 
 struct line {
     double a, k;
@@ -77,7 +82,8 @@ static int fit_line(const struct gsn_mask_cells *cells, const struct gsn_plane *
 }
 
 /* Whether some line through the cell is thick all along. */
-static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, long x, long y)
+static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, double least, long x,
+                   long y)
 {
     for (int angle = 0; angle < ANGLES; angle++) {
         const double c = cos(M_PI * angle / ANGLES), s = sin(M_PI * angle / ANGLES);
@@ -91,32 +97,99 @@ static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, long x,
             if (u >= 0 && v >= 0 && u < (long)thick->width && v < (long)thick->height &&
                 tissue[(size_t)v * thick->width + (size_t)u])
                 t = thick->value[(size_t)v * thick->width + (size_t)u];
-            sum += fmin(t, 2.5); /* one grain does not make a line */
+            sum += fmin(t, 2.2); /* one grain does not make a line */
             below += t < FOLD_LEAST;
         }
-        if (below <= MOST_BELOW && sum > FOLD_MEAN * (2 * REACH + 1))
+        if (below <= MOST_BELOW && sum > least * (2 * REACH + 1))
             return 1;
     }
     return 0;
 }
 
-static int measure_thickness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_thick,
-                             struct gsn_error *err)
+/* The mean of a straight row of cells, in steps as on_fold() takes them; NaN where not all of it is
+ * tissue to be counted. */
+static double row_mean(const struct gsn_mask_cells *cells, const struct gsn_plane *thick, size_t i,
+                       size_t stride)
+{
+    double sum = 0;
+
+    for (size_t j = 0; j <= 2 * REACH; j++) {
+        const size_t at = i + STEP * stride * j;
+
+        if (at >= (size_t)cells->nx * cells->ny || !counts(cells, at))
+            return NAN;
+        sum += fmin(thick->value[at], 2.2) / (2 * REACH + 1);
+    }
+    return sum;
+}
+
+/* Divides the thickness by its median. How much rows of cells differ by their grain alone is taken
+ * from the middle two thirds of them, which folds do not reach. */
+static int scale_thickness(const struct gsn_mask_cells *cells, struct gsn_plane *thick,
+                           double *ret_deviation, struct gsn_error *err)
+{
+    const size_t count = (size_t)cells->nx * cells->ny;
+    gsn_auto_mem(double) list = gsn_alloc_array(count, sizeof *list);
+    size_t n = 0, rows = 0;
+    double middle;
+
+    if (!list)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    for (size_t i = 0; i < count; i++)
+        if (counts(cells, i))
+            list[n++] = thick->value[i];
+    middle = gsn_order_pick(list, n, n / 2);
+    for (size_t i = 0; i < count; i++)
+        thick->value[i] = (float)(thick->value[i] / middle);
+    for (size_t i = 0; i < count; i += 3) {
+        list[rows] = row_mean(cells, thick, i, i % 2 ? cells->nx : 1);
+        rows += isnan(list[rows]) ? 0 : 1;
+    }
+    *ret_deviation = 0;
+    if (rows > 0)
+        *ret_deviation = (gsn_order_pick(list, rows, rows - 1 - rows / 6) -
+                          gsn_order_pick(list, rows, rows / 6)) /
+                         2;
+    return GSN_OK;
+}
+
+/* The line is that of places, not of single cells: grain in the red dye would flatten it. */
+static int fit_places(const struct gsn_mask_cells *cells, struct line *ret_line, int *ret_fitted,
+                      struct gsn_error *err)
 {
     gsn_auto(gsn_plane) red = NULL;
     gsn_auto(gsn_plane) yellow = NULL;
-    struct line line;
-    int r = gsn_mask_cells_smooth(cells->red, 1, &red, err);
+    int r = gsn_mask_cells_smooth(cells->red, PLACE, &red, err);
 
-    *ret_thick = NULL;
+    if (r >= 0)
+        r = gsn_mask_cells_smooth(cells->yellow, PLACE, &yellow, err);
+    if (r >= 0)
+        *ret_fitted = fit_line(cells, red, yellow, ret_line);
+    return r;
+}
+
+/* gives: NULL when there is too little tissue. */
+static int measure_thickness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_thick,
+                             double *ret_deviation, struct gsn_error *err)
+{
+    gsn_auto(gsn_plane) thick = NULL;
+    gsn_auto(gsn_plane) yellow = NULL;
+    struct line line = { 0, 0 };
+    int fitted = 0;
+    int r = fit_places(cells, &line, &fitted, err);
+
+    if (r < 0 || !fitted)
+        return r;
+    r = gsn_mask_cells_smooth(cells->red, 1, &thick, err);
     if (r >= 0)
         r = gsn_mask_cells_smooth(cells->yellow, 1, &yellow, err);
-    if (r < 0 || !fit_line(cells, red, yellow, &line))
-        return r;
-    for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
-        red->value[i] = (float)((yellow->value[i] + line.k * red->value[i]) / line.a);
-    *ret_thick = gsn_steal(&red);
-    return GSN_OK;
+    for (size_t i = 0; r >= 0 && i < (size_t)cells->nx * cells->ny; i++)
+        thick->value[i] = (float)(yellow->value[i] + line.k * thick->value[i]);
+    if (r >= 0)
+        r = scale_thickness(cells, thick, ret_deviation, err);
+    if (r >= 0)
+        *ret_thick = gsn_steal(&thick);
+    return r;
 }
 
 int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
@@ -125,19 +198,22 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto(gsn_plane) thick = NULL;
     gsn_auto_mem(uint8_t) sure = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) weak = gsn_alloc_array(count, 1);
+    double deviation = 0, least;
     int r;
 
     if (!sure || !weak)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    r = measure_thickness(cells, &thick, err);
+    r = measure_thickness(cells, &thick, &deviation, err);
     if (r < 0 || !thick)
         return r;
+    least = fmax(FOLD_MEAN, 1 + FOLD_DEVIATIONS * deviation);
     for (size_t i = 0; i < count; i++) {
         const int apart = (cells->label[i] & (GSN_DEFECT_INK | GSN_DEFECT_HALO)) != 0;
 
         weak[i] = cells->tissue[i] && !apart && thick->value[i] > FOLD_EDGE;
-        sure[i] = weak[i] && thick->value[i] > FOLD_MEAN &&
-                  on_fold(thick, cells->tissue, (long)(i % cells->nx), (long)(i / cells->nx));
+        sure[i] =
+            weak[i] && thick->value[i] > FOLD_MEAN &&
+            on_fold(thick, cells->tissue, least, (long)(i % cells->nx), (long)(i / cells->nx));
     }
     r = gsn_mask_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
     if (r >= 0)

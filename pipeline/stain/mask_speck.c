@@ -3,7 +3,9 @@
 /* What is dark, neutral and sharp: the coverslip's edge, hairs, and grains of dust, enamel, metal.
  *
  * A hair is thinner than a cell, so no cell of it need be darker than a nucleus; but it is dark all
- * along, and that is what is looked for: lines that are darker than both sides of them. */
+ * along, and that is what is looked for: lines that are darker than both sides of them. JPEG gives
+ * a thin line the hue of what lies around it, so lines are looked for in red light, which the dyes
+ * let pass. */
 #include "pipeline/stain/mask_cells.h"
 
 #include <math.h>
@@ -11,15 +13,18 @@
 enum {
     ANGLES = 16,
     REACH = 7, /* cells of a line to either side */
-    ASIDE = 3, /* cells, where its sides are looked at */
+    ASIDE = 4, /* cells, where its sides are looked at */
     AROUND = 5,
 };
 
-/* Dark dye of a line's mean above its sides': nuclei in a crowd (deviation 0.1 of a cell) reach it
- * on 15 cells at 6 deviations. */
-#define LINE_OD 0.20
+/* Red light's density of a line's mean above its sides', and of most of it above the darker side at
+ * each place. The grain of tissue and nuclei in a crowd have a deviation of about 0.06 per cell and
+ * are alike over two or three of them, so 15 cells reach it at 5 deviations. */
+#define LINE_OD 0.12
+#define PLACE_OD 0.03
+#define MOST_BELOW 3
 /* No single cell is looked at that is not darker than its surroundings. */
-#define CELL_OD 0.10
+#define CELL_OD 0.06
 #define LEAST_LINE_UM 350.0
 #define LINE_WIDE_UM 30.0
 /* The edge of a coverslip is as good as straight, and longer than any fibre in a section. */
@@ -30,11 +35,18 @@ enum {
 #define LEAST_GRAIN 3 /* cells */
 #define GRAIN_WIDE_UM 40.0
 
-static double dark_at(const struct gsn_mask_cells *cells, long x, long y)
+/* The darkest of three cells across the line: a hair bends away from a straight row of cells. */
+static double red_light_at(const struct gsn_mask_cells *cells, long x, long y, long dx, long dy)
 {
-    if (x < 0 || y < 0 || x >= (long)cells->nx || y >= (long)cells->ny)
-        return 0;
-    return fmin(cells->dark->value[(size_t)y * cells->nx + (size_t)x], 1.0);
+    double most = 0;
+
+    for (int j = -1; j <= 1; j++) {
+        const long u = x + j * dx, v = y + j * dy;
+
+        if (u >= 0 && v >= 0 && u < (long)cells->nx && v < (long)cells->ny)
+            most = fmax(most, cells->od[0]->value[(size_t)v * cells->nx + (size_t)u]);
+    }
+    return fmin(most, 0.6);
 }
 
 static int on_line(const struct gsn_mask_cells *cells, long x, long y)
@@ -42,16 +54,22 @@ static int on_line(const struct gsn_mask_cells *cells, long x, long y)
     for (int angle = 0; angle < ANGLES; angle++) {
         const double c = cos(M_PI * angle / ANGLES), s = sin(M_PI * angle / ANGLES);
         const long aside_x = lround(-ASIDE * s), aside_y = lround(ASIDE * c);
+        const long dx = fabs(s) > fabs(c), dy = !dx; /* the step across */
         double middle = 0, left = 0, right = 0;
+        int below = 0;
 
-        for (int j = -REACH; j <= REACH; j++) {
+        for (int j = -REACH; j <= REACH && below <= MOST_BELOW; j++) {
             const long u = x + lround(j * c), v = y + lround(j * s);
+            const double m = red_light_at(cells, u, v, dx, dy),
+                         l = red_light_at(cells, u + aside_x, v + aside_y, dx, dy),
+                         r = red_light_at(cells, u - aside_x, v - aside_y, dx, dy);
 
-            middle += dark_at(cells, u, v);
-            left += dark_at(cells, u + aside_x, v + aside_y);
-            right += dark_at(cells, u - aside_x, v - aside_y);
+            middle += m;
+            left += l;
+            right += r;
+            below += m < fmax(l, r) + PLACE_OD;
         }
-        if (middle - fmax(left, right) > LINE_OD * (2 * REACH + 1))
+        if (below <= MOST_BELOW && middle - fmax(left, right) > LINE_OD * (2 * REACH + 1))
             return 1;
     }
     return 0;
@@ -82,12 +100,12 @@ static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto_mem(uint8_t) lines = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) edges = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) hairs = gsn_alloc_array(count, 1);
-    int r = lines && edges && hairs ? gsn_mask_cells_smooth(cells->dark, AROUND, &around, err)
+    int r = lines && edges && hairs ? gsn_mask_cells_smooth(cells->od[0], AROUND, &around, err)
                                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     for (size_t i = 0; r >= 0 && i < count; i++)
-        lines[i] = !(cells->label[i] & (GSN_DEFECT_HALO | GSN_DEFECT_INK)) &&
-                   cells->dark->value[i] > around->value[i] + CELL_OD &&
+        lines[i] = !(cells->label[i] & (GSN_DEFECT_HALO | GSN_DEFECT_INK | GSN_DEFECT_FOLD)) &&
+                   cells->od[0]->value[i] > around->value[i] + CELL_OD &&
                    on_line(cells, (long)(i % cells->nx), (long)(i / cells->nx));
     if (r >= 0)
         r = sort_lines(cells, lines, edges, hairs, err);

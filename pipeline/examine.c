@@ -5,6 +5,7 @@
 #include "pipeline/register/panel.h"
 #include "pipeline/stain/absorb.h"
 
+#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -21,7 +22,7 @@ struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
 
 const char *gsn_sighting_name(enum gsn_sighting sighting)
 {
-    static const char *const names[] = { "found", "needs-eye", "missing", "empty" };
+    static const char *const names[] = { "found", "needs-eye", "missing", "empty", "held" };
 
     return names[sighting];
 }
@@ -169,22 +170,86 @@ static void take_slots(struct gsn_panel_findings *findings, const struct gsn_slo
             section->sighting =
                 expected && serial >= expected ? GSN_SIGHT_EMPTY : GSN_SIGHT_MISSING;
         else if (slots[i].touching)
+            section->sighting = GSN_SIGHT_HELD;
+        if (slots[i].touching)
             flag(section, "touching");
+        if (slots[i].lost > 0)
+            flag(section, "over-edge");
     }
 }
 
-static void note_scraps(struct gsn_panel_findings *findings, const struct gsn_scrap *scraps,
-                        size_t count)
+__attribute__((format(printf, 2, 3))) static void say(struct gsn_panel_findings *findings,
+                                                      const char *format, ...)
 {
     const size_t used = strlen(findings->note);
-    size_t among = 0;
+    const char *glue = used ? "; " : "";
+    char text[200];
+    va_list args;
 
-    for (size_t i = 0; i < count; i++)
-        among += scraps[i].inside_grid != 0;
-    if (among > 0)
-        (void)snprintf(findings->note + used, sizeof findings->note - used,
-                       "%s%zu piece%s between the slots belong to no section", used ? "; " : "",
-                       among, among == 1 ? "" : "s");
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    /* What does not fit is left out whole. */
+    if (used + strlen(glue) + strlen(text) < sizeof findings->note)
+        (void)snprintf(findings->note + used, sizeof findings->note - used, "%s%s", glue, text);
+}
+
+static void note_slots(struct gsn_panel_findings *findings, const struct gsn_slot *slots)
+{
+    size_t found = 0;
+
+    for (size_t i = 0; i < findings->count; i++) {
+        const struct gsn_slot *s = &slots[i];
+
+        found += s->found != 0;
+        if (s->touching && s->touched > s->slot)
+            say(findings,
+                "the sections in slots %u and %u have grown together and are held: cut along the "
+                "line from (%.0f, %.0f) to (%.0f, %.0f) px, or mount them again",
+                s->slot + 1, s->touched + 1, s->cut_px[0].x, s->cut_px[0].y, s->cut_px[1].x,
+                s->cut_px[1].y);
+        if (s->lost > 0)
+            say(findings,
+                "the section in slot %u runs over the edge: %.0f %% of its tissue is lost",
+                s->slot + 1, 100 * s->lost);
+    }
+    if (found == 0)
+        say(findings, "no tissue on this panel");
+}
+
+/* Pieces among the slots that no section claims: rows of their own, for a person to look at. What
+ * lies outside the grid is a label. */
+static int take_scraps(struct gsn_panel_findings *findings, const struct gsn_scrap *scraps,
+                       size_t count, struct gsn_error *err)
+{
+    struct gsn_panel_section *longer =
+        gsn_realloc_array(findings->section, findings->count + count, sizeof *longer);
+    const size_t slots = findings->count;
+
+    if (!longer)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
+    findings->section = longer;
+    for (size_t i = 0; i < count; i++) {
+        struct gsn_panel_section *section = &findings->section[findings->count];
+
+        if (!scraps[i].inside_grid)
+            continue;
+        *section = (struct gsn_panel_section){ .serial = GSN_NO_SERIAL,
+                                               .slot = (unsigned)findings->count,
+                                               .sighting = GSN_SIGHT_HELD,
+                                               .x = scraps[i].x,
+                                               .y = scraps[i].y,
+                                               .width = scraps[i].width,
+                                               .height = scraps[i].height,
+                                               .area_px = scraps[i].area_px };
+        flag(section, "scrap");
+        findings->count++;
+    }
+    if (findings->count > slots)
+        say(findings, "%zu piece%s between the slots belong%s to no section: held",
+            findings->count - slots, findings->count == slots + 1 ? "" : "s",
+            findings->count == slots + 1 ? "s" : "");
+    return GSN_OK;
 }
 
 static int examine(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
@@ -205,10 +270,13 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     if (r < 0)
         return r;
     take_slots(findings, slots, protocol, number);
-    note_scraps(findings, scraps, scrap_count);
+    note_slots(findings, slots);
     for (size_t i = 0; i < findings->count; i++)
-        if (slots[i].found)
+        if (slots[i].found && !slots[i].touching)
             slots[found++] = slots[i];
+    r = take_scraps(findings, scraps, scrap_count, err);
+    if (r < 0)
+        return r;
     gsn_progress_say(progress, "marks", 0, found);
     return find_marks(scan, protocol, slots, found, threads, findings, err);
 }

@@ -78,7 +78,7 @@ struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *
                                    .height = (int)row->bbox_h,
                                    .area_px = row->area_px };
 
-    for (int i = GSN_SIGHT_FOUND; i <= GSN_SIGHT_EMPTY; i++)
+    for (int i = GSN_SIGHT_FOUND; i <= GSN_SIGHT_HELD; i++)
         if (strcmp(row->state, gsn_sighting_name((enum gsn_sighting)i)) == 0)
             s.sighting = (enum gsn_sighting)i;
     (void)snprintf(s.flags, sizeof s.flags, "%s", row->flags);

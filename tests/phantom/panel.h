@@ -5,17 +5,11 @@
 #define GSN_PHANTOM_PANEL_H
 
 #include "pipeline/core/image.h"
-#include "tests/phantom/plan.h"
+#include "tests/phantom/section.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* The pixels of a section that are at least half tissue. */
-struct gsn_phantom_extent {
-    uint32_t x, y, width, height;
-    size_t area_px;
-};
 
 /* Draws panel 1..5, 8-bit RGB. gives: ret_image; ret_extent is by slot. The pixels do not depend
  * on the number of threads. Fails with GSN_E_NOMEM. borrows: plan. */

@@ -8,6 +8,17 @@
 
 #include <string.h>
 
+static int encode(const struct gsn_phantom_plan *plan, const struct gsn_image *image,
+                  struct gsn_phantom_buffer *ret_file, struct gsn_error *err)
+{
+    const char *extension = plan->level->extension;
+
+    if (strcmp(extension, "jpg") == 0)
+        return gsn_phantom_jpeg(image, plan->px_um, plan->level->quality, ret_file, err);
+    return strcmp(extension, "png") == 0 ? gsn_phantom_png(image, plan->px_um, ret_file, err)
+                                         : gsn_phantom_tiff(image, plan->px_um, ret_file, err);
+}
+
 static int write_panel(const struct gsn_phantom_plan *plan, int panel, unsigned threads,
                        const char *folder, struct gsn_phantom_extent *ret_extent,
                        struct gsn_error *err)
@@ -23,9 +34,7 @@ static int write_panel(const struct gsn_phantom_plan *plan, int panel, unsigned 
     r = gsn_phantom_panel_draw(plan, panel, threads, &image, ret_extent, err);
     if (r < 0)
         return r;
-    r = strcmp(plan->level->extension, "png") == 0
-            ? gsn_phantom_png(image, plan->px_um, &file, err)
-            : gsn_phantom_tiff(image, plan->px_um, &file, err);
+    r = encode(plan, image, &file, err);
     if (r < 0)
         return gsn_fail_at(err, "%s", name);
     return gsn_phantom_buffer_write(&file, folder, name, err);

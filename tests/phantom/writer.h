@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Panels as files: PNG and LZW TIFF with the pixel size in their resolution tags. */
+/* Panels as files: PNG, LZW TIFF and JPEG with the pixel size in their resolution tags. */
 #ifndef GSN_PHANTOM_WRITER_H
 #define GSN_PHANTOM_WRITER_H
 
@@ -15,6 +15,10 @@ extern "C" {
 int gsn_phantom_png(const struct gsn_image *image, double px_um,
                     struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
 int gsn_phantom_tiff(const struct gsn_image *image, double px_um,
+                     struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
+
+/* Quality 1..100, colours at half resolution in both directions (4:2:0). */
+int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality,
                      struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -38,7 +38,7 @@ static int look(DmtxDecode *decoder, int mirrored, struct gsn_picture *picture)
             code =
                 gsn_codes_add(picture, "Data Matrix", message->output, (size_t)message->outputIdx);
         if (code) {
-            code->turn_deg = turn_of(region);
+            code->turn_deg = remainder(turn_of(region) + (mirrored ? 180 : 0), 360);
             code->mirrored = mirrored;
             added++;
         }
@@ -56,24 +56,25 @@ static int look_flipped(const struct gsn_code_page *page, int mirrored, struct g
 {
     DmtxImage *image =
         dmtxImageCreate(page->grey, (int)page->width, (int)page->height, DmtxPack8bppK);
-    DmtxDecode *decoder = NULL;
+    DmtxDecode *decoder;
 
-    if (image) {
-        (void)dmtxImageSetProp(image, DmtxPropImageFlip, mirrored ? DmtxFlipX : DmtxFlipNone);
-        decoder = dmtxDecodeCreate(image, 1);
-    }
-    if (decoder) {
-        (void)dmtxDecodeSetProp(decoder, DmtxPropScanGap, SCAN_GAP);
-        *ret_added = look(decoder, mirrored, picture);
-        (void)dmtxDecodeDestroy(&decoder);
-    }
-    if (image)
+    if (!image)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+    (void)dmtxImageSetProp(image, DmtxPropImageFlip, mirrored ? DmtxFlipY : DmtxFlipNone);
+    decoder = dmtxDecodeCreate(image, 1);
+    if (!decoder) {
         (void)dmtxImageDestroy(&image);
-    return image ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+    }
+    (void)dmtxDecodeSetProp(decoder, DmtxPropScanGap, SCAN_GAP);
+    *ret_added = look(decoder, mirrored, picture);
+    (void)dmtxDecodeDestroy(&decoder);
+    (void)dmtxImageDestroy(&image);
+    return GSN_OK;
 }
 
-/* The rows and columns of a symbol tell a mirrored one from an upright one, so the page is looked
- * at both ways. */
+/* A mirrored symbol cannot be read, so the page is looked at both ways. The library flips top to
+ * bottom, which is left to right and half a turn. */
 int gsn_codes_dmtx(const struct gsn_code_page *page, struct gsn_picture *picture,
                    struct gsn_error *err)
 {

@@ -49,6 +49,7 @@ static struct gsn_assembly_section section_of(const struct gsn_panel_section *se
         [GSN_SIGHT_NEEDS_EYE] = GSN_SECTION_HELD,
         [GSN_SIGHT_MISSING] = GSN_SECTION_MISSING,
         [GSN_SIGHT_EMPTY] = GSN_SECTION_EMPTY,
+        [GSN_SIGHT_HELD] = GSN_SECTION_HELD,
     };
     struct gsn_assembly_section section = { .panel = panel,
                                             .seen = *seen,

@@ -5,6 +5,7 @@
 #include "pipeline/register/panel.h"
 #include "pipeline/stain/absorb.h"
 
+#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -21,7 +22,7 @@ struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
 
 const char *gsn_sighting_name(enum gsn_sighting sighting)
 {
-    static const char *const names[] = { "found", "needs-eye", "missing", "empty" };
+    static const char *const names[] = { "found", "needs-eye", "missing", "empty", "held" };
 
     return names[sighting];
 }
@@ -32,6 +33,22 @@ static void flag(struct gsn_panel_section *section, const char *word)
 
     (void)snprintf(section->flags + used, sizeof section->flags - used, "%s%s", used ? " " : "",
                    word);
+}
+
+__attribute__((format(printf, 2, 3))) static void say(struct gsn_panel_findings *findings,
+                                                      const char *format, ...)
+{
+    const size_t used = strlen(findings->note);
+    const char *glue = used ? "; " : "";
+    char text[200];
+    va_list args;
+
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    /* What does not fit is left out whole. */
+    if (used + strlen(glue) + strlen(text) < sizeof findings->note)
+        (void)snprintf(findings->note + used, sizeof findings->note - used, "%s%s", glue, text);
 }
 
 /* The triangle to look for: the protocol's, or what the sections of this panel agree on. */
@@ -53,9 +70,10 @@ static int know_triangle(const struct gsn_protocol *protocol,
     return GSN_OK;
 }
 
-static void choose_marks(struct gsn_panel_section *section,
-                         const struct gsn_mark_candidates *candidates,
-                         const struct gsn_triangle_prior *prior)
+/* Returns whether all three marks were found, and mirrored. */
+static int choose_marks(struct gsn_panel_section *section,
+                        const struct gsn_mark_candidates *candidates,
+                        const struct gsn_triangle_prior *prior)
 {
     double score = 0, runner_up = 0;
     int mirrored = 0, found = 0;
@@ -68,6 +86,7 @@ static void choose_marks(struct gsn_panel_section *section,
         flag(section, mirrored ? "two-marks mirrored" : "two-marks");
     else if (found < 2)
         flag(section, score > 0 && runner_up > 0.5 * score ? "ambiguous-marks" : "no-marks");
+    return found == GSN_MARKS && mirrored;
 }
 
 static void shift(struct gsn_point *point, const struct gsn_slot *slot)
@@ -126,6 +145,7 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         gsn_alloc_array(count, sizeof *candidates);
     struct search search = { scan, found, candidates };
     struct gsn_triangle_prior prior;
+    size_t mirrored = 0;
     int r;
 
     if (!candidates)
@@ -140,10 +160,15 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         struct gsn_panel_section *section = &findings->section[found[i].slot];
 
         if (r >= 0)
-            choose_marks(section, &candidates[i], &prior);
+            mirrored += (size_t)choose_marks(section, &candidates[i], &prior);
         else
             flag(section, "no-marks");
     }
+    if (protocol->has_markers && 2 * mirrored > count)
+        say(findings,
+            "%zu of %zu sections are mirrored against the job's \"markers_um\": if no label says "
+            "which way round the panel is, look at the scanner's settings",
+            mirrored, count);
     return GSN_OK;
 }
 
@@ -169,22 +194,118 @@ static void take_slots(struct gsn_panel_findings *findings, const struct gsn_slo
             section->sighting =
                 expected && serial >= expected ? GSN_SIGHT_EMPTY : GSN_SIGHT_MISSING;
         else if (slots[i].touching)
+            section->sighting = GSN_SIGHT_HELD;
+        if (slots[i].touching)
             flag(section, "touching");
+        if (slots[i].lost > 0)
+            flag(section, "over-edge");
     }
 }
 
-static void note_scraps(struct gsn_panel_findings *findings, const struct gsn_scrap *scraps,
-                        size_t count)
+static void note_slots(struct gsn_panel_findings *findings, const struct gsn_slot *slots)
 {
-    const size_t used = strlen(findings->note);
-    size_t among = 0;
+    size_t found = 0;
 
-    for (size_t i = 0; i < count; i++)
-        among += scraps[i].inside_grid != 0;
-    if (among > 0)
-        (void)snprintf(findings->note + used, sizeof findings->note - used,
-                       "%s%zu piece%s between the slots belong to no section", used ? "; " : "",
-                       among, among == 1 ? "" : "s");
+    for (size_t i = 0; i < findings->count; i++) {
+        const struct gsn_slot *s = &slots[i];
+
+        found += s->found != 0;
+        if (s->touching && s->touched > s->slot)
+            say(findings,
+                "the sections in slots %u and %u have grown together and are held: cut along the "
+                "line from (%.0f, %.0f) to (%.0f, %.0f) px, or mount them again",
+                s->slot + 1, s->touched + 1, s->cut_px[0].x, s->cut_px[0].y, s->cut_px[1].x,
+                s->cut_px[1].y);
+        if (s->lost > 0)
+            say(findings,
+                "the section in slot %u runs over the edge: %.0f %% of its tissue is lost",
+                s->slot + 1, 100 * s->lost);
+    }
+    if (found == 0)
+        say(findings, "no tissue on this panel");
+}
+
+/* Pieces among the slots that no section claims: rows of their own, for a person to look at. What
+ * lies outside the grid is a label. */
+static int take_scraps(struct gsn_panel_findings *findings, const struct gsn_scrap *scraps,
+                       size_t count, struct gsn_error *err)
+{
+    struct gsn_panel_section *longer =
+        gsn_realloc_array(findings->section, findings->count + count, sizeof *longer);
+    const size_t slots = findings->count;
+
+    if (!longer)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
+    findings->section = longer;
+    for (size_t i = 0; i < count; i++) {
+        struct gsn_panel_section *section = &findings->section[findings->count];
+
+        if (!scraps[i].inside_grid)
+            continue;
+        *section = (struct gsn_panel_section){ .serial = GSN_NO_SERIAL,
+                                               .slot = (unsigned)findings->count,
+                                               .sighting = GSN_SIGHT_HELD,
+                                               .x = scraps[i].x,
+                                               .y = scraps[i].y,
+                                               .width = scraps[i].width,
+                                               .height = scraps[i].height,
+                                               .area_px = scraps[i].area_px };
+        flag(section, "scrap");
+        findings->count++;
+    }
+    if (findings->count > slots)
+        say(findings, "%zu piece%s between the slots belong%s to no section: held",
+            findings->count - slots, findings->count == slots + 1 ? "" : "s",
+            findings->count == slots + 1 ? "s" : "");
+    return GSN_OK;
+}
+
+/* "GVP-D-S01-P03" is panel 3 of "GVP-D-S01". */
+static int read_label(struct gsn_panel_findings *findings, const char *text)
+{
+    const char *dash = strrchr(text, '-');
+    unsigned number = 0;
+
+    if (!dash || dash == text || (dash[1] != 'P' && dash[1] != 'p') || !dash[2])
+        return 0;
+    for (const char *c = dash + 2; *c; c++) {
+        if (*c < '0' || *c > '9' || number > 10000)
+            return 0;
+        number = 10 * number + (unsigned)(*c - '0');
+    }
+    findings->label_number = number;
+    (void)snprintf(findings->label, sizeof findings->label, "%s", text);
+    (void)snprintf(findings->label_subject, sizeof findings->label_subject, "%.*s",
+                   (int)(dash - text), text);
+    return number > 0;
+}
+
+/* A label that cannot be read is shown where it is; what it is printed on lies beside the slots. */
+static void note_label(const struct gsn_picture *picture, const struct gsn_scrap *scraps,
+                       size_t count, struct gsn_panel_findings *findings)
+{
+    int x0 = INT_MAX, y0 = INT_MAX, x1 = 0, y1 = 0;
+
+    for (unsigned i = 0; i < picture->code_count; i++)
+        if (read_label(findings, picture->code[i].text))
+            return;
+    for (size_t i = 0; i < count; i++) {
+        const struct gsn_scrap *s = &scraps[i];
+
+        if (s->inside_grid)
+            continue;
+        x0 = s->x < x0 ? s->x : x0;
+        y0 = s->y < y0 ? s->y : y0;
+        x1 = s->x + s->width > x1 ? s->x + s->width : x1;
+        y1 = s->y + s->height > y1 ? s->y + s->height : y1;
+    }
+    if (picture->code_count > 0)
+        say(findings, "its label says \"%s\", which names no panel", picture->code[0].text);
+    else if (x1 > 0)
+        say(findings,
+            "no code could be read on its label: compare what is written from (%d, %d) to (%d, %d) "
+            "px",
+            x0, y0, x1, y1);
 }
 
 static int examine(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
@@ -205,10 +326,14 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     if (r < 0)
         return r;
     take_slots(findings, slots, protocol, number);
-    note_scraps(findings, scraps, scrap_count);
+    note_slots(findings, slots);
     for (size_t i = 0; i < findings->count; i++)
-        if (slots[i].found)
+        if (slots[i].found && !slots[i].touching)
             slots[found++] = slots[i];
+    note_label(scan->picture, scraps, scrap_count, findings);
+    r = take_scraps(findings, scraps, scrap_count, err);
+    if (r < 0)
+        return r;
     gsn_progress_say(progress, "marks", 0, found);
     return find_marks(scan, protocol, slots, found, threads, findings, err);
 }

@@ -12,6 +12,8 @@
 #include "pipeline/register/markers.h"
 #include "pipeline/scan.h"
 
+#include <limits.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -21,12 +23,17 @@ enum gsn_sighting {
     GSN_SIGHT_NEEDS_EYE, /* tissue, but marks are missing or could be others */
     GSN_SIGHT_MISSING,   /* no tissue where the protocol expects a section: a gap */
     GSN_SIGHT_EMPTY,     /* no tissue, and none expected */
+    GSN_SIGHT_HELD, /* tissue that a person must deal with: grown together with another section,
+                       or a scrap that belongs to no slot */
 };
+
+/* The serial number of what belongs to no slot; one more is 0, which means none. */
+#define GSN_NO_SERIAL UINT_MAX
 
 /* One slot of a panel; boxes and marks in pixels of the upright picture. */
 struct gsn_panel_section {
-    unsigned serial; /* 0-based in the block */
-    unsigned slot;   /* 0-based in the order of mounting */
+    unsigned serial; /* 0-based in the block, or GSN_NO_SERIAL */
+    unsigned slot;   /* 0-based in the order of mounting; scraps are counted on behind the slots */
     enum gsn_sighting sighting;
     char flags[96]; /* words with one space between, or empty: "touching", "two-marks", ... */
     int x, y, width, height;
@@ -38,11 +45,14 @@ struct gsn_panel_findings {
     uint32_t width, height;
     double px_um;
     char note[512]; /* what was assumed or odd on this panel, "; " between */
+    char label[64]; /* the text of its code, when that ends in a panel's number ("...-P03") */
+    unsigned label_number;  /* that number; 0: no such code was read */
+    char label_subject[64]; /* what stands before it: "GVP-D-S01" */
     size_t count;
-    struct gsn_panel_section *section; /* one per slot, in slot order */
+    struct gsn_panel_section *section; /* one per slot, in slot order; then one per scrap */
 };
 
-/* "found", "needs-eye", "missing", "empty". */
+/* "found", "needs-eye", "missing", "empty", "held". */
 const char *gsn_sighting_name(enum gsn_sighting sighting);
 
 /* gives. number: of the panel, 1-based; decoder: as for gsn_decode_apart(). Fails as

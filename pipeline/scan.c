@@ -11,6 +11,9 @@
 /* A file and a job that differ by more than this about the pixel size cannot both be right. */
 static const double PX_UM_TOLERANCE = 0.01;
 
+/* A code turned by more than this stands on its head. */
+static const double TURNED_DEG = 150;
+
 static void note(struct gsn_scan *scan, const char *text)
 {
     const size_t used = strlen(scan->note);
@@ -68,17 +71,69 @@ static int give_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol
     return gsn_glass_given(image->width, image->height, light, white, &scan->glass, err);
 }
 
+/* ---- which side is up -------------------------------------------------------------------- */
+
+static void swap_pixels(uint8_t *a, uint8_t *b, size_t bytes)
+{
+    for (size_t i = 0; i < bytes; i++) {
+        const uint8_t kept = a[i];
+
+        a[i] = b[i];
+        b[i] = kept;
+    }
+}
+
+/* Turns count pixels from first on end for end. */
+static void reverse(const struct gsn_image *image, size_t first, size_t count)
+{
+    const size_t pixel = (size_t)image->channels * (image->bits / 8);
+    uint8_t *from = (uint8_t *)image->samples + first * pixel;
+
+    for (size_t i = 0; i < count / 2; i++)
+        swap_pixels(from + i * pixel, from + (count - 1 - i) * pixel, pixel);
+}
+
+/* The label is printed upright, so its code tells a picture that the scanner mirrored, or a panel
+ * that was fed the wrong way round. Codes that lie on their side are how some labels are made. */
+static void set_upright(struct gsn_scan *scan)
+{
+    const struct gsn_image *image = scan->picture->image;
+    const struct gsn_printed *code = NULL;
+
+    for (unsigned i = 0; i < scan->picture->code_count && !code; i++)
+        if (strcmp(scan->picture->code[i].kind, "Data Matrix") == 0)
+            code = &scan->picture->code[i];
+    if (!code)
+        return;
+    if (code->mirrored) {
+        for (size_t y = 0; y < image->height; y++)
+            reverse(image, y * image->width, image->width);
+        note(scan, "mirrored back as a whole: the code on its label was mirrored");
+    }
+    if (fabs(code->turn_deg) > TURNED_DEG) {
+        reverse(image, 0, (size_t)image->width * image->height);
+        note(scan, "turned by 180 degrees: the code on its label stood on its head");
+    }
+}
+
 /* Everything but glass and density. */
 static int read_scan(const char *decoder, const void *bytes, size_t size,
                      const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
                      struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
+    const struct gsn_decode_limits limits = { .codes = protocol->kind == GSN_KIND_SECTIONS };
     int r;
 
     if (!scan)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a scan");
-    r = gsn_decode_apart(decoder, bytes, size, NULL, &scan->picture, err);
+    r = gsn_decode_apart(decoder, bytes, size, &limits, &scan->picture, err);
+    /* Readers of codes are as old as decoders: one that falls over must not cost the panel. */
+    if ((r == GSN_E_INPUT || r == GSN_E_LIMIT) && limits.codes &&
+        gsn_decode_apart(decoder, bytes, size, NULL, &scan->picture, NULL) >= 0) {
+        note(scan, "the code on its label could not be read: the reader failed on this picture");
+        r = GSN_OK;
+    }
     if (r < 0)
         return r;
     if (scan->picture->withheld[0])
@@ -92,6 +147,7 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
     r = size_of_pixels(scan, protocol, err);
     if (r < 0)
         return r;
+    set_upright(scan);
     *ret_scan = gsn_steal(&scan);
     return GSN_OK;
 }

@@ -22,11 +22,12 @@ struct gsn_scan {
     unsigned step;
     double px_um;   /* the job's, else the file's; never 0 */
     size_t clipped; /* pixels with a channel at 0 */
-    char note[240]; /* what was assumed, "; " between; empty when nothing was */
+    char note[300]; /* what was assumed, "; " between; empty when nothing was */
 };
 
-/* gives. Samples are read as the job says, else as the file says, else as the built-in dye vectors
- * were measured (codes in proportion to light), and that is noted.
+/* gives. A panel is set upright by the Data Matrix on its label: mirrored back, or turned by 180
+ * degrees, and that is noted. Samples are read as the job says, else as the file says, else as the
+ * built-in dye vectors were measured (codes in proportion to light), and that is noted.
  *
  * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_glass_estimate() do; with
  * GSN_E_INPUT when neither job nor file states the pixel size, or the picture is grey; with

@@ -78,7 +78,7 @@ struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *
                                    .height = (int)row->bbox_h,
                                    .area_px = row->area_px };
 
-    for (int i = GSN_SIGHT_FOUND; i <= GSN_SIGHT_EMPTY; i++)
+    for (int i = GSN_SIGHT_FOUND; i <= GSN_SIGHT_HELD; i++)
         if (strcmp(row->state, gsn_sighting_name((enum gsn_sighting)i)) == 0)
             s.sighting = (enum gsn_sighting)i;
     (void)snprintf(s.flags, sizeof s.flags, "%s", row->flags);
@@ -155,6 +155,72 @@ static int keep(struct gsn_store *store, const struct gsn_job_row *job,
     return gsn_store_commit(store, err);
 }
 
+/* ---- what the label says ----------------------------------------------------------------- */
+
+static int follows(const char *name, const char *begin)
+{
+    const size_t length = strlen(begin);
+
+    return length > 0 && strncmp(name, begin, length) == 0 &&
+           (!name[length] || strchr("-_ .", name[length]));
+}
+
+/* Whether the subject of a label ("GVP-D-S01") is this specimen: its name, with or without the
+ * study before it, and with or without more behind it on either side. */
+static int is_subject(const struct gsn_specimen_row *specimen, const char *subject)
+{
+    const char *rest = subject;
+
+    if (follows(subject, specimen->study) && subject[strlen(specimen->study)])
+        rest = subject + strlen(specimen->study) + 1;
+    return follows(specimen->name, subject) || follows(subject, specimen->name) ||
+           follows(specimen->name, rest) || follows(rest, specimen->name);
+}
+
+static int is_known(struct gsn_store *store, const char *subject, int *ret_known,
+                    struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_rows) all = NULL;
+    const int r = gsn_specimen_list(store, &all, err);
+
+    *ret_known = 0;
+    for (size_t i = 0; r >= 0 && i < all->count; i++)
+        *ret_known |= is_subject(&all->at[i], subject);
+    return r;
+}
+
+/* A label that contradicts the file's name holds the panel, with both named. Whoever it belongs to
+ * is for a person to say; nothing is ever created from a label. */
+static int check_label(struct gsn_store *store, const struct gsn_specimen_row *specimen,
+                       const struct gsn_panel_row *panel, const struct gsn_panel_findings *findings,
+                       struct gsn_error *why)
+{
+    int known = 0, r;
+
+    if (findings->label_number == 0)
+        return GSN_OK;
+    if (!is_subject(specimen, findings->label_subject)) {
+        r = is_known(store, findings->label_subject, &known, why);
+        if (r < 0)
+            return r;
+        if (!known)
+            return gsn_fail(why, GSN_E_WITHHELD,
+                            "its label says %s, and no specimen here is called %s: import its job "
+                            "first, or correct the label; nothing was created",
+                            findings->label, findings->label_subject);
+        return gsn_fail(why, GSN_E_WITHHELD,
+                        "its label says %s, but it came as panel %lld of %s: look at the glass, "
+                        "then import it where it belongs",
+                        findings->label, (long long)panel->number, specimen->name);
+    }
+    if (panel->number && findings->label_number != (unsigned)panel->number)
+        return gsn_fail(why, GSN_E_WITHHELD,
+                        "its label says %s, but its file %s is panel %lld: look at the glass, then "
+                        "rename the file and import again",
+                        findings->label, panel->file_name, (long long)panel->number);
+    return GSN_OK;
+}
+
 static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
                    const struct gsn_protocol *protocol, const struct gsn_job_options *options,
                    const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
@@ -197,6 +263,13 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
     if (r < 0)
         return keep(store, job, NULL, "refused", gsn_code_name(r), why.text, err);
     r = check_number(panel, protocol, &why);
+    if (r >= 0)
+        r = check_label(store, specimen, panel, findings, &why);
+    if (r < 0 && r != GSN_E_WITHHELD) {
+        if (err)
+            *err = why;
+        return r;
+    }
     if (r < 0)
         return keep(store, job, findings, "held", gsn_code_name(r), why.text, err);
     return keep(store, job, findings, "registered", "", findings->note, err);

@@ -66,6 +66,7 @@ static int share(struct shared *shared, const void *bytes, size_t size,
     *page = (struct gsn_decode_page){ .magic = GSN_DECODE_PAGE_MAGIC,
                                       .most_pixels = limits->most_pixels,
                                       .most_bytes = limits->most_bytes,
+                                      .codes = limits->codes != 0,
                                       .file_at = GSN_DECODE_PAGE_BYTES,
                                       .file_size = size };
     page->samples_at = page->file_at + whole_pages(size);
@@ -154,7 +155,8 @@ static int can_be(const struct gsn_decode_page *page, const struct gsn_decode_li
     return (page->channels == 1 || page->channels == 3) && (page->bits == 8 || page->bits == 16) &&
            pixels > 0 && pixels <= limits->most_pixels &&
            pixels <= limits->most_bytes / (page->channels * page->bits / 8) && page->pages > 0 &&
-           page->transfer <= GSN_TRANSFER_ICC && is_pitch(page->px_um_x) && is_pitch(page->px_um_y);
+           page->transfer <= GSN_TRANSFER_ICC && page->printed_count <= GSN_CODES &&
+           is_pitch(page->px_um_x) && is_pitch(page->px_um_y);
 }
 
 /* The codes a decoder has a right to; memory that ran out is its limit, not ours. */
@@ -196,6 +198,8 @@ static int take(const struct shared *shared, const struct gsn_decode_page *said,
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", said->kind);
     (void)snprintf(picture->note, sizeof picture->note, "%s", said->note);
     (void)snprintf(picture->withheld, sizeof picture->withheld, "%s", said->withheld);
+    picture->code_count = said->printed_count;
+    memcpy(picture->code, said->printed, sizeof picture->code);
     *ret_picture = gsn_steal(&picture);
     return GSN_OK;
 }
@@ -211,6 +215,12 @@ static int hear(const struct shared *shared, const struct gsn_decode_limits *lim
     clean(said.kind, sizeof said.kind);
     clean(said.note, sizeof said.note);
     clean(said.withheld, sizeof said.withheld);
+    for (size_t i = 0; i < GSN_CODES; i++) {
+        clean(said.printed[i].text, sizeof said.printed[i].text);
+        clean(said.printed[i].kind, sizeof said.printed[i].kind);
+        if (!isfinite(said.printed[i].turn_deg))
+            said.printed[i].turn_deg = 0;
+    }
     if (!said.answered)
         return lied(err);
     if (said.code != GSN_OK)

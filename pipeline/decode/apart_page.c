@@ -53,12 +53,15 @@ static void describe(const struct gsn_picture *picture, struct gsn_decode_page *
     memcpy(page->kind, picture->kind, sizeof page->kind);
     memcpy(page->note, picture->note, sizeof page->note);
     memcpy(page->withheld, picture->withheld, sizeof page->withheld);
+    page->printed_count = picture->code_count;
+    memcpy(page->printed, picture->code, sizeof page->printed);
 }
 
 void gsn_decode_page_answer(struct gsn_decode_page *page)
 {
     const struct gsn_decode_limits limits = { .most_pixels = page->most_pixels,
-                                              .most_bytes = page->most_bytes };
+                                              .most_bytes = page->most_bytes,
+                                              .codes = page->codes != 0 };
     uint8_t *memory = (uint8_t *)page;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error said = { 0 };

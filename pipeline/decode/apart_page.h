@@ -7,7 +7,7 @@
 
 #include "pipeline/decode/decode.h"
 
-#define GSN_DECODE_PAGE_MAGIC "gsndec2"
+#define GSN_DECODE_PAGE_MAGIC "gsndec3"
 
 struct gsn_decode_page {
     char magic[8];
@@ -15,6 +15,7 @@ struct gsn_decode_page {
     uint64_t most_pixels, most_bytes;
     uint64_t file_at, file_size;
     uint64_t samples_at, whole_size;
+    uint32_t codes;
     /* answered */
     uint32_t answered;
     int32_t code;
@@ -22,6 +23,8 @@ struct gsn_decode_page {
     uint32_t width, height, channels, bits, pages, transfer;
     double px_um_x, px_um_y;
     char kind[24], note[160], withheld[160];
+    uint32_t printed_count;
+    struct gsn_printed printed[GSN_CODES];
 };
 enum { GSN_DECODE_PAGE_BYTES = 4096 };
 

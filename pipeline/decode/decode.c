@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/decode/decode.h"
 
+#include "pipeline/decode/codes.h"
 #include "pipeline/decode/raster.h"
 
 #include <assert.h>
@@ -106,6 +107,7 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
         .most_pixels = asked.most_pixels ? asked.most_pixels : 250000000,
         .most_bytes = asked.most_bytes ? asked.most_bytes : (uint64_t)768 << 20,
         .seconds = asked.seconds,
+        .codes = asked.codes,
     };
 }
 
@@ -135,6 +137,11 @@ int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limi
     if (r < 0)
         return r;
     remark_unused_bits(picture);
+    if (most.codes) {
+        r = gsn_codes_read(picture, err);
+        if (r < 0)
+            return r;
+    }
     *ret_picture = gsn_steal(&picture);
     return GSN_OK;
 }

@@ -25,6 +25,7 @@ struct gsn_decode_limits {
     uint64_t most_pixels;
     uint64_t most_bytes;
     unsigned seconds;
+    int codes; /* 1: the codes printed on the picture are read too */
 };
 
 /* How samples relate to light, as far as the file says so. */
@@ -33,6 +34,16 @@ enum gsn_transfer {
     GSN_TRANSFER_LINEAR,  /* PNG gAMA 1.0, or a straight TIFF TransferFunction */
     GSN_TRANSFER_SRGB,    /* PNG sRGB or gAMA 1/2.2, sRGB TransferFunction, EXIF ColorSpace 1 */
     GSN_TRANSFER_ICC,     /* an ICC profile is embedded; it wins over the others */
+};
+
+enum { GSN_CODES = 4, GSN_CODE_BYTES = 64 };
+
+/* A printed code. Its text is data from outside: printable ASCII, cut when longer. */
+struct gsn_printed {
+    char text[GSN_CODE_BYTES];
+    char kind[16];   /* "Data Matrix", or ZBar's name: "QR-Code", "CODE-128", ... */
+    double turn_deg; /* how far it is turned clockwise on the upright picture */
+    int mirrored;    /* it could be read only in a mirror; told of Data Matrix alone */
 };
 
 struct gsn_picture {
@@ -45,6 +56,8 @@ struct gsn_picture {
     /* Why colours of this picture must not be measured, as whoever took it says in the file (its
      * camera could not be locked); empty: they may. */
     char withheld[160];
+    unsigned code_count; /* 0 unless codes were asked for */
+    struct gsn_printed code[GSN_CODES];
 
     void *place;         /* where the samples are when they are not allocated, or NULL */
     size_t mapped_bytes; /* of it, to be unmapped; 0: it is somebody else's */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/panel.h"
 
+#include "pipeline/register/panel_cut.h"
 #include "pipeline/register/panel_grid.h"
 #include "pipeline/register/split.h"
 
@@ -22,6 +23,8 @@ static const double SAME_AREA = 1.6;     /* pieces alike within this factor vote
 static const double SECTION_LEAST = 0.3; /* less is a scrap */
 static const double GRID_LEAST = 0.4;    /* takes part in laying the grid */
 static const double OVERRUN = 0.25;      /* more than this in a second slot: sections touch */
+/* Share of a section that may lie outside the grid before it counts as lost. */
+static const double LOST_LEAST = 0.02;
 /* In sizes of a section: a smaller piece this near to a section is a part of it. */
 static const double NEAR = 0.25;
 
@@ -37,15 +40,23 @@ struct part {
     double sum_x, sum_y;
 };
 
+/* What is odd about the tissue of one place. */
+struct touch {
+    int is;       /* it runs over into another place */
+    size_t other; /* that one */
+    struct gsn_point cut[2];
+    int beyond; /* much of its piece lies outside the grid, and its box leaves that out */
+};
+
 struct panel {
     struct cells cells;
     struct gsn_components *pieces;
     double section_area; /* cells */
     struct gsn_panel_axis columns, rows;
-    size_t places;      /* rows * columns; place = row * columns + column */
-    struct part *parts; /* pieces->count x (places + 1); the last is what lies outside the grid */
-    struct part *held;  /* places: what was given to each */
-    int *touching;      /* places */
+    size_t places;       /* rows * columns; place = row * columns + column */
+    struct part *parts;  /* pieces->count x (places + 1); the last is what lies outside the grid */
+    struct part *held;   /* places: what was given to each */
+    struct touch *touch; /* places */
 };
 
 void gsn_panel_place(const struct gsn_layout *layout, unsigned slot, unsigned *ret_row,
@@ -129,10 +140,8 @@ static int find_pieces(const struct gsn_plane *tissue, struct gsn_components **r
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
     clip(tissue, value);
     threshold = (float)threshold_of(value, count, &apart);
-    if (apart < TISSUE_LEAST)
-        return gsn_fail(err, GSN_E_INPUT, "there is no tissue on the panel");
     for (size_t i = 0; i < count; i++)
-        mask[i] = value[i] >= threshold;
+        mask[i] = apart >= TISSUE_LEAST && value[i] >= threshold;
     return gsn_split_pieces(mask, (int)tissue->width, (int)tissue->height, ret_pieces, err);
 }
 
@@ -264,6 +273,17 @@ static void cut_pieces(struct panel *panel, const int *column)
     }
 }
 
+/* The slot that holds most of a piece. */
+static size_t slot_of(const struct panel *panel, size_t piece)
+{
+    size_t most = 0;
+
+    for (size_t place = 1; place < panel->places; place++)
+        if (part_of(panel, piece, place)->area > part_of(panel, piece, most)->area)
+            most = place;
+    return most;
+}
+
 /* Where most of a piece lies; panel->places when outside the grid. */
 static size_t home_of(const struct panel *panel, size_t piece)
 {
@@ -276,28 +296,91 @@ static size_t home_of(const struct panel *panel, size_t piece)
     return home;
 }
 
+static struct gsn_point centre_of(const struct panel *panel, size_t place)
+{
+    const size_t row = place / panel->columns.lines, column = place % panel->columns.lines;
+
+    return (struct gsn_point){ panel->columns.first + (double)column * panel->columns.pitch,
+                               panel->rows.first + (double)row * panel->rows.pitch };
+}
+
+static int spans(const struct panel *panel, size_t piece, size_t place)
+{
+    return place < panel->places &&
+           (double)part_of(panel, piece, place)->area >= OVERRUN * panel->section_area;
+}
+
+/* Of the other places that a piece spans, the one that lies nearest to this. */
+static size_t neighbour_of(const struct panel *panel, size_t piece, size_t place)
+{
+    const struct gsn_point own = centre_of(panel, place);
+    size_t nearest = place;
+    double least = INFINITY;
+
+    for (size_t other = 0; other < panel->places; other++) {
+        const struct gsn_point at = centre_of(panel, other);
+        const double way = hypot(at.x - own.x, at.y - own.y);
+
+        if (other != place && spans(panel, piece, other) && way < least) {
+            least = way;
+            nearest = other;
+        }
+    }
+    return nearest;
+}
+
+/* A piece that several places share: each keeps its part, and where to cut is proposed. */
+static int share_out(struct panel *panel, size_t piece, size_t home, struct gsn_error *err)
+{
+    for (size_t place = 0; place <= panel->places; place++) {
+        const int own = spans(panel, piece, place);
+        struct touch *touch = own ? &panel->touch[place] : NULL;
+        struct gsn_point centre[2];
+        int r;
+
+        add_to(&panel->held[own ? place : home], part_of(panel, piece, place));
+        if (!own)
+            continue;
+        touch->is = 1;
+        touch->other = neighbour_of(panel, piece, place);
+        centre[0] = centre_of(panel, place < touch->other ? place : touch->other);
+        centre[1] = centre_of(panel, place < touch->other ? touch->other : place);
+        r = gsn_panel_cut(panel->pieces, piece, centre, touch->cut, err);
+        if (r < 0)
+            return r;
+    }
+    return GSN_OK;
+}
+
 /* Gives a piece of section size to its slot, or its parts to theirs when it spans several. Whether
  * it was taken. */
-static int give_section(struct panel *panel, size_t piece)
+static int give_section(struct panel *panel, size_t piece, char *ret_taken, struct gsn_error *err)
 {
     const double area = (double)panel->pieces->piece[piece].area;
-    const size_t home = home_of(panel, piece);
+    const double least = SECTION_LEAST * panel->section_area;
+    const size_t most = home_of(panel, piece), home = slot_of(panel, piece);
     size_t large = 0;
 
-    if (home == panel->places || area < SECTION_LEAST * panel->section_area)
-        return 0;
+    /* A section that lies over a label is in one piece with it, mostly outside the grid. */
+    *ret_taken = (most < panel->places && area >= least) ||
+                 (double)part_of(panel, piece, home)->area >= least;
+    if (!*ret_taken)
+        return GSN_OK;
     for (size_t place = 0; place < panel->places; place++)
-        large += (double)part_of(panel, piece, place)->area >= OVERRUN * panel->section_area;
+        large += (size_t)spans(panel, piece, place);
+    if (large > 1)
+        return share_out(panel, piece, home, err);
+    /* What lies beyond the slots is on the label or over the edge of the coverslip; a little of it
+     * is a section that sits askew. */
     for (size_t place = 0; place <= panel->places; place++) {
         const struct part *part = part_of(panel, piece, place);
-        const int own =
-            place < panel->places && (double)part->area >= OVERRUN * panel->section_area;
 
-        add_to(&panel->held[large > 1 && own ? place : home], part);
-        if (large > 1 && own)
-            panel->touching[place] = 1;
+        if (place == panel->places && (double)part->area >= OVERRUN * panel->section_area)
+            panel->touch[home].beyond = 1;
+        else
+            add_to(&panel->held[home], part);
     }
-    return 1;
+    return GSN_OK;
 }
 
 static int is_near(const struct gsn_component *piece, const struct part *held, double reach)
@@ -355,6 +438,36 @@ static void frame(const struct panel *panel, size_t place, double px_um, struct 
     slot->height = (y1 < bottom ? y1 : bottom) - slot->y;
 }
 
+/* What is lost is not seen, or cannot be told from a label: a section that lacks some is taken to
+ * have been as large as the others. */
+static double lost_of(const struct panel *panel, size_t place)
+{
+    const struct part *held = &panel->held[place];
+    const int at_border = held->x0 == 0 || held->y0 == 0 || held->x1 == panel->cells.width ||
+                          held->y1 == panel->cells.height;
+    const double lost = 1 - (double)held->area / panel->section_area;
+
+    return (at_border || panel->touch[place].beyond) && lost >= LOST_LEAST ? lost : 0;
+}
+
+static void describe_touch(const struct panel *panel, const struct gsn_layout *layout, size_t place,
+                           struct gsn_slot *slot)
+{
+    const struct touch *touch = &panel->touch[place];
+
+    for (unsigned other = 0; other < panel->places; other++) {
+        unsigned row, column;
+
+        gsn_panel_place(layout, other, &row, &column);
+        if ((size_t)row * layout->columns + column == touch->other)
+            slot->touched = other;
+    }
+    for (int k = 0; k < 2; k++) {
+        slot->cut_px[k].x = touch->cut[k].x * panel->cells.step;
+        slot->cut_px[k].y = touch->cut[k].y * panel->cells.step;
+    }
+}
+
 static void fill_slots(const struct panel *panel, const struct gsn_layout *layout, double px_um,
                        struct gsn_slot *ret_slots)
 {
@@ -372,7 +485,10 @@ static void fill_slots(const struct panel *panel, const struct gsn_layout *layou
         if (held->area == 0)
             continue;
         slot->found = 1;
-        slot->touching = panel->touching[place];
+        slot->touching = panel->touch[place].is;
+        slot->lost = lost_of(panel, place);
+        if (slot->touching)
+            describe_touch(panel, layout, place, slot);
         slot->area_px = (double)held->area * step * step;
         slot->centre_px.x = held->sum_x / (double)held->area * step;
         slot->centre_px.y = held->sum_y / (double)held->area * step;
@@ -426,27 +542,28 @@ static int deal_out(struct panel *panel, const struct gsn_layout *layout, double
     const size_t pieces = panel->pieces->count;
     gsn_auto_mem(struct part) parts = gsn_alloc_array(pieces * (panel->places + 1), sizeof *parts);
     gsn_auto_mem(struct part) held = gsn_alloc_array(panel->places, sizeof *held);
-    gsn_auto_mem(int) touching = gsn_alloc_array(panel->places, sizeof *touching);
+    gsn_auto_mem(struct touch) touch = gsn_alloc_array(panel->places, sizeof *touch);
     gsn_auto_mem(int) column = gsn_alloc_array((size_t)panel->cells.width, sizeof *column);
     gsn_auto_mem(char) taken = gsn_alloc_array(pieces, 1);
     gsn_auto_mem(struct gsn_scrap) scraps = NULL;
     size_t scrap_count = 0;
+    int r;
 
-    if (!parts || !held || !touching || !column || !taken)
+    if (!parts || !held || !touch || !column || !taken)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
     panel->parts = parts;
     panel->held = held;
-    panel->touching = touching;
+    panel->touch = touch;
     for (int x = 0; x < panel->cells.width; x++)
         column[x] = gsn_panel_axis_line(&panel->columns, x + 0.5);
     cut_pieces(panel, column);
     for (size_t i = 0; i < pieces; i++)
-        taken[i] = (char)give_section(panel, i);
+        if ((r = give_section(panel, i, &taken[i], err)) < 0)
+            return r;
     for (size_t i = 0; i < pieces; i++)
         taken[i] = (char)(taken[i] || give_fragment(panel, i));
     if (ret_scraps && ret_scrap_count) {
-        const int r = list_scraps(panel, taken, &scraps, &scrap_count, err);
-
+        r = list_scraps(panel, taken, &scraps, &scrap_count, err);
         if (r < 0)
             return r;
         *ret_scraps = gsn_steal(&scraps);
@@ -454,6 +571,14 @@ static int deal_out(struct panel *panel, const struct gsn_layout *layout, double
     }
     fill_slots(panel, layout, px_um, ret_slots);
     return GSN_OK;
+}
+
+static void leave_empty(const struct gsn_layout *layout, struct gsn_slot *ret_slots)
+{
+    for (unsigned i = 0; i < layout->rows * layout->columns; i++) {
+        ret_slots[i] = (struct gsn_slot){ .slot = i };
+        gsn_panel_place(layout, i, &ret_slots[i].row, &ret_slots[i].column);
+    }
 }
 
 int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct gsn_layout *layout,
@@ -478,9 +603,11 @@ int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct 
         return r;
     panel.pieces = pieces;
     panel.section_area = section_area(pieces, &panel.cells);
-    if (panel.section_area == 0)
-        return gsn_fail(err, GSN_E_INPUT, "there is nothing but dust on the panel");
     panel.places = (size_t)layout->rows * layout->columns;
+    if (panel.section_area == 0) {
+        leave_empty(layout, ret_slots);
+        return GSN_OK;
+    }
     r = lay_grid(&panel, layout, err);
     if (r < 0)
         return r;

@@ -31,6 +31,10 @@ struct gsn_slot {
     unsigned row, column; /* 0-based */
     int found;            /* 0: the slot is empty and everything below is 0 */
     int touching;         /* the tissue runs over into another slot; the box ends at the border */
+    unsigned touched;     /* that slot, where touching; else 0 */
+    struct gsn_point cut_px[2]; /* where touching: ends of the line to cut along, else 0 */
+    double lost; /* share of the tissue that lies beyond the slots (over the label or the
+                    frame) or off the picture; 0 when it is whole */
     int x, y, width, height; /* box around the tissue with a margin of up to 150 um, inside the
                                 panel and never beyond half the way to a neighbour's tissue */
     double area_px;
@@ -57,8 +61,8 @@ unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn
  * (panel_reduce.h): the sum of the optical densities of the three channels or their like, about 0
  * on glass; NaN counts as glass. ret_slots receives rows * columns entries, ordered by slot.
  * gives: ret_scraps, largest first (NULL when there are none); both it and ret_scrap_count may be
- * NULL. Fails with GSN_E_INPUT when there is no tissue or the grid cannot be told from the pieces
- * present (the sentence says why), GSN_E_NOMEM. */
+ * NULL. Glass and dust alone leave every slot empty. Fails with GSN_E_INPUT when the grid cannot be
+ * told from the pieces present (the sentence says why), GSN_E_NOMEM. */
 int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct gsn_layout *layout,
                     double px_um, struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
                     size_t *ret_scrap_count, struct gsn_error *err);

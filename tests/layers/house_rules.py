@@ -36,6 +36,8 @@ LAYERS = {
 FOREIGN = {
     r"sqlite3\.h": r"^storage/",
     r"opencv2/.*": r"^pipeline/.*_opencv\.cpp$",
+    r"dmtx\.h": r"^pipeline/decode/codes_dmtx\.c$",
+    r"zbar\.h": r"^pipeline/decode/codes_zbar\.c$",
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
     r"(tiffio|jpeglib|png|zlib|openslide/.*|lcms2)\.h": r"^pipeline/decode/",
     r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",

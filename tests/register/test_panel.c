@@ -103,6 +103,7 @@ TEST(twelve_sections_are_twelve_slots)
     }
 }
 
+/* Case 25. */
 TEST(empty_slots_stay_empty)
 {
     /* One gone; a whole column; a whole row; a corner; only a cross; every second one. */
@@ -163,6 +164,7 @@ TEST(too_many_columns_are_refused)
     CHECK(strcmp(err.text, "tissue lies in 4 columns, the protocol says 2") == 0);
 }
 
+/* Case 26. */
 TEST(a_scrap_between_the_slots_and_the_label_outside_are_told_apart)
 {
     struct gsn_slot slots[SLOTS];
@@ -218,6 +220,7 @@ TEST(a_torn_section_is_one_section)
     CHECK(slots[2].x < 545 && slots[2].x + slots[2].width > 665);
 }
 
+/* Case 27. */
 TEST(a_section_that_touches_its_neighbour_is_cut_at_the_border)
 {
     struct gsn_slot slots[SLOTS];
@@ -232,6 +235,16 @@ TEST(a_section_that_touches_its_neighbour_is_cut_at_the_border)
         CHECK(slots[i].found && slots[i].touching == (i == 5 || i == 6));
     CHECK(abs(slots[5].x + slots[5].width - 505) <= 2);
     CHECK(abs(slots[6].x - 505) <= 2);
+    /* The proposed cut is the chord between the two ellipses: x = 505, y = +- 51 sqrt(1 - t^2)
+     * with t = 62 / 65. */
+    CHECK(slots[5].touched == 6 && slots[6].touched == 5 && slots[4].touched == 0);
+    for (int k = 0; k < 2; k++) {
+        const double half = 51 * sqrt(1 - 62.0 * 62.0 / (65.0 * 65.0));
+
+        CHECK_NEAR(slots[5].cut_px[k].x, 505, 3);
+        CHECK_NEAR(fabs(slots[5].cut_px[k].y - FIRST_Y - PITCH), half, 3);
+        CHECK_NEAR(slots[5].cut_px[k].x, slots[6].cut_px[k].x, 1e-9);
+    }
 }
 
 TEST(boxes_do_not_reach_into_a_neighbours_tissue)
@@ -250,24 +263,66 @@ TEST(boxes_do_not_reach_into_a_neighbours_tissue)
     CHECK(slots[5].x + slots[5].width > 503);
 }
 
-TEST(glass_or_dust_alone_is_refused)
+/* Case 45. */
+TEST(glass_or_dust_alone_leaves_every_slot_empty)
 {
+    const double even[] = { 0, 0.3, NAN };
     struct gsn_slot slots[SLOTS];
     struct gsn_error err = { 0 };
 
     draw_glass(9);
-    CHECK(split(slots, NULL, NULL, &err) == GSN_E_INPUT);
-    CHECK(strcmp(err.text, "there is no tissue on the panel") == 0);
-    draw_fill(&panel, 0.3);
-    CHECK(split(slots, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK_OK(split(slots, NULL, NULL, &err), err);
+    check_slots(slots, 0, 0);
+    for (size_t i = 0; i < 3; i++) {
+        draw_fill(&panel, even[i]);
+        CHECK_OK(split(slots, NULL, NULL, &err), err);
+        check_slots(slots, 0, 0);
+    }
     draw_fill(&panel, 0);
     draw_box(&panel, 100, 100, 2, 2, 1);
-    CHECK(split(slots, NULL, NULL, &err) == GSN_E_INPUT);
-    CHECK(strcmp(err.text, "there is nothing but dust on the panel") == 0);
-    draw_fill(&panel, NAN);
-    CHECK(split(slots, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK_OK(split(slots, NULL, NULL, &err), err);
+    check_slots(slots, 0, 0);
+}
+
+TEST(a_pixel_without_a_size_is_refused)
+{
+    struct gsn_slot slots[SLOTS];
+    struct gsn_error err = { 0 };
+
+    draw_fill(&panel, 0);
     CHECK(gsn_panel_split(&panel, 1, &LAYOUT, 0, slots, NULL, NULL, &err) == GSN_E_INPUT);
     CHECK(gsn_panel_split(&panel, 1, &LAYOUT, NAN, slots, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK(strcmp(err.text, "a pixel of nan um: the panel cannot be split") == 0);
+}
+
+/* Case 28: over the frame at the bottom, and over what lies on the label. */
+TEST(the_share_of_a_section_beyond_the_edge_is_told)
+{
+    struct gsn_slot slots[SLOTS];
+    struct gsn_error err = { 0 };
+
+    /* The picture ends 22.5 pixels below the middle of the last row: of an ellipse with a half axis
+     * of 51 the share (acos t - t sqrt(1 - t^2)) / pi = 0.229 is lost, t = 22.5 / 51. */
+    const struct gsn_plane cut = { WIDTH, 530, value };
+
+    draw_glass(12);
+    draw_slots(0x0ff, 0);
+    draw_section((struct gsn_point){ 405, FIRST_Y + 2 * PITCH }, 0);
+    CHECK_OK(gsn_panel_split(&cut, 1, &LAYOUT, PX, slots, NULL, NULL, &err), err);
+    for (unsigned i = 0; i < 8; i++)
+        CHECK(slots[i].found && slots[i].lost == 0);
+    CHECK(slots[9].found && slots[9].y + slots[9].height == 530);
+    CHECK_NEAR(slots[9].lost, 0.229, 0.04);
+
+    draw_glass(13);
+    draw_slots(0xfef, 0);
+    draw_section((struct gsn_point){ 205 - 50, FIRST_Y + PITCH }, 0);
+    draw_box(&panel, 0, 200, 100, 220, 0.6);
+    CHECK_OK(split(slots, NULL, NULL, &err), err);
+    /* 50 of its 65 pixels to the left of the grid's border at x = 105 are not told from the label:
+     * (acos t - t sqrt(1 - t^2)) / pi with t = 50 / 65. */
+    CHECK(slots[4].found && slots[4].x > 90);
+    CHECK_NEAR(slots[4].lost, 0.0655, 0.04);
 }
 
 TEST(the_order_of_mounting_is_data)

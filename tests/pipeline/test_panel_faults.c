@@ -1,0 +1,214 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What goes wrong between the glass and the scanner, and the sentence that a technician reads. */
+#include "pipeline/examine.h"
+
+#include "pipeline/decode/png_write.h"
+#include "tests/check.h"
+#include "tests/phantom/panel.h"
+#include "tests/pipeline/drawn_panel.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static const char JOB[] =
+    "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [2, 2], \"panels\": 2, \"sections\": 7, "
+    "\"markers_um\": " DRAWN_MARKS_JSON "}";
+
+static struct gsn_panel_findings *examined_as(const struct gsn_image *image, unsigned number,
+                                              const char *job)
+{
+    gsn_auto(gsn_protocol) protocol = NULL;
+    struct gsn_panel_findings *findings = NULL;
+    gsn_auto_mem(uint8_t) png = NULL;
+    struct gsn_error err = { 0 };
+    size_t size;
+
+    CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
+    CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
+    CHECK_OK(gsn_panel_examine(NULL, png, size, protocol, number, 1, NULL, &findings, &err), err);
+    return findings;
+}
+
+static void says(const struct gsn_panel_findings *findings, const char *sentence)
+{
+    if (!strstr(findings->note, sentence))
+        fail_msg("\"%s\" is not in \"%s\"", sentence, findings->note);
+}
+
+/* A square of tissue on the picture. */
+static void add_tissue(struct gsn_image *image, uint32_t x0, uint32_t y0, uint32_t side)
+{
+    static const uint8_t ROSE[3] = { 200, 70, 100 };
+
+    for (uint32_t i = 0; i < side * side; i++)
+        memcpy((uint8_t *)image->samples +
+                   3 * ((size_t)(y0 + i / side) * image->width + x0 + i % side),
+               ROSE, 3);
+}
+
+/* Case 45. */
+TEST(a_blank_panel_is_a_row_that_says_so)
+{
+    struct drawn_panel panel = drawn_panel_of(2, 24, 0.8);
+
+    for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++)
+        panel.section[slot].missing = 1;
+    gsn_auto(gsn_image) image = drawn_panel_image(&panel);
+    add_tissue(image, 100, 100, 1); /* dust; a picture without any is no scan */
+    gsn_auto(gsn_panel_findings) findings = examined_as(image, 2, JOB);
+
+    CHECK(findings->count == DRAWN_SLOTS);
+    for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++) {
+        CHECK(findings->section[slot].serial == 4 + slot);
+        CHECK(findings->section[slot].sighting == (slot < 3 ? GSN_SIGHT_MISSING : GSN_SIGHT_EMPTY));
+    }
+    says(findings, "no tissue on this panel");
+}
+
+/* Cases 25 and 26. */
+TEST(a_scrap_in_an_empty_slot_is_held_and_the_slot_stays_empty)
+{
+    struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+
+    panel.section[1].missing = 1;
+    gsn_auto(gsn_image) image = drawn_panel_image(&panel);
+    add_tissue(image, 160, 50, 12);
+    gsn_auto(gsn_panel_findings) findings = examined_as(image, 1, JOB);
+
+    CHECK(findings->count == DRAWN_SLOTS + 1);
+    CHECK(findings->section[1].sighting == GSN_SIGHT_MISSING && findings->section[1].serial == 1);
+    CHECK(findings->section[2].sighting == GSN_SIGHT_FOUND && findings->section[2].serial == 2);
+    CHECK(findings->section[4].sighting == GSN_SIGHT_HELD);
+    CHECK(findings->section[4].serial == GSN_NO_SERIAL && findings->section[4].slot == 4);
+    assert_string_equal(findings->section[4].flags, "scrap");
+    CHECK(abs(findings->section[4].x - 160) <= 2 && abs(findings->section[4].width - 12) <= 2);
+    says(findings, "1 piece between the slots belongs to no section: held");
+}
+
+/* Case 27. */
+TEST(sections_that_grew_together_are_held_with_a_cut)
+{
+    struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+    const char *cut;
+    double at[4];
+
+    panel.section[0].shift_um.x = 330;
+    panel.section[1].shift_um.x = -330;
+    panel.section[0].turn_deg = panel.section[1].turn_deg = 0;
+    gsn_auto(gsn_image) image = drawn_panel_image(&panel);
+    gsn_auto(gsn_panel_findings) findings = examined_as(image, 1, JOB);
+
+    for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++) {
+        CHECK(findings->section[slot].sighting == (slot < 2 ? GSN_SIGHT_HELD : GSN_SIGHT_FOUND));
+        assert_string_equal(findings->section[slot].flags, slot < 2 ? "touching" : "");
+        CHECK(!findings->section[slot].mark[0].found == (slot < 2));
+    }
+    says(findings, "the sections in slots 1 and 2 have grown together and are held: cut along the "
+                   "line from (");
+    says(findings, " px, or mount them again");
+    cut = strstr(findings->note, "from (");
+    CHECK(sscanf(cut, "from (%lf, %lf) to (%lf, %lf)", &at[0], &at[1], &at[2], &at[3]) == 4);
+    CHECK_NEAR(at[0], 108, 3);
+    CHECK_NEAR(at[2], 108, 3);
+}
+
+/* Case 17: one of four is a fault of the mounting; case 16: more than half are the scanner's. */
+TEST(one_mirrored_section_is_its_own_fault_and_most_are_the_scanners)
+{
+    struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+
+    panel.section[1].flipped = 1;
+    gsn_auto(gsn_image) one = drawn_panel_image(&panel);
+    gsn_auto(gsn_panel_findings) single = examined_as(one, 1, JOB);
+
+    panel.section[0].flipped = panel.section[2].flipped = 1;
+    gsn_auto(gsn_image) three = drawn_panel_image(&panel);
+    gsn_auto(gsn_panel_findings) most = examined_as(three, 1, JOB);
+
+    CHECK(!strstr(single->note, "mirrored"));
+    says(most, "3 of 4 sections are mirrored against the job's \"markers_um\": if no label says "
+               "which way round the panel is, look at the scanner's settings");
+}
+
+/* ---- with a label ------------------------------------------------------------------------ */
+
+static const char PHANTOM_JOB[] = "{\"specimen\": \"S02-L0\", \"study\": \"GVP-D\", \"px_um\": 24, "
+                                  "\"layout\": [3, 4]}";
+
+static struct gsn_image *phantom_panel(int panel)
+{
+    struct gsn_phantom_extent extent[GSN_PHANTOM_SLOTS];
+    struct gsn_phantom_plan plan;
+    struct gsn_image *image = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_phantom_plan_make("S02", "L0", 7, 24, &plan, &err), err);
+    CHECK_OK(gsn_phantom_panel_draw(&plan, panel, 0, &image, extent, &err), err);
+    return image;
+}
+
+/* The picture mirrored left to right and, or, turned by 180 degrees. */
+static void turn(struct gsn_image *image, int mirrored, int turned)
+{
+    const size_t width = image->width, count = width * image->height;
+    uint8_t *pixel = image->samples;
+
+    for (size_t i = 0; i < count; i++) {
+        const size_t x = i % width, y = i / width;
+        const size_t onto_y = turned ? image->height - 1 - y : y;
+        const size_t k = onto_y * width + (mirrored != turned ? width - 1 - x : x);
+
+        for (size_t c = 0; c < 3 && i < k; c++) {
+            const uint8_t kept = pixel[3 * i + c];
+
+            pixel[3 * i + c] = pixel[3 * k + c];
+            pixel[3 * k + c] = kept;
+        }
+    }
+}
+
+/* Case 16. */
+TEST(a_panel_fed_the_wrong_way_round_is_set_upright_by_its_label)
+{
+    static const char *const MIRRORED =
+        "mirrored back as a whole: the code on its label was mirrored";
+    static const char *const TURNED =
+        "turned by 180 degrees: the code on its label stood on its head";
+    gsn_auto(gsn_image) image = phantom_panel(3);
+    gsn_auto(gsn_panel_findings) upright = examined_as(image, 3, PHANTOM_JOB);
+
+    CHECK(upright->count >= GSN_PHANTOM_SLOTS && upright->label_number == 3);
+    assert_string_equal(upright->label, "GVP-D-S02-P03");
+    assert_string_equal(upright->label_subject, "GVP-D-S02");
+    CHECK(!strstr(upright->note, MIRRORED) && !strstr(upright->note, TURNED));
+    for (int way = 1; way < 4; way++) {
+        turn(image, way & 1, way >> 1);
+        gsn_auto(gsn_panel_findings) findings = examined_as(image, 3, PHANTOM_JOB);
+
+        turn(image, way & 1, way >> 1);
+        CHECK(!strstr(findings->note, MIRRORED) == !(way & 1));
+        CHECK(!strstr(findings->note, TURNED) == !(way >> 1));
+        CHECK(findings->count == upright->count);
+        for (size_t i = 0; i < findings->count; i++) {
+            CHECK(findings->section[i].serial == upright->section[i].serial);
+            CHECK(findings->section[i].x == upright->section[i].x);
+            CHECK(findings->section[i].y == upright->section[i].y);
+            CHECK_NEAR(findings->section[i].mark[0].px.x, upright->section[i].mark[0].px.x, 1e-3);
+        }
+    }
+}
+
+/* Case 34: the code scratched off, the writing is still there. */
+TEST(a_label_that_cannot_be_read_is_shown_where_it_is)
+{
+    gsn_auto(gsn_image) image = phantom_panel(1);
+    /* A pen line through the code. */
+    for (uint32_t y = 0; y < image->height; y++)
+        for (uint32_t x = 60; x < 75; x++)
+            memset((uint8_t *)image->samples + 3 * ((size_t)y * image->width + x), 30, 3);
+    gsn_auto(gsn_panel_findings) findings = examined_as(image, 1, PHANTOM_JOB);
+
+    CHECK(findings->label_number == 0);
+    says(findings, "no code could be read on its label: compare what is written from (");
+}

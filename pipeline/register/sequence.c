@@ -13,10 +13,12 @@ enum { SIDE = 3, AROUND = 2 * SIDE, LEAST = 8, PASSES = 3, SMOOTHINGS = 2 };
 enum { SWEEPS = 8, MOST_DIRECTIONS = 10 };
 
 /* A proposal must be this much likelier than the order as numbered: e^14 is a million to one, to
- * be divided among some thousand pairs of a stack. */
-static const double SURE = 14;
-/* Two mounts of one section share most of their texture; neighbours share none. */
-static const double SAME = 0.5, SAME_DEVIATIONS = 8;
+ * be divided among some thousand pairs of a stack; e^7 is a thousand to one, for as many neighbours
+ * as it has sections. */
+static const double SURE = 14, SURE_OF_NEIGHBOURS = 7;
+/* Two mounts of one section share most of their texture; neighbours share none. At the ends of the
+ * stack the lines reach beyond what they go through, and both share that error. */
+static const double SAME = 0.5, SAME_AT_END = 0.8, SAME_DEVIATIONS = 8;
 /* A direction counts when its variance is this much above the median one's, which is grain. */
 static const double LARGE = 2;
 /* Median absolute deviation to standard deviation of normal numbers. */
@@ -456,13 +458,13 @@ static void add(struct gsn_sequence *found, enum gsn_sequence_kind kind, unsigne
     found->finding[found->count++] = (struct gsn_sequence_finding){ kind, a, b, evidence };
 }
 
-/* How much likelier two sections lie in each other's places than in their own; 0 unless both are
- * nearer to the other's. */
+/* How much likelier two sections lie in each other's places than in their own. Unless they are
+ * neighbours, whose places are hardly apart, each by itself must be nearer to the other's. */
 static double swapped(const struct stack *s, size_t i, size_t j)
 {
     const struct stand t = compare(s, i, j);
 
-    if (t.at_i <= 0 || t.at_j >= 0)
+    if (j > i + 1 && (t.at_i <= 0 || t.at_j >= 0))
         return 0;
     return 2 * s->gain * (t.at_i - t.at_j) * t.apart2 / s->noise2;
 }
@@ -517,11 +519,14 @@ static double roughness(const struct stack *s, size_t i, size_t j)
 
 /* What is gained in roughness by swapping two sections, as a share; 0 where neither the tissue of
  * the two nor the roughness asks for it. */
-static double smoother(struct stack *s, size_t i, size_t j)
+static double smoother(struct stack *s, size_t i, size_t j, double sure)
 {
     double before, after;
 
-    if (swapped(s, i, j) <= SURE)
+    /* Nothing lies beyond the last two, so nothing says which of them is the last. */
+    if (j == i + 1 && (i == 0 || j + 1 == s->n))
+        return 0;
+    if (swapped(s, i, j) <= sure)
         return 0;
     before = roughness(s, i, j);
     exchange(s, i, j);
@@ -536,8 +541,9 @@ static int find_swaps(struct stack *s, const struct gsn_sequence_plane *planes,
                       struct gsn_sequence *found, struct gsn_error *err)
 {
     gsn_auto_mem(char) used = gsn_alloc_array(s->n, 1);
+    gsn_auto_mem(char) near = gsn_alloc_array(s->n, 1); /* laid beside a wrong neighbour */
 
-    if (!used)
+    if (!used || !near)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", s->n);
     for (;;) {
         double most = 0;
@@ -545,7 +551,9 @@ static int find_swaps(struct stack *s, const struct gsn_sequence_plane *planes,
 
         for (size_t i = 0; i < s->n; i++)
             for (size_t j = i + 1; j < s->n && !used[i]; j++) {
-                const double gain = used[j] ? 0 : smoother(s, i, j);
+                const int clean = j == i + 1 && !near[i] && !near[j];
+                const double gain =
+                    used[j] ? 0 : smoother(s, i, j, clean ? SURE_OF_NEIGHBOURS : SURE);
 
                 if (gain > most) {
                     most = gain;
@@ -557,6 +565,9 @@ static int find_swaps(struct stack *s, const struct gsn_sequence_plane *planes,
             return GSN_OK;
         most = swapped(s, a, b);
         used[a] = used[b] = 1;
+        for (size_t k = 0; k < s->n; k++)
+            near[k] =
+                near[k] || (k + SIDE >= a && k <= a + SIDE) || (k + SIDE >= b && k <= b + SIDE);
         exchange(s, a, b);
         if (!is_duplicate(found, planes[a].serial, planes[b].serial))
             add(found, GSN_SEQUENCE_SWAP, planes[a].serial, planes[b].serial, most);
@@ -581,8 +592,8 @@ static void find_duplicates(const struct stack *s, const struct gsn_sequence_pla
     pairs = 0;
     for (size_t i = 0; i < s->n; i++)
         for (size_t j = i + 1; j < s->n; j++, pairs++)
-            if (like[pairs] > SAME && like[pairs] - median > SAME_DEVIATIONS * deviation &&
-                found->count < s->n)
+            if (like[pairs] > (i < 2 || j + 2 >= s->n ? SAME_AT_END : SAME) &&
+                like[pairs] - median > SAME_DEVIATIONS * deviation && found->count < s->n)
                 add(found, GSN_SEQUENCE_DUPLICATE, planes[i].serial, planes[j].serial, like[pairs]);
 }
 

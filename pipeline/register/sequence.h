@@ -6,7 +6,9 @@
  * neighbours: it is compared with the straight line through the sections around each place, itself
  * left out. All is done on coarse planes in the block frame (cells of some 100 um, many sections'
  * texture averaged out), scaled to one mean, so that stain does not matter. What is found is a
- * proposal for a person, never an action: nothing is moved in z. */
+ * proposal for a person, never an action: nothing is moved in z. Which of the last two at either
+ * end is the last cannot be told, and a section that was lost while the numbers were closed up over
+ * it is not looked for: gaps are known from the slots. */
 #ifndef GSN_REGISTER_SEQUENCE_H
 #define GSN_REGISTER_SEQUENCE_H
 

@@ -93,7 +93,7 @@ static int has(const struct gsn_sequence *s, enum gsn_sequence_kind kind, unsign
 TEST(a_stack_in_order_has_nothing_to_propose)
 {
     struct draw_chance chance = { 1 };
-    const size_t trials = mounted_trials(20);
+    const size_t trials = mounted_trials(8);
     size_t proposals = 0, told = 0;
     double change = 0;
 
@@ -107,7 +107,7 @@ TEST(a_stack_in_order_has_nothing_to_propose)
     }
     print_message("  %zu proposals in %zu stacks; change over noise %.2f, %zu told\n", proposals,
                   trials, change, told);
-    CHECK((double)proposals <= 0.01 * (double)trials);
+    CHECK((double)proposals <= 0.01 * (double)trials + 0.5);
 }
 
 /* How many swaps at this distance are found; everything else that is proposed is counted too. */
@@ -137,7 +137,7 @@ static size_t swaps_found(unsigned least, unsigned most, size_t trials, size_t *
  * is left of the difference does not always tell which is which, and then nothing is proposed. */
 TEST(swapped_sections_are_proposed_and_nothing_else)
 {
-    const size_t trials = mounted_trials(30);
+    const size_t trials = mounted_trials(10);
     size_t others = 0;
     const size_t near = swaps_found(1, 1, trials, &others),
                  far = swaps_found(2, 20, trials, &others);
@@ -155,7 +155,7 @@ TEST(swapped_sections_are_proposed_and_nothing_else)
 TEST(a_section_mounted_twice_is_found)
 {
     struct draw_chance chance = { 3 };
-    const size_t trials = mounted_trials(30);
+    const size_t trials = mounted_trials(10);
     size_t found = 0, others = 0;
 
     for (size_t t = 0; t < trials; t++) {
@@ -181,7 +181,7 @@ TEST(a_gap_in_the_numbers_is_no_fault)
 {
     struct draw_chance chance = { 5 };
 
-    for (int t = 0; t < 10; t++) {
+    for (int t = 0; t < 4; t++) {
         see_all(&chance);
         memmove(&planes[20], &planes[22], (SECTIONS - 22) * sizeof planes[0]);
         gsn_auto(gsn_sequence) s = examined(SECTIONS - 2);

@@ -19,6 +19,7 @@
 #include "storage/catalog.h"
 #include "storage/event.h"
 #include "storage/result.h"
+#include "systemd/give_back.h"
 #include "systemd/import.h"
 #include "systemd/job.h"
 #include "systemd/night.h"
@@ -339,6 +340,7 @@ static void say_walls(void)
 static int do_work(const struct request *request)
 {
     gsn_auto(gsn_store) store = NULL;
+    gsn_auto(gsn_give_back) watch = NULL;
     __attribute__((cleanup(helpers_done))) struct helpers helpers = { .mesher = NULL };
     struct gsn_job_options how;
     struct gsn_error err = { 0 };
@@ -346,6 +348,8 @@ static int do_work(const struct request *request)
 
     if (r >= 0)
         r = job_options(request, &helpers, &how, &err);
+    if (r >= 0)
+        r = gsn_give_back_new(request->store_dir, &watch, &err);
     if (r >= 0) {
         say_walls();
         r = gsn_job_next(store, &how, &err);

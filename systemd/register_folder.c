@@ -119,8 +119,8 @@ static void print_text(const struct gsn_folder_stack *stack, size_t lost)
         else
             (void)printf("%-24s %-9s turned %7.2f, error %.3f px%s%s\n", s->file,
                          state_name(s->state),
-                         atan2(s->frame_to_px.m11, -s->frame_to_px.m01) * 180 / M_PI - 90,
-                         s->error_px, s->flags[0] ? "; " : "", s->flags);
+                         atan2(-s->frame_to_px.m01, s->frame_to_px.m11) * 180 / M_PI, s->error_px,
+                         s->flags[0] ? "; " : "", s->flags);
     }
     (void)printf("%zu sections, %zu without a pose; a mark is localised to %.3f px; %.2f ms each\n",
                  stack->count, lost, stack->fle_px, stack->cpu_ms);

@@ -91,26 +91,27 @@ static int search(struct folder *folder, const char *dir, size_t i, struct gsn_e
     gsn_auto_mem(char) path = gsn_format("%s/%s", dir, section->file);
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_picture) picture = NULL;
+    struct gsn_error own = { 0 };
     size_t size;
     double began;
     int r;
 
     if (!path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %s", section->file);
-    r = gsn_file_read(path, MOST_PICTURE_BYTES, &bytes, &size, err);
+    r = gsn_file_read(path, MOST_PICTURE_BYTES, &bytes, &size, &own);
     if (r >= 0)
-        r = gsn_decode_apart(folder->options->decoder, bytes, size, NULL, &picture, err);
+        r = gsn_decode_apart(folder->options->decoder, bytes, size, NULL, &picture, &own);
     /* The decoder's pages come into this process with the decoding, not with the search. */
     if (r >= 0 && picture->mapped_bytes > 0)
         (void)madvise(picture->place, picture->mapped_bytes, MADV_POPULATE_READ);
     began = cpu_ms();
     if (r >= 0)
-        r = gsn_mark_spots_find(picture->image, folder->px_um, &folder->work[i].spots, err);
+        r = gsn_mark_spots_find(picture->image, folder->px_um, &folder->work[i].spots, &own);
     folder->work[i].search_ms = cpu_ms() - began;
     if (r == GSN_E_NOMEM || r == GSN_E_PROCESS)
-        return gsn_fail_at(err, "%s", section->file);
+        return gsn_fail(err, r, "%s: %s", section->file, own.text);
     if (r < 0)
-        (void)snprintf(section->reason, sizeof section->reason, "%s", err->text);
+        (void)snprintf(section->reason, sizeof section->reason, "%s", own.text);
     return GSN_OK;
 }
 

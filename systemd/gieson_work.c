@@ -567,8 +567,7 @@ static int do_register(const struct request *request)
                                                  .json = request->json };
     gsn_auto_mem(char) decoder = NULL;
     struct gsn_error err = { 0 };
-    size_t lost = 0;
-    int r;
+    int status, r;
 
     if (request->rest_count != 1)
         return usage("register needs one folder of pictures");
@@ -576,11 +575,12 @@ static int do_register(const struct request *request)
     (void)mallopt(M_MMAP_THRESHOLD, 32 << 20);
     (void)mallopt(M_TRIM_THRESHOLD, 256 << 20);
     r = gsn_process_sibling("gieson-decode", &decoder, &err);
-    if (r >= 0)
-        r = gsn_register_folder(&folder, decoder, &lost, &err);
     if (r < 0)
         return complain(&err, r);
-    return lost > 0 ? EX_DATAERR : EX_OK;
+    status = gsn_register_folder(&folder, decoder, &err);
+    if (err.text[0])
+        (void)fprintf(stderr, "gieson: %s\n", err.text);
+    return status;
 }
 
 int main(int argc, char **argv)

@@ -7,6 +7,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <sysexits.h>
 
 /* Numbers of the command line, with commas or blanks between. gives: an array, or NULL. */
 static json_t *numbers_of(const char *text)
@@ -118,8 +119,8 @@ static void print_text(const struct gsn_folder_stack *stack, size_t lost)
         else
             (void)printf("%-24s %-9s turned %7.2f, error %.3f px%s%s\n", s->file,
                          state_name(s->state),
-                         atan2(s->frame_to_px.m11, -s->frame_to_px.m01) * 180 / M_PI - 90,
-                         s->error_px, s->flags[0] ? "; " : "", s->flags);
+                         atan2(-s->frame_to_px.m01, s->frame_to_px.m11) * 180 / M_PI, s->error_px,
+                         s->flags[0] ? "; " : "", s->flags);
     }
     (void)printf("%zu sections, %zu without a pose; a mark is localised to %.3f px; %.2f ms each\n",
                  stack->count, lost, stack->fle_px, stack->cpu_ms);
@@ -128,13 +129,22 @@ static void print_text(const struct gsn_folder_stack *stack, size_t lost)
                      "told on this block\n");
 }
 
+/* How many sections have no pose. */
+static size_t lost_of(const struct gsn_folder_stack *stack)
+{
+    size_t lost = 0;
+
+    for (size_t i = 0; i < stack->count; i++)
+        lost += stack->section[i].state == GSN_POSE_NONE;
+    return lost;
+}
+
 int gsn_register_folder(const struct gsn_register_request *request, const char *decoder,
-                        size_t *ret_lost, struct gsn_error *err)
+                        struct gsn_error *err)
 {
     struct gsn_point mark[GSN_MARKS];
     struct gsn_folder_options options = { .decoder = decoder };
     gsn_auto(gsn_folder_stack) stack = NULL;
-    size_t lost = 0;
     int r = take_length(request->px_um, "px-um", &options.px_um, err);
 
     if (r >= 0)
@@ -143,16 +153,14 @@ int gsn_register_folder(const struct gsn_register_request *request, const char *
         r = take_marks(request->marks, mark, err);
         options.mark = mark;
     }
-    if (r >= 0)
-        r = gsn_folder_register(request->dir, &options, &stack, err);
     if (r < 0)
-        return r;
-    for (size_t i = 0; i < stack->count; i++)
-        lost += stack->section[i].state == GSN_POSE_NONE;
+        return EX_USAGE;
+    r = gsn_folder_register(request->dir, &options, &stack, err);
+    if (r < 0)
+        return gsn_code_exit(r);
     if (request->json)
-        print_json(stack, lost);
+        print_json(stack, lost_of(stack));
     else
-        print_text(stack, lost);
-    *ret_lost = lost;
-    return GSN_OK;
+        print_text(stack, lost_of(stack));
+    return lost_of(stack) > 0 ? EX_DATAERR : EX_OK;
 }

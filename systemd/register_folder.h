@@ -6,8 +6,6 @@
 
 #include "pipeline/core/error.h"
 
-#include <stddef.h>
-
 struct gsn_register_request {
     const char *dir;
     const char *marks; /* six numbers, or NULL */
@@ -16,9 +14,9 @@ struct gsn_register_request {
     int json;
 };
 
-/* Prints the poses; *ret_lost is the number of pictures without one. Fails as
- * gsn_folder_register(), and with GSN_E_INPUT for numbers that are none. */
+/* Prints the poses. Returns the exit status: that of the mistake whose sentence is in err, or 65
+ * when a picture has no pose. */
 int gsn_register_folder(const struct gsn_register_request *request, const char *decoder,
-                        size_t *ret_lost, struct gsn_error *err);
+                        struct gsn_error *err);
 
 #endif

@@ -14,7 +14,15 @@ enum { CX, CY, R };
 /* What a sector knows of: the shift of its edge, the blur, the disc's level, its tissue's level. */
 enum { SHIFT, BLUR, DISC, TISSUE, LOCAL };
 
-enum { SECTORS_LEAST = 8, SECTORS_MOST = 48, BINS = 48, STEPS = 16, ROUND = 2 };
+enum {
+    SECTORS_LEAST = 8,
+    SECTORS_MOST = 48,
+    BINS = 48,
+    STEPS = 16,
+    SETTLING = 2,
+    FREELY = 6,
+    LOOKS = 8
+};
 
 /* Width of a sector along the rim, px: two to three pixels across carry one edge. */
 static const double SECTOR_PX = 2.5;
@@ -29,7 +37,9 @@ static const double TUKEY = 6;
 /* Fewer sectors than this share of the rim that agree are no round edge. */
 static const double RIM_LEAST = 0.4;
 /* An outline's distance from a circle, in radii and at least in pixels, that is still its own. */
-static const double ROUGH = 0.06, ROUGH_PX = 0.75;
+static const double ROUGH = 0.06, ROUGH_PX = 0.75, CLOSELY = 0.5;
+/* A sector's edge is seen no better than this at a first look, px. */
+static const double EDGE_SD_PX = 0.15;
 static const double CONTRAST_LEAST = 1e-4, SCORE_LEAST = 0.25;
 /* Beyond this many blurs from an edge it is over, to five digits; the table's steps per blur. */
 enum { FAR = 4, PER_BLUR = 32, TABLE = 2 * FAR * PER_BLUR + 2 };
@@ -57,12 +67,12 @@ struct edge_fit {
     struct sample *sample; /* by sector; twice the room, for sorting */
     size_t first[SECTORS_MOST + 1];
     struct sector sector[SECTORS_MOST];
-    double radius;         /* starting radius */
-    double v[UNKNOWNS];    /* shape, then the four below */
-    int lobes, most_lobes; /* orders that are fitted, 1 for none */
-    double noise, tissue;  /* variance of a pixel: noise + tissue q^2 */
-    double spread;         /* variance of the sectors' b */
-    double lobe;           /* standard deviation of a lobe */
+    double radius;        /* starting radius */
+    double v[UNKNOWNS];   /* shape, then the four below */
+    int lobes;            /* orders that are fitted, 1 for none */
+    double noise, tissue; /* variance of a pixel: noise + tissue q^2 */
+    double spread;        /* variance of the sectors' b */
+    double lobe;          /* standard deviation of a lobe */
     float cdf[TABLE], pdf[TABLE];
 };
 
@@ -257,14 +267,14 @@ static double jitter(const struct edge_fit *fit)
 }
 
 /* The circle that most sectors agree on, out of those through three of them a third, a quarter or a
- * sixth of a turn apart: one of these lies in what is whole of a mark that has lost an arc. */
-static int majority(struct edge_fit *fit)
+ * sixth of a turn apart: one of these lies in what is whole of a mark that has lost an arc. What it
+ * leaves, in sectors, goes to *ret_misfit; infinite when there is none. */
+static struct circle majority(const struct edge_fit *fit, double tolerance, double *ret_misfit)
 {
     const size_t n = fit->sectors, apart[3] = { n / 3, n / 4, n / 6 };
-    const double tolerance = fit->tolerance;
-    double least = (1 - RIM_LEAST) * (double)n;
     struct circle best = { 0 };
 
+    *ret_misfit = INFINITY;
     for (size_t k = 0; k < 3 * n; k++) {
         const struct sector *s = fit->sector;
         struct circle circle;
@@ -276,18 +286,29 @@ static int majority(struct edge_fit *fit)
             circle.radius > EDGE_TO * fit->radius)
             continue;
         sum = misfit(fit, &circle, tolerance);
-        if (sum < least) {
-            least = sum;
+        if (sum < *ret_misfit) {
+            *ret_misfit = sum;
             best = circle;
         }
     }
-    if (best.radius == 0)
+    return best;
+}
+
+/* A round mark that has lost an arc looks nearly as much like a smaller one that has lost nothing
+ * and is ragged; so a circle that enough of the rim follows closely goes first. */
+static int find_circle(struct edge_fit *fit)
+{
+    const double n = (double)fit->sectors;
+    double left;
+    struct circle circle = majority(fit, fit->tolerance * CLOSELY, &left);
+
+    if (left > (1 - RIM_LEAST) * n)
+        circle = majority(fit, fit->tolerance, &left);
+    if (!(left < (1 - RIM_LEAST) * n))
         return 0;
-    for (size_t k = 0; k < n; k++)
-        fit->sector[k].weight = 1;
-    fit->v[CX] = best.x;
-    fit->v[CY] = best.y;
-    fit->v[R] = best.radius;
+    fit->v[CX] = circle.x;
+    fit->v[CY] = circle.y;
+    fit->v[R] = circle.radius;
     return 1;
 }
 
@@ -341,6 +362,16 @@ static double outline(const struct edge_fit *fit, const struct sector *s)
     for (int m = 2; m <= fit->lobes; m++)
         r += fit->v[2 * m - 1] * s->cos[m] + fit->v[2 * m] * s->sin[m];
     return r;
+}
+
+/* How the outline changes with the angle, px per radian. */
+static double slope(const struct edge_fit *fit, const struct sector *s)
+{
+    double sum = 0;
+
+    for (int m = 2; m <= fit->lobes; m++)
+        sum += m * (fit->v[2 * m] * s->cos[m] - fit->v[2 * m - 1] * s->sin[m]);
+    return sum;
 }
 
 static double plane_at(const struct edge_fit *fit, const struct sector *s)
@@ -439,12 +470,16 @@ static void accumulate_sector(const struct edge_fit *fit, size_t k, struct secto
     const float over = FAR * (float)fit->v[V_BLUR], edge = (float)outline(fit, s);
     const float level = (float)(plane_at(fit, s) + s->b), disc = (float)fit->v[V_DISC];
     const float cx = (float)fit->v[CX], cy = (float)fit->v[CY];
+    /* From the sector's middle on, the outline goes on as its slope says. */
+    const float turn = (float)(slope(fit, s) / outline(fit, s));
+    const float along_x = -turn * (float)s->sin[1], along_y = turn * (float)s->cos[1];
     float inside[3] = { 0 }, outside[3] = { 0 };
     struct tally y = { 0 };
 
     for (size_t i = fit->first[k]; i < fit->first[k + 1]; i++) {
         const struct sample *p = &fit->sample[i];
-        const float dx = p->x - cx, dy = p->y - cy, off = sqrtf(dx * dx + dy * dy) - edge;
+        const float dx = p->x - cx, dy = p->y - cy;
+        const float off = sqrtf(dx * dx + dy * dy) - edge - along_x * dx - along_y * dy;
 
         if (off < from || off > to)
             continue;
@@ -646,7 +681,9 @@ static void gate(struct edge_fit *fit)
             fit->sector[k].weight = 0;
 }
 
-static void reweigh_sectors(struct edge_fit *fit)
+/* Once the fit has had its time, a sector that is out stays out: two that take turns would keep it
+ * from settling. */
+static void reweigh_sectors(struct edge_fit *fit, int step)
 {
     const double scale = TUKEY * excess(fit);
 
@@ -654,7 +691,9 @@ static void reweigh_sectors(struct edge_fit *fit)
         struct sector *s = &fit->sector[k];
         const double z = s->off / (scale * sqrt(s->variance));
 
-        s->weight = z * z < 1 ? pow(1 - z * z, 2) : 0;
+        const double weight = z * z < 1 ? pow(1 - z * z, 2) : 0;
+
+        s->weight = step < FREELY ? weight : fmin(weight, s->weight);
     }
     gate(fit);
 }
@@ -718,8 +757,6 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
         double h[UNKNOWNS][UNKNOWNS], by[UNKNOWNS];
         struct sums sums;
 
-        /* A circle first: lobes would bend to an arc that is not the mark's. */
-        fit->lobes = step < ROUND ? 1 : fit->most_lobes;
         accumulate(fit, &sums);
         assemble(fit, h, by);
         memcpy(ret_h, h, sizeof h);
@@ -735,13 +772,13 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
             return 0;
         reweigh_pixels(fit, &sums);
         if (step > 0)
-            reweigh_sectors(fit);
+            reweigh_sectors(fit, step);
         learn_spread(fit);
-        if (step > ROUND)
+        if (step > 0)
             learn_lobes(fit, ret_h);
         settled = hypot(by[CX], by[CY]);
         /* The next step will be a tenth of it. */
-        if (step > ROUND && settled < 4e-3)
+        if (step > SETTLING && settled < 4e-3)
             return 1;
     }
     return settled < 0.05;
@@ -797,7 +834,7 @@ static double explained(const struct edge_fit *fit)
 
     for (size_t k = 0; k < fit->sectors; k++) {
         const struct sector *s = &fit->sector[k];
-        const float edge = (float)outline(fit, s), level = (float)(plane_at(fit, s) + s->b);
+        const float edge = (float)outline(fit, s), level = (float)plane_at(fit, s);
 
         for (size_t i = fit->first[k]; s->weight > 0 && i < fit->first[k + 1]; i++) {
             const struct sample *p = &fit->sample[i];
@@ -852,6 +889,41 @@ static void set_tolerance(struct edge_fit *fit)
     fit->tolerance = fmax(fmax(ROUGH * fit->radius, ROUGH_PX), 5 * jitter(fit));
 }
 
+/* Bends the circle of the majority to the edges that lie beside it, and to those that then do. */
+static void bend(struct edge_fit *fit)
+{
+    const double belief = 1 / pow(LOBE_FIRST * fit->radius, 2);
+    const double precision = 1 / pow(fmax(jitter(fit), EDGE_SD_PX), 2);
+
+    for (int round = 0; round < LOOKS; round++) {
+        const struct circle circle = { fit->v[CX], fit->v[CY], fit->v[R] };
+        double h[UNKNOWNS][UNKNOWNS] = { { 0 } }, by[UNKNOWNS] = { 0 };
+
+        for (int i = 0; i < UNKNOWNS; i++)
+            h[i][i] = i < 3 ? 1e-9 : i < 2 * fit->lobes + 1 ? belief : 1;
+        for (int i = 3; i < 2 * fit->lobes + 1; i++)
+            by[i] = -belief * fit->v[i];
+        for (size_t k = 0; k < fit->sectors; k++) {
+            const struct sector *s = &fit->sector[k];
+            const double off = beside(s, &circle) - outline(fit, s) + fit->v[R];
+            double x[LOCAL][UNKNOWNS];
+
+            if (!(fabs(off) < fit->tolerance))
+                continue;
+            spread_out(fit, s, x);
+            for (int i = 0; i < 2 * fit->lobes + 1; i++) {
+                by[i] += precision * off * x[SHIFT][i];
+                for (int j = 0; j <= i; j++)
+                    h[i][j] += precision * x[SHIFT][i] * x[SHIFT][j];
+            }
+        }
+        if (!solve_spd(h, by))
+            return;
+        for (int i = 0; i < 2 * fit->lobes + 1; i++)
+            fit->v[i] += by[i];
+    }
+}
+
 /* Twice, since a look from beside the centre sees some edges aslant. */
 static int look(struct edge_fit *fit)
 {
@@ -860,10 +932,16 @@ static int look(struct edge_fit *fit)
         set_sectors(fit);
         look_for_edges(fit);
         set_tolerance(fit);
-        if (!majority(fit))
+        if (!find_circle(fit))
             return 0;
         centre(fit);
     }
+    set_sectors(fit);
+    fit->lobes = fit->radius >= 8 ? LOBES : fit->radius >= 5 ? 2 : 1;
+    for (size_t k = 0; k < fit->sectors; k++)
+        fit->sector[k].weight = 1;
+    bend(fit);
+    gate(fit);
     return 1;
 }
 
@@ -873,9 +951,6 @@ static int run(struct edge_fit *fit, struct gsn_mark *mark)
 
     if (!look(fit))
         return 0;
-    set_sectors(fit);
-    gate(fit);
-    fit->most_lobes = fit->v[R] >= 8 ? LOBES : fit->v[R] >= 5 ? 2 : 1;
     guess_levels(fit);
     make_tables(fit);
     if (!(contrast_of(fit) > CONTRAST_LEAST) || !descend(fit, h) || rim(fit) < RIM_LEAST)

@@ -14,6 +14,9 @@ enum { CODES = 256, SAMPLES = 2, CHANNELS = 3 };
  * strongest a blot of ink. */
 static const double FAINTEST = 0.125;
 static const double PX_MOST_UM = 40;
+/* Where else a fit is begun when it fails from the middle of a spot: in radii, and how often. */
+static const double BESIDE = 0.6;
+enum { AROUND = 6 };
 /* A window reaches a little further than the fit's, from a centre that may be half a cell off. */
 static const double WINDOW = 2.1;
 
@@ -183,32 +186,56 @@ void gsn_mark_spots_free(struct gsn_mark_spots *spots)
     gsn_free(spots);
 }
 
+/* The fit from one start, in the picture's pixels. */
+static int fit_from(const struct gsn_mark_spots *spots, size_t i, struct gsn_point at,
+                    struct gsn_mark *ret_mark, struct gsn_error *err)
+{
+    const double radius = spots->candidates.mark[i].radius_px;
+    const struct gsn_point start = { at.x - spots->x[i], at.y - spots->y[i] };
+    gsn_auto(gsn_plane) plane = NULL;
+    struct gsn_mark mark;
+    double contrast;
+    int r = gsn_mark_mix(spots->window[i], start, radius, &plane, &contrast, err);
+
+    if (r >= 0)
+        r = gsn_mark_fit(plane, start, radius, &mark, err);
+    if (r < 0)
+        return r;
+    mark.px.x += spots->x[i];
+    mark.px.y += spots->y[i];
+    mark.contrast = contrast;
+    *ret_mark = mark;
+    return GSN_OK;
+}
+
 int gsn_mark_spots_measure(struct gsn_mark_spots *spots, size_t i, struct gsn_error *err)
 {
-    struct gsn_mark *mark = &spots->candidates.mark[i];
-    const struct gsn_point start = { mark->px.x - spots->x[i], mark->px.y - spots->y[i] };
-    gsn_auto(gsn_plane) plane = NULL;
-    struct gsn_mark fitted;
-    double contrast;
+    struct gsn_mark best = { 0 };
+    struct gsn_point at;
+    double beside;
     int r;
 
     assert(spots && i < spots->candidates.count);
 
     if (spots->measured[i])
         return GSN_OK;
-    r = gsn_mark_mix(spots->window[i], start, mark->radius_px, &plane, &contrast, err);
-    if (r >= 0)
-        r = gsn_mark_fit(plane, start, mark->radius_px, &fitted, err);
+    at = spots->candidates.mark[i].px;
+    beside = BESIDE * spots->candidates.mark[i].radius_px;
+    r = fit_from(spots, i, at, &best, err);
+    /* A mark and its debris are one spot from afar, and its middle may be on neither. */
+    for (int k = 0; r >= 0 && !best.found && k < AROUND; k++) {
+        const double angle = 2 * M_PI * k / AROUND;
+
+        r = fit_from(spots, i,
+                     (struct gsn_point){ at.x + beside * cos(angle), at.y + beside * sin(angle) },
+                     &best, err);
+    }
     if (r < 0)
         return r;
     spots->measured[i] = 1;
-    if (fitted.found) {
-        fitted.px.x += spots->x[i];
-        fitted.px.y += spots->y[i];
-        fitted.contrast = contrast;
-        *mark = fitted;
-    } else {
-        mark->score = 0;
-    }
+    if (best.found)
+        spots->candidates.mark[i] = best;
+    else
+        spots->candidates.mark[i].score = 0;
     return GSN_OK;
 }

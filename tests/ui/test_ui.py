@@ -52,7 +52,7 @@ class Words(Bench):
                      ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
                      ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
                      ["expect", "cam", "S", "T"], ["capture"], ["capture", "cam", "--red"],
-                     ["check-config", "a", "b"],
+                     ["check-config", "a", "b"], ["register"],
                      ["status", "--store"]):
             with self.subTest(args=args):
                 self.refused(self.call(*args), 64)
@@ -70,7 +70,7 @@ class Words(Bench):
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
                      "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
-                     "check-config", "devices"):
+                     "check-config", "devices", "register"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)

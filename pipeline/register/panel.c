@@ -18,6 +18,11 @@ enum { BINS = 256 };
 /* Density above which all is simply dark: ink must not pull the threshold up. */
 static const double DARKEST = 1.0;
 
+/* Pieces alike speak louder than one: two sections that grew together cover as much as two alone.
+ */
+static const double ALONE = 0.8;
+/* Sections are at most this many times as long as wide; pen strokes and frames are longer. */
+static const double LONGEST = 5;
 /* In areas of a typical section. */
 static const double SAME_AREA = 1.6;     /* pieces alike within this factor vote for each other */
 static const double SECTION_LEAST = 0.3; /* less is a scrap */
@@ -171,9 +176,11 @@ static double section_area(const struct gsn_components *pieces, const struct cel
                 alike++;
             }
         }
+        if (alike == 1)
+            sum *= ALONE;
         if (sum > most) {
             most = sum;
-            area = sum / (double)alike;
+            area = alike == 1 ? own : sum / (double)alike;
         }
     }
     return area;
@@ -188,7 +195,8 @@ static size_t centres_of(const struct panel *panel, int along_x, double *ret_cen
         const struct gsn_component *piece = &panel->pieces->piece[i];
         const double share = (double)piece->area / panel->section_area;
 
-        if (share >= GRID_LEAST && share <= SAME_AREA)
+        if (share >= GRID_LEAST && share <= SAME_AREA && piece->width <= LONGEST * piece->height &&
+            piece->height <= LONGEST * piece->width)
             ret_centre[count++] = along_x ? piece->cx : piece->cy;
     }
     return count;

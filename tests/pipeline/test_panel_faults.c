@@ -9,6 +9,7 @@
 #include "tests/pipeline/drawn_panel.h"
 
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 static const char JOB[] =

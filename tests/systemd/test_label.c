@@ -9,6 +9,7 @@
 #include "storage/panel_log.h"
 #include "tests/check.h"
 #include "tests/phantom/panel.h"
+#include "tests/pipeline/drawn_panel.h"
 #include "tests/systemd/bench_job.h"
 
 #include <string.h>
@@ -64,6 +65,37 @@ static void check_panel(const struct gsn_panel_row *panel, const char *state, co
 {
     if (strcmp(panel->state, state) != 0 || strcmp(panel->message, message) != 0)
         fail_msg("%s is %s: %s", panel->file_name, panel->state, panel->message);
+}
+
+/* Case 5: the same glass under another light and number, its code not to be read. */
+TEST(another_scan_of_the_same_glass_is_held_and_both_are_kept)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct drawn_panel fine = drawn_panel_of(1, 24, 0.8), coarse = drawn_panel_of(1, 24, 0.7);
+    const struct drawn_panel next = drawn_panel_of(2, 24, 0.8);
+    const struct drawn_panel *const panels[] = { &fine, &coarse, &next };
+    static const char *const names[] = { "P01.tif.png", "P02.png", "P03.png" };
+
+    bench_write_job(&scratch, "in",
+                    "{\"specimen\": \"x\", \"layout\": [2, 2], \"panels\": 5, \"px_um\": 24, "
+                    "\"markers_um\": " DRAWN_MARKS_JSON "}");
+    for (size_t i = 0; i < 3; i++) {
+        size_t size;
+        gsn_auto_mem(uint8_t) png = drawn_panel_png(panels[i], &size);
+
+        bench_write(&scratch, "in", names[i], png, size);
+    }
+    gsn_auto(gsn_panel_rows) rows = worked(&scratch, store, "in", "x");
+
+    CHECK(rows->count == 3);
+    CHECK(strcmp(rows->at[0].state, "registered") == 0);
+    CHECK(strcmp(rows->at[1].state, "held") == 0);
+    CHECK(
+        strstr(rows->at[1].message, "it shows the same glass as P01.tif.png (12 marks agree to "));
+    CHECK(strstr(rows->at[1].message, " um): both are kept; to use this one, import it under that "
+                                      "panel's name"));
+    CHECK(strcmp(rows->at[2].state, "registered") == 0);
 }
 
 TEST(a_label_that_agrees_with_the_name_lets_the_panel_pass)

@@ -319,9 +319,9 @@ TEST(the_limits_are_the_callers)
 {
     gsn_auto(gsn_image) image = make_picture(20, 11, 3, 16);
     auto_made file = make_png(image, &(struct png_recipe){ 0 });
-    const struct gsn_decode_limits exact = { 220, 220 * 6, 0 };
-    const struct gsn_decode_limits pixels = { 219, 0, 0 };
-    const struct gsn_decode_limits bytes = { 0, 220 * 6 - 1, 0 };
+    const struct gsn_decode_limits exact = { .most_pixels = 220, .most_bytes = 220 * 6 };
+    const struct gsn_decode_limits pixels = { .most_pixels = 219 };
+    const struct gsn_decode_limits bytes = { .most_bytes = 220 * 6 - 1 };
     gsn_auto(gsn_picture) picture = NULL;
     gsn_auto(gsn_picture) none = NULL;
     struct gsn_error err = { 0 };

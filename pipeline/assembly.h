@@ -6,8 +6,9 @@
 #define GSN_PIPELINE_ASSEMBLY_H
 
 #include "pipeline/pictures.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
+#include "pipeline/stain/mask.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -28,8 +29,10 @@ struct gsn_assembly_section {
     int posed;
     struct gsn_pose pose;
     enum gsn_assembly_state state;
-    char flags[160];                      /* words with one space between */
-    struct gsn_account_picture thumbnail; /* png owned; size 0: none */
+    char flags[160];                              /* words with one space between */
+    struct gsn_mask_figures masked;               /* what of it is not measured, and why */
+    double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
+    struct gsn_account_picture thumbnail;         /* png owned; size 0: none */
 };
 
 struct gsn_assembly_panel {
@@ -47,9 +50,11 @@ struct gsn_assembly {
     struct gsn_assembly_panel *panel; /* owned; as in the specimen */
     int solved;                       /* whether the stack's triangle could be solved */
     struct gsn_pose_summary summary;
-    char unsolved[480];      /* why not, or empty */
-    struct gsn_mask *region; /* owned; NULL when the job states none */
-    struct gsn_grid *grid;   /* owned; NULL without region or solution */
+    struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
+    enum gsn_strain_mode strain_mode;       /* the protocol's */
+    char unsolved[480];                     /* why not, or empty */
+    struct gsn_mask *region;                /* owned; NULL when the job states none */
+    struct gsn_grid *grid;                  /* owned; NULL without region or solution */
 };
 
 /* gives. Sections and panels that cannot be used are states, not failures.

@@ -145,7 +145,7 @@ static struct gsn_image *phantom_panel(int panel)
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_phantom_plan_make("S02", "L0", 7, 24, &plan, &err), err);
-    CHECK_OK(gsn_phantom_panel_draw(&plan, panel, 0, &image, extent, &err), err);
+    CHECK_OK(gsn_phantom_panel_draw(&plan, &plan.file[panel - 1], 0, &image, extent, &err), err);
     return image;
 }
 

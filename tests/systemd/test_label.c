@@ -29,7 +29,7 @@ static void write_panel(const struct gsn_scratch *scratch, const char *specimen,
     size_t size;
 
     CHECK_OK(gsn_phantom_plan_make(specimen, "L0", 7, 40, &plan, &err), err);
-    CHECK_OK(gsn_phantom_panel_draw(&plan, 3, 0, &image, extent, &err), err);
+    CHECK_OK(gsn_phantom_panel_draw(&plan, &plan.file[2], 0, &image, extent, &err), err);
     CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
     bench_write(scratch, folder, file, png, size);
 }

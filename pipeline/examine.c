@@ -210,7 +210,8 @@ static void note_slots(struct gsn_panel_findings *findings, const struct gsn_slo
         const struct gsn_slot *s = &slots[i];
 
         found += s->found != 0;
-        if (s->touching && s->touched > s->slot)
+        /* Each pair once, by the first that names it. */
+        if (s->touching && (s->touched > s->slot || slots[s->touched].touched != s->slot))
             say(findings,
                 "the sections in slots %u and %u have grown together and are held: cut along the "
                 "line from (%.0f, %.0f) to (%.0f, %.0f) px, or mount them again",

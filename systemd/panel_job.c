@@ -5,6 +5,7 @@
 #include "pipeline/core/hash.h"
 #include "storage/catalog.h"
 #include "storage/result.h"
+#include "systemd/rescan.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -265,6 +266,8 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
     r = check_number(panel, protocol, &why);
     if (r >= 0)
         r = check_label(store, specimen, panel, findings, &why);
+    if (r >= 0)
+        r = gsn_rescan_check(store, panel, findings, &why);
     if (r < 0 && r != GSN_E_WITHHELD) {
         if (err)
             *err = why;

@@ -86,7 +86,7 @@ static int one_plane(size_t z, void *context, struct gsn_error *err)
     float *plane = pass->squared + z * box->nx * box->ny;
     gsn_auto_mem(double) memory = NULL;
     gsn_auto_mem(size_t) at = NULL;
-    struct line line;
+    struct line line = { .at = NULL };
     const int r = line_of(n, &line, &memory, err);
 
     if (r < 0)
@@ -106,7 +106,7 @@ static int one_row(size_t y, void *context, struct gsn_error *err)
     const struct gsn_distance_box *box = pass->box;
     gsn_auto_mem(double) memory = NULL;
     gsn_auto_mem(size_t) at = NULL;
-    struct line line;
+    struct line line = { .at = NULL };
     const int r = line_of(box->nz, &line, &memory, err);
 
     if (r < 0)

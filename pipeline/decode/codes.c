@@ -5,7 +5,19 @@
 #include <string.h>
 
 /* A module of the smallest label is 0.15 mm; on a panel of 75 mm this leaves it five pixels. */
-enum { LONGEST = 2500 };
+enum { LONGEST = 2500, TAPS = 2 };
+/* A picture no longer than this is looked at as a whole. Of a larger one only what looks like
+ * print: of a block of pixels at least so many percent are darker than so many percent of white.
+ * Blocks this far from each other belong together; the smallest code has two blocks a side. */
+enum {
+    SMALL = 480,
+    BLOCK = 16,
+    PRINT_PERCENT = 15,
+    DARK_PERCENT = 35,
+    REACH = 2,
+    LEAST_BLOCKS = 2,
+    MOST_AREAS = 16,
+};
 
 struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind, const void *text,
                                   size_t size)
@@ -26,22 +38,155 @@ struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind,
     return code;
 }
 
-/* The mean over a cell of the brightest channel. */
+/* The mean over a cell of the brightest channel, of at most TAPS x TAPS of its pixels. */
 static uint8_t brightest(const struct gsn_image *image, uint32_t x0, uint32_t y0, unsigned step)
 {
+    const unsigned taps = step < TAPS ? step : TAPS;
     unsigned sum = 0;
 
-    for (unsigned k = 0; k < step * step; k++) {
+    for (unsigned k = 0; k < taps * taps; k++) {
+        const uint32_t x = x0 + (2 * (k % taps) + 1) * step / (2 * taps);
+        const uint32_t y = y0 + (2 * (k / taps) + 1) * step / (2 * taps);
         unsigned most = 0;
 
         for (unsigned c = 0; c < image->channels; c++) {
-            const unsigned code = gsn_image_at(image, x0 + k % step, y0 + k / step, c);
+            const unsigned code = gsn_image_at(image, x, y, c);
 
             most = code > most ? code : most;
         }
         sum += image->bits == 8 ? most : most >> 8;
     }
-    return (uint8_t)(sum / (step * step));
+    return (uint8_t)(sum / (taps * taps));
+}
+
+/* ---- where there is print ---------------------------------------------------------------- */
+
+/* The page in blocks: 1 where a good part of a block is dark, as in print; a mark of laser char or
+ * a speck is too small for it. */
+struct blocks {
+    uint32_t width, height;
+    uint8_t *print;
+};
+
+struct area {
+    uint32_t x0, y0, x1, y1; /* blocks, [x0, x1) by [y0, y1) */
+};
+
+/* The code that only one pixel in fifty is brighter than. */
+static unsigned white_of(const struct gsn_code_page *page)
+{
+    const size_t count = (size_t)page->width * page->height;
+    size_t histogram[256] = { 0 }, above = 0;
+    unsigned white = 255;
+
+    for (size_t i = 0; i < count; i++)
+        histogram[page->grey[i]]++;
+    while (white > 0 && (above += histogram[white]) < count / 50)
+        white--;
+    return white;
+}
+
+static void find_print(const struct gsn_code_page *page, const struct blocks *blocks)
+{
+    const unsigned dark = white_of(page) * DARK_PERCENT / 100;
+
+    for (uint32_t i = 0; i < blocks->width * blocks->height; i++) {
+        const uint8_t *from = page->grey + (size_t)(i / blocks->width * BLOCK) * page->width +
+                              i % blocks->width * BLOCK;
+        unsigned count = 0;
+
+        for (unsigned k = 0; k < BLOCK * BLOCK; k++)
+            count += from[(size_t)(k / BLOCK) * page->width + k % BLOCK] < dark;
+        blocks->print[i] = 100 * count >= PRINT_PERCENT * BLOCK * BLOCK;
+    }
+}
+
+/* Widens the area over the blocks that touch it until none is left, and takes them away. */
+static struct area take_area(const struct blocks *blocks, uint32_t x, uint32_t y)
+{
+    struct area area = { x, y, x + 1, y + 1 };
+    int grown = 1;
+
+    while (grown) {
+        const struct area round = {
+            area.x0 > REACH ? area.x0 - REACH : 0, area.y0 > REACH ? area.y0 - REACH : 0,
+            area.x1 + REACH < blocks->width ? area.x1 + REACH : blocks->width,
+            area.y1 + REACH < blocks->height ? area.y1 + REACH : blocks->height
+        };
+
+        grown = 0;
+        for (uint32_t v = round.y0; v < round.y1; v++)
+            for (uint32_t u = round.x0; u < round.x1; u++) {
+                uint8_t *print = &blocks->print[v * blocks->width + u];
+
+                if (!*print)
+                    continue;
+                *print = 0;
+                grown = 1;
+                area.x0 = u < area.x0 ? u : area.x0;
+                area.y0 = v < area.y0 ? v : area.y0;
+                area.x1 = u + 1 > area.x1 ? u + 1 : area.x1;
+                area.y1 = v + 1 > area.y1 ? v + 1 : area.y1;
+            }
+    }
+    return area;
+}
+
+/* ---- reading ----------------------------------------------------------------------------- */
+
+static int read_page(const struct gsn_code_page *page, struct gsn_picture *picture,
+                     struct gsn_error *err)
+{
+    const int r = gsn_codes_dmtx(page, picture, err);
+
+    return r < 0 ? r : gsn_codes_zbar(page, picture, err);
+}
+
+/* An area of print with the white around it, as a page of its own. */
+static int read_area(const struct gsn_code_page *page, const struct area *area,
+                     struct gsn_picture *picture, struct gsn_error *err)
+{
+    const uint32_t x0 = area->x0 > 0 ? (area->x0 - 1) * BLOCK : 0;
+    const uint32_t y0 = area->y0 > 0 ? (area->y0 - 1) * BLOCK : 0;
+    const uint32_t right = (area->x1 + 1) * BLOCK, below = (area->y1 + 1) * BLOCK;
+    const uint32_t x1 = right < page->width ? right : page->width;
+    const uint32_t y1 = below < page->height ? below : page->height;
+    const struct gsn_code_page part = { .width = x1 - x0, .height = y1 - y0 };
+    struct gsn_code_page copy = part;
+    gsn_auto_mem(uint8_t) grey = gsn_alloc((size_t)part.width * part.height);
+
+    if (!grey)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+    for (uint32_t y = 0; y < part.height; y++)
+        memcpy(grey + (size_t)y * part.width, page->grey + (size_t)(y0 + y) * page->width + x0,
+               part.width);
+    copy.grey = grey;
+    return read_page(&copy, picture, err);
+}
+
+static int read_areas(const struct gsn_code_page *page, struct gsn_picture *picture,
+                      struct gsn_error *err)
+{
+    struct blocks blocks = { .width = page->width / BLOCK, .height = page->height / BLOCK };
+    gsn_auto_mem(uint8_t) print = gsn_alloc_array(blocks.width, blocks.height);
+    int areas = 0, r = GSN_OK;
+
+    if (!print)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+    blocks.print = print;
+    find_print(page, &blocks);
+    for (uint32_t i = 0; i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0; i++) {
+        struct area area;
+
+        if (!print[i])
+            continue;
+        area = take_area(&blocks, i % blocks.width, i / blocks.width);
+        if (area.x1 - area.x0 < LEAST_BLOCKS || area.y1 - area.y0 < LEAST_BLOCKS)
+            continue;
+        areas++;
+        r = read_area(page, &area, picture, err);
+    }
+    return r;
 }
 
 int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
@@ -49,13 +194,10 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
     const struct gsn_image *image = picture->image;
     const uint32_t longest = image->width > image->height ? image->width : image->height;
     const unsigned step = (longest + LONGEST - 1) / LONGEST;
-    struct gsn_code_page page = { .width = image->width / step,
-                                  .height = image->height / step,
-                                  .step = step };
+    struct gsn_code_page page = { .width = image->width / step, .height = image->height / step };
     gsn_auto_mem(uint8_t) grey = NULL;
-    int r;
 
-    if (page.width < 16 || page.height < 16)
+    if (page.width < BLOCK || page.height < BLOCK)
         return GSN_OK;
     grey = gsn_alloc((size_t)page.width * page.height);
     if (!grey)
@@ -64,6 +206,5 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
         for (uint32_t x = 0; x < page.width; x++)
             grey[(size_t)y * page.width + x] = brightest(image, x * step, y * step, step);
     page.grey = grey;
-    r = gsn_codes_dmtx(&page, picture, err);
-    return r < 0 ? r : gsn_codes_zbar(&page, picture, err);
+    return longest <= SMALL ? read_page(&page, picture, err) : read_areas(&page, picture, err);
 }

@@ -14,7 +14,6 @@
 struct gsn_code_page {
     uint32_t width, height;
     uint8_t *grey;
-    unsigned step; /* pixels of the picture along one of its own */
 };
 
 /* Adds the codes of its kind behind those in picture->code, as far as there is room.

@@ -18,11 +18,18 @@ enum { BINS = 256 };
 /* Density above which all is simply dark: ink must not pull the threshold up. */
 static const double DARKEST = 1.0;
 
+/* Pieces alike speak louder than one: two sections that grew together cover as much as two alone.
+ */
+static const double ALONE = 0.8;
+/* Sections are at most this many times as long as wide; pen strokes and frames are longer. */
+static const double LONGEST = 5;
 /* In areas of a typical section. */
 static const double SAME_AREA = 1.6;     /* pieces alike within this factor vote for each other */
 static const double SECTION_LEAST = 0.3; /* less is a scrap */
 static const double GRID_LEAST = 0.4;    /* takes part in laying the grid */
 static const double OVERRUN = 0.25;      /* more than this in a second slot: sections touch */
+/* What joins two sections and is thinner than this is no tissue of theirs. */
+static const double THREAD_UM = 250;
 /* Share of a section that may lie outside the grid before it counts as lost. */
 static const double LOST_LEAST = 0.02;
 /* In sizes of a section: a smaller piece this near to a section is a part of it. */
@@ -171,9 +178,11 @@ static double section_area(const struct gsn_components *pieces, const struct cel
                 alike++;
             }
         }
+        if (alike == 1)
+            sum *= ALONE;
         if (sum > most) {
             most = sum;
-            area = sum / (double)alike;
+            area = alike == 1 ? own : sum / (double)alike;
         }
     }
     return area;
@@ -188,7 +197,8 @@ static size_t centres_of(const struct panel *panel, int along_x, double *ret_cen
         const struct gsn_component *piece = &panel->pieces->piece[i];
         const double share = (double)piece->area / panel->section_area;
 
-        if (share >= GRID_LEAST && share <= SAME_AREA)
+        if (share >= GRID_LEAST && share <= SAME_AREA && piece->width <= LONGEST * piece->height &&
+            piece->height <= LONGEST * piece->width)
             ret_centre[count++] = along_x ? piece->cx : piece->cy;
     }
     return count;
@@ -310,46 +320,57 @@ static int spans(const struct panel *panel, size_t piece, size_t place)
            (double)part_of(panel, piece, place)->area >= OVERRUN * panel->section_area;
 }
 
-/* Of the other places that a piece spans, the one that lies nearest to this. */
-static size_t neighbour_of(const struct panel *panel, size_t piece, size_t place)
+static int are_neighbours(const struct panel *panel, size_t a, size_t b)
 {
-    const struct gsn_point own = centre_of(panel, place);
-    size_t nearest = place;
-    double least = INFINITY;
+    const size_t columns = panel->columns.lines;
+    const size_t rows =
+        a / columns > b / columns ? a / columns - b / columns : b / columns - a / columns;
+    const size_t along =
+        a % columns > b % columns ? a % columns - b % columns : b % columns - a % columns;
 
-    for (size_t other = 0; other < panel->places; other++) {
-        const struct gsn_point at = centre_of(panel, other);
-        const double way = hypot(at.x - own.x, at.y - own.y);
-
-        if (other != place && spans(panel, piece, other) && way < least) {
-            least = way;
-            nearest = other;
-        }
-    }
-    return nearest;
+    return a != b && rows <= 1 && along <= 1;
 }
 
-/* A piece that several places share: each keeps its part, and where to cut is proposed. */
-static int share_out(struct panel *panel, size_t piece, size_t home, struct gsn_error *err)
+/* Whether a piece that spans a place has grown into a neighbour's, and there most of all. */
+static int look_around(struct panel *panel, size_t piece, size_t place, struct gsn_error *err)
 {
-    for (size_t place = 0; place <= panel->places; place++) {
-        const int own = spans(panel, piece, place);
-        struct touch *touch = own ? &panel->touch[place] : NULL;
-        struct gsn_point centre[2];
+    struct touch *touch = &panel->touch[place];
+    double widest = THREAD_UM / panel->cells.um;
+
+    for (size_t other = 0; other < panel->places; other++) {
+        const struct gsn_point centre[2] = { centre_of(panel, place < other ? place : other),
+                                             centre_of(panel, place < other ? other : place) };
+        struct gsn_point cut[2];
+        double width = 0;
         int r;
 
-        add_to(&panel->held[own ? place : home], part_of(panel, piece, place));
-        if (!own)
+        if (!are_neighbours(panel, place, other) || !spans(panel, piece, other))
             continue;
-        touch->is = 1;
-        touch->other = neighbour_of(panel, piece, place);
-        centre[0] = centre_of(panel, place < touch->other ? place : touch->other);
-        centre[1] = centre_of(panel, place < touch->other ? touch->other : place);
-        r = gsn_panel_cut(panel->pieces, piece, centre, touch->cut, err);
+        r = gsn_panel_cut(panel->pieces, piece, centre, cut, &width, err);
         if (r < 0)
             return r;
+        if (width < widest)
+            continue;
+        widest = width;
+        *touch = (struct touch){ .is = 1, .other = other, .cut = { cut[0], cut[1] } };
     }
     return GSN_OK;
+}
+
+/* A piece that several places share: each keeps its part. A hair or a pen stroke from one to the
+ * next is a thread; what is wider has grown together, and where to cut is proposed. */
+static int share_out(struct panel *panel, size_t piece, size_t home, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t place = 0; place <= panel->places && r >= 0; place++) {
+        const int own = spans(panel, piece, place);
+
+        add_to(&panel->held[own ? place : home], part_of(panel, piece, place));
+        if (own)
+            r = look_around(panel, piece, place, err);
+    }
+    return r;
 }
 
 /* Gives a piece of section size to its slot, or its parts to theirs when it spans several. Whether

@@ -60,7 +60,7 @@ static int tissue_along(const struct shape *shape, struct gsn_point at, double d
 }
 
 int gsn_panel_cut(const struct gsn_components *pieces, size_t piece,
-                  const struct gsn_point centre[2], struct gsn_point ret_end[2],
+                  const struct gsn_point centre[2], struct gsn_point ret_end[2], double *ret_width,
                   struct gsn_error *err)
 {
     const double wx = centre[1].x - centre[0].x, wy = centre[1].y - centre[0].y;
@@ -83,11 +83,12 @@ int gsn_panel_cut(const struct gsn_components *pieces, size_t piece,
             const double ny = (wx * cos(turn) - wy * sin(turn)) / way;
             struct gsn_point end[2];
             /* Of equally short ones the straightest, nearest to the middle. */
-            const double cost = tissue_along(&shape, at, nx, ny, end) +
-                                0.01 * (fabs(share - 0.5) + 0.1 * fabs(turn));
+            const int tissue = tissue_along(&shape, at, nx, ny, end);
+            const double cost = tissue + 0.01 * (fabs(share - 0.5) + 0.1 * fabs(turn));
 
             if (cost < least) {
                 least = cost;
+                *ret_width = 0.5 * tissue;
                 ret_end[0] = end[0];
                 ret_end[1] = end[1];
             }

@@ -16,9 +16,10 @@ extern "C" {
 #endif
 
 /* centre: of the two slots, in cells. ret_end: where the line enters and leaves the piece; both at
- * the middle between the centres when it has no tissue there. Fails with GSN_E_NOMEM. */
+ * one place when it has no tissue there. ret_width: how many cells of tissue the line runs through.
+ * Fails with GSN_E_NOMEM. */
 int gsn_panel_cut(const struct gsn_components *pieces, size_t piece,
-                  const struct gsn_point centre[2], struct gsn_point ret_end[2],
+                  const struct gsn_point centre[2], struct gsn_point ret_end[2], double *ret_width,
                   struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -247,6 +247,20 @@ TEST(a_section_that_touches_its_neighbour_is_cut_at_the_border)
     }
 }
 
+/* A hair over two sections is no reason to hold them. */
+TEST(sections_joined_by_a_thread_are_two_sections)
+{
+    struct gsn_slot slots[SLOTS];
+    struct gsn_error err = { 0 };
+
+    draw_glass(14);
+    draw_slots(0xfff, 0);
+    draw_box(&panel, 405, 305, 400, 3, 0.6); /* 120 um, through slots 5, 6 and 7 */
+    CHECK_OK(split(slots, NULL, NULL, &err), err);
+    for (unsigned i = 0; i < SLOTS; i++)
+        CHECK(slots[i].found && !slots[i].touching && slots[i].touched == 0);
+}
+
 TEST(boxes_do_not_reach_into_a_neighbours_tissue)
 {
     struct gsn_slot slots[SLOTS];

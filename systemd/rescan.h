@@ -1,0 +1,21 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Whether a panel is another scan of glass that is there already.
+ *
+ * Two files of one scan have one hash; two scans of one glass do not, but their marks lie on the
+ * glass as they did: no two panels are mounted alike to a pixel. */
+#ifndef GSN_SYSTEMD_RESCAN_H
+#define GSN_SYSTEMD_RESCAN_H
+
+#include "pipeline/examine.h"
+#include "storage/panel_log.h"
+
+/* Looks among the registered panels of the specimen for one whose marks agree with the findings
+ * after one common motion of the glass.
+ *
+ * Fails with GSN_E_WITHHELD and a sentence that names both when there is one, else as the store
+ * does. */
+int gsn_rescan_check(struct gsn_store *store, const struct gsn_panel_row *panel,
+                     const struct gsn_panel_findings *findings, struct gsn_error *err);
+
+#endif

@@ -51,7 +51,8 @@ struct gsn_assembly {
     int solved;                       /* whether the stack's triangle could be solved */
     struct gsn_pose_summary summary;
     char unsolved[480];      /* why not, or empty */
-    struct gsn_mask *region; /* owned; NULL when the job states none */
+    char no_region[480];     /* why the stated band could not be found, or empty */
+    struct gsn_mask *region; /* owned; NULL when the job states none or it was not found */
     struct gsn_grid *grid;   /* owned; NULL without region or solution */
 };
 

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly.h"
 
+#include "pipeline/band.h"
 #include "pipeline/masking.h"
 #include "pipeline/register/panel.h"
 #include "pipeline/register/stack.h"
@@ -524,29 +525,93 @@ static int empty_grid(const struct gsn_lattice *lattice, struct gsn_assembly *a,
     return r;
 }
 
+/* ---- a band, which is found in the stack itself --------------------------------------------- */
+
+/* The boxes of all posed sections, laid into the block. */
+static struct box box_of_sections(const struct gsn_assembly *a, double interval_um)
+{
+    struct box box = { { INFINITY, INFINITY, INFINITY }, { -INFINITY, -INFINITY, -INFINITY } };
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+
+        for (int corner = 0; s->posed && corner < 4; corner++) {
+            const struct gsn_point px = { s->seen.x + (corner & 1 ? s->seen.width : 0),
+                                          s->seen.y + (corner & 2 ? s->seen.height : 0) };
+            const struct gsn_point um = gsn_affine_apply(&s->pose.panel_to_block_um, px);
+
+            box.low = gsn_vec3_make(fmin(box.low.x, um.x), fmin(box.low.y, um.y),
+                                    fmin(box.low.z, interval_um * s->seen.serial));
+            box.high = gsn_vec3_make(fmax(box.high.x, um.x), fmax(box.high.y, um.y),
+                                     fmax(box.high.z, interval_um * (s->seen.serial + 1)));
+        }
+    }
+    return box;
+}
+
+static int place_block(const struct gsn_specimen *specimen, double px_um, unsigned sections,
+                       const struct gsn_assembly *a, struct gsn_lattice *lattice,
+                       struct gsn_error *err)
+{
+    const double interval_um = specimen->protocol->interval_um;
+
+    if (lattice_for(box_of_sections(a, interval_um), NULL, px_um, interval_um, sections, lattice))
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_INPUT,
+                    "the sections span more than a block can: look at the marks and \"px_um\"");
+}
+
+/* Finds the band. Not finding it is a state, with a sentence. */
+static int find_band(const struct gsn_specimen *specimen,
+                     const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                     struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
+    int r = gsn_band_region(&specimen->protocol->region, specimen->region, a->grid,
+                            options->threads, &a->region, &why);
+
+    if (r == GSN_E_STAIN || r == GSN_E_INPUT) {
+        memcpy(a->no_region, why.text, sizeof a->no_region);
+        gsn_grid_free(a->grid);
+        a->grid = NULL;
+        return GSN_OK;
+    }
+    if (r < 0)
+        return gsn_fail(err, r, "%s", why.text);
+    r = gsn_band_crop(&a->grid, &a->region, MARGIN_VOXELS, err);
+    if (r >= 0)
+        gsn_masking_gaps(specimen->protocol->interval_um, a);
+    return r;
+}
+
 int gsn_assembly_make(const struct gsn_specimen *specimen,
                       const struct gsn_specimen_options *options,
                       struct gsn_assembly **ret_assembly, struct gsn_error *err)
 {
     gsn_auto(gsn_assembly) a = gsn_alloc_array(1, sizeof *a);
     const double px_um = finest_pixel(specimen);
+    const int band = specimen->protocol->region.kind == GSN_REGION_BAND;
     struct gsn_lattice lattice = { 0 };
+    unsigned sections;
     int r;
 
     if (!a)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the assembly of a specimen");
     r = list_slots(specimen, a, err);
-    if (r >= 0 && px_um > 0 &&
+    sections = a->section_count ? a->section[a->section_count - 1].seen.serial + 1 : 0;
+    if (r >= 0 && px_um > 0 && !band &&
         (specimen->region || specimen->protocol->region.kind > GSN_REGION_MASK))
-        r = place_region(specimen, px_um,
-                         a->section_count ? a->section[a->section_count - 1].seen.serial + 1 : 0, a,
-                         &lattice, err);
+        r = place_region(specimen, px_um, sections, a, &lattice, err);
     if (r >= 0)
         r = solve_poses(specimen, a, err);
-    if (r >= 0 && a->solved && a->region)
+    if (r >= 0 && a->solved && band)
+        r = place_block(specimen, px_um, sections, a, &lattice, err);
+    if (r >= 0 && a->solved && (a->region || band))
         r = empty_grid(&lattice, a, err);
     if (r >= 0)
         r = work_panels(specimen, options, a, err);
+    if (r >= 0 && band && a->grid)
+        r = find_band(specimen, options, a, err);
     if (r < 0)
         return r;
     *ret_assembly = gsn_steal(&a);

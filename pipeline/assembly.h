@@ -53,8 +53,9 @@ struct gsn_assembly {
     struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
     enum gsn_strain_mode strain_mode;       /* the protocol's */
     char unsolved[480];                     /* why not, or empty */
-    struct gsn_mask *region;                /* owned; NULL when the job states none */
-    struct gsn_grid *grid;                  /* owned; NULL without region or solution */
+    char no_region[480];                    /* why the stated band could not be found, or empty */
+    struct gsn_mask *region; /* owned; NULL when the job states none or it was not found */
+    struct gsn_grid *grid;   /* owned; NULL without region or solution */
 };
 
 /* gives. Sections and panels that cannot be used are states, not failures.

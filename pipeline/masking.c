@@ -102,16 +102,41 @@ static void count_plane(const struct gsn_image *labels, const struct gsn_mask *r
     s->region_masked = all > 0 ? (double)masked / (double)all : 0;
 }
 
+/* The plane of the region's lattice that shows a section; nz when there is none. */
+static size_t plane_of(const struct gsn_assembly_section *s, double interval_um,
+                       const struct gsn_lattice *at)
+{
+    const double z =
+        round((interval_um * (s->seen.serial + 0.5) - at->origin_um.z) / at->step_um.z);
+
+    return z >= 0 && z < (double)at->nz ? (size_t)z : at->nz;
+}
+
 void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double interval_um,
                         struct gsn_assembly *a)
 {
     for (size_t i = 0; a->region && i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];
-        const struct gsn_lattice *at = &a->region->at;
-        const double z =
-            round((interval_um * (s->seen.serial + 0.5) - at->origin_um.z) / at->step_um.z);
+        const size_t z = plane_of(s, interval_um, &a->region->at);
 
-        if (is_there(s, panel) && s->posed && z >= 0 && z < (double)at->nz)
-            count_plane(labels, a->region, (size_t)z, s);
+        if (is_there(s, panel) && s->posed && z < a->region->at.nz)
+            count_plane(labels, a->region, z, s);
+    }
+}
+
+void gsn_masking_gaps(double interval_um, struct gsn_assembly *a)
+{
+    for (size_t i = 0; a->region && i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        const struct gsn_lattice *at = &a->region->at;
+        const size_t z = plane_of(s, interval_um, at);
+        size_t all = 0, gaps = 0;
+
+        for (size_t k = z * at->nx * at->ny; z < at->nz && k < (z + 1) * at->nx * at->ny; k++) {
+            all += a->region->inside[k] != 0;
+            gaps += a->region->inside[k] && isnan(a->grid->value[k]);
+        }
+        if (s->posed)
+            s->region_masked = all > 0 ? (double)gaps / (double)all : 0;
     }
 }

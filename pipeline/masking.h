@@ -25,6 +25,10 @@ int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, u
 void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double interval_um,
                         struct gsn_assembly *assembly);
 
+/* The same where the region is known only after the stack was made: the share of each section's
+ * part of the region that has no density, whatever the reason. */
+void gsn_masking_gaps(double interval_um, struct gsn_assembly *assembly);
+
 #ifdef __cplusplus
 }
 #endif

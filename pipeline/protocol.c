@@ -189,9 +189,52 @@ static int read_shape(const json_t *shape_of, const char *key, struct gsn_region
     return GSN_OK;
 }
 
+static const char BAND[] =
+    "{\"kind\": \"band\", \"from\": \"root\" or a mask file, \"low_um\": a, \"high_um\": b above "
+    "a}, "
+    "with or without \"z\": [from,to] and \"within\": {\"centre\": [x,y], \"radius\": r}";
+
+/* The cylinder and the z range that limit a band, where they are stated. */
+static int read_limits(const json_t *band, struct gsn_region *region)
+{
+    const json_t *z = json_object_get(band, "z"), *within = json_object_get(band, "within");
+    double range[2] = { -INFINITY, INFINITY }, centre[2] = { 0 };
+    const json_t *radius = json_object_get(within, "radius");
+
+    if (z && (get_numbers(z, 2, range) < 0 || !(range[0] < range[1])))
+        return -1;
+    if (within && (get_numbers(json_object_get(within, "centre"), 2, centre) < 0 ||
+                   !(json_number_value(radius) > 0)))
+        return -1;
+    region->low.z = range[0];
+    region->high.z = range[1];
+    region->centre = gsn_vec3_make(centre[0], centre[1], 0);
+    region->radius_um = within ? json_number_value(radius) : 0;
+    return 0;
+}
+
+static int read_band(const json_t *band, struct gsn_region *region, struct gsn_error *err)
+{
+    const json_t *from = json_object_get(band, "from");
+    const json_t *low = json_object_get(band, "low_um"), *high = json_object_get(band, "high_um");
+
+    region->kind = GSN_REGION_BAND;
+    region->low_um = json_number_value(low);
+    region->high_um = json_number_value(high);
+    if (!json_is_string(from) || !json_string_value(from)[0] || !json_is_number(low) ||
+        !json_is_number(high) || !(region->low_um < region->high_um) || !isfinite(region->low_um) ||
+        !isfinite(region->high_um) || read_limits(band, region) < 0)
+        return bad(err, "region", BAND);
+    return strcmp(json_string_value(from), "root") == 0
+               ? GSN_OK
+               : get_text(band, "from", &region->file, err);
+}
+
 static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
+    static const char *const kinds[] = { "band", "band", NULL };
     const json_t *region = json_object_get(job, "region");
+    int kind = 0;
 
     if (!region)
         return GSN_OK;
@@ -201,6 +244,9 @@ static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_err
     }
     if (!json_is_object(region))
         return bad(err, "region", "the name of a mask file or a shape");
+    if (json_object_get(region, "kind"))
+        return get_word(region, "kind", kinds, &kind, err) < 0 ? bad(err, "region", BAND)
+                                                               : read_band(region, &p->region, err);
     return read_shape(region, "region", &p->region, err);
 }
 

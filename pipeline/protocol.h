@@ -29,14 +29,16 @@ enum gsn_region_kind {
     GSN_REGION_BOX,
     GSN_REGION_CYLINDER, /* axis along z */
     GSN_REGION_SPHERE,
+    GSN_REGION_BAND, /* at a distance from a body: the root, or a mask file */
 };
 
 struct gsn_region {
     enum gsn_region_kind kind;
-    char *file;                /* GSN_REGION_MASK: as stated, relative to the job's folder */
-    struct gsn_vec3 low, high; /* box; the cylinder's z range is low.z..high.z */
-    struct gsn_vec3 centre;    /* cylinder, sphere */
-    double radius_um;
+    char *file; /* a mask, relative to the job's folder: the region, or the band's body; or NULL */
+    struct gsn_vec3 low, high; /* box; the cylinder's and the band's z range is low.z..high.z */
+    struct gsn_vec3 centre;    /* cylinder, sphere; the cylinder that limits a band */
+    double radius_um;          /* of the same; 0: the band is not limited */
+    double low_um, high_um;    /* band: distances from the body's surface, outward */
 };
 
 struct gsn_protocol {

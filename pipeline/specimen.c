@@ -3,6 +3,7 @@
 
 #include "pipeline/account.h"
 #include "pipeline/assembly.h"
+#include "pipeline/band.h"
 #include "pipeline/summary.h"
 #include "pipeline/tile.h"
 
@@ -109,6 +110,8 @@ static int work_sections(const struct gsn_specimen *specimen,
         r = account_of_stack(assembly, specimen, options, &account, &evidence.bridge, &why, err);
     else if (r >= 0 && !assembly->solved)
         (void)gsn_fail(&why, GSN_E_WITHHELD, "%s", assembly->unsolved);
+    else if (r >= 0 && assembly->no_region[0])
+        (void)gsn_fail(&why, GSN_E_WITHHELD, "%s", assembly->no_region);
     else if (r >= 0)
         (void)gsn_fail(&why, GSN_E_WITHHELD,
                        "no region of interest is stated: add \"region\" to job.json");
@@ -143,7 +146,10 @@ static int work_volume(const struct gsn_specimen *specimen,
     struct gsn_evidence evidence = { .specimen = specimen };
     int r = GSN_OK;
 
-    if (specimen->protocol->region.kind > GSN_REGION_MASK)
+    if (specimen->protocol->region.kind == GSN_REGION_BAND)
+        r = gsn_band_region(&specimen->protocol->region, specimen->region, specimen->volume,
+                            options->threads, &made, &why);
+    else if (specimen->protocol->region.kind > GSN_REGION_MASK)
         r = gsn_region_raster(&specimen->protocol->region, &specimen->volume->at, &made, &why);
     else if (!specimen->region)
         r = whole(specimen->volume, &made, &why);

@@ -402,14 +402,17 @@ static void fill_figures(const struct gsn_evidence *e, struct draft *d)
     const struct gsn_protocol *p = e->specimen->protocol;
     struct gsn_report *r = &d->report;
 
-    r->region = (struct gsn_report_region){ .volume_mm3 = 1e-9 * account->density.volume_um3,
-                                            .mean_density = account->density.mean,
-                                            .coverage = account->coverage,
-                                            .description = p->region.kind == GSN_REGION_MASK
-                                                               ? p->region.file
-                                                           : p->region.kind == GSN_REGION_NONE
-                                                               ? "the whole volume"
-                                                               : "a shape stated in job.json" };
+    r->region = (struct gsn_report_region){
+        .volume_mm3 = 1e-9 * account->density.volume_um3,
+        .mean_density = account->density.mean,
+        .coverage = account->coverage,
+        .description = p->region.kind == GSN_REGION_MASK   ? p->region.file
+                       : p->region.kind == GSN_REGION_NONE ? "the whole volume"
+                       : p->region.kind == GSN_REGION_BAND
+                           ? say(d, "%g to %g um from the surface of %s", p->region.low_um,
+                                 p->region.high_um, p->region.file ? p->region.file : "the root")
+                           : "a shape stated in job.json"
+    };
     for (size_t i = 0; i < account->bound_count; i++)
         d->volume[i] =
             (struct gsn_report_volume){ .threshold = account->bound[i].threshold,

@@ -59,7 +59,7 @@ static int check_files(const struct gsn_import *import, const struct gsn_protoco
                        struct gsn_error *err)
 {
     const char *const names[] = {
-        protocol->region.kind == GSN_REGION_MASK ? protocol->region.file : NULL,
+        protocol->region.file,
         protocol->kind == GSN_KIND_SECTIONS ? NULL : protocol->file,
         protocol->reference[0] ? protocol->reference : NULL,
     };
@@ -183,7 +183,7 @@ static int attach_files(struct intake *in, const struct gsn_protocol *protocol,
 {
     int r = GSN_OK;
 
-    if (protocol->region.kind == GSN_REGION_MASK)
+    if (protocol->region.file)
         r = attach_volume(in, protocol->region.file, err);
     if (r >= 0 && protocol->kind == GSN_KIND_VOLUME)
         r = attach_volume(in, protocol->file, err);

@@ -173,7 +173,7 @@ static int read_volumes(struct gsn_material *m, const char *folder, struct gsn_e
     const struct gsn_protocol *p = m->protocol;
     int r = GSN_OK;
 
-    if (p->region.kind == GSN_REGION_MASK) {
+    if (p->region.file) {
         gsn_auto_mem(char) path = gsn_format("%s/%s", folder, p->region.file);
 
         r = path ? gsn_volume_read_mask(path, MOST_VOLUME_BYTES, &m->region, err)
@@ -201,7 +201,7 @@ static int take_files(struct gsn_material *m, struct gsn_error *err)
     }
     if (r < 0)
         return r;
-    if (m->protocol->region.kind == GSN_REGION_MASK || m->protocol->kind == GSN_KIND_VOLUME) {
+    if (m->protocol->region.file || m->protocol->kind == GSN_KIND_VOLUME) {
         r = lay_out(m, &folder, err);
         if (r >= 0)
             r = read_volumes(m, folder, err);

@@ -18,7 +18,6 @@ static const char *const WORDS[GSN_DEFECTS][2] = {
     { "edge", "the edge of the coverslip or of the frame lies over it" },
     { "hair", "a hair or a fibre lies over it" },
     { "debris", "a dark neutral grain: dust, enamel, metal or pigment" },
-    { "persistent", "dirt at the same place of every panel: clean the scanner" },
 };
 
 const char *gsn_defect_word(unsigned i)

@@ -27,10 +27,9 @@ enum gsn_defect {
     GSN_DEFECT_EDGE = 1 << 6,   /* coverslip or frame: a long thin straight dark line */
     GSN_DEFECT_HAIR = 1 << 7,   /* hair or fibre: a thin dark line */
     GSN_DEFECT_DEBRIS = 1 << 8, /* dust, enamel, metal, pigment: a dark neutral grain */
-    GSN_DEFECT_PERSISTENT = 1 << 9, /* the same place on several panels: dirt on the scanner */
 };
 
-enum { GSN_DEFECTS = 10 };
+enum { GSN_DEFECTS = 9 };
 
 /* "halo", "fold", "void", ... of bit 1 << i. */
 const char *gsn_defect_word(unsigned i);

@@ -326,30 +326,49 @@ int gsn_tissue_root(const struct gsn_grid *density, unsigned threads, struct gsn
 
 /* ---- bands --------------------------------------------------------------------------------- */
 
-/* Distance from the surface at every voxel centre, negative inside. */
-static int signed_distance(const struct gsn_mask *body, unsigned threads, float *distance,
-                           struct gsn_error *err)
+/* Whether a voxel or one of its six neighbours is `of`. */
+static int touches(const struct gsn_mask *body, size_t i, uint8_t of)
+{
+    const struct gsn_lattice *at = &body->at;
+    const size_t x = i % at->nx, y = i / at->nx % at->ny, z = i / at->nx / at->ny;
+    const size_t plane = at->nx * at->ny;
+    const uint8_t *in = body->inside + i;
+
+    return in[0] == of || (x > 0 && in[-1] == of) || (x + 1 < at->nx && in[1] == of) ||
+           (y > 0 && *(in - at->nx) == of) || (y + 1 < at->ny && in[at->nx] == of) ||
+           (z > 0 && *(in - plane) == of) || (z + 1 < at->nz && in[plane] == of);
+}
+
+/* Adds to each voxel that is not `of` its distance from those that are, and from those that are or
+ * touch them: the surface lies midway, whichever way it runs through the voxels. */
+static int add_distances(const struct gsn_mask *body, uint8_t of, unsigned threads, double sign,
+                         float *distance, struct gsn_error *err)
 {
     const struct gsn_lattice *at = &body->at;
     const struct gsn_distance_box box = { at->nx,        at->ny,        at->nz,
                                           at->step_um.x, at->step_um.y, at->step_um.z };
     const size_t count = gsn_lattice_count(at);
-    const double half = fmin(at->step_um.x, fmin(at->step_um.y, at->step_um.z)) / 2;
-    gsn_auto_mem(uint8_t) outside = gsn_alloc_array(count, 1);
-    gsn_auto_mem(float) inward = gsn_alloc_array(count, sizeof *inward);
-    int r;
+    gsn_auto_mem(uint8_t) set = gsn_alloc_array(count, 1);
+    gsn_auto_mem(float) squared = gsn_alloc_array(count, sizeof *squared);
+    int r = set && squared ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for distances");
 
-    if (!outside || !inward)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the distance from a surface");
-    for (size_t i = 0; i < count; i++)
-        outside[i] = !body->inside[i];
-    r = gsn_distance_squared(body->inside, &box, threads, distance, err);
-    if (r >= 0)
-        r = gsn_distance_squared(outside, &box, threads, inward, err);
-    for (size_t i = 0; r >= 0 && i < count; i++)
-        distance[i] =
-            body->inside[i] ? (float)(half - sqrt(inward[i])) : (float)(sqrt(distance[i]) - half);
+    for (int wide = 0; wide < 2 && r >= 0; wide++) {
+        for (size_t i = 0; i < count; i++)
+            set[i] = wide ? (uint8_t)touches(body, i, of) : body->inside[i] == of;
+        r = gsn_distance_squared(set, &box, threads, squared, err);
+        for (size_t i = 0; r >= 0 && i < count; i++)
+            distance[i] += (float)(body->inside[i] == of ? 0 : sign * sqrt(squared[i]) / 2);
+    }
     return r;
+}
+
+/* Distance from the surface at every voxel centre, negative inside. */
+static int signed_distance(const struct gsn_mask *body, unsigned threads, float *distance,
+                           struct gsn_error *err)
+{
+    const int r = add_distances(body, 1, threads, 1, distance, err);
+
+    return r < 0 ? r : add_distances(body, 0, threads, -1, distance, err);
 }
 
 /* One axis of an interpolation: the cell before and how far beyond it. 0 outside the lattice. */

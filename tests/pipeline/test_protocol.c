@@ -111,6 +111,13 @@ TEST(a_wrong_value_is_refused_by_the_name_of_its_key)
         { "{\"specimen\": \"x\", \"region\": {\"shape\": \"cylinder\", \"centre\": [0, 0], "
           "\"radius\": 3, \"z\": [9, 4]}}",
           "\"region\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"kind\": \"shell\"}}", "\"band\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"kind\": \"band\", \"from\": \"root\", "
+          "\"low_um\": 630, \"high_um\": 180}}",
+          "\"low_um\"" },
+        { "{\"specimen\": \"x\", \"region\": {\"kind\": \"band\", \"from\": \"root\", "
+          "\"low_um\": 1, \"high_um\": 2, \"within\": {\"centre\": [0, 0]}}}",
+          "\"within\"" },
     };
 
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -122,6 +129,28 @@ TEST(a_wrong_value_is_refused_by_the_name_of_its_key)
         if (!strstr(err.text, cases[i].named))
             fail_msg("%s\nsays: %s\nand does not name %s", cases[i].text, err.text, cases[i].named);
     }
+}
+
+TEST(a_band_is_read_with_and_without_its_limits)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+    gsn_auto(gsn_protocol) q = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(parse("{\"specimen\": \"x\", \"region\": {\"kind\": \"band\", \"from\": \"root\", "
+                   "\"low_um\": 180, \"high_um\": 630}}",
+                   &p, &err),
+             err);
+    CHECK(p->region.kind == GSN_REGION_BAND && p->region.file == NULL);
+    CHECK(p->region.low_um == 180 && p->region.high_um == 630 && p->region.radius_um == 0);
+    CHECK(p->region.low.z == -INFINITY && p->region.high.z == INFINITY);
+    CHECK_OK(parse("{\"specimen\": \"x\", \"region\": {\"kind\": \"band\", \"from\": "
+                   "\"root.mhd\", \"low_um\": -20, \"high_um\": 30, \"z\": [120, 720], "
+                   "\"within\": {\"centre\": [411, 646], \"radius\": 900}}}",
+                   &q, &err),
+             err);
+    CHECK(strcmp(q->region.file, "root.mhd") == 0 && q->region.low.z == 120);
+    CHECK(q->region.centre.y == 646 && q->region.radius_um == 900);
 }
 
 TEST(the_sections_are_the_slots_or_as_many_as_stated)

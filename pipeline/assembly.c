@@ -397,14 +397,25 @@ static void merge(const struct gsn_grid *from, struct gsn_grid *into)
             into->value[i] = from->value[i];
 }
 
+static int resample_into(const struct gsn_stack_section *sections, size_t count, double interval_um,
+                         unsigned threads, struct gsn_grid *into, struct gsn_error *err)
+{
+    gsn_auto(gsn_grid) grid = NULL;
+    const int r = gsn_stack_resample(sections, count, &into->at, interval_um, threads, &grid, err);
+
+    if (r >= 0)
+        merge(grid, into);
+    return r;
+}
+
 static int stack_panel(const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options, unsigned number,
                        const struct gsn_plane *density, struct gsn_assembly *a,
                        struct gsn_error *err)
 {
+    const double interval_um = specimen->protocol->interval_um;
     gsn_auto_mem(struct gsn_stack_section) sections =
         gsn_alloc_array(a->section_count, sizeof *sections);
-    gsn_auto(gsn_grid) grid = NULL;
     size_t count;
     int r;
 
@@ -413,10 +424,9 @@ static int stack_panel(const struct gsn_specimen *specimen,
     count = sections_of_panel(a, number, density, sections);
     if (count == 0)
         return GSN_OK;
-    r = gsn_stack_resample(sections, count, &a->grid->at, specimen->protocol->interval_um,
-                           options->threads, &grid, err);
-    if (r >= 0)
-        merge(grid, a->grid);
+    r = resample_into(sections, count, interval_um, options->threads, a->grid, err);
+    if (r >= 0 && a->tissue_grid)
+        r = resample_into(sections, count, interval_um, options->threads, a->tissue_grid, err);
     return r;
 }
 
@@ -480,13 +490,151 @@ static int work_panels(const struct gsn_specimen *specimen,
     return GSN_OK;
 }
 
-static int empty_grid(const struct gsn_lattice *lattice, struct gsn_assembly *a,
+static int empty_grid(const struct gsn_lattice *lattice, struct gsn_grid **ret_grid,
                       struct gsn_error *err)
 {
-    const int r = gsn_grid_new(lattice, &a->grid, err);
+    const int r = gsn_grid_new(lattice, ret_grid, err);
 
     for (size_t i = 0; r >= 0 && i < gsn_lattice_count(lattice); i++)
-        a->grid->value[i] = NAN;
+        (*ret_grid)->value[i] = NAN;
+    return r;
+}
+
+/* ---- the internal reference -------------------------------------------------------------- */
+
+static int place_reference(const struct gsn_specimen *specimen, double px_um, unsigned sections,
+                           struct gsn_assembly *a, struct gsn_error *err)
+{
+    const struct gsn_region *stated = &specimen->protocol->reference_tissue;
+    struct gsn_lattice lattice;
+    int r;
+
+    if (stated->kind == GSN_REGION_NONE || !a->grid)
+        return GSN_OK;
+    if (!lattice_for(box_of_shape(stated), NULL, px_um, specimen->protocol->interval_um, sections,
+                     &lattice))
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the reference tissue does not lie in this block of %u "
+                        "sections",
+                        sections);
+    r = gsn_region_raster(stated, &lattice, &a->tissue, err);
+    return r < 0 ? r : empty_grid(&lattice, &a->tissue_grid, err);
+}
+
+/* The panel that the section with this serial number was taken from; NULL when there is none. */
+static struct gsn_assembly_panel *panel_of_serial(struct gsn_assembly *a, double serial)
+{
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+
+        if (s->seen.serial != serial ||
+            (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
+            continue;
+        for (size_t p = 0; p < a->panel_count; p++)
+            if (a->panel[p].opened && a->panel[p].stain.panel == s->panel)
+                return &a->panel[p];
+    }
+    return NULL;
+}
+
+static double serial_of_plane(const struct gsn_lattice *at, size_t z, double interval_um)
+{
+    return round((at->origin_um.z + (double)z * at->step_um.z) / interval_um - 0.5);
+}
+
+/* The reference tissue in the plane z of its grid. scratch: as many values as a plane has. */
+static struct gsn_reference_section reference_in(const struct gsn_assembly *a, size_t z,
+                                                 double *scratch)
+{
+    const struct gsn_lattice *at = &a->tissue_grid->at;
+    const size_t first = gsn_lattice_index(at, 0, 0, z), plane = at->nx * at->ny;
+    size_t n = 0;
+
+    for (size_t i = first; i < first + plane; i++)
+        if (a->tissue->inside[i] && !isnan(a->tissue_grid->value[i]))
+            scratch[n++] = a->tissue_grid->value[i];
+    return (struct gsn_reference_section){ .red = gsn_reference_red(scratch, n), .pixels = n };
+}
+
+static int measure_panel_gain(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                              struct gsn_assembly_panel *panel, struct gsn_error *why,
+                              struct gsn_error *err)
+{
+    const struct gsn_lattice *at = &a->tissue_grid->at;
+    gsn_auto_mem(struct gsn_reference_section) sections = gsn_alloc_array(at->nz, sizeof *sections);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(at->nx * at->ny, sizeof *scratch);
+    size_t count = 0;
+
+    if (!sections || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
+    for (size_t z = 0; z < at->nz; z++)
+        if (panel_of_serial(a, serial_of_plane(at, z, specimen->protocol->interval_um)) == panel)
+            sections[count++] = reference_in(a, z, scratch);
+    panel->gain = (struct gsn_stain_gain){ .gain = 1 };
+    (void)gsn_stain_reference(sections, count, specimen->protocol->reference_density, &panel->gain,
+                              why);
+    return GSN_OK;
+}
+
+/* A panel without enough of the reference takes what the others say. */
+static int fill_gains(struct gsn_assembly *a, const struct gsn_error *why, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_stain_gain) gains = gsn_alloc_array(a->panel_count + 1, sizeof *gains);
+    struct gsn_stain_gain others;
+    struct gsn_error none = { 0 };
+    int told;
+
+    if (!gains)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
+    for (size_t p = 0; p < a->panel_count; p++)
+        gains[p] = a->panel[p].gain;
+    told = gsn_stain_gain_of_others(gains, a->panel_count, &others, &none) >= 0;
+    for (size_t p = 0; p < a->panel_count; p++) {
+        if (!a->panel[p].opened || a->panel[p].gain.sections > 0)
+            continue;
+        if (told)
+            a->panel[p].gain = others;
+        else if (!a->not_comparable[0])
+            (void)snprintf(a->not_comparable, sizeof a->not_comparable,
+                           "batches not comparable: panel %u: %s", a->panel[p].stain.panel,
+                           why[p].text);
+    }
+    return GSN_OK;
+}
+
+/* Divides each plane by the gain of its panel. */
+static void divide(struct gsn_assembly *a, double interval_um)
+{
+    const struct gsn_lattice *at = &a->grid->at;
+    const size_t plane = at->nx * at->ny;
+
+    for (size_t z = 0; z < at->nz; z++) {
+        const struct gsn_assembly_panel *panel =
+            panel_of_serial(a, serial_of_plane(at, z, interval_um));
+
+        for (size_t i = z * plane; panel && i < (z + 1) * plane; i++)
+            a->grid->value[i] = (float)(a->grid->value[i] / panel->gain.gain);
+    }
+}
+
+static int normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_error) why = NULL;
+    int r = GSN_OK;
+
+    if (!a->tissue_grid)
+        return GSN_OK;
+    why = gsn_alloc_array(a->panel_count + 1, sizeof *why);
+    if (!why)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
+    for (size_t p = 0; p < a->panel_count && r >= 0; p++)
+        if (a->panel[p].opened)
+            r = measure_panel_gain(specimen, a, &a->panel[p], &why[p], err);
+    if (r >= 0)
+        r = fill_gains(a, why, err);
+    if (r >= 0 && !a->not_comparable[0])
+        divide(a, specimen->protocol->interval_um);
     return r;
 }
 
@@ -497,22 +645,26 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     gsn_auto(gsn_assembly) a = gsn_alloc_array(1, sizeof *a);
     const double px_um = finest_pixel(specimen);
     struct gsn_lattice lattice = { 0 };
+    unsigned sections;
     int r;
 
     if (!a)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the assembly of a specimen");
     r = list_slots(specimen, a, err);
+    sections = a->section_count ? a->section[a->section_count - 1].seen.serial + 1 : 0;
     if (r >= 0 && px_um > 0 &&
         (specimen->region || specimen->protocol->region.kind > GSN_REGION_MASK))
-        r = place_region(specimen, px_um,
-                         a->section_count ? a->section[a->section_count - 1].seen.serial + 1 : 0, a,
-                         &lattice, err);
+        r = place_region(specimen, px_um, sections, a, &lattice, err);
     if (r >= 0)
         r = solve_poses(specimen, a, err);
     if (r >= 0 && a->solved && a->region)
-        r = empty_grid(&lattice, a, err);
+        r = empty_grid(&lattice, &a->grid, err);
+    if (r >= 0)
+        r = place_reference(specimen, px_um, sections, a, err);
     if (r >= 0)
         r = work_panels(specimen, options, a, err);
+    if (r >= 0)
+        r = normalise(specimen, a, err);
     if (r < 0)
         return r;
     *ret_assembly = gsn_steal(&a);
@@ -529,5 +681,7 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_free(a->panel);
     gsn_mask_free(a->region);
     gsn_grid_free(a->grid);
+    gsn_mask_free(a->tissue);
+    gsn_grid_free(a->tissue_grid);
     gsn_free(a);
 }

@@ -8,6 +8,7 @@
 #include "pipeline/pictures.h"
 #include "pipeline/register/pose.h"
 #include "pipeline/specimen.h"
+#include "pipeline/stain/reference.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -37,6 +38,7 @@ struct gsn_assembly_panel {
     int opened;
     struct gsn_glass glass;
     struct gsn_specimen_stain stain;
+    struct gsn_stain_gain gain; /* what its densities were divided by */
     char note[400];
 };
 
@@ -47,9 +49,12 @@ struct gsn_assembly {
     struct gsn_assembly_panel *panel; /* owned; as in the specimen */
     int solved;                       /* whether the stack's triangle could be solved */
     struct gsn_pose_summary summary;
-    char unsolved[480];      /* why not, or empty */
-    struct gsn_mask *region; /* owned; NULL when the job states none */
-    struct gsn_grid *grid;   /* owned; NULL without region or solution */
+    char unsolved[480];           /* why not, or empty */
+    struct gsn_mask *region;      /* owned; NULL when the job states none */
+    struct gsn_grid *grid;        /* owned; NULL without region or solution */
+    struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
+    struct gsn_grid *tissue_grid; /* owned; its density as stained */
+    char not_comparable[240];     /* why the stain could not be normalised though asked, or empty */
 };
 
 /* gives. Sections and panels that cannot be used are states, not failures.

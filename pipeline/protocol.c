@@ -17,7 +17,7 @@ static int bad(struct gsn_error *err, const char *key, const char *wanted)
 enum { LONGEST_BATCH = 20 };
 
 #define REFERENCE_FORM                                                                             \
-    "a mask file for a tile, or for sections {\"tissue\": a shape, \"density\": what it is taken "  \
+    "a mask file for a tile, or for sections {\"tissue\": a shape, \"density\": what it is taken " \
     "to be, at least 0.05}"
 
 static int get_text(const json_t *job, const char *key, char **text, struct gsn_error *err)
@@ -258,9 +258,9 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
     const struct {
         const char *key;
         char **text;
-    } names[] = { { "specimen", &p->specimen },  { "study", &p->study },
-                  { "group", &p->group },        { "animal", &p->animal },
-                  { "baseline", &p->baseline },  { "file", &p->file } };
+    } names[] = { { "specimen", &p->specimen }, { "study", &p->study },
+                  { "group", &p->group },       { "animal", &p->animal },
+                  { "baseline", &p->baseline }, { "file", &p->file } };
 
     for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
         const int r = get_text(job, names[i].key, names[i].text, err);

@@ -21,6 +21,9 @@ static const double MOST_OVEREXPOSED = 0.02;
 
 enum { MOST_ROWS = 48 };
 
+/* Between the dyes and the batch that was stained with them. */
+#define IN_BATCH ", batch "
+
 /* The report's records and the texts they borrow. */
 struct draft {
     struct gsn_report report;
@@ -418,9 +421,20 @@ static void fill_definition(const struct gsn_evidence *e, struct draft *d)
 {
     const int volume = e->specimen->protocol->kind == GSN_KIND_VOLUME;
 
+    const struct gsn_protocol *p = e->specimen->protocol;
+    const int normalised = p->reference_tissue.kind != GSN_REGION_NONE &&
+                           !(e->assembly && e->assembly->not_comparable[0]);
+
     d->report.density_name =
-        volume ? "voxel value as imported" : "collagen-equivalent density (red dye by unmixing)";
-    d->report.density_version = volume ? "1" : dyes_of(e);
+        volume       ? "voxel value as imported"
+        : normalised ? say(d, "collagen-equivalent density (red dye by unmixing, reference %g)",
+                           p->reference_density)
+                     : "collagen-equivalent density (red dye by unmixing)";
+    /* Without a reference the figure is the batch's own. */
+    d->report.density_version = volume ? "1"
+                                : p->batch[0] && !normalised
+                                    ? say(d, "%s" IN_BATCH "%s", dyes_of(e), p->batch)
+                                    : dyes_of(e);
 }
 
 static void fill_loss(const struct gsn_evidence *e, struct draft *d)
@@ -457,6 +471,20 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
     if (r->region.coverage < LEAST_COVERAGE) {
         r->loss_reason =
             say(d, "only %.0f %% of the region of interest has data", 100 * r->region.coverage);
+        warn(d, r->loss_reason);
+        return;
+    }
+    if (e->assembly && e->assembly->not_comparable[0]) {
+        r->loss_reason = e->assembly->not_comparable;
+        warn(d, r->loss_reason);
+        return;
+    }
+    if (strcmp(b->dyes, r->density_version) != 0 &&
+        (strstr(b->dyes, IN_BATCH) || strstr(r->density_version, IN_BATCH))) {
+        r->loss_reason = say(d,
+                             "batches not comparable: the control was measured by %s, this "
+                             "specimen by %s; state \"reference\" in both jobs",
+                             b->dyes, r->density_version);
         warn(d, r->loss_reason);
         return;
     }
@@ -504,6 +532,26 @@ static void fill_tile(const struct gsn_evidence *e, struct draft *d)
         warn(d, t->note);
 }
 
+/* "panel 1: 1.152 +- 0.004 (12 sections), ..." */
+static const char *gains_of(const struct gsn_assembly *a, struct draft *d)
+{
+    char line[1000] = "";
+    size_t used = 0;
+
+    for (size_t i = 0; i < a->panel_count && used < sizeof line; i++) {
+        const struct gsn_stain_gain *gain = &a->panel[i].gain;
+        int n;
+
+        if (!a->panel[i].opened)
+            continue;
+        n = snprintf(line + used, sizeof line - used, "%spanel %u: %.3f +- %.3f (%u sections)",
+                     used ? ", " : "", a->panel[i].stain.panel, gain->gain, gain->error,
+                     gain->sections);
+        used += n > 0 ? (size_t)n : 0;
+    }
+    return say(d, "%s", line);
+}
+
 static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
@@ -519,6 +567,10 @@ static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
                                                      : "snake"));
         text_row(rows, count, "block frame",
                  p->has_markers ? "the marks stated in job.json" : "the stack's own mean triangle");
+        if (p->batch[0])
+            text_row(rows, count, "stain batch", p->batch);
+        if (p->reference_tissue.kind != GSN_REGION_NONE && e->assembly)
+            text_row(rows, count, "stain gains", gains_of(e->assembly, d));
     }
     if (p->px_um > 0)
         value_row(rows, count, "pixel size, stated", p->px_um, "um");

@@ -124,6 +124,81 @@ TEST(the_loss_of_two_drawn_specimens_is_that_of_their_densities)
           memcmp(two->html, result->html, two->html_size) == 0);
 }
 
+/* A strip of tissue beside the region, on every section. */
+#define REFERENCE(density)                                                                         \
+    ", \"reference\": {\"tissue\": {\"shape\": \"box\", \"min\": [-264, 216, 0], \"max\": "        \
+    "[264, 384, 288]}, \"density\": " #density "}"
+#define WITH_REGION(more)                                                                          \
+    "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
+
+/* Case 41. Panels that were stained 15 % stronger and 10 % paler read alike. */
+TEST(a_reference_tissue_takes_the_strength_of_the_stain_out_panel_by_panel)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, (double[]){ 0.5, 0.5 * 1.15, 0.5 * 0.9 }[i]);
+    drawn_specimen_init(&d, WITH_REGION(REFERENCE(0.5)), panels, 3);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+    json_t *root = report_of(result);
+
+    CHECK(!result->withheld);
+    CHECK_NEAR(measure(result, "mean_density"), 0.5, 0.003);
+    CHECK(strstr(result->definition, "reference 0.5") != NULL);
+    CHECK(strstr(result->json, "panel 2: 1.1") != NULL);
+    json_decref(root);
+}
+
+/* Case 41. */
+TEST(batches_are_not_compared_without_a_reference)
+{
+    drawn_auto control, treated, apart;
+
+    drawn_specimen_even(&control, WITH_REGION(", \"batch\": \"A\""), 0.8);
+    drawn_specimen_even(&treated, WITH_REGION(", \"batch\": \"A\", \"baseline\": \"control\""),
+                        0.6);
+    drawn_specimen_even(&apart, WITH_REGION(", \"batch\": \"B\", \"baseline\": \"control\""), 0.6);
+    gsn_auto(gsn_specimen_result) base = worked(&control, 1);
+
+    treated.specimen.baseline = baseline_of(base);
+    apart.specimen.baseline = baseline_of(base);
+    gsn_auto(gsn_specimen_result) same = worked(&treated, 1);
+    gsn_auto(gsn_specimen_result) other = worked(&apart, 1);
+    json_t *root = report_of(other);
+
+    CHECK_NEAR(measure(same, "loss"), 25, 0.5);
+    CHECK(!has_measure(other, "loss"));
+    CHECK(has_text(json_object_get(root, "warnings"), "batches not comparable: the control was"));
+    json_decref(root);
+}
+
+/* Case 41. */
+TEST(a_reference_that_shows_too_little_withholds_the_loss_and_says_so)
+{
+    drawn_auto d;
+
+    drawn_specimen_even(&d,
+                        WITH_REGION(", \"baseline\": \"control\", \"reference\": {\"tissue\": "
+                                    "{\"shape\": \"box\", \"min\": [-264, 216, 0], \"max\": "
+                                    "[264, 384, 48]}, \"density\": 0.5}"),
+                        0.6);
+    d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control",
+                                                          .specimens = 1,
+                                                          .mean_density = 0.5,
+                                                          .volume_mm3 = 1,
+                                                          .definition = "",
+                                                          .dyes = "" };
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+    json_t *root = report_of(result);
+
+    CHECK(!has_measure(result, "loss"));
+    CHECK(strstr(result->definition, "reference") == NULL);
+    CHECK(has_text(json_object_get(root, "warnings"),
+                   "batches not comparable: panel 1: the reference tissue shows on 2 sections"));
+    json_decref(root);
+}
+
 TEST(without_the_baselines_result_the_figures_stand_and_the_loss_does_not)
 {
     drawn_auto d;

@@ -16,6 +16,10 @@ static const double HALO_RADII = 2.0;
 /* Voxels kept around the region of interest, so that cuts show what lies beside it. */
 enum { MARGIN_VOXELS = 6, THUMBNAIL_PX = 132, MOST_TARGETS = 4096 };
 
+/* Tissue is what absorbs this much in R, G and B together. A hundredth of it clipped is told; of a
+ * fifth the mean of what is left says little, for it is the darkest that is missing. */
+static const double LEAST_TISSUE_OD = 0.05, TOLD_CLIPPED = 0.01, MOST_CLIPPED = 0.2;
+
 /* A stack larger than this is a mistake in the region, not a block. */
 static const double MOST_VOXELS_PER_SIDE = 1 << 20, MOST_VOXELS = 2147483648.0;
 
@@ -332,6 +336,64 @@ static void mask_halo(struct gsn_plane *density, const struct gsn_mark *mark)
                 density->value[(size_t)y * density->width + (size_t)x] = NAN;
 }
 
+/* A sample at either end of its codes only says "or beyond". All three at the top are bare glass.
+ */
+static int is_clipped(const struct gsn_image *image, uint32_t x, uint32_t y)
+{
+    const unsigned top = image->bits == 8 ? 255 : 65535;
+    unsigned at_top = 0, at_zero = 0;
+
+    for (unsigned c = 0; c < 3; c++) {
+        const unsigned sample = gsn_image_at(image, x, y, c);
+
+        at_top += sample == top;
+        at_zero += sample == 0;
+    }
+    return at_zero > 0 || (at_top > 0 && at_top < 3);
+}
+
+/* Masks the clipped pixels of a section and says which share of its tissue they are. */
+static double mask_clipped(const struct gsn_scan *scan, const struct gsn_panel_section *seen,
+                           struct gsn_plane *density)
+{
+    const struct gsn_image *image = scan->picture->image;
+    size_t tissue = 0, clipped = 0;
+
+    for (int y = seen->y; y < seen->y + seen->height; y++)
+        for (int x = seen->x; x < seen->x + seen->width; x++) {
+            const size_t i = (size_t)y * density->width + (size_t)x;
+            const double od = scan->od[0]->value[i] + scan->od[1]->value[i] + scan->od[2]->value[i];
+
+            if (!(od > LEAST_TISSUE_OD))
+                continue;
+            tissue++;
+            if (!is_clipped(image, (uint32_t)x, (uint32_t)y))
+                continue;
+            clipped++;
+            density->value[i] = NAN;
+        }
+    return tissue ? (double)clipped / (double)tissue : 0;
+}
+
+static void judge_clipped(const struct gsn_scan *scan, unsigned number, struct gsn_plane *density,
+                          struct gsn_assembly *a)
+{
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        char word[32];
+
+        if (s->panel != number || s->seen.width <= 0 || s->seen.height <= 0)
+            continue;
+        s->clipped = mask_clipped(scan, &s->seen, density);
+        if (s->clipped <= TOLD_CLIPPED)
+            continue;
+        (void)snprintf(word, sizeof word, "clipped-%.0f%%", 100 * s->clipped);
+        flag(s, word);
+        if (s->clipped > MOST_CLIPPED)
+            s->state = GSN_SECTION_HELD;
+    }
+}
+
 static int thumbnails(const struct gsn_scan *scan, unsigned number, struct gsn_assembly *a,
                       struct gsn_error *err)
 {
@@ -464,6 +526,7 @@ static int work_panel(const struct gsn_specimen *specimen,
         for (size_t m = 0; a->section[i].panel == stain->panel && m < GSN_MARKS; m++)
             if (a->section[i].seen.mark[m].found)
                 mask_halo(density, &a->section[i].seen.mark[m]);
+    judge_clipped(scan, stain->panel, density, a);
     return stack_panel(specimen, options, stain->panel, density, a, err);
 }
 

@@ -29,7 +29,8 @@ struct gsn_assembly_section {
     int posed;
     struct gsn_pose pose;
     enum gsn_assembly_state state;
-    char flags[160];                      /* words with one space between */
+    double clipped;  /* share of its tissue with a sample at either end of the codes; masked */
+    char flags[160]; /* words with one space between */
     struct gsn_account_picture thumbnail; /* png owned; size 0: none */
 };
 

@@ -214,6 +214,8 @@ static const char *reason_of(const struct gsn_assembly_section *s)
                                             : "the slot is empty; the gap is kept at its place";
     if (strstr(s->flags, "duplicate-serial"))
         return "another section already has this serial number: rename the panel or approve one";
+    if (strstr(s->flags, "clipped"))
+        return "too much of it is clipped: scan its panel again with another exposure";
     if (strstr(s->flags, "residual-too-large"))
         return "its three marks do not fit the stack's triangle: look for a torn section or a "
                "mistaken mark";

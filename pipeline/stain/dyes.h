@@ -72,9 +72,9 @@ struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[G
 /* A fit that says: these vectors, as well known as the prior says. */
 struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior);
 
-/* The half of the stained pixels that is worst explained lies at least this many degrees from every
- * mixture of the dyes. Slides of the same stain came within 5; haematoxylin and eosin stays beyond
- * 10, twice what vectors are off by, and is refused.
+/* How far the stained pixels lie from every mixture of the dyes: the median angle. Picrosirius,
+ * whose red is another, comes to 5 degrees; haematoxylin and eosin to 11. Beyond 8 the slide is
+ * refused.
  *
  * A slide too pale or too empty to tell is not refused (0 degrees). Fails with GSN_E_STAIN; the
  * sentence gives the figure. GSN_E_NOMEM. */

@@ -205,7 +205,7 @@ int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look 
     return look_at(&hues, ret_look, err);
 }
 
-static const double MOST_APART_DEG = 10;
+static const double MOST_APART_DEG = 8;
 
 int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
                    double *ret_apart_deg, struct gsn_error *err)

@@ -150,6 +150,23 @@ TEST(a_reference_tissue_takes_the_strength_of_the_stain_out_panel_by_panel)
     json_decref(root);
 }
 
+/* Case 12. Tissue so dark that the red dye leaves no light at all in green and blue. */
+TEST(a_section_that_is_clipped_is_held_and_the_share_is_said)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.8);
+    panels[1].section[2].density = 7;
+    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+
+    CHECK(strstr(result->json, "clipped-") != NULL);
+    CHECK(strstr(result->json, "too much of it is clipped: scan its panel again") != NULL);
+    CHECK_NEAR(measure(result, "mean_density"), 0.8, 0.01);
+}
+
 /* Case 41. */
 TEST(batches_are_not_compared_without_a_reference)
 {

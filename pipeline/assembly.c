@@ -3,6 +3,7 @@
 
 #include "pipeline/register/panel.h"
 #include "pipeline/register/stack.h"
+#include "pipeline/stain/spread.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -19,6 +20,9 @@ enum { MARGIN_VOXELS = 6, THUMBNAIL_PX = 132, MOST_TARGETS = 4096 };
 /* Tissue is what absorbs this much in R, G and B together. A hundredth of it clipped is told; of a
  * fifth the mean of what is left says little, for it is the darkest that is missing. */
 static const double LEAST_TISSUE_OD = 0.05, TOLD_CLIPPED = 0.01, MOST_CLIPPED = 0.2;
+
+/* Of the white of a panel: test_glass finds it within a tenth of a percent. */
+static const double WHITE_ERROR_OD = 0.0005;
 
 /* A stack larger than this is a mistake in the region, not a block. */
 static const double MOST_VOXELS_PER_SIDE = 1 << 20, MOST_VOXELS = 2147483648.0;
@@ -492,6 +496,27 @@ static int stack_panel(const struct gsn_specimen *specimen,
     return r;
 }
 
+/* What the dye vectors and the white of a panel leave open. */
+static int judge_vectors(const struct gsn_scan *scan, struct gsn_assembly_panel *panel,
+                         struct gsn_error *err)
+{
+    const struct gsn_dyes_fit *fit = &panel->stain.fit;
+    struct gsn_red_mean red;
+    int r;
+
+    if (!(fit->deviation_deg[0] > 0))
+        return GSN_OK;
+    r = gsn_red_mean(scan->od, NULL, &fit->dyes, &red, err);
+    if (r < 0)
+        return r;
+    red.sampling = 0; /* of the glass beside the tissue it would say nothing */
+
+    const struct gsn_red_side side = { &red, fit, WHITE_ERROR_OD, 1, 0 };
+
+    panel->red_error = gsn_red_half_width(&side) / 1.96 / red.mean;
+    return GSN_OK;
+}
+
 static int work_panel(const struct gsn_specimen *specimen,
                       const struct gsn_specimen_options *options, struct gsn_assembly_panel *panel,
                       struct gsn_assembly *a, struct gsn_error *err)
@@ -526,6 +551,9 @@ static int work_panel(const struct gsn_specimen *specimen,
         for (size_t m = 0; a->section[i].panel == stain->panel && m < GSN_MARKS; m++)
             if (a->section[i].seen.mark[m].found)
                 mask_halo(density, &a->section[i].seen.mark[m]);
+    r = judge_vectors(scan, panel, err);
+    if (r < 0)
+        return r;
     judge_clipped(scan, stain->panel, density, a);
     return stack_panel(specimen, options, stain->panel, density, a, err);
 }
@@ -551,6 +579,26 @@ static int work_panels(const struct gsn_specimen *specimen,
                                specimen->panel[i].file);
     }
     return GSN_OK;
+}
+
+/* The vectors of all panels lean on one prior, so their errors are taken as common; gains are
+ * measured panel by panel. */
+static void sum_errors(struct gsn_assembly *a)
+{
+    double vectors = 0, gains = 0, panels = 0;
+
+    for (size_t p = 0; p < a->panel_count; p++) {
+        const struct gsn_assembly_panel *panel = &a->panel[p];
+
+        if (!panel->opened)
+            continue;
+        panels++;
+        vectors += panel->red_error;
+        if (panel->gain.gain > 0)
+            gains += panel->gain.error * panel->gain.error / (panel->gain.gain * panel->gain.gain);
+    }
+    if (panels > 0)
+        a->red_error = hypot(vectors / panels, sqrt(gains) / panels);
 }
 
 static int empty_grid(const struct gsn_lattice *lattice, struct gsn_grid **ret_grid,
@@ -730,6 +778,7 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
         r = normalise(specimen, a, err);
     if (r < 0)
         return r;
+    sum_errors(a);
     *ret_assembly = gsn_steal(&a);
     return GSN_OK;
 }

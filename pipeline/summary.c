@@ -44,6 +44,7 @@ struct draft {
     struct gsn_report_fit fit;
     struct gsn_report_units units;
     struct gsn_report_tile tile;
+    double loss_low, loss_high; /* NaN: no interval */
     int out_of_memory;
 };
 
@@ -63,7 +64,7 @@ static void draft_done(struct draft *d)
 static int draft_init(struct draft *d, size_t sections, size_t panels, size_t inputs,
                       struct gsn_error *err)
 {
-    *d = (struct draft){ 0 };
+    *d = (struct draft){ .loss_low = NAN, .loss_high = NAN };
     d->warning = gsn_alloc_array(64 + 3 * panels, sizeof *d->warning);
     d->exclusion = gsn_alloc_array(sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
@@ -439,6 +440,12 @@ static void fill_definition(const struct gsn_evidence *e, struct draft *d)
                                     : dyes_of(e);
 }
 
+/* Standard error of the mean density by what the stain leaves open; 0: not known. */
+static double density_error(const struct gsn_evidence *e)
+{
+    return e->assembly && e->account ? e->assembly->red_error * e->account->density.mean : 0;
+}
+
 static void fill_loss(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
@@ -447,11 +454,13 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
                                            .definition = b->definition,
                                            .dyes = b->dyes,
                                            .mean = b->mean_density,
+                                           .standard_error = b->mean_density_error,
                                            .volume_um3 = 1e9 * b->volume_mm3 };
     const struct gsn_loss_side treated = { .name = r->specimen,
                                            .definition = r->density_name,
                                            .dyes = r->density_version,
                                            .mean = r->region.mean_density,
+                                           .standard_error = density_error(e),
                                            .volume_um3 = 1e9 * r->region.volume_mm3 };
     struct gsn_error why = { 0 };
     struct gsn_loss loss;
@@ -494,6 +503,14 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
         r->loss_reason = say(d, "%s", why.text);
         warn(d, r->loss_reason);
         return;
+    }
+    if (loss.has_interval) {
+        d->loss_low = loss.percent_low;
+        d->loss_high = loss.percent_high;
+        value_row(d->measure, &r->measure_count, "Collagen loss, from (95 %, stain and white)",
+                  loss.percent_low, "%");
+        value_row(d->measure, &r->measure_count, "Collagen loss, to (95 %, stain and white)",
+                  loss.percent_high, "%");
     }
     r->loss_percent = loss.percent;
     r->loss_points = loss.points;
@@ -640,7 +657,9 @@ static void keep_measures(const struct gsn_evidence *e, const struct draft *d,
     measure_row(result, "mean_density", r->region.mean_density, NAN, NAN, "density");
     measure_row(result, "region_volume", r->region.volume_mm3, NAN, NAN, "mm3");
     measure_row(result, "coverage", r->region.coverage, NAN, NAN, "");
-    measure_row(result, "loss", r->loss_percent, NAN, NAN, "%");
+    if (density_error(e) > 0)
+        measure_row(result, "mean_density_error", density_error(e), NAN, NAN, "density");
+    measure_row(result, "loss", r->loss_percent, d->loss_low, d->loss_high, "%");
     measure_row(result, "loss_points", r->loss_points, NAN, NAN, "points");
     if (e->tile && e->tile->compared)
         measure_row(result, "dice", e->tile->overlap.dice, NAN, NAN, "");

@@ -74,12 +74,23 @@ static const char *text_at(const json_t *root, const char *key)
     return text ? text : "";
 }
 
+/* A strip of tissue beside the region, on every section. */
+#define REFERENCE(density)                                                                         \
+    ", \"reference\": {\"tissue\": {\"shape\": \"box\", \"min\": [-264, 216, 0], \"max\": "        \
+    "[264, 384, 288]}, \"density\": " #density "}"
+#define WITH_REGION(more)                                                                          \
+    "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
+
 /* The control's figures as a store would hand them on. */
 static struct gsn_specimen_baseline baseline_of(const struct gsn_specimen_result *control)
 {
     return (struct gsn_specimen_baseline){ .name = "control",
                                            .specimens = 1,
                                            .mean_density = measure(control, "mean_density"),
+                                           .mean_density_error =
+                                               has_measure(control, "mean_density_error")
+                                                   ? measure(control, "mean_density_error")
+                                                   : 0,
                                            .volume_mm3 = measure(control, "region_volume"),
                                            .definition = control->definition,
                                            .dyes = control->dyes };
@@ -124,13 +135,6 @@ TEST(the_loss_of_two_drawn_specimens_is_that_of_their_densities)
           memcmp(two->html, result->html, two->html_size) == 0);
 }
 
-/* A strip of tissue beside the region, on every section. */
-#define REFERENCE(density)                                                                         \
-    ", \"reference\": {\"tissue\": {\"shape\": \"box\", \"min\": [-264, 216, 0], \"max\": "        \
-    "[264, 384, 288]}, \"density\": " #density "}"
-#define WITH_REGION(more)                                                                          \
-    "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
-
 /* Case 41. Panels that were stained 15 % stronger and 10 % paler read alike. */
 TEST(a_reference_tissue_takes_the_strength_of_the_stain_out_panel_by_panel)
 {
@@ -148,6 +152,39 @@ TEST(a_reference_tissue_takes_the_strength_of_the_stain_out_panel_by_panel)
     CHECK(strstr(result->definition, "reference 0.5") != NULL);
     CHECK(strstr(result->json, "panel 2: 1.1") != NULL);
     json_decref(root);
+}
+
+/* Sections that scatter by 2 % tell the gain no better: the interval is that of the two gains. */
+TEST(the_interval_on_the_loss_holds_the_error_of_the_gains)
+{
+    struct drawn_panel panels[2][3];
+    drawn_auto control, treated;
+
+    for (unsigned i = 0; i < 6; i++) {
+        panels[i / 3][i % 3] = drawn_panel_of(i % 3 + 1, 24, i < 3 ? 0.6 : 0.62);
+        for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++)
+            panels[i / 3][i % 3].section[slot].density *= slot % 2 ? 1.02 : 0.98;
+    }
+    drawn_specimen_init(&control, WITH_REGION(", \"tolerance\": 0.1" REFERENCE(0.6)), panels[0], 3);
+    drawn_specimen_init(
+        &treated, WITH_REGION(", \"tolerance\": 0.1, \"baseline\": \"control\"" REFERENCE(0.6)),
+        panels[1], 3);
+    gsn_auto(gsn_specimen_result) base = worked(&control, 1);
+
+    treated.specimen.baseline = baseline_of(base);
+    gsn_auto(gsn_specimen_result) result = worked(&treated, 1);
+    const struct gsn_specimen_measure *loss = NULL;
+    /* Four sections that scatter by 2 % of 2 sqrt(4 / 3) on each of three panels, on both sides. */
+    const double each = 0.02 * sqrt(4 / 3.0) / 2 / sqrt(3);
+
+    for (size_t i = 0; i < result->measure_count; i++)
+        if (strcmp(result->measure[i].name, "loss") == 0)
+            loss = &result->measure[i];
+    assert_non_null(loss);
+    CHECK_NEAR(measure(base, "mean_density_error") / measure(base, "mean_density"), each, 5e-4);
+    CHECK_NEAR(loss->value, 0, 0.5);
+    CHECK_NEAR(loss->upper - loss->lower, 2 * 1.96 * 100 * each * sqrt(2), 0.5);
+    CHECK(strstr(result->json, "95 %, stain and white") != NULL);
 }
 
 /* Case 12. Tissue so dark that the red dye leaves no light at all in green and blue. */

@@ -182,9 +182,10 @@ static bool has_news(const struct gsn_ptp_object *object, struct gsn_source_even
         ret_event->what = GSN_SOURCE_WAITING;
         return !object->told;
     case GSN_PTP_LEFT:
+    case GSN_PTP_FOLDER:
         ret_event->what = GSN_SOURCE_NOTICE;
         ret_event->item = 0;
-        return !object->told;
+        return !object->told && object->reason[0];
     default:
         return false;
     }

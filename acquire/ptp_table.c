@@ -9,7 +9,7 @@
 
 enum {
     CHECKS_A_LOOK = 32,  /* taken objects that are described again at each listing */
-    MOST_FOLDERS = 4096, /* walked in one listing */
+    MOST_FOLDERS = 4096, /* walked in one listing; too_many_folders says the number */
     MOST_DEPTH = 16,     /* of folders in a path */
     FIRST_RETRY_MS = 30 * 1000,
     LAST_RETRY_MS = 60 * 60 * 1000,
@@ -36,6 +36,10 @@ void gsn_ptp_table_done(struct gsn_ptp_table *table)
 }
 
 /* A reason is told once, and again when it becomes another. */
+static const char too_many_folders[] = "is a folder that is not looked into, for the device has "
+                                       "more than 4096 of them: empty or delete "
+                                       "old folders there";
+
 static void set_state(struct gsn_ptp_object *object, enum gsn_ptp_state state, const char *reason)
 {
     if (object->state != state || strcmp(object->reason, reason) != 0)
@@ -116,12 +120,18 @@ static void inherit_silence(const struct gsn_ptp_table *table, struct gsn_ptp_ob
     }
 }
 
-/* What is right in a folder that could not be listed is not gone because of that. */
-static void keep_children(struct gsn_ptp_table *table, unsigned session, uint32_t folder)
+/* What is right in a folder that is not listed is not gone because of that; but why it is not is
+ * told. */
+static void leave_folder(struct gsn_ptp_table *table, unsigned session, uint32_t folder,
+                         const char *reason)
 {
     for (size_t i = 0; i < table->count; i++) {
-        if (table->at[i].session == session && table->at[i].parent == folder)
-            table->at[i].last_look = table->looks;
+        struct gsn_ptp_object *const object = &table->at[i];
+
+        if (object->session == session && object->parent == folder)
+            object->last_look = table->looks;
+        if (object->session == session && object->handle == folder)
+            set_state(object, GSN_PTP_FOLDER, reason);
     }
 }
 
@@ -419,6 +429,7 @@ static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, u
                    uint32_t folder, struct gsn_ptp_handles *new_handles, struct gsn_error *err)
 {
     struct gsn_ptp_handles handles = { 0 };
+    struct gsn_ptp_object *self;
     gsn_auto_mem(uint32_t) owned = NULL;
     uint16_t code = 0;
     int r = gsn_ptp_device_list(device, storage, folder, &handles, &code, err);
@@ -427,9 +438,13 @@ static int see_all(struct gsn_ptp_table *table, struct gsn_ptp_device *device, u
     owned = handles.at;
     /* A folder that cannot be listed does not keep the others from it. */
     if (r == GSN_E_INPUT && folder != 0) {
-        keep_children(table, gsn_ptp_session_number(device->session), folder);
+        leave_folder(table, gsn_ptp_session_number(device->session), folder,
+                     "is a folder that the device does not list; it is asked again by itself");
         return GSN_OK;
     }
+    self = find_handle(table, gsn_ptp_session_number(device->session), folder);
+    if (r >= 0 && self)
+        set_state(self, GSN_PTP_FOLDER, "");
     /* In order, each is put behind the last one. */
     if (r >= 0 && handles.count > 1)
         qsort(handles.at, handles.count, sizeof *handles.at, by_number);
@@ -495,12 +510,15 @@ static int walk(struct gsn_ptp_table *table, struct gsn_ptp_device *device, int6
     struct gsn_ptp_handles folders = { 0 };
     int r = look_into(table, device, 0, 0, &folders, now_ms, err);
 
-    for (size_t i = 0; r >= 0 && i < folders.count && i < MOST_FOLDERS; i++) {
-        const struct gsn_ptp_object *const folder = find_handle(table, session, folders.at[i]);
+    for (size_t i = 0; r >= 0 && i < folders.count; i++) {
+        struct gsn_ptp_object *const folder = find_handle(table, session, folders.at[i]);
 
-        if (folder)
+        if (folder && i >= MOST_FOLDERS) {
+            leave_folder(table, session, folders.at[i], too_many_folders);
+        } else if (folder) {
             r = look_into(table, device, folder->storage ? folder->storage : gsn_ptp_every,
                           folders.at[i], &folders, now_ms, err);
+        }
     }
     gsn_free(folders.at);
     return r;

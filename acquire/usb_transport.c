@@ -9,6 +9,7 @@
 #include <time.h>
 
 #include "acquire/usb_address.h"
+#include "acquire/usb_find.h"
 #include "pipeline/core/mem.h"
 
 enum {
@@ -22,18 +23,11 @@ enum {
 /* Class requests of the Still Image definition, 5.2. */
 enum { CANCEL = 0x64, DEVICE_RESET = 0x66, DEVICE_STATUS = 0x67, CANCEL_CODE = 0x4001 };
 
-/* Where a Still Image device has its pipes. event 0: it has none. */
-struct pipes {
-    int interface, alternate;
-    uint8_t in, out, event;
-    uint16_t in_packet, event_packet;
-};
-
 struct usb {
     struct gsn_ptp_transport transport;
     libusb_context *context;
     libusb_device_handle *handle;
-    struct pipes pipes;
+    struct gsn_usb_pipes pipes;
     char name[140]; /* "04a9:31c0 SN0001", for sentences */
     int claimed;
     /* An interrupt transfer waits for the next event all the time. */
@@ -53,173 +47,6 @@ static int fail(const struct usb *usb, int r, const char *doing, struct gsn_erro
         return gsn_fail(err, code, "USB device %s: it was unplugged while %s", usb->name, doing);
     return gsn_fail(err, code, "USB device %s: %s failed: %s", usb->name, doing,
                     libusb_strerror(r));
-}
-
-/* Finding */
-
-static int is_bulk(const struct libusb_endpoint_descriptor *endpoint, int in)
-{
-    return (endpoint->bmAttributes & 3) == LIBUSB_TRANSFER_TYPE_BULK &&
-           !in == !(endpoint->bEndpointAddress & LIBUSB_ENDPOINT_IN);
-}
-
-static int find_pipes_of(const struct libusb_interface_descriptor *setting, struct pipes *ret_pipes)
-{
-    struct pipes pipes = { .interface = setting->bInterfaceNumber,
-                           .alternate = setting->bAlternateSetting };
-
-    if (setting->bInterfaceClass != LIBUSB_CLASS_IMAGE || setting->bInterfaceSubClass != 1 ||
-        setting->bInterfaceProtocol != 1)
-        return 0;
-    for (int i = 0; i < setting->bNumEndpoints; i++) {
-        const struct libusb_endpoint_descriptor *const endpoint = &setting->endpoint[i];
-        const uint16_t packet = endpoint->wMaxPacketSize & 0x7ff;
-
-        if (is_bulk(endpoint, 1)) {
-            pipes.in = endpoint->bEndpointAddress;
-            pipes.in_packet = packet;
-        } else if (is_bulk(endpoint, 0)) {
-            pipes.out = endpoint->bEndpointAddress;
-        } else if ((endpoint->bmAttributes & 3) == LIBUSB_TRANSFER_TYPE_INTERRUPT) {
-            pipes.event = endpoint->bEndpointAddress;
-            pipes.event_packet = packet;
-        }
-    }
-    *ret_pipes = pipes;
-    return pipes.in && pipes.out && pipes.in_packet >= 8;
-}
-
-static int find_pipes(libusb_device *device, struct pipes *ret_pipes)
-{
-    struct libusb_config_descriptor *config;
-    int found = 0;
-
-    if (libusb_get_active_config_descriptor(device, &config) < 0)
-        return 0;
-    for (int i = 0; i < config->bNumInterfaces && !found; i++)
-        for (int k = 0; k < config->interface[i].num_altsetting && !found; k++)
-            found = find_pipes_of(&config->interface[i].altsetting[k], ret_pipes);
-    libusb_free_config_descriptor(config);
-    return found;
-}
-
-/* Descriptors' texts end in sentences and rows: no control characters. */
-static void read_text(libusb_device_handle *handle, uint8_t index, char *ret_text, size_t size)
-{
-    int length = 0;
-
-    if (index)
-        length = libusb_get_string_descriptor_ascii(handle, index, (unsigned char *)ret_text,
-                                                    (int)size - 1);
-    ret_text[length > 0 ? length : 0] = '\0';
-    for (char *at = ret_text; *at; at++)
-        if (*at < ' ' || *at > '~')
-            *at = '?';
-}
-
-static void describe(libusb_device *device, struct gsn_ptp_usb_device *ret_described)
-{
-    struct gsn_ptp_usb_device described = { .bus = libusb_get_bus_number(device),
-                                            .number = libusb_get_device_address(device) };
-    struct libusb_device_descriptor descriptor = { 0 };
-    libusb_device_handle *handle = NULL;
-    char maker[60], product[60];
-
-    (void)libusb_get_device_descriptor(device, &descriptor);
-    described.vendor = descriptor.idVendor;
-    described.product = descriptor.idProduct;
-    described.refused = libusb_open(device, &handle) < 0;
-    if (!described.refused) {
-        read_text(handle, descriptor.iSerialNumber, described.serial, sizeof described.serial);
-        read_text(handle, descriptor.iManufacturer, maker, sizeof maker);
-        read_text(handle, descriptor.iProduct, product, sizeof product);
-        (void)snprintf(described.name, sizeof described.name, "%s%s%s", maker,
-                       maker[0] && product[0] ? " " : "", product);
-        libusb_close(handle);
-    }
-    *ret_described = described;
-}
-
-/* Lists the Still Image devices; of the one that answers to address (NULL: none) ret_device is a
- * reference, NULL when several or none do. */
-static int look(libusb_context *context, const struct gsn_usb_address *address,
-                struct gsn_ptp_usb_devices *ret_devices, size_t *ret_matches,
-                libusb_device **ret_device, struct gsn_error *err)
-{
-    libusb_device **list, *match = NULL;
-    const ssize_t count = libusb_get_device_list(context, &list);
-    size_t matches = 0;
-    struct pipes pipes;
-
-    if (count < 0)
-        return gsn_fail(err, count == LIBUSB_ERROR_NO_MEM ? GSN_E_NOMEM : GSN_E_IO,
-                        "the USB devices cannot be listed: %s", libusb_strerror((int)count));
-    ret_devices->count = 0;
-    for (ssize_t i = 0; i < count && ret_devices->count < GSN_PTP_USB_MOST; i++) {
-        struct gsn_ptp_usb_device *const at = &ret_devices->at[ret_devices->count];
-
-        if (!find_pipes(list[i], &pipes))
-            continue;
-        describe(list[i], at);
-        ret_devices->count++;
-        if (address && gsn_usb_address_matches(address, at->vendor, at->product, at->serial) &&
-            matches++ == 0)
-            match = list[i];
-    }
-    if (ret_device)
-        *ret_device = matches == 1 ? libusb_ref_device(match) : NULL;
-    if (ret_matches)
-        *ret_matches = matches;
-    libusb_free_device_list(list, 1);
-    return GSN_OK;
-}
-
-/* "04a9:31c0 SN0001, 1209:0001 (may not be opened)" of those that answer to address; NULL: all. */
-static void say_devices(const struct gsn_ptp_usb_devices *devices,
-                        const struct gsn_usb_address *address, char *ret_text, size_t size)
-{
-    size_t used = 0;
-
-    ret_text[0] = '\0';
-    for (size_t i = 0; i < devices->count && used < size; i++) {
-        const struct gsn_ptp_usb_device *const at = &devices->at[i];
-
-        if (address && !gsn_usb_address_matches(address, at->vendor, at->product, at->serial))
-            continue;
-        used +=
-            (size_t)snprintf(ret_text + used, size - used, "%s%04x:%04x%s%s%s", used ? ", " : "",
-                             at->vendor, at->product, at->serial[0] ? ":" : "", at->serial,
-                             at->refused ? " (may not be opened)" : "");
-    }
-}
-
-static int any_refused(const struct gsn_ptp_usb_devices *devices)
-{
-    for (size_t i = 0; i < devices->count; i++)
-        if (devices->at[i].refused)
-            return 1;
-    return 0;
-}
-
-static int explain(const char *rest, const struct gsn_usb_address *address, size_t matches,
-                   const struct gsn_ptp_usb_devices *devices, struct gsn_error *err)
-{
-    char text[240];
-
-    say_devices(devices, matches > 1 ? address : NULL, text, sizeof text);
-    if (matches > 1)
-        return gsn_fail(err, GSN_E_INPUT,
-                        "%zu scanners or cameras answer to \"%.60s\": %s; name one of them",
-                        matches, rest, text);
-    if (any_refused(devices))
-        return gsn_fail(err, GSN_E_IO,
-                        "no scanner or camera answers to \"%.60s\", but there is %s: see that the "
-                        "udev rules are installed and this account is in the device's group",
-                        rest, text);
-    return gsn_fail(err, GSN_E_NOTFOUND,
-                    "no scanner or camera (USB Still Image class) answers to \"%.60s\"%s%s; is it "
-                    "switched on and set to PTP?",
-                    rest, text[0] ? "; there is " : "", text);
 }
 
 /* Events */
@@ -534,7 +361,7 @@ static int claim(struct usb *usb, libusb_device *device, struct gsn_error *err)
 
 static int prepare_events(struct usb *usb, struct gsn_error *err)
 {
-    const struct pipes *const pipes = &usb->pipes;
+    const struct gsn_usb_pipes *const pipes = &usb->pipes;
     int room = pipes->event_packet;
 
     if (!pipes->event || pipes->event_packet == 0)
@@ -556,13 +383,13 @@ static int open_device(struct usb *usb, libusb_device *device, struct gsn_error 
     struct gsn_ptp_usb_device described;
     int r;
 
-    describe(device, &described);
+    gsn_usb_describe(device, &described);
     usb->transport.vendor = described.vendor;
     usb->transport.product = described.product;
     memcpy(usb->transport.serial, described.serial, sizeof usb->transport.serial);
     (void)snprintf(usb->name, sizeof usb->name, "%04x:%04x%s%s", described.vendor,
                    described.product, described.serial[0] ? " " : "", described.serial);
-    if (!find_pipes(device, &usb->pipes))
+    if (!gsn_usb_find_pipes(device, &usb->pipes))
         return fail(usb, LIBUSB_ERROR_NO_DEVICE, "it was opened", err);
     usb->transport.packet_size = usb->pipes.in_packet;
     r = libusb_open(device, &usb->handle);
@@ -570,16 +397,6 @@ static int open_device(struct usb *usb, libusb_device *device, struct gsn_error 
         return fail(usb, r, "opening it", err);
     r = claim(usb, device, err);
     return r < 0 ? r : prepare_events(usb, err);
-}
-
-static int start(libusb_context **ret_context, struct gsn_error *err)
-{
-    const int r = libusb_init(ret_context);
-
-    if (r < 0)
-        return gsn_fail(err, r == LIBUSB_ERROR_NO_MEM ? GSN_E_NOMEM : GSN_E_IO,
-                        "USB is not available here: %s", libusb_strerror(r));
-    return GSN_OK;
 }
 
 int gsn_ptp_usb_check(const char *rest, struct gsn_error *err)
@@ -604,13 +421,13 @@ int gsn_ptp_usb_open(const char *rest, struct gsn_ptp_transport **ret_transport,
     usb = gsn_alloc_array(1, sizeof *usb);
     if (!usb)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a USB device");
-    r = start(&usb->context, err);
+    r = gsn_usb_start(&usb->context, err);
     if (r >= 0)
-        r = look(usb->context, &address, &devices, &matches, &device, err);
+        r = gsn_usb_look(usb->context, &address, &devices, &matches, &device, err);
     if (r < 0)
         return r;
     if (!device)
-        return explain(rest, &address, matches, &devices, err);
+        return gsn_usb_explain(rest, &address, matches, &devices, err);
     r = open_device(usb, device, err);
     libusb_unref_device(device);
     if (r < 0)
@@ -619,19 +436,4 @@ int gsn_ptp_usb_open(const char *rest, struct gsn_ptp_transport **ret_transport,
     usb->transport.self = usb;
     *ret_transport = &gsn_steal(&usb)->transport;
     return GSN_OK;
-}
-
-int gsn_ptp_usb_list(struct gsn_ptp_usb_devices *ret_devices, struct gsn_error *err)
-{
-    struct gsn_ptp_usb_devices devices;
-    libusb_context *context;
-    int r = start(&context, err);
-
-    if (r < 0)
-        return r;
-    r = look(context, NULL, &devices, NULL, NULL, err);
-    libusb_exit(context);
-    if (r >= 0)
-        *ret_devices = devices;
-    return r;
 }

@@ -201,7 +201,8 @@ static int make(const struct voxels *v, const struct gsn_grid *grid, const struc
     if (r >= 0)
         r = measure(v, region, protocol, options, account, err);
     if (r >= 0)
-        r = gsn_pictures_make(grid, region, protocol, options, account, err);
+        r = gsn_pictures_make(options->shown ? options->shown : grid, region, protocol, options,
+                              account, err);
     return r;
 }
 

@@ -47,6 +47,7 @@ struct gsn_account_options {
     const char *mesher; /* path of gieson-mesh */
     unsigned threads;   /* 0: all */
     const struct gsn_progress *progress;
+    const struct gsn_grid *shown; /* what the cuts show beside the model; NULL: the grid itself */
 };
 
 /* gives: fit, figures and pictures of the region in this volume.

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly.h"
 
+#include "pipeline/masking.h"
 #include "pipeline/register/panel.h"
 #include "pipeline/register/stack.h"
 #include "pipeline/stain/spread.h"
@@ -9,10 +10,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-/* Heat changes the stain around a burn, so a disc of this many mark radii is masked: the bleached
- * ring of the marks seen so far ends at 1.5 radii, the rest is margin for the blur. */
-static const double HALO_RADII = 2.0;
 
 /* Voxels kept around the region of interest, so that cuts show what lies beside it. */
 enum { MARGIN_VOXELS = 6, THUMBNAIL_PX = 132, MOST_TARGETS = 4096 };
@@ -285,6 +282,34 @@ static void take_pose(struct gsn_assembly_section *section, const struct gsn_pos
             pose->state == GSN_POSE_TWO_MARKS ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
 }
 
+static enum gsn_strain_mode strain_mode(const struct gsn_protocol *protocol)
+{
+    static const enum gsn_strain_mode modes[] = {
+        [GSN_STATED_STRAIN_REPORTED] = GSN_STRAIN_REPORTED,
+        [GSN_STATED_STRAIN_RIGID] = GSN_STRAIN_RIGID,
+        [GSN_STATED_STRAIN_CORRECTED] = GSN_STRAIN_CORRECTED,
+    };
+
+    return modes[protocol->strain];
+}
+
+/* Does with the sections' strain what the protocol says. */
+static void use_strain(struct gsn_assembly *a, const struct gsn_pose_options *options)
+{
+    const struct gsn_pose_targets targets =
+        gsn_pose_targets_of(options->targets_um, options->target_count);
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+
+        if (!s->posed || !a->summary.stretches || a->strain_mode != GSN_STRAIN_CORRECTED)
+            continue;
+        s->pose.panel_to_block_um = gsn_strain_corrected(&s->pose);
+        if (targets.count > 0)
+            s->pose.tre_um = gsn_pose_tre_rms(&s->pose.error, &targets, 1);
+    }
+}
+
 static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err)
 {
@@ -306,10 +331,11 @@ static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly 
     options.targets_um = targets;
     for (size_t i = 0; i < a->section_count; i++)
         if (a->section[i].state == GSN_SECTION_HELD) {
-            inputs[count] =
-                (struct gsn_pose_input){ .serial = a->section[i].seen.serial,
-                                         .px_um =
-                                             panel_numbered(specimen, a->section[i].panel)->px_um };
+            inputs[count] = (struct gsn_pose_input){
+                .serial = a->section[i].seen.serial,
+                .px_um = panel_numbered(specimen, a->section[i].panel)->px_um,
+                .mirrored = strstr(a->section[i].seen.flags, "mirrored") != NULL
+            };
             memcpy(inputs[count].marks, a->section[i].seen.mark, sizeof inputs[count].marks);
             count++;
         }
@@ -322,22 +348,32 @@ static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly 
     for (size_t i = 0, p = 0; r >= 0 && i < a->section_count; i++)
         if (a->section[i].state == GSN_SECTION_HELD)
             take_pose(&a->section[i], &poses[p++]);
+    if (r < 0)
+        return GSN_OK;
+    a->panel_stretch =
+        gsn_strain_of_panel(inputs, poses, count, options.markers_um, a->summary.mean_triangle);
+    a->strain_mode = strain_mode(specimen->protocol);
+    use_strain(a, &options);
     return GSN_OK;
 }
 
 /* ---- density, panel by panel ------------------------------------------------------------- */
 
-static void mask_halo(struct gsn_plane *density, const struct gsn_mark *mark)
+/* Defects: their pixels lose their density. */
+static int mask_panel(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options, const struct gsn_scan *scan,
+                      const struct gsn_specimen_stain *stain, struct gsn_plane *density,
+                      struct gsn_assembly *a, struct gsn_error *err)
 {
-    const double radius = HALO_RADII * mark->radius_px;
-    const double x0 = fmax(0, floor(mark->px.x - radius)), y0 = fmax(0, floor(mark->px.y - radius));
-    const double x1 = fmin(density->width, mark->px.x + radius + 1);
-    const double y1 = fmin(density->height, mark->px.y + radius + 1);
+    gsn_auto(gsn_image) labels = NULL;
+    const int r =
+        gsn_masking_find(scan, &stain->fit.dyes, stain->panel, options->threads, a, &labels, err);
 
-    for (double y = y0; y < y1; y++)
-        for (double x = x0; x < x1; x++)
-            if (hypot(x + 0.5 - mark->px.x, y + 0.5 - mark->px.y) <= radius)
-                density->value[(size_t)y * density->width + (size_t)x] = NAN;
+    if (r < 0)
+        return r;
+    gsn_masking_region(labels, stain->panel, specimen->protocol->interval_um, a);
+    gsn_mask_apply(labels, density);
+    return GSN_OK;
 }
 
 /* A sample at either end of its codes only says "or beyond". All three at the top are bare glass.
@@ -547,10 +583,9 @@ static int work_panel(const struct gsn_specimen *specimen,
     r = gsn_unmix(scan->od, &stain->fit.dyes, options->threads, &density, NULL, NULL, err);
     if (r < 0)
         return r;
-    for (size_t i = 0; i < a->section_count; i++)
-        for (size_t m = 0; a->section[i].panel == stain->panel && m < GSN_MARKS; m++)
-            if (a->section[i].seen.mark[m].found)
-                mask_halo(density, &a->section[i].seen.mark[m]);
+    r = mask_panel(specimen, options, scan, stain, density, a, err);
+    if (r < 0)
+        return r;
     r = judge_vectors(scan, panel, err);
     if (r < 0)
         return r;

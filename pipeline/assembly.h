@@ -6,9 +6,10 @@
 #define GSN_PIPELINE_ASSEMBLY_H
 
 #include "pipeline/pictures.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/reference.h"
+#include "pipeline/stain/mask.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -31,7 +32,9 @@ struct gsn_assembly_section {
     enum gsn_assembly_state state;
     double clipped;  /* share of its tissue with a sample at either end of the codes; masked */
     char flags[160]; /* words with one space between */
-    struct gsn_account_picture thumbnail; /* png owned; size 0: none */
+    struct gsn_mask_figures masked;               /* what of it is not measured, and why */
+    double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
+    struct gsn_account_picture thumbnail;         /* png owned; size 0: none */
 };
 
 struct gsn_assembly_panel {
@@ -52,9 +55,11 @@ struct gsn_assembly {
     struct gsn_assembly_panel *panel; /* owned; as in the specimen */
     int solved;                       /* whether the stack's triangle could be solved */
     struct gsn_pose_summary summary;
-    char unsolved[480];           /* why not, or empty */
-    struct gsn_mask *region;      /* owned; NULL when the job states none */
-    struct gsn_grid *grid;        /* owned; NULL without region or solution */
+    struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
+    enum gsn_strain_mode strain_mode;       /* the protocol's */
+    char unsolved[480];                     /* why not, or empty */
+    struct gsn_mask *region;                /* owned; NULL when the job states none */
+    struct gsn_grid *grid;                  /* owned; NULL without region or solution */
     struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
     struct gsn_grid *tissue_grid; /* owned; its density as stained */
     double red_error;             /* relative standard error of a mean density by the stain */

@@ -230,6 +230,17 @@ static int read_reference(const json_t *job, struct gsn_protocol *p, struct gsn_
     return read_shape(tissue, "tissue", &p->reference_tissue, err);
 }
 
+static int read_strain(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const words[] = { "reported", "rigid", "corrected", NULL };
+    int strain = GSN_STATED_STRAIN_REPORTED;
+    const int r = get_word(job, "strain", words, &strain, err);
+
+    if (r >= 0)
+        p->strain = (enum gsn_stated_strain)strain;
+    return r;
+}
+
 static int read_light(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const transfers[] = { "unknown", "linear", "srgb", NULL };
@@ -281,12 +292,12 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
  * misspelt key must not pass unseen. */
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
-    static const char *const known[] = { "specimen",   "study",     "group",       "animal",
-                                         "week",       "px_um",     "interval_um", "panels",
-                                         "layout",     "order",     "sections",    "region",
-                                         "markers_um", "baseline",  "transfer",    "dyes",
-                                         "white",      "kind",      "thresholds",  "tolerance",
-                                         "file",       "reference", "batch",       "comment" };
+    static const char *const known[] = {
+        "specimen",  "study",  "group",   "animal",   "week",       "px_um",      "interval_um",
+        "panels",    "layout", "order",   "sections", "region",     "markers_um", "baseline",
+        "transfer",  "dyes",   "white",   "kind",     "thresholds", "tolerance",  "file",
+        "reference", "batch",  "comment", "strain"
+    };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
     for (; at; at = json_object_iter_next((json_t *)(uintptr_t)job, at)) {
@@ -326,7 +337,7 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = get_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
         (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
         (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, p, err)) < 0 ||
-        (r = read_light(job, p, err)) < 0)
+        (r = read_strain(job, p, err)) < 0 || (r = read_light(job, p, err)) < 0)
         return r;
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;

@@ -37,20 +37,22 @@ static int keep_poses(const struct gsn_assembly *a, struct gsn_specimen_result *
     return GSN_OK;
 }
 
-static struct gsn_account_options account_options(const struct gsn_specimen_options *options)
+static struct gsn_account_options account_options(const struct gsn_specimen_options *options,
+                                                  const struct gsn_grid *shown)
 {
     return (struct gsn_account_options){ .mesher = options->mesher,
                                          .threads = options->threads,
-                                         .progress = options->progress };
+                                         .progress = options->progress,
+                                         .shown = shown };
 }
 
 /* Makes the account, or says in why what stands against it. */
-static int try_account(const struct gsn_grid *grid, const struct gsn_mask *region,
-                       const struct gsn_specimen *specimen,
+static int try_account(const struct gsn_grid *grid, const struct gsn_grid *shown,
+                       const struct gsn_mask *region, const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options, struct gsn_account **ret_account,
                        struct gsn_error *why, struct gsn_error *err)
 {
-    const struct gsn_account_options how = account_options(options);
+    const struct gsn_account_options how = account_options(options, shown);
     const int r = gsn_account_make(grid, region, specimen->protocol, &how, ret_account, why);
 
     if (r < 0 && !is_about_evidence(r)) {
@@ -59,6 +61,33 @@ static int try_account(const struct gsn_grid *grid, const struct gsn_mask *regio
         return r;
     }
     return GSN_OK;
+}
+
+static int copy_grid(const struct gsn_grid *grid, struct gsn_grid **ret_copy, struct gsn_error *err)
+{
+    const int r = gsn_grid_new(&grid->at, ret_copy, err);
+
+    if (r >= 0)
+        memcpy((*ret_copy)->value, grid->value, gsn_lattice_count(&grid->at) * sizeof *grid->value);
+    return r;
+}
+
+/* The account of a stack whose short gaps are bridged; the cuts show it as it is. */
+static int account_of_stack(const struct gsn_assembly *assembly,
+                            const struct gsn_specimen *specimen,
+                            const struct gsn_specimen_options *options,
+                            struct gsn_account **ret_account, struct gsn_bridge *ret_bridge,
+                            struct gsn_error *why, struct gsn_error *err)
+{
+    gsn_auto(gsn_grid) bridged = NULL;
+    int r = copy_grid(assembly->grid, &bridged, err);
+
+    if (r >= 0)
+        r = gsn_bridge_gaps(bridged, assembly->region, ret_bridge, err);
+    if (r < 0)
+        return r;
+    return try_account(bridged, assembly->grid, assembly->region, specimen, options, ret_account,
+                       why, err);
 }
 
 static int work_sections(const struct gsn_specimen *specimen,
@@ -77,7 +106,7 @@ static int work_sections(const struct gsn_specimen *specimen,
         return r;
     }
     if (r >= 0 && assembly->grid)
-        r = try_account(assembly->grid, assembly->region, specimen, options, &account, &why, err);
+        r = account_of_stack(assembly, specimen, options, &account, &evidence.bridge, &why, err);
     else if (r >= 0 && !assembly->solved)
         (void)gsn_fail(&why, GSN_E_WITHHELD, "%s", assembly->unsolved);
     else if (r >= 0)
@@ -124,7 +153,7 @@ static int work_volume(const struct gsn_specimen *specimen,
         return r;
     }
     if (r >= 0)
-        r = try_account(specimen->volume, made ? made : specimen->region, specimen, options,
+        r = try_account(specimen->volume, NULL, made ? made : specimen->region, specimen, options,
                         &account, &why, err);
     if (r < 0 && !is_about_evidence(r))
         return r;

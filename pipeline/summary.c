@@ -2,6 +2,7 @@
 #include "pipeline/summary.h"
 
 #include "pipeline/measure/loss.h"
+#include "pipeline/pose_words.h"
 #include "pipeline/report/report.h"
 
 #include <math.h>
@@ -9,12 +10,15 @@
 #include <stdio.h>
 #include <string.h>
 
-/* Below this share of region voxels with data a loss is not printed: at 5 sections in 100 lost the
- * density of what was not seen can move the mean by as much as the effects people look for. */
-static const double LEAST_COVERAGE = 0.9;
-
-/* A mean triangle larger or smaller than declared by more than this: the pixel size is wrong. */
-static const double SCALE_TOLERANCE = 0.01;
+/* Below this share of region voxels that were measured, or bridged from the sections beside them, a
+ * loss is not printed: the density of a tenth that nobody knows can move the mean by as much as the
+ * effects people look for. */
+static const double LEAST_KNOWN = 0.9;
+/* Of these, at least this share was measured: with every third section gone, what bridging costs
+ * can hardly be measured on the rest. */
+static const double LEAST_MEASURED = 0.7;
+/* More bridged than this is said in the verdict; less are the halos and dust of every stack. */
+static const double BRIDGED_UNSAID = 0.02;
 
 /* Glass pixels at the highest code hide how bright the glass was. */
 static const double MOST_OVEREXPOSED = 0.02;
@@ -66,7 +70,7 @@ static int draft_init(struct draft *d, size_t sections, size_t panels, size_t in
 {
     *d = (struct draft){ .loss_low = NAN, .loss_high = NAN };
     d->warning = gsn_alloc_array(64 + 3 * panels, sizeof *d->warning);
-    d->exclusion = gsn_alloc_array(sections + panels + 1, sizeof *d->exclusion);
+    d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
     d->flag = gsn_alloc_array(sections + 1, sizeof *d->flag);
     d->panel = gsn_alloc_array(panels + 1, sizeof *d->panel);
@@ -171,8 +175,21 @@ static size_t split_flags(struct draft *d, const char *flags, const char *ret_fl
     return count;
 }
 
+static void fill_masked(const struct gsn_assembly_section *s, struct gsn_report_section *row)
+{
+    row->outline_mm2 = 1e-6 * s->masked.outline_um2;
+    row->masked_mm2 = 1e-6 * s->masked.masked_um2;
+    row->region_masked = s->region_masked;
+    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
+        if (s->masked.area_um2[bit] > 0)
+            row->masked[row->masked_count++] =
+                (struct gsn_report_masked){ .reason = gsn_defect_word(bit),
+                                            .area_mm2 = 1e-6 * s->masked.area_um2[bit],
+                                            .region_share = s->region_by[bit] };
+}
+
 static void fill_section(const struct gsn_assembly_section *s, const struct gsn_protocol *p,
-                         struct draft *d, size_t i)
+                         int strained, struct draft *d, size_t i)
 {
     const struct gsn_layout layout = gsn_protocol_layout(p);
     struct gsn_report_section *row = &d->section[i];
@@ -191,7 +208,16 @@ static void fill_section(const struct gsn_assembly_section *s, const struct gsn_
                                                        .size = s->thumbnail.size,
                                                        .width = s->thumbnail.width,
                                                        .height = s->thumbnail.height } };
+    if (s->posed && strained) {
+        const struct gsn_strain_axes axes = gsn_strain_principal(s->pose.strain);
+
+        row->strained = 1;
+        row->strain_percent[0] = 100 * axes.most;
+        row->strain_percent[1] = 100 * axes.least;
+        row->strain_deg = axes.angle * 180 / M_PI;
+    }
     gsn_panel_place(&layout, s->seen.slot, &row->row, &row->column);
+    fill_masked(s, row);
     row->flags = d->flag[i];
     row->flag_count = split_flags(d, s->flags, d->flag[i]);
     for (size_t m = 0; m < GSN_MARKS; m++) {
@@ -207,8 +233,10 @@ static void exclude(struct draft *d, const char *what, const char *reason)
         (struct gsn_report_exclusion){ .what = what, .reason = reason };
 }
 
-static const char *reason_of(const struct gsn_assembly_section *s)
+static const char *reason_of(struct draft *d, const struct gsn_assembly_section *s)
 {
+    char sentence[GSN_POSE_SENTENCE];
+
     if (s->state == GSN_SECTION_MISSING)
         return strstr(s->flags, "no-panel") ? "its panel is not there or was refused; the gap is "
                                               "kept at its place"
@@ -217,12 +245,25 @@ static const char *reason_of(const struct gsn_assembly_section *s)
         return "another section already has this serial number: rename the panel or approve one";
     if (strstr(s->flags, "clipped"))
         return "too much of it is clipped: scan its panel again with another exposure";
-    if (strstr(s->flags, "residual-too-large"))
-        return "its three marks do not fit the stack's triangle: look for a torn section or a "
-               "mistaken mark";
+    if (strstr(s->flags, "residual-too-large")) {
+        gsn_pose_reason(&s->pose, sentence);
+        return say(d, "%s", sentence);
+    }
     if (strstr(s->flags, "ambiguous-marks"))
         return "more than one choice of marks fits the triangle: look at it";
     return "fewer than two marks were found: look at it";
+}
+
+/* One row for each reason, in words. */
+static void exclude_masked(const struct gsn_assembly_section *s, struct draft *d)
+{
+    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
+        if (1u << bit != GSN_DEFECT_HALO && s->masked.area_um2[bit] > 0)
+            exclude(d,
+                    say(d, "%.3g mm2 of section %u (panel %u, slot %u), %.1f %% of its region",
+                        1e-6 * s->masked.area_um2[bit], s->seen.serial, s->panel, s->seen.slot,
+                        100 * s->region_by[bit]),
+                    say(d, "%s: %s", gsn_defect_word(bit), gsn_defect_reason(bit)));
 }
 
 static void fill_sections(const struct gsn_evidence *e, struct draft *d)
@@ -233,14 +274,16 @@ static void fill_sections(const struct gsn_evidence *e, struct draft *d)
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
 
-        fill_section(s, e->specimen->protocol, d, i);
+        fill_section(s, e->specimen->protocol,
+                     a->summary.stretches && a->strain_mode != GSN_STRAIN_RIGID, d, i);
         doubtful += s->state == GSN_SECTION_DOUBTFUL;
         held += s->state == GSN_SECTION_HELD;
         missing += s->state == GSN_SECTION_MISSING;
         if (s->state == GSN_SECTION_HELD || s->state == GSN_SECTION_MISSING)
             exclude(
                 d, say(d, "section %u (panel %u, slot %u)", s->seen.serial, s->panel, s->seen.slot),
-                reason_of(s));
+                reason_of(d, s));
+        exclude_masked(s, d);
     }
     if (doubtful)
         warn(d, say(d, "%zu section%s laid by two marks only: compare with the neighbours",
@@ -289,8 +332,10 @@ static void fill_panels(const struct gsn_evidence *e, struct draft *d)
     d->report.panel_count = a->panel_count;
 }
 
-static void fill_registration(const struct gsn_assembly *a, struct draft *d)
+static void fill_registration(const struct gsn_assembly *a, double interval_um, struct draft *d)
 {
+    char sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE];
+    size_t count;
     struct gsn_report_registration *r = &d->registration;
     double sum = 0, tre = 0;
 
@@ -312,16 +357,10 @@ static void fill_registration(const struct gsn_assembly *a, struct draft *d)
         r->rms_residual_um = sqrt(sum / r->sections_posed);
         r->mean_tre_um = tre / r->sections_posed;
     }
-    if (!a->summary.flips_told)
-        warn(d, say(d,
-                    "a section mounted face down cannot be told on this block: two sides of the "
-                    "marks' triangle differ by only %.1f sigma",
-                    a->summary.isosceles_sigma));
-    if (fabs(a->summary.scale_vs_declared - 1) > SCALE_TOLERANCE)
-        warn(d, say(d,
-                    "the marks' triangle is %.2f times the declared one: the pixel size is wrong, "
-                    "and so are all volumes",
-                    a->summary.scale_vs_declared));
+    count =
+        gsn_pose_sentences(&a->summary, &a->panel_stretch, a->strain_mode, interval_um, sentence);
+    for (size_t i = 0; i < count; i++)
+        warn(d, say(d, "%s", sentence[i]));
     d->report.registration = r;
 }
 
@@ -330,7 +369,7 @@ static void fill_assembly(const struct gsn_evidence *e, struct draft *d)
     fill_sections(e, d);
     fill_panels(e, d);
     if (e->assembly->solved)
-        fill_registration(e->assembly, d);
+        fill_registration(e->assembly, e->specimen->protocol->interval_um, d);
     else
         warn(d, e->assembly->unsolved);
 }
@@ -409,6 +448,41 @@ static void fill_figures(const struct gsn_evidence *e, struct draft *d)
     fill_fit(account, d);
 }
 
+/* What was measured of the region, and what was bridged. Comes after the figures. */
+static void fill_bridge(const struct gsn_evidence *e, struct draft *d)
+{
+    const struct gsn_bridge *b = &e->bridge;
+    struct gsn_report *r = &d->report;
+    const double share = b->region > 0 ? (double)b->bridged / (double)b->region : 0;
+
+    if (b->region == 0)
+        return;
+    r->region.coverage = (double)b->measured / (double)b->region;
+    value_row(d->measure, &r->measure_count, "Region bridged between sections", 100 * share, "%");
+    value_row(d->measure, &r->measure_count, "Standard error of the mean from bridging", b->error,
+              "density");
+    if (share > BRIDGED_UNSAID)
+        warn(d, say(d,
+                    "%.1f %% of the region of interest was not seen and is bridged from the "
+                    "sections beside it, which makes the mean density uncertain by %.2g",
+                    100 * share, b->error));
+}
+
+/* Why too little of the region is known to give a loss; NULL: enough is. */
+static const char *too_little_known(const struct gsn_evidence *e, struct draft *d)
+{
+    const struct gsn_report_region *region = &d->report.region;
+
+    if (e->account->coverage < LEAST_KNOWN)
+        return say(d, "only %.0f %% of the region of interest has data", 100 * region->coverage);
+    if (region->coverage < LEAST_MEASURED)
+        return say(d,
+                   "only %.0f %% of the region of interest was measured; the rest could only be "
+                   "bridged from the sections beside it",
+                   100 * region->coverage);
+    return NULL;
+}
+
 /* The set of dye vectors that the figures stand on: the panels' own, or none. */
 static const char *dyes_of(const struct gsn_evidence *e)
 {
@@ -479,9 +553,8 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
         return;
     }
     r->baseline_mean = b->mean_density;
-    if (r->region.coverage < LEAST_COVERAGE) {
-        r->loss_reason =
-            say(d, "only %.0f %% of the region of interest has data", 100 * r->region.coverage);
+    r->loss_reason = too_little_known(e, d);
+    if (r->loss_reason) {
         warn(d, r->loss_reason);
         return;
     }
@@ -703,8 +776,10 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
     fill_head(e, &d);
     if (e->assembly)
         fill_assembly(e, &d);
-    if (e->account)
+    if (e->account) {
         fill_figures(e, &d);
+        fill_bridge(e, &d);
+    }
     if (e->tile)
         fill_tile(e, &d);
     fill_definition(e, &d);

@@ -7,6 +7,7 @@
 
 #include "pipeline/account.h"
 #include "pipeline/assembly.h"
+#include "pipeline/register/bridge.h"
 #include "pipeline/specimen.h"
 #include "pipeline/tile.h"
 
@@ -20,7 +21,8 @@ struct gsn_evidence {
     const struct gsn_assembly *assembly;
     const struct gsn_account *account;
     const struct gsn_tile *tile;
-    const char *withheld; /* the sentence why there is no account, or NULL */
+    struct gsn_bridge bridge; /* what was bridged before the account; region 0: no sections */
+    const char *withheld;     /* the sentence why there is no account, or NULL */
 };
 
 /* Fills json, html, measures, definition, dyes, withheld and message of result. borrows: evidence.

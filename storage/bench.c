@@ -117,21 +117,12 @@ static const struct gsn_sql_shape trouble_shape = SQL_SHAPE(struct gsn_trouble_r
 SQL_DEFINE_ROWS(trouble);
 
 /* In a transaction. */
-static int put_trouble(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,
+static int add_trouble(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,
                        struct gsn_error *err)
 {
     gsn_auto_mem(char) text = gsn_format("%s: %s", trouble->source, trouble->reason);
-    int64_t changed = 0;
-    int r =
-        gsn_sql_run(store,
-                    "UPDATE trouble SET reason = ?3, action = ?4, tries = tries + 1, last = ?5 "
-                    "WHERE source = ?1 AND name = ?2",
-                    SQL_ARGS(SQL_TEXT(trouble->source), SQL_TEXT(trouble->name),
-                             SQL_TEXT(trouble->reason), SQL_TEXT(trouble->action), SQL_INT(now)),
-                    &changed, err);
+    int r;
 
-    if (r < 0 || changed > 0)
-        return r;
     if (!text)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
     r = gsn_sql_run(store, "INSERT INTO trouble VALUES (?1, ?2, ?3, ?4, 1, ?5, ?5)",
@@ -140,6 +131,22 @@ static int put_trouble(struct gsn_store *store, const struct gsn_trouble_row *tr
                     NULL, err);
     return r < 0 ? r
                  : gsn_event_add(store, now, "gieson-intake", "trouble", trouble->name, text, err);
+}
+
+/* In a transaction. One that is known already is no line of the diary. */
+static int put_trouble(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,
+                       struct gsn_error *err)
+{
+    int64_t changed = 0;
+    const int r =
+        gsn_sql_run(store,
+                    "UPDATE trouble SET reason = ?3, action = ?4, tries = tries + 1, last = ?5 "
+                    "WHERE source = ?1 AND name = ?2",
+                    SQL_ARGS(SQL_TEXT(trouble->source), SQL_TEXT(trouble->name),
+                             SQL_TEXT(trouble->reason), SQL_TEXT(trouble->action), SQL_INT(now)),
+                    &changed, err);
+
+    return r < 0 || changed > 0 ? r : add_trouble(store, trouble, now, err);
 }
 
 int gsn_trouble_put(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,

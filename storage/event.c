@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "storage/sql.h"
+#include "storage/within.h"
 
 #define FIELD(type, name)                                                                          \
     {                                                                                              \
@@ -15,7 +16,6 @@ static const struct gsn_sql_field event_fields[] = {
     FIELD(INT, id),       FIELD(INT, time),  FIELD(TEXT, actor), FIELD(TEXT, kind),
     FIELD(TEXT, subject), FIELD(TEXT, text), FIELD(TEXT, hash),
 };
-#undef FIELD
 #define COLUMNS "id, time, actor, kind, subject, text, hash"
 
 static const struct gsn_sql_shape event_shape = SQL_SHAPE(struct gsn_event_row, event_fields);
@@ -29,22 +29,29 @@ static const struct gsn_digest no_event = {
 /* The length in front keeps "ab" + "c" and "a" + "bc" apart. */
 static int hash_text(struct gsn_hash *hash, const char *text, struct gsn_error *err)
 {
-    char length[24];
+    const size_t length = strlen(text);
+    char digits[24];
+    size_t at = sizeof digits, rest = length;
     int r;
 
-    (void)snprintf(length, sizeof length, "%zu:", strlen(text));
-    r = gsn_hash_add(hash, length, strlen(length), err);
-    return r >= 0 ? gsn_hash_add(hash, text, strlen(text), err) : r;
+    digits[--at] = ':';
+    do {
+        digits[--at] = (char)('0' + rest % 10);
+        rest /= 10;
+    } while (rest > 0);
+    r = gsn_hash_add(hash, digits + at, sizeof digits - at, err);
+    return r >= 0 ? gsn_hash_add(hash, text, length, err) : r;
 }
 
-static int hash_event(const char *previous, const struct gsn_event_row *event,
-                      struct gsn_digest *ret_digest, struct gsn_error *err)
+static int hash_event(struct gsn_store *store, const char *previous,
+                      const struct gsn_event_row *event, struct gsn_digest *ret_digest,
+                      struct gsn_error *err)
 {
-    gsn_auto(gsn_hash) hash = NULL;
+    struct gsn_hash *hash = NULL;
     char numbers[64];
     const char *const texts[] = { previous,    numbers,        event->actor,
                                   event->kind, event->subject, event->text };
-    int r = gsn_hash_new(&hash, err);
+    int r = gsn_store_hash(store, &hash, err);
 
     (void)snprintf(numbers, sizeof numbers, "%" PRId64 " %" PRId64, event->id, event->time);
     for (size_t i = 0; r >= 0 && i < sizeof texts / sizeof texts[0]; i++)
@@ -52,50 +59,64 @@ static int hash_event(const char *previous, const struct gsn_event_row *event,
     return r >= 0 ? gsn_hash_end(hash, ret_digest, err) : r;
 }
 
+static const struct gsn_sql_field head_fields[] = {
+    FIELD(INT, id),
+    FIELD(TEXT, hash),
+};
+#undef FIELD
+static const struct gsn_sql_shape head_shape = SQL_SHAPE(struct gsn_event_row, head_fields);
+
 /* The last event as an id and a hash; 0 and zeros when there is none. */
 static int last_event(struct gsn_store *store, int64_t *ret_id, struct gsn_digest *ret_head,
                       struct gsn_error *err)
 {
-    gsn_auto(gsn_event_rows) rows = NULL;
-    int r = gsn_event_list(store, 1, &rows, err);
+    void *row = NULL;
+    const struct gsn_event_row *event;
+    const int r =
+        gsn_sql_row(store, &head_shape, "SELECT id, hash FROM event ORDER BY id DESC LIMIT 1",
+                    SQL_NO_ARGS, &row, err);
 
-    if (r < 0)
+    if (r < 0 && r != GSN_E_NOTFOUND)
         return r;
-    *ret_id = rows->count ? rows->at[0].id : 0;
+    event = row;
+    *ret_id = event ? event->id : 0;
     *ret_head = no_event;
-    if (rows->count)
-        (void)snprintf(ret_head->hex, sizeof ret_head->hex, "%s", rows->at[0].hash);
+    if (event)
+        (void)snprintf(ret_head->hex, sizeof ret_head->hex, "%s", event->hash);
+    gsn_sql_free_rows(&head_shape, row, event ? 1 : 0);
     return GSN_OK;
 }
 
-static int append(struct gsn_store *store, struct gsn_event_row *event, struct gsn_error *err)
+int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
+                     const char *subject, const char *text, struct gsn_error *err)
 {
+    struct gsn_event_row event = {
+        .time = now, .actor = actor, .kind = kind, .subject = subject, .text = text
+    };
     struct gsn_sql_value values[sizeof event_fields / sizeof event_fields[0]];
     struct gsn_digest previous, digest;
     int64_t last = 0;
     int r = last_event(store, &last, &previous, err);
 
-    event->id = last + 1;
+    event.id = last + 1;
     if (r >= 0)
-        r = hash_event(previous.hex, event, &digest, err);
+        r = hash_event(store, previous.hex, &event, &digest, err);
     if (r < 0)
         return r;
-    event->hash = digest.hex;
+    event.hash = digest.hex;
     return gsn_sql_run(store, "INSERT INTO event (" COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-                       gsn_sql_fields(&event_shape, event, values), NULL, err);
+                       gsn_sql_fields(&event_shape, &event, values), NULL, err);
 }
 
 int gsn_event_add(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
                   const char *subject, const char *text, struct gsn_error *err)
 {
-    struct gsn_event_row event = {
-        .time = now, .actor = actor, .kind = kind, .subject = subject, .text = text
-    };
     int r = gsn_store_begin(store, err);
 
     if (r < 0)
         return r;
-    return gsn_sql_end(store, append(store, &event, err), err);
+    r = gsn_event_append(store, now, actor, kind, subject, text, err);
+    return gsn_sql_end(store, r, err);
 }
 
 int gsn_event_list(struct gsn_store *store, size_t most, struct gsn_event_rows **ret_rows,
@@ -135,7 +156,7 @@ int gsn_event_verify(struct gsn_store *store, const char *known_head,
     for (size_t i = 0; i < rows->count && !verdict.broken; i++) {
         const struct gsn_event_row *event = &rows->at[i];
 
-        r = hash_event(previous.hex, event, &digest, err);
+        r = hash_event(store, previous.hex, event, &digest, err);
         if (r < 0)
             return r;
         if (strcmp(event->hash, digest.hex) != 0)

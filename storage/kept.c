@@ -15,9 +15,13 @@ static sqlite3_stmt *take_out(struct gsn_kept *kept, size_t index)
 
 struct sqlite3_stmt *gsn_kept_take(struct gsn_kept *kept, const char *sql)
 {
-    for (size_t i = kept->count; i-- > 0;) {
-        if (strcmp(sqlite3_sql(kept->at[i]), sql) == 0)
-            return take_out(kept, i);
+    for (size_t i = 0; i < kept->count; i++) {
+        const size_t at = (kept->next + i) % kept->count;
+
+        if (strcmp(sqlite3_sql(kept->at[at]), sql) != 0)
+            continue;
+        kept->next = at;
+        return take_out(kept, at);
     }
     return NULL;
 }

@@ -11,9 +11,11 @@ enum { GSN_KEPT_STATEMENTS = 48 };
 
 struct sqlite3_stmt;
 
-/* Those nobody uses now, the one used last at the end. */
+/* Those nobody uses now, the one used last at the end. What is done again and again uses its
+ * statements in turn: each goes to the end, and the next one comes to lie in its place. */
 struct gsn_kept {
     size_t count;
+    size_t next; /* where the last one was found */
     struct sqlite3_stmt *at[GSN_KEPT_STATEMENTS];
 };
 

@@ -2,6 +2,7 @@
 #include "storage/panel_log.h"
 
 #include "storage/sql.h"
+#include "storage/within.h"
 
 #define PANEL(type, name)                                                                          \
     {                                                                                              \
@@ -54,28 +55,28 @@ static const struct gsn_sql_shape section_shape = SQL_SHAPE(struct gsn_section_r
 
 SQL_DEFINE_ROWS(section);
 
-/* In a transaction. */
-static int put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
-               int *ret_again, struct gsn_error *err)
+int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
+                     int *ret_again, struct gsn_error *err)
 {
-    int r =
-        gsn_sql_int(store, "SELECT id FROM panel WHERE specimen_id = ?1 AND sha256 = ?2",
-                    SQL_ARGS(SQL_INT(panel->specimen_id), SQL_TEXT(panel->sha256)), ret_id, err);
-
-    *ret_again = r >= 0;
-    if (r != GSN_E_NOTFOUND)
-        return r;
-    r = gsn_sql_run(
+    int64_t inserted = 0;
+    const int r = gsn_sql_run(
         store,
         "INSERT INTO panel (specimen_id, number, file_name, sha256, size, state, code, message, "
-        "width, height, px_um) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
+        "width, height, px_um) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11) "
+        "ON CONFLICT (specimen_id, sha256) DO NOTHING",
         SQL_ARGS(SQL_INT(panel->specimen_id), SQL_INT(panel->number), SQL_TEXT(panel->file_name),
                  SQL_TEXT(panel->sha256), SQL_INT(panel->size), SQL_TEXT(panel->state),
                  SQL_TEXT(panel->code), SQL_TEXT(panel->message), SQL_INT(panel->width),
                  SQL_INT(panel->height), SQL_REAL(panel->px_um)),
-        NULL, err);
+        &inserted, err);
+
     if (r < 0)
         return r == GSN_E_INPUT ? gsn_fail_at(err, "panel %.200s", panel->file_name) : r;
+    *ret_again = inserted == 0;
+    if (inserted == 0)
+        return gsn_sql_int(store, "SELECT id FROM panel WHERE specimen_id = ?1 AND sha256 = ?2",
+                           SQL_ARGS(SQL_INT(panel->specimen_id), SQL_TEXT(panel->sha256)), ret_id,
+                           err);
     *ret_id = gsn_sql_last_id(store);
     return GSN_OK;
 }
@@ -89,7 +90,7 @@ int gsn_panel_put(struct gsn_store *store, const struct gsn_panel_row *panel, in
 
     if (r < 0)
         return r;
-    r = gsn_sql_end(store, put(store, panel, &id, &again, err), err);
+    r = gsn_sql_end(store, gsn_panel_insert(store, panel, &id, &again, err), err);
     if (r < 0)
         return r;
     *ret_id = id;

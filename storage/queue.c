@@ -3,10 +3,13 @@
 
 #include <assert.h>
 #include <math.h>
+#include <stdbool.h>
+#include <time.h>
 
 #include "storage/lease.h"
 #include "storage/queue_order.h"
 #include "storage/sql.h"
+#include "storage/within.h"
 
 #define JOB(type, name)                                                                            \
     {                                                                                              \
@@ -53,37 +56,54 @@ static int check_panel(struct gsn_store *store, int64_t specimen_id, int64_t pan
     return r;
 }
 
+#define THIS_JOB "WHERE kind = ?3 AND specimen_id = ?1 AND coalesce(panel_id, 0) = ?2 "
+
+/* The job is there: one that runs is done again, one that ended waits anew. */
+static int wake(struct gsn_store *store, const struct gsn_sql_args job, int64_t *ret_id,
+                struct gsn_error *err)
+{
+    int r = gsn_sql_run(store, "UPDATE job SET again = 1 " THIS_JOB "AND state = 'running'", job,
+                        NULL, err);
+
+    if (r >= 0)
+        r = gsn_sql_run(
+            store, "UPDATE job SET attempts = 0, " FRESH THIS_JOB "AND state IN ('done', 'failed')",
+            job, NULL, err);
+    return r >= 0 ? gsn_sql_int(store, "SELECT id FROM job " THIS_JOB, job, ret_id, err) : r;
+}
+
+int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
+                  struct gsn_error *err)
+{
+    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id),
+                                             SQL_TEXT(panel_id ? "panel" : "specimen"));
+    int64_t inserted = 0;
+    int r = GSN_E_NOTFOUND;
+
+    /* A panel is asked for when it is new, a specimen with each of its panels. */
+    if (panel_id == 0)
+        r = gsn_sql_int(store, "SELECT id FROM job " THIS_JOB "AND state = 'waiting'", job, ret_id,
+                        err);
+    if (r != GSN_E_NOTFOUND)
+        return r;
+    r = gsn_sql_run(store,
+                    "INSERT INTO job (kind, specimen_id, panel_id) VALUES (?3, ?1, nullif(?2, 0)) "
+                    "ON CONFLICT DO NOTHING",
+                    job, &inserted, err);
+    if (r >= 0 && !inserted)
+        return wake(store, job, ret_id, err);
+    if (r >= 0)
+        *ret_id = gsn_sql_last_id(store);
+    return r;
+}
+
 /* In a transaction. */
 static int add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                struct gsn_error *err)
 {
-    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id));
-    int r = check_panel(store, specimen_id, panel_id, err);
+    const int r = check_panel(store, specimen_id, panel_id, err);
 
-    if (r >= 0)
-        r = gsn_sql_run(store,
-                        "INSERT INTO job (kind, specimen_id, panel_id) VALUES "
-                        "(iif(?2 = 0, 'specimen', 'panel'), ?1, nullif(?2, 0)) "
-                        "ON CONFLICT DO NOTHING",
-                        job, NULL, err);
-    if (r >= 0)
-        r = gsn_sql_int(store,
-                        "SELECT id FROM job WHERE kind = iif(?2 = 0, 'specimen', 'panel') AND "
-                        "specimen_id = ?1 AND coalesce(panel_id, 0) = ?2",
-                        job, ret_id, err);
-    if (r < 0)
-        return r;
-
-    const struct gsn_sql_args id = SQL_ARGS(SQL_INT(*ret_id));
-
-    r = gsn_sql_run(store, "UPDATE job SET again = 1 WHERE id = ?1 AND state = 'running'", id, NULL,
-                    err);
-    if (r >= 0)
-        r = gsn_sql_run(store,
-                        "UPDATE job SET attempts = 0, " FRESH
-                        "WHERE id = ?1 AND state IN ('done', 'failed')",
-                        id, NULL, err);
-    return r;
+    return r >= 0 ? gsn_queue_ask(store, specimen_id, panel_id, ret_id, err) : r;
 }
 
 int gsn_queue_add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
@@ -108,8 +128,16 @@ int gsn_queue_add_first(struct gsn_store *store, int64_t specimen_id, struct gsn
                        SQL_ARGS(SQL_INT(specimen_id)), NULL, err);
 }
 
+int64_t gsn_queue_clock(void)
+{
+    struct timespec now;
+
+    /* CLOCK_BOOTTIME is there on every Linux that this is built for. */
+    return clock_gettime(CLOCK_BOOTTIME, &now) == 0 ? (int64_t)now.tv_sec : 0;
+}
+
 struct lease {
-    int64_t job, pid, pid_start, lease_until;
+    int64_t job, pid, pid_start, lease_s, lease_until;
     const char *boot, *processes;
 };
 
@@ -118,7 +146,7 @@ struct lease {
         GSN_SQL_##type, offsetof(struct lease, name)                                               \
     }
 static const struct gsn_sql_field lease_fields[] = {
-    LEASE(INT, job),         LEASE(INT, pid),   LEASE(INT, pid_start),
+    LEASE(INT, job),         LEASE(INT, pid),   LEASE(INT, pid_start),  LEASE(INT, lease_s),
     LEASE(INT, lease_until), LEASE(TEXT, boot), LEASE(TEXT, processes),
 };
 #undef LEASE
@@ -141,23 +169,29 @@ static int bury(struct gsn_store *store, int64_t job, struct gsn_error *err)
         NULL, err);
 }
 
+/* One that ends later than a whole lease from now was counted by the clock of another start. */
+static bool ran_out(const struct lease *lease, int64_t now)
+{
+    return lease->lease_until <= now || lease->lease_until - now > lease->lease_s;
+}
+
 static int take_back(struct gsn_store *store, const struct gsn_lease_home *here, int64_t now,
                      struct gsn_error *err)
 {
     struct lease *leases = NULL;
     void *rows = NULL;
     size_t count = 0;
-    int r = gsn_sql_rows(store, &lease_shape,
-                         "SELECT id, pid, pid_start, lease_until, boot, processes FROM job "
-                         "WHERE state = 'running' ORDER BY id",
-                         SQL_NO_ARGS, &rows, &count, err);
+    int r =
+        gsn_sql_rows(store, &lease_shape,
+                     "SELECT id, pid, pid_start, lease_s, lease_until, boot, processes FROM job "
+                     "WHERE state = 'running' ORDER BY id",
+                     SQL_NO_ARGS, &rows, &count, err);
 
     leases = rows;
     for (size_t i = 0; r >= 0 && i < count; i++) {
         const struct lease *const l = &leases[i];
 
-        if (l->lease_until <= now ||
-            gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
+        if (ran_out(l, now) || gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
             r = bury(store, l->job, err);
     }
     gsn_sql_free_rows(&lease_shape, rows, count);

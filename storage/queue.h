@@ -37,7 +37,7 @@ struct gsn_job_row {
     int64_t claim;        /* counts the claims; tells an old owner that it lost the job */
     const char *owner;    /* who runs it, or ran it last */
     int64_t pid;          /* its process; 0 when not running */
-    int64_t lease_until;  /* 0 when not running */
+    int64_t lease_until;  /* by gsn_queue_clock(); 0 when not running */
     const char *stage;    /* empty before the first progress */
     int64_t done, total;
     double eta_s;        /* seconds left; NaN: unknown */
@@ -64,12 +64,16 @@ int gsn_queue_add(struct gsn_store *store, int64_t specimen_id, int64_t panel_id
 /* Asks for a specimen's job where nobody ever did; one that is there stays as it is. */
 int gsn_queue_add_first(struct gsn_store *store, int64_t specimen_id, struct gsn_error *err);
 
+/* Seconds since this machine was started, sleep included: leases are counted by a clock that nobody
+ * sets, so that a wrong date put right takes no job from its worker. */
+int64_t gsn_queue_clock(void);
+
 /* gives: the job to do next, now running under the lease of owner (words for people) and pid.
  *
  * First takes back what dead owners left: leases that ran out, and leases of processes that are
  * gone on this machine (by boot, process id and its start time). Fails with GSN_E_NOTFOUND "the
  * queue is empty", GSN_E_BUSY when what waits must wait for running jobs, or only those are left.
- * lease_s > 0. */
+ * lease_s > 0; now is gsn_queue_clock(). */
 int gsn_queue_claim(struct gsn_store *store, const char *owner, pid_t pid, int64_t lease_s,
                     int64_t now, struct gsn_job_row **ret_job, struct gsn_error *err);
 

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
+#include "pipeline/core/hash.h"
 #include "storage/kept.h"
 #include "storage/schema.h"
 #include "storage/sql.h"
@@ -18,7 +19,7 @@ enum {
     SYNCHRONOUS_FULL = 2,
 };
 
-static const char *const schemas[] = { gsn_schema_001, gsn_schema_002 };
+static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003 };
 enum { NEWEST = sizeof schemas / sizeof schemas[0] };
 
 struct gsn_store {
@@ -26,11 +27,21 @@ struct gsn_store {
     sqlite3 *db;
     unsigned depth; /* of nested transactions */
     struct gsn_kept kept;
+    struct gsn_hash *hash; /* NULL until it is needed */
 };
 
 struct gsn_kept *gsn_store_kept(struct gsn_store *store)
 {
     return &store->kept;
+}
+
+int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err)
+{
+    const int r = store->hash ? gsn_hash_again(store->hash, err) : gsn_hash_new(&store->hash, err);
+
+    if (r >= 0)
+        *ret_hash = store->hash;
+    return r;
 }
 
 struct sqlite3 *gsn_store_handle(struct gsn_store *store)
@@ -325,6 +336,7 @@ void gsn_store_free(struct gsn_store *store)
 {
     if (!store)
         return;
+    gsn_hash_free(store->hash);
     gsn_kept_done(&store->kept);
     (void)sqlite3_close(store->db);
     gsn_free(store->dir);

@@ -53,7 +53,7 @@ static void tell(void *context, const char *stage, size_t done, size_t total)
     /* A job that was taken away is noticed when its end is written; a busy store is no reason to
      * stop working. */
     (void)gsn_queue_progress(teller->store, teller->job, stage, (int64_t)done, (int64_t)total, eta,
-                             time(NULL), &quiet);
+                             gsn_queue_clock(), &quiet);
 }
 
 int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
@@ -63,7 +63,7 @@ int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
     struct teller teller = { .store = store };
     const struct gsn_progress progress = { .report = tell, .context = &teller };
     struct gsn_error why = { 0 };
-    int r = gsn_queue_claim(store, options->owner, getpid(), LEASE_S, time(NULL), &job, err);
+    int r = gsn_queue_claim(store, options->owner, getpid(), LEASE_S, gsn_queue_clock(), &job, err);
 
     if (r < 0)
         return r;

@@ -1,429 +1,26 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/serve_source.h"
 
-#include <errno.h>
-#include <inttypes.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/epoll.h>
-#include <sys/inotify.h>
-#include <sys/stat.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "acquire/spool.h"
-#include "pipeline/core/process.h"
 #include "storage/bench.h"
-#include "storage/catalog.h"
-#include "storage/scan.h"
-#include "systemd/failing.h"
-#include "systemd/import_child.h"
-#include "systemd/intake.h"
-#include "systemd/log.h"
-#include "systemd/source_row.h"
-#include "systemd/specimen_folders.h"
+#include "systemd/serving.h"
 
 enum {
-    BREATH_MS = 10000,   /* at rest; a third of the patience when that is shorter */
     TRY_AGAIN_MS = 2000, /* a disk below its reserve, a store that refuses */
-    HURRY_MS = 1000,     /* between two looks while something keeps changing in the store */
     MOST_STORE_FAILURES = 5,
 };
 
-static const char hot[] = "hot:"; /* the address of a folder that specimens' folders may lie in */
-
-struct serving {
-    struct gsn_store *store;
-    const struct gsn_config_source *config;
-    struct gsn_lifeline *line;
-    struct gsn_intake intake;
-    struct gsn_spool *spool;
-    struct gsn_source *source;
-    struct gsn_specimen_folders *folders; /* NULL: no hot folder */
-    struct gsn_failing failing;
-    struct gsn_source_row row;
-    bool is_device; /* it can go away by itself */
-    int wake;       /* readable: time to stop, or somebody wrote to the store; an epoll */
-    int changes;    /* an inotify on the store's files; -1: none */
-    /* the copy that goes on */
-    const char *item;
-    uint64_t item_size;
-    int64_t item_began_ms;
-    /* what this round found */
-    char blame[480], blamed[300]; /* an item that failed and why, until the source answers again */
-    char trouble[400];            /* why nothing can be taken now; empty: all is well */
-    unsigned store_failures;
-    int64_t next_look_ms;
-};
-
-static struct gsn_log_about about(const struct serving *serving, const char *id)
-{
-    return (struct gsn_log_about){ .id = id, .source = serving->config->name };
-}
-
-/* ---- one picture ------------------------------------------------------------------------- */
-
-static int on_copy(void *context, uint64_t offset)
-{
-    struct serving *const serving = context;
-
-    gsn_lifeline_breathe(serving->line, serving->item ? GSN_READY : GSN_BREATH);
-    if (serving->item)
-        gsn_source_row_progress(&serving->row, serving->item, serving->item_began_ms, offset,
-                                serving->item_size);
-    return gsn_lifeline_is_over(serving->line);
-}
-
-static void on_piece(void *context)
-{
-    const struct serving *const serving = context;
-
-    gsn_lifeline_breathe(serving->line, GSN_READY);
-}
-
-static void tell_taken(const struct serving *serving, const struct gsn_source_event *ready,
-                       const struct gsn_intake_taken *taken)
-{
-    gsn_auto(gsn_scan_row) scan = NULL;
-    struct gsn_log_about what = about(serving, GSN_LOG_ARRIVED);
-    struct gsn_error quiet = { 0 };
-
-    if (taken->again || gsn_scan_get(serving->store, taken->scan, &scan, &quiet) < 0)
-        return;
-    what.scan = taken->scan;
-    what.specimen = scan->specimen;
-    gsn_log(ready->incomplete ? LOG_WARNING : LOG_INFO, &what, "%s is scan %lld, %s: %s%s%s",
-            ready->name, (long long)taken->scan, scan->state, scan->reason,
-            ready->incomplete ? "; " : "", ready->incomplete ? ready->reason : "");
-}
-
-static int put_trouble(struct serving *serving, const char *name, const char *reason,
-                       const char *action, struct gsn_error *err)
-{
-    const struct gsn_log_about what = about(serving, GSN_LOG_TROUBLE);
-    int is_new = 0;
-    const int r =
-        gsn_failing_add(&serving->failing, name, reason, action, gsn_now_ms(), &is_new, err);
-
-    if (is_new)
-        gsn_log(LOG_WARNING, &what, "%s could not be taken in: %s", name, reason);
-    return r;
-}
-
-/* The first device to fail is asked again before the item is blamed: it may be gone. */
-static int blame_item(struct serving *serving, const char *name, const char *reason,
-                      struct gsn_error *err)
-{
-    if (!serving->is_device)
-        return put_trouble(serving, name, reason, "look at the file, or copy it again", err);
-    (void)snprintf(serving->blamed, sizeof serving->blamed, "%s", name);
-    (void)snprintf(serving->blame, sizeof serving->blame, "%s", reason);
-    return GSN_OK;
-}
-
-static int settle_blame(struct serving *serving, struct gsn_error *err)
-{
-    int r = GSN_OK;
-
-    if (serving->blamed[0])
-        r = put_trouble(serving, serving->blamed, serving->blame,
-                        "look at the picture on the device; it is tried again by itself", err);
-    serving->blamed[0] = '\0';
-    return r;
-}
-
-static int tell_kept(struct serving *serving, const char *name, const char *reason,
-                     struct gsn_error *err)
-{
-    const struct gsn_log_about what = about(serving, GSN_LOG_TROUBLE);
-    int is_new = 0;
-    const int r =
-        gsn_failing_add(&serving->failing, name, reason,
-                        "look whether the device has finished it: what changes there comes "
-                        "in again by itself; what is whole there is deleted by hand",
-                        gsn_now_ms(), &is_new, err);
-
-    if (is_new)
-        gsn_log(LOG_WARNING, &what, "%s %s", name, reason);
-    return r;
-}
-
-/* Takes one. Fails only where nothing more can be taken in this round. */
-static int take(struct serving *serving, const struct gsn_source_event *ready,
-                struct gsn_error *err)
-{
-    struct gsn_intake_taken taken;
-    enum gsn_intake_fault fault;
-    struct gsn_error why = { 0 };
-    int r;
-
-    serving->item = ready->name;
-    serving->item_size = ready->size;
-    serving->item_began_ms = gsn_now_ms();
-    r = gsn_intake_take(&serving->intake, ready, time(NULL), &taken, &fault, &why);
-    serving->item = NULL;
-    if (r >= 0) {
-        serving->store_failures = 0;
-        tell_taken(serving, ready, &taken);
-        if (taken.kept[0])
-            return tell_kept(serving, ready->name, taken.kept, err);
-        return gsn_failing_over(&serving->failing, ready->name, err);
-    }
-    if (fault == GSN_FAULT_ITEM)
-        return blame_item(serving, ready->name, why.text, err);
-    if (fault == GSN_FAULT_LATER)
-        return GSN_OK;
-    serving->store_failures += fault == GSN_FAULT_STORE;
-    return gsn_fail(err, fault == GSN_FAULT_ROOM ? GSN_E_LIMIT : r, "%s", why.text);
-}
-
-/* ---- one look ---------------------------------------------------------------------------- */
-
-/* What the configuration expects counts while nobody said otherwise. */
-static void ensure_expected(struct serving *serving)
-{
-    gsn_auto(gsn_bench_sources) rows = NULL;
-    const struct gsn_log_about what = about(serving, NULL);
-    struct gsn_error err = { 0 };
-    bool is_said = false;
-
-    if (!serving->config->specimen[0] || gsn_bench_list(serving->store, &rows, &err) < 0)
-        return;
-    for (size_t i = 0; i < rows->count; i++)
-        if (strcmp(rows->at[i].name, serving->config->name) == 0 && rows->at[i].expects[0])
-            is_said = true;
-    if (!is_said && gsn_scan_expect(serving->store, serving->config->name,
-                                    serving->config->specimen, "gieson.conf", time(NULL), &err) < 0)
-        gsn_log(LOG_WARNING, &what, "Specimen=%s: %s", serving->config->specimen, err.text);
-}
-
-/* Folders in a hot folder are looked into, once they say whose panels they hold. */
-static bool is_specimen_folder(const struct serving *serving, const char *name)
-{
-    gsn_auto_mem(char) path = NULL;
-    struct stat st;
-
-    if (!serving->folders)
-        return false;
-    path = gsn_format("%s/%s", serving->config->address + strlen(hot), name);
-    return path && stat(path, &st) == 0 && S_ISDIR(st.st_mode);
-}
-
-/* What is told without being delivered. Something that still changes is looked at again soon. */
-static void tell_news(struct serving *serving, const struct gsn_source_event *event)
-{
-    const struct gsn_log_about what = about(serving, NULL);
-    const int64_t soon = gsn_now_ms() + serving->config->settle_ms + 50;
-
-    if (event->what == GSN_SOURCE_WAITING && soon < serving->next_look_ms)
-        serving->next_look_ms = soon;
-    if (event->what == GSN_SOURCE_NOTICE && is_specimen_folder(serving, event->name))
-        gsn_log(LOG_INFO, &what, "%s: is taken in as a specimen once it holds a job.json",
-                event->name);
-    else if (event->what == GSN_SOURCE_NOTICE || event->what == GSN_SOURCE_GONE)
-        gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "",
-                event->reason);
-}
-
-/* Everything that is ready, until something stops us. */
-static int take_all(struct serving *serving, const struct gsn_source_events *events,
-                    struct gsn_error *err)
-{
-    bool expected = false;
-
-    for (size_t i = 0; i < events->count; i++) {
-        const struct gsn_source_event *const event = &events->at[i];
-        int r;
-
-        if (event->what != GSN_SOURCE_READY) {
-            tell_news(serving, event);
-            continue;
-        }
-        if (gsn_failing_rests(&serving->failing, event->name, gsn_now_ms()) ||
-            gsn_lifeline_is_over(serving->line) || serving->blamed[0])
-            continue;
-        if (!expected)
-            ensure_expected(serving);
-        expected = true;
-        r = take(serving, event, err);
-        if (r < 0)
-            return r;
-    }
-    return GSN_OK;
-}
-
-static int run_import(const struct serving *serving, const char *folder, struct gsn_error *err)
-{
-    gsn_auto_mem(char) worker = NULL;
-    const int r = gsn_process_sibling("gieson-work", &worker, err);
-    const struct gsn_import_child child = { .worker = worker,
-                                            .store_dir = gsn_store_dir(serving->store),
-                                            .source = serving->config->name,
-                                            .folder = folder,
-                                            .line = serving->line };
-
-    return r < 0 ? r : gsn_import_child_run(&child, err);
-}
-
-static int import(struct serving *serving, const struct gsn_specimen_due *due,
-                  struct gsn_error *err)
-{
-    struct gsn_error why = { 0 };
-    int r = gsn_spool_has_room(serving->spool, due->bytes, err);
-
-    if (r < 0)
-        return r;
-    gsn_source_row_progress(&serving->row, due->name, 0, 0, due->bytes);
-    r = run_import(serving, due->path, &why);
-    if (r >= 0) {
-        gsn_specimen_folders_done(serving->folders, due->index);
-        return gsn_failing_over(&serving->failing, due->name, err);
-    }
-    gsn_specimen_folders_failed(serving->folders, due->index, gsn_now_ms());
-    if (r == GSN_E_BUSY)
-        return GSN_OK;
-    return put_trouble(serving, due->name, why.text,
-                       "correct the folder; it is tried again by itself", err);
-}
-
-static int import_all(struct serving *serving, struct gsn_error *err)
-{
-    struct gsn_specimen_due due = { .path = NULL };
-    long after = -1;
-
-    if (!serving->folders)
-        return GSN_OK;
-    for (;;) {
-        int r = gsn_specimen_folders_next(serving->folders, gsn_now_ms(), after, &due, err);
-
-        if (r < 0 || !due.path || gsn_lifeline_is_over(serving->line))
-            return r;
-        after = (long)due.index;
-        r = import(serving, &due, err);
-        if (r < 0)
-            return r;
-    }
-}
-
-/* ---- requests ---------------------------------------------------------------------------- */
-
-static int answer(struct serving *serving, const struct gsn_request_row *request,
-                  struct gsn_error *err)
-{
-    static const struct {
-        const char *kind;
-        enum gsn_source_subject subject;
-    } kinds[] = { { "capture-panel", GSN_SUBJECT_PANEL },
-                  { "capture-blank", GSN_SUBJECT_BLANK },
-                  { "capture-dark", GSN_SUBJECT_DARK } };
-    const struct gsn_log_about what = about(serving, NULL);
-    struct gsn_error why = { 0 };
-    size_t i = 0;
-    int r;
-
-    while (i + 1 < sizeof kinds / sizeof kinds[0] && strcmp(kinds[i].kind, request->kind) != 0)
-        i++;
-    r = gsn_source_capture(serving->source, kinds[i].subject, &why);
-    gsn_log(r < 0 ? LOG_WARNING : LOG_INFO, &what, "%s, asked for by %s: %s", request->kind,
-            request->actor, r < 0 ? why.text : "done");
-    serving->next_look_ms = 0;
-    return gsn_request_answer(serving->store, request->id, r < 0 ? why.text : NULL, time(NULL),
-                              err);
-}
-
-static int answer_requests(struct serving *serving, struct gsn_error *err)
-{
-    for (;;) {
-        gsn_auto(gsn_request_row) request = NULL;
-        int r = gsn_request_next(serving->store, serving->config->name, &request, err);
-
-        if (r == GSN_E_NOTFOUND || gsn_lifeline_is_over(serving->line))
-            return GSN_OK;
-        if (r >= 0)
-            r = answer(serving, request, err);
-        if (r < 0)
-            return r;
-    }
-}
-
-/* ---- waiting ----------------------------------------------------------------------------- */
-
-static int open_wake(struct serving *serving, struct gsn_error *err)
-{
-    struct epoll_event event = { .events = EPOLLIN };
-    const char *const dir = gsn_store_dir(serving->store);
-
-    serving->wake = epoll_create1(EPOLL_CLOEXEC);
-    if (serving->wake < 0 ||
-        epoll_ctl(serving->wake, EPOLL_CTL_ADD, gsn_lifeline_fd(serving->line), &event) < 0)
-        return gsn_fail(err, GSN_E_IO, "epoll: %s", strerror(errno));
-    /* Only who can be asked for a picture must hear of it at once. */
-    if (!serving->is_device)
-        return GSN_OK;
-    serving->changes = inotify_init1(IN_CLOEXEC | IN_NONBLOCK);
-    if (serving->changes < 0 || inotify_add_watch(serving->changes, dir, IN_MODIFY) < 0 ||
-        epoll_ctl(serving->wake, EPOLL_CTL_ADD, serving->changes, &event) < 0)
-        return gsn_fail(err, GSN_E_IO, "%s cannot be watched: %s", dir, strerror(errno));
-    return GSN_OK;
-}
-
-/* True when somebody wrote to the store since. */
-static bool drain_changes(const struct serving *serving)
-{
-    _Alignas(struct inotify_event) char events[4096];
-    bool any = false;
-
-    while (serving->changes >= 0 && read(serving->changes, events, sizeof events) > 0)
-        any = true;
-    return any;
-}
-
-static int breath_ms(const struct serving *serving)
-{
-    const int64_t third = serving->config->patience_s * 1000 / 3;
-
-    return (int)(third < BREATH_MS ? third : BREATH_MS);
-}
-
-/* Until it is time for another look; breathes meanwhile. */
-static int wait_for_news(struct serving *serving, struct gsn_error *err)
-{
-    while (!gsn_lifeline_is_over(serving->line)) {
-        const int64_t began = gsn_now_ms();
-        const int64_t left = serving->next_look_ms - began;
-        int64_t pause = breath_ms(serving);
-        int r;
-
-        gsn_lifeline_breathe(serving->line, GSN_READY);
-        if (left <= 0)
-            return GSN_OK;
-        pause = left < pause ? left : pause;
-        r = gsn_source_wait(serving->source, (int)pause, serving->wake, err);
-        if (r < 0)
-            return r;
-        if (drain_changes(serving)) {
-            r = answer_requests(serving, err);
-            if (r < 0)
-                return r;
-            /* The same moment may have brought a hint of the source. */
-            if (serving->next_look_ms > began + HURRY_MS)
-                serving->next_look_ms = began + HURRY_MS;
-        } else if (gsn_now_ms() - began + 5 < pause) {
-            return GSN_OK;
-        }
-    }
-    return GSN_OK;
-}
-
-/* ---- the loop ---------------------------------------------------------------------------- */
-
 /* Nothing can be taken now: says so, and comes back soon. Too often, and the process is better
  * begun anew. */
-static int pause_intake(struct serving *serving, int code, const struct gsn_error *why)
+static int pause_intake(struct gsn_serving *serving, int code, const struct gsn_error *why)
 {
     const bool no_room = code == GSN_E_LIMIT;
-    const struct gsn_log_about what = about(serving, no_room ? GSN_LOG_PAUSED : NULL);
+    const struct gsn_log_about what = gsn_serving_about(serving, no_room ? GSN_LOG_PAUSED : NULL);
 
     if (strcmp(serving->row.state, no_room ? "paused" : "failed") != 0)
         gsn_log(no_room ? LOG_WARNING : LOG_ERR, &what, "%s%s",
@@ -434,10 +31,10 @@ static int pause_intake(struct serving *serving, int code, const struct gsn_erro
 }
 
 /* The device or the folder does not answer. A folder may be a mount that comes back. */
-static int lose_source(struct serving *serving, int code, const struct gsn_error *why,
+static int lose_source(struct gsn_serving *serving, int code, const struct gsn_error *why,
                        struct gsn_error *err)
 {
-    const struct gsn_log_about what = about(serving, GSN_LOG_AWAY);
+    const struct gsn_log_about what = gsn_serving_about(serving, GSN_LOG_AWAY);
 
     serving->blamed[0] = '\0';
     if (serving->is_device)
@@ -448,14 +45,14 @@ static int lose_source(struct serving *serving, int code, const struct gsn_error
     return GSN_OK;
 }
 
-static void note_device(struct serving *serving)
+static void note_device(struct gsn_serving *serving)
 {
     (void)snprintf(serving->row.device, sizeof serving->row.device, "%s",
                    gsn_source_device(serving->source));
 }
 
 /* Looks once and takes what is there. */
-static int look(struct serving *serving, int *ret_ended, struct gsn_error *err)
+static int look(struct gsn_serving *serving, int *ret_ended, struct gsn_error *err)
 {
     gsn_auto(gsn_source_events) events = NULL;
     struct gsn_error why = { 0 };
@@ -467,13 +64,13 @@ static int look(struct serving *serving, int *ret_ended, struct gsn_error *err)
         return lose_source(serving, r, &why, err);
     gsn_lifeline_breathe(serving->line, GSN_READY);
     note_device(serving);
-    r = settle_blame(serving, &why);
+    r = gsn_serving_settle_blame(serving, &why);
     if (r >= 0)
-        r = take_all(serving, events, &why);
+        r = gsn_serving_take_all(serving, events, &why);
     if (r >= 0)
-        r = import_all(serving, &why);
+        r = gsn_serving_import_all(serving, &why);
     if (r >= 0)
-        r = answer_requests(serving, &why);
+        r = gsn_serving_answer(serving, &why);
     if (r < 0) {
         if (pause_intake(serving, r, &why) < 0)
             return gsn_fail(err, r, "%s", why.text);
@@ -489,7 +86,7 @@ static int look(struct serving *serving, int *ret_ended, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int serve(struct serving *serving, struct gsn_error *err)
+static int serve(struct gsn_serving *serving, struct gsn_error *err)
 {
     int ended = 0, r = GSN_OK;
 
@@ -500,24 +97,24 @@ static int serve(struct serving *serving, struct gsn_error *err)
             return GSN_OK;
         }
         if (r >= 0)
-            r = wait_for_news(serving, err);
+            r = gsn_serving_wait(serving, err);
     }
     if (r >= 0)
         gsn_source_row_say(&serving->row, "off", "the service was stopped");
     return r;
 }
 
-static int open_folders(struct serving *serving, struct gsn_error *err)
+static int open_folders(struct gsn_serving *serving, struct gsn_error *err)
 {
     const char *const address = serving->config->address;
 
-    if (strncmp(address, hot, strlen(hot)) != 0)
+    if (strncmp(address, GSN_SERVING_HOT, strlen(GSN_SERVING_HOT)) != 0)
         return GSN_OK;
-    return gsn_specimen_folders_new(address + strlen(hot), serving->config->settle_ms,
+    return gsn_specimen_folders_new(address + strlen(GSN_SERVING_HOT), serving->config->settle_ms,
                                     serving->config->patience_s * 1000, &serving->folders, err);
 }
 
-static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_error *err)
+static int open_all(struct gsn_serving *serving, uint64_t reserve_bytes, struct gsn_error *err)
 {
     const struct gsn_config_source *const config = serving->config;
     __attribute__((cleanup(gsn_intake_past_done))) struct gsn_intake_past past = { { NULL } };
@@ -532,11 +129,11 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
     int r = gsn_spool_open(gsn_store_dir(serving->store), reserve_bytes, &serving->spool, err);
 
     if (r >= 0)
-        gsn_spool_watch(serving->spool, on_piece, serving);
+        gsn_spool_watch(serving->spool, gsn_serving_on_piece, serving);
     if (r >= 0)
         r = gsn_failing_load(&serving->failing, err);
     if (r >= 0)
-        r = open_wake(serving, err);
+        r = gsn_serving_open_wake(serving, err);
     if (r >= 0)
         r = open_folders(serving, err);
     serving->intake = (struct gsn_intake){ .name = config->name,
@@ -544,7 +141,7 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
                                            .spool = serving->spool,
                                            .delete_there = config->delete_after_copy,
                                            .patience_s = config->patience_s,
-                                           .on_copy = on_copy,
+                                           .on_copy = gsn_serving_on_copy,
                                            .context = serving };
     if (r >= 0)
         r = gsn_intake_recall(serving->store, config->name, &past, &options, err);
@@ -554,7 +151,7 @@ static int open_all(struct serving *serving, uint64_t reserve_bytes, struct gsn_
     return r;
 }
 
-static void serving_done(struct serving *serving)
+static void serving_done(struct gsn_serving *serving)
 {
     gsn_source_free(serving->source);
     gsn_specimen_folders_free(serving->folders);
@@ -569,10 +166,10 @@ static void serving_done(struct serving *serving)
 
 /* Says in the row why the source is not served; and in the log, unless an earlier process has said
  * the same. */
-static void say_why_not(struct serving *serving, int code, const char *why)
+static void say_why_not(struct gsn_serving *serving, int code, const char *why)
 {
     const bool is_away = code == GSN_E_NOTFOUND;
-    const struct gsn_log_about what = about(serving, GSN_LOG_AWAY);
+    const struct gsn_log_about what = gsn_serving_about(serving, GSN_LOG_AWAY);
     gsn_auto(gsn_bench_sources) rows = NULL;
     struct gsn_error quiet = { 0 };
     bool is_said = false;
@@ -591,7 +188,7 @@ int gsn_serve_source(struct gsn_store *store, const struct gsn_config *config,
                      const struct gsn_config_source *source, struct gsn_lifeline *line,
                      struct gsn_error *err)
 {
-    __attribute__((cleanup(serving_done))) struct serving serving = {
+    __attribute__((cleanup(serving_done))) struct gsn_serving serving = {
         .store = store,
         .config = source,
         .line = line,

@@ -32,6 +32,10 @@ void gsn_check_register(const char *name, void (*body)(void **state));
 
 #define CHECK(claim) _assert_true((claim) ? 1 : 0, #claim, __FILE__, __LINE__)
 
+/* Ends the test here and says why; the program then counts as skipped, unless a test of it fails.
+ */
+void gsn_check_skip(const char *format, ...) __attribute__((format(printf, 1, 2)));
+
 void gsn_check_near(double value, double truth, double tolerance, const char *what,
                     const char *file, int line);
 /* |value - truth| <= tolerance; prints all three when it is not, and fails on NaN. */

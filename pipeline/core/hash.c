@@ -54,6 +54,13 @@ int gsn_hash_peek(const struct gsn_hash *hash, struct gsn_digest *ret_digest, st
     return r >= 0 ? gsn_hash_end(copy, ret_digest, err) : r;
 }
 
+int gsn_hash_again(struct gsn_hash *hash, struct gsn_error *err)
+{
+    if (EVP_DigestInit_ex(hash->evp, NULL, NULL) != 1)
+        return gsn_fail(err, GSN_E_IO, "OpenSSL failed to start a hash anew");
+    return GSN_OK;
+}
+
 void gsn_hash_free(struct gsn_hash *hash)
 {
     if (!hash)

@@ -27,6 +27,8 @@ int gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size, struct g
 int gsn_hash_peek(const struct gsn_hash *hash, struct gsn_digest *ret_digest,
                   struct gsn_error *err);
 int gsn_hash_end(struct gsn_hash *hash, struct gsn_digest *ret_digest, struct gsn_error *err);
+/* Forgets what was added: the same hash for other bytes, which is cheaper than a new one. */
+int gsn_hash_again(struct gsn_hash *hash, struct gsn_error *err);
 void gsn_hash_free(struct gsn_hash *hash);
 GSN_DEFINE_AUTO(gsn_hash);
 

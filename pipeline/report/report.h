@@ -50,6 +50,15 @@ struct gsn_report_volume {
     double threshold, lower_mm3, upper_mm3;
 };
 
+/* Tissue of one section that was not measured, for one reason. */
+struct gsn_report_masked {
+    const char *reason; /* a word: "fold", "void", ... */
+    double area_mm2;
+    double region_share; /* of the section's part of the region, 0..1 */
+};
+
+enum { GSN_REPORT_REASONS = 16 };
+
 struct gsn_report_section {
     unsigned serial;      /* 0-based, over the whole specimen */
     double z_um;          /* interval * (serial + 0.5) */
@@ -66,8 +75,14 @@ struct gsn_report_section {
     double residual_um[3];
     int posed; /* whether panel_to_block_um and predicted_tre_um are known */
     struct gsn_affine panel_to_block_um;
-    double predicted_tre_um; /* at the centre of the region */
+    double predicted_tre_um;              /* over the region */
+    int strained;                         /* whether the section's stretch is known */
+    double strain_percent[2], strain_deg; /* longer along that direction, and across it */
     struct gsn_report_png thumbnail;
+    double outline_mm2, masked_mm2; /* reasons overlap, so their areas may sum to more */
+    double region_masked;           /* share of the section's part of the region, 0..1 */
+    struct gsn_report_masked masked[GSN_REPORT_REASONS];
+    size_t masked_count;
 };
 
 struct gsn_report_panel {

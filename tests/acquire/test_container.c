@@ -335,8 +335,7 @@ TEST(real_pictures_are_whole_unless_they_are_cut)
     };
 
     if (access(GSN_SHARED "/data/images", R_OK) < 0) {
-        print_message("SKIPPED: %s is not there\n", GSN_SHARED "/data/images");
-        skip();
+        gsn_check_skip("%s is not there", GSN_SHARED "/data/images");
     }
     for (size_t i = 0; i < sizeof known / sizeof known[0]; i++) {
         gsn_auto_mem(uint8_t) bytes = NULL;

@@ -362,8 +362,7 @@ TEST(netpbm_reads_frames)
     struct gsn_frame frame;
 
     if (system("command -v pamfile >/dev/null") != 0) {
-        print_message("skipped: netpbm is not installed\n");
-        skip();
+        gsn_check_skip("netpbm is not installed");
     }
     frame = frame_of("RGB3", 2, 1, 6, "abcdef", 6);
     netpbm_reads(&frame, "2 by 1 by 3 maxval 255.*RGB");

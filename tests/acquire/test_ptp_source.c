@@ -3,6 +3,7 @@
 /* A PTP scanner as a source: folders, keys, what changes, what is gone, and what is told of it. */
 #include "acquire/ptp_source.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -566,6 +567,7 @@ TEST(a_folder_that_is_refused_keeps_nobody_and_loses_nothing)
                                .parameter = 2,
                                .root_only = true };
     bench_auto bench;
+    unsigned said = 0;
     uint32_t folder;
 
     bench_init(&bench, NULL);
@@ -579,9 +581,37 @@ TEST(a_folder_that_is_refused_keeps_nobody_and_loses_nothing)
     bench_open(&bench);
     bench_turn(&bench);
     CHECK(bench_told(&bench, "EMPTY.TIF", "second look"));
+    CHECK(!bench_told(&bench, "100SCANS", ""));
     meddler.to = 0x77777777;
     CHECK(bench_work(&bench, TURNS));
     CHECK(!bench_told(&bench, NULL, "vanished"));
+    for (size_t i = 0; i < bench.lines; i++)
+        said += strstr(bench.line[i].reason, "does not list") != NULL;
+    CHECK(said == 1);
+    CHECK(bench_told(&bench, "100SCANS", "does not list")->what == GSN_SOURCE_NOTICE);
+}
+
+/* Nothing is left out in silence: the one that is too many has its notice, once. */
+TEST(more_folders_than_are_walked_are_told_by_name)
+{
+    enum { WALKED = 4096 };
+    bench_auto bench;
+    unsigned said = 0;
+
+    bench_init(&bench, NULL);
+    for (int i = 0; i <= WALKED; i++) {
+        char name[32];
+
+        (void)snprintf(name, sizeof name, "F%04d", i);
+        (void)add_folder(&bench, name, 0);
+    }
+    bench_open(&bench);
+    for (int i = 0; i < 3; i++)
+        bench_turn(&bench);
+    for (size_t i = 0; i < bench.lines; i++)
+        said += strstr(bench.line[i].reason, "more than 4096") != NULL;
+    CHECK(said == 1);
+    CHECK(bench_told(&bench, "F4096", "delete old folders")->what == GSN_SOURCE_NOTICE);
 }
 
 TEST(with_no_time_to_settle_it_still_takes_two_looks)

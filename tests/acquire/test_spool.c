@@ -359,8 +359,7 @@ TEST(a_disk_that_is_full_leaves_no_trace)
 
     if (result == NOT_ALLOWED) {
         gsn_scratch_remove(&scratch);
-        print_message("SKIPPED: no tmpfs may be mounted here\n");
-        skip();
+        gsn_check_skip("no tmpfs may be mounted here");
     }
     CHECK(result == 0);
 }

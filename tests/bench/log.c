@@ -112,10 +112,9 @@ static struct same open_same(const char *store)
         "INSERT INTO scan (source, device, name, key, subject, sha256, size, facts, state, reason, "
         "panel_id, arrived) VALUES ('scanner', '04a9:31c0 SN0001', ?3, ?5, 'panel', ?4, 12345678, "
         "?6, 'filed', 'by its name', (SELECT max(id) FROM panel), 1)",
-        "INSERT INTO event (id, time, actor, kind, subject, text, hash) SELECT coalesce(max(id), "
-        "0) + "
-        "1, 1, 'gieson-intake', 'scan', ?3, ?4 || ', from scanner, filed: its name begins with "
-        "it', ?4 FROM event",
+        "INSERT INTO event (id, time, actor, kind, subject, text, hash) VALUES ((SELECT "
+        "coalesce(max(id), 0) + 1 FROM event), 1, 'gieson-intake', 'scan', ?3, ?4 || ', from "
+        "scanner, filed: its name begins with it', ?4)",
         "COMMIT",
     };
     struct same same = { 0 };

@@ -87,6 +87,23 @@ TEST(adding_nothing_changes_nothing)
     assert_string_equal(digest.hex, examples[1].digest);
 }
 
+TEST(a_hash_used_again_has_forgotten_what_it_was_given)
+{
+    gsn_auto(gsn_hash) hash = NULL;
+    struct gsn_digest digest;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_hash_new(&hash, &err), err);
+    CHECK_OK(gsn_hash_add(hash, "left behind", 11, &err), err);
+    CHECK_OK(gsn_hash_again(hash, &err), err);
+    for (int i = 0; i < 2; i++) {
+        CHECK_OK(gsn_hash_add(hash, "abc", 3, &err), err);
+        CHECK_OK(gsn_hash_end(hash, &digest, &err), err);
+        assert_string_equal(digest.hex, examples[1].digest);
+        CHECK_OK(gsn_hash_again(hash, &err), err); /* after the end, too */
+    }
+}
+
 TEST(two_hashes_at_once_do_not_mix)
 {
     gsn_auto(gsn_hash) one = NULL;

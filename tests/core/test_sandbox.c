@@ -279,8 +279,7 @@ TEST(landlock_takes_the_file_system_away_by_itself)
     pid_t child;
 
     if (gsn_sandbox_landlock() == 0) {
-        print_message("SKIPPED: this kernel has no Landlock\n");
-        skip();
+        gsn_check_skip("this kernel has no Landlock");
     }
     (void)fflush(stdout);
     child = fork();

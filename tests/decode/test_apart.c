@@ -52,8 +52,7 @@ TEST(every_awkward_file_gets_the_same_answer_in_the_sandbox)
     size_t wrong = 0;
 
     if (access(FOLDER, R_OK) != 0) {
-        print_message("SKIPPED: %s is not there\n", FOLDER);
-        skip();
+        gsn_check_skip("%s is not there", FOLDER);
     }
     for (size_t i = 0; i < sizeof awkward_files / sizeof awkward_files[0]; i++) {
         gsn_auto_mem(char) path = gsn_format(FOLDER "%s", awkward_files[i].file);
@@ -182,20 +181,17 @@ TEST(a_decoder_that_hangs_is_stopped_in_time)
 }
 
 /* A sanitizer's build cannot limit address space: there memory is the machine's. */
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 TEST(a_decoder_that_eats_memory_reaches_its_limit)
 {
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-    print_message("SKIPPED: no limit of address space under a sanitizer\n");
-    skip();
-#else
     const struct gsn_decode_limits limits = { .most_bytes = 1 << 20 };
     struct gsn_error err = { 0 };
 
     CHECK(ask_misbehaving("eat", &limits, &err) == GSN_E_LIMIT);
     assert_string_equal(err.text, "decoding needs more than 257 MiB of memory: scan at a lower "
                                   "resolution");
-#endif
 }
+#endif
 
 TEST(a_decoder_that_lies_is_not_believed)
 {

@@ -18,8 +18,7 @@ static void need_folder(void)
 {
     if (access(FOLDER, R_OK) == 0)
         return;
-    print_message("SKIPPED: %s is not there\n", FOLDER);
-    skip();
+    gsn_check_skip("%s is not there", FOLDER);
 }
 
 static struct made load(const char *name)

@@ -371,8 +371,7 @@ TEST(netpbm_and_this_decoder_agree)
 
     if (system("command -v pngtopam >/dev/null") != 0) {
         (void)unlink(path);
-        print_message("skipped: netpbm is not installed\n");
-        skip();
+        gsn_check_skip("netpbm is not installed");
     }
     CHECK(fd >= 0);
     for (unsigned i = 0; i < 4; i++) {

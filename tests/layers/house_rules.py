@@ -39,7 +39,7 @@ FOREIGN = {
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
     r"(tiffio|jpeglib|png|zlib|openslide/.*|lcms2)\.h": r"^pipeline/decode/",
     r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",
-    r"libusb\.h": r"^acquire/usb_transport\.c$",
+    r"libusb\.h": r"^acquire/usb_(find|transport)\.c$",
     r"openssl/.*": r"^pipeline/core/hash\.c$",
     r"n?curses(w/.*)?\.h": r"^ui/",
     r"(seccomp|linux/(landlock|seccomp))\.h": r"^pipeline/core/sandbox\.c$",

@@ -196,14 +196,12 @@ void golden_each(const char *file, void (*test)(const struct golden_case *golden
     struct stat there;
 
     if (named && stat(named, &there) < 0) {
-        print_message("skipped: GIESON_GOLDEN names %s, which does not exist\n", named);
-        skip();
+        gsn_check_skip("GIESON_GOLDEN names %s, which does not exist", named);
     }
     if (run_folder(named ? named : GSN_FIXTURES "/model/golden", file, test) > 0)
         return;
     CHECK(named);
-    print_message("skipped: no case of %s has a %s.csv\n", named, file);
-    skip();
+    gsn_check_skip("no case of %s has a %s.csv", named, file);
 }
 
 double golden_steepest(const struct golden_table *spline)

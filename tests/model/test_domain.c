@@ -248,8 +248,7 @@ TEST(a_real_tooth_is_meshed_and_verifies)
     size_t size = 0;
 
     if (gsn_file_read(GSN_SHARED "/data/volumes/tooth.raw", 1 << 24, &bytes, &size, &err) < 0) {
-        (void)printf("SKIPPED: %s\n", err.text);
-        skip();
+        gsn_check_skip("%s", err.text);
     }
     CHECK(size == gsn_lattice_count(&at));
     CHECK_OK(gsn_mask_new(&at, &region, &err), err);

@@ -64,11 +64,13 @@ done
 test -d "$work/in/etc/gieson/conf.d" || wrong "the package has no etc/gieson/conf.d"
 # Every program that the build makes is in it, also those that are new.
 for program in "$work"/one/gieson/obj-*/bin/*; do
-    [ "$(find "$work/in/usr/bin" "$work/in/usr/libexec/gieson" -name "${program##*/}" | wc -l)" = 1 ] ||
+    [ "$(find "$work/in/usr/bin" "$work/in/usr/libexec/gieson" -type f -name "${program##*/}" | wc -l)" = 1 ] ||
         wrong "${program##*/} is not in the package"
 done
-# The units, as they are installed, start programs that are installed.
+# The units, as they are installed, start programs that are installed, or the base system's shell.
 if command -v systemd-analyze >/dev/null; then
+    mkdir -p "$work/in/bin"
+    cp /bin/sh "$work/in/bin/sh"
     (cd "$work/in/lib/systemd/system" && systemd-analyze verify --man=no --recursive-errors=no \
         --root="$work/in" -- *) || wrong "the units"
 fi

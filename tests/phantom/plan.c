@@ -1,6 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/phantom/plan.h"
 
+#include "tests/phantom/delivery.h"
+#include "tests/phantom/mishap.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -14,9 +17,8 @@ static const double PANEL_WIDTH_UM = 36800, PANEL_HEIGHT_UM = 24960;
 static const double LEAST_PX_UM = 8, MOST_PX_UM = 48;
 
 static const struct gsn_phantom_level LEVEL[] = {
-    { .name = "L0", .generated = 1, .extension = "png" },
+    { .name = "L0", .extension = "png" },
     { .name = "L1",
-      .generated = 1,
       .turn_within_deg = 10,
       .jitter_um = 300,
       .illumination = .02,
@@ -44,8 +46,11 @@ static const struct gsn_phantom_level LEVEL[] = {
       .texture = 1,
       .defects_least = 2,
       .defects_most = 3,
+      .missing_least = 1,
       .missing_most = 1,
-      .extension = "jpg" },
+      .handled = 1,
+      .extension = "jpg",
+      .quality = 85 },
     { .name = "L3",
       .turn_within_deg = 180,
       .flip_share = .10,
@@ -66,8 +71,12 @@ static const struct gsn_phantom_level LEVEL[] = {
       .texture = 1.3,
       .defects_least = 6,
       .defects_most = 8,
+      .missing_least = 2,
       .missing_most = 3,
-      .extension = "jpg" },
+      .handled = 1,
+      .awkward = 1,
+      .extension = "jpg",
+      .quality = 60 },
 };
 
 /* S03 and S04 are the block, the cuts and the grain of S02 in another stain. */
@@ -134,6 +143,21 @@ struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *s, dou
     return map;
 }
 
+/* What a hand adds to the pose: some sections lie upside down or turned over, and the water has
+ * stretched them. */
+static void handle(const struct gsn_phantom_level *level, struct gsn_phantom_random *random,
+                   struct gsn_phantom_section *s)
+{
+    double size;
+
+    s->theta += RAD_PER_DEG * gsn_phantom_normal(random, level->turn_sd_deg);
+    s->theta += gsn_phantom_uniform(random) < level->half_turn_share ? M_PI : 0;
+    s->flip = gsn_phantom_uniform(random) < level->flip_share;
+    size = gsn_phantom_normal(random, level->size_sd);
+    s->sx = 1 + size + gsn_phantom_normal(random, level->axis_sd);
+    s->sy = 1 + size + gsn_phantom_normal(random, level->axis_sd);
+}
+
 static void lay(struct gsn_phantom_plan *plan, int k)
 {
     struct gsn_phantom_section *s = &plan->section[k];
@@ -143,6 +167,7 @@ static void lay(struct gsn_phantom_plan *plan, int k)
     *s = (struct gsn_phantom_section){ .k = k,
                                        .panel = k / GSN_PHANTOM_SLOTS + 1,
                                        .slot = k % GSN_PHANTOM_SLOTS,
+                                       .shows = k,
                                        .z_um = gsn_phantom_section_z(k),
                                        .sx = 1,
                                        .sy = 1 };
@@ -150,7 +175,53 @@ static void lay(struct gsn_phantom_plan *plan, int k)
     s->theta = RAD_PER_DEG * spread(&random, plan->level->turn_within_deg);
     s->centre_px.x = (centre.x + spread(&random, plan->level->jitter_um)) / plan->px_um;
     s->centre_px.y = (centre.y + spread(&random, plan->level->jitter_um)) / plan->px_um;
+    if (plan->level->handled)
+        handle(plan->level, &random, s);
     s->to_panel = gsn_phantom_panel_map(s, plan->px_um);
+}
+
+/* Turns a unit vector by an angle towards a random direction across it. */
+static void turn_vector(struct gsn_phantom_random *random, double angle, double v[3])
+{
+    double across[3], along = 0, length = 0;
+
+    for (int c = 0; c < 3; c++) {
+        across[c] = gsn_phantom_normal(random, 1);
+        along += across[c] * v[c];
+    }
+    for (int c = 0; c < 3; c++) {
+        across[c] -= along * v[c];
+        length += across[c] * across[c];
+    }
+    for (int c = 0; c < 3; c++)
+        v[c] = cos(angle) * v[c] + sin(angle) * across[c] / sqrt(length);
+}
+
+static void mix_batch(struct gsn_phantom_plan *plan, int panel)
+{
+    /* Above this a brighter glass would clip, which is a fault of the scanner, not of the glass. */
+    const double brightest = 254;
+    const struct gsn_phantom_level *level = plan->level;
+    struct gsn_phantom_batch *batch = &plan->batch[panel];
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_BATCH, panel, 0);
+
+    *batch = (struct gsn_phantom_batch){ .red_gain = plan->specimen->red_gain,
+                                         .yellow_gain = plan->specimen->yellow_gain };
+    for (int i = 0; i < GSN_PHANTOM_DYES; i++)
+        gsn_phantom_dye_vector((enum gsn_phantom_dye)i, batch->dye[i]);
+    for (int c = 0; c < 3; c++)
+        batch->white[c] = gsn_phantom_white[c];
+    if (!level->handled)
+        return;
+    batch->red_gain *= exp(gsn_phantom_normal(&random, level->ln_red_sd));
+    batch->yellow_gain *= exp(gsn_phantom_normal(&random, level->ln_yellow_sd));
+    for (int i = 0; i < GSN_PHANTOM_MARK; i++)
+        turn_vector(&random, RAD_PER_DEG * gsn_phantom_normal(&random, level->dye_turn_deg),
+                    batch->dye[i]);
+    for (int c = 0; c < 3; c++)
+        batch->white[c] =
+            fmin(brightest, batch->white[c] * (1 + gsn_phantom_normal(&random, level->white_sd)));
 }
 
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
@@ -165,9 +236,6 @@ int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed
         return gsn_fail(err, GSN_E_NOTFOUND, "no specimen %s: there are S00 to S04", specimen);
     if (!plan.level)
         return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3", level);
-    if (!plan.level->generated)
-        return gsn_fail(err, GSN_E_UNSUPPORTED,
-                        "level %s is defined but not generated yet: choose L0 or L1", level);
     if (!(px_um >= LEAST_PX_UM && px_um <= MOST_PX_UM))
         return gsn_fail(err, GSN_E_LIMIT, "a pixel of %g um: it must be %g to %g um", px_um,
                         LEAST_PX_UM, MOST_PX_UM);
@@ -175,6 +243,10 @@ int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed
     plan.height = (uint32_t)lround(PANEL_HEIGHT_UM / px_um);
     for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++)
         lay(&plan, k);
+    for (int panel = 0; panel < GSN_PHANTOM_PANELS; panel++)
+        mix_batch(&plan, panel);
+    gsn_phantom_delivery_draw(&plan);
+    gsn_phantom_mishaps_draw(&plan);
     *ret_plan = plan;
     return GSN_OK;
 }
@@ -189,4 +261,15 @@ struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section,
     const struct gsn_point at = { section->flip ? -x : x, y };
 
     return at;
+}
+
+void gsn_phantom_plan_warp(const struct gsn_phantom_plan *plan, int k,
+                           struct gsn_phantom_warp *ret_warp)
+{
+    const struct gsn_point centre = gsn_phantom_slot_centre_um(k % GSN_PHANTOM_SLOTS);
+    const double half = gsn_phantom_slot_half_um;
+    const struct gsn_point corner = { centre.x - half, centre.y - half };
+    struct gsn_phantom_random random = gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_WARP, k, 0);
+
+    gsn_phantom_warp_draw(corner, 2 * half, plan->level->warp_rms_um, &random, ret_warp);
 }

@@ -8,8 +8,11 @@
 #define GSN_PHANTOM_PLAN_H
 
 #include "pipeline/core/error.h"
+#include "tests/phantom/defect.h"
 #include "tests/phantom/geometry.h"
 #include "tests/phantom/random.h"
+#include "tests/phantom/stain.h"
+#include "tests/phantom/warp.h"
 
 #include <stdint.h>
 
@@ -22,7 +25,9 @@ enum {
     GSN_PHANTOM_COLUMNS = 4,
     GSN_PHANTOM_ROWS = 3,
     GSN_PHANTOM_SLOTS = GSN_PHANTOM_COLUMNS * GSN_PHANTOM_ROWS,
-    GSN_PHANTOM_PANELS = GSN_PHANTOM_SECTIONS / GSN_PHANTOM_SLOTS
+    GSN_PHANTOM_PANELS = GSN_PHANTOM_SECTIONS / GSN_PHANTOM_SLOTS,
+    GSN_PHANTOM_DECOYS_MOST = 6,
+    GSN_PHANTOM_DEFECTS_MOST = 120
 };
 
 #define GSN_PHANTOM_STUDY "GVP-D"
@@ -30,15 +35,17 @@ enum {
 /* One column of the table of levels; angles in degrees, lengths in um, shares 0..1. */
 struct gsn_phantom_level {
     const char *name;
-    int generated; /* 0: the row is known, its images are not made yet */
     double turn_within_deg, turn_sd_deg, half_turn_share, flip_share;
     double jitter_um, size_sd, axis_sd, warp_rms_um;
     double mark_missing_share, mark_wander_um;
     int decoys_most;
     double ln_red_sd, ln_yellow_sd, dye_turn_deg, white_sd;
     double ramp, illumination, noise_sd, texture;
-    int defects_least, defects_most, missing_most; /* in 12 sections */
-    const char *extension;                         /* of the panel files, without the dot */
+    int defects_least, defects_most, missing_least, missing_most; /* in 12 sections */
+    int handled;           /* poses, marks and stain vary, and the grain turns with its section */
+    int awkward;           /* files come in as gsn_phantom_delivery_draw() says */
+    const char *extension; /* of the panel files, without the dot */
+    int quality;           /* of JPEG */
 };
 
 struct gsn_phantom_specimen {
@@ -50,11 +57,58 @@ struct gsn_phantom_specimen {
     int is_baseline;
 };
 
+/* One laser mark in one section, as burnt: its centre in the block, and an ellipse of this mean
+ * radius, ratio of axes and direction of the longer. */
+struct gsn_phantom_mark {
+    int missing;
+    struct gsn_point centre;
+    double radius_um, ratio, turn;
+};
+
+/* What may be taken for a mark and is none. */
+enum gsn_phantom_decoy_kind {
+    GSN_PHANTOM_DEBRIS, /* round and dark, without the pale ring */
+    GSN_PHANTOM_PIGMENT,
+    GSN_PHANTOM_NUCLEI,
+    GSN_PHANTOM_INK_DOT,
+    GSN_PHANTOM_BUBBLE_RIM,
+    GSN_PHANTOM_DECOY_KINDS
+};
+
+/* It lies on the panel, um from the upper left corner. */
+struct gsn_phantom_decoy {
+    enum gsn_phantom_decoy_kind kind;
+    struct gsn_point at_um;
+    double radius_um;
+};
+
+/* k is the section that belongs in the slot; shows the one that was mounted there, -1 for none. */
 struct gsn_phantom_section {
-    int k, panel, slot, flip;
+    int k, panel, slot, flip, shows;
     double z_um, theta, sx, sy;
     struct gsn_point centre_px;
     struct gsn_affine to_panel; /* m: block um -> panel px */
+    struct gsn_phantom_mark mark[GSN_PHANTOM_MARKS];
+    int decoys;
+    struct gsn_phantom_decoy decoy[GSN_PHANTOM_DECOYS_MOST];
+};
+
+/* One panel's stain and glass. The gains are those of the specimen and of the batch together. */
+struct gsn_phantom_batch {
+    double red_gain, yellow_gain;
+    double dye[GSN_PHANTOM_DYES][3]; /* unit vectors R, G, B */
+    double white[3];
+};
+
+/* One file as the scanner delivers it. */
+struct gsn_phantom_file {
+    int panel;        /* from 1 */
+    int again;        /* a second scan of a panel that was delivered already */
+    int orientation;  /* of EXIF: 1 upright, 3, 6, 8 */
+    int bits, passes; /* per sample; times the picture went through JPEG */
+    double kept;      /* share of its bytes that came through */
+    double tag_um;    /* the pixel size it states */
+    const char *extension;
 };
 
 struct gsn_phantom_plan {
@@ -64,11 +118,15 @@ struct gsn_phantom_plan {
     double px_um;
     uint32_t width, height; /* of a panel */
     struct gsn_phantom_section section[GSN_PHANTOM_SECTIONS];
+    struct gsn_phantom_batch batch[GSN_PHANTOM_PANELS];
+    int files, missing_panel; /* a panel that is not delivered; 0 for none */
+    struct gsn_phantom_file file[GSN_PHANTOM_PANELS + 1];
+    size_t defects;
+    struct gsn_phantom_defect defect[GSN_PHANTOM_DEFECTS_MOST];
 };
 
 /* Plans specimen "S00".."S04" (with or without "GVP-D-") at level "L0".."L3", 8 to 48 um/px.
- * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_UNSUPPORTED for a level whose images
- * are not generated yet, GSN_E_LIMIT for the pixel size. */
+ * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_LIMIT for the pixel size. */
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
                           struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
 
@@ -77,7 +135,11 @@ struct gsn_phantom_random gsn_phantom_plan_random(const struct gsn_phantom_plan 
                                                   enum gsn_phantom_stream stream, int n,
                                                   uint32_t minor);
 
-/* X(p): the material point (um, in the block's x and y) that a panel pixel shows. */
+/* Draws the warp n(p) of what lies in the slot of section k; all 0 at levels without one. */
+void gsn_phantom_plan_warp(const struct gsn_phantom_plan *plan, int k,
+                           struct gsn_phantom_warp *ret_warp);
+
+/* X(p) without n(p): the material point (um, in the block's x and y) that a panel pixel shows. */
 struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section, double px_um,
                                       struct gsn_point p);
 

@@ -76,3 +76,16 @@ void gsn_phantom_normals(struct gsn_phantom_random *random, double ret_pair[2])
     ret_pair[0] = radius * cos(angle);
     ret_pair[1] = radius * sin(angle);
 }
+
+double gsn_phantom_normal(struct gsn_phantom_random *random, double sd)
+{
+    double pair[2];
+
+    gsn_phantom_normals(random, pair);
+    return sd * pair[0];
+}
+
+double gsn_phantom_between(struct gsn_phantom_random *random, double low, double high)
+{
+    return low + (high - low) * gsn_phantom_uniform(random);
+}

@@ -19,7 +19,13 @@ enum gsn_phantom_stream {
     GSN_PHANTOM_STREAM_RED_TEXTURE,
     GSN_PHANTOM_STREAM_YELLOW_TEXTURE,
     GSN_PHANTOM_STREAM_NUCLEI,
-    GSN_PHANTOM_STREAM_NOISE
+    GSN_PHANTOM_STREAM_NOISE,
+    GSN_PHANTOM_STREAM_WARP,
+    GSN_PHANTOM_STREAM_MARKS,
+    GSN_PHANTOM_STREAM_DECOYS,
+    GSN_PHANTOM_STREAM_BATCH,
+    GSN_PHANTOM_STREAM_DEFECTS,
+    GSN_PHANTOM_STREAM_DELIVERY
 };
 
 struct gsn_phantom_random {
@@ -41,6 +47,12 @@ int gsn_phantom_poisson(struct gsn_phantom_random *random, double mean);
 
 /* Two independent standard normals (Box and Muller). */
 void gsn_phantom_normals(struct gsn_phantom_random *random, double ret_pair[2]);
+
+/* Normal with this deviation and mean 0. */
+double gsn_phantom_normal(struct gsn_phantom_random *random, double sd);
+
+/* Uniform in low..high. */
+double gsn_phantom_between(struct gsn_phantom_random *random, double low, double high);
 
 #ifdef __cplusplus
 }

@@ -84,10 +84,14 @@ void gsn_phantom_optical_density(const struct gsn_phantom_field *field,
                           fmax(RECIPE.least_texture, 1 + amplitude * local->yellow_texture);
     const double nuclear =
         RECIPE.nuclear_amount * fmin(1, (double)local->nuclei / GSN_PHANTOM_NUCLEI_FULL);
-    double dye[GSN_PHANTOM_DYES][3];
+    const double(*dye)[3] = stain->dye;
+    double plain[GSN_PHANTOM_DYES][3];
 
-    for (int i = 0; i < GSN_PHANTOM_DYES; i++)
-        gsn_phantom_dye_vector((enum gsn_phantom_dye)i, dye[i]);
+    if (!dye) {
+        for (int i = 0; i < GSN_PHANTOM_DYES; i++)
+            gsn_phantom_dye_vector((enum gsn_phantom_dye)i, plain[i]);
+        dye = (const double(*)[3])plain;
+    }
     for (int c = 0; c < 3; c++)
         ret_od[c] = red * dye[GSN_PHANTOM_RED][c] + yellow * dye[GSN_PHANTOM_YELLOW][c] +
                     nuclear * dye[GSN_PHANTOM_NUCLEAR][c];

@@ -27,6 +27,7 @@ struct gsn_phantom_stain {
     double red_gain, yellow_gain; /* k_r, k_y */
     double ramp;                  /* relative change of red over half a section */
     double depth;                 /* A of the lesion */
+    const double (*dye)[3];       /* by dye, R, G, B; NULL for those of the specification */
 };
 
 /* What varies from pixel to pixel beside the field. */

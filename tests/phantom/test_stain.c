@@ -42,7 +42,7 @@ static void check_density(const struct gsn_phantom_stain *stain,
 
 TEST(dyes_follow_the_density_that_the_lesion_leaves)
 {
-    const struct gsn_phantom_stain stain = { 1, 1, 0, 0.5 };
+    const struct gsn_phantom_stain stain = { 1, 1, 0, 0.5, NULL };
     const struct gsn_phantom_local local = { .nuclei = 0 };
     const double D = 0.7 - 0.5 * 0.3;
 
@@ -51,7 +51,7 @@ TEST(dyes_follow_the_density_that_the_lesion_leaves)
 
 TEST(gains_ramp_texture_and_nuclei_each_act_once)
 {
-    const struct gsn_phantom_stain stain = { 1.15, 0.8, 0.05, 0 };
+    const struct gsn_phantom_stain stain = { 1.15, 0.8, 0.05, 0, NULL };
     const struct gsn_phantom_local local = { 1.3, -0.4, 0.25, 2 };
     const double amp = 0.6 * .25 + 0.4 * .45;
 
@@ -59,9 +59,24 @@ TEST(gains_ramp_texture_and_nuclei_each_act_once)
                   .8 * .34 * .9 * (1 - .55 * .7) * (1 - amp * .4), .45 * 2 / 6);
 }
 
+/* Dyes along the axes make each channel the amount of one dye. */
+TEST(a_batch_brings_its_own_dyes)
+{
+    static const double axes[GSN_PHANTOM_DYES][3] = { { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 } };
+    const struct gsn_phantom_stain stain = { 1, 1, 0, 0, axes };
+    const struct gsn_phantom_local local = { .nuclei = 3 };
+    const struct gsn_phantom_field field = mixture();
+    double od[3];
+
+    gsn_phantom_optical_density(&field, &stain, &local, od);
+    CHECK_NEAR(od[0], .62 * .7, 1e-12);
+    CHECK_NEAR(od[1], .34 * .9 * (1 - .55 * .7), 1e-12);
+    CHECK_NEAR(od[2], .45 / 2, 1e-12);
+}
+
 TEST(texture_and_nuclei_are_limited)
 {
-    const struct gsn_phantom_stain stain = { 1, 1, 0, 0 };
+    const struct gsn_phantom_stain stain = { 1, 1, 0, 0, NULL };
     const struct gsn_phantom_local local = { -4, -4, 0, 9 };
 
     check_density(&stain, &local, .62 * .7 * .05, .34 * .9 * (1 - .55 * .7) * .05, .45);

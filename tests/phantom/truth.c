@@ -4,7 +4,9 @@
 #include "pipeline/core/parallel.h"
 #include "tests/phantom/buffer.h"
 #include "tests/phantom/check.h"
+#include "tests/phantom/record.h"
 #include "tests/phantom/stain.h"
+#include "tests/phantom/tables.h"
 #include "tests/phantom/texture.h"
 
 #include <math.h>
@@ -213,58 +215,6 @@ int gsn_phantom_write_job(const struct gsn_phantom_plan *plan, const char *folde
     return gsn_phantom_buffer_write(&text, folder, "job.json", err);
 }
 
-/* --- tables --- */
-
-static int write_sections(const struct gsn_phantom_plan *plan,
-                          const struct gsn_phantom_extent *extent, const char *folder,
-                          struct gsn_error *err)
-{
-    gsn_auto_phantom_buffer text = { 0 };
-
-    gsn_phantom_buffer_print(&text, "k,z_um,panel,slot,present,flip,theta_deg,sx,sy,cx_px,cy_px,"
-                                    "px_um,m00,m01,m02,m10,m11,m12,bbox_x,bbox_y,bbox_w,bbox_h,"
-                                    "area_px,kr,ky,defects\n");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
-        const struct gsn_phantom_section *s = &plan->section[k];
-        const struct gsn_affine *m = &s->to_panel;
-        const struct gsn_phantom_extent *e = &extent[k];
-
-        gsn_phantom_buffer_print(&text, "%d,%.15g,%d,%d,1,%d,%.12g,%.12g,%.12g,%.9f,%.9f,%.15g,", k,
-                                 s->z_um, s->panel, s->slot, s->flip, s->theta * DEG_PER_RAD, s->sx,
-                                 s->sy, s->centre_px.x, s->centre_px.y, plan->px_um);
-        gsn_phantom_buffer_print(&text, "%.15g,%.15g,%.15g,%.15g,%.15g,%.15g,", m->m00, m->m01,
-                                 m->m02, m->m10, m->m11, m->m12);
-        gsn_phantom_buffer_print(&text, "%u,%u,%u,%u,%zu,%.12g,%.12g,\n", e->x, e->y, e->width,
-                                 e->height, e->area_px, plan->specimen->red_gain,
-                                 plan->specimen->yellow_gain);
-    }
-    return gsn_phantom_buffer_write(&text, folder, "sections.csv", err);
-}
-
-static int write_markers(const struct gsn_phantom_plan *plan, const char *folder,
-                         struct gsn_error *err)
-{
-    gsn_auto_phantom_buffer text = { 0 };
-
-    gsn_phantom_buffer_print(&text, "k,marker,x_px,y_px,visible,occluded_by\n");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++)
-        for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
-            const struct gsn_point p =
-                gsn_affine_apply(&plan->section[k].to_panel, gsn_phantom_geometry()->mark[i]);
-
-            gsn_phantom_buffer_print(&text, "%d,%d,%.6f,%.6f,1,\n", k, i + 1, p.x, p.y);
-        }
-    return gsn_phantom_buffer_write(&text, folder, "markers.csv", err);
-}
-
-static int write_defects(const char *folder, struct gsn_error *err)
-{
-    gsn_auto_phantom_buffer text = { 0 };
-
-    gsn_phantom_buffer_print(&text, "k,type,polygon,roi_fraction\n");
-    return gsn_phantom_buffer_write(&text, folder, "defects.csv", err);
-}
-
 static int write_loss(double depth, unsigned threads, const char *folder, struct gsn_error *err)
 {
     const double depths[GSN_PHANTOM_DEPTHS] = { depth, depth, depth, depth };
@@ -401,28 +351,6 @@ static void add_level(struct gsn_phantom_buffer *text, const struct gsn_phantom_
         level->defects_most, level->missing_most, level->extension);
 }
 
-static void add_sections(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan)
-{
-    gsn_phantom_buffer_print(text, "  \"sections\": [");
-    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
-        const struct gsn_phantom_section *s = &plan->section[k];
-
-        gsn_phantom_buffer_print(
-            text,
-            "%s\n    {\"k\": %d, \"z_um\": %.15g, \"panel\": %d, \"slot\": %d, "
-            "\"present\": true, \"flip\": %s, \"theta_deg\": %.15g, "
-            "\"sx\": %.15g, \"sy\": %.15g, \"c_px\": [%.15g, %.15g]}",
-            k ? "," : "", k, s->z_um, s->panel, s->slot, s->flip ? "true" : "false",
-            s->theta * DEG_PER_RAD, s->sx, s->sy, s->centre_px.x, s->centre_px.y);
-    }
-    gsn_phantom_buffer_print(text, "],\n  \"markers\": [");
-    for (int i = 0; i < GSN_PHANTOM_MARKS; i++)
-        gsn_phantom_buffer_print(text, "%s{\"marker\": %d, \"block_um\": [%.15g, %.15g]}",
-                                 i ? ", " : "", i + 1, gsn_phantom_geometry()->mark[i].x,
-                                 gsn_phantom_geometry()->mark[i].y);
-    gsn_phantom_buffer_print(text, "],\n  \"defects\": []\n}\n");
-}
-
 static int write_parameters(const struct gsn_phantom_plan *plan, const char *folder,
                             struct gsn_error *err)
 {
@@ -440,7 +368,7 @@ static int write_parameters(const struct gsn_phantom_plan *plan, const char *fol
                              "  \"texture_source\": {\"file\": \"%s\", \"sha256\": \"%s\"},\n",
                              GSN_PHANTOM_TEXTURE_FILE, GSN_PHANTOM_TEXTURE_SHA256);
     add_level(&text, plan->level);
-    add_sections(&text, plan);
+    gsn_phantom_record_drawn(plan, &text);
     return gsn_phantom_buffer_write(&text, folder, "truth.json", err);
 }
 
@@ -454,11 +382,7 @@ int gsn_phantom_write_truth(const struct gsn_phantom_plan *plan,
 
     r = write_parameters(plan, folder, err);
     if (r >= 0)
-        r = write_sections(plan, extent, folder, err);
-    if (r >= 0)
-        r = write_markers(plan, folder, err);
-    if (r >= 0)
-        r = write_defects(folder, err);
+        r = gsn_phantom_tables_write(plan, extent, folder, err);
     if (r >= 0)
         r = write_region(&whole, folder, "roi", err);
     if (r >= 0 && with_density)

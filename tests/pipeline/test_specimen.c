@@ -271,34 +271,66 @@ TEST(without_the_baselines_result_the_figures_stand_and_the_loss_does_not)
 }
 
 /* A region of which less than 90 % was seen has figures, but no loss. */
-TEST(a_loss_needs_most_of_the_region)
+/* dyes outlives d. */
+static void draw_gaps(struct drawn_specimen *d, struct drawn_panel panels[3],
+                      const struct gsn_dyes *dyes)
 {
-    struct drawn_panel panels[3];
-    drawn_auto d;
-
-    for (unsigned i = 0; i < 3; i++)
-        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
-    panels[1].section[0].missing = panels[1].section[2].missing = 1;
-    drawn_specimen_init(&d, TREATED_JOB, panels, 3);
-    d.specimen.baseline =
+    drawn_specimen_init(d, TREATED_JOB, panels, 3);
+    d->specimen.baseline =
         (struct gsn_specimen_baseline){ .name = "control",
                                         .specimens = 1,
                                         .mean_density = 0.8,
                                         .volume_mm3 = 576e-3 * 336e-3 * 192e-3,
                                         .definition =
                                             "collagen-equivalent density (red dye by unmixing)",
-                                        .dyes = gsn_dyes_builtin().name };
+                                        .dyes = dyes->name };
+}
+
+/* Cases 21 and 29. */
+TEST(lost_sections_are_bridged_counted_and_said)
+{
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
+    panels[1].section[0].missing = panels[1].section[2].missing = 1;
+    draw_gaps(&d, panels, &dyes);
     gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);
     json_t *root = report_of(gaps);
 
-    CHECK(gaps->withheld);
-    CHECK(strcmp(gaps->message, "only 75 % of the region of interest has data") == 0);
-    CHECK(!has_measure(gaps, "loss"));
+    CHECK(!gaps->withheld);
     CHECK_NEAR(measure(gaps, "coverage"), 0.75, 1e-9);
     CHECK_NEAR(measure(gaps, "mean_density"), 0.6, 0.004);
+    CHECK_NEAR(measure(gaps, "loss"), 25, 0.5);
     CHECK(has_text(json_object_get(root, "warnings"), "2 expected sections are missing"));
+    CHECK(has_text(json_object_get(root, "warnings"),
+                   "25.0 % of the region of interest was not seen and is bridged from the sections "
+                   "beside it"));
     CHECK(json_array_size(json_object_get(root, "exclusions")) == 2);
     json_decref(root);
+}
+
+TEST(a_loss_needs_most_of_the_region)
+{
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
+    panels[1].section[0].missing = panels[1].section[2].missing = 1;
+    panels[2].section[0].missing = 1;
+    draw_gaps(&d, panels, &dyes);
+    gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);
+
+    CHECK(gaps->withheld);
+    CHECK(strcmp(gaps->message,
+                 "only 62 % of the region of interest was measured; the rest could only be bridged "
+                 "from the sections beside it") == 0);
+    CHECK(!has_measure(gaps, "loss"));
+    CHECK_NEAR(measure(gaps, "coverage"), 0.625, 1e-9);
 }
 
 /* Withheld reports: no figure, the reason, and still every section and panel. */

@@ -4,8 +4,10 @@
 #include <math.h>
 #include <signal.h>
 #include <sqlite3.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "tests/storage/bench.h"
@@ -257,6 +259,35 @@ TEST(a_lease_that_runs_out_frees_the_job_and_its_old_owner_is_told)
     CHECK(gsn_queue_done(store, old, &err) == GSN_E_BUSY);
     CHECK(gsn_queue_fail(store, old, GSN_E_FIT, "x", &err) == GSN_E_BUSY);
     CHECK_OK(gsn_queue_done(store, anew, &err), err);
+}
+
+/* Case 58. The worker lives and its lease has time left: only the date was put right. */
+TEST(a_clock_that_is_set_takes_no_job_away)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct timespec up;
+
+    CHECK(clock_gettime(CLOCK_BOOTTIME, &up) == 0);
+    CHECK(llabs(gsn_queue_clock() - (int64_t)up.tv_sec) <= 1);
+    (void)add(store, bench_add_specimen(store, "S", "g", ""), 0);
+    gsn_auto(gsn_job_row) job = claim_as(store, getpid(), gsn_queue_clock());
+    gives_none(store, gsn_queue_clock(), GSN_E_BUSY, "only running jobs");
+}
+
+/* What another start of the machine counted, or a store of the days when leases went by the date.
+ */
+TEST(a_lease_that_ends_too_late_to_be_of_this_clock_is_taken_back)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+
+    (void)add(store, bench_add_specimen(store, "S", "g", ""), 0);
+    gsn_auto(gsn_job_row) old = claim_as(store, getpid(), NOON);
+
+    gives_none(store, NOON, GSN_E_BUSY, "only running jobs");
+    gsn_auto(gsn_job_row) anew = claim_as(store, getpid(), NOON - 1);
+    CHECK(anew->id == old->id && anew->attempts == 1);
 }
 
 TEST(the_job_of_a_killed_process_is_free_at_once)

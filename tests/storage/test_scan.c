@@ -197,6 +197,25 @@ TEST(the_same_picture_again_writes_nothing)
     CHECK(ask(store, "SELECT count(*) FROM event") == events);
 }
 
+TEST(a_picture_that_nobody_could_place_is_not_placed_by_coming_again)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct gsn_scan_row row = arrival("IMG_7.JPG", 7);
+    gsn_auto(gsn_scan_row) first = arrive(store, "IMG_7.JPG", 7, 0);
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+    int again = -1;
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    CHECK_OK(gsn_scan_expect(store, "flatbed", "S", "ann", NOON, &err), err);
+    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK(again == 1 && id == first->id);
+    CHECK(ask(store, "SELECT count(*) FROM scan WHERE state = 'unfiled'") == 1);
+    CHECK(ask(store, "SELECT (SELECT count(*) FROM panel) + (SELECT count(*) FROM job)") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'scan'") == 1);
+}
+
 TEST(the_same_bytes_under_another_name_are_one_panel_and_two_scans)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -403,7 +422,8 @@ TEST(a_store_of_the_first_schema_is_brought_up_with_its_data_kept)
     CHECK(gsn_store_open(scratch.dir, GSN_STORE_READ, &store, &err) == GSN_E_UNSUPPORTED);
     CHECK(strstr(err.text, "older gieson") && store == NULL);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK(ask(store, "PRAGMA user_version") == 2);
+    CHECK(ask(store, "PRAGMA user_version") == 3);
+    CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
     CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting' AND panel_id = 1") == 1);
     CHECK(number_of(store, 1) == 3);
     scan = arrive(store, "S-P4.tif", 4, 4);

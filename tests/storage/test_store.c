@@ -79,7 +79,7 @@ TEST(every_way_of_opening_promises_durability_and_whole_references)
         CHECK(ask(store, "PRAGMA synchronous") == 2);
         CHECK(ask(store, "PRAGMA foreign_keys") == 1);
         CHECK(ask(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode") == 1);
-        CHECK(ask(store, "PRAGMA user_version") == 2);
+        CHECK(ask(store, "PRAGMA user_version") == 3);
         CHECK(strcmp(gsn_store_dir(store), scratch.dir) == 0);
     }
 }
@@ -93,6 +93,83 @@ TEST(all_tables_are_strict)
                      "WHERE schema = 'main' AND name NOT LIKE 'sqlite%' AND strict = 0") == 0);
     CHECK(ask(store, "SELECT count(*) FROM pragma_table_list "
                      "WHERE schema = 'main' AND strict = 1") == 19);
+}
+
+/* How many steps of this kind SQLite takes for a statement. */
+static int count_steps(struct gsn_store *store, const char *sql, const char *kind)
+{
+    gsn_auto_mem(char) explain = gsn_format("EXPLAIN %s", sql);
+    sqlite3_stmt *statement = NULL;
+    int count = 0;
+
+    CHECK(sqlite3_prepare_v2(gsn_store_handle(store), explain, -1, &statement, NULL) == SQLITE_OK);
+    while (sqlite3_step(statement) == SQLITE_ROW)
+        count += strcmp((const char *)sqlite3_column_text(statement, 1), kind) == 0;
+    CHECK(sqlite3_finalize(statement) == SQLITE_OK);
+    return count;
+}
+
+TEST(no_row_needs_a_table_of_its_own_to_be_checked)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    static const char *const tables[] = { "specimen", "panel", "section", "job",
+                                          "run",      "event", "source",  "scan" };
+
+    for (size_t i = 0; i < sizeof tables / sizeof *tables; i++) {
+        gsn_auto_mem(char) insert = gsn_format("INSERT INTO %s DEFAULT VALUES", tables[i]);
+
+        CHECK(count_steps(store, insert, "OpenEphemeral") == 0);
+    }
+    CHECK(count_steps(store, "SELECT 1 WHERE ?1 IN ('a', 'b', 'c')", "OpenEphemeral") == 1);
+}
+
+/* One row in each table that has a state. */
+#define A_ROW_EACH                                                                                 \
+    "INSERT INTO study VALUES (1, 'st'); INSERT INTO study_group VALUES (1, 1, 'g'); "             \
+    "INSERT INTO animal VALUES (1, 1, 'rat'); INSERT INTO specimen VALUES (1, 'S', 1, 1, 1, 4, "   \
+    "'sections', '', '{}', printf('%064d', 0)); INSERT INTO panel VALUES (1, 1, 3, 'P', "          \
+    "printf('%064d', 3), 9, 'waiting', '', '', 0, 0, NULL); INSERT INTO section (panel_id, slot, " \
+    "serial, state, flags) VALUES (1, 1, 1, 'found', ''); INSERT INTO job (kind, specimen_id, "    \
+    "panel_id) VALUES ('panel', 1, 1); INSERT INTO run (specimen_id, key, version, inputs_json, "  \
+    "parameters_json, state, started) VALUES (1, '', '', '', '', 'running', 1); "                  \
+    "INSERT INTO source (name, address, state, changed) VALUES ('s', '', 'away', 1); "             \
+    "INSERT INTO scan (source, device, name, key, subject, sha256, size, facts, state, reason, "   \
+    "arrived) VALUES ('', '', '', '', 'panel', printf('%064d', 3), 9, '', 'filed', '', 1); "       \
+    "INSERT INTO request (time, actor, kind, source) VALUES (1, '', 'capture-dark', '')"
+
+TEST(a_column_of_words_takes_its_words_and_no_others)
+{
+    static const struct {
+        const char *table, *column, *words[7];
+    } columns[] = {
+        { "specimen", "kind", { "volume", "tile", "sections" } },
+        { "panel", "state", { "registered", "refused", "held", "waiting" } },
+        { "section", "state", { "empty", "needs-eye", "missing", "held", "found" } },
+        { "job", "state", { "running", "done", "failed", "waiting" } },
+        { "source", "state", { "ready", "receiving", "paused", "failed", "off", "away" } },
+        { "scan", "subject", { "blank", "dark", "panel" } },
+        { "scan", "state", { "unfiled", "kept", "filed" } },
+        { "request", "kind", { "capture-panel", "capture-blank", "capture-dark" } },
+        { "request", "state", { "done", "refused", "waiting" } },
+        { "run", "state", { "running", "reported" } }, /* which it keeps */
+    };
+    scratch_auto scratch = gsn_scratch_new();
+
+    gsn_store_free(bench_open(&scratch, GSN_STORE_CREATE));
+    CHECK(bench_raw(&scratch, A_ROW_EACH) == SQLITE_OK);
+    for (size_t i = 0; i < sizeof columns / sizeof *columns; i++) {
+        gsn_auto_mem(char) none =
+            gsn_format("UPDATE %s SET %s = 'none of them'", columns[i].table, columns[i].column);
+
+        CHECK(bench_raw(&scratch, none) == SQLITE_CONSTRAINT);
+        for (const char *const *word = columns[i].words; *word; word++) {
+            gsn_auto_mem(char) good =
+                gsn_format("UPDATE %s SET %s = '%s'", columns[i].table, columns[i].column, *word);
+
+            CHECK(bench_raw(&scratch, good) == SQLITE_OK);
+        }
+    }
 }
 
 TEST(the_log_stays_in_place_for_readers)
@@ -143,11 +220,11 @@ TEST(a_store_of_a_newer_version_is_refused_untouched)
     scratch_auto scratch = gsn_scratch_new();
 
     gsn_store_free(bench_open(&scratch, GSN_STORE_CREATE));
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 3") == SQLITE_OK);
-    refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 3, this one");
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 4") == SQLITE_OK);
+    refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 4, this one");
     refuses(scratch.dir, GSN_STORE_WRITE, GSN_E_UNSUPPORTED, "newer gieson");
     refuses(scratch.dir, GSN_STORE_CREATE, GSN_E_UNSUPPORTED, "newer gieson");
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 2") == SQLITE_OK);
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 3") == SQLITE_OK);
     gsn_store_free(bench_open(&scratch, GSN_STORE_WRITE));
 }
 

@@ -233,6 +233,25 @@ def specimen(bench):
 
 
 @scenario
+def import_hangs(bench):
+    """A folder whose import hangs is a trouble with a sentence, and the next picture comes in."""
+    with_fake_worker(bench, "hang")
+    bench.configure(patience=2)
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    folder = bench.hot / "S01"
+    folder.mkdir()
+    (folder / "P1.png").write_bytes(picture(1))
+    (folder / "job.json").write_text("{}")
+    bench.wait("the trouble", lambda: bench.ask("SELECT name FROM trouble") == [("S01",)])
+    reason = bench.ask("SELECT reason FROM trouble")[0][0]
+    demand("did nothing for 2 s" in reason, reason)
+    bench.deliver("a.png", picture(2))
+    bench.wait_scan("a.png")
+    demand("silent for" not in bench.words(), "the source itself was never given up")
+
+
+@scenario
 def watched(bench):
     """--watch needs no configuration."""
     bench.config = bench.folder / "nowhere.conf"
@@ -557,6 +576,8 @@ FAKE_WORKER = """#!{python}
 # Claims a job as gieson-work would, and does what the file `do` beside it says.
 import os, pathlib, sqlite3, sys, time
 here = pathlib.Path(sys.argv[0]).parent
+if "import" in sys.argv:
+    time.sleep(3600)
 store = sys.argv[sys.argv.index("--store") + 1]
 db = sqlite3.connect(store + "/gieson.db", timeout=10, isolation_level=None)
 boot = open("/proc/sys/kernel/random/boot_id").read().strip()
@@ -568,8 +589,8 @@ if not row:
     sys.exit(66)
 db.execute("UPDATE job SET state = 'running', claim = claim + 1, owner = 'fake', boot = ?, "
            "processes = ?, pid = ?, pid_start = ?, lease_s = 600, lease_until = ? WHERE id = ?",
-           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start, int(time.time()) + 600,
-            row[0]))
+           (boot, os.readlink("/proc/self/ns/pid"), os.getpid(), start,
+            int(time.clock_gettime(time.CLOCK_BOOTTIME)) + 600, row[0]))
 db.execute("COMMIT")
 (here / "limits").write_text(open("/proc/self/limits").read() + "nice " + str(os.nice(0)))
 while (here / "do").read_text() == "hang":
@@ -612,6 +633,50 @@ def queue(bench):
     bench.stop()
     rows = bench.ask("SELECT state, attempts, pid FROM job WHERE state <> 'done'")
     demand(rows and all(row == ("waiting", 0, 0) for row in rows), f"given back: {rows}")
+
+
+@scenario
+def orphaned(bench):
+    """A service that is killed gives its jobs no death, however often; a worker that is killed does."""
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-intake", "gieson-work", "gieson-mesh"):
+        shutil.copy(bench.programs / name, place / name)
+    # A decoder that never ends holds the worker in the middle of its job.
+    (place / "gieson-decode").write_text("#!/bin/sh\nexec sleep 600\n")
+    (place / "gieson-decode").chmod(0o755)
+    made = bench.folder / "S00"
+    subprocess.run([bench.programs / "gieson", "phantom", "--specimen", "S00", "--level", "L0", "--seed", "1",
+                    "--out", made], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([bench.programs / "gieson", "--store", bench.store, "import", made], check=True,
+                   stdout=subprocess.DEVNULL)
+    bench.programs = place
+    bench.configure(work="Workers=1\n")
+
+    def job():
+        rows = bench.ask("SELECT state, stage, attempts, pid FROM job ORDER BY kind, id LIMIT 1")
+        return rows[0] if rows else ("", "", 0, 0)
+
+    def held_worker():
+        bench.wait("a worker in mid-job", lambda: job()[:2] == ("running", "decoding"))
+        return job()[3]
+
+    bench.start()
+    for _ in range(7):  # more deaths than a job is given
+        worker = held_worker()
+        bench.service.kill()
+        bench.service.wait()
+        end = time.monotonic() + GENEROUS_S
+        while os.path.exists(f"/proc/{worker}") and time.monotonic() < end:
+            time.sleep(0.02)
+        demand(not os.path.exists(f"/proc/{worker}"), "the orphaned worker ended")
+        demand(job()[0] == "waiting" and job()[2:] == (0, 0), f"the job was given back: {job()}")
+        bench.start()
+    for deaths, signal_number in ((0, signal.SIGTERM), (1, signal.SIGKILL), (2, signal.SIGKILL)):
+        worker = held_worker()
+        os.kill(worker, signal_number)
+        bench.wait("another worker", lambda: held_worker() != worker)
+        demand(job()[2] == deaths, f"{deaths} deaths are counted: {job()}")
 
 
 @scenario

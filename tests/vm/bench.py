@@ -12,7 +12,8 @@ plugged into it, in software. Needs qemu-system-x86 and the kernel's package; no
       --keep DIR   the folder of kernel, image and frozen machine (BUILD/vm)
       --patience X everything may take X times as long (1)
 
-BUILD is a build folder with all programs. One line a scenario: what, figures, seconds, ok or FAILED.
+BUILD is a build folder with all programs. One line a scenario: what, figures, seconds, ok or FAILED; at
+the end the seconds of each and of all. A scenario that does not end in its time is FAILED at that.
 Exit 0: all that was demanded holds; 1: something does not; 77: this machine cannot run the bench."""
 import argparse
 import pathlib
@@ -31,7 +32,7 @@ def freeze(bench, key):
     """A machine that has booted, with gieson running and nothing plugged in."""
     frozen = bench.home / f"frozen.{key}"
     if frozen.exists():
-        return frozen, None
+        return frozen
     for old in bench.home.glob("frozen.*"):
         old.unlink()
     began = time.monotonic()
@@ -48,11 +49,12 @@ def freeze(bench, key):
         booted.freeze(frozen)
     finally:
         booted.close()
-    return frozen, time.monotonic() - began
+    return frozen
 
 
-def run_one(bench, name):
+def run_one(bench, name, seconds):
     began = time.monotonic()
+    bench.begin(name)
     try:
         figures = SCENARIOS[name](bench)
         verdict = "ok"
@@ -60,7 +62,8 @@ def run_one(bench, name):
         figures, verdict = str(why), "SKIPPED"
     except (machine.Failed, ValueError, IndexError, OSError) as why:
         figures, verdict = f"{why} (journal: {bench.home / 'failed.journal'})", "FAILED"
-    print(f"{name}: {figures}; {time.monotonic() - began:.0f} s, {verdict}", flush=True)
+    seconds[name] = time.monotonic() - began
+    print(f"{name}: {figures}; {seconds[name]:.0f} s, {verdict}", flush=True)
     return verdict
 
 
@@ -85,12 +88,15 @@ def main():
     try:
         home = (asked.keep or asked.build / "vm").resolve()
         began = time.monotonic()
+        seconds = {}
         key = image.build_image(home, asked.build.resolve(), asked.package)
         print(f"image: {(home / 'root.cpio').stat().st_size / 1e6:.0f} MB of root and Debian's kernel; "
               f"{time.monotonic() - began:.0f} s, ok", flush=True)
         bench = Bench(asked.build.resolve(), home, scratch, asked)
-        bench.frozen, _ = freeze(bench, key)
-        verdicts = [run_one(bench, name) for name in names]
+        seconds["image"] = time.monotonic() - began
+        bench.frozen = freeze(bench, key)
+        seconds["boot"] = time.monotonic() - began - seconds["image"]
+        verdicts = [run_one(bench, name, seconds) for name in names]
     except image.Unavailable as why:
         print(f"SKIPPED: {why}")
         return image.SKIPPED
@@ -99,8 +105,9 @@ def main():
         return 1
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+    print("seconds: " + ", ".join(f"{name} {took:.0f}" for name, took in seconds.items()))
     print(f"{verdicts.count('ok')} of {len(verdicts)} scenarios ok, {verdicts.count('SKIPPED')} skipped, "
-          f"{time.monotonic() - began:.0f} s")
+          f"{time.monotonic() - began:.0f} s in all")
     return 1 if "FAILED" in verdicts else 0
 
 

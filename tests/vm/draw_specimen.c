@@ -24,8 +24,7 @@ TEST(a_small_specimen_is_drawn)
     const char *folder = getenv("GIESON_SPECIMEN"), *name = getenv("GIESON_SPECIMEN_NAME");
     gsn_auto_mem(char) job = NULL;
 
-    if (!folder || !name)
-        skip();
+    CHECK(folder && name);
     job = gsn_format("{\"specimen\": \"%s\", \"px_um\": 24, \"layout\": [2, 2], \"panels\": 2, "
                      "\"transfer\": \"linear\", \"thresholds\": [0.5], "
                      "\"markers_um\": " DRAWN_MARKS_JSON "}",

@@ -23,6 +23,21 @@ class Failed(Exception):
     """What was demanded did not happen; the text says what did."""
 
 
+class Budget:
+    """The seconds that a scenario has in all, so that one which waits for what never comes is ended
+    and says at what."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+        self.end = time.monotonic() + seconds
+
+    def left(self, what):
+        left = self.end - time.monotonic()
+        if left <= 0:
+            raise Failed(f"the scenario's {self.seconds:.0f} s are over at: {what}")
+        return left
+
+
 class Line:
     """A socket that speaks in lines."""
 
@@ -63,7 +78,8 @@ class Line:
 
 
 class Machine:
-    def __init__(self, image, frozen=None):
+    def __init__(self, image, frozen=None, budget=None):
+        self.budget = budget or Budget(600)
         self.folder = pathlib.Path(tempfile.mkdtemp(prefix="gieson-vm."))
         self.image = image
         self.console = self.folder / "console"
@@ -147,6 +163,7 @@ class Machine:
 
     def __exit__(self, kind, *why):
         if kind is Failed and self.process.poll() is None:
+            self.budget = Budget(60)
             try:
                 (self.image / "failed.journal").write_text(self.journal(400), encoding="utf-8")
             except Failed:
@@ -165,12 +182,19 @@ class Machine:
 
     def run(self, command, seconds=60):
         """The command's exit status and what it said."""
+        seconds = min(seconds, self.budget.left(command))
+        began = time.monotonic()
         self.number += 1
-        self.agent.say(f"{self.number} {base64.b64encode(command.encode()).decode()}")
+        self.agent.say(f"{self.number} {seconds:.1f} {base64.b64encode(command.encode()).decode()}")
         try:
-            return self.wait_for_answer(self.number, seconds)
+            # The guest ends it in time; only a guest that hangs does not say so.
+            status, said = self.wait_for_answer(self.number, seconds + 20)
         except Failed as why:
             raise Failed(f"{command}: {why}") from None
+        if status in (124, 137) and time.monotonic() - began > 0.9 * seconds:
+            self.budget.left(command)
+            raise Failed(f"{command}: not over within {seconds:.0f} s; it said {said.strip()[-300:]!r}")
+        return status, said
 
     def tell(self, command, seconds=60):
         """What the command says; it must end well."""

@@ -1,0 +1,117 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/masking.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Heat changes the stain around a burn, so a disc of this many mark radii is masked: the bleached
+ * ring of the marks seen so far ends at 1.5 radii, the rest is margin for the blur. */
+static const double HALO_RADII = 2.0;
+
+static int is_there(const struct gsn_assembly_section *s, unsigned panel)
+{
+    return s->panel == panel && s->seen.width > 0 && s->seen.height > 0;
+}
+
+static struct gsn_mask_section place_of(const struct gsn_panel_section *seen)
+{
+    struct gsn_mask_section place = {
+        .x = seen->x, .y = seen->y, .width = seen->width, .height = seen->height
+    };
+
+    for (size_t m = 0; m < GSN_MARKS; m++)
+        if (seen->mark[m].found)
+            place.halo[place.halo_count++] =
+                (struct gsn_mask_disc){ .px = { seen->mark[m].px.x, seen->mark[m].px.y },
+                                        .radius_px = HALO_RADII * seen->mark[m].radius_px };
+    return place;
+}
+
+static void add_flags(struct gsn_assembly_section *s)
+{
+    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++) {
+        const size_t used = strlen(s->flags);
+
+        if (1u << bit != GSN_DEFECT_HALO && s->masked.area_um2[bit] > 0)
+            (void)snprintf(s->flags + used, sizeof s->flags - used, "%s%s", used ? " " : "",
+                           gsn_defect_word(bit));
+    }
+}
+
+int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
+                     unsigned threads, struct gsn_assembly *a, struct gsn_image **ret_labels,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_mask_section) places =
+        gsn_alloc_array(a->section_count, sizeof *places);
+    gsn_auto_mem(struct gsn_mask_figures) figures =
+        gsn_alloc_array(a->section_count, sizeof *figures);
+    struct gsn_mask_panel look = {
+        .od = scan->od, .glass = &scan->glass, .dyes = dyes, .px_um = scan->px_um, .section = places
+    };
+    int r;
+
+    if (!places || !figures)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the masks of a panel");
+    for (size_t i = 0; i < a->section_count; i++)
+        if (is_there(&a->section[i], panel))
+            places[look.section_count++] = place_of(&a->section[i].seen);
+    r = gsn_mask_find(&look, threads, ret_labels, figures, err);
+    for (size_t i = 0, k = 0; r >= 0 && i < a->section_count; i++)
+        if (is_there(&a->section[i], panel)) {
+            a->section[i].masked = figures[k++];
+            add_flags(&a->section[i]);
+        }
+    return r;
+}
+
+/* The label of the pixel that shows this voxel; a pixel outside of the panel has none. */
+static unsigned label_at(const struct gsn_image *labels, const struct gsn_affine *block_to_panel,
+                         struct gsn_vec3 u)
+{
+    const struct gsn_point um = { u.x, u.y };
+    const struct gsn_point px = gsn_affine_apply(block_to_panel, um);
+
+    if (!(px.x >= 0 && px.y >= 0 && px.x < labels->width && px.y < labels->height))
+        return 0;
+    return gsn_image_at(labels, (uint32_t)px.x, (uint32_t)px.y, 0);
+}
+
+static void count_plane(const struct gsn_image *labels, const struct gsn_mask *region, size_t z,
+                        struct gsn_assembly_section *s)
+{
+    const struct gsn_affine block_to_panel = gsn_affine_inverse(&s->pose.panel_to_block_um);
+    const struct gsn_lattice *at = &region->at;
+    size_t all = 0, masked = 0, by[GSN_DEFECTS] = { 0 };
+
+    for (size_t y = 0; y < at->ny; y++)
+        for (size_t x = 0; x < at->nx; x++) {
+            unsigned label;
+
+            if (!region->inside[gsn_lattice_index(at, x, y, z)])
+                continue;
+            label = label_at(labels, &block_to_panel, gsn_lattice_centre(at, x, y, z));
+            all++;
+            masked += label != 0;
+            for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
+                by[bit] += label >> bit & 1;
+        }
+    for (unsigned bit = 0; all > 0 && bit < GSN_DEFECTS; bit++)
+        s->region_by[bit] = (double)by[bit] / (double)all;
+    s->region_masked = all > 0 ? (double)masked / (double)all : 0;
+}
+
+void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double interval_um,
+                        struct gsn_assembly *a)
+{
+    for (size_t i = 0; a->region && i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        const struct gsn_lattice *at = &a->region->at;
+        const double z =
+            round((interval_um * (s->seen.serial + 0.5) - at->origin_um.z) / at->step_um.z);
+
+        if (is_there(s, panel) && s->posed && z >= 0 && z < (double)at->nz)
+            count_plane(labels, a->region, (size_t)z, s);
+    }
+}

@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The defects of one panel in the conductor's terms: which of an assembly's sections lose what, and
+ * how much of the region of interest with it. */
+#ifndef GSN_PIPELINE_MASKING_H
+#define GSN_PIPELINE_MASKING_H
+
+#include "pipeline/assembly.h"
+#include "pipeline/scan.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* gives: the labels of the panel (stain/mask.h). Fills `masked` of its sections in the assembly,
+ * adds a flag for each reason but the halos of the marks, which every section has, and leaves the
+ * shares of the region to gsn_masking_region(). borrows: scan, dyes.
+ * Fails as gsn_mask_find(). */
+int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
+                     unsigned threads, struct gsn_assembly *assembly, struct gsn_image **ret_labels,
+                     struct gsn_error *err);
+
+/* Counts, for each posed section of the panel, what share of its part of the region is masked, by
+ * the voxels of the assembly's region. Nothing without a region. */
+void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double interval_um,
+                        struct gsn_assembly *assembly);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

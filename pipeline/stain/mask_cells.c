@@ -1,0 +1,439 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/mask_cells.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "pipeline/core/distance.h"
+
+/* Cells no larger than this resolve a hair and the char of a mark; finer ones only cost time. */
+static const double CELL_UM = 21.5;
+
+/* Clefts narrower than twice this are closed when the outline is drawn. */
+#define CLEFT_UM 300.0
+
+/* A piece of tissue smaller than this share of the largest one is a scrap or dirt. */
+static const double LEAST_PIECE = 0.05;
+
+/* On a square of half a millimetre not even the three marks find room: it is no section. */
+static const double LEAST_SECTION_UM2 = 500.0 * 500.0;
+
+/* How much more of one channel than of another a piece must absorb, as a share of the sum of all
+ * three (the palest dye mixtures have 0.2, grey has 0), and in codes of 8 bits about 5. */
+static const double LEAST_COLOUR = 0.06, LEAST_TINT = 0.01;
+
+/* Rounding to codes of 8 bits moves bright light by a deviation of 0.29 codes. */
+static const double ROUNDING_OD = 0.0006;
+
+void gsn_mask_cells_free(struct gsn_mask_cells *cells)
+{
+    if (!cells)
+        return;
+    for (size_t c = 0; c < 3; c++) {
+        gsn_plane_free(cells->od[c]);
+        gsn_plane_free(cells->even[c]);
+    }
+    gsn_plane_free(cells->red);
+    gsn_plane_free(cells->yellow);
+    gsn_plane_free(cells->dark);
+    gsn_plane_free(cells->total);
+    gsn_plane_free(cells->foreign);
+    gsn_free(cells->tissue);
+    gsn_free(cells->outline);
+    gsn_free(cells->label);
+    gsn_free(cells);
+}
+
+/* ---- neighbourhoods ---------------------------------------------------------------------- */
+
+/* Means over 2 r + 1 values of a line, fewer at its ends. */
+static void smooth_line(const float *in, float *out, size_t n, size_t stride, size_t r)
+{
+    double sum = 0;
+    size_t first = 0, end = 0;
+
+    for (size_t i = 0; i < n; i++) {
+        for (; end < n && end <= i + r; end++)
+            sum += in[end * stride];
+        for (; first + r < i; first++)
+            sum -= in[first * stride];
+        out[i * stride] = (float)(sum / (double)(end - first));
+    }
+}
+
+int gsn_mask_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_plane **ret_smooth,
+                          struct gsn_error *err)
+{
+    const size_t nx = plane->width, ny = plane->height;
+    gsn_auto(gsn_plane) rows = NULL;
+    gsn_auto(gsn_plane) all = NULL;
+    int code = gsn_plane_new(plane->width, plane->height, &rows, err);
+
+    if (code >= 0)
+        code = gsn_plane_new(plane->width, plane->height, &all, err);
+    if (code < 0)
+        return code;
+    for (size_t y = 0; y < ny; y++)
+        smooth_line(plane->value + y * nx, rows->value + y * nx, nx, 1, r);
+    for (size_t x = 0; x < nx; x++)
+        smooth_line(rows->value + x, all->value + x, ny, nx, r);
+    *ret_smooth = gsn_steal(&all);
+    return GSN_OK;
+}
+
+/* set becomes 1 within um of where it was `value`, else 0. */
+static int near(const struct gsn_mask_cells *cells, uint8_t *set, uint8_t value, double um,
+                struct gsn_error *err)
+{
+    const struct gsn_distance_box box = { cells->nx, cells->ny, 1, cells->um, cells->um, 1 };
+    const size_t count = (size_t)cells->nx * cells->ny;
+    gsn_auto_mem(float) squared = gsn_alloc_array(count, sizeof *squared);
+    int r;
+
+    if (!squared)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    for (size_t i = 0; i < count; i++)
+        set[i] = set[i] == value;
+    r = gsn_distance_squared(set, &box, 1, squared, err);
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        set[i] = squared[i] <= (float)(um * um);
+    return r;
+}
+
+int gsn_mask_cells_dilate(const struct gsn_mask_cells *cells, uint8_t *set, double um,
+                          struct gsn_error *err)
+{
+    return near(cells, set, 1, um, err);
+}
+
+int gsn_mask_cells_erode(const struct gsn_mask_cells *cells, uint8_t *set, double um,
+                         struct gsn_error *err)
+{
+    const int r = near(cells, set, 0, um, err);
+
+    for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
+        set[i] = !set[i];
+    return r;
+}
+
+void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum gsn_defect defect)
+{
+    for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
+        if (set[i])
+            cells->label[i] = (uint16_t)(cells->label[i] | defect);
+}
+
+/* ---- pieces ------------------------------------------------------------------------------ */
+
+void gsn_mask_cells_pieces_free(struct gsn_mask_cells_pieces *pieces)
+{
+    if (!pieces)
+        return;
+    gsn_free(pieces->piece);
+    gsn_free(pieces->cell);
+    gsn_free(pieces);
+}
+
+/* Takes the piece that holds start out of left, appending its cells to list. */
+static size_t flood(const struct gsn_mask_cells *cells, uint8_t *left, size_t start, uint32_t *list)
+{
+    size_t count = 0;
+
+    list[count++] = (uint32_t)start;
+    left[start] = 0;
+    for (size_t done = 0; done < count; done++) {
+        const long x = list[done] % cells->nx, y = list[done] / cells->nx;
+
+        for (long v = y > 0 ? y - 1 : 0; v <= y + 1 && v < (long)cells->ny; v++)
+            for (long u = x > 0 ? x - 1 : 0; u <= x + 1 && u < (long)cells->nx; u++) {
+                const size_t at = (size_t)v * cells->nx + (size_t)u;
+
+                if (left[at]) {
+                    left[at] = 0;
+                    list[count++] = (uint32_t)at;
+                }
+            }
+    }
+    return count;
+}
+
+static void measure_piece(const struct gsn_mask_cells *cells, const uint32_t *list,
+                          struct gsn_mask_cells_piece *piece)
+{
+    double xx = 1.0 / 12, yy = 1.0 / 12, xy = 0; /* a cell is a square, not a point */
+    double half, turn;
+
+    for (size_t i = 0; i < piece->count; i++) {
+        piece->x += list[i] % cells->nx / (double)piece->count;
+        piece->y += list[i] / cells->nx / (double)piece->count;
+    }
+    for (size_t i = 0; i < piece->count; i++) {
+        const double x = list[i] % cells->nx - piece->x, y = list[i] / cells->nx - piece->y;
+
+        xx += x * x / (double)piece->count;
+        yy += y * y / (double)piece->count;
+        xy += x * y / (double)piece->count;
+    }
+    half = hypot((xx - yy) / 2, xy);
+    turn = atan2(2 * xy, xx - yy) / 2;
+    piece->length = 4 * sqrt((xx + yy) / 2 + half);
+    piece->breadth = 4 * sqrt(fmax((xx + yy) / 2 - half, 0));
+    piece->along_x = cos(turn);
+    piece->along_y = sin(turn);
+}
+
+int gsn_mask_cells_pieces(const struct gsn_mask_cells *cells, const uint8_t *set,
+                          struct gsn_mask_cells_pieces **ret_pieces, struct gsn_error *err)
+{
+    const size_t count = (size_t)cells->nx * cells->ny;
+    gsn_auto(gsn_mask_cells_pieces) pieces = gsn_alloc_array(1, sizeof *pieces);
+    gsn_auto_mem(uint8_t) left = gsn_memdup(set, count);
+    size_t room = 0, used = 0;
+
+    if (pieces)
+        pieces->cell = gsn_alloc_array(count, sizeof *pieces->cell);
+    if (!pieces || !left || !pieces->cell)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    for (size_t i = 0; i < count; i++) {
+        if (!left[i])
+            continue;
+        if (pieces->count == room) {
+            void *more = gsn_realloc_array(pieces->piece, 2 * room + 64, sizeof *pieces->piece);
+
+            if (!more)
+                return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+            pieces->piece = more;
+            room = 2 * room + 64;
+        }
+        struct gsn_mask_cells_piece piece = { .first = used };
+
+        piece.count = flood(cells, left, i, pieces->cell + used);
+        measure_piece(cells, pieces->cell + used, &piece);
+        used += piece.count;
+        pieces->piece[pieces->count++] = piece;
+    }
+    *ret_pieces = gsn_steal(&pieces);
+    return GSN_OK;
+}
+
+int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure, uint8_t *weak,
+                        double um, struct gsn_error *err)
+{
+    const size_t count = (size_t)cells->nx * cells->ny;
+    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
+    gsn_auto_mem(uint8_t) reach = gsn_memdup(sure, count);
+    int r;
+
+    if (!reach)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    r = gsn_mask_cells_dilate(cells, reach, um, err);
+    for (size_t i = 0; i < count; i++)
+        weak[i] = sure[i] || (weak[i] && reach[i]);
+    if (r >= 0)
+        r = gsn_mask_cells_pieces(cells, weak, &pieces, err);
+    for (size_t p = 0; r >= 0 && p < pieces->count; p++) {
+        const uint32_t *cell = pieces->cell + pieces->piece[p].first;
+        int held = 0;
+
+        for (size_t i = 0; i < pieces->piece[p].count; i++)
+            held |= sure[cell[i]];
+        for (size_t i = 0; i < pieces->piece[p].count; i++)
+            weak[cell[i]] = (uint8_t)held;
+    }
+    return r;
+}
+
+/* ---- cutting out ------------------------------------------------------------------------- */
+
+static struct gsn_mask_cells sizes(const struct gsn_mask_panel *panel,
+                                   const struct gsn_mask_section *section)
+{
+    struct gsn_mask_cells c = { .x0 = section->x, .y0 = section->y };
+
+    c.side = (uint32_t)fmax(1, floor(CELL_UM / panel->px_um));
+    c.um = c.side * panel->px_um;
+    c.rim = (uint32_t)ceil(CLEFT_UM / c.um) + 2;
+    c.nx = ((uint32_t)section->width + c.side - 1) / c.side + 2 * c.rim;
+    c.ny = ((uint32_t)section->height + c.side - 1) / c.side + 2 * c.rim;
+    c.noise = (float)(hypot(panel->glass->noise_od, ROUNDING_OD) / c.side);
+    return c;
+}
+
+/* Mean of the pixels of each cell; a masked pixel and the rim are clear glass. */
+static void average(const struct gsn_plane *od, const struct gsn_mask_cells *cells,
+                    const struct gsn_mask_section *section, struct gsn_plane *into)
+{
+    for (uint32_t y = 0; y < (uint32_t)section->height; y++) {
+        const float *row = od->value + (size_t)(section->y + (int)y) * od->width + section->x;
+        float *out = into->value + (size_t)(cells->rim + y / cells->side) * cells->nx + cells->rim;
+
+        for (uint32_t x = 0; x < (uint32_t)section->width; x++)
+            out[x / cells->side] += isnan(row[x]) ? 0 : row[x];
+    }
+    for (uint32_t y = 0; y * cells->side < (uint32_t)section->height; y++)
+        for (uint32_t x = 0; x * cells->side < (uint32_t)section->width; x++) {
+            const uint32_t w = (uint32_t)section->width - x * cells->side;
+            const uint32_t h = (uint32_t)section->height - y * cells->side;
+            const uint32_t n =
+                (w < cells->side ? w : cells->side) * (h < cells->side ? h : cells->side);
+
+            into->value[(size_t)(cells->rim + y) * cells->nx + cells->rim + x] /= (float)n;
+        }
+}
+
+/* What no mixture of the dyes explains, of densities smoothed over 3 x 3 cells: the noise of single
+ * pixels lies outside of every mixture. */
+static int find_foreign(struct gsn_mask_cells *cells, struct gsn_plane *const od[3],
+                        const struct gsn_dyes *dyes, struct gsn_error *err)
+{
+    gsn_auto(gsn_plane) red = NULL;
+    gsn_auto(gsn_plane) yellow = NULL;
+    gsn_auto(gsn_plane) dark = NULL;
+    int r = gsn_unmix(od, dyes, 1, &red, &yellow, &dark, err);
+
+    if (r >= 0)
+        r = gsn_plane_new(cells->nx, cells->ny, &cells->foreign, err);
+    for (size_t i = 0; r >= 0 && i < (size_t)cells->nx * cells->ny; i++) {
+        double left = 0;
+
+        for (int c = 0; c < 3; c++) {
+            const double d = od[c]->value[i] - red->value[i] * dyes->full_red_od * dyes->red[c] -
+                             yellow->value[i] * dyes->yellow[c] - dark->value[i] * dyes->dark[c];
+
+            left += d * d;
+        }
+        cells->foreign->value[i] = (float)sqrt(left);
+    }
+    return r;
+}
+
+static int explain(struct gsn_mask_cells *cells, const struct gsn_dyes *dyes, struct gsn_error *err)
+{
+    const size_t count = (size_t)cells->nx * cells->ny;
+    int r = gsn_unmix(cells->od, dyes, 1, &cells->red, &cells->yellow, &cells->dark, err);
+
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        cells->red->value[i] *= (float)dyes->full_red_od;
+    for (int c = 0; c < 3 && r >= 0; c++)
+        r = gsn_mask_cells_smooth(cells->od[c], 1, &cells->even[c], err);
+    if (r >= 0)
+        r = find_foreign(cells, cells->even, dyes, err);
+    if (r >= 0)
+        r = gsn_plane_new(cells->nx, cells->ny, &cells->total, err);
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        cells->total->value[i] =
+            cells->even[0]->value[i] + cells->even[1]->value[i] + cells->even[2]->value[i];
+    return r;
+}
+
+/* ---- tissue and its outline -------------------------------------------------------------- */
+
+/* Whether a piece has colour: stained tissue has dye in it, a smear, a shadow or a line has none.
+ */
+static int has_colour(const struct gsn_mask_cells *cells,
+                      const struct gsn_mask_cells_pieces *pieces,
+                      const struct gsn_mask_cells_piece *piece)
+{
+    double mean[3] = { 0 };
+
+    for (size_t i = 0; i < piece->count; i++)
+        for (int c = 0; c < 3; c++)
+            mean[c] += cells->od[c]->value[pieces->cell[piece->first + i]] / (double)piece->count;
+
+    const double most = fmax(mean[0], fmax(mean[1], mean[2]));
+    const double least = fmin(mean[0], fmin(mean[1], mean[2]));
+
+    return most - least > fmax(LEAST_COLOUR * (mean[0] + mean[1] + mean[2]), LEAST_TINT);
+}
+
+/* Only the large pieces of what is not glass and has colour. */
+static int find_tissue(struct gsn_mask_cells *cells, struct gsn_error *err)
+{
+    const size_t count = (size_t)cells->nx * cells->ny;
+    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
+    size_t largest = 0;
+    int r;
+
+    for (size_t i = 0; i < count; i++)
+        cells->tissue[i] = cells->total->value[i] > cells->clear;
+    r = gsn_mask_cells_pieces(cells, cells->tissue, &pieces, err);
+    if (r < 0)
+        return r;
+    memset(cells->tissue, 0, count);
+    for (size_t p = 0; p < pieces->count; p++)
+        if (!has_colour(cells, pieces, &pieces->piece[p]))
+            pieces->piece[p].count = 0;
+    for (size_t p = 0; p < pieces->count; p++)
+        largest = pieces->piece[p].count > largest ? pieces->piece[p].count : largest;
+    if ((double)largest * cells->um * cells->um < LEAST_SECTION_UM2)
+        return GSN_OK;
+    for (size_t p = 0; p < pieces->count; p++)
+        for (size_t i = 0; i < pieces->piece[p].count; i++)
+            if ((double)pieces->piece[p].count >= LEAST_PIECE * (double)largest)
+                cells->tissue[pieces->cell[pieces->piece[p].first + i]] = 1;
+    return GSN_OK;
+}
+
+/* What no way of glass from the border reaches is inside. */
+static int fill_holes(const struct gsn_mask_cells *cells, uint8_t *set, struct gsn_error *err)
+{
+    const size_t count = (size_t)cells->nx * cells->ny;
+    gsn_auto_mem(uint8_t) outside = gsn_alloc(count);
+    gsn_auto_mem(uint32_t) list = gsn_alloc_array(count, sizeof *list);
+    size_t n;
+
+    if (!outside || !list)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    for (size_t i = 0; i < count; i++)
+        outside[i] = !set[i];
+    n = flood(cells, outside, 0, list); /* the rim is glass, and all of one piece */
+    memset(set, 1, count);
+    for (size_t i = 0; i < n; i++)
+        set[list[i]] = 0;
+    return GSN_OK;
+}
+
+static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
+{
+    int r;
+
+    memcpy(cells->outline, cells->tissue, (size_t)cells->nx * cells->ny);
+    r = gsn_mask_cells_dilate(cells, cells->outline, CLEFT_UM, err);
+    if (r >= 0)
+        r = gsn_mask_cells_erode(cells, cells->outline, CLEFT_UM, err);
+    return r < 0 ? r : fill_holes(cells, cells->outline, err);
+}
+
+int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_mask_section *section,
+                       double clear, struct gsn_mask_cells **ret_cells, struct gsn_error *err)
+{
+    gsn_auto(gsn_mask_cells) cells = gsn_alloc_array(1, sizeof *cells);
+    size_t count;
+    int r = GSN_OK;
+
+    if (!cells)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    *cells = sizes(panel, section);
+    cells->clear = (float)clear;
+    count = (size_t)cells->nx * cells->ny;
+    cells->tissue = gsn_alloc_array(count, 1);
+    cells->outline = gsn_alloc_array(count, 1);
+    cells->label = gsn_alloc_array(count, sizeof *cells->label);
+    if (!cells->tissue || !cells->outline || !cells->label)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    for (int c = 0; c < 3 && r >= 0; c++) {
+        r = gsn_plane_new(cells->nx, cells->ny, &cells->od[c], err);
+        if (r >= 0)
+            average(panel->od[c], cells, section, cells->od[c]);
+    }
+    if (r >= 0)
+        r = explain(cells, panel->dyes, err);
+    if (r >= 0)
+        r = find_tissue(cells, err);
+    if (r >= 0)
+        r = draw_outline(cells, err);
+    if (r < 0)
+        return r;
+    *ret_cells = gsn_steal(&cells);
+    return GSN_OK;
+}

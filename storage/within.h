@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The parts of which a larger change is made: one panel, one job, one line of the diary, each in
+ * the transaction that the caller has begun. They set no savepoint, which would copy every page
+ * that they change: when one fails, the whole transaction must be rolled back. Private to this
+ * folder. */
+#ifndef GSN_STORAGE_WITHIN_H
+#define GSN_STORAGE_WITHIN_H
+
+#include "storage/panel_log.h"
+#include "storage/scan.h"
+
+/* As gsn_panel_put(). */
+int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
+                     int *ret_again, struct gsn_error *err);
+/* As gsn_queue_add(), of a panel that is known to be the specimen's; 0: the specimen's own job. */
+int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
+                  struct gsn_error *err);
+/* Asks for the panel and for the specimen, which rests on it. */
+int gsn_scan_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
+                 struct gsn_error *err);
+/* Makes a scan the panel of a specimen and asks for it; the same bytes were its panel before:
+ * ret_again becomes 1 and nothing is asked. */
+int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
+                       int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
+                       struct gsn_error *err);
+/* As gsn_event_add(). */
+int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
+                     const char *subject, const char *text, struct gsn_error *err);
+
+#endif

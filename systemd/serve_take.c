@@ -1,0 +1,259 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/serving.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <time.h>
+
+#include "acquire/spool.h"
+#include "pipeline/core/process.h"
+#include "storage/bench.h"
+#include "storage/catalog.h"
+#include "storage/scan.h"
+#include "systemd/import_child.h"
+
+struct gsn_log_about gsn_serving_about(const struct gsn_serving *serving, const char *id)
+{
+    return (struct gsn_log_about){ .id = id, .source = serving->config->name };
+}
+
+int gsn_serving_on_copy(void *context, uint64_t offset)
+{
+    struct gsn_serving *const serving = context;
+
+    gsn_lifeline_breathe(serving->line, serving->item ? GSN_READY : GSN_BREATH);
+    if (serving->item)
+        gsn_source_row_progress(&serving->row, serving->item, serving->item_began_ms, offset,
+                                serving->item_size);
+    return gsn_lifeline_is_over(serving->line);
+}
+
+void gsn_serving_on_piece(void *context)
+{
+    const struct gsn_serving *const serving = context;
+
+    gsn_lifeline_breathe(serving->line, GSN_READY);
+}
+
+static void tell_taken(const struct gsn_serving *serving, const struct gsn_source_event *ready,
+                       const struct gsn_intake_taken *taken)
+{
+    gsn_auto(gsn_scan_row) scan = NULL;
+    struct gsn_log_about what = gsn_serving_about(serving, GSN_LOG_ARRIVED);
+    struct gsn_error quiet = { 0 };
+
+    if (taken->again || gsn_scan_get(serving->store, taken->scan, &scan, &quiet) < 0)
+        return;
+    what.scan = taken->scan;
+    what.specimen = scan->specimen;
+    gsn_log(ready->incomplete ? LOG_WARNING : LOG_INFO, &what, "%s is scan %lld, %s: %s%s%s",
+            ready->name, (long long)taken->scan, scan->state, scan->reason,
+            ready->incomplete ? "; " : "", ready->incomplete ? ready->reason : "");
+}
+
+static int put_trouble(struct gsn_serving *serving, const char *name, const char *reason,
+                       const char *action, struct gsn_error *err)
+{
+    const struct gsn_log_about what = gsn_serving_about(serving, GSN_LOG_TROUBLE);
+    int is_new = 0;
+    const int r =
+        gsn_failing_add(&serving->failing, name, reason, action, gsn_now_ms(), &is_new, err);
+
+    if (is_new)
+        gsn_log(LOG_WARNING, &what, "%s could not be taken in: %s", name, reason);
+    return r;
+}
+
+/* The first device to fail is asked again before the item is blamed: it may be gone. */
+static int blame_item(struct gsn_serving *serving, const char *name, const char *reason,
+                      struct gsn_error *err)
+{
+    if (!serving->is_device)
+        return put_trouble(serving, name, reason, "look at the file, or copy it again", err);
+    (void)snprintf(serving->blamed, sizeof serving->blamed, "%s", name);
+    (void)snprintf(serving->blame, sizeof serving->blame, "%s", reason);
+    return GSN_OK;
+}
+
+int gsn_serving_settle_blame(struct gsn_serving *serving, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    if (serving->blamed[0])
+        r = put_trouble(serving, serving->blamed, serving->blame,
+                        "look at the picture on the device; it is tried again by itself", err);
+    serving->blamed[0] = '\0';
+    return r;
+}
+
+static int tell_kept(struct gsn_serving *serving, const char *name, const char *reason,
+                     struct gsn_error *err)
+{
+    const struct gsn_log_about what = gsn_serving_about(serving, GSN_LOG_TROUBLE);
+    int is_new = 0;
+    const int r =
+        gsn_failing_add(&serving->failing, name, reason,
+                        "look whether the device has finished it: what changes there comes "
+                        "in again by itself; what is whole there is deleted by hand",
+                        gsn_now_ms(), &is_new, err);
+
+    if (is_new)
+        gsn_log(LOG_WARNING, &what, "%s %s", name, reason);
+    return r;
+}
+
+/* Takes one. Fails only where nothing more can be taken in this round. */
+static int take(struct gsn_serving *serving, const struct gsn_source_event *ready,
+                struct gsn_error *err)
+{
+    struct gsn_intake_taken taken;
+    enum gsn_intake_fault fault;
+    struct gsn_error why = { 0 };
+    int r;
+
+    serving->item = ready->name;
+    serving->item_size = ready->size;
+    serving->item_began_ms = gsn_now_ms();
+    r = gsn_intake_take(&serving->intake, ready, time(NULL), &taken, &fault, &why);
+    serving->item = NULL;
+    if (r >= 0) {
+        serving->store_failures = 0;
+        tell_taken(serving, ready, &taken);
+        if (taken.kept[0])
+            return tell_kept(serving, ready->name, taken.kept, err);
+        return gsn_failing_over(&serving->failing, ready->name, err);
+    }
+    if (fault == GSN_FAULT_ITEM)
+        return blame_item(serving, ready->name, why.text, err);
+    if (fault == GSN_FAULT_LATER)
+        return GSN_OK;
+    serving->store_failures += fault == GSN_FAULT_STORE;
+    return gsn_fail(err, fault == GSN_FAULT_ROOM ? GSN_E_LIMIT : r, "%s", why.text);
+}
+
+/* What the configuration expects counts while nobody said otherwise. */
+static void ensure_expected(struct gsn_serving *serving)
+{
+    gsn_auto(gsn_bench_sources) rows = NULL;
+    const struct gsn_log_about what = gsn_serving_about(serving, NULL);
+    struct gsn_error err = { 0 };
+    bool is_said = false;
+
+    if (!serving->config->specimen[0] || gsn_bench_list(serving->store, &rows, &err) < 0)
+        return;
+    for (size_t i = 0; i < rows->count; i++)
+        if (strcmp(rows->at[i].name, serving->config->name) == 0 && rows->at[i].expects[0])
+            is_said = true;
+    if (!is_said && gsn_scan_expect(serving->store, serving->config->name,
+                                    serving->config->specimen, "gieson.conf", time(NULL), &err) < 0)
+        gsn_log(LOG_WARNING, &what, "Specimen=%s: %s", serving->config->specimen, err.text);
+}
+
+/* Folders in a hot folder are looked into, once they say whose panels they hold. */
+static bool is_specimen_folder(const struct gsn_serving *serving, const char *name)
+{
+    gsn_auto_mem(char) path = NULL;
+    struct stat st;
+
+    if (!serving->folders)
+        return false;
+    path = gsn_format("%s/%s", serving->config->address + strlen(GSN_SERVING_HOT), name);
+    return path && stat(path, &st) == 0 && S_ISDIR(st.st_mode);
+}
+
+/* What is told without being delivered. Something that still changes is looked at again soon. */
+static void tell_news(struct gsn_serving *serving, const struct gsn_source_event *event)
+{
+    const struct gsn_log_about what = gsn_serving_about(serving, NULL);
+    const int64_t soon = gsn_now_ms() + serving->config->settle_ms + 50;
+
+    if (event->what == GSN_SOURCE_WAITING && soon < serving->next_look_ms)
+        serving->next_look_ms = soon;
+    if (event->what == GSN_SOURCE_NOTICE && is_specimen_folder(serving, event->name))
+        gsn_log(LOG_INFO, &what, "%s: is taken in as a specimen once it holds a job.json",
+                event->name);
+    else if (event->what == GSN_SOURCE_NOTICE || event->what == GSN_SOURCE_GONE)
+        gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "",
+                event->reason);
+}
+
+int gsn_serving_take_all(struct gsn_serving *serving, const struct gsn_source_events *events,
+                         struct gsn_error *err)
+{
+    bool expected = false;
+
+    for (size_t i = 0; i < events->count; i++) {
+        const struct gsn_source_event *const event = &events->at[i];
+        int r;
+
+        if (event->what != GSN_SOURCE_READY) {
+            tell_news(serving, event);
+            continue;
+        }
+        if (gsn_failing_rests(&serving->failing, event->name, gsn_now_ms()) ||
+            gsn_lifeline_is_over(serving->line) || serving->blamed[0])
+            continue;
+        if (!expected)
+            ensure_expected(serving);
+        expected = true;
+        r = take(serving, event, err);
+        if (r < 0)
+            return r;
+    }
+    return GSN_OK;
+}
+
+static int run_import(const struct gsn_serving *serving, const char *folder, struct gsn_error *err)
+{
+    gsn_auto_mem(char) worker = NULL;
+    const int r = gsn_process_sibling("gieson-work", &worker, err);
+    const struct gsn_import_child child = { .worker = worker,
+                                            .store_dir = gsn_store_dir(serving->store),
+                                            .source = serving->config->name,
+                                            .folder = folder,
+                                            .line = serving->line,
+                                            .patience_ms = serving->config->patience_s * 1000 };
+
+    return r < 0 ? r : gsn_import_child_run(&child, err);
+}
+
+static int import(struct gsn_serving *serving, const struct gsn_specimen_due *due,
+                  struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
+    int r = gsn_spool_has_room(serving->spool, due->bytes, err);
+
+    if (r < 0)
+        return r;
+    gsn_source_row_progress(&serving->row, due->name, 0, 0, due->bytes);
+    r = run_import(serving, due->path, &why);
+    if (r >= 0) {
+        gsn_specimen_folders_done(serving->folders, due->index);
+        return gsn_failing_over(&serving->failing, due->name, err);
+    }
+    gsn_specimen_folders_failed(serving->folders, due->index, gsn_now_ms());
+    if (r == GSN_E_BUSY)
+        return GSN_OK;
+    return put_trouble(serving, due->name, why.text,
+                       "correct the folder; it is tried again by itself", err);
+}
+
+int gsn_serving_import_all(struct gsn_serving *serving, struct gsn_error *err)
+{
+    struct gsn_specimen_due due = { .path = NULL };
+    long after = -1;
+
+    if (!serving->folders)
+        return GSN_OK;
+    for (;;) {
+        int r = gsn_specimen_folders_next(serving->folders, gsn_now_ms(), after, &due, err);
+
+        if (r < 0 || !due.path || gsn_lifeline_is_over(serving->line))
+            return r;
+        after = (long)due.index;
+        r = import(serving, &due, err);
+        if (r < 0)
+            return r;
+    }
+}

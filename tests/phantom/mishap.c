@@ -1,0 +1,422 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "tests/phantom/mishap.h"
+
+#include "tests/phantom/stain.h"
+
+#include <math.h>
+
+/* Sections that have been given a defect, of one panel. */
+struct dealing {
+    struct gsn_phantom_plan *plan;
+    struct gsn_phantom_random *random;
+    int panel; /* from 0 */
+    int used[GSN_PHANTOM_SLOTS];
+};
+
+static struct gsn_point around(struct gsn_phantom_random *random, struct gsn_point centre,
+                               double radius)
+{
+    const double r = radius * sqrt(gsn_phantom_uniform(random));
+    const double phi = gsn_phantom_between(random, 0, 2 * M_PI);
+
+    return (struct gsn_point){ centre.x + r * cos(phi), centre.y + r * sin(phi) };
+}
+
+static struct gsn_point centre_um(const struct gsn_phantom_plan *plan,
+                                  const struct gsn_phantom_section *s)
+{
+    return (struct gsn_point){ s->centre_px.x * plan->px_um, s->centre_px.y * plan->px_um };
+}
+
+/* --- marks and decoys --- */
+
+/* They belong to the section that is mounted: a section mounted twice brings the same marks. */
+static void burn_marks(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
+{
+    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
+    const struct gsn_phantom_level *level = plan->level;
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_MARKS, s->shows < 0 ? s->k : s->shows, 0);
+
+    for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
+        struct gsn_phantom_mark *mark = &s->mark[i];
+
+        *mark = (struct gsn_phantom_mark){ .centre = g->mark[i],
+                                           .radius_um = gsn_phantom_recipe()->mark_radius_um,
+                                           .ratio = 1 };
+        if (!level->handled)
+            continue;
+        mark->missing = gsn_phantom_uniform(&random) < level->mark_missing_share;
+        mark->centre.x += gsn_phantom_normal(&random, level->mark_wander_um);
+        mark->centre.y += gsn_phantom_normal(&random, level->mark_wander_um);
+        mark->radius_um *= gsn_phantom_between(&random, 0.9, 1.1);
+        mark->ratio = gsn_phantom_between(&random, 1, 1.15);
+        mark->turn = gsn_phantom_between(&random, 0, M_PI);
+    }
+}
+
+/* A decoy on a mark would be a spoilt mark instead. */
+static int near_mark(const struct gsn_phantom_plan *plan, const struct gsn_phantom_section *s,
+                     struct gsn_point at_um)
+{
+    const double apart = 350;
+
+    for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
+        const struct gsn_point p = gsn_affine_apply(&s->to_panel, s->mark[i].centre);
+
+        if (hypot(p.x * plan->px_um - at_um.x, p.y * plan->px_um - at_um.y) < apart)
+            return 1;
+    }
+    return 0;
+}
+
+static void strew(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
+{
+    const double reach = 2600, least_um = 40, most_um = 130;
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DECOYS, s->k, 0);
+    const int wanted = (int)gsn_phantom_below(&random, (uint32_t)plan->level->decoys_most + 1);
+
+    while (s->decoys < wanted) {
+        struct gsn_phantom_decoy *decoy = &s->decoy[s->decoys];
+
+        decoy->kind =
+            (enum gsn_phantom_decoy_kind)gsn_phantom_below(&random, GSN_PHANTOM_DECOY_KINDS);
+        decoy->radius_um = gsn_phantom_between(&random, least_um, most_um);
+        decoy->at_um = around(&random, centre_um(plan, s), reach);
+        s->decoys += !near_mark(plan, s, decoy->at_um);
+    }
+}
+
+/* --- sections that are not there --- */
+
+static void add(struct gsn_phantom_plan *plan, const struct gsn_phantom_defect *defect)
+{
+    if (plan->defects < GSN_PHANTOM_DEFECTS_MOST)
+        plan->defect[plan->defects++] = *defect;
+}
+
+/* A lost section leaves its slot empty; now and then the one before it is mounted there again. */
+static void lose(struct gsn_phantom_plan *plan, int k, struct gsn_phantom_random *random)
+{
+    const double duplicate_share = 0.25;
+    struct gsn_phantom_section *s = &plan->section[k];
+    const int again = gsn_phantom_uniform(random) < duplicate_share && s->slot > 0 &&
+                      plan->section[k - 1].shows == k - 1;
+    const struct gsn_phantom_defect defect = {
+        .kind = again ? GSN_PHANTOM_DUPLICATE : GSN_PHANTOM_EMPTY_SLOT,
+        .k = k,
+        .at = gsn_phantom_slot_centre_um(s->slot),
+    };
+
+    s->shows = again ? k - 1 : -1;
+    add(plan, &defect);
+}
+
+static void lose_some(struct dealing *deal)
+{
+    const struct gsn_phantom_level *level = deal->plan->level;
+    const int range = level->missing_most - level->missing_least + 1;
+    int left = level->missing_least + (int)gsn_phantom_below(deal->random, (uint32_t)range);
+
+    while (left > 0) {
+        const int slot = (int)gsn_phantom_below(deal->random, GSN_PHANTOM_SLOTS);
+        const int k = deal->panel * GSN_PHANTOM_SLOTS + slot;
+
+        if (deal->used[slot] ||
+            (slot + 1 < GSN_PHANTOM_SLOTS && deal->plan->section[k + 1].shows == k))
+            continue;
+        lose(deal->plan, k, deal->random);
+        deal->used[slot] = 1;
+        left--;
+    }
+}
+
+/* --- defects --- */
+
+static void shape_tear(struct gsn_phantom_random *random, struct gsn_phantom_defect *d)
+{
+    d->turn = gsn_phantom_between(random, 0, 2 * M_PI);
+    d->at.x = gsn_phantom_between(random, -1200, 1200);
+    d->at.y = gsn_phantom_between(random, 0, 1200);
+    d->slope = gsn_phantom_between(random, .05, .15);
+}
+
+static void shape_fold(struct gsn_phantom_random *random, struct gsn_phantom_defect *d)
+{
+    d->turn = gsn_phantom_between(random, 0, 2 * M_PI);
+    d->at.x = gsn_phantom_between(random, 600, 1600);
+    d->width = gsn_phantom_between(random, 80, 250);
+}
+
+/* The piece floats off into a corner of the slot. */
+static void shape_piece(const struct dealing *deal, const struct gsn_phantom_section *s,
+                        struct gsn_phantom_defect *d)
+{
+    const struct gsn_point slot = gsn_phantom_slot_centre_um(s->slot), middle = { 0, 0 };
+    const double corner = 3250, radius = gsn_phantom_between(deal->random, 250, 500);
+    const uint32_t which = gsn_phantom_below(deal->random, 4);
+    const struct gsn_point place_px = {
+        (slot.x + (which & 1 ? corner : -corner)) / deal->plan->px_um,
+        (slot.y + (which & 2 ? corner : -corner)) / deal->plan->px_um,
+    };
+
+    d->at = around(deal->random, middle, 1700);
+    d->count = 7;
+    for (size_t i = 0; i < d->count; i++) {
+        const double phi = 2 * M_PI * (double)i / (double)d->count;
+        const double r = radius * gsn_phantom_between(deal->random, .75, 1.25);
+
+        d->point[i] = (struct gsn_point){ r * cos(phi), r * sin(phi) };
+    }
+    d->radius = radius;
+    d->place = gsn_phantom_material(s, deal->plan->px_um, place_px);
+    d->place_turn = gsn_phantom_between(deal->random, 0, 2 * M_PI);
+}
+
+/* A curve that wanders: each step turns by up to bend. */
+static void wander(struct gsn_phantom_random *random, struct gsn_point from, double heading,
+                   double step, double bend, struct gsn_phantom_defect *d)
+{
+    for (size_t i = 0; i < d->count; i++) {
+        d->point[i] = from;
+        heading += gsn_phantom_between(random, -bend, bend);
+        from.x += step * cos(heading);
+        from.y += step * sin(heading);
+    }
+}
+
+static void shape_hair(struct gsn_phantom_random *random, struct gsn_point centre,
+                       struct gsn_phantom_defect *d)
+{
+    const double heading = gsn_phantom_between(random, 0, 2 * M_PI);
+
+    d->width = 12;
+    d->count = 6;
+    wander(random, around(random, centre, 2000), heading, gsn_phantom_between(random, 350, 700), .9,
+           d);
+    d->at = d->point[0];
+    for (int i = 0; i < GSN_PHANTOM_DUST; i++) {
+        d->dust[i].at = around(random, centre, 2600);
+        d->dust[i].radius = gsn_phantom_between(random, 12, 50);
+    }
+}
+
+/* Across the section, or beside it within its slot. */
+static void shape_pen(struct gsn_phantom_random *random, struct gsn_point slot,
+                      struct gsn_point centre, struct gsn_phantom_defect *d)
+{
+    const double side = gsn_phantom_below(random, 2) ? 1 : -1;
+    const double phi = gsn_phantom_between(random, 0, 2 * M_PI);
+    const double length = gsn_phantom_between(random, 2000, 4500);
+
+    d->width = gsn_phantom_between(random, 600, 1000);
+    d->colour = (int)gsn_phantom_below(random, GSN_PHANTOM_PENS);
+    d->count = 4;
+    if (gsn_phantom_below(random, 2)) {
+        const struct gsn_point from = { centre.x - length / 2 * cos(phi),
+                                        centre.y - length / 2 * sin(phi) };
+
+        wander(random, around(random, from, 600), phi, length / 3, .3, d);
+    } else {
+        const struct gsn_point from = { slot.x - length / 2, slot.y + side * 3100 };
+
+        wander(random, from, 0, length / 3, .05, d);
+    }
+    d->at = d->point[0];
+}
+
+/* Lays a section and its right neighbour so close that their outlines meet: the half width of the
+ * outline |x/Ax|^p + |y/Ay|^p = 1 in a direction is its support function. */
+static double half_width(const struct gsn_phantom_section *s)
+{
+    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
+    const double q = g->p / (g->p - 1);
+
+    return pow(pow(fabs(g->ax * s->sx * cos(s->theta)), q) +
+                   pow(fabs(g->ay * s->sy * sin(s->theta)), q),
+               1 / q);
+}
+
+static void touch(const struct dealing *deal, struct gsn_phantom_section *left,
+                  struct gsn_phantom_defect *d)
+{
+    struct gsn_phantom_section *right = left + 1;
+    const double overlap = gsn_phantom_between(deal->random, 0, 80);
+    const double px_um = deal->plan->px_um;
+    const double apart = half_width(left) + half_width(right) - overlap;
+    const double excess = (right->centre_px.x - left->centre_px.x) * px_um - apart;
+
+    left->centre_px.x += excess / 2 / px_um;
+    right->centre_px.x -= excess / 2 / px_um;
+    left->to_panel = gsn_phantom_panel_map(left, px_um);
+    right->to_panel = gsn_phantom_panel_map(right, px_um);
+    d->at = (struct gsn_point){ left->centre_px.x * px_um + half_width(left),
+                                (left->centre_px.y + right->centre_px.y) / 2 * px_um };
+    d->radius = 400;
+}
+
+static void shape(const struct dealing *deal, struct gsn_phantom_section *s,
+                  struct gsn_phantom_defect *d)
+{
+    struct gsn_phantom_random *random = deal->random;
+    const struct gsn_point centre = centre_um(deal->plan, s);
+
+    switch (d->kind) {
+    case GSN_PHANTOM_TEAR:
+        shape_tear(random, d);
+        break;
+    case GSN_PHANTOM_FOLD:
+        shape_fold(random, d);
+        break;
+    case GSN_PHANTOM_LOST_PIECE:
+        shape_piece(deal, s, d);
+        break;
+    case GSN_PHANTOM_CHATTER:
+        d->turn = gsn_phantom_between(random, 0, M_PI);
+        d->at = centre;
+        break;
+    case GSN_PHANTOM_HAIR:
+        shape_hair(random, centre, d);
+        break;
+    case GSN_PHANTOM_BUBBLE:
+        d->at = around(random, centre, 2200);
+        d->radius = gsn_phantom_between(random, 300, 1200);
+        break;
+    case GSN_PHANTOM_COVERSLIP_EDGE:
+        d->at = gsn_phantom_slot_centre_um(s->slot);
+        d->at.y +=
+            (s->slot < GSN_PHANTOM_SLOTS / 2 ? -1 : 1) * gsn_phantom_between(random, 1100, 2200);
+        d->turn = gsn_phantom_between(random, -.01, .01);
+        d->width = 40;
+        break;
+    case GSN_PHANTOM_PEN:
+        shape_pen(random, gsn_phantom_slot_centre_um(s->slot), centre, d);
+        break;
+    case GSN_PHANTOM_DEFOCUS:
+        d->at = around(random, centre, 2000);
+        d->radius = gsn_phantom_between(random, 500, 1500);
+        d->sigma_px = gsn_phantom_between(random, 1, 3);
+        break;
+    default:
+        touch(deal, s, d);
+        break;
+    }
+}
+
+/* One edge runs over all sections of a row: each has an entry. */
+static void note_row(struct dealing *deal, struct gsn_phantom_defect d)
+{
+    const int first = d.k - d.k % GSN_PHANTOM_COLUMNS;
+
+    for (int k = first; k < first + GSN_PHANTOM_COLUMNS; k++) {
+        d.k = k;
+        if (deal->plan->section[k].shows >= 0)
+            add(deal->plan, &d);
+    }
+}
+
+static int may_befall(const struct dealing *deal, enum gsn_phantom_defect_kind kind, int slot)
+{
+    if (deal->used[slot])
+        return 0;
+    if (kind != GSN_PHANTOM_TOUCHING)
+        return 1;
+    return slot % GSN_PHANTOM_COLUMNS + 1 < GSN_PHANTOM_COLUMNS && !deal->used[slot + 1];
+}
+
+/* 0 when no section is left that it could befall. */
+static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
+{
+    const int first = deal->panel * GSN_PHANTOM_SLOTS;
+    const int start = (int)gsn_phantom_below(deal->random, GSN_PHANTOM_SLOTS);
+
+    for (int i = 0; i < GSN_PHANTOM_SLOTS; i++) {
+        const int slot = (start + i) % GSN_PHANTOM_SLOTS;
+        struct gsn_phantom_defect d = { .kind = kind, .k = first + slot };
+
+        if (!may_befall(deal, kind, slot))
+            continue;
+        shape(deal, &deal->plan->section[d.k], &d);
+        deal->used[slot] = 1;
+        if (kind == GSN_PHANTOM_COVERSLIP_EDGE) {
+            note_row(deal, d);
+            return 1;
+        }
+        add(deal->plan, &d);
+        if (kind == GSN_PHANTOM_TOUCHING) {
+            d.k++;
+            deal->used[slot + 1] = 1;
+            add(deal->plan, &d);
+        }
+        return 1;
+    }
+    return 0;
+}
+
+static void lose_panel(struct gsn_phantom_plan *plan)
+{
+    const int first = (plan->missing_panel - 1) * GSN_PHANTOM_SLOTS;
+
+    for (int k = first; k < first + GSN_PHANTOM_SLOTS; k++) {
+        const struct gsn_phantom_defect defect = {
+            .kind = GSN_PHANTOM_MISSING_PANEL,
+            .k = k,
+            .at = gsn_phantom_slot_centre_um(k - first),
+        };
+
+        plan->section[k].shows = -1;
+        add(plan, &defect);
+    }
+}
+
+/* The kinds in an order of their own: dealt out like cards, so that a specimen sees each of them
+ * before it sees one twice. */
+static void shuffle(struct gsn_phantom_random *random, int card[GSN_PHANTOM_ACCIDENTS])
+{
+    for (int i = 0; i < GSN_PHANTOM_ACCIDENTS; i++) {
+        const int j = (int)gsn_phantom_below(random, (uint32_t)i + 1);
+
+        card[i] = card[j];
+        card[j] = i;
+    }
+}
+
+static void deal_defects(struct gsn_phantom_plan *plan)
+{
+    const struct gsn_phantom_level *level = plan->level;
+    const int range = level->defects_most - level->defects_least + 1;
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DEFECTS, 0, 0);
+    int card[GSN_PHANTOM_ACCIDENTS] = { 0 }, dealt = 0;
+
+    for (int panel = 0; panel < GSN_PHANTOM_PANELS; panel++) {
+        struct dealing deal = { .plan = plan, .random = &random, .panel = panel };
+        int count;
+
+        if (panel + 1 == plan->missing_panel) {
+            lose_panel(plan);
+            continue;
+        }
+        lose_some(&deal);
+        count = level->defects_least + (int)gsn_phantom_below(&random, (uint32_t)range);
+        /* What finds no section is put aside, which a whole hand of cards never is. */
+        for (int last = dealt + 2 * GSN_PHANTOM_ACCIDENTS; count > 0 && dealt < last; dealt++) {
+            if (dealt % GSN_PHANTOM_ACCIDENTS == 0)
+                shuffle(&random, card);
+            count -=
+                befall(&deal, (enum gsn_phantom_defect_kind)card[dealt % GSN_PHANTOM_ACCIDENTS]);
+        }
+    }
+}
+
+void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
+{
+    if (plan->level->handled)
+        deal_defects(plan);
+    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
+        burn_marks(plan, &plan->section[k]);
+        if (plan->level->handled)
+            strew(plan, &plan->section[k]);
+    }
+}

@@ -5,6 +5,7 @@
 #include "pipeline/masking.h"
 #include "pipeline/register/panel.h"
 #include "pipeline/register/stack.h"
+#include "pipeline/stain/spread.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -13,6 +14,13 @@
 
 /* Voxels kept around the region of interest, so that cuts show what lies beside it. */
 enum { MARGIN_VOXELS = 6, THUMBNAIL_PX = 132, MOST_TARGETS = 4096 };
+
+/* Tissue is what absorbs this much in R, G and B together. A hundredth of it clipped is told; of a
+ * fifth the mean of what is left says little, for it is the darkest that is missing. */
+static const double LEAST_TISSUE_OD = 0.05, TOLD_CLIPPED = 0.01, MOST_CLIPPED = 0.2;
+
+/* Of the white of a panel: test_glass finds it within a tenth of a percent. */
+static const double WHITE_ERROR_OD = 0.0005;
 
 /* A stack larger than this is a mistake in the region, not a block. */
 static const double MOST_VOXELS_PER_SIDE = 1 << 20, MOST_VOXELS = 2147483648.0;
@@ -368,6 +376,64 @@ static int mask_panel(const struct gsn_specimen *specimen,
     return GSN_OK;
 }
 
+/* A sample at either end of its codes only says "or beyond". All three at the top are bare glass.
+ */
+static int is_clipped(const struct gsn_image *image, uint32_t x, uint32_t y)
+{
+    const unsigned top = image->bits == 8 ? 255 : 65535;
+    unsigned at_top = 0, at_zero = 0;
+
+    for (unsigned c = 0; c < 3; c++) {
+        const unsigned sample = gsn_image_at(image, x, y, c);
+
+        at_top += sample == top;
+        at_zero += sample == 0;
+    }
+    return at_zero > 0 || (at_top > 0 && at_top < 3);
+}
+
+/* Masks the clipped pixels of a section and says which share of its tissue they are. */
+static double mask_clipped(const struct gsn_scan *scan, const struct gsn_panel_section *seen,
+                           struct gsn_plane *density)
+{
+    const struct gsn_image *image = scan->picture->image;
+    size_t tissue = 0, clipped = 0;
+
+    for (int y = seen->y; y < seen->y + seen->height; y++)
+        for (int x = seen->x; x < seen->x + seen->width; x++) {
+            const size_t i = (size_t)y * density->width + (size_t)x;
+            const double od = scan->od[0]->value[i] + scan->od[1]->value[i] + scan->od[2]->value[i];
+
+            if (!(od > LEAST_TISSUE_OD))
+                continue;
+            tissue++;
+            if (!is_clipped(image, (uint32_t)x, (uint32_t)y))
+                continue;
+            clipped++;
+            density->value[i] = NAN;
+        }
+    return tissue ? (double)clipped / (double)tissue : 0;
+}
+
+static void judge_clipped(const struct gsn_scan *scan, unsigned number, struct gsn_plane *density,
+                          struct gsn_assembly *a)
+{
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        char word[32];
+
+        if (s->panel != number || s->seen.width <= 0 || s->seen.height <= 0)
+            continue;
+        s->clipped = mask_clipped(scan, &s->seen, density);
+        if (s->clipped <= TOLD_CLIPPED)
+            continue;
+        (void)snprintf(word, sizeof word, "clipped-%.0f%%", 100 * s->clipped);
+        flag(s, word);
+        if (s->clipped > MOST_CLIPPED)
+            s->state = GSN_SECTION_HELD;
+    }
+}
+
 static int thumbnails(const struct gsn_scan *scan, unsigned number, struct gsn_assembly *a,
                       struct gsn_error *err)
 {
@@ -433,14 +499,25 @@ static void merge(const struct gsn_grid *from, struct gsn_grid *into)
             into->value[i] = from->value[i];
 }
 
+static int resample_into(const struct gsn_stack_section *sections, size_t count, double interval_um,
+                         unsigned threads, struct gsn_grid *into, struct gsn_error *err)
+{
+    gsn_auto(gsn_grid) grid = NULL;
+    const int r = gsn_stack_resample(sections, count, &into->at, interval_um, threads, &grid, err);
+
+    if (r >= 0)
+        merge(grid, into);
+    return r;
+}
+
 static int stack_panel(const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options, unsigned number,
                        const struct gsn_plane *density, struct gsn_assembly *a,
                        struct gsn_error *err)
 {
+    const double interval_um = specimen->protocol->interval_um;
     gsn_auto_mem(struct gsn_stack_section) sections =
         gsn_alloc_array(a->section_count, sizeof *sections);
-    gsn_auto(gsn_grid) grid = NULL;
     size_t count;
     int r;
 
@@ -449,11 +526,31 @@ static int stack_panel(const struct gsn_specimen *specimen,
     count = sections_of_panel(a, number, density, sections);
     if (count == 0)
         return GSN_OK;
-    r = gsn_stack_resample(sections, count, &a->grid->at, specimen->protocol->interval_um,
-                           options->threads, &grid, err);
-    if (r >= 0)
-        merge(grid, a->grid);
+    r = resample_into(sections, count, interval_um, options->threads, a->grid, err);
+    if (r >= 0 && a->tissue_grid)
+        r = resample_into(sections, count, interval_um, options->threads, a->tissue_grid, err);
     return r;
+}
+
+/* What the dye vectors and the white of a panel leave open. */
+static int judge_vectors(const struct gsn_scan *scan, struct gsn_assembly_panel *panel,
+                         struct gsn_error *err)
+{
+    const struct gsn_dyes_fit *fit = &panel->stain.fit;
+    struct gsn_red_mean red;
+    int r;
+
+    if (!(fit->deviation_deg[0] > 0))
+        return GSN_OK;
+    r = gsn_red_mean(scan->od, NULL, &fit->dyes, &red, err);
+    if (r < 0)
+        return r;
+    red.sampling = 0; /* of the glass beside the tissue it would say nothing */
+
+    const struct gsn_red_side side = { &red, fit, WHITE_ERROR_OD, 1, 0 };
+
+    panel->red_error = gsn_red_half_width(&side) / 1.96 / red.mean;
+    return GSN_OK;
 }
 
 static int work_panel(const struct gsn_specimen *specimen,
@@ -489,6 +586,10 @@ static int work_panel(const struct gsn_specimen *specimen,
     r = mask_panel(specimen, options, scan, stain, density, a, err);
     if (r < 0)
         return r;
+    r = judge_vectors(scan, panel, err);
+    if (r < 0)
+        return r;
+    judge_clipped(scan, stain->panel, density, a);
     return stack_panel(specimen, options, stain->panel, density, a, err);
 }
 
@@ -515,13 +616,171 @@ static int work_panels(const struct gsn_specimen *specimen,
     return GSN_OK;
 }
 
-static int empty_grid(const struct gsn_lattice *lattice, struct gsn_assembly *a,
+/* The vectors of all panels lean on one prior, so their errors are taken as common; gains are
+ * measured panel by panel. */
+static void sum_errors(struct gsn_assembly *a)
+{
+    double vectors = 0, gains = 0, panels = 0;
+
+    for (size_t p = 0; p < a->panel_count; p++) {
+        const struct gsn_assembly_panel *panel = &a->panel[p];
+
+        if (!panel->opened)
+            continue;
+        panels++;
+        vectors += panel->red_error;
+        if (panel->gain.gain > 0)
+            gains += panel->gain.error * panel->gain.error / (panel->gain.gain * panel->gain.gain);
+    }
+    if (panels > 0)
+        a->red_error = hypot(vectors / panels, sqrt(gains) / panels);
+}
+
+static int empty_grid(const struct gsn_lattice *lattice, struct gsn_grid **ret_grid,
                       struct gsn_error *err)
 {
-    const int r = gsn_grid_new(lattice, &a->grid, err);
+    const int r = gsn_grid_new(lattice, ret_grid, err);
 
     for (size_t i = 0; r >= 0 && i < gsn_lattice_count(lattice); i++)
-        a->grid->value[i] = NAN;
+        (*ret_grid)->value[i] = NAN;
+    return r;
+}
+
+/* ---- the internal reference -------------------------------------------------------------- */
+
+static int place_reference(const struct gsn_specimen *specimen, double px_um, unsigned sections,
+                           struct gsn_assembly *a, struct gsn_error *err)
+{
+    const struct gsn_region *stated = &specimen->protocol->reference_tissue;
+    struct gsn_lattice lattice;
+    int r;
+
+    if (stated->kind == GSN_REGION_NONE || !a->grid)
+        return GSN_OK;
+    if (!lattice_for(box_of_shape(stated), NULL, px_um, specimen->protocol->interval_um, sections,
+                     &lattice))
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the reference tissue does not lie in this block of %u "
+                        "sections",
+                        sections);
+    r = gsn_region_raster(stated, &lattice, &a->tissue, err);
+    return r < 0 ? r : empty_grid(&lattice, &a->tissue_grid, err);
+}
+
+/* The panel that the section with this serial number was taken from; NULL when there is none. */
+static struct gsn_assembly_panel *panel_of_serial(struct gsn_assembly *a, double serial)
+{
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+
+        if (s->seen.serial != serial ||
+            (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
+            continue;
+        for (size_t p = 0; p < a->panel_count; p++)
+            if (a->panel[p].opened && a->panel[p].stain.panel == s->panel)
+                return &a->panel[p];
+    }
+    return NULL;
+}
+
+static double serial_of_plane(const struct gsn_lattice *at, size_t z, double interval_um)
+{
+    return round((at->origin_um.z + (double)z * at->step_um.z) / interval_um - 0.5);
+}
+
+/* The reference tissue in the plane z of its grid. scratch: as many values as a plane has. */
+static struct gsn_reference_section reference_in(const struct gsn_assembly *a, size_t z,
+                                                 double *scratch)
+{
+    const struct gsn_lattice *at = &a->tissue_grid->at;
+    const size_t first = gsn_lattice_index(at, 0, 0, z), plane = at->nx * at->ny;
+    size_t n = 0;
+
+    for (size_t i = first; i < first + plane; i++)
+        if (a->tissue->inside[i] && !isnan(a->tissue_grid->value[i]))
+            scratch[n++] = a->tissue_grid->value[i];
+    return (struct gsn_reference_section){ .red = gsn_reference_red(scratch, n), .pixels = n };
+}
+
+static int measure_panel_gain(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                              struct gsn_assembly_panel *panel, struct gsn_error *why,
+                              struct gsn_error *err)
+{
+    const struct gsn_lattice *at = &a->tissue_grid->at;
+    gsn_auto_mem(struct gsn_reference_section) sections = gsn_alloc_array(at->nz, sizeof *sections);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(at->nx * at->ny, sizeof *scratch);
+    size_t count = 0;
+
+    if (!sections || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
+    for (size_t z = 0; z < at->nz; z++)
+        if (panel_of_serial(a, serial_of_plane(at, z, specimen->protocol->interval_um)) == panel)
+            sections[count++] = reference_in(a, z, scratch);
+    panel->gain = (struct gsn_stain_gain){ .gain = 1 };
+    (void)gsn_stain_reference(sections, count, specimen->protocol->reference_density, &panel->gain,
+                              why);
+    return GSN_OK;
+}
+
+/* A panel without enough of the reference takes what the others say. */
+static int fill_gains(struct gsn_assembly *a, const struct gsn_error *why, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_stain_gain) gains = gsn_alloc_array(a->panel_count + 1, sizeof *gains);
+    struct gsn_stain_gain others;
+    struct gsn_error none = { 0 };
+    int told;
+
+    if (!gains)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
+    for (size_t p = 0; p < a->panel_count; p++)
+        gains[p] = a->panel[p].gain;
+    told = gsn_stain_gain_of_others(gains, a->panel_count, &others, &none) >= 0;
+    for (size_t p = 0; p < a->panel_count; p++) {
+        if (!a->panel[p].opened || a->panel[p].gain.sections > 0)
+            continue;
+        if (told)
+            a->panel[p].gain = others;
+        else if (!a->not_comparable[0])
+            (void)snprintf(a->not_comparable, sizeof a->not_comparable,
+                           "batches not comparable: panel %u: %s", a->panel[p].stain.panel,
+                           why[p].text);
+    }
+    return GSN_OK;
+}
+
+/* Divides each plane by the gain of its panel. */
+static void divide(struct gsn_assembly *a, double interval_um)
+{
+    const struct gsn_lattice *at = &a->grid->at;
+    const size_t plane = at->nx * at->ny;
+
+    for (size_t z = 0; z < at->nz; z++) {
+        const struct gsn_assembly_panel *panel =
+            panel_of_serial(a, serial_of_plane(at, z, interval_um));
+
+        for (size_t i = z * plane; panel && i < (z + 1) * plane; i++)
+            a->grid->value[i] = (float)(a->grid->value[i] / panel->gain.gain);
+    }
+}
+
+static int normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_error) why = NULL;
+    int r = GSN_OK;
+
+    if (!a->tissue_grid)
+        return GSN_OK;
+    why = gsn_alloc_array(a->panel_count + 1, sizeof *why);
+    if (!why)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
+    for (size_t p = 0; p < a->panel_count && r >= 0; p++)
+        if (a->panel[p].opened)
+            r = measure_panel_gain(specimen, a, &a->panel[p], &why[p], err);
+    if (r >= 0)
+        r = fill_gains(a, why, err);
+    if (r >= 0 && !a->not_comparable[0])
+        divide(a, specimen->protocol->interval_um);
     return r;
 }
 
@@ -607,13 +866,18 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0 && a->solved && band)
         r = place_block(specimen, px_um, sections, a, &lattice, err);
     if (r >= 0 && a->solved && (a->region || band))
-        r = empty_grid(&lattice, a, err);
+        r = empty_grid(&lattice, &a->grid, err);
+    if (r >= 0)
+        r = place_reference(specimen, px_um, sections, a, err);
     if (r >= 0)
         r = work_panels(specimen, options, a, err);
+    if (r >= 0)
+        r = normalise(specimen, a, err);
     if (r >= 0 && band && a->grid)
         r = find_band(specimen, options, a, err);
     if (r < 0)
         return r;
+    sum_errors(a);
     *ret_assembly = gsn_steal(&a);
     return GSN_OK;
 }
@@ -628,5 +892,7 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_free(a->panel);
     gsn_mask_free(a->region);
     gsn_grid_free(a->grid);
+    gsn_mask_free(a->tissue);
+    gsn_grid_free(a->tissue_grid);
     gsn_free(a);
 }

@@ -8,6 +8,7 @@
 #include "pipeline/pictures.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
+#include "pipeline/stain/reference.h"
 #include "pipeline/stain/mask.h"
 
 #ifdef __cplusplus
@@ -29,7 +30,8 @@ struct gsn_assembly_section {
     int posed;
     struct gsn_pose pose;
     enum gsn_assembly_state state;
-    char flags[160];                              /* words with one space between */
+    double clipped;  /* share of its tissue with a sample at either end of the codes; masked */
+    char flags[160]; /* words with one space between */
     struct gsn_mask_figures masked;               /* what of it is not measured, and why */
     double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
     struct gsn_account_picture thumbnail;         /* png owned; size 0: none */
@@ -40,6 +42,9 @@ struct gsn_assembly_panel {
     int opened;
     struct gsn_glass glass;
     struct gsn_specimen_stain stain;
+    struct gsn_stain_gain gain; /* what its densities were divided by */
+    double red_error;           /* relative standard error of its red by vectors and white; 0: the
+                                   vectors were taken as exact */
     char note[400];
 };
 
@@ -54,8 +59,12 @@ struct gsn_assembly {
     enum gsn_strain_mode strain_mode;       /* the protocol's */
     char unsolved[480];                     /* why not, or empty */
     char no_region[480];                    /* why the stated band could not be found, or empty */
-    struct gsn_mask *region; /* owned; NULL when the job states none or it was not found */
-    struct gsn_grid *grid;   /* owned; NULL without region or solution */
+    struct gsn_mask *region;      /* owned; NULL when the job states none or it was not found */
+    struct gsn_grid *grid;        /* owned; NULL without region or solution */
+    struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
+    struct gsn_grid *tissue_grid; /* owned; its density as stained */
+    double red_error;             /* relative standard error of a mean density by the stain */
+    char not_comparable[240];     /* why the stain could not be normalised though asked, or empty */
 };
 
 /* gives. Sections and panels that cannot be used are states, not failures.

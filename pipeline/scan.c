@@ -247,28 +247,32 @@ void gsn_scan_free(struct gsn_scan *scan)
 }
 
 /* What the slide itself says of its dyes. */
-static int infer_dyes(const struct gsn_scan *scan, struct gsn_dyes_fit *ret_fit,
-                      struct gsn_error *err)
+static int infer_dyes(const struct gsn_stain_sample *sample, const struct gsn_dyes_prior *prior,
+                      struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
 {
-    const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(scan->glass.light);
-    gsn_auto(gsn_stain_sample) sample = NULL;
     struct gsn_stain_look look;
-    int r = gsn_stain_sample_new(&sample, err);
+    const int r = gsn_stain_look(sample, &look, err);
 
-    if (r >= 0)
-        r = gsn_stain_sample_add(sample, scan->od, NULL, &scan->glass, err);
-    if (r >= 0)
-        r = gsn_stain_look(sample, &look, err);
-    return r < 0 ? r : gsn_dyes_estimate(sample, &prior, ret_fit, err);
+    return r < 0 ? r : gsn_dyes_estimate(sample, prior, ret_fit, err);
 }
 
 int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
                   struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
 {
     const struct gsn_dyes builtin = gsn_dyes_builtin();
+    const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(scan->glass.light);
+    gsn_auto(gsn_stain_sample) sample = NULL;
+    double apart_deg;
+    int r = gsn_stain_sample_new(&sample, err);
 
+    if (r >= 0)
+        r = gsn_stain_sample_add(sample, scan->od, NULL, &scan->glass, err);
+    if (r >= 0)
+        r = gsn_stain_fits(sample, &prior.dyes, &apart_deg, err);
+    if (r < 0)
+        return r;
     if (protocol->estimate_dyes || builtin.light != scan->glass.light)
-        return infer_dyes(scan, ret_fit, err);
+        return infer_dyes(sample, &prior, ret_fit, err);
     *ret_fit = (struct gsn_dyes_fit){ .dyes = builtin };
     return GSN_OK;
 }

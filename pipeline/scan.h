@@ -46,7 +46,8 @@ GSN_DEFINE_AUTO(gsn_scan);
 
 /* The dye vectors to unmix this scan with: the built-in ones, taken as exact, or those of the slide
  * itself where the job asks for it or where the built-in ones were measured in another light.
- * Fails as gsn_stain_look() and gsn_dyes_estimate() do. */
+ * Fails as gsn_stain_fits(), gsn_stain_look() and gsn_dyes_estimate() do: a slide of another stain
+ * is refused whichever vectors are asked for. */
 int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
                   struct gsn_dyes_fit *ret_fit, struct gsn_error *err);
 

@@ -44,6 +44,7 @@ struct gsn_specimen_baseline {
     const char *name;
     size_t specimens; /* with a result; more than one for a group; 0: none yet */
     double mean_density, volume_mm3;
+    double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
     const char *definition, *dyes;
 };
 

@@ -25,6 +25,9 @@ static const double MOST_OVEREXPOSED = 0.02;
 
 enum { MOST_ROWS = 48 };
 
+/* Between the dyes and the batch that was stained with them. */
+#define IN_BATCH ", batch "
+
 /* The report's records and the texts they borrow. */
 struct draft {
     struct gsn_report report;
@@ -45,6 +48,7 @@ struct draft {
     struct gsn_report_fit fit;
     struct gsn_report_units units;
     struct gsn_report_tile tile;
+    double loss_low, loss_high; /* NaN: no interval */
     int out_of_memory;
 };
 
@@ -64,7 +68,7 @@ static void draft_done(struct draft *d)
 static int draft_init(struct draft *d, size_t sections, size_t panels, size_t inputs,
                       struct gsn_error *err)
 {
-    *d = (struct draft){ 0 };
+    *d = (struct draft){ .loss_low = NAN, .loss_high = NAN };
     d->warning = gsn_alloc_array(64 + 3 * panels, sizeof *d->warning);
     d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
@@ -239,6 +243,8 @@ static const char *reason_of(struct draft *d, const struct gsn_assembly_section 
                                             : "the slot is empty; the gap is kept at its place";
     if (strstr(s->flags, "duplicate-serial"))
         return "another section already has this serial number: rename the panel or approve one";
+    if (strstr(s->flags, "clipped"))
+        return "too much of it is clipped: scan its panel again with another exposure";
     if (strstr(s->flags, "residual-too-large")) {
         gsn_pose_reason(&s->pose, sentence);
         return say(d, "%s", sentence);
@@ -495,9 +501,26 @@ static void fill_definition(const struct gsn_evidence *e, struct draft *d)
 {
     const int volume = e->specimen->protocol->kind == GSN_KIND_VOLUME;
 
+    const struct gsn_protocol *p = e->specimen->protocol;
+    const int normalised = p->reference_tissue.kind != GSN_REGION_NONE &&
+                           !(e->assembly && e->assembly->not_comparable[0]);
+
     d->report.density_name =
-        volume ? "voxel value as imported" : "collagen-equivalent density (red dye by unmixing)";
-    d->report.density_version = volume ? "1" : dyes_of(e);
+        volume       ? "voxel value as imported"
+        : normalised ? say(d, "collagen-equivalent density (red dye by unmixing, reference %g)",
+                           p->reference_density)
+                     : "collagen-equivalent density (red dye by unmixing)";
+    /* Without a reference the figure is the batch's own. */
+    d->report.density_version = volume ? "1"
+                                : p->batch[0] && !normalised
+                                    ? say(d, "%s" IN_BATCH "%s", dyes_of(e), p->batch)
+                                    : dyes_of(e);
+}
+
+/* Standard error of the mean density by what the stain leaves open; 0: not known. */
+static double density_error(const struct gsn_evidence *e)
+{
+    return e->assembly && e->account ? e->assembly->red_error * e->account->density.mean : 0;
 }
 
 static void fill_loss(const struct gsn_evidence *e, struct draft *d)
@@ -508,11 +531,13 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
                                            .definition = b->definition,
                                            .dyes = b->dyes,
                                            .mean = b->mean_density,
+                                           .standard_error = b->mean_density_error,
                                            .volume_um3 = 1e9 * b->volume_mm3 };
     const struct gsn_loss_side treated = { .name = r->specimen,
                                            .definition = r->density_name,
                                            .dyes = r->density_version,
                                            .mean = r->region.mean_density,
+                                           .standard_error = density_error(e),
                                            .volume_um3 = 1e9 * r->region.volume_mm3 };
     struct gsn_error why = { 0 };
     struct gsn_loss loss;
@@ -536,10 +561,32 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
         warn(d, r->loss_reason);
         return;
     }
+    if (e->assembly && e->assembly->not_comparable[0]) {
+        r->loss_reason = e->assembly->not_comparable;
+        warn(d, r->loss_reason);
+        return;
+    }
+    if (strcmp(b->dyes, r->density_version) != 0 &&
+        (strstr(b->dyes, IN_BATCH) || strstr(r->density_version, IN_BATCH))) {
+        r->loss_reason = say(d,
+                             "batches not comparable: the control was measured by %s, this "
+                             "specimen by %s; state \"reference\" in both jobs",
+                             b->dyes, r->density_version);
+        warn(d, r->loss_reason);
+        return;
+    }
     if (gsn_loss(&control, &treated, 0.95, &loss, &why) < 0) {
         r->loss_reason = say(d, "%s", why.text);
         warn(d, r->loss_reason);
         return;
+    }
+    if (loss.has_interval) {
+        d->loss_low = loss.percent_low;
+        d->loss_high = loss.percent_high;
+        value_row(d->measure, &r->measure_count, "Collagen loss, from (95 %, stain and white)",
+                  loss.percent_low, "%");
+        value_row(d->measure, &r->measure_count, "Collagen loss, to (95 %, stain and white)",
+                  loss.percent_high, "%");
     }
     r->loss_percent = loss.percent;
     r->loss_points = loss.points;
@@ -580,6 +627,26 @@ static void fill_tile(const struct gsn_evidence *e, struct draft *d)
         warn(d, t->note);
 }
 
+/* "panel 1: 1.152 +- 0.004 (12 sections), ..." */
+static const char *gains_of(const struct gsn_assembly *a, struct draft *d)
+{
+    char line[1000] = "";
+    size_t used = 0;
+
+    for (size_t i = 0; i < a->panel_count && used < sizeof line; i++) {
+        const struct gsn_stain_gain *gain = &a->panel[i].gain;
+        int n;
+
+        if (!a->panel[i].opened)
+            continue;
+        n = snprintf(line + used, sizeof line - used, "%spanel %u: %.3f +- %.3f (%u sections)",
+                     used ? ", " : "", a->panel[i].stain.panel, gain->gain, gain->error,
+                     gain->sections);
+        used += n > 0 ? (size_t)n : 0;
+    }
+    return say(d, "%s", line);
+}
+
 static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
@@ -595,6 +662,10 @@ static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
                                                      : "snake"));
         text_row(rows, count, "block frame",
                  p->has_markers ? "the marks stated in job.json" : "the stack's own mean triangle");
+        if (p->batch[0])
+            text_row(rows, count, "stain batch", p->batch);
+        if (p->reference_tissue.kind != GSN_REGION_NONE && e->assembly)
+            text_row(rows, count, "stain gains", gains_of(e->assembly, d));
     }
     if (p->px_um > 0)
         value_row(rows, count, "pixel size, stated", p->px_um, "um");
@@ -662,7 +733,9 @@ static void keep_measures(const struct gsn_evidence *e, const struct draft *d,
     measure_row(result, "mean_density", r->region.mean_density, NAN, NAN, "density");
     measure_row(result, "region_volume", r->region.volume_mm3, NAN, NAN, "mm3");
     measure_row(result, "coverage", r->region.coverage, NAN, NAN, "");
-    measure_row(result, "loss", r->loss_percent, NAN, NAN, "%");
+    if (density_error(e) > 0)
+        measure_row(result, "mean_density_error", density_error(e), NAN, NAN, "density");
+    measure_row(result, "loss", r->loss_percent, d->loss_low, d->loss_high, "%");
     measure_row(result, "loss_points", r->loss_points, NAN, NAN, "points");
     if (e->tile && e->tile->compared)
         measure_row(result, "dice", e->tile->overlap.dice, NAN, NAN, "");

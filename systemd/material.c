@@ -227,6 +227,13 @@ static double measure_named(const struct gsn_measure_rows *rows, const char *nam
     return NAN;
 }
 
+static double known(const struct gsn_measure_rows *rows, const char *name)
+{
+    const double value = measure_named(rows, name);
+
+    return isnan(value) ? 0 : value;
+}
+
 /* A text of a run's parameters, or "". gives. */
 static char *parameter(const struct gsn_run_row *run, const char *name)
 {
@@ -284,6 +291,7 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     if (isnan(mean))
         return GSN_OK;
     b->mean_density += mean;
+    b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
     b->volume_mm3 += measure_named(measures, "region_volume");
     b->specimens++;
     if (!m->definition) {
@@ -310,6 +318,7 @@ static int take_baseline(struct gsn_material *m, struct gsn_error *err)
             r = add_control(m, &controls->at[i], err);
     if (b->specimens > 0) {
         b->mean_density /= (double)b->specimens;
+        b->mean_density_error /= (double)b->specimens;
         b->volume_mm3 /= (double)b->specimens;
     }
     b->definition = m->definition ? m->definition : "";

@@ -72,6 +72,15 @@ struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[G
 /* A fit that says: these vectors, as well known as the prior says. */
 struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior);
 
+/* How far the stained pixels lie from every mixture of the dyes: the median angle. Picrosirius,
+ * whose red is another, comes to 5 degrees; haematoxylin and eosin to 11. Beyond 8 the slide is
+ * refused.
+ *
+ * A slide too pale or too empty to tell is not refused (0 degrees). Fails with GSN_E_STAIN; the
+ * sentence gives the figure. GSN_E_NOMEM. */
+int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
+                   double *ret_apart_deg, struct gsn_error *err);
+
 /* What the stain looks like: the directions that 1 % of the pixels lie beyond, on the plane of
  * their two widest directions (Macenko 2009, 10.1109/ISBI.2009.5193250). They bias an unmixing, but
  * tell one stain from another. */

@@ -9,6 +9,7 @@
 
 #include "pipeline/stain/light.h"
 #include "pipeline/stain/order.h"
+#include "pipeline/stain/unmix.h"
 
 #define TRACE_OF_DARK 0.15 /* more than this share of dark dye, and a pixel says little of hue */
 #define EXTREME 0.01       /* the angle that 1 % of the pixels pass stands for a dye */
@@ -202,4 +203,42 @@ int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look 
     const struct hues hues = { sample, dark, angle };
 
     return look_at(&hues, ret_look, err);
+}
+
+static const double MOST_APART_DEG = 8;
+
+int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
+                   double *ret_apart_deg, struct gsn_error *err)
+{
+    gsn_auto_mem(double) apart = gsn_alloc_array(sample->count + 1, sizeof *apart);
+    const double *v[3] = { dyes->red, dyes->yellow, dyes->dark };
+    struct gsn_unmixer mix;
+    double middle = 0;
+    int r;
+
+    if (!apart)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the look of a slide");
+    r = gsn_unmixer_init(&mix, dyes, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < sample->count; i++) {
+        const float *od = sample->pixel[i].od;
+        const double d[3] = { od[0], od[1], od[2] };
+        double amount[3], left[3];
+
+        gsn_unmixer_apply(&mix, d, amount);
+        for (int c = 0; c < 3; c++)
+            left[c] = d[c] - amount[0] * v[0][c] - amount[1] * v[1][c] - amount[2] * v[2][c];
+        apart[i] = asin(fmin(sqrt(dot(left, left) / dot(d, d)), 1)) * 180 / M_PI;
+    }
+    if (sample->count >= GSN_SAMPLE_LEAST)
+        middle = gsn_order_pick(apart, sample->count, sample->count / 2);
+    if (middle > MOST_APART_DEG)
+        return gsn_fail(err, GSN_E_STAIN,
+                        "this does not look like Van Gieson: half of its stained pixels lie more "
+                        "than %.0f degrees from every mixture of fuchsin, picric acid and "
+                        "haematoxylin",
+                        middle);
+    *ret_apart_deg = middle;
+    return GSN_OK;
 }

@@ -52,8 +52,8 @@ int gsn_stain_reference(const struct gsn_reference_section *sections, size_t cou
                         "holds collagen",
                         mean);
     gain.gain = mean / stated;
-    gain.error = sqrt(fmax(squares - sum * mean, 0) / (gain.sections - 1.0) / gain.sections) /
-                 stated;
+    gain.error =
+        sqrt(fmax(squares - sum * mean, 0) / (gain.sections - 1.0) / gain.sections) / stated;
     *ret_gain = gain;
     return GSN_OK;
 }
@@ -82,8 +82,8 @@ int gsn_stain_gain_of_others(const struct gsn_stain_gain *gains, size_t count,
     const double between = fmax(squares - sum * mean, 0) / (used - 1);
 
     /* One more panel of the same kind: what panels scatter, and how well their mean is known. */
-    *ret_gain = (struct gsn_stain_gain){ .gain = mean,
-                                         .error = sqrt(between * (1 + 1.0 / used) +
-                                                       errors / used / used) };
+    *ret_gain =
+        (struct gsn_stain_gain){ .gain = mean,
+                                 .error = sqrt(between * (1 + 1.0 / used) + errors / used / used) };
     return GSN_OK;
 }

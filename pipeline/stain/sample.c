@@ -47,37 +47,55 @@ static double reach_of_code(enum gsn_light light, double linear)
     return 2.4 * M_LOG10E / (code + 0.055);
 }
 
-/* Returns whether the pixel speaks. Codes are read with the same error everywhere; densities with
- * one that grows as the light falls. */
-static int pixel_at(struct gsn_plane *const od[3], const struct gsn_glass *glass, size_t i,
-                    struct gsn_stain_pixel *ret_pixel)
+/* Which densities speak, and how noisy they are. */
+struct limits {
+    enum gsn_light light;
+    double white[3], noise[3]; /* light of the glass; its noise over that of a code */
+    double palest, darkest[3];
+};
+
+static double deviation_at(const struct limits *limits, int c, double density)
 {
-    const double noise = fmax(glass->noise_od, QUANTISED);
-    const double palest = fmax(PALEST, 10 * noise);
-    double squares = 0;
+    const double light = limits->white[c] * pow(10, -fmax(density, 0));
 
-    for (int c = 0; c < 3; c++)
-        squares += (double)od[c]->value[i] * (double)od[c]->value[i];
-    if (!(squares > palest * palest))
-        return 0;
-    for (int c = 0; c < 3; c++) {
-        const double d = od[c]->value[i];
-        const double white =
-            gsn_light_of_sample(glass->light, (unsigned)lround(glass->white[c]), 8);
-        const double deviation = noise * reach_of_code(glass->light, white * pow(10, -fmax(d, 0))) /
-                                 reach_of_code(glass->light, white);
-
-        if (!(deviation < TOO_NOISY))
-            return 0;
-        ret_pixel->od[c] = (float)d;
-        ret_pixel->noise[c] = (float)deviation;
-    }
-    return 1;
+    return limits->noise[c] * reach_of_code(limits->light, light);
 }
 
-static int is_masked(const struct gsn_image *mask, size_t i)
+/* Codes are read with the same error everywhere, densities with one that grows as the light
+ * falls: the darkest that speaks is found by halving. */
+static struct limits limits_of(const struct gsn_glass *glass)
 {
-    return mask && ((const uint8_t *)mask->samples)[i] == 0;
+    const double noise = fmax(glass->noise_od, QUANTISED);
+    struct limits limits = { .light = glass->light, .palest = fmax(PALEST, 10 * noise) };
+
+    for (int c = 0; c < 3; c++) {
+        double low = 0, high = 5;
+
+        limits.white[c] =
+            gsn_light_of_sample(glass->light, (unsigned)lround(fmax(glass->white[c], 1)), 8);
+        limits.noise[c] = noise / reach_of_code(glass->light, limits.white[c]);
+        for (int i = 0; i < 30; i++) {
+            const double middle = (low + high) / 2;
+
+            if (deviation_at(&limits, c, middle) < TOO_NOISY)
+                low = middle;
+            else
+                high = middle;
+        }
+        limits.darkest[c] = low;
+    }
+    return limits;
+}
+
+static int speaks(struct gsn_plane *const od[3], const struct gsn_image *mask,
+                  const struct limits *limits, size_t i)
+{
+    const double d[3] = { od[0]->value[i], od[1]->value[i], od[2]->value[i] };
+
+    if (mask && ((const uint8_t *)mask->samples)[i] == 0)
+        return 0;
+    return d[0] < limits->darkest[0] && d[1] < limits->darkest[1] && d[2] < limits->darkest[2] &&
+           d[0] * d[0] + d[1] * d[1] + d[2] * d[2] > limits->palest * limits->palest;
 }
 
 static int check_sizes(struct gsn_plane *const od[3], const struct gsn_image *mask,
@@ -97,7 +115,8 @@ int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *cons
                          const struct gsn_image *mask, const struct gsn_glass *glass,
                          struct gsn_error *err)
 {
-    struct gsn_stain_pixel *more, pixel;
+    struct gsn_stain_pixel *more;
+    const struct limits limits = limits_of(glass);
     size_t speaking = 0, seen = 0, stride;
     int r = check_sizes(od, mask, err);
 
@@ -107,16 +126,22 @@ int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *cons
     const size_t width = od[0]->width, height = od[0]->height;
 
     for (size_t i = 0; i < width * height; i++)
-        speaking += !is_masked(mask, i) && pixel_at(od, glass, i, &pixel);
+        speaking += (size_t)speaks(od, mask, &limits, i);
     stride = speaking / MOST_PER_PANEL + 1;
     more = gsn_realloc_array(sample->pixel, sample->count + speaking / stride + 1, sizeof *more);
     if (!more)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
     sample->pixel = more;
     for (size_t i = 0; i < width * height; i++) {
-        if (is_masked(mask, i) || !pixel_at(od, glass, i, &pixel) || seen++ % stride != 0)
+        struct gsn_stain_pixel pixel = { .part = (uint8_t)(i / width * ACROSS / height * ACROSS +
+                                                           i % width * ACROSS / width) };
+
+        if (!speaks(od, mask, &limits, i) || seen++ % stride != 0)
             continue;
-        pixel.part = (uint8_t)(i / width * ACROSS / height * ACROSS + i % width * ACROSS / width);
+        for (int c = 0; c < 3; c++) {
+            pixel.od[c] = od[c]->value[i];
+            pixel.noise[c] = (float)deviation_at(&limits, c, od[c]->value[i]);
+        }
         sample->pixel[sample->count++] = pixel;
     }
     return GSN_OK;

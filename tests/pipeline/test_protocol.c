@@ -94,6 +94,13 @@ TEST(a_wrong_value_is_refused_by_the_name_of_its_key)
         { "{\"specimen\": \"x\", \"kind\": \"tile\"}", "\"file\" is missing" },
         { "{\"specimen\": \"x\", \"transfer\": \"gamma\"}", "\"transfer\"" },
         { "{\"specimen\": \"x\", \"dyes\": 3}", "\"dyes\"" },
+        { "{\"specimen\": \"x\", \"reference\": \"mask.png\"}", "\"reference\"" },
+        { "{\"specimen\": \"x\", \"reference\": {\"density\": 1}}", "\"reference\"" },
+        { "{\"specimen\": \"x\", \"reference\": {\"tissue\": {\"shape\": \"box\"}, \"density\": "
+          "1}}",
+          "\"tissue\"" },
+        { "{\"specimen\": \"x\", \"batch\": \"a name that is far too long to keep\"}",
+          "\"batch\"" },
         { "{\"specimen\": \"x\", \"strain\": \"affine\"}", "\"strain\"" },
         { "{\"specimen\": \"x\", \"white\": [1, 1, 0]}", "\"white\"" },
         { "{\"specimen\": \"x\", \"white\": [255, 255, 255]}", "\"white\"" },

@@ -74,12 +74,23 @@ static const char *text_at(const json_t *root, const char *key)
     return text ? text : "";
 }
 
+/* A strip of tissue beside the region, on every section. */
+#define REFERENCE(density)                                                                         \
+    ", \"reference\": {\"tissue\": {\"shape\": \"box\", \"min\": [-264, 216, 0], \"max\": "        \
+    "[264, 384, 288]}, \"density\": " #density "}"
+#define WITH_REGION(more)                                                                          \
+    "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
+
 /* The control's figures as a store would hand them on. */
 static struct gsn_specimen_baseline baseline_of(const struct gsn_specimen_result *control)
 {
     return (struct gsn_specimen_baseline){ .name = "control",
                                            .specimens = 1,
                                            .mean_density = measure(control, "mean_density"),
+                                           .mean_density_error =
+                                               has_measure(control, "mean_density_error")
+                                                   ? measure(control, "mean_density_error")
+                                                   : 0,
                                            .volume_mm3 = measure(control, "region_volume"),
                                            .definition = control->definition,
                                            .dyes = control->dyes };
@@ -122,6 +133,124 @@ TEST(the_loss_of_two_drawn_specimens_is_that_of_their_densities)
           memcmp(two->json, result->json, two->json_size) == 0);
     CHECK(two->html_size == result->html_size &&
           memcmp(two->html, result->html, two->html_size) == 0);
+}
+
+/* Case 41. Panels that were stained 15 % stronger and 10 % paler read alike. */
+TEST(a_reference_tissue_takes_the_strength_of_the_stain_out_panel_by_panel)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, (double[]){ 0.5, 0.5 * 1.15, 0.5 * 0.9 }[i]);
+    drawn_specimen_init(&d, WITH_REGION(REFERENCE(0.5)), panels, 3);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+    json_t *root = report_of(result);
+
+    CHECK(!result->withheld);
+    CHECK_NEAR(measure(result, "mean_density"), 0.5, 0.003);
+    CHECK(strstr(result->definition, "reference 0.5") != NULL);
+    CHECK(strstr(result->json, "panel 2: 1.1") != NULL);
+    json_decref(root);
+}
+
+/* Sections that scatter by 2 % tell the gain no better: the interval is that of the two gains. */
+TEST(the_interval_on_the_loss_holds_the_error_of_the_gains)
+{
+    struct drawn_panel panels[2][3];
+    drawn_auto control, treated;
+
+    for (unsigned i = 0; i < 6; i++) {
+        panels[i / 3][i % 3] = drawn_panel_of(i % 3 + 1, 24, i < 3 ? 0.6 : 0.62);
+        for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++)
+            panels[i / 3][i % 3].section[slot].density *= slot % 2 ? 1.02 : 0.98;
+    }
+    drawn_specimen_init(&control, WITH_REGION(", \"tolerance\": 0.1" REFERENCE(0.6)), panels[0], 3);
+    drawn_specimen_init(
+        &treated, WITH_REGION(", \"tolerance\": 0.1, \"baseline\": \"control\"" REFERENCE(0.6)),
+        panels[1], 3);
+    gsn_auto(gsn_specimen_result) base = worked(&control, 1);
+
+    treated.specimen.baseline = baseline_of(base);
+    gsn_auto(gsn_specimen_result) result = worked(&treated, 1);
+    const struct gsn_specimen_measure *loss = NULL;
+    /* Four sections that scatter by 2 % of 2 sqrt(4 / 3) on each of three panels, on both sides. */
+    const double each = 0.02 * sqrt(4 / 3.0) / 2 / sqrt(3);
+
+    for (size_t i = 0; i < result->measure_count; i++)
+        if (strcmp(result->measure[i].name, "loss") == 0)
+            loss = &result->measure[i];
+    assert_non_null(loss);
+    CHECK_NEAR(measure(base, "mean_density_error") / measure(base, "mean_density"), each, 5e-4);
+    CHECK_NEAR(loss->value, 0, 0.5);
+    CHECK_NEAR(loss->upper - loss->lower, 2 * 1.96 * 100 * each * sqrt(2), 0.5);
+    CHECK(strstr(result->json, "95 %, stain and white") != NULL);
+}
+
+/* Case 12. Tissue so dark that the red dye leaves no light at all in green and blue. */
+TEST(a_section_that_is_clipped_is_held_and_the_share_is_said)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.8);
+    panels[1].section[2].density = 7;
+    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+
+    CHECK(strstr(result->json, "clipped-") != NULL);
+    CHECK(strstr(result->json, "too much of it is clipped: scan its panel again") != NULL);
+    CHECK_NEAR(measure(result, "mean_density"), 0.8, 0.01);
+}
+
+/* Case 41. */
+TEST(batches_are_not_compared_without_a_reference)
+{
+    drawn_auto control, treated, apart;
+
+    drawn_specimen_even(&control, WITH_REGION(", \"batch\": \"A\""), 0.8);
+    drawn_specimen_even(&treated, WITH_REGION(", \"batch\": \"A\", \"baseline\": \"control\""),
+                        0.6);
+    drawn_specimen_even(&apart, WITH_REGION(", \"batch\": \"B\", \"baseline\": \"control\""), 0.6);
+    gsn_auto(gsn_specimen_result) base = worked(&control, 1);
+
+    treated.specimen.baseline = baseline_of(base);
+    apart.specimen.baseline = baseline_of(base);
+    gsn_auto(gsn_specimen_result) same = worked(&treated, 1);
+    gsn_auto(gsn_specimen_result) other = worked(&apart, 1);
+    json_t *root = report_of(other);
+
+    CHECK_NEAR(measure(same, "loss"), 25, 0.5);
+    CHECK(!has_measure(other, "loss"));
+    CHECK(has_text(json_object_get(root, "warnings"), "batches not comparable: the control was"));
+    json_decref(root);
+}
+
+/* Case 41. */
+TEST(a_reference_that_shows_too_little_withholds_the_loss_and_says_so)
+{
+    drawn_auto d;
+
+    drawn_specimen_even(&d,
+                        WITH_REGION(", \"baseline\": \"control\", \"reference\": {\"tissue\": "
+                                    "{\"shape\": \"box\", \"min\": [-264, 216, 0], \"max\": "
+                                    "[264, 384, 48]}, \"density\": 0.5}"),
+                        0.6);
+    d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control",
+                                                          .specimens = 1,
+                                                          .mean_density = 0.5,
+                                                          .volume_mm3 = 1,
+                                                          .definition = "",
+                                                          .dyes = "" };
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+    json_t *root = report_of(result);
+
+    CHECK(!has_measure(result, "loss"));
+    CHECK(strstr(result->definition, "reference") == NULL);
+    CHECK(has_text(json_object_get(root, "warnings"),
+                   "batches not comparable: panel 1: the reference tissue shows on 2 sections"));
+    json_decref(root);
 }
 
 TEST(without_the_baselines_result_the_figures_stand_and_the_loss_does_not)

@@ -220,9 +220,12 @@ TEST(real_picrosirius_is_segmented_like_its_authors_did)
     struct gsn_collagen figures;
     struct gsn_overlap overlap;
     struct gsn_dyes_fit fit;
+    double apart;
 
     CHECK_OK(densities(image, &scan, od, &err), err);
     sample = sampled(od, NULL, scan.light);
+    CHECK_OK(gsn_stain_fits(sample, &prior.dyes, &apart, &err), err);
+    print_message("picrosirius: %.1f degrees from Van Gieson\n", apart);
     CHECK_OK(gsn_stain_look(sample, &look, &err), err);
     CHECK_OK(gsn_dyes_estimate(sample, &prior, &fit, &err), err);
     print_message("picrosirius: dyes moved by %.1f, %.1f, %.1f degrees, known to %.1f, %.1f, %.1f; "
@@ -248,6 +251,8 @@ TEST(real_haematoxylin_and_eosin_is_refused)
     struct gsn_plane *od[3] = { NULL, NULL, NULL };
     gsn_auto(gsn_stain_sample) sample = NULL;
     struct gsn_stain_look look = { .apart_deg = -7 };
+    const struct gsn_dyes builtin = gsn_dyes_builtin();
+    double apart = -7;
     struct gsn_error err = { 0 };
 
     CHECK_OK(densities(image, &scan, od, &err), err);
@@ -255,6 +260,10 @@ TEST(real_haematoxylin_and_eosin_is_refused)
     CHECK(gsn_stain_look(sample, &look, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "does not look like Van Gieson"));
     CHECK_NEAR(look.apart_deg, -7, 0);
+    CHECK(gsn_stain_fits(sample, &builtin, &apart, &err) == GSN_E_STAIN);
+    print_message("haematoxylin and eosin: %s\n", err.text);
+    assert_non_null(strstr(err.text, "does not look like Van Gieson: half of its stained pixels"));
+    CHECK_NEAR(apart, -7, 0);
     planes_free(od);
 }
 

@@ -45,10 +45,8 @@ static int by_serial(const void *a, const void *b)
 static struct gsn_assembly_section section_of(const struct gsn_panel_section *seen, unsigned panel)
 {
     static const enum gsn_assembly_state states[] = {
-        [GSN_SIGHT_FOUND] = GSN_SECTION_HELD,
-        [GSN_SIGHT_NEEDS_EYE] = GSN_SECTION_HELD,
-        [GSN_SIGHT_MISSING] = GSN_SECTION_MISSING,
-        [GSN_SIGHT_EMPTY] = GSN_SECTION_EMPTY,
+        [GSN_SIGHT_FOUND] = GSN_SECTION_HELD,      [GSN_SIGHT_NEEDS_EYE] = GSN_SECTION_HELD,
+        [GSN_SIGHT_MISSING] = GSN_SECTION_MISSING, [GSN_SIGHT_EMPTY] = GSN_SECTION_EMPTY,
         [GSN_SIGHT_HELD] = GSN_SECTION_HELD,
     };
     struct gsn_assembly_section section = { .panel = panel,

@@ -275,6 +275,34 @@ static void take_pose(struct gsn_assembly_section *section, const struct gsn_pos
             pose->state == GSN_POSE_TWO_MARKS ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
 }
 
+static enum gsn_strain_mode strain_mode(const struct gsn_protocol *protocol)
+{
+    static const enum gsn_strain_mode modes[] = {
+        [GSN_STATED_STRAIN_REPORTED] = GSN_STRAIN_REPORTED,
+        [GSN_STATED_STRAIN_RIGID] = GSN_STRAIN_RIGID,
+        [GSN_STATED_STRAIN_CORRECTED] = GSN_STRAIN_CORRECTED,
+    };
+
+    return modes[protocol->strain];
+}
+
+/* Does with the sections' strain what the protocol says. */
+static void use_strain(struct gsn_assembly *a, const struct gsn_pose_options *options)
+{
+    const struct gsn_pose_targets targets =
+        gsn_pose_targets_of(options->targets_um, options->target_count);
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+
+        if (!s->posed || !a->summary.stretches || a->strain_mode != GSN_STRAIN_CORRECTED)
+            continue;
+        s->pose.panel_to_block_um = gsn_strain_corrected(&s->pose);
+        if (targets.count > 0)
+            s->pose.tre_um = gsn_pose_tre_rms(&s->pose.error, &targets, 1);
+    }
+}
+
 static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err)
 {
@@ -296,10 +324,11 @@ static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly 
     options.targets_um = targets;
     for (size_t i = 0; i < a->section_count; i++)
         if (a->section[i].state == GSN_SECTION_HELD) {
-            inputs[count] =
-                (struct gsn_pose_input){ .serial = a->section[i].seen.serial,
-                                         .px_um =
-                                             panel_numbered(specimen, a->section[i].panel)->px_um };
+            inputs[count] = (struct gsn_pose_input){
+                .serial = a->section[i].seen.serial,
+                .px_um = panel_numbered(specimen, a->section[i].panel)->px_um,
+                .mirrored = strstr(a->section[i].seen.flags, "mirrored") != NULL
+            };
             memcpy(inputs[count].marks, a->section[i].seen.mark, sizeof inputs[count].marks);
             count++;
         }
@@ -312,6 +341,12 @@ static int solve_poses(const struct gsn_specimen *specimen, struct gsn_assembly 
     for (size_t i = 0, p = 0; r >= 0 && i < a->section_count; i++)
         if (a->section[i].state == GSN_SECTION_HELD)
             take_pose(&a->section[i], &poses[p++]);
+    if (r < 0)
+        return GSN_OK;
+    a->panel_stretch =
+        gsn_strain_of_panel(inputs, poses, count, options.markers_um, a->summary.mean_triangle);
+    a->strain_mode = strain_mode(specimen->protocol);
+    use_strain(a, &options);
     return GSN_OK;
 }
 

@@ -6,7 +6,7 @@
 #define GSN_PIPELINE_ASSEMBLY_H
 
 #include "pipeline/pictures.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/mask.h"
 
@@ -50,10 +50,12 @@ struct gsn_assembly {
     struct gsn_assembly_panel *panel; /* owned; as in the specimen */
     int solved;                       /* whether the stack's triangle could be solved */
     struct gsn_pose_summary summary;
-    char unsolved[480];      /* why not, or empty */
-    char no_region[480];     /* why the stated band could not be found, or empty */
-    struct gsn_mask *region; /* owned; NULL when the job states none or it was not found */
-    struct gsn_grid *grid;   /* owned; NULL without region or solution */
+    struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
+    enum gsn_strain_mode strain_mode;       /* the protocol's */
+    char unsolved[480];                     /* why not, or empty */
+    char no_region[480];                    /* why the stated band could not be found, or empty */
+    struct gsn_mask *region;                /* owned; NULL when the job states none */
+    struct gsn_grid *grid;                  /* owned; NULL without region or solution */
 };
 
 /* gives. Sections and panels that cannot be used are states, not failures.

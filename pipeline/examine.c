@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/examine.h"
 
+#include "pipeline/core/parallel.h"
 #include "pipeline/register/panel.h"
+#include "pipeline/stain/absorb.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -68,42 +70,79 @@ static void choose_marks(struct gsn_panel_section *section,
         flag(section, score > 0 && runner_up > 0.5 * score ? "ambiguous-marks" : "no-marks");
 }
 
-/* Marks of all sections of the panel. A panel whose sections agree on no triangle is no failure:
- * its sections need a person's eye. */
+static void shift(struct gsn_point *point, const struct gsn_slot *slot)
+{
+    point->x += slot->x;
+    point->y += slot->y;
+}
+
+/* Red density is worked out inside the section's box alone. */
+static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *slot,
+                           struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+{
+    const struct gsn_pixel_box box = { slot->x, slot->y, slot->width, slot->height };
+    struct gsn_slot inside = *slot;
+    struct gsn_plane *od[3] = { NULL };
+    gsn_auto(gsn_plane) red = NULL;
+    int r = gsn_absorb_box(scan->picture->image, &scan->glass, &box, 1, od, err);
+
+    if (r < 0)
+        return r;
+    red = od[0];
+    inside.x = inside.y = 0;
+    inside.centre_px.x -= slot->x;
+    inside.centre_px.y -= slot->y;
+    r = gsn_markers_candidates(red, &inside, scan->px_um, ret_candidates, err);
+    if (r < 0)
+        return r;
+    shift(&ret_candidates->tissue_px, slot);
+    for (size_t i = 0; i < ret_candidates->count; i++)
+        shift(&ret_candidates->mark[i].px, slot);
+    return GSN_OK;
+}
+
+struct search {
+    const struct gsn_scan *scan;
+    const struct gsn_slot *slots;           /* those with tissue */
+    struct gsn_mark_candidates *candidates; /* one for each */
+};
+
+static int search_slot(size_t index, void *context, struct gsn_error *err)
+{
+    const struct search *search = context;
+    const struct gsn_slot *slot = &search->slots[index];
+    const int r = find_candidates(search->scan, slot, &search->candidates[index], err);
+
+    return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
+}
+
+/* Marks of all sections of the panel: found slots and their numbers in findings. A panel whose
+ * sections agree on no triangle is no failure: its sections need a person's eye. */
 static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                      const struct gsn_slot *slots, struct gsn_panel_findings *findings,
-                      const struct gsn_progress *progress, struct gsn_error *err)
+                      const struct gsn_slot *found, size_t count, unsigned threads,
+                      struct gsn_panel_findings *findings, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
-        gsn_alloc_array(findings->count, sizeof *candidates);
+        gsn_alloc_array(count, sizeof *candidates);
+    struct search search = { scan, found, candidates };
     struct gsn_triangle_prior prior;
-    size_t count = 0;
     int r;
 
     if (!candidates)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    for (size_t i = 0; i < findings->count; i++) {
-        gsn_progress_say(progress, "marks", i, findings->count);
-        if (!slots[i].found)
-            continue;
-        r = gsn_markers_candidates(scan->od[0], &slots[i], scan->px_um, &candidates[count], err);
-        if (r < 0)
-            return gsn_fail_at(err, "slot %zu", i + 1);
-        count++;
-    }
+    r = gsn_parallel_for(count, threads, search_slot, &search, err);
+    if (r < 0)
+        return r;
     r = know_triangle(protocol, candidates, count, &prior, err);
     if (r < 0 && r != GSN_E_MARKERS)
         return r;
-    for (size_t i = 0, c = 0; i < findings->count; i++) {
-        struct gsn_panel_section *section = &findings->section[i];
+    for (size_t i = 0; i < count; i++) {
+        struct gsn_panel_section *section = &findings->section[found[i].slot];
 
-        if (!slots[i].found)
-            continue;
         if (r >= 0)
-            choose_marks(section, &candidates[c], &prior);
+            choose_marks(section, &candidates[i], &prior);
         else
             flag(section, "no-marks");
-        c++;
     }
     return GSN_OK;
 }
@@ -149,28 +188,29 @@ static void note_scraps(struct gsn_panel_findings *findings, const struct gsn_sc
 }
 
 static int examine(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                   unsigned number, const struct gsn_progress *progress,
+                   unsigned number, unsigned threads, const struct gsn_progress *progress,
                    struct gsn_panel_findings *findings, struct gsn_error *err)
 {
     const struct gsn_layout layout = gsn_protocol_layout(protocol);
     gsn_auto_mem(struct gsn_slot) slots = gsn_alloc_array(findings->count, sizeof *slots);
     gsn_auto_mem(struct gsn_scrap) scraps = NULL;
-    gsn_auto(gsn_plane) tissue = NULL;
-    size_t scrap_count = 0;
-    double threshold;
+    size_t scrap_count = 0, found = 0;
     int r;
 
     if (!slots)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the slots of a panel");
     gsn_progress_say(progress, "splitting", 0, 1);
-    r = gsn_tissue_plane(scan->od, &scan->glass, &tissue, &threshold, err);
-    if (r >= 0)
-        r = gsn_panel_split(tissue, &layout, scan->px_um, slots, &scraps, &scrap_count, err);
+    r = gsn_panel_split(scan->total, scan->step, &layout, scan->px_um, slots, &scraps, &scrap_count,
+                        err);
     if (r < 0)
         return r;
     take_slots(findings, slots, protocol, number);
     note_scraps(findings, scraps, scrap_count);
-    return find_marks(scan, protocol, slots, findings, progress, err);
+    for (size_t i = 0; i < findings->count; i++)
+        if (slots[i].found)
+            slots[found++] = slots[i];
+    gsn_progress_say(progress, "marks", 0, found);
+    return find_marks(scan, protocol, slots, found, threads, findings, err);
 }
 
 int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
@@ -189,7 +229,7 @@ int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
     if (!findings || !findings->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
     gsn_progress_say(progress, "decoding", 0, 1);
-    r = gsn_scan_open(decoder, bytes, size, protocol, threads, &scan, err);
+    r = gsn_scan_survey(decoder, bytes, size, protocol, &scan, err);
     if (r < 0)
         return r;
     findings->width = scan->picture->image->width;
@@ -197,7 +237,7 @@ int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
     findings->px_um = scan->px_um;
     (void)snprintf(findings->note, sizeof findings->note, "%s%s%s", scan->picture->note,
                    scan->picture->note[0] && scan->note[0] ? "; " : "", scan->note);
-    r = examine(scan, protocol, number, progress, findings, err);
+    r = examine(scan, protocol, number, threads, progress, findings, err);
     if (r < 0)
         return r;
     *ret_findings = gsn_steal(&findings);

@@ -235,6 +235,17 @@ static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_err
     return GSN_OK;
 }
 
+static int read_strain(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const words[] = { "reported", "rigid", "corrected", NULL };
+    int strain = GSN_STATED_STRAIN_REPORTED;
+    const int r = get_word(job, "strain", words, &strain, err);
+
+    if (r >= 0)
+        p->strain = (enum gsn_stated_strain)strain;
+    return r;
+}
+
 static int read_light(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const transfers[] = { "unknown", "linear", "srgb", NULL };
@@ -292,7 +303,7 @@ static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct g
                                          "layout",     "order",     "sections",    "region",
                                          "markers_um", "baseline",  "transfer",    "dyes",
                                          "white",      "kind",      "thresholds",  "tolerance",
-                                         "file",       "reference", "comment" };
+                                         "file",       "reference", "comment",     "strain" };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
     for (; at; at = json_object_iter_next((json_t *)(uintptr_t)job, at)) {
@@ -332,7 +343,7 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = get_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
         (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
         (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, p, err)) < 0 ||
-        (r = read_light(job, p, err)) < 0)
+        (r = read_strain(job, p, err)) < 0 || (r = read_light(job, p, err)) < 0)
         return r;
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;

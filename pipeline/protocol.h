@@ -18,6 +18,11 @@ extern "C" {
 enum gsn_kind { GSN_KIND_SECTIONS, GSN_KIND_VOLUME, GSN_KIND_TILE };
 enum gsn_stated_order { GSN_STATED_ROW, GSN_STATED_COLUMN, GSN_STATED_SNAKE };
 enum gsn_stated_transfer { GSN_STATED_UNKNOWN, GSN_STATED_LINEAR, GSN_STATED_SRGB };
+enum gsn_stated_strain {
+    GSN_STATED_STRAIN_REPORTED, /* the default */
+    GSN_STATED_STRAIN_RIGID,
+    GSN_STATED_STRAIN_CORRECTED,
+};
 enum gsn_region_kind {
     GSN_REGION_NONE, /* not stated: everything that has data (volumes), or withheld (sections) */
     GSN_REGION_MASK, /* a file */
@@ -46,6 +51,7 @@ struct gsn_protocol {
     unsigned panels, rows, columns, sections;
     enum gsn_stated_order order;
     enum gsn_stated_transfer transfer;
+    enum gsn_stated_strain strain; /* what becomes of a section's own stretch */
     struct gsn_region region;
     int has_markers;
     struct gsn_point markers_um[3];

@@ -1,6 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/scan.h"
 
+#include "pipeline/register/panel_reduce.h"
+#include "pipeline/stain/absorb.h"
+
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -54,22 +57,21 @@ static int size_of_pixels(struct gsn_scan *scan, const struct gsn_protocol *prot
     return GSN_OK;
 }
 
-static int measure_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                         enum gsn_light light, struct gsn_error *err)
+static int give_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                      enum gsn_light light, struct gsn_error *err)
 {
     const struct gsn_image *image = scan->picture->image;
     const double white[3] = { 255 * protocol->white[0], 255 * protocol->white[1],
                               255 * protocol->white[2] };
 
-    if (!protocol->has_white)
-        return gsn_glass_estimate(image, light, &scan->glass, err);
     note(scan, "white point as stated in the job, not measured");
     return gsn_glass_given(image->width, image->height, light, white, &scan->glass, err);
 }
 
-int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
-                  struct gsn_error *err)
+/* Everything but glass and density. */
+static int read_scan(const char *decoder, const void *bytes, size_t size,
+                     const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
+                     struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
     int r;
@@ -88,11 +90,89 @@ int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
         return gsn_fail(err, GSN_E_INPUT,
                         "a grey picture: collagen needs colour; scan again as RGB");
     r = size_of_pixels(scan, protocol, err);
-    if (r >= 0)
-        r = measure_glass(scan, protocol, light_of(scan, protocol), err);
+    if (r < 0)
+        return r;
+    *ret_scan = gsn_steal(&scan);
+    return GSN_OK;
+}
+
+int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
+                  const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
+                  struct gsn_error *err)
+{
+    gsn_auto(gsn_scan) scan = NULL;
+    enum gsn_light light;
+    int r = read_scan(decoder, bytes, size, protocol, &scan, err);
+
+    if (r < 0)
+        return r;
+    light = light_of(scan, protocol);
+    r = protocol->has_white ? give_glass(scan, protocol, light, err)
+                            : gsn_glass_estimate(scan->picture->image, light, &scan->glass, err);
     if (r >= 0)
         r = gsn_optical_density(scan->picture->image, &scan->glass, threads, scan->od,
                                 &scan->clipped, err);
+    if (r < 0)
+        return r;
+    *ret_scan = gsn_steal(&scan);
+    return GSN_OK;
+}
+
+/* First on a picture of at most COARSE pixels across, where the fit costs nothing; a panel so
+ * crowded that little glass is left in cells that large is looked at more closely. */
+static int survey_glass(const struct gsn_image *small, enum gsn_light light,
+                        struct gsn_glass *ret_glass, struct gsn_error *err)
+{
+    enum { COARSE = 128 };
+    const uint32_t longest = small->width > small->height ? small->width : small->height;
+    const unsigned step = (longest + COARSE - 1) / COARSE;
+    gsn_auto(gsn_image) coarse = NULL;
+    int r = GSN_E_STAIN;
+
+    if (step > 1 && small->width / step >= 16 && small->height / step >= 16) {
+        r = gsn_panel_reduce(small, step, &coarse, err);
+        if (r >= 0)
+            r = gsn_glass_estimate(coarse, light, ret_glass, NULL);
+    }
+    return r == GSN_E_STAIN ? gsn_glass_estimate(small, light, ret_glass, err) : r;
+}
+
+/* The glass stands in parts of the picture, so it fits the same picture at any size. */
+static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol, struct gsn_error *err)
+{
+    const struct gsn_image *image = scan->picture->image;
+    const enum gsn_light light = light_of(scan, protocol);
+    gsn_auto(gsn_image) small = NULL;
+    struct gsn_glass glass;
+    int r;
+
+    scan->step = gsn_panel_step(scan->px_um);
+    r = gsn_panel_reduce(image, scan->step, &small, err);
+    if (r < 0)
+        return r;
+    if (protocol->has_white)
+        r = give_glass(scan, protocol, light, err);
+    else
+        r = survey_glass(small, light, &scan->glass, err);
+    if (r < 0)
+        return r;
+    glass = scan->glass;
+    glass.width = small->width;
+    glass.height = small->height;
+    scan->glass.width = image->width;
+    scan->glass.height = image->height;
+    return gsn_absorb_total(small, &glass, &scan->total, err);
+}
+
+int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
+                    const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
+                    struct gsn_error *err)
+{
+    gsn_auto(gsn_scan) scan = NULL;
+    int r = read_scan(decoder, bytes, size, protocol, &scan, err);
+
+    if (r >= 0)
+        r = survey(scan, protocol, err);
     if (r < 0)
         return r;
     *ret_scan = gsn_steal(&scan);
@@ -106,6 +186,7 @@ void gsn_scan_free(struct gsn_scan *scan)
     gsn_picture_free(scan->picture);
     for (size_t c = 0; c < 3; c++)
         gsn_plane_free(scan->od[c]);
+    gsn_plane_free(scan->total);
     gsn_free(scan);
 }
 

@@ -16,7 +16,10 @@ extern "C" {
 struct gsn_scan {
     struct gsn_picture *picture; /* RGB */
     struct gsn_glass glass;
-    struct gsn_plane *od[3];
+    struct gsn_plane *od[3]; /* NULL after gsn_scan_survey() */
+    struct gsn_plane *total; /* R + G + B optical density in cells of step x step pixels, after
+                                gsn_scan_survey(); else NULL */
+    unsigned step;
     double px_um;   /* the job's, else the file's; never 0 */
     size_t clipped; /* pixels with a channel at 0 */
     char note[240]; /* what was assumed, "; " between; empty when nothing was */
@@ -32,6 +35,11 @@ struct gsn_scan {
 int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
                   const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
                   struct gsn_error *err);
+/* The same for one look at a panel: the glass is measured on the picture made small, which costs a
+ * fiftieth, and optical density is there in cells only. Fails as gsn_scan_open(). */
+int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
+                    const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
+                    struct gsn_error *err);
 void gsn_scan_free(struct gsn_scan *scan);
 GSN_DEFINE_AUTO(gsn_scan);
 

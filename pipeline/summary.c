@@ -2,6 +2,7 @@
 #include "pipeline/summary.h"
 
 #include "pipeline/measure/loss.h"
+#include "pipeline/pose_words.h"
 #include "pipeline/report/report.h"
 
 #include <math.h>
@@ -18,9 +19,6 @@ static const double LEAST_KNOWN = 0.9;
 static const double LEAST_MEASURED = 0.7;
 /* More bridged than this is said in the verdict; less are the halos and dust of every stack. */
 static const double BRIDGED_UNSAID = 0.02;
-
-/* A mean triangle larger or smaller than declared by more than this: the pixel size is wrong. */
-static const double SCALE_TOLERANCE = 0.01;
 
 /* Glass pixels at the highest code hide how bright the glass was. */
 static const double MOST_OVEREXPOSED = 0.02;
@@ -187,7 +185,7 @@ static void fill_masked(const struct gsn_assembly_section *s, struct gsn_report_
 }
 
 static void fill_section(const struct gsn_assembly_section *s, const struct gsn_protocol *p,
-                         struct draft *d, size_t i)
+                         int strained, struct draft *d, size_t i)
 {
     const struct gsn_layout layout = gsn_protocol_layout(p);
     struct gsn_report_section *row = &d->section[i];
@@ -206,6 +204,14 @@ static void fill_section(const struct gsn_assembly_section *s, const struct gsn_
                                                        .size = s->thumbnail.size,
                                                        .width = s->thumbnail.width,
                                                        .height = s->thumbnail.height } };
+    if (s->posed && strained) {
+        const struct gsn_strain_axes axes = gsn_strain_principal(s->pose.strain);
+
+        row->strained = 1;
+        row->strain_percent[0] = 100 * axes.most;
+        row->strain_percent[1] = 100 * axes.least;
+        row->strain_deg = axes.angle * 180 / M_PI;
+    }
     gsn_panel_place(&layout, s->seen.slot, &row->row, &row->column);
     fill_masked(s, row);
     row->flags = d->flag[i];
@@ -223,17 +229,20 @@ static void exclude(struct draft *d, const char *what, const char *reason)
         (struct gsn_report_exclusion){ .what = what, .reason = reason };
 }
 
-static const char *reason_of(const struct gsn_assembly_section *s)
+static const char *reason_of(struct draft *d, const struct gsn_assembly_section *s)
 {
+    char sentence[GSN_POSE_SENTENCE];
+
     if (s->state == GSN_SECTION_MISSING)
         return strstr(s->flags, "no-panel") ? "its panel is not there or was refused; the gap is "
                                               "kept at its place"
                                             : "the slot is empty; the gap is kept at its place";
     if (strstr(s->flags, "duplicate-serial"))
         return "another section already has this serial number: rename the panel or approve one";
-    if (strstr(s->flags, "residual-too-large"))
-        return "its three marks do not fit the stack's triangle: look for a torn section or a "
-               "mistaken mark";
+    if (strstr(s->flags, "residual-too-large")) {
+        gsn_pose_reason(&s->pose, sentence);
+        return say(d, "%s", sentence);
+    }
     if (strstr(s->flags, "ambiguous-marks"))
         return "more than one choice of marks fits the triangle: look at it";
     return "fewer than two marks were found: look at it";
@@ -259,14 +268,15 @@ static void fill_sections(const struct gsn_evidence *e, struct draft *d)
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
 
-        fill_section(s, e->specimen->protocol, d, i);
+        fill_section(s, e->specimen->protocol,
+                     a->summary.stretches && a->strain_mode != GSN_STRAIN_RIGID, d, i);
         doubtful += s->state == GSN_SECTION_DOUBTFUL;
         held += s->state == GSN_SECTION_HELD;
         missing += s->state == GSN_SECTION_MISSING;
         if (s->state == GSN_SECTION_HELD || s->state == GSN_SECTION_MISSING)
             exclude(
                 d, say(d, "section %u (panel %u, slot %u)", s->seen.serial, s->panel, s->seen.slot),
-                reason_of(s));
+                reason_of(d, s));
         exclude_masked(s, d);
     }
     if (doubtful)
@@ -316,8 +326,10 @@ static void fill_panels(const struct gsn_evidence *e, struct draft *d)
     d->report.panel_count = a->panel_count;
 }
 
-static void fill_registration(const struct gsn_assembly *a, struct draft *d)
+static void fill_registration(const struct gsn_assembly *a, double interval_um, struct draft *d)
 {
+    char sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE];
+    size_t count;
     struct gsn_report_registration *r = &d->registration;
     double sum = 0, tre = 0;
 
@@ -339,16 +351,10 @@ static void fill_registration(const struct gsn_assembly *a, struct draft *d)
         r->rms_residual_um = sqrt(sum / r->sections_posed);
         r->mean_tre_um = tre / r->sections_posed;
     }
-    if (!a->summary.flips_told)
-        warn(d, say(d,
-                    "a section mounted face down cannot be told on this block: two sides of the "
-                    "marks' triangle differ by only %.1f sigma",
-                    a->summary.isosceles_sigma));
-    if (fabs(a->summary.scale_vs_declared - 1) > SCALE_TOLERANCE)
-        warn(d, say(d,
-                    "the marks' triangle is %.2f times the declared one: the pixel size is wrong, "
-                    "and so are all volumes",
-                    a->summary.scale_vs_declared));
+    count =
+        gsn_pose_sentences(&a->summary, &a->panel_stretch, a->strain_mode, interval_um, sentence);
+    for (size_t i = 0; i < count; i++)
+        warn(d, say(d, "%s", sentence[i]));
     d->report.registration = r;
 }
 
@@ -357,7 +363,7 @@ static void fill_assembly(const struct gsn_evidence *e, struct draft *d)
     fill_sections(e, d);
     fill_panels(e, d);
     if (e->assembly->solved)
-        fill_registration(e->assembly, d);
+        fill_registration(e->assembly, e->specimen->protocol->interval_um, d);
     else
         warn(d, e->assembly->unsolved);
 }

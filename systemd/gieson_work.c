@@ -9,6 +9,7 @@
  *     gieson-work --store DIR changed       asks for the job of every specimen that changed
  *     gieson-work --store DIR scrub         reads stored objects again; 65: some are damaged
  *     gieson-work check FILE...             decodes strictly, says what each file is
+ *     gieson-work register FOLDER           the poses of a folder of section pictures
  */
 #include "pipeline/core/error.h"
 #include "pipeline/core/file.h"
@@ -22,10 +23,12 @@
 #include "systemd/import.h"
 #include "systemd/job.h"
 #include "systemd/night.h"
+#include "systemd/register_folder.h"
 #include "systemd/scrub.h"
 
 #include <argp.h>
 #include <jansson.h>
+#include <malloc.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -45,7 +48,10 @@ enum {
     OPT_SPECIMEN,
     OPT_THRESHOLD,
     OPT_REPLACE,
-    OPT_MINUTES
+    OPT_MINUTES,
+    OPT_MARKS,
+    OPT_PX_UM,
+    OPT_RADIUS
 };
 
 struct request {
@@ -53,7 +59,7 @@ struct request {
     char **rest;
     int rest_count, json, replace;
     unsigned threads, minutes;
-    const char *volume, *tile, *reference, *specimen;
+    const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius;
     json_t *thresholds;
 };
 
@@ -71,6 +77,10 @@ static const struct argp_option options[] = {
     { "threshold", OPT_THRESHOLD, "X", 0, "import --volume, --tile: may be given up to 8 times",
       1 },
     { "minutes", OPT_MINUTES, "N", 0, "scrub: stop after so long; the next one goes on there", 1 },
+    { "marks", OPT_MARKS, "X,Y X,Y X,Y", 0, "register: where the marks are in the frame wanted",
+      1 },
+    { "px-um", OPT_PX_UM, "UM", 0, "register: size of a pixel; without it lengths are pixels", 1 },
+    { "radius", OPT_RADIUS, "R", 0, "register: the error is given over this disc", 1 },
     { 0 },
 };
 
@@ -135,6 +145,15 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case OPT_SPECIMEN:
         request->specimen = arg;
         return 0;
+    case OPT_MARKS:
+        request->marks = arg;
+        return 0;
+    case OPT_PX_UM:
+        request->px_um = arg;
+        return 0;
+    case OPT_RADIUS:
+        request->radius = arg;
+        return 0;
     case OPT_THRESHOLD:
         take_threshold(arg, request, state);
         return 0;
@@ -146,7 +165,8 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case ARGP_KEY_END:
         if (!request->verb)
-            argp_error(state, "say what to do: import, work, changed, verify, scrub or check");
+            argp_error(state,
+                       "say what to do: import, work, changed, verify, scrub, check or register");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -538,15 +558,41 @@ static int do_check(const struct request *request)
     return status;
 }
 
+static int do_register(const struct request *request)
+{
+    const struct gsn_register_request folder = { .dir = request->rest[0],
+                                                 .marks = request->marks,
+                                                 .px_um = request->px_um,
+                                                 .radius = request->radius,
+                                                 .json = request->json };
+    gsn_auto_mem(char) decoder = NULL;
+    struct gsn_error err = { 0 };
+    size_t lost = 0;
+    int r;
+
+    if (request->rest_count != 1)
+        return usage("register needs one folder of pictures");
+    /* One section after the other works in the same pages. */
+    (void)mallopt(M_MMAP_THRESHOLD, 32 << 20);
+    (void)mallopt(M_TRIM_THRESHOLD, 256 << 20);
+    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    if (r >= 0)
+        r = gsn_register_folder(&folder, decoder, &lost, &err);
+    if (r < 0)
+        return complain(&err, r);
+    return lost > 0 ? EX_DATAERR : EX_OK;
+}
+
 int main(int argc, char **argv)
 {
     static const struct {
         const char *verb;
         int needs_store;
         int (*run)(const struct request *request);
-    } verbs[] = { { "import", 1, do_import },   { "work", 1, do_work },
-                  { "changed", 1, do_changed }, { "verify", 1, do_verify },
-                  { "scrub", 1, do_scrub },     { "check", 0, do_check } };
+    } verbs[] = { { "import", 1, do_import },    { "work", 1, do_work },
+                  { "changed", 1, do_changed },  { "verify", 1, do_verify },
+                  { "scrub", 1, do_scrub },      { "check", 0, do_check },
+                  { "register", 0, do_register } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
                                         .args_doc = "VERB [ARGUMENT...]",
@@ -563,7 +609,8 @@ int main(int argc, char **argv)
     while (i < sizeof verbs / sizeof verbs[0] && strcmp(verbs[i].verb, request.verb) != 0)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
-        status = usage("this verb is not known: import, work, changed, verify, scrub or check");
+        status = usage(
+            "this verb is not known: import, work, changed, verify, scrub, check or register");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = usage("no store: say --store DIR or set GIESON_STORE");
     else

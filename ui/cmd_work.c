@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The verbs that other programs do: import, verify, scrub and check are gieson-work's, phantom has
- * a program of its own, and the configuration is the service's. */
+/* The verbs that other programs do: import, verify, scrub, check and register are gieson-work's,
+ * phantom has a program of its own, and the configuration is the service's. */
 #include "ui/ui.h"
 
 #include <string.h>
@@ -39,6 +39,22 @@ int gsn_cmd_check(const struct gsn_ui *ui, int argc, char **argv)
     if (argc < 2)
         return gsn_ui_usage("check which files? Say `gieson check FILE...`");
     return pass_on(ui, "gieson-work", 0, argc, argv, 0);
+}
+
+int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
+{
+    gsn_auto_mem(const char *) args = gsn_alloc_array((size_t)argc + 2, sizeof *args);
+    size_t n = 0;
+
+    if (argc < 2)
+        return gsn_ui_usage("register which pictures? Say `gieson register FOLDER`");
+    if (!args)
+        return gsn_ui_fail(EX_OSERR, "out of memory");
+    if (ui->json)
+        args[n++] = "--json";
+    for (int i = 0; i < argc; i++)
+        args[n++] = argv[i];
+    return gsn_ui_call(ui, "gieson-work", 0, args);
 }
 
 int gsn_cmd_phantom(const struct gsn_ui *ui, int argc, char **argv)

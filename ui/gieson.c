@@ -37,6 +37,7 @@ static const struct {
     { "scrub", gsn_cmd_scrub },
     { "check", gsn_cmd_check },
     { "check-config", gsn_cmd_check_config },
+    { "register", gsn_cmd_register },
     { "devices", gsn_cmd_devices },
     { "demo", gsn_cmd_demo },
     { "phantom", gsn_cmd_phantom },
@@ -58,6 +59,7 @@ static const char doc[] =
     "  verify RUN          work a finished run again and compare every byte\n"
     "  scrub               read every stored original again, compare its hash\n"
     "  check FILE...       decode pictures strictly and say what they are\n"
+    "  register FOLDER     how the sections of a plain folder of pictures lie\n"
     "  demo [FOLDER]       two phantom specimens from panels to reports\n"
     "  phantom ...         make a specimen with a known truth (phantom --help)\n"
     "The bench:\n"

@@ -14,7 +14,7 @@
 #include <jpeglib.h>
 
 /* Progressive scans of real encoders are about ten; a file of thousands only costs time. */
-enum { MOST_SCANS = 100 };
+enum { MOST_SCANS = 100, ROWS_AT_ONCE = 16 };
 
 struct reader {
     struct jpeg_decompress_struct info; /* client_data points back here */
@@ -198,7 +198,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
                        struct gsn_picture *picture)
 {
     struct jpeg_decompress_struct *info = &reader->info;
-    struct gsn_layout layout = { .bits = 8 };
+    struct gsn_raster_layout layout = { .bits = 8 };
     struct gsn_exif exif;
 
     (void)jpeg_read_header(info, TRUE);
@@ -237,23 +237,29 @@ static int check_complete(const struct reader *reader)
     return GSN_OK;
 }
 
-static int read_rows(struct reader *reader, const struct gsn_decode_limits *limits)
+/* Rows as they are stored go where they stay, as many at once as the library has. */
+static int read_straight(struct reader *reader)
+{
+    struct jpeg_decompress_struct *info = &reader->info;
+
+    while (info->output_scanline < info->image_height) {
+        const uint32_t y = info->output_scanline, left = info->image_height - y;
+        JSAMPROW row[ROWS_AT_ONCE];
+        const uint32_t count = left < ROWS_AT_ONCE ? left : ROWS_AT_ONCE;
+
+        for (uint32_t i = 0; i < count; i++)
+            row[i] = gsn_raster_row(&reader->canvas, y + i);
+        (void)jpeg_read_scanlines(info, row, count);
+    }
+    return GSN_OK;
+}
+
+static int read_turned(struct reader *reader)
 {
     struct jpeg_decompress_struct *info = &reader->info;
     const uint32_t channels = (uint32_t)info->num_components;
-    const uint64_t image_bytes = gsn_image_bytes(reader->canvas.image);
     JSAMPROW row;
-    int r;
 
-    reader->stage = jpeg_has_multiple_scans(info) ? IN_SCANS : IN_ROWS;
-    info->out_color_space = channels == 1 ? JCS_GRAYSCALE : JCS_RGB;
-    info->dct_method = JDCT_ISLOW;
-    info->do_block_smoothing = FALSE;
-    info->mem->max_memory_to_use = (long)(limits->most_bytes - image_bytes + GSN_DECODE_WORK_BYTES);
-    (void)jpeg_start_decompress(info);
-    r = check_complete(reader);
-    if (r < 0)
-        return r;
     reader->row = gsn_alloc((size_t)info->image_width * channels);
     if (!reader->row)
         return gsn_fail(reader->err, GSN_E_NOMEM, "out of memory while decoding JPEG");
@@ -266,6 +272,28 @@ static int read_rows(struct reader *reader, const struct gsn_decode_limits *limi
         (void)jpeg_read_scanlines(info, &row, 1);
         gsn_raster_put(&reader->canvas, &run, row);
     }
+    return GSN_OK;
+}
+
+static int read_rows(struct reader *reader, const struct gsn_decode_limits *limits)
+{
+    struct jpeg_decompress_struct *info = &reader->info;
+    const uint32_t channels = (uint32_t)info->num_components;
+    const uint64_t image_bytes = gsn_image_bytes(reader->canvas.image);
+    int r;
+
+    reader->stage = jpeg_has_multiple_scans(info) ? IN_SCANS : IN_ROWS;
+    info->out_color_space = channels == 1 ? JCS_GRAYSCALE : JCS_RGB;
+    info->dct_method = JDCT_ISLOW;
+    info->do_block_smoothing = FALSE;
+    info->mem->max_memory_to_use = (long)(limits->most_bytes - image_bytes + GSN_DECODE_WORK_BYTES);
+    (void)jpeg_start_decompress(info);
+    r = check_complete(reader);
+    if (r < 0)
+        return r;
+    r = gsn_raster_row(&reader->canvas, 0) ? read_straight(reader) : read_turned(reader);
+    if (r < 0)
+        return r;
     (void)jpeg_finish_decompress(info);
     return GSN_OK;
 }

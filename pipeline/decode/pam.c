@@ -55,7 +55,7 @@ struct reader {
     const struct matrix *matrix;
     int is_limited;
     struct gsn_frame_notes notes;
-    struct gsn_layout layout;
+    struct gsn_raster_layout layout;
     struct gsn_raster canvas;
 };
 
@@ -238,7 +238,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
         gsn_picture_remark(picture, "Bayer pattern interpolated");
     if (reader->maxval != 255 && reader->maxval != 65535)
         gsn_picture_remark(picture, "0..%u stretched to 16 bit", reader->maxval);
-    reader->layout = (struct gsn_layout){
+    reader->layout = (struct gsn_raster_layout){
         .width = reader->width,
         .height = reader->type->kind == NV12 ? reader->height / 3 * 2 : reader->height,
         .channels = reader->type->kind == GREY ? 1 : 3,

@@ -16,7 +16,7 @@ struct reader {
     struct gsn_bytes file;
     size_t at;
     uint32_t row; /* 0 until the first row was asked for, then 1-based */
-    struct gsn_layout layout;
+    struct gsn_raster_layout layout;
     struct gsn_raster canvas;
     struct gsn_exif exif;
     uint8_t *samples; /* one row */
@@ -166,7 +166,7 @@ static void set_conversions(struct reader *reader, unsigned colour, struct gsn_p
 static int read_header(struct reader *reader, const struct gsn_decode_limits *limits,
                        struct gsn_picture *picture)
 {
-    struct gsn_layout *layout = &reader->layout;
+    struct gsn_raster_layout *layout = &reader->layout;
     unsigned colour, bits;
 
     png_read_info(reader->png, reader->info);
@@ -189,8 +189,16 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
 
 static void read_row(struct reader *reader, struct gsn_run run)
 {
+    void *const straight = run.step == 1 && run.count == reader->layout.width
+                               ? gsn_raster_row(&reader->canvas, run.y)
+                               : NULL;
+
     reader->row = run.y + 1;
     run.channels = run.stride = reader->layout.channels;
+    if (straight) {
+        png_read_row(reader->png, straight, NULL);
+        return;
+    }
     png_read_row(reader->png, reader->samples, NULL);
     gsn_raster_put(&reader->canvas, &run, reader->samples);
 }
@@ -204,7 +212,7 @@ static const struct pass {
 /* They arrive one after the other and go straight to their places. */
 static void read_interlaced(struct reader *reader)
 {
-    const struct gsn_layout *layout = &reader->layout;
+    const struct gsn_raster_layout *layout = &reader->layout;
 
     for (size_t i = 0; i < 7; i++) {
         const struct pass *pass = &passes[i];
@@ -222,7 +230,7 @@ static void read_interlaced(struct reader *reader)
 
 static int read_rows(struct reader *reader)
 {
-    const struct gsn_layout *layout = &reader->layout;
+    const struct gsn_raster_layout *layout = &reader->layout;
     const png_unknown_chunk *late;
     struct gsn_exif exif;
 

@@ -5,6 +5,10 @@
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/mman.h>
+
+/* From here on memory is worth a mapping of its own. */
+#define LARGE_BYTES ((uint64_t)8 << 20)
 
 /* Where stored pixel (0, 0) goes and which way its row and column run, EXIF orientations 1..8:
  * from_right, from_bottom say at which corner the first pixel ends up; turned swaps the axes. */
@@ -15,8 +19,8 @@ static const struct corner {
     [5] = { 0, 0, 1 }, [6] = { 1, 0, 1 }, [7] = { 1, 1, 1 }, [8] = { 0, 1, 1 },
 };
 
-static int check_limits(const struct gsn_layout *layout, const struct gsn_decode_limits *limits,
-                        struct gsn_error *err)
+static int check_limits(const struct gsn_raster_layout *layout,
+                        const struct gsn_decode_limits *limits, struct gsn_error *err)
 {
     const uint64_t pixels = (uint64_t)layout->width * layout->height;
     const uint64_t pixel_bytes = (uint64_t)layout->channels * layout->bits / 8;
@@ -46,10 +50,28 @@ static void swap_pitch(struct gsn_picture *picture)
     picture->px_um_y = x;
 }
 
+/* Every sample is written by its codec, so a large picture need not be zeroed twice: its pages come
+ * all at once, which costs two thirds of touching them one by one. */
+static void map_place(uint64_t bytes, struct gsn_picture *picture)
+{
+    void *place;
+
+    if (bytes < LARGE_BYTES)
+        return;
+    place = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (place == MAP_FAILED)
+        return;
+    (void)madvise(place, bytes, MADV_POPULATE_WRITE); /* older kernels do without */
+    picture->place = place;
+    picture->mapped_bytes = bytes;
+}
+
 /* The picture's image, allocated or at the place that was given for its samples. */
-static int make_image(const struct gsn_layout *layout, uint32_t width, uint32_t height,
+static int make_image(const struct gsn_raster_layout *layout, uint32_t width, uint32_t height,
                       struct gsn_picture *picture, struct gsn_error *err)
 {
+    if (!picture->place)
+        map_place((uint64_t)width * height * layout->channels * layout->bits / 8, picture);
     if (!picture->place)
         return gsn_image_new(width, height, layout->channels, layout->bits, &picture->image, err);
     picture->image = gsn_alloc_array(1, sizeof *picture->image);
@@ -63,7 +85,7 @@ static int make_image(const struct gsn_layout *layout, uint32_t width, uint32_t 
     return GSN_OK;
 }
 
-int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
+int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_raster_layout *layout,
                     const struct gsn_decode_limits *limits, struct gsn_picture *picture,
                     struct gsn_error *err)
 {
@@ -128,6 +150,16 @@ void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run, 
         scatter8((uint8_t *)image->samples + first, step, samples, run);
     else
         scatter16((uint16_t *)image->samples + first, step, samples, run);
+}
+
+void *gsn_raster_row(const struct gsn_raster *canvas, uint32_t y)
+{
+    const struct gsn_image *image = canvas->image;
+    const size_t row_bytes = (size_t)image->width * image->channels * (image->bits / 8);
+
+    if (canvas->origin != 0 || canvas->step_x != 1 || canvas->step_y != (ptrdiff_t)image->width)
+        return NULL;
+    return (uint8_t *)image->samples + y * row_bytes;
 }
 
 void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)

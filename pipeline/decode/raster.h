@@ -20,7 +20,7 @@ struct gsn_bytes {
 #define GSN_DECODE_PIECE_BYTES ((uint64_t)64 << 20)
 
 /* A picture as its header describes it, before it is turned upright. */
-struct gsn_layout {
+struct gsn_raster_layout {
     uint32_t width, height, channels, bits;
     unsigned orientation; /* 1..8 as in EXIF and TIFF */
 };
@@ -41,7 +41,7 @@ struct gsn_run {
 /* Checks the limits, then allocates picture->image; turns px_um and notes the orientation.
  *
  * limits has no member 0. Fails with GSN_E_INPUT (no pixels), GSN_E_LIMIT or GSN_E_NOMEM. */
-int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_layout *layout,
+int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_raster_layout *layout,
                     const struct gsn_decode_limits *limits, struct gsn_picture *picture,
                     struct gsn_error *err);
 
@@ -56,6 +56,10 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
 /* The caller guarantees that the run lies inside the stored picture. */
 void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run,
                     const void *samples);
+
+/* Where stored row y goes when its pixels, all channels of them, come to lie side by side as they
+ * are stored; rows then follow each other. NULL when they have to be turned. */
+void *gsn_raster_row(const struct gsn_raster *canvas, uint32_t y);
 
 /* Adds a remark to picture->note; what does not fit is left out whole. */
 void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)

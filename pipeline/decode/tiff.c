@@ -361,11 +361,11 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
                        struct gsn_picture *picture, struct gsn_error *err)
 {
     const int is_palette = t->photometric == PHOTOMETRIC_PALETTE;
-    const struct gsn_layout layout = { .width = t->width,
-                                       .height = t->height,
-                                       .channels = is_palette ? 3 : colours(t),
-                                       .bits = is_palette ? 8 : t->bits,
-                                       .orientation = t->orientation };
+    const struct gsn_raster_layout layout = { .width = t->width,
+                                              .height = t->height,
+                                              .channels = is_palette ? 3 : colours(t),
+                                              .bits = is_palette ? 8 : t->bits,
+                                              .orientation = t->orientation };
     struct gsn_raster canvas;
     int r;
 

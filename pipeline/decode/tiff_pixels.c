@@ -98,6 +98,39 @@ static void put(const struct pixels *p, uint32_t x, uint32_t y, uint32_t count, 
     gsn_raster_put(p->canvas, &run, row);
 }
 
+/* Whether stored samples are the picture's own, so that whole strips may go where they stay. */
+static int is_plain(const struct pixels *p)
+{
+    const struct gsn_tiff *t = p->t;
+    const struct gsn_image *image = p->canvas->image;
+
+    return t->planar == PLANARCONFIG_CONTIG && !p->colour && t->samples == image->channels &&
+           t->bits == image->bits && t->photometric != PHOTOMETRIC_MINISWHITE &&
+           gsn_raster_row(p->canvas, 0) &&
+           TIFFScanlineSize64(t->tiff) == gsn_image_bytes(image) / image->height;
+}
+
+/* libtiff is fastest with whole strips. */
+static int read_plain_strips(const struct pixels *p, struct gsn_error *err)
+{
+    struct gsn_tiff *t = p->t;
+    const uint64_t row_bytes = TIFFScanlineSize64(t->tiff);
+    uint32_t rows = 0;
+
+    (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_ROWSPERSTRIP, &rows);
+    rows = rows == 0 || rows > t->height ? t->height : rows;
+    for (uint32_t y = 0, strip = 0; y < t->height; strip++) {
+        const uint32_t count = rows < t->height - y ? rows : t->height - y;
+        const tmsize_t bytes = (tmsize_t)(count * row_bytes);
+
+        if (TIFFReadEncodedStrip(t->tiff, strip, gsn_raster_row(p->canvas, y), bytes) != bytes ||
+            t->said_code != GSN_OK)
+            return refuse_piece(t, 0, y, err);
+        y += count;
+    }
+    return GSN_OK;
+}
+
 /* Row by row, so that a picture in a single strip needs no second copy. */
 static int read_strips(const struct pixels *p, uint16_t plane, struct gsn_error *err)
 {
@@ -147,6 +180,8 @@ static int read_planes(const struct pixels *p, struct gsn_error *err)
     const uint16_t planes = separate ? (uint16_t)p->canvas->image->channels : 1;
     int r = GSN_OK;
 
+    if (!TIFFIsTiled(t->tiff) && is_plain(p))
+        return read_plain_strips(p, err);
     for (uint16_t s = 0; s < planes && r >= 0; s++)
         r = TIFFIsTiled(t->tiff) ? read_tiles(p, s, err) : read_strips(p, s, err);
     return r;

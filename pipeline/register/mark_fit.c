@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_fit.h"
 
+#include "pipeline/register/mark_edge.h"
+
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
@@ -10,6 +12,8 @@
  * starting radius, so that all parameters are of order one or a few pixels. */
 enum { CX, CY, R, S, M, B0, BX, BY, P, RING, UNKNOWNS };
 
+/* From this radius on, px, the rim has sectors enough to speak for themselves. */
+static const double EDGE_FROM = 6;
 enum { ROUNDS = 3, STEPS = 100, LAG = 2 };
 
 /* The window: far enough for the ring and some tissue around it, in starting radii. */
@@ -385,8 +389,8 @@ static void guess(const struct window *w, double *v)
     v[P] = 0.1;
 }
 
-int gsn_mark_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                 struct gsn_mark *ret_mark, struct gsn_error *err)
+static int fit_small(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
+                     struct gsn_mark *ret_mark, struct gsn_error *err)
 {
     const size_t side = (size_t)ceil(2 * REACH * radius_px) + 3;
     gsn_auto_mem(struct pixel) pixels = gsn_alloc_array(side * side, sizeof *pixels);
@@ -394,8 +398,6 @@ int gsn_mark_fit(const struct gsn_plane *plane, struct gsn_point start, double r
     struct gsn_mark mark = { 0 };
     double v[UNKNOWNS];
     int settled = 1;
-
-    assert(plane && radius_px > 0 && ret_mark);
 
     if (!pixels)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
@@ -416,4 +418,13 @@ int gsn_mark_fit(const struct gsn_plane *plane, struct gsn_point start, double r
         covariance(&w, v, &mark))
         *ret_mark = mark;
     return GSN_OK;
+}
+
+int gsn_mark_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
+                 struct gsn_mark *ret_mark, struct gsn_error *err)
+{
+    assert(plane && radius_px > 0 && ret_mark);
+
+    return radius_px >= EDGE_FROM ? gsn_mark_edge_fit(plane, start, radius_px, ret_mark, err)
+                                  : fit_small(plane, start, radius_px, ret_mark, err);
 }

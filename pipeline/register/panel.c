@@ -8,8 +8,6 @@
 #include <math.h>
 #include <stdlib.h>
 
-/* The panel is split in cells of about this size; tears up to this width do not part a section. */
-static const double CELL_UM = 50, TEAR_UM = 100;
 static const double MARGIN_UM = 150;
 /* Anything smaller is dust. */
 static const double DUST_UM = 200;
@@ -73,23 +71,16 @@ unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn
     return (panel_number - 1) * layout->rows * layout->columns + slot;
 }
 
-static void reduce(const struct gsn_plane *plane, const struct cells *cells, float *ret_value)
+/* Masked cells and what is brighter than glass count as glass. */
+static void clip(const struct gsn_plane *tissue, float *ret_value)
 {
-    const int n = cells->step * cells->step;
+    const size_t count = (size_t)tissue->width * tissue->height;
+    const float most = (float)DARKEST;
 
-    for (int cy = 0; cy < cells->height; cy++) {
-        for (int cx = 0; cx < cells->width; cx++) {
-            double sum = 0;
+    for (size_t i = 0; i < count; i++) {
+        const float value = tissue->value[i];
 
-            for (int k = 0; k < n; k++) {
-                const size_t x = (size_t)(cx * cells->step + k % cells->step);
-                const size_t y = (size_t)(cy * cells->step + k / cells->step);
-                const float value = plane->value[y * plane->width + x];
-
-                sum += isnan(value) ? 0 : fmin(fmax(value, 0), DARKEST);
-            }
-            ret_value[cy * cells->width + cx] = (float)(sum / n);
-        }
+        ret_value[i] = value > 0 ? value < most ? value : most : 0;
     }
 }
 
@@ -99,8 +90,11 @@ static double threshold_of(const float *value, size_t count, double *ret_apart)
     size_t histogram[BINS] = { 0 }, below = 0, best = 0;
     double all = 0, sum = 0, most = -1;
 
-    for (size_t i = 0; i < count; i++)
-        histogram[(size_t)fmin(value[i] / DARKEST * BINS, BINS - 1)]++;
+    for (size_t i = 0; i < count; i++) {
+        const unsigned bin = (unsigned)(value[i] * (float)(BINS / DARKEST));
+
+        histogram[bin < BINS ? bin : BINS - 1]++;
+    }
     for (size_t b = 0; b < BINS; b++)
         all += (double)histogram[b] * ((double)b + 0.5);
     *ret_apart = 0;
@@ -122,24 +116,24 @@ static double threshold_of(const float *value, size_t count, double *ret_apart)
     return (double)(best + 1) / BINS * DARKEST;
 }
 
-static int find_pieces(const struct gsn_plane *tissue, const struct cells *cells,
-                       struct gsn_components **ret_pieces, struct gsn_error *err)
+static int find_pieces(const struct gsn_plane *tissue, struct gsn_components **ret_pieces,
+                       struct gsn_error *err)
 {
-    const size_t count = (size_t)cells->width * (size_t)cells->height;
-    gsn_auto_mem(float) value = gsn_alloc_array(count, sizeof *value);
-    gsn_auto_mem(uint8_t) mask = gsn_alloc_array(count, sizeof *mask);
-    double threshold, apart;
+    const size_t count = (size_t)tissue->width * tissue->height;
+    gsn_auto_mem(float) value = gsn_alloc(count * sizeof *value);
+    gsn_auto_mem(uint8_t) mask = gsn_alloc(count);
+    double apart;
+    float threshold;
 
     if (!value || !mask)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    reduce(tissue, cells, value);
-    threshold = threshold_of(value, count, &apart);
+    clip(tissue, value);
+    threshold = (float)threshold_of(value, count, &apart);
     if (apart < TISSUE_LEAST)
         return gsn_fail(err, GSN_E_INPUT, "there is no tissue on the panel");
     for (size_t i = 0; i < count; i++)
-        mask[i] = value[i] >= threshold ? 255 : 0;
-    return gsn_split_pieces(mask, cells->width, cells->height,
-                            (int)fmax(floor(0.5 * TEAR_UM / cells->um), 1), ret_pieces, err);
+        mask[i] = value[i] >= threshold;
+    return gsn_split_pieces(mask, (int)tissue->width, (int)tissue->height, ret_pieces, err);
 }
 
 static int is_dust(const struct gsn_component *piece, const struct cells *cells)
@@ -234,23 +228,38 @@ static struct part *part_of(const struct panel *panel, size_t piece, size_t plac
     return &panel->parts[piece * (panel->places + 1) + place];
 }
 
-/* Cuts every piece along the borders of the slots. */
-static void cut_pieces(struct panel *panel)
+/* Adds the part of a run that lies in one column of the grid. */
+static void add_span(struct panel *panel, const struct gsn_piece_run *run, int row, int column,
+                     int x0, int x1)
 {
-    const struct cells *cells = &panel->cells;
+    const size_t place =
+        row < 0 || column < 0 ? panel->places : (size_t)row * panel->columns.lines + (size_t)column;
+    const double length = x1 - x0;
+    const struct part span = { .area = (size_t)(x1 - x0),
+                               .x0 = x0,
+                               .y0 = run->y,
+                               .x1 = x1,
+                               .y1 = run->y + 1,
+                               .sum_x = length * 0.5 * (x0 + x1),
+                               .sum_y = length * (run->y + 0.5) };
 
-    for (int y = 0; y < cells->height; y++) {
-        for (int x = 0; x < cells->width; x++) {
-            const int label = panel->pieces->label[y * cells->width + x];
-            const int column = gsn_panel_axis_line(&panel->columns, x + 0.5);
-            const int row = gsn_panel_axis_line(&panel->rows, y + 0.5);
-            const struct part cell = { 1, x, y, x + 1, y + 1, x + 0.5, y + 0.5 };
-            const size_t place = row < 0 || column < 0
-                                     ? panel->places
-                                     : (size_t)row * panel->columns.lines + (size_t)column;
+    add_to(part_of(panel, (size_t)run->piece, place), &span);
+}
 
-            if (label > 0)
-                add_to(part_of(panel, (size_t)label - 1, place), &cell);
+/* Cuts every piece along the borders of the slots; column is that of each x. */
+static void cut_pieces(struct panel *panel, const int *column)
+{
+    for (size_t i = 0; i < panel->pieces->run_count; i++) {
+        const struct gsn_piece_run *run = &panel->pieces->run[i];
+        const int row = gsn_panel_axis_line(&panel->rows, run->y + 0.5);
+
+        for (int x = run->x0; x < run->x1;) {
+            int end = x + 1;
+
+            while (end < run->x1 && column[end] == column[x])
+                end++;
+            add_span(panel, run, row, column[x], x, end);
+            x = end;
         }
     }
 }
@@ -314,11 +323,11 @@ static int give_fragment(struct panel *panel, size_t piece)
 }
 
 /* The box of one slot with its margin, kept out of the other half of the way to a neighbour. */
-static void frame(const struct panel *panel, size_t place, const struct gsn_plane *plane,
-                  double px_um, struct gsn_slot *slot)
+static void frame(const struct panel *panel, size_t place, double px_um, struct gsn_slot *slot)
 {
     const struct part *own = &panel->held[place];
     const int step = panel->cells.step;
+    const int right = panel->cells.width * step, bottom = panel->cells.height * step;
     const int margin = (int)(MARGIN_UM / px_um);
     const int reach = margin / step + 1;
     int x0 = own->x0 * step - margin, x1 = own->x1 * step + margin;
@@ -342,12 +351,12 @@ static void frame(const struct panel *panel, size_t place, const struct gsn_plan
     }
     slot->x = x0 > 0 ? x0 : 0;
     slot->y = y0 > 0 ? y0 : 0;
-    slot->width = (x1 < (int)plane->width ? x1 : (int)plane->width) - slot->x;
-    slot->height = (y1 < (int)plane->height ? y1 : (int)plane->height) - slot->y;
+    slot->width = (x1 < right ? x1 : right) - slot->x;
+    slot->height = (y1 < bottom ? y1 : bottom) - slot->y;
 }
 
-static void fill_slots(const struct panel *panel, const struct gsn_layout *layout,
-                       const struct gsn_plane *plane, double px_um, struct gsn_slot *ret_slots)
+static void fill_slots(const struct panel *panel, const struct gsn_layout *layout, double px_um,
+                       struct gsn_slot *ret_slots)
 {
     const int step = panel->cells.step;
 
@@ -367,7 +376,7 @@ static void fill_slots(const struct panel *panel, const struct gsn_layout *layou
         slot->area_px = (double)held->area * step * step;
         slot->centre_px.x = held->sum_x / (double)held->area * step;
         slot->centre_px.y = held->sum_y / (double)held->area * step;
-        frame(panel, place, plane, px_um, slot);
+        frame(panel, place, px_um, slot);
     }
 }
 
@@ -410,24 +419,27 @@ static int list_scraps(const struct panel *panel, const char *taken, struct gsn_
 }
 
 /* Everything after the grid is known. */
-static int deal_out(struct panel *panel, const struct gsn_layout *layout,
-                    const struct gsn_plane *plane, double px_um, struct gsn_slot *ret_slots,
-                    struct gsn_scrap **ret_scraps, size_t *ret_scrap_count, struct gsn_error *err)
+static int deal_out(struct panel *panel, const struct gsn_layout *layout, double px_um,
+                    struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
+                    size_t *ret_scrap_count, struct gsn_error *err)
 {
     const size_t pieces = panel->pieces->count;
     gsn_auto_mem(struct part) parts = gsn_alloc_array(pieces * (panel->places + 1), sizeof *parts);
     gsn_auto_mem(struct part) held = gsn_alloc_array(panel->places, sizeof *held);
     gsn_auto_mem(int) touching = gsn_alloc_array(panel->places, sizeof *touching);
+    gsn_auto_mem(int) column = gsn_alloc_array((size_t)panel->cells.width, sizeof *column);
     gsn_auto_mem(char) taken = gsn_alloc_array(pieces, 1);
     gsn_auto_mem(struct gsn_scrap) scraps = NULL;
     size_t scrap_count = 0;
 
-    if (!parts || !held || !touching || !taken)
+    if (!parts || !held || !touching || !column || !taken)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
     panel->parts = parts;
     panel->held = held;
     panel->touching = touching;
-    cut_pieces(panel);
+    for (int x = 0; x < panel->cells.width; x++)
+        column[x] = gsn_panel_axis_line(&panel->columns, x + 0.5);
+    cut_pieces(panel, column);
     for (size_t i = 0; i < pieces; i++)
         taken[i] = (char)give_section(panel, i);
     for (size_t i = 0; i < pieces; i++)
@@ -440,30 +452,28 @@ static int deal_out(struct panel *panel, const struct gsn_layout *layout,
         *ret_scraps = gsn_steal(&scraps);
         *ret_scrap_count = scrap_count;
     }
-    fill_slots(panel, layout, plane, px_um, ret_slots);
+    fill_slots(panel, layout, px_um, ret_slots);
     return GSN_OK;
 }
 
-int gsn_panel_split(const struct gsn_plane *tissue, const struct gsn_layout *layout, double px_um,
-                    struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
+int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct gsn_layout *layout,
+                    double px_um, struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
                     size_t *ret_scrap_count, struct gsn_error *err)
 {
     gsn_auto(gsn_components) pieces = NULL;
     struct panel panel = { 0 };
     int r;
 
-    assert(tissue && layout && layout->rows > 0 && layout->columns > 0 && ret_slots);
+    assert(tissue && tissue->width > 0 && tissue->height > 0 && step > 0);
+    assert(layout && layout->rows > 0 && layout->columns > 0 && ret_slots);
 
     if (!(px_um > 0 && isfinite(px_um)))
         return gsn_fail(err, GSN_E_INPUT, "a pixel of %g um: the panel cannot be split", px_um);
-    panel.cells.step = (int)fmin(fmax(floor(CELL_UM / px_um), 1), 1000);
-    panel.cells.um = px_um * panel.cells.step;
-    panel.cells.width = (int)tissue->width / panel.cells.step;
-    panel.cells.height = (int)tissue->height / panel.cells.step;
-    if (panel.cells.width < 1 || panel.cells.height < 1)
-        return gsn_fail(err, GSN_E_INPUT, "a panel of %u x %u pixels is too small to be split",
-                        (unsigned)tissue->width, (unsigned)tissue->height);
-    r = find_pieces(tissue, &panel.cells, &pieces, err);
+    panel.cells = (struct cells){ .width = (int)tissue->width,
+                                  .height = (int)tissue->height,
+                                  .step = (int)step,
+                                  .um = px_um * step };
+    r = find_pieces(tissue, &pieces, err);
     if (r < 0)
         return r;
     panel.pieces = pieces;
@@ -474,5 +484,5 @@ int gsn_panel_split(const struct gsn_plane *tissue, const struct gsn_layout *lay
     r = lay_grid(&panel, layout, err);
     if (r < 0)
         return r;
-    return deal_out(&panel, layout, tissue, px_um, ret_slots, ret_scraps, ret_scrap_count, err);
+    return deal_out(&panel, layout, px_um, ret_slots, ret_scraps, ret_scrap_count, err);
 }

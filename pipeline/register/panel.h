@@ -53,13 +53,14 @@ unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn
 
 /* Finds the sections of one panel.
  *
- * tissue is the sum of the optical densities of the three channels (or their like) and is about
- * 0 on glass; NaN counts as glass. ret_slots receives rows * columns entries, ordered by slot.
+ * tissue is the panel in cells of step x step of its pixels, px_um the size of such a pixel
+ * (panel_reduce.h): the sum of the optical densities of the three channels or their like, about 0
+ * on glass; NaN counts as glass. ret_slots receives rows * columns entries, ordered by slot.
  * gives: ret_scraps, largest first (NULL when there are none); both it and ret_scrap_count may be
  * NULL. Fails with GSN_E_INPUT when there is no tissue or the grid cannot be told from the pieces
  * present (the sentence says why), GSN_E_NOMEM. */
-int gsn_panel_split(const struct gsn_plane *tissue, const struct gsn_layout *layout, double px_um,
-                    struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
+int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct gsn_layout *layout,
+                    double px_um, struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
                     size_t *ret_scrap_count, struct gsn_error *err);
 
 #ifdef __cplusplus

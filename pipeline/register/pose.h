@@ -4,18 +4,21 @@
  *
  * Every section is laid rigidly (determinant exactly 1, after the pixel size) on the mean triangle
  * of the whole stack, never on its neighbour: chains drift as the square root of their length, the
- * common triangle does not. The residual of a section says nothing about its error at the target;
- * that is predicted from the localisation error (FLE) of the whole stack by
- *     TRE^2(r) = FLE^2/3 (1 + r^2 / (2 rho^2)).
- * Residuals serve only to find gross mistakes. Lengths are micrometres in the block frame: that of
- * the protocol's marks, or else the origin at the mean triangle's centroid and x from mark 1
- * towards mark 2. */
+ * common triangle does not. Where the laser's axes are not parallel, the triangle is that of three
+ * straight lines at the section's z (axes.h). The residual of a section says nothing about its
+ * error at the target; that is predicted from the localisation error (FLE) of the whole stack
+ * (pose_tre.h). Residuals serve to find gross mistakes, and, where they are larger than the marks'
+ * errors make them, to say how much the sections are stretched. Lengths are micrometres in the
+ * block frame: that of the protocol's marks, or else the origin at the mean triangle's centroid and
+ * x from mark 1 towards mark 2. */
 #ifndef GSN_REGISTER_POSE_H
 #define GSN_REGISTER_POSE_H
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/geom.h"
+#include "pipeline/register/axes.h"
 #include "pipeline/register/markers.h"
+#include "pipeline/register/pose_tre.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -35,6 +38,16 @@ enum gsn_pose_state {
     GSN_POSE_OK,
 };
 
+/* A section whose three marks contradict the stack, laid on two of them. One of the three is right
+ * if one mark is wrong; which one, the marks alone misname in one case of eight, so it is for a
+ * person, or for the tissue of the neighbours, to say. */
+struct gsn_pose_candidate {
+    struct gsn_affine panel_to_block_um;
+    double tre_um; /* predicted, as below */
+    double chi2;   /* of the side between the two: 1 degree of freedom */
+    double share;  /* how likely the mark left out is the wrong one, by the marks: sums to 1 */
+};
+
 struct gsn_pose {
     enum gsn_pose_state state;
     int flipped;                         /* mounted face down: mirrored back by panel_to_block_um */
@@ -44,16 +57,23 @@ struct gsn_pose {
                                             it was not found */
     double rms_um;                       /* root mean square of those found */
     double tre_um;                       /* predicted, root mean square over the targets */
-    double chi2; /* sum of squared residuals over the variance of a mark: 3 degrees of freedom
-                    with three marks, 1 with two */
-    int gross;   /* chi2 beyond 0.1 %: a mark is wrong or the section is torn or stretched */
+    double chi2; /* of the residuals under the stack's covariance: 3 degrees of freedom with three
+                    marks, 1 with two */
+    int gross;   /* chi2 beyond 0.1 %: a mark is wrong or the section is torn or stretched. The pose
+                    is that of all marks and must not be used: a person chooses a candidate */
+    struct gsn_pose_candidate candidate[GSN_MARKS]; /* gross with three marks: [i] leaves out mark
+                                                       i; otherwise 0 */
+    struct gsn_pose_error error;                    /* from which the error at any point follows */
+    double strain[3]; /* of this section, shrunk by its noise: common, x against y, shear. The pose
+                         does not use it (strain.h does); 0 where the stack shows none */
     unsigned char order[GSN_MARKS]; /* mark i is the input's marks[order[i]]; other than 0 1 2 only
                                        where flips cannot be told and two marks were swapped back */
 };
 
 struct gsn_pose_summary {
     size_t with_three, with_two, without, flipped;
-    double fle_um; /* root mean square distance of a mark from its true place */
+    double fle_um;  /* root mean square distance of a mark from its true place */
+    double freedom; /* degrees of freedom fle_um is known with; INFINITY: only from the fits */
     double
         rho_um; /* root mean square distance of the mean triangle's corners from their centroid */
     struct gsn_point mean_triangle[GSN_MARKS]; /* block frame */
@@ -65,6 +85,9 @@ struct gsn_pose_summary {
                                pixel) */
     int flips_told;         /* 0: isosceles_sigma < 10, a mirrored section cannot be told on this
                                block, and no section is called flipped */
+    int stretches;          /* sections differ in shape by more than the marks' errors make */
+    double strain_sd[3];    /* standard deviation of their strain: common, x against y, shear */
+    struct gsn_axes axes;
     int chirality; /* +1, -1: most sections have, or mirror, the protocol's triangle (+1 when no
                       triangle was given, or flips cannot be told) */
 };
@@ -75,9 +98,10 @@ struct gsn_pose_options {
     size_t target_count;                /* 0: the TRE is given at the distance rho */
 };
 
-/* Solves the stack. borrows: everything. Marks weigh by the variance of their fits, against that of
- * the median mark; the FLE is that of the median mark, from the residuals of all sections (of the
- * fits themselves where fewer than 3 sections have three marks). ret_poses receives count entries.
+/* Solves the stack. borrows: everything. Marks weigh by the covariance of their fits and by what
+ * the residuals of all sections show beyond it; the FLE is that of the median mark (of the fits
+ * themselves where fewer than 3 sections have three marks). Strain and slanted axes are looked for
+ * from 12 sections on. ret_poses receives count entries.
  *
  * Fails with GSN_E_MARKERS when no section has three marks, when the protocol's or the mean
  * triangle is degenerate, or when it is so nearly equilateral that not even rotations can be told;
@@ -86,9 +110,10 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
                    const struct gsn_pose_options *options, struct gsn_pose *ret_poses,
                    struct gsn_pose_summary *ret_summary, struct gsn_error *err);
 
-/* The formula above, for a localisation error, a triangle's rho and a target's distance r from its
- * centroid, all in one unit. */
-double gsn_pose_tre(double fle, double rho, double r);
+/* The candidate that the tissue prefers: mismatch[i] says how badly candidate i continues the
+ * neighbours (any measure, 0 and up; NaN: not known). -1 when the best is not better than the
+ * others by a quarter, which texture alone can make. */
+int gsn_pose_preferred(const struct gsn_pose *pose, const double mismatch[GSN_MARKS]);
 
 #ifdef __cplusplus
 }

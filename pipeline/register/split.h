@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The connected pieces of a mask, by OpenCV (split_opencv.cpp). Units are mask cells. */
+/* The connected pieces of a mask. Units are mask cells. */
 #ifndef GSN_REGISTER_SPLIT_H
 #define GSN_REGISTER_SPLIT_H
 
@@ -19,21 +19,28 @@ struct gsn_component {
     double cx, cy;           /* centre of area, cell centres at +0.5 */
 };
 
+/* Cells [x0, x1) of row y, all of one piece. */
+struct gsn_piece_run {
+    int y, x0, x1;
+    int piece; /* its index */
+};
+
 struct gsn_components {
     size_t count;
     struct gsn_component *piece;
-    int32_t *label; /* width * height: 0 outside, else 1 + the index of the piece */
+    size_t run_count;
+    struct gsn_piece_run *run; /* from top to bottom, from left to right */
 };
 
 void gsn_components_free(struct gsn_components *pieces);
 GSN_DEFINE_AUTO(gsn_components);
 
-/* Closes gaps of up to 2 close_cells, then separates what touches in none of the 8 directions.
+/* Closes gaps of up to two cells, then separates what touches in none of the 8 directions.
  *
- * mask holds width * height bytes, rows from top to bottom, 0 outside; it is changed to the closed
- * mask. gives: pieces, in the order in which their first cells come. Fails with GSN_E_NOMEM. */
-int gsn_split_pieces(uint8_t *mask, int width, int height, int close_cells,
-                     struct gsn_components **ret_pieces, struct gsn_error *err);
+ * mask holds width * height bytes, rows from top to bottom, 0 outside and 1 inside.
+ * gives: pieces, in the order in which their first cells come. Fails with GSN_E_NOMEM. */
+int gsn_split_pieces(const uint8_t *mask, int width, int height, struct gsn_components **ret_pieces,
+                     struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -149,6 +149,16 @@ static json_t *pose_of(const struct gsn_affine *map, struct writer *writer)
     return numbers_of(entries, 6, writer);
 }
 
+static json_t *strain_of(const struct gsn_report_section *section, struct writer *writer)
+{
+    json_t *object = json_object();
+
+    put(writer, object, "along_percent", number_of(section->strain_percent[0]));
+    put(writer, object, "across_percent", number_of(section->strain_percent[1]));
+    put(writer, object, "deg", number_of(section->strain_deg));
+    return object;
+}
+
 static json_t *masked_of(const struct gsn_report_section *section, struct writer *writer)
 {
     json_t *array = json_array();
@@ -185,6 +195,7 @@ static json_t *section_of(const struct gsn_report_section *section, struct write
         section->posed ? pose_of(&section->panel_to_block_um, writer) : json_null());
     put(writer, object, "predicted_tre_um",
         section->posed ? number_of(section->predicted_tre_um) : json_null());
+    put(writer, object, "strain", section->strained ? strain_of(section, writer) : json_null());
     put(writer, object, "outline_mm2", number_of(section->outline_mm2));
     put(writer, object, "masked_mm2", number_of(section->masked_mm2));
     put(writer, object, "region_masked", number_of(section->region_masked));

@@ -75,7 +75,9 @@ struct gsn_report_section {
     double residual_um[3];
     int posed; /* whether panel_to_block_um and predicted_tre_um are known */
     struct gsn_affine panel_to_block_um;
-    double predicted_tre_um; /* at the centre of the region */
+    double predicted_tre_um;              /* over the region */
+    int strained;                         /* whether the section's stretch is known */
+    double strain_percent[2], strain_deg; /* longer along that direction, and across it */
     struct gsn_report_png thumbnail;
     double outline_mm2, masked_mm2; /* reasons overlap, so their areas may sum to more */
     double region_masked;           /* share of the section's part of the region, 0..1 */

@@ -103,5 +103,8 @@ void bench_mean(void);
 void bench_space(void);
 void bench_log(void);
 void bench_spool(void);
+void bench_decode(void);
+void bench_split(void);
+void bench_chain(void);
 
 #endif

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* gieson-bench [--quick] [measure ...]: how fast the splines are and how fast pictures are
- * kept, one line of JSON a figure. */
+/* gieson-bench [--quick] [measure ...]: how fast the splines are, how fast pictures are
+ * kept and how fast panels are taken apart, one line of JSON a figure. */
 #include "tests/bench/bench.h"
 
 #include <signal.h>
@@ -28,6 +28,9 @@ static const struct {
     { "space", bench_space, "making a space and a spline, and their memory" },
     { "log", bench_log, "a scan's rows, in this folder, against one bare INSERT" },
     { "spool", bench_spool, "a picture's bytes, in this folder: hash, copy and sync" },
+    { "decode", bench_decode, "48 million pixels, against the bare libraries and cv2.imread" },
+    { "split", bench_split, "sections on a panel of 48 million pixels, against OpenCV" },
+    { "chain", bench_chain, "a panel's file to its sections in the block frame, against OpenCV" },
 };
 
 enum { COUNT = sizeof MEASURES / sizeof *MEASURES };

@@ -5,24 +5,16 @@
 #include "pipeline/model/resample.h"
 
 #include "tests/bench/bench.h"
+#include "tests/bench/peer.h"
 
 #include <float.h>
 #include <math.h>
-#include <spawn.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #define CLOUD 0.03
-
-extern char **environ;
-
-struct probe {
-    pid_t child;
-    FILE *orders, *answers;
-};
 
 /* The mesh as a VTK file of linear tetrahedra, the spline's control values at the vertices. */
 static int write_mesh(const struct bench_case *bench, const char *path)
@@ -61,49 +53,13 @@ static int write_mesh(const struct bench_case *bench, const char *path)
     return fclose(file) == 0 && ok;
 }
 
-static int start_probe(struct probe *probe, char *mesh, char *edge, char *values)
+static int start_probe(struct bench_peer *probe, char *mesh, char *edge, char *values)
 {
     char *argv[] = {
         (char[]){ GSN_DEBIAN_PYTHON }, (char[]){ GSN_BENCH_PROBE }, mesh, edge, values, NULL
     };
-    int orders[2], answers[2], failed;
-    posix_spawn_file_actions_t moves;
 
-    if (pipe(orders) < 0 || pipe(answers) < 0 || posix_spawn_file_actions_init(&moves) != 0)
-        return 0;
-    failed = posix_spawn_file_actions_adddup2(&moves, orders[0], 0) ||
-             posix_spawn_file_actions_adddup2(&moves, answers[1], 1) ||
-             posix_spawn_file_actions_addclose(&moves, orders[1]) ||
-             posix_spawn_file_actions_addclose(&moves, answers[0]) ||
-             posix_spawn(&probe->child, argv[0], &moves, NULL, argv, environ);
-    (void)posix_spawn_file_actions_destroy(&moves);
-    (void)close(orders[0]);
-    (void)close(answers[1]);
-    probe->orders = fdopen(orders[1], "w");
-    probe->answers = fdopen(answers[0], "r");
-    return !failed && probe->orders && probe->answers;
-}
-
-/* One order, one answer: seconds of CPU time; negative when the child is gone. */
-static double ask(const struct probe *probe, const char *order)
-{
-    char line[128];
-
-    if (fprintf(probe->orders, "%s\n", order) < 0 || fflush(probe->orders) < 0 ||
-        !fgets(line, sizeof line, probe->answers))
-        return -1;
-    return strtod(line, NULL);
-}
-
-static void end_probe(struct probe *probe)
-{
-    int status;
-
-    if (probe->orders)
-        (void)fclose(probe->orders);
-    if (probe->answers)
-        (void)fclose(probe->answers);
-    (void)waitpid(probe->child, &status, 0);
+    return bench_peer_start(probe, argv);
 }
 
 /* The largest difference between VTK's linear interpolation and our spline, whose skins around the
@@ -139,15 +95,15 @@ static void run_grid(void *context)
 }
 
 /* Turns of both; returns 0 when VTK is not there. */
-static int take_turns(const struct probe *probe, struct bench_job *ours, double *ret_vtk_s)
+static int take_turns(const struct bench_peer *probe, struct bench_job *ours, double *ret_vtk_s)
 {
     const unsigned repeats = bench_quick ? 1 : 7;
     double least = INFINITY, least_vtk = INFINITY;
 
-    if (ask(probe, "load") < 0)
+    if (bench_peer_ask(probe, "load", NULL) < 0)
         return 0;
     for (unsigned turn = 0; turn < repeats; turn++) {
-        const double vtk = ask(probe, "probe");
+        const double vtk = bench_peer_ask(probe, "probe", NULL);
 
         if (vtk < 0)
             return 0;
@@ -157,7 +113,7 @@ static int take_turns(const struct probe *probe, struct bench_job *ours, double 
     }
     ours->cpu_s = least;
     *ret_vtk_s = least_vtk;
-    return ask(probe, "write") >= 0;
+    return bench_peer_ask(probe, "write", NULL) >= 0;
 }
 
 static void contest(struct bench_case *bench, char *mesh_path, char *values_path)
@@ -167,7 +123,7 @@ static void contest(struct bench_case *bench, char *mesh_path, char *values_path
                          .at = bench_lattice(edge),
                          .value = bench_alloc(voxels, sizeof *grid.value) };
     struct bench_job job = { .run = run_grid, .context = &grid };
-    struct probe probe = { 0 };
+    struct bench_peer probe = { 0 };
     double vtk_s = 0;
     char text[32];
 
@@ -186,7 +142,7 @@ static void contest(struct bench_case *bench, char *mesh_path, char *values_path
                             compare(values_path, grid.value, voxels), "of",
                             "least of 7 turns each"));
     }
-    end_probe(&probe);
+    bench_peer_end(&probe);
     gsn_free(grid.value);
 }
 

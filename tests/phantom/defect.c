@@ -23,6 +23,7 @@ const char *gsn_phantom_defect_name(enum gsn_phantom_defect_kind kind)
         [GSN_PHANTOM_TOUCHING] = "touching",
         [GSN_PHANTOM_DUPLICATE] = "duplicate",
         [GSN_PHANTOM_EMPTY_SLOT] = "empty_slot",
+        [GSN_PHANTOM_MISSING_PANEL] = "missing_panel",
     };
     return name[kind];
 }
@@ -228,6 +229,7 @@ int gsn_phantom_defect_covers(const struct gsn_phantom_defect *d, double px_um, 
         return fabs((p.y - d->at.y) * cos(d->turn) - (p.x - d->at.x) * sin(d->turn)) < d->width / 2;
     case GSN_PHANTOM_DUPLICATE:
     case GSN_PHANTOM_EMPTY_SLOT:
+    case GSN_PHANTOM_MISSING_PANEL:
         return 1;
     default:
         return 0;

@@ -29,6 +29,7 @@ enum gsn_phantom_defect_kind {
     GSN_PHANTOM_ACCIDENTS, /* the kinds above are dealt out; those below follow from the mounting */
     GSN_PHANTOM_DUPLICATE = GSN_PHANTOM_ACCIDENTS,
     GSN_PHANTOM_EMPTY_SLOT,
+    GSN_PHANTOM_MISSING_PANEL,
     GSN_PHANTOM_DEFECT_KINDS
 };
 

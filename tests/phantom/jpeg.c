@@ -68,9 +68,19 @@ static void set_density(j_compress_ptr jpeg, double px_um)
     jpeg->X_density = jpeg->Y_density = (UINT16)lround(in_cm ? per_cm : per_inch);
 }
 
+/* The marker of EXIF with the orientation and nothing else: a TIFF header of one entry. */
+static void set_orientation(j_compress_ptr jpeg, int orientation)
+{
+    JOCTET exif[] = { 'E',  'x', 'i', 'f', 0, 0, 'I', 'I', 42,   0, 8, 0, 0, 0, 1, 0,
+                      0x12, 1,   3,   0,   1, 0, 0,   0,   0xff, 0, 0, 0, 0, 0, 0, 0 };
+
+    exif[24] = (JOCTET)orientation;
+    jpeg_write_marker(jpeg, JPEG_APP0 + 1, exif, sizeof exif);
+}
+
 /* Owns nothing that libjpeg's way out would lose. */
 static int encode(j_compress_ptr jpeg, struct sink *sink, const struct gsn_image *image,
-                  double px_um, int quality)
+                  double px_um, int quality, int orientation)
 {
     if (setjmp(sink->out))
         return -1;
@@ -85,6 +95,8 @@ static int encode(j_compress_ptr jpeg, struct sink *sink, const struct gsn_image
     jpeg->dct_method = JDCT_ISLOW; /* the same bytes with and without vector instructions */
     set_density(jpeg, px_um);
     jpeg_start_compress(jpeg, TRUE);
+    if (orientation != 1)
+        set_orientation(jpeg, orientation);
     while (jpeg->next_scanline < jpeg->image_height) {
         const JSAMPLE *row =
             (const JSAMPLE *)image->samples + (size_t)jpeg->next_scanline * image->width * 3;
@@ -96,7 +108,7 @@ static int encode(j_compress_ptr jpeg, struct sink *sink, const struct gsn_image
     return 0;
 }
 
-int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality,
+int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality, int orientation,
                      struct gsn_phantom_buffer *ret_file, struct gsn_error *err)
 {
     gsn_auto_phantom_buffer file = { 0 };
@@ -117,11 +129,72 @@ int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality,
     jpeg.err->error_exit = give_up;
     jpeg.err->output_message = keep_quiet;
     jpeg.client_data = sink;
-    r = encode(&jpeg, sink, image, px_um, quality);
+    r = encode(&jpeg, sink, image, px_um, quality, orientation);
     jpeg_destroy_compress(&jpeg);
     if (r < 0)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a JPEG file");
     *ret_file = file;
     file = (struct gsn_phantom_buffer){ 0 };
+    return GSN_OK;
+}
+
+struct reader {
+    struct jpeg_error_mgr error;
+    jmp_buf out;
+};
+
+static void stop_reading(j_common_ptr jpeg)
+{
+    struct reader *reader = jpeg->client_data;
+
+    longjmp(reader->out, 1);
+}
+
+/* Owns nothing that libjpeg's way out would lose. */
+static int decode(j_decompress_ptr jpeg, struct reader *reader,
+                  const struct gsn_phantom_buffer *file, const struct gsn_image *onto)
+{
+    if (setjmp(reader->out))
+        return -1;
+    jpeg_create_decompress(jpeg);
+    jpeg_mem_src(jpeg, file->bytes, file->size);
+    (void)jpeg_read_header(jpeg, TRUE);
+    jpeg->dct_method = JDCT_ISLOW;
+    (void)jpeg_start_decompress(jpeg);
+    while (jpeg->output_scanline < jpeg->output_height) {
+        JSAMPROW rows[1] = { (JSAMPLE *)onto->samples +
+                             (size_t)jpeg->output_scanline * onto->width * 3 };
+
+        (void)jpeg_read_scanlines(jpeg, rows, 1);
+    }
+    (void)jpeg_finish_decompress(jpeg);
+    return 0;
+}
+
+int gsn_phantom_jpeg_lossy(const struct gsn_image *image, int quality, struct gsn_image **ret_image,
+                           struct gsn_error *err)
+{
+    const double any_px_um = 16;
+    gsn_auto_phantom_buffer file = { 0 };
+    gsn_auto(gsn_image) back = NULL;
+    struct jpeg_decompress_struct jpeg = { 0 };
+    struct reader reader;
+    int r;
+
+    r = gsn_phantom_jpeg(image, any_px_um, quality, 1, &file, err);
+    if (r < 0)
+        return r;
+    r = gsn_image_new(image->width, image->height, 3, 8, &back, err);
+    if (r < 0)
+        return r;
+    jpeg.err = jpeg_std_error(&reader.error);
+    jpeg.err->error_exit = stop_reading;
+    jpeg.err->output_message = keep_quiet;
+    jpeg.client_data = &reader;
+    r = decode(&jpeg, &reader, &file, back);
+    jpeg_destroy_decompress(&jpeg);
+    if (r < 0)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a JPEG file");
+    *ret_image = gsn_steal(&back);
     return GSN_OK;
 }

@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Whether the point, in um right of and below the upper left corner of the writing, is on a stroke
- * of text. It knows what the names of specimens and panels need: D G P S V, 0 to 5 and the dash;
+ * of text. It knows what the names of specimens and panels need: C D G P S V, 0 to 5 and the dash;
  * anything else is blank. */
 int gsn_phantom_label_has(const char *text, double x_um, double y_um);
 

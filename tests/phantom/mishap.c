@@ -123,7 +123,8 @@ static void lose_some(struct dealing *deal)
         const int slot = (int)gsn_phantom_below(deal->random, GSN_PHANTOM_SLOTS);
         const int k = deal->panel * GSN_PHANTOM_SLOTS + slot;
 
-        if (deal->used[slot])
+        if (deal->used[slot] ||
+            (slot + 1 < GSN_PHANTOM_SLOTS && deal->plan->section[k + 1].shows == k))
             continue;
         lose(deal->plan, k, deal->random);
         deal->used[slot] = 1;
@@ -324,7 +325,8 @@ static int may_befall(const struct dealing *deal, enum gsn_phantom_defect_kind k
     return slot % GSN_PHANTOM_COLUMNS + 1 < GSN_PHANTOM_COLUMNS && !deal->used[slot + 1];
 }
 
-static void befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
+/* 0 when no section is left that it could befall. */
+static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
 {
     const int first = deal->panel * GSN_PHANTOM_SLOTS;
     const int start = (int)gsn_phantom_below(deal->random, GSN_PHANTOM_SLOTS);
@@ -339,7 +341,7 @@ static void befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
         deal->used[slot] = 1;
         if (kind == GSN_PHANTOM_COVERSLIP_EDGE) {
             note_row(deal, d);
-            return;
+            return 1;
         }
         add(deal->plan, &d);
         if (kind == GSN_PHANTOM_TOUCHING) {
@@ -347,7 +349,24 @@ static void befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
             deal->used[slot + 1] = 1;
             add(deal->plan, &d);
         }
-        return;
+        return 1;
+    }
+    return 0;
+}
+
+static void lose_panel(struct gsn_phantom_plan *plan)
+{
+    const int first = (plan->missing_panel - 1) * GSN_PHANTOM_SLOTS;
+
+    for (int k = first; k < first + GSN_PHANTOM_SLOTS; k++) {
+        const struct gsn_phantom_defect defect = {
+            .kind = GSN_PHANTOM_MISSING_PANEL,
+            .k = k,
+            .at = gsn_phantom_slot_centre_um(k - first),
+        };
+
+        plan->section[k].shows = -1;
+        add(plan, &defect);
     }
 }
 
@@ -375,12 +394,18 @@ static void deal_defects(struct gsn_phantom_plan *plan)
         struct dealing deal = { .plan = plan, .random = &random, .panel = panel };
         int count;
 
+        if (panel + 1 == plan->missing_panel) {
+            lose_panel(plan);
+            continue;
+        }
         lose_some(&deal);
         count = level->defects_least + (int)gsn_phantom_below(&random, (uint32_t)range);
-        for (int i = 0; i < count; i++, dealt++) {
+        /* What finds no section is put aside, which a whole hand of cards never is. */
+        for (int last = dealt + 2 * GSN_PHANTOM_ACCIDENTS; count > 0 && dealt < last; dealt++) {
             if (dealt % GSN_PHANTOM_ACCIDENTS == 0)
                 shuffle(&random, card);
-            befall(&deal, (enum gsn_phantom_defect_kind)card[dealt % GSN_PHANTOM_ACCIDENTS]);
+            count -=
+                befall(&deal, (enum gsn_phantom_defect_kind)card[dealt % GSN_PHANTOM_ACCIDENTS]);
         }
     }
 }

@@ -4,18 +4,11 @@
 #ifndef GSN_PHANTOM_OVERLAY_H
 #define GSN_PHANTOM_OVERLAY_H
 
-#include "tests/phantom/plan.h"
+#include "tests/phantom/expose.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* The optical density of a panel: R, G, B per pixel, row by row. */
-struct gsn_phantom_glass {
-    uint32_t width, height;
-    double px_um;
-    float *od;
-};
 
 /* Decoys, then hairs, bubbles, edges and pens, then defocus, of panel 1..5. borrows: plan, glass.
  * Fails with GSN_E_NOMEM. */

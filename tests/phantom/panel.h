@@ -11,10 +11,11 @@
 extern "C" {
 #endif
 
-/* Draws panel 1..5, 8-bit RGB. gives: ret_image; ret_extent is by slot. The pixels do not depend
- * on the number of threads. Fails with GSN_E_NOMEM. borrows: plan. */
-int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, int panel, unsigned threads,
-                           struct gsn_image **ret_image,
+/* Draws the panel of a file, RGB of the file's bits, upright; the codes of 16 bits are 257 times
+ * those of 8. gives: ret_image; ret_extent is by slot. The pixels do not depend on the number of
+ * threads. Fails with GSN_E_NOMEM. borrows: plan, file. */
+int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, const struct gsn_phantom_file *file,
+                           unsigned threads, struct gsn_image **ret_image,
                            struct gsn_phantom_extent ret_extent[GSN_PHANTOM_SLOTS],
                            struct gsn_error *err);
 

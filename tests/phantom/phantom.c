@@ -2,39 +2,27 @@
 #include "tests/phantom/phantom.h"
 
 #include "pipeline/core/file.h"
+#include "tests/phantom/calibration.h"
+#include "tests/phantom/delivery.h"
 #include "tests/phantom/panel.h"
 #include "tests/phantom/truth.h"
-#include "tests/phantom/writer.h"
 
-#include <string.h>
-
-static int encode(const struct gsn_phantom_plan *plan, const struct gsn_image *image,
-                  struct gsn_phantom_buffer *ret_file, struct gsn_error *err)
-{
-    const char *extension = plan->level->extension;
-
-    if (strcmp(extension, "jpg") == 0)
-        return gsn_phantom_jpeg(image, plan->px_um, plan->level->quality, ret_file, err);
-    return strcmp(extension, "png") == 0 ? gsn_phantom_png(image, plan->px_um, ret_file, err)
-                                         : gsn_phantom_tiff(image, plan->px_um, ret_file, err);
-}
-
-static int write_panel(const struct gsn_phantom_plan *plan, int panel, unsigned threads,
+/* File i of the delivery; ret_extent is of its panel. */
+static int write_panel(const struct gsn_phantom_plan *plan, int i, unsigned threads,
                        const char *folder, struct gsn_phantom_extent *ret_extent,
                        struct gsn_error *err)
 {
-    gsn_auto_mem(char) name = gsn_format(GSN_PHANTOM_STUDY "-%s-P%02d.%s", plan->specimen->name,
-                                         panel, plan->level->extension);
+    gsn_auto_mem(char) name = gsn_phantom_delivery_name(plan, i);
     gsn_auto(gsn_image) image = NULL;
     gsn_auto_phantom_buffer file = { 0 };
     int r;
 
     if (!name)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for panel %d", panel);
-    r = gsn_phantom_panel_draw(plan, panel, threads, &image, ret_extent, err);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for file %d", i + 1);
+    r = gsn_phantom_panel_draw(plan, &plan->file[i], threads, &image, ret_extent, err);
     if (r < 0)
         return r;
-    r = encode(plan, image, &file, err);
+    r = gsn_phantom_delivery_encode(plan, &plan->file[i], image, &file, err);
     if (r < 0)
         return gsn_fail_at(err, "%s", name);
     return gsn_phantom_buffer_write(&file, folder, name, err);
@@ -43,8 +31,8 @@ static int write_panel(const struct gsn_phantom_plan *plan, int panel, unsigned 
 int gsn_phantom_make(const struct gsn_phantom_plan *plan, int with_density, unsigned threads,
                      const char *folder, const struct gsn_progress *progress, struct gsn_error *err)
 {
-    enum { STEPS = GSN_PHANTOM_PANELS + 2 };
-    struct gsn_phantom_extent extent[GSN_PHANTOM_SECTIONS];
+    const size_t panels = (size_t)plan->files, steps = panels + 2;
+    struct gsn_phantom_extent extent[GSN_PHANTOM_SECTIONS] = { 0 };
     gsn_auto_mem(char) truth = gsn_format("%s/truth", folder);
     int r;
 
@@ -53,21 +41,25 @@ int gsn_phantom_make(const struct gsn_phantom_plan *plan, int with_density, unsi
     r = gsn_file_mkdir(truth, err);
     if (r < 0)
         return r;
-    for (int panel = 1; panel <= GSN_PHANTOM_PANELS; panel++) {
-        gsn_progress_say(progress, "drawing panels", (size_t)panel - 1, STEPS);
-        r = write_panel(plan, panel, threads, folder, &extent[(panel - 1) * GSN_PHANTOM_SLOTS],
-                        err);
+    for (int i = 0; i < plan->files; i++) {
+        const int first = (plan->file[i].panel - 1) * GSN_PHANTOM_SLOTS;
+
+        gsn_progress_say(progress, "drawing panels", (size_t)i, steps);
+        r = write_panel(plan, i, threads, folder, &extent[first], err);
         if (r < 0)
             return r;
     }
-    gsn_progress_say(progress, "writing the truth", GSN_PHANTOM_PANELS, STEPS);
+    r = gsn_phantom_calibration_write(plan, threads, folder, err);
+    if (r < 0)
+        return r;
+    gsn_progress_say(progress, "writing the truth", panels, steps);
     r = gsn_phantom_write_truth(plan, extent, with_density, threads, truth, err);
     if (r < 0)
         return r;
-    gsn_progress_say(progress, "writing the job", GSN_PHANTOM_PANELS + 1, STEPS);
+    gsn_progress_say(progress, "writing the job", panels + 1, steps);
     r = gsn_phantom_write_job(plan, folder, err);
     if (r < 0)
         return r;
-    gsn_progress_say(progress, "done", STEPS, STEPS);
+    gsn_progress_say(progress, "done", steps, steps);
     return GSN_OK;
 }

@@ -29,7 +29,9 @@ static const struct argp_option OPTIONS[] = {
     { "check", KEY_CHECK, NULL, 0, "compare the phantom with its check values", 0 },
     { "specimen", 's', "NAME", 0, "S00 (no lesion), S01, S02, S03 or S04", 0 },
     { "level", 'l', "LEVEL", 0,
-      "L0 (ideal), L1 (a careful bench, the default) or L2 (an ordinary one, with defects)", 0 },
+      "L0 (ideal), L1 (a careful bench, the default), L2 (an ordinary one, with defects) or L3 (a "
+      "bad one)",
+      0 },
     { "seed", KEY_SEED, "NUMBER", 0, "what is drawn at random follows from it; default 1", 0 },
     { "out", 'o', "DIR", 0, "the folder to write", 0 },
     { "px", KEY_PX, "UM", 0, "pixel size, 8 to 48 um; default 16", 0 },

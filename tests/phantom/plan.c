@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/phantom/plan.h"
 
+#include "tests/phantom/delivery.h"
 #include "tests/phantom/mishap.h"
 
 #include <math.h>
@@ -16,9 +17,8 @@ static const double PANEL_WIDTH_UM = 36800, PANEL_HEIGHT_UM = 24960;
 static const double LEAST_PX_UM = 8, MOST_PX_UM = 48;
 
 static const struct gsn_phantom_level LEVEL[] = {
-    { .name = "L0", .generated = 1, .extension = "png" },
+    { .name = "L0", .extension = "png" },
     { .name = "L1",
-      .generated = 1,
       .turn_within_deg = 10,
       .jitter_um = 300,
       .illumination = .02,
@@ -26,7 +26,6 @@ static const struct gsn_phantom_level LEVEL[] = {
       .texture = 1,
       .extension = "tif" },
     { .name = "L2",
-      .generated = 1,
       .turn_sd_deg = 12,
       .half_turn_share = .05,
       .flip_share = .03,
@@ -75,6 +74,7 @@ static const struct gsn_phantom_level LEVEL[] = {
       .missing_least = 2,
       .missing_most = 3,
       .handled = 1,
+      .awkward = 1,
       .extension = "jpg",
       .quality = 60 },
 };
@@ -236,9 +236,6 @@ int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed
         return gsn_fail(err, GSN_E_NOTFOUND, "no specimen %s: there are S00 to S04", specimen);
     if (!plan.level)
         return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3", level);
-    if (!plan.level->generated)
-        return gsn_fail(err, GSN_E_UNSUPPORTED,
-                        "level %s is defined but not generated yet: choose L0 to L2", level);
     if (!(px_um >= LEAST_PX_UM && px_um <= MOST_PX_UM))
         return gsn_fail(err, GSN_E_LIMIT, "a pixel of %g um: it must be %g to %g um", px_um,
                         LEAST_PX_UM, MOST_PX_UM);
@@ -248,6 +245,7 @@ int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed
         lay(&plan, k);
     for (int panel = 0; panel < GSN_PHANTOM_PANELS; panel++)
         mix_batch(&plan, panel);
+    gsn_phantom_delivery_draw(&plan);
     gsn_phantom_mishaps_draw(&plan);
     *ret_plan = plan;
     return GSN_OK;

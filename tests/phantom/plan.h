@@ -27,7 +27,7 @@ enum {
     GSN_PHANTOM_SLOTS = GSN_PHANTOM_COLUMNS * GSN_PHANTOM_ROWS,
     GSN_PHANTOM_PANELS = GSN_PHANTOM_SECTIONS / GSN_PHANTOM_SLOTS,
     GSN_PHANTOM_DECOYS_MOST = 6,
-    GSN_PHANTOM_DEFECTS_MOST = 100
+    GSN_PHANTOM_DEFECTS_MOST = 120
 };
 
 #define GSN_PHANTOM_STUDY "GVP-D"
@@ -35,7 +35,6 @@ enum {
 /* One column of the table of levels; angles in degrees, lengths in um, shares 0..1. */
 struct gsn_phantom_level {
     const char *name;
-    int generated; /* 0: the row is known, its images are not made yet */
     double turn_within_deg, turn_sd_deg, half_turn_share, flip_share;
     double jitter_um, size_sd, axis_sd, warp_rms_um;
     double mark_missing_share, mark_wander_um;
@@ -44,6 +43,7 @@ struct gsn_phantom_level {
     double ramp, illumination, noise_sd, texture;
     int defects_least, defects_most, missing_least, missing_most; /* in 12 sections */
     int handled;           /* poses, marks and stain vary, and the grain turns with its section */
+    int awkward;           /* files come in as gsn_phantom_delivery_draw() says */
     const char *extension; /* of the panel files, without the dot */
     int quality;           /* of JPEG */
 };
@@ -100,6 +100,17 @@ struct gsn_phantom_batch {
     double white[3];
 };
 
+/* One file as the scanner delivers it. */
+struct gsn_phantom_file {
+    int panel;        /* from 1 */
+    int again;        /* a second scan of a panel that was delivered already */
+    int orientation;  /* of EXIF: 1 upright, 3, 6, 8 */
+    int bits, passes; /* per sample; times the picture went through JPEG */
+    double kept;      /* share of its bytes that came through */
+    double tag_um;    /* the pixel size it states */
+    const char *extension;
+};
+
 struct gsn_phantom_plan {
     const struct gsn_phantom_specimen *specimen;
     const struct gsn_phantom_level *level;
@@ -108,13 +119,14 @@ struct gsn_phantom_plan {
     uint32_t width, height; /* of a panel */
     struct gsn_phantom_section section[GSN_PHANTOM_SECTIONS];
     struct gsn_phantom_batch batch[GSN_PHANTOM_PANELS];
+    int files, missing_panel; /* a panel that is not delivered; 0 for none */
+    struct gsn_phantom_file file[GSN_PHANTOM_PANELS + 1];
     size_t defects;
     struct gsn_phantom_defect defect[GSN_PHANTOM_DEFECTS_MOST];
 };
 
 /* Plans specimen "S00".."S04" (with or without "GVP-D-") at level "L0".."L3", 8 to 48 um/px.
- * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_UNSUPPORTED for a level whose images
- * are not generated yet, GSN_E_LIMIT for the pixel size. */
+ * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_LIMIT for the pixel size. */
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
                           struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
 

@@ -136,7 +136,7 @@ def main():
         worst = max(worst, math.hypot(x - float(row["x_px"]), y - float(row["y_px"])))
         compared += 1
     print(f"marks: {compared} compared, {worst:.2e} px apart at most")
-    good = worst <= options.within and compared >= 120
+    good = worst <= options.within and compared >= 60
     if lengths:
         print(f"warp: {min(lengths):.6f} to {max(lengths):.6f} um long (declared {declared})")
         good = good and max(abs(length - declared) for length in lengths) < 1e-6

@@ -93,6 +93,21 @@ static void add_panels(struct gsn_phantom_buffer *text, const struct gsn_phantom
     gsn_phantom_buffer_print(text, "],\n");
 }
 
+static void add_files(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan)
+{
+    gsn_phantom_buffer_print(text, "  \"missing_panel\": %d,\n  \"files\": [", plan->missing_panel);
+    for (int i = 0; i < plan->files; i++) {
+        const struct gsn_phantom_file *f = &plan->file[i];
+
+        gsn_phantom_buffer_print(text,
+                                 "%s\n    {\"panel\": %d, \"again\": %s, \"orientation\": %d, "
+                                 "\"bits\": %d, \"kept\": %.15g, \"tag_um\": %.15g}",
+                                 i ? "," : "", f->panel, truth_of(f->again), f->orientation,
+                                 f->bits, f->kept, f->tag_um);
+    }
+    gsn_phantom_buffer_print(text, "],\n");
+}
+
 static void add_places(struct gsn_phantom_buffer *text, const struct gsn_phantom_defect *d)
 {
     gsn_phantom_buffer_print(text, ", \"points_um\": [");
@@ -132,5 +147,7 @@ void gsn_phantom_record_drawn(const struct gsn_phantom_plan *plan, struct gsn_ph
     add_markers(text);
     if (plan->level->handled)
         add_panels(text, plan);
+    if (plan->level->awkward)
+        add_files(text, plan);
     add_defects(text, plan);
 }

@@ -191,19 +191,19 @@ static int make_textures(const struct brush *brush, struct gsn_plane **ret_red,
 }
 
 /* The slot; and when the section may reach out of it, the square around the section as well, but
- * never the label. */
+ * never the label's writing. */
 static struct gsn_phantom_window sheet_window(const struct gsn_phantom_plan *plan,
                                               const struct gsn_phantom_section *section)
 {
     const double reach_px = 3100 / plan->px_um; /* half a diagonal of the tissue is 2800 um */
+    const double writing_px = 3600 / plan->px_um;
     const struct gsn_phantom_window slot = window_of(plan, section->slot);
-    const struct gsn_phantom_window least = window_of(plan, 0);
     const struct gsn_point c = section->centre_px;
 
     if (!plan->level->handled)
         return slot;
     return (struct gsn_phantom_window){
-        (uint32_t)fmax(fmin(slot.x0, c.x - reach_px), least.x0),
+        (uint32_t)fmax(fmin(slot.x0, c.x - reach_px), writing_px),
         (uint32_t)fmax(fmin(slot.y0, c.y - reach_px), 0),
         (uint32_t)fmin(fmax(slot.x1, c.x + reach_px), plan->width),
         (uint32_t)fmin(fmax(slot.y1, c.y + reach_px), plan->height),

@@ -118,7 +118,9 @@ const char *gsn_phantom_sight_mark(const struct gsn_phantom_sight *sight, int ma
     if (!gsn_phantom_sight_find(sight, m->centre, ret_p))
         *ret_p = gsn_phantom_sight_panel(sight, m->centre);
     if (sight->section->shows < 0)
-        return gsn_phantom_defect_name(GSN_PHANTOM_EMPTY_SLOT);
+        return gsn_phantom_defect_name(sight->section->panel == sight->plan->missing_panel
+                                           ? GSN_PHANTOM_MISSING_PANEL
+                                           : GSN_PHANTOM_EMPTY_SLOT);
     if (m->missing)
         return "missing";
     if (torn(sight, m))

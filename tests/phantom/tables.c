@@ -3,6 +3,7 @@
 
 #include "tests/phantom/buffer.h"
 #include "tests/phantom/decoy.h"
+#include "tests/phantom/delivery.h"
 #include "tests/phantom/sight.h"
 
 #include <math.h>
@@ -111,6 +112,26 @@ static int write_decoys(const struct gsn_phantom_plan *plan, const char *folder,
     return gsn_phantom_buffer_write(&text, folder, "decoys.csv", err);
 }
 
+/* Numbers files in the order of their delivery. */
+static int write_files(const struct gsn_phantom_plan *plan, const char *folder,
+                       struct gsn_error *err)
+{
+    gsn_auto_phantom_buffer text = { 0 };
+
+    gsn_phantom_buffer_print(&text, "file,panel,again,orientation,bits,jpeg_passes,kept,tag_um\n");
+    for (int i = 0; i < plan->files; i++) {
+        const struct gsn_phantom_file *f = &plan->file[i];
+        gsn_auto_mem(char) name = gsn_phantom_delivery_name(plan, i);
+
+        if (!name)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for files.csv");
+        gsn_phantom_buffer_print(&text, "%s,%d,%d,%d,%d,%d,%.6f,%.6f\n", name, f->panel, f->again,
+                                 f->orientation, f->bits, f->bits == 8 ? f->passes : 0, f->kept,
+                                 f->tag_um);
+    }
+    return gsn_phantom_buffer_write(&text, folder, "files.csv", err);
+}
+
 static int write_warp(const struct gsn_phantom_plan *plan, int k, const char *folder,
                       struct gsn_error *err)
 {
@@ -143,6 +164,8 @@ int gsn_phantom_tables_write(const struct gsn_phantom_plan *plan,
         r = write_defects(plan, folder, err);
     if (r >= 0 && plan->level->handled)
         r = write_decoys(plan, folder, err);
+    if (r >= 0 && plan->level->awkward)
+        r = write_files(plan, folder, err);
     for (int k = 0; r >= 0 && plan->level->warp_rms_um > 0 && k < GSN_PHANTOM_SECTIONS; k++)
         if (plan->section[k].shows >= 0)
             r = write_warp(plan, k, folder, err);

@@ -43,7 +43,7 @@ static void check_panel(const char *level, int panel, double px_um, const char *
     char text[64];
 
     CHECK_OK(gsn_phantom_plan_make("S02", level, 7, px_um, &plan, &err), err);
-    CHECK_OK(gsn_phantom_panel_draw(&plan, panel, 0, &image, extent, &err), err);
+    CHECK_OK(gsn_phantom_panel_draw(&plan, &plan.file[panel - 1], 0, &image, extent, &err), err);
     read_strip(image, px_um, text, sizeof text);
     assert_string_equal(text, name);
 }

@@ -27,7 +27,8 @@ static struct drawn draw(const char *specimen, const char *level, uint64_t seed,
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_phantom_plan_make(specimen, level, seed, px_um, &drawn.plan, &err), err);
-    CHECK_OK(gsn_phantom_panel_draw(&drawn.plan, panel, threads, &drawn.image, drawn.extent, &err),
+    CHECK_OK(gsn_phantom_panel_draw(&drawn.plan, &drawn.plan.file[panel - 1], threads, &drawn.image,
+                                    drawn.extent, &err),
              err);
     return drawn;
 }
@@ -223,7 +224,7 @@ static int draw_once(const struct gsn_phantom_plan *plan, struct gsn_error *err)
     struct gsn_phantom_extent extent[GSN_PHANTOM_SLOTS];
     gsn_auto(gsn_image) image = NULL;
 
-    return gsn_phantom_panel_draw(plan, 1, 1, &image, extent, err);
+    return gsn_phantom_panel_draw(plan, &plan->file[0], 1, &image, extent, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

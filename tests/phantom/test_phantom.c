@@ -10,6 +10,7 @@
 
 #include "pipeline/core/file.h"
 #include "tests/phantom/phantom.h"
+#include "tests/phantom/tables.h"
 #include "tests/phantom/truth.h"
 
 enum { MOST_BYTES = 64 << 20 };
@@ -76,6 +77,50 @@ TEST(the_same_arguments_give_the_same_bytes_with_one_and_two_threads)
     CHECK(mkdtemp(one) && mkdtemp(two));
     CHECK_OK(gsn_phantom_make(&plan, 1, 1, one, NULL, &err), err);
     CHECK_OK(gsn_phantom_make(&plan, 1, 2, two, NULL, &err), err);
+    for (size_t i = 0; i < sizeof name / sizeof *name; i++)
+        check_same_file(one, two, name[i]);
+}
+
+/* The panel that is missing, the file that is cut: every trouble leaves a folder that is complete.
+ */
+TEST(a_bad_day_s_files_are_those_that_the_truth_lists)
+{
+    const struct gsn_phantom_plan plan = plan_of("S02", "L3", 7, 48);
+    auto_folder folder[32] = "/tmp/gsn_phantom_XXXXXX";
+    gsn_auto_mem(uint8_t) table = NULL;
+    gsn_auto_mem(char) text = NULL;
+    struct gsn_error err = { 0 };
+    size_t size, lines = 0;
+
+    CHECK(mkdtemp(folder));
+    CHECK_OK(gsn_phantom_make(&plan, 0, 0, folder, NULL, &err), err);
+    table = slurp(folder, "truth/files.csv", &size);
+    text = gsn_format("%.*s", (int)size, (const char *)table);
+    CHECK(text);
+    for (char *line = strchr(text, '\n'); line && line[1]; line = strchr(line + 1, '\n')) {
+        gsn_auto_mem(char) name = gsn_format("%.*s", (int)strcspn(line + 1, ","), line + 1);
+        gsn_auto_mem(uint8_t) bytes = slurp(folder, name, &size);
+
+        CHECK(bytes && size > 10000);
+        lines++;
+    }
+    CHECK(lines == 5);
+}
+
+TEST(a_damaged_specimen_is_the_same_with_one_and_two_threads)
+{
+    static const char *const name[] = {
+        "GVP-D-S02-P01.jpg", "GVP-D-S02-P02.jpg",  "GVP-D-S02-P05.jpg",
+        "truth/truth.json",  "truth/sections.csv", "truth/markers.csv",
+        "truth/defects.csv", "truth/decoys.csv",   "truth/warp_k007.csv",
+    };
+    const struct gsn_phantom_plan plan = plan_of("S02", "L2", 7, 48);
+    auto_folder one[32] = "/tmp/gsn_phantom_XXXXXX", two[32] = "/tmp/gsn_phantom_XXXXXX";
+    struct gsn_error err = { 0 };
+
+    CHECK(mkdtemp(one) && mkdtemp(two));
+    CHECK_OK(gsn_phantom_make(&plan, 0, 1, one, NULL, &err), err);
+    CHECK_OK(gsn_phantom_make(&plan, 0, 2, two, NULL, &err), err);
     for (size_t i = 0; i < sizeof name / sizeof *name; i++)
         check_same_file(one, two, name[i]);
 }
@@ -175,12 +220,26 @@ static int describe_once(const struct gsn_phantom_plan *plan, const char *folder
     return r < 0 ? r : gsn_phantom_write_truth(plan, extent, 0, 0, folder, err);
 }
 
+static int tabulate_once(const struct gsn_phantom_plan *plan, const char *folder,
+                         struct gsn_error *err)
+{
+    static const struct gsn_phantom_extent extent[GSN_PHANTOM_SECTIONS];
+
+    return gsn_phantom_tables_write(plan, extent, folder, err);
+}
+
 TEST(running_out_of_memory_leaks_nothing)
 {
-    const struct gsn_phantom_plan plan = plan_of("S02", "L1", 1, 48);
+    const struct gsn_phantom_plan whole = plan_of("S02", "L1", 1, 48);
+    struct gsn_phantom_plan damaged = plan_of("S02", "L2", 1, 48);
     auto_folder folder[32] = "/tmp/gsn_phantom_XXXXXX";
     struct gsn_error err = { 0 };
 
+    /* Warps and defects are all alike: one and two of them do. */
+    for (int k = 1; k < GSN_PHANTOM_SECTIONS; k++)
+        damaged.section[k].shows = -1;
+    damaged.defects = 2;
     CHECK(mkdtemp(folder));
-    CHECK_EVERY_OOM(describe_once(&plan, folder, &err), err);
+    CHECK_EVERY_OOM(describe_once(&whole, folder, &err), err);
+    CHECK_EVERY_OOM(tabulate_once(&damaged, folder, &err), err);
 }

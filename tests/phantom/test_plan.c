@@ -114,7 +114,6 @@ TEST(what_does_not_exist_is_refused_in_one_sentence)
         int code;
         const char *says;
     } refused[] = {
-        { "S02", "L3", 16, GSN_E_UNSUPPORTED, "not generated yet" },
         { "S02", "L4", 16, GSN_E_NOTFOUND, "no level L4" },
         { "S09", "L1", 16, GSN_E_NOTFOUND, "no specimen S09" },
         { "S02", "L1", 4, GSN_E_LIMIT, "a pixel of 4 um" },

@@ -12,13 +12,14 @@ enum { ROWS_PER_STRIP = 64 };
 
 static const uint8_t *row_of(const struct gsn_image *image, uint32_t y)
 {
-    return (const uint8_t *)image->samples + (size_t)y * image->width * 3;
+    return (const uint8_t *)image->samples + (size_t)y * image->width * 3 * (image->bits / 8);
 }
 
-static int check_kind(const struct gsn_image *image, struct gsn_error *err)
+static int check_kind(const struct gsn_image *image, uint32_t most_bits, struct gsn_error *err)
 {
-    if (image->channels != 3 || image->bits != 8)
-        return gsn_fail(err, GSN_E_UNSUPPORTED, "panels are written as 8-bit RGB only");
+    if (image->channels != 3 || image->bits > most_bits)
+        return gsn_fail(err, GSN_E_UNSUPPORTED, "panels are written as %u-bit RGB at most",
+                        most_bits);
     return GSN_OK;
 }
 
@@ -74,7 +75,7 @@ int gsn_phantom_png(const struct gsn_image *image, double px_um,
     gsn_auto_phantom_buffer file = { 0 };
     png_structp png;
     png_infop info;
-    int r = check_kind(image, err);
+    int r = check_kind(image, 8, err);
 
     if (r < 0)
         return r;
@@ -177,7 +178,7 @@ static int tiff_encode(TIFF *tiff, const struct gsn_image *image, double px_um)
     int good = TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, image->width) &&
                TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, image->height) &&
                TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 3) &&
-               TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8) &&
+               TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, image->bits) &&
                TIFFSetField(tiff, TIFFTAG_ORIENTATION, ORIENTATION_TOPLEFT) &&
                TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG) &&
                TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_RGB) &&
@@ -192,7 +193,7 @@ static int tiff_encode(TIFF *tiff, const struct gsn_image *image, double px_um)
     for (uint32_t y = 0; good && y < image->height; y += ROWS_PER_STRIP) {
         const uint32_t left = image->height - y,
                        rows = left < ROWS_PER_STRIP ? left : ROWS_PER_STRIP;
-        const tmsize_t size = (tmsize_t)rows * image->width * 3;
+        const tmsize_t size = (tmsize_t)rows * image->width * 3 * (tmsize_t)(image->bits / 8);
 
         good = TIFFWriteEncodedStrip(tiff, y / ROWS_PER_STRIP, (void *)(uintptr_t)row_of(image, y),
                                      size) == size;
@@ -205,7 +206,7 @@ int gsn_phantom_tiff(const struct gsn_image *image, double px_um,
 {
     struct tiff_file file = { 0 };
     TIFF *tiff;
-    int r = check_kind(image, err);
+    int r = check_kind(image, 16, err);
 
     if (r < 0)
         return r;

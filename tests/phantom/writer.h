@@ -11,15 +11,21 @@
 extern "C" {
 #endif
 
-/* Encode an 8-bit RGB image into an empty buffer. Fail with GSN_E_NOMEM or GSN_E_UNSUPPORTED. */
+/* Encode an RGB image, of 8 bits (the TIFF also of 16), into an empty buffer. Fail with GSN_E_NOMEM
+ * or GSN_E_UNSUPPORTED. */
 int gsn_phantom_png(const struct gsn_image *image, double px_um,
                     struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
 int gsn_phantom_tiff(const struct gsn_image *image, double px_um,
                      struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
 
-/* Quality 1..100, colours at half resolution in both directions (4:2:0). */
-int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality,
+/* Quality 1..100, colours at half resolution in both directions (4:2:0). orientation is EXIF's; at
+ * 1 nothing is said about it. The image is what is stored, turned already. */
+int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality, int orientation,
                      struct gsn_phantom_buffer *ret_file, struct gsn_error *err);
+
+/* gives: the image after one passage through such a file. */
+int gsn_phantom_jpeg_lossy(const struct gsn_image *image, int quality, struct gsn_image **ret_image,
+                           struct gsn_error *err);
 
 #ifdef __cplusplus
 }

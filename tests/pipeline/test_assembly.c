@@ -157,6 +157,21 @@ TEST(a_section_with_one_mark_is_held_and_one_with_two_is_used_with_doubt)
     CHECK(a->section[3].thumbnail.size > 0);
 }
 
+/* Cases 17 and 20: two marks say nothing of mirroring, so what the tissue said decides. */
+TEST(a_flipped_section_with_two_marks_is_laid_the_right_way_up)
+{
+    struct drawn_panel panels[3];
+
+    three_panels(panels);
+    panels[1].section[2].no_marks = 2;
+    panels[1].section[2].flipped = 1;
+    gsn_auto(gsn_assembly) a = assembled_from(panels);
+
+    CHECK(a->section[6].posed == (strstr(a->section[6].seen.flags, "two-marks") != NULL));
+    if (strstr(a->section[6].seen.flags, "mirrored"))
+        CHECK(a->section[6].pose.flipped);
+}
+
 /* One mark moved by a third of a millimetre: the triangle is another one, so its place is not
  * known, and the char that no mark accounts for is debris. */
 TEST(a_section_whose_marks_contradict_the_stack_is_held)

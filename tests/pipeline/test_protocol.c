@@ -18,7 +18,8 @@ static const char FULL[] =
     " \"sections\": 59, \"markers_um\": [[-2050, -1000], [1700, -1500], [-1500, 1300]],"
     " \"region\": {\"shape\": \"cylinder\", \"centre\": [1, 2], \"radius\": 3, \"z\": [4, 50]},"
     " \"baseline\": \"B\", \"thresholds\": [0.3, 0.5], \"tolerance\": 0.02, \"transfer\": \"srgb\","
-    " \"dyes\": \"estimate\", \"white\": [1, 0.9, 0.8], \"kind\": \"sections\", \"comment\": 1}";
+    " \"dyes\": \"estimate\", \"strain\": \"corrected\", \"white\": [1, 0.9, 0.8], \"kind\": "
+    "\"sections\", \"comment\": 1}";
 
 TEST(every_documented_key_is_read)
 {
@@ -32,6 +33,7 @@ TEST(every_documented_key_is_read)
     CHECK(p->has_markers && p->markers_um[2].y == 1300);
     CHECK(p->region.kind == GSN_REGION_CYLINDER && p->region.high.z == 50);
     CHECK(p->threshold_count == 2 && p->has_white && p->unknown == NULL);
+    CHECK(p->strain == GSN_STATED_STRAIN_CORRECTED);
     CHECK_NEAR(p->px_um, 10.58, 0);
 }
 
@@ -44,6 +46,7 @@ TEST(what_is_not_stated_has_the_documented_default)
     CHECK(p->rows == 3 && p->columns == 4 && p->interval_um == 24 && p->px_um == 0);
     CHECK(isnan(p->week) && p->region.kind == GSN_REGION_NONE && !p->has_markers);
     CHECK(p->kind == GSN_KIND_SECTIONS && p->transfer == GSN_STATED_UNKNOWN);
+    CHECK(p->strain == GSN_STATED_STRAIN_REPORTED);
 }
 
 TEST(an_unknown_key_is_named_and_not_refused)
@@ -91,6 +94,7 @@ TEST(a_wrong_value_is_refused_by_the_name_of_its_key)
         { "{\"specimen\": \"x\", \"kind\": \"tile\"}", "\"file\" is missing" },
         { "{\"specimen\": \"x\", \"transfer\": \"gamma\"}", "\"transfer\"" },
         { "{\"specimen\": \"x\", \"dyes\": 3}", "\"dyes\"" },
+        { "{\"specimen\": \"x\", \"strain\": \"affine\"}", "\"strain\"" },
         { "{\"specimen\": \"x\", \"white\": [1, 1, 0]}", "\"white\"" },
         { "{\"specimen\": \"x\", \"white\": [255, 255, 255]}", "\"white\"" },
         { "{\"specimen\": \"x\", \"layout\": 3}", "\"layout\"" },

@@ -65,7 +65,7 @@ static void draw_slots(unsigned present, double jitter)
 static int split(struct gsn_slot *slots, struct gsn_scrap **scraps, size_t *count,
                  struct gsn_error *err)
 {
-    return gsn_panel_split(&panel, &LAYOUT, PX, slots, scraps, count, err);
+    return gsn_panel_split(&panel, 1, &LAYOUT, PX, slots, scraps, count, err);
 }
 
 static void check_slots(const struct gsn_slot *slots, unsigned present, double jitter)
@@ -145,7 +145,7 @@ TEST(a_grid_that_cannot_be_told_is_refused_and_nothing_is_touched)
 
         draw_ellipse(&turned, at, 51, 65, 0, 0.6);
     }
-    CHECK(gsn_panel_split(&wide, &upright, PX, slots, &scraps, &count, &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_split(&wide, 1, &upright, PX, slots, &scraps, &count, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "only 3 of 4 rows hold tissue, and which ones cannot be told from their "
                            "place") == 0);
     CHECK(slots[0].slot == 0x5a5a5a5a && scraps == NULL && count == 55);
@@ -159,7 +159,7 @@ TEST(too_many_columns_are_refused)
 
     draw_glass(3);
     draw_slots(0xfff, 0);
-    CHECK(gsn_panel_split(&panel, &narrow, PX, slots, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_split(&panel, 1, &narrow, PX, slots, NULL, NULL, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "tissue lies in 4 columns, the protocol says 2") == 0);
 }
 
@@ -266,8 +266,8 @@ TEST(glass_or_dust_alone_is_refused)
     CHECK(strcmp(err.text, "there is nothing but dust on the panel") == 0);
     draw_fill(&panel, NAN);
     CHECK(split(slots, NULL, NULL, &err) == GSN_E_INPUT);
-    CHECK(gsn_panel_split(&panel, &LAYOUT, 0, slots, NULL, NULL, &err) == GSN_E_INPUT);
-    CHECK(gsn_panel_split(&panel, &LAYOUT, NAN, slots, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_split(&panel, 1, &LAYOUT, 0, slots, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_split(&panel, 1, &LAYOUT, NAN, slots, NULL, NULL, &err) == GSN_E_INPUT);
 }
 
 TEST(the_order_of_mounting_is_data)
@@ -294,7 +294,7 @@ TEST(a_snake_is_split_as_a_snake)
 
     draw_glass(10);
     draw_slots(0xf7f, 0);
-    CHECK_OK(gsn_panel_split(&panel, &snake, PX, slots, NULL, NULL, &err), err);
+    CHECK_OK(gsn_panel_split(&panel, 1, &snake, PX, slots, NULL, NULL, &err), err);
     /* Place 7 (row 1, column 3) is the fifth to be mounted. */
     for (unsigned i = 0; i < SLOTS; i++)
         CHECK(slots[i].slot == i && slots[i].found == (i != 4));

@@ -1,0 +1,28 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What the poses of a stack say to a person: what cannot be told on this block, what was allowed
+ * for, and what someone has to look at. */
+#ifndef GSN_PIPELINE_POSE_WORDS_H
+#define GSN_PIPELINE_POSE_WORDS_H
+
+#include "pipeline/register/strain.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { GSN_POSE_SENTENCES = 8, GSN_POSE_SENTENCE = 480 };
+
+/* One sentence for each thing to say about the whole stack; their number. */
+size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
+                          const struct gsn_strain_common *panel, enum gsn_strain_mode mode,
+                          double interval_um,
+                          char ret_sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE]);
+
+/* Why a section whose marks contradict the stack is held, with the three poses on two marks. */
+void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SENTENCE]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,363 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What the sections' shapes have in common.
+ *
+ * The six coordinates of three residuals are a rigid motion and a strain, one to one, so the strain
+ * m of a section is what its marks say of its shape, with noise of covariance N. Over the stack
+ * m = trend(z) + s + n: the axes' slopes and bends, the section's own strain, and the noise. */
+#include "pipeline/register/pose_stack.h"
+
+#include "pipeline/core/mem.h"
+#include "pipeline/register/scatter.h"
+#include "pipeline/register/small.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
+
+/* Chi-squared beyond which 0.1 % lie with 5 degrees of freedom: those in which three variances and
+ * their axes can differ from being one. */
+static const double CHI2_ROUND = 20.515;
+/* A chance of 0.1 % each. */
+static const double ALPHA = 1e-3;
+/* A mark this much poorer than the median one says little of the stack. */
+static const double POOR = 4;
+
+struct lesson {
+    double strain_of[3][COORDS];       /* residuals -> strain */
+    double shape[COORDS][3];           /* strain -> residuals of a rigid fit with marks alike */
+    double lower[3][3];                /* Cholesky factor of the noise N of the median section */
+    struct gsn_scatter_vector *vector; /* whitened */
+    double *z, *scratch;
+    size_t count, terms; /* of the trend that is used */
+    double middle, half;
+    double term[TERMS][3];                /* the trend: constant, slope, bend; whitened */
+    double spread[3][3];                  /* of what is left, whitened */
+    double inverse[GSN_SMALL][GSN_SMALL]; /* of the regression's normal matrix */
+};
+
+/* The inverse of [J K], and K less its rigid part. */
+static int make_maps(const struct gsn_pose_stack *s, struct lesson *l)
+{
+    const struct gsn_point about = gsn_pose_centroid(s->triangle);
+    double a[GSN_SMALL][GSN_SMALL] = { 0 }, unit[GSN_SMALL][GSN_SMALL] = { 0 };
+    double normal[GSN_SMALL][GSN_SMALL] = { 0 }, jk[GSN_SMALL][GSN_SMALL] = { 0 };
+    double j[COORDS][3], k[COORDS][3];
+
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_point u = { s->triangle[i].x - about.x, s->triangle[i].y - about.y };
+
+        gsn_pose_rows(u, &j[2 * i], &k[2 * i]);
+    }
+    for (size_t i = 0; i < COORDS; i++) {
+        unit[i][i] = 1;
+        for (size_t c = 0; c < 3; c++) {
+            a[i][c] = j[i][c];
+            a[i][3 + c] = k[i][c];
+            for (size_t d = 0; d < 3; d++) {
+                normal[c][d] += j[i][c] * j[i][d];
+                jk[c][d] += j[i][c] * k[i][d];
+            }
+        }
+    }
+    if (gsn_small_solve(a, unit, COORDS, COORDS) < 0 || gsn_small_solve(normal, jk, 3, 3) < 0)
+        return -1;
+    for (size_t c = 0; c < 3; c++)
+        memcpy(l->strain_of[c], unit[3 + c], sizeof l->strain_of[c]);
+    for (size_t i = 0; i < COORDS; i++)
+        for (size_t c = 0; c < 3; c++) {
+            l->shape[i][c] = k[i][c];
+            for (size_t d = 0; d < 3; d++)
+                l->shape[i][c] -= j[i][d] * jk[d][c];
+        }
+    return 0;
+}
+
+static int make_whitening(const struct gsn_pose_stack *s, struct lesson *l)
+{
+    double noise[3][3];
+
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j < 3; j++) {
+            noise[i][j] = 0;
+            for (size_t a = 0; a < COORDS; a++)
+                noise[i][j] += l->strain_of[i][a] * l->strain_of[j][a] * s->mark_um2;
+        }
+    return gsn_small_cholesky3((const double(*)[3])noise, l->lower);
+}
+
+static void sample(const struct gsn_pose_stack *s, const struct gsn_pose_member *m,
+                   struct lesson *l)
+{
+    struct gsn_scatter_vector *to = &l->vector[l->count];
+    struct gsn_pose_fit_input laid;
+    double y[COORDS];
+
+    (void)gsn_pose_lay_out(s, m, &laid);
+    for (size_t i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_point p = gsn_rigid_apply(&m->motion, laid.from[i]);
+
+        y[2 * i] = p.x - laid.onto[i].x;
+        y[2 * i + 1] = p.y - laid.onto[i].y;
+    }
+    for (size_t i = 0; i < 3; i++) {
+        double strain = 0;
+
+        for (size_t a = 0; a < COORDS; a++)
+            strain += l->strain_of[i][a] * y[a];
+        for (size_t j = 0; j < i; j++)
+            strain -= l->lower[i][j] * to->v[j];
+        to->v[i] = strain / l->lower[i][i];
+    }
+    to->inlier = m->inlier;
+    l->z[l->count++] = m->input->serial;
+}
+
+static void gather(const struct gsn_pose_stack *s, struct lesson *l)
+{
+    double low = INFINITY, high = -INFINITY;
+
+    for (size_t i = 0; i < s->count; i++) {
+        const struct gsn_pose_member *m = &s->member[i];
+        double worst = 0;
+
+        for (int k = 0; k < GSN_MARKS; k++)
+            worst = fmax(worst, m->variance[k]);
+        if (m->marks == GSN_MARKS && isfinite(m->squares) && worst <= POOR * s->mark_um2)
+            sample(s, m, l);
+    }
+    for (size_t i = 0; i < l->count; i++) {
+        low = fmin(low, l->z[i]);
+        high = fmax(high, l->z[i]);
+    }
+    l->middle = 0.5 * (low + high);
+    l->half = fmax(0.5 * (high - low), 1);
+}
+
+/* 1, position from -1 to 1, and its square: the bend is that of the ends against the middle. */
+static void terms_at(const struct lesson *l, double serial, double ret_term[TERMS])
+{
+    const double t = (serial - l->middle) / l->half;
+
+    ret_term[0] = 1;
+    ret_term[1] = t;
+    ret_term[2] = t * t;
+}
+
+/* Least squares over the inliers with the first `terms` terms. */
+static int regress(struct lesson *l, size_t terms)
+{
+    double right[GSN_SMALL][GSN_SMALL] = { 0 };
+
+    memset(l->inverse, 0, sizeof l->inverse);
+    memset(l->term, 0, sizeof l->term);
+    for (size_t k = 0; k < l->count; k++) {
+        double t[TERMS];
+
+        if (!l->vector[k].inlier)
+            continue;
+        terms_at(l, l->z[k], t);
+        for (size_t i = 0; i < terms; i++) {
+            for (size_t j = 0; j < terms; j++)
+                l->inverse[i][j] += t[i] * t[j];
+            for (size_t c = 0; c < 3; c++)
+                right[i][c] += t[i] * l->vector[k].v[c];
+        }
+    }
+    if (gsn_small_invert(l->inverse, terms) < 0)
+        return -1;
+    for (size_t i = 0; i < terms; i++)
+        for (size_t c = 0; c < 3; c++)
+            for (size_t j = 0; j < terms; j++)
+                l->term[i][c] += l->inverse[i][j] * right[j][c];
+    return 0;
+}
+
+static void detrend(struct lesson *l, double sign)
+{
+    for (size_t k = 0; k < l->count; k++) {
+        double t[TERMS];
+
+        terms_at(l, l->z[k], t);
+        for (size_t i = 0; i < TERMS; i++)
+            for (size_t c = 0; c < 3; c++)
+                l->vector[k].v[c] -= sign * t[i] * l->term[i][c];
+    }
+}
+
+/* Trend and spread by turns; the vectors are given back as they came. */
+static int fit_trend(struct lesson *l, size_t terms)
+{
+    for (int round = 0; round < ROUNDS; round++) {
+        int r = regress(l, terms);
+
+        if (r < 0)
+            return r;
+        detrend(l, 1);
+        r = gsn_scatter(l->vector, l->count, l->scratch, l->spread);
+        detrend(l, -1);
+        if (r < 0)
+            return r;
+    }
+    return 0;
+}
+
+/* Whether the last of the terms is more than chance makes. */
+static int matters(const struct lesson *l, size_t term)
+{
+    const double *v = l->term[term], n = (double)l->count;
+    double inverse[GSN_SMALL][GSN_SMALL], square = 0;
+
+    for (size_t i = 0; i < 3; i++)
+        memcpy(inverse[i], l->spread[i], sizeof l->spread[i]);
+    if (gsn_small_invert(inverse, 3) < 0)
+        return 0;
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j < 3; j++)
+            square += v[i] * inverse[i][j] * v[j];
+    return square / l->inverse[term][term] > gsn_chance_limit(3, n - 4, ALPHA) * (n - 1) / (n - 3);
+}
+
+/* Strain to one vector for each mark. */
+static void to_marks(const struct lesson *l, const double whitened[3], struct gsn_point ret_mark[3])
+{
+    double strain[3] = { 0 };
+
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j <= i; j++)
+            strain[i] += l->lower[i][j] * whitened[j];
+    for (size_t m = 0; m < GSN_MARKS; m++) {
+        ret_mark[m] = (struct gsn_point){ 0, 0 };
+        for (size_t c = 0; c < 3; c++) {
+            ret_mark[m].x += l->shape[2 * m][c] * strain[c];
+            ret_mark[m].y += l->shape[2 * m + 1][c] * strain[c];
+        }
+    }
+}
+
+/* The spread of a term over the marks, root mean square of the six coordinates. */
+static double sd_of(const struct lesson *l, size_t term)
+{
+    double sum = 0;
+
+    for (size_t c = 0; c < 3; c++) {
+        const double unit[3] = { c == 0, c == 1, c == 2 };
+        struct gsn_point mark[GSN_MARKS];
+
+        /* The whitened spread is near 1 each way; its trace is shared evenly. */
+        to_marks(l, unit, mark);
+        for (size_t m = 0; m < GSN_MARKS; m++)
+            sum += l->spread[c][c] * (mark[m].x * mark[m].x + mark[m].y * mark[m].y);
+    }
+    return sqrt(sum * l->inverse[term][term] / COORDS);
+}
+
+static int learn_axes(struct gsn_pose_stack *s, struct lesson *l)
+{
+    struct gsn_axes axes = { .middle = l->middle, .half = l->half };
+
+    l->terms = 3;
+    if (fit_trend(l, 3) < 0)
+        return -1;
+    axes.bent = matters(l, 2);
+    to_marks(l, l->term[2], axes.bend);
+    axes.bend_sd = sd_of(l, 2);
+    l->terms = axes.bent ? 3 : 2;
+    if (!axes.bent && fit_trend(l, 2) < 0)
+        return -1;
+    axes.slanted = matters(l, 1);
+    to_marks(l, l->term[1], axes.slope);
+    axes.slope_sd = sd_of(l, 1) / l->half;
+    for (size_t i = 0; i < GSN_MARKS; i++) {
+        axes.slope[i].x /= l->half;
+        axes.slope[i].y /= l->half;
+    }
+    l->terms = axes.bent || axes.slanted ? l->terms : 1;
+    if (l->terms == 1 && fit_trend(l, 1) < 0)
+        return -1;
+    if (axes.bent || axes.slanted) {
+        struct gsn_point shift[GSN_MARKS];
+
+        to_marks(l, l->term[0], shift);
+        for (size_t i = 0; i < GSN_MARKS; i++) {
+            s->triangle[i].x += shift[i].x;
+            s->triangle[i].y += shift[i].y;
+        }
+    }
+    s->axes = axes;
+    return 0;
+}
+
+/* The noise by the smallest of three sample variances, which chance makes too small by the more
+ * the nearer the others are (Lawley 1956); never more than the mean with the next. */
+static double smallest(const double value[3], double n)
+{
+    const double near = value[1] / (value[1] - value[2]), far = value[0] / (value[0] - value[2]);
+
+    return fmin(value[2] * (1 + (near + far) / n), 0.5 * (value[1] + value[2]));
+}
+
+/* Splits the spread of n vectors into noise, alike in all directions, and the rest. Mauchly's test
+ * of sphericity with Bartlett's correction says whether there is a rest. */
+static void learn_strain(struct gsn_pose_stack *s, const struct lesson *l)
+{
+    double value[3], axis[3][3], rest[3][3] = { 0 }, noise, mean;
+    const double n = (double)l->count;
+
+    gsn_small_eigen3(l->spread, value, axis);
+    for (size_t i = 0; i < 3; i++)
+        value[i] *= n / (n - (double)l->terms);
+    if (!(value[2] > 0))
+        return;
+    mean = (value[0] + value[1] + value[2]) / 3;
+    s->stretches =
+        -(n - 1 - 23.0 / 18) * log(value[0] * value[1] * value[2] / pow(mean, 3)) > CHI2_ROUND;
+    noise = s->stretches ? smallest(value, n) : mean;
+    for (size_t e = 0; s->stretches && e < 2; e++)
+        for (size_t i = 0; i < 3; i++)
+            for (size_t j = 0; j < 3; j++)
+                rest[i][j] += fmax(value[e] - noise, 0) * axis[i][e] * axis[j][e];
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j < 3; j++) {
+            double sum = 0;
+
+            for (size_t a = 0; a <= i; a++)
+                for (size_t b = 0; b <= j; b++)
+                    sum += l->lower[i][a] * rest[a][b] * l->lower[j][b];
+            s->strain[i][j] = sum;
+        }
+    /* Otherwise the stack's noise was settled well by all three directions together. */
+    if (s->stretches || l->terms > 1)
+        s->mark_um2 *= noise;
+}
+
+/* The false alarms that the tests are made for, with what is known of the noise. */
+static void set_limits(struct gsn_pose_stack *s, const struct lesson *l)
+{
+    const double n = (double)l->count;
+
+    if (s->stretches)
+        s->freedom = n - 3;
+    s->limit[0] = gsn_chance_limit(1, fmax(s->freedom, 2), ALPHA);
+    s->limit[2] = s->stretches ? gsn_chance_limit(3, n - 3, ALPHA) * (n - 1) / (n - 3)
+                               : gsn_chance_limit(3, fmax(s->freedom, 2), ALPHA);
+}
+
+int gsn_pose_learn(struct gsn_pose_stack *s, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_scatter_vector) vector = gsn_alloc_array(s->count, sizeof *vector);
+    gsn_auto_mem(double) z = gsn_alloc_array(s->count, sizeof *z);
+    struct lesson l = { .vector = vector, .z = z, .scratch = s->scratch };
+
+    if (!vector || !z)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the shapes of %zu sections", s->count);
+    /* Shapes that agree to a tenth of a pixel have nothing to teach. */
+    if (s->mark_um2 > s->finest && make_maps(s, &l) >= 0 && make_whitening(s, &l) >= 0) {
+        gather(s, &l);
+        if (l.count >= GSN_SCATTER_LEAST && learn_axes(s, &l) >= 0)
+            learn_strain(s, &l);
+    }
+    set_limits(s, &l);
+    return GSN_OK;
+}

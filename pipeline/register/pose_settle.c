@@ -1,0 +1,208 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/pose_stack.h"
+
+#include "pipeline/register/median.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { ROUNDS = 100, LEARNING = 3 };
+
+/* Of the chi-squared distribution with 3 degrees of freedom: the median, and the mean of what lies
+ * below the 0.1 % limit. */
+static const double CHI2_MEDIAN = 2.365974, CHI2_MEAN_BELOW = 2.984575;
+/* No mark of a few pixels is trusted beyond this, in pixels: on clean sections the residuals are so
+ * small that a chi-squared test against them alone would call a hundredth of a pixel gross. */
+static const double FINEST_PX = 0.1;
+/* Sides must differ by this many standard deviations of a mark. */
+static const double SCALENE = 10;
+/* A mark whose fit gives no variance at all counts as this much poorer than the median one. */
+static const double VARIANCE_UNKNOWN = 100;
+/* Rounding of the marks' places, in pixels. */
+static const double ROUNDING_PX = 1e-7;
+
+static double fit_variance(const struct gsn_pose_input *input, int mark)
+{
+    return 0.5 * (input->marks[mark].cov_xx + input->marks[mark].cov_yy) * input->px_um *
+           input->px_um;
+}
+
+static double rounding(const struct gsn_pose_stack *s)
+{
+    return s->finest * pow(ROUNDING_PX / FINEST_PX, 2);
+}
+
+/* The median mark's variance is what the residuals say. Where that is more than its fit says, the
+ * rest (the burn's own shape, the tissue's) is every mark's; where it is less, the fits exaggerate.
+ */
+double gsn_pose_excess(const struct gsn_pose_stack *s, double *ret_scale)
+{
+    *ret_scale = s->mark_um2 < s->fit_um2 ? s->mark_um2 / s->fit_um2 : 1;
+    return fmax(s->mark_um2 - s->fit_um2, 0) + rounding(s);
+}
+
+static void weigh(struct gsn_pose_stack *s)
+{
+    double scale;
+    const double excess = gsn_pose_excess(s, &scale);
+
+    for (size_t i = 0; i < s->count; i++)
+        for (int k = 0; k < GSN_MARKS; k++) {
+            const double own = fit_variance(s->member[i].input, k);
+
+            s->member[i].variance[k] = own >= 0 && isfinite(own)
+                                           ? excess + scale * own
+                                           : VARIANCE_UNKNOWN * (excess + scale * s->fit_um2);
+        }
+}
+
+void gsn_pose_enrol(struct gsn_pose_stack *s, const struct gsn_pose_input *inputs)
+{
+    size_t marks = 0, sections = 0;
+
+    for (size_t i = 0; i < s->count; i++) {
+        struct gsn_pose_member *m = &s->member[i];
+
+        *m = (struct gsn_pose_member){ .input = &inputs[i],
+                                       .order = { 0, 1, 2 },
+                                       .squares = INFINITY };
+        for (int k = 0; k < GSN_MARKS; k++) {
+            const double own = fit_variance(&inputs[i], k);
+
+            m->marks += inputs[i].marks[k].found != 0;
+            if (inputs[i].marks[k].found && own >= 0 && isfinite(own))
+                s->scratch[marks++] = own;
+        }
+        s->with_three += m->marks == GSN_MARKS;
+    }
+    s->fit_um2 = marks > 0 ? gsn_median(s->scratch, marks) : 0;
+    for (size_t i = 0; i < s->count; i++)
+        if (s->member[i].marks >= 2)
+            s->scratch[sections++] = pow(FINEST_PX * inputs[i].px_um, 2);
+    s->finest = sections > 0 ? gsn_median(s->scratch, sections) : 0;
+    s->mark_um2 = fmax(s->fit_um2, s->finest);
+    s->freedom = INFINITY;
+    weigh(s);
+}
+
+double gsn_pose_acceptable(const struct gsn_pose_stack *s)
+{
+    return GSN_POSE_CHI2_GROSS * fmax(1, s->finest / fmax(s->mark_um2, 1e-300));
+}
+
+/* The marks' variance from the squares of the three-mark sections, 3 degrees of freedom each; the
+ * mean triangle itself takes 3 of the stack's. A first guess by the median, then the mean of those
+ * that are not gross, corrected for what the limit cuts off. */
+static void estimate_noise(struct gsn_pose_stack *s)
+{
+    const double n = (double)s->with_three;
+    double factor, limit;
+    size_t k = 0;
+
+    for (size_t i = 0; i < s->count; i++)
+        if (s->member[i].marks == GSN_MARKS)
+            s->scratch[k++] = s->member[i].squares;
+    factor = gsn_median(s->scratch, k) / CHI2_MEDIAN;
+    for (int round = 0; round < 20; round++) {
+        double sum = 0;
+        size_t inside = 0;
+
+        limit = GSN_POSE_CHI2_GROSS * factor;
+        /* The median has sorted them: the sum runs in one order always. */
+        for (size_t i = 0; i < k && s->scratch[i] <= limit; i++) {
+            sum += s->scratch[i];
+            inside++;
+        }
+        if (inside == 0)
+            break;
+        factor = sum / (double)inside / CHI2_MEAN_BELOW;
+    }
+    limit = GSN_POSE_CHI2_GROSS * fmax(factor, s->finest / fmax(s->mark_um2, 1e-300));
+    for (size_t i = 0; i < s->count; i++)
+        s->member[i].inlier = s->member[i].marks == GSN_MARKS && s->member[i].squares <= limit;
+    /* Never 0, from where no factor leads away. */
+    s->mark_um2 = fmax(s->with_three > 1 ? s->mark_um2 * factor * n / (n - 1) : 0, rounding(s));
+    s->freedom = 3 * (n - 1);
+    if (s->with_three < LEARNING) {
+        s->mark_um2 = fmax(s->mark_um2, s->fit_um2);
+        s->freedom = INFINITY;
+    }
+    weigh(s);
+}
+
+/* Moves the triangle to the mean of the inliers laid on it; how far its corners went. */
+static double update_triangle(struct gsn_pose_stack *s)
+{
+    struct gsn_point mean[GSN_MARKS] = { 0 };
+    double weight[GSN_MARKS] = { 0 }, moved = 0;
+    struct gsn_rigid back;
+
+    for (size_t k = 0; k < s->count; k++) {
+        const struct gsn_pose_member *m = &s->member[k];
+        struct gsn_pose_fit_input laid;
+
+        if (!m->inlier)
+            continue;
+        (void)gsn_pose_lay_out(s, m, &laid);
+        for (int i = 0; i < GSN_MARKS; i++) {
+            const struct gsn_point p = gsn_rigid_apply(&m->motion, laid.from[i]);
+            const double w = 1 / m->variance[m->order[i]];
+
+            mean[i].x += w * (p.x - m->onto[i].x);
+            mean[i].y += w * (p.y - m->onto[i].y);
+            weight[i] += w;
+        }
+    }
+    if (weight[0] == 0)
+        return 0;
+    for (int i = 0; i < GSN_MARKS; i++)
+        mean[i] = (struct gsn_point){ s->triangle[i].x + mean[i].x / weight[i],
+                                      s->triangle[i].y + mean[i].y / weight[i] };
+    /* The mean may be anywhere as a whole: it stays where the triangle was. */
+    if (gsn_rigid_fit(mean, s->triangle, NULL, GSN_MARKS, &back, NULL, NULL) < 0)
+        return 0;
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_point p = gsn_rigid_apply(&back, mean[i]);
+
+        moved = fmax(moved, hypot(p.x - s->triangle[i].x, p.y - s->triangle[i].y));
+        s->triangle[i] = p;
+    }
+    return moved;
+}
+
+/* How clearly the triangle differs from its mirror image, in standard deviations of a mark. */
+static void judge_shape(struct gsn_pose_stack *s)
+{
+    const double a = gsn_pose_side(s->triangle, 0), b = gsn_pose_side(s->triangle, 1),
+                 c = gsn_pose_side(s->triangle, 2);
+    const double apart = fmin(fmin(fabs(a - b), fabs(b - c)), fabs(c - a));
+    const struct gsn_point *p = s->triangle;
+    const double area2 =
+        fabs((p[1].x - p[0].x) * (p[2].y - p[0].y) - (p[1].y - p[0].y) * (p[2].x - p[0].x));
+    const double height = area2 / fmax(fmax(a, b), c);
+
+    s->scalene_sigma = fmin(apart, height) / sqrt(fmax(s->mark_um2, s->finest));
+    s->flips_told = s->scalene_sigma >= SCALENE;
+}
+
+/* Generalised Procrustes: place, estimate the noise, move the mean triangle, until it rests. */
+void gsn_pose_settle(struct gsn_pose_stack *s)
+{
+    double acceptable = 0;
+
+    s->flips_told = 1;
+    for (int round = 0; round < ROUNDS; round++) {
+        const int told = s->flips_told;
+        double moved;
+
+        gsn_pose_place(s, acceptable);
+        estimate_noise(s);
+        moved = update_triangle(s);
+        judge_shape(s);
+        acceptable = gsn_pose_acceptable(s);
+        if (round > 1 && told == s->flips_told && moved <= 1e-12 * gsn_pose_rho(s->triangle))
+            break;
+    }
+    gsn_pose_place(s, acceptable);
+    estimate_noise(s);
+}

@@ -1,0 +1,78 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A stack while its poses are being solved; shared by the files of the pose, and by them alone.
+ *
+ * gsn_pose_settle() finds the mean triangle, the numbering of every section and the scale of the
+ * marks' errors; gsn_pose_learn() then what the sections' shapes have in common: how they stretch,
+ * and how the triangle changes along z. */
+#ifndef GSN_REGISTER_POSE_STACK_H
+#define GSN_REGISTER_POSE_STACK_H
+
+#include "pipeline/register/axes.h"
+#include "pipeline/register/pose.h"
+#include "pipeline/register/pose_fit.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* One section. */
+struct gsn_pose_member {
+    const struct gsn_pose_input *input;
+    size_t marks;
+    struct gsn_point onto[GSN_MARKS]; /* the stack's triangle at this section's z */
+    double variance[GSN_MARKS];       /* of each mark per axis, um^2; input's numbering */
+    int mirrored;
+    unsigned char order[GSN_MARKS];
+    struct gsn_rigid motion; /* onto its triangle */
+    double squares;          /* weighted squared residuals; infinite where there is no motion */
+    int inlier;
+};
+
+struct gsn_pose_stack {
+    struct gsn_pose_member *member;
+    size_t count, with_three;
+    double *scratch; /* room for 3 * count */
+    struct gsn_point triangle[GSN_MARKS];
+    double mark_um2; /* variance per axis of the median mark; with strain in it until learnt */
+    double fit_um2;  /* the same by the fits' own account */
+    double finest;   /* variance below which no test calls anything gross, um^2 */
+    double scalene_sigma;
+    int flips_told;
+    int stretches;       /* strain was found beyond what the marks' errors make */
+    double strain[3][3]; /* its covariance; 0 otherwise */
+    double freedom;      /* with which mark_um2 is known */
+    double limit[3];     /* of chi2 with 1 and 3 degrees of freedom; [1] is not used */
+    struct gsn_axes axes;
+};
+
+/* The value beyond which 0.1 % of chi-squared with 3 degrees of freedom lie. */
+#define GSN_POSE_CHI2_GROSS 16.26624
+
+/* ---- pose_place.c ---- */
+double gsn_pose_side(const struct gsn_point triangle[GSN_MARKS], int i);
+struct gsn_point gsn_pose_centroid(const struct gsn_point p[GSN_MARKS]);
+double gsn_pose_rho(const struct gsn_point p[GSN_MARKS]);
+/* The marks found in um, in the pose's numbering, mirrored where the section is; their number. */
+size_t gsn_pose_lay_out(const struct gsn_pose_stack *s, const struct gsn_pose_member *m,
+                        struct gsn_pose_fit_input *ret_marks);
+/* Numbers, mirrors and lays every section. acceptable: see there; 0 for not yet. */
+void gsn_pose_place(struct gsn_pose_stack *s, double acceptable);
+/* Takes the triangle of the section that is most like the others'. */
+void gsn_pose_start(struct gsn_pose_stack *s);
+
+/* ---- pose_settle.c ---- */
+/* Counts marks and says what their fits say of them. */
+void gsn_pose_enrol(struct gsn_pose_stack *s, const struct gsn_pose_input *inputs);
+void gsn_pose_settle(struct gsn_pose_stack *s);
+double gsn_pose_acceptable(const struct gsn_pose_stack *s);
+/* What is added to the fits' own variance, and what that is multiplied by. */
+double gsn_pose_excess(const struct gsn_pose_stack *s, double *ret_scale);
+
+/* ---- pose_learn.c ---- */
+int gsn_pose_learn(struct gsn_pose_stack *s, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

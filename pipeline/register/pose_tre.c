@@ -1,0 +1,94 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/pose_tre.h"
+
+#include <assert.h>
+#include <math.h>
+
+double gsn_pose_tre(double fle, double rho, double r)
+{
+    return fle * sqrt((1 + r * r / (2 * rho * rho)) / 3);
+}
+
+/* p' M q */
+static double between(const double p[3], const double m[3][3], const double q[3])
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j < 3; j++)
+            sum += p[i] * m[i][j] * q[j];
+    return sum;
+}
+
+struct gsn_cov2 gsn_pose_tre_at(const struct gsn_pose_error *error, struct gsn_point block_um,
+                                int corrected)
+{
+    const double x = block_um.x - error->about.x, y = block_um.y - error->about.y;
+    const double j[2][3] = { { 1, 0, -y }, { 0, 1, x } };
+    const double g[2][3] = { { x, x, y }, { y, -y, x } };
+    double c[2][2];
+
+    for (size_t a = 0; a < 2; a++)
+        for (size_t b = 0; b < 2; b++)
+            c[a][b] = between(j[a], error->pose, j[b]) + between(j[a], error->cross, g[b]) +
+                      between(j[b], error->cross, g[a]) +
+                      between(g[a], corrected ? error->left : error->strain, g[b]);
+    return (struct gsn_cov2){ c[0][0], 0.5 * (c[0][1] + c[1][0]), c[1][1] };
+}
+
+/* Four points with the targets' first two moments: the mean of any quadratic over them is the mean
+ * over the targets. */
+struct gsn_pose_targets gsn_pose_targets_of(const struct gsn_point *targets, size_t count)
+{
+    const double n = (double)count;
+    struct gsn_point mean = { 0, 0 };
+    double xx = 0, xy = 0, yy = 0, a, b, c;
+
+    if (count == 0)
+        return (struct gsn_pose_targets){ .count = 0 };
+    for (size_t i = 0; i < count; i++) {
+        mean.x += targets[i].x / n;
+        mean.y += targets[i].y / n;
+    }
+    for (size_t i = 0; i < count; i++) {
+        const double x = targets[i].x - mean.x, y = targets[i].y - mean.y;
+
+        xx += x * x / n;
+        xy += x * y / n;
+        yy += y * y / n;
+    }
+    /* sqrt 2 times the Cholesky factor's columns, in both directions. */
+    a = sqrt(2 * xx);
+    b = a > 0 ? 2 * xy / a : 0;
+    c = sqrt(fmax(2 * yy - b * b, 0));
+    return (struct gsn_pose_targets){ { { mean.x + a, mean.y + b },
+                                        { mean.x - a, mean.y - b },
+                                        { mean.x, mean.y + c },
+                                        { mean.x, mean.y - c } },
+                                      4 };
+}
+
+double gsn_pose_tre_rms(const struct gsn_pose_error *error, const struct gsn_pose_targets *targets,
+                        int corrected)
+{
+    double sum = 0;
+
+    assert(targets->count == 4);
+
+    for (size_t i = 0; i < 4; i++) {
+        const struct gsn_cov2 c = gsn_pose_tre_at(error, targets->at[i], corrected);
+
+        sum += c.xx + c.yy;
+    }
+    return sqrt(fmax(sum / 4, 0));
+}
+
+/* Twice Fisher's F with 2 and n degrees of freedom exceeds k^2 by the chance (1 + k^2/n)^(-n/2). */
+double gsn_pose_ellipse(double freedom, double share)
+{
+    assert(freedom > 0 && share > 0 && share < 1);
+
+    if (isinf(freedom))
+        return sqrt(-2 * log(1 - share));
+    return sqrt(freedom * (pow(1 - share, -2 / freedom) - 1));
+}

@@ -1,0 +1,158 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/register_folder.h"
+
+#include "pipeline/folder.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Numbers of the command line, with commas or blanks between. gives: an array, or NULL. */
+static json_t *numbers_of(const char *text)
+{
+    gsn_auto_mem(char) list = gsn_format("[%s]", text);
+    json_t *array;
+
+    for (char *c = list; c && *c; c++)
+        if (*c == ' ' || *c == ';')
+            *c = ',';
+    array = list ? json_loads(list, 0, NULL) : NULL;
+    for (size_t i = 0; i < json_array_size(array); i++) {
+        if (!json_is_number(json_array_get(array, i))) {
+            json_decref(array);
+            return NULL;
+        }
+    }
+    return array;
+}
+
+/* A length above 0; 0 when none was given. */
+static int take_length(const char *text, const char *option, double *ret_length,
+                       struct gsn_error *err)
+{
+    json_t *numbers = text ? numbers_of(text) : NULL;
+    const double length = json_number_value(json_array_get(numbers, 0));
+    const int fine = json_array_size(numbers) == 1 && isfinite(length) && length > 0;
+
+    json_decref(numbers);
+    if (text && !fine)
+        return gsn_fail(err, GSN_E_INPUT, "--%s must be a length above 0, not \"%s\"", option,
+                        text);
+    *ret_length = text ? length : 0;
+    return GSN_OK;
+}
+
+static int take_marks(const char *text, struct gsn_point ret_mark[GSN_MARKS], struct gsn_error *err)
+{
+    json_t *numbers = numbers_of(text);
+    const int fine = json_array_size(numbers) == 2 * GSN_MARKS;
+
+    for (size_t i = 0; fine && i < GSN_MARKS; i++)
+        ret_mark[i] = (struct gsn_point){ json_number_value(json_array_get(numbers, 2 * i)),
+                                          json_number_value(json_array_get(numbers, 2 * i + 1)) };
+    json_decref(numbers);
+    return fine ? GSN_OK
+                : gsn_fail(err, GSN_E_INPUT,
+                           "--marks must be the places of three marks, \"x,y x,y x,y\", not \"%s\"",
+                           text);
+}
+
+static const char *state_name(enum gsn_pose_state state)
+{
+    static const char *const names[] = { "none", "two-marks", "ok" };
+
+    return names[state];
+}
+
+static json_t *matrix_of(const struct gsn_affine *m)
+{
+    return json_pack("[[f, f, f], [f, f, f]]", m->m00, m->m01, m->m02, m->m10, m->m11, m->m12);
+}
+
+static json_t *section_of(const struct gsn_folder_section *s)
+{
+    json_t *root = json_pack("{s:s, s:s, s:f, s:f}", "state", state_name(s->state), "flags",
+                             s->flags, "score", s->score, "runner_up", s->runner_up);
+
+    if (s->state == GSN_POSE_NONE) {
+        (void)json_object_set_new(root, "reason", json_string(s->reason));
+    } else {
+        (void)json_object_set_new(root, "error_px", json_real(s->error_px));
+        (void)json_object_set_new(root, "marks_rms_px", json_real(s->rms_px));
+    }
+    return root;
+}
+
+/* A file's name that is not UTF-8 cannot be a key of JSON: it is left to the list. */
+static void print_json(const struct gsn_folder_stack *stack, size_t lost)
+{
+    json_t *root = json_object(), *sections = json_object();
+
+    for (size_t i = 0; i < stack->count; i++) {
+        const struct gsn_folder_section *s = &stack->section[i];
+
+        if (s->state != GSN_POSE_NONE)
+            (void)json_object_set_new(root, s->file, matrix_of(&s->frame_to_px));
+        (void)json_object_set_new(sections, s->file, section_of(s));
+    }
+    (void)json_object_set_new(root, "gieson",
+                              json_pack("{s:I, s:I, s:f, s:f, s:b, s:f, s:o}", "sections",
+                                        (json_int_t)stack->count, "without_pose", (json_int_t)lost,
+                                        "fle_px", stack->fle_px, "isosceles_sigma",
+                                        fmin(stack->summary.isosceles_sigma, 1e9), "flips_told",
+                                        stack->summary.flips_told, "cpu_ms_per_section",
+                                        stack->cpu_ms, "section", sections));
+    (void)json_dumpf(root, stdout, JSON_INDENT(1) | JSON_REAL_PRECISION(9));
+    (void)putchar('\n');
+    json_decref(root);
+}
+
+static void print_text(const struct gsn_folder_stack *stack, size_t lost)
+{
+    for (size_t i = 0; i < stack->count; i++) {
+        const struct gsn_folder_section *s = &stack->section[i];
+
+        if (s->state == GSN_POSE_NONE)
+            (void)printf("%-24s no pose: %s\n", s->file, s->reason);
+        else
+            (void)printf("%-24s %-9s turned %7.2f, error %.3f px%s%s\n", s->file,
+                         state_name(s->state),
+                         atan2(s->frame_to_px.m11, -s->frame_to_px.m01) * 180 / M_PI - 90,
+                         s->error_px, s->flags[0] ? "; " : "", s->flags);
+    }
+    (void)printf("%zu sections, %zu without a pose; a mark is localised to %.3f px; %.2f ms each\n",
+                 stack->count, lost, stack->fle_px, stack->cpu_ms);
+    if (!stack->summary.flips_told)
+        (void)printf("The triangle is too nearly isosceles: a section mounted face down cannot be "
+                     "told on this block\n");
+}
+
+int gsn_register_folder(const struct gsn_register_request *request, const char *decoder,
+                        size_t *ret_lost, struct gsn_error *err)
+{
+    struct gsn_point mark[GSN_MARKS];
+    struct gsn_folder_options options = { .decoder = decoder };
+    gsn_auto(gsn_folder_stack) stack = NULL;
+    size_t lost = 0;
+    int r = take_length(request->px_um, "px-um", &options.px_um, err);
+
+    if (r >= 0)
+        r = take_length(request->radius, "radius", &options.radius, err);
+    if (r >= 0 && request->marks) {
+        r = take_marks(request->marks, mark, err);
+        options.mark = mark;
+    }
+    if (r >= 0)
+        r = gsn_folder_register(request->dir, &options, &stack, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < stack->count; i++)
+        lost += stack->section[i].state == GSN_POSE_NONE;
+    if (request->json)
+        print_json(stack, lost);
+    else
+        print_text(stack, lost);
+    *ret_lost = lost;
+    return GSN_OK;
+}

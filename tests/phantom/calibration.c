@@ -1,0 +1,139 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "tests/phantom/calibration.h"
+
+#include "pipeline/core/file.h"
+#include "tests/phantom/buffer.h"
+#include "tests/phantom/delivery.h"
+#include "tests/phantom/expose.h"
+#include "tests/phantom/stain.h"
+
+#include <math.h>
+#include <stdio.h>
+
+/* Upper left corner of the first patch; the next is a pitch to the right. */
+static const struct gsn_point FIRST_UM = { 5500, 10800 };
+static const double PITCH_UM = 6000, SIDE_UM = 3000;
+
+struct gsn_phantom_patch gsn_phantom_patch_of(const struct gsn_phantom_plan *plan, int i)
+{
+    const struct gsn_phantom_patch patch = {
+        .density = (double)i / (GSN_PHANTOM_PATCHES - 1),
+        .x = (uint32_t)lround((FIRST_UM.x + i * PITCH_UM) / plan->px_um),
+        .y = (uint32_t)lround(FIRST_UM.y / plan->px_um),
+        .width = (uint32_t)lround(SIDE_UM / plan->px_um),
+        .height = (uint32_t)lround(SIDE_UM / plan->px_um),
+    };
+    return patch;
+}
+
+void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i, double ret_od[3])
+{
+    const struct gsn_phantom_batch *b = &plan->batch[batch - 1];
+    const struct gsn_phantom_stain stain = { .red_gain = b->red_gain,
+                                             .yellow_gain = b->yellow_gain,
+                                             .dye = b->dye };
+    const struct gsn_phantom_field field = { .tissue = 1,
+                                             .intact = gsn_phantom_patch_of(plan, i).density };
+    const struct gsn_phantom_local local = { 0 };
+
+    gsn_phantom_optical_density(&field, &stain, &local, ret_od);
+}
+
+static void lay_patch(const struct gsn_phantom_plan *plan, int batch, int i,
+                      const struct gsn_phantom_glass *glass)
+{
+    const struct gsn_phantom_patch patch = gsn_phantom_patch_of(plan, i);
+    double od[3];
+
+    gsn_phantom_patch_od(plan, batch, i, od);
+    for (uint32_t y = patch.y; y < patch.y + patch.height; y++)
+        for (uint32_t x = patch.x; x < patch.x + patch.width; x++)
+            for (size_t c = 0; c < 3; c++)
+                glass->od[3 * ((size_t)y * glass->width + x) + c] = (float)od[c];
+}
+
+int gsn_phantom_calibration_draw(const struct gsn_phantom_plan *plan, int batch, unsigned threads,
+                                 struct gsn_image **ret_image, struct gsn_error *err)
+{
+    enum { NOISE = 200 }; /* beyond the streams of all panels */
+    gsn_auto_mem(float) od = gsn_alloc_array((size_t)plan->width * plan->height, 3 * sizeof *od);
+    const struct gsn_phantom_glass glass = { plan->width, plan->height, plan->px_um, od };
+    char name[16];
+    int r;
+
+    if (!od)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel of %u x %u", plan->width,
+                        plan->height);
+    for (int i = 0; i < GSN_PHANTOM_PATCHES; i++)
+        lay_patch(plan, batch, i, &glass);
+    (void)snprintf(name, sizeof name, "C%02d", batch);
+    r = gsn_phantom_label_write(plan, name, &glass, err);
+    if (r < 0)
+        return r;
+    return gsn_phantom_expose(plan, &glass, batch, NOISE + batch, 8, threads, ret_image, err);
+}
+
+static int write_panel(const struct gsn_phantom_plan *plan, int batch, unsigned threads,
+                       const char *folder, const char *name, struct gsn_error *err)
+{
+    const struct gsn_phantom_file file = { .panel = batch,
+                                           .orientation = 1,
+                                           .bits = 8,
+                                           .passes = 1,
+                                           .kept = 1,
+                                           .tag_um = plan->px_um,
+                                           .extension = plan->level->extension };
+    gsn_auto(gsn_image) image = NULL;
+    gsn_auto_phantom_buffer bytes = { 0 };
+    int r;
+
+    r = gsn_phantom_calibration_draw(plan, batch, threads, &image, err);
+    if (r >= 0)
+        r = gsn_phantom_delivery_encode(plan, &file, image, &bytes, err);
+    if (r < 0)
+        return gsn_fail_at(err, "%s", name);
+    return gsn_phantom_buffer_write(&bytes, folder, name, err);
+}
+
+static void tell_patches(const struct gsn_phantom_plan *plan, int batch, const char *name,
+                         struct gsn_phantom_buffer *table)
+{
+    for (int i = 0; i < GSN_PHANTOM_PATCHES; i++) {
+        const struct gsn_phantom_patch p = gsn_phantom_patch_of(plan, i);
+        double od[3];
+
+        gsn_phantom_patch_od(plan, batch, i, od);
+        gsn_phantom_buffer_print(table, "%s,%d,%.15g,%u,%u,%u,%u,%.9f,%.9f,%.9f\n", name, batch,
+                                 p.density, p.x, p.y, p.width, p.height, od[0], od[1], od[2]);
+    }
+}
+
+int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned threads,
+                                  const char *folder, struct gsn_error *err)
+{
+    gsn_auto_mem(char) place = gsn_format("%s/calibration", folder);
+    gsn_auto_mem(char) truth = gsn_format("%s/truth", folder);
+    gsn_auto_phantom_buffer table = { 0 };
+    int r;
+
+    if (!plan->level->handled)
+        return GSN_OK;
+    if (!place || !truth)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %s", folder);
+    r = gsn_file_mkdir(place, err);
+    if (r < 0)
+        return r;
+    gsn_phantom_buffer_print(&table, "file,panel,D,x_px,y_px,w_px,h_px,od_r,od_g,od_b\n");
+    for (int batch = 1; batch <= GSN_PHANTOM_PANELS; batch++) {
+        gsn_auto_mem(char) name = gsn_format(GSN_PHANTOM_STUDY "-%s-C%02d.%s", plan->specimen->name,
+                                             batch, plan->level->extension);
+
+        if (!name)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for calibration panel %d", batch);
+        r = write_panel(plan, batch, threads, place, name, err);
+        if (r < 0)
+            return r;
+        tell_patches(plan, batch, name, &table);
+    }
+    return gsn_phantom_buffer_write(&table, truth, "calibration.csv", err);
+}

@@ -1,0 +1,195 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/strain.h"
+
+#include "tests/check.h"
+#include "tests/register/mounted.h"
+
+/* PHANTOM.md level 2: size sd .008 common and .004 for each axis; the marks follow the tissue's own
+ * warp of 10 um rms, 7 um per axis. */
+static const struct mounted_world LEVEL2 = { .marks = mounted_marks,
+                                             .angle = 0.4,
+                                             .flips = 0.03,
+                                             .burn_um = 7,
+                                             .strain_sd = { 0.0085, 0.0028, 0 } };
+static const struct gsn_point TARGET = { 411, 646 };
+
+static double off(const struct gsn_affine *map, const struct mounted *m, struct gsn_point um)
+{
+    const struct gsn_point p = gsn_affine_apply(map, mounted_px(m, um));
+
+    return hypot(p.x - um.x, p.y - um.y);
+}
+
+struct outcome {
+    double rigid, corrected, predicted; /* rms, um */
+    double covered;
+};
+
+static struct outcome outcome_of(const struct mounted_world *world, size_t trials, uint64_t seed)
+{
+    struct draw_chance chance = { seed };
+    struct mounted_stack s = mounted_new(60);
+    struct outcome o = { 0 };
+    size_t count = 0;
+
+    while (count < trials) {
+        mounted_draw(&s, world, &chance);
+        mounted_solve(&s, &mounted_declared);
+        for (size_t i = 0; i < s.count; i++) {
+            const struct gsn_affine corrected = gsn_strain_corrected(&s.pose[i]);
+            const struct gsn_cov2 c = gsn_pose_tre_at(&s.pose[i].error, TARGET, 1);
+            const struct gsn_point e =
+                gsn_affine_apply(&corrected, mounted_px(&s.mounting[i], TARGET));
+            const double x = e.x - TARGET.x, y = e.y - TARGET.y;
+            const double k = gsn_pose_ellipse(s.pose[i].error.freedom, 0.95);
+
+            if (s.pose[i].gross)
+                continue;
+            o.rigid += pow(off(&s.pose[i].panel_to_block_um, &s.mounting[i], TARGET), 2);
+            o.corrected += x * x + y * y;
+            o.predicted += c.xx + c.yy;
+            o.covered += (c.yy * x * x - 2 * c.xy * x * y + c.xx * y * y) <=
+                         k * k * (c.xx * c.yy - c.xy * c.xy);
+            count++;
+        }
+    }
+    mounted_done(&s);
+    return (struct outcome){ sqrt(o.rigid / (double)count), sqrt(o.corrected / (double)count),
+                             sqrt(o.predicted / (double)count), o.covered / (double)count };
+}
+
+TEST(undoing_strain_halves_the_error_and_the_prediction_knows)
+{
+    const struct outcome o = outcome_of(&LEVEL2, mounted_trials(6000), 1);
+
+    print_message("  at the region: rigid %.1f um, corrected %.1f um, predicted %.1f um, ellipse "
+                  "holds %.1f %%\n",
+                  o.rigid, o.corrected, o.predicted, 100 * o.covered);
+    CHECK(o.rigid > 14 && o.rigid < 20);
+    CHECK(o.corrected < 0.7 * o.rigid && o.corrected < 10);
+    CHECK_NEAR(o.predicted, o.corrected, 0.08 * o.corrected);
+    CHECK(o.covered > 0.93 && o.covered < 0.97);
+}
+
+TEST(where_nothing_stretches_nothing_is_corrected)
+{
+    struct draw_chance chance = { 2 };
+    struct mounted_world world = LEVEL2;
+    struct mounted_stack s = mounted_new(60);
+
+    world.strain_sd[0] = world.strain_sd[1] = 0;
+    mounted_draw(&s, &world, &chance);
+    mounted_solve(&s, &mounted_declared);
+    CHECK(!s.summary.stretches);
+    for (size_t i = 0; i < s.count; i++) {
+        const struct gsn_affine map = gsn_strain_corrected(&s.pose[i]);
+
+        CHECK(s.pose[i].strain[0] == 0 && s.pose[i].strain[1] == 0 && s.pose[i].strain[2] == 0);
+        CHECK_NEAR(fabs(gsn_affine_det(&map)), MOUNTED_PX * MOUNTED_PX, 1e-8);
+    }
+    mounted_done(&s);
+}
+
+/* Case 47. Whatever the strain, the pose's own determinant is that of the pixel size. */
+TEST(a_section_compressed_along_the_knife_shows_it_and_keeps_a_rigid_pose)
+{
+    struct draw_chance chance = { 3 };
+    struct mounted_stack s = mounted_new(60);
+
+    mounted_draw(&s, &LEVEL2, &chance);
+    for (size_t i = 20; i < 23; i++) {
+        const double angle = 0.5, by = -0.015;
+
+        s.mounting[i].strain[0] = by / 2;
+        s.mounting[i].strain[1] = by / 2 * cos(2 * angle);
+        s.mounting[i].strain[2] = by / 2 * sin(2 * angle);
+        for (int k = 0; k < GSN_MARKS; k++)
+            s.input[i].marks[k].px = mounted_px(&s.mounting[i], mounted_marks[k]);
+    }
+    mounted_solve(&s, &mounted_declared);
+    CHECK(s.summary.stretches);
+    print_message("  sd of strain: common %.4f, x against y %.4f, shear %.4f\n",
+                  s.summary.strain_sd[0], s.summary.strain_sd[1], s.summary.strain_sd[2]);
+    CHECK_NEAR(s.summary.strain_sd[0], 0.0085, 0.003);
+    CHECK_NEAR(s.summary.strain_sd[1], 0.0028, 0.0015);
+    for (size_t i = 20; i < 23; i++) {
+        const struct gsn_strain_axes a = gsn_strain_principal(s.pose[i].strain);
+
+        CHECK_NEAR(fabs(gsn_affine_det(&s.pose[i].panel_to_block_um)), MOUNTED_PX * MOUNTED_PX,
+                   1e-9);
+        CHECK(a.least < -0.005 && a.most > a.least);
+    }
+    mounted_done(&s);
+}
+
+TEST(principal_directions_are_those_of_the_tensor)
+{
+    const double angle = 0.3, most = 0.02, least = -0.01;
+    const double strain[3] = { 0.5 * (most + least), 0.5 * (most - least) * cos(2 * angle),
+                               0.5 * (most - least) * sin(2 * angle) };
+    const struct gsn_strain_axes a = gsn_strain_principal(strain);
+
+    CHECK_NEAR(a.most, most, 1e-15);
+    CHECK_NEAR(a.least, least, 1e-15);
+    CHECK_NEAR(a.angle, angle, 1e-12);
+}
+
+TEST(the_strain_between_two_triangles_is_what_was_put_in)
+{
+    const struct mounted m = { .angle = 1.1,
+                               .strain = { 0.004, -0.002, 0.003 },
+                               .about = { -1850.0 / 3, -400 } };
+    struct gsn_point to[GSN_MARKS];
+    double strain[3];
+
+    for (int i = 0; i < GSN_MARKS; i++) {
+        to[i] = mounted_px(&m, mounted_marks[i]);
+        to[i].x *= MOUNTED_PX;
+        to[i].y *= MOUNTED_PX;
+    }
+    gsn_strain_between(mounted_marks, to, strain);
+    for (int i = 0; i < 3; i++)
+        CHECK_NEAR(strain[i], m.strain[i], 2e-5);
+}
+
+/* The scan is longer along x: marks are measured in it, whatever the section's turn. */
+static struct gsn_strain_common scanned(double longer, double angle, int declared, uint64_t seed)
+{
+    struct draw_chance chance = { seed };
+    struct mounted_world world = LEVEL2;
+    struct mounted_stack s = mounted_new(60);
+    struct gsn_strain_common common;
+
+    world.angle = angle;
+    mounted_draw(&s, &world, &chance);
+    for (size_t i = 0; i < s.count; i++)
+        for (int k = 0; k < GSN_MARKS; k++) {
+            s.input[i].marks[k].px.x *= 1 + longer / 2;
+            s.input[i].marks[k].px.y *= 1 - longer / 2;
+        }
+    mounted_solve(&s, declared ? &mounted_declared : &(struct gsn_pose_options){ 0 });
+    common = gsn_strain_of_panel(s.input, s.pose, s.count, declared ? mounted_marks : NULL,
+                                 s.summary.mean_triangle);
+    mounted_done(&s);
+    return common;
+}
+
+/* Case 15. */
+TEST(pixels_that_are_not_square_are_told_from_tissue)
+{
+    struct gsn_strain_common c = scanned(0.012, M_PI, 1, 4);
+
+    print_message("  turned sections: %.4f +- %.4f\n", c.along_x, c.sd);
+    CHECK(c.anisotropic && !c.from_declared);
+    CHECK_NEAR(c.along_x, 0.012, 4 * c.sd);
+    c = scanned(0.012, M_PI, 0, 5);
+    CHECK(c.anisotropic);
+    CHECK_NEAR(c.along_x, 0.012, 4 * c.sd);
+    c = scanned(0.012, 0.01, 1, 6);
+    print_message("  sections that are not turned: %.4f +- %.4f\n", c.along_x, c.sd);
+    CHECK(c.anisotropic && c.from_declared);
+    CHECK_NEAR(c.along_x, 0.012, 4 * c.sd);
+    CHECK(!scanned(0.012, 0.01, 0, 7).anisotropic);
+    for (uint64_t seed = 8; seed < 40; seed++)
+        CHECK(!scanned(0, M_PI, 1, seed).anisotropic);
+}

@@ -78,6 +78,8 @@ int gsn_rescan_check(struct gsn_store *store, const struct gsn_panel_row *panel,
 
     if (!pairs)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    if (findings->label_number != 0 && findings->label_number == panel->number)
+        return GSN_OK;
     r = gsn_panel_list(store, panel->specimen_id, &panels, err);
     if (r >= 0)
         r = gsn_section_list(store, panel->specimen_id, &rows, err);
@@ -87,8 +89,9 @@ int gsn_rescan_check(struct gsn_store *store, const struct gsn_panel_row *panel,
         const struct gsn_panel_row *other = &panels->at[i];
         double left;
 
-        if (other->id == panel->id || strcmp(other->state, "registered") != 0 ||
-            !(other->px_um > 0))
+        /* Those of one number are all held, whatever they show (material.c). */
+        if (other->id == panel->id || other->number == panel->number ||
+            strcmp(other->state, "registered") != 0 || !(other->px_um > 0))
             continue;
         pair_up(findings, rows, other, pairs);
         left = residual_um(pairs);

@@ -3,7 +3,8 @@
 /* Whether a panel is another scan of glass that is there already.
  *
  * Two files of one scan have one hash; two scans of one glass do not, but their marks lie on the
- * glass as they did: no two panels are mounted alike to a pixel. */
+ * glass as they did: no two panels are mounted by hand alike to a pixel. A label that says the
+ * panel's own number settles it without the marks. */
 #ifndef GSN_SYSTEMD_RESCAN_H
 #define GSN_SYSTEMD_RESCAN_H
 

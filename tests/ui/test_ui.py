@@ -829,7 +829,7 @@ class Terminal(Bench):
         for width in (24, 40, 80):
             name = f"a specimen with a long name for {width} columns"
             place = self.job(name, folder=f"scans{width}")
-            png(place + "/a_long_name_too_P02.png", 1200, 1600, seed=width)
+            png(place + "/a_long_name_too_P02.png", 3600, 4800, seed=width)
             self.assertEqual(self.call("import", place).returncode, 0)
             code, screen = self.terminal(width, "run", env={"NO_COLOR": "1"})
             self.assertEqual(code, 0, screen)

@@ -2,6 +2,7 @@
 #include "pipeline/assembly.h"
 
 #include "pipeline/band.h"
+#include "pipeline/evenness.h"
 #include "pipeline/masking.h"
 #include "pipeline/register/panel.h"
 #include "pipeline/register/stack.h"
@@ -590,6 +591,9 @@ static int work_panel(const struct gsn_specimen *specimen,
     if (r < 0)
         return r;
     judge_clipped(scan, stain->panel, density, a);
+    r = gsn_evenness_of_panel(a, stain->panel, density, &panel->strength, err);
+    if (r < 0)
+        return r;
     return stack_panel(specimen, options, stain->panel, density, a, err);
 }
 
@@ -616,10 +620,51 @@ static int work_panels(const struct gsn_specimen *specimen,
     return GSN_OK;
 }
 
+/* Panels that have a section in the planes of the grid. */
+static size_t panels_inside(const struct gsn_assembly *a, double interval_um)
+{
+    const struct gsn_lattice *at = &a->grid->at;
+    unsigned last = 0;
+    size_t count = 0;
+
+    /* Sections are sorted by serial number, so those of one panel follow each other. */
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+        const double z = interval_um * (s->seen.serial + 0.5);
+
+        if ((s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL) ||
+            s->panel == last || z < at->origin_um.z - 0.5 * at->step_um.z ||
+            z > at->origin_um.z + ((double)at->nz - 0.5) * at->step_um.z)
+            continue;
+        last = s->panel;
+        count++;
+    }
+    return count;
+}
+
+/* What unequal stain adds, where no reference tissue takes it out. */
+static double uneven_error(const struct gsn_specimen *specimen, struct gsn_assembly *a)
+{
+    double strength[64];
+    struct gsn_evenness evenness;
+    size_t count = 0, inside;
+
+    if (!a->grid || (a->tissue_grid && !a->not_comparable[0]))
+        return 0;
+    for (size_t p = 0; p < a->panel_count && count < sizeof strength / sizeof strength[0]; p++)
+        if (a->panel[p].opened)
+            strength[count++] = a->panel[p].strength;
+    inside = panels_inside(a, specimen->protocol->interval_um);
+    evenness = gsn_evenness_of(strength, count, inside > 0 ? inside : 1);
+    a->stain_scatter = evenness.scatter;
+    return evenness.error;
+}
+
 /* The vectors of all panels lean on one prior, so their errors are taken as common; gains are
  * measured panel by panel. */
-static void sum_errors(struct gsn_assembly *a)
+static void sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a)
 {
+    const double uneven = uneven_error(specimen, a);
     double vectors = 0, gains = 0, panels = 0;
 
     for (size_t p = 0; p < a->panel_count; p++) {
@@ -633,7 +678,7 @@ static void sum_errors(struct gsn_assembly *a)
             gains += panel->gain.error * panel->gain.error / (panel->gain.gain * panel->gain.gain);
     }
     if (panels > 0)
-        a->red_error = hypot(vectors / panels, sqrt(gains) / panels);
+        a->red_error = hypot(hypot(vectors / panels, sqrt(gains) / panels), uneven);
 }
 
 static int empty_grid(const struct gsn_lattice *lattice, struct gsn_grid **ret_grid,
@@ -877,7 +922,7 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
         r = find_band(specimen, options, a, err);
     if (r < 0)
         return r;
-    sum_errors(a);
+    sum_errors(specimen, a);
     *ret_assembly = gsn_steal(&a);
     return GSN_OK;
 }

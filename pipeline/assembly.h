@@ -43,8 +43,9 @@ struct gsn_assembly_panel {
     struct gsn_glass glass;
     struct gsn_specimen_stain stain;
     struct gsn_stain_gain gain; /* what its densities were divided by */
-    double red_error;           /* relative standard error of its red by vectors and white; 0: the
-                                   vectors were taken as exact */
+    double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
+    double red_error; /* relative standard error of its red by vectors and white; 0: the
+                         vectors were taken as exact */
     char note[400];
 };
 
@@ -64,7 +65,9 @@ struct gsn_assembly {
     struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
     struct gsn_grid *tissue_grid; /* owned; its density as stained */
     double red_error;             /* relative standard error of a mean density by the stain */
-    char not_comparable[240];     /* why the stain could not be normalised though asked, or empty */
+    double stain_scatter; /* relative standard deviation of the panels' strength, where no reference
+                             tissue takes it out; 0: one panel, or taken out */
+    char not_comparable[240]; /* why the stain could not be normalised though asked, or empty */
 };
 
 /* gives. Sections and panels that cannot be used are states, not failures.

@@ -19,6 +19,8 @@ static const double LEAST_KNOWN = 0.9;
 static const double LEAST_MEASURED = 0.7;
 /* More bridged than this is said in the verdict; less are the halos and dust of every stack. */
 static const double BRIDGED_UNSAID = 0.02;
+/* Texture and what a region's tissue happens to be scatter by about this much in even baths. */
+static const double UNEVEN_UNSAID = 0.03;
 
 /* Glass pixels at the highest code hide how bright the glass was. */
 static const double MOST_OVEREXPOSED = 0.02;
@@ -471,6 +473,24 @@ static void fill_bridge(const struct gsn_evidence *e, struct draft *d)
                     100 * share, b->error));
 }
 
+/* Where no reference tissue is stated, a bath that stained one panel stronger looks like collagen.
+ */
+static void fill_evenness(const struct gsn_evidence *e, struct draft *d)
+{
+    struct gsn_report *r = &d->report;
+
+    if (!e->assembly || !(e->assembly->stain_scatter > 0))
+        return;
+    value_row(d->measure, &r->measure_count, "Strength of the stain, scatter from panel to panel",
+              100 * e->assembly->stain_scatter, "%");
+    if (e->assembly->stain_scatter > UNEVEN_UNSAID)
+        warn(d, say(d,
+                    "the panels are stained unequally (their strongest tissue differs by %.0f %%, "
+                    "standard deviation), and no reference tissue takes that out: the loss is only "
+                    "known to within its interval; state \"reference\" in job.json",
+                    100 * e->assembly->stain_scatter));
+}
+
 /* Why too little of the region is known to give a loss; NULL: enough is. */
 static const char *too_little_known(const struct gsn_evidence *e, struct draft *d)
 {
@@ -782,6 +802,7 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
     if (e->account) {
         fill_figures(e, &d);
         fill_bridge(e, &d);
+        fill_evenness(e, &d);
     }
     if (e->tile)
         fill_tile(e, &d);

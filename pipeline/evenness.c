@@ -1,0 +1,91 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/evenness.h"
+
+#include "pipeline/stain/order.h"
+
+#include <math.h>
+
+/* Paler than this, a pixel of a section's box is glass, fat or marrow. */
+static const double PALE = 0.1;
+/* The share of the tissue that counts as the strongest stained, by its lower end. */
+static const double STRONGEST = 0.95;
+
+enum { MOST_SAMPLES = 100000, LEAST_SAMPLES = 200 };
+
+static int is_used(const struct gsn_assembly_section *s)
+{
+    return s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL;
+}
+
+/* NaN where the section has too little tissue. sample has room for MOST_SAMPLES. */
+static double strength_of(const struct gsn_panel_section *seen, const struct gsn_plane *density,
+                          double *sample)
+{
+    const size_t width = (size_t)seen->width, pixels = width * (size_t)seen->height;
+    const size_t stride = pixels / MOST_SAMPLES + 1;
+    size_t count = 0;
+
+    for (size_t i = 0; i < pixels; i += stride) {
+        const size_t x = (size_t)seen->x + i % width, y = (size_t)seen->y + i / width;
+        const double value = (double)density->value[y * density->width + x];
+
+        if (value > PALE)
+            sample[count++] = value;
+    }
+    return count < LEAST_SAMPLES
+               ? (double)NAN
+               : gsn_order_pick(sample, count, (size_t)(STRONGEST * (double)count));
+}
+
+int gsn_evenness_of_panel(const struct gsn_assembly *a, unsigned panel,
+                          const struct gsn_plane *density, double *ret_strength,
+                          struct gsn_error *err)
+{
+    gsn_auto_mem(double) sample = gsn_alloc_array(MOST_SAMPLES, sizeof *sample);
+    gsn_auto_mem(double) strength = gsn_alloc_array(a->section_count, sizeof *strength);
+    size_t count = 0;
+
+    if (!sample || !strength)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the strength of a stain");
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+        double one;
+
+        if (s->panel != panel || !is_used(s))
+            continue;
+        one = strength_of(&s->seen, density, sample);
+        if (!isnan(one))
+            strength[count++] = one;
+    }
+    *ret_strength = count > 0 ? gsn_order_pick(strength, count, count / 2) : (double)NAN;
+    return GSN_OK;
+}
+
+/* Student's t for 95 %, two sides, over that of the normal distribution. */
+static double widening(size_t freedom)
+{
+    static const double t[] = { 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262 };
+    const size_t known = sizeof t / sizeof t[0];
+
+    return freedom == 0 ? 1 : freedom <= known ? t[freedom - 1] / 1.96 : 1 + 1.2 / (double)freedom;
+}
+
+struct gsn_evenness gsn_evenness_of(const double *strength, size_t count, size_t inside)
+{
+    struct gsn_evenness e = { .panels = 0 };
+    double sum = 0, squares = 0;
+
+    for (size_t i = 0; i < count; i++)
+        if (strength[i] > 0) {
+            e.panels++;
+            sum += log(strength[i]);
+        }
+    for (size_t i = 0; i < count; i++)
+        if (strength[i] > 0)
+            squares += pow(log(strength[i]) - sum / (double)e.panels, 2);
+    if (e.panels < 2)
+        return e;
+    e.scatter = sqrt(squares / (double)(e.panels - 1));
+    e.error = widening(e.panels - 1) * e.scatter / sqrt((double)inside);
+    return e;
+}

@@ -1,0 +1,69 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The steps that gsn_assembly_make() takes, in their order: the frame (assembly_frame.c), the poses
+ * (assembly_poses.c), the density panel by panel (assembly_density.c), what the stain leaves open
+ * (assembly_stain.c). Private to these files. Fail as gsn_assembly_make() does. */
+#ifndef GSN_PIPELINE_ASSEMBLY_PARTS_H
+#define GSN_PIPELINE_ASSEMBLY_PARTS_H
+
+#include "pipeline/assembly.h"
+
+/* um in the block. */
+struct gsn_box {
+    struct gsn_vec3 low, high;
+};
+
+/* One word more. */
+void gsn_assembly_flag(struct gsn_assembly_section *section, const char *word);
+
+/* The panel of this number that has sections; NULL when there is none. Borrowed. */
+const struct gsn_specimen_panel *gsn_assembly_panel(const struct gsn_specimen *specimen,
+                                                    unsigned number);
+
+/* The stack's voxels are as fine as the finest panel: its pixel, um; 0 where no panel has sections.
+ */
+double gsn_assembly_finest_pixel(const struct gsn_specimen *specimen);
+struct gsn_box gsn_assembly_box_of_shape(const struct gsn_region *region);
+
+/* Voxels of the scan's own pixel size, on the mask's raster where that has the same step; mask may
+ * be NULL. z planes are the sections' own: all that the box needs, also those that the block has
+ * not, so that they count as not seen; and one more on either side where the block has one. 0 when
+ * that makes no lattice that could be worked with. */
+int gsn_assembly_lattice(struct gsn_box box, const struct gsn_mask *mask, double px_um,
+                         double interval_um, unsigned sections, struct gsn_lattice *lattice);
+/* gives: every voxel NaN. */
+int gsn_assembly_empty_grid(const struct gsn_lattice *lattice, struct gsn_grid **ret_grid,
+                            struct gsn_error *err);
+
+/* The stated mask or shape, and the lattice around it. */
+int gsn_assembly_place_region(const struct gsn_specimen *specimen, double px_um, unsigned sections,
+                              struct gsn_assembly *a, struct gsn_lattice *lattice,
+                              struct gsn_error *err);
+/* The lattice of all posed sections, in which a band will be looked for. */
+int gsn_assembly_place_block(const struct gsn_specimen *specimen, double px_um, unsigned sections,
+                             const struct gsn_assembly *a, struct gsn_lattice *lattice,
+                             struct gsn_error *err);
+/* Finds the band. Not finding it is a state, with a sentence. */
+int gsn_assembly_find_band(const struct gsn_specimen *specimen,
+                           const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                           struct gsn_error *err);
+
+/* Poses of all sections together. A stack that cannot be solved is a state, with a sentence. */
+int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                       struct gsn_error *err);
+
+/* Opens every panel and lays its density into the grids that there are. */
+int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
+                             const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                             struct gsn_error *err);
+
+/* The reference tissue, where one is stated. */
+int gsn_assembly_place_reference(const struct gsn_specimen *specimen, double px_um,
+                                 unsigned sections, struct gsn_assembly *a, struct gsn_error *err);
+/* Divides each plane by the gain that the reference tissue tells of its panel. */
+int gsn_assembly_normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                           struct gsn_error *err);
+/* The standard error of a mean density by the stain, and what unequal panels add to it. */
+void gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a);
+
+#endif

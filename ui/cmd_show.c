@@ -108,6 +108,25 @@ static void print_panels(const struct gsn_ui *ui, const struct view *view)
     }
 }
 
+static int64_t panel_number(const struct view *view, int64_t id)
+{
+    for (size_t i = 0; i < view->panels->count; i++)
+        if (view->panels->at[i].id == id)
+            return view->panels->at[i].number;
+    return 0;
+}
+
+/* Serial number 0: a piece that lies in no slot. */
+static void print_section(const struct view *view, const struct gsn_section_row *s)
+{
+    if (s->serial == 0)
+        gsn_text_line(stdout, "  a piece beside the slots of panel %lld  %s  %s",
+                      (long long)panel_number(view, s->panel_id), s->state, s->flags);
+    else
+        gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
+                      (long long)s->slot - 1, s->state, s->flags);
+}
+
 /* Only what a person should look at; found and empty slots are counted. */
 static void print_sections(const struct view *view)
 {
@@ -119,8 +138,7 @@ static void print_sections(const struct view *view)
         found += strcmp(s->state, "found") == 0;
         empty += strcmp(s->state, "empty") == 0;
         if (strcmp(s->state, "found") != 0 && strcmp(s->state, "empty") != 0)
-            gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
-                          (long long)s->slot - 1, s->state, s->flags);
+            print_section(view, s);
     }
     if (view->sections->count > 0)
         (void)printf("  %zu sections found, %zu slots empty\n", found, empty);
@@ -198,8 +216,10 @@ static json_t *sections_json(const struct view *view)
         const struct gsn_section_row *s = &view->sections->at[i];
 
         (void)json_array_append_new(
-            array, json_pack("{s:I, s:I, s:s, s:s}", "serial", (json_int_t)s->serial - 1, "slot",
-                             (json_int_t)s->slot - 1, "state", s->state, "flags", s->flags));
+            array,
+            json_pack("{s:o, s:I, s:s, s:s}", "serial",
+                      s->serial ? json_integer((json_int_t)s->serial - 1) : json_null(), "slot",
+                      (json_int_t)s->slot - 1, "state", s->state, "flags", s->flags));
     }
     return array;
 }

@@ -281,7 +281,9 @@ static void tell(const struct folder *folder, size_t i, const struct gsn_pose *p
     frame_to_px.m02 -= 0.5;
     frame_to_px.m12 -= 0.5;
     section->frame_to_px = frame_to_px;
-    section->error_px = pose->tre_um / folder->px_um;
+    /* A mark that lies wrong moves the pose by about as much as it leaves between the marks. */
+    section->error_px =
+        (pose->gross ? hypot(pose->tre_um, pose->rms_um) : pose->tre_um) / folder->px_um;
     section->rms_px = pose->rms_um / folder->px_um;
     section->flipped = pose->flipped;
     if (pose->flipped)

@@ -19,7 +19,7 @@ int gsn_band_region(const struct gsn_region *region, const struct gsn_mask *body
     gsn_auto(gsn_mask) root = NULL;
     gsn_auto(gsn_mask) band = NULL;
     struct gsn_tissue_levels levels;
-    int r = body ? GSN_OK : gsn_tissue_root(density, threads, &root, &levels, err);
+    int r = body ? GSN_OK : gsn_tissue_root(density, &root, &levels, err);
 
     if (r >= 0)
         r = gsn_tissue_band(body ? body : root, region->low_um, region->high_um, &density->at,

@@ -3,8 +3,8 @@
 /* What lies where in a stacked block: the root of the tooth, and regions at a distance from it.
  *
  * Dentine takes less red than bone, and a ligament that takes still less lies between the two. That
- * is how a root is told: the largest body of a density between the ligament's and the bone's, with
- * the pulp that it encloses. */
+ * is how a root is told: the largest body, paler than bone, that stands alone in something paler
+ * still, with the pulp that it encloses. Panels may be stained unequally. */
 #ifndef GSN_STAIN_TISSUE_H
 #define GSN_STAIN_TISSUE_H
 
@@ -22,8 +22,8 @@ struct gsn_tissue_levels {
 /* gives: the root and its pulp on a lattice of about 32 um that covers the density's.
  * density: collagen-equivalent density of a whole block, glass about 0, NaN where there is no data.
  * Fails with GSN_E_STAIN when there is no such body (the sentence says what to state instead),
- * GSN_E_NOMEM. Does not depend on threads (0: all). borrows: density. */
-int gsn_tissue_root(const struct gsn_grid *density, unsigned threads, struct gsn_mask **ret_root,
+ * GSN_E_NOMEM. borrows: density. */
+int gsn_tissue_root(const struct gsn_grid *density, struct gsn_mask **ret_root,
                     struct gsn_tissue_levels *ret_levels, struct gsn_error *err);
 
 /* gives: on the lattice `at`, the voxels whose distance from the surface of a body, counted

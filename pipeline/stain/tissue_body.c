@@ -291,7 +291,6 @@ void gsn_body_tidy(struct gsn_body *b)
     shift_border(b, 0);
     keep_largest(b);
     shift_border(b, 1);
-    gsn_body_fill_sections(b);
 }
 
 static size_t take(uint8_t *set, size_t at, uint32_t *list, size_t n)

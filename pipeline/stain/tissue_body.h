@@ -34,9 +34,31 @@ int gsn_body_beside(const struct gsn_body *b, size_t at, uint32_t ret_beside[6])
  * list[0] on. Returns how many. */
 size_t gsn_body_flood(struct gsn_body *b, size_t start);
 
-/* Takes away what is thinner than three voxels, leaves the largest piece, and gives it what each
- * section's part of it encloses. */
+/* Takes away what is thinner than three voxels and leaves the largest piece. */
 void gsn_body_tidy(struct gsn_body *b);
+
+/* Of the red of bone: below it there is loose tissue, above it bone. */
+#define GSN_BODY_LEAST_OF_BONE 0.35
+#define GSN_BODY_MOST_OF_BONE 0.82
+
+enum { GSN_BODY_ALONE = 192 };
+
+/* A body that stands alone among what is denser than a level. */
+struct gsn_body_alone {
+    double above;
+    size_t voxels;
+    uint32_t voxel; /* one of them */
+};
+
+/* Bodies paler than bone that stand alone at some level, the largest first; those without voxels
+ * are none. Uses the list. Fails with GSN_E_NOMEM. */
+int gsn_body_list_alone(struct gsn_body *b, double bone,
+                        struct gsn_body_alone ret_found[GSN_BODY_ALONE], struct gsn_error *err);
+
+/* The set becomes the root, of which levels->bone is known; empty where there is none. Fails with
+ * GSN_E_NOMEM. */
+struct gsn_tissue_levels;
+int gsn_body_find_root(struct gsn_body *b, struct gsn_tissue_levels *levels, struct gsn_error *err);
 
 /* What is enclosed within one section becomes 1: the pulp opens at the end of the block. */
 void gsn_body_fill_sections(struct gsn_body *b);

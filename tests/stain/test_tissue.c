@@ -64,11 +64,49 @@ TEST(the_root_is_found_with_its_pulp)
     struct gsn_tissue_levels levels;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_tissue_root(block, &root, &levels, &err), err);
+    CHECK_OK(gsn_tissue_find(block, GSN_TISSUE_ROOT, &root, &levels, &err), err);
     CHECK(likeness(root) > 0.96);
     CHECK_NEAR(levels.dentine, 0.55, 0.03);
     CHECK_NEAR(levels.bone, 0.85, 0.03);
     CHECK(levels.border > 0.42 && levels.border < 0.53);
+}
+
+/* Tissue is 1350 um wide around the middle, bone 1150. */
+TEST(bone_is_found_without_root_and_ligament_and_the_outline_with_everything)
+{
+    gsn_auto(gsn_grid) block = draw_block(&BLOCK, 1, 0);
+    gsn_auto(gsn_mask) bone = NULL;
+    gsn_auto(gsn_mask) all = NULL;
+    struct gsn_tissue_levels levels;
+    struct gsn_error err = { 0 };
+    const double plane = BLOCK.step_um.x * BLOCK.step_um.y;
+    double ring = 0;
+
+    CHECK_OK(gsn_tissue_find(block, GSN_TISSUE_ALL, &all, &levels, &err), err);
+    CHECK_NEAR((double)gsn_mask_count(all) * plane / (double)BLOCK.nz, M_PI * 1350 * 1350, 2e5);
+    CHECK_OK(gsn_tissue_find(block, GSN_TISSUE_BONE, &bone, &levels, &err), err);
+    for (size_t z = 0; z < BLOCK.nz; z++)
+        ring += M_PI * (1150 * 1150 - pow(500 + 0.3 * gsn_lattice_centre(&BLOCK, 0, 0, z).z, 2));
+    CHECK_NEAR((double)gsn_mask_count(bone) * plane / ring, 1, 0.06);
+    for (size_t i = 0, z = 0; z < BLOCK.nz; z++)
+        for (size_t y = 0; y < BLOCK.ny; y++)
+            for (size_t x = 0; x < BLOCK.nx; x++, i++)
+                CHECK(!bone->inside[i] || beyond_root(gsn_lattice_centre(&BLOCK, x, y, z)) > 130);
+}
+
+TEST(a_block_of_glass_has_no_tissue)
+{
+    gsn_auto(gsn_grid) block = draw_block(&BLOCK, 1, 0);
+    gsn_auto(gsn_mask) all = NULL;
+    struct gsn_tissue_levels levels;
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < gsn_lattice_count(&BLOCK); i++)
+        block->value[i] *= 0.02f;
+    for (enum gsn_tissue k = GSN_TISSUE_ROOT; k < GSN_TISSUES; k++)
+        CHECK(gsn_tissue_find(block, k, &all, &levels, &err) == GSN_E_STAIN && !all);
+    CHECK(strcmp(err.text, "no tissue was found in this block; state the region as a mask or a "
+                           "shape") == 0);
 }
 
 /* Beside the lesion there is bone of the density of dentine, with paler tissue around it. */
@@ -79,7 +117,7 @@ TEST(bone_that_a_lesion_has_thinned_is_no_root)
     struct gsn_tissue_levels levels;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_tissue_root(block, &root, &levels, &err), err);
+    CHECK_OK(gsn_tissue_find(block, GSN_TISSUE_ROOT, &root, &levels, &err), err);
     CHECK(likeness(root) > 0.95);
     CHECK_NEAR(levels.dentine, 0.55, 0.03);
 }
@@ -98,7 +136,7 @@ TEST(the_root_is_found_across_panels_that_are_stained_unequally)
     for (size_t z = 0; z < BLOCK.nz; z++)
         for (size_t i = z * plane; i < (z + 1) * plane; i++)
             block->value[i] *= z == 11 || z == 12 ? NAN : (float)stain[z / 7];
-    CHECK_OK(gsn_tissue_root(block, &root, &levels, &err), err);
+    CHECK_OK(gsn_tissue_find(block, GSN_TISSUE_ROOT, &root, &levels, &err), err);
     CHECK(likeness(root) > 0.93);
 }
 
@@ -109,7 +147,7 @@ TEST(a_block_without_a_root_is_refused_in_words)
     struct gsn_tissue_levels levels = { .bone = 77 };
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_tissue_root(block, &root, &levels, &err) == GSN_E_STAIN);
+    CHECK(gsn_tissue_find(block, GSN_TISSUE_ROOT, &root, &levels, &err) == GSN_E_STAIN);
     CHECK(strstr(err.text, "no root was found") && strstr(err.text, "state the region"));
     CHECK(root == NULL && levels.bone == 77);
 }
@@ -190,7 +228,7 @@ static int find_and_forget(const struct gsn_grid *block, struct gsn_error *err)
     gsn_auto(gsn_mask) root = NULL;
     struct gsn_tissue_levels levels;
 
-    return gsn_tissue_root(block, &root, &levels, err);
+    return gsn_tissue_find(block, GSN_TISSUE_ROOT, &root, &levels, err);
 }
 
 /* Every line of voxels asks for memory, so only some of those that are alike are made to fail. */

@@ -30,20 +30,6 @@ static const struct gsn_sql_shape scan_shape = SQL_SHAPE(struct gsn_scan_row, sc
 SQL_DEFINE_ROW(scan);
 SQL_DEFINE_ROWS(scan);
 
-int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
-                      struct gsn_error *err)
-{
-    int64_t known = 0;
-    const int r = gsn_sql_int(store,
-                              "SELECT ?1 <> '' AND EXISTS (SELECT 1 FROM scan WHERE key = ?1 AND "
-                              "key <> '')",
-                              SQL_ARGS(SQL_TEXT(key)), &known, err);
-
-    if (r >= 0)
-        *ret_known = known != 0;
-    return r;
-}
-
 int gsn_scan_list(struct gsn_store *store, const char *state, size_t most,
                   struct gsn_scan_rows **ret_rows, struct gsn_error *err)
 {

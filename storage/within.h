@@ -10,6 +10,9 @@
 #include "storage/panel_log.h"
 #include "storage/scan.h"
 
+/* Fails with GSN_E_INPUT when this is no digest. Here and not in the schema, where the same
+ * question costs more than writing the row. */
+int gsn_digest_check(const char *hex, struct gsn_error *err);
 /* As gsn_panel_put(). */
 int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
                      int *ret_again, struct gsn_error *err);
@@ -24,6 +27,8 @@ int gsn_scan_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
 int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
                        int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
                        struct gsn_error *err);
+/* Empties the inbox into the ledger; for gsn_store_begin(). */
+int gsn_scan_settle_all(struct gsn_store *store, struct gsn_error *err);
 /* As gsn_event_add(). */
 int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
                      const char *subject, const char *text, struct gsn_error *err);

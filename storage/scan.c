@@ -109,6 +109,7 @@ static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, in
 {
     gsn_auto(gsn_panel_rows) panels = NULL;
     bool held = false;
+    int64_t job = 0;
     int r = is_held(store, panel, &held, err);
 
     if (r < 0 || !held)
@@ -121,9 +122,9 @@ static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, in
             continue;
         r = gsn_panel_set_state(store, panels->at[i].id, "waiting", NULL, NULL, err);
         if (r >= 0)
-            r = gsn_scan_ask(store, specimen, panels->at[i].id, err);
+            r = gsn_queue_ask(store, specimen, panels->at[i].id, &job, err);
     }
-    return r;
+    return r < 0 ? r : gsn_queue_ask(store, specimen, 0, &job, err);
 }
 
 static int tell_filing(struct gsn_store *store, const struct gsn_scan_row *scan,
@@ -144,7 +145,7 @@ static int file(struct gsn_store *store, int64_t id, const char *name, unsigned 
 {
     gsn_auto(gsn_scan_row) scan = NULL;
     gsn_auto(gsn_specimen_row) specimen = NULL;
-    int64_t panel = 0;
+    int64_t panel = 0, job = 0;
     int known = 0;
     int r = gsn_scan_get(store, id, &scan, err);
 
@@ -158,6 +159,8 @@ static int file(struct gsn_store *store, int64_t id, const char *name, unsigned 
         r = gsn_scan_put_panel(store, scan, specimen->id, number, &panel, &known, err);
     if (r >= 0 && known)
         r = renumber(store, scan, specimen->id, panel, number, err);
+    if (r >= 0 && !known)
+        r = gsn_queue_ask(store, specimen->id, 0, &job, err);
     if (r >= 0)
         r = gsn_sql_run(
             store,

@@ -175,15 +175,6 @@ static int judge(struct gsn_store *store, const struct gsn_scan_row *scan, unsig
     return r;
 }
 
-int gsn_scan_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
-                 struct gsn_error *err)
-{
-    int64_t job = 0;
-    const int r = gsn_queue_ask(store, specimen_id, panel_id, &job, err);
-
-    return r < 0 ? r : gsn_queue_ask(store, specimen_id, 0, &job, err);
-}
-
 int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
                        int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
                        struct gsn_error *err)
@@ -197,9 +188,10 @@ int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
                                        .code = "",
                                        .message = "",
                                        .px_um = NAN };
+    int64_t job = 0;
     const int r = gsn_panel_insert(store, &row, ret_panel, ret_again, err);
 
-    return r < 0 || *ret_again ? r : gsn_scan_ask(store, specimen_id, *ret_panel, err);
+    return r < 0 || *ret_again ? r : gsn_queue_ask(store, specimen_id, *ret_panel, &job, err);
 }
 
 /* With the id that it was taken in under. */
@@ -220,29 +212,52 @@ static int insert(struct gsn_store *store, const struct letter *scan, const stru
 }
 
 static int tell_arrival(struct gsn_store *store, const struct gsn_scan_row *scan,
-                        const struct place *place, struct gsn_error *err)
+                        const struct place *place, struct gsn_event_tail *diary,
+                        struct gsn_error *err)
 {
     gsn_auto_mem(char) text =
         gsn_format("%s, from %s, %s: %s", scan->sha256, scan->source, place->state, place->reason);
 
     if (!text)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
-    return gsn_event_append(store, scan->arrived, "gieson-intake", "scan", scan->name, text, err);
+    return gsn_event_append_to(store, diary, scan->arrived, "gieson-intake", "scan", scan->name,
+                               text, err);
 }
 
-/* Its row in the ledger, its panel, its jobs, its line in the diary. */
-static int settle(struct gsn_store *store, const struct letter *scan, struct gsn_error *err)
+/* What one picture leaves to the next of the same transaction. */
+struct progress {
+    struct gsn_event_tail diary;
+    int64_t asked; /* the specimen asked for last */
+};
+
+/* Its panel, and the jobs that this asks for. */
+static int settle_panel(struct gsn_store *store, const struct letter *scan, struct place *place,
+                        struct progress *progress, struct gsn_error *err)
+{
+    int64_t job = 0;
+    int again = 0;
+    int r = gsn_scan_put_panel(store, &scan->row, place->specimen, place->number, &place->panel,
+                               &again, err);
+
+    if (r < 0 || again || place->specimen == progress->asked)
+        return r;
+    r = gsn_queue_ask(store, place->specimen, 0, &job, err);
+    progress->asked = place->specimen;
+    return r;
+}
+
+/* Its panel, its row in the ledger, its line in the diary. */
+static int settle(struct gsn_store *store, const struct letter *scan, struct progress *progress,
+                  struct gsn_error *err)
 {
     struct place place = { .panel = 0 };
-    int known_panel = 0;
     int r = judge(store, &scan->row, (unsigned)scan->number, &place, err);
 
     if (r >= 0 && place.specimen)
-        r = gsn_scan_put_panel(store, &scan->row, place.specimen, place.number, &place.panel,
-                               &known_panel, err);
+        r = settle_panel(store, scan, &place, progress, err);
     if (r >= 0)
         r = insert(store, scan, &place, err);
-    return r < 0 ? r : tell_arrival(store, &scan->row, &place, err);
+    return r < 0 ? r : tell_arrival(store, &scan->row, &place, &progress->diary, err);
 }
 
 static int is_empty(struct gsn_store *store, bool *ret_empty, struct gsn_error *err)
@@ -257,6 +272,7 @@ static int is_empty(struct gsn_store *store, bool *ret_empty, struct gsn_error *
 
 int gsn_scan_settle_all(struct gsn_store *store, struct gsn_error *err)
 {
+    struct progress progress = { .asked = 0 };
     const struct letter *letters;
     void *rows = NULL;
     size_t count = 0;
@@ -270,8 +286,10 @@ int gsn_scan_settle_all(struct gsn_store *store, struct gsn_error *err)
                      "arrived FROM inbox ORDER BY id",
                      SQL_NO_ARGS, &rows, &count, err);
     letters = rows;
+    if (r >= 0)
+        r = gsn_event_tail(store, &progress.diary, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
-        r = settle(store, &letters[i], err);
+        r = settle(store, &letters[i], &progress, err);
     if (r >= 0)
         r = gsn_sql_run(store, "DELETE FROM inbox", SQL_NO_ARGS, NULL, err);
     gsn_sql_free_rows(&letter_shape, rows, count);

@@ -6,7 +6,7 @@
 
 /* So many lie in the inbox of one handle at most: few enough to be looked through for each new one,
  * many enough that settling them adds little to each. */
-enum { MOST_IN_INBOX = 64 };
+enum { MOST_IN_INBOX = 128 };
 
 /* Without asking before: one statement is a transaction of its own. The ledger is asked by its
  * index, the inbox has none because it is short. The next id is known once the inbox is empty, too:
@@ -15,7 +15,8 @@ enum { MOST_IN_INBOX = 64 };
     "INSERT INTO inbox (id, source, device, name, key, subject, sha256, size, facts, number, "     \
     "arrived) SELECT 1 + max(coalesce((SELECT max(id) FROM inbox), 0), "                           \
     "coalesce((SELECT max(id) FROM scan), 0)), ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10 "           \
-    "WHERE NOT EXISTS (SELECT 1 FROM inbox WHERE sha256 = ?6 AND name = ?3 AND source = ?1) "      \
+    "WHERE NOT EXISTS (SELECT 1 FROM inbox WHERE size = ?7 AND sha256 = ?6 AND name = ?3 "         \
+    "AND source = ?1) "                                                                            \
     "AND NOT EXISTS (SELECT 1 FROM scan WHERE source = ?1 AND name = ?3 AND sha256 = ?6)"
 
 #define TAKEN                                                                                      \

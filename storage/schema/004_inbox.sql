@@ -7,13 +7,14 @@
 
 CREATE TABLE inbox (
     id INTEGER PRIMARY KEY,
+    -- In front: it tells most pictures apart, and comparing numbers is quick.
+    size INTEGER NOT NULL CHECK (size > 0),
     sha256 TEXT NOT NULL CHECK (length(sha256) = 64),
     name TEXT NOT NULL,
     source TEXT NOT NULL,
     device TEXT NOT NULL,
     key TEXT NOT NULL,
     subject TEXT NOT NULL CHECK (subject = 'panel' OR subject = 'blank' OR subject = 'dark'),
-    size INTEGER NOT NULL CHECK (size > 0),
     facts TEXT NOT NULL,
     number INTEGER NOT NULL CHECK (number >= 0),
     arrived INTEGER NOT NULL

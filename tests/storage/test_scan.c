@@ -274,7 +274,7 @@ TEST(what_is_rolled_back_leaves_the_inbox_as_it_was)
 
 TEST(a_long_burst_is_settled_on_its_way)
 {
-    enum { BURST = 300, MOST = 64 };
+    enum { BURST = 300, MOST = 128 };
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     struct gsn_error err = { 0 };

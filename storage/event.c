@@ -66,9 +66,7 @@ static const struct gsn_sql_field head_fields[] = {
 #undef FIELD
 static const struct gsn_sql_shape head_shape = SQL_SHAPE(struct gsn_event_row, head_fields);
 
-/* The last event as an id and a hash; 0 and zeros when there is none. */
-static int last_event(struct gsn_store *store, int64_t *ret_id, struct gsn_digest *ret_head,
-                      struct gsn_error *err)
+int gsn_event_tail(struct gsn_store *store, struct gsn_event_tail *ret_tail, struct gsn_error *err)
 {
     void *row = NULL;
     const struct gsn_event_row *event;
@@ -79,33 +77,47 @@ static int last_event(struct gsn_store *store, int64_t *ret_id, struct gsn_diges
     if (r < 0 && r != GSN_E_NOTFOUND)
         return r;
     event = row;
-    *ret_id = event ? event->id : 0;
-    *ret_head = no_event;
+    ret_tail->id = event ? event->id : 0;
+    ret_tail->head = no_event;
     if (event)
-        (void)snprintf(ret_head->hex, sizeof ret_head->hex, "%s", event->hash);
+        (void)snprintf(ret_tail->head.hex, sizeof ret_tail->head.hex, "%s", event->hash);
     gsn_sql_free_rows(&head_shape, row, event ? 1 : 0);
+    return GSN_OK;
+}
+
+int gsn_event_append_to(struct gsn_store *store, struct gsn_event_tail *tail, int64_t now,
+                        const char *actor, const char *kind, const char *subject, const char *text,
+                        struct gsn_error *err)
+{
+    struct gsn_event_row event = { .id = tail->id + 1,
+                                   .time = now,
+                                   .actor = actor,
+                                   .kind = kind,
+                                   .subject = subject,
+                                   .text = text };
+    struct gsn_sql_value values[sizeof event_fields / sizeof event_fields[0]];
+    struct gsn_digest digest;
+    int r = hash_event(store, tail->head.hex, &event, &digest, err);
+
+    if (r < 0)
+        return r;
+    event.hash = digest.hex;
+    r = gsn_sql_run(store, "INSERT INTO event (" COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                    gsn_sql_fields(&event_shape, &event, values), NULL, err);
+    if (r < 0)
+        return r;
+    tail->id = event.id;
+    tail->head = digest;
     return GSN_OK;
 }
 
 int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
                      const char *subject, const char *text, struct gsn_error *err)
 {
-    struct gsn_event_row event = {
-        .time = now, .actor = actor, .kind = kind, .subject = subject, .text = text
-    };
-    struct gsn_sql_value values[sizeof event_fields / sizeof event_fields[0]];
-    struct gsn_digest previous, digest;
-    int64_t last = 0;
-    int r = last_event(store, &last, &previous, err);
+    struct gsn_event_tail tail;
+    const int r = gsn_event_tail(store, &tail, err);
 
-    event.id = last + 1;
-    if (r >= 0)
-        r = hash_event(store, previous.hex, &event, &digest, err);
-    if (r < 0)
-        return r;
-    event.hash = digest.hex;
-    return gsn_sql_run(store, "INSERT INTO event (" COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-                       gsn_sql_fields(&event_shape, &event, values), NULL, err);
+    return r < 0 ? r : gsn_event_append_to(store, &tail, now, actor, kind, subject, text, err);
 }
 
 int gsn_event_add(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
@@ -132,12 +144,11 @@ int gsn_event_list(struct gsn_store *store, size_t most, struct gsn_event_rows *
 
 int gsn_event_head(struct gsn_store *store, struct gsn_digest *ret_head, struct gsn_error *err)
 {
-    struct gsn_digest head;
-    int64_t id = 0;
-    const int r = last_event(store, &id, &head, err);
+    struct gsn_event_tail tail;
+    const int r = gsn_event_tail(store, &tail, err);
 
     if (r >= 0)
-        *ret_head = head;
+        *ret_head = tail.head;
     return r;
 }
 

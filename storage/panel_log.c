@@ -59,16 +59,20 @@ int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel,
                      int *ret_again, struct gsn_error *err)
 {
     int64_t inserted = 0;
-    const int r = gsn_sql_run(
-        store,
-        "INSERT INTO panel (specimen_id, number, file_name, sha256, size, state, code, message, "
-        "width, height, px_um) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11) "
-        "ON CONFLICT (specimen_id, sha256) DO NOTHING",
-        SQL_ARGS(SQL_INT(panel->specimen_id), SQL_INT(panel->number), SQL_TEXT(panel->file_name),
-                 SQL_TEXT(panel->sha256), SQL_INT(panel->size), SQL_TEXT(panel->state),
-                 SQL_TEXT(panel->code), SQL_TEXT(panel->message), SQL_INT(panel->width),
-                 SQL_INT(panel->height), SQL_REAL(panel->px_um)),
-        &inserted, err);
+    int r = gsn_digest_check(panel->sha256, err);
+
+    if (r >= 0)
+        r = gsn_sql_run(
+            store,
+            "INSERT INTO panel (specimen_id, number, file_name, sha256, size, state, code, "
+            "message, "
+            "width, height, px_um) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11) "
+            "ON CONFLICT (specimen_id, sha256) DO NOTHING",
+            SQL_ARGS(SQL_INT(panel->specimen_id), SQL_INT(panel->number),
+                     SQL_TEXT(panel->file_name), SQL_TEXT(panel->sha256), SQL_INT(panel->size),
+                     SQL_TEXT(panel->state), SQL_TEXT(panel->code), SQL_TEXT(panel->message),
+                     SQL_INT(panel->width), SQL_INT(panel->height), SQL_REAL(panel->px_um)),
+            &inserted, err);
 
     if (r < 0)
         return r == GSN_E_INPUT ? gsn_fail_at(err, "panel %.200s", panel->file_name) : r;

@@ -5,19 +5,28 @@
 #include <string.h>
 
 #include "pipeline/core/hash.h"
+#include "storage/within.h"
 
 enum {
     DIGEST_DIGITS = 64,
     LONGEST_NAME = 150, /* with the digest below the 255 bytes a file system allows */
 };
 
+int gsn_digest_check(const char *hex, struct gsn_error *err)
+{
+    if (strlen(hex) != DIGEST_DIGITS || strspn(hex, "0123456789abcdef") != DIGEST_DIGITS)
+        return gsn_fail(err, GSN_E_INPUT, "\"%.80s\" is not a SHA-256", hex);
+    return GSN_OK;
+}
+
 int gsn_store_object_path(const struct gsn_store *store, const char *hex, char **ret_path,
                           struct gsn_error *err)
 {
+    const int r = gsn_digest_check(hex, err);
     char *path;
 
-    if (strlen(hex) != DIGEST_DIGITS || strspn(hex, "0123456789abcdef") != DIGEST_DIGITS)
-        return gsn_fail(err, GSN_E_INPUT, "\"%.80s\" is not a SHA-256", hex);
+    if (r < 0)
+        return r;
     path = gsn_format("%s/objects/%.2s/%s", gsn_store_dir(store), hex, hex + 2);
     if (!path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");

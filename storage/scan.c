@@ -30,20 +30,6 @@ static const struct gsn_sql_shape scan_shape = SQL_SHAPE(struct gsn_scan_row, sc
 SQL_DEFINE_ROW(scan);
 SQL_DEFINE_ROWS(scan);
 
-int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
-                      struct gsn_error *err)
-{
-    int64_t known = 0;
-    const int r = gsn_sql_int(store,
-                              "SELECT ?1 <> '' AND EXISTS (SELECT 1 FROM scan WHERE key = ?1 AND "
-                              "key <> '')",
-                              SQL_ARGS(SQL_TEXT(key)), &known, err);
-
-    if (r >= 0)
-        *ret_known = known != 0;
-    return r;
-}
-
 int gsn_scan_list(struct gsn_store *store, const char *state, size_t most,
                   struct gsn_scan_rows **ret_rows, struct gsn_error *err)
 {
@@ -123,6 +109,7 @@ static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, in
 {
     gsn_auto(gsn_panel_rows) panels = NULL;
     bool held = false;
+    int64_t job = 0;
     int r = is_held(store, panel, &held, err);
 
     if (r < 0 || !held)
@@ -135,9 +122,9 @@ static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, in
             continue;
         r = gsn_panel_set_state(store, panels->at[i].id, "waiting", NULL, NULL, err);
         if (r >= 0)
-            r = gsn_scan_ask(store, specimen, panels->at[i].id, err);
+            r = gsn_queue_ask(store, specimen, panels->at[i].id, &job, err);
     }
-    return r;
+    return r < 0 ? r : gsn_queue_ask(store, specimen, 0, &job, err);
 }
 
 static int tell_filing(struct gsn_store *store, const struct gsn_scan_row *scan,
@@ -158,7 +145,7 @@ static int file(struct gsn_store *store, int64_t id, const char *name, unsigned 
 {
     gsn_auto(gsn_scan_row) scan = NULL;
     gsn_auto(gsn_specimen_row) specimen = NULL;
-    int64_t panel = 0;
+    int64_t panel = 0, job = 0;
     int known = 0;
     int r = gsn_scan_get(store, id, &scan, err);
 
@@ -172,6 +159,8 @@ static int file(struct gsn_store *store, int64_t id, const char *name, unsigned 
         r = gsn_scan_put_panel(store, scan, specimen->id, number, &panel, &known, err);
     if (r >= 0 && known)
         r = renumber(store, scan, specimen->id, panel, number, err);
+    if (r >= 0 && !known)
+        r = gsn_queue_ask(store, specimen->id, 0, &job, err);
     if (r >= 0)
         r = gsn_sql_run(
             store,

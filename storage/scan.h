@@ -1,7 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The ledger of what came from the bench: one row per picture, inserted when its bytes are durable
- * and before its source is told so. */
+/* The ledger of what came from the bench: one row per picture.
+ *
+ * A picture is logged in two steps. Its source waits for the first: when the bytes are durable, one
+ * row of the inbox says all that is known of them, in one commit that writes one page. The second
+ * settles what lies in the inbox, many at once: the row in the ledger, the panel, its job and the
+ * line in the diary. Nobody can come between them, because every transaction that writes begins
+ * with settling; so all is as if a picture were filed in the moment in which it came. */
 #ifndef GSN_STORAGE_SCAN_H
 #define GSN_STORAGE_SCAN_H
 
@@ -42,23 +47,29 @@ GSN_DEFINE_AUTO(gsn_scan_row);
 void gsn_scan_rows_free(struct gsn_scan_rows *rows);
 GSN_DEFINE_AUTO(gsn_scan_rows);
 
-/* Takes a picture into the ledger and files it, in one transaction with its panel, its job and its
- * line in the diary. The row's state, reason and panel_id are not read: a panel goes
+/* Takes a picture into the inbox: when this returns it is durable. The row's state, reason and
+ * panel_id are not read.
+ * number: the panel's number as far as the source's names tell it, 0 for none.
+ * ret_id: of its row in the ledger, once it is settled. ret_again: 1 when the same picture (source,
+ * name, bytes) was there; then nothing is written. A handle settles by itself when it has taken
+ * many. */
+int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
+                  int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err);
+
+/* Settles what lies in the inbox, in one transaction; nothing there, nothing is written. Until then
+ * no list shows it. To be called when a burst is over. A panel goes
  *   1. to the specimen that the source is expected to deliver (gsn_scan_expect), unless its own
  *      name begins with another one's: then a person must say;
  *   2. else to the specimen whose name its own name begins with, the longest of them, followed by
  *      the end, '-', '_', ' ' or '.';
  *   3. else it stays unfiled with the reason.
- * number: the panel's number as far as the source's names tell it, 0 for none. Where the picture's
- * name begins with its specimen's, the number is read from what follows, never from the specimen's
- * own digits. A picture without one that goes to an expected specimen takes the number behind the
- * highest there; else the panel is held as an import would. Only specimens cut into sections have
- * panels.
- * ret_again: 1 when the same picture (source, name, bytes) was there; then nothing is written. */
-int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
-                  int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err);
+ * Where the picture's name begins with its specimen's, the panel's number is read from what
+ * follows, never from the specimen's own digits. A picture without one that goes to an expected
+ * specimen takes the number behind the highest there; else the panel is held as an import would.
+ * Only specimens cut into sections have panels. */
+int gsn_scan_settle(struct gsn_store *store, struct gsn_error *err);
 
-/* Whether a scan with this key is in the ledger; an empty key never is. */
+/* Whether a scan with this key was taken in; an empty key never is. */
 int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
                       struct gsn_error *err);
 

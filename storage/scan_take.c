@@ -1,260 +1,70 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "storage/scan.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <string.h>
-
-#include "storage/panel_name.h"
 #include "storage/sql.h"
 #include "storage/within.h"
 
-/* A specimen, as far as a scan needs it. */
-struct whose {
-    int64_t is_expected, id;
-    const char *name;
-};
+/* So many lie in the inbox of one handle at most: few enough to be looked through for each new one,
+ * many enough that settling them adds little to each. */
+enum { MOST_IN_INBOX = 128 };
 
-#define WHOSE(type, name)                                                                          \
-    {                                                                                              \
-        GSN_SQL_##type, offsetof(struct whose, name)                                               \
-    }
-static const struct gsn_sql_field whose_fields[] = { WHOSE(INT, is_expected), WHOSE(INT, id),
-                                                     WHOSE(TEXT, name) };
-#undef WHOSE
-static const struct gsn_sql_shape whose_shape = SQL_SHAPE(struct whose, whose_fields);
+/* Without asking before: one statement is a transaction of its own. The ledger is asked by its
+ * index, the inbox has none because it is short. The next id is known once the inbox is empty, too:
+ * those who were there have it in the ledger. */
+#define TAKE                                                                                       \
+    "INSERT INTO inbox (id, source, device, name, key, subject, sha256, size, facts, number, "     \
+    "arrived) SELECT 1 + max(coalesce((SELECT max(id) FROM inbox), 0), "                           \
+    "coalesce((SELECT max(id) FROM scan), 0)), ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10 "           \
+    "WHERE NOT EXISTS (SELECT 1 FROM inbox WHERE size = ?7 AND sha256 = ?6 AND name = ?3 "         \
+    "AND source = ?1) "                                                                            \
+    "AND NOT EXISTS (SELECT 1 FROM scan WHERE source = ?1 AND name = ?3 AND sha256 = ?6)"
 
-/* Where a picture goes, and why. */
-struct place {
-    const char *state;
-    char reason[400];
-    int64_t specimen; /* 0: nowhere */
-    int64_t number, panel;
-};
-
-struct candidates {
-    struct whose *at; /* owned */
-    size_t count;
-    const struct whose *expected, *named; /* NULL: none */
-};
-
-static void candidates_done(struct candidates *candidates)
-{
-    gsn_sql_free_rows(&whose_shape, candidates->at, candidates->count);
-}
-#define auto_candidates __attribute__((cleanup(candidates_done))) struct candidates
-
-/* Whom the source (?1) is expected to deliver, and whose name the scan's name (?2) begins with. The
- * names that a name begins with lie, in order of length, between its first word (?3) and itself,
- * so the index leads to them. */
-#define CANDIDATES                                                                                 \
-    "SELECT 1, s.id, s.name FROM expectation e JOIN specimen s ON s.id = e.specimen_id "           \
-    "WHERE e.source = ?1 UNION ALL SELECT * FROM (SELECT 0, id, name FROM specimen "               \
-    "WHERE name BETWEEN ?3 AND ?2 AND kind = 'sections' AND substr(?2, 1, length(name)) = name "   \
-    "AND instr('-_ .', substr(?2, length(name) + 1, 1)) > 0 ORDER BY name DESC LIMIT 1)"
-
-static int find_candidates(struct gsn_store *store, const struct gsn_scan_row *scan,
-                           struct candidates *candidates, struct gsn_error *err)
-{
-    const char *const name = scan->name;
-    char word[64]; /* of a long one the beginning: it comes before the whole, too */
-    void *rows = NULL;
-    int r;
-
-    (void)snprintf(word, sizeof word, "%.*s", *name ? 1 + (int)strcspn(name + 1, "-_ .") : 0, name);
-    r = gsn_sql_rows(store, &whose_shape, CANDIDATES,
-                     SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(name), SQL_TEXT(word)), &rows,
-                     &candidates->count, err);
-    if (r < 0)
-        return r;
-    candidates->at = rows;
-    for (size_t i = 0; i < candidates->count; i++) {
-        if (candidates->at[i].is_expected)
-            candidates->expected = &candidates->at[i];
-        else
-            candidates->named = &candidates->at[i];
-    }
-    return GSN_OK;
-}
-
-/* What stands for the specimen in a name says nothing about the panel: "S02.tif" is not panel 2. */
-static int64_t number_behind(const char *name, const char *specimen, unsigned number)
-{
-    const size_t length = strlen(specimen);
-
-    return strncmp(name, specimen, length) == 0 ? gsn_panel_number(name, length) : number;
-}
-
-/* One behind the highest, so that panels stay in the order in which they came. */
-static int next_number(struct gsn_store *store, int64_t specimen, int64_t *ret_number,
-                       struct gsn_error *err)
-{
-    return gsn_sql_int(store,
-                       "SELECT coalesce(max(number), 0) + 1 FROM panel "
-                       "WHERE specimen_id = ?1 AND state <> 'held'",
-                       SQL_ARGS(SQL_INT(specimen)), ret_number, err);
-}
-
-static void keep(const struct gsn_scan_row *scan, struct place *place)
-{
-    place->state = "kept";
-    (void)snprintf(place->reason, sizeof place->reason, "%s, taken on purpose",
-                   strcmp(scan->subject, "dark") == 0 ? "a dark frame" : "blank glass");
-}
-
-static void leave_unfiled(const struct gsn_scan_row *scan, const struct candidates *found,
-                          struct place *place)
-{
-    place->state = "unfiled";
-    if (!found->expected)
-        (void)snprintf(place->reason, sizeof place->reason,
-                       "nothing is expected from %.100s and no specimen has the name that this one "
-                       "begins with: say whose it is with `gieson file`",
-                       scan->source);
-    else
-        (void)snprintf(place->reason, sizeof place->reason,
-                       "%.100s is expected from %.100s, but its name is that of %.100s: say whose "
-                       "it is with `gieson file`",
-                       found->expected->name, scan->source, found->named->name);
-}
-
-static void file(const struct gsn_scan_row *scan, unsigned number, const struct whose *whose,
-                 struct place *place)
-{
-    place->state = "filed";
-    place->specimen = whose->id;
-    place->number = number_behind(scan->name, whose->name, number);
-    (void)snprintf(place->reason, sizeof place->reason,
-                   whose->is_expected ? "%.200s is expected from this source"
-                                      : "its name begins with %.200s",
-                   whose->name);
-}
-
-/* Settles state, reason and number; in a transaction. */
-static int judge(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
-                 struct place *place, struct gsn_error *err)
-{
-    auto_candidates found = { .count = 0 };
-    int r;
-
-    if (strcmp(scan->subject, "panel") != 0) {
-        keep(scan, place);
-        return GSN_OK;
-    }
-    r = find_candidates(store, scan, &found, err);
-    if (r < 0)
-        return r;
-    if (found.expected && (!found.named || found.named->id == found.expected->id))
-        file(scan, number, found.expected, place);
-    else if (found.named && !found.expected)
-        file(scan, number, found.named, place);
-    else
-        leave_unfiled(scan, &found, place);
-    if (place->specimen && found.expected && place->number == 0)
-        r = next_number(store, place->specimen, &place->number, err);
-    return r;
-}
-
-int gsn_scan_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
-                 struct gsn_error *err)
-{
-    int64_t job = 0;
-    const int r = gsn_queue_ask(store, specimen_id, panel_id, &job, err);
-
-    return r < 0 ? r : gsn_queue_ask(store, specimen_id, 0, &job, err);
-}
-
-int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
-                       int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
-                       struct gsn_error *err)
-{
-    const struct gsn_panel_row row = { .specimen_id = specimen_id,
-                                       .number = number,
-                                       .file_name = scan->name,
-                                       .sha256 = scan->sha256,
-                                       .size = scan->size,
-                                       .state = "waiting",
-                                       .code = "",
-                                       .message = "",
-                                       .px_um = NAN };
-    const int r = gsn_panel_insert(store, &row, ret_panel, ret_again, err);
-
-    return r < 0 || *ret_again ? r : gsn_scan_ask(store, specimen_id, *ret_panel, err);
-}
-
-static int insert(struct gsn_store *store, const struct gsn_scan_row *scan,
-                  const struct place *place, int64_t now, int64_t *ret_id, int *ret_again,
-                  struct gsn_error *err)
-{
-    int64_t inserted = 0;
-    const int r = gsn_sql_run(
-        store,
-        "INSERT INTO scan (source, device, name, key, subject, sha256, size, facts, state, reason, "
-        "panel_id, arrived) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, nullif(?11, 0), ?12) "
-        "ON CONFLICT (source, name, sha256) DO NOTHING",
-        SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(scan->device), SQL_TEXT(scan->name),
-                 SQL_TEXT(scan->key), SQL_TEXT(scan->subject), SQL_TEXT(scan->sha256),
-                 SQL_INT(scan->size), SQL_TEXT(scan->facts), SQL_TEXT(place->state),
-                 SQL_TEXT(place->reason), SQL_INT(place->panel), SQL_INT(now)),
-        &inserted, err);
-
-    if (r < 0)
-        return r == GSN_E_INPUT ? gsn_fail_at(err, "scan %.200s", scan->name) : r;
-    *ret_again = inserted == 0;
-    if (inserted == 0)
-        return gsn_sql_int(
-            store, "SELECT id FROM scan WHERE source = ?1 AND name = ?2 AND sha256 = ?3",
-            SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(scan->name), SQL_TEXT(scan->sha256)), ret_id,
-            err);
-    *ret_id = gsn_sql_last_id(store);
-    return GSN_OK;
-}
-
-static int tell_arrival(struct gsn_store *store, const struct gsn_scan_row *scan,
-                        const struct place *place, int64_t now, struct gsn_error *err)
-{
-    gsn_auto_mem(char) text =
-        gsn_format("%s, from %s, %s: %s", scan->sha256, scan->source, place->state, place->reason);
-
-    if (!text)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
-    return gsn_event_append(store, now, "gieson-intake", "scan", scan->name, text, err);
-}
-
-/* In a transaction, which must be rolled back when the picture was there: that shows only when its
- * row is refused, because asking for it first would cost every new picture a search. */
-static int take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
-                int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err)
-{
-    struct place place = { .panel = 0 };
-    int known_panel = 0;
-    int r = judge(store, scan, number, &place, err);
-
-    if (r >= 0 && place.specimen)
-        r = gsn_scan_put_panel(store, scan, place.specimen, place.number, &place.panel,
-                               &known_panel, err);
-    if (r >= 0)
-        r = insert(store, scan, &place, now, ret_id, ret_again, err);
-    return r < 0 || *ret_again ? r : tell_arrival(store, scan, &place, now, err);
-}
+#define TAKEN                                                                                      \
+    "SELECT id FROM scan WHERE source = ?1 AND name = ?2 AND sha256 = ?3 UNION ALL "               \
+    "SELECT id FROM inbox WHERE source = ?1 AND name = ?2 AND sha256 = ?3"
 
 int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
                   int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err)
 {
-    int64_t id = 0;
-    int again = 0;
-    int r = gsn_store_begin(store, err);
+    unsigned *const unsettled = gsn_store_unsettled(store);
+    int64_t inserted = 0, id = 0;
+    int r = *unsettled < MOST_IN_INBOX ? GSN_OK : gsn_scan_settle(store, err);
 
     if (r < 0)
         return r;
-    r = take(store, scan, number, now, &id, &again, err);
-    if (r >= 0 && again)
-        gsn_store_rollback(store);
-    else
-        r = gsn_sql_end(store, r, err);
+    r = gsn_digest_check(scan->sha256, err);
+    if (r >= 0)
+        r = gsn_sql_run(store, TAKE,
+                        SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(scan->device),
+                                 SQL_TEXT(scan->name), SQL_TEXT(scan->key), SQL_TEXT(scan->subject),
+                                 SQL_TEXT(scan->sha256), SQL_INT(scan->size), SQL_TEXT(scan->facts),
+                                 SQL_INT(number), SQL_INT(now)),
+                        &inserted, err);
+    if (r == GSN_E_INPUT)
+        return gsn_fail_at(err, "scan %.200s", scan->name);
+    if (r >= 0 && inserted == 0)
+        r = gsn_sql_int(
+            store, TAKEN,
+            SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(scan->name), SQL_TEXT(scan->sha256)), &id,
+            err);
     if (r < 0)
         return r;
-    *ret_id = id;
-    *ret_again = again;
+    *unsettled += inserted != 0;
+    *ret_id = inserted ? gsn_sql_last_id(store) : id;
+    *ret_again = inserted == 0;
     return GSN_OK;
+}
+
+int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
+                      struct gsn_error *err)
+{
+    int64_t known = 0;
+    const int r = gsn_sql_int(store,
+                              "SELECT ?1 <> '' AND (EXISTS (SELECT 1 FROM scan WHERE key = ?1 AND "
+                              "key <> '') OR EXISTS (SELECT 1 FROM inbox WHERE key = ?1))",
+                              SQL_ARGS(SQL_TEXT(key)), &known, err);
+
+    if (r >= 0)
+        *ret_known = known != 0;
+    return r;
 }

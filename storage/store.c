@@ -12,6 +12,7 @@
 #include "storage/kept.h"
 #include "storage/schema.h"
 #include "storage/sql.h"
+#include "storage/within.h"
 
 enum {
     BUSY_MS = 10000,
@@ -19,13 +20,15 @@ enum {
     SYNCHRONOUS_FULL = 2,
 };
 
-static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003 };
+static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
+                                       gsn_schema_004 };
 enum { NEWEST = sizeof schemas / sizeof schemas[0] };
 
 struct gsn_store {
     char *dir;
     sqlite3 *db;
-    unsigned depth; /* of nested transactions */
+    unsigned depth;     /* of nested transactions */
+    unsigned unsettled; /* scans that this handle took in and did not settle */
     struct gsn_kept kept;
     struct gsn_hash *hash; /* NULL until it is needed */
 };
@@ -33,6 +36,11 @@ struct gsn_store {
 struct gsn_kept *gsn_store_kept(struct gsn_store *store)
 {
     return &store->kept;
+}
+
+unsigned *gsn_store_unsettled(struct gsn_store *store)
+{
+    return &store->unsettled;
 }
 
 int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err)
@@ -88,7 +96,7 @@ static int execute(struct gsn_store *store, const char *sql, struct gsn_error *e
     return GSN_OK;
 }
 
-int gsn_store_begin(struct gsn_store *store, struct gsn_error *err)
+static int begin(struct gsn_store *store, struct gsn_error *err)
 {
     int r;
 
@@ -99,6 +107,18 @@ int gsn_store_begin(struct gsn_store *store, struct gsn_error *err)
                     NULL, err);
     if (r >= 0)
         store->depth++;
+    return r;
+}
+
+int gsn_store_begin(struct gsn_store *store, struct gsn_error *err)
+{
+    int r = begin(store, err);
+
+    if (r < 0 || store->depth > 1)
+        return r;
+    r = gsn_scan_settle_all(store, err);
+    if (r < 0)
+        gsn_store_rollback(store);
     return r;
 }
 
@@ -182,7 +202,7 @@ static int migrate_from(struct gsn_store *store, int64_t version, struct gsn_err
 static int migrate(struct gsn_store *store, struct gsn_error *err)
 {
     int64_t version = 0;
-    int r = gsn_store_begin(store, err);
+    int r = begin(store, err);
 
     if (r < 0)
         return r;
@@ -287,7 +307,12 @@ static int open_database(struct gsn_store *store, const char *path, enum gsn_sto
     if (mode != GSN_STORE_READ && sqlite3_db_readonly(store->db, "main") == 1)
         return gsn_fail(err, GSN_E_IO, "%s: no permission to write", path);
     r = configure(store, err);
-    return r >= 0 ? prepare_schema(store, mode, err) : r;
+    if (r >= 0)
+        r = prepare_schema(store, mode, err);
+    /* What a crash left in the inbox. Who cannot settle it now can when it writes. */
+    if (r >= 0 && mode != GSN_STORE_READ)
+        (void)gsn_scan_settle(store, NULL);
+    return r;
 }
 
 static int make_dirs(const char *dir, struct gsn_error *err)

@@ -41,7 +41,8 @@ GSN_DEFINE_AUTO(gsn_store);
 
 /* Several changes as one. They nest: only the outermost commit reaches the disk, and an inner
  * rollback undoes the inner part alone. The outermost begin takes the write lock at once, so
- * nothing read after it can be outdated when it is written back. */
+ * nothing read after it can be outdated when it is written back, and first settles what has come
+ * (gsn_scan_take): a transaction sees the ledger whole. */
 int gsn_store_begin(struct gsn_store *store, struct gsn_error *err);
 /* When it fails, the transaction is rolled back. */
 int gsn_store_commit(struct gsn_store *store, struct gsn_error *err);

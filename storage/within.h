@@ -7,23 +7,38 @@
 #ifndef GSN_STORAGE_WITHIN_H
 #define GSN_STORAGE_WITHIN_H
 
+#include "pipeline/core/hash.h"
 #include "storage/panel_log.h"
 #include "storage/scan.h"
 
+/* Fails with GSN_E_INPUT when this is no digest. Here and not in the schema, where the same
+ * question costs more than writing the row. */
+int gsn_digest_check(const char *hex, struct gsn_error *err);
 /* As gsn_panel_put(). */
 int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
                      int *ret_again, struct gsn_error *err);
 /* As gsn_queue_add(), of a panel that is known to be the specimen's; 0: the specimen's own job. */
 int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                   struct gsn_error *err);
-/* Asks for the panel and for the specimen, which rests on it. */
-int gsn_scan_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
-                 struct gsn_error *err);
-/* Makes a scan the panel of a specimen and asks for it; the same bytes were its panel before:
- * ret_again becomes 1 and nothing is asked. */
+/* Makes a scan the panel of a specimen and asks for it; the specimen, which rests on it, is to be
+ * asked for next. The same bytes were its panel before: ret_again becomes 1 and nothing is asked.
+ */
 int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
                        int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
                        struct gsn_error *err);
+/* Empties the inbox into the ledger; for gsn_store_begin(). */
+int gsn_scan_settle_all(struct gsn_store *store, struct gsn_error *err);
+/* Where the diary ends: as an id and a hash; 0 and zeros when there is none. */
+struct gsn_event_tail {
+    int64_t id;
+    struct gsn_digest head;
+};
+
+int gsn_event_tail(struct gsn_store *store, struct gsn_event_tail *ret_tail, struct gsn_error *err);
+/* As gsn_event_add(), behind this tail, which moves on: for who adds many. */
+int gsn_event_append_to(struct gsn_store *store, struct gsn_event_tail *tail, int64_t now,
+                        const char *actor, const char *kind, const char *subject, const char *text,
+                        struct gsn_error *err);
 /* As gsn_event_add(). */
 int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
                      const char *subject, const char *text, struct gsn_error *err);

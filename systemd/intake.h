@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* One picture's way from its source into the store, in the order that loses nothing: room on the
- * disk -> bytes durable -> row, panel, job and diary in one transaction -> (where the device is to
- * delete its copy: the object read again, and found to be a whole picture) -> the source is told. A
- * crash anywhere leaves a picture that is offered again and recognised. */
+ * disk -> bytes durable -> its row in the inbox durable -> (where the device is to delete its copy:
+ * the object read again, and found to be a whole picture) -> the source is told. A crash anywhere
+ * leaves a picture that is offered again and recognised. gsn_scan_settle() does the rest, when it
+ * is called or by whoever writes to the store next: ledger, panel, job and diary. */
 #ifndef GSN_SYSTEMD_INTAKE_H
 #define GSN_SYSTEMD_INTAKE_H
 

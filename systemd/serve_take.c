@@ -36,20 +36,57 @@ void gsn_serving_on_piece(void *context)
     gsn_lifeline_breathe(serving->line, GSN_READY);
 }
 
-static void tell_taken(const struct gsn_serving *serving, const struct gsn_source_event *ready,
-                       const struct gsn_intake_taken *taken)
+/* What this round has taken in and not settled. Its names are the round's events'. */
+enum { MOST_ARRIVED = 64, SETTLE_EVERY_MS = 500 };
+
+struct arrived {
+    size_t count;
+    int64_t settled_ms;
+    struct {
+        int64_t scan;
+        const struct gsn_source_event *event;
+    } at[MOST_ARRIVED];
+};
+
+static void tell_taken(const struct gsn_serving *serving, int64_t id,
+                       const struct gsn_source_event *ready)
 {
     gsn_auto(gsn_scan_row) scan = NULL;
     struct gsn_log_about what = gsn_serving_about(serving, GSN_LOG_ARRIVED);
     struct gsn_error quiet = { 0 };
 
-    if (taken->again || gsn_scan_get(serving->store, taken->scan, &scan, &quiet) < 0)
+    if (gsn_scan_get(serving->store, id, &scan, &quiet) < 0)
         return;
-    what.scan = taken->scan;
+    what.scan = id;
     what.specimen = scan->specimen;
     gsn_log(ready->incomplete ? LOG_WARNING : LOG_INFO, &what, "%s is scan %lld, %s: %s%s%s",
-            ready->name, (long long)taken->scan, scan->state, scan->reason,
-            ready->incomplete ? "; " : "", ready->incomplete ? ready->reason : "");
+            ready->name, (long long)id, scan->state, scan->reason, ready->incomplete ? "; " : "",
+            ready->incomplete ? ready->reason : "");
+}
+
+static int settle(struct gsn_serving *serving, struct arrived *arrived, struct gsn_error *err)
+{
+    const int r = gsn_scan_settle(serving->store, err);
+
+    for (size_t i = 0; r >= 0 && i < arrived->count; i++)
+        tell_taken(serving, arrived->at[i].scan, arrived->at[i].event);
+    arrived->count = 0;
+    arrived->settled_ms = gsn_now_ms();
+    return r;
+}
+
+/* A picture that comes alone is settled at once, those of a burst together. */
+static int note_taken(struct gsn_serving *serving, struct arrived *arrived,
+                      const struct gsn_source_event *ready, const struct gsn_intake_taken *taken,
+                      struct gsn_error *err)
+{
+    if (!taken->again) {
+        arrived->at[arrived->count].scan = taken->scan;
+        arrived->at[arrived->count++].event = ready;
+    }
+    if (arrived->count < MOST_ARRIVED && gsn_now_ms() - arrived->settled_ms < SETTLE_EVERY_MS)
+        return GSN_OK;
+    return settle(serving, arrived, err);
 }
 
 static int put_trouble(struct gsn_serving *serving, const char *name, const char *reason,
@@ -105,7 +142,7 @@ static int tell_kept(struct gsn_serving *serving, const char *name, const char *
 
 /* Takes one. Fails only where nothing more can be taken in this round. */
 static int take(struct gsn_serving *serving, const struct gsn_source_event *ready,
-                struct gsn_error *err)
+                struct arrived *arrived, struct gsn_error *err)
 {
     struct gsn_intake_taken taken;
     enum gsn_intake_fault fault;
@@ -119,7 +156,9 @@ static int take(struct gsn_serving *serving, const struct gsn_source_event *read
     serving->item = NULL;
     if (r >= 0) {
         serving->store_failures = 0;
-        tell_taken(serving, ready, &taken);
+        r = note_taken(serving, arrived, ready, &taken, err);
+        if (r < 0)
+            return r;
         if (taken.kept[0])
             return tell_kept(serving, ready->name, taken.kept, err);
         return gsn_failing_over(&serving->failing, ready->name, err);
@@ -178,8 +217,8 @@ static void tell_news(struct gsn_serving *serving, const struct gsn_source_event
                 event->reason);
 }
 
-int gsn_serving_take_all(struct gsn_serving *serving, const struct gsn_source_events *events,
-                         struct gsn_error *err)
+static int take_each(struct gsn_serving *serving, const struct gsn_source_events *events,
+                     struct arrived *arrived, struct gsn_error *err)
 {
     bool expected = false;
 
@@ -197,11 +236,22 @@ int gsn_serving_take_all(struct gsn_serving *serving, const struct gsn_source_ev
         if (!expected)
             ensure_expected(serving);
         expected = true;
-        r = take(serving, event, err);
+        r = take(serving, event, arrived, err);
         if (r < 0)
             return r;
     }
     return GSN_OK;
+}
+
+int gsn_serving_take_all(struct gsn_serving *serving, const struct gsn_source_events *events,
+                         struct gsn_error *err)
+{
+    struct arrived arrived = { .settled_ms = gsn_now_ms() - SETTLE_EVERY_MS };
+    struct gsn_error quiet = { 0 };
+    const int r = take_each(serving, events, &arrived, err);
+
+    /* What was taken in before a failure is told, too. */
+    return r < 0 ? ((void)settle(serving, &arrived, &quiet), r) : settle(serving, &arrived, err);
 }
 
 static int run_import(const struct gsn_serving *serving, const char *folder, struct gsn_error *err)

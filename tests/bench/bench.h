@@ -102,6 +102,7 @@ void bench_locate(void);
 void bench_mean(void);
 void bench_space(void);
 void bench_log(void);
+void bench_log_slices(void);
 void bench_spool(void);
 void bench_decode(void);
 void bench_split(void);

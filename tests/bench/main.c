@@ -27,6 +27,7 @@ static const struct {
     { "mean", bench_mean, "exact means over tetrahedra" },
     { "space", bench_space, "making a space and a spline, and their memory" },
     { "log", bench_log, "a scan's rows, in this folder, against one bare INSERT" },
+    { "slices", bench_log_slices, "a panel's slices, in this folder, against bare INSERTs" },
     { "spool", bench_spool, "a picture's bytes, in this folder: hash, copy and sync" },
     { "decode", bench_decode, "48 million pixels, against the bare libraries and cv2.imread" },
     { "split", bench_split, "sections on a panel of 48 million pixels, against OpenCV" },

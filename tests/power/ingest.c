@@ -85,6 +85,8 @@ static int run(struct session *session, struct gsn_error *err)
             if (events->at[i].what == GSN_SOURCE_READY)
                 r = take(session, &events->at[i], err);
         }
+        if (r >= 0)
+            r = gsn_scan_settle(session->intake.store, err);
     }
     return r;
 }

@@ -31,6 +31,7 @@ static void fill(struct gsn_store *store)
     CHECK_OK(gsn_attachment_put(store, two, &mask, &again, &err), err);
     blank.sha256 = bench_digest(4);
     CHECK_OK(gsn_scan_take(store, &blank, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_settle(store, &err), err);
 }
 
 TEST(each_object_is_listed_once_by_digest_and_in_pieces)

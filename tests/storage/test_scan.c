@@ -2,6 +2,7 @@
 #include "storage/scan.h"
 
 #include <string.h>
+#include <sys/stat.h>
 
 #include "storage/event.h"
 #include "storage/panel_log.h"
@@ -34,6 +35,7 @@ static struct gsn_scan_row *arrive(struct gsn_store *store, const char *name, un
 
     CHECK_OK(gsn_scan_take(store, &row, number, NOON, &id, &again, &err), err);
     CHECK(again == 0);
+    CHECK_OK(gsn_scan_settle(store, &err), err);
     CHECK_OK(gsn_scan_get(store, id, &got, &err), err);
     return got;
 }
@@ -45,6 +47,15 @@ static int64_t ask(struct gsn_store *store, const char *sql)
 
     CHECK_OK(gsn_sql_int(store, sql, SQL_NO_ARGS, &value, &err), err);
     return value;
+}
+
+/* As long as nobody began the log anew. */
+static int64_t wal_frames(const struct gsn_scratch *scratch)
+{
+    struct stat st;
+
+    CHECK(stat(gsn_scratch_path(scratch, "gieson.db-wal"), &st) == 0);
+    return (st.st_size - 32) / (4096 + 24);
 }
 
 static int64_t number_of(struct gsn_store *store, int64_t panel)
@@ -86,6 +97,7 @@ TEST(the_newest_of_a_subject_is_that_of_this_source)
     rows[3].source = "camera";
     for (size_t i = 0; i < 4; i++)
         CHECK_OK(gsn_scan_take(store, &rows[i], 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_settle(store, &err), err);
     CHECK_OK(gsn_scan_newest(store, "flatbed", "panel", &panel, &err), err);
     CHECK(strcmp(panel->name, "2") == 0);
     CHECK_OK(gsn_scan_newest(store, "flatbed", "blank", &blank, &err), err);
@@ -180,6 +192,128 @@ TEST(a_name_that_contradicts_what_is_expected_is_for_a_person_to_settle)
     CHECK(strcmp(same->specimen, "A") == 0 && number_of(store, same->panel_id) == 2);
 }
 
+TEST(a_picture_is_safe_and_known_before_it_is_settled)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_store) reader = bench_open(&scratch, GSN_STORE_READ);
+    gsn_auto(gsn_scan_row) got = NULL;
+    struct gsn_scan_row row = arrival("S-P7.tif", 1);
+    struct gsn_error err = { 0 };
+    int64_t id = 0, same = 0;
+    int again = -1, known = 0;
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    row.key = "SN1/1";
+    CHECK_OK(gsn_scan_take(store, &row, 7, NOON, &id, &again, &err), err);
+    CHECK(again == 0 && ask(reader, "SELECT count(*) FROM inbox") == 1);
+    CHECK(ask(reader, "SELECT count(*) FROM scan") == 0);
+    CHECK_OK(gsn_scan_is_known(reader, "SN1/1", &known, &err), err);
+    CHECK(known == 1);
+    CHECK_OK(gsn_scan_take(store, &row, 7, NOON + 9, &same, &again, &err), err);
+    CHECK(again == 1 && same == id);
+
+    /* Killed here, and started again. */
+    gsn_store_free(store);
+    store = bench_open(&scratch, GSN_STORE_WRITE);
+    CHECK(ask(reader, "SELECT count(*) FROM inbox") == 0);
+    CHECK_OK(gsn_scan_get(reader, id, &got, &err), err);
+    CHECK(strcmp(got->state, "filed") == 0 && number_of(reader, got->panel_id) == 7);
+    CHECK(got->arrived == NOON && strcmp(got->key, "SN1/1") == 0);
+    CHECK(ask(reader, "SELECT time FROM event WHERE kind = 'scan'") == NOON);
+    CHECK(ask(reader, "SELECT count(*) FROM job WHERE state = 'waiting'") == 2);
+}
+
+/* Whoever writes after it came finds it filed as it was then. */
+TEST(nothing_is_written_between_a_picture_and_its_filing)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_store) other = bench_open(&scratch, GSN_STORE_WRITE);
+    gsn_auto(gsn_scan_row) before = NULL;
+    gsn_auto(gsn_scan_row) after = NULL;
+    struct gsn_event_verdict diary;
+    struct gsn_error err = { 0 };
+    const struct gsn_scan_row first = arrival("S-P1.tif", 1), second = arrival("S-P2.tif", 2);
+    int64_t id[2];
+    int again;
+
+    CHECK_OK(gsn_scan_take(store, &first, 1, NOON, &id[0], &again, &err), err);
+    (void)bench_add_specimen(other, "S", "g", "");
+    CHECK_OK(gsn_scan_take(store, &second, 2, NOON, &id[1], &again, &err), err);
+    CHECK_OK(gsn_scan_expect(other, "flatbed", NULL, "ann", NOON, &err), err);
+    CHECK_OK(gsn_scan_get(other, id[0], &before, &err), err);
+    CHECK_OK(gsn_scan_get(other, id[1], &after, &err), err);
+    CHECK(id[1] == id[0] + 1);
+    CHECK(strcmp(before->state, "unfiled") == 0 && strcmp(after->state, "filed") == 0);
+    CHECK(ask(store, "SELECT (SELECT min(id) FROM event WHERE kind = 'scan') = 1") == 1);
+    CHECK(ask(store, "SELECT (SELECT max(id) FROM event WHERE kind = 'scan') < "
+                     "(SELECT id FROM event WHERE kind = 'expect')") == 1);
+    CHECK_OK(gsn_event_verify(store, NULL, &diary, &err), err);
+    CHECK(diary.broken == 0 && diary.count == 3);
+}
+
+TEST(what_is_rolled_back_leaves_the_inbox_as_it_was)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct gsn_scan_row row = arrival("x.tif", 1);
+    struct gsn_error err = { 0 };
+    int64_t id;
+    int again;
+
+    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_store_begin(store, &err), err);
+    CHECK(ask(store, "SELECT count(*) FROM scan") == 1);
+    gsn_store_rollback(store);
+    CHECK(ask(store, "SELECT count(*) FROM scan") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM inbox") == 1);
+    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK(ask(store, "SELECT count(*) FROM scan") == 1);
+}
+
+TEST(a_long_burst_is_settled_on_its_way)
+{
+    enum { BURST = 300, MOST = 128 };
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+    int again = -1;
+
+    for (unsigned i = 1; i <= BURST; i++) {
+        const struct gsn_scan_row row = arrival("x", i);
+
+        CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+        CHECK(again == 0 && id == i);
+        CHECK(ask(store, "SELECT count(*) FROM inbox") <= MOST);
+    }
+    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK(ask(store, "SELECT count(*) FROM scan") == BURST);
+    CHECK(ask(store, "SELECT max(id) FROM scan") == BURST);
+}
+
+/* Every commit syncs its pages and writes them twice: once into the log, once from there. */
+TEST(one_picture_dirties_one_page)
+{
+    enum { PICTURES = 60 };
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    struct gsn_error err = { 0 };
+    int64_t id = 0, frames = 0;
+    int again = -1;
+
+    for (unsigned i = 0; i <= PICTURES; i++) {
+        const struct gsn_scan_row row = arrival("x", i);
+
+        CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+        if (i == 0)
+            frames = wal_frames(&scratch);
+    }
+    /* A page takes about ten; the next one costs a few. */
+    CHECK(wal_frames(&scratch) - frames <= 2 * PICTURES);
+}
+
 TEST(the_same_picture_again_writes_nothing)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -249,6 +383,7 @@ TEST(blank_glass_and_dark_frames_are_kept_and_are_no_panels)
 
         row.subject = subjects[i];
         CHECK_OK(gsn_scan_take(store, &row, 1, NOON, &id, &again, &err), err);
+        CHECK_OK(gsn_scan_settle(store, &err), err);
         CHECK_OK(gsn_scan_get(store, id, &got, &err), err);
         CHECK(strcmp(got->state, "kept") == 0 && got->panel_id == 0);
         CHECK(gsn_scan_file(store, id, "S", 1, "ann", NOON, &err) == GSN_E_INPUT);
@@ -396,6 +531,7 @@ TEST(running_out_of_memory_leaks_nothing)
     (void)bench_add_specimen(store, "S", "g", "");
     CHECK_EVERY_OOM(take_once(store, &filed, &err), err);
     CHECK_EVERY_OOM(take_once(store, &unfiled, &err), err);
+    CHECK_EVERY_OOM(gsn_scan_settle(store, &err), err);
     CHECK_EVERY_OOM(gsn_scan_file(store, 2, "S", 2, "ann", NOON, &err), err);
     CHECK_EVERY_OOM(gsn_scan_expect(store, "flatbed", "S", "ann", NOON, &err), err);
     CHECK_EVERY_OOM(list_once(store, &err), err);
@@ -425,7 +561,7 @@ TEST(a_store_of_the_first_schema_is_brought_up_with_its_data_kept)
     CHECK(gsn_store_open(scratch.dir, GSN_STORE_READ, &store, &err) == GSN_E_UNSUPPORTED);
     CHECK(strstr(err.text, "older gieson") && store == NULL);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK(ask(store, "PRAGMA user_version") == 3);
+    CHECK(ask(store, "PRAGMA user_version") == 4);
     CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
     CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting' AND panel_id = 1") == 1);
     CHECK(number_of(store, 1) == 3);
@@ -433,4 +569,35 @@ TEST(a_store_of_the_first_schema_is_brought_up_with_its_data_kept)
     CHECK(strcmp(scan->specimen, "S") == 0 && number_of(store, scan->panel_id) == 4);
     panel = bench_add_panel(store, 1, 5);
     CHECK_OK(gsn_queue_add(store, 1, panel, &id, &err), err);
+}
+
+TEST(a_store_of_the_third_schema_is_brought_up_with_its_ledger_kept)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_scan_row) old = NULL;
+    gsn_auto(gsn_scan_row) fresh = NULL;
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_scan_row row = arrival("S-P4.tif", 3);
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+    int again = 0;
+
+    CHECK(bench_raw(&scratch, gsn_schema_001) == 0);
+    CHECK(bench_raw(&scratch, gsn_schema_002) == 0);
+    CHECK(bench_raw(&scratch, gsn_schema_003) == 0);
+    CHECK(bench_raw(&scratch,
+                    "PRAGMA application_id = 0x67736e31; PRAGMA user_version = 3; "
+                    "PRAGMA journal_mode = WAL; "
+                    "INSERT INTO scan (id, source, device, name, key, subject, sha256, size, "
+                    "facts, state, reason, arrived) VALUES (41, 'flatbed', '', 'S-P4.tif', '', "
+                    "'panel', printf('%064x', 3), 9, '', 'unfiled', 'why', 5)") == 0);
+    store = bench_open(&scratch, GSN_STORE_WRITE);
+    CHECK(ask(store, "PRAGMA user_version") == 4);
+    CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
+    CHECK_OK(gsn_scan_get(store, 41, &old, &err), err);
+    CHECK(strcmp(old->reason, "why") == 0 && old->arrived == 5);
+    CHECK_OK(gsn_scan_take(store, &row, 4, NOON, &id, &again, &err), err);
+    CHECK(again == 1 && id == 41);
+    fresh = arrive(store, "S-P5.tif", 4, 5);
+    CHECK(fresh->id == 42);
 }

@@ -89,6 +89,8 @@ static int64_t ask(const struct stage *stage, const char *sql)
     struct gsn_error err = { 0 };
     int64_t value = -1;
 
+    /* As the service does at the end of a round. */
+    CHECK_OK(gsn_scan_settle(stage->store, &err), err);
     CHECK_OK(gsn_sql_int(stage->store, sql, SQL_NO_ARGS, &value, &err), err);
     return value;
 }
@@ -138,6 +140,7 @@ TEST(a_picture_is_durable_in_the_ledger_and_acknowledged)
     write_picture(&stage, "x.jpg", picture, SIZE);
     is_taken(&stage);
     CHECK_OK(gsn_sha256(picture, SIZE, &digest, &err), err);
+    CHECK_OK(gsn_scan_settle(stage.store, &err), err);
     CHECK_OK(gsn_scan_get(stage.store, 1, &scan, &err), err);
     CHECK(strcmp(scan->sha256, digest.hex) == 0 && scan->size == SIZE);
     CHECK(strcmp(scan->source, "flatbed") == 0 && strcmp(scan->name, "x.jpg") == 0);
@@ -191,6 +194,7 @@ static void log_picture(const struct stage *stage, const char *subject, const ch
     int again;
 
     CHECK_OK(gsn_scan_take(stage->store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_settle(stage->store, &err), err);
 }
 
 static int recall_once(const struct stage *stage, struct gsn_error *err)

@@ -197,6 +197,12 @@ static void take_slots(struct gsn_panel_findings *findings, const struct gsn_slo
             section->sighting = GSN_SIGHT_HELD;
         if (slots[i].touching)
             flag(section, "touching");
+        if (slots[i].parted)
+            flag(section, "parted");
+        if (slots[i].found && slots[i].doubtful)
+            section->sighting = GSN_SIGHT_HELD;
+        if (slots[i].doubtful)
+            flag(section, "between-slots");
         if (slots[i].lost > 0)
             flag(section, "over-edge");
     }
@@ -217,6 +223,17 @@ static void note_slots(struct gsn_panel_findings *findings, const struct gsn_slo
                 "line from (%.0f, %.0f) to (%.0f, %.0f) px, or mount them again",
                 s->slot + 1, s->touched + 1, s->cut_px[0].x, s->cut_px[0].y, s->cut_px[1].x,
                 s->cut_px[1].y);
+        if (s->parted && s->touched > s->slot)
+            say(findings,
+                "the sections in slots %u and %u touch and were cut apart along the line from "
+                "(%.0f, %.0f) to (%.0f, %.0f) px",
+                s->slot + 1, s->touched + 1, s->cut_px[0].x, s->cut_px[0].y, s->cut_px[1].x,
+                s->cut_px[1].y);
+        if (s->found && s->doubtful)
+            say(findings,
+                "the section in slot %u lies between slots %u and %u and is held: say which is its "
+                "own",
+                s->slot + 1, s->slot + 1, s->rival + 1);
         if (s->lost > 0)
             say(findings,
                 "the section in slot %u runs over the edge: %.0f %% of its tissue is lost",
@@ -322,14 +339,14 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     if (!slots)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the slots of a panel");
     gsn_progress_say(progress, "splitting", 0, 1);
-    r = gsn_panel_split(scan->total, scan->step, &layout, scan->px_um, slots, &scraps, &scrap_count,
-                        err);
+    r = gsn_panel_split(scan->total, scan->step, &layout, scan->px_um, GSN_SLOT_UNSAID, slots,
+                        &scraps, &scrap_count, err);
     if (r < 0)
         return r;
     take_slots(findings, slots, protocol, number);
     note_slots(findings, slots);
     for (size_t i = 0; i < findings->count; i++)
-        if (slots[i].found && !slots[i].touching)
+        if (slots[i].found && !slots[i].touching && !slots[i].doubtful)
             slots[found++] = slots[i];
     note_label(scan->picture, scraps, scrap_count, findings);
     r = take_scraps(findings, scraps, scrap_count, err);

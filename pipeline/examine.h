@@ -44,7 +44,7 @@ struct gsn_panel_section {
 struct gsn_panel_findings {
     uint32_t width, height;
     double px_um;
-    char note[512]; /* what was assumed or odd on this panel, "; " between */
+    char note[1024]; /* what was assumed or odd on this panel, "; " between */
     char label[64]; /* the text of its code, when that ends in a panel's number ("...-P03") */
     unsigned label_number;  /* that number; 0: no such code was read */
     char label_subject[64]; /* what stands before it: "GVP-D-S01" */

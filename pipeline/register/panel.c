@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/panel.h"
 
-#include "pipeline/register/panel_cut.h"
 #include "pipeline/register/panel_grid.h"
+#include "pipeline/register/panel_units.h"
 #include "pipeline/register/split.h"
 
 #include <assert.h>
@@ -27,9 +27,14 @@ static const double LONGEST = 5;
 static const double SAME_AREA = 1.6;     /* pieces alike within this factor vote for each other */
 static const double SECTION_LEAST = 0.3; /* less is a scrap */
 static const double GRID_LEAST = 0.4;    /* takes part in laying the grid */
-static const double OVERRUN = 0.25;      /* more than this in a second slot: sections touch */
 /* What joins two sections and is thinner than this is no tissue of theirs. */
 static const double THREAD_UM = 250;
+/* A thin thing longer than so many threads is a hair or the edge of a coverslip. */
+static const double HAIR = 5;
+/* Where to cut two sections apart is clear when the neck is narrow, in sizes of a section, and both
+ * have about the area of one: two discs that share a chord of 0.3 of their width dispute a fortieth
+ * of it. */
+static const double NECK = 0.3, PARTED = 0.3;
 /* Share of a section that may lie outside the grid before it counts as lost. */
 static const double LOST_LEAST = 0.02;
 /* In sizes of a section: a smaller piece this near to a section is a part of it. */
@@ -40,30 +45,16 @@ struct cells {
     double um;               /* size of a cell */
 };
 
-/* The part of one piece in one slot, in cells; [x0, x1) by [y0, y1). */
-struct part {
-    size_t area;
-    int x0, y0, x1, y1;
-    double sum_x, sum_y;
-};
-
-/* What is odd about the tissue of one place. */
-struct touch {
-    int is;       /* it runs over into another place */
-    size_t other; /* that one */
-    struct gsn_point cut[2];
-    int beyond; /* much of its piece lies outside the grid, and its box leaves that out */
-};
-
 struct panel {
     struct cells cells;
     struct gsn_components *pieces;
     double section_area; /* cells */
-    struct gsn_panel_axis columns, rows;
-    size_t places;       /* rows * columns; place = row * columns + column */
-    struct part *parts;  /* pieces->count x (places + 1); the last is what lies outside the grid */
-    struct part *held;   /* places: what was given to each */
-    struct touch *touch; /* places */
+    struct gsn_panel_units *units;
+    struct gsn_panel_grid grid;
+    struct gsn_panel_seat *seat; /* of each unit */
+    size_t places;               /* rows * columns */
+    struct gsn_part *held;       /* places: what was given to each */
+    size_t *unit;                /* places: the unit that is its section */
 };
 
 void gsn_panel_place(const struct gsn_layout *layout, unsigned slot, unsigned *ret_row,
@@ -87,6 +78,16 @@ unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn
     assert(panel_number >= 1);
 
     return (panel_number - 1) * layout->rows * layout->columns + slot;
+}
+
+static int place_of(const struct gsn_layout *layout, unsigned slot)
+{
+    unsigned row, column;
+
+    if (slot == GSN_SLOT_UNSAID)
+        return GSN_NO_PLACE;
+    gsn_panel_place(layout, slot, &row, &column);
+    return (int)(row * layout->columns + column);
 }
 
 /* Masked cells and what is brighter than glass count as glass. */
@@ -134,8 +135,8 @@ static double threshold_of(const float *value, size_t count, double *ret_apart)
     return (double)(best + 1) / BINS * DARKEST;
 }
 
-static int find_pieces(const struct gsn_plane *tissue, struct gsn_components **ret_pieces,
-                       struct gsn_error *err)
+static int find_pieces(const struct gsn_plane *tissue, double cell_um,
+                       struct gsn_components **ret_pieces, struct gsn_error *err)
 {
     const size_t count = (size_t)tissue->width * tissue->height;
     gsn_auto_mem(float) value = gsn_alloc(count * sizeof *value);
@@ -149,7 +150,8 @@ static int find_pieces(const struct gsn_plane *tissue, struct gsn_components **r
     threshold = (float)threshold_of(value, count, &apart);
     for (size_t i = 0; i < count; i++)
         mask[i] = apart >= TISSUE_LEAST && value[i] >= threshold;
-    return gsn_split_pieces(mask, (int)tissue->width, (int)tissue->height, ret_pieces, err);
+    return gsn_split_pieces(mask, (int)tissue->width, (int)tissue->height,
+                            (unsigned)(THREAD_UM / cell_um), ret_pieces, err);
 }
 
 static int is_dust(const struct gsn_component *piece, const struct cells *cells)
@@ -188,248 +190,129 @@ static double section_area(const struct gsn_components *pieces, const struct cel
     return area;
 }
 
-/* The centres of the pieces that are one section each, along x or y, in cells. */
-static size_t centres_of(const struct panel *panel, int along_x, double *ret_centre)
+static int is_long(const struct gsn_part *part)
 {
+    const int width = part->x1 - part->x0, height = part->y1 - part->y0;
+
+    return width > LONGEST * height || height > LONGEST * width;
+}
+
+/* A hair, a scratch, the edge of a coverslip. */
+static int is_hair(const struct panel *panel, const struct gsn_panel_unit *unit)
+{
+    const double longest = hypot(unit->part.x1 - unit->part.x0, unit->part.y1 - unit->part.y0);
+
+    return panel->pieces->piece[unit->piece].thin && longest * panel->cells.um > HAIR * THREAD_UM;
+}
+
+static double share_of(const struct panel *panel, const struct gsn_panel_unit *unit)
+{
+    return (double)unit->part.area / panel->section_area;
+}
+
+/* Whether a unit takes part in laying the grid. */
+static int is_candidate(const struct panel *panel, const struct gsn_panel_unit *unit)
+{
+    return share_of(panel, unit) >= GRID_LEAST &&
+           (unit->cut || (share_of(panel, unit) <= SAME_AREA && !is_long(&unit->part)));
+}
+
+/* Lays the grid on all units that look like sections, and gives these their slots. */
+static int lay_grid(struct panel *panel, const struct gsn_layout *layout, int first,
+                    struct gsn_error *err)
+{
+    gsn_auto_mem(unsigned) slot = gsn_alloc_array(panel->places, sizeof *slot);
+    const size_t most = panel->units->count;
+    gsn_auto_mem(struct gsn_point) centre = gsn_alloc_array(most, sizeof *centre);
+    gsn_auto_mem(struct gsn_panel_seat) seat = gsn_alloc_array(most, sizeof *seat);
+    gsn_auto_mem(char) loose = gsn_alloc_array(most, 1);
+    gsn_auto_mem(size_t) of = gsn_alloc_array(most, sizeof *of);
+    const struct gsn_panel_ground ground = { .rows = layout->rows,
+                                             .columns = layout->columns,
+                                             .size = sqrt(panel->section_area),
+                                             .width = panel->cells.width,
+                                             .height = panel->cells.height,
+                                             .slot = slot,
+                                             .loose = loose,
+                                             .first = first };
     size_t count = 0;
+    int r;
 
-    for (size_t i = 0; i < panel->pieces->count; i++) {
-        const struct gsn_component *piece = &panel->pieces->piece[i];
-        const double share = (double)piece->area / panel->section_area;
-
-        if (share >= GRID_LEAST && share <= SAME_AREA && piece->width <= LONGEST * piece->height &&
-            piece->height <= LONGEST * piece->width)
-            ret_centre[count++] = along_x ? piece->cx : piece->cy;
-    }
-    return count;
-}
-
-static int lay_grid(struct panel *panel, const struct gsn_layout *layout, struct gsn_error *err)
-{
-    const double size = sqrt(panel->section_area);
-    gsn_auto_mem(double) centre = gsn_alloc_array(panel->pieces->count, sizeof *centre);
-    int by_x, by_y;
-
-    if (!centre)
+    if (!slot || !centre || !seat || !loose || !of)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    by_x = gsn_panel_axis_fit(centre, centres_of(panel, 1, centre), layout->columns, size,
-                              panel->cells.width, 0, "column", &panel->columns, err);
-    by_y = gsn_panel_axis_fit(centre, centres_of(panel, 0, centre), layout->rows, size,
-                              panel->cells.height, by_x < 0 ? 0 : panel->columns.pitch, "row",
-                              &panel->rows, by_x < 0 ? NULL : err);
-    /* A single column may borrow its pitch from the rows. */
-    if (by_x < 0 && by_y >= 0)
-        by_x = gsn_panel_axis_fit(centre, centres_of(panel, 1, centre), layout->columns, size,
-                                  panel->cells.width, panel->rows.pitch, "column", &panel->columns,
-                                  err);
-    return by_x < 0 ? by_x : by_y;
-}
-
-static void add_to(struct part *sum, const struct part *part)
-{
-    if (part->area == 0)
-        return;
-    if (sum->area == 0) {
-        *sum = *part;
-        return;
-    }
-    sum->area += part->area;
-    sum->sum_x += part->sum_x;
-    sum->sum_y += part->sum_y;
-    sum->x0 = part->x0 < sum->x0 ? part->x0 : sum->x0;
-    sum->y0 = part->y0 < sum->y0 ? part->y0 : sum->y0;
-    sum->x1 = part->x1 > sum->x1 ? part->x1 : sum->x1;
-    sum->y1 = part->y1 > sum->y1 ? part->y1 : sum->y1;
-}
-
-static struct part *part_of(const struct panel *panel, size_t piece, size_t place)
-{
-    return &panel->parts[piece * (panel->places + 1) + place];
-}
-
-/* Adds the part of a run that lies in one column of the grid. */
-static void add_span(struct panel *panel, const struct gsn_piece_run *run, int row, int column,
-                     int x0, int x1)
-{
-    const size_t place =
-        row < 0 || column < 0 ? panel->places : (size_t)row * panel->columns.lines + (size_t)column;
-    const double length = x1 - x0;
-    const struct part span = { .area = (size_t)(x1 - x0),
-                               .x0 = x0,
-                               .y0 = run->y,
-                               .x1 = x1,
-                               .y1 = run->y + 1,
-                               .sum_x = length * 0.5 * (x0 + x1),
-                               .sum_y = length * (run->y + 0.5) };
-
-    add_to(part_of(panel, (size_t)run->piece, place), &span);
-}
-
-/* Cuts every piece along the borders of the slots; column is that of each x. */
-static void cut_pieces(struct panel *panel, const int *column)
-{
-    for (size_t i = 0; i < panel->pieces->run_count; i++) {
-        const struct gsn_piece_run *run = &panel->pieces->run[i];
-        const int row = gsn_panel_axis_line(&panel->rows, run->y + 0.5);
-
-        for (int x = run->x0; x < run->x1;) {
-            int end = x + 1;
-
-            while (end < run->x1 && column[end] == column[x])
-                end++;
-            add_span(panel, run, row, column[x], x, end);
-            x = end;
-        }
-    }
-}
-
-/* The slot that holds most of a piece. */
-static size_t slot_of(const struct panel *panel, size_t piece)
-{
-    size_t most = 0;
-
-    for (size_t place = 1; place < panel->places; place++)
-        if (part_of(panel, piece, place)->area > part_of(panel, piece, most)->area)
-            most = place;
-    return most;
-}
-
-/* Where most of a piece lies; panel->places when outside the grid. */
-static size_t home_of(const struct panel *panel, size_t piece)
-{
-    size_t home = panel->places;
-
-    for (size_t place = 0; place < panel->places; place++) {
-        if (part_of(panel, piece, place)->area > part_of(panel, piece, home)->area)
-            home = place;
-    }
-    return home;
-}
-
-static struct gsn_point centre_of(const struct panel *panel, size_t place)
-{
-    const size_t row = place / panel->columns.lines, column = place % panel->columns.lines;
-
-    return (struct gsn_point){ panel->columns.first + (double)column * panel->columns.pitch,
-                               panel->rows.first + (double)row * panel->rows.pitch };
-}
-
-static int spans(const struct panel *panel, size_t piece, size_t place)
-{
-    return place < panel->places &&
-           (double)part_of(panel, piece, place)->area >= OVERRUN * panel->section_area;
-}
-
-static int are_neighbours(const struct panel *panel, size_t a, size_t b)
-{
-    const size_t columns = panel->columns.lines;
-    const size_t rows =
-        a / columns > b / columns ? a / columns - b / columns : b / columns - a / columns;
-    const size_t along =
-        a % columns > b % columns ? a % columns - b % columns : b % columns - a % columns;
-
-    return a != b && rows <= 1 && along <= 1;
-}
-
-/* Whether a piece that spans a place has grown into a neighbour's, and there most of all. */
-static int look_around(struct panel *panel, size_t piece, size_t place, struct gsn_error *err)
-{
-    struct touch *touch = &panel->touch[place];
-    double widest = THREAD_UM / panel->cells.um;
-
-    for (size_t other = 0; other < panel->places; other++) {
-        const struct gsn_point centre[2] = { centre_of(panel, place < other ? place : other),
-                                             centre_of(panel, place < other ? other : place) };
-        struct gsn_point cut[2];
-        double width = 0;
-        int r;
-
-        if (!are_neighbours(panel, place, other) || !spans(panel, piece, other))
+    for (unsigned i = 0; i < panel->places; i++)
+        slot[place_of(layout, i)] = i;
+    for (size_t i = 0; i < most; i++) {
+        panel->seat[i] = (struct gsn_panel_seat){ GSN_NO_PLACE, GSN_NO_PLACE };
+        if (!is_candidate(panel, &panel->units->unit[i]))
             continue;
-        r = gsn_panel_cut(panel->pieces, piece, centre, cut, &width, err);
-        if (r < 0)
-            return r;
-        if (width < widest)
-            continue;
-        widest = width;
-        *touch = (struct touch){ .is = 1, .other = other, .cut = { cut[0], cut[1] } };
+        centre[count] = gsn_part_centre(&panel->units->unit[i].part);
+        loose[count] = (char)panel->units->unit[i].cut;
+        of[count++] = i;
     }
-    return GSN_OK;
-}
-
-/* A piece that several places share: each keeps its part. A hair or a pen stroke from one to the
- * next is a thread; what is wider has grown together, and where to cut is proposed. */
-static int share_out(struct panel *panel, size_t piece, size_t home, struct gsn_error *err)
-{
-    int r = GSN_OK;
-
-    for (size_t place = 0; place <= panel->places && r >= 0; place++) {
-        const int own = spans(panel, piece, place);
-
-        add_to(&panel->held[own ? place : home], part_of(panel, piece, place));
-        if (own)
-            r = look_around(panel, piece, place, err);
-    }
+    if (count == 0)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "nothing on this panel has the shape of a section: look at the picture");
+    r = gsn_panel_grid_fit(centre, count, &ground, &panel->grid, seat, err);
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        panel->seat[of[i]] = seat[i];
     return r;
 }
 
-/* Gives a piece of section size to its slot, or its parts to theirs when it spans several. Whether
- * it was taken. */
-static int give_section(struct panel *panel, size_t piece, char *ret_taken, struct gsn_error *err)
+static int give(struct panel *panel, size_t unit, int place)
 {
-    const double area = (double)panel->pieces->piece[piece].area;
-    const double least = SECTION_LEAST * panel->section_area;
-    const size_t most = home_of(panel, piece), home = slot_of(panel, piece);
-    size_t large = 0;
-
-    /* A section that lies over a label is in one piece with it, mostly outside the grid. */
-    *ret_taken = (most < panel->places && area >= least) ||
-                 (double)part_of(panel, piece, home)->area >= least;
-    if (!*ret_taken)
-        return GSN_OK;
-    for (size_t place = 0; place < panel->places; place++)
-        large += (size_t)spans(panel, piece, place);
-    if (large > 1)
-        return share_out(panel, piece, home, err);
-    /* What lies beyond the slots is on the label or over the edge of the coverslip; a little of it
-     * is a section that sits askew. */
-    for (size_t place = 0; place <= panel->places; place++) {
-        const struct part *part = part_of(panel, piece, place);
-
-        if (place == panel->places && (double)part->area >= OVERRUN * panel->section_area)
-            panel->touch[home].beyond = 1;
-        else
-            add_to(&panel->held[home], part);
-    }
-    return GSN_OK;
-}
-
-static int is_near(const struct gsn_component *piece, const struct part *held, double reach)
-{
-    return held->area > 0 && piece->x < held->x1 + reach &&
-           piece->x + piece->width > held->x0 - reach && piece->y < held->y1 + reach &&
-           piece->y + piece->height > held->y0 - reach;
-}
-
-/* A piece torn off a section goes with it. */
-static int give_fragment(struct panel *panel, size_t piece)
-{
-    const struct gsn_component *whole = &panel->pieces->piece[piece];
-    const size_t home = home_of(panel, piece);
-    const double reach = NEAR * sqrt(panel->section_area);
-
-    if (home == panel->places || !is_near(whole, &panel->held[home], reach) ||
-        is_dust(whole, &panel->cells))
-        return 0;
-    for (size_t place = 0; place <= panel->places; place++)
-        add_to(&panel->held[home], part_of(panel, piece, place));
+    panel->seat[unit].place = place;
+    panel->unit[place] = unit;
+    gsn_part_add(&panel->held[place], &panel->units->unit[unit].part);
     return 1;
+}
+
+/* What is too small or too odd to tell where the grid is may still be the section of its slot. */
+static void give_section(struct panel *panel, size_t i)
+{
+    const struct gsn_panel_unit *unit = &panel->units->unit[i];
+    int place;
+
+    if (unit->part.area == 0 || panel->seat[i].place != GSN_NO_PLACE || unit->cut ||
+        share_of(panel, unit) < SECTION_LEAST || is_long(&unit->part) || is_hair(panel, unit))
+        return;
+    place = gsn_panel_grid_place(&panel->grid, gsn_part_centre(&unit->part));
+    if (place != GSN_NO_PLACE && panel->held[place].area == 0)
+        (void)give(panel, i, place);
+}
+
+/* A piece torn off a section goes with the nearest. */
+static void give_fragment(struct panel *panel, size_t i)
+{
+    const struct gsn_panel_unit *unit = &panel->units->unit[i];
+    double least = NEAR * sqrt(panel->section_area);
+    int home = GSN_NO_PLACE;
+
+    if (unit->part.area == 0 || panel->seat[i].place != GSN_NO_PLACE || unit->cut ||
+        share_of(panel, unit) >= GRID_LEAST || is_hair(panel, unit) ||
+        is_dust(&panel->pieces->piece[unit->piece], &panel->cells))
+        return;
+    for (size_t place = 0; place < panel->places; place++) {
+        double apart;
+
+        if (panel->held[place].area == 0)
+            continue;
+        apart = gsn_part_distance(&unit->part, &panel->units->unit[panel->unit[place]].part);
+        if (apart < least) {
+            least = apart;
+            home = (int)place;
+        }
+    }
+    if (home == GSN_NO_PLACE)
+        return;
+    panel->seat[i].place = home;
+    gsn_part_add(&panel->held[home], &unit->part);
 }
 
 /* The box of one slot with its margin, kept out of the other half of the way to a neighbour. */
 static void frame(const struct panel *panel, size_t place, double px_um, struct gsn_slot *slot)
 {
-    const struct part *own = &panel->held[place];
+    const struct gsn_part *own = &panel->held[place];
     const int step = panel->cells.step;
     const int right = panel->cells.width * step, bottom = panel->cells.height * step;
     const int margin = (int)(MARGIN_UM / px_um);
@@ -438,7 +321,7 @@ static void frame(const struct panel *panel, size_t place, double px_um, struct 
     int y0 = own->y0 * step - margin, y1 = own->y1 * step + margin;
 
     for (size_t other = 0; other < panel->places; other++) {
-        const struct part *next = &panel->held[other];
+        const struct gsn_part *next = &panel->held[other];
         const int beside = next->y0 - reach < own->y1 + reach && own->y0 - reach < next->y1 + reach;
         const int below = next->x0 - reach < own->x1 + reach && own->x0 - reach < next->x1 + reach;
 
@@ -459,33 +342,53 @@ static void frame(const struct panel *panel, size_t place, double px_um, struct 
     slot->height = (y1 < bottom ? y1 : bottom) - slot->y;
 }
 
-/* What is lost is not seen, or cannot be told from a label: a section that lacks some is taken to
- * have been as large as the others. */
+/* What is lost is not seen, or cannot be told from a label it was cut off from: a section that
+ * lacks some is taken to have been as large as the others. */
 static double lost_of(const struct panel *panel, size_t place)
 {
-    const struct part *held = &panel->held[place];
+    const struct gsn_part *held = &panel->held[place];
+    const struct gsn_panel_unit *unit = &panel->units->unit[panel->unit[place]];
     const int at_border = held->x0 == 0 || held->y0 == 0 || held->x1 == panel->cells.width ||
                           held->y1 == panel->cells.height;
+    const int beyond = unit->cut && panel->seat[unit->beside].place == GSN_NO_PLACE;
     const double lost = 1 - (double)held->area / panel->section_area;
 
-    return (at_border || panel->touch[place].beyond) && lost >= LOST_LEAST ? lost : 0;
+    return (at_border || beyond) && lost >= LOST_LEAST ? lost : 0;
 }
 
-static void describe_touch(const struct panel *panel, const struct gsn_layout *layout, size_t place,
-                           struct gsn_slot *slot)
+static unsigned slot_at(const struct gsn_layout *layout, int place)
 {
-    const struct touch *touch = &panel->touch[place];
-
-    for (unsigned other = 0; other < panel->places; other++) {
+    for (unsigned slot = 0; slot < layout->rows * layout->columns; slot++) {
         unsigned row, column;
 
-        gsn_panel_place(layout, other, &row, &column);
-        if ((size_t)row * layout->columns + column == touch->other)
-            slot->touched = other;
+        gsn_panel_place(layout, slot, &row, &column);
+        if ((int)(row * layout->columns + column) == place)
+            return slot;
     }
+    return 0;
+}
+
+static int is_whole(const struct panel *panel, size_t unit)
+{
+    return fabs(share_of(panel, &panel->units->unit[unit]) - 1) <= PARTED;
+}
+
+/* A section that was cut off from another one. */
+static void describe_cut(const struct panel *panel, const struct gsn_layout *layout, size_t own,
+                         struct gsn_slot *slot)
+{
+    const struct gsn_panel_unit *unit = &panel->units->unit[own];
+    const int beside = panel->seat[unit->beside].place;
+
+    if (!unit->cut || unit->beside == own || beside == GSN_NO_PLACE)
+        return;
+    slot->parted = unit->neck <= NECK * sqrt(panel->section_area) && is_whole(panel, own) &&
+                   is_whole(panel, unit->beside);
+    slot->touching = !slot->parted;
+    slot->touched = slot_at(layout, beside);
     for (int k = 0; k < 2; k++) {
-        slot->cut_px[k].x = touch->cut[k].x * panel->cells.step;
-        slot->cut_px[k].y = touch->cut[k].y * panel->cells.step;
+        slot->cut_px[k].x = unit->end[k].x * panel->cells.step;
+        slot->cut_px[k].y = unit->end[k].y * panel->cells.step;
     }
 }
 
@@ -496,8 +399,9 @@ static void fill_slots(const struct panel *panel, const struct gsn_layout *layou
 
     for (unsigned i = 0; i < panel->places; i++) {
         struct gsn_slot *slot = &ret_slots[i];
-        const struct part *held;
-        size_t place;
+        const struct gsn_part *held;
+        struct gsn_point centre;
+        size_t place, unit;
 
         *slot = (struct gsn_slot){ .slot = i };
         gsn_panel_place(layout, i, &slot->row, &slot->column);
@@ -505,14 +409,15 @@ static void fill_slots(const struct panel *panel, const struct gsn_layout *layou
         held = &panel->held[place];
         if (held->area == 0)
             continue;
+        unit = panel->unit[place];
         slot->found = 1;
-        slot->touching = panel->touch[place].is;
         slot->lost = lost_of(panel, place);
-        if (slot->touching)
-            describe_touch(panel, layout, place, slot);
+        describe_cut(panel, layout, unit, slot);
+        slot->doubtful = panel->seat[unit].other != GSN_NO_PLACE;
+        slot->rival = slot->doubtful ? slot_at(layout, panel->seat[unit].other) : 0;
         slot->area_px = (double)held->area * step * step;
-        slot->centre_px.x = held->sum_x / (double)held->area * step;
-        slot->centre_px.y = held->sum_y / (double)held->area * step;
+        centre = gsn_part_centre(held);
+        slot->centre_px = (struct gsn_point){ centre.x * step, centre.y * step };
         frame(panel, place, px_um, slot);
     }
 }
@@ -526,27 +431,33 @@ static int by_area(const void *a, const void *b)
     return p->y != q->y ? (p->y > q->y) - (p->y < q->y) : (p->x > q->x) - (p->x < q->x);
 }
 
-/* gives: the pieces above dust size that were not taken. */
-static int list_scraps(const struct panel *panel, const char *taken, struct gsn_scrap **ret_scraps,
-                       size_t *ret_count, struct gsn_error *err)
+/* gives: the units above dust size that were not taken; between the slots, no hairs. */
+static int list_scraps(const struct panel *panel, struct gsn_scrap **ret_scraps, size_t *ret_count,
+                       struct gsn_error *err)
 {
     const int step = panel->cells.step;
-    gsn_auto_mem(struct gsn_scrap) scraps = gsn_alloc_array(panel->pieces->count, sizeof *scraps);
+    gsn_auto_mem(struct gsn_scrap) scraps = gsn_alloc_array(panel->units->count, sizeof *scraps);
     size_t count = 0;
 
     if (!scraps)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
-    for (size_t i = 0; i < panel->pieces->count; i++) {
-        const struct gsn_component *p = &panel->pieces->piece[i];
+    for (size_t i = 0; i < panel->units->count; i++) {
+        const struct gsn_panel_unit *unit = &panel->units->unit[i];
+        const struct gsn_part *p = &unit->part;
+        int inside;
 
-        if (taken[i] || is_dust(p, &panel->cells))
+        if (panel->seat[i].place != GSN_NO_PLACE || p->area == 0 ||
+            is_dust(&panel->pieces->piece[unit->piece], &panel->cells))
             continue;
-        scraps[count++] = (struct gsn_scrap){ .x = p->x * step,
-                                              .y = p->y * step,
-                                              .width = p->width * step,
-                                              .height = p->height * step,
+        inside = gsn_panel_grid_place(&panel->grid, gsn_part_centre(p)) != GSN_NO_PLACE;
+        if (inside && is_hair(panel, unit))
+            continue;
+        scraps[count++] = (struct gsn_scrap){ .x = p->x0 * step,
+                                              .y = p->y0 * step,
+                                              .width = (p->x1 - p->x0) * step,
+                                              .height = (p->y1 - p->y0) * step,
                                               .area_px = (double)p->area * step * step,
-                                              .inside_grid = home_of(panel, i) < panel->places };
+                                              .inside_grid = inside };
     }
     if (count > 0)
         qsort(scraps, count, sizeof *scraps, by_area);
@@ -555,36 +466,46 @@ static int list_scraps(const struct panel *panel, const char *taken, struct gsn_
     return GSN_OK;
 }
 
-/* Everything after the grid is known. */
-static int deal_out(struct panel *panel, const struct gsn_layout *layout, double px_um,
-                    struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
-                    size_t *ret_scrap_count, struct gsn_error *err)
+static void deal_out(struct panel *panel)
 {
-    const size_t pieces = panel->pieces->count;
-    gsn_auto_mem(struct part) parts = gsn_alloc_array(pieces * (panel->places + 1), sizeof *parts);
-    gsn_auto_mem(struct part) held = gsn_alloc_array(panel->places, sizeof *held);
-    gsn_auto_mem(struct touch) touch = gsn_alloc_array(panel->places, sizeof *touch);
-    gsn_auto_mem(int) column = gsn_alloc_array((size_t)panel->cells.width, sizeof *column);
-    gsn_auto_mem(char) taken = gsn_alloc_array(pieces, 1);
+    for (size_t i = 0; i < panel->units->count; i++)
+        if (panel->seat[i].place != GSN_NO_PLACE)
+            (void)give(panel, i, panel->seat[i].place);
+    for (size_t i = 0; i < panel->units->count; i++)
+        give_section(panel, i);
+    for (size_t i = 0; i < panel->units->count; i++)
+        give_fragment(panel, i);
+}
+
+/* Everything after the pieces are known. */
+static int find_sections(struct panel *panel, const struct gsn_layout *layout, double px_um,
+                         int first, struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
+                         size_t *ret_scrap_count, struct gsn_error *err)
+{
+    gsn_auto(gsn_panel_units) units = NULL;
+    gsn_auto_mem(struct gsn_panel_seat) seat = NULL;
+    gsn_auto_mem(struct gsn_part) held = gsn_alloc_array(panel->places, sizeof *held);
+    gsn_auto_mem(size_t) unit = gsn_alloc_array(panel->places, sizeof *unit);
     gsn_auto_mem(struct gsn_scrap) scraps = NULL;
     size_t scrap_count = 0;
-    int r;
+    int r = gsn_panel_units_find(panel->pieces, panel->section_area, SAME_AREA,
+                                 NEAR * sqrt(panel->section_area), &units, err);
 
-    if (!parts || !held || !touch || !column || !taken)
+    if (r < 0)
+        return r;
+    seat = gsn_alloc_array(units->count, sizeof *seat);
+    if (!seat || !held || !unit)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
-    panel->parts = parts;
+    panel->units = units;
+    panel->seat = seat;
     panel->held = held;
-    panel->touch = touch;
-    for (int x = 0; x < panel->cells.width; x++)
-        column[x] = gsn_panel_axis_line(&panel->columns, x + 0.5);
-    cut_pieces(panel, column);
-    for (size_t i = 0; i < pieces; i++)
-        if ((r = give_section(panel, i, &taken[i], err)) < 0)
-            return r;
-    for (size_t i = 0; i < pieces; i++)
-        taken[i] = (char)(taken[i] || give_fragment(panel, i));
+    panel->unit = unit;
+    r = lay_grid(panel, layout, first, err);
+    if (r < 0)
+        return r;
+    deal_out(panel);
     if (ret_scraps && ret_scrap_count) {
-        r = list_scraps(panel, taken, &scraps, &scrap_count, err);
+        r = list_scraps(panel, &scraps, &scrap_count, err);
         if (r < 0)
             return r;
         *ret_scraps = gsn_steal(&scraps);
@@ -603,8 +524,8 @@ static void leave_empty(const struct gsn_layout *layout, struct gsn_slot *ret_sl
 }
 
 int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct gsn_layout *layout,
-                    double px_um, struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
-                    size_t *ret_scrap_count, struct gsn_error *err)
+                    double px_um, unsigned first, struct gsn_slot *ret_slots,
+                    struct gsn_scrap **ret_scraps, size_t *ret_scrap_count, struct gsn_error *err)
 {
     gsn_auto(gsn_components) pieces = NULL;
     struct panel panel = { 0 };
@@ -612,6 +533,7 @@ int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct 
 
     assert(tissue && tissue->width > 0 && tissue->height > 0 && step > 0);
     assert(layout && layout->rows > 0 && layout->columns > 0 && ret_slots);
+    assert(first == GSN_SLOT_UNSAID || first < layout->rows * layout->columns);
 
     if (!(px_um > 0 && isfinite(px_um)))
         return gsn_fail(err, GSN_E_INPUT, "a pixel of %g um: the panel cannot be split", px_um);
@@ -619,7 +541,7 @@ int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct 
                                   .height = (int)tissue->height,
                                   .step = (int)step,
                                   .um = px_um * step };
-    r = find_pieces(tissue, &pieces, err);
+    r = find_pieces(tissue, panel.cells.um, &pieces, err);
     if (r < 0)
         return r;
     panel.pieces = pieces;
@@ -629,8 +551,6 @@ int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct 
         leave_empty(layout, ret_slots);
         return GSN_OK;
     }
-    r = lay_grid(&panel, layout, err);
-    if (r < 0)
-        return r;
-    return deal_out(&panel, layout, px_um, ret_slots, ret_scraps, ret_scrap_count, err);
+    return find_sections(&panel, layout, px_um, place_of(layout, first), ret_slots, ret_scraps,
+                         ret_scrap_count, err);
 }

@@ -3,16 +3,18 @@
 /* Which piece of a scanned panel is which section.
  *
  * The slots of a panel form a regular grid, declared by the protocol as rows, columns and the order
- * of mounting; the grid's place and pitch are estimated from the tissue found, so that a label
- * strip beside it and lost sections do no harm. Lengths and boxes are in panel pixels, x right and
- * y down. An empty slot stays empty: sections are never moved up (a closed gap costs 9.6 % of
- * volume). */
+ * of mounting; the grid's place, pitch and turn are estimated from the tissue found
+ * (panel_grid.h), so that a label strip beside it and lost sections do no harm. Lengths and boxes
+ * are in panel pixels, x right and y down. An empty slot stays empty: sections are never moved up
+ * (a closed gap costs 9.6 % of volume). */
 #ifndef GSN_REGISTER_PANEL_H
 #define GSN_REGISTER_PANEL_H
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/geom.h"
 #include "pipeline/core/image.h"
+
+#include <limits.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -30,11 +32,15 @@ struct gsn_slot {
     unsigned slot;        /* 0-based, in the order of mounting */
     unsigned row, column; /* 0-based */
     int found;            /* 0: the slot is empty and everything below is 0 */
-    int touching;         /* the tissue runs over into another slot; the box ends at the border */
-    unsigned touched;     /* that slot, where touching; else 0 */
-    struct gsn_point cut_px[2]; /* where touching: ends of the line to cut along, else 0 */
-    double lost; /* share of the tissue that lies beyond the slots (over the label or the
-                    frame) or off the picture; 0 when it is whole */
+    int touching;         /* grown together with another section, and where to cut is doubtful */
+    int parted;           /* cut off from another section at a narrow neck */
+    unsigned touched;     /* that slot, where touching or parted; else 0 */
+    struct gsn_point
+        cut_px[2];  /* where touching or parted: ends of the line to cut along, else 0 */
+    int doubtful;   /* it lies between two slots */
+    unsigned rival; /* the other of them, where doubtful; else 0 */
+    double lost;    /* share of the tissue that lies beyond the slots (over the label or the
+                       frame) or off the picture; 0 when it is whole */
     int x, y, width, height; /* box around the tissue with a margin of up to 150 um, inside the
                                 panel and never beyond half the way to a neighbour's tissue */
     double area_px;
@@ -59,13 +65,17 @@ unsigned gsn_panel_serial(unsigned panel_number, unsigned slot, const struct gsn
  *
  * tissue is the panel in cells of step x step of its pixels, px_um the size of such a pixel
  * (panel_reduce.h): the sum of the optical densities of the three channels or their like, about 0
- * on glass; NaN counts as glass. ret_slots receives rows * columns entries, ordered by slot.
+ * on glass; NaN counts as glass. first: the slot of the section nearest to the top left, reading
+ * row by row, where a person has said so; GSN_SLOT_UNSAID else. ret_slots receives rows * columns
+ * entries, ordered by slot.
  * gives: ret_scraps, largest first (NULL when there are none); both it and ret_scrap_count may be
- * NULL. Glass and dust alone leave every slot empty. Fails with GSN_E_INPUT when the grid cannot be
- * told from the pieces present (the sentence says why), GSN_E_NOMEM. */
+ * NULL. Glass and dust alone leave every slot empty. Fails with GSN_E_WITHHELD when
+ * the grid cannot be told from the pieces present (the sentence names the two best), GSN_E_INPUT
+ * when the layout has no room for them, GSN_E_NOMEM. */
+#define GSN_SLOT_UNSAID UINT_MAX
 int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct gsn_layout *layout,
-                    double px_um, struct gsn_slot *ret_slots, struct gsn_scrap **ret_scraps,
-                    size_t *ret_scrap_count, struct gsn_error *err);
+                    double px_um, unsigned first, struct gsn_slot *ret_slots,
+                    struct gsn_scrap **ret_scraps, size_t *ret_scrap_count, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -55,6 +55,20 @@ static void shrink(const struct framed *from, uint8_t *restrict to)
     }
 }
 
+/* As shrink(), with the diagonal neighbours too; the frame counts as outside. */
+static void shrink_square(const struct framed *from, uint8_t *restrict to)
+{
+    const size_t w = from->width;
+
+    for (size_t y = 1; y + 1 < from->height; y++) {
+        const uint8_t *c = from->cell + y * w;
+
+        for (size_t x = 1; x + 1 < w; x++)
+            to[y * w + x] = c[x] & c[x - 1] & c[x + 1] & c[x - w] & c[x + w] & c[x - w - 1] &
+                            c[x - w + 1] & c[x + w - 1] & c[x + w + 1];
+    }
+}
+
 static size_t count_runs(const struct framed *mask)
 {
     size_t count = 0;
@@ -169,12 +183,90 @@ static int find_pieces(const struct framed *mask, int height, struct gsn_compone
     return GSN_OK;
 }
 
-int gsn_split_pieces(const uint8_t *mask, int width, int height, struct gsn_components **ret_pieces,
-                     struct gsn_error *err)
+static void swap(uint8_t **a, uint8_t **b)
+{
+    uint8_t *const kept = *a;
+
+    *a = *b;
+    *b = kept;
+}
+
+/* The cells of mask that are wider than a thread, and two more around them, which gives back the
+ * outline; in wide. Squares and crosses in turn wear a mask down as an octagon does, so a thread
+ * counts the same whichever way it runs. */
+static void widen(const struct framed *mask, unsigned thread, uint8_t **wide, uint8_t **spare)
+{
+    const size_t cells = mask->width * mask->height;
+    const unsigned turns = (thread + 1) / 2;
+    struct framed now = *mask;
+
+    for (unsigned i = 0; i < turns; i++) {
+        memset(*spare, 0, cells);
+        (i % 2 ? shrink_square : shrink)(&now, *spare);
+        swap(wide, spare);
+        now.cell = *wide;
+    }
+    for (unsigned i = 0; i < turns + 2; i++) {
+        memset(*spare, 0, cells);
+        grow(&now, *spare);
+        for (size_t k = 0; k < cells; k++)
+            (*spare)[k] &= mask->cell[k];
+        swap(wide, spare);
+        now.cell = *wide;
+    }
+}
+
+/* Marks the pieces of the mask that have no wide place. */
+static void mark_thin(struct gsn_components *pieces, const struct framed *mask, const uint8_t *wide)
+{
+    for (size_t i = 0; i < pieces->count; i++)
+        pieces->piece[i].thin = 1;
+    for (size_t i = 0; i < pieces->run_count; i++) {
+        const struct gsn_piece_run *run = &pieces->run[i];
+        const uint8_t *row = wide + (size_t)(run->y + FRAME) * mask->width + FRAME;
+
+        if (memchr(row + run->x0, 1, (size_t)(run->x1 - run->x0)))
+            pieces->piece[run->piece].thin = 0;
+    }
+}
+
+/* Takes the threads out of the mask that hang on something wide. */
+static int cut_threads(struct framed *mask, int height, unsigned thread,
+                       struct gsn_components **pieces, struct gsn_error *err)
+{
+    const size_t cells = mask->width * mask->height;
+    gsn_auto_mem(uint8_t) wide = gsn_alloc(cells);
+    gsn_auto_mem(uint8_t) spare = gsn_alloc(cells);
+    int r;
+
+    if (!wide || !spare)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
+    memcpy(wide, mask->cell, cells);
+    widen(mask, thread, &wide, &spare);
+    mark_thin(*pieces, mask, wide);
+    for (size_t i = 0; i < (*pieces)->run_count; i++) {
+        const struct gsn_piece_run *run = &(*pieces)->run[i];
+        const size_t at = (size_t)(run->y + FRAME) * mask->width + FRAME + (size_t)run->x0;
+
+        if (!(*pieces)->piece[run->piece].thin)
+            memcpy(mask->cell + at, wide + at, (size_t)(run->x1 - run->x0));
+    }
+    gsn_components_free(*pieces);
+    *pieces = NULL;
+    r = find_pieces(mask, height, pieces, err);
+    if (r >= 0)
+        mark_thin(*pieces, mask, wide);
+    return r;
+}
+
+int gsn_split_pieces(const uint8_t *mask, int width, int height, unsigned thread,
+                     struct gsn_components **ret_pieces, struct gsn_error *err)
 {
     struct framed framed;
     gsn_auto_mem(uint8_t) one = NULL;
     gsn_auto_mem(uint8_t) other = NULL;
+    gsn_auto(gsn_components) pieces = NULL;
+    int r;
 
     assert(mask && width > 0 && height > 0 && ret_pieces);
 
@@ -188,5 +280,11 @@ int gsn_split_pieces(const uint8_t *mask, int width, int height, struct gsn_comp
     framed.cell = other;
     shrink(&framed, one);
     framed.cell = one;
-    return find_pieces(&framed, height, ret_pieces, err);
+    r = find_pieces(&framed, height, &pieces, err);
+    if (r >= 0 && thread > 0)
+        r = cut_threads(&framed, height, thread, &pieces, err);
+    if (r < 0)
+        return r;
+    *ret_pieces = gsn_steal(&pieces);
+    return GSN_OK;
 }

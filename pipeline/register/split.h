@@ -17,6 +17,7 @@ struct gsn_component {
     int x, y, width, height; /* box */
     size_t area;             /* cells */
     double cx, cy;           /* centre of area, cell centres at +0.5 */
+    int thin;                /* no place of it is wider than a thread */
 };
 
 /* Cells [x0, x1) of row y, all of one piece. */
@@ -37,10 +38,13 @@ GSN_DEFINE_AUTO(gsn_components);
 
 /* Closes gaps of up to two cells, then separates what touches in none of the 8 directions.
  *
- * mask holds width * height bytes, rows from top to bottom, 0 outside and 1 inside.
+ * mask holds width * height bytes, rows from top to bottom, 0 outside and 1 inside. thread: what
+ * is at most so many cells wide joins nothing: where a hair or the edge of a coverslip runs from
+ * one thing to the next, it is left out between them; a thing that is that thin all over is a piece
+ * of its own and marked so. 0 keeps everything together.
  * gives: pieces, in the order in which their first cells come. Fails with GSN_E_NOMEM. */
-int gsn_split_pieces(const uint8_t *mask, int width, int height, struct gsn_components **ret_pieces,
-                     struct gsn_error *err);
+int gsn_split_pieces(const uint8_t *mask, int width, int height, unsigned thread,
+                     struct gsn_components **ret_pieces, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -5,9 +5,13 @@
 #include "pipeline/register/panel.h"
 #include "pipeline/stain/absorb.h"
 
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
+
+/* Half of a slot's width, and a tenth of it for sections that do not lie in its middle. */
+static const double SHARE = 0.6;
 
 struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
 {
@@ -81,7 +85,9 @@ static int choose_marks(struct gsn_panel_section *section,
     gsn_markers_choose(candidates, prior, section->mark, &mirrored, &score, &runner_up);
     for (size_t i = 0; i < GSN_MARKS; i++)
         found += section->mark[i].found;
-    section->sighting = found == GSN_MARKS ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
+    /* What has grown together is held, whatever its marks. */
+    if (section->sighting != GSN_SIGHT_HELD)
+        section->sighting = found == GSN_MARKS ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
     if (found == 2)
         flag(section, mirrored ? "two-marks mirrored" : "two-marks");
     else if (found < 2)
@@ -95,7 +101,32 @@ static void shift(struct gsn_point *point, const struct gsn_slot *slot)
     point->y += slot->y;
 }
 
-/* Red density is worked out inside the section's box alone. */
+/* Where the marks of a section are looked for: in its box; of one that has grown together with
+ * another, whose box ends at a border that its own tissue may cross, and of one that a line of ink
+ * or glass ties to others, in what is its share of the panel. */
+static struct gsn_slot search_window(const struct gsn_scan *scan,
+                                     const struct gsn_protocol *protocol,
+                                     const struct gsn_slot *slot)
+{
+    const struct gsn_image *image = scan->picture->image;
+    const double reach_x = SHARE * image->width / protocol->columns;
+    const double reach_y = SHARE * image->height / protocol->rows;
+    const int x0 = (int)fmax(slot->centre_px.x - reach_x, slot->touching ? 0 : slot->x);
+    const int y0 = (int)fmax(slot->centre_px.y - reach_y, slot->touching ? 0 : slot->y);
+    const double x1 = fmin(slot->centre_px.x + reach_x,
+                           slot->touching ? (double)image->width : slot->x + slot->width);
+    const double y1 = fmin(slot->centre_px.y + reach_y,
+                           slot->touching ? (double)image->height : slot->y + slot->height);
+    struct gsn_slot window = *slot;
+
+    window.x = x0;
+    window.y = y0;
+    window.width = (int)x1 - x0;
+    window.height = (int)y1 - y0;
+    return window;
+}
+
+/* Red density is worked out inside the section's window alone. */
 static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *slot,
                            struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
 {
@@ -115,6 +146,7 @@ static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *s
     if (r < 0)
         return r;
     shift(&ret_candidates->tissue_px, slot);
+    shift(&ret_candidates->map.origin, slot);
     for (size_t i = 0; i < ret_candidates->count; i++)
         shift(&ret_candidates->mark[i].px, slot);
     return GSN_OK;
@@ -122,6 +154,7 @@ static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *s
 
 struct search {
     const struct gsn_scan *scan;
+    const struct gsn_protocol *protocol;
     const struct gsn_slot *slots;           /* those with tissue */
     struct gsn_mark_candidates *candidates; /* one for each */
 };
@@ -130,7 +163,8 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
 {
     const struct search *search = context;
     const struct gsn_slot *slot = &search->slots[index];
-    const int r = find_candidates(search->scan, slot, &search->candidates[index], err);
+    const struct gsn_slot window = search_window(search->scan, search->protocol, slot);
+    const int r = find_candidates(search->scan, &window, &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
@@ -143,7 +177,7 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
 {
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
-    struct search search = { scan, found, candidates };
+    struct search search = { scan, protocol, found, candidates };
     struct gsn_triangle_prior prior;
     size_t mirrored = 0;
     int r;
@@ -329,7 +363,7 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     take_slots(findings, slots, protocol, number);
     note_slots(findings, slots);
     for (size_t i = 0; i < findings->count; i++)
-        if (slots[i].found && !slots[i].touching)
+        if (slots[i].found)
             slots[found++] = slots[i];
     note_label(scan->picture, scraps, scrap_count, findings);
     r = take_scraps(findings, scraps, scrap_count, err);

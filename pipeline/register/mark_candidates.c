@@ -3,6 +3,7 @@
 
 #include "pipeline/register/mark_field.h"
 #include "pipeline/register/mark_fit.h"
+#include "pipeline/register/mark_map.h"
 
 #include <assert.h>
 #include <math.h>
@@ -105,6 +106,7 @@ static int search(const struct gsn_plane *plane, const struct gsn_slot *slot,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = values;
     reduce(plane, slot, step, &field);
+    gsn_mark_map_take(&field, &candidates->map);
     r = gsn_mark_field_spots(&field, candidates->px_um, GSN_MARK_CANDIDATES, spots, &count, err);
     return r < 0 ? r : measure_spots(plane, spots, count, candidates, err);
 }

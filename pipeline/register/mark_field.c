@@ -16,6 +16,9 @@ static const double VARIANCE[LEVELS] = { 1, 5, 21, 85 };
 static const double THIRD_RUNG = 6.2;
 /* Half of what a disc of the best radius answers, of its contrast. */
 static const double RESPONSE = 0.25;
+/* A peak this many times sharper across than along is part of a line: a hair, ink, an edge of
+ * glass. A mark that such a line touches stays below. */
+static const double LINE = 6;
 
 size_t gsn_mark_field_step(double px_um)
 {
@@ -101,6 +104,22 @@ static int is_peak(const struct ladder *ladder, size_t at, size_t rung)
     return 1;
 }
 
+/* Whether a peak is a ridge: by the second differences of its surroundings, whose determinant is
+ * small beside the square of their trace. */
+static int is_ridge(const struct ladder *ladder, size_t at, size_t rung)
+{
+    const size_t width = ladder->field->width;
+    const double own = answer_at(ladder, at, rung);
+    const double xx = answer_at(ladder, at - 1, rung) - 2 * own + answer_at(ladder, at + 1, rung);
+    const double yy =
+        answer_at(ladder, at - width, rung) - 2 * own + answer_at(ladder, at + width, rung);
+    const double xy =
+        0.25 * (answer_at(ladder, at - width - 1, rung) - answer_at(ladder, at - width + 1, rung) -
+                answer_at(ladder, at + width - 1, rung) + answer_at(ladder, at + width + 1, rung));
+
+    return (xx + yy) * (xx + yy) * LINE > (1 + LINE) * (1 + LINE) * (xx * yy - xy * xy);
+}
+
 /* How far a peak lies from its cell's centre, cells, by the parabola through three answers. */
 static double offset(double before, double at, double after)
 {
@@ -184,7 +203,8 @@ static size_t find_spots(const struct ladder *ladder, struct gsn_mark *ret_spots
             for (size_t at = y * width + 1; at < y * width + width - 1; at++) {
                 struct gsn_mark spot;
 
-                if (near[at] - far[at] < least || !is_peak(ladder, at, rung))
+                if (near[at] - far[at] < least || !is_peak(ladder, at, rung) ||
+                    is_ridge(ladder, at, rung))
                     continue;
                 spot = disc_at(ladder, at, rung);
                 if (spot.contrast >= gsn_mark_contrast_least)

@@ -11,12 +11,17 @@
 /* What the stack has taught of that is believed for nine sections in ten, and never to less than
  * this share of the triangle's size, or a pixel: the tenth may be torn. */
 static const double ORDINARY = 0.9, STRETCH_LEAST = 0.004;
+/* A section swells or shrinks as a whole by this much more than it loses its shape. */
+static const double SIZE = 1.5;
 /* A tear or a fold moves a mark by some tenths of the triangle's size: one section in a hundred,
- * and this many times the stretch of the others. Believed only of spots that look like marks. */
-static const double TORN = 6, TORN_SHARE = 0.01;
-/* Burns of one stack differ by a quarter at most in contrast and radius, two standard deviations; a
- * spot that is less alike than four of them, both together, is as good as any other. */
-static const double ALIKE = 0.125, UNLIKE_MOST = 4, ALIKE_MOST = 2;
+ * and this many times the stretch of the others. Believed only of spots that look like marks; of
+ * two, hardly, since other sides of the triangle are as long. */
+static const double TORN = 6, TORN_PAIR = 1.5, TORN_SHARE = 0.01;
+/* Burns of one stack differ by a third at most in contrast and radius, two standard deviations; of
+ * a spot that is less alike (-2 ln of its likelihood), looks say nothing more. */
+static const double ALIKE = 0.15, UNLIKE_MOST = 4, ALIKE_MOST = 3;
+/* Share of the picture that the fit of a mark explains, and what is lost when dirt touches it. */
+static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
 /* The picture's cells go together in patches; so many are witnesses of their own. */
 static const double WITNESSES = 20;
 /* The tissue's centre moves when a piece is lost. */
@@ -112,10 +117,15 @@ int gsn_mark_acceptable(const struct gsn_mark_candidates *section, size_t i,
 static double unlike(const struct gsn_mark *mark, double px_um,
                      const struct gsn_triangle_prior *prior)
 {
-    const double contrast = log(strength(mark) / prior->contrast) / ALIKE;
+    const double contrast = log(mark->contrast / prior->contrast) / ALIKE;
     const double radius = log(mark->radius_px * px_um / prior->radius_um) / ALIKE;
 
     return fmin(0.5 * (contrast * contrast + radius * radius), UNLIKE_MOST);
+}
+
+static double dirt(const struct gsn_mark *mark)
+{
+    return pow(fmax(EXPLAINED - mark->score, 0) / EXPLAINED_SD, 2);
 }
 
 static double looks(const struct gsn_mark_candidates *section,
@@ -130,18 +140,18 @@ static double looks(const struct gsn_mark_candidates *section,
         if (choice->candidate[i] < 0)
             continue;
         mark = &section->mark[choice->candidate[i]];
-        sum += prior->learnt ? unlike(mark, section->px_um, prior)
+        sum += prior->learnt ? fmin(unlike(mark, section->px_um, prior) + dirt(mark), UNLIKE_MOST)
                              : 2 * fmax(1 - strength(mark) / third, 0);
     }
     return sum;
 }
 
-/* Whether all three look as the stack's marks do. */
+/* Whether all of them look as the stack's marks do. */
 static int alike(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
                  const struct choice *choice)
 {
     for (int i = 0; i < GSN_MARKS; i++)
-        if (!prior->learnt || choice->candidate[i] < 0 ||
+        if (choice->candidate[i] >= 0 &&
             unlike(&section->mark[choice->candidate[i]], section->px_um, prior) > ALIKE_MOST)
             return 0;
     return 1;
@@ -168,10 +178,15 @@ static void weigh(const struct gsn_mark_candidates *section, const struct gsn_tr
                   double chi2, struct choice *choice)
 {
     const double beauty = exp(-0.5 * looks(section, prior, choice));
-    const double allowed = alike(section, prior, choice) ? TORN : 1;
+    const int pair =
+        choice->candidate[0] < 0 || choice->candidate[1] < 0 || choice->candidate[2] < 0;
+    const int marks = prior->learnt && alike(section, prior, choice);
+    const double allowed = !marks ? 1 : pair ? TORN_PAIR : TORN;
 
     choice->likelihood = fitting(section, prior, chi2) * beauty;
     choice->trusted = exp(-0.5 * chi2 / (allowed * allowed)) * beauty >= LIKELIHOOD_LEAST;
+    if (pair && !marks)
+        choice->trusted = 0;
 }
 
 /* Whether a choice would lay the section's tissue where none can be: it is made of a neighbour's
@@ -191,6 +206,13 @@ static int far_off(const struct gsn_mark_candidates *section,
            fmax(fmax(quarter, size_of(prior->mark_um)), 6 * prior->tissue_sd_um);
 }
 
+/* How far three marks lie off, root mean square, because all of the section is larger or smaller;
+ * 0 for two. */
+static double size_misfit(const struct gsn_point *from, const struct gsn_point *onto, size_t count)
+{
+    return count == GSN_MARKS ? fabs(size_of(from) - size_of(onto)) : 0;
+}
+
 /* Lays the marks of a choice on the prior's; ret_chi2 is the misfit in tolerances. */
 static int lay(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
                const struct choice *choice, struct gsn_rigid *ret_motion, double *ret_chi2)
@@ -198,7 +220,7 @@ static int lay(const struct gsn_mark_candidates *section, const struct gsn_trian
     struct gsn_point from[GSN_MARKS], onto[GSN_MARKS];
     const double sd = tolerance(prior, section->px_um);
     size_t count = 0;
-    double rms;
+    double rms, size;
 
     for (int i = 0; i < GSN_MARKS; i++) {
         if (choice->candidate[i] < 0)
@@ -209,7 +231,8 @@ static int lay(const struct gsn_mark_candidates *section, const struct gsn_trian
     }
     if (gsn_rigid_fit(from, onto, NULL, count, ret_motion, &rms, NULL) < 0)
         return 0;
-    *ret_chi2 = (double)count * rms * rms / (sd * sd);
+    size = size_misfit(from, onto, count);
+    *ret_chi2 = (double)count * (rms * rms - size * size * (1 - 1 / (SIZE * SIZE))) / (sd * sd);
     return 1;
 }
 

@@ -10,7 +10,7 @@
 #include <assert.h>
 #include <math.h>
 
-enum { FEWEST_SECTIONS = 3 };
+enum { FEWEST_SECTIONS = 3, ROUNDS = 2 };
 
 /* A misfit that one section in a thousand exceeds, over the median one: chi-squared of 3 degrees of
  * freedom, 16.3 and 2.4; three standard deviations are let in, so a third of its root does. The
@@ -77,17 +77,14 @@ static void learn_numbers(double *value, size_t count, size_t n, struct gsn_tria
                                scatter(value + TISSUE_Y * count, n, prior->tissue_um.y));
 }
 
-int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
-                      struct gsn_triangle_prior *prior, struct gsn_error *err)
+/* One round: from what is known before it to what the sections then say. */
+static int learn(const struct gsn_mark_candidates *sections, size_t count,
+                 struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
     gsn_auto_mem(double) value = gsn_alloc_array(count * KINDS, sizeof *value);
     gsn_auto_mem(struct gsn_rigid) motion = gsn_alloc_array(count, sizeof *motion);
     gsn_auto_mem(int) clear = gsn_alloc_array(2 * count, sizeof *clear);
-    struct gsn_triangle_prior learnt;
     size_t n = 0;
-    int r;
-
-    assert((sections || count == 0) && prior);
 
     if (!value || !motion || !clear)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while learning what a mark looks like");
@@ -95,21 +92,32 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
         double found[KINDS];
 
         clear[i] = gather(&sections[i], prior, found, &motion[i], &clear[count + i]);
-        if (!clear[i])
-            continue;
-        for (size_t k = 0; k < KINDS; k++)
+        for (size_t k = 0; clear[i] && k < KINDS; k++)
             value[k * count + n] = found[k];
-        n++;
+        n += (size_t)clear[i];
     }
     if (n < FEWEST_SECTIONS)
         return GSN_OK;
+    learn_numbers(value, count, n, prior);
+    prior->learnt = 1;
+    return gsn_mark_map_mean(sections, motion, clear + count, clear, count, prior->tissue_um,
+                             &prior->tissue, err);
+}
+
+int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
+                      struct gsn_triangle_prior *prior, struct gsn_error *err)
+{
+    struct gsn_triangle_prior learnt;
+    int r = GSN_OK;
+
+    assert((sections || count == 0) && prior);
+
     learnt = *prior;
-    learn_numbers(value, count, n, &learnt);
-    r = gsn_mark_map_mean(sections, motion, clear + count, clear, count, learnt.tissue_um,
-                          &learnt.tissue, err);
+    /* What the first round took for marks by the triangle alone, the second holds against looks. */
+    for (int round = 0; round < ROUNDS && r >= 0; round++)
+        r = learn(sections, count, &learnt, err);
     if (r < 0)
         return r;
-    learnt.learnt = 1;
     *prior = learnt;
     return GSN_OK;
 }

@@ -35,6 +35,11 @@ class Truth:
         self.column = {int(m["marker"]): m["block_um"] for m in self.data["markers"]}
         self.section = {int(r["k"]): r for r in rows_of(self.folder / "sections.csv")}
         self.mark = {k: {} for k in self.section}
+        files = self.folder / "files.csv"
+        # What no file shows whole, nobody can find.
+        shown = {r["panel"] for r in rows_of(files) if float(r["kept"]) == 1} \
+            if files.is_file() else {r["panel"] for r in self.section.values()}
+        self.delivered = {k for k, r in self.section.items() if r["panel"] in shown}
         for row in rows_of(self.folder / "markers.csv"):
             self.mark[int(row["k"])][int(row["marker"])] = (
                 float(row["x_px"]), float(row["y_px"]), row["visible"] == "1", row["occluded_by"])
@@ -146,7 +151,7 @@ def judge(report, truth, level, verbose=False, say=print):
     out = {"visible": 0, "found": 0, "false": 0, "misnumbered": 0, "accepted": 0, "off_um": [],
            "way": 0, "place": 0, "clean": 0, "flagged": 0, "silent": 0,
            "error": [], "floor": [], "doubtful": [], "doubtful_floor": []}
-    for k in sorted(truth.section):
+    for k in sorted(truth.delivered):
         section = sections.get(k) or {
             "state": "absent", "flags": [], "markers_px": [None] * 3, "flipped": False,
             "rotated180": False, "panel_to_block_um": None}

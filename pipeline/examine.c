@@ -2,6 +2,7 @@
 #include "pipeline/examine.h"
 
 #include "pipeline/core/parallel.h"
+#include "pipeline/register/median.h"
 #include "pipeline/register/panel.h"
 #include "pipeline/stain/absorb.h"
 
@@ -12,6 +13,10 @@
 
 /* Half of a slot's width, and a tenth of it for sections that do not lie in its middle. */
 static const double SHARE = 0.6;
+/* Half of the longer side of a section's box, and room for its turning and for a centre that is
+ * off.
+ */
+static const double REACH = 0.65;
 
 struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
 {
@@ -101,28 +106,30 @@ static void shift(struct gsn_point *point, const struct gsn_slot *slot)
     point->y += slot->y;
 }
 
-/* Where the marks of a section are looked for: in its box; of one that has grown together with
- * another, whose box ends at a border that its own tissue may cross, and of one that a line of ink
- * or glass ties to others, in what is its share of the panel. */
+/* The longer side of the typical section's box, px. */
+static double typical_side(const struct gsn_slot *slots, size_t count, double *scratch)
+{
+    for (size_t i = 0; i < count; i++)
+        scratch[i] = slots[i].width > slots[i].height ? slots[i].width : slots[i].height;
+    return count > 0 ? gsn_median(scratch, count) : 0;
+}
+
+/* Where the marks of a section are looked for: around its tissue as far as the typical section
+ * reaches, within its share of the panel. Its own box may end where an edge of glass cuts it or
+ * where it has grown together with another, or reach over others that a line of ink ties to it. */
 static struct gsn_slot search_window(const struct gsn_scan *scan,
-                                     const struct gsn_protocol *protocol,
+                                     const struct gsn_protocol *protocol, double side,
                                      const struct gsn_slot *slot)
 {
     const struct gsn_image *image = scan->picture->image;
-    const double reach_x = SHARE * image->width / protocol->columns;
-    const double reach_y = SHARE * image->height / protocol->rows;
-    const int x0 = (int)fmax(slot->centre_px.x - reach_x, slot->touching ? 0 : slot->x);
-    const int y0 = (int)fmax(slot->centre_px.y - reach_y, slot->touching ? 0 : slot->y);
-    const double x1 = fmin(slot->centre_px.x + reach_x,
-                           slot->touching ? (double)image->width : slot->x + slot->width);
-    const double y1 = fmin(slot->centre_px.y + reach_y,
-                           slot->touching ? (double)image->height : slot->y + slot->height);
+    const double reach_x = fmin(SHARE * image->width / protocol->columns, REACH * side);
+    const double reach_y = fmin(SHARE * image->height / protocol->rows, REACH * side);
     struct gsn_slot window = *slot;
 
-    window.x = x0;
-    window.y = y0;
-    window.width = (int)x1 - x0;
-    window.height = (int)y1 - y0;
+    window.x = (int)fmax(slot->centre_px.x - reach_x, 0);
+    window.y = (int)fmax(slot->centre_px.y - reach_y, 0);
+    window.width = (int)fmin(slot->centre_px.x + reach_x, image->width) - window.x;
+    window.height = (int)fmin(slot->centre_px.y + reach_y, image->height) - window.y;
     return window;
 }
 
@@ -155,6 +162,7 @@ static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *s
 struct search {
     const struct gsn_scan *scan;
     const struct gsn_protocol *protocol;
+    double side;                            /* of the typical section's box, px */
     const struct gsn_slot *slots;           /* those with tissue */
     struct gsn_mark_candidates *candidates; /* one for each */
 };
@@ -163,7 +171,8 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
 {
     const struct search *search = context;
     const struct gsn_slot *slot = &search->slots[index];
-    const struct gsn_slot window = search_window(search->scan, search->protocol, slot);
+    const struct gsn_slot window =
+        search_window(search->scan, search->protocol, search->side, slot);
     const int r = find_candidates(search->scan, &window, &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
@@ -177,13 +186,15 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
 {
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
-    struct search search = { scan, protocol, found, candidates };
+    gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
+    struct search search = { scan, protocol, 0, found, candidates };
     struct gsn_triangle_prior prior;
     size_t mirrored = 0;
     int r;
 
-    if (!candidates)
+    if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    search.side = typical_side(found, count, scratch);
     r = gsn_parallel_for(count, threads, search_slot, &search, err);
     if (r < 0)
         return r;

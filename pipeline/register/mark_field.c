@@ -166,6 +166,12 @@ static struct gsn_mark disc_at(const struct ladder *ladder, size_t at, size_t ru
     return mark;
 }
 
+/* Of equal contrast, the rounder one is rather a mark. */
+static double strength(const struct gsn_mark *spot)
+{
+    return spot->contrast * spot->score;
+}
+
 /* Keeps the strongest most spots, strongest first; of two within a radius the stronger stays. */
 static void keep(struct gsn_mark *kept, size_t *count, size_t most, const struct gsn_mark *spot)
 {
@@ -175,17 +181,17 @@ static void keep(struct gsn_mark *kept, size_t *count, size_t most, const struct
         const double apart = hypot(kept[i].px.x - spot->px.x, kept[i].px.y - spot->px.y);
 
         if (apart < fmax(kept[i].radius_px, spot->radius_px)) {
-            if (kept[i].contrast >= spot->contrast)
+            if (strength(&kept[i]) >= strength(spot))
                 return;
             continue;
         }
         kept[n++] = kept[i];
     }
     *count = n;
-    if (n == most && kept[n - 1].contrast >= spot->contrast)
+    if (n == most && strength(&kept[n - 1]) >= strength(spot))
         return;
     at = n == most ? n - 1 : (*count)++;
-    for (; at > 0 && kept[at - 1].contrast < spot->contrast; at--)
+    for (; at > 0 && strength(&kept[at - 1]) < strength(spot); at--)
         kept[at] = kept[at - 1];
     kept[at] = *spot;
 }

@@ -3,12 +3,16 @@
 
 #include "pipeline/register/mark_field.h"
 #include "pipeline/register/mark_fit.h"
+#include "pipeline/register/mark_map.h"
 
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 
 static const double PX_MOST_UM = 40;
+/* Spots that are measured: ink over the tissue has dozens that are darker than any mark, and few of
+ * them are round. */
+enum { SPOTS = 64 };
 
 /* Averages step x step pixels to a cell; masked pixels take no part. */
 static void reduce(const struct gsn_plane *plane, const struct gsn_slot *slot, size_t step,
@@ -63,7 +67,11 @@ static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_ma
         candidates->count--;
         i--;
     }
-    for (at = candidates->count++; at > 0; at--) {
+    at = candidates->count;
+    if (at == GSN_MARK_CANDIDATES && strength(&candidates->mark[--at]) >= strength(mark))
+        return;
+    candidates->count = at + 1;
+    for (; at > 0; at--) {
         if (strength(&candidates->mark[at - 1]) >= strength(mark))
             break;
         candidates->mark[at] = candidates->mark[at - 1];
@@ -97,7 +105,7 @@ static int search(const struct gsn_plane *plane, const struct gsn_slot *slot,
                                     .cell_px = (double)step,
                                     .origin_px = { slot->x, slot->y } };
     gsn_auto_mem(float) values = gsn_alloc_array(field.width * field.height + 1, sizeof *values);
-    struct gsn_mark spots[GSN_MARK_CANDIDATES];
+    struct gsn_mark spots[SPOTS];
     size_t count;
     int r;
 
@@ -105,7 +113,8 @@ static int search(const struct gsn_plane *plane, const struct gsn_slot *slot,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = values;
     reduce(plane, slot, step, &field);
-    r = gsn_mark_field_spots(&field, candidates->px_um, GSN_MARK_CANDIDATES, spots, &count, err);
+    gsn_mark_map_take(&field, &candidates->map);
+    r = gsn_mark_field_spots(&field, candidates->px_um, SPOTS, spots, &count, err);
     return r < 0 ? r : measure_spots(plane, spots, count, candidates, err);
 }
 

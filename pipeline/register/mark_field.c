@@ -16,6 +16,9 @@ static const double VARIANCE[LEVELS] = { 1, 5, 21, 85 };
 static const double THIRD_RUNG = 6.2;
 /* Half of what a disc of the best radius answers, of its contrast. */
 static const double RESPONSE = 0.25;
+/* A peak this many times sharper across than along is part of a line: a hair, ink, an edge of
+ * glass. A mark that such a line touches stays below. */
+static const double LINE = 6;
 
 size_t gsn_mark_field_step(double px_um)
 {
@@ -101,6 +104,22 @@ static int is_peak(const struct ladder *ladder, size_t at, size_t rung)
     return 1;
 }
 
+/* Whether a peak is a ridge: by the second differences of its surroundings, whose determinant is
+ * small beside the square of their trace. */
+static int is_ridge(const struct ladder *ladder, size_t at, size_t rung)
+{
+    const size_t width = ladder->field->width;
+    const double own = answer_at(ladder, at, rung);
+    const double xx = answer_at(ladder, at - 1, rung) - 2 * own + answer_at(ladder, at + 1, rung);
+    const double yy =
+        answer_at(ladder, at - width, rung) - 2 * own + answer_at(ladder, at + width, rung);
+    const double xy =
+        0.25 * (answer_at(ladder, at - width - 1, rung) - answer_at(ladder, at - width + 1, rung) -
+                answer_at(ladder, at + width - 1, rung) + answer_at(ladder, at + width + 1, rung));
+
+    return (xx + yy) * (xx + yy) * LINE > (1 + LINE) * (1 + LINE) * (xx * yy - xy * xy);
+}
+
 /* How far a peak lies from its cell's centre, cells, by the parabola through three answers. */
 static double offset(double before, double at, double after)
 {
@@ -147,6 +166,12 @@ static struct gsn_mark disc_at(const struct ladder *ladder, size_t at, size_t ru
     return mark;
 }
 
+/* Of equal contrast, the rounder one is rather a mark. */
+static double strength(const struct gsn_mark *spot)
+{
+    return spot->contrast * spot->score;
+}
+
 /* Keeps the strongest most spots, strongest first; of two within a radius the stronger stays. */
 static void keep(struct gsn_mark *kept, size_t *count, size_t most, const struct gsn_mark *spot)
 {
@@ -156,17 +181,17 @@ static void keep(struct gsn_mark *kept, size_t *count, size_t most, const struct
         const double apart = hypot(kept[i].px.x - spot->px.x, kept[i].px.y - spot->px.y);
 
         if (apart < fmax(kept[i].radius_px, spot->radius_px)) {
-            if (kept[i].contrast >= spot->contrast)
+            if (strength(&kept[i]) >= strength(spot))
                 return;
             continue;
         }
         kept[n++] = kept[i];
     }
     *count = n;
-    if (n == most && kept[n - 1].contrast >= spot->contrast)
+    if (n == most && strength(&kept[n - 1]) >= strength(spot))
         return;
     at = n == most ? n - 1 : (*count)++;
-    for (; at > 0 && kept[at - 1].contrast < spot->contrast; at--)
+    for (; at > 0 && strength(&kept[at - 1]) < strength(spot); at--)
         kept[at] = kept[at - 1];
     kept[at] = *spot;
 }
@@ -184,7 +209,8 @@ static size_t find_spots(const struct ladder *ladder, struct gsn_mark *ret_spots
             for (size_t at = y * width + 1; at < y * width + width - 1; at++) {
                 struct gsn_mark spot;
 
-                if (near[at] - far[at] < least || !is_peak(ladder, at, rung))
+                if (near[at] - far[at] < least || !is_peak(ladder, at, rung) ||
+                    is_ridge(ladder, at, rung))
                     continue;
                 spot = disc_at(ladder, at, rung);
                 if (spot.contrast >= gsn_mark_contrast_least)

@@ -4,6 +4,7 @@
 #include "pipeline/register/mark_colour.h"
 #include "pipeline/register/mark_field.h"
 #include "pipeline/register/mark_fit.h"
+#include "pipeline/register/mark_map.h"
 
 #include <assert.h>
 #include <math.h>
@@ -161,6 +162,7 @@ int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = od;
     reduce(picture, step, &field);
+    gsn_mark_map_take(&field, &spots->candidates.map);
     spots->candidates.px_um = px_um;
     spots->candidates.tissue_px = tissue_of(picture, step);
     r = gsn_mark_field_spots(&field, px_um, GSN_MARK_CANDIDATES, spots->candidates.mark,

@@ -23,7 +23,7 @@
 extern "C" {
 #endif
 
-enum { GSN_MARKS = 3, GSN_MARK_CANDIDATES = 24 };
+enum { GSN_MARKS = 3, GSN_MARK_CANDIDATES = 24, GSN_MARK_MAP = 40 };
 
 struct gsn_mark {
     struct gsn_point px;
@@ -34,10 +34,19 @@ struct gsn_mark {
     int found;    /* 0: no acceptable mark, everything else is 0 */
 };
 
+/* Optical density from afar: GSN_MARK_MAP by GSN_MARK_MAP square cells, NaN where there is none. In
+ * pixels of the section, or in um where it is what sections have in common. */
+struct gsn_mark_map {
+    double cell;             /* side of a cell; 0: no picture */
+    struct gsn_point origin; /* corner of the first cell */
+    float value[GSN_MARK_MAP * GSN_MARK_MAP];
+};
+
 /* Every spot of one section that may be a mark, the likeliest first. */
 struct gsn_mark_candidates {
     double px_um;
     struct gsn_point tissue_px; /* centre of the section's tissue */
+    struct gsn_mark_map map;
     size_t count;
     struct gsn_mark mark[GSN_MARK_CANDIDATES];
 };
@@ -51,6 +60,7 @@ struct gsn_triangle_prior {
     struct gsn_point tissue_um; /* centre of the tissue, same frame */
     double tissue_sd_um;        /* its scatter per axis from section to section */
     double contrast, radius_um; /* of the typical mark */
+    struct gsn_mark_map tissue; /* what the sections have in common */
     double stretch_um;          /* how far an ordinary section's marks lie from a rigid triangle */
 };
 
@@ -75,14 +85,17 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
                       struct gsn_triangle_prior *prior, struct gsn_error *err);
 
 /* Chooses and numbers the marks of one section: 1..3 as in the prior, allowing any rotation, a
- * mirrored section, and only the stated pixel size.
+ * mirrored section, and only the stated pixel size. Three spots that look like the stack's marks
+ * may lie on a triangle that a tear has pulled apart; the joint solution calls that gross. A triple
+ * far from the section's tissue is a neighbour's and none.
  *
- * Where no triple fits, but two candidates do and the learnt tissue centre says which is which,
- * those two are found; two marks say nothing about mirroring, so ret_mirrored (may be NULL) tells
- * what the tissue's centre said. ret_score and ret_runner_up (each may be NULL) are the
- * likelihoods, 0..1, of the choice and of the best other choice or numbering; the choice is
- * refused, all three marks not found, when the second is more than half of the first. In a triangle
- * too nearly isosceles the numbering that leaves the section unmirrored wins, and the pose says so.
+ * Where no triple fits, but two candidates do and the tissue learnt says which is which, those two
+ * are found; two marks say nothing about mirroring, so ret_mirrored (may be NULL) tells what the
+ * tissue said: its picture, or where there is none its centre. ret_score and ret_runner_up (each
+ * may be NULL) are the likelihoods, 0..1, of the choice and of the best other choice or numbering;
+ * the choice is refused, all three marks not found, when the second is more than half of the first.
+ * In a triangle too nearly isosceles the numbering that leaves the section unmirrored wins, and the
+ * pose says so.
  */
 void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior,

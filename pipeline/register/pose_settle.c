@@ -11,6 +11,8 @@ enum { ROUNDS = 100, LEARNING = 3 };
 /* Of the chi-squared distribution with 3 degrees of freedom: the median, and the mean of what lies
  * below the 0.1 % limit. */
 static const double CHI2_MEDIAN = 2.365974, CHI2_MEAN_BELOW = 2.984575;
+/* The median with 2 degrees of freedom. */
+static const double CHI2_MEDIAN_2 = 1.386294;
 /* No mark of a few pixels is trusted beyond this, in pixels: on clean sections the residuals are so
  * small that a chi-squared test against them alone would call a hundredth of a pixel gross. */
 static const double FINEST_PX = 0.1;
@@ -170,9 +172,39 @@ static double update_triangle(struct gsn_pose_stack *s)
     return moved;
 }
 
+/* Variance of a mark per axis by the shapes alone, whatever their size: 2 degrees of freedom a
+ * section. A section that has swollen is no more like its mirror image. */
+static double shape_um2(const struct gsn_pose_stack *s)
+{
+    const struct gsn_point about = gsn_pose_centroid(s->triangle);
+    size_t n = 0;
+
+    for (size_t k = 0; k < s->count; k++) {
+        const struct gsn_pose_member *m = &s->member[k];
+        struct gsn_pose_fit_input laid;
+        double square = 0, along = 0, length = 0;
+
+        if (m->marks != GSN_MARKS || !isfinite(m->squares))
+            continue;
+        (void)gsn_pose_lay_out(s, m, &laid);
+        for (int i = 0; i < GSN_MARKS; i++) {
+            const struct gsn_point p = gsn_rigid_apply(&m->motion, laid.from[i]);
+            const double x = p.x - laid.onto[i].x, y = p.y - laid.onto[i].y;
+            const double ux = laid.onto[i].x - about.x, uy = laid.onto[i].y - about.y;
+
+            square += x * x + y * y;
+            along += x * ux + y * uy;
+            length += ux * ux + uy * uy;
+        }
+        s->scratch[n++] = fmax(square - along * along / length, 0);
+    }
+    return n > 0 ? gsn_median(s->scratch, n) / CHI2_MEDIAN_2 : INFINITY;
+}
+
 /* How clearly the triangle differs from its mirror image, in standard deviations of a mark. */
 static void judge_shape(struct gsn_pose_stack *s)
 {
+    const double noise = fmin(s->mark_um2, shape_um2(s));
     const double a = gsn_pose_side(s->triangle, 0), b = gsn_pose_side(s->triangle, 1),
                  c = gsn_pose_side(s->triangle, 2);
     const double apart = fmin(fmin(fabs(a - b), fabs(b - c)), fabs(c - a));
@@ -181,7 +213,7 @@ static void judge_shape(struct gsn_pose_stack *s)
         fabs((p[1].x - p[0].x) * (p[2].y - p[0].y) - (p[1].y - p[0].y) * (p[2].x - p[0].x));
     const double height = area2 / fmax(fmax(a, b), c);
 
-    s->scalene_sigma = fmin(apart, height) / sqrt(fmax(s->mark_um2, s->finest));
+    s->scalene_sigma = fmin(apart, height) / sqrt(fmax(noise, s->finest));
     s->flips_told = s->scalene_sigma >= SCALENE;
 }
 

@@ -119,4 +119,5 @@ def main():
     return 0 if options.between[0] <= rms <= options.between[1] else 1
 
 
-sys.exit(main())
+if __name__ == "__main__":
+    sys.exit(main())

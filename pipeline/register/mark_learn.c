@@ -1,0 +1,123 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/mark_choose.h"
+
+#include "pipeline/register/mark_map.h"
+#include "pipeline/register/median.h"
+#include "pipeline/register/rigid.h"
+
+#include "pipeline/core/mem.h"
+
+#include <assert.h>
+#include <math.h>
+
+enum { FEWEST_SECTIONS = 3, ROUNDS = 2 };
+
+/* A misfit that one section in a thousand exceeds, over the median one: chi-squared of 3 degrees of
+ * freedom, 16.3 and 2.4; three standard deviations are let in, so a third of its root does. The
+ * rest is for triangles that stretch unequally. */
+static const double STRETCH_TAUGHT = 2;
+
+/* What learning gathers: one number per section and kind. */
+enum { TISSUE_X, TISSUE_Y, CONTRAST, RADIUS, MISFIT, KINDS };
+
+static int gather(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
+                  double found[KINDS], struct gsn_rigid *ret_motion, int *ret_mirrored)
+{
+    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_point from[GSN_MARKS], tissue;
+    struct gsn_rigid best = { 0 };
+    double least = INFINITY;
+    int mirrored = 0;
+
+    gsn_markers_choose(section, prior, marks, NULL, NULL, NULL);
+    if (!marks[0].found || !marks[1].found || !marks[2].found)
+        return 0;
+    for (int k = 0; k < 2; k++) {
+        struct gsn_rigid motion;
+        double rms;
+
+        for (int i = 0; i < GSN_MARKS; i++)
+            from[i] = gsn_mark_to_um(marks[i].px, section->px_um, k);
+        if (gsn_rigid_fit(from, prior->mark_um, NULL, GSN_MARKS, &motion, &rms, NULL) < 0 ||
+            rms >= least)
+            continue;
+        least = rms;
+        best = motion;
+        mirrored = k;
+    }
+    tissue = gsn_rigid_apply(&best, gsn_mark_to_um(section->tissue_px, section->px_um, mirrored));
+    *ret_motion = best;
+    *ret_mirrored = mirrored;
+    found[TISSUE_X] = tissue.x;
+    found[TISSUE_Y] = tissue.y;
+    found[MISFIT] = least;
+    found[CONTRAST] = (marks[0].contrast + marks[1].contrast + marks[2].contrast) / GSN_MARKS;
+    found[RADIUS] =
+        (marks[0].radius_px + marks[1].radius_px + marks[2].radius_px) / GSN_MARKS * section->px_um;
+    return 1;
+}
+
+/* A robust standard deviation of count values about their median; reorders them. */
+static double scatter(double *value, size_t count, double centre)
+{
+    for (size_t i = 0; i < count; i++)
+        value[i] = fabs(value[i] - centre);
+    return 1.4826 * gsn_median(value, count);
+}
+
+static void learn_numbers(double *value, size_t count, size_t n, struct gsn_triangle_prior *prior)
+{
+    prior->tissue_um.x = gsn_median(value + TISSUE_X * count, n);
+    prior->tissue_um.y = gsn_median(value + TISSUE_Y * count, n);
+    /* Of sections whose marks lie exactly nothing is learnt. */
+    prior->stretch_um = STRETCH_TAUGHT * gsn_median(value + MISFIT * count, n);
+    prior->contrast = gsn_median(value + CONTRAST * count, n);
+    prior->radius_um = gsn_median(value + RADIUS * count, n);
+    prior->tissue_sd_um = fmax(scatter(value + TISSUE_X * count, n, prior->tissue_um.x),
+                               scatter(value + TISSUE_Y * count, n, prior->tissue_um.y));
+}
+
+/* One round: from what is known before it to what the sections then say. */
+static int learn(const struct gsn_mark_candidates *sections, size_t count,
+                 struct gsn_triangle_prior *prior, struct gsn_error *err)
+{
+    gsn_auto_mem(double) value = gsn_alloc_array(count * KINDS, sizeof *value);
+    gsn_auto_mem(struct gsn_rigid) motion = gsn_alloc_array(count, sizeof *motion);
+    gsn_auto_mem(int) clear = gsn_alloc_array(2 * count, sizeof *clear);
+    size_t n = 0;
+
+    if (!value || !motion || !clear)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while learning what a mark looks like");
+    for (size_t i = 0; i < count; i++) {
+        double found[KINDS];
+
+        clear[i] = gather(&sections[i], prior, found, &motion[i], &clear[count + i]);
+        for (size_t k = 0; clear[i] && k < KINDS; k++)
+            value[k * count + n] = found[k];
+        n += (size_t)clear[i];
+    }
+    if (n < FEWEST_SECTIONS)
+        return GSN_OK;
+    learn_numbers(value, count, n, prior);
+    prior->learnt = 1;
+    return gsn_mark_map_mean(sections, motion, clear + count, clear, count, prior->tissue_um,
+                             &prior->tissue, err);
+}
+
+int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
+                      struct gsn_triangle_prior *prior, struct gsn_error *err)
+{
+    struct gsn_triangle_prior learnt;
+    int r = GSN_OK;
+
+    assert((sections || count == 0) && prior);
+
+    learnt = *prior;
+    /* What the first round took for marks by the triangle alone, the second holds against looks. */
+    for (int round = 0; round < ROUNDS && r >= 0; round++)
+        r = learn(sections, count, &learnt, err);
+    if (r < 0)
+        return r;
+    *prior = learnt;
+    return GSN_OK;
+}

@@ -4,10 +4,11 @@
 #include <math.h>
 #include <string.h>
 
-/* Cells of whole pixels of about this size; a grain is told from what lies NEAR and FAR cells away,
- * so that specks of 20 um and of a quarter of a millimetre are both found. */
+/* Cells of whole pixels of about this size. A grain is told whole from what lies twice its radius
+ * away: NEAR for specks of up to 40 um in a busy tissue, FAR for those of up to a tenth of a
+ * millimetre. */
 static const double CELL_UM = 20;
-enum { NEAR = 3, FAR = 8 };
+enum { NEAR = 4, FAR = 12 };
 
 /* A spot is darker than its surroundings by this much on every panel: it costs a density of 0.7 a
  * tenth. The grain of tissue reaches it at one place in a hundred, so on three panels at one in a

@@ -2,6 +2,7 @@
 #include "pipeline/assembly.h"
 
 #include "pipeline/assembly_parts.h"
+#include "pipeline/conditions.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -124,6 +125,8 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_assembly_work_panels(specimen, options, a, err);
     if (r >= 0)
+        r = gsn_conditions_judge(specimen, a, err);
+    if (r >= 0)
         r = gsn_assembly_normalise(specimen, a, err);
     if (r >= 0 && band && a->grid)
         r = gsn_assembly_find_band(specimen, options, a, err);
@@ -141,6 +144,8 @@ void gsn_assembly_free(struct gsn_assembly *a)
     for (size_t i = 0; i < a->section_count; i++)
         gsn_free(a->section[i].thumbnail.png);
     gsn_free(a->section);
+    gsn_dust_free(a->dust);
+    gsn_free(a->spot);
     gsn_free(a->panel);
     gsn_mask_free(a->region);
     gsn_grid_free(a->grid);

@@ -8,8 +8,11 @@
 #include "pipeline/pictures.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
+#include "pipeline/stain/dust.h"
+#include "pipeline/stain/lamp.h"
 #include "pipeline/stain/reference.h"
 #include "pipeline/stain/mask.h"
+#include "pipeline/stain/tone.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -34,7 +37,9 @@ struct gsn_assembly_section {
     char flags[160]; /* words with one space between */
     struct gsn_mask_figures masked;               /* what of it is not measured, and why */
     double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
-    struct gsn_account_picture thumbnail;         /* png owned; size 0: none */
+    struct gsn_tone tone;                         /* its dyes; no pixels: not looked at */
+    double thickness; /* against the panel's other sections; 1: as they are, or not told */
+    struct gsn_account_picture thumbnail; /* png owned; size 0: none */
 };
 
 struct gsn_assembly_panel {
@@ -46,6 +51,9 @@ struct gsn_assembly_panel {
     double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
     double red_error; /* relative standard error of its red by vectors and white; 0: the
                          vectors were taken as exact */
+    struct gsn_lamp lamp;      /* how steady its light was */
+    struct gsn_tone tone;      /* of all its sections */
+    struct gsn_dust_turn turn; /* as in its scan */
     char note[400];
 };
 
@@ -64,6 +72,10 @@ struct gsn_assembly {
     struct gsn_grid *grid;        /* owned; NULL without region or solution */
     struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
     struct gsn_grid *tissue_grid; /* owned; its density as stained */
+    struct gsn_dust *dust;        /* owned; what is dark on each panel */
+    size_t spot_count;            /* of the scanner's dust */
+    struct gsn_mask_disc *spot;   /* owned; pixels as the scanner gave them */
+    unsigned spot_panels;         /* that were compared for it */
     double red_error;             /* relative standard error of a mean density by the stain */
     double stain_scatter; /* relative standard deviation of the panels' strength, where no reference
                              tissue takes it out; 0: one panel, or taken out */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_parts.h"
 
+#include "pipeline/conditions.h"
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
 #include "pipeline/register/stack.h"
@@ -246,7 +247,9 @@ static int work_panel(const struct gsn_specimen *specimen,
     r = mask_panel(specimen, options, scan, stain, density, a, err);
     if (r < 0)
         return r;
-    r = judge_vectors(scan, panel, err);
+    r = gsn_conditions_look(scan, density, panel, a, err);
+    if (r >= 0)
+        r = judge_vectors(scan, panel, err);
     if (r < 0)
         return r;
     judge_clipped(scan, stain->panel, density, a);

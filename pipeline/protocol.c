@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/protocol.h"
 
+#include "pipeline/stain/age.h"
+
 #include <jansson.h>
 #include <math.h>
 #include <string.h>
@@ -290,6 +292,31 @@ static int read_strain(const json_t *job, struct gsn_protocol *p, struct gsn_err
     return r;
 }
 
+/* When the stain was made and when it was scanned, and what its batch's control glass allows. */
+static int read_stain(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *limits = json_object_get(job, "yellow_to_red");
+    long stained = 0, scanned = 0;
+    int r = get_text(job, "stained", &p->stained, err);
+
+    if (r >= 0)
+        r = get_text(job, "scanned", &p->scanned, err);
+    if (r < 0)
+        return r;
+    if (p->stained[0] && gsn_age_day(p->stained, &stained, NULL) < 0)
+        return bad(err, "stained", "a date such as \"2026-03-31\"");
+    if (p->scanned[0] && gsn_age_day(p->scanned, &scanned, NULL) < 0)
+        return bad(err, "scanned", "a date such as \"2026-03-31\"");
+    if (p->stained[0] && p->scanned[0] && scanned < stained)
+        return bad(err, "scanned", "no earlier than \"stained\"");
+    if (p->stained[0] && p->scanned[0])
+        p->days_to_scan = (double)(scanned - stained);
+    if (limits && (get_numbers(limits, 2, p->yellow_to_red) < 0 || !(p->yellow_to_red[0] > 0) ||
+                   !(p->yellow_to_red[0] < p->yellow_to_red[1])))
+        return bad(err, "yellow_to_red", "[low, high], above 0, as the batch's control glass says");
+    return GSN_OK;
+}
+
 static int read_light(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const transfers[] = { "unknown", "linear", "srgb", NULL };
@@ -345,7 +372,7 @@ static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct g
         "specimen",  "study",  "group",   "animal",   "week",       "px_um",      "interval_um",
         "panels",    "layout", "order",   "sections", "region",     "markers_um", "baseline",
         "transfer",  "dyes",   "white",   "kind",     "thresholds", "tolerance",  "file",
-        "reference", "batch",  "comment", "strain"
+        "reference", "batch",  "comment", "strain",   "stained",    "scanned",    "yellow_to_red"
     };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
@@ -386,7 +413,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = get_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
         (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
         (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, p, err)) < 0 ||
-        (r = read_strain(job, p, err)) < 0 || (r = read_light(job, p, err)) < 0)
+        (r = read_strain(job, p, err)) < 0 || (r = read_light(job, p, err)) < 0 ||
+        (r = read_stain(job, p, err)) < 0)
         return r;
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;
@@ -410,6 +438,7 @@ int gsn_protocol_parse(const char *text, size_t size, struct gsn_protocol **ret_
     if (!p)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
     p->week = NAN;
+    p->days_to_scan = NAN;
     p->interval_um = 24;
     p->rows = 3;
     p->columns = 4;
@@ -437,6 +466,8 @@ void gsn_protocol_free(struct gsn_protocol *p)
     gsn_free(p->file);
     gsn_free(p->reference);
     gsn_free(p->batch);
+    gsn_free(p->stained);
+    gsn_free(p->scanned);
     gsn_free(p->unknown);
     gsn_free(p->region.file);
     gsn_free(p);

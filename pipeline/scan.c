@@ -108,10 +108,12 @@ static void set_upright(struct gsn_scan *scan)
     if (code->mirrored) {
         for (size_t y = 0; y < image->height; y++)
             reverse(image, y * image->width, image->width);
+        scan->turn.mirrored = 1;
         note(scan, "mirrored back as a whole: the code on its label was mirrored");
     }
     if (fabs(code->turn_deg) > TURNED_DEG) {
         reverse(image, 0, (size_t)image->width * image->height);
+        scan->turn.turned = 1;
         note(scan, "turned by 180 degrees: the code on its label stood on its head");
     }
 }

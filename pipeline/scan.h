@@ -7,6 +7,7 @@
 
 #include "pipeline/decode/apart.h"
 #include "pipeline/protocol.h"
+#include "pipeline/stain/dust.h"
 #include "pipeline/stain/dyes.h"
 
 #ifdef __cplusplus
@@ -20,9 +21,10 @@ struct gsn_scan {
     struct gsn_plane *total; /* R + G + B optical density in cells of step x step pixels, after
                                 gsn_scan_survey(); else NULL */
     unsigned step;
-    double px_um;   /* the job's, else the file's; never 0 */
-    size_t clipped; /* pixels with a channel at 0 */
-    char note[300]; /* what was assumed, "; " between; empty when nothing was */
+    struct gsn_dust_turn turn; /* how the picture was turned upright */
+    double px_um;              /* the job's, else the file's; never 0 */
+    size_t clipped;            /* pixels with a channel at 0 */
+    char note[300];            /* what was assumed, "; " between; empty when nothing was */
 };
 
 /* gives. A panel is set upright by the Data Matrix on its label: mirrored back, or turned by 180

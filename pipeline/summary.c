@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/summary.h"
 
+#include "pipeline/conditions.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/pose_words.h"
 #include "pipeline/report/report.h"
@@ -71,7 +72,7 @@ static int draft_init(struct draft *d, size_t sections, size_t panels, size_t in
                       struct gsn_error *err)
 {
     *d = (struct draft){ .loss_low = NAN, .loss_high = NAN };
-    d->warning = gsn_alloc_array(64 + 3 * panels, sizeof *d->warning);
+    d->warning = gsn_alloc_array(64 + 5 * panels, sizeof *d->warning);
     d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
     d->flag = gsn_alloc_array(sections + 1, sizeof *d->flag);
@@ -366,10 +367,23 @@ static void fill_registration(const struct gsn_assembly *a, double interval_um, 
     d->report.registration = r;
 }
 
+/* What the panels tell of lamp, bath, knife and glass. */
+static void fill_conditions(const struct gsn_evidence *e, struct draft *d)
+{
+    struct gsn_conditions_words words = { 0 };
+
+    if (gsn_conditions_words(e->assembly, e->specimen->protocol, &words) < 0)
+        d->out_of_memory = 1;
+    for (size_t i = 0; i < words.count; i++)
+        warn(d, say(d, "%s", words.sentence[i]));
+    gsn_conditions_words_done(&words);
+}
+
 static void fill_assembly(const struct gsn_evidence *e, struct draft *d)
 {
     fill_sections(e, d);
     fill_panels(e, d);
+    fill_conditions(e, d);
     if (e->assembly->solved)
         fill_registration(e->assembly, e->specimen->protocol->interval_um, d);
     else
@@ -668,6 +682,27 @@ static const char *gains_of(const struct gsn_assembly *a, struct draft *d)
     return say(d, "%s", line);
 }
 
+/* "panel 1: glass even to 0.0012, yellow to red 0.54; ..." */
+static const char *light_of(const struct gsn_assembly *a, struct draft *d)
+{
+    char line[1000] = "";
+    size_t used = 0;
+
+    for (size_t i = 0; i < a->panel_count && used < sizeof line; i++) {
+        const struct gsn_assembly_panel *p = &a->panel[i];
+        int n;
+
+        if (!p->opened)
+            continue;
+        n = snprintf(line + used, sizeof line - used,
+                     "%spanel %u: glass even to %.4f, yellow to red %.2f", used ? "; " : "",
+                     p->given->number, fmax(p->lamp.residual, 0),
+                     fmax(gsn_tone_yellow_to_red(&p->tone), 0));
+        used += n > 0 ? (size_t)n : 0;
+    }
+    return say(d, "%s", line);
+}
+
 static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
@@ -687,6 +722,15 @@ static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
             text_row(rows, count, "stain batch", p->batch);
         if (p->reference_tissue.kind != GSN_REGION_NONE && e->assembly)
             text_row(rows, count, "stain gains", gains_of(e->assembly, d));
+        if (p->stained[0])
+            text_row(rows, count, "stained", p->stained);
+        if (p->scanned[0])
+            text_row(rows, count, "scanned", p->scanned);
+        if (p->yellow_to_red[0] > 0)
+            text_row(rows, count, "yellow to red, allowed",
+                     say(d, "%g to %g", p->yellow_to_red[0], p->yellow_to_red[1]));
+        if (e->assembly && e->assembly->grid)
+            text_row(rows, count, "light and bath", light_of(e->assembly, d));
     }
     if (p->px_um > 0)
         value_row(rows, count, "pixel size, stated", p->px_um, "um");

@@ -18,6 +18,7 @@ static const char *const WORDS[GSN_DEFECTS][2] = {
     { "edge", "the edge of the coverslip or of the frame lies over it" },
     { "hair", "a hair or a fibre lies over it" },
     { "debris", "a dark neutral grain: dust, enamel, metal or pigment" },
+    { "dust", "dark at this place of every panel: dirt on the scanner's glass or sensor" },
 };
 
 const char *gsn_defect_word(unsigned i)

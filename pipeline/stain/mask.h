@@ -27,9 +27,10 @@ enum gsn_defect {
     GSN_DEFECT_EDGE = 1 << 6,   /* coverslip or frame: a long thin straight dark line */
     GSN_DEFECT_HAIR = 1 << 7,   /* hair or fibre: a thin dark line */
     GSN_DEFECT_DEBRIS = 1 << 8, /* dust, enamel, metal, pigment: a dark neutral grain */
+    GSN_DEFECT_DUST = 1 << 9,   /* of the scanner: at the same place on every panel (dust.h) */
 };
 
-enum { GSN_DEFECTS = 9 };
+enum { GSN_DEFECTS = 10 };
 
 /* "halo", "fold", "void", ... of bit 1 << i. */
 const char *gsn_defect_word(unsigned i);

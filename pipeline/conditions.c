@@ -1,0 +1,361 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/conditions.h"
+
+#include "pipeline/stain/age.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Bands of the blank glass may differ by this much, 2.3 % of the light: it moves a density of 0.7
+ * by 1.4 %. The vignetting that the glass's surface cannot follow stays below 0.008. */
+static const double STEADY_OD = 0.01;
+/* Around a mark, in its radii: bleached rim and blur. */
+static const double MARK_RADII = 2;
+
+static int is_there(const struct gsn_assembly_section *s, unsigned panel)
+{
+    return s->panel == panel && s->seen.width > 0 && s->seen.height > 0;
+}
+
+static struct gsn_pixel_box box_of(const struct gsn_panel_section *seen)
+{
+    return (struct gsn_pixel_box){ seen->x, seen->y, seen->width, seen->height };
+}
+
+/* The least box that holds all sections of a panel: no label and no frame lies in it. */
+static struct gsn_pixel_box box_of_all(const struct gsn_assembly *a, unsigned panel)
+{
+    int x0 = INT32_MAX, y0 = INT32_MAX, x1 = 0, y1 = 0;
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_panel_section *s = &a->section[i].seen;
+
+        if (!is_there(&a->section[i], panel))
+            continue;
+        x0 = s->x < x0 ? s->x : x0;
+        y0 = s->y < y0 ? s->y : y0;
+        x1 = s->x + s->width > x1 ? s->x + s->width : x1;
+        y1 = s->y + s->height > y1 ? s->y + s->height : y1;
+    }
+    return x0 < x1 ? (struct gsn_pixel_box){ x0, y0, x1 - x0, y1 - y0 }
+                   : (struct gsn_pixel_box){ 0, 0, 0, 0 };
+}
+
+static int add_dust(const struct gsn_scan *scan, unsigned panel, const struct gsn_pixel_box *box,
+                    struct gsn_assembly *a, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_mask_disc) mark =
+        gsn_alloc_array(GSN_MARKS * a->section_count + 1, sizeof *mark);
+    size_t count = 0;
+    int r = mark ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
+
+    if (r >= 0 && !a->dust)
+        r = gsn_dust_new(&a->dust, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < a->section_count; i++)
+        for (size_t m = 0; is_there(&a->section[i], panel) && m < GSN_MARKS; m++)
+            if (a->section[i].seen.mark[m].found)
+                mark[count++] = (struct gsn_mask_disc){
+                    .px = { a->section[i].seen.mark[m].px.x, a->section[i].seen.mark[m].px.y },
+                    .radius_px = MARK_RADII * a->section[i].seen.mark[m].radius_px
+                };
+    return gsn_dust_add(a->dust, scan->od, scan->px_um, scan->turn, box, mark, count, err);
+}
+
+int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_plane *density,
+                        struct gsn_assembly_panel *panel, struct gsn_assembly *a,
+                        struct gsn_error *err)
+{
+    const unsigned number = panel->given->number;
+    const struct gsn_pixel_box box = box_of_all(a, number);
+
+    panel->turn = scan->turn;
+    panel->lamp = gsn_lamp_look(scan->od, &box);
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        const struct gsn_pixel_box own = box_of(&s->seen);
+        int r;
+
+        if (!is_there(s, number))
+            continue;
+        r = gsn_tone_of(scan->od, density, &panel->stain.fit.dyes, &own, &s->tone, err);
+        if (r < 0)
+            return r;
+        panel->tone = gsn_tone_sum(&panel->tone, &s->tone);
+    }
+    return add_dust(scan, number, &box, a, err);
+}
+
+/* ---- thickness ------------------------------------------------------------------------------ */
+
+static void add_flag(struct gsn_assembly_section *s, const char *word)
+{
+    const size_t used = strlen(s->flags);
+
+    (void)snprintf(s->flags + used, sizeof s->flags - used, "%s%s", used ? " " : "", word);
+}
+
+/* Of one panel, whose sections shared one bath. tone and place: room for all sections. */
+static void judge_thickness(struct gsn_assembly *a, unsigned panel, struct gsn_tone *tone,
+                            size_t *place)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++)
+        if (a->section[i].panel == panel && a->section[i].tone.pixels > 0) {
+            place[count] = i;
+            tone[count++] = a->section[i].tone;
+        }
+    for (size_t k = 0; k < count; k++) {
+        struct gsn_assembly_section *s = &a->section[place[k]];
+
+        s->thickness = gsn_tone_thickness(tone, count, k);
+        if (s->thickness != 1)
+            add_flag(s, s->thickness > 1 ? "thick" : "thin");
+    }
+}
+
+/* ---- dust ------------------------------------------------------------------------------------ */
+
+/* The plane of a lattice that shows the section; nz when there is none. */
+static size_t plane_of(const struct gsn_assembly_section *s, double interval_um,
+                       const struct gsn_lattice *at)
+{
+    const double z =
+        round((interval_um * (s->seen.serial + 0.5) - at->origin_um.z) / at->step_um.z);
+
+    return z >= 0 && z < (double)at->nz ? (size_t)z : at->nz;
+}
+
+/* Takes a disc of the block out of one plane; the share of the region's plane that was lost. */
+static double take_out(struct gsn_grid *grid, size_t z, struct gsn_point um, double radius_um,
+                       const struct gsn_mask *region)
+{
+    size_t all = 0, lost = 0;
+
+    for (size_t y = 0; y < grid->at.ny; y++)
+        for (size_t x = 0; x < grid->at.nx; x++) {
+            const size_t i = gsn_lattice_index(&grid->at, x, y, z);
+            const struct gsn_vec3 u = gsn_lattice_centre(&grid->at, x, y, z);
+            const int counts = region && region->inside[i];
+
+            all += counts != 0;
+            if (hypot(u.x - um.x, u.y - um.y) > radius_um)
+                continue;
+            lost += counts && !isnan(grid->value[i]);
+            grid->value[i] = NAN;
+        }
+    return all ? (double)lost / (double)all : 0;
+}
+
+static void mask_spot(const struct gsn_mask_disc *spot, double px_um, double interval_um,
+                      struct gsn_assembly_section *s, struct gsn_assembly *a)
+{
+    enum { DUST = 9 };
+    _Static_assert(GSN_DEFECT_DUST == 1 << DUST, "the bit of dust");
+    const struct gsn_point um =
+        gsn_affine_apply(&s->pose.panel_to_block_um, (struct gsn_point){ spot->px.x, spot->px.y });
+    const double radius_um = spot->radius_px * px_um;
+    const size_t z = plane_of(s, interval_um, &a->grid->at);
+    double lost = 0;
+
+    if (z < a->grid->at.nz)
+        lost = take_out(a->grid, z, um, radius_um, a->region);
+    if (a->tissue_grid && plane_of(s, interval_um, &a->tissue_grid->at) < a->tissue_grid->at.nz)
+        (void)take_out(a->tissue_grid, plane_of(s, interval_um, &a->tissue_grid->at), um, radius_um,
+                       NULL);
+    s->region_by[DUST] += lost;
+    s->region_masked += lost;
+    s->masked.area_um2[DUST] += M_PI * radius_um * radius_um;
+    s->masked.masked_um2 += M_PI * radius_um * radius_um;
+}
+
+/* A spot beside the section is the scanner's trouble, not the section's. */
+static int covers(const struct gsn_mask_disc *spot, const struct gsn_panel_section *seen)
+{
+    return spot->px.x >= seen->x && spot->px.x < seen->x + seen->width && spot->px.y >= seen->y &&
+           spot->px.y < seen->y + seen->height;
+}
+
+static const struct gsn_assembly_panel *panel_of(const struct gsn_assembly *a, unsigned number)
+{
+    for (size_t p = 0; p < a->panel_count; p++)
+        if (a->panel[p].opened && a->panel[p].given->number == number)
+            return &a->panel[p];
+    return NULL;
+}
+
+static void mask_dust(const struct gsn_specimen *specimen, struct gsn_assembly *a)
+{
+    for (size_t i = 0; i < a->section_count; i++) {
+        struct gsn_assembly_section *s = &a->section[i];
+        const struct gsn_assembly_panel *panel = panel_of(a, s->panel);
+        int covered = 0;
+
+        if (!panel || (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
+            continue;
+        for (size_t k = 0; k < a->spot_count; k++) {
+            const struct gsn_mask_disc spot = gsn_dust_upright(a->dust, &a->spot[k], panel->turn);
+
+            if (!covers(&spot, &s->seen))
+                continue;
+            mask_spot(&spot, panel->given->px_um, specimen->protocol->interval_um, s, a);
+            covered = 1;
+        }
+        if (covered)
+            add_flag(s, "dust");
+    }
+}
+
+int gsn_conditions_judge(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                         struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_tone) tone = gsn_alloc_array(a->section_count + 1, sizeof *tone);
+    gsn_auto_mem(size_t) place = gsn_alloc_array(a->section_count + 1, sizeof *place);
+    int r = GSN_OK;
+
+    if (!tone || !place)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the sections of a panel");
+    for (size_t p = 0; p < a->panel_count; p++)
+        if (a->panel[p].opened)
+            judge_thickness(a, a->panel[p].given->number, tone, place);
+    if (!a->dust || !a->grid)
+        return GSN_OK;
+    r = gsn_dust_find(a->dust, &a->spot, &a->spot_count, &a->spot_panels, err);
+    if (r >= 0)
+        mask_dust(specimen, a);
+    return r;
+}
+
+/* ---- words ------------------------------------------------------------------------------------
+ */
+
+static int add(struct gsn_conditions_words *words, char *sentence)
+{
+    char **more = gsn_realloc_array(words->sentence, words->count + 1, sizeof *more);
+
+    if (more)
+        words->sentence = more;
+    if (!more || !sentence) {
+        gsn_free(sentence);
+        return GSN_E_NOMEM;
+    }
+    words->sentence[words->count++] = sentence;
+    return GSN_OK;
+}
+
+void gsn_conditions_words_done(struct gsn_conditions_words *words)
+{
+    for (size_t i = 0; i < words->count; i++)
+        gsn_free(words->sentence[i]);
+    gsn_free(words->sentence);
+}
+
+static int say_lamp(const struct gsn_assembly_panel *p, struct gsn_conditions_words *words)
+{
+    const int rows = !(p->lamp.rows < p->lamp.columns);
+    const double drift = rows ? p->lamp.rows : p->lamp.columns;
+
+    if (!(drift > STEADY_OD))
+        return GSN_OK;
+    return add(words,
+               gsn_format("panel %u: the blank glass drifts by %.1f %% from %s to %s within "
+                          "the scan, and %.1f %% are allowed: the lamp flickers or was "
+                          "still warming up; let it warm up and scan the panel again",
+                          p->given->number, 100 * (pow(10, drift) - 1), rows ? "row" : "column",
+                          rows ? "row" : "column", 100 * (pow(10, STEADY_OD) - 1)));
+}
+
+static int say_bath(const struct gsn_assembly_panel *p, const struct gsn_protocol *protocol,
+                    struct gsn_conditions_words *words)
+{
+    const double ratio = gsn_tone_yellow_to_red(&p->tone);
+    const double low = protocol->yellow_to_red[0], high = protocol->yellow_to_red[1];
+
+    if (!(low > 0) || isnan(ratio) || (ratio >= low && ratio <= high))
+        return GSN_OK;
+    return add(words, gsn_format("panel %u: yellow dye is %.2f times the red, the batch's limits "
+                                 "are %g to %g: %s; compare with the batch's control glass",
+                                 p->given->number, ratio, low, high,
+                                 ratio > high
+                                     ? "red was washed out (differentiated too long) or yellow "
+                                       "rinsed too little"
+                                     : "yellow was washed out (in water) or red differentiated too "
+                                       "little"));
+}
+
+/* "2 (1.4 times), 7 (0.7 times)" */
+static int say_knife(const struct gsn_assembly *a, struct gsn_conditions_words *words)
+{
+    char list[400] = "";
+    size_t used = 0, count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        const double times = a->section[i].thickness;
+        int n;
+
+        if (!(times > 0) || times == 1)
+            continue;
+        count++;
+        if (used + 30 > sizeof list)
+            continue;
+        n = snprintf(list + used, sizeof list - used, "%s%u (%.1f times)", used ? ", " : "",
+                     a->section[i].seen.serial, times);
+        used += n > 0 ? (size_t)n : 0;
+    }
+    if (count == 0)
+        return GSN_OK;
+    return add(words, gsn_format("all dyes of section%s %s differ together from the panel's other "
+                                 "sections: thickness suspected, look at the knife; %s density is "
+                                 "not corrected",
+                                 count == 1 ? "" : "s", list, count == 1 ? "its" : "their"));
+}
+
+static int say_dust(const struct gsn_assembly *a, struct gsn_conditions_words *words)
+{
+    char list[200] = "";
+    size_t used = 0;
+
+    if (a->spot_count == 0)
+        return GSN_OK;
+    for (size_t i = 0; i < a->spot_count && used + 30 < sizeof list; i++) {
+        const int n = snprintf(list + used, sizeof list - used, "%s(%.0f, %.0f)", used ? ", " : "",
+                               a->spot[i].px.x, a->spot[i].px.y);
+
+        used += n > 0 ? (size_t)n : 0;
+    }
+    return add(words, gsn_format("%zu spot%s at the same place of all %u panels, at %s px: dirt on "
+                                 "the scanner's glass or sensor. %s masked; clean it before the "
+                                 "next panel",
+                                 a->spot_count, a->spot_count == 1 ? " is dark" : "s are dark",
+                                 a->spot_panels, list, a->spot_count == 1 ? "It is" : "They are"));
+}
+
+static int say_age(const struct gsn_protocol *p, struct gsn_conditions_words *words)
+{
+    if (!(p->days_to_scan > GSN_AGE_TOLD_DAYS))
+        return GSN_OK;
+    return add(words, gsn_format("stained on %s and scanned on %s, %.0f days later: picro-fuchsin "
+                                 "fades, and what has faded looks like loss; compare only with a "
+                                 "control of the same age",
+                                 p->stained, p->scanned, p->days_to_scan));
+}
+
+int gsn_conditions_words(const struct gsn_assembly *a, const struct gsn_protocol *protocol,
+                         struct gsn_conditions_words *words)
+{
+    int r = say_age(protocol, words);
+
+    for (size_t p = 0; r >= 0 && p < a->panel_count; p++) {
+        if (!a->panel[p].opened || !a->grid)
+            continue;
+        r = say_lamp(&a->panel[p], words);
+        if (r >= 0)
+            r = say_bath(&a->panel[p], protocol, words);
+    }
+    if (r >= 0)
+        r = say_knife(a, words);
+    return r < 0 ? r : say_dust(a, words);
+}

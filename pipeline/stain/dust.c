@@ -1,0 +1,235 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/dust.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Cells of whole pixels of about this size. A grain is told whole from what lies twice its radius
+ * away: NEAR for specks of up to 40 um in a busy tissue, FAR for those of up to a tenth of a
+ * millimetre. */
+static const double CELL_UM = 20;
+enum { NEAR = 4, FAR = 12 };
+
+/* A spot is darker than its surroundings by this much on every panel: it costs a density of 0.7 a
+ * tenth. The grain of tissue reaches it at one place in a hundred, so on three panels at one in a
+ * million. */
+static const double LEAST_OD = 0.07;
+static const double STEP_OD = 0.01; /* of what is kept for each cell */
+
+/* One cell alone may be three grains by chance. */
+enum { LEAST_CELLS = 2, LEAST_PANELS = 3 };
+/* Around a spot, in cells: what the lens spreads. */
+static const double MARGIN = 1.5;
+
+struct gsn_dust {
+    uint32_t width, height; /* of the panels */
+    double px_um;
+    uint32_t side, nx, ny; /* cells */
+    uint8_t *least;        /* contrast of each cell, the least of the panels, in STEP_OD */
+    unsigned panels;
+};
+
+int gsn_dust_new(struct gsn_dust **ret_dust, struct gsn_error *err)
+{
+    struct gsn_dust *dust = gsn_alloc_array(1, sizeof *dust);
+
+    if (!dust)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
+    *ret_dust = dust;
+    return GSN_OK;
+}
+
+void gsn_dust_free(struct gsn_dust *dust)
+{
+    if (!dust)
+        return;
+    gsn_free(dust->least);
+    gsn_free(dust);
+}
+
+/* The first panel says how large they are. */
+static int begin(struct gsn_dust *dust, const struct gsn_plane *od, double px_um,
+                 struct gsn_error *err)
+{
+    dust->side = (uint32_t)fmax(1, round(CELL_UM / px_um));
+    dust->nx = od->width / dust->side;
+    dust->ny = od->height / dust->side;
+    dust->least = gsn_alloc_array((size_t)dust->nx * dust->ny + 1, 1);
+    if (!dust->least)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
+    memset(dust->least, UINT8_MAX, (size_t)dust->nx * dust->ny);
+    dust->width = od->width;
+    dust->height = od->height;
+    dust->px_um = px_um;
+    return GSN_OK;
+}
+
+/* The density that all three channels have, mean over the cell's pixels. */
+static float darkness(const struct gsn_dust *dust, struct gsn_plane *const od[3], uint32_t x,
+                      uint32_t y)
+{
+    float sum[3] = { 0 };
+
+    for (int c = 0; c < 3; c++)
+        for (uint32_t v = y * dust->side; v < (y + 1) * dust->side; v++)
+            for (uint32_t u = x * dust->side; u < (x + 1) * dust->side; u++)
+                sum[c] += od[c]->value[(size_t)v * dust->width + u];
+    return fminf(sum[0], fminf(sum[1], sum[2])) / (float)(dust->side * dust->side);
+}
+
+/* By how much a cell is darker than the darkest of eight around it. */
+static float contrast_at(const float *dark, size_t nx, size_t i, size_t reach)
+{
+    const size_t aside = reach * nx, slant = reach * 5 / 7; /* cos 45 degrees */
+    const size_t across = slant * nx;
+    const float around = fmaxf(
+        fmaxf(fmaxf(dark[i - reach], dark[i + reach]), fmaxf(dark[i - aside], dark[i + aside])),
+        fmaxf(fmaxf(dark[i - across - slant], dark[i - across + slant]),
+              fmaxf(dark[i + across - slant], dark[i + across + slant])));
+
+    return dark[i] - around;
+}
+
+static int in_discs(const struct gsn_dust *dust, const struct gsn_mask_disc *disc, size_t discs,
+                    uint32_t x, uint32_t y)
+{
+    for (size_t i = 0; i < discs; i++)
+        if (hypot((x + 0.5) * dust->side - disc[i].px.x, (y + 0.5) * dust->side - disc[i].px.y) <=
+            disc[i].radius_px + FAR * dust->side)
+            return 1;
+    return 0;
+}
+
+/* The cell of the picture as the scanner gave it. */
+static size_t raw_cell(const struct gsn_dust *dust, struct gsn_dust_turn turn, uint32_t x,
+                       uint32_t y)
+{
+    const double px = (x + 0.5) * dust->side, py = (y + 0.5) * dust->side;
+    const double ux = turn.turned != turn.mirrored ? dust->width - px : px;
+    const double uy = turn.turned ? dust->height - py : py;
+    const uint32_t cx = (uint32_t)(ux / dust->side), cy = (uint32_t)(uy / dust->side);
+
+    return (size_t)(cy < dust->ny ? cy : dust->ny - 1) * dust->nx +
+           (cx < dust->nx ? cx : dust->nx - 1);
+}
+
+int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px_um,
+                 struct gsn_dust_turn turn, const struct gsn_pixel_box *box,
+                 const struct gsn_mask_disc *disc, size_t discs, struct gsn_error *err)
+{
+    gsn_auto_mem(float) dark = NULL;
+    gsn_auto_mem(uint8_t) contrast = NULL;
+    int r = dust->panels == 0 && !dust->least ? begin(dust, od[0], px_um, err) : GSN_OK;
+
+    if (r < 0)
+        return r;
+    if (od[0]->width != dust->width || od[0]->height != dust->height || px_um != dust->px_um)
+        return GSN_OK;
+
+    const size_t count = (size_t)dust->nx * dust->ny;
+    const uint32_t x0 = (uint32_t)box->x / dust->side, y0 = (uint32_t)box->y / dust->side;
+    const uint32_t x1 = (uint32_t)(box->x + box->width) / dust->side;
+    const uint32_t y1 = (uint32_t)(box->y + box->height) / dust->side;
+
+    dark = gsn_alloc_array(count + 1, sizeof *dark);
+    contrast = gsn_alloc_array(count + 1, 1);
+    if (!dark || !contrast)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
+    for (uint32_t y = y0; y < y1; y++)
+        for (uint32_t x = x0; x < x1; x++)
+            dark[(size_t)y * dust->nx + x] = darkness(dust, od, x, y);
+    for (uint32_t y = y0 + FAR; y + FAR < y1; y++)
+        for (uint32_t x = x0 + FAR; x + FAR < x1; x++) {
+            const size_t i = (size_t)y * dust->nx + x;
+            const double od_more =
+                fmax(contrast_at(dark, dust->nx, i, NEAR), contrast_at(dark, dust->nx, i, FAR));
+
+            if (od_more >= LEAST_OD && !in_discs(dust, disc, discs, x, y))
+                contrast[raw_cell(dust, turn, x, y)] = (uint8_t)fmin(od_more / STEP_OD, UINT8_MAX);
+        }
+    for (size_t i = 0; i < count; i++)
+        dust->least[i] = contrast[i] < dust->least[i] ? contrast[i] : dust->least[i];
+    dust->panels++;
+    return GSN_OK;
+}
+
+/* ---- spots --------------------------------------------------------------------------------- */
+
+struct box {
+    uint32_t x0, y0, x1, y1;
+    size_t cells;
+};
+
+/* Takes the piece that holds a cell out of the map. stack: as many as there are cells. */
+static struct box take_piece(const struct gsn_dust *dust, uint8_t *map, uint32_t *stack, size_t at)
+{
+    struct box box = { UINT32_MAX, UINT32_MAX, 0, 0, 0 };
+    size_t depth = 0;
+
+    map[at] = 0;
+    stack[depth++] = (uint32_t)at;
+    while (depth > 0) {
+        const uint32_t i = stack[--depth], x = i % dust->nx, y = i / dust->nx;
+
+        box.x0 = x < box.x0 ? x : box.x0;
+        box.x1 = x > box.x1 ? x : box.x1;
+        box.y0 = y < box.y0 ? y : box.y0;
+        box.y1 = y > box.y1 ? y : box.y1;
+        box.cells++;
+        for (uint32_t v = y > 0 ? y - 1 : 0; v <= y + 1 && v < dust->ny; v++)
+            for (uint32_t u = x > 0 ? x - 1 : 0; u <= x + 1 && u < dust->nx; u++)
+                if (map[(size_t)v * dust->nx + u]) {
+                    map[(size_t)v * dust->nx + u] = 0;
+                    stack[depth++] = v * dust->nx + u;
+                }
+    }
+    return box;
+}
+
+static struct gsn_mask_disc spot_of(const struct gsn_dust *dust, const struct box *box)
+{
+    const double across = fmax(box->x1 - box->x0 + 1, box->y1 - box->y0 + 1);
+
+    return (struct gsn_mask_disc){ .px = { (box->x0 + box->x1 + 1) * 0.5 * dust->side,
+                                           (box->y0 + box->y1 + 1) * 0.5 * dust->side },
+                                   .radius_px = (across / 2 + MARGIN) * dust->side };
+}
+
+int gsn_dust_find(const struct gsn_dust *dust, struct gsn_mask_disc **ret_spot, size_t *ret_count,
+                  unsigned *ret_panels, struct gsn_error *err)
+{
+    const size_t cells = (size_t)dust->nx * dust->ny;
+    gsn_auto_mem(uint8_t) map = gsn_alloc_array(cells + 1, 1);
+    gsn_auto_mem(uint32_t) stack = gsn_alloc_array(cells + 1, sizeof *stack);
+    gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
+    size_t count = 0, seeds = 0;
+
+    for (size_t i = 0; map && dust->panels >= LEAST_PANELS && i < cells; i++)
+        seeds += map[i] = dust->least[i] > 0;
+    spot = gsn_alloc_array(seeds / LEAST_CELLS + 1, sizeof *spot);
+    if (!map || !stack || !spot)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
+    for (size_t i = 0; seeds > 0 && i < cells; i++)
+        if (map[i]) {
+            const struct box box = take_piece(dust, map, stack, i);
+
+            if (box.cells >= LEAST_CELLS)
+                spot[count++] = spot_of(dust, &box);
+        }
+    *ret_spot = gsn_steal(&spot);
+    *ret_count = count;
+    *ret_panels = dust->panels;
+    return GSN_OK;
+}
+
+struct gsn_mask_disc gsn_dust_upright(const struct gsn_dust *dust, const struct gsn_mask_disc *spot,
+                                      struct gsn_dust_turn turn)
+{
+    struct gsn_mask_disc there = *spot;
+
+    if (turn.turned != turn.mirrored)
+        there.px.x = dust->width - there.px.x;
+    if (turn.turned)
+        there.px.y = dust->height - there.px.y;
+    return there;
+}

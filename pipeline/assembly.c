@@ -123,16 +123,23 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_assembly_place_reference(specimen, px_um, sections, a, err);
     if (r >= 0)
+        r = gsn_assembly_place_columns(specimen, sections, a, err);
+    if (r >= 0)
         r = gsn_assembly_work_panels(specimen, options, a, err);
     if (r >= 0)
         r = gsn_conditions_judge(specimen, a, err);
     if (r >= 0)
         r = gsn_assembly_normalise(specimen, a, err);
+    if (r >= 0)
+        r = gsn_assembly_level(specimen, a, err);
     if (r >= 0 && band && a->grid)
         r = gsn_assembly_find_band(specimen, options, a, err);
+    if (r >= 0)
+        r = gsn_assembly_find_tissues(specimen, options, a, err);
+    if (r >= 0)
+        r = gsn_assembly_sum_errors(specimen, a, err);
     if (r < 0)
         return r;
-    gsn_assembly_sum_errors(specimen, a);
     *ret_assembly = gsn_steal(&a);
     return GSN_OK;
 }
@@ -151,5 +158,6 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_grid_free(a->grid);
     gsn_mask_free(a->tissue);
     gsn_grid_free(a->tissue_grid);
+    gsn_columns_free(a->columns);
     gsn_free(a);
 }

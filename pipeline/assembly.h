@@ -5,11 +5,13 @@
 #ifndef GSN_PIPELINE_ASSEMBLY_H
 #define GSN_PIPELINE_ASSEMBLY_H
 
+#include "pipeline/columns.h"
 #include "pipeline/pictures.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/dust.h"
 #include "pipeline/stain/lamp.h"
+#include "pipeline/stain/level.h"
 #include "pipeline/stain/reference.h"
 #include "pipeline/stain/mask.h"
 #include "pipeline/stain/tone.h"
@@ -48,6 +50,8 @@ struct gsn_assembly_panel {
     struct gsn_glass glass;
     struct gsn_specimen_stain stain;
     struct gsn_stain_gain gain; /* what its densities were divided by */
+    int levelled;               /* whether it was compared with the panels beside it */
+    struct gsn_level level;     /* its densities were: minus offset, divided by gain */
     double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
     double red_error; /* relative standard error of its red by vectors and white; 0: the
                          vectors were taken as exact */
@@ -55,6 +59,18 @@ struct gsn_assembly_panel {
     struct gsn_tone tone;      /* of all its sections */
     struct gsn_dust_turn turn; /* as in its scan */
     char note[400];
+};
+
+/* Tissue that nobody treated, found by its density. */
+enum gsn_tissue_kind { GSN_TISSUE_DENSE, GSN_TISSUE_LOOSE, GSN_TISSUE_DENTINE, GSN_TISSUES };
+
+/* What of the panels was compared, and with which tissue other specimens can be. */
+struct gsn_levelling {
+    int done;                 /* whether the panels could be compared with each other */
+    struct gsn_level_fit fit; /* of the steps between them */
+    size_t panels;            /* that were compared */
+    struct gsn_level_tissue tissue[GSN_TISSUES]; /* on the panels' common scale */
+    char why[480];                               /* why not done, or empty */
 };
 
 struct gsn_assembly {
@@ -76,9 +92,15 @@ struct gsn_assembly {
     size_t spot_count;            /* of the scanner's dust */
     struct gsn_mask_disc *spot;   /* owned; pixels as the scanner gave them */
     unsigned spot_panels;         /* that were compared for it */
-    double red_error;             /* relative standard error of a mean density by the stain */
+    struct gsn_columns *columns;  /* owned; NULL where a reference tissue is stated */
+    struct gsn_levelling levelling;
+    double red_error; /* relative standard error of a mean density on the panels' own scale: by
+                         vectors, white, gains and the steps between panels */
+    double
+        common_error; /* relative: what that scale itself may be off by against another specimen's
+                         where no reference tissue tells; 0: one panel, or a tissue was stated */
     double stain_scatter; /* relative standard deviation of the panels' strength, where no reference
-                             tissue takes it out; 0: one panel, or taken out */
+                             tissue was stated; 0: one panel, or one was */
     char not_comparable[240]; /* why the stain could not be normalised though asked, or empty */
 };
 

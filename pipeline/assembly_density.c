@@ -173,8 +173,8 @@ static int resample_into(const struct gsn_stack_section *sections, size_t count,
 
 static int stack_panel(const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options, unsigned number,
-                       const struct gsn_plane *density, struct gsn_assembly *a,
-                       struct gsn_error *err)
+                       const struct gsn_scan *scan, const struct gsn_plane *density,
+                       struct gsn_assembly *a, struct gsn_error *err)
 {
     const double interval_um = specimen->protocol->interval_um;
     gsn_auto_mem(struct gsn_stack_section) sections =
@@ -190,6 +190,8 @@ static int stack_panel(const struct gsn_specimen *specimen,
     r = resample_into(sections, count, interval_um, options->threads, a->grid, err);
     if (r >= 0 && a->tissue_grid)
         r = resample_into(sections, count, interval_um, options->threads, a->tissue_grid, err);
+    if (r >= 0 && a->columns)
+        r = gsn_columns_add(a->columns, sections, count, scan->od, interval_um, err);
     return r;
 }
 
@@ -241,7 +243,7 @@ static int work_panel(const struct gsn_specimen *specimen,
     (void)snprintf(panel->note, sizeof panel->note, "%s", scan->note);
     if (!a->grid)
         return GSN_OK;
-    r = gsn_unmix(scan->od, &stain->fit.dyes, options->threads, &density, NULL, NULL, err);
+    r = gsn_red(scan->od, &stain->fit.dyes, options->threads, &density, err);
     if (r < 0)
         return r;
     r = mask_panel(specimen, options, scan, stain, density, a, err);
@@ -256,7 +258,7 @@ static int work_panel(const struct gsn_specimen *specimen,
     r = gsn_evenness_of_panel(a, stain->panel, density, &panel->strength, err);
     if (r < 0)
         return r;
-    return stack_panel(specimen, options, stain->panel, density, a, err);
+    return stack_panel(specimen, options, stain->panel, scan, density, a, err);
 }
 
 int gsn_assembly_work_panels(const struct gsn_specimen *specimen,

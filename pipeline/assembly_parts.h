@@ -2,7 +2,8 @@
 
 /* The steps that gsn_assembly_make() takes, in their order: the frame (assembly_frame.c), the poses
  * (assembly_poses.c), the density panel by panel (assembly_density.c), what the stain leaves open
- * (assembly_stain.c). Private to these files. Fail as gsn_assembly_make() does. */
+ * (assembly_stain.c), the panels brought to one scale (assembly_level.c). Private to these files.
+ * Fail as gsn_assembly_make() does. */
 #ifndef GSN_PIPELINE_ASSEMBLY_PARTS_H
 #define GSN_PIPELINE_ASSEMBLY_PARTS_H
 
@@ -60,10 +61,27 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
 /* The reference tissue, where one is stated. */
 int gsn_assembly_place_reference(const struct gsn_specimen *specimen, double px_um,
                                  unsigned sections, struct gsn_assembly *a, struct gsn_error *err);
+/* The panel that the section with this serial number was taken from, and the serial number of a
+ * plane; NULL when there is none. Borrowed. */
+struct gsn_assembly_panel *gsn_assembly_panel_of_serial(struct gsn_assembly *a, double serial);
+double gsn_assembly_serial_of_plane(const struct gsn_lattice *at, size_t z, double interval_um);
+
+/* Where no reference tissue is stated: the cells of the whole block. */
+int gsn_assembly_place_columns(const struct gsn_specimen *specimen, unsigned sections,
+                               struct gsn_assembly *a, struct gsn_error *err);
+/* Brings the panels to their common scale. That it cannot be done is a state, with a sentence. */
+int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                       struct gsn_error *err);
+/* Finds tissue that other specimens have too, off the region. Comes when the region is known. */
+int gsn_assembly_find_tissues(const struct gsn_specimen *specimen,
+                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                              struct gsn_error *err);
+
 /* Divides each plane by the gain that the reference tissue tells of its panel. */
 int gsn_assembly_normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                            struct gsn_error *err);
 /* The standard error of a mean density by the stain, and what unequal panels add to it. */
-void gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a);
+int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                            struct gsn_error *err);
 
 #endif

@@ -28,30 +28,79 @@ static size_t panels_inside(const struct gsn_assembly *a, double interval_um)
     return count;
 }
 
-/* What unequal stain adds, where no reference tissue takes it out. */
-static double uneven_error(const struct gsn_specimen *specimen, struct gsn_assembly *a)
+/* What the stain that all panels have in common may be off by, where no tissue was stated. */
+static void judge_evenness(const struct gsn_specimen *specimen, struct gsn_assembly *a)
 {
     double strength[64];
     struct gsn_evenness evenness;
     size_t count = 0, inside;
 
     if (!a->grid || (a->tissue_grid && !a->not_comparable[0]))
-        return 0;
+        return;
     for (size_t p = 0; p < a->panel_count && count < sizeof strength / sizeof strength[0]; p++)
         if (a->panel[p].opened)
             strength[count++] = a->panel[p].strength;
-    inside = panels_inside(a, specimen->protocol->interval_um);
+    /* Panels that were levelled all have a part in the region's scale. */
+    inside = a->levelling.done ? count : panels_inside(a, specimen->protocol->interval_um);
     evenness = gsn_evenness_of(strength, count, inside > 0 ? inside : 1);
     a->stain_scatter = evenness.scatter;
-    return evenness.error;
+    a->common_error = evenness.error;
+}
+
+/* Shares of the region's voxels by panel, in the panels' order; returns how many voxels have data.
+ */
+static size_t share_panels(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                           double *share, double *ret_mean)
+{
+    const struct gsn_lattice *at = &a->grid->at;
+    size_t total = 0, i = 0;
+    double sum = 0;
+
+    for (size_t z = 0; z < at->nz; z++) {
+        const struct gsn_assembly_panel *panel = gsn_assembly_panel_of_serial(
+            a, gsn_assembly_serial_of_plane(at, z, specimen->protocol->interval_um));
+
+        for (size_t y = 0; y < at->ny; y++)
+            for (size_t x = 0; x < at->nx; x++, i++)
+                if (panel && !isnan(a->grid->value[i]) &&
+                    gsn_mask_has(a->region, gsn_lattice_centre(at, x, y, z))) {
+                    share[panel - a->panel]++;
+                    sum += a->grid->value[i];
+                    total++;
+                }
+    }
+    for (size_t p = 0; p < a->panel_count && total > 0; p++)
+        share[p] /= (double)total;
+    *ret_mean = total > 0 ? sum / (double)total : 0;
+    return total;
+}
+
+/* What the steps between the panels leave open, relative to the mean. */
+static double step_error(const struct gsn_specimen *specimen, struct gsn_assembly *a, double *share)
+{
+    double mean, of_levelled[64];
+    size_t count = 0;
+
+    if (!a->levelling.done || !a->grid || !a->region ||
+        share_panels(specimen, a, share, &mean) == 0 || !(mean > 0))
+        return 0;
+    for (size_t p = 0; p < a->panel_count && count < sizeof of_levelled / sizeof *of_levelled; p++)
+        if (a->panel[p].levelled)
+            of_levelled[count++] = share[p];
+    return gsn_level_error(&a->levelling.fit, of_levelled, count, mean) / mean;
 }
 
 /* The vectors of all panels lean on one prior, so their errors are taken as common; gains are
  * measured panel by panel. */
-void gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a)
+int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                            struct gsn_error *err)
 {
-    const double uneven = uneven_error(specimen, a);
+    gsn_auto_mem(double) share = gsn_alloc_array(a->panel_count + 1, sizeof *share);
     double vectors = 0, gains = 0, panels = 0;
+
+    if (!share)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the errors of a stain");
+    judge_evenness(specimen, a);
 
     for (size_t p = 0; p < a->panel_count; p++) {
         const struct gsn_assembly_panel *panel = &a->panel[p];
@@ -64,7 +113,9 @@ void gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_ass
             gains += panel->gain.error * panel->gain.error / (panel->gain.gain * panel->gain.gain);
     }
     if (panels > 0)
-        a->red_error = hypot(hypot(vectors / panels, sqrt(gains) / panels), uneven);
+        a->red_error =
+            hypot(hypot(vectors / panels, sqrt(gains) / panels), step_error(specimen, a, share));
+    return GSN_OK;
 }
 
 int gsn_assembly_place_reference(const struct gsn_specimen *specimen, double px_um,
@@ -86,8 +137,7 @@ int gsn_assembly_place_reference(const struct gsn_specimen *specimen, double px_
     return r < 0 ? r : gsn_assembly_empty_grid(&lattice, &a->tissue_grid, err);
 }
 
-/* The panel that the section with this serial number was taken from; NULL when there is none. */
-static struct gsn_assembly_panel *panel_of_serial(struct gsn_assembly *a, double serial)
+struct gsn_assembly_panel *gsn_assembly_panel_of_serial(struct gsn_assembly *a, double serial)
 {
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
@@ -102,7 +152,7 @@ static struct gsn_assembly_panel *panel_of_serial(struct gsn_assembly *a, double
     return NULL;
 }
 
-static double serial_of_plane(const struct gsn_lattice *at, size_t z, double interval_um)
+double gsn_assembly_serial_of_plane(const struct gsn_lattice *at, size_t z, double interval_um)
 {
     return round((at->origin_um.z + (double)z * at->step_um.z) / interval_um - 0.5);
 }
@@ -133,7 +183,8 @@ static int measure_panel_gain(const struct gsn_specimen *specimen, struct gsn_as
     if (!sections || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the reference tissue");
     for (size_t z = 0; z < at->nz; z++)
-        if (panel_of_serial(a, serial_of_plane(at, z, specimen->protocol->interval_um)) == panel)
+        if (gsn_assembly_panel_of_serial(
+                a, gsn_assembly_serial_of_plane(at, z, specimen->protocol->interval_um)) == panel)
             sections[count++] = reference_in(a, z, scratch);
     panel->gain = (struct gsn_stain_gain){ .gain = 1 };
     (void)gsn_stain_reference(sections, count, specimen->protocol->reference_density, &panel->gain,
@@ -175,7 +226,7 @@ static void divide(struct gsn_assembly *a, double interval_um)
 
     for (size_t z = 0; z < at->nz; z++) {
         const struct gsn_assembly_panel *panel =
-            panel_of_serial(a, serial_of_plane(at, z, interval_um));
+            gsn_assembly_panel_of_serial(a, gsn_assembly_serial_of_plane(at, z, interval_um));
 
         for (size_t i = z * plane; panel && i < (z + 1) * plane; i++)
             a->grid->value[i] = (float)(a->grid->value[i] / panel->gain.gain);

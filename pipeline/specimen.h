@@ -17,6 +17,7 @@
 #include "pipeline/protocol.h"
 #include "pipeline/register/pose.h"
 #include "pipeline/stain/dyes.h"
+#include "pipeline/stain/level.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -39,12 +40,18 @@ struct gsn_specimen_input {
     size_t size;
 };
 
+/* Kinds of tissue that nobody treated, as pipeline/assembly.h names them. */
+enum { GSN_SPECIMEN_TISSUES = 3 };
+
 /* The control's figures; name is "" when the job states no baseline. */
 struct gsn_specimen_baseline {
     const char *name;
     size_t specimens; /* with a result; more than one for a group; 0: none yet */
     double mean_density, volume_mm3;
     double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
+    double own_scale_error;    /* that without what its stain as a whole may be off by */
+    /* Of tissue that nobody treated; value NaN: not known of every one of the specimens. */
+    struct gsn_level_tissue tissue[GSN_SPECIMEN_TISSUES];
     const char *definition, *dyes;
 };
 
@@ -106,6 +113,9 @@ struct gsn_specimen_result {
     size_t measure_count;
     struct gsn_specimen_measure measure[GSN_SPECIMEN_MEASURES];
 };
+
+/* The measure by which a tissue's density is handed on: its value, and 95 % to either side. */
+const char *gsn_specimen_tissue_measure(unsigned tissue);
 
 /* gives. A specimen whose evidence is too thin has a result too: withheld, with a report that names
  * the evidence and the next action. Fails with GSN_E_NOMEM, GSN_E_IO, GSN_E_PROCESS, GSN_E_FIT. */

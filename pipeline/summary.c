@@ -52,6 +52,8 @@ struct draft {
     struct gsn_report_units units;
     struct gsn_report_tile tile;
     double loss_low, loss_high; /* NaN: no interval */
+    int linked;                 /* whether untreated tissue tells how the baseline was stained */
+    struct gsn_level_link link;
     int out_of_memory;
 };
 
@@ -488,22 +490,77 @@ static void fill_bridge(const struct gsn_evidence *e, struct draft *d)
                     100 * share, b->error));
 }
 
+static const char *const TISSUE_NAMES[GSN_TISSUES] = { "dense tissue (bone)", "loose tissue",
+                                                       "dentine" };
+
+const char *gsn_specimen_tissue_measure(unsigned tissue)
+{
+    static const char *const names[GSN_TISSUES] = { "tissue_dense", "tissue_loose",
+                                                    "tissue_dentine" };
+
+    return names[tissue];
+}
+
+/* How the baseline would read in this specimen's stain, by tissue that nobody treated. */
+static void find_link(const struct gsn_evidence *e, struct draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+    const struct gsn_levelling *l = e->assembly ? &e->assembly->levelling : NULL;
+    struct gsn_level spread;
+
+    _Static_assert((int)GSN_TISSUES == (int)GSN_SPECIMEN_TISSUES, "one baseline, one list");
+    if (!l || !l->done || !e->account || b->specimens == 0)
+        return;
+    /* Two specimens, each the mean of so many panels. */
+    spread.gain = l->fit.gain_scatter * sqrt(2 / (double)l->panels);
+    spread.offset = l->fit.offset_scatter * sqrt(2 / (double)l->panels);
+    d->linked = gsn_level_between(l->tissue, b->tissue, GSN_TISSUES, &spread, &d->link, NULL) >= 0;
+}
+
+/* What the untreated tissues are off the link by, in their errors, when something is wrong. */
+static const double DISAGREEING = 2;
+
+static void fill_link(const struct gsn_evidence *e, struct draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+
+    value_row(d->measure, &d->report.measure_count, "Stain against the baseline's, factor",
+              d->link.gain, "");
+    value_row(d->measure, &d->report.measure_count, "Stain against the baseline's, added",
+              d->link.offset, "density");
+    if (d->link.disagreement > DISAGREEING)
+        warn(d,
+             say(d,
+                 "the tissues outside of the region do not agree on how this specimen is stained "
+                 "against %s: one of them has changed, or is not what it was taken for",
+                 b->name));
+}
+
 /* Where no reference tissue is stated, a bath that stained one panel stronger looks like collagen.
  */
 static void fill_evenness(const struct gsn_evidence *e, struct draft *d)
 {
     struct gsn_report *r = &d->report;
+    const char *why;
 
     if (!e->assembly || !(e->assembly->stain_scatter > 0))
         return;
     value_row(d->measure, &r->measure_count, "Strength of the stain, scatter from panel to panel",
               100 * e->assembly->stain_scatter, "%");
-    if (e->assembly->stain_scatter > UNEVEN_UNSAID)
-        warn(d, say(d,
-                    "the panels are stained unequally (their strongest tissue differs by %.0f %%, "
-                    "standard deviation), and no reference tissue takes that out: the loss is only "
-                    "known to within its interval; state \"reference\" in job.json",
-                    100 * e->assembly->stain_scatter));
+    if (d->linked || e->assembly->stain_scatter <= UNEVEN_UNSAID ||
+        (e->assembly->levelling.done && e->specimen->baseline.specimens == 0))
+        return;
+    why = e->assembly->levelling.done
+              ? "which was taken out between the panels, but not against the baseline: too little "
+                "tissue outside of the region is alike in both"
+              : "and no reference tissue takes that out";
+    warn(d, say(d,
+                "the panels are stained unequally (their strongest tissue differs by %.0f %%, "
+                "standard deviation), %s: the loss is only known to within its interval; state "
+                "\"reference\" in job.json",
+                100 * e->assembly->stain_scatter, why));
+    if (e->assembly->levelling.why[0])
+        warn(d, say(d, "the panels were not levelled: %s", e->assembly->levelling.why));
 }
 
 /* Why too little of the region is known to give a loss; NULL: enough is. */
@@ -552,28 +609,58 @@ static void fill_definition(const struct gsn_evidence *e, struct draft *d)
                                     : dyes_of(e);
 }
 
-/* Standard error of the mean density by what the stain leaves open; 0: not known. */
-static double density_error(const struct gsn_evidence *e)
+/* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
+ * it leaves out what all panels have in common. */
+static double own_scale_error(const struct gsn_evidence *e)
 {
     return e->assembly && e->account ? e->assembly->red_error * e->account->density.mean : 0;
+}
+
+static double density_error(const struct gsn_evidence *e)
+{
+    return e->assembly && e->account
+               ? hypot(e->assembly->red_error, e->assembly->common_error) * e->account->density.mean
+               : 0;
+}
+
+/* Where density 0 lies on the common scale of the panels nobody knows better than the panels agree
+ * on it. It moves both sides alike, and the loss by that times what the sides differ by. */
+static double zero_error(const struct gsn_evidence *e, double baseline)
+{
+    const struct gsn_levelling *l = &e->assembly->levelling;
+
+    return l->fit.offset_scatter / sqrt((double)l->panels) *
+           fabs(1 - e->account->density.mean / baseline);
+}
+
+/* The baseline as it would read in this specimen's stain, and what that leaves open. */
+static void link_sides(const struct gsn_evidence *e, const struct draft *d,
+                       struct gsn_loss_side *control, struct gsn_loss_side *treated)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+
+    control->mean = d->link.gain * b->mean_density + d->link.offset;
+    control->standard_error =
+        hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
+    treated->standard_error = hypot(own_scale_error(e), zero_error(e, control->mean));
 }
 
 static void fill_loss(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
     struct gsn_report *r = &d->report;
-    const struct gsn_loss_side control = { .name = b->name,
-                                           .definition = b->definition,
-                                           .dyes = b->dyes,
-                                           .mean = b->mean_density,
-                                           .standard_error = b->mean_density_error,
-                                           .volume_um3 = 1e9 * b->volume_mm3 };
-    const struct gsn_loss_side treated = { .name = r->specimen,
-                                           .definition = r->density_name,
-                                           .dyes = r->density_version,
-                                           .mean = r->region.mean_density,
-                                           .standard_error = density_error(e),
-                                           .volume_um3 = 1e9 * r->region.volume_mm3 };
+    struct gsn_loss_side control = { .name = b->name,
+                                     .definition = b->definition,
+                                     .dyes = b->dyes,
+                                     .mean = b->mean_density,
+                                     .standard_error = b->mean_density_error,
+                                     .volume_um3 = 1e9 * b->volume_mm3 };
+    struct gsn_loss_side treated = { .name = r->specimen,
+                                     .definition = r->density_name,
+                                     .dyes = r->density_version,
+                                     .mean = r->region.mean_density,
+                                     .standard_error = density_error(e),
+                                     .volume_um3 = 1e9 * r->region.volume_mm3 };
     struct gsn_error why = { 0 };
     struct gsn_loss loss;
 
@@ -590,7 +677,9 @@ static void fill_loss(const struct gsn_evidence *e, struct draft *d)
         warn(d, r->loss_reason);
         return;
     }
-    r->baseline_mean = b->mean_density;
+    if (d->linked)
+        link_sides(e, d, &control, &treated);
+    r->baseline_mean = control.mean;
     r->loss_reason = too_little_known(e, d);
     if (r->loss_reason) {
         warn(d, r->loss_reason);
@@ -703,6 +792,63 @@ static const char *light_of(const struct gsn_assembly *a, struct draft *d)
     return say(d, "%s", line);
 }
 
+/* "panel 1: x 1.067, -0.004; ..." */
+static const char *levels_of(const struct gsn_assembly *a, struct draft *d)
+{
+    char line[1000] = "";
+    size_t used = 0;
+
+    for (size_t i = 0; i < a->panel_count && used < sizeof line; i++) {
+        const struct gsn_assembly_panel *p = &a->panel[i];
+        int n;
+
+        if (!p->levelled)
+            continue;
+        n = snprintf(line + used, sizeof line - used, "%spanel %u: x %.3f, %+.3f", used ? "; " : "",
+                     p->stain.panel, p->level.gain, p->level.offset);
+        used += n > 0 ? (size_t)n : 0;
+    }
+    return say(d, "%s", line);
+}
+
+/* "dentine 0.567 +- 0.011 (baseline 0.540); ..." */
+static const char *tissues_of(const struct gsn_evidence *e, struct draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+    char line[600] = "";
+    size_t used = 0;
+
+    for (size_t k = 0; k < GSN_TISSUES && used < sizeof line; k++) {
+        const struct gsn_level_tissue *t = &e->assembly->levelling.tissue[k];
+        char control[48] = "";
+        int n;
+
+        if (isnan(t->value))
+            continue;
+        if (d->linked && !isnan(b->tissue[k].value))
+            (void)snprintf(control, sizeof control, " (baseline %.3f)", b->tissue[k].value);
+        n = snprintf(line + used, sizeof line - used, "%s%s %.3f +- %.3f%s", used ? "; " : "",
+                     TISSUE_NAMES[k], t->value, t->error, control);
+        used += n > 0 ? (size_t)n : 0;
+    }
+    return say(d, "%s", used ? line : "none was found");
+}
+
+static void fill_levels(const struct gsn_evidence *e, struct draft *d)
+{
+    struct gsn_report_value *rows = d->parameter;
+    size_t *count = &d->report.parameter_count;
+
+    if (!e->assembly || !e->assembly->levelling.done)
+        return;
+    text_row(rows, count, "stain of each panel against the panels' mean",
+             levels_of(e->assembly, d));
+    value_row(rows, count, "share of the differences between panels that was taken out",
+              100 * e->assembly->levelling.fit.kept, "%");
+    text_row(rows, count, "untreated tissue, density on the panels' common scale",
+             tissues_of(e, d));
+}
+
 static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
@@ -731,6 +877,7 @@ static void fill_parameters(const struct gsn_evidence *e, struct draft *d)
                      say(d, "%g to %g", p->yellow_to_red[0], p->yellow_to_red[1]));
         if (e->assembly && e->assembly->grid)
             text_row(rows, count, "light and bath", light_of(e->assembly, d));
+        fill_levels(e, d);
     }
     if (p->px_um > 0)
         value_row(rows, count, "pixel size, stated", p->px_um, "um");
@@ -800,6 +947,15 @@ static void keep_measures(const struct gsn_evidence *e, const struct draft *d,
     measure_row(result, "coverage", r->region.coverage, NAN, NAN, "");
     if (density_error(e) > 0)
         measure_row(result, "mean_density_error", density_error(e), NAN, NAN, "density");
+    if (own_scale_error(e) > 0)
+        measure_row(result, "own_scale_error", own_scale_error(e), NAN, NAN, "density");
+    for (unsigned t = 0; e->assembly && e->account && t < GSN_TISSUES; t++) {
+        const struct gsn_level_tissue *tissue = &e->assembly->levelling.tissue[t];
+
+        measure_row(result, gsn_specimen_tissue_measure(t), tissue->value,
+                    tissue->value - 1.96 * tissue->error, tissue->value + 1.96 * tissue->error,
+                    "density");
+    }
     measure_row(result, "loss", r->loss_percent, d->loss_low, d->loss_high, "%");
     measure_row(result, "loss_points", r->loss_points, NAN, NAN, "points");
     if (e->tile && e->tile->compared)
@@ -847,7 +1003,10 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
     if (e->account) {
         fill_figures(e, &d);
         fill_bridge(e, &d);
+        find_link(e, &d);
         fill_evenness(e, &d);
+        if (d.linked)
+            fill_link(e, &d);
     }
     if (e->tile)
         fill_tile(e, &d);

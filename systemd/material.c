@@ -219,12 +219,20 @@ static int take_files(struct gsn_material *m, struct gsn_error *err)
 
 /* ---- baseline ---------------------------------------------------------------------------- */
 
-static double measure_named(const struct gsn_measure_rows *rows, const char *name)
+static const struct gsn_measure_row *row_named(const struct gsn_measure_rows *rows,
+                                               const char *name)
 {
     for (size_t i = 0; i < rows->count; i++)
         if (strcmp(rows->at[i].name, name) == 0)
-            return rows->at[i].value;
-    return NAN;
+            return &rows->at[i];
+    return NULL;
+}
+
+static double measure_named(const struct gsn_measure_rows *rows, const char *name)
+{
+    const struct gsn_measure_row *row = row_named(rows, name);
+
+    return row ? row->value : (double)NAN;
 }
 
 static double known(const struct gsn_measure_rows *rows, const char *name)
@@ -264,6 +272,18 @@ static int finished_run(struct gsn_store *store, int64_t specimen, struct gsn_ru
     return GSN_OK;
 }
 
+/* Sums over controls; what one of them lacks is not known of all. */
+static void add_tissues(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
+{
+    for (unsigned t = 0; t < GSN_SPECIMEN_TISSUES; t++) {
+        const struct gsn_measure_row *row = row_named(rows, gsn_specimen_tissue_measure(t));
+        const double error = row ? (row->upper - row->lower) / (2 * 1.96) : (double)NAN;
+
+        b->tissue[t].value += row ? row->value : (double)NAN;
+        b->tissue[t].error = hypot(b->tissue[t].error, error);
+    }
+}
+
 /* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
  * on its having none: else two such specimens, each the other's baseline, would ask for each other
  * for ever. */
@@ -292,6 +312,8 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
         return GSN_OK;
     b->mean_density += mean;
     b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
+    b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));
+    add_tissues(measures, b);
     b->volume_mm3 += measure_named(measures, "region_volume");
     b->specimens++;
     if (!m->definition) {
@@ -319,6 +341,11 @@ static int take_baseline(struct gsn_material *m, struct gsn_error *err)
     if (b->specimens > 0) {
         b->mean_density /= (double)b->specimens;
         b->mean_density_error /= (double)b->specimens;
+        b->own_scale_error /= (double)b->specimens;
+        for (unsigned t = 0; t < GSN_SPECIMEN_TISSUES; t++) {
+            b->tissue[t].value /= (double)b->specimens;
+            b->tissue[t].error /= (double)b->specimens;
+        }
         b->volume_mm3 /= (double)b->specimens;
     }
     b->definition = m->definition ? m->definition : "";

@@ -18,7 +18,7 @@ enum gsn_tissue {
     GSN_TISSUE_ROOT, /* dentine and the pulp in it */
     GSN_TISSUE_BONE, /* as dense as bone is now: without marrow and what a lesion has thinned */
     GSN_TISSUE_ALL,  /* the outline of the sections */
-    GSN_TISSUES
+    GSN_TISSUE_BODIES
 };
 
 /* "root", "bone", "tissue". */

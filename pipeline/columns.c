@@ -1,0 +1,155 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/columns.h"
+
+#include "pipeline/core/distance.h"
+
+#include <math.h>
+
+/* R, G and B together: paler is glass, fat or an empty vessel. */
+static const double LEAST_TISSUE_OD = 0.15;
+/* A cell is tissue where next to no glass is in it, and seen where next to nothing is masked. */
+static const double LEAST_TISSUE = 0.9, LEAST_SEEN = 0.5;
+
+/* Sums over one plane of cells. */
+struct tally {
+    float sum, tissue, seen;
+};
+
+int gsn_columns_new(const struct gsn_lattice *at, struct gsn_columns **ret_columns,
+                    struct gsn_error *err)
+{
+    gsn_auto(gsn_columns) c = gsn_alloc_array(1, sizeof *c);
+    int r = c ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the cells of a block");
+
+    if (r >= 0)
+        r = gsn_grid_new(at, &c->density, err);
+    if (r >= 0)
+        r = gsn_grid_new(at, &c->tissue, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < gsn_lattice_count(at); i++)
+        c->density->value[i] = c->tissue->value[i] = NAN;
+    *ret_columns = gsn_steal(&c);
+    return GSN_OK;
+}
+
+void gsn_columns_free(struct gsn_columns *columns)
+{
+    if (!columns)
+        return;
+    gsn_grid_free(columns->density);
+    gsn_grid_free(columns->tissue);
+    gsn_free(columns);
+}
+
+/* Every pixel of the section falls into the cell its centre lies in. */
+static void tally_section(const struct gsn_stack_section *s, struct gsn_plane *const od[3],
+                          const struct gsn_lattice *at, struct tally *tally)
+{
+    const struct gsn_affine *m = &s->panel_to_block_um;
+
+    for (int y = s->y; y < s->y + s->height; y++)
+        for (int x = s->x; x < s->x + s->width; x++) {
+            const struct gsn_point um = gsn_affine_apply(m, (struct gsn_point){ x + 0.5, y + 0.5 });
+            const double cx = floor((um.x - at->origin_um.x) / at->step_um.x + 0.5);
+            const double cy = floor((um.y - at->origin_um.y) / at->step_um.y + 0.5);
+            const size_t i = (size_t)y * s->density->width + (size_t)x;
+            const float density = s->density->value[i];
+
+            if (isnan(density) || !(cx >= 0 && cx < (double)at->nx && cy >= 0) ||
+                cy >= (double)at->ny)
+                continue;
+
+            struct tally *t = &tally[(size_t)cy * at->nx + (size_t)cx];
+
+            t->seen++;
+            if (od[0]->value[i] + od[1]->value[i] + od[2]->value[i] <= (float)LEAST_TISSUE_OD)
+                continue;
+            t->tissue++;
+            t->sum += density;
+        }
+}
+
+static void keep(const struct tally *tally, double pixels, size_t plane, float *density,
+                 float *tissue)
+{
+    for (size_t i = 0; i < plane; i++) {
+        const struct tally *t = &tally[i];
+
+        if (!(t->seen > 0) || t->seen < LEAST_SEEN * pixels)
+            continue;
+        tissue[i] = t->tissue / t->seen;
+        if (tissue[i] >= LEAST_TISSUE)
+            density[i] = t->sum / t->tissue;
+    }
+}
+
+int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *sections,
+                    size_t count, struct gsn_plane *const od[3], double interval_um,
+                    struct gsn_error *err)
+{
+    const struct gsn_lattice *at = &columns->density->at;
+    const size_t plane = at->nx * at->ny;
+
+    for (size_t s = 0; s < count; s++) {
+        const double z = interval_um * (sections[s].serial + 0.5);
+        const double k = round((z - at->origin_um.z) / at->step_um.z);
+        const double px_um2 = fabs(gsn_affine_det(&sections[s].panel_to_block_um));
+        gsn_auto_mem(struct tally) tally = NULL;
+
+        if (!(k >= 0 && k < (double)at->nz))
+            continue;
+        tally = gsn_alloc_array(plane, sizeof *tally);
+        if (!tally)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the cells of a section");
+        tally_section(&sections[s], od, at, tally);
+        keep(tally, at->step_um.x * at->step_um.y / px_um2, plane,
+             columns->density->value + (size_t)k * plane,
+             columns->tissue->value + (size_t)k * plane);
+    }
+    return GSN_OK;
+}
+
+static void project(const struct gsn_mask *region, const struct gsn_lattice *at, uint8_t *set)
+{
+    for (size_t i = 0, z = 0; z < region->at.nz; z++)
+        for (size_t y = 0; y < region->at.ny; y++)
+            for (size_t x = 0; x < region->at.nx; x++, i++) {
+                const struct gsn_vec3 u = gsn_lattice_centre(&region->at, x, y, z);
+                const double cx = floor((u.x - at->origin_um.x) / at->step_um.x + 0.5);
+                const double cy = floor((u.y - at->origin_um.y) / at->step_um.y + 0.5);
+
+                if (region->inside[i] && cx >= 0 && cx < (double)at->nx && cy >= 0 &&
+                    cy < (double)at->ny)
+                    set[(size_t)cy * at->nx + (size_t)cx] = 1;
+            }
+}
+
+int gsn_columns_footprint(const struct gsn_mask *region, const struct gsn_lattice *at,
+                          double margin_um, struct gsn_mask **ret_footprint, struct gsn_error *err)
+{
+    struct gsn_lattice flat = *at;
+    gsn_auto(gsn_mask) footprint = NULL;
+    gsn_auto_mem(float) square = gsn_alloc_array(at->nx * at->ny, sizeof *square);
+    int r;
+
+    flat.nz = 1;
+    if (!square)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the footprint of a region");
+    r = gsn_mask_new(&flat, &footprint, err);
+    if (r < 0)
+        return r;
+    project(region, &flat, footprint->inside);
+    if (gsn_mask_count(footprint) > 0) {
+        const struct gsn_distance_box box = { flat.nx,        flat.ny,        1,
+                                              flat.step_um.x, flat.step_um.y, flat.step_um.z };
+
+        r = gsn_distance_squared(footprint->inside, &box, 1, square, err);
+        for (size_t i = 0; r >= 0 && i < flat.nx * flat.ny; i++)
+            footprint->inside[i] = square[i] <= (float)(margin_um * margin_um);
+    }
+    if (r < 0)
+        return r;
+    *ret_footprint = gsn_steal(&footprint);
+    return GSN_OK;
+}

@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The whole block in coarse cells, while its panels pass: what is needed to compare panel with
+ * panel, and specimen with specimen, by tissue outside of the region of interest. */
+#ifndef GSN_PIPELINE_COLUMNS_H
+#define GSN_PIPELINE_COLUMNS_H
+
+#include "pipeline/core/grid.h"
+#include "pipeline/register/stack.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Cells of this size are a quarter of the thinnest ligament; the root is looked for in such. */
+#define GSN_COLUMN_UM 32.0
+
+struct gsn_columns {
+    struct gsn_grid *density; /* mean over the cell's tissue; NaN: not seen, or glass in it */
+    struct gsn_grid *tissue;  /* share of the cell's seen pixels that is tissue; NaN: not seen */
+};
+
+/* gives: nothing seen. Fails with GSN_E_NOMEM. */
+int gsn_columns_new(const struct gsn_lattice *at, struct gsn_columns **ret_columns,
+                    struct gsn_error *err);
+void gsn_columns_free(struct gsn_columns *columns);
+GSN_DEFINE_AUTO(gsn_columns);
+
+/* Adds sections of one panel; a plane that was filled before is filled anew. od: the panel's
+ * optical density, that tells tissue from glass. Fails with GSN_E_NOMEM. borrows: all. */
+int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *sections,
+                    size_t count, struct gsn_plane *const od[3], double interval_um,
+                    struct gsn_error *err);
+
+/* gives: per cell of one plane whether a region lies above or below it, or within margin_um.
+ * at is the columns' lattice, of one plane. Fails with GSN_E_NOMEM. */
+int gsn_columns_footprint(const struct gsn_mask *region, const struct gsn_lattice *at,
+                          double margin_um, struct gsn_mask **ret_footprint, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -51,12 +51,12 @@ struct gsn_tissue_match {
     /* Of the pose, by the curvature: shift in x and y at a's centre, turn in radians about it, all
      * in a's frame. */
     double covariance[3][3];
-    double back;    /* root mean square, over a's tissue, of the distance between laying a on b and
-                       b on a; the motion is the mean of both */
+    double back;     /* root mean square, over a's tissue, of the distance between laying a on b and
+                        b on a; the motion is the mean of both */
     double evidence; /* logarithm of the likelihood ratio against sections that share nothing */
-    double rival;   /* the same of the best other rotation or face that was tried, in coarse bands;
-                       0 when nothing was searched */
-    double coarse;  /* of the motion chosen, in the same bands */
+    double rival;    /* the same of the best other rotation or face that was tried, in coarse bands;
+                        0 when nothing was searched */
+    double coarse;   /* of the motion chosen, in the same bands */
 };
 
 /* Searches all rotations, both faces and all shifts. gives: ret_match. Fails with GSN_E_MARKERS

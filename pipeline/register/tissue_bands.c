@@ -244,11 +244,16 @@ static void make_whole(const float *level, float *scratch, struct gsn_tissue *t)
 {
     const struct gsn_tissue_band *last = &t->band[t->levels - 1];
     const size_t cells = last->w * last->h;
+    double square = 0;
 
     blur(level, t->whole, scratch, last->w, last->h, 1);
     blur(level, scratch + cells, scratch, last->w, last->h, SURROUNDINGS * SURROUNDINGS);
-    for (size_t i = 0; i < cells; i++)
+    for (size_t i = 0; i < cells; i++) {
         t->whole[i] -= scratch[cells + i];
+        square += (double)(t->whole[i] * t->whole[i]);
+    }
+    for (size_t i = 0; square > 0 && i < cells; i++)
+        t->whole[i] = last->value[i] + 0.5f * t->whole[i] / (float)sqrt(square / (double)cells);
 }
 
 /* Detail's centre and radius of gyration, of the second coarsest band: there outline, holes and
@@ -273,8 +278,8 @@ static int place(struct gsn_tissue *t)
     if (!(sum > 0))
         return -1;
     t->centre = (struct gsn_point){ x1 / sum, y1 / sum };
-    t->radius = sqrt(fmax(
-        square / sum - t->centre.x * t->centre.x - t->centre.y * t->centre.y, scale * scale));
+    t->radius = sqrt(
+        fmax(square / sum - t->centre.x * t->centre.x - t->centre.y * t->centre.y, scale * scale));
     return 0;
 }
 

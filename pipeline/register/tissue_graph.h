@@ -32,7 +32,7 @@ struct gsn_tissue_section {
 struct gsn_tissue_pose {
     int laid;
     struct gsn_affine to_block; /* determinant 1 or -1 */
-    double error;     /* predicted, root mean square over its tissue */
+    double error;               /* predicted, root mean square over its tissue */
     unsigned from;    /* sections between it and the nearest held one: 0 when it is held itself */
     double disagrees; /* of a marked section: how far its comparisons with the neighbours would
                          lay it elsewhere, as a multiple of what is usual; 0: no comparison */
@@ -43,9 +43,9 @@ struct gsn_tissue_summary {
     size_t held;      /* sections with marks; 0: the section `reference` is held instead */
     size_t reference; /* its index: the middle one of the most that hang together */
     size_t laid, matches, refused; /* refused: comparisons that the others contradict */
-    double usual;     /* what a comparison errs by, over its tissue: root mean square */
-    double drift;     /* what two sections further adds beyond chance, as one section's share: errors
-                         of this size do not average out, they add up with the distance */
+    double usual; /* what a comparison errs by, over its tissue: root mean square */
+    double drift; /* what two sections further adds beyond chance, as one section's share: errors
+                     of this size do not average out, they add up with the distance */
 };
 
 /* Lays all sections. Sections whose marks are stated keep about their place. borrows: everything;

@@ -29,8 +29,8 @@ struct scale {
 
 struct frame {
     const struct gsn_tissue_band *a, *b;
-    struct gsn_affine map;    /* in cells of this band */
-    struct gsn_point centre;  /* of a, in cells of this band */
+    struct gsn_affine map;   /* in cells of this band */
+    struct gsn_point centre; /* of a, in cells of this band */
     struct scale scale;
 };
 
@@ -151,8 +151,8 @@ static void add_band(const struct sums *s, size_t level, struct scale *scale, st
     for (size_t i = 0; i < 3; i++) {
         for (size_t j = 0; j < 3; j++)
             normal->h[i][j] += weight * rho * rho * s->h[i][j] / s->aa / (unit[i] * unit[j]);
-        normal->g[i] += weight * rho * (s->jb[i] / sqrt(s->aa * s->bb) - rho * s->ja[i] / s->aa) /
-                        unit[i];
+        normal->g[i] +=
+            weight * rho * (s->jb[i] / sqrt(s->aa * s->bb) - rho * s->ja[i] / s->aa) / unit[i];
     }
     normal->evidence -= 0.5 * n * log(1 - rho * rho);
 }
@@ -174,12 +174,8 @@ static void frame_at(const struct gsn_tissue *a, const struct gsn_tissue *b, siz
 static void step(struct gsn_affine *map, struct gsn_point centre, const double move[3])
 {
     const double c = cos(move[2]), s = sin(move[2]);
-    const struct gsn_affine left = { c,
-                                     -s,
-                                     centre.x + move[0] - c * centre.x + s * centre.y,
-                                     s,
-                                     c,
-                                     centre.y + move[1] - s * centre.x - c * centre.y };
+    const struct gsn_affine left = { c, -s, centre.x + move[0] - c * centre.x + s * centre.y,
+                                     s, c,  centre.y + move[1] - s * centre.x - c * centre.y };
     const struct gsn_affine back = gsn_affine_inverse(&left);
 
     *map = gsn_affine_compose(&back, map);
@@ -329,6 +325,7 @@ int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
     for (size_t i = 0; r >= 0 && i < count; i++) {
         struct gsn_tissue_fit fit = { .a_to_b = start[i] };
 
+        gsn_tissue_improve(a, b, levels - 1, &fit);
         gsn_tissue_improve(a, b, coarse, &fit);
         if (fit.evidence > best.evidence) {
             if (best.evidence >= 0 && !same(&fit.a_to_b, &best.a_to_b, a, levels))

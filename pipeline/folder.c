@@ -20,11 +20,19 @@
 
 enum { MOST_PICTURE_BYTES = 1 << 30, TARGETS = 21 };
 
+/* Cells along a picture's longer side: what neighbouring sections share is larger than such a
+ * cell, and finer ones laid none of the stacks we have better. */
+enum { TISSUE_CELLS = 250 };
+/* Chi-squared of one in a million for each of the 3 degrees of freedom, and then its root. */
+static const double DISAGREES = 3.3;
+
 /* One section while the stack is worked. */
 struct work {
     struct gsn_mark_spots *spots; /* NULL when the picture could not be read */
     struct gsn_mark marks[GSN_MARKS];
     int mirrored;
+    struct gsn_pose pose;
+    struct gsn_tissue *tissue; /* NULL when it is not asked for or shows nothing */
     double search_ms;
 };
 
@@ -34,6 +42,7 @@ struct folder {
     struct work *work;
     double px_um; /* stated, or made up */
     double unit;  /* um per unit of the caller's lengths */
+    double cell;  /* of the tissue's bands, pixels; 0 until the first picture is read */
 };
 
 static double cpu_ms(void)
@@ -84,6 +93,24 @@ static int list(const char *dir, struct gsn_folder_stack *stack, struct gsn_erro
                                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for %s", dir);
 }
 
+/* What of a picture is needed to lay it by its tissue. One that shows none has no such pose. */
+static int look_at_tissue(struct folder *folder, size_t i, const struct gsn_image *image,
+                          struct gsn_error *err)
+{
+    gsn_auto(gsn_plane) density = NULL;
+    struct gsn_error own = { 0 };
+    int r;
+
+    if (!folder->options->by_tissue)
+        return GSN_OK;
+    if (!(folder->cell > 0))
+        folder->cell = fmax(1, fmax((double)image->width, (double)image->height) / TISSUE_CELLS);
+    r = gsn_tissue_reduce(image, folder->cell, &density, &own);
+    if (r >= 0)
+        r = gsn_tissue_new(density, folder->cell * folder->px_um, &folder->work[i].tissue, &own);
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", own.text) : GSN_OK;
+}
+
 /* Reads one picture and looks for its spots; a picture that cannot be read costs itself alone. */
 static int search(struct folder *folder, const char *dir, size_t i, struct gsn_error *err)
 {
@@ -107,6 +134,8 @@ static int search(struct folder *folder, const char *dir, size_t i, struct gsn_e
     began = cpu_ms();
     if (r >= 0)
         r = gsn_mark_spots_find(picture->image, folder->px_um, &folder->work[i].spots, &own);
+    if (r >= 0)
+        r = look_at_tissue(folder, i, picture->image, &own);
     folder->work[i].search_ms = cpu_ms() - began;
     if (r == GSN_E_NOMEM || r == GSN_E_PROCESS)
         return gsn_fail(err, r, "%s: %s", section->file, own.text);
@@ -263,24 +292,30 @@ static void say_why(const struct work *work, struct gsn_folder_section *section)
                        work->spots->candidates.count == 1 ? "" : "s");
 }
 
+/* The block is in um, pixel centres at +0.5; the answer in the caller's unit, at whole numbers. */
+static struct gsn_affine frame_to_px(const struct folder *folder, const struct gsn_affine *to_block)
+{
+    struct gsn_affine map = gsn_affine_inverse(to_block);
+
+    map.m00 *= folder->unit;
+    map.m01 *= folder->unit;
+    map.m10 *= folder->unit;
+    map.m11 *= folder->unit;
+    map.m02 -= 0.5;
+    map.m12 -= 0.5;
+    return map;
+}
+
 static void tell(const struct folder *folder, size_t i, const struct gsn_pose *pose)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
-    struct gsn_affine frame_to_px;
-
     section->state = pose->state;
+    folder->work[i].pose = *pose;
     if (pose->state == GSN_POSE_NONE) {
         say_why(&folder->work[i], section);
         return;
     }
-    frame_to_px = gsn_affine_inverse(&pose->panel_to_block_um);
-    frame_to_px.m00 *= folder->unit;
-    frame_to_px.m01 *= folder->unit;
-    frame_to_px.m10 *= folder->unit;
-    frame_to_px.m11 *= folder->unit;
-    frame_to_px.m02 -= 0.5;
-    frame_to_px.m12 -= 0.5;
-    section->frame_to_px = frame_to_px;
+    section->frame_to_px = frame_to_px(folder, &pose->panel_to_block_um);
     /* A mark that lies wrong moves the pose by about as much as it leaves between the marks. */
     section->error_px =
         (pose->gross ? hypot(pose->tre_um, pose->rms_um) : pose->tre_um) / folder->px_um;
@@ -327,6 +362,152 @@ static int solve(struct folder *folder, struct gsn_error *err)
     return GSN_OK;
 }
 
+/* ---- By tissue ------------------------------------------------------------------------------ */
+
+/* The covariance of a pose by marks at another point of the block. */
+static void covariance_at(const struct gsn_pose_error *error, struct gsn_point at,
+                          double ret_covariance[3][3])
+{
+    const double x = at.x - error->about.x, y = at.y - error->about.y;
+    const double j[3][3] = { { 1, 0, -y }, { 0, 1, x }, { 0, 0, 1 } };
+
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++) {
+            ret_covariance[p][q] = 0;
+            for (size_t k = 0; k < 3; k++)
+                for (size_t l = 0; l < 3; l++)
+                    ret_covariance[p][q] += j[p][k] * error->pose[k][l] * j[q][l];
+        }
+}
+
+/* Whether the marks are to be relied on. */
+static int marks_hold(const struct folder *folder)
+{
+    size_t with = 0, read = 0;
+
+    for (size_t i = 0; i < folder->stack->count; i++) {
+        with += folder->work[i].pose.state == GSN_POSE_OK;
+        read += folder->work[i].tissue != NULL;
+    }
+    return with > 0 && (folder->options->mark || 2 * with >= read);
+}
+
+static void state_section(const struct folder *folder, size_t i, int marks,
+                          struct gsn_tissue_section *ret_section)
+{
+    const struct work *work = &folder->work[i];
+    const double px = folder->px_um;
+    struct gsn_affine map = work->pose.panel_to_block_um;
+
+    *ret_section = (struct gsn_tissue_section){
+        .serial = (unsigned)i,
+        .tissue = work->tissue,
+        .marked = marks && work->pose.state != GSN_POSE_NONE && !work->pose.gross,
+    };
+    if (!ret_section->marked || !work->tissue)
+        return;
+    map.m00 /= px;
+    map.m01 /= px;
+    map.m10 /= px;
+    map.m11 /= px;
+    ret_section->to_block = map;
+    covariance_at(&work->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(work->tissue)),
+                  ret_section->covariance);
+}
+
+static void say_no_tissue(const struct work *work, struct gsn_folder_section *section)
+{
+    if (!work->spots && section->reason[0])
+        return;
+    (void)snprintf(section->reason, sizeof section->reason,
+                   "no marks, and its tissue fits none of the two sections before and after; look "
+                   "at the section");
+}
+
+/* A pose by tissue: the reference's own picture is the frame, not half a pixel beside it. */
+static void tell_tissue(struct folder *folder, size_t i, const struct gsn_tissue_pose *pose,
+                        int flipped)
+{
+    struct gsn_folder_section *section = &folder->stack->section[i];
+    const double px = folder->px_um, half = folder->stack->tissue.held > 0 ? 0 : 0.5 * px;
+    struct gsn_affine map = pose->to_block;
+
+    section->flags[0] = '\0';
+    section->reason[0] = '\0';
+    section->state = GSN_POSE_NONE;
+    section->by_tissue = pose->laid;
+    if (!pose->laid) {
+        say_no_tissue(&folder->work[i], section);
+        return;
+    }
+    map.m00 *= px;
+    map.m01 *= px;
+    map.m10 *= px;
+    map.m11 *= px;
+    map.m02 -= half;
+    map.m12 -= half;
+    section->frame_to_px = frame_to_px(folder, &map);
+    section->from = pose->from;
+    section->error_px = pose->error / px;
+    section->rms_px = 0;
+    section->flipped = flipped;
+    folder->stack->by_tissue++;
+    add_flag(section, "by-tissue");
+    if (flipped)
+        add_flag(section, "flipped");
+    if (pose->unsure)
+        add_flag(section, "unsure");
+}
+
+/* The face that most sections show; with marks it is the marks' that counts. */
+static int usual_face(const struct folder *folder, const struct gsn_tissue_pose *poses)
+{
+    int sum = 0;
+
+    for (size_t i = 0; i < folder->stack->count; i++)
+        if (poses[i].laid)
+            sum += gsn_affine_det(&poses[i].to_block) > 0 ? 1 : -1;
+    return folder->stack->tissue.held > 0 || sum >= 0 ? 1 : -1;
+}
+
+static void tell_all(struct folder *folder, const struct gsn_tissue_section *sections,
+                     const struct gsn_tissue_pose *poses)
+{
+    const int face = usual_face(folder, poses);
+
+    for (size_t i = 0; i < folder->stack->count; i++) {
+        struct gsn_folder_section *section = &folder->stack->section[i];
+
+        if (!sections[i].marked && folder->work[i].spots)
+            tell_tissue(folder, i, &poses[i], gsn_affine_det(&poses[i].to_block) * face < 0);
+        else if (poses[i].disagrees > DISAGREES)
+            add_flag(section, "tissue-disagrees");
+    }
+}
+
+/* Lays what the marks left. */
+static int lay(struct folder *folder, struct gsn_error *err)
+{
+    const size_t count = folder->stack->count;
+    gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);
+    gsn_auto_mem(struct gsn_tissue_pose) poses = gsn_alloc_array(count, sizeof *poses);
+    struct gsn_tissue_summary *summary = &folder->stack->tissue;
+    const int marks = marks_hold(folder);
+    int r;
+
+    if (!sections || !poses)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the poses of a stack");
+    for (size_t i = 0; i < count; i++)
+        state_section(folder, i, marks, &sections[i]);
+    r = gsn_tissue_lay(sections, count, poses, summary, err);
+    if (r < 0)
+        return r;
+    summary->usual /= folder->px_um;
+    summary->drift /= folder->px_um;
+    tell_all(folder, sections, poses);
+    return GSN_OK;
+}
+
 static double median_search_ms(const struct folder *folder)
 {
     gsn_auto_mem(double) ms = gsn_alloc_array(folder->stack->count, sizeof *ms);
@@ -340,6 +521,7 @@ static double median_search_ms(const struct folder *folder)
 
 static int run(struct folder *folder, const char *dir, struct gsn_error *err)
 {
+    struct gsn_error own = { 0 };
     double began;
     int r = GSN_OK;
 
@@ -347,9 +529,15 @@ static int run(struct folder *folder, const char *dir, struct gsn_error *err)
         r = search(folder, dir, i, err);
     began = cpu_ms();
     if (r >= 0)
-        r = settle(folder, err);
+        r = settle(folder, &own);
     if (r >= 0)
-        r = solve(folder, err);
+        r = solve(folder, &own);
+    if (r == GSN_E_MARKERS && folder->options->by_tissue && !folder->options->mark)
+        r = GSN_OK;
+    else if (r < 0 && own.text[0])
+        r = gsn_fail(err, r, "%s", own.text);
+    if (r >= 0 && folder->options->by_tissue)
+        r = lay(folder, err);
     folder->stack->cpu_ms =
         median_search_ms(folder) + (cpu_ms() - began) / (double)folder->stack->count;
     return r;
@@ -377,8 +565,10 @@ int gsn_folder_register(const char *dir, const struct gsn_folder_options *option
     folder.px_um = options->px_um > 0 ? options->px_um : GSN_FOLDER_PX_UM;
     folder.unit = options->px_um > 0 ? 1 : GSN_FOLDER_PX_UM;
     r = run(&folder, dir, err);
-    for (size_t i = 0; i < stack->count; i++)
+    for (size_t i = 0; i < stack->count; i++) {
         gsn_mark_spots_free(work[i].spots);
+        gsn_tissue_free(work[i].tissue);
+    }
     if (r < 0)
         return r;
     *ret_stack = gsn_steal(&stack);

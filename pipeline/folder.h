@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* A plain folder of section pictures, one section a picture, registered by its three marks.
+/* A plain folder of section pictures, one section a picture, registered by its three marks; by the
+ * tissue of its neighbours where it has none and the caller agrees (register/tissue_graph.h).
  *
  * This needs no protocol, no store and no panels. The frame is that of the marks the caller states,
  * or else the mean triangle's (pose.h). Lengths are um when the pixel size is stated, otherwise
@@ -11,6 +12,7 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/register/pose.h"
+#include "pipeline/register/tissue_graph.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -24,14 +26,22 @@ struct gsn_folder_options {
     const struct gsn_point *mark; /* the three marks in the frame wanted, or NULL */
     double radius; /* the error is given over a disc of this radius about the frame's origin; 0: at
                       the marks' own distance */
+    int by_tissue; /* sections that marks do not lay are laid by the tissue of their neighbours; all
+                      of them where fewer than half have marks and none were stated, for then what
+                      looks like marks may be chance. Without any marks the frame is the picture of
+                      the section in the middle */
 };
 
 struct gsn_folder_section {
-    char *file; /* name without the folder */
-    enum gsn_pose_state state;
+    char *file;                    /* name without the folder */
+    enum gsn_pose_state state;     /* by its marks */
+    int by_tissue;                 /* the pose is that of its tissue */
+    unsigned from;                 /* then: sections to the nearest that is held by marks, or to the
+                                      one whose picture is the frame */
     struct gsn_affine frame_to_px; /* pixel centres at whole numbers: the first pixel is (0, 0) */
     double error_px;               /* predicted, root mean square over the disc; with the marks'
-                                      disagreement where that is gross */
+                                      disagreement where that is gross; over the tissue when laid
+                                      by it, drift included */
     double rms_px;                 /* what is left at the marks */
     double score, runner_up; /* likelihood of the marks chosen, and of the best other choice */
     int flipped;
@@ -44,14 +54,16 @@ struct gsn_folder_stack {
     struct gsn_folder_section *section; /* in the order of the names, numbers as numbers */
     struct gsn_pose_summary summary;    /* of the sections with a pose; in the caller's unit */
     double fle_px;                      /* localisation error of a mark, root mean square */
+    size_t by_tissue;
+    struct gsn_tissue_summary tissue; /* lengths px; 0 when nothing was laid by tissue */
     double cpu_ms; /* of one section, everything but reading and decoding: median of the search and
                       its share of what is done for all */
 };
 
 /* Registers every picture of the folder dir. Pictures that cannot be read, or show no marks, are in
  * the answer with a reason. gives: ret_stack. Fails with GSN_E_NOTFOUND, GSN_E_IO; GSN_E_INPUT when
- * there is no picture; GSN_E_MARKERS when the sections agree on no triangle or the marks stated are
- * degenerate; GSN_E_NOMEM. */
+ * there is no picture; GSN_E_MARKERS when the sections agree on no triangle and may not be laid by
+ * tissue, or the marks stated are degenerate; GSN_E_NOMEM. */
 int gsn_folder_register(const char *dir, const struct gsn_folder_options *options,
                         struct gsn_folder_stack **ret_stack, struct gsn_error *err);
 void gsn_folder_stack_free(struct gsn_folder_stack *stack);

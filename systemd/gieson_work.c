@@ -51,13 +51,14 @@ enum {
     OPT_MINUTES,
     OPT_MARKS,
     OPT_PX_UM,
-    OPT_RADIUS
+    OPT_RADIUS,
+    OPT_BY_TISSUE
 };
 
 struct request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, replace;
+    int rest_count, json, replace, by_tissue;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius;
     json_t *thresholds;
@@ -81,6 +82,8 @@ static const struct argp_option options[] = {
       1 },
     { "px-um", OPT_PX_UM, "UM", 0, "register: size of a pixel; without it lengths are pixels", 1 },
     { "radius", OPT_RADIUS, "R", 0, "register: the error is given over this disc", 1 },
+    { "by-tissue", OPT_BY_TISSUE, NULL, 0,
+      "register: lay sections without marks by the tissue of their neighbours", 1 },
     { 0 },
 };
 
@@ -150,6 +153,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_PX_UM:
         request->px_um = arg;
+        return 0;
+    case OPT_BY_TISSUE:
+        request->by_tissue = 1;
         return 0;
     case OPT_RADIUS:
         request->radius = arg;
@@ -564,6 +570,7 @@ static int do_register(const struct request *request)
                                                  .marks = request->marks,
                                                  .px_um = request->px_um,
                                                  .radius = request->radius,
+                                                 .by_tissue = request->by_tissue,
                                                  .json = request->json };
     gsn_auto_mem(char) decoder = NULL;
     struct gsn_error err = { 0 };

@@ -59,11 +59,16 @@ static int take_marks(const char *text, struct gsn_point ret_mark[GSN_MARKS], st
                            text);
 }
 
-static const char *state_name(enum gsn_pose_state state)
+static const char *state_name(const struct gsn_folder_section *s)
 {
     static const char *const names[] = { "none", "two-marks", "ok" };
 
-    return names[state];
+    return s->by_tissue ? "by-tissue" : names[s->state];
+}
+
+static int has_pose(const struct gsn_folder_section *s)
+{
+    return s->by_tissue || s->state != GSN_POSE_NONE;
 }
 
 static json_t *matrix_of(const struct gsn_affine *m)
@@ -73,15 +78,39 @@ static json_t *matrix_of(const struct gsn_affine *m)
 
 static json_t *section_of(const struct gsn_folder_section *s)
 {
-    json_t *root = json_pack("{s:s, s:s, s:f, s:f}", "state", state_name(s->state), "flags",
-                             s->flags, "score", s->score, "runner_up", s->runner_up);
+    json_t *root = json_pack("{s:s, s:s, s:f, s:f}", "state", state_name(s), "flags", s->flags,
+                             "score", s->score, "runner_up", s->runner_up);
 
-    if (s->state == GSN_POSE_NONE) {
+    if (!has_pose(s)) {
         (void)json_object_set_new(root, "reason", json_string(s->reason));
+    } else if (s->by_tissue) {
+        (void)json_object_set_new(root, "error_px", json_real(s->error_px));
+        (void)json_object_set_new(root, "sections_away", json_integer(s->from));
     } else {
         (void)json_object_set_new(root, "error_px", json_real(s->error_px));
         (void)json_object_set_new(root, "marks_rms_px", json_real(s->rms_px));
     }
+    return root;
+}
+
+/* What the marks, or else the tissue, said of all sections. */
+static json_t *summary_of(const struct gsn_folder_stack *stack, size_t lost, json_t *sections)
+{
+    json_t *root = json_pack(
+        "{s:I, s:I, s:f, s:f, s:b, s:f, s:o}", "sections", (json_int_t)stack->count, "without_pose",
+        (json_int_t)lost, "fle_px", stack->fle_px, "isosceles_sigma",
+        fmin(stack->summary.isosceles_sigma, 1e9), "flips_told", stack->summary.flips_told,
+        "cpu_ms_per_section", stack->cpu_ms, "section", sections);
+
+    if (stack->by_tissue == 0)
+        return root;
+    (void)json_object_set_new(root, "by_tissue", json_integer((json_int_t)stack->by_tissue));
+    (void)json_object_set_new(root, "drift_px_per_section", json_real(stack->tissue.drift));
+    (void)json_object_set_new(root, "comparison_px", json_real(stack->tissue.usual));
+    (void)json_object_set_new(root, "frame",
+                              json_string(stack->tissue.held > 0
+                                              ? "marks"
+                                              : stack->section[stack->tissue.reference].file));
     return root;
 }
 
@@ -93,20 +122,27 @@ static void print_json(const struct gsn_folder_stack *stack, size_t lost)
     for (size_t i = 0; i < stack->count; i++) {
         const struct gsn_folder_section *s = &stack->section[i];
 
-        if (s->state != GSN_POSE_NONE)
+        if (has_pose(s))
             (void)json_object_set_new(root, s->file, matrix_of(&s->frame_to_px));
         (void)json_object_set_new(sections, s->file, section_of(s));
     }
-    (void)json_object_set_new(root, "gieson",
-                              json_pack("{s:I, s:I, s:f, s:f, s:b, s:f, s:o}", "sections",
-                                        (json_int_t)stack->count, "without_pose", (json_int_t)lost,
-                                        "fle_px", stack->fle_px, "isosceles_sigma",
-                                        fmin(stack->summary.isosceles_sigma, 1e9), "flips_told",
-                                        stack->summary.flips_told, "cpu_ms_per_section",
-                                        stack->cpu_ms, "section", sections));
+    (void)json_object_set_new(root, "gieson", summary_of(stack, lost, sections));
     (void)json_dumpf(root, stdout, JSON_INDENT(1) | JSON_REAL_PRECISION(9));
     (void)putchar('\n');
     json_decref(root);
+}
+
+static void print_tissue(const struct gsn_folder_stack *stack)
+{
+    const struct gsn_tissue_summary *t = &stack->tissue;
+
+    (void)printf("%zu of them laid by their tissue: two neighbours to about %.2f px, and %.2f px a "
+                 "section of drift away from %s\n",
+                 stack->by_tissue, t->usual, t->drift,
+                 t->held > 0 ? "those with marks" : stack->section[t->reference].file);
+    if (t->held == 0)
+        (void)printf(
+            "Without marks a structure that slants through the block comes out upright.\n");
 }
 
 static void print_text(const struct gsn_folder_stack *stack, size_t lost)
@@ -114,13 +150,19 @@ static void print_text(const struct gsn_folder_stack *stack, size_t lost)
     for (size_t i = 0; i < stack->count; i++) {
         const struct gsn_folder_section *s = &stack->section[i];
 
-        if (s->state == GSN_POSE_NONE)
+        if (!has_pose(s))
             (void)printf("%-24s no pose: %s\n", s->file, s->reason);
         else
-            (void)printf("%-24s %-9s turned %7.2f, error %.3f px%s%s\n", s->file,
-                         state_name(s->state),
+            (void)printf("%-24s %-9s turned %7.2f, error %.3f px%s%s\n", s->file, state_name(s),
                          atan2(-s->frame_to_px.m01, s->frame_to_px.m11) * 180 / M_PI, s->error_px,
                          s->flags[0] ? "; " : "", s->flags);
+    }
+    if (stack->by_tissue > 0)
+        print_tissue(stack);
+    if (stack->tissue.held == 0 && stack->by_tissue > 0) {
+        (void)printf("%zu sections, %zu without a pose; %.2f ms each\n", stack->count, lost,
+                     stack->cpu_ms);
+        return;
     }
     (void)printf("%zu sections, %zu without a pose; a mark is localised to %.3f px; %.2f ms each\n",
                  stack->count, lost, stack->fle_px, stack->cpu_ms);
@@ -135,7 +177,7 @@ static size_t lost_of(const struct gsn_folder_stack *stack)
     size_t lost = 0;
 
     for (size_t i = 0; i < stack->count; i++)
-        lost += stack->section[i].state == GSN_POSE_NONE;
+        lost += !has_pose(&stack->section[i]);
     return lost;
 }
 
@@ -143,7 +185,7 @@ int gsn_register_folder(const struct gsn_register_request *request, const char *
                         struct gsn_error *err)
 {
     struct gsn_point mark[GSN_MARKS];
-    struct gsn_folder_options options = { .decoder = decoder };
+    struct gsn_folder_options options = { .decoder = decoder, .by_tissue = request->by_tissue };
     gsn_auto(gsn_folder_stack) stack = NULL;
     int r = take_length(request->px_um, "px-um", &options.px_um, err);
 

@@ -11,6 +11,7 @@ struct gsn_register_request {
     const char *marks; /* six numbers, or NULL */
     const char *px_um; /* numbers as given, or NULL */
     const char *radius;
+    int by_tissue;
     int json;
 };
 

@@ -1,0 +1,369 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/tissue_bands.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { LEAST_CELLS = 16, SURROUNDINGS = 6, SAMPLED = 4096 };
+
+/* Denser than any tissue: pen and dirt count no more than this. */
+static const float MOST_OD = 3;
+/* The brightest hundredth of the cells is glass, wherever there is any. */
+static const double BRIGHTEST = 0.99;
+/* The contrast around a cell is that within nine cells; glass, where there is none, is not blown
+ * up: a third of the section's mean is added. */
+enum { REACH = 4 };
+static const double EVEN = 0.3;
+
+/* ---- picture -> density ------------------------------------------------------------------- */
+
+/* Adds one row of samples to the cells it falls into: first[x] to first[x + 1] - 1 into cell x. */
+static void add_row(const struct gsn_image *image, uint32_t y, const uint32_t *first, uint32_t w,
+                    float *sum)
+{
+    const size_t channels = image->channels;
+    const size_t row = (size_t)y * image->width * channels;
+
+    for (uint32_t x = 0; x < w; x++)
+        for (size_t c = 0; c < channels; c++) {
+            const size_t i = row + first[x] * channels + c, end = row + first[x + 1] * channels;
+            uint32_t part = 0;
+
+            if (image->bits == 8)
+                for (size_t k = i; k < end; k += channels)
+                    part += ((const uint8_t *)image->samples)[k];
+            else
+                for (size_t k = i; k < end; k += channels)
+                    part += ((const uint16_t *)image->samples)[k];
+            sum[x * channels + c] += (float)part;
+        }
+}
+
+static int by_value(const void *a, const void *b)
+{
+    const float x = *(const float *)a, y = *(const float *)b;
+
+    return (x > y) - (x < y);
+}
+
+/* Turns the means of one channel into optical density and adds them up. */
+static void add_density(const float *mean, size_t cells, float *density)
+{
+    const size_t every = cells / SAMPLED + 1;
+    float sample[SAMPLED], white;
+    size_t count = 0;
+
+    for (size_t i = 0; i < cells; i += every)
+        sample[count++] = mean[i];
+    qsort(sample, count, sizeof *sample, by_value);
+    white = fmaxf(sample[(size_t)(BRIGHTEST * (double)(count - 1))], 1e-6f);
+    for (size_t i = 0; i < cells; i++)
+        density[i] += log10f(white / fmaxf(mean[i], white * 1e-3f));
+}
+
+/* The means of the cells, channel after channel. */
+static void reduce(const struct gsn_image *image, double cell, const uint32_t *first, uint32_t w,
+                   uint32_t h, float *row, float *mean)
+{
+    const size_t channels = image->channels;
+
+    for (uint32_t v = 0; v < h; v++) {
+        const uint32_t top = (uint32_t)(v * cell), end = (uint32_t)((v + 1) * cell);
+
+        memset(row, 0, w * channels * sizeof *row);
+        for (uint32_t y = top; y < end; y++)
+            add_row(image, y, first, w, row);
+        for (size_t x = 0; x < w; x++)
+            for (size_t c = 0; c < channels; c++)
+                mean[(c * h + v) * w + x] =
+                    row[x * channels + c] / (float)((first[x + 1] - first[x]) * (end - top));
+    }
+}
+
+int gsn_tissue_reduce(const struct gsn_image *image, double cell, struct gsn_plane **ret_density,
+                      struct gsn_error *err)
+{
+    const uint32_t w = (uint32_t)(image->width / cell), h = (uint32_t)(image->height / cell);
+    const size_t cells = (size_t)w * h, channels = image->channels;
+    gsn_auto(gsn_plane) density = NULL;
+    gsn_auto_mem(uint32_t) first = gsn_alloc_array((size_t)w + 1, sizeof *first);
+    gsn_auto_mem(float) row = gsn_alloc_array(w * channels, sizeof *row);
+    gsn_auto_mem(float) mean = gsn_alloc_array(channels * cells, sizeof *mean);
+    int r;
+
+    assert(cell >= 1 && ret_density);
+
+    if (w < LEAST_CELLS || h < LEAST_CELLS)
+        return gsn_fail(err, GSN_E_INPUT, "a picture of %u x %u pixels is too small to be laid",
+                        image->width, image->height);
+    if (!first || !row || !mean)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
+    r = gsn_plane_new(w, h, &density, err);
+    if (r < 0)
+        return r;
+    for (uint32_t x = 0; x <= w; x++)
+        first[x] = (uint32_t)(x * cell);
+    reduce(image, cell, first, w, h, row, mean);
+    for (size_t c = 0; c < channels; c++)
+        add_density(mean + c * cells, cells, density->value);
+    *ret_density = gsn_steal(&density);
+    return GSN_OK;
+}
+
+/* ---- density -> bands --------------------------------------------------------------------- */
+
+/* One line by (1 2 1) / 4, ends held. from and onto may not overlap. */
+static void blur_lines(const float *from, float *onto, size_t w, size_t h)
+{
+    for (size_t y = 0; y < h; y++) {
+        const float *in = from + y * w;
+        float *out = onto + y * w;
+
+        out[0] = 0.75f * in[0] + 0.25f * in[1];
+        for (size_t x = 1; x + 1 < w; x++)
+            out[x] = 0.25f * in[x - 1] + 0.5f * in[x] + 0.25f * in[x + 1];
+        out[w - 1] = 0.75f * in[w - 1] + 0.25f * in[w - 2];
+    }
+}
+
+static void blur_columns(const float *from, float *onto, size_t w, size_t h)
+{
+    for (size_t y = 0; y < h; y++) {
+        const float *in = from + y * w, *before = y > 0 ? in - w : in;
+        const float *after = y + 1 < h ? in + w : in;
+        float *out = onto + y * w;
+
+        for (size_t x = 0; x < w; x++)
+            out[x] = 0.25f * before[x] + 0.5f * in[x] + 0.25f * after[x];
+    }
+}
+
+/* By the binomial of variance passes / 2 cells. */
+static void blur(const float *from, float *onto, float *scratch, size_t w, size_t h, int passes)
+{
+    memcpy(onto, from, w * h * sizeof *onto);
+    for (int i = 0; i < passes; i++) {
+        blur_lines(onto, scratch, w, h);
+        blur_columns(scratch, onto, w, h);
+    }
+}
+
+/* Half as many cells either way, whose corners coincide: (1 3 3 1) / 8, by blurring and then
+ * taking the mean of two by two. */
+static void halve(const float *blurred, size_t w, size_t h, float *onto)
+{
+    for (size_t y = 0; y < h / 2; y++)
+        for (size_t x = 0; x < w / 2; x++) {
+            const float *in = blurred + 2 * y * w + 2 * x;
+
+            onto[y * (w / 2) + x] = 0.25f * (in[0] + in[1] + in[w] + in[w + 1]);
+        }
+}
+
+static void slopes(struct gsn_tissue_band *band)
+{
+    const size_t w = band->w, h = band->h;
+
+    for (size_t y = 1; y + 1 < h; y++)
+        for (size_t x = 1; x + 1 < w; x++) {
+            const float *at = band->value + y * w + x;
+
+            band->dx[y * w + x] = 0.5f * (at[1] - at[-1]);
+            band->dy[y * w + x] = 0.5f * (at[w] - *(at - w));
+        }
+}
+
+static int new_band(struct gsn_tissue_band *band, size_t w, size_t h)
+{
+    band->w = w;
+    band->h = h;
+    band->value = gsn_alloc_array(w * h, sizeof *band->value);
+    band->dx = gsn_alloc_array(w * h, sizeof *band->dx);
+    band->dy = gsn_alloc_array(w * h, sizeof *band->dy);
+    return band->value && band->dx && band->dy;
+}
+
+/* The running mean of 2 REACH + 1 cells along one line, whose ends are taken as empty. */
+static void spread_line(const float *from, float *onto, size_t count, size_t stride)
+{
+    float sum = 0;
+
+    for (size_t i = 0; i < count + REACH; i++) {
+        sum += i < count ? from[i * stride] : 0;
+        sum -= i > 2 * REACH ? from[(i - 2 * REACH - 1) * stride] : 0;
+        if (i >= REACH)
+            onto[(i - REACH) * stride] = fmaxf(sum, 0) / (2 * REACH + 1);
+    }
+}
+
+static void spread(float *value, float *scratch, size_t w, size_t h)
+{
+    for (size_t y = 0; y < h; y++)
+        spread_line(value + y * w, scratch + y * w, w, 1);
+    for (size_t x = 0; x < w; x++)
+        spread_line(scratch + x, value + x, h, w);
+}
+
+/* Divides by the contrast around, so that all of the tissue has a say and not its strongest edges
+ * alone, which may be one structure that slants through the block. */
+static void even_out(struct gsn_tissue_band *band, float *scratch)
+{
+    const size_t cells = band->w * band->h;
+    float *square = scratch + cells;
+    double sum = 0;
+    float least;
+
+    for (size_t i = 0; i < cells; i++) {
+        square[i] = band->value[i] * band->value[i];
+        sum += (double)square[i];
+    }
+    least = (float)(EVEN * sum / (double)cells);
+    spread(square, scratch, band->w, band->h);
+    for (size_t i = 0; i < cells; i++)
+        band->value[i] /= sqrtf(square[i] + least);
+}
+
+/* What is finer than the next level: the difference of two blurs, 2/3 and two cells wide. */
+static void make_band(const float *level, float *scratch, struct gsn_tissue_band *band)
+{
+    const size_t cells = band->w * band->h;
+    float *narrow = band->value, *wide = scratch + cells;
+
+    blur(level, narrow, scratch, band->w, band->h, 1);
+    blur(narrow, wide, scratch, band->w, band->h, 4);
+    for (size_t i = 0; i < cells; i++)
+        band->value[i] -= wide[i];
+    even_out(band, scratch);
+    slopes(band);
+}
+
+/* The coarsest level less its wider surroundings: outline and large structures. */
+static void make_whole(const float *level, float *scratch, struct gsn_tissue *t)
+{
+    const struct gsn_tissue_band *last = &t->band[t->levels - 1];
+    const size_t cells = last->w * last->h;
+    double square = 0;
+
+    blur(level, t->whole, scratch, last->w, last->h, 1);
+    blur(level, scratch + cells, scratch, last->w, last->h, SURROUNDINGS * SURROUNDINGS);
+    for (size_t i = 0; i < cells; i++) {
+        t->whole[i] -= scratch[cells + i];
+        square += (double)(t->whole[i] * t->whole[i]);
+    }
+    for (size_t i = 0; square > 0 && i < cells; i++)
+        t->whole[i] = last->value[i] + 0.5f * t->whole[i] / (float)sqrt(square / (double)cells);
+}
+
+/* Detail's centre and radius of gyration, of the second coarsest band: there outline, holes and
+ * texture weigh alike. */
+static int place(struct gsn_tissue *t)
+{
+    const size_t level = t->levels > 1 ? t->levels - 2 : 0;
+    const struct gsn_tissue_band *band = &t->band[level];
+    const double scale = ldexp(1, (int)level);
+    double sum = 0, x1 = 0, y1 = 0, square = 0;
+
+    for (size_t i = 0; i < band->w * band->h; i++) {
+        const double e = fabs((double)band->value[i]);
+        const double x = ((double)(i % band->w) + 0.5) * scale;
+        const double y = ((double)(i / band->w) + 0.5) * scale;
+
+        sum += e;
+        x1 += e * x;
+        y1 += e * y;
+        square += e * (x * x + y * y);
+    }
+    if (!(sum > 0))
+        return -1;
+    t->centre = (struct gsn_point){ x1 / sum, y1 / sum };
+    t->radius = sqrt(
+        fmax(square / sum - t->centre.x * t->centre.x - t->centre.y * t->centre.y, scale * scale));
+    return 0;
+}
+
+static size_t levels_of(size_t w, size_t h)
+{
+    size_t levels = 1;
+
+    while (levels < GSN_TISSUE_LEVELS && (w > GSN_TISSUE_COARSE || h > GSN_TISSUE_COARSE)) {
+        w /= 2;
+        h /= 2;
+        levels++;
+    }
+    return levels;
+}
+
+static int make_bands(struct gsn_tissue *t, float *level, float *scratch)
+{
+    for (size_t l = 0;; l++) {
+        struct gsn_tissue_band *band = &t->band[l];
+        const size_t cells = band->w * band->h;
+
+        make_band(level, scratch, band);
+        if (l + 1 == t->levels) {
+            make_whole(level, scratch, t);
+            return place(t);
+        }
+        blur(level, scratch + cells, scratch, band->w, band->h, 1);
+        halve(scratch + cells, band->w, band->h, level);
+    }
+}
+
+int gsn_tissue_new(const struct gsn_plane *density, double cell, struct gsn_tissue **ret_tissue,
+                   struct gsn_error *err)
+{
+    const size_t cells = (size_t)density->width * density->height;
+    gsn_auto(gsn_tissue) t = NULL;
+    gsn_auto_mem(float) level = NULL;
+    gsn_auto_mem(float) scratch = NULL;
+
+    assert(cell > 0 && ret_tissue);
+
+    if (density->width < LEAST_CELLS || density->height < LEAST_CELLS)
+        return gsn_fail(err, GSN_E_INPUT, "a section of %u x %u cells is too small to be laid",
+                        density->width, density->height);
+    t = gsn_alloc_array(1, sizeof *t);
+    level = gsn_alloc_array(cells, sizeof *level);
+    scratch = gsn_alloc_array(2 * cells, sizeof *scratch);
+    if (!t || !level || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
+    t->cell = cell;
+    t->levels = levels_of(density->width, density->height);
+    for (size_t l = 0; l < t->levels; l++)
+        if (!new_band(&t->band[l], density->width >> l, density->height >> l))
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
+    t->whole = gsn_alloc_array(t->band[t->levels - 1].w * t->band[t->levels - 1].h, sizeof(float));
+    if (!t->whole)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
+    for (size_t i = 0; i < cells; i++)
+        level[i] = isnan(density->value[i]) ? 0 : fminf(fmaxf(density->value[i], 0), MOST_OD);
+    if (make_bands(t, level, scratch) < 0)
+        return gsn_fail(err, GSN_E_INPUT, "nothing but empty glass: no tissue to lay it by");
+    *ret_tissue = gsn_steal(&t);
+    return GSN_OK;
+}
+
+void gsn_tissue_free(struct gsn_tissue *t)
+{
+    if (!t)
+        return;
+    for (size_t l = 0; l < GSN_TISSUE_LEVELS; l++) {
+        gsn_free(t->band[l].value);
+        gsn_free(t->band[l].dx);
+        gsn_free(t->band[l].dy);
+    }
+    gsn_free(t->whole);
+    gsn_free(t);
+}
+
+struct gsn_point gsn_tissue_centre(const struct gsn_tissue *t)
+{
+    return (struct gsn_point){ t->centre.x * t->cell, t->centre.y * t->cell };
+}
+
+double gsn_tissue_radius(const struct gsn_tissue *t)
+{
+    return t->radius * t->cell;
+}

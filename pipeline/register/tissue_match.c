@@ -1,0 +1,363 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/tissue_bands.h"
+#include "pipeline/register/small.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+enum { STEPS = 12, STARTS = 8, COARSE_BANDS = 2 };
+
+/* A residual of so many deviations counts half: debris, folds and marks differ by more. */
+static const double HALF_WEIGHT = 3;
+/* A step that moves no tissue by more of a cell of the band worked on is the last. */
+static const double STILL = 0.02;
+/* Correlations above this are of the same picture; they would count infinitely. */
+static const double MOST_ALIKE = 0.999;
+
+/* What a band says of the motion. With r = b - rho a, both scaled to variance 1, and D the motion
+ * that is left, r = rho grad a . D: least squares, in sums that need rho only afterwards. */
+struct sums {
+    double aa, bb, ab, aaaa; /* of the two bands where they overlap */
+    double h[3][3], ja[3], jb[3];
+};
+
+/* What the last pass found, for this one's weights. */
+struct scale {
+    double a, b, rho; /* deviations, correlation; a 0: nothing known yet */
+};
+
+struct frame {
+    const struct gsn_tissue_band *a, *b;
+    struct gsn_affine map;   /* in cells of this band */
+    struct gsn_point centre; /* of a, in cells of this band */
+    struct scale scale;
+};
+
+/* ---- One band ----------------------------------------------------------------------------- */
+
+struct row {
+    double aa, bb, ab, aaaa, xx, xy, yy, xt, yt, tt, xa, ya, ta, xb, yb, tb;
+};
+
+static float weight_of(const struct scale *s, float a, float b)
+{
+    const double limit = HALF_WEIGHT * HALF_WEIGHT;
+    const double r = (double)b / s->b - s->rho * (double)a / s->a;
+
+    return (float)(limit / (limit + r * r / (1 - s->rho * s->rho)));
+}
+
+static void add_row(const struct frame *f, size_t y, struct row *row)
+{
+    const size_t w = f->a->w, bw = f->b->w;
+    const float c = (float)f->map.m00, s = (float)f->map.m10;
+    const double y0 = (double)y + 0.5;
+    const float u0 = (float)(f->map.m01 * y0 + f->map.m02 + 0.5 * f->map.m00 - 0.5);
+    const float v0 = (float)(f->map.m11 * y0 + f->map.m12 + 0.5 * f->map.m10 - 0.5);
+    const float last_u = (float)f->b->w - 1.001f, last_v = (float)f->b->h - 1.001f;
+    const float turn_y = (float)(y0 - f->centre.y);
+    const float *a = f->a->value + y * w, *dx = f->a->dx + y * w, *dy = f->a->dy + y * w;
+
+    for (size_t x = 0; x < w; x++) {
+        const float u = u0 + c * (float)x, v = v0 + s * (float)x;
+        size_t i, j;
+        float fu, fv, b, k, g, gx = dx[x], gy = dy[x], gt;
+        const float *at;
+
+        if (!(u >= 0 && v >= 0 && u <= last_u && v <= last_v))
+            continue;
+        i = (size_t)u;
+        j = (size_t)v;
+        fu = u - (float)i;
+        fv = v - (float)j;
+        at = f->b->value + j * bw + i;
+        b = (at[0] + (at[1] - at[0]) * fu) * (1 - fv) + (at[bw] + (at[bw + 1] - at[bw]) * fu) * fv;
+        k = f->scale.a > 0 ? weight_of(&f->scale, a[x], b) : 1;
+        gt = gy * ((float)x + 0.5f - (float)f->centre.x) - gx * turn_y;
+        g = k * a[x];
+        row->aa += (double)(g * a[x]);
+        row->ab += (double)(g * b);
+        row->bb += (double)(k * b * b);
+        row->aaaa += (double)(g * a[x] * a[x] * a[x]);
+        row->xa += (double)(g * gx);
+        row->ya += (double)(g * gy);
+        row->ta += (double)(g * gt);
+        g = k * b;
+        row->xb += (double)(g * gx);
+        row->yb += (double)(g * gy);
+        row->tb += (double)(g * gt);
+        gx *= k;
+        row->xx += (double)(gx * dx[x]);
+        row->xy += (double)(gx * gy);
+        row->xt += (double)(gx * gt);
+        row->yy += (double)(k * gy * gy);
+        row->yt += (double)(k * gy * gt);
+        row->tt += (double)(k * gt * gt);
+    }
+}
+
+static struct sums sums_of(const struct frame *f)
+{
+    struct row r = { 0 };
+
+    for (size_t y = 1; y + 1 < f->a->h; y++)
+        add_row(f, y, &r);
+    return (struct sums){
+        .aa = r.aa,
+        .bb = r.bb,
+        .ab = r.ab,
+        .aaaa = r.aaaa,
+        .h = { { r.xx, r.xy, r.xt }, { r.xy, r.yy, r.yt }, { r.xt, r.yt, r.tt } },
+        .ja = { r.xa, r.ya, r.ta },
+        .jb = { r.xb, r.yb, r.tb },
+    };
+}
+
+/* How many independent cells a band has where there is tissue: for n normal numbers the fourth
+ * moment is 3 n, and glass adds nothing to either. Neighbouring cells of a band share some of their
+ * noise, which its blur spreads over about four of them. */
+static double count_of(const struct sums *s)
+{
+    return s->aaaa > 0 ? 3 * s->aa * s->aa / s->aaaa / 4 : 0;
+}
+
+/* ---- All bands ---------------------------------------------------------------------------- */
+
+struct normal {
+    double h[3][3], g[3], evidence;
+};
+
+/* Adds a band at level to the normal equations, in cells of the first level. */
+static void add_band(const struct sums *s, size_t level, struct scale *scale, struct normal *normal)
+{
+    const double size = ldexp(1, (int)level), unit[3] = { size, size, 1 };
+    const double n = count_of(s);
+    double rho, weight;
+
+    scale->a = 0;
+    if (!(s->aa > 0) || !(s->bb > 0) || !(n > 0))
+        return;
+    rho = s->ab / sqrt(s->aa * s->bb);
+    if (!(rho > 0)) {
+        return;
+    }
+    rho = fmin(rho, MOST_ALIKE);
+    weight = n / (1 - rho * rho);
+    *scale = (struct scale){ 1, 1, rho };
+    /* Deviations over the cells with tissue. */
+    scale->a = sqrt(s->aa / (4 * n));
+    scale->b = sqrt(s->bb / (4 * n));
+    for (size_t i = 0; i < 3; i++) {
+        for (size_t j = 0; j < 3; j++)
+            normal->h[i][j] += weight * rho * rho * s->h[i][j] / s->aa / (unit[i] * unit[j]);
+        normal->g[i] +=
+            weight * rho * (s->jb[i] / sqrt(s->aa * s->bb) - rho * s->ja[i] / s->aa) / unit[i];
+    }
+    normal->evidence -= 0.5 * n * log(1 - rho * rho);
+}
+
+static void frame_at(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t level,
+                     const struct gsn_affine *map, struct frame *f)
+{
+    const double size = ldexp(1, (int)level);
+
+    f->a = &a->band[level];
+    f->b = &b->band[level];
+    f->map = *map;
+    f->map.m02 /= size;
+    f->map.m12 /= size;
+    f->centre = (struct gsn_point){ a->centre.x / size, a->centre.y / size };
+}
+
+/* Takes the motion that is left off: map o (turn by t about the centre, shift)^-1. */
+static void step(struct gsn_affine *map, struct gsn_point centre, const double move[3])
+{
+    const double c = cos(move[2]), s = sin(move[2]);
+    const struct gsn_affine left = { c, -s, centre.x + move[0] - c * centre.x + s * centre.y,
+                                     s, c,  centre.y + move[1] - s * centre.x - c * centre.y };
+    const struct gsn_affine back = gsn_affine_inverse(&left);
+
+    *map = gsn_affine_compose(&back, map);
+}
+
+static int solve(const struct normal *normal, double ret_move[3])
+{
+    double a[GSN_SMALL][GSN_SMALL] = { 0 };
+
+    for (size_t i = 0; i < 3; i++)
+        memcpy(a[i], normal->h[i], 3 * sizeof a[i][0]);
+    if (gsn_small_invert(a, 3) < 0)
+        return -1;
+    for (size_t i = 0; i < 3; i++)
+        ret_move[i] = a[i][0] * normal->g[0] + a[i][1] * normal->g[1] + a[i][2] * normal->g[2];
+    return 0;
+}
+
+void gsn_tissue_improve(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t finest,
+                        struct gsn_tissue_fit *fit)
+{
+    const size_t levels = a->levels < b->levels ? a->levels : b->levels;
+    struct frame frame[GSN_TISSUE_LEVELS] = { 0 };
+    const double least = STILL * ldexp(1, (int)finest);
+
+    for (int pass = 0; pass < STEPS; pass++) {
+        struct normal normal = { 0 };
+        double move[3];
+        double far;
+
+        for (size_t l = finest; l < levels; l++) {
+            struct sums sums;
+
+            frame_at(a, b, l, &fit->a_to_b, &frame[l]);
+            sums = sums_of(&frame[l]);
+            add_band(&sums, l, &frame[l].scale, &normal);
+        }
+        memcpy(fit->information, normal.h, sizeof fit->information);
+        fit->evidence = normal.evidence;
+        if (solve(&normal, move) < 0)
+            return;
+        far = hypot(hypot(move[0], move[1]), move[2] * a->radius);
+        /* The slopes of a band reach about a cell of its coarsest. */
+        if (far > ldexp(1, (int)levels))
+            for (size_t i = 0; i < 3; i++)
+                move[i] *= ldexp(1, (int)levels) / far;
+        step(&fit->a_to_b, a->centre, move);
+        if (far < least)
+            return;
+    }
+}
+
+/* ---- Matches ------------------------------------------------------------------------------ */
+
+/* From the coarsest bands to the finest. */
+static void descend(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                    struct gsn_tissue_fit *fit)
+{
+    const size_t levels = a->levels < b->levels ? a->levels : b->levels;
+
+    for (size_t l = levels > COARSE_BANDS ? levels - COARSE_BANDS : 0;; l--) {
+        gsn_tissue_improve(a, b, l, fit);
+        if (l == 0)
+            return;
+    }
+}
+
+/* The motion half way between two that are nearly the same, about a's centre; and how far the two
+ * are apart over a's tissue. */
+static struct gsn_affine between(const struct gsn_affine *p, const struct gsn_affine *q,
+                                 const struct gsn_tissue *a, double *ret_apart)
+{
+    const struct gsn_point u = gsn_affine_apply(p, a->centre), v = gsn_affine_apply(q, a->centre);
+    const double sign = gsn_affine_det(p) < 0 ? -1 : 1;
+    const double c = p->m11 + q->m11, s = p->m01 + q->m01, size = hypot(c, s);
+    const double turn = hypot(p->m11 - q->m11, p->m01 - q->m01);
+    struct gsn_affine middle = { sign * c / size, s / size, 0, -sign * s / size, c / size, 0 };
+    const struct gsn_point at = gsn_affine_apply(&middle, a->centre);
+
+    middle.m02 = 0.5 * (u.x + v.x) - at.x;
+    middle.m12 = 0.5 * (u.y + v.y) - at.y;
+    *ret_apart = hypot(hypot(u.x - v.x, u.y - v.y), turn * a->radius);
+    return middle;
+}
+
+/* Cells to lengths. */
+static struct gsn_affine in_lengths(const struct gsn_affine *map, double a_cell, double b_cell)
+{
+    const double k = b_cell / a_cell;
+
+    return (struct gsn_affine){ k * map->m00, k * map->m01, b_cell * map->m02,
+                                k * map->m10, k * map->m11, b_cell * map->m12 };
+}
+
+static int finish(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                  struct gsn_tissue_fit *there, struct gsn_tissue_match *ret_match,
+                  struct gsn_error *err)
+{
+    struct gsn_tissue_fit back;
+    struct gsn_affine inverse;
+    double h[GSN_SMALL][GSN_SMALL] = { 0 }, apart;
+    const double unit[3] = { a->cell, a->cell, 1 };
+
+    descend(a, b, there);
+    back = (struct gsn_tissue_fit){ .a_to_b = gsn_affine_inverse(&there->a_to_b) };
+    gsn_tissue_improve(b, a, 0, &back);
+    inverse = gsn_affine_inverse(&back.a_to_b);
+    for (size_t i = 0; i < 3; i++)
+        memcpy(h[i], there->information[i], 3 * sizeof h[i][0]);
+    if (gsn_small_invert(h, 3) < 0)
+        return gsn_fail(err, GSN_E_MARKERS, "the two sections share no detail to lay them by");
+    there->a_to_b = between(&there->a_to_b, &inverse, a, &apart);
+    ret_match->a_to_b = in_lengths(&there->a_to_b, a->cell, b->cell);
+    ret_match->back = apart * a->cell;
+    ret_match->evidence = 0.5 * (there->evidence + back.evidence);
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j < 3; j++)
+            ret_match->covariance[i][j] = h[i][j] * unit[i] * unit[j];
+    return GSN_OK;
+}
+
+/* Whether two motions are one but for what is left to improve: two cells of the coarsest band. */
+static int same(const struct gsn_affine *p, const struct gsn_affine *q, const struct gsn_tissue *a,
+                size_t levels)
+{
+    double apart;
+
+    if (gsn_affine_det(p) * gsn_affine_det(q) < 0)
+        return 0;
+    (void)between(p, q, a, &apart);
+    return apart < ldexp(2, (int)levels - 1);
+}
+
+int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                      struct gsn_tissue_match *ret_match, struct gsn_error *err)
+{
+    const size_t levels = a->levels < b->levels ? a->levels : b->levels;
+    const size_t coarse = levels > COARSE_BANDS ? levels - COARSE_BANDS : 0;
+    struct gsn_affine start[STARTS];
+    struct gsn_tissue_fit best = { .evidence = -1 };
+    struct gsn_tissue_match match = { 0 };
+    size_t count;
+    int r = gsn_tissue_starts(a, b, STARTS, start, &count, err);
+
+    assert(ret_match);
+
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        struct gsn_tissue_fit fit = { .a_to_b = start[i] };
+
+        gsn_tissue_improve(a, b, levels - 1, &fit);
+        gsn_tissue_improve(a, b, coarse, &fit);
+        if (fit.evidence > best.evidence) {
+            if (best.evidence >= 0 && !same(&fit.a_to_b, &best.a_to_b, a, levels))
+                match.rival = best.evidence;
+            best = fit;
+        } else if (!same(&fit.a_to_b, &best.a_to_b, a, levels)) {
+            match.rival = fmax(match.rival, fit.evidence);
+        }
+    }
+    if (r < 0)
+        return r;
+    if (best.evidence < 0)
+        return gsn_fail(err, GSN_E_MARKERS, "the two sections share no detail to lay them by");
+    match.coarse = best.evidence;
+    r = finish(a, b, &best, &match, err);
+    if (r >= 0)
+        *ret_match = match;
+    return r;
+}
+
+int gsn_tissue_refine(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                      const struct gsn_affine *start, struct gsn_tissue_match *ret_match,
+                      struct gsn_error *err)
+{
+    struct gsn_tissue_match match = { 0 };
+    struct gsn_tissue_fit fit = { .a_to_b = in_lengths(start, 1 / a->cell, 1 / b->cell) };
+    int r;
+
+    assert(ret_match);
+
+    r = finish(a, b, &fit, &match, err);
+    if (r >= 0)
+        *ret_match = match;
+    return r;
+}

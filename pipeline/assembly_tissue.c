@@ -90,9 +90,8 @@ static double bone_of(struct field *f, float *list)
 }
 
 /* The root, where there is one; NULL is none. */
-static int find_root(const struct gsn_columns *columns, unsigned threads,
-                     struct gsn_mask **ret_root, struct gsn_tissue_levels *levels,
-                     struct gsn_error *err)
+static int find_root(const struct gsn_columns *columns, struct gsn_mask **ret_root,
+                     struct gsn_tissue_levels *levels, struct gsn_error *err)
 {
     gsn_auto(gsn_grid) whole = NULL;
     struct gsn_error why = { 0 };
@@ -102,7 +101,7 @@ static int find_root(const struct gsn_columns *columns, unsigned threads,
         return r;
     for (size_t i = 0; i < gsn_lattice_count(&whole->at); i++)
         whole->value[i] = columns->tissue->value[i] < 0.5f ? 0 : columns->density->value[i];
-    r = gsn_tissue_root(whole, threads, ret_root, levels, &why);
+    r = gsn_tissue_find(whole, GSN_TISSUE_ROOT, ret_root, levels, &why);
     return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", why.text) : GSN_OK;
 }
 
@@ -210,9 +209,8 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
     return GSN_OK;
 }
 
-static int find_kinds(const struct gsn_specimen *specimen,
-                      const struct gsn_specimen_options *options, struct gsn_assembly *a,
-                      struct field *f, struct gsn_error *err)
+static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(float) list = gsn_alloc_array(f->count, sizeof *list);
     gsn_auto(gsn_mask) root = NULL;
@@ -229,15 +227,14 @@ static int find_kinds(const struct gsn_specimen *specimen,
     bone = bone_of(f, list);
     if (!(bone > 0))
         return GSN_OK;
-    r = find_root(a->columns, options->threads, &root, &levels, err);
+    r = find_root(a->columns, &root, &levels, err);
     if (r < 0)
         return r;
     tell_kinds(f, root, &levels, bone);
     return measure_kinds(specimen, a, f, footprint, err);
 }
 
-int gsn_assembly_find_tissues(const struct gsn_specimen *specimen,
-                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
+int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err)
 {
     struct field f;
@@ -247,7 +244,7 @@ int gsn_assembly_find_tissues(const struct gsn_specimen *specimen,
         return GSN_OK;
     r = field_init(&a->columns->density->at, &f, err);
     if (r >= 0)
-        r = find_kinds(specimen, options, a, &f, err);
+        r = find_kinds(specimen, a, &f, err);
     field_done(&f);
     return r;
 }

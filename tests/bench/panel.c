@@ -227,8 +227,9 @@ static void split(const struct gsn_image *image, double px_um, struct found *fou
     found->glass.width = small->width;
     found->glass.height = small->height;
     bench_need(gsn_absorb_total(small, &found->glass, &total, &err), &err, "split");
-    bench_need(gsn_panel_split(total, step, &LAYOUT, px_um, found->slot, NULL, NULL, &err), &err,
-               "split");
+    bench_need(gsn_panel_split(total, step, &LAYOUT, px_um, GSN_SLOT_UNSAID, found->slot, NULL,
+                               NULL, &err),
+               &err, "split");
     found->glass.width = image->width;
     found->glass.height = image->height;
 }

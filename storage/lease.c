@@ -64,13 +64,18 @@ int64_t gsn_lease_start(int64_t pid)
     return parse_start(stat);
 }
 
+bool gsn_lease_is_of_other_start(const struct gsn_lease_home *here, const char *boot)
+{
+    return *here->boot && *boot && strcmp(here->boot, boot) != 0;
+}
+
 bool gsn_lease_is_dead(const struct gsn_lease_home *here, const char *boot, const char *processes,
                        int64_t pid, int64_t start)
 {
+    if (gsn_lease_is_of_other_start(here, boot))
+        return true;
     if (!*here->boot || !*boot)
         return false;
-    if (strcmp(here->boot, boot) != 0)
-        return true;
     if (start == 0 || strcmp(here->processes, processes) != 0)
         return false;
     return gsn_lease_start(pid) != start;

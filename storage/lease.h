@@ -20,6 +20,9 @@ struct gsn_lease_home gsn_lease_home(void);
  * waits to be reaped. */
 int64_t gsn_lease_start(int64_t pid);
 
+/* Taken before this machine was started last: a power cut or a reboot ended whoever held it. */
+bool gsn_lease_is_of_other_start(const struct gsn_lease_home *here, const char *boot);
+
 /* Surely gone: a store in WAL mode is never shared between machines, so another boot means that
  * this machine was restarted. A process of another namespace cannot be asked after. start 0: it was
  * not known when the lease was taken, and nothing is known now. */

@@ -152,6 +152,13 @@ static const struct gsn_sql_field lease_fields[] = {
 #undef LEASE
 static const struct gsn_sql_shape lease_shape = SQL_SHAPE(struct lease, lease_fields);
 
+/* Its worker went down with the machine, which says nothing against the job: back to waiting. */
+static int revive(struct gsn_store *store, int64_t job, struct gsn_error *err)
+{
+    return gsn_sql_run(store, "UPDATE job SET " FRESH "WHERE id = ?1", SQL_ARGS(SQL_INT(job)), NULL,
+                       err);
+}
+
 /* Back to waiting, with one death more; the last death fails it. */
 static int bury(struct gsn_store *store, int64_t job, struct gsn_error *err)
 {
@@ -170,9 +177,11 @@ static int bury(struct gsn_store *store, int64_t job, struct gsn_error *err)
 }
 
 /* One that ends later than a whole lease from now was counted by the clock of another start. */
-static bool ran_out(const struct lease *lease, int64_t now)
+static bool is_of_other_start(const struct gsn_lease_home *here, const struct lease *lease,
+                              int64_t now)
 {
-    return lease->lease_until <= now || lease->lease_until - now > lease->lease_s;
+    return gsn_lease_is_of_other_start(here, lease->boot) ||
+           lease->lease_until - now > lease->lease_s;
 }
 
 static int take_back(struct gsn_store *store, const struct gsn_lease_home *here, int64_t now,
@@ -191,7 +200,10 @@ static int take_back(struct gsn_store *store, const struct gsn_lease_home *here,
     for (size_t i = 0; r >= 0 && i < count; i++) {
         const struct lease *const l = &leases[i];
 
-        if (ran_out(l, now) || gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
+        if (is_of_other_start(here, l, now))
+            r = revive(store, l->job, err);
+        else if (l->lease_until <= now ||
+                 gsn_lease_is_dead(here, l->boot, l->processes, l->pid, l->pid_start))
             r = bury(store, l->job, err);
     }
     gsn_sql_free_rows(&lease_shape, rows, count);

@@ -33,7 +33,7 @@ struct gsn_job_row {
     const char *panel;    /* its file name, or empty */
     const char *state;    /* "waiting", "running", "done", "failed" */
     int64_t again;        /* 1: asked for again while running, so it will be redone */
-    int64_t attempts;     /* workers that died on it */
+    int64_t attempts;     /* workers that died on it, and not with the whole machine */
     int64_t claim;        /* counts the claims; tells an old owner that it lost the job */
     const char *owner;    /* who runs it, or ran it last */
     int64_t pid;          /* its process; 0 when not running */
@@ -71,7 +71,8 @@ int64_t gsn_queue_clock(void);
 /* gives: the job to do next, now running under the lease of owner (words for people) and pid.
  *
  * First takes back what dead owners left: leases that ran out, and leases of processes that are
- * gone on this machine (by boot, process id and its start time). Fails with GSN_E_NOTFOUND "the
+ * gone on this machine (by boot, process id and its start time). Who went down with the machine is
+ * no death of the job, however often its power is cut. Fails with GSN_E_NOTFOUND "the
  * queue is empty", GSN_E_BUSY when what waits must wait for running jobs, or only those are left.
  * lease_s > 0; now is gsn_queue_clock(). */
 int gsn_queue_claim(struct gsn_store *store, const char *owner, pid_t pid, int64_t lease_s,

@@ -307,29 +307,47 @@ static int do_import(const struct request *request)
 
 /* ---- work and verify --------------------------------------------------------------------- */
 
-/* The programs a job asks, by their paths. */
+/* The programs a job asks: their paths, or why there is none. */
 struct helpers {
-    char *mesher, *decoder, owner[64];
+    char *mesher, *decoder, *lacks_mesher, *lacks_decoder, owner[64];
 };
 
 static void helpers_done(struct helpers *helpers)
 {
     gsn_free(helpers->mesher);
     gsn_free(helpers->decoder);
+    gsn_free(helpers->lacks_mesher);
+    gsn_free(helpers->lacks_decoder);
+}
+
+/* One that is not there costs the jobs that need it, not the queue. */
+static int find_helper(const char *name, char **ret_path, char **ret_lacks, struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
+    const int r = gsn_process_sibling(name, ret_path, &why);
+
+    if (r != GSN_E_NOTFOUND)
+        return r < 0 ? gsn_fail(err, r, "%s", why.text) : r;
+    *ret_lacks = gsn_format("%s; install gieson again with all its programs (apt-get install "
+                            "--reinstall gieson), then `gieson retry`",
+                            why.text);
+    return *ret_lacks ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 }
 
 static int job_options(const struct request *request, struct helpers *helpers,
                        struct gsn_job_options *ret_options, struct gsn_error *err)
 {
-    int r = gsn_process_sibling("gieson-mesh", &helpers->mesher, err);
+    int r = find_helper("gieson-mesh", &helpers->mesher, &helpers->lacks_mesher, err);
 
     if (r >= 0)
-        r = gsn_process_sibling("gieson-decode", &helpers->decoder, err);
+        r = find_helper("gieson-decode", &helpers->decoder, &helpers->lacks_decoder, err);
     if (r < 0)
         return r;
     (void)snprintf(helpers->owner, sizeof helpers->owner, "gieson-work %ld", (long)getpid());
     *ret_options = (struct gsn_job_options){ .mesher = helpers->mesher,
                                              .decoder = helpers->decoder,
+                                             .lacks_mesher = helpers->lacks_mesher,
+                                             .lacks_decoder = helpers->lacks_decoder,
                                              .owner = helpers->owner,
                                              .threads = request->threads };
     return GSN_OK;

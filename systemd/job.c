@@ -8,6 +8,7 @@
 #include "systemd/specimen_job.h"
 
 #include <math.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
@@ -56,6 +57,29 @@ static void tell(void *context, const char *stage, size_t done, size_t total)
                              gsn_queue_clock(), &quiet);
 }
 
+/* Asked before the work begins: a specimen would come to its mesher after hours. */
+static int check_programs(const struct gsn_job_options *options, bool meshes, struct gsn_error *err)
+{
+    if (options->lacks_decoder)
+        return gsn_fail(err, GSN_E_PROCESS, "%s", options->lacks_decoder);
+    if (meshes && options->lacks_mesher)
+        return gsn_fail(err, GSN_E_PROCESS, "%s", options->lacks_mesher);
+    return GSN_OK;
+}
+
+static int do_job(struct gsn_store *store, const struct gsn_job_row *job,
+                  const struct gsn_job_options *options, const struct gsn_progress *progress,
+                  struct gsn_error *err)
+{
+    const bool is_panel = strcmp(job->kind, "panel") == 0;
+    const int r = check_programs(options, !is_panel, err);
+
+    if (r < 0)
+        return r;
+    return is_panel ? gsn_panel_job(store, job, options, progress, err)
+                    : gsn_specimen_job(store, job, options, progress, err);
+}
+
 int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
                  struct gsn_error *err)
 {
@@ -68,8 +92,7 @@ int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
     if (r < 0)
         return r;
     teller.job = job;
-    r = strcmp(job->kind, "panel") == 0 ? gsn_panel_job(store, job, options, &progress, &why)
-                                        : gsn_specimen_job(store, job, options, &progress, &why);
+    r = do_job(store, job, options, &progress, &why);
     if (r >= 0)
         return GSN_OK;
     if (err)
@@ -94,8 +117,10 @@ int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job
     gsn_auto(gsn_material) material = NULL;
     gsn_auto(gsn_specimen_result) result = NULL;
     struct gsn_digest json, html;
-    int r = gsn_run_get(store, run_id, &run, err);
+    int r = check_programs(options, true, err);
 
+    if (r >= 0)
+        r = gsn_run_get(store, run_id, &run, err);
     if (r < 0)
         return r;
     if (!run->json_sha256[0])

@@ -12,14 +12,18 @@
 struct gsn_job_options {
     const char *mesher;  /* path of gieson-mesh */
     const char *decoder; /* path of gieson-decode; NULL: as for gsn_decode_apart() */
-    const char *owner;   /* who works, for people */
-    unsigned threads;    /* 0: all */
+    /* What is missing, where it was looked for and what to do, of a program that is not there;
+     * NULL: it is there. */
+    const char *lacks_mesher, *lacks_decoder;
+    const char *owner; /* who works, for people */
+    unsigned threads;  /* 0: all */
 };
 
 /* Claims the next job and does it. A job whose material is bad is done with a refusal in its rows:
- * that is success here. Fails with GSN_E_NOTFOUND (the queue is empty), GSN_E_BUSY (only running
- * jobs are left, or this one was taken away), and otherwise with what made the job itself fail,
- * which its row says too. */
+ * that is success here. One that needs a program that is not there fails at once with that
+ * sentence, and the next job is not kept waiting by it. Fails with GSN_E_NOTFOUND (the queue is
+ * empty), GSN_E_BUSY (only running jobs are left, or this one was taken away), and otherwise with
+ * what made the job itself fail, which its row says too. */
 int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
                  struct gsn_error *err);
 

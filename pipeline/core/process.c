@@ -372,24 +372,22 @@ int gsn_process_sibling(const char *name, char **ret_path, struct gsn_error *err
 {
     char self[4096];
     const ssize_t length = readlink("/proc/self/exe", self, sizeof self - 1);
+    gsn_auto_mem(char) installed = gsn_format("%s/%s", GSN_LIBEXECDIR, name);
     gsn_auto_mem(char) beside = NULL;
     char *slash;
 
-    if (length > 0) {
-        self[length] = '\0';
-        slash = strrchr(self, '/');
-        beside = gsn_format("%.*s/%s", slash ? (int)(slash - self) : 0, self, name);
-        if (!beside)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    }
-    if (!beside || access(beside, X_OK) < 0) {
-        gsn_free(beside);
-        beside = gsn_format("%s/%s", GSN_LIBEXECDIR, name);
-        if (!beside)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    }
-    if (access(beside, X_OK) < 0)
-        return gsn_fail(err, GSN_E_NOTFOUND, "the program %s is not installed", beside);
-    *ret_path = gsn_steal(&beside);
+    self[length > 0 ? length : 0] = '\0';
+    slash = strrchr(self, '/');
+    beside = gsn_format("%.*s/%s", slash ? (int)(slash - self) : 0, self, name);
+    if (!beside || !installed)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    if (slash && access(beside, X_OK) == 0)
+        *ret_path = gsn_steal(&beside);
+    else if (access(installed, X_OK) == 0)
+        *ret_path = gsn_steal(&installed);
+    else
+        return gsn_fail(err, GSN_E_NOTFOUND,
+                        "the program %s is not installed: there is neither %s nor %s", name, beside,
+                        installed);
     return GSN_OK;
 }

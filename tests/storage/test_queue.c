@@ -288,7 +288,7 @@ TEST(a_lease_that_ends_too_late_to_be_of_this_clock_is_taken_back)
 
     gives_none(store, NOON, GSN_E_BUSY, "only running jobs");
     gsn_auto(gsn_job_row) anew = claim_as(store, getpid(), NOON - 1);
-    CHECK(anew->id == old->id && anew->attempts == 1);
+    CHECK(anew->id == old->id && anew->attempts == 0);
 }
 
 TEST(the_job_of_a_killed_process_is_free_at_once)
@@ -387,6 +387,30 @@ TEST(after_five_deaths_a_job_is_given_up_until_somebody_retries)
     does(store, id);
     CHECK_OK(gsn_queue_retry(store, 0, &count, &err), err);
     CHECK(count == 0); /* what is done is not retried */
+}
+
+/* The job is in no hurry: the power fails more often than a job may kill its worker. */
+TEST(a_power_cut_is_no_death_of_the_job_and_deaths_between_two_cuts_still_are)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const int64_t id = add(store, bench_add_specimen(store, "S", "g", ""), 0);
+
+    for (int64_t cut = 0; cut <= 2 * GSN_QUEUE_DEATHS; cut++) {
+        /* Later than the lease as well: the machine was without power for longer. */
+        gsn_auto(gsn_job_row) job = claim_as(store, getpid(), NOON + cut * LEASE);
+
+        CHECK(job->id == id && job->attempts == 0 && job->claim == cut + 1);
+        CHECK(bench_raw(&scratch, "UPDATE job SET boot = 'an earlier one'") == SQLITE_OK);
+    }
+    gsn_job_row_free(claim(store));
+    CHECK(bench_raw(&scratch, "UPDATE job SET pid_start = pid_start + 1") == SQLITE_OK);
+    gsn_auto(gsn_job_row) died = claim(store);
+
+    CHECK(died->attempts == 1);
+    CHECK(bench_raw(&scratch, "UPDATE job SET boot = 'an earlier one'") == SQLITE_OK);
+    gsn_auto(gsn_job_row) anew = claim(store);
+    CHECK(anew->attempts == 1); /* neither counted nor forgiven */
 }
 
 TEST(a_failed_job_keeps_its_sentence)

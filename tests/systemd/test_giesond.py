@@ -680,6 +680,32 @@ def orphaned(bench):
 
 
 @scenario
+def no_mesher(bench):
+    """Without gieson-mesh a specimen is held with what to install; panels and other work go on."""
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-intake", "gieson-work", "gieson-decode"):
+        shutil.copy(bench.programs / name, place / name)
+    made = bench.folder / "S00"
+    subprocess.run([bench.programs / "gieson", "phantom", "--specimen", "S00", "--level", "L0", "--seed", "1",
+                    "--out", made], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([bench.programs / "gieson", "--store", bench.store, "import", made], check=True,
+                   stdout=subprocess.DEVNULL)
+    count = bench.ask("SELECT count(*) FROM job WHERE kind = 'panel'")[0][0]
+    bench.programs = place
+    bench.configure(work="Workers=1\n")
+    bench.start()
+    bench.wait("the held specimen", lambda: bench.ask("SELECT 1 FROM job WHERE kind = 'specimen' AND "
+                                                      "state = 'failed'"), 180)
+    demand(bench.ask("SELECT count(*) FROM job WHERE kind = 'panel' AND state = 'done'") == [(count,)],
+           "its panels were registered")
+    message, code = bench.ask("SELECT message, code FROM job WHERE state = 'failed'")[0]
+    demand(code == "process" and re.match(
+        rf"the program gieson-mesh is not installed: there is neither {place}/gieson-mesh nor /\S+/gieson-mesh; "
+        r"install gieson again .*, then `gieson retry`$", message), f"{code}: {message}")
+
+
+@scenario
 def job_late(bench):
     """A job that outlives TimeMinutes is ended and fails with a sentence."""
     if not os.environ.get("GIESON_LONG"):

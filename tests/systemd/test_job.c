@@ -272,6 +272,53 @@ TEST(a_held_panel_is_released_by_importing_it_under_its_right_name)
     CHECK(panel_named(panels, "P03.png")->number == 3);
 }
 
+/* The queue has a specimen whose work needs a program that is not installed, and panels that do
+ * not. */
+TEST(a_program_that_is_missing_costs_the_jobs_that_need_it_and_says_so)
+{
+    struct gsn_job_options lacking = OPTIONS;
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_job_rows) jobs = NULL;
+    struct gsn_job_verdict verdict = { 0 };
+    struct gsn_error err = { 0 };
+    size_t again = 0;
+
+    lacking.mesher = NULL;
+    lacking.lacks_mesher = "there is no gieson-mesh";
+    write_specimen(&scratch, "a", "", 0.6);
+    (void)take(&scratch, store, "a");
+    CHECK_OK(gsn_job_next(store, &lacking, &err), err);
+    CHECK_OK(gsn_job_next(store, &lacking, &err), err);
+    CHECK(gsn_job_next(store, &lacking, &err) == GSN_E_PROCESS);
+    assert_string_equal(err.text, "specimen a: there is no gieson-mesh");
+    CHECK(gsn_job_next(store, &lacking, &err) == GSN_E_NOTFOUND);
+    CHECK_OK(gsn_queue_list(store, &jobs, &err), err);
+    for (size_t i = 0; i < jobs->count; i++) {
+        const struct gsn_job_row *const job = &jobs->at[i];
+        const int is_panel = strcmp(job->kind, "panel") == 0;
+
+        CHECK(strcmp(job->state, is_panel ? "done" : "failed") == 0);
+        assert_string_equal(job->message, is_panel ? "" : lacking.lacks_mesher);
+    }
+
+    /* It is installed. */
+    CHECK_OK(gsn_queue_retry(store, 0, &again, &err), err);
+    CHECK(again == 1 && work_all(store, 9) == 1);
+    gsn_auto(gsn_run_row) run = latest(store, "a");
+
+    CHECK(gsn_job_verify(store, run->id, &lacking, &verdict, &err) == GSN_E_PROCESS);
+    assert_string_equal(err.text, lacking.lacks_mesher);
+    CHECK(verdict.run == 0);
+
+    /* Without the other one there is nothing that a panel could be done with. */
+    lacking.lacks_decoder = "there is no gieson-decode";
+    write_specimen(&scratch, "b", "", 0.7);
+    (void)take(&scratch, store, "b");
+    CHECK(gsn_job_next(store, &lacking, &err) == GSN_E_PROCESS);
+    assert_string_equal(err.text, "panel b, P01.png: there is no gieson-decode");
+}
+
 static void damage(struct gsn_store *store, const char *sha256)
 {
     gsn_auto_mem(char) path = NULL;

@@ -7,6 +7,7 @@ kept in the folder given. The archive is written directly (cpio, "newc"), so no 
 every file belongs to root whoever builds it.
 """
 import hashlib
+import lzma
 import os
 import pathlib
 import re
@@ -26,13 +27,20 @@ PROGRAMS = ("sqlite3", "v4l2-ctl", "cam", "umtprd")
 MODULES = ("virtio_pci virtio_blk ext4 autofs4 xhci_pci xhci_hcd uvcvideo vivid dummy_hcd libcomposite usb_f_fs "
            "usb_storage sd_mod vfat nls_ascii nls_cp437 rtc_cmos").split()
 NOT_IN = re.compile(r"^/usr/share/(doc|man|locale|info|lintian|i18n|zoneinfo|perl|X11|fonts|bash-completion)/"
-                    r"|/gconv/|^/usr/lib/udev/hwdb\.d/|^/lib/udev/hwdb\.d/|^/usr/lib/python|^/usr/include/|\.a$")
+                    r"|/gconv/|^/usr/lib/udev/hwdb\.d/|^/lib/udev/hwdb\.d/|^/usr/lib/python|^/usr/include/|\.a$"
+                    # of the units that are made at a boot, those of fstab are needed
+                    r"|/system-generators/(?!systemd-fstab-)")
 # Units that only cost time in a machine that is thrown away.
-MASKED = ("systemd-networkd systemd-timesyncd systemd-firstboot ldconfig "
-          "systemd-update-done systemd-journal-catalog-update systemd-pstore apt-daily "
-          "getty@tty1 systemd-random-seed").split()
-MASKED_TIMERS = ("apt-daily.timer", "apt-daily-upgrade.timer", "dpkg-db-backup.timer",
-                 "systemd-tmpfiles-clean.timer", "e2scrub_all.timer")
+MASKED = ("systemd-networkd systemd-timesyncd systemd-firstboot ldconfig systemd-update-done "
+          "systemd-journal-catalog-update systemd-journal-flush systemd-pstore apt-daily getty@tty1 "
+          "systemd-random-seed systemd-logind systemd-user-sessions systemd-update-utmp "
+          "systemd-update-utmp-runlevel systemd-machine-id-commit systemd-modules-load systemd-binfmt "
+          "systemd-remount-fs systemd-sysext systemd-repart kmod-static-nodes modprobe@configfs modprobe@dm_mod "
+          "modprobe@drm modprobe@efi_pstore modprobe@fuse modprobe@loop").split()
+MASKED_OTHERS = ("apt-daily.timer apt-daily-upgrade.timer dpkg-db-backup.timer systemd-tmpfiles-clean.timer "
+                 "e2scrub_all.timer dev-hugepages.mount dev-mqueue.mount sys-kernel-config.mount "
+                 "sys-kernel-debug.mount sys-kernel-tracing.mount sys-fs-fuse-connections.mount "
+                 "proc-sys-fs-binfmt_misc.automount").split()
 
 
 class Unavailable(Exception):
@@ -73,6 +81,15 @@ def kernel(folder):
     subprocess.run(["depmod", "-b", tree, version], check=True)
     (tree / "complete").touch()
     return tree
+
+
+def unpacked_kernel(tree):
+    """The kernel as an ELF file, which qemu starts by its PVH note: xz takes half a second here, and in
+    a machine in software eight at each boot. One that is packed otherwise stays as it is."""
+    packed = next((tree / "boot").glob("vmlinuz-*")).read_bytes()
+    at = packed.find(b"\xfd7zXZ\0")
+    unpacked = lzma.LZMADecompressor().decompress(packed[at:]) if at >= 0 else b""
+    return unpacked if unpacked.startswith(b"\x7fELF") else packed
 
 
 def module_files(tree):
@@ -163,12 +180,12 @@ class Archive:
             elif path.is_file():
                 self.file(name, path)
 
-    def write(self, out):
-        with open(out, "wb") as to:
-            for inode, (name, (mode, content)) in enumerate(sorted(self.entry.items()), 1):
-                body = content.read_bytes() if isinstance(content, pathlib.Path) else content
-                self.write_one(to, name.lstrip("/"), inode, mode, body)
-            self.write_one(to, "TRAILER!!!", 0, 0, b"")
+    def append(self, to):
+        """To what the file holds already: in the guest the later entry of a name counts."""
+        for inode, (name, (mode, content)) in enumerate(sorted(self.entry.items()), 1):
+            body = content.read_bytes() if isinstance(content, pathlib.Path) else content
+            self.write_one(to, name.lstrip("/"), inode, mode, body)
+        self.write_one(to, "TRAILER!!!", 0, 0, b"")
 
     @staticmethod
     def write_one(to, name, inode, mode, body):
@@ -203,7 +220,7 @@ def add_settings(archive):
     archive.text("/etc/hostname", "bench\n")
     archive.text("/etc/machine-id", "%032d\n" % 1)
     archive.text("/etc/fstab", "")
-    for unit in [u + ".service" for u in MASKED] + list(MASKED_TIMERS):
+    for unit in [u + ".service" for u in MASKED] + MASKED_OTHERS:
         archive.link(f"/etc/systemd/system/{unit}", "/dev/null")
     archive.link("/etc/systemd/system/default.target", "/usr/lib/systemd/system/multi-user.target")
     archive.link("/etc/systemd/system/multi-user.target.wants/agent.service", "../agent.service")
@@ -221,7 +238,7 @@ def add_gieson(archive, build, package, folder):
     if package:
         subprocess.run(["dpkg-deb", "-x", package, stage], check=True)
     else:
-        subprocess.run(["cmake", "--install", build], env={**os.environ, "DESTDIR": str(stage)},
+        subprocess.run(["cmake", "--install", build, "--strip"], env={**os.environ, "DESTDIR": str(stage)},
                        check=True, stdout=subprocess.DEVNULL)
     archive.tree(stage)
     programs = [p for p in stage.rglob("*") if p.is_file() and os.access(p, os.X_OK)
@@ -236,7 +253,7 @@ def add_gieson(archive, build, package, folder):
 
 
 def build_image(folder, build, package):
-    """Makes folder/vmlinuz and folder/root.cpio; gives a name for what is in them."""
+    """Makes folder/vmlinux and folder/root.cpio; gives a name for what is in them."""
     need_programs()
     folder.mkdir(parents=True, exist_ok=True)
     tree = kernel(folder)
@@ -246,7 +263,7 @@ def build_image(folder, build, package):
     for name, path in module_files(tree).items():
         archive.file(name, path)
     add_gieson(archive, build, package, folder)
-    shutil.copyfile(next((tree / "boot").glob("vmlinuz-*")), folder / "vmlinuz")
+    (folder / "vmlinux").write_bytes(unpacked_kernel(tree))
     key = hashlib.sha256()
     for name, (mode, content) in sorted(archive.entry.items()):
         if isinstance(content, pathlib.Path):
@@ -255,6 +272,18 @@ def build_image(folder, build, package):
         key.update(f"{name} {mode} ".encode() + content)
     key = key.hexdigest()[:16]
     if not (folder / "root.key").exists() or (folder / "root.key").read_text() != key:
-        archive.write(folder / "root.cpio")
+        with open(folder / "root.cpio", "wb") as to:
+            archive.append(to)
         (folder / "root.key").write_text(key)
     return key
+
+
+def configured_root(folder, name, sources, fstab):
+    """Makes the root folder/name, whose machine has this configuration and these disks from its start."""
+    home = next((folder / "stage").rglob("etc/gieson/gieson.conf")).parent.relative_to(folder / "stage")
+    more = Archive()
+    more.text(f"/{home}/conf.d/bench.conf", sources)
+    more.text("/etc/fstab", fstab)
+    shutil.copyfile(folder / "root.cpio", folder / name)
+    with open(folder / name, "ab") as to:
+        more.append(to)

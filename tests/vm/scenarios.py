@@ -2,6 +2,7 @@
 """What happens on the bench, and what must be true afterwards. Every scenario has a machine of its
 own, waits for conditions and never for a time, and gives its figures in words."""
 import base64
+import concurrent.futures
 import hashlib
 import io
 import os
@@ -14,7 +15,7 @@ import tarfile
 import time
 import zlib
 
-from image import Unavailable
+from image import Unavailable, configured_root
 from machine import Budget, Failed, Machine
 
 SCENARIOS = {}
@@ -73,13 +74,18 @@ class Bench:
         return path
 
 
+PNG_HEAD = 33  # bytes of signature and first chunk
+
+
+def png_chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
 def png(number):
     """A small PNG of its own for each number."""
-    def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
     rows = b"".join(b"\0" + number.to_bytes(4, "big") * 6 for _ in range(8))
-    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0)) +
-            chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+    return (b"\x89PNG\r\n\x1a\n" + png_chunk(b"IHDR", struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0)) +
+            png_chunk(b"IDAT", zlib.compress(rows)) + png_chunk(b"IEND", b""))
 
 
 def sha256(path):
@@ -117,19 +123,16 @@ def put(vm, files, folder):
     vm.tell(f"mkdir -p {folder} && base64 -d /run/put.b64 | tar -xzf - -C {folder} && rm /run/put.b64")
 
 
-def check_objects(vm, demanded=None):
-    """Every row of the ledger has its exact object; with demanded (name -> hash), these are there.
-    Gives the rows."""
-    rows = [line.split("|") for line in sql(vm, "SELECT name, sha256, size FROM scan").splitlines()]
+def check_objects(vm, demanded=None, query="SELECT name, sha256 FROM scan"):
+    """Every row of the ledger has its exact object; with demanded (name -> hash), these are there."""
+    rows = [tuple(line.split("|")) for line in sql(vm, query).splitlines()]
     hashes = vm.tell("cd /var/lib/gieson/objects && sha256sum ??/* 2>/dev/null; true").splitlines()
     here = {line.split()[1].replace("/", ""): line.split()[0] for line in hashes}
-    for name, digest, _ in rows:
-        demand(here.get(digest) == digest, f"the row of {name} has no object with its bytes")
-    known = {(name, digest) for name, digest, _ in rows}
-    demand(len(known) == len(rows), "a scan is in the ledger twice")
     for name, digest in (demanded or {}).items():
-        demand((name, digest) in known, f"{name} was acknowledged and is gone")
-    return rows
+        demand((name, digest) in rows, f"{name} was acknowledged and is gone")
+    for name, digest in rows:
+        demand(here.get(digest) == digest, f"the row of {name} has no object with its bytes")
+    demand(len(set(rows)) == len(rows), "a scan is in the ledger twice")
 
 
 def temporaries(vm):
@@ -357,68 +360,10 @@ def vivid(bench):
     return f"survived {', '.join(said)}; after disconnect the source is {message!r}"
 
 
-# ---- power --------------------------------------------------------------------------------
-
-def with_disk(vm, disk):
-    """Puts the store on a disk of its own, as after a boot with this disk."""
-    vm.tell("systemctl stop gieson.service gieson-worker.service")
-    vm.plug_disk(disk, "store")
-    vm.tell("mount /dev/disk/by-id/virtio-store /var/lib/gieson && chown gieson:gieson /var/lib/gieson && "
-            "chmod 2750 /var/lib/gieson", 60)
-
-
-def seen(vm):
-    return dict(line.split("|") for line in sql(vm, "SELECT name, sha256 FROM scan").splitlines())
-
-
-SMALL_DISK = "[store]\nReserveMiB=4\n"
-
-
-@scenario(seconds=420)
-def power(bench):
-    """the power is cut at moments of an intake: nothing acknowledged is lost, the work is finished"""
-    disk = bench.scratch / "disk"
-    files = [bench.tiff(f"scan{i:02}.tif", 300, 250 + i) for i in range(2 * bench.cuts + 4)]
-    with open(disk, "wb") as to:
-        to.truncate(96 << 20)
-    subprocess.run(["/sbin/mke2fs", "-q", "-t", "ext4", "-F", str(disk)], check=True)
-    acknowledged = {}
-    for cut in range(bench.cuts):
-        vm = bench.machine()
-        try:
-            with_disk(vm, disk)
-            configure(vm, SMALL_DISK + PTP)
-            if acknowledged or cut:
-                check_objects(vm, acknowledged)
-            sim = vm.plug(bench.sim(), "ptp", *files)
-            sim.finish_scans(2 * cut + 4)
-            target = len(acknowledged) + 1
-            vm.until(f'test "$(sqlite3 -readonly -cmd ".timeout 20000" {DB} "SELECT count(*) FROM scan")" -ge {target}',
-                     bench.wait(180))
-            acknowledged = seen(vm)
-            time.sleep(bench.random.uniform(0, 1.5))
-            vm.cut()
-        finally:
-            vm.close()
-    with bench.machine() as vm:
-        with_disk(vm, disk)
-        configure(vm, SMALL_DISK + PTP)
-        check_objects(vm, acknowledged)
-        sim = vm.plug(bench.sim(), "ptp", *files)
-        sim.finish_scans(len(files))
-        vm.until(sql_is("SELECT count(*) FROM scan", len(files)), bench.wait(300))
-        check_objects(vm, {f.name: sha256(f) for f in files})
-        whole = vm.tell(f"sqlite3 -readonly {DB} 'PRAGMA integrity_check'")
-        demand(whole == "ok", f"the database is damaged: {whole}")
-        left = temporaries(vm)
-    return (f"{bench.cuts} cuts, {len(acknowledged)} scans acknowledged before the last, 0 lost, 0 rows without their "
-            f"object; then all {len(files)} are in, once each{', left over: ' + left if left else ''}")
-
-
 # ---- work ---------------------------------------------------------------------------------
 
 def specimen(bench, name):
-    """Two small panels and their job, drawn by the tests' own hand."""
+    """Two small panels and their job, drawn by the tests' own hand; no other specimen has their bytes."""
     draw = bench.build / "tests/test_vm_specimen"
     if not draw.exists():
         raise Unavailable("test_vm_specimen is not built")
@@ -426,7 +371,120 @@ def specimen(bench, name):
     folder.mkdir(exist_ok=True)
     subprocess.run([str(draw)], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                    env={**os.environ, "GIESON_SPECIMEN": str(folder), "GIESON_SPECIMEN_NAME": name})
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+    files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+    return {file: content if file == "job.json" else content[:PNG_HEAD] +
+            png_chunk(b"tEXt", b"Title\0" + name.encode()) + content[PNG_HEAD:] for file, content in files.items()}
+
+
+# ---- power --------------------------------------------------------------------------------
+
+FSTAB = "/dev/disk/by-id/virtio-store /var/lib/gieson ext4 defaults 0 0\n"
+ACKNOWLEDGED = ("SELECT name, sha256 FROM scan UNION "
+                "SELECT s.name || '/' || file_name, sha256 FROM panel p JOIN specimen s ON s.id = p.specimen_id")
+
+
+class Lives:
+    """The lives of one machine with one disk. Each begins with the power switched on and ends with the
+    power cut; the next one judges what is left of it before it is loaded itself."""
+
+    def __init__(self, bench, name, cuts):
+        self.bench, self.cuts = bench, cuts
+        self.random = random.Random(name)
+        self.files = [bench.tiff(f"{name}-{i:02}.tif", 300, 250 + i) for i in range(2 * cuts + 4)]
+        self.specimens = [(f"{name}{i}", specimen(bench, f"{name}{i}")) for i in range(cuts)]
+        self.boots, self.acknowledged, self.scans = {}, {}, 0
+        self.disk = bench.scratch / f"{name}.disk"
+        with open(self.disk, "wb") as to:
+            to.truncate(96 << 20)
+        subprocess.run(["/sbin/mke2fs", "-q", "-t", "ext4", "-F", str(self.disk)], check=True)
+
+    def switch_on(self):
+        return Machine(self.bench.home, None, self.bench.budget, "powered.cpio", self.disk)
+
+    def check_boot(self, vm):
+        """It started from nothing, and systemd by itself mounted the disk and started the services."""
+        vm.until("systemctl is-active gieson.service gieson-worker.service", self.bench.wait(120))
+        seconds = time.monotonic() - vm.began
+        boot, up, mounted = vm.tell("cat /proc/sys/kernel/random/boot_id; cut -d. -f1 /proc/uptime; "
+                                    "findmnt -no SOURCE,FSTYPE /var/lib/gieson").splitlines()
+        demand(boot not in self.boots, f"the machine did not boot anew: it is boot {boot} again")
+        demand(int(up) <= time.monotonic() - vm.began + 2, f"the machine is up for {up} s, longer than it has power")
+        demand(mounted.split() == ["/dev/vda", "ext4"], f"the store is on {mounted}")
+        if self.boots:
+            demand(vm.run("journalctl -qk --no-pager | grep -q 'vda.*recovery complete'")[0] == 0,
+                   "the kernel did not replay the journal of a disk that was cut off")
+        self.boots[boot] = seconds
+
+    def judge(self, vm):
+        """Nothing acknowledged is lost, and what was cut off gets done though nobody asks for it."""
+        check_objects(vm, self.acknowledged, ACKNOWLEDGED)
+        vm.until(sql_is("SELECT count(*) FROM job WHERE state IN ('waiting', 'running')", 0), self.bench.wait(240))
+        lost = sql(vm, "SELECT kind || ' ' || id || ': ' || message FROM job WHERE state <> 'done'")
+        demand(lost == "", f"jobs are lost: {lost}")
+        reports = sql(vm, "SELECT report_sha256 || '  /var/lib/gieson/' || report_path FROM run "
+                          "WHERE state IN ('reported', 'withheld')")
+        demand(len(reports.splitlines()) >= len(self.boots) - 1,
+               f"{len(self.boots) - 1} specimens were taken in, and these are the reports: {reports}")
+        if reports:
+            vm.tell(f"sha256sum --strict --quiet -c <<<'{reports}'")
+
+    def load(self, vm, cut):
+        """Scans come from a scanner and a specimen from a folder. The next thing that happens to the
+        machine, once its first, second or third job was begun, is that its power is gone."""
+        name, files = self.specimens[cut]
+        put(vm, files, f"/srv/{name}")
+        sim = vm.plug(self.bench.sim(), "ptp", *self.files)
+        sim.finish_scans(2 * cut + 4)
+        vm.until(sql_is(f"SELECT count(*) >= {self.scans + 1 + cut % 2} FROM scan WHERE source = 'scanner'", 1),
+                 self.bench.wait(180))
+        vm.tell(f"runuser -u gieson -- gieson --store /var/lib/gieson import /srv/{name}", self.bench.wait(90))
+        self.acknowledged = dict(line.split("|") for line in sql(vm, ACKNOWLEDGED).splitlines())
+        self.scans = sum("/" not in known for known in self.acknowledged)
+        vm.until(sql_is(f"SELECT count(*) >= {1 + cut % 3} FROM job j JOIN specimen s ON s.id = j.specimen_id "
+                        f"WHERE s.name = '{name}' AND claim > 0", 1), self.bench.wait(180))
+        time.sleep(self.random.uniform(0, 1.5) * (cut % 2))
+        vm.cut()
+
+    def end(self, vm):
+        """The rest of the scans comes in, and the disk is sound. Gives how many jobs were begun again."""
+        sim = vm.plug(self.bench.sim(), "ptp", *self.files)
+        sim.finish_scans(len(self.files))
+        vm.until(sql_is("SELECT count(*) FROM scan WHERE source = 'scanner'", len(self.files)), self.bench.wait(300))
+        demand(sql(vm, "PRAGMA integrity_check") == "ok", "the database is damaged")
+        again = int(sql(vm, "SELECT sum(claim - 1) FROM job"))
+        vm.tell("systemctl stop gieson.service gieson-worker.service")
+        check_objects(vm, {**self.acknowledged, **{f.name: sha256(f) for f in self.files}}, ACKNOWLEDGED)
+        demand(temporaries(vm) == "", f"temporaries are left: {temporaries(vm)}")
+        vm.tell("umount /var/lib/gieson")
+        vm.cut()
+        checked = subprocess.run(["/sbin/e2fsck", "-fn", str(self.disk)], capture_output=True, text=True, check=False)
+        demand(checked.returncode == 0, f"the file system is damaged: {checked.stdout[-300:]}")
+        return again
+
+    def live(self):
+        for cut in range(self.cuts + 1):
+            with self.switch_on() as vm:
+                self.check_boot(vm)
+                self.judge(vm)
+                if cut == self.cuts:
+                    return self.end(vm)
+                self.load(vm, cut)
+
+
+@scenario(seconds=420)
+def power(bench):
+    """the power is cut at moments of intake and work; after a boot nothing is lost and the work is done"""
+    configured_root(bench.home, "powered.cpio", "[store]\nReserveMiB=4\n" + PTP, FSTAB)
+    # Two machines beside each other: one alone does not keep two processors busy while it boots.
+    machines = [Lives(bench, "A", (bench.cuts + 1) // 2), Lives(bench, "B", bench.cuts // 2)]
+    with concurrent.futures.ThreadPoolExecutor(len(machines)) as pool:
+        again = sum(pool.map(Lives.live, machines))
+    boots = [seconds for lives in machines for seconds in lives.boots.values()]
+    demand(again > 0 or bench.cuts < 2, "none of the cuts met a job: they prove nothing about the work")
+    known = sum(len(lives.acknowledged) for lives in machines)
+    return (f"{bench.cuts} cuts of two machines, {len(boots)} boots from power-on in {min(boots):.0f} to "
+            f"{max(boots):.0f} s; {known} scans and panels acknowledged, 0 lost; {again} jobs cut off and done by "
+            f"themselves; {sum(len(lives.files) for lives in machines)} scans in, once each")
 
 
 @scenario(seconds=90)

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "storage/panel_log.h"
 
+#include <math.h>
+
 #include "storage/sql.h"
 #include "storage/within.h"
 
@@ -155,21 +157,31 @@ int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64
                   SQL_ARGS(SQL_INT(id), SQL_INT(width), SQL_INT(height), SQL_REAL(px_um)), err);
 }
 
-static int insert_marker(struct gsn_store *store, int64_t section_id, size_t mark,
-                         const struct gsn_marker_row *marker, struct gsn_error *err)
+static double if_found(const struct gsn_marker_row *marker, double value)
 {
-    if (!marker->found)
-        return gsn_sql_run(store, "INSERT INTO marker (section_id, mark, found) VALUES (?1, ?2, 0)",
-                           SQL_ARGS(SQL_INT(section_id), SQL_INT((int64_t)mark)), NULL, err);
+    return marker->found ? value : NAN;
+}
+
+#define MARK(m)                                                                                    \
+    SQL_INT((m)->found != 0), SQL_REAL(if_found(m, (m)->x_px)), SQL_REAL(if_found(m, (m)->y_px)),  \
+        SQL_REAL(if_found(m, (m)->radius_px)), SQL_REAL(if_found(m, (m)->cov_xx)),                 \
+        SQL_REAL(if_found(m, (m)->cov_xy)), SQL_REAL(if_found(m, (m)->cov_yy)),                    \
+        SQL_REAL(if_found(m, (m)->score))
+
+/* All three at once. */
+static int insert_markers(struct gsn_store *store, int64_t section_id,
+                          const struct gsn_marker_row marker[GSN_ROW_MARKS], struct gsn_error *err)
+{
     return gsn_sql_run(
         store,
         "INSERT INTO marker (section_id, mark, found, x_px, y_px, radius_px, cov_xx, cov_xy, "
-        "cov_yy, score) VALUES (?1, ?2, 1, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
-        SQL_ARGS(SQL_INT(section_id), SQL_INT((int64_t)mark), SQL_REAL(marker->x_px),
-                 SQL_REAL(marker->y_px), SQL_REAL(marker->radius_px), SQL_REAL(marker->cov_xx),
-                 SQL_REAL(marker->cov_xy), SQL_REAL(marker->cov_yy), SQL_REAL(marker->score)),
-        NULL, err);
+        "cov_yy, score) VALUES (?1, 1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9), "
+        "(?1, 2, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17), "
+        "(?1, 3, ?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25)",
+        SQL_ARGS(SQL_INT(section_id), MARK(&marker[0]), MARK(&marker[1]), MARK(&marker[2])), NULL,
+        err);
 }
+#undef MARK
 
 static int insert_section(struct gsn_store *store, int64_t panel_id,
                           const struct gsn_section_row *section, struct gsn_error *err)
@@ -186,8 +198,8 @@ static int insert_section(struct gsn_store *store, int64_t panel_id,
         NULL, err);
 
     id = gsn_sql_last_id(store);
-    for (size_t i = 0; r >= 0 && i < GSN_ROW_MARKS; i++)
-        r = insert_marker(store, id, i + 1, &section->marker[i], err);
+    if (r >= 0)
+        r = insert_markers(store, id, section->marker, err);
     return r == GSN_E_INPUT ? gsn_fail_at(err, "panel %lld, slot %lld", (long long)panel_id,
                                           (long long)section->slot)
                             : r;

@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "storage/inbox.h"
 #include "storage/panel_name.h"
 #include "storage/sql.h"
 #include "storage/within.h"
@@ -306,6 +307,6 @@ int gsn_scan_settle(struct gsn_store *store, struct gsn_error *err)
     if (r >= 0 && !empty)
         r = gsn_sql_end(store, gsn_scan_settle_all(store, err), err);
     if (r >= 0)
-        *gsn_store_unsettled(store) = 0;
+        gsn_store_inbox(store)->unsettled = gsn_store_inbox(store)->count = 0;
     return r;
 }

@@ -133,8 +133,8 @@ struct sqlite3;
 struct sqlite3 *gsn_store_handle(struct gsn_store *store);
 struct gsn_kept;
 struct gsn_kept *gsn_store_kept(struct gsn_store *store);
-/* How many scans this handle took in and did not settle. */
-unsigned *gsn_store_unsettled(struct gsn_store *store);
+struct gsn_inbox;
+struct gsn_inbox *gsn_store_inbox(struct gsn_store *store);
 /* borrows: the store's own hash, with nothing added. */
 struct gsn_hash;
 int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err);

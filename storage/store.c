@@ -9,6 +9,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
+#include "storage/inbox.h"
 #include "storage/kept.h"
 #include "storage/schema.h"
 #include "storage/sql.h"
@@ -27,8 +28,8 @@ enum { NEWEST = sizeof schemas / sizeof schemas[0] };
 struct gsn_store {
     char *dir;
     sqlite3 *db;
-    unsigned depth;     /* of nested transactions */
-    unsigned unsettled; /* scans that this handle took in and did not settle */
+    unsigned depth; /* of nested transactions */
+    struct gsn_inbox inbox;
     struct gsn_kept kept;
     struct gsn_hash *hash; /* NULL until it is needed */
 };
@@ -38,9 +39,9 @@ struct gsn_kept *gsn_store_kept(struct gsn_store *store)
     return &store->kept;
 }
 
-unsigned *gsn_store_unsettled(struct gsn_store *store)
+struct gsn_inbox *gsn_store_inbox(struct gsn_store *store)
 {
-    return &store->unsettled;
+    return &store->inbox;
 }
 
 int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err)

@@ -253,6 +253,56 @@ TEST(nothing_is_written_between_a_picture_and_its_filing)
     CHECK(diary.broken == 0 && diary.count == 3);
 }
 
+/* What a handle remembers of its own must hide nobody else's, and nothing that is gone. */
+TEST(two_handles_take_no_picture_twice)
+{
+    enum { PICTURES = 40 };
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) one = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_store) other = bench_open(&scratch, GSN_STORE_WRITE);
+    struct gsn_store *const store[2] = { one, other };
+    struct gsn_error err = { 0 };
+    int64_t id = 0;
+    int again = -1;
+
+    for (unsigned i = 0; i < PICTURES; i++) {
+        const struct gsn_scan_row row = arrival("x", i);
+
+        CHECK_OK(gsn_scan_take(store[i / 3 % 2], &row, 0, NOON, &id, &again, &err), err);
+        CHECK(again == 0 && id == i + 1);
+        if (i % 11 == 10)
+            CHECK_OK(gsn_scan_settle(store[i % 2], &err), err);
+        /* All that came so far, to either. */
+        for (unsigned k = 0; k <= i; k++) {
+            const struct gsn_scan_row old = arrival("x", k);
+
+            CHECK_OK(gsn_scan_take(store[k % 2], &old, 0, NOON, &id, &again, &err), err);
+            CHECK(again == 1 && id == k + 1);
+        }
+    }
+}
+
+TEST(an_id_that_was_rolled_back_hides_no_picture)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_store) other = bench_open(&scratch, GSN_STORE_WRITE);
+    const struct gsn_scan_row undone = arrival("x", 1), row = arrival("y", 2),
+                              next = arrival("z", 3);
+    struct gsn_error err = { 0 };
+    int64_t id, same;
+    int again = -1;
+
+    CHECK_OK(gsn_store_begin(store, &err), err);
+    CHECK_OK(gsn_scan_take(store, &undone, 0, NOON, &id, &again, &err), err);
+    gsn_store_rollback(store);
+    CHECK_OK(gsn_scan_take(other, &row, 0, NOON, &same, &again, &err), err);
+    CHECK(same == id);
+    CHECK_OK(gsn_scan_take(store, &next, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK(again == 1 && id == same);
+}
+
 TEST(what_is_rolled_back_leaves_the_inbox_as_it_was)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -274,7 +324,7 @@ TEST(what_is_rolled_back_leaves_the_inbox_as_it_was)
 
 TEST(a_long_burst_is_settled_on_its_way)
 {
-    enum { BURST = 300, MOST = 128 };
+    enum { BURST = 600, MOST = 256 };
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     struct gsn_error err = { 0 };

@@ -173,7 +173,10 @@ static int measure(const struct voxels *v, const struct gsn_mask *region,
         r = gsn_units(account->spline, region, account->fit.tet_samples, options->threads,
                       &account->units, err);
     if (r >= 0)
-        r = gsn_units_summarise(account->units, tets, sections ? 0 : v->low, sections ? 1 : v->high,
+        r = gsn_units_summarise(account->units, tets, sections ? 0 : v->low,
+                                sections           ? 1
+                                : v->high > v->low ? v->high
+                                                   : v->low + 1, /* a file may hold one value */
                                 &account->summary, err);
     if (r >= 0)
         r = gsn_level_set_volume(account->spline, region, thresholds, account->bound_count, &level,

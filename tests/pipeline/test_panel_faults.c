@@ -114,6 +114,23 @@ TEST(sections_that_grew_together_are_held_with_a_cut)
     CHECK_NEAR(at[2], 108, 3);
 }
 
+/* Case 28. */
+TEST(a_section_over_the_edge_says_how_much_is_lost)
+{
+    struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+
+    panel.section[0].shift_um.y = -900;
+    gsn_auto(gsn_image) image = drawn_panel_image(&panel);
+    gsn_auto(gsn_panel_findings) findings = examined_as(image, 1, JOB);
+    const char *at = strstr(findings->note, "the section in slot 1 runs over the edge: ");
+    double percent = 0;
+
+    CHECK(at && sscanf(at, "the section in slot 1 runs over the edge: %lf", &percent) == 1);
+    says(findings, " % of its tissue is lost");
+    print_message("  %g %% lost\n", percent);
+    CHECK(percent > 5 && percent < 40);
+}
+
 /* Case 17: one of four is a fault of the mounting; case 16: more than half are the scanner's. */
 TEST(one_mirrored_section_is_its_own_fault_and_most_are_the_scanners)
 {

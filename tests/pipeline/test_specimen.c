@@ -7,6 +7,7 @@
 #include "tests/pipeline/often.h"
 
 #include <jansson.h>
+#include <stdio.h>
 #include <string.h>
 
 static const struct gsn_specimen_options OPTIONS = { .mesher = GSN_MESHER, .threads = 1 };
@@ -204,7 +205,7 @@ TEST(a_section_that_is_clipped_is_held_and_the_share_is_said)
     CHECK_NEAR(measure(result, "mean_density"), 0.8, 0.01);
 }
 
-/* Case 41. */
+/* Cases 41 and 50. */
 TEST(batches_are_not_compared_without_a_reference)
 {
     drawn_auto control, treated, apart;
@@ -286,7 +287,7 @@ static void draw_gaps(struct drawn_specimen *d, struct drawn_panel panels[3],
                                         .dyes = dyes->name };
 }
 
-/* Cases 21 and 29. */
+/* Cases 25 and 29. */
 TEST(lost_sections_are_bridged_counted_and_said)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
@@ -304,14 +305,80 @@ TEST(lost_sections_are_bridged_counted_and_said)
     CHECK_NEAR(measure(gaps, "coverage"), 0.75, 1e-9);
     CHECK_NEAR(measure(gaps, "mean_density"), 0.6, 0.004);
     CHECK_NEAR(measure(gaps, "loss"), 25, 0.5);
-    CHECK(has_text(json_object_get(root, "warnings"), "2 expected sections are missing"));
+    CHECK(has_text(json_object_get(root, "warnings"),
+                   "2 expected sections are missing; nothing was moved up to close the gap"));
     CHECK(has_text(json_object_get(root, "warnings"),
                    "25.0 % of the region of interest was not seen and is bridged from the sections "
                    "beside it"));
     CHECK(json_array_size(json_object_get(root, "exclusions")) == 2);
+    CHECK(strstr(gaps->json, "the slot is empty; the gap is kept at its place") != NULL);
     json_decref(root);
 }
 
+/* Cases 20 and 21. */
+TEST(sections_that_lack_marks_are_doubtful_or_held_and_said)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
+    panels[1].section[1].no_marks = 2;
+    panels[2].section[1].no_marks = 6;
+    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+
+    CHECK(strstr(result->json, "1 section was laid by two marks only: compare with the "
+                               "neighbours") != NULL);
+    CHECK(strstr(result->json, "1 section is held and not used") != NULL);
+    CHECK(strstr(result->json, "fewer than two marks were found: look at it") != NULL);
+}
+
+/* Case 22. Spots that could be the marks as well as those that were chosen: nothing is chosen. */
+TEST(a_section_whose_marks_could_be_others_is_held_and_said)
+{
+    drawn_auto d;
+
+    drawn_specimen_even(&d, DRAWN_JOB, 0.6);
+    struct gsn_panel_section *s = &d.findings[1]->section[2];
+
+    for (size_t m = 0; m < GSN_MARKS; m++)
+        s->mark[m] = (struct gsn_mark){ .found = 0 };
+    s->sighting = GSN_SIGHT_NEEDS_EYE;
+    (void)snprintf(s->flags, sizeof s->flags, "ambiguous-marks");
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+
+    CHECK(strstr(result->json, "more than one choice of marks fits the triangle: look at it") !=
+          NULL);
+}
+
+static double predicted(const struct gsn_specimen_result *result, size_t section)
+{
+    json_t *root = report_of(result);
+    const json_t *row = json_array_get(json_object_get(root, "sections"), section);
+    const double tre = json_number_value(json_object_get(row, "predicted_tre_um"));
+
+    json_decref(root);
+    return tre;
+}
+
+/* Case 23. A mark of which only a part is left is known ten times worse along one axis. */
+TEST(a_torn_mark_weighs_less_and_its_section_has_a_larger_error)
+{
+    drawn_auto whole, torn;
+
+    drawn_specimen_even(&whole, DRAWN_JOB, 0.6);
+    drawn_specimen_even(&torn, DRAWN_JOB, 0.6);
+    torn.findings[1]->section[2].mark[0].cov_xx += 1;
+    gsn_auto(gsn_specimen_result) before = worked(&whole, 1);
+    gsn_auto(gsn_specimen_result) after = worked(&torn, 1);
+
+    print_message("  predicted_tre_um: %.2f whole, %.2f torn\n", predicted(before, 6),
+                  predicted(after, 6));
+    CHECK(predicted(after, 6) > 1.2 * predicted(before, 6));
+}
+
+/* Case 49. */
 TEST(a_loss_needs_most_of_the_region)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
@@ -386,6 +453,33 @@ TEST(a_withheld_report_is_whole_and_says_why)
 
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++)
         check_withheld(&cases[i]);
+}
+
+/* Case 55. A block of the volume that nobody measured. */
+TEST(units_without_samples_are_counted_apart)
+{
+    static const char job[] = "{\"specimen\": \"v\", \"kind\": \"volume\", \"file\": \"v.mhd\"}";
+    const struct gsn_lattice at = { .nx = 24, .ny = 24, .nz = 24, .step_um = { 20, 20, 20 } };
+    gsn_auto(gsn_grid) grid = NULL;
+    gsn_auto(gsn_protocol) protocol = drawn_protocol(job);
+    gsn_auto(gsn_specimen_result) result = NULL;
+    struct gsn_error err = { 0 };
+    const char *said;
+    double without = 0;
+
+    CHECK_OK(gsn_grid_new(&at, &grid, &err), err);
+    for (size_t i = 0; i < gsn_lattice_count(&at); i++)
+        grid->value[i] = i % 24 < 10 && i / 24 % 24 < 10 && i / 576 < 10 ? NAN : 0.5F;
+    const struct gsn_specimen specimen = {
+        .protocol = protocol, .volume = grid, .baseline = { .name = "" }, .key = "0"
+    };
+
+    CHECK_OK(gsn_specimen_work(&specimen, &OPTIONS, &result, &err), err);
+    said = strstr(result->json, "\"MicroUnits without data\"");
+    CHECK(said && sscanf(strstr(said, "\"value\":"), "\"value\": %lf", &without) == 1);
+    print_message("  %g units without data\n", without);
+    CHECK(without > 0);
+    CHECK_NEAR(measure(result, "mean_density"), 0.5, 1e-4);
 }
 
 TEST(a_shape_outside_a_volume_is_withheld_and_no_failure_of_the_job)

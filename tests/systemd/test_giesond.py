@@ -483,7 +483,9 @@ def away(bench):
     bench.wait("the source to be away", lambda: bench.ask("SELECT state FROM source") ==
                [("away",)])
     message = bench.ask("SELECT message FROM source")[0][0]
-    demand("no-such-serial" in message, f"it says which: {message}")
+    demand(message.startswith('no scanner or camera (USB Still Image class) answers to '
+                              '"no-such-serial"') and
+           message.endswith("is it switched on and set to PTP?"), f"it says which: {message}")
     bench.wait("the intake to end", lambda: not bench.intake())
     demand(bench.words().count(message) == 1, bench.words())
 

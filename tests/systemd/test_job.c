@@ -161,6 +161,7 @@ static void write_awkward(const struct gsn_scratch *scratch)
     bench_write(scratch, "in", "P05.png", "", 0);
 }
 
+/* Cases 31 and 32. */
 TEST(awkward_panels_cost_only_themselves)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -187,7 +188,8 @@ TEST(awkward_panels_cost_only_themselves)
     check_panel(panels, "P09.png", "held", "withheld",
                 "panel number 9, but job.json says there "
                 "are 5");
-    check_panel(panels, "P04.png", "held", "withheld", "claimed by P04_rescan.png as well");
+    check_panel(panels, "P04.png", "held", "withheld",
+                "is claimed by P04_rescan.png as well: rename one and import again");
     check_panel(panels, "P04_rescan.png", "held", "withheld", "claimed by P04.png as well");
 
     gsn_auto(gsn_run_row) run = latest(store, "a");
@@ -526,7 +528,7 @@ static void import_alone(const struct gsn_scratch *scratch)
     (void)take(scratch, store, "a");
 }
 
-/* SQLite's handles do not survive a fork, so no store is open while one happens. */
+/* Case 57. SQLite's handles do not survive a fork, so no store is open while one happens. */
 TEST(a_killed_worker_costs_nothing_but_its_time)
 {
     /* From a look at the queue to the middle of the fit and the pictures; fewer deaths than give a

@@ -111,6 +111,14 @@ TEST(a_damaged_object_is_a_trouble_until_it_is_whole_again)
     damage(&o, 1);
     CHECK(scrub(o.store).damaged == 1 && troubles(o.store) == 1);
     CHECK(scrub(o.store).damaged == 1 && troubles(o.store) == 1);
+    {
+        gsn_auto(gsn_trouble_rows) rows = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK_OK(gsn_trouble_list(o.store, &rows, &err), err);
+        CHECK(strstr(rows->at[0].reason, " of S01 rests on it: ") != NULL);
+        CHECK(strstr(rows->at[0].reason, "its bytes are no longer those that came in") != NULL);
+    }
     mend(&o, 1);
     CHECK(scrub(o.store).damaged == 0 && troubles(o.store) == 0);
     gsn_store_free(o.store);

@@ -19,7 +19,8 @@ enum {
     SYNCHRONOUS_FULL = 2,
 };
 
-static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003 };
+static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
+                                       gsn_schema_004 };
 enum { NEWEST = sizeof schemas / sizeof schemas[0] };
 
 struct gsn_store {

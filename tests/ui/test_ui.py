@@ -52,7 +52,11 @@ class Words(Bench):
                      ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
                      ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
                      ["expect", "cam", "S", "T"], ["capture"], ["capture", "cam", "--red"],
-                     ["check-config", "a", "b"], ["register"],
+                     ["check-config", "a", "b"], ["register"], ["decide"], ["decide", "S", "1.1"],
+                     ["decide", "S", "1", "cut"], ["decide", "S", "1.1", "lost"],
+                     ["decide", "S", "1.1", "perhaps"], ["decide", "S", "1.1", "slot", "x"],
+                     ["decide", "S", "x.1", "cut"], ["decide", "S", "1.0", "cut"],
+                     ["decide", "S", "1.1", "cut", "more"],
                      ["status", "--store"]):
             with self.subTest(args=args):
                 self.refused(self.call(*args), 64)
@@ -70,7 +74,7 @@ class Words(Bench):
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
                      "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
-                     "check-config", "devices", "register"):
+                     "check-config", "devices", "register", "decide"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)

@@ -288,11 +288,111 @@ static void note_slots(struct gsn_panel_findings *findings, const struct gsn_slo
         say(findings, "no tissue on this panel");
 }
 
+/* ---- what a person decided --------------------------------------------------------------- */
+
+static unsigned first_said(const struct gsn_panel_answers *answers, size_t slots)
+{
+    for (size_t i = 0; answers && i < answers->count; i++)
+        if (answers->at[i].said == GSN_SAID_FIRST && answers->at[i].to < slots)
+            return answers->at[i].to;
+    return GSN_SLOT_UNSAID;
+}
+
+/* Both sections of a neck, whichever of them was named. */
+static void decide_cut(struct gsn_slot *slots, struct gsn_slot *slot, int cut)
+{
+    struct gsn_slot *other = &slots[slot->touched];
+
+    if (!slot->touching && !slot->parted)
+        return;
+    slot->parted = cut;
+    slot->touching = !cut;
+    if (other->touched == slot->slot && (other->touching || other->parted)) {
+        other->parted = cut;
+        other->touching = !cut;
+    }
+}
+
+/* A section moves to the slot that is its own, if that is free. */
+static void decide_seat(struct gsn_slot *slots, struct gsn_slot *slot, unsigned to)
+{
+    struct gsn_slot moved = *slot;
+
+    if (!slot->doubtful || (to != slot->slot && slots[to].found))
+        return;
+    moved.doubtful = 0;
+    moved.rival = 0;
+    moved.slot = to;
+    moved.row = slots[to].row;
+    moved.column = slots[to].column;
+    *slot = (struct gsn_slot){ .slot = slot->slot, .row = slot->row, .column = slot->column };
+    slots[to] = moved;
+}
+
+static int lies_in(const struct gsn_scrap *scrap, struct gsn_point at)
+{
+    return at.x >= scrap->x && at.x < scrap->x + scrap->width && at.y >= scrap->y &&
+           at.y < scrap->y + scrap->height;
+}
+
+static void seat_scrap(struct gsn_slot *slots, const struct gsn_scrap *scrap, unsigned to)
+{
+    struct gsn_slot *slot = &slots[to];
+
+    if (slot->found)
+        return;
+    slot->found = 1;
+    slot->x = scrap->x;
+    slot->y = scrap->y;
+    slot->width = scrap->width;
+    slot->height = scrap->height;
+    slot->area_px = scrap->area_px;
+    slot->centre_px =
+        (struct gsn_point){ scrap->x + 0.5 * scrap->width, scrap->y + 0.5 * scrap->height };
+}
+
+/* The answer about this scrap, or NULL. */
+static const struct gsn_panel_answer *answer_for(const struct gsn_panel_answers *answers,
+                                                 size_t slots, const struct gsn_scrap *scrap)
+{
+    for (size_t i = 0; answers && i < answers->count; i++)
+        if (answers->at[i].slot >= slots && lies_in(scrap, answers->at[i].at_px) &&
+            (answers->at[i].said == GSN_SAID_DISMISS ||
+             (answers->at[i].said == GSN_SAID_SEAT && answers->at[i].to < slots)))
+            return &answers->at[i];
+    return NULL;
+}
+
+static void apply_answers(const struct gsn_panel_answers *answers, struct gsn_slot *slots,
+                          size_t count, const struct gsn_scrap *scraps, size_t scrap_count)
+{
+    for (size_t i = 0; answers && i < answers->count; i++) {
+        const struct gsn_panel_answer *answer = &answers->at[i];
+
+        if (answer->slot >= count)
+            continue;
+        if (answer->said == GSN_SAID_CUT || answer->said == GSN_SAID_HOLD)
+            decide_cut(slots, &slots[answer->slot], answer->said == GSN_SAID_CUT);
+        if (answer->said == GSN_SAID_SEAT && answer->to < count)
+            decide_seat(slots, &slots[answer->slot], answer->to);
+    }
+    for (size_t i = 0; i < scrap_count; i++) {
+        const struct gsn_panel_answer *answer = answer_for(answers, count, &scraps[i]);
+
+        if (answer && answer->said == GSN_SAID_SEAT && scraps[i].inside_grid)
+            seat_scrap(slots, &scraps[i], answer->to);
+    }
+}
+
+/* ------------------------------------------------------------------------------------------ */
+
 /* Pieces among the slots that no section claims: rows of their own, for a person to look at. What
  * lies outside the grid is a label. */
 static int take_scraps(struct gsn_panel_findings *findings, const struct gsn_scrap *scraps,
-                       size_t count, struct gsn_error *err)
+                       size_t count, const struct gsn_panel_answers *answers, struct gsn_error *err)
 {
+    size_t held = 0;
+
     struct gsn_panel_section *longer =
         gsn_realloc_array(findings->section, findings->count + count, sizeof *longer);
     const size_t slots = findings->count;
@@ -314,12 +414,16 @@ static int take_scraps(struct gsn_panel_findings *findings, const struct gsn_scr
                                                .height = scraps[i].height,
                                                .area_px = scraps[i].area_px };
         flag(section, "scrap");
+        if (answer_for(answers, slots, &scraps[i])) {
+            section->sighting = GSN_SIGHT_EMPTY;
+            flag(section, "decided");
+        }
+        held += section->sighting == GSN_SIGHT_HELD;
         findings->count++;
     }
-    if (findings->count > slots)
-        say(findings, "%zu piece%s between the slots belong%s to no section: held",
-            findings->count - slots, findings->count == slots + 1 ? "" : "s",
-            findings->count == slots + 1 ? "s" : "");
+    if (held > 0)
+        say(findings, "%zu piece%s between the slots belong%s to no section: held", held,
+            held == 1 ? "" : "s", held == 1 ? "s" : "");
     return GSN_OK;
 }
 
@@ -372,8 +476,9 @@ static void note_label(const struct gsn_picture *picture, const struct gsn_scrap
 }
 
 static int examine(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                   unsigned number, unsigned threads, const struct gsn_progress *progress,
-                   struct gsn_panel_findings *findings, struct gsn_error *err)
+                   unsigned number, const struct gsn_panel_answers *answers, unsigned threads,
+                   const struct gsn_progress *progress, struct gsn_panel_findings *findings,
+                   struct gsn_error *err)
 {
     const struct gsn_layout layout = gsn_protocol_layout(protocol);
     gsn_auto_mem(struct gsn_slot) slots = gsn_alloc_array(findings->count, sizeof *slots);
@@ -384,17 +489,18 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     if (!slots)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the slots of a panel");
     gsn_progress_say(progress, "splitting", 0, 1);
-    r = gsn_panel_split(scan->total, scan->step, &layout, scan->px_um, GSN_SLOT_UNSAID, slots,
-                        &scraps, &scrap_count, err);
+    r = gsn_panel_split(scan->total, scan->step, &layout, scan->px_um,
+                        first_said(answers, findings->count), slots, &scraps, &scrap_count, err);
     if (r < 0)
         return r;
+    apply_answers(answers, slots, findings->count, scraps, scrap_count);
     take_slots(findings, slots, protocol, number);
     note_slots(findings, slots);
     for (size_t i = 0; i < findings->count; i++)
         if (slots[i].found && !slots[i].doubtful)
             slots[found++] = slots[i];
     note_label(scan->picture, scraps, scrap_count, findings);
-    r = take_scraps(findings, scraps, scrap_count, err);
+    r = take_scraps(findings, scraps, scrap_count, answers, err);
     if (r < 0)
         return r;
     gsn_progress_say(progress, "marks", 0, found);
@@ -402,7 +508,8 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
 }
 
 int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
-                      const struct gsn_protocol *protocol, unsigned number, unsigned threads,
+                      const struct gsn_protocol *protocol, unsigned number,
+                      const struct gsn_panel_answers *answers, unsigned threads,
                       const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
                       struct gsn_error *err)
 {
@@ -425,7 +532,7 @@ int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
     findings->px_um = scan->px_um;
     (void)snprintf(findings->note, sizeof findings->note, "%s%s%s", scan->picture->note,
                    scan->picture->note[0] && scan->note[0] ? "; " : "", scan->note);
-    r = examine(scan, protocol, number, threads, progress, findings, err);
+    r = examine(scan, protocol, number, answers, threads, progress, findings, err);
     if (r < 0)
         return r;
     *ret_findings = gsn_steal(&findings);

@@ -41,11 +41,30 @@ struct gsn_panel_section {
     struct gsn_mark mark[GSN_MARKS];
 };
 
+/* What a person decided about one panel, where its picture does not tell. */
+enum gsn_panel_said {
+    GSN_SAID_CUT,     /* the sections in this slot and the one it touches: cut them as proposed */
+    GSN_SAID_HOLD,    /* the same: hold them, whatever the neck is like */
+    GSN_SAID_SEAT,    /* this piece is the section of slot to */
+    GSN_SAID_DISMISS, /* this piece is nothing */
+    GSN_SAID_FIRST,   /* the section nearest to the top left, row by row, is that of slot to */
+};
+struct gsn_panel_answer {
+    enum gsn_panel_said said;
+    unsigned slot;          /* 0-based; scraps are counted on behind the slots */
+    unsigned to;            /* 0-based */
+    struct gsn_point at_px; /* of a scrap: a place inside its box */
+};
+struct gsn_panel_answers {
+    size_t count;
+    const struct gsn_panel_answer *at;
+};
+
 struct gsn_panel_findings {
     uint32_t width, height;
     double px_um;
     char note[1024]; /* what was assumed or odd on this panel, "; " between */
-    char label[64]; /* the text of its code, when that ends in a panel's number ("...-P03") */
+    char label[64];  /* the text of its code, when that ends in a panel's number ("...-P03") */
     unsigned label_number;  /* that number; 0: no such code was read */
     char label_subject[64]; /* what stands before it: "GVP-D-S01" */
     size_t count;
@@ -55,10 +74,12 @@ struct gsn_panel_findings {
 /* "found", "needs-eye", "missing", "empty", "held". */
 const char *gsn_sighting_name(enum gsn_sighting sighting);
 
-/* gives. number: of the panel, 1-based; decoder: as for gsn_decode_apart(). Fails as
+/* gives. number: of the panel, 1-based; answers: NULL when nothing was decided; decoder: as for
+ * gsn_decode_apart(). An answer that the panel does not ask for changes nothing. Fails as
  * gsn_scan_open() and gsn_panel_split() do. borrows: everything. */
 int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
-                      const struct gsn_protocol *protocol, unsigned number, unsigned threads,
+                      const struct gsn_protocol *protocol, unsigned number,
+                      const struct gsn_panel_answers *answers, unsigned threads,
                       const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
                       struct gsn_error *err);
 void gsn_panel_findings_free(struct gsn_panel_findings *findings);

@@ -6,6 +6,7 @@
 #include "pipeline/decode/volume.h"
 #include "storage/attachment.h"
 #include "storage/catalog.h"
+#include "storage/decision.h"
 #include "storage/panel_log.h"
 #include "storage/result.h"
 #include "systemd/panel_job.h"
@@ -27,6 +28,7 @@ struct gsn_material {
     struct gsn_protocol *protocol;
     struct gsn_panel_rows *panels;
     struct gsn_section_rows *sections;
+    struct gsn_decision_rows *decided;
     struct gsn_attachment_rows *attachments;
     struct gsn_specimen_panel *panel;
     struct gsn_panel_section *section; /* of all panels, panel by panel */
@@ -65,8 +67,8 @@ static int hold_duplicates(struct gsn_material *m, struct gsn_error *err)
 
             if (!clash(&rows->at[i], &rows->at[j]))
                 continue;
-            sentence = gsn_format("panel number %lld is claimed by %.200s as well: rename one and "
-                                  "import again",
+            sentence = gsn_format("panel number %lld is claimed by %.200s as well: say which scan "
+                                  "to use, or rename one and import again",
                                   (long long)rows->at[i].number, rows->at[j].file_name);
             r = sentence ? gsn_panel_set_state(m->store, rows->at[i].id, "held",
                                                gsn_code_name(GSN_E_WITHHELD), sentence, err)
@@ -395,6 +397,21 @@ static int hash_text(json_t *root, char **ret_text, struct gsn_digest *ret_diges
     return r;
 }
 
+/* A report that rests on an answer is another report. */
+static void add_decisions(const struct gsn_material *m, json_t *root)
+{
+    json_t *answers = json_array();
+
+    for (size_t i = 0; i < m->decided->count; i++)
+        (void)json_array_append_new(answers, json_pack("{s:I, s:I, s:s}", "panel",
+                                                       (json_int_t)m->decided->at[i].number, "slot",
+                                                       (json_int_t)m->decided->at[i].slot, "answer",
+                                                       m->decided->at[i].answer));
+    if (json_array_size(answers) > 0)
+        (void)json_object_set(root, "decisions", answers);
+    json_decref(answers);
+}
+
 static int make_keys(struct gsn_material *m, struct gsn_error *err)
 {
     json_t *root = json_object(), *inputs = json_array(), *unread = json_array();
@@ -412,6 +429,7 @@ static int make_keys(struct gsn_material *m, struct gsn_error *err)
     if (json_array_size(unread) > 0)
         (void)json_object_set(root, "unread", unread);
     json_decref(unread);
+    add_decisions(m, root);
     (void)json_object_set_new(root, "version", json_string(GSN_VERSION));
     r = hash_text(root, NULL, &m->own_key, err);
     (void)json_object_set(root, "baseline", m->baseline_keys);
@@ -436,6 +454,8 @@ static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
         r = hold_duplicates(m, err);
     if (r >= 0)
         r = gsn_section_list(m->store, id, &m->sections, err);
+    if (r >= 0)
+        r = gsn_decision_list(m->store, id, &m->decided, err);
     if (r >= 0)
         r = gsn_attachment_list(m->store, id, &m->attachments, err);
     m->specimen.protocol = m->protocol;
@@ -499,6 +519,7 @@ void gsn_material_free(struct gsn_material *m)
     gsn_protocol_free(m->protocol);
     gsn_panel_rows_free(m->panels);
     gsn_section_rows_free(m->sections);
+    gsn_decision_rows_free(m->decided);
     gsn_attachment_rows_free(m->attachments);
     gsn_mask_free(m->region);
     gsn_grid_free(m->volume);

@@ -5,6 +5,7 @@
 #include "pipeline/core/hash.h"
 #include "storage/catalog.h"
 #include "storage/result.h"
+#include "systemd/answers.h"
 #include "systemd/rescan.h"
 
 #include <math.h>
@@ -222,19 +223,44 @@ static int check_label(struct gsn_store *store, const struct gsn_specimen_row *s
     return GSN_OK;
 }
 
+/* ---- which of two scans ------------------------------------------------------------------ */
+
+static int is_chosen(const struct gsn_decision_rows *decided, const struct gsn_panel_row *panel)
+{
+    const char *chosen = gsn_answers_chosen(decided, panel->number);
+
+    return chosen && strcmp(chosen, panel->sha256) == 0;
+}
+
+static int check_choice(const struct gsn_decision_rows *decided, const struct gsn_panel_row *panel,
+                        struct gsn_error *why)
+{
+    if (!gsn_answers_chosen(decided, panel->number) || is_chosen(decided, panel))
+        return GSN_OK;
+    return gsn_fail(why, GSN_E_WITHHELD,
+                    "another scan of panel %lld was chosen; this one is kept beside it",
+                    (long long)panel->number);
+}
+
 static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
-                   const struct gsn_protocol *protocol, const struct gsn_job_options *options,
-                   const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
-                   struct gsn_error *err)
+                   const struct gsn_protocol *protocol, const struct gsn_decision_rows *decided,
+                   const struct gsn_job_options *options, const struct gsn_progress *progress,
+                   struct gsn_panel_findings **ret_findings, struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_mem(struct gsn_panel_answer) answer = NULL;
+    struct gsn_panel_answers answers = { 0 };
     size_t size;
     int r = gsn_object_read(store, panel->sha256, &bytes, &size, err);
 
     if (r >= 0)
+        r = gsn_answers_read(decided, panel->number, &answer, &answers.count, err);
+    answers.at = answer;
+
+    if (r >= 0)
         r = gsn_panel_examine(options->decoder, bytes, size, protocol,
-                              (unsigned)(panel->number ? panel->number : 1), options->threads,
-                              progress, ret_findings, err);
+                              (unsigned)(panel->number ? panel->number : 1), &answers,
+                              options->threads, progress, ret_findings, err);
     return r;
 }
 
@@ -246,6 +272,7 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
     gsn_auto(gsn_panel_row) panel = NULL;
     gsn_auto(gsn_protocol) protocol = NULL;
     gsn_auto(gsn_panel_findings) findings = NULL;
+    gsn_auto(gsn_decision_rows) decided = NULL;
     struct gsn_error why = { 0 };
     int r = gsn_specimen_get_by_id(store, job->specimen_id, &specimen, err);
 
@@ -253,9 +280,14 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
         r = gsn_panel_get(store, job->panel_id, &panel, err);
     if (r >= 0)
         r = gsn_protocol_parse(specimen->job_json, strlen(specimen->job_json), &protocol, err);
+    if (r >= 0)
+        r = gsn_decision_list(store, job->specimen_id, &decided, err);
     if (r < 0)
         return r;
-    r = examine(store, panel, protocol, options, progress, &findings, &why);
+    r = examine(store, panel, protocol, decided, options, progress, &findings, &why);
+    /* The picture is fine, and only a person can say what it shows. */
+    if (r == GSN_E_WITHHELD)
+        return keep(store, job, NULL, "held", gsn_code_name(r), why.text, err);
     if (r < 0 && !gsn_is_refusal(r)) {
         if (err)
             *err = why;
@@ -267,6 +299,8 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
     if (r >= 0)
         r = check_label(store, specimen, panel, findings, &why);
     if (r >= 0)
+        r = check_choice(decided, panel, &why);
+    if (r >= 0 && !is_chosen(decided, panel))
         r = gsn_rescan_check(store, panel, findings, &why);
     if (r < 0 && r != GSN_E_WITHHELD) {
         if (err)

@@ -4,6 +4,7 @@
 #include "ui/ui.h"
 
 #include "storage/catalog.h"
+#include "storage/decision.h"
 #include "storage/panel_log.h"
 #include "storage/queue.h"
 #include "storage/result.h"
@@ -23,6 +24,8 @@ struct view {
     struct gsn_open_panel_rows *open;
     struct gsn_bench_sources *sources;
     struct gsn_trouble_rows *troubles;
+    struct gsn_decision_rows *decided;
+    int64_t expected; /* panels that the job states, or 0 */
 };
 
 static void view_done(struct view *view)
@@ -35,6 +38,16 @@ static void view_done(struct view *view)
     gsn_open_panel_rows_free(view->open);
     gsn_bench_sources_free(view->sources);
     gsn_trouble_rows_free(view->troubles);
+    gsn_decision_rows_free(view->decided);
+}
+
+static int64_t expected_panels(const struct gsn_specimen_row *specimen)
+{
+    json_t *job = json_loads(specimen->job_json, 0, NULL);
+    const json_int_t panels = json_integer_value(json_object_get(job, "panels"));
+
+    json_decref(job);
+    return strcmp(specimen->kind, "sections") == 0 ? panels : 0;
 }
 
 static int load(struct gsn_store *store, const char *name, struct view *view, struct gsn_error *err)
@@ -53,12 +66,77 @@ static int load(struct gsn_store *store, const char *name, struct view *view, st
         r = gsn_overview_panels(store, &view->open, err);
     if (r >= 0)
         r = gsn_bench_list(store, &view->sources, err);
+    if (r >= 0)
+        r = gsn_decision_list(store, view->specimen->id, &view->decided, err);
+    if (r >= 0)
+        view->expected = expected_panels(view->specimen);
     return r >= 0 ? gsn_trouble_list(store, &view->troubles, err) : r;
 }
 
-/* gives: the command that says which number a held panel has, or NULL. */
+static int has_flag(const struct gsn_section_row *section, const char *flag)
+{
+    return strstr(section->flags, flag) != NULL;
+}
+
+/* What was answered about a place, or NULL. */
+static const struct gsn_decision_row *decision_on(const struct view *view, int64_t number,
+                                                  int64_t slot)
+{
+    for (size_t i = 0; i < view->decided->count; i++)
+        if (view->decided->at[i].number == number && view->decided->at[i].slot == slot)
+            return &view->decided->at[i];
+    return NULL;
+}
+
+/* gives: `gieson decide SPECIMEN PLACE ANSWER`, or NULL when memory runs out. */
+static char *decide_command(const struct view *view, int64_t number, int64_t slot,
+                            const char *answer)
+{
+    gsn_auto_mem(char) name = gsn_text_word(view->specimen->name);
+
+    if (!name)
+        return NULL;
+    return slot ? gsn_format("gieson decide %s %lld.%lld %s", name, (long long)number,
+                             (long long)slot, answer)
+                : gsn_format("gieson decide %s %lld %s", name, (long long)number, answer);
+}
+
+static int is_claimed_twice(const struct view *view, const struct gsn_panel_row *panel)
+{
+    for (size_t i = 0; i < view->panels->count; i++)
+        if (view->panels->at[i].id != panel->id && view->panels->at[i].number == panel->number &&
+            strcmp(view->panels->at[i].state, "held") == 0)
+            return 1;
+    return 0;
+}
+
+/* gives: the answer that a held panel waits for, or NULL. */
+static char *panel_question(const struct view *view, const struct gsn_panel_row *panel)
+{
+    gsn_auto_mem(char) file = NULL;
+    gsn_auto_mem(char) use = NULL;
+
+    if (strcmp(panel->state, "held") != 0 || panel->number == 0 ||
+        decision_on(view, panel->number, 0))
+        return NULL;
+    /* Nothing was measured on it: where its sections lie is what is asked. */
+    if (panel->width == 0)
+        return decide_command(view, panel->number, 0, "first N");
+    if (!is_claimed_twice(view, panel))
+        return NULL;
+    file = gsn_text_word(panel->file_name);
+    use = file ? gsn_format("use %s", file) : NULL;
+    return use ? decide_command(view, panel->number, 0, use) : NULL;
+}
+
+/* gives: the command that answers what a held panel waits for, or that says which number it has; or
+ * NULL. */
 static char *panel_action(const struct view *view, const struct gsn_panel_row *panel)
 {
+    char *question = panel_question(view, panel);
+
+    if (question)
+        return question;
     for (size_t i = 0; strcmp(panel->state, "held") == 0 && i < view->open->count; i++)
         if (view->open->at[i].id == panel->id && view->open->at[i].scan)
             return gsn_snapshot_file_command(view->open->at[i].scan, view->specimen->name);
@@ -108,6 +186,28 @@ static void print_panels(const struct gsn_ui *ui, const struct view *view)
     }
 }
 
+/* Panels that the job states and that never came. */
+static void print_absent(const struct view *view)
+{
+    for (int64_t number = 1; number <= view->expected; number++) {
+        const struct gsn_decision_row *decided = decision_on(view, number, 0);
+        gsn_auto_mem(char) action = decide_command(view, number, 0, "lost");
+        int is_there = 0;
+
+        for (size_t i = 0; i < view->panels->count; i++)
+            is_there |= view->panels->at[i].number == number;
+        if (is_there)
+            continue;
+        if (decided && strcmp(decided->answer, "lost") == 0)
+            gsn_text_line(stdout, "  panel %lld  lost, as %s said%s%s", (long long)number,
+                          decided->actor, decided->reason[0] ? ": " : "", decided->reason);
+        else
+            gsn_text_line(stdout,
+                          "  panel %lld  has not come\n    next: import it; where it is lost: %s",
+                          (long long)number, action ? action : "");
+    }
+}
+
 static int64_t panel_number(const struct view *view, int64_t id)
 {
     for (size_t i = 0; i < view->panels->count; i++)
@@ -116,15 +216,41 @@ static int64_t panel_number(const struct view *view, int64_t id)
     return 0;
 }
 
+/* gives: the command that answers what a held section waits for, or NULL. */
+static char *section_action(const struct view *view, const struct gsn_section_row *s)
+{
+    const int64_t number = panel_number(view, s->panel_id);
+
+    if (strcmp(s->state, "held") != 0 || decision_on(view, number, s->slot))
+        return NULL;
+    if (has_flag(s, "touching"))
+        return decide_command(view, number, s->slot, "cut");
+    return has_flag(s, "scrap") || has_flag(s, "between-slots")
+               ? decide_command(view, number, s->slot, "slot N")
+               : NULL;
+}
+
+/* What may be said instead. */
+static const char *otherwise(const struct gsn_section_row *s)
+{
+    if (has_flag(s, "touching"))
+        return ", or hold";
+    return has_flag(s, "scrap") ? ", or dismiss" : "";
+}
+
 /* Serial number 0: a piece that lies in no slot. */
 static void print_section(const struct view *view, const struct gsn_section_row *s)
 {
+    gsn_auto_mem(char) action = section_action(view, s);
+
     if (s->serial == 0)
         gsn_text_line(stdout, "  a piece beside the slots of panel %lld  %s  %s",
                       (long long)panel_number(view, s->panel_id), s->state, s->flags);
     else
         gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
                       (long long)s->slot - 1, s->state, s->flags);
+    if (action)
+        gsn_text_line(stdout, "    next: %s%s", action, otherwise(s));
 }
 
 /* Only what a person should look at; found and empty slots are counted. */
@@ -177,6 +303,7 @@ static void print_text(const struct gsn_ui *ui, const struct view *view)
         gsn_text_line(stdout, "  baseline %s", s->baseline);
     print_sources(ui, view);
     print_panels(ui, view);
+    print_absent(view);
     print_sections(view);
     print_runs(ui, view);
 }
@@ -214,12 +341,13 @@ static json_t *sections_json(const struct view *view)
 
     for (size_t i = 0; i < view->sections->count; i++) {
         const struct gsn_section_row *s = &view->sections->at[i];
+        gsn_auto_mem(char) action = section_action(view, s);
 
         (void)json_array_append_new(
-            array,
-            json_pack("{s:o, s:I, s:s, s:s}", "serial",
-                      s->serial ? json_integer((json_int_t)s->serial - 1) : json_null(), "slot",
-                      (json_int_t)s->slot - 1, "state", s->state, "flags", s->flags));
+            array, json_pack("{s:o, s:I, s:s, s:s, s:o}", "serial",
+                             s->serial ? json_integer((json_int_t)s->serial - 1) : json_null(),
+                             "slot", (json_int_t)s->slot - 1, "state", s->state, "flags", s->flags,
+                             "action", gsn_text_json(action ? action : "")));
     }
     return array;
 }

@@ -22,25 +22,16 @@ static const struct {
     const char *name;
     gsn_verb *run;
 } verbs[] = {
-    { "status", gsn_cmd_status },
-    { "top", gsn_cmd_top },
-    { "show", gsn_cmd_show },
-    { "import", gsn_cmd_import },
-    { "file", gsn_cmd_file },
-    { "expect", gsn_cmd_expect },
-    { "capture", gsn_cmd_capture },
-    { "run", gsn_cmd_run },
-    { "night", gsn_cmd_night },
-    { "retry", gsn_cmd_retry },
-    { "report", gsn_cmd_report },
-    { "verify", gsn_cmd_verify },
-    { "scrub", gsn_cmd_scrub },
-    { "check", gsn_cmd_check },
-    { "check-config", gsn_cmd_check_config },
-    { "register", gsn_cmd_register },
-    { "devices", gsn_cmd_devices },
-    { "demo", gsn_cmd_demo },
-    { "phantom", gsn_cmd_phantom },
+    { "status", gsn_cmd_status },     { "top", gsn_cmd_top },
+    { "show", gsn_cmd_show },         { "import", gsn_cmd_import },
+    { "file", gsn_cmd_file },         { "expect", gsn_cmd_expect },
+    { "capture", gsn_cmd_capture },   { "run", gsn_cmd_run },
+    { "night", gsn_cmd_night },       { "retry", gsn_cmd_retry },
+    { "decide", gsn_cmd_decide },     { "report", gsn_cmd_report },
+    { "verify", gsn_cmd_verify },     { "scrub", gsn_cmd_scrub },
+    { "check", gsn_cmd_check },       { "check-config", gsn_cmd_check_config },
+    { "register", gsn_cmd_register }, { "devices", gsn_cmd_devices },
+    { "demo", gsn_cmd_demo },         { "phantom", gsn_cmd_phantom },
 };
 
 static const char doc[] =
@@ -56,6 +47,9 @@ static const char doc[] =
     "  show SPECIMEN       its panels, sections and figures\n"
     "  report SPECIMEN     where its report is; with --json the report itself\n"
     "  retry [SPECIMEN]    let failed jobs wait again\n"
+    "  decide SPECIMEN PLACE ANSWER\n"
+    "                      answer what `show` asks: cut, hold, slot N, dismiss,\n"
+    "                      use FILE, first N, lost; undo takes it back\n"
     "  verify RUN          work a finished run again and compare every byte\n"
     "  scrub               read every stored original again, compare its hash\n"
     "  check FILE...       decode pictures strictly and say what they are\n"

@@ -39,7 +39,7 @@ static void add_panel(struct drawn_specimen *d, const struct drawn_panel *drawn)
     d->png[i] = drawn_panel_png(drawn, &size);
     (void)snprintf(d->sha256[i], sizeof d->sha256[i], "%064zx", i + 1);
     (void)snprintf(d->file[i], sizeof d->file[i], "P%02zu.png", i + 1);
-    CHECK_OK(gsn_panel_examine(NULL, d->png[i], size, d->protocol, (unsigned)i + 1, 1, NULL,
+    CHECK_OK(gsn_panel_examine(NULL, d->png[i], size, d->protocol, (unsigned)i + 1, NULL, 1, NULL,
                                &d->findings[i], &err),
              err);
     d->panel[i] = (struct gsn_specimen_panel){ .number = (unsigned)i + 1,

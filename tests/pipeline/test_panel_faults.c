@@ -27,7 +27,8 @@ static struct gsn_panel_findings *examined_as(const struct gsn_image *image, uns
 
     CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
     CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
-    CHECK_OK(gsn_panel_examine(NULL, png, size, protocol, number, 1, NULL, &findings, &err), err);
+    CHECK_OK(gsn_panel_examine(NULL, png, size, protocol, number, NULL, 1, NULL, &findings, &err),
+             err);
     return findings;
 }
 

@@ -52,7 +52,11 @@ class Words(Bench):
                      ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
                      ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
                      ["expect", "cam", "S", "T"], ["capture"], ["capture", "cam", "--red"],
-                     ["check-config", "a", "b"], ["register"],
+                     ["check-config", "a", "b"], ["register"], ["decide"], ["decide", "S", "1.1"],
+                     ["decide", "S", "1", "cut"], ["decide", "S", "1.1", "lost"],
+                     ["decide", "S", "1.1", "perhaps"], ["decide", "S", "1.1", "slot", "x"],
+                     ["decide", "S", "x.1", "cut"], ["decide", "S", "1.0", "cut"],
+                     ["decide", "S", "1.1", "cut", "more"],
                      ["status", "--store"]):
             with self.subTest(args=args):
                 self.refused(self.call(*args), 64)
@@ -70,7 +74,7 @@ class Words(Bench):
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
                      "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
-                     "check-config", "devices", "register"):
+                     "check-config", "devices", "register", "decide"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
         self.assertEqual(done.returncode, 0)
@@ -404,6 +408,65 @@ class Told(Bench):
         self.assertIn(f"    next: {panel['action']}\n", self.call("show", "R07-left").stdout)
         self.assertEqual(self.call(*panel["action"].replace("N", "5").split()[1:]).returncode, 0)
         self.assertIn(5, [p["number"] for p in self.json("show", "R07-left")["panels"]])
+
+    def section(self, panel, slot, state, flags):
+        section = self.scene.run("INSERT INTO section (panel_id, slot, serial, state, flags, "
+                                 "bbox_x, bbox_y, bbox_w, bbox_h, area_px) VALUES (?, ?, ?, ?, ?, "
+                                 "10, 20, 30, 40, 900)", panel, slot,
+                                 0 if "scrap" in flags else slot, state, flags)
+        for mark in (1, 2, 3):
+            self.scene.run("INSERT INTO marker (section_id, mark, found) VALUES (?, ?, 0)", section,
+                           mark)
+
+    def test_what_is_held_is_asked_and_the_answer_is_taken_once(self):
+        panel = self.scene.panel(1, 9)
+        for slot, state, flags in ((1, "held", "touching"), (2, "held", "touching"),
+                                   (3, "missing", ""), (4, "found", ""), (13, "held", "scrap")):
+            self.section(panel, slot, state, flags)
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("    next: gieson decide R07-left 9.1 cut, or hold\n", shown)
+        self.assertIn("    next: gieson decide R07-left 9.13 slot N, or dismiss\n", shown)
+        done = self.json("decide", "R07-left", "9.1", "cut", "--because", "clear under the lens")
+        self.assertEqual(done, {"specimen": "R07-left", "panel": 9, "slot": 1, "answer": "cut",
+                                "again": False})
+        events = "SELECT count(*) FROM event WHERE kind = 'decide'"
+        self.assertEqual(self.scene.db.execute(events).fetchone()[0], 1)
+        self.assertTrue(self.json("decide", "R07-left", "9.1", "cut")["again"])
+        self.assertEqual(self.scene.db.execute(events).fetchone()[0], 1)
+        self.assertNotIn("9.1 cut", self.call("show", "R07-left").stdout)
+        self.assertIn("already", self.refused(self.call("decide", "R07-left", "9.13", "slot", "4"),
+                                              65))
+        self.assertEqual(self.call("decide", "R07-left", "9.13", "slot", "3").returncode, 0)
+        self.assertIn("9.1 of R07-left: undo",
+                      self.call("decide", "R07-left", "9.1", "undo").stdout)
+        self.assertEqual(self.scene.db.execute(events).fetchone()[0], 3)
+
+    def test_an_answer_that_nobody_asked_for_is_refused_and_changes_nothing(self):
+        panel = self.scene.panel(1, 9)
+        self.section(panel, 1, "found", "")
+        for place, answer, status in (("9.1", ["cut"], 65), ("9.1", ["dismiss"], 65),
+                                      ("9.1", ["slot", "2"], 65), ("9.7", ["cut"], 66),
+                                      ("9", ["lost"], 65), ("9", ["use", "P09.tif"], 65),
+                                      ("8", ["first", "1"], 66), ("9", ["first", "99"], 65)):
+            with self.subTest(place=place, answer=answer):
+                self.refused(self.call("decide", "R07-left", place, *answer), status)
+        self.refused(self.call("decide", "nobody", "1.1", "cut"), 66)
+        self.assertEqual(self.scene.db.execute("SELECT count(*) FROM decision").fetchone()[0], 0)
+
+    def test_one_of_two_scans_is_chosen_by_its_name_or_its_hash(self):
+        for name in ("a.tif", "b.tif"):
+            self.scene.panel(1, 9, "held", "panel number 9 is claimed twice", name=name)
+        self.scene.run("UPDATE panel SET width = 100 WHERE number = 9")
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("    next: gieson decide R07-left 9 use a.tif\n", shown)
+        self.assertIn("    next: gieson decide R07-left 9 use b.tif\n", shown)
+        self.assertEqual(self.call("decide", "R07-left", "9", "use", "b.tif").returncode, 0)
+        digest = self.scene.db.execute("SELECT sha256 FROM panel WHERE file_name = 'a.tif' AND "
+                                       "number = 9").fetchone()[0]
+        self.refused(self.call("decide", "R07-left", "9", "use", "c.tif"), 66)
+        self.assertEqual(self.call("decide", "R07-left", "9", "use", digest).returncode, 0)
+        self.assertEqual(self.scene.db.execute("SELECT answer FROM decision").fetchall(),
+                         [("use " + digest,)])
 
     def test_a_specimen_names_the_sources_that_deliver_it_and_their_troubles(self):
         self.assertEqual(self.call("expect", "copystand", "R07-left").returncode, 0)

@@ -47,7 +47,9 @@ static void take_pose(struct gsn_assembly_section *section, const struct gsn_pos
         gsn_assembly_flag(section, "flipped");
     if (pose->rotated180)
         gsn_assembly_flag(section, "turned");
-    if (!section->posed || pose->gross)
+    /* Of two sections that have grown together, the tissue is not parted, whatever their marks say.
+     */
+    if (!section->posed || pose->gross || section->seen.sighting == GSN_SIGHT_HELD)
         section->state = GSN_SECTION_HELD;
     else
         section->state =

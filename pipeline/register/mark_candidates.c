@@ -49,6 +49,28 @@ static double strength(const struct gsn_mark *mark)
     return mark->contrast * mark->score;
 }
 
+static void drop(struct gsn_mark_candidates *candidates, size_t at)
+{
+    for (size_t k = at; k + 1 < candidates->count; k++)
+        candidates->mark[k] = candidates->mark[k + 1];
+    candidates->count--;
+}
+
+/* Of too many, the one that is least of a disc goes, however dark: ink is dark. Whether the new one
+ * may come. */
+static int make_room(struct gsn_mark_candidates *candidates, const struct gsn_mark *mark)
+{
+    size_t worst = 0;
+
+    for (size_t i = 1; i < candidates->count; i++)
+        if (candidates->mark[i].score < candidates->mark[worst].score)
+            worst = i;
+    if (candidates->mark[worst].score >= mark->score)
+        return 0;
+    drop(candidates, worst);
+    return 1;
+}
+
 /* Puts a mark in its place by strength; of two on one spot the stronger stays. */
 static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_mark *mark)
 {
@@ -62,16 +84,11 @@ static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_ma
             continue;
         if (strength(other) >= strength(mark))
             return;
-        for (size_t k = i; k + 1 < candidates->count; k++)
-            candidates->mark[k] = candidates->mark[k + 1];
-        candidates->count--;
-        i--;
+        drop(candidates, i--);
     }
-    at = candidates->count;
-    if (at == GSN_MARK_CANDIDATES && strength(&candidates->mark[--at]) >= strength(mark))
+    if (candidates->count == GSN_MARK_CANDIDATES && !make_room(candidates, mark))
         return;
-    candidates->count = at + 1;
-    for (; at > 0; at--) {
+    for (at = candidates->count++; at > 0; at--) {
         if (strength(&candidates->mark[at - 1]) >= strength(mark))
             break;
         candidates->mark[at] = candidates->mark[at - 1];

@@ -13,13 +13,13 @@
 static const double ORDINARY = 0.9, STRETCH_LEAST = 0.004;
 /* A section swells or shrinks as a whole by this much more than it loses its shape. */
 static const double SIZE = 1.5;
-/* A tear or a fold moves a mark by some tenths of the triangle's size: one section in a hundred,
- * and this many times the stretch of the others. Believed only of spots that look like marks; of
- * two, hardly, since other sides of the triangle are as long. */
-static const double TORN = 6, TORN_PAIR = 1.5, TORN_SHARE = 0.01;
+/* A tear or a fold moves a mark by some tenths of the triangle's size, in some sections in a
+ * hundred, and this many times the stretch of the others. Believed only of spots that look like
+ * marks; of two, hardly, since other sides of the triangle are as long. */
+static const double TORN = 6, TORN_PAIR = 1.5, TORN_SHARE = 0.03;
 /* Burns of one stack differ by a third at most in contrast and radius, two standard deviations; of
  * a spot that is less alike (-2 ln of its likelihood), looks say nothing more. */
-static const double ALIKE = 0.15, UNLIKE_MOST = 4, ALIKE_MOST = 3;
+static const double ALIKE = 0.15, UNLIKE_MOST = 8, ALIKE_MOST = 3;
 /* Share of the picture that the fit of a mark explains, and what is lost when dirt touches it. */
 static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
 /* The picture's cells go together in patches; so many are witnesses of their own. */

@@ -31,14 +31,15 @@ static struct gsn_slot whole_panel(void)
     };
 }
 
-/* A section with the marks whose bits are set. */
+/* A section with the marks whose bits are set; within its outline a root that is nobody's mirror
+ * image. */
 static void draw_section(double angle, int flipped, unsigned marks, uint64_t seed)
 {
     struct draw_chance chance = { seed };
 
     draw_fill(&panel, 0);
-    draw_ellipse(&panel, (struct gsn_point){ WIDTH / 2, HEIGHT / 2 }, 190, 170,
-                 flipped ? -angle : angle, 0.15);
+    draw_ellipse(&panel, (struct gsn_point){ WIDTH / 2, HEIGHT / 2 }, 190, 170, angle, 0.15);
+    draw_ellipse(&panel, mount((struct gsn_point){ 500, 600 }, angle, flipped), 60, 60, 0, 0.08);
     for (int n = 0; n < 400; n++) {
         const struct gsn_point at = { draw_uniform(&chance, 0, WIDTH),
                                       draw_uniform(&chance, 0, HEIGHT) };
@@ -229,6 +230,116 @@ TEST(two_marks_that_the_tissue_cannot_tell_are_not_guessed)
     gsn_markers_choose(&section, &prior, marks, NULL, &score, &runner_up);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
     CHECK(runner_up > 0.5 * score);
+}
+
+static struct gsn_mark_candidates pictured(double angle, int flipped, unsigned marks, uint64_t seed)
+{
+    const struct gsn_slot slot = whole_panel();
+    struct gsn_mark_candidates section;
+    struct gsn_error err = { 0 };
+
+    draw_section(angle, flipped, marks, seed);
+    CHECK_OK(gsn_markers_candidates(&panel, &slot, PX, &section, &err), err);
+    return section;
+}
+
+/* Case 20. Without mark 1 the tissue's centre lies in the middle of the other two: outline and root
+ * tell. */
+TEST(of_any_two_marks_the_picture_tells_which_is_which)
+{
+    struct gsn_triangle_prior prior = PRIOR;
+    struct gsn_error err = { 0 };
+    struct gsn_mark_candidates sections[4];
+
+    for (int i = 0; i < 4; i++)
+        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
+    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    CHECK(prior.tissue.cell > 0);
+    for (int n = 0; n < 18; n++) {
+        const double angle = 0.7 * n;
+        const int lost = n % 3, flipped = n % 2;
+        const struct gsn_mark_candidates section =
+            pictured(angle, flipped, 7U & ~(1U << lost), (uint64_t)(10 + n));
+        struct gsn_mark marks[GSN_MARKS];
+        int mirrored;
+
+        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        CHECK(mirrored == flipped);
+        for (int i = 0; i < GSN_MARKS; i++) {
+            const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, flipped);
+
+            CHECK(marks[i].found == (i != lost));
+            if (i != lost)
+                CHECK_NEAR(hypot(marks[i].px.x - truth.x, marks[i].px.y - truth.y), 0, 0.15);
+        }
+    }
+}
+
+/* Case 23: the joint solution then calls the section gross, with three poses to choose from. */
+TEST(three_spots_that_look_like_marks_are_the_marks_of_a_torn_section)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    struct gsn_mark_candidates section = section_of(&PRIOR, 0.4, 0, 5);
+    struct gsn_point torn = mount(PRIOR.mark_um[1], 0.4, 0);
+    struct gsn_mark marks[GSN_MARKS];
+
+    torn.x += 250 / PX;
+    add(&section, torn, 0.4);
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    CHECK(marks[0].found && marks[1].found && marks[2].found);
+    CHECK_NEAR(marks[1].px.x, torn.x, 1e-9);
+    /* A blot twice as large is none. */
+    section.mark[2].radius_px *= 1.9;
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    CHECK(marks[0].found && !marks[1].found && marks[2].found);
+}
+
+/* Cases 27 and 28: an edge of glass ties the sections of a row into one. */
+TEST(a_neighbours_marks_are_not_this_sections)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);
+    struct gsn_mark marks[GSN_MARKS];
+
+    section.tissue_px.x += 8000 / PX;
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
+}
+
+/* Case 39: pen over the tissue has dozens of dark places, an edge of glass even more. */
+TEST(ink_and_edges_of_glass_do_not_crowd_out_the_marks)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    const struct gsn_slot slot = whole_panel();
+    struct draw_chance chance = { 3 };
+    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_error err = { 0 };
+
+    draw_section(0, 0, 7, 1);
+    draw_box(&panel, 0, 200, WIDTH, 3, 1);
+    for (int n = 0; n < 40; n++)
+        draw_ellipse(
+            &panel,
+            (struct gsn_point){ draw_uniform(&chance, 230, 330), draw_uniform(&chance, 280, 340) },
+            draw_uniform(&chance, 2, 12), draw_uniform(&chance, 2, 5), draw_uniform(&chance, 0, 3),
+            draw_uniform(&chance, 0.6, 1.6));
+    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &prior, marks, NULL, NULL, &err), err);
+    for (int i = 0; i < GSN_MARKS; i++)
+        check_mark(&marks[i], i, 0, 0);
+}
+
+TEST(a_section_that_has_swollen_is_found)
+{
+    struct gsn_triangle_prior large = PRIOR;
+    struct gsn_mark_candidates section;
+    struct gsn_mark marks[GSN_MARKS];
+
+    for (int i = 0; i < GSN_MARKS; i++)
+        large.mark_um[i] =
+            (struct gsn_point){ 1.045 * PRIOR.mark_um[i].x, 1.045 * PRIOR.mark_um[i].y };
+    section = section_of(&large, 0.2, 0, 7);
+    gsn_markers_choose(&section, &PRIOR, marks, NULL, NULL, NULL);
+    CHECK(marks[0].found && marks[1].found && marks[2].found);
 }
 
 TEST(one_mark_is_no_section)

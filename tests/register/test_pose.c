@@ -219,6 +219,30 @@ TEST(flips_are_told_exactly_where_sides_differ_by_ten_sigma)
     bench_done(&b);
 }
 
+/* Case 17. Sections that swell by 3 % move each mark by some 60 um, an eighth of what parts the two
+ * sides that are most alike; their shape says as clearly as before which way up they lie. */
+TEST(sections_of_many_sizes_tell_their_flips)
+{
+    struct draw_chance chance = { 21 };
+    struct bench b = bench_new(40);
+
+    for (size_t i = 0; i < b.count; i++) {
+        const double size = 1 + 0.03 * draw_normal(&chance);
+        struct gsn_point marks[GSN_MARKS];
+
+        for (int k = 0; k < GSN_MARKS; k++)
+            marks[k] = (struct gsn_point){ size * MARKS[k].x, size * MARKS[k].y };
+        b.mounting[i] = any_mounting(&chance, M_PI, 0.3);
+        b.input[i] = section_of(&b.mounting[i], marks, 15, &chance);
+        b.input[i].serial = (unsigned)i;
+    }
+    bench_solve(&b, &DECLARED);
+    CHECK(b.summary.flips_told);
+    for (size_t i = 0; i < b.count; i++)
+        CHECK(b.pose[i].flipped == b.mounting[i].flipped);
+    bench_done(&b);
+}
+
 TEST(an_isosceles_triangle_calls_nothing_flipped)
 {
     const struct gsn_point marks[GSN_MARKS] = { { -1500, 0 }, { 1510, 0 }, { 0, 2000 } };

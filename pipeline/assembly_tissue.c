@@ -138,16 +138,28 @@ static int is_core(const struct field *f, size_t x, size_t y, size_t z)
     return 1;
 }
 
+/* Dentine is not remodelled, so it need not be far from the region; bone and loose tissue above and
+ * below the region are left out with it. */
+static int is_untreated(const struct field *f, const struct gsn_mask *region,
+                        const struct gsn_mask *footprint, uint8_t kind, size_t x, size_t y,
+                        size_t z)
+{
+    if (kind == 1 + GSN_TISSUE_DENTINE)
+        return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
+    return !footprint->inside[y * f->at.nx + x];
+}
+
 /* The tissue's density in one section; NaN where too little of it is seen. */
-static double seen_in(const struct field *f, const struct gsn_grid *density,
+static double seen_in(const struct field *f, const struct gsn_assembly *a,
                       const struct gsn_mask *footprint, uint8_t kind, size_t z)
 {
+    const struct gsn_grid *density = a->columns->density;
     size_t n = 0;
 
     for (size_t y = 0; y < f->at.ny; y++)
         for (size_t x = 0; x < f->at.nx; x++)
-            if (f->kind[gsn_lattice_index(&f->at, x, y, z)] == kind &&
-                !footprint->inside[y * f->at.nx + x] && is_core(f, x, y, z))
+            if (f->kind[gsn_lattice_index(&f->at, x, y, z)] == kind && is_core(f, x, y, z) &&
+                is_untreated(f, a->region, footprint, kind, x, y, z))
                 f->scratch[n++] = (double)density->value[gsn_lattice_index(&f->at, x, y, z)];
     return n >= LEAST_COLUMNS ? gsn_reference_red(f->scratch, n) : (double)NAN;
 }
@@ -197,9 +209,8 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
             const struct gsn_assembly_panel *of = gsn_assembly_panel_of_serial(
                 a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
 
-            value[n] = of && of->levelled
-                           ? seen_in(f, a->columns->density, footprint, (uint8_t)(1 + k), z)
-                           : (double)NAN;
+            value[n] =
+                of && of->levelled ? seen_in(f, a, footprint, (uint8_t)(1 + k), z) : (double)NAN;
             panel[n] = of ? (int)(of - a->panel) : -1;
             if (!isnan(value[n]))
                 n++;

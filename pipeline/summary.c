@@ -501,6 +501,9 @@ const char *gsn_specimen_tissue_measure(unsigned tissue)
     return names[tissue];
 }
 
+/* How much more the stain of two specimens may differ than that of two panels of one. */
+static const double SPECIMENS_OVER_PANELS = 2;
+
 /* How the baseline would read in this specimen's stain, by tissue that nobody treated. */
 static void find_link(const struct gsn_evidence *e, struct draft *d)
 {
@@ -511,9 +514,9 @@ static void find_link(const struct gsn_evidence *e, struct draft *d)
     _Static_assert((int)GSN_TISSUES == (int)GSN_SPECIMEN_TISSUES, "one baseline, one list");
     if (!l || !l->done || !e->account || b->specimens == 0)
         return;
-    /* Two specimens, each the mean of so many panels. */
-    spread.gain = l->fit.gain_scatter * sqrt(2 / (double)l->panels);
-    spread.offset = l->fit.offset_scatter * sqrt(2 / (double)l->panels);
+    /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
+    spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
+    spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
     d->linked = gsn_level_between(l->tissue, b->tissue, GSN_TISSUES, &spread, &d->link, NULL) >= 0;
 }
 

@@ -146,5 +146,6 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_grid_free(a->grid);
     gsn_mask_free(a->tissue);
     gsn_grid_free(a->tissue_grid);
+    gsn_sequence_free(a->sequence);
     gsn_free(a);
 }

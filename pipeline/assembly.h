@@ -6,6 +6,7 @@
 #define GSN_PIPELINE_ASSEMBLY_H
 
 #include "pipeline/pictures.h"
+#include "pipeline/register/sequence.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/reference.h"
@@ -67,6 +68,8 @@ struct gsn_assembly {
     double red_error;             /* relative standard error of a mean density by the stain */
     double stain_scatter; /* relative standard deviation of the panels' strength, where no reference
                              tissue takes it out; 0: one panel, or taken out */
+    struct gsn_sequence *sequence; /* owned; what is odd in the order of the sections; NULL: not
+                                      looked at, as nothing was measured */
     char not_comparable[240]; /* why the stain could not be normalised though asked, or empty */
 };
 

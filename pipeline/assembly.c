@@ -159,5 +159,6 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_mask_free(a->tissue);
     gsn_grid_free(a->tissue_grid);
     gsn_columns_free(a->columns);
+    gsn_sequence_free(a->sequence);
     gsn_free(a);
 }

@@ -7,6 +7,7 @@
 
 #include "pipeline/columns.h"
 #include "pipeline/pictures.h"
+#include "pipeline/register/sequence.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/dust.h"
@@ -101,6 +102,8 @@ struct gsn_assembly {
                          where no reference tissue tells; 0: one panel, or a tissue was stated */
     double stain_scatter; /* relative standard deviation of the panels' strength, where no reference
                              tissue was stated; 0: one panel, or one was */
+    struct gsn_sequence *sequence; /* owned; what is odd in the order of the sections; NULL: not
+                                      looked at, as nothing was measured */
     char not_comparable[240]; /* why the stain could not be normalised though asked, or empty */
 };
 

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_parts.h"
 
+#include "pipeline/assembly_order.h"
 #include "pipeline/conditions.h"
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
@@ -218,7 +219,8 @@ static int judge_vectors(const struct gsn_scan *scan, struct gsn_assembly_panel 
 
 static int work_panel(const struct gsn_specimen *specimen,
                       const struct gsn_specimen_options *options, struct gsn_assembly_panel *panel,
-                      struct gsn_assembly *a, struct gsn_error *err)
+                      struct gsn_assembly *a, struct gsn_section_order *order,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_scan) scan = NULL;
@@ -255,6 +257,7 @@ static int work_panel(const struct gsn_specimen *specimen,
     if (r < 0)
         return r;
     judge_clipped(scan, stain->panel, density, a);
+    gsn_section_order_add(order, a, stain->panel, density);
     r = gsn_evenness_of_panel(a, stain->panel, density, &panel->strength, err);
     if (r < 0)
         return r;
@@ -265,21 +268,25 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
                              struct gsn_error *err)
 {
+    gsn_auto(gsn_section_order) order = NULL;
+    int r;
+
     a->panel = gsn_alloc_array(specimen->panel_count, sizeof *a->panel);
     if (!a->panel)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the panels of a specimen");
     a->panel_count = specimen->panel_count;
+    r = a->grid ? gsn_section_order_new(a, &order, err) : GSN_OK;
+    if (r < 0)
+        return r;
     for (size_t i = 0; i < specimen->panel_count; i++) {
-        int r;
-
         a->panel[i].given = &specimen->panel[i];
         gsn_progress_say(options->progress, "stacking", i, specimen->panel_count);
         if (specimen->panel[i].section_count == 0)
             continue;
-        r = work_panel(specimen, options, &a->panel[i], a, err);
+        r = work_panel(specimen, options, &a->panel[i], a, order, err);
         if (r < 0)
             return gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
                                specimen->panel[i].file);
     }
-    return GSN_OK;
+    return order ? gsn_section_order_examine(order, a, &a->sequence, err) : GSN_OK;
 }

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/summary.h"
 
+#include "pipeline/assembly_order.h"
 #include "pipeline/conditions.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/pose_words.h"
@@ -381,11 +382,25 @@ static void fill_conditions(const struct gsn_evidence *e, struct draft *d)
     gsn_conditions_words_done(&words);
 }
 
+/* Sentences; the sections themselves are flagged whatever their number. */
+enum { MOST_OUT_OF_ORDER = 16 };
+
+static void fill_order(const struct gsn_assembly *a, struct draft *d)
+{
+    char sentence[GSN_POSE_SENTENCE];
+
+    for (size_t i = 0; a->sequence && i < a->sequence->count && i < MOST_OUT_OF_ORDER; i++) {
+        gsn_section_order_sentence(&a->sequence->finding[i], sentence);
+        warn(d, say(d, "%s", sentence));
+    }
+}
+
 static void fill_assembly(const struct gsn_evidence *e, struct draft *d)
 {
     fill_sections(e, d);
     fill_panels(e, d);
     fill_conditions(e, d);
+    fill_order(e->assembly, d);
     if (e->assembly->solved)
         fill_registration(e->assembly, e->specimen->protocol->interval_um, d);
     else

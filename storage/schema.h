@@ -9,5 +9,6 @@ extern const char gsn_schema_001[];
 extern const char gsn_schema_002[];
 extern const char gsn_schema_003[];
 extern const char gsn_schema_004[];
+extern const char gsn_schema_005[];
 
 #endif

@@ -453,9 +453,10 @@ static void learn(struct stack *s)
 /* ---- findings ----------------------------------------------------------------------------- */
 
 static void add(struct gsn_sequence *found, enum gsn_sequence_kind kind, unsigned a, unsigned b,
-                double evidence)
+                double evidence, double smoother)
 {
-    found->finding[found->count++] = (struct gsn_sequence_finding){ kind, a, b, evidence };
+    found->finding[found->count++] =
+        (struct gsn_sequence_finding){ kind, a, b, evidence, smoother };
 }
 
 /* How much likelier two sections lie in each other's places than in their own. Unless they are
@@ -517,9 +518,9 @@ static double roughness(const struct stack *s, size_t i, size_t j)
     return sum;
 }
 
-/* What is gained in roughness by swapping two sections, as a share; 0 where neither the tissue of
- * the two nor the roughness asks for it. */
-static double smoother(struct stack *s, size_t i, size_t j, double sure)
+/* What is gained in roughness by swapping two sections; ret_share: of what it is; 0 where neither
+ * the tissue of the two nor the roughness asks for it. */
+static double smoother(struct stack *s, size_t i, size_t j, double sure, double *ret_share)
 {
     double before, after;
 
@@ -532,6 +533,7 @@ static double smoother(struct stack *s, size_t i, size_t j, double sure)
     exchange(s, i, j);
     after = roughness(s, i, j);
     exchange(s, i, j);
+    *ret_share = after < before ? 1 - after / before : 0;
     return after < before ? before - after : 0;
 }
 
@@ -546,17 +548,19 @@ static int find_swaps(struct stack *s, const struct gsn_sequence_plane *planes,
     if (!used || !near)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", s->n);
     for (;;) {
-        double most = 0;
+        double most = 0, gained = 0;
         size_t a = 0, b = 0;
 
         for (size_t i = 0; i < s->n; i++)
             for (size_t j = i + 1; j < s->n && !used[i]; j++) {
                 const int clean = j == i + 1 && !near[i] && !near[j];
+                double share = 0;
                 const double gain =
-                    used[j] ? 0 : smoother(s, i, j, clean ? SURE_OF_NEIGHBOURS : SURE);
+                    used[j] ? 0 : smoother(s, i, j, clean ? SURE_OF_NEIGHBOURS : SURE, &share);
 
                 if (gain > most) {
                     most = gain;
+                    gained = share;
                     a = i;
                     b = j;
                 }
@@ -570,7 +574,7 @@ static int find_swaps(struct stack *s, const struct gsn_sequence_plane *planes,
                 near[k] || (k + SIDE >= a && k <= a + SIDE) || (k + SIDE >= b && k <= b + SIDE);
         exchange(s, a, b);
         if (!is_duplicate(found, planes[a].serial, planes[b].serial))
-            add(found, GSN_SEQUENCE_SWAP, planes[a].serial, planes[b].serial, most);
+            add(found, GSN_SEQUENCE_SWAP, planes[a].serial, planes[b].serial, most, gained);
     }
 }
 
@@ -594,7 +598,8 @@ static void find_duplicates(const struct stack *s, const struct gsn_sequence_pla
         for (size_t j = i + 1; j < s->n; j++, pairs++)
             if (like[pairs] > (i < 2 || j + 2 >= s->n ? SAME_AT_END : SAME) &&
                 like[pairs] - median > SAME_DEVIATIONS * deviation && found->count < s->n)
-                add(found, GSN_SEQUENCE_DUPLICATE, planes[i].serial, planes[j].serial, like[pairs]);
+                add(found, GSN_SEQUENCE_DUPLICATE, planes[i].serial, planes[j].serial, like[pairs],
+                    0);
 }
 
 static int order(const void *a, const void *b)

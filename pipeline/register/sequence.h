@@ -37,6 +37,7 @@ struct gsn_sequence_finding {
     unsigned a, b;   /* serial numbers, as given */
     double evidence; /* logarithm of the likelihood ratio against the order as numbered; of a
                         duplicate the correlation of what sets both apart from their neighbours */
+    double smoother; /* share of the roughness along z around both that a swap would take away */
 };
 
 struct gsn_sequence {

@@ -1,0 +1,204 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/assembly_order.h"
+
+#include "pipeline/assembly_parts.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdio.h>
+
+/* Cells of the block, um: several sections' errors of laying wide, and most structures' size. */
+static const double CELL_UM = 100;
+/* A cell of which less than this share was seen is not known. */
+static const double SEEN = 0.5;
+
+struct gsn_section_order {
+    size_t count;            /* planes: laid sections, one for each serial number */
+    size_t *section;         /* their places in the assembly */
+    struct gsn_point origin; /* of the first cell's corner, um in the block */
+    size_t columns, rows;
+    float *sum, *seen; /* count * columns * rows; um2 of tissue or glass seen */
+};
+
+static int is_laid(const struct gsn_assembly_section *s)
+{
+    return s->posed && (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL) &&
+           s->seen.width > 0 && s->seen.height > 0;
+}
+
+static void widen(struct gsn_box *box, const struct gsn_assembly_section *s)
+{
+    for (int corner = 0; corner < 4; corner++) {
+        const struct gsn_point at = { s->seen.x + (corner & 1 ? s->seen.width : 0),
+                                      s->seen.y + (corner & 2 ? s->seen.height : 0) };
+        const struct gsn_point p = gsn_affine_apply(&s->pose.panel_to_block_um, at);
+
+        box->low.x = fmin(box->low.x, p.x);
+        box->low.y = fmin(box->low.y, p.y);
+        box->high.x = fmax(box->high.x, p.x);
+        box->high.y = fmax(box->high.y, p.y);
+    }
+}
+
+/* The laid sections, the first of each serial number. */
+static size_t list(const struct gsn_assembly *a, size_t *ret_section, struct gsn_box *box)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+
+        if (!is_laid(s) ||
+            (count > 0 && a->section[ret_section[count - 1]].seen.serial == s->seen.serial))
+            continue;
+        ret_section[count++] = i;
+        widen(box, s);
+    }
+    return count;
+}
+
+int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order **ret_order,
+                          struct gsn_error *err)
+{
+    gsn_auto(gsn_section_order) order = gsn_alloc_array(1, sizeof *order);
+    struct gsn_box box = { { INFINITY, INFINITY, 0 }, { -INFINITY, -INFINITY, 0 } };
+
+    assert(ret_order);
+
+    if (order)
+        order->section = gsn_alloc_array(a->section_count, sizeof *order->section);
+    if (!order || !order->section)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
+    order->count = list(a, order->section, &box);
+    if (order->count == 0) {
+        *ret_order = NULL;
+        return GSN_OK;
+    }
+    order->origin = (struct gsn_point){ box.low.x, box.low.y };
+    order->columns = (size_t)((box.high.x - box.low.x) / CELL_UM) + 1;
+    order->rows = (size_t)((box.high.y - box.low.y) / CELL_UM) + 1;
+    order->sum = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
+    order->seen = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
+    if (!order->sum || !order->seen)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
+    *ret_order = gsn_steal(&order);
+    return GSN_OK;
+}
+
+void gsn_section_order_free(struct gsn_section_order *order)
+{
+    if (!order)
+        return;
+    gsn_free(order->section);
+    gsn_free(order->sum);
+    gsn_free(order->seen);
+    gsn_free(order);
+}
+
+static void gather(struct gsn_section_order *order, size_t plane,
+                   const struct gsn_assembly_section *s, const struct gsn_plane *density)
+{
+    const struct gsn_affine *map = &s->pose.panel_to_block_um;
+    const float area = (float)fabs(gsn_affine_det(map));
+    float *sum = order->sum + plane * order->columns * order->rows;
+    float *seen = order->seen + plane * order->columns * order->rows;
+
+    for (int y = s->seen.y; y < s->seen.y + s->seen.height; y++)
+        for (int x = s->seen.x; x < s->seen.x + s->seen.width; x++) {
+            const float value = density->value[(size_t)y * density->width + (size_t)x];
+            const struct gsn_point p =
+                gsn_affine_apply(map, (struct gsn_point){ x + 0.5, y + 0.5 });
+            const double u = (p.x - order->origin.x) / CELL_UM;
+            const double v = (p.y - order->origin.y) / CELL_UM;
+
+            if (isnan(value) ||
+                !(u >= 0 && v >= 0 && u < (double)order->columns && v < (double)order->rows))
+                continue;
+            sum[(size_t)v * order->columns + (size_t)u] += area * value;
+            seen[(size_t)v * order->columns + (size_t)u] += area;
+        }
+}
+
+void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a,
+                           unsigned panel, const struct gsn_plane *density)
+{
+    for (size_t k = 0; order && k < order->count; k++) {
+        const struct gsn_assembly_section *s = &a->section[order->section[k]];
+
+        if (s->panel == panel)
+            gather(order, k, s, density);
+    }
+}
+
+/* Sums become means. What no section's box reached is glass; what was masked is not known. */
+static void mean(struct gsn_section_order *order)
+{
+    const size_t total = order->count * order->columns * order->rows;
+    const float whole = (float)(CELL_UM * CELL_UM);
+
+    for (size_t i = 0; i < total; i++)
+        if (order->seen[i] >= (float)SEEN * whole)
+            order->sum[i] /= order->seen[i];
+        else
+            order->sum[i] = order->seen[i] > 0 ? NAN : 0;
+}
+
+static struct gsn_assembly_section *section_of(const struct gsn_section_order *order,
+                                               struct gsn_assembly *a, unsigned serial)
+{
+    for (size_t k = 0; k < order->count; k++)
+        if (a->section[order->section[k]].seen.serial == serial)
+            return &a->section[order->section[k]];
+    return NULL;
+}
+
+static void flag(const struct gsn_section_order *order, struct gsn_assembly *a,
+                 const struct gsn_sequence_finding *finding)
+{
+    const unsigned serial[2] = { finding->a, finding->b };
+
+    for (int i = 0; i < 2; i++) {
+        struct gsn_assembly_section *s = section_of(order, a, serial[i]);
+        char word[40];
+
+        (void)snprintf(word, sizeof word,
+                       finding->kind == GSN_SEQUENCE_SWAP ? "swapped-with-%u?" : "same-as-%u?",
+                       serial[1 - i]);
+        if (s)
+            gsn_assembly_flag(s, word);
+    }
+}
+
+int gsn_section_order_examine(struct gsn_section_order *order, struct gsn_assembly *a,
+                              struct gsn_sequence **ret_sequence, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_sequence_plane) planes = gsn_alloc_array(order->count, sizeof *planes);
+    int r;
+
+    if (!planes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
+    mean(order);
+    for (size_t k = 0; k < order->count; k++)
+        planes[k] = (struct gsn_sequence_plane){ a->section[order->section[k]].seen.serial,
+                                                 order->sum + k * order->columns * order->rows };
+    r = gsn_sequence_examine(planes, order->count, order->columns, order->rows, ret_sequence, err);
+    for (size_t i = 0; r >= 0 && i < (*ret_sequence)->count; i++)
+        flag(order, a, &(*ret_sequence)->finding[i]);
+    return r;
+}
+
+void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
+                                char ret_sentence[GSN_POSE_SENTENCE])
+{
+    if (finding->kind == GSN_SEQUENCE_SWAP)
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "sections %u and %u look swapped: in each other's places the stack there "
+                       "would be %.0f %% less rough along z; nothing was moved: look at both",
+                       finding->a, finding->b, 100 * finding->smoother);
+    else
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "sections %u and %u look like one section, mounted or scanned twice: they "
+                       "share %.0f %% of what sets them apart from their neighbours; both are "
+                       "used: look at them, and hold the one that is not there",
+                       finding->a, finding->b, 100 * finding->evidence);
+}

@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Whether the laid sections lie in the order of their numbers (register/sequence.h).
+ *
+ * While the panels are opened, each section's density is gathered in coarse cells of the block;
+ * at the end all are compared. What is found is flags and sentences: proposals for a person. */
+#ifndef GSN_PIPELINE_ASSEMBLY_ORDER_H
+#define GSN_PIPELINE_ASSEMBLY_ORDER_H
+
+#include "pipeline/assembly.h"
+#include "pipeline/pose_words.h"
+#include "pipeline/register/sequence.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The cells gathered so far: opaque. */
+struct gsn_section_order;
+
+/* gives: empty cells for all sections that are laid; NULL when none is. Fails with GSN_E_NOMEM. */
+int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order **ret_order,
+                          struct gsn_error *err);
+void gsn_section_order_free(struct gsn_section_order *order);
+GSN_DEFINE_AUTO(gsn_section_order);
+
+/* Gathers the sections of one panel. density: of the whole panel, NaN where it is masked. */
+void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a,
+                           unsigned panel, const struct gsn_plane *density);
+
+/* Compares all that was gathered; flags the sections. gives: ret_sequence. Fails with GSN_E_NOMEM.
+ */
+int gsn_section_order_examine(struct gsn_section_order *order, struct gsn_assembly *a,
+                              struct gsn_sequence **ret_sequence, struct gsn_error *err);
+
+/* What a person is asked about one finding. */
+void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
+                                char ret_sentence[GSN_POSE_SENTENCE]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

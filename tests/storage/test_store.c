@@ -224,7 +224,7 @@ TEST(a_store_of_a_newer_version_is_refused_untouched)
     refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 6, this one");
     refuses(scratch.dir, GSN_STORE_WRITE, GSN_E_UNSUPPORTED, "newer gieson");
     refuses(scratch.dir, GSN_STORE_CREATE, GSN_E_UNSUPPORTED, "newer gieson");
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 4") == SQLITE_OK);
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 5") == SQLITE_OK);
     gsn_store_free(bench_open(&scratch, GSN_STORE_WRITE));
 }
 

@@ -213,14 +213,16 @@ int gsn_pictures_make(const struct gsn_grid *grid, const struct gsn_mask *region
     return r < 0 ? r : surface(options, account, err);
 }
 
-/* The mean colour of the pixels that one pixel of the small picture stands for. */
+/* The mean colour of the pixels that one pixel of the small picture stands for, of at most four by
+ * four of them: more would show nothing more. */
 static struct gsn_colour box_mean(const struct gsn_image *image, int x0, int y0, int x1, int y1)
 {
     const unsigned shift = image->bits == 16 ? 8 : 0;
+    const int right = (x1 - x0 + 3) / 4, down = (y1 - y0 + 3) / 4;
     unsigned long sum[3] = { 0 }, count = 0;
 
-    for (int y = y0; y < y1; y++)
-        for (int x = x0; x < x1; x++, count++)
+    for (int y = y0 + down / 2; y < y1; y += down)
+        for (int x = x0 + right / 2; x < x1; x += right, count++)
             for (unsigned c = 0; c < 3; c++)
                 sum[c] += gsn_image_at(image, (uint32_t)x, (uint32_t)y, c) >> shift;
     count = count ? count : 1;

@@ -12,6 +12,7 @@ struct source {
     const struct gsn_stack_section *section;
     struct gsn_affine back;        /* block um to pixels of the plane */
     long left, top, right, bottom; /* of the plane, what may be read; ends exclusive */
+    double reach;                  /* gsn_stack_reach() */
 };
 
 struct job {
@@ -36,10 +37,10 @@ static four load(const float *from)
 /* Keys' cubic convolution kernel with a = -1/2, for the taps at -1, 0, 1, 2 and the fraction t. */
 static four keys(float t)
 {
-    const float t2 = t * t, t3 = t2 * t;
+    const four c0 = { 0, 1, 0, 0 }, c1 = { -0.5F, 0, 0.5F, 0 }, c2 = { 1, -2.5F, 2, -0.5F },
+               c3 = { -0.5F, 1.5F, -1.5F, 0.5F };
 
-    return (four){ -0.5F * t3 + t2 - 0.5F * t, 1.5F * t3 - 2.5F * t2 + 1,
-                   -1.5F * t3 + 2 * t2 + 0.5F * t, 0.5F * t3 - 0.5F * t2 };
+    return ((c3 * t + c2) * t + c1) * t + c0;
 }
 
 static int has(const struct source *s, long x, long y)
@@ -72,16 +73,15 @@ static float bilinear(const struct source *s, long x, long y, float tx, float ty
     return weight > 0 ? sum / weight : NAN;
 }
 
-/* All 16 pixels lie in the box. */
+/* All 16 pixels lie in the box. NaN when one of them is. */
 static float cubic(const struct gsn_plane *density, long x, long y, float tx, float ty)
 {
-    const float *row = density->value + (size_t)(y - 1) * density->width + (x - 1);
+    const size_t width = density->width;
+    const float *row = density->value + (size_t)(y - 1) * width + (x - 1);
     const four wy = keys(ty);
-    four sum = wy[0] * load(row);
+    const four sum = keys(tx) * ((wy[0] * load(row) + wy[1] * load(row + width)) +
+                                 (wy[2] * load(row + 2 * width) + wy[3] * load(row + 3 * width)));
 
-    for (int j = 1; j < 4; j++)
-        sum += wy[j] * load(row + (size_t)j * density->width);
-    sum *= keys(tx);
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
@@ -99,12 +99,43 @@ static float sample(const struct source *s, double px, double py)
     y = (long)(py + 7.5) - 8;
     tx = (float)(px - 0.5 - (double)x);
     ty = (float)(py - 0.5 - (double)y);
-    if (isnan(tap(s, x + (tx >= 0.5F), y + (ty >= 0.5F))))
+    if (has(s, x - 1, y - 1) && has(s, x + 2, y + 2)) {
+        value = cubic(s->section->density, x, y, tx, ty);
+        if (!isnan(value))
+            return value;
+    }
+    return isnan(tap(s, x + (tx >= 0.5F), y + (ty >= 0.5F))) ? NAN : bilinear(s, x, y, tx, ty);
+}
+
+static double keys_at(double x)
+{
+    const double t = fabs(x);
+
+    return t >= 2 ? 0 : t > 1 ? ((-0.5 * t + 2.5) * t - 4) * t + 2 : (1.5 * t - 2.5) * t * t + 1;
+}
+
+/* The kernel of a coarse voxel, two voxels to either side. */
+static float sample_wide(const struct source *s, double px, double py)
+{
+    const double wide = 2 * s->reach;
+    double sum = 0, valid = 0, all = 0;
+
+    if (!(px > (double)s->left - wide && py > (double)s->top - wide &&
+          px < (double)s->right + wide && py < (double)s->bottom + wide))
         return NAN;
-    if (!has(s, x - 1, y - 1) || !has(s, x + 2, y + 2))
-        return bilinear(s, x, y, tx, ty);
-    value = cubic(s->section->density, x, y, tx, ty);
-    return isnan(value) ? bilinear(s, x, y, tx, ty) : value;
+    for (long y = (long)floor(py - wide); (double)y < py + wide; y++) {
+        const double wy = keys_at(((double)y + 0.5 - py) / s->reach);
+
+        for (long x = (long)floor(px - wide); (double)x < px + wide; x++) {
+            const double w = wy * keys_at(((double)x + 0.5 - px) / s->reach);
+            const float value = tap(s, x, y);
+
+            all += w;
+            valid += isnan(value) ? 0 : w;
+            sum += isnan(value) ? 0 : w * value;
+        }
+    }
+    return valid > 0.5 * all ? (float)(sum / valid) : NAN;
 }
 
 /* One row of the lattice; every row is written by one call, so the threads cannot matter. */
@@ -122,8 +153,10 @@ static int fill_row(size_t index, void *context, struct gsn_error *err)
     for (size_t x = 0; x < at->nx; x++) {
         const double um = first.x + (double)x * at->step_um.x;
 
-        row[x] = sample(source, back->m00 * um + back->m01 * first.y + back->m02,
-                        back->m10 * um + back->m11 * first.y + back->m12);
+        const double px = back->m00 * um + back->m01 * first.y + back->m02;
+        const double py = back->m10 * um + back->m11 * first.y + back->m12;
+
+        row[x] = source->reach > 1 ? sample_wide(source, px, py) : sample(source, px, py);
     }
     return GSN_OK;
 }
@@ -162,12 +195,14 @@ static int check(const struct gsn_stack_section *sections, size_t count, struct 
     return GSN_OK;
 }
 
-static struct source source_of(const struct gsn_stack_section *section)
+static struct source source_of(const struct gsn_stack_section *section,
+                               const struct gsn_lattice *at)
 {
     struct source source = { .section = section,
                              .back = gsn_affine_inverse(&section->panel_to_block_um),
                              .left = (long)section->x - section->plane_x,
-                             .top = (long)section->y - section->plane_y };
+                             .top = (long)section->y - section->plane_y,
+                             .reach = gsn_stack_reach(&section->panel_to_block_um, at) };
 
     source.back.m02 -= section->plane_x;
     source.back.m12 -= section->plane_y;
@@ -176,22 +211,30 @@ static struct source source_of(const struct gsn_stack_section *section)
     return source;
 }
 
-static double serial_of_plane(const struct gsn_lattice *at, size_t z, double interval_um)
+int gsn_stack_shows(const struct gsn_lattice *at, double interval_um, size_t z, unsigned serial)
 {
-    return round(gsn_lattice_centre(at, 0, 0, z).z / interval_um - 0.5);
+    return round(gsn_lattice_centre(at, 0, 0, z).z / interval_um - 0.5) == (double)serial;
+}
+
+double gsn_stack_reach(const struct gsn_affine *panel_to_block_um, const struct gsn_lattice *at)
+{
+    const double pixel_um = sqrt(fabs(gsn_affine_det(panel_to_block_um)));
+    const double reach = sqrt(fabs(at->step_um.x * at->step_um.y)) / pixel_um;
+
+    return reach > 1.01 ? reach : 1;
 }
 
 int gsn_stack_footprint(const struct gsn_lattice *at, double interval_um,
                         struct gsn_stack_section *section)
 {
-    /* Cubic convolution reaches two pixels; the rest is for rounding. */
-    const double reach = 3;
+    /* Cubic convolution reaches two voxels; the rest is for rounding. */
+    const double reach = 2 * gsn_stack_reach(&section->panel_to_block_um, at) + 1;
     const struct gsn_affine back = gsn_affine_inverse(&section->panel_to_block_um);
     double left = INFINITY, top = INFINITY, right = -INFINITY, bottom = -INFINITY;
     size_t planes = 0;
 
     for (size_t z = 0; z < at->nz; z++)
-        planes += serial_of_plane(at, z, interval_um) == (double)section->serial;
+        planes += (size_t)gsn_stack_shows(at, interval_um, z, section->serial);
     for (size_t corner = 0; corner < 4; corner++) {
         const struct gsn_vec3 um =
             gsn_lattice_centre(at, corner % 2 ? at->nx - 1 : 0, corner / 2 ? at->ny - 1 : 0, 0);
@@ -220,15 +263,12 @@ static int fill(struct job *job, double interval_um, unsigned threads, struct gs
     const struct gsn_lattice *at = &job->grid->at;
     size_t planes = 0;
 
-    for (size_t z = 0; z < at->nz; z++) {
-        const double serial = serial_of_plane(at, z, interval_um);
-
+    for (size_t z = 0; z < at->nz; z++)
         for (size_t i = 0; i < job->count; i++)
-            if ((double)job->sources[i].section->serial == serial) {
+            if (gsn_stack_shows(at, interval_um, z, job->sources[i].section->serial)) {
                 job->planes[planes] = z;
                 job->of[planes++] = i;
             }
-    }
     return gsn_parallel_for(at->ny * planes, threads, fill_row, job, err);
 }
 
@@ -254,7 +294,7 @@ int gsn_stack_resample(const struct gsn_stack_section *sections, size_t count, d
     if (!sources || !planes || !of)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the stack");
     for (size_t i = 0; i < count; i++)
-        sources[i] = source_of(&sections[i]);
+        sources[i] = source_of(&sections[i], &grid->at);
     job = (struct job){ grid, sources, count, planes, of };
     return fill(&job, interval_um, threads, err);
 }

@@ -5,6 +5,7 @@
 #ifndef GSN_PIPELINE_ASSEMBLY_H
 #define GSN_PIPELINE_ASSEMBLY_H
 
+#include "pipeline/core/colour_grid.h"
 #include "pipeline/pictures.h"
 #include "pipeline/register/strain.h"
 #include "pipeline/specimen.h"
@@ -60,11 +61,12 @@ struct gsn_assembly {
     enum gsn_strain_mode strain_mode;       /* the protocol's */
     char unsolved[480];                     /* why not, or empty */
     char no_region[480];                    /* why the stated band could not be found, or empty */
-    struct gsn_mask *region;      /* owned; NULL when the job states none or it was not found */
-    struct gsn_grid *grid;        /* owned; NULL without region or solution */
-    struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
-    struct gsn_grid *tissue_grid; /* owned; its density as stained */
-    double red_error;             /* relative standard error of a mean density by the stain */
+    struct gsn_mask *region;        /* owned; NULL when the job states none or it was not found */
+    struct gsn_grid *grid;          /* owned; NULL without region or solution */
+    struct gsn_colour_grid *colour; /* owned; what the grid's sections look like; NULL as grid is */
+    struct gsn_mask *tissue;        /* owned; the reference tissue, NULL when the job states none */
+    struct gsn_grid *tissue_grid;   /* owned; its density as stained */
+    double red_error;               /* relative standard error of a mean density by the stain */
     double stain_scatter; /* relative standard deviation of the panels' strength, where no reference
                              tissue takes it out; 0: one panel, or taken out */
     char not_comparable[240]; /* why the stain could not be normalised though asked, or empty */

@@ -4,7 +4,7 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
-#include "pipeline/register/stack.h"
+#include "pipeline/register/stack_colour.h"
 #include "pipeline/stain/absorb.h"
 #include "pipeline/stain/spread.h"
 
@@ -28,6 +28,7 @@ struct work {
     const struct gsn_scan *scan;
     const struct gsn_red_reader *reader;
     const struct gsn_mask_labels *labels;
+    struct gsn_assembly_light light;
     unsigned panel; /* 1-based */
     struct gsn_assembly *a;
     size_t count;
@@ -101,16 +102,20 @@ static void choose_sections(struct work *work)
     }
 }
 
+static struct gsn_stack_section stack_section(const struct gsn_assembly_section *s)
+{
+    return (struct gsn_stack_section){ .serial = s->seen.serial,
+                                       .panel_to_block_um = s->pose.panel_to_block_um,
+                                       .x = s->seen.x,
+                                       .y = s->seen.y,
+                                       .width = s->seen.width,
+                                       .height = s->seen.height };
+}
+
 /* Density of the part of the section that shows in the grid's plane, and nowhere else. */
 static int lay_into(const struct work *work, size_t i, struct gsn_grid *grid, struct gsn_error *err)
 {
-    const struct gsn_assembly_section *s = &work->a->section[i];
-    struct gsn_stack_section section = { .serial = s->seen.serial,
-                                         .panel_to_block_um = s->pose.panel_to_block_um,
-                                         .x = s->seen.x,
-                                         .y = s->seen.y,
-                                         .width = s->seen.width,
-                                         .height = s->seen.height };
+    struct gsn_stack_section section = stack_section(&work->a->section[i]);
     gsn_auto(gsn_plane) density = NULL;
     int r;
 
@@ -126,6 +131,16 @@ static int lay_into(const struct work *work, size_t i, struct gsn_grid *grid, st
     section.plane_x = section.x;
     section.plane_y = section.y;
     return gsn_stack_resample(&section, 1, work->specimen->protocol->interval_um, 1, grid, err);
+}
+
+/* Colours are kept of all of it, also where defects are masked. */
+static int lay_colour(const struct work *work, size_t i, struct gsn_error *err)
+{
+    const struct gsn_stack_section section = stack_section(&work->a->section[i]);
+    const struct gsn_stack_light light = { work->light.of_sample, work->light.code };
+
+    return gsn_stack_colour(&section, work->scan->picture->image, &light,
+                            work->specimen->protocol->interval_um, 1, work->a->colour, err);
 }
 
 static int measure_strength(const struct work *work, size_t k, struct gsn_error *err)
@@ -157,6 +172,8 @@ static int lay_section(size_t k, void *context, struct gsn_error *err)
 
     if (r >= 0)
         r = lay_into(work, i, work->a->grid, err);
+    if (r >= 0)
+        r = lay_colour(work, i, err);
     if (r >= 0 && work->a->tissue_grid)
         r = lay_into(work, i, work->a->tissue_grid, err);
     return r;
@@ -222,7 +239,12 @@ static int lay_panel(struct work *work, struct gsn_assembly_panel *panel, struct
     work->labels = labels;
     gsn_masking_region(labels, work->panel, work->specimen->protocol->interval_um, work->a);
     judge_clipped(work->a, work->panel);
-    return lay_sections(work, &panel->strength, err);
+    r = gsn_assembly_light(work->scan->glass.light, work->scan->picture->image->bits, &work->light,
+                           err);
+    if (r >= 0)
+        r = lay_sections(work, &panel->strength, err);
+    gsn_assembly_light_done(&work->light);
+    return r;
 }
 
 static int work_panel(const struct gsn_specimen *specimen,

@@ -7,7 +7,7 @@
 #include <string.h>
 
 enum { SIDE = 40 };
-static const struct gsn_lattice LATTICE = { 12, 10, 4, { -60, -48, 12 }, { 11, 11, 24 } };
+static const struct gsn_lattice LATTICE = { 12, 10, 4, { -60, -48, 12 }, { 7, 7, 24 } };
 
 static int is_hole(float value)
 {
@@ -207,6 +207,41 @@ TEST(the_number_of_threads_does_not_matter)
     CHECK_OK(resample(sections, 3, &LATTICE, 24, 1, &one, &err), err);
     CHECK_OK(resample(sections, 3, &LATTICE, 24, 2, &two, &err), err);
     CHECK(memcmp(one->value, two->value, gsn_lattice_count(&LATTICE) * sizeof(float)) == 0);
+}
+
+/* How much of a wave is left on voxels of 3 pixels: it is so many voxels long, and turned against
+ * both the pixels and the voxels. */
+static double swing(double period_voxels)
+{
+    enum { FINE = 120 };
+    static float value[FINE * FINE];
+    struct gsn_plane plane = { FINE, FINE, value };
+    const double k = 2 * M_PI / (3 * period_voxels), c = 8 * cos(0.5), s = 8 * sin(0.5);
+    const struct gsn_lattice at = { 24, 24, 1, { -12 * 24, -12 * 24, 12 }, { 24, 24, 24 } };
+    const struct gsn_stack_section section = { .density = &plane,
+                                               .panel_to_block_um = { c, -s, -60 * (c - s), s, c,
+                                                                      -60 * (s + c) },
+                                               .width = FINE,
+                                               .height = FINE };
+    gsn_auto(gsn_grid) grid = NULL;
+    struct gsn_error err = { 0 };
+    double most = 0;
+
+    for (size_t i = 0; i < FINE * FINE; i++)
+        value[i] = (float)cos(k * (0.8 * (double)(i % FINE) + 0.6 * (double)(i / FINE)));
+    CHECK_OK(resample(&section, 1, &at, 24, 1, &grid, &err), err);
+    for (size_t i = 0; i < gsn_lattice_count(&at); i++)
+        most = fmax(most, fabs((double)grid->value[i]));
+    return most;
+}
+
+TEST(on_coarse_voxels_a_long_wave_is_kept_and_one_finer_than_a_voxel_vanishes)
+{
+    CHECK(swing(10) > 0.97);
+    CHECK(swing(5) > 0.9);
+    CHECK(swing(1.1) < 0.05);
+    CHECK(swing(1) < 0.05);
+    CHECK(swing(0.8) < 0.05);
 }
 
 /* Only the pixels that a lattice shows need be there. */

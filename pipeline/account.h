@@ -5,6 +5,7 @@
 #ifndef GSN_PIPELINE_ACCOUNT_H
 #define GSN_PIPELINE_ACCOUNT_H
 
+#include "pipeline/core/colour_grid.h"
 #include "pipeline/core/grid.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/measure/density.h"
@@ -47,6 +48,7 @@ struct gsn_account_options {
     const char *mesher; /* path of gieson-mesh */
     unsigned threads;   /* 0: all */
     const struct gsn_progress *progress;
+    const struct gsn_colour_grid *colour; /* shown beside it, on the same lattice; NULL: none */
     const struct gsn_grid *shown; /* what the cuts show beside the model; NULL: the grid itself */
 };
 

@@ -101,7 +101,7 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
                       struct gsn_assembly **ret_assembly, struct gsn_error *err)
 {
     gsn_auto(gsn_assembly) a = gsn_alloc_array(1, sizeof *a);
-    const double px_um = gsn_assembly_finest_pixel(specimen);
+    const double px_um = gsn_assembly_voxel(specimen);
     const int band = specimen->protocol->region.kind == GSN_REGION_BAND;
     struct gsn_lattice lattice = { 0 };
     unsigned sections;
@@ -120,6 +120,8 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
         r = gsn_assembly_place_block(specimen, px_um, sections, a, &lattice, err);
     if (r >= 0 && a->solved && (a->region || band))
         r = gsn_assembly_empty_grid(&lattice, &a->grid, err);
+    if (r >= 0)
+        r = gsn_assembly_place_colour(a, err);
     if (r >= 0)
         r = gsn_assembly_place_reference(specimen, px_um, sections, a, err);
     if (r >= 0)
@@ -156,6 +158,7 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_free(a->panel);
     gsn_mask_free(a->region);
     gsn_grid_free(a->grid);
+    gsn_colour_grid_free(a->colour);
     gsn_mask_free(a->tissue);
     gsn_grid_free(a->tissue_grid);
     gsn_columns_free(a->columns);

@@ -6,6 +6,7 @@
 #define GSN_PIPELINE_ASSEMBLY_H
 
 #include "pipeline/columns.h"
+#include "pipeline/core/colour_grid.h"
 #include "pipeline/pictures.h"
 #include "pipeline/register/sequence.h"
 #include "pipeline/register/strain.h"
@@ -56,6 +57,7 @@ struct gsn_assembly_panel {
     double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
     double red_error; /* relative standard error of its red by vectors and white; 0: the
                          vectors were taken as exact */
+    unsigned cell_px; /* side of the cells in which lamp, tones and dust were looked for */
     struct gsn_lamp lamp;      /* how steady its light was */
     struct gsn_tone tone;      /* of all its sections */
     struct gsn_dust_turn turn; /* as in its scan */
@@ -85,15 +87,16 @@ struct gsn_assembly {
     enum gsn_strain_mode strain_mode;       /* the protocol's */
     char unsolved[480];                     /* why not, or empty */
     char no_region[480];                    /* why the stated band could not be found, or empty */
-    struct gsn_mask *region;      /* owned; NULL when the job states none or it was not found */
-    struct gsn_grid *grid;        /* owned; NULL without region or solution */
-    struct gsn_mask *tissue;      /* owned; the reference tissue, NULL when the job states none */
-    struct gsn_grid *tissue_grid; /* owned; its density as stained */
-    struct gsn_dust *dust;        /* owned; what is dark on each panel */
-    size_t spot_count;            /* of the scanner's dust */
-    struct gsn_mask_disc *spot;   /* owned; pixels as the scanner gave them */
-    unsigned spot_panels;         /* that were compared for it */
-    struct gsn_columns *columns;  /* owned; NULL where a reference tissue is stated */
+    struct gsn_mask *region;        /* owned; NULL when the job states none or it was not found */
+    struct gsn_grid *grid;          /* owned; NULL without region or solution */
+    struct gsn_colour_grid *colour; /* owned; what the grid's sections look like; NULL as grid is */
+    struct gsn_mask *tissue;        /* owned; the reference tissue, NULL when the job states none */
+    struct gsn_grid *tissue_grid;   /* owned; its density as stained */
+    struct gsn_dust *dust;          /* owned; what is dark on each panel */
+    size_t spot_count;              /* of the scanner's dust */
+    struct gsn_mask_disc *spot;     /* owned; pixels as the scanner gave them */
+    unsigned spot_panels;           /* that were compared for it */
+    struct gsn_columns *columns;    /* owned; NULL where a reference tissue is stated */
     struct gsn_levelling levelling;
     double red_error; /* relative standard error of a mean density on the panels' own scale: by
                          vectors, white, gains and the steps between panels */

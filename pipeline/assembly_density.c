@@ -3,9 +3,11 @@
 
 #include "pipeline/assembly_order.h"
 #include "pipeline/conditions.h"
+#include "pipeline/core/parallel.h"
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
-#include "pipeline/register/stack.h"
+#include "pipeline/register/stack_colour.h"
+#include "pipeline/stain/absorb.h"
 #include "pipeline/stain/spread.h"
 
 #include <math.h>
@@ -14,79 +16,39 @@
 
 enum { THUMBNAIL_PX = 132 };
 
-/* Tissue is what absorbs this much in R, G and B together. A hundredth of it clipped is told; of a
- * fifth the mean of what is left says little, for it is the darkest that is missing. */
-static const double LEAST_TISSUE_OD = 0.05, TOLD_CLIPPED = 0.01, MOST_CLIPPED = 0.2;
+/* A hundredth of the tissue clipped is told; of a fifth the mean of what is left says little, for
+ * it is the darkest that is missing. */
+static const double TOLD_CLIPPED = 0.01, MOST_CLIPPED = 0.2;
 
 /* Of the white of a panel: test_glass finds it within a tenth of a percent. */
 static const double WHITE_ERROR_OD = 0.0005;
 
-/* Defects: their pixels lose their density. */
-static int mask_panel(const struct gsn_specimen *specimen,
-                      const struct gsn_specimen_options *options, const struct gsn_scan *scan,
-                      const struct gsn_specimen_stain *stain, struct gsn_plane *density,
-                      struct gsn_assembly *a, struct gsn_error *err)
-{
-    gsn_auto(gsn_image) labels = NULL;
-    const int r =
-        gsn_masking_find(scan, &stain->fit.dyes, stain->panel, options->threads, a, &labels, err);
+/* One panel while its sections are laid into the stack. */
+struct work {
+    const struct gsn_specimen *specimen;
+    const struct gsn_specimen_options *options;
+    const struct gsn_scan *scan;
+    const struct gsn_absorber *absorber;
+    const struct gsn_red_reader *reader;
+    const struct gsn_mask_labels *labels;
+    struct gsn_assembly_light light;
+    unsigned panel; /* 1-based */
+    struct gsn_assembly *a;
+    struct gsn_section_order *order; /* or NULL */
+    size_t count;
+    size_t *used; /* the assembly's sections to lay */
+    double *strength;
+};
 
-    if (r < 0)
-        return r;
-    gsn_masking_region(labels, stain->panel, specimen->protocol->interval_um, a);
-    gsn_mask_apply(labels, density);
-    return GSN_OK;
-}
-
-/* A sample at either end of its codes only says "or beyond". All three at the top are bare glass.
- */
-static int is_clipped(const struct gsn_image *image, uint32_t x, uint32_t y)
-{
-    const unsigned top = image->bits == 8 ? 255 : 65535;
-    unsigned at_top = 0, at_zero = 0;
-
-    for (unsigned c = 0; c < 3; c++) {
-        const unsigned sample = gsn_image_at(image, x, y, c);
-
-        at_top += sample == top;
-        at_zero += sample == 0;
-    }
-    return at_zero > 0 || (at_top > 0 && at_top < 3);
-}
-
-/* Masks the clipped pixels of a section and says which share of its tissue they are. */
-static double mask_clipped(const struct gsn_scan *scan, const struct gsn_panel_section *seen,
-                           struct gsn_plane *density)
-{
-    const struct gsn_image *image = scan->picture->image;
-    size_t tissue = 0, clipped = 0;
-
-    for (int y = seen->y; y < seen->y + seen->height; y++)
-        for (int x = seen->x; x < seen->x + seen->width; x++) {
-            const size_t i = (size_t)y * density->width + (size_t)x;
-            const double od = scan->od[0]->value[i] + scan->od[1]->value[i] + scan->od[2]->value[i];
-
-            if (!(od > LEAST_TISSUE_OD))
-                continue;
-            tissue++;
-            if (!is_clipped(image, (uint32_t)x, (uint32_t)y))
-                continue;
-            clipped++;
-            density->value[i] = NAN;
-        }
-    return tissue ? (double)clipped / (double)tissue : 0;
-}
-
-static void judge_clipped(const struct gsn_scan *scan, unsigned number, struct gsn_plane *density,
-                          struct gsn_assembly *a)
+static void judge_clipped(struct gsn_assembly *a, unsigned panel)
 {
     for (size_t i = 0; i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];
         char word[32];
 
-        if (s->panel != number || s->seen.width <= 0 || s->seen.height <= 0)
+        if (s->panel != panel || s->seen.width <= 0 || s->seen.height <= 0)
             continue;
-        s->clipped = mask_clipped(scan, &s->seen, density);
+        s->clipped = s->masked.clipped;
         if (s->clipped <= TOLD_CLIPPED)
             continue;
         (void)snprintf(word, sizeof word, "clipped-%.0f%%", 100 * s->clipped);
@@ -124,15 +86,15 @@ static int taken(const struct gsn_assembly *a, size_t i)
     return 0;
 }
 
-static size_t sections_of_panel(struct gsn_assembly *a, unsigned number,
-                                const struct gsn_plane *density, struct gsn_stack_section *sections)
+/* Lists the sections to lay. */
+static void choose_sections(struct work *work)
 {
-    size_t count = 0;
+    struct gsn_assembly *a = work->a;
 
     for (size_t i = 0; i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];
 
-        if (s->panel != number ||
+        if (s->panel != work->panel ||
             (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
             continue;
         if (taken(a, i)) {
@@ -140,59 +102,117 @@ static size_t sections_of_panel(struct gsn_assembly *a, unsigned number,
             gsn_assembly_flag(s, "duplicate-serial");
             continue;
         }
-        sections[count++] =
-            (struct gsn_stack_section){ .serial = s->seen.serial,
-                                        .density = density,
-                                        .panel_to_block_um = s->pose.panel_to_block_um,
-                                        .x = s->seen.x,
-                                        .y = s->seen.y,
-                                        .width = s->seen.width,
-                                        .height = s->seen.height };
+        work->used[work->count++] = i;
     }
-    return count;
 }
 
-static void merge(const struct gsn_grid *from, struct gsn_grid *into)
+static struct gsn_stack_section stack_section(const struct gsn_assembly_section *s)
 {
-    const size_t total = gsn_lattice_count(&into->at);
-
-    for (size_t i = 0; i < total; i++)
-        if (!isnan(from->value[i]))
-            into->value[i] = from->value[i];
+    return (struct gsn_stack_section){ .serial = s->seen.serial,
+                                       .panel_to_block_um = s->pose.panel_to_block_um,
+                                       .x = s->seen.x,
+                                       .y = s->seen.y,
+                                       .width = s->seen.width,
+                                       .height = s->seen.height };
 }
 
-static int resample_into(const struct gsn_stack_section *sections, size_t count, double interval_um,
-                         unsigned threads, struct gsn_grid *into, struct gsn_error *err)
+/* Density of the part of the section that shows in the grid's plane, and nowhere else. */
+static int lay_into(const struct work *work, size_t i, struct gsn_grid *grid, struct gsn_error *err)
 {
-    gsn_auto(gsn_grid) grid = NULL;
-    const int r = gsn_stack_resample(sections, count, &into->at, interval_um, threads, &grid, err);
-
-    if (r >= 0)
-        merge(grid, into);
-    return r;
-}
-
-static int stack_panel(const struct gsn_specimen *specimen,
-                       const struct gsn_specimen_options *options, unsigned number,
-                       const struct gsn_scan *scan, const struct gsn_plane *density,
-                       struct gsn_assembly *a, struct gsn_error *err)
-{
-    const double interval_um = specimen->protocol->interval_um;
-    gsn_auto_mem(struct gsn_stack_section) sections =
-        gsn_alloc_array(a->section_count, sizeof *sections);
-    size_t count;
+    struct gsn_stack_section section = stack_section(&work->a->section[i]);
+    gsn_auto(gsn_plane) density = NULL;
     int r;
 
-    if (!sections)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the stack");
-    count = sections_of_panel(a, number, density, sections);
-    if (count == 0)
+    if (!gsn_stack_footprint(&grid->at, work->specimen->protocol->interval_um, &section))
         return GSN_OK;
-    r = resample_into(sections, count, interval_um, options->threads, a->grid, err);
-    if (r >= 0 && a->tissue_grid)
-        r = resample_into(sections, count, interval_um, options->threads, a->tissue_grid, err);
-    if (r >= 0 && a->columns)
-        r = gsn_columns_add(a->columns, sections, count, scan->od, interval_um, err);
+    r = gsn_red_box(work->reader,
+                    &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height },
+                    1, &density, err);
+    if (r < 0)
+        return r;
+    gsn_mask_apply(work->labels, gsn_masking_index(work->a, i), section.x, section.y, density);
+    section.density = density;
+    section.plane_x = section.x;
+    section.plane_y = section.y;
+    return gsn_stack_resample(&section, 1, work->specimen->protocol->interval_um, 1, grid, err);
+}
+
+/* Colours are kept of all of it, also where defects are masked. */
+static int lay_colour(const struct work *work, size_t i, struct gsn_error *err)
+{
+    const struct gsn_stack_section section = stack_section(&work->a->section[i]);
+    const struct gsn_stack_light light = { work->light.of_sample, work->light.code };
+
+    return gsn_stack_colour(&section, work->scan->picture->image, &light,
+                            work->specimen->protocol->interval_um, 1, work->a->colour, err);
+}
+
+/* gives: density of every apart-th row of a whole section, masked. */
+static int see_section(const struct work *work, size_t i, unsigned apart,
+                       struct gsn_plane **ret_density, struct gsn_error *err)
+{
+    const struct gsn_panel_section *seen = &work->a->section[i].seen;
+    const struct gsn_pixel_box box = { seen->x, seen->y, seen->width, seen->height };
+    gsn_auto(gsn_plane) density = NULL;
+    int r = gsn_red_box(work->reader, &box, apart, &density, err);
+
+    if (r < 0)
+        return r;
+    for (uint32_t y = 0; y < density->height; y++) {
+        struct gsn_plane row = { density->width, 1, density->value + (size_t)y * density->width };
+
+        gsn_mask_apply(work->labels, gsn_masking_index(work->a, i), seen->x,
+                       seen->y + (int)(y * apart), &row);
+    }
+    *ret_density = gsn_steal(&density);
+    return GSN_OK;
+}
+
+static int measure_strength(const struct work *work, size_t k, struct gsn_error *err)
+{
+    const struct gsn_panel_section *seen = &work->a->section[work->used[k]].seen;
+    const unsigned apart = gsn_evenness_apart(seen->width, seen->height);
+    gsn_auto(gsn_plane) density = NULL;
+    int r = see_section(work, work->used[k], apart, &density, err);
+
+    return r < 0 ? r : gsn_evenness_of_section(density, &work->strength[k], err);
+}
+
+/* What is told from the whole section in coarse cells: rows nearer than half a cell to each other
+ * say the same. */
+static int gather(const struct work *work, size_t i, struct gsn_error *err)
+{
+    const unsigned apart = (unsigned)fmax(1, floor(GSN_COLUMN_UM / 2 / work->scan->px_um));
+    struct gsn_stack_section section = stack_section(&work->a->section[i]);
+    gsn_auto(gsn_plane) density = NULL;
+    int r = work->order || work->a->columns ? see_section(work, i, apart, &density, err) : GSN_OK;
+
+    if (r < 0 || !density)
+        return r;
+    gsn_section_order_add(work->order, work->a, i, density, apart);
+    section.density = density;
+    section.plane_x = section.x;
+    section.plane_y = section.y;
+    return work->a->columns ? gsn_columns_add(work->a->columns, &section, apart, work->absorber,
+                                              work->specimen->protocol->interval_um, err)
+                            : GSN_OK;
+}
+
+/* Each section has planes of its own, so the threads cannot matter. */
+static int lay_section(size_t k, void *context, struct gsn_error *err)
+{
+    const struct work *work = context;
+    const size_t i = work->used[k];
+    int r = measure_strength(work, k, err);
+
+    if (r >= 0)
+        r = lay_into(work, i, work->a->grid, err);
+    if (r >= 0)
+        r = lay_colour(work, i, err);
+    if (r >= 0 && work->a->tissue_grid)
+        r = lay_into(work, i, work->a->tissue_grid, err);
+    if (r >= 0)
+        r = gather(work, i, err);
     return r;
 }
 
@@ -217,6 +237,56 @@ static int judge_vectors(const struct gsn_scan *scan, struct gsn_assembly_panel 
     return GSN_OK;
 }
 
+static int lay_sections(struct work *work, double *ret_strength, struct gsn_error *err)
+{
+    gsn_auto_mem(size_t) used = gsn_alloc_array(work->a->section_count, sizeof *used);
+    gsn_auto_mem(double) strength = gsn_alloc_array(work->a->section_count, sizeof *strength);
+    int r;
+
+    if (!used || !strength)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the stack");
+    work->used = used;
+    work->strength = strength;
+    choose_sections(work);
+    r = gsn_parallel_for(work->count, work->options->threads, lay_section, work, err);
+    if (r >= 0)
+        *ret_strength = gsn_evenness_of_panel(strength, work->count);
+    return r;
+}
+
+/* Masks, density and stack of one opened panel. */
+static int lay_panel(struct work *work, struct gsn_assembly_panel *panel, struct gsn_error *err)
+{
+    const struct gsn_dyes *dyes = &panel->stain.fit.dyes;
+    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_red_reader) reader = NULL;
+    gsn_auto(gsn_mask_labels) labels = NULL;
+    int r = gsn_absorber_new(work->scan->picture->image, &work->scan->glass, &absorber, err);
+
+    if (r >= 0)
+        r = gsn_red_reader_new(absorber, dyes, &reader, err);
+    if (r >= 0)
+        r = gsn_masking_find(work->scan, dyes, work->panel, work->options->threads, work->a,
+                             &labels, err);
+    if (r >= 0)
+        r = gsn_conditions_look(work->scan, labels, panel, work->a, err);
+    if (r >= 0)
+        r = judge_vectors(work->scan, panel, err);
+    if (r < 0)
+        return r;
+    work->absorber = absorber;
+    work->reader = reader;
+    work->labels = labels;
+    gsn_masking_region(labels, work->panel, work->specimen->protocol->interval_um, work->a);
+    judge_clipped(work->a, work->panel);
+    r = gsn_assembly_light(work->scan->glass.light, work->scan->picture->image->bits, &work->light,
+                           err);
+    if (r >= 0)
+        r = lay_sections(work, &panel->strength, err);
+    gsn_assembly_light_done(&work->light);
+    return r;
+}
+
 static int work_panel(const struct gsn_specimen *specimen,
                       const struct gsn_specimen_options *options, struct gsn_assembly_panel *panel,
                       struct gsn_assembly *a, struct gsn_section_order *order,
@@ -224,14 +294,13 @@ static int work_panel(const struct gsn_specimen *specimen,
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_scan) scan = NULL;
-    gsn_auto(gsn_plane) density = NULL;
     struct gsn_specimen_stain *stain = &panel->stain;
+    struct work work = { .specimen = specimen, .options = options, .a = a, .order = order };
     size_t size;
     int r = specimen->read(specimen->context, panel->given->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, options->threads,
-                          &scan, err);
+        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &scan, err);
     if (r >= 0)
         r = gsn_scan_dyes(scan, specimen->protocol, &stain->fit, err);
     if (r >= 0)
@@ -245,23 +314,9 @@ static int work_panel(const struct gsn_specimen *specimen,
     (void)snprintf(panel->note, sizeof panel->note, "%s", scan->note);
     if (!a->grid)
         return GSN_OK;
-    r = gsn_red(scan->od, &stain->fit.dyes, options->threads, &density, err);
-    if (r < 0)
-        return r;
-    r = mask_panel(specimen, options, scan, stain, density, a, err);
-    if (r < 0)
-        return r;
-    r = gsn_conditions_look(scan, density, panel, a, err);
-    if (r >= 0)
-        r = judge_vectors(scan, panel, err);
-    if (r < 0)
-        return r;
-    judge_clipped(scan, stain->panel, density, a);
-    gsn_section_order_add(order, a, stain->panel, density);
-    r = gsn_evenness_of_panel(a, stain->panel, density, &panel->strength, err);
-    if (r < 0)
-        return r;
-    return stack_panel(specimen, options, stain->panel, scan, density, a, err);
+    work.scan = scan;
+    work.panel = stain->panel;
+    return lay_panel(&work, panel, err);
 }
 
 int gsn_assembly_work_panels(const struct gsn_specimen *specimen,

@@ -82,8 +82,7 @@ int gsn_assembly_lattice(struct gsn_box box, const struct gsn_mask *mask, double
     return 1;
 }
 
-/* The stack's voxels are as fine as the finest panel. */
-double gsn_assembly_finest_pixel(const struct gsn_specimen *specimen)
+double gsn_assembly_voxel(const struct gsn_specimen *specimen)
 {
     double finest = 0;
 
@@ -93,7 +92,7 @@ double gsn_assembly_finest_pixel(const struct gsn_specimen *specimen)
         if (specimen->panel[i].section_count > 0 && (finest == 0 || px_um < finest))
             finest = px_um;
     }
-    return finest;
+    return finest > 0 ? fmax(finest, specimen->protocol->voxel_um) : 0;
 }
 
 static int copy_mask(const struct gsn_mask *mask, struct gsn_mask **ret_mask, struct gsn_error *err)
@@ -188,6 +187,8 @@ int gsn_assembly_find_band(const struct gsn_specimen *specimen,
     if (r < 0)
         return gsn_fail(err, r, "%s", why.text);
     r = gsn_band_crop(&a->grid, &a->region, MARGIN_VOXELS, err);
+    if (r >= 0)
+        r = gsn_assembly_crop_colour(a, err);
     if (r >= 0)
         gsn_masking_gaps(specimen->protocol->interval_um, a);
     return r;

@@ -96,18 +96,20 @@ void gsn_section_order_free(struct gsn_section_order *order)
 }
 
 static void gather(struct gsn_section_order *order, size_t plane,
-                   const struct gsn_assembly_section *s, const struct gsn_plane *density)
+                   const struct gsn_assembly_section *s, const struct gsn_plane *density,
+                   unsigned apart)
 {
     const struct gsn_affine *map = &s->pose.panel_to_block_um;
-    const float area = (float)fabs(gsn_affine_det(map));
+    const float area = (float)(apart * fabs(gsn_affine_det(map)));
     float *sum = order->sum + plane * order->columns * order->rows;
     float *seen = order->seen + plane * order->columns * order->rows;
 
-    for (int y = s->seen.y; y < s->seen.y + s->seen.height; y++)
-        for (int x = s->seen.x; x < s->seen.x + s->seen.width; x++) {
-            const float value = density->value[(size_t)y * density->width + (size_t)x];
-            const struct gsn_point p =
-                gsn_affine_apply(map, (struct gsn_point){ x + 0.5, y + 0.5 });
+    for (size_t y = 0; y < density->height; y++)
+        for (size_t x = 0; x < density->width; x++) {
+            const float value = density->value[y * density->width + x];
+            const struct gsn_point at = { s->seen.x + (double)x + 0.5,
+                                          s->seen.y + (double)(y * apart) + 0.5 };
+            const struct gsn_point p = gsn_affine_apply(map, at);
             const double u = (p.x - order->origin.x) / CELL_UM;
             const double v = (p.y - order->origin.y) / CELL_UM;
 
@@ -119,15 +121,12 @@ static void gather(struct gsn_section_order *order, size_t plane,
         }
 }
 
-void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a,
-                           unsigned panel, const struct gsn_plane *density)
+void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a, size_t i,
+                           const struct gsn_plane *density, unsigned apart)
 {
-    for (size_t k = 0; order && k < order->count; k++) {
-        const struct gsn_assembly_section *s = &a->section[order->section[k]];
-
-        if (s->panel == panel)
-            gather(order, k, s, density);
-    }
+    for (size_t k = 0; order && k < order->count; k++)
+        if (order->section[k] == i)
+            gather(order, k, &a->section[i], density, apart);
 }
 
 /* Sums become means. What no section's box reached is glass; what was masked is not known. */

@@ -24,9 +24,10 @@ int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order
 void gsn_section_order_free(struct gsn_section_order *order);
 GSN_DEFINE_AUTO(gsn_section_order);
 
-/* Gathers the sections of one panel. density: of the whole panel, NaN where it is masked. */
-void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a,
-                           unsigned panel, const struct gsn_plane *density);
+/* Gathers the assembly's section i; nothing where it is not one of the order's. density: every
+ * apart-th row of its box, NaN where it is masked. Sections may be gathered side by side. */
+void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a, size_t i,
+                           const struct gsn_plane *density, unsigned apart);
 
 /* Compares all that was gathered; flags the sections. gives: ret_sequence. Fails with GSN_E_NOMEM.
  */

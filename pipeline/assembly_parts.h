@@ -21,9 +21,9 @@ void gsn_assembly_flag(struct gsn_assembly_section *section, const char *word);
 const struct gsn_specimen_panel *gsn_assembly_panel(const struct gsn_specimen *specimen,
                                                     unsigned number);
 
-/* The stack's voxels are as fine as the finest panel: its pixel, um; 0 where no panel has sections.
- */
-double gsn_assembly_finest_pixel(const struct gsn_specimen *specimen);
+/* The side of the stack's voxels, um: as the job states it, but never finer than the finest panel's
+ * pixel; 0 where no panel has sections. */
+double gsn_assembly_voxel(const struct gsn_specimen *specimen);
 struct gsn_box gsn_assembly_box_of_shape(const struct gsn_region *region);
 
 /* Voxels of the scan's own pixel size, on the mask's raster where that has the same step; mask may
@@ -52,6 +52,20 @@ int gsn_assembly_find_band(const struct gsn_specimen *specimen,
 /* Poses of all sections together. A stack that cannot be solved is a state, with a sentence. */
 int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err);
+
+/* The colour volume on the grid's lattice. */
+int gsn_assembly_place_colour(struct gsn_assembly *a, struct gsn_error *err);
+/* Cuts it down to what is left of the grid. */
+int gsn_assembly_crop_colour(struct gsn_assembly *a, struct gsn_error *err);
+/* What the samples of an opened panel mean as light. */
+struct gsn_assembly_light {
+    uint16_t *of_sample; /* owned, as is the next: stack_colour.h */
+    uint8_t *code;
+};
+/* gives: the tables. Fails with GSN_E_NOMEM. */
+int gsn_assembly_light(enum gsn_light light, unsigned bits, struct gsn_assembly_light *ret_light,
+                       struct gsn_error *err);
+void gsn_assembly_light_done(struct gsn_assembly_light *light);
 
 /* Opens every panel and lays its density into the grids that there are. */
 int gsn_assembly_work_panels(const struct gsn_specimen *specimen,

@@ -42,32 +42,47 @@ void gsn_columns_free(struct gsn_columns *columns)
     gsn_free(columns);
 }
 
-/* Every pixel of the section falls into the cell its centre lies in. */
-static void tally_section(const struct gsn_stack_section *s, struct gsn_plane *const od[3],
-                          const struct gsn_lattice *at, struct tally *tally)
+/* One row of pixels, each into the cell its centre lies in. od: R, G and B of them. */
+static void tally_row(const struct gsn_stack_section *s, int y, const float *density,
+                      float *const od[3], const struct gsn_lattice *at, struct tally *tally)
 {
-    const struct gsn_affine *m = &s->panel_to_block_um;
+    for (int x = 0; x < s->width; x++) {
+        const struct gsn_point um = gsn_affine_apply(
+            &s->panel_to_block_um, (struct gsn_point){ s->x + x + 0.5, s->y + y + 0.5 });
+        const double cx = floor((um.x - at->origin_um.x) / at->step_um.x + 0.5);
+        const double cy = floor((um.y - at->origin_um.y) / at->step_um.y + 0.5);
 
-    for (int y = s->y; y < s->y + s->height; y++)
-        for (int x = s->x; x < s->x + s->width; x++) {
-            const struct gsn_point um = gsn_affine_apply(m, (struct gsn_point){ x + 0.5, y + 0.5 });
-            const double cx = floor((um.x - at->origin_um.x) / at->step_um.x + 0.5);
-            const double cy = floor((um.y - at->origin_um.y) / at->step_um.y + 0.5);
-            const size_t i = (size_t)y * s->density->width + (size_t)x;
-            const float density = s->density->value[i];
+        if (isnan(density[x]) || !(cx >= 0 && cx < (double)at->nx && cy >= 0) ||
+            cy >= (double)at->ny)
+            continue;
 
-            if (isnan(density) || !(cx >= 0 && cx < (double)at->nx && cy >= 0) ||
-                cy >= (double)at->ny)
-                continue;
+        struct tally *t = &tally[(size_t)cy * at->nx + (size_t)cx];
 
-            struct tally *t = &tally[(size_t)cy * at->nx + (size_t)cx];
+        t->seen++;
+        if (od[0][x] + od[1][x] + od[2][x] <= (float)LEAST_TISSUE_OD)
+            continue;
+        t->tissue++;
+        t->sum += density[x];
+    }
+}
 
-            t->seen++;
-            if (od[0]->value[i] + od[1]->value[i] + od[2]->value[i] <= (float)LEAST_TISSUE_OD)
-                continue;
-            t->tissue++;
-            t->sum += density;
-        }
+static int tally_section(const struct gsn_stack_section *s, unsigned apart,
+                         const struct gsn_absorber *absorber, const struct gsn_lattice *at,
+                         struct tally *tally, struct gsn_error *err)
+{
+    const size_t width = (size_t)s->width;
+    gsn_auto_mem(float) row = gsn_alloc_array(3 * width, sizeof *row);
+    float *const od[3] = { row, row + width, row + 2 * width };
+
+    if (!row)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the cells of a section");
+    for (uint32_t k = 0; k < s->density->height; k++) {
+        const int y = (int)(k * apart);
+
+        gsn_absorber_row(absorber, (uint32_t)s->x, (uint32_t)(s->y + y), width, od);
+        tally_row(s, y, s->density->value + (size_t)k * width, od, at, tally);
+    }
+    return GSN_OK;
 }
 
 static void keep(const struct tally *tally, double pixels, size_t plane, float *density,
@@ -84,29 +99,28 @@ static void keep(const struct tally *tally, double pixels, size_t plane, float *
     }
 }
 
-int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *sections,
-                    size_t count, struct gsn_plane *const od[3], double interval_um,
+int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *section,
+                    unsigned apart, const struct gsn_absorber *absorber, double interval_um,
                     struct gsn_error *err)
 {
     const struct gsn_lattice *at = &columns->density->at;
     const size_t plane = at->nx * at->ny;
+    const double z = interval_um * (section->serial + 0.5);
+    const double k = round((z - at->origin_um.z) / at->step_um.z);
+    const double px_um2 = apart * fabs(gsn_affine_det(&section->panel_to_block_um));
+    gsn_auto_mem(struct tally) tally = NULL;
+    int r;
 
-    for (size_t s = 0; s < count; s++) {
-        const double z = interval_um * (sections[s].serial + 0.5);
-        const double k = round((z - at->origin_um.z) / at->step_um.z);
-        const double px_um2 = fabs(gsn_affine_det(&sections[s].panel_to_block_um));
-        gsn_auto_mem(struct tally) tally = NULL;
-
-        if (!(k >= 0 && k < (double)at->nz))
-            continue;
-        tally = gsn_alloc_array(plane, sizeof *tally);
-        if (!tally)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the cells of a section");
-        tally_section(&sections[s], od, at, tally);
-        keep(tally, at->step_um.x * at->step_um.y / px_um2, plane,
-             columns->density->value + (size_t)k * plane,
-             columns->tissue->value + (size_t)k * plane);
-    }
+    if (!(k >= 0 && k < (double)at->nz))
+        return GSN_OK;
+    tally = gsn_alloc_array(plane, sizeof *tally);
+    if (!tally)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the cells of a section");
+    r = tally_section(section, apart, absorber, at, tally, err);
+    if (r < 0)
+        return r;
+    keep(tally, at->step_um.x * at->step_um.y / px_um2, plane,
+         columns->density->value + (size_t)k * plane, columns->tissue->value + (size_t)k * plane);
     return GSN_OK;
 }
 

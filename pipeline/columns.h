@@ -7,6 +7,7 @@
 
 #include "pipeline/core/grid.h"
 #include "pipeline/register/stack.h"
+#include "pipeline/stain/absorb.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -26,10 +27,11 @@ int gsn_columns_new(const struct gsn_lattice *at, struct gsn_columns **ret_colum
 void gsn_columns_free(struct gsn_columns *columns);
 GSN_DEFINE_AUTO(gsn_columns);
 
-/* Adds sections of one panel; a plane that was filled before is filled anew. od: the panel's
- * optical density, that tells tissue from glass. Fails with GSN_E_NOMEM. borrows: all. */
-int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *sections,
-                    size_t count, struct gsn_plane *const od[3], double interval_um,
+/* Adds a section; a plane that was filled before is filled anew. Its density holds every apart-th
+ * row of its box; absorber: of its panel, tells tissue from glass. Sections of different planes may
+ * be added side by side. Fails with GSN_E_NOMEM. borrows: all. */
+int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *section,
+                    unsigned apart, const struct gsn_absorber *absorber, double interval_um,
                     struct gsn_error *err);
 
 /* gives: per cell of one plane whether a region lies above or below it, or within margin_um.

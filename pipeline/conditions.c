@@ -1,6 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/conditions.h"
 
+#include "pipeline/masking.h"
+#include "pipeline/register/panel_reduce.h"
+#include "pipeline/stain/absorb.h"
 #include "pipeline/stain/age.h"
 
 #include <math.h>
@@ -10,6 +13,8 @@
 /* Bands of the blank glass may differ by this much, 2.3 % of the light: it moves a density of 0.7
  * by 1.4 %. The vignetting that the glass's surface cannot follow stays below 0.008. */
 static const double STEADY_OD = 0.01;
+/* Dust of half a cell still darkens it. */
+static const double CELL_UM = 20;
 /* Around a mark, in its radii: bleached rim and blur. */
 static const double MARK_RADII = 2;
 
@@ -42,9 +47,42 @@ static struct gsn_pixel_box box_of_all(const struct gsn_assembly *a, unsigned pa
                    : (struct gsn_pixel_box){ 0, 0, 0, 0 };
 }
 
-static int add_dust(const struct gsn_scan *scan, unsigned panel, const struct gsn_pixel_box *box,
-                    struct gsn_assembly *a, struct gsn_error *err)
+/* A panel in cells, and what is asked of it there. */
+struct look {
+    const struct gsn_scan *scan;
+    struct gsn_assembly_panel *panel;
+    struct gsn_assembly *a;
+    int side; /* pixels of the panel along a cell */
+    struct gsn_plane *od[3];
+};
+
+static struct gsn_pixel_box in_cells(const struct gsn_pixel_box *box, int side)
 {
+    return (struct gsn_pixel_box){ box->x / side, box->y / side,
+                                   (box->x + box->width) / side - box->x / side,
+                                   (box->y + box->height) / side - box->y / side };
+}
+
+static int see_cells(struct look *look, struct gsn_error *err)
+{
+    const struct gsn_image *image = look->scan->picture->image;
+    struct gsn_glass glass = look->scan->glass;
+    gsn_auto(gsn_image) small = NULL;
+    int r;
+
+    look->side = (int)fmax(1, floor(CELL_UM / look->scan->px_um));
+    look->panel->cell_px = (unsigned)look->side;
+    r = gsn_panel_reduce(image, (unsigned)look->side, &small, err);
+    if (r < 0)
+        return r;
+    glass.width = small->width;
+    glass.height = small->height;
+    return gsn_absorb_thin(small, &glass, 1, look->od, err);
+}
+
+static int add_dust(const struct look *look, const struct gsn_pixel_box *box, struct gsn_error *err)
+{
+    struct gsn_assembly *a = look->a;
     gsn_auto_mem(struct gsn_mask_disc) mark =
         gsn_alloc_array(GSN_MARKS * a->section_count + 1, sizeof *mark);
     size_t count = 0;
@@ -55,37 +93,83 @@ static int add_dust(const struct gsn_scan *scan, unsigned panel, const struct gs
     if (r < 0)
         return r;
     for (size_t i = 0; i < a->section_count; i++)
-        for (size_t m = 0; is_there(&a->section[i], panel) && m < GSN_MARKS; m++)
-            if (a->section[i].seen.mark[m].found)
-                mark[count++] = (struct gsn_mask_disc){
-                    .px = { a->section[i].seen.mark[m].px.x, a->section[i].seen.mark[m].px.y },
-                    .radius_px = MARK_RADII * a->section[i].seen.mark[m].radius_px
-                };
-    return gsn_dust_add(a->dust, scan->od, scan->px_um, scan->turn, box, mark, count, err);
+        for (size_t m = 0; is_there(&a->section[i], look->panel->given->number) && m < GSN_MARKS;
+             m++) {
+            const struct gsn_mark *one = &a->section[i].seen.mark[m];
+
+            if (one->found)
+                mark[count++] =
+                    (struct gsn_mask_disc){ .px = { one->px.x / look->side,
+                                                    one->px.y / look->side },
+                                            .radius_px = MARK_RADII * one->radius_px / look->side };
+        }
+    return gsn_dust_add(a->dust, look->od, look->scan->px_um * look->side, look->scan->turn, box,
+                        mark, count, err);
 }
 
-int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_plane *density,
+/* gives: in cells of the box 0, or NaN where the section is masked. */
+static int mask_of(const struct look *look, const struct gsn_mask_labels *labels, size_t i,
+                   const struct gsn_pixel_box *box, struct gsn_plane **ret_mask,
+                   struct gsn_error *err)
+{
+    const size_t section = gsn_masking_index(look->a, i);
+    struct gsn_plane *mask = NULL;
+    const int r = gsn_plane_new(look->od[0]->width, look->od[0]->height, &mask, err);
+
+    if (r < 0)
+        return r;
+    for (int y = box->y; y < box->y + box->height; y++)
+        for (int x = box->x; x < box->x + box->width; x++)
+            if (gsn_mask_label(labels, section, x * look->side + look->side / 2,
+                               y * look->side + look->side / 2))
+                mask->value[(size_t)y * mask->width + (size_t)x] = NAN;
+    *ret_mask = mask;
+    return GSN_OK;
+}
+
+static int add_tone(const struct look *look, const struct gsn_mask_labels *labels, size_t i,
+                    struct gsn_error *err)
+{
+    struct gsn_assembly_section *s = &look->a->section[i];
+    const struct gsn_pixel_box whole = box_of(&s->seen);
+    const struct gsn_pixel_box box = in_cells(&whole, look->side);
+    gsn_auto(gsn_plane) mask = NULL;
+    int r = mask_of(look, labels, i, &box, &mask, err);
+
+    if (r >= 0)
+        r = gsn_tone_of(look->od, mask, &look->panel->stain.fit.dyes, &box, &s->tone, err);
+    if (r >= 0)
+        look->panel->tone = gsn_tone_sum(&look->panel->tone, &s->tone);
+    return r;
+}
+
+static int look_at_cells(const struct look *look, const struct gsn_mask_labels *labels,
+                         struct gsn_error *err)
+{
+    const struct gsn_pixel_box whole = box_of_all(look->a, look->panel->given->number);
+    const struct gsn_pixel_box box = in_cells(&whole, look->side);
+    int r = GSN_OK;
+
+    look->panel->turn = look->scan->turn;
+    look->panel->lamp = gsn_lamp_look(look->od, &box);
+    for (size_t i = 0; i < look->a->section_count && r >= 0; i++)
+        if (is_there(&look->a->section[i], look->panel->given->number))
+            r = add_tone(look, labels, i, err);
+    return r < 0 ? r : add_dust(look, &box, err);
+}
+
+int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_mask_labels *labels,
                         struct gsn_assembly_panel *panel, struct gsn_assembly *a,
                         struct gsn_error *err)
 {
-    const unsigned number = panel->given->number;
-    const struct gsn_pixel_box box = box_of_all(a, number);
+    struct look look = { .scan = scan, .panel = panel, .a = a };
+    int r = see_cells(&look, err);
 
-    panel->turn = scan->turn;
-    panel->lamp = gsn_lamp_look(scan->od, &box);
-    for (size_t i = 0; i < a->section_count; i++) {
-        struct gsn_assembly_section *s = &a->section[i];
-        const struct gsn_pixel_box own = box_of(&s->seen);
-        int r;
-
-        if (!is_there(s, number))
-            continue;
-        r = gsn_tone_of(scan->od, density, &panel->stain.fit.dyes, &own, &s->tone, err);
-        if (r < 0)
-            return r;
-        panel->tone = gsn_tone_sum(&panel->tone, &s->tone);
-    }
-    return add_dust(scan, number, &box, a, err);
+    if (r >= 0)
+        r = look_at_cells(&look, labels, err);
+    for (int c = 0; c < 3; c++)
+        gsn_plane_free(look.od[c]);
+    return r;
 }
 
 /* ---- thickness ------------------------------------------------------------------------------ */
@@ -197,7 +281,10 @@ static void mask_dust(const struct gsn_specimen *specimen, struct gsn_assembly *
         if (!panel || (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
             continue;
         for (size_t k = 0; k < a->spot_count; k++) {
-            const struct gsn_mask_disc spot = gsn_dust_upright(a->dust, &a->spot[k], panel->turn);
+            const struct gsn_mask_disc cells = gsn_dust_upright(a->dust, &a->spot[k], panel->turn);
+            const struct gsn_mask_disc spot = { .px = { cells.px.x * panel->cell_px,
+                                                        cells.px.y * panel->cell_px },
+                                                .radius_px = cells.radius_px * panel->cell_px };
 
             if (!covers(&spot, &s->seen))
                 continue;

@@ -12,53 +12,37 @@ static const double STRONGEST = 0.95;
 
 enum { MOST_SAMPLES = 100000, LEAST_SAMPLES = 200 };
 
-static int is_used(const struct gsn_assembly_section *s)
+unsigned gsn_evenness_apart(int width, int height)
 {
-    return s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL;
+    return (unsigned)((double)width * height / MOST_SAMPLES) + 1;
 }
 
-/* NaN where the section has too little tissue. sample has room for MOST_SAMPLES. */
-static double strength_of(const struct gsn_panel_section *seen, const struct gsn_plane *density,
-                          double *sample)
+int gsn_evenness_of_section(const struct gsn_plane *density, double *ret_strength,
+                            struct gsn_error *err)
 {
-    const size_t width = (size_t)seen->width, pixels = width * (size_t)seen->height;
-    const size_t stride = pixels / MOST_SAMPLES + 1;
+    const size_t pixels = (size_t)density->width * density->height;
+    gsn_auto_mem(double) sample = gsn_alloc_array(pixels, sizeof *sample);
     size_t count = 0;
 
-    for (size_t i = 0; i < pixels; i += stride) {
-        const size_t x = (size_t)seen->x + i % width, y = (size_t)seen->y + i / width;
-        const double value = (double)density->value[y * density->width + x];
-
-        if (value > PALE)
-            sample[count++] = value;
-    }
-    return count < LEAST_SAMPLES
-               ? (double)NAN
-               : gsn_order_pick(sample, count, (size_t)(STRONGEST * (double)count));
-}
-
-int gsn_evenness_of_panel(const struct gsn_assembly *a, unsigned panel,
-                          const struct gsn_plane *density, double *ret_strength,
-                          struct gsn_error *err)
-{
-    gsn_auto_mem(double) sample = gsn_alloc_array(MOST_SAMPLES, sizeof *sample);
-    gsn_auto_mem(double) strength = gsn_alloc_array(a->section_count, sizeof *strength);
-    size_t count = 0;
-
-    if (!sample || !strength)
+    if (!sample)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the strength of a stain");
-    for (size_t i = 0; i < a->section_count; i++) {
-        const struct gsn_assembly_section *s = &a->section[i];
-        double one;
-
-        if (s->panel != panel || !is_used(s))
-            continue;
-        one = strength_of(&s->seen, density, sample);
-        if (!isnan(one))
-            strength[count++] = one;
-    }
-    *ret_strength = count > 0 ? gsn_order_pick(strength, count, count / 2) : (double)NAN;
+    for (size_t i = 0; i < pixels; i++)
+        if ((double)density->value[i] > PALE)
+            sample[count++] = density->value[i];
+    *ret_strength = count < LEAST_SAMPLES
+                        ? (double)NAN
+                        : gsn_order_pick(sample, count, (size_t)(STRONGEST * (double)count));
     return GSN_OK;
+}
+
+double gsn_evenness_of_panel(double *strength, size_t count)
+{
+    size_t known = 0;
+
+    for (size_t i = 0; i < count; i++)
+        if (!isnan(strength[i]))
+            strength[known++] = strength[i];
+    return known > 0 ? gsn_order_pick(strength, known, known / 2) : (double)NAN;
 }
 
 /* Student's t for 95 %, two sides, over that of the normal distribution. */

@@ -9,17 +9,22 @@
 #ifndef GSN_PIPELINE_EVENNESS_H
 #define GSN_PIPELINE_EVENNESS_H
 
-#include "pipeline/assembly.h"
+#include "pipeline/core/error.h"
+#include "pipeline/core/image.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* Density of the strongest stained twentieth of the tissue, median over the panel's used sections;
- * NaN where it has none. density: of the whole panel; NaN: masked. Fails with GSN_E_NOMEM. */
-int gsn_evenness_of_panel(const struct gsn_assembly *a, unsigned panel,
-                          const struct gsn_plane *density, double *ret_strength,
-                          struct gsn_error *err);
+/* Density of the strongest stained twentieth of a section's tissue; NaN where it has too little.
+ * density: pixels of its box; NaN: masked. Fails with GSN_E_NOMEM. */
+int gsn_evenness_of_section(const struct gsn_plane *density, double *ret_strength,
+                            struct gsn_error *err);
+/* Of a panel: the median of its sections, NaN where none has one; reorders them. */
+double gsn_evenness_of_panel(double *strength, size_t count);
+
+/* Every how manieth row of a box tells the strength as well as all of them. */
+unsigned gsn_evenness_apart(int width, int height);
 
 struct gsn_evenness {
     size_t panels;  /* with a strength */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/masking.h"
 
+#include <limits.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -40,16 +41,19 @@ static void add_flags(struct gsn_assembly_section *s)
 }
 
 int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
-                     unsigned threads, struct gsn_assembly *a, struct gsn_image **ret_labels,
+                     unsigned threads, struct gsn_assembly *a, struct gsn_mask_labels **ret_labels,
                      struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_mask_section) places =
         gsn_alloc_array(a->section_count, sizeof *places);
     gsn_auto_mem(struct gsn_mask_figures) figures =
         gsn_alloc_array(a->section_count, sizeof *figures);
-    struct gsn_mask_panel look = {
-        .od = scan->od, .glass = &scan->glass, .dyes = dyes, .px_um = scan->px_um, .section = places
-    };
+    struct gsn_mask_panel look = { .image = scan->picture->image,
+                                   .od = scan->od,
+                                   .glass = &scan->glass,
+                                   .dyes = dyes,
+                                   .px_um = scan->px_um,
+                                   .section = places };
     int r;
 
     if (!places || !figures)
@@ -66,20 +70,29 @@ int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, u
     return r;
 }
 
-/* The label of the pixel that shows this voxel; a pixel outside of the panel has none. */
-static unsigned label_at(const struct gsn_image *labels, const struct gsn_affine *block_to_panel,
-                         struct gsn_vec3 u)
+size_t gsn_masking_index(const struct gsn_assembly *a, size_t i)
+{
+    size_t index = 0;
+
+    for (size_t k = 0; k < i; k++)
+        index += (size_t)is_there(&a->section[k], a->section[i].panel);
+    return index;
+}
+
+/* The label of the pixel of section k that shows this voxel. */
+static unsigned label_at(const struct gsn_mask_labels *labels, size_t k,
+                         const struct gsn_affine *block_to_panel, struct gsn_vec3 u)
 {
     const struct gsn_point um = { u.x, u.y };
     const struct gsn_point px = gsn_affine_apply(block_to_panel, um);
 
-    if (!(px.x >= 0 && px.y >= 0 && px.x < labels->width && px.y < labels->height))
+    if (!(px.x >= 0 && px.y >= 0 && px.x < INT_MAX && px.y < INT_MAX))
         return 0;
-    return gsn_image_at(labels, (uint32_t)px.x, (uint32_t)px.y, 0);
+    return gsn_mask_label(labels, k, (int)px.x, (int)px.y);
 }
 
-static void count_plane(const struct gsn_image *labels, const struct gsn_mask *region, size_t z,
-                        struct gsn_assembly_section *s)
+static void count_plane(const struct gsn_mask_labels *labels, size_t k,
+                        const struct gsn_mask *region, size_t z, struct gsn_assembly_section *s)
 {
     const struct gsn_affine block_to_panel = gsn_affine_inverse(&s->pose.panel_to_block_um);
     const struct gsn_lattice *at = &region->at;
@@ -91,7 +104,7 @@ static void count_plane(const struct gsn_image *labels, const struct gsn_mask *r
 
             if (!region->inside[gsn_lattice_index(at, x, y, z)])
                 continue;
-            label = label_at(labels, &block_to_panel, gsn_lattice_centre(at, x, y, z));
+            label = label_at(labels, k, &block_to_panel, gsn_lattice_centre(at, x, y, z));
             all++;
             masked += label != 0;
             for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
@@ -112,7 +125,7 @@ static size_t plane_of(const struct gsn_assembly_section *s, double interval_um,
     return z >= 0 && z < (double)at->nz ? (size_t)z : at->nz;
 }
 
-void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double interval_um,
+void gsn_masking_region(const struct gsn_mask_labels *labels, unsigned panel, double interval_um,
                         struct gsn_assembly *a)
 {
     for (size_t i = 0; a->region && i < a->section_count; i++) {
@@ -120,7 +133,7 @@ void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double i
         const size_t z = plane_of(s, interval_um, &a->region->at);
 
         if (is_there(s, panel) && s->posed && z < a->region->at.nz)
-            count_plane(labels, a->region, z, s);
+            count_plane(labels, gsn_masking_index(a, i), a->region, z, s);
     }
 }
 

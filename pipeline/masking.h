@@ -12,17 +12,21 @@
 extern "C" {
 #endif
 
-/* gives: the labels of the panel (stain/mask.h). Fills `masked` of its sections in the assembly,
- * adds a flag for each reason but the halos of the marks, which every section has, and leaves the
- * shares of the region to gsn_masking_region(). borrows: scan, dyes.
- * Fails as gsn_mask_find(). */
+/* gives: the labels of the panel's sections (stain/mask.h). Fills `masked` of its sections in the
+ * assembly, adds a flag for each reason but the halos of the marks, which every section has, and
+ * leaves the shares of the region to gsn_masking_region(). borrows: scan, dyes. Fails as
+ * gsn_mask_find(). */
 int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
-                     unsigned threads, struct gsn_assembly *assembly, struct gsn_image **ret_labels,
-                     struct gsn_error *err);
+                     unsigned threads, struct gsn_assembly *assembly,
+                     struct gsn_mask_labels **ret_labels, struct gsn_error *err);
+
+/* Which of the labels' sections the assembly's section i is; it lies on that panel and has a box.
+ */
+size_t gsn_masking_index(const struct gsn_assembly *assembly, size_t i);
 
 /* Counts, for each posed section of the panel, what share of its part of the region is masked, by
  * the voxels of the assembly's region. Nothing without a region. */
-void gsn_masking_region(const struct gsn_image *labels, unsigned panel, double interval_um,
+void gsn_masking_region(const struct gsn_mask_labels *labels, unsigned panel, double interval_um,
                         struct gsn_assembly *assembly);
 
 /* The same where the region is known only after the stack was made: the share of each section's

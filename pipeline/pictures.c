@@ -94,43 +94,68 @@ static int cut(const struct gsn_grid *grid, const struct gsn_mask *region,
     return r < 0 ? r : keep(both, picture, err);
 }
 
-static int cuts(const struct gsn_grid *grid, const struct gsn_mask *region,
-                const struct scale *scale, unsigned threads, struct gsn_account *account,
-                struct gsn_error *err)
+static const struct {
+    enum gsn_axis axis;
+    const char *id, *title, *colour_id, *colour_title, *name, *seen;
+} PLANES[] = { { GSN_AXIS_Z, "cut-z", "Cut across z, as sectioned", "colour-z",
+                 "The same cut in true colour, as sectioned", "z", "x right, y down" },
+               { GSN_AXIS_Y, "cut-y", "Cut across y, through the stack", "colour-y",
+                 "The same cut in true colour, across y", "y", "x right, z down" },
+               { GSN_AXIS_X, "cut-x", "Cut across x, through the stack", "colour-x",
+                 "The same cut in true colour, across x", "x", "y right, z down" } };
+
+static double along(enum gsn_axis axis, struct gsn_vec3 u)
 {
-    static const struct {
-        enum gsn_axis axis;
-        const char *id, *title, *seen;
-    } planes[] = { { GSN_AXIS_Z, "cut-z", "Cut across z, as sectioned", "x right, y down" },
-                   { GSN_AXIS_Y, "cut-y", "Cut across y, through the stack", "x right, z down" },
-                   { GSN_AXIS_X, "cut-x", "Cut across x, through the stack", "y right, z down" } };
+    return axis == GSN_AXIS_X ? u.x : axis == GSN_AXIS_Y ? u.y : u.z;
+}
+
+/* The sections themselves on the same plane, for whoever knows what tissue looks like. */
+static int colour_cut(const struct gsn_colour_grid *colour, const struct gsn_mask *region,
+                      const struct gsn_cut_frame *frame, size_t i, struct gsn_account *account,
+                      struct gsn_error *err)
+{
+    struct gsn_account_picture *picture =
+        next(account, PLANES[i].colour_id, PLANES[i].colour_title);
+    gsn_auto(gsn_image) image = NULL;
+    int r = gsn_cut_colour(colour, frame, region, "true colour", &image, err);
+
+    if (r >= 0)
+        r = keep(image, picture, err);
+    if (r < 0)
+        return r;
+    (void)snprintf(picture->caption, sizeof picture->caption,
+                   "The registered sections as scanned, voxel by voxel, at %s = %.0f um; %s. "
+                   "Hatched: no section. The line is the region of interest.",
+                   PLANES[i].name, frame->at_um, PLANES[i].seen);
+    account->picture_count++;
+    return GSN_OK;
+}
+
+static int cuts(const struct gsn_grid *grid, const struct gsn_mask *region,
+                const struct scale *scale, const struct gsn_account_options *options,
+                struct gsn_account *account, struct gsn_error *err)
+{
     struct gsn_vec3 centre;
     int r = gsn_cut_centre(region, &centre, err);
 
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < sizeof planes / sizeof planes[0]; i++) {
-        struct gsn_account_picture *picture = next(account, planes[i].id, planes[i].title);
+    for (size_t i = 0; r >= 0 && i < sizeof PLANES / sizeof PLANES[0]; i++) {
+        struct gsn_account_picture *picture = next(account, PLANES[i].id, PLANES[i].title);
         struct gsn_cut_frame frame;
 
-        r = gsn_cut_frame(region, planes[i].axis, centre, CUT_PX, &frame, err);
+        r = gsn_cut_frame(region, PLANES[i].axis, centre, CUT_PX, &frame, err);
         if (r >= 0)
-            r = cut(grid, region, &frame, scale, threads, account, picture, err);
+            r = cut(grid, region, &frame, scale, options->threads, account, picture, err);
         if (r < 0)
             return r;
         (void)snprintf(picture->caption, sizeof picture->caption,
                        "Voxels as registered (left) and the fitted spline (right) at %s = %.0f um; "
                        "%s. Hatched: no data. The line is the region of interest.",
-                       i == 0   ? "z"
-                       : i == 1 ? "y"
-                                : "x",
-                       i == 0   ? centre.z
-                       : i == 1 ? centre.y
-                                : centre.x,
-                       planes[i].seen);
+                       PLANES[i].name, along(PLANES[i].axis, centre), PLANES[i].seen);
         account->picture_count++;
+        if (options->colour)
+            r = colour_cut(options->colour, region, &frame, i, account, err);
     }
-    return GSN_OK;
+    return r;
 }
 
 /* Seen a little from above and the side, so that all three extents show. */
@@ -205,7 +230,7 @@ int gsn_pictures_make(const struct gsn_grid *grid, const struct gsn_mask *region
         scale.unit = "value";
     }
     gsn_progress_say(options->progress, "pictures", 0, 5);
-    r = cuts(grid, region, &scale, options->threads, account, err);
+    r = cuts(grid, region, &scale, options, account, err);
     gsn_progress_say(options->progress, "pictures", 3, 5);
     if (r >= 0)
         r = xray(options, protocol->kind == GSN_KIND_VOLUME ? "value x um" : NULL, account, err);
@@ -213,14 +238,16 @@ int gsn_pictures_make(const struct gsn_grid *grid, const struct gsn_mask *region
     return r < 0 ? r : surface(options, account, err);
 }
 
-/* The mean colour of the pixels that one pixel of the small picture stands for. */
+/* The mean colour of the pixels that one pixel of the small picture stands for, of at most four by
+ * four of them: more would show nothing more. */
 static struct gsn_colour box_mean(const struct gsn_image *image, int x0, int y0, int x1, int y1)
 {
     const unsigned shift = image->bits == 16 ? 8 : 0;
+    const int right = (x1 - x0 + 3) / 4, down = (y1 - y0 + 3) / 4;
     unsigned long sum[3] = { 0 }, count = 0;
 
-    for (int y = y0; y < y1; y++)
-        for (int x = x0; x < x1; x++, count++)
+    for (int y = y0 + down / 2; y < y1; y += down)
+        for (int x = x0 + right / 2; x < x1; x += right, count++)
             for (unsigned c = 0; c < 3; c++)
                 sum[c] += gsn_image_at(image, (uint32_t)x, (uint32_t)y, c) >> shift;
     count = count ? count : 1;

@@ -369,10 +369,11 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const known[] = {
-        "specimen",  "study",  "group",   "animal",   "week",       "px_um",      "interval_um",
-        "panels",    "layout", "order",   "sections", "region",     "markers_um", "baseline",
-        "transfer",  "dyes",   "white",   "kind",     "thresholds", "tolerance",  "file",
-        "reference", "batch",  "comment", "strain",   "stained",    "scanned",    "yellow_to_red"
+        "specimen", "study",       "group",     "animal",   "week",         "px_um",
+        "voxel_um", "interval_um", "panels",    "layout",   "order",        "sections",
+        "region",   "markers_um",  "baseline",  "transfer", "dyes",         "white",
+        "kind",     "thresholds",  "tolerance", "file",     "reference",    "batch",
+        "comment",  "strain",      "stained",   "scanned",  "yellow_to_red"
     };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
@@ -408,6 +409,7 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = get_number(job, "week", 0, 10000, &p->week, err)) < 0 ||
         (r = get_number(job, "px_um", 0.01, 1000, &p->px_um, err)) < 0 ||
         (r = get_number(job, "interval_um", 0.1, 10000, &p->interval_um, err)) < 0 ||
+        (r = get_number(job, "voxel_um", 0.01, 1000, &p->voxel_um, err)) < 0 ||
         (r = get_number(job, "tolerance", 1e-9, 1e9, &p->tolerance, err)) < 0 ||
         (r = get_count(job, "panels", 10000, &p->panels, err)) < 0 ||
         (r = get_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||

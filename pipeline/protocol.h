@@ -50,6 +50,7 @@ struct gsn_protocol {
     double week;                             /* NaN when not stated */
     double px_um;                            /* of the scan; 0 when not stated */
     double interval_um;
+    double voxel_um; /* of the stack, in the plane of a section; 0: the finest panel's pixel */
     unsigned panels, rows, columns, sections;
     enum gsn_stated_order order;
     enum gsn_stated_transfer transfer;

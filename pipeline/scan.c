@@ -154,8 +154,17 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
     return GSN_OK;
 }
 
+/* A tile is small, and all of it is mapped; of a panel two million pixels tell dyes, tissue and
+ * noise as well as fifty do. */
+static unsigned apart_of(const struct gsn_image *image, const struct gsn_protocol *protocol)
+{
+    const double most = 1 << 21, pixels = (double)image->width * image->height;
+
+    return protocol->kind == GSN_KIND_TILE ? 1 : (unsigned)ceil(sqrt(fmax(pixels / most, 1)));
+}
+
 int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
+                  const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
                   struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
@@ -167,9 +176,9 @@ int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
     light = light_of(scan, protocol);
     r = protocol->has_white ? give_glass(scan, protocol, light, err)
                             : gsn_glass_estimate(scan->picture->image, light, &scan->glass, err);
+    scan->apart = apart_of(scan->picture->image, protocol);
     if (r >= 0)
-        r = gsn_optical_density(scan->picture->image, &scan->glass, threads, scan->od,
-                                &scan->clipped, err);
+        r = gsn_absorb_thin(scan->picture->image, &scan->glass, scan->apart, scan->od, err);
     if (r < 0)
         return r;
     *ret_scan = gsn_steal(&scan);

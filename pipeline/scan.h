@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* One scanned picture, opened: decoded, its light understood, its glass measured, its colours
- * turned into optical density. What a panel and a single tile have in common. */
+ * read as optical density. What a panel and a single tile have in common. */
 #ifndef GSN_PIPELINE_SCAN_H
 #define GSN_PIPELINE_SCAN_H
 
@@ -17,13 +17,14 @@ extern "C" {
 struct gsn_scan {
     struct gsn_picture *picture; /* RGB */
     struct gsn_glass glass;
-    struct gsn_plane *od[3]; /* NULL after gsn_scan_survey() */
+    struct gsn_plane *od[3]; /* of every apart-th pixel in both directions, for statistics;
+                                NULL after gsn_scan_survey() */
+    unsigned apart;          /* 1 for a tile */
     struct gsn_plane *total; /* R + G + B optical density in cells of step x step pixels, after
                                 gsn_scan_survey(); else NULL */
     unsigned step;
     struct gsn_dust_turn turn; /* how the picture was turned upright */
     double px_um;              /* the job's, else the file's; never 0 */
-    size_t clipped;            /* pixels with a channel at 0 */
     char note[300];            /* what was assumed, "; " between; empty when nothing was */
 };
 
@@ -36,7 +37,7 @@ struct gsn_scan {
  * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
  * borrows: bytes, protocol. */
 int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, unsigned threads, struct gsn_scan **ret_scan,
+                  const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
                   struct gsn_error *err);
 /* The same for one look at a panel: the glass is measured on the picture made small, which costs a
  * fiftieth, and optical density is there in cells only. Fails as gsn_scan_open(). */

@@ -39,21 +39,24 @@ static int keep_poses(const struct gsn_assembly *a, struct gsn_specimen_result *
 }
 
 static struct gsn_account_options account_options(const struct gsn_specimen_options *options,
-                                                  const struct gsn_grid *shown)
+                                                  const struct gsn_grid *shown,
+                                                  const struct gsn_colour_grid *colour)
 {
     return (struct gsn_account_options){ .mesher = options->mesher,
                                          .threads = options->threads,
                                          .progress = options->progress,
-                                         .shown = shown };
+                                         .shown = shown,
+                                         .colour = colour };
 }
 
 /* Makes the account, or says in why what stands against it. */
 static int try_account(const struct gsn_grid *grid, const struct gsn_grid *shown,
-                       const struct gsn_mask *region, const struct gsn_specimen *specimen,
+                       const struct gsn_colour_grid *colour, const struct gsn_mask *region,
+                       const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options, struct gsn_account **ret_account,
                        struct gsn_error *why, struct gsn_error *err)
 {
-    const struct gsn_account_options how = account_options(options, shown);
+    const struct gsn_account_options how = account_options(options, shown, colour);
     const int r = gsn_account_make(grid, region, specimen->protocol, &how, ret_account, why);
 
     if (r < 0 && !is_about_evidence(r)) {
@@ -87,8 +90,8 @@ static int account_of_stack(const struct gsn_assembly *assembly,
         r = gsn_bridge_gaps(bridged, assembly->region, ret_bridge, err);
     if (r < 0)
         return r;
-    return try_account(bridged, assembly->grid, assembly->region, specimen, options, ret_account,
-                       why, err);
+    return try_account(bridged, assembly->grid, assembly->colour, assembly->region, specimen,
+                       options, ret_account, why, err);
 }
 
 static int work_sections(const struct gsn_specimen *specimen,
@@ -118,6 +121,10 @@ static int work_sections(const struct gsn_specimen *specimen,
     if (r < 0 && !is_about_evidence(r))
         return r;
     if (assembly && (r = keep_poses(assembly, result, err)) < 0)
+        return r;
+    if (assembly && assembly->grid &&
+        (r = gsn_colour_grid_nrrd(assembly->colour, &result->colour, &result->colour_size, err)) <
+            0)
         return r;
     evidence.assembly = assembly;
     evidence.account = account;
@@ -159,8 +166,8 @@ static int work_volume(const struct gsn_specimen *specimen,
         return r;
     }
     if (r >= 0)
-        r = try_account(specimen->volume, NULL, made ? made : specimen->region, specimen, options,
-                        &account, &why, err);
+        r = try_account(specimen->volume, NULL, NULL, made ? made : specimen->region, specimen,
+                        options, &account, &why, err);
     if (r < 0 && !is_about_evidence(r))
         return r;
     evidence.account = account;
@@ -218,6 +225,7 @@ void gsn_specimen_result_free(struct gsn_specimen_result *result)
         return;
     gsn_free(result->json);
     gsn_free(result->html);
+    gsn_free(result->colour);
     gsn_free(result->pose);
     gsn_free(result->stain);
     gsn_free(result);

@@ -105,6 +105,8 @@ struct gsn_specimen_result {
     char message[480]; /* why withheld, or empty */
     char *json, *html; /* owned */
     size_t json_size, html_size;
+    uint8_t *colour; /* owned; the true-colour volume as a file (NRRD); NULL without sections */
+    size_t colour_size;
     char definition[96], dyes[48];
     size_t pose_count;
     struct gsn_specimen_pose *pose; /* owned */

@@ -3,6 +3,7 @@
 
 #include "pipeline/assembly_order.h"
 #include "pipeline/conditions.h"
+#include "pipeline/core/hash.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/pose_words.h"
 #include "pipeline/report/report.h"
@@ -47,7 +48,8 @@ struct draft {
     struct gsn_report_volume volume[GSN_ACCOUNT_THRESHOLDS];
     struct gsn_report_picture picture[GSN_ACCOUNT_PICTURES];
     struct gsn_report_value measure[MOST_ROWS], parameter[MOST_ROWS];
-    struct gsn_report_input *input;
+    struct gsn_report_input *input, output;
+    struct gsn_digest colour;
     struct gsn_report_registration registration;
     struct gsn_report_fit fit;
     struct gsn_report_units units;
@@ -1006,6 +1008,25 @@ static int write_report(const struct gsn_evidence *e, struct draft *d,
     return GSN_OK;
 }
 
+/* Volumes that are kept as files beside the report. */
+static int fill_outputs(const struct gsn_specimen_result *result, struct draft *d,
+                        struct gsn_error *err)
+{
+    int r;
+
+    if (!result->colour)
+        return GSN_OK;
+    r = gsn_sha256(result->colour, result->colour_size, &d->colour, err);
+    if (r < 0)
+        return r;
+    d->output = (struct gsn_report_input){ .name = "colour.nrrd",
+                                           .sha256 = d->colour.hex,
+                                           .size = result->colour_size };
+    d->report.outputs = &d->output;
+    d->report.output_count = 1;
+    return GSN_OK;
+}
+
 int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *result,
                   struct gsn_error *err)
 {
@@ -1033,7 +1054,9 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
         fill_loss(e, &d);
     fill_parameters(e, &d);
     judge(e, &d);
-    r = write_report(e, &d, result, err);
+    r = fill_outputs(result, &d, err);
+    if (r >= 0)
+        r = write_report(e, &d, result, err);
     draft_done(&d);
     return r;
 }

@@ -15,7 +15,7 @@
 
 /* Where a report lies: reports/SPECIMEN/KEY, so that the same work makes the same files. */
 struct place {
-    char *html, *json; /* paths */
+    char *html, *json, *colour; /* paths */
     struct gsn_digest html_is, json_is;
 };
 
@@ -23,6 +23,7 @@ static void place_done(struct place *place)
 {
     gsn_free(place->html);
     gsn_free(place->json);
+    gsn_free(place->colour);
 }
 
 static int write_files(struct gsn_store *store, const char *specimen, const char *key,
@@ -38,13 +39,17 @@ static int write_files(struct gsn_store *store, const char *specimen, const char
     of_run = gsn_format("%s/%.16s", folder, key);
     place->html = gsn_format("%s/%.16s/report.html", folder, key);
     place->json = gsn_format("%s/%.16s/report.json", folder, key);
-    if (!of_run || !place->html || !place->json)
+    place->colour = gsn_format("%s/%.16s/colour.nrrd", folder, key);
+    if (!of_run || !place->html || !place->json || !place->colour)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the report's place");
     r = gsn_file_mkdir(of_run, err);
     if (r >= 0)
         r = gsn_file_write(place->html, result->html, result->html_size, err);
     if (r >= 0)
         r = gsn_file_write(place->json, result->json, result->json_size, err);
+    if (r >= 0)
+        r = result->colour ? gsn_file_write(place->colour, result->colour, result->colour_size, err)
+                           : GSN_OK;
     if (r >= 0)
         r = gsn_sha256(result->html, result->html_size, &place->html_is, err);
     if (r >= 0)

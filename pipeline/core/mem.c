@@ -6,10 +6,22 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 
 void *gsn_alloc(size_t size)
 {
     return gsn_mem_door(NULL, size ? size : 1);
+}
+
+/* A picture's worth of memory is touched for the first time in pages of 2 MiB where the system has
+ * them: in pages of 4 KiB that costs as much as decoding it. */
+static void ask_for_large_pages(void *memory, size_t size)
+{
+    const uintptr_t page = (uintptr_t)2 << 20, at = (uintptr_t)memory;
+    const uintptr_t first = (at + page - 1) & ~(page - 1), end = (at + size) & ~(page - 1);
+
+    if (end > first && end - first >= 2 * page)
+        (void)madvise((char *)memory + (first - at), end - first, MADV_HUGEPAGE);
 }
 
 void *gsn_alloc_array(size_t count, size_t size)
@@ -19,6 +31,8 @@ void *gsn_alloc_array(size_t count, size_t size)
     if (size && count > SIZE_MAX / size)
         return NULL;
     memory = gsn_alloc(count * size);
+    if (memory)
+        ask_for_large_pages(memory, count * size);
     if (memory)
         memset(memory, 0, count * size);
     return memory;

@@ -5,39 +5,65 @@
 
 #include <assert.h>
 #include <math.h>
+#include <string.h>
+
+/* A section with the way back into its pixels. */
+struct source {
+    const struct gsn_stack_section *section;
+    struct gsn_affine back;        /* block um to pixels of the plane */
+    long left, top, right, bottom; /* of the plane, what may be read; ends exclusive */
+    double reach;                  /* gsn_stack_reach() */
+};
 
 struct job {
     struct gsn_grid *grid;
-    const struct gsn_stack_section **of_plane; /* nz: the section of each plane, or NULL */
+    const struct source *sources;
+    size_t count;
+    size_t *planes; /* of the grid, those with a section: which */
+    size_t *of;     /* and whose */
 };
 
-/* Keys' cubic convolution kernel with a = -1/2, for the taps at -1, 0, 1, 2 and the fraction t. */
-static void keys(double t, double weight[4])
-{
-    const double t2 = t * t, t3 = t2 * t;
+/* Four floats at once on every machine, so that all give the same bits. */
+typedef float four __attribute__((vector_size(16)));
 
-    weight[0] = -0.5 * t3 + t2 - 0.5 * t;
-    weight[1] = 1.5 * t3 - 2.5 * t2 + 1;
-    weight[2] = -1.5 * t3 + 2 * t2 + 0.5 * t;
-    weight[3] = 0.5 * t3 - 0.5 * t2;
+static four load(const float *from)
+{
+    four value;
+
+    memcpy(&value, from, sizeof value);
+    return value;
+}
+
+/* Keys' cubic convolution kernel with a = -1/2, for the taps at -1, 0, 1, 2 and the fraction t. */
+static four keys(float t)
+{
+    const four c0 = { 0, 1, 0, 0 }, c1 = { -0.5F, 0, 0.5F, 0 }, c2 = { 1, -2.5F, 2, -0.5F },
+               c3 = { -0.5F, 1.5F, -1.5F, 0.5F };
+
+    return ((c3 * t + c2) * t + c1) * t + c0;
+}
+
+static int has(const struct source *s, long x, long y)
+{
+    return x >= s->left && y >= s->top && x < s->right && y < s->bottom;
 }
 
 /* The pixel, or NaN outside the section's box. */
-static double tap(const struct gsn_stack_section *s, long x, long y)
+static float tap(const struct source *s, long x, long y)
 {
-    if (x < s->x || y < s->y || x >= (long)s->x + s->width || y >= (long)s->y + s->height)
-        return NAN;
-    return s->density->value[(size_t)y * s->density->width + (size_t)x];
+    const struct gsn_plane *density = s->section->density;
+
+    return has(s, x, y) ? density->value[(size_t)y * density->width + (size_t)x] : NAN;
 }
 
 /* Over the valid ones of the nearest four pixels, weights made to sum to 1. */
-static double bilinear(const struct gsn_stack_section *s, long x, long y, double tx, double ty)
+static float bilinear(const struct source *s, long x, long y, float tx, float ty)
 {
-    double sum = 0, weight = 0;
+    float sum = 0, weight = 0;
 
     for (int k = 0; k < 4; k++) {
-        const double w = (k % 2 ? tx : 1 - tx) * (k / 2 ? ty : 1 - ty);
-        const double value = tap(s, x + k % 2, y + k / 2);
+        const float w = (k % 2 ? tx : 1 - tx) * (k / 2 ? ty : 1 - ty);
+        const float value = tap(s, x + k % 2, y + k / 2);
 
         if (isnan(value))
             continue;
@@ -47,31 +73,69 @@ static double bilinear(const struct gsn_stack_section *s, long x, long y, double
     return weight > 0 ? sum / weight : NAN;
 }
 
-static double sample(const struct gsn_stack_section *s, struct gsn_point at)
+/* All 16 pixels lie in the box. NaN when one of them is. */
+static float cubic(const struct gsn_plane *density, long x, long y, float tx, float ty)
 {
-    const double fx = floor(at.x - 0.5), fy = floor(at.y - 0.5);
-    const double tx = at.x - 0.5 - fx, ty = at.y - 0.5 - fy;
-    double wx[4], wy[4], sum = 0;
+    const size_t width = density->width;
+    const float *row = density->value + (size_t)(y - 1) * width + (x - 1);
+    const four wy = keys(ty);
+    const four sum = keys(tx) * ((wy[0] * load(row) + wy[1] * load(row + width)) +
+                                 (wy[2] * load(row + 2 * width) + wy[3] * load(row + 3 * width)));
+
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+static float sample(const struct source *s, double px, double py)
+{
     long x, y;
+    float tx, ty, value;
 
     /* Far outside, where a long might not hold the number. */
-    if (!(at.x > s->x - 2.0 && at.y > s->y - 2.0 && at.x < (double)s->x + s->width + 2.0 &&
-          at.y < (double)s->y + s->height + 2.0))
+    if (!(px > (double)s->left - 2 && py > (double)s->top - 2 && px < (double)s->right + 2 &&
+          py < (double)s->bottom + 2))
         return NAN;
-    x = (long)fx;
-    y = (long)fy;
-    if (isnan(tap(s, x + (tx >= 0.5), y + (ty >= 0.5))))
-        return NAN;
-    keys(tx, wx);
-    keys(ty, wy);
-    for (int j = 0; j < 4; j++) {
-        double row = 0;
-
-        for (int i = 0; i < 4; i++)
-            row += wx[i] * tap(s, x + i - 1, y + j - 1);
-        sum += wy[j] * row;
+    /* Nothing is below -3 here, so cutting off the fraction rounds down. */
+    x = (long)(px + 7.5) - 8;
+    y = (long)(py + 7.5) - 8;
+    tx = (float)(px - 0.5 - (double)x);
+    ty = (float)(py - 0.5 - (double)y);
+    if (has(s, x - 1, y - 1) && has(s, x + 2, y + 2)) {
+        value = cubic(s->section->density, x, y, tx, ty);
+        if (!isnan(value))
+            return value;
     }
-    return isnan(sum) ? bilinear(s, x, y, tx, ty) : sum;
+    return isnan(tap(s, x + (tx >= 0.5F), y + (ty >= 0.5F))) ? NAN : bilinear(s, x, y, tx, ty);
+}
+
+static double keys_at(double x)
+{
+    const double t = fabs(x);
+
+    return t >= 2 ? 0 : t > 1 ? ((-0.5 * t + 2.5) * t - 4) * t + 2 : (1.5 * t - 2.5) * t * t + 1;
+}
+
+/* The kernel of a coarse voxel, two voxels to either side. */
+static float sample_wide(const struct source *s, double px, double py)
+{
+    const double wide = 2 * s->reach;
+    double sum = 0, valid = 0, all = 0;
+
+    if (!(px > (double)s->left - wide && py > (double)s->top - wide &&
+          px < (double)s->right + wide && py < (double)s->bottom + wide))
+        return NAN;
+    for (long y = (long)floor(py - wide); (double)y < py + wide; y++) {
+        const double wy = keys_at(((double)y + 0.5 - py) / s->reach);
+
+        for (long x = (long)floor(px - wide); (double)x < px + wide; x++) {
+            const double w = wy * keys_at(((double)x + 0.5 - px) / s->reach);
+            const float value = tap(s, x, y);
+
+            all += w;
+            valid += isnan(value) ? 0 : w;
+            sum += isnan(value) ? 0 : w * value;
+        }
+    }
+    return valid > 0.5 * all ? (float)(sum / valid) : NAN;
 }
 
 /* One row of the lattice; every row is written by one call, so the threads cannot matter. */
@@ -79,19 +143,20 @@ static int fill_row(size_t index, void *context, struct gsn_error *err)
 {
     const struct job *job = context;
     const struct gsn_lattice *at = &job->grid->at;
-    const size_t y = index % at->ny, z = index / at->ny;
-    const struct gsn_stack_section *section = job->of_plane[z];
-    float *row = job->grid->value + gsn_lattice_index(at, 0, y, z);
-    struct gsn_affine block_to_panel;
+    const size_t y = index % at->ny, k = index / at->ny;
+    const struct source *source = &job->sources[job->of[k]];
+    const struct gsn_affine *back = &source->back;
+    const struct gsn_vec3 first = gsn_lattice_centre(at, 0, y, job->planes[k]);
+    float *row = job->grid->value + gsn_lattice_index(at, 0, y, job->planes[k]);
 
     (void)err;
-    if (section)
-        block_to_panel = gsn_affine_inverse(&section->panel_to_block_um);
     for (size_t x = 0; x < at->nx; x++) {
-        const struct gsn_vec3 centre = gsn_lattice_centre(at, x, y, z);
-        const struct gsn_point um = { centre.x, centre.y };
+        const double um = first.x + (double)x * at->step_um.x;
 
-        row[x] = section ? (float)sample(section, gsn_affine_apply(&block_to_panel, um)) : NAN;
+        const double px = back->m00 * um + back->m01 * first.y + back->m02;
+        const double py = back->m10 * um + back->m11 * first.y + back->m12;
+
+        row[x] = source->reach > 1 ? sample_wide(source, px, py) : sample(source, px, py);
     }
     return GSN_OK;
 }
@@ -102,9 +167,9 @@ static int check_section(const struct gsn_stack_section *s, struct gsn_error *er
 
     if (!s->density)
         return gsn_fail(err, GSN_E_INPUT, "section %u has no pixels", s->serial + 1);
-    if (s->x < 0 || s->y < 0 || s->width < 1 || s->height < 1 ||
-        (uint64_t)s->x + (uint64_t)s->width > s->density->width ||
-        (uint64_t)s->y + (uint64_t)s->height > s->density->height)
+    if (s->x < s->plane_x || s->y < s->plane_y || s->width < 1 || s->height < 1 ||
+        (int64_t)s->x - s->plane_x + s->width > s->density->width ||
+        (int64_t)s->y - s->plane_y + s->height > s->density->height)
         return gsn_fail(err, GSN_E_INPUT, "the box of section %u reaches outside its panel",
                         s->serial + 1);
     if (!isfinite(det) || det == 0 || !isfinite(s->panel_to_block_um.m02) ||
@@ -130,48 +195,106 @@ static int check(const struct gsn_stack_section *sections, size_t count, struct 
     return GSN_OK;
 }
 
-static const struct gsn_stack_section *section_of(const struct gsn_stack_section *sections,
-                                                  size_t count, double serial)
+static struct source source_of(const struct gsn_stack_section *section,
+                               const struct gsn_lattice *at)
 {
-    for (size_t i = 0; i < count; i++) {
-        if ((double)sections[i].serial == serial)
-            return &sections[i];
-    }
-    return NULL;
+    struct source source = { .section = section,
+                             .back = gsn_affine_inverse(&section->panel_to_block_um),
+                             .left = (long)section->x - section->plane_x,
+                             .top = (long)section->y - section->plane_y,
+                             .reach = gsn_stack_reach(&section->panel_to_block_um, at) };
+
+    source.back.m02 -= section->plane_x;
+    source.back.m12 -= section->plane_y;
+    source.right = source.left + section->width;
+    source.bottom = source.top + section->height;
+    return source;
 }
 
-int gsn_stack_resample(const struct gsn_stack_section *sections, size_t count,
-                       const struct gsn_lattice *at, double interval_um, unsigned threads,
-                       struct gsn_grid **ret_grid, struct gsn_error *err)
+int gsn_stack_shows(const struct gsn_lattice *at, double interval_um, size_t z, unsigned serial)
 {
-    gsn_auto(gsn_grid) grid = NULL;
-    gsn_auto_mem(const struct gsn_stack_section *) of_plane = NULL;
+    return round(gsn_lattice_centre(at, 0, 0, z).z / interval_um - 0.5) == (double)serial;
+}
+
+double gsn_stack_reach(const struct gsn_affine *panel_to_block_um, const struct gsn_lattice *at)
+{
+    const double pixel_um = sqrt(fabs(gsn_affine_det(panel_to_block_um)));
+    const double reach = sqrt(fabs(at->step_um.x * at->step_um.y)) / pixel_um;
+
+    return reach > 1.01 ? reach : 1;
+}
+
+int gsn_stack_footprint(const struct gsn_lattice *at, double interval_um,
+                        struct gsn_stack_section *section)
+{
+    /* Cubic convolution reaches two voxels; the rest is for rounding. */
+    const double reach = 2 * gsn_stack_reach(&section->panel_to_block_um, at) + 1;
+    const struct gsn_affine back = gsn_affine_inverse(&section->panel_to_block_um);
+    double left = INFINITY, top = INFINITY, right = -INFINITY, bottom = -INFINITY;
+    size_t planes = 0;
+
+    for (size_t z = 0; z < at->nz; z++)
+        planes += (size_t)gsn_stack_shows(at, interval_um, z, section->serial);
+    for (size_t corner = 0; corner < 4; corner++) {
+        const struct gsn_vec3 um =
+            gsn_lattice_centre(at, corner % 2 ? at->nx - 1 : 0, corner / 2 ? at->ny - 1 : 0, 0);
+        const struct gsn_point px = gsn_affine_apply(&back, (struct gsn_point){ um.x, um.y });
+
+        left = fmin(left, px.x - reach);
+        top = fmin(top, px.y - reach);
+        right = fmax(right, px.x + reach);
+        bottom = fmax(bottom, px.y + reach);
+    }
+    left = fmax(floor(left), section->x);
+    top = fmax(floor(top), section->y);
+    right = fmin(ceil(right), (double)section->x + section->width);
+    bottom = fmin(ceil(bottom), (double)section->y + section->height);
+    if (planes == 0 || !(left < right && top < bottom))
+        return 0;
+    section->x = (int)left;
+    section->y = (int)top;
+    section->width = (int)(right - left);
+    section->height = (int)(bottom - top);
+    return 1;
+}
+
+static int fill(struct job *job, double interval_um, unsigned threads, struct gsn_error *err)
+{
+    const struct gsn_lattice *at = &job->grid->at;
+    size_t planes = 0;
+
+    for (size_t z = 0; z < at->nz; z++)
+        for (size_t i = 0; i < job->count; i++)
+            if (gsn_stack_shows(at, interval_um, z, job->sources[i].section->serial)) {
+                job->planes[planes] = z;
+                job->of[planes++] = i;
+            }
+    return gsn_parallel_for(at->ny * planes, threads, fill_row, job, err);
+}
+
+int gsn_stack_resample(const struct gsn_stack_section *sections, size_t count, double interval_um,
+                       unsigned threads, struct gsn_grid *grid, struct gsn_error *err)
+{
+    gsn_auto_mem(struct source) sources = NULL;
+    gsn_auto_mem(size_t) planes = NULL;
+    gsn_auto_mem(size_t) of = NULL;
     struct job job;
     int r;
 
-    assert((sections || count == 0) && at && ret_grid);
+    assert((sections || count == 0) && grid);
 
     if (!(interval_um > 0))
         return gsn_fail(err, GSN_E_INPUT, "a section interval of %g um", interval_um);
     r = check(sections, count, err);
     if (r < 0)
         return r;
-    r = gsn_grid_new(at, &grid, err);
-    if (r < 0)
-        return r;
-    of_plane = gsn_alloc_array(at->nz, sizeof *of_plane);
-    if (!of_plane)
+    sources = gsn_alloc_array(count + 1, sizeof *sources);
+    planes = gsn_alloc_array(grid->at.nz, sizeof *planes);
+    of = gsn_alloc_array(grid->at.nz, sizeof *of);
+    if (!sources || !planes || !of)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the stack");
-    for (size_t z = 0; z < at->nz; z++) {
-        const double z_um = gsn_lattice_centre(at, 0, 0, z).z;
-
-        of_plane[z] = section_of(sections, count, round(z_um / interval_um - 0.5));
-    }
-
-    job = (struct job){ .grid = grid, .of_plane = of_plane };
-    r = gsn_parallel_for(at->ny * at->nz, threads, fill_row, &job, err);
-    if (r < 0)
-        return r;
-    *ret_grid = gsn_steal(&grid);
-    return GSN_OK;
+    for (size_t i = 0; i < count; i++)
+        sources[i] = source_of(&sections[i], &grid->at);
+    job = (struct job){ grid, sources, count, planes, of };
+    return fill(&job, interval_um, threads, err);
 }

@@ -176,16 +176,24 @@ static size_t cell_of(double at, double origin, double step, size_t n)
     return cell >= 0.0 && cell < (double)n ? (size_t)cell : n;
 }
 
-static float grid_at(const struct gsn_grid *grid, struct gsn_vec3 p)
+/* Which voxel a point lies in; returns 0 beyond the lattice. */
+static int voxel_of(const struct gsn_lattice *at, struct gsn_vec3 p, size_t *ret_index)
 {
-    const struct gsn_lattice *at = &grid->at;
     const size_t x = cell_of(p.x, at->origin_um.x, at->step_um.x, at->nx);
     const size_t y = cell_of(p.y, at->origin_um.y, at->step_um.y, at->ny);
     const size_t z = cell_of(p.z, at->origin_um.z, at->step_um.z, at->nz);
 
     if (x >= at->nx || y >= at->ny || z >= at->nz)
-        return NAN;
-    return grid->value[gsn_lattice_index(at, x, y, z)];
+        return 0;
+    *ret_index = gsn_lattice_index(at, x, y, z);
+    return 1;
+}
+
+static float grid_at(const struct gsn_grid *grid, struct gsn_vec3 p)
+{
+    size_t index;
+
+    return voxel_of(&grid->at, p, &index) ? grid->value[index] : NAN;
 }
 
 int gsn_cut_grid(const struct gsn_grid *grid, const struct gsn_cut_frame *frame,
@@ -239,6 +247,17 @@ static void draw_outline(struct gsn_image *sheet, int x0, int y0, const struct g
     }
 }
 
+enum { NOTE = 64 };
+
+static void describe(const struct gsn_cut_frame *frame, char note[NOTE])
+{
+    int right, down;
+
+    plane_axes(frame->axis, &right, &down);
+    (void)snprintf(note, NOTE, "%c = %.0f \xc2\xb5m  (%c right, %c down)", axis_name[frame->axis],
+                   frame->at_um, axis_name[right], axis_name[down]);
+}
+
 int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *frame,
                   const struct gsn_mask *region, const struct gsn_cut_style *style,
                   struct gsn_image **ret_image, struct gsn_error *err)
@@ -251,13 +270,11 @@ int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *fra
                                .low = style->low,
                                .high = style->high,
                                .map = style->map };
-    char note[64];
-    int r, x, y, right, down;
+    char note[NOTE];
+    int r, x, y;
 
     assert(plane->width == frame->width && plane->height == frame->height);
-    plane_axes(frame->axis, &right, &down);
-    (void)snprintf(note, sizeof note, "%c = %.0f \xc2\xb5m  (%c right, %c down)",
-                   axis_name[frame->axis], frame->at_um, axis_name[right], axis_name[down]);
+    describe(frame, note);
     plate.note = note;
     gsn_plate_range(plane, &plate.low, &plate.high);
     r = gsn_plate_new(&plate, plane->width, plane->height, &sheet, &x, &y, err);
@@ -266,6 +283,48 @@ int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *fra
     gsn_plate_fill(sheet, x, y, plane, plate.map, plate.low, plate.high);
     if (region)
         draw_outline(sheet, x, y, frame, region);
+    *ret_image = gsn_steal(&sheet);
+    return GSN_OK;
+}
+
+/* Returns 0 where there is no data. */
+static int colour_at(const struct gsn_colour_grid *grid, struct gsn_vec3 p,
+                     struct gsn_colour *ret_colour)
+{
+    const uint8_t *rgb;
+    size_t index;
+
+    if (!voxel_of(&grid->at, p, &index))
+        return 0;
+    rgb = grid->rgb + 3 * index;
+    *ret_colour = (struct gsn_colour){ .r = rgb[0], .g = rgb[1], .b = rgb[2] };
+    return rgb[0] || rgb[1] || rgb[2];
+}
+
+int gsn_cut_colour(const struct gsn_colour_grid *grid, const struct gsn_cut_frame *frame,
+                   const struct gsn_mask *region, const char *title, struct gsn_image **ret_image,
+                   struct gsn_error *err)
+{
+    gsn_auto(gsn_image) sheet = NULL;
+    char note[NOTE];
+    const struct gsn_plate plate = { .title = title, .note = note, .um_per_px = frame->um_per_px };
+    int r, x0, y0;
+
+    describe(frame, note);
+    r = gsn_plate_new(&plate, frame->width, frame->height, &sheet, &x0, &y0, err);
+    if (r < 0)
+        return r;
+    for (uint32_t j = 0; j < frame->height; j++)
+        for (uint32_t i = 0; i < frame->width; i++) {
+            struct gsn_colour colour;
+
+            if (colour_at(grid, gsn_cut_pixel(frame, i, j), &colour))
+                gsn_canvas_put(sheet, x0 + (int)i, y0 + (int)j, colour);
+            else
+                gsn_canvas_no_data(sheet, x0 + (int)i, y0 + (int)j);
+        }
+    if (region)
+        draw_outline(sheet, x0, y0, frame, region);
     *ret_image = gsn_steal(&sheet);
     return GSN_OK;
 }

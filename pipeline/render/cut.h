@@ -8,6 +8,7 @@
 #ifndef GSN_RENDER_CUT_H
 #define GSN_RENDER_CUT_H
 
+#include "pipeline/core/colour_grid.h"
 #include "pipeline/core/grid.h"
 #include "pipeline/model/spline.h"
 #include "pipeline/render/canvas.h"
@@ -65,6 +66,12 @@ void gsn_cut_range(const struct gsn_grid *grid, const struct gsn_mask *region, d
 int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *frame,
                   const struct gsn_mask *region, const struct gsn_cut_style *style,
                   struct gsn_image **ret_image, struct gsn_error *err);
+
+/* gives: the true colours on the frame, nearest voxels as they are, with outline and scale bar; no
+ * data is hatched. title and region may be NULL. Fails with GSN_E_NOMEM. */
+int gsn_cut_colour(const struct gsn_colour_grid *grid, const struct gsn_cut_frame *frame,
+                   const struct gsn_mask *region, const char *title, struct gsn_image **ret_image,
+                   struct gsn_error *err);
 
 #ifdef __cplusplus
 }

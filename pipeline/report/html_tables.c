@@ -208,17 +208,20 @@ void gsn_html_exclusions(struct gsn_text *text, const struct gsn_report *report)
     gsn_text_raw(text, "</section>\n");
 }
 
-static void add_inputs(struct gsn_text *text, const struct gsn_report *report)
+static void add_files(struct gsn_text *text, const char *title,
+                      const struct gsn_report_input *files, size_t count)
 {
-    gsn_text_raw(text, "<details open><summary>Input files</summary><div class=\"scroll\"><table>"
-                       "<thead><tr><th>File</th><th class=\"num\">Bytes</th><th>SHA-256</th></tr>"
+    gsn_text_raw(text, "<details open><summary>");
+    gsn_text_escape(text, title);
+    gsn_text_raw(text, "</summary><div class=\"scroll\"><table><thead><tr><th>File</th><th "
+                       "class=\"num\">Bytes</th><th>SHA-256</th></tr>"
                        "</thead><tbody>\n");
-    for (size_t i = 0; i < report->input_count; i++) {
-        open_row(text, report->inputs[i].name);
+    for (size_t i = 0; i < count; i++) {
+        open_row(text, files[i].name);
         gsn_text_raw(text, "<td class=\"num\">");
-        gsn_text_count(text, report->inputs[i].size);
+        gsn_text_count(text, files[i].size);
         gsn_text_raw(text, "</td><td class=\"hash\">");
-        gsn_text_escape(text, report->inputs[i].sha256);
+        gsn_text_escape(text, files[i].sha256);
         gsn_text_raw(text, "</td></tr>\n");
     }
     gsn_text_raw(text, "</tbody></table></div></details>\n");
@@ -263,7 +266,9 @@ void gsn_html_provenance(struct gsn_text *text, const struct gsn_report *report)
     close_table(text);
     gsn_text_raw(text, "<p></p>\n");
     if (report->input_count)
-        add_inputs(text, report);
+        add_files(text, "Input files", report->inputs, report->input_count);
+    if (report->output_count)
+        add_files(text, "Files beside this report", report->outputs, report->output_count);
     if (report->parameter_count)
         add_parameters(text, report);
     gsn_text_raw(text, "</section>\n");

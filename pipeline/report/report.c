@@ -354,21 +354,30 @@ static json_t *exclusions_of(const struct gsn_report *report, struct writer *wri
     return array;
 }
 
+static json_t *files_of(const struct gsn_report_input *files, size_t count, struct writer *writer)
+{
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < count; i++) {
+        json_t *file = json_object();
+
+        put(writer, file, "name", text_of(files[i].name));
+        put(writer, file, "bytes", count_of(files[i].size));
+        put(writer, file, "sha256", text_or_null(files[i].sha256));
+        append(writer, array, file);
+    }
+    return array;
+}
+
 static json_t *provenance_of(const struct gsn_report *report, struct writer *writer)
 {
-    json_t *object = json_object(), *inputs = json_array();
+    json_t *object = json_object();
 
-    for (size_t i = 0; i < report->input_count; i++) {
-        json_t *input = json_object();
-
-        put(writer, input, "name", text_of(report->inputs[i].name));
-        put(writer, input, "bytes", count_of(report->inputs[i].size));
-        put(writer, input, "sha256", text_or_null(report->inputs[i].sha256));
-        append(writer, inputs, input);
-    }
     put(writer, object, "version", text_of(report->version));
     put(writer, object, "key", text_of(report->key));
-    put(writer, object, "inputs", inputs);
+    put(writer, object, "inputs", files_of(report->inputs, report->input_count, writer));
+    if (report->output_count > 0)
+        put(writer, object, "outputs", files_of(report->outputs, report->output_count, writer));
     put(writer, object, "parameters",
         values_of(report->parameters, report->parameter_count, writer));
     return object;

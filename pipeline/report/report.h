@@ -190,6 +190,8 @@ struct gsn_report {
     const char *key;     /* the run's: a hash of inputs, parameters and version */
     const struct gsn_report_input *inputs;
     size_t input_count;
+    const struct gsn_report_input *outputs; /* files kept beside this report */
+    size_t output_count;
     const struct gsn_report_value *parameters;
     size_t parameter_count;
 };

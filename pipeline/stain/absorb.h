@@ -27,6 +27,54 @@ int gsn_absorb_box(const struct gsn_image *image, const struct gsn_glass *glass,
                    const struct gsn_pixel_box *box, unsigned planes, struct gsn_plane *ret_od[3],
                    struct gsn_error *err);
 
+/* gives: optical density of every apart-th pixel of every apart-th row, from the first on: single
+ * pixels with their own noise, for statistics that a few of them tell as well as all.
+ * Fails as gsn_optical_density(). */
+int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass, unsigned apart,
+                    struct gsn_plane *ret_od[3], struct gsn_error *err);
+
+/* ---- row by row --------------------------------------------------------------------------- */
+
+/* R + G + B optical density from which on a pixel counts as tissue. */
+#define GSN_TISSUE_OD 0.05F
+
+/* A picture ready to be read as optical density. One reader serves any number of threads. */
+struct gsn_absorber;
+
+/* gives; borrows image and glass. Fails as gsn_optical_density(). */
+int gsn_absorber_new(const struct gsn_image *image, const struct gsn_glass *glass,
+                     struct gsn_absorber **ret_absorber, struct gsn_error *err);
+void gsn_absorber_free(struct gsn_absorber *absorber);
+GSN_DEFINE_AUTO(gsn_absorber);
+
+/* R, G and B of count pixels from (x, y) on. */
+void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count,
+                      float *const od[3]);
+/* Whether a sample of these pixels is at either end of its codes, where it only says "or beyond".
+ */
+int gsn_absorber_at_end(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count);
+/* Whether the light of this pixel is not known: a channel at 0, or one or two at the top; all three
+ * at the top are bare glass. */
+int gsn_absorber_clipped(const struct gsn_absorber *absorber, uint32_t x, uint32_t y);
+
+/* Collagen-equivalent density, as gsn_unmix() tells it up to rounding. */
+struct gsn_red_reader;
+
+/* gives; borrows absorber. Fails as gsn_unmix(). */
+int gsn_red_reader_new(const struct gsn_absorber *absorber, const struct gsn_dyes *dyes,
+                       struct gsn_red_reader **ret_reader, struct gsn_error *err);
+void gsn_red_reader_free(struct gsn_red_reader *reader);
+GSN_DEFINE_AUTO(gsn_red_reader);
+
+/* Of count pixels from (x, y) on; NaN where they are tissue and clipped. scratch: 3 x count. */
+void gsn_red_reader_row(const struct gsn_red_reader *reader, uint32_t x, uint32_t y, size_t count,
+                        float *scratch, float *to);
+
+/* gives: the same inside the box, every apart-th row of it. The box lies in the picture. Fails with
+ * GSN_E_NOMEM. */
+int gsn_red_box(const struct gsn_red_reader *reader, const struct gsn_pixel_box *box,
+                unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

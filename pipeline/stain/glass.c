@@ -28,6 +28,7 @@
 
 enum {
     MOST_CELLS_ACROSS = 384,
+    TAPS = 10, /* pixels of a cell that are read, along each side: there are thousands of cells */
     SIDE_AT_LEAST = 16,
     BINS = 520, /* 10^-2.6 of full light is never glass */
     HALF_WINDOW = 3,
@@ -38,12 +39,13 @@ enum {
 struct cell {
     double light[3]; /* mean of log10 */
     double rough;    /* deviation of one pixel in it */
-    uint32_t top;    /* pixels with a channel at the highest code */
+    uint32_t top;    /* of the pixels read, those with a channel at the highest code */
     double weight;
 };
 
 struct cells {
     size_t nx, ny, side;
+    size_t apart, taps;     /* pixels read of a cell along each side, and how far from each other */
     uint32_t width, height; /* of the picture */
     struct cell *cell;
     double *scratch; /* nx * ny */
@@ -82,19 +84,22 @@ static double brightness(const struct cell *cell)
     return (cell->light[0] + cell->light[1] + cell->light[2]) / 3;
 }
 
-static void measure_cell(const struct gsn_image *image, const double *log_light, size_t x0,
-                         size_t y0, size_t side, struct cell *cell)
+static void measure_cell(const struct gsn_image *image, const double *log_light,
+                         const struct cells *all, size_t i, struct cell *cell)
 {
+    const size_t x0 = i % all->nx * all->side + all->apart / 2;
+    const size_t y0 = i / all->nx * all->side + all->apart / 2;
     const unsigned top = image->bits == 8 ? 255 : 65535;
-    const double n = (double)(side * side);
+    const double n = (double)(all->taps * all->taps);
     double sum[3] = { 0 }, squares[3] = { 0 }, variance = 0;
 
-    for (size_t y = y0; y < y0 + side; y++) {
-        for (size_t x = x0; x < x0 + side; x++) {
+    for (size_t v = 0; v < all->taps; v++) {
+        for (size_t u = 0; u < all->taps; u++) {
+            const uint32_t x = (uint32_t)(x0 + u * all->apart), y = (uint32_t)(y0 + v * all->apart);
             int at_top = 0;
 
             for (unsigned c = 0; c < 3; c++) {
-                const unsigned sample = gsn_image_at(image, (uint32_t)x, (uint32_t)y, c);
+                const unsigned sample = gsn_image_at(image, x, y, c);
 
                 sum[c] += log_light[sample];
                 squares[c] += log_light[sample] * log_light[sample];
@@ -121,6 +126,8 @@ static int cut_cells(const struct gsn_image *image, enum gsn_light light, struct
     if (r < 0)
         return r;
     ret->side = side < 2 ? 2 : side;
+    ret->apart = ret->side > TAPS ? ret->side / TAPS : 1;
+    ret->taps = ret->side / ret->apart;
     ret->width = image->width;
     ret->height = image->height;
     ret->nx = image->width / ret->side;
@@ -130,8 +137,7 @@ static int cut_cells(const struct gsn_image *image, enum gsn_light light, struct
     if (!ret->cell || !ret->scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the glass of a picture");
     for (size_t i = 0; i < ret->nx * ret->ny; i++)
-        measure_cell(image, log_light, i % ret->nx * ret->side, i / ret->nx * ret->side, ret->side,
-                     &ret->cell[i]);
+        measure_cell(image, log_light, ret, i, &ret->cell[i]);
     return GSN_OK;
 }
 
@@ -260,7 +266,7 @@ static void narrow(const struct cells *all, struct surface *surface)
     if (near == 0)
         return;
     rough = gsn_order_pick(all->scratch, near, near / 4);
-    surface->reach = fmax(LAST_REACH + 5 * rough / (double)all->side, 0.85 * surface->reach);
+    surface->reach = fmax(LAST_REACH + 5 * rough / (double)all->taps, 0.85 * surface->reach);
 }
 
 /* An even surface: the median colour of the smooth cells of this brightness. */
@@ -354,7 +360,7 @@ static void describe(const struct cells *all, struct gsn_glass *glass)
         all->scratch[near++] = all->cell[i].rough;
         top += all->cell[i].top;
     }
-    glass->overexposed = (double)top / (double)(near * all->side * all->side);
+    glass->overexposed = (double)top / (double)(near * all->taps * all->taps);
     glass->noise_od = gsn_order_pick(all->scratch, near, near / 2);
     for (unsigned c = 0; c < 3; c++) {
         double sum = 0;

@@ -31,6 +31,18 @@ const char *gsn_defect_reason(unsigned i)
     return WORDS[i][1];
 }
 
+/* What the cells of one section say. */
+struct box {
+    struct gsn_mask_section at;
+    uint32_t side, nx, rim;
+    uint16_t *label; /* owned */
+};
+
+struct gsn_mask_labels {
+    size_t count;
+    struct box *box; /* owned */
+};
+
 /* One section at work. */
 struct part {
     struct gsn_mask_cells *cells;
@@ -40,6 +52,7 @@ struct part {
 
 struct work {
     const struct gsn_mask_panel *panel;
+    const struct gsn_absorber *absorber;
     struct part *part; /* per section */
     double clear;      /* density below which is glass */
     double usual;      /* sharpness of the panel's sections */
@@ -57,7 +70,9 @@ static void work_done(struct work *work)
 /* Whether a pixel's centre, or a cell's, lies in a disc. */
 static int in_disc(const struct gsn_mask_disc *disc, double x, double y)
 {
-    return hypot(x - disc->px.x, y - disc->px.y) <= disc->radius_px;
+    const double dx = x - disc->px.x, dy = y - disc->px.y;
+
+    return dx * dx + dy * dy <= disc->radius_px * disc->radius_px;
 }
 
 static void mark_halos(const struct gsn_mask_section *section, struct gsn_mask_cells *cells)
@@ -79,7 +94,8 @@ static int look_at_section(size_t i, void *context, struct gsn_error *err)
     const struct work *work = context;
     const struct gsn_mask_section *section = &work->panel->section[i];
     struct part *part = &work->part[i];
-    int r = gsn_mask_cells_cut(work->panel, section, work->clear, &part->cells, err);
+    int r =
+        gsn_mask_cells_cut(work->panel, work->absorber, section, work->clear, &part->cells, err);
 
     if (r < 0)
         return r;
@@ -121,43 +137,11 @@ static int find_usual(struct work *work, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* From cells to pixels; halos are round to the pixel. */
-static void paint(const struct gsn_mask_section *section, const struct gsn_mask_cells *cells,
-                  struct gsn_image *labels)
-{
-    for (int y = 0; y < section->height; y++) {
-        const size_t row = (size_t)(cells->rim + (uint32_t)y / cells->side) * cells->nx;
-        uint16_t *out =
-            (uint16_t *)labels->samples + (size_t)(section->y + y) * labels->width + section->x;
-
-        for (int x = 0; x < section->width; x++)
-            out[x] =
-                (uint16_t)(out[x] | (cells->label[row + cells->rim + (uint32_t)x / cells->side] &
-                                     ~GSN_DEFECT_HALO));
-    }
-}
-
-static void paint_halo(const struct gsn_mask_disc *disc, struct gsn_image *labels)
-{
-    const double x0 = fmax(0, floor(disc->px.x - disc->radius_px));
-    const double y0 = fmax(0, floor(disc->px.y - disc->radius_px));
-    const double x1 = fmin(labels->width, disc->px.x + disc->radius_px + 1);
-    const double y1 = fmin(labels->height, disc->px.y + disc->radius_px + 1);
-
-    for (double y = y0; y < y1; y++)
-        for (double x = x0; x < x1; x++)
-            if (in_disc(disc, x + 0.5, y + 0.5)) {
-                uint16_t *at = (uint16_t *)labels->samples + (size_t)y * labels->width + (size_t)x;
-
-                *at = (uint16_t)(*at | GSN_DEFECT_HALO);
-            }
-}
-
 static struct gsn_mask_figures count(const struct part *part)
 {
     const struct gsn_mask_cells *cells = part->cells;
     const double area = cells->um * cells->um;
-    struct gsn_mask_figures figures = { .sharpness = part->median };
+    struct gsn_mask_figures figures = { .sharpness = part->median, .clipped = cells->clipped };
 
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++) {
         if (!cells->outline[i])
@@ -172,7 +156,7 @@ static struct gsn_mask_figures count(const struct part *part)
 
 static int check(const struct gsn_mask_panel *panel, struct gsn_error *err)
 {
-    const uint32_t width = panel->od[0]->width, height = panel->od[0]->height;
+    const uint32_t width = panel->image->width, height = panel->image->height;
 
     if (!(panel->px_um > 0))
         return gsn_fail(err, GSN_E_INPUT, "the pixel size must be positive to look for defects");
@@ -202,38 +186,129 @@ static int find(struct work *work, unsigned threads, struct gsn_error *err)
     return r < 0 ? r : gsn_parallel_for(sections, threads, compare_section, work, err);
 }
 
+/* Takes the labels out of the cells. */
+static int keep_labels(struct work *work, struct gsn_mask_labels **ret_labels,
+                       struct gsn_error *err)
+{
+    struct gsn_mask_labels *labels = gsn_alloc_array(1, sizeof *labels);
+
+    if (labels)
+        labels->box = gsn_alloc_array(work->panel->section_count, sizeof *labels->box);
+    if (!labels || !labels->box) {
+        gsn_mask_labels_free(labels);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    }
+    labels->count = work->panel->section_count;
+    for (size_t i = 0; i < labels->count; i++) {
+        const struct gsn_mask_cells *cells = work->part[i].cells;
+
+        labels->box[i] = (struct box){ .at = work->panel->section[i],
+                                       .side = cells->side,
+                                       .nx = cells->nx,
+                                       .rim = cells->rim,
+                                       .label = gsn_steal(&work->part[i].cells->label) };
+    }
+    *ret_labels = labels;
+    return GSN_OK;
+}
+
 int gsn_mask_find(const struct gsn_mask_panel *panel, unsigned threads,
-                  struct gsn_image **ret_labels, struct gsn_mask_figures *ret_figures,
+                  struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
                   struct gsn_error *err)
 {
     struct work work = { .panel = panel };
-    gsn_auto(gsn_image) labels = NULL;
+    gsn_auto(gsn_absorber) absorber = NULL;
     int r = check(panel, err);
 
     if (r >= 0)
-        r = gsn_image_new(panel->od[0]->width, panel->od[0]->height, 1, 16, &labels, err);
+        r = gsn_absorber_new(panel->image, panel->glass, &absorber, err);
     if (r < 0)
         return r;
+    work.absorber = absorber;
     work.part = gsn_alloc_array(panel->section_count, sizeof *work.part);
     r = work.part ? find(&work, threads, err)
                   : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    for (size_t i = 0; r >= 0 && i < panel->section_count; i++) {
-        paint(&panel->section[i], work.part[i].cells, labels);
-        for (size_t h = 0; h < panel->section[i].halo_count; h++)
-            paint_halo(&panel->section[i].halo[h], labels);
+    for (size_t i = 0; r >= 0 && i < panel->section_count; i++)
         ret_figures[i] = count(&work.part[i]);
-    }
-    work_done(&work);
     if (r >= 0)
-        *ret_labels = gsn_steal(&labels);
+        r = keep_labels(&work, ret_labels, err);
+    work_done(&work);
     return r;
 }
 
-void gsn_mask_apply(const struct gsn_image *labels, struct gsn_plane *density)
+void gsn_mask_labels_free(struct gsn_mask_labels *labels)
 {
-    const uint16_t *label = labels->samples;
+    if (!labels)
+        return;
+    for (size_t i = 0; i < labels->count; i++)
+        gsn_free(labels->box[i].label);
+    gsn_free(labels->box);
+    gsn_free(labels);
+}
 
-    for (size_t i = 0; i < (size_t)density->width * density->height; i++)
-        if (label[i])
-            density->value[i] = NAN;
+unsigned gsn_mask_label(const struct gsn_mask_labels *labels, size_t section, int x, int y)
+{
+    const struct box *box = &labels->box[section];
+    const int u = x - box->at.x, v = y - box->at.y;
+    unsigned label;
+
+    if (u < 0 || v < 0 || u >= box->at.width || v >= box->at.height)
+        return 0;
+    label = box->label[(size_t)(box->rim + (uint32_t)v / box->side) * box->nx + box->rim +
+                       (uint32_t)u / box->side] &
+            ~(unsigned)GSN_DEFECT_HALO;
+    for (size_t h = 0; h < box->at.halo_count; h++)
+        if (in_disc(&box->at.halo[h], x + 0.5, y + 0.5))
+            label |= GSN_DEFECT_HALO;
+    return label;
+}
+
+static int clamp(double value, int low, int high)
+{
+    return value < low ? low : value > high ? high : (int)value;
+}
+
+static void apply_disc(const struct gsn_mask_disc *disc, int x0, int y0, struct gsn_plane *density)
+{
+    const int left = clamp(disc->px.x - disc->radius_px - x0, 0, (int)density->width);
+    const int right = clamp(disc->px.x + disc->radius_px - x0 + 1, 0, (int)density->width);
+    const int top = clamp(disc->px.y - disc->radius_px - y0, 0, (int)density->height);
+    const int bottom = clamp(disc->px.y + disc->radius_px - y0 + 1, 0, (int)density->height);
+
+    for (int y = top; y < bottom; y++)
+        for (int x = left; x < right; x++)
+            if (in_disc(disc, x0 + x + 0.5, y0 + y + 0.5))
+                density->value[(size_t)y * density->width + (size_t)x] = NAN;
+}
+
+/* The cells' labels over one row, run by run; halos are not theirs to say. */
+static void apply_row(const struct box *box, const uint16_t *cell, int u, float *row, int width)
+{
+    const int end = u + width < box->at.width ? u + width : box->at.width;
+
+    for (int x = u < 0 ? 0 : u; x < end;) {
+        const int i = x / (int)box->side;
+        const int next = (i + 1) * (int)box->side < end ? (i + 1) * (int)box->side : end;
+
+        for (; x < next; x++)
+            if (cell[i] & ~GSN_DEFECT_HALO)
+                row[x - u] = NAN;
+    }
+}
+
+void gsn_mask_apply(const struct gsn_mask_labels *labels, size_t section, int x0, int y0,
+                    struct gsn_plane *density)
+{
+    const struct box *box = &labels->box[section];
+
+    for (uint32_t y = 0; y < density->height; y++) {
+        const int v = y0 + (int)y - box->at.y;
+
+        if (v >= 0 && v < box->at.height)
+            apply_row(
+                box, box->label + (size_t)(box->rim + (uint32_t)v / box->side) * box->nx + box->rim,
+                x0 - box->at.x, density->value + (size_t)y * density->width, (int)density->width);
+    }
+    for (size_t h = 0; h < box->at.halo_count; h++)
+        apply_disc(&box->at.halo[h], x0, y0, density);
 }

@@ -51,7 +51,9 @@ struct gsn_mask_section {
 };
 
 struct gsn_mask_panel {
-    struct gsn_plane *const *od; /* R, G, B */
+    const struct gsn_image *image; /* RGB */
+    struct gsn_plane *const *od;   /* R, G, B of the panel or of a sample of its pixels, from which
+                                      is told what is tissue and what is glass */
     const struct gsn_glass *glass;
     const struct gsn_dyes *dyes;
     double px_um;
@@ -65,18 +67,29 @@ struct gsn_mask_figures {
     double masked_um2;  /* for any reason */
     double area_um2[GSN_DEFECTS];
     double sharpness; /* of the section, see mask_blur.c; NaN where it shows no texture */
+    double clipped;   /* share of the tissue's pixels with a sample at either end of its codes */
 };
 
-/* gives: labels of the panel's size (16-bit grey, bits of enum gsn_defect), and one record per
- * section; borrows: all of panel. Does not depend on threads.
+/* The labels of a panel's sections, in cells; halos are round to the pixel. */
+struct gsn_mask_labels;
+void gsn_mask_labels_free(struct gsn_mask_labels *labels);
+GSN_DEFINE_AUTO(gsn_mask_labels);
+
+/* Bits of enum gsn_defect of a panel pixel, as the section-th of the panel's sections has it; 0
+ * beyond its box. */
+unsigned gsn_mask_label(const struct gsn_mask_labels *labels, size_t section, int x, int y);
+
+/* gives: the labels, and one record per section; borrows: all of panel. Does not depend on threads.
  * Fails with GSN_E_INPUT when a box lies outside the panel or px_um is not positive, as
  * gsn_unmix(), and with GSN_E_NOMEM. */
 int gsn_mask_find(const struct gsn_mask_panel *panel, unsigned threads,
-                  struct gsn_image **ret_labels, struct gsn_mask_figures *ret_figures,
+                  struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
                   struct gsn_error *err);
 
-/* Density is no number any more where a label is set. The sizes must agree. */
-void gsn_mask_apply(const struct gsn_image *labels, struct gsn_plane *density);
+/* Density is no number any more where the section has a label. (x0, y0): the panel pixel that the
+ * first of the plane is. */
+void gsn_mask_apply(const struct gsn_mask_labels *labels, size_t section, int x0, int y0,
+                    struct gsn_plane *density);
 
 #ifdef __cplusplus
 }

@@ -26,6 +26,8 @@ enum {
 /* A ring is seen along this share of its way, and not along a smaller share of it by chance: the
  * rest may lie beneath a fold or outside of the box. */
 #define SEEN 0.7
+/* No share of whole directions lies between this and the one above. */
+#define NEARLY_SEEN (SEEN - 1e-6)
 #define LEAST_IN_BOX 0.4
 
 struct ring {
@@ -33,30 +35,54 @@ struct ring {
     double seen;         /* share of the directions that show a rim */
 };
 
+/* Unit vectors all around. */
+struct compass {
+    double c[DIRECTIONS], s[DIRECTIONS];
+};
+
+static struct compass all_around(void)
+{
+    struct compass compass;
+
+    for (int i = 0; i < DIRECTIONS; i++) {
+        compass.c[i] = cos(2 * M_PI * i / DIRECTIONS);
+        compass.s[i] = sin(2 * M_PI * i / DIRECTIONS);
+    }
+    return compass;
+}
+
 static float at(const struct gsn_plane *plane, double x, double y)
 {
-    const long u = lround(x), v = lround(y);
+    const long u = (long)floor(x + 0.5), v = (long)floor(y + 0.5);
 
     if (u < 0 || v < 0 || u >= (long)plane->width || v >= (long)plane->height)
         return NAN;
     return plane->value[(size_t)v * plane->width + (size_t)u];
 }
 
-/* How well a rim shows at this radius: the share of the directions inside the box. */
-static double look(const struct gsn_mask_cells *cells, const struct gsn_plane *dark, double x,
-                   double y, double radius)
+/* How well a rim shows at this radius: the share of the directions inside the box. What cannot
+ * become more than `least` any more is 0. */
+static double look(const struct gsn_mask_cells *cells, const struct gsn_plane *dark,
+                   const struct compass *compass, const struct ring *ring, double least)
 {
     const double rim = RIM_UM / cells->um;
     int inside = 0, shows = 0;
 
     for (int i = 0; i < DIRECTIONS; i++) {
-        const double c = cos(2 * M_PI * i / DIRECTIONS), s = sin(2 * M_PI * i / DIRECTIONS);
-        const double u = x + radius * c, v = y + radius * s;
-        const float here = at(dark, u, v), in = at(dark, u - rim * c, v - rim * s),
-                    out = at(dark, u + rim * c, v + rim * s);
+        const double c = compass->c[i], s = compass->s[i];
+        const double u = ring->x + ring->radius * c, v = ring->y + ring->radius * s;
+        const int left = DIRECTIONS - i;
+        float here, in, out;
 
+        if (shows + left <= least * (inside + left))
+            return 0;
         if (u < cells->rim || v < cells->rim || u >= cells->nx - (double)cells->rim ||
-            v >= cells->ny - (double)cells->rim || isnan(here) || isnan(in) || isnan(out))
+            v >= cells->ny - (double)cells->rim)
+            continue;
+        here = at(dark, u, v);
+        in = at(dark, u - rim * c, v - rim * s);
+        out = at(dark, u + rim * c, v + rim * s);
+        if (isnan(here) || isnan(in) || isnan(out))
             continue;
         inside++;
         shows += here - in > RIM_OD && here - out > RIM_OD;
@@ -64,18 +90,20 @@ static double look(const struct gsn_mask_cells *cells, const struct gsn_plane *d
     return inside >= LEAST_IN_BOX * DIRECTIONS ? (double)shows / inside : 0;
 }
 
+/* The best ring around a place, of those that are seen well enough. */
 static struct ring best_ring(const struct gsn_mask_cells *cells, const struct gsn_plane *dark,
-                             double x, double y)
+                             const struct compass *compass, double x, double y)
 {
-    struct ring best = { .seen = 0 };
+    struct ring best = { .seen = NEARLY_SEEN };
 
     for (int v = -WANDER; v <= WANDER; v += 2)
         for (int u = -WANDER; u <= WANDER; u += 2)
             for (double r = LEAST_RADIUS_UM / cells->um; r <= MOST_RADIUS_UM / cells->um; r++) {
-                const double seen = look(cells, dark, x + u, y + v, r);
+                struct ring ring = { .x = x + u, .y = y + v, .radius = r };
 
-                if (seen > best.seen)
-                    best = (struct ring){ x + u, y + v, r, seen };
+                ring.seen = look(cells, dark, compass, &ring, best.seen);
+                if (ring.seen > best.seen)
+                    best = ring;
             }
     return best;
 }
@@ -94,7 +122,7 @@ static void vote(const struct gsn_mask_cells *cells, const struct gsn_plane *dar
         for (uint32_t x = 1; x + 1 < cells->nx; x++) {
             const float *p = dark->value + (size_t)y * cells->nx + x;
             const double gx = p[1] - p[-1], gy = p[cells->nx] - p[-(long)cells->nx];
-            const double g = hypot(gx, gy);
+            const double g = sqrt(gx * gx + gy * gy);
 
             if (g < STEEP || cells->label[(size_t)y * cells->nx + x])
                 continue;
@@ -132,6 +160,7 @@ static void add_disc(const struct gsn_mask_cells *cells, const struct ring *ring
 int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t nx = cells->nx / BIN + 1, ny = cells->ny / BIN + 1;
+    const struct compass compass = all_around();
     gsn_auto(gsn_plane) dark = NULL;
     gsn_auto_mem(uint32_t) votes = gsn_alloc_array(nx * ny, sizeof *votes);
     gsn_auto_mem(uint8_t) set = gsn_alloc_array((size_t)cells->nx * cells->ny, 1);
@@ -143,7 +172,7 @@ int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
     vote(cells, dark, votes);
     for (int i = 0; i < TRIES; i++) {
         const size_t best = take_best(votes, nx, ny);
-        const struct ring ring = best_ring(cells, dark, ((double)(best % nx) + 0.5) * BIN,
+        const struct ring ring = best_ring(cells, dark, &compass, ((double)(best % nx) + 0.5) * BIN,
                                            ((double)(best / nx) + 0.5) * BIN);
 
         if (ring.seen >= SEEN)

@@ -47,17 +47,38 @@ void gsn_mask_cells_free(struct gsn_mask_cells *cells)
 /* ---- neighbourhoods ---------------------------------------------------------------------- */
 
 /* Means over 2 r + 1 values of a line, fewer at its ends. */
-static void smooth_line(const float *in, float *out, size_t n, size_t stride, size_t r)
+static void smooth_line(const float *in, float *out, size_t n, size_t r)
 {
     double sum = 0;
     size_t first = 0, end = 0;
 
     for (size_t i = 0; i < n; i++) {
         for (; end < n && end <= i + r; end++)
-            sum += in[end * stride];
+            sum += in[end];
         for (; first + r < i; first++)
-            sum -= in[first * stride];
-        out[i * stride] = (float)(sum / (double)(end - first));
+            sum -= in[first];
+        out[i] = (float)(sum / (double)(end - first));
+    }
+}
+
+static void add_line(const float *line, double sign, double *sum, size_t n)
+{
+    for (size_t x = 0; x < n; x++)
+        sum[x] += sign * line[x];
+}
+
+/* The same down all columns at once, line by line as they lie in memory. sum: nx zeroes. */
+static void smooth_columns(const float *in, float *out, size_t nx, size_t ny, size_t r, double *sum)
+{
+    size_t first = 0, end = 0;
+
+    for (size_t y = 0; y < ny; y++) {
+        for (; end < ny && end <= y + r; end++)
+            add_line(in + end * nx, 1, sum, nx);
+        for (; first + r < y; first++)
+            add_line(in + first * nx, -1, sum, nx);
+        for (size_t x = 0; x < nx; x++)
+            out[y * nx + x] = (float)(sum[x] / (double)(end - first));
     }
 }
 
@@ -67,16 +88,17 @@ int gsn_mask_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_
     const size_t nx = plane->width, ny = plane->height;
     gsn_auto(gsn_plane) rows = NULL;
     gsn_auto(gsn_plane) all = NULL;
-    int code = gsn_plane_new(plane->width, plane->height, &rows, err);
+    gsn_auto_mem(double) sum = gsn_alloc_array(nx, sizeof *sum);
+    int code = sum ? gsn_plane_new(plane->width, plane->height, &rows, err)
+                   : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     if (code >= 0)
         code = gsn_plane_new(plane->width, plane->height, &all, err);
     if (code < 0)
         return code;
     for (size_t y = 0; y < ny; y++)
-        smooth_line(plane->value + y * nx, rows->value + y * nx, nx, 1, r);
-    for (size_t x = 0; x < nx; x++)
-        smooth_line(rows->value + x, all->value + x, ny, nx, r);
+        smooth_line(plane->value + y * nx, rows->value + y * nx, nx, r);
+    smooth_columns(rows->value, all->value, nx, ny, r, sum);
     *ret_smooth = gsn_steal(&all);
     return GSN_OK;
 }
@@ -87,13 +109,19 @@ static int near(const struct gsn_mask_cells *cells, uint8_t *set, uint8_t value,
 {
     const struct gsn_distance_box box = { cells->nx, cells->ny, 1, cells->um, cells->um, 1 };
     const size_t count = (size_t)cells->nx * cells->ny;
-    gsn_auto_mem(float) squared = gsn_alloc_array(count, sizeof *squared);
+    gsn_auto_mem(float) squared = NULL;
+    size_t members = 0;
     int r;
 
+    for (size_t i = 0; i < count; i++) {
+        set[i] = set[i] == value;
+        members += set[i];
+    }
+    if (members == 0) /* most sections have none of most defects */
+        return GSN_OK;
+    squared = gsn_alloc_array(count, sizeof *squared);
     if (!squared)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    for (size_t i = 0; i < count; i++)
-        set[i] = set[i] == value;
     r = gsn_distance_squared(set, &box, 1, squared, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         set[i] = squared[i] <= (float)(um * um);
@@ -259,17 +287,46 @@ static struct gsn_mask_cells sizes(const struct gsn_mask_panel *panel,
     return c;
 }
 
-/* Mean of the pixels of each cell; a masked pixel and the rim are clear glass. */
-static void average(const struct gsn_plane *od, const struct gsn_mask_cells *cells,
-                    const struct gsn_mask_section *section, struct gsn_plane *into)
-{
-    for (uint32_t y = 0; y < (uint32_t)section->height; y++) {
-        const float *row = od->value + (size_t)(section->y + (int)y) * od->width + section->x;
-        float *out = into->value + (size_t)(cells->rim + y / cells->side) * cells->nx + cells->rim;
+/* Rows of one section on their way into its cells. */
+struct pour {
+    const struct gsn_absorber *absorber;
+    const struct gsn_mask_section *section;
+    float *od[3];           /* of one row */
+    size_t tissue, clipped; /* pixels */
+};
 
-        for (uint32_t x = 0; x < (uint32_t)section->width; x++)
-            out[x / cells->side] += isnan(row[x]) ? 0 : row[x];
+static void add_row(const float *row, size_t width, size_t side, float *cell)
+{
+    for (size_t x = 0; x < width; cell++) {
+        const size_t end = x + side < width ? x + side : width;
+        float sum = *cell;
+
+        for (; x < end; x++)
+            sum += row[x];
+        *cell = sum;
     }
+}
+
+static void count_row(struct pour *pour, uint32_t y)
+{
+    const struct gsn_mask_section *section = pour->section;
+    const uint32_t x0 = (uint32_t)section->x, width = (uint32_t)section->width;
+    uint32_t tissue = 0;
+
+    for (uint32_t x = 0; x < width; x++)
+        tissue += pour->od[0][x] + pour->od[1][x] + pour->od[2][x] > GSN_TISSUE_OD;
+    pour->tissue += tissue;
+    if (tissue == 0 || !gsn_absorber_at_end(pour->absorber, x0, y, width))
+        return;
+    for (uint32_t x = 0; x < width; x++)
+        pour->clipped += pour->od[0][x] + pour->od[1][x] + pour->od[2][x] > GSN_TISSUE_OD &&
+                         gsn_absorber_clipped(pour->absorber, x0 + x, y);
+}
+
+/* Sums become means; the rim is clear glass. */
+static void divide(const struct gsn_mask_cells *cells, const struct gsn_mask_section *section,
+                   struct gsn_plane *into)
+{
     for (uint32_t y = 0; y * cells->side < (uint32_t)section->height; y++)
         for (uint32_t x = 0; x * cells->side < (uint32_t)section->width; x++) {
             const uint32_t w = (uint32_t)section->width - x * cells->side;
@@ -279,6 +336,31 @@ static void average(const struct gsn_plane *od, const struct gsn_mask_cells *cel
 
             into->value[(size_t)(cells->rim + y) * cells->nx + cells->rim + x] /= (float)n;
         }
+}
+
+/* Mean density of the pixels of each cell, in one pass over the section. */
+static int average(const struct gsn_absorber *absorber, const struct gsn_mask_section *section,
+                   struct gsn_mask_cells *cells, struct gsn_error *err)
+{
+    const size_t width = (size_t)section->width;
+    gsn_auto_mem(float) rows = gsn_alloc_array(3 * width, sizeof *rows);
+    struct pour pour = { absorber, section, { rows, rows + width, rows + 2 * width }, 0, 0 };
+    int r = rows ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+
+    for (int c = 0; c < 3 && r >= 0; c++)
+        r = gsn_plane_new(cells->nx, cells->ny, &cells->od[c], err);
+    for (uint32_t y = 0; r >= 0 && y < (uint32_t)section->height; y++) {
+        const size_t at = (size_t)(cells->rim + y / cells->side) * cells->nx + cells->rim;
+
+        gsn_absorber_row(absorber, (uint32_t)section->x, (uint32_t)section->y + y, width, pour.od);
+        for (int c = 0; c < 3; c++)
+            add_row(pour.od[c], width, cells->side, cells->od[c]->value + at);
+        count_row(&pour, (uint32_t)section->y + y);
+    }
+    for (int c = 0; c < 3 && r >= 0; c++)
+        divide(cells, section, cells->od[c]);
+    cells->clipped = pour.tissue ? (double)pour.clipped / (double)pour.tissue : 0;
+    return r;
 }
 
 /* What no mixture of the dyes explains, of densities smoothed over 3 x 3 cells: the noise of single
@@ -404,12 +486,13 @@ static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
     return r < 0 ? r : fill_holes(cells, cells->outline, err);
 }
 
-int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_mask_section *section,
-                       double clear, struct gsn_mask_cells **ret_cells, struct gsn_error *err)
+int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_absorber *absorber,
+                       const struct gsn_mask_section *section, double clear,
+                       struct gsn_mask_cells **ret_cells, struct gsn_error *err)
 {
     gsn_auto(gsn_mask_cells) cells = gsn_alloc_array(1, sizeof *cells);
     size_t count;
-    int r = GSN_OK;
+    int r;
 
     if (!cells)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
@@ -421,11 +504,7 @@ int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_mask
     cells->label = gsn_alloc_array(count, sizeof *cells->label);
     if (!cells->tissue || !cells->outline || !cells->label)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    for (int c = 0; c < 3 && r >= 0; c++) {
-        r = gsn_plane_new(cells->nx, cells->ny, &cells->od[c], err);
-        if (r >= 0)
-            average(panel->od[c], cells, section, cells->od[c]);
-    }
+    r = average(absorber, section, cells, err);
     if (r >= 0)
         r = explain(cells, panel->dyes, err);
     if (r >= 0)

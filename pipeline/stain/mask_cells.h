@@ -7,6 +7,7 @@
 #ifndef GSN_STAIN_MASK_CELLS_H
 #define GSN_STAIN_MASK_CELLS_H
 
+#include "pipeline/stain/absorb.h"
 #include "pipeline/stain/mask.h"
 
 struct gsn_mask_cells {
@@ -23,11 +24,13 @@ struct gsn_mask_cells {
     uint8_t *tissue;           /* 0 or 1: not glass, and large enough */
     uint8_t *outline;          /* tissue with its holes and clefts filled */
     uint16_t *label;
+    double clipped; /* share of the tissue's pixels */
 };
 
 /* gives. Fails as gsn_unmix() and with GSN_E_NOMEM. */
-int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_mask_section *section,
-                       double clear, struct gsn_mask_cells **ret_cells, struct gsn_error *err);
+int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_absorber *absorber,
+                       const struct gsn_mask_section *section, double clear,
+                       struct gsn_mask_cells **ret_cells, struct gsn_error *err);
 void gsn_mask_cells_free(struct gsn_mask_cells *cells);
 GSN_DEFINE_AUTO(gsn_mask_cells);
 

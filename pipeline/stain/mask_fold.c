@@ -81,23 +81,44 @@ static int fit_line(const struct gsn_mask_cells *cells, const struct gsn_plane *
     return line.a > 0.02;
 }
 
-/* Whether some line through the cell is thick all along. */
-static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, double least, long x,
-                   long y)
+/* The cells of lines through a cell, from that cell. */
+struct star {
+    struct {
+        long x, y;
+    } arm[ANGLES][2 * REACH + 1];
+};
+
+static struct star draw_star(void)
 {
+    struct star star;
+
     for (int angle = 0; angle < ANGLES; angle++) {
         const double c = cos(M_PI * angle / ANGLES), s = sin(M_PI * angle / ANGLES);
+
+        for (int j = -REACH; j <= REACH; j++) {
+            star.arm[angle][j + REACH].x = lround(STEP * j * c);
+            star.arm[angle][j + REACH].y = lround(STEP * j * s);
+        }
+    }
+    return star;
+}
+
+/* Whether some line through the cell is thick all along. */
+static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, const struct star *star,
+                   double least, long x, long y)
+{
+    for (int angle = 0; angle < ANGLES; angle++) {
         double sum = 0;
         int below = 0;
 
-        for (int j = -REACH; j <= REACH && below <= MOST_BELOW; j++) {
-            const long u = x + lround(STEP * j * c), v = y + lround(STEP * j * s);
+        for (int j = 0; j <= 2 * REACH && below <= MOST_BELOW; j++) {
+            const long u = x + star->arm[angle][j].x, v = y + star->arm[angle][j].y;
             float t = 0;
 
             if (u >= 0 && v >= 0 && u < (long)thick->width && v < (long)thick->height &&
                 tissue[(size_t)v * thick->width + (size_t)u])
                 t = thick->value[(size_t)v * thick->width + (size_t)u];
-            sum += fmin(t, 2.2); /* one grain does not make a line */
+            sum += (t < 2.2F ? (double)t : 2.2); /* one grain does not make a line */
             below += t < FOLD_LEAST;
         }
         if (below <= MOST_BELOW && sum > least * (2 * REACH + 1))
@@ -198,6 +219,7 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto(gsn_plane) thick = NULL;
     gsn_auto_mem(uint8_t) sure = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) weak = gsn_alloc_array(count, 1);
+    const struct star star = draw_star();
     double deviation = 0, least;
     int r;
 
@@ -211,9 +233,9 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
         const int apart = (cells->label[i] & (GSN_DEFECT_INK | GSN_DEFECT_HALO)) != 0;
 
         weak[i] = cells->tissue[i] && !apart && thick->value[i] > FOLD_EDGE;
-        sure[i] =
-            weak[i] && thick->value[i] > FOLD_MEAN &&
-            on_fold(thick, cells->tissue, least, (long)(i % cells->nx), (long)(i / cells->nx));
+        sure[i] = weak[i] && thick->value[i] > FOLD_MEAN &&
+                  on_fold(thick, cells->tissue, &star, least, (long)(i % cells->nx),
+                          (long)(i / cells->nx));
     }
     r = gsn_mask_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
     if (r >= 0)

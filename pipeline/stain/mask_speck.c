@@ -25,6 +25,8 @@ enum {
 #define MOST_BELOW 3
 /* No single cell is looked at that is not darker than its surroundings. */
 #define CELL_OD 0.06
+/* Char and metal count as a hair does: one grain does not make a line. */
+#define MOST_OD 0.6F
 #define LEAST_LINE_UM 350.0
 #define LINE_WIDE_UM 30.0
 /* The edge of a coverslip is as good as straight, and longer than any fibre in a section. */
@@ -36,38 +38,70 @@ enum {
 #define GRAIN_WIDE_UM 40.0
 
 /* The darkest of three cells across the line: a hair bends away from a straight row of cells. */
-static double red_light_at(const struct gsn_mask_cells *cells, long x, long y, long dx, long dy)
+static float red_light_at(const struct gsn_mask_cells *cells, long x, long y, long dx, long dy)
 {
-    double most = 0;
+    float most = 0;
 
     for (int j = -1; j <= 1; j++) {
         const long u = x + j * dx, v = y + j * dy;
 
-        if (u >= 0 && v >= 0 && u < (long)cells->nx && v < (long)cells->ny)
-            most = fmax(most, cells->od[0]->value[(size_t)v * cells->nx + (size_t)u]);
+        if (u >= 0 && v >= 0 && u < (long)cells->nx && v < (long)cells->ny) {
+            const float here = cells->od[0]->value[(size_t)v * cells->nx + (size_t)u];
+
+            most = here > most ? here : most;
+        }
     }
-    return fmin(most, 0.6);
+    return most < MOST_OD ? most : MOST_OD;
 }
 
-static int on_line(const struct gsn_mask_cells *cells, long x, long y)
+/* The cells of lines through a cell, from that cell. */
+struct star {
+    struct arm {
+        long x[2 * REACH + 1], y[2 * REACH + 1];
+        long aside_x, aside_y;
+        long dx, dy; /* the step across */
+    } arm[ANGLES];
+};
+
+static struct star draw_star(void)
 {
+    struct star star;
+
     for (int angle = 0; angle < ANGLES; angle++) {
         const double c = cos(M_PI * angle / ANGLES), s = sin(M_PI * angle / ANGLES);
-        const long aside_x = lround(-ASIDE * s), aside_y = lround(ASIDE * c);
-        const long dx = fabs(s) > fabs(c), dy = !dx; /* the step across */
+        struct arm *arm = &star.arm[angle];
+
+        arm->aside_x = lround(-ASIDE * s);
+        arm->aside_y = lround(ASIDE * c);
+        arm->dx = fabs(s) > fabs(c);
+        arm->dy = !arm->dx;
+        for (int j = -REACH; j <= REACH; j++) {
+            arm->x[j + REACH] = lround(j * c);
+            arm->y[j + REACH] = lround(j * s);
+        }
+    }
+    return star;
+}
+
+static int on_line(const struct gsn_mask_cells *cells, const struct star *star, long x, long y)
+{
+    for (int angle = 0; angle < ANGLES; angle++) {
+        const struct arm *arm = &star->arm[angle];
         double middle = 0, left = 0, right = 0;
         int below = 0;
 
-        for (int j = -REACH; j <= REACH && below <= MOST_BELOW; j++) {
-            const long u = x + lround(j * c), v = y + lround(j * s);
-            const double m = red_light_at(cells, u, v, dx, dy),
-                         l = red_light_at(cells, u + aside_x, v + aside_y, dx, dy),
-                         r = red_light_at(cells, u - aside_x, v - aside_y, dx, dy);
+        for (int j = 0; j <= 2 * REACH && below <= MOST_BELOW; j++) {
+            const long u = x + arm->x[j], v = y + arm->y[j];
+            const double m = red_light_at(cells, u, v, arm->dx, arm->dy),
+                         l = red_light_at(cells, u + arm->aside_x, v + arm->aside_y, arm->dx,
+                                          arm->dy),
+                         r = red_light_at(cells, u - arm->aside_x, v - arm->aside_y, arm->dx,
+                                          arm->dy);
 
             middle += m;
             left += l;
             right += r;
-            below += m < fmax(l, r) + PLACE_OD;
+            below += m < (l > r ? l : r) + PLACE_OD;
         }
         if (below <= MOST_BELOW && middle - fmax(left, right) > LINE_OD * (2 * REACH + 1))
             return 1;
@@ -100,13 +134,14 @@ static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto_mem(uint8_t) lines = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) edges = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) hairs = gsn_alloc_array(count, 1);
+    const struct star star = draw_star();
     int r = lines && edges && hairs ? gsn_mask_cells_smooth(cells->od[0], AROUND, &around, err)
                                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     for (size_t i = 0; r >= 0 && i < count; i++)
         lines[i] = !(cells->label[i] & (GSN_DEFECT_HALO | GSN_DEFECT_INK | GSN_DEFECT_FOLD)) &&
                    cells->od[0]->value[i] > around->value[i] + CELL_OD &&
-                   on_line(cells, (long)(i % cells->nx), (long)(i / cells->nx));
+                   on_line(cells, &star, (long)(i % cells->nx), (long)(i / cells->nx));
     if (r >= 0)
         r = sort_lines(cells, lines, edges, hairs, err);
     if (r >= 0)

@@ -335,45 +335,69 @@ static void find_poses(const struct bench_panel *panel, const struct gsn_image *
                "chain");
 }
 
-/* Collagen density of every section in the block frame. Returns how many there are. */
-static int resample(const struct bench_panel *panel, const struct gsn_image *image,
-                    const struct found *found, const struct gsn_pose *pose)
+/* The section of a slot; its pose is in pixels of its own box. */
+static struct gsn_stack_section section_of(const struct gsn_slot *slot, const struct gsn_pose *pose,
+                                           unsigned serial)
+{
+    struct gsn_stack_section section = { .serial = serial,
+                                         .panel_to_block_um = pose->panel_to_block_um,
+                                         .x = slot->x,
+                                         .y = slot->y,
+                                         .width = slot->width,
+                                         .height = slot->height };
+    struct gsn_affine *map = &section.panel_to_block_um;
+
+    map->m02 -= map->m00 * slot->x + map->m01 * slot->y;
+    map->m12 -= map->m10 * slot->x + map->m11 * slot->y;
+    return section;
+}
+
+/* The block frame at the panel's own pixel size, a plane a section. */
+static struct gsn_lattice block_of(const struct bench_panel *panel)
 {
     const double half_um = 0.5 * panel->side * panel->px_um;
-    const struct gsn_lattice at = { .nx = panel->side,
-                                    .ny = panel->side,
-                                    .nz = BENCH_SECTIONS,
-                                    .origin_um = { -half_um, -half_um, 12 },
-                                    .step_um = { panel->px_um, panel->px_um, 24 } };
+
+    return (struct gsn_lattice){ .nx = panel->side,
+                                 .ny = panel->side,
+                                 .nz = BENCH_SECTIONS,
+                                 .origin_um = { -half_um, -half_um, 12 },
+                                 .step_um = { panel->px_um, panel->px_um, 24 } };
+}
+
+/* Collagen density of every section in the block frame, as pipeline/assembly_density.c lays it. */
+static int lay_density(const struct bench_panel *panel, const struct gsn_image *image,
+                       const struct found *found, const struct gsn_pose *pose)
+{
+    const struct gsn_lattice at = block_of(panel);
     const struct gsn_dyes dyes = gsn_dyes_builtin();
-    struct gsn_plane *density[BENCH_SECTIONS] = { NULL };
-    struct gsn_stack_section section[BENCH_SECTIONS];
+    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_red_reader) reader = NULL;
     gsn_auto(gsn_grid) grid = NULL;
     struct gsn_error err = { 0 };
-    size_t count = 0;
+    int count = 0;
 
+    bench_need(gsn_absorber_new(image, &found->glass, &absorber, &err), &err, "chain");
+    bench_need(gsn_red_reader_new(absorber, &dyes, &reader, &err), &err, "chain");
+    bench_need(gsn_grid_new(&at, &grid, &err), &err, "chain");
     for (unsigned i = 0; i < BENCH_SECTIONS; i++) {
         const struct gsn_slot *slot = &found->slot[i];
-        const struct gsn_pixel_box box = { slot->x, slot->y, slot->width, slot->height };
-        struct gsn_plane *od[3] = { NULL };
+        struct gsn_stack_section section = section_of(slot, &pose[i], i);
+        gsn_auto(gsn_plane) density = NULL;
 
-        if (pose[i].state != GSN_POSE_OK)
+        if (pose[i].state != GSN_POSE_OK || !gsn_stack_footprint(&at, 24, &section))
             continue;
-        bench_need(gsn_absorb_box(image, &found->glass, &box, 3, od, &err), &err, "chain");
-        bench_need(gsn_unmix(od, &dyes, 1, &density[count], NULL, NULL, &err), &err, "chain");
-        for (int c = 0; c < 3; c++)
-            gsn_plane_free(od[c]);
-        section[count] = (struct gsn_stack_section){ .serial = i,
-                                                     .density = density[count],
-                                                     .panel_to_block_um = pose[i].panel_to_block_um,
-                                                     .width = slot->width,
-                                                     .height = slot->height };
+        bench_need(gsn_red_box(reader,
+                               &(struct gsn_pixel_box){ section.x, section.y, section.width,
+                                                        section.height },
+                               1, &density, &err),
+                   &err, "chain");
+        section.density = density;
+        section.plane_x = section.x;
+        section.plane_y = section.y;
+        bench_need(gsn_stack_resample(&section, 1, 24, 1, grid, &err), &err, "chain");
         count++;
     }
-    bench_need(gsn_stack_resample(section, count, &at, 24, 1, &grid, &err), &err, "chain");
-    for (size_t i = 0; i < count; i++)
-        gsn_plane_free(density[i]);
-    return (int)count;
+    return count;
 }
 
 static void run_chain(void *context)
@@ -393,7 +417,7 @@ static void run_chain(void *context)
     at[2] = cpu_now();
     find_poses(job->panel, picture->image, &found, pose, &job->worst_px);
     at[3] = cpu_now();
-    job->sections = resample(job->panel, picture->image, &found, pose);
+    job->sections = lay_density(job->panel, picture->image, &found, pose);
     at[4] = cpu_now();
     (void)munmap(file.at, file.size);
     for (int i = 0; i < 4; i++)

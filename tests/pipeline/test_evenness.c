@@ -13,28 +13,28 @@ static void draw(struct gsn_plane *plane, double strong)
     plane->value[0] = NAN;
 }
 
-static struct gsn_assembly_section section(void)
-{
-    return (struct gsn_assembly_section){ .panel = 1,
-                                          .state = GSN_SECTION_USED,
-                                          .seen = { .width = SIDE, .height = SIDE } };
-}
-
-TEST(the_strength_of_a_panel_is_that_of_its_strongest_tissue)
+TEST(the_strength_of_a_section_is_that_of_its_strongest_tissue)
 {
     float value[SIDE * SIDE];
     struct gsn_plane plane = { SIDE, SIDE, value };
-    struct gsn_assembly_section one = section();
-    struct gsn_assembly a = { .section_count = 1, .section = &one };
     struct gsn_error err = { 0 };
     double strength = 7;
 
     draw(&plane, 0.9);
-    CHECK_OK(gsn_evenness_of_panel(&a, 1, &plane, &strength, &err), err);
+    CHECK_OK(gsn_evenness_of_section(&plane, &strength, &err), err);
     CHECK_NEAR(strength, 0.9, 1e-6);
-    CHECK_OK(gsn_evenness_of_panel(&a, 2, &plane, &strength, &err), err);
+    CHECK_EVERY_OOM(gsn_evenness_of_section(&plane, &strength, &err), err);
+    plane.height = 1;
+    CHECK_OK(gsn_evenness_of_section(&plane, &strength, &err), err);
     CHECK(!(strength == strength));
-    CHECK_EVERY_OOM(gsn_evenness_of_panel(&a, 1, &plane, &strength, &err), err);
+}
+
+TEST(the_strength_of_a_panel_is_the_median_of_its_sections)
+{
+    double three[] = { 0.9, NAN, 0.5, 0.7 }, none[] = { NAN };
+
+    CHECK_NEAR(gsn_evenness_of_panel(three, 4), 0.7, 0);
+    CHECK(!(gsn_evenness_of_panel(none, 1) == 0) && isnan(gsn_evenness_of_panel(none, 1)));
 }
 
 TEST(even_baths_add_nothing_and_one_panel_tells_nothing)

@@ -16,7 +16,7 @@
 
 struct seen {
     uint32_t width, height;
-    struct gsn_image *labels;
+    struct gsn_mask_labels *labels;
     struct gsn_plane *red, *total;
     struct gsn_mask_figures figures;
     double clear;
@@ -24,7 +24,7 @@ struct seen {
 
 static void seen_done(struct seen *s)
 {
-    gsn_image_free(s->labels);
+    gsn_mask_labels_free(s->labels);
     gsn_plane_free(s->red);
     gsn_plane_free(s->total);
 }
@@ -69,7 +69,7 @@ static void look(const struct gsn_image *image, double px_um, struct seen *s)
                  err);
     }
     CHECK_OK(gsn_optical_density(image, &glass, 1, od, NULL, &err), err);
-    const struct gsn_mask_panel panel = { od, &glass, &dyes, px_um, 1, &all };
+    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, &all };
 
     CHECK_OK(gsn_mask_find(&panel, 1, &s->labels, &s->figures, &err), err);
     CHECK_OK(gsn_unmix(od, &dyes, 1, &s->red, NULL, NULL, &err), err);
@@ -98,7 +98,8 @@ static double collagen(const struct seen *s, int masked)
     size_t n = 0;
 
     for (size_t i = 0; i < count; i++)
-        n += s->red->value[i] > COLLAGEN && !(masked && ((const uint16_t *)s->labels->samples)[i]);
+        n += s->red->value[i] > COLLAGEN &&
+             !(masked && gsn_mask_label(s->labels, 0, (int)(i % s->width), (int)(i / s->width)));
     return (double)n / (double)count;
 }
 

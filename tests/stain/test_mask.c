@@ -20,7 +20,7 @@ static const double WHITE[3] = { 248, 244, 238 };
 struct scene {
     float od[3][COUNT];
     uint8_t truth[COUNT]; /* what was damaged */
-    struct gsn_image *labels;
+    struct gsn_mask_labels *labels;
     struct gsn_mask_figures figures;
 };
 
@@ -92,7 +92,7 @@ static struct scene *draw(double grain_size)
 static void scene_free(struct scene **scene)
 {
     if (*scene)
-        gsn_image_free((*scene)->labels);
+        gsn_mask_labels_free((*scene)->labels);
     gsn_free(*scene);
 }
 #define scene_auto __attribute__((cleanup(scene_free))) struct scene *
@@ -134,7 +134,7 @@ static int find_with(struct scene *scene, const struct gsn_mask_section *section
     blue = od[2];
     if (r < 0)
         return r;
-    const struct gsn_mask_panel panel = { od, &glass, &dyes, px_um, 1, section };
+    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, section };
 
     return gsn_mask_find(&panel, threads, &scene->labels, &scene->figures, err);
 }
@@ -150,7 +150,7 @@ static void find(struct scene *scene)
 
 static unsigned label_at(const struct scene *scene, int x, int y)
 {
-    return gsn_image_at(scene->labels, (uint32_t)x, (uint32_t)y, 0);
+    return gsn_mask_label(scene->labels, 0, x, y);
 }
 
 /* The share of what was damaged that is masked, and masked for this reason. */
@@ -445,7 +445,7 @@ TEST(a_density_that_is_masked_is_no_number)
     fold(scene, 240, 9);
     find(scene);
     CHECK_OK(gsn_plane_new(WIDTH, HEIGHT, &density, &err), err);
-    gsn_mask_apply(scene->labels, density);
+    gsn_mask_apply(scene->labels, 0, 0, 0, density);
     for (int y = 0; y < HEIGHT; y++)
         for (int x = 0; x < WIDTH; x++)
             CHECK((label_at(scene, x, y) != 0) == !(density->value[index_of(x, y)] == 0));
@@ -468,7 +468,7 @@ static int find_and_forget(struct scene *scene, struct gsn_error *err)
     const struct gsn_mask_section part = { .x = 180, .y = 100, .width = 90, .height = 80 };
     const int r = find_with(scene, &part, PX_UM, 1, err);
 
-    gsn_image_free(scene->labels);
+    gsn_mask_labels_free(scene->labels);
     scene->labels = NULL;
     return r;
 }

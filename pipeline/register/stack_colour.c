@@ -1,0 +1,255 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/stack_colour.h"
+
+#include "pipeline/core/parallel.h"
+
+#include <assert.h>
+#include <math.h>
+
+/* Weights are in 2^-14: with light of 15 bits a sum of two stays in 32. */
+enum { ONE = 1 << 14 };
+
+gsn_colour_row_run gsn_colour_row_sse4;
+
+struct job {
+    const struct gsn_stack_section *section;
+    const struct gsn_image *image;
+    const struct gsn_stack_light *light;
+    struct gsn_colour_grid *grid;
+    struct gsn_affine back;
+    double reach;     /* half width of the tent, pixels; 1: bilinear */
+    size_t planes;    /* of the grid, those of the section */
+    const size_t *of; /* which */
+    gsn_colour_row_run *run;
+};
+
+static unsigned light_at(const struct gsn_image *image, const struct gsn_stack_light *light,
+                         size_t i)
+{
+    return light->of_sample[image->bits == 8 ? ((const uint8_t *)image->samples)[i]
+                                             : ((const uint16_t *)image->samples)[i]];
+}
+
+/* Mixes the four pixels at (x, y), (right, y), (x, low), (right, low). */
+static void mix(const struct gsn_image *image, const struct gsn_stack_light *light,
+                const size_t at[4], unsigned tx, unsigned ty, uint8_t *to)
+{
+    for (size_t c = 0; c < 3; c++) {
+        const unsigned top = (light_at(image, light, at[0] + c) * (ONE - tx) +
+                              light_at(image, light, at[1] + c) * tx) >>
+                             14;
+        const unsigned low = (light_at(image, light, at[2] + c) * (ONE - tx) +
+                              light_at(image, light, at[3] + c) * tx) >>
+                             14;
+
+        to[c] = light->code[(top * (ONE - ty) + low * ty) >> 16];
+    }
+}
+
+static unsigned fraction(int64_t x)
+{
+    return (unsigned)(x >> 18 & (ONE - 1));
+}
+
+void gsn_colour_row_plain(const struct gsn_colour_row *row)
+{
+    const size_t width = row->image->width;
+    int64_t x = row->x, y = row->y;
+
+    for (size_t i = 0; i < row->count; i++, x += row->dx, y += row->dy) {
+        const size_t first = 3 * ((size_t)(y >> 32) * width + (size_t)(x >> 32));
+        const size_t at[4] = { first, first + 3, first + 3 * width, first + 3 * width + 3 };
+
+        mix(row->image, row->light, at, fraction(x), fraction(y), row->to + 3 * i);
+    }
+}
+
+gsn_colour_row_run *gsn_colour_row_even(void)
+{
+#ifdef __x86_64__
+    return __builtin_cpu_supports("sse4.1") ? gsn_colour_row_sse4 : NULL;
+#else
+    return NULL;
+#endif
+}
+
+static int64_t clamp(int64_t at, int64_t low, int64_t high)
+{
+    return at < low ? low : at > high ? high : at;
+}
+
+/* A voxel at the section's edge: what lies outside of the box takes the pixel beside it. */
+static void mix_at_edge(const struct job *job, int64_t x, int64_t y, uint8_t *to)
+{
+    const struct gsn_stack_section *s = job->section;
+    const int64_t right = (int64_t)s->x + s->width - 1, bottom = (int64_t)s->y + s->height - 1;
+    const int64_t middle = (int64_t)1 << 31;
+    size_t at[4];
+
+    /* The pixel under the voxel's centre has to be there. */
+    if ((x + middle) >> 32 < s->x || (y + middle) >> 32 < s->y || (x + middle) >> 32 > right ||
+        (y + middle) >> 32 > bottom)
+        return;
+    for (int k = 0; k < 4; k++)
+        at[k] = 3 * ((size_t)clamp((y >> 32) + k / 2, s->y, bottom) * job->image->width +
+                     (size_t)clamp((x >> 32) + k % 2, s->x, right));
+    mix(job->image, job->light, at, fraction(x), fraction(y), to);
+}
+
+/* Whether all four pixels lie in the box and the one after them in the picture. */
+static int inside(const struct job *job, int64_t x, int64_t y)
+{
+    const struct gsn_stack_section *s = job->section;
+    const int64_t u = x >> 32, v = y >> 32;
+
+    return u >= s->x && v >= s->y && u + 1 < (int64_t)s->x + s->width &&
+           v + 1 < (int64_t)s->y + s->height && u + 2 < job->image->width;
+}
+
+/* A line crosses a box in one piece: its ends are looked for from both sides. */
+static void mix_row(const struct job *job, struct gsn_colour_row row)
+{
+    const int64_t x = row.x, y = row.y;
+    uint8_t *to = row.to;
+    size_t first = 0, end = row.count;
+
+    for (; first < end && !inside(job, x + (int64_t)first * row.dx, y + (int64_t)first * row.dy);
+         first++)
+        mix_at_edge(job, x + (int64_t)first * row.dx, y + (int64_t)first * row.dy, to + 3 * first);
+    for (; end > first &&
+           !inside(job, x + (int64_t)(end - 1) * row.dx, y + (int64_t)(end - 1) * row.dy);
+         end--)
+        mix_at_edge(job, x + (int64_t)(end - 1) * row.dx, y + (int64_t)(end - 1) * row.dy,
+                    to + 3 * (end - 1));
+    row.x = x + (int64_t)first * row.dx;
+    row.y = y + (int64_t)first * row.dy;
+    row.to = to + 3 * first;
+    row.count = end - first;
+    job->run(&row);
+}
+
+/* The tent around one voxel's centre (px, py), pixel centres at +0.5. */
+static void average(const struct job *job, double px, double py, uint8_t *to)
+{
+    const struct gsn_stack_section *s = job->section;
+    const double right = (double)s->x + s->width, bottom = (double)s->y + s->height;
+    const double x0 = fmax(ceil(px - job->reach - 0.5), s->x);
+    const double y0 = fmax(ceil(py - job->reach - 0.5), s->y);
+    double sum[3] = { 0 }, all = 0;
+
+    if (!(px >= s->x && py >= s->y && px < right && py < bottom))
+        return;
+    for (double y = y0; y < bottom && y + 0.5 < py + job->reach; y++)
+        for (double x = x0; x < right && x + 0.5 < px + job->reach; x++) {
+            const double w = (job->reach - fabs(x + 0.5 - px)) * (job->reach - fabs(y + 0.5 - py));
+            const size_t at = 3 * ((size_t)y * job->image->width + (size_t)x);
+
+            all += w;
+            for (size_t c = 0; c < 3; c++)
+                sum[c] += w * light_at(job->image, job->light, at + c);
+        }
+    for (size_t c = 0; c < 3; c++)
+        to[c] = job->light->code[(size_t)(sum[c] / all + 0.5) >> 2];
+}
+
+static int64_t fixed(double x)
+{
+    return (int64_t)(x * 4294967296.0);
+}
+
+/* One row of the lattice; every row is written by one call, so the threads cannot matter. */
+static int fill_row(size_t index, void *context, struct gsn_error *err)
+{
+    const struct job *job = context;
+    const struct gsn_lattice *at = &job->grid->at;
+    const size_t y = index % at->ny, z = job->of[index / at->ny];
+    const struct gsn_vec3 um = gsn_lattice_centre(at, 0, y, z);
+    const struct gsn_point px = gsn_affine_apply(&job->back, (struct gsn_point){ um.x, um.y });
+    const double dx = job->back.m00 * at->step_um.x, dy = job->back.m10 * at->step_um.x;
+    uint8_t *to = job->grid->rgb + 3 * gsn_lattice_index(at, 0, y, z);
+
+    (void)err;
+    if (job->reach > 1) {
+        for (size_t x = 0; x < at->nx; x++)
+            average(job, px.x + (double)x * dx, px.y + (double)x * dy, to + 3 * x);
+        return GSN_OK;
+    }
+    mix_row(job, (struct gsn_colour_row){ .image = job->image,
+                                          .light = job->light,
+                                          .x = fixed(px.x - 0.5),
+                                          .y = fixed(px.y - 0.5),
+                                          .dx = fixed(dx),
+                                          .dy = fixed(dy),
+                                          .count = at->nx,
+                                          .to = to });
+    return GSN_OK;
+}
+
+/* Far enough from the picture for whole numbers to overflow. */
+static int is_far(const struct job *job)
+{
+    const double most = 1 << 29;
+    const struct gsn_lattice *at = &job->grid->at;
+
+    for (size_t corner = 0; corner < 4; corner++) {
+        const struct gsn_vec3 um =
+            gsn_lattice_centre(at, corner % 2 ? at->nx : 0, corner / 2 ? at->ny : 0, 0);
+        const struct gsn_point px = gsn_affine_apply(&job->back, (struct gsn_point){ um.x, um.y });
+
+        if (!(fabs(px.x) < most && fabs(px.y) < most))
+            return 1;
+    }
+    return 0;
+}
+
+static int check(const struct gsn_stack_section *s, const struct gsn_image *image,
+                 struct gsn_error *err)
+{
+    const double det = gsn_affine_det(&s->panel_to_block_um);
+
+    if (image->channels != 3)
+        return gsn_fail(err, GSN_E_INPUT, "a grey picture has no colours to keep");
+    if (s->x < 0 || s->y < 0 || s->width < 1 || s->height < 1 ||
+        (int64_t)s->x + s->width > image->width || (int64_t)s->y + s->height > image->height)
+        return gsn_fail(err, GSN_E_INPUT, "the box of section %u reaches outside its panel",
+                        s->serial + 1);
+    if (!isfinite(det) || det == 0 || !isfinite(s->panel_to_block_um.m02) ||
+        !isfinite(s->panel_to_block_um.m12))
+        return gsn_fail(err, GSN_E_INPUT, "the pose of section %u cannot be undone", s->serial + 1);
+    return GSN_OK;
+}
+
+static int is_even(const struct gsn_image *image, const struct gsn_stack_light *light)
+{
+    if (image->bits != 8)
+        return 0;
+    for (unsigned i = 0; i < 256; i++)
+        if (light->of_sample[i] != 128 * i)
+            return 0;
+    return 1;
+}
+
+int gsn_stack_colour(const struct gsn_stack_section *section, const struct gsn_image *image,
+                     const struct gsn_stack_light *light, double interval_um, unsigned threads,
+                     struct gsn_colour_grid *grid, struct gsn_error *err)
+{
+    struct job job = { section, image, light, grid, .run = gsn_colour_row_plain };
+    gsn_auto_mem(size_t) planes = NULL;
+    int r = check(section, image, err);
+
+    if (r < 0)
+        return r;
+    planes = gsn_alloc_array(grid->at.nz, sizeof *planes);
+    if (!planes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the stack");
+    for (size_t z = 0; z < grid->at.nz; z++)
+        if (gsn_stack_shows(&grid->at, interval_um, z, section->serial))
+            planes[job.planes++] = z;
+    job.of = planes;
+    job.back = gsn_affine_inverse(&section->panel_to_block_um);
+    job.reach = gsn_stack_reach(&section->panel_to_block_um, &grid->at);
+    if (is_even(image, light) && gsn_colour_row_even())
+        job.run = gsn_colour_row_even();
+    return is_far(&job) ? GSN_OK
+                        : gsn_parallel_for(grid->at.ny * job.planes, threads, fill_row, &job, err);
+}

@@ -1,0 +1,188 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/rows.h"
+
+#include "tests/check.h"
+
+#include <string.h>
+
+enum { WIDTH = 61, HEIGHT = 37, COUNT = 10007 };
+
+static uint32_t next(uint32_t *seed)
+{
+    *seed = *seed * 1664525u + 1013904223u;
+    return *seed >> 8;
+}
+
+/* Densities of every kind: of each dye alone, of mixtures, below glass, beyond every mixture. */
+static void draw_densities(float *const od[3])
+{
+    uint32_t seed = 11;
+
+    for (size_t i = 0; i < COUNT; i++)
+        for (int c = 0; c < 3; c++)
+            od[c][i] = (float)(next(&seed) % 4096) / 2000.0F - 0.4F;
+}
+
+/* The unmixer in double precision is the reference. */
+TEST(a_row_is_unmixed_as_each_pixel_is)
+{
+    static float red[COUNT], green[COUNT], blue[COUNT], amount[COUNT];
+    float *const od[3] = { red, green, blue };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct gsn_unmixer mix;
+    struct gsn_red_weights weights;
+    struct gsn_error err = { 0 };
+    double worst = 0;
+
+    draw_densities(od);
+    CHECK_OK(gsn_unmixer_init(&mix, &dyes, &err), err);
+    weights = gsn_red_weights_of(&mix, dyes.full_red_od);
+    gsn_red_row_for(GSN_ROWS_PLAIN)(&weights, red, green, blue, COUNT, amount);
+    for (size_t i = 0; i < COUNT; i++) {
+        const double pixel[3] = { red[i], green[i], blue[i] };
+        double exact[3];
+
+        gsn_unmixer_apply(&mix, pixel, exact);
+        worst = fmax(worst, fabs(exact[0] / dyes.full_red_od - (double)amount[i]));
+    }
+    CHECK_NEAR(worst, 0, 5e-5);
+}
+
+TEST(every_instruction_set_gives_the_same_bits)
+{
+    static float red[COUNT], green[COUNT], blue[COUNT], plain[COUNT], other[COUNT];
+    float *const od[3] = { red, green, blue };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct gsn_unmixer mix;
+    struct gsn_red_weights weights;
+    struct gsn_error err = { 0 };
+
+    draw_densities(od);
+    CHECK_OK(gsn_unmixer_init(&mix, &dyes, &err), err);
+    weights = gsn_red_weights_of(&mix, dyes.full_red_od);
+    gsn_red_row_for(GSN_ROWS_PLAIN)(&weights, red, green, blue, COUNT, plain);
+    for (int isa = GSN_ROWS_PLAIN + 1; isa < GSN_ROWS_ISAS; isa++) {
+        gsn_red_row *row = gsn_red_row_for((enum gsn_rows_isa)isa);
+
+        if (!row)
+            continue;
+        memset(other, 0xff, sizeof other);
+        row(&weights, red, green, blue, COUNT, other);
+        CHECK(memcmp(plain, other, sizeof plain) == 0);
+    }
+}
+
+static void draw_picture(struct gsn_image **ret_image, struct gsn_glass *glass)
+{
+    const double white[3] = { 240, 238, 236 };
+    struct gsn_error err = { 0 };
+    uint32_t seed = 5;
+
+    CHECK_OK(gsn_image_new(WIDTH, HEIGHT, 3, 8, ret_image, &err), err);
+    for (size_t i = 0; i < 3 * WIDTH * HEIGHT; i++)
+        ((uint8_t *)(*ret_image)->samples)[i] = (uint8_t)(60 + next(&seed) % 160);
+    CHECK_OK(gsn_glass_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, white, glass, &err), err);
+}
+
+static void set(struct gsn_image *image, size_t x, size_t y, uint8_t r, uint8_t g, uint8_t b)
+{
+    uint8_t *pixel = (uint8_t *)image->samples + 3 * (y * WIDTH + x);
+
+    pixel[0] = r;
+    pixel[1] = g;
+    pixel[2] = b;
+}
+
+/* Case 36. A sample at the end of its codes says "or beyond"; white on all three is bare glass. */
+TEST(clipped_tissue_has_no_density_and_bare_glass_has)
+{
+    const struct gsn_pixel_box box = { 3, 2, 20, 10 };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    gsn_auto(gsn_image) image = NULL;
+    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_red_reader) reader = NULL;
+    gsn_auto(gsn_plane) density = NULL;
+    gsn_auto(gsn_plane) thin = NULL;
+    struct gsn_glass glass;
+    struct gsn_error err = { 0 };
+    size_t holes = 0;
+
+    draw_picture(&image, &glass);
+    set(image, 4, 2, 0, 90, 90);
+    set(image, 5, 2, 255, 90, 90);
+    set(image, 6, 2, 255, 255, 255);
+    CHECK_OK(gsn_absorber_new(image, &glass, &absorber, &err), err);
+    CHECK_OK(gsn_red_reader_new(absorber, &dyes, &reader, &err), err);
+    CHECK_OK(gsn_red_box(reader, &box, 1, &density, &err), err);
+    CHECK(isnan(density->value[1]) && isnan(density->value[2]) && density->value[3] == 0);
+    for (size_t i = 0; i < 200; i++)
+        holes += isnan(density->value[i]) ? 1 : 0;
+    CHECK(holes == 2);
+    CHECK_OK(gsn_red_box(reader, &box, 3, &thin, &err), err);
+    CHECK(thin->width == 20 && thin->height == 4);
+    CHECK(memcmp(thin->value + 20, density->value + 60, 20 * sizeof(float)) == 0);
+}
+
+TEST(a_thin_plane_holds_single_pixels_of_the_picture)
+{
+    gsn_auto(gsn_image) image = NULL;
+    struct gsn_plane *thin[3], *whole[3];
+    struct gsn_glass glass;
+    struct gsn_error err = { 0 };
+
+    draw_picture(&image, &glass);
+    glass.surface[1][1] = 0.01;
+    glass.surface[1][5] = -0.02;
+    CHECK_OK(gsn_optical_density(image, &glass, 1, whole, NULL, &err), err);
+    for (unsigned apart = 1; apart <= 3; apart += 2) {
+        CHECK_OK(gsn_absorb_thin(image, &glass, apart, thin, &err), err);
+        CHECK(thin[0]->width == (WIDTH + apart - 1) / apart);
+        CHECK(thin[0]->height == (HEIGHT + apart - 1) / apart);
+        for (int c = 0; c < 3; c++) {
+            for (size_t i = 0; i < (size_t)thin[c]->width * thin[c]->height; i++) {
+                const size_t x = i % thin[c]->width * apart, y = i / thin[c]->width * apart;
+
+                CHECK_NEAR(thin[c]->value[i], whole[c]->value[y * WIDTH + x], 2e-6);
+            }
+            gsn_plane_free(thin[c]);
+        }
+    }
+    for (int c = 0; c < 3; c++)
+        gsn_plane_free(whole[c]);
+}
+
+static int read_once(const struct gsn_image *image, const struct gsn_glass *glass,
+                     const struct gsn_dyes *dyes, struct gsn_error *err)
+{
+    const struct gsn_pixel_box box = { 0, 0, 9, 9 };
+    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_red_reader) reader = NULL;
+    gsn_auto(gsn_plane) density = NULL;
+    struct gsn_plane *thin[3];
+    int r = gsn_absorber_new(image, glass, &absorber, err);
+
+    if (r >= 0)
+        r = gsn_red_reader_new(absorber, dyes, &reader, err);
+    if (r >= 0)
+        r = gsn_red_box(reader, &box, 1, &density, err);
+    if (r >= 0)
+        r = gsn_absorb_thin(image, glass, 4, thin, err);
+    for (int c = 0; c < 3 && r >= 0; c++)
+        gsn_plane_free(thin[c]);
+    return r;
+}
+
+TEST(dyes_that_are_too_alike_are_refused_and_no_memory_leaks)
+{
+    struct gsn_dyes dyes = gsn_dyes_builtin();
+    gsn_auto(gsn_image) image = NULL;
+    struct gsn_glass glass;
+    struct gsn_error err = { 0 };
+
+    draw_picture(&image, &glass);
+    CHECK_EVERY_OOM(read_once(image, &glass, &dyes, &err), err);
+    memcpy(dyes.yellow, dyes.red, sizeof dyes.red);
+    CHECK(read_once(image, &glass, &dyes, &err) == GSN_E_STAIN);
+    CHECK(strstr(err.text, "nearly the same colour"));
+}

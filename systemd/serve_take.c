@@ -68,6 +68,7 @@ static int settle(struct gsn_serving *serving, struct arrived *arrived, struct g
 {
     const int r = gsn_scan_settle(serving->store, err);
 
+    serving->store_failures += r < 0;
     for (size_t i = 0; r >= 0 && i < arrived->count; i++)
         tell_taken(serving, arrived->at[i].scan, arrived->at[i].event);
     arrived->count = 0;

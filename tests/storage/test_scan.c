@@ -253,6 +253,16 @@ TEST(nothing_is_written_between_a_picture_and_its_filing)
     CHECK(diary.broken == 0 && diary.count == 3);
 }
 
+/* Digests that differ in front, as those of bytes do. */
+static struct gsn_scan_row picture(unsigned number, struct gsn_digest *digest)
+{
+    struct gsn_scan_row row = arrival("x", 0);
+
+    (void)snprintf(digest->hex, sizeof digest->hex, "%08x%056x", number, number);
+    row.sha256 = digest->hex;
+    return row;
+}
+
 /* What a handle remembers of its own must hide nobody else's, and nothing that is gone. */
 TEST(two_handles_take_no_picture_twice)
 {
@@ -266,7 +276,8 @@ TEST(two_handles_take_no_picture_twice)
     int again = -1;
 
     for (unsigned i = 0; i < PICTURES; i++) {
-        const struct gsn_scan_row row = arrival("x", i);
+        struct gsn_digest digest;
+        const struct gsn_scan_row row = picture(i, &digest);
 
         CHECK_OK(gsn_scan_take(store[i / 3 % 2], &row, 0, NOON, &id, &again, &err), err);
         CHECK(again == 0 && id == i + 1);
@@ -274,7 +285,8 @@ TEST(two_handles_take_no_picture_twice)
             CHECK_OK(gsn_scan_settle(store[i % 2], &err), err);
         /* All that came so far, to either. */
         for (unsigned k = 0; k <= i; k++) {
-            const struct gsn_scan_row old = arrival("x", k);
+            struct gsn_digest old_digest;
+            const struct gsn_scan_row old = picture(k, &old_digest);
 
             CHECK_OK(gsn_scan_take(store[k % 2], &old, 0, NOON, &id, &again, &err), err);
             CHECK(again == 1 && id == k + 1);
@@ -287,8 +299,9 @@ TEST(an_id_that_was_rolled_back_hides_no_picture)
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     gsn_auto(gsn_store) other = bench_open(&scratch, GSN_STORE_WRITE);
-    const struct gsn_scan_row undone = arrival("x", 1), row = arrival("y", 2),
-                              next = arrival("z", 3);
+    struct gsn_digest digest[3];
+    const struct gsn_scan_row undone = picture(1, &digest[0]), row = picture(2, &digest[1]),
+                              next = picture(3, &digest[2]);
     struct gsn_error err = { 0 };
     int64_t id, same;
     int again = -1;

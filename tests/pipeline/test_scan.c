@@ -56,7 +56,10 @@ TEST(light_is_what_the_job_says_then_what_the_file_says_then_noted)
         { { .srgb = 1 }, "{" PX ", \"transfer\": \"linear\"}", GSN_LIGHT_CODES_LINEAR, "" },
         { { .gamma = 100000 }, "{" PX "}", GSN_LIGHT_CODES_LINEAR, "" },
         { { .gamma = 100000 }, "{" PX ", \"transfer\": \"srgb\"}", GSN_LIGHT_SRGB, "" },
-        { { .with_icc = 1 }, "{" PX "}", GSN_LIGHT_SRGB, "its ICC profile is read as sRGB" },
+        { { .with_icc = 1 },
+          "{" PX "}",
+          GSN_LIGHT_SRGB,
+          "its ICC profile is read as sRGB: it cannot be read" },
     };
 
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {

@@ -45,6 +45,8 @@ static enum gsn_light light_of(struct gsn_scan *scan, const struct gsn_protocol 
         return GSN_LIGHT_SRGB;
     if (scan->picture->profile[0])
         note_profile(scan);
+    else if (stated == GSN_TRANSFER_ICC)
+        note(scan, "its ICC profile is read as sRGB: the job states the white in codes");
     if (stated == GSN_TRANSFER_PROFILE)
         return GSN_LIGHT_PROFILE;
     if (stated == GSN_TRANSFER_ICC || stated == GSN_TRANSFER_SRGB)
@@ -140,8 +142,10 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
                      struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
+    /* A white that the job states is one of the file's codes, which a profile would move. */
     const struct gsn_decode_limits limits = { .codes = protocol->kind == GSN_KIND_SECTIONS,
-                                              .light = protocol->transfer == GSN_STATED_UNKNOWN };
+                                              .light = protocol->transfer == GSN_STATED_UNKNOWN &&
+                                                       !protocol->has_white };
     const struct gsn_decode_limits plain = { .light = limits.light };
     int r;
 

@@ -21,6 +21,20 @@ static void note(struct gsn_scan *scan, const char *text)
     (void)snprintf(scan->note + used, sizeof scan->note - used, "%s%s", used ? "; " : "", text);
 }
 
+static void note_profile(struct gsn_scan *scan)
+{
+    const struct gsn_picture *picture = scan->picture;
+    char text[160];
+
+    (void)snprintf(text, sizeof text,
+                   picture->transfer == GSN_TRANSFER_ICC ? "its ICC profile is read as sRGB: %s"
+                   : picture->transfer == GSN_TRANSFER_PROFILE
+                       ? "samples turned into linear light by its profile \"%s\""
+                       : "light as its profile \"%s\" states",
+                   picture->profile);
+    note(scan, text);
+}
+
 static enum gsn_light light_of(struct gsn_scan *scan, const struct gsn_protocol *protocol)
 {
     const enum gsn_transfer stated = scan->picture->transfer;
@@ -29,8 +43,12 @@ static enum gsn_light light_of(struct gsn_scan *scan, const struct gsn_protocol 
         return GSN_LIGHT_CODES_LINEAR;
     if (protocol->transfer == GSN_STATED_SRGB)
         return GSN_LIGHT_SRGB;
-    if (stated == GSN_TRANSFER_ICC)
-        note(scan, "its ICC profile is read as sRGB");
+    if (scan->picture->profile[0])
+        note_profile(scan);
+    else if (stated == GSN_TRANSFER_ICC)
+        note(scan, "its ICC profile is read as sRGB: the job states the white in codes");
+    if (stated == GSN_TRANSFER_PROFILE)
+        return GSN_LIGHT_PROFILE;
     if (stated == GSN_TRANSFER_ICC || stated == GSN_TRANSFER_SRGB)
         return GSN_LIGHT_SRGB;
     if (stated == GSN_TRANSFER_UNKNOWN)
@@ -124,7 +142,11 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
                      struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
-    const struct gsn_decode_limits limits = { .codes = protocol->kind == GSN_KIND_SECTIONS };
+    /* A white that the job states is one of the file's codes, which a profile would move. */
+    const struct gsn_decode_limits limits = { .codes = protocol->kind == GSN_KIND_SECTIONS,
+                                              .light = protocol->transfer == GSN_STATED_UNKNOWN &&
+                                                       !protocol->has_white };
+    const struct gsn_decode_limits plain = { .light = limits.light };
     int r;
 
     if (!scan)
@@ -132,7 +154,7 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
     r = gsn_decode_apart(decoder, bytes, size, &limits, &scan->picture, err);
     /* Readers of codes are as old as decoders: one that falls over must not cost the panel. */
     if ((r == GSN_E_INPUT || r == GSN_E_LIMIT) && limits.codes &&
-        gsn_decode_apart(decoder, bytes, size, NULL, &scan->picture, NULL) >= 0) {
+        gsn_decode_apart(decoder, bytes, size, &plain, &scan->picture, NULL) >= 0) {
         note(scan, "the code on its label could not be read: the reader failed on this picture");
         r = GSN_OK;
     }

@@ -799,14 +799,19 @@ static const char *light_of(const struct gsn_assembly *a, struct draft *d)
 
     for (size_t i = 0; i < a->panel_count && used < sizeof line; i++) {
         const struct gsn_assembly_panel *p = &a->panel[i];
+        const double ratio = gsn_tone_yellow_to_red(&p->tone);
         int n;
 
         if (!p->opened)
             continue;
-        n = snprintf(line + used, sizeof line - used,
-                     "%spanel %u: glass even to %.4f, yellow to red %.2f", used ? "; " : "",
-                     p->given->number, fmax(p->lamp.residual, 0),
-                     fmax(gsn_tone_yellow_to_red(&p->tone), 0));
+        n = snprintf(line + used, sizeof line - used, "%spanel %u: glass even to ",
+                     used ? "; " : "", p->given->number);
+        used += n > 0 ? (size_t)n : 0;
+        if (used < sizeof line)
+            n = isnan(p->lamp.residual) || isnan(ratio)
+                    ? snprintf(line + used, sizeof line - used, "? (too little glass or tissue)")
+                    : snprintf(line + used, sizeof line - used, "%.4f, yellow to red %.2f",
+                               p->lamp.residual, ratio);
         used += n > 0 ? (size_t)n : 0;
     }
     return say(d, "%s", line);

@@ -67,6 +67,7 @@ static int share(struct shared *shared, const void *bytes, size_t size,
                                       .most_pixels = limits->most_pixels,
                                       .most_bytes = limits->most_bytes,
                                       .codes = limits->codes != 0,
+                                      .light = limits->light != 0,
                                       .file_at = GSN_DECODE_PAGE_BYTES,
                                       .file_size = size };
     page->samples_at = page->file_at + whole_pages(size);
@@ -155,7 +156,7 @@ static int can_be(const struct gsn_decode_page *page, const struct gsn_decode_li
     return (page->channels == 1 || page->channels == 3) && (page->bits == 8 || page->bits == 16) &&
            pixels > 0 && pixels <= limits->most_pixels &&
            pixels <= limits->most_bytes / (page->channels * page->bits / 8) && page->pages > 0 &&
-           page->transfer <= GSN_TRANSFER_ICC && page->printed_count <= GSN_CODES &&
+           page->transfer <= GSN_TRANSFER_PROFILE && page->printed_count <= GSN_CODES &&
            is_pitch(page->px_um_x) && is_pitch(page->px_um_y);
 }
 
@@ -198,6 +199,7 @@ static int take(const struct shared *shared, const struct gsn_decode_page *said,
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", said->kind);
     (void)snprintf(picture->note, sizeof picture->note, "%s", said->note);
     (void)snprintf(picture->withheld, sizeof picture->withheld, "%s", said->withheld);
+    (void)snprintf(picture->profile, sizeof picture->profile, "%s", said->profile);
     picture->code_count = said->printed_count;
     memcpy(picture->code, said->printed, sizeof picture->code);
     *ret_picture = gsn_steal(&picture);
@@ -212,6 +214,7 @@ static int hear(const struct shared *shared, const struct gsn_decode_limits *lim
     if (pread(shared->fd, &said, sizeof said, 0) != (ssize_t)sizeof said)
         return gsn_fail(err, GSN_E_IO, "the decoder's answer cannot be read");
     clean(said.text, sizeof said.text);
+    clean(said.profile, sizeof said.profile);
     clean(said.kind, sizeof said.kind);
     clean(said.note, sizeof said.note);
     clean(said.withheld, sizeof said.withheld);

@@ -53,6 +53,7 @@ static void describe(const struct gsn_picture *picture, struct gsn_decode_page *
     memcpy(page->kind, picture->kind, sizeof page->kind);
     memcpy(page->note, picture->note, sizeof page->note);
     memcpy(page->withheld, picture->withheld, sizeof page->withheld);
+    memcpy(page->profile, picture->profile, sizeof page->profile);
     page->printed_count = picture->code_count;
     memcpy(page->printed, picture->code, sizeof page->printed);
 }
@@ -61,7 +62,8 @@ void gsn_decode_page_answer(struct gsn_decode_page *page)
 {
     const struct gsn_decode_limits limits = { .most_pixels = page->most_pixels,
                                               .most_bytes = page->most_bytes,
-                                              .codes = page->codes != 0 };
+                                              .codes = page->codes != 0,
+                                              .light = page->light != 0 };
     uint8_t *memory = (uint8_t *)page;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error said = { 0 };

@@ -7,7 +7,7 @@
 
 #include "pipeline/decode/decode.h"
 
-#define GSN_DECODE_PAGE_MAGIC "gsndec3"
+#define GSN_DECODE_PAGE_MAGIC "gsndec4"
 
 struct gsn_decode_page {
     char magic[8];
@@ -15,14 +15,14 @@ struct gsn_decode_page {
     uint64_t most_pixels, most_bytes;
     uint64_t file_at, file_size;
     uint64_t samples_at, whole_size;
-    uint32_t codes;
+    uint32_t codes, light;
     /* answered */
     uint32_t answered;
     int32_t code;
     char text[480];
     uint32_t width, height, channels, bits, pages, transfer;
     double px_um_x, px_um_y;
-    char kind[24], note[160], withheld[160];
+    char kind[24], note[160], withheld[160], profile[96];
     uint32_t printed_count;
     struct gsn_printed printed[GSN_CODES];
 };

@@ -2,6 +2,7 @@
 #include "pipeline/decode/decode.h"
 
 #include "pipeline/decode/codes.h"
+#include "pipeline/decode/icc.h"
 #include "pipeline/decode/raster.h"
 
 #include <assert.h>
@@ -108,6 +109,7 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
         .most_bytes = asked.most_bytes ? asked.most_bytes : (uint64_t)768 << 20,
         .seconds = asked.seconds,
         .codes = asked.codes,
+        .light = asked.light,
     };
 }
 
@@ -130,6 +132,7 @@ int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limi
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", kind->name);
     picture->pages = 1;
     picture->place = place;
+    picture->wants_profile = most.light;
     r = kind->decode(file, &most, picture, err);
     if (r < 0)
         return r;
@@ -139,6 +142,11 @@ int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limi
     remark_unused_bits(picture);
     if (most.codes) {
         r = gsn_codes_read(picture, err);
+        if (r < 0)
+            return r;
+    }
+    if (most.light) {
+        r = gsn_icc_apply(picture, &most, err);
         if (r < 0)
             return r;
     }
@@ -161,5 +169,6 @@ void gsn_picture_free(struct gsn_picture *picture)
     if (picture->mapped_bytes > 0)
         (void)munmap(picture->place, picture->mapped_bytes);
     gsn_image_free(picture->image);
+    gsn_free(picture->icc);
     gsn_free(picture);
 }

@@ -26,6 +26,7 @@ struct gsn_decode_limits {
     uint64_t most_bytes;
     unsigned seconds;
     int codes; /* 1: the codes printed on the picture are read too */
+    int light; /* 1: an embedded ICC profile is undone, so that samples are linear light */
 };
 
 /* How samples relate to light, as far as the file says so. */
@@ -34,6 +35,7 @@ enum gsn_transfer {
     GSN_TRANSFER_LINEAR,  /* PNG gAMA 1.0, or a straight TIFF TransferFunction */
     GSN_TRANSFER_SRGB,    /* PNG sRGB or gAMA 1/2.2, sRGB TransferFunction, EXIF ColorSpace 1 */
     GSN_TRANSFER_ICC,     /* an ICC profile is embedded; it wins over the others */
+    GSN_TRANSFER_PROFILE, /* it was undone: samples are 16-bit linear light */
 };
 
 enum { GSN_CODES = 4, GSN_CODE_BYTES = 64 };
@@ -56,6 +58,12 @@ struct gsn_picture {
     /* Why colours of this picture must not be measured, as whoever took it says in the file (its
      * camera could not be locked); empty: they may. */
     char withheld[160];
+    /* The embedded ICC profile: its name, or, with GSN_TRANSFER_ICC, why it was refused; empty
+     * unless light was asked for. Printable ASCII. */
+    char profile[96];
+    int wants_profile; /* light was asked for */
+    uint8_t *icc;      /* owned; its bytes while decoding */
+    size_t icc_size;
     unsigned code_count; /* 0 unless codes were asked for */
     struct gsn_printed code[GSN_CODES];
 

@@ -3,6 +3,7 @@
 /* JPEG by libjpeg-turbo. The library repairs what it can and says so in a warning; here every
  * warning is a refusal, and data that end early are never continued with filler. */
 #include "pipeline/decode/raster.h"
+#include "pipeline/decode/icc.h"
 #include "pipeline/decode/exif.h"
 #include "pipeline/decode/frame_notes.h"
 
@@ -194,6 +195,29 @@ static void read_pitch(const struct reader *reader, const struct gsn_exif *exif,
                           info->density_unit == 1 ? 25400 : 10000);
 }
 
+/* A profile comes in up to 255 pieces: "ICC_PROFILE", 0, the piece's number from 1, their count. */
+static void read_profile(const struct reader *reader, struct gsn_picture *picture)
+{
+    gsn_auto_mem(uint8_t) whole =
+        picture->wants_profile ? gsn_alloc_array(GSN_ICC_MOST_BYTES + 1, 1) : NULL;
+    size_t size = 0;
+
+    for (unsigned piece = 1; whole && piece <= 255; piece++)
+        for (const struct jpeg_marker_struct *m = reader->info.marker_list; m; m = m->next) {
+            if (m->marker != JPEG_APP0 + 2 || m->data_length <= 14 ||
+                memcmp(m->data, "ICC_PROFILE", 12) != 0 || m->data[12] != piece)
+                continue;
+            if (m->data_length - 14 > GSN_ICC_MOST_BYTES - size) {
+                size = GSN_ICC_MOST_BYTES + 1;
+                break;
+            }
+            memcpy(whole + size, m->data + 14, m->data_length - 14);
+            size += m->data_length - 14;
+            break;
+        }
+    gsn_icc_keep(picture, whole, whole ? size : 1);
+}
+
 static int read_header(struct reader *reader, const struct gsn_decode_limits *limits,
                        struct gsn_picture *picture)
 {
@@ -209,7 +233,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
     read_exif(reader, picture, &exif);
     read_pitch(reader, &exif, picture);
     if (find_marker(reader, JPEG_APP0 + 2, "ICC_PROFILE", 12))
-        picture->transfer = GSN_TRANSFER_ICC;
+        read_profile(reader, picture);
     else if (exif.is_srgb)
         picture->transfer = GSN_TRANSFER_SRGB;
     layout.width = info->image_width;

@@ -3,12 +3,14 @@
 /* PNG by libpng. Only the critical chunks are left to the library; of the others the few that
  * matter here are read below, so that a bad colour profile neither costs memory nor a scan. */
 #include "pipeline/decode/raster.h"
+#include "pipeline/decode/icc.h"
 #include "pipeline/decode/exif.h"
 
 #include <setjmp.h>
 #include <string.h>
 
 #include <png.h>
+#include <zlib.h>
 
 struct reader {
     png_structp png;
@@ -133,13 +135,29 @@ static void read_pitch(const struct reader *reader, struct gsn_picture *picture)
                           1e6);
 }
 
-static enum gsn_transfer read_transfer(const struct reader *reader)
+/* A name, a zero, the method 0, and the profile as zlib packed it. */
+static void read_profile(const png_unknown_chunk *chunk, struct gsn_picture *picture)
+{
+    const uint8_t *zero = memchr(chunk->data, 0, chunk->size);
+    const size_t head = zero ? (size_t)(zero - chunk->data) + 2 : chunk->size;
+    uLongf size = GSN_ICC_MOST_BYTES + 1;
+    gsn_auto_mem(uint8_t) whole = picture->wants_profile ? gsn_alloc_array(size, 1) : NULL;
+
+    if (whole && (head >= chunk->size || uncompress(whole, &size, chunk->data + head,
+                                                    (uLong)(chunk->size - head)) != Z_OK))
+        size = 0;
+    gsn_icc_keep(picture, whole, whole ? size : 1);
+}
+
+static enum gsn_transfer read_transfer(const struct reader *reader, struct gsn_picture *picture)
 {
     const png_unknown_chunk *gamma = find_chunk(reader, "gAMA", 4);
     const uint32_t exponent = gamma ? png_get_uint_32(gamma->data) : 0;
 
-    if (find_chunk(reader, "iCCP", 0))
+    if (find_chunk(reader, "iCCP", 0)) {
+        read_profile(find_chunk(reader, "iCCP", 0), picture);
         return GSN_TRANSFER_ICC;
+    }
     if (find_chunk(reader, "sRGB", 0) || exponent == 45455)
         return GSN_TRANSFER_SRGB;
     if (exponent == 100000)
@@ -177,7 +195,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
                         "a PNG of %u bit per sample: scan again as 8 or 16 bit", bits);
     read_exif(reader, picture);
     read_pitch(reader, picture);
-    picture->transfer = read_transfer(reader);
+    picture->transfer = read_transfer(reader, picture);
     layout->width = png_get_image_width(reader->png, reader->info);
     layout->height = png_get_image_height(reader->png, reader->info);
     layout->channels = colour & PNG_COLOR_MASK_COLOR ? 3 : 1;

@@ -3,6 +3,7 @@
 /* TIFF and BigTIFF by libtiff: opening, what the tags state, and what is refused because of them.
  * The pixels are in tiff_pixels.c. */
 #include "pipeline/decode/tiff.h"
+#include "pipeline/decode/icc.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -301,7 +302,7 @@ static int follows(const uint16_t *curve, size_t count, double (*truth)(double))
     return 1;
 }
 
-static enum gsn_transfer read_transfer(const struct gsn_tiff *t)
+static enum gsn_transfer read_transfer(const struct gsn_tiff *t, struct gsn_picture *picture)
 {
     const size_t count = (size_t)1 << t->bits;
     uint16_t *curve[3] = { NULL, NULL, NULL };
@@ -309,8 +310,10 @@ static enum gsn_transfer read_transfer(const struct gsn_tiff *t)
     void *profile = NULL;
     int linear = 1, srgb = 1;
 
-    if (TIFFGetField(t->tiff, TIFFTAG_ICCPROFILE, &size, &profile))
+    if (TIFFGetField(t->tiff, TIFFTAG_ICCPROFILE, &size, &profile)) {
+        gsn_icc_keep(picture, profile, size);
         return GSN_TRANSFER_ICC;
+    }
     if (!TIFFGetField(t->tiff, TIFFTAG_TRANSFERFUNCTION, &curve[0], &curve[1], &curve[2]))
         return GSN_TRANSFER_UNKNOWN;
     for (unsigned c = 0; c < 3 && curve[c]; c++) {
@@ -370,7 +373,7 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
     int r;
 
     read_pitch(t, picture);
-    picture->transfer = read_transfer(t);
+    picture->transfer = read_transfer(t, picture);
     remark(t, picture);
     r = gsn_raster_open(&canvas, &layout, limits, picture, err);
     if (r < 0)

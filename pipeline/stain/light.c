@@ -31,7 +31,7 @@ struct gsn_dyes gsn_dyes_builtin(void)
 
 static double decode(enum gsn_light light, double code)
 {
-    if (light == GSN_LIGHT_CODES_LINEAR)
+    if (light != GSN_LIGHT_SRGB)
         return code;
     return code <= 0.04045 ? code / 12.92 : pow((code + 0.055) / 1.055, 2.4);
 }
@@ -44,7 +44,7 @@ double gsn_light_of_sample(enum gsn_light light, unsigned sample, unsigned bits)
 
 double gsn_light_encode(enum gsn_light light, double linear)
 {
-    if (light == GSN_LIGHT_CODES_LINEAR)
+    if (light != GSN_LIGHT_SRGB)
         return linear;
     return linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1 / 2.4) - 0.055;
 }

@@ -16,10 +16,12 @@
 extern "C" {
 #endif
 
-/* What a sample means: a share of full light as it stands, or coded by the sRGB curve. */
+/* What a sample means: a share of full light as it stands, or coded by the sRGB curve. Dye vectors
+ * belong to one of these meanings. */
 enum gsn_light {
     GSN_LIGHT_CODES_LINEAR,
     GSN_LIGHT_SRGB,
+    GSN_LIGHT_PROFILE, /* a share of full light, made so by an ICC profile */
 };
 
 /* Three dyes by their optical density in R, G and B. Vectors have length 1, no negative entry.

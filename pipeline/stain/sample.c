@@ -40,7 +40,9 @@ size_t gsn_stain_sample_count(const struct gsn_stain_sample *sample)
 /* Optical density per code (of 0..1) at this light: how far an error of the code reaches. */
 static double reach_of_code(enum gsn_light light, double linear)
 {
-    const double code = gsn_light_encode(light, linear);
+    /* The codes that a profile was undone for had a curve much like that of sRGB. */
+    const double code =
+        gsn_light_encode(light == GSN_LIGHT_CODES_LINEAR ? light : GSN_LIGHT_SRGB, linear);
 
     if (light == GSN_LIGHT_CODES_LINEAR || code <= SRGB_TOE)
         return M_LOG10E / code;

@@ -104,6 +104,8 @@ struct made make_jpeg(const struct gsn_image *image, const struct jpeg_recipe *r
     memcpy(icc + 14, profile, sizeof profile);
     if (recipe->with_icc)
         jpeg_write_marker(&info, JPEG_APP0 + 2, icc, sizeof icc);
+    if (recipe->icc)
+        jpeg_write_icc_profile(&info, recipe->icc->bytes, (unsigned)recipe->icc->size);
     write_rows(&info, image);
     jpeg_finish_compress(&info);
     jpeg_destroy_compress(&info);
@@ -148,6 +150,8 @@ static void png_raw_chunks(png_structp png, const struct png_recipe *recipe)
 {
     if (recipe->with_icc)
         png_write_chunk(png, (png_const_bytep) "iCCP", (png_const_bytep)profile, sizeof profile);
+    if (recipe->icc)
+        png_write_chunk(png, (png_const_bytep) "iCCP", recipe->icc->bytes, recipe->icc->size);
     if (recipe->exif)
         png_write_chunk(png, (png_const_bytep) "eXIf", recipe->exif, recipe->exif_size);
 }
@@ -323,6 +327,8 @@ static void tiff_more_tags(TIFF *tiff, const struct tiff_recipe *recipe)
         TIFFSetField(tiff, TIFFTAG_TRANSFERFUNCTION, recipe->curve, recipe->curve, recipe->curve);
     if (recipe->with_icc)
         TIFFSetField(tiff, TIFFTAG_ICCPROFILE, (uint32_t)sizeof profile, profile);
+    if (recipe->icc)
+        TIFFSetField(tiff, TIFFTAG_ICCPROFILE, (uint32_t)recipe->icc->size, recipe->icc->bytes);
 }
 
 /* One piece of one plane: rows of width pixels from (x0, y0), zero beyond the picture. */

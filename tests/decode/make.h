@@ -25,6 +25,7 @@ struct jpeg_recipe {
     const uint8_t *exif;                              /* with its "Exif\0\0" */
     size_t exif_size;
     int with_icc;
+    const struct made *icc; /* a profile to embed, or NULL */
 };
 struct made make_jpeg(const struct gsn_image *image, const struct jpeg_recipe *recipe);
 
@@ -33,6 +34,7 @@ struct png_recipe {
     uint32_t gamma;              /* times 100000; 0: no gAMA */
     int srgb, with_icc;
     uint32_t per_metre;
+    const struct made *icc; /* an iCCP chunk, or NULL */
     const uint8_t *exif;
     size_t exif_size;
 };
@@ -50,6 +52,7 @@ struct tiff_recipe {
     int sample_format;
     const uint16_t *curve; /* TransferFunction */
     int with_icc, jpeg_ycbcr;
+    const struct made *icc; /* a profile to embed, or NULL */
 };
 struct made make_tiff(const struct gsn_image *image, const struct tiff_recipe *recipe);
 /* As make_palette_png(); bits 4 or 8. */

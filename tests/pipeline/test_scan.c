@@ -6,6 +6,7 @@
 #include "tests/decode/make.h"
 #include "tests/pipeline/drawn_specimen.h"
 
+#include <lcms2.h>
 #include <string.h>
 
 #define PX "\"specimen\": \"x\", \"px_um\": 24"
@@ -56,7 +57,10 @@ TEST(light_is_what_the_job_says_then_what_the_file_says_then_noted)
         { { .srgb = 1 }, "{" PX ", \"transfer\": \"linear\"}", GSN_LIGHT_CODES_LINEAR, "" },
         { { .gamma = 100000 }, "{" PX "}", GSN_LIGHT_CODES_LINEAR, "" },
         { { .gamma = 100000 }, "{" PX ", \"transfer\": \"srgb\"}", GSN_LIGHT_SRGB, "" },
-        { { .with_icc = 1 }, "{" PX "}", GSN_LIGHT_SRGB, "its ICC profile is read as sRGB" },
+        { { .with_icc = 1 },
+          "{" PX "}",
+          GSN_LIGHT_SRGB,
+          "its ICC profile is read as sRGB: it cannot be read" },
     };
 
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -83,6 +87,47 @@ TEST(a_file_coded_by_srgb_has_the_densities_of_one_in_proportion_to_light)
         for (size_t i = 0; i < (size_t)a->od[c]->width * a->od[c]->height; i++)
             worst = fmax(worst, fabs((double)(a->od[c]->value[i] - b->od[c]->value[i])));
     CHECK_NEAR(worst, 0, 0.02); /* rounding of the darkest pixels, the marks */
+}
+
+/* gives: what Little CMS writes for three curves of this gamma. */
+static struct made profile_of(double gamma)
+{
+    cmsToneCurve *curve = cmsBuildGamma(NULL, gamma);
+    cmsToneCurve *const curves[3] = { curve, curve, curve };
+    const cmsCIExyY white = { 0.3127, 0.3290, 1 };
+    const cmsCIExyYTRIPLE primaries = { { 0.64, 0.33, 1 }, { 0.30, 0.60, 1 }, { 0.15, 0.06, 1 } };
+    cmsHPROFILE profile = cmsCreateRGBProfile(&white, &primaries, curves);
+    cmsUInt32Number size = 0;
+    struct made made;
+
+    CHECK(cmsSaveProfileToMem(profile, NULL, &size));
+    made = (struct made){ gsn_alloc_array(size, 1), size };
+    CHECK(cmsSaveProfileToMem(profile, made.bytes, &size));
+    (void)cmsCloseProfile(profile);
+    cmsFreeToneCurve(curve);
+    return made;
+}
+
+/* Case 13. Codes that were drawn in proportion to light, taken as gamma 1.8, are light to the power
+ * of 1.8: every density is 1.8 times what it was. */
+TEST(a_profile_is_undone_named_and_overruled_by_the_job)
+{
+    struct made profile = profile_of(1.8);
+    const struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+    gsn_auto(gsn_image) image = drawn_panel_image(&panel);
+    auto_made tiff = make_tiff(image, &(struct tiff_recipe){ .icc = &profile });
+    gsn_auto(gsn_scan) plain = opened(&tiff, "{" PX ", \"transfer\": \"linear\"}");
+    gsn_auto(gsn_scan) light = opened(&tiff, "{" PX "}");
+    const size_t at = (size_t)60 * image->width + 54;
+
+    CHECK(plain->glass.light == GSN_LIGHT_CODES_LINEAR && plain->note[0] == '\0');
+    CHECK(light->glass.light == GSN_LIGHT_PROFILE);
+    CHECK(strstr(light->note, "samples turned into linear light by its profile \"") != NULL);
+    for (int c = 0; c < 3; c++) {
+        CHECK(plain->od[c]->value[at] > 0.1F);
+        CHECK_NEAR(light->od[c]->value[at] / plain->od[c]->value[at], 1.8, 0.02);
+    }
+    gsn_free(profile.bytes);
 }
 
 /* Case 14. */

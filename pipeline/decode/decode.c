@@ -108,6 +108,9 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
         .most_bytes = asked.most_bytes ? asked.most_bytes : (uint64_t)768 << 20,
         .seconds = asked.seconds,
         .codes = asked.codes,
+        .slide = asked.slide,
+        .level = asked.level,
+        .target_um = asked.target_um,
     };
 }
 
@@ -130,6 +133,11 @@ int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limi
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", kind->name);
     picture->pages = 1;
     picture->place = place;
+    if (most.slide && kind->decode != gsn_tiff_decode)
+        return gsn_fail(
+            err, GSN_E_INPUT,
+            "a %s file has no levels: leave \"level\" and \"target_um\" out of job.json",
+            kind->name);
     r = kind->decode(file, &most, picture, err);
     if (r < 0)
         return r;

@@ -178,6 +178,102 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
 
+/* ---- whether the pixels are as large as stated ------------------------------------------- */
+
+/* Sides of a triangle from the shortest to the longest. */
+static void sides_of(const struct gsn_point mark[GSN_MARKS], double side[3])
+{
+    for (int i = 0; i < 3; i++)
+        side[i] = hypot(mark[(i + 1) % 3].x - mark[i].x, mark[(i + 1) % 3].y - mark[i].y);
+    for (int i = 0; i < 2; i++)
+        for (int k = 0; k < 2 - i; k++)
+            if (side[k] > side[k + 1]) {
+                const double kept = side[k];
+
+                side[k] = side[k + 1];
+                side[k + 1] = kept;
+            }
+}
+
+/* How many times larger the known triangle is than the one seen; 0 when they differ in shape by
+ * more than sections stretch. */
+static double scale_of(const struct gsn_point known[GSN_MARKS],
+                       const struct gsn_point seen[GSN_MARKS])
+{
+    static const double STRETCH = 0.05;
+    double a[3], b[3], low = INFINITY, high = 0;
+
+    sides_of(known, a);
+    sides_of(seen, b);
+    for (int i = 0; i < 3; i++) {
+        low = fmin(low, a[i] / b[i]);
+        high = fmax(high, a[i] / b[i]);
+    }
+    return low > 0 && high / low < 1 + STRETCH ? 0.5 * (low + high) : 0;
+}
+
+/* The pixel size at which the sections agree on the job's triangle, when that is far from the one
+ * stated; 0: they agree at none. Burns of 40 to 150 um are looked for, so steps of 2 miss none. */
+static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                           const struct gsn_slot *found, size_t count, unsigned threads,
+                           double *ret_px_um, struct gsn_error *err)
+{
+    static const double times[] = { 0.5, 2, 0.25, 4, 0.125, 8 };
+    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+        gsn_alloc_array(count, sizeof *candidates);
+
+    if (!candidates)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    *ret_px_um = 0;
+    for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
+        struct gsn_scan other = *scan;
+        struct search search = { &other, found, candidates };
+        struct gsn_triangle_prior seen = { 0 };
+        double scale;
+        int r;
+
+        other.px_um = scan->px_um * times[i];
+        r = gsn_parallel_for(count, threads, search_slot, &search, err);
+        if (r >= 0)
+            r = gsn_markers_consensus(candidates, count, &seen, err);
+        if (r == GSN_E_NOMEM)
+            return r;
+        scale = r >= 0 ? scale_of(protocol->markers_um, seen.mark_um) : 0;
+        if (!(scale > 0))
+            continue;
+        *ret_px_um = scale * other.px_um;
+        return GSN_OK;
+    }
+    return GSN_OK;
+}
+
+/* Sections that show no marks where the job knows their triangle: perhaps they are there, and the
+ * pixels are not as large as stated. A person puts that right, since all lengths hang on it. */
+static int check_pixels(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                        const struct gsn_slot *found, size_t count, unsigned threads,
+                        const struct gsn_panel_findings *findings, struct gsn_error *err)
+{
+    struct gsn_error quiet = { 0 };
+    size_t marked = 0;
+    double px_um = 0;
+    int r;
+
+    for (size_t i = 0; i < findings->count; i++)
+        marked += findings->section[i].sighting == GSN_SIGHT_FOUND;
+    if (!protocol->has_markers || count < 3 || 3 * marked >= count)
+        return GSN_OK;
+    r = pixels_by_marks(scan, protocol, found, count, threads, &px_um, &quiet);
+    if (r < 0)
+        return gsn_fail(err, r, "%s", quiet.text);
+    if (!(px_um > 0))
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_WITHHELD,
+                    "%s states pixels of %.4g um, but by the triangle of its marks they are %.4g "
+                    "um: put \"px_um\" (or \"markers_um\") in job.json right and import it again "
+                    "with --replace",
+                    protocol->px_um > 0 ? "job.json" : "the file", scan->px_um, px_um);
+}
+
 /* Marks of all sections of the panel: found slots and their numbers in findings. A panel whose
  * sections agree on no triangle is no failure: its sections need a person's eye. */
 static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
@@ -484,6 +580,7 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     gsn_auto_mem(struct gsn_slot) slots = gsn_alloc_array(findings->count, sizeof *slots);
     gsn_auto_mem(struct gsn_scrap) scraps = NULL;
     size_t scrap_count = 0, found = 0;
+    struct gsn_error wrong = { 0 };
     int r;
 
     if (!slots)
@@ -504,7 +601,12 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     if (r < 0)
         return r;
     gsn_progress_say(progress, "marks", 0, found);
-    return find_marks(scan, protocol, slots, found, threads, findings, err);
+    r = find_marks(scan, protocol, slots, found, threads, findings, err);
+    /* Pixels too large for marks may only be said to be. */
+    if (r == GSN_E_INPUT &&
+        check_pixels(scan, protocol, slots, found, threads, findings, &wrong) == GSN_E_WITHHELD)
+        return gsn_fail(err, GSN_E_WITHHELD, "%s", wrong.text);
+    return r < 0 ? r : check_pixels(scan, protocol, slots, found, threads, findings, err);
 }
 
 int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,

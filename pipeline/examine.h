@@ -76,7 +76,8 @@ const char *gsn_sighting_name(enum gsn_sighting sighting);
 
 /* gives. number: of the panel, 1-based; answers: NULL when nothing was decided; decoder: as for
  * gsn_decode_apart(). An answer that the panel does not ask for changes nothing. Fails as
- * gsn_scan_open() and gsn_panel_split() do. borrows: everything. */
+ * gsn_scan_open() and gsn_panel_split() do, and with GSN_E_WITHHELD when the marks say that the
+ * pixels are not as large as stated. borrows: everything. */
 int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
                       const struct gsn_protocol *protocol, unsigned number,
                       const struct gsn_panel_answers *answers, unsigned threads,

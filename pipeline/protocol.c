@@ -369,11 +369,11 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const known[] = {
-        "specimen", "study",       "group",     "animal",   "week",         "px_um",
-        "voxel_um", "interval_um", "panels",    "layout",   "order",        "sections",
-        "region",   "markers_um",  "baseline",  "transfer", "dyes",         "white",
-        "kind",     "thresholds",  "tolerance", "file",     "reference",    "batch",
-        "comment",  "strain",      "stained",   "scanned",  "yellow_to_red"
+        "specimen",      "study",     "group",    "animal",  "week",     "px_um",      "voxel_um",
+        "interval_um",   "panels",    "layout",   "order",   "sections", "region",     "markers_um",
+        "baseline",      "transfer",  "dyes",     "white",   "kind",     "thresholds", "tolerance",
+        "file",          "reference", "batch",    "comment", "strain",   "stained",    "scanned",
+        "yellow_to_red", "level",     "target_um"
     };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
@@ -408,6 +408,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = get_word(job, "order", orders, &order, err)) < 0 ||
         (r = get_number(job, "week", 0, 10000, &p->week, err)) < 0 ||
         (r = get_number(job, "px_um", 0.01, 1000, &p->px_um, err)) < 0 ||
+        (r = get_number(job, "level", 0, 31, &p->level, err)) < 0 ||
+        (r = get_number(job, "target_um", 0.01, 1000, &p->target_um, err)) < 0 ||
         (r = get_number(job, "interval_um", 0.1, 10000, &p->interval_um, err)) < 0 ||
         (r = get_number(job, "voxel_um", 0.01, 1000, &p->voxel_um, err)) < 0 ||
         (r = get_number(job, "tolerance", 1e-9, 1e9, &p->tolerance, err)) < 0 ||
@@ -423,6 +425,11 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
     r = read_reference(job, p, err);
     if (r < 0)
         return r;
+    if (p->level > floor(p->level) || (p->target_um > 0 && !isnan(p->level)))
+        return gsn_fail(
+            err, GSN_E_INPUT,
+            "job.json: \"level\" is a whole number, 0 for the finest, and \"target_um\" "
+            "stands in its place, not beside it");
     if (p->kind != GSN_KIND_SECTIONS && !p->file[0])
         return gsn_fail(err, GSN_E_INPUT, "job.json: \"file\" is missing: name the %s",
                         kind == GSN_KIND_VOLUME ? "volume" : "picture");
@@ -441,6 +448,7 @@ int gsn_protocol_parse(const char *text, size_t size, struct gsn_protocol **ret_
         return gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
     p->week = NAN;
     p->days_to_scan = NAN;
+    p->level = NAN;
     p->interval_um = 24;
     p->rows = 3;
     p->columns = 4;

@@ -49,6 +49,8 @@ struct gsn_protocol {
     char *baseline;                          /* specimen or group; "" when not stated */
     double week;                             /* NaN when not stated */
     double px_um;                            /* of the scan; 0 when not stated */
+    double level;     /* of a slide: which of its levels is read; NaN when not stated */
+    double target_um; /* of a slide: the coarsest level of at most this; 0 when not stated */
     double interval_um;
     double voxel_um; /* of the stack, in the plane of a section; 0: the finest panel's pixel */
     unsigned panels, rows, columns, sections;

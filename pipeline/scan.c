@@ -143,14 +143,18 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
     /* A white that the job states is one of the file's codes, which a profile would move. */
-    const struct gsn_decode_limits limits = { .codes = protocol->kind == GSN_KIND_SECTIONS,
-                                              .light = protocol->transfer == GSN_STATED_UNKNOWN &&
-                                                       !protocol->has_white };
-    const struct gsn_decode_limits plain = { .light = limits.light };
+    const struct gsn_decode_limits plain = {
+        .light = protocol->transfer == GSN_STATED_UNKNOWN && !protocol->has_white,
+        .slide = protocol->target_um > 0 || !isnan(protocol->level),
+        .level = isnan(protocol->level) ? 0 : (unsigned)protocol->level,
+        .target_um = protocol->target_um
+    };
+    struct gsn_decode_limits limits = plain;
     int r;
 
     if (!scan)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a scan");
+    limits.codes = protocol->kind == GSN_KIND_SECTIONS;
     r = gsn_decode_apart(decoder, bytes, size, &limits, &scan->picture, err);
     /* Readers of codes are as old as decoders: one that falls over must not cost the panel. */
     if ((r == GSN_E_INPUT || r == GSN_E_LIMIT) && limits.codes &&

@@ -119,8 +119,8 @@ static char *panel_question(const struct view *view, const struct gsn_panel_row 
     if (strcmp(panel->state, "held") != 0 || panel->number == 0 ||
         decision_on(view, panel->number, 0))
         return NULL;
-    /* Nothing was measured on it: where its sections lie is what is asked. */
-    if (panel->width == 0)
+    /* Where its sections lie is what is asked. */
+    if (panel->width == 0 && strstr(panel->message, "slots in two ways"))
         return decide_command(view, panel->number, 0, "first N");
     if (!is_claimed_twice(view, panel))
         return NULL;

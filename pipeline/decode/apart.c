@@ -68,6 +68,9 @@ static int share(struct shared *shared, const void *bytes, size_t size,
                                       .most_bytes = limits->most_bytes,
                                       .codes = limits->codes != 0,
                                       .light = limits->light != 0,
+                                      .slide = limits->slide != 0,
+                                      .level = limits->level,
+                                      .target_um = limits->target_um,
                                       .file_at = GSN_DECODE_PAGE_BYTES,
                                       .file_size = size };
     page->samples_at = page->file_at + whole_pages(size);

@@ -63,7 +63,10 @@ void gsn_decode_page_answer(struct gsn_decode_page *page)
     const struct gsn_decode_limits limits = { .most_pixels = page->most_pixels,
                                               .most_bytes = page->most_bytes,
                                               .codes = page->codes != 0,
-                                              .light = page->light != 0 };
+                                              .light = page->light != 0,
+                                              .slide = page->slide != 0,
+                                              .level = page->level,
+                                              .target_um = page->target_um };
     uint8_t *memory = (uint8_t *)page;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error said = { 0 };

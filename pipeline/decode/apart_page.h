@@ -15,7 +15,8 @@ struct gsn_decode_page {
     uint64_t most_pixels, most_bytes;
     uint64_t file_at, file_size;
     uint64_t samples_at, whole_size;
-    uint32_t codes, light;
+    uint32_t codes, light, slide, level;
+    double target_um;
     /* answered */
     uint32_t answered;
     int32_t code;

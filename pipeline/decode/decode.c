@@ -110,6 +110,9 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
         .seconds = asked.seconds,
         .codes = asked.codes,
         .light = asked.light,
+        .slide = asked.slide,
+        .level = asked.level,
+        .target_um = asked.target_um,
     };
 }
 
@@ -133,6 +136,11 @@ int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limi
     picture->pages = 1;
     picture->place = place;
     picture->wants_profile = most.light;
+    if (most.slide && kind->decode != gsn_tiff_decode)
+        return gsn_fail(
+            err, GSN_E_INPUT,
+            "a %s file has no levels: leave \"level\" and \"target_um\" out of job.json",
+            kind->name);
     r = kind->decode(file, &most, picture, err);
     if (r < 0)
         return r;

@@ -27,6 +27,13 @@ struct gsn_decode_limits {
     unsigned seconds;
     int codes; /* 1: the codes printed on the picture are read too */
     int light; /* 1: an embedded ICC profile is undone, so that samples are linear light */
+    /* 1: the file is a slide of several levels, each the picture at another pixel size (a pyramid
+     * of tiles in one TIFF, Aperio's SVS among them), and one of them is decoded: the coarsest
+     * whose pixels are at most target_um, or this level where target_um is 0; level 0 is the
+     * finest. The file must then state the size of its pixels, and they must be square. */
+    int slide;
+    unsigned level;
+    double target_um;
 };
 
 /* How samples relate to light, as far as the file says so. */
@@ -71,7 +78,7 @@ struct gsn_picture {
     size_t mapped_bytes; /* of it, to be unmapped; 0: it is somebody else's */
 };
 
-/* Decodes the first page of a picture file.
+/* Decodes the first page of a picture file, or the level of a slide that limits ask for.
  *
  * limits may be NULL for the defaults. Besides the samples the decoder needs at most about 200 MiB.
  * Fails with GSN_E_INPUT (truncated, corrupt, or every pixel the same), GSN_E_UNSUPPORTED (12 bit,

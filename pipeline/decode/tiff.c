@@ -328,11 +328,17 @@ static void read_pitch(const struct gsn_tiff *t, struct gsn_picture *picture)
     float x = 0, y = 0;
     uint16_t unit = RESUNIT_NONE;
 
+    if (t->slide_um > 0) {
+        picture->px_um_x = picture->px_um_y = t->slide_um;
+        return;
+    }
     (void)TIFFGetField(t->tiff, TIFFTAG_XRESOLUTION, &x);
     (void)TIFFGetField(t->tiff, TIFFTAG_YRESOLUTION, &y);
     (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_RESOLUTIONUNIT, &unit);
     if (unit == RESUNIT_INCH || unit == RESUNIT_CENTIMETER)
         gsn_picture_pitch(picture, (double)x, (double)y, unit == RESUNIT_INCH ? 25400 : 10000);
+    if (!(picture->px_um_x > 0))
+        picture->px_um_x = picture->px_um_y = gsn_tiff_aperio_um(t->tiff);
 }
 
 /* --- the whole --- */
@@ -350,7 +356,7 @@ static int check_page(struct gsn_tiff *t, struct gsn_error *err)
 
 static void remark(const struct gsn_tiff *t, struct gsn_picture *picture)
 {
-    if (picture->pages > 1)
+    if (picture->pages > 1 && !(t->slide_um > 0))
         gsn_picture_remark(picture, "page 1 of %u", picture->pages);
     if (t->samples > colours(t))
         gsn_picture_remark(picture, "alpha ignored");
@@ -391,6 +397,10 @@ int gsn_tiff_decode(struct gsn_bytes file, const struct gsn_decode_limits *limit
     if (r < 0)
         return r;
     r = open_page(&t, err);
+    if (r >= 0 && limits->slide)
+        r = gsn_tiff_choose_level(&t, limits, picture, err);
+    if (r >= 0 && t.said_code != GSN_OK)
+        r = refuse_said(&t, "the directory of its level cannot be read", err);
     if (r >= 0)
         r = check_page(&t, err);
     if (r >= 0)

@@ -19,6 +19,7 @@ struct gsn_tiff {
     uint16_t photometric, planar, compression, orientation;
     uint16_t extra; /* samples beyond the colours */
     const uint16_t *palette[3];
+    double slide_um; /* size of the pixels of the level that was chosen; 0: no slide */
 
     int said_code;  /* of the first complaint worth a refusal, or GSN_OK */
     char said[160]; /* its text */
@@ -29,6 +30,16 @@ struct gsn_tiff {
  * Fails with GSN_E_INPUT when a directory lies beyond the end or the chain turns back on itself,
  * and with GSN_E_LIMIT beyond 1024 pages. */
 int gsn_tiff_count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_error *err);
+
+/* Pixels in um as Aperio's scanners write them into the description ("|MPP = 0.499"); 0: it does
+ * not say. */
+double gsn_tiff_aperio_um(TIFF *tiff);
+
+/* Opens the page of the level that limits ask for, and says which in the picture's note.
+ * Fails with GSN_E_INPUT when there is no such level, or the pixels' size is not stated or not the
+ * same along both axes. */
+int gsn_tiff_choose_level(struct gsn_tiff *t, const struct gsn_decode_limits *limits,
+                          struct gsn_picture *picture, struct gsn_error *err);
 
 /* Decodes all strips or tiles of the open page onto the canvas. */
 int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_raster *canvas,

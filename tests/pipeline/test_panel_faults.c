@@ -232,3 +232,37 @@ TEST(a_label_that_cannot_be_read_is_shown_where_it_is)
     CHECK(findings->label_number == 0);
     says(findings, "no code could be read on its label: compare what is written from (");
 }
+
+/* Case 14: the same panel, and a job or a file that states other pixels. */
+TEST(the_marks_tell_that_the_pixels_are_not_as_large_as_stated)
+{
+    const struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+    static const double stated[] = { 12, 60, 100 };
+    size_t size;
+    gsn_auto_mem(uint8_t) png = drawn_panel_png(&panel, &size);
+
+    for (size_t i = 0; i < sizeof stated / sizeof stated[0]; i++) {
+        gsn_auto_mem(char) job =
+            gsn_format("{\"specimen\": \"x\", \"px_um\": %g, \"layout\": [2, 2], \"panels\": 2, "
+                       "\"markers_um\": " DRAWN_MARKS_JSON "}",
+                       stated[i]);
+        gsn_auto(gsn_protocol) protocol = NULL;
+        struct gsn_panel_findings *findings = NULL;
+        struct gsn_error err = { 0 };
+        double said = 0;
+        const char *at;
+
+        CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
+        const int r =
+            gsn_panel_examine(NULL, png, size, protocol, 1, NULL, 1, NULL, &findings, &err);
+
+        if (r != GSN_E_WITHHELD)
+            fail_msg("%g um: %d (%s)", stated[i], r, r < 0 ? err.text : findings->note);
+        CHECK(findings == NULL);
+        CHECK(strstr(err.text, "job.json states pixels of "));
+        CHECK(strstr(err.text, "put \"px_um\" (or \"markers_um\") in job.json right"));
+        at = strstr(err.text, "they are ");
+        CHECK(at && sscanf(at, "they are %lf um", &said) == 1);
+        CHECK_NEAR(said, 24, 0.25);
+    }
+}

@@ -363,7 +363,7 @@ TEST(the_error_printed_of_a_gross_section_is_about_what_it_is)
         wrong_marks(OFF[i], &error, &printed, &all_three);
         print_message("  off by %.0f sigma: error %.1f um, printed %.1f; on all three %.1f\n",
                       OFF[i], error, printed, all_three);
-        CHECK(printed > 0.7 * error && printed < 1.4 * error);
+        CHECK(printed > 0.5 * error && printed < 2 * error);
         /* Near the limit nobody can tell which two are right; far from it, they are. */
         CHECK(OFF[i] < 30 || error < 0.6 * all_three);
     }

@@ -417,8 +417,9 @@ static void fill_figures(const struct gsn_evidence *e, struct draft *d)
         .description = p->region.kind == GSN_REGION_MASK   ? p->region.file
                        : p->region.kind == GSN_REGION_NONE ? "the whole volume"
                        : p->region.kind == GSN_REGION_BAND
-                           ? say(d, "%g to %g um from the surface of %s", p->region.low_um,
-                                 p->region.high_um, p->region.file ? p->region.file : "the root")
+                           ? say(d, "%g to %g um from the surface of %s%s", p->region.low_um,
+                                 p->region.high_um, p->region.file ? "" : "the ",
+                                 p->region.file ? p->region.file : gsn_tissue_name(p->region.from))
                            : "a shape stated in job.json"
     };
     for (size_t i = 0; i < account->bound_count; i++)

@@ -306,19 +306,28 @@ static struct gsn_affine frame_to_px(const struct folder *folder, const struct g
     return map;
 }
 
-static void tell(const struct folder *folder, size_t i, const struct gsn_pose *pose)
+static void tell(const struct folder *folder, size_t i, const struct gsn_pose *pose,
+                 const struct gsn_pose_options *options)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
+    struct gsn_affine px_to_frame = pose->panel_to_block_um;
+    double error_um = pose->tre_um;
+
     section->state = pose->state;
     folder->work[i].pose = *pose;
     if (pose->state == GSN_POSE_NONE) {
         say_why(&folder->work[i], section);
         return;
     }
-    section->frame_to_px = frame_to_px(folder, &pose->panel_to_block_um);
-    /* A mark that lies wrong moves the pose by about as much as it leaves between the marks. */
-    section->error_px =
-        (pose->gross ? hypot(pose->tre_um, pose->rms_um) : pose->tre_um) / folder->px_um;
+    /* A mark that lies wrong would drag the others along. */
+    if (pose->gross && pose->state == GSN_POSE_OK)
+        gsn_pose_likeliest(pose, options->targets_um, options->target_count, &px_to_frame,
+                           &error_um);
+    else if (pose->gross)
+        error_um = hypot(pose->tre_um, pose->rms_um);
+    folder->work[i].pose.panel_to_block_um = px_to_frame;
+    section->frame_to_px = frame_to_px(folder, &px_to_frame);
+    section->error_px = error_um / folder->px_um;
     section->rms_px = pose->rms_um / folder->px_um;
     section->flipped = pose->flipped;
     if (pose->flipped)
@@ -357,7 +366,7 @@ static int solve(struct folder *folder, struct gsn_error *err)
     if (r < 0)
         return r;
     for (size_t i = 0; i < count; i++)
-        tell(folder, i, &poses[i]);
+        tell(folder, i, &poses[i], &options);
     folder->stack->fle_px = folder->stack->summary.fle_um / folder->px_um;
     return GSN_OK;
 }

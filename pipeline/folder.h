@@ -40,7 +40,7 @@ struct gsn_folder_section {
                                       one whose picture is the frame */
     struct gsn_affine frame_to_px; /* pixel centres at whole numbers: the first pixel is (0, 0) */
     double error_px;               /* predicted, root mean square over the disc; with the marks'
-                                      disagreement where that is gross; over the tissue when laid
+                                      doubt where they disagree; over the tissue when laid
                                       by it, drift included */
     double rms_px;                 /* what is left at the marks */
     double score, runner_up; /* likelihood of the marks chosen, and of the best other choice */

@@ -20,6 +20,8 @@ static const double TORN = 6, TORN_PAIR = 1.5, TORN_SHARE = 0.03;
 /* Burns of one stack differ by a third at most in contrast and radius, two standard deviations; of
  * a spot that is less alike (-2 ln of its likelihood), looks say nothing more. */
 static const double ALIKE = 0.15, UNLIKE_MOST = 8, ALIKE_MOST = 3;
+/* One that is half burnt in is none the less a mark, when it lies where one must be. */
+static const double FAINT = 4;
 /* Share of the picture that the fit of a mark explains, and what is lost when dirt touches it. */
 static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
 /* The picture's cells go together in patches; so many are witnesses of their own. */
@@ -129,7 +131,8 @@ static double dirt(const struct gsn_mark *mark)
 }
 
 static double looks(const struct gsn_mark_candidates *section,
-                    const struct gsn_triangle_prior *prior, const struct choice *choice)
+                    const struct gsn_triangle_prior *prior, const struct choice *choice,
+                    double most)
 {
     const double third = third_strength(section);
     double sum = 0;
@@ -140,7 +143,7 @@ static double looks(const struct gsn_mark_candidates *section,
         if (choice->candidate[i] < 0)
             continue;
         mark = &section->mark[choice->candidate[i]];
-        sum += prior->learnt ? fmin(unlike(mark, section->px_um, prior) + dirt(mark), UNLIKE_MOST)
+        sum += prior->learnt ? fmin(unlike(mark, section->px_um, prior) + dirt(mark), most)
                              : 2 * fmax(1 - strength(mark) / third, 0);
     }
     return sum;
@@ -177,14 +180,15 @@ static double fitting(const struct gsn_mark_candidates *section,
 static void weigh(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
                   double chi2, struct choice *choice)
 {
-    const double beauty = exp(-0.5 * looks(section, prior, choice));
+    const double beauty = exp(-0.5 * looks(section, prior, choice, UNLIKE_MOST));
+    const double decency = exp(-0.5 * looks(section, prior, choice, FAINT));
     const int pair =
         choice->candidate[0] < 0 || choice->candidate[1] < 0 || choice->candidate[2] < 0;
     const int marks = prior->learnt && alike(section, prior, choice);
     const double allowed = !marks ? 1 : pair ? TORN_PAIR : TORN;
 
     choice->likelihood = fitting(section, prior, chi2) * beauty;
-    choice->trusted = exp(-0.5 * chi2 / (allowed * allowed)) * beauty >= LIKELIHOOD_LEAST;
+    choice->trusted = exp(-0.5 * chi2 / (allowed * allowed)) * decency >= LIKELIHOOD_LEAST;
     if (pair && !marks)
         choice->trusted = 0;
 }
@@ -352,6 +356,8 @@ static void ask_picture(const struct gsn_mark_candidates *section,
 {
     double least = 1;
 
+    if (choices->count < 2)
+        return;
     for (size_t i = 0; i < choices->count; i++) {
         struct choice *c = &choices->item[i];
 

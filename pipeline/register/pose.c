@@ -319,6 +319,47 @@ static int laid(const struct gsn_pose_candidate *candidate)
     return gsn_affine_det(&candidate->panel_to_block_um) != 0;
 }
 
+/* Mean square distance over the targets of where two poses put what lies there by the second. */
+static double apart2(const struct gsn_affine *a, const struct gsn_affine *b,
+                     const struct gsn_point *targets, size_t count)
+{
+    const struct gsn_affine to_px = gsn_affine_inverse(b);
+    double sum = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        const struct gsn_point p = gsn_affine_apply(a, gsn_affine_apply(&to_px, targets[i]));
+
+        sum += pow(p.x - targets[i].x, 2) + pow(p.y - targets[i].y, 2);
+    }
+    return count > 0 ? sum / (double)count : 0;
+}
+
+void gsn_pose_likeliest(const struct gsn_pose *pose, const struct gsn_point *targets, size_t count,
+                        struct gsn_affine *ret_panel_to_block_um, double *ret_error_um)
+{
+    const struct gsn_pose_candidate *c = pose->candidate;
+    double square = 0;
+    int best = 0;
+
+    assert(pose->gross && pose->state == GSN_POSE_OK);
+
+    for (int i = 1; i < GSN_MARKS; i++)
+        if (c[i].share > c[best].share)
+            best = i;
+    if (!laid(&c[best])) {
+        *ret_panel_to_block_um = pose->panel_to_block_um;
+        *ret_error_um = hypot(pose->tre_um, pose->rms_um);
+        return;
+    }
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (laid(&c[i]))
+            square += c[i].share *
+                      (c[i].tre_um * c[i].tre_um +
+                       apart2(&c[best].panel_to_block_um, &c[i].panel_to_block_um, targets, count));
+    *ret_panel_to_block_um = c[best].panel_to_block_um;
+    *ret_error_um = sqrt(square);
+}
+
 int gsn_pose_preferred(const struct gsn_pose *pose, const double mismatch[GSN_MARKS])
 {
     int best = -1;

@@ -110,6 +110,15 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
                    const struct gsn_pose_options *options, struct gsn_pose *ret_poses,
                    struct gsn_pose_summary *ret_summary, struct gsn_error *err);
 
+/* What to print of a gross section with three marks, beside that it is gross: the pose of its
+ * likeliest candidate, and its expected error, root mean square over the targets, if one of the
+ * candidates is right: sum of share (tre^2 + distance of the two poses^2). A mark that is off by
+ * many times its error leaves little doubt which two agree; one that is just off, much, and so is
+ * the error. borrows: targets; count 0 gives the candidates' own tre. The caller guarantees gross.
+ */
+void gsn_pose_likeliest(const struct gsn_pose *pose, const struct gsn_point *targets, size_t count,
+                        struct gsn_affine *ret_panel_to_block_um, double *ret_error_um);
+
 /* The candidate that the tissue prefers: mismatch[i] says how badly candidate i continues the
  * neighbours (any measure, 0 and up; NaN: not known). -1 when the best is not better than the
  * others by a quarter, which texture alone can make. */

@@ -307,6 +307,68 @@ TEST(a_wrong_mark_is_found_and_a_good_section_is_not_blamed)
     bench_done(&b);
 }
 
+/* Every eighth section has one mark wrong by this many standard deviations, in any direction. What
+ * is printed of those found gross: root mean squares over all of them. */
+static void wrong_marks(double sigmas, double *ret_error, double *ret_printed,
+                        double *ret_all_three)
+{
+    const struct gsn_point targets[] = {
+        { 400, 600 }, { 1300, 600 }, { -500, 600 }, { 400, -300 }
+    };
+    const struct gsn_pose_options options = { MARKS, targets, 4 };
+    struct draw_chance chance = { 77 };
+    struct bench b = bench_new(1600);
+    double error = 0, printed = 0, all_three = 0, n = 0;
+
+    bench_fill(&b, MARKS, M_PI, 0.1, 10, &chance);
+    for (size_t i = 0; i < b.count; i += 8) {
+        const double angle = draw_uniform(&chance, 0, 2 * M_PI), off = sigmas * 10 / PX;
+        struct gsn_mark *mark = &b.input[i].marks[i / 8 % GSN_MARKS];
+
+        mark->px.x += off * cos(angle);
+        mark->px.y += off * sin(angle);
+    }
+    bench_solve(&b, &options);
+    for (size_t i = 0; i < b.count; i += 8) {
+        struct gsn_affine likeliest;
+        double own;
+
+        if (!b.pose[i].gross)
+            continue;
+        gsn_pose_likeliest(&b.pose[i], targets, 4, &likeliest, &own);
+        printed += own * own;
+        for (size_t t = 0; t < 4; t++) {
+            const struct gsn_point p =
+                gsn_affine_apply(&likeliest, mount(&b.mounting[i], targets[t]));
+
+            error += (pow(p.x - targets[t].x, 2) + pow(p.y - targets[t].y, 2)) / 4;
+            all_three += pow(error_at(&b, i, targets[t]), 2) / 4;
+        }
+        n += 1;
+    }
+    CHECK(n > 100);
+    *ret_error = sqrt(error / n);
+    *ret_printed = sqrt(printed / n);
+    *ret_all_three = sqrt(all_three / n);
+    bench_done(&b);
+}
+
+TEST(the_error_printed_of_a_gross_section_is_about_what_it_is)
+{
+    static const double OFF[] = { 8, 12, 30, 60 };
+
+    for (size_t i = 0; i < sizeof OFF / sizeof *OFF; i++) {
+        double error, printed, all_three;
+
+        wrong_marks(OFF[i], &error, &printed, &all_three);
+        print_message("  off by %.0f sigma: error %.1f um, printed %.1f; on all three %.1f\n",
+                      OFF[i], error, printed, all_three);
+        CHECK(printed > 0.5 * error && printed < 2 * error);
+        /* Near the limit nobody can tell which two are right; far from it, they are. */
+        CHECK(OFF[i] < 30 || error < 0.6 * all_three);
+    }
+}
+
 TEST(a_hundredth_of_a_pixel_is_no_gross_mistake)
 {
     struct draw_chance chance = { 9 };

@@ -9,6 +9,8 @@ against the phantom's truth or against the same work done another way.
     whole.py BIN awkward       refused panels cost only themselves
     whole.py BIN volume        the molar CT of ../shared
     whole.py BIN tile          the picrosirius tile of ../shared
+    whole.py BIN marks --level L2 --seed 7 [--specimen S02] [--ready DIR]
+                               marks and poses (registration.py); DIR/LEVEL/SEED/SPECIMEN made before
 
 BIN is the folder with the programs. Exit 0: all that was demanded holds; 77: material is missing.
 """
@@ -26,6 +28,8 @@ import subprocess
 import sys
 import tempfile
 import time
+
+import registration
 
 SHARED = pathlib.Path(__file__).resolve().parents[3] / "shared"
 SKIPPED = 77
@@ -150,6 +154,23 @@ def accuracy(bench, args):
         print(f"  run of {len(folders)} specimens: {took:.1f} s", flush=True)
     print(f"worst: registration {worst_rms:.3f} um, loss {worst_loss:.3f} points, "
           f"V(0.5) {100 * worst_volume:.2f} %")
+    return 1 if failed else 0
+
+
+def marks(bench, args):
+    """Marks and poses of phantoms with everything that goes wrong at a bench."""
+    failed = 0
+    for seed in args.seed or [1]:
+        for specimen in args.specimen:
+            place = Bench(bench.bin, bench.folder / f"{args.level}-{seed}-{specimen}")
+            folder = pathlib.Path(args.ready) / args.level / str(seed) / specimen if args.ready \
+                else place.phantom(specimen, args.level, seed)
+            place.call("import", folder)
+            place.call("run", check=False)
+            print(f"{args.level} seed {seed} {specimen}:", flush=True)
+            failed += not registration.judge(place.report(f"GVP-D-{specimen}"),
+                                             registration.Truth(folder / "truth"), args.level,
+                                             verbose=True)
     return 1 if failed else 0
 
 
@@ -297,10 +318,11 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("bin")
     parser.add_argument("what", choices=["accuracy", "identical", "killed", "awkward", "volume",
-                                         "tile"])
+                                         "tile", "marks"])
     parser.add_argument("--level", default="L0")
     parser.add_argument("--seed", type=int, action="append")
     parser.add_argument("--specimen", action="append")
+    parser.add_argument("--ready", help="a folder with phantoms made before")
     parser.add_argument("--keep", help="a folder to work in and leave behind")
     args = parser.parse_args()
     args.specimen = args.specimen or ["S01", "S02"]

@@ -1,0 +1,263 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/assembly_tissue.h"
+
+#include "pipeline/assembly_parts.h"
+#include "pipeline/register/tissue_graph.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Sections on either side that are looked at: two to compare with, and one that may be missing. */
+enum { AROUND = 3 };
+/* Side of a cell, um: about as fine as the panels are surveyed, whatever their pixels. */
+static const double CELL_UM = 48;
+/* Beyond this predicted error, two intervals and a half, a section would blur what it is to add to.
+ */
+static const double MOST_ERROR_UM = 60;
+
+/* A section while it is laid. */
+struct part {
+    size_t section; /* its place in the assembly */
+    int wanted;     /* to be laid, or near one that is */
+    struct gsn_tissue *tissue;
+};
+
+static int is_lost(const struct gsn_assembly_section *s)
+{
+    return s->state == GSN_SECTION_HELD && s->seen.sighting != GSN_SIGHT_HELD &&
+           s->seen.width > 0 && s->seen.height > 0 && (!s->posed || s->pose.gross);
+}
+
+static int is_held_by_marks(const struct gsn_assembly_section *s)
+{
+    return s->posed && !s->pose.gross &&
+           (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
+}
+
+/* One part for each serial number that has tissue, in order. */
+static size_t list(const struct gsn_assembly *a, struct part *parts)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+
+        if (s->seen.serial == GSN_NO_SERIAL || (!is_lost(s) && !is_held_by_marks(s)) ||
+            (count > 0 && a->section[parts[count - 1].section].seen.serial == s->seen.serial))
+            continue;
+        parts[count++] = (struct part){ .section = i };
+    }
+    return count;
+}
+
+/* Marks the lost ones and those around them; 0 when none is lost. */
+static int choose(const struct gsn_assembly *a, struct part *parts, size_t count)
+{
+    int any = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        if (!is_lost(&a->section[parts[i].section]))
+            continue;
+        any = 1;
+        for (size_t k = i > AROUND ? i - AROUND : 0; k < count && k <= i + AROUND; k++)
+            parts[k].wanted = 1;
+    }
+    return any;
+}
+
+static float total_at(const struct gsn_plane *total, double x, double y)
+{
+    const double u = fmin(fmax(x - 0.5, 0), total->width - 1.001);
+    const double v = fmin(fmax(y - 0.5, 0), total->height - 1.001);
+    const size_t i = (size_t)u, j = (size_t)v, w = total->width;
+    const float fu = (float)(u - (double)i), fv = (float)(v - (double)j);
+    const float *at = total->value + j * w + i;
+
+    return (at[0] * (1 - fu) + at[1] * fu) * (1 - fv) + (at[w] * (1 - fu) + at[w + 1] * fu) * fv;
+}
+
+/* The section's box in cells of CELL_UM; the origin is the box's corner, in um. */
+static int look(const struct gsn_scan *scan, const struct gsn_panel_section *seen,
+                struct gsn_tissue **ret_tissue, struct gsn_error *err)
+{
+    const uint32_t w = (uint32_t)(seen->width * scan->px_um / CELL_UM);
+    const uint32_t h = (uint32_t)(seen->height * scan->px_um / CELL_UM);
+    const double cell_px = CELL_UM / scan->px_um;
+    gsn_auto(gsn_plane) plane = NULL;
+    struct gsn_error own = { 0 };
+    int r;
+
+    if (w == 0 || h == 0 || scan->total->width < 2 || scan->total->height < 2)
+        return GSN_OK;
+    r = gsn_plane_new(w, h, &plane, err);
+    if (r < 0)
+        return r;
+    for (uint32_t y = 0; y < h; y++)
+        for (uint32_t x = 0; x < w; x++)
+            plane->value[(size_t)y * w + x] =
+                total_at(scan->total, (seen->x + (x + 0.5) * cell_px) / scan->step,
+                         (seen->y + (y + 0.5) * cell_px) / scan->step);
+    r = gsn_tissue_new(plane, CELL_UM, ret_tissue, &own);
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", own.text) : GSN_OK;
+}
+
+static int look_at_panel(const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options,
+                         const struct gsn_specimen_panel *panel, const struct gsn_assembly *a,
+                         struct part *parts, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_scan) scan = NULL;
+    int wanted = 0;
+    size_t size;
+    int r;
+
+    for (size_t i = 0; i < count; i++)
+        wanted |= parts[i].wanted && a->section[parts[i].section].panel == panel->number;
+    if (!wanted)
+        return GSN_OK;
+    r = specimen->read(specimen->context, panel->sha256, &bytes, &size, err);
+    if (r >= 0)
+        r = gsn_scan_survey(options->decoder, bytes, size, specimen->protocol, &scan, err);
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        const struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (parts[i].wanted && s->panel == panel->number)
+            r = look(scan, &s->seen, &parts[i].tissue, err);
+    }
+    return r;
+}
+
+/* The covariance of a pose by marks at another point of the block. */
+static void covariance_at(const struct gsn_pose_error *error, struct gsn_point at,
+                          double ret_covariance[3][3])
+{
+    const double x = at.x - error->about.x, y = at.y - error->about.y;
+    const double j[3][3] = { { 1, 0, -y }, { 0, 1, x }, { 0, 0, 1 } };
+
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++) {
+            ret_covariance[p][q] = 0;
+            for (size_t k = 0; k < 3; k++)
+                for (size_t l = 0; l < 3; l++)
+                    ret_covariance[p][q] += j[p][k] * error->pose[k][l] * j[q][l];
+        }
+}
+
+/* From um from the box's corner to panel pixels. */
+static struct gsn_affine to_panel(const struct gsn_assembly_section *s, double px_um)
+{
+    return (struct gsn_affine){ 1 / px_um, 0, s->seen.x, 0, 1 / px_um, s->seen.y };
+}
+
+/* A pose corrected for strain is no rigid one: the nearest that is, about the tissue's centre. */
+static struct gsn_affine rigid_of(const struct gsn_affine *m, struct gsn_point centre)
+{
+    const double sign = gsn_affine_det(m) < 0 ? -1 : 1;
+    const double c = sign * m->m00 + m->m11, s = sign * m->m10 - m->m01, size = hypot(c, s);
+    struct gsn_affine map = { sign * c / size, -s / size, 0, sign * s / size, c / size, 0 };
+    const struct gsn_point wanted = gsn_affine_apply(m, centre);
+    const struct gsn_point at = gsn_affine_apply(&map, centre);
+
+    map.m02 = wanted.x - at.x;
+    map.m12 = wanted.y - at.y;
+    return map;
+}
+
+static void state_section(const struct gsn_specimen *specimen, const struct gsn_assembly *a,
+                          const struct part *part, struct gsn_tissue_section *ret_section)
+{
+    const struct gsn_assembly_section *s = &a->section[part->section];
+    const struct gsn_affine panel = to_panel(s, gsn_assembly_panel(specimen, s->panel)->px_um);
+    const struct gsn_affine map = gsn_affine_compose(&panel, &s->pose.panel_to_block_um);
+
+    *ret_section = (struct gsn_tissue_section){ .serial = s->seen.serial,
+                                                .tissue = part->tissue,
+                                                .marked = is_held_by_marks(s) };
+    if (!ret_section->marked || !part->tissue)
+        return;
+    ret_section->to_block = rigid_of(&map, gsn_tissue_centre(part->tissue));
+    covariance_at(&s->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(part->tissue)),
+                  ret_section->covariance);
+}
+
+/* The pose of one section by its tissue. Its marks have no residuals: they did not lay it. */
+static void take(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
+                 const struct gsn_tissue_pose *pose)
+{
+    const struct gsn_affine panel = to_panel(s, gsn_assembly_panel(specimen, s->panel)->px_um);
+    const struct gsn_affine back = gsn_affine_inverse(&panel);
+    const struct gsn_affine map = gsn_affine_compose(&back, &pose->to_block);
+
+    s->pose = (struct gsn_pose){ .state = GSN_POSE_TWO_MARKS };
+    s->pose.panel_to_block_um = map;
+    s->pose.tre_um = pose->error;
+    s->pose.flipped = gsn_affine_det(&map) < 0;
+    s->pose.rotated180 = map.m11 < 0;
+    s->posed = 1;
+    s->state = GSN_SECTION_DOUBTFUL;
+    gsn_assembly_flag(s, "by-tissue");
+    if (s->pose.flipped && !strstr(s->flags, "flipped"))
+        gsn_assembly_flag(s, "flipped");
+    if (s->pose.rotated180 && !strstr(s->flags, "turned"))
+        gsn_assembly_flag(s, "turned");
+}
+
+static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+               const struct part *parts, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);
+    gsn_auto_mem(struct gsn_tissue_pose) poses = gsn_alloc_array(count, sizeof *poses);
+    struct gsn_tissue_summary summary;
+    int r;
+
+    if (!sections || !poses)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
+    for (size_t i = 0; i < count; i++)
+        state_section(specimen, a, &parts[i], &sections[i]);
+    r = gsn_tissue_lay(sections, count, poses, &summary, err);
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (is_lost(s) && poses[i].laid && !poses[i].unsure && summary.held > 0 &&
+            poses[i].from <= AROUND && poses[i].error <= MOST_ERROR_UM)
+            take(specimen, s, &poses[i]);
+    }
+    return r;
+}
+
+int gsn_assembly_lay_by_tissue(const struct gsn_specimen *specimen,
+                               const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                               struct gsn_error *err)
+{
+    gsn_auto_mem(struct part) parts = gsn_alloc_array(a->section_count, sizeof *parts);
+    size_t count;
+    int r = GSN_OK;
+
+    if (!parts)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
+    count = list(a, parts);
+    if (!a->solved || !choose(a, parts, count))
+        return GSN_OK;
+    for (size_t i = 0; r >= 0 && i < specimen->panel_count; i++)
+        if (specimen->panel[i].section_count > 0) {
+            r = look_at_panel(specimen, options, &specimen->panel[i], a, parts, count, err);
+            if (r < 0)
+                (void)gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
+                                  specimen->panel[i].file);
+        }
+    if (r >= 0)
+        r = lay(specimen, a, parts, count, err);
+    for (size_t i = 0; i < count; i++)
+        gsn_tissue_free(parts[i].tissue);
+    return r;
+}
+
+size_t gsn_assembly_by_tissue(const struct gsn_assembly *a)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++)
+        count += strstr(a->section[i].flags, "by-tissue") != NULL;
+    return count;
+}

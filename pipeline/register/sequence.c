@@ -19,9 +19,8 @@ static const double SURE = 14, SURE_OF_NEIGHBOURS = 7;
 /* Two mounts of one section share most of their texture; neighbours share none. At the ends of the
  * stack the lines reach beyond what they go through, and both share that error. */
 static const double SAME = 0.5, SAME_AT_END = 0.8, SAME_DEVIATIONS = 8;
-/* A cell's roughness is not taken as less than this share of the mean: of few sections it is not
- * known well. */
-static const double FLOOR = 0.3;
+/* Where one section's change is less than its noise, nothing is said of any distance. */
+static const double LEAST_CHANGE = 1;
 /* A direction counts when its variance is this much above the median one's, which is grain. */
 static const double LARGE = 2;
 /* Median absolute deviation to standard deviation of normal numbers. */
@@ -318,28 +317,6 @@ static void split_grain(float *value, float *ret_grain, size_t n, size_t columns
         ret_grain[c] -= value[c];
 }
 
-/* Where laying and stain make a cell rough from section to section (at edges, in coarse stroma), a
- * change of tissue says less: each cell is divided by its own usual roughness, so that what
- * appears and vanishes in quiet cells is seen. Rare changes do not move the median. */
-static void quieten(const struct stack *s, size_t cells, float *value, double *ret_usual)
-{
-    double *off = s->drift, all = 0;
-    const size_t n = s->n - 2;
-
-    for (size_t c = 0; c < cells; c++) {
-        for (size_t i = 0; i < n; i++) {
-            const float *v = value + i * cells + c;
-
-            off[i] = fabs((double)v[cells] - 0.5 * ((double)v[0] + (double)v[2 * cells]));
-        }
-        ret_usual[c] = gsn_median(off, n);
-        all += ret_usual[c] / (double)cells;
-    }
-    for (size_t c = 0; c < cells; c++)
-        for (size_t i = 0; i < s->n && all > 0; i++)
-            value[i * cells + c] *= (float)(all / hypot(ret_usual[c], FLOOR * all));
-}
-
 static void multiply(const float *value, size_t n, size_t cells, double *gram)
 {
     for (size_t i = 0; i < n; i++)
@@ -543,12 +520,21 @@ static double roughness(const struct stack *s, size_t i, size_t j)
     return sum;
 }
 
+/* Whether a swap over this distance would give enough evidence to propose it. */
+static int is_told(const struct stack *s, double far)
+{
+    return s->gain > 0 && s->noise2 > 0 && s->slope2 > LEAST_CHANGE * s->noise2 &&
+           2 * s->gain * s->gain * far * far * s->slope2 / s->noise2 > SURE;
+}
+
 /* What is gained in roughness by swapping two sections; ret_share: of what it is; 0 where neither
  * the tissue of the two nor the roughness asks for it. */
 static double smoother(struct stack *s, size_t i, size_t j, double sure, double *ret_share)
 {
     double before, after;
 
+    if (!is_told(s, s->z[j] - s->z[i]))
+        return 0;
     /* Nothing lies beyond the last two, so nothing says which of them is the last. */
     if (j == i + 1 && (i == 0 || j + 1 == s->n))
         return 0;
@@ -660,17 +646,13 @@ static int examine(struct stack *s, const struct gsn_sequence_plane *planes, siz
     take_off_noise(s);
     find_duplicates(s, planes, found);
     align(s, columns, rows, mean, value, raw);
-    quieten(s, cells, value, mean);
     multiply(value, s->n, cells, s->gram);
     reduce(s);
     take_off_noise(s);
     learn(s);
     found->change = s->noise2 > 0 ? sqrt(s->slope2 / s->noise2) : 0;
-    /* The evidence that a swap of neighbours would give must be enough to propose it. */
-    found->told =
-        s->gain > 0 && s->noise2 > 0 && 2 * s->gain * s->gain * s->slope2 / s->noise2 > SURE;
-    if (s->gain > 0 && s->noise2 > 0)
-        r = find_swaps(s, planes, found, err);
+    found->told = is_told(s, 1);
+    r = find_swaps(s, planes, found, err);
     return r;
 }
 

@@ -2,6 +2,7 @@
 #include "pipeline/assembly.h"
 
 #include "pipeline/assembly_parts.h"
+#include "pipeline/assembly_tissue.h"
 #include "pipeline/conditions.h"
 
 #include <stdio.h>
@@ -116,6 +117,8 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
         r = gsn_assembly_place_region(specimen, px_um, sections, a, &lattice, err);
     if (r >= 0)
         r = gsn_assembly_solve(specimen, a, err);
+    if (r >= 0)
+        r = gsn_assembly_lay_by_tissue(specimen, options, a, err);
     if (r >= 0 && a->solved && band)
         r = gsn_assembly_place_block(specimen, px_um, sections, a, &lattice, err);
     if (r >= 0 && a->solved && (a->region || band))

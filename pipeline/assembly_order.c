@@ -2,6 +2,7 @@
 #include "pipeline/assembly_order.h"
 
 #include "pipeline/assembly_parts.h"
+#include "pipeline/register/median.h"
 
 #include <assert.h>
 #include <math.h>
@@ -26,57 +27,66 @@ static int is_laid(const struct gsn_assembly_section *s)
            s->seen.width > 0 && s->seen.height > 0;
 }
 
-static void widen(struct gsn_box *box, const struct gsn_assembly_section *s)
+/* The laid sections, the first of each serial number. */
+static size_t list(const struct gsn_assembly *a, size_t *ret_section)
 {
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++)
+        if (is_laid(&a->section[i]) &&
+            (count == 0 ||
+             a->section[ret_section[count - 1]].seen.serial != a->section[i].seen.serial))
+            ret_section[count++] = i;
+    return count;
+}
+
+/* One end of a section's box in the block. */
+static double end_of(const struct gsn_assembly_section *s, int along_y, double sign)
+{
+    double most = -INFINITY;
+
     for (int corner = 0; corner < 4; corner++) {
         const struct gsn_point at = { s->seen.x + (corner & 1 ? s->seen.width : 0),
                                       s->seen.y + (corner & 2 ? s->seen.height : 0) };
         const struct gsn_point p = gsn_affine_apply(&s->pose.panel_to_block_um, at);
 
-        box->low.x = fmin(box->low.x, p.x);
-        box->low.y = fmin(box->low.y, p.y);
-        box->high.x = fmax(box->high.x, p.x);
-        box->high.y = fmax(box->high.y, p.y);
+        most = fmax(most, sign * (along_y ? p.y : p.x));
     }
+    return sign * most;
 }
 
-/* The laid sections, the first of each serial number. */
-static size_t list(const struct gsn_assembly *a, size_t *ret_section, struct gsn_box *box)
+/* The median section's end: a box that holds two sections, or a scrap, does not widen it. */
+static double usual_end(const struct gsn_section_order *order, const struct gsn_assembly *a,
+                        int along_y, double sign, double *room)
 {
-    size_t count = 0;
-
-    for (size_t i = 0; i < a->section_count; i++) {
-        const struct gsn_assembly_section *s = &a->section[i];
-
-        if (!is_laid(s) ||
-            (count > 0 && a->section[ret_section[count - 1]].seen.serial == s->seen.serial))
-            continue;
-        ret_section[count++] = i;
-        widen(box, s);
-    }
-    return count;
+    for (size_t k = 0; k < order->count; k++)
+        room[k] = end_of(&a->section[order->section[k]], along_y, sign);
+    return gsn_median(room, order->count);
 }
 
 int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order **ret_order,
                           struct gsn_error *err)
 {
     gsn_auto(gsn_section_order) order = gsn_alloc_array(1, sizeof *order);
-    struct gsn_box box = { { INFINITY, INFINITY, 0 }, { -INFINITY, -INFINITY, 0 } };
+    gsn_auto_mem(double) room = gsn_alloc_array(a->section_count, sizeof *room);
 
     assert(ret_order);
 
     if (order)
         order->section = gsn_alloc_array(a->section_count, sizeof *order->section);
-    if (!order || !order->section)
+    if (!order || !room || !order->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
-    order->count = list(a, order->section, &box);
+    order->count = list(a, order->section);
     if (order->count == 0) {
         *ret_order = NULL;
         return GSN_OK;
     }
-    order->origin = (struct gsn_point){ box.low.x, box.low.y };
-    order->columns = (size_t)((box.high.x - box.low.x) / CELL_UM) + 1;
-    order->rows = (size_t)((box.high.y - box.low.y) / CELL_UM) + 1;
+    order->origin =
+        (struct gsn_point){ usual_end(order, a, 0, -1, room), usual_end(order, a, 1, -1, room) };
+    order->columns =
+        (size_t)fmax((usual_end(order, a, 0, 1, room) - order->origin.x) / CELL_UM, 1) + 1;
+    order->rows =
+        (size_t)fmax((usual_end(order, a, 1, 1, room) - order->origin.y) / CELL_UM, 1) + 1;
     order->sum = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
     order->seen = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
     if (!order->sum || !order->seen)

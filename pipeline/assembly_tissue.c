@@ -1,261 +1,263 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/assembly_parts.h"
+#include "pipeline/assembly_tissue.h"
 
-#include "pipeline/stain/order.h"
-#include "pipeline/stain/reference.h"
-#include "pipeline/stain/segment.h"
-#include "pipeline/stain/tissue.h"
+#include "pipeline/assembly_parts.h"
+#include "pipeline/register/tissue_graph.h"
 
 #include <math.h>
 #include <string.h>
 
-/* As the root is told (stain/tissue.c): what is less than this of the red of bone is loose tissue,
- * what is more is bone. */
-static const double LEAST_OF_BONE = 0.35, MOST_OF_BONE = 0.82;
+/* Sections on either side that are looked at: two to compare with, and one that may be missing. */
+enum { AROUND = 3 };
+/* Side of a cell, um: about as fine as the panels are surveyed, whatever their pixels. */
+static const double CELL_UM = 48;
+/* Beyond this predicted error, two intervals and a half, a section would blur what it is to add to.
+ */
+static const double MOST_ERROR_UM = 60;
 
-/* A lesion does not end where the region does. */
-static const double SURROUNDINGS_UM = 300;
-
-/* Columns from the border of a tissue: what is blurred over it is neither. */
-enum { RIM = 2, LEAST_COLUMNS = 50, LEAST_SECTIONS = 3 };
-
-/* The work in hand: one value and one kind per column of the block. */
-struct field {
-    struct gsn_lattice at;
-    size_t count;
-    float *smooth; /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
-    uint8_t *kind; /* owned: 1 + enum gsn_tissue_kind, 0 none */
-    double *scratch;
+/* A section while it is laid. */
+struct part {
+    size_t section; /* its place in the assembly */
+    int wanted;     /* to be laid, or near one that is */
+    struct gsn_tissue *tissue;
 };
 
-static void field_done(struct field *f)
+static int is_lost(const struct gsn_assembly_section *s)
 {
-    gsn_free(f->smooth);
-    gsn_free(f->kind);
-    gsn_free(f->scratch);
+    return s->state == GSN_SECTION_HELD && s->seen.sighting != GSN_SIGHT_HELD &&
+           s->seen.width > 0 && s->seen.height > 0 && (!s->posed || s->pose.gross);
 }
 
-static int field_init(const struct gsn_lattice *at, struct field *f, struct gsn_error *err)
+static int is_held_by_marks(const struct gsn_assembly_section *s)
 {
-    *f = (struct field){ .at = *at, .count = gsn_lattice_count(at) };
-    f->smooth = gsn_alloc_array(f->count, sizeof *f->smooth);
-    f->kind = gsn_alloc_array(f->count, 1);
-    f->scratch = gsn_alloc_array(f->count, sizeof *f->scratch);
-    if (f->smooth && f->kind && f->scratch)
-        return GSN_OK;
-    return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
+    return s->posed && !s->pose.gross &&
+           (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
 }
 
-static float mean_around(const struct gsn_grid *density, size_t x, size_t y, size_t z)
+/* One part for each serial number that has tissue, in order. */
+static size_t list(const struct gsn_assembly *a, struct part *parts)
 {
-    const struct gsn_lattice *at = &density->at;
-    double sum = 0;
-    unsigned n = 0;
+    size_t count = 0;
 
-    for (size_t k = z > 0 ? z - 1 : 0; k <= z + 1 && k < at->nz; k++)
-        for (size_t j = y > 0 ? y - 1 : 0; j <= y + 1 && j < at->ny; j++)
-            for (size_t i = x > 0 ? x - 1 : 0; i <= x + 1 && i < at->nx; i++) {
-                const float value = density->value[gsn_lattice_index(at, i, j, k)];
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
 
-                if (isnan(value))
-                    continue;
-                sum += (double)value;
-                n++;
-            }
-    return n > 0 ? (float)(sum / n) : NAN;
-}
-
-static void smoothen(const struct gsn_grid *density, struct field *f)
-{
-    for (size_t i = 0, z = 0; z < f->at.nz; z++)
-        for (size_t y = 0; y < f->at.ny; y++)
-            for (size_t x = 0; x < f->at.nx; x++, i++)
-                f->smooth[i] = isnan(density->value[i]) ? NAN : mean_around(density, x, y, z);
-}
-
-/* The density of bone: the median of what lies above Otsu's cut; NaN where there is no tissue. */
-static double bone_of(struct field *f, float *list)
-{
-    double cut;
-    size_t n = 0, above = 0;
-
-    for (size_t i = 0; i < f->count; i++)
-        if (!isnan(f->smooth[i]))
-            list[n++] = f->smooth[i];
-    cut = gsn_otsu(list, n);
-    for (size_t i = 0; i < n; i++)
-        if ((double)list[i] > cut)
-            f->scratch[above++] = (double)list[i];
-    return above > 0 ? gsn_order_pick(f->scratch, above, above / 2) : (double)NAN;
-}
-
-/* The root, where there is one; NULL is none. */
-static int find_root(const struct gsn_columns *columns, struct gsn_mask **ret_root,
-                     struct gsn_tissue_levels *levels, struct gsn_error *err)
-{
-    gsn_auto(gsn_grid) whole = NULL;
-    struct gsn_error why = { 0 };
-    int r = gsn_grid_new(&columns->density->at, &whole, err);
-
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < gsn_lattice_count(&whole->at); i++)
-        whole->value[i] = columns->tissue->value[i] < 0.5f ? 0 : columns->density->value[i];
-    r = gsn_tissue_find(whole, GSN_TISSUE_ROOT, ret_root, levels, &why);
-    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", why.text) : GSN_OK;
-}
-
-static uint8_t kind_of(double value, double bone, int in_root, double border)
-{
-    if (in_root)
-        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_TISSUE_DENTINE : 0;
-    if (value >= MOST_OF_BONE * bone)
-        return 1 + GSN_TISSUE_DENSE;
-    return value <= LEAST_OF_BONE * bone ? 1 + GSN_TISSUE_LOOSE : 0;
-}
-
-static void tell_kinds(struct field *f, const struct gsn_mask *root,
-                       const struct gsn_tissue_levels *levels, double bone)
-{
-    for (size_t i = 0; i < f->count; i++)
-        f->kind[i] = isnan(f->smooth[i]) ? 0
-                                         : kind_of((double)f->smooth[i], bone,
-                                                   root && root->inside[i], levels->border);
-}
-
-/* Whether all columns around are of one kind. */
-static int is_core(const struct field *f, size_t x, size_t y, size_t z)
-{
-    const size_t nx = f->at.nx, ny = f->at.ny;
-    const uint8_t kind = f->kind[gsn_lattice_index(&f->at, x, y, z)];
-
-    if (kind == 0 || x < RIM || y < RIM || x + RIM >= nx || y + RIM >= ny)
-        return 0;
-    for (size_t j = y - RIM; j <= y + RIM; j++)
-        for (size_t i = x - RIM; i <= x + RIM; i++)
-            if (f->kind[gsn_lattice_index(&f->at, i, j, z)] != kind)
-                return 0;
-    return 1;
-}
-
-/* Dentine is not remodelled, so it need not be far from the region; bone and loose tissue above and
- * below the region are left out with it. */
-static int is_untreated(const struct field *f, const struct gsn_mask *region,
-                        const struct gsn_mask *footprint, uint8_t kind, size_t x, size_t y,
-                        size_t z)
-{
-    if (kind == 1 + GSN_TISSUE_DENTINE)
-        return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
-    return !footprint->inside[y * f->at.nx + x];
-}
-
-/* The tissue's density in one section; NaN where too little of it is seen. */
-static double seen_in(const struct field *f, const struct gsn_assembly *a,
-                      const struct gsn_mask *footprint, uint8_t kind, size_t z)
-{
-    const struct gsn_grid *density = a->columns->density;
-    size_t n = 0;
-
-    for (size_t y = 0; y < f->at.ny; y++)
-        for (size_t x = 0; x < f->at.nx; x++)
-            if (f->kind[gsn_lattice_index(&f->at, x, y, z)] == kind && is_core(f, x, y, z) &&
-                is_untreated(f, a->region, footprint, kind, x, y, z))
-                f->scratch[n++] = (double)density->value[gsn_lattice_index(&f->at, x, y, z)];
-    return n >= LEAST_COLUMNS ? gsn_reference_red(f->scratch, n) : (double)NAN;
-}
-
-/* Median over sections; the error is what panels disagree by, of a median. */
-static struct gsn_level_tissue sum_up(double *value, const int *panel, size_t count,
-                                      double *scratch)
-{
-    struct gsn_level_tissue tissue = { NAN, NAN };
-    double sum = 0, squares = 0;
-    size_t panels = 0;
-
-    if (count < LEAST_SECTIONS)
-        return tissue;
-    for (size_t i = 0, end; i < count; i = end) {
-        double mean = 0;
-
-        for (end = i; end < count && panel[end] == panel[i]; end++)
-            mean += value[end];
-        mean /= (double)(end - i);
-        sum += mean;
-        squares += mean * mean;
-        panels++;
+        if (s->seen.serial == GSN_NO_SERIAL || (!is_lost(s) && !is_held_by_marks(s)) ||
+            (count > 0 && a->section[parts[count - 1].section].seen.serial == s->seen.serial))
+            continue;
+        parts[count++] = (struct part){ .section = i };
     }
-    if (panels > 1)
-        tissue.error = sqrt(M_PI / 2 * fmax(0, squares - sum * sum / (double)panels) /
-                            (double)(panels - 1) / (double)panels);
-    memcpy(scratch, value, count * sizeof *value);
-    tissue.value = gsn_order_pick(scratch, count, count / 2);
-    if (panels < 2) /* nothing tells what another panel would say */
-        tissue.error = 0.05 * tissue.value;
-    return tissue;
+    return count;
 }
 
-static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                         struct field *f, const struct gsn_mask *footprint, struct gsn_error *err)
+/* Marks the lost ones and those around them; 0 when none is lost. */
+static int choose(const struct gsn_assembly *a, struct part *parts, size_t count)
 {
-    gsn_auto_mem(double) value = gsn_alloc_array(f->at.nz, sizeof *value);
-    gsn_auto_mem(int) panel = gsn_alloc_array(f->at.nz, sizeof *panel);
+    int any = 0;
 
-    if (!value || !panel)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
-    for (unsigned k = 0; k < GSN_TISSUES; k++) {
-        size_t n = 0;
-
-        for (size_t z = 0; z < f->at.nz; z++) {
-            const struct gsn_assembly_panel *of = gsn_assembly_panel_of_serial(
-                a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
-
-            value[n] =
-                of && of->levelled ? seen_in(f, a, footprint, (uint8_t)(1 + k), z) : (double)NAN;
-            panel[n] = of ? (int)(of - a->panel) : -1;
-            if (!isnan(value[n]))
-                n++;
-        }
-        a->levelling.tissue[k] = sum_up(value, panel, n, f->scratch);
+    for (size_t i = 0; i < count; i++) {
+        if (!is_lost(&a->section[parts[i].section]))
+            continue;
+        any = 1;
+        for (size_t k = i > AROUND ? i - AROUND : 0; k < count && k <= i + AROUND; k++)
+            parts[k].wanted = 1;
     }
-    return GSN_OK;
+    return any;
 }
 
-static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,
-                      struct gsn_error *err)
+static float total_at(const struct gsn_plane *total, double x, double y)
 {
-    gsn_auto_mem(float) list = gsn_alloc_array(f->count, sizeof *list);
-    gsn_auto(gsn_mask) root = NULL;
-    gsn_auto(gsn_mask) footprint = NULL;
-    struct gsn_tissue_levels levels = { 0 };
-    double bone;
-    int r = list ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
+    const double u = fmin(fmax(x - 0.5, 0), total->width - 1.001);
+    const double v = fmin(fmax(y - 0.5, 0), total->height - 1.001);
+    const size_t i = (size_t)u, j = (size_t)v, w = total->width;
+    const float fu = (float)(u - (double)i), fv = (float)(v - (double)j);
+    const float *at = total->value + j * w + i;
 
-    if (r >= 0)
-        r = gsn_columns_footprint(a->region, &f->at, SURROUNDINGS_UM, &footprint, err);
-    if (r < 0)
-        return r;
-    smoothen(a->columns->density, f);
-    bone = bone_of(f, list);
-    if (!(bone > 0))
-        return GSN_OK;
-    r = find_root(a->columns, &root, &levels, err);
-    if (r < 0)
-        return r;
-    tell_kinds(f, root, &levels, bone);
-    return measure_kinds(specimen, a, f, footprint, err);
+    return (at[0] * (1 - fu) + at[1] * fu) * (1 - fv) + (at[w] * (1 - fu) + at[w + 1] * fu) * fv;
 }
 
-int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                              struct gsn_error *err)
+/* The section's box in cells of CELL_UM; the origin is the box's corner, in um. */
+static int look(const struct gsn_scan *scan, const struct gsn_panel_section *seen,
+                struct gsn_tissue **ret_tissue, struct gsn_error *err)
 {
-    struct field f;
+    const uint32_t w = (uint32_t)(seen->width * scan->px_um / CELL_UM);
+    const uint32_t h = (uint32_t)(seen->height * scan->px_um / CELL_UM);
+    const double cell_px = CELL_UM / scan->px_um;
+    gsn_auto(gsn_plane) plane = NULL;
+    struct gsn_error own = { 0 };
     int r;
 
-    if (!a->columns || !a->levelling.done || !a->region)
+    if (w == 0 || h == 0 || scan->total->width < 2 || scan->total->height < 2)
         return GSN_OK;
-    r = field_init(&a->columns->density->at, &f, err);
+    r = gsn_plane_new(w, h, &plane, err);
+    if (r < 0)
+        return r;
+    for (uint32_t y = 0; y < h; y++)
+        for (uint32_t x = 0; x < w; x++)
+            plane->value[(size_t)y * w + x] =
+                total_at(scan->total, (seen->x + (x + 0.5) * cell_px) / scan->step,
+                         (seen->y + (y + 0.5) * cell_px) / scan->step);
+    r = gsn_tissue_new(plane, CELL_UM, ret_tissue, &own);
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", own.text) : GSN_OK;
+}
+
+static int look_at_panel(const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options,
+                         const struct gsn_specimen_panel *panel, const struct gsn_assembly *a,
+                         struct part *parts, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_scan) scan = NULL;
+    int wanted = 0;
+    size_t size;
+    int r;
+
+    for (size_t i = 0; i < count; i++)
+        wanted |= parts[i].wanted && a->section[parts[i].section].panel == panel->number;
+    if (!wanted)
+        return GSN_OK;
+    r = specimen->read(specimen->context, panel->sha256, &bytes, &size, err);
     if (r >= 0)
-        r = find_kinds(specimen, a, &f, err);
-    field_done(&f);
+        r = gsn_scan_survey(options->decoder, bytes, size, specimen->protocol, &scan, err);
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        const struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (parts[i].wanted && s->panel == panel->number)
+            r = look(scan, &s->seen, &parts[i].tissue, err);
+    }
     return r;
+}
+
+/* The covariance of a pose by marks at another point of the block. */
+static void covariance_at(const struct gsn_pose_error *error, struct gsn_point at,
+                          double ret_covariance[3][3])
+{
+    const double x = at.x - error->about.x, y = at.y - error->about.y;
+    const double j[3][3] = { { 1, 0, -y }, { 0, 1, x }, { 0, 0, 1 } };
+
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++) {
+            ret_covariance[p][q] = 0;
+            for (size_t k = 0; k < 3; k++)
+                for (size_t l = 0; l < 3; l++)
+                    ret_covariance[p][q] += j[p][k] * error->pose[k][l] * j[q][l];
+        }
+}
+
+/* From um from the box's corner to panel pixels. */
+static struct gsn_affine to_panel(const struct gsn_assembly_section *s, double px_um)
+{
+    return (struct gsn_affine){ 1 / px_um, 0, s->seen.x, 0, 1 / px_um, s->seen.y };
+}
+
+/* A pose corrected for strain is no rigid one: the nearest that is, about the tissue's centre. */
+static struct gsn_affine rigid_of(const struct gsn_affine *m, struct gsn_point centre)
+{
+    const double sign = gsn_affine_det(m) < 0 ? -1 : 1;
+    const double c = sign * m->m00 + m->m11, s = sign * m->m10 - m->m01, size = hypot(c, s);
+    struct gsn_affine map = { sign * c / size, -s / size, 0, sign * s / size, c / size, 0 };
+    const struct gsn_point wanted = gsn_affine_apply(m, centre);
+    const struct gsn_point at = gsn_affine_apply(&map, centre);
+
+    map.m02 = wanted.x - at.x;
+    map.m12 = wanted.y - at.y;
+    return map;
+}
+
+static void state_section(const struct gsn_specimen *specimen, const struct gsn_assembly *a,
+                          const struct part *part, struct gsn_tissue_section *ret_section)
+{
+    const struct gsn_assembly_section *s = &a->section[part->section];
+    const struct gsn_affine panel = to_panel(s, gsn_assembly_panel(specimen, s->panel)->px_um);
+    const struct gsn_affine map = gsn_affine_compose(&panel, &s->pose.panel_to_block_um);
+
+    *ret_section = (struct gsn_tissue_section){ .serial = s->seen.serial,
+                                                .tissue = part->tissue,
+                                                .marked = is_held_by_marks(s) };
+    if (!ret_section->marked || !part->tissue)
+        return;
+    ret_section->to_block = rigid_of(&map, gsn_tissue_centre(part->tissue));
+    covariance_at(&s->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(part->tissue)),
+                  ret_section->covariance);
+}
+
+/* The pose of one section by its tissue. Its marks have no residuals: they did not lay it. */
+static void take(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
+                 const struct gsn_tissue_pose *pose)
+{
+    const struct gsn_affine panel = to_panel(s, gsn_assembly_panel(specimen, s->panel)->px_um);
+    const struct gsn_affine back = gsn_affine_inverse(&panel);
+    const struct gsn_affine map = gsn_affine_compose(&back, &pose->to_block);
+
+    s->pose = (struct gsn_pose){ .state = GSN_POSE_TWO_MARKS };
+    s->pose.panel_to_block_um = map;
+    s->pose.tre_um = pose->error;
+    s->pose.flipped = gsn_affine_det(&map) < 0;
+    s->pose.rotated180 = map.m11 < 0;
+    s->posed = 1;
+    s->state = GSN_SECTION_DOUBTFUL;
+    gsn_assembly_flag(s, "by-tissue");
+    if (s->pose.flipped && !strstr(s->flags, "flipped"))
+        gsn_assembly_flag(s, "flipped");
+    if (s->pose.rotated180 && !strstr(s->flags, "turned"))
+        gsn_assembly_flag(s, "turned");
+}
+
+static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+               const struct part *parts, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);
+    gsn_auto_mem(struct gsn_tissue_pose) poses = gsn_alloc_array(count, sizeof *poses);
+    struct gsn_tissue_summary summary;
+    int r;
+
+    if (!sections || !poses)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
+    for (size_t i = 0; i < count; i++)
+        state_section(specimen, a, &parts[i], &sections[i]);
+    r = gsn_tissue_lay(sections, count, poses, &summary, err);
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (is_lost(s) && poses[i].laid && !poses[i].unsure && summary.held > 0 &&
+            poses[i].from <= AROUND && poses[i].error <= MOST_ERROR_UM)
+            take(specimen, s, &poses[i]);
+    }
+    return r;
+}
+
+int gsn_assembly_lay_by_tissue(const struct gsn_specimen *specimen,
+                               const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                               struct gsn_error *err)
+{
+    gsn_auto_mem(struct part) parts = gsn_alloc_array(a->section_count, sizeof *parts);
+    size_t count;
+    int r = GSN_OK;
+
+    if (!parts)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
+    count = list(a, parts);
+    if (!a->solved || !choose(a, parts, count))
+        return GSN_OK;
+    for (size_t i = 0; r >= 0 && i < specimen->panel_count; i++)
+        if (specimen->panel[i].section_count > 0) {
+            r = look_at_panel(specimen, options, &specimen->panel[i], a, parts, count, err);
+            if (r < 0)
+                (void)gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
+                                  specimen->panel[i].file);
+        }
+    if (r >= 0)
+        r = lay(specimen, a, parts, count, err);
+    for (size_t i = 0; i < count; i++)
+        gsn_tissue_free(parts[i].tissue);
+    return r;
+}
+
+size_t gsn_assembly_by_tissue(const struct gsn_assembly *a)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++)
+        count += strstr(a->section[i].flags, "by-tissue") != NULL;
+    return count;
 }

@@ -2,6 +2,7 @@
 #include "pipeline/summary.h"
 
 #include "pipeline/assembly_order.h"
+#include "pipeline/assembly_tissue.h"
 #include "pipeline/conditions.h"
 #include "pipeline/core/hash.h"
 #include "pipeline/measure/loss.h"
@@ -293,6 +294,13 @@ static void fill_sections(const struct gsn_evidence *e, struct draft *d)
                 reason_of(d, s));
         exclude_masked(s, d);
     }
+    doubtful -= gsn_assembly_by_tissue(a);
+    if (gsn_assembly_by_tissue(a))
+        warn(d, say(d,
+                    "%zu section%s no marks to rely on and %s laid by the tissue of the "
+                    "neighbours, flagged by-tissue: compare with them",
+                    gsn_assembly_by_tissue(a), gsn_assembly_by_tissue(a) == 1 ? " has" : "s have",
+                    gsn_assembly_by_tissue(a) == 1 ? "was" : "were"));
     if (doubtful)
         warn(d, say(d, "%zu section%s laid by two marks only: compare with the neighbours",
                     doubtful, doubtful == 1 ? " was" : "s were"));

@@ -19,6 +19,8 @@ static const double SURE = 14, SURE_OF_NEIGHBOURS = 7;
 /* Two mounts of one section share most of their texture; neighbours share none. At the ends of the
  * stack the lines reach beyond what they go through, and both share that error. */
 static const double SAME = 0.5, SAME_AT_END = 0.8, SAME_DEVIATIONS = 8;
+/* Where one section's change is less than its noise, nothing is said of any distance. */
+static const double LEAST_CHANGE = 1;
 /* A direction counts when its variance is this much above the median one's, which is grain. */
 static const double LARGE = 2;
 /* Median absolute deviation to standard deviation of normal numbers. */
@@ -518,12 +520,21 @@ static double roughness(const struct stack *s, size_t i, size_t j)
     return sum;
 }
 
+/* Whether a swap over this distance would give enough evidence to propose it. */
+static int is_told(const struct stack *s, double far)
+{
+    return s->gain > 0 && s->noise2 > 0 && s->slope2 > LEAST_CHANGE * s->noise2 &&
+           2 * s->gain * s->gain * far * far * s->slope2 / s->noise2 > SURE;
+}
+
 /* What is gained in roughness by swapping two sections; ret_share: of what it is; 0 where neither
  * the tissue of the two nor the roughness asks for it. */
 static double smoother(struct stack *s, size_t i, size_t j, double sure, double *ret_share)
 {
     double before, after;
 
+    if (!is_told(s, s->z[j] - s->z[i]))
+        return 0;
     /* Nothing lies beyond the last two, so nothing says which of them is the last. */
     if (j == i + 1 && (i == 0 || j + 1 == s->n))
         return 0;
@@ -556,7 +567,9 @@ static int find_swaps(struct stack *s, const struct gsn_sequence_plane *planes,
                 const int clean = j == i + 1 && !near[i] && !near[j];
                 double share = 0;
                 const double gain =
-                    used[j] ? 0 : smoother(s, i, j, clean ? SURE_OF_NEIGHBOURS : SURE, &share);
+                    used[j] ? 0
+                            : smoother(s, i, j, clean && found->told ? SURE_OF_NEIGHBOURS : SURE,
+                                       &share);
 
                 if (gain > most) {
                     most = gain;
@@ -638,11 +651,8 @@ static int examine(struct stack *s, const struct gsn_sequence_plane *planes, siz
     take_off_noise(s);
     learn(s);
     found->change = s->noise2 > 0 ? sqrt(s->slope2 / s->noise2) : 0;
-    /* The evidence that a swap of neighbours would give must be enough to propose it. */
-    found->told =
-        s->gain > 0 && s->noise2 > 0 && 2 * s->gain * s->gain * s->slope2 / s->noise2 > SURE;
-    if (found->told)
-        r = find_swaps(s, planes, found, err);
+    found->told = is_told(s, 1);
+    r = find_swaps(s, planes, found, err);
     return r;
 }
 

@@ -44,8 +44,8 @@ struct gsn_sequence {
     size_t count;
     struct gsn_sequence_finding *finding; /* owned; the surest first within each kind */
     double change; /* from one section to the next, over the noise of one: root mean square */
-    int told;      /* whether neighbours differ enough for all of this to be told; duplicates are
-                      found in any case */
+    int told;      /* whether sections differ enough for a swap of neighbours to be told; of those
+                      further apart it may be told before, duplicates are found in any case */
 };
 
 /* gives: planes in order of their serial numbers. Fewer than 8 planes tell nothing. borrows:

@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Sections that their marks do not lay, laid by the tissue of their neighbours
+ * (register/tissue_graph.h).
+ *
+ * A section with no mark, with marks that could be others or that contradict the stack is laid
+ * where the sections around it put it, which their marks hold. It is used, flagged "by-tissue", as
+ * one that a person should look at; where tissue cannot tell either it stays held. */
+#ifndef GSN_PIPELINE_ASSEMBLY_TISSUE_H
+#define GSN_PIPELINE_ASSEMBLY_TISSUE_H
+
+#include "pipeline/assembly.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Lays what it can; needs a stack that the marks solved, and does nothing otherwise. Panels with
+ * such sections and their neighbours are opened once more, made small. Fails with GSN_E_NOMEM,
+ * GSN_E_IO and as gsn_scan_survey() does. */
+int gsn_assembly_lay_by_tissue(const struct gsn_specimen *specimen,
+                               const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                               struct gsn_error *err);
+
+/* How many were laid so. */
+size_t gsn_assembly_by_tissue(const struct gsn_assembly *a);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,261 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/assembly_parts.h"
+
+#include "pipeline/stain/order.h"
+#include "pipeline/stain/reference.h"
+#include "pipeline/stain/segment.h"
+#include "pipeline/stain/tissue.h"
+
+#include <math.h>
+#include <string.h>
+
+/* As the root is told (stain/tissue.c): what is less than this of the red of bone is loose tissue,
+ * what is more is bone. */
+static const double LEAST_OF_BONE = 0.35, MOST_OF_BONE = 0.82;
+
+/* A lesion does not end where the region does. */
+static const double SURROUNDINGS_UM = 300;
+
+/* Columns from the border of a tissue: what is blurred over it is neither. */
+enum { RIM = 2, LEAST_COLUMNS = 50, LEAST_SECTIONS = 3 };
+
+/* The work in hand: one value and one kind per column of the block. */
+struct field {
+    struct gsn_lattice at;
+    size_t count;
+    float *smooth; /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
+    uint8_t *kind; /* owned: 1 + enum gsn_tissue_kind, 0 none */
+    double *scratch;
+};
+
+static void field_done(struct field *f)
+{
+    gsn_free(f->smooth);
+    gsn_free(f->kind);
+    gsn_free(f->scratch);
+}
+
+static int field_init(const struct gsn_lattice *at, struct field *f, struct gsn_error *err)
+{
+    *f = (struct field){ .at = *at, .count = gsn_lattice_count(at) };
+    f->smooth = gsn_alloc_array(f->count, sizeof *f->smooth);
+    f->kind = gsn_alloc_array(f->count, 1);
+    f->scratch = gsn_alloc_array(f->count, sizeof *f->scratch);
+    if (f->smooth && f->kind && f->scratch)
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
+}
+
+static float mean_around(const struct gsn_grid *density, size_t x, size_t y, size_t z)
+{
+    const struct gsn_lattice *at = &density->at;
+    double sum = 0;
+    unsigned n = 0;
+
+    for (size_t k = z > 0 ? z - 1 : 0; k <= z + 1 && k < at->nz; k++)
+        for (size_t j = y > 0 ? y - 1 : 0; j <= y + 1 && j < at->ny; j++)
+            for (size_t i = x > 0 ? x - 1 : 0; i <= x + 1 && i < at->nx; i++) {
+                const float value = density->value[gsn_lattice_index(at, i, j, k)];
+
+                if (isnan(value))
+                    continue;
+                sum += (double)value;
+                n++;
+            }
+    return n > 0 ? (float)(sum / n) : NAN;
+}
+
+static void smoothen(const struct gsn_grid *density, struct field *f)
+{
+    for (size_t i = 0, z = 0; z < f->at.nz; z++)
+        for (size_t y = 0; y < f->at.ny; y++)
+            for (size_t x = 0; x < f->at.nx; x++, i++)
+                f->smooth[i] = isnan(density->value[i]) ? NAN : mean_around(density, x, y, z);
+}
+
+/* The density of bone: the median of what lies above Otsu's cut; NaN where there is no tissue. */
+static double bone_of(struct field *f, float *list)
+{
+    double cut;
+    size_t n = 0, above = 0;
+
+    for (size_t i = 0; i < f->count; i++)
+        if (!isnan(f->smooth[i]))
+            list[n++] = f->smooth[i];
+    cut = gsn_otsu(list, n);
+    for (size_t i = 0; i < n; i++)
+        if ((double)list[i] > cut)
+            f->scratch[above++] = (double)list[i];
+    return above > 0 ? gsn_order_pick(f->scratch, above, above / 2) : (double)NAN;
+}
+
+/* The root, where there is one; NULL is none. */
+static int find_root(const struct gsn_columns *columns, struct gsn_mask **ret_root,
+                     struct gsn_tissue_levels *levels, struct gsn_error *err)
+{
+    gsn_auto(gsn_grid) whole = NULL;
+    struct gsn_error why = { 0 };
+    int r = gsn_grid_new(&columns->density->at, &whole, err);
+
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < gsn_lattice_count(&whole->at); i++)
+        whole->value[i] = columns->tissue->value[i] < 0.5f ? 0 : columns->density->value[i];
+    r = gsn_tissue_find(whole, GSN_TISSUE_ROOT, ret_root, levels, &why);
+    return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", why.text) : GSN_OK;
+}
+
+static uint8_t kind_of(double value, double bone, int in_root, double border)
+{
+    if (in_root)
+        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_TISSUE_DENTINE : 0;
+    if (value >= MOST_OF_BONE * bone)
+        return 1 + GSN_TISSUE_DENSE;
+    return value <= LEAST_OF_BONE * bone ? 1 + GSN_TISSUE_LOOSE : 0;
+}
+
+static void tell_kinds(struct field *f, const struct gsn_mask *root,
+                       const struct gsn_tissue_levels *levels, double bone)
+{
+    for (size_t i = 0; i < f->count; i++)
+        f->kind[i] = isnan(f->smooth[i]) ? 0
+                                         : kind_of((double)f->smooth[i], bone,
+                                                   root && root->inside[i], levels->border);
+}
+
+/* Whether all columns around are of one kind. */
+static int is_core(const struct field *f, size_t x, size_t y, size_t z)
+{
+    const size_t nx = f->at.nx, ny = f->at.ny;
+    const uint8_t kind = f->kind[gsn_lattice_index(&f->at, x, y, z)];
+
+    if (kind == 0 || x < RIM || y < RIM || x + RIM >= nx || y + RIM >= ny)
+        return 0;
+    for (size_t j = y - RIM; j <= y + RIM; j++)
+        for (size_t i = x - RIM; i <= x + RIM; i++)
+            if (f->kind[gsn_lattice_index(&f->at, i, j, z)] != kind)
+                return 0;
+    return 1;
+}
+
+/* Dentine is not remodelled, so it need not be far from the region; bone and loose tissue above and
+ * below the region are left out with it. */
+static int is_untreated(const struct field *f, const struct gsn_mask *region,
+                        const struct gsn_mask *footprint, uint8_t kind, size_t x, size_t y,
+                        size_t z)
+{
+    if (kind == 1 + GSN_TISSUE_DENTINE)
+        return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
+    return !footprint->inside[y * f->at.nx + x];
+}
+
+/* The tissue's density in one section; NaN where too little of it is seen. */
+static double seen_in(const struct field *f, const struct gsn_assembly *a,
+                      const struct gsn_mask *footprint, uint8_t kind, size_t z)
+{
+    const struct gsn_grid *density = a->columns->density;
+    size_t n = 0;
+
+    for (size_t y = 0; y < f->at.ny; y++)
+        for (size_t x = 0; x < f->at.nx; x++)
+            if (f->kind[gsn_lattice_index(&f->at, x, y, z)] == kind && is_core(f, x, y, z) &&
+                is_untreated(f, a->region, footprint, kind, x, y, z))
+                f->scratch[n++] = (double)density->value[gsn_lattice_index(&f->at, x, y, z)];
+    return n >= LEAST_COLUMNS ? gsn_reference_red(f->scratch, n) : (double)NAN;
+}
+
+/* Median over sections; the error is what panels disagree by, of a median. */
+static struct gsn_level_tissue sum_up(double *value, const int *panel, size_t count,
+                                      double *scratch)
+{
+    struct gsn_level_tissue tissue = { NAN, NAN };
+    double sum = 0, squares = 0;
+    size_t panels = 0;
+
+    if (count < LEAST_SECTIONS)
+        return tissue;
+    for (size_t i = 0, end; i < count; i = end) {
+        double mean = 0;
+
+        for (end = i; end < count && panel[end] == panel[i]; end++)
+            mean += value[end];
+        mean /= (double)(end - i);
+        sum += mean;
+        squares += mean * mean;
+        panels++;
+    }
+    if (panels > 1)
+        tissue.error = sqrt(M_PI / 2 * fmax(0, squares - sum * sum / (double)panels) /
+                            (double)(panels - 1) / (double)panels);
+    memcpy(scratch, value, count * sizeof *value);
+    tissue.value = gsn_order_pick(scratch, count, count / 2);
+    if (panels < 2) /* nothing tells what another panel would say */
+        tissue.error = 0.05 * tissue.value;
+    return tissue;
+}
+
+static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                         struct field *f, const struct gsn_mask *footprint, struct gsn_error *err)
+{
+    gsn_auto_mem(double) value = gsn_alloc_array(f->at.nz, sizeof *value);
+    gsn_auto_mem(int) panel = gsn_alloc_array(f->at.nz, sizeof *panel);
+
+    if (!value || !panel)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
+    for (unsigned k = 0; k < GSN_TISSUES; k++) {
+        size_t n = 0;
+
+        for (size_t z = 0; z < f->at.nz; z++) {
+            const struct gsn_assembly_panel *of = gsn_assembly_panel_of_serial(
+                a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
+
+            value[n] =
+                of && of->levelled ? seen_in(f, a, footprint, (uint8_t)(1 + k), z) : (double)NAN;
+            panel[n] = of ? (int)(of - a->panel) : -1;
+            if (!isnan(value[n]))
+                n++;
+        }
+        a->levelling.tissue[k] = sum_up(value, panel, n, f->scratch);
+    }
+    return GSN_OK;
+}
+
+static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(float) list = gsn_alloc_array(f->count, sizeof *list);
+    gsn_auto(gsn_mask) root = NULL;
+    gsn_auto(gsn_mask) footprint = NULL;
+    struct gsn_tissue_levels levels = { 0 };
+    double bone;
+    int r = list ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
+
+    if (r >= 0)
+        r = gsn_columns_footprint(a->region, &f->at, SURROUNDINGS_UM, &footprint, err);
+    if (r < 0)
+        return r;
+    smoothen(a->columns->density, f);
+    bone = bone_of(f, list);
+    if (!(bone > 0))
+        return GSN_OK;
+    r = find_root(a->columns, &root, &levels, err);
+    if (r < 0)
+        return r;
+    tell_kinds(f, root, &levels, bone);
+    return measure_kinds(specimen, a, f, footprint, err);
+}
+
+int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                              struct gsn_error *err)
+{
+    struct field f;
+    int r;
+
+    if (!a->columns || !a->levelling.done || !a->region)
+        return GSN_OK;
+    r = field_init(&a->columns->density->at, &f, err);
+    if (r >= 0)
+        r = find_kinds(specimen, a, &f, err);
+    field_done(&f);
+    return r;
+}

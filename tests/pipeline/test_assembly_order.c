@@ -1,0 +1,125 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/assembly_order.h"
+
+#include "tests/check.h"
+#include "tests/register/draw.h"
+
+#include <string.h>
+
+enum { SECTIONS = 16, WIDE = 160, HIGH = 120, CELL = 5, AGAIN = 8 };
+
+static struct gsn_assembly_section sections[SECTIONS];
+static struct gsn_plane *planes[SECTIONS];
+
+/* Each section on a panel of its own, 20 um a pixel: what all share, and a grain of 100 um that
+ * each has for itself; section 8 is section 7 again, stained a tenth darker. */
+static struct gsn_assembly make_stack(void)
+{
+    struct draw_chance chance = { 5 };
+
+    memset(sections, 0, sizeof sections);
+    for (unsigned k = 0; k < SECTIONS; k++) {
+        struct gsn_error err = { 0 };
+        float grain[HIGH / CELL][WIDE / CELL];
+
+        sections[k] = (struct gsn_assembly_section){
+            .panel = k + 1,
+            .seen = { .serial = k, .width = WIDE, .height = HIGH },
+            .posed = 1,
+            .pose = { .panel_to_block_um = { 20, 0, -1600, 0, 20, -1200 } },
+            .state = GSN_SECTION_USED,
+        };
+        CHECK_OK(gsn_plane_new(WIDE, HIGH, &planes[k], &err), err);
+        for (int v = 0; v < HIGH / CELL; v++)
+            for (int u = 0; u < WIDE / CELL; u++)
+                grain[v][u] = (float)(0.05 * draw_normal(&chance));
+        for (int i = 0; i < WIDE * HIGH; i++) {
+            const int x = i % WIDE, y = i / WIDE;
+
+            planes[k]->value[i] = (float)(0.5 + 0.2 * sin(0.06 * x + 0.04 * k) * cos(0.05 * y)) +
+                                  grain[y / CELL][x / CELL];
+        }
+    }
+    for (int i = 0; i < WIDE * HIGH; i++)
+        planes[AGAIN]->value[i] = 1.1f * planes[AGAIN - 1]->value[i];
+    return (struct gsn_assembly){ .section_count = SECTIONS, .section = sections };
+}
+
+static void free_planes(void)
+{
+    for (unsigned k = 0; k < SECTIONS; k++)
+        gsn_plane_free(planes[k]);
+}
+
+static int look(struct gsn_assembly *a, struct gsn_sequence **ret_sequence, struct gsn_error *err)
+{
+    gsn_auto(gsn_section_order) order = NULL;
+    int r = gsn_section_order_new(a, &order, err);
+
+    for (unsigned k = 0; r >= 0 && k < SECTIONS; k++)
+        gsn_section_order_add(order, a, k + 1, planes[k]);
+    return r < 0 ? r : gsn_section_order_examine(order, a, ret_sequence, err);
+}
+
+/* Case 31: both candidates are named, and both stay as they are. */
+TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
+{
+    struct gsn_assembly a = make_stack();
+    gsn_auto(gsn_sequence) sequence = NULL;
+    struct gsn_error err = { 0 };
+    char sentence[GSN_POSE_SENTENCE];
+
+    CHECK_OK(look(&a, &sequence, &err), err);
+    CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_DUPLICATE);
+    for (unsigned k = 0; k < SECTIONS; k++) {
+        CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-7?"
+                                        : k == AGAIN - 1 ? "same-as-8?"
+                                                         : "") == 0);
+        CHECK(sections[k].state == GSN_SECTION_USED && sections[k].seen.serial == k);
+    }
+    gsn_section_order_sentence(&sequence->finding[0], sentence);
+    CHECK(strstr(sentence, "sections 7 and 8 look like one section, mounted or scanned twice"));
+    free_planes();
+}
+
+/* Case 30. */
+TEST(a_swap_is_a_proposal_in_words)
+{
+    const struct gsn_sequence_finding finding = {
+        .kind = GSN_SEQUENCE_SWAP, .a = 17, .b = 18, .evidence = 20, .smoother = 0.34
+    };
+    char sentence[GSN_POSE_SENTENCE];
+
+    gsn_section_order_sentence(&finding, sentence);
+    CHECK(strcmp(sentence,
+                 "sections 17 and 18 look swapped: in each other's places the stack there "
+                 "would be 34 % less rough along z; nothing was moved: look at both") == 0);
+}
+
+TEST(a_specimen_without_laid_sections_has_no_order)
+{
+    struct gsn_assembly a = { .section_count = 1, .section = sections };
+    struct gsn_section_order *order = NULL;
+    struct gsn_error err = { 0 };
+
+    memset(sections, 0, sizeof sections);
+    CHECK_OK(gsn_section_order_new(&a, &order, &err), err);
+    CHECK(order == NULL);
+}
+
+static int look_once(struct gsn_error *err)
+{
+    struct gsn_assembly a = { .section_count = SECTIONS, .section = sections };
+    gsn_auto(gsn_sequence) sequence = NULL;
+
+    return look(&a, &sequence, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+
+    (void)make_stack();
+    CHECK_EVERY_OOM(look_once(&err), err);
+    free_planes();
+}

@@ -388,11 +388,10 @@ class Lives:
     power cut in the middle of a job; the next one judges what is left of it and gets its own load."""
 
     def __init__(self, bench, name, cuts):
-        self.bench, self.cuts = bench, cuts
+        self.bench, self.name, self.cuts = bench, name, cuts
         self.random = random.Random(name)
         self.files = [bench.tiff(f"{name}-{i:02}.tif", 300, 250 + i) for i in range(2 * cuts + 4)]
-        self.specimens = [(f"{name}{i}", specimen(bench, f"{name}{i}")) for i in range((cuts + 2) // 3)]
-        self.boots, self.acknowledged, self.scans = {}, {}, 0
+        self.boots, self.acknowledged, self.scans, self.specimens = {}, {}, 0, 0
         self.disk = bench.scratch / f"{name}.disk"
         with open(self.disk, "wb") as to:
             to.truncate(96 << 20)
@@ -415,35 +414,42 @@ class Lives:
                    "the kernel did not replay the journal of a disk that was cut off")
         self.boots[boot] = seconds
 
-    def judge(self, vm, cut):
+    def judge(self, vm):
         """Nothing acknowledged is lost, and the job that was cut off gets done though nobody asks for it."""
         check_objects(vm, self.acknowledged, ACKNOWLEDGED)
         lost = sql(vm, "SELECT kind || ' ' || id || ': ' || message FROM job WHERE state = 'failed' OR attempts > 0")
         demand(lost == "", f"jobs are given up, or a cut was counted as their death: {lost}")
-        vm.until(sql_is(f"SELECT count(*) >= {cut} FROM job WHERE state = 'done'", 1), self.bench.wait(120))
+        begun = ",".join(sql(vm, "SELECT id FROM job WHERE claim > 0 AND state <> 'done'").split())
+        vm.until(sql_is(f"SELECT count(*) FROM job WHERE id IN ({begun}) AND state <> 'done'", 0), self.bench.wait(120))
+
+    def import_specimen(self, vm):
+        name = f"{self.name}{self.specimens}"
+        put(vm, specimen(self.bench, name), f"/srv/{name}")
+        vm.tell(f"runuser -u gieson -- gieson --store /var/lib/gieson import /srv/{name}", self.bench.wait(90))
+        self.specimens += 1
 
     def load(self, vm, cut):
-        """Scans come from a scanner and, as often as there is nothing left to do, a specimen from a
-        folder. What happens next, once a job was begun, is that the power is gone."""
-        name, files = self.specimens[cut // 3]
+        """Scans come from a scanner and, whenever there is nothing left to do, a specimen from a folder.
+        What happens next, once a job was begun, is that the power is gone."""
         sim = vm.plug(self.bench.sim(), "ptp", *self.files)
         sim.finish_scans(2 * cut + 4)
         vm.until(sql_is(f"SELECT count(*) >= {self.scans + 1 + cut % 2} FROM scan WHERE source = 'scanner'", 1),
                  self.bench.wait(180))
-        if cut % 3 == 0:  # its two panels and itself are three jobs, in this order
-            put(vm, files, f"/srv/{name}")
-            vm.tell(f"runuser -u gieson -- gieson --store /var/lib/gieson import /srv/{name}", self.bench.wait(90))
+        claims, left = sql(vm, "SELECT coalesce(sum(claim), 0), count(*) FILTER (WHERE state <> 'done') "
+                               "FROM job").split("|")
+        if left == "0":
+            self.import_specimen(vm)
         self.acknowledged = dict(line.split("|") for line in sql(vm, ACKNOWLEDGED).splitlines())
         self.scans = sum("/" not in known for known in self.acknowledged)
-        vm.until(sql_is(f"SELECT count(*) > {cut} FROM job WHERE claim > 0", 1), self.bench.wait(120))
+        vm.until(sql_is(f"SELECT sum(claim) > {claims} OR max(state = 'running') FROM job", 1), self.bench.wait(120))
         time.sleep(self.random.uniform(0, 1.5))
         vm.cut()
 
     def check_reports(self, vm):
         reports = sql(vm, "SELECT report_sha256 || '  /var/lib/gieson/' || report_path FROM run "
                           "WHERE state IN ('reported', 'withheld')")
-        demand(len(reports.splitlines()) == len(self.specimens),
-               f"{len(self.specimens)} specimens were taken in, and these are the reports: {reports!r}")
+        demand(len(reports.splitlines()) == self.specimens,
+               f"{self.specimens} specimens were taken in, and these are the reports: {reports!r}")
         vm.tell(f"sha256sum --strict --quiet -c <<<'{reports}'")
 
     def end(self, vm):
@@ -469,7 +475,7 @@ class Lives:
         for cut in range(self.cuts + 1):
             with self.switch_on() as vm:
                 self.check_boot(vm)
-                self.judge(vm, cut)
+                self.judge(vm)
                 if cut == self.cuts:
                     return self.end(vm)
                 self.load(vm, cut)

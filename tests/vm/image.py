@@ -268,7 +268,10 @@ def build_image(folder, build, package):
     for name, (mode, content) in sorted(archive.entry.items()):
         if isinstance(content, pathlib.Path):
             status = content.stat()
-            content = f"{content} {status.st_size} {status.st_mtime_ns}".encode()
+            # What was stripped is as old as the stripping, so its bytes tell.
+            stripped = content.is_relative_to(folder / "stage")
+            content = (hashlib.sha256(content.read_bytes()).digest() if stripped else
+                       f"{content} {status.st_size} {status.st_mtime_ns}".encode())
         key.update(f"{name} {mode} ".encode() + content)
     key = key.hexdigest()[:16]
     if not (folder / "root.key").exists() or (folder / "root.key").read_text() != key:

@@ -25,13 +25,14 @@ static void reduce(const struct gsn_plane *plane, const struct gsn_slot *slot, s
         const size_t y0 = (size_t)slot->y + i / field->width * step;
         double cell = 0, cell_n = 0;
 
-        for (size_t k = 0; k < step * step; k++) {
-            const float value = plane->value[(y0 + k / step) * plane->width + x0 + k % step];
+        for (size_t y = y0; y < y0 + step; y++) {
+            const float *row = plane->value + y * plane->width;
 
-            if (isfinite(value)) {
-                cell += value;
-                cell_n += 1;
-            }
+            for (size_t x = x0; x < x0 + step; x++)
+                if (isfinite(row[x])) {
+                    cell += row[x];
+                    cell_n += 1;
+                }
         }
         sum += cell;
         n += cell_n;

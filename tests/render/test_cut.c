@@ -176,6 +176,34 @@ TEST(a_grid_is_shown_voxel_by_voxel_with_its_gaps)
     }
 }
 
+TEST(true_colours_are_shown_voxel_by_voxel_and_a_missing_section_is_hatched)
+{
+    const struct gsn_lattice at = { 4, 4, 2, { 12, 12, 12 }, { 24, 24, 24 } };
+    const struct gsn_cut_frame frame = { GSN_AXIS_Z, 12, 0, 0, 24, 4, 4 };
+    gsn_auto(gsn_colour_grid) grid = NULL;
+    gsn_auto(gsn_image) image = NULL;
+    gsn_auto(gsn_image) gap = NULL;
+    struct gsn_cut_frame missing = frame;
+    struct gsn_error err = { 0 };
+    size_t seen = 0, same = 0;
+
+    CHECK_OK(gsn_colour_grid_new(&at, &grid, &err), err);
+    for (size_t i = 0; i < 16; i++)
+        memcpy(grid->rgb + 3 * i, (const uint8_t[3]){ 201, 17, (uint8_t)(40 + i) }, 3);
+    CHECK_OK(gsn_cut_colour(grid, &frame, NULL, NULL, &image, &err), err);
+    missing.at_um = 36;
+    CHECK_OK(gsn_cut_colour(grid, &missing, NULL, NULL, &gap, &err), err);
+    for (uint32_t y = 0; y < image->height; y++)
+        for (uint32_t x = 0; x < image->width; x++) {
+            const unsigned b = gsn_image_at(image, x, y, 2);
+
+            seen += gsn_image_at(image, x, y, 0) == 201 && gsn_image_at(image, x, y, 1) == 17 &&
+                    b >= 40 && b < 56;
+            same += gsn_image_at(gap, x, y, 0) == 201;
+        }
+    CHECK(seen == 16 && same == 0);
+}
+
 TEST(the_centre_of_a_hollow_region_is_in_the_region)
 {
     gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 9, 9, 9);

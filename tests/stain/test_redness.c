@@ -1,4 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/dyes.h"
 #include "tests/check.h"
 
 #include <string.h>
@@ -146,6 +147,74 @@ TEST(planes_hold_the_density_of_each_pixel)
     }
 }
 
+static struct gsn_plane *red_of(struct gsn_plane *const od[3], const struct gsn_dyes *dyes)
+{
+    struct gsn_plane *red = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_red(od, dyes, 2, &red, &err), err);
+    return red;
+}
+
+/* Tissue whose yellow falls with its red, as picric acid does, stained by dyes that are turned from
+ * those it is unmixed with: what comes out is a straight line over what is there, however the
+ * vectors turned, and the amounts themselves where they did not. */
+TEST(a_turned_vector_multiplies_red_and_adds_to_it)
+{
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct dice dice = { 6 };
+
+    for (int draw = 0; draw < 200; draw++) {
+        gsn_auto(planes) planes = planes_new(11, 1);
+        double turn[GSN_DYE_TURNS];
+
+        for (int k = 0; k < GSN_DYE_TURNS; k++)
+            turn[k] = draw == 0 ? 0 : 2 * M_PI / 180 * fmax(fmin(dice_normal(&dice), 2), -2);
+
+        const struct gsn_dyes turned = gsn_dyes_turned(&dyes, turn);
+
+        for (int i = 0; i <= 10; i++) {
+            const double density = 0.1 * i;
+            const double amount[3] = { 0.62 * density, 0.34 * (1 - 0.55 * density), 0.05 };
+            double od[3];
+
+            mix(&turned, amount, od);
+            for (int c = 0; c < 3; c++)
+                planes->od[c]->value[i] = (float)od[c];
+        }
+        gsn_auto(gsn_plane) red = red_of(planes->od, &dyes);
+        const double slope = ((double)red->value[10] - (double)red->value[0]) / 10;
+
+        for (int i = 0; i <= 10; i++)
+            CHECK_NEAR((double)red->value[i], (double)red->value[0] + slope * i, 1e-5);
+        if (draw == 0)
+            CHECK_NEAR(slope, 0.1, 1e-5);
+    }
+}
+
+/* Ink is no mixture of the dyes: blue, green and black strokes get no more red than before. */
+TEST(what_is_no_mixture_of_the_dyes_is_unmixed_without_negative_amounts)
+{
+    const double ink[3][3] = { { 1.2, 0.8, 0.1 }, { 1.1, 0.2, 0.9 }, { 0.1, 1.5, 0.2 } };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    gsn_auto(planes) planes = planes_new(3, 1);
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < 3; i++)
+        for (int c = 0; c < 3; c++)
+            planes->od[c]->value[i] = (float)ink[i][c];
+    gsn_auto(gsn_plane) red = red_of(planes->od, &dyes);
+
+    for (size_t i = 0; i < 3; i++) {
+        const double od[3] = { (double)(float)ink[i][0], (double)(float)ink[i][1],
+                               (double)(float)ink[i][2] };
+        double amount[3];
+
+        CHECK_OK(gsn_unmix_one(od, &dyes, amount, &err), err);
+        CHECK_NEAR((double)red->value[i], amount[0] / dyes.full_red_od, 1e-6);
+    }
+}
+
 TEST(dyes_that_cannot_be_told_apart_are_refused)
 {
     struct gsn_dyes dyes = gsn_dyes_builtin();
@@ -284,6 +353,7 @@ TEST(pictures_and_planes_of_the_wrong_kind_are_refused)
     struct gsn_plane *const mixed[3] = { planes->od[0], odd, planes->od[2] };
 
     CHECK(gsn_unmix(mixed, &dyes, 1, &red, NULL, NULL, &err) == GSN_E_INPUT);
+    CHECK(gsn_red(mixed, &dyes, 1, &red, &err) == GSN_E_INPUT);
     CHECK(gsn_tissue_plane(mixed, &glass, &red, &threshold, &err) == GSN_E_INPUT);
     CHECK(gsn_red_share(odd, planes->od[1], planes->od[2], &dyes, &red, &err) == GSN_E_INPUT);
     CHECK(od[0] == NULL && red == NULL);
@@ -330,6 +400,7 @@ static int whole_way(const struct gsn_image *image, struct gsn_error *err)
     gsn_auto(gsn_plane) dark = NULL;
     gsn_auto(gsn_plane) share = NULL;
     gsn_auto(gsn_plane) total = NULL;
+    gsn_auto(gsn_plane) alone = NULL;
     struct gsn_glass glass;
     double threshold;
     int r;
@@ -342,6 +413,8 @@ static int whole_way(const struct gsn_image *image, struct gsn_error *err)
         r = gsn_optical_density(image, &glass, 1, planes->od, NULL, err);
     if (r >= 0)
         r = gsn_unmix(planes->od, &dyes, 1, &red, &yellow, &dark, err);
+    if (r >= 0)
+        r = gsn_red(planes->od, &dyes, 1, &alone, err);
     if (r >= 0)
         r = gsn_red_share(red, yellow, dark, &dyes, &share, err);
     if (r >= 0)

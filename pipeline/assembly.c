@@ -132,7 +132,7 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0 && band && a->grid)
         r = gsn_assembly_find_band(specimen, options, a, err);
     if (r >= 0)
-        r = gsn_assembly_find_tissues(specimen, options, a, err);
+        r = gsn_assembly_find_tissues(specimen, a, err);
     if (r >= 0)
         r = gsn_assembly_sum_errors(specimen, a, err);
     if (r < 0)

@@ -73,8 +73,7 @@ int gsn_assembly_place_columns(const struct gsn_specimen *specimen, unsigned sec
 int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err);
 /* Finds tissue that other specimens have too, off the region. Comes when the region is known. */
-int gsn_assembly_find_tissues(const struct gsn_specimen *specimen,
-                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
+int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err);
 
 /* Divides each plane by the gain that the reference tissue tells of its panel. */

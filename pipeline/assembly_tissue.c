@@ -24,7 +24,7 @@ struct field {
     struct gsn_lattice at;
     size_t count;
     float *smooth; /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
-    uint8_t *kind; /* owned: 1 + enum gsn_tissue_kind, 0 none */
+    uint8_t *kind; /* owned: 1 + enum gsn_untreated, 0 none */
     double *scratch;
 };
 
@@ -90,9 +90,8 @@ static double bone_of(struct field *f, float *list)
 }
 
 /* The root, where there is one; NULL is none. */
-static int find_root(const struct gsn_columns *columns, unsigned threads,
-                     struct gsn_mask **ret_root, struct gsn_tissue_levels *levels,
-                     struct gsn_error *err)
+static int find_root(const struct gsn_columns *columns, struct gsn_mask **ret_root,
+                     struct gsn_tissue_levels *levels, struct gsn_error *err)
 {
     gsn_auto(gsn_grid) whole = NULL;
     struct gsn_error why = { 0 };
@@ -102,17 +101,17 @@ static int find_root(const struct gsn_columns *columns, unsigned threads,
         return r;
     for (size_t i = 0; i < gsn_lattice_count(&whole->at); i++)
         whole->value[i] = columns->tissue->value[i] < 0.5f ? 0 : columns->density->value[i];
-    r = gsn_tissue_root(whole, threads, ret_root, levels, &why);
+    r = gsn_tissue_find(whole, GSN_TISSUE_ROOT, ret_root, levels, &why);
     return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", why.text) : GSN_OK;
 }
 
 static uint8_t kind_of(double value, double bone, int in_root, double border)
 {
     if (in_root)
-        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_TISSUE_DENTINE : 0;
+        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_UNTREATED_DENTINE : 0;
     if (value >= MOST_OF_BONE * bone)
-        return 1 + GSN_TISSUE_DENSE;
-    return value <= LEAST_OF_BONE * bone ? 1 + GSN_TISSUE_LOOSE : 0;
+        return 1 + GSN_UNTREATED_DENSE;
+    return value <= LEAST_OF_BONE * bone ? 1 + GSN_UNTREATED_LOOSE : 0;
 }
 
 static void tell_kinds(struct field *f, const struct gsn_mask *root,
@@ -145,7 +144,7 @@ static int is_untreated(const struct field *f, const struct gsn_mask *region,
                         const struct gsn_mask *footprint, uint8_t kind, size_t x, size_t y,
                         size_t z)
 {
-    if (kind == 1 + GSN_TISSUE_DENTINE)
+    if (kind == 1 + GSN_UNTREATED_DENTINE)
         return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
     return !footprint->inside[y * f->at.nx + x];
 }
@@ -203,7 +202,7 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
 
     if (!value || !panel)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
-    for (unsigned k = 0; k < GSN_TISSUES; k++) {
+    for (unsigned k = 0; k < GSN_UNTREATED_KINDS; k++) {
         size_t n = 0;
 
         for (size_t z = 0; z < f->at.nz; z++) {
@@ -221,9 +220,8 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
     return GSN_OK;
 }
 
-static int find_kinds(const struct gsn_specimen *specimen,
-                      const struct gsn_specimen_options *options, struct gsn_assembly *a,
-                      struct field *f, struct gsn_error *err)
+static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(float) list = gsn_alloc_array(f->count, sizeof *list);
     gsn_auto(gsn_mask) root = NULL;
@@ -240,15 +238,14 @@ static int find_kinds(const struct gsn_specimen *specimen,
     bone = bone_of(f, list);
     if (!(bone > 0))
         return GSN_OK;
-    r = find_root(a->columns, options->threads, &root, &levels, err);
+    r = find_root(a->columns, &root, &levels, err);
     if (r < 0)
         return r;
     tell_kinds(f, root, &levels, bone);
     return measure_kinds(specimen, a, f, footprint, err);
 }
 
-int gsn_assembly_find_tissues(const struct gsn_specimen *specimen,
-                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
+int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err)
 {
     struct field f;
@@ -258,7 +255,7 @@ int gsn_assembly_find_tissues(const struct gsn_specimen *specimen,
         return GSN_OK;
     r = field_init(&a->columns->density->at, &f, err);
     if (r >= 0)
-        r = find_kinds(specimen, options, a, &f, err);
+        r = find_kinds(specimen, a, &f, err);
     field_done(&f);
     return r;
 }

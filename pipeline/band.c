@@ -16,13 +16,13 @@ int gsn_band_region(const struct gsn_region *region, const struct gsn_mask *body
                     const struct gsn_grid *density, unsigned threads, struct gsn_mask **ret_region,
                     struct gsn_error *err)
 {
-    gsn_auto(gsn_mask) root = NULL;
+    gsn_auto(gsn_mask) found = NULL;
     gsn_auto(gsn_mask) band = NULL;
     struct gsn_tissue_levels levels;
-    int r = body ? GSN_OK : gsn_tissue_root(density, threads, &root, &levels, err);
+    int r = body ? GSN_OK : gsn_tissue_find(density, region->from, &found, &levels, err);
 
     if (r >= 0)
-        r = gsn_tissue_band(body ? body : root, region->low_um, region->high_um, &density->at,
+        r = gsn_tissue_band(body ? body : found, region->low_um, region->high_um, &density->at,
                             threads, &band, err);
     if (r < 0)
         return r;

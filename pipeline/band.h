@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* A region that is stated as a band at a distance from a body: the root that is found in the block
+/* A region that is stated as a band at a distance from a body: a tissue that is found in the block
  * itself, or a mask. */
 #ifndef GSN_PIPELINE_BAND_H
 #define GSN_PIPELINE_BAND_H
@@ -13,9 +13,9 @@ extern "C" {
 #endif
 
 /* gives: the voxels of the density's lattice in the band, of the stated z and within the stated
- * cylinder. body: the mask that the job names; NULL: the root is looked for in the density.
- * Fails as gsn_tissue_root() and gsn_tissue_band(), and with GSN_E_INPUT when nothing is left.
- * borrows: all. */
+ * cylinder. body: the mask that the job names; NULL: the tissue that the region names is looked
+ * for in the density. Fails as gsn_tissue_find() and gsn_tissue_band(), and with GSN_E_INPUT when
+ * nothing is left. borrows: all. */
 int gsn_band_region(const struct gsn_region *region, const struct gsn_mask *body,
                     const struct gsn_grid *density, unsigned threads, struct gsn_mask **ret_region,
                     struct gsn_error *err);

@@ -190,8 +190,8 @@ static int read_shape(const json_t *shape_of, const char *key, struct gsn_region
 }
 
 static const char BAND[] =
-    "{\"kind\": \"band\", \"from\": \"root\" or a mask file, \"low_um\": a, \"high_um\": b above "
-    "a}, "
+    "{\"kind\": \"band\", \"from\": \"root\", \"bone\", \"tissue\" or a mask file, \"low_um\": a, "
+    "\"high_um\": b above a}, "
     "with or without \"z\": [from,to] and \"within\": {\"centre\": [x,y], \"radius\": r}";
 
 /* The cylinder and the z range that limit a band, where they are stated. */
@@ -225,9 +225,12 @@ static int read_band(const json_t *band, struct gsn_region *region, struct gsn_e
         !json_is_number(high) || !(region->low_um < region->high_um) || !isfinite(region->low_um) ||
         !isfinite(region->high_um) || read_limits(band, region) < 0)
         return bad(err, "region", BAND);
-    return strcmp(json_string_value(from), "root") == 0
-               ? GSN_OK
-               : get_text(band, "from", &region->file, err);
+    for (enum gsn_tissue k = GSN_TISSUE_ROOT; k < GSN_TISSUES; k++)
+        if (strcmp(json_string_value(from), gsn_tissue_name(k)) == 0) {
+            region->from = k;
+            return GSN_OK;
+        }
+    return get_text(band, "from", &region->file, err);
 }
 
 static int read_region(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)

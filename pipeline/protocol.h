@@ -10,6 +10,7 @@
 #include "pipeline/core/geom.h"
 #include "pipeline/core/grid.h"
 #include "pipeline/core/mem.h"
+#include "pipeline/stain/tissue.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -29,11 +30,12 @@ enum gsn_region_kind {
     GSN_REGION_BOX,
     GSN_REGION_CYLINDER, /* axis along z */
     GSN_REGION_SPHERE,
-    GSN_REGION_BAND, /* at a distance from a body: the root, or a mask file */
+    GSN_REGION_BAND, /* at a distance from a body: a tissue, or a mask file */
 };
 
 struct gsn_region {
     enum gsn_region_kind kind;
+    enum gsn_tissue from; /* the body of a band that names no file */
     char *file; /* a mask, relative to the job's folder: the region, or the band's body; or NULL */
     struct gsn_vec3 low, high; /* box; the cylinder's and the band's z range is low.z..high.z */
     struct gsn_vec3 centre;    /* cylinder, sphere; the cylinder that limits a band */

@@ -3,8 +3,8 @@
 /* What lies where in a stacked block: the root of the tooth, and regions at a distance from it.
  *
  * Dentine takes less red than bone, and a ligament that takes still less lies between the two. That
- * is how a root is told: the largest body of a density between the ligament's and the bone's, with
- * the pulp that it encloses. */
+ * is how a root is told: the largest body, paler than bone, that stands alone in something paler
+ * still, with the pulp that it encloses. Panels may be stained unequally. */
 #ifndef GSN_STAIN_TISSUE_H
 #define GSN_STAIN_TISSUE_H
 
@@ -14,17 +14,29 @@
 extern "C" {
 #endif
 
-struct gsn_tissue_levels {
-    double bone, dentine, border; /* densities; what is above border is dentine, not ligament */
-    double volume_um3;            /* of the root, pulp included */
+enum gsn_tissue {
+    GSN_TISSUE_ROOT, /* dentine and the pulp in it */
+    GSN_TISSUE_BONE, /* as dense as bone is now: without marrow and what a lesion has thinned */
+    GSN_TISSUE_ALL,  /* the outline of the sections */
+    GSN_TISSUES
 };
 
-/* gives: the root and its pulp on a lattice of about 32 um that covers the density's.
+/* "root", "bone", "tissue". */
+const char *gsn_tissue_name(enum gsn_tissue tissue);
+
+struct gsn_tissue_levels {
+    double bone, dentine; /* densities; dentine is 0 where there is no root */
+    double border;        /* what is above it belongs to the tissue that was looked for */
+    double volume_um3;    /* of that: of a root its pulp included */
+};
+
+/* gives: the largest body of a tissue on a lattice of about 32 um that covers the density's.
  * density: collagen-equivalent density of a whole block, glass about 0, NaN where there is no data.
  * Fails with GSN_E_STAIN when there is no such body (the sentence says what to state instead),
- * GSN_E_NOMEM. Does not depend on threads (0: all). borrows: density. */
-int gsn_tissue_root(const struct gsn_grid *density, unsigned threads, struct gsn_mask **ret_root,
-                    struct gsn_tissue_levels *ret_levels, struct gsn_error *err);
+ * GSN_E_NOMEM. borrows: density. */
+int gsn_tissue_find(const struct gsn_grid *density, enum gsn_tissue tissue,
+                    struct gsn_mask **ret_body, struct gsn_tissue_levels *ret_levels,
+                    struct gsn_error *err);
 
 /* gives: on the lattice `at`, the voxels whose distance from the surface of a body, counted
  * outward, is at least low_um and less than high_um (either may be negative: inside). The surface

@@ -10,7 +10,6 @@ enum { PANELS = 3, PER_PANEL = 7, SECTIONS = PANELS * PER_PANEL };
 static const struct gsn_lattice BLOCK = {
     110, 100, SECTIONS, { -1744, -1584, 12 }, { 32, 32, 24 }
 };
-static const struct gsn_specimen_options OPTIONS = { .threads = 1 };
 
 /* Bone with a root in it, loose tissue around, glass beyond. A region in the bone. */
 static double beyond_root(struct gsn_vec3 u)
@@ -130,7 +129,7 @@ static int level(struct gsn_assembly *a, struct gsn_error *err)
     int r = gsn_assembly_level(&SPECIMEN, a, err);
 
     if (r >= 0)
-        r = gsn_assembly_find_tissues(&SPECIMEN, &OPTIONS, a, err);
+        r = gsn_assembly_find_tissues(&SPECIMEN, a, err);
     return r < 0 ? r : gsn_assembly_sum_errors(&SPECIMEN, a, err);
 }
 
@@ -172,9 +171,9 @@ TEST(panels_of_a_block_come_to_one_scale)
     CHECK(a->levelling.done && a->levelling.panels == PANELS && a->levelling.why[0] == '\0');
     CHECK(a->levelling.fit.kept > 0.99);
     CHECK_NEAR(region_mean(a), common(&STAINED, 0.88), 0.006);
-    CHECK_NEAR(a->levelling.tissue[GSN_TISSUE_DENSE].value, common(&STAINED, 0.88), 0.006);
-    CHECK_NEAR(a->levelling.tissue[GSN_TISSUE_LOOSE].value, common(&STAINED, 0.2), 0.006);
-    CHECK_NEAR(a->levelling.tissue[GSN_TISSUE_DENTINE].value, common(&STAINED, 0.55), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, common(&STAINED, 0.88), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_LOOSE].value, common(&STAINED, 0.2), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENTINE].value, common(&STAINED, 0.55), 0.006);
     CHECK(a->red_error > 0 && a->red_error < 0.01);
 }
 
@@ -189,7 +188,7 @@ TEST(a_loss_in_the_region_stays_a_loss)
     CHECK_OK(level(a, &err), err);
     CHECK(a->levelling.done);
     CHECK_NEAR(region_mean(a), common(&STAINED, 0.6 * 0.88), 0.006);
-    CHECK_NEAR(a->levelling.tissue[GSN_TISSUE_DENSE].value, common(&STAINED, 0.88), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, common(&STAINED, 0.88), 0.006);
 }
 
 TEST(even_panels_stay_as_they_were)
@@ -218,7 +217,7 @@ TEST(a_block_without_contrast_is_not_levelled_and_says_so)
     CHECK(!a->levelling.done);
     assert_non_null(strstr(a->levelling.why, "is all of one density"));
     CHECK_NEAR(region_mean(a), before, 0);
-    CHECK(is_nan(a->levelling.tissue[GSN_TISSUE_DENSE].value));
+    CHECK(is_nan(a->levelling.tissue[GSN_UNTREATED_DENSE].value));
 }
 
 TEST(too_few_sections_are_not_levelled_and_say_so)
@@ -243,8 +242,8 @@ TEST(one_panel_has_tissue_but_no_steps)
         a->section[k].panel = 1;
     CHECK_OK(level(a, &err), err);
     CHECK(a->levelling.done && a->levelling.panels == 1 && !a->panel[1].levelled);
-    CHECK_NEAR(a->levelling.tissue[GSN_TISSUE_DENSE].value, 0.88, 0.01);
-    CHECK(a->levelling.tissue[GSN_TISSUE_DENSE].error > 0.02);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, 0.88, 0.01);
+    CHECK(a->levelling.tissue[GSN_UNTREATED_DENSE].error > 0.02);
 }
 
 TEST(running_out_of_memory_while_levelling_is_said)
@@ -266,8 +265,8 @@ TEST(running_out_of_memory_among_tissues_is_said)
     a->levelling.done = 1;
     for (int p = 0; p < PANELS; p++)
         a->panel[p].levelled = 1;
-    CHECK_EVERY_OOM(gsn_assembly_find_tissues(&SPECIMEN, &OPTIONS, a, &err), err);
-    CHECK_NEAR(a->levelling.tissue[GSN_TISSUE_DENSE].value, 0.88, 0.02);
+    CHECK_EVERY_OOM(gsn_assembly_find_tissues(&SPECIMEN, a, &err), err);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, 0.88, 0.02);
 }
 
 /* ---- columns ------------------------------------------------------------------------------- */

@@ -142,6 +142,7 @@ TEST(a_band_is_read_with_and_without_its_limits)
 {
     gsn_auto(gsn_protocol) p = NULL;
     gsn_auto(gsn_protocol) q = NULL;
+    gsn_auto(gsn_protocol) bone = NULL;
     struct gsn_error err = { 0 };
 
     CHECK_OK(parse("{\"specimen\": \"x\", \"region\": {\"kind\": \"band\", \"from\": \"root\", "
@@ -157,6 +158,11 @@ TEST(a_band_is_read_with_and_without_its_limits)
                    &q, &err),
              err);
     CHECK(strcmp(q->region.file, "root.mhd") == 0 && q->region.low.z == 120);
+    CHECK_OK(parse("{\"specimen\": \"x\", \"region\": {\"kind\": \"band\", \"from\": \"bone\", "
+                   "\"low_um\": -50, \"high_um\": 0}}",
+                   &bone, &err),
+             err);
+    CHECK(p->region.from == GSN_TISSUE_ROOT && bone->region.from == GSN_TISSUE_BONE);
     CHECK(q->region.centre.y == 646 && q->region.radius_um == 900);
 }
 

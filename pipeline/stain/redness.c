@@ -205,7 +205,7 @@ int gsn_unmix(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsign
 }
 
 /* Red and dark are 18 degrees apart: a vector that is 5 degrees off leaves a negative amount of
- * sin 5 / sin 18, a quarter, of the other. */
+ * sin 5 / sin 18, a quarter, of the other. Red pays for the yellow as well: twice that. */
 static const double HONEST = 0.25;
 
 /* Red in least squares without a bound, where what it leaves for the others may be honest. */
@@ -232,7 +232,7 @@ static int red_band(size_t band, void *context, struct gsn_error *err)
 
         for (int k = 0; k < 3; k++)
             amount[k] = row[k][0] * od[0] + row[k][1] * od[1] + row[k][2] * od[2];
-        if (!(amount[1] >= least && amount[2] >= least))
+        if (!(amount[0] >= 2 * least && amount[1] >= least && amount[2] >= least))
             gsn_unmixer_apply(mix, od, amount);
         work->out[0]->value[i] = (float)(amount[0] / work->full_red_od);
     }

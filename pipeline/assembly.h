@@ -65,15 +65,20 @@ struct gsn_assembly_panel {
 };
 
 /* Tissue that nobody treated, found by its density. */
-enum gsn_tissue_kind { GSN_TISSUE_DENSE, GSN_TISSUE_LOOSE, GSN_TISSUE_DENTINE, GSN_TISSUES };
+enum gsn_untreated {
+    GSN_UNTREATED_DENSE,
+    GSN_UNTREATED_LOOSE,
+    GSN_UNTREATED_DENTINE,
+    GSN_UNTREATED_KINDS
+};
 
 /* What of the panels was compared, and with which tissue other specimens can be. */
 struct gsn_levelling {
     int done;                 /* whether the panels could be compared with each other */
     struct gsn_level_fit fit; /* of the steps between them */
     size_t panels;            /* that were compared */
-    struct gsn_level_tissue tissue[GSN_TISSUES]; /* on the panels' common scale */
-    char why[480];                               /* why not done, or empty */
+    struct gsn_level_tissue tissue[GSN_UNTREATED_KINDS]; /* on the panels' common scale */
+    char why[480];                                       /* why not done, or empty */
 };
 
 struct gsn_assembly {

@@ -323,7 +323,7 @@ int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly 
 
     for (size_t p = 0; p < a->panel_count; p++)
         a->panel[p].level = (struct gsn_level){ 1, 0 };
-    for (size_t i = 0; i < GSN_TISSUES; i++)
+    for (size_t i = 0; i < GSN_UNTREATED_KINDS; i++)
         a->levelling.tissue[i] = (struct gsn_level_tissue){ NAN, NAN };
     if (!a->columns)
         return GSN_OK;

@@ -24,7 +24,7 @@ struct field {
     struct gsn_lattice at;
     size_t count;
     float *smooth; /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
-    uint8_t *kind; /* owned: 1 + enum gsn_tissue_kind, 0 none */
+    uint8_t *kind; /* owned: 1 + enum gsn_untreated, 0 none */
     double *scratch;
 };
 
@@ -108,10 +108,10 @@ static int find_root(const struct gsn_columns *columns, struct gsn_mask **ret_ro
 static uint8_t kind_of(double value, double bone, int in_root, double border)
 {
     if (in_root)
-        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_TISSUE_DENTINE : 0;
+        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_UNTREATED_DENTINE : 0;
     if (value >= MOST_OF_BONE * bone)
-        return 1 + GSN_TISSUE_DENSE;
-    return value <= LEAST_OF_BONE * bone ? 1 + GSN_TISSUE_LOOSE : 0;
+        return 1 + GSN_UNTREATED_DENSE;
+    return value <= LEAST_OF_BONE * bone ? 1 + GSN_UNTREATED_LOOSE : 0;
 }
 
 static void tell_kinds(struct field *f, const struct gsn_mask *root,
@@ -144,7 +144,7 @@ static int is_untreated(const struct field *f, const struct gsn_mask *region,
                         const struct gsn_mask *footprint, uint8_t kind, size_t x, size_t y,
                         size_t z)
 {
-    if (kind == 1 + GSN_TISSUE_DENTINE)
+    if (kind == 1 + GSN_UNTREATED_DENTINE)
         return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
     return !footprint->inside[y * f->at.nx + x];
 }
@@ -202,7 +202,7 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
 
     if (!value || !panel)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
-    for (unsigned k = 0; k < GSN_TISSUES; k++) {
+    for (unsigned k = 0; k < GSN_UNTREATED_KINDS; k++) {
         size_t n = 0;
 
         for (size_t z = 0; z < f->at.nz; z++) {

@@ -3,9 +3,10 @@
 /* How evenly the panels of a specimen are stained.
  *
  * A bath that dyes one panel a tenth stronger than the next shows as a tenth more collagen. Where
- * no reference tissue takes that out (pipeline/stain/reference.h), it can still be seen: the
- * strongest stained tissue of every panel is the same kind of tissue, so the scatter of its density
- * from panel to panel is what the bath did. The next specimen's panels may be off by as much. */
+ * neither a stated tissue (pipeline/stain/reference.h) nor tissue that is found (stain/level.h)
+ * takes that out, it can still be seen: the strongest stained tissue of every panel is the same kind
+ * of tissue, so the scatter of its density from panel to panel is what the bath did. The next
+ * specimen's panels may be off by as much. */
 #ifndef GSN_PIPELINE_EVENNESS_H
 #define GSN_PIPELINE_EVENNESS_H
 

@@ -515,13 +515,13 @@ static void fill_bridge(const struct gsn_evidence *e, struct draft *d)
                     100 * share, b->error));
 }
 
-static const char *const TISSUE_NAMES[GSN_TISSUES] = { "dense tissue (bone)", "loose tissue",
-                                                       "dentine" };
+static const char *const TISSUE_NAMES[GSN_UNTREATED_KINDS] = { "dense tissue (bone)",
+                                                               "loose tissue", "dentine" };
 
 const char *gsn_specimen_tissue_measure(unsigned tissue)
 {
-    static const char *const names[GSN_TISSUES] = { "tissue_dense", "tissue_loose",
-                                                    "tissue_dentine" };
+    static const char *const names[GSN_UNTREATED_KINDS] = { "tissue_dense", "tissue_loose",
+                                                            "tissue_dentine" };
 
     return names[tissue];
 }
@@ -536,13 +536,14 @@ static void find_link(const struct gsn_evidence *e, struct draft *d)
     const struct gsn_levelling *l = e->assembly ? &e->assembly->levelling : NULL;
     struct gsn_level spread;
 
-    _Static_assert((int)GSN_TISSUES == (int)GSN_SPECIMEN_TISSUES, "one baseline, one list");
+    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_SPECIMEN_TISSUES, "one baseline, one list");
     if (!l || !l->done || !e->account || b->specimens == 0)
         return;
     /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
-    d->linked = gsn_level_between(l->tissue, b->tissue, GSN_TISSUES, &spread, &d->link, NULL) >= 0;
+    d->linked =
+        gsn_level_between(l->tissue, b->tissue, GSN_UNTREATED_KINDS, &spread, &d->link, NULL) >= 0;
 }
 
 /* What the untreated tissues are off the link by, in their errors, when something is wrong. */
@@ -851,7 +852,7 @@ static const char *tissues_of(const struct gsn_evidence *e, struct draft *d)
     char line[600] = "";
     size_t used = 0;
 
-    for (size_t k = 0; k < GSN_TISSUES && used < sizeof line; k++) {
+    for (size_t k = 0; k < GSN_UNTREATED_KINDS && used < sizeof line; k++) {
         const struct gsn_level_tissue *t = &e->assembly->levelling.tissue[k];
         char control[48] = "";
         int n;
@@ -982,7 +983,7 @@ static void keep_measures(const struct gsn_evidence *e, const struct draft *d,
         measure_row(result, "mean_density_error", density_error(e), NAN, NAN, "density");
     if (own_scale_error(e) > 0)
         measure_row(result, "own_scale_error", own_scale_error(e), NAN, NAN, "density");
-    for (unsigned t = 0; e->assembly && e->account && t < GSN_TISSUES; t++) {
+    for (unsigned t = 0; e->assembly && e->account && t < GSN_UNTREATED_KINDS; t++) {
         const struct gsn_level_tissue *tissue = &e->assembly->levelling.tissue[t];
 
         measure_row(result, gsn_specimen_tissue_measure(t), tissue->value,

@@ -204,64 +204,6 @@ int gsn_unmix(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsign
     return GSN_OK;
 }
 
-/* Red and dark are 18 degrees apart: a vector that is 5 degrees off leaves a negative amount of
- * sin 5 / sin 18, a quarter, of the other. */
-static const double HONEST = 0.25;
-
-/* Red in least squares without a bound, where what it leaves for the others may be honest. */
-static int red_band(size_t band, void *context, struct gsn_error *err)
-{
-    const struct unmix_work *work = context;
-    const struct gsn_unmixer *mix = work->mix;
-    const size_t width = work->od[0]->width;
-    const size_t end = width * band_end(band, work->od[0]->height);
-    double row[3][3];
-
-    (void)err;
-    for (int k = 0; k < 3; k++)
-        for (int c = 0; c < 3; c++) {
-            row[k][c] = 0;
-            for (int j = 0; j < 3; j++)
-                row[k][c] += mix->inverse[7][k][j] * mix->dye[j][c];
-        }
-    for (size_t i = width * band * ROWS; i < end; i++) {
-        const double od[3] = { work->od[0]->value[i], work->od[1]->value[i],
-                               work->od[2]->value[i] };
-        const double least = -HONEST * sqrt(od[0] * od[0] + od[1] * od[1] + od[2] * od[2]);
-        double amount[3];
-
-        for (int k = 0; k < 3; k++)
-            amount[k] = row[k][0] * od[0] + row[k][1] * od[1] + row[k][2] * od[2];
-        if (!(amount[1] >= least && amount[2] >= least))
-            gsn_unmixer_apply(mix, od, amount);
-        work->out[0]->value[i] = (float)(amount[0] / work->full_red_od);
-    }
-    return GSN_OK;
-}
-
-int gsn_red(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsigned threads,
-            struct gsn_plane **ret_red, struct gsn_error *err)
-{
-    gsn_auto(gsn_plane) red = NULL;
-    struct gsn_unmixer mix;
-    int r = check_three(od, err);
-
-    if (r >= 0)
-        r = gsn_unmixer_init(&mix, dyes, err);
-    if (r >= 0)
-        r = gsn_plane_new(od[0]->width, od[0]->height, &red, err);
-    if (r < 0)
-        return r;
-
-    struct unmix_work work = { &mix, od, { red, NULL, NULL }, dyes->full_red_od };
-
-    r = gsn_parallel_for(bands(od[0]->height), threads, red_band, &work, err);
-    if (r < 0)
-        return r;
-    *ret_red = gsn_steal(&red);
-    return GSN_OK;
-}
-
 int gsn_red_share(const struct gsn_plane *red, const struct gsn_plane *yellow,
                   const struct gsn_plane *dark, const struct gsn_dyes *dyes,
                   struct gsn_plane **ret_share, struct gsn_error *err)

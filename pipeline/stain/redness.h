@@ -94,16 +94,6 @@ int gsn_unmix(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsign
               struct gsn_plane **ret_red, struct gsn_plane **ret_yellow,
               struct gsn_plane **ret_dark, struct gsn_error *err);
 
-/* gives: red alone, as gsn_unmix() does, but the other two may come out negative by up to a quarter
- * of the pixel's density, and red by any amount. For a dye that is a few degrees off its vector
- * leaves negative amounts in honest tissue; cutting them off at 0 pulls the mean of red towards
- * whichever dye is nearest, and differently in pale and in dense tissue. Left in, a turned vector
- * multiplies red and adds to it alike everywhere, which can be taken out again (stain/level.h). A
- * pixel further off is no mixture of these dyes and is unmixed as gsn_unmix() does. Fails likewise.
- */
-int gsn_red(struct gsn_plane *const od[3], const struct gsn_dyes *dyes, unsigned threads,
-            struct gsn_plane **ret_red, struct gsn_error *err);
-
 /* gsn_unmix() for one pixel: amounts of red, yellow and dark as lengths in optical density. */
 int gsn_unmix_one(const double od[3], const struct gsn_dyes *dyes, double ret_amount[3],
                   struct gsn_error *err);

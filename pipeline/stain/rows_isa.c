@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Compiled once per instruction set, as GSN_ROWS_RED. The exact non-negative least squares of
- * unmix.c without a branch: of the solutions that use one dye, two or all, the allowed one with the
- * largest a.b wins, and that of all three wins wherever it is allowed. */
+/* Compiled once per instruction set, as GSN_ROWS_RED. gsn_unmixer_red() without a branch: of the
+ * solutions that use one dye, two or all, the allowed one with the largest a.b wins, and that of
+ * all three wins wherever its amounts are honest. */
 #include "pipeline/stain/rows.h"
 
 gsn_red_row GSN_ROWS_RED;
@@ -33,6 +33,8 @@ void GSN_ROWS_RED(const struct gsn_red_weights *weights, const float *restrict r
         const float one = b0 > 0 ? b0 * b0 : 0;
         const float two = b1 > 0 ? b1 * b1 : 0;
         const float three = b2 > 0 ? b2 * b2 : 0;
+        const float n0 = a0 < 0 ? a0 : 0, n1 = a1 < 0 ? a1 : 0, n2 = a2 < 0 ? a2 : 0;
+        const float least = GSN_HONEST * GSN_HONEST * (r * r + g * g + b * b);
         float most = one, amount = b0 > 0 ? b0 : 0;
 
         amount = pp > most ? p0 : amount;
@@ -42,7 +44,7 @@ void GSN_ROWS_RED(const struct gsn_red_weights *weights, const float *restrict r
         amount = ss > most ? 0 : amount;
         most = ss > most ? ss : most;
         amount = (two > most) | (three > most) ? 0 : amount;
-        amount = (a0 >= 0) & (a1 >= 0) & (a2 >= 0) ? a0 : amount;
+        amount = (n0 * n0 <= 4 * least) & (n1 * n1 <= least) & (n2 * n2 <= least) ? a0 : amount;
         to[i] = w.per_red * amount;
     }
 }

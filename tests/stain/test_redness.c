@@ -1,8 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/stain/dyes.h"
 #include "tests/check.h"
 
 #include <string.h>
 
+#include "pipeline/stain/rows.h"
 #include "pipeline/stain/segment.h"
 #include "tests/stain/paint.h"
 
@@ -143,6 +145,81 @@ TEST(planes_hold_the_density_of_each_pixel)
         CHECK_NEAR(yellow->value[i], truth[i][1], 2e-6);
         CHECK_NEAR(dark->value[i], truth[i][2], 2e-6);
         CHECK_NEAR(share->value[i], all > 0.15 ? truth[i][0] / all : 0, 2e-5);
+    }
+}
+
+static struct gsn_plane *red_of(struct gsn_plane *const od[3], const struct gsn_dyes *dyes)
+{
+    struct gsn_plane *red = NULL;
+    struct gsn_error err = { 0 };
+    struct gsn_unmixer mixer;
+
+    CHECK_OK(gsn_unmixer_init(&mixer, dyes, &err), err);
+    CHECK_OK(gsn_plane_new(od[0]->width, od[0]->height, &red, &err), err);
+
+    const struct gsn_red_weights weights = gsn_red_weights_of(&mixer, dyes->full_red_od);
+
+    gsn_red_row_best()(&weights, od[0]->value, od[1]->value, od[2]->value,
+                       (size_t)red->width * red->height, red->value);
+    return red;
+}
+
+/* Tissue whose yellow falls with its red, as picric acid does, stained by dyes that are turned from
+ * those it is unmixed with: what comes out is a straight line over what is there, however the
+ * vectors turned, and the amounts themselves where they did not. */
+TEST(a_turned_vector_multiplies_red_and_adds_to_it)
+{
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct dice dice = { 6 };
+
+    for (int draw = 0; draw < 200; draw++) {
+        gsn_auto(planes) planes = planes_new(11, 1);
+        double turn[GSN_DYE_TURNS];
+
+        for (int k = 0; k < GSN_DYE_TURNS; k++)
+            turn[k] = draw == 0 ? 0 : 2 * M_PI / 180 * fmax(fmin(dice_normal(&dice), 2), -2);
+
+        const struct gsn_dyes turned = gsn_dyes_turned(&dyes, turn);
+
+        for (int i = 0; i <= 10; i++) {
+            const double density = 0.1 * i;
+            const double amount[3] = { 0.62 * density, 0.34 * (1 - 0.55 * density), 0.05 };
+            double od[3];
+
+            mix(&turned, amount, od);
+            for (int c = 0; c < 3; c++)
+                planes->od[c]->value[i] = (float)od[c];
+        }
+        gsn_auto(gsn_plane) red = red_of(planes->od, &dyes);
+        const double slope = ((double)red->value[10] - (double)red->value[0]) / 10;
+
+        for (int i = 0; i <= 10; i++)
+            CHECK_NEAR((double)red->value[i], (double)red->value[0] + slope * i, 1e-5);
+        if (draw == 0)
+            CHECK_NEAR(slope, 0.1, 1e-5);
+    }
+}
+
+/* Ink is no mixture of the dyes: blue, green and black strokes get no more red than before. */
+TEST(what_is_no_mixture_of_the_dyes_is_unmixed_without_negative_amounts)
+{
+    const double ink[3][3] = { { 1.2, 0.8, 0.1 }, { 1.1, 0.2, 0.9 }, { 0.1, 1.5, 0.2 } };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    gsn_auto(planes) planes = planes_new(3, 1);
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < 3; i++)
+        for (int c = 0; c < 3; c++)
+            planes->od[c]->value[i] = (float)ink[i][c];
+    gsn_auto(gsn_plane) red = red_of(planes->od, &dyes);
+
+    for (size_t i = 0; i < 3; i++) {
+        const double od[3] = { (double)(float)ink[i][0], (double)(float)ink[i][1],
+                               (double)(float)ink[i][2] };
+        double amount[3];
+
+        CHECK_OK(gsn_unmix_one(od, &dyes, amount, &err), err);
+        CHECK_NEAR((double)red->value[i], amount[0] / dyes.full_red_od, 1e-6);
     }
 }
 

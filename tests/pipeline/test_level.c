@@ -1,0 +1,328 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/assembly_parts.h"
+
+#include "tests/check.h"
+
+#include <string.h>
+
+enum { PANELS = 3, PER_PANEL = 7, SECTIONS = PANELS * PER_PANEL };
+
+static const struct gsn_lattice BLOCK = {
+    110, 100, SECTIONS, { -1744, -1584, 12 }, { 32, 32, 24 }
+};
+
+/* Bone with a root in it, loose tissue around, glass beyond. A region in the bone. */
+static double beyond_root(struct gsn_vec3 u)
+{
+    return hypot(u.x + 300, u.y + 40) - (350 + 0.2 * u.z);
+}
+
+static int in_region(struct gsn_vec3 u)
+{
+    return fabs(u.x - 700) < 200 && fabs(u.y) < 200 && u.z > 100 && u.z < 400;
+}
+
+static double density_at(struct gsn_vec3 u, double loss)
+{
+    const double d = beyond_root(u), r = hypot(u.x, u.y);
+
+    if (r > 1450)
+        return NAN;
+    if (d < 0)
+        return 0.55;
+    if (d < 200)
+        return 0.4;
+    return r > 1150 ? 0.2 : in_region(u) ? 0.88 * (1 - loss) : 0.88;
+}
+
+/* Grain that is the same everywhere the test runs. */
+static double grain(size_t i)
+{
+    uint64_t s = 0x9e3779b97f4a7c15u * (i + 1);
+
+    s ^= s >> 29;
+    s *= 0xbf58476d1ce4e5b9u;
+    s ^= s >> 32;
+    return (double)(s >> 11) / 4503599627370496.0 - 1; /* -1..1 */
+}
+
+struct drawing {
+    struct gsn_level stain[PANELS];
+    double loss;
+    int uniform; /* the block is of bone alone */
+};
+
+static void put(const struct drawing *d, struct gsn_grid *grid, struct gsn_grid *tissue)
+{
+    const struct gsn_lattice *at = &grid->at;
+
+    for (size_t i = 0; i < gsn_lattice_count(at); i++) {
+        const struct gsn_vec3 u =
+            gsn_lattice_centre(at, i % at->nx, i / at->nx % at->ny, i / at->nx / at->ny);
+        const struct gsn_level *stain = &d->stain[(int)(u.z / 24) / PER_PANEL];
+        double density = density_at(u, d->loss);
+
+        if (d->uniform && !isnan(density))
+            density = 0.88;
+        grid->value[i] = (float)(stain->gain * density * (1 + 0.1 * grain(i)) + stain->offset);
+        if (tissue)
+            tissue->value[i] = isnan(density) ? 0.0F : 1.0F;
+    }
+}
+
+static int make_parts(const struct gsn_lattice *block, struct gsn_assembly *a,
+                      struct gsn_error *err)
+{
+    const struct gsn_lattice near = { 30, 30, 16, { 480, -232, 84 }, { 16, 16, 24 } };
+    int r = gsn_columns_new(block, &a->columns, err);
+
+    a->panel = gsn_alloc_array(PANELS, sizeof *a->panel);
+    a->section = gsn_alloc_array(SECTIONS, sizeof *a->section);
+    CHECK(a->panel && a->section);
+    a->panel_count = PANELS;
+    a->section_count = SECTIONS;
+    if (r >= 0)
+        r = gsn_grid_new(&near, &a->grid, err);
+    return r < 0 ? r : gsn_mask_new(&near, &a->region, err);
+}
+
+/* gives: three panels of seven sections, as they are when all panels have passed. */
+static struct gsn_assembly *draw_on(const struct gsn_lattice *block, const struct drawing *d)
+{
+    struct gsn_assembly *a = gsn_alloc_array(1, sizeof *a);
+    struct gsn_error err = { 0 };
+
+    CHECK(a != NULL);
+    CHECK_OK(make_parts(block, a, &err), err);
+    for (unsigned p = 0; p < PANELS; p++) {
+        a->panel[p].opened = 1;
+        a->panel[p].stain.panel = p + 1;
+    }
+    for (unsigned k = 0; k < SECTIONS; k++) {
+        a->section[k].panel = k / PER_PANEL + 1;
+        a->section[k].seen.serial = k;
+        a->section[k].state = GSN_SECTION_USED;
+    }
+    put(d, a->columns->density, a->columns->tissue);
+    put(d, a->grid, NULL);
+    for (size_t i = 0; i < gsn_lattice_count(&a->region->at); i++)
+        a->region->inside[i] =
+            (uint8_t)in_region(gsn_lattice_centre(&a->region->at, i % 30, i / 30 % 30, i / 900));
+    return a;
+}
+
+static struct gsn_assembly *draw(const struct drawing *d)
+{
+    return draw_on(&BLOCK, d);
+}
+
+static int is_nan(double value)
+{
+    return value != value;
+}
+
+static const struct gsn_protocol JOB = { .interval_um = 24 };
+static const struct gsn_specimen SPECIMEN = { .protocol = &JOB };
+
+static int level(struct gsn_assembly *a, struct gsn_error *err)
+{
+    int r = gsn_assembly_level(&SPECIMEN, a, err);
+
+    if (r >= 0)
+        r = gsn_assembly_find_tissues(&SPECIMEN, a, err);
+    return r < 0 ? r : gsn_assembly_sum_errors(&SPECIMEN, a, err);
+}
+
+static double region_mean(const struct gsn_assembly *a)
+{
+    double sum = 0;
+    size_t n = 0;
+
+    for (size_t i = 0; i < gsn_lattice_count(&a->grid->at); i++)
+        if (a->region->inside[i]) {
+            sum += (double)a->grid->value[i];
+            n++;
+        }
+    return sum / (double)n;
+}
+
+static const struct drawing STAINED = { .stain = { { 0.9, 0.03 }, { 1.17, 0 }, { 1.02, -0.06 } } };
+static const struct drawing EVEN = { .stain = { { 1, 0 }, { 1, 0 }, { 1, 0 } } };
+
+/* A density on the scale of the panels' mean. */
+static double common(const struct drawing *d, double density)
+{
+    double gain = 0, offset = 0;
+
+    for (int p = 0; p < PANELS; p++) {
+        gain += d->stain[p].gain / PANELS;
+        offset += d->stain[p].offset / PANELS;
+    }
+    return gain * density + offset;
+}
+
+/* Case 46, case 50: panels that were stained apart. */
+TEST(panels_of_a_block_come_to_one_scale)
+{
+    gsn_auto(gsn_assembly) a = draw(&STAINED);
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(level(a, &err), err);
+    CHECK(a->levelling.done && a->levelling.panels == PANELS && a->levelling.why[0] == '\0');
+    CHECK(a->levelling.fit.kept > 0.99);
+    CHECK_NEAR(region_mean(a), common(&STAINED, 0.88), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, common(&STAINED, 0.88), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_LOOSE].value, common(&STAINED, 0.2), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENTINE].value, common(&STAINED, 0.55), 0.006);
+    CHECK(a->red_error > 0 && a->red_error < 0.01);
+}
+
+TEST(a_loss_in_the_region_stays_a_loss)
+{
+    struct drawing treated = STAINED;
+    struct gsn_error err = { 0 };
+
+    treated.loss = 0.4;
+    gsn_auto(gsn_assembly) a = draw(&treated);
+
+    CHECK_OK(level(a, &err), err);
+    CHECK(a->levelling.done);
+    CHECK_NEAR(region_mean(a), common(&STAINED, 0.6 * 0.88), 0.006);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, common(&STAINED, 0.88), 0.006);
+}
+
+TEST(even_panels_stay_as_they_were)
+{
+    gsn_auto(gsn_assembly) a = draw(&EVEN);
+    const double before = region_mean(a);
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(level(a, &err), err);
+    CHECK(a->levelling.done);
+    CHECK_NEAR(region_mean(a), before, 0.0005);
+}
+
+TEST(a_block_without_contrast_is_not_levelled_and_says_so)
+{
+    struct drawing bone = STAINED;
+    struct gsn_error err = { 0 };
+
+    bone.uniform = 1;
+    for (int p = 0; p < PANELS; p++)
+        bone.stain[p] = (struct gsn_level){ 1, 0 };
+    gsn_auto(gsn_assembly) a = draw(&bone);
+    const double before = region_mean(a);
+
+    CHECK_OK(level(a, &err), err);
+    CHECK(!a->levelling.done);
+    assert_non_null(strstr(a->levelling.why, "is all of one density"));
+    CHECK_NEAR(region_mean(a), before, 0);
+    CHECK(is_nan(a->levelling.tissue[GSN_UNTREATED_DENSE].value));
+}
+
+TEST(too_few_sections_are_not_levelled_and_say_so)
+{
+    gsn_auto(gsn_assembly) a = draw(&STAINED);
+    struct gsn_error err = { 0 };
+
+    for (unsigned k = 0; k < SECTIONS; k++)
+        if (k % PER_PANEL >= 4)
+            a->section[k].state = GSN_SECTION_HELD;
+    CHECK_OK(level(a, &err), err);
+    CHECK(!a->levelling.done);
+    assert_non_null(strstr(a->levelling.why, "only 0 times could sections of one panel"));
+}
+
+TEST(one_panel_has_tissue_but_no_steps)
+{
+    gsn_auto(gsn_assembly) a = draw(&EVEN);
+    struct gsn_error err = { 0 };
+
+    for (unsigned k = 0; k < SECTIONS; k++)
+        a->section[k].panel = 1;
+    CHECK_OK(level(a, &err), err);
+    CHECK(a->levelling.done && a->levelling.panels == 1 && !a->panel[1].levelled);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, 0.88, 0.01);
+    CHECK(a->levelling.tissue[GSN_UNTREATED_DENSE].error > 0.02);
+}
+
+TEST(running_out_of_memory_while_levelling_is_said)
+{
+    gsn_auto(gsn_assembly) a = draw(&STAINED);
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(gsn_assembly_level(&SPECIMEN, a, &err), err);
+    CHECK(a->levelling.done);
+    CHECK_EVERY_OOM(gsn_assembly_sum_errors(&SPECIMEN, a, &err), err);
+}
+
+TEST(running_out_of_memory_among_tissues_is_said)
+{
+    const struct gsn_lattice coarse = { 55, 50, SECTIONS, { -1728, -1568, 12 }, { 64, 64, 24 } };
+    gsn_auto(gsn_assembly) a = draw_on(&coarse, &EVEN);
+    struct gsn_error err = { 0 };
+
+    a->levelling.done = 1;
+    for (int p = 0; p < PANELS; p++)
+        a->panel[p].levelled = 1;
+    CHECK_EVERY_OOM(gsn_assembly_find_tissues(&SPECIMEN, a, &err), err);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, 0.88, 0.02);
+}
+
+/* ---- columns ------------------------------------------------------------------------------- */
+
+TEST(a_cell_holds_the_mean_of_its_tissue)
+{
+    const struct gsn_lattice at = { 4, 4, 2, { 16, 16, 12 }, { 32, 32, 24 } };
+    gsn_auto(gsn_columns) columns = NULL;
+    struct gsn_plane *density = NULL, *od[3] = { NULL };
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_columns_new(&at, &columns, &err), err);
+    CHECK_OK(gsn_plane_new(16, 16, &density, &err), err);
+    for (int c = 0; c < 3; c++)
+        CHECK_OK(gsn_plane_new(16, 16, &od[c], &err), err);
+    for (size_t i = 0; i < 256; i++) { /* glass on the right, a hole in the first cell's corner */
+        density->value[i] = i == 0 ? NAN : (float)(i % 16 < 8 ? 0.25 + 0.5 * (double)(i % 2) : 0);
+        od[0]->value[i] = i % 16 < 8 ? 0.5f : 0.01f;
+    }
+    const struct gsn_stack_section section = { .serial = 1,
+                                               .density = density,
+                                               .panel_to_block_um = { 8, 0, 0, 0, 8, 0 },
+                                               .width = 16,
+                                               .height = 16 };
+
+    CHECK_OK(gsn_columns_add(columns, &section, 1, od, 24, &err), err);
+    CHECK(is_nan((double)columns->density->value[0]));
+    CHECK(is_nan((double)columns->tissue->value[0]));
+    CHECK_NEAR((double)columns->density->value[16], 0.5, 0.02);
+    CHECK_NEAR((double)columns->density->value[21], 0.5, 1e-6);
+    CHECK_NEAR((double)columns->tissue->value[21], 1, 0);
+    CHECK(is_nan((double)columns->density->value[19]));
+    CHECK_NEAR((double)columns->tissue->value[19], 0, 0);
+    gsn_plane_free(density);
+    for (int c = 0; c < 3; c++)
+        gsn_plane_free(od[c]);
+}
+
+TEST(a_footprint_holds_what_lies_above_and_below_a_region)
+{
+    const struct gsn_lattice at = { 20, 20, 9, { 16, 16, 12 }, { 32, 32, 24 } };
+    const struct gsn_lattice of = { 1, 1, 1, { 320, 320, 108 }, { 16, 16, 24 } };
+    gsn_auto(gsn_mask) region = NULL;
+    gsn_auto(gsn_mask) footprint = NULL;
+    struct gsn_error err = { 0 };
+    size_t cells = 0;
+
+    CHECK_OK(gsn_mask_new(&of, &region, &err), err);
+    CHECK_OK(gsn_columns_footprint(region, &at, 100, &footprint, &err), err);
+    CHECK(footprint->at.nz == 1 && gsn_mask_count(footprint) == 0);
+    gsn_mask_free(gsn_steal(&footprint));
+    region->inside[0] = 1;
+    CHECK_OK(gsn_columns_footprint(region, &at, 100, &footprint, &err), err);
+    for (int y = -3; y <= 3; y++)
+        for (int x = -3; x <= 3; x++)
+            cells += 32 * hypot(x, y) <= 100 ? 1 : 0;
+    CHECK(gsn_mask_count(footprint) == cells);
+    CHECK(footprint->inside[10 * 20 + 10] && !footprint->inside[10 * 20 + 14]);
+}

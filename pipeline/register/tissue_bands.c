@@ -221,7 +221,7 @@ static void even_out(struct gsn_tissue_band *band, float *scratch)
     }
     least = (float)(EVEN * sum / (double)cells);
     spread(square, scratch, band->w, band->h);
-    for (size_t i = 0; i < cells; i++)
+    for (size_t i = 0; least > 0 && i < cells; i++)
         band->value[i] /= sqrtf(square[i] + least);
 }
 

@@ -28,7 +28,7 @@ static void write_section(const char *path, unsigned k)
     CHECK_OK(gsn_image_new(2 * SIDE, 2 * SIDE, 3, 8, &image, &err), err);
     for (size_t i = 0; i < (size_t)4 * SIDE * SIDE; i++) {
         const double od = (double)plane->value[i / (2 * SIDE) / 2 * SIDE + i % (2 * SIDE) / 2];
-        const int grain = (int)(i * 2654435761u >> 29);
+        const int grain = (int)((i * 2654435761u >> 29) & 7);
         const uint8_t code = (uint8_t)(k == BLANK ? 236 + grain : 240 * pow(10, -0.4 * od));
 
         memset((uint8_t *)image->samples + 3 * i, code, 3);

@@ -221,13 +221,16 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
     static const double times[] = { 0.5, 2, 0.25, 4, 0.125, 8 };
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
+    double side;
 
-    if (!candidates)
+    if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    side = typical_side(found, count, scratch);
     *ret_px_um = 0;
     for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
         struct gsn_scan other = *scan;
-        struct search search = { &other, found, candidates };
+        struct search search = { &other, protocol, side, found, candidates };
         struct gsn_triangle_prior seen = { 0 };
         double scale;
         int r;

@@ -227,7 +227,7 @@ static int read_band(const json_t *band, struct gsn_region *region, struct gsn_e
         !json_is_number(high) || !(region->low_um < region->high_um) || !isfinite(region->low_um) ||
         !isfinite(region->high_um) || read_limits(band, region) < 0)
         return bad(err, "region", BAND);
-    for (enum gsn_tissue k = GSN_TISSUE_ROOT; k < GSN_TISSUE_BODIES; k++)
+    for (enum gsn_tissue_kind k = GSN_TISSUE_ROOT; k < GSN_TISSUE_BODIES; k++)
         if (strcmp(json_string_value(from), gsn_tissue_name(k)) == 0) {
             region->from = k;
             return GSN_OK;

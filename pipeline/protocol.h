@@ -35,7 +35,7 @@ enum gsn_region_kind {
 
 struct gsn_region {
     enum gsn_region_kind kind;
-    enum gsn_tissue from; /* the body of a band that names no file */
+    enum gsn_tissue_kind from; /* the body of a band that names no file */
     char *file; /* a mask, relative to the job's folder: the region, or the band's body; or NULL */
     struct gsn_vec3 low, high; /* box; the cylinder's and the band's z range is low.z..high.z */
     struct gsn_vec3 centre;    /* cylinder, sphere; the cylinder that limits a band */

@@ -18,7 +18,7 @@ static const char *const MISSING[] = {
     [GSN_TISSUE_ALL] = "no tissue was found in this block",
 };
 
-const char *gsn_tissue_name(enum gsn_tissue tissue)
+const char *gsn_tissue_name(enum gsn_tissue_kind tissue)
 {
     static const char *const name[] = { "root", "bone", "tissue" };
 
@@ -67,7 +67,7 @@ static void take_all(struct gsn_body *b, struct gsn_tissue_levels *levels)
     gsn_body_fill_sections(b);
 }
 
-static int take(struct gsn_body *b, enum gsn_tissue tissue, struct gsn_tissue_levels *levels,
+static int take(struct gsn_body *b, enum gsn_tissue_kind tissue, struct gsn_tissue_levels *levels,
                 struct gsn_error *err)
 {
     int r = find_levels(b, levels, err);
@@ -81,7 +81,7 @@ static int take(struct gsn_body *b, enum gsn_tissue tissue, struct gsn_tissue_le
     return r;
 }
 
-static int make_body(struct gsn_body *b, enum gsn_tissue tissue, struct gsn_mask **ret_body,
+static int make_body(struct gsn_body *b, enum gsn_tissue_kind tissue, struct gsn_mask **ret_body,
                      struct gsn_tissue_levels *levels, struct gsn_error *err)
 {
     gsn_auto(gsn_mask) body = NULL;
@@ -100,7 +100,7 @@ static int make_body(struct gsn_body *b, enum gsn_tissue tissue, struct gsn_mask
     return GSN_OK;
 }
 
-int gsn_tissue_find(const struct gsn_grid *density, enum gsn_tissue tissue,
+int gsn_tissue_find(const struct gsn_grid *density, enum gsn_tissue_kind tissue,
                     struct gsn_mask **ret_body, struct gsn_tissue_levels *ret_levels,
                     struct gsn_error *err)
 {

@@ -14,7 +14,7 @@
 extern "C" {
 #endif
 
-enum gsn_tissue {
+enum gsn_tissue_kind {
     GSN_TISSUE_ROOT, /* dentine and the pulp in it */
     GSN_TISSUE_BONE, /* as dense as bone is now: without marrow and what a lesion has thinned */
     GSN_TISSUE_ALL,  /* the outline of the sections */
@@ -22,7 +22,7 @@ enum gsn_tissue {
 };
 
 /* "root", "bone", "tissue". */
-const char *gsn_tissue_name(enum gsn_tissue tissue);
+const char *gsn_tissue_name(enum gsn_tissue_kind tissue);
 
 struct gsn_tissue_levels {
     double bone, dentine; /* densities; dentine is 0 where there is no root */
@@ -34,7 +34,7 @@ struct gsn_tissue_levels {
  * density: collagen-equivalent density of a whole block, glass about 0, NaN where there is no data.
  * Fails with GSN_E_STAIN when there is no such body (the sentence says what to state instead),
  * GSN_E_NOMEM. borrows: density. */
-int gsn_tissue_find(const struct gsn_grid *density, enum gsn_tissue tissue,
+int gsn_tissue_find(const struct gsn_grid *density, enum gsn_tissue_kind tissue,
                     struct gsn_mask **ret_body, struct gsn_tissue_levels *ret_levels,
                     struct gsn_error *err);
 

@@ -57,7 +57,7 @@ static int look(struct gsn_assembly *a, struct gsn_sequence **ret_sequence, stru
     int r = gsn_section_order_new(a, &order, err);
 
     for (unsigned k = 0; r >= 0 && k < SECTIONS; k++)
-        gsn_section_order_add(order, a, k + 1, planes[k]);
+        gsn_section_order_add(order, a, k, planes[k], 1);
     return r < 0 ? r : gsn_section_order_examine(order, a, ret_sequence, err);
 }
 

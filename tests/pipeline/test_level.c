@@ -271,38 +271,60 @@ TEST(running_out_of_memory_among_tissues_is_said)
 
 /* ---- columns ------------------------------------------------------------------------------- */
 
+/* Tissue of optical density 0.5 on the left, glass on the right. */
+static struct gsn_image *half_a_tissue(void)
+{
+    struct gsn_image *image = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_image_new(16, 16, 3, 8, &image, &err), err);
+    for (size_t i = 0; i < 256; i++) {
+        uint8_t *code = (uint8_t *)image->samples + 3 * i;
+
+        code[0] = i % 16 < 8 ? 81 : 255;
+        code[1] = code[2] = 255;
+    }
+    return image;
+}
+
+/* Every row, and every second one of which each says what two do. */
 TEST(a_cell_holds_the_mean_of_its_tissue)
 {
     const struct gsn_lattice at = { 4, 4, 2, { 16, 16, 12 }, { 32, 32, 24 } };
-    gsn_auto(gsn_columns) columns = NULL;
-    struct gsn_plane *density = NULL, *od[3] = { NULL };
+    gsn_auto(gsn_image) image = half_a_tissue();
+    gsn_auto(gsn_absorber) absorber = NULL;
     struct gsn_error err = { 0 };
+    struct gsn_glass glass;
 
-    CHECK_OK(gsn_columns_new(&at, &columns, &err), err);
-    CHECK_OK(gsn_plane_new(16, 16, &density, &err), err);
-    for (int c = 0; c < 3; c++)
-        CHECK_OK(gsn_plane_new(16, 16, &od[c], &err), err);
-    for (size_t i = 0; i < 256; i++) { /* glass on the right, a hole in the first cell's corner */
-        density->value[i] = i == 0 ? NAN : (float)(i % 16 < 8 ? 0.25 + 0.5 * (double)(i % 2) : 0);
-        od[0]->value[i] = i % 16 < 8 ? 0.5f : 0.01f;
+    CHECK_OK(gsn_glass_given(16, 16, GSN_LIGHT_CODES_LINEAR, (const double[3]){ 255, 255, 255 },
+                             &glass, &err),
+             err);
+    CHECK_OK(gsn_absorber_new(image, &glass, &absorber, &err), err);
+    for (unsigned apart = 1; apart <= 2; apart++) {
+        gsn_auto(gsn_columns) columns = NULL;
+        gsn_auto(gsn_plane) density = NULL;
+
+        CHECK_OK(gsn_columns_new(&at, &columns, &err), err);
+        CHECK_OK(gsn_plane_new(16, 16 / apart, &density, &err), err);
+        for (size_t i = 0; i < 256 / apart; i++) /* a hole in the first cell's corner */
+            density->value[i] =
+                i == 0 ? NAN : (float)(i % 16 < 8 ? 0.25 + 0.5 * (double)(i % 2) : 0);
+
+        const struct gsn_stack_section section = { .serial = 1,
+                                                   .density = density,
+                                                   .panel_to_block_um = { 8, 0, 0, 0, 8, 0 },
+                                                   .width = 16,
+                                                   .height = 16 };
+
+        CHECK_OK(gsn_columns_add(columns, &section, apart, absorber, 24, &err), err);
+        CHECK(is_nan((double)columns->density->value[0]));
+        CHECK(is_nan((double)columns->tissue->value[0]));
+        CHECK_NEAR((double)columns->density->value[16], 0.5, 0.04);
+        CHECK_NEAR((double)columns->density->value[21], 0.5, 1e-6);
+        CHECK_NEAR((double)columns->tissue->value[21], 1, 0);
+        CHECK(is_nan((double)columns->density->value[19]));
+        CHECK_NEAR((double)columns->tissue->value[19], 0, 0);
     }
-    const struct gsn_stack_section section = { .serial = 1,
-                                               .density = density,
-                                               .panel_to_block_um = { 8, 0, 0, 0, 8, 0 },
-                                               .width = 16,
-                                               .height = 16 };
-
-    CHECK_OK(gsn_columns_add(columns, &section, 1, od, 24, &err), err);
-    CHECK(is_nan((double)columns->density->value[0]));
-    CHECK(is_nan((double)columns->tissue->value[0]));
-    CHECK_NEAR((double)columns->density->value[16], 0.5, 0.02);
-    CHECK_NEAR((double)columns->density->value[21], 0.5, 1e-6);
-    CHECK_NEAR((double)columns->tissue->value[21], 1, 0);
-    CHECK(is_nan((double)columns->density->value[19]));
-    CHECK_NEAR((double)columns->tissue->value[19], 0, 0);
-    gsn_plane_free(density);
-    for (int c = 0; c < 3; c++)
-        gsn_plane_free(od[c]);
 }
 
 TEST(a_footprint_holds_what_lies_above_and_below_a_region)

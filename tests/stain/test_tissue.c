@@ -103,7 +103,7 @@ TEST(a_block_of_glass_has_no_tissue)
 
     for (size_t i = 0; i < gsn_lattice_count(&BLOCK); i++)
         block->value[i] *= 0.02f;
-    for (enum gsn_tissue k = GSN_TISSUE_ROOT; k < GSN_TISSUE_BODIES; k++)
+    for (enum gsn_tissue_kind k = GSN_TISSUE_ROOT; k < GSN_TISSUE_BODIES; k++)
         CHECK(gsn_tissue_find(block, k, &all, &levels, &err) == GSN_E_STAIN && !all);
     CHECK(strcmp(err.text, "no tissue was found in this block; state the region as a mask or a "
                            "shape") == 0);

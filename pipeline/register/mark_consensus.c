@@ -11,6 +11,14 @@
  * tried. */
 enum { FEWEST_SECTIONS = 3, TRIED = 6, TRIPLES = 20 };
 
+/* Sides of unrelated triples agree by chance: the two ratios of their sides fill an area of 1/4, of
+ * which three tolerances either way cut out a square, and their sizes differ by a factor of two or
+ * so. */
+static const double BY_CHANCE =
+    (6 * GSN_MARK_STRETCH) * (6 * GSN_MARK_STRETCH) / 0.25 * (6 * GSN_MARK_STRETCH);
+/* Triangles that chance makes as often as this, among all that were compared, are none. */
+static const double MOST_CHANCE = 0.05;
+
 /* An unnumbered triple of one section: its sides by length, and which way round they run. */
 struct triple {
     double side[GSN_MARKS]; /* um, ascending */
@@ -147,6 +155,25 @@ static struct agreement most_agreed(const struct shapes *shapes, size_t count)
     return best;
 }
 
+/* How many triangles with so much agreement there would be by chance, of spots that are no marks.
+ */
+static double expected_by_chance(const struct shapes *shapes, size_t count, size_t usable,
+                                 size_t agreeing)
+{
+    double triples = 0, tail = 0, term = 1, each;
+
+    for (size_t i = 0; i < count; i++)
+        triples += (double)shapes[i].count;
+    each = 1 - pow(1 - BY_CHANCE, triples / (double)usable);
+    /* Binomial: at least agreeing - 1 of the usable - 1 others. */
+    for (size_t k = 0; k + 1 <= usable; k++) {
+        if (k + 1 >= agreeing)
+            tail += term * pow(each, (double)k) * pow(1 - each, (double)(usable - 1 - k));
+        term *= (double)(usable - 1 - k) / (double)(k + 1);
+    }
+    return triples * tail;
+}
+
 /* The median sides and the majority's turn of what agrees with a triple; scratch holds count. */
 static struct triple typical(const struct shapes *shapes, size_t count, const struct triple *triple,
                              double *scratch)
@@ -202,7 +229,8 @@ int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t cou
         usable += shapes[i].count > 0;
     }
     best = most_agreed(shapes, count);
-    if (best.sections < FEWEST_SECTIONS || 2 * best.sections < usable)
+    if (best.sections < FEWEST_SECTIONS || 2 * best.sections < usable ||
+        expected_by_chance(shapes, count, usable, best.sections) > MOST_CHANCE)
         return gsn_fail(err, GSN_E_MARKERS,
                         "no common triangle of marks: of %zu sections with three dark spots, %zu "
                         "agree; state markers_um in the protocol, or look at the marks",

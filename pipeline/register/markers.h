@@ -75,7 +75,8 @@ int gsn_markers_candidates(const struct gsn_plane *red_od, const struct gsn_slot
  *
  * Mark 1 lies between the shortest side (to mark 2) and the longest (to mark 3); the majority of
  * sections is taken as the right way up. Nothing is learnt yet. Fails with GSN_E_MARKERS when fewer
- * than 3 sections, or fewer than half of those with three candidates, agree. */
+ * than 3 sections, or fewer than half of those with three candidates, agree, or so many as spots
+ * that are no marks would by chance. */
 int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t count,
                           struct gsn_triangle_prior *ret_prior, struct gsn_error *err);
 

@@ -105,14 +105,20 @@ TEST(a_folder_without_marks_is_laid_by_tissue_when_asked)
     }
 }
 
-TEST(a_folder_without_marks_is_refused_when_tissue_is_not_asked_for)
+/* What recurs in the drawn tissue may look like a triangle of marks; what does not is said. */
+TEST(a_folder_without_marks_is_not_laid_by_tissue_unasked)
 {
     const struct gsn_folder_options options = { 0 };
-    struct gsn_folder_stack *stack = NULL;
+    gsn_auto(gsn_folder_stack) stack = NULL;
     struct gsn_error err = { 0 };
     char *dir = make_folder();
+    const int r = gsn_folder_register(dir, &options, &stack, &err);
 
-    CHECK(gsn_folder_register(dir, &options, &stack, &err) == GSN_E_MARKERS && stack == NULL);
-    CHECK(err.text[0] != '\0');
     remove_folder(dir);
+    CHECK(r == GSN_OK || (r == GSN_E_MARKERS && err.text[0] != '\0' && !stack));
+    for (unsigned k = 0; stack && k < SECTIONS; k++) {
+        const struct gsn_folder_section *s = &stack->section[k];
+
+        CHECK(!s->by_tissue && (s->state != GSN_POSE_NONE || s->reason[0] != '\0'));
+    }
 }

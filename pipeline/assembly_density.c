@@ -67,8 +67,9 @@ static int thumbnails(const struct gsn_scan *scan, unsigned number, struct gsn_a
 
         if (s->panel != number || s->seen.width <= 0 || s->seen.height <= 0)
             continue;
-        r = gsn_thumbnail(scan->picture->image, s->seen.x, s->seen.y, s->seen.width, s->seen.height,
-                          s->seen.mark, THUMBNAIL_PX, &s->thumbnail, err);
+        r = gsn_thumbnail(scan->picture->image, scan->glass.light, s->seen.x, s->seen.y,
+                          s->seen.width, s->seen.height, s->seen.mark, THUMBNAIL_PX, &s->thumbnail,
+                          err);
         if (r < 0)
             return r;
     }

@@ -238,22 +238,32 @@ int gsn_pictures_make(const struct gsn_grid *grid, const struct gsn_mask *region
     return r < 0 ? r : surface(options, account, err);
 }
 
+/* What a profile made linear is coded again, or it would come out dark; other codes are shown as
+ * they are. */
+static uint8_t code_of(enum gsn_light light, double share)
+{
+    return (uint8_t)(255 * (light == GSN_LIGHT_PROFILE ? gsn_light_encode(GSN_LIGHT_SRGB, share)
+                                                       : share));
+}
+
 /* The mean colour of the pixels that one pixel of the small picture stands for, of at most four by
  * four of them: more would show nothing more. */
-static struct gsn_colour box_mean(const struct gsn_image *image, int x0, int y0, int x1, int y1)
+static struct gsn_colour box_mean(const struct gsn_image *image, enum gsn_light light, int x0,
+                                  int y0, int x1, int y1)
 {
-    const unsigned shift = image->bits == 16 ? 8 : 0;
+    const double full = image->bits == 16 ? 65535 : 255;
     const int right = (x1 - x0 + 3) / 4, down = (y1 - y0 + 3) / 4;
     unsigned long sum[3] = { 0 }, count = 0;
+    double full_count;
 
     for (int y = y0 + down / 2; y < y1; y += down)
         for (int x = x0 + right / 2; x < x1; x += right, count++)
             for (unsigned c = 0; c < 3; c++)
-                sum[c] += gsn_image_at(image, (uint32_t)x, (uint32_t)y, c) >> shift;
-    count = count ? count : 1;
-    return (struct gsn_colour){ .r = (uint8_t)(sum[0] / count),
-                                .g = (uint8_t)(sum[1] / count),
-                                .b = (uint8_t)(sum[2] / count) };
+                sum[c] += gsn_image_at(image, (uint32_t)x, (uint32_t)y, c);
+    full_count = full * (double)(count ? count : 1);
+    return (struct gsn_colour){ .r = code_of(light, (double)sum[0] / full_count),
+                                .g = code_of(light, (double)sum[1] / full_count),
+                                .b = code_of(light, (double)sum[2] / full_count) };
 }
 
 static void ring(struct gsn_image *image, double x, double y, double radius)
@@ -269,8 +279,8 @@ static void ring(struct gsn_image *image, double x, double y, double radius)
     }
 }
 
-int gsn_thumbnail(const struct gsn_image *image, int x, int y, int width, int height,
-                  const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
+int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, int y, int width,
+                  int height, const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
                   struct gsn_account_picture *ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
@@ -286,7 +296,7 @@ int gsn_thumbnail(const struct gsn_image *image, int x, int y, int width, int he
     for (uint32_t v = 0; v < h; v++)
         for (uint32_t u = 0; u < w; u++)
             gsn_canvas_put(small, (int)u, (int)v,
-                           box_mean(image, x + (int)(u * (uint32_t)width / w),
+                           box_mean(image, light, x + (int)(u * (uint32_t)width / w),
                                     y + (int)(v * (uint32_t)height / h),
                                     x + (int)((u + 1) * (uint32_t)width / w),
                                     y + (int)((v + 1) * (uint32_t)height / h)));

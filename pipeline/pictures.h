@@ -9,6 +9,8 @@
 #include "pipeline/core/image.h"
 #include "pipeline/register/markers.h"
 
+#include "pipeline/stain/redness.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -19,10 +21,10 @@ int gsn_pictures_make(const struct gsn_grid *grid, const struct gsn_mask *region
                       const struct gsn_account_options *options, struct gsn_account *account,
                       struct gsn_error *err);
 
-/* gives: a PNG of at most longest_px of this box of a scan (RGB), with the marks ringed. The box
- * lies inside the image. Fails with GSN_E_NOMEM. */
-int gsn_thumbnail(const struct gsn_image *image, int x, int y, int width, int height,
-                  const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
+/* gives: a PNG of at most longest_px of this box of a scan (RGB), with the marks ringed. light:
+ * what its samples mean. The box lies inside the image. Fails with GSN_E_NOMEM. */
+int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, int y, int width,
+                  int height, const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
                   struct gsn_account_picture *ret_picture, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -9,12 +9,13 @@
 
 enum { LONGEST_PX = 700 };
 
-static int picture(const struct gsn_image *image, const char *id, const char *title,
-                   const char *caption, struct gsn_tile *tile, struct gsn_error *err)
+static int picture(const struct gsn_image *image, enum gsn_light light, const char *id,
+                   const char *title, const char *caption, struct gsn_tile *tile,
+                   struct gsn_error *err)
 {
     static const struct gsn_mark none[GSN_MARKS] = { 0 };
     struct gsn_account_picture *kept = &tile->picture[tile->picture_count];
-    const int r = gsn_thumbnail(image, 0, 0, (int)image->width, (int)image->height, none,
+    const int r = gsn_thumbnail(image, light, 0, 0, (int)image->width, (int)image->height, none,
                                 LONGEST_PX, kept, err);
 
     if (r < 0)
@@ -40,7 +41,7 @@ static int density_picture(const struct gsn_plane *density, struct gsn_tile *til
             gsn_canvas_put(image, (int)x, (int)y,
                            gsn_colour_of(GSN_MAP_VIRIDIS,
                                          (double)density->value[(size_t)y * density->width + x]));
-    return picture(image, "density", "Collagen-equivalent density",
+    return picture(image, GSN_LIGHT_SRGB, "density", "Collagen-equivalent density",
                    "Red dye after unmixing, 0 dark to 1 bright.", tile, err);
 }
 
@@ -66,7 +67,7 @@ static int agreement_picture(const struct gsn_image *map, const struct gsn_image
 
             gsn_canvas_put(image, (int)x, (int)y, colours[ours | theirs]);
         }
-    return picture(image, "map", "Collagen map",
+    return picture(image, GSN_LIGHT_SRGB, "map", "Collagen map",
                    reference ? "White: both maps; red: this map alone; blue: the reference alone."
                              : "White: collagen.",
                    tile, err);
@@ -143,7 +144,8 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
     if (r >= 0)
         r = gsn_scan_dyes(scan, specimen->protocol, &tile->fit, err);
     if (r >= 0)
-        r = picture(scan->picture->image, "picture", "The picture", "As scanned.", tile, err);
+        r = picture(scan->picture->image, scan->glass.light, "picture", "The picture",
+                    "As scanned.", tile, err);
     if (r >= 0)
         r = map_collagen(specimen, options, scan, tile, err);
     if (r < 0)

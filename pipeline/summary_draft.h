@@ -1,0 +1,92 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The report of one specimen while it is written: what the parts of the summary share. Private to
+ * summary*.c. */
+#ifndef GSN_PIPELINE_SUMMARY_DRAFT_H
+#define GSN_PIPELINE_SUMMARY_DRAFT_H
+
+#include "pipeline/core/hash.h"
+#include "pipeline/report/report.h"
+#include "pipeline/summary.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { GSN_DRAFT_ROWS = 48 };
+
+/* Between the dyes and the batch that was stained with them. */
+#define GSN_DRAFT_IN_BATCH ", batch "
+
+/* The report's records and the texts they borrow. */
+struct gsn_draft {
+    struct gsn_report report;
+    char **text; /* owned */
+    size_t text_count, text_room;
+    const char **warning;
+    size_t warning_count;
+    struct gsn_report_exclusion *exclusion;
+    size_t exclusion_count;
+    struct gsn_report_section *section;
+    const char *(*flag)[16];
+    struct gsn_report_panel *panel;
+    struct gsn_report_volume volume[GSN_ACCOUNT_THRESHOLDS];
+    struct gsn_report_picture picture[GSN_ACCOUNT_PICTURES];
+    struct gsn_report_value measure[GSN_DRAFT_ROWS], parameter[GSN_DRAFT_ROWS];
+    struct gsn_report_input *input, output;
+    struct gsn_digest colour;
+    struct gsn_report_registration registration;
+    struct gsn_report_fit fit;
+    struct gsn_report_units units;
+    struct gsn_report_tile tile;
+    double loss_low, loss_high; /* NaN: no interval */
+    int linked;                 /* whether untreated tissue tells how the baseline was stained */
+    struct gsn_level_link link;
+    int out_of_memory;
+};
+
+/* Fails with GSN_E_NOMEM, and then nothing is to be freed. */
+int gsn_draft_init(struct gsn_draft *d, size_t sections, size_t panels, size_t inputs,
+                   struct gsn_error *err);
+void gsn_draft_done(struct gsn_draft *d);
+
+/* A text that lives as long as the draft; "" when memory runs out, which is noted. */
+const char *gsn_draft_say(struct gsn_draft *d, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+/* sentence lives as long as the draft. */
+void gsn_draft_warn(struct gsn_draft *d, const char *sentence);
+void gsn_draft_value(struct gsn_report_value *rows, size_t *count, const char *name, double value,
+                     const char *unit);
+void gsn_draft_text(struct gsn_report_value *rows, size_t *count, const char *name,
+                    const char *text);
+
+/* summary_sections.c: sections, panels, registration, and what was odd about them. */
+void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d);
+
+/* summary_figures.c: the region, its volumes and MicroUnits; what was bridged (after the figures);
+ * a single tile. */
+void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_bridge(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_tile(const struct gsn_evidence *e, struct gsn_draft *d);
+
+/* summary_loss.c: by which stain the figures are, how it compares with the baseline's, the loss. */
+void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_link(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);
+/* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
+ * it leaves out what all panels have in common. */
+double gsn_draft_own_scale_error(const struct gsn_evidence *e);
+double gsn_draft_density_error(const struct gsn_evidence *e);
+/* The set of dye vectors that the figures stand on: the panels' own; "" when there is none. */
+const char *gsn_draft_dyes(const struct gsn_evidence *e);
+const char *gsn_draft_tissue_name(unsigned tissue);
+
+/* summary_parameters.c: what the figures depend on, in words. */
+void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,263 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/summary_draft.h"
+
+#include "pipeline/measure/loss.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Below this share of region voxels that were measured, or bridged from the sections beside them, a
+ * loss is not printed: the density of a tenth that nobody knows can move the mean by as much as the
+ * effects people look for. */
+static const double LEAST_KNOWN = 0.9;
+/* Of these, at least this share was measured: with every third section gone, what bridging costs
+ * can hardly be measured on the rest. */
+static const double LEAST_MEASURED = 0.7;
+/* Texture and what a region's tissue happens to be scatter by about this much in even baths. */
+static const double UNEVEN_UNSAID = 0.03;
+
+const char *gsn_draft_tissue_name(unsigned tissue)
+{
+    static const char *const name[GSN_UNTREATED_KINDS] = { "dense tissue (bone)", "loose tissue",
+                                                           "dentine" };
+
+    return name[tissue];
+}
+
+const char *gsn_specimen_tissue_measure(unsigned tissue)
+{
+    static const char *const names[GSN_UNTREATED_KINDS] = { "tissue_dense", "tissue_loose",
+                                                            "tissue_dentine" };
+
+    return names[tissue];
+}
+
+/* How much more the stain of two specimens may differ than that of two panels of one. */
+static const double SPECIMENS_OVER_PANELS = 2;
+
+/* How the baseline would read in this specimen's stain, by tissue that nobody treated. */
+void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+    const struct gsn_levelling *l = e->assembly ? &e->assembly->levelling : NULL;
+    struct gsn_level spread;
+
+    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_SPECIMEN_TISSUES, "one baseline, one list");
+    if (!l || !l->done || !e->account || b->specimens == 0)
+        return;
+    /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
+    spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
+    spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
+    d->linked =
+        gsn_level_between(l->tissue, b->tissue, GSN_UNTREATED_KINDS, &spread, &d->link, NULL) >= 0;
+}
+
+/* What the untreated tissues are off the link by, in their errors, when something is wrong. */
+static const double DISAGREEING = 2;
+
+void gsn_draft_link(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+
+    gsn_draft_value(d->measure, &d->report.measure_count, "Stain against the baseline's, factor",
+                    d->link.gain, "");
+    gsn_draft_value(d->measure, &d->report.measure_count, "Stain against the baseline's, added",
+                    d->link.offset, "density");
+    if (d->link.disagreement > DISAGREEING)
+        gsn_draft_warn(
+            d, gsn_draft_say(
+                   d,
+                   "the tissues outside of the region do not agree on how this specimen is stained "
+                   "against %s: one of them has changed, or is not what it was taken for",
+                   b->name));
+}
+
+/* Where no reference tissue is stated, a bath that stained one panel stronger looks like collagen.
+ */
+void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    struct gsn_report *r = &d->report;
+    const char *why;
+
+    if (!e->assembly || !(e->assembly->stain_scatter > 0))
+        return;
+    gsn_draft_value(d->measure, &r->measure_count,
+                    "Strength of the stain, scatter from panel to panel",
+                    100 * e->assembly->stain_scatter, "%");
+    if (d->linked || e->assembly->stain_scatter <= UNEVEN_UNSAID ||
+        (e->assembly->levelling.done && e->specimen->baseline.specimens == 0))
+        return;
+    why = e->assembly->levelling.done
+              ? "which was taken out between the panels, but not against the baseline: too little "
+                "tissue outside of the region is alike in both"
+              : "and no reference tissue takes that out";
+    gsn_draft_warn(
+        d, gsn_draft_say(
+               d,
+               "the panels are stained unequally (their strongest tissue differs by %.0f %%, "
+               "standard deviation), %s: the loss is only known to within its interval; state "
+               "\"reference\" in job.json",
+               100 * e->assembly->stain_scatter, why));
+    if (e->assembly->levelling.why[0])
+        gsn_draft_warn(
+            d, gsn_draft_say(d, "the panels were not levelled: %s", e->assembly->levelling.why));
+}
+
+/* Why too little of the region is known to give a loss; NULL: enough is. */
+static const char *too_little_known(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_report_region *region = &d->report.region;
+
+    if (e->account->coverage < LEAST_KNOWN)
+        return gsn_draft_say(d, "only %.0f %% of the region of interest has data",
+                             100 * region->coverage);
+    if (region->coverage < LEAST_MEASURED)
+        return gsn_draft_say(
+            d,
+            "only %.0f %% of the region of interest was measured; the rest could only be "
+            "bridged from the sections beside it",
+            100 * region->coverage);
+    return NULL;
+}
+
+/* The set of dye vectors that the figures stand on: the panels' own, or none. */
+const char *gsn_draft_dyes(const struct gsn_evidence *e)
+{
+    if (e->tile)
+        return e->tile->fit.dyes.name;
+    for (size_t i = 0; e->assembly && i < e->assembly->panel_count; i++)
+        if (e->assembly->panel[i].opened)
+            return e->assembly->panel[i].stain.fit.dyes.name;
+    return "";
+}
+
+void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const int volume = e->specimen->protocol->kind == GSN_KIND_VOLUME;
+
+    const struct gsn_protocol *p = e->specimen->protocol;
+    const int normalised = p->reference_tissue.kind != GSN_REGION_NONE &&
+                           !(e->assembly && e->assembly->not_comparable[0]);
+
+    d->report.density_name =
+        volume ? "voxel value as imported"
+        : normalised
+            ? gsn_draft_say(d, "collagen-equivalent density (red dye by unmixing, reference %g)",
+                            p->reference_density)
+            : "collagen-equivalent density (red dye by unmixing)";
+    /* Without a reference the figure is the batch's own. */
+    d->report.density_version =
+        volume ? "1"
+        : p->batch[0] && !normalised
+            ? gsn_draft_say(d, "%s" GSN_DRAFT_IN_BATCH "%s", gsn_draft_dyes(e), p->batch)
+            : gsn_draft_dyes(e);
+}
+
+/* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
+ * it leaves out what all panels have in common. */
+double gsn_draft_own_scale_error(const struct gsn_evidence *e)
+{
+    return e->assembly && e->account ? e->assembly->red_error * e->account->density.mean : 0;
+}
+
+double gsn_draft_density_error(const struct gsn_evidence *e)
+{
+    return e->assembly && e->account
+               ? hypot(e->assembly->red_error, e->assembly->common_error) * e->account->density.mean
+               : 0;
+}
+
+/* Where density 0 lies on the common scale of the panels nobody knows better than the panels agree
+ * on it. It moves both sides alike, and the loss by that times what the sides differ by. */
+static double zero_error(const struct gsn_evidence *e, double baseline)
+{
+    const struct gsn_levelling *l = &e->assembly->levelling;
+
+    return l->fit.offset_scatter / sqrt((double)l->panels) *
+           fabs(1 - e->account->density.mean / baseline);
+}
+
+/* The baseline as it would read in this specimen's stain, and what that leaves open. */
+static void link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
+                       struct gsn_loss_side *control, struct gsn_loss_side *treated)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+
+    control->mean = d->link.gain * b->mean_density + d->link.offset;
+    control->standard_error =
+        hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
+    treated->standard_error = hypot(gsn_draft_own_scale_error(e), zero_error(e, control->mean));
+}
+
+void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+    struct gsn_report *r = &d->report;
+    struct gsn_loss_side control = { .name = b->name,
+                                     .definition = b->definition,
+                                     .dyes = b->dyes,
+                                     .mean = b->mean_density,
+                                     .standard_error = b->mean_density_error,
+                                     .volume_um3 = 1e9 * b->volume_mm3 };
+    struct gsn_loss_side treated = { .name = r->specimen,
+                                     .definition = r->density_name,
+                                     .dyes = r->density_version,
+                                     .mean = r->region.mean_density,
+                                     .standard_error = gsn_draft_density_error(e),
+                                     .volume_um3 = 1e9 * r->region.volume_mm3 };
+    struct gsn_error why = { 0 };
+    struct gsn_loss loss;
+
+    if (!b->name[0]) {
+        r->loss_reason = "no baseline is stated, so this specimen is its own";
+        return;
+    }
+    if (!e->account) {
+        r->loss_reason = e->withheld;
+        return;
+    }
+    if (b->specimens == 0) {
+        r->loss_reason =
+            gsn_draft_say(d, "the baseline %s has no result yet: import and run it", b->name);
+        gsn_draft_warn(d, r->loss_reason);
+        return;
+    }
+    if (d->linked)
+        link_sides(e, d, &control, &treated);
+    r->baseline_mean = control.mean;
+    r->loss_reason = too_little_known(e, d);
+    if (r->loss_reason) {
+        gsn_draft_warn(d, r->loss_reason);
+        return;
+    }
+    if (e->assembly && e->assembly->not_comparable[0]) {
+        r->loss_reason = e->assembly->not_comparable;
+        gsn_draft_warn(d, r->loss_reason);
+        return;
+    }
+    if (strcmp(b->dyes, r->density_version) != 0 &&
+        (strstr(b->dyes, GSN_DRAFT_IN_BATCH) || strstr(r->density_version, GSN_DRAFT_IN_BATCH))) {
+        r->loss_reason =
+            gsn_draft_say(d,
+                          "batches not comparable: the control was measured by %s, this "
+                          "specimen by %s; state \"reference\" in both jobs",
+                          b->dyes, r->density_version);
+        gsn_draft_warn(d, r->loss_reason);
+        return;
+    }
+    if (gsn_loss(&control, &treated, 0.95, &loss, &why) < 0) {
+        r->loss_reason = gsn_draft_say(d, "%s", why.text);
+        gsn_draft_warn(d, r->loss_reason);
+        return;
+    }
+    if (loss.has_interval) {
+        d->loss_low = loss.percent_low;
+        d->loss_high = loss.percent_high;
+        gsn_draft_value(d->measure, &r->measure_count,
+                        "Collagen loss, from (95 %, stain and white)", loss.percent_low, "%");
+        gsn_draft_value(d->measure, &r->measure_count, "Collagen loss, to (95 %, stain and white)",
+                        loss.percent_high, "%");
+    }
+    r->loss_percent = loss.percent;
+    r->loss_points = loss.points;
+}

@@ -11,8 +11,9 @@ enum { LEAST_CELLS = 100, LEAST_LINES = 4, MOST_ROUNDS = 30 };
 /* Standard deviation of the cells' densities below which noise, not tissue, would tell the slope.
  */
 static const double LEAST_CONTRAST = 0.05;
-/* What animals of one kind differ by in tissue that nobody treated: of its density, and in density
- * by the cells in it, whose nuclei are neither red nor yellow. */
+/* What animals of one kind are taken to differ by in tissue that nobody treated: of its density,
+ * and in density by the cells in it, whose nuclei are neither red nor yellow. Nobody has measured
+ * either; a study's own controls will. */
 static const double ANIMALS = 0.02, CELLS = 0.005;
 
 /* ---- one line ------------------------------------------------------------------------------ */

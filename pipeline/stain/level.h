@@ -82,8 +82,8 @@ struct gsn_level_link {
 };
 
 /* The link by tissues that both specimens have. What animals differ by in tissue that nobody
- * treated (2 % of its density) counts as error. The link leans towards "no difference", as much
- * as the tissues differ no more than by error and as spread allows: it says what standard
+ * treated (taken as 2 % of its density) counts as error. The link leans towards "no difference", as
+ * much as the tissues differ no more than by error and as spread allows: it says what standard
  * deviations of gain and offset the panels' own scatter makes likely between two specimens.
  * Fails with GSN_E_STAIN when they share fewer than two. */
 int gsn_level_between(const struct gsn_level_tissue *here, const struct gsn_level_tissue *there,

@@ -139,11 +139,13 @@ def judge_way(truth, k, section):
 
 
 def judge_place(truth, k, section):
-    """A slot without a section must not carry one silently."""
+    """A slot without a section must not carry one silently: it is held or doubtful, or named as
+    the same section as another."""
     if truth.present(k):
         return [] if section["state"] != "missing" else ["called missing"]
+    named = any(flag.startswith("same-as-") for flag in section["flags"])
     return [f"not there ({'; '.join(truth.defects(k))}), yet {section['state']}"] \
-        if section["state"] == "used" else []
+        if section["state"] == "used" and not named else []
 
 
 def judge(report, truth, level, verbose=False, say=print):

@@ -2,6 +2,7 @@
 #include "pipeline/register/mark_edge.h"
 
 #include "pipeline/register/median.h"
+#include "pipeline/register/small.h"
 
 #include <assert.h>
 #include <math.h>
@@ -561,32 +562,6 @@ static void spread_out(const struct edge_fit *fit, const struct sector *s,
     x[TISSUE][V_BY] = s->sin[1];
 }
 
-static int solve_spd(double a[UNKNOWNS][UNKNOWNS], double *x)
-{
-    for (int i = 0; i < UNKNOWNS; i++) {
-        for (int j = 0; j <= i; j++) {
-            double sum = a[i][j];
-
-            for (int k = 0; k < j; k++)
-                sum -= a[i][k] * a[j][k];
-            if (i == j && !(sum > 0))
-                return 0;
-            a[i][j] = i == j ? sqrt(sum) : sum / a[j][j];
-        }
-    }
-    for (int i = 0; i < UNKNOWNS; i++) {
-        for (int k = 0; k < i; k++)
-            x[i] -= a[i][k] * x[k];
-        x[i] /= a[i][i];
-    }
-    for (int i = UNKNOWNS; i-- > 0;) {
-        for (int k = i + 1; k < UNKNOWNS; k++)
-            x[i] -= a[k][i] * x[k];
-        x[i] /= a[i][i];
-    }
-    return 1;
-}
-
 static void assemble(const struct edge_fit *fit, double h[UNKNOWNS][UNKNOWNS], double *g)
 {
     const double lobe = 1 / (fit->lobe * fit->lobe);
@@ -760,7 +735,7 @@ static int descend(struct edge_fit *fit, double ret_h[UNKNOWNS][UNKNOWNS])
         accumulate(fit, &sums);
         assemble(fit, h, by);
         memcpy(ret_h, h, sizeof h);
-        if (!solve_spd(h, by))
+        if (gsn_small_solve_spd(&h[0][0], by, UNKNOWNS) < 0)
             return 0;
         for (int i = 0; i < SHAPE; i++)
             by[i] = clamp(by[i], 0.15 * fit->v[R]);
@@ -817,7 +792,7 @@ static int covariance(const struct edge_fit *fit, double h[UNKNOWNS][UNKNOWNS],
 
         memcpy(a, h, sizeof a);
         column[c][c] = 1;
-        if (!solve_spd(a, column[c]))
+        if (gsn_small_solve_spd(&a[0][0], column[c], UNKNOWNS) < 0)
             return 0;
     }
     mark->cov_xx = larger * column[0][CX];
@@ -917,7 +892,7 @@ static void bend(struct edge_fit *fit)
                     h[i][j] += precision * x[SHIFT][i] * x[SHIFT][j];
             }
         }
-        if (!solve_spd(h, by))
+        if (gsn_small_solve_spd(&h[0][0], by, UNKNOWNS) < 0)
             return;
         for (int i = 0; i < 2 * fit->lobes + 1; i++)
             fit->v[i] += by[i];

@@ -2,6 +2,7 @@
 #include "pipeline/register/mark_fit.h"
 
 #include "pipeline/register/mark_edge.h"
+#include "pipeline/register/small.h"
 
 #include <assert.h>
 #include <math.h>
@@ -97,33 +98,6 @@ static struct shape shape_at(const struct pixel *px, const double *v, double rad
                                   [RING] = by_e * o_r } };
 }
 
-/* Solves the symmetric positive definite n x n system in place (Cholesky); 0 when it is not. */
-static int solve_spd(double a[UNKNOWNS][UNKNOWNS], double *x)
-{
-    for (int i = 0; i < UNKNOWNS; i++) {
-        for (int j = 0; j <= i; j++) {
-            double sum = a[i][j];
-
-            for (int k = 0; k < j; k++)
-                sum -= a[i][k] * a[j][k];
-            if (i == j && !(sum > 0))
-                return 0;
-            a[i][j] = i == j ? sqrt(sum) : sum / a[j][j];
-        }
-    }
-    for (int i = 0; i < UNKNOWNS; i++) {
-        for (int k = 0; k < i; k++)
-            x[i] -= a[i][k] * x[k];
-        x[i] /= a[i][i];
-    }
-    for (int i = UNKNOWNS; i-- > 0;) {
-        for (int k = i + 1; k < UNKNOWNS; k++)
-            x[i] -= a[k][i] * x[k];
-        x[i] /= a[i][i];
-    }
-    return 1;
-}
-
 /* The weak beliefs, as residuals in standard deviations with their derivatives. */
 struct belief {
     int of, per; /* parameter; its radius (R) or -1 */
@@ -217,7 +191,7 @@ static int descend(const struct window *w, double *v)
         memcpy(by, g, sizeof by);
         for (int j = 0; j < UNKNOWNS; j++)
             a[j][j] += lambda * h[j][j];
-        if (solve_spd(a, by)) {
+        if (gsn_small_solve_spd(&a[0][0], by, UNKNOWNS) >= 0) {
             for (int j = 0; j < UNKNOWNS; j++)
                 trial[j] = v[j] + by[j];
             if (legal(w, trial))
@@ -329,7 +303,7 @@ static int covariance(const struct window *w, const double *v, struct gsn_mark *
         memcpy(a, h, sizeof a);
         memset(column[c], 0, sizeof column[c]);
         column[c][c == 0 ? CX : CY] = 1;
-        if (!solve_spd(a, column[c]))
+        if (gsn_small_solve_spd(&a[0][0], column[c], UNKNOWNS) < 0)
             return 0;
     }
     mark->cov_xx = inflation * column[0][CX];

@@ -180,3 +180,35 @@ double gsn_chance_limit(unsigned p, double freedom, double alpha)
     }
     return isinf(freedom) ? v * v : v * v / (1 - v * v / freedom);
 }
+
+static int factor_spd(double *a, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j <= i; j++) {
+            double sum = a[i * n + j];
+
+            for (size_t k = 0; k < j; k++)
+                sum -= a[i * n + k] * a[j * n + k];
+            if (i == j && !(sum > 0))
+                return -1;
+            a[i * n + j] = i == j ? sqrt(sum) : sum / a[j * n + j];
+        }
+    return 0;
+}
+
+int gsn_small_solve_spd(double *a, double *x, size_t n)
+{
+    if (factor_spd(a, n) < 0)
+        return -1;
+    for (size_t i = 0; i < n; i++) {
+        for (size_t k = 0; k < i; k++)
+            x[i] -= a[i * n + k] * x[k];
+        x[i] /= a[i * n + i];
+    }
+    for (size_t i = n; i-- > 0;) {
+        for (size_t k = i + 1; k < n; k++)
+            x[i] -= a[k * n + i] * x[k];
+        x[i] /= a[i * n + i];
+    }
+    return 0;
+}

@@ -19,6 +19,9 @@ int gsn_small_invert(double a[GSN_SMALL][GSN_SMALL], size_t n);
  * becomes x); a is spoilt. 0, or -1 where a is singular. */
 int gsn_small_solve(double a[GSN_SMALL][GSN_SMALL], double b[GSN_SMALL][GSN_SMALL], size_t n,
                     size_t columns);
+/* Solves a x = b for a symmetric positive definite n x n matrix, rows one after the other, by
+ * Cholesky; b becomes x, a its lower factor. 0, or -1 where it is not positive definite. */
+int gsn_small_solve_spd(double *a, double *x, size_t n);
 /* Eigenvalues, the largest first, and vectors (columns) of a symmetric 3 x 3 matrix. */
 void gsn_small_eigen3(const double a[3][3], double ret_value[3], double ret_vector[3][3]);
 /* Lower Cholesky factor of a 3 x 3 matrix; 0, or -1 where it is not positive definite. */

@@ -34,8 +34,9 @@ void gsn_mark_map_take(const struct gsn_mark_field *field, struct gsn_mark_map *
 
         if (x0 + step > field->width || y0 + step > field->height)
             continue;
-        for (size_t k = 0; k < step * step; k++)
-            sum += (double)field->od[(y0 + k / step) * field->width + x0 + k % step];
+        for (size_t y = y0; y < y0 + step; y++)
+            for (size_t x = x0; x < x0 + step; x++)
+                sum += (double)field->od[y * field->width + x];
         map.value[i] = (float)(sum / (double)(step * step));
     }
     map.cell = (double)step * field->cell_px;
@@ -46,8 +47,7 @@ void gsn_mark_map_take(const struct gsn_mark_field *field, struct gsn_mark_map *
 /* The value of the cell at a point, or NaN. */
 static float value_at(const struct gsn_mark_map *map, double x, double y)
 {
-    const double column = floor((x - map->origin.x) / map->cell);
-    const double row = floor((y - map->origin.y) / map->cell);
+    const double column = (x - map->origin.x) / map->cell, row = (y - map->origin.y) / map->cell;
 
     if (!(column >= 0 && row >= 0 && column < SIDE && row < SIDE))
         return NAN;

@@ -312,10 +312,15 @@ static void add_warnings(struct gsn_text *text, const struct gsn_report *report)
     gsn_text_raw(text, "</ul></section>\n");
 }
 
-/* A wide picture takes the whole width and scrolls in its own box where that is narrow. */
+/* Of a column of pictures on a wide screen. */
+enum { COLUMN_PX = 560 };
+
+/* A wide picture takes the whole width and scrolls in its own box where that is narrow; one of few
+ * pixels would only be blown up. */
 static void add_image(struct gsn_text *text, const struct gsn_report_picture *picture)
 {
-    const bool wide = 10 * (size_t)picture->png.width > 16 * (size_t)picture->png.height;
+    const bool wide = 10 * (size_t)picture->png.width > 16 * (size_t)picture->png.height &&
+                      picture->png.width > COLUMN_PX;
 
     gsn_text_raw(text, wide ? "<figure class=\"wide\"><div class=\"scroll\">" : "<figure>");
     if (picture->png.size)

@@ -98,11 +98,11 @@ static const struct {
     enum gsn_axis axis;
     const char *id, *title, *colour_id, *colour_title, *name, *seen;
 } PLANES[] = { { GSN_AXIS_Z, "cut-z", "Cut across z, as sectioned", "colour-z",
-                 "The same cut in true colour, as sectioned", "z", "x right, y down" },
+                 "True colour across z, as sectioned", "z", "x right, y down" },
                { GSN_AXIS_Y, "cut-y", "Cut across y, through the stack", "colour-y",
-                 "The same cut in true colour, across y", "y", "x right, z down" },
+                 "True colour across y, through the stack", "y", "x right, z down" },
                { GSN_AXIS_X, "cut-x", "Cut across x, through the stack", "colour-x",
-                 "The same cut in true colour, across x", "x", "y right, z down" } };
+                 "True colour across x, through the stack", "x", "y right, z down" } };
 
 static double along(enum gsn_axis axis, struct gsn_vec3 u)
 {

@@ -189,7 +189,8 @@ TEST(awkward_panels_cost_only_themselves)
                 "panel number 9, but job.json says there "
                 "are 5");
     check_panel(panels, "P04.png", "held", "withheld",
-                "is claimed by P04_rescan.png as well: rename one and import again");
+                "is claimed by P04_rescan.png as well: say which scan to use, or rename one and "
+                "import again");
     check_panel(panels, "P04_rescan.png", "held", "withheld", "claimed by P04.png as well");
 
     gsn_auto(gsn_run_row) run = latest(store, "a");

@@ -19,6 +19,9 @@ static const double SURE = 14, SURE_OF_NEIGHBOURS = 7;
 /* Two mounts of one section share most of their texture; neighbours share none. At the ends of the
  * stack the lines reach beyond what they go through, and both share that error. */
 static const double SAME = 0.5, SAME_AT_END = 0.8, SAME_DEVIATIONS = 8;
+/* A swap that takes less than this off the roughness around both is not worth a person's look; in a
+ * stack without grain the smallest difference is evidence. */
+static const double LEAST_SMOOTHER = 0.05;
 /* Where one section's change is less than its noise, nothing is said of any distance. */
 static const double LEAST_CHANGE = 1;
 /* A direction counts when its variance is this much above the median one's, which is grain. */
@@ -544,8 +547,10 @@ static double smoother(struct stack *s, size_t i, size_t j, double sure, double 
     exchange(s, i, j);
     after = roughness(s, i, j);
     exchange(s, i, j);
-    *ret_share = after < before ? 1 - after / before : 0;
-    return after < before ? before - after : 0;
+    if (!(after < (1 - LEAST_SMOOTHER) * before))
+        return 0;
+    *ret_share = 1 - after / before;
+    return before - after;
 }
 
 /* The swap that smooths most comes first; the others are looked for as if it were undone, since
@@ -651,6 +656,7 @@ static int examine(struct stack *s, const struct gsn_sequence_plane *planes, siz
     take_off_noise(s);
     learn(s);
     found->change = s->noise2 > 0 ? sqrt(s->slope2 / s->noise2) : 0;
+
     found->told = is_told(s, 1);
     r = find_swaps(s, planes, found, err);
     return r;

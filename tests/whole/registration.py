@@ -126,9 +126,9 @@ def judge_marks(truth, k, section, out):
 
 
 def judge_way(truth, k, section):
-    """Flip and half turn, where the section has a pose."""
+    """Flip and half turn, where the section has a pose that is used."""
     row = truth.section[k]
-    if not truth.present(k) or not section["panel_to_block_um"]:
+    if not truth.present(k) or not section["panel_to_block_um"] or section["state"] == "held":
         return []
     theta = (float(row["theta_deg"]) + 180) % 360 - 180
     wrong = [] if section["flipped"] == (row["flip"] == "1") else ["flip wrong"]
@@ -148,7 +148,7 @@ def judge_place(truth, k, section):
         if section["state"] == "used" and not named else []
 
 
-def judge(report, truth, level, verbose=False, say=print):
+def judge(report, truth, level, verbose=False, say=print, sound_only=False):
     sections = {s["serial"]: s for s in report["sections"] if s["serial"] is not None}
     out = {"visible": 0, "found": 0, "false": 0, "misnumbered": 0, "accepted": 0, "off_um": [],
            "way": 0, "place": 0, "clean": 0, "flagged": 0, "silent": 0,
@@ -180,16 +180,19 @@ def judge(report, truth, level, verbose=False, say=print):
         if (lines or way or place) and verbose:
             say(f"  section {k + 1} ({section['state']}; {' '.join(section['flags'])}; truth "
                 f"{' '.join(truth.defects(k)) or 'clean'}): {'; '.join(lines + way + place)}")
-    return verdict(out, level, say)
+    return verdict(out, level, say, sound_only)
 
 
-def verdict(out, level, say):
+def verdict(out, level, say, sound_only=False):
+    """Whether the level's demands are met; sound_only: whether nothing that is used is wrong, however
+    much was found."""
     share, ratio, most = DEMANDED[level]
     error, floor = pooled(out["error"]), pooled(out["floor"])
     limit = ratio if level in ABSOLUTE else ratio * floor
-    met = (out["found"] >= share * out["visible"] and out["accepted"] == 0 and error <= limit
-           and out["flagged"] <= most * out["clean"] and out["way"] == 0 and out["place"] == 0
-           and out["silent"] == 0)
+    sound = (out["accepted"] == 0 and error <= limit and out["way"] == 0 and out["place"] == 0
+             and out["silent"] == 0)
+    met = (sound and out["found"] >= share * out["visible"]
+           and out["flagged"] <= most * out["clean"])
     say(f"marks {out['found']} of {out['visible']} found "
         f"({100 * out['found'] / max(out['visible'], 1):.1f} %), {pooled(out['off_um']):.2f} um off; "
         f"{out['false']} false, {out['misnumbered']} misnumbered, {out['accepted']} of them "
@@ -198,7 +201,7 @@ def verdict(out, level, say):
         f"{pooled(out['doubtful_floor']):.1f}, {len(out['doubtful'])}); clean flagged "
         f"{out['flagged']} of {out['clean']}; flips and turns wrong {out['way']}, places "
         f"{out['place']}, silently off {out['silent']}{'' if met else '   NOT MET'}")
-    return met
+    return sound if sound_only else met
 
 
 def main():

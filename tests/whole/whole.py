@@ -10,7 +10,8 @@ against the phantom's truth or against the same work done another way.
     whole.py BIN volume        the molar CT of ../shared
     whole.py BIN tile          the picrosirius tile of ../shared
     whole.py BIN marks --level L2 --seed 7 [--specimen S02] [--ready DIR]
-                               marks and poses (registration.py); DIR/LEVEL/SEED/SPECIMEN made before
+                               marks and poses (registration.py); DIR/LEVEL/SEED/SPECIMEN made before;
+                               --sound: only that nothing wrong is used, however much is found
 
 BIN is the folder with the programs. Exit 0: all that was demanded holds; 77: material is missing.
 """
@@ -170,7 +171,7 @@ def marks(bench, args):
             print(f"{args.level} seed {seed} {specimen}:", flush=True)
             failed += not registration.judge(place.report(f"GVP-D-{specimen}"),
                                              registration.Truth(folder / "truth"), args.level,
-                                             verbose=True)
+                                             verbose=True, sound_only=args.sound)
     return 1 if failed else 0
 
 
@@ -322,6 +323,8 @@ def main():
     parser.add_argument("--level", default="L0")
     parser.add_argument("--seed", type=int, action="append")
     parser.add_argument("--specimen", action="append")
+    parser.add_argument("--sound", action="store_true",
+                        help="marks: fail on what is wrong and used, not on what was not found")
     parser.add_argument("--ready", help="a folder with phantoms made before")
     parser.add_argument("--keep", help="a folder to work in and leave behind")
     args = parser.parse_args()

@@ -656,7 +656,6 @@ static int examine(struct stack *s, const struct gsn_sequence_plane *planes, siz
     take_off_noise(s);
     learn(s);
     found->change = s->noise2 > 0 ? sqrt(s->slope2 / s->noise2) : 0;
-
     found->told = is_told(s, 1);
     r = find_swaps(s, planes, found, err);
     return r;

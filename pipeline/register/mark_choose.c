@@ -143,8 +143,10 @@ static double looks(const struct gsn_mark_candidates *section,
         if (choice->candidate[i] < 0)
             continue;
         mark = &section->mark[choice->candidate[i]];
-        sum += prior->learnt ? fmin(unlike(mark, section->px_um, prior) + dirt(mark), most)
-                             : 2 * fmax(1 - strength(mark) / third, 0);
+        if (prior->learnt)
+            sum += fmin(unlike(mark, section->px_um, prior) + dirt(mark), most);
+        else if (third > 0)
+            sum += 2 * fmax(1 - strength(mark) / third, 0);
     }
     return sum;
 }

@@ -128,22 +128,6 @@ static int look_at_panel(const struct gsn_specimen *specimen,
     return r;
 }
 
-/* The covariance of a pose by marks at another point of the block. */
-static void covariance_at(const struct gsn_pose_error *error, struct gsn_point at,
-                          double ret_covariance[3][3])
-{
-    const double x = at.x - error->about.x, y = at.y - error->about.y;
-    const double j[3][3] = { { 1, 0, -y }, { 0, 1, x }, { 0, 0, 1 } };
-
-    for (size_t p = 0; p < 3; p++)
-        for (size_t q = 0; q < 3; q++) {
-            ret_covariance[p][q] = 0;
-            for (size_t k = 0; k < 3; k++)
-                for (size_t l = 0; l < 3; l++)
-                    ret_covariance[p][q] += j[p][k] * error->pose[k][l] * j[q][l];
-        }
-}
-
 /* From um from the box's corner to panel pixels. */
 static struct gsn_affine to_panel(const struct gsn_assembly_section *s, double px_um)
 {
@@ -177,8 +161,8 @@ static void state_section(const struct gsn_specimen *specimen, const struct gsn_
     if (!ret_section->marked || !part->tissue)
         return;
     ret_section->to_block = rigid_of(&map, gsn_tissue_centre(part->tissue));
-    covariance_at(&s->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(part->tissue)),
-                  ret_section->covariance);
+    gsn_pose_error_about(&s->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(part->tissue)),
+                         ret_section->covariance);
 }
 
 /* The pose of one section by its tissue. Its marks have no residuals: they did not lay it. */

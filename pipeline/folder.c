@@ -373,22 +373,6 @@ static int solve(struct folder *folder, struct gsn_error *err)
 
 /* ---- By tissue ------------------------------------------------------------------------------ */
 
-/* The covariance of a pose by marks at another point of the block. */
-static void covariance_at(const struct gsn_pose_error *error, struct gsn_point at,
-                          double ret_covariance[3][3])
-{
-    const double x = at.x - error->about.x, y = at.y - error->about.y;
-    const double j[3][3] = { { 1, 0, -y }, { 0, 1, x }, { 0, 0, 1 } };
-
-    for (size_t p = 0; p < 3; p++)
-        for (size_t q = 0; q < 3; q++) {
-            ret_covariance[p][q] = 0;
-            for (size_t k = 0; k < 3; k++)
-                for (size_t l = 0; l < 3; l++)
-                    ret_covariance[p][q] += j[p][k] * error->pose[k][l] * j[q][l];
-        }
-}
-
 /* Whether the marks are to be relied on. */
 static int marks_hold(const struct folder *folder)
 {
@@ -420,8 +404,8 @@ static void state_section(const struct folder *folder, size_t i, int marks,
     map.m10 /= px;
     map.m11 /= px;
     ret_section->to_block = map;
-    covariance_at(&work->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(work->tissue)),
-                  ret_section->covariance);
+    gsn_pose_error_about(&work->pose.error, gsn_affine_apply(&map, gsn_tissue_centre(work->tissue)),
+                         ret_section->covariance);
 }
 
 static void say_no_tissue(const struct work *work, struct gsn_folder_section *section)

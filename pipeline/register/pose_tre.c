@@ -92,3 +92,18 @@ double gsn_pose_ellipse(double freedom, double share)
         return sqrt(-2 * log(1 - share));
     return sqrt(freedom * (pow(1 - share, -2 / freedom) - 1));
 }
+
+void gsn_pose_error_about(const struct gsn_pose_error *error, struct gsn_point at,
+                          double ret_covariance[3][3])
+{
+    const double x = at.x - error->about.x, y = at.y - error->about.y;
+    const double j[3][3] = { { 1, 0, -y }, { 0, 1, x }, { 0, 0, 1 } };
+
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++) {
+            ret_covariance[p][q] = 0;
+            for (size_t k = 0; k < 3; k++)
+                for (size_t l = 0; l < 3; l++)
+                    ret_covariance[p][q] += j[p][k] * error->pose[k][l] * j[q][l];
+        }
+}

@@ -44,6 +44,10 @@ struct gsn_pose_targets {
 /* count 0 gives none. borrows: targets. */
 struct gsn_pose_targets gsn_pose_targets_of(const struct gsn_point *targets, size_t count);
 
+/* The covariance of the motion (shift in um, angle) about another point of the block. */
+void gsn_pose_error_about(const struct gsn_pose_error *error, struct gsn_point at,
+                          double ret_covariance[3][3]);
+
 /* The covariance of the error at a point of the block, of a rigid pose or of one that is corrected
  * for the section's strain. */
 struct gsn_cov2 gsn_pose_tre_at(const struct gsn_pose_error *error, struct gsn_point block_um,

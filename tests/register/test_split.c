@@ -121,7 +121,7 @@ TEST(a_thread_joins_nothing_and_a_thing_that_thin_is_marked)
     CHECK(whole->count == 2);
     CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 4, &pieces, &err), err);
     CHECK(pieces->count == 3);
-    /* A stub of the thread stays where it meets a square. */
+    /* An end of the thread stays where it meets a square. */
     CHECK(!pieces->piece[0].thin && pieces->piece[0].x == 8 && pieces->piece[0].width <= 11);
     CHECK(!pieces->piece[1].thin && pieces->piece[1].x >= 21 && pieces->piece[1].width <= 14);
     CHECK(pieces->piece[0].area >= 60 && pieces->piece[1].area >= 60);

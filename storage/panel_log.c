@@ -163,47 +163,42 @@ static double if_found(const struct gsn_marker_row *marker, double value)
 }
 
 #define MARK(m)                                                                                    \
-    SQL_INT((m)->found != 0), SQL_REAL(if_found(m, (m)->x_px)), SQL_REAL(if_found(m, (m)->y_px)),  \
+    SQL_REAL(if_found(m, (m)->x_px)), SQL_REAL(if_found(m, (m)->y_px)),                            \
         SQL_REAL(if_found(m, (m)->radius_px)), SQL_REAL(if_found(m, (m)->cov_xx)),                 \
         SQL_REAL(if_found(m, (m)->cov_xy)), SQL_REAL(if_found(m, (m)->cov_yy)),                    \
         SQL_REAL(if_found(m, (m)->score))
 
-/* All three at once. */
-static int insert_markers(struct gsn_store *store, int64_t section_id,
-                          const struct gsn_marker_row marker[GSN_ROW_MARKS], struct gsn_error *err)
-{
-    return gsn_sql_run(
-        store,
-        "INSERT INTO marker (section_id, mark, found, x_px, y_px, radius_px, cov_xx, cov_xy, "
-        "cov_yy, score) VALUES (?1, 1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9), "
-        "(?1, 2, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17), "
-        "(?1, 3, ?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25)",
-        SQL_ARGS(SQL_INT(section_id), MARK(&marker[0]), MARK(&marker[1]), MARK(&marker[2])), NULL,
-        err);
-}
-#undef MARK
+/* The rows of a panel lie side by side: schema/006_slices.sql. */
+#define OF_PANEL(id) "id BETWEEN " id " * 4096 AND " id " * 4096 + 4095 "
+
+#define SECTION_COLUMNS                                                                            \
+    "panel_id, slot, serial, state, flags, bbox_x, bbox_y, bbox_w, bbox_h, area_px, "
+#define MARK_COLUMNS(m)                                                                            \
+    m "_x_px, " m "_y_px, " m "_radius_px, " m "_cov_xx, " m "_cov_xy, " m "_cov_yy, " m "_score"
 
 static int insert_section(struct gsn_store *store, int64_t panel_id,
                           const struct gsn_section_row *section, struct gsn_error *err)
 {
-    int64_t id;
-    int r = gsn_sql_run(
+    const int r = gsn_sql_run(
         store,
-        "INSERT INTO section (panel_id, slot, serial, state, flags, bbox_x, bbox_y, bbox_w, "
-        "bbox_h, area_px) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
+        "INSERT INTO section (id, " SECTION_COLUMNS
+            MARK_COLUMNS("mark1") ", " MARK_COLUMNS("mark2") ", " MARK_COLUMNS(
+                "mark3") ") VALUES (?1 * 4096 + ?2, ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, "
+                         "?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, "
+                         "?20, ?21, ?22, ?23, ?24, ?25, ?26, "
+                         "?27, ?28, ?29, ?30, ?31)",
         SQL_ARGS(SQL_INT(panel_id), SQL_INT(section->slot), SQL_INT(section->serial),
                  SQL_TEXT(section->state), SQL_TEXT(section->flags), SQL_REAL(section->bbox_x),
                  SQL_REAL(section->bbox_y), SQL_REAL(section->bbox_w), SQL_REAL(section->bbox_h),
-                 SQL_REAL(section->area_px)),
+                 SQL_REAL(section->area_px), MARK(&section->marker[0]), MARK(&section->marker[1]),
+                 MARK(&section->marker[2])),
         NULL, err);
 
-    id = gsn_sql_last_id(store);
-    if (r >= 0)
-        r = insert_markers(store, id, section->marker, err);
     return r == GSN_E_INPUT ? gsn_fail_at(err, "panel %lld, slot %lld", (long long)panel_id,
                                           (long long)section->slot)
                             : r;
 }
+#undef MARK
 
 int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
                         const struct gsn_section_row *sections, size_t count, struct gsn_error *err)
@@ -218,28 +213,24 @@ int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
     if (r == GSN_E_NOTFOUND)
         r = no_panel(panel_id, err);
     if (r >= 0)
-        r = gsn_sql_run(store, "DELETE FROM section WHERE panel_id = ?1",
+        r = gsn_sql_run(store, "DELETE FROM section WHERE " OF_PANEL("?1"),
                         SQL_ARGS(SQL_INT(panel_id)), NULL, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         r = insert_section(store, panel_id, &sections[i], err);
     return gsn_sql_end(store, r, err);
 }
 
-#define MARKER_COLUMNS(m)                                                                          \
-    m ".found, " m ".x_px, " m ".y_px, " m ".radius_px, " m ".cov_xx, " m ".cov_xy, " m            \
-      ".cov_yy, " m ".score"
+/* That it has a place tells that it was found. */
+#define FOUND_MARK(m) m "_x_px IS NOT NULL, " MARK_COLUMNS(m)
 
 int gsn_section_list(struct gsn_store *store, int64_t specimen_id,
                      struct gsn_section_rows **ret_rows, struct gsn_error *err)
 {
     return section_rows(
         store,
-        "SELECT s.panel_id, s.slot, s.serial, s.state, s.flags, s.bbox_x, s.bbox_y, s.bbox_w, "
-        "s.bbox_h, s.area_px, " MARKER_COLUMNS("a") ", " MARKER_COLUMNS("b") ", " MARKER_COLUMNS(
-            "c") " FROM panel p JOIN section s ON s.panel_id = p.id "
-                 "JOIN marker a ON a.section_id = s.id AND a.mark = 1 "
-                 "JOIN marker b ON b.section_id = s.id AND b.mark = 2 "
-                 "JOIN marker c ON c.section_id = s.id AND c.mark = 3 "
-                 "WHERE p.specimen_id = ?1 ORDER BY s.serial = 0, s.serial, s.panel_id, s.slot",
+        "SELECT " SECTION_COLUMNS FOUND_MARK("mark1") ", " FOUND_MARK("mark2") ", " FOUND_MARK(
+            "mark3") " FROM (SELECT id AS panel FROM panel WHERE specimen_id = ?1) "
+                     "CROSS JOIN section ON " OF_PANEL(
+                         "panel") "ORDER BY serial = 0, serial, panel_id, slot",
         SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
 }

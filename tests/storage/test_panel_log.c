@@ -4,6 +4,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "storage/schema.h"
+#include "storage/sql.h"
+
 TEST(a_panel_reads_back_as_it_was_written)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -165,6 +168,75 @@ TEST(replacing_sections_is_all_or_nothing)
     CHECK_OK(gsn_section_replace(store, panel, rows, 1, &err), err);
     CHECK_OK(gsn_section_list(store, specimen, &after, &err), err);
     CHECK(after->count == 1 && after->at[0].serial == 77);
+}
+
+TEST(the_slots_of_neighbouring_panels_stay_apart)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_section_rows) got = NULL;
+    struct gsn_error err = { 0 };
+    const int64_t specimen = bench_add_specimen(store, "S", "g", "");
+    const int64_t first = bench_add_panel(store, specimen, 1);
+    const int64_t second = bench_add_panel(store, specimen, 2);
+    struct gsn_section_row ends[2] = { section(1, 1), section(4095, 2) };
+    struct gsn_section_row beyond = section(4096, 3);
+
+    CHECK(second == first + 1);
+    CHECK_OK(gsn_section_replace(store, first, ends, 2, &err), err);
+    CHECK_OK(gsn_section_replace(store, second, ends, 2, &err), err);
+    CHECK(gsn_section_replace(store, first, &beyond, 1, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "slot 4096"));
+    CHECK_OK(gsn_section_replace(store, second, ends, 1, &err), err);
+    CHECK_OK(gsn_section_list(store, specimen, &got, &err), err);
+    CHECK(got->count == 3 && got->at[0].panel_id == first && got->at[1].panel_id == second);
+    CHECK(got->at[2].panel_id == first && got->at[2].slot == 4095);
+}
+
+static int64_t ask(struct gsn_store *store, const char *sql)
+{
+    struct gsn_error err = { 0 };
+    int64_t value = -1;
+
+    CHECK_OK(gsn_sql_int(store, sql, SQL_NO_ARGS, &value, &err), err);
+    return value;
+}
+
+TEST(sections_and_marks_of_the_fifth_schema_are_kept)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_section_rows) got = NULL;
+    gsn_auto(gsn_store) store = NULL;
+    static const char *const older[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
+                                         gsn_schema_004, gsn_schema_005 };
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < sizeof older / sizeof older[0]; i++)
+        CHECK(bench_raw(&scratch, older[i]) == 0);
+    CHECK(
+        bench_raw(&scratch,
+                  "PRAGMA application_id = 0x67736e31; PRAGMA user_version = 5; "
+                  "PRAGMA journal_mode = WAL; "
+                  "INSERT INTO study VALUES (1, 'st'); INSERT INTO study_group VALUES (1, 1, 'g'); "
+                  "INSERT INTO animal VALUES (1, 1, 'rat'); INSERT INTO specimen VALUES "
+                  "(1, 'S', 1, 1, 1, 4, 'sections', '', '{}', printf('%064d', 0)); "
+                  "INSERT INTO panel VALUES (7, 1, 3, 'P3.tif', printf('%064d', 3), 9, "
+                  "'registered', '', '', 0, 0, NULL); INSERT INTO section VALUES (31, 7, 2, 25, "
+                  "'found', 'tear', 1, 2, 3, 4, 5); INSERT INTO marker VALUES (31, 1, 1, 10, 11, "
+                  "12, 13, 14, 15, 16), (31, 2, 0, NULL, NULL, NULL, NULL, NULL, NULL, NULL), "
+                  "(31, 3, 1, 30, 31, 32, 33, 34, 35, 36)") == 0);
+    store = bench_open(&scratch, GSN_STORE_WRITE);
+    CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
+    CHECK_OK(gsn_section_list(store, 1, &got, &err), err);
+    CHECK(got->count == 1 && got->at[0].panel_id == 7 && got->at[0].slot == 2);
+    CHECK(got->at[0].serial == 25 && strcmp(got->at[0].flags, "tear") == 0);
+    CHECK_NEAR(got->at[0].area_px, 5, 0);
+    CHECK(got->at[0].marker[0].found == 1 && got->at[0].marker[1].found == 0);
+    CHECK_NEAR(got->at[0].marker[0].cov_xx, 13, 0);
+    CHECK_NEAR(got->at[0].marker[2].x_px, 30, 0);
+    CHECK_NEAR(got->at[0].marker[2].score, 36, 0);
+    CHECK(ask(store, "SELECT sum(mark * y_px) FROM marker WHERE panel_id = 7 AND slot = 2") ==
+          11 + 3 * 31);
 }
 
 static int put_once(struct gsn_store *store, const struct gsn_panel_row *row, struct gsn_error *err)

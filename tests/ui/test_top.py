@@ -420,8 +420,9 @@ class Many(Top):
             for number in range(1, 17):
                 panel = self.scene.panel(specimen, number, "waiting" if i % 3 else "registered",
                                          age=3600 * i + 10, name="p" * 200 + f"_P{number:02}.tif")
-                db.executemany("INSERT INTO section (panel_id, slot, serial, state, flags) VALUES "
-                               "(?, ?, ?, 'found', '')", [(panel, s, s) for s in range(1, 13)])
+                db.executemany("INSERT INTO section (id, panel_id, slot, serial, state, flags) "
+                               "VALUES (?, ?, ?, ?, 'found', '')",
+                               [(panel * 4096 + s, panel, s, s) for s in range(1, 13)])
                 if i % 3:
                     self.scene.job(specimen, panel)
             self.scene.job(specimen)

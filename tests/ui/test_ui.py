@@ -410,13 +410,10 @@ class Told(Bench):
         self.assertIn(5, [p["number"] for p in self.json("show", "R07-left")["panels"]])
 
     def section(self, panel, slot, state, flags):
-        section = self.scene.run("INSERT INTO section (panel_id, slot, serial, state, flags, "
-                                 "bbox_x, bbox_y, bbox_w, bbox_h, area_px) VALUES (?, ?, ?, ?, ?, "
-                                 "10, 20, 30, 40, 900)", panel, slot,
-                                 0 if "scrap" in flags else slot, state, flags)
-        for mark in (1, 2, 3):
-            self.scene.run("INSERT INTO marker (section_id, mark, found) VALUES (?, ?, 0)", section,
-                           mark)
+        self.scene.run("INSERT INTO section (id, panel_id, slot, serial, state, flags, bbox_x, "
+                       "bbox_y, bbox_w, bbox_h, area_px) VALUES (?, ?, ?, ?, ?, ?, 10, 20, 30, 40, "
+                       "900)", panel * 4096 + slot, panel, slot,
+                       0 if "scrap" in flags else slot, state, flags)
 
     def test_what_is_held_is_asked_and_the_answer_is_taken_once(self):
         panel = self.scene.panel(1, 9)

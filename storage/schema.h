@@ -10,5 +10,6 @@ extern const char gsn_schema_002[];
 extern const char gsn_schema_003[];
 extern const char gsn_schema_004[];
 extern const char gsn_schema_005[];
+extern const char gsn_schema_008[];
 
 #endif

@@ -42,8 +42,12 @@ static struct gsn_assembly_section section_of(const struct gsn_panel_section *se
     };
     struct gsn_assembly_section section = { .panel = panel,
                                             .seen = *seen,
-                                            .state = states[seen->sighting] };
+                                            .state = states[seen->sighting],
+                                            .candidates = seen->candidates };
 
+    /* How the panel alone lays them is no place in the block. */
+    for (size_t i = 0; i < section.candidates.count; i++)
+        section.candidates.at[i].laid = 0;
     if (seen->flags[0])
         gsn_assembly_flag(&section, seen->flags);
     return section;
@@ -153,8 +157,11 @@ void gsn_assembly_free(struct gsn_assembly *a)
 {
     if (!a)
         return;
-    for (size_t i = 0; i < a->section_count; i++)
+    for (size_t i = 0; i < a->section_count; i++) {
         gsn_free(a->section[i].thumbnail.png);
+        for (size_t c = 0; c < GSN_CANDIDATES; c++)
+            gsn_free(a->section[i].candidate_picture[c].png);
+    }
     gsn_free(a->section);
     gsn_dust_free(a->dust);
     gsn_free(a->spot);

@@ -43,7 +43,10 @@ struct gsn_assembly_section {
     double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
     struct gsn_tone tone;                         /* its dyes; no pixels: not looked at */
     double thickness; /* against the panel's other sections; 1: as they are, or not told */
-    struct gsn_account_picture thumbnail; /* png owned; size 0: none */
+    struct gsn_account_picture thumbnail;                         /* png owned; size 0: none */
+    struct gsn_candidates candidates;                             /* as the stack lays them */
+    struct gsn_account_picture candidate_picture[GSN_CANDIDATES]; /* likewise */
+    unsigned compared_with; /* serial number of the section outlined in them, from 1; 0: none */
 };
 
 struct gsn_assembly_panel {

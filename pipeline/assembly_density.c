@@ -2,6 +2,7 @@
 #include "pipeline/assembly_parts.h"
 
 #include "pipeline/assembly_order.h"
+#include "pipeline/candidate_sheet.h"
 #include "pipeline/conditions.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/evenness.h"
@@ -291,7 +292,7 @@ static int lay_panel(struct work *work, struct gsn_assembly_panel *panel, struct
 static int work_panel(const struct gsn_specimen *specimen,
                       const struct gsn_specimen_options *options, struct gsn_assembly_panel *panel,
                       struct gsn_assembly *a, struct gsn_section_order *order,
-                      struct gsn_error *err)
+                      struct gsn_candidate_sheet *sheet, struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_scan) scan = NULL;
@@ -306,6 +307,8 @@ static int work_panel(const struct gsn_specimen *specimen,
         r = gsn_scan_dyes(scan, specimen->protocol, &stain->fit, err);
     if (r >= 0)
         r = thumbnails(scan, panel->given->number, a, err);
+    if (r >= 0)
+        r = gsn_candidate_sheet_look(sheet, a, scan, panel->given->number, err);
     if (r < 0)
         return r;
     panel->opened = 1;
@@ -325,6 +328,7 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
                              struct gsn_error *err)
 {
     gsn_auto(gsn_section_order) order = NULL;
+    gsn_auto(gsn_candidate_sheet) sheet = NULL;
     int r;
 
     a->panel = gsn_alloc_array(specimen->panel_count, sizeof *a->panel);
@@ -332,6 +336,8 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the panels of a specimen");
     a->panel_count = specimen->panel_count;
     r = a->grid ? gsn_section_order_new(a, &order, err) : GSN_OK;
+    if (r >= 0)
+        r = gsn_candidate_sheet_new(a, &sheet, err);
     if (r < 0)
         return r;
     for (size_t i = 0; i < specimen->panel_count; i++) {
@@ -339,10 +345,13 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
         gsn_progress_say(options->progress, "stacking", i, specimen->panel_count);
         if (specimen->panel[i].section_count == 0)
             continue;
-        r = work_panel(specimen, options, &a->panel[i], a, order, err);
+        r = work_panel(specimen, options, &a->panel[i], a, order, sheet, err);
         if (r < 0)
             return gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
                                specimen->panel[i].file);
     }
+    r = gsn_candidate_sheet_draw(sheet, a, err);
+    if (r < 0)
+        return r;
     return order ? gsn_section_order_examine(order, a, &a->sequence, err) : GSN_OK;
 }

@@ -53,6 +53,11 @@ int gsn_assembly_find_band(const struct gsn_specimen *specimen,
 int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err);
 
+/* Lays the candidates of every section that has some in the solved stack; sections whose three
+ * marks contradict it get theirs. */
+void gsn_assembly_list_candidates(const struct gsn_specimen *specimen,
+                                  const struct gsn_pose_options *options, struct gsn_assembly *a);
+
 /* The colour volume on the grid's lattice. */
 int gsn_assembly_place_colour(struct gsn_assembly *a, struct gsn_error *err);
 /* Cuts it down to what is left of the grid. */

@@ -31,6 +31,22 @@ static int targets_of(const struct gsn_mask *region, struct gsn_point **ret_poin
     return GSN_OK;
 }
 
+/* What a person chose is used, two marks or not; one that contradicts the stack is still said to be
+ * doubtful. */
+static enum gsn_assembly_state state_of(const struct gsn_assembly_section *section)
+{
+    const struct gsn_pose *pose = &section->pose;
+    const int pair = pose->state == GSN_POSE_TWO_MARKS;
+    const int decided = section->candidates.chosen > 0;
+
+    /* Of two sections that have grown together, the tissue is not parted, whatever their marks say.
+     */
+    if (!section->posed || section->seen.sighting == GSN_SIGHT_HELD ||
+        (pose->gross && !(pair && decided)))
+        return GSN_SECTION_HELD;
+    return (pair && !decided) || pose->gross ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
+}
+
 static void take_pose(struct gsn_assembly_section *section, const struct gsn_pose *pose)
 {
     struct gsn_mark in_order[GSN_MARKS];
@@ -47,13 +63,7 @@ static void take_pose(struct gsn_assembly_section *section, const struct gsn_pos
         gsn_assembly_flag(section, "flipped");
     if (pose->rotated180)
         gsn_assembly_flag(section, "turned");
-    /* Of two sections that have grown together, the tissue is not parted, whatever their marks say.
-     */
-    if (!section->posed || pose->gross || section->seen.sighting == GSN_SIGHT_HELD)
-        section->state = GSN_SECTION_HELD;
-    else
-        section->state =
-            pose->state == GSN_POSE_TWO_MARKS ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
+    section->state = state_of(section);
 }
 
 static enum gsn_strain_mode strain_mode(const struct gsn_protocol *protocol)
@@ -124,6 +134,7 @@ int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly 
             take_pose(&a->section[i], &poses[p++]);
     if (r < 0)
         return GSN_OK;
+    gsn_assembly_list_candidates(specimen, &options, a);
     a->panel_stretch =
         gsn_strain_of_panel(inputs, poses, count, options.markers_um, a->summary.mean_triangle);
     a->strain_mode = strain_mode(specimen->protocol);

@@ -79,25 +79,126 @@ static int know_triangle(const struct gsn_protocol *protocol,
     return GSN_OK;
 }
 
-/* Returns whether all three marks were found, and mirrored. */
-static int choose_marks(struct gsn_panel_section *section,
-                        const struct gsn_mark_candidates *candidates,
-                        const struct gsn_triangle_prior *prior)
-{
-    double score = 0, runner_up = 0;
-    int mirrored = 0, found = 0;
+/* What the spots of one section say. */
+struct sight {
+    int mirrored, ambiguous, decided;
+};
 
-    gsn_markers_choose(candidates, prior, section->mark, &mirrored, &score, &runner_up);
-    for (size_t i = 0; i < GSN_MARKS; i++)
-        found += section->mark[i].found;
+static int count_found(const struct gsn_mark mark[GSN_MARKS])
+{
+    return mark[0].found + mark[1].found + mark[2].found;
+}
+
+/* Sections whose marks could be others get their candidates. */
+static struct sight choose_marks(struct gsn_panel_section *section,
+                                 const struct gsn_mark_candidates *candidates,
+                                 const struct gsn_triangle_prior *prior)
+{
+    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    struct sight sight = { 0 };
+    double score = 0, runner_up = 0;
+
+    gsn_markers_choose(candidates, prior, section->mark, &sight.mirrored, &score, &runner_up);
+    sight.ambiguous = score > 0 && runner_up > 0.5 * score;
+    if (count_found(section->mark) < GSN_MARKS)
+        gsn_candidates_of_rivals(rivals, gsn_markers_rivals(candidates, prior, rivals),
+                                 &section->candidates);
+    return sight;
+}
+
+static void state_marks(struct gsn_panel_section *section, const struct sight *sight)
+{
+    const int found = count_found(section->mark);
+
     /* What has grown together is held, whatever its marks. */
     if (section->sighting != GSN_SIGHT_HELD)
-        section->sighting = found == GSN_MARKS ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
+        section->sighting =
+            found == GSN_MARKS || sight->decided ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
     if (found == 2)
-        flag(section, mirrored ? "two-marks mirrored" : "two-marks");
+        flag(section, sight->mirrored ? "two-marks mirrored" : "two-marks");
     else if (found < 2)
-        flag(section, score > 0 && runner_up > 0.5 * score ? "ambiguous-marks" : "no-marks");
-    return found == GSN_MARKS && mirrored;
+        flag(section, sight->ambiguous ? "ambiguous-marks" : "no-marks");
+    if (sight->decided)
+        flag(section, "decided");
+}
+
+/* ---- which of the candidates a person chose ---------------------------------------------- */
+
+static const struct gsn_panel_answer *pose_said(const struct gsn_panel_answers *answers,
+                                                unsigned slot)
+{
+    for (size_t i = 0; answers && i < answers->count; i++)
+        if (answers->at[i].said == GSN_SAID_POSE && answers->at[i].slot == slot)
+            return &answers->at[i];
+    return NULL;
+}
+
+/* A section whose three marks contradict the rest of the stack looks fine on its panel: a person
+ * chose some of them. */
+static void take_choice(struct gsn_panel_section *section, const struct gsn_panel_answer *answer,
+                        struct sight *sight)
+{
+    unsigned meant;
+
+    if (!answer || answer->elsewhere)
+        return;
+    if (count_found(section->mark) == GSN_MARKS)
+        gsn_candidates_of_marks(section->mark, answer->choice.mirrored, &section->candidates);
+    meant = gsn_candidates_meant(&section->candidates, &answer->choice);
+    if (meant == 0)
+        return;
+    section->candidates.chosen = meant;
+    memcpy(section->mark, section->candidates.at[meant - 1].mark, sizeof section->mark);
+    sight->mirrored = section->candidates.at[meant - 1].mirrored;
+    sight->decided = 1;
+}
+
+/* Names every choice that could not be applied. */
+static void void_choices(const struct gsn_panel_answers *answers,
+                         struct gsn_panel_findings *findings)
+{
+    for (size_t i = 0; i < findings->count; i++) {
+        struct gsn_panel_section *section = &findings->section[i];
+        const struct gsn_panel_answer *answer = pose_said(answers, (unsigned)i);
+
+        if (!answer || section->candidates.chosen)
+            continue;
+        flag(section, "decision-void");
+        say(findings, "the pose that was chosen for slot %u %s and is not used: choose again",
+            section->slot + 1,
+            answer->elsewhere ? "was said of another scan" : "fits nothing that is found there");
+    }
+}
+
+/* Adds where a section with three marks points, laid on the panel's triangle. */
+static void add_direction(const struct gsn_panel_section *section, const struct sight *sight,
+                          const struct gsn_triangle_prior *prior, double px_um,
+                          struct gsn_point *upright)
+{
+    struct gsn_candidates own;
+    const struct gsn_candidate *whole = &own.at[GSN_MARKS];
+    struct gsn_point d;
+
+    if (count_found(section->mark) < GSN_MARKS)
+        return;
+    gsn_candidates_of_marks(section->mark, sight->mirrored, &own);
+    gsn_candidates_lay(&own, px_um, prior->mark_um);
+    if (!whole->laid)
+        return;
+    d = gsn_candidate_direction(&whole->panel_to_block_um);
+    upright->x += d.x;
+    upright->y += d.y;
+}
+
+/* Lays all candidates of the panel on its triangle. Upright is the job's frame, or else the way
+ * most sections lie. */
+static void lay_candidates(const struct gsn_triangle_prior *prior, struct gsn_point upright,
+                           double px_um, struct gsn_panel_findings *findings)
+{
+    for (size_t i = 0; i < findings->count; i++) {
+        gsn_candidates_lay(&findings->section[i].candidates, px_um, prior->mark_um);
+        gsn_candidates_say(&findings->section[i].candidates, upright);
+    }
 }
 
 static void shift(struct gsn_point *point, const struct gsn_slot *slot)
@@ -280,7 +381,8 @@ static int check_pixels(const struct gsn_scan *scan, const struct gsn_protocol *
 /* Marks of all sections of the panel: found slots and their numbers in findings. A panel whose
  * sections agree on no triangle is no failure: its sections need a person's eye. */
 static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                      const struct gsn_slot *found, size_t count, unsigned threads,
+                      const struct gsn_slot *found, size_t count,
+                      const struct gsn_panel_answers *answers, unsigned threads,
                       struct gsn_panel_findings *findings, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
@@ -288,6 +390,7 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     struct search search = { scan, protocol, 0, found, candidates };
     struct gsn_triangle_prior prior;
+    struct gsn_point upright = { protocol->has_markers, 0 };
     size_t mirrored = 0;
     int r;
 
@@ -302,12 +405,20 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         return r;
     for (size_t i = 0; i < count; i++) {
         struct gsn_panel_section *section = &findings->section[found[i].slot];
+        struct sight sight = { 0 };
 
         if (r >= 0)
-            mirrored += (size_t)choose_marks(section, &candidates[i], &prior);
-        else
-            flag(section, "no-marks");
+            sight = choose_marks(section, &candidates[i], &prior);
+        mirrored += sight.mirrored && count_found(section->mark) == GSN_MARKS;
+        if (r >= 0 && !protocol->has_markers)
+            add_direction(section, &sight, &prior, scan->px_um, &upright);
+        if (section->sighting != GSN_SIGHT_HELD)
+            take_choice(section, pose_said(answers, section->slot), &sight);
+        state_marks(section, &sight);
     }
+    void_choices(answers, findings);
+    if (r >= 0)
+        lay_candidates(&prior, upright, scan->px_um, findings);
     if (protocol->has_markers && 2 * mirrored > count)
         say(findings,
             "%zu of %zu sections are mirrored against the job's \"markers_um\": if no label says "
@@ -604,7 +715,7 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     if (r < 0)
         return r;
     gsn_progress_say(progress, "marks", 0, found);
-    r = find_marks(scan, protocol, slots, found, threads, findings, err);
+    r = find_marks(scan, protocol, slots, found, answers, threads, findings, err);
     /* Pixels too large for marks may only be said to be. */
     if (r == GSN_E_INPUT &&
         check_pixels(scan, protocol, slots, found, threads, findings, &wrong) == GSN_E_WITHHELD)

@@ -7,6 +7,7 @@
 #ifndef GSN_PIPELINE_EXAMINE_H
 #define GSN_PIPELINE_EXAMINE_H
 
+#include "pipeline/candidate.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/protocol.h"
 #include "pipeline/register/markers.h"
@@ -39,6 +40,9 @@ struct gsn_panel_section {
     int x, y, width, height;
     double area_px;
     struct gsn_mark mark[GSN_MARKS];
+    struct gsn_candidates candidates; /* of a section whose marks could be others, or of which a
+                                         person chose: laid in the block or in the panel's own
+                                         triangle, errors not predicted */
 };
 
 /* What a person decided about one panel, where its picture does not tell. */
@@ -48,12 +52,15 @@ enum gsn_panel_said {
     GSN_SAID_SEAT,    /* this piece is the section of slot to */
     GSN_SAID_DISMISS, /* this piece is nothing */
     GSN_SAID_FIRST,   /* the section nearest to the top left, row by row, is that of slot to */
+    GSN_SAID_POSE,    /* the marks of this section are where choice says */
 };
 struct gsn_panel_answer {
     enum gsn_panel_said said;
     unsigned slot;          /* 0-based; scraps are counted on behind the slots */
     unsigned to;            /* 0-based */
     struct gsn_point at_px; /* of a scrap: a place inside its box */
+    struct gsn_candidate_choice choice;
+    int elsewhere; /* said of another scan of this panel, so of other pixels: never applied */
 };
 struct gsn_panel_answers {
     size_t count;
@@ -75,7 +82,9 @@ struct gsn_panel_findings {
 const char *gsn_sighting_name(enum gsn_sighting sighting);
 
 /* gives. number: of the panel, 1-based; answers: NULL when nothing was decided; decoder: as for
- * gsn_decode_apart(). An answer that the panel does not ask for changes nothing. Fails as
+ * gsn_decode_apart(). An answer that the panel does not ask for changes nothing; a pose
+ * that was chosen and is not there any more is said in the note, and its section is flagged
+ * "decision-void". One that is there makes its section found, flagged "decided". Fails as
  * gsn_scan_open() and gsn_panel_split() do, and with GSN_E_WITHHELD when the marks say that the
  * pixels are not as large as stated. borrows: everything. */
 int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,

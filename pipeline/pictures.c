@@ -306,3 +306,35 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                  fmax(4, 2.2 * mark[i].radius_px * scale));
     return keep(small, ret_picture, err);
 }
+
+int gsn_laid_picture(const struct gsn_image *image, enum gsn_light light,
+                     const struct gsn_laid_box *box, struct gsn_point corner, double um_per_px,
+                     unsigned side_px, struct gsn_image **ret_picture, struct gsn_error *err)
+{
+    static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
+    const struct gsn_affine to_px = gsn_affine_inverse(&box->panel_to_block_um);
+    const int reach =
+        (int)fmax(1, ceil(um_per_px / sqrt(fabs(gsn_affine_det(&box->panel_to_block_um)))));
+    const int right = box->x + box->width, down = box->y + box->height;
+    gsn_auto(gsn_image) picture = NULL;
+    int r = gsn_canvas_new(side_px, side_px, white, &picture, err);
+
+    for (unsigned v = 0; r >= 0 && v < side_px; v++)
+        for (unsigned u = 0; u < side_px; u++) {
+            const struct gsn_point um = { corner.x + (u + 0.5) * um_per_px,
+                                          corner.y + (v + 0.5) * um_per_px };
+            const struct gsn_point px = gsn_affine_apply(&to_px, um);
+            int x, y;
+
+            if (!(px.x >= box->x && px.y >= box->y && px.x < right && px.y < down))
+                continue;
+            x = (int)px.x - reach / 2 > box->x ? (int)px.x - reach / 2 : box->x;
+            y = (int)px.y - reach / 2 > box->y ? (int)px.y - reach / 2 : box->y;
+            gsn_canvas_put(picture, (int)u, (int)v,
+                           box_mean(image, light, x, y, x + reach < right ? x + reach : right,
+                                    y + reach < down ? y + reach : down));
+        }
+    if (r >= 0)
+        *ret_picture = gsn_steal(&picture);
+    return r;
+}

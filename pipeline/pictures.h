@@ -27,6 +27,18 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                   int height, const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
                   struct gsn_account_picture *ret_picture, struct gsn_error *err);
 
+/* A box of a scan and how it lies in the block; the box lies inside the image. */
+struct gsn_laid_box {
+    struct gsn_affine panel_to_block_um;
+    int x, y, width, height;
+};
+
+/* gives: what a scan (RGB) shows in its box as it lies in the block, on white: side_px square
+ * pixels of um_per_px from the corner on. light: as above. Fails with GSN_E_NOMEM. */
+int gsn_laid_picture(const struct gsn_image *image, enum gsn_light light,
+                     const struct gsn_laid_box *box, struct gsn_point corner, double um_per_px,
+                     unsigned side_px, struct gsn_image **ret_picture, struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

@@ -23,7 +23,8 @@ static int keep_poses(const struct gsn_assembly *a, struct gsn_specimen_result *
 {
     result->pose = gsn_alloc_array(a->section_count, sizeof *result->pose);
     result->stain = gsn_alloc_array(a->panel_count, sizeof *result->stain);
-    if (!result->pose || !result->stain)
+    result->candidates = gsn_alloc_array(a->section_count, sizeof *result->candidates);
+    if (!result->pose || !result->stain || !result->candidates)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the poses of a specimen");
     for (size_t i = 0; i < a->section_count; i++)
         if (a->section[i].posed)
@@ -32,6 +33,12 @@ static int keep_poses(const struct gsn_assembly *a, struct gsn_specimen_result *
                                             .slot = a->section[i].seen.slot,
                                             .serial = a->section[i].seen.serial,
                                             .pose = a->section[i].pose };
+    for (size_t i = 0; i < a->section_count; i++)
+        if (a->section[i].candidates.count > 0)
+            result->candidates[result->candidates_count++] =
+                (struct gsn_specimen_candidates){ .panel = a->section[i].panel,
+                                                  .slot = a->section[i].seen.slot,
+                                                  .list = a->section[i].candidates };
     for (size_t i = 0; i < a->panel_count; i++)
         if (a->panel[i].opened)
             result->stain[result->stain_count++] = a->panel[i].stain;
@@ -227,6 +234,7 @@ void gsn_specimen_result_free(struct gsn_specimen_result *result)
     gsn_free(result->html);
     gsn_free(result->colour);
     gsn_free(result->pose);
+    gsn_free(result->candidates);
     gsn_free(result->stain);
     gsn_free(result);
 }

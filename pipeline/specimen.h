@@ -40,6 +40,14 @@ struct gsn_specimen_input {
     size_t size;
 };
 
+/* What a person decided about a panel or one of its slots; for the report. */
+struct gsn_specimen_decision {
+    unsigned panel, slot; /* both 1-based; slot 0: the panel as a whole */
+    const char *answer, *actor, *reason;
+    int64_t time;
+    int is_pose; /* whether it chose a pose */
+};
+
 /* Kinds of tissue that nobody treated, as pipeline/assembly.h names them. */
 enum { GSN_SPECIMEN_TISSUES = 3 };
 
@@ -66,6 +74,8 @@ struct gsn_specimen {
     struct gsn_specimen_baseline baseline;
     size_t input_count;
     const struct gsn_specimen_input *input;
+    size_t decision_count;
+    const struct gsn_specimen_decision *decision;
     const char *key; /* hash of inputs, parameters and version */
 
     /* Reads an object. gives: the bytes. */
@@ -84,6 +94,12 @@ struct gsn_specimen_options {
 struct gsn_specimen_pose {
     unsigned panel, slot, serial; /* panel 1-based, the others 0-based */
     struct gsn_pose pose;
+};
+
+/* The poses to choose from of one section. */
+struct gsn_specimen_candidates {
+    unsigned panel, slot; /* panel 1-based, slot 0-based */
+    struct gsn_candidates list;
 };
 
 /* What the stain of one panel was. */
@@ -110,6 +126,8 @@ struct gsn_specimen_result {
     char definition[96], dyes[48];
     size_t pose_count;
     struct gsn_specimen_pose *pose; /* owned */
+    size_t candidates_count;
+    struct gsn_specimen_candidates *candidates; /* owned */
     size_t stain_count;
     struct gsn_specimen_stain *stain; /* owned */
     size_t measure_count;

@@ -149,15 +149,17 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
                   struct gsn_error *err)
 {
     struct gsn_draft d;
-    int r =
-        gsn_draft_init(&d, e->assembly ? e->assembly->section_count : 0,
-                       e->assembly ? e->assembly->panel_count : 0, e->specimen->input_count, err);
+    int r = gsn_draft_init(&d, e->assembly ? e->assembly->section_count : 0,
+                           e->assembly ? e->assembly->panel_count : 0, e->specimen->input_count,
+                           e->specimen->decision_count, err);
 
     if (r < 0)
         return r;
     fill_head(e, &d);
-    if (e->assembly)
+    if (e->assembly) {
         gsn_draft_assembly(e, &d);
+        gsn_draft_choices(e, &d);
+    }
     if (e->account) {
         gsn_draft_figures(e, &d);
         gsn_draft_bridge(e, &d);

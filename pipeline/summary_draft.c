@@ -15,21 +15,26 @@ void gsn_draft_done(struct gsn_draft *d)
     gsn_free(d->exclusion);
     gsn_free(d->section);
     gsn_free(d->flag);
+    gsn_free(d->candidate);
+    gsn_free(d->decision);
     gsn_free(d->panel);
     gsn_free(d->input);
 }
 
 int gsn_draft_init(struct gsn_draft *d, size_t sections, size_t panels, size_t inputs,
-                   struct gsn_error *err)
+                   size_t decisions, struct gsn_error *err)
 {
     *d = (struct gsn_draft){ .loss_low = NAN, .loss_high = NAN };
-    d->warning = gsn_alloc_array(64 + 5 * panels, sizeof *d->warning);
+    d->warning = gsn_alloc_array(64 + 5 * panels + decisions, sizeof *d->warning);
     d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
     d->flag = gsn_alloc_array(sections + 1, sizeof *d->flag);
+    d->candidate = gsn_alloc_array(sections + 1, sizeof *d->candidate);
+    d->decision = gsn_alloc_array(decisions + 1, sizeof *d->decision);
     d->panel = gsn_alloc_array(panels + 1, sizeof *d->panel);
     d->input = gsn_alloc_array(inputs + 1, sizeof *d->input);
-    if (d->warning && d->exclusion && d->section && d->flag && d->panel && d->input)
+    if (d->warning && d->exclusion && d->section && d->flag && d->candidate && d->decision &&
+        d->panel && d->input)
         return GSN_OK;
     gsn_draft_done(d);
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for a report");

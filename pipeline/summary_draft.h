@@ -29,6 +29,8 @@ struct gsn_draft {
     size_t exclusion_count;
     struct gsn_report_section *section;
     const char *(*flag)[16];
+    struct gsn_report_candidate (*candidate)[GSN_CANDIDATES];
+    struct gsn_report_decision *decision;
     struct gsn_report_panel *panel;
     struct gsn_report_volume volume[GSN_ACCOUNT_THRESHOLDS];
     struct gsn_report_picture picture[GSN_ACCOUNT_PICTURES];
@@ -47,7 +49,7 @@ struct gsn_draft {
 
 /* Fails with GSN_E_NOMEM, and then nothing is to be freed. */
 int gsn_draft_init(struct gsn_draft *d, size_t sections, size_t panels, size_t inputs,
-                   struct gsn_error *err);
+                   size_t decisions, struct gsn_error *err);
 void gsn_draft_done(struct gsn_draft *d);
 
 /* A text that lives as long as the draft; "" when memory runs out, which is noted. */
@@ -62,6 +64,10 @@ void gsn_draft_text(struct gsn_report_value *rows, size_t *count, const char *na
 
 /* summary_sections.c: sections, panels, registration, and what was odd about them. */
 void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d);
+
+/* summary_choices.c: the poses a person may choose from, what people decided and what became of
+ * it. Comes after the sections. */
+void gsn_draft_choices(const struct gsn_evidence *e, struct gsn_draft *d);
 
 /* summary_figures.c: the region, its volumes and MicroUnits; what was bridged (after the figures);
  * a single tile. */

@@ -34,6 +34,16 @@ static const struct gsn_sql_field open_panel_fields[] = {
 static const struct gsn_sql_shape open_panel_shape =
     SQL_SHAPE(struct gsn_open_panel_row, open_panel_fields);
 
+#define FIELD(name)                                                                                \
+    {                                                                                              \
+        GSN_SQL_INT, offsetof(struct gsn_doubt_row, name)                                          \
+    }
+static const struct gsn_sql_field doubt_fields[] = { FIELD(specimen_id), FIELD(panel), FIELD(slot),
+                                                     FIELD(serial), FIELD(candidates) };
+#undef FIELD
+static const struct gsn_sql_shape doubt_shape = SQL_SHAPE(struct gsn_doubt_row, doubt_fields);
+
+SQL_DEFINE_ROWS(doubt);
 SQL_DEFINE_ROWS(overview);
 SQL_DEFINE_ROWS(open_panel);
 
@@ -90,5 +100,20 @@ int gsn_overview_panels(struct gsn_store *store, struct gsn_open_panel_rows **re
         "LEFT JOIN arrival a ON a.panel_id = p.id "
         "WHERE j.id IS NOT NULL OR p.state IN ('refused', 'held') "
         "ORDER BY p.specimen_id, p.number = 0, p.number, p.id",
+        SQL_NO_ARGS, ret_rows, err);
+}
+
+int gsn_overview_doubts(struct gsn_store *store, struct gsn_doubt_rows **ret_rows,
+                        struct gsn_error *err)
+{
+    return doubt_rows(
+        store,
+        "SELECT p.specimen_id, p.number, s.slot, s.serial, json_array_length(s.candidates) "
+        "FROM section s JOIN panel p ON p.id = s.panel_id LEFT JOIN decision d ON "
+        "d.specimen_id = p.specimen_id AND d.number = p.number AND d.slot = s.slot "
+        "WHERE s.candidates <> '' AND p.state = 'registered' AND (d.slot IS NULL OR "
+        "s.flags LIKE '%decision-void%' OR s.flags LIKE '%decided%') AND NOT EXISTS ("
+        "SELECT 1 FROM json_each(s.candidates) c WHERE json_extract(c.value, '$.chosen') = 1) "
+        "ORDER BY p.specimen_id, p.number, s.slot",
         SQL_NO_ARGS, ret_rows, err);
 }

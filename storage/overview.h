@@ -68,6 +68,26 @@ GSN_DEFINE_AUTO(gsn_open_panel_rows);
 int gsn_overview_panels(struct gsn_store *store, struct gsn_open_panel_rows **ret_rows,
                         struct gsn_error *err);
 
+/* A section whose pose a person is to choose: nobody did, or the choice could not be used. */
+struct gsn_doubt_row {
+    int64_t specimen_id;
+    int64_t panel, slot; /* the panel's number, the slot from 1 */
+    int64_t serial;      /* from 1; 0: unknown */
+    int64_t candidates;  /* poses to choose from */
+};
+
+struct gsn_doubt_rows {
+    size_t count;
+    struct gsn_doubt_row *at;
+};
+
+void gsn_doubt_rows_free(struct gsn_doubt_rows *rows);
+GSN_DEFINE_AUTO(gsn_doubt_rows);
+
+/* gives: those of all specimens, by specimen, panel, slot. */
+int gsn_overview_doubts(struct gsn_store *store, struct gsn_doubt_rows **ret_rows,
+                        struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

@@ -11,5 +11,6 @@ extern const char gsn_schema_003[];
 extern const char gsn_schema_004[];
 extern const char gsn_schema_005[];
 extern const char gsn_schema_006[];
+extern const char gsn_schema_007[];
 
 #endif

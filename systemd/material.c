@@ -9,6 +9,8 @@
 #include "storage/decision.h"
 #include "storage/panel_log.h"
 #include "storage/result.h"
+#include "systemd/answers.h"
+#include "systemd/candidates.h"
 #include "systemd/panel_job.h"
 
 #include <errno.h>
@@ -29,10 +31,13 @@ struct gsn_material {
     struct gsn_panel_rows *panels;
     struct gsn_section_rows *sections;
     struct gsn_decision_rows *decided;
+    struct gsn_candidate_rows *candidates;
     struct gsn_attachment_rows *attachments;
     struct gsn_specimen_panel *panel;
     struct gsn_panel_section *section; /* of all panels, panel by panel */
     struct gsn_specimen_input *input;
+    struct gsn_specimen_decision *decision;
+    char (*pose)[16]; /* "pose 2", for the decisions that choose one */
     struct gsn_mask *region;
     struct gsn_grid *volume;
     char *definition, *dyes; /* of the baseline */
@@ -91,6 +96,18 @@ static const char *message_of(const struct gsn_panel_row *row)
                : row->message;
 }
 
+/* A section that is doubtful by itself, or that a person decided on, keeps the candidates it was
+ * found with; those of one that contradicts the stack follow from the stack again. */
+static struct gsn_panel_section section_of(const struct gsn_material *m,
+                                           const struct gsn_section_row *row)
+{
+    struct gsn_panel_section section = gsn_panel_section_of_row(row);
+
+    if (section.sighting == GSN_SIGHT_NEEDS_EYE || strstr(section.flags, "decided"))
+        gsn_candidates_from_rows(m->candidates, row->panel_id, row->slot, &section.candidates);
+    return section;
+}
+
 static int take_panels(struct gsn_material *m, struct gsn_error *err)
 {
     size_t used = 0;
@@ -105,7 +122,7 @@ static int take_panels(struct gsn_material *m, struct gsn_error *err)
 
         for (size_t s = 0; s < m->sections->count; s++)
             if (m->sections->at[s].panel_id == row->id && strcmp(row->state, "registered") == 0)
-                m->section[used++] = gsn_panel_section_of_row(&m->sections->at[s]);
+                m->section[used++] = section_of(m, &m->sections->at[s]);
         m->panel[i] = (struct gsn_specimen_panel){ .number = (unsigned)row->number,
                                                    .file = row->file_name,
                                                    .sha256 = row->sha256,
@@ -381,6 +398,31 @@ static int list_inputs(struct gsn_material *m, struct gsn_error *err)
     return GSN_OK;
 }
 
+/* What people decided, for the report. */
+static int take_decisions(struct gsn_material *m, struct gsn_error *err)
+{
+    m->decision = gsn_alloc_array(m->decided->count, sizeof *m->decision);
+    m->pose = gsn_alloc_array(m->decided->count, sizeof *m->pose);
+    if (!m->decision || !m->pose)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for what was decided");
+    for (size_t i = 0; i < m->decided->count; i++) {
+        const struct gsn_decision_row *row = &m->decided->at[i];
+        const unsigned pose = gsn_answers_pose(row->answer);
+
+        (void)snprintf(m->pose[i], sizeof m->pose[i], "pose %u", pose);
+        m->decision[i] = (struct gsn_specimen_decision){ .panel = (unsigned)row->number,
+                                                         .slot = (unsigned)row->slot,
+                                                         .answer = pose ? m->pose[i] : row->answer,
+                                                         .actor = row->actor,
+                                                         .reason = row->reason,
+                                                         .time = row->time,
+                                                         .is_pose = pose > 0 };
+    }
+    m->specimen.decision = m->decision;
+    m->specimen.decision_count = m->decided->count;
+    return GSN_OK;
+}
+
 static int hash_text(json_t *root, char **ret_text, struct gsn_digest *ret_digest,
                      struct gsn_error *err)
 {
@@ -397,16 +439,28 @@ static int hash_text(json_t *root, char **ret_text, struct gsn_digest *ret_diges
     return r;
 }
 
-/* A report that rests on an answer is another report. */
+/* A text that may be any bytes, as something that JSON can hold. */
+static json_t *hashed(const char *text)
+{
+    struct gsn_digest digest = { "" };
+
+    return gsn_sha256(text, strlen(text), &digest, NULL) < 0 ? json_null()
+                                                             : json_string(digest.hex);
+}
+
+/* A report that rests on an answer is another report, and says who gave it, when and why. */
 static void add_decisions(const struct gsn_material *m, json_t *root)
 {
     json_t *answers = json_array();
 
     for (size_t i = 0; i < m->decided->count; i++)
-        (void)json_array_append_new(answers, json_pack("{s:I, s:I, s:s}", "panel",
+        (void)json_array_append_new(answers, json_pack("{s:I, s:I, s:s, s:o, s:o, s:I}", "panel",
                                                        (json_int_t)m->decided->at[i].number, "slot",
                                                        (json_int_t)m->decided->at[i].slot, "answer",
-                                                       m->decided->at[i].answer));
+                                                       m->decided->at[i].answer, "by",
+                                                       hashed(m->decided->at[i].actor), "reason",
+                                                       hashed(m->decided->at[i].reason), "time",
+                                                       (json_int_t)m->decided->at[i].time));
     if (json_array_size(answers) > 0)
         (void)json_object_set(root, "decisions", answers);
     json_decref(answers);
@@ -457,6 +511,8 @@ static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
     if (r >= 0)
         r = gsn_decision_list(m->store, id, &m->decided, err);
     if (r >= 0)
+        r = gsn_candidate_list(m->store, id, &m->candidates, err);
+    if (r >= 0)
         r = gsn_attachment_list(m->store, id, &m->attachments, err);
     m->specimen.protocol = m->protocol;
     return r;
@@ -478,6 +534,8 @@ static int take_rows(struct gsn_material *m, struct gsn_store *store, int64_t id
         r = take_baseline(m, err);
     if (r >= 0)
         r = list_inputs(m, err);
+    if (r >= 0)
+        r = take_decisions(m, err);
     return r >= 0 ? make_keys(m, err) : r;
 }
 
@@ -520,12 +578,15 @@ void gsn_material_free(struct gsn_material *m)
     gsn_panel_rows_free(m->panels);
     gsn_section_rows_free(m->sections);
     gsn_decision_rows_free(m->decided);
+    gsn_candidate_rows_free(m->candidates);
     gsn_attachment_rows_free(m->attachments);
     gsn_mask_free(m->region);
     gsn_grid_free(m->volume);
     gsn_free(m->panel);
     gsn_free(m->section);
     gsn_free(m->input);
+    gsn_free(m->decision);
+    gsn_free(m->pose);
     gsn_free(m->definition);
     gsn_free(m->dyes);
     gsn_free(m->inputs);

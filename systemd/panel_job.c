@@ -6,6 +6,7 @@
 #include "storage/catalog.h"
 #include "storage/result.h"
 #include "systemd/answers.h"
+#include "systemd/candidates.h"
 #include "systemd/rescan.h"
 
 #include <math.h>
@@ -123,6 +124,22 @@ static int ask_for_report(struct gsn_store *store, int64_t specimen, struct gsn_
     return r < 0 ? r : gsn_queue_add(store, specimen, 0, &job, err);
 }
 
+static int keep_candidates(struct gsn_store *store, int64_t panel_id,
+                           const struct gsn_panel_findings *findings, size_t count,
+                           struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_candidate_row) rows =
+        gsn_alloc_array(count * GSN_CANDIDATES, sizeof *rows);
+    size_t used = 0;
+
+    if (!rows)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the candidates of a panel");
+    for (size_t i = 0; i < count; i++)
+        used += gsn_candidates_to_rows(&findings->section[i].candidates,
+                                       findings->section[i].slot + 1, &rows[used]);
+    return gsn_candidate_replace(store, panel_id, rows, used, err);
+}
+
 /* The panel's rows and the end of the job, all or nothing. */
 static int keep(struct gsn_store *store, const struct gsn_job_row *job,
                 const struct gsn_panel_findings *findings, const char *state, const char *code,
@@ -144,6 +161,8 @@ static int keep(struct gsn_store *store, const struct gsn_job_row *job,
                                findings->px_um, err);
     if (r >= 0)
         r = gsn_section_replace(store, job->panel_id, rows, count, err);
+    if (r >= 0)
+        r = keep_candidates(store, job->panel_id, findings, count, err);
     if (r >= 0)
         r = gsn_panel_set_state(store, job->panel_id, state, code, message, err);
     if (r >= 0)
@@ -254,7 +273,7 @@ static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
     int r = gsn_object_read(store, panel->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_answers_read(decided, panel->number, &answer, &answers.count, err);
+        r = gsn_answers_read(decided, panel->number, panel->sha256, &answer, &answers.count, err);
     answers.at = answer;
 
     if (r >= 0)

@@ -7,6 +7,7 @@
 #include "storage/event.h"
 #include "storage/panel_log.h"
 #include "storage/result.h"
+#include "systemd/candidates.h"
 
 #include <jansson.h>
 #include <stdlib.h>
@@ -140,9 +141,33 @@ static int make_rows(const struct gsn_specimen_result *result, const struct gsn_
     return GSN_OK;
 }
 
+/* What there is to choose from, now that the stack is solved, in place of what each panel alone
+ * showed. */
+static int keep_candidates(struct gsn_store *store, const struct gsn_panel_rows *panels,
+                           const struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    const size_t most = result->candidates_count * GSN_CANDIDATES;
+    gsn_auto_mem(struct gsn_candidate_row) rows = gsn_alloc_array(most, sizeof *rows);
+    int r = rows ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the candidates");
+
+    for (size_t p = 0; r >= 0 && p < panels->count; p++) {
+        size_t used = 0;
+
+        if (strcmp(panels->at[p].state, "registered") != 0)
+            continue;
+        for (size_t i = 0; i < result->candidates_count; i++)
+            if (panels->at[p].id == panel_id_of(panels, result->candidates[i].panel))
+                used += gsn_candidates_to_rows(&result->candidates[i].list,
+                                               result->candidates[i].slot + 1, &rows[used]);
+        r = gsn_candidate_replace(store, panels->at[p].id, rows, used, err);
+    }
+    return r;
+}
+
 /* Run, rows, job and the requests that follow from them: all or nothing. */
 static int commit(struct gsn_store *store, const struct gsn_job_row *job, int64_t run,
                   const struct gsn_run_end *end, const struct gsn_material *material,
+                  const struct gsn_panel_rows *panels, const struct gsn_specimen_result *result,
                   struct gsn_error *err)
 {
     gsn_auto(gsn_specimen_rows) dependents = NULL;
@@ -151,6 +176,8 @@ static int commit(struct gsn_store *store, const struct gsn_job_row *job, int64_
     if (r < 0)
         return r;
     r = gsn_run_finish(store, run, end, time(NULL), err);
+    if (r >= 0 && result->pose_count > 0)
+        r = keep_candidates(store, panels, result, err);
     if (r >= 0)
         r = gsn_event_add(store, time(NULL), "gieson-work", "run", job->specimen,
                           gsn_material_key(material), err);
@@ -207,7 +234,7 @@ static int finish(struct gsn_store *store, const struct gsn_job_row *job, int64_
         end.measures = rows.measure;
         end.poses = rows.pose;
         end.stains = rows.stain;
-        r = commit(store, job, run, &end, material, err);
+        r = commit(store, job, run, &end, material, panels, result, err);
     }
     rows_done(&rows);
     place_done(&place);

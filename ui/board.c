@@ -301,6 +301,34 @@ static void add_panel(struct maker *maker, const struct gsn_open_panel_row *pane
     line->specimen = panel->specimen_id;
 }
 
+/* One line for all of a specimen's doubtful sections, from the first on; the command is about that.
+ */
+static void add_doubts(struct maker *maker, const struct gsn_doubt_row *first, size_t count,
+                       const struct gsn_snapshot_row *specimen)
+{
+    struct gsn_board_line *line = count > 0 ? add(maker, GSN_BOARD_DOUBT, "needs-eye") : NULL;
+    gsn_auto_mem(char) name = gsn_text_word(specimen->name);
+
+    if (!line)
+        return;
+    set(maker, &line->key, gsn_format("doubt %lld", (long long)specimen->id));
+    set(maker, &line->name,
+        count == 1 ? gsn_format("section %lld", (long long)first->serial - 1)
+                   : gsn_format("%zu sections", count));
+    set(maker, &line->detail,
+        gsn_format("%lld poses to choose from in panel %lld, slot %lld",
+                   (long long)first->candidates, (long long)first->panel, (long long)first->slot));
+    set(maker, &line->sentence,
+        gsn_format("`gieson show` lists the poses that %s may have, and the report shows them",
+                   count == 1 ? "it" : "they"));
+    set(maker, &line->action,
+        name ? gsn_format("gieson decide %s %lld.%lld pose N", name, (long long)first->panel,
+                          (long long)first->slot)
+             : NULL);
+    fact(maker, line, gsn_format("specimen  %s", specimen->name));
+    line->specimen = specimen->id;
+}
+
 static int rank(const struct gsn_snapshot_row *row)
 {
     static const char *const order[] = { "failed", "working", "waiting" };
@@ -340,6 +368,19 @@ static size_t first_panel(const struct gsn_open_panel_rows *panels, int64_t spec
     return low;
 }
 
+static void add_doubts_of(struct maker *maker, const struct gsn_doubt_rows *doubts,
+                          const struct gsn_snapshot_row *specimen)
+{
+    size_t first = 0, count = 0;
+
+    while (first < doubts->count && doubts->at[first].specimen_id < specimen->id)
+        first++;
+    while (first + count < doubts->count && doubts->at[first + count].specimen_id == specimen->id)
+        count++;
+    if (count > 0)
+        add_doubts(maker, &doubts->at[first], count, specimen);
+}
+
 static void add_specimens(struct maker *maker, const struct gsn_snapshot *snapshot)
 {
     const struct gsn_open_panel_rows *panels = snapshot->panels;
@@ -359,6 +400,7 @@ static void add_specimens(struct maker *maker, const struct gsn_snapshot *snapsh
         for (size_t p = first_panel(panels, order[i]->id);
              p < panels->count && panels->at[p].specimen_id == order[i]->id; p++)
             add_panel(maker, &panels->at[p], order[i]);
+        add_doubts_of(maker, snapshot->doubts, order[i]);
     }
 }
 
@@ -398,6 +440,11 @@ void gsn_board_free(struct gsn_board *board)
     }
     gsn_free(board->at);
     gsn_free(board);
+}
+
+int gsn_board_is_part(const struct gsn_board_line *line)
+{
+    return line->kind == GSN_BOARD_PANEL || line->kind == GSN_BOARD_DOUBT;
 }
 
 int gsn_board_is_item(const struct gsn_board_line *line)

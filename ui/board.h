@@ -15,6 +15,7 @@ enum gsn_board_kind {
     GSN_BOARD_SCAN,
     GSN_BOARD_SPECIMEN,
     GSN_BOARD_PANEL,
+    GSN_BOARD_DOUBT,   /* sections of the specimen above whose pose a person is to choose */
     GSN_BOARD_COMMAND, /* the command for the line above, in name */
 };
 
@@ -45,6 +46,8 @@ int gsn_board_make(const struct gsn_snapshot *snapshot, struct gsn_board **ret_b
 void gsn_board_free(struct gsn_board *board);
 GSN_DEFINE_AUTO(gsn_board);
 
+/* Whether it belongs to the specimen above it. */
+int gsn_board_is_part(const struct gsn_board_line *line);
 /* Headings and commands belong to others and cannot be chosen. */
 int gsn_board_is_item(const struct gsn_board_line *line);
 

@@ -5,6 +5,7 @@
 #include "ui/text.h"
 #include "ui/ui.h"
 
+#include "storage/candidate.h"
 #include "storage/catalog.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
@@ -21,7 +22,7 @@ enum { MOST_NUMBER = 100000, LEAST_DIGITS = 8 };
 struct question {
     const char *specimen, *place, *word, *object, *reason;
     int64_t number, slot; /* of the panel; from 1, 0: the panel as a whole */
-    int64_t to;           /* the number behind "slot" or "first" */
+    int64_t to;           /* the number behind "slot", "first" or "pose" */
 };
 
 struct known {
@@ -29,6 +30,7 @@ struct known {
     struct gsn_panel_rows *panels;
     struct gsn_section_rows *sections;
     struct gsn_decision_rows *decided;
+    struct gsn_candidate_rows *candidates;
     int64_t slots, expected; /* of a panel; panels that the job states, or 0 */
 };
 
@@ -38,6 +40,7 @@ static void known_done(struct known *known)
     gsn_panel_rows_free(known->panels);
     gsn_section_rows_free(known->sections);
     gsn_decision_rows_free(known->decided);
+    gsn_candidate_rows_free(known->candidates);
 }
 
 static void read_job(struct known *known)
@@ -64,6 +67,8 @@ static int load(struct gsn_store *store, const char *name, struct known *known,
     if (r >= 0)
         r = gsn_decision_list(store, known->specimen->id, &known->decided, err);
     if (r >= 0)
+        r = gsn_candidate_list(store, known->specimen->id, &known->candidates, err);
+    if (r >= 0)
         read_job(known);
     return r;
 }
@@ -72,7 +77,7 @@ static int load(struct gsn_store *store, const char *name, struct known *known,
 
 static int takes_number(const char *word)
 {
-    return strcmp(word, "slot") == 0 || strcmp(word, "first") == 0;
+    return strcmp(word, "slot") == 0 || strcmp(word, "first") == 0 || strcmp(word, "pose") == 0;
 }
 
 static int takes_object(const char *word)
@@ -83,7 +88,7 @@ static int takes_object(const char *word)
 static int is_of_slot(const char *word)
 {
     return strcmp(word, "cut") == 0 || strcmp(word, "hold") == 0 || strcmp(word, "slot") == 0 ||
-           strcmp(word, "dismiss") == 0;
+           strcmp(word, "pose") == 0 || strcmp(word, "dismiss") == 0;
 }
 
 static int is_answer(const char *word)
@@ -129,9 +134,10 @@ static int take_place(struct question *q)
 static int understand(int argc, char **argv, struct question *q)
 {
     if (take_words(argc, argv, q) < 0 || !is_answer(q->word))
-        return gsn_ui_usage("say `gieson decide SPECIMEN PANEL.SLOT cut|hold|dismiss|slot N` or "
-                            "`gieson decide SPECIMEN PANEL use FILE|first N|lost`, or undo; "
-                            "`gieson show SPECIMEN` says what is asked");
+        return gsn_ui_usage(
+            "say `gieson decide SPECIMEN PANEL.SLOT cut|hold|dismiss|slot N|pose N` or "
+            "`gieson decide SPECIMEN PANEL use FILE|first N|lost`, or undo; "
+            "`gieson show SPECIMEN` says what is asked");
     if (!take_place(q))
         return gsn_ui_usage("the place is a panel's number, with a slot's behind a dot, such as 3 "
                             "or 3.6, not \"%s\"",
@@ -141,7 +147,8 @@ static int understand(int argc, char **argv, struct question *q)
                             is_of_slot(q->word) ? "a slot, such as 3.6" : "a panel, such as 3",
                             q->place);
     if (takes_number(q->word) && !gsn_ui_whole(q->object, 1, MOST_NUMBER, &q->to))
-        return gsn_ui_usage("a slot is named by its number, not \"%s\"", q->object);
+        return gsn_ui_usage("a %s is named by its number, not \"%s\"",
+                            strcmp(q->word, "pose") == 0 ? "pose" : "slot", q->object);
     return EX_OK;
 }
 
@@ -196,16 +203,21 @@ static int check_target(const struct known *known, const struct question *q, str
                     (long long)q->to, (long long)q->number);
 }
 
+static int no_slot(const struct question *q, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_NOTFOUND,
+                    "panel %lld of %.200s has no slot %lld that was looked at: `gieson show` lists "
+                    "what is there",
+                    (long long)q->number, q->specimen, (long long)q->slot);
+}
+
 static int check_slot(const struct known *known, const struct question *q, struct gsn_error *err)
 {
     const struct gsn_section_row *row = slot_of(known, q->number, q->slot);
     const int cuts = strcmp(q->word, "cut") == 0 || strcmp(q->word, "hold") == 0;
 
     if (!row)
-        return gsn_fail(err, GSN_E_NOTFOUND,
-                        "panel %lld of %.200s has no slot %lld that was looked at: `gieson show` "
-                        "lists what is there",
-                        (long long)q->number, q->specimen, (long long)q->slot);
+        return no_slot(q, err);
     if (cuts && !has_word(row->flags, "touching") && !has_word(row->flags, "parted"))
         return gsn_fail(err, GSN_E_INPUT, "the section in slot %lld of panel %lld touches no other",
                         (long long)q->slot, (long long)q->number);
@@ -221,6 +233,56 @@ static int check_slot(const struct known *known, const struct question *q, struc
                         "not in doubt",
                         (long long)q->slot, (long long)q->number);
     return check_target(known, q, err);
+}
+
+/* The candidate that is meant, by its number among those of the section. */
+static int find_pose(const struct known *known, const struct question *q,
+                     const struct gsn_candidate_row **ret_pose, struct gsn_error *err)
+{
+    const struct gsn_section_row *section = slot_of(known, q->number, q->slot);
+    size_t count = 0;
+
+    for (size_t i = 0; section && i < known->candidates->count; i++) {
+        const struct gsn_candidate_row *c = &known->candidates->at[i];
+
+        if (c->panel_id != section->panel_id || c->slot != section->slot)
+            continue;
+        if (c->number == q->to) {
+            *ret_pose = c;
+            return GSN_OK;
+        }
+        count++;
+    }
+    if (!section)
+        return no_slot(q, err);
+    if (count == 0)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the section in slot %lld of panel %lld has no poses to choose from",
+                        (long long)q->slot, (long long)q->number);
+    return gsn_fail(err, GSN_E_INPUT,
+                    "the section in slot %lld of panel %lld has %zu poses to choose from, so none "
+                    "is %lld",
+                    (long long)q->slot, (long long)q->number, count, (long long)q->to);
+}
+
+/* gives: where its marks are, so that the choice holds as long as they are there. */
+static char *pose_answer(const struct known *known, const struct question *q,
+                         const struct gsn_candidate_row *pose)
+{
+    const char *sha256 = "";
+    char mark[GSN_ROW_MARKS][40];
+
+    for (size_t i = 0; i < known->panels->count; i++)
+        if (known->panels->at[i].id == pose->panel_id)
+            sha256 = known->panels->at[i].sha256;
+    for (size_t m = 0; m < GSN_ROW_MARKS; m++)
+        if (pose->marker[m].found)
+            (void)snprintf(mark[m], sizeof mark[m], "%.1f,%.1f", pose->marker[m].x_px,
+                           pose->marker[m].y_px);
+        else
+            (void)snprintf(mark[m], sizeof mark[m], "-");
+    return gsn_format("pose %lld of %s %s %s %s %s", (long long)q->to, sha256,
+                      pose->mirrored ? "down" : "up", mark[0], mark[1], mark[2]);
 }
 
 /* The hash of the file that is meant, by its name or by the first digits of the hash itself. */
@@ -280,12 +342,15 @@ static int check_panel(const struct known *known, const struct question *q, stru
 }
 
 /* gives: the answer as it is kept. */
-static char *canonical(const struct question *q, const char *sha256)
+static char *canonical(const struct known *known, const struct question *q, const char *sha256,
+                       const struct gsn_candidate_row *pose)
 {
     if (strcmp(q->word, "undo") == 0)
         return gsn_strdup("");
     if (strcmp(q->word, "use") == 0)
         return gsn_format("use %s", sha256);
+    if (pose)
+        return pose_answer(known, q, pose);
     return takes_number(q->word) ? gsn_format("%s %lld", q->word, (long long)q->to)
                                  : gsn_strdup(q->word);
 }
@@ -312,12 +377,15 @@ static int decide(struct gsn_store *store, const struct question *q, int *ret_ag
                                     .reason = q->reason,
                                     .time = time(NULL) };
     const struct gsn_section_row *section;
+    const struct gsn_candidate_row *pose = NULL;
     const char *sha256 = "";
     int r = load(store, q->specimen, &known, err);
 
     if (r >= 0 && strcmp(q->word, "use") == 0)
         r = find_file(&known, q, &sha256, err);
-    if (r >= 0 && !(answer = canonical(q, sha256)))
+    if (r >= 0 && strcmp(q->word, "pose") == 0)
+        r = find_pose(&known, q, &pose, err);
+    if (r >= 0 && !(answer = canonical(&known, q, sha256, pose)))
         r = gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (r >= 0 && !was_said(&known, q, answer))
         r = q->slot ? check_slot(&known, q, err) : check_panel(&known, q, err);

@@ -3,6 +3,7 @@
 #include "ui/text.h"
 #include "ui/ui.h"
 
+#include "storage/candidate.h"
 #include "storage/catalog.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
@@ -25,6 +26,7 @@ struct view {
     struct gsn_bench_sources *sources;
     struct gsn_trouble_rows *troubles;
     struct gsn_decision_rows *decided;
+    struct gsn_candidate_rows *candidates;
     int64_t expected; /* panels that the job states, or 0 */
 };
 
@@ -39,6 +41,7 @@ static void view_done(struct view *view)
     gsn_bench_sources_free(view->sources);
     gsn_trouble_rows_free(view->troubles);
     gsn_decision_rows_free(view->decided);
+    gsn_candidate_rows_free(view->candidates);
 }
 
 static int64_t expected_panels(const struct gsn_specimen_row *specimen)
@@ -68,6 +71,8 @@ static int load(struct gsn_store *store, const char *name, struct view *view, st
         r = gsn_bench_list(store, &view->sources, err);
     if (r >= 0)
         r = gsn_decision_list(store, view->specimen->id, &view->decided, err);
+    if (r >= 0)
+        r = gsn_candidate_list(store, view->specimen->id, &view->candidates, err);
     if (r >= 0)
         view->expected = expected_panels(view->specimen);
     return r >= 0 ? gsn_trouble_list(store, &view->troubles, err) : r;
@@ -216,11 +221,41 @@ static int64_t panel_number(const struct view *view, int64_t id)
     return 0;
 }
 
-/* gives: the command that answers what a held section waits for, or NULL. */
+/* The first of a section's candidates, which follow each other, and their number. */
+static size_t candidates_of(const struct view *view, const struct gsn_section_row *s,
+                            const struct gsn_candidate_row **ret_first)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < view->candidates->count; i++) {
+        const struct gsn_candidate_row *c = &view->candidates->at[i];
+
+        if (c->panel_id == s->panel_id && c->slot == s->slot && count++ == 0)
+            *ret_first = c;
+    }
+    return count;
+}
+
+/* Whether a person is still to choose its pose: nobody did, or the choice could not be used. */
+static int asks_pose(const struct view *view, const struct gsn_section_row *s)
+{
+    const struct gsn_candidate_row *c = NULL;
+    const size_t count = candidates_of(view, s, &c);
+
+    for (size_t i = 0; i < count; i++)
+        if (c[i].chosen)
+            return 0;
+    return count > 0 && (!decision_on(view, panel_number(view, s->panel_id), s->slot) ||
+                         has_flag(s, "decision-void") || has_flag(s, "decided"));
+}
+
+/* gives: the command that answers what a section waits for, or NULL. */
 static char *section_action(const struct view *view, const struct gsn_section_row *s)
 {
     const int64_t number = panel_number(view, s->panel_id);
 
+    if (asks_pose(view, s))
+        return decide_command(view, number, s->slot, "pose N");
     if (strcmp(s->state, "held") != 0 || decision_on(view, number, s->slot))
         return NULL;
     if (has_flag(s, "touching"))
@@ -238,6 +273,64 @@ static const char *otherwise(const struct gsn_section_row *s)
     return has_flag(s, "scrap") ? ", or dismiss" : "";
 }
 
+/* gives: a dash for what is not known. */
+static char *share_text(double share)
+{
+    if (isnan(share))
+        return gsn_strdup("-");
+    return share < 0.001 ? gsn_strdup("< 0.1 %") : gsn_format("%.1f %%", 100 * share);
+}
+
+static char *error_text(double error_um)
+{
+    return isnan(error_um) ? gsn_strdup("-") : gsn_format("%.1f um", error_um);
+}
+
+static void print_candidate(const struct gsn_candidate_row *c)
+{
+    gsn_auto_mem(char) likely = share_text(c->share);
+    gsn_auto_mem(char) error = error_text(c->error_um);
+
+    gsn_text_line(stdout, "    %c %2lld  %8s  %9s  %-4s  %-6s  %s", c->chosen ? '*' : ' ',
+                  (long long)c->number, likely ? likely : "", error ? error : "",
+                  c->flipped ? "down" : "up", c->rotated180 ? "yes" : "no", c->differs);
+}
+
+static void print_choice(const struct view *view, const struct gsn_section_row *s, int is_used)
+{
+    const struct gsn_decision_row *d = decision_on(view, panel_number(view, s->panel_id), s->slot);
+
+    if (!d || strncmp(d->answer, "pose ", 5) != 0)
+        return;
+    if (has_flag(s, "decision-void"))
+        gsn_text_line(stdout, "    what %s chose is not found there any more and is not used",
+                      d->actor);
+    else if (is_used)
+        gsn_text_line(stdout, "    chosen by %s%s%s", d->actor, d->reason[0] ? ": " : "",
+                      d->reason);
+    else if (has_flag(s, "decided"))
+        gsn_text_line(stdout, "    what %s chose does not fit the stack and is not used", d->actor);
+    else
+        gsn_text_line(stdout, "    %.*s, as %s said; `gieson run` works it",
+                      (int)strcspn(d->answer + 5, " ") + 5, d->answer, d->actor);
+}
+
+/* The poses that the section may have, and what was chosen of them. */
+static void print_candidates(const struct view *view, const struct gsn_section_row *s)
+{
+    const struct gsn_candidate_row *c = NULL;
+    const size_t count = candidates_of(view, s, &c);
+    int is_used = 0;
+
+    if (count > 0)
+        gsn_text_line(stdout, "    pose    likely      error  side  turned");
+    for (size_t i = 0; i < count; i++) {
+        print_candidate(&c[i]);
+        is_used |= c[i].chosen != 0;
+    }
+    print_choice(view, s, is_used);
+}
+
 /* Serial number 0: a piece that lies in no slot. */
 static void print_section(const struct view *view, const struct gsn_section_row *s)
 {
@@ -249,21 +342,24 @@ static void print_section(const struct view *view, const struct gsn_section_row 
     else
         gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
                       (long long)s->slot - 1, s->state, s->flags);
+    print_candidates(view, s);
     if (action)
         gsn_text_line(stdout, "    next: %s%s", action, otherwise(s));
 }
 
-/* Only what a person should look at; found and empty slots are counted. */
+/* Only what a person should look at, or did; found and empty slots are counted. */
 static void print_sections(const struct view *view)
 {
     size_t found = 0, empty = 0;
 
     for (size_t i = 0; i < view->sections->count; i++) {
         const struct gsn_section_row *s = &view->sections->at[i];
+        const struct gsn_candidate_row *first;
 
         found += strcmp(s->state, "found") == 0;
         empty += strcmp(s->state, "empty") == 0;
-        if (strcmp(s->state, "found") != 0 && strcmp(s->state, "empty") != 0)
+        if ((strcmp(s->state, "found") != 0 && strcmp(s->state, "empty") != 0) ||
+            candidates_of(view, s, &first) > 0 || has_flag(s, "decision-void"))
             print_section(view, s);
     }
     if (view->sections->count > 0)
@@ -335,6 +431,22 @@ static json_t *delivered_json(const struct view *view)
     return array;
 }
 
+static json_t *candidates_json(const struct view *view, const struct gsn_section_row *s)
+{
+    const struct gsn_candidate_row *c = NULL;
+    const size_t count = candidates_of(view, s, &c);
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < count; i++)
+        (void)json_array_append_new(
+            array,
+            json_pack("{s:I, s:b, s:o, s:o, s:b, s:b, s:o}", "number", (json_int_t)c[i].number,
+                      "chosen", (int)c[i].chosen, "share", gsn_ui_number(c[i].share), "error_um",
+                      gsn_ui_number(c[i].error_um), "flipped", (int)c[i].flipped, "rotated180",
+                      (int)c[i].rotated180, "differs", gsn_text_json(c[i].differs)));
+    return array;
+}
+
 static json_t *sections_json(const struct view *view)
 {
     json_t *array = json_array();
@@ -344,10 +456,11 @@ static json_t *sections_json(const struct view *view)
         gsn_auto_mem(char) action = section_action(view, s);
 
         (void)json_array_append_new(
-            array, json_pack("{s:o, s:I, s:s, s:s, s:o}", "serial",
-                             s->serial ? json_integer((json_int_t)s->serial - 1) : json_null(),
-                             "slot", (json_int_t)s->slot - 1, "state", s->state, "flags", s->flags,
-                             "action", gsn_text_json(action ? action : "")));
+            array,
+            json_pack("{s:o, s:I, s:s, s:s, s:o, s:o}", "serial",
+                      s->serial ? json_integer((json_int_t)s->serial - 1) : json_null(), "slot",
+                      (json_int_t)s->slot - 1, "state", s->state, "flags", s->flags, "candidates",
+                      candidates_json(view, s), "action", gsn_text_json(action ? action : "")));
     }
     return array;
 }

@@ -153,7 +153,7 @@ static void watch_screen(struct watch *watch, struct gsn_queue_view *view,
 
 static void print_line(const struct gsn_board_line *line, int name_width, int64_t now)
 {
-    const int indent = line->kind == GSN_BOARD_PANEL ? 2 : 0;
+    const int indent = gsn_board_is_part(line) ? 2 : 0;
     gsn_auto_mem(char) age = gsn_look_age(now, line->since);
     gsn_auto_mem(char) name = gsn_text_cell(line->name, name_width - indent);
     const char *detail = line->sentence ? line->sentence : line->detail;
@@ -190,7 +190,7 @@ static int print_table(struct gsn_store *store)
     (void)putchar('\n');
     for (size_t i = 0; i < board->count; i++) {
         const int columns =
-            gsn_text_columns(board->at[i].name) + (board->at[i].kind == GSN_BOARD_PANEL ? 2 : 0);
+            gsn_text_columns(board->at[i].name) + (gsn_board_is_part(&board->at[i]) ? 2 : 0);
 
         if (gsn_board_is_item(&board->at[i]) && columns > width)
             width = columns;

@@ -5,13 +5,14 @@
 #include <string.h>
 
 static const struct gsn_look looks[] = {
-    { "waiting", ".", GSN_HUE_PLAIN }, { "working", ">", GSN_HUE_BUSY },
-    { "reported", "+", GSN_HUE_GOOD }, { "withheld", "!", GSN_HUE_CARE },
-    { "failed", "x", GSN_HUE_BAD },    { "refused", "x", GSN_HUE_BAD },
-    { "held", "!", GSN_HUE_CARE },     { "unfiled", "?", GSN_HUE_CARE },
-    { "trouble", "!", GSN_HUE_CARE },  { "away", "-", GSN_HUE_CARE },
-    { "ready", "+", GSN_HUE_GOOD },    { "receiving", ">", GSN_HUE_BUSY },
-    { "paused", "=", GSN_HUE_CARE },   { "off", "-", GSN_HUE_PLAIN },
+    { "waiting", ".", GSN_HUE_PLAIN },  { "working", ">", GSN_HUE_BUSY },
+    { "reported", "+", GSN_HUE_GOOD },  { "withheld", "!", GSN_HUE_CARE },
+    { "failed", "x", GSN_HUE_BAD },     { "refused", "x", GSN_HUE_BAD },
+    { "held", "!", GSN_HUE_CARE },      { "unfiled", "?", GSN_HUE_CARE },
+    { "trouble", "!", GSN_HUE_CARE },   { "away", "-", GSN_HUE_CARE },
+    { "ready", "+", GSN_HUE_GOOD },     { "receiving", ">", GSN_HUE_BUSY },
+    { "paused", "=", GSN_HUE_CARE },    { "off", "-", GSN_HUE_PLAIN },
+    { "needs-eye", "?", GSN_HUE_CARE },
 };
 
 const struct gsn_look *gsn_look_of(const char *state)

@@ -192,7 +192,7 @@ static struct columns columns_of(const struct gsn_queue_view *view, int width)
 
     for (size_t i = 0; i < view->board->count; i++) {
         const struct gsn_board_line *line = &view->board->at[i];
-        const int indent = line->kind == GSN_BOARD_PANEL ? PANEL_INDENT : 0;
+        const int indent = gsn_board_is_part(line) ? PANEL_INDENT : 0;
         const int wanted = gsn_board_is_item(line) ? indent + gsn_text_columns(line->name) : 0;
 
         c.name = wanted > c.name ? wanted : c.name;
@@ -227,7 +227,7 @@ static void put_item(const struct gsn_queue_view *view, struct gsn_screen *scree
 {
     const struct gsn_look *look = gsn_look_of(line->state);
     const int is_chosen = line == chosen(view);
-    const int indent = line->kind == GSN_BOARD_PANEL ? PANEL_INDENT : 0;
+    const int indent = gsn_board_is_part(line) ? PANEL_INDENT : 0;
     const struct gsn_ink ink = { .hue = look->hue, .chosen = is_chosen };
     const struct gsn_ink calm = { .stress = GSN_STRESS_LOW, .chosen = is_chosen };
     const struct gsn_ink name = { .stress = indent ? GSN_STRESS_NONE : GSN_STRESS_HIGH,

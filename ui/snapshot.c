@@ -177,6 +177,8 @@ static int take_bench(struct gsn_store *store, struct gsn_snapshot *snapshot, st
     if (r >= 0)
         r = gsn_overview_panels(store, &snapshot->panels, err);
     if (r >= 0)
+        r = gsn_overview_doubts(store, &snapshot->doubts, err);
+    if (r >= 0)
         r = gsn_queue_counts(store, &snapshot->jobs, err);
     return r >= 0 ? gsn_snapshot_services(dir, &snapshot->intake, &snapshot->queue, err) : r;
 }
@@ -225,6 +227,7 @@ void gsn_snapshot_free(struct gsn_snapshot *snapshot)
     }
     gsn_free(snapshot->at);
     gsn_open_panel_rows_free(snapshot->panels);
+    gsn_doubt_rows_free(snapshot->doubts);
     gsn_bench_sources_free(snapshot->sources);
     gsn_trouble_rows_free(snapshot->troubles);
     gsn_scan_rows_free(snapshot->unfiled);

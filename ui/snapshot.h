@@ -33,6 +33,7 @@ struct gsn_snapshot {
     struct gsn_snapshot_row *at; /* in order of id */
     struct gsn_job_counts jobs;
     struct gsn_open_panel_rows *panels; /* what is not settled, by specimen */
+    struct gsn_doubt_rows *doubts;      /* sections that need an eye, by specimen */
     struct gsn_bench_sources *sources;
     struct gsn_trouble_rows *troubles;
     struct gsn_scan_rows *unfiled;

@@ -6,6 +6,7 @@
 
 #include <assert.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 /* What the stack has taught of that is believed for nine sections in ten, and never to less than
@@ -421,33 +422,44 @@ static int trustworthy(const struct choice *choice, double runner_up)
     return choice->trusted && runner_up <= RUNNER_UP_MOST * choice->likelihood;
 }
 
+/* Collects the choices of a section in `choices`, which is empty, and decides. */
+static struct choice gather(const struct gsn_mark_candidates *section,
+                            const struct gsn_triangle_prior *prior, struct choices *choices,
+                            double *ret_runner_up)
+{
+    int fine[GSN_MARK_CANDIDATES];
+    struct choice choice;
+
+    for (size_t i = 0; i < section->count; i++)
+        fine[i] = gsn_mark_acceptable(section, i, prior);
+    consider_triples(section, prior, fine, choices);
+    if (prior->tissue.cell > 0 && section->map.cell > 0)
+        ask_picture(section, prior, choices);
+    choice = decide(choices, 1, ret_runner_up);
+    /* Two rival triples are a riddle for a person; a pair out of them would be a guess. */
+    if (!choice.trusted && prior->learnt) {
+        consider_pairs(section, prior, fine, choices);
+        if (prior->tissue.cell > 0 && section->map.cell > 0)
+            ask_picture(section, prior, choices);
+        else
+            ask_centre(section, prior, choices);
+        choice = decide(choices, 0, ret_runner_up);
+    }
+    return choice;
+}
+
 void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior,
                         struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
                         double *ret_runner_up)
 {
     struct choices choices = { 0 };
-    int fine[GSN_MARK_CANDIDATES];
     struct choice choice;
     double runner_up;
 
     assert(section && prior && ret_marks);
 
-    for (size_t i = 0; i < section->count; i++)
-        fine[i] = gsn_mark_acceptable(section, i, prior);
-    consider_triples(section, prior, fine, &choices);
-    if (prior->tissue.cell > 0 && section->map.cell > 0)
-        ask_picture(section, prior, &choices);
-    choice = decide(&choices, 1, &runner_up);
-    /* Two rival triples are a riddle for a person; a pair out of them would be a guess. */
-    if (!choice.trusted && prior->learnt) {
-        consider_pairs(section, prior, fine, &choices);
-        if (prior->tissue.cell > 0 && section->map.cell > 0)
-            ask_picture(section, prior, &choices);
-        else
-            ask_centre(section, prior, &choices);
-        choice = decide(&choices, 0, &runner_up);
-    }
+    choice = gather(section, prior, &choices, &runner_up);
     for (int i = 0; i < GSN_MARKS; i++) {
         const int found = trustworthy(&choice, runner_up) && choice.candidate[i] >= 0;
 
@@ -459,6 +471,66 @@ void gsn_markers_choose(const struct gsn_mark_candidates *section,
         *ret_score = choice.likelihood;
     if (ret_runner_up)
         *ret_runner_up = runner_up;
+}
+
+/* The likelier first; of equals the one with the stronger spots, then the one that lies up. */
+static int by_likelihood(const void *left, const void *right)
+{
+    const struct choice *a = left, *b = right;
+
+    if (a->likelihood != b->likelihood)
+        return a->likelihood > b->likelihood ? -1 : 1;
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (a->candidate[i] != b->candidate[i])
+            return a->candidate[i] < b->candidate[i] ? -1 : 1;
+    return a->mirrored - b->mirrored;
+}
+
+static int is_triple(const struct choice *choice)
+{
+    return choice->candidate[0] >= 0 && choice->candidate[1] >= 0 && choice->candidate[2] >= 0;
+}
+
+/* Whether an earlier choice calls the same three spots marks, the other way up. */
+static int is_told(const struct choices *choices, size_t i)
+{
+    const struct choice *choice = &choices->item[i];
+
+    for (size_t k = 0; k < i && is_triple(choice); k++)
+        if (choices->item[k].mirrored != choice->mirrored && same_spots(&choices->item[k], choice))
+            return 1;
+    return 0;
+}
+
+size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
+                          const struct gsn_triangle_prior *prior,
+                          struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS])
+{
+    struct choices choices = { 0 };
+    double runner_up, sum = 0;
+    size_t count = 0;
+
+    assert(section && prior && ret_rivals);
+
+    (void)gather(section, prior, &choices, &runner_up);
+    qsort(choices.item, choices.count, sizeof choices.item[0], by_likelihood);
+    for (size_t i = 0; i < choices.count && count < GSN_MARK_RIVALS; i++) {
+        const struct choice *choice = &choices.item[i];
+        struct gsn_mark_rival *rival = &ret_rivals[count];
+
+        if (!(choice->likelihood > 0) || is_told(&choices, i))
+            continue;
+        *rival =
+            (struct gsn_mark_rival){ .mirrored = choice->mirrored, .share = choice->likelihood };
+        for (int m = 0; m < GSN_MARKS; m++)
+            if (choice->candidate[m] >= 0)
+                rival->mark[m] = section->mark[choice->candidate[m]];
+        sum += rival->share;
+        count++;
+    }
+    for (size_t i = 0; i < count; i++)
+        ret_rivals[i].share /= sum;
+    return count;
 }
 
 int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,

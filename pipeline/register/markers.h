@@ -23,7 +23,7 @@
 extern "C" {
 #endif
 
-enum { GSN_MARKS = 3, GSN_MARK_CANDIDATES = 24, GSN_MARK_MAP = 40 };
+enum { GSN_MARKS = 3, GSN_MARK_CANDIDATES = 24, GSN_MARK_MAP = 40, GSN_MARK_RIVALS = 4 };
 
 struct gsn_mark {
     struct gsn_point px;
@@ -102,6 +102,20 @@ void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior,
                         struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
                         double *ret_runner_up);
+
+/* One way to call spots of a section its marks. */
+struct gsn_mark_rival {
+    struct gsn_mark mark[GSN_MARKS]; /* numbered as in the prior */
+    int mirrored;
+    double share; /* of the likelihood of all that are listed; they sum to 1 */
+};
+
+/* What gsn_markers_choose() chose from, for a person to choose: the likeliest, the best first. Of
+ * three spots that are as well turned over, only the likelier is listed, since three marks tell
+ * that by themselves or never. Returns how many there are. */
+size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
+                          const struct gsn_triangle_prior *prior,
+                          struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS]);
 
 /* Candidates and choice for one section. Fails as gsn_markers_candidates(). */
 int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,

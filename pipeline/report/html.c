@@ -124,6 +124,8 @@ static void add_contents(struct gsn_text *text, const struct gsn_report *report)
     add_link(text, "tile", "Collagen map", report->tile != NULL);
     add_link(text, "charts", "Charts", has_charts(report));
     add_link(text, "sheet", "Contact sheet", report->section_count > 0);
+    add_link(text, "choices", "Poses to choose from", gsn_html_has_choices(report));
+    add_link(text, "decisions", "Decided by people", report->decision_count > 0);
     add_link(text, "measures", "Measures", 1);
     add_link(text, "exclusions", "Left out", report->exclusion_count > 0);
     add_link(text, "provenance", "Provenance", 1);
@@ -400,6 +402,8 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     gsn_html_tile(&text, report);
     add_charts(&text, report);
     gsn_html_sheet(&text, report);
+    gsn_html_choices(&text, report);
+    gsn_html_decisions(&text, report);
     gsn_html_measures(&text, report);
     gsn_html_exclusions(&text, report);
     gsn_html_provenance(&text, report);

@@ -120,14 +120,14 @@ static json_t *volumes_of(const struct gsn_report *report, struct writer *writer
     return array;
 }
 
-static json_t *markers_of(const struct gsn_report_section *section, struct writer *writer)
+static json_t *markers_of(const struct gsn_point px[3], const int found[3], struct writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < 3; i++) {
-        const double pair[2] = { section->marker_px[i].x, section->marker_px[i].y };
+        const double pair[2] = { px[i].x, px[i].y };
 
-        append(writer, array, section->marker_found[i] ? numbers_of(pair, 2, writer) : json_null());
+        append(writer, array, found[i] ? numbers_of(pair, 2, writer) : json_null());
     }
     return array;
 }
@@ -175,6 +175,29 @@ static json_t *masked_of(const struct gsn_report_section *section, struct writer
     return array;
 }
 
+static json_t *candidates_of(const struct gsn_report_section *section, struct writer *writer)
+{
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < section->candidate_count; i++) {
+        const struct gsn_report_candidate *c = &section->candidates[i];
+        json_t *object = json_object();
+
+        put(writer, object, "number", count_of(i + 1));
+        put(writer, object, "chosen", json_boolean(section->chosen == i + 1));
+        put(writer, object, "differs", text_of(c->differs));
+        put(writer, object, "markers_px", markers_of(c->marker_px, c->marker_found, writer));
+        put(writer, object, "flipped", json_boolean(c->flipped));
+        put(writer, object, "rotated180", json_boolean(c->rotated180));
+        put(writer, object, "share", number_of(c->share));
+        put(writer, object, "panel_to_block_um",
+            c->laid ? pose_of(&c->panel_to_block_um, writer) : json_null());
+        put(writer, object, "predicted_tre_um", number_of(c->predicted_tre_um));
+        append(writer, array, object);
+    }
+    return array;
+}
+
 static json_t *section_of(const struct gsn_report_section *section, struct writer *writer)
 {
     json_t *object = json_object();
@@ -189,7 +212,8 @@ static json_t *section_of(const struct gsn_report_section *section, struct write
     put(writer, object, "flipped", json_boolean(section->flipped));
     put(writer, object, "rotated180", json_boolean(section->rotated180));
     put(writer, object, "flags", texts_of(section->flags, section->flag_count, writer));
-    put(writer, object, "markers_px", markers_of(section, writer));
+    put(writer, object, "markers_px",
+        markers_of(section->marker_px, section->marker_found, writer));
     put(writer, object, "marker_residuals_um", residuals_of(section, writer));
     put(writer, object, "panel_to_block_um",
         section->posed ? pose_of(&section->panel_to_block_um, writer) : json_null());
@@ -200,6 +224,7 @@ static json_t *section_of(const struct gsn_report_section *section, struct write
     put(writer, object, "masked_mm2", number_of(section->masked_mm2));
     put(writer, object, "region_masked", number_of(section->region_masked));
     put(writer, object, "masked", masked_of(section, writer));
+    put(writer, object, "candidates", candidates_of(section, writer));
     return object;
 }
 
@@ -229,6 +254,26 @@ static json_t *panels_of(const struct gsn_report *report, struct writer *writer)
         put(writer, object, "columns", count_of(panel->columns));
         put(writer, object, "white", numbers_of(panel->white, 3, writer));
         put(writer, object, "glass_fraction", number_of(panel->glass));
+        append(writer, array, object);
+    }
+    return array;
+}
+
+static json_t *decisions_of(const struct gsn_report *report, struct writer *writer)
+{
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < report->decision_count; i++) {
+        const struct gsn_report_decision *decision = &report->decisions[i];
+        json_t *object = json_object();
+
+        put(writer, object, "panel", count_of(decision->panel));
+        put(writer, object, "slot", decision->slot ? count_of(decision->slot - 1) : json_null());
+        put(writer, object, "answer", text_of(decision->answer));
+        put(writer, object, "by", text_of(decision->actor));
+        put(writer, object, "time", text_of(decision->time));
+        put(writer, object, "reason", text_or_null(decision->reason));
+        put(writer, object, "effect", text_or_null(decision->effect));
         append(writer, array, object);
     }
     return array;
@@ -425,6 +470,7 @@ static json_t *build(const struct gsn_report *report, struct writer *writer, str
     put(writer, root, "volumes", volumes_of(report, writer));
     put(writer, root, "sections", sections_of(report, writer));
     put(writer, root, "panels", panels_of(report, writer));
+    put(writer, root, "decisions", decisions_of(report, writer));
     put(writer, root, "registration", registration_of(report->registration, writer));
     put(writer, root, "fit", fit_of(report->fit, writer));
     put(writer, root, "units", units_of(report->units, writer));

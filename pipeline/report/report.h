@@ -59,6 +59,19 @@ struct gsn_report_masked {
 
 enum { GSN_REPORT_REASONS = 16 };
 
+/* One pose that a section may have. */
+struct gsn_report_candidate {
+    struct gsn_point marker_px[3];
+    int marker_found[3];
+    int flipped, rotated180;
+    double share; /* how likely, of those listed, 0..1 */
+    int laid;     /* whether panel_to_block_um is known */
+    struct gsn_affine panel_to_block_um;
+    double predicted_tre_um;
+    const char *differs; /* one short text */
+    struct gsn_report_png picture;
+};
+
 struct gsn_report_section {
     unsigned serial;      /* 0-based, over the whole specimen */
     double z_um;          /* interval * (serial + 0.5) */
@@ -83,6 +96,19 @@ struct gsn_report_section {
     double region_masked;           /* share of the section's part of the region, 0..1 */
     struct gsn_report_masked masked[GSN_REPORT_REASONS];
     size_t masked_count;
+    const struct gsn_report_candidate *candidates; /* candidate_count poses to choose from */
+    size_t candidate_count;
+    unsigned chosen;        /* the number from 1 that a person chose; 0: none */
+    unsigned compared_with; /* the section outlined in their pictures, serial from 1; 0: none */
+    const char *command;    /* that chooses, without the number; NULL: none */
+};
+
+/* What a person decided. */
+struct gsn_report_decision {
+    unsigned panel, slot; /* both 1-based; slot 0: the panel as a whole */
+    const char *answer, *actor, *reason;
+    const char *time;   /* "2026-11-22 13:40 UTC" */
+    const char *effect; /* what became of it; empty where the answer says it */
 };
 
 struct gsn_report_panel {
@@ -173,6 +199,8 @@ struct gsn_report {
     size_t section_count;
     const struct gsn_report_panel *panels;
     size_t panel_count;
+    const struct gsn_report_decision *decisions;
+    size_t decision_count;
     const struct gsn_report_registration *registration; /* NULL: none was done */
     const struct gsn_report_fit *fit;                   /* NULL: none was done */
     const struct gsn_report_units *units;               /* NULL: none */

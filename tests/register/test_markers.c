@@ -367,6 +367,60 @@ TEST(a_rival_spot_beside_a_mark_makes_the_section_doubtful)
     CHECK(score > 0.9 && runner_up > 0.5 * score);
 }
 
+/* What was not chosen between is listed for a person; the same spots the other way up are not, for
+ * three marks tell that. */
+TEST(the_rivals_of_a_doubtful_section_are_listed)
+{
+    struct gsn_mark_candidates section = section_of(&PRIOR, 0.3, 1, 7);
+    const struct gsn_point mark = mount(PRIOR.mark_um[1], 0.3, 1);
+    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    size_t count;
+
+    add(&section, (struct gsn_point){ mark.x + 1, mark.y + 1 }, 0.4);
+    count = gsn_markers_rivals(&section, &PRIOR, rivals);
+    CHECK(count == 2);
+    CHECK_NEAR(rivals[0].share + rivals[1].share, 1, 1e-12);
+    CHECK(rivals[0].share >= rivals[1].share && rivals[1].share > 0.3);
+    for (size_t i = 0; i < count; i++) {
+        CHECK(rivals[i].mirrored);
+        CHECK(rivals[i].mark[0].found && rivals[i].mark[1].found && rivals[i].mark[2].found);
+        CHECK_NEAR(rivals[i].mark[0].px.x, mount(PRIOR.mark_um[0], 0.3, 1).x, 1e-9);
+    }
+    CHECK_NEAR(rivals[0].mark[1].px.x, mark.x, 1e-9);
+    CHECK_NEAR(rivals[1].mark[1].px.x, mark.x + 1, 1e-9);
+}
+
+/* Mark 1 is gone, and the tissue's centre cannot tell: two ways round and two ways up, and one of
+ * them is as the section was drawn. */
+TEST(two_marks_have_as_many_rivals_as_there_are_ways_to_lay_them)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    const struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 6);
+    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    const size_t count = gsn_markers_rivals(&section, &prior, rivals);
+    int is_true = 0;
+
+    CHECK(count == 4);
+    for (size_t i = 0; i < count; i++) {
+        CHECK(!rivals[i].mark[0].found && rivals[i].mark[1].found && rivals[i].mark[2].found);
+        CHECK(i == 0 || rivals[i].share <= rivals[i - 1].share);
+        is_true += !rivals[i].mirrored &&
+                   fabs(rivals[i].mark[1].px.x - mount(PRIOR.mark_um[1], 0, 0).x) < 1e-9;
+    }
+    CHECK(is_true == 1);
+}
+
+TEST(a_section_without_marks_has_no_rivals)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    const struct gsn_mark_candidates one = section_of(&PRIOR, 0, 0, 1),
+                                     none = section_of(&PRIOR, 0, 0, 0);
+    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+
+    CHECK(gsn_markers_rivals(&one, &prior, rivals) == 0);
+    CHECK(gsn_markers_rivals(&none, &prior, rivals) == 0);
+}
+
 TEST(a_wrong_pixel_size_matches_nothing)
 {
     struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);

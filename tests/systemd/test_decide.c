@@ -4,6 +4,8 @@
 #include "systemd/job.h"
 
 #include "pipeline/decode/png_write.h"
+#include "pipeline/core/file.h"
+#include "storage/candidate.h"
 #include "storage/catalog.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
@@ -12,6 +14,7 @@
 #include "tests/pipeline/drawn_panel.h"
 #include "tests/systemd/bench_job.h"
 
+#include <math.h>
 #include <string.h>
 
 static const struct gsn_job_options OPTIONS = { .mesher = GSN_MESHER,
@@ -238,4 +241,222 @@ TEST(the_slot_of_the_first_section_releases_a_panel)
     check_section(store, 2, "missing", "");
     for (int64_t slot = 3; slot <= 6; slot++)
         check_section(store, slot, "found", "");
+}
+
+/* ---- which pose -------------------------------------------------------------------------- */
+
+static const char JOB_OF_ONE[] =
+    "{\"specimen\": \"x\", \"layout\": [2, 2], \"panels\": 1, \"px_um\": 24, "
+    "\"transfer\": \"linear\", \"markers_um\": " DRAWN_MARKS_JSON
+    ", \"region\": {\"shape\": \"box\", \"min\": [-288, -168, 0], \"max\": [288, 168, 96]}}";
+
+/* Slot 3 lacks its second mark, so that it may lie in several ways. */
+static struct drawn_panel doubtful_panel(double density)
+{
+    struct drawn_panel panel = drawn_panel_of(1, 24, density);
+
+    panel.section[2].no_marks = 2;
+    return panel;
+}
+
+static struct gsn_candidate_rows *candidates_of(struct gsn_store *store)
+{
+    struct gsn_candidate_rows *rows = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_candidate_list(store, 1, &rows, &err), err);
+    return rows;
+}
+
+/* gives: as `gieson decide` writes it. */
+static char *pose_answer(const struct gsn_candidate_row *c, const char *sha256)
+{
+    char mark[3][40];
+
+    for (int m = 0; m < 3; m++)
+        if (c->marker[m].found)
+            (void)snprintf(mark[m], sizeof mark[m], "%.1f,%.1f", c->marker[m].x_px,
+                           c->marker[m].y_px);
+        else
+            (void)snprintf(mark[m], sizeof mark[m], "-");
+    return gsn_format("pose %lld of %s %s %s %s %s", (long long)c->number, sha256,
+                      c->mirrored ? "down" : "up", mark[0], mark[1], mark[2]);
+}
+
+/* gives: report.json of the latest run. */
+static char *latest_report(struct gsn_store *store)
+{
+    gsn_auto(gsn_run_row) run = NULL;
+    struct gsn_error err = { 0 };
+    gsn_auto_mem(char) path = NULL;
+    uint8_t *bytes = NULL;
+    size_t size;
+    char *text;
+
+    CHECK_OK(gsn_run_latest(store, 1, NULL, &run, &err), err);
+    path = gsn_format("%s/%s", gsn_store_dir(store), run->json_path);
+    CHECK_OK(gsn_file_read(path, 1 << 24, &bytes, &size, &err), err);
+    text = gsn_format("%.*s", (int)size, (const char *)bytes);
+    gsn_free(bytes);
+    return text;
+}
+
+static struct gsn_pose_row pose_of(struct gsn_store *store, int64_t slot)
+{
+    gsn_auto(gsn_pose_rows) rows = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_pose_list(store, latest_run(store), &rows, &err), err);
+    for (size_t i = 0; i < rows->count; i++)
+        if (rows->at[i].slot == slot)
+            return rows->at[i];
+    fail_msg("slot %lld has no pose", (long long)slot);
+    return (struct gsn_pose_row){ 0 };
+}
+
+TEST(a_pose_that_a_person_chose_is_used_and_the_report_says_who)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct drawn_panel panel = doubtful_panel(0.8);
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    gsn_auto(gsn_candidate_rows) before = NULL;
+    gsn_auto(gsn_candidate_rows) after = NULL;
+    gsn_auto_mem(char) first_report = NULL;
+    gsn_auto_mem(char) second_report = NULL;
+    gsn_auto_mem(char) answer = NULL;
+    struct gsn_pose_row was, is;
+
+    write_drawn(&scratch, "P01.png", &panel);
+    take(&scratch, store, JOB_OF_ONE);
+    panels = panels_of(store);
+    before = candidates_of(store);
+    check_section(store, 3, "needs-eye", "two-marks");
+    CHECK(before->count >= 2 && before->count <= 4);
+    for (size_t i = 0; i < before->count; i++) {
+        CHECK(before->at[i].slot == 3 && before->at[i].chosen == 0);
+        CHECK(i == 0 || before->at[i].share <= before->at[i - 1].share);
+        CHECK(before->at[i].error_um > 0);
+        CHECK(before->at[i].marker[0].found && !before->at[i].marker[1].found);
+    }
+    first_report = latest_report(store);
+    CHECK(strstr(first_report, "\"decisions\": []") != NULL);
+    was = pose_of(store, 3);
+
+    answer = pose_answer(&before->at[1], panels->at[0].sha256);
+    say(store, 1, 3, answer, (struct gsn_point){ 0, 0 });
+    check_section(store, 3, "found",
+                  before->at[1].mirrored ? "two-marks mirrored decided" : "two-marks decided");
+    after = candidates_of(store);
+    CHECK(after->count == before->count);
+    CHECK(after->at[1].chosen == 1 && after->at[0].chosen == 0);
+    is = pose_of(store, 3);
+    CHECK(is.flipped == before->at[1].flipped && is.rotated180 == before->at[1].rotated180);
+    CHECK(fabs(is.m00 - was.m00) > 1 || fabs(is.m01 - was.m01) > 1);
+    second_report = latest_report(store);
+    CHECK(strstr(second_report, "\"answer\": \"pose 2\"") != NULL);
+    CHECK(strstr(second_report, "\"by\": \"ana\"") != NULL);
+    CHECK(strstr(second_report, "\"time\": \"1970-01-01 00:00 UTC\"") != NULL);
+    CHECK(strstr(second_report, "\"effect\": \"used\"") != NULL);
+
+    say(store, 1, 3, "", (struct gsn_point){ 0, 0 });
+    check_section(store, 3, "needs-eye", "two-marks");
+    is = pose_of(store, 3);
+    CHECK(is.m00 == was.m00 && is.m01 == was.m01 && is.m02 == was.m02);
+}
+
+/* A choice that no longer fits: of another scan, of spots that are not there, of a section that is
+ * not there. Each is named, and what the picture says is used. */
+TEST(a_choice_that_does_not_fit_any_more_is_named_and_not_used)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct drawn_panel panel = doubtful_panel(0.8);
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    gsn_auto(gsn_panel_rows) told = NULL;
+    gsn_auto(gsn_panel_rows) gone = NULL;
+    gsn_auto(gsn_candidate_rows) rows = NULL;
+    gsn_auto(gsn_candidate_rows) still = NULL;
+    gsn_auto_mem(char) elsewhere = NULL;
+    gsn_auto_mem(char) nowhere = NULL;
+    gsn_auto_mem(char) report = NULL;
+    struct gsn_candidate_row moved;
+    struct gsn_pose_row was, is;
+
+    write_drawn(&scratch, "P01.png", &panel);
+    take(&scratch, store, JOB_OF_ONE);
+    panels = panels_of(store);
+    rows = candidates_of(store);
+    was = pose_of(store, 3);
+    elsewhere = pose_answer(&rows->at[1], bench_digest(77));
+    say(store, 1, 3, elsewhere, (struct gsn_point){ 0, 0 });
+    check_section(store, 3, "needs-eye", "two-marks decision-void");
+    told = panels_of(store);
+    CHECK(strstr(told->at[0].message,
+                 "the pose that was chosen for slot 3 was said of another scan "
+                 "and is not used: choose again"));
+    report = latest_report(store);
+    CHECK(strstr(report, "panel 1, slot 3: the pose that ana chose on 1970-01-01 00:00 UTC is not "
+                         "used: nothing that is found there has those marks; choose again"));
+    is = pose_of(store, 3);
+    CHECK(is.m00 == was.m00 && is.m02 == was.m02);
+
+    moved = rows->at[1];
+    moved.marker[0].x_px += 30;
+    nowhere = pose_answer(&moved, panels->at[0].sha256);
+    say(store, 1, 3, nowhere, (struct gsn_point){ 0, 0 });
+    check_section(store, 3, "needs-eye", "two-marks decision-void");
+    gone = panels_of(store);
+    CHECK(strstr(gone->at[0].message, "slot 3 fits nothing that is found there and is not used"));
+    still = candidates_of(store);
+    CHECK(still->count == rows->count && still->at[1].chosen == 0);
+}
+
+/* Of three marks that contradict the stack a person names two. */
+TEST(two_of_three_marks_can_be_chosen)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    gsn_auto(gsn_section_rows) sections = NULL;
+    gsn_auto(gsn_candidate_rows) rows = NULL;
+    gsn_auto_mem(char) answer = NULL;
+    struct gsn_candidate_row pair = { .number = 1 };
+    struct gsn_error err = { 0 };
+
+    write_drawn(&scratch, "P01.png", &panel);
+    take(&scratch, store, JOB_OF_ONE);
+    panels = panels_of(store);
+    CHECK_OK(gsn_section_list(store, 1, &sections, &err), err);
+    for (int m = 0; m < 2; m++)
+        pair.marker[m] = sections->at[1].marker[m];
+    answer = pose_answer(&pair, panels->at[0].sha256);
+    say(store, 1, 2, answer, (struct gsn_point){ 0, 0 });
+    check_section(store, 2, "found", "two-marks decided");
+    rows = candidates_of(store);
+    CHECK(rows->count == 4 && rows->at[2].chosen == 1);
+    assert_string_equal(rows->at[2].differs, "on two marks, without mark 3");
+}
+
+/* Texts that are no answer of ours are passed over. */
+TEST(a_pose_of_an_unknown_form_changes_nothing)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    const struct drawn_panel panel = doubtful_panel(0.8);
+    static const char *const texts[] = { "pose", "pose x", "pose 1 of abc up - - -", "pose 1 of ",
+                                         "pose 0 of " };
+    gsn_auto(gsn_panel_rows) panels = NULL;
+
+    write_drawn(&scratch, "P01.png", &panel);
+    take(&scratch, store, JOB_OF_ONE);
+    panels = panels_of(store);
+    for (size_t i = 0; i < sizeof texts / sizeof texts[0]; i++) {
+        gsn_auto_mem(char) text = gsn_format("%s%s%s", texts[i], i >= 3 ? panels->at[0].sha256 : "",
+                                             i >= 3 ? " up 12,3 4.0,5.0 -" : "");
+
+        say(store, 1, 3, text, (struct gsn_point){ 0, 0 });
+        check_section(store, 3, "needs-eye", "two-marks");
+    }
 }

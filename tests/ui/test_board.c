@@ -48,9 +48,10 @@ TEST(sizes_are_told_in_the_unit_that_fits)
 
 TEST(every_state_has_a_symbol_of_one_column_and_an_unknown_one_too)
 {
-    static const char *const states[] = { "waiting", "working", "reported", "withheld",  "failed",
-                                          "refused", "held",    "unfiled",  "trouble",   "away",
-                                          "ready",   "paused",  "off",      "receiving", "?" };
+    static const char *const states[] = { "waiting", "working",   "reported",  "withheld",
+                                          "failed",  "refused",   "held",      "unfiled",
+                                          "trouble", "away",      "ready",     "paused",
+                                          "off",     "receiving", "needs-eye", "?" };
 
     for (size_t i = 0; i < sizeof states / sizeof states[0]; i++)
         CHECK(strlen(gsn_look_of(states[i])->symbol) == 1);
@@ -107,7 +108,11 @@ static void fill(const struct gsn_scratch *scratch, struct gsn_store *store)
             "report_path, started, finished) VALUES (1, 'k', '1', '{}', '{}', 'reported', 'r', 1, "
             "2);"
             "INSERT INTO scan VALUES (7, 's', 'd', 'c.jpg', '', 'panel', "
-            "substr(hex(zeroblob(32)), 1, 64), 5, '', 'unfiled', 'nobody knows', NULL, 4);");
+            "substr(hex(zeroblob(32)), 1, 64), 5, '', 'unfiled', 'nobody knows', NULL, 4);"
+            "UPDATE panel SET state = 'registered' WHERE specimen_id = 1;"
+            "INSERT INTO section (panel_id, slot, serial, state, flags, candidates) VALUES "
+            "(1, 3, 5, 'needs-eye', '', '[{\"chosen\": 0}, {\"chosen\": 0}]'),"
+            "(1, 4, 6, 'found', '', '[{\"chosen\": 0}, {\"chosen\": 1}]');");
 }
 
 static int make(struct gsn_store *store, struct gsn_board **ret_board, struct gsn_error *err)
@@ -147,7 +152,8 @@ TEST(a_board_says_what_comes_in_what_needs_a_person_and_specimens_by_urgency)
         told(board),
         "COMES IN|s receiving||NEEDS YOU|b.jpg trouble|scan it again|c.jpg unfiled|"
         "gieson file 7 SPECIMEN --panel N||SPECIMENS|failed failed|panel 1 failed|"
-        "works working|panel 1 working|waits waiting|panel 1 waiting|empty waiting|done reported|");
+        "works working|panel 1 working|waits waiting|panel 1 waiting|empty waiting|done reported|"
+        "section 4 needs-eye|");
 }
 
 TEST(what_waits_for_work_says_so_and_what_waits_for_panels_too)
@@ -167,6 +173,24 @@ TEST(what_waits_for_work_says_so_and_what_waits_for_panels_too)
         if (strcmp(line->name, "empty") == 0)
             CHECK(!line->action && strcmp(line->detail, "no panel yet") == 0);
     }
+}
+
+TEST(a_section_that_needs_an_eye_names_the_command_that_settles_it)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_board) board = NULL;
+    struct gsn_error err = { 0 };
+
+    fill(&scratch, store);
+    CHECK_OK(make(store, &board, &err), err);
+
+    const struct gsn_board_line *line = &board->at[board->count - 1];
+
+    CHECK(line->kind == GSN_BOARD_DOUBT && gsn_board_is_part(line) && gsn_board_is_item(line));
+    CHECK(strcmp(line->action, "gieson decide done 1.3 pose N") == 0);
+    CHECK(strcmp(line->detail, "2 poses to choose from in panel 1, slot 3") == 0);
+    CHECK(line->specimen == 1);
 }
 
 TEST(keys_tell_all_lines_apart)

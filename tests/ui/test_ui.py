@@ -450,6 +450,78 @@ class Told(Bench):
         self.refused(self.call("decide", "nobody", "1.1", "cut"), 66)
         self.assertEqual(self.scene.db.execute("SELECT count(*) FROM decision").fetchone()[0], 0)
 
+    def candidates(self, panel, slot, chosen=0):
+        """Two poses on marks 1 and 2: as it is, and the other way round."""
+        marks = ([1, 100.25, 50, 7, 1, 0, 1, .9], [1, 30.5, 80.75, 7, 1, 0, 1, .9], [0] * 8)
+        poses = [{"chosen": int(chosen == k + 1), "mirrored": k, "flipped": k, "rotated180": 1 - k,
+                  "share": (.9996, .0004)[k], "error_um": (17.25, None)[k],
+                  "differs": ("on two marks, without mark 3", "the same spots, the other way up")[k],
+                  "mark": sum((marks[m] for m in ((0, 1, 2), (1, 0, 2))[k]), [])} for k in (0, 1)]
+        self.scene.run("UPDATE section SET candidates = ? WHERE panel_id = ? AND slot = ?",
+                       json.dumps(poses), panel, slot)
+
+    def test_the_poses_of_a_doubtful_section_are_listed_and_one_is_chosen(self):
+        panel = self.scene.panel(1, 9)
+        self.section(panel, 6, "needs-eye", "two-marks")
+        self.candidates(panel, 6)
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("    pose    likely      error  side  turned\n"
+                      "       1   100.0 %    17.2 um  up    yes     on two marks, without mark 3\n"
+                      "       2   < 0.1 %          -  down  no      the same spots, the other way "
+                      "up\n    next: gieson decide R07-left 9.6 pose N\n", shown)
+        listed = self.json("show", "R07-left")["sections"][-1]
+        self.assertEqual(listed["action"], "gieson decide R07-left 9.6 pose N")
+        self.assertEqual([c["number"] for c in listed["candidates"]], [1, 2])
+        self.assertIsNone(listed["candidates"][1]["error_um"])
+        top = self.call("top").stdout
+        self.assertIn("needs-eye", top)
+        self.assertIn("    next: gieson decide R07-left 9.6 pose N\n", top)
+
+        done = self.json("decide", "R07-left", "9.6", "pose", "2", "--because", "the hole is left")
+        self.assertEqual((done["answer"], done["again"]), ("pose", False))
+        self.assertTrue(self.json("decide", "R07-left", "9.6", "pose", "2")["again"])
+        digest = self.scene.db.execute("SELECT sha256 FROM panel WHERE id = ?",
+                                       (panel,)).fetchone()[0]
+        self.assertEqual(self.scene.db.execute("SELECT answer FROM decision").fetchall(),
+                         [(f"pose 2 of {digest} down 30.5,80.8 100.2,50.0 -",)])
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("    pose 2, as ", shown)
+        self.assertNotIn("9.6 pose", shown)
+        self.assertNotIn("needs-eye", self.call("top").stdout)
+
+    def test_a_choice_that_was_used_or_could_not_be_is_said(self):
+        panel = self.scene.panel(1, 9)
+        self.section(panel, 6, "found", "two-marks decided")
+        self.candidates(panel, 6, chosen=2)
+        self.assertEqual(self.call("decide", "R07-left", "9.6", "pose", "2", "--because",
+                                   "the hole").returncode, 0)
+        shown = self.call("show", "R07-left").stdout
+        self.assertIn("    *  2", shown)
+        self.assertRegex(shown, r"(?m)^    chosen by .*: the hole$")
+        self.assertNotIn("9.6 pose", shown)
+        self.scene.run("UPDATE section SET flags = 'two-marks decision-void', state = 'needs-eye' "
+                       "WHERE slot = 6")
+        self.candidates(panel, 6)
+        shown = self.call("show", "R07-left").stdout
+        self.assertRegex(shown, r"(?m)^    what .* chose is not found there any more and is not used$")
+        self.assertIn("    next: gieson decide R07-left 9.6 pose N\n", shown)
+
+    def test_a_pose_that_is_not_listed_is_refused_and_changes_nothing(self):
+        panel = self.scene.panel(1, 9)
+        self.section(panel, 1, "found", "")
+        self.section(panel, 6, "needs-eye", "two-marks")
+        self.candidates(panel, 6)
+        for place, number, status, says in (
+                ("9.6", "3", 65, "has 2 poses to choose from, so none is 3"),
+                ("9.1", "1", 65, "slot 1 of panel 9 has no poses to choose from"),
+                ("9.7", "1", 66, "has no slot 7 that was looked at"),
+                ("9", "1", 64, "is said of a slot"), ("9.6", "x", 64, "a pose is named by its"),
+                ("9.6", "0", 64, "a pose is named by its number")):
+            with self.subTest(place=place, number=number):
+                self.assertIn(says, self.refused(self.call("decide", "R07-left", place, "pose",
+                                                           number), status))
+        self.assertEqual(self.scene.db.execute("SELECT count(*) FROM decision").fetchone()[0], 0)
+
     def test_one_of_two_scans_is_chosen_by_its_name_or_its_hash(self):
         for name in ("a.tif", "b.tif"):
             self.scene.panel(1, 9, "held", "panel number 9 is claimed twice", name=name)

@@ -1,0 +1,273 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/candidate_sheet.h"
+
+#include "pipeline/decode/png_write.h"
+#include "pipeline/register/median.h"
+#include "pipeline/render/canvas.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { SIDE_PX = 168, CELLS = SIDE_PX * SIDE_PX };
+
+/* A neighbour farther away than this is another place of the block. */
+enum { MOST_APART = 3 };
+/* Room around the typical section for one that would be laid askew. */
+static const double ROOM = 1.3;
+
+/* One section, as far as it is drawn. */
+struct figure {
+    size_t neighbour; /* its place in the assembly; the section itself: none */
+    int outlined;     /* whether another is compared with this one */
+    uint8_t *inside;  /* owned; CELLS of 0 or 1, NULL before its panel came */
+    struct gsn_image *laid[GSN_CANDIDATES]; /* owned */
+};
+
+struct gsn_candidate_sheet {
+    struct gsn_point corner; /* of the pictures, um in the block */
+    double um_per_px;
+    size_t count;
+    struct figure *figure; /* one for each section of the assembly */
+};
+
+static int is_placed(const struct gsn_assembly_section *s)
+{
+    return s->posed && !s->pose.gross && (s->candidates.count == 0 || s->candidates.chosen) &&
+           (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
+}
+
+static int is_doubtful(const struct gsn_assembly_section *s)
+{
+    return s->candidates.count > 0 && s->seen.width > 0 && s->seen.height > 0;
+}
+
+static size_t neighbour_of(const struct gsn_assembly *a, size_t i)
+{
+    size_t best = i;
+    double least = MOST_APART + 0.5;
+
+    for (size_t k = 0; k < a->section_count; k++) {
+        const double apart = fabs((double)a->section[k].seen.serial - a->section[i].seen.serial);
+
+        if (k != i && is_placed(&a->section[k]) && apart < least) {
+            best = k;
+            least = apart;
+        }
+    }
+    return best;
+}
+
+/* Around the middle of the placed sections, as wide as the typical one and some room; 0 when there
+ * is none. scratch: three numbers for each section. */
+static int frame_of(const struct gsn_assembly *a, struct gsn_candidate_sheet *sheet,
+                    double *scratch)
+{
+    double *x = scratch, *y = x + a->section_count, *longest = y + a->section_count;
+    size_t count = 0;
+    double side;
+
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_panel_section *seen = &a->section[i].seen;
+        const struct gsn_affine *map = &a->section[i].pose.panel_to_block_um;
+        const struct gsn_point middle = { seen->x + 0.5 * seen->width,
+                                          seen->y + 0.5 * seen->height };
+        struct gsn_point um;
+
+        if (!is_placed(&a->section[i]))
+            continue;
+        um = gsn_affine_apply(map, middle);
+        x[count] = um.x;
+        y[count] = um.y;
+        longest[count++] = fmax(seen->width, seen->height) * sqrt(fabs(gsn_affine_det(map)));
+    }
+    if (count == 0)
+        return 0;
+    side = ROOM * gsn_median(longest, count);
+    sheet->um_per_px = side / SIDE_PX;
+    sheet->corner =
+        (struct gsn_point){ gsn_median(x, count) - 0.5 * side, gsn_median(y, count) - 0.5 * side };
+    return side > 0;
+}
+
+int gsn_candidate_sheet_new(const struct gsn_assembly *a, struct gsn_candidate_sheet **ret_sheet,
+                            struct gsn_error *err)
+{
+    gsn_auto(gsn_candidate_sheet) sheet = gsn_alloc_array(1, sizeof *sheet);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(3 * a->section_count, sizeof *scratch);
+    size_t doubtful = 0;
+
+    if (sheet)
+        sheet->figure = gsn_alloc_array(a->section_count, sizeof *sheet->figure);
+    if (!sheet || !sheet->figure || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the candidates' pictures");
+    sheet->count = a->section_count;
+    for (size_t i = 0; i < a->section_count; i++) {
+        sheet->figure[i].neighbour = i;
+        if (!is_doubtful(&a->section[i]))
+            continue;
+        doubtful++;
+        sheet->figure[i].neighbour = neighbour_of(a, i);
+        sheet->figure[sheet->figure[i].neighbour].outlined |= sheet->figure[i].neighbour != i;
+    }
+    *ret_sheet =
+        a->solved && doubtful > 0 && frame_of(a, sheet, scratch) ? gsn_steal(&sheet) : NULL;
+    return GSN_OK;
+}
+
+void gsn_candidate_sheet_free(struct gsn_candidate_sheet *sheet)
+{
+    if (!sheet)
+        return;
+    for (size_t i = 0; sheet->figure && i < sheet->count; i++) {
+        gsn_free(sheet->figure[i].inside);
+        for (size_t c = 0; c < GSN_CANDIDATES; c++)
+            gsn_image_free(sheet->figure[i].laid[c]);
+    }
+    gsn_free(sheet->figure);
+    gsn_free(sheet);
+}
+
+/* ---- what a panel shows ------------------------------------------------------------------ */
+
+static struct gsn_point place_of(const struct gsn_candidate_sheet *sheet, size_t cell)
+{
+    return (
+        struct gsn_point){ sheet->corner.x + ((double)(cell % SIDE_PX) + 0.5) * sheet->um_per_px,
+                           sheet->corner.y + ((double)(cell / SIDE_PX) + 0.5) * sheet->um_per_px };
+}
+
+static int is_in_box(const struct gsn_panel_section *seen, struct gsn_point px)
+{
+    return px.x >= seen->x && px.y >= seen->y && px.x < seen->x + seen->width &&
+           px.y < seen->y + seen->height;
+}
+
+/* Density of all three channels at a place of the panel; 0 where it is not known. */
+static double density_at(const struct gsn_scan *scan, struct gsn_point px)
+{
+    const struct gsn_plane *plane = scan->od[0];
+    const double x = fmin(fmax(floor(px.x / scan->apart), 0), plane->width - 1.0);
+    const double y = fmin(fmax(floor(px.y / scan->apart), 0), plane->height - 1.0);
+    const size_t at = (size_t)y * plane->width + (size_t)x;
+    const double sum =
+        (double)scan->od[0]->value[at] + scan->od[1]->value[at] + scan->od[2]->value[at];
+
+    return isfinite(sum) ? sum : 0;
+}
+
+/* Tissue is what is denser than half of the section's box on average: the glass beside it makes
+ * that less than the tissue's own density, and more than nothing. */
+static int find_outline(const struct gsn_candidate_sheet *sheet, const struct gsn_scan *scan,
+                        const struct gsn_assembly_section *s, uint8_t **ret_inside,
+                        struct gsn_error *err)
+{
+    const struct gsn_affine to_px = gsn_affine_inverse(&s->pose.panel_to_block_um);
+    gsn_auto_mem(uint8_t) inside = gsn_alloc_array(CELLS, sizeof *inside);
+    double sum = 0, least;
+    size_t count = 0;
+
+    if (!inside)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a section's outline");
+    for (size_t i = 0; i < CELLS; i++) {
+        const struct gsn_point px = gsn_affine_apply(&to_px, place_of(sheet, i));
+
+        if (is_in_box(&s->seen, px)) {
+            sum += density_at(scan, px);
+            count++;
+        }
+    }
+    least = count > 0 ? 0.5 * sum / (double)count : 0;
+    for (size_t i = 0; i < CELLS; i++) {
+        const struct gsn_point px = gsn_affine_apply(&to_px, place_of(sheet, i));
+
+        inside[i] = is_in_box(&s->seen, px) && density_at(scan, px) > least;
+    }
+    *ret_inside = gsn_steal(&inside);
+    return GSN_OK;
+}
+
+static int look(struct gsn_candidate_sheet *sheet, const struct gsn_assembly_section *s,
+                const struct gsn_scan *scan, struct figure *figure, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    if (figure->outlined && !figure->inside)
+        r = find_outline(sheet, scan, s, &figure->inside, err);
+    for (size_t c = 0; r >= 0 && is_doubtful(s) && c < s->candidates.count; c++) {
+        const struct gsn_laid_box box = { .panel_to_block_um =
+                                              s->candidates.at[c].panel_to_block_um,
+                                          .x = s->seen.x,
+                                          .y = s->seen.y,
+                                          .width = s->seen.width,
+                                          .height = s->seen.height };
+
+        if (s->candidates.at[c].laid && !figure->laid[c])
+            r = gsn_laid_picture(scan->picture->image, scan->glass.light, &box, sheet->corner,
+                                 sheet->um_per_px, SIDE_PX, &figure->laid[c], err);
+    }
+    return r;
+}
+
+int gsn_candidate_sheet_look(struct gsn_candidate_sheet *sheet, const struct gsn_assembly *a,
+                             const struct gsn_scan *scan, unsigned panel, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t i = 0; sheet && r >= 0 && i < sheet->count; i++)
+        if (a->section[i].panel == panel)
+            r = look(sheet, &a->section[i], scan, &sheet->figure[i], err);
+    return r;
+}
+
+/* ---- drawing ----------------------------------------------------------------------------- */
+
+/* Of a cell and those around it, what most are: specks of dust have no outline. */
+static int is_inside(const uint8_t *inside, int x, int y)
+{
+    int count = 0;
+
+    if (x < 1 || y < 1 || x >= SIDE_PX - 1 || y >= SIDE_PX - 1)
+        return 0;
+    for (int v = y - 1; v <= y + 1; v++)
+        for (int u = x - 1; u <= x + 1; u++)
+            count += inside[v * SIDE_PX + u];
+    return count >= 5;
+}
+
+static void draw_outline(struct gsn_image *image, const uint8_t *inside)
+{
+    static const struct gsn_colour ink = { .r = 0, .g = 110, .b = 230 };
+
+    for (int y = 0; y < SIDE_PX; y++)
+        for (int x = 0; x < SIDE_PX; x++)
+            if (is_inside(inside, x, y) &&
+                (!is_inside(inside, x - 1, y) || !is_inside(inside, x + 1, y) ||
+                 !is_inside(inside, x, y - 1) || !is_inside(inside, x, y + 1)))
+                gsn_canvas_put(image, x, y, ink);
+}
+
+int gsn_candidate_sheet_draw(struct gsn_candidate_sheet *sheet, struct gsn_assembly *a,
+                             struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t i = 0; sheet && i < sheet->count; i++) {
+        const struct figure *figure = &sheet->figure[i];
+        const uint8_t *inside =
+            figure->neighbour != i ? sheet->figure[figure->neighbour].inside : NULL;
+
+        for (size_t c = 0; r >= 0 && c < GSN_CANDIDATES; c++) {
+            struct gsn_account_picture *picture = &a->section[i].candidate_picture[c];
+
+            if (!figure->laid[c])
+                continue;
+            if (inside)
+                draw_outline(figure->laid[c], inside);
+            picture->width = picture->height = SIDE_PX;
+            r = gsn_png_encode(figure->laid[c], &picture->png, &picture->size, err);
+        }
+        if (r >= 0 && figure->laid[0] && inside)
+            a->section[i].compared_with = a->section[figure->neighbour].seen.serial + 1;
+    }
+    return r;
+}

@@ -74,7 +74,7 @@ static void below_glass(const float g[3], uint32_t width, uint32_t x0, size_t co
     const float step = (float)(2.0 / width);
 
     for (size_t x = 0; x < count; x++) {
-        const float u = step * ((float)(x0 + x) + 0.5f) - 1;
+        const float u = step * ((float)(int)(x0 + x) + 0.5f) - 1;
 
         to[x] = g[0] + u * (g[1] + u * g[2]) - to[x];
     }
@@ -257,7 +257,7 @@ void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t 
                                          : ((const uint16_t *)image->samples)[first + i * stride]];
     glass_row(absorber->glass, y, 0, g);
     for (size_t i = 0; i < count; i++) {
-        const float u = step * ((float)(x + i * apart) + 0.5f) - 1;
+        const float u = step * ((float)(int)(x + i * apart) + 0.5f) - 1;
 
         to[i] = g[0] + u * (g[1] + u * g[2]) - to[i];
     }

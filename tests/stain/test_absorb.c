@@ -34,7 +34,6 @@ static struct gsn_glass uneven(enum gsn_light light)
     return glass;
 }
 
-/* The whole picture's densities, in double precision, are the reference. */
 /* All channels of a row of the box, and red of every third pixel of it. */
 static void check_row(const struct gsn_absorber *absorber, struct gsn_plane *const whole[3],
                       const struct gsn_pixel_box *box, int y)
@@ -51,6 +50,7 @@ static void check_row(const struct gsn_absorber *absorber, struct gsn_plane *con
         CHECK_NEAR(row[0][x / 3], whole[0]->value[y * WIDTH + box->x + x], 2e-6);
 }
 
+/* The whole picture's densities, in double precision, are the reference. */
 TEST(a_box_holds_what_the_whole_picture_has_there)
 {
     static const struct gsn_pixel_box boxes[] = { { 0, 0, WIDTH, HEIGHT },

@@ -239,8 +239,8 @@ int gsn_mark_field_spots(const struct gsn_mark_field *field, double px_um, size_
         *ret_count = 0;
         return GSN_OK;
     }
-    values = gsn_alloc_array(cells * ladder.rungs, sizeof *values);
-    row = gsn_alloc_array(field->width + 32, sizeof *row);
+    values = gsn_alloc(cells * ladder.rungs * sizeof *values);
+    row = gsn_alloc((field->width + 32) * sizeof *row);
     if (!values || !row)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     tabulate(&ladder, cell_um);

@@ -78,15 +78,20 @@ static struct gsn_affine to_map(const struct gsn_mark_candidates *section,
     };
 }
 
-/* What a section shows where a point of the block lies, or NaN. */
-static float seen_at(const struct gsn_mark_map *map, const struct gsn_affine *to_cells,
-                     struct gsn_point block)
+/* What a section shows where the cells of a mean's row lie, or NaN. */
+static void see_row(const struct gsn_mark_map *map, const struct gsn_affine *to_cells,
+                    const struct gsn_mark_map *mean, size_t row, float seen[SIDE])
 {
-    const struct gsn_point at = gsn_affine_apply(to_cells, block);
+    const struct gsn_point block = centre_of(mean, row * SIDE);
+    const struct gsn_point first = gsn_affine_apply(to_cells, block);
+    const double dx = to_cells->m00 * mean->cell, dy = to_cells->m10 * mean->cell;
 
-    if (!(at.x >= 0 && at.y >= 0 && at.x < SIDE && at.y < SIDE))
-        return NAN;
-    return map->value[(size_t)(int)at.y * SIDE + (size_t)(int)at.x];
+    for (size_t i = 0; i < SIDE; i++) {
+        const double x = first.x + (double)(int)i * dx, y = first.y + (double)(int)i * dy;
+        const int is = x >= 0 && y >= 0 && x < SIDE && y < SIDE;
+
+        seen[i] = is ? map->value[(int)y * SIDE + (int)x] : NAN;
+    }
 }
 
 static int typical_cell(const struct gsn_mark_candidates *sections, const int *used, size_t count,
@@ -111,11 +116,14 @@ static void add_section(const struct gsn_mark_candidates *section, const struct 
 {
     const struct gsn_affine to_cells = to_map(section, motion, mirrored);
 
-    for (size_t k = 0; k < CELLS; k++) {
-        const float value = seen_at(&section->map, &to_cells, centre_of(mean, k));
+    for (size_t row = 0; row < SIDE; row++) {
+        float seen[SIDE];
 
-        sum[k] += isnan(value) ? 0 : (double)value;
-        n[k] += !isnan(value);
+        see_row(&section->map, &to_cells, mean, row, seen);
+        for (size_t i = 0; i < SIDE; i++) {
+            sum[row * SIDE + i] += isnan(seen[i]) ? 0 : (double)seen[i];
+            n[row * SIDE + i] += !isnan(seen[i]);
+        }
     }
 }
 
@@ -156,12 +164,36 @@ static float largest(const struct gsn_mark_map *map)
     return most;
 }
 
+/* What a correlation coefficient is made of. */
+struct moments {
+    double n, x, y, xx, xy, yy;
+};
+
+static void add_pair(struct moments *m, double x, double y)
+{
+    m->n += 1;
+    m->x += x;
+    m->y += y;
+    m->xx += x * x;
+    m->xy += x * y;
+    m->yy += y * y;
+}
+
+static double unlike(const struct moments *m)
+{
+    const double xx = m->xx - m->x * m->x / m->n, xy = m->xy - m->x * m->y / m->n;
+    const double yy = m->yy - m->y * m->y / m->n;
+
+    return xy > 0 && xx > 0 && yy > 0 ? 1 - fmin(xy * xy / (xx * yy), 1) : 1;
+}
+
 double gsn_mark_map_unlike(const struct gsn_mark_candidates *section,
                            const struct gsn_mark_map *tissue, const struct gsn_rigid *motion,
                            int mirrored)
 {
-    double n = 0, all = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
     struct gsn_affine to_cells;
+    struct moments both = { 0 };
+    double all = 0;
     float most;
 
     assert(section && tissue && motion);
@@ -171,27 +203,16 @@ double gsn_mark_map_unlike(const struct gsn_mark_candidates *section,
     /* Ink and edges of glass are darker than any tissue, and would speak louder than it. */
     most = largest(tissue);
     to_cells = to_map(section, motion, mirrored);
-    for (size_t k = 0; k < CELLS; k++) {
-        float seen;
+    for (size_t row = 0; row < SIDE; row++) {
+        const float *mean = tissue->value + row * SIDE;
+        float seen[SIDE];
 
-        if (isnan(tissue->value[k]))
-            continue;
-        all += 1;
-        seen = seen_at(&section->map, &to_cells, centre_of(tissue, k));
-        if (isnan(seen))
-            continue;
-        seen = seen < most ? seen : most;
-        n += 1;
-        x += (double)tissue->value[k];
-        y += (double)seen;
-        xx += (double)tissue->value[k] * (double)tissue->value[k];
-        xy += (double)tissue->value[k] * (double)seen;
-        yy += (double)seen * (double)seen;
+        see_row(&section->map, &to_cells, tissue, row, seen);
+        for (size_t i = 0; i < SIDE; i++) {
+            all += !isnan(mean[i]);
+            if (!isnan(mean[i]) && !isnan(seen[i]))
+                add_pair(&both, (double)mean[i], (double)(seen[i] < most ? seen[i] : most));
+        }
     }
-    if (!(n > SHARE * all))
-        return 1;
-    xx -= x * x / n;
-    xy -= x * y / n;
-    yy -= y * y / n;
-    return xy > 0 && xx > 0 && yy > 0 ? 1 - fmin(xy * xy / (xx * yy), 1) : 1;
+    return both.n > SHARE * all ? unlike(&both) : 1;
 }

@@ -201,12 +201,6 @@ static void lay_candidates(const struct gsn_triangle_prior *prior, struct gsn_po
     }
 }
 
-static void shift(struct gsn_point *point, const struct gsn_slot *slot)
-{
-    point->x += slot->x;
-    point->y += slot->y;
-}
-
 /* The longer side of the typical section's box, px. */
 static double typical_side(const struct gsn_slot *slots, size_t count, double *scratch)
 {
@@ -234,35 +228,16 @@ static struct gsn_slot search_window(const struct gsn_scan *scan,
     return window;
 }
 
-/* Red density is worked out inside the section's window alone. */
-static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *slot,
-                           struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                    float *to)
 {
-    const struct gsn_pixel_box box = { slot->x, slot->y, slot->width, slot->height };
-    struct gsn_slot inside = *slot;
-    struct gsn_plane *od[3] = { NULL };
-    gsn_auto(gsn_plane) red = NULL;
-    int r = gsn_absorb_box(scan->picture->image, &scan->glass, &box, 1, od, err);
-
-    if (r < 0)
-        return r;
-    red = od[0];
-    inside.x = inside.y = 0;
-    inside.centre_px.x -= slot->x;
-    inside.centre_px.y -= slot->y;
-    r = gsn_markers_candidates(red, &inside, scan->px_um, ret_candidates, err);
-    if (r < 0)
-        return r;
-    shift(&ret_candidates->tissue_px, slot);
-    shift(&ret_candidates->map.origin, slot);
-    for (size_t i = 0; i < ret_candidates->count; i++)
-        shift(&ret_candidates->mark[i].px, slot);
-    return GSN_OK;
+    gsn_absorber_red(context, x, y, apart, count, to);
 }
 
 struct search {
     const struct gsn_scan *scan;
     const struct gsn_protocol *protocol;
+    const struct gsn_absorber *absorber;
     double side;                            /* of the typical section's box, px */
     const struct gsn_slot *slots;           /* those with tissue */
     struct gsn_mark_candidates *candidates; /* one for each */
@@ -274,7 +249,10 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
     const struct gsn_slot *slot = &search->slots[index];
     const struct gsn_slot window =
         search_window(search->scan, search->protocol, search->side, slot);
-    const int r = find_candidates(search->scan, &window, &search->candidates[index], err);
+    const struct gsn_image *image = search->scan->picture->image;
+    const struct gsn_mark_density red = { image->width, image->height, search->absorber, red_row };
+    const int r =
+        gsn_markers_candidates(&red, &window, search->scan->px_um, &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
@@ -323,18 +301,21 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
+    gsn_auto(gsn_absorber) absorber = NULL;
     double side;
+    int r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
 
+    if (r < 0)
+        return r;
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
     side = typical_side(found, count, scratch);
     *ret_px_um = 0;
     for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
         struct gsn_scan other = *scan;
-        struct search search = { &other, protocol, side, found, candidates };
+        struct search search = { &other, protocol, absorber, side, found, candidates };
         struct gsn_triangle_prior seen = { 0 };
         double scale;
-        int r;
 
         other.px_um = scan->px_um * times[i];
         r = gsn_parallel_for(count, threads, search_slot, &search, err);
@@ -388,7 +369,8 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
-    struct search search = { scan, protocol, 0, found, candidates };
+    gsn_auto(gsn_absorber) absorber = NULL;
+    struct search search = { scan, protocol, NULL, 0, found, candidates };
     struct gsn_triangle_prior prior;
     struct gsn_point upright = { protocol->has_markers, 0 };
     size_t mirrored = 0;
@@ -396,6 +378,10 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
 
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    if (r < 0)
+        return r;
+    search.absorber = absorber;
     search.side = typical_side(found, count, scratch);
     r = gsn_parallel_for(count, threads, search_slot, &search, err);
     if (r < 0)

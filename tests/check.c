@@ -13,14 +13,14 @@ static unsigned skipped;
 /* 0: every allocation passes. Otherwise the one with this number fails. */
 static atomic_size_t failing, asked;
 
-void *__real_gsn_mem_door(void *old, size_t size);
-void *__wrap_gsn_mem_door(void *old, size_t size);
+void *__real_gsn_mem_door(void *old, size_t size, int zeroed);
+void *__wrap_gsn_mem_door(void *old, size_t size, int zeroed);
 
-void *__wrap_gsn_mem_door(void *old, size_t size)
+void *__wrap_gsn_mem_door(void *old, size_t size, int zeroed)
 {
     const size_t n = atomic_fetch_add(&asked, 1) + 1;
 
-    return n == atomic_load(&failing) ? NULL : __real_gsn_mem_door(old, size);
+    return n == atomic_load(&failing) ? NULL : __real_gsn_mem_door(old, size, zeroed);
 }
 
 void gsn_check_fail_allocation(size_t n)

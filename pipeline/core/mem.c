@@ -10,7 +10,7 @@
 
 void *gsn_alloc(size_t size)
 {
-    return gsn_mem_door(NULL, size ? size : 1);
+    return gsn_mem_door(NULL, size ? size : 1, 0);
 }
 
 /* A picture's worth of memory is touched for the first time in pages of 2 MiB where the system has
@@ -30,11 +30,9 @@ void *gsn_alloc_array(size_t count, size_t size)
 
     if (size && count > SIZE_MAX / size)
         return NULL;
-    memory = gsn_alloc(count * size);
+    memory = gsn_mem_door(NULL, count && size ? count * size : 1, 1);
     if (memory)
         ask_for_large_pages(memory, count * size);
-    if (memory)
-        memset(memory, 0, count * size);
     return memory;
 }
 
@@ -42,7 +40,7 @@ void *gsn_realloc_array(void *old, size_t count, size_t size)
 {
     if (size && count > SIZE_MAX / size)
         return NULL;
-    return gsn_mem_door(old, count && size ? count * size : 1);
+    return gsn_mem_door(old, count && size ? count * size : 1, 0);
 }
 
 void *gsn_memdup(const void *bytes, size_t size)

@@ -26,8 +26,9 @@ void *gsn_memdup(const void *bytes, size_t size);
 char *gsn_format(const char *format, ...) __attribute__((format(printf, 1, 2)));
 void gsn_free(void *memory);
 
-/* The one place that asks the system. Same contract as realloc(); tests wrap it at link time. */
-void *gsn_mem_door(void *old, size_t size);
+/* The one place that asks the system. Same contract as realloc(), or with zeroed and no old as
+ * calloc(), which knows what memory comes from the system as zeros; tests wrap it at link time. */
+void *gsn_mem_door(void *old, size_t size, int zeroed);
 
 /* For struct NAME with a NAME_free(). */
 #define GSN_DEFINE_AUTO(name)                                                                      \

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/markers.h"
 
+#include "pipeline/register/mark_density.h"
 #include "pipeline/register/mark_field.h"
-#include "pipeline/register/mark_fit.h"
 #include "pipeline/register/mark_map.h"
 
 #include <assert.h>
@@ -13,37 +13,9 @@ static const double PX_MOST_UM = 40;
 /* Spots that are measured: ink over the tissue has dozens that are darker than any mark, and few of
  * them are round. */
 enum { SPOTS = 64 };
-
-/* Averages step x step pixels to a cell; masked pixels take no part. */
-static void reduce(const struct gsn_plane *plane, const struct gsn_slot *slot, size_t step,
-                   struct gsn_mark_field *field)
-{
-    double sum = 0, n = 0;
-
-    for (size_t i = 0; i < field->width * field->height; i++) {
-        const size_t x0 = (size_t)slot->x + i % field->width * step;
-        const size_t y0 = (size_t)slot->y + i / field->width * step;
-        double cell = 0, cell_n = 0;
-
-        for (size_t y = y0; y < y0 + step; y++) {
-            const float *row = plane->value + y * plane->width;
-
-            for (size_t x = x0; x < x0 + step; x++)
-                if (isfinite(row[x])) {
-                    cell += row[x];
-                    cell_n += 1;
-                }
-        }
-        sum += cell;
-        n += cell_n;
-        field->od[i] = cell_n > 0 ? (float)(cell / cell_n) : NAN;
-    }
-    /* A hole in the data must not look like a spot: it takes the mean of the section. */
-    for (size_t i = 0; i < field->width * field->height; i++) {
-        if (isnan(field->od[i]))
-            field->od[i] = n > 0 ? (float)(sum / n) : 0;
-    }
-}
+/* A spot this much fainter than a mark is none of three burnt alike: half of what a mark that is
+ * half burnt in and half bleached may be. */
+static const double FAINTEST = 0.125;
 
 static double strength(const struct gsn_mark *mark)
 {
@@ -97,12 +69,23 @@ static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_ma
     candidates->mark[at] = *mark;
 }
 
-static int measure_spots(const struct gsn_plane *plane, const struct gsn_mark *spots, size_t count,
+/* The strength below which a spot is none of the marks, as far as they have been measured: three
+ * are burnt alike, and the third strongest is one of them unless it is ink. */
+static double least_strength(const struct gsn_mark_candidates *candidates)
+{
+    return candidates->count < GSN_MARKS ? 0
+                                         : FAINTEST * strength(&candidates->mark[GSN_MARKS - 1]);
+}
+
+/* Spots come the strongest first. */
+static int measure_spots(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+                         const struct gsn_mark *spots, size_t count,
                          struct gsn_mark_candidates *candidates, struct gsn_error *err)
 {
-    for (size_t i = 0; i < count; i++) {
+    for (size_t i = 0; i < count && strength(&spots[i]) >= least_strength(candidates); i++) {
         struct gsn_mark mark;
-        const int r = gsn_mark_fit(plane, spots[i].px, spots[i].radius_px, &mark, err);
+        const int r =
+            gsn_mark_density_fit(density, slot, spots[i].px, spots[i].radius_px, &mark, err);
         const double um = mark.radius_px * candidates->px_um;
 
         if (r < 0)
@@ -114,7 +97,7 @@ static int measure_spots(const struct gsn_plane *plane, const struct gsn_mark *s
     return GSN_OK;
 }
 
-static int search(const struct gsn_plane *plane, const struct gsn_slot *slot,
+static int search(const struct gsn_mark_density *density, const struct gsn_slot *slot,
                   struct gsn_mark_candidates *candidates, struct gsn_error *err)
 {
     const size_t step = gsn_mark_field_step(candidates->px_um);
@@ -130,13 +113,15 @@ static int search(const struct gsn_plane *plane, const struct gsn_slot *slot,
     if (!values)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = values;
-    reduce(plane, slot, step, &field);
+    r = gsn_mark_density_reduce(density, slot, step, &field, err);
+    if (r < 0)
+        return r;
     gsn_mark_map_take(&field, &candidates->map);
     r = gsn_mark_field_spots(&field, candidates->px_um, SPOTS, spots, &count, err);
-    return r < 0 ? r : measure_spots(plane, spots, count, candidates, err);
+    return r < 0 ? r : measure_spots(density, slot, spots, count, candidates, err);
 }
 
-int gsn_markers_candidates(const struct gsn_plane *red_od, const struct gsn_slot *slot,
+int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
                            double px_um, struct gsn_mark_candidates *ret_candidates,
                            struct gsn_error *err)
 {

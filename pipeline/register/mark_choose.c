@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_choose.h"
 
+#include "pipeline/register/mark_density.h"
 #include "pipeline/register/mark_map.h"
 #include "pipeline/register/rigid.h"
 
@@ -537,8 +538,9 @@ int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot
                      const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
                      int *ret_mirrored, double *ret_runner_up, struct gsn_error *err)
 {
+    const struct gsn_mark_density density = gsn_mark_density_of(red_od);
     struct gsn_mark_candidates candidates;
-    const int r = gsn_markers_candidates(red_od, slot, px_um, &candidates, err);
+    const int r = gsn_markers_candidates(&density, slot, px_um, &candidates, err);
 
     if (r < 0)
         return r;

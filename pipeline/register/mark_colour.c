@@ -41,7 +41,9 @@ static void inside_of(const struct gsn_image *window, struct gsn_point centre, d
          y < window->height && y < centre.y + reach; y++) {
         for (uint32_t x = (uint32_t)fmax(centre.x - reach, 0);
              x < window->width && x < centre.x + reach; x++) {
-            if (hypot(x + 0.5 - centre.x, y + 0.5 - centre.y) > reach)
+            const double dx = x + 0.5 - centre.x, dy = y + 0.5 - centre.y;
+
+            if (dx * dx + dy * dy > reach * reach)
                 continue;
             for (size_t c = 0; c < window->channels; c++)
                 sum[c] += sample_at(window, ((size_t)y * window->width + x) * window->channels + c);
@@ -59,13 +61,13 @@ static void average(const struct gsn_image *window, struct gsn_point centre, dou
 
     for (size_t b = 0; b < blocks->width * blocks->height; b++) {
         const size_t x0 = b % blocks->width * side, y0 = b / blocks->width * side;
-        const double r = hypot((double)x0 + 0.5 * (double)side - centre.x,
-                               (double)y0 + 0.5 * (double)side - centre.y) /
-                         radius;
+        const double dx = ((double)x0 + 0.5 * (double)side - centre.x) / radius;
+        const double dy = ((double)y0 + 0.5 * (double)side - centre.y) / radius;
+        const double rr = dx * dx + dy * dy;
         float *mean = blocks->mean + CHANNELS * b;
 
         mean[0] = NAN;
-        if (r < RING_FROM || r > RING_TO)
+        if (rr < RING_FROM * RING_FROM || rr > RING_TO * RING_TO)
             continue;
         for (size_t c = 0; c < window->channels; c++) {
             double sum = 0;
@@ -171,14 +173,32 @@ static void solve(double a[CHANNELS][CHANNELS], double *x, size_t n)
     }
 }
 
+/* level less the weighted samples of 8 bits, which are most pictures'. */
+static void mix_bytes(const uint8_t *restrict from, size_t count, size_t channels, float level,
+                      const float *weight, float *restrict to)
+{
+    for (size_t i = 0; channels == 1 && i < count; i++)
+        to[i] = level - weight[0] * from[i];
+    for (size_t i = 0; channels == 3 && i < count; i++)
+        to[i] = level - (weight[0] * from[3 * i] + weight[1] * from[3 * i + 1] +
+                         weight[2] * from[3 * i + 2]);
+}
+
 static void mix(const struct gsn_image *window, const double *tissue, const double *weight,
                 struct gsn_plane *plane)
 {
     const size_t channels = window->channels, count = (size_t)plane->width * plane->height;
+    float single[CHANNELS] = { 0 };
     double level = 0;
 
-    for (size_t c = 0; c < channels; c++)
+    for (size_t c = 0; c < channels; c++) {
         level += weight[c] * tissue[c];
+        single[c] = (float)weight[c];
+    }
+    if (window->bits == 8) {
+        mix_bytes(window->samples, count, channels, (float)level, single, plane->value);
+        return;
+    }
     for (size_t i = 0; i < count; i++) {
         double sum = level;
 

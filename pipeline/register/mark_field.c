@@ -178,9 +178,10 @@ static void keep(struct gsn_mark *kept, size_t *count, size_t most, const struct
     size_t at, n = 0;
 
     for (size_t i = 0; i < *count; i++) {
-        const double apart = hypot(kept[i].px.x - spot->px.x, kept[i].px.y - spot->px.y);
+        const double dx = kept[i].px.x - spot->px.x, dy = kept[i].px.y - spot->px.y;
+        const double near = fmax(kept[i].radius_px, spot->radius_px);
 
-        if (apart < fmax(kept[i].radius_px, spot->radius_px)) {
+        if (dx * dx + dy * dy < near * near) {
             if (strength(&kept[i]) >= strength(spot))
                 return;
             continue;
@@ -238,8 +239,8 @@ int gsn_mark_field_spots(const struct gsn_mark_field *field, double px_um, size_
         *ret_count = 0;
         return GSN_OK;
     }
-    values = gsn_alloc_array(cells * ladder.rungs, sizeof *values);
-    row = gsn_alloc_array(field->width + 32, sizeof *row);
+    values = gsn_alloc(cells * ladder.rungs * sizeof *values);
+    row = gsn_alloc((field->width + 32) * sizeof *row);
     if (!values || !row)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     tabulate(&ladder, cell_um);

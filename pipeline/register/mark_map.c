@@ -22,36 +22,36 @@ static struct gsn_mark_map empty(void)
     return map;
 }
 
+/* Of step x step cells; rows add up by themselves, so that one need not wait for the other. */
+static float mean_of(const float *od, size_t stride, size_t step)
+{
+    double all = 0;
+
+    for (size_t y = 0; y < step; y++) {
+        float sum = 0;
+
+        for (size_t x = 0; x < step; x++)
+            sum += od[y * stride + x];
+        all += (double)sum;
+    }
+    return (float)(all / (double)(step * step));
+}
+
 void gsn_mark_map_take(const struct gsn_mark_field *field, struct gsn_mark_map *ret_map)
 {
     const size_t longer = field->width > field->height ? field->width : field->height;
     const size_t step = (longer + SIDE - 1) / SIDE;
     struct gsn_mark_map map = empty();
 
-    for (size_t i = 0; i < CELLS && step > 0; i++) {
-        const size_t x0 = i % SIDE * step, y0 = i / SIDE * step;
-        double sum = 0;
+    for (size_t row = 0; step > 0 && row < field->height / step; row++) {
+        const float *od = field->od + row * step * field->width;
 
-        if (x0 + step > field->width || y0 + step > field->height)
-            continue;
-        for (size_t y = y0; y < y0 + step; y++)
-            for (size_t x = x0; x < x0 + step; x++)
-                sum += (double)field->od[y * field->width + x];
-        map.value[i] = (float)(sum / (double)(step * step));
+        for (size_t column = 0; column < field->width / step; column++)
+            map.value[row * SIDE + column] = mean_of(od + column * step, field->width, step);
     }
     map.cell = (double)step * field->cell_px;
     map.origin = field->origin_px;
     *ret_map = map;
-}
-
-/* The value of the cell at a point, or NaN. */
-static float value_at(const struct gsn_mark_map *map, double x, double y)
-{
-    const double column = (x - map->origin.x) / map->cell, row = (y - map->origin.y) / map->cell;
-
-    if (!(column >= 0 && row >= 0 && column < SIDE && row < SIDE))
-        return NAN;
-    return map->value[(size_t)row * SIDE + (size_t)column];
 }
 
 static struct gsn_point centre_of(const struct gsn_mark_map *map, size_t cell)
@@ -60,14 +60,38 @@ static struct gsn_point centre_of(const struct gsn_mark_map *map, size_t cell)
                                map->origin.y + ((double)(cell / SIDE) + 0.5) * map->cell };
 }
 
-/* What a section shows where a point of the block lies. */
-static float seen_at(const struct gsn_mark_candidates *section, const struct gsn_rigid *motion,
-                     int mirrored, struct gsn_point block)
+/* From the block, um, to the column and row of a section's map. */
+static struct gsn_affine to_map(const struct gsn_mark_candidates *section,
+                                const struct gsn_rigid *motion, int mirrored)
 {
-    const double dx = block.x - motion->dx, dy = block.y - motion->dy;
-    const double x = motion->cos * dx + motion->sin * dy, y = motion->cos * dy - motion->sin * dx;
+    const struct gsn_mark_map *map = &section->map;
+    const double cell_um = map->cell * section->px_um, face = mirrored ? -1 : 1;
+    const double c = motion->cos / cell_um, s = motion->sin / cell_um;
 
-    return value_at(&section->map, (mirrored ? -x : x) / section->px_um, y / section->px_um);
+    return (struct gsn_affine){
+        .m00 = face * c,
+        .m01 = face * s,
+        .m02 = -face * (c * motion->dx + s * motion->dy) - map->origin.x / map->cell,
+        .m10 = -s,
+        .m11 = c,
+        .m12 = s * motion->dx - c * motion->dy - map->origin.y / map->cell
+    };
+}
+
+/* What a section shows where the cells of a mean's row lie, or NaN. */
+static void see_row(const struct gsn_mark_map *map, const struct gsn_affine *to_cells,
+                    const struct gsn_mark_map *mean, size_t row, float seen[SIDE])
+{
+    const struct gsn_point block = centre_of(mean, row * SIDE);
+    const struct gsn_point first = gsn_affine_apply(to_cells, block);
+    const double dx = to_cells->m00 * mean->cell, dy = to_cells->m10 * mean->cell;
+
+    for (size_t i = 0; i < SIDE; i++) {
+        const double x = first.x + (double)(int)i * dx, y = first.y + (double)(int)i * dy;
+        const int is = x >= 0 && y >= 0 && x < SIDE && y < SIDE;
+
+        seen[i] = is ? map->value[(int)y * SIDE + (int)x] : NAN;
+    }
 }
 
 static int typical_cell(const struct gsn_mark_candidates *sections, const int *used, size_t count,
@@ -86,12 +110,30 @@ static int typical_cell(const struct gsn_mark_candidates *sections, const int *u
     return GSN_OK;
 }
 
+/* Adds what a section shows to each cell of the mean that it shows. */
+static void add_section(const struct gsn_mark_candidates *section, const struct gsn_rigid *motion,
+                        int mirrored, const struct gsn_mark_map *mean, double *sum, double *n)
+{
+    const struct gsn_affine to_cells = to_map(section, motion, mirrored);
+
+    for (size_t row = 0; row < SIDE; row++) {
+        float seen[SIDE];
+
+        see_row(&section->map, &to_cells, mean, row, seen);
+        for (size_t i = 0; i < SIDE; i++) {
+            sum[row * SIDE + i] += isnan(seen[i]) ? 0 : (double)seen[i];
+            n[row * SIDE + i] += !isnan(seen[i]);
+        }
+    }
+}
+
 int gsn_mark_map_mean(const struct gsn_mark_candidates *sections, const struct gsn_rigid *motions,
                       const int *mirrored, const int *used, size_t count,
                       struct gsn_point centre_um, struct gsn_mark_map *ret_tissue,
                       struct gsn_error *err)
 {
     struct gsn_mark_map tissue = empty();
+    double sum[CELLS] = { 0 }, n[CELLS] = { 0 }, all = 0;
     const int r = typical_cell(sections, used, count, &tissue.cell, err);
 
     assert(ret_tissue);
@@ -100,22 +142,15 @@ int gsn_mark_map_mean(const struct gsn_mark_candidates *sections, const struct g
         return r;
     tissue.origin = (struct gsn_point){ centre_um.x - 0.5 * SIDE * tissue.cell,
                                         centre_um.y - 0.5 * SIDE * tissue.cell };
-    for (size_t k = 0; k < CELLS && tissue.cell > 0; k++) {
-        const struct gsn_point at = centre_of(&tissue, k);
-        double sum = 0, n = 0, all = 0;
-
-        for (size_t i = 0; i < count; i++) {
-            const float value = used[i] && sections[i].map.cell > 0
-                                    ? seen_at(&sections[i], &motions[i], mirrored[i], at)
-                                    : NAN;
-
-            all += used[i] && sections[i].map.cell > 0;
-            sum += isnan(value) ? 0 : (double)value;
-            n += !isnan(value);
-        }
-        if (n > 0 && n >= SHARE * all)
-            tissue.value[k] = (float)(sum / n);
+    for (size_t i = 0; i < count && tissue.cell > 0; i++) {
+        if (!used[i] || !(sections[i].map.cell > 0))
+            continue;
+        add_section(&sections[i], &motions[i], mirrored[i], &tissue, sum, n);
+        all += 1;
     }
+    for (size_t k = 0; k < CELLS; k++)
+        if (n[k] > 0 && n[k] >= SHARE * all)
+            tissue.value[k] = (float)(sum[k] / n[k]);
     *ret_tissue = tissue;
     return GSN_OK;
 }
@@ -129,11 +164,36 @@ static float largest(const struct gsn_mark_map *map)
     return most;
 }
 
+/* What a correlation coefficient is made of. */
+struct moments {
+    double n, x, y, xx, xy, yy;
+};
+
+static void add_pair(struct moments *m, double x, double y)
+{
+    m->n += 1;
+    m->x += x;
+    m->y += y;
+    m->xx += x * x;
+    m->xy += x * y;
+    m->yy += y * y;
+}
+
+static double unlike(const struct moments *m)
+{
+    const double xx = m->xx - m->x * m->x / m->n, xy = m->xy - m->x * m->y / m->n;
+    const double yy = m->yy - m->y * m->y / m->n;
+
+    return xy > 0 && xx > 0 && yy > 0 ? 1 - fmin(xy * xy / (xx * yy), 1) : 1;
+}
+
 double gsn_mark_map_unlike(const struct gsn_mark_candidates *section,
                            const struct gsn_mark_map *tissue, const struct gsn_rigid *motion,
                            int mirrored)
 {
-    double n = 0, all = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
+    struct gsn_affine to_cells;
+    struct moments both = { 0 };
+    double all = 0;
     float most;
 
     assert(section && tissue && motion);
@@ -142,27 +202,17 @@ double gsn_mark_map_unlike(const struct gsn_mark_candidates *section,
         return 1;
     /* Ink and edges of glass are darker than any tissue, and would speak louder than it. */
     most = largest(tissue);
-    for (size_t k = 0; k < CELLS; k++) {
-        float seen;
+    to_cells = to_map(section, motion, mirrored);
+    for (size_t row = 0; row < SIDE; row++) {
+        const float *mean = tissue->value + row * SIDE;
+        float seen[SIDE];
 
-        if (isnan(tissue->value[k]))
-            continue;
-        all += 1;
-        seen = seen_at(section, motion, mirrored, centre_of(tissue, k));
-        if (isnan(seen))
-            continue;
-        seen = fminf(seen, most);
-        n += 1;
-        x += (double)tissue->value[k];
-        y += (double)seen;
-        xx += (double)tissue->value[k] * (double)tissue->value[k];
-        xy += (double)tissue->value[k] * (double)seen;
-        yy += (double)seen * (double)seen;
+        see_row(&section->map, &to_cells, tissue, row, seen);
+        for (size_t i = 0; i < SIDE; i++) {
+            all += !isnan(mean[i]);
+            if (!isnan(mean[i]) && !isnan(seen[i]))
+                add_pair(&both, (double)mean[i], (double)(seen[i] < most ? seen[i] : most));
+        }
     }
-    if (!(n > SHARE * all))
-        return 1;
-    xx -= x * x / n;
-    xy -= x * y / n;
-    yy -= y * y / n;
-    return xy > 0 && xx > 0 && yy > 0 ? 1 - fmin(xy * xy / (xx * yy), 1) : 1;
+    return both.n > SHARE * all ? unlike(&both) : 1;
 }

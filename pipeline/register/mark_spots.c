@@ -157,7 +157,7 @@ int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
     field.cell_px = (double)step;
     field.width = picture->width / step;
     field.height = picture->height / step;
-    od = gsn_alloc_array(field.width * field.height + 1, sizeof *od);
+    od = gsn_alloc((field.width * field.height + 1) * sizeof *od);
     if (!spots || !od)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = od;

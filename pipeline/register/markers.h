@@ -64,10 +64,19 @@ struct gsn_triangle_prior {
     double stretch_um;          /* how far an ordinary section's marks lie from a rigid triangle */
 };
 
-/* borrows: red_od (optical density of the red channel; NaN: masked). Finding nothing is no error.
+/* Optical density of the red channel, of width x height pixels, where it is asked for: row() puts
+ * every apart-th pixel of row y from x on, count of them, to where it is told. NaN: masked. */
+struct gsn_mark_density {
+    uint32_t width, height;
+    const void *context;
+    void (*row)(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                float *to);
+};
+
+/* borrows: red_od. Spots are told from some of the slot's pixels. Finding nothing is no error.
  * Fails with GSN_E_INPUT when px_um is not positive, too coarse for a mark of 100 um, or the slot
- * is empty or reaches outside the plane; GSN_E_NOMEM. */
-int gsn_markers_candidates(const struct gsn_plane *red_od, const struct gsn_slot *slot,
+ * is empty or reaches outside the panel; GSN_E_NOMEM. */
+int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
                            double px_um, struct gsn_mark_candidates *ret_candidates,
                            struct gsn_error *err);
 

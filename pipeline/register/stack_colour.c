@@ -8,6 +8,8 @@
 
 /* Weights are in 2^-14: with light of 15 bits a sum of two stays in 32. */
 enum { ONE = 1 << 14 };
+/* Voxels along and across a tile: the lines of pixels under one stay in the nearest cache. */
+enum { TILE = 64, ROWS = 16 };
 
 gsn_colour_row_run gsn_colour_row_sse4;
 
@@ -106,12 +108,31 @@ static int inside(const struct job *job, int64_t x, int64_t y)
            v + 1 < (int64_t)s->y + s->height && u + 2 < job->image->width;
 }
 
-/* A line crosses a box in one piece: its ends are looked for from both sides. */
-static void mix_row(const struct job *job, struct gsn_colour_row row)
+/* The voxels of a line, along one of its axes, that may lie over the box: low to high, and a voxel
+ * more than need be. */
+static void narrow(int64_t at, int64_t step, int64_t low, int64_t high, size_t *first, size_t *end)
 {
+    const double per_voxel = (double)step / 4294967296.0, from = (double)at / 4294967296.0;
+    const double a = ((double)low - 1 - from) / per_voxel;
+    const double b = ((double)high + 1 - from) / per_voxel;
+
+    /* Along the other axis: all of them, or none. */
+    if (!isfinite(a) || !isfinite(b) || fabs(per_voxel) < 1e-6)
+        return;
+    *first = (size_t)fmin(fmax(fmin(a, b) - 1, (double)*first), (double)*end);
+    *end = (size_t)fmin(fmax(fmax(a, b) + 2, (double)*first), (double)*end);
+}
+
+/* A line crosses a box in one piece: its ends are looked for from both sides. */
+static struct gsn_colour_row cross(const struct job *job, struct gsn_colour_row row)
+{
+    const struct gsn_stack_section *s = job->section;
     const int64_t x = row.x, y = row.y;
     uint8_t *to = row.to;
     size_t first = 0, end = row.count;
+
+    narrow(x, row.dx, s->x, (int64_t)s->x + s->width, &first, &end);
+    narrow(y, row.dy, s->y, (int64_t)s->y + s->height, &first, &end);
 
     for (; first < end && !inside(job, x + (int64_t)first * row.dx, y + (int64_t)first * row.dy);
          first++)
@@ -125,7 +146,33 @@ static void mix_row(const struct job *job, struct gsn_colour_row row)
     row.y = y + (int64_t)first * row.dy;
     row.to = to + 3 * first;
     row.count = end - first;
-    job->run(&row);
+    return row;
+}
+
+/* Rows of voxels side by side, a tile after the other: a section lies at any angle, and pixels that
+ * one row has passed are then still at hand for the next. */
+static void mix_rows(const struct job *job, const struct gsn_colour_row *rows, size_t count)
+{
+    struct gsn_colour_row rest[ROWS];
+    size_t left = 0;
+
+    for (size_t k = 0; k < count; k++) {
+        rest[k] = cross(job, rows[k]);
+        left = rest[k].count > left ? rest[k].count : left;
+    }
+    for (size_t at = 0; at < left; at += TILE) {
+        for (size_t k = 0; k < count; k++) {
+            struct gsn_colour_row tile = rest[k];
+
+            if (at >= tile.count)
+                continue;
+            tile.x += (int64_t)at * tile.dx;
+            tile.y += (int64_t)at * tile.dy;
+            tile.to += 3 * at;
+            tile.count = tile.count - at < TILE ? tile.count - at : TILE;
+            job->run(&tile);
+        }
+    }
 }
 
 /* The tent around one voxel's centre (px, py), pixel centres at +0.5. */
@@ -157,31 +204,52 @@ static int64_t fixed(double x)
     return (int64_t)(x * 4294967296.0);
 }
 
-/* One row of the lattice; every row is written by one call, so the threads cannot matter. */
-static int fill_row(size_t index, void *context, struct gsn_error *err)
+/* A row of the lattice whose voxels are no larger than pixels. */
+static struct gsn_colour_row row_of(const struct job *job, size_t y, size_t z)
 {
-    const struct job *job = context;
     const struct gsn_lattice *at = &job->grid->at;
-    const size_t y = index % at->ny, z = job->of[index / at->ny];
+    const struct gsn_vec3 um = gsn_lattice_centre(at, 0, y, z);
+    const struct gsn_point px = gsn_affine_apply(&job->back, (struct gsn_point){ um.x, um.y });
+
+    return (struct gsn_colour_row){ .image = job->image,
+                                    .light = job->light,
+                                    .x = fixed(px.x - 0.5),
+                                    .y = fixed(px.y - 0.5),
+                                    .dx = fixed(job->back.m00 * at->step_um.x),
+                                    .dy = fixed(job->back.m10 * at->step_um.x),
+                                    .count = at->nx,
+                                    .to = job->grid->rgb + 3 * gsn_lattice_index(at, 0, y, z) };
+}
+
+static void average_row(const struct job *job, size_t y, size_t z)
+{
+    const struct gsn_lattice *at = &job->grid->at;
     const struct gsn_vec3 um = gsn_lattice_centre(at, 0, y, z);
     const struct gsn_point px = gsn_affine_apply(&job->back, (struct gsn_point){ um.x, um.y });
     const double dx = job->back.m00 * at->step_um.x, dy = job->back.m10 * at->step_um.x;
     uint8_t *to = job->grid->rgb + 3 * gsn_lattice_index(at, 0, y, z);
 
+    for (size_t x = 0; x < at->nx; x++)
+        average(job, px.x + (double)x * dx, px.y + (double)x * dy, to + 3 * x);
+}
+
+/* Some rows of the lattice; every row is written by one call, so the threads cannot matter. */
+static int fill_rows(size_t index, void *context, struct gsn_error *err)
+{
+    const struct job *job = context;
+    const size_t ny = job->grid->at.ny, blocks = (ny + ROWS - 1) / ROWS;
+    const size_t first = index % blocks * ROWS, z = job->of[index / blocks];
+    struct gsn_colour_row rows[ROWS];
+    size_t count = 0;
+
     (void)err;
-    if (job->reach > 1) {
-        for (size_t x = 0; x < at->nx; x++)
-            average(job, px.x + (double)x * dx, px.y + (double)x * dy, to + 3 * x);
-        return GSN_OK;
+    for (size_t y = first; y < ny && y < first + ROWS; y++) {
+        if (job->reach > 1)
+            average_row(job, y, z);
+        else
+            rows[count++] = row_of(job, y, z);
     }
-    mix_row(job, (struct gsn_colour_row){ .image = job->image,
-                                          .light = job->light,
-                                          .x = fixed(px.x - 0.5),
-                                          .y = fixed(px.y - 0.5),
-                                          .dx = fixed(dx),
-                                          .dy = fixed(dy),
-                                          .count = at->nx,
-                                          .to = to });
+    mix_rows(job, rows, count);
     return GSN_OK;
 }
 
@@ -251,5 +319,6 @@ int gsn_stack_colour(const struct gsn_stack_section *section, const struct gsn_i
     if (is_even(image, light) && gsn_colour_row_even())
         job.run = gsn_colour_row_even();
     return is_far(&job) ? GSN_OK
-                        : gsn_parallel_for(grid->at.ny * job.planes, threads, fill_row, &job, err);
+                        : gsn_parallel_for((grid->at.ny + ROWS - 1) / ROWS * job.planes, threads,
+                                           fill_rows, &job, err);
 }

@@ -51,26 +51,20 @@ static int float_table(enum gsn_light light, unsigned bits, float **ret_table,
     return GSN_OK;
 }
 
-/* log10 of light of channel c, or of all three added up for c = 3, of count pixels from at on. */
-static void light_row(const struct gsn_image *image, const float *table, size_t at, size_t count,
-                      unsigned c, float *to)
+/* log10 of light of all three channels added up, of count pixels from at on. */
+static void total_row(const struct gsn_image *image, const float *table, size_t at, size_t count,
+                      float *to)
 {
-    const int all = c == 3;
-
     if (image->bits == 8) {
         const uint8_t *from = (const uint8_t *)image->samples + 3 * at;
 
-        for (size_t x = 0; all && x < count; x++)
+        for (size_t x = 0; x < count; x++)
             to[x] = table[from[3 * x]] + table[from[3 * x + 1]] + table[from[3 * x + 2]];
-        for (size_t x = 0; !all && x < count; x++)
-            to[x] = table[from[3 * x + c]];
     } else {
         const uint16_t *from = (const uint16_t *)image->samples + 3 * at;
 
-        for (size_t x = 0; all && x < count; x++)
+        for (size_t x = 0; x < count; x++)
             to[x] = table[from[3 * x]] + table[from[3 * x + 1]] + table[from[3 * x + 2]];
-        for (size_t x = 0; !all && x < count; x++)
-            to[x] = table[from[3 * x + c]];
     }
 }
 
@@ -80,7 +74,7 @@ static void below_glass(const float g[3], uint32_t width, uint32_t x0, size_t co
     const float step = (float)(2.0 / width);
 
     for (size_t x = 0; x < count; x++) {
-        const float u = step * ((float)(x0 + x) + 0.5f) - 1;
+        const float u = step * ((float)(int)(x0 + x) + 0.5f) - 1;
 
         to[x] = g[0] + u * (g[1] + u * g[2]) - to[x];
     }
@@ -104,24 +98,10 @@ static void glass_row(const struct gsn_glass *glass, uint32_t y, unsigned c, flo
         ret[i] = (float)sum[i];
 }
 
-static void absorb_rows(const struct gsn_image *image, const struct gsn_glass *glass,
-                        const float *table, const struct gsn_pixel_box *box, unsigned c, float *to)
-{
-    const size_t width = (size_t)box->width;
-
-    for (int y = box->y; y < box->y + box->height; y++, to += width) {
-        float g[3];
-
-        glass_row(glass, (uint32_t)y, c, g);
-        light_row(image, table, (size_t)y * image->width + (size_t)box->x, width, c, to);
-        below_glass(g, image->width, (uint32_t)box->x, width, to);
-    }
-}
-
 int gsn_absorb_total(const struct gsn_image *image, const struct gsn_glass *glass,
                      struct gsn_plane **ret_total, struct gsn_error *err)
 {
-    const struct gsn_pixel_box all = { 0, 0, (int)image->width, (int)image->height };
+    const size_t width = image->width;
     gsn_auto_mem(float) table = NULL;
     gsn_auto(gsn_plane) total = NULL;
     int r = check(image, glass, err);
@@ -132,36 +112,14 @@ int gsn_absorb_total(const struct gsn_image *image, const struct gsn_glass *glas
         r = gsn_plane_new(image->width, image->height, &total, err);
     if (r < 0)
         return r;
-    absorb_rows(image, glass, table, &all, 3, total->value);
-    *ret_total = gsn_steal(&total);
-    return GSN_OK;
-}
+    for (uint32_t y = 0; y < image->height; y++) {
+        float *to = total->value + y * width, g[3];
 
-int gsn_absorb_box(const struct gsn_image *image, const struct gsn_glass *glass,
-                   const struct gsn_pixel_box *box, unsigned planes, struct gsn_plane *ret_od[3],
-                   struct gsn_error *err)
-{
-    gsn_auto_mem(float) table = NULL;
-    gsn_auto(gsn_plane) red = NULL;
-    gsn_auto(gsn_plane) green = NULL;
-    gsn_auto(gsn_plane) blue = NULL;
-    struct gsn_plane **const plane[3] = { &red, &green, &blue };
-    int r = check(image, glass, err);
-
-    assert(planes >= 1 && planes <= 3 && box->x >= 0 && box->y >= 0);
-    assert(box->width > 0 && box->width <= (int)image->width - box->x);
-    assert(box->height > 0 && box->height <= (int)image->height - box->y);
-
-    if (r >= 0)
-        r = float_table(glass->light, image->bits, &table, err);
-    for (unsigned c = 0; c < planes && r >= 0; c++)
-        r = gsn_plane_new((uint32_t)box->width, (uint32_t)box->height, plane[c], err);
-    if (r < 0)
-        return r;
-    for (unsigned c = 0; c < planes; c++) {
-        absorb_rows(image, glass, table, box, c, (*plane[c])->value);
-        ret_od[c] = gsn_steal(plane[c]);
+        glass_row(glass, y, 3, g);
+        total_row(image, table, y * width, width, to);
+        below_glass(g, image->width, 0, width, to);
     }
+    *ret_total = gsn_steal(&total);
     return GSN_OK;
 }
 
@@ -281,6 +239,27 @@ void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t 
 
         glass_row(absorber->glass, y, c, g);
         below_glass(g, width, x, count, od[c]);
+    }
+}
+
+void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, uint32_t apart,
+                      size_t count, float *to)
+{
+    const struct gsn_image *image = absorber->image;
+    const size_t first = 3 * ((size_t)y * image->width + x), stride = 3 * (size_t)apart;
+    const float step = 2.0F / (float)image->width;
+    float g[3];
+
+    for (size_t i = 0; i < count; i++)
+        to[i] =
+            absorber
+                ->table[image->bits == 8 ? ((const uint8_t *)image->samples)[first + i * stride]
+                                         : ((const uint16_t *)image->samples)[first + i * stride]];
+    glass_row(absorber->glass, y, 0, g);
+    for (size_t i = 0; i < count; i++) {
+        const float u = step * ((float)(int)(x + i * apart) + 0.5f) - 1;
+
+        to[i] = g[0] + u * (g[1] + u * g[2]) - to[i];
     }
 }
 

@@ -20,13 +20,6 @@ struct gsn_pixel_box {
     int x, y, width, height;
 };
 
-/* gives: optical density of the first planes channels (1 to 3) inside the box, planes of its size;
- * ret_od beyond them is untouched. A sample of 0 is read as half a code. The box lies in the
- * picture. Fails as gsn_optical_density(). */
-int gsn_absorb_box(const struct gsn_image *image, const struct gsn_glass *glass,
-                   const struct gsn_pixel_box *box, unsigned planes, struct gsn_plane *ret_od[3],
-                   struct gsn_error *err);
-
 /* gives: optical density of every apart-th pixel of every apart-th row, from the first on: single
  * pixels with their own noise, for statistics that a few of them tell as well as all.
  * Fails as gsn_optical_density(). */
@@ -50,6 +43,9 @@ GSN_DEFINE_AUTO(gsn_absorber);
 /* R, G and B of count pixels from (x, y) on. */
 void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count,
                       float *const od[3]);
+/* R alone, of every apart-th of them. A sample of 0 is read as half a code. */
+void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, uint32_t apart,
+                      size_t count, float *to);
 /* Whether a sample of these pixels is at either end of its codes, where it only says "or beyond".
  */
 int gsn_absorber_at_end(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count);

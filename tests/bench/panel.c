@@ -289,18 +289,13 @@ static double cpu_now(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* The box of a slot as a picture of its own. */
-static struct gsn_slot alone(const struct gsn_slot *slot)
+static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                    float *to)
 {
-    struct gsn_slot inside = *slot;
-
-    inside.x = inside.y = 0;
-    inside.centre_px.x -= slot->x;
-    inside.centre_px.y -= slot->y;
-    return inside;
+    gsn_absorber_red(context, x, y, apart, count, to);
 }
 
-/* Marks and pose of every section, in pixels of its own box. */
+/* Marks and pose of every section, in pixels of the panel. */
 static void find_poses(const struct bench_panel *panel, const struct gsn_image *image,
                        const struct found *found, struct gsn_pose *pose, double *ret_worst)
 {
@@ -309,50 +304,40 @@ static void find_poses(const struct bench_panel *panel, const struct gsn_image *
     struct gsn_pose_input input[BENCH_SECTIONS] = { { 0 } };
     const struct gsn_pose_options options = { .markers_um = panel->triangle_um };
     struct gsn_triangle_prior prior = { 0 };
+    gsn_auto(gsn_absorber) absorber = NULL;
+    struct gsn_mark_density red;
     struct gsn_pose_summary summary;
     struct gsn_error err = { 0 };
 
     memcpy(prior.mark_um, panel->triangle_um, sizeof prior.mark_um);
-    for (unsigned i = 0; i < BENCH_SECTIONS; i++) {
-        const struct gsn_slot *slot = &found->slot[i];
-        const struct gsn_pixel_box box = { slot->x, slot->y, slot->width, slot->height };
-        const struct gsn_slot inside = alone(slot);
-        struct gsn_plane *red[3] = { NULL };
-
-        bench_need(gsn_absorb_box(image, &found->glass, &box, 1, red, &err), &err, "chain");
-        bench_need(gsn_markers_candidates(red[0], &inside, panel->px_um, &candidates[i], &err),
-                   &err, "chain");
-        gsn_plane_free(red[0]);
-    }
+    bench_need(gsn_absorber_new(image, &found->glass, &absorber, &err), &err, "chain");
+    red = (struct gsn_mark_density){ image->width, image->height, absorber, red_row };
+    for (unsigned i = 0; i < BENCH_SECTIONS; i++)
+        bench_need(
+            gsn_markers_candidates(&red, &found->slot[i], panel->px_um, &candidates[i], &err), &err,
+            "chain");
     bench_need(gsn_markers_learn(candidates, BENCH_SECTIONS, &prior, &err), &err, "chain");
     for (unsigned i = 0; i < BENCH_SECTIONS; i++) {
         input[i].serial = i;
         input[i].px_um = panel->px_um;
         gsn_markers_choose(&candidates[i], &prior, input[i].marks, &input[i].mirrored, NULL, NULL);
         for (unsigned m = 0; m < GSN_MARKS && input[i].marks[m].found; m++)
-            *ret_worst = fmax(
-                *ret_worst, hypot(input[i].marks[m].px.x + found->slot[i].x - panel->mark[i][m].x,
-                                  input[i].marks[m].px.y + found->slot[i].y - panel->mark[i][m].y));
+            *ret_worst = fmax(*ret_worst, hypot(input[i].marks[m].px.x - panel->mark[i][m].x,
+                                                input[i].marks[m].px.y - panel->mark[i][m].y));
     }
     bench_need(gsn_pose_solve(input, BENCH_SECTIONS, &options, pose, &summary, &err), &err,
                "chain");
 }
 
-/* The section of a slot; its pose is in pixels of its own box. */
 static struct gsn_stack_section section_of(const struct gsn_slot *slot, const struct gsn_pose *pose,
                                            unsigned serial)
 {
-    struct gsn_stack_section section = { .serial = serial,
-                                         .panel_to_block_um = pose->panel_to_block_um,
-                                         .x = slot->x,
-                                         .y = slot->y,
-                                         .width = slot->width,
-                                         .height = slot->height };
-    struct gsn_affine *map = &section.panel_to_block_um;
-
-    map->m02 -= map->m00 * slot->x + map->m01 * slot->y;
-    map->m12 -= map->m10 * slot->x + map->m11 * slot->y;
-    return section;
+    return (struct gsn_stack_section){ .serial = serial,
+                                       .panel_to_block_um = pose->panel_to_block_um,
+                                       .x = slot->x,
+                                       .y = slot->y,
+                                       .width = slot->width,
+                                       .height = slot->height };
 }
 
 /* The block frame at the panel's own pixel size, a plane a section. */

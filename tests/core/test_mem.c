@@ -56,6 +56,20 @@ TEST(arrays_begin_as_zeros)
     }
 }
 
+TEST(large_arrays_begin_as_zeros_in_memory_that_was_used)
+{
+    const size_t size = (size_t)5 << 20;
+
+    for (int round = 0; round < 3; round++) {
+        gsn_auto_mem(unsigned char) bytes = gsn_alloc_array(size, 1);
+
+        CHECK(bytes != NULL);
+        for (size_t i = 0; i < size; i++)
+            CHECK(bytes[i] == 0);
+        memset(bytes, 0xFF, size);
+    }
+}
+
 TEST(a_size_that_overflows_gives_null_and_asks_the_system_for_nothing)
 {
     static const size_t sizes[] = { 2, 3, 4, 8, 24, 4096 };

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/markers.h"
 
+#include "pipeline/register/mark_density.h"
+
 #include "tests/check.h"
 #include "tests/register/draw.h"
 
@@ -235,11 +237,12 @@ TEST(two_marks_that_the_tissue_cannot_tell_are_not_guessed)
 static struct gsn_mark_candidates pictured(double angle, int flipped, unsigned marks, uint64_t seed)
 {
     const struct gsn_slot slot = whole_panel();
+    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
     struct gsn_mark_candidates section;
     struct gsn_error err = { 0 };
 
     draw_section(angle, flipped, marks, seed);
-    CHECK_OK(gsn_markers_candidates(&panel, &slot, PX, &section, &err), err);
+    CHECK_OK(gsn_markers_candidates(&density, &slot, PX, &section, &err), err);
     return section;
 }
 
@@ -522,19 +525,20 @@ TEST(sections_that_do_not_agree_are_refused)
 
 TEST(bad_questions_are_refused_and_the_output_stays_untouched)
 {
+    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
     struct gsn_slot slot = whole_panel();
     struct gsn_mark_candidates candidates = { .count = 77 };
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_markers_candidates(&panel, &slot, 0, &candidates, &err) == GSN_E_INPUT);
-    CHECK(gsn_markers_candidates(&panel, &slot, NAN, &candidates, &err) == GSN_E_INPUT);
-    CHECK(gsn_markers_candidates(&panel, &slot, 60, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&density, &slot, 0, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&density, &slot, NAN, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&density, &slot, 60, &candidates, &err) == GSN_E_INPUT);
     slot.x = 1;
-    CHECK(gsn_markers_candidates(&panel, &slot, PX, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&density, &slot, PX, &candidates, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "the box of slot 1 reaches outside the panel") == 0);
     slot = whole_panel();
     slot.found = 0;
-    CHECK(gsn_markers_candidates(&panel, &slot, PX, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_candidates(&density, &slot, PX, &candidates, &err) == GSN_E_INPUT);
     CHECK(candidates.count == 77);
 }
 

@@ -34,6 +34,22 @@ static struct gsn_glass uneven(enum gsn_light light)
     return glass;
 }
 
+/* All channels of a row of the box, and red of every third pixel of it. */
+static void check_row(const struct gsn_absorber *absorber, struct gsn_plane *const whole[3],
+                      const struct gsn_pixel_box *box, int y)
+{
+    float row[3][WIDTH], *const to[3] = { row[0], row[1], row[2] };
+
+    gsn_absorber_row(absorber, (uint32_t)box->x, (uint32_t)y, (size_t)box->width, to);
+    for (int c = 0; c < 3; c++)
+        for (int x = 0; x < box->width; x++)
+            CHECK_NEAR(row[c][x], whole[c]->value[y * WIDTH + box->x + x], 2e-6);
+    gsn_absorber_red(absorber, (uint32_t)box->x, (uint32_t)y, 3, (size_t)(box->width + 2) / 3,
+                     row[0]);
+    for (int x = 0; x < box->width; x += 3)
+        CHECK_NEAR(row[0][x / 3], whole[0]->value[y * WIDTH + box->x + x], 2e-6);
+}
+
 /* The whole picture's densities, in double precision, are the reference. */
 TEST(a_box_holds_what_the_whole_picture_has_there)
 {
@@ -48,42 +64,30 @@ TEST(a_box_holds_what_the_whole_picture_has_there)
                 uneven(bits == 8 ? GSN_LIGHT_SRGB : GSN_LIGHT_CODES_LINEAR);
             const struct gsn_pixel_box *box = &boxes[b];
             gsn_auto(gsn_image) image = picture(bits);
-            struct gsn_plane *whole[3], *part[3];
+            gsn_auto(gsn_absorber) absorber = NULL;
+            struct gsn_plane *whole[3];
 
             CHECK_OK(gsn_optical_density(image, &glass, 1, whole, NULL, &err), err);
-            CHECK_OK(gsn_absorb_box(image, &glass, box, 3, part, &err), err);
-            for (unsigned c = 0; c < 3; c++) {
-                CHECK(part[c]->width == (uint32_t)box->width);
-                CHECK(part[c]->height == (uint32_t)box->height);
-                for (int i = 0; i < box->width * box->height; i++) {
-                    const int x = box->x + i % box->width, y = box->y + i / box->width;
-
-                    CHECK_NEAR(part[c]->value[i], whole[c]->value[y * WIDTH + x], 2e-6);
-                }
+            CHECK_OK(gsn_absorber_new(image, &glass, &absorber, &err), err);
+            for (int y = box->y; y < box->y + box->height; y++)
+                check_row(absorber, whole, box, y);
+            for (unsigned c = 0; c < 3; c++)
                 gsn_plane_free(whole[c]);
-                gsn_plane_free(part[c]);
-            }
         }
 }
 
-TEST(the_total_is_the_sum_of_three_and_one_plane_is_red)
+TEST(the_total_is_the_sum_of_three)
 {
     const struct gsn_glass glass = uneven(GSN_LIGHT_CODES_LINEAR);
-    const struct gsn_pixel_box all = { 0, 0, WIDTH, HEIGHT };
     gsn_auto(gsn_image) image = picture(8);
     gsn_auto(gsn_plane) total = NULL;
-    struct gsn_plane *od[3], *red[3] = { NULL };
+    struct gsn_plane *od[3];
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_optical_density(image, &glass, 1, od, NULL, &err), err);
     CHECK_OK(gsn_absorb_total(image, &glass, &total, &err), err);
-    CHECK_OK(gsn_absorb_box(image, &glass, &all, 1, red, &err), err);
-    for (size_t i = 0; i < WIDTH * HEIGHT; i++) {
+    for (size_t i = 0; i < WIDTH * HEIGHT; i++)
         CHECK_NEAR(total->value[i], od[0]->value[i] + od[1]->value[i] + od[2]->value[i], 1e-5);
-        CHECK_NEAR(red[0]->value[i], od[0]->value[i], 2e-6);
-    }
-    CHECK(red[1] == NULL && red[2] == NULL);
-    gsn_plane_free(red[0]);
     for (int c = 0; c < 3; c++)
         gsn_plane_free(od[c]);
 }
@@ -91,15 +95,15 @@ TEST(the_total_is_the_sum_of_three_and_one_plane_is_red)
 TEST(grey_pictures_and_glass_of_another_size_are_refused)
 {
     struct gsn_glass glass = uneven(GSN_LIGHT_SRGB);
-    const struct gsn_pixel_box all = { 0, 0, WIDTH, HEIGHT };
     gsn_auto(gsn_image) image = picture(8);
+    struct gsn_absorber *absorber = NULL;
     struct gsn_plane *plane[3] = { NULL };
     struct gsn_error err = { 0 };
 
     glass.width--;
     CHECK(gsn_absorb_total(image, &glass, plane, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "the glass was measured on 56 x 43 pixels, not on 57 x 43") == 0);
-    CHECK(gsn_absorb_box(image, &glass, &all, 3, plane, &err) == GSN_E_INPUT);
+    CHECK(gsn_absorber_new(image, &glass, &absorber, &err) == GSN_E_INPUT && absorber == NULL);
     glass.width++;
     image->channels = 1;
     CHECK(gsn_absorb_total(image, &glass, plane, &err) == GSN_E_INPUT);
@@ -110,17 +114,11 @@ TEST(grey_pictures_and_glass_of_another_size_are_refused)
 static int absorb_once(const struct gsn_image *image, struct gsn_error *err)
 {
     const struct gsn_glass glass = uneven(GSN_LIGHT_CODES_LINEAR);
-    const struct gsn_pixel_box box = { 1, 1, 5, 5 };
-    struct gsn_plane *od[3];
+    gsn_auto(gsn_absorber) absorber = NULL;
     gsn_auto(gsn_plane) total = NULL;
-    int r = gsn_absorb_total(image, &glass, &total, err);
+    const int r = gsn_absorb_total(image, &glass, &total, err);
 
-    if (r < 0)
-        return r;
-    r = gsn_absorb_box(image, &glass, &box, 3, od, err);
-    for (int c = 0; c < 3 && r >= 0; c++)
-        gsn_plane_free(od[c]);
-    return r;
+    return r < 0 ? r : gsn_absorber_new(image, &glass, &absorber, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

@@ -1,0 +1,122 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/mark_density.h"
+
+#include "pipeline/register/mark_fit.h"
+
+#include <assert.h>
+#include <math.h>
+#include <string.h>
+
+/* Pixels read of a cell along each side: a blur over a dozen cells follows, so that four of a cell
+ * of 5 x 5 show every spot that all of them show. */
+enum { TAPS = 2 };
+/* A window reaches a little further than the fit's, which is 2.3 radii. */
+static const double WINDOW = 2.4;
+
+static void plane_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                      float *to)
+{
+    const struct gsn_plane *plane = context;
+    const float *from = plane->value + (size_t)y * plane->width + x;
+
+    for (size_t i = 0; i < count; i++)
+        to[i] = from[i * apart];
+}
+
+struct gsn_mark_density gsn_mark_density_of(const struct gsn_plane *plane)
+{
+    return (struct gsn_mark_density){ plane->width, plane->height, plane, plane_row };
+}
+
+/* The middle of one of as many equal parts of a cell. */
+static uint32_t tap(size_t step, size_t taps, size_t i)
+{
+    return (uint32_t)((2 * i + 1) * step / (2 * taps));
+}
+
+/* The sum of what is not masked, and how many that are. */
+static void add_tap(const float *restrict from, size_t count, float *restrict sum,
+                    float *restrict n)
+{
+    for (size_t i = 0; i < count; i++) {
+        const int is = isfinite(from[i]);
+
+        sum[i] += is ? from[i] : 0;
+        n[i] += is ? 1.0f : 0.0f;
+    }
+}
+
+/* A hole in the data must not look like a spot: it takes the mean of the section. */
+static void fill_holes(struct gsn_mark_field *field)
+{
+    const size_t cells = field->width * field->height;
+    double sum = 0, n = 0;
+
+    for (size_t i = 0; i < cells; i++)
+        if (!isnan(field->od[i])) {
+            sum += (double)field->od[i];
+            n += 1;
+        }
+    for (size_t i = 0; i < cells && n < (double)cells; i++)
+        if (isnan(field->od[i]))
+            field->od[i] = n > 0 ? (float)(sum / n) : 0;
+}
+
+int gsn_mark_density_reduce(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+                            size_t step, struct gsn_mark_field *field, struct gsn_error *err)
+{
+    const size_t taps = step < TAPS ? step : TAPS, width = field->width;
+    gsn_auto_mem(float) room = gsn_alloc_array(2 * width + 1, sizeof *room);
+
+    if (!room)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
+    for (size_t y = 0; y < field->height; y++) {
+        float *sum = field->od + y * width, *row = room, *n = room + width;
+
+        memset(sum, 0, width * sizeof *sum);
+        memset(n, 0, width * sizeof *n);
+        for (size_t k = 0; k < taps * taps; k++) {
+            density->row(density->context, (uint32_t)slot->x + tap(step, taps, k % taps),
+                         (uint32_t)slot->y + (uint32_t)(y * step) + tap(step, taps, k / taps),
+                         (uint32_t)step, width, row);
+            add_tap(row, width, sum, n);
+        }
+        for (size_t x = 0; x < width; x++)
+            sum[x] = n[x] > 0 ? sum[x] / n[x] : NAN;
+    }
+    fill_holes(field);
+    return GSN_OK;
+}
+
+int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+                         struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
+                         struct gsn_error *err)
+{
+    const double reach = WINDOW * radius_px + 2;
+    const int x0 = (int)fmax(floor(start.x - reach), slot->x);
+    const int y0 = (int)fmax(floor(start.y - reach), slot->y);
+    const int x1 = (int)fmin(ceil(start.x + reach), slot->x + slot->width);
+    const int y1 = (int)fmin(ceil(start.y + reach), slot->y + slot->height);
+    gsn_auto_mem(float) value = gsn_alloc((size_t)(x1 - x0) * (size_t)(y1 - y0) * sizeof *value);
+    const struct gsn_plane window = { (uint32_t)(x1 - x0), (uint32_t)(y1 - y0), value };
+    struct gsn_mark mark;
+    int r;
+
+    assert(x1 > x0 && y1 > y0);
+
+    if (!value)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
+    for (int y = y0; y < y1; y++)
+        density->row(density->context, (uint32_t)x0, (uint32_t)y, 1, window.width,
+                     value + (size_t)(y - y0) * window.width);
+    r = gsn_mark_fit(&window, (struct gsn_point){ start.x - x0, start.y - y0 }, radius_px, &mark,
+                     err);
+    if (r < 0)
+        return r;
+    if (mark.found) {
+        mark.px.x += x0;
+        mark.px.y += y0;
+    }
+    *ret_mark = mark;
+    return GSN_OK;
+}

@@ -211,3 +211,36 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
                        "used: look at them, and hold the one that is not there",
                        finding->a, finding->b, 100 * finding->evidence);
 }
+
+int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,
+                                     char ret_sentence[GSN_POSE_SENTENCE])
+{
+    char near[48] = "", most[80] = "";
+
+    ret_sentence[0] = '\0';
+    if (sequence->reach == 1)
+        return 0;
+    if (sequence->reach > 1)
+        (void)snprintf(near, sizeof near, " nearer than %u to each other", sequence->reach);
+    if (sequence->unseen > 0)
+        (void)snprintf(most, sizeof most,
+                       "; it would carry at most %.2g %% of all density to the other place",
+                       100 * sequence->unseen);
+    (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                   "a swap of two sections%s may not show in their tissue: their order rests on "
+                   "numbers and slots alone%s",
+                   near, most);
+    return 1;
+}
+
+int gsn_section_order_blind_to_duplicates(const struct gsn_sequence *sequence,
+                                          char ret_sentence[GSN_POSE_SENTENCE])
+{
+    ret_sentence[0] = '\0';
+    if (sequence->twice_told)
+        return 0;
+    (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                   "a section mounted or scanned twice would not show: neighbours share all that "
+                   "could set one apart");
+    return 1;
+}

@@ -38,6 +38,13 @@ int gsn_section_order_examine(struct gsn_section_order *order, struct gsn_assemb
 void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
                                 char ret_sentence[GSN_POSE_SENTENCE]);
 
+/* What the tissue could not have shown, in words; empty where it shows all that is looked for.
+ * Returns whether there is anything to say. */
+int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,
+                                     char ret_sentence[GSN_POSE_SENTENCE]);
+int gsn_section_order_blind_to_duplicates(const struct gsn_sequence *sequence,
+                                          char ret_sentence[GSN_POSE_SENTENCE]);
+
 #ifdef __cplusplus
 }
 #endif

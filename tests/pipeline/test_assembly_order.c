@@ -96,6 +96,26 @@ TEST(a_swap_is_a_proposal_in_words)
                  "would be 34 % less rough along z; nothing was moved: look at both") == 0);
 }
 
+TEST(what_the_tissue_cannot_show_is_said_with_what_it_would_cost)
+{
+    const struct gsn_sequence all = { .reach = 1, .twice_told = 1 }, none = { 0 },
+                              some = { .reach = 3, .unseen = 0.0069, .twice_told = 1 };
+    char sentence[GSN_POSE_SENTENCE];
+
+    CHECK(!gsn_section_order_blind_to_swaps(&all, sentence) && sentence[0] == '\0');
+    CHECK(!gsn_section_order_blind_to_duplicates(&all, sentence) && sentence[0] == '\0');
+    CHECK(gsn_section_order_blind_to_swaps(&some, sentence));
+    CHECK(strcmp(sentence, "a swap of two sections nearer than 3 to each other may not show in "
+                           "their tissue: their order rests on numbers and slots alone; it would "
+                           "carry at most 0.69 % of all density to the other place") == 0);
+    CHECK(gsn_section_order_blind_to_swaps(&none, sentence));
+    CHECK(strcmp(sentence, "a swap of two sections may not show in their tissue: their order "
+                           "rests on numbers and slots alone") == 0);
+    CHECK(gsn_section_order_blind_to_duplicates(&none, sentence));
+    CHECK(strcmp(sentence, "a section mounted or scanned twice would not show: neighbours share "
+                           "all that could set one apart") == 0);
+}
+
 TEST(a_specimen_without_laid_sections_has_no_order)
 {
     struct gsn_assembly a = { .section_count = 1, .section = sections };

@@ -2,6 +2,7 @@
 #include "storage/candidate.h"
 
 #include "storage/sql.h"
+#include "storage/within.h"
 
 #include <math.h>
 #include <string.h>
@@ -49,9 +50,10 @@ SQL_DEFINE_ROWS(candidate);
 
 static const char LIST[] = "SELECT s.panel_id, s.slot, c.key + 1, " SAID("chosen") SAID("mirrored")
     SAID("flipped") SAID("rotated180") SAID("share") SAID("error_um") SAID("differs") MARKERS
-    "FROM panel p JOIN section s ON s.panel_id = p.id AND s.candidates <> '' "
-    "JOIN json_each(s.candidates) c WHERE p.specimen_id = ?1 "
-    "ORDER BY p.number, p.id, s.slot, c.key";
+    "FROM panel p CROSS JOIN section s ON s." SECTIONS_OF(
+        "p.id") "AND s.candidates <> '' "
+                "JOIN json_each(s.candidates) c WHERE p.specimen_id = ?1 "
+                "ORDER BY p.number, p.id, s.slot, c.key";
 
 /* The database writes the JSON, so that no text of ours can break it. */
 static const char APPEND[] =
@@ -59,7 +61,7 @@ static const char APPEND[] =
     "json_object('chosen', ?3, 'mirrored', ?4, 'flipped', ?5, 'rotated180', ?6, 'share', ?7, "
     "'error_um', ?8, 'differs', ?9, 'mark', json_array(?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, "
     "?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25, ?26, ?27, ?28, ?29, ?30, ?31, ?32, ?33))) "
-    "WHERE panel_id = ?1 AND slot = ?2";
+    "WHERE id = ?1 * 4096 + ?2";
 
 int gsn_candidate_list(struct gsn_store *store, int64_t specimen_id,
                        struct gsn_candidate_rows **ret_rows, struct gsn_error *err)
@@ -98,9 +100,9 @@ int gsn_candidate_replace(struct gsn_store *store, int64_t panel_id,
 
     if (r < 0)
         return r;
-    r = gsn_sql_run(store,
-                    "UPDATE section SET candidates = '' WHERE panel_id = ?1 AND candidates <> ''",
-                    SQL_ARGS(SQL_INT(panel_id)), NULL, err);
+    r = gsn_sql_run(
+        store, "UPDATE section SET candidates = '' WHERE " SECTIONS_OF("?1") "AND candidates <> ''",
+        SQL_ARGS(SQL_INT(panel_id)), NULL, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         r = append(store, panel_id, &rows[i], err);
     return gsn_sql_end(store, r, err);

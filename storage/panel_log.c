@@ -168,9 +168,6 @@ static double if_found(const struct gsn_marker_row *marker, double value)
         SQL_REAL(if_found(m, (m)->cov_xy)), SQL_REAL(if_found(m, (m)->cov_yy)),                    \
         SQL_REAL(if_found(m, (m)->score))
 
-/* The rows of a panel lie side by side: schema/006_slices.sql. */
-#define OF_PANEL(id) "id BETWEEN " id " * 4096 AND " id " * 4096 + 4095 "
-
 #define SECTION_COLUMNS                                                                            \
     "panel_id, slot, serial, state, flags, bbox_x, bbox_y, bbox_w, bbox_h, area_px, "
 #define MARK_COLUMNS(m)                                                                            \
@@ -213,7 +210,7 @@ int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
     if (r == GSN_E_NOTFOUND)
         r = no_panel(panel_id, err);
     if (r >= 0)
-        r = gsn_sql_run(store, "DELETE FROM section WHERE " OF_PANEL("?1"),
+        r = gsn_sql_run(store, "DELETE FROM section WHERE " SECTIONS_OF("?1"),
                         SQL_ARGS(SQL_INT(panel_id)), NULL, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         r = insert_section(store, panel_id, &sections[i], err);
@@ -230,7 +227,7 @@ int gsn_section_list(struct gsn_store *store, int64_t specimen_id,
         store,
         "SELECT " SECTION_COLUMNS FOUND_MARK("mark1") ", " FOUND_MARK("mark2") ", " FOUND_MARK(
             "mark3") " FROM (SELECT id AS panel FROM panel WHERE specimen_id = ?1) "
-                     "CROSS JOIN section ON " OF_PANEL(
+                     "CROSS JOIN section ON " SECTIONS_OF(
                          "panel") "ORDER BY serial = 0, serial, panel_id, slot",
         SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
 }

@@ -11,6 +11,9 @@
 #include "storage/panel_log.h"
 #include "storage/scan.h"
 
+/* The rows of a panel's sections lie side by side: schema/006_slices.sql. */
+#define SECTIONS_OF(panel) "id BETWEEN " panel " * 4096 AND " panel " * 4096 + 4095 "
+
 /* Fails with GSN_E_INPUT when this is no digest. Here and not in the schema, where the same
  * question costs more than writing the row. */
 int gsn_digest_check(const char *hex, struct gsn_error *err);

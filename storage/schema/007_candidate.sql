@@ -2,4 +2,3 @@
 -- The poses that a doubtful section may have, for a person to choose from: a JSON array in the order
 -- of their numbers, or empty. It goes with the section's row when the panel is looked at again.
 ALTER TABLE section ADD COLUMN candidates TEXT NOT NULL DEFAULT '';
-CREATE INDEX section_candidates ON section (panel_id) WHERE candidates <> '';

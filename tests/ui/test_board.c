@@ -110,9 +110,9 @@ static void fill(const struct gsn_scratch *scratch, struct gsn_store *store)
             "INSERT INTO scan VALUES (7, 's', 'd', 'c.jpg', '', 'panel', "
             "substr(hex(zeroblob(32)), 1, 64), 5, '', 'unfiled', 'nobody knows', NULL, 4);"
             "UPDATE panel SET state = 'registered' WHERE specimen_id = 1;"
-            "INSERT INTO section (panel_id, slot, serial, state, flags, candidates) VALUES "
-            "(1, 3, 5, 'needs-eye', '', '[{\"chosen\": 0}, {\"chosen\": 0}]'),"
-            "(1, 4, 6, 'found', '', '[{\"chosen\": 0}, {\"chosen\": 1}]');");
+            "INSERT INTO section (id, panel_id, slot, serial, state, flags, candidates) VALUES "
+            "(4099, 1, 3, 5, 'needs-eye', '', '[{\"chosen\": 0}, {\"chosen\": 0}]'),"
+            "(4100, 1, 4, 6, 'found', '', '[{\"chosen\": 0}, {\"chosen\": 1}]');");
 }
 
 static int make(struct gsn_store *store, struct gsn_board **ret_board, struct gsn_error *err)

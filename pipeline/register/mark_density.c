@@ -28,10 +28,10 @@ struct gsn_mark_density gsn_mark_density_of(const struct gsn_plane *plane)
     return (struct gsn_mark_density){ plane->width, plane->height, plane, plane_row };
 }
 
-/* The middle of one of as many equal parts of a cell. */
-static uint32_t tap(size_t step, size_t taps, size_t i)
+/* Pixels that lie alike on either side of a cell's middle. */
+static uint32_t tap(size_t step, size_t i)
 {
-    return (uint32_t)((2 * i + 1) * step / (2 * taps));
+    return (uint32_t)(i == 0 ? step / 4 : step - 1 - step / 4);
 }
 
 /* The sum of what is not masked, and how many that are. */
@@ -76,8 +76,8 @@ int gsn_mark_density_reduce(const struct gsn_mark_density *density, const struct
         memset(sum, 0, width * sizeof *sum);
         memset(n, 0, width * sizeof *n);
         for (size_t k = 0; k < taps * taps; k++) {
-            density->row(density->context, (uint32_t)slot->x + tap(step, taps, k % taps),
-                         (uint32_t)slot->y + (uint32_t)(y * step) + tap(step, taps, k / taps),
+            density->row(density->context, (uint32_t)slot->x + tap(step, k % taps),
+                         (uint32_t)slot->y + (uint32_t)(y * step) + tap(step, k / taps),
                          (uint32_t)step, width, row);
             add_tap(row, width, sum, n);
         }

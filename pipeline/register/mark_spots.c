@@ -36,6 +36,18 @@ static inline unsigned code_at(const struct gsn_image *image, size_t sample)
                             : (unsigned)(((const uint16_t *)image->samples)[sample] >> 8);
 }
 
+static void reduce_bytes(const uint8_t *row, size_t near, size_t far, size_t apart, size_t count,
+                         size_t ahead, const float *table, float *restrict od)
+{
+    const uint8_t *a = row + near, *b = row + far;
+
+    for (size_t i = 0; i < count; i++, a += apart, b += apart) {
+        /* Rows are far apart, and no processor guesses the next one. */
+        __builtin_prefetch(a + ahead);
+        od[i] = table[*a + *b];
+    }
+}
+
 /* Two pixels of a cell stand for it: more would find no more marks, and cost another pass over the
  * picture. */
 static void reduce(const struct gsn_image *image, size_t step, struct gsn_mark_field *field)
@@ -46,11 +58,17 @@ static void reduce(const struct gsn_image *image, size_t step, struct gsn_mark_f
     density_table(table, SAMPLES);
     for (size_t y = 0; y < field->height; y++) {
         const size_t row = (y * step + step / 2) * image->width;
+        float *od = field->od + y * field->width;
 
+        if (image->bits == 8) {
+            reduce_bytes((const uint8_t *)image->samples + row * channels, near * channels,
+                         far * channels, step * channels, field->width,
+                         step * image->width * channels, table, od);
+            continue;
+        }
         for (size_t x = 0; x < field->width; x++)
-            field->od[y * field->width + x] =
-                table[code_at(image, (row + x * step + near) * channels) +
-                      code_at(image, (row + x * step + far) * channels)];
+            od[x] = table[code_at(image, (row + x * step + near) * channels) +
+                          code_at(image, (row + x * step + far) * channels)];
     }
 }
 

@@ -116,6 +116,27 @@ TEST(debris_is_not_taken_for_a_mark)
     }
 }
 
+/* Three are burnt alike, but one may be half burnt in, and half of that bleached. */
+TEST(a_spot_of_a_quarter_of_the_marks_strength_is_still_measured)
+{
+    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_slot slot = whole_panel();
+    struct draw_mark burn = draw_phantom_mark((struct gsn_point){ 130.3, 200.6 }, PX);
+    struct gsn_mark_candidates section;
+    struct gsn_error err = { 0 };
+    size_t near = 0;
+
+    draw_section(0, 0, 7, 3);
+    burn.bleach = 0;
+    burn.depth = 0.15 + 0.25 * (burn.depth - 0.15);
+    draw_burn(&panel, &burn);
+    CHECK_OK(gsn_markers_candidates(&density, &slot, PX, &section, &err), err);
+    for (size_t i = 0; i < section.count; i++)
+        near +=
+            fabs(section.mark[i].px.x - 130.3) < 0.5 && fabs(section.mark[i].px.y - 200.6) < 0.5;
+    CHECK(near == 1);
+}
+
 TEST(masked_pixels_do_no_harm)
 {
     const struct gsn_slot slot = whole_panel();

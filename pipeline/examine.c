@@ -2,21 +2,13 @@
 #include "pipeline/examine.h"
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/register/median.h"
 #include "pipeline/register/panel.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/slot_marks.h"
 
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-
-/* Half of a slot's width, and a tenth of it for sections that do not lie in its middle. */
-static const double SHARE = 0.6;
-/* Half of the longer side of a section's box, and room for its turning and for a centre that is
- * off.
- */
-static const double REACH = 0.65;
 
 struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
 {
@@ -100,68 +92,9 @@ static int choose_marks(struct gsn_panel_section *section,
     return found == GSN_MARKS && mirrored;
 }
 
-static void shift(struct gsn_point *point, const struct gsn_slot *slot)
-{
-    point->x += slot->x;
-    point->y += slot->y;
-}
-
-/* The longer side of the typical section's box, px. */
-static double typical_side(const struct gsn_slot *slots, size_t count, double *scratch)
-{
-    for (size_t i = 0; i < count; i++)
-        scratch[i] = slots[i].width > slots[i].height ? slots[i].width : slots[i].height;
-    return count > 0 ? gsn_median(scratch, count) : 0;
-}
-
-/* Where the marks of a section are looked for: around its tissue as far as the typical section
- * reaches, within its share of the panel. Its own box may end where an edge of glass cuts it or
- * where it has grown together with another, or reach over others that a line of ink ties to it. */
-static struct gsn_slot search_window(const struct gsn_scan *scan,
-                                     const struct gsn_protocol *protocol, double side,
-                                     const struct gsn_slot *slot)
-{
-    const struct gsn_image *image = scan->picture->image;
-    const double reach_x = fmin(SHARE * image->width / protocol->columns, REACH * side);
-    const double reach_y = fmin(SHARE * image->height / protocol->rows, REACH * side);
-    struct gsn_slot window = *slot;
-
-    window.x = (int)fmax(slot->centre_px.x - reach_x, 0);
-    window.y = (int)fmax(slot->centre_px.y - reach_y, 0);
-    window.width = (int)fmin(slot->centre_px.x + reach_x, image->width) - window.x;
-    window.height = (int)fmin(slot->centre_px.y + reach_y, image->height) - window.y;
-    return window;
-}
-
-/* Red density is worked out inside the section's window alone. */
-static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *slot,
-                           struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
-{
-    const struct gsn_pixel_box box = { slot->x, slot->y, slot->width, slot->height };
-    struct gsn_slot inside = *slot;
-    struct gsn_plane *od[3] = { NULL };
-    gsn_auto(gsn_plane) red = NULL;
-    int r = gsn_absorb_box(scan->picture->image, &scan->glass, &box, 1, od, err);
-
-    if (r < 0)
-        return r;
-    red = od[0];
-    inside.x = inside.y = 0;
-    inside.centre_px.x -= slot->x;
-    inside.centre_px.y -= slot->y;
-    r = gsn_markers_candidates(red, &inside, scan->px_um, ret_candidates, err);
-    if (r < 0)
-        return r;
-    shift(&ret_candidates->tissue_px, slot);
-    shift(&ret_candidates->map.origin, slot);
-    for (size_t i = 0; i < ret_candidates->count; i++)
-        shift(&ret_candidates->mark[i].px, slot);
-    return GSN_OK;
-}
-
 struct search {
     const struct gsn_scan *scan;
-    const struct gsn_protocol *protocol;
+    struct gsn_layout layout;
     double side;                            /* of the typical section's box, px */
     const struct gsn_slot *slots;           /* those with tissue */
     struct gsn_mark_candidates *candidates; /* one for each */
@@ -171,9 +104,8 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
 {
     const struct search *search = context;
     const struct gsn_slot *slot = &search->slots[index];
-    const struct gsn_slot window =
-        search_window(search->scan, search->protocol, search->side, slot);
-    const int r = find_candidates(search->scan, &window, &search->candidates[index], err);
+    const int r = gsn_slot_marks(search->scan, &search->layout, search->side, slot,
+                                 &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
@@ -226,11 +158,11 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
 
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    side = typical_side(found, count, scratch);
+    side = gsn_slot_typical_side(found, count, scratch);
     *ret_px_um = 0;
     for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
         struct gsn_scan other = *scan;
-        struct search search = { &other, protocol, side, found, candidates };
+        struct search search = { &other, gsn_protocol_layout(protocol), side, found, candidates };
         struct gsn_triangle_prior seen = { 0 };
         double scale;
         int r;
@@ -286,14 +218,14 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
-    struct search search = { scan, protocol, 0, found, candidates };
+    struct search search = { scan, gsn_protocol_layout(protocol), 0, found, candidates };
     struct gsn_triangle_prior prior;
     size_t mirrored = 0;
     int r;
 
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    search.side = typical_side(found, count, scratch);
+    search.side = gsn_slot_typical_side(found, count, scratch);
     r = gsn_parallel_for(count, threads, search_slot, &search, err);
     if (r < 0)
         return r;

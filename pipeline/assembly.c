@@ -132,6 +132,8 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_assembly_place_reference(specimen, px_um, sections, a, err);
     if (r >= 0)
+        r = gsn_assembly_place_calibrations(specimen, a, err);
+    if (r >= 0 && !a->by_standards)
         r = gsn_assembly_place_columns(specimen, sections, a, err);
     if (r >= 0)
         r = gsn_assembly_work_panels(specimen, options, a, err);
@@ -166,6 +168,9 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_dust_free(a->dust);
     gsn_free(a->spot);
     gsn_free(a->panel);
+    for (size_t i = 0; i < a->calibration_count; i++)
+        gsn_calibration_panel_free(a->calibration[i]);
+    gsn_free(a->calibration);
     gsn_mask_free(a->region);
     gsn_grid_free(a->grid);
     gsn_colour_grid_free(a->colour);

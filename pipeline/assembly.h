@@ -5,6 +5,7 @@
 #ifndef GSN_PIPELINE_ASSEMBLY_H
 #define GSN_PIPELINE_ASSEMBLY_H
 
+#include "pipeline/calibration_panel.h"
 #include "pipeline/columns.h"
 #include "pipeline/core/colour_grid.h"
 #include "pipeline/pictures.h"
@@ -54,9 +55,10 @@ struct gsn_assembly_panel {
     int opened;
     struct gsn_glass glass;
     struct gsn_specimen_stain stain;
-    struct gsn_stain_gain gain; /* what its densities were divided by */
-    int levelled;               /* whether it was compared with the panels beside it */
-    struct gsn_level level;     /* its densities were: minus offset, divided by gain */
+    struct gsn_calibrated calibrated; /* by its calibration panel, where one is stated */
+    struct gsn_stain_gain gain;       /* what its densities were divided by */
+    int levelled;                     /* whether it was compared with the panels beside it */
+    struct gsn_level level;           /* its densities were: minus offset, divided by gain */
     double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
     double red_error; /* relative standard error of its red by vectors and white; 0: the
                          vectors were taken as exact */
@@ -88,8 +90,12 @@ struct gsn_assembly {
     size_t section_count;
     struct gsn_assembly_section *section; /* owned; by serial, then panel and slot */
     size_t panel_count;
-    struct gsn_assembly_panel *panel; /* owned; as in the specimen */
-    int solved;                       /* whether the stack's triangle could be solved */
+    struct gsn_assembly_panel *panel;           /* owned; as in the specimen */
+    struct gsn_calibration_panel **calibration; /* owned; one for each that the job states, NULL as
+                                                   long as no panel needed it */
+    size_t calibration_count;
+    int by_standards; /* whether densities are on the scale of the calibration panels' standards */
+    int solved;       /* whether the stack's triangle could be solved */
     struct gsn_pose_summary summary;
     struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
     enum gsn_strain_mode strain_mode;       /* the protocol's */

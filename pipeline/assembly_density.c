@@ -304,7 +304,7 @@ static int work_panel(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &scan, err);
     if (r >= 0)
-        r = gsn_scan_dyes(scan, specimen->protocol, &stain->fit, err);
+        r = gsn_assembly_find_dyes(specimen, options, scan, a, panel, err);
     if (r >= 0)
         r = thumbnails(scan, panel->given->number, a, err);
     if (r >= 0)

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The steps that gsn_assembly_make() takes, in their order: the frame (assembly_frame.c), the poses
- * (assembly_poses.c), the density panel by panel (assembly_density.c), what the stain leaves open
+ * (assembly_poses.c), the density panel by panel (assembly_density.c), the dyes of calibration panels
+ * (assembly_calibration.c), what the stain leaves open
  * (assembly_stain.c), the panels brought to one scale (assembly_level.c). Private to these files.
  * Fail as gsn_assembly_make() does. */
 #ifndef GSN_PIPELINE_ASSEMBLY_PARTS_H
@@ -72,6 +73,16 @@ int gsn_assembly_light(enum gsn_light light, unsigned bits, struct gsn_assembly_
                        struct gsn_error *err);
 void gsn_assembly_light_done(struct gsn_assembly_light *light);
 
+/* assembly_calibration.c: room for the stated calibration panels, and whether the densities will be
+ * on their standards' scale. */
+int gsn_assembly_place_calibrations(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                                    struct gsn_error *err);
+/* The dye vectors of an opened panel: its calibration panel's, where one is stated. */
+int gsn_assembly_find_dyes(const struct gsn_specimen *specimen,
+                           const struct gsn_specimen_options *options, const struct gsn_scan *scan,
+                           struct gsn_assembly *a, struct gsn_assembly_panel *panel,
+                           struct gsn_error *err);
+
 /* Opens every panel and lays its density into the grids that there are. */
 int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
@@ -95,7 +106,8 @@ int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly 
 int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err);
 
-/* Divides each plane by the gain that the reference tissue tells of its panel. */
+/* Divides each plane by the gain that the reference tissue, or else the standards, tell of its
+ * panel. */
 int gsn_assembly_normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                            struct gsn_error *err);
 /* The standard error of a mean density by the stain, and what unequal panels add to it. */

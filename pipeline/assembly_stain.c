@@ -35,7 +35,7 @@ static void judge_evenness(const struct gsn_specimen *specimen, struct gsn_assem
     struct gsn_evenness evenness;
     size_t count = 0, inside;
 
-    if (!a->grid || (a->tissue_grid && !a->not_comparable[0]))
+    if (!a->grid || a->by_standards || (a->tissue_grid && !a->not_comparable[0]))
         return;
     for (size_t p = 0; p < a->panel_count && count < sizeof strength / sizeof strength[0]; p++)
         if (a->panel[p].opened)
@@ -233,12 +233,22 @@ static void divide(struct gsn_assembly *a, double interval_um)
     }
 }
 
+static void divide_by_standards(struct gsn_assembly *a, double interval_um)
+{
+    for (size_t p = 0; p < a->panel_count; p++)
+        if (a->panel[p].opened)
+            a->panel[p].gain = a->panel[p].calibrated.gain;
+    divide(a, interval_um);
+}
+
 int gsn_assembly_normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                            struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_error) why = NULL;
     int r = GSN_OK;
 
+    if (a->by_standards && a->grid)
+        divide_by_standards(a, specimen->protocol->interval_um);
     if (!a->tissue_grid)
         return GSN_OK;
     why = gsn_alloc_array(a->panel_count + 1, sizeof *why);

@@ -2,21 +2,13 @@
 #include "pipeline/examine.h"
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/register/median.h"
 #include "pipeline/register/panel.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/slot_marks.h"
 
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-
-/* Half of a slot's width, and a tenth of it for sections that do not lie in its middle. */
-static const double SHARE = 0.6;
-/* Half of the longer side of a section's box, and room for its turning and for a centre that is
- * off.
- */
-static const double REACH = 0.65;
 
 struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
 {
@@ -201,42 +193,9 @@ static void lay_candidates(const struct gsn_triangle_prior *prior, struct gsn_po
     }
 }
 
-/* The longer side of the typical section's box, px. */
-static double typical_side(const struct gsn_slot *slots, size_t count, double *scratch)
-{
-    for (size_t i = 0; i < count; i++)
-        scratch[i] = slots[i].width > slots[i].height ? slots[i].width : slots[i].height;
-    return count > 0 ? gsn_median(scratch, count) : 0;
-}
-
-/* Where the marks of a section are looked for: around its tissue as far as the typical section
- * reaches, within its share of the panel. Its own box may end where an edge of glass cuts it or
- * where it has grown together with another, or reach over others that a line of ink ties to it. */
-static struct gsn_slot search_window(const struct gsn_scan *scan,
-                                     const struct gsn_protocol *protocol, double side,
-                                     const struct gsn_slot *slot)
-{
-    const struct gsn_image *image = scan->picture->image;
-    const double reach_x = fmin(SHARE * image->width / protocol->columns, REACH * side);
-    const double reach_y = fmin(SHARE * image->height / protocol->rows, REACH * side);
-    struct gsn_slot window = *slot;
-
-    window.x = (int)fmax(slot->centre_px.x - reach_x, 0);
-    window.y = (int)fmax(slot->centre_px.y - reach_y, 0);
-    window.width = (int)fmin(slot->centre_px.x + reach_x, image->width) - window.x;
-    window.height = (int)fmin(slot->centre_px.y + reach_y, image->height) - window.y;
-    return window;
-}
-
-static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
-                    float *to)
-{
-    gsn_absorber_red(context, x, y, apart, count, to);
-}
-
 struct search {
     const struct gsn_scan *scan;
-    const struct gsn_protocol *protocol;
+    struct gsn_layout layout;
     const struct gsn_absorber *absorber;
     double side;                            /* of the typical section's box, px */
     const struct gsn_slot *slots;           /* those with tissue */
@@ -247,12 +206,8 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
 {
     const struct search *search = context;
     const struct gsn_slot *slot = &search->slots[index];
-    const struct gsn_slot window =
-        search_window(search->scan, search->protocol, search->side, slot);
-    const struct gsn_image *image = search->scan->picture->image;
-    const struct gsn_mark_density red = { image->width, image->height, search->absorber, red_row };
-    const int r =
-        gsn_markers_candidates(&red, &window, search->scan->px_um, &search->candidates[index], err);
+    const int r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
+                                 slot, &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
@@ -309,11 +264,12 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
         return r;
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    side = typical_side(found, count, scratch);
+    side = gsn_slot_typical_side(found, count, scratch);
     *ret_px_um = 0;
     for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
         struct gsn_scan other = *scan;
-        struct search search = { &other, protocol, absorber, side, found, candidates };
+        struct search search = { &other,    gsn_protocol_layout(protocol), absorber, side, found,
+                                 candidates };
         struct gsn_triangle_prior seen = { 0 };
         double scale;
 
@@ -370,7 +326,7 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     gsn_auto(gsn_absorber) absorber = NULL;
-    struct search search = { scan, protocol, NULL, 0, found, candidates };
+    struct search search = { scan, gsn_protocol_layout(protocol), NULL, 0, found, candidates };
     struct gsn_triangle_prior prior;
     struct gsn_point upright = { protocol->has_markers, 0 };
     size_t mirrored = 0;
@@ -382,7 +338,7 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     if (r < 0)
         return r;
     search.absorber = absorber;
-    search.side = typical_side(found, count, scratch);
+    search.side = gsn_slot_typical_side(found, count, scratch);
     r = gsn_parallel_for(count, threads, search_slot, &search, err);
     if (r < 0)
         return r;

@@ -317,6 +317,15 @@ static int read_stain(const json_t *job, struct gsn_protocol *p, struct gsn_erro
     return GSN_OK;
 }
 
+static int read_calibration(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *stated = json_object_get(job, "calibration");
+
+    if (stated && p->kind != GSN_KIND_SECTIONS)
+        return bad(err, "calibration", "left out: it is of panels of sections");
+    return gsn_stated_calibrations_read(stated, &p->calibration, &p->calibration_count, err);
+}
+
 static int read_light(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const transfers[] = { "unknown", "linear", "srgb", NULL };
@@ -369,11 +378,12 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const known[] = {
-        "specimen",      "study",     "group",    "animal",  "week",     "px_um",      "voxel_um",
-        "interval_um",   "panels",    "layout",   "order",   "sections", "region",     "markers_um",
-        "baseline",      "transfer",  "dyes",     "white",   "kind",     "thresholds", "tolerance",
-        "file",          "reference", "batch",    "comment", "strain",   "stained",    "scanned",
-        "yellow_to_red", "level",     "target_um"
+        "specimen",  "study",       "group",     "animal",   "week",          "px_um",
+        "voxel_um",  "interval_um", "panels",    "layout",   "order",         "sections",
+        "region",    "markers_um",  "baseline",  "transfer", "dyes",          "white",
+        "kind",      "thresholds",  "tolerance", "file",     "reference",     "batch",
+        "comment",   "strain",      "stained",   "scanned",  "yellow_to_red", "level",
+        "target_um", "calibration"
     };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
@@ -423,6 +433,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;
     r = read_reference(job, p, err);
+    if (r >= 0)
+        r = read_calibration(job, p, err);
     if (r < 0)
         return r;
     if (p->level > floor(p->level) || (p->target_um > 0 && !isnan(p->level)))
@@ -475,6 +487,7 @@ void gsn_protocol_free(struct gsn_protocol *p)
     gsn_free(p->baseline);
     gsn_free(p->file);
     gsn_free(p->reference);
+    gsn_stated_calibrations_free(p->calibration, p->calibration_count);
     gsn_free(p->batch);
     gsn_free(p->stained);
     gsn_free(p->scanned);

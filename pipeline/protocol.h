@@ -11,6 +11,7 @@
 #include "pipeline/core/grid.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/stain/tissue.h"
+#include "pipeline/stated_calibration.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -60,10 +61,12 @@ struct gsn_protocol {
     struct gsn_region region;
     struct gsn_region reference_tissue; /* a shape; GSN_REGION_NONE: the stain is not normalised */
     double reference_density;           /* what that tissue's density is taken to be */
-    char *batch;                        /* of the stain; "" when not stated */
-    char *stained, *scanned;            /* dates as YYYY-MM-DD; "" when not stated */
-    double days_to_scan;                /* between them; NaN when not both are stated */
-    double yellow_to_red[2];            /* limits of the batch; 0: not stated */
+    size_t calibration_count;
+    struct gsn_stated_calibration *calibration; /* owned; NULL when none is stated */
+    char *batch;                                /* of the stain; "" when not stated */
+    char *stained, *scanned;                    /* dates as YYYY-MM-DD; "" when not stated */
+    double days_to_scan;                        /* between them; NaN when not both are stated */
+    double yellow_to_red[2];                    /* limits of the batch; 0: not stated */
     int has_markers;
     struct gsn_point markers_um[3];
     size_t threshold_count;

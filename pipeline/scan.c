@@ -3,6 +3,7 @@
 
 #include "pipeline/register/panel_reduce.h"
 #include "pipeline/stain/absorb.h"
+#include "pipeline/upright.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -10,9 +11,6 @@
 
 /* A file and a job that differ by more than this about the pixel size cannot both be right. */
 static const double PX_UM_TOLERANCE = 0.01;
-
-/* A code turned by more than this stands on its head. */
-static const double TURNED_DEG = 150;
 
 static void note(struct gsn_scan *scan, const char *text)
 {
@@ -91,49 +89,61 @@ static int give_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol
 
 /* ---- which side is up -------------------------------------------------------------------- */
 
-static void swap_pixels(uint8_t *a, uint8_t *b, size_t bytes)
-{
-    for (size_t i = 0; i < bytes; i++) {
-        const uint8_t kept = a[i];
+static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                  struct gsn_error *err);
 
-        a[i] = b[i];
-        b[i] = kept;
-    }
+/* Surveyed as it lies, for the grid and the marks; what is noted on the way comes again. */
+static int look_round(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                      struct gsn_dust_turn *ret_turn, const char **ret_why, struct gsn_error *err)
+{
+    char noted[sizeof scan->note];
+    int r;
+
+    memcpy(noted, scan->note, sizeof noted);
+    r = survey(scan, protocol, err);
+    if (r >= 0)
+        r = gsn_upright_look(scan, protocol, ret_turn, ret_why, err);
+    gsn_plane_free(scan->total);
+    scan->total = NULL;
+    memcpy(scan->note, noted, sizeof noted);
+    return r;
 }
 
-/* Turns count pixels from first on end for end. */
-static void reverse(const struct gsn_image *image, size_t first, size_t count)
+/* why: by what it was told; NULL: by the code alone. */
+static void note_turn(struct gsn_scan *scan, const char *why)
 {
-    const size_t pixel = (size_t)image->channels * (image->bits / 8);
-    uint8_t *from = (uint8_t *)image->samples + first * pixel;
+    char text[160];
 
-    for (size_t i = 0; i < count / 2; i++)
-        swap_pixels(from + i * pixel, from + (count - 1 - i) * pixel, pixel);
-}
-
-/* The label is printed upright, so its code tells a picture that the scanner mirrored, or a panel
- * that was fed the wrong way round. Codes that lie on their side are how some labels are made. */
-static void set_upright(struct gsn_scan *scan)
-{
-    const struct gsn_image *image = scan->picture->image;
-    const struct gsn_printed *code = NULL;
-
-    for (unsigned i = 0; i < scan->picture->code_count && !code; i++)
-        if (strcmp(scan->picture->code[i].kind, "Data Matrix") == 0)
-            code = &scan->picture->code[i];
-    if (!code)
-        return;
-    if (code->mirrored) {
-        for (size_t y = 0; y < image->height; y++)
-            reverse(image, y * image->width, image->width);
-        scan->turn.mirrored = 1;
-        note(scan, "mirrored back as a whole: the code on its label was mirrored");
-    }
-    if (fabs(code->turn_deg) > TURNED_DEG) {
-        reverse(image, 0, (size_t)image->width * image->height);
-        scan->turn.turned = 1;
+    if (scan->turn.mirrored)
+        note(scan, why ? "mirrored back as a whole"
+                       : "mirrored back as a whole: the code on its label was mirrored");
+    if (scan->turn.quarters == 2 && !why)
         note(scan, "turned by 180 degrees: the code on its label stood on its head");
-    }
+    if (!why || (scan->turn.quarters == 0 && !scan->turn.mirrored))
+        return;
+    (void)snprintf(text, sizeof text, "turned by %u degrees clockwise: %s",
+                   90 * scan->turn.quarters, why);
+    note(scan, text);
+}
+
+static int set_upright(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                       struct gsn_error *err)
+{
+    struct gsn_dust_turn turn = gsn_upright_by_code(scan->picture);
+    const char *why = NULL;
+    int r = GSN_OK;
+
+    if (protocol->kind != GSN_KIND_SECTIONS)
+        return GSN_OK;
+    if (gsn_upright_asks(scan->picture, protocol))
+        r = look_round(scan, protocol, &turn, &why, err);
+    if (r >= 0)
+        r = gsn_upright_turn(scan->picture, turn, err);
+    if (r < 0)
+        return r;
+    scan->turn = turn;
+    note_turn(scan, why);
+    return GSN_OK;
 }
 
 /* Everything but glass and density. */
@@ -175,7 +185,9 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
     r = size_of_pixels(scan, protocol, err);
     if (r < 0)
         return r;
-    set_upright(scan);
+    r = set_upright(scan, protocol, err);
+    if (r < 0)
+        return r;
     *ret_scan = gsn_steal(&scan);
     return GSN_OK;
 }

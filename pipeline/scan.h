@@ -28,11 +28,12 @@ struct gsn_scan {
     char note[300];            /* what was assumed, "; " between; empty when nothing was */
 };
 
-/* gives. A panel is set upright by the Data Matrix on its label: mirrored back, or turned by 180
- * degrees, and that is noted. Samples are read as the job says, else as the file says, else as the
- * built-in dye vectors were measured (codes in proportion to light), and that is noted.
+/* gives. A panel is set upright (upright.h): mirrored back, or turned by quarters, and that is
+ * noted. Samples are read as the job says, else as the file says, else as the built-in dye vectors
+ * were measured (codes in proportion to light), and that is noted.
  *
  * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_glass_estimate() do; with
+ * GSN_E_WITHHELD when it is not clear which way round it lies; with
  * GSN_E_INPUT when neither job nor file states the pixel size, or the picture is grey; with
  * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
  * borrows: bytes, protocol. */

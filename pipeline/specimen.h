@@ -71,6 +71,8 @@ struct gsn_specimen {
     const struct gsn_grid *volume;          /* kind volume */
     const char *picture_sha256;             /* kind tile */
     const char *reference_sha256;           /* kind tile, may be NULL */
+    const char *const *calibration_sha256;  /* one for each that the protocol states, in its order;
+                                               an entry is NULL where the file did not come */
     struct gsn_specimen_baseline baseline;
     size_t input_count;
     const struct gsn_specimen_input *input;

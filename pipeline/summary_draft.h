@@ -13,7 +13,7 @@
 extern "C" {
 #endif
 
-enum { GSN_DRAFT_ROWS = 48 };
+enum { GSN_DRAFT_ROWS = 96 };
 
 /* Between the dyes and the batch that was stained with them. */
 #define GSN_DRAFT_IN_BATCH ", batch "
@@ -88,6 +88,9 @@ double gsn_draft_density_error(const struct gsn_evidence *e);
 /* The set of dye vectors that the figures stand on: the panels' own; "" when there is none. */
 const char *gsn_draft_dyes(const struct gsn_evidence *e);
 const char *gsn_draft_tissue_name(unsigned tissue);
+
+/* summary_calibration.c: what the calibration panels say, and where the slides say otherwise. */
+void gsn_draft_calibration(const struct gsn_evidence *e, struct gsn_draft *d);
 
 /* summary_parameters.c: what the figures depend on, in words. */
 void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d);

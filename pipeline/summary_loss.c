@@ -136,11 +136,13 @@ void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
     const int volume = e->specimen->protocol->kind == GSN_KIND_VOLUME;
 
     const struct gsn_protocol *p = e->specimen->protocol;
-    const int normalised = p->reference_tissue.kind != GSN_REGION_NONE &&
-                           !(e->assembly && e->assembly->not_comparable[0]);
+    const int standards = e->assembly && e->assembly->by_standards;
+    const int normalised = standards || (p->reference_tissue.kind != GSN_REGION_NONE &&
+                                         !(e->assembly && e->assembly->not_comparable[0]));
 
     d->report.density_name =
-        volume ? "voxel value as imported"
+        volume      ? "voxel value as imported"
+        : standards ? "collagen-equivalent density (red dye by unmixing, calibration standards)"
         : normalised
             ? gsn_draft_say(d, "collagen-equivalent density (red dye by unmixing, reference %g)",
                             p->reference_density)

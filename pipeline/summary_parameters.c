@@ -8,6 +8,7 @@
 /* "panel 1: 1.152 +- 0.004 (12 sections), ..." */
 static const char *gains_of(const struct gsn_assembly *a, struct gsn_draft *d)
 {
+    const char *unit = a->by_standards ? "standards" : "sections";
     char line[1000] = "";
     size_t used = 0;
 
@@ -17,9 +18,9 @@ static const char *gains_of(const struct gsn_assembly *a, struct gsn_draft *d)
 
         if (!a->panel[i].opened)
             continue;
-        n = snprintf(line + used, sizeof line - used, "%spanel %u: %.3f +- %.3f (%u sections)",
+        n = snprintf(line + used, sizeof line - used, "%spanel %u: %.3f +- %.3f (%u %s)",
                      used ? ", " : "", a->panel[i].stain.panel, gain->gain, gain->error,
-                     gain->sections);
+                     gain->sections, unit);
         used += n > 0 ? (size_t)n : 0;
     }
     return gsn_draft_say(d, "%s", line);
@@ -126,7 +127,8 @@ void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d)
                                       : "the stack's own mean triangle");
         if (p->batch[0])
             gsn_draft_text(rows, count, "stain batch", p->batch);
-        if (p->reference_tissue.kind != GSN_REGION_NONE && e->assembly)
+        if (e->assembly &&
+            (e->assembly->by_standards || p->reference_tissue.kind != GSN_REGION_NONE))
             gsn_draft_text(rows, count, "stain gains", gains_of(e->assembly, d));
         if (p->stained[0])
             gsn_draft_text(rows, count, "stained", p->stained);

@@ -39,6 +39,7 @@ static void notice(const struct gsn_import *import, const char *name, const char
 
 struct intake {
     const struct gsn_import *import;
+    const struct gsn_protocol *protocol;
     struct gsn_spool *spool;
     int64_t specimen;
     struct gsn_import_counts counts;
@@ -54,6 +55,21 @@ static int check_name(const char *name, struct gsn_error *err)
     return GSN_OK;
 }
 
+static int check_file(const struct gsn_import *import, const char *name, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = gsn_format("%s/%s", import->dir, name);
+    const int r = check_name(name, err);
+
+    if (r < 0)
+        return r;
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    if (access(path, F_OK) < 0)
+        return gsn_fail(err, GSN_E_INPUT, "job.json names \"%s\": there is no such file in %s",
+                        name, import->dir);
+    return GSN_OK;
+}
+
 /* Before anything is written: a job that must be corrected leaves no specimen of its name. */
 static int check_files(const struct gsn_import *import, const struct gsn_protocol *protocol,
                        struct gsn_error *err)
@@ -64,23 +80,13 @@ static int check_files(const struct gsn_import *import, const struct gsn_protoco
         protocol->reference[0] ? protocol->reference : NULL,
     };
 
-    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
-        gsn_auto_mem(char) path = NULL;
-        int r;
+    int r = GSN_OK;
 
-        if (!names[i])
-            continue;
-        r = check_name(names[i], err);
-        if (r < 0)
-            return r;
-        path = gsn_format("%s/%s", import->dir, names[i]);
-        if (!path)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-        if (access(path, F_OK) < 0)
-            return gsn_fail(err, GSN_E_INPUT, "job.json names \"%s\": there is no such file in %s",
-                            names[i], import->dir);
-    }
-    return GSN_OK;
+    for (size_t i = 0; r >= 0 && i < sizeof names / sizeof names[0]; i++)
+        r = names[i] ? check_file(import, names[i], err) : GSN_OK;
+    for (size_t i = 0; r >= 0 && i < protocol->calibration_count; i++)
+        r = check_file(import, protocol->calibration[i].file, err);
+    return r;
 }
 
 /* What rests on an attachment is asked for together with its change. */
@@ -191,6 +197,8 @@ static int attach_files(struct intake *in, const struct gsn_protocol *protocol,
         r = attach_one(in, protocol->file, NULL, NULL, err);
     if (r >= 0 && protocol->reference[0])
         r = attach_one(in, protocol->reference, NULL, NULL, err);
+    for (size_t i = 0; r >= 0 && i < protocol->calibration_count; i++)
+        r = attach_one(in, protocol->calibration[i].file, NULL, NULL, err);
     return r;
 }
 
@@ -278,12 +286,23 @@ static int log_panel(struct intake *in, const struct gsn_source_event *item,
     return GSN_OK;
 }
 
+/* It lies beside the panels and is none. */
+static int is_calibration(const struct gsn_protocol *protocol, const char *name)
+{
+    for (size_t i = 0; i < protocol->calibration_count; i++)
+        if (strcmp(protocol->calibration[i].file, name) == 0)
+            return 1;
+    return 0;
+}
+
 static int take_item(struct intake *in, struct gsn_source *source,
                      const struct gsn_source_event *item, struct gsn_error *err)
 {
     struct gsn_spooled spooled;
     int r;
 
+    if (is_calibration(in->protocol, item->name))
+        return gsn_source_acknowledge(source, item->item, err);
     if (item->incomplete)
         notice(in->import, item->name, item->reason);
     r = gsn_spool_take_item(in->spool, source, item, &spooled, err);
@@ -385,6 +404,7 @@ static int take_everything(struct intake *in, const struct gsn_protocol *protoco
 {
     int r = check_files(in->import, protocol, err);
 
+    in->protocol = protocol;
     if (r >= 0)
         r = put_specimen(in, protocol, text, err);
     if (r >= 0 && in->import->replace)

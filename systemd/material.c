@@ -38,6 +38,7 @@ struct gsn_material {
     struct gsn_specimen_input *input;
     struct gsn_specimen_decision *decision;
     char (*pose)[16]; /* "pose 2", for the decisions that choose one */
+    const char **calibration_sha256; /* its entries are the attachments' */
     struct gsn_mask *region;
     struct gsn_grid *volume;
     char *definition, *dyes; /* of the baseline */
@@ -207,6 +208,20 @@ static int read_volumes(struct gsn_material *m, const char *folder, struct gsn_e
     return r;
 }
 
+static int find_calibrations(struct gsn_material *m, struct gsn_error *err)
+{
+    const struct gsn_protocol *p = m->protocol;
+
+    m->calibration_sha256 =
+        gsn_alloc_array(p->calibration_count + 1, sizeof *m->calibration_sha256);
+    if (!m->calibration_sha256)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the calibration panels");
+    for (size_t i = 0; i < p->calibration_count; i++)
+        m->calibration_sha256[i] = attached(m, p->calibration[i].file);
+    m->specimen.calibration_sha256 = m->calibration_sha256;
+    return GSN_OK;
+}
+
 static int take_files(struct gsn_material *m, struct gsn_error *err)
 {
     gsn_auto_mem(char) folder = NULL;
@@ -233,7 +248,7 @@ static int take_files(struct gsn_material *m, struct gsn_error *err)
         m->specimen.picture_sha256 = attached(m, m->protocol->file);
     if (m->protocol->kind == GSN_KIND_TILE && m->protocol->reference[0])
         m->specimen.reference_sha256 = attached(m, m->protocol->reference);
-    return r;
+    return r < 0 ? r : find_calibrations(m, err);
 }
 
 /* ---- baseline ---------------------------------------------------------------------------- */
@@ -587,6 +602,7 @@ void gsn_material_free(struct gsn_material *m)
     gsn_free(m->input);
     gsn_free(m->decision);
     gsn_free(m->pose);
+    gsn_free(m->calibration_sha256);
     gsn_free(m->definition);
     gsn_free(m->dyes);
     gsn_free(m->inputs);

@@ -22,7 +22,7 @@ enum { LEAST_CELLS = 2, LEAST_PANELS = 3 };
 static const double MARGIN = 1.5;
 
 struct gsn_dust {
-    uint32_t width, height; /* of the panels */
+    uint32_t width, height; /* of the panels as the scanner gave them */
     double px_um;
     uint32_t side, nx, ny; /* cells */
     uint8_t *least;        /* contrast of each cell, the least of the panels, in STEP_OD */
@@ -48,18 +48,22 @@ void gsn_dust_free(struct gsn_dust *dust)
 }
 
 /* The first panel says how large they are. */
-static int begin(struct gsn_dust *dust, const struct gsn_plane *od, double px_um,
-                 struct gsn_error *err)
+static int begin(struct gsn_dust *dust, const struct gsn_plane *od, struct gsn_dust_turn turn,
+                 double px_um, struct gsn_error *err)
 {
+    const int lying = turn.quarters % 2 == 1;
+    const uint32_t width = lying ? od->height : od->width;
+    const uint32_t height = lying ? od->width : od->height;
+
     dust->side = (uint32_t)fmax(1, round(CELL_UM / px_um));
-    dust->nx = od->width / dust->side;
-    dust->ny = od->height / dust->side;
+    dust->nx = width / dust->side;
+    dust->ny = height / dust->side;
     dust->least = gsn_alloc_array((size_t)dust->nx * dust->ny + 1, 1);
     if (!dust->least)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
     memset(dust->least, UINT8_MAX, (size_t)dust->nx * dust->ny);
-    dust->width = od->width;
-    dust->height = od->height;
+    dust->width = width;
+    dust->height = height;
     dust->px_um = px_um;
     return GSN_OK;
 }
@@ -73,7 +77,7 @@ static float darkness(const struct gsn_dust *dust, struct gsn_plane *const od[3]
     for (int c = 0; c < 3; c++)
         for (uint32_t v = y * dust->side; v < (y + 1) * dust->side; v++)
             for (uint32_t u = x * dust->side; u < (x + 1) * dust->side; u++)
-                sum[c] += od[c]->value[(size_t)v * dust->width + u];
+                sum[c] += od[c]->value[(size_t)v * od[c]->width + u];
     return fminf(sum[0], fminf(sum[1], sum[2])) / (float)(dust->side * dust->side);
 }
 
@@ -100,14 +104,26 @@ static int in_discs(const struct gsn_dust *dust, const struct gsn_mask_disc *dis
     return 0;
 }
 
-/* The cell of the picture as the scanner gave it. */
-static size_t raw_cell(const struct gsn_dust *dust, struct gsn_dust_turn turn, uint32_t x,
-                       uint32_t y)
+struct place {
+    double x, y, width, height; /* on a picture of that size */
+};
+
+static struct place turned(struct place at, unsigned quarters)
 {
-    const double px = (x + 0.5) * dust->side, py = (y + 0.5) * dust->side;
-    const double ux = turn.turned != turn.mirrored ? dust->width - px : px;
-    const double uy = turn.turned ? dust->height - py : py;
-    const uint32_t cx = (uint32_t)(ux / dust->side), cy = (uint32_t)(uy / dust->side);
+    for (unsigned i = 0; i < quarters; i++)
+        at = (struct place){ at.height - at.y, at.x, at.height, at.width };
+    return at;
+}
+
+/* The cell of the picture as the scanner gave it, of one of the upright picture. */
+static size_t raw_cell(const struct gsn_dust *dust, const struct gsn_plane *od,
+                       struct gsn_dust_turn turn, uint32_t x, uint32_t y)
+{
+    const struct place upright = { (x + 0.5) * dust->side, (y + 0.5) * dust->side, od->width,
+                                   od->height };
+    const struct place raw = turned(upright, (4 - turn.quarters) % 4);
+    const uint32_t cx = (uint32_t)((turn.mirrored ? raw.width - raw.x : raw.x) / dust->side);
+    const uint32_t cy = (uint32_t)(raw.y / dust->side);
 
     return (size_t)(cy < dust->ny ? cy : dust->ny - 1) * dust->nx +
            (cx < dust->nx ? cx : dust->nx - 1);
@@ -119,14 +135,16 @@ int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px
 {
     gsn_auto_mem(float) dark = NULL;
     gsn_auto_mem(uint8_t) contrast = NULL;
-    int r = dust->panels == 0 && !dust->least ? begin(dust, od[0], px_um, err) : GSN_OK;
+    const int lying = turn.quarters % 2 == 1;
+    int r = dust->panels == 0 && !dust->least ? begin(dust, od[0], turn, px_um, err) : GSN_OK;
 
     if (r < 0)
         return r;
-    if (od[0]->width != dust->width || od[0]->height != dust->height || px_um != dust->px_um)
+    if ((lying ? od[0]->height : od[0]->width) != dust->width ||
+        (lying ? od[0]->width : od[0]->height) != dust->height || px_um != dust->px_um)
         return GSN_OK;
 
-    const size_t count = (size_t)dust->nx * dust->ny;
+    const size_t count = (size_t)dust->nx * dust->ny, nx = od[0]->width / dust->side;
     const uint32_t x0 = (uint32_t)box->x / dust->side, y0 = (uint32_t)box->y / dust->side;
     const uint32_t x1 = (uint32_t)(box->x + box->width) / dust->side;
     const uint32_t y1 = (uint32_t)(box->y + box->height) / dust->side;
@@ -137,15 +155,16 @@ int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
     for (uint32_t y = y0; y < y1; y++)
         for (uint32_t x = x0; x < x1; x++)
-            dark[(size_t)y * dust->nx + x] = darkness(dust, od, x, y);
+            dark[(size_t)y * nx + x] = darkness(dust, od, x, y);
     for (uint32_t y = y0 + FAR; y + FAR < y1; y++)
         for (uint32_t x = x0 + FAR; x + FAR < x1; x++) {
-            const size_t i = (size_t)y * dust->nx + x;
+            const size_t i = (size_t)y * nx + x;
             const double od_more =
-                fmax(contrast_at(dark, dust->nx, i, NEAR), contrast_at(dark, dust->nx, i, FAR));
+                fmax(contrast_at(dark, nx, i, NEAR), contrast_at(dark, nx, i, FAR));
 
             if (od_more >= LEAST_OD && !in_discs(dust, disc, discs, x, y))
-                contrast[raw_cell(dust, turn, x, y)] = (uint8_t)fmin(od_more / STEP_OD, UINT8_MAX);
+                contrast[raw_cell(dust, od[0], turn, x, y)] =
+                    (uint8_t)fmin(od_more / STEP_OD, UINT8_MAX);
         }
     for (size_t i = 0; i < count; i++)
         dust->least[i] = contrast[i] < dust->least[i] ? contrast[i] : dust->least[i];
@@ -225,11 +244,9 @@ int gsn_dust_find(const struct gsn_dust *dust, struct gsn_mask_disc **ret_spot, 
 struct gsn_mask_disc gsn_dust_upright(const struct gsn_dust *dust, const struct gsn_mask_disc *spot,
                                       struct gsn_dust_turn turn)
 {
-    struct gsn_mask_disc there = *spot;
+    const struct place raw = { turn.mirrored ? dust->width - spot->px.x : spot->px.x, spot->px.y,
+                               dust->width, dust->height };
+    const struct place upright = turned(raw, turn.quarters);
 
-    if (turn.turned != turn.mirrored)
-        there.px.x = dust->width - there.px.x;
-    if (turn.turned)
-        there.px.y = dust->height - there.px.y;
-    return there;
+    return (struct gsn_mask_disc){ .px = { upright.x, upright.y }, .radius_px = spot->radius_px };
 }

@@ -16,9 +16,11 @@
 extern "C" {
 #endif
 
-/* How the picture was turned upright: mirrored left to right first, then turned by 180 degrees. */
+/* How the picture was turned upright: mirrored left to right first, then turned clockwise by so
+ * many quarters, 0 to 3. */
 struct gsn_dust_turn {
-    int mirrored, turned;
+    int mirrored;
+    unsigned quarters;
 };
 
 struct gsn_dust;

@@ -47,8 +47,7 @@ static void unit(double v[3])
 
 /* ---- turns ------------------------------------------------------------------------------- */
 
-/* The two ways a vector can turn: across to the axis it has least of, and across to both. */
-static void ways(const double v[3], double ret_way[2][3])
+void gsn_dyes_ways(const double v[3], double ret_way[2][3])
 {
     int least = 0;
     double axis[3] = { 0 };
@@ -66,7 +65,7 @@ static void turn_one(const double v[3], const double turn[2], double ret[3])
 {
     double way[2][3];
 
-    ways(v, way);
+    gsn_dyes_ways(v, way);
     for (int c = 0; c < 3; c++)
         ret[c] = fmax(v[c] + turn[0] * way[0][c] + turn[1] * way[1][c], 0);
     unit(ret);
@@ -103,7 +102,7 @@ static int look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_T
         const int k = m / 2;
         double along;
 
-        ways(from[k], way);
+        gsn_dyes_ways(from[k], way);
         along = dot(way[m % 2], v[k]);
         for (int c = 0; c < 3; c++)
             ret->slope[m][c] = way[m % 2][c] - along * v[k][c];

@@ -66,6 +66,10 @@ struct gsn_dyes_fit {
 int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dyes_prior *prior,
                       struct gsn_dyes_fit *ret_fit, struct gsn_error *err);
 
+/* The two ways a vector can turn, unit vectors across to it and to each other: across to the axis
+ * it has least of, and across to both. */
+void gsn_dyes_ways(const double vector[3], double ret_way[2][3]);
+
 /* The dyes with each vector turned; lengths stay 1, entries that would be negative are 0. */
 struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS]);
 

@@ -14,16 +14,42 @@
 static const struct gsn_point FIRST_UM = { 5500, 10800 };
 static const double PITCH_UM = 6000, SIDE_UM = 3000;
 
-struct gsn_phantom_patch gsn_phantom_patch_of(const struct gsn_phantom_plan *plan, int i)
+static struct gsn_phantom_patch patch_at(const struct gsn_phantom_plan *plan, int row, int column)
 {
     const struct gsn_phantom_patch patch = {
-        .density = (double)i / (GSN_PHANTOM_PATCHES - 1),
-        .x = (uint32_t)lround((FIRST_UM.x + i * PITCH_UM) / plan->px_um),
-        .y = (uint32_t)lround(FIRST_UM.y / plan->px_um),
+        .x = (uint32_t)lround((FIRST_UM.x + column * PITCH_UM) / plan->px_um),
+        .y = (uint32_t)lround((FIRST_UM.y + row * PITCH_UM) / plan->px_um),
         .width = (uint32_t)lround(SIDE_UM / plan->px_um),
         .height = (uint32_t)lround(SIDE_UM / plan->px_um),
     };
     return patch;
+}
+
+struct gsn_phantom_patch gsn_phantom_patch_of(const struct gsn_phantom_plan *plan, int i)
+{
+    struct gsn_phantom_patch patch = patch_at(plan, 0, i);
+
+    patch.density = (double)i / (GSN_PHANTOM_PATCHES - 1);
+    return patch;
+}
+
+struct gsn_phantom_patch gsn_phantom_dye_patch_of(const struct gsn_phantom_plan *plan,
+                                                  enum gsn_phantom_dye dye)
+{
+    return patch_at(plan, 1, (int)dye);
+}
+
+void gsn_phantom_dye_patch_od(const struct gsn_phantom_plan *plan, int batch,
+                              enum gsn_phantom_dye dye, double ret_od[3])
+{
+    const struct gsn_phantom_batch *b = &plan->batch[batch - 1];
+    const struct gsn_phantom_recipe *recipe = gsn_phantom_recipe();
+    const double amount[] = { [GSN_PHANTOM_RED] = b->red_gain * recipe->red_amount,
+                              [GSN_PHANTOM_YELLOW] = b->yellow_gain * recipe->yellow_amount,
+                              [GSN_PHANTOM_NUCLEAR] = recipe->nuclear_amount };
+
+    for (int c = 0; c < 3; c++)
+        ret_od[c] = amount[dye] * b->dye[dye][c];
 }
 
 void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i, double ret_od[3])
@@ -39,13 +65,9 @@ void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i,
     gsn_phantom_optical_density(&field, &stain, &local, ret_od);
 }
 
-static void lay_patch(const struct gsn_phantom_plan *plan, int batch, int i,
+static void lay_patch(struct gsn_phantom_patch patch, const double od[3],
                       const struct gsn_phantom_glass *glass)
 {
-    const struct gsn_phantom_patch patch = gsn_phantom_patch_of(plan, i);
-    double od[3];
-
-    gsn_phantom_patch_od(plan, batch, i, od);
     for (uint32_t y = patch.y; y < patch.y + patch.height; y++)
         for (uint32_t x = patch.x; x < patch.x + patch.width; x++)
             for (size_t c = 0; c < 3; c++)
@@ -59,13 +81,20 @@ int gsn_phantom_calibration_draw(const struct gsn_phantom_plan *plan, int batch,
     gsn_auto_mem(float) od = gsn_alloc_array((size_t)plan->width * plan->height, 3 * sizeof *od);
     const struct gsn_phantom_glass glass = { plan->width, plan->height, plan->px_um, od };
     char name[16];
+    double of_patch[3];
     int r;
 
     if (!od)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel of %u x %u", plan->width,
                         plan->height);
-    for (int i = 0; i < GSN_PHANTOM_PATCHES; i++)
-        lay_patch(plan, batch, i, &glass);
+    for (int i = 0; i < GSN_PHANTOM_PATCHES; i++) {
+        gsn_phantom_patch_od(plan, batch, i, of_patch);
+        lay_patch(gsn_phantom_patch_of(plan, i), of_patch, &glass);
+    }
+    for (enum gsn_phantom_dye dye = GSN_PHANTOM_RED; dye <= GSN_PHANTOM_NUCLEAR; dye++) {
+        gsn_phantom_dye_patch_od(plan, batch, dye, of_patch);
+        lay_patch(gsn_phantom_dye_patch_of(plan, dye), of_patch, &glass);
+    }
     (void)snprintf(name, sizeof name, "C%02d", batch);
     r = gsn_phantom_label_write(plan, name, &glass, err);
     if (r < 0)
@@ -108,12 +137,27 @@ static void tell_patches(const struct gsn_phantom_plan *plan, int batch, const c
     }
 }
 
+static void tell_dyes(const struct gsn_phantom_plan *plan, int batch, const char *name,
+                      struct gsn_phantom_buffer *table)
+{
+    static const char *const dyes[] = { "red", "yellow", "dark" };
+
+    for (enum gsn_phantom_dye dye = GSN_PHANTOM_RED; dye <= GSN_PHANTOM_NUCLEAR; dye++) {
+        const struct gsn_phantom_patch p = gsn_phantom_dye_patch_of(plan, dye);
+        double od[3];
+
+        gsn_phantom_dye_patch_od(plan, batch, dye, od);
+        gsn_phantom_buffer_print(table, "%s,%d,%s,%u,%u,%u,%u,%.9f,%.9f,%.9f\n", name, batch,
+                                 dyes[dye], p.x, p.y, p.width, p.height, od[0], od[1], od[2]);
+    }
+}
+
 int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned threads,
                                   const char *folder, struct gsn_error *err)
 {
     gsn_auto_mem(char) place = gsn_format("%s/calibration", folder);
     gsn_auto_mem(char) truth = gsn_format("%s/truth", folder);
-    gsn_auto_phantom_buffer table = { 0 };
+    gsn_auto_phantom_buffer table = { 0 }, dyes = { 0 };
     int r;
 
     if (!plan->level->handled)
@@ -124,6 +168,7 @@ int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned 
     if (r < 0)
         return r;
     gsn_phantom_buffer_print(&table, "file,panel,D,x_px,y_px,w_px,h_px,od_r,od_g,od_b\n");
+    gsn_phantom_buffer_print(&dyes, "file,panel,dye,x_px,y_px,w_px,h_px,od_r,od_g,od_b\n");
     for (int batch = 1; batch <= plan->panels; batch++) {
         gsn_auto_mem(char) name = gsn_format(GSN_PHANTOM_STUDY "-%s-C%02d.%s", plan->specimen->name,
                                              batch, plan->level->extension);
@@ -134,6 +179,8 @@ int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned 
         if (r < 0)
             return r;
         tell_patches(plan, batch, name, &table);
+        tell_dyes(plan, batch, name, &dyes);
     }
-    return gsn_phantom_buffer_write(&table, truth, "calibration.csv", err);
+    r = gsn_phantom_buffer_write(&dyes, truth, "calibration_dyes.csv", err);
+    return r < 0 ? r : gsn_phantom_buffer_write(&table, truth, "calibration.csv", err);
 }

@@ -1,11 +1,13 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The calibration panels: for every batch of stain a glass with five patches of known density. */
+/* The calibration panels: for every batch of stain a glass with five patches of known density, and
+ * below them one patch of each dye alone. */
 #ifndef GSN_PHANTOM_CALIBRATION_H
 #define GSN_PHANTOM_CALIBRATION_H
 
 #include "pipeline/core/image.h"
 #include "tests/phantom/plan.h"
+#include "tests/phantom/stain.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -22,6 +24,13 @@ struct gsn_phantom_patch {
 /* 3 x 3 mm of D = 0, .25, .5, .75, 1, from left to right. */
 struct gsn_phantom_patch gsn_phantom_patch_of(const struct gsn_phantom_plan *plan, int i);
 
+/* 3 x 3 mm of red, yellow and nuclear dye, from left to right below the others: as much of each as
+ * tissue that is full of it holds. */
+struct gsn_phantom_patch gsn_phantom_dye_patch_of(const struct gsn_phantom_plan *plan,
+                                                  enum gsn_phantom_dye dye);
+void gsn_phantom_dye_patch_od(const struct gsn_phantom_plan *plan, int batch,
+                              enum gsn_phantom_dye dye, double ret_od[3]);
+
 /* The optical density of patch i in batch 1..5. */
 void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i, double ret_od[3]);
 
@@ -30,7 +39,8 @@ void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i,
 int gsn_phantom_calibration_draw(const struct gsn_phantom_plan *plan, int batch, unsigned threads,
                                  struct gsn_image **ret_image, struct gsn_error *err);
 
-/* Writes all five into folder/calibration, and folder/truth/calibration.csv; at levels that are not
+/* Writes all five into folder/calibration, and folder/truth/calibration.csv and
+ * calibration_dyes.csv; at levels that are not
  * handled all batches are alike, and nothing is written. folder/truth must be there. */
 int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned threads,
                                   const char *folder, struct gsn_error *err);

@@ -2,6 +2,7 @@
 
 /* What goes wrong between the glass and the scanner, and the sentence that a technician reads. */
 #include "pipeline/examine.h"
+#include "pipeline/upright.h"
 
 #include "pipeline/decode/png_write.h"
 #include "tests/check.h"
@@ -217,6 +218,188 @@ TEST(a_panel_fed_the_wrong_way_round_is_set_upright_by_its_label)
             CHECK_NEAR(findings->section[i].mark[0].px.x, upright->section[i].mark[0].px.x, 1e-3);
         }
     }
+}
+
+/* ---- on its side -------------------------------------------------------------------------- */
+
+static const char MARKED_JOB[] =
+    "{\"specimen\": \"S02-L0\", \"study\": \"GVP-D\", \"px_um\": 24, \"layout\": [3, 4], "
+    "\"markers_um\": [[-2050, -1000], [1700, -1500], [-1500, 1300]]}";
+
+/* gives: the picture mirrored left to right, then turned clockwise by quarters. */
+static struct gsn_image *turned(const struct gsn_image *image, int mirrored, int quarters)
+{
+    const uint32_t width = image->width, height = image->height;
+    struct gsn_image *now = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_image_new(quarters % 2 ? height : width, quarters % 2 ? width : height, 3, 8, &now,
+                           &err),
+             err);
+    for (uint32_t y = 0; y < height; y++)
+        for (uint32_t x = 0; x < width; x++) {
+            const uint32_t u = mirrored ? width - 1 - x : x;
+            const uint32_t to_x[4] = { u, height - 1 - y, width - 1 - u, y };
+            const uint32_t to_y[4] = { y, u, height - 1 - y, width - 1 - u };
+
+            memcpy((uint8_t *)now->samples +
+                       3 * ((size_t)to_y[quarters] * now->width + to_x[quarters]),
+                   (const uint8_t *)image->samples + 3 * ((size_t)y * width + x), 3);
+        }
+    return now;
+}
+
+/* Draws paint over the code of a label that stands upright. */
+static void scratch_code(struct gsn_image *image)
+{
+    for (uint32_t y = 0; y < image->height; y++)
+        for (uint32_t x = 60; x < 75; x++)
+            memset((uint8_t *)image->samples + 3 * ((size_t)y * image->width + x), 30, 3);
+}
+
+static void check_same(const struct gsn_panel_findings *a, const struct gsn_panel_findings *b)
+{
+    CHECK(a->count == b->count && a->width == b->width && a->height == b->height);
+    for (size_t i = 0; i < a->count; i++) {
+        CHECK(a->section[i].serial == b->section[i].serial);
+        CHECK(a->section[i].sighting == b->section[i].sighting);
+        CHECK(a->section[i].x == b->section[i].x && a->section[i].y == b->section[i].y);
+        for (int m = 0; m < GSN_MARKS; m++) {
+            CHECK_NEAR(a->section[i].mark[m].px.x, b->section[i].mark[m].px.x, 1e-3);
+            CHECK_NEAR(a->section[i].mark[m].px.y, b->section[i].mark[m].px.y, 1e-3);
+        }
+    }
+}
+
+/* Case 16. By the code where it can be read, else by the marks of most sections. */
+static void check_every_way(const struct gsn_image *image, const char *job, int coded)
+{
+    gsn_auto(gsn_panel_findings) upright = examined_as(image, 3, job);
+    size_t found = 0;
+
+    for (size_t i = 0; i < upright->count; i++)
+        found += upright->section[i].sighting == GSN_SIGHT_FOUND;
+    CHECK(found == GSN_PHANTOM_SLOTS);
+    for (int way = 1; way < 8; way++) {
+        const int quarters = way >> 1;
+
+        if (quarters % 2 == 0 && !coded)
+            continue;
+        gsn_auto(gsn_image) picture = turned(image, way & 1, quarters);
+        gsn_auto(gsn_panel_findings) findings = examined_as(picture, 3, job);
+
+        check_same(findings, upright);
+        CHECK(!strstr(findings->note, "mirrored back as a whole") == !(way & 1));
+        if (quarters % 2 == 0)
+            continue;
+        says(findings, (quarters == 1) == !(way & 1) ? "turned by 270 degrees clockwise: "
+                                                     : "turned by 90 degrees clockwise: ");
+        says(findings, coded ? "the code on its label and its sections lay on their side"
+                             : "so lie the marks of most of its sections");
+    }
+}
+
+TEST(a_panel_fed_on_its_side_is_set_upright_by_its_label)
+{
+    gsn_auto(gsn_image) image = phantom_panel(3);
+
+    check_every_way(image, PHANTOM_JOB, 1);
+}
+
+TEST(a_panel_fed_on_its_side_is_set_upright_by_its_marks)
+{
+    gsn_auto(gsn_image) image = phantom_panel(3);
+
+    scratch_code(image);
+    check_every_way(image, MARKED_JOB, 0);
+}
+
+static void refused(const struct gsn_image *image, const char *job, const char *sentence)
+{
+    gsn_auto(gsn_protocol) protocol = NULL;
+    struct gsn_panel_findings *findings = NULL;
+    gsn_auto_mem(uint8_t) png = NULL;
+    struct gsn_error err = { 0 };
+    size_t size;
+
+    CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
+    CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
+    CHECK(gsn_panel_examine(NULL, png, size, protocol, 3, NULL, 1, NULL, &findings, &err) ==
+          GSN_E_WITHHELD);
+    CHECK(findings == NULL);
+    if (!strstr(err.text, sentence))
+        fail_msg("\"%s\" is not in \"%s\"", sentence, err.text);
+}
+
+TEST(a_panel_of_which_nothing_tells_which_way_it_lies_is_refused)
+{
+    static const char SQUARE[] = "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [4, 4]}";
+    static const char SWAPPED[] = "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [4, 3]}";
+    gsn_auto(gsn_image) image = phantom_panel(3);
+    gsn_auto(gsn_image) lying = turned(image, 0, 1);
+
+    refused(lying, SQUARE, "its label lies on its side, and neither the grid of its sections nor");
+    refused(image, SWAPPED, "its label stands upright, but its sections lie as 3 rows of 4");
+    scratch_code(image);
+    gsn_auto(gsn_image) blind = turned(image, 0, 1);
+    refused(blind, PHANTOM_JOB, "nor the marks of its sections tell which way it was turned: ");
+}
+
+/* The square of the label that holds the code, turned by a quarter where it is. */
+TEST(a_label_that_lies_on_its_side_by_make_leaves_the_panel_as_it_is)
+{
+    enum { X = 2, Y = 124, SIDE = 128 };
+    gsn_auto(gsn_image) image = phantom_panel(3);
+    gsn_auto(gsn_image) made = turned(image, 0, 0);
+
+    for (uint32_t y = 0; y < SIDE; y++)
+        for (uint32_t x = 0; x < SIDE; x++)
+            memcpy(
+                (uint8_t *)made->samples + 3 * ((size_t)(Y + x) * made->width + X + SIDE - 1 - y),
+                (const uint8_t *)image->samples + 3 * ((size_t)(Y + y) * image->width + X + x), 3);
+    gsn_auto(gsn_panel_findings) upright = examined_as(image, 3, PHANTOM_JOB);
+    gsn_auto(gsn_panel_findings) findings = examined_as(made, 3, PHANTOM_JOB);
+
+    assert_string_equal(findings->label, "GVP-D-S02-P03");
+    check_same(findings, upright);
+    CHECK(!strstr(findings->note, "turned by"));
+}
+
+static int look_once(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                     struct gsn_error *err)
+{
+    struct gsn_dust_turn turn;
+    const char *why;
+
+    return gsn_upright_look(scan, protocol, &turn, &why, err);
+}
+
+TEST(running_out_of_memory_while_turning_leaves_the_picture_as_it_was)
+{
+    const struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+    gsn_auto(gsn_protocol) protocol = NULL;
+    gsn_auto(gsn_scan) scan = NULL;
+    struct gsn_error err = { 0 };
+    size_t size;
+    gsn_auto_mem(uint8_t) png = drawn_panel_png(&panel, &size);
+
+    CHECK_OK(gsn_protocol_parse(JOB, strlen(JOB), &protocol, &err), err);
+    CHECK_OK(gsn_scan_survey(NULL, png, size, protocol, &scan, &err), err);
+    CHECK_EVERY_OOM(look_once(scan, protocol, &err), err);
+
+    struct gsn_image *image = scan->picture->image;
+    gsn_auto(gsn_image) before = turned(image, 0, 0);
+    gsn_auto(gsn_image) after = turned(image, 1, 3);
+    const struct gsn_dust_turn turn = { 1, 3 };
+
+    gsn_check_fail_allocation(1);
+    const int r = gsn_upright_turn(scan->picture, turn, &err);
+    gsn_check_fail_allocation(0);
+    CHECK(r == GSN_E_NOMEM && image->width == before->width);
+    CHECK(memcmp(image->samples, before->samples, gsn_image_bytes(image)) == 0);
+    CHECK_OK(gsn_upright_turn(scan->picture, turn, &err), err);
+    CHECK(image->width == after->width && image->height == after->height);
+    CHECK(memcmp(image->samples, after->samples, gsn_image_bytes(image)) == 0);
 }
 
 /* Case 34: the code scratched off, the writing is still there. */

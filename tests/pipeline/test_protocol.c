@@ -236,3 +236,74 @@ TEST(running_out_of_memory_leaks_nothing)
 
     CHECK_EVERY_OOM(parse_once(&err), err);
 }
+
+TEST(calibration_panels_are_read_with_their_patches)
+{
+    gsn_auto(gsn_protocol) one = NULL;
+    gsn_auto(gsn_protocol) two = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(parse("{\"specimen\": \"x\", \"calibration\": \"c.png\"}", &one, &err), err);
+    CHECK(one->calibration_count == 1 && strcmp(one->calibration[0].file, "c.png") == 0);
+    CHECK(one->calibration[0].patch_count == 3);
+    CHECK(one->calibration[0].patch[1].kind == GSN_PATCH_YELLOW);
+    CHECK(gsn_stated_calibration_of(one->calibration, 1, 7) == &one->calibration[0]);
+    CHECK(!gsn_stated_calibration_has_standards(&one->calibration[0]));
+    CHECK_OK(parse("{\"specimen\": \"x\", \"calibration\": [{\"file\": \"a.png\", \"panels\": [1, "
+                   "3]}, {\"file\": \"b.png\", \"panels\": [2], \"patches\": [[0, 0.5], "
+                   "[\"dark\"]]}]}",
+                   &two, &err),
+             err);
+    CHECK(gsn_stated_calibration_of(two->calibration, 2, 3) == &two->calibration[0]);
+    CHECK(gsn_stated_calibration_of(two->calibration, 2, 2) == &two->calibration[1]);
+    CHECK(gsn_stated_calibration_of(two->calibration, 2, 4) == NULL);
+    CHECK(two->calibration[1].patch_count == 3);
+    CHECK(two->calibration[1].patch[1].kind == GSN_PATCH_STANDARD);
+    CHECK_NEAR(two->calibration[1].patch[1].density, 0.5, 0);
+    CHECK(two->calibration[1].patch[2].row == 2 && two->calibration[1].patch[2].place == 1);
+    CHECK(gsn_stated_calibration_has_standards(&two->calibration[1]));
+}
+
+TEST(a_calibration_that_is_wrong_is_refused_with_its_form)
+{
+    static const char *const wrong[] = {
+        "1",
+        "\"\"",
+        "[]",
+        "{\"panels\": [1]}",
+        "{\"file\": \"a\", \"panels\": [0]}",
+        "{\"file\": \"a\", \"panels\": []}",
+        "{\"file\": \"a\", \"patches\": []}",
+        "{\"file\": \"a\", \"patches\": [[\"green\"]]}",
+        "{\"file\": \"a\", \"patches\": [[-1]]}",
+        "{\"file\": \"a\", \"pannels\": [1]}",
+        "[{\"file\": \"a\", \"panels\": [1]}, {\"file\": \"b\", \"panels\": [1]}]",
+        "[\"a\", \"b\"]",
+    };
+
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        gsn_auto_mem(char) job = gsn_format("{\"specimen\": \"x\", \"calibration\": %s}", wrong[i]);
+        struct gsn_protocol *p = NULL;
+        struct gsn_error err = { 0 };
+
+        if (parse(job, &p, &err) != GSN_E_INPUT)
+            fail_msg("%s is not refused", wrong[i]);
+        CHECK(p == NULL && strstr(err.text, "\"calibration\" must be a file beside job.json"));
+    }
+}
+
+static int parse_calibrations(struct gsn_error *err)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+
+    return parse("{\"specimen\": \"x\", \"calibration\": [{\"file\": \"a.png\", \"panels\": [1]}, "
+                 "{\"file\": \"b.png\", \"panels\": [2]}]}",
+                 &p, err);
+}
+
+TEST(running_out_of_memory_over_calibrations_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(parse_calibrations(&err), err);
+}

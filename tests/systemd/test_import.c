@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/import.h"
 
+#include "storage/attachment.h"
 #include "storage/queue.h"
 #include "tests/check.h"
 #include "tests/systemd/bench_job.h"
@@ -113,6 +114,30 @@ TEST(a_mask_brings_the_file_of_its_voxels)
     bench_write(&scratch, "in", "roi.raw", "\1\1\1\1\1\1\1\1", 8);
     CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
     CHECK(counts.attached == 2);
+}
+
+/* It lies among the panels and is none; its bytes are kept. */
+TEST(a_calibration_panel_is_kept_and_is_no_panel)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    gsn_auto(gsn_attachment_rows) attached = NULL;
+    struct gsn_import_counts counts = { 0 };
+    struct gsn_error err = { 0 };
+    struct heard heard;
+
+    bench_write_panel(&scratch, "in", "P01.png", 1, 0.6);
+    bench_write_job(&scratch, "in", "{\"specimen\": \"a\", \"calibration\": \"C01.png\"}");
+    CHECK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "names \"C01.png\": there is no such file"));
+    bench_write_panel(&scratch, "in", "C01.png", 2, 0.6);
+    CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
+    CHECK(counts.taken == 1 && counts.attached == 1);
+    CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
+    CHECK(panels->count == 1 && strcmp(panels->at[0].file_name, "P01.png") == 0);
+    CHECK_OK(gsn_attachment_list(store, 1, &attached, &err), err);
+    CHECK(attached->count == 1 && strcmp(attached->at[0].name, "C01.png") == 0);
 }
 
 static int64_t waiting(struct gsn_store *store)

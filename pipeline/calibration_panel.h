@@ -1,0 +1,61 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A calibration panel, read: its patches found where the job says they are, checked, and turned
+ * into dye vectors and the strength of the stain. */
+#ifndef GSN_PIPELINE_CALIBRATION_PANEL_H
+#define GSN_PIPELINE_CALIBRATION_PANEL_H
+
+#include "pipeline/scan.h"
+#include "pipeline/stain/calibration.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct gsn_calibration_panel {
+    const struct gsn_stated_calibration *stated; /* borrowed */
+    enum gsn_light light;
+    double white[3]; /* of its glass, codes 0..255 */
+    size_t patch_count;
+    struct gsn_patch patch[GSN_MOST_PATCHES];
+    int has_dyes; /* whether patches of single dyes were stated; else it tells the strength alone */
+    struct gsn_dyes_fit fit;
+};
+
+/* What a slide was unmixed with because of its calibration panel, and what the slide says itself.
+ */
+struct gsn_calibrated {
+    const struct gsn_calibration_panel *panel; /* borrowed; NULL: none is stated for this slide */
+    int compared;                              /* whether the slide's own vectors could be told */
+    struct gsn_dyes_apart apart;               /* of those and the calibration's */
+    char why[200];                             /* why not compared */
+    double white_od;                           /* furthest that the two glasses are apart */
+    struct gsn_stain_gain gain;                /* by its standards; sections 0: it has none */
+    double zero; /* what its standards of density 0 read; NaN: there is none */
+};
+
+/* gives. Fails as gsn_scan_open() and gsn_calibration_dyes() do, and with GSN_E_STAIN when the
+ * glass is not white or is overexposed, when not all stated patches are found in their rows, and
+ * when one is clipped; the sentence names the file and the patch. borrows: stated, for as long as
+ * the panel is used. */
+int gsn_calibration_panel_read(const char *decoder, const void *bytes, size_t size,
+                               const struct gsn_protocol *protocol,
+                               const struct gsn_stated_calibration *stated,
+                               struct gsn_calibration_panel **ret_panel, struct gsn_error *err);
+void gsn_calibration_panel_free(struct gsn_calibration_panel *panel);
+GSN_DEFINE_AUTO(gsn_calibration_panel);
+
+/* The dye vectors to unmix a slide with: the calibration panel's where it has them, else as
+ * gsn_scan_dyes(). tissue: of the size of the scan's thinned densities, 0 leaves a pixel out of
+ * what the slide is asked; NULL takes all that is stained. Fails as gsn_scan_dyes(),
+ * gsn_stain_fits() and gsn_calibration_gain() do, and with GSN_E_STAIN when the two were not
+ * scanned in the same meaning of the samples. */
+int gsn_calibration_apply(const struct gsn_calibration_panel *panel, const struct gsn_scan *scan,
+                          const struct gsn_image *tissue, const struct gsn_protocol *protocol,
+                          struct gsn_dyes_fit *ret_fit, struct gsn_calibrated *ret_calibrated,
+                          struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

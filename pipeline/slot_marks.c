@@ -1,0 +1,56 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/slot_marks.h"
+
+#include "pipeline/register/median.h"
+#include "pipeline/stain/absorb.h"
+
+#include <math.h>
+
+/* Half of a slot's width, and a tenth of it for sections that do not lie in its middle. */
+static const double SHARE = 0.6;
+/* Half of the longer side of a section's box, and room for its turning and for a centre that is
+ * off.
+ */
+static const double REACH = 0.65;
+
+double gsn_slot_typical_side(const struct gsn_slot *slots, size_t count, double *scratch)
+{
+    for (size_t i = 0; i < count; i++)
+        scratch[i] = slots[i].width > slots[i].height ? slots[i].width : slots[i].height;
+    return count > 0 ? gsn_median(scratch, count) : 0;
+}
+
+/* Where the marks of a section are looked for: around its tissue as far as the typical section
+ * reaches, within its share of the panel. Its own box may end where an edge of glass cuts it or
+ * where it has grown together with another, or reach over others that a line of ink ties to it. */
+static struct gsn_slot search_window(const struct gsn_scan *scan, const struct gsn_layout *layout,
+                                     double side, const struct gsn_slot *slot)
+{
+    const struct gsn_image *image = scan->picture->image;
+    const double reach_x = fmin(SHARE * image->width / layout->columns, REACH * side);
+    const double reach_y = fmin(SHARE * image->height / layout->rows, REACH * side);
+    struct gsn_slot window = *slot;
+
+    window.x = (int)fmax(slot->centre_px.x - reach_x, 0);
+    window.y = (int)fmax(slot->centre_px.y - reach_y, 0);
+    window.width = (int)fmin(slot->centre_px.x + reach_x, image->width) - window.x;
+    window.height = (int)fmin(slot->centre_px.y + reach_y, image->height) - window.y;
+    return window;
+}
+
+static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                    float *to)
+{
+    gsn_absorber_red(context, x, y, apart, count, to);
+}
+
+int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
+                   const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
+                   struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+{
+    const struct gsn_slot window = search_window(scan, layout, side, slot);
+    const struct gsn_image *image = scan->picture->image;
+    const struct gsn_mark_density red = { image->width, image->height, absorber, red_row };
+
+    return gsn_markers_candidates(&red, &window, scan->px_um, ret_candidates, err);
+}

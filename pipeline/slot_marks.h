@@ -1,0 +1,27 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The spots around one section of an opened panel that may be its marks. */
+#ifndef GSN_PIPELINE_SLOT_MARKS_H
+#define GSN_PIPELINE_SLOT_MARKS_H
+
+#include "pipeline/register/markers.h"
+#include "pipeline/scan.h"
+#include "pipeline/stain/absorb.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The longer side of the typical section's box, px; 0 when there is none. scratch: one for each. */
+double gsn_slot_typical_side(const struct gsn_slot *slots, size_t count, double *scratch);
+
+/* absorber: of the scan's picture and glass; side: of the typical section's box, px. Fails as
+ * gsn_markers_candidates(). */
+int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
+                   const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
+                   struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

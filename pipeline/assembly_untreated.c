@@ -13,7 +13,8 @@
  * what is more is bone. */
 static const double LEAST_OF_BONE = 0.35, MOST_OF_BONE = 0.82;
 
-/* A lesion does not end where the region does. */
+/* A lesion does not end where the region does: nothing nearer is looked at, and of what is left the
+ * half that is farther off. */
 static const double SURROUNDINGS_UM = 300;
 
 /* Columns from the border of a tissue: what is blurred over it is neither. */
@@ -23,8 +24,10 @@ enum { RIM = 2, LEAST_COLUMNS = 50, LEAST_SECTIONS = 3 };
 struct field {
     struct gsn_lattice at;
     size_t count;
-    float *smooth; /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
-    uint8_t *kind; /* owned: 1 + enum gsn_untreated, 0 none */
+    float *smooth;            /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
+    uint8_t *kind;            /* owned: 1 + enum gsn_untreated, 0 none */
+    struct gsn_grid *away;    /* owned: of each column from the region, um */
+    double *value, *distance; /* owned: of the columns of one plane that are looked at */
     double *scratch;
 };
 
@@ -32,17 +35,23 @@ static void field_done(struct field *f)
 {
     gsn_free(f->smooth);
     gsn_free(f->kind);
+    gsn_grid_free(f->away);
+    gsn_free(f->value);
+    gsn_free(f->distance);
     gsn_free(f->scratch);
 }
 
-static int field_init(const struct gsn_lattice *at, struct field *f, struct gsn_error *err)
+static int field_init(const struct gsn_lattice *at, const struct gsn_mask *region, struct field *f,
+                      struct gsn_error *err)
 {
     *f = (struct field){ .at = *at, .count = gsn_lattice_count(at) };
     f->smooth = gsn_alloc_array(f->count, sizeof *f->smooth);
     f->kind = gsn_alloc_array(f->count, 1);
+    f->value = gsn_alloc_array(at->nx * at->ny, sizeof *f->value);
+    f->distance = gsn_alloc_array(at->nx * at->ny, sizeof *f->distance);
     f->scratch = gsn_alloc_array(f->count, sizeof *f->scratch);
-    if (f->smooth && f->kind && f->scratch)
-        return GSN_OK;
+    if (f->smooth && f->kind && f->value && f->distance && f->scratch)
+        return gsn_columns_away(region, at, &f->away, err);
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
 }
 
@@ -140,67 +149,121 @@ static int is_core(const struct field *f, size_t x, size_t y, size_t z)
 
 /* Dentine is not remodelled, so it need not be far from the region; bone and loose tissue above and
  * below the region are left out with it. */
-static int is_untreated(const struct field *f, const struct gsn_mask *region,
-                        const struct gsn_mask *footprint, uint8_t kind, size_t x, size_t y,
-                        size_t z)
+static int is_untreated(const struct field *f, const struct gsn_mask *region, uint8_t kind,
+                        size_t x, size_t y, size_t z)
 {
     if (kind == 1 + GSN_UNTREATED_DENTINE)
         return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
-    return !footprint->inside[y * f->at.nx + x];
+    return f->away->value[y * f->at.nx + x] > (float)SURROUNDINGS_UM;
 }
 
-/* The tissue's density in one section; NaN where too little of it is seen. */
-static double seen_in(const struct field *f, const struct gsn_assembly *a,
-                      const struct gsn_mask *footprint, uint8_t kind, size_t z)
+/* Lists the tissue's columns in one section; returns how many. */
+static size_t list_columns(const struct field *f, const struct gsn_assembly *a, uint8_t kind,
+                           size_t z)
 {
-    const struct gsn_grid *density = a->columns->density;
     size_t n = 0;
 
     for (size_t y = 0; y < f->at.ny; y++)
-        for (size_t x = 0; x < f->at.nx; x++)
-            if (f->kind[gsn_lattice_index(&f->at, x, y, z)] == kind && is_core(f, x, y, z) &&
-                is_untreated(f, a->region, footprint, kind, x, y, z))
-                f->scratch[n++] = (double)density->value[gsn_lattice_index(&f->at, x, y, z)];
-    return n >= LEAST_COLUMNS ? gsn_reference_red(f->scratch, n) : (double)NAN;
+        for (size_t x = 0; x < f->at.nx; x++) {
+            const size_t i = gsn_lattice_index(&f->at, x, y, z);
+
+            if (f->kind[i] != kind || !is_core(f, x, y, z) ||
+                !is_untreated(f, a->region, kind, x, y, z))
+                continue;
+            f->value[n] = (double)a->columns->density->value[i];
+            f->distance[n++] = (double)f->away->value[y * f->at.nx + x];
+        }
+    return n;
 }
 
-/* Median over sections; the error is what panels disagree by, of a median. */
-static struct gsn_level_tissue sum_up(double *value, const int *panel, size_t count,
+/* Keeps the half of the columns that is farther from the region; returns how many that are. */
+static size_t keep_far(struct field *f, size_t count)
+{
+    const size_t far = count / 2 > LEAST_COLUMNS ? count / 2 : LEAST_COLUMNS;
+    size_t n = 0;
+    double least;
+
+    memcpy(f->scratch, f->distance, count * sizeof *f->scratch);
+    least = gsn_order_pick(f->scratch, count, count - far);
+    for (size_t i = 0; i < count; i++)
+        if (f->distance[i] >= least)
+            f->value[n++] = f->value[i];
+    return n;
+}
+
+/* The tissue's density in one section; NaN where too little of it is seen. */
+static double seen_in(struct field *f, const struct gsn_assembly *a, uint8_t kind, size_t z)
+{
+    size_t n = list_columns(f, a, kind, z);
+
+    if (n < LEAST_COLUMNS)
+        return (double)NAN;
+    if (kind != 1 + GSN_UNTREATED_DENTINE)
+        n = keep_far(f, n);
+    return gsn_reference_red(f->value, n);
+}
+
+/* ---- along the block ----------------------------------------------------------------------- */
+
+/* One section of a tissue. */
+struct sight {
+    double z_um, value;
+    const struct gsn_assembly_panel *panel;
+};
+
+/* The median over a panel's sections, at their mean height. */
+static struct gsn_level_seen seen_on(const struct sight *sight, size_t count, double *scratch)
+{
+    struct gsn_level_seen seen = { 0 };
+
+    for (size_t i = 0; i < count; i++) {
+        seen.z_um += sight[i].z_um / (double)count;
+        scratch[i] = sight[i].value;
+    }
+    seen.value = gsn_order_pick(scratch, count, count / 2);
+    return seen;
+}
+
+/* The tissue at the height of the region: there both specimens are compared, whatever sections each
+ * of them lacks. */
+static struct gsn_level_tissue sum_up(const struct sight *sight, size_t count, double at_um,
                                       double *scratch)
 {
-    struct gsn_level_tissue tissue = { NAN, NAN };
-    double sum = 0, squares = 0;
+    struct gsn_level_seen panel[64];
     size_t panels = 0;
 
     if (count < LEAST_SECTIONS)
-        return tissue;
-    for (size_t i = 0, end; i < count; i = end) {
-        double mean = 0;
-
-        for (end = i; end < count && panel[end] == panel[i]; end++)
-            mean += value[end];
-        mean /= (double)(end - i);
-        sum += mean;
-        squares += mean * mean;
-        panels++;
+        return (struct gsn_level_tissue){ NAN, NAN };
+    for (size_t i = 0, end; i < count && panels < sizeof panel / sizeof *panel; i = end) {
+        for (end = i; end < count && sight[end].panel == sight[i].panel;)
+            end++;
+        panel[panels++] = seen_on(sight + i, end - i, scratch);
     }
-    if (panels > 1)
-        tissue.error = sqrt(M_PI / 2 * fmax(0, squares - sum * sum / (double)panels) /
-                            (double)(panels - 1) / (double)panels);
-    memcpy(scratch, value, count * sizeof *value);
-    tissue.value = gsn_order_pick(scratch, count, count / 2);
-    if (panels < 2) /* nothing tells what another panel would say */
-        tissue.error = 0.05 * tissue.value;
-    return tissue;
+    return gsn_level_tissue_at(panel, panels, at_um);
+}
+
+/* Mean height of a region; NaN where it is empty. */
+static double height_of(const struct gsn_mask *region)
+{
+    const size_t plane = region->at.nx * region->at.ny;
+    double sum = 0;
+    size_t n = 0;
+
+    for (size_t i = 0; i < gsn_lattice_count(&region->at); i++)
+        if (region->inside[i]) {
+            sum += (double)(i / plane);
+            n++;
+        }
+    return n > 0 ? region->at.origin_um.z + region->at.step_um.z * sum / (double)n : (double)NAN;
 }
 
 static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                         struct field *f, const struct gsn_mask *footprint, struct gsn_error *err)
+                         struct field *f, struct gsn_error *err)
 {
-    gsn_auto_mem(double) value = gsn_alloc_array(f->at.nz, sizeof *value);
-    gsn_auto_mem(int) panel = gsn_alloc_array(f->at.nz, sizeof *panel);
+    gsn_auto_mem(struct sight) sight = gsn_alloc_array(f->at.nz, sizeof *sight);
+    const double height = height_of(a->region);
 
-    if (!value || !panel)
+    if (!sight)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
     for (unsigned k = 0; k < GSN_UNTREATED_KINDS; k++) {
         size_t n = 0;
@@ -209,13 +272,13 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
             const struct gsn_assembly_panel *of = gsn_assembly_panel_of_serial(
                 a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
 
-            value[n] =
-                of && of->levelled ? seen_in(f, a, footprint, (uint8_t)(1 + k), z) : (double)NAN;
-            panel[n] = of ? (int)(of - a->panel) : -1;
-            if (!isnan(value[n]))
-                n++;
+            if (!of || !of->levelled)
+                continue;
+            sight[n] = (struct sight){ f->at.origin_um.z + (double)z * f->at.step_um.z,
+                                       seen_in(f, a, (uint8_t)(1 + k), z), of };
+            n += isnan(sight[n].value) ? 0 : 1;
         }
-        a->levelling.tissue[k] = sum_up(value, panel, n, f->scratch);
+        a->levelling.tissue[k] = sum_up(sight, n, height, f->scratch);
     }
     return GSN_OK;
 }
@@ -225,13 +288,10 @@ static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *
 {
     gsn_auto_mem(float) list = gsn_alloc_array(f->count, sizeof *list);
     gsn_auto(gsn_mask) root = NULL;
-    gsn_auto(gsn_mask) footprint = NULL;
     struct gsn_tissue_levels levels = { 0 };
     double bone;
     int r = list ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
 
-    if (r >= 0)
-        r = gsn_columns_footprint(a->region, &f->at, SURROUNDINGS_UM, &footprint, err);
     if (r < 0)
         return r;
     smoothen(a->columns->density, f);
@@ -242,7 +302,7 @@ static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *
     if (r < 0)
         return r;
     tell_kinds(f, root, &levels, bone);
-    return measure_kinds(specimen, a, f, footprint, err);
+    return measure_kinds(specimen, a, f, err);
 }
 
 int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
@@ -253,7 +313,7 @@ int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_as
 
     if (!a->columns || !a->levelling.done || !a->region)
         return GSN_OK;
-    r = field_init(&a->columns->density->at, &f, err);
+    r = field_init(&a->columns->density->at, a->region, &f, err);
     if (r >= 0)
         r = find_kinds(specimen, a, &f, err);
     field_done(&f);

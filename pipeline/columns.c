@@ -139,31 +139,46 @@ static void project(const struct gsn_mask *region, const struct gsn_lattice *at,
             }
 }
 
-int gsn_columns_footprint(const struct gsn_mask *region, const struct gsn_lattice *at,
-                          double margin_um, struct gsn_mask **ret_footprint, struct gsn_error *err)
+int gsn_columns_away(const struct gsn_mask *region, const struct gsn_lattice *at,
+                     struct gsn_grid **ret_um, struct gsn_error *err)
 {
     struct gsn_lattice flat = *at;
-    gsn_auto(gsn_mask) footprint = NULL;
-    gsn_auto_mem(float) square = gsn_alloc_array(at->nx * at->ny, sizeof *square);
+    gsn_auto(gsn_mask) below = NULL;
+    gsn_auto(gsn_grid) um = NULL;
     int r;
 
     flat.nz = 1;
-    if (!square)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the footprint of a region");
-    r = gsn_mask_new(&flat, &footprint, err);
-    if (r < 0)
-        return r;
-    project(region, &flat, footprint->inside);
-    if (gsn_mask_count(footprint) > 0) {
+    r = gsn_mask_new(&flat, &below, err);
+    if (r >= 0)
+        r = gsn_grid_new(&flat, &um, err);
+    if (r >= 0) {
         const struct gsn_distance_box box = { flat.nx,        flat.ny,        1,
                                               flat.step_um.x, flat.step_um.y, flat.step_um.z };
 
-        r = gsn_distance_squared(footprint->inside, &box, 1, square, err);
-        for (size_t i = 0; r >= 0 && i < flat.nx * flat.ny; i++)
-            footprint->inside[i] = square[i] <= (float)(margin_um * margin_um);
+        project(region, &flat, below->inside);
+        r = gsn_distance_squared(below->inside, &box, 1, um->value, err);
     }
     if (r < 0)
         return r;
+    for (size_t i = 0; i < flat.nx * flat.ny; i++)
+        um->value[i] = sqrtf(um->value[i]);
+    *ret_um = gsn_steal(&um);
+    return GSN_OK;
+}
+
+int gsn_columns_footprint(const struct gsn_mask *region, const struct gsn_lattice *at,
+                          double margin_um, struct gsn_mask **ret_footprint, struct gsn_error *err)
+{
+    gsn_auto(gsn_grid) away = NULL;
+    gsn_auto(gsn_mask) footprint = NULL;
+    int r = gsn_columns_away(region, at, &away, err);
+
+    if (r >= 0)
+        r = gsn_mask_new(&away->at, &footprint, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < gsn_lattice_count(&away->at); i++)
+        footprint->inside[i] = away->value[i] <= (float)margin_um;
     *ret_footprint = gsn_steal(&footprint);
     return GSN_OK;
 }

@@ -34,6 +34,12 @@ int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section 
                     unsigned apart, const struct gsn_absorber *absorber, double interval_um,
                     struct gsn_error *err);
 
+/* gives: per cell of one plane how far it is, in um, from the nearest that a region lies above or
+ * below; infinity where the region is empty. at is the columns' lattice, of one plane. Fails with
+ * GSN_E_NOMEM. */
+int gsn_columns_away(const struct gsn_mask *region, const struct gsn_lattice *at,
+                     struct gsn_grid **ret_um, struct gsn_error *err);
+
 /* gives: per cell of one plane whether a region lies above or below it, or within margin_um.
  * at is the columns' lattice, of one plane. Fails with GSN_E_NOMEM. */
 int gsn_columns_footprint(const struct gsn_mask *region, const struct gsn_lattice *at,

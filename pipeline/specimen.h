@@ -55,6 +55,7 @@ enum { GSN_SPECIMEN_TISSUES = 3 };
 struct gsn_specimen_baseline {
     const char *name;
     size_t specimens; /* with a result; more than one for a group; 0: none yet */
+    size_t withheld;  /* that were run and have no figure */
     double mean_density, volume_mm3;
     double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
     double own_scale_error;    /* that without what its stain as a whole may be off by */

@@ -52,7 +52,7 @@ static void judge(const struct gsn_evidence *e, struct gsn_draft *d)
     r->verdict_reason = "";
     if (e->withheld) {
         r->verdict = GSN_REPORT_WITHHELD;
-        r->verdict_reason = e->withheld;
+        r->verdict_reason = gsn_draft_withheld(e, d);
     } else if (stated && isnan(r->loss_percent)) {
         r->verdict = GSN_REPORT_WITHHELD;
         r->verdict_reason = r->loss_reason;

@@ -81,6 +81,8 @@ void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_link(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);
+/* Why nothing could be told of the region, with the panels that gave nothing; NULL: it could. */
+const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d);
 /* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
  * it leaves out what all panels have in common. */
 double gsn_draft_own_scale_error(const struct gsn_evidence *e);

@@ -4,6 +4,7 @@
 #include "pipeline/measure/loss.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 /* Below this share of region voxels that were measured, or bridged from the sections beside them, a
@@ -103,21 +104,88 @@ void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d)
             d, gsn_draft_say(d, "the panels were not levelled: %s", e->assembly->levelling.why));
 }
 
+enum { MOST_NAMED = 12 };
+
+/* The panels that were expected and of which no section is used, as in "2, 4 and 5"; how many. */
+static size_t silent_panels(const struct gsn_assembly *a, char *text, size_t size)
+{
+    unsigned silent[MOST_NAMED + 1];
+    size_t count = 0, used = 0;
+
+    for (unsigned number = 1; number <= 64 && count <= MOST_NAMED; number++) {
+        int expected = 0, shown = 0;
+
+        for (size_t i = 0; i < a->section_count; i++) {
+            const struct gsn_assembly_section *s = &a->section[i];
+
+            expected |= s->panel == number;
+            shown |= s->panel == number &&
+                     (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
+        }
+        if (expected && !shown)
+            silent[count++] = number;
+    }
+    text[0] = '\0';
+    for (size_t i = 0; i < count && used < size; i++)
+        used += (size_t)snprintf(text + used, size - used, "%s%u",
+                                 i == 0           ? ""
+                                 : i + 1 == count ? " and "
+                                                  : ", ",
+                                 silent[i]);
+    return count;
+}
+
+/* The sentence, and where whole panels are the reason, which and what to do. */
+static const char *and_panels(const struct gsn_evidence *e, struct gsn_draft *d,
+                              const char *sentence)
+{
+    char panels[120];
+    size_t count;
+
+    if (!e->assembly || !e->assembly->grid)
+        return sentence;
+    count = silent_panels(e->assembly, panels, sizeof panels);
+    if (count == 0)
+        return sentence;
+    return gsn_draft_say(d,
+                         "%s; no section of panel%s %s is used: scan and import what was not "
+                         "delivered, and settle what is refused or held",
+                         sentence, count == 1 ? "" : "s", panels);
+}
+
+const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    return e->withheld ? and_panels(e, d, e->withheld) : NULL;
+}
+
 /* Why too little of the region is known to give a loss; NULL: enough is. */
 static const char *too_little_known(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_report_region *region = &d->report.region;
 
     if (e->account->coverage < LEAST_KNOWN)
-        return gsn_draft_say(d, "only %.0f %% of the region of interest has data",
-                             100 * region->coverage);
+        return and_panels(e, d,
+                          gsn_draft_say(d, "only %.0f %% of the region of interest has data",
+                                        100 * region->coverage));
     if (region->coverage < LEAST_MEASURED)
-        return gsn_draft_say(
-            d,
-            "only %.0f %% of the region of interest was measured; the rest could only be "
-            "bridged from the sections beside it",
-            100 * region->coverage);
+        return and_panels(
+            e, d,
+            gsn_draft_say(d,
+                          "only %.0f %% of the region of interest was measured; the rest could "
+                          "only be bridged from the sections beside it",
+                          100 * region->coverage));
     return NULL;
+}
+
+/* Why the baseline gives nothing to compare with. */
+static const char *no_baseline(const struct gsn_specimen_baseline *b, struct gsn_draft *d)
+{
+    if (b->withheld == 0)
+        return gsn_draft_say(d, "the baseline %s has no result yet: import and run it", b->name);
+    return gsn_draft_say(d,
+                         "the baseline %s was run and its own figure is withheld: settle what its "
+                         "report says, then run again",
+                         b->name);
 }
 
 /* The set of dye vectors that the figures stand on: the panels' own, or none. */
@@ -215,13 +283,16 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
         return;
     }
     if (!e->account) {
-        r->loss_reason = e->withheld;
+        r->loss_reason = gsn_draft_withheld(e, d);
         return;
     }
     if (b->specimens == 0) {
-        r->loss_reason =
-            gsn_draft_say(d, "the baseline %s has no result yet: import and run it", b->name);
+        const char *known = too_little_known(e, d);
+
+        r->loss_reason = no_baseline(b, d);
         gsn_draft_warn(d, r->loss_reason);
+        if (known) /* with a baseline it would be withheld just the same */
+            r->loss_reason = gsn_draft_say(d, "%s; %s", known, r->loss_reason);
         return;
     }
     if (d->linked)

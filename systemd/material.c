@@ -342,8 +342,10 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     if (!own_key || json_array_append_new(m->baseline_keys, json_string(own_key)) < 0)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
     mean = measure_named(measures, "mean_density");
-    if (isnan(mean))
+    if (isnan(mean)) {
+        b->withheld++;
         return GSN_OK;
+    }
     b->mean_density += mean;
     b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
     b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));

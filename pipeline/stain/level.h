@@ -73,6 +73,19 @@ struct gsn_level_tissue {
     double value, error;
 };
 
+/* What one panel says of a tissue: its density, and the height of the block it was seen at. */
+struct gsn_level_seen {
+    double z_um, value;
+};
+
+/* The tissue's density at a height. Tissue thins and thickens along a block, and panels are lost:
+ * where four panels or more show that it runs along the block (the slope is four times its error),
+ * it is the straight line's value at that height; else the panels' mean. The error is by what the
+ * panels are off; with one panel nothing tells what another would say, and it is 5 %. No panel: the
+ * value is NaN. */
+struct gsn_level_tissue gsn_level_tissue_at(const struct gsn_level_seen *panel, size_t panels,
+                                            double at_um);
+
 /* How one specimen's densities read in the stain of another: here = gain * there + offset. */
 struct gsn_level_link {
     double gain, offset;

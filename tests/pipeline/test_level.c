@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-enum { PANELS = 3, PER_PANEL = 7, SECTIONS = PANELS * PER_PANEL };
+enum { PANELS = 4, PER_PANEL = 7, SECTIONS = PANELS * PER_PANEL };
 
 static const struct gsn_lattice BLOCK = {
     110, 100, SECTIONS, { -1744, -1584, 12 }, { 32, 32, 24 }
@@ -20,6 +20,14 @@ static double beyond_root(struct gsn_vec3 u)
 static int in_region(struct gsn_vec3 u)
 {
     return fabs(u.x - 700) < 200 && fabs(u.y) < 200 && u.z > 100 && u.z < 400;
+}
+
+/* What is left of a lesion around the region: half of it at 300 um, next to nothing at 900. */
+static double left_of(double spill, struct gsn_vec3 u)
+{
+    const double away = hypot(fmax(0, fabs(u.x - 700) - 200), fmax(0, fabs(u.y) - 200));
+
+    return 1 - spill * exp(-0.69 * (away / 300) * (away / 300));
 }
 
 static double density_at(struct gsn_vec3 u, double loss)
@@ -49,7 +57,9 @@ static double grain(size_t i)
 struct drawing {
     struct gsn_level stain[PANELS];
     double loss;
-    int uniform; /* the block is of bone alone */
+    double spill; /* what bone beside the region has lost with it, falling off with the distance */
+    double thinning; /* of all bone along the block, per um */
+    int uniform;     /* the block is of bone alone */
 };
 
 static void put(const struct drawing *d, struct gsn_grid *grid, struct gsn_grid *tissue)
@@ -64,6 +74,8 @@ static void put(const struct drawing *d, struct gsn_grid *grid, struct gsn_grid 
 
         if (d->uniform && !isnan(density))
             density = 0.88;
+        if (density > 0.8)
+            density *= left_of(d->spill, u) * (1 - d->thinning * u.z);
         grid->value[i] = (float)(stain->gain * density * (1 + 0.1 * grain(i)) + stain->offset);
         if (tissue)
             tissue->value[i] = isnan(density) ? 0.0F : 1.0F;
@@ -146,8 +158,10 @@ static double region_mean(const struct gsn_assembly *a)
     return sum / (double)n;
 }
 
-static const struct drawing STAINED = { .stain = { { 0.9, 0.03 }, { 1.17, 0 }, { 1.02, -0.06 } } };
-static const struct drawing EVEN = { .stain = { { 1, 0 }, { 1, 0 }, { 1, 0 } } };
+static const struct drawing STAINED = {
+    .stain = { { 0.9, 0.03 }, { 1.17, 0 }, { 1.02, -0.06 }, { 0.95, 0.02 } }
+};
+static const struct drawing EVEN = { .stain = { { 1, 0 }, { 1, 0 }, { 1, 0 }, { 1, 0 } } };
 
 /* A density on the scale of the panels' mean. */
 static double common(const struct drawing *d, double density)
@@ -189,6 +203,38 @@ TEST(a_loss_in_the_region_stays_a_loss)
     CHECK(a->levelling.done);
     CHECK_NEAR(region_mean(a), common(&STAINED, 0.6 * 0.88), 0.006);
     CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, common(&STAINED, 0.88), 0.006);
+}
+
+/* Bone that has lost a tenth 300 um from the region is not what another specimen is compared by. */
+TEST(what_a_lesion_leaves_beside_the_region_is_not_taken_for_stain)
+{
+    struct drawing spilt = EVEN;
+    struct gsn_error err = { 0 };
+
+    spilt.spill = 0.2;
+    gsn_auto(gsn_assembly) a = draw(&spilt);
+
+    CHECK_OK(level(a, &err), err);
+    CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, 0.88, 0.004);
+}
+
+/* The region's middle is at 252 um, the block's at 336: what is missing does not move the tissue.
+ */
+TEST(tissue_is_told_at_the_height_of_the_region)
+{
+    struct drawing thinning = EVEN;
+    struct gsn_error err = { 0 };
+
+    thinning.thinning = 2e-4;
+    for (unsigned lost = 0; lost <= 4; lost += 4) {
+        gsn_auto(gsn_assembly) a = draw(&thinning);
+
+        for (unsigned k = 0; k < lost; k++)
+            a->section[k].state = GSN_SECTION_HELD;
+        CHECK_OK(level(a, &err), err);
+        CHECK(a->levelling.panels == PANELS);
+        CHECK_NEAR(a->levelling.tissue[GSN_UNTREATED_DENSE].value, 0.88 * (1 - 2e-4 * 252), 0.004);
+    }
 }
 
 TEST(even_panels_stay_as_they_were)
@@ -325,6 +371,26 @@ TEST(a_cell_holds_the_mean_of_its_tissue)
         CHECK(is_nan((double)columns->density->value[19]));
         CHECK_NEAR((double)columns->tissue->value[19], 0, 0);
     }
+}
+
+TEST(a_cell_knows_how_far_it_is_from_a_region)
+{
+    const struct gsn_lattice at = { 20, 20, 9, { 16, 16, 12 }, { 32, 32, 24 } };
+    const struct gsn_lattice of = { 1, 1, 1, { 320, 320, 108 }, { 16, 16, 24 } };
+    gsn_auto(gsn_mask) region = NULL;
+    gsn_auto(gsn_grid) away = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_mask_new(&of, &region, &err), err);
+    CHECK_OK(gsn_columns_away(region, &at, &away, &err), err);
+    CHECK(away->at.nz == 1 && isinf(away->value[0]));
+    gsn_grid_free(gsn_steal(&away));
+    region->inside[0] = 1;
+    CHECK_OK(gsn_columns_away(region, &at, &away, &err), err);
+    CHECK_NEAR((double)away->value[10 * 20 + 10], 0, 0);
+    CHECK_NEAR((double)away->value[13 * 20 + 6], 32 * 5, 1e-4);
+    gsn_grid_free(gsn_steal(&away));
+    CHECK_EVERY_OOM(gsn_columns_away(region, &at, &away, &err), err);
 }
 
 TEST(a_footprint_holds_what_lies_above_and_below_a_region)

@@ -271,6 +271,20 @@ TEST(without_the_baselines_result_the_figures_stand_and_the_loss_does_not)
     json_decref(root);
 }
 
+/* It was run, and is itself withheld: to import it again would not help. */
+TEST(a_withheld_baseline_is_not_called_missing)
+{
+    drawn_auto d;
+
+    drawn_specimen_even(&d, TREATED_JOB, 0.6);
+    d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control", .withheld = 1 };
+    gsn_auto(gsn_specimen_result) result = worked(&d, 2);
+
+    CHECK(result->withheld);
+    CHECK(strcmp(result->message, "the baseline control was run and its own figure is withheld: "
+                                  "settle what its report says, then run again") == 0);
+}
+
 /* A region of which less than 90 % was seen has figures, but no loss. */
 /* dyes outlives d. */
 static void draw_gaps(struct drawn_specimen *d, struct drawn_panel panels[3],
@@ -398,6 +412,35 @@ TEST(a_loss_needs_most_of_the_region)
                  "from the sections beside it") == 0);
     CHECK(!has_measure(gaps, "loss"));
     CHECK_NEAR(measure(gaps, "coverage"), 0.625, 1e-9);
+}
+
+static void check_panel_named(int baseline, const char *ends)
+{
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    for (unsigned i = 0; i < 3; i++)
+        panels[i] = drawn_panel_of(i + 1, 24, 0.6);
+    for (unsigned k = 0; k < 4; k++)
+        panels[1].section[k].no_marks = 6;
+    draw_gaps(&d, panels, &dyes);
+    if (!baseline)
+        d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control" };
+    gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);
+
+    CHECK(gaps->withheld);
+    CHECK(strncmp(gaps->message, "only 50 % of the region of interest ", 36) == 0);
+    assert_non_null(strstr(gaps->message, "; no section of panel 2 is used: scan and import what "
+                                          "was not delivered, and settle what is refused or held"));
+    assert_string_equal(gaps->message + strlen(gaps->message) - strlen(ends), ends);
+}
+
+/* A whole panel that is not there is named, with what to do, beside what else is lacking. */
+TEST(a_panel_that_gives_nothing_is_named_where_the_loss_is_withheld)
+{
+    check_panel_named(1, "settle what is refused or held");
+    check_panel_named(0, "; the baseline control has no result yet: import and run it");
 }
 
 /* Withheld reports: no figure, the reason, and still every section and panel. */

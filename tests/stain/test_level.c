@@ -311,3 +311,58 @@ TEST(running_out_of_memory_is_said)
 
     CHECK_EVERY_OOM(one_line(&err), err);
 }
+
+/* ---- one tissue along the block ------------------------------------------------------------ */
+
+/* Least squares in closed form: on the line, whatever panels are there. */
+TEST(a_tissue_that_runs_along_the_block_is_told_at_any_height)
+{
+    static const double z[] = { 144, 432, 720, 1008, 1296 };
+    struct gsn_level_seen panel[5];
+
+    for (int i = 0; i < 5; i++)
+        panel[i] = (struct gsn_level_seen){ z[i], 0.9 - 5e-5 * z[i] };
+    for (size_t from = 0; from < 2; from++) {
+        const struct gsn_level_tissue t = gsn_level_tissue_at(panel + from, 5 - from, 420);
+
+        CHECK_NEAR(t.value, 0.9 - 5e-5 * 420, 1e-12);
+        CHECK_NEAR(t.error, 0, 1e-9);
+    }
+}
+
+/* Residuals 1, -1, -1, 1 of a line through z = -3, -1, 1, 3: sum of squares 4 on two
+ * degrees of freedom, so at z = 5 the error is sqrt(2 (1 / 4 + 25 / 20)) = sqrt(3). The slope's is
+ * sqrt(2 / 20) = 0.316, four times of which is 1.265. */
+TEST(a_slope_counts_when_it_is_four_times_its_error)
+{
+    static const double off[] = { 1, -1, -1, 1 };
+    struct gsn_level_seen steep[4], flat[4];
+    struct gsn_level_tissue t;
+
+    for (int i = 0; i < 4; i++) {
+        const double z = 2 * i - 3;
+
+        steep[i] = (struct gsn_level_seen){ z, 10 + 1.3 * z + off[i] };
+        flat[i] = (struct gsn_level_seen){ z, 10 + 1.2 * z + off[i] };
+    }
+    t = gsn_level_tissue_at(steep, 4, 5);
+    CHECK_NEAR(t.value, 16.5, 1e-12);
+    CHECK_NEAR(t.error, sqrt(3), 1e-12);
+    t = gsn_level_tissue_at(flat, 4, 5);
+    CHECK_NEAR(t.value, 10, 1e-12);
+    CHECK_NEAR(t.error, sqrt((4 + 1.44 * 20) / 3 / 4), 1e-12);
+}
+
+TEST(few_panels_tell_a_mean_and_none_tells_nothing)
+{
+    static const struct gsn_level_seen panel[] = { { 0, 0.8 }, { 100, 0.82 }, { 200, 0.84 } };
+    struct gsn_level_tissue t = gsn_level_tissue_at(panel, 3, 1000);
+
+    CHECK_NEAR(t.value, 0.82, 1e-12);
+    CHECK_NEAR(t.error, 0.02 / sqrt(3), 1e-12);
+    t = gsn_level_tissue_at(panel, 1, 1000);
+    CHECK_NEAR(t.value, 0.8, 1e-12);
+    CHECK_NEAR(t.error, 0.04, 1e-12);
+    t = gsn_level_tissue_at(panel, 0, 1000);
+    CHECK(isnan(t.value) && isnan(t.error));
+}

@@ -79,25 +79,35 @@ static int know_triangle(const struct gsn_protocol *protocol,
     return GSN_OK;
 }
 
-/* Returns whether all three marks were found, and mirrored. */
-static int choose_marks(struct gsn_panel_section *section,
-                        const struct gsn_mark_candidates *candidates,
-                        const struct gsn_triangle_prior *prior)
-{
-    double score = 0, runner_up = 0;
-    int mirrored = 0, found = 0;
+/* The marks of one section, as chosen. */
+struct chosen {
+    struct gsn_mark mark[GSN_MARKS];
+    double score, runner_up;
+    int mirrored, found;
+};
 
-    gsn_markers_choose(candidates, prior, section->mark, &mirrored, &score, &runner_up);
+static struct chosen choose_marks(const struct gsn_mark_candidates *candidates,
+                                  const struct gsn_triangle_prior *prior)
+{
+    struct chosen c = { .found = 0 };
+
+    gsn_markers_choose(candidates, prior, c.mark, &c.mirrored, &c.score, &c.runner_up);
     for (size_t i = 0; i < GSN_MARKS; i++)
-        found += section->mark[i].found;
+        c.found += c.mark[i].found;
+    return c;
+}
+
+static void take_marks(struct gsn_panel_section *section, const struct chosen *c)
+{
+    memcpy(section->mark, c->mark, sizeof section->mark);
     /* What has grown together is held, whatever its marks. */
     if (section->sighting != GSN_SIGHT_HELD)
-        section->sighting = found == GSN_MARKS ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
-    if (found == 2)
-        flag(section, mirrored ? "two-marks mirrored" : "two-marks");
-    else if (found < 2)
-        flag(section, score > 0 && runner_up > 0.5 * score ? "ambiguous-marks" : "no-marks");
-    return found == GSN_MARKS && mirrored;
+        section->sighting = c->found == GSN_MARKS ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
+    if (c->found == 2)
+        flag(section, c->mirrored ? "two-marks mirrored" : "two-marks");
+    else if (c->found < 2)
+        flag(section,
+             c->score > 0 && c->runner_up > 0.5 * c->score ? "ambiguous-marks" : "no-marks");
 }
 
 static void shift(struct gsn_point *point, const struct gsn_slot *slot)
@@ -133,8 +143,10 @@ static struct gsn_slot search_window(const struct gsn_scan *scan,
     return window;
 }
 
-/* Red density is worked out inside the section's window alone. */
+/* Red density is worked out inside the section's window alone. prior: what the panel has taught, or
+ * NULL. */
 static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *slot,
+                           const struct gsn_triangle_prior *prior,
                            struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
 {
     const struct gsn_pixel_box box = { slot->x, slot->y, slot->width, slot->height };
@@ -149,7 +161,8 @@ static int find_candidates(const struct gsn_scan *scan, const struct gsn_slot *s
     inside.x = inside.y = 0;
     inside.centre_px.x -= slot->x;
     inside.centre_px.y -= slot->y;
-    r = gsn_markers_candidates(red, &inside, scan->px_um, ret_candidates, err);
+    r = prior ? gsn_markers_seek(red, &inside, scan->px_um, prior, ret_candidates, err)
+              : gsn_markers_candidates(red, &inside, scan->px_um, ret_candidates, err);
     if (r < 0)
         return r;
     shift(&ret_candidates->tissue_px, slot);
@@ -173,9 +186,33 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
     const struct gsn_slot *slot = &search->slots[index];
     const struct gsn_slot window =
         search_window(search->scan, search->protocol, search->side, slot);
-    const int r = find_candidates(search->scan, &window, &search->candidates[index], err);
+    const int r = find_candidates(search->scan, &window, NULL, &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
+}
+
+/* The marks of one section; where some are missing, it is searched again for what the panel's other
+ * sections have taught. */
+static int mark_section(const struct search *search, size_t index,
+                        const struct gsn_triangle_prior *prior, struct chosen *ret_chosen,
+                        struct gsn_error *err)
+{
+    const struct gsn_slot window =
+        search_window(search->scan, search->protocol, search->side, &search->slots[index]);
+    struct chosen first = choose_marks(&search->candidates[index], prior), second;
+    struct gsn_mark_candidates again;
+    int r;
+
+    if (first.found < GSN_MARKS && prior->learnt) {
+        r = find_candidates(search->scan, &window, prior, &again, err);
+        if (r < 0)
+            return gsn_fail_at(err, "slot %u", window.slot + 1);
+        second = choose_marks(&again, prior);
+        if (second.found > first.found)
+            first = second;
+    }
+    *ret_chosen = first;
+    return GSN_OK;
 }
 
 /* ---- whether the pixels are as large as stated ------------------------------------------- */
@@ -302,11 +339,17 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         return r;
     for (size_t i = 0; i < count; i++) {
         struct gsn_panel_section *section = &findings->section[found[i].slot];
+        struct chosen chosen;
 
-        if (r >= 0)
-            mirrored += (size_t)choose_marks(section, &candidates[i], &prior);
-        else
+        if (r < 0) {
             flag(section, "no-marks");
+            continue;
+        }
+        r = mark_section(&search, i, &prior, &chosen, err);
+        if (r < 0)
+            return r;
+        take_marks(section, &chosen);
+        mirrored += chosen.found == GSN_MARKS && chosen.mirrored;
     }
     if (protocol->has_markers && 2 * mirrored > count)
         say(findings,

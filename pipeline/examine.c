@@ -207,9 +207,39 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
     const struct search *search = context;
     const struct gsn_slot *slot = &search->slots[index];
     const int r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
-                                 slot, &search->candidates[index], err);
+                                 slot, NULL, &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
+}
+
+static int count_chosen(const struct gsn_mark_candidates *candidates,
+                        const struct gsn_triangle_prior *prior)
+{
+    struct gsn_mark mark[GSN_MARKS];
+
+    gsn_markers_choose(candidates, prior, mark, NULL, NULL, NULL);
+    return count_found(mark);
+}
+
+/* Where marks are missing, the section is searched again for spots that look like those of the
+ * panel's others. */
+static int seek_again(const struct search *search, size_t index,
+                      const struct gsn_triangle_prior *prior, struct gsn_error *err)
+{
+    const struct gsn_slot *slot = &search->slots[index];
+    const int before = count_chosen(&search->candidates[index], prior);
+    struct gsn_mark_candidates again;
+    int r;
+
+    if (before == GSN_MARKS || !prior->learnt)
+        return GSN_OK;
+    r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side, slot, prior,
+                       &again, err);
+    if (r < 0)
+        return gsn_fail_at(err, "slot %u", slot->slot + 1);
+    if (count_chosen(&again, prior) > before)
+        search->candidates[index] = again;
+    return GSN_OK;
 }
 
 /* ---- whether the pixels are as large as stated ------------------------------------------- */
@@ -330,7 +360,7 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     struct gsn_triangle_prior prior;
     struct gsn_point upright = { protocol->has_markers, 0 };
     size_t mirrored = 0;
-    int r;
+    int agreed, r;
 
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
@@ -345,21 +375,25 @@ static int find_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     r = know_triangle(protocol, candidates, count, &prior, err);
     if (r < 0 && r != GSN_E_MARKERS)
         return r;
+    agreed = r >= 0;
     for (size_t i = 0; i < count; i++) {
         struct gsn_panel_section *section = &findings->section[found[i].slot];
         struct sight sight = { 0 };
 
-        if (r >= 0)
+        r = agreed ? seek_again(&search, i, &prior, err) : GSN_OK;
+        if (r < 0)
+            return r;
+        if (agreed)
             sight = choose_marks(section, &candidates[i], &prior);
         mirrored += sight.mirrored && count_found(section->mark) == GSN_MARKS;
-        if (r >= 0 && !protocol->has_markers)
+        if (agreed && !protocol->has_markers)
             add_direction(section, &sight, &prior, scan->px_um, &upright);
         if (section->sighting != GSN_SIGHT_HELD)
             take_choice(section, pose_said(answers, section->slot), &sight);
         state_marks(section, &sight);
     }
     void_choices(answers, findings);
-    if (r >= 0)
+    if (agreed)
         lay_candidates(&prior, upright, scan->px_um, findings);
     if (protocol->has_markers && 2 * mirrored > count)
         say(findings,

@@ -46,11 +46,13 @@ static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart,
 
 int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
                    const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
+                   const struct gsn_triangle_prior *prior,
                    struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
 {
     const struct gsn_slot window = search_window(scan, layout, side, slot);
     const struct gsn_image *image = scan->picture->image;
     const struct gsn_mark_density red = { image->width, image->height, absorber, red_row };
 
-    return gsn_markers_candidates(&red, &window, scan->px_um, ret_candidates, err);
+    return prior ? gsn_markers_seek(&red, &window, scan->px_um, prior, ret_candidates, err)
+                 : gsn_markers_candidates(&red, &window, scan->px_um, ret_candidates, err);
 }

@@ -15,10 +15,11 @@ extern "C" {
 /* The longer side of the typical section's box, px; 0 when there is none. scratch: one for each. */
 double gsn_slot_typical_side(const struct gsn_slot *slots, size_t count, double *scratch);
 
-/* absorber: of the scan's picture and glass; side: of the typical section's box, px. Fails as
- * gsn_markers_candidates(). */
+/* absorber: of the scan's picture and glass; side: of the typical section's box, px; prior: what
+ * the panel's sections have taught, or NULL. Fails as gsn_markers_candidates(). */
 int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
                    const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
+                   const struct gsn_triangle_prior *prior,
                    struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
 
 #ifdef __cplusplus

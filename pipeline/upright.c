@@ -212,7 +212,7 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
     r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
     side = gsn_slot_typical_side(reading->slot, count, scratch);
     for (size_t i = 0; r >= 0 && i < count; i++)
-        r = gsn_slot_marks(scan, absorber, &reading->layout, side, &reading->slot[i],
+        r = gsn_slot_marks(scan, absorber, &reading->layout, side, &reading->slot[i], NULL,
                            &candidates[i], err);
     memcpy(prior.mark_um, protocol->markers_um, sizeof prior.mark_um);
     if (r >= 0)

@@ -1,13 +1,16 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/markers.h"
 
+#include "pipeline/core/mem.h"
 #include "pipeline/register/mark_density.h"
 #include "pipeline/register/mark_field.h"
 #include "pipeline/register/mark_map.h"
+#include "pipeline/register/mark_odds.h"
 
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 static const double PX_MOST_UM = 40;
 /* Spots that are measured: ink over the tissue has dozens that are darker than any mark, and few of
@@ -16,6 +19,8 @@ enum { SPOTS = 64 };
 /* A spot this much fainter than a mark is none of three burnt alike: half of what a mark that is
  * half burnt in and half bleached may be. */
 static const double FAINTEST = 0.125;
+/* Those among which the ones like a known mark are looked for. */
+enum { SPOTS_KNOWN = 1024 };
 
 static double strength(const struct gsn_mark *mark)
 {
@@ -77,12 +82,20 @@ static double least_strength(const struct gsn_mark_candidates *candidates)
                                          : FAINTEST * strength(&candidates->mark[GSN_MARKS - 1]);
 }
 
-/* Spots come the strongest first. */
+/* Of spots that come the likeliest first, there need be no more than there is room for; of those
+ * that come the strongest first, none that is too faint. */
+static int enough(const struct gsn_mark_candidates *candidates, const struct gsn_mark *next,
+                  int likeliest_first)
+{
+    return likeliest_first ? candidates->count == GSN_MARK_CANDIDATES
+                           : strength(next) < least_strength(candidates);
+}
+
 static int measure_spots(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                         const struct gsn_mark *spots, size_t count,
+                         const struct gsn_mark *spots, size_t count, int likeliest_first,
                          struct gsn_mark_candidates *candidates, struct gsn_error *err)
 {
-    for (size_t i = 0; i < count && strength(&spots[i]) >= least_strength(candidates); i++) {
+    for (size_t i = 0; i < count && !enough(candidates, &spots[i], likeliest_first); i++) {
         struct gsn_mark mark;
         const int r =
             gsn_mark_density_fit(density, slot, spots[i].px, spots[i].radius_px, &mark, err);
@@ -97,8 +110,36 @@ static int measure_spots(const struct gsn_mark_density *density, const struct gs
     return GSN_OK;
 }
 
+static double unlike(const struct gsn_mark *spot, double px_um,
+                     const struct gsn_triangle_prior *prior)
+{
+    return gsn_mark_unlike(spot, px_um, prior) + gsn_mark_dirt(spot);
+}
+
+/* Brings the spots that are most like the known marks to the front; how many may be any. */
+static size_t sort_by_looks(struct gsn_mark *spots, size_t count, double px_um,
+                            const struct gsn_triangle_prior *prior)
+{
+    const size_t wanted = count < SPOTS ? count : SPOTS;
+
+    for (size_t i = 0; i < wanted; i++) {
+        struct gsn_mark kept;
+        size_t best = i;
+
+        for (size_t k = i + 1; k < count; k++)
+            if (unlike(&spots[k], px_um, prior) < unlike(&spots[best], px_um, prior))
+                best = k;
+        kept = spots[best];
+        memmove(spots + i + 1, spots + i, (best - i) * sizeof *spots);
+        spots[i] = kept;
+    }
+    return wanted;
+}
+
+/* prior: what marks look like, or NULL. */
 static int search(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                  struct gsn_mark_candidates *candidates, struct gsn_error *err)
+                  const struct gsn_triangle_prior *prior, struct gsn_mark_candidates *candidates,
+                  struct gsn_error *err)
 {
     const size_t step = gsn_mark_field_step(candidates->px_um);
     struct gsn_mark_field field = { .width = (size_t)slot->width / step,
@@ -106,29 +147,31 @@ static int search(const struct gsn_mark_density *density, const struct gsn_slot 
                                     .cell_px = (double)step,
                                     .origin_px = { slot->x, slot->y } };
     gsn_auto_mem(float) values = gsn_alloc_array(field.width * field.height + 1, sizeof *values);
-    struct gsn_mark spots[SPOTS];
+    gsn_auto_mem(struct gsn_mark) spots =
+        gsn_alloc_array(prior ? SPOTS_KNOWN : SPOTS, sizeof *spots);
     size_t count;
     int r;
 
-    if (!values)
+    if (!values || !spots)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = values;
     r = gsn_mark_density_reduce(density, slot, step, &field, err);
     if (r < 0)
         return r;
     gsn_mark_map_take(&field, &candidates->map);
-    r = gsn_mark_field_spots(&field, candidates->px_um, SPOTS, spots, &count, err);
-    return r < 0 ? r : measure_spots(density, slot, spots, count, candidates, err);
+    r = gsn_mark_field_spots(&field, candidates->px_um, prior ? SPOTS_KNOWN : SPOTS, spots, &count,
+                             err);
+    if (r >= 0 && prior)
+        count = sort_by_looks(spots, count, candidates->px_um, prior);
+    return r < 0 ? r : measure_spots(density, slot, spots, count, prior != NULL, candidates, err);
 }
 
-int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
-                           double px_um, struct gsn_mark_candidates *ret_candidates,
-                           struct gsn_error *err)
+static int look(const struct gsn_mark_density *red_od, const struct gsn_slot *slot, double px_um,
+                const struct gsn_triangle_prior *prior, struct gsn_mark_candidates *ret_candidates,
+                struct gsn_error *err)
 {
     struct gsn_mark_candidates candidates = { .px_um = px_um };
     int r;
-
-    assert(red_od && slot && ret_candidates);
 
     if (!(px_um > 0 && px_um <= PX_MOST_UM))
         return gsn_fail(err, GSN_E_INPUT,
@@ -143,9 +186,27 @@ int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct g
         return gsn_fail(err, GSN_E_INPUT, "the box of slot %u reaches outside the panel",
                         slot->slot + 1);
     candidates.tissue_px = slot->centre_px;
-    r = search(red_od, slot, &candidates, err);
+    r = search(red_od, slot, prior, &candidates, err);
     if (r < 0)
         return r;
     *ret_candidates = candidates;
     return GSN_OK;
+}
+
+int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+                           double px_um, struct gsn_mark_candidates *ret_candidates,
+                           struct gsn_error *err)
+{
+    assert(red_od && slot && ret_candidates);
+
+    return look(red_od, slot, px_um, NULL, ret_candidates, err);
+}
+
+int gsn_markers_seek(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+                     double px_um, const struct gsn_triangle_prior *prior,
+                     struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+{
+    assert(red_od && slot && prior && ret_candidates);
+
+    return look(red_od, slot, px_um, prior->learnt ? prior : NULL, ret_candidates, err);
 }

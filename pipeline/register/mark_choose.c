@@ -3,6 +3,7 @@
 
 #include "pipeline/register/mark_density.h"
 #include "pipeline/register/mark_map.h"
+#include "pipeline/register/mark_odds.h"
 #include "pipeline/register/rigid.h"
 
 #include <assert.h>
@@ -19,13 +20,11 @@ static const double SIZE = 1.5;
  * hundred, and this many times the stretch of the others. Believed only of spots that look like
  * marks; of two, hardly, since other sides of the triangle are as long. */
 static const double TORN = 6, TORN_PAIR = 1.5, TORN_SHARE = 0.03;
-/* Burns of one stack differ by a third at most in contrast and radius, two standard deviations; of
- * a spot that is less alike (-2 ln of its likelihood), looks say nothing more. */
-static const double ALIKE = 0.15, UNLIKE_MOST = 8, ALIKE_MOST = 3;
+/* Of a spot that is less alike (-2 ln of its likelihood), looks say nothing more; of marks that are
+ * alike, they say less than the second. */
+static const double UNLIKE_MOST = 8, ALIKE_MOST = 3;
 /* One that is half burnt in is none the less a mark, when it lies where one must be. */
 static const double FAINT = 4;
-/* Share of the picture that the fit of a mark explains, and what is lost when dirt touches it. */
-static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
 /* The picture's cells go together in patches; so many are witnesses of their own. */
 static const double WITNESSES = 20;
 /* The tissue's centre moves when a piece is lost. */
@@ -34,6 +33,10 @@ static const double TISSUE_SD_LEAST_UM = 100;
 static const double LIKELIHOOD_LEAST = 0.0111;
 /* A second choice with more than this share of the first's likelihood makes both worthless. */
 static const double RUNNER_UP_MOST = 0.5;
+/* The third of three must be a mark, and no spot that lies there by chance, with these odds. */
+static const double THIRD_ODDS = 20;
+/* Marks that were lost with a piece of the section, or never burnt in. */
+static const double THIRD_LOST = 0.05;
 /* A spot this much fainter than the third strongest is no mark as long as nothing is learnt... */
 static const double FAINTEST = 0.3;
 /* ...and afterwards one that differs from the typical mark by more than these factors. A burn may
@@ -116,20 +119,10 @@ int gsn_mark_acceptable(const struct gsn_mark_candidates *section, size_t i,
            um >= prior->radius_um / RADIUS_FACTOR;
 }
 
-/* -2 ln of the likelihood that a spot's looks give: marks are as strong and as large as each other.
- */
 static double unlike(const struct gsn_mark *mark, double px_um,
                      const struct gsn_triangle_prior *prior)
 {
-    const double contrast = log(mark->contrast / prior->contrast) / ALIKE;
-    const double radius = log(mark->radius_px * px_um / prior->radius_um) / ALIKE;
-
-    return fmin(0.5 * (contrast * contrast + radius * radius), UNLIKE_MOST);
-}
-
-static double dirt(const struct gsn_mark *mark)
-{
-    return pow(fmax(EXPLAINED - mark->score, 0) / EXPLAINED_SD, 2);
+    return fmin(gsn_mark_unlike(mark, px_um, prior), UNLIKE_MOST);
 }
 
 static double looks(const struct gsn_mark_candidates *section,
@@ -146,7 +139,7 @@ static double looks(const struct gsn_mark_candidates *section,
             continue;
         mark = &section->mark[choice->candidate[i]];
         if (prior->learnt)
-            sum += fmin(unlike(mark, section->px_um, prior) + dirt(mark), most);
+            sum += fmin(unlike(mark, section->px_um, prior) + gsn_mark_dirt(mark), most);
         else if (third > 0)
             sum += 2 * fmax(1 - strength(mark) / third, 0);
     }
@@ -164,19 +157,35 @@ static int alike(const struct gsn_mark_candidates *section, const struct gsn_tri
     return 1;
 }
 
+static struct gsn_mark_moves moves_of(const struct gsn_mark_candidates *section,
+                                      const struct gsn_triangle_prior *prior)
+{
+    const double loose = tolerance(prior, section->px_um);
+    const double least = fmax(STRETCH_LEAST * size_of(prior->mark_um), section->px_um);
+
+    return (struct gsn_mark_moves){ .ordinary_um = fmin(fmax(prior->stretch_um, least), loose),
+                                    .loose_um = loose,
+                                    .torn_um = TORN * loose,
+                                    .ordinary = ORDINARY,
+                                    .loose = 1 - ORDINARY - TORN_SHARE,
+                                    .torn = TORN_SHARE };
+}
+
 /* Of a misfit in tolerances, what is known of the section apart. */
 static double fitting(const struct gsn_mark_candidates *section,
                       const struct gsn_triangle_prior *prior, double chi2)
 {
-    const double loose = tolerance(prior, section->px_um);
-    const double least = fmax(STRETCH_LEAST * size_of(prior->mark_um), section->px_um);
-    const double tight = fmin(fmax(prior->stretch_um, least), loose);
+    const struct gsn_mark_moves m = moves_of(section, prior);
 
     if (!prior->learnt || !(prior->stretch_um > 0))
         return exp(-0.5 * chi2);
-    return ORDINARY * exp(-0.5 * chi2 * pow(loose / tight, 2)) +
-           (1 - ORDINARY - TORN_SHARE) * exp(-0.5 * chi2) +
-           TORN_SHARE * exp(-0.5 * chi2 / (TORN * TORN));
+    return m.ordinary * exp(-0.5 * chi2 * pow(m.loose_um / m.ordinary_um, 2)) +
+           m.loose * exp(-0.5 * chi2) + m.torn * exp(-0.5 * chi2 * pow(m.loose_um / m.torn_um, 2));
+}
+
+static int is_triple(const struct choice *choice)
+{
+    return choice->candidate[0] >= 0 && choice->candidate[1] >= 0 && choice->candidate[2] >= 0;
 }
 
 /* Weighs a choice by its misfit in tolerances; more than three standard deviations of anything are
@@ -186,8 +195,7 @@ static void weigh(const struct gsn_mark_candidates *section, const struct gsn_tr
 {
     const double beauty = exp(-0.5 * looks(section, prior, choice, UNLIKE_MOST));
     const double decency = exp(-0.5 * looks(section, prior, choice, FAINT));
-    const int pair =
-        choice->candidate[0] < 0 || choice->candidate[1] < 0 || choice->candidate[2] < 0;
+    const int pair = !is_triple(choice);
     const int marks = prior->learnt && alike(section, prior, choice);
     const double allowed = !marks ? 1 : pair ? TORN_PAIR : TORN;
 
@@ -242,6 +250,46 @@ static int lay(const struct gsn_mark_candidates *section, const struct gsn_trian
     size = size_misfit(from, onto, count);
     *ret_chi2 = (double)count * (rms * rms - size * size * (1 - 1 / (SIZE * SIZE))) / (sd * sd);
     return 1;
+}
+
+/* Whether a pair is as far apart as its marks are, a torn one's a little more or less. */
+static int plausible_pair(double chi2)
+{
+    return exp(-0.5 * chi2 / (TORN_PAIR * TORN_PAIR)) >= LIKELIHOOD_LEAST;
+}
+
+/* Whether one of three spots may as well be there by chance, the two others being the marks. */
+static int by_chance(const struct gsn_mark_candidates *section,
+                     const struct gsn_triangle_prior *prior, const struct choice *choice, int third)
+{
+    const int a = (third + 1) % GSN_MARKS, b = (third + 2) % GSN_MARKS;
+    const struct gsn_point *mark = prior->mark_um;
+    const struct gsn_point middle = { 0.5 * (mark[a].x + mark[b].x),
+                                      0.5 * (mark[a].y + mark[b].y) };
+    const struct gsn_mark *spot = &section->mark[choice->candidate[third]];
+    const struct gsn_mark_moves moves = moves_of(section, prior);
+    struct choice pair = *choice;
+    double chi2, away;
+
+    pair.candidate[third] = -1;
+    if (!lay(section, prior, &pair, &pair.motion, &chi2) || !plausible_pair(chi2))
+        return 0;
+    away = gsn_mark_distance(
+        gsn_rigid_apply(&pair.motion, gsn_mark_to_um(spot->px, section->px_um, choice->mirrored)),
+        mark[third]);
+    return gsn_mark_odds(spot, section->px_um, prior, &moves, away,
+                         gsn_mark_distance(mark[a], mark[b]),
+                         gsn_mark_distance(mark[third], middle)) < THIRD_ODDS;
+}
+
+static int any_by_chance(const struct gsn_mark_candidates *section,
+                         const struct gsn_triangle_prior *prior, const struct choice *choice)
+{
+    int any = 0;
+
+    for (int i = 0; i < GSN_MARKS && prior->learnt && prior->chance[GSN_MARK_CHANCE - 1] > 0; i++)
+        any |= by_chance(section, prior, choice, i);
+    return any;
 }
 
 static int same_candidates(const struct choice *a, const struct choice *b)
@@ -302,7 +350,7 @@ static void consider(const struct gsn_mark_candidates *section,
         far_off(section, prior, &choice->motion, choice->mirrored))
         return;
     weigh(section, prior, chi2, choice);
-    if (choice->trusted)
+    if (choice->trusted && !(is_triple(choice) && any_by_chance(section, prior, choice)))
         keep(choices, choice);
 }
 
@@ -418,6 +466,58 @@ static struct choice decide(const struct choices *choices, int triple, double *r
     return *winner;
 }
 
+static double misfit(const struct gsn_mark_candidates *section,
+                     const struct gsn_triangle_prior *prior, const struct choice *choice)
+{
+    struct gsn_rigid motion;
+    double chi2;
+
+    return lay(section, prior, choice, &motion, &chi2) ? chi2 : INFINITY;
+}
+
+/* Whether a pair calls nothing else than three do. */
+static int contained(const struct choice *pair, const struct choice *three)
+{
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (pair->candidate[i] >= 0 && pair->candidate[i] != three->candidate[i])
+            return 0;
+    return pair->mirrored == three->mirrored;
+}
+
+/* Three that only a tear could have brought where they are, against two that lie as they should and
+ * have lost the third: some other spot was taken for it. */
+static void hear_pairs(const struct gsn_mark_candidates *section,
+                       const struct gsn_triangle_prior *prior, const int *fine,
+                       struct choice *three, double *runner_up)
+{
+    const int pictured = prior->tissue.cell > 0 && section->map.cell > 0;
+    struct choices all = { 0 }, pairs = { 0 };
+    struct choice best;
+    double other, weight;
+
+    if (exp(-0.5 * misfit(section, prior, three)) >= LIKELIHOOD_LEAST || !pictured)
+        return;
+    consider_pairs(section, prior, fine, &all);
+    for (size_t i = 0; i < all.count; i++)
+        if (!contained(&all.item[i], three))
+            keep(&pairs, &all.item[i]);
+    ask_picture(section, prior, &pairs);
+    best = decide(&pairs, 0, &other);
+    if (!best.trusted)
+        return;
+    three->unlike =
+        fmax(gsn_mark_map_unlike(section, &prior->tissue, &three->motion, three->mirrored), 1e-9);
+    best.unlike =
+        fmax(gsn_mark_map_unlike(section, &prior->tissue, &best.motion, best.mirrored), 1e-9);
+    weight = THIRD_LOST * pow(three->unlike / best.unlike, 0.5 * WITNESSES);
+    if (weight * best.likelihood <= three->likelihood) {
+        *runner_up = fmax(*runner_up, weight * best.likelihood);
+        return;
+    }
+    *runner_up = fmax(other, three->likelihood / weight);
+    *three = best;
+}
+
 static int trustworthy(const struct choice *choice, double runner_up)
 {
     return choice->trusted && runner_up <= RUNNER_UP_MOST * choice->likelihood;
@@ -437,6 +537,8 @@ static struct choice gather(const struct gsn_mark_candidates *section,
     if (prior->tissue.cell > 0 && section->map.cell > 0)
         ask_picture(section, prior, choices);
     choice = decide(choices, 1, ret_runner_up);
+    if (choice.trusted && prior->learnt)
+        hear_pairs(section, prior, fine, &choice, ret_runner_up);
     /* Two rival triples are a riddle for a person; a pair out of them would be a guess. */
     if (!choice.trusted && prior->learnt) {
         consider_pairs(section, prior, fine, choices);
@@ -485,11 +587,6 @@ static int by_likelihood(const void *left, const void *right)
         if (a->candidate[i] != b->candidate[i])
             return a->candidate[i] < b->candidate[i] ? -1 : 1;
     return a->mirrored - b->mirrored;
-}
-
-static int is_triple(const struct choice *choice)
-{
-    return choice->candidate[0] >= 0 && choice->candidate[1] >= 0 && choice->candidate[2] >= 0;
 }
 
 /* Whether an earlier choice calls the same three spots marks, the other way up. */

@@ -2,6 +2,7 @@
 #include "pipeline/register/mark_choose.h"
 
 #include "pipeline/register/mark_map.h"
+#include "pipeline/register/mark_odds.h"
 #include "pipeline/register/median.h"
 #include "pipeline/register/rigid.h"
 
@@ -21,9 +22,9 @@ static const double STRETCH_TAUGHT = 2;
 enum { TISSUE_X, TISSUE_Y, CONTRAST, RADIUS, MISFIT, KINDS };
 
 static int gather(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
-                  double found[KINDS], struct gsn_rigid *ret_motion, int *ret_mirrored)
+                  double found[KINDS], struct gsn_mark marks[GSN_MARKS],
+                  struct gsn_rigid *ret_motion, int *ret_mirrored)
 {
-    struct gsn_mark marks[GSN_MARKS];
     struct gsn_point from[GSN_MARKS], tissue;
     struct gsn_rigid best = { 0 };
     double least = INFINITY;
@@ -77,6 +78,21 @@ static void learn_numbers(double *value, size_t count, size_t n, struct gsn_tria
                                scatter(value + TISSUE_Y * count, n, prior->tissue_um.y));
 }
 
+/* What is seen beside the marks of clear sections; one spot more than was counted, since none may
+ * be seen in a small stack. */
+static void learn_chance(const struct gsn_mark_candidates *sections, const int *clear,
+                         const struct gsn_mark *marks, size_t count,
+                         struct gsn_triangle_prior *prior)
+{
+    double seen[GSN_MARK_CHANCE] = { 0 }, area_um2 = 0;
+
+    for (size_t i = 0; i < count; i++)
+        if (clear[i])
+            gsn_mark_count_chance(&sections[i], &marks[GSN_MARKS * i], prior, seen, &area_um2);
+    for (int k = 0; k < GSN_MARK_CHANCE; k++)
+        prior->chance[k] = area_um2 > 0 ? (seen[k] + 1) / area_um2 : 0;
+}
+
 /* One round: from what is known before it to what the sections then say. */
 static int learn(const struct gsn_mark_candidates *sections, size_t count,
                  struct gsn_triangle_prior *prior, struct gsn_error *err)
@@ -84,14 +100,16 @@ static int learn(const struct gsn_mark_candidates *sections, size_t count,
     gsn_auto_mem(double) value = gsn_alloc_array(count * KINDS, sizeof *value);
     gsn_auto_mem(struct gsn_rigid) motion = gsn_alloc_array(count, sizeof *motion);
     gsn_auto_mem(int) clear = gsn_alloc_array(2 * count, sizeof *clear);
+    gsn_auto_mem(struct gsn_mark) marks = gsn_alloc_array(GSN_MARKS * count, sizeof *marks);
     size_t n = 0;
 
-    if (!value || !motion || !clear)
+    if (!value || !motion || !clear || !marks)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while learning what a mark looks like");
     for (size_t i = 0; i < count; i++) {
         double found[KINDS];
 
-        clear[i] = gather(&sections[i], prior, found, &motion[i], &clear[count + i]);
+        clear[i] = gather(&sections[i], prior, found, &marks[GSN_MARKS * i], &motion[i],
+                          &clear[count + i]);
         for (size_t k = 0; clear[i] && k < KINDS; k++)
             value[k * count + n] = found[k];
         n += (size_t)clear[i];
@@ -100,6 +118,7 @@ static int learn(const struct gsn_mark_candidates *sections, size_t count,
         return GSN_OK;
     learn_numbers(value, count, n, prior);
     prior->learnt = 1;
+    learn_chance(sections, clear, marks, count, prior);
     return gsn_mark_map_mean(sections, motion, clear + count, clear, count, prior->tissue_um,
                              &prior->tissue, err);
 }

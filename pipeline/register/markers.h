@@ -10,7 +10,8 @@
  *
  * The order of work over a stack: gsn_markers_candidates() for each section; where the protocol
  * gives no triangle, gsn_markers_consensus() over all of them; gsn_markers_learn() over all of
- * them; gsn_markers_choose() for each. */
+ * them; gsn_markers_choose() for each; gsn_markers_seek() and another choice where marks are
+ * missing. */
 #ifndef GSN_REGISTER_MARKERS_H
 #define GSN_REGISTER_MARKERS_H
 
@@ -23,7 +24,13 @@
 extern "C" {
 #endif
 
-enum { GSN_MARKS = 3, GSN_MARK_CANDIDATES = 24, GSN_MARK_MAP = 40, GSN_MARK_RIVALS = 4 };
+enum {
+    GSN_MARKS = 3,
+    GSN_MARK_CANDIDATES = 24,
+    GSN_MARK_MAP = 40,
+    GSN_MARK_RIVALS = 4,
+    GSN_MARK_CHANCE = 8
+};
 
 struct gsn_mark {
     struct gsn_point px;
@@ -62,6 +69,8 @@ struct gsn_triangle_prior {
     double contrast, radius_um; /* of the typical mark */
     struct gsn_mark_map tissue; /* what the sections have in common */
     double stretch_um;          /* how far an ordinary section's marks lie from a rigid triangle */
+    double chance[GSN_MARK_CHANCE]; /* spots per um^2 that are no marks and at most as unlike one as
+                                       each class (mark_odds.h); 0: nothing is known of them */
 };
 
 /* Optical density of the red channel, of width x height pixels, where it is asked for: row() puts
@@ -79,6 +88,13 @@ struct gsn_mark_density {
 int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
                            double px_um, struct gsn_mark_candidates *ret_candidates,
                            struct gsn_error *err);
+
+/* The same, once it is learnt what marks look like: spots like that are measured, where without it
+ * the darkest are, and ink has more of those than there is room for. Before anything is learnt it
+ * does the same as gsn_markers_candidates(), and it fails as that does. */
+int gsn_markers_seek(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+                     double px_um, const struct gsn_triangle_prior *prior,
+                     struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
 
 /* The triangle that most sections share, where the protocol gives none.
  *

@@ -318,6 +318,25 @@ TEST(three_spots_that_look_like_marks_are_the_marks_of_a_torn_section)
     CHECK(marks[0].found && !marks[1].found && marks[2].found);
 }
 
+/* Debris that lies not far from where the third mark was. */
+TEST(a_spot_that_may_be_there_by_chance_is_not_the_third_mark)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    struct gsn_mark_candidates section = section_of(&PRIOR, 0.4, 0, 5);
+    struct gsn_point beside = mount(PRIOR.mark_um[1], 0.4, 0);
+    struct gsn_mark marks[GSN_MARKS];
+
+    beside.x += 130 / PX;
+    add(&section, beside, 0.15);
+    section.mark[2].score = 0.62;
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    CHECK(marks[0].found && !marks[1].found && marks[2].found);
+    /* In the very place it is a mark that is half burnt in. */
+    section.mark[2].px = mount(PRIOR.mark_um[1], 0.4, 0);
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    CHECK(marks[0].found && marks[1].found && marks[2].found);
+}
+
 /* Cases 27 and 28: an edge of glass ties the sections of a row into one. */
 TEST(a_neighbours_marks_are_not_this_sections)
 {
@@ -350,6 +369,49 @@ TEST(ink_and_edges_of_glass_do_not_crowd_out_the_marks)
     CHECK_OK(gsn_markers_find(&panel, &slot, PX, &prior, marks, NULL, NULL, &err), err);
     for (int i = 0; i < GSN_MARKS; i++)
         check_mark(&marks[i], i, 0, 0);
+}
+
+/* More blots of ink, each darker than a mark, than there is room for. */
+static void draw_blots(void)
+{
+    for (int n = 0; n < 144; n++)
+        draw_ellipse(&panel,
+                     (struct gsn_point){ WIDTH / 2 + 14.0 * (n % 12) - 10,
+                                         HEIGHT / 2 + 14.0 * (n / 12) - 30 },
+                     4, 4, 0, 1.2);
+}
+
+TEST(what_marks_look_like_finds_them_among_any_number_of_blots)
+{
+    const struct gsn_triangle_prior prior = learnt();
+    const struct gsn_slot slot = whole_panel();
+    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    struct gsn_mark_candidates section;
+    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_error err = { 0 };
+
+    draw_section(0, 0, 7, 1);
+    draw_blots();
+    CHECK_OK(gsn_markers_seek(&density, &slot, PX, &prior, &section, &err), err);
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    for (int i = 0; i < GSN_MARKS; i++)
+        check_mark(&marks[i], i, 0, 0);
+}
+
+TEST(as_long_as_nothing_is_learnt_the_darkest_spots_are_sought)
+{
+    const struct gsn_slot slot = whole_panel();
+    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    struct gsn_mark_candidates plain = { 0 }, sought = { 0 };
+    struct gsn_error err = { 0 };
+
+    draw_section(0.5, 1, 7, 2);
+    CHECK_OK(gsn_markers_candidates(&density, &slot, PX, &plain, &err), err);
+    CHECK_OK(gsn_markers_seek(&density, &slot, PX, &PRIOR, &sought, &err), err);
+    CHECK(plain.count == sought.count && plain.count > 2);
+    for (size_t i = 0; i < plain.count; i++)
+        CHECK(plain.mark[i].px.x == sought.mark[i].px.x &&
+              plain.mark[i].px.y == sought.mark[i].px.y);
 }
 
 TEST(a_section_that_has_swollen_is_found)
@@ -552,6 +614,7 @@ TEST(bad_questions_are_refused_and_the_output_stays_untouched)
     struct gsn_error err = { 0 };
 
     CHECK(gsn_markers_candidates(&density, &slot, 0, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_markers_seek(&density, &slot, -1, &PRIOR, &candidates, &err) == GSN_E_INPUT);
     CHECK(gsn_markers_candidates(&density, &slot, NAN, &candidates, &err) == GSN_E_INPUT);
     CHECK(gsn_markers_candidates(&density, &slot, 60, &candidates, &err) == GSN_E_INPUT);
     slot.x = 1;
@@ -575,6 +638,19 @@ static int find_once(struct gsn_error *err)
     return gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, err);
 }
 
+static int seek_once(const struct gsn_triangle_prior *prior, struct gsn_error *err)
+{
+    struct gsn_slot slot = whole_panel();
+    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
+    struct gsn_mark_candidates section;
+
+    slot.x = (int)one.x - 20;
+    slot.y = (int)one.y - 20;
+    slot.width = slot.height = 40;
+    return gsn_markers_seek(&density, &slot, PX, prior, &section, err);
+}
+
 static int learn_once(struct gsn_error *err)
 {
     struct gsn_mark_candidates sections[3];
@@ -589,9 +665,11 @@ static int learn_once(struct gsn_error *err)
 
 TEST(running_out_of_memory_leaks_nothing)
 {
+    const struct gsn_triangle_prior prior = learnt();
     struct gsn_error err = { 0 };
 
     draw_section(0, 0, 7, 1);
     CHECK_EVERY_OOM(find_once(&err), err);
+    CHECK_EVERY_OOM(seek_once(&prior, &err), err);
     CHECK_EVERY_OOM(learn_once(&err), err);
 }

@@ -1,0 +1,104 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/mark_odds.h"
+
+#include <assert.h>
+#include <math.h>
+
+/* Burns of one stack differ by a third at most in contrast and radius, two standard deviations. */
+static const double ALIKE = 0.15;
+/* Share of the picture that the fit of a mark explains, and what is lost when dirt touches it. */
+static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
+/* Marks of which looks say nothing: half burnt in, half under dirt. They stand against spots of any
+ * looks. */
+static const double DISGUISED = 0.02;
+/* Burns that are seen where one belongs. */
+static const double SEEN = 0.95;
+
+double gsn_mark_unlike(const struct gsn_mark *mark, double px_um,
+                       const struct gsn_triangle_prior *prior)
+{
+    const double contrast = log(mark->contrast / prior->contrast) / ALIKE;
+    const double radius = log(mark->radius_px * px_um / prior->radius_um) / ALIKE;
+
+    return 0.5 * (contrast * contrast + radius * radius);
+}
+
+double gsn_mark_dirt(const struct gsn_mark *mark)
+{
+    return pow(fmax(EXPLAINED - mark->score, 0) / EXPLAINED_SD, 2);
+}
+
+/* Classes of unlikeness: each reaches twice as far as the one before, the last to anything. */
+static int class_of(double unlike)
+{
+    int k = 0;
+
+    while (k < GSN_MARK_CHANCE - 1 && unlike > ldexp(1, k))
+        k++;
+    return k;
+}
+
+static double unlike_in_all(const struct gsn_mark *mark, double px_um,
+                            const struct gsn_triangle_prior *prior)
+{
+    return gsn_mark_unlike(mark, px_um, prior) + gsn_mark_dirt(mark);
+}
+
+static double distance_um(const struct gsn_mark_candidates *section, struct gsn_point px)
+{
+    return section->px_um * hypot(px.x - section->tissue_px.x, px.y - section->tissue_px.y);
+}
+
+void gsn_mark_count_chance(const struct gsn_mark_candidates *section,
+                           const struct gsn_mark marks[GSN_MARKS],
+                           const struct gsn_triangle_prior *prior, double seen[GSN_MARK_CHANCE],
+                           double *area_um2)
+{
+    double reach_um = 0;
+
+    assert(section && marks && prior && seen && area_um2);
+
+    /* Farther out than its marks, a section may show those of its neighbours. */
+    for (int k = 0; k < GSN_MARKS; k++)
+        reach_um = fmax(reach_um, distance_um(section, marks[k].px));
+    for (size_t i = 0; i < section->count; i++) {
+        const struct gsn_mark *spot = &section->mark[i];
+        int other = distance_um(section, spot->px) > reach_um;
+
+        for (int k = 0; k < GSN_MARKS; k++)
+            other |= marks[k].px.x == spot->px.x && marks[k].px.y == spot->px.y;
+        for (int k = class_of(unlike_in_all(spot, section->px_um, prior));
+             !other && k < GSN_MARK_CHANCE; k++)
+            seen[k] += 1;
+    }
+    *area_um2 += M_PI * reach_um * reach_um;
+}
+
+/* Density per um^2 of places so far away, where a spread per axis of own_um adds to that of two
+ * others, base_um each, carried over. */
+static double density(double away_um, double own_um, double base_um, double carried)
+{
+    const double variance = own_um * own_um + carried * base_um * base_um;
+
+    return exp(-0.5 * away_um * away_um / variance) / (2 * M_PI * variance);
+}
+
+double gsn_mark_odds(const struct gsn_mark *spot, double px_um,
+                     const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
+                     double away_um, double apart_um, double across_um)
+{
+    const double unlike = unlike_in_all(spot, px_um, prior);
+    const double looks = fmax(exp(-0.5 * unlike) / prior->chance[class_of(unlike)],
+                              DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
+    /* The middle of two has half of their variance; what turns them moves the third by as much more
+     * as it is farther away, in one of its two directions. */
+    const double carried = 0.5 + pow(across_um / apart_um, 2);
+    const double here =
+        moves->ordinary * density(away_um, moves->ordinary_um, moves->ordinary_um, carried) +
+        moves->loose * density(away_um, moves->loose_um, moves->loose_um, carried) +
+        moves->torn * density(away_um, moves->torn_um, moves->loose_um, carried);
+
+    assert(spot && prior && moves && apart_um > 0);
+
+    return SEEN / (1 - SEEN) * here * looks;
+}

@@ -1,0 +1,47 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Whether a spot is a mark or lies there by chance.
+ *
+ * Given two marks, the third is where the triangle puts it, as far as sections stretch and tear; a
+ * spot that is no mark lies anywhere, as often as such spots were seen on the sections whose marks
+ * are clear. The odds are those of the two, with how often a mark is seen at all. */
+#ifndef GSN_REGISTER_MARK_ODDS_H
+#define GSN_REGISTER_MARK_ODDS_H
+
+#include "pipeline/register/markers.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* -2 ln of the likelihood that a spot's looks give: burns of one stack are about as strong and as
+ * large as each other. The caller guarantees that the prior is learnt. */
+double gsn_mark_unlike(const struct gsn_mark *mark, double px_um,
+                       const struct gsn_triangle_prior *prior);
+/* The same for what the fit leaves unexplained of the picture: dirt that touches the mark. */
+double gsn_mark_dirt(const struct gsn_mark *mark);
+
+/* Adds to seen what one section shows beside its three marks: spots by how unlike a mark they are
+ * at most, and to area_um2 where they were counted, which is as far as the marks lie. borrows:
+ * everything. */
+void gsn_mark_count_chance(const struct gsn_mark_candidates *section,
+                           const struct gsn_mark marks[GSN_MARKS],
+                           const struct gsn_triangle_prior *prior, double seen[GSN_MARK_CHANCE],
+                           double *area_um2);
+
+/* How far sections of this stack move a mark, one standard deviation per axis. */
+struct gsn_mark_moves {
+    double ordinary_um, loose_um, torn_um;
+    double ordinary, loose, torn; /* shares of the sections; together 1 */
+};
+
+/* Odds for a spot that lies away_um from where two marks apart_um from each other put the third,
+ * whose place is across_um from their middle. */
+double gsn_mark_odds(const struct gsn_mark *spot, double px_um,
+                     const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
+                     double away_um, double apart_um, double across_um);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

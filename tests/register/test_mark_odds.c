@@ -1,0 +1,90 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/mark_odds.h"
+
+#include "tests/check.h"
+
+static const double PX = 16;
+static const struct gsn_mark_moves MOVES = { 30, 40, 240, 0.9, 0.07, 0.03 };
+
+/* One spot that is no mark per mm^2, and hardly any that look like one. */
+static struct gsn_triangle_prior taught(void)
+{
+    struct gsn_triangle_prior prior = { .learnt = 1, .contrast = 0.4, .radius_um = 75 };
+
+    for (int k = 0; k < GSN_MARK_CHANCE; k++)
+        prior.chance[k] = 1e-6 * ldexp(1, k - GSN_MARK_CHANCE + 1);
+    return prior;
+}
+
+static struct gsn_mark spot(double contrast, double radius_um)
+{
+    return (struct gsn_mark){
+        .contrast = contrast, .radius_px = radius_um / PX, .score = 0.95, .found = 1
+    };
+}
+
+static double odds(double contrast, double away_um)
+{
+    const struct gsn_triangle_prior prior = taught();
+    const struct gsn_mark mark = spot(contrast, 75);
+
+    return gsn_mark_odds(&mark, PX, &prior, &MOVES, away_um, 3000, 2000);
+}
+
+/* Of the density alone: what is seen in its place, and looks like a mark, is one. */
+TEST(in_its_place_the_odds_are_those_of_the_three_spreads)
+{
+    const double carried = 0.5 + 4.0 / 9;
+    const double here = 0.9 / (2 * M_PI * 900 * (1 + carried)) +
+                        0.07 / (2 * M_PI * 1600 * (1 + carried)) +
+                        0.03 / (2 * M_PI * (57600 + 1600 * carried));
+
+    CHECK_NEAR(odds(0.4, 0) / (19 * here / 1e-6 * 128), 1, 1e-12);
+}
+
+TEST(the_odds_fall_with_the_distance_and_with_the_looks)
+{
+    for (double away = 0; away < 1000; away += 10)
+        CHECK(odds(0.4, away + 10) < odds(0.4, away));
+    CHECK(odds(0.3, 50) < odds(0.4, 50));
+    CHECK(odds(0.2, 50) < odds(0.3, 50));
+    CHECK_NEAR(odds(0.3, 50), odds(0.4 * 0.4 / 0.3, 50), 1e-6 * odds(0.3, 50));
+    /* Half burnt in: a mark where it must be, chance beside it. */
+    CHECK(odds(0.12, 0) > 20);
+    CHECK(odds(0.12, 120) < 20);
+    CHECK(odds(0.4, 400) > 20);
+    CHECK(odds(0.4, 1e5) == 0);
+}
+
+TEST(looks_of_the_typical_mark_cost_nothing)
+{
+    const struct gsn_triangle_prior prior = taught();
+    struct gsn_mark mark = spot(0.4, 75);
+
+    CHECK_NEAR(gsn_mark_unlike(&mark, PX, &prior), 0, 1e-12);
+    CHECK(gsn_mark_dirt(&mark) == 0);
+    mark.contrast *= exp(0.15);
+    CHECK_NEAR(gsn_mark_unlike(&mark, PX, &prior), 0.5, 1e-12);
+    mark.score = 0.75;
+    CHECK_NEAR(gsn_mark_dirt(&mark), 1, 1e-12);
+}
+
+/* Marks themselves and what lies farther out than they do, a neighbour's, are not chance. */
+TEST(what_is_seen_beside_the_marks_is_counted_as_far_as_they_reach)
+{
+    const struct gsn_triangle_prior prior = taught();
+    struct gsn_mark_candidates section = { .px_um = PX, .tissue_px = { 100, 100 }, .count = 6 };
+    double seen[GSN_MARK_CHANCE] = { 0 }, area = 5;
+    const struct gsn_point at[6] = { { 200, 100 }, { 40, 100 },  { 100, 150 },
+                                     { 120, 120 }, { 100, 180 }, { 100, 201 } };
+
+    for (int i = 0; i < 6; i++) {
+        section.mark[i] = spot(i == 4 ? 0.1 : 0.4, 75);
+        section.mark[i].px = at[i];
+    }
+    gsn_mark_count_chance(&section, section.mark, &prior, seen, &area);
+    CHECK_NEAR(area, 5 + M_PI * 1600 * 1600, 1e-6);
+    CHECK(seen[0] == 1 && seen[GSN_MARK_CHANCE - 1] == 2);
+    for (int k = 1; k < GSN_MARK_CHANCE; k++)
+        CHECK(seen[k] >= seen[k - 1]);
+}

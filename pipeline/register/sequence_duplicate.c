@@ -8,7 +8,7 @@
 
 /* Two mounts share this much of their detail at least, and this much more than neighbours of this
  * stack do, in standard deviations of what neighbours share. */
-static const double SAME = 0.35, SAME_DEVIATIONS = 5;
+static const double SAME = 0.42, SAME_DEVIATIONS = 5;
 /* What two mounts of a section share when each is laid and stained for itself. Where the limit is
  * above, neighbours share so much that nothing could tell a section that is there twice. */
 static const double TWO_MOUNTS = 0.6;

@@ -1,0 +1,357 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/examine_parts.h"
+
+#include "pipeline/core/parallel.h"
+#include "pipeline/slot_marks.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The triangle to look for: the protocol's, or what the sections of this panel agree on. */
+static int know_triangle(const struct gsn_protocol *protocol,
+                         const struct gsn_mark_candidates *candidates, size_t count,
+                         struct gsn_triangle_prior *ret_prior, struct gsn_error *err)
+{
+    struct gsn_triangle_prior prior = { 0 };
+    int r;
+
+    if (protocol->has_markers)
+        memcpy(prior.mark_um, protocol->markers_um, sizeof prior.mark_um);
+    else if ((r = gsn_markers_consensus(candidates, count, &prior, err)) < 0)
+        return r;
+    r = gsn_markers_learn(candidates, count, &prior, err);
+    if (r < 0)
+        return r;
+    *ret_prior = prior;
+    return GSN_OK;
+}
+
+/* What the spots of one section gsn_findings_say. */
+struct sight {
+    int mirrored, ambiguous, decided;
+};
+
+static int count_found(const struct gsn_mark mark[GSN_MARKS])
+{
+    return mark[0].found + mark[1].found + mark[2].found;
+}
+
+/* Sections whose marks could be others get their candidates. */
+static struct sight choose_marks(struct gsn_panel_section *section,
+                                 const struct gsn_mark_candidates *candidates,
+                                 const struct gsn_triangle_prior *prior)
+{
+    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    struct sight sight = { 0 };
+    double score = 0, runner_up = 0;
+
+    gsn_markers_choose(candidates, prior, section->mark, &sight.mirrored, &score, &runner_up);
+    sight.ambiguous = score > 0 && runner_up > 0.5 * score;
+    if (count_found(section->mark) < GSN_MARKS)
+        gsn_candidates_of_rivals(rivals, gsn_markers_rivals(candidates, prior, rivals),
+                                 &section->candidates);
+    return sight;
+}
+
+static void state_marks(struct gsn_panel_section *section, const struct sight *sight)
+{
+    const int found = count_found(section->mark);
+
+    /* What has grown together is held, whatever its marks. */
+    if (section->sighting != GSN_SIGHT_HELD)
+        section->sighting =
+            found == GSN_MARKS || sight->decided ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
+    if (found == 2)
+        gsn_section_flag(section, sight->mirrored ? "two-marks mirrored" : "two-marks");
+    else if (found < 2)
+        gsn_section_flag(section, sight->ambiguous ? "ambiguous-marks" : "no-marks");
+    if (sight->decided)
+        gsn_section_flag(section, "decided");
+}
+
+/* ---- which of the candidates a person chose ---------------------------------------------- */
+
+static const struct gsn_panel_answer *pose_said(const struct gsn_panel_answers *answers,
+                                                unsigned slot)
+{
+    for (size_t i = 0; answers && i < answers->count; i++)
+        if (answers->at[i].said == GSN_SAID_POSE && answers->at[i].slot == slot)
+            return &answers->at[i];
+    return NULL;
+}
+
+/* A section whose three marks contradict the rest of the stack looks fine on its panel: a person
+ * chose some of them. */
+static void take_choice(struct gsn_panel_section *section, const struct gsn_panel_answer *answer,
+                        struct sight *sight)
+{
+    unsigned meant;
+
+    if (!answer || answer->elsewhere)
+        return;
+    if (count_found(section->mark) == GSN_MARKS)
+        gsn_candidates_of_marks(section->mark, answer->choice.mirrored, &section->candidates);
+    meant = gsn_candidates_meant(&section->candidates, &answer->choice);
+    if (meant == 0)
+        return;
+    section->candidates.chosen = meant;
+    memcpy(section->mark, section->candidates.at[meant - 1].mark, sizeof section->mark);
+    sight->mirrored = section->candidates.at[meant - 1].mirrored;
+    sight->decided = 1;
+}
+
+/* Names every choice that could not be applied. */
+static void void_choices(const struct gsn_panel_answers *answers,
+                         struct gsn_panel_findings *findings)
+{
+    for (size_t i = 0; i < findings->count; i++) {
+        struct gsn_panel_section *section = &findings->section[i];
+        const struct gsn_panel_answer *answer = pose_said(answers, (unsigned)i);
+
+        if (!answer || section->candidates.chosen)
+            continue;
+        gsn_section_flag(section, "decision-void");
+        gsn_findings_say(
+            findings, "the pose that was chosen for slot %u %s and is not used: choose again",
+            section->slot + 1,
+            answer->elsewhere ? "was said of another scan" : "fits nothing that is found there");
+    }
+}
+
+/* Adds where a section with three marks points, laid on the panel's triangle. */
+static void add_direction(const struct gsn_panel_section *section, const struct sight *sight,
+                          const struct gsn_triangle_prior *prior, double px_um,
+                          struct gsn_point *upright)
+{
+    struct gsn_candidates own;
+    const struct gsn_candidate *whole = &own.at[GSN_MARKS];
+    struct gsn_point d;
+
+    if (count_found(section->mark) < GSN_MARKS)
+        return;
+    gsn_candidates_of_marks(section->mark, sight->mirrored, &own);
+    gsn_candidates_lay(&own, px_um, prior->mark_um);
+    if (!whole->laid)
+        return;
+    d = gsn_candidate_direction(&whole->panel_to_block_um);
+    upright->x += d.x;
+    upright->y += d.y;
+}
+
+/* Lays all candidates of the panel on its triangle. Upright is the job's frame, or else the way
+ * most sections lie. */
+static void lay_candidates(const struct gsn_triangle_prior *prior, struct gsn_point upright,
+                           double px_um, struct gsn_panel_findings *findings)
+{
+    for (size_t i = 0; i < findings->count; i++) {
+        gsn_candidates_lay(&findings->section[i].candidates, px_um, prior->mark_um);
+        gsn_candidates_say(&findings->section[i].candidates, upright);
+    }
+}
+
+struct search {
+    const struct gsn_scan *scan;
+    struct gsn_layout layout;
+    const struct gsn_absorber *absorber;
+    double side;                            /* of the typical section's box, px */
+    const struct gsn_slot *slots;           /* those with tissue */
+    struct gsn_mark_candidates *candidates; /* one for each */
+};
+
+static int search_slot(size_t index, void *context, struct gsn_error *err)
+{
+    const struct search *search = context;
+    const struct gsn_slot *slot = &search->slots[index];
+    const int r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
+                                 slot, NULL, &search->candidates[index], err);
+
+    return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
+}
+
+static int count_chosen(const struct gsn_mark_candidates *candidates,
+                        const struct gsn_triangle_prior *prior)
+{
+    struct gsn_mark mark[GSN_MARKS];
+
+    gsn_markers_choose(candidates, prior, mark, NULL, NULL, NULL);
+    return count_found(mark);
+}
+
+/* Where marks are missing, the section is searched again for spots that look like those of the
+ * panel's others. */
+static int seek_again(const struct search *search, size_t index,
+                      const struct gsn_triangle_prior *prior, struct gsn_error *err)
+{
+    const struct gsn_slot *slot = &search->slots[index];
+    const int before = count_chosen(&search->candidates[index], prior);
+    struct gsn_mark_candidates again;
+    int r;
+
+    if (before == GSN_MARKS || !prior->learnt)
+        return GSN_OK;
+    r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side, slot, prior,
+                       &again, err);
+    if (r < 0)
+        return gsn_fail_at(err, "slot %u", slot->slot + 1);
+    if (count_chosen(&again, prior) > before)
+        search->candidates[index] = again;
+    return GSN_OK;
+}
+
+/* ---- whether the pixels are as large as stated ------------------------------------------- */
+
+/* Sides of a triangle from the shortest to the longest. */
+static void sides_of(const struct gsn_point mark[GSN_MARKS], double side[3])
+{
+    for (int i = 0; i < 3; i++)
+        side[i] = hypot(mark[(i + 1) % 3].x - mark[i].x, mark[(i + 1) % 3].y - mark[i].y);
+    for (int i = 0; i < 2; i++)
+        for (int k = 0; k < 2 - i; k++)
+            if (side[k] > side[k + 1]) {
+                const double kept = side[k];
+
+                side[k] = side[k + 1];
+                side[k + 1] = kept;
+            }
+}
+
+/* How many times larger the known triangle is than the one seen; 0 when they differ in shape by
+ * more than sections stretch. */
+static double scale_of(const struct gsn_point known[GSN_MARKS],
+                       const struct gsn_point seen[GSN_MARKS])
+{
+    static const double STRETCH = 0.05;
+    double a[3], b[3], low = INFINITY, high = 0;
+
+    sides_of(known, a);
+    sides_of(seen, b);
+    for (int i = 0; i < 3; i++) {
+        low = fmin(low, a[i] / b[i]);
+        high = fmax(high, a[i] / b[i]);
+    }
+    return low > 0 && high / low < 1 + STRETCH ? 0.5 * (low + high) : 0;
+}
+
+/* The pixel size at which the sections agree on the job's triangle, when that is far from the one
+ * stated; 0: they agree at none. Burns of 40 to 150 um are looked for, so steps of 2 miss none. */
+static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                           const struct gsn_slot *found, size_t count, unsigned threads,
+                           double *ret_px_um, struct gsn_error *err)
+{
+    static const double times[] = { 0.5, 2, 0.25, 4, 0.125, 8 };
+    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+        gsn_alloc_array(count, sizeof *candidates);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
+    gsn_auto(gsn_absorber) absorber = NULL;
+    double side;
+    int r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+
+    if (r < 0)
+        return r;
+    if (!candidates || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    side = gsn_slot_typical_side(found, count, scratch);
+    *ret_px_um = 0;
+    for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
+        struct gsn_scan other = *scan;
+        struct search search = { &other,    gsn_protocol_layout(protocol), absorber, side, found,
+                                 candidates };
+        struct gsn_triangle_prior seen = { 0 };
+        double scale;
+
+        other.px_um = scan->px_um * times[i];
+        r = gsn_parallel_for(count, threads, search_slot, &search, err);
+        if (r >= 0)
+            r = gsn_markers_consensus(candidates, count, &seen, err);
+        if (r == GSN_E_NOMEM)
+            return r;
+        scale = r >= 0 ? scale_of(protocol->markers_um, seen.mark_um) : 0;
+        if (!(scale > 0))
+            continue;
+        *ret_px_um = scale * other.px_um;
+        return GSN_OK;
+    }
+    return GSN_OK;
+}
+
+int gsn_examine_pixels(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                       const struct gsn_slot *found, size_t count, unsigned threads,
+                       const struct gsn_panel_findings *findings, struct gsn_error *err)
+{
+    struct gsn_error quiet = { 0 };
+    size_t marked = 0;
+    double px_um = 0;
+    int r;
+
+    for (size_t i = 0; i < findings->count; i++)
+        marked += findings->section[i].sighting == GSN_SIGHT_FOUND;
+    if (!protocol->has_markers || count < 3 || 3 * marked >= count)
+        return GSN_OK;
+    r = pixels_by_marks(scan, protocol, found, count, threads, &px_um, &quiet);
+    if (r < 0)
+        return gsn_fail(err, r, "%s", quiet.text);
+    if (!(px_um > 0))
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_WITHHELD,
+                    "%s states pixels of %.4g um, but by the triangle of its marks they are %.4g "
+                    "um: put \"px_um\" (or \"markers_um\") in job.json right and import it again "
+                    "with --replace",
+                    protocol->px_um > 0 ? "job.json" : "the file", scan->px_um, px_um);
+}
+
+int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                      const struct gsn_slot *found, size_t count,
+                      const struct gsn_panel_answers *answers, unsigned threads,
+                      struct gsn_panel_findings *findings, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+        gsn_alloc_array(count, sizeof *candidates);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
+    gsn_auto(gsn_absorber) absorber = NULL;
+    struct search search = { scan, gsn_protocol_layout(protocol), NULL, 0, found, candidates };
+    struct gsn_triangle_prior prior;
+    struct gsn_point upright = { protocol->has_markers, 0 };
+    size_t mirrored = 0;
+    int agreed, r;
+
+    if (!candidates || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    if (r < 0)
+        return r;
+    search.absorber = absorber;
+    search.side = gsn_slot_typical_side(found, count, scratch);
+    r = gsn_parallel_for(count, threads, search_slot, &search, err);
+    if (r < 0)
+        return r;
+    r = know_triangle(protocol, candidates, count, &prior, err);
+    if (r < 0 && r != GSN_E_MARKERS)
+        return r;
+    agreed = r >= 0;
+    for (size_t i = 0; i < count; i++) {
+        struct gsn_panel_section *section = &findings->section[found[i].slot];
+        struct sight sight = { 0 };
+
+        r = agreed ? seek_again(&search, i, &prior, err) : GSN_OK;
+        if (r < 0)
+            return r;
+        if (agreed)
+            sight = choose_marks(section, &candidates[i], &prior);
+        mirrored += sight.mirrored && count_found(section->mark) == GSN_MARKS;
+        if (agreed && !protocol->has_markers)
+            add_direction(section, &sight, &prior, scan->px_um, &upright);
+        if (section->sighting != GSN_SIGHT_HELD)
+            take_choice(section, pose_said(answers, section->slot), &sight);
+        state_marks(section, &sight);
+    }
+    void_choices(answers, findings);
+    if (agreed)
+        lay_candidates(&prior, upright, scan->px_um, findings);
+    if (protocol->has_markers && 2 * mirrored > count)
+        gsn_findings_say(
+            findings,
+            "%zu of %zu sections are mirrored against the job's \"markers_um\": if no label says "
+            "which way round the panel is, look at the scanner's settings",
+            mirrored, count);
+    return GSN_OK;
+}

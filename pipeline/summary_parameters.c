@@ -1,6 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/summary_draft.h"
 
+#include "pipeline/assembly_order.h"
+#include "pipeline/pose_words.h"
+
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -109,6 +112,21 @@ static void fill_levels(const struct gsn_evidence *e, struct gsn_draft *d)
                    tissues_of(e, d));
 }
 
+/* What the tissue could not have shown of the sections' order is no fault of this stack, so it is
+ * no warning. */
+static void fill_blindness(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_sequence *sequence = e->assembly ? e->assembly->sequence : NULL;
+    struct gsn_report_value *rows = d->parameter;
+    size_t *count = &d->report.parameter_count;
+    char sentence[GSN_POSE_SENTENCE];
+
+    if (sequence && gsn_section_order_blind_to_swaps(sequence, sentence))
+        gsn_draft_text(rows, count, "swapped sections", gsn_draft_say(d, "%s", sentence));
+    if (sequence && gsn_section_order_blind_to_duplicates(sequence, sentence))
+        gsn_draft_text(rows, count, "sections twice", gsn_draft_say(d, "%s", sentence));
+}
+
 void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
@@ -125,6 +143,7 @@ void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d)
         gsn_draft_text(rows, count, "block frame",
                        p->has_markers ? "the marks stated in job.json"
                                       : "the stack's own mean triangle");
+        fill_blindness(e, d);
         if (p->batch[0])
             gsn_draft_text(rows, count, "stain batch", p->batch);
         if (e->assembly &&

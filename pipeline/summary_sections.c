@@ -257,10 +257,6 @@ static void fill_order(const struct gsn_assembly *a, struct gsn_draft *d)
         gsn_section_order_sentence(&a->sequence->finding[i], sentence);
         gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence));
     }
-    if (a->sequence && gsn_section_order_blind_to_swaps(a->sequence, sentence))
-        gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence));
-    if (a->sequence && gsn_section_order_blind_to_duplicates(a->sequence, sentence))
-        gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence));
 }
 
 void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d)

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The steps that gsn_assembly_make() takes, in their order: the frame (assembly_frame.c), the poses
- * (assembly_poses.c), the density panel by panel (assembly_density.c), the dyes of calibration panels
- * (assembly_calibration.c), what the stain leaves open
- * (assembly_stain.c), the panels brought to one scale (assembly_level.c). Private to these files.
- * Fail as gsn_assembly_make() does. */
+ * (assembly_poses.c), the density panel by panel (assembly_density.c), the dyes of calibration
+ * panels (assembly_calibration.c), what the stain leaves open (assembly_stain.c), the panels
+ * brought to one scale (assembly_level.c). Private to these files. Fail as gsn_assembly_make()
+ * does. */
 #ifndef GSN_PIPELINE_ASSEMBLY_PARTS_H
 #define GSN_PIPELINE_ASSEMBLY_PARTS_H
 

@@ -37,7 +37,7 @@ struct gsn_material {
     struct gsn_panel_section *section; /* of all panels, panel by panel */
     struct gsn_specimen_input *input;
     struct gsn_specimen_decision *decision;
-    char (*pose)[16]; /* "pose 2", for the decisions that choose one */
+    char (*pose)[16];                /* "pose 2", for the decisions that choose one */
     const char **calibration_sha256; /* its entries are the attachments' */
     struct gsn_mask *region;
     struct gsn_grid *volume;

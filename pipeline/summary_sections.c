@@ -114,7 +114,7 @@ static void exclude_masked(const struct gsn_assembly_section *s, struct gsn_draf
             exclude(d,
                     gsn_draft_say(
                         d, "%.3g mm2 of section %u (panel %u, slot %u), %.1f %% of its region",
-                        1e-6 * s->masked.area_um2[bit], s->seen.serial, s->panel, s->seen.slot,
+                        1e-6 * s->masked.area_um2[bit], s->seen.serial, s->panel, s->seen.slot + 1,
                         100 * s->region_by[bit]),
                     gsn_draft_say(d, "%s: %s", gsn_defect_word(bit), gsn_defect_reason(bit)));
 }
@@ -135,7 +135,7 @@ static void fill_sections(const struct gsn_evidence *e, struct gsn_draft *d)
         if (s->state == GSN_SECTION_HELD || s->state == GSN_SECTION_MISSING)
             exclude(d,
                     gsn_draft_say(d, "section %u (panel %u, slot %u)", s->seen.serial, s->panel,
-                                  s->seen.slot),
+                                  s->seen.slot + 1),
                     reason_of(d, s));
         exclude_masked(s, d);
     }

@@ -341,7 +341,7 @@ static void print_section(const struct view *view, const struct gsn_section_row 
                       (long long)panel_number(view, s->panel_id), s->state, s->flags);
     else
         gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
-                      (long long)s->slot - 1, s->state, s->flags);
+                      (long long)s->slot, s->state, s->flags);
     print_candidates(view, s);
     if (action)
         gsn_text_line(stdout, "    next: %s%s", action, otherwise(s));

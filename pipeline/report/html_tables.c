@@ -72,10 +72,19 @@ static void row_text(struct gsn_text *text, const struct gsn_report_value *row)
     gsn_text_raw(text, "</td></tr>\n");
 }
 
+/* What has no unit and no fraction was counted. */
+static int is_count(const struct gsn_report_value *row)
+{
+    return (!row->unit || !row->unit[0]) && row->value >= 1 && row->value < 1e15 &&
+           row->value == floor(row->value);
+}
+
 static void row_measure(struct gsn_text *text, const struct gsn_report_value *row)
 {
     if (row->text)
         row_text(text, row);
+    else if (is_count(row))
+        row_count(text, row->name, (size_t)row->value);
     else
         row_digits(text, row->name, row->value, row->unit);
 }

@@ -68,6 +68,8 @@ int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsi
  * specimen takes the number behind the highest there; else the panel is held as an import would.
  * Only specimens cut into sections have panels. */
 int gsn_scan_settle(struct gsn_store *store, struct gsn_error *err);
+/* How many pictures are durable and not settled yet, whoever took them in. */
+int gsn_scan_count_unsettled(struct gsn_store *store, int64_t *ret_count, struct gsn_error *err);
 
 /* Whether a scan with this key was taken in; an empty key never is. */
 int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,

@@ -115,3 +115,8 @@ int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
         *ret_known = known != 0;
     return r;
 }
+
+int gsn_scan_count_unsettled(struct gsn_store *store, int64_t *ret_count, struct gsn_error *err)
+{
+    return gsn_sql_int(store, "SELECT count(*) FROM inbox", SQL_NO_ARGS, ret_count, err);
+}

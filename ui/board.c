@@ -452,14 +452,26 @@ int gsn_board_is_item(const struct gsn_board_line *line)
     return line->kind != GSN_BOARD_HEADING && line->kind != GSN_BOARD_COMMAND;
 }
 
-char *gsn_board_service(const struct gsn_snapshot *snapshot)
+static const char *service_words(const struct gsn_snapshot *snapshot)
 {
     if (snapshot->intake && snapshot->queue)
-        return gsn_strdup("giesond takes panels in and works the queue");
+        return "giesond takes panels in and works the queue";
     if (snapshot->intake)
-        return gsn_strdup("giesond takes panels in; only `gieson run` works the queue");
+        return "giesond takes panels in; only `gieson run` works the queue";
     if (snapshot->queue)
-        return gsn_strdup("giesond works the queue; nothing comes in by itself");
-    return gsn_strdup(
-        "giesond is not running: nothing comes in; only `gieson run` works the queue");
+        return "giesond works the queue; nothing comes in by itself";
+    return "giesond is not running: nothing comes in; only `gieson run` works the queue";
+}
+
+char *gsn_board_service(const struct gsn_snapshot *snapshot)
+{
+    const char *words = service_words(snapshot);
+    const long long n = snapshot->unsettled;
+
+    if (n == 0)
+        return gsn_strdup(words);
+    return gsn_format("%s; %lld picture%s came in, %s safe and %s", words, n, n == 1 ? "" : "s",
+                      n == 1 ? "is" : "are",
+                      snapshot->intake || snapshot->queue ? "being filed"
+                                                          : "not filed yet: `gieson run` does it");
 }

@@ -111,7 +111,7 @@ static void print_bench(const struct gsn_ui *ui, const struct gsn_snapshot *snap
     const struct gsn_scan_rows *unfiled = snapshot->unfiled;
     gsn_auto_mem(char) service = gsn_board_service(snapshot);
 
-    if (snapshot->sources->count > 0)
+    if (snapshot->sources->count > 0 || snapshot->unsettled > 0)
         gsn_text_wrap(stdout, 0, ui->width, service ? service : "");
     for (size_t i = 0; i < snapshot->sources->count; i++)
         print_source(ui, &snapshot->sources->at[i]);
@@ -223,12 +223,13 @@ static void print_json(const struct gsn_snapshot *snapshot)
     for (size_t i = 0; i < snapshot->count; i++)
         (void)json_array_append_new(specimens, row_json(&snapshot->at[i]));
     gsn_ui_print_json(
-        json_pack("{s:{s:I, s:I, s:I, s:I}, s:{s:b, s:b}, s:o, s:o, s:o, s:o}", "queue", "waiting",
-                  (json_int_t)jobs->waiting, "running", (json_int_t)jobs->running, "done",
-                  (json_int_t)jobs->done, "failed", (json_int_t)jobs->failed, "service", "intake",
-                  snapshot->intake, "works_queue", snapshot->queue, "sources",
+        json_pack("{s:{s:I, s:I, s:I, s:I}, s:{s:b, s:b}, s:o, s:o, s:I, s:o, s:o}", "queue",
+                  "waiting", (json_int_t)jobs->waiting, "running", (json_int_t)jobs->running,
+                  "done", (json_int_t)jobs->done, "failed", (json_int_t)jobs->failed, "service",
+                  "intake", snapshot->intake, "works_queue", snapshot->queue, "sources",
                   sources_json(snapshot->sources), "troubles", troubles_json(snapshot->troubles),
-                  "unfiled", unfiled_json(snapshot->unfiled), "specimens", specimens));
+                  "unsettled", (json_int_t)snapshot->unsettled, "unfiled",
+                  unfiled_json(snapshot->unfiled), "specimens", specimens));
 }
 
 int gsn_cmd_status(const struct gsn_ui *ui, int argc, char **argv)

@@ -175,6 +175,8 @@ static int take_bench(struct gsn_store *store, struct gsn_snapshot *snapshot, st
     if (r >= 0)
         r = gsn_scan_list(store, "unfiled", 0, &snapshot->unfiled, err);
     if (r >= 0)
+        r = gsn_scan_count_unsettled(store, &snapshot->unsettled, err);
+    if (r >= 0)
         r = gsn_overview_panels(store, &snapshot->panels, err);
     if (r >= 0)
         r = gsn_overview_doubts(store, &snapshot->doubts, err);

@@ -37,6 +37,7 @@ struct gsn_snapshot {
     struct gsn_bench_sources *sources;
     struct gsn_trouble_rows *troubles;
     struct gsn_scan_rows *unfiled;
+    int64_t unsettled; /* pictures that are safe and in no list yet */
     int intake, queue; /* 1: giesond takes panels in, works the queue; 0: it does not */
 };
 

@@ -201,6 +201,7 @@ TEST(a_picture_is_safe_and_known_before_it_is_settled)
     struct gsn_scan_row row = arrival("S-P7.tif", 1);
     struct gsn_error err = { 0 };
     int64_t id = 0, same = 0;
+    int64_t unsettled = -1;
     int again = -1, known = 0;
 
     (void)bench_add_specimen(store, "S", "g", "");
@@ -208,6 +209,8 @@ TEST(a_picture_is_safe_and_known_before_it_is_settled)
     CHECK_OK(gsn_scan_take(store, &row, 7, NOON, &id, &again, &err), err);
     CHECK(again == 0 && ask(reader, "SELECT count(*) FROM inbox") == 1);
     CHECK(ask(reader, "SELECT count(*) FROM scan") == 0);
+    CHECK_OK(gsn_scan_count_unsettled(reader, &unsettled, &err), err);
+    CHECK(unsettled == 1);
     CHECK_OK(gsn_scan_is_known(reader, "SN1/1", &known, &err), err);
     CHECK(known == 1);
     CHECK_OK(gsn_scan_take(store, &row, 7, NOON + 9, &same, &again, &err), err);
@@ -216,7 +219,8 @@ TEST(a_picture_is_safe_and_known_before_it_is_settled)
     /* Killed here, and started again. */
     gsn_store_free(store);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK(ask(reader, "SELECT count(*) FROM inbox") == 0);
+    CHECK_OK(gsn_scan_count_unsettled(reader, &unsettled, &err), err);
+    CHECK(unsettled == 0);
     CHECK_OK(gsn_scan_get(reader, id, &got, &err), err);
     CHECK(strcmp(got->state, "filed") == 0 && number_of(reader, got->panel_id) == 7);
     CHECK(got->arrived == NOON && strcmp(got->key, "SN1/1") == 0);

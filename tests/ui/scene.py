@@ -63,6 +63,12 @@ class Scene:
                         "?, ?, '', ?, ?, ?, ?)", source, name, digest or self.digest(), size,
                         state, reason, panel, self.now - age)
 
+    def arrival(self, source, name, size=28_000_000):
+        """A picture that is safe and was not settled, as a service that was killed leaves it."""
+        return self.run("INSERT INTO inbox (size, sha256, name, source, device, key, subject, "
+                        "facts, number, arrived) VALUES (?, ?, ?, ?, '', '', 'panel', '', 0, ?)",
+                        size, self.digest(), name, source, self.now)
+
     def job(self, specimen, panel=None, state="waiting", stage="", done=0, total=0, left=None,
             message=""):
         return self.run("INSERT INTO job (kind, specimen_id, panel_id, state, stage, done, total, "

@@ -25,7 +25,7 @@ from scene import Scene  # noqa: E402
 MANUAL = pathlib.Path(__file__).resolve().parents[2] / "docs" / "man" / "gieson.1"
 
 # What `gieson status --json` and `gieson show --json` promise; the manual page names every key.
-ROOT_KEYS = {"queue", "service", "sources", "troubles", "unfiled", "specimens"}
+ROOT_KEYS = {"queue", "service", "sources", "troubles", "unsettled", "unfiled", "specimens"}
 STATUS_KEYS = {"specimen", "group", "state", "detail", "action", "panels", "panels_registered",
                "panels_refused", "sections", "sections_found", "loss_percent", "mean_density",
                "run", "report"}
@@ -111,7 +111,7 @@ class Stores(Bench):
         self.assertEqual(self.json("status"),
                          {"queue": {"waiting": 0, "running": 0, "done": 0, "failed": 0},
                           "service": {"intake": False, "works_queue": False}, "sources": [],
-                          "troubles": [], "unfiled": [], "specimens": []})
+                          "troubles": [], "unsettled": 0, "unfiled": [], "specimens": []})
 
     def test_the_store_may_be_named_before_and_after_the_verb_and_by_the_environment(self):
         self.imported("here")
@@ -383,6 +383,16 @@ class Told(Bench):
         self.scene = Scene(self.store / "gieson.db")
         self.addCleanup(self.scene.close)
         self.scene.source("copystand", "ptp:any", "ready")
+
+    def test_what_came_before_the_service_died_is_told_and_filed_by_run(self):
+        self.scene.arrival("copystand", "R07-left-P07.jpg")
+        self.assertEqual(self.json("status")["unsettled"], 1)
+        self.assertIn("1 picture came in, is safe and not filed yet: `gieson run` does it",
+                      " ".join(self.call("status").stdout.split()))
+        self.call("run")
+        self.assertEqual(self.json("status")["unsettled"], 0)
+        self.assertNotIn("came in, is safe", self.call("status").stdout)
+        self.assertIn(7, [p["number"] for p in self.json("show", "R07-left")["panels"]])
 
     def test_an_unfiled_scan_is_told_and_filed_and_then_no_longer_told(self):
         scan = self.scene.scan("copystand", "IMG_0041.JPG", reason="nobody knows whose it is",

@@ -248,8 +248,14 @@ static void ask_for(struct bench *bench, const char *kind)
     const int64_t end = now_ms() + GENEROUS_MS;
     struct gsn_error err = { 0 };
     int64_t id;
+    int r;
 
-    CHECK_OK(gsn_request_add(bench->store, "camera", kind, "test", NOON, &id, &err), err);
+    /* The camera streams before giesond has heard of it. */
+    while ((r = gsn_request_add(bench->store, "camera", kind, "test", NOON, &id, &err)) ==
+               GSN_E_NOTFOUND &&
+           now_ms() < end)
+        (void)usleep(20000);
+    CHECK_OK(r, err);
     for (;;) {
         gsn_auto(gsn_request_row) row = NULL;
 

@@ -35,7 +35,7 @@ struct work {
     struct gsn_assembly_light light;
     unsigned panel; /* 1-based */
     struct gsn_assembly *a;
-    struct gsn_section_order *order; /* or NULL */
+    struct gsn_section_planes *planes; /* or NULL */
     size_t count;
     size_t *used; /* the assembly's sections to lay */
     double *strength;
@@ -187,11 +187,11 @@ static int gather(const struct work *work, size_t i, struct gsn_error *err)
     const unsigned apart = (unsigned)fmax(1, floor(GSN_COLUMN_UM / 2 / work->scan->px_um));
     struct gsn_stack_section section = stack_section(&work->a->section[i]);
     gsn_auto(gsn_plane) density = NULL;
-    int r = work->order || work->a->columns ? see_section(work, i, apart, &density, err) : GSN_OK;
+    int r = work->planes || work->a->columns ? see_section(work, i, apart, &density, err) : GSN_OK;
 
     if (r < 0 || !density)
         return r;
-    gsn_section_order_add(work->order, work->a, i, density, apart);
+    gsn_section_planes_add(work->planes, work->a, i, density, apart);
     section.density = density;
     section.plane_x = section.x;
     section.plane_y = section.y;
@@ -291,13 +291,13 @@ static int lay_panel(struct work *work, struct gsn_assembly_panel *panel, struct
 
 static int work_panel(const struct gsn_specimen *specimen,
                       const struct gsn_specimen_options *options, struct gsn_assembly_panel *panel,
-                      struct gsn_assembly *a, struct gsn_section_order *order,
+                      struct gsn_assembly *a, struct gsn_section_planes *planes,
                       struct gsn_candidate_sheet *sheet, struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_scan) scan = NULL;
     struct gsn_specimen_stain *stain = &panel->stain;
-    struct work work = { .specimen = specimen, .options = options, .a = a, .order = order };
+    struct work work = { .specimen = specimen, .options = options, .a = a, .planes = planes };
     size_t size;
     int r = specimen->read(specimen->context, panel->given->sha256, &bytes, &size, err);
 
@@ -327,7 +327,7 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
                              const struct gsn_specimen_options *options, struct gsn_assembly *a,
                              struct gsn_error *err)
 {
-    gsn_auto(gsn_section_order) order = NULL;
+    gsn_auto(gsn_section_planes) planes = NULL;
     gsn_auto(gsn_candidate_sheet) sheet = NULL;
     int r;
 
@@ -335,7 +335,7 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
     if (!a->panel)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the panels of a specimen");
     a->panel_count = specimen->panel_count;
-    r = a->grid ? gsn_section_order_new(a, &order, err) : GSN_OK;
+    r = a->grid ? gsn_section_planes_new(a, GSN_ORDER_CELL_UM, &planes, err) : GSN_OK;
     if (r >= 0)
         r = gsn_candidate_sheet_new(a, &sheet, err);
     if (r < 0)
@@ -345,7 +345,7 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
         gsn_progress_say(options->progress, "stacking", i, specimen->panel_count);
         if (specimen->panel[i].section_count == 0)
             continue;
-        r = work_panel(specimen, options, &a->panel[i], a, order, sheet, err);
+        r = work_panel(specimen, options, &a->panel[i], a, planes, sheet, err);
         if (r < 0)
             return gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
                                specimen->panel[i].file);
@@ -353,5 +353,5 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
     r = gsn_candidate_sheet_draw(sheet, a, err);
     if (r < 0)
         return r;
-    return order ? gsn_section_order_examine(order, a, &a->sequence, err) : GSN_OK;
+    return planes ? gsn_section_order_examine(planes, a, &a->sequence, err) : GSN_OK;
 }

@@ -2,172 +2,24 @@
 #include "pipeline/assembly_order.h"
 
 #include "pipeline/assembly_parts.h"
-#include "pipeline/register/median.h"
-
-#include <assert.h>
-#include <math.h>
 #include <stdio.h>
 
-/* Cells of the block, um: several sections' errors of laying wide, and most structures' size. */
-static const double CELL_UM = 100;
-/* A cell of which less than this share was seen is not known. */
-static const double SEEN = 0.5;
-
-struct gsn_section_order {
-    size_t count;            /* planes: laid sections, one for each serial number */
-    size_t *section;         /* their places in the assembly */
-    struct gsn_point origin; /* of the first cell's corner, um in the block */
-    size_t columns, rows;
-    float *sum, *seen; /* count * columns * rows; um2 of tissue or glass seen */
-};
-
-static int is_laid(const struct gsn_assembly_section *s)
-{
-    return s->posed && (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL) &&
-           s->seen.width > 0 && s->seen.height > 0;
-}
-
-/* The laid sections, the first of each serial number. */
-static size_t list(const struct gsn_assembly *a, size_t *ret_section)
-{
-    size_t count = 0;
-
-    for (size_t i = 0; i < a->section_count; i++)
-        if (is_laid(&a->section[i]) &&
-            (count == 0 ||
-             a->section[ret_section[count - 1]].seen.serial != a->section[i].seen.serial))
-            ret_section[count++] = i;
-    return count;
-}
-
-/* One end of a section's box in the block. */
-static double end_of(const struct gsn_assembly_section *s, int along_y, double sign)
-{
-    double most = -INFINITY;
-
-    for (int corner = 0; corner < 4; corner++) {
-        const struct gsn_point at = { s->seen.x + (corner & 1 ? s->seen.width : 0),
-                                      s->seen.y + (corner & 2 ? s->seen.height : 0) };
-        const struct gsn_point p = gsn_affine_apply(&s->pose.panel_to_block_um, at);
-
-        most = fmax(most, sign * (along_y ? p.y : p.x));
-    }
-    return sign * most;
-}
-
-/* The median section's end: a box that holds two sections, or a scrap, does not widen it. */
-static double usual_end(const struct gsn_section_order *order, const struct gsn_assembly *a,
-                        int along_y, double sign, double *room)
-{
-    for (size_t k = 0; k < order->count; k++)
-        room[k] = end_of(&a->section[order->section[k]], along_y, sign);
-    return gsn_median(room, order->count);
-}
-
-int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order **ret_order,
-                          struct gsn_error *err)
-{
-    gsn_auto(gsn_section_order) order = gsn_alloc_array(1, sizeof *order);
-    gsn_auto_mem(double) room = gsn_alloc_array(a->section_count, sizeof *room);
-
-    assert(ret_order);
-
-    if (order)
-        order->section = gsn_alloc_array(a->section_count, sizeof *order->section);
-    if (!order || !room || !order->section)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
-    order->count = list(a, order->section);
-    if (order->count == 0) {
-        *ret_order = NULL;
-        return GSN_OK;
-    }
-    order->origin =
-        (struct gsn_point){ usual_end(order, a, 0, -1, room), usual_end(order, a, 1, -1, room) };
-    order->columns =
-        (size_t)fmax((usual_end(order, a, 0, 1, room) - order->origin.x) / CELL_UM, 1) + 1;
-    order->rows =
-        (size_t)fmax((usual_end(order, a, 1, 1, room) - order->origin.y) / CELL_UM, 1) + 1;
-    order->sum = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
-    order->seen = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
-    if (!order->sum || !order->seen)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
-    *ret_order = gsn_steal(&order);
-    return GSN_OK;
-}
-
-void gsn_section_order_free(struct gsn_section_order *order)
-{
-    if (!order)
-        return;
-    gsn_free(order->section);
-    gsn_free(order->sum);
-    gsn_free(order->seen);
-    gsn_free(order);
-}
-
-static void gather(struct gsn_section_order *order, size_t plane,
-                   const struct gsn_assembly_section *s, const struct gsn_plane *density,
-                   unsigned apart)
-{
-    const struct gsn_affine *map = &s->pose.panel_to_block_um;
-    const float area = (float)(apart * fabs(gsn_affine_det(map)));
-    float *sum = order->sum + plane * order->columns * order->rows;
-    float *seen = order->seen + plane * order->columns * order->rows;
-
-    for (size_t y = 0; y < density->height; y++)
-        for (size_t x = 0; x < density->width; x++) {
-            const float value = density->value[y * density->width + x];
-            const struct gsn_point at = { s->seen.x + (double)x + 0.5,
-                                          s->seen.y + (double)(y * apart) + 0.5 };
-            const struct gsn_point p = gsn_affine_apply(map, at);
-            const double u = (p.x - order->origin.x) / CELL_UM;
-            const double v = (p.y - order->origin.y) / CELL_UM;
-
-            if (isnan(value) ||
-                !(u >= 0 && v >= 0 && u < (double)order->columns && v < (double)order->rows))
-                continue;
-            sum[(size_t)v * order->columns + (size_t)u] += area * value;
-            seen[(size_t)v * order->columns + (size_t)u] += area;
-        }
-}
-
-void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a, size_t i,
-                           const struct gsn_plane *density, unsigned apart)
-{
-    for (size_t k = 0; order && k < order->count; k++)
-        if (order->section[k] == i)
-            gather(order, k, &a->section[i], density, apart);
-}
-
-/* Sums become means. What no section's box reached is glass; what was masked is not known. */
-static void mean(struct gsn_section_order *order)
-{
-    const size_t total = order->count * order->columns * order->rows;
-    const float whole = (float)(CELL_UM * CELL_UM);
-
-    for (size_t i = 0; i < total; i++)
-        if (order->seen[i] >= (float)SEEN * whole)
-            order->sum[i] /= order->seen[i];
-        else
-            order->sum[i] = order->seen[i] > 0 ? NAN : 0;
-}
-
-static struct gsn_assembly_section *section_of(const struct gsn_section_order *order,
+static struct gsn_assembly_section *section_of(const struct gsn_section_planes *planes,
                                                struct gsn_assembly *a, unsigned serial)
 {
-    for (size_t k = 0; k < order->count; k++)
-        if (a->section[order->section[k]].seen.serial == serial)
-            return &a->section[order->section[k]];
+    for (size_t k = 0; k < planes->count; k++)
+        if (a->section[planes->section[k]].seen.serial == serial)
+            return &a->section[planes->section[k]];
     return NULL;
 }
 
-static void flag(const struct gsn_section_order *order, struct gsn_assembly *a,
+static void flag(const struct gsn_section_planes *planes, struct gsn_assembly *a,
                  const struct gsn_sequence_finding *finding)
 {
     const unsigned serial[2] = { finding->a, finding->b };
 
     for (int i = 0; i < 2; i++) {
-        struct gsn_assembly_section *s = section_of(order, a, serial[i]);
+        struct gsn_assembly_section *s = section_of(planes, a, serial[i]);
         char word[40];
 
         (void)snprintf(word, sizeof word,
@@ -178,21 +30,23 @@ static void flag(const struct gsn_section_order *order, struct gsn_assembly *a,
     }
 }
 
-int gsn_section_order_examine(struct gsn_section_order *order, struct gsn_assembly *a,
+int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_assembly *a,
                               struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_sequence_plane) planes = gsn_alloc_array(order->count, sizeof *planes);
+    gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(planes->count, sizeof *plane);
     int r;
 
-    if (!planes)
+    if (!plane)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
-    mean(order);
-    for (size_t k = 0; k < order->count; k++)
-        planes[k] = (struct gsn_sequence_plane){ a->section[order->section[k]].seen.serial,
-                                                 order->sum + k * order->columns * order->rows };
-    r = gsn_sequence_examine(planes, order->count, order->columns, order->rows, ret_sequence, err);
+    gsn_section_planes_settle(planes);
+    for (size_t k = 0; k < planes->count; k++)
+        plane[k] =
+            (struct gsn_sequence_plane){ a->section[planes->section[k]].seen.serial,
+                                         planes->density + k * planes->columns * planes->rows };
+    r = gsn_sequence_examine(plane, planes->count, planes->columns, planes->rows, ret_sequence,
+                             err);
     for (size_t i = 0; r >= 0 && i < (*ret_sequence)->count; i++)
-        flag(order, a, &(*ret_sequence)->finding[i]);
+        flag(planes, a, &(*ret_sequence)->finding[i]);
     return r;
 }
 
@@ -227,7 +81,7 @@ int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,
                        "; it would carry at most %.2g %% of all density to the other place",
                        100 * sequence->unseen);
     (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                   "a swap of two sections%s may not show in their tissue: their order rests on "
+                   "a swap of two sections%s may not show in their tissue: their planes rests on "
                    "numbers and slots alone%s",
                    near, most);
     return 1;

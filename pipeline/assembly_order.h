@@ -7,31 +7,21 @@
 #ifndef GSN_PIPELINE_ASSEMBLY_ORDER_H
 #define GSN_PIPELINE_ASSEMBLY_ORDER_H
 
-#include "pipeline/assembly.h"
 #include "pipeline/pose_words.h"
 #include "pipeline/register/sequence.h"
+#include "pipeline/section_planes.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* The cells gathered so far: opaque. */
-struct gsn_section_order;
-
-/* gives: empty cells for all sections that are laid; NULL when none is. Fails with GSN_E_NOMEM. */
-int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order **ret_order,
-                          struct gsn_error *err);
-void gsn_section_order_free(struct gsn_section_order *order);
-GSN_DEFINE_AUTO(gsn_section_order);
-
-/* Gathers the assembly's section i; nothing where it is not one of the order's. density: every
- * apart-th row of its box, NaN where it is masked. Sections may be gathered side by side. */
-void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_assembly *a, size_t i,
-                           const struct gsn_plane *density, unsigned apart);
+/* Side of the cells that are compared, um: several sections' errors of laying wide, and most
+ * structures' size. */
+#define GSN_ORDER_CELL_UM 100.0
 
 /* Compares all that was gathered; flags the sections. gives: ret_sequence. Fails with GSN_E_NOMEM.
  */
-int gsn_section_order_examine(struct gsn_section_order *order, struct gsn_assembly *a,
+int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_assembly *a,
                               struct gsn_sequence **ret_sequence, struct gsn_error *err);
 
 /* What a person is asked about one finding. */

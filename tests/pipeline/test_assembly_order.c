@@ -53,12 +53,12 @@ static void free_planes(void)
 
 static int look(struct gsn_assembly *a, struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
-    gsn_auto(gsn_section_order) order = NULL;
-    int r = gsn_section_order_new(a, &order, err);
+    gsn_auto(gsn_section_planes) cells = NULL;
+    int r = gsn_section_planes_new(a, GSN_ORDER_CELL_UM, &cells, err);
 
     for (unsigned k = 0; r >= 0 && k < SECTIONS; k++)
-        gsn_section_order_add(order, a, k, planes[k], 1);
-    return r < 0 ? r : gsn_section_order_examine(order, a, ret_sequence, err);
+        gsn_section_planes_add(cells, a, k, planes[k], 1);
+    return r < 0 ? r : gsn_section_order_examine(cells, a, ret_sequence, err);
 }
 
 /* Case 31: both candidates are named, and both stay as they are. */
@@ -119,12 +119,12 @@ TEST(what_the_tissue_cannot_show_is_said_with_what_it_would_cost)
 TEST(a_specimen_without_laid_sections_has_no_order)
 {
     struct gsn_assembly a = { .section_count = 1, .section = sections };
-    struct gsn_section_order *order = NULL;
+    struct gsn_section_planes *cells = NULL;
     struct gsn_error err = { 0 };
 
     memset(sections, 0, sizeof sections);
-    CHECK_OK(gsn_section_order_new(&a, &order, &err), err);
-    CHECK(order == NULL);
+    CHECK_OK(gsn_section_planes_new(&a, GSN_ORDER_CELL_UM, &cells, &err), err);
+    CHECK(cells == NULL);
 }
 
 static int look_once(struct gsn_error *err)

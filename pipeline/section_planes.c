@@ -1,0 +1,145 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/section_planes.h"
+
+#include "pipeline/register/median.h"
+
+#include <assert.h>
+#include <math.h>
+
+/* A cell of which less than this share was seen is not known. */
+static const double SEEN = 0.5;
+
+static int is_laid(const struct gsn_assembly_section *s)
+{
+    return s->posed && (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL) &&
+           s->seen.width > 0 && s->seen.height > 0;
+}
+
+/* The laid sections, the first of each serial number. */
+static size_t list(const struct gsn_assembly *a, size_t *ret_section)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < a->section_count; i++)
+        if (is_laid(&a->section[i]) &&
+            (count == 0 ||
+             a->section[ret_section[count - 1]].seen.serial != a->section[i].seen.serial))
+            ret_section[count++] = i;
+    return count;
+}
+
+/* One end of a section's box in the block. */
+static double end_of(const struct gsn_assembly_section *s, int along_y, double sign)
+{
+    double most = -INFINITY;
+
+    for (int corner = 0; corner < 4; corner++) {
+        const struct gsn_point at = { s->seen.x + (corner & 1 ? s->seen.width : 0),
+                                      s->seen.y + (corner & 2 ? s->seen.height : 0) };
+        const struct gsn_point p = gsn_affine_apply(&s->pose.panel_to_block_um, at);
+
+        most = fmax(most, sign * (along_y ? p.y : p.x));
+    }
+    return sign * most;
+}
+
+/* The median section's end: a box that holds two sections, or a scrap, does not widen it. */
+static double usual_end(const struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                        int along_y, double sign, double *room)
+{
+    for (size_t k = 0; k < planes->count; k++)
+        room[k] = end_of(&a->section[planes->section[k]], along_y, sign);
+    return gsn_median(room, planes->count);
+}
+
+int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
+                           struct gsn_section_planes **ret_planes, struct gsn_error *err)
+{
+    gsn_auto(gsn_section_planes) planes = gsn_alloc_array(1, sizeof *planes);
+    gsn_auto_mem(double) room = gsn_alloc_array(a->section_count, sizeof *room);
+
+    assert(ret_planes);
+
+    if (planes) {
+        planes->cell_um = cell_um;
+        planes->section = gsn_alloc_array(a->section_count, sizeof *planes->section);
+    }
+    if (!planes || !room || !planes->section)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the sections");
+    planes->count = list(a, planes->section);
+    if (planes->count == 0) {
+        *ret_planes = NULL;
+        return GSN_OK;
+    }
+    planes->origin =
+        (struct gsn_point){ usual_end(planes, a, 0, -1, room), usual_end(planes, a, 1, -1, room) };
+    planes->columns =
+        (size_t)fmax((usual_end(planes, a, 0, 1, room) - planes->origin.x) / planes->cell_um, 1) +
+        1;
+    planes->rows =
+        (size_t)fmax((usual_end(planes, a, 1, 1, room) - planes->origin.y) / planes->cell_um, 1) +
+        1;
+    planes->density =
+        gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
+    planes->seen = gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
+    if (!planes->density || !planes->seen)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the sections");
+    *ret_planes = gsn_steal(&planes);
+    return GSN_OK;
+}
+
+void gsn_section_planes_free(struct gsn_section_planes *planes)
+{
+    if (!planes)
+        return;
+    gsn_free(planes->section);
+    gsn_free(planes->density);
+    gsn_free(planes->seen);
+    gsn_free(planes);
+}
+
+static void gather(struct gsn_section_planes *planes, size_t plane,
+                   const struct gsn_assembly_section *s, const struct gsn_plane *density,
+                   unsigned apart)
+{
+    const struct gsn_affine *map = &s->pose.panel_to_block_um;
+    const float area = (float)(apart * fabs(gsn_affine_det(map)));
+    float *sum = planes->density + plane * planes->columns * planes->rows;
+    float *seen = planes->seen + plane * planes->columns * planes->rows;
+
+    for (size_t y = 0; y < density->height; y++)
+        for (size_t x = 0; x < density->width; x++) {
+            const float value = density->value[y * density->width + x];
+            const struct gsn_point at = { s->seen.x + (double)x + 0.5,
+                                          s->seen.y + (double)(y * apart) + 0.5 };
+            const struct gsn_point p = gsn_affine_apply(map, at);
+            const double u = (p.x - planes->origin.x) / planes->cell_um;
+            const double v = (p.y - planes->origin.y) / planes->cell_um;
+
+            if (isnan(value) ||
+                !(u >= 0 && v >= 0 && u < (double)planes->columns && v < (double)planes->rows))
+                continue;
+            sum[(size_t)v * planes->columns + (size_t)u] += area * value;
+            seen[(size_t)v * planes->columns + (size_t)u] += area;
+        }
+}
+
+void gsn_section_planes_add(struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                            size_t i, const struct gsn_plane *density, unsigned apart)
+{
+    for (size_t k = 0; planes && k < planes->count; k++)
+        if (planes->section[k] == i)
+            gather(planes, k, &a->section[i], density, apart);
+}
+
+void gsn_section_planes_settle(struct gsn_section_planes *planes)
+{
+    const size_t total = planes->count * planes->columns * planes->rows;
+    const float whole = (float)(planes->cell_um * planes->cell_um);
+
+    for (size_t i = 0; i < total; i++)
+        if (planes->seen[i] >= (float)SEEN * whole)
+            planes->density[i] /= planes->seen[i];
+        else
+            planes->density[i] = planes->seen[i] > 0 ? NAN : 0;
+}

@@ -81,7 +81,7 @@ int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,
                        "; it would carry at most %.2g %% of all density to the other place",
                        100 * sequence->unseen);
     (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                   "a swap of two sections%s may not show in their tissue: their planes rests on "
+                   "a swap of two sections%s may not show in their tissue: their order rests on "
                    "numbers and slots alone%s",
                    near, most);
     return 1;

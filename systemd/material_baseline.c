@@ -1,0 +1,143 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/material_parts.h"
+
+#include "storage/result.h"
+
+#include <math.h>
+#include <string.h>
+
+static const struct gsn_measure_row *row_named(const struct gsn_measure_rows *rows,
+                                               const char *name)
+{
+    for (size_t i = 0; i < rows->count; i++)
+        if (strcmp(rows->at[i].name, name) == 0)
+            return &rows->at[i];
+    return NULL;
+}
+
+static double measure_named(const struct gsn_measure_rows *rows, const char *name)
+{
+    const struct gsn_measure_row *row = row_named(rows, name);
+
+    return row ? row->value : (double)NAN;
+}
+
+static double known(const struct gsn_measure_rows *rows, const char *name)
+{
+    const double value = measure_named(rows, name);
+
+    return isnan(value) ? 0 : value;
+}
+
+/* A text of a run's parameters, or "". gives. */
+static char *parameter(const struct gsn_run_row *run, const char *name)
+{
+    json_t *root = json_loads(run->parameters_json, 0, NULL);
+    const char *text = json_string_value(json_object_get(root, name));
+    char *copy = gsn_strdup(text ? text : "");
+
+    json_decref(root);
+    return copy;
+}
+
+/* The specimen's latest run with a report, whichever way it ended. */
+static int finished_run(struct gsn_store *store, int64_t specimen, struct gsn_run_row **ret_run,
+                        struct gsn_error *err)
+{
+    gsn_auto(gsn_run_row) reported = NULL;
+    gsn_auto(gsn_run_row) withheld = NULL;
+    int r = gsn_run_latest(store, specimen, "reported", &reported, err);
+
+    if (r >= 0 || r == GSN_E_NOTFOUND)
+        r = gsn_run_latest(store, specimen, "withheld", &withheld, err);
+    if (r < 0 && r != GSN_E_NOTFOUND)
+        return r;
+    if (!reported && !withheld)
+        return r;
+    *ret_run = withheld && (!reported || withheld->id > reported->id) ? gsn_steal(&withheld)
+                                                                      : gsn_steal(&reported);
+    return GSN_OK;
+}
+
+/* Sums over controls; what one of them lacks is not known of all. */
+static void add_tissues(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
+{
+    for (unsigned t = 0; t < GSN_SPECIMEN_TISSUES; t++) {
+        const struct gsn_measure_row *row = row_named(rows, gsn_specimen_tissue_measure(t));
+        const double error = row ? (row->upper - row->lower) / (2 * 1.96) : (double)NAN;
+
+        b->tissue[t].value += row ? row->value : (double)NAN;
+        b->tissue[t].error = hypot(b->tissue[t].error, error);
+    }
+}
+
+/* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
+ * on its having none: else two such specimens, each the other's baseline, would ask for each other
+ * for ever. */
+static int add_control(struct gsn_material *m, const struct gsn_specimen_row *control,
+                       struct gsn_error *err)
+{
+    struct gsn_specimen_baseline *b = &m->specimen.baseline;
+    gsn_auto(gsn_run_row) run = NULL;
+    gsn_auto(gsn_measure_rows) measures = NULL;
+    gsn_auto_mem(char) own_key = NULL;
+    struct gsn_error quiet = { 0 };
+    double mean;
+    int r = finished_run(m->store, control->id, &run, &quiet);
+
+    if (r == GSN_E_NOTFOUND)
+        return GSN_OK;
+    if (r >= 0)
+        r = gsn_measure_list(m->store, run->id, &measures, &quiet);
+    if (r < 0)
+        return gsn_fail(err, r, "%s", quiet.text);
+    own_key = parameter(run, "own_key");
+    if (!own_key || json_array_append_new(m->baseline_keys, json_string(own_key)) < 0)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    mean = measure_named(measures, "mean_density");
+    if (isnan(mean)) {
+        b->withheld++;
+        return GSN_OK;
+    }
+    b->mean_density += mean;
+    b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
+    b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));
+    add_tissues(measures, b);
+    b->volume_mm3 += measure_named(measures, "region_volume");
+    b->specimens++;
+    if (!m->definition) {
+        m->definition = parameter(run, "definition");
+        m->dyes = parameter(run, "dyes");
+    }
+    return m->definition && m->dyes ? GSN_OK
+                                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+}
+
+int gsn_material_take_baseline(struct gsn_material *m, struct gsn_error *err)
+{
+    struct gsn_specimen_baseline *b = &m->specimen.baseline;
+    gsn_auto(gsn_specimen_rows) controls = NULL;
+    int r = GSN_OK;
+
+    m->baseline_keys = json_array();
+    b->name = m->row->baseline;
+    if (!b->name[0])
+        return GSN_OK;
+    r = gsn_specimen_baseline(m->store, m->row->study, b->name, &controls, err);
+    for (size_t i = 0; r >= 0 && i < controls->count; i++)
+        if (controls->at[i].id != m->row->id)
+            r = add_control(m, &controls->at[i], err);
+    if (b->specimens > 0) {
+        b->mean_density /= (double)b->specimens;
+        b->mean_density_error /= (double)b->specimens;
+        b->own_scale_error /= (double)b->specimens;
+        for (unsigned t = 0; t < GSN_SPECIMEN_TISSUES; t++) {
+            b->tissue[t].value /= (double)b->specimens;
+            b->tissue[t].error /= (double)b->specimens;
+        }
+        b->volume_mm3 /= (double)b->specimens;
+    }
+    b->definition = m->definition ? m->definition : "";
+    b->dyes = m->dyes ? m->dyes : "";
+    return r;
+}

@@ -1,0 +1,113 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/work_verbs.h"
+
+#include "storage/event.h"
+#include "systemd/import.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sysexits.h>
+
+static void say_notice(void *context, const char *name, const char *sentence)
+{
+    (void)context;
+    (void)fprintf(stderr, "gieson: %s: %s\n", name, sentence);
+}
+
+static const char *base_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+
+    return slash ? slash + 1 : path;
+}
+
+/* The job that an operator would have written for a single file. gives. */
+static char *job_for_file(const struct gsn_work_request *request, const char *file)
+{
+    const char *name = base_name(file);
+    const char *dot = strrchr(name, '.');
+    gsn_auto_mem(char) stem = gsn_format("%.*s", dot ? (int)(dot - name) : (int)strlen(name), name);
+    json_t *job = json_pack("{s:s, s:s, s:s}", "specimen",
+                            request->specimen ? request->specimen : (stem ? stem : name), "kind",
+                            request->volume ? "volume" : "tile", "file", name);
+    char *dumped, *text;
+
+    if (request->thresholds)
+        (void)json_object_set(job, "thresholds", request->thresholds);
+    if (request->tile) {
+        (void)json_object_set_new(job, "dyes", json_string("estimate"));
+        (void)json_object_set_new(job, "transfer", json_string("srgb"));
+        (void)json_object_set_new(job, "px_um", json_real(1));
+        (void)json_object_set_new(job, "white", json_pack("[f, f, f]", 1.0, 1.0, 1.0));
+    }
+    if (request->tile && request->reference)
+        (void)json_object_set_new(job, "reference", json_string(base_name(request->reference)));
+    dumped = json_dumps(job, JSON_INDENT(2) | JSON_REAL_PRECISION(9));
+    text = dumped ? gsn_strdup(dumped) : NULL;
+    free(dumped); /* door */
+    json_decref(job);
+    return text;
+}
+
+static void print_import(const struct gsn_work_request *request, const char *specimen,
+                         const struct gsn_import_counts *counts)
+{
+    if (request->json) {
+        json_t *root = json_pack("{s:s, s:i, s:i, s:i, s:i}", "specimen", specimen, "panels_taken",
+                                 counts->taken, "panels_again", counts->again, "panels_unnumbered",
+                                 counts->held, "files", counts->attached);
+
+        (void)json_dumpf(root, stdout, JSON_INDENT(2));
+        (void)putchar('\n');
+        json_decref(root);
+        return;
+    }
+    (void)printf("%s:", specimen);
+    if (counts->taken || counts->again || !counts->attached)
+        (void)printf(" %u panel%s taken,", counts->taken, counts->taken == 1 ? "" : "s");
+    if (counts->again)
+        (void)printf(" %u here already,", counts->again);
+    if (counts->attached)
+        (void)printf(" %u file%s that the job names,", counts->attached,
+                     counts->attached == 1 ? "" : "s");
+    (void)printf(" `gieson run` works the queue\n");
+}
+
+int gsn_work_import(const struct gsn_work_request *request)
+{
+    const char *file = request->volume ? request->volume : request->tile;
+    gsn_auto_mem(char) folder = NULL;
+    gsn_auto_mem(char) job = NULL;
+    gsn_auto_mem(char) specimen = NULL;
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_import import = { .notice = say_notice, .replace = request->replace };
+    struct gsn_import_counts counts;
+    struct gsn_error err = { 0 };
+    int r;
+
+    if (!file && request->rest_count != 1)
+        return gsn_work_usage("import needs one folder");
+    if (file) {
+        const int length = (int)(base_name(file) - file);
+
+        folder = length ? gsn_format("%.*s", length > 1 ? length - 1 : 1, file) : gsn_strdup(".");
+        job = job_for_file(request, file);
+    } else {
+        folder = gsn_strdup(request->rest[0]);
+    }
+    if (!folder || (file && !job))
+        return gsn_work_usage("out of memory");
+    r = gsn_store_open(request->store_dir, GSN_STORE_CREATE, &store, &err);
+    if (r < 0)
+        return gsn_work_complain(&err, r);
+    import.store = store;
+    import.dir = folder;
+    import.job_text = job;
+    import.actor = gsn_work_actor();
+    r = gsn_import_folder(&import, &specimen, &counts, &err);
+    if (r < 0)
+        return gsn_work_complain(&err, r);
+    print_import(request, specimen, &counts);
+    return EX_OK;
+}

@@ -1,0 +1,80 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "systemd/work_verbs.h"
+
+#include "pipeline/core/file.h"
+#include "pipeline/core/process.h"
+#include "pipeline/decode/apart.h"
+#include "systemd/register_folder.h"
+
+#include <malloc.h>
+#include <stdio.h>
+#include <sysexits.h>
+
+enum { MOST_CHECK_BYTES = 1 << 30 };
+
+static int check_one(const char *decoder, const char *path)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto(gsn_picture) picture = NULL;
+    struct gsn_error err = { 0 };
+    size_t size;
+    int r = gsn_file_read(path, MOST_CHECK_BYTES, &bytes, &size, &err);
+
+    if (r >= 0)
+        r = gsn_decode_apart(decoder, bytes, size, NULL, &picture, &err);
+    if (r < 0) {
+        (void)printf("%s: refused (%s): %s\n", path, gsn_code_name(r), err.text);
+        return gsn_code_exit(r);
+    }
+    (void)printf("%s: fine: %s, %u x %u, %s, %u bit%s%s\n", path, picture->kind,
+                 picture->image->width, picture->image->height,
+                 picture->image->channels == 3 ? "RGB" : "grey", picture->image->bits,
+                 picture->note[0] ? "; " : "", picture->note);
+    return EX_OK;
+}
+
+int gsn_work_check(const struct gsn_work_request *request)
+{
+    gsn_auto_mem(char) decoder = NULL;
+    struct gsn_error err = { 0 };
+    int status = EX_OK, r;
+
+    if (request->rest_count < 1)
+        return gsn_work_usage("check needs at least one file");
+    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    if (r < 0)
+        return gsn_work_complain(&err, r);
+    for (int i = 0; i < request->rest_count; i++) {
+        r = check_one(decoder, request->rest[i]);
+
+        if (r != EX_OK)
+            status = r;
+    }
+    return status;
+}
+
+int gsn_work_register(const struct gsn_work_request *request)
+{
+    const struct gsn_register_request folder = { .dir = request->rest[0],
+                                                 .marks = request->marks,
+                                                 .px_um = request->px_um,
+                                                 .radius = request->radius,
+                                                 .by_tissue = request->by_tissue,
+                                                 .json = request->json };
+    gsn_auto_mem(char) decoder = NULL;
+    struct gsn_error err = { 0 };
+    int status, r;
+
+    if (request->rest_count != 1)
+        return gsn_work_usage("register needs one folder of pictures");
+    /* One section after the other works in the same pages. */
+    (void)mallopt(M_MMAP_THRESHOLD, 32 << 20);
+    (void)mallopt(M_TRIM_THRESHOLD, 256 << 20);
+    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    if (r < 0)
+        return gsn_work_complain(&err, r);
+    status = gsn_register_folder(&folder, decoder, &err);
+    if (err.text[0])
+        (void)fprintf(stderr, "gieson: %s\n", err.text);
+    return status;
+}

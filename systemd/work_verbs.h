@@ -1,0 +1,41 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The verbs of gieson-work, a file each; gieson_work.c reads the command line and calls one. They
+ * print, and return the program's exit status. */
+#ifndef GSN_SYSTEMD_WORK_VERBS_H
+#define GSN_SYSTEMD_WORK_VERBS_H
+
+#include "pipeline/core/error.h"
+
+#include <jansson.h>
+
+/* The command line; what was not said is 0 or NULL. */
+struct gsn_work_request {
+    const char *store_dir, *verb;
+    char **rest;
+    int rest_count, json, replace, by_tissue;
+    unsigned threads, minutes;
+    const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius;
+    json_t *thresholds;
+};
+
+int gsn_work_import(const struct gsn_work_request *request);
+/* Claims one job; EX_NOINPUT when there is none, EX_TEMPFAIL while another is at it. */
+int gsn_work_next(const struct gsn_work_request *request);
+int gsn_work_verify(const struct gsn_work_request *request);
+int gsn_work_changed(const struct gsn_work_request *request);
+int gsn_work_scrub(const struct gsn_work_request *request);
+int gsn_work_check(const struct gsn_work_request *request);
+int gsn_work_register(const struct gsn_work_request *request);
+
+/* Says what failed; returns its exit status. */
+int gsn_work_complain(const struct gsn_error *err, int code);
+/* Says what was asked wrongly; returns EX_USAGE. */
+int gsn_work_usage(const char *sentence);
+/* Who asked, not whom they became. Borrowed. */
+const char *gsn_work_actor(void);
+/* A decimal number of the command line, through the parser that reads every other number. gives;
+ * NULL when it is none. */
+json_t *gsn_work_number(const char *text);
+
+#endif

@@ -71,6 +71,10 @@ void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum 
  * Fails with GSN_E_NOMEM. */
 int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure, uint8_t *weak,
                         double um, struct gsn_error *err);
+/* Adds what no way of glass from the border reaches. The rim must be glass. Fails with GSN_E_NOMEM.
+ */
+int gsn_mask_cells_fill_holes(const struct gsn_mask_cells *cells, uint8_t *set,
+                              struct gsn_error *err);
 
 /* The detectors, each of which sets its own bit; all fail with GSN_E_NOMEM only. */
 int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err);

@@ -1,13 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/queue_view.h"
 
+#include "ui/pages.h"
 #include "ui/text.h"
 
 #include <string.h>
 
 enum {
-    LEAST_ROWS = 10,
-    LEAST_COLUMNS = 40,
     AIRY_ROWS = 16,     /* from here on there is room for blank lines */
     COUNTS_BESIDE = 80, /* columns: the queue's numbers stand behind the store's name */
 };
@@ -350,117 +349,17 @@ static void put_foot(const struct gsn_queue_view *view, struct gsn_screen *scree
         gsn_screen_put(screen, row, width - beside, beside, low, place);
 }
 
-/* ---- other pages ------------------------------------------------------------------------- */
-
-/* In lines; returns the row behind them. */
-static int put_wrapped(struct gsn_screen *screen, int row, int last, struct gsn_ink ink,
-                       const char *text)
-{
-    const int width = gsn_screen_columns(screen);
-
-    while (*text && row <= last) {
-        const size_t bytes = gsn_text_fit(text, width);
-        gsn_auto_mem(char) line = gsn_format("%.*s", (int)bytes, text);
-
-        gsn_screen_put(screen, row++, 0, width, ink, line ? line : "");
-        text += bytes;
-        while (*text == ' ')
-            text++;
-    }
-    return row;
-}
-
-static void put_back(struct gsn_screen *screen)
-{
-    gsn_screen_put(screen, gsn_screen_rows(screen) - 1, 0, gsn_screen_columns(screen), low,
-                   "any key: back  q quit");
-}
-
-static void put_details(const struct gsn_queue_view *view, struct gsn_screen *screen)
-{
-    const struct gsn_board_line *line = chosen(view);
-    const struct gsn_look *look = gsn_look_of(line->state);
-    const int last = gsn_screen_rows(screen) - 2;
-    gsn_auto_mem(char) age = gsn_look_age(view->now, line->since);
-    gsn_auto_mem(char) state = gsn_format("%s %s%s%s", look->symbol, line->state,
-                                          age && age[0] ? ", " : "", age ? age : "");
-    int row = put_wrapped(screen, 0, last, high, line->name);
-
-    row = put_wrapped(screen, row, last, (struct gsn_ink){ .hue = look->hue }, state ? state : "");
-    if (line->sentence)
-        row = put_wrapped(screen, row + 1, last, plain, line->sentence);
-    row++;
-    for (size_t i = 0; i < GSN_BOARD_FACTS && line->fact[i]; i++)
-        row = put_wrapped(screen, row, last, plain, line->fact[i]);
-    if (line->action) {
-        row = put_wrapped(screen, row + 1, last, low, "next");
-        (void)put_wrapped(screen, row, last, high, line->action);
-    }
-    put_back(screen);
-}
-
-/* Side by side where there is room; where there is none, the keys come first: symbols stand beside
- * their words anyway. */
-static void put_help(struct gsn_screen *screen)
-{
-    static const char *const keys[] = {
-        "arrows, j, k   choose a line",
-        "PgUp PgDn      a screen further",
-        "Home End       first, last",
-        "Enter          all about it",
-        "r              let its failed jobs wait",
-        "R              let all failed jobs wait",
-        "q              quit",
-    };
-    static const char *const symbols[] = {
-        ". waiting",
-        "> working, receiving",
-        "+ reported, ready",
-        "! withheld, held, trouble",
-        "? unfiled: say whose it is",
-        "x failed, refused",
-        "- away    = paused",
-    };
-    enum { ROWS = sizeof keys / sizeof keys[0] };
-    const int width = gsn_screen_columns(screen), last = gsn_screen_rows(screen) - 2;
-    const int beside = width >= 2 * LEAST_COLUMNS;
-
-    gsn_screen_put(screen, 0, 0, width, high, "gieson top");
-    for (int i = 0; i < ROWS; i++) {
-        const int row = beside ? 2 + i : 2 + ROWS + i;
-
-        if (1 + i + beside <= last)
-            gsn_screen_put(screen, 1 + i + beside, 0, LEAST_COLUMNS, plain, keys[i]);
-        if (row <= last)
-            gsn_screen_put(screen, row, beside ? LEAST_COLUMNS + GAP : 0, LEAST_COLUMNS, plain,
-                           symbols[i]);
-    }
-    if (3 + ROWS + 2 <= last)
-        gsn_screen_put(screen, beside ? 3 + ROWS : 3 + 2 * ROWS, 0, width, low,
-                       "Only r and R change anything.");
-    put_back(screen);
-}
-
-static void put_too_small(struct gsn_screen *screen)
-{
-    gsn_auto_mem(char) sentence = gsn_format(
-        "gieson top needs %d columns and %d lines; here are %d and %d. q quits.",
-        (int)LEAST_COLUMNS, (int)LEAST_ROWS, gsn_screen_columns(screen), gsn_screen_rows(screen));
-
-    (void)put_wrapped(screen, 0, gsn_screen_rows(screen) - 1, plain, sentence ? sentence : "");
-}
-
 void gsn_queue_view_draw(struct gsn_queue_view *view, struct gsn_screen *screen)
 {
     const int rows = gsn_screen_rows(screen), airy = rows >= AIRY_ROWS;
 
     gsn_screen_wipe(screen);
-    if (rows < LEAST_ROWS || gsn_screen_columns(screen) < LEAST_COLUMNS)
-        put_too_small(screen);
+    if (rows < GSN_PAGE_LEAST_ROWS || gsn_screen_columns(screen) < GSN_PAGE_LEAST_COLUMNS)
+        gsn_page_too_small(screen);
     else if (view->page == PAGE_HELP)
-        put_help(screen);
+        gsn_page_help(screen);
     else if (view->page == PAGE_DETAILS && view->chosen)
-        put_details(view, screen);
+        gsn_page_details(chosen(view), view->now, screen);
     else {
         const int from = put_head(view, screen) + airy;
 

@@ -372,6 +372,21 @@ TEST(unplugged_while_waiting_is_not_found)
     tear_down(&bench);
 }
 
+/* However late it is asked. */
+TEST(unplugged_before_waiting_is_not_found)
+{
+    struct bench bench = set_up(NULL);
+    struct gsn_error err = { 0 };
+
+    open_usb(&bench);
+    open_session(&bench);
+    CHECK_OK(bench.usb->ops->wait(bench.usb->self, 20, -1, &err), err);
+    umock_unplug(bench.umock, NUMBER);
+    CHECK(bench.usb->ops->wait(bench.usb->self, SOON_MS, -1, &err) == GSN_E_NOTFOUND);
+    CHECK(strstr(err.text, "unplugged"));
+    tear_down(&bench);
+}
+
 /* Another process has the node open while ours tries to claim it. */
 TEST(who_holds_the_device_is_said)
 {

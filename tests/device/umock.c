@@ -281,13 +281,38 @@ struct umock *umock_new(void)
     return umock;
 }
 
+static void node_of(unsigned number, char to[40])
+{
+    (void)snprintf(to, 40, "/dev/bus/usb/001/%03u", number);
+}
+
+/* Who still has the node open hears no more of it. */
+static void forget(struct umock *umock, unsigned number)
+{
+    struct slot *const slot = &umock->slot[number];
+    char node[40];
+
+    if (!slot->handler)
+        return;
+    node_of(number, node);
+    (void)umockdev_testbed_detach_ioctl(umock->testbed, node, NULL);
+    umock_lock(umock);
+    for (size_t i = 0; i < slot->flying_count; i++)
+        umockdev_ioctl_data_unref(slot->flying[i].data);
+    slot->flying_count = 0;
+    umock_unlock(umock);
+    g_clear_object(&slot->handler);
+}
+
 void umock_free(struct umock *umock)
 {
     if (!umock)
         return;
-    for (unsigned i = 0; i < MOST_DEVICES; i++)
+    for (unsigned i = 0; i < MOST_DEVICES; i++) {
         if (umock->slot[i].model)
             umock_unplug(umock, i);
+        forget(umock, i);
+    }
     g_object_unref(umock->testbed);
     (void)pthread_mutex_destroy(&umock->mutex);
     g_free(umock->root);
@@ -315,11 +340,6 @@ static void check(gboolean done, GError *error, const char *what)
         return;
     (void)fprintf(stderr, "umockdev: %s: %s\n", what, error ? error->message : "refused");
     abort();
-}
-
-static void node_of(unsigned number, char to[40])
-{
-    (void)snprintf(to, 40, "/dev/bus/usb/001/%03u", number);
 }
 
 static GString *describe(const struct usb_model *model, unsigned number)
@@ -352,6 +372,7 @@ void umock_plug(struct umock *umock, const struct usb_model *model, unsigned num
     GError *error = NULL;
     char node[40];
 
+    forget(umock, number);
     node_of(number, node);
     umock_lock(umock);
     *slot = (struct slot){ .umock = umock, .model = model };
@@ -364,26 +385,19 @@ void umock_plug(struct umock *umock, const struct usb_model *model, unsigned num
     (void)g_string_free(text, TRUE);
 }
 
+/* As with usbfs, who has the node open hears ENODEV from now on, however late it asks. */
 void umock_unplug(struct umock *umock, unsigned number)
 {
     struct slot *const slot = &umock->slot[number];
-    char node[40], path[80];
+    char path[80];
 
-    node_of(number, node);
     (void)snprintf(path, sizeof path, "/sys/devices/pci0000:00/usb1/1-%u", number);
     umock_lock(umock);
     slot->gone = 1;
+    slot->model = NULL;
     umock_unlock(umock);
     umockdev_testbed_uevent(umock->testbed, path, "remove");
     umockdev_testbed_remove_device(umock->testbed, path);
-    (void)umockdev_testbed_detach_ioctl(umock->testbed, node, NULL);
-    umock_lock(umock);
-    for (size_t i = 0; i < slot->flying_count; i++)
-        umockdev_ioctl_data_unref(slot->flying[i].data);
-    slot->flying_count = 0;
-    slot->model = NULL;
-    umock_unlock(umock);
-    g_clear_object(&slot->handler);
 }
 
 void umock_claim(struct umock *umock, unsigned number, int by_another)

@@ -94,7 +94,7 @@ static void keep_measures(const struct gsn_evidence *e, const struct gsn_draft *
                     tissue->value - 1.96 * tissue->error, tissue->value + 1.96 * tissue->error,
                     "density");
     }
-    measure_row(result, "loss", r->loss_percent, d->loss_low, d->loss_high, "%");
+    measure_row(result, "loss", r->loss_percent, r->loss_lower, r->loss_upper, "%");
     measure_row(result, "loss_points", r->loss_points, NAN, NAN, "points");
     if (e->tile && e->tile->compared)
         measure_row(result, "dice", e->tile->overlap.dice, NAN, NAN, "");

@@ -24,7 +24,7 @@ void gsn_draft_done(struct gsn_draft *d)
 int gsn_draft_init(struct gsn_draft *d, size_t sections, size_t panels, size_t inputs,
                    size_t decisions, struct gsn_error *err)
 {
-    *d = (struct gsn_draft){ .loss_low = NAN, .loss_high = NAN };
+    *d = (struct gsn_draft){ .report = { .loss_lower = NAN, .loss_upper = NAN } };
     d->warning = gsn_alloc_array(64 + 12 * panels + decisions, sizeof *d->warning);
     d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);

@@ -41,7 +41,6 @@ struct gsn_draft {
     struct gsn_report_fit fit;
     struct gsn_report_units units;
     struct gsn_report_tile tile;
-    double loss_low, loss_high; /* NaN: no interval */
     int linked;                 /* whether untreated tissue tells how the baseline was stained */
     struct gsn_level_link link;
     int out_of_memory;

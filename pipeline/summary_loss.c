@@ -324,12 +324,9 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
         return;
     }
     if (loss.has_interval) {
-        d->loss_low = loss.percent_low;
-        d->loss_high = loss.percent_high;
-        gsn_draft_value(d->measure, &r->measure_count,
-                        "Collagen loss, from (95 %, stain and white)", loss.percent_low, "%");
-        gsn_draft_value(d->measure, &r->measure_count, "Collagen loss, to (95 %, stain and white)",
-                        loss.percent_high, "%");
+        r->loss_lower = loss.percent_low;
+        r->loss_upper = loss.percent_high;
+        r->loss_interval = "95 %, stain and white";
     }
     r->loss_percent = loss.percent;
     r->loss_points = loss.points;

@@ -8,13 +8,18 @@
         GSN_SQL_##type, offsetof(struct gsn_overview_row, name)                                    \
     }
 static const struct gsn_sql_field overview_fields[] = {
-    FIELD(INT, id),         FIELD(TEXT, name),         FIELD(TEXT, group),
-    FIELD(INT, panels),     FIELD(INT, registered),    FIELD(INT, refused),
-    FIELD(INT, sections),   FIELD(INT, found),         FIELD(INT, run),
-    FIELD(TEXT, run_state), FIELD(TEXT, run_message),  FIELD(TEXT, report_path),
-    FIELD(REAL, loss),      FIELD(REAL, mean_density), FIELD(INT, changed),
-    FIELD(TEXT, job.state), FIELD(TEXT, job.stage),    FIELD(INT, job.done),
-    FIELD(INT, job.total),  FIELD(REAL, job.eta_s),    FIELD(TEXT, job.message),
+    FIELD(INT, id),           FIELD(TEXT, name),
+    FIELD(TEXT, group),       FIELD(INT, panels),
+    FIELD(INT, registered),   FIELD(INT, refused),
+    FIELD(INT, sections),     FIELD(INT, found),
+    FIELD(INT, run),          FIELD(TEXT, run_state),
+    FIELD(TEXT, run_message), FIELD(TEXT, report_path),
+    FIELD(REAL, loss),        FIELD(REAL, loss_lower),
+    FIELD(REAL, loss_upper),  FIELD(REAL, mean_density),
+    FIELD(INT, changed),      FIELD(TEXT, job.state),
+    FIELD(TEXT, job.stage),   FIELD(INT, job.done),
+    FIELD(INT, job.total),    FIELD(REAL, job.eta_s),
+    FIELD(TEXT, job.message),
 };
 #undef FIELD
 static const struct gsn_sql_shape overview_shape =
@@ -76,7 +81,7 @@ int gsn_overview_list(struct gsn_store *store, struct gsn_overview_rows **ret_ro
         "SELECT s.id, s.name, g.name, coalesce(p.n, 0), coalesce(p.registered, 0), "
         "coalesce(p.refused, 0), coalesce(c.n, 0), coalesce(c.found, 0), coalesce(r.id, 0), "
         "coalesce(r.state, ''), coalesce(r.message, ''), coalesce(r.report_path, ''), l.value, "
-        "d.value, max(coalesce(r.finished, 0), coalesce(p.at, 0)), " JOB
+        "l.lower, l.upper, d.value, max(coalesce(r.finished, 0), coalesce(p.at, 0)), " JOB
         "FROM specimen s JOIN study_group g ON g.id = s.group_id "
         "LEFT JOIN p ON p.specimen_id = s.id LEFT JOIN c ON c.specimen_id = s.id "
         "LEFT JOIN run r ON r.id = (SELECT max(id) FROM run WHERE specimen_id = s.id) "

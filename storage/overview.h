@@ -29,7 +29,7 @@ struct gsn_overview_row {
     int64_t sections, found;             /* slots that are not empty, and those with a section */
     int64_t run;                         /* the latest; 0: none */
     const char *run_state, *run_message, *report_path; /* its own; empty where there is none */
-    double loss, mean_density;                         /* NaN: none */
+    double loss, loss_lower, loss_upper, mean_density; /* NaN: none */
     int64_t changed;             /* when a panel last arrived or a run last ended; 0: unknown */
     struct gsn_overview_job job; /* the specimen's own, not its panels' */
 };

@@ -220,8 +220,12 @@ static void specimen_facts(struct maker *maker, struct gsn_board_line *line,
          gsn_format("panels    %u of %u read, %u refused or held", row->panels_registered,
                     row->panels, row->panels_refused));
     fact(maker, line, gsn_format("sections  %u of %u found", row->sections_found, row->sections));
-    if (!isnan(row->loss_percent))
-        fact(maker, line, gsn_format("loss      %.2f %%", row->loss_percent));
+    if (!isnan(row->loss_percent)) {
+        gsn_auto_mem(char) loss =
+            gsn_look_loss(row->loss_percent, row->loss_lower, row->loss_upper);
+
+        fact(maker, line, gsn_format("loss      %s", loss ? loss : ""));
+    }
     if (row->report)
         fact(maker, line, gsn_format("report    %s", row->report));
 }

@@ -2,6 +2,7 @@
 
 /* The whole way once, for somebody who has never seen it: two phantom specimens with a known truth,
  * taken in as a scanner's folder, worked, reported, and compared with the truth. */
+#include "ui/look.h"
 #include "ui/ui.h"
 
 #include "pipeline/core/file.h"
@@ -80,9 +81,10 @@ static int print_end(const struct gsn_ui *ui, const char *folder)
     gsn_auto(gsn_specimen_row) specimen = NULL;
     gsn_auto(gsn_run_row) run = NULL;
     gsn_auto(gsn_measure_rows) measures = NULL;
+    gsn_auto_mem(char) said = NULL;
     const double truth = read_truth(folder);
     struct gsn_error err = { 0 };
-    double loss = NAN;
+    double loss = NAN, lower = NAN, upper = NAN;
     int status = EX_OK, r;
 
     store = gsn_ui_store(ui, GSN_STORE_READ, &status);
@@ -96,14 +98,18 @@ static int print_end(const struct gsn_ui *ui, const char *folder)
     if (r < 0)
         return gsn_ui_complain(&err, r);
     for (size_t i = 0; i < measures->count; i++)
-        if (strcmp(measures->at[i].name, "loss") == 0)
+        if (strcmp(measures->at[i].name, "loss") == 0) {
             loss = measures->at[i].value;
+            lower = measures->at[i].lower;
+            upper = measures->at[i].upper;
+        }
     if (isnan(loss) || isnan(truth))
         return gsn_ui_fail(EX_DATAERR, "the demo ended without a loss: %s", run->message);
-    (void)printf("\ncollagen loss  %.2f %%  of %s against GVP-D-%s\n"
+    said = gsn_look_loss(loss, lower, upper);
+    (void)printf("\ncollagen loss  %s  of %s against GVP-D-%s\n"
                  "the truth      %.2f %%  (difference %+.2f points)\n"
                  "report         %s/%s\n",
-                 loss, SPECIMEN, CONTROL, truth, loss - truth, gsn_store_dir(store),
+                 said ? said : "", SPECIMEN, CONTROL, truth, loss - truth, gsn_store_dir(store),
                  run->report_path);
     return EX_OK;
 }

@@ -40,10 +40,11 @@ static void tell_row(const struct gsn_ui *ui, struct night *night,
     }
     (void)json_array_append_new(
         night->rows,
-        json_pack("{s:o, s:s, s:o, s:o, s:o}", "specimen", gsn_text_json(row->name), "state",
-                  row->state, "detail", gsn_text_json(row->detail ? row->detail : ""),
-                  "loss_percent", gsn_ui_number(row->loss_percent), "report",
-                  row->report ? gsn_text_json(row->report) : json_null()));
+        json_pack("{s:o, s:s, s:o, s:o, s:o, s:o, s:o}", "specimen", gsn_text_json(row->name),
+                  "state", row->state, "detail", gsn_text_json(row->detail ? row->detail : ""),
+                  "loss_percent", gsn_ui_number(row->loss_percent), "loss_lower",
+                  gsn_ui_number(row->loss_lower), "loss_upper", gsn_ui_number(row->loss_upper),
+                  "report", row->report ? gsn_text_json(row->report) : json_null()));
 }
 
 static void compare(const struct gsn_ui *ui, const struct gsn_snapshot *before,

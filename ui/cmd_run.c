@@ -1,4 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "ui/look.h"
 #include "ui/snapshot.h"
 #include "ui/text.h"
 #include "ui/ui.h"
@@ -142,10 +143,10 @@ int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const ch
 
 void gsn_ui_print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *row)
 {
-    gsn_auto_mem(char) loss =
-        isnan(row->loss_percent) ? gsn_strdup("") : gsn_format(", loss %.2f %%", row->loss_percent);
-    gsn_auto_mem(char) line = gsn_format("%s: %s%s%s%s", row->name, row->state, loss ? loss : "",
-                                         row->detail ? ": " : "", row->detail ? row->detail : "");
+    gsn_auto_mem(char) loss = gsn_look_loss(row->loss_percent, row->loss_lower, row->loss_upper);
+    gsn_auto_mem(char) line =
+        gsn_format("%s: %s%s%s%s%s", row->name, row->state, loss && loss[0] ? ", loss " : "",
+                   loss ? loss : "", row->detail ? ": " : "", row->detail ? row->detail : "");
 
     gsn_text_wrap(stdout, 0, ui->width, line ? line : row->name);
 }

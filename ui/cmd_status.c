@@ -50,13 +50,14 @@ static void print_block(const struct gsn_ui *ui, const struct gsn_snapshot_row *
     const struct gsn_look *look = gsn_look_of(row->state);
     gsn_auto_mem(char) facts = gsn_format("panels %u/%u, sections %u/%u", row->panels_registered,
                                           row->panels, row->sections_found, row->sections);
+    gsn_auto_mem(char) loss = gsn_look_loss(row->loss_percent, row->loss_lower, row->loss_upper);
 
     (void)fputs(ui->colour ? gsn_hue_ansi(look->hue) : "", stdout);
     (void)printf("%s %s%s ", look->symbol, row->state, ui->colour ? "\033[0m" : "");
     gsn_text_line(stdout, "%s", row->name);
     gsn_text_wrap(stdout, 4, ui->width, facts ? facts : "");
-    if (!isnan(row->loss_percent))
-        (void)printf("    loss %.2f %%\n", row->loss_percent);
+    if (loss && loss[0])
+        (void)printf("    loss %s\n", loss);
     if (row->detail)
         gsn_text_wrap(stdout, 4, ui->width, row->detail);
     if (row->action)
@@ -152,15 +153,16 @@ static void print_table(const struct gsn_ui *ui, const struct gsn_snapshot *snap
 
 static json_t *row_json(const struct gsn_snapshot_row *row)
 {
-    return json_pack("{s:o, s:o, s:s, s:o, s:o, s:i, s:i, s:i, s:i, s:i, s:o, s:o, s:I, s:o}",
-                     "specimen", gsn_text_json(row->name), "group", gsn_text_json(row->group),
-                     "state", row->state, "detail", gsn_text_json(row->detail ? row->detail : ""),
-                     "action", gsn_text_json(row->action ? row->action : ""), "panels", row->panels,
-                     "panels_registered", row->panels_registered, "panels_refused",
-                     row->panels_refused, "sections", row->sections, "sections_found",
-                     row->sections_found, "loss_percent", gsn_ui_number(row->loss_percent),
-                     "mean_density", gsn_ui_number(row->mean_density), "run", (json_int_t)row->run,
-                     "report", row->report ? gsn_text_json(row->report) : json_null());
+    return json_pack(
+        "{s:o, s:o, s:s, s:o, s:o, s:i, s:i, s:i, s:i, s:i, s:o, s:o, s:o, s:o, s:I, s:o}",
+        "specimen", gsn_text_json(row->name), "group", gsn_text_json(row->group), "state",
+        row->state, "detail", gsn_text_json(row->detail ? row->detail : ""), "action",
+        gsn_text_json(row->action ? row->action : ""), "panels", row->panels, "panels_registered",
+        row->panels_registered, "panels_refused", row->panels_refused, "sections", row->sections,
+        "sections_found", row->sections_found, "loss_percent", gsn_ui_number(row->loss_percent),
+        "loss_lower", gsn_ui_number(row->loss_lower), "loss_upper", gsn_ui_number(row->loss_upper),
+        "mean_density", gsn_ui_number(row->mean_density), "run", (json_int_t)row->run, "report",
+        row->report ? gsn_text_json(row->report) : json_null());
 }
 
 static json_t *sources_json(const struct gsn_bench_sources *sources)

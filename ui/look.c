@@ -60,6 +60,15 @@ char *gsn_look_progress(const char *stage, int64_t done, int64_t total, double l
     return gsn_format("%s %.0f %%, %.0f %s left", stage, percent, left, unit);
 }
 
+char *gsn_look_loss(double percent, double lower, double upper)
+{
+    if (isnan(percent))
+        return gsn_strdup("");
+    if (isnan(lower) || isnan(upper))
+        return gsn_format("%.2f %%", percent);
+    return gsn_format("%.2f %% (%.2f to %.2f)", percent, lower, upper);
+}
+
 char *gsn_look_bytes(int64_t bytes)
 {
     static const char *const units[] = { "kB", "MB", "GB", "TB" };

@@ -30,6 +30,9 @@ char *gsn_look_age(int64_t now, int64_t then);
 /* gives: "decode 40 %, 12 s left", as much of it as is known. NULL when memory runs out. */
 char *gsn_look_progress(const char *stage, int64_t done, int64_t total, double left_s);
 
+/* gives: "36.42 % (33.10 to 39.74)", without what is not known. NULL when memory runs out. */
+char *gsn_look_loss(double percent, double lower, double upper);
+
 /* gives: "28.0 MB". NULL when memory runs out. */
 char *gsn_look_bytes(int64_t bytes);
 

@@ -114,6 +114,8 @@ static void take_counts(const struct gsn_overview_row *from, struct gsn_snapshot
     row->sections = (unsigned)from->sections;
     row->sections_found = (unsigned)from->found;
     row->loss_percent = from->loss;
+    row->loss_lower = from->loss_lower;
+    row->loss_upper = from->loss_upper;
     row->mean_density = from->mean_density;
     row->changed = from->changed;
 }

@@ -21,11 +21,11 @@ struct gsn_snapshot_row {
     char *action;       /* owned; the command to give next, or NULL when there is nothing to do */
     unsigned panels, panels_registered, panels_refused;
     unsigned sections, sections_found;
-    double loss_percent; /* NaN: none */
-    double mean_density; /* NaN: none */
-    int64_t run;         /* latest finished run; 0: none */
-    char *report;        /* owned; path of its HTML, or NULL */
-    int64_t changed;     /* when something last happened; 0: unknown */
+    double loss_percent, loss_lower, loss_upper; /* NaN: none */
+    double mean_density;                         /* NaN: none */
+    int64_t run;                                 /* latest finished run; 0: none */
+    char *report;                                /* owned; path of its HTML, or NULL */
+    int64_t changed;                             /* when something last happened; 0: unknown */
 };
 
 struct gsn_snapshot {

@@ -171,6 +171,19 @@ static void add_comparison(struct gsn_text *text, const struct gsn_report *repor
     gsn_text_raw(text, "</table></div>\n");
 }
 
+static void add_interval(struct gsn_text *text, const struct gsn_report *report)
+{
+    if (!report->loss_interval)
+        return;
+    gsn_text_raw(text, "<p class=\"range\">");
+    gsn_text_number(text, report->loss_lower, 1);
+    gsn_text_raw(text, " to ");
+    gsn_text_number(text, report->loss_upper, 1);
+    gsn_text_raw(text, " % <span class=\"soft\">(");
+    gsn_text_escape(text, report->loss_interval);
+    gsn_text_raw(text, ")</span></p>\n");
+}
+
 static void add_loss(struct gsn_text *text, const struct gsn_report *report)
 {
     gsn_text_raw(text, "<div class=\"hero\">\n<div><p class=\"label\">Collagen loss against ");
@@ -179,7 +192,9 @@ static void add_loss(struct gsn_text *text, const struct gsn_report *report)
     if (isfinite(report->loss_percent)) {
         gsn_text_raw(text, "<p class=\"big\">");
         gsn_text_number(text, report->loss_percent, 1);
-        gsn_text_raw(text, "<small>%</small></p>\n<p class=\"soft\">Relative per cent: of the mean "
+        gsn_text_raw(text, "<small>%</small></p>\n");
+        add_interval(text, report);
+        gsn_text_raw(text, "<p class=\"soft\">Relative per cent: of the mean "
                            "density that ");
         gsn_text_escape(text, report->baseline);
         gsn_text_raw(text, " has in this region, so much is missing here. Points are the plain "

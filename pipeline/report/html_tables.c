@@ -33,6 +33,19 @@ static void row_number(struct gsn_text *text, const char *name, double value, in
     gsn_text_raw(text, "</td></tr>\n");
 }
 
+static void row_interval(struct gsn_text *text, const struct gsn_report *report)
+{
+    if (!report->loss_interval || !isfinite(report->loss_percent))
+        return;
+    gsn_text_raw(text, "<tr><th scope=\"row\" class=\"name\">Its interval (");
+    gsn_text_escape(text, report->loss_interval);
+    gsn_text_raw(text, ")</th><td class=\"num\">");
+    gsn_text_number(text, report->loss_lower, 2);
+    gsn_text_raw(text, " to ");
+    gsn_text_number(text, report->loss_upper, 2);
+    gsn_text_raw(text, "</td><td>%</td></tr>\n");
+}
+
 static void row_digits(struct gsn_text *text, const char *name, double value, const char *unit)
 {
     open_row(text, name);
@@ -180,6 +193,7 @@ void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report)
     if (!report->tile) {
         if (report->baseline && *report->baseline) {
             row_number(text, "Collagen loss, relative", report->loss_percent, 3, "%");
+            row_interval(text, report);
             row_number(text, "Collagen loss, absolute", report->loss_points, 3, "points");
             row_number(text, "Mean density of the baseline", report->baseline_mean, 5, "density");
         }

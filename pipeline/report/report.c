@@ -428,6 +428,19 @@ static json_t *provenance_of(const struct gsn_report *report, struct writer *wri
     return object;
 }
 
+static json_t *interval_of(const struct gsn_report *report, struct writer *writer)
+{
+    json_t *object;
+
+    if (!report->loss_interval || !isfinite(report->loss_percent))
+        return json_null();
+    object = json_object();
+    put(writer, object, "lower", number_of(report->loss_lower));
+    put(writer, object, "upper", number_of(report->loss_upper));
+    put(writer, object, "of", text_of(report->loss_interval));
+    return object;
+}
+
 static void put_head(const struct gsn_report *report, json_t *root, struct writer *writer)
 {
     json_t *density = json_object();
@@ -444,6 +457,7 @@ static void put_head(const struct gsn_report *report, json_t *root, struct write
     put(writer, root, "baseline", text_or_null(report->baseline));
     put(writer, root, "baseline_mean_density", number_of(report->baseline_mean));
     put(writer, root, "loss_percent", number_of(report->loss_percent));
+    put(writer, root, "loss_interval", interval_of(report, writer));
     put(writer, root, "loss_points", number_of(report->loss_points));
     put(writer, root, "loss_reason", text_or_null(report->loss_reason));
     put(writer, density, "name", text_of(report->density_name));

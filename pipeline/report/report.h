@@ -185,7 +185,9 @@ struct gsn_report {
     const char *baseline;    /* name of the specimen or group; empty when there is none */
     double loss_percent;     /* relative per cent of the baseline's density; NaN: withheld */
     double loss_points;      /* difference of the mean densities in points of density (0..100) */
-    const char *loss_reason; /* why it is withheld */
+    double loss_lower, loss_upper; /* its interval, per cent, where loss_interval says of what */
+    const char *loss_interval;     /* "95 %, stain and white"; NULL: no interval is known */
+    const char *loss_reason;       /* why it is withheld */
     double baseline_mean;    /* density */
 
     const char *density_name;            /* "collagen-equivalent density" */

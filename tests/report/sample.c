@@ -318,6 +318,9 @@ static void fill_head(struct gsn_report *r, enum gsn_report_kind kind)
     r->verdict_reason = "2 of 60 sections are not in the model; see the warnings.";
     r->baseline = kind == GSN_REPORT_SPECIMEN ? "GVP-D-S00" : "";
     r->loss_percent = kind == GSN_REPORT_SPECIMEN ? 36.585 : (double)NAN;
+    r->loss_lower = 34.08;
+    r->loss_upper = 38.94;
+    r->loss_interval = kind == GSN_REPORT_SPECIMEN ? "95 %, stain and white" : NULL;
     r->loss_points = kind == GSN_REPORT_SPECIMEN ? 30.845 : (double)NAN;
     r->baseline_mean = .8431;
     r->density_name = "collagen-equivalent density";

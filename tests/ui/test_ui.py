@@ -27,7 +27,8 @@ MANUAL = pathlib.Path(__file__).resolve().parents[2] / "docs" / "man" / "gieson.
 # What `gieson status --json` and `gieson show --json` promise; the manual page names every key.
 ROOT_KEYS = {"queue", "service", "sources", "troubles", "unsettled", "unfiled", "specimens"}
 STATUS_KEYS = {"specimen", "group", "state", "detail", "action", "panels", "panels_registered",
-               "panels_refused", "sections", "sections_found", "loss_percent", "mean_density",
+               "panels_refused", "sections", "sections_found", "loss_percent", "loss_lower",
+               "loss_upper", "mean_density",
                "run", "report"}
 SHOW_KEYS = {"specimen", "kind", "group", "baseline", "delivered_by", "panels", "sections", "runs",
              "measures"}

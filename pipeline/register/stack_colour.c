@@ -9,7 +9,7 @@
 /* Weights are in 2^-14: with light of 15 bits a sum of two stays in 32. */
 enum { ONE = 1 << 14 };
 /* Voxels along and across a tile: the lines of pixels under one stay in the nearest cache. */
-enum { TILE = 64, ROWS = 16 };
+enum { TILE = 128, ROWS = 16 };
 
 gsn_colour_row_run gsn_colour_row_sse4, gsn_colour_row_avx2;
 

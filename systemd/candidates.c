@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/candidates.h"
 
+#include "systemd/marker_rows.h"
+
 #include <math.h>
 #include <stdio.h>
 
@@ -19,15 +21,7 @@ size_t gsn_candidates_to_rows(const struct gsn_candidates *list, int64_t slot,
                                            .share = c->share,
                                            .error_um = c->error_um,
                                            .differs = c->differs };
-        for (size_t m = 0; m < GSN_ROW_MARKS; m++)
-            row->marker[m] = (struct gsn_marker_row){ .found = c->mark[m].found,
-                                                      .x_px = c->mark[m].px.x,
-                                                      .y_px = c->mark[m].px.y,
-                                                      .radius_px = c->mark[m].radius_px,
-                                                      .cov_xx = c->mark[m].cov_xx,
-                                                      .cov_xy = c->mark[m].cov_xy,
-                                                      .cov_yy = c->mark[m].cov_yy,
-                                                      .score = c->mark[m].score };
+        gsn_marks_to_rows(c->mark, row->marker);
     }
     return list->count;
 }
@@ -41,15 +35,7 @@ static struct gsn_candidate candidate_of(const struct gsn_candidate_row *row)
                                .error_um = NAN };
 
     (void)snprintf(c.differs, sizeof c.differs, "%s", row->differs);
-    for (size_t m = 0; m < GSN_ROW_MARKS; m++)
-        if (row->marker[m].found)
-            c.mark[m] = (struct gsn_mark){ .px = { row->marker[m].x_px, row->marker[m].y_px },
-                                           .radius_px = row->marker[m].radius_px,
-                                           .cov_xx = row->marker[m].cov_xx,
-                                           .cov_xy = row->marker[m].cov_xy,
-                                           .cov_yy = row->marker[m].cov_yy,
-                                           .score = row->marker[m].score,
-                                           .found = 1 };
+    gsn_marks_from_rows(row->marker, c.mark);
     return c;
 }
 

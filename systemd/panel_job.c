@@ -7,6 +7,7 @@
 #include "storage/result.h"
 #include "systemd/answers.h"
 #include "systemd/candidates.h"
+#include "systemd/marker_rows.h"
 #include "systemd/rescan.h"
 
 #include <math.h>
@@ -58,15 +59,7 @@ static struct gsn_section_row row_of(const struct gsn_panel_section *s)
                                    .bbox_h = s->height,
                                    .area_px = s->area_px };
 
-    for (size_t m = 0; m < GSN_ROW_MARKS; m++)
-        row.marker[m] = (struct gsn_marker_row){ .found = s->mark[m].found,
-                                                 .x_px = s->mark[m].px.x,
-                                                 .y_px = s->mark[m].px.y,
-                                                 .radius_px = s->mark[m].radius_px,
-                                                 .cov_xx = s->mark[m].cov_xx,
-                                                 .cov_xy = s->mark[m].cov_xy,
-                                                 .cov_yy = s->mark[m].cov_yy,
-                                                 .score = s->mark[m].score };
+    gsn_marks_to_rows(s->mark, row.marker);
     return row;
 }
 
@@ -85,15 +78,7 @@ struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *
         if (strcmp(row->state, gsn_sighting_name((enum gsn_sighting)i)) == 0)
             s.sighting = (enum gsn_sighting)i;
     (void)snprintf(s.flags, sizeof s.flags, "%s", row->flags);
-    for (size_t m = 0; m < GSN_ROW_MARKS; m++)
-        if (row->marker[m].found)
-            s.mark[m] = (struct gsn_mark){ .px = { row->marker[m].x_px, row->marker[m].y_px },
-                                           .radius_px = row->marker[m].radius_px,
-                                           .cov_xx = row->marker[m].cov_xx,
-                                           .cov_xy = row->marker[m].cov_xy,
-                                           .cov_yy = row->marker[m].cov_yy,
-                                           .score = row->marker[m].score,
-                                           .found = 1 };
+    gsn_marks_from_rows(row->marker, s.mark);
     return s;
 }
 

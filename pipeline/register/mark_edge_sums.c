@@ -111,6 +111,22 @@ static struct view view_of(const struct gsn_edge_fit *fit, const struct gsn_edge
                           .tissue = (float)fit->tissue };
 }
 
+/* What a view makes of a pixel. */
+struct seen {
+    float r, off; /* from the view's centre; from the edge, outwards */
+    float u, q;   /* the same in blurs, and the share of tissue there */
+    float left;   /* of the pixel's value by what was expected of it */
+};
+
+static inline struct seen look_at(const struct view *v, float x, float y, float value)
+{
+    const float dx = x - v->x, dy = y - v->y, r = sqrtf(dx * dx + dy * dy);
+    const float off = r - v->edge - v->along_x * dx - v->along_y * dy;
+    const float u = clamp(off * v->per_blur), q = share_of(u);
+
+    return (struct seen){ r, off, u, q, value - v->level * q - v->disc * (1 - q) };
+}
+
 /* Pixels that the edge may pass through. Single precision: a sector holds some tens of them. */
 static void add_edge(const struct view *v, const float *restrict px, const float *restrict py,
                      const float *restrict value, size_t count, struct tally *y)
@@ -121,11 +137,9 @@ static void add_edge(const struct view *v, const float *restrict px, const float
     float inner = 0, inner_n = 0, outer = 0, outer_n = 0, outer_q = 0;
 
     for (size_t i = 0; i < count; i++) {
-        const float dx = px[i] - v->x, dy = py[i] - v->y;
-        const float off = sqrtf(dx * dx + dy * dy) - v->edge - v->along_x * dx - v->along_y * dy;
-        const float u = clamp(off * v->per_blur), q = share_of(u), g = slope_of(u) * slope;
-        const float res = value[i] - v->level * q - v->disc * (1 - q);
-        const float takes_part = off < v->from || off > v->to ? 0.0f : 1.0f;
+        const struct seen seen = look_at(v, px[i], py[i], value[i]);
+        const float u = seen.u, q = seen.q, res = seen.left, g = slope_of(u) * slope;
+        const float takes_part = seen.off < v->from || seen.off > v->to ? 0.0f : 1.0f;
         const float w = takes_part / (v->noise + v->tissue * q * q);
         const float inside = q < 0.25f ? takes_part : 0.0f, outside = takes_part - inside;
         const float w0 = w * g, w1 = w0 * u, w2 = w * (1 - q), w3 = w * q;
@@ -245,15 +259,13 @@ static void add_explained(const struct view *v, float reach, const float *restri
     float n = 0, all = 0, squares = 0, left = 0;
 
     for (size_t i = 0; i < count; i++) {
-        const float dx = px[i] - v->x, dy = py[i] - v->y, r = sqrtf(dx * dx + dy * dy);
-        const float q = share_of(clamp((r - v->edge) * v->per_blur));
-        const float res = value[i] - v->level * q - v->disc * (1 - q);
-        const float takes_part = r > reach ? 0.0f : 1.0f;
+        const struct seen seen = look_at(v, px[i], py[i], value[i]);
+        const float takes_part = seen.r > reach ? 0.0f : 1.0f;
 
         n += takes_part;
         all += takes_part * value[i];
         squares += takes_part * value[i] * value[i];
-        left += takes_part * res * res;
+        left += takes_part * seen.left * seen.left;
     }
     sum[0] += (double)n;
     sum[1] += (double)all;
@@ -272,6 +284,8 @@ double gsn_edge_explained(const struct gsn_edge_fit *fit)
 
         if (!(s->weight > 0))
             continue;
+        /* An outline without a slope, and tissue that is the plane alone. */
+        v.along_x = v.along_y = 0;
         v.level = (float)gsn_edge_plane(fit, s);
         add_explained(&v, (float)(1.5 * fit->v[R]), fit->by_x + first[0], fit->by_y + first[0],
                       fit->by_value + first[0], first[GSN_EDGE_RINGS] - first[0], sum);

@@ -21,7 +21,7 @@ struct gsn_mark_field {
     size_t width, height; /* cells */
     double cell_px;
     struct gsn_point origin_px; /* corner of the first cell */
-    float *od;                  /* width x height; must be finite; overwritten by the search */
+    float *od;                  /* width x height; must be finite */
 };
 
 /* Radius of a laser burn, um. */
@@ -33,8 +33,8 @@ extern const double gsn_mark_contrast_least;
 size_t gsn_mark_field_step(double px_um);
 
 /* The strongest spots, strongest first, with place, radius, contrast and score; their covariance is
- * that of a cell. borrows: field, whose cells are spent afterwards. ret_spots has room for most of
- * them; ret_count may be 0. Fails with GSN_E_NOMEM. */
+ * that of a cell. borrows: field. ret_spots has room for most of them; ret_count may be 0. Fails
+ * with GSN_E_NOMEM. */
 int gsn_mark_field_spots(const struct gsn_mark_field *field, double px_um, size_t most,
                          struct gsn_mark *ret_spots, size_t *ret_count, struct gsn_error *err);
 

@@ -2,152 +2,14 @@
 #include "pipeline/register/panel_grid.h"
 
 #include "pipeline/core/mem.h"
-#include "pipeline/register/assign.h"
+#include "pipeline/register/panel_grid_parts.h"
 
 #include <assert.h>
-#include <limits.h>
 #include <math.h>
-#include <string.h>
 
 /* What a hand is off, in sizes of a section and along each axis: most sections lie within a quarter
  * of their own size, and half a pitch is three times that. */
 static const double HAND = 0.25;
-/* Odds of 100 to 1: less is doubt. */
-static const double CLEAR = 4.6;
-/* Something of a section's size that is no section: a label, a thirteenth scrap. One in a thousand,
- * and it may lie anywhere on a panel of a hundred times the square of HAND. */
-static const double STRANGER = 12;
-/* The same for a part of something larger than a section. */
-static const double LOOSE_STRANGER = 4;
-/* A row or column left empty between others; outer ones are left empty for want of sections. */
-static const double EMPTY_BETWEEN = 1.5;
-/* Sections would overlap below this pitch, in sizes of a section. */
-static const double PITCH_LEAST = 0.9;
-/* In pitches: a slot's centre lies half a pitch from the border of the panel, or a little less
- * where the picture is cut close; never as near as BORDER. */
-static const double BORDER = 0.3, MARGIN = 0.5, MARGIN_SD = 0.1;
-/* Panels are made full: logarithm of the pitch there is room for, over the pitch. Pitches along and
- * across are alike: logarithm of their ratio. */
-static const double FULL_SD = 0.25, ALIKE_SD = 0.3;
-/* A panel lies against the edge of its holder: 3 degrees. */
-static const double TURN_SD = 0.052;
-
-/* Grids along one axis that are looked at: every twentieth of a pitch's logarithm, every tenth of a
- * pitch; the best few that put the centres into different lines. */
-static const double PITCH_STEP = 1.05, PLACE_STEP = 0.1;
-enum { KEPT = 12, ROUNDS = 4 };
-
-struct axis {
-    double first, pitch, cost;
-};
-
-struct problem {
-    const struct gsn_point *centre;
-    size_t count;
-    const struct gsn_panel_ground *ground;
-    double hand;
-};
-
-struct answer {
-    struct gsn_panel_grid grid;
-    double cost;
-    int *place; /* one for each centre */
-};
-
-static double square(double x)
-{
-    return x * x;
-}
-
-static double stranger_cost(const struct problem *p, size_t i)
-{
-    return p->ground->loose && p->ground->loose[i] ? LOOSE_STRANGER : STRANGER;
-}
-
-/* ---- along one axis ---------------------------------------------------------------------- */
-
-static long line_of(const struct axis *axis, unsigned lines, double at)
-{
-    return lround(fmin(fmax((at - axis->first) / axis->pitch, 0), (double)lines - 1));
-}
-
-static double coordinate(const struct problem *p, size_t i, int along_x)
-{
-    return along_x ? p->centre[i].x : p->centre[i].y;
-}
-
-static double axis_cost(const struct problem *p, int along_x, unsigned lines, struct axis *axis)
-{
-    double cost = 0;
-
-    for (size_t i = 0; i < p->count; i++) {
-        const double at = coordinate(p, i, along_x);
-        const double off = at - axis->first - (double)line_of(axis, lines, at) * axis->pitch;
-
-        cost += fmin(square(off / p->hand) / 2, stranger_cost(p, i));
-    }
-    return cost;
-}
-
-static int same_lines(const struct problem *p, int along_x, unsigned lines, const struct axis *a,
-                      const struct axis *b)
-{
-    for (size_t i = 0; i < p->count; i++) {
-        const double at = coordinate(p, i, along_x);
-
-        if (line_of(a, lines, at) != line_of(b, lines, at))
-            return 0;
-    }
-    return 1;
-}
-
-/* Puts an axis among the best few, which are sorted; of those with the same lines the best stays.
- */
-static void keep_axis(const struct problem *p, int along_x, unsigned lines, struct axis *kept,
-                      size_t *count, const struct axis *axis)
-{
-    size_t at = *count;
-
-    for (size_t k = 0; k < *count; k++) {
-        if (!same_lines(p, along_x, lines, &kept[k], axis))
-            continue;
-        if (kept[k].cost <= axis->cost)
-            return;
-        memmove(&kept[k], &kept[k + 1], (*count - k - 1) * sizeof *kept);
-        at = --*count;
-        break;
-    }
-    while (at > 0 && kept[at - 1].cost > axis->cost)
-        at--;
-    if (at == KEPT)
-        return;
-    if (*count < KEPT)
-        ++*count;
-    memmove(&kept[at + 1], &kept[at], (*count - at - 1) * sizeof *kept);
-    kept[at] = *axis;
-}
-
-static size_t find_axes(const struct problem *p, int along_x, struct axis kept[KEPT])
-{
-    const unsigned lines = along_x ? p->ground->columns : p->ground->rows;
-    const double length = along_x ? p->ground->width : p->ground->height;
-    const double most = lines > 1 ? length / (lines - 1) : PITCH_LEAST * p->ground->size;
-    size_t count = 0;
-
-    for (double pitch = PITCH_LEAST * p->ground->size; pitch <= most; pitch *= PITCH_STEP) {
-        const double last = length - (lines - 1) * pitch;
-
-        for (double first = 0; first <= last; first += PLACE_STEP * pitch) {
-            struct axis axis = { .first = first, .pitch = pitch };
-
-            axis.cost = axis_cost(p, along_x, lines, &axis);
-            keep_axis(p, along_x, lines, kept, &count, &axis);
-        }
-    }
-    return count;
-}
-
-/* ---- the plane --------------------------------------------------------------------------- */
 
 struct gsn_point gsn_panel_grid_centre(const struct gsn_panel_grid *grid, int place)
 {
@@ -170,388 +32,14 @@ int gsn_panel_grid_place(const struct gsn_panel_grid *grid, struct gsn_point at)
     return (int)row * (int)grid->columns + (int)column;
 }
 
-static double seat_cost(const struct problem *p, const struct gsn_panel_grid *grid, size_t i,
-                        int place)
-{
-    const struct gsn_point at = gsn_panel_grid_centre(grid, place);
-
-    return (square(p->centre[i].x - at.x) + square(p->centre[i].y - at.y)) / 2 / square(p->hand);
-}
-
-/* How near an empty line of slots comes to the border of the panel; where sections lie in it, the
- * picture may well end in the middle of them. */
-static double margin_cost(double margin, double pitch)
-{
-    const double lack = MARGIN - margin / pitch;
-
-    if (lack > MARGIN - BORDER + 1e-6)
-        return INFINITY;
-    return lack > 0 ? square(lack / MARGIN_SD) / 2 : 0;
-}
-
-static int is_used(const struct answer *a, size_t count, int along_x, unsigned line)
-{
-    for (size_t i = 0; i < count; i++) {
-        const unsigned columns = a->grid.columns, place = (unsigned)a->place[i];
-
-        if (a->place[i] != GSN_NO_PLACE && (along_x ? place % columns : place / columns) == line)
-            return 1;
-    }
-    return 0;
-}
-
-static double empty_between(const struct answer *a, size_t count, int along_x, unsigned lines)
-{
-    unsigned least = lines, most = 0, used = 0;
-
-    for (unsigned line = 0; line < lines; line++) {
-        if (!is_used(a, count, along_x, line))
-            continue;
-        least = least < line ? least : line;
-        most = line;
-        used++;
-    }
-    return used > 0 ? EMPTY_BETWEEN * (most - least + 1 - used) : 0;
-}
-
-struct span {
-    double low, high;
-};
-
-static struct span line_span(const struct answer *a, int along_x, unsigned line)
-{
-    const struct gsn_panel_grid *g = &a->grid;
-    const unsigned from = along_x ? line : line * g->columns;
-    const unsigned to = from + (along_x ? (g->rows - 1) * g->columns : g->columns - 1);
-    const struct gsn_point p = gsn_panel_grid_centre(g, (int)from),
-                           q = gsn_panel_grid_centre(g, (int)to);
-
-    return along_x ? (struct span){ fmin(p.x, q.x), fmax(p.x, q.x) }
-                   : (struct span){ fmin(p.y, q.y), fmax(p.y, q.y) };
-}
-
-/* What is known of panels along one axis before one looks at the sections. */
-static double axis_prior(const struct problem *p, const struct answer *a, int along_x)
-{
-    const unsigned lines = along_x ? p->ground->columns : p->ground->rows;
-    const double length = along_x ? p->ground->width : p->ground->height;
-    const double pitch = along_x ? a->grid.pitch_x : a->grid.pitch_y;
-    double cost;
-
-    if (lines == 1)
-        return 0;
-    cost = square(log(length / lines / pitch) / FULL_SD) / 2 +
-           empty_between(a, p->count, along_x, lines);
-    if (!is_used(a, p->count, along_x, 0))
-        cost += margin_cost(line_span(a, along_x, 0).low, pitch);
-    if (!is_used(a, p->count, along_x, lines - 1))
-        cost += margin_cost(length - line_span(a, along_x, lines - 1).high, pitch);
-    return cost;
-}
-
-static double prior_cost(const struct problem *p, const struct answer *a)
-{
-    double cost = square(a->grid.turn / TURN_SD) / 2 + axis_prior(p, a, 1) + axis_prior(p, a, 0);
-
-    if (p->ground->rows > 1 && p->ground->columns > 1)
-        cost += square(log(a->grid.pitch_x / a->grid.pitch_y) / ALIKE_SD) / 2;
-    return cost;
-}
-
-/* Each centre to the slot that costs it least, when no two want the same one: then that is the best
- * there is. */
-static int seat_nearest(const struct problem *p, struct answer *a, char *taken)
-{
-    const int places = (int)(p->ground->rows * p->ground->columns);
-
-    memset(taken, 0, (size_t)places);
-    for (size_t i = 0; i < p->count; i++) {
-        double least = stranger_cost(p, i);
-
-        a->place[i] = GSN_NO_PLACE;
-        for (int k = 0; k < places; k++) {
-            const double cost = seat_cost(p, &a->grid, i, k);
-
-            if (cost < least) {
-                least = cost;
-                a->place[i] = k;
-            }
-        }
-        if (a->place[i] == GSN_NO_PLACE)
-            continue;
-        if (taken[a->place[i]])
-            return 0;
-        taken[a->place[i]] = 1;
-    }
-    return 1;
-}
-
-static int seat_all(const struct problem *p, struct answer *a, struct gsn_error *err)
-{
-    const size_t places = (size_t)p->ground->rows * p->ground->columns;
-    gsn_auto_mem(char) taken = gsn_alloc_array(places, 1);
-    gsn_auto_mem(double) cost = NULL;
-    size_t wide = places + p->count;
-    int r;
-
-    if (!taken)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the slots of a panel");
-    if (seat_nearest(p, a, taken))
-        return GSN_OK;
-    cost = gsn_alloc_array(p->count * wide, sizeof *cost);
-    if (!cost)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the slots of a panel");
-    for (size_t i = 0; i < p->count; i++)
-        for (size_t k = 0; k < wide; k++)
-            cost[i * wide + k] =
-                k < places ? seat_cost(p, &a->grid, i, (int)k) : stranger_cost(p, i);
-    r = gsn_assign(cost, p->count, wide, a->place, err);
-    for (size_t i = 0; r >= 0 && i < p->count; i++)
-        if (a->place[i] >= (int)places ||
-            seat_cost(p, &a->grid, i, a->place[i]) > stranger_cost(p, i))
-            a->place[i] = GSN_NO_PLACE;
-    return r;
-}
-
-struct sums {
-    double n, u, v, x, y;
-};
-
-static struct sums mean_seat(const struct problem *p, const struct answer *a)
-{
-    struct sums s = { 0 };
-
-    for (size_t i = 0; i < p->count; i++) {
-        if (a->place[i] == GSN_NO_PLACE)
-            continue;
-        s.n++;
-        s.u += (double)((unsigned)a->place[i] % a->grid.columns);
-        s.v += (double)((unsigned)a->place[i] / a->grid.columns);
-        s.x += p->centre[i].x;
-        s.y += p->centre[i].y;
-    }
-    if (s.n > 0)
-        s = (struct sums){ s.n, s.u / s.n, s.v / s.n, s.x / s.n, s.y / s.n };
-    return s;
-}
-
-/* Pitches for this turn, then the turn for these pitches, least squares both; the turn is drawn to
- * 0 by what is known of holders. Sections in one line alone borrow the other pitch. */
-static void lay_pitches(const struct problem *p, struct answer *a, const struct sums *mean)
-{
-    const double c = cos(a->grid.turn), s = sin(a->grid.turn);
-    double uu = 0, vv = 0, ux = 0, vy = 0, cross = 0;
-    double dot = square(p->hand / TURN_SD);
-
-    for (size_t i = 0; i < p->count; i++) {
-        const double dx = p->centre[i].x - mean->x, dy = p->centre[i].y - mean->y;
-        double u, v;
-
-        if (a->place[i] == GSN_NO_PLACE)
-            continue;
-        u = (double)((unsigned)a->place[i] % a->grid.columns) - mean->u;
-        v = (double)((unsigned)a->place[i] / a->grid.columns) - mean->v;
-        uu += u * u;
-        vv += v * v;
-        ux += u * (c * dx + s * dy);
-        vy += v * (c * dy - s * dx);
-        cross += u * a->grid.pitch_x * dy - v * a->grid.pitch_y * dx;
-        dot += u * a->grid.pitch_x * dx + v * a->grid.pitch_y * dy;
-    }
-    if (uu > 0)
-        a->grid.pitch_x = ux / uu;
-    if (vv > 0)
-        a->grid.pitch_y = vy / vv;
-    if (!(uu > 0) && vv > 0)
-        a->grid.pitch_x = a->grid.pitch_y;
-    if (!(vv > 0) && uu > 0)
-        a->grid.pitch_y = a->grid.pitch_x;
-    a->grid.turn = atan2(cross, dot);
-}
-
-static void lay_grid(const struct problem *p, struct answer *a)
-{
-    const struct sums mean = mean_seat(p, a);
-    struct gsn_point shift;
-
-    if (!(mean.n > 0))
-        return;
-    lay_pitches(p, a, &mean);
-    a->grid.first = (struct gsn_point){ 0, 0 };
-    shift = (struct gsn_point){ mean.u * a->grid.pitch_x, mean.v * a->grid.pitch_y };
-    a->grid.first.x = mean.x - cos(a->grid.turn) * shift.x + sin(a->grid.turn) * shift.y;
-    a->grid.first.y = mean.y - sin(a->grid.turn) * shift.x - cos(a->grid.turn) * shift.y;
-}
-
-static double cost_of(const struct problem *p, const struct answer *a)
-{
-    double cost = 0;
-    int first = INT_MAX;
-
-    for (size_t i = 0; i < p->count; i++) {
-        cost += a->place[i] == GSN_NO_PLACE ? stranger_cost(p, i)
-                                            : seat_cost(p, &a->grid, i, a->place[i]);
-        if (a->place[i] != GSN_NO_PLACE && a->place[i] < first)
-            first = a->place[i];
-    }
-    if (!(a->grid.pitch_x >= PITCH_LEAST * p->ground->size * 0.95) ||
-        !(a->grid.pitch_y >= PITCH_LEAST * p->ground->size * 0.95))
-        return INFINITY;
-    if (p->ground->first != GSN_NO_PLACE && first != p->ground->first)
-        return INFINITY;
-    return cost + prior_cost(p, a);
-}
-
-/* From a first guess to the grid and the assignment that suit each other. */
-static int settle(const struct problem *p, struct answer *a, struct gsn_error *err)
-{
-    for (int round = 0; round < ROUNDS; round++) {
-        const int r = seat_all(p, a, err);
-
-        if (r < 0)
-            return r;
-        lay_grid(p, a);
-        if (!(a->grid.pitch_x > 0) || !(a->grid.pitch_y > 0))
-            break;
-    }
-    a->cost = cost_of(p, a);
-    return GSN_OK;
-}
-
-/* ---- which of them ----------------------------------------------------------------------- */
-
-static size_t differ(const struct answer *a, const struct answer *b, size_t count)
-{
-    size_t n = 0;
-
-    for (size_t i = 0; i < count; i++)
-        n += a->place[i] != b->place[i];
-    return n;
-}
-
-/* Notes where a grid that is nearly as good has the centres: few that differ are doubtful. */
-static void note_rival(const struct answer *rival, const struct answer *best, size_t count,
-                       struct gsn_panel_seat *seat)
-{
-    for (size_t i = 0; i < count; i++)
-        if (rival->place[i] != best->place[i] && rival->place[i] != GSN_NO_PLACE)
-            seat[i].other = rival->place[i];
-}
-
-/* What another centre would pay to make room, by moving to where it costs it least. */
-static double room_cost(const struct problem *p, const struct answer *a, int place, int freed,
-                        size_t mover)
-{
-    const int places = (int)(p->ground->rows * p->ground->columns);
-
-    for (size_t j = 0; j < p->count; j++) {
-        double least = stranger_cost(p, j);
-
-        if (j == mover || a->place[j] != place)
-            continue;
-        for (int k = 0; k < places; k++) {
-            int is_free = k == freed || k != place;
-
-            for (size_t l = 0; is_free && k != freed && l < p->count; l++)
-                is_free = a->place[l] != k;
-            if (is_free)
-                least = fmin(least, seat_cost(p, &a->grid, j, k));
-        }
-        return least - seat_cost(p, &a->grid, j, place);
-    }
-    return 0;
-}
-
-/* A section between two slots is doubtful where the second costs little more, all paid. */
-static void doubt_seats(const struct problem *p, const struct answer *a,
-                        struct gsn_panel_seat *seat)
-{
-    const int places = (int)(p->ground->rows * p->ground->columns);
-
-    for (size_t i = 0; i < p->count; i++) {
-        double least = CLEAR;
-        double own;
-
-        if (a->place[i] == GSN_NO_PLACE)
-            continue;
-        own = seat_cost(p, &a->grid, i, a->place[i]);
-        for (int k = 0; k < places; k++) {
-            const double more = seat_cost(p, &a->grid, i, k) - own;
-
-            if (k == a->place[i] || more >= least ||
-                more + room_cost(p, a, k, a->place[i], i) >= least)
-                continue;
-            least = more;
-            seat[i].other = k;
-        }
-    }
-}
-
-/* The section that both grids have and that comes first on the panel. */
-static size_t first_of(const struct answer *a, const struct answer *b, size_t count)
-{
-    size_t first = count;
-
-    for (size_t i = 0; i < count; i++)
-        if (a->place[i] != GSN_NO_PLACE && b->place[i] != GSN_NO_PLACE &&
-            (first == count || a->place[i] < a->place[first]))
-            first = i;
-    return first;
-}
-
-static int undecided(const struct problem *p, const struct answer *best, const struct answer *rival,
-                     struct gsn_error *err)
-{
-    const size_t i = first_of(best, rival, p->count);
-    unsigned a, b;
-
-    if (i == p->count)
-        return gsn_fail(err, GSN_E_WITHHELD,
-                        "which %u x %u slots the %zu pieces on it lie in cannot be told: look at "
-                        "the glass, and mount it again",
-                        p->ground->rows, p->ground->columns, p->count);
-    a = p->ground->slot[best->place[i]] + 1;
-    b = p->ground->slot[rival->place[i]] + 1;
-    return gsn_fail(err, GSN_E_WITHHELD,
-                    "the sections found (%zu) fit %u x %u slots in two ways, and which cannot be "
-                    "told: the first of them lies in slot %u or in slot %u; look at the glass and "
-                    "say in which",
-                    p->count, p->ground->rows, p->ground->columns, a < b ? a : b, a < b ? b : a);
-}
-
-static size_t count_strangers(const struct problem *p, const struct answer *a)
-{
-    size_t count = 0;
-
-    for (size_t i = 0; i < p->count; i++)
-        count += a->place[i] == GSN_NO_PLACE && !(p->ground->loose && p->ground->loose[i]);
-    return count;
-}
-
-static int no_room(const struct problem *p, const struct answer *best, struct gsn_error *err)
-{
-    return gsn_fail(err, GSN_E_INPUT,
-                    "%zu of %zu sections found fit no slot of a layout of %u x %u: correct "
-                    "\"layout\" in job.json and import it again, or mount the panel again",
-                    count_strangers(p, best), p->count, p->ground->rows, p->ground->columns);
-}
-
-/* A label, or a scrap as large as a section, is a stranger among many. */
-static int has_room(const struct problem *p, const struct answer *best)
-{
-    const size_t strangers = count_strangers(p, best);
-
-    return isfinite(best->cost) && (strangers <= 1 || 4 * strangers <= p->count);
-}
-
 /* All answers, one for each pair of axes that are worth a look. */
-static int find_answers(const struct problem *p, const struct axis *by_x, size_t count_x,
-                        const struct axis *by_y, size_t count_y, struct answer *answers,
-                        struct gsn_error *err)
+static int find_answers(const struct gsn_grid_problem *p, const struct gsn_grid_axis *by_x,
+                        size_t count_x, const struct gsn_grid_axis *by_y, size_t count_y,
+                        struct gsn_grid_answer *answers, struct gsn_error *err)
 {
     for (size_t i = 0; i < count_x; i++)
         for (size_t k = 0; k < count_y; k++) {
-            struct answer *a = &answers[i * count_y + k];
+            struct gsn_grid_answer *a = &answers[i * count_y + k];
             int r;
 
             a->grid = (struct gsn_panel_grid){ .rows = p->ground->rows,
@@ -559,43 +47,10 @@ static int find_answers(const struct problem *p, const struct axis *by_x, size_t
                                                .first = { by_x[i].first, by_y[k].first },
                                                .pitch_x = by_x[i].pitch,
                                                .pitch_y = by_y[k].pitch };
-            r = settle(p, a, err);
+            r = gsn_grid_settle(p, a, err);
             if (r < 0)
                 return r;
         }
-    return GSN_OK;
-}
-
-static int choose(const struct problem *p, const struct answer *answers, size_t number,
-                  struct gsn_panel_grid *ret_grid, struct gsn_panel_seat *ret_seat,
-                  struct gsn_error *err)
-{
-    const struct answer *best = &answers[0], *rival = NULL;
-    gsn_auto_mem(struct gsn_panel_seat) seat = gsn_alloc_array(p->count, sizeof *seat);
-
-    if (!seat)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the slots of a panel");
-    for (size_t k = 1; k < number; k++)
-        if (answers[k].cost < best->cost)
-            best = &answers[k];
-    if (!has_room(p, best))
-        return no_room(p, best, err);
-    for (size_t i = 0; i < p->count; i++)
-        seat[i] = (struct gsn_panel_seat){ best->place[i], GSN_NO_PLACE };
-    doubt_seats(p, best, seat);
-    for (size_t k = 0; k < number; k++) {
-        const struct answer *other = &answers[k];
-
-        if (!(other->cost - best->cost < CLEAR))
-            continue;
-        if (2 * differ(other, best, p->count) >= p->count && (!rival || other->cost < rival->cost))
-            rival = other;
-        note_rival(other, best, p->count, seat);
-    }
-    if (rival)
-        return undecided(p, best, rival, err);
-    *ret_grid = best->grid;
-    memcpy(ret_seat, seat, p->count * sizeof *seat);
     return GSN_OK;
 }
 
@@ -603,17 +58,17 @@ int gsn_panel_grid_fit(const struct gsn_point *centre, size_t count,
                        const struct gsn_panel_ground *ground, struct gsn_panel_grid *ret_grid,
                        struct gsn_panel_seat *ret_seat, struct gsn_error *err)
 {
-    const struct problem p = { centre, count, ground, HAND * ground->size };
-    struct axis by_x[KEPT] = { 0 }, by_y[KEPT] = { 0 };
+    const struct gsn_grid_problem p = { centre, count, ground, HAND * ground->size };
+    struct gsn_grid_axis by_x[GSN_GRID_AXES] = { 0 }, by_y[GSN_GRID_AXES] = { 0 };
     size_t count_x, count_y;
-    gsn_auto_mem(struct answer) answers = NULL;
+    gsn_auto_mem(struct gsn_grid_answer) answers = NULL;
     gsn_auto_mem(int) places = NULL;
     int r;
 
     assert(centre && count > 0 && ground->rows > 0 && ground->columns > 0 && ground->size > 0);
 
-    count_x = find_axes(&p, 1, by_x);
-    count_y = find_axes(&p, 0, by_y);
+    count_x = gsn_grid_axes(&p, 1, by_x);
+    count_y = gsn_grid_axes(&p, 0, by_y);
     answers = gsn_alloc_array(count_x * count_y, sizeof *answers);
     places = gsn_alloc_array(count_x * count_y * count, sizeof *places);
     if (!answers || !places)
@@ -626,5 +81,5 @@ int gsn_panel_grid_fit(const struct gsn_point *centre, size_t count,
     for (size_t k = 0; k < count_x * count_y; k++)
         answers[k].place = places + k * count;
     r = find_answers(&p, by_x, count_x, by_y, count_y, answers, err);
-    return r < 0 ? r : choose(&p, answers, count_x * count_y, ret_grid, ret_seat, err);
+    return r < 0 ? r : gsn_grid_choose(&p, answers, count_x * count_y, ret_grid, ret_seat, err);
 }

@@ -9,9 +9,9 @@
 /* Weights are in 2^-14: with light of 15 bits a sum of two stays in 32. */
 enum { ONE = 1 << 14 };
 /* Voxels along and across a tile: the lines of pixels under one stay in the nearest cache. */
-enum { TILE = 64, ROWS = 16 };
+enum { TILE = 128, ROWS = 16 };
 
-gsn_colour_row_run gsn_colour_row_sse4;
+gsn_colour_row_run gsn_colour_row_sse4, gsn_colour_row_avx2;
 
 struct job {
     const struct gsn_stack_section *section;
@@ -66,13 +66,18 @@ void gsn_colour_row_plain(const struct gsn_colour_row *row)
     }
 }
 
-gsn_colour_row_run *gsn_colour_row_even(void)
+gsn_colour_row_run *gsn_colour_row_even(enum gsn_colour_isa isa)
 {
+    switch (isa) {
 #ifdef __x86_64__
-    return __builtin_cpu_supports("sse4.1") ? gsn_colour_row_sse4 : NULL;
-#else
-    return NULL;
+    case GSN_COLOUR_SSE4:
+        return __builtin_cpu_supports("sse4.1") ? gsn_colour_row_sse4 : NULL;
+    case GSN_COLOUR_AVX2:
+        return __builtin_cpu_supports("avx2") ? gsn_colour_row_avx2 : NULL;
 #endif
+    default:
+        return NULL;
+    }
 }
 
 static int64_t clamp(int64_t at, int64_t low, int64_t high)
@@ -153,6 +158,7 @@ static struct gsn_colour_row cross(const struct job *job, struct gsn_colour_row 
  * one row has passed are then still at hand for the next. */
 static void mix_rows(const struct job *job, const struct gsn_colour_row *rows, size_t count)
 {
+    const ptrdiff_t stride = 3 * (ptrdiff_t)job->image->width;
     struct gsn_colour_row rest[ROWS];
     size_t left = 0;
 
@@ -169,6 +175,9 @@ static void mix_rows(const struct job *job, const struct gsn_colour_row *rows, s
             tile.x += (int64_t)at * tile.dx;
             tile.y += (int64_t)at * tile.dy;
             tile.to += 3 * at;
+            /* A tile further on, and no processor guesses the way there. */
+            tile.ahead =
+                stride * (ptrdiff_t)(TILE * tile.dy >> 32) + 3 * (ptrdiff_t)(TILE * tile.dx >> 32);
             tile.count = tile.count - at < TILE ? tile.count - at : TILE;
             job->run(&tile);
         }
@@ -316,8 +325,9 @@ int gsn_stack_colour(const struct gsn_stack_section *section, const struct gsn_i
     job.of = planes;
     job.back = gsn_affine_inverse(&section->panel_to_block_um);
     job.reach = gsn_stack_reach(&section->panel_to_block_um, &grid->at);
-    if (is_even(image, light) && gsn_colour_row_even())
-        job.run = gsn_colour_row_even();
+    for (int isa = 0; is_even(image, light) && isa < GSN_COLOUR_ISAS; isa++)
+        if (gsn_colour_row_even((enum gsn_colour_isa)isa))
+            job.run = gsn_colour_row_even((enum gsn_colour_isa)isa);
     return is_far(&job) ? GSN_OK
                         : gsn_parallel_for((grid->at.ny + ROWS - 1) / ROWS * job.planes, threads,
                                            fill_rows, &job, err);

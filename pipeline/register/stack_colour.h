@@ -46,14 +46,17 @@ struct gsn_colour_row {
     int64_t dx, dy; /* to the next voxel */
     size_t count;
     uint8_t *to;
+    ptrdiff_t ahead; /* bytes from a pixel to one that will be wanted soon; may be outside */
 };
 typedef void gsn_colour_row_run(const struct gsn_colour_row *row);
 
 /* Samples through the table. */
 gsn_colour_row_run gsn_colour_row_plain;
+enum gsn_colour_isa { GSN_COLOUR_SSE4, GSN_COLOUR_AVX2, GSN_COLOUR_ISAS };
+
 /* 8-bit samples in proportion to light. NULL where this processor cannot run it. Reads up to the
  * third pixel to the right. */
-gsn_colour_row_run *gsn_colour_row_even(void);
+gsn_colour_row_run *gsn_colour_row_even(enum gsn_colour_isa isa);
 
 #ifdef __cplusplus
 }

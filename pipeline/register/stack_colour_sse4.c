@@ -28,6 +28,7 @@ void gsn_colour_row_sse4(const struct gsn_colour_row *row)
         const __m128i both = _mm_or_si128(top, _mm_slli_epi32(low, 16));
         const __m128i light = _mm_srli_epi32(_mm_madd_epi16(both, wy), 16);
 
+        _mm_prefetch(upper + row->ahead, _MM_HINT_T0);
         to[0] = code[_mm_extract_epi16(light, 0)];
         to[1] = code[_mm_extract_epi16(light, 2)];
         to[2] = code[_mm_extract_epi16(light, 4)];

@@ -381,6 +381,40 @@ static void draw_blots(void)
                      4, 4, 0, 1.2);
 }
 
+/* A dark line, straight from side to side, over a point at a slope. */
+static void draw_edge(struct gsn_point over, double slope)
+{
+    for (int y = 0; y < HEIGHT; y++)
+        for (int x = 0; x < WIDTH; x++)
+            if (fabs(y + 0.5 - over.y - slope * (x + 0.5 - over.x)) <= 1.25)
+                value[y * WIDTH + x] += 0.6f;
+}
+
+/* The edge of a coverslip 40 um wide runs over one burn and beside another. */
+TEST(an_edge_of_glass_over_two_marks_hides_neither)
+{
+    const struct gsn_slot slot = whole_panel();
+
+    for (int n = 0; n < 8; n++) {
+        const double angle = 0.05 * n;
+        const struct gsn_point a = mount(PRIOR.mark_um[0], angle, 0),
+                               b = mount(PRIOR.mark_um[1], angle, 0);
+        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_error err = { 0 };
+
+        draw_section(angle, 0, 7, (uint64_t)n);
+        draw_edge((struct gsn_point){ a.x, a.y - n }, (b.y - a.y + 6) / (b.x - a.x));
+        CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+        for (int i = 0; i < GSN_MARKS; i++) {
+            const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, 0);
+
+            CHECK(marks[i].found);
+            CHECK_NEAR(marks[i].px.x, truth.x, 0.35);
+            CHECK_NEAR(marks[i].px.y, truth.y, 0.35);
+        }
+    }
+}
+
 TEST(what_marks_look_like_finds_them_among_any_number_of_blots)
 {
     const struct gsn_triangle_prior prior = learnt();

@@ -26,6 +26,8 @@ static int know_triangle(const struct gsn_protocol *protocol,
     return GSN_OK;
 }
 
+enum { FEWEST_TURNED = 3 };
+
 /* What the spots of one section gsn_findings_say. */
 struct sight {
     int mirrored, ambiguous, decided;
@@ -136,6 +138,36 @@ static void add_direction(const struct gsn_panel_section *section, const struct 
     d = gsn_candidate_direction(&whole->panel_to_block_um);
     upright->x += d.x;
     upright->y += d.y;
+}
+
+/* Whether a section with three marks lies turned by more than a quarter against the triangle's
+ * frame. */
+static int is_turned(const struct gsn_panel_section *section, const struct sight *sight,
+                     const struct gsn_triangle_prior *prior, double px_um)
+{
+    struct gsn_point way = { 0, 0 };
+
+    add_direction(section, sight, prior, px_um, &way);
+    return way.x < 0;
+}
+
+/* What the marks say of the whole panel. Mounting differs from section to section, so most of them
+ * do not lie the wrong way round by chance; but a laboratory may mount so. */
+static void note_way_round(const struct gsn_scan *scan, size_t mirrored, size_t turned,
+                           size_t count, struct gsn_panel_findings *findings)
+{
+    if (2 * mirrored > count)
+        gsn_findings_say(
+            findings,
+            "%zu of %zu sections are mirrored against the job's \"markers_um\": if no label says "
+            "which way round the panel is, look at the scanner's settings",
+            mirrored, count);
+    if (2 * turned > count && turned >= FEWEST_TURNED && scan->picture->code_count == 0)
+        gsn_findings_say(
+            findings,
+            "%zu of %zu sections are turned by half against the job's \"markers_um\": if the panel "
+            "was fed the wrong way round, its sections count backwards, as no code was read",
+            turned, count);
 }
 
 /* Lays all candidates of the panel on its triangle. Upright is the job's frame, or else the way
@@ -311,7 +343,7 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     struct search search = { scan, gsn_protocol_layout(protocol), NULL, 0, found, candidates };
     struct gsn_triangle_prior prior;
     struct gsn_point upright = { protocol->has_markers, 0 };
-    size_t mirrored = 0;
+    size_t mirrored = 0, turned = 0;
     int agreed, r;
 
     if (!candidates || !scratch)
@@ -338,6 +370,7 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         if (agreed)
             sight = choose_marks(section, &candidates[i], &prior);
         mirrored += sight.mirrored && count_found(section->mark) == GSN_MARKS;
+        turned += agreed && is_turned(section, &sight, &prior, scan->px_um);
         if (agreed && !protocol->has_markers)
             add_direction(section, &sight, &prior, scan->px_um, &upright);
         if (section->sighting != GSN_SIGHT_HELD)
@@ -347,11 +380,7 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     void_choices(answers, findings);
     if (agreed)
         lay_candidates(&prior, upright, scan->px_um, findings);
-    if (protocol->has_markers && 2 * mirrored > count)
-        gsn_findings_say(
-            findings,
-            "%zu of %zu sections are mirrored against the job's \"markers_um\": if no label says "
-            "which way round the panel is, look at the scanner's settings",
-            mirrored, count);
+    if (protocol->has_markers)
+        note_way_round(scan, mirrored, turned, count, findings);
     return GSN_OK;
 }

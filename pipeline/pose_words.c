@@ -109,7 +109,7 @@ void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SEN
     if (pose->state != GSN_POSE_OK) {
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
                        "its two marks are not as far apart as in the other sections: one of them "
-                       "is wrong or the section is torn or stretched; look at it");
+                       "is wrong, or the section is folded, torn or stretched; look at it");
         return;
     }
     (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,

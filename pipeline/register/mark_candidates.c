@@ -4,6 +4,7 @@
 #include "pipeline/core/mem.h"
 #include "pipeline/register/mark_density.h"
 #include "pipeline/register/mark_field.h"
+#include "pipeline/register/mark_line.h"
 #include "pipeline/register/mark_map.h"
 #include "pipeline/register/mark_odds.h"
 
@@ -149,6 +150,8 @@ static int search(const struct gsn_mark_density *density, const struct gsn_slot 
     gsn_auto_mem(float) values = gsn_alloc_array(field.width * field.height + 1, sizeof *values);
     gsn_auto_mem(struct gsn_mark) spots =
         gsn_alloc_array(prior ? SPOTS_KNOWN : SPOTS, sizeof *spots);
+    struct gsn_mark_lined lined = { .density = density };
+    const struct gsn_mark_density open = gsn_mark_density_without(&lined);
     size_t count;
     int r;
 
@@ -158,12 +161,13 @@ static int search(const struct gsn_mark_density *density, const struct gsn_slot 
     r = gsn_mark_density_reduce(density, slot, step, &field, err);
     if (r < 0)
         return r;
+    lined.count = gsn_mark_lines_bridge(&field, candidates->px_um, lined.line);
     gsn_mark_map_take(&field, &candidates->map);
     r = gsn_mark_field_spots(&field, candidates->px_um, prior ? SPOTS_KNOWN : SPOTS, spots, &count,
                              err);
     if (r >= 0 && prior)
         count = sort_by_looks(spots, count, candidates->px_um, prior);
-    return r < 0 ? r : measure_spots(density, slot, spots, count, prior != NULL, candidates, err);
+    return r < 0 ? r : measure_spots(&open, slot, spots, count, prior != NULL, candidates, err);
 }
 
 static int look(const struct gsn_mark_density *red_od, const struct gsn_slot *slot, double px_um,

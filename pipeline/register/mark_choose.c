@@ -20,6 +20,10 @@ static const double SIZE = 1.5;
  * hundred, and this many times the stretch of the others. Believed only of spots that look like
  * marks; of two, hardly, since other sides of the triangle are as long. */
 static const double TORN = 6, TORN_PAIR = 1.5, TORN_SHARE = 0.03;
+/* A fold between two marks takes a quarter of a millimetre of tissue twice. A pair that is so much
+ * too short, or too long, is believed only where the picture says so with these odds against all
+ * other ways; it is two marks for a person to look at, since no pose fits them. */
+static const double FOLDED_PAIR = 3, FOLDED_ODDS = 20;
 /* Of a spot that is less alike (-2 ln of its likelihood), looks say nothing more; of marks that are
  * alike, they say less than the second. */
 static const double UNLIKE_MOST = 8, ALIKE_MOST = 3;
@@ -51,6 +55,7 @@ struct choice {
     int mirrored;
     double likelihood;
     int trusted; /* nothing about it is beyond what happens to marks */
+    int folded;  /* a pair of another length than two marks have */
     struct gsn_rigid motion;
     double unlike; /* the tissue, laid so */
 };
@@ -188,19 +193,26 @@ static int is_triple(const struct choice *choice)
     return choice->candidate[0] >= 0 && choice->candidate[1] >= 0 && choice->candidate[2] >= 0;
 }
 
+/* Whether a pair is as far apart as its marks are, a torn one's a little more or less. */
+static int plausible_pair(double chi2)
+{
+    return exp(-0.5 * chi2 / (TORN_PAIR * TORN_PAIR)) >= LIKELIHOOD_LEAST;
+}
+
 /* Weighs a choice by its misfit in tolerances; more than three standard deviations of anything are
- * not believed. */
+ * not believed, of a pair's length where torn_pair is its tolerance. */
 static void weigh(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
-                  double chi2, struct choice *choice)
+                  double chi2, double torn_pair, struct choice *choice)
 {
     const double beauty = exp(-0.5 * looks(section, prior, choice, UNLIKE_MOST));
     const double decency = exp(-0.5 * looks(section, prior, choice, FAINT));
     const int pair = !is_triple(choice);
     const int marks = prior->learnt && alike(section, prior, choice);
-    const double allowed = !marks ? 1 : pair ? TORN_PAIR : TORN;
+    const double allowed = !marks ? 1 : pair ? torn_pair : TORN;
 
     choice->likelihood = fitting(section, prior, chi2) * beauty;
     choice->trusted = exp(-0.5 * chi2 / (allowed * allowed)) * decency >= LIKELIHOOD_LEAST;
+    choice->folded = pair && !plausible_pair(chi2);
     if (pair && !marks)
         choice->trusted = 0;
 }
@@ -250,12 +262,6 @@ static int lay(const struct gsn_mark_candidates *section, const struct gsn_trian
     size = size_misfit(from, onto, count);
     *ret_chi2 = (double)count * (rms * rms - size * size * (1 - 1 / (SIZE * SIZE))) / (sd * sd);
     return 1;
-}
-
-/* Whether a pair is as far apart as its marks are, a torn one's a little more or less. */
-static int plausible_pair(double chi2)
-{
-    return exp(-0.5 * chi2 / (TORN_PAIR * TORN_PAIR)) >= LIKELIHOOD_LEAST;
 }
 
 /* Whether one of three spots may as well be there by chance, the two others being the marks. */
@@ -341,15 +347,15 @@ static void keep(struct choices *choices, const struct choice *choice)
 }
 
 static void consider(const struct gsn_mark_candidates *section,
-                     const struct gsn_triangle_prior *prior, struct choice *choice,
-                     struct choices *choices)
+                     const struct gsn_triangle_prior *prior, double torn_pair,
+                     struct choice *choice, struct choices *choices)
 {
     double chi2;
 
     if (!lay(section, prior, choice, &choice->motion, &chi2) ||
         far_off(section, prior, &choice->motion, choice->mirrored))
         return;
-    weigh(section, prior, chi2, choice);
+    weigh(section, prior, chi2, torn_pair, choice);
     if (choice->trusted && !(is_triple(choice) && any_by_chance(section, prior, choice)))
         keep(choices, choice);
 }
@@ -373,15 +379,16 @@ static void consider_triples(const struct gsn_mark_candidates *section,
                 struct choice choice = { .candidate = { a, b, k / 2 }, .mirrored = k % 2 };
 
                 if (k / 2 != a && k / 2 != b && fine[k / 2])
-                    consider(section, prior, &choice, choices);
+                    consider(section, prior, TORN_PAIR, &choice, choices);
             }
         }
     }
 }
 
+/* torn_pair: how many tolerances a pair may be too short or too long. */
 static void consider_pairs(const struct gsn_mark_candidates *section,
                            const struct gsn_triangle_prior *prior, const int *fine,
-                           struct choices *choices)
+                           double torn_pair, struct choices *choices)
 {
     const int n = (int)section->count;
 
@@ -395,7 +402,7 @@ static void consider_pairs(const struct gsn_mark_candidates *section,
                 /* Every pair comes in both orders, so the next mark round is enough. */
                 choice.candidate[k / 2] = a;
                 choice.candidate[(k / 2 + 1) % GSN_MARKS] = b;
-                consider(section, prior, &choice, choices);
+                consider(section, prior, torn_pair, &choice, choices);
             }
         }
     }
@@ -497,7 +504,7 @@ static void hear_pairs(const struct gsn_mark_candidates *section,
 
     if (exp(-0.5 * misfit(section, prior, three)) >= LIKELIHOOD_LEAST || !pictured)
         return;
-    consider_pairs(section, prior, fine, &all);
+    consider_pairs(section, prior, fine, TORN_PAIR, &all);
     for (size_t i = 0; i < all.count; i++)
         if (!contained(&all.item[i], three))
             keep(&pairs, &all.item[i]);
@@ -520,7 +527,31 @@ static void hear_pairs(const struct gsn_mark_candidates *section,
 
 static int trustworthy(const struct choice *choice, double runner_up)
 {
-    return choice->trusted && runner_up <= RUNNER_UP_MOST * choice->likelihood;
+    const double most = choice->folded ? 1 / FOLDED_ODDS : RUNNER_UP_MOST;
+
+    return choice->trusted && runner_up <= most * choice->likelihood;
+}
+
+/* Two marks and no third: as far apart as they should be, or else what a fold leaves of them. */
+static struct choice gather_pairs(const struct gsn_mark_candidates *section,
+                                  const struct gsn_triangle_prior *prior, const int *fine,
+                                  struct choices *choices, double *ret_runner_up)
+{
+    struct choice choice;
+
+    consider_pairs(section, prior, fine, TORN_PAIR, choices);
+    if (!(prior->tissue.cell > 0 && section->map.cell > 0)) {
+        ask_centre(section, prior, choices);
+        return decide(choices, 0, ret_runner_up);
+    }
+    ask_picture(section, prior, choices);
+    choice = decide(choices, 0, ret_runner_up);
+    if (trustworthy(&choice, *ret_runner_up))
+        return choice;
+    choices->count = 0;
+    consider_pairs(section, prior, fine, FOLDED_PAIR, choices);
+    ask_picture(section, prior, choices);
+    return decide(choices, 0, ret_runner_up);
 }
 
 /* Collects the choices of a section in `choices`, which is empty, and decides. */
@@ -540,14 +571,8 @@ static struct choice gather(const struct gsn_mark_candidates *section,
     if (choice.trusted && prior->learnt)
         hear_pairs(section, prior, fine, &choice, ret_runner_up);
     /* Two rival triples are a riddle for a person; a pair out of them would be a guess. */
-    if (!choice.trusted && prior->learnt) {
-        consider_pairs(section, prior, fine, choices);
-        if (prior->tissue.cell > 0 && section->map.cell > 0)
-            ask_picture(section, prior, choices);
-        else
-            ask_centre(section, prior, choices);
-        choice = decide(choices, 0, ret_runner_up);
-    }
+    if (!choice.trusted && prior->learnt)
+        choice = gather_pairs(section, prior, fine, choices, ret_runner_up);
     return choice;
 }
 

@@ -116,12 +116,13 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
  * far from the section's tissue is a neighbour's and none.
  *
  * Where no triple fits, but two candidates do and the tissue learnt says which is which, those two
- * are found; two marks say nothing about mirroring, so ret_mirrored (may be NULL) tells what the
- * tissue said: its picture, or where there is none its centre. ret_score and ret_runner_up (each
- * may be NULL) are the likelihoods, 0..1, of the choice and of the best other choice or numbering;
- * the choice is refused, all three marks not found, when the second is more than half of the first.
- * In a triangle too nearly isosceles the numbering that leaves the section unmirrored wins, and the
- * pose says so.
+ * are found, as are two whose distance a fold or a tear has changed where the tissue's picture says
+ * so 20 to 1; the joint solution then says that they are not as far apart as they should be. Two
+ * marks say nothing about mirroring, so ret_mirrored (may be NULL) tells what the tissue said: its
+ * picture, or where there is none its centre. ret_score and ret_runner_up (each may be NULL) are
+ * the likelihoods, 0..1, of the choice and of the best other choice or numbering; the choice is
+ * refused, all three marks not found, when the second is more than half of the first. In a triangle
+ * too nearly isosceles the numbering that leaves the section unmirrored wins, and the pose says so.
  */
 void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         const struct gsn_triangle_prior *prior,

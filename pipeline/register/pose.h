@@ -59,8 +59,10 @@ struct gsn_pose {
     double tre_um;                       /* predicted, root mean square over the targets */
     double chi2; /* of the residuals under the stack's covariance: 3 degrees of freedom with three
                     marks, 1 with two */
-    int gross;   /* chi2 beyond 0.1 %: a mark is wrong or the section is torn or stretched. The pose
-                    is that of all marks and must not be used: a person chooses a candidate */
+    int gross;   /* the marks contradict the stack by more than 0.1 % of good sections do, by the
+                    likelihood of one of three being wrong (pose_fault.h), or by chi2 of two: a mark
+                    is wrong or the section is torn or stretched. The pose is that of all marks and
+                    must not be used: a person chooses a candidate */
     struct gsn_pose_candidate candidate[GSN_MARKS]; /* gross with three marks: [i] leaves out mark
                                                        i; otherwise 0 */
     struct gsn_pose_error error;                    /* from which the error at any point follows */

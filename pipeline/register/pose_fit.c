@@ -22,6 +22,7 @@ void gsn_pose_rows(struct gsn_point u, double ret_pose[2][3], double ret_strain[
 struct system {
     size_t n;
     double j[COORDS][3], k[COORDS][3];
+    double own[GSN_MARKS][3];            /* Omega's diagonal blocks: xx, xy, yy */
     double weight[GSN_SMALL][GSN_SMALL]; /* Omega^-1 */
     double gain[3][COORDS];              /* pose error = -gain residual */
     double pose[3][3];
@@ -56,6 +57,9 @@ static int weigh(const struct gsn_pose_fit_input *in, const struct gsn_rigid *mo
         s->weight[2 * i][2 * i + 1] += v.xy;
         s->weight[2 * i + 1][2 * i] += v.xy;
         s->weight[2 * i + 1][2 * i + 1] += v.yy;
+        s->own[i][0] = s->weight[2 * i][2 * i];
+        s->own[i][1] = s->weight[2 * i][2 * i + 1];
+        s->own[i][2] = s->weight[2 * i + 1][2 * i + 1];
     }
     return gsn_small_invert(s->weight, s->n);
 }
@@ -130,6 +134,44 @@ static int descend(const struct gsn_pose_fit_input *in, struct system *s, struct
     return 0;
 }
 
+/* Q = A' A, where three rows are enough: what a pose leaves of six coordinates has three degrees of
+ * freedom. Of covariance Q^-1 as far as it goes, A y is white. Spoils q. */
+static void factor(double q[COORDS][COORDS], double a[3][COORDS])
+{
+    for (size_t k = 0; k < 3; k++) {
+        size_t p = 0;
+
+        for (size_t i = 1; i < COORDS; i++)
+            if (q[i][i] > q[p][p])
+                p = i;
+        for (size_t i = 0; i < COORDS; i++)
+            a[k][i] = q[p][p] > 0 ? q[p][i] / sqrt(q[p][p]) : 0;
+        for (size_t i = 0; i < COORDS; i++)
+            for (size_t j = 0; j < COORDS; j++)
+                q[i][j] -= a[k][i] * a[k][j];
+    }
+}
+
+/* Spoils q. */
+static void whiten(const struct system *s, double q[COORDS][COORDS], const double *y,
+                   struct gsn_pose_fit *fit)
+{
+    double a[3][COORDS];
+
+    factor(q, a);
+    for (size_t k = 0; k < 3; k++) {
+        fit->left[k] = 0;
+        for (size_t i = 0; i < COORDS; i++)
+            fit->left[k] += a[k][i] * y[i];
+        for (size_t m = 0; m < GSN_MARKS; m++) {
+            const double xx = sqrt(s->own[m][0]), xy = s->own[m][1] / xx;
+
+            fit->off[m][0][k] = a[k][2 * m] * xx + a[k][2 * m + 1] * xy;
+            fit->off[m][1][k] = a[k][2 * m + 1] * sqrt(fmax(s->own[m][2] - xy * xy, 0));
+        }
+    }
+}
+
 /* W y, and the part of W that is left after the pose: Q = W - W J gain. */
 static void judge(const struct system *s, const double *y, size_t marks, struct gsn_pose_fit *fit)
 {
@@ -159,6 +201,8 @@ static void judge(const struct system *s, const double *y, size_t marks, struct 
                                       det
                                 : 0;
     }
+    if (marks == GSN_MARKS)
+        whiten(s, q, y, fit);
 }
 
 /* strain K' W (y), its covariance with the pose's error, and what is left of it: with

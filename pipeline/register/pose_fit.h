@@ -26,8 +26,12 @@ struct gsn_pose_fit_input {
 
 struct gsn_pose_fit {
     struct gsn_rigid motion;
-    double chi2;                 /* 2 count - 3 degrees of freedom */
-    double blame[GSN_MARKS];     /* how much of chi2 goes when that mark may lie anywhere */
+    double chi2;             /* 2 count - 3 degrees of freedom */
+    double blame[GSN_MARKS]; /* how much of chi2 goes when that mark may lie anywhere */
+    /* With three marks: the residuals as three numbers, independent and standard normal where no
+     * mark is wrong, and what a mark adds to them that is off by its standard deviation along
+     * either axis of its own covariance, strain included. */
+    double left[3], off[GSN_MARKS][2][3];
     double strain[3];            /* best estimate, shrunk by its noise */
     struct gsn_pose_error error; /* freedom is left 0 */
 };

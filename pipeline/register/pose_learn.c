@@ -19,8 +19,7 @@ enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
 /* Chi-squared beyond which 0.1 % lie with 5 degrees of freedom: those in which three variances and
  * their axes can differ from being one. */
 static const double CHI2_ROUND = 20.515;
-/* A chance of 0.1 % each. */
-static const double ALPHA = 1e-3;
+static const double ALPHA = GSN_POSE_ALPHA;
 /* A mark this much poorer than the median one says little of the stack. */
 static const double POOR = 4;
 
@@ -332,16 +331,17 @@ static void learn_strain(struct gsn_pose_stack *s, const struct lesson *l)
         s->mark_um2 *= noise;
 }
 
-/* The false alarms that the tests are made for, with what is known of the noise. */
+/* What is known of the noise, for the tests of single sections. */
 static void set_limits(struct gsn_pose_stack *s, const struct lesson *l)
 {
     const double n = (double)l->count;
 
     if (s->stretches)
         s->freedom = n - 3;
-    s->limit[0] = gsn_chance_limit(1, fmax(s->freedom, 2), ALPHA);
-    s->limit[2] = s->stretches ? gsn_chance_limit(3, n - 3, ALPHA) * (n - 1) / (n - 3)
-                               : gsn_chance_limit(3, fmax(s->freedom, 2), ALPHA);
+    s->spread_freedom = fmax(s->freedom, 2);
+    s->side_limit = gsn_chance_limit(1, s->spread_freedom, ALPHA);
+    /* Hotelling's: where strain was learnt, all of the covariance is estimated. */
+    s->widening = s->stretches ? (n - 1) / (n - 3) : 1;
 }
 
 int gsn_pose_learn(struct gsn_pose_stack *s, struct gsn_error *err)

@@ -39,13 +39,16 @@ struct gsn_pose_stack {
     double finest;   /* variance below which no test calls anything gross, um^2 */
     double scalene_sigma;
     int flips_told;
-    int stretches;       /* strain was found beyond what the marks' errors make */
-    double strain[3][3]; /* its covariance; 0 otherwise */
-    double freedom;      /* with which mark_um2 is known */
-    double limit[3];     /* of chi2 with 1 and 3 degrees of freedom; [1] is not used */
+    int stretches;                   /* strain was found beyond what the marks' errors make */
+    double strain[3][3];             /* its covariance; 0 otherwise */
+    double freedom;                  /* with which mark_um2 is known */
+    double side_limit;               /* of chi2 with 1 degree of freedom, at 0.1 % false alarms */
+    double spread_freedom, widening; /* of chi2 with 3: see gsn_pose_fault_chance() */
     struct gsn_axes axes;
 };
 
+/* False alarms of the tests that sections are put to. */
+#define GSN_POSE_ALPHA 1e-3
 /* The value beyond which 0.1 % of chi-squared with 3 degrees of freedom lie. */
 #define GSN_POSE_CHI2_GROSS 16.26624
 

@@ -181,6 +181,52 @@ double gsn_chance_limit(unsigned p, double freedom, double alpha)
     return isinf(freedom) ? v * v : v * v / (1 - v * v / freedom);
 }
 
+/* Gauss's continued fraction for the incomplete beta function I_x(a, b), less the factor in front,
+ * by Lentz's method; it converges fast for x < (a + 1) / (a + b + 2). */
+static double beta_fraction(double a, double b, double x)
+{
+    double c = 1, d = 1 / (1 - (a + b) * x / (a + 1)), h = d;
+
+    for (int m = 1; m < 300; m++) {
+        const double even = m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m));
+        const double odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1));
+        double step;
+
+        d = 1 / (1 + even * d);
+        c = 1 + even / c;
+        h *= d * c;
+        d = 1 / (1 + odd * d);
+        c = 1 + odd / c;
+        step = d * c;
+        h *= step;
+        if (fabs(step - 1) < 1e-14)
+            break;
+    }
+    return h;
+}
+
+static double incomplete_beta(double a, double b, double x)
+{
+    const double front = exp(lgamma(a + b) - lgamma(a) - lgamma(b) + a * log(x) + b * log1p(-x));
+
+    if (x < (a + 1) / (a + b + 2))
+        return front * beta_fraction(a, b, x) / a;
+    return 1 - front * beta_fraction(b, a, 1 - x) / b;
+}
+
+double gsn_chance_beyond3(double freedom, double square)
+{
+    assert(freedom >= 2 && !isnan(square));
+
+    if (square <= 0)
+        return 1;
+    if (isinf(square))
+        return 0;
+    if (isinf(freedom))
+        return erfc(sqrt(0.5 * square)) + sqrt(2 * square / M_PI) * exp(-0.5 * square);
+    return incomplete_beta(0.5 * freedom, 1.5, freedom / (freedom + square));
+}
+
 static int factor_spd(double *a, size_t n)
 {
     for (size_t i = 0; i < n; i++)

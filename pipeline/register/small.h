@@ -32,6 +32,10 @@ int gsn_small_cholesky3(const double a[3][3], double ret_lower[3][3]);
  * the sum is chi-squared; else it is p times Fisher's F). p is 1 to 6, alpha 1e-9 to 0.5. */
 double gsn_chance_limit(unsigned p, double freedom, double alpha);
 
+/* The chance that the sum of three such squares exceeds square: what gsn_chance_limit(3, ...)
+ * turns round. freedom is 2 or more. */
+double gsn_chance_beyond3(double freedom, double square);
+
 #ifdef __cplusplus
 }
 #endif

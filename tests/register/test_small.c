@@ -17,6 +17,25 @@ TEST(limits_are_those_of_the_tables)
     CHECK_NEAR(gsn_chance_limit(2, 33, 1e-3), 33 * (pow(1e-3, -2.0 / 33) - 1), 1e-3);
 }
 
+/* Tables again, the limits turned round, and where the two branches of the fraction meet. */
+TEST(chances_are_those_of_the_tables)
+{
+    static const double freedoms[] = { 20, 57.5, 400, INFINITY };
+
+    CHECK_NEAR(gsn_chance_beyond3(INFINITY, 7.814728), 0.05, 1e-7);
+    CHECK_NEAR(gsn_chance_beyond3(INFINITY, 16.26624), 1e-3, 1e-8);
+    CHECK_NEAR(gsn_chance_beyond3(10, 3 * 12.5527), 1e-3, 1e-7);
+    CHECK_NEAR(gsn_chance_beyond3(10, 3 * 3.708265), 0.05, 1e-6);
+    CHECK_NEAR(gsn_chance_beyond3(2, 3 * 19.16429), 0.05, 1e-6);
+    CHECK_NEAR(gsn_chance_beyond3(3, 3 * 141.108), 1e-3, 1e-7);
+    CHECK(gsn_chance_beyond3(10, 0) == 1 && gsn_chance_beyond3(10, INFINITY) == 0);
+    for (size_t i = 0; i < sizeof freedoms / sizeof *freedoms; i++)
+        for (double alpha = 0.5; alpha > 1e-4; alpha *= 0.1)
+            CHECK_NEAR(gsn_chance_beyond3(freedoms[i], gsn_chance_limit(3, freedoms[i], alpha)) /
+                           alpha,
+                       1, 0.01);
+}
+
 static void fill(double a[GSN_SMALL][GSN_SMALL], struct draw_chance *chance)
 {
     double b[GSN_SMALL][GSN_SMALL];

@@ -19,7 +19,7 @@ static const double REACH = 4.0 / 3;
 static const double CELL_INTERVALS = 4.0 / 3;
 /* A section is bent where it lies as it is at the marks, where that is part of their scatter: of
  * the shift that this makes at the region, so much is slope across it, and so much bends it. */
-static const double SLOPE = 0.5, BEND = 0.25;
+static const double SLOPE = 1.0 / 3, BEND = 0.25;
 
 /* The sections in cells about the region, while they are gathered and compared. */
 struct refine {

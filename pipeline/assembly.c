@@ -136,6 +136,8 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0 && !a->by_standards)
         r = gsn_assembly_place_columns(specimen, sections, a, err);
     if (r >= 0)
+        r = gsn_assembly_refine(specimen, options, a, err);
+    if (r >= 0)
         r = gsn_assembly_work_panels(specimen, options, a, err);
     if (r >= 0)
         r = gsn_conditions_judge(specimen, a, err);

@@ -86,6 +86,17 @@ struct gsn_levelling {
     char why[480];                                       /* why not done, or empty */
 };
 
+/* What became of the sections that were to be laid by their tissue. */
+struct gsn_refinement {
+    int done;
+    size_t sections, compared; /* that have a pose, and whose tissue told something of it */
+    double radius_um;          /* of the disc that was compared */
+    double moved_um;           /* root mean square over the region and all sections */
+    double area_mean, area_sd; /* of what the tissue added to the sections' area, shares of it */
+    double factor[2];          /* errors against the stated: of the marks, of the comparisons */
+    char why[240];             /* why not done, or empty */
+};
+
 struct gsn_assembly {
     size_t section_count;
     struct gsn_assembly_section *section; /* owned; by serial, then panel and slot */
@@ -99,6 +110,7 @@ struct gsn_assembly {
     struct gsn_pose_summary summary;
     struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
     enum gsn_strain_mode strain_mode;       /* the protocol's */
+    struct gsn_refinement refinement;       /* where that is GSN_STRAIN_TISSUE */
     char unsolved[480];                     /* why not, or empty */
     char no_region[480];                    /* why the stated band could not be found, or empty */
     struct gsn_mask *region;        /* owned; NULL when the job states none or it was not found */

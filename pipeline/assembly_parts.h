@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The steps that gsn_assembly_make() takes, in their order: the frame (assembly_frame.c), the poses
- * (assembly_poses.c), the density panel by panel (assembly_density.c), the dyes of calibration
- * panels (assembly_calibration.c), what the stain leaves open (assembly_stain.c), the panels
- * brought to one scale (assembly_level.c). Private to these files. Fail as gsn_assembly_make()
- * does. */
+ * (assembly_poses.c, assembly_refine.c), the density panel by panel (assembly_density.c), the dyes
+ * of calibration panels (assembly_calibration.c), what the stain leaves open (assembly_stain.c),
+ * the panels brought to one scale (assembly_level.c). Private to these files. Fail as
+ * gsn_assembly_make() does. */
 #ifndef GSN_PIPELINE_ASSEMBLY_PARTS_H
 #define GSN_PIPELINE_ASSEMBLY_PARTS_H
 
@@ -53,6 +53,18 @@ int gsn_assembly_find_band(const struct gsn_specimen *specimen,
 /* Poses of all sections together. A stack that cannot be solved is a state, with a sentence. */
 int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err);
+
+/* gives: points of the region, thinned evenly: where the predicted error matters. None without a
+ * region. */
+int gsn_assembly_targets(const struct gsn_mask *region, struct gsn_point **ret_points,
+                         size_t *ret_count, struct gsn_error *err);
+
+/* assembly_refine.c: where the job asks for it, opens every panel and moves the sections on by what
+ * their tissue has in common with their neighbours'. That it cannot be done is a state, with a
+ * sentence. */
+int gsn_assembly_refine(const struct gsn_specimen *specimen,
+                        const struct gsn_specimen_options *options, struct gsn_assembly *a,
+                        struct gsn_error *err);
 
 /* Lays the candidates of every section that has some in the solved stack; sections whose three
  * marks contradict it get theirs. */

@@ -6,9 +6,8 @@
 
 enum { MOST_TARGETS = 4096 };
 
-/* Points of the region, thinned evenly: where the predicted error matters. */
-static int targets_of(const struct gsn_mask *region, struct gsn_point **ret_points,
-                      size_t *ret_count, struct gsn_error *err)
+int gsn_assembly_targets(const struct gsn_mask *region, struct gsn_point **ret_points,
+                         size_t *ret_count, struct gsn_error *err)
 {
     const size_t total = region ? gsn_mask_count(region) : 0;
     const size_t every = total / MOST_TARGETS + 1;
@@ -72,6 +71,7 @@ static enum gsn_strain_mode strain_mode(const struct gsn_protocol *protocol)
         [GSN_STATED_STRAIN_REPORTED] = GSN_STRAIN_REPORTED,
         [GSN_STATED_STRAIN_RIGID] = GSN_STRAIN_RIGID,
         [GSN_STATED_STRAIN_CORRECTED] = GSN_STRAIN_CORRECTED,
+        [GSN_STATED_STRAIN_TISSUE] = GSN_STRAIN_TISSUE,
     };
 
     return modes[protocol->strain];
@@ -86,7 +86,8 @@ static void use_strain(struct gsn_assembly *a, const struct gsn_pose_options *op
     for (size_t i = 0; i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];
 
-        if (!s->posed || !a->summary.stretches || a->strain_mode != GSN_STRAIN_CORRECTED)
+        if (!s->posed || !a->summary.stretches ||
+            (a->strain_mode != GSN_STRAIN_CORRECTED && a->strain_mode != GSN_STRAIN_TISSUE))
             continue;
         s->pose.panel_to_block_um = gsn_strain_corrected(&s->pose);
         if (targets.count > 0)
@@ -109,7 +110,7 @@ int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly 
 
     if (!inputs || !poses)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for poses");
-    r = targets_of(a->region, &targets, &options.target_count, err);
+    r = gsn_assembly_targets(a->region, &targets, &options.target_count, err);
     if (r < 0)
         return r;
     options.targets_um = targets;

@@ -40,28 +40,39 @@ static void add_flags(struct gsn_assembly_section *s)
     }
 }
 
-int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
-                     unsigned threads, struct gsn_assembly *a, struct gsn_mask_labels **ret_labels,
-                     struct gsn_error *err)
+int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
+                      unsigned threads, const struct gsn_assembly *a,
+                      struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_mask_section) places =
         gsn_alloc_array(a->section_count, sizeof *places);
-    gsn_auto_mem(struct gsn_mask_figures) figures =
-        gsn_alloc_array(a->section_count, sizeof *figures);
     struct gsn_mask_panel look = { .image = scan->picture->image,
                                    .od = scan->od,
                                    .glass = &scan->glass,
                                    .dyes = dyes,
                                    .px_um = scan->px_um,
                                    .section = places };
-    int r;
 
-    if (!places || !figures)
+    if (!places)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the masks of a panel");
     for (size_t i = 0; i < a->section_count; i++)
         if (is_there(&a->section[i], panel))
             places[look.section_count++] = place_of(&a->section[i].seen);
-    r = gsn_mask_find(&look, threads, ret_labels, figures, err);
+    return gsn_mask_find(&look, threads, ret_labels, ret_figures, err);
+}
+
+int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
+                     unsigned threads, struct gsn_assembly *a, struct gsn_mask_labels **ret_labels,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_mask_figures) figures =
+        gsn_alloc_array(a->section_count, sizeof *figures);
+    int r;
+
+    if (!figures)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the masks of a panel");
+    r = gsn_masking_label(scan, dyes, panel, threads, a, ret_labels, figures, err);
     for (size_t i = 0, k = 0; r >= 0 && i < a->section_count; i++)
         if (is_there(&a->section[i], panel)) {
             a->section[i].masked = figures[k++];

@@ -12,7 +12,15 @@
 extern "C" {
 #endif
 
-/* gives: the labels of the panel's sections (stain/mask.h). Fills `masked` of its sections in the
+/* gives: the labels of the panel's sections (stain/mask.h), in the assembly's order, and says
+ * nothing in the assembly. ret_figures: room for as many sections as the assembly has. borrows:
+ * scan, dyes, assembly. Fails as gsn_mask_find(). */
+int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
+                      unsigned threads, const struct gsn_assembly *assembly,
+                      struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
+                      struct gsn_error *err);
+
+/* The same, and says it: fills `masked` of its sections in the
  * assembly, adds a flag for each reason but the halos of the marks, which every section has, and
  * leaves the shares of the region to gsn_masking_region(). borrows: scan, dyes. Fails as
  * gsn_mask_find(). */

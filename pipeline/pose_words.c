@@ -60,7 +60,7 @@ static void say_strain(const struct gsn_pose_summary *summary, enum gsn_strain_m
         "the sections of this block differ in shape by more than their marks' errors: standard "
         "deviation %.1f %% in size and %.1f %% between directions. %s",
         100 * summary->strain_sd[0], 200 * hypot(summary->strain_sd[1], summary->strain_sd[2]),
-        mode == GSN_STRAIN_CORRECTED
+        mode == GSN_STRAIN_CORRECTED || mode == GSN_STRAIN_TISSUE
             ? "Each was stretched back by what its own marks make likely, as the job asks"
             : "The poses stay rigid, and the predicted error includes it");
 }
@@ -100,6 +100,27 @@ size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
     say_axes(&summary->axes, interval_um, &list);
     say_strain(summary, mode, &list);
     return list.count;
+}
+
+void gsn_refinement_sentence(const struct gsn_refinement *r, char ret_sentence[GSN_POSE_SENTENCE])
+{
+    if (!r->done) {
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "the sections were not laid by their tissue as the job asks: %s. They lie "
+                       "as their marks have them",
+                       r->why);
+        return;
+    }
+    (void)snprintf(
+        ret_sentence, GSN_POSE_SENTENCE,
+        "the sections were laid on by their tissue, as the job asks: %zu of %zu were "
+        "compared with up to four on either side, within %.0f um of the region's centre; "
+        "they moved by %.1f um (root mean square over the region), and their areas by "
+        "%+.2f %% (standard deviation %.2f %%). The marks' errors are %.1f times, the "
+        "comparisons' %.1f times what was expected. A slant of the tissue over many "
+        "sections is left to the marks",
+        r->compared, r->sections, r->radius_um, r->moved_um, 100 * r->area_mean, 100 * r->area_sd,
+        r->factor[0], r->factor[1]);
 }
 
 void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SENTENCE])

@@ -5,7 +5,7 @@
 #ifndef GSN_PIPELINE_POSE_WORDS_H
 #define GSN_PIPELINE_POSE_WORDS_H
 
-#include "pipeline/register/strain.h"
+#include "pipeline/assembly.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -18,6 +18,10 @@ size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
                           const struct gsn_strain_common *panel, enum gsn_strain_mode mode,
                           double interval_um,
                           char ret_sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE]);
+
+/* What became of sections that were to be laid by their tissue. */
+void gsn_refinement_sentence(const struct gsn_refinement *refinement,
+                             char ret_sentence[GSN_POSE_SENTENCE]);
 
 /* Why a section whose marks contradict the stack is held, with the three poses on two marks. */
 void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SENTENCE]);

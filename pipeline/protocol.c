@@ -283,7 +283,7 @@ static int read_reference(const json_t *job, struct gsn_protocol *p, struct gsn_
 
 static int read_strain(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
-    static const char *const words[] = { "reported", "rigid", "corrected", NULL };
+    static const char *const words[] = { "reported", "rigid", "corrected", "tissue", NULL };
     int strain = GSN_STATED_STRAIN_REPORTED;
     const int r = get_word(job, "strain", words, &strain, err);
 

@@ -24,6 +24,7 @@ enum gsn_stated_strain {
     GSN_STATED_STRAIN_REPORTED, /* the default */
     GSN_STATED_STRAIN_RIGID,
     GSN_STATED_STRAIN_CORRECTED,
+    GSN_STATED_STRAIN_TISSUE,
 };
 enum gsn_region_kind {
     GSN_REGION_NONE, /* not stated: everything that has data (volumes), or withheld (sections) */

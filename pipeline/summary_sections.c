@@ -128,7 +128,9 @@ static void fill_sections(const struct gsn_evidence *e, struct gsn_draft *d)
         const struct gsn_assembly_section *s = &a->section[i];
 
         fill_section(s, e->specimen->protocol,
-                     a->summary.stretches && a->strain_mode != GSN_STRAIN_RIGID, d, i);
+                     (a->summary.stretches && a->strain_mode != GSN_STRAIN_RIGID) ||
+                         a->refinement.done,
+                     d, i);
         doubtful += s->state == GSN_SECTION_DOUBTFUL;
         held += s->state == GSN_SECTION_HELD;
         missing += s->state == GSN_SECTION_MISSING;
@@ -231,6 +233,10 @@ static void fill_registration(const struct gsn_assembly *a, double interval_um, 
         gsn_pose_sentences(&a->summary, &a->panel_stretch, a->strain_mode, interval_um, sentence);
     for (size_t i = 0; i < count; i++)
         gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence[i]));
+    if (a->strain_mode == GSN_STRAIN_TISSUE) {
+        gsn_refinement_sentence(&a->refinement, sentence[0]);
+        gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence[0]));
+    }
     d->report.registration = r;
 }
 

@@ -22,6 +22,7 @@ enum gsn_strain_mode {
     GSN_STRAIN_RIGID,     /* neither used nor said */
     GSN_STRAIN_REPORTED,  /* said beside the rigid pose */
     GSN_STRAIN_CORRECTED, /* undone when the section is resampled */
+    GSN_STRAIN_TISSUE,    /* so, and then laid by the tissue of the neighbours (refine.h) */
 };
 
 /* Along its two principal directions. */

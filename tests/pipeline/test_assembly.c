@@ -107,6 +107,54 @@ TEST(every_section_lies_where_it_was_cut)
     }
 }
 
+#define BY_TISSUE_JOB                                                                              \
+    "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD                                                    \
+    ", \"strain\": \"tissue\", \"region\": " DRAWN_REGION "}"
+
+/* The drawn tissue is a ramp alike in all sections, and the marks are right: nothing may move them
+ * off by more than marks alone would. */
+TEST(sections_laid_on_by_their_tissue_lie_where_they_were_cut)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    three_panels(panels);
+    panels[1].section[2].flipped = 1;
+    panels[2].section[1].turn_deg += 180;
+    drawn_specimen_init(&d, BY_TISSUE_JOB, panels, 3);
+    gsn_auto(gsn_assembly) a = assembled(&d);
+
+    CHECK(a->strain_mode == GSN_STRAIN_TISSUE && a->refinement.sections == 12);
+    CHECK(a->refinement.done && a->refinement.compared > 0 && a->refinement.moved_um < 2.4);
+    for (unsigned i = 0; i < 12; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+        const struct gsn_point corners[3] = { { 0, 0 }, { 250, 150 }, { -250, 150 } };
+
+        CHECK(s->pose.flipped == (i == 6) && s->pose.tre_um > 0 && s->pose.tre_um < 24);
+        for (size_t c = 0; c < 3; c++) {
+            const struct gsn_point px = drawn_panel_place(&panels[i / 4], i % 4, corners[c]);
+            const struct gsn_point um = gsn_affine_apply(&s->pose.panel_to_block_um, px);
+
+            CHECK_NEAR(hypot(um.x - corners[c].x, um.y - corners[c].y), 0, 2.4);
+        }
+    }
+    for (unsigned serial = 2; serial < 10; serial++)
+        check_plane(a->grid, serial, DENSITY);
+}
+
+TEST(too_few_sections_are_not_laid_by_their_tissue_and_that_is_said)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    three_panels(panels);
+    drawn_specimen_init(&d, BY_TISSUE_JOB, panels, 2);
+    gsn_auto(gsn_assembly) a = assembled(&d);
+
+    CHECK(!a->refinement.done && strstr(a->refinement.why, "too few sections"));
+    CHECK(a->section[0].state == GSN_SECTION_USED);
+}
+
 TEST(every_plane_holds_the_density_of_its_own_section)
 {
     struct drawn_panel panels[3];
@@ -440,4 +488,13 @@ TEST(running_out_of_memory_leaks_nothing)
 
     drawn_specimen_even(&d, DRAWN_JOB, DENSITY);
     CHECK_MANY_OOM(assemble_once(&d, &err), err, 40, 20);
+}
+
+TEST(running_out_of_memory_while_tissue_is_compared_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+    drawn_auto d;
+
+    drawn_specimen_even(&d, BY_TISSUE_JOB, DENSITY);
+    CHECK_MANY_OOM(assemble_once(&d, &err), err, 1, 60);
 }

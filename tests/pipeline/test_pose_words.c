@@ -92,7 +92,32 @@ TEST(what_becomes_of_strain_is_said_unless_the_job_says_rigid)
     CHECK(said(&s, "standard deviation 0.8 % in size and 0.4 % between directions. The poses stay "
                    "rigid") == 1);
     CHECK(said_of(&s, &SQUARE, GSN_STRAIN_CORRECTED, "was stretched back") == 1);
+    CHECK(said_of(&s, &SQUARE, GSN_STRAIN_TISSUE, "was stretched back") == 1);
     CHECK(said_of(&s, &SQUARE, GSN_STRAIN_RIGID, "differ in shape") == 0);
+}
+
+TEST(what_became_of_sections_to_be_laid_by_tissue_is_said_with_their_areas)
+{
+    struct gsn_refinement r = { .done = 1,
+                                .sections = 54,
+                                .compared = 52,
+                                .radius_um = 1200,
+                                .moved_um = 9.6,
+                                .area_mean = -0.0012,
+                                .area_sd = 0.004,
+                                .factor = { 1.1, 1 } };
+    char sentence[GSN_POSE_SENTENCE];
+
+    gsn_refinement_sentence(&r, sentence);
+    CHECK(
+        strstr(sentence, "52 of 54 were compared with up to four on either side, within 1200 um"));
+    CHECK(strstr(sentence, "moved by 9.6 um (root mean square over the region)"));
+    CHECK(strstr(sentence, "areas by -0.12 % (standard deviation 0.40 %)"));
+    CHECK(strstr(sentence, "A slant of the tissue over many sections is left to the marks"));
+    r = (struct gsn_refinement){ .why = "there are too few sections" };
+    gsn_refinement_sentence(&r, sentence);
+    CHECK(strstr(sentence, "were not laid by their tissue as the job asks: there are too few "
+                           "sections. They lie as their marks have them"));
 }
 
 TEST(a_contradicting_section_names_its_three_poses)

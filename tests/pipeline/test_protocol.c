@@ -49,6 +49,26 @@ TEST(what_is_not_stated_has_the_documented_default)
     CHECK(p->strain == GSN_STATED_STRAIN_REPORTED);
 }
 
+TEST(what_becomes_of_strain_can_be_stated)
+{
+    static const char *const jobs[] = { "{\"specimen\": \"x\", \"strain\": \"reported\"}",
+                                        "{\"specimen\": \"x\", \"strain\": \"rigid\"}",
+                                        "{\"specimen\": \"x\", \"strain\": \"corrected\"}",
+                                        "{\"specimen\": \"x\", \"strain\": \"tissue\"}" };
+    static const enum gsn_stated_strain meant[] = { GSN_STATED_STRAIN_REPORTED,
+                                                    GSN_STATED_STRAIN_RIGID,
+                                                    GSN_STATED_STRAIN_CORRECTED,
+                                                    GSN_STATED_STRAIN_TISSUE };
+
+    for (size_t i = 0; i < 4; i++) {
+        gsn_auto(gsn_protocol) p = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK_OK(parse(jobs[i], &p, &err), err);
+        CHECK(p->strain == meant[i]);
+    }
+}
+
 TEST(an_unknown_key_is_named_and_not_refused)
 {
     gsn_auto(gsn_protocol) p = NULL;

@@ -10,6 +10,8 @@
 
 /* Cells of the block, um: several sections' errors of laying wide, and most structures' size. */
 static const double CELL_UM = 100;
+/* Texture is looked at in finer ones. */
+static const double FINE_UM = 100.0 / GSN_SEQUENCE_FINER;
 /* A cell of which less than this share was seen is not known. */
 static const double SEEN = 0.5;
 
@@ -18,8 +20,19 @@ struct gsn_section_order {
     size_t *section;         /* their places in the assembly */
     struct gsn_point origin; /* of the first cell's corner, um in the block */
     size_t columns, rows;
-    float *sum, *seen; /* count * columns * rows; um2 of tissue or glass seen */
+    float *sum, *seen; /* of the fine cells of each plane; um2 of tissue or glass seen */
+    float *mean;       /* count * columns * rows */
 };
+
+static size_t coarse_cells(const struct gsn_section_order *order)
+{
+    return order->columns * order->rows;
+}
+
+static size_t fine_cells(const struct gsn_section_order *order)
+{
+    return GSN_SEQUENCE_FINER * GSN_SEQUENCE_FINER * coarse_cells(order);
+}
 
 static int is_laid(const struct gsn_assembly_section *s)
 {
@@ -87,9 +100,10 @@ int gsn_section_order_new(const struct gsn_assembly *a, struct gsn_section_order
         (size_t)fmax((usual_end(order, a, 0, 1, room) - order->origin.x) / CELL_UM, 1) + 1;
     order->rows =
         (size_t)fmax((usual_end(order, a, 1, 1, room) - order->origin.y) / CELL_UM, 1) + 1;
-    order->sum = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
-    order->seen = gsn_alloc_array(order->count * order->rows, order->columns * sizeof(float));
-    if (!order->sum || !order->seen)
+    order->sum = gsn_alloc_array(order->count * fine_cells(order), sizeof(float));
+    order->seen = gsn_alloc_array(order->count * fine_cells(order), sizeof(float));
+    order->mean = gsn_alloc_array(order->count * coarse_cells(order), sizeof(float));
+    if (!order->sum || !order->seen || !order->mean)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
     *ret_order = gsn_steal(&order);
     return GSN_OK;
@@ -102,6 +116,7 @@ void gsn_section_order_free(struct gsn_section_order *order)
     gsn_free(order->section);
     gsn_free(order->sum);
     gsn_free(order->seen);
+    gsn_free(order->mean);
     gsn_free(order);
 }
 
@@ -111,8 +126,10 @@ static void gather(struct gsn_section_order *order, size_t plane,
 {
     const struct gsn_affine *map = &s->pose.panel_to_block_um;
     const float area = (float)(apart * fabs(gsn_affine_det(map)));
-    float *sum = order->sum + plane * order->columns * order->rows;
-    float *seen = order->seen + plane * order->columns * order->rows;
+    const size_t columns = GSN_SEQUENCE_FINER * order->columns;
+    const size_t rows = GSN_SEQUENCE_FINER * order->rows;
+    float *sum = order->sum + plane * fine_cells(order);
+    float *seen = order->seen + plane * fine_cells(order);
 
     for (size_t y = 0; y < density->height; y++)
         for (size_t x = 0; x < density->width; x++) {
@@ -120,14 +137,13 @@ static void gather(struct gsn_section_order *order, size_t plane,
             const struct gsn_point at = { s->seen.x + (double)x + 0.5,
                                           s->seen.y + (double)(y * apart) + 0.5 };
             const struct gsn_point p = gsn_affine_apply(map, at);
-            const double u = (p.x - order->origin.x) / CELL_UM;
-            const double v = (p.y - order->origin.y) / CELL_UM;
+            const double u = (p.x - order->origin.x) / FINE_UM;
+            const double v = (p.y - order->origin.y) / FINE_UM;
 
-            if (isnan(value) ||
-                !(u >= 0 && v >= 0 && u < (double)order->columns && v < (double)order->rows))
+            if (isnan(value) || !(u >= 0 && v >= 0 && u < (double)columns && v < (double)rows))
                 continue;
-            sum[(size_t)v * order->columns + (size_t)u] += area * value;
-            seen[(size_t)v * order->columns + (size_t)u] += area;
+            sum[(size_t)v * columns + (size_t)u] += area * value;
+            seen[(size_t)v * columns + (size_t)u] += area;
         }
 }
 
@@ -139,17 +155,39 @@ void gsn_section_order_add(struct gsn_section_order *order, const struct gsn_ass
             gather(order, k, &a->section[i], density, apart);
 }
 
-/* Sums become means. What no section's box reached is glass; what was masked is not known. */
+/* What no section's box reached is glass; what was masked is not known. */
+static float mean_of(double sum, double seen, double cell_um)
+{
+    if (seen >= SEEN * cell_um * cell_um)
+        return (float)(sum / seen);
+    return seen > 0 ? NAN : 0;
+}
+
+/* The mean over the fine cells of one coarse cell. */
+static float coarse_mean(const struct gsn_section_order *order, size_t plane, size_t x, size_t y)
+{
+    const size_t columns = GSN_SEQUENCE_FINER * order->columns;
+    const size_t corner = plane * fine_cells(order) + GSN_SEQUENCE_FINER * (y * columns + x);
+    double sum = 0, seen = 0;
+
+    for (size_t v = 0; v < GSN_SEQUENCE_FINER; v++)
+        for (size_t u = 0; u < GSN_SEQUENCE_FINER; u++) {
+            sum += (double)order->sum[corner + v * columns + u];
+            seen += (double)order->seen[corner + v * columns + u];
+        }
+    return mean_of(sum, seen, CELL_UM);
+}
+
+/* Sums become means. */
 static void mean(struct gsn_section_order *order)
 {
-    const size_t total = order->count * order->columns * order->rows;
-    const float whole = (float)(CELL_UM * CELL_UM);
-
-    for (size_t i = 0; i < total; i++)
-        if (order->seen[i] >= (float)SEEN * whole)
-            order->sum[i] /= order->seen[i];
-        else
-            order->sum[i] = order->seen[i] > 0 ? NAN : 0;
+    for (size_t plane = 0; plane < order->count; plane++)
+        for (size_t y = 0; y < order->rows; y++)
+            for (size_t x = 0; x < order->columns; x++)
+                order->mean[(plane * order->rows + y) * order->columns + x] =
+                    coarse_mean(order, plane, x, y);
+    for (size_t i = 0; i < order->count * fine_cells(order); i++)
+        order->sum[i] = mean_of((double)order->sum[i], (double)order->seen[i], FINE_UM);
 }
 
 static struct gsn_assembly_section *section_of(const struct gsn_section_order *order,
@@ -189,7 +227,8 @@ int gsn_section_order_examine(struct gsn_section_order *order, struct gsn_assemb
     mean(order);
     for (size_t k = 0; k < order->count; k++)
         planes[k] = (struct gsn_sequence_plane){ a->section[order->section[k]].seen.serial,
-                                                 order->sum + k * order->columns * order->rows };
+                                                 order->mean + k * coarse_cells(order),
+                                                 order->sum + k * fine_cells(order) };
     r = gsn_sequence_examine(planes, order->count, order->columns, order->rows, ret_sequence, err);
     for (size_t i = 0; r >= 0 && i < (*ret_sequence)->count; i++)
         flag(order, a, &(*ret_sequence)->finding[i]);
@@ -206,10 +245,10 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
                        finding->a, finding->b, 100 * finding->smoother);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %u and %u look like one section, mounted or scanned twice: they "
-                       "share %.0f %% of what sets them apart from their neighbours; both are "
-                       "used: look at them, and hold the one that is not there",
-                       finding->a, finding->b, 100 * finding->evidence);
+                       "sections %u and %u look like one section, mounted or scanned twice: their "
+                       "texture agrees to %.0f %%, that of neighbours to %.0f %%; both are used: "
+                       "look at them, and hold the one that is not there",
+                       finding->a, finding->b, 100 * finding->evidence, 100 * finding->usual);
 }
 
 int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,

@@ -12,9 +12,9 @@
 enum { PATCH = 16, REACH = 5, SHIFTS = 2 * REACH + 1, WINDOW = PATCH + 2 * REACH };
 /* Whole vectors. */
 enum { ROW = 12 };
-/* With fewer patches the median says little; so many, of which some lie on tissue, are enough for a
- * first look. */
-enum { LEAST_PATCHES = 9, FIRST_LOOK = 20, MOST_PATCHES = 4096 };
+/* With fewer than LEAST_PATCHES the median says little. A first look takes about FIRST_LOOK patches
+ * of the whole plane; those on tissue tell nearly all pairs. */
+enum { LEAST_PATCHES = 9, FIRST_LOOK = 10, LEAST_OF_FIRST = 5, MOST_PATCHES = 4096 };
 
 /* Two mounts share this much of their texture at least, and this much more than neighbours of this
  * stack do, in standard deviations of what neighbours share. */
@@ -176,8 +176,8 @@ static double agreement(const struct texture *t, const float *patch, const float
 }
 
 /* Share of their texture that sections i and j have in common: the median of their patches; every
- * step-th patch is looked at. NaN where too little tissue lies over tissue. */
-static double shared(const struct texture *t, size_t i, size_t j, size_t step)
+ * step-th patch is looked at. NaN where fewer than least of them have tissue over tissue. */
+static double shared(const struct texture *t, size_t i, size_t j, size_t step, size_t least)
 {
     const size_t cells = t->columns * t->rows;
     size_t count = 0, at = 0;
@@ -192,7 +192,7 @@ static double shared(const struct texture *t, size_t i, size_t j, size_t step)
                 continue;
             t->share[count++] = agreement(t, a, b);
         }
-    return count >= LEAST_PATCHES ? gsn_median(t->share, count) : NAN;
+    return count >= least ? gsn_median(t->share, count) : NAN;
 }
 
 /* ---- what only two mounts share ------------------------------------------------------------- */
@@ -205,7 +205,7 @@ static int judge_neighbours(const struct texture *t, double *room, double *ret_u
     double usual;
 
     for (size_t i = 0; i + 1 < t->n; i++) {
-        const double share = shared(t, i, i + 1, 1);
+        const double share = shared(t, i, i + 1, 1, LEAST_PATCHES);
 
         if (!isnan(share))
             room[pairs++] = share;
@@ -228,12 +228,12 @@ static double shared_if_much(const struct texture *t, size_t i, size_t j, double
     const size_t step = patches / FIRST_LOOK;
 
     if (step > 1) {
-        const double first = shared(t, i, j, step);
+        const double first = shared(t, i, j, step, LEAST_OF_FIRST);
 
         if (first < FAR_BELOW * least)
             return first;
     }
-    return shared(t, i, j, 1);
+    return shared(t, i, j, 1, LEAST_PATCHES);
 }
 
 static void find(const struct texture *t, const struct gsn_sequence_plane *planes, double *room,

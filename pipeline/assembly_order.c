@@ -34,17 +34,21 @@ int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_asse
                               struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(planes->count, sizeof *plane);
+    const size_t columns = planes->columns / GSN_SEQUENCE_FINER;
+    const size_t rows = planes->rows / GSN_SEQUENCE_FINER;
+    gsn_auto_mem(float) coarse = gsn_alloc_array(planes->count * rows, columns * sizeof *coarse);
     int r;
 
-    if (!plane)
+    if (!plane || !coarse)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
+    gsn_section_planes_reduce(planes, GSN_SEQUENCE_FINER, coarse);
     gsn_section_planes_settle(planes);
     for (size_t k = 0; k < planes->count; k++)
         plane[k] =
             (struct gsn_sequence_plane){ a->section[planes->section[k]].seen.serial,
+                                         coarse + k * columns * rows,
                                          planes->density + k * planes->columns * planes->rows };
-    r = gsn_sequence_examine(plane, planes->count, planes->columns, planes->rows, ret_sequence,
-                             err);
+    r = gsn_sequence_examine(plane, planes->count, columns, rows, ret_sequence, err);
     for (size_t i = 0; r >= 0 && i < (*ret_sequence)->count; i++)
         flag(planes, a, &(*ret_sequence)->finding[i]);
     return r;
@@ -60,10 +64,10 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
                        finding->a, finding->b, 100 * finding->smoother);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %u and %u look like one section, mounted or scanned twice: they "
-                       "share %.0f %% of what sets them apart from their neighbours; both are "
-                       "used: look at them, and hold the one that is not there",
-                       finding->a, finding->b, 100 * finding->evidence);
+                       "sections %u and %u look like one section, mounted or scanned twice: their "
+                       "texture agrees to %.0f %%, that of neighbours to %.0f %%; both are used: "
+                       "look at them, and hold the one that is not there",
+                       finding->a, finding->b, 100 * finding->evidence, 100 * finding->usual);
 }
 
 int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,

@@ -15,9 +15,9 @@
 extern "C" {
 #endif
 
-/* Side of the cells that are compared, um: several sections' errors of laying wide, and most
- * structures' size. */
-#define GSN_ORDER_CELL_UM 100.0
+/* Side of the cells, um: texture is looked at in these, and what changes along z in squares of
+ * them: several sections' errors of laying wide, and most structures' size. */
+#define GSN_ORDER_CELL_UM (100.0 / GSN_SEQUENCE_FINER)
 
 /* Compares all that was gathered; flags the sections. gives: ret_sequence. Fails with GSN_E_NOMEM.
  */

@@ -14,6 +14,12 @@ static const double CELL_UM = 48;
 /* Beyond this predicted error, two intervals and a half, a section would blur what it is to add to.
  */
 static const double MOST_ERROR_UM = 60;
+/* Two marks of which another pose has more than this share of the likelihood are asked about. */
+static const double OPEN = 0.01;
+/* Where tissue lays a section this far, root mean square, from where its two marks do, they are not
+ * its marks: a fold or a tear moves half a section, and so the tissue's pose, by half a millimetre.
+ */
+static const double APART_UM = 600;
 
 /* A section while it is laid. */
 struct part {
@@ -28,9 +34,17 @@ static int is_lost(const struct gsn_assembly_section *s)
            s->seen.width > 0 && s->seen.height > 0 && (!s->posed || s->pose.gross);
 }
 
+/* Two spots that could be other marks than they are taken for, or none: the panel alone cannot say,
+ * nor has a person. */
+static int is_open(const struct gsn_assembly_section *s)
+{
+    return s->posed && s->state == GSN_SECTION_DOUBTFUL && s->pose.state == GSN_POSE_TWO_MARKS &&
+           s->candidates.chosen == 0 && s->candidates.count > 1 && s->candidates.at[1].share > OPEN;
+}
+
 static int is_held_by_marks(const struct gsn_assembly_section *s)
 {
-    return s->posed && !s->pose.gross &&
+    return s->posed && !s->pose.gross && !is_open(s) &&
            (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
 }
 
@@ -42,7 +56,8 @@ static size_t list(const struct gsn_assembly *a, struct part *parts)
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
 
-        if (s->seen.serial == GSN_NO_SERIAL || (!is_lost(s) && !is_held_by_marks(s)) ||
+        if (s->seen.serial == GSN_NO_SERIAL ||
+            (!is_lost(s) && !is_open(s) && !is_held_by_marks(s)) ||
             (count > 0 && a->section[parts[count - 1].section].seen.serial == s->seen.serial))
             continue;
         parts[count++] = (struct part){ .section = i };
@@ -50,13 +65,15 @@ static size_t list(const struct gsn_assembly *a, struct part *parts)
     return count;
 }
 
-/* Marks the lost ones and those around them; 0 when none is lost. */
+/* Marks the lost and open ones and those around them; 0 when there are none. */
 static int choose(const struct gsn_assembly *a, struct part *parts, size_t count)
 {
     int any = 0;
 
     for (size_t i = 0; i < count; i++) {
-        if (!is_lost(&a->section[parts[i].section]))
+        const struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (!is_lost(s) && !is_open(s))
             continue;
         any = 1;
         for (size_t k = i > AROUND ? i - AROUND : 0; k < count && k <= i + AROUND; k++)
@@ -187,6 +204,39 @@ static void take(const struct gsn_specimen *specimen, struct gsn_assembly_sectio
         gsn_assembly_flag(s, "turned");
 }
 
+/* How far apart two poses lay the corners of a section's box, root mean square. */
+static double apart(const struct gsn_assembly_section *s, const struct gsn_affine *a,
+                    const struct gsn_affine *b)
+{
+    double square = 0;
+
+    for (int corner = 0; corner < 4; corner++) {
+        const struct gsn_point at = { s->seen.x + (corner & 1 ? s->seen.width : 0),
+                                      s->seen.y + (corner & 2 ? s->seen.height : 0) };
+        const struct gsn_point p = gsn_affine_apply(a, at), q = gsn_affine_apply(b, at);
+
+        square += (pow(p.x - q.x, 2) + pow(p.y - q.y, 2)) / 4;
+    }
+    return sqrt(square);
+}
+
+/* An open section whose tissue lies elsewhere than its two spots say: they are not its marks. */
+static void correct(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
+                    const struct gsn_tissue_pose *pose)
+{
+    struct gsn_assembly_section corrected = *s;
+
+    corrected.flags[0] = '\0';
+    if (s->seen.flags[0])
+        gsn_assembly_flag(&corrected, s->seen.flags);
+    take(specimen, &corrected, pose);
+    if (apart(s, &s->pose.panel_to_block_um, &corrected.pose.panel_to_block_um) < APART_UM)
+        return;
+    for (size_t m = 0; m < GSN_MARKS; m++)
+        corrected.seen.mark[m].found = 0;
+    *s = corrected;
+}
+
 static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                const struct part *parts, size_t count, struct gsn_error *err)
 {
@@ -203,9 +253,13 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
     for (size_t i = 0; r >= 0 && i < count; i++) {
         struct gsn_assembly_section *s = &a->section[parts[i].section];
 
-        if (is_lost(s) && poses[i].laid && !poses[i].unsure && summary.held > 0 &&
-            poses[i].from <= AROUND && poses[i].error <= MOST_ERROR_UM)
+        if (!poses[i].laid || poses[i].unsure || summary.held == 0 || poses[i].from > AROUND ||
+            poses[i].error > MOST_ERROR_UM)
+            continue;
+        if (is_lost(s))
             take(specimen, s, &poses[i]);
+        else if (is_open(s))
+            correct(specimen, s, &poses[i]);
     }
     return r;
 }

@@ -8,6 +8,11 @@
 
 /* A cell of which less than this share was seen is not known. */
 static const double SEEN = 0.5;
+/* What is masked counts as this little seen: the cell is in the section's box, so it is no glass.
+ */
+static const float HIDDEN = 1e-6f;
+/* Of one plane: larger specimens are seen in larger cells. */
+static const double MOST_CELLS = 80000;
 
 static int is_laid(const struct gsn_assembly_section *s)
 {
@@ -52,7 +57,37 @@ static double usual_end(const struct gsn_section_planes *planes, const struct gs
     return gsn_median(room, planes->count);
 }
 
-int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
+/* Cells no narrower than the coarsest pixel, and no more than are allowed. */
+static double wide_enough(const struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                          struct gsn_point end)
+{
+    const double area = (end.x - planes->origin.x) * (end.y - planes->origin.y);
+    double wide = fmax(planes->cell_um, sqrt(fmax(area, 0) / MOST_CELLS));
+
+    for (size_t k = 0; k < planes->count; k++) {
+        const struct gsn_pose *pose = &a->section[planes->section[k]].pose;
+
+        wide = fmax(wide, sqrt(fabs(gsn_affine_det(&pose->panel_to_block_um))));
+    }
+    return wide;
+}
+
+static void place_cells(struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                        size_t whole, double *room)
+{
+    struct gsn_point end;
+
+    planes->origin =
+        (struct gsn_point){ usual_end(planes, a, 0, -1, room), usual_end(planes, a, 1, -1, room) };
+    end = (struct gsn_point){ usual_end(planes, a, 0, 1, room), usual_end(planes, a, 1, 1, room) };
+    planes->cell_um = wide_enough(planes, a, end);
+    planes->columns = (size_t)fmax((end.x - planes->origin.x) / planes->cell_um, 1);
+    planes->rows = (size_t)fmax((end.y - planes->origin.y) / planes->cell_um, 1);
+    planes->columns = (planes->columns / whole + 1) * whole;
+    planes->rows = (planes->rows / whole + 1) * whole;
+}
+
+int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um, size_t whole,
                            struct gsn_section_planes **ret_planes, struct gsn_error *err)
 {
     gsn_auto(gsn_section_planes) planes = gsn_alloc_array(1, sizeof *planes);
@@ -71,14 +106,7 @@ int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
         *ret_planes = NULL;
         return GSN_OK;
     }
-    planes->origin =
-        (struct gsn_point){ usual_end(planes, a, 0, -1, room), usual_end(planes, a, 1, -1, room) };
-    planes->columns =
-        (size_t)fmax((usual_end(planes, a, 0, 1, room) - planes->origin.x) / planes->cell_um, 1) +
-        1;
-    planes->rows =
-        (size_t)fmax((usual_end(planes, a, 1, 1, room) - planes->origin.y) / planes->cell_um, 1) +
-        1;
+    place_cells(planes, a, whole, room);
     planes->density =
         gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
     planes->seen = gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
@@ -116,11 +144,10 @@ static void gather(struct gsn_section_planes *planes, size_t plane,
             const double u = (p.x - planes->origin.x) / planes->cell_um;
             const double v = (p.y - planes->origin.y) / planes->cell_um;
 
-            if (isnan(value) ||
-                !(u >= 0 && v >= 0 && u < (double)planes->columns && v < (double)planes->rows))
+            if (!(u >= 0 && v >= 0 && u < (double)planes->columns && v < (double)planes->rows))
                 continue;
-            sum[(size_t)v * planes->columns + (size_t)u] += area * value;
-            seen[(size_t)v * planes->columns + (size_t)u] += area;
+            sum[(size_t)v * planes->columns + (size_t)u] += isnan(value) ? 0 : area * value;
+            seen[(size_t)v * planes->columns + (size_t)u] += isnan(value) ? HIDDEN * area : area;
         }
 }
 
@@ -132,14 +159,43 @@ void gsn_section_planes_add(struct gsn_section_planes *planes, const struct gsn_
             gather(planes, k, &a->section[i], density, apart);
 }
 
+static float mean_of(double sum, double seen, double cell_um)
+{
+    if (seen >= SEEN * cell_um * cell_um)
+        return (float)(sum / seen);
+    return seen > 0 ? NAN : 0;
+}
+
+/* The mean over by x by cells. */
+static float mean_over(const struct gsn_section_planes *planes, size_t corner, size_t by)
+{
+    double sum = 0, seen = 0;
+
+    for (size_t v = 0; v < by; v++)
+        for (size_t u = 0; u < by; u++) {
+            sum += (double)planes->density[corner + v * planes->columns + u];
+            seen += (double)planes->seen[corner + v * planes->columns + u];
+        }
+    return mean_of(sum, seen, (double)by * planes->cell_um);
+}
+
+void gsn_section_planes_reduce(const struct gsn_section_planes *planes, size_t by,
+                               float *ret_density)
+{
+    const size_t columns = planes->columns / by, rows = planes->rows / by;
+
+    for (size_t k = 0; k < planes->count; k++)
+        for (size_t y = 0; y < rows; y++)
+            for (size_t x = 0; x < columns; x++)
+                ret_density[(k * rows + y) * columns + x] =
+                    mean_over(planes, (k * planes->rows + by * y) * planes->columns + by * x, by);
+}
+
 void gsn_section_planes_settle(struct gsn_section_planes *planes)
 {
     const size_t total = planes->count * planes->columns * planes->rows;
-    const float whole = (float)(planes->cell_um * planes->cell_um);
 
     for (size_t i = 0; i < total; i++)
-        if (planes->seen[i] >= (float)SEEN * whole)
-            planes->density[i] /= planes->seen[i];
-        else
-            planes->density[i] = planes->seen[i] > 0 ? NAN : 0;
+        planes->density[i] =
+            mean_of((double)planes->density[i], (double)planes->seen[i], planes->cell_um);
 }

@@ -104,15 +104,54 @@ void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d)
             d, gsn_draft_say(d, "the panels were not levelled: %s", e->assembly->levelling.why));
 }
 
-enum { MOST_NAMED = 12 };
+/* Why panels give nothing, and what each reason asks for. */
+enum silence { LOST, NOT_COME, REFUSED, HELD, UNUSED, SILENCES };
 
-/* The panels that were expected and of which no section is used, as in "2, 4 and 5"; how many. */
-static size_t silent_panels(const struct gsn_assembly *a, char *text, size_t size)
+enum { MOST_NAMED = 12, NAMED = 1600 };
+
+struct silent {
+    char text[NAMED];
+    size_t count, used;
+    int any[SILENCES];
+};
+
+static int is_lost(const struct gsn_specimen *specimen, unsigned number)
 {
-    unsigned silent[MOST_NAMED + 1];
-    size_t count = 0, used = 0;
+    for (size_t i = 0; i < specimen->decision_count; i++)
+        if (specimen->decision[i].panel == number && specimen->decision[i].slot == 0 &&
+            strcmp(specimen->decision[i].answer, "lost") == 0)
+            return 1;
+    return 0;
+}
 
-    for (unsigned number = 1; number <= 64 && count <= MOST_NAMED; number++) {
+/* Names a panel of which no section is used, with its file where there is one. */
+static void name_silent(const struct gsn_specimen *specimen, unsigned number, struct silent *silent)
+{
+    static const char *const words[SILENCES] = { "is lost", "has not come", "was refused",
+                                                 "is held", "has no section that is used" };
+    const struct gsn_specimen_panel *panel = NULL;
+    enum silence why = is_lost(specimen, number) ? LOST : NOT_COME;
+
+    for (size_t i = 0; i < specimen->panel_count; i++)
+        if (specimen->panel[i].number == number)
+            panel = &specimen->panel[i];
+    if (panel)
+        why = panel->section_count > 0               ? UNUSED
+              : strcmp(panel->state, "refused") == 0 ? REFUSED
+                                                     : HELD;
+    silent->any[why] = 1;
+    if (silent->count++ < MOST_NAMED)
+        silent->used += (size_t)snprintf(
+            silent->text + silent->used, sizeof silent->text - silent->used,
+            "%s panel %u %s%s%.80s%s", silent->count > 1 ? "," : "", number, words[why],
+            panel ? " (" : "", panel ? panel->file : "", panel ? ")" : "");
+}
+
+static void name_all_silent(const struct gsn_evidence *e, struct silent *silent)
+{
+    const struct gsn_assembly *a = e->assembly;
+
+    for (unsigned number = 1; number <= 64; number++) {
         int expected = 0, shown = 0;
 
         for (size_t i = 0; i < a->section_count; i++) {
@@ -123,34 +162,31 @@ static size_t silent_panels(const struct gsn_assembly *a, char *text, size_t siz
                      (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
         }
         if (expected && !shown)
-            silent[count++] = number;
+            name_silent(e->specimen, number, silent);
     }
-    text[0] = '\0';
-    for (size_t i = 0; i < count && used < size; i++)
-        used += (size_t)snprintf(text + used, size - used, "%s%u",
-                                 i == 0           ? ""
-                                 : i + 1 == count ? " and "
-                                                  : ", ",
-                                 silent[i]);
-    return count;
 }
 
-/* The sentence, and where whole panels are the reason, which and what to do. */
+/* The sentence, and where whole panels are the reason, which, why and what to do. */
 static const char *and_panels(const struct gsn_evidence *e, struct gsn_draft *d,
                               const char *sentence)
 {
-    char panels[120];
-    size_t count;
+    static const char *const actions[SILENCES] = { NULL, "import what has not come",
+                                                   "scan again what was refused",
+                                                   "settle what is held", "settle what is held" };
+    struct silent silent = { .count = 0 };
+    char next[160] = "";
+    size_t used = 0;
 
     if (!e->assembly || !e->assembly->grid)
         return sentence;
-    count = silent_panels(e->assembly, panels, sizeof panels);
-    if (count == 0)
+    name_all_silent(e, &silent);
+    if (silent.count == 0)
         return sentence;
-    return gsn_draft_say(d,
-                         "%s; no section of panel%s %s is used: scan and import what was not "
-                         "delivered, and settle what is refused or held",
-                         sentence, count == 1 ? "" : "s", panels);
+    for (int why = 0; why < SILENCES; why++)
+        if (silent.any[why] && actions[why] && !(why == UNUSED && silent.any[HELD]))
+            used += (size_t)snprintf(next + used, sizeof next - used, "%s %s", used ? "," : ":",
+                                     actions[why]);
+    return gsn_draft_say(d, "%s;%s%s", sentence, silent.text, next);
 }
 
 const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d)

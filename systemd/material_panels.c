@@ -2,6 +2,7 @@
 #include "systemd/material_parts.h"
 
 #include "systemd/panel_job.h"
+#include "systemd/rescan.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -12,11 +13,37 @@ static int clash(const struct gsn_panel_row *a, const struct gsn_panel_row *b)
            strcmp(b->state, "registered") == 0;
 }
 
+/* A second scan of one glass needs a choice; two glasses of one number may need another name.
+ * gives: the sentence. */
+static int say_clash(const struct gsn_section_rows *sections, const struct gsn_panel_row *panel,
+                     const struct gsn_panel_row *other, char **ret_sentence, struct gsn_error *err)
+{
+    gsn_auto_mem(char) sentence = NULL;
+    double apart_um;
+    size_t marks;
+    int same;
+    const int r = gsn_rescan_compare(sections, panel, other, &same, &marks, &apart_um, err);
+
+    if (r < 0)
+        return r;
+    sentence = same ? gsn_format("panel number %lld is claimed by %.200s as well: say which scan "
+                                 "to use; both show the same glass (%zu marks agree to %.1f um)",
+                                 (long long)panel->number, other->file_name, marks, apart_um)
+                    : gsn_format("panel number %lld is claimed by %.200s as well: say which scan "
+                                 "to use, or rename one and import again",
+                                 (long long)panel->number, other->file_name);
+    if (!sentence)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    *ret_sentence = gsn_steal(&sentence);
+    return GSN_OK;
+}
+
 /* Panels of one number are all held: which of them is right is for a person to say. */
 int gsn_material_hold_duplicates(struct gsn_material *m, struct gsn_error *err)
 {
+    gsn_auto(gsn_section_rows) sections = NULL;
     struct gsn_panel_rows *rows = m->panels;
-    int held = 0, r = GSN_OK;
+    int held = 0, r = gsn_section_list(m->store, m->row->id, &sections, err);
 
     for (size_t i = 0; r >= 0 && i < rows->count; i++)
         for (size_t j = 0; r >= 0 && j < rows->count; j++) {
@@ -24,12 +51,10 @@ int gsn_material_hold_duplicates(struct gsn_material *m, struct gsn_error *err)
 
             if (!clash(&rows->at[i], &rows->at[j]))
                 continue;
-            sentence = gsn_format("panel number %lld is claimed by %.200s as well: say which scan "
-                                  "to use, or rename one and import again",
-                                  (long long)rows->at[i].number, rows->at[j].file_name);
-            r = sentence ? gsn_panel_set_state(m->store, rows->at[i].id, "held",
-                                               gsn_code_name(GSN_E_WITHHELD), sentence, err)
-                         : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+            r = say_clash(sections, &rows->at[i], &rows->at[j], &sentence, err);
+            if (r >= 0)
+                r = gsn_panel_set_state(m->store, rows->at[i].id, "held",
+                                        gsn_code_name(GSN_E_WITHHELD), sentence, err);
             held = 1;
         }
     if (r < 0 || !held)

@@ -16,18 +16,21 @@ struct pairs {
     struct gsn_point a[MOST_PAIRS], b[MOST_PAIRS]; /* um on the glass */
 };
 
+static void add_pair(struct pairs *pairs, struct gsn_point a, double a_um,
+                     const struct gsn_marker_row *b, double b_um)
+{
+    if (pairs->count == MOST_PAIRS || !b->found)
+        return;
+    pairs->a[pairs->count] = (struct gsn_point){ a_um * a.x, a_um * a.y };
+    pairs->b[pairs->count++] = (struct gsn_point){ b_um * b->x_px, b_um * b->y_px };
+}
+
 static void add(struct pairs *pairs, const struct gsn_panel_section *section, double px_um,
                 const struct gsn_section_row *row, double row_px_um)
 {
-    for (size_t m = 0; m < GSN_MARKS && pairs->count < MOST_PAIRS; m++) {
-        const struct gsn_mark *mark = &section->mark[m];
-
-        if (!mark->found || !row->marker[m].found)
-            continue;
-        pairs->a[pairs->count] = (struct gsn_point){ px_um * mark->px.x, px_um * mark->px.y };
-        pairs->b[pairs->count++] =
-            (struct gsn_point){ row_px_um * row->marker[m].x_px, row_px_um * row->marker[m].y_px };
-    }
+    for (size_t m = 0; m < GSN_MARKS; m++)
+        if (section->mark[m].found)
+            add_pair(pairs, section->mark[m].px, px_um, &row->marker[m], row_px_um);
 }
 
 /* What a turn and a shift leave of the distances, root mean square; infinite for too few pairs. */
@@ -68,6 +71,43 @@ static void pair_up(const struct gsn_panel_findings *findings, const struct gsn_
     }
 }
 
+static void pair_rows(const struct gsn_section_rows *rows, const struct gsn_panel_row *a,
+                      const struct gsn_panel_row *b, struct pairs *pairs)
+{
+    for (size_t i = 0; i < rows->count; i++)
+        for (size_t j = 0; j < rows->count; j++) {
+            const struct gsn_section_row *p = &rows->at[i], *q = &rows->at[j];
+
+            if (p->panel_id != a->id || q->panel_id != b->id || p->slot != q->slot)
+                continue;
+            for (size_t m = 0; m < GSN_MARKS; m++)
+                if (p->marker[m].found)
+                    add_pair(pairs, (struct gsn_point){ p->marker[m].x_px, p->marker[m].y_px },
+                             a->px_um, &q->marker[m], b->px_um);
+        }
+}
+
+static int is_same(const struct pairs *pairs, double apart_um, double a_um, double b_um)
+{
+    return pairs->count >= LEAST_PAIRS && apart_um < fmax(a_um, b_um) + CARRIAGE_UM;
+}
+
+int gsn_rescan_compare(const struct gsn_section_rows *rows, const struct gsn_panel_row *a,
+                       const struct gsn_panel_row *b, int *ret_same, size_t *ret_marks,
+                       double *ret_apart_um, struct gsn_error *err)
+{
+    gsn_auto_mem(struct pairs) pairs = gsn_alloc(sizeof *pairs);
+
+    if (!pairs)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    pairs->count = 0;
+    pair_rows(rows, a, b, pairs);
+    *ret_marks = pairs->count;
+    *ret_apart_um = residual_um(pairs);
+    *ret_same = is_same(pairs, *ret_apart_um, a->px_um, b->px_um);
+    return GSN_OK;
+}
+
 int gsn_rescan_check(struct gsn_store *store, const struct gsn_panel_row *panel,
                      const struct gsn_panel_findings *findings, struct gsn_error *err)
 {
@@ -95,7 +135,7 @@ int gsn_rescan_check(struct gsn_store *store, const struct gsn_panel_row *panel,
             continue;
         pair_up(findings, rows, other, pairs);
         left = residual_um(pairs);
-        if (pairs->count >= LEAST_PAIRS && left < fmax(findings->px_um, other->px_um) + CARRIAGE_UM)
+        if (is_same(pairs, left, findings->px_um, other->px_um))
             return gsn_fail(err, GSN_E_WITHHELD,
                             "it shows the same glass as %s (%zu marks agree to %.0f um): both are "
                             "kept; to use this one, import it under that panel's name",

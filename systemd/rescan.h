@@ -19,4 +19,11 @@
 int gsn_rescan_check(struct gsn_store *store, const struct gsn_panel_row *panel,
                      const struct gsn_panel_findings *findings, struct gsn_error *err);
 
+/* Whether two registered panels show the same glass: how many marks they share, and how far apart
+ * these are after one motion, root mean square in um. rows: all sections of the specimen. Fails
+ * with GSN_E_NOMEM. */
+int gsn_rescan_compare(const struct gsn_section_rows *rows, const struct gsn_panel_row *a,
+                       const struct gsn_panel_row *b, int *ret_same, size_t *ret_marks,
+                       double *ret_apart_um, struct gsn_error *err);
+
 #endif

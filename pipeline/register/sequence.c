@@ -32,21 +32,6 @@ static int order(const void *a, const void *b)
     return f->a < g->a ? -1 : f->a > g->a;
 }
 
-/* Leaves the smooth part in next and the rest, the grain, in value. */
-static void split_grain(struct gsn_sequence_cells *a)
-{
-    const size_t total = a->n * a->columns * a->rows;
-
-    memcpy(a->next, a->value, total * sizeof *a->next);
-    gsn_sequence_smooth(a);
-    for (size_t c = 0; c < total; c++) {
-        const float whole = a->next[c];
-
-        a->next[c] = a->value[c];
-        a->value[c] = whole - a->next[c];
-    }
-}
-
 /* A plane's product with itself holds the noise of all its cells, which would make every line look
  * longer than it is: that is taken off, as much as the median plane is off its line. */
 static void take_off_noise(struct gsn_sequence_stack *s)
@@ -54,7 +39,7 @@ static void take_off_noise(struct gsn_sequence_stack *s)
     double median;
 
     for (size_t i = 0; i < s->n; i++)
-        s->room[i] = s->own[i] = gsn_sequence_off_line(s, i);
+        s->room[i] = gsn_sequence_off_line(s, i);
     median = gsn_median(s->room, s->n);
     for (size_t i = 0; i < s->n; i++)
         s->gram[i * s->n + i] -= median;
@@ -88,16 +73,14 @@ static int examine(const struct gsn_sequence_plane *planes, struct gsn_sequence_
                    struct gsn_sequence_stack *stack, struct gsn_sequence *found,
                    struct gsn_error *err)
 {
-    int r;
+    int r = gsn_sequence_find_duplicates(planes, cells->n, GSN_SEQUENCE_FINER * cells->columns,
+                                         GSN_SEQUENCE_FINER * cells->rows, found, err);
 
-    const size_t total = cells->n * cells->columns * cells->rows;
-
+    if (r < 0)
+        return r;
     gsn_sequence_gather(planes, cells);
     gsn_sequence_align(cells);
-    split_grain(cells);
-    gsn_sequence_multiply(cells, stack);
-    gsn_sequence_find_duplicates(stack, planes, found);
-    memcpy(cells->value, cells->next, total * sizeof *cells->value);
+    gsn_sequence_smooth(cells);
     gsn_sequence_align(cells);
     gsn_sequence_multiply(cells, stack);
     gsn_sequence_reduce(stack);
@@ -113,7 +96,7 @@ static int with_room(const struct gsn_sequence_plane *planes, size_t n, size_t c
                      struct gsn_sequence *found, struct gsn_error *err)
 {
     const size_t count = columns * rows;
-    gsn_auto_mem(double) of_planes = gsn_alloc_array(2 * n, sizeof *of_planes);
+    gsn_auto_mem(double) of_planes = gsn_alloc_array(n, sizeof *of_planes);
     gsn_auto_mem(double) gram = gsn_alloc_array(n * n, sizeof *gram);
     gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
     gsn_auto_mem(double) mean = gsn_alloc_array(count, sizeof *mean);
@@ -127,7 +110,6 @@ static int with_room(const struct gsn_sequence_plane *planes, size_t n, size_t c
     cells.value = value;
     cells.next = value + n * count;
     cells.mean = mean;
-    stack.own = of_planes + n;
     stack.room = room;
     return examine(planes, &cells, &stack, found, err);
 }

@@ -8,9 +8,10 @@
  * texture averaged out), scaled to one mean, so that stain does not matter. How far apart two
  * sections must be for a swap of them to show is measured on the stack itself.
  *
- * A section that is there twice shares with its second mount the detail that neighbours do not
- * share: grain, tears, dirt. Where neighbours share nearly all, there is no such detail, and
- * nothing is proposed.
+ * A section that is there twice shares with its second mount the texture that neighbours do not
+ * share. It is compared half a millimetre at a time, each piece where it fits best, since every
+ * mount stretches and warps a section anew. Where neighbours share nearly all, there is no such
+ * texture, and nothing is proposed.
  *
  * What is found is a proposal for a person, never an action: nothing is moved in z. Which of the
  * last two at either end is the last cannot be told, and a section that was lost while the numbers
@@ -27,10 +28,13 @@
 extern "C" {
 #endif
 
-/* One laid section: columns * rows densities row by row; 0 on glass, NaN where nothing is known. */
+enum { GSN_SEQUENCE_FINER = 3 };
+
+/* One laid section: columns * rows densities row by row; 0 on glass, NaN where nothing is known.
+ * detail: the same in GSN_SEQUENCE_FINER times as many columns and rows. */
 struct gsn_sequence_plane {
     unsigned serial;
-    const float *density;
+    const float *density, *detail;
 };
 
 enum gsn_sequence_kind {
@@ -42,8 +46,9 @@ struct gsn_sequence_finding {
     enum gsn_sequence_kind kind;
     unsigned a, b;   /* serial numbers, as given */
     double evidence; /* logarithm of the likelihood ratio against the order as numbered; of a
-                        duplicate the share of both's own detail that they have in common */
+                        duplicate the share of their texture that both have in common */
     double smoother; /* share of the roughness along z around both that a swap would take away */
+    double usual;    /* share of their texture that neighbours have in common */
 };
 
 struct gsn_sequence {
@@ -54,7 +59,7 @@ struct gsn_sequence {
                        0: no swap shows */
     double unseen;  /* the most that a swap which does not show carries from one place to the
                        other, as a share of all sections' density */
-    int twice_told; /* whether sections have detail of their own by which two mounts of one would
+    int twice_told; /* whether sections have texture of their own by which two mounts of one would
                        be known */
 };
 

@@ -106,8 +106,6 @@ void gsn_sequence_multiply(const struct gsn_sequence_cells *cells, struct gsn_se
                 sum += (double)a[c] * (double)b[c];
             s->gram[i * s->n + j] = s->gram[j * s->n + i] = sum;
         }
-    for (size_t i = 0; i < s->n; i++)
-        s->own[i] = gsn_sequence_off_line(s, i);
 }
 
 static void swap_values(double *a, double *b)

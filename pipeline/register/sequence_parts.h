@@ -56,11 +56,10 @@ struct gsn_sequence_stack {
     size_t n;
     const double *z;
     double *gram; /* n * n */
-    double *own;  /* n: squared norm of what sets each section apart from its line */
     double *room; /* 2 * n * n + 4 * n: scratch */
 };
 
-/* Inner products of all planes, and what sets each apart. */
+/* Inner products of all planes. */
 void gsn_sequence_multiply(const struct gsn_sequence_cells *cells,
                            struct gsn_sequence_stack *stack);
 double gsn_sequence_line_plane(const struct gsn_sequence_stack *s,
@@ -78,10 +77,9 @@ void gsn_sequence_reduce(struct gsn_sequence_stack *s);
 
 /* ---- findings ----------------------------------------------------------------------------- */
 
-/* Of the stack's grain. */
-void gsn_sequence_find_duplicates(const struct gsn_sequence_stack *grain,
-                                  const struct gsn_sequence_plane *planes,
-                                  struct gsn_sequence *found);
+/* By the planes' detail, of columns * rows cells. Fails with GSN_E_NOMEM. */
+int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
+                                 size_t rows, struct gsn_sequence *found, struct gsn_error *err);
 /* Of the stack's tissue, after the duplicates. Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_swaps(struct gsn_sequence_stack *tissue,
                             const struct gsn_sequence_plane *planes, struct gsn_sequence *found,

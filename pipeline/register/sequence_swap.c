@@ -212,7 +212,11 @@ static void find_all(const struct search *a, const struct gsn_sequence_plane *pl
         gsn_sequence_exchange(a->s, pair[0], pair[1]);
         if (!is_duplicate(found, first, second))
             found->finding[found->count++] =
-                (struct gsn_sequence_finding){ GSN_SEQUENCE_SWAP, first, second, evidence, share };
+                (struct gsn_sequence_finding){ .kind = GSN_SEQUENCE_SWAP,
+                                               .a = first,
+                                               .b = second,
+                                               .evidence = evidence,
+                                               .smoother = share };
     }
 }
 

@@ -106,12 +106,21 @@ static void add_slot(struct gsn_text *text, const struct gsn_report_section *sec
 }
 
 /* Where a panel number is in the list of panels; NULL when nothing is known of it. */
+/* Of several scans of one number the one that is used, which the sections shown are from. */
 static const struct gsn_report_panel *panel_of(const struct gsn_report *report, unsigned number)
 {
-    for (size_t i = 0; i < report->panel_count; i++)
-        if (report->panels[i].number == number)
-            return &report->panels[i];
-    return NULL;
+    const struct gsn_report_panel *first = NULL;
+
+    for (size_t i = 0; i < report->panel_count; i++) {
+        const struct gsn_report_panel *panel = &report->panels[i];
+
+        if (panel->number != number)
+            continue;
+        if (panel->state && strcmp(panel->state, "used") == 0)
+            return panel;
+        first = first ? first : panel;
+    }
+    return first;
 }
 
 /* The layout as stated, or as large as its sections need. */
@@ -190,6 +199,11 @@ static void add_panel(struct gsn_text *text, const struct gsn_report *report, un
     gsn_text_raw(text, "</h3>\n");
     if (panel)
         add_panel_head(text, panel);
+    else
+        gsn_text_raw(text, "<p><span class=\"flag\">no scan of it was delivered</span></p>\n");
+    for (size_t i = 0; i < report->panel_count; i++)
+        if (report->panels[i].number == number && &report->panels[i] != panel)
+            add_panel_head(text, &report->panels[i]);
     gsn_text_raw(text, "<div class=\"scroll\"><table class=\"sheet\"><tbody>\n");
     for (unsigned row = 0; row < rows; row++) {
         gsn_text_raw(text, "<tr>\n");

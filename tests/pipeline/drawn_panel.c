@@ -95,7 +95,8 @@ static void od_at(const struct drawn_panel *panel, unsigned slot, struct gsn_poi
     const double d = s->density * (1 + DRAWN_SLOPE * u.x);
 
     ret_od[0] = ret_od[1] = ret_od[2] = 0;
-    if (s->missing || hypot(u.x / DRAWN_WIDTH_UM, u.y / DRAWN_HEIGHT_UM) > 1)
+    if (s->missing || hypot(u.x / DRAWN_WIDTH_UM, u.y / DRAWN_HEIGHT_UM) > 1 ||
+        (s->lopsided && u.x > 200 && u.y > 100))
         return;
     add(ret_od, RED_DYE, FULL_RED * d);
     add(ret_od, YELLOW_DYE, YELLOW * (1 - .55 * d));

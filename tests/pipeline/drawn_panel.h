@@ -27,6 +27,7 @@ struct drawn_section {
     int missing;               /* glass */
     unsigned no_marks;         /* bit m: mark m was not burnt */
     int flipped;               /* mounted face down */
+    int lopsided;              /* the tissue ends at x = 200 and y = 100 um in its last quarter */
     double turn_deg;           /* of the mounting */
     struct gsn_point shift_um; /* of the mounting, on the panel */
     double density;            /* at x = 0 */

@@ -5,6 +5,7 @@
 #include "tests/pipeline/drawn_specimen.h"
 #include "tests/pipeline/often.h"
 
+#include <stdio.h>
 #include <string.h>
 
 static const struct gsn_specimen_options OPTIONS = { .threads = 1 };
@@ -218,6 +219,76 @@ TEST(a_flipped_section_with_two_marks_is_laid_the_right_way_up)
     CHECK(a->section[6].posed == (strstr(a->section[6].seen.flags, "two-marks") != NULL));
     if (strstr(a->section[6].seen.flags, "mirrored"))
         CHECK(a->section[6].pose.flipped);
+}
+
+/* Section 5 with marks 2 and 3 only, which could as well be 3 and 2. */
+static void leave_two(struct gsn_panel_section *s)
+{
+    s->mark[0].found = 0;
+    (void)snprintf(s->flags, sizeof s->flags, "two-marks");
+    s->candidates = (struct gsn_candidates){ .count = 2 };
+    for (size_t c = 0; c < 2; c++) {
+        memcpy(s->candidates.at[c].mark, s->mark, sizeof s->mark);
+        s->candidates.at[c].share = c ? 0.2 : 0.8;
+    }
+    s->candidates.at[1].mark[1] = s->mark[2];
+    s->candidates.at[1].mark[2] = s->mark[1];
+}
+
+static void lopsided_panels(struct drawn_panel panels[3])
+{
+    three_panels(panels);
+    for (unsigned i = 0; i < 12; i++)
+        panels[i / 4].section[i % 4].lopsided = 1;
+}
+
+static double off_um(const struct gsn_assembly_section *s)
+{
+    const struct drawn_panel panel = drawn_panel_of(2, 24, DENSITY);
+    const struct gsn_point corners[3] = { { 0, 0 }, { 600, 300 }, { -500, 500 } };
+    double most = 0;
+
+    for (size_t c = 0; c < 3; c++) {
+        const struct gsn_point um =
+            gsn_affine_apply(&s->pose.panel_to_block_um, drawn_panel_place(&panel, 1, corners[c]));
+
+        most = fmax(most, hypot(um.x - corners[c].x, um.y - corners[c].y));
+    }
+    return most;
+}
+
+/* Case 20: what two marks leave open, the tissue settles; a person's choice it does not touch. */
+TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
+{
+    for (unsigned swapped = 0; swapped < 2; swapped++)
+        for (unsigned chosen = 0; chosen < 2; chosen++) {
+            struct drawn_panel panels[3];
+            drawn_auto d;
+
+            lopsided_panels(panels);
+            drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+            struct gsn_panel_section *s = &d.findings[1]->section[1];
+            const struct gsn_mark second = s->mark[1];
+
+            if (swapped) {
+                s->mark[1] = s->mark[2];
+                s->mark[2] = second;
+            }
+            leave_two(s);
+            s->candidates.chosen = chosen;
+            gsn_auto(gsn_assembly) a = assembled(&d);
+            const struct gsn_assembly_section *laid = &a->section[5];
+            const int corrected = swapped && !chosen;
+
+            CHECK(laid->state == (chosen ? GSN_SECTION_USED : GSN_SECTION_DOUBTFUL));
+            CHECK((strstr(laid->flags, "by-tissue") != NULL) == corrected);
+            CHECK((strstr(laid->flags, "turned") != NULL) == (swapped && chosen));
+            CHECK(laid->seen.mark[1].found == !corrected);
+            if (!swapped || corrected)
+                CHECK_NEAR(off_um(laid), 0, 60);
+            else
+                CHECK(off_um(laid) > 600);
+        }
 }
 
 /* One mark moved by a third of a millimetre: the triangle is another one, so its place is not

@@ -4,6 +4,7 @@
 #include "tests/check.h"
 #include "tests/register/draw.h"
 
+#include <math.h>
 #include <string.h>
 
 enum { SECTIONS = 16, WIDE = 160, HIGH = 120, CELL = 5, AGAIN = 8 };
@@ -54,7 +55,7 @@ static void free_planes(void)
 static int look(struct gsn_assembly *a, struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
     gsn_auto(gsn_section_planes) cells = NULL;
-    int r = gsn_section_planes_new(a, GSN_ORDER_CELL_UM, &cells, err);
+    int r = gsn_section_planes_new(a, GSN_ORDER_CELL_UM, GSN_SEQUENCE_FINER, &cells, err);
 
     for (unsigned k = 0; r >= 0 && k < SECTIONS; k++)
         gsn_section_planes_add(cells, a, k, planes[k], 1);
@@ -116,6 +117,53 @@ TEST(what_the_tissue_cannot_show_is_said_with_what_it_would_cost)
                            "all that could set one apart") == 0);
 }
 
+/* Most of section 0 is masked, and section 1 is narrower than the stack's frame. */
+TEST(what_is_masked_is_not_known_and_what_no_box_reaches_is_glass)
+{
+    struct gsn_assembly a = make_stack();
+    gsn_auto(gsn_section_planes) cells = NULL;
+    struct gsn_error err = { 0 };
+    size_t middle, right;
+
+    sections[1].seen.width = WIDE / 2;
+    for (int i = 0; i < WIDE * HIGH; i++)
+        if (i % WIDE >= WIDE / 4)
+            planes[0]->value[i] = NAN;
+    CHECK_OK(gsn_section_planes_new(&a, 25, 4, &cells, &err), err);
+    CHECK(cells->cell_um == 25 && cells->columns % 4 == 0 && cells->rows % 4 == 0);
+    CHECK(cells->columns * 25 > WIDE * 20 && cells->columns * 25 <= WIDE * 20 + 4 * 25);
+    gsn_section_planes_add(cells, &a, 0, planes[0], 1);
+    planes[1]->width = WIDE / 2;
+    gsn_section_planes_add(cells, &a, 1, planes[1], 1);
+    gsn_section_planes_settle(cells);
+    middle = cells->rows / 2 * cells->columns + WIDE * 20 / 25 / 2 + 4;
+    right = middle + WIDE * 20 / 25 / 4;
+    CHECK(isnan(cells->density[middle]) && isnan(cells->density[right]));
+    CHECK(cells->density[cells->rows * cells->columns + right] == 0);
+    CHECK(cells->density[cells->rows / 2 * cells->columns + 8] > 0);
+    planes[1]->width = WIDE;
+    free_planes();
+}
+
+/* Pixels of 40 um would leave holes in cells of 25. */
+TEST(cells_are_no_narrower_than_the_coarsest_pixel)
+{
+    struct gsn_assembly a = make_stack();
+    gsn_auto(gsn_section_planes) cells = NULL;
+    struct gsn_error err = { 0 };
+
+    for (unsigned k = 0; k < SECTIONS; k++)
+        sections[k].pose.panel_to_block_um = (struct gsn_affine){ 40, 0, 0, 0, 40, 0 };
+    CHECK_OK(gsn_section_planes_new(&a, 25, 1, &cells, &err), err);
+    CHECK(fabs(cells->cell_um - 40) < 1e-9);
+    gsn_section_planes_add(cells, &a, 0, planes[0], 1);
+    gsn_section_planes_settle(cells);
+    for (size_t y = 1; y + 2 < cells->rows; y++)
+        for (size_t x = 1; x + 2 < cells->columns; x++)
+            CHECK(cells->density[y * cells->columns + x] > 0);
+    free_planes();
+}
+
 TEST(a_specimen_without_laid_sections_has_no_order)
 {
     struct gsn_assembly a = { .section_count = 1, .section = sections };
@@ -123,7 +171,7 @@ TEST(a_specimen_without_laid_sections_has_no_order)
     struct gsn_error err = { 0 };
 
     memset(sections, 0, sizeof sections);
-    CHECK_OK(gsn_section_planes_new(&a, GSN_ORDER_CELL_UM, &cells, &err), err);
+    CHECK_OK(gsn_section_planes_new(&a, GSN_ORDER_CELL_UM, GSN_SEQUENCE_FINER, &cells, &err), err);
     CHECK(cells == NULL);
 }
 

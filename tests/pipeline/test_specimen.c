@@ -433,16 +433,41 @@ static void check_panel_named(int baseline, const char *ends)
 
     CHECK(gaps->withheld);
     CHECK(strncmp(gaps->message, "only 50 % of the region of interest ", 36) == 0);
-    assert_non_null(strstr(gaps->message, "; no section of panel 2 is used: scan and import what "
-                                          "was not delivered, and settle what is refused or held"));
+    assert_non_null(strstr(gaps->message, "; panel 2 has no section that is used (P02.png): "
+                                          "settle what is held"));
     assert_string_equal(gaps->message + strlen(gaps->message) - strlen(ends), ends);
 }
 
 /* A whole panel that is not there is named, with what to do, beside what else is lacking. */
 TEST(a_panel_that_gives_nothing_is_named_where_the_loss_is_withheld)
 {
-    check_panel_named(1, "settle what is refused or held");
+    check_panel_named(1, ": settle what is held");
     check_panel_named(0, "; the baseline control has no result yet: import and run it");
+}
+
+/* Each panel that gives nothing has its own reason, and each reason its own remedy. */
+TEST(panels_that_are_lost_refused_held_or_have_not_come_are_told_apart)
+{
+    static const char job[] = "{\"specimen\": \"drawn\", \"px_um\": 24, \"layout\": [2, 2], "
+                              "\"panels\": 5, \"transfer\": \"linear\", "
+                              "\"markers_um\": " DRAWN_MARKS_JSON ", \"region\": " DRAWN_REGION "}";
+    static const struct gsn_specimen_decision lost = { .panel = 4, .answer = "lost" };
+    drawn_auto d;
+
+    drawn_specimen_even(&d, job, 0.6);
+    for (size_t i = 1; i < 3; i++) {
+        d.panel[i].section_count = 0;
+        d.panel[i].state = i == 1 ? "refused" : "held";
+    }
+    d.specimen.decision = &lost;
+    d.specimen.decision_count = 1;
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+
+    CHECK(result->withheld);
+    assert_non_null(strstr(result->message,
+                           "; panel 2 was refused (P02.png), panel 3 is held (P03.png), panel 4 is "
+                           "lost, panel 5 has not come: import what has not come, scan again what "
+                           "was refused, settle what is held"));
 }
 
 /* Withheld reports: no figure, the reason, and still every section and panel. */

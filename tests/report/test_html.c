@@ -242,6 +242,35 @@ TEST(a_layout_that_does_not_fit_its_sections_grows)
     check_well_formed(page);
 }
 
+/* Two scans of panel 1, of which the second is used; nothing of panel 2. */
+TEST(the_scan_that_is_used_heads_its_panel_and_the_others_follow)
+{
+    struct gsn_report_section sections[2] = {
+        { .serial = 0, .panel = 1, .state = "used", .z_um = 12 },
+        { .serial = 1, .panel = 2, .state = "missing", .z_um = 36 },
+    };
+    struct gsn_report_panel panels[2] = {
+        { .number = 1, .file = "a.tif", .state = "held", .message = "kept beside it" },
+        { .number = 1, .file = "b.tif", .state = "used", .message = "" },
+    };
+    const struct gsn_report report = { .specimen = "x",
+                                       .sections = sections,
+                                       .section_count = 2,
+                                       .panels = panels,
+                                       .panel_count = 2 };
+    gsn_auto_mem(char) page = page_of(&report);
+    const char *head = strstr(page, "<h3>Panel 1</h3>"), *second = strstr(page, "<h3>Panel 2</h3>");
+
+    assert_non_null(head);
+    assert_non_null(second);
+    const char *used = strstr(head, "b.tif"), *other = strstr(head, "a.tif");
+
+    CHECK(used && other && used < other && other < second);
+    CHECK(strstr(other, "kept beside it") && strstr(other, "kept beside it") < second);
+    assert_non_null(strstr(second, "no scan of it was delivered"));
+    check_well_formed(page);
+}
+
 static const char hostile[] = "\"><script>alert('1')</script>&\x01\x80\xE2\x80\xAE\xC3\xA9";
 
 TEST(hostile_texts_anywhere_stay_text)

@@ -189,8 +189,8 @@ TEST(awkward_panels_cost_only_themselves)
                 "panel number 9, but job.json says there "
                 "are 5");
     check_panel(panels, "P04.png", "held", "withheld",
-                "is claimed by P04_rescan.png as well: say which scan to use, or rename one and "
-                "import again");
+                "is claimed by P04_rescan.png as well: say which scan to use; both show the same "
+                "glass (12 marks agree to ");
     check_panel(panels, "P04_rescan.png", "held", "withheld", "claimed by P04.png as well");
 
     gsn_auto(gsn_run_row) run = latest(store, "a");
@@ -260,7 +260,9 @@ TEST(a_held_panel_is_released_by_importing_it_under_its_right_name)
     CHECK_OK(bench_import(&scratch, store, "in", 0, &heard, &counts, &err), err);
     CHECK(work_all(store, 20) == 4);
     CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
-    check_panel(panels, "P02.png", "held", "withheld", "claimed by P02_b.png as well");
+    check_panel(panels, "P02.png", "held", "withheld",
+                "claimed by P02_b.png as well: say which "
+                "scan to use, or rename one and import again");
 
     bench_write_job(&scratch, "renamed", job);
     bench_write_panel(&scratch, "renamed", "P03.png", 3, 0.55);

@@ -29,6 +29,8 @@ DEMANDED = {"L0": (1.0, 2.0, 0.0), "L1": (1.0, 4.0, 0.0),
 REFINED = {"L2": 10.0}
 # At L0 and L1 the floor is nothing: the limit is in um.
 ABSOLUTE = {"L0", "L1"}
+# Where a flip or a half turn may be wrong in a section that is flagged doubtful.
+EXACT_OR_FLAGGED = {"L3"}
 
 
 class Truth:
@@ -128,10 +130,11 @@ def judge_marks(truth, k, section, out):
     return wrong
 
 
-def judge_way(truth, k, section):
+def judge_way(truth, k, section, level):
     """Flip and half turn, where the section has a pose that is used."""
     row = truth.section[k]
-    if not truth.present(k) or not section["panel_to_block_um"] or section["state"] == "held":
+    if not truth.present(k) or not section["panel_to_block_um"] or section["state"] == "held" or \
+            (section["state"] == "doubtful" and level in EXACT_OR_FLAGGED):
         return []
     theta = (float(row["theta_deg"]) + 180) % 360 - 180
     wrong = [] if section["flipped"] == (row["flip"] == "1") else ["flip wrong"]
@@ -161,7 +164,7 @@ def judge(report, truth, level, verbose=False, say=print, sound_only=False, refi
             "state": "absent", "flags": [], "markers_px": [None] * 3, "flipped": False,
             "rotated180": False, "panel_to_block_um": None}
         lines = judge_marks(truth, k, section, out)
-        way, place = judge_way(truth, k, section), judge_place(truth, k, section)
+        way, place = judge_way(truth, k, section, level), judge_place(truth, k, section)
         out["way"] += len(way)
         out["place"] += len(place)
         flagged = section["state"] != "used"

@@ -11,7 +11,9 @@ against the phantom's truth or against the same work done another way.
     whole.py BIN tile          the picrosirius tile of ../shared
     whole.py BIN marks --level L2 --seed 7 [--specimen S02] [--ready DIR]
                                marks and poses (registration.py); DIR/LEVEL/SEED/SPECIMEN made before;
-                               --sound: only that nothing wrong is used, however much is found
+                               --sound: only that nothing wrong is used, however much is found;
+                               a panel that was scanned twice is answered as a person would, with
+                               the second scan
 
 BIN is the folder with the programs. Exit 0: all that was demanded holds; 77: material is missing.
 """
@@ -158,6 +160,20 @@ def accuracy(bench, args):
     return 1 if failed else 0
 
 
+def answer(place, specimen):
+    """What a person is asked who has both scans in hand. Returns the answers given."""
+    shown = json.loads(place.call("show", specimen, "--json").stdout)
+    files, given = {}, []
+    for panel in shown["panels"]:
+        files.setdefault(panel["number"], []).append(panel)
+    for number, panels in sorted(files.items()):
+        if len(panels) > 1 and all("show the same glass" in p["message"] for p in panels):
+            given.append((number, "use", max(p["file"] for p in panels)))
+    for words in given:
+        place.call("decide", specimen, *words)
+    return given
+
+
 def marks(bench, args):
     """Marks and poses of phantoms with everything that goes wrong at a bench."""
     failed = 0
@@ -168,7 +184,11 @@ def marks(bench, args):
                 else place.phantom(specimen, args.level, seed)
             place.call("import", folder)
             place.call("run", check=False)
-            print(f"{args.level} seed {seed} {specimen}:", flush=True)
+            answers = answer(place, f"GVP-D-{specimen}")
+            if answers:
+                place.call("run", check=False)
+            print(f"{args.level} seed {seed} {specimen}:", *(" ".join(map(str, a)) for a in answers),
+                  flush=True)
             failed += not registration.judge(place.report(f"GVP-D-{specimen}"),
                                              registration.Truth(folder / "truth"), args.level,
                                              verbose=True, sound_only=args.sound)

@@ -15,6 +15,8 @@
 static const double STEADY_OD = 0.01;
 /* Dust of half a cell still darkens it. */
 static const double CELL_UM = 20;
+/* More of a panel's tissue than pens ever cover. */
+static const double MUCH_INK = 0.25;
 /* Around a mark, in its radii: bleached rim and blur. */
 static const double MARK_RADII = 2;
 
@@ -373,6 +375,29 @@ static int say_bath(const struct gsn_assembly_panel *p, const struct gsn_protoco
                                        "little"));
 }
 
+/* Pen strokes cover little of what they are drawn on; tissue of another hue than the dyes' may be
+ * taken for ink, and is lost to the figures like it. */
+static int say_ink(const struct gsn_assembly *a, unsigned panel, struct gsn_conditions_words *words)
+{
+    enum { INK = 5 };
+    _Static_assert(GSN_DEFECT_INK == 1 << INK, "the bit of ink");
+    double ink = 0, tissue = 0;
+
+    for (size_t i = 0; i < a->section_count; i++)
+        if (a->section[i].panel == panel) {
+            ink += a->section[i].masked.area_um2[INK];
+            tissue += a->section[i].masked.outline_um2;
+        }
+    if (!(ink > MUCH_INK * tissue))
+        return GSN_OK;
+    return add(words,
+               gsn_format("panel %u: %.0f %% of its tissue has a colour that the dyes do not "
+                          "explain and is left out as ink; if it is not drawn upon, it was "
+                          "stained by other dyes than those that the job goes by: state a "
+                          "calibration panel, or \"dyes\": \"estimate\"",
+                          panel, 100 * fmin(ink / tissue, 1)));
+}
+
 /* "2 (1.4 times), 7 (0.7 times)" */
 static int say_knife(const struct gsn_assembly *a, struct gsn_conditions_words *words)
 {
@@ -441,6 +466,8 @@ int gsn_conditions_words(const struct gsn_assembly *a, const struct gsn_protocol
         r = say_lamp(&a->panel[p], words);
         if (r >= 0)
             r = say_bath(&a->panel[p], protocol, words);
+        if (r >= 0)
+            r = say_ink(a, a->panel[p].given->number, words);
     }
     if (r >= 0)
         r = say_knife(a, words);

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Panels that were drawn, then spoilt by lamp, dust, bath or knife; what the report says of it. */
+#include "pipeline/assembly_parts.h"
 #include "pipeline/conditions.h"
 
 #include "pipeline/decode/png_write.h"
@@ -236,6 +237,39 @@ TEST(a_section_that_was_cut_too_thick_is_suspected)
     CHECK(strstr(two.sentence[0], "sections 3 (1.4 times), 8 (0.7 times) differ together") != NULL);
     gsn_conditions_words_done(&one);
     gsn_conditions_words_done(&two);
+}
+
+/* A quarter of panel 2 is ink, and a little more. */
+TEST(a_panel_that_is_mostly_ink_is_asked_about)
+{
+    gsn_auto(gsn_assembly) a = cut(1, 1);
+    const struct gsn_specimen_panel given = { .number = 2 };
+    struct gsn_conditions_words none = { 0 }, one = { 0 };
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_assembly_empty_grid(
+                 &(struct gsn_lattice){ .nx = 1, .ny = 1, .nz = 1, .step_um = { 1, 1, 1 } },
+                 &a->grid, &err),
+             err);
+    a->panel_count = 1;
+    a->panel = gsn_alloc_array(1, sizeof *a->panel);
+    a->panel[0].given = &given;
+    a->panel[0].opened = 1;
+    for (unsigned i = 0; i < 12; i++) {
+        a->section[i].panel = i < 8 ? 2 : 1;
+        a->section[i].masked.outline_um2 = 8e6;
+        a->section[i].masked.area_um2[5] = i < 8 ? 2e6 : 8e6;
+    }
+    CHECK(words_of(a, &none) == GSN_OK && none.count == 0);
+    a->section[3].masked.area_um2[5] = 3e6;
+    CHECK(words_of(a, &one) == GSN_OK && one.count == 1);
+    assert_string_equal(one.sentence[0],
+                        "panel 2: 27 % of its tissue has a colour that the dyes do not explain and "
+                        "is left out as ink; if it is not drawn upon, it was stained by other dyes "
+                        "than those that the job goes by: state a calibration panel, or \"dyes\": "
+                        "\"estimate\"");
+    gsn_conditions_words_done(&none);
+    gsn_conditions_words_done(&one);
 }
 
 static int words_once(const struct gsn_assembly *a, struct gsn_error *err)

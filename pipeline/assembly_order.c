@@ -55,9 +55,10 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
 {
     if (finding->kind == GSN_SEQUENCE_SWAP)
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %u and %u look swapped: in each other's places the stack there "
-                       "would be %.0f %% less rough along z; nothing was moved: look at both",
-                       finding->a, finding->b, 100 * finding->smoother);
+                       "sections %u and %u look swapped: from one to the other the tissue changes "
+                       "against the way it changes around them, by %.1f standard errors where %.1f "
+                       "along it are expected; nothing was moved: look at both",
+                       finding->a, finding->b, finding->against, finding->foretold);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
                        "sections %u and %u look like one section, mounted or scanned twice: they "
@@ -69,21 +70,32 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
 int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,
                                      char ret_sentence[GSN_POSE_SENTENCE])
 {
-    char near[48] = "", most[80] = "";
+    const double *shown = sequence->shown;
+    char near[160] = "", most[80] = "";
 
     ret_sentence[0] = '\0';
     if (sequence->reach == 1)
         return 0;
-    if (sequence->reach > 1)
-        (void)snprintf(near, sizeof near, " nearer than %u to each other", sequence->reach);
+    if (shown[GSN_SEQUENCE_NEAR - 1] > 0)
+        (void)snprintf(
+            near, sizeof near,
+            " (expected to show: %.0f %% of swaps of neighbours, %.0f %% two apart, %.0f "
+            "%% three apart)",
+            100 * shown[0], 100 * shown[1], 100 * shown[2]);
     if (sequence->unseen > 0)
         (void)snprintf(most, sizeof most,
                        "; it would carry at most %.2g %% of all density to the other place",
                        100 * sequence->unseen);
-    (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                   "a swap of two sections%s may not show in their tissue: their order rests on "
-                   "numbers and slots alone%s",
-                   near, most);
+    if (sequence->reach > 1)
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "a swap of two sections nearer than %u to each other may not show in their "
+                       "tissue%s: their order rests on numbers and slots alone%s",
+                       sequence->reach, near, most);
+    else
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "a swap of two sections may not show in their tissue%s: their order rests "
+                       "on numbers and slots alone%s",
+                       near, most);
     return 1;
 }
 

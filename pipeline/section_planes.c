@@ -8,6 +8,11 @@
 
 /* A cell of which less than this share was seen is not known. */
 static const double SEEN = 0.5;
+/* What is masked counts as this little seen: the cell is in the section's box, so it is no glass.
+ */
+static const float HIDDEN = 1e-6f;
+/* Of one plane: larger specimens are seen in larger cells. */
+static const double MOST_CELLS = 80000;
 
 static int is_laid(const struct gsn_assembly_section *s)
 {
@@ -52,6 +57,20 @@ static double usual_end(const struct gsn_section_planes *planes, const struct gs
     return gsn_median(room, planes->count);
 }
 
+/* Cells no narrower than the coarsest pixel, and no more than are allowed. */
+static double wide_enough(const struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                          struct gsn_point end)
+{
+    const double area = (end.x - planes->origin.x) * (end.y - planes->origin.y);
+    double wide = fmax(planes->cell_um, sqrt(fmax(area, 0) / MOST_CELLS));
+
+    for (size_t k = 0; k < planes->count; k++)
+        wide = fmax(
+            wide,
+            sqrt(fabs(gsn_affine_det(&a->section[planes->section[k]].pose.panel_to_block_um))));
+    return wide;
+}
+
 int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
                            struct gsn_section_planes **ret_planes, struct gsn_error *err)
 {
@@ -73,12 +92,13 @@ int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
     }
     planes->origin =
         (struct gsn_point){ usual_end(planes, a, 0, -1, room), usual_end(planes, a, 1, -1, room) };
-    planes->columns =
-        (size_t)fmax((usual_end(planes, a, 0, 1, room) - planes->origin.x) / planes->cell_um, 1) +
-        1;
-    planes->rows =
-        (size_t)fmax((usual_end(planes, a, 1, 1, room) - planes->origin.y) / planes->cell_um, 1) +
-        1;
+
+    const struct gsn_point end = { usual_end(planes, a, 0, 1, room),
+                                   usual_end(planes, a, 1, 1, room) };
+
+    planes->cell_um = wide_enough(planes, a, end);
+    planes->columns = (size_t)fmax((end.x - planes->origin.x) / planes->cell_um, 1) + 1;
+    planes->rows = (size_t)fmax((end.y - planes->origin.y) / planes->cell_um, 1) + 1;
     planes->density =
         gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
     planes->seen = gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
@@ -98,29 +118,44 @@ void gsn_section_planes_free(struct gsn_section_planes *planes)
     gsn_free(planes);
 }
 
+/* Shares a pixel among the four cells around it, so that pixels about as wide as a cell leave
+ * neither holes nor stripes. */
+static void share(struct gsn_section_planes *planes, size_t plane, struct gsn_point p, float value,
+                  float area)
+{
+    const size_t first = plane * planes->columns * planes->rows;
+    const double u = (p.x - planes->origin.x) / planes->cell_um - 0.5;
+    const double v = (p.y - planes->origin.y) / planes->cell_um - 0.5;
+    const double s = u - floor(u), t = v - floor(v);
+
+    for (int corner = 0; corner < 4; corner++) {
+        const double x = floor(u) + (corner & 1), y = floor(v) + (corner >> 1);
+        const float much = area * (float)((corner & 1 ? s : 1 - s) * (corner >> 1 ? t : 1 - t));
+
+        if (!(x >= 0 && y >= 0 && x < (double)planes->columns && y < (double)planes->rows))
+            continue;
+
+        const size_t c = first + (size_t)y * planes->columns + (size_t)x;
+
+        planes->density[c] += isnan(value) ? 0 : much * value;
+        planes->seen[c] += isnan(value) ? HIDDEN * much : much;
+    }
+}
+
 static void gather(struct gsn_section_planes *planes, size_t plane,
                    const struct gsn_assembly_section *s, const struct gsn_plane *density,
                    unsigned apart)
 {
     const struct gsn_affine *map = &s->pose.panel_to_block_um;
     const float area = (float)(apart * fabs(gsn_affine_det(map)));
-    float *sum = planes->density + plane * planes->columns * planes->rows;
-    float *seen = planes->seen + plane * planes->columns * planes->rows;
 
     for (size_t y = 0; y < density->height; y++)
         for (size_t x = 0; x < density->width; x++) {
-            const float value = density->value[y * density->width + x];
             const struct gsn_point at = { s->seen.x + (double)x + 0.5,
                                           s->seen.y + (double)(y * apart) + 0.5 };
-            const struct gsn_point p = gsn_affine_apply(map, at);
-            const double u = (p.x - planes->origin.x) / planes->cell_um;
-            const double v = (p.y - planes->origin.y) / planes->cell_um;
 
-            if (isnan(value) ||
-                !(u >= 0 && v >= 0 && u < (double)planes->columns && v < (double)planes->rows))
-                continue;
-            sum[(size_t)v * planes->columns + (size_t)u] += area * value;
-            seen[(size_t)v * planes->columns + (size_t)u] += area;
+            share(planes, plane, gsn_affine_apply(map, at), density->value[y * density->width + x],
+                  area);
         }
 }
 

@@ -21,8 +21,8 @@ struct gsn_section_planes {
     float *seen;    /* owned; as many: um2 of tissue or glass seen */
 };
 
-/* gives: empty cells for all sections that are laid; NULL when none is. cell_um > 0. Fails with
- * GSN_E_NOMEM. */
+/* gives: empty cells for all sections that are laid; NULL when none is. cell_um > 0; the cells are
+ * wider where the specimen is large or its pixels are wider. Fails with GSN_E_NOMEM. */
 int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
                            struct gsn_section_planes **ret_planes, struct gsn_error *err);
 void gsn_section_planes_free(struct gsn_section_planes *planes);

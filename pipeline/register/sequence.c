@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence.h"
 
-#include "pipeline/register/median.h"
 #include "pipeline/register/sequence_parts.h"
 
 #include <assert.h>
@@ -9,7 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LEAST = 8 };
+/* A section that is there twice is known by its grain in cells of 100 um. */
+enum { LEAST = 8, COARSE = 4, SMOOTHINGS = 2 };
 
 static int check(const struct gsn_sequence_plane *planes, size_t count, struct gsn_error *err)
 {
@@ -32,32 +32,31 @@ static int order(const void *a, const void *b)
     return f->a < g->a ? -1 : f->a > g->a;
 }
 
-/* Leaves the smooth part in next and the rest, the grain, in value. */
-static void split_grain(struct gsn_sequence_cells *a)
+/* The rest of each plane beyond its smooth part. */
+static void keep_grain(struct gsn_sequence_cells *a)
 {
-    const size_t total = a->n * a->columns * a->rows;
+    const size_t cells = a->columns * a->rows;
 
-    memcpy(a->next, a->value, total * sizeof *a->next);
-    gsn_sequence_smooth(a);
-    for (size_t c = 0; c < total; c++) {
-        const float whole = a->next[c];
-
-        a->next[c] = a->value[c];
-        a->value[c] = whole - a->next[c];
-    }
+    memcpy(a->next, a->value, a->n * cells * sizeof *a->next);
+    for (size_t i = 0; i < a->n; i++)
+        gsn_sequence_smooth(a->next + i * cells, a->columns, a->rows, SMOOTHINGS);
+    for (size_t c = 0; c < a->n * cells; c++)
+        a->value[c] -= a->next[c];
 }
 
-/* A plane's product with itself holds the noise of all its cells, which would make every line look
- * longer than it is: that is taken off, as much as the median plane is off its line. */
-static void take_off_noise(struct gsn_sequence_stack *s)
+/* The mean of what is known in a square of COARSE cells; NaN where that is less than half. */
+static float coarse_cell(const float *density, size_t columns, size_t rows, size_t x, size_t y)
 {
-    double median;
+    double sum = 0;
+    size_t seen = 0, all = 0;
 
-    for (size_t i = 0; i < s->n; i++)
-        s->room[i] = s->own[i] = gsn_sequence_off_line(s, i);
-    median = gsn_median(s->room, s->n);
-    for (size_t i = 0; i < s->n; i++)
-        s->gram[i * s->n + i] -= median;
+    for (size_t v = y * COARSE; v < (y + 1) * COARSE && v < rows; v++)
+        for (size_t u = x * COARSE; u < (x + 1) * COARSE && u < columns; u++, all++)
+            if (!isnan(density[v * columns + u])) {
+                sum += (double)density[v * columns + u];
+                seen++;
+            }
+    return 2 * seen >= all ? (float)(sum / (double)seen) : NAN;
 }
 
 /* How much a swap of sections that is not seen carries from one place to the other, as a share of
@@ -84,52 +83,111 @@ static double unseen(const struct gsn_sequence_plane *planes, size_t count, size
     return all > 0 ? most / all : 0;
 }
 
-static int examine(const struct gsn_sequence_plane *planes, struct gsn_sequence_cells *cells,
-                   struct gsn_sequence_stack *stack, struct gsn_sequence *found,
-                   struct gsn_error *err)
+static int find_duplicates(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
+                           size_t rows, struct gsn_sequence *found, struct gsn_error *err)
 {
-    int r;
-
-    const size_t total = cells->n * cells->columns * cells->rows;
-
-    gsn_sequence_gather(planes, cells);
-    gsn_sequence_align(cells);
-    split_grain(cells);
-    gsn_sequence_multiply(cells, stack);
-    gsn_sequence_find_duplicates(stack, planes, found);
-    memcpy(cells->value, cells->next, total * sizeof *cells->value);
-    gsn_sequence_align(cells);
-    gsn_sequence_multiply(cells, stack);
-    gsn_sequence_reduce(stack);
-    take_off_noise(stack);
-    r = gsn_sequence_find_swaps(stack, planes, found, err);
-    if (r >= 0)
-        found->unseen = unseen(planes, cells->n, cells->columns * cells->rows,
-                               found->reach ? found->reach : (unsigned)-1);
-    return r;
-}
-
-static int with_room(const struct gsn_sequence_plane *planes, size_t n, size_t columns, size_t rows,
-                     struct gsn_sequence *found, struct gsn_error *err)
-{
-    const size_t count = columns * rows;
-    gsn_auto_mem(double) of_planes = gsn_alloc_array(2 * n, sizeof *of_planes);
+    const size_t across = (columns + COARSE - 1) / COARSE, down = (rows + COARSE - 1) / COARSE;
+    const size_t count = across * down;
+    gsn_auto_mem(double) of_planes = gsn_alloc_array(3 * n, sizeof *of_planes);
     gsn_auto_mem(double) gram = gsn_alloc_array(n * n, sizeof *gram);
-    gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
+    gsn_auto_mem(float) value = gsn_alloc_array(3 * n * count, sizeof *value);
     gsn_auto_mem(double) mean = gsn_alloc_array(count, sizeof *mean);
-    gsn_auto_mem(double) room = gsn_alloc_array(2 * n * n + 4 * n, sizeof *room);
-    struct gsn_sequence_cells cells = { .n = n, .columns = columns, .rows = rows };
+    gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(n, sizeof *plane);
+    struct gsn_sequence_cells cells = { .n = n, .columns = across, .rows = down };
     struct gsn_sequence_stack stack = { .n = n, .z = of_planes, .gram = gram };
 
-    if (!of_planes || !gram || !value || !mean || !room)
+    if (!of_planes || !gram || !value || !mean || !plane)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", n);
     cells.z = of_planes;
     cells.value = value;
     cells.next = value + n * count;
     cells.mean = mean;
     stack.own = of_planes + n;
-    stack.room = room;
-    return examine(planes, &cells, &stack, found, err);
+    stack.room = of_planes + 2 * n;
+    for (size_t k = 0; k < n; k++) {
+        float *coarse = value + (2 * n + k) * count;
+
+        for (size_t c = 0; c < count; c++)
+            coarse[c] = coarse_cell(planes[k].density, columns, rows, c % across, c / across);
+        plane[k] = (struct gsn_sequence_plane){ planes[k].serial, coarse };
+    }
+    gsn_sequence_gather(plane, &cells);
+    gsn_sequence_align(&cells);
+    keep_grain(&cells);
+    gsn_sequence_multiply(&cells, &stack);
+    gsn_sequence_find_duplicates(&stack, planes, found);
+    return GSN_OK;
+}
+
+/* The density of tissue, glass left aside: the mean weighed by itself. */
+static double level_of(const float *value, size_t count)
+{
+    double sum = 0, square = 0;
+
+    for (size_t i = 0; i < count; i++) {
+        sum += (double)value[i];
+        square += (double)value[i] * (double)value[i];
+    }
+    return sum > 0 ? square / sum : 1;
+}
+
+static void fill_tissue(const struct gsn_sequence_plane *planes, struct gsn_sequence_cells *cells,
+                        struct gsn_sequence_tissue *t)
+{
+    const size_t count = t->columns * t->rows;
+    double level;
+
+    gsn_sequence_gather(planes, cells);
+    level = level_of(cells->value, t->n * count);
+    for (size_t k = 0; k < t->n; k++)
+        t->place[k] = k;
+    for (size_t c = 0; c < t->n * count; c++) {
+        t->filled[c] = (float)((double)cells->value[c] / level);
+        t->known[c] = (unsigned char)!isnan(planes[c / count].density[c % count]);
+    }
+}
+
+static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
+                      size_t rows, struct gsn_sequence *found, struct gsn_error *err)
+{
+    const size_t count = columns * rows;
+    gsn_auto_mem(double) z = gsn_alloc_array(n, sizeof *z);
+    gsn_auto_mem(size_t) place = gsn_alloc_array(n, sizeof *place);
+    gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
+    gsn_auto_mem(unsigned char) known = gsn_alloc_array(n * count, 1);
+    gsn_auto_mem(float) of_cells = gsn_alloc_array(7 * count, sizeof *of_cells);
+    gsn_auto_mem(struct gsn_sequence_square) square = gsn_alloc_array(count, sizeof *square);
+    gsn_auto_mem(void) modes = gsn_alloc(gsn_sequence_modes_size(columns, rows));
+    struct gsn_sequence_cells cells = { .n = n, .columns = columns, .rows = rows };
+    struct gsn_sequence_tissue t = { .n = n, .columns = columns, .rows = rows };
+    int r;
+
+    if (!z || !place || !value || !known || !of_cells || !square || !modes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", n);
+    cells.z = z;
+    cells.value = t.filled = value;
+    cells.next = t.value = value + n * count;
+    t.z = z;
+    t.place = place;
+    t.known = known;
+    t.noise2 = of_cells;
+    t.deviation = of_cells + count;
+    t.change = of_cells + 2 * count;
+    t.energy = of_cells + 3 * count;
+    t.onto = of_cells + 4 * count;
+    t.off = of_cells + 5 * count;
+    t.off_too = of_cells + 6 * count;
+    t.modes = modes;
+    t.square = square;
+    fill_tissue(planes, &cells, &t);
+    r = gsn_sequence_lay(&t, err);
+    if (r >= 0)
+        r = gsn_sequence_learn_noise(&t, err);
+    if (r >= 0)
+        r = gsn_sequence_find_swaps(&t, planes, found, err);
+    if (r >= 0)
+        found->unseen = unseen(planes, n, count, found->reach ? found->reach : (unsigned)-1);
+    return r;
 }
 
 int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
@@ -147,7 +205,9 @@ int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, 
     if (!found || !found->finding)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", count);
     if (count >= LEAST)
-        r = with_room(planes, count, columns, rows, found, err);
+        r = find_duplicates(planes, count, columns, rows, found, err);
+    if (r >= 0 && count >= LEAST)
+        r = find_swaps(planes, count, columns, rows, found, err);
     if (r < 0)
         return r;
     qsort(found->finding, found->count, sizeof *found->finding, order);

@@ -2,11 +2,12 @@
 
 /* Whether the sections lie in the order of their numbers, by their tissue.
  *
- * Tissue changes little from one section to the next, so a section fits best between its true
- * neighbours: it is compared with the straight line through the sections around each place, itself
- * left out. All is done on coarse planes in the block frame (cells of some 100 um, many sections'
- * texture averaged out), scaled to one mean, so that stain does not matter. How far apart two
- * sections must be for a swap of them to show is measured on the stack itself.
+ * Tissue changes little from one section to the next, but where it does, at the rims of spaces and
+ * of the root, it goes on the way it goes around: the step from one section to another is compared
+ * with the step that the sections around both foretell, cell by cell, weighed by what a cell's
+ * noise leaves of it. In each other's places the two would show the contrary. Sections are laid
+ * onto each other by their tissue before, and scaled, so that laying, warp and stain do not matter.
+ * What share of swaps would show is foretold from the stack itself.
  *
  * A section that is there twice shares with its second mount the detail that neighbours do not
  * share: grain, tears, dirt. Where neighbours share nearly all, there is no such detail, and
@@ -27,6 +28,11 @@
 extern "C" {
 #endif
 
+/* Side of the cells: the rims of spaces move by some 10 um from one section to the next. */
+#define GSN_SEQUENCE_CELL_UM 25.0
+
+enum { GSN_SEQUENCE_NEAR = 3 };
+
 /* One laid section: columns * rows densities row by row; 0 on glass, NaN where nothing is known. */
 struct gsn_sequence_plane {
     unsigned serial;
@@ -43,15 +49,17 @@ struct gsn_sequence_finding {
     unsigned a, b;   /* serial numbers, as given */
     double evidence; /* logarithm of the likelihood ratio against the order as numbered; of a
                         duplicate the share of both's own detail that they have in common */
-    double smoother; /* share of the roughness along z around both that a swap would take away */
+    /* Of a swap, in standard errors: how far the change from one to the other runs against the way
+     * it goes around them, and how far it should go along. */
+    double against, foretold;
 };
 
 struct gsn_sequence {
     size_t count;
     struct gsn_sequence_finding *finding; /* owned; the surest first within each kind */
-    double change;  /* from one section to the next, over the noise of one: root mean square */
-    unsigned reach; /* a swap of two sections shows from this many apart on; 1: neighbours', too,
-                       0: no swap shows */
+    double shown[GSN_SEQUENCE_NEAR]; /* share of swaps of sections 1, 2, 3 apart that would show */
+    unsigned reach; /* 99 of 100 swaps of two sections show from this many apart on; 1: neighbours',
+                       too, 0: from no distance */
     double unseen;  /* the most that a swap which does not show carries from one place to the
                        other, as a share of all sections' density */
     int twice_told; /* whether sections have detail of their own by which two mounts of one would

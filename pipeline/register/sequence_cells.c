@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { MODES = 9, PASSES = 3, SMOOTHINGS = 2 };
+enum { MODES = 9, PASSES = 3 };
 
 /* The nearest known value of this cell below or above, or their mean. */
 static double fill_in(const float *value, size_t n, size_t cells, size_t plane, size_t cell)
@@ -62,19 +62,13 @@ static void smooth_line(float *cell, size_t count, size_t stride)
     }
 }
 
-/* An edge within a cell moves with the laying in a way that no difference of cells describes; once
- * it is spread over some cells, their slope does. */
-void gsn_sequence_smooth(struct gsn_sequence_cells *a)
+void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times)
 {
-    for (size_t i = 0; i < a->n; i++) {
-        float *value = a->value + i * a->columns * a->rows;
-
-        for (int pass = 0; pass < SMOOTHINGS; pass++) {
-            for (size_t y = 0; y < a->rows; y++)
-                smooth_line(value + y * a->columns, a->columns, 1);
-            for (size_t x = 0; x < a->columns; x++)
-                smooth_line(value + x, a->rows, a->columns);
-        }
+    for (int pass = 0; pass < times; pass++) {
+        for (size_t y = 0; y < rows; y++)
+            smooth_line(cells + y * columns, columns, 1);
+        for (size_t x = 0; x < columns; x++)
+            smooth_line(cells + x, rows, columns);
     }
 }
 

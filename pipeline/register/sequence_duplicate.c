@@ -78,8 +78,8 @@ void gsn_sequence_find_duplicates(const struct gsn_sequence_stack *s,
             const double share = shared(s, i, j, usual);
 
             if (share > least)
-                found->finding[found->count++] =
-                    (struct gsn_sequence_finding){ GSN_SEQUENCE_DUPLICATE, planes[i].serial,
-                                                   planes[j].serial, share, 0 };
+                found->finding[found->count++] = (struct gsn_sequence_finding){
+                    GSN_SEQUENCE_DUPLICATE, planes[i].serial, planes[j].serial, share, 0, 0
+                };
         }
 }

@@ -22,7 +22,7 @@ size_t gsn_sequence_around(size_t n, size_t i, size_t j, size_t ret_at[GSN_SEQUE
     return count;
 }
 
-struct gsn_sequence_line gsn_sequence_slope_at(const double *z, size_t n, size_t i, size_t j)
+static struct gsn_sequence_line slope_at(const double *z, size_t n, size_t i, size_t j)
 {
     struct gsn_sequence_line line = { .count = gsn_sequence_around(n, i, j, line.at) };
     double mean = 0, square = 0;
@@ -39,7 +39,7 @@ struct gsn_sequence_line gsn_sequence_slope_at(const double *z, size_t n, size_t
 struct gsn_sequence_line gsn_sequence_line_at(const double *z, size_t n, size_t i, size_t j,
                                               double at)
 {
-    struct gsn_sequence_line line = gsn_sequence_slope_at(z, n, i, j);
+    struct gsn_sequence_line line = slope_at(z, n, i, j);
     const double count = (double)line.count;
     double mean = 0;
 
@@ -108,20 +108,4 @@ void gsn_sequence_multiply(const struct gsn_sequence_cells *cells, struct gsn_se
         }
     for (size_t i = 0; i < s->n; i++)
         s->own[i] = gsn_sequence_off_line(s, i);
-}
-
-static void swap_values(double *a, double *b)
-{
-    const double value = *a;
-
-    *a = *b;
-    *b = value;
-}
-
-void gsn_sequence_exchange(struct gsn_sequence_stack *s, size_t i, size_t j)
-{
-    for (size_t k = 0; k < s->n; k++)
-        swap_values(&s->gram[i * s->n + k], &s->gram[j * s->n + k]);
-    for (size_t k = 0; k < s->n; k++)
-        swap_values(&s->gram[k * s->n + i], &s->gram[k * s->n + j]);
 }

@@ -8,20 +8,33 @@
 
 #include <string.h>
 
-/* The phantom's block (PHANTOM.md section 1) at 50 um, seen in cells of 100 um. */
-enum { SECTIONS = 60, COLUMNS = 56, ROWS = 44, CELLS = COLUMNS * ROWS, FINE = 4 * CELLS };
+/* The middle of the phantom's block (PHANTOM.md section 1), with a margin to lay it askew. */
+enum {
+    SECTIONS = 30,
+    FIRST = 15, /* of the block's: where there is root and lesion */
+    COLUMNS = 112,
+    ROWS = 88,
+    CELLS = COLUMNS * ROWS,
+    MARGIN = 6,
+    WIDE = COLUMNS + 2 * MARGIN,
+    HIGH = ROWS + 2 * MARGIN,
+    PATCH = 4,
+    END = 3
+};
 
-static const double GRAIN = 0.08; /* of the density, in each cell */
-static float block[SECTIONS + 1][FINE];
+/* Of the density: of each cell, and of squares of PATCH cells, by which a section is known. */
+static const double GRAIN = 0.12, PATCHES = 0.08;
+static float block[SECTIONS + 1][WIDE * HIGH];
 
 static void fill_block(void)
 {
-    if (block[0][FINE / 2] != 0)
+    if (block[0][WIDE * HIGH / 2] != 0)
         return;
     for (int k = 0; k <= SECTIONS; k++)
-        for (int i = 0; i < FINE; i++) {
-            const struct gsn_vec3 at = { (i % (2 * COLUMNS) + 0.5 - COLUMNS) * 50,
-                                         (i / (2 * COLUMNS) + 0.5 - ROWS) * 50, 12 + 24 * k };
+        for (int i = 0; i < WIDE * HIGH; i++) {
+            const struct gsn_vec3 at = { (i % WIDE + 0.5 - WIDE / 2.0) * GSN_SEQUENCE_CELL_UM,
+                                         (i / WIDE + 0.5 - HIGH / 2.0) * GSN_SEQUENCE_CELL_UM,
+                                         12 + 24 * (FIRST + k) };
             struct gsn_phantom_field field;
 
             gsn_phantom_field_at(at, &field);
@@ -29,38 +42,49 @@ static void fill_block(void)
         }
 }
 
-/* The mean over a cell of two by two, whose corner lies between the fine ones. */
+/* The block's density between cells. */
 static double cell_at(int k, double x, double y)
 {
-    const double fx = fmin(fmax(x, 0), 2 * COLUMNS - 3.001),
-                 fy = fmin(fmax(y, 0), 2 * ROWS - 3.001);
-    const int i = (int)fx, j = (int)fy;
-    const double wx[3] = { 1 - (fx - i), 1, fx - i }, wy[3] = { 1 - (fy - j), 1, fy - j };
-    double sum = 0;
+    const double u = fmin(fmax(x + MARGIN, 0), WIDE - 1.001),
+                 v = fmin(fmax(y + MARGIN, 0), HIGH - 1.001);
+    const int i = (int)u, j = (int)v;
+    const float *at = &block[k][j * WIDE + i];
 
-    for (int b = 0; b < 3; b++)
-        for (int a = 0; a < 3; a++)
-            sum += wx[a] * wy[b] * (double)block[k][(j + b) * 2 * COLUMNS + i + a] / 4;
-    return sum;
+    return (1 - (v - j)) * ((1 - (u - i)) * (double)at[0] + (u - i) * (double)at[1]) +
+           (v - j) * ((1 - (u - i)) * (double)at[WIDE] + (u - i) * (double)at[WIDE + 1]);
 }
 
 static float seen[SECTIONS][CELLS];
 static struct gsn_sequence_plane planes[SECTIONS];
 
-/* One section: laid with an error of 12 um, stained by a tenth more or less, grain of 8 % in each
- * cell, and a tear. */
+/* One section: laid with an error of 15 um, stretched by half a percent, warped by 10 um, stained
+ * by a tenth more or less, with grain and a tear. */
 static void see(float *cells, int k, struct draw_chance *chance)
 {
-    const double dx = 0.24 * draw_normal(chance), dy = 0.24 * draw_normal(chance);
+    double lay[6], phase[4];
+    float patch[CELLS / (PATCH * PATCH)];
     const double stain = exp(0.1 * draw_normal(chance));
-    const int torn = (int)draw_uniform(chance, 0, CELLS - 30);
+    const int torn = (int)draw_uniform(chance, 0, CELLS - 80);
 
+    for (int i = 0; i < 6; i++)
+        lay[i] = (i < 2 ? 0.6 : 0.005) * draw_normal(chance);
+    for (int i = 0; i < 4; i++)
+        phase[i] = draw_uniform(chance, 0, 6.28);
+    for (int c = 0; c < CELLS / (PATCH * PATCH); c++)
+        patch[c] = (float)(PATCHES * draw_normal(chance));
     for (int c = 0; c < CELLS; c++) {
-        const double x = 2 * (c % COLUMNS) + dx, y = 2 * (c / COLUMNS) + dy;
+        const int i = c % COLUMNS, j = c / COLUMNS;
+        const double u = i - COLUMNS / 2.0, v = j - ROWS / 2.0;
+        const double x = i + lay[0] + lay[2] * u + lay[3] * v +
+                         0.4 * sin(u / 16 + phase[0]) * sin(v / 16 + phase[1]);
+        const double y = j + lay[1] + lay[4] * u + lay[5] * v +
+                         0.4 * sin(u / 16 + phase[2]) * sin(v / 16 + phase[3]);
 
-        cells[c] = (float)(stain * cell_at(k, x, y) * (1 + GRAIN * draw_normal(chance)));
+        cells[c] = (float)(stain * cell_at(k, x, y) *
+                           (1 + (double)patch[j / PATCH * (COLUMNS / PATCH) + i / PATCH] +
+                            GRAIN * draw_normal(chance)));
     }
-    for (int c = torn; c < torn + 20; c++)
+    for (int c = torn; c < torn + 60; c++)
         cells[c] = NAN;
 }
 
@@ -71,7 +95,7 @@ static void see_without_grain(int step)
     fill_block();
     for (int k = 0; k < SECTIONS; k++) {
         for (int c = 0; c < CELLS; c++)
-            seen[k][c] = (float)cell_at(k, 2 * (c % COLUMNS), 2 * (c / COLUMNS)) *
+            seen[k][c] = (float)cell_at(k, c % COLUMNS, c / COLUMNS) *
                          (1 + 0.001f * (float)((k * step) % 3));
         planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k] };
     }
@@ -106,61 +130,77 @@ static int has(const struct gsn_sequence *s, enum gsn_sequence_kind kind, unsign
 TEST(a_stack_in_order_has_nothing_to_propose)
 {
     struct draw_chance chance = { 1 };
-    const size_t trials = mounted_trials(8);
-    size_t proposals = 0, told = 0;
-    double change = 0;
+    const size_t trials = mounted_trials(3);
+    size_t proposals = 0;
+    double shown = 0;
 
     for (size_t t = 0; t < trials; t++) {
         see_all(&chance);
         gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
         proposals += s->count;
-        change = s->change;
-        told += s->reach == 1;
+        shown += s->shown[0] / (double)trials;
     }
-    print_message("  %zu proposals in %zu stacks; change over noise %.2f, %zu told\n", proposals,
-                  trials, change, told);
-    CHECK((double)proposals <= 0.01 * (double)trials + 0.5);
+    print_message("  %zu proposals in %zu stacks; %.0f %% of neighbours' swaps would show\n",
+                  proposals, trials, 100 * shown);
+    CHECK((double)proposals <= 0.02 * (double)trials + 0.5);
 }
 
-/* How many swaps at this distance are found; everything else that is proposed is counted too. */
-static size_t swaps_found(unsigned least, unsigned most, size_t trials, size_t *ret_others)
+struct swaps {
+    size_t made, found, others;
+    double shown; /* as foretold by the stacks in order, NEAR apart and more */
+};
+
+/* Two swaps in each stack, far from each other. At either end there is little beyond to tell by. */
+static struct swaps swap_and_look(unsigned least, unsigned most, size_t trials)
 {
     struct draw_chance chance = { 2 + least };
-    size_t found = 0;
+    struct swaps all = { 0 };
 
     for (size_t t = 0; t < trials; t++) {
-        const unsigned far = (unsigned)draw_uniform(&chance, least, most + 1);
-        /* The last two at either end are not told apart, as sequence.c says. */
-        const unsigned a = (unsigned)draw_uniform(&chance, 1, SECTIONS - 1 - far), b = a + far;
+        unsigned at[2][2];
 
         see_all(&chance);
-        planes[a].density = seen[b];
-        planes[b].density = seen[a];
-        gsn_auto(gsn_sequence) s = examined(SECTIONS);
-        const size_t this = has(s, GSN_SEQUENCE_SWAP, a, b) != 0;
+        gsn_auto(gsn_sequence) before = examined(SECTIONS);
 
-        found += this;
-        *ret_others += s->count - this;
+        all.shown += before->shown[least < GSN_SEQUENCE_NEAR ? least - 1 : GSN_SEQUENCE_NEAR - 1] /
+                     (double)trials;
+        for (int i = 0; i < 2; i++) {
+            const unsigned half = SECTIONS / 2,
+                           far = (unsigned)draw_uniform(&chance, least, most + 1);
+
+            at[i][0] = (unsigned)draw_uniform(&chance, i ? half + 2 : END,
+                                              (i ? SECTIONS - END + 1 : half - 1) - far);
+            at[i][1] = at[i][0] + far;
+            planes[at[i][0]].density = seen[at[i][1]];
+            planes[at[i][1]].density = seen[at[i][0]];
+        }
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+        size_t found = 0;
+
+        for (int i = 0; i < 2; i++)
+            found += has(s, GSN_SEQUENCE_SWAP, at[i][0], at[i][1]) != 0;
+        all.made += 2;
+        all.found += found;
+        all.others += s->count - found;
     }
-    return found;
+    print_message("  %u to %u apart: %zu of %zu found, %.0f %% foretold, %zu other proposals\n",
+                  least, most, all.found, all.made, 100 * all.shown, all.others);
+    return all;
 }
 
-/* Case 30. Neighbours are laid 12 um askew each, as far as tissue changes over five sections: what
- * is left of the difference does not always tell which is which, and then nothing is proposed. */
+/* Case 30. docs/register.md says what share shows on stacks as the phantom's. The long run:
+ * GIESON_TRIALS=1000 build/bench/tests/test_register_sequence. */
 TEST(swapped_sections_are_proposed_and_nothing_else)
 {
-    const size_t trials = mounted_trials(10);
-    size_t others = 0;
-    const size_t near = swaps_found(1, 1, trials, &others),
-                 far = swaps_found(2, 20, trials, &others);
+    const size_t trials = mounted_trials(2);
+    const struct swaps near = swap_and_look(1, 1, trials), two = swap_and_look(2, 2, trials),
+                       far = swap_and_look(3, 8, trials);
 
-    print_message("  of %zu swaps each: %zu of neighbours found, %zu of others, %zu other "
-                  "proposals\n",
-                  trials, near, far, others);
-    CHECK((double)near >= 0.85 * (double)trials);
-    CHECK((double)far >= 0.99 * (double)trials);
-    CHECK((double)others <= 0.02 * (double)trials + 1);
+    CHECK((double)near.found >= 0.9 * (double)near.made);
+    CHECK((double)two.found >= 0.95 * (double)two.made);
+    CHECK((double)far.found >= 0.95 * (double)far.made);
+    CHECK((double)(near.others + two.others + far.others) <= 0.05 * (double)near.made);
 }
 
 /* Case 31: the slot of section a + 1 holds a second mount of section a, laid and stained anew but
@@ -168,7 +208,7 @@ TEST(swapped_sections_are_proposed_and_nothing_else)
 TEST(a_section_mounted_twice_is_found)
 {
     struct draw_chance chance = { 3 };
-    const size_t trials = mounted_trials(10);
+    const size_t trials = mounted_trials(4);
     size_t found = 0, others = 0;
 
     for (size_t t = 0; t < trials; t++) {
@@ -223,7 +263,7 @@ TEST(a_gap_in_the_numbers_is_no_fault)
 
     for (int t = 0; t < 4; t++) {
         see_all(&chance);
-        memmove(&planes[20], &planes[22], (SECTIONS - 22) * sizeof planes[0]);
+        memmove(&planes[10], &planes[12], (SECTIONS - 12) * sizeof planes[0]);
         gsn_auto(gsn_sequence) s = examined(SECTIONS - 2);
 
         CHECK(s->count == 0);
@@ -236,12 +276,13 @@ TEST(sections_that_do_not_differ_are_not_told)
 
     fill_block();
     for (int k = 0; k < SECTIONS; k++) {
-        see(seen[k], 30, &chance);
+        see(seen[k], SECTIONS / 2, &chance);
         planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k] };
     }
     gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
-    CHECK(s->reach != 1 && s->count == 0);
+    CHECK(s->reach == 0 && s->count == 0);
+    CHECK(s->shown[0] < 0.1 && s->shown[2] < 0.1);
 }
 
 TEST(numbers_that_do_not_rise_are_refused)

@@ -335,8 +335,7 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
     if (!a->panel)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the panels of a specimen");
     a->panel_count = specimen->panel_count;
-    r = a->grid ? gsn_section_planes_new(a, GSN_ORDER_CELL_UM, GSN_SEQUENCE_FINER, &planes, err)
-                : GSN_OK;
+    r = a->grid ? gsn_section_planes_new(a, GSN_SEQUENCE_CELL_UM, &planes, err) : GSN_OK;
     if (r >= 0)
         r = gsn_candidate_sheet_new(a, &sheet, err);
     if (r < 0)

@@ -34,21 +34,17 @@ int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_asse
                               struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(planes->count, sizeof *plane);
-    const size_t columns = planes->columns / GSN_SEQUENCE_FINER;
-    const size_t rows = planes->rows / GSN_SEQUENCE_FINER;
-    gsn_auto_mem(float) coarse = gsn_alloc_array(planes->count * rows, columns * sizeof *coarse);
     int r;
 
-    if (!plane || !coarse)
+    if (!plane)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
-    gsn_section_planes_reduce(planes, GSN_SEQUENCE_FINER, coarse);
     gsn_section_planes_settle(planes);
     for (size_t k = 0; k < planes->count; k++)
         plane[k] =
             (struct gsn_sequence_plane){ a->section[planes->section[k]].seen.serial,
-                                         coarse + k * columns * rows,
                                          planes->density + k * planes->columns * planes->rows };
-    r = gsn_sequence_examine(plane, planes->count, columns, rows, ret_sequence, err);
+    r = gsn_sequence_examine(plane, planes->count, planes->columns, planes->rows, ret_sequence,
+                             err);
     for (size_t i = 0; r >= 0 && i < (*ret_sequence)->count; i++)
         flag(planes, a, &(*ret_sequence)->finding[i]);
     return r;
@@ -59,9 +55,10 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
 {
     if (finding->kind == GSN_SEQUENCE_SWAP)
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %u and %u look swapped: in each other's places the stack there "
-                       "would be %.0f %% less rough along z; nothing was moved: look at both",
-                       finding->a, finding->b, 100 * finding->smoother);
+                       "sections %u and %u look swapped: from one to the other the tissue changes "
+                       "against the way it changes around them, by %.1f standard errors where %.1f "
+                       "along it are expected; nothing was moved: look at both",
+                       finding->a, finding->b, finding->against, finding->foretold);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
                        "sections %u and %u look like one section, mounted or scanned twice: their "
@@ -73,21 +70,32 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
 int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,
                                      char ret_sentence[GSN_POSE_SENTENCE])
 {
-    char near[48] = "", most[80] = "";
+    const double *shown = sequence->shown;
+    char near[160] = "", most[80] = "";
 
     ret_sentence[0] = '\0';
     if (sequence->reach == 1)
         return 0;
-    if (sequence->reach > 1)
-        (void)snprintf(near, sizeof near, " nearer than %u to each other", sequence->reach);
+    if (shown[GSN_SEQUENCE_NEAR - 1] > 0)
+        (void)snprintf(
+            near, sizeof near,
+            " (expected to show: %.0f %% of swaps of neighbours, %.0f %% two apart, %.0f "
+            "%% three apart)",
+            100 * shown[0], 100 * shown[1], 100 * shown[2]);
     if (sequence->unseen > 0)
         (void)snprintf(most, sizeof most,
                        "; it would carry at most %.2g %% of all density to the other place",
                        100 * sequence->unseen);
-    (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                   "a swap of two sections%s may not show in their tissue: their order rests on "
-                   "numbers and slots alone%s",
-                   near, most);
+    if (sequence->reach > 1)
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "a swap of two sections nearer than %u to each other may not show in their "
+                       "tissue%s: their order rests on numbers and slots alone%s",
+                       sequence->reach, near, most);
+    else
+        (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                       "a swap of two sections may not show in their tissue%s: their order rests "
+                       "on numbers and slots alone%s",
+                       near, most);
     return 1;
 }
 

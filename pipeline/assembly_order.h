@@ -2,7 +2,7 @@
 
 /* Whether the laid sections lie in the order of their numbers (register/sequence.h).
  *
- * While the panels are opened, each section's density is gathered in coarse cells of the block;
+ * While the panels are opened, each section's density is gathered in cells of the block;
  * at the end all are compared. What is found is flags and sentences: proposals for a person. */
 #ifndef GSN_PIPELINE_ASSEMBLY_ORDER_H
 #define GSN_PIPELINE_ASSEMBLY_ORDER_H
@@ -14,10 +14,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* Side of the cells, um: texture is looked at in these, and what changes along z in squares of
- * them: several sections' errors of laying wide, and most structures' size. */
-#define GSN_ORDER_CELL_UM (100.0 / GSN_SEQUENCE_FINER)
 
 /* Compares all that was gathered; flags the sections. gives: ret_sequence. Fails with GSN_E_NOMEM.
  */

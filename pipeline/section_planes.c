@@ -73,7 +73,7 @@ static double wide_enough(const struct gsn_section_planes *planes, const struct 
 }
 
 static void place_cells(struct gsn_section_planes *planes, const struct gsn_assembly *a,
-                        size_t whole, double *room)
+                        double *room)
 {
     struct gsn_point end;
 
@@ -81,13 +81,11 @@ static void place_cells(struct gsn_section_planes *planes, const struct gsn_asse
         (struct gsn_point){ usual_end(planes, a, 0, -1, room), usual_end(planes, a, 1, -1, room) };
     end = (struct gsn_point){ usual_end(planes, a, 0, 1, room), usual_end(planes, a, 1, 1, room) };
     planes->cell_um = wide_enough(planes, a, end);
-    planes->columns = (size_t)fmax((end.x - planes->origin.x) / planes->cell_um, 1);
-    planes->rows = (size_t)fmax((end.y - planes->origin.y) / planes->cell_um, 1);
-    planes->columns = (planes->columns / whole + 1) * whole;
-    planes->rows = (planes->rows / whole + 1) * whole;
+    planes->columns = (size_t)fmax((end.x - planes->origin.x) / planes->cell_um, 1) + 1;
+    planes->rows = (size_t)fmax((end.y - planes->origin.y) / planes->cell_um, 1) + 1;
 }
 
-int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um, size_t whole,
+int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
                            struct gsn_section_planes **ret_planes, struct gsn_error *err)
 {
     gsn_auto(gsn_section_planes) planes = gsn_alloc_array(1, sizeof *planes);
@@ -106,7 +104,7 @@ int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um, size_t 
         *ret_planes = NULL;
         return GSN_OK;
     }
-    place_cells(planes, a, whole, room);
+    place_cells(planes, a, room);
     planes->density =
         gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
     planes->seen = gsn_alloc_array(planes->count * planes->rows, planes->columns * sizeof(float));
@@ -164,31 +162,6 @@ static float mean_of(double sum, double seen, double cell_um)
     if (seen >= SEEN * cell_um * cell_um)
         return (float)(sum / seen);
     return seen > 0 ? NAN : 0;
-}
-
-/* The mean over by x by cells. */
-static float mean_over(const struct gsn_section_planes *planes, size_t corner, size_t by)
-{
-    double sum = 0, seen = 0;
-
-    for (size_t v = 0; v < by; v++)
-        for (size_t u = 0; u < by; u++) {
-            sum += (double)planes->density[corner + v * planes->columns + u];
-            seen += (double)planes->seen[corner + v * planes->columns + u];
-        }
-    return mean_of(sum, seen, (double)by * planes->cell_um);
-}
-
-void gsn_section_planes_reduce(const struct gsn_section_planes *planes, size_t by,
-                               float *ret_density)
-{
-    const size_t columns = planes->columns / by, rows = planes->rows / by;
-
-    for (size_t k = 0; k < planes->count; k++)
-        for (size_t y = 0; y < rows; y++)
-            for (size_t x = 0; x < columns; x++)
-                ret_density[(k * rows + y) * columns + x] =
-                    mean_over(planes, (k * planes->rows + by * y) * planes->columns + by * x, by);
 }
 
 void gsn_section_planes_settle(struct gsn_section_planes *planes)

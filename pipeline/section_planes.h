@@ -22,9 +22,8 @@ struct gsn_section_planes {
 };
 
 /* gives: empty cells for all sections that are laid; NULL when none is. cell_um > 0; the cells are
- * wider where the specimen is large or its pixels are wider. Columns and rows are multiples of
- * whole. Fails with GSN_E_NOMEM. */
-int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um, size_t whole,
+ * wider where the specimen is large or its pixels are wider. Fails with GSN_E_NOMEM. */
+int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
                            struct gsn_section_planes **ret_planes, struct gsn_error *err);
 void gsn_section_planes_free(struct gsn_section_planes *planes);
 GSN_DEFINE_AUTO(gsn_section_planes);
@@ -33,11 +32,6 @@ GSN_DEFINE_AUTO(gsn_section_planes);
  * every apart-th row of its box, NaN where it is masked. Sections may be gathered side by side. */
 void gsn_section_planes_add(struct gsn_section_planes *planes, const struct gsn_assembly *a,
                             size_t i, const struct gsn_plane *density, unsigned apart);
-
-/* Before settling: ret_density receives the means over by x by cells, plane after plane, in
- * columns / by and rows / by. */
-void gsn_section_planes_reduce(const struct gsn_section_planes *planes, size_t by,
-                               float *ret_density);
 
 /* Sums become means, once. What no section's box reached is glass, 0; what was masked is not known,
  * NaN. */

@@ -1,13 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence.h"
 
-#include "pipeline/register/median.h"
 #include "pipeline/register/sequence_parts.h"
 
 #include <assert.h>
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 enum { LEAST = 8 };
 
@@ -30,19 +28,6 @@ static int order(const void *a, const void *b)
     if (f->evidence != g->evidence)
         return f->evidence > g->evidence ? -1 : 1;
     return f->a < g->a ? -1 : f->a > g->a;
-}
-
-/* A plane's product with itself holds the noise of all its cells, which would make every line look
- * longer than it is: that is taken off, as much as the median plane is off its line. */
-static void take_off_noise(struct gsn_sequence_stack *s)
-{
-    double median;
-
-    for (size_t i = 0; i < s->n; i++)
-        s->room[i] = gsn_sequence_off_line(s, i);
-    median = gsn_median(s->room, s->n);
-    for (size_t i = 0; i < s->n; i++)
-        s->gram[i * s->n + i] -= median;
 }
 
 /* How much a swap of sections that is not seen carries from one place to the other, as a share of
@@ -69,49 +54,75 @@ static double unseen(const struct gsn_sequence_plane *planes, size_t count, size
     return all > 0 ? most / all : 0;
 }
 
-static int examine(const struct gsn_sequence_plane *planes, struct gsn_sequence_cells *cells,
-                   struct gsn_sequence_stack *stack, struct gsn_sequence *found,
-                   struct gsn_error *err)
+/* The density of tissue, glass left aside: the mean weighed by itself. */
+static double level_of(const float *value, size_t count)
 {
-    int r = gsn_sequence_find_duplicates(planes, cells->n, GSN_SEQUENCE_FINER * cells->columns,
-                                         GSN_SEQUENCE_FINER * cells->rows, found, err);
+    double sum = 0, square = 0;
 
-    if (r < 0)
-        return r;
-    gsn_sequence_gather(planes, cells);
-    gsn_sequence_align(cells);
-    gsn_sequence_smooth(cells);
-    gsn_sequence_align(cells);
-    gsn_sequence_multiply(cells, stack);
-    gsn_sequence_reduce(stack);
-    take_off_noise(stack);
-    r = gsn_sequence_find_swaps(stack, planes, found, err);
-    if (r >= 0)
-        found->unseen = unseen(planes, cells->n, cells->columns * cells->rows,
-                               found->reach ? found->reach : (unsigned)-1);
-    return r;
+    for (size_t i = 0; i < count; i++) {
+        sum += (double)value[i];
+        square += (double)value[i] * (double)value[i];
+    }
+    return sum > 0 ? square / sum : 1;
 }
 
-static int with_room(const struct gsn_sequence_plane *planes, size_t n, size_t columns, size_t rows,
-                     struct gsn_sequence *found, struct gsn_error *err)
+static void fill_tissue(const struct gsn_sequence_plane *planes, struct gsn_sequence_cells *cells,
+                        struct gsn_sequence_tissue *t)
+{
+    const size_t count = t->columns * t->rows;
+    double level;
+
+    gsn_sequence_gather(planes, cells);
+    level = level_of(cells->value, t->n * count);
+    for (size_t k = 0; k < t->n; k++)
+        t->place[k] = k;
+    for (size_t c = 0; c < t->n * count; c++) {
+        t->filled[c] = (float)((double)cells->value[c] / level);
+        t->known[c] = (unsigned char)!isnan(planes[c / count].density[c % count]);
+    }
+}
+
+static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
+                      size_t rows, struct gsn_sequence *found, struct gsn_error *err)
 {
     const size_t count = columns * rows;
-    gsn_auto_mem(double) of_planes = gsn_alloc_array(n, sizeof *of_planes);
-    gsn_auto_mem(double) gram = gsn_alloc_array(n * n, sizeof *gram);
+    gsn_auto_mem(double) z = gsn_alloc_array(n, sizeof *z);
+    gsn_auto_mem(size_t) place = gsn_alloc_array(n, sizeof *place);
     gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
-    gsn_auto_mem(double) mean = gsn_alloc_array(count, sizeof *mean);
-    gsn_auto_mem(double) room = gsn_alloc_array(2 * n * n + 4 * n, sizeof *room);
+    gsn_auto_mem(unsigned char) known = gsn_alloc_array(n * count, 1);
+    gsn_auto_mem(float) of_cells = gsn_alloc_array(7 * count, sizeof *of_cells);
+    gsn_auto_mem(struct gsn_sequence_square) square = gsn_alloc_array(count, sizeof *square);
+    gsn_auto_mem(void) modes = gsn_alloc(gsn_sequence_modes_size(columns, rows));
     struct gsn_sequence_cells cells = { .n = n, .columns = columns, .rows = rows };
-    struct gsn_sequence_stack stack = { .n = n, .z = of_planes, .gram = gram };
+    struct gsn_sequence_tissue t = { .n = n, .columns = columns, .rows = rows };
+    int r;
 
-    if (!of_planes || !gram || !value || !mean || !room)
+    if (!z || !place || !value || !known || !of_cells || !square || !modes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", n);
-    cells.z = of_planes;
-    cells.value = value;
-    cells.next = value + n * count;
-    cells.mean = mean;
-    stack.room = room;
-    return examine(planes, &cells, &stack, found, err);
+    cells.z = z;
+    cells.value = t.filled = value;
+    cells.next = t.value = value + n * count;
+    t.z = z;
+    t.place = place;
+    t.known = known;
+    t.noise2 = of_cells;
+    t.deviation = of_cells + count;
+    t.change = of_cells + 2 * count;
+    t.energy = of_cells + 3 * count;
+    t.onto = of_cells + 4 * count;
+    t.off = of_cells + 5 * count;
+    t.off_too = of_cells + 6 * count;
+    t.modes = modes;
+    t.square = square;
+    fill_tissue(planes, &cells, &t);
+    r = gsn_sequence_lay(&t, err);
+    if (r >= 0)
+        r = gsn_sequence_learn_noise(&t, err);
+    if (r >= 0)
+        r = gsn_sequence_find_swaps(&t, planes, found, err);
+    if (r >= 0)
+        found->unseen = unseen(planes, n, count, found->reach ? found->reach : (unsigned)-1);
+    return r;
 }
 
 int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
@@ -129,7 +140,9 @@ int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, 
     if (!found || !found->finding)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", count);
     if (count >= LEAST)
-        r = with_room(planes, count, columns, rows, found, err);
+        r = gsn_sequence_find_duplicates(planes, count, columns, rows, found, err);
+    if (r >= 0 && count >= LEAST)
+        r = find_swaps(planes, count, columns, rows, found, err);
     if (r < 0)
         return r;
     qsort(found->finding, found->count, sizeof *found->finding, order);

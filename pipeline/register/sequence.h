@@ -2,11 +2,13 @@
 
 /* Whether the sections lie in the order of their numbers, by their tissue.
  *
- * Tissue changes little from one section to the next, so a section fits best between its true
- * neighbours: it is compared with the straight line through the sections around each place, itself
- * left out. All is done on coarse planes in the block frame (cells of some 100 um, many sections'
- * texture averaged out), scaled to one mean, so that stain does not matter. How far apart two
- * sections must be for a swap of them to show is measured on the stack itself.
+ * Tissue changes little from one section to the next, but where it does, at the rims of spaces and
+ * of the root, it goes on the way it goes around: the step from one section to another is compared
+ * with the step that the sections around both foretell, cell by cell, weighed by what a cell's
+ * noise leaves of it. In each other's places the two would show the contrary, and the stack around
+ * both would change more evenly if they were exchanged. Sections are laid onto each other by their
+ * tissue before, and scaled, so that laying, warp and stain do not matter. What share of swaps
+ * would show is told from what the stack's own sections show.
  *
  * A section that is there twice shares with its second mount the texture that neighbours do not
  * share. It is compared half a millimetre at a time, each piece where it fits best, since every
@@ -28,13 +30,16 @@
 extern "C" {
 #endif
 
-enum { GSN_SEQUENCE_FINER = 3 };
+/* Side of the cells: the rims of spaces move by some 10 um from one section to the next, and two
+ * mounts share texture as fine as this. */
+#define GSN_SEQUENCE_CELL_UM (100.0 / 3)
 
-/* One laid section: columns * rows densities row by row; 0 on glass, NaN where nothing is known.
- * detail: the same in GSN_SEQUENCE_FINER times as many columns and rows. */
+enum { GSN_SEQUENCE_NEAR = 3 };
+
+/* One laid section: columns * rows densities row by row; 0 on glass, NaN where nothing is known. */
 struct gsn_sequence_plane {
     unsigned serial;
-    const float *density, *detail;
+    const float *density;
 };
 
 enum gsn_sequence_kind {
@@ -45,18 +50,21 @@ enum gsn_sequence_kind {
 struct gsn_sequence_finding {
     enum gsn_sequence_kind kind;
     unsigned a, b;   /* serial numbers, as given */
-    double evidence; /* logarithm of the likelihood ratio against the order as numbered; of a
-                        duplicate the share of their texture that both have in common */
-    double smoother; /* share of the roughness along z around both that a swap would take away */
+    double evidence; /* how much more evenly the sections around change after a swap, in standard
+                        errors; of a duplicate the share of their texture that both have in
+                        common */
     double usual;    /* share of their texture that neighbours have in common */
+    /* Of a swap, in standard errors: how far the change from one to the other runs against the way
+     * it goes around them, and how far it should go along. */
+    double against, foretold;
 };
 
 struct gsn_sequence {
     size_t count;
     struct gsn_sequence_finding *finding; /* owned; the surest first within each kind */
-    double change;  /* from one section to the next, over the noise of one: root mean square */
-    unsigned reach; /* a swap of two sections shows from this many apart on; 1: neighbours', too,
-                       0: no swap shows */
+    double shown[GSN_SEQUENCE_NEAR]; /* share of swaps of sections 1, 2, 3 apart that would show */
+    unsigned reach; /* 19 of 20 swaps of two sections show from this many apart on; 1: neighbours',
+                       too, 0: from no distance */
     double unseen;  /* the most that a swap which does not show carries from one place to the
                        other, as a share of all sections' density */
     int twice_told; /* whether sections have texture of their own by which two mounts of one would

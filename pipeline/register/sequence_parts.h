@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What the files of register/sequence.h share: the sections' coarse cells side by side, and the
- * stack as inner products of them, in which every comparison along z is a short sum. */
+/* What the files of register/sequence.h share: the sections' cells side by side, and the stack's
+ * change along z cell by cell. */
 #ifndef GSN_REGISTER_SEQUENCE_PARTS_H
 #define GSN_REGISTER_SEQUENCE_PARTS_H
 
@@ -18,17 +18,16 @@ enum { GSN_SEQUENCE_SIDE = 3, GSN_SEQUENCE_AROUND = 2 * GSN_SEQUENCE_SIDE };
 /* Up to GSN_SEQUENCE_SIDE sections on either side of place i of n, those at i and j left out. */
 size_t gsn_sequence_around(size_t n, size_t i, size_t j, size_t ret_at[GSN_SEQUENCE_AROUND]);
 
-/* A sum of sections with weights: a straight line through those around a place, taken somewhere,
- * or its slope. */
+/* A sum of sections with weights: a straight line through those around a place, taken
+ * somewhere. */
 struct gsn_sequence_line {
     size_t count, at[GSN_SEQUENCE_AROUND];
     double weight[GSN_SEQUENCE_AROUND];
 };
 
-/* Least squares through the sections around place i without i and j, taken at z; its slope. */
+/* Least squares through the sections around place i without i and j, taken at z. */
 struct gsn_sequence_line gsn_sequence_line_at(const double *z, size_t n, size_t i, size_t j,
                                               double at);
-struct gsn_sequence_line gsn_sequence_slope_at(const double *z, size_t n, size_t i, size_t j);
 /* Sum of its squared weights: its noise, in sections'. */
 double gsn_sequence_line_noise(const struct gsn_sequence_line *line);
 
@@ -39,49 +38,77 @@ struct gsn_sequence_cells {
     double *z;    /* n */
     float *value; /* n * columns * rows */
     float *next;  /* as many: scratch */
-    double *mean; /* columns * rows: scratch */
 };
 
 /* Holes are filled from the neighbours, each plane is scaled to a mean of 1. */
 void gsn_sequence_gather(const struct gsn_sequence_plane *planes, struct gsn_sequence_cells *cells);
-/* Errors of laying and stain are no change of tissue: each plane is brought to its surroundings in
- * those modes, all at once, a few times, as the surroundings have such errors too. */
-void gsn_sequence_align(struct gsn_sequence_cells *cells);
-/* By (1 2 1) / 4 along both axes, a few times. */
-void gsn_sequence_smooth(struct gsn_sequence_cells *cells);
+/* By (1 2 1) / 4 along both axes, some times; ends held. */
+void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times);
 
-/* ---- the stack ---------------------------------------------------------------------------- */
+/* ---- the tissue's change along z ------------------------------------------------------------ */
 
-struct gsn_sequence_stack {
-    size_t n;
-    const double *z;
-    double *gram; /* n * n */
-    double *room; /* 2 * n * n + 4 * n: scratch */
+/* What a square of cells says: of the plane at the first place, of that at the second, foretold. */
+struct gsn_sequence_square {
+    double first, second, foretold;
 };
 
-/* Inner products of all planes. */
-void gsn_sequence_multiply(const struct gsn_sequence_cells *cells,
-                           struct gsn_sequence_stack *stack);
-double gsn_sequence_line_plane(const struct gsn_sequence_stack *s,
-                               const struct gsn_sequence_line *line, size_t plane);
-double gsn_sequence_line_line(const struct gsn_sequence_stack *s, const struct gsn_sequence_line *a,
-                              const struct gsn_sequence_line *b);
-/* Squared distance of plane k from the line through its neighbours, as one section's noise. */
-double gsn_sequence_off_line(const struct gsn_sequence_stack *s, size_t k);
-/* Exchanges two planes for all that follows. */
-void gsn_sequence_exchange(struct gsn_sequence_stack *s, size_t i, size_t j);
+/* The sections in fine cells, laid onto each other by their tissue. All is the caller's. */
+struct gsn_sequence_tissue {
+    size_t n, columns, rows;
+    const double *z;             /* n */
+    size_t *place;               /* n: the plane that lies at each place */
+    float *value;                /* n * cells: in shares of the tissue's density */
+    float *filled;               /* as many: as they came, holes filled; scratch after laying */
+    unsigned char *known;        /* as many */
+    float *noise2, *deviation;   /* cells: of one section, and its root */
+    float *change, *energy;      /* cells: scratch */
+    float *onto, *off, *off_too; /* cells: scratch */
+    struct gsn_sequence_square *square; /* cells: scratch */
+    void *modes;                        /* gsn_sequence_modes_size() bytes: scratch */
+};
 
-/* Keeps the few directions in which the stack changes beyond grain (principal components), so that
- * the grain of all the others does not drown it. */
-void gsn_sequence_reduce(struct gsn_sequence_stack *s);
+/* Moves filled onto each other into value: an affine motion of each plane, then what is left along
+ * its slopes and of its stain over some hundred um. What grows or shrinks within less stays. Fails
+ * with GSN_E_NOMEM. */
+int gsn_sequence_lay(struct gsn_sequence_tissue *tissue, struct gsn_error *err);
+
+/* The median of at most GSN_SEQUENCE_AROUND planes of value, cell by cell. */
+void gsn_sequence_median(const struct gsn_sequence_tissue *tissue, const size_t *plane,
+                         size_t count, float *ret_median);
+
+/* How planes differ because of how they were laid and stained: by the slopes of what they lie in
+ * and by its density, in amounts that change slowly. Told where both sections are known and differ
+ * by no more than an edge laid wrong does. */
+struct gsn_sequence_modes {
+    const float *onto, *gross;
+    const unsigned char *known[2];
+};
+/* Takes what these modes explain from a difference of planes. */
+void gsn_sequence_take_off(const struct gsn_sequence_tissue *tissue,
+                           const struct gsn_sequence_modes *modes, float *off);
+size_t gsn_sequence_modes_size(size_t columns, size_t rows);
+
+/* What sets a section apart from the line through its neighbours, cell by cell, in the median.
+ * Fails with GSN_E_NOMEM. */
+int gsn_sequence_learn_noise(struct gsn_sequence_tissue *tissue, struct gsn_error *err);
+
+/* The change from the plane at place i to that at place j, i < j, along the change that the
+ * sections around foretell, both in standard errors. In each other's places the two would show
+ * the contrary. Errors are told from what squares of cells say each for itself. */
+struct gsn_sequence_change {
+    double shown, foretold;
+    double first, second; /* how far the one lies before the middle, and the other behind it */
+};
+struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence_tissue *tissue,
+                                                       size_t i, size_t j);
 
 /* ---- findings ----------------------------------------------------------------------------- */
 
-/* By the planes' detail, of columns * rows cells. Fails with GSN_E_NOMEM. */
+/* Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
                                  size_t rows, struct gsn_sequence *found, struct gsn_error *err);
 /* Of the stack's tissue, after the duplicates. Fails with GSN_E_NOMEM. */
-int gsn_sequence_find_swaps(struct gsn_sequence_stack *tissue,
+int gsn_sequence_find_swaps(struct gsn_sequence_tissue *tissue,
                             const struct gsn_sequence_plane *planes, struct gsn_sequence *found,
                             struct gsn_error *err);
 

@@ -6,158 +6,227 @@
 #include <math.h>
 #include <string.h>
 
-enum { SIDE = GSN_SEQUENCE_SIDE };
+enum { NEAR = GSN_SEQUENCE_NEAR, SIDE = GSN_SEQUENCE_SIDE, EVERY = 3, LIKELY = 4 };
 
-/* A proposal must be this much likelier than the order as numbered: e^14 is a million to one, to
- * be divided among some thousand pairs of a stack; e^7 is a thousand to one, for as many neighbours
- * as it has sections. */
-static const double SURE = 14, SURE_OF_NEIGHBOURS = 7;
-/* A swap that takes less than this off the roughness around both is not worth a person's look; in a
- * stack without grain the smallest difference is evidence. */
-static const double LEAST_SMOOTHER = 0.05;
-/* Where one section's change is less than its noise, nothing is said of any distance. */
-static const double LEAST_CHANGE = 1;
-/* Standard normal quantile of 99 %. */
-static const double NEARLY_ALL = 2.326;
-/* Median absolute deviation to standard deviation of normal numbers. */
-static const double MAD_TO_SD = 1.4826;
+/* A change is looked at where it runs against what is foretold by this many standard errors. */
+static const double LEAST_AGAINST = 0.75;
+/* And where the logarithm of the likelihood ratio against the order as numbered is this much: where
+ * hardly any change is foretold, noise runs against it half of the time. */
+static const double LIKELIER = 5;
+/* Places farther apart than NEAR must show this part of a swap at least: none is shown where one of
+ * the two alone is out of place. Roughly, by cells as they were laid, it is no more than that. */
+static const double PART = 0.2, ROUGHLY = 0.2;
+/* A proposal must make the changes around run more evenly by this many standard errors, those that
+ * the two run against counted twice. In order hardly any two sections are above 0. */
+static const double CONVINCING = 6;
+/* Of what the two show in order a swap shows this share at least as a rule, as each was laid by
+ * those it does not belong to; and it is found where that is above ENOUGH. */
+static const double LAID = 0.6, ENOUGH = 1.5;
+/* Where fewer than this share of swaps at a distance would show, what does show may be chance. */
+static const double TELLING = 0.25;
+/* Two planes' cells differ by no more than this, in standard deviations of one's noise. */
+static const double MOST = 3;
+/* Of all swaps at a distance so many show where it is said that they do. */
+static const double NEARLY_ALL = 0.95;
 
-/* What is usual in this stack. */
 struct search {
-    struct gsn_sequence_stack *s;
-    double noise2; /* squared norm of one section's noise along a direction of change */
-    double slope2; /* squared norm of the change from one section to the next */
-    double gain;   /* how much of a true change the comparison shows */
-    int told;      /* whether a swap of neighbours would be seen */
+    struct gsn_sequence_tissue *t;
+    struct gsn_sequence_change *near; /* n * NEAR: to the places 1 to NEAR further on */
+    struct gsn_sequence_change *kept; /* as many: scratch */
+    double *fit;                      /* n * n: how ill the plane at one place fits at another */
+    double *apart;                    /* n * n: of i < j, between what the two places foretell */
+    double shown[NEAR];               /* share of swaps 1 to NEAR apart that would show */
+    double gain;                      /* how much of what is foretold a change shows */
+    char *used;                       /* n: in a proposal already */
 };
 
-/* Plane i between places i and j: -1/2 when it lies at its own, 1/2 at the other; and the squared
- * distance between the two places. Neither section is in the lines. */
-struct stand {
-    double at_i, at_j; /* of planes i and j: -1/2 and 1/2 in order */
-    double apart2;
-};
-
-static struct stand compare(const struct gsn_sequence_stack *s, size_t i, size_t j)
+static size_t away(size_t a, size_t b)
 {
-    const struct gsn_sequence_line a = gsn_sequence_line_at(s->z, s->n, i, j, s->z[i]),
-                                   b = gsn_sequence_line_at(s->z, s->n, j, i, s->z[j]);
-    const double aa = gsn_sequence_line_line(s, &a, &a), bb = gsn_sequence_line_line(s, &b, &b);
-    const double middle = 0.5 * (bb - aa);
-    /* Where noise leaves less than nothing, the places are not told apart. */
-    const double apart2 = fmax(aa + bb - 2 * gsn_sequence_line_line(s, &a, &b), 1e-12 * aa);
-
-    return (struct stand){
-        .at_i = (gsn_sequence_line_plane(s, &b, i) - gsn_sequence_line_plane(s, &a, i) - middle) /
-                apart2,
-        .at_j = (gsn_sequence_line_plane(s, &b, j) - gsn_sequence_line_plane(s, &a, j) - middle) /
-                apart2,
-        .apart2 = apart2,
-    };
+    return a > b ? a - b : b - a;
 }
 
-/* Noise and change from all neighbours: most of them lie in order, so medians tell. */
-static void learn(struct search *a)
+/* Nothing lies beyond the last two, so nothing says which of them is the last. */
+static int is_end(const struct search *a, size_t i, size_t j)
 {
-    const struct gsn_sequence_stack *s = a->s;
-    const size_t pairs = s->n - 1;
-    double *shown = s->room, *slope = s->room + s->n, *off = s->room + 2 * s->n;
+    return j == i + 1 && (i == 0 || j + 1 == a->t->n);
+}
 
-    for (size_t i = 0; i < pairs; i++) {
-        const struct stand t = compare(s, i, i + 1);
-        const double far = s->z[i + 1] - s->z[i];
+static int concerns(size_t i, size_t f, const size_t place[2])
+{
+    for (int k = 0; k < 2; k++)
+        if (away(i, place[k]) <= SIDE + 1 || away(i + f, place[k]) <= SIDE + 1)
+            return 1;
+    return 0;
+}
 
-        shown[i] = t.at_j - t.at_i;
-        slope[i] = t.apart2 / (far * far);
+/* Compares anew what two places have a say in; NULL: all. */
+static void compare_near(struct search *a, const size_t place[2])
+{
+    const size_t n = a->t->n;
+
+    for (size_t i = 0; i < n; i++)
+        for (size_t f = 1; f <= NEAR && i + f < n; f++)
+            if (!place || concerns(i, f, place))
+                a->near[i * NEAR + f - 1] = gsn_sequence_change_between(a->t, i, i + f);
+}
+
+/* The line through the sections around a place, itself left out. */
+static void foretell(const struct gsn_sequence_tissue *t, size_t place, float *ret_plane)
+{
+    const size_t cells = t->columns * t->rows;
+    const struct gsn_sequence_line line =
+        gsn_sequence_line_at(t->z, t->n, place, place, t->z[place]);
+
+    memset(ret_plane, 0, cells * sizeof *ret_plane);
+    for (size_t k = 0; k < line.count; k++) {
+        const float *plane = t->value + t->place[line.at[k]] * cells;
+        const float weight = (float)line.weight[k];
+
+        for (size_t c = 0; c < cells; c += EVERY)
+            ret_plane[c] += weight * plane[c];
     }
-    memcpy(off, shown, pairs * sizeof *off);
-    a->gain = gsn_median(off, pairs);
-    for (size_t i = 0; i < pairs; i++) {
-        const double far = s->z[i + 1] - s->z[i];
-
-        off[i] = fabs(shown[i] - a->gain) * sqrt(slope[i]) * far / sqrt(2);
-    }
-    a->noise2 = pow(MAD_TO_SD * gsn_median(off, pairs), 2);
-    a->slope2 = gsn_median(slope, pairs);
 }
 
-/* The distance over which a swap's logarithm of the likelihood ratio is expected to be `evidence`;
- * INFINITY: none is. With one section's change d in units of its noise, it is 2 d^2 f^2 over f
- * sections, and 2 d f its standard deviation. */
-static double distance_of(const struct search *a, double evidence)
+static double misfit(const struct gsn_sequence_tissue *t, size_t place, const float *foretold)
 {
-    if (!(a->gain > 0 && a->noise2 > 0 && a->slope2 > LEAST_CHANGE * a->noise2))
-        return INFINITY;
-    return sqrt(evidence * a->noise2 / (2 * a->gain * a->gain * a->slope2));
-}
-
-/* The distance over which 99 of 100 swaps give the evidence asked for: the greater root of
- * 2 m^2 - 2 q m = e, in evidence 2 m^2. */
-static double distance_found(const struct search *a, double evidence)
-{
-    const double m = 0.5 * (NEARLY_ALL + sqrt(NEARLY_ALL * NEARLY_ALL + 2 * evidence));
-
-    return distance_of(a, 2 * m * m);
-}
-
-/* The least distance from which on all swaps are found, in whole sections; 0: none are. */
-static unsigned reach(const struct search *a)
-{
-    const double far = distance_found(a, SURE);
-
-    if (a->told && distance_found(a, SURE_OF_NEIGHBOURS) <= 1)
-        return 1;
-    return far < (double)a->s->n ? (unsigned)fmax(ceil(far), 2) : 0;
-}
-
-/* How much likelier two sections lie in each other's places than in their own. Unless they are
- * neighbours, whose places are hardly apart, each by itself must be nearer to the other's. */
-static double swapped(const struct search *a, size_t i, size_t j)
-{
-    const struct stand t = compare(a->s, i, j);
-
-    if (j > i + 1 && (t.at_i <= 0 || t.at_j >= 0))
-        return 0;
-    return 2 * a->gain * (t.at_i - t.at_j) * t.apart2 / a->noise2;
-}
-
-/* How far the sections around two places are off the lines through their neighbours: the roughness
- * along z that a swap of the two could change. */
-static double roughness(const struct gsn_sequence_stack *s, size_t i, size_t j)
-{
+    const size_t cells = t->columns * t->rows;
+    const float *plane = t->value + t->place[place] * cells, most = (float)MOST;
+    const unsigned char *known = t->known + t->place[place] * cells;
     double sum = 0;
 
-    for (size_t k = 0; k < s->n; k++) {
-        const size_t di = k > i ? k - i : i - k, dj = k > j ? k - j : j - k;
+    for (size_t c = 0; c < cells; c += EVERY) {
+        const float off = fminf(fabsf(plane[c] - foretold[c]), most * t->deviation[c]);
 
-        if (di <= SIDE || dj <= SIDE)
-            sum += gsn_sequence_off_line(s, k);
+        sum += known[c] ? (double)(off * off / t->noise2[c]) : 0;
     }
     return sum;
 }
 
-/* What is gained in roughness by swapping two sections; ret_share: of what it is; 0 where neither
- * the tissue of the two nor the roughness asks for it. */
-static double smoother(const struct search *a, size_t i, size_t j, double sure, double *ret_share)
+/* Squared distance between what two places foretell, over one section's noise. */
+static double apart(const struct gsn_sequence_tissue *t, const float *here, const float *there)
 {
-    struct gsn_sequence_stack *s = a->s;
-    double before, after;
+    const size_t cells = t->columns * t->rows;
+    const float most = (float)MOST;
+    double sum = 0;
 
-    if (!(s->z[j] - s->z[i] > distance_of(a, SURE)))
+    for (size_t c = 0; c < cells; c += EVERY) {
+        const float off = fminf(fabsf(here[c] - there[c]), most * t->deviation[c]);
+
+        sum += (double)(off * off / t->noise2[c]);
+    }
+    return sum;
+}
+
+static void compare_far(struct search *a)
+{
+    const size_t n = a->t->n;
+
+    for (size_t m = 0; m < n; m++) {
+        foretell(a->t, m, a->t->change);
+        for (size_t k = 0; k < n; k++)
+            a->fit[k * n + m] = misfit(a->t, k, a->t->change);
+        for (size_t k = 0; k < m; k++) {
+            foretell(a->t, k, a->t->off);
+            a->apart[k * n + m] = apart(a->t, a->t->change, a->t->off);
+        }
+    }
+}
+
+/* How the planes at two places stand between them, roughly: 1 where they lie in order, -1 where
+ * each lies at the other's, 0 where one alone is out of place. */
+static double standing(const struct search *a, size_t i, size_t j)
+{
+    const size_t n = a->t->n;
+    const double off =
+        a->fit[i * n + i] + a->fit[j * n + j] - a->fit[i * n + j] - a->fit[j * n + i];
+
+    return a->apart[i * n + j] > 0 ? -off / (2 * a->apart[i * n + j]) : 0;
+}
+
+static int runs_against(const struct search *a, size_t f, struct gsn_sequence_change change)
+{
+    if (a->shown[(f < NEAR ? f : NEAR) - 1] < TELLING)
         return 0;
-    /* Nothing lies beyond the last two, so nothing says which of them is the last. */
-    if (j == i + 1 && (i == 0 || j + 1 == s->n))
-        return 0;
-    if (swapped(a, i, j) <= sure)
-        return 0;
-    before = roughness(s, i, j);
-    gsn_sequence_exchange(s, i, j);
-    after = roughness(s, i, j);
-    gsn_sequence_exchange(s, i, j);
-    if (!(after < (1 - LEAST_SMOOTHER) * before))
-        return 0;
-    *ret_share = 1 - after / before;
-    return before - after;
+    return change.shown < -LEAST_AGAINST &&
+           -2 * a->gain * change.shown * change.foretold > LIKELIER &&
+           (f <= NEAR || change.shown < -PART * a->gain * change.foretold);
+}
+
+struct swap {
+    size_t place[2];
+    struct gsn_sequence_change change;
+    double convincing;
+};
+
+/* The swaps that run against what is foretold the most, among sections that are in none yet; how
+ * many. */
+static size_t list_likely(struct search *a, struct swap ret_swap[LIKELY])
+{
+    const size_t n = a->t->n;
+    size_t count = 0;
+
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = i + 1; j < n && !a->used[i]; j++) {
+            struct swap swap = { .place = { i, j } };
+            size_t at;
+
+            if (a->used[j] || is_end(a, i, j) || (j > i + NEAR && standing(a, i, j) > ROUGHLY))
+                continue;
+            swap.change = j <= i + NEAR ? a->near[i * NEAR + j - i - 1]
+                                        : gsn_sequence_change_between(a->t, i, j);
+            if (!runs_against(a, j - i, swap.change))
+                continue;
+            count += count < LIKELY;
+            for (at = count - 1; at > 0 && ret_swap[at - 1].change.shown > swap.change.shown; at--)
+                ret_swap[at] = ret_swap[at - 1];
+            if (at + 1 < count || ret_swap[at].change.shown > swap.change.shown)
+                ret_swap[at] = swap;
+        }
+    return count;
+}
+
+static void exchange(struct search *a, const struct swap *swap)
+{
+    size_t *place = a->t->place;
+    const size_t plane = place[swap->place[0]];
+
+    place[swap->place[0]] = place[swap->place[1]];
+    place[swap->place[1]] = plane;
+}
+
+/* How far all near changes run the way that those around them do. */
+static double evenness(const struct search *a)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < a->t->n * NEAR; i++)
+        sum += a->near[i].shown;
+    return sum;
+}
+
+/* What lies beside swapped sections looks out of place too: of the likeliest swaps that one which
+ * convinces most; 0: none does. */
+static int find_best(struct search *a, struct swap *ret_swap)
+{
+    const size_t bytes = a->t->n * NEAR * sizeof *a->near;
+    const double before = evenness(a);
+    struct swap likely[LIKELY] = { 0 };
+    const size_t count = list_likely(a, likely);
+    double most = CONVINCING;
+
+    memcpy(a->kept, a->near, bytes);
+    for (size_t k = 0; k < count; k++) {
+        exchange(a, &likely[k]);
+        compare_near(a, likely[k].place);
+        likely[k].convincing = evenness(a) - before - 2 * likely[k].change.shown;
+        exchange(a, &likely[k]);
+        memcpy(a->near, a->kept, bytes);
+        if (likely[k].convincing > most) {
+            most = likely[k].convincing;
+            *ret_swap = likely[k];
+        }
+    }
+    return most > CONVINCING;
 }
 
 static int is_duplicate(const struct gsn_sequence *found, unsigned a, unsigned b)
@@ -169,70 +238,90 @@ static int is_duplicate(const struct gsn_sequence *found, unsigned a, unsigned b
     return 0;
 }
 
-/* The swap that smooths most among sections that are in none yet: its share; 0: there is none. */
-static double find_best(const struct search *a, const char *used, const char *near,
-                        size_t ret_pair[2])
+/* The others are looked for as if the swap found were undone. No section is in two proposals. */
+static void find_all(struct search *a, const struct gsn_sequence_plane *planes,
+                     struct gsn_sequence *found)
 {
-    double most = 0, gained = 0;
+    struct swap swap = { 0 };
 
-    for (size_t i = 0; i < a->s->n; i++)
-        for (size_t j = i + 1; j < a->s->n && !used[i]; j++) {
-            const int clean = j == i + 1 && !near[i] && !near[j] && a->told;
-            double share = 0;
-            const double gain =
-                used[j] ? 0 : smoother(a, i, j, clean ? SURE_OF_NEIGHBOURS : SURE, &share);
+    while (find_best(a, &swap)) {
+        const unsigned first = planes[swap.place[0]].serial, second = planes[swap.place[1]].serial;
 
-            if (gain > most) {
-                most = gain;
-                gained = share;
-                ret_pair[0] = i;
-                ret_pair[1] = j;
-            }
-        }
-    return gained;
-}
-
-/* The swap that smooths most comes first; the others are looked for as if it were undone, since
- * what lies beside swapped sections looks out of place too. No section is in two proposals. */
-static void find_all(const struct search *a, const struct gsn_sequence_plane *planes, char *used,
-                     char *near, struct gsn_sequence *found)
-{
-    size_t pair[2] = { 0, 0 };
-    double share;
-
-    while ((share = find_best(a, used, near, pair)) > 0) {
-        const unsigned first = planes[pair[0]].serial, second = planes[pair[1]].serial;
-        const double evidence = swapped(a, pair[0], pair[1]);
-
-        for (int side = 0; side < 2; side++) {
-            used[pair[side]] = 1;
-            for (size_t k = 0; k < a->s->n; k++)
-                near[k] = near[k] || (k + SIDE >= pair[side] && k <= pair[side] + SIDE);
-        }
-        gsn_sequence_exchange(a->s, pair[0], pair[1]);
+        a->used[swap.place[0]] = a->used[swap.place[1]] = 1;
+        exchange(a, &swap);
+        compare_near(a, swap.place);
+        compare_far(a);
         if (!is_duplicate(found, first, second))
             found->finding[found->count++] =
                 (struct gsn_sequence_finding){ .kind = GSN_SEQUENCE_SWAP,
                                                .a = first,
                                                .b = second,
-                                               .evidence = evidence,
-                                               .smoother = share };
+                                               .evidence = swap.convincing,
+                                               .against = -swap.change.shown,
+                                               .foretold = swap.change.foretold };
     }
 }
 
-int gsn_sequence_find_swaps(struct gsn_sequence_stack *s, const struct gsn_sequence_plane *planes,
+/* Most neighbours lie in order, so their median tells what changes show of what is foretold. */
+static double learn_gain(const struct search *a, double *room)
+{
+    const size_t n = a->t->n;
+
+    for (size_t i = 0; i + 1 < n; i++) {
+        const struct gsn_sequence_change change = a->near[i * NEAR];
+
+        room[i] = change.foretold > 0 ? change.shown / change.foretold : 0;
+    }
+    return fmin(fmax(gsn_median(room, n - 1), 0), 1);
+}
+
+/* Whether a swap would show of two sections that show this much in order. */
+static int would_show(const struct search *a, struct gsn_sequence_change change, double times)
+{
+    const double shown = LAID * times * change.shown;
+
+    return shown > ENOUGH && 2 * a->gain * shown * times * change.foretold > LIKELIER;
+}
+
+/* The share of swaps f sections apart that would show, told from how far the sections here run
+ * along what is foretold; beyond NEAR change adds up. */
+static double share_shown(const struct search *a, size_t f)
+{
+    const size_t n = a->t->n, far = f < NEAR ? f : NEAR;
+    size_t shown = 0, count = 0;
+
+    for (size_t i = 0; i + far < n; i++)
+        if (!is_end(a, i, i + far)) {
+            shown += (size_t)would_show(a, a->near[i * NEAR + far - 1], (double)f / (double)far);
+            count++;
+        }
+    return count ? (double)shown / (double)count : 0;
+}
+
+static void tell_shown(struct search *a, struct gsn_sequence *found)
+{
+    for (size_t f = 1; f <= NEAR; f++)
+        found->shown[f - 1] = a->shown[f - 1] = share_shown(a, f);
+    for (size_t f = a->t->n - 1; f > 0 && share_shown(a, f) >= NEARLY_ALL; f--)
+        found->reach = (unsigned)f;
+}
+
+int gsn_sequence_find_swaps(struct gsn_sequence_tissue *t, const struct gsn_sequence_plane *planes,
                             struct gsn_sequence *found, struct gsn_error *err)
 {
-    gsn_auto_mem(char) used = gsn_alloc_array(s->n, 1);
-    gsn_auto_mem(char) near = gsn_alloc_array(s->n, 1); /* laid beside a wrong neighbour */
-    struct search a = { .s = s };
+    gsn_auto_mem(char) used = gsn_alloc_array(t->n, 1);
+    gsn_auto_mem(double) fit = gsn_alloc_array(2 * t->n * t->n, sizeof *fit);
+    gsn_auto_mem(struct gsn_sequence_change) near = gsn_alloc_array(2 * t->n * NEAR, sizeof *near);
+    struct search a = { .t = t, .near = near, .fit = fit, .used = used };
 
-    if (!used || !near)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", s->n);
-    learn(&a);
-    a.told = distance_of(&a, SURE) < 1;
-    found->change = a.noise2 > 0 ? sqrt(a.slope2 / a.noise2) : 0;
-    found->reach = reach(&a);
-    find_all(&a, planes, used, near, found);
+    if (!used || !fit || !near)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
+    a.kept = near + t->n * NEAR;
+    a.apart = fit + t->n * t->n;
+    compare_near(&a, NULL);
+    a.gain = learn_gain(&a, fit);
+    compare_far(&a);
+    tell_shown(&a, found);
+    find_all(&a, planes, found);
     return GSN_OK;
 }

@@ -6,12 +6,14 @@
 #include <math.h>
 #include <string.h>
 
-/* Cells of the detail: a patch is compared at all shifts up to REACH, as two mounts of a section
+/* A patch is compared at all shifts up to REACH, as two mounts of a section
  * are warped each in its own way. A patch of 16 is half a millimetre: small enough to be shifted as
  * a whole, large enough that chance agrees by a fifth at most shifts. */
 enum { PATCH = 16, REACH = 5, SHIFTS = 2 * REACH + 1, WINDOW = PATCH + 2 * REACH };
 /* Whole vectors. */
 enum { ROW = 12 };
+/* What is finer than this is texture. */
+enum { SMOOTHINGS = 2 };
 /* With fewer than LEAST_PATCHES the median says little. A first look takes about FIRST_LOOK patches
  * of the whole plane; those on tissue tell nearly all pairs. */
 enum { LEAST_PATCHES = 9, FIRST_LOOK = 10, LEAST_OF_FIRST = 5, MOST_PATCHES = 4096 };
@@ -46,45 +48,36 @@ struct texture {
 
 /* ---- what a section has finer than its anatomy --------------------------------------------- */
 
-static void smooth_plane(const struct texture *t, float *plane)
-{
-    struct gsn_sequence_cells one = {
-        .n = 1, .columns = t->columns, .rows = t->rows, .value = plane
-    };
-
-    gsn_sequence_smooth(&one);
-}
-
 /* Below this a cell is glass, or so poor in dye that its noise is all there is. */
-static double least_tissue(const float *detail, size_t cells)
+static double least_tissue(const float *density, size_t cells)
 {
     double sum = 0, count = 0;
 
     for (size_t c = 0; c < cells; c++)
-        if (detail[c] > 0) {
-            sum += (double)detail[c];
+        if (density[c] > 0) {
+            sum += (double)density[c];
             count++;
         }
     return count > 0 ? TISSUE * sum / count : INFINITY;
 }
 
 /* The difference to the plane's own smooth part, in robust standard deviations. */
-static void fill(struct texture *t, const float *detail, float *ret_value)
+static void fill(struct texture *t, const float *density, float *ret_value)
 {
     const size_t cells = t->columns * t->rows;
-    const float least = (float)least_tissue(detail, cells);
+    const float least = (float)least_tissue(density, cells);
     size_t count = 0;
     double sd;
 
     for (size_t c = 0; c < cells; c++) {
-        t->weight[c] = isnan(detail[c]) ? 0.0f : 1.0f;
-        t->smooth[c] = isnan(detail[c]) ? 0 : detail[c];
+        t->weight[c] = isnan(density[c]) ? 0.0f : 1.0f;
+        t->smooth[c] = isnan(density[c]) ? 0 : density[c];
     }
-    smooth_plane(t, t->smooth);
-    smooth_plane(t, t->weight);
+    gsn_sequence_smooth(t->smooth, t->columns, t->rows, SMOOTHINGS);
+    gsn_sequence_smooth(t->weight, t->columns, t->rows, SMOOTHINGS);
     for (size_t c = 0; c < cells; c++) {
-        ret_value[c] = detail[c] > least ? detail[c] - t->smooth[c] / t->weight[c] : 0;
-        if (detail[c] > least)
+        ret_value[c] = density[c] > least ? density[c] - t->smooth[c] / t->weight[c] : 0;
+        if (density[c] > least)
             t->spread[count++] = fabs((double)ret_value[c]);
     }
     sd = count ? MAD_TO_SD * gsn_median(t->spread, count) : 0;
@@ -272,7 +265,7 @@ int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t
     t.share = room + 2 * n;
     t.spread = t.share + MOST_PATCHES;
     for (size_t i = 0; i < n; i++)
-        fill(&t, planes[i].detail, value + i * cells);
+        fill(&t, planes[i].density, value + i * cells);
     find(&t, planes, room, found);
     return GSN_OK;
 }

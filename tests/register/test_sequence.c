@@ -8,20 +8,33 @@
 
 #include <string.h>
 
-/* The phantom's block (PHANTOM.md section 1) at 50 um, seen in cells of 100 um. */
-enum { SECTIONS = 60, COLUMNS = 56, ROWS = 44, CELLS = COLUMNS * ROWS, FINE = 4 * CELLS };
+/* The middle of the phantom's block (PHANTOM.md section 1), with a margin to lay it askew. */
+enum {
+    SECTIONS = 30,
+    FIRST = 15, /* of the block's: where there is root and lesion */
+    COLUMNS = 112,
+    ROWS = 88,
+    CELLS = COLUMNS * ROWS,
+    MARGIN = 6,
+    WIDE = COLUMNS + 2 * MARGIN,
+    HIGH = ROWS + 2 * MARGIN,
+    PATCH = 4
+};
 
-static const double GRAIN = 0.08; /* of the density, in each cell */
-static float block[SECTIONS + 1][FINE];
+/* Of the density: of each cell, the texture by which a section is known, and of squares of PATCH
+ * cells. */
+static const double GRAIN = 0.15, PATCHES = 0.08;
+static float block[SECTIONS + 1][WIDE * HIGH];
 
 static void fill_block(void)
 {
-    if (block[0][FINE / 2] != 0)
+    if (block[0][WIDE * HIGH / 2] != 0)
         return;
     for (int k = 0; k <= SECTIONS; k++)
-        for (int i = 0; i < FINE; i++) {
-            const struct gsn_vec3 at = { (i % (2 * COLUMNS) + 0.5 - COLUMNS) * 50,
-                                         (i / (2 * COLUMNS) + 0.5 - ROWS) * 50, 12 + 24 * k };
+        for (int i = 0; i < WIDE * HIGH; i++) {
+            const struct gsn_vec3 at = { (i % WIDE + 0.5 - WIDE / 2.0) * GSN_SEQUENCE_CELL_UM,
+                                         (i / WIDE + 0.5 - HIGH / 2.0) * GSN_SEQUENCE_CELL_UM,
+                                         12 + 24 * (FIRST + k) };
             struct gsn_phantom_field field;
 
             gsn_phantom_field_at(at, &field);
@@ -29,112 +42,91 @@ static void fill_block(void)
         }
 }
 
-/* The mean over a cell of two by two, whose corner lies between the fine ones. */
+/* The block's density between cells. */
 static double cell_at(int k, double x, double y)
 {
-    const double fx = fmin(fmax(x, 0), 2 * COLUMNS - 3.001),
-                 fy = fmin(fmax(y, 0), 2 * ROWS - 3.001);
-    const int i = (int)fx, j = (int)fy;
-    const double wx[3] = { 1 - (fx - i), 1, fx - i }, wy[3] = { 1 - (fy - j), 1, fy - j };
-    double sum = 0;
+    const double u = fmin(fmax(x + MARGIN, 0), WIDE - 1.001),
+                 v = fmin(fmax(y + MARGIN, 0), HIGH - 1.001);
+    const int i = (int)u, j = (int)v;
+    const float *at = &block[k][j * WIDE + i];
 
-    for (int b = 0; b < 3; b++)
-        for (int a = 0; a < 3; a++)
-            sum += wx[a] * wy[b] * (double)block[k][(j + b) * 2 * COLUMNS + i + a] / 4;
-    return sum;
+    return (1 - (v - j)) * ((1 - (u - i)) * (double)at[0] + (u - i) * (double)at[1]) +
+           (v - j) * ((1 - (u - i)) * (double)at[WIDE] + (u - i) * (double)at[WIDE + 1]);
 }
 
 static float seen[SECTIONS][CELLS];
 static struct gsn_sequence_plane planes[SECTIONS];
 
-enum {
-    DETAIL_COLUMNS = GSN_SEQUENCE_FINER * COLUMNS,
-    DETAIL_ROWS = GSN_SEQUENCE_FINER * ROWS,
-    DETAILS = DETAIL_COLUMNS * DETAIL_ROWS
-};
-
-static const double TEXTURE = 0.15; /* of the density, in each cell of 33 um */
-static float detail[SECTIONS][DETAILS], again[DETAILS];
-
-static void fill_detail(void)
+/* One section: laid with an error of 20 um, stretched by half a percent, warped by 13 um, stained
+ * by a tenth more or less, with grain and a tear. */
+static void see(float *cells, int k, struct draw_chance *chance)
 {
-    struct draw_chance chance = { 10 };
+    double lay[6], phase[4];
+    float patch[CELLS / (PATCH * PATCH)];
+    const double stain = exp(0.1 * draw_normal(chance));
+    const int torn = (int)draw_uniform(chance, 0, CELLS - 80);
 
-    for (int k = 0; k < SECTIONS && detail[SECTIONS - 1][DETAILS / 2] == 0; k++)
-        for (int c = 0; c < DETAILS; c++) {
-            const double x = (c % DETAIL_COLUMNS + 0.5) * 2 / 3,
-                         y = (c / DETAIL_COLUMNS + 0.5) * 2 / 3;
+    for (int i = 0; i < 6; i++)
+        lay[i] = (i < 2 ? 0.6 : 0.005) * draw_normal(chance);
+    for (int i = 0; i < 4; i++)
+        phase[i] = draw_uniform(chance, 0, 6.28);
+    for (int c = 0; c < CELLS / (PATCH * PATCH); c++)
+        patch[c] = (float)(PATCHES * draw_normal(chance));
+    for (int c = 0; c < CELLS; c++) {
+        const int i = c % COLUMNS, j = c / COLUMNS;
+        const double u = i - COLUMNS / 2.0, v = j - ROWS / 2.0;
+        const double x = i + lay[0] + lay[2] * u + lay[3] * v +
+                         0.4 * sin(u / 16 + phase[0]) * sin(v / 16 + phase[1]);
+        const double y = j + lay[1] + lay[4] * u + lay[5] * v +
+                         0.4 * sin(u / 16 + phase[2]) * sin(v / 16 + phase[3]);
 
-            detail[k][c] = block[k][(int)y * 2 * COLUMNS + (int)x] *
-                           (float)fmax(1 + TEXTURE * draw_normal(&chance), 0);
-        }
+        cells[c] = (float)(stain * cell_at(k, x, y) *
+                           (1 + (double)patch[j / PATCH * (COLUMNS / PATCH) + i / PATCH] +
+                            GRAIN * draw_normal(chance)));
+    }
+    for (int c = torn; c < torn + 60; c++)
+        cells[c] = NAN;
 }
 
 /* Section k once more: stretched by 3 % about the middle, warped by up to 60 um, stained and
  * scanned anew. */
-static void mount_again(int k, struct draw_chance *chance)
+static void mount_again(float *cells, int k, struct draw_chance *chance)
 {
     const double phase = draw_uniform(chance, 0, 6.28), stain = exp(0.2 * draw_normal(chance));
 
-    fill_detail();
-    for (int c = 0; c < DETAILS; c++) {
-        const double x = c % DETAIL_COLUMNS, y = c / DETAIL_COLUMNS;
-        const double u = x + 0.03 * (x - DETAIL_COLUMNS / 2.0) + 1.8 * sin(y / 20 + phase);
-        const double v = y + 0.03 * (y - DETAIL_ROWS / 2.0) + 1.8 * cos(x / 20 + phase);
-        const int i = (int)fmin(fmax(u, 0), DETAIL_COLUMNS - 2),
-                  j = (int)fmin(fmax(v, 0), DETAIL_ROWS - 2);
-        const double fx = fmin(fmax(u - i, 0), 1), fy = fmin(fmax(v - j, 0), 1);
-        const float *at = detail[k] + j * DETAIL_COLUMNS + i;
-        const double value =
-            (1 - fy) * ((1 - fx) * (double)at[0] + fx * (double)at[1]) +
-            fy * ((1 - fx) * (double)at[DETAIL_COLUMNS] + fx * (double)at[DETAIL_COLUMNS + 1]);
-
-        again[c] = (float)(stain * value * (1 + 0.05 * draw_normal(chance)));
-    }
-}
-
-/* One section: laid with an error of 12 um, stained by a tenth more or less, grain of 8 % in each
- * cell, and a tear. */
-static void see(float *cells, int k, struct draw_chance *chance)
-{
-    const double dx = 0.24 * draw_normal(chance), dy = 0.24 * draw_normal(chance);
-    const double stain = exp(0.1 * draw_normal(chance));
-    const int torn = (int)draw_uniform(chance, 0, CELLS - 30);
-
     for (int c = 0; c < CELLS; c++) {
-        const double x = 2 * (c % COLUMNS) + dx, y = 2 * (c / COLUMNS) + dy;
+        const double x = c % COLUMNS, y = c / COLUMNS;
+        const double u = x + 0.03 * (x - COLUMNS / 2.0) + 1.8 * sin(y / 20 + phase);
+        const double v = y + 0.03 * (y - ROWS / 2.0) + 1.8 * cos(x / 20 + phase);
+        const int i = (int)fmin(fmax(u, 0), COLUMNS - 2), j = (int)fmin(fmax(v, 0), ROWS - 2);
+        const double fx = fmin(fmax(u - i, 0), 1), fy = fmin(fmax(v - j, 0), 1);
+        const float *at = seen[k] + j * COLUMNS + i;
+        const double value = (1 - fy) * ((1 - fx) * (double)at[0] + fx * (double)at[1]) +
+                             fy * ((1 - fx) * (double)at[COLUMNS] + fx * (double)at[COLUMNS + 1]);
 
-        cells[c] = (float)(stain * cell_at(k, x, y) * (1 + GRAIN * draw_normal(chance)));
+        cells[c] = (float)(stain * value * (1 + 0.05 * draw_normal(chance)));
     }
-    for (int c = torn; c < torn + 20; c++)
-        cells[c] = NAN;
 }
 
 /* As a drawing without grain, laid and stained alike: what sets its sections apart from straight
  * lines is the curvature of the block, which neighbours share. */
 static void see_without_grain(int step)
 {
-    static float smooth[SECTIONS][DETAILS];
-
     fill_block();
     for (int k = 0; k < SECTIONS; k++) {
         for (int c = 0; c < CELLS; c++)
-            seen[k][c] = (float)cell_at(k, 2 * (c % COLUMNS), 2 * (c / COLUMNS)) *
+            seen[k][c] = (float)cell_at(k, c % COLUMNS, c / COLUMNS) *
                          (1 + 0.001f * (float)((k * step) % 3));
-        for (int c = 0; c < DETAILS; c++)
-            smooth[k][c] = (float)cell_at(k, (c % DETAIL_COLUMNS + 0.5) * 2 / 3,
-                                          (c / DETAIL_COLUMNS + 0.5) * 2 / 3);
-        planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k], smooth[k] };
+        planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k] };
     }
 }
 
 static void see_all(struct draw_chance *chance)
 {
     fill_block();
-    fill_detail();
     for (int k = 0; k < SECTIONS; k++) {
         see(seen[k], k, chance);
-        planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k], detail[k] };
+        planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k] };
     }
 }
 
@@ -158,79 +150,92 @@ static int has(const struct gsn_sequence *s, enum gsn_sequence_kind kind, unsign
 TEST(a_stack_in_order_has_nothing_to_propose)
 {
     struct draw_chance chance = { 1 };
-    const size_t trials = mounted_trials(8);
-    size_t proposals = 0, told = 0;
-    double change = 0;
+    const size_t trials = mounted_trials(3);
+    size_t proposals = 0;
+    double shown = 0;
 
     for (size_t t = 0; t < trials; t++) {
         see_all(&chance);
         gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
         proposals += s->count;
-        change = s->change;
-        told += s->reach == 1;
+        shown += s->shown[0] / (double)trials;
     }
-    print_message("  %zu proposals in %zu stacks; change over noise %.2f, %zu told\n", proposals,
-                  trials, change, told);
-    CHECK((double)proposals <= 0.01 * (double)trials + 0.5);
+    print_message("  %zu proposals in %zu stacks; %.0f %% of neighbours' swaps would show\n",
+                  proposals, trials, 100 * shown);
+    CHECK((double)proposals <= 0.02 * (double)trials + 0.5);
 }
 
-/* How many swaps at this distance are found; everything else that is proposed is counted too. */
-static size_t swaps_found(unsigned least, unsigned most, size_t trials, size_t *ret_others)
+struct swaps {
+    size_t made, found, others;
+    double shown; /* as told by the stacks in order, NEAR apart and more */
+};
+
+/* A swap in each half of a stack, or one where they are farther apart than that: anywhere but of
+ * the last two at either end, which sequence.h does not tell. */
+static struct swaps swap_and_look(unsigned least, unsigned most, size_t trials)
 {
     struct draw_chance chance = { 2 + least };
-    size_t found = 0;
+    struct swaps all = { 0 };
+    const unsigned count = 2 * most < SECTIONS / 2 ? 2 : 1, part = SECTIONS / count;
 
     for (size_t t = 0; t < trials; t++) {
-        const unsigned far = (unsigned)draw_uniform(&chance, least, most + 1);
-        /* The last two at either end are not told apart, as sequence.c says. */
-        const unsigned a = (unsigned)draw_uniform(&chance, 1, SECTIONS - 1 - far), b = a + far;
+        unsigned at[2][2];
+        size_t found = 0;
 
         see_all(&chance);
-        planes[a].density = seen[b];
-        planes[b].density = seen[a];
-        planes[a].detail = detail[b];
-        planes[b].detail = detail[a];
-        gsn_auto(gsn_sequence) s = examined(SECTIONS);
-        const size_t this = has(s, GSN_SEQUENCE_SWAP, a, b) != 0;
+        gsn_auto(gsn_sequence) before = examined(SECTIONS);
 
-        found += this;
-        *ret_others += s->count - this;
+        all.shown += before->shown[least < GSN_SEQUENCE_NEAR ? least - 1 : GSN_SEQUENCE_NEAR - 1] /
+                     (double)trials;
+        for (unsigned i = 0; i < count; i++) {
+            const unsigned far = (unsigned)draw_uniform(&chance, least, most + 1);
+
+            at[i][0] =
+                i * part + (unsigned)draw_uniform(&chance, far == 1, part - far - (far == 1));
+            at[i][1] = at[i][0] + far;
+            planes[at[i][0]].density = seen[at[i][1]];
+            planes[at[i][1]].density = seen[at[i][0]];
+        }
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+
+        for (unsigned i = 0; i < count; i++)
+            found += has(s, GSN_SEQUENCE_SWAP, at[i][0], at[i][1]) != 0;
+        all.made += count;
+        all.found += found;
+        all.others += s->count - found;
     }
-    return found;
+    print_message("  %u to %u apart: %zu of %zu found, %.0f %% told, %zu other proposals\n", least,
+                  most, all.found, all.made, 100 * all.shown, all.others);
+    return all;
 }
 
-/* Case 30. Neighbours are laid 12 um askew each, as far as tissue changes over five sections: what
- * is left of the difference does not always tell which is which, and then nothing is proposed. */
+/* Case 30. docs/register.md says what share shows on laid planes. The long run:
+ * GIESON_TRIALS=1000 build/bench/tests/test_register_sequence. */
 TEST(swapped_sections_are_proposed_and_nothing_else)
 {
-    const size_t trials = mounted_trials(10);
-    size_t others = 0;
-    const size_t near = swaps_found(1, 1, trials, &others),
-                 far = swaps_found(2, 20, trials, &others);
+    const size_t trials = mounted_trials(2);
+    const struct swaps near = swap_and_look(1, 1, trials), two = swap_and_look(2, 3, trials),
+                       far = swap_and_look(4, 24, 2 * trials);
 
-    print_message("  of %zu swaps each: %zu of neighbours found, %zu of others, %zu other "
-                  "proposals\n",
-                  trials, near, far, others);
-    CHECK((double)near >= 0.85 * (double)trials);
-    CHECK((double)far >= 0.99 * (double)trials);
-    CHECK((double)others <= 0.02 * (double)trials + 1);
+    CHECK((double)near.found >= 0.75 * (double)near.made);
+    CHECK((double)two.found >= 0.75 * (double)two.made);
+    CHECK((double)far.found >= 0.95 * (double)far.made);
+    CHECK((double)(near.others + two.others + far.others) <= 0.05 * (double)near.made);
 }
 
 /* Case 31: the slot of section a + 1 holds a second mount of section a. */
 TEST(a_section_mounted_twice_is_found)
 {
     struct draw_chance chance = { 3 };
-    const size_t trials = mounted_trials(10);
+    const size_t trials = mounted_trials(4);
     size_t found = 0, others = 0;
 
     for (size_t t = 0; t < trials; t++) {
         const unsigned a = (unsigned)draw_uniform(&chance, 0, SECTIONS - 1);
 
         see_all(&chance);
-        see(seen[a + 1], (int)a, &chance);
-        mount_again((int)a, &chance);
-        planes[a + 1].detail = again;
+        mount_again(seen[a + 1], (int)a, &chance);
         gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
         found += has(s, GSN_SEQUENCE_DUPLICATE, a, a + 1) != 0;
@@ -248,11 +253,10 @@ TEST(a_section_mounted_twice_is_found_across_the_stack)
     struct draw_chance chance = { 9 };
 
     for (unsigned t = 0; t < 4; t++) {
-        const unsigned a = t & 1 ? 0 : 20, b = t & 2 ? SECTIONS - 1 : 40;
+        const unsigned a = t & 1 ? 0 : 10, b = t & 2 ? SECTIONS - 1 : 20;
 
         see_all(&chance);
-        mount_again((int)a, &chance);
-        planes[b].detail = again;
+        mount_again(seen[b], (int)a, &chance);
         gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
         CHECK(has(s, GSN_SEQUENCE_DUPLICATE, a, b));
@@ -275,7 +279,7 @@ TEST(a_gap_in_the_numbers_is_no_fault)
 
     for (int t = 0; t < 4; t++) {
         see_all(&chance);
-        memmove(&planes[20], &planes[22], (SECTIONS - 22) * sizeof planes[0]);
+        memmove(&planes[10], &planes[12], (SECTIONS - 12) * sizeof planes[0]);
         gsn_auto(gsn_sequence) s = examined(SECTIONS - 2);
 
         CHECK(s->count == 0);
@@ -287,14 +291,14 @@ TEST(sections_that_do_not_differ_are_not_told)
     struct draw_chance chance = { 6 };
 
     fill_block();
-    fill_detail();
     for (int k = 0; k < SECTIONS; k++) {
-        see(seen[k], 30, &chance);
-        planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k], detail[k] };
+        see(seen[k], SECTIONS / 2, &chance);
+        planes[k] = (struct gsn_sequence_plane){ (unsigned)k, seen[k] };
     }
     gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
-    CHECK(s->reach != 1 && s->count == 0);
+    CHECK(s->reach == 0 && s->count == 0);
+    CHECK(s->shown[0] < 0.1 && s->shown[2] < 0.1);
 }
 
 TEST(numbers_that_do_not_rise_are_refused)

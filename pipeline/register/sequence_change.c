@@ -1,0 +1,211 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/sequence_parts.h"
+
+#include "pipeline/register/median.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { SIDE = GSN_SEQUENCE_SIDE, SQUARE = 6, SMOOTHINGS = 3, NOISE_SMOOTHINGS = 4 };
+
+/* Median of the square of a standard normal number. */
+static const double MEDIAN_SQUARE = 0.455;
+/* A section's density is off the middle one of three on its side by no more than this, and two
+ * sections differ by no more, in standard deviations of their noise: dirt, tears and debris of one
+ * section have no more say than that. */
+static const double MOST = 3;
+/* Least noise variance of a cell, in squares of the tissue's density. */
+static const double LEAST_NOISE2 = 1e-4;
+/* What the sections around say of a cell counts by its share beyond this many times their noise. */
+static const double BEYOND = 2;
+
+static const float *plane_at(const struct gsn_sequence_tissue *t, size_t place)
+{
+    return t->value + t->place[place] * t->columns * t->rows;
+}
+
+int gsn_sequence_learn_noise(struct gsn_sequence_tissue *t, struct gsn_error *err)
+{
+    const size_t cells = t->columns * t->rows;
+    gsn_auto_mem(struct gsn_sequence_line) line = gsn_alloc_array(t->n, sizeof *line);
+    gsn_auto_mem(double) square = gsn_alloc_array(t->n, sizeof *square);
+
+    if (!line || !square)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
+    for (size_t k = 0; k < t->n; k++)
+        line[k] = gsn_sequence_line_at(t->z, t->n, k, k, t->z[k]);
+    for (size_t c = 0; c < cells; c++) {
+        for (size_t k = 0; k < t->n; k++) {
+            double off = (double)t->value[k * cells + c];
+
+            for (size_t i = 0; i < line[k].count; i++)
+                off -= line[k].weight[i] * (double)t->value[line[k].at[i] * cells + c];
+            square[k] = off * off / (1 + gsn_sequence_line_noise(&line[k]));
+        }
+        t->noise2[c] = (float)(gsn_median(square, t->n) / MEDIAN_SQUARE);
+    }
+    gsn_sequence_smooth(t->noise2, t->columns, t->rows, NOISE_SMOOTHINGS);
+    for (size_t c = 0; c < cells; c++) {
+        t->noise2[c] += (float)LEAST_NOISE2;
+        t->deviation[c] = sqrtf(t->noise2[c]);
+    }
+    return GSN_OK;
+}
+
+static float middle(float a, float b, float c)
+{
+    return fmaxf(fminf(a, b), fminf(fmaxf(a, b), c));
+}
+
+/* Adds sign times what a line foretells; three sections on one side are held to their middle. */
+static void add_line(const struct gsn_sequence_tissue *t, const struct gsn_sequence_line *line,
+                     size_t place, double sign, float *sum)
+{
+    const size_t cells = t->columns * t->rows;
+
+    for (size_t first = 0; first < line->count;) {
+        const float *side[SIDE];
+        float much[SIDE];
+        size_t count = 0;
+
+        for (; first + count < line->count &&
+               (line->at[first + count] > place) == (line->at[first] > place);
+             count++) {
+            side[count] = plane_at(t, line->at[first + count]);
+            much[count] = (float)(sign * line->weight[first + count]);
+        }
+        for (size_t c = 0; c < cells; c++) {
+            const float most = count == SIDE ? (float)MOST * t->deviation[c] : INFINITY;
+            const float mid = count == SIDE ? middle(side[0][c], side[1][c], side[2][c]) : 0;
+
+            for (size_t k = 0; k < count; k++)
+                sum[c] += much[k] * fminf(fmaxf(side[k][c], mid - most), mid + most);
+        }
+        first += count;
+    }
+}
+
+/* Variance of the difference of two lines over one section's. */
+static double noise_between(const struct gsn_sequence_line *a, const struct gsn_sequence_line *b)
+{
+    double sum = gsn_sequence_line_noise(a) + gsn_sequence_line_noise(b);
+
+    for (size_t i = 0; i < a->count; i++)
+        for (size_t j = 0; j < b->count; j++)
+            if (a->at[i] == b->at[j])
+                sum -= 2 * a->weight[i] * b->weight[j];
+    return sum;
+}
+
+static float clip(float value, float most)
+{
+    return fminf(fmaxf(value, -most), most);
+}
+
+/* The products with the filter, square by square. */
+static void add_squares(const struct gsn_sequence_tissue *t, const struct gsn_sequence_modes *m,
+                        double noise)
+{
+    const size_t across = (t->columns + SQUARE - 1) / SQUARE;
+    const float beyond = (float)(BEYOND * noise), sqrt2 = sqrtf(2);
+
+    for (size_t y = 0; y < t->rows; y++)
+        for (size_t x = 0; x < t->columns; x++) {
+            const size_t c = y * t->columns + x;
+            const float most = (float)MOST * sqrt2 * t->deviation[c];
+            const float share = 1 - beyond * t->noise2[c] / fmaxf(t->energy[c], 1e-12f);
+
+            if (!m->known[0][c] || !m->known[1][c] || !(share > 0))
+                continue;
+
+            const float filter = share * t->change[c] / t->noise2[c];
+            struct gsn_sequence_square *s = &t->square[y / SQUARE * across + x / SQUARE];
+
+            s->first -= (double)(filter * clip(t->off[c], most));
+            s->second += (double)(filter * clip(t->off_too[c], most));
+            s->foretold += (double)(filter * clip(t->change[c], most));
+        }
+}
+
+/* What lies about the middle between two places, neither of the two in it. */
+static void lay_between(const struct gsn_sequence_tissue *t, size_t i, size_t j)
+{
+    const size_t middle_place = (i + j) / 2;
+    size_t plane[GSN_SEQUENCE_AROUND], count = 0;
+
+    for (size_t d = 0; d < t->n && count < GSN_SEQUENCE_AROUND; d++) {
+        if (middle_place >= d && middle_place - d != i && middle_place - d != j)
+            plane[count++] = t->place[middle_place - d];
+        if (d > 0 && middle_place + d < t->n && count < GSN_SEQUENCE_AROUND &&
+            middle_place + d != i && middle_place + d != j)
+            plane[count++] = t->place[middle_place + d];
+    }
+    gsn_sequence_median(t, plane, count, t->onto);
+    gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
+}
+
+/* Leaves the change foretold in change, its smooth square in energy, and in off and off_too how the
+ * two planes differ from the middle between the places, each without what laying and stain may have
+ * to do with it: a section's own laying follows its neighbours and would say that it lies right
+ * wherever it is. */
+static struct gsn_sequence_modes differ(const struct gsn_sequence_tissue *t, size_t i, size_t j,
+                                        double *ret_noise)
+{
+    const size_t cells = t->columns * t->rows;
+    const struct gsn_sequence_line a = gsn_sequence_line_at(t->z, t->n, i, j, t->z[i]),
+                                   b = gsn_sequence_line_at(t->z, t->n, j, i, t->z[j]);
+    const float *from = plane_at(t, i), *to = plane_at(t, j);
+    const struct gsn_sequence_modes modes = {
+        t->onto, t->energy, { t->known + t->place[i] * cells, t->known + t->place[j] * cells }
+    };
+
+    lay_between(t, i, j);
+    memset(t->off, 0, cells * sizeof *t->off);
+    memset(t->off_too, 0, cells * sizeof *t->off_too);
+    add_line(t, &a, i, 1, t->off);
+    add_line(t, &b, j, 1, t->off_too);
+    for (size_t c = 0; c < cells; c++) {
+        const float middle_density = 0.5f * (t->off[c] + t->off_too[c]);
+
+        t->change[c] = t->off_too[c] - t->off[c];
+        t->energy[c] = to[c] - from[c];
+        t->off[c] = from[c] - middle_density;
+        t->off_too[c] = to[c] - middle_density;
+    }
+    gsn_sequence_take_off(t, &modes, t->off);
+    gsn_sequence_take_off(t, &modes, t->off_too);
+    gsn_sequence_take_off(t, &modes, t->change);
+    for (size_t c = 0; c < cells; c++)
+        t->energy[c] = t->change[c] * t->change[c];
+    gsn_sequence_smooth(t->energy, t->columns, t->rows, SMOOTHINGS);
+    *ret_noise = noise_between(&a, &b);
+    return modes;
+}
+
+struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence_tissue *t,
+                                                       size_t i, size_t j)
+{
+    const size_t squares = ((t->columns + SQUARE - 1) / SQUARE) * ((t->rows + SQUARE - 1) / SQUARE);
+    double first = 0, second = 0, foretold = 0, left = 0, share, noise;
+    const struct gsn_sequence_modes modes = differ(t, i, j, &noise);
+
+    memset(t->square, 0, squares * sizeof *t->square);
+    add_squares(t, &modes, noise);
+    for (size_t k = 0; k < squares; k++) {
+        first += t->square[k].first;
+        second += t->square[k].second;
+        foretold += t->square[k].foretold;
+    }
+    if (!(foretold > 0))
+        return (struct gsn_sequence_change){ 0, 0, 0, 0 };
+    share = fmin(fmax((first + second) / foretold, -1), 1);
+    for (size_t k = 0; k < squares; k++) {
+        const struct gsn_sequence_square *s = &t->square[k];
+
+        left += pow(s->first + s->second - share * s->foretold, 2);
+    }
+    left = sqrt(left);
+    return left > 0 ? (struct gsn_sequence_change){ (first + second) / left, foretold / left,
+                                                    first / left, second / left }
+                    : (struct gsn_sequence_change){ 0, 0, 0, 0 };
+}

@@ -180,7 +180,7 @@ static struct tally lose(size_t trials, uint64_t seed)
 /* Case 29. The long run: GIESON_TRIALS=10000 build/bench/tests/test_register_lost. */
 TEST(a_lost_section_leaves_its_slot_empty_and_moves_no_other)
 {
-    const struct tally t = lose(mounted_trials(300), 1);
+    const struct tally t = lose(mounted_trials(2000), 1);
 
     print_message("  %zu sections lost from %zu panels: %zu told by their empty slots (%.2f %%), "
                   "%zu asked about (%zu panels refused), %zu missed\n",
@@ -190,6 +190,28 @@ TEST(a_lost_section_leaves_its_slot_empty_and_moves_no_other)
                   "lost\n",
                   t.present, t.shifted, t.doubtful, t.gone);
     CHECK(t.shifted == 0 && t.missed == 0);
-    CHECK((double)t.told + (double)t.asked >= 0.99 * (double)t.lost);
-    CHECK((double)t.told >= 0.9 * (double)t.lost);
+    CHECK((double)t.told >= 0.99 * (double)t.lost);
+}
+
+/* Three of six, askew and apart: with sections 9.7 mm from each other the third column, which is
+ * empty, comes near the border, and the other grid has half of that pitch. */
+TEST(few_sections_far_apart_do_not_draw_the_grid_together)
+{
+    static const struct gsn_point at[] = { { 78, 57 }, { 77, 135 }, { 175, 143 } };
+    const struct gsn_layout layout = { 2, 3, GSN_ORDER_ROW };
+    struct draw_chance chance = { 3 };
+    struct gsn_slot slots[6];
+    struct gsn_error err = { 0 };
+    int r;
+
+    panel.width = 302;
+    panel.height = 192;
+    draw_fill(&panel, 0);
+    for (int i = 0; i < 3; i++)
+        draw_ellipse(&panel, at[i], 29, 18, 0.1 * i, 0.6);
+    draw_noise(&panel, &chance, 0.02);
+    r = gsn_panel_split(&panel, 1, &layout, CELL_UM, GSN_SLOT_UNSAID, slots, NULL, NULL, &err);
+    CHECK(r == GSN_OK || r == GSN_E_WITHHELD);
+    CHECK(r == GSN_E_WITHHELD || (slots[0].found && slots[3].found && slots[4].found));
+    CHECK(r == GSN_E_WITHHELD || !slots[5].found);
 }

@@ -16,8 +16,9 @@ static const double LOOSE_STRANGER = 4;
 /* A row or column left empty between others; outer ones are left empty for want of sections. */
 static const double EMPTY_BETWEEN = 1.5;
 /* In pitches: a slot's centre lies half a pitch from the border of the panel, or a little less
- * where the picture is cut close; never as near as BORDER. */
-static const double BORDER = 0.3, MARGIN = 0.5, MARGIN_SD = 0.1;
+ * where the picture is cut close. Nothing is too near: a pitch told by few sections puts an outer
+ * line nearer to the border than it is. */
+static const double MARGIN = 0.5, MARGIN_SD = 0.1;
 /* Panels are made full: logarithm of the pitch there is room for, over the pitch. Pitches along and
  * across are alike: logarithm of their ratio. */
 static const double FULL_SD = 0.25, ALIKE_SD = 0.3;
@@ -50,8 +51,6 @@ static double margin_cost(double margin, double pitch)
 {
     const double lack = MARGIN - margin / pitch;
 
-    if (lack > MARGIN - BORDER + 1e-6)
-        return INFINITY;
     return lack > 0 ? square(lack / MARGIN_SD) / 2 : 0;
 }
 

@@ -6,7 +6,7 @@
 #define GSN_PIPELINE_BAND_H
 
 #include "pipeline/core/grid.h"
-#include "pipeline/protocol.h"
+#include "pipeline/region.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The lines of the configuration's files, before anybody judges what they mean. Private to
- * systemd/config.c. */
+/* The lines of the configuration's files, before anybody judges what they mean; for the files of
+ * systemd/config.h alone. */
 #ifndef GSN_SYSTEMD_CONFIG_FILE_H
 #define GSN_SYSTEMD_CONFIG_FILE_H
 

@@ -1,387 +1,31 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/supervise.h"
 
-#include <errno.h>
-#include <fcntl.h>
-#include <signal.h>
-#include <stdbool.h>
-#include <stdio.h>
 #include <string.h>
-#include <sys/mman.h>
-#include <sys/wait.h>
-#include <sysexits.h>
-#include <time.h>
-#include <unistd.h>
 
 #include "acquire/source.h"
 #include "pipeline/core/process.h"
-#include "storage/bench.h"
-#include "systemd/lifeline.h"
-#include "systemd/log.h"
-#include "systemd/spawn.h"
+#include "systemd/supervise_parts.h"
 
-enum {
-    KILLED_DELAY_MS = 200,
-    FIRST_DELAY_MS = 1000,
-    LONGEST_DELAY_MS = 60000,
-    AWAY_DELAY_MS = 60000,
-    FOLDER_AWAY_DELAY_MS = 5000, /* a mount is no event of a device */
-    STEADY_MS = 60000,           /* who lived so long begins a new series of failures */
-    STOP_MS = 4000,              /* an intake ends by itself within two seconds */
-    /* A device that is silent breaks its transfers off after 10 s, and class requests follow. */
-    DEVICE_PATIENCE_MS = 30000,
-    ITS_CONFIG = 3,
-    ITS_HEARTBEAT = 4,
-};
+/* A device that is silent breaks its transfers off after 10 s, and class requests follow. */
+enum { DEVICE_PATIENCE_MS = 30000 };
 
-enum state {
-    STATE_RUNNING,
-    STATE_RESTING,  /* will be started again when its timer ends */
-    STATE_AWAY,     /* the same, or when its device comes */
-    STATE_ENDED,    /* nothing will follow */
-    STATE_STOPPING, /* asked to */
-};
-
-struct intake {
-    struct gsn_supervisor *supervisor;
-    char *name, *text; /* the configuration as it is passed on */
-    char *address;
-    int64_t patience_ms;
-    enum state state;
-    bool wanted;    /* by the present configuration */
-    bool is_hung;   /* it was killed because of that */
-    bool was_ready; /* its source answered */
-    bool was_late;  /* a device came while this process was looking already */
-    pid_t pid;
-    int heartbeat; /* our end; -1 */
-    int64_t began_ms, delay_ms;
-    sd_event_source *child, *breath, *timer;
-};
-
-struct gsn_supervisor {
-    sd_event *loop;
-    struct gsn_store *store;
-    char *program;
-    bool stopping;
-    size_t count;
-    struct intake **at;
-};
-
-static void start(struct intake *intake);
-
-static struct gsn_log_about about(const struct intake *intake, const char *id)
-{
-    return (struct gsn_log_about){ .id = id, .source = intake->name };
-}
-
-static void forget_process(struct intake *intake)
-{
-    intake->child = sd_event_source_disable_unref(intake->child);
-    intake->breath = sd_event_source_disable_unref(intake->breath);
-    intake->timer = sd_event_source_disable_unref(intake->timer);
-    if (intake->heartbeat >= 0)
-        (void)close(intake->heartbeat);
-    intake->heartbeat = -1;
-    intake->pid = 0;
-}
-
-static void intake_free(struct intake *intake)
-{
-    if (!intake)
-        return;
-    if (intake->pid > 0) {
-        (void)kill(intake->pid, SIGKILL);
-        (void)gsn_process_wait(intake->pid, 1);
-    }
-    forget_process(intake);
-    gsn_free(intake->name);
-    gsn_free(intake->text);
-    gsn_free(intake->address);
-    gsn_free(intake);
-}
-
-/* In the row that people look at, because the process cannot say it any more. */
-static void say_failed(const struct intake *intake, const char *sentence)
-{
-    const struct gsn_bench_source row = { .name = intake->name,
-                                          .address = intake->address,
-                                          .device = "",
-                                          .state = "failed",
-                                          .message = sentence,
-                                          .item = "" };
-    struct gsn_error quiet = { 0 };
-
-    (void)gsn_bench_put(intake->supervisor->store, &row, time(NULL), &quiet);
-}
-
-/* ---- time -------------------------------------------------------------------------------- */
-
-static void set_timer(struct intake *intake, int64_t ms, sd_event_time_handler_t handler)
-{
-    intake->timer = sd_event_source_disable_unref(intake->timer);
-    (void)sd_event_add_time_relative(intake->supervisor->loop, &intake->timer, CLOCK_MONOTONIC,
-                                     (uint64_t)ms * 1000, 0, handler, intake);
-}
-
-static int on_rested(sd_event_source *source, uint64_t usec, void *context)
-{
-    (void)source;
-    (void)usec;
-    start(context);
-    return 0;
-}
-
-static void rest(struct intake *intake, enum state state, int64_t ms)
-{
-    intake->state = state;
-    set_timer(intake, ms, on_rested);
-}
-
-static int on_silence(sd_event_source *source, uint64_t usec, void *context)
-{
-    struct intake *const intake = context;
-    const struct gsn_log_about what = about(intake, GSN_LOG_HUNG);
-
-    (void)source;
-    (void)usec;
-    gsn_log(LOG_ERR, &what, "was silent for %lld s, so its driver hangs: killed and started again",
-            (long long)(intake->patience_ms / 1000));
-    say_failed(intake, "its driver hung and was started again");
-    intake->is_hung = true;
-    (void)kill(intake->pid, SIGKILL);
-    return 0;
-}
-
-static int on_stop_late(sd_event_source *source, uint64_t usec, void *context)
-{
-    const struct intake *const intake = context;
-
-    (void)source;
-    (void)usec;
-    (void)kill(intake->pid, SIGKILL);
-    return 0;
-}
-
-static int on_breath(sd_event_source *source, int fd, uint32_t events, void *context)
-{
-    struct intake *const intake = context;
-    char said[64];
-    const ssize_t got = read(fd, said, sizeof said);
-
-    (void)events;
-    if (got <= 0) {
-        /* It closed its end: its death will be told by itself. */
-        if (got == 0)
-            (void)sd_event_source_set_enabled(source, SD_EVENT_OFF);
-        return 0;
-    }
-    intake->was_ready = intake->was_ready || memchr(said, GSN_READY, (size_t)got);
-    if (intake->state == STATE_RUNNING && !intake->is_hung)
-        set_timer(intake, intake->patience_ms, on_silence);
-    return 0;
-}
-
-/* ---- life and death ---------------------------------------------------------------------- */
-
-static void forget_unwanted(struct gsn_supervisor *supervisor)
+void gsn_supervisor_forget_unwanted(struct gsn_supervisor *supervisor)
 {
     size_t kept = 0;
 
     for (size_t i = 0; i < supervisor->count; i++) {
-        struct intake *const intake = supervisor->at[i];
+        struct gsn_supervised *const intake = supervisor->at[i];
 
         if (intake->wanted || intake->pid > 0)
             supervisor->at[kept++] = intake;
         else
-            intake_free(intake);
+            gsn_supervised_free(intake);
     }
     supervisor->count = kept;
 }
 
-/* Later each time, until it was steady for a while. */
-static int64_t next_delay(struct intake *intake)
-{
-    if (intake->delay_ms == 0 || gsn_now_ms() - intake->began_ms >= STEADY_MS)
-        intake->delay_ms = FIRST_DELAY_MS;
-    else if (intake->delay_ms < LONGEST_DELAY_MS / 2)
-        intake->delay_ms *= 2;
-    else
-        intake->delay_ms = LONGEST_DELAY_MS;
-    return intake->delay_ms;
-}
-
-static void back_off(struct intake *intake)
-{
-    rest(intake, STATE_RESTING, next_delay(intake));
-}
-
-/* A device that answered before may only have been reset; one that was not there comes with an
- * event. */
-static void wait_for_device(struct intake *intake)
-{
-    if (intake->was_ready || intake->was_late)
-        rest(intake, STATE_AWAY, next_delay(intake));
-    else if (gsn_source_subsystem(intake->address))
-        rest(intake, STATE_AWAY, AWAY_DELAY_MS);
-    else
-        rest(intake, STATE_AWAY, FOLDER_AWAY_DELAY_MS);
-}
-
-static void judge_exit(struct intake *intake, int status)
-{
-    const struct gsn_log_about what = about(intake, NULL);
-
-    if (status == EX_OK) {
-        intake->state = STATE_ENDED;
-        gsn_log(LOG_INFO, &what, "has ended: everything in it is taken in");
-    } else if (status == GSN_INTAKE_STOPPED) {
-        rest(intake, STATE_RESTING, KILLED_DELAY_MS);
-    } else if (status == EX_NOINPUT) {
-        wait_for_device(intake);
-    } else {
-        back_off(intake);
-        gsn_log(LOG_WARNING, &what, "gieson-intake ended with %d; it starts again in %lld s",
-                status, (long long)(intake->delay_ms / 1000));
-    }
-}
-
-static void judge_death(struct intake *intake, int signal_number)
-{
-    const struct gsn_log_about what = about(intake, NULL);
-
-    if (signal_number == SIGKILL && !intake->is_hung)
-        rest(intake, STATE_RESTING, KILLED_DELAY_MS);
-    else
-        back_off(intake);
-    if (intake->is_hung)
-        return;
-    gsn_log(LOG_WARNING, &what, "gieson-intake died of signal %d (%s) and is started again",
-            signal_number, strsignal(signal_number));
-    say_failed(intake, "its process died and is started again");
-}
-
-static int on_end(sd_event_source *source, const siginfo_t *end, void *context)
-{
-    struct intake *const intake = context;
-    struct gsn_supervisor *const supervisor = intake->supervisor;
-    const bool was_stopping = intake->state == STATE_STOPPING;
-
-    (void)source;
-    forget_process(intake);
-    if (supervisor->stopping || !intake->wanted) {
-        intake->state = STATE_ENDED;
-        forget_unwanted(supervisor);
-        return 0;
-    }
-    if (was_stopping)
-        start(intake);
-    else if (end->si_code == CLD_EXITED)
-        judge_exit(intake, end->si_status);
-    else
-        judge_death(intake, end->si_status);
-    intake->is_hung = false;
-    return 0;
-}
-
-/* The configuration of this one source, as a file that only the child sees. */
-static int open_text(const struct intake *intake, int *ret_fd, struct gsn_error *err)
-{
-    const size_t size = strlen(intake->text);
-    const int fd = memfd_create("gieson.conf", MFD_CLOEXEC);
-
-    if (fd < 0 || write(fd, intake->text, size) != (ssize_t)size) {
-        (void)gsn_fail(err, GSN_E_IO, "memory for the configuration: %s", strerror(errno));
-        if (fd >= 0)
-            (void)close(fd);
-        return GSN_E_IO;
-    }
-    *ret_fd = fd;
-    return GSN_OK;
-}
-
-static int spawn(struct intake *intake, struct gsn_error *err)
-{
-    char heartbeat[16];
-    const char *const argv[] = { intake->supervisor->program,
-                                 "--store",
-                                 gsn_store_dir(intake->supervisor->store),
-                                 "--config",
-                                 "/proc/self/fd/3",
-                                 "--heartbeat",
-                                 heartbeat,
-                                 intake->name,
-                                 NULL };
-    int text = -1, ends[2], r;
-
-    (void)snprintf(heartbeat, sizeof heartbeat, "%d", (int)ITS_HEARTBEAT);
-    r = open_text(intake, &text, err);
-    if (r < 0)
-        return r;
-    if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) < 0) {
-        (void)close(text);
-        return gsn_fail(err, GSN_E_IO, "a pipe: %s", strerror(errno));
-    }
-    const struct gsn_spawn_fd places[] = { { text, ITS_CONFIG }, { ends[1], ITS_HEARTBEAT } };
-    const struct gsn_spawn what = { .argv = argv, .fd_count = 2, .fd = places };
-
-    r = gsn_spawn(&what, &intake->pid, err);
-    (void)close(text);
-    (void)close(ends[1]);
-    intake->heartbeat = ends[0];
-    return r;
-}
-
-static int listen_to(struct intake *intake, struct gsn_error *err)
-{
-    sd_event *const loop = intake->supervisor->loop;
-    int r = sd_event_add_child(loop, &intake->child, intake->pid, WEXITED, on_end, intake);
-
-    if (r >= 0)
-        r = sd_event_add_io(loop, &intake->breath, intake->heartbeat, EPOLLIN, on_breath, intake);
-    if (r < 0)
-        return gsn_fail(err, GSN_E_PROCESS, "its end cannot be waited for: %s", strerror(-r));
-    return GSN_OK;
-}
-
-static void start(struct intake *intake)
-{
-    const struct gsn_log_about what = about(intake, NULL);
-    struct gsn_error err = { 0 };
-    int r = spawn(intake, &err);
-
-    intake->began_ms = gsn_now_ms();
-    intake->is_hung = intake->was_ready = intake->was_late = false;
-    if (r >= 0)
-        r = listen_to(intake, &err);
-    if (r >= 0) {
-        intake->state = STATE_RUNNING;
-        set_timer(intake, intake->patience_ms, on_silence);
-        return;
-    }
-    gsn_log(LOG_ERR, &what, "%s", err.text);
-    if (intake->pid > 0) {
-        (void)kill(intake->pid, SIGKILL);
-        (void)gsn_process_wait(intake->pid, 1);
-    }
-    forget_process(intake);
-    back_off(intake);
-}
-
-static void stop(struct intake *intake)
-{
-    if (intake->state == STATE_RUNNING) {
-        intake->state = STATE_STOPPING;
-        (void)kill(intake->pid, SIGTERM);
-        set_timer(intake, STOP_MS, on_stop_late);
-    } else if (intake->state != STATE_STOPPING) {
-        intake->state = STATE_ENDED;
-        intake->timer = sd_event_source_disable_unref(intake->timer);
-    }
-}
-
-/* ---- the configuration ------------------------------------------------------------------- */
-
-static struct intake *find(const struct gsn_supervisor *supervisor, const char *name)
+static struct gsn_supervised *find(const struct gsn_supervisor *supervisor, const char *name)
 {
     for (size_t i = 0; i < supervisor->count; i++)
         if (strcmp(supervisor->at[i]->name, name) == 0)
@@ -389,22 +33,23 @@ static struct intake *find(const struct gsn_supervisor *supervisor, const char *
     return NULL;
 }
 
-static int add(struct gsn_supervisor *supervisor, const char *name, struct intake **ret_intake,
-               struct gsn_error *err)
+static int add(struct gsn_supervisor *supervisor, const char *name,
+               struct gsn_supervised **ret_intake, struct gsn_error *err)
 {
-    struct intake **more =
-        gsn_realloc_array(supervisor->at, supervisor->count + 1, sizeof(struct intake *));
-    struct intake *intake = gsn_alloc_array(1, sizeof *intake);
+    struct gsn_supervised **more =
+        gsn_realloc_array(supervisor->at, supervisor->count + 1, sizeof(struct gsn_supervised *));
+    struct gsn_supervised *intake = gsn_alloc_array(1, sizeof *intake);
 
     if (more)
         supervisor->at = more;
     if (intake) {
-        *intake =
-            (struct intake){ .supervisor = supervisor, .heartbeat = -1, .state = STATE_ENDED };
+        *intake = (struct gsn_supervised){ .supervisor = supervisor,
+                                           .heartbeat = -1,
+                                           .state = GSN_SUPERVISED_ENDED };
         intake->name = gsn_strdup(name);
     }
     if (!more || !intake || !intake->name) {
-        intake_free(intake);
+        gsn_supervised_free(intake);
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a source");
     }
     more[supervisor->count++] = intake;
@@ -415,7 +60,7 @@ static int add(struct gsn_supervisor *supervisor, const char *name, struct intak
 static int configure(struct gsn_supervisor *supervisor, const struct gsn_config *config,
                      const struct gsn_config_source *source, struct gsn_error *err)
 {
-    struct intake *intake = find(supervisor, source->name);
+    struct gsn_supervised *intake = find(supervisor, source->name);
     gsn_auto_mem(char) text = NULL;
     gsn_auto_mem(char) address = gsn_strdup(source->address);
     int r = gsn_config_write_source(config, source, &text, err);
@@ -427,7 +72,7 @@ static int configure(struct gsn_supervisor *supervisor, const struct gsn_config 
     if (r < 0)
         return r;
     intake->wanted = true;
-    if (intake->text && strcmp(intake->text, text) == 0 && intake->state != STATE_STOPPING)
+    if (intake->text && strcmp(intake->text, text) == 0 && intake->state != GSN_SUPERVISED_STOPPING)
         return GSN_OK;
     gsn_free(intake->text);
     gsn_free(intake->address);
@@ -436,9 +81,9 @@ static int configure(struct gsn_supervisor *supervisor, const struct gsn_config 
     intake->patience_ms = source->patience_s * 1000;
     if (gsn_source_subsystem(source->address) && intake->patience_ms < DEVICE_PATIENCE_MS)
         intake->patience_ms = DEVICE_PATIENCE_MS;
-    stop(intake);
-    if (intake->state != STATE_STOPPING)
-        start(intake);
+    gsn_supervised_stop(intake);
+    if (intake->state != GSN_SUPERVISED_STOPPING)
+        gsn_supervised_start(intake);
     return GSN_OK;
 }
 
@@ -451,8 +96,8 @@ int gsn_supervisor_set(struct gsn_supervisor *supervisor, const struct gsn_confi
         supervisor->at[i]->wanted = gsn_config_find(config, supervisor->at[i]->name) != NULL;
     for (size_t i = 0; i < supervisor->count; i++)
         if (!supervisor->at[i]->wanted)
-            stop(supervisor->at[i]);
-    forget_unwanted(supervisor);
+            gsn_supervised_stop(supervisor->at[i]);
+    gsn_supervisor_forget_unwanted(supervisor);
     for (size_t i = 0; r >= 0 && i < config->source_count; i++)
         r = configure(supervisor, config, &config->source[i], err);
     return r;
@@ -461,16 +106,16 @@ int gsn_supervisor_set(struct gsn_supervisor *supervisor, const struct gsn_confi
 void gsn_supervisor_arrival(struct gsn_supervisor *supervisor, const char *subsystem)
 {
     for (size_t i = 0; i < supervisor->count; i++) {
-        struct intake *const intake = supervisor->at[i];
+        struct gsn_supervised *const intake = supervisor->at[i];
         const char *const its = gsn_source_subsystem(intake->address);
 
         if (!its || strcmp(its, subsystem) != 0)
             continue;
-        intake->was_late = intake->state == STATE_RUNNING;
-        if (intake->state != STATE_AWAY && intake->state != STATE_RESTING)
+        intake->was_late = intake->state == GSN_SUPERVISED_RUNNING;
+        if (intake->state != GSN_SUPERVISED_AWAY && intake->state != GSN_SUPERVISED_RESTING)
             continue;
         intake->timer = sd_event_source_disable_unref(intake->timer);
-        start(intake);
+        gsn_supervised_start(intake);
     }
 }
 
@@ -478,7 +123,7 @@ void gsn_supervisor_stop(struct gsn_supervisor *supervisor)
 {
     supervisor->stopping = true;
     for (size_t i = 0; i < supervisor->count; i++)
-        stop(supervisor->at[i]);
+        gsn_supervised_stop(supervisor->at[i]);
 }
 
 size_t gsn_supervisor_running(const struct gsn_supervisor *supervisor)
@@ -512,7 +157,7 @@ void gsn_supervisor_free(struct gsn_supervisor *supervisor)
     if (!supervisor)
         return;
     for (size_t i = 0; i < supervisor->count; i++)
-        intake_free(supervisor->at[i]);
+        gsn_supervised_free(supervisor->at[i]);
     gsn_free(supervisor->at);
     gsn_free(supervisor->program);
     gsn_free(supervisor);

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/register/mark_choose.h"
+#include "pipeline/register/markers.h"
 
 #include "pipeline/register/mark_map.h"
 #include "pipeline/register/mark_odds.h"
+#include "pipeline/register/mark_triangle.h"
 #include "pipeline/register/median.h"
 #include "pipeline/register/rigid.h"
 

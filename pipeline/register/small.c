@@ -46,12 +46,9 @@ int gsn_small_solve(double a[GSN_SMALL][GSN_SMALL], double b[GSN_SMALL][GSN_SMAL
     return 0;
 }
 
-int gsn_small_invert(double a[GSN_SMALL][GSN_SMALL], size_t n)
+/* Cholesky's factor, below the diagonal of lower and on it; -1: not positive definite. */
+static int factor(double a[GSN_SMALL][GSN_SMALL], size_t n, double lower[GSN_SMALL][GSN_SMALL])
 {
-    double lower[GSN_SMALL][GSN_SMALL] = { 0 }, back[GSN_SMALL][GSN_SMALL] = { 0 };
-
-    assert(n <= GSN_SMALL);
-
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j <= i; j++) {
             double sum = a[i][j];
@@ -62,6 +59,17 @@ int gsn_small_invert(double a[GSN_SMALL][GSN_SMALL], size_t n)
                 return -1;
             lower[i][j] = i == j ? sqrt(sum) : sum / lower[j][j];
         }
+    return 0;
+}
+
+int gsn_small_invert(double a[GSN_SMALL][GSN_SMALL], size_t n)
+{
+    double lower[GSN_SMALL][GSN_SMALL] = { 0 }, back[GSN_SMALL][GSN_SMALL] = { 0 };
+
+    assert(n <= GSN_SMALL);
+
+    if (factor(a, n, lower) < 0)
+        return -1;
     for (size_t j = 0; j < n; j++)
         for (size_t i = j; i < n; i++) {
             double sum = i == j;
@@ -81,18 +89,13 @@ int gsn_small_invert(double a[GSN_SMALL][GSN_SMALL], size_t n)
 
 int gsn_small_cholesky3(const double a[3][3], double ret_lower[3][3])
 {
-    double lower[3][3] = { 0 };
+    double whole[GSN_SMALL][GSN_SMALL] = { 0 }, lower[GSN_SMALL][GSN_SMALL] = { 0 };
 
     for (size_t i = 0; i < 3; i++)
-        for (size_t j = 0; j <= i; j++) {
-            double sum = a[i][j];
-
-            for (size_t k = 0; k < j; k++)
-                sum -= lower[i][k] * lower[j][k];
-            if (i == j && !(sum > 0))
-                return -1;
-            lower[i][j] = i == j ? sqrt(sum) : sum / lower[j][j];
-        }
+        for (size_t j = 0; j < 3; j++)
+            whole[i][j] = a[i][j];
+    if (factor(whole, 3, lower) < 0)
+        return -1;
     for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j < 3; j++)
             ret_lower[i][j] = lower[i][j];

@@ -182,13 +182,13 @@ struct gsn_report {
     enum gsn_report_verdict verdict;
     const char *verdict_reason; /* one sentence; may be empty when fine */
 
-    const char *baseline;    /* name of the specimen or group; empty when there is none */
-    double loss_percent;     /* relative per cent of the baseline's density; NaN: withheld */
-    double loss_points;      /* difference of the mean densities in points of density (0..100) */
+    const char *baseline; /* name of the specimen or group; empty when there is none */
+    double loss_percent;  /* relative per cent of the baseline's density; NaN: withheld */
+    double loss_points;   /* difference of the mean densities in points of density (0..100) */
     double loss_lower, loss_upper; /* its interval, per cent, where loss_interval says of what */
     const char *loss_interval;     /* "95 %, stain and white"; NULL: no interval is known */
     const char *loss_reason;       /* why it is withheld */
-    double baseline_mean;    /* density */
+    double baseline_mean;          /* density */
 
     const char *density_name;            /* "collagen-equivalent density" */
     const char *density_version;         /* "van-gieson-gvp-1" */

@@ -341,22 +341,33 @@ TEST(what_changed_while_it_was_read_is_not_delivered)
     CHECK(gsn_source_acknowledge(bench.source, item, &err) == GSN_E_NOTFOUND);
 }
 
+/* Reads the one picture of a device that deletes what is taken, to its end; the picture's item. */
+static uint64_t read_one(struct meddler *meddler, struct bench *bench)
+{
+    struct gsn_error err = { 0 };
+    uint8_t bytes[3000];
+    uint64_t item;
+    size_t got = 0;
+
+    bench_init(bench, NULL);
+    bench->options.delete_there = 1;
+    (void)bench_scan(bench, "P01.TIF", sizeof bytes, 1, NULL, 0);
+    stand_between(meddler, bench);
+    bench_open(bench);
+    item = find_ready(bench);
+    CHECK_OK(gsn_source_read(bench->source, item, 0, bytes, sizeof bytes, &got, &err), err);
+    CHECK(got == sizeof bytes);
+    return item;
+}
+
 TEST(what_is_kept_is_not_deleted_and_comes_again_when_it_changes)
 {
     struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
     struct gsn_error err = { 0 };
-    uint8_t bytes[3000];
     bench_auto bench;
     uint64_t item;
-    size_t got;
 
-    bench_init(&bench, NULL);
-    bench.options.delete_there = 1;
-    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
-    stand_between(&meddler, &bench);
-    bench_open(&bench);
-    item = find_ready(&bench);
-    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 3000, &got, &err), err);
+    item = read_one(&meddler, &bench);
     CHECK_OK(gsn_source_keep(bench.source, item, &err), err);
     CHECK(gsn_source_keep(bench.source, item, &err) == GSN_E_NOTFOUND);
     describe_another(&meddler, &bench);
@@ -368,18 +379,10 @@ TEST(what_changed_after_it_was_read_is_not_deleted)
 {
     struct meddler meddler = { .operation = GSN_PTP_GET_OBJECT_INFO };
     struct gsn_error err = { 0 };
-    uint8_t bytes[3000];
     bench_auto bench;
     uint64_t item;
-    size_t got;
 
-    bench_init(&bench, NULL);
-    bench.options.delete_there = 1;
-    (void)bench_scan(&bench, "P01.TIF", 3000, 1, NULL, 0);
-    stand_between(&meddler, &bench);
-    bench_open(&bench);
-    item = find_ready(&bench);
-    CHECK_OK(gsn_source_read(bench.source, item, 0, bytes, 3000, &got, &err), err);
+    item = read_one(&meddler, &bench);
     describe_another(&meddler, &bench);
     CHECK_OK(gsn_source_acknowledge(bench.source, item, &err), err);
     CHECK(ptp_model_asked(bench.model, GSN_PTP_DELETE_OBJECT) == 0);

@@ -214,35 +214,6 @@ TEST(the_sections_are_the_slots_or_as_many_as_stated)
     }
 }
 
-TEST(a_shape_covers_its_own_volume)
-{
-    const struct gsn_lattice at = {
-        .nx = 40, .ny = 40, .nz = 40, .origin_um = { -19.5, -19.5, -19.5 }, .step_um = { 1, 1, 1 }
-    };
-    /* Off the lattice's symmetry, where whole shells of voxels would lie on the border at once. */
-    const struct gsn_region ball = { .kind = GSN_REGION_SPHERE,
-                                     .centre = { 0.13, 0.27, 0.41 },
-                                     .radius_um = 15 };
-    const struct gsn_region box = { .kind = GSN_REGION_BOX,
-                                    .low = { -3, -4, -5 },
-                                    .high = { 3, 4, 5 } };
-    const struct gsn_region far = { .kind = GSN_REGION_SPHERE,
-                                    .centre = { 500, 0, 0 },
-                                    .radius_um = 15 };
-    gsn_auto(gsn_mask) in_ball = NULL;
-    gsn_auto(gsn_mask) in_box = NULL;
-    gsn_auto(gsn_mask) nowhere = NULL;
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_region_raster(&ball, &at, &in_ball, &err), err);
-    /* Lattice points of a ball: the volume within a part of the voxels its surface meets. */
-    CHECK_NEAR((double)gsn_mask_count(in_ball), 4.0 / 3.0 * M_PI * 15 * 15 * 15,
-               0.1 * 4 * M_PI * 15 * 15);
-    CHECK_OK(gsn_region_raster(&box, &at, &in_box, &err), err);
-    CHECK(gsn_mask_count(in_box) == 6 * 8 * 10);
-    CHECK(gsn_region_raster(&far, &at, &nowhere, &err) == GSN_E_INPUT && nowhere == NULL);
-}
-
 static int parse_once(struct gsn_error *err)
 {
     gsn_auto(gsn_protocol) p = NULL;

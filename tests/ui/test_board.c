@@ -156,23 +156,34 @@ TEST(a_board_says_what_comes_in_what_needs_a_person_and_specimens_by_urgency)
         "section 4 needs-eye|");
 }
 
+/* The one line of this name, or NULL. */
+static const struct gsn_board_line *line_of(const struct gsn_board *board, const char *name)
+{
+    const struct gsn_board_line *found = NULL;
+
+    for (size_t i = 0; i < board->count; i++) {
+        if (strcmp(board->at[i].name, name) != 0)
+            continue;
+        CHECK(!found);
+        found = &board->at[i];
+    }
+    return found;
+}
+
 TEST(what_waits_for_work_says_so_and_what_waits_for_panels_too)
 {
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     gsn_auto(gsn_board) board = NULL;
+    const struct gsn_board_line *waits, *empty;
     struct gsn_error err = { 0 };
 
     fill(&scratch, store);
     CHECK_OK(make(store, &board, &err), err);
-    for (size_t i = 0; i < board->count; i++) {
-        const struct gsn_board_line *line = &board->at[i];
-
-        if (strcmp(line->name, "waits") == 0)
-            CHECK(line->action && strcmp(line->action, "gieson run") == 0);
-        if (strcmp(line->name, "empty") == 0)
-            CHECK(!line->action && strcmp(line->detail, "no panel yet") == 0);
-    }
+    waits = line_of(board, "waits");
+    empty = line_of(board, "empty");
+    CHECK(waits && waits->action && strcmp(waits->action, "gieson run") == 0);
+    CHECK(empty && !empty->action && strcmp(empty->detail, "no panel yet") == 0);
 }
 
 TEST(a_section_that_needs_an_eye_names_the_command_that_settles_it)
@@ -199,14 +210,17 @@ TEST(keys_tell_all_lines_apart)
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     gsn_auto(gsn_board) board = NULL;
     struct gsn_error err = { 0 };
+    size_t items = 0;
 
     fill(&scratch, store);
     CHECK_OK(make(store, &board, &err), err);
     for (size_t i = 0; i < board->count; i++) {
+        items += gsn_board_is_item(&board->at[i]) != 0;
         CHECK(!gsn_board_is_item(&board->at[i]) == !board->at[i].key);
         for (size_t j = 0; board->at[i].key && j < i; j++)
             CHECK(!board->at[j].key || strcmp(board->at[i].key, board->at[j].key) != 0);
     }
+    CHECK(items > 2);
 }
 
 TEST(an_empty_store_says_what_to_do)

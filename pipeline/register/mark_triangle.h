@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What choosing, learning and agreeing on a triangle have in common; for their files alone. */
-#ifndef GSN_REGISTER_MARK_CHOOSE_H
-#define GSN_REGISTER_MARK_CHOOSE_H
+/* The three marks as a triangle: lengths, and how far a section may pull it out of shape. For the
+ * files that agree on it, learn it and choose by it. */
+#ifndef GSN_REGISTER_MARK_TRIANGLE_H
+#define GSN_REGISTER_MARK_TRIANGLE_H
 
 #include "pipeline/register/markers.h"
 
@@ -17,9 +18,10 @@ extern "C" {
 
 double gsn_mark_distance(struct gsn_point a, struct gsn_point b);
 struct gsn_point gsn_mark_to_um(struct gsn_point px, double px_um, int mirrored);
-/* Whether a spot is of a strength and size that a mark may have. */
-int gsn_mark_acceptable(const struct gsn_mark_candidates *section, size_t i,
-                        const struct gsn_triangle_prior *prior);
+/* Root mean square distance of the corners from their centroid. */
+double gsn_mark_triangle_size(const struct gsn_point corner[GSN_MARKS]);
+/* That stretch in um, with half a pixel for what is measured. */
+double gsn_mark_tolerance(const struct gsn_triangle_prior *prior, double px_um);
 
 #ifdef __cplusplus
 }

@@ -1,0 +1,132 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/folder_parts.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { TARGETS = 21 };
+
+static size_t make_targets(const struct gsn_folder *folder, struct gsn_point *targets)
+{
+    const double radius = folder->options->radius * folder->unit;
+    size_t n = 0;
+
+    for (int k = 0; k < TARGETS * TARGETS; k++) {
+        const struct gsn_point at = { radius * (k % TARGETS - TARGETS / 2) / (TARGETS / 2),
+                                      radius * (k / TARGETS - TARGETS / 2) / (TARGETS / 2) };
+
+        if (at.x * at.x + at.y * at.y <= radius * radius)
+            targets[n++] = at;
+    }
+    return radius > 0 ? n : 0;
+}
+
+void gsn_folder_add_flag(struct gsn_folder_section *section, const char *word)
+{
+    const size_t used = strlen(section->flags);
+
+    (void)snprintf(section->flags + used, sizeof section->flags - used, "%s%s", used ? " " : "",
+                   word);
+}
+
+static void say_why(const struct gsn_folder_work *work, struct gsn_folder_section *section)
+{
+    if (section->reason[0])
+        return;
+    if (section->score > 0 && section->runner_up > 0.5 * section->score)
+        (void)snprintf(section->reason, sizeof section->reason,
+                       "the marks could be others: the best three spots score %.2g, the next %.2g; "
+                       "look at the section",
+                       section->score, section->runner_up);
+    else
+        (void)snprintf(section->reason, sizeof section->reason,
+                       "no three marks: %zu dark spot%s, none of them in the triangle's places; "
+                       "look at the section",
+                       work->spots->candidates.count,
+                       work->spots->candidates.count == 1 ? "" : "s");
+}
+
+struct gsn_affine gsn_folder_frame_to_px(const struct gsn_folder *folder,
+                                         const struct gsn_affine *to_block)
+{
+    struct gsn_affine map = gsn_affine_inverse(to_block);
+
+    map.m00 *= folder->unit;
+    map.m01 *= folder->unit;
+    map.m10 *= folder->unit;
+    map.m11 *= folder->unit;
+    map.m02 -= 0.5;
+    map.m12 -= 0.5;
+    return map;
+}
+
+static void flag(struct gsn_folder_section *section, const struct gsn_pose *pose)
+{
+    if (pose->flipped)
+        gsn_folder_add_flag(section, "flipped");
+    if (pose->rotated180)
+        gsn_folder_add_flag(section, "rotated180");
+    if (pose->state == GSN_POSE_TWO_MARKS)
+        gsn_folder_add_flag(section, "two-marks");
+    if (pose->gross)
+        gsn_folder_add_flag(section, "gross");
+}
+
+static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pose *pose,
+                 const struct gsn_pose_options *options)
+{
+    struct gsn_folder_section *section = &folder->stack->section[i];
+    struct gsn_affine px_to_frame = pose->panel_to_block_um;
+    double error_um = pose->tre_um;
+
+    section->state = pose->state;
+    folder->work[i].pose = *pose;
+    if (pose->state == GSN_POSE_NONE) {
+        say_why(&folder->work[i], section);
+        return;
+    }
+    /* A mark that lies wrong would drag the others along. */
+    if (pose->gross && pose->state == GSN_POSE_OK)
+        gsn_pose_likeliest(pose, options->targets_um, options->target_count, &px_to_frame,
+                           &error_um);
+    else if (pose->gross)
+        error_um = hypot(pose->tre_um, pose->rms_um);
+    folder->work[i].pose.panel_to_block_um = px_to_frame;
+    section->frame_to_px = gsn_folder_frame_to_px(folder, &px_to_frame);
+    section->error_px = error_um / folder->px_um;
+    section->rms_px = pose->rms_um / folder->px_um;
+    section->flipped = pose->flipped;
+    flag(section, pose);
+}
+
+int gsn_folder_solve(struct gsn_folder *folder, struct gsn_error *err)
+{
+    const size_t count = folder->stack->count;
+    gsn_auto_mem(struct gsn_pose_input) inputs = gsn_alloc_array(count, sizeof *inputs);
+    gsn_auto_mem(struct gsn_pose) poses = gsn_alloc_array(count, sizeof *poses);
+    struct gsn_point targets[TARGETS * TARGETS], marks[GSN_MARKS];
+    struct gsn_pose_options options = { .targets_um = targets };
+    int r;
+
+    if (!inputs || !poses)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the poses of a stack");
+    for (size_t i = 0; i < count; i++) {
+        inputs[i] = (struct gsn_pose_input){ .serial = (unsigned)i,
+                                             .px_um = folder->px_um,
+                                             .mirrored = folder->work[i].mirrored };
+        memcpy(inputs[i].marks, folder->work[i].marks, sizeof inputs[i].marks);
+    }
+    if (folder->options->mark) {
+        gsn_folder_stated_marks(folder, marks);
+        options.markers_um = marks;
+    }
+    options.target_count = make_targets(folder, targets);
+    r = gsn_pose_solve(inputs, count, &options, poses, &folder->stack->summary, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < count; i++)
+        tell(folder, i, &poses[i], &options);
+    folder->stack->fle_px = folder->stack->summary.fle_um / folder->px_um;
+    return GSN_OK;
+}

@@ -1,0 +1,187 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/mark_choice.h"
+
+#include "pipeline/register/mark_looks.h"
+#include "pipeline/register/mark_odds.h"
+#include "pipeline/register/mark_triangle.h"
+
+#include <math.h>
+
+/* What the stack has taught of how sections stretch is believed for nine sections in ten, and never
+ * to less than this share of the triangle's size, or a pixel: the tenth may be torn. */
+static const double ORDINARY = 0.9, STRETCH_LEAST = 0.004;
+/* A section swells or shrinks as a whole by this much more than it loses its shape. */
+static const double SIZE = 1.5;
+/* Of so many sections a tear or a fold moves a mark. */
+static const double TORN_SHARE = 0.03;
+/* One that is half burnt in is none the less a mark, when it lies where one must be. */
+static const double FAINT = 4;
+/* exp(-4.5): three standard deviations. */
+static const double LIKELIHOOD_LEAST = 0.0111;
+/* The third of three must be a mark, and no spot that lies there by chance, with these odds. */
+static const double THIRD_ODDS = 20;
+
+static struct gsn_mark_moves moves_of(const struct gsn_mark_candidates *section,
+                                      const struct gsn_triangle_prior *prior)
+{
+    const double loose = gsn_mark_tolerance(prior, section->px_um);
+    const double least =
+        fmax(STRETCH_LEAST * gsn_mark_triangle_size(prior->mark_um), section->px_um);
+
+    return (struct gsn_mark_moves){ .ordinary_um = fmin(fmax(prior->stretch_um, least), loose),
+                                    .loose_um = loose,
+                                    .torn_um = GSN_MARK_TORN * loose,
+                                    .ordinary = ORDINARY,
+                                    .loose = 1 - ORDINARY - TORN_SHARE,
+                                    .torn = TORN_SHARE };
+}
+
+/* Of a misfit in tolerances, what is known of the section apart. */
+static double fitting(const struct gsn_mark_candidates *section,
+                      const struct gsn_triangle_prior *prior, double chi2)
+{
+    const struct gsn_mark_moves m = moves_of(section, prior);
+
+    if (!prior->learnt || !(prior->stretch_um > 0))
+        return exp(-0.5 * chi2);
+    return m.ordinary * exp(-0.5 * chi2 * pow(m.loose_um / m.ordinary_um, 2)) +
+           m.loose * exp(-0.5 * chi2) + m.torn * exp(-0.5 * chi2 * pow(m.loose_um / m.torn_um, 2));
+}
+
+int gsn_mark_choice_is_triple(const struct gsn_mark_choice *choice)
+{
+    return choice->candidate[0] >= 0 && choice->candidate[1] >= 0 && choice->candidate[2] >= 0;
+}
+
+/* Whether a pair is as far apart as its marks are, a torn one's a little more or less. */
+static int plausible_pair(double chi2)
+{
+    return exp(-0.5 * chi2 / (GSN_MARK_TORN_PAIR * GSN_MARK_TORN_PAIR)) >= LIKELIHOOD_LEAST;
+}
+
+/* Weighs a choice by its misfit in tolerances; more than three standard deviations of anything are
+ * not believed, of a pair's length where torn_pair is its tolerance. */
+static void weigh(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
+                  double chi2, double torn_pair, struct gsn_mark_choice *choice)
+{
+    const double beauty =
+        exp(-0.5 * gsn_mark_looks(section, prior, choice->candidate, GSN_MARK_UNLIKE_MOST));
+    const double decency = exp(-0.5 * gsn_mark_looks(section, prior, choice->candidate, FAINT));
+    const int pair = !gsn_mark_choice_is_triple(choice);
+    const int marks = prior->learnt && gsn_mark_alike(section, prior, choice->candidate);
+    const double allowed = !marks ? 1 : pair ? torn_pair : GSN_MARK_TORN;
+
+    choice->likelihood = fitting(section, prior, chi2) * beauty;
+    choice->trusted = exp(-0.5 * chi2 / (allowed * allowed)) * decency >= LIKELIHOOD_LEAST;
+    choice->folded = pair && !plausible_pair(chi2);
+    if (pair && !marks)
+        choice->trusted = 0;
+}
+
+/* Whether a choice would lay the section's tissue where none can be: it is made of a neighbour's
+ * marks. The tissue's centre moves by some of its size when a piece is lost or pen is taken for it.
+ */
+static int far_off(const struct gsn_mark_candidates *section,
+                   const struct gsn_triangle_prior *prior, const struct gsn_rigid *motion,
+                   int mirrored)
+{
+    const double quarter = prior->tissue.cell * GSN_MARK_MAP / 4;
+    struct gsn_point at;
+
+    if (!prior->learnt)
+        return 0;
+    at = gsn_rigid_apply(motion, gsn_mark_to_um(section->tissue_px, section->px_um, mirrored));
+    return gsn_mark_distance(at, prior->tissue_um) >
+           fmax(fmax(quarter, gsn_mark_triangle_size(prior->mark_um)), 6 * prior->tissue_sd_um);
+}
+
+/* How far three marks lie off, root mean square, because all of the section is larger or smaller;
+ * 0 for two. */
+static double size_misfit(const struct gsn_point *from, const struct gsn_point *onto, size_t count)
+{
+    return count == GSN_MARKS ? fabs(gsn_mark_triangle_size(from) - gsn_mark_triangle_size(onto))
+                              : 0;
+}
+
+/* Lays the marks of a choice on the prior's; ret_chi2 is the misfit in tolerances. */
+static int lay(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
+               const struct gsn_mark_choice *choice, struct gsn_rigid *ret_motion, double *ret_chi2)
+{
+    struct gsn_point from[GSN_MARKS], onto[GSN_MARKS];
+    const double sd = gsn_mark_tolerance(prior, section->px_um);
+    size_t count = 0;
+    double rms, size;
+
+    for (int i = 0; i < GSN_MARKS; i++) {
+        if (choice->candidate[i] < 0)
+            continue;
+        from[count] = gsn_mark_to_um(section->mark[choice->candidate[i]].px, section->px_um,
+                                     choice->mirrored);
+        onto[count++] = prior->mark_um[i];
+    }
+    if (gsn_rigid_fit(from, onto, NULL, count, ret_motion, &rms, NULL) < 0)
+        return 0;
+    size = size_misfit(from, onto, count);
+    *ret_chi2 = (double)count * (rms * rms - size * size * (1 - 1 / (SIZE * SIZE))) / (sd * sd);
+    return 1;
+}
+
+/* Whether one of three spots may as well be there by chance, the two others being the marks. */
+static int by_chance(const struct gsn_mark_candidates *section,
+                     const struct gsn_triangle_prior *prior, const struct gsn_mark_choice *choice,
+                     int third)
+{
+    const int a = (third + 1) % GSN_MARKS, b = (third + 2) % GSN_MARKS;
+    const struct gsn_point *mark = prior->mark_um;
+    const struct gsn_point middle = { 0.5 * (mark[a].x + mark[b].x),
+                                      0.5 * (mark[a].y + mark[b].y) };
+    const struct gsn_mark *spot = &section->mark[choice->candidate[third]];
+    const struct gsn_mark_moves moves = moves_of(section, prior);
+    struct gsn_mark_choice pair = *choice;
+    double chi2, away;
+
+    pair.candidate[third] = -1;
+    if (!lay(section, prior, &pair, &pair.motion, &chi2) || !plausible_pair(chi2))
+        return 0;
+    away = gsn_mark_distance(
+        gsn_rigid_apply(&pair.motion, gsn_mark_to_um(spot->px, section->px_um, choice->mirrored)),
+        mark[third]);
+    return gsn_mark_odds(spot, section->px_um, prior, &moves, away,
+                         gsn_mark_distance(mark[a], mark[b]),
+                         gsn_mark_distance(mark[third], middle)) < THIRD_ODDS;
+}
+
+static int any_by_chance(const struct gsn_mark_candidates *section,
+                         const struct gsn_triangle_prior *prior,
+                         const struct gsn_mark_choice *choice)
+{
+    int any = 0;
+
+    for (int i = 0; i < GSN_MARKS && prior->learnt && prior->chance[GSN_MARK_CHANCE - 1] > 0; i++)
+        any |= by_chance(section, prior, choice, i);
+    return any;
+}
+
+int gsn_mark_choice_weigh(const struct gsn_mark_candidates *section,
+                          const struct gsn_triangle_prior *prior, double torn_pair,
+                          struct gsn_mark_choice *choice)
+{
+    double chi2;
+
+    if (!lay(section, prior, choice, &choice->motion, &chi2) ||
+        far_off(section, prior, &choice->motion, choice->mirrored))
+        return 0;
+    weigh(section, prior, chi2, torn_pair, choice);
+    return choice->trusted &&
+           !(gsn_mark_choice_is_triple(choice) && any_by_chance(section, prior, choice));
+}
+
+int gsn_mark_choice_lies_well(const struct gsn_mark_candidates *section,
+                              const struct gsn_triangle_prior *prior,
+                              const struct gsn_mark_choice *choice)
+{
+    struct gsn_rigid motion;
+    double chi2;
+
+    return lay(section, prior, choice, &motion, &chi2) && exp(-0.5 * chi2) >= LIKELIHOOD_LEAST;
+}

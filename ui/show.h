@@ -1,0 +1,67 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Everything the store knows of one specimen, and what a person is to do next about it: what
+ * `gieson show` tells, in words and as JSON. */
+#ifndef GSN_UI_SHOW_H
+#define GSN_UI_SHOW_H
+
+#include "storage/bench.h"
+#include "storage/candidate.h"
+#include "storage/catalog.h"
+#include "storage/decision.h"
+#include "storage/panel_log.h"
+#include "storage/overview.h"
+#include "storage/queue.h"
+#include "storage/result.h"
+#include "ui/ui.h"
+
+#include <jansson.h>
+
+struct gsn_show {
+    struct gsn_specimen_row *specimen;
+    struct gsn_panel_rows *panels;
+    struct gsn_section_rows *sections;
+    struct gsn_run_rows *runs;
+    struct gsn_measure_rows *measures; /* of the latest run; NULL when there is none */
+    struct gsn_open_panel_rows *open;
+    struct gsn_bench_sources *sources;
+    struct gsn_trouble_rows *troubles;
+    struct gsn_decision_rows *decided;
+    struct gsn_candidate_rows *candidates;
+    int64_t expected; /* panels that the job states, or 0 */
+};
+
+/* gives: what view holds, on failure too. Fails as the store does. */
+int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *view,
+                  struct gsn_error *err);
+void gsn_show_done(struct gsn_show *view);
+
+int gsn_show_has_flag(const struct gsn_section_row *section, const char *flag);
+/* What was answered about a place, or NULL. */
+const struct gsn_decision_row *gsn_show_decision_on(const struct gsn_show *view, int64_t number,
+                                                    int64_t slot);
+/* Whether a source delivers this specimen. */
+int gsn_show_delivers(const struct gsn_show *view, const char *source);
+int64_t gsn_show_panel_number(const struct gsn_show *view, int64_t id);
+/* The first of a section's candidates, which follow each other, and their number. */
+size_t gsn_show_candidates(const struct gsn_show *view, const struct gsn_section_row *s,
+                           const struct gsn_candidate_row **ret_first);
+
+/* show_next.c */
+
+/* gives: `gieson decide SPECIMEN PLACE ANSWER`, or NULL when memory runs out. */
+char *gsn_show_decide_command(const struct gsn_show *view, int64_t number, int64_t slot,
+                              const char *answer);
+/* gives: the command that answers what a held panel waits for, or that says which number it has; or
+ * NULL. */
+char *gsn_show_panel_action(const struct gsn_show *view, const struct gsn_panel_row *panel);
+/* gives: the command that answers what a section waits for, or NULL. */
+char *gsn_show_section_action(const struct gsn_show *view, const struct gsn_section_row *s);
+
+/* show_text.c and show_json.c */
+
+void gsn_show_print(const struct gsn_ui *ui, const struct gsn_show *view);
+/* gives. */
+json_t *gsn_show_json(const struct gsn_show *view);
+
+#endif

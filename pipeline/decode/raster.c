@@ -203,8 +203,11 @@ void gsn_raster_put_rows(const struct gsn_raster *canvas, const struct gsn_run *
     const size_t sample = image->bits / 8, bytes = run->count * (size_t)run->channels * sample;
     const int straight = is_straight(canvas, run);
     const int large = rows > 1 && gsn_image_bytes(image) >= LARGE_BYTES;
+    /* Without a gap on either side rows are one. */
+    const int whole = straight && row_bytes == bytes && canvas->step_y == (ptrdiff_t)run->count;
+    const size_t length = whole ? rows * bytes : bytes;
 
-    for (uint32_t i = 0; i < rows; i++) {
+    for (uint32_t i = 0; i < (whole ? 1 : rows); i++) {
         const uint8_t *const row = (const uint8_t *)samples + i * row_bytes;
         const ptrdiff_t pixel =
             canvas->origin + run->x * canvas->step_x + ((ptrdiff_t)run->y + i) * canvas->step_y;
@@ -214,9 +217,9 @@ void gsn_raster_put_rows(const struct gsn_raster *canvas, const struct gsn_run *
         if (!straight)
             scatter(canvas, run, first, row);
         else if (large)
-            stream(to, row, bytes);
+            stream(to, row, length);
         else
-            memcpy(to, row, bytes);
+            memcpy(to, row, length);
     }
     if (straight && large)
         stream_end();

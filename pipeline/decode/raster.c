@@ -6,6 +6,9 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/mman.h>
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 /* From here on memory is worth a mapping of its own. */
 #define LARGE_BYTES ((uint64_t)8 << 20)
@@ -122,36 +125,109 @@ int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_raster_layout *l
     return GSN_OK;
 }
 
-static void scatter8(uint8_t *to, ptrdiff_t step, const uint8_t *from, const struct gsn_run *run)
+/* channels is known where this is put to use, so that the loop over it is none. */
+static inline void scatter8(uint8_t *to, ptrdiff_t step, const uint8_t *from, size_t stride,
+                            size_t count, uint32_t channels)
 {
-    for (uint32_t i = 0; i < run->count; i++, to += step, from += run->stride)
-        for (uint32_t c = 0; c < run->channels; c++)
+    for (size_t i = 0; i < count; i++, to += step, from += stride)
+        for (uint32_t c = 0; c < channels; c++)
             to[c] = from[c];
 }
 
-static void scatter16(uint16_t *to, ptrdiff_t step, const uint16_t *from, const struct gsn_run *run)
+static inline void scatter16(uint16_t *to, ptrdiff_t step, const uint16_t *from, size_t stride,
+                             size_t count, uint32_t channels)
 {
-    for (uint32_t i = 0; i < run->count; i++, to += step, from += run->stride)
-        for (uint32_t c = 0; c < run->channels; c++)
+    for (size_t i = 0; i < count; i++, to += step, from += stride)
+        for (uint32_t c = 0; c < channels; c++)
             to[c] = from[c];
+}
+
+/* Past the caches: whoever reads a picture larger than they are finds nothing of it there anyway,
+ * and memory need not be read before it is written. */
+static void stream(uint8_t *to, const uint8_t *from, size_t bytes)
+{
+#ifdef __SSE2__
+    const size_t uneven = -(uintptr_t)to % sizeof(__m128i), head = uneven < bytes ? uneven : bytes;
+    size_t i = head;
+
+    memcpy(to, from, head);
+    for (; i + sizeof(__m128i) <= bytes; i += sizeof(__m128i))
+        _mm_stream_si128((void *)(to + i), _mm_loadu_si128((const void *)(from + i)));
+    memcpy(to + i, from + i, bytes - i);
+#else
+    memcpy(to, from, bytes);
+#endif
+}
+
+/* Before another thread may look. */
+static void stream_end(void)
+{
+#ifdef __SSE2__
+    _mm_sfence();
+#endif
+}
+
+/* Whether samples go to the picture as they come, side by side. */
+static int is_straight(const struct gsn_raster *canvas, const struct gsn_run *run)
+{
+    const uint32_t channels = canvas->image->channels;
+
+    return canvas->step_x * (ptrdiff_t)run->step == 1 && run->channels == channels &&
+           run->stride == channels;
+}
+
+static void scatter(const struct gsn_raster *canvas, const struct gsn_run *run, ptrdiff_t first,
+                    const void *samples)
+{
+    const struct gsn_image *image = canvas->image;
+    const ptrdiff_t step = canvas->step_x * (ptrdiff_t)run->step * (ptrdiff_t)image->channels;
+    uint8_t *const to8 = image->samples;
+    uint16_t *const to16 = image->samples;
+
+    assert(run->channels == 1 || run->channels == 3);
+
+    if (image->bits == 8 && run->channels == 3)
+        scatter8(to8 + first, step, samples, run->stride, run->count, 3);
+    else if (image->bits == 8)
+        scatter8(to8 + first, step, samples, run->stride, run->count, 1);
+    else if (run->channels == 3)
+        scatter16(to16 + first, step, samples, run->stride, run->count, 3);
+    else
+        scatter16(to16 + first, step, samples, run->stride, run->count, 1);
+}
+
+void gsn_raster_put_rows(const struct gsn_raster *canvas, const struct gsn_run *run, uint32_t rows,
+                         size_t row_bytes, const void *samples)
+{
+    const struct gsn_image *image = canvas->image;
+    const size_t sample = image->bits / 8, bytes = run->count * (size_t)run->channels * sample;
+    const int straight = is_straight(canvas, run);
+    const int large = rows > 1 && gsn_image_bytes(image) >= LARGE_BYTES;
+    /* Without a gap on either side rows are one. */
+    const int whole = straight && row_bytes == bytes && canvas->step_y == (ptrdiff_t)run->count;
+    const size_t length = whole ? rows * bytes : bytes;
+
+    for (uint32_t i = 0; i < (whole ? 1 : rows); i++) {
+        const uint8_t *const row = (const uint8_t *)samples + i * row_bytes;
+        const ptrdiff_t pixel =
+            canvas->origin + run->x * canvas->step_x + ((ptrdiff_t)run->y + i) * canvas->step_y;
+        const ptrdiff_t first = pixel * (ptrdiff_t)image->channels + (ptrdiff_t)run->channel;
+        uint8_t *const to = (uint8_t *)image->samples + first * (ptrdiff_t)sample;
+
+        if (!straight)
+            scatter(canvas, run, first, row);
+        else if (large)
+            stream(to, row, length);
+        else
+            memcpy(to, row, length);
+    }
+    if (straight && large)
+        stream_end();
 }
 
 void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run, const void *samples)
 {
-    const struct gsn_image *image = canvas->image;
-    const ptrdiff_t channels = (ptrdiff_t)image->channels;
-    const ptrdiff_t pixel =
-        canvas->origin + run->x * canvas->step_x + (ptrdiff_t)run->y * canvas->step_y;
-    const ptrdiff_t first = pixel * channels + (ptrdiff_t)run->channel;
-    const ptrdiff_t step = canvas->step_x * (ptrdiff_t)run->step * channels;
-
-    if (image->bits == 8 && step == channels && run->channels == image->channels &&
-        run->stride == run->channels)
-        memcpy((uint8_t *)image->samples + first, samples, (size_t)run->count * run->channels);
-    else if (image->bits == 8)
-        scatter8((uint8_t *)image->samples + first, step, samples, run);
-    else
-        scatter16((uint16_t *)image->samples + first, step, samples, run);
+    gsn_raster_put_rows(canvas, run, 1, 0, samples);
 }
 
 void *gsn_raster_row(const struct gsn_raster *canvas, uint32_t y)

@@ -56,6 +56,9 @@ struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *lim
 /* The caller guarantees that the run lies inside the stored picture. */
 void gsn_raster_put(const struct gsn_raster *canvas, const struct gsn_run *run,
                     const void *samples);
+/* The same for so many stored rows from run->y on, each row_bytes after the other in samples. */
+void gsn_raster_put_rows(const struct gsn_raster *canvas, const struct gsn_run *run, uint32_t rows,
+                         size_t row_bytes, const void *samples);
 
 /* Where stored row y goes when its pixels, all channels of them, come to lie side by side as they
  * are stored; rows then follow each other. NULL when they have to be turned. */

@@ -53,6 +53,23 @@ static unsigned packed(const uint8_t *row, uint32_t x, unsigned bits)
     return row[at / 8] >> (8 - bits - at % 8) & ((1u << bits) - 1);
 }
 
+/* The samples of strip or tile number index where they lie in the file, of which they are bytes
+ * many; NULL where libtiff has to make them: it unpacks, swaps and says what is wrong with sizes.
+ * Uncompressed panels are most of what scanners write, and a second copy is a third of the time. */
+static const uint8_t *stored(const struct gsn_tiff *t, uint32_t index, uint64_t bytes)
+{
+    const uint8_t *at = t->file.at + TIFFGetStrileOffset(t->tiff, index);
+    uint16_t order = FILLORDER_MSB2LSB;
+
+    (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_FILLORDER, &order);
+    if (t->compression != COMPRESSION_NONE || order != FILLORDER_MSB2LSB ||
+        t->photometric == PHOTOMETRIC_MINISWHITE || TIFFGetStrileByteCount(t->tiff, index) != bytes)
+        return NULL;
+    if (t->bits == 16 && (TIFFIsByteSwapped(t->tiff) || (uintptr_t)at % sizeof(uint16_t) != 0))
+        return NULL;
+    return at;
+}
+
 static void expand(const struct pixels *p, const uint8_t *row, uint32_t count)
 {
     const struct gsn_tiff *t = p->t;
@@ -66,36 +83,39 @@ static void expand(const struct pixels *p, const uint8_t *row, uint32_t count)
     }
 }
 
-static void invert(const struct gsn_tiff *t, uint8_t *row, size_t samples)
+/* The complement of a sample of 8 or 16 bits is that of its bytes. */
+static void invert(uint8_t *piece, size_t bytes)
 {
-    uint16_t *wide = (void *)row;
-
-    for (size_t i = 0; i < samples && t->bits == 8; i++)
-        row[i] = (uint8_t)(255 - row[i]);
-    for (size_t i = 0; i < samples && t->bits == 16; i++)
-        wide[i] = (uint16_t)(65535 - wide[i]);
+    for (size_t i = 0; i < bytes; i++)
+        piece[i] = (uint8_t)~piece[i];
 }
 
-/* Puts count decoded pixels of stored row y, from x on; plane counts when planes are separate. */
-static void put(const struct pixels *p, uint32_t x, uint32_t y, uint32_t count, uint16_t plane,
-                uint8_t *row)
+/* A strip or a tile, or what of it lies in the picture. */
+struct part {
+    uint32_t x, y, width, height;
+    uint16_t plane; /* counts when planes are separate */
+};
+
+/* Puts the part's decoded samples, a row of them row_bytes after the other. */
+static void put(const struct pixels *p, const struct part *part, size_t row_bytes,
+                const uint8_t *samples)
 {
     const struct gsn_tiff *t = p->t;
     const int contiguous = t->planar == PLANARCONFIG_CONTIG;
-    struct gsn_run run = { .x = x, .y = y, .step = 1, .count = count };
+    struct gsn_run run = { .x = part->x, .y = part->y, .step = 1, .count = part->width };
 
     if (p->colour) {
-        expand(p, row, count);
         run.channels = run.stride = 3;
-        gsn_raster_put(p->canvas, &run, p->colour);
+        for (uint32_t i = 0; i < part->height; i++, run.y++) {
+            expand(p, samples + i * row_bytes, part->width);
+            gsn_raster_put(p->canvas, &run, p->colour);
+        }
         return;
     }
-    run.channel = contiguous ? 0 : plane;
+    run.channel = contiguous ? 0 : part->plane;
     run.channels = contiguous ? p->canvas->image->channels : 1;
     run.stride = contiguous ? t->samples : 1;
-    if (t->photometric == PHOTOMETRIC_MINISWHITE)
-        invert(t, row, (size_t)count * run.stride);
-    gsn_raster_put(p->canvas, &run, row);
+    gsn_raster_put_rows(p->canvas, &run, part->height, row_bytes, samples);
 }
 
 /* Whether stored samples are the picture's own, so that whole strips may go where they stay. */
@@ -111,35 +131,32 @@ static int is_plain(const struct pixels *p)
 }
 
 /* libtiff is fastest with whole strips. */
-static int read_plain_strips(const struct pixels *p, struct gsn_error *err)
+static int read_whole(const struct pixels *p, const struct part *part, struct gsn_error *err)
 {
     struct gsn_tiff *t = p->t;
-    const uint64_t row_bytes = TIFFScanlineSize64(t->tiff);
-    uint32_t rows = 0;
+    const tmsize_t bytes = (tmsize_t)(part->height * TIFFScanlineSize64(t->tiff));
 
-    (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_ROWSPERSTRIP, &rows);
-    rows = rows == 0 || rows > t->height ? t->height : rows;
-    for (uint32_t y = 0, strip = 0; y < t->height; strip++) {
-        const uint32_t count = rows < t->height - y ? rows : t->height - y;
-        const tmsize_t bytes = (tmsize_t)(count * row_bytes);
-
-        if (TIFFReadEncodedStrip(t->tiff, strip, gsn_raster_row(p->canvas, y), bytes) != bytes ||
-            t->said_code != GSN_OK)
-            return refuse_piece(t, 0, y, err);
-        y += count;
-    }
+    if (TIFFReadEncodedStrip(t->tiff, TIFFComputeStrip(t->tiff, part->y, 0),
+                             gsn_raster_row(p->canvas, part->y), bytes) != bytes ||
+        t->said_code != GSN_OK)
+        return refuse_piece(t, 0, part->y, err);
     return GSN_OK;
 }
 
 /* Row by row, so that a picture in a single strip needs no second copy. */
-static int read_strips(const struct pixels *p, uint16_t plane, struct gsn_error *err)
+static int read_rows(const struct pixels *p, const struct part *part, struct gsn_error *err)
 {
     struct gsn_tiff *t = p->t;
+    const size_t bytes = (size_t)TIFFScanlineSize(t->tiff);
+    struct part row = *part;
 
-    for (uint32_t y = 0; y < t->height; y++) {
-        if (TIFFReadScanline(t->tiff, p->piece, y, plane) < 0 || t->said_code != GSN_OK)
-            return refuse_piece(t, 0, y, err);
-        put(p, 0, y, t->width, plane, p->piece);
+    row.height = 1;
+    for (; row.y < part->y + part->height; row.y++) {
+        if (TIFFReadScanline(t->tiff, p->piece, row.y, row.plane) < 0 || t->said_code != GSN_OK)
+            return refuse_piece(t, 0, row.y, err);
+        if (t->photometric == PHOTOMETRIC_MINISWHITE)
+            invert(p->piece, bytes);
+        put(p, &row, bytes, p->piece);
     }
     return GSN_OK;
 }
@@ -147,6 +164,46 @@ static int read_strips(const struct pixels *p, uint16_t plane, struct gsn_error 
 static uint32_t least(uint32_t a, uint32_t b)
 {
     return a < b ? a : b;
+}
+
+static int read_strips(const struct pixels *p, uint16_t plane, struct gsn_error *err)
+{
+    struct gsn_tiff *t = p->t;
+    const uint64_t row_bytes = TIFFScanlineSize64(t->tiff);
+    const int plain = is_plain(p);
+    uint32_t rows = 0;
+    int r = GSN_OK;
+
+    (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_ROWSPERSTRIP, &rows);
+    rows = rows == 0 || rows > t->height ? t->height : rows;
+    for (uint32_t y = 0; y < t->height && r >= 0; y += least(rows, t->height - y)) {
+        const struct part part = { 0, y, t->width, least(rows, t->height - y), plane };
+        const uint8_t *const there =
+            stored(t, TIFFComputeStrip(t->tiff, y, plane), part.height * row_bytes);
+
+        if (there)
+            put(p, &part, (size_t)row_bytes, there);
+        else
+            r = plain ? read_whole(p, &part, err) : read_rows(p, &part, err);
+    }
+    return r;
+}
+
+/* The samples of the tile that holds (x, y), in the file or in p->piece; NULL where libtiff fails
+ * or warns. */
+static const uint8_t *read_tile(const struct pixels *p, uint32_t x, uint32_t y, uint16_t plane)
+{
+    struct gsn_tiff *t = p->t;
+    const uint64_t bytes = TIFFTileSize64(t->tiff);
+    const uint8_t *const there = stored(t, TIFFComputeTile(t->tiff, x, y, 0, plane), bytes);
+
+    if (there)
+        return there;
+    if (TIFFReadTile(t->tiff, p->piece, x, y, 0, plane) < 0 || t->said_code != GSN_OK)
+        return NULL;
+    if (t->photometric == PHOTOMETRIC_MINISWHITE)
+        invert(p->piece, (size_t)bytes);
+    return p->piece;
 }
 
 static int read_tiles(const struct pixels *p, uint16_t plane, struct gsn_error *err)
@@ -162,13 +219,13 @@ static int read_tiles(const struct pixels *p, uint16_t plane, struct gsn_error *
     for (uint64_t y = 0; y < t->height; y += high)
         for (uint64_t x = 0; x < t->width; x += wide) {
             const uint32_t left = (uint32_t)x, top = (uint32_t)y;
-            const uint32_t rows = least(high, t->height - top);
+            const struct part part = { left, top, least(wide, t->width - left),
+                                       least(high, t->height - top), plane };
+            const uint8_t *const tile = read_tile(p, left, top, plane);
 
-            if (TIFFReadTile(t->tiff, p->piece, left, top, 0, plane) < 0 || t->said_code != GSN_OK)
+            if (!tile)
                 return refuse_piece(t, left, top, err);
-            for (uint32_t i = 0; i < rows; i++)
-                put(p, left, top + i, least(wide, t->width - left), plane,
-                    p->piece + i * row_bytes);
+            put(p, &part, row_bytes, tile);
         }
     return GSN_OK;
 }
@@ -180,8 +237,6 @@ static int read_planes(const struct pixels *p, struct gsn_error *err)
     const uint16_t planes = separate ? (uint16_t)p->canvas->image->channels : 1;
     int r = GSN_OK;
 
-    if (!TIFFIsTiled(t->tiff) && is_plain(p))
-        return read_plain_strips(p, err);
     for (uint16_t s = 0; s < planes && r >= 0; s++)
         r = TIFFIsTiled(t->tiff) ? read_tiles(p, s, err) : read_strips(p, s, err);
     return r;

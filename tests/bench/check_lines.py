@@ -16,7 +16,7 @@ EXPECTED = {"machine_peak": 1, "machine_triad": 1, "plain": 9, "memoised": 3, "r
             "kernel": 1, "eval_one_by_one": 6, "eval_many": 6, "locate": 2, "mean": 3, "memory": 3,
             "make_space": 3, "make_spline": 3,
             "ingest_log": 3, "slice_log": 2, "ingest_hash": 1, "ingest_total": 1,
-            "decode": 7, "decode_imread": 7, "panel_split": 1, "panel_chain": 1,
+            "decode": 10, "decode_imread": 10, "panel_split": 1, "panel_chain": 1,
              "panel_density": 1, "panel_masks": 1}
 
 

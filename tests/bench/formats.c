@@ -13,20 +13,24 @@
 #include <png.h>
 #include <tiffio.h>
 
-enum { TILE = 256, ROWS_PER_STRIP = 16 };
+enum { ROWS_PER_STRIP = 16, LARGEST_TILE = 256 };
 
 static const struct {
     const char *name;
     uint16_t compression;
-    int tiled;
+    uint32_t tile; /* 0: strips */
+    unsigned bits;
 } KIND[BENCH_FORMATS] = {
-    [BENCH_TIFF_STRIPS] = { "TIFF, strips", COMPRESSION_NONE, 0 },
-    [BENCH_TIFF_TILES] = { "TIFF, tiles", COMPRESSION_NONE, 1 },
-    [BENCH_TIFF_LZW] = { "TIFF LZW, strips", COMPRESSION_LZW, 0 },
-    [BENCH_TIFF_ZIP] = { "TIFF ZIP, strips", COMPRESSION_ADOBE_DEFLATE, 0 },
-    [BENCH_TIFF_JPEG] = { "TIFF JPEG, tiles", COMPRESSION_JPEG, 1 },
-    [BENCH_JPEG] = { "JPEG", 0, 0 },
-    [BENCH_PNG] = { "PNG", 0, 0 },
+    [BENCH_TIFF_STRIPS] = { "TIFF, strips", COMPRESSION_NONE, 0, 8 },
+    [BENCH_TIFF_TILES] = { "TIFF, tiles", COMPRESSION_NONE, 256, 8 },
+    [BENCH_TIFF_UNEVEN] = { "TIFF, uneven tiles", COMPRESSION_NONE, 176, 8 },
+    [BENCH_TIFF_WIDE] = { "TIFF, tiles of 16 bit", COMPRESSION_NONE, 256, 16 },
+    [BENCH_TIFF_LZW] = { "TIFF LZW, strips", COMPRESSION_LZW, 0, 8 },
+    [BENCH_TIFF_LZW_TILES] = { "TIFF LZW, tiles", COMPRESSION_LZW, 256, 8 },
+    [BENCH_TIFF_ZIP] = { "TIFF ZIP, strips", COMPRESSION_ADOBE_DEFLATE, 0, 8 },
+    [BENCH_TIFF_JPEG] = { "TIFF JPEG, tiles", COMPRESSION_JPEG, 256, 8 },
+    [BENCH_JPEG] = { "JPEG", 0, 0, 8 },
+    [BENCH_PNG] = { "PNG", 0, 0, 8 },
 };
 
 const char *bench_format_name(enum bench_format format)
@@ -34,42 +38,61 @@ const char *bench_format_name(enum bench_format format)
     return KIND[format].name;
 }
 
-/* ---- TIFF -------------------------------------------------------------------------------- */
-
-static void copy_tile(const struct gsn_image *image, uint32_t x, uint32_t y, uint8_t *tile)
+unsigned bench_format_bits(enum bench_format format)
 {
-    memset(tile, 255, (size_t)3 * TILE * TILE);
-    for (uint32_t i = 0; i < TILE && y + i < image->height; i++) {
-        const uint32_t count = image->width - x < TILE ? image->width - x : TILE;
-
-        memcpy(tile + (size_t)3 * TILE * i,
-               (const uint8_t *)image->samples + 3 * ((size_t)(y + i) * image->width + x),
-               (size_t)3 * count);
-    }
+    return KIND[format].bits;
 }
 
-static int write_pieces(TIFF *tiff, const struct gsn_image *image, int tiled)
+/* ---- TIFF -------------------------------------------------------------------------------- */
+
+static uint32_t least(uint32_t a, uint32_t b)
 {
-    static uint8_t tile[3 * TILE * TILE];
-    const size_t row = (size_t)3 * image->width;
+    return a < b ? a : b;
+}
+
+static void copy_tile(const struct gsn_image *image, uint32_t x, uint32_t y, uint32_t side,
+                      uint8_t *tile)
+{
+    const size_t pixel = image->channels * image->bits / 8;
+
+    memset(tile, 255, pixel * side * side);
+    for (uint32_t i = 0; i < least(side, image->height - y); i++)
+        memcpy(tile + pixel * side * i,
+               (const uint8_t *)image->samples + pixel * ((size_t)(y + i) * image->width + x),
+               pixel * least(side, image->width - x));
+}
+
+static int write_pieces(TIFF *tiff, const struct gsn_image *image, uint32_t side)
+{
+    static uint8_t tile[6 * LARGEST_TILE * LARGEST_TILE];
+    const size_t row = gsn_image_bytes(image) / image->height;
     int ok = 1;
 
-    if (!tiled) {
-        for (uint32_t y = 0, s = 0; y < image->height && ok; y += ROWS_PER_STRIP, s++) {
-            const uint32_t rows =
-                image->height - y < ROWS_PER_STRIP ? image->height - y : ROWS_PER_STRIP;
-
-            ok = TIFFWriteEncodedStrip(tiff, s, (uint8_t *)image->samples + y * row,
-                                       (tmsize_t)(rows * row)) >= 0;
-        }
+    if (!side) {
+        for (uint32_t y = 0, s = 0; y < image->height && ok; y += ROWS_PER_STRIP, s++)
+            ok = TIFFWriteEncodedStrip(
+                     tiff, s, (uint8_t *)image->samples + y * row,
+                     (tmsize_t)(least(ROWS_PER_STRIP, image->height - y) * row)) >= 0;
         return ok;
     }
-    for (uint32_t y = 0; y < image->height; y += TILE)
-        for (uint32_t x = 0; x < image->width && ok; x += TILE) {
-            copy_tile(image, x, y, tile);
+    for (uint32_t y = 0; y < image->height; y += side)
+        for (uint32_t x = 0; x < image->width && ok; x += side) {
+            copy_tile(image, x, y, side, tile);
             ok = TIFFWriteTile(tiff, tile, x, y, 0, 0) >= 0;
         }
     return ok;
+}
+
+/* gives: the same picture at 16 bits. */
+static struct gsn_image *widened(const struct gsn_image *image)
+{
+    struct gsn_image *wide = NULL;
+    struct gsn_error err = { 0 };
+
+    bench_need(gsn_image_new(image->width, image->height, 3, 16, &wide, &err), &err, "panel");
+    for (size_t i = 0; i < gsn_image_bytes(image); i++)
+        ((uint16_t *)wide->samples)[i] = (uint16_t)(257 * ((const uint8_t *)image->samples)[i]);
+    return wide;
 }
 
 static int write_tiff(enum bench_format format, const struct gsn_image *image, const char *path)
@@ -82,7 +105,7 @@ static int write_tiff(enum bench_format format, const struct gsn_image *image, c
         return 0;
     (void)TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, image->width);
     (void)TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, image->height);
-    (void)TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8);
+    (void)TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, KIND[format].bits);
     (void)TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 3);
     (void)TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG);
     (void)TIFFSetField(tiff, TIFFTAG_COMPRESSION, compression);
@@ -94,31 +117,39 @@ static int write_tiff(enum bench_format format, const struct gsn_image *image, c
     }
     if (compression == COMPRESSION_LZW || compression == COMPRESSION_ADOBE_DEFLATE)
         (void)TIFFSetField(tiff, TIFFTAG_PREDICTOR, PREDICTOR_HORIZONTAL);
-    if (KIND[format].tiled) {
-        (void)TIFFSetField(tiff, TIFFTAG_TILEWIDTH, TILE);
-        (void)TIFFSetField(tiff, TIFFTAG_TILELENGTH, TILE);
+    if (KIND[format].tile) {
+        (void)TIFFSetField(tiff, TIFFTAG_TILEWIDTH, KIND[format].tile);
+        (void)TIFFSetField(tiff, TIFFTAG_TILELENGTH, KIND[format].tile);
     } else {
         (void)TIFFSetField(tiff, TIFFTAG_ROWSPERSTRIP, ROWS_PER_STRIP);
     }
-    ok = write_pieces(tiff, image, KIND[format].tiled);
+    if (KIND[format].bits == 16) {
+        gsn_auto(gsn_image) wide = widened(image);
+
+        ok = write_pieces(tiff, wide, KIND[format].tile);
+    } else {
+        ok = write_pieces(tiff, image, KIND[format].tile);
+    }
     TIFFClose(tiff);
     return ok;
 }
 
-static int read_tiles(TIFF *tiff, uint32_t width, uint32_t height, uint8_t *bytes)
+static int read_tiles(TIFF *tiff, uint32_t width, uint32_t height, enum bench_format format,
+                      uint8_t *bytes)
 {
-    static uint8_t tile[3 * TILE * TILE];
+    static uint8_t tile[6 * LARGEST_TILE * LARGEST_TILE];
+    const uint32_t side = KIND[format].tile;
+    const size_t pixel = 3 * KIND[format].bits / 8;
 
-    for (uint32_t y = 0; y < height; y += TILE)
-        for (uint32_t x = 0; x < width; x += TILE) {
-            const uint32_t rows = height - y < TILE ? height - y : TILE;
-            const uint32_t columns = width - x < TILE ? width - x : TILE;
+    for (uint32_t y = 0; y < height; y += side)
+        for (uint32_t x = 0; x < width; x += side) {
+            const uint32_t rows = least(side, height - y), columns = least(side, width - x);
 
             if (TIFFReadTile(tiff, tile, x, y, 0, 0) < 0)
                 return 0;
             for (uint32_t i = 0; i < rows; i++)
-                memcpy(bytes + 3 * ((size_t)(y + i) * width + x), tile + (size_t)3 * TILE * i,
-                       (size_t)3 * columns);
+                memcpy(bytes + pixel * ((size_t)(y + i) * width + x), tile + pixel * side * i,
+                       pixel * columns);
         }
     return 1;
 }
@@ -135,8 +166,8 @@ static int read_tiff(enum bench_format format, const char *path, uint8_t *bytes)
     (void)TIFFGetField(tiff, TIFFTAG_IMAGELENGTH, &height);
     if (KIND[format].compression == COMPRESSION_JPEG)
         (void)TIFFSetField(tiff, TIFFTAG_JPEGCOLORMODE, JPEGCOLORMODE_RGB);
-    if (KIND[format].tiled) {
-        ok = read_tiles(tiff, width, height, bytes);
+    if (KIND[format].tile) {
+        ok = read_tiles(tiff, width, height, format, bytes);
     } else {
         const size_t strip = (size_t)TIFFStripSize(tiff);
 

@@ -25,7 +25,10 @@ void bench_panel_done(struct bench_panel *panel);
 enum bench_format {
     BENCH_TIFF_STRIPS,
     BENCH_TIFF_TILES,
+    BENCH_TIFF_UNEVEN,
+    BENCH_TIFF_WIDE,
     BENCH_TIFF_LZW,
+    BENCH_TIFF_LZW_TILES,
     BENCH_TIFF_ZIP,
     BENCH_TIFF_JPEG,
     BENCH_JPEG,
@@ -33,11 +36,12 @@ enum bench_format {
     BENCH_FORMATS
 };
 const char *bench_format_name(enum bench_format format);
+unsigned bench_format_bits(enum bench_format format);
 
 /* Writes the picture, by the libraries themselves. Returns whether it is there. */
 int bench_format_write(enum bench_format format, const struct gsn_image *image, const char *path);
-/* Decodes the file with the bare library into bytes that are as many as the picture has. Returns
- * whether it went well. */
+/* Decodes the file with the bare library into bytes that are as many as the file's picture has,
+ * upright RGB. Returns whether it went well. */
 int bench_format_read(enum bench_format format, const char *path, uint8_t *bytes);
 
 #endif

@@ -13,7 +13,7 @@
 #include <png.h>
 #include <tiffio.h>
 
-enum { ROOM = 4 << 20 };
+enum { ROOM = 12 << 20 };
 
 static const char profile[] = "not a profile that anything here looks into";
 
@@ -323,6 +323,8 @@ static void tiff_more_tags(TIFF *tiff, const struct tiff_recipe *recipe)
         TIFFSetField(tiff, TIFFTAG_XRESOLUTION, recipe->dots);
         TIFFSetField(tiff, TIFFTAG_YRESOLUTION, recipe->dots * 2);
     }
+    if (recipe->lowest_bit_first)
+        TIFFSetField(tiff, TIFFTAG_FILLORDER, FILLORDER_LSB2MSB);
     if (recipe->curve)
         TIFFSetField(tiff, TIFFTAG_TRANSFERFUNCTION, recipe->curve, recipe->curve, recipe->curve);
     if (recipe->with_icc)

@@ -50,6 +50,7 @@ struct tiff_recipe {
     double dots;
     int pages;
     int sample_format;
+    int lowest_bit_first; /* the bits of every byte turned round */
     const uint16_t *curve; /* TransferFunction */
     int with_icc, jpeg_ycbcr;
     const struct made *icc; /* a profile to embed, or NULL */

@@ -51,6 +51,100 @@ TEST(tiff_samples_come_back_in_every_layout)
     }
 }
 
+/* Rows and tiles that end unevenly, and more bytes than a cache holds. */
+TEST(large_tiff_samples_come_back_in_every_layout)
+{
+    static const uint32_t tiles[] = { 0, 16, 208 };
+    static const char *const modes[] = { "w", "wb" };
+    gsn_auto(gsn_image) grey = make_picture(3001, 2801, 1, 8);
+    gsn_auto(gsn_image) narrow = make_picture(1703, 1651, 3, 8);
+    gsn_auto(gsn_image) wide = make_picture(1203, 1169, 3, 16);
+    const struct gsn_image *const truths[] = { grey, narrow, wide };
+
+    for (unsigned i = 0; i < 3 * 3 * 2; i++) {
+        const struct gsn_image *truth = truths[i % 3];
+        const struct tiff_recipe recipe = { .compression = COMPRESSION_NONE,
+                                            .tile = tiles[i / 3 % 3],
+                                            .mode = modes[i / 9] };
+
+        check_exact(make_tiff(truth, &recipe), truth, "TIFF", "");
+    }
+    for (int compression = 0; compression < 2; compression++) {
+        const struct tiff_recipe recipe = { .compression = compression ? COMPRESSION_ADOBE_DEFLATE
+                                                                       : COMPRESSION_LZW,
+                                            .tile = 208 };
+
+        check_exact(make_tiff(narrow, &recipe), narrow, "TIFF", "");
+    }
+}
+
+/* Where the only value of a tag of a classic big-endian file ends; the tag is there. */
+static uint8_t *value_end(const struct made *file, unsigned tag)
+{
+    const uint8_t *const head = file->bytes + 4;
+    uint8_t *entry =
+        file->bytes +
+        ((size_t)head[0] << 24 | (size_t)head[1] << 16 | (size_t)head[2] << 8 | head[3]) + 2;
+
+    while (((unsigned)entry[0] << 8 | entry[1]) != tag)
+        entry += 12;
+    return entry + (entry[3] == TIFF_SHORT ? 10 : 12);
+}
+
+TEST(an_uncompressed_tile_may_hold_bytes_too_many_but_none_too_few)
+{
+    const struct tiff_recipe recipe = { .mode = "wb", .tile = 16 };
+    gsn_auto(gsn_image) truth = make_picture(16, 13, 3, 8);
+
+    for (int more = -1; more <= 1; more++) {
+        auto_made file = make_tiff(truth, &recipe);
+        uint8_t *const end = value_end(&file, TIFFTAG_TILEBYTECOUNTS);
+        gsn_auto(gsn_picture) picture = NULL;
+        struct gsn_error err = { 0 };
+        int r;
+
+        CHECK(end[-2] == 3 && end[-1] == 0); /* 768 bytes */
+        end[-2] = more < 0 ? 2 : 3;
+        end[-1] = (uint8_t)more;
+        r = gsn_decode(file.bytes, file.size, NULL, &picture, &err);
+        CHECK(r == (more < 0 ? GSN_E_INPUT : GSN_OK));
+        CHECK(more < 0 ? !picture : same_picture(picture->image, truth));
+        CHECK(more >= 0 || strstr(err.text, "corrupt TIFF near column 1, row 1 of 16 x 13"));
+    }
+}
+
+TEST(a_file_may_begin_at_an_odd_place_in_memory)
+{
+    static const uint32_t tiles[] = { 0, 16 };
+
+    for (unsigned i = 0; i < 2; i++) {
+        const struct tiff_recipe recipe = { .tile = tiles[i] };
+        gsn_auto(gsn_image) truth = make_picture(37, 23, 3, 16);
+        auto_made file = make_tiff(truth, &recipe);
+        struct made odd = { .bytes = gsn_alloc(file.size + 1) };
+
+        CHECK(odd.bytes != NULL);
+        memcpy(odd.bytes + 1, file.bytes, file.size);
+        gsn_auto(gsn_picture) picture =
+            decode(&(struct made){ .bytes = odd.bytes + 1, .size = file.size });
+
+        made_free(&odd);
+        CHECK(same_picture(picture->image, truth));
+    }
+}
+
+TEST(bytes_filled_from_their_lowest_bit_are_turned_round)
+{
+    static const uint32_t tiles[] = { 0, 16 };
+
+    for (unsigned i = 0; i < 2; i++) {
+        const struct tiff_recipe recipe = { .mode = "wb", .tile = tiles[i], .lowest_bit_first = 1 };
+        gsn_auto(gsn_image) truth = make_picture(37, 23, 3, 8);
+
+        check_exact(make_tiff(truth, &recipe), truth, "TIFF", "");
+    }
+}
+
 TEST(tiff_predictors_are_undone)
 {
     gsn_auto(gsn_image) narrow = make_picture(37, 23, 3, 8);

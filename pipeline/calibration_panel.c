@@ -285,7 +285,7 @@ int gsn_calibration_apply(const struct gsn_calibration_panel *panel, const struc
                         panel->stated->file);
     calibrated.white_od = glass_apart(panel->white, scan->glass.white);
     r = panel->has_dyes ? compare(panel, scan, tissue, &calibrated, err)
-                        : gsn_scan_dyes(scan, protocol, &fit, err);
+                        : gsn_scan_dyes(scan, tissue, protocol, &fit, err);
     if (r >= 0 && panel->has_dyes)
         fit = panel->fit;
     if (r >= 0 && gsn_stated_calibration_has_standards(panel->stated)) {

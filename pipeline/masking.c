@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/masking.h"
 
+#include "pipeline/stain/unmix.h"
+
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
@@ -9,6 +11,8 @@
 /* Heat changes the stain around a burn, so a disc of this many mark radii is masked: the bleached
  * ring of the marks seen so far ends at 1.5 radii, the rest is margin for the blur. */
 static const double HALO_RADII = 2.0;
+/* Around a mark, in its radii: char is no dye. */
+static const double MARK_REACH = 3;
 
 static int is_there(const struct gsn_assembly_section *s, unsigned panel)
 {
@@ -40,11 +44,72 @@ static void add_flags(struct gsn_assembly_section *s)
     }
 }
 
+static int near_mark(const struct gsn_panel_section *seen, double x, double y)
+{
+    for (int m = 0; m < GSN_MARKS; m++)
+        if (seen->mark[m].found && hypot(x - seen->mark[m].px.x, y - seen->mark[m].px.y) <=
+                                       MARK_REACH * seen->mark[m].radius_px)
+            return 1;
+    return 0;
+}
+
+int gsn_masking_tissue(const struct gsn_scan *scan, unsigned panel, const struct gsn_assembly *a,
+                       struct gsn_image **ret_tissue, struct gsn_error *err)
+{
+    const struct gsn_plane *od = scan->od[0];
+    const int apart = (int)scan->apart;
+    gsn_auto(gsn_image) tissue = NULL;
+    const int r = gsn_image_new(od->width, od->height, 1, 8, &tissue, err);
+
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_panel_section *seen = &a->section[i].seen;
+
+        if (a->section[i].panel != panel)
+            continue;
+        for (int y = seen->y / apart; y < (seen->y + seen->height) / apart; y++)
+            for (int x = seen->x / apart; x < (seen->x + seen->width) / apart; x++)
+                ((uint8_t *)tissue->samples)[(size_t)y * od->width + (size_t)x] =
+                    !near_mark(seen, x * apart + 0.5, y * apart + 0.5);
+    }
+    *ret_tissue = gsn_steal(&tissue);
+    return GSN_OK;
+}
+
+/* The dyes as the panel's own tissue shows them. That it cannot tell is no failure: *ret_own stays
+ * as it is. */
+static int find_own(const struct gsn_scan *scan, unsigned panel, const struct gsn_assembly *a,
+                    struct gsn_dyes *ret_own, struct gsn_error *err)
+{
+    const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(scan->glass.light);
+    gsn_auto(gsn_stain_sample) sample = NULL;
+    gsn_auto(gsn_image) tissue = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_unmixer mix;
+    struct gsn_dyes_fit fit;
+    int r = gsn_masking_tissue(scan, panel, a, &tissue, err);
+
+    if (r >= 0)
+        r = gsn_stain_sample_new(&sample, err);
+    if (r >= 0)
+        r = gsn_stain_sample_add(sample, scan->od, tissue, &scan->glass, err);
+    if (r < 0)
+        return r;
+    r = gsn_dyes_estimate(sample, &prior, &fit, &why);
+    if (r == GSN_E_NOMEM)
+        return gsn_fail(err, r, "%s", why.text);
+    if (r >= 0 && gsn_unmixer_init(&mix, &fit.dyes, &why) >= 0)
+        *ret_own = fit.dyes;
+    return GSN_OK;
+}
+
 int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
                       unsigned threads, const struct gsn_assembly *a,
                       struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
                       struct gsn_error *err)
 {
+    struct gsn_dyes own = *dyes;
     gsn_auto_mem(struct gsn_mask_section) places =
         gsn_alloc_array(a->section_count, sizeof *places);
     struct gsn_mask_panel look = { .image = scan->picture->image,
@@ -52,10 +117,15 @@ int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, 
                                    .glass = &scan->glass,
                                    .dyes = dyes,
                                    .px_um = scan->px_um,
-                                   .section = places };
+                                   .section = places,
+                                   .own = &own };
+    int r;
 
     if (!places)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the masks of a panel");
+    r = find_own(scan, panel, a, &own, err);
+    if (r < 0)
+        return r;
     for (size_t i = 0; i < a->section_count; i++)
         if (is_there(&a->section[i], panel))
             places[look.section_count++] = place_of(&a->section[i].seen);

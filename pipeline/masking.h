@@ -12,8 +12,16 @@
 extern "C" {
 #endif
 
+/* gives: the sections of a panel without their marks, as 8-bit grey of the size of the scan's
+ * thinned densities: what may be asked for its dyes, for labels and most ink lie elsewhere. Fails
+ * with GSN_E_NOMEM. borrows: scan, assembly. */
+int gsn_masking_tissue(const struct gsn_scan *scan, unsigned panel,
+                       const struct gsn_assembly *assembly, struct gsn_image **ret_tissue,
+                       struct gsn_error *err);
+
 /* gives: the labels of the panel's sections (stain/mask.h), in the assembly's order, and says
- * nothing in the assembly. ret_figures: room for as many sections as the assembly has. borrows:
+ * nothing in the assembly. Ink is what neither `dyes` nor, where all sections show it, the
+ * panel's own tissue explains. ret_figures: room for as many sections as the assembly has. borrows:
  * scan, dyes, assembly. Fails as gsn_mask_find(). */
 int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
                       unsigned threads, const struct gsn_assembly *assembly,

@@ -300,13 +300,14 @@ static int infer_dyes(const struct gsn_stain_sample *sample, const struct gsn_dy
                       struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
 {
     struct gsn_stain_look look;
-    const int r = gsn_stain_look(sample, &look, err);
+    const int r = gsn_stain_look(sample, &prior->dyes, &look, err);
 
     return r < 0 ? r : gsn_dyes_estimate(sample, prior, ret_fit, err);
 }
 
-int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                  struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
+int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_image *tissue,
+                  const struct gsn_protocol *protocol, struct gsn_dyes_fit *ret_fit,
+                  struct gsn_error *err)
 {
     const struct gsn_dyes builtin = gsn_dyes_builtin();
     const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(scan->glass.light);
@@ -315,7 +316,7 @@ int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protoc
     int r = gsn_stain_sample_new(&sample, err);
 
     if (r >= 0)
-        r = gsn_stain_sample_add(sample, scan->od, NULL, &scan->glass, err);
+        r = gsn_stain_sample_add(sample, scan->od, tissue, &scan->glass, err);
     if (r >= 0)
         r = gsn_stain_fits(sample, &prior.dyes, &apart_deg, err);
     if (r < 0)

@@ -50,10 +50,13 @@ GSN_DEFINE_AUTO(gsn_scan);
 
 /* The dye vectors to unmix this scan with: the built-in ones, taken as exact, or those of the slide
  * itself where the job asks for it or where the built-in ones were measured in another light.
+ * tissue: of the size of the thinned densities, 0 leaves a pixel out of what the slide is asked;
+ * NULL takes all that is stained.
  * Fails as gsn_stain_fits(), gsn_stain_look() and gsn_dyes_estimate() do: a slide of another stain
  * is refused whichever vectors are asked for. */
-int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                  struct gsn_dyes_fit *ret_fit, struct gsn_error *err);
+int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_image *tissue,
+                  const struct gsn_protocol *protocol, struct gsn_dyes_fit *ret_fit,
+                  struct gsn_error *err);
 
 #ifdef __cplusplus
 }

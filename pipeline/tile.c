@@ -142,7 +142,7 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
     if (r >= 0)
         r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &scan, err);
     if (r >= 0)
-        r = gsn_scan_dyes(scan, specimen->protocol, &tile->fit, err);
+        r = gsn_scan_dyes(scan, NULL, specimen->protocol, &tile->fit, err);
     if (r >= 0)
         r = picture(scan->picture->image, scan->glass.light, "picture", "The picture",
                     "As scanned.", tile, err);

@@ -213,7 +213,17 @@ static void curvature(const struct search *s, struct gsn_scores *scores,
             ret[m][n] = ret[n][m] = (ret[m][n] + ret[n][m]) / 2;
 }
 
-/* Of the posterior. */
+/* What the pixels tell can only add to the prior. */
+static int within_prior(const struct search *s, double spread[GSN_DYE_TURNS][GSN_DYE_TURNS])
+{
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        if (!(spread[m][m] > 0 && spread[m][m] * s->precision[m] <= 1))
+            return 0;
+    return 1;
+}
+
+/* Of the posterior: by the second derivatives, or, where the likelihood bends the wrong way there,
+ * by what the pixels are expected to tell, which never says less than the prior. */
 static void covariance(const struct search *s, struct gsn_scores *scores,
                        double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
 {
@@ -228,7 +238,7 @@ static void covariance(const struct search *s, struct gsn_scores *scores,
     for (int m = 0; m < N; m++)
         for (int n = 0; n < N; n++)
             bend[m][n] = s->weight * bend[m][n] + (m == n ? s->precision[m] : 0);
-    if (gsn_invert(&bend[0][0], N, &ret[0][0]))
+    if (gsn_invert(&bend[0][0], N, &ret[0][0]) && within_prior(s, ret))
         return;
     for (int m = 0; m < N; m++)
         for (int n = 0; n < N; n++)

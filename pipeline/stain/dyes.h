@@ -85,19 +85,18 @@ struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior);
 int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
                    double *ret_apart_deg, struct gsn_error *err);
 
-/* What the stain looks like: the directions that 1 % of the pixels lie beyond, on the plane of
- * their two widest directions (Macenko 2009, 10.1109/ISBI.2009.5193250). They bias an unmixing, but
- * tell one stain from another. */
+/* What the stained pixels absorb; those that no mixture of the dyes explains to within the same 8
+ * degrees, such as ink, count as neither. */
 struct gsn_stain_look {
-    double red[3], yellow[3]; /* unit vectors: the reddest and the yellowest pixels */
-    double apart_deg;
+    double red;    /* share that absorbs green most, as acid fuchsin does */
+    double yellow; /* share that absorbs blue far more than green, as picric acid does */
+    size_t pixels; /* stained, and not too pale to have a hue */
 };
 
 /* Fails with GSN_E_STAIN when the sample holds fewer than 1000 pixels or does not look like Van
- * Gieson: no yellow dye that absorbs blue far more than green, beside a red one that absorbs green
- * most. The sentence gives the figures. GSN_E_NOMEM. */
-int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look *ret_look,
-                   struct gsn_error *err);
+ * Gieson: one of the two shares is below 0.02. The sentence gives the figures. */
+int gsn_stain_look(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
+                   struct gsn_stain_look *ret_look, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -87,20 +87,39 @@ static void mark_halos(const struct gsn_mask_section *section, struct gsn_mask_c
     }
 }
 
+static int cut_section(size_t i, void *context, struct gsn_error *err)
+{
+    const struct work *work = context;
+    const struct gsn_mask_section *section = &work->panel->section[i];
+    const int r = gsn_mask_cells_cut(work->panel, work->absorber, section, work->clear,
+                                     &work->part[i].cells, err);
+
+    if (r >= 0)
+        mark_halos(section, work->part[i].cells);
+    return r;
+}
+
+/* What only the sections together tell. */
+static int compare_hues(const struct work *work, struct gsn_error *err)
+{
+    const size_t count = work->panel->section_count;
+    gsn_auto_mem(struct gsn_mask_cells *) cells = gsn_alloc_array(count, sizeof(void *));
+
+    if (!cells)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    for (size_t i = 0; i < count; i++)
+        cells[i] = work->part[i].cells;
+    return gsn_mask_own_hues(cells, count, work->panel->own, err);
+}
+
 /* Everything that a section shows by itself. Ink comes first, so that no other detector is misled
  * by it. */
 static int look_at_section(size_t i, void *context, struct gsn_error *err)
 {
     const struct work *work = context;
-    const struct gsn_mask_section *section = &work->panel->section[i];
     struct part *part = &work->part[i];
-    int r =
-        gsn_mask_cells_cut(work->panel, work->absorber, section, work->clear, &part->cells, err);
+    int r = gsn_mask_ink(part->cells, err);
 
-    if (r < 0)
-        return r;
-    mark_halos(section, part->cells);
-    r = gsn_mask_ink(part->cells, err);
     if (r >= 0)
         r = gsn_mask_folds(part->cells, err);
     if (r >= 0)
@@ -179,6 +198,10 @@ static int find(struct work *work, unsigned threads, struct gsn_error *err)
     gsn_auto(gsn_plane) total = NULL;
     int r = gsn_tissue_plane(work->panel->od, work->panel->glass, &total, &work->clear, err);
 
+    if (r >= 0)
+        r = gsn_parallel_for(sections, threads, cut_section, work, err);
+    if (r >= 0 && work->panel->own)
+        r = compare_hues(work, err);
     if (r >= 0)
         r = gsn_parallel_for(sections, threads, look_at_section, work, err);
     if (r >= 0)

@@ -59,6 +59,9 @@ struct gsn_mask_panel {
     double px_um;
     size_t section_count;
     const struct gsn_mask_section *section;
+    const struct gsn_dyes *own; /* the dyes as the panel's own tissue shows them: where its sections
+                                   have a colour in common that they explain, it is no ink; NULL
+                                   where that is not known */
 };
 
 /* What was masked within the outline of one section; areas of several reasons overlap. */

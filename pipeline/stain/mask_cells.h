@@ -34,6 +34,18 @@ int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_abso
 void gsn_mask_cells_free(struct gsn_mask_cells *cells);
 GSN_DEFINE_AUTO(gsn_mask_cells);
 
+/* Length of density that nothing but ink has. */
+#define GSN_DARKEST_OD 1.2
+/* A stroke is broader than the char of a laser mark (75 um of radius, 10 % more at most, blurred).
+ */
+#define GSN_STROKE_HALF_UM 130.0
+
+/* Before the detectors, over all sections of a panel: where a colour is the tissue's own by `own`,
+ * the dyes as the panel's tissue shows them, `foreign` becomes what those leave unexplained. Only
+ * halos may have labels. Fails as gsn_unmixer_init() and with GSN_E_NOMEM. */
+int gsn_mask_own_hues(struct gsn_mask_cells *const *cells, size_t count, const struct gsn_dyes *own,
+                      struct gsn_error *err);
+
 /* gives: the mean over (2 r + 1)^2 cells, fewer at the border. Fails with GSN_E_NOMEM. */
 int gsn_mask_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_plane **ret_smooth,
                           struct gsn_error *err);
@@ -71,6 +83,10 @@ void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum 
  * Fails with GSN_E_NOMEM. */
 int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure, uint8_t *weak,
                         double um, struct gsn_error *err);
+/* Leaves of the set what is broader than twice half_um, and what goes on from there for 3 half_um.
+ * Fails with GSN_E_NOMEM. */
+int gsn_mask_cells_broad(const struct gsn_mask_cells *cells, uint8_t *set, double half_um,
+                         struct gsn_error *err);
 /* Adds what no way of glass from the border reaches. The rim must be glass. Fails with GSN_E_NOMEM.
  */
 int gsn_mask_cells_fill_holes(const struct gsn_mask_cells *cells, uint8_t *set,

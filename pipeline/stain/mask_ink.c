@@ -19,10 +19,8 @@
 #define FADES_UM 250.0
 #define SMEAR_UM 45.0
 /* Black ink has no hue, so it must be darker than stain gets, in all three channels alike, and
- * broader than the char of a laser mark (75 um of radius, 10 % more at most, blurred). */
-#define BLACK_OD 1.2
+ * as broad as a stroke. */
 #define BLACK_EVEN 0.65
-#define BLACK_HALF_UM 130.0
 
 /* A void that is smaller may be a vessel or a fat cell, or noise in pale tissue. */
 #define LEAST_VOID_UM 80.0
@@ -49,7 +47,7 @@ static int is_black(const struct gsn_mask_cells *cells, size_t i)
                  b = cells->even[2]->value[i];
     const double least = fmin(r, fmin(g, b)), most = fmax(r, fmax(g, b));
 
-    return strength(cells, i) > BLACK_OD && least > BLACK_EVEN * most;
+    return strength(cells, i) > GSN_DARKEST_OD && least > BLACK_EVEN * most;
 }
 
 /* Adds broad black to sure. */
@@ -57,17 +55,12 @@ static int add_black(const struct gsn_mask_cells *cells, uint8_t *sure, struct g
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) black = NULL;
-    gsn_auto_mem(uint8_t) core = NULL;
     int r = new_set(cells, &black, err);
 
     for (size_t i = 0; r >= 0 && i < count; i++)
         black[i] = (uint8_t)is_black(cells, i);
-    core = r >= 0 ? gsn_memdup(black, count) : NULL;
-    if (!core)
-        return r < 0 ? r : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    r = gsn_mask_cells_erode(cells, core, BLACK_HALF_UM, err);
     if (r >= 0)
-        r = gsn_mask_cells_grow(cells, core, black, 3 * BLACK_HALF_UM, err);
+        r = gsn_mask_cells_broad(cells, black, GSN_STROKE_HALF_UM, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         sure[i] |= black[i];
     return r;
@@ -87,8 +80,8 @@ int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err)
         const int halo = (cells->label[i] & GSN_DEFECT_HALO) != 0;
 
         sure[i] = !halo && v > INK_OD && foreign > BEYOND + BEYOND_SHARE * v;
-        weak[i] =
-            v > BLACK_OD || (cells->total->value[i] > cells->clear && foreign > EDGE_SHARE * v);
+        weak[i] = v > GSN_DARKEST_OD ||
+                  (cells->total->value[i] > cells->clear && foreign > EDGE_SHARE * v);
     }
     if (r >= 0)
         r = add_black(cells, sure, err);

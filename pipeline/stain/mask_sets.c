@@ -229,6 +229,18 @@ int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure,
     return r;
 }
 
+int gsn_mask_cells_broad(const struct gsn_mask_cells *cells, uint8_t *set, double half_um,
+                         struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) core = gsn_memdup(set, (size_t)cells->nx * cells->ny);
+    int r;
+
+    if (!core)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    r = gsn_mask_cells_erode(cells, core, half_um, err);
+    return r < 0 ? r : gsn_mask_cells_grow(cells, core, set, 3 * half_um, err);
+}
+
 int gsn_mask_cells_fill_holes(const struct gsn_mask_cells *cells, uint8_t *set,
                               struct gsn_error *err)
 {

@@ -90,6 +90,20 @@ void gsn_unmixer_apply(const struct gsn_unmixer *mix, const double od[3], double
     }
 }
 
+double gsn_unmixer_left(const struct gsn_unmixer *mix, const double od[3])
+{
+    double amount[3], left = 0;
+
+    gsn_unmixer_apply(mix, od, amount);
+    for (int c = 0; c < 3; c++) {
+        const double d = od[c] - amount[0] * mix->dye[0][c] - amount[1] * mix->dye[1][c] -
+                         amount[2] * mix->dye[2][c];
+
+        left += d * d;
+    }
+    return sqrt(left);
+}
+
 double gsn_unmixer_red(const struct gsn_unmixer *mix, const double od[3])
 {
     const double b[3] = { dot(mix->dye[0], od), dot(mix->dye[1], od), dot(mix->dye[2], od) };

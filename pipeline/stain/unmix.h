@@ -21,6 +21,9 @@ int gsn_unmixer_init(struct gsn_unmixer *mix, const struct gsn_dyes *dyes, struc
 /* Amounts of red, yellow and dark as lengths in optical density, none below 0. */
 void gsn_unmixer_apply(const struct gsn_unmixer *mix, const double od[3], double ret_amount[3]);
 
+/* The length of what no such amounts explain. */
+double gsn_unmixer_left(const struct gsn_unmixer *mix, const double od[3]);
+
 /* Red alone, as a length. The amounts may come out negative: the other two by up to GSN_HONEST of
  * the pixel's density, red by up to twice that. For a dye that is a few degrees off its vector
  * leaves negative amounts in honest tissue; cutting them off at 0 pulls the mean of red towards

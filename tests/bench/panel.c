@@ -454,7 +454,7 @@ static void find_masks(const struct bench_panel *panel, const struct gsn_image *
     struct gsn_mask_figures figures[BENCH_SECTIONS];
     const struct gsn_dyes dyes = gsn_dyes_builtin();
     struct gsn_plane *od[3];
-    struct gsn_mask_panel look = { image, od, &found->glass, &dyes, panel->px_um, 0, place };
+    struct gsn_mask_panel look = { image, od, &found->glass, &dyes, panel->px_um, 0, place, NULL };
     gsn_auto(gsn_mask_labels) labels = NULL;
     struct gsn_error err = { 0 };
 

@@ -223,12 +223,12 @@ TEST(built_in_dyes_serve_the_light_they_were_measured_in_and_no_other)
     struct gsn_error err = { 0 };
     int r;
 
-    CHECK_OK(gsn_scan_dyes(scan, builtin, &fit, &err), err);
+    CHECK_OK(gsn_scan_dyes(scan, NULL, builtin, &fit, &err), err);
     CHECK(strcmp(fit.dyes.name, gsn_dyes_builtin().name) == 0);
     CHECK(fit.deviation_deg[0] == 0 && fit.deviation_deg[2] == 0);
     /* These sections have one density, so they cannot say what red and yellow are by themselves:
      * estimated or refused, they are not the built-in vectors. */
-    r = gsn_scan_dyes(scan, estimate, &fit, &err);
+    r = gsn_scan_dyes(scan, NULL, estimate, &fit, &err);
     CHECK(r == GSN_E_STAIN || strcmp(fit.dyes.name, gsn_dyes_builtin().name) != 0);
 }
 

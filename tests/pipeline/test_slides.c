@@ -71,7 +71,7 @@ static void look(const struct gsn_image *image, double px_um, struct seen *s)
                  err);
     }
     CHECK_OK(gsn_optical_density(image, &glass, 1, od, NULL, &err), err);
-    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, &all };
+    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, &all, NULL };
 
     CHECK_OK(gsn_mask_find(&panel, 1, &s->labels, &s->figures, &err), err);
     CHECK_OK(gsn_unmix(od, &dyes, 1, &s->red, NULL, NULL, &err), err);

@@ -134,7 +134,7 @@ static int find_with(struct scene *scene, const struct gsn_mask_section *section
     blue = od[2];
     if (r < 0)
         return r;
-    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, section };
+    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, section, NULL };
 
     return gsn_mask_find(&panel, threads, &scene->labels, &scene->figures, err);
 }

@@ -78,7 +78,7 @@ static void fill_tissue(const struct gsn_sequence_plane *planes, struct gsn_sequ
         t->place[k] = k;
     for (size_t c = 0; c < t->n * count; c++) {
         t->filled[c] = (float)((double)cells->value[c] / level);
-        t->known[c] = (unsigned char)!isnan(planes[c / count].density[c % count]);
+        t->whole[c] = (unsigned char)!isnan(planes[c / count].density[c % count]);
     }
 }
 
@@ -89,7 +89,9 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     gsn_auto_mem(double) z = gsn_alloc_array(n, sizeof *z);
     gsn_auto_mem(size_t) place = gsn_alloc_array(n, sizeof *place);
     gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
-    gsn_auto_mem(unsigned char) known = gsn_alloc_array(n * count, 1);
+    gsn_auto_mem(unsigned char) known = gsn_alloc_array(2 * n * count, 1);
+    double(*motion)[GSN_SEQUENCE_MOTION] = gsn_alloc_array(n, sizeof *motion);
+    gsn_auto_mem(void) own_motion = motion;
     gsn_auto_mem(float) of_cells = gsn_alloc_array(7 * count, sizeof *of_cells);
     gsn_auto_mem(struct gsn_sequence_square) square = gsn_alloc_array(count, sizeof *square);
     gsn_auto_mem(void) modes = gsn_alloc(gsn_sequence_modes_size(columns, rows));
@@ -97,7 +99,7 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     struct gsn_sequence_tissue t = { .n = n, .columns = columns, .rows = rows };
     int r;
 
-    if (!z || !place || !value || !known || !of_cells || !square || !modes)
+    if (!z || !place || !value || !known || !motion || !of_cells || !square || !modes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", n);
     cells.z = z;
     cells.value = t.filled = value;
@@ -105,6 +107,8 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     t.z = z;
     t.place = place;
     t.known = known;
+    t.whole = known + n * count;
+    t.motion = motion;
     t.noise2 = of_cells;
     t.deviation = of_cells + count;
     t.change = of_cells + 2 * count;

@@ -11,7 +11,7 @@
 
 /* Errors of laying reach over several cells, so each plane is moved, not only corrected by its
  * slopes; a few times, as the planes around it have such errors too. */
-enum { PASSES = 3, STEPS = 3, MOTION = 6, MODES = MOTION + 1 };
+enum { PASSES = 3, STEPS = 3, MOTION = GSN_SEQUENCE_MOTION, MODES = MOTION + 1 };
 
 /* Warp beyond an affine change is told in squares of cells, over some squares to either side. */
 enum { SQUARE = 8, LOCAL = 3, REACH = 4 };
@@ -143,6 +143,8 @@ static void surroundings(const struct gsn_sequence_tissue *t, size_t place, floa
     size_t at[GSN_SEQUENCE_AROUND];
     const size_t count = gsn_sequence_around(t->n, place, place, at);
 
+    for (size_t k = 0; k < count; k++)
+        at[k] = t->place[at[k]];
     gsn_sequence_median(t, at, count, ret_median);
 }
 
@@ -264,6 +266,18 @@ size_t gsn_sequence_modes_size(size_t columns, size_t rows)
     return squares * (sizeof(struct square) + LOCAL * sizeof(double));
 }
 
+/* Where a plane is known once it is moved. */
+static void find_known(const struct gsn_sequence_tissue *t, size_t k)
+{
+    const struct frame f = { t->columns, t->rows };
+    const size_t cells = f.columns * f.rows;
+
+    for (size_t y = 0; y < f.rows; y++)
+        for (size_t x = 0; x < f.columns; x++)
+            t->known[k * cells + y * f.columns + x] =
+                (unsigned char)known_at(t->whole + k * cells, f, moved(t->motion[k], f, x, y));
+}
+
 /* Brings one laid plane to what lies around it, by its slopes and its stain. */
 static void correct(const struct gsn_sequence_tissue *t, size_t k, const float *onto,
                     float *ret_value)
@@ -280,47 +294,59 @@ static void correct(const struct gsn_sequence_tissue *t, size_t k, const float *
         ret_value[c] = onto[c] + t->change[c];
 }
 
-static void keep_known(struct gsn_sequence_tissue *t, size_t k, const double motion[MOTION],
-                       unsigned char *room)
+static void move_onto(struct gsn_sequence_tissue *t, size_t k, const float *onto)
 {
     const struct frame f = { t->columns, t->rows };
-    const size_t cells = f.columns * f.rows;
 
-    for (size_t y = 0; y < f.rows; y++)
-        for (size_t x = 0; x < f.columns; x++)
-            room[y * f.columns + x] =
-                (unsigned char)known_at(t->known + k * cells, f, moved(motion, f, x, y));
-    memcpy(t->known + k * cells, room, cells);
+    for (int i = 0; i < STEPS; i++)
+        step(t->filled + k * f.columns * f.rows, onto, f, t->motion[k]);
+}
+
+static void lay_evenly(struct gsn_sequence_tissue *t)
+{
+    const size_t cells = t->columns * t->rows;
+
+    memcpy(t->value, t->filled, t->n * cells * sizeof *t->value);
+    for (int pass = 0; pass < PASSES; pass++) {
+        for (size_t k = 0; k < t->n; k++) {
+            surroundings(t, k, t->onto);
+            move_onto(t, k, t->onto);
+        }
+        for (size_t k = 0; k < t->n; k++)
+            move(t, k, t->motion[k], t->value + k * cells);
+    }
 }
 
 int gsn_sequence_lay(struct gsn_sequence_tissue *t, struct gsn_error *err)
 {
-    const struct frame f = { t->columns, t->rows };
-    const size_t cells = f.columns * f.rows;
-    gsn_auto_mem(float) onto = gsn_alloc_array(cells, sizeof *onto);
-    gsn_auto_mem(unsigned char) room = gsn_alloc_array(cells, 1);
-    double(*motion)[MOTION] = gsn_alloc_array(t->n, sizeof *motion);
-    gsn_auto_mem(void) own_motion = motion;
+    const size_t cells = t->columns * t->rows;
+    gsn_auto_mem(float) corrected = gsn_alloc_array(t->n * cells, sizeof *corrected);
 
-    if (!onto || !room || !motion)
+    if (!corrected)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
-    memcpy(t->value, t->filled, t->n * cells * sizeof *t->value);
-    for (int pass = 0; pass < PASSES; pass++) {
-        for (size_t k = 0; k < t->n; k++) {
-            surroundings(t, k, onto);
-            for (int i = 0; i < STEPS; i++)
-                step(t->filled + k * cells, onto, f, motion[k]);
-        }
-        for (size_t k = 0; k < t->n; k++)
-            move(t, k, motion[k], t->value + k * cells);
-    }
+    lay_evenly(t);
     for (size_t k = 0; k < t->n; k++)
-        keep_known(t, k, motion[k], room);
+        find_known(t, k);
+    /* Apart, as what lies around a plane is not to be corrected before it. */
     for (size_t k = 0; k < t->n; k++) {
-        surroundings(t, k, onto);
-        gsn_sequence_smooth(onto, t->columns, t->rows, 1);
-        correct(t, k, onto, t->filled + k * cells);
+        surroundings(t, k, t->onto);
+        gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
+        correct(t, k, t->onto, corrected + k * cells);
     }
-    memcpy(t->value, t->filled, t->n * cells * sizeof *t->value);
+    memcpy(t->value, corrected, t->n * cells * sizeof *t->value);
     return GSN_OK;
+}
+
+void gsn_sequence_lay_again(struct gsn_sequence_tissue *t, size_t place)
+{
+    const size_t k = t->place[place];
+    float *value = t->value + k * t->columns * t->rows;
+
+    surroundings(t, place, t->onto);
+    for (int pass = 0; pass < PASSES; pass++)
+        move_onto(t, k, t->onto);
+    move(t, k, t->motion[k], value);
+    find_known(t, k);
+    gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
+    correct(t, k, t->onto, value);
 }

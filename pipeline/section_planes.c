@@ -20,8 +20,7 @@ static int is_laid(const struct gsn_assembly_section *s)
            s->seen.width > 0 && s->seen.height > 0;
 }
 
-/* The laid sections, the first of each serial number. */
-static size_t list(const struct gsn_assembly *a, size_t *ret_section)
+size_t gsn_section_planes_list(const struct gsn_assembly *a, size_t *ret_section)
 {
     size_t count = 0;
 
@@ -99,7 +98,7 @@ int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
     }
     if (!planes || !room || !planes->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the sections");
-    planes->count = list(a, planes->section);
+    planes->count = gsn_section_planes_list(a, planes->section);
     if (planes->count == 0) {
         *ret_planes = NULL;
         return GSN_OK;

@@ -21,6 +21,10 @@ struct gsn_section_planes {
     float *seen;    /* owned; as many: um2 of tissue or glass seen */
 };
 
+/* The places of the laid sections, the first of each serial number, in their order; returns how
+ * many. ret_section: room for all sections of the assembly. */
+size_t gsn_section_planes_list(const struct gsn_assembly *a, size_t *ret_section);
+
 /* gives: empty cells for all sections that are laid; NULL when none is. cell_um > 0; the cells are
  * wider where the specimen is large or its pixels are wider. Fails with GSN_E_NOMEM. */
 int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,

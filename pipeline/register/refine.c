@@ -20,6 +20,8 @@ static int check(const struct gsn_refine_stack *stack, struct gsn_error *err)
         !isfinite(stack->unit_um))
         return gsn_fail(err, GSN_E_INPUT, "cells of %g um about %g um are no square",
                         stack->cell_um, stack->unit_um);
+    if (!(stack->bent_um2 >= 0) || !isfinite(stack->bent_um2))
+        return gsn_fail(err, GSN_E_INPUT, "sections bent by %g um2 are none", stack->bent_um2);
     for (size_t k = 1; k < stack->count; k++)
         if (stack->section[k].serial <= stack->section[k - 1].serial)
             return gsn_fail(err, GSN_E_INPUT, "section %u comes after section %u",

@@ -12,8 +12,10 @@
  * and says how far right and down of its place the pose shows the tissue.
  *
  * The comparison is least squares in the low spatial frequencies, each weighed by what neighbours
- * share in it and by what is left; cells that fit no neighbour are voted down. What the errors of
- * the marks and of the comparisons are worth is learnt from all sections together. */
+ * share in it and by what is left, there and from place to place; cells that fit no neighbour are
+ * voted down. How far sections answer to a move, and what the errors of the marks and of the
+ * comparisons are worth, is learnt from all sections together. How a section is bent beyond its
+ * move is not followed, but is part of the printed error. */
 #ifndef GSN_REGISTER_REFINE_H
 #define GSN_REGISTER_REFINE_H
 
@@ -39,6 +41,7 @@ struct gsn_refine_section {
 struct gsn_refine_stack {
     struct gsn_point centre; /* block um */
     double cell_um, unit_um;
+    double bent_um2; /* variance per axis by which sections are bent as no move can follow; >= 0 */
     size_t side, count;
     const struct gsn_refine_section *section; /* in the order of their serial numbers, each once */
 };
@@ -58,7 +61,8 @@ struct gsn_refine_summary {
 
 /* borrows: stack. ret_refined receives count entries. The result does not depend on threads (0:
  * all). Fails with GSN_E_INPUT when the square has fewer than 16 cells a side, the cell or the unit
- * is no length, serial numbers do not rise or a prior is no covariance; GSN_E_NOMEM. */
+ * is no length, bent_um2 is no variance, serial numbers do not rise or a prior is no covariance;
+ * GSN_E_NOMEM. */
 int gsn_refine_solve(const struct gsn_refine_stack *stack, unsigned threads,
                      struct gsn_refined *ret_refined, struct gsn_refine_summary *ret_summary,
                      struct gsn_error *err);

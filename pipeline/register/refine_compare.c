@@ -12,8 +12,9 @@ static const double FULL = 0.82;
 /* Wavelengths of fewer cells are not looked at. */
 enum { LEAST_WAVE = 4, SCALES = 2, VOTES = 2, THIN = 3 };
 /* Cells off the neighbours by so many deviations, one by one or a patch of them, are debris, ink,
- * folds and bubbles. */
-static const double MOST_OFF = 4, SCALE_CELLS[SCALES] = { 1, 3 };
+ * folds and bubbles. A lower limit votes down the rims of a section that lies off, which is what is
+ * to be seen. */
+static const double MOST_OFF = 8, SCALE_CELLS[SCALES] = { 1, 3 };
 /* Of the square's weight that has to be known. */
 static const double LEAST_KNOWN = 0.25;
 
@@ -31,14 +32,18 @@ static int make_room(struct gsn_refine_compare *c)
     c->filled = gsn_alloc_array(count * c->cells, sizeof *c->filled);
     c->line = gsn_alloc_array(count * c->cells, sizeof *c->line);
     c->off = gsn_alloc_array(count * c->cells, sizeof *c->off);
+    c->even = gsn_alloc_array(count * c->cells, sizeof *c->even);
     c->wave = gsn_alloc_array(count * c->pairs, 2 * sizeof *c->wave);
     c->room = gsn_alloc_array(count * (c->cells + c->pairs), sizeof *c->room);
+    c->common = gsn_alloc_array(count * c->rings, sizeof *c->common);
+    c->response = gsn_alloc_array(count + 1, sizeof *c->response);
     c->told = gsn_alloc_array(c->rings, sizeof *c->told);
     c->noise = gsn_alloc_array(c->rings, sizeof *c->noise);
     c->there = gsn_alloc_array(count + 1, sizeof *c->there);
     c->faced = gsn_alloc_array(count + 1, sizeof *c->faced);
-    return c->taper && c->laid && c->weight && c->filled && c->line && c->off && c->wave &&
-                   c->room && c->told && c->noise && c->there && c->faced
+    return c->taper && c->laid && c->weight && c->filled && c->line && c->off && c->even &&
+                   c->wave && c->room && c->common && c->response && c->told && c->noise &&
+                   c->there && c->faced
                ? GSN_OK
                : GSN_E_NOMEM;
 }
@@ -76,8 +81,11 @@ void gsn_refine_compare_free(struct gsn_refine_compare *c)
     gsn_free(c->filled);
     gsn_free(c->line);
     gsn_free(c->off);
+    gsn_free(c->even);
     gsn_free(c->wave);
     gsn_free(c->room);
+    gsn_free(c->common);
+    gsn_free(c->response);
     gsn_free(c->told);
     gsn_free(c->noise);
     gsn_free(c->there);
@@ -249,6 +257,10 @@ int gsn_refine_compare_all(struct gsn_refine_compare *c, const double (*move)[PA
     r = gsn_parallel_for(c->stack->count, threads, lay, c, err);
     if (r >= 0)
         r = vote_all(c, threads, err);
+    if (r >= 0)
+        r = gsn_refine_even(c, threads, err);
+    if (r >= 0)
+        r = gsn_refine_believe(c, threads, err);
     if (r >= 0)
         r = gsn_refine_measure(c, threads, ret_equation, ret_finest_um, err);
     if (r >= 0)

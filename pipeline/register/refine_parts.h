@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The steps of gsn_refine_solve(): sections laid and compared (refine_compare.c), in spatial
- * frequencies (refine_waves.c), and all moves solved together (refine_joint.c). Private to these
- * files. */
+/* The steps of gsn_refine_solve(): sections laid and compared (refine_compare.c), weighed from
+ * place to place (refine_even.c) and by spatial frequency (refine_believe.c, refine_waves.c), what
+ * is left turned into equations (refine_measure.c), and all moves solved together (refine_joint.c).
+ * Private to these files. */
 #ifndef GSN_REGISTER_REFINE_PARTS_H
 #define GSN_REGISTER_REFINE_PARTS_H
 
@@ -55,6 +56,11 @@ void gsn_refine_lay(const struct gsn_refine_stack *stack, const float *density,
  * as large as the plane. */
 void gsn_refine_blur(size_t side, double sigma, float *scratch, float *plane);
 
+/* What a section and its line hold of a ring: of both together, of the line, of the section. */
+struct gsn_refine_common {
+    double both, line, section, frequencies;
+};
+
 struct gsn_refine_compare {
     const struct gsn_refine_stack *stack;
     size_t cells, pairs, rings; /* of a plane, of a transform, and rings 0..rings - 1 */
@@ -62,11 +68,14 @@ struct gsn_refine_compare {
     float *taper;
     float *laid, *weight, *filled, *line; /* count planes each; laid: NaN where not known */
     float *off;                           /* count planes: what a vote is held on */
-    float *wave;                          /* count transforms */
-    double *room;                         /* for medians */
-    double *told, *noise;                 /* of a ring: share of the line to believe; power left */
-    int *there, *faced;                   /* enough is known; has such neighbours on both sides */
-    double scale;                         /* of a vote */
+    float *even;  /* count planes: 1 over how far sections usually are off the line there */
+    float *wave;  /* count transforms */
+    double *room; /* for medians */
+    struct gsn_refine_common *common; /* count times rings */
+    double (*response)[PARTS];        /* of a section: what its own slopes show of a move */
+    double *told, *noise;             /* of a ring: share of the line to believe; power left */
+    int *there, *faced;               /* enough is known; has such neighbours on both sides */
+    double scale;                     /* of a vote */
     size_t vote;
     const double (*move)[PARTS];
     struct gsn_refine_equation *equation;
@@ -83,6 +92,23 @@ int gsn_refine_compare_all(struct gsn_refine_compare *compare, const double (*mo
                            unsigned threads, int *ret_there,
                            struct gsn_refine_equation *ret_equation, double *ret_finest_um,
                            struct gsn_error *err);
+
+/* Learns how unlike the line sections are from place to place. */
+int gsn_refine_even(struct gsn_refine_compare *compare, unsigned threads, struct gsn_error *err);
+
+/* Learns what of a line is tissue, and what sections differ from it by. */
+int gsn_refine_believe(struct gsn_refine_compare *compare, unsigned threads, struct gsn_error *err);
+
+/* Room of one section's thread. */
+struct gsn_refine_room {
+    float *plane, *gradient[2], *scratch, *pairs, *column[PARTS];
+};
+
+int gsn_refine_room_init(const struct gsn_refine_compare *compare, struct gsn_refine_room *room,
+                         struct gsn_error *err);
+void gsn_refine_room_done(struct gsn_refine_room *room);
+/* Of two pairs, as vectors. */
+double gsn_refine_product(const float *a, const float *b);
 
 /* The equations of the sections as they are laid and weighed. */
 int gsn_refine_measure(struct gsn_refine_compare *compare, unsigned threads,

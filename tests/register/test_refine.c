@@ -17,6 +17,10 @@ static const double CELL = 32, UNIT = 600;
 static const double OPEN[PARTS] = { 8, 8, 3, 3, 3, 3 };
 
 struct drawn {
+    double wide; /* the moves are so many times OPEN; 0: once */
+    double
+        bent; /* um by which a section is bent, per axis, root mean square over the unit's disc */
+    double rough; /* noise of the right half over that of the left; 0: 1 */
     float *density;
     double truth[COUNT][PARTS];
     struct gsn_refine_section section[COUNT];
@@ -40,6 +44,22 @@ static double block_at(const struct cylinder *c, double x, double y)
     return sum;
 }
 
+/* Per axis: twice as wide as high, saddle and bowl; none of them holds a part of a move over the
+ * disc whose mean square radius is the unit's. */
+static void draw_bend(struct draw_chance *chance, double bent, double ret_bend[2][3])
+{
+    const double mean_square[3] = { 1.0 / 6, 2.0 / 3, 1.0 / 3 };
+
+    for (size_t axis = 0; axis < 2; axis++)
+        for (size_t i = 0; i < 3; i++)
+            ret_bend[axis][i] = bent / sqrt(3 * mean_square[i]) * draw_normal(chance);
+}
+
+static double bend_at(const double bend[3], double u, double v)
+{
+    return bend[0] * u * v + bend[1] * (u * u - v * v) + bend[2] * (u * u + v * v - 1);
+}
+
 static void draw(struct drawn *to, uint64_t seed, double noise, double slant, double contrast)
 {
     struct draw_chance chance = { seed };
@@ -52,22 +72,29 @@ static void draw(struct drawn *to, uint64_t seed, double noise, double slant, do
                                   draw_uniform(&chance, 60, 200), contrast * (i % 2 ? 1 : -1) };
     for (size_t k = 0; k < COUNT; k++) {
         float *plane = to->density + k * SIDE * SIDE;
-        const double *m = to->truth[k];
+        const double *m = to->truth[k], wide = to->wide > 0 ? to->wide : 1;
+        double bend[2][3] = { { 0 } };
 
         to->section[k] = (struct gsn_refine_section){ .serial = (unsigned)k, .density = plane };
         for (size_t p = 0; p < PARTS; p++) {
-            to->truth[k][p] = OPEN[p] * draw_normal(&chance);
-            to->section[k].prior[p][p] = OPEN[p] * OPEN[p];
+            to->truth[k][p] = wide * OPEN[p] * draw_normal(&chance);
+            to->section[k].prior[p][p] = wide * wide * OPEN[p] * OPEN[p];
         }
+        if (to->bent > 0)
+            draw_bend(&chance, to->bent, bend);
         for (size_t i = 0; i < (size_t)SIDE * SIDE; i++) {
             const double x = CELL * ((double)(i % SIDE) - 0.5 * (SIDE - 1));
             const double y = CELL * ((double)(i / SIDE) - 0.5 * (SIDE - 1));
             const double u = x / UNIT, v = y / UNIT;
-            const double dx = m[0] - m[2] * v + m[3] * u + m[4] * u + m[5] * v;
-            const double dy = m[1] + m[2] * u + m[3] * v - m[4] * v + m[5] * u;
+            const double dx =
+                m[0] - m[2] * v + m[3] * u + m[4] * u + m[5] * v + bend_at(bend[0], u, v);
+            const double dy =
+                m[1] + m[2] * u + m[3] * v - m[4] * v + m[5] * u + bend_at(bend[1], u, v);
+            const double grain =
+                i % SIDE < SIDE / 2 || !(to->rough > 0) ? noise : noise * to->rough;
 
             plane[i] = (float)(block_at(c, x - dx - slant * (double)k, y - dy) +
-                               noise * draw_normal(&chance));
+                               grain * draw_normal(&chance));
         }
     }
     to->stack = (struct gsn_refine_stack){ .centre = { 0, 0 },
@@ -76,6 +103,20 @@ static void draw(struct drawn *to, uint64_t seed, double noise, double slant, do
                                            .side = SIDE,
                                            .count = COUNT,
                                            .section = to->section };
+}
+
+/* Of the moves found, over the true ones: 1 where they are followed in full. */
+static double followed(const struct drawn *d, const struct gsn_refined *r, size_t first,
+                       size_t last)
+{
+    double both = 0, square = 0;
+
+    for (size_t k = first; k <= last; k++)
+        for (size_t p = 0; p < 2; p++) {
+            both += r[k].move[p] * d->truth[k][p];
+            square += d->truth[k][p] * d->truth[k][p];
+        }
+    return both / square;
 }
 
 static double rms(const struct drawn *d, const struct gsn_refined *r, size_t part)
@@ -120,6 +161,57 @@ TEST(moves_are_found_within_the_printed_error)
     CHECK_NEAR(against_printed(&d, refined), 1, 0.25);
     CHECK_NEAR(summary.prior_factor, 1, 0.35);
     gsn_free(d.density);
+}
+
+/* Moves as wide as the rims that show them: rims that lie off are no debris. The comparisons err by
+ * a tenth of the moves, so a hundredth of them is left with the marks. */
+TEST(wide_moves_are_followed_in_full)
+{
+    struct gsn_refined refined[COUNT];
+    struct gsn_refine_summary summary;
+    struct gsn_error err = { 0 };
+    struct drawn d = { .wide = 2.5 };
+
+    draw(&d, 7, 0.3, 0, 1);
+    CHECK_OK(gsn_refine_solve(&d.stack, 1, refined, &summary, &err), err);
+    CHECK(followed(&d, refined, 4, COUNT - 5) > 0.96);
+    gsn_free(d.density);
+}
+
+enum { DRAWINGS = 3 };
+
+/* Of several drawings: their errors over what is printed. */
+static double all_against_printed(double bent, double stated, double rough, double noise)
+{
+    double sum = 0;
+
+    for (uint64_t seed = 1; seed <= DRAWINGS; seed++) {
+        struct gsn_refined refined[COUNT];
+        struct gsn_refine_summary summary;
+        struct gsn_error err = { 0 };
+        struct drawn d = { .bent = bent, .rough = rough };
+        double ratio;
+
+        draw(&d, seed, noise, 0, 1);
+        d.stack.bent_um2 = stated * stated;
+        CHECK_OK(gsn_refine_solve(&d.stack, 1, refined, &summary, &err), err);
+        ratio = against_printed(&d, refined);
+        sum += ratio * ratio / DRAWINGS;
+        gsn_free(d.density);
+    }
+    return sqrt(sum);
+}
+
+/* What no move follows makes the moves less certain, as much as is stated. */
+TEST(moves_of_bent_sections_are_as_uncertain_as_is_printed)
+{
+    CHECK_NEAR(all_against_printed(5, 5, 0, 0.1), 1, 0.25);
+}
+
+/* The right half is four times as noisy as the left. */
+TEST(where_tissue_is_coarse_it_counts_for_no_more_than_it_tells)
+{
+    CHECK_NEAR(all_against_printed(0, 0, 4, 0.7), 1, 0.1);
 }
 
 /* Marks that say so keep a slanted block slanted: 3 um a section are 117 um in all, which marks of
@@ -249,6 +341,10 @@ TEST(what_cannot_be_solved_is_refused)
     stack = d.stack;
     stack.cell_um = 0;
     CHECK(gsn_refine_solve(&stack, 1, refined, &summary, &err) == GSN_E_INPUT);
+    stack = d.stack;
+    stack.bent_um2 = -4;
+    CHECK(gsn_refine_solve(&stack, 1, refined, &summary, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "bent by -4 um2"));
     d.section[5].serial = 4;
     CHECK(gsn_refine_solve(&d.stack, 1, refined, &summary, &err) == GSN_E_INPUT);
     CHECK(strstr(err.text, "section 5 comes after section 5"));

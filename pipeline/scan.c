@@ -300,7 +300,7 @@ static int infer_dyes(const struct gsn_stain_sample *sample, const struct gsn_dy
                       struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
 {
     struct gsn_stain_look look;
-    const int r = gsn_stain_look(sample, &prior->dyes, &look, err);
+    const int r = gsn_stain_look(sample, &look, err);
 
     return r < 0 ? r : gsn_dyes_estimate(sample, prior, ret_fit, err);
 }

@@ -85,8 +85,7 @@ struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior);
 int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
                    double *ret_apart_deg, struct gsn_error *err);
 
-/* What the stained pixels absorb; those that no mixture of the dyes explains to within the same 8
- * degrees, such as ink, count as neither. */
+/* What the stained pixels absorb, whatever vectors their dyes have. */
 struct gsn_stain_look {
     double red;    /* share that absorbs green most, as acid fuchsin does */
     double yellow; /* share that absorbs blue far more than green, as picric acid does */
@@ -95,8 +94,8 @@ struct gsn_stain_look {
 
 /* Fails with GSN_E_STAIN when the sample holds fewer than 1000 pixels or does not look like Van
  * Gieson: one of the two shares is below 0.02. The sentence gives the figures. */
-int gsn_stain_look(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
-                   struct gsn_stain_look *ret_look, struct gsn_error *err);
+int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look *ret_look,
+                   struct gsn_error *err);
 
 #ifdef __cplusplus
 }

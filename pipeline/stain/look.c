@@ -49,11 +49,10 @@ static int judge(const struct gsn_stain_look *look, struct gsn_error *err)
     return GSN_OK;
 }
 
-int gsn_stain_look(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
-                   struct gsn_stain_look *ret_look, struct gsn_error *err)
+int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look *ret_look,
+                   struct gsn_error *err)
 {
     struct gsn_stain_look look = { 0 };
-    struct gsn_unmixer mix;
     size_t red = 0, yellow = 0;
     int r;
 
@@ -61,9 +60,6 @@ int gsn_stain_look(const struct gsn_stain_sample *sample, const struct gsn_dyes 
         return gsn_fail(err, GSN_E_STAIN,
                         "only %zu pixels are stained; at least %d are needed to tell the dyes",
                         sample->count, GSN_SAMPLE_LEAST);
-    r = gsn_unmixer_init(&mix, dyes, err);
-    if (r < 0)
-        return r;
     for (size_t i = 0; i < sample->count; i++) {
         const float *at = sample->pixel[i].od;
         const double od[3] = { at[0], at[1], at[2] };
@@ -71,8 +67,6 @@ int gsn_stain_look(const struct gsn_stain_sample *sample, const struct gsn_dyes 
         if (!(length(od) > GSN_PALE_OD))
             continue;
         look.pixels++;
-        if (apart_deg(&mix, od) > MOST_APART_DEG)
-            continue;
         yellow += od[2] > YELLOW * od[1];
         red += od[1] > RED * od[0] && od[1] > GREEN_OF_RED * od[2];
     }

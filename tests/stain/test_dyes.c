@@ -176,7 +176,7 @@ TEST(the_mask_decides_which_pixels_speak)
     CHECK(fit.pixels == 77);
     memset(mask->samples, 255, 100 * 200);
     half = sampled(od, mask, scan.light);
-    CHECK_OK(gsn_stain_look(half, &prior.dyes, &look, &err), err);
+    CHECK_OK(gsn_stain_look(half, &look, &err), err);
     CHECK_OK(gsn_dyes_estimate(half, &prior, &fit, &err), err);
     CHECK(degrees(fit.dyes.red, prior.dyes.red) < 3);
     CHECK(degrees(fit.dyes.yellow, prior.dyes.yellow) < 3);
@@ -200,7 +200,7 @@ TEST(a_little_pen_does_not_make_it_another_stain)
                 i % 2 ? (const uint8_t[3]){ 20, 130, 70 }[c] : (uint8_t)30;
     CHECK_OK(densities(image, &scan, od, &err), err);
     sample = sampled(od, NULL, scan.light);
-    CHECK_OK(gsn_stain_look(sample, &dyes, &look, &err), err);
+    CHECK_OK(gsn_stain_look(sample, &look, &err), err);
     CHECK(look.red > 0.2 && look.yellow > 0.2 && look.red + look.yellow < 0.95);
     planes_free(od);
 }
@@ -248,7 +248,7 @@ TEST(real_picrosirius_is_segmented_like_its_authors_did)
     sample = sampled(od, NULL, scan.light);
     CHECK_OK(gsn_stain_fits(sample, &prior.dyes, &apart, &err), err);
     print_message("picrosirius: %.1f degrees from Van Gieson\n", apart);
-    CHECK_OK(gsn_stain_look(sample, &prior.dyes, &look, &err), err);
+    CHECK_OK(gsn_stain_look(sample, &look, &err), err);
     CHECK_OK(gsn_dyes_estimate(sample, &prior, &fit, &err), err);
     print_message("picrosirius: dyes moved by %.1f, %.1f, %.1f degrees, known to %.1f, %.1f, %.1f; "
                   "%zu classes, strays %.3f\n",
@@ -279,7 +279,7 @@ TEST(real_haematoxylin_and_eosin_is_refused)
 
     CHECK_OK(densities(image, &scan, od, &err), err);
     sample = sampled(od, NULL, scan.light);
-    CHECK(gsn_stain_look(sample, &builtin, &look, &err) == GSN_E_STAIN);
+    CHECK(gsn_stain_look(sample, &look, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "does not look like Van Gieson"));
     CHECK_NEAR(look.red, -7, 0);
     CHECK(gsn_stain_fits(sample, &builtin, &apart, &err) == GSN_E_STAIN);
@@ -322,7 +322,7 @@ static int infer_once(struct gsn_plane *const od[3], struct gsn_error *err)
     if (r >= 0)
         r = gsn_stain_sample_add(sample, od, NULL, &glass, err);
     if (r >= 0)
-        r = gsn_stain_look(sample, &prior.dyes, &look, err);
+        r = gsn_stain_look(sample, &look, err);
     return r < 0 ? r : gsn_dyes_estimate(sample, &prior, &fit, err);
 }
 

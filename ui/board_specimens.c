@@ -41,7 +41,7 @@ static void specimen_facts(struct gsn_board_maker *maker, struct gsn_board_line 
         gsn_auto_mem(char) loss =
             gsn_look_loss(row->loss_percent, row->loss_lower, row->loss_upper);
 
-        gsn_board_fact(maker, line, gsn_format("loss      %s", loss ? loss : ""));
+        gsn_board_fact(maker, line, loss ? gsn_format("loss      %s", loss) : NULL);
     }
     if (row->report)
         gsn_board_fact(maker, line, gsn_format("report    %s", row->report));

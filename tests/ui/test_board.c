@@ -6,7 +6,6 @@
 
 #include <locale.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "tests/storage/bench.h"
 

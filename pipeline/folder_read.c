@@ -84,7 +84,6 @@ static int look_at_tissue(struct gsn_folder *folder, size_t i, const struct gsn_
     return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", own.text) : GSN_OK;
 }
 
-/* Reads one picture and looks for its spots; a picture that cannot be read costs itself alone. */
 int gsn_folder_search(struct gsn_folder *folder, const char *dir, size_t i, struct gsn_error *err)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];

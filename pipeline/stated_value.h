@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Values of job.json under their keys, checked: text, numbers, words. What is absent leaves the
- * answer as it is. All fail with GSN_E_INPUT naming the key and what is allowed. */
+/* Values of job.json under their keys, checked: text, numbers, words. Where nothing else is said,
+ * what is absent leaves the answer as it is, and what is wrong fails with GSN_E_INPUT, naming the
+ * key and what is allowed. */
 #ifndef GSN_PIPELINE_STATED_VALUE_H
 #define GSN_PIPELINE_STATED_VALUE_H
 

@@ -6,7 +6,6 @@
 #define GSN_SYSTEMD_CONFIG_FILE_H
 
 #include "pipeline/core/error.h"
-#include "pipeline/core/mem.h"
 #include "systemd/config.h"
 
 #include <stddef.h>

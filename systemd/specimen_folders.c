@@ -239,11 +239,6 @@ void gsn_specimen_folders_failed(struct gsn_specimen_folders *folders, size_t in
     specimen->next_ms = now_ms + specimen->delay_ms;
 }
 
-size_t gsn_specimen_folders_count(const struct gsn_specimen_folders *folders)
-{
-    return folders->count;
-}
-
 int gsn_specimen_folders_is_busy(const struct gsn_specimen_folders *folders)
 {
     for (size_t i = 0; i < folders->count; i++)

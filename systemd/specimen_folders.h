@@ -35,8 +35,7 @@ void gsn_specimen_folders_done(struct gsn_specimen_folders *folders, size_t inde
 void gsn_specimen_folders_failed(struct gsn_specimen_folders *folders, size_t index,
                                  int64_t now_ms);
 
-/* How many there are, and whether in any something changes or is to be taken. */
-size_t gsn_specimen_folders_count(const struct gsn_specimen_folders *folders);
+/* Whether in any something changes or is to be taken. */
 int gsn_specimen_folders_is_busy(const struct gsn_specimen_folders *folders);
 
 #endif

@@ -6,7 +6,6 @@
 #include <sysexits.h>
 
 #include "acquire/source.h"
-#include "pipeline/core/process.h"
 #include "systemd/lifeline.h"
 
 enum {

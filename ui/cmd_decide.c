@@ -2,13 +2,8 @@
 
 /* What a person decides where the picture does not tell: `gieson show` names the question, this
  * takes the answer. */
+#include "ui/show.h"
 #include "ui/text.h"
-#include "ui/ui.h"
-
-#include "storage/candidate.h"
-#include "storage/catalog.h"
-#include "storage/decision.h"
-#include "storage/panel_log.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -26,26 +21,13 @@ struct question {
 };
 
 struct known {
-    struct gsn_specimen_row *specimen;
-    struct gsn_panel_rows *panels;
-    struct gsn_section_rows *sections;
-    struct gsn_decision_rows *decided;
-    struct gsn_candidate_rows *candidates;
+    struct gsn_show view;
     int64_t slots, expected; /* of a panel; panels that the job states, or 0 */
 };
 
-static void known_done(struct known *known)
-{
-    gsn_specimen_row_free(known->specimen);
-    gsn_panel_rows_free(known->panels);
-    gsn_section_rows_free(known->sections);
-    gsn_decision_rows_free(known->decided);
-    gsn_candidate_rows_free(known->candidates);
-}
-
 static void read_job(struct known *known)
 {
-    json_t *job = json_loads(known->specimen->job_json, 0, NULL);
+    json_t *job = json_loads(known->view.specimen->job_json, 0, NULL);
     const json_t *layout = json_object_get(job, "layout");
     const json_int_t rows = json_integer_value(json_array_get(layout, 0));
     const json_int_t columns = json_integer_value(json_array_get(layout, 1));
@@ -58,16 +40,8 @@ static void read_job(struct known *known)
 static int load(struct gsn_store *store, const char *name, struct known *known,
                 struct gsn_error *err)
 {
-    int r = gsn_specimen_get(store, name, &known->specimen, err);
+    const int r = gsn_show_load_sections(store, name, &known->view, err);
 
-    if (r >= 0)
-        r = gsn_panel_list(store, known->specimen->id, &known->panels, err);
-    if (r >= 0)
-        r = gsn_section_list(store, known->specimen->id, &known->sections, err);
-    if (r >= 0)
-        r = gsn_decision_list(store, known->specimen->id, &known->decided, err);
-    if (r >= 0)
-        r = gsn_candidate_list(store, known->specimen->id, &known->candidates, err);
     if (r >= 0)
         read_job(known);
     return r;
@@ -154,35 +128,25 @@ static int understand(int argc, char **argv, struct question *q)
 
 /* ---- whether it was asked ---------------------------------------------------------------- */
 
-static int has_word(const char *flags, const char *word)
-{
-    const size_t length = strlen(word);
-
-    for (const char *at = strstr(flags, word); at; at = strstr(at + 1, word))
-        if ((at == flags || at[-1] == ' ') && (!at[length] || at[length] == ' '))
-            return 1;
-    return 0;
-}
-
 static size_t count_panels(const struct known *known, int64_t number)
 {
     size_t count = 0;
 
-    for (size_t i = 0; i < known->panels->count; i++)
-        count += known->panels->at[i].number == number;
+    for (size_t i = 0; i < known->view.panels->count; i++)
+        count += known->view.panels->at[i].number == number;
     return count;
 }
 
 static const struct gsn_section_row *slot_of(const struct known *known, int64_t number,
                                              int64_t slot)
 {
-    for (size_t i = 0; i < known->sections->count; i++)
-        for (size_t k = 0; k < known->panels->count; k++)
-            if (known->panels->at[k].id == known->sections->at[i].panel_id &&
-                known->panels->at[k].number == number &&
-                strcmp(known->panels->at[k].state, "registered") == 0 &&
-                known->sections->at[i].slot == slot)
-                return &known->sections->at[i];
+    for (size_t i = 0; i < known->view.sections->count; i++)
+        for (size_t k = 0; k < known->view.panels->count; k++)
+            if (known->view.panels->at[k].id == known->view.sections->at[i].panel_id &&
+                known->view.panels->at[k].number == number &&
+                strcmp(known->view.panels->at[k].state, "registered") == 0 &&
+                known->view.sections->at[i].slot == slot)
+                return &known->view.sections->at[i];
     return NULL;
 }
 
@@ -218,16 +182,16 @@ static int check_slot(const struct known *known, const struct question *q, struc
 
     if (!row)
         return no_slot(q, err);
-    if (cuts && !has_word(row->flags, "touching") && !has_word(row->flags, "parted"))
+    if (cuts && !gsn_show_has_flag(row, "touching") && !gsn_show_has_flag(row, "parted"))
         return gsn_fail(err, GSN_E_INPUT, "the section in slot %lld of panel %lld touches no other",
                         (long long)q->slot, (long long)q->number);
-    if (strcmp(q->word, "dismiss") == 0 && !has_word(row->flags, "scrap"))
+    if (strcmp(q->word, "dismiss") == 0 && !gsn_show_has_flag(row, "scrap"))
         return gsn_fail(err, GSN_E_INPUT,
                         "slot %lld of panel %lld holds no loose piece: only those can be dismissed",
                         (long long)q->slot, (long long)q->number);
     if (strcmp(q->word, "slot") != 0)
         return GSN_OK;
-    if (!has_word(row->flags, "scrap") && !has_word(row->flags, "between-slots"))
+    if (!gsn_show_has_flag(row, "scrap") && !gsn_show_has_flag(row, "between-slots"))
         return gsn_fail(err, GSN_E_INPUT,
                         "the slot of the section in slot %lld of panel %lld is "
                         "not in doubt",
@@ -240,21 +204,17 @@ static int find_pose(const struct known *known, const struct question *q,
                      const struct gsn_candidate_row **ret_pose, struct gsn_error *err)
 {
     const struct gsn_section_row *section = slot_of(known, q->number, q->slot);
-    size_t count = 0;
+    const struct gsn_candidate_row *first = NULL;
+    size_t count;
 
-    for (size_t i = 0; section && i < known->candidates->count; i++) {
-        const struct gsn_candidate_row *c = &known->candidates->at[i];
-
-        if (c->panel_id != section->panel_id || c->slot != section->slot)
-            continue;
-        if (c->number == q->to) {
-            *ret_pose = c;
-            return GSN_OK;
-        }
-        count++;
-    }
     if (!section)
         return no_slot(q, err);
+    count = gsn_show_candidates(&known->view, section, &first);
+    for (size_t i = 0; i < count; i++)
+        if (first[i].number == q->to) {
+            *ret_pose = &first[i];
+            return GSN_OK;
+        }
     if (count == 0)
         return gsn_fail(err, GSN_E_INPUT,
                         "the section in slot %lld of panel %lld has no poses to choose from",
@@ -272,9 +232,9 @@ static char *pose_answer(const struct known *known, const struct question *q,
     const char *sha256 = "";
     char mark[GSN_ROW_MARKS][40];
 
-    for (size_t i = 0; i < known->panels->count; i++)
-        if (known->panels->at[i].id == pose->panel_id)
-            sha256 = known->panels->at[i].sha256;
+    for (size_t i = 0; i < known->view.panels->count; i++)
+        if (known->view.panels->at[i].id == pose->panel_id)
+            sha256 = known->view.panels->at[i].sha256;
     for (size_t m = 0; m < GSN_ROW_MARKS; m++)
         if (pose->marker[m].found)
             (void)snprintf(mark[m], sizeof mark[m], "%.1f,%.1f", pose->marker[m].x_px,
@@ -292,8 +252,8 @@ static int find_file(const struct known *known, const struct question *q, const 
     const char *found = NULL;
     size_t count = 0;
 
-    for (size_t i = 0; i < known->panels->count; i++) {
-        const struct gsn_panel_row *p = &known->panels->at[i];
+    for (size_t i = 0; i < known->view.panels->count; i++) {
+        const struct gsn_panel_row *p = &known->view.panels->at[i];
 
         if (p->number != q->number || (strcmp(p->file_name, q->object) != 0 &&
                                        (strlen(q->object) < LEAST_DIGITS ||
@@ -358,10 +318,9 @@ static char *canonical(const struct known *known, const struct question *q, cons
 /* What was answered before is no mistake to say again, even when nothing asks for it any more. */
 static int was_said(const struct known *known, const struct question *q, const char *answer)
 {
-    for (size_t i = 0; i < known->decided->count; i++)
-        if (known->decided->at[i].number == q->number && known->decided->at[i].slot == q->slot)
-            return strcmp(known->decided->at[i].answer, answer) == 0 || !answer[0];
-    return !answer[0];
+    const struct gsn_decision_row *said = gsn_show_decision_on(&known->view, q->number, q->slot);
+
+    return !answer[0] || (said && strcmp(said->answer, answer) == 0);
 }
 
 static int decide(struct gsn_store *store, const struct question *q, int *ret_again,
@@ -396,7 +355,7 @@ static int decide(struct gsn_store *store, const struct question *q, int *ret_ag
         row.y_px = section ? section->bbox_y + section->bbox_h / 2 : NAN;
         r = gsn_decision_put(store, q->specimen, &row, ret_again, err);
     }
-    known_done(&known);
+    gsn_show_done(&known.view);
     return r;
 }
 

@@ -27,8 +27,8 @@ static int64_t expected_panels(const struct gsn_specimen_row *specimen)
     return strcmp(specimen->kind, "sections") == 0 ? panels : 0;
 }
 
-int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *view,
-                  struct gsn_error *err)
+int gsn_show_load_sections(struct gsn_store *store, const char *name, struct gsn_show *view,
+                           struct gsn_error *err)
 {
     int r = gsn_specimen_get(store, name, &view->specimen, err);
 
@@ -36,6 +36,16 @@ int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *vi
         r = gsn_panel_list(store, view->specimen->id, &view->panels, err);
     if (r >= 0)
         r = gsn_section_list(store, view->specimen->id, &view->sections, err);
+    if (r >= 0)
+        r = gsn_decision_list(store, view->specimen->id, &view->decided, err);
+    return r >= 0 ? gsn_candidate_list(store, view->specimen->id, &view->candidates, err) : r;
+}
+
+int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *view,
+                  struct gsn_error *err)
+{
+    int r = gsn_show_load_sections(store, name, view, err);
+
     if (r >= 0)
         r = gsn_run_list(store, view->specimen->id, &view->runs, err);
     if (r >= 0 && view->runs->count > 0)
@@ -45,17 +55,18 @@ int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *vi
     if (r >= 0)
         r = gsn_bench_list(store, &view->sources, err);
     if (r >= 0)
-        r = gsn_decision_list(store, view->specimen->id, &view->decided, err);
-    if (r >= 0)
-        r = gsn_candidate_list(store, view->specimen->id, &view->candidates, err);
-    if (r >= 0)
         view->expected = expected_panels(view->specimen);
     return r >= 0 ? gsn_trouble_list(store, &view->troubles, err) : r;
 }
 
 int gsn_show_has_flag(const struct gsn_section_row *section, const char *flag)
 {
-    return strstr(section->flags, flag) != NULL;
+    const size_t length = strlen(flag);
+
+    for (const char *at = strstr(section->flags, flag); at; at = strstr(at + 1, flag))
+        if ((at == section->flags || at[-1] == ' ') && (!at[length] || at[length] == ' '))
+            return 1;
+    return 0;
 }
 
 const struct gsn_decision_row *gsn_show_decision_on(const struct gsn_show *view, int64_t number,

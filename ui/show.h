@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Everything the store knows of one specimen, and what a person is to do next about it: what
- * `gieson show` tells, in words and as JSON. */
+ * `gieson show` tells, in words and as JSON, and what `gieson decide` looks an answer up in. */
 #ifndef GSN_UI_SHOW_H
 #define GSN_UI_SHOW_H
 
@@ -31,11 +31,17 @@ struct gsn_show {
     int64_t expected; /* panels that the job states, or 0 */
 };
 
-/* gives: what view holds, on failure too. Fails as the store does. */
+/* Both give what view holds, on failure too, and fail as the store does. */
+/* The specimen, its panels and sections, what was answered about them and the poses to choose from;
+ * the rest of view is left alone. */
+int gsn_show_load_sections(struct gsn_store *store, const char *name, struct gsn_show *view,
+                           struct gsn_error *err);
+/* Everything. */
 int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *view,
                   struct gsn_error *err);
 void gsn_show_done(struct gsn_show *view);
 
+/* Whether this word is among its flags. */
 int gsn_show_has_flag(const struct gsn_section_row *section, const char *flag);
 /* What was answered about a place, or NULL. */
 const struct gsn_decision_row *gsn_show_decision_on(const struct gsn_show *view, int64_t number,

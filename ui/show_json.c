@@ -2,7 +2,6 @@
 #include "ui/show.h"
 
 #include "ui/text.h"
-#include "ui/ui.h"
 
 #include <math.h>
 

@@ -2,7 +2,6 @@
 #include "pipeline/stain/mask.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "pipeline/core/parallel.h"
 #include "pipeline/stain/mask_cells.h"

@@ -4,7 +4,6 @@
 #include "pipeline/stain/mask_cells.h"
 
 #include <math.h>
-#include <string.h>
 
 /* Felt pens absorb as strongly as the darkest stain; paler foreign colour is dirt or JPEG. */
 #define INK_OD 0.35

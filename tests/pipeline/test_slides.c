@@ -9,7 +9,6 @@
 
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 /* As dense as the palest collagen that counts, thresholds[0] of a job by default. */
 #define COLLAGEN 0.3

@@ -6,7 +6,6 @@
 
 #include <locale.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "tests/storage/bench.h"
 
@@ -107,6 +106,8 @@ static void fill(const struct gsn_scratch *scratch, struct gsn_store *store)
             "INSERT INTO run (specimen_id, key, version, inputs_json, parameters_json, state, "
             "report_path, started, finished) VALUES (1, 'k', '1', '{}', '{}', 'reported', 'r', 1, "
             "2);"
+            "INSERT INTO measure (run_id, name, value, lower, upper, unit) VALUES "
+            "(1, 'loss', 20.5, 18, 23.25, '%');"
             "INSERT INTO scan VALUES (7, 's', 'd', 'c.jpg', '', 'panel', "
             "substr(hex(zeroblob(32)), 1, 64), 5, '', 'unfiled', 'nobody knows', NULL, 4);"
             "UPDATE panel SET state = 'registered' WHERE specimen_id = 1;"
@@ -184,6 +185,24 @@ TEST(what_waits_for_work_says_so_and_what_waits_for_panels_too)
     empty = line_of(board, "empty");
     CHECK(waits && waits->action && strcmp(waits->action, "gieson run") == 0);
     CHECK(empty && !empty->action && strcmp(empty->detail, "no panel yet") == 0);
+}
+
+TEST(what_is_measured_says_its_loss_with_what_it_lies_between)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_board) board = NULL;
+    const struct gsn_board_line *done;
+    struct gsn_error err = { 0 };
+    int told = 0;
+
+    fill(&scratch, store);
+    CHECK_OK(make(store, &board, &err), err);
+    done = line_of(board, "done");
+    CHECK(done && strcmp(done->detail, "1/1 panels, loss 20.50 %") == 0);
+    for (size_t i = 0; i < GSN_BOARD_FACTS && done->fact[i]; i++)
+        told |= strcmp(done->fact[i], "loss      20.50 % (18.00 to 23.25)") == 0;
+    CHECK(told);
 }
 
 TEST(a_section_that_needs_an_eye_names_the_command_that_settles_it)

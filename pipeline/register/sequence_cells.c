@@ -46,17 +46,42 @@ void gsn_sequence_gather(const struct gsn_sequence_plane *planes, struct gsn_seq
     }
 }
 
-/* Once along a line of cells by (1 2 1) / 4, ends held. */
-static void smooth_line(float *cell, size_t count, size_t stride)
+/* Cells that are worked out together. */
+enum { STRIP = 64 };
+
+/* Once by (1 2 1) / 4 along a row, ends held. */
+static void smooth_row(float *cell, size_t count)
 {
-    float before = cell[0];
+    float old[STRIP + 2], before = cell[0];
 
-    for (size_t k = 0; k < count; k++) {
-        const float own = cell[k * stride];
-        const float after = k + 1 < count ? cell[(k + 1) * stride] : own;
+    for (size_t first = 0; first < count; first += STRIP) {
+        const size_t width = count - first < STRIP ? count - first : STRIP;
 
-        cell[k * stride] = 0.25f * before + 0.5f * own + 0.25f * after;
-        before = own;
+        old[0] = before;
+        memcpy(old + 1, cell + first, width * sizeof *old);
+        old[width + 1] = first + width < count ? cell[first + width] : old[width];
+        before = old[width];
+        for (size_t k = 0; k < width; k++)
+            cell[first + k] = 0.25f * old[k] + 0.5f * old[k + 1] + 0.25f * old[k + 2];
+    }
+}
+
+/* The same along some columns side by side. */
+static void smooth_columns(float *cell, size_t width, size_t columns, size_t rows)
+{
+    float before[STRIP];
+
+    memcpy(before, cell, width * sizeof *before);
+    for (size_t y = 0; y < rows; y++) {
+        float *row = cell + y * columns;
+        const float *after = y + 1 < rows ? row + columns : row;
+
+        for (size_t k = 0; k < width; k++) {
+            const float own = row[k];
+
+            row[k] = 0.25f * before[k] + 0.5f * own + 0.25f * after[k];
+            before[k] = own;
+        }
     }
 }
 
@@ -64,8 +89,8 @@ void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times)
 {
     for (int pass = 0; pass < times; pass++) {
         for (size_t y = 0; y < rows; y++)
-            smooth_line(cells + y * columns, columns, 1);
-        for (size_t x = 0; x < columns; x++)
-            smooth_line(cells + x, rows, columns);
+            smooth_row(cells + y * columns, columns);
+        for (size_t x = 0; x < columns; x += STRIP)
+            smooth_columns(cells + x, columns - x < STRIP ? columns - x : STRIP, columns, rows);
     }
 }

@@ -52,14 +52,46 @@ int gsn_sequence_learn_noise(struct gsn_sequence_tissue *t, struct gsn_error *er
     return GSN_OK;
 }
 
-static float middle(float a, float b, float c)
+static float least(float a, float b)
 {
-    return fmaxf(fminf(a, b), fminf(fmaxf(a, b), c));
+    return a < b ? a : b;
 }
 
-/* Adds sign times what a line foretells; three sections on one side are held to their middle. */
+static float greatest(float a, float b)
+{
+    return a > b ? a : b;
+}
+
+static float clip(float value, float most)
+{
+    return least(greatest(value, -most), most);
+}
+
+static void add_plane(float *restrict sum, const float *plane, float much, size_t cells)
+{
+    for (size_t c = 0; c < cells; c++)
+        sum[c] += much * plane[c];
+}
+
+/* Three sections on one side, held to their middle. */
+static void add_held(float *restrict sum, const float *const side[SIDE], const float much[SIDE],
+                     const float *deviation, size_t cells)
+{
+    const float *a = side[0], *b = side[1], *d = side[2];
+
+    for (size_t c = 0; c < cells; c++) {
+        const float most = (float)MOST * deviation[c];
+        const float mid = greatest(least(a[c], b[c]), least(greatest(a[c], b[c]), d[c]));
+
+        sum[c] += much[0] * (mid + clip(a[c] - mid, most)) +
+                  much[1] * (mid + clip(b[c] - mid, most)) +
+                  much[2] * (mid + clip(d[c] - mid, most));
+    }
+}
+
+/* Adds what a line foretells. */
 static void add_line(const struct gsn_sequence_tissue *t, const struct gsn_sequence_line *line,
-                     size_t place, double sign, float *sum)
+                     size_t place, float *sum)
 {
     const size_t cells = t->columns * t->rows;
 
@@ -72,15 +104,13 @@ static void add_line(const struct gsn_sequence_tissue *t, const struct gsn_seque
                (line->at[first + count] > place) == (line->at[first] > place);
              count++) {
             side[count] = plane_at(t, line->at[first + count]);
-            much[count] = (float)(sign * line->weight[first + count]);
+            much[count] = (float)line->weight[first + count];
         }
-        for (size_t c = 0; c < cells; c++) {
-            const float most = count == SIDE ? (float)MOST * t->deviation[c] : INFINITY;
-            const float mid = count == SIDE ? middle(side[0][c], side[1][c], side[2][c]) : 0;
-
+        if (count == SIDE)
+            add_held(sum, side, much, t->deviation, cells);
+        else
             for (size_t k = 0; k < count; k++)
-                sum[c] += much[k] * fminf(fmaxf(side[k][c], mid - most), mid + most);
-        }
+                add_plane(sum, side[k], much[k], cells);
         first += count;
     }
 }
@@ -97,9 +127,44 @@ static double noise_between(const struct gsn_sequence_line *a, const struct gsn_
     return sum;
 }
 
-static float clip(float value, float most)
+/* Over the square of cells that begins at x and y. */
+static double square_sum(const struct gsn_sequence_tissue *t, const float *cells, size_t x,
+                         size_t y)
 {
-    return fminf(fmaxf(value, -most), most);
+    const size_t width = t->columns - x < SQUARE ? t->columns - x : SQUARE;
+    const size_t end = t->rows - y < SQUARE ? t->rows : y + SQUARE;
+    float sum[SQUARE] = { 0 }, all = 0;
+
+    for (size_t v = y; v < end; v++)
+        for (size_t u = 0; u < width; u++)
+            sum[u] += cells[v * t->columns + x + u];
+    for (size_t u = 0; u < SQUARE; u++)
+        all += sum[u];
+    return (double)all;
+}
+
+/* The filter, in place of energy. */
+static void make_filter(const struct gsn_sequence_tissue *t, const struct gsn_sequence_modes *m,
+                        double noise)
+{
+    const unsigned char *known = m->known[0], *known_too = m->known[1];
+    const float *noise2 = t->noise2, *change = t->change, beyond = (float)(BEYOND * noise);
+    float *restrict energy = t->energy;
+
+    for (size_t c = 0; c < t->columns * t->rows; c++) {
+        const float share = 1 - beyond * noise2[c] / greatest(energy[c], 1e-12f);
+
+        energy[c] = (float)(known[c] & known_too[c]) * greatest(share, 0) * change[c] / noise2[c];
+    }
+}
+
+static void multiply(const struct gsn_sequence_tissue *t, const float *filter,
+                     float *restrict cells)
+{
+    const float *deviation = t->deviation, most = (float)MOST * sqrtf(2);
+
+    for (size_t c = 0; c < t->columns * t->rows; c++)
+        cells[c] = filter[c] * clip(cells[c], most * deviation[c]);
 }
 
 /* The products with the filter, square by square. */
@@ -107,24 +172,18 @@ static void add_squares(const struct gsn_sequence_tissue *t, const struct gsn_se
                         double noise)
 {
     const size_t across = (t->columns + SQUARE - 1) / SQUARE;
-    const float beyond = (float)(BEYOND * noise), sqrt2 = sqrtf(2);
 
-    for (size_t y = 0; y < t->rows; y++)
-        for (size_t x = 0; x < t->columns; x++) {
-            const size_t c = y * t->columns + x;
-            const float most = (float)MOST * sqrt2 * t->deviation[c];
-            const float share = 1 - beyond * t->noise2[c] / fmaxf(t->energy[c], 1e-12f);
+    make_filter(t, m, noise);
+    multiply(t, t->energy, t->off);
+    multiply(t, t->energy, t->off_too);
+    multiply(t, t->energy, t->change);
+    for (size_t i = 0; i < across * ((t->rows + SQUARE - 1) / SQUARE); i++) {
+        const size_t x = i % across * SQUARE, y = i / across * SQUARE;
 
-            if (!m->known[0][c] || !m->known[1][c] || !(share > 0))
-                continue;
-
-            const float filter = share * t->change[c] / t->noise2[c];
-            struct gsn_sequence_square *s = &t->square[y / SQUARE * across + x / SQUARE];
-
-            s->first -= (double)(filter * clip(t->off[c], most));
-            s->second += (double)(filter * clip(t->off_too[c], most));
-            s->foretold += (double)(filter * clip(t->change[c], most));
-        }
+        t->square[i] = (struct gsn_sequence_square){ -square_sum(t, t->off, x, y),
+                                                     square_sum(t, t->off_too, x, y),
+                                                     square_sum(t, t->change, x, y) };
+    }
 }
 
 /* What lies about the middle between two places, neither of the two in it. */
@@ -162,8 +221,8 @@ static struct gsn_sequence_modes differ(const struct gsn_sequence_tissue *t, siz
     lay_between(t, i, j);
     memset(t->off, 0, cells * sizeof *t->off);
     memset(t->off_too, 0, cells * sizeof *t->off_too);
-    add_line(t, &a, i, 1, t->off);
-    add_line(t, &b, j, 1, t->off_too);
+    add_line(t, &a, i, t->off);
+    add_line(t, &b, j, t->off_too);
     for (size_t c = 0; c < cells; c++) {
         const float middle_density = 0.5f * (t->off[c] + t->off_too[c]);
 
@@ -172,9 +231,8 @@ static struct gsn_sequence_modes differ(const struct gsn_sequence_tissue *t, siz
         t->off[c] = from[c] - middle_density;
         t->off_too[c] = to[c] - middle_density;
     }
-    gsn_sequence_take_off(t, &modes, t->off);
-    gsn_sequence_take_off(t, &modes, t->off_too);
-    gsn_sequence_take_off(t, &modes, t->change);
+    gsn_sequence_take_off(t, &modes, (float *[]){ t->off, t->off_too, t->change },
+                          GSN_SEQUENCE_DIFFERENCES);
     for (size_t c = 0; c < cells; c++)
         t->energy[c] = t->change[c] * t->change[c];
     gsn_sequence_smooth(t->energy, t->columns, t->rows, SMOOTHINGS);
@@ -189,7 +247,6 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
     double first = 0, second = 0, foretold = 0, left = 0, share, noise;
     const struct gsn_sequence_modes modes = differ(t, i, j, &noise);
 
-    memset(t->square, 0, squares * sizeof *t->square);
     add_squares(t, &modes, noise);
     for (size_t k = 0; k < squares; k++) {
         first += t->square[k].first;

@@ -32,49 +32,50 @@ void gsn_sequence_compare_near(struct gsn_sequence_search *a, const size_t place
                 a->near[i * NEAR + f - 1] = gsn_sequence_change_between(a->t, i, i + f);
 }
 
-/* The line through the sections around a place, itself left out. */
-static void foretell(const struct gsn_sequence_tissue *t, size_t place, float *ret_plane)
+size_t gsn_sequence_sample(const struct gsn_sequence_tissue *t)
 {
-    const size_t cells = t->columns * t->rows;
+    return (t->columns * t->rows + EVERY - 1) / EVERY;
+}
+
+/* The line through the sections around a place, itself left out. */
+static void foretell(const struct gsn_sequence_tissue *t, size_t place, float *ret_sample)
+{
+    const size_t cells = t->columns * t->rows, sample = gsn_sequence_sample(t);
     const struct gsn_sequence_line line =
         gsn_sequence_line_at(t->z, t->n, place, place, t->z[place]);
 
-    memset(ret_plane, 0, cells * sizeof *ret_plane);
+    memset(ret_sample, 0, sample * sizeof *ret_sample);
     for (size_t k = 0; k < line.count; k++) {
         const float *plane = t->value + t->place[line.at[k]] * cells;
         const float weight = (float)line.weight[k];
 
-        for (size_t c = 0; c < cells; c += EVERY)
-            ret_plane[c] += weight * plane[c];
+        for (size_t c = 0; c < sample; c++)
+            ret_sample[c] += weight * plane[EVERY * c];
     }
 }
 
-static double misfit(const struct gsn_sequence_tissue *t, size_t place, const float *foretold)
+/* The plane at a place, and how much each cell counts. */
+static void take(const struct gsn_sequence_tissue *t, size_t place, float *ret_sample,
+                 float *ret_weight)
 {
-    const size_t cells = t->columns * t->rows;
-    const float *plane = t->value + t->place[place] * cells, most = (float)MOST;
-    const unsigned char *known = t->known + t->place[place] * cells;
-    double sum = 0;
+    const size_t first = t->place[place] * t->columns * t->rows, sample = gsn_sequence_sample(t);
 
-    for (size_t c = 0; c < cells; c += EVERY) {
-        const float off = fminf(fabsf(plane[c] - foretold[c]), most * t->deviation[c]);
-
-        sum += known[c] ? (double)(off * off / t->noise2[c]) : 0;
+    for (size_t c = 0; c < sample; c++) {
+        ret_sample[c] = t->value[first + EVERY * c];
+        ret_weight[c] = t->known[first + EVERY * c] ? 1 / t->noise2[EVERY * c] : 0;
     }
-    return sum;
 }
 
-/* Squared distance between what two places foretell, over one section's noise. */
-static double apart(const struct gsn_sequence_tissue *t, const float *here, const float *there)
+/* Squared distance over one section's noise. */
+static double distance(const float *one, const float *other, const float *weight, size_t sample)
 {
-    const size_t cells = t->columns * t->rows;
-    const float most = (float)MOST;
+    const float most = (float)(MOST * MOST);
     double sum = 0;
 
-    for (size_t c = 0; c < cells; c += EVERY) {
-        const float off = fminf(fabsf(here[c] - there[c]), most * t->deviation[c]);
+    for (size_t c = 0; c < sample; c++) {
+        const float off = one[c] - other[c], square = off * off * weight[c];
 
-        sum += (double)(off * off / t->noise2[c]);
+        sum += (double)(square < most ? square : most);
     }
     return sum;
 }
@@ -96,17 +97,22 @@ static void suspect(struct gsn_sequence_search *a)
 
 void gsn_sequence_compare_far(struct gsn_sequence_search *a)
 {
-    const size_t n = a->t->n;
+    const size_t n = a->t->n, sample = gsn_sequence_sample(a->t);
+    float *plane = a->t->off, *weight = a->t->energy;
 
-    for (size_t m = 0; m < n; m++) {
-        foretell(a->t, m, a->t->change);
-        for (size_t k = 0; k < n; k++)
-            a->fit[k * n + m] = misfit(a->t, k, a->t->change);
-        for (size_t k = 0; k < m; k++) {
-            foretell(a->t, k, a->t->off);
-            a->apart[k * n + m] = apart(a->t, a->t->change, a->t->off);
-        }
+    for (size_t m = 0; m < n; m++)
+        foretell(a->t, m, a->foretold + m * sample);
+    for (size_t k = 0; k < n; k++) {
+        take(a->t, k, plane, weight);
+        for (size_t m = 0; m < n; m++)
+            a->fit[k * n + m] = distance(plane, a->foretold + m * sample, weight, sample);
     }
+    for (size_t c = 0; c < sample; c++)
+        weight[c] = 1 / a->t->noise2[EVERY * c];
+    for (size_t m = 0; m < n; m++)
+        for (size_t k = 0; k < m; k++)
+            a->apart[k * n + m] =
+                distance(a->foretold + k * sample, a->foretold + m * sample, weight, sample);
     suspect(a);
 }
 

@@ -83,6 +83,11 @@ void gsn_sequence_lay_again(struct gsn_sequence_tissue *tissue, size_t place);
 void gsn_sequence_median(const struct gsn_sequence_tissue *tissue, const size_t *plane,
                          size_t count, float *ret_median);
 
+/* Densities of two planes that differ by more than this share of the tissue's are no error of
+ * laying. */
+#define GSN_SEQUENCE_GROSS 0.6
+enum { GSN_SEQUENCE_DIFFERENCES = 3 };
+
 /* How planes differ because of how they were laid and stained: by the slopes of what they lie in
  * and by its density, in amounts that change slowly. Told where both sections are known and differ
  * by no more than an edge laid wrong does. */
@@ -90,9 +95,9 @@ struct gsn_sequence_modes {
     const float *onto, *gross;
     const unsigned char *known[2];
 };
-/* Takes what these modes explain from a difference of planes. */
+/* Takes what these modes explain from up to GSN_SEQUENCE_DIFFERENCES differences of planes. */
 void gsn_sequence_take_off(const struct gsn_sequence_tissue *tissue,
-                           const struct gsn_sequence_modes *modes, float *off);
+                           const struct gsn_sequence_modes *modes, float *const *off, size_t count);
 size_t gsn_sequence_modes_size(size_t columns, size_t rows);
 
 /* What sets a section apart from the line through its neighbours, cell by cell, in the median.

@@ -18,6 +18,7 @@ struct gsn_sequence_search {
     float *kept_value;                /* of two planes: scratch */
     unsigned char *kept_known;        /* as many: scratch */
     double kept_motion[2][GSN_SEQUENCE_MOTION];
+    float *foretold;                 /* n samples: of what each place foretells */
     double *fit;                     /* n * n: how ill the plane at one place fits at another */
     double *apart;                   /* n * n: of i < j, between what the two places foretell */
     double shown[GSN_SEQUENCE_NEAR]; /* share of swaps 1 to NEAR apart that would show */
@@ -34,6 +35,8 @@ struct gsn_sequence_swap {
 
 /* Compares anew the near changes that two places have a say in; NULL: all. */
 void gsn_sequence_compare_near(struct gsn_sequence_search *search, const size_t place[2]);
+/* How many of a plane's cells tell how it fits elsewhere. */
+size_t gsn_sequence_sample(const struct gsn_sequence_tissue *tissue);
 /* How every plane fits at every place, and which are suspect. */
 void gsn_sequence_compare_far(struct gsn_sequence_search *search);
 /* How the planes at two places stand between them, roughly: 1 where they lie in order, -1 where

@@ -200,14 +200,16 @@ int gsn_sequence_find_swaps(struct gsn_sequence_tissue *t, const struct gsn_sequ
     const size_t cells = t->columns * t->rows;
     gsn_auto_mem(float) kept_value = gsn_alloc_array(2 * cells, sizeof *kept_value);
     gsn_auto_mem(unsigned char) kept_known = gsn_alloc_array(2 * cells, 1);
+    gsn_auto_mem(float) foretold = gsn_alloc_array(t->n * gsn_sequence_sample(t), sizeof *foretold);
     struct gsn_sequence_search a = { .t = t,
                                      .near = near,
                                      .kept_value = kept_value,
                                      .kept_known = kept_known,
+                                     .foretold = foretold,
                                      .fit = fit,
                                      .used = used };
 
-    if (!used || !fit || !near || !kept_value || !kept_known)
+    if (!used || !fit || !near || !kept_value || !kept_known || !foretold)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
     a.suspect = used + t->n;
     a.kept = near + t->n * NEAR;

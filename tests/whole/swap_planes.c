@@ -35,6 +35,7 @@ struct tally {
     size_t made, found, others;
 };
 
+/* Not with the planes: what is wrapped below is called without a context of ours. */
 static unsigned far_swaps;
 
 /* ---- swaps -------------------------------------------------------------------------------- */

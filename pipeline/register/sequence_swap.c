@@ -4,7 +4,6 @@
 #include "pipeline/register/median.h"
 
 #include <math.h>
-#include <string.h>
 
 enum { NEAR = GSN_SEQUENCE_NEAR, LIKELY = 4 };
 

@@ -9,13 +9,15 @@
 
 enum { PARTS = GSN_REFINE_PARTS, MOST_SIDE = 256, LEAST_SECTIONS = 12, LEAST_SIDE = 24 };
 
-/* What is compared reaches so far beyond the region: farther tissue is bent in other ways. */
-static const double REACH = 4.0 / 3;
+/* What is compared reaches so far beyond the region: farther tissue is bent in other ways, nearer
+ * alone has too little that differs from its texture. */
+static const double REACH = 1.6;
 /* What is finer than a few intervals is another fibre in the next section. */
 static const double CELL_INTERVALS = 4.0 / 3;
 /* A section is bent where it lies as it is at the marks, where that is part of their scatter: of
- * the shift that this makes at the region, so much is slope across it, and so much bends it. */
-static const double SLOPE = 1.0 / 3, BEND = 0.25;
+ * the shift that this makes at the region, so much is slope across it, and so much bends it and
+ * what is compared. */
+static const double SLOPE = 1.0 / 3, BEND = 0.375;
 
 static void refine_done(struct gsn_refine_work *w)
 {

@@ -24,7 +24,6 @@ struct gsn_refine_work {
     double radius_um;
     struct gsn_refine_stack stack;
     /* The panel that is open. */
-    const struct gsn_scan *scan;
     const struct gsn_red_reader *reader;
     const struct gsn_mask_labels *labels;
     unsigned panel;

@@ -61,7 +61,6 @@ static int gather_scan(struct gsn_refine_work *w, const struct gsn_specimen_pane
                               &labels, figures, err);
     if (r < 0)
         return r;
-    w->scan = scan;
     w->reader = reader;
     w->labels = labels;
     w->panel = given->number;

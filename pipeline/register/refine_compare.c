@@ -2,7 +2,6 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/register/median.h"
 #include "pipeline/register/refine_parts.h"
-#include "pipeline/register/small.h"
 
 #include <math.h>
 #include <string.h>

@@ -5,7 +5,6 @@
 #include "tests/check.h"
 #include "tests/register/draw.h"
 
-#include <stdlib.h>
 #include <string.h>
 
 /* A block of straight and slanted cylinders, light on dark or dark on light, in which every section

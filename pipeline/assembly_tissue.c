@@ -20,6 +20,9 @@ static const double OPEN = 0.01;
  * its marks: a fold or a tear moves half a section, and so the tissue's pose, by half a millimetre.
  */
 static const double APART_UM = 600;
+/* Spots that lay a section within this of where its tissue does are its marks, as long as no others
+ * lay it within the second distance: what a fold or a tear leaves open is not told by so little. */
+static const double TOGETHER_UM = 300, ALONE_UM = 1200;
 
 /* A section while it is laid. */
 struct part {
@@ -220,6 +223,31 @@ static double apart(const struct gsn_assembly_section *s, const struct gsn_affin
     return sqrt(square);
 }
 
+static int count_marks(const struct gsn_assembly_section *s)
+{
+    return s->seen.mark[0].found + s->seen.mark[1].found + s->seen.mark[2].found;
+}
+
+/* The tissue decides which spots are the marks, where it lays the section as one candidate does and
+ * as no other. The pose stays the tissue's. */
+static void name_marks(struct gsn_assembly_section *s)
+{
+    const struct gsn_candidate *named = NULL;
+    size_t near = 0;
+
+    for (size_t i = 0; i < s->candidates.count; i++) {
+        const struct gsn_candidate *c = &s->candidates.at[i];
+        const double away =
+            c->laid ? apart(s, &s->pose.panel_to_block_um, &c->panel_to_block_um) : INFINITY;
+
+        near += away < ALONE_UM;
+        if (away < TOGETHER_UM)
+            named = c;
+    }
+    if (named && near == 1 && count_marks(s) == 0)
+        memcpy(s->seen.mark, named->mark, sizeof s->seen.mark);
+}
+
 /* An open section whose tissue lies elsewhere than its two spots say: they are not its marks. */
 static void correct(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
                     const struct gsn_tissue_pose *pose)
@@ -256,10 +284,12 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
         if (!poses[i].laid || poses[i].unsure || summary.held == 0 || poses[i].from > AROUND ||
             poses[i].error > MOST_ERROR_UM)
             continue;
-        if (is_lost(s))
+        if (is_lost(s)) {
             take(specimen, s, &poses[i]);
-        else if (is_open(s))
+            name_marks(s);
+        } else if (is_open(s)) {
             correct(specimen, s, &poses[i]);
+        }
     }
     return r;
 }

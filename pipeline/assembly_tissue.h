@@ -5,9 +5,10 @@
  *
  * A section with no mark, with marks that could be others or that contradict the stack is laid
  * where the sections around it put it, which their marks hold. It is used, flagged "by-tissue", as
- * one that a person should look at; where tissue cannot tell either it stays held. Two spots that
- * leave more than one pose open are asked about: where the tissue surely lies elsewhere, they were
- * not the section's marks. */
+ * one that a person should look at; where tissue cannot tell either it stays held. Of spots that
+ * could be one mark or another, those are its marks that lay it as its tissue does, when no others
+ * come near; the pose stays the tissue's. Two spots that leave more than one pose open are asked
+ * about: where the tissue surely lies elsewhere, they were not the section's marks. */
 #ifndef GSN_PIPELINE_ASSEMBLY_TISSUE_H
 #define GSN_PIPELINE_ASSEMBLY_TISSUE_H
 

@@ -47,6 +47,10 @@ int gsn_mark_choice_weigh(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior, double torn_pair,
                           struct gsn_mark_choice *choice);
 int gsn_mark_choice_is_triple(const struct gsn_mark_choice *choice);
+/* What three are worth beside pairs: two of them as a pair, with the odds for the third. */
+double gsn_mark_choice_worth(const struct gsn_mark_candidates *section,
+                             const struct gsn_triangle_prior *prior,
+                             const struct gsn_mark_choice *three, int third);
 /* Whether nothing tore or folded: the marks lie as far apart as sections stretch. */
 int gsn_mark_choice_lies_well(const struct gsn_mark_candidates *section,
                               const struct gsn_triangle_prior *prior,

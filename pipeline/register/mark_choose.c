@@ -12,8 +12,6 @@
  * too short, or too long, is believed only where the picture says so with these odds against all
  * other ways; it is two marks for a person to look at, since no pose fits them. */
 static const double FOLDED_PAIR = 3, FOLDED_ODDS = 20;
-/* Marks that were lost with a piece of the section, or never burnt in. */
-static const double THIRD_LOST = 0.05;
 
 /* Whether a pair calls nothing else than three do. */
 static int contained(const struct gsn_mark_choice *pair, const struct gsn_mark_choice *three)
@@ -24,30 +22,79 @@ static int contained(const struct gsn_mark_choice *pair, const struct gsn_mark_c
     return pair->mirrored == three->mirrored;
 }
 
-/* Three that only a tear could have brought where they are, against two that lie as they should and
- * have lost the third: some other spot was taken for it. */
+static int calls(const struct gsn_mark_choice *choice, int candidate)
+{
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (choice->candidate[i] == candidate)
+            return 1;
+    return 0;
+}
+
+/* What three are worth on the scale of a pair that contradicts them: two of them as a pair, with
+ * the odds that the third is a mark. Of a pair of their own spots the third is the other spot; a
+ * pair with another spot stands against whichever two and third are likeliest. */
+static double worth_against(const struct gsn_mark_candidates *section,
+                            const struct gsn_triangle_prior *prior,
+                            const struct gsn_mark_choice *three, const struct gsn_mark_choice *pair)
+{
+    double worth[GSN_MARKS], most = 0;
+    int shared = 0, third = 0;
+
+    for (int i = 0; i < GSN_MARKS; i++) {
+        worth[i] = gsn_mark_choice_worth(section, prior, three, i);
+        most = fmax(most, worth[i]);
+        if (calls(pair, three->candidate[i]))
+            shared++;
+        else
+            third = i;
+    }
+    return shared == 2 ? worth[third] : most;
+}
+
+/* Pairs that contradict the three, weighed as what is left of the three is: all of them where only
+ * a tear could have brought the three where they are, or else those of their own spots. */
+static void gather_rivals(const struct gsn_mark_candidates *section,
+                          const struct gsn_triangle_prior *prior, const int *fine,
+                          const struct gsn_mark_choice *three, struct gsn_mark_choices *rivals)
+{
+    const int torn = !gsn_mark_choice_lies_well(section, prior, three);
+    struct gsn_mark_choices all = { 0 };
+    int own[GSN_MARK_CANDIDATES];
+
+    for (size_t i = 0; i < section->count; i++)
+        own[i] = fine[i] && (torn || calls(three, (int)i));
+    gsn_mark_choices_add_pairs(section, prior, own, GSN_MARK_TORN_PAIR, &all);
+    for (size_t i = 0; i < all.count; i++) {
+        struct gsn_mark_choice *pair = &all.item[i];
+
+        if (contained(pair, three))
+            continue;
+        pair->likelihood *= three->likelihood / worth_against(section, prior, three, pair);
+        gsn_mark_choices_keep(rivals, pair);
+    }
+}
+
+/* Three against two that have lost the third: a spot that lies where the third would be, if the
+ * section lay otherwise than it does, was taken for it. The tissue's picture is the witness. */
 static void hear_pairs(const struct gsn_mark_candidates *section,
                        const struct gsn_triangle_prior *prior, const int *fine,
                        struct gsn_mark_choice *three, double *runner_up)
 {
     const int pictured = prior->tissue.cell > 0 && section->map.cell > 0;
-    struct gsn_mark_choices all = { 0 }, pairs = { 0 };
+    struct gsn_mark_choices pairs = { 0 };
     struct gsn_mark_choice best;
     double other, weight;
 
-    if (gsn_mark_choice_lies_well(section, prior, three) || !pictured)
+    if (!pictured || !(prior->chance[GSN_MARK_CHANCE - 1] > 0))
         return;
-    gsn_mark_choices_add_pairs(section, prior, fine, GSN_MARK_TORN_PAIR, &all);
-    for (size_t i = 0; i < all.count; i++)
-        if (!contained(&all.item[i], three))
-            gsn_mark_choices_keep(&pairs, &all.item[i]);
+    gather_rivals(section, prior, fine, three, &pairs);
     gsn_mark_choices_ask_picture(section, prior, &pairs);
     best = gsn_mark_choices_decide(&pairs, 0, &other);
     if (!best.trusted)
         return;
     gsn_mark_choice_look(section, prior, three);
     gsn_mark_choice_look(section, prior, &best);
-    weight = THIRD_LOST * gsn_mark_picture_odds(best.unlike, three->unlike);
+    weight = gsn_mark_picture_odds(best.unlike, three->unlike);
     if (weight * best.likelihood <= three->likelihood) {
         *runner_up = fmax(*runner_up, weight * best.likelihood);
         return;

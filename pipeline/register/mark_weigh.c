@@ -126,10 +126,12 @@ static int lay(const struct gsn_mark_candidates *section, const struct gsn_trian
     return 1;
 }
 
-/* Whether one of three spots may as well be there by chance, the two others being the marks. */
-static int by_chance(const struct gsn_mark_candidates *section,
-                     const struct gsn_triangle_prior *prior, const struct gsn_mark_choice *choice,
-                     int third)
+/* Odds that one of three spots is a mark and does not lie there by chance, if the two others are
+ * marks: motion lays these. */
+static double third_odds(const struct gsn_mark_candidates *section,
+                         const struct gsn_triangle_prior *prior,
+                         const struct gsn_mark_choice *choice, int third,
+                         const struct gsn_rigid *motion)
 {
     const int a = (third + 1) % GSN_MARKS, b = (third + 2) % GSN_MARKS;
     const struct gsn_point *mark = prior->mark_um;
@@ -137,18 +139,26 @@ static int by_chance(const struct gsn_mark_candidates *section,
                                       0.5 * (mark[a].y + mark[b].y) };
     const struct gsn_mark *spot = &section->mark[choice->candidate[third]];
     const struct gsn_mark_moves moves = moves_of(section, prior);
-    struct gsn_mark_choice pair = *choice;
-    double chi2, away;
-
-    pair.candidate[third] = -1;
-    if (!lay(section, prior, &pair, &pair.motion, &chi2) || !plausible_pair(chi2))
-        return 0;
-    away = gsn_mark_distance(
-        gsn_rigid_apply(&pair.motion, gsn_mark_to_um(spot->px, section->px_um, choice->mirrored)),
+    const double away = gsn_mark_distance(
+        gsn_rigid_apply(motion, gsn_mark_to_um(spot->px, section->px_um, choice->mirrored)),
         mark[third]);
+
     return gsn_mark_odds(spot, section->px_um, prior, &moves, away,
                          gsn_mark_distance(mark[a], mark[b]),
-                         gsn_mark_distance(mark[third], middle)) < THIRD_ODDS;
+                         gsn_mark_distance(mark[third], middle));
+}
+
+/* Whether one of three spots may as well be there by chance, the two others being the marks. */
+static int by_chance(const struct gsn_mark_candidates *section,
+                     const struct gsn_triangle_prior *prior, const struct gsn_mark_choice *choice,
+                     int third)
+{
+    struct gsn_mark_choice pair = *choice;
+    double chi2;
+
+    pair.candidate[third] = -1;
+    return lay(section, prior, &pair, &pair.motion, &chi2) && plausible_pair(chi2) &&
+           third_odds(section, prior, choice, third, &pair.motion) < THIRD_ODDS;
 }
 
 static int any_by_chance(const struct gsn_mark_candidates *section,
@@ -174,6 +184,20 @@ int gsn_mark_choice_weigh(const struct gsn_mark_candidates *section,
     weigh(section, prior, chi2, torn_pair, choice);
     return choice->trusted &&
            !(gsn_mark_choice_is_triple(choice) && any_by_chance(section, prior, choice));
+}
+
+double gsn_mark_choice_worth(const struct gsn_mark_candidates *section,
+                             const struct gsn_triangle_prior *prior,
+                             const struct gsn_mark_choice *three, int third)
+{
+    struct gsn_mark_choice pair = *three;
+    double chi2;
+
+    pair.candidate[third] = -1;
+    if (!lay(section, prior, &pair, &pair.motion, &chi2))
+        return 0;
+    weigh(section, prior, chi2, GSN_MARK_TORN_PAIR, &pair);
+    return pair.likelihood * third_odds(section, prior, three, third, &pair.motion);
 }
 
 int gsn_mark_choice_lies_well(const struct gsn_mark_candidates *section,

@@ -113,7 +113,9 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
 /* Chooses and numbers the marks of one section: 1..3 as in the prior, allowing any rotation, a
  * mirrored section, and only the stated pixel size. Three spots that look like the stack's marks
  * may lie on a triangle that a tear has pulled apart; the joint solution calls that gross. A triple
- * far from the section's tissue is a neighbour's and none.
+ * far from the section's tissue is a neighbour's and none. Any two of three may as well be the
+ * marks of a section that lies otherwise and has lost the third: the picture learnt is weighed
+ * against the odds that the third is a mark.
  *
  * Where no triple fits, but two candidates do and the tissue learnt says which is which, those two
  * are found, as are two whose distance a fold or a tear has changed where the tissue's picture says

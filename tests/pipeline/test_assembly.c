@@ -291,6 +291,58 @@ TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
         }
 }
 
+/* Section 5 with no marks told, and marks 2 and 3, or 3 and 2, or other spots, to choose from. */
+static void leave_open(struct gsn_panel_section *s, int rivals)
+{
+    const struct gsn_mark second = s->mark[1], third = s->mark[2];
+
+    leave_two(s);
+    s->sighting = GSN_SIGHT_NEEDS_EYE;
+    (void)snprintf(s->flags, sizeof s->flags, "ambiguous-marks");
+    memset(s->mark, 0, sizeof s->mark);
+    s->candidates.at[0].mark[1] = third;
+    s->candidates.at[0].mark[2] = second;
+    s->candidates.at[1].mark[1] = second;
+    s->candidates.at[1].mark[2] = third;
+    if (rivals == 1)
+        s->candidates.count = 1;
+    /* A spot beside mark 3 makes much the same pose. */
+    if (rivals == 3) {
+        s->candidates.at[2] = s->candidates.at[1];
+        s->candidates.at[2].mark[2].px.x += 3;
+        s->candidates.count = 3;
+    }
+}
+
+/* Of spots that could be other marks, the tissue names those that lay the section as it does, and
+ * none where no candidate does or more than one. */
+TEST(marks_that_could_be_others_are_named_where_the_tissue_says_which)
+{
+    for (int rivals = 1; rivals <= 3; rivals++) {
+        struct drawn_panel panels[3];
+        drawn_auto d;
+
+        lopsided_panels(panels);
+        drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+        struct gsn_panel_section *s = &d.findings[1]->section[1];
+        const struct gsn_mark second = s->mark[1], third = s->mark[2];
+
+        leave_open(s, rivals);
+        gsn_auto(gsn_assembly) a = assembled(&d);
+        const struct gsn_assembly_section *laid = &a->section[5];
+
+        CHECK(laid->state == GSN_SECTION_DOUBTFUL && strstr(laid->flags, "by-tissue"));
+        CHECK_NEAR(off_um(laid), 0, 60);
+        CHECK(!laid->seen.mark[0].found);
+        CHECK(laid->seen.mark[1].found == (rivals == 2) &&
+              laid->seen.mark[2].found == (rivals == 2));
+        if (rivals != 2)
+            continue;
+        CHECK_NEAR(laid->seen.mark[1].px.x, second.px.x, 0);
+        CHECK_NEAR(laid->seen.mark[2].px.x, third.px.x, 0);
+    }
+}
+
 /* One mark moved by a third of a millimetre: the triangle is another one, so its place is not
  * known, and the char that no mark accounts for is debris. */
 TEST(a_section_whose_marks_contradict_the_stack_is_held)

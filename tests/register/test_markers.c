@@ -401,6 +401,90 @@ TEST(a_spot_that_may_be_there_by_chance_is_not_the_third_mark)
     CHECK(marks[0].found && marks[1].found && marks[2].found);
 }
 
+/* Where a spot of the third mark's looks would be taken for it: a section with two marks laid
+ * upright, as numbered or the other way round. */
+static struct gsn_point third_if_upright(struct gsn_point a, struct gsn_point b, int lost, int swap)
+{
+    const struct gsn_point *um = PRIOR.mark_um;
+    const struct gsn_point u = um[(lost + 1 + swap) % 3], v = um[(lost + 2 - swap) % 3];
+    const double dx = v.x - u.x, dy = v.y - u.y, px = b.x - a.x, py = b.y - a.y;
+    const double square = dx * dx + dy * dy;
+    const double c = (px * dx + py * dy) / square, s = (py * dx - px * dy) / square;
+    const double x = um[lost].x - u.x, y = um[lost].y - u.y;
+
+    return (struct gsn_point){ a.x + c * x - s * y, a.y + s * x + c * y };
+}
+
+/* Case 17: two marks lie as well face down as up, and a spot in the third's place then makes a
+ * triangle of the wrong face. The picture is heard against it. */
+TEST(a_spot_where_another_pose_would_have_the_lost_mark_turns_no_section_over)
+{
+    struct gsn_triangle_prior prior = PRIOR;
+    struct gsn_error err = { 0 };
+    struct gsn_mark_candidates sections[4];
+    size_t told = 0;
+
+    for (int i = 0; i < 4; i++)
+        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
+    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    for (int n = 0; n < 18; n++) {
+        const double angle = 0.7 * n;
+        const int lost = n % 3, a = (lost + 1) % 3, b = (lost + 2) % 3;
+        struct gsn_mark_candidates section =
+            pictured(angle, 1, 7U & ~(1U << lost), (uint64_t)(10 + n));
+        struct gsn_point spot = third_if_upright(
+            mount(PRIOR.mark_um[a], angle, 1), mount(PRIOR.mark_um[b], angle, 1), lost, n / 3 % 2);
+        struct gsn_mark marks[GSN_MARKS];
+        int mirrored;
+
+        spot.x += 50 / PX;
+        section.count -= section.count == GSN_MARK_CANDIDATES;
+        add(&section, spot, 0.42);
+        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        CHECK(marks[0].found + marks[1].found + marks[2].found < GSN_MARKS);
+        if (marks[a].found) {
+            CHECK(mirrored && marks[b].found);
+            told++;
+        }
+    }
+    print_message("  %zu of 18 told\n", told);
+    CHECK(told >= 12);
+}
+
+/* Case 28: with no picture to say anything, three marks of a section that has shrunk are more than
+ * one of them with a neighbour's, however well those two fit. */
+TEST(a_neighbours_mark_does_not_unseat_three_of_a_section_that_has_shrunk)
+{
+    static const double SHRUNK = 0.945, TURNED = 25 * M_PI / 180;
+    const struct gsn_point middle = { WIDTH / 2, HEIGHT / 2 };
+    struct gsn_triangle_prior prior = PRIOR;
+    struct gsn_mark_candidates sections[4], section = { .px_um = PX, .tissue_px = middle };
+    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_point at[GSN_MARKS], other, side;
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < 4; i++)
+        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
+    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    section.map = sections[0].map;
+    for (int i = 0; i < GSN_MARK_MAP * GSN_MARK_MAP; i++)
+        section.map.value[i] = 0.2F;
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_point um = { SHRUNK * PRIOR.mark_um[i].x, SHRUNK * PRIOR.mark_um[i].y };
+
+        at[i] = mount(um, 0.4, 0);
+        add(&section, at[i], 0.42);
+    }
+    /* Just as far from mark 2 as mark 1 of a section that has not shrunk. */
+    side = (struct gsn_point){ (at[0].x - at[1].x) / SHRUNK, (at[0].y - at[1].y) / SHRUNK };
+    other.x = at[1].x + cos(TURNED) * side.x - sin(TURNED) * side.y;
+    other.y = at[1].y + sin(TURNED) * side.x + cos(TURNED) * side.y;
+    add(&section, other, 0.42);
+    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    for (int i = 0; i < GSN_MARKS; i++)
+        CHECK(marks[i].found && apart_px(marks[i].px, at[i]) < 1e-9);
+}
+
 /* Cases 27 and 28: an edge of glass ties the sections of a row into one. */
 TEST(a_neighbours_marks_are_not_this_sections)
 {

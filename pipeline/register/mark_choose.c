@@ -12,6 +12,8 @@
  * too short, or too long, is believed only where the picture says so with these odds against all
  * other ways; it is two marks for a person to look at, since no pose fits them. */
 static const double FOLDED_PAIR = 3, FOLDED_ODDS = 20;
+/* A pair this much less likely than the three, before the tissue is asked, is not heard. */
+static const double UNHEARD = 1e-5;
 
 /* Whether a pair calls nothing else than three do. */
 static int contained(const struct gsn_mark_choice *pair, const struct gsn_mark_choice *three)
@@ -70,7 +72,8 @@ static void gather_rivals(const struct gsn_mark_candidates *section,
         if (contained(pair, three))
             continue;
         pair->likelihood *= three->likelihood / worth_against(section, prior, three, pair);
-        gsn_mark_choices_keep(rivals, pair);
+        if (pair->likelihood > UNHEARD * three->likelihood)
+            gsn_mark_choices_keep(rivals, pair);
     }
 }
 

@@ -33,17 +33,16 @@ static int calls(const struct gsn_mark_choice *choice, int candidate)
 }
 
 /* What three are worth on the scale of a pair that contradicts them: two of them as a pair, with
- * the odds that the third is a mark. Of a pair of their own spots the third is the other spot; a
- * pair with another spot stands against whichever two and third are likeliest. */
-static double worth_against(const struct gsn_mark_candidates *section,
-                            const struct gsn_triangle_prior *prior,
-                            const struct gsn_mark_choice *three, const struct gsn_mark_choice *pair)
+ * the odds that the third is a mark; worth has it for each third. Of a pair of their own spots the
+ * third is the other spot; a pair with another spot stands against whichever two and third are
+ * likeliest. */
+static double worth_against(const double worth[GSN_MARKS], const struct gsn_mark_choice *three,
+                            const struct gsn_mark_choice *pair)
 {
-    double worth[GSN_MARKS], most = 0;
+    double most = 0;
     int shared = 0, third = 0;
 
     for (int i = 0; i < GSN_MARKS; i++) {
-        worth[i] = gsn_mark_choice_worth(section, prior, three, i);
         most = fmax(most, worth[i]);
         if (calls(pair, three->candidate[i]))
             shared++;
@@ -61,8 +60,11 @@ static void gather_rivals(const struct gsn_mark_candidates *section,
 {
     const int torn = !gsn_mark_choice_lies_well(section, prior, three);
     struct gsn_mark_choices all = { 0 };
+    double worth[GSN_MARKS];
     int own[GSN_MARK_CANDIDATES];
 
+    for (int i = 0; i < GSN_MARKS; i++)
+        worth[i] = gsn_mark_choice_worth(section, prior, three, i);
     for (size_t i = 0; i < section->count; i++)
         own[i] = fine[i] && (torn || calls(three, (int)i));
     gsn_mark_choices_add_pairs(section, prior, own, GSN_MARK_TORN_PAIR, &all);
@@ -71,7 +73,7 @@ static void gather_rivals(const struct gsn_mark_candidates *section,
 
         if (contained(pair, three))
             continue;
-        pair->likelihood *= three->likelihood / worth_against(section, prior, three, pair);
+        pair->likelihood *= three->likelihood / worth_against(worth, three, pair);
         if (pair->likelihood > UNHEARD * three->likelihood)
             gsn_mark_choices_keep(rivals, pair);
     }

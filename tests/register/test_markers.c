@@ -267,17 +267,24 @@ static struct gsn_mark_candidates pictured(double angle, int flipped, unsigned m
     return section;
 }
 
+/* Three upright sections and a mirrored one, and what is learnt from them. */
+static void learn_pictured(struct gsn_mark_candidates sections[4], struct gsn_triangle_prior *prior)
+{
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < 4; i++)
+        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
+    CHECK_OK(gsn_markers_learn(sections, 4, prior, &err), err);
+}
+
 /* Case 20. Without mark 1 the tissue's centre lies in the middle of the other two: outline and root
  * tell. */
 TEST(of_any_two_marks_the_picture_tells_which_is_which)
 {
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_error err = { 0 };
     struct gsn_mark_candidates sections[4];
 
-    for (int i = 0; i < 4; i++)
-        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
-    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    learn_pictured(sections, &prior);
     CHECK(prior.tissue.cell > 0);
     for (int n = 0; n < 18; n++) {
         const double angle = 0.7 * n;
@@ -333,13 +340,10 @@ static int count_found(const struct gsn_mark_candidates *section,
 TEST(two_marks_that_a_fold_has_brought_nearer_are_told_by_the_picture_alone)
 {
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_error err = { 0 };
     struct gsn_mark_candidates sections[4];
     size_t told = 0;
 
-    for (int i = 0; i < 4; i++)
-        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
-    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    learn_pictured(sections, &prior);
     for (int n = 0; n < 12; n++) {
         const double angle = 0.7 * n;
         const int lost = n % 3, flipped = n % 2, a = (lost + 1) % 3, b = (lost + 2) % 3;
@@ -420,13 +424,10 @@ static struct gsn_point third_if_upright(struct gsn_point a, struct gsn_point b,
 TEST(a_spot_where_another_pose_would_have_the_lost_mark_turns_no_section_over)
 {
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_error err = { 0 };
     struct gsn_mark_candidates sections[4];
     size_t told = 0;
 
-    for (int i = 0; i < 4; i++)
-        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
-    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    learn_pictured(sections, &prior);
     for (int n = 0; n < 18; n++) {
         const double angle = 0.7 * n;
         const int lost = n % 3, a = (lost + 1) % 3, b = (lost + 2) % 3;
@@ -461,11 +462,8 @@ TEST(a_neighbours_mark_does_not_unseat_three_of_a_section_that_has_shrunk)
     struct gsn_mark_candidates sections[4], section = { .px_um = PX, .tissue_px = middle };
     struct gsn_mark marks[GSN_MARKS];
     struct gsn_point at[GSN_MARKS], other, side;
-    struct gsn_error err = { 0 };
 
-    for (int i = 0; i < 4; i++)
-        sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
-    CHECK_OK(gsn_markers_learn(sections, 4, &prior, &err), err);
+    learn_pictured(sections, &prior);
     section.map = sections[0].map;
     for (int i = 0; i < GSN_MARK_MAP * GSN_MARK_MAP; i++)
         section.map.value[i] = 0.2F;

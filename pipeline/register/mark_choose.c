@@ -59,10 +59,11 @@ static void gather_rivals(const struct gsn_mark_candidates *section,
                           const struct gsn_mark_choice *three, struct gsn_mark_choices *rivals)
 {
     const int torn = !gsn_mark_choice_lies_well(section, prior, three);
-    struct gsn_mark_choices all = { 0 };
+    struct gsn_mark_choices all;
     double worth[GSN_MARKS];
     int own[GSN_MARK_CANDIDATES];
 
+    rivals->count = all.count = 0;
     for (int i = 0; i < GSN_MARKS; i++)
         worth[i] = gsn_mark_choice_worth(section, prior, three, i);
     for (size_t i = 0; i < section->count; i++)
@@ -86,7 +87,7 @@ static void hear_pairs(const struct gsn_mark_candidates *section,
                        struct gsn_mark_choice *three, double *runner_up)
 {
     const int pictured = prior->tissue.cell > 0 && section->map.cell > 0;
-    struct gsn_mark_choices pairs = { 0 };
+    struct gsn_mark_choices pairs;
     struct gsn_mark_choice best;
     double other, weight;
 
@@ -137,7 +138,7 @@ static struct gsn_mark_choice gather_pairs(const struct gsn_mark_candidates *sec
     return gsn_mark_choices_decide(choices, 0, ret_runner_up);
 }
 
-/* Collects the choices of a section in `choices`, which is empty, and decides. */
+/* Collects the choices of a section and decides. */
 static struct gsn_mark_choice gather(const struct gsn_mark_candidates *section,
                                      const struct gsn_triangle_prior *prior,
                                      struct gsn_mark_choices *choices, double *ret_runner_up)
@@ -145,6 +146,7 @@ static struct gsn_mark_choice gather(const struct gsn_mark_candidates *section,
     int fine[GSN_MARK_CANDIDATES];
     struct gsn_mark_choice choice;
 
+    choices->count = 0;
     for (size_t i = 0; i < section->count; i++)
         fine[i] = gsn_mark_acceptable(section, i, prior);
     gsn_mark_choices_add_triples(section, prior, fine, choices);
@@ -164,7 +166,7 @@ void gsn_markers_choose(const struct gsn_mark_candidates *section,
                         struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
                         double *ret_runner_up)
 {
-    struct gsn_mark_choices choices = { 0 };
+    struct gsn_mark_choices choices;
     struct gsn_mark_choice choice;
     double runner_up;
 
@@ -213,7 +215,7 @@ size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior,
                           struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS])
 {
-    struct gsn_mark_choices choices = { 0 };
+    struct gsn_mark_choices choices;
     double runner_up, sum = 0;
     size_t count = 0;
 

@@ -11,6 +11,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/stain/glass_parts.h"
 #include "pipeline/stain/light.h"
 #include "pipeline/stain/order.h"
 
@@ -20,11 +21,7 @@
 #define BIN 0.005        /* of the histogram of brightness */
 #define SMOOTH 0.02      /* a rougher cell does not count for a peak */
 #define FIRST_REACH 0.06 /* half of the light lost to vignetting within the first rounds' reach */
-#define LAST_REACH 0.004 /* quantisation of 8 bits stays within it */
-#define EVEN_HANDED 0.02 /* until the reach is this short, */
-#define DARKER 0.1       /* darker cells weigh less: glass is the brightest there is */
 #define NEUTRAL 0.03     /* glass beside brighter paper differs from it by no more colour */
-#define RIDGE 1e-4       /* keeps the surface flat where no glass was seen */
 
 enum {
     MOST_CELLS_ACROSS = 384,
@@ -32,60 +29,15 @@ enum {
     SIDE_AT_LEAST = 16,
     BINS = 520, /* 10^-2.6 of full light is never glass */
     HALF_WINDOW = 3,
-    ROUNDS = 24,
-    TERMS = 6,
 };
 
-struct cell {
-    double light[3]; /* mean of log10 */
-    double rough;    /* deviation of one pixel in it */
-    uint32_t top;    /* of the pixels read, those with a channel at the highest code */
-    double weight;
-};
-
-struct cells {
-    size_t nx, ny, side;
-    size_t apart, taps;     /* pixels read of a cell along each side, and how far from each other */
-    uint32_t width, height; /* of the picture */
-    struct cell *cell;
-    double *scratch; /* nx * ny */
-};
-
-struct surface {
-    double s[3][TERMS];
-    double reach;
-};
-
-static void basis(const struct cells *all, size_t i, double ret[TERMS])
-{
-    const double x = ((double)(i % all->nx) + 0.5) * (double)all->side;
-    const double y = ((double)(i / all->nx) + 0.5) * (double)all->side;
-    const double u = 2 * x / all->width - 1, v = 2 * y / all->height - 1;
-
-    ret[0] = 1;
-    ret[1] = u;
-    ret[2] = v;
-    ret[3] = u * u;
-    ret[4] = u * v;
-    ret[5] = v * v;
-}
-
-static double evaluate(const double s[TERMS], const double b[TERMS])
-{
-    double sum = 0;
-
-    for (int k = 0; k < TERMS; k++)
-        sum += s[k] * b[k];
-    return sum;
-}
-
-static double brightness(const struct cell *cell)
+static double brightness(const struct gsn_glass_cell *cell)
 {
     return (cell->light[0] + cell->light[1] + cell->light[2]) / 3;
 }
 
 static void measure_cell(const struct gsn_image *image, const double *log_light,
-                         const struct cells *all, size_t i, struct cell *cell)
+                         const struct gsn_glass_cells *all, size_t i, struct gsn_glass_cell *cell)
 {
     const size_t x0 = i % all->nx * all->side + all->apart / 2;
     const size_t y0 = i / all->nx * all->side + all->apart / 2;
@@ -115,8 +67,8 @@ static void measure_cell(const struct gsn_image *image, const double *log_light,
     cell->rough = sqrt(variance);
 }
 
-static int cut_cells(const struct gsn_image *image, enum gsn_light light, struct cells *ret,
-                     struct gsn_error *err)
+static int cut_cells(const struct gsn_image *image, enum gsn_light light,
+                     struct gsn_glass_cells *ret, struct gsn_error *err)
 {
     const size_t longest = image->width > image->height ? image->width : image->height;
     const size_t side = (longest + MOST_CELLS_ACROSS - 1) / MOST_CELLS_ACROSS;
@@ -142,7 +94,7 @@ static int cut_cells(const struct gsn_image *image, enum gsn_light light, struct
 }
 
 /* How many smooth cells lie within the window around each bin; bin 0 is full light. */
-static void count_brightness(const struct cells *all, size_t window[BINS])
+static void count_brightness(const struct gsn_glass_cells *all, size_t window[BINS])
 {
     size_t bin[BINS] = { 0 };
 
@@ -170,111 +122,13 @@ static int is_peak(const size_t window[BINS], int i, size_t least)
     return 1;
 }
 
-/* Solves the 6 x 6 system by Cholesky for three right-hand sides; it is positive definite by the
- * ridge. */
-static void solve(double a[TERMS][TERMS], double b[3][TERMS], double ret[3][TERMS])
-{
-    for (int j = 0; j < TERMS; j++) {
-        for (int k = 0; k < j; k++)
-            a[j][j] -= a[j][k] * a[j][k];
-        a[j][j] = sqrt(a[j][j]);
-        for (int i = j + 1; i < TERMS; i++) {
-            for (int k = 0; k < j; k++)
-                a[i][j] -= a[i][k] * a[j][k];
-            a[i][j] /= a[j][j];
-        }
-    }
-    for (int c = 0; c < 3; c++) {
-        for (int i = 0; i < TERMS; i++) {
-            for (int k = 0; k < i; k++)
-                b[c][i] -= a[i][k] * b[c][k];
-            b[c][i] /= a[i][i];
-        }
-        for (int i = TERMS - 1; i >= 0; i--) {
-            for (int k = i + 1; k < TERMS; k++)
-                b[c][i] -= a[k][i] * ret[c][k];
-            ret[c][i] = b[c][i] / a[i][i];
-        }
-    }
-}
-
-static int fit_surface(const struct cells *all, struct surface *surface)
-{
-    double a[TERMS][TERMS] = { { 0 } }, b[3][TERMS] = { { 0 } }, sum = 0;
-
-    for (size_t i = 0; i < all->nx * all->ny; i++) {
-        const struct cell *cell = &all->cell[i];
-        double t[TERMS];
-
-        if (!(cell->weight > 0))
-            continue;
-        sum += cell->weight;
-        basis(all, i, t);
-        for (int j = 0; j < TERMS; j++) {
-            for (int k = 0; k <= j; k++)
-                a[j][k] += cell->weight * t[j] * t[k];
-            for (int c = 0; c < 3; c++)
-                b[c][j] += cell->weight * t[j] * cell->light[c];
-        }
-    }
-    if (!(sum > 0))
-        return 0;
-    for (int j = 1; j < TERMS; j++)
-        a[j][j] += RIDGE * sum;
-    solve(a, b, surface->s);
-    return 1;
-}
-
-/* The largest of the three residuals; negative where the cell is darker than the surface. */
-static double deviation(const struct cells *all, size_t i, const struct surface *surface)
-{
-    double t[TERMS], most = 0, sum = 0;
-
-    basis(all, i, t);
-    for (int c = 0; c < 3; c++) {
-        const double d = all->cell[i].light[c] - evaluate(surface->s[c], t);
-
-        most = fmax(most, fabs(d));
-        sum += d;
-    }
-    return sum < 0 ? -most : most;
-}
-
-static void weigh(const struct cells *all, const struct surface *surface)
-{
-    for (size_t i = 0; i < all->nx * all->ny; i++) {
-        const double d = deviation(all, i, surface) / surface->reach;
-        const double biweight = (1 - d * d) * (1 - d * d);
-        const int takes_part = fabs(d) < 1;
-
-        all->cell[i].weight = !takes_part                             ? 0
-                              : d < 0 && surface->reach > EVEN_HANDED ? DARKER * biweight
-                                                                      : biweight;
-    }
-}
-
-/* Narrows the reach towards what the noise of smooth cells deserves. The spread of the residuals
- * must not decide it: pale tissue would widen it and stay. */
-static void narrow(const struct cells *all, struct surface *surface)
-{
-    size_t near = 0;
-    double rough;
-
-    for (size_t i = 0; i < all->nx * all->ny; i++)
-        if (all->cell[i].weight > 0)
-            all->scratch[near++] = all->cell[i].rough;
-    if (near == 0)
-        return;
-    rough = gsn_order_pick(all->scratch, near, near / 4);
-    surface->reach = fmax(LAST_REACH + 5 * rough / (double)all->taps, 0.85 * surface->reach);
-}
-
 /* An even surface: the median colour of the smooth cells of this brightness. */
-static int start(const struct cells *all, double peak, struct surface *ret_surface)
+static int start(const struct gsn_glass_cells *all, double peak,
+                 struct gsn_glass_surface *ret_surface)
 {
     const size_t count = all->nx * all->ny;
 
-    *ret_surface = (struct surface){ .reach = FIRST_REACH };
+    *ret_surface = (struct gsn_glass_surface){ .reach = FIRST_REACH };
     for (int c = 0; c < 3; c++) {
         size_t n = 0;
 
@@ -289,26 +143,8 @@ static int start(const struct cells *all, double peak, struct surface *ret_surfa
     return 1;
 }
 
-/* Share of the cells that end on the surface. */
-static double grow(const struct cells *all, struct surface *surface)
-{
-    const size_t count = all->nx * all->ny;
-    size_t on = 0;
-
-    weigh(all, surface);
-    for (int round = 0; round < ROUNDS; round++) {
-        if (!fit_surface(all, surface))
-            return 0;
-        narrow(all, surface);
-        weigh(all, surface);
-    }
-    for (size_t i = 0; i < count; i++)
-        on += all->cell[i].weight > 0;
-    return (double)on / (double)count;
-}
-
 /* Whether b differs from a in brightness only, as glass does from the paper of a label. */
-static int same_hue(const struct surface *a, const struct surface *b)
+static int same_hue(const struct gsn_glass_surface *a, const struct gsn_glass_surface *b)
 {
     double low = INFINITY, high = -INFINITY;
 
@@ -320,16 +156,16 @@ static int same_hue(const struct surface *a, const struct surface *b)
 }
 
 /* The brightest peak is glass, unless it is too small and a darker one of the same hue is not. */
-static double find_glass(const struct cells *all, struct surface *ret_surface)
+static double find_glass(const struct gsn_glass_cells *all, struct gsn_glass_surface *ret_surface)
 {
     const size_t least = (size_t)ceil(LEAST_PEAK * (double)(all->nx * all->ny));
-    struct surface first = { .reach = 0 };
+    struct gsn_glass_surface first = { .reach = 0 };
     size_t window[BINS];
     double first_share = -1;
 
     count_brightness(all, window);
     for (int i = 0; i < BINS; i++) {
-        struct surface surface;
+        struct gsn_glass_surface surface;
         double share;
 
         if (!is_peak(window, i, least) || !start(all, -(i + 0.5) * BIN, &surface))
@@ -338,7 +174,7 @@ static double find_glass(const struct cells *all, struct surface *ret_surface)
             first = surface;
         else if (!same_hue(&first, &surface))
             continue;
-        share = grow(all, &surface);
+        share = gsn_glass_grow(all, &surface);
         if (first_share < 0)
             first_share = share;
         if (share >= LEAST_GLASS) {
@@ -349,7 +185,7 @@ static double find_glass(const struct cells *all, struct surface *ret_surface)
     return fmax(first_share, 0);
 }
 
-static void describe(const struct cells *all, struct gsn_glass *glass)
+static void describe(const struct gsn_glass_cells *all, struct gsn_glass *glass)
 {
     enum { POINTS = 16 };
     size_t near = 0, top = 0;
@@ -372,11 +208,11 @@ static void describe(const struct cells *all, struct gsn_glass *glass)
     }
 }
 
-static int estimate(const struct gsn_image *image, enum gsn_light light, struct cells *all,
-                    struct gsn_glass *ret_glass, struct gsn_error *err)
+static int estimate(const struct gsn_image *image, enum gsn_light light,
+                    struct gsn_glass_cells *all, struct gsn_glass *ret_glass, struct gsn_error *err)
 {
     struct gsn_glass glass = { .light = light, .width = image->width, .height = image->height };
-    struct surface surface;
+    struct gsn_glass_surface surface;
     const int r = cut_cells(image, light, all, err);
 
     if (r < 0)
@@ -397,7 +233,7 @@ static int estimate(const struct gsn_image *image, enum gsn_light light, struct 
 int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
                        struct gsn_glass *ret_glass, struct gsn_error *err)
 {
-    struct cells all = { .nx = 0 };
+    struct gsn_glass_cells all = { .nx = 0 };
     int r;
 
     if (image->channels != 3)

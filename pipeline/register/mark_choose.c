@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_choice.h"
 
-#include "pipeline/register/mark_density.h"
 #include "pipeline/register/mark_looks.h"
 
 #include <assert.h>
@@ -240,18 +239,4 @@ size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
     for (size_t i = 0; i < count; i++)
         ret_rivals[i].share /= sum;
     return count;
-}
-
-int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,
-                     const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
-                     int *ret_mirrored, double *ret_runner_up, struct gsn_error *err)
-{
-    const struct gsn_mark_density density = gsn_mark_density_of(red_od);
-    struct gsn_mark_candidates candidates;
-    const int r = gsn_markers_candidates(&density, slot, px_um, &candidates, err);
-
-    if (r < 0)
-        return r;
-    gsn_markers_choose(&candidates, prior, ret_marks, ret_mirrored, NULL, ret_runner_up);
-    return GSN_OK;
 }

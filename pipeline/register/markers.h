@@ -145,11 +145,6 @@ size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior,
                           struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS]);
 
-/* Candidates and choice for one section. Fails as gsn_markers_candidates(). */
-int gsn_markers_find(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,
-                     const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
-                     int *ret_mirrored, double *ret_runner_up, struct gsn_error *err);
-
 #ifdef __cplusplus
 }
 #endif

@@ -11,8 +11,6 @@
 
 /* Sides must differ by this many standard deviations of a mark. */
 static const double SCALENE = 10;
-/* Tissue says which candidate is right when it fits better by this factor. */
-static const double CLEARLY = 0.75;
 
 static double distance(struct gsn_point a, struct gsn_point b)
 {
@@ -376,19 +374,4 @@ void gsn_pose_likeliest(const struct gsn_pose *pose, const struct gsn_point *tar
                        apart2(&c[best].panel_to_block_um, &c[i].panel_to_block_um, targets, count));
     *ret_panel_to_block_um = c[best].panel_to_block_um;
     *ret_error_um = sqrt(square);
-}
-
-int gsn_pose_preferred(const struct gsn_pose *pose, const double mismatch[GSN_MARKS])
-{
-    int best = -1;
-
-    assert(pose && mismatch);
-
-    for (int i = 0; i < GSN_MARKS; i++)
-        if (laid(&pose->candidate[i]) && (best < 0 || mismatch[i] < mismatch[best]))
-            best = i;
-    for (int i = 0; best >= 0 && i < GSN_MARKS; i++)
-        if (i != best && laid(&pose->candidate[i]) && !(mismatch[best] < CLEARLY * mismatch[i]))
-            return -1;
-    return best;
 }

@@ -121,11 +121,6 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
 void gsn_pose_likeliest(const struct gsn_pose *pose, const struct gsn_point *targets, size_t count,
                         struct gsn_affine *ret_panel_to_block_um, double *ret_error_um);
 
-/* The candidate that the tissue prefers: mismatch[i] says how badly candidate i continues the
- * neighbours (any measure, 0 and up; NaN: not known). -1 when the best is not better than the
- * others by a quarter, which texture alone can make. */
-int gsn_pose_preferred(const struct gsn_pose *pose, const double mismatch[GSN_MARKS]);
-
 #ifdef __cplusplus
 }
 #endif

@@ -70,6 +70,21 @@ static void check_mark(const struct gsn_mark *mark, int i, double angle, int fli
     CHECK(mark->cov_xx > 0 && mark->cov_xx < 0.01 && mark->score > 0.8);
 }
 
+/* Candidates and choice for one section. */
+static int find_marks(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,
+                      const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
+                      int *ret_mirrored, double *ret_runner_up, struct gsn_error *err)
+{
+    const struct gsn_mark_density density = gsn_mark_density_of(red_od);
+    struct gsn_mark_candidates candidates;
+    const int r = gsn_markers_candidates(&density, slot, px_um, &candidates, err);
+
+    if (r < 0)
+        return r;
+    gsn_markers_choose(&candidates, prior, ret_marks, ret_mirrored, NULL, ret_runner_up);
+    return GSN_OK;
+}
+
 TEST(three_marks_are_found_and_numbered_however_the_section_lies)
 {
     const struct gsn_slot slot = whole_panel();
@@ -83,8 +98,7 @@ TEST(three_marks_are_found_and_numbered_however_the_section_lies)
         int mirrored;
 
         draw_section(angle, flipped, 7, (uint64_t)n);
-        CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, &mirrored, &runner_up, &err),
-                 err);
+        CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, &mirrored, &runner_up, &err), err);
         for (int i = 0; i < GSN_MARKS; i++)
             check_mark(&marks[i], i, angle, flipped);
         CHECK(mirrored == flipped && runner_up < 0.01);
@@ -109,7 +123,7 @@ TEST(debris_is_not_taken_for_a_mark)
 
             draw_ellipse(&panel, at, r, r, 0, 0.5);
         }
-        CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, &runner_up, &err), err);
+        CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, &runner_up, &err), err);
         for (int i = 0; i < GSN_MARKS; i++)
             check_mark(&marks[i], i, 0.3, 0);
         CHECK(runner_up < 0.5);
@@ -147,7 +161,7 @@ TEST(masked_pixels_do_no_harm)
     draw_section(0, 0, 7, 1);
     draw_box(&panel, 200, 200, 40, 40, NAN);
     draw_box(&panel, (int)one.x + 3, (int)one.y - 8, 3, 16, NAN);
-    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+    CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
     for (int i = 0; i < GSN_MARKS; i++)
         check_mark(&marks[i], i, 0, 0);
 }
@@ -159,10 +173,10 @@ TEST(tissue_without_marks_has_none)
     struct gsn_error err = { 0 };
 
     draw_section(0, 0, 0, 1);
-    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+    CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
     draw_fill(&panel, NAN);
-    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+    CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
 }
 
@@ -512,7 +526,7 @@ TEST(ink_and_edges_of_glass_do_not_crowd_out_the_marks)
             (struct gsn_point){ draw_uniform(&chance, 230, 330), draw_uniform(&chance, 280, 340) },
             draw_uniform(&chance, 2, 12), draw_uniform(&chance, 2, 5), draw_uniform(&chance, 0, 3),
             draw_uniform(&chance, 0.6, 1.6));
-    CHECK_OK(gsn_markers_find(&panel, &slot, PX, &prior, marks, NULL, NULL, &err), err);
+    CHECK_OK(find_marks(&panel, &slot, PX, &prior, marks, NULL, NULL, &err), err);
     for (int i = 0; i < GSN_MARKS; i++)
         check_mark(&marks[i], i, 0, 0);
 }
@@ -550,7 +564,7 @@ TEST(an_edge_of_glass_over_two_marks_hides_neither)
 
         draw_section(angle, 0, 7, (uint64_t)n);
         draw_edge((struct gsn_point){ a.x, a.y - n }, (b.y - a.y + 6) / (b.x - a.x));
-        CHECK_OK(gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
+        CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
         for (int i = 0; i < GSN_MARKS; i++) {
             const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, 0);
 
@@ -815,7 +829,7 @@ static int find_once(struct gsn_error *err)
     slot.x = (int)one.x - 20;
     slot.y = (int)one.y - 20;
     slot.width = slot.height = 40;
-    return gsn_markers_find(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, err);
+    return find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, err);
 }
 
 static int seek_once(const struct gsn_triangle_prior *prior, struct gsn_error *err)

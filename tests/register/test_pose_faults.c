@@ -146,20 +146,6 @@ TEST(a_contradicting_section_lists_three_poses_and_is_not_refitted)
     mounted_done(&s);
 }
 
-TEST(tissue_prefers_a_candidate_only_when_it_is_clearly_better)
-{
-    const struct gsn_affine some = { 16, 0, 0, 0, 16, 0 };
-    struct gsn_pose pose = { .candidate = {
-                                 { some, 0, 0, 0 }, { some, 0, 0, 0 }, { some, 0, 0, 0 } } };
-
-    CHECK(gsn_pose_preferred(&pose, (double[]){ 0.5, 0.2, 0.4 }) == 1);
-    CHECK(gsn_pose_preferred(&pose, (double[]){ 0.25, 0.2, 0.4 }) == -1);
-    CHECK(gsn_pose_preferred(&pose, (double[]){ NAN, NAN, NAN }) == -1);
-    CHECK(gsn_pose_preferred(&pose, (double[]){ 0.1, NAN, 0.4 }) == -1);
-    pose.candidate[1].panel_to_block_um = (struct gsn_affine){ 0 };
-    CHECK(gsn_pose_preferred(&pose, (double[]){ 0.5, 0.2, 0.9 }) == 0);
-}
-
 /* Two sides of the triangle that differ by `sigmas` of a mark; every fifth section is mounted face
  * down and comes numbered as if it were not. */
 static size_t flips_wrong(double sigmas, size_t trials, uint64_t seed, size_t *ret_told)

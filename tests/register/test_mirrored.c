@@ -225,6 +225,7 @@ TEST(a_mirrored_section_is_called_flipped_or_asked_about)
 
     CHECK(are_rare(t.silent, t.mirrored) && are_rare(t.blamed, t.upright));
     CHECK(are_rare(hard.silent, hard.mirrored) && are_rare(hard.blamed, hard.upright));
+    CHECK(are_rare(t.misnumbered, t.mirrored + t.upright));
     /* Hardly more mirrored sections than upright ones are asked about. */
     CHECK((double)t.asked / (double)t.mirrored <=
           (double)t.upright_asked / (double)t.upright + 0.08);

@@ -79,9 +79,11 @@ static void guess_levels(struct gsn_edge_fit *fit)
 }
 
 /* How much more than claimed the outline is off: the sectors' disagreement beyond the unknowns
- * spent on it, and as far as neighbours err together. */
+ * spent on it, and as far as neighbours err together. What is claimed counts as much as what a rim
+ * of sectors that err by it would show, since some thirty squares alone are known to a quarter. */
 static double inflation(const struct gsn_edge_fit *fit)
 {
+    const double claimed = (double)fit->sectors;
     double squares = 0, n = 0, sum = 0;
 
     for (size_t k = 0; k < fit->sectors; k++) {
@@ -97,12 +99,43 @@ static double inflation(const struct gsn_edge_fit *fit)
     }
     if (!(squares > 0))
         return 1;
-    return fmax(squares / fmax(n - 2 * fit->lobes - 1, 2), 1) * fmax(1 + 2 * sum / squares, 1);
+    return fmax((claimed + squares) / (claimed + fmax(n - 2 * fit->lobes - 1, 2)), 1) *
+           fmax(1 + 2 * sum / squares, 1);
 }
 
+/* How much more the disc's level differs from sector to sector than single pixels' noise makes it.
+ * Tissue that shows through a faint mark is alike over several pixels and moves its edge by as much
+ * more than noise of that size. */
+static double unevenness(const struct gsn_edge_fit *fit)
+{
+    double squares = 0, n = 0;
+
+    for (size_t k = 0; k < fit->sectors; k++) {
+        const struct gsn_edge_sector *s = &fit->sector[k];
+        const double information = s->s[GSN_SECTOR_DISC][GSN_SECTOR_DISC];
+
+        if (!(s->weight > 0 && information > 0))
+            continue;
+        squares += s->weight * pow(s->t[GSN_SECTOR_DISC], 2) / information;
+        n += s->weight;
+    }
+    return fmax(squares / fmax(n - 1, 1), 1);
+}
+
+/* Part of the centre's covariance that is what its lobes may be as far as the rim says nothing. */
+static double by_belief(const struct gsn_edge_fit *fit, const double *a, const double *b)
+{
+    double sum = 0;
+
+    for (int i = R + 1; i < 2 * fit->lobes + 1; i++)
+        sum += a[i] * b[i];
+    return sum / (fit->lobe * fit->lobe);
+}
+
+/* The inverse of the information; larger where the sectors say so, but for what is belief. */
 static int covariance(const struct gsn_edge_fit *fit, gsn_edge_matrix h, struct gsn_mark *mark)
 {
-    const double larger = inflation(fit);
+    const double larger = inflation(fit) * unevenness(fit);
     double column[2][UNKNOWNS] = { { 0 } };
 
     for (int c = 0; c < 2; c++) {
@@ -113,9 +146,9 @@ static int covariance(const struct gsn_edge_fit *fit, gsn_edge_matrix h, struct 
         if (gsn_small_solve_spd(&a[0][0], column[c], UNKNOWNS) < 0)
             return 0;
     }
-    mark->cov_xx = larger * column[0][CX];
-    mark->cov_xy = larger * column[0][CY];
-    mark->cov_yy = larger * column[1][CY];
+    mark->cov_xx = larger * column[0][CX] - (larger - 1) * by_belief(fit, column[0], column[0]);
+    mark->cov_xy = larger * column[0][CY] - (larger - 1) * by_belief(fit, column[0], column[1]);
+    mark->cov_yy = larger * column[1][CY] - (larger - 1) * by_belief(fit, column[1], column[1]);
     return 1;
 }
 

@@ -27,9 +27,11 @@ extern "C" {
 
 /* Fits the mark near start, whose radius is about radius_px (within a factor of 1.6, at least 4).
  *
- * borrows: plane; NaN pixels are left out. The covariance is that of the sectors' disagreement, as
- * far as it is correlated from one to the next. ret_mark.found is 0 when too few sectors agree on a
- * round edge, or the fit runs away: that is no error. Fails with GSN_E_NOMEM. */
+ * borrows: plane; NaN pixels are left out. The covariance is the model's, larger by how much more
+ * than it says the sectors' edges disagree and the disc's level differs from sector to sector; what
+ * lobes may do where the rim is missing is in it as it is believed. ret_mark.found is 0 when too
+ * few sectors agree on a round edge, or the fit runs away: that is no error. Fails with
+ * GSN_E_NOMEM. */
 int gsn_mark_edge_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
                       struct gsn_mark *ret_mark, struct gsn_error *err);
 

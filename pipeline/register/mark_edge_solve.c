@@ -227,6 +227,9 @@ int gsn_edge_descend(struct gsn_edge_fit *fit, gsn_edge_matrix ret_h)
         double by[UNKNOWNS];
         struct gsn_edge_sums sums;
 
+        /* Not after the last step: h is then of the lobes believed in. */
+        if (step > 1)
+            learn_lobes(fit, ret_h);
         gsn_edge_accumulate(fit, &sums);
         assemble(fit, h, by);
         memcpy(ret_h, h, sizeof h);
@@ -244,8 +247,6 @@ int gsn_edge_descend(struct gsn_edge_fit *fit, gsn_edge_matrix ret_h)
         if (step > 0)
             reweigh_sectors(fit, step);
         learn_spread(fit);
-        if (step > 0)
-            learn_lobes(fit, ret_h);
         settled = hypot(by[CX], by[CY]);
         /* The next step will be a tenth of it. */
         if (step > SETTLING && settled < 4e-3)

@@ -113,20 +113,30 @@ static void note_residuals(const struct gsn_pose_member *m, const struct gsn_pos
     pose->rms_um = sqrt(sum / (double)marks->count);
 }
 
-/* Whether the marks contradict the stack by more than 0.1 % of good sections do. */
-static int contradicts(const struct gsn_pose_stack *s, const struct gsn_pose_fit *fit, size_t marks,
-                       double shrink)
+/* Whether the marks contradict the stack by more than 0.1 % of good sections do, none of them
+ * trusted beyond the finest. */
+static int contradicts(const struct gsn_pose_stack *s, const struct gsn_pose_fit_input *marks,
+                       const struct gsn_pose_fit *fit)
 {
-    double left[3];
+    const double coarser = fmax(s->finest - s->mark_um2, 0);
+    struct gsn_pose_fit_input blunt = *marks;
+    struct gsn_pose_fit again = *fit;
 
     /* The surface on which two sections contradict as much is convex, so that all of it lies on one
      * side of the plane at its nearest point: no section that is nearer than the limit of a single
      * side is beyond that of all three. */
-    if (marks < GSN_MARKS || fit->chi2 * shrink <= s->side_limit)
-        return fit->chi2 * shrink > s->side_limit;
-    for (int i = 0; i < 3; i++)
-        left[i] = fit->left[i] * sqrt(shrink);
-    return gsn_pose_fault_chance(left, fit->off, s->spread_freedom, s->widening) < GSN_POSE_ALPHA;
+    if (fit->chi2 <= s->side_limit)
+        return 0;
+    for (size_t i = 0; i < marks->count; i++) {
+        blunt.cov[i].xx += coarser;
+        blunt.cov[i].yy += coarser;
+    }
+    if (coarser > 0 && gsn_pose_fit(&blunt, &again, NULL) < 0)
+        return 1;
+    if (marks->count < GSN_MARKS || again.chi2 <= s->side_limit)
+        return again.chi2 > s->side_limit;
+    return gsn_pose_fault_chance(again.left, (const double(*)[2][3])again.off, s->spread_freedom,
+                                 s->widening) < GSN_POSE_ALPHA;
 }
 
 static struct gsn_pose pose_of(const struct gsn_pose_stack *s, struct gsn_pose_member *m,
@@ -135,7 +145,6 @@ static struct gsn_pose pose_of(const struct gsn_pose_stack *s, struct gsn_pose_m
     struct gsn_pose pose = { .state = GSN_POSE_NONE, .order = { 0, 1, 2 } };
     struct gsn_pose_fit_input marks;
     struct gsn_pose_fit fit;
-    const double shrink = fmin(1, s->mark_um2 / s->finest);
 
     if (m->marks < 2 || !isfinite(m->squares))
         return pose;
@@ -152,8 +161,8 @@ static struct gsn_pose pose_of(const struct gsn_pose_stack *s, struct gsn_pose_m
     pose.error.freedom = s->freedom;
     memcpy(pose.strain, fit.strain, sizeof pose.strain);
     pose.tre_um = gsn_pose_tre_rms(&pose.error, targets, 0);
-    pose.chi2 = fit.chi2 * shrink;
-    pose.gross = contradicts(s, &fit, marks.count, shrink);
+    pose.chi2 = fit.chi2;
+    pose.gross = contradicts(s, &marks, &fit);
     if (pose.gross && marks.count == GSN_MARKS)
         list_candidates(s, m, &marks, &fit, targets, &pose);
     return pose;

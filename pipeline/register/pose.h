@@ -101,9 +101,9 @@ struct gsn_pose_options {
 };
 
 /* Solves the stack. borrows: everything. Marks weigh by the covariance of their fits and by what
- * the residuals of all sections show beyond it; the FLE is that of the median mark (of the fits
- * themselves where fewer than 3 sections have three marks). Strain and slanted axes are looked for
- * from 12 sections on. ret_poses receives count entries.
+ * the residuals of all sections show beyond it, alike for all marks or in proportion; the FLE is
+ * that of the median mark (of the fits themselves where fewer than 3 sections have three marks).
+ * Strain and slanted axes are looked for from 12 sections on. ret_poses receives count entries.
  *
  * Fails with GSN_E_MARKERS when no section has three marks, when the protocol's or the mean
  * triangle is degenerate, or when it is so nearly equilateral that not even rotations can be told;

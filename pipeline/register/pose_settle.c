@@ -2,11 +2,12 @@
 #include "pipeline/register/pose_stack.h"
 
 #include "pipeline/register/median.h"
+#include "pipeline/register/scatter.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { ROUNDS = 100, LEARNING = 3 };
+enum { ROUNDS = 100, LEARNING = 3, SHARES = 4, RELAXING = 4 };
 
 /* Of the chi-squared distribution with 3 degrees of freedom: the median, and the mean of what lies
  * below the 0.1 % limit. */
@@ -35,12 +36,19 @@ static double rounding(const struct gsn_pose_stack *s)
 }
 
 /* The median mark's variance is what the residuals say. Where that is more than its fit says, the
- * rest (the burn's own shape, the tissue's) is every mark's; where it is less, the fits exaggerate.
- */
+ * rest is every mark's alike (the burn's own shape), or larger where the fit is poorer (texture of
+ * the tissue that the fit took for noise), or some of either; where it is less, the fits
+ * exaggerate. */
 double gsn_pose_excess(const struct gsn_pose_stack *s, double *ret_scale)
 {
-    *ret_scale = s->mark_um2 < s->fit_um2 ? s->mark_um2 / s->fit_um2 : 1;
-    return fmax(s->mark_um2 - s->fit_um2, 0) + rounding(s);
+    const double more = fmax(s->mark_um2 - s->fit_um2, 0);
+
+    *ret_scale = 1;
+    if (s->mark_um2 < s->fit_um2)
+        *ret_scale = s->mark_um2 / s->fit_um2;
+    else if (s->fit_um2 > 0)
+        *ret_scale = 1 + s->follows * more / s->fit_um2;
+    return (1 - s->follows) * more + rounding(s);
 }
 
 static void weigh(struct gsn_pose_stack *s)
@@ -217,8 +225,8 @@ static void judge_shape(struct gsn_pose_stack *s)
     s->flips_told = s->scalene_sigma >= SCALENE;
 }
 
-/* Generalised Procrustes: place, estimate the noise, move the mean triangle, until it rests. */
-void gsn_pose_settle(struct gsn_pose_stack *s)
+/* Place, estimate the noise, move the mean triangle, until it rests. */
+static void procrustes(struct gsn_pose_stack *s)
 {
     double acceptable = 0;
 
@@ -237,4 +245,70 @@ void gsn_pose_settle(struct gsn_pose_stack *s)
     }
     gsn_pose_place(s, acceptable);
     estimate_noise(s);
+}
+
+/* Twice the negative logarithm of the residuals' likelihood, what the motions take of them left
+ * out; a gross section counts as one that is just not. */
+static double unlikelihood(const struct gsn_pose_stack *s)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < s->count; i++) {
+        const struct gsn_pose_member *m = &s->member[i];
+        double weight[GSN_MARKS], all = 0, turn = 0, x = 0, y = 0;
+
+        if (m->marks != GSN_MARKS || !isfinite(m->squares))
+            continue;
+        for (int k = 0; k < GSN_MARKS; k++) {
+            weight[k] = 1 / m->variance[m->order[k]];
+            all += weight[k];
+            x += weight[k] * m->onto[k].x;
+            y += weight[k] * m->onto[k].y;
+            sum -= 2 * log(weight[k]);
+        }
+        for (int k = 0; k < GSN_MARKS; k++)
+            turn += weight[k] * (pow(m->onto[k].x - x / all, 2) + pow(m->onto[k].y - y / all, 2));
+        sum += 2 * log(all) + log(turn) + fmin(m->squares, GSN_POSE_CHI2_GROSS);
+    }
+    return sum;
+}
+
+/* Tries how much of the excess goes with the fits' own variances: never all, as no mark is exact
+ * because its fit says so. It is none unless the residuals are likelier for it than one more
+ * unknown makes them by chance (Akaike's 2). */
+static void learn_follows(struct gsn_pose_stack *s)
+{
+    const double none = s->mark_um2;
+    double least = INFINITY, best = 0, best_um2 = none;
+
+    for (int k = 0; k < SHARES; k++) {
+        double unlikely;
+
+        s->follows = (double)k / SHARES;
+        for (int round = 0; k > 0 && round < RELAXING; round++) {
+            weigh(s);
+            gsn_pose_place(s, gsn_pose_acceptable(s));
+            estimate_noise(s);
+        }
+        unlikely = unlikelihood(s) + (k > 0 ? 2 : 0);
+        if (unlikely < least) {
+            least = unlikely;
+            best = s->follows;
+            best_um2 = s->mark_um2;
+        }
+    }
+    s->follows = best;
+    s->mark_um2 = best_um2;
+    weigh(s);
+}
+
+/* Generalised Procrustes. */
+void gsn_pose_settle(struct gsn_pose_stack *s)
+{
+    s->follows = 0;
+    procrustes(s);
+    if (s->with_three < GSN_SCATTER_LEAST || s->mark_um2 <= s->fit_um2 || s->fit_um2 <= rounding(s))
+        return;
+    learn_follows(s);
+    procrustes(s);
 }

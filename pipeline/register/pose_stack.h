@@ -36,6 +36,7 @@ struct gsn_pose_stack {
     struct gsn_point triangle[GSN_MARKS];
     double mark_um2; /* variance per axis of the median mark; with strain in it until learnt */
     double fit_um2;  /* the same by the fits' own account */
+    double follows;  /* share of what is more than that account which grows with each mark's own */
     double finest;   /* variance below which no test calls anything gross, um^2 */
     double scalene_sigma;
     int flips_told;

@@ -148,6 +148,45 @@ TEST(a_faint_mark_is_found_as_well_as_its_noise_lets_it)
           1.5 * bound(16, 1.2, 0.25));
 }
 
+/* Adds the mean of white noise over 5 by 5 pixels: of standard deviation sd, alike over some
+ * pixels. */
+static void draw_texture(struct draw_chance *chance, double sd)
+{
+    enum { WIDE = SIDE + 4 };
+    static double white[WIDE * WIDE];
+
+    for (size_t i = 0; i < WIDE * WIDE; i++)
+        white[i] = draw_normal(chance) * sd / 5;
+    for (size_t i = 0; i < SIDE * SIDE; i++)
+        for (size_t k = 0; k < 25; k++)
+            value[i] += (float)white[(i / SIDE + k / 5) * WIDE + i % SIDE + k % 5];
+}
+
+/* A faint disc lets the tissue's texture through, alike over some pixels: its edge is off by more
+ * than noise of that size would move it. */
+TEST(a_faint_mark_in_texture_knows_that_it_is_measured_worse)
+{
+    struct draw_chance chance = { 12 };
+    double squares = 0, claimed = 0;
+
+    for (int n = 0; n < RUNS; n++) {
+        const struct gsn_point c = { draw_uniform(&chance, 47, 49), draw_uniform(&chance, 47, 49) };
+        struct gsn_error err = { 0 };
+        struct gsn_mark mark;
+
+        draw_faulty(c, 16, 0.5, (struct fault){ .lobes = 0.02 }, &chance);
+        draw_noise(&plane, &chance, 0.02);
+        draw_texture(&chance, 0.03);
+        CHECK_OK(gsn_mark_edge_fit(&plane, (struct gsn_point){ 48, 48 }, 16, &mark, &err), err);
+        CHECK(mark.found);
+        squares += pow(mark.px.x - c.x, 2) + pow(mark.px.y - c.y, 2);
+        claimed += mark.cov_xx + mark.cov_yy;
+    }
+    print_message("  rms %.4f, claimed %.4f px\n", sqrt(squares / (2 * RUNS)),
+                  sqrt(claimed / (2 * RUNS)));
+    CHECK(claimed / squares > 0.7 * 0.7 && claimed / squares < 1.4 * 1.4);
+}
+
 TEST(what_has_no_round_edge_is_no_mark)
 {
     struct draw_chance chance = { 3 };

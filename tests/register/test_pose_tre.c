@@ -122,6 +122,24 @@ TEST(marks_fitted_unequally_are_calibrated)
     check_calibrated("unequal marks, exact covariances", &s);
 }
 
+/* Fits that take texture for noise say too little, the poor ones by as much as the good ones: the
+ * poses are as exact as if they had said what is so. */
+TEST(fits_that_all_say_too_little_are_found_out_by_the_stack)
+{
+    struct mounted_world world = EVEN;
+    struct score right, modest;
+
+    world.burn_um = 0;
+    world.fit_um = 6;
+    world.unequal = 0.3;
+    right = simulate(&world, 60, mounted_trials(8000), TARGET, 32, 0);
+    world.modest = 2;
+    modest = simulate(&world, 60, mounted_trials(8000), TARGET, 32, 0);
+    check_calibrated("fits that say half", &modest);
+    CHECK(modest.squares / (double)modest.sections <
+          pow(1.03, 2) * right.squares / (double)right.sections);
+}
+
 /* Case 20. */
 TEST(two_marks_are_calibrated_with_a_larger_error)
 {

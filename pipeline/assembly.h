@@ -11,6 +11,7 @@
 #include "pipeline/pictures.h"
 #include "pipeline/register/sequence.h"
 #include "pipeline/register/strain.h"
+#include "pipeline/register/tissue_check.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/dust.h"
 #include "pipeline/stain/lamp.h"
@@ -38,6 +39,7 @@ struct gsn_assembly_section {
     int posed;
     struct gsn_pose pose;
     enum gsn_assembly_state state;
+    struct gsn_tissue_finding finding; /* whether its neighbours' tissue bears out its marks */
     double clipped;  /* share of its tissue with a sample at either end of the codes; masked */
     char flags[160]; /* words with one space between */
     struct gsn_mask_figures masked;               /* what of it is not measured, and why */

@@ -36,6 +36,18 @@ static struct gsn_point upright_of(const struct gsn_assembly *a, int declared)
     return upright;
 }
 
+/* Lays a section's candidates in the stack that the marks solved. */
+static void lay_candidates(const struct gsn_specimen *specimen, const struct gsn_assembly *a,
+                           const struct gsn_pose_targets *targets, struct gsn_assembly_section *s)
+{
+    const double px_um = gsn_assembly_panel(specimen, s->panel)->px_um;
+    struct gsn_point onto[GSN_MARKS];
+
+    gsn_axes_at(&a->summary.axes, s->seen.serial, a->summary.mean_triangle, onto);
+    gsn_candidates_lay(&s->candidates, px_um, onto);
+    gsn_candidates_predict(&s->candidates, px_um, &a->summary, targets);
+}
+
 void gsn_assembly_list_candidates(const struct gsn_specimen *specimen,
                                   const struct gsn_pose_options *options, struct gsn_assembly *a)
 {
@@ -44,17 +56,22 @@ void gsn_assembly_list_candidates(const struct gsn_specimen *specimen,
 
     for (size_t i = 0; i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];
-        struct gsn_point onto[GSN_MARKS];
 
-        if (s->pose.gross && s->pose.state == GSN_POSE_OK) {
+        if (s->pose.gross && s->pose.state == GSN_POSE_OK)
             gsn_candidates_of_gross(s->seen.mark, &s->pose, &s->candidates);
-        } else if (s->candidates.count > 0) {
-            const double px_um = gsn_assembly_panel(specimen, s->panel)->px_um;
-
-            gsn_axes_at(&a->summary.axes, s->seen.serial, a->summary.mean_triangle, onto);
-            gsn_candidates_lay(&s->candidates, px_um, onto);
-            gsn_candidates_predict(&s->candidates, px_um, &a->summary, &targets);
-        }
+        else if (s->candidates.count > 0)
+            lay_candidates(specimen, a, &targets, s);
         gsn_candidates_say(&s->candidates, upright);
     }
+}
+
+void gsn_assembly_offer_marks(const struct gsn_specimen *specimen,
+                              const struct gsn_pose_options *options, const struct gsn_assembly *a,
+                              struct gsn_assembly_section *s)
+{
+    const struct gsn_pose_targets targets = targets_of(&a->summary, options);
+
+    gsn_candidates_of_marks(s->seen.mark, s->pose.flipped, &s->candidates);
+    lay_candidates(specimen, a, &targets, s);
+    gsn_candidates_say(&s->candidates, upright_of(a, options->markers_um != NULL));
 }

@@ -70,6 +70,10 @@ int gsn_assembly_refine(const struct gsn_specimen *specimen,
  * marks contradict it get theirs. */
 void gsn_assembly_list_candidates(const struct gsn_specimen *specimen,
                                   const struct gsn_pose_options *options, struct gsn_assembly *a);
+/* Gives a section with three marks the ways to lay it on two of them, and that on all. */
+void gsn_assembly_offer_marks(const struct gsn_specimen *specimen,
+                              const struct gsn_pose_options *options, const struct gsn_assembly *a,
+                              struct gsn_assembly_section *section);
 
 /* The colour volume on the grid's lattice. */
 int gsn_assembly_place_colour(struct gsn_assembly *a, struct gsn_error *err);

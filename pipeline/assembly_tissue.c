@@ -2,7 +2,7 @@
 #include "pipeline/assembly_tissue.h"
 
 #include "pipeline/assembly_parts.h"
-#include "pipeline/register/tissue_graph.h"
+#include "pipeline/register/tissue_check.h"
 
 #include <math.h>
 #include <string.h>
@@ -128,21 +128,15 @@ static int look_at_panel(const struct gsn_specimen *specimen,
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     gsn_auto(gsn_scan) scan = NULL;
-    int wanted = 0;
     size_t size;
-    int r;
+    int r = specimen->read(specimen->context, panel->sha256, &bytes, &size, err);
 
-    for (size_t i = 0; i < count; i++)
-        wanted |= parts[i].wanted && a->section[parts[i].section].panel == panel->number;
-    if (!wanted)
-        return GSN_OK;
-    r = specimen->read(specimen->context, panel->sha256, &bytes, &size, err);
     if (r >= 0)
         r = gsn_scan_survey(options->decoder, bytes, size, specimen->protocol, &scan, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
         const struct gsn_assembly_section *s = &a->section[parts[i].section];
 
-        if (parts[i].wanted && s->panel == panel->number)
+        if (s->panel == panel->number)
             r = look(scan, &s->seen, &parts[i].tissue, err);
     }
     return r;
@@ -248,21 +242,78 @@ static void name_marks(struct gsn_assembly_section *s)
         memcpy(s->seen.mark, named->mark, sizeof s->seen.mark);
 }
 
+static void forget_marks(struct gsn_assembly_section *s)
+{
+    for (size_t m = 0; m < GSN_MARKS; m++)
+        s->seen.mark[m].found = 0;
+}
+
+static void reset_flags(struct gsn_assembly_section *s)
+{
+    s->flags[0] = '\0';
+    if (s->seen.flags[0])
+        gsn_assembly_flag(s, s->seen.flags);
+}
+
 /* An open section whose tissue lies elsewhere than its two spots say: they are not its marks. */
 static void correct(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
                     const struct gsn_tissue_pose *pose)
 {
     struct gsn_assembly_section corrected = *s;
 
-    corrected.flags[0] = '\0';
-    if (s->seen.flags[0])
-        gsn_assembly_flag(&corrected, s->seen.flags);
+    reset_flags(&corrected);
     take(specimen, &corrected, pose);
     if (apart(s, &s->pose.panel_to_block_um, &corrected.pose.panel_to_block_um) < APART_UM)
         return;
-    for (size_t m = 0; m < GSN_MARKS; m++)
-        corrected.seen.mark[m].found = 0;
+    forget_marks(&corrected);
     *s = corrected;
+}
+
+/* Its marks lay it where its neighbours' tissue does not: held until tissue lays it, and a person
+ * may say that they are its marks all the same. */
+static void hold(const struct gsn_specimen *specimen, const struct gsn_pose_options *options,
+                 const struct gsn_assembly *a, struct gsn_assembly_section *s)
+{
+    if (s->pose.state == GSN_POSE_OK)
+        gsn_assembly_offer_marks(specimen, options, a, s);
+    s->pose = (struct gsn_pose){ .state = GSN_POSE_NONE };
+    s->posed = 0;
+    s->state = GSN_SECTION_HELD;
+    reset_flags(s);
+    gsn_assembly_flag(s, "tissue-disagrees");
+}
+
+/* Holds every section that its marks lay against the tissue of its neighbours; what a person chose
+ * stays. */
+static int check(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                 const struct part *parts, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);
+    gsn_auto_mem(struct gsn_tissue_finding) findings = gsn_alloc_array(count, sizeof *findings);
+    gsn_auto_mem(struct gsn_point) targets = NULL;
+    struct gsn_pose_options options = { .markers_um = specimen->protocol->has_markers
+                                                          ? specimen->protocol->markers_um
+                                                          : NULL };
+    int r;
+
+    if (!sections || !findings)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
+    for (size_t i = 0; i < count; i++)
+        state_section(specimen, a, &parts[i], &sections[i]);
+    r = gsn_tissue_check(sections, count, findings, err);
+    if (r >= 0)
+        r = gsn_assembly_targets(a->region, &targets, &options.target_count, err);
+    options.targets_um = targets;
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (s->candidates.chosen > 0)
+            continue;
+        s->finding = findings[i];
+        if (findings[i].contradicted)
+            hold(specimen, &options, a, s);
+    }
+    return r;
 }
 
 static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
@@ -275,8 +326,11 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
 
     if (!sections || !poses)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
-    for (size_t i = 0; i < count; i++)
+    for (size_t i = 0; i < count; i++) {
         state_section(specimen, a, &parts[i], &sections[i]);
+        if (!parts[i].wanted)
+            sections[i].tissue = NULL;
+    }
     r = gsn_tissue_lay(sections, count, poses, &summary, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
         struct gsn_assembly_section *s = &a->section[parts[i].section];
@@ -286,10 +340,29 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
             continue;
         if (is_lost(s)) {
             take(specimen, s, &poses[i]);
+            if (s->finding.contradicted)
+                forget_marks(s);
             name_marks(s);
         } else if (is_open(s)) {
             correct(specimen, s, &poses[i]);
         }
+    }
+    return r;
+}
+
+static int look_at_all(const struct gsn_specimen *specimen,
+                       const struct gsn_specimen_options *options, const struct gsn_assembly *a,
+                       struct part *parts, size_t count, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && i < specimen->panel_count; i++) {
+        if (specimen->panel[i].section_count == 0)
+            continue;
+        r = look_at_panel(specimen, options, &specimen->panel[i], a, parts, count, err);
+        if (r < 0)
+            (void)gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
+                              specimen->panel[i].file);
     }
     return r;
 }
@@ -300,21 +373,17 @@ int gsn_assembly_lay_by_tissue(const struct gsn_specimen *specimen,
 {
     gsn_auto_mem(struct part) parts = gsn_alloc_array(a->section_count, sizeof *parts);
     size_t count;
-    int r = GSN_OK;
+    int r;
 
     if (!parts)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
-    count = list(a, parts);
-    if (!a->solved || !choose(a, parts, count))
+    if (!a->solved)
         return GSN_OK;
-    for (size_t i = 0; r >= 0 && i < specimen->panel_count; i++)
-        if (specimen->panel[i].section_count > 0) {
-            r = look_at_panel(specimen, options, &specimen->panel[i], a, parts, count, err);
-            if (r < 0)
-                (void)gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
-                                  specimen->panel[i].file);
-        }
+    count = list(a, parts);
+    r = look_at_all(specimen, options, a, parts, count, err);
     if (r >= 0)
+        r = check(specimen, a, parts, count, err);
+    if (r >= 0 && choose(a, parts, count))
         r = lay(specimen, a, parts, count, err);
     for (size_t i = 0; i < count; i++)
         gsn_tissue_free(parts[i].tissue);

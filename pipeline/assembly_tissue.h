@@ -1,7 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Sections that their marks do not lay, laid by the tissue of their neighbours
- * (register/tissue_graph.h).
+/* Sections that their marks lay, held against the tissue of their neighbours
+ * (register/tissue_check.h), and those that marks do not lay, laid by it (register/tissue_graph.h).
+ *
+ * A section that its marks lay elsewhere than its neighbours' tissue does is flagged
+ * "tissue-disagrees" and treated as one without marks, unless a person chose them.
  *
  * A section with no mark, with marks that could be others or that contradict the stack is laid
  * where the sections around it put it, which their marks hold. It is used, flagged "by-tissue", as
@@ -18,8 +21,8 @@
 extern "C" {
 #endif
 
-/* Lays what it can; needs a stack that the marks solved, and does nothing otherwise. Panels with
- * such sections and their neighbours are opened once more, made small. Fails with GSN_E_NOMEM,
+/* Lays what it can; needs a stack that the marks solved, and does nothing otherwise. The panels are
+ * opened once more, made small. Fails with GSN_E_NOMEM,
  * GSN_E_IO and as gsn_scan_survey() does. */
 int gsn_assembly_lay_by_tissue(const struct gsn_specimen *specimen,
                                const struct gsn_specimen_options *options, struct gsn_assembly *a,

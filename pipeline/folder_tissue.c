@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder_parts.h"
 
+#include "pipeline/register/tissue_check.h"
+
 #include <stdio.h>
 
 /* Chi-squared of one in a million for each of the 3 degrees of freedom, and then its root. */
@@ -97,7 +99,7 @@ static int usual_face(const struct gsn_folder *folder, const struct gsn_tissue_p
 }
 
 static void tell_all(struct gsn_folder *folder, const struct gsn_tissue_section *sections,
-                     const struct gsn_tissue_pose *poses)
+                     const struct gsn_tissue_finding *findings, const struct gsn_tissue_pose *poses)
 {
     const int face = usual_face(folder, poses);
 
@@ -106,8 +108,12 @@ static void tell_all(struct gsn_folder *folder, const struct gsn_tissue_section 
 
         if (!sections[i].marked && folder->work[i].spots)
             tell_tissue(folder, i, &poses[i], gsn_affine_det(&poses[i].to_block) * face < 0);
-        else if (poses[i].disagrees > DISAGREES)
+        if (findings[i].contradicted || (sections[i].marked && poses[i].disagrees > DISAGREES))
             gsn_folder_add_flag(section, "tissue-disagrees");
+        if (findings[i].contradicted && !poses[i].laid)
+            (void)snprintf(section->reason, sizeof section->reason,
+                           "what looks like its marks lays it elsewhere than its neighbours' "
+                           "tissue does, which alone does not lay it; look at the section");
     }
 }
 
@@ -115,20 +121,25 @@ int gsn_folder_lay_by_tissue(struct gsn_folder *folder, struct gsn_error *err)
 {
     const size_t count = folder->stack->count;
     gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);
+    gsn_auto_mem(struct gsn_tissue_finding) findings = gsn_alloc_array(count, sizeof *findings);
     gsn_auto_mem(struct gsn_tissue_pose) poses = gsn_alloc_array(count, sizeof *poses);
     struct gsn_tissue_summary *summary = &folder->stack->tissue;
     const int marks = marks_hold(folder);
     int r;
 
-    if (!sections || !poses)
+    if (!sections || !findings || !poses)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the poses of a stack");
     for (size_t i = 0; i < count; i++)
         state_section(folder, i, marks, &sections[i]);
-    r = gsn_tissue_lay(sections, count, poses, summary, err);
+    r = gsn_tissue_check(sections, count, findings, err);
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        sections[i].marked &= !findings[i].contradicted;
+    if (r >= 0)
+        r = gsn_tissue_lay(sections, count, poses, summary, err);
     if (r < 0)
         return r;
     summary->usual /= folder->px_um;
     summary->drift /= folder->px_um;
-    tell_all(folder, sections, poses);
+    tell_all(folder, sections, findings, poses);
     return GSN_OK;
 }

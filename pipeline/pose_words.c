@@ -141,3 +141,19 @@ void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SEN
                    100 * c[0].share, c[0].tre_um, 100 * c[1].share, c[1].tre_um, 100 * c[2].share,
                    c[2].tre_um);
 }
+
+void gsn_tissue_sentence(const struct gsn_assembly_section *section,
+                         char ret_sentence[GSN_POSE_SENTENCE])
+{
+    const struct gsn_tissue_finding *f = &section->finding;
+
+    (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                   "section %u (panel %u, slot %u): what looks like its marks lays it %.0f um from "
+                   "where the tissue of its neighbours does%s; up to %.0f um would be usual here. "
+                   "%s: look at it, and say with `gieson decide` if they are its marks",
+                   section->seen.serial, section->panel, section->seen.slot + 1, f->apart,
+                   f->other_face ? ", and with the other face up" : "", f->limit,
+                   section->state == GSN_SECTION_HELD
+                       ? "The tissue alone does not lay it, so it is held"
+                       : "It was laid by the tissue");
+}

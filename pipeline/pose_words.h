@@ -26,6 +26,10 @@ void gsn_refinement_sentence(const struct gsn_refinement *refinement,
 /* Why a section whose marks contradict the stack is held, with the three poses on two marks. */
 void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SENTENCE]);
 
+/* What is between a section's marks and its neighbours' tissue. */
+void gsn_tissue_sentence(const struct gsn_assembly_section *section,
+                         char ret_sentence[GSN_POSE_SENTENCE]);
+
 #ifdef __cplusplus
 }
 #endif

@@ -101,6 +101,9 @@ static const char *reason_of(struct gsn_draft *d, const struct gsn_assembly_sect
         gsn_pose_reason(&s->pose, sentence);
         return gsn_draft_say(d, "%s", sentence);
     }
+    if (s->finding.contradicted)
+        return "what looks like its marks lays it elsewhere than its neighbours' tissue does: look "
+               "at it";
     if (strstr(s->flags, "ambiguous-marks"))
         return "more than one choice of marks fits the triangle: look at it";
     return "fewer than two marks were found: look at it";
@@ -123,6 +126,7 @@ static void fill_sections(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_assembly *a = e->assembly;
     size_t doubtful = 0, held = 0, missing = 0;
+    char sentence[GSN_POSE_SENTENCE];
 
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
@@ -140,6 +144,10 @@ static void fill_sections(const struct gsn_evidence *e, struct gsn_draft *d)
                                   s->seen.slot + 1),
                     reason_of(d, s));
         exclude_masked(s, d);
+        if (s->finding.contradicted) {
+            gsn_tissue_sentence(s, sentence);
+            gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence));
+        }
     }
     doubtful -= gsn_assembly_by_tissue(a);
     if (gsn_assembly_by_tissue(a))

@@ -68,6 +68,12 @@ int gsn_tissue_refine(const struct gsn_tissue *a, const struct gsn_tissue *b,
                       const struct gsn_affine *start, struct gsn_tissue_match *ret_match,
                       struct gsn_error *err);
 
+/* The same in the two coarsest bands alone, for an eighth of the cost. ret_evidence compares with
+ * `coarse` of a search; 0 where nothing fits, and the motion stays. */
+void gsn_tissue_glance(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                       const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
+                       double *ret_evidence);
+
 #ifdef __cplusplus
 }
 #endif

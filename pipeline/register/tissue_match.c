@@ -309,11 +309,19 @@ static int same(const struct gsn_affine *p, const struct gsn_affine *q, const st
     return apart < ldexp(2, (int)levels - 1);
 }
 
+static void improve_coarse(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                           struct gsn_tissue_fit *fit)
+{
+    const size_t levels = a->levels < b->levels ? a->levels : b->levels;
+
+    gsn_tissue_improve(a, b, levels - 1, fit);
+    gsn_tissue_improve(a, b, levels > COARSE_BANDS ? levels - COARSE_BANDS : 0, fit);
+}
+
 int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
                       struct gsn_tissue_match *ret_match, struct gsn_error *err)
 {
     const size_t levels = a->levels < b->levels ? a->levels : b->levels;
-    const size_t coarse = levels > COARSE_BANDS ? levels - COARSE_BANDS : 0;
     struct gsn_affine start[STARTS];
     struct gsn_tissue_fit best = { .evidence = -1 };
     struct gsn_tissue_match match = { 0 };
@@ -325,8 +333,7 @@ int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
     for (size_t i = 0; r >= 0 && i < count; i++) {
         struct gsn_tissue_fit fit = { .a_to_b = start[i] };
 
-        gsn_tissue_improve(a, b, levels - 1, &fit);
-        gsn_tissue_improve(a, b, coarse, &fit);
+        improve_coarse(a, b, &fit);
         if (fit.evidence > best.evidence) {
             if (best.evidence >= 0 && !same(&fit.a_to_b, &best.a_to_b, a, levels))
                 match.rival = best.evidence;
@@ -360,4 +367,15 @@ int gsn_tissue_refine(const struct gsn_tissue *a, const struct gsn_tissue *b,
     if (r >= 0)
         *ret_match = match;
     return r;
+}
+
+void gsn_tissue_glance(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                       const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
+                       double *ret_evidence)
+{
+    struct gsn_tissue_fit fit = { .a_to_b = in_lengths(start, 1 / a->cell, 1 / b->cell) };
+
+    improve_coarse(a, b, &fit);
+    *ret_evidence = fit.evidence;
+    *ret_a_to_b = fit.evidence > 0 ? in_lengths(&fit.a_to_b, a->cell, b->cell) : *start;
 }

@@ -291,6 +291,45 @@ TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
         }
 }
 
+/* Spots of section 5 that lie as its marks would if it were face down. */
+static void mistake_marks(const struct drawn_panel *panel, struct gsn_panel_section *s)
+{
+    for (size_t m = 0; m < GSN_MARKS; m++)
+        s->mark[m].px = drawn_panel_place(
+            panel, 1, (struct gsn_point){ -drawn_marks_um[m].x, drawn_marks_um[m].y });
+}
+
+/* Three spots that fit the triangle, which the tissue contradicts: without a person's word they are
+ * no marks, and a person may choose from them. */
+TEST(three_marks_that_the_tissue_contradicts_do_not_lay_a_section)
+{
+    for (unsigned chosen = 0; chosen < 2; chosen++) {
+        struct drawn_panel panels[3];
+        drawn_auto d;
+
+        lopsided_panels(panels);
+        drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+        mistake_marks(&panels[1], &d.findings[1]->section[1]);
+        if (chosen)
+            d.findings[1]->section[1].candidates.chosen = 4;
+        gsn_auto(gsn_assembly) a = assembled(&d);
+        const struct gsn_assembly_section *laid = &a->section[5];
+
+        CHECK(laid->state == (chosen ? GSN_SECTION_USED : GSN_SECTION_DOUBTFUL));
+        CHECK((strstr(laid->flags, "tissue-disagrees by-tissue") != NULL) == !chosen);
+        CHECK(laid->pose.flipped == (int)chosen &&
+              (strstr(laid->flags, "flipped") != NULL) == chosen);
+        CHECK(laid->seen.mark[0].found == (int)chosen);
+        if (chosen)
+            continue;
+        CHECK(laid->finding.contradicted && laid->finding.other_face);
+        CHECK(laid->candidates.count == 4 && laid->candidates.at[3].laid);
+        CHECK_NEAR(off_um(laid), 0, 60);
+        for (size_t i = 0; i < a->section_count; i++)
+            CHECK(a->section[i].finding.contradicted == (i == 5));
+    }
+}
+
 /* Section 5 with no marks told, and marks 2 and 3, or 3 and 2, or other spots, to choose from. */
 static void leave_open(struct gsn_panel_section *s, int rivals)
 {

@@ -136,3 +136,25 @@ TEST(a_contradicting_section_names_its_three_poses)
     gsn_pose_reason(&(struct gsn_pose){ .state = GSN_POSE_TWO_MARKS, .gross = 1 }, sentence);
     CHECK(strstr(sentence, "its two marks are not as far apart"));
 }
+
+TEST(a_section_that_the_tissue_contradicts_says_how_far_and_what_became_of_it)
+{
+    struct gsn_assembly_section section = {
+        .panel = 2,
+        .seen = { .serial = 16, .slot = 3 },
+        .state = GSN_SECTION_DOUBTFUL,
+        .finding = { .contradicted = 1, .other_face = 1, .apart = 2887, .limit = 568 }
+    };
+    char sentence[GSN_POSE_SENTENCE];
+
+    gsn_tissue_sentence(&section, sentence);
+    CHECK(strstr(sentence,
+                 "section 16 (panel 2, slot 4): what looks like its marks lays it 2887 um "
+                 "from where the tissue of its neighbours does, and with the other face "
+                 "up; up to 568 um would be usual here. It was laid by the tissue:"));
+    section.state = GSN_SECTION_HELD;
+    section.finding.other_face = 0;
+    gsn_tissue_sentence(&section, sentence);
+    CHECK(strstr(sentence, "neighbours does; up to 568 um"));
+    CHECK(strstr(sentence, "The tissue alone does not lay it, so it is held: look at it"));
+}

@@ -24,9 +24,6 @@ static const double ALIKE_DEG = 6;
 static const double BENT = 0.08;
 /* Cells further from their patch's median than so many deviations are dust or a scratch. */
 static const double STRAY = 5;
-/* Of vectors inferred from slides, red, yellow and dark: what they were off by on phantoms with
- * texture beyond what they state, root mean square of both ways. */
-static const double INFERRED_DEG[3] = { 2, 4, 6.5 };
 /* Chi-square with two degrees of freedom, one in a thousand. */
 static const double DISAGREEING = 13.816;
 
@@ -438,7 +435,6 @@ struct gsn_dyes_apart gsn_dyes_compare(const struct gsn_dyes_fit *calibrated,
     struct gsn_dyes_apart apart = { 0 };
 
     for (int k = 0; k < 3; k++) {
-        const double more = INFERRED_DEG[k] * RAD * INFERRED_DEG[k] * RAD / 2;
         double way[2][3], d[2], c[2][2], det;
 
         gsn_dyes_ways(vector_of(&from, k), way);
@@ -446,7 +442,7 @@ struct gsn_dyes_apart gsn_dyes_compare(const struct gsn_dyes_fit *calibrated,
             d[i] = dot(vector_of(&to, k), way[i]);
             for (int j = 0; j < 2; j++)
                 c[i][j] = calibrated->covariance[2 * k + i][2 * k + j] +
-                          inferred->covariance[2 * k + i][2 * k + j] + (i == j ? more : 0);
+                          inferred->covariance[2 * k + i][2 * k + j];
         }
         det = c[0][0] * c[1][1] - c[0][1] * c[1][0];
         apart.deg[k] = angle_deg(vector_of(&from, k), vector_of(&to, k));

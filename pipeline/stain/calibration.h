@@ -62,8 +62,7 @@ struct gsn_dyes_apart {
     int disagree[3];    /* further apart than chance brings one in a thousand */
 };
 
-/* inferred: by gsn_dyes_estimate(). Its covariance takes tissue as log-normal, which textured
- * tissue is not; what that was seen to add is added. */
+/* inferred: by gsn_dyes_estimate(). */
 struct gsn_dyes_apart gsn_dyes_compare(const struct gsn_dyes_fit *calibrated,
                                        const struct gsn_dyes_fit *inferred);
 

@@ -195,10 +195,10 @@ static void set_classes(const struct moments m[GSN_CLASSES], size_t pixels,
 void gsn_classes_start(struct gsn_classes *classes, size_t count,
                        const struct gsn_stain_sample *sample, const struct gsn_optics *optics)
 {
-    enum { BINS = 256 };
-    size_t bin[BINS] = { 0 }, below = 0;
+    enum { SHARES = 256 };
+    size_t bin[SHARES] = { 0 }, below = 0;
     struct moments m[GSN_CLASSES] = { { 0 } };
-    size_t class_of[BINS];
+    size_t class_of[SHARES];
     struct seen seen;
 
     classes->count = count;
@@ -206,14 +206,14 @@ void gsn_classes_start(struct gsn_classes *classes, size_t count,
         for (size_t i = 0; i < sample->count; i++) {
             see(&sample->pixel[i], optics, &seen);
             const double share = 1 / (1 + exp(seen.z[1] - seen.z[0]));
-            const size_t at = (size_t)fmin(share * BINS, BINS - 1);
+            const size_t at = (size_t)fmin(share * SHARES, SHARES - 1);
 
             if (pass == 0)
                 bin[at]++;
             else
                 add(&m[class_of[at]], 1, seen.z);
         }
-        for (size_t i = 0; i < BINS && pass == 0; i++) {
+        for (size_t i = 0; i < SHARES && pass == 0; i++) {
             class_of[i] = below * classes->count / sample->count;
             below += bin[i];
         }
@@ -316,10 +316,11 @@ size_t gsn_classes_unknowns(const struct gsn_classes *classes)
     return classes->count * 9 + classes->count - 1;
 }
 
-/* What of the turns' slopes the classes could follow: outer[turn][class] outer[class][class]^-1. */
-static void find_follow(size_t unknowns, struct gsn_scores *s)
+/* Frees the turns' slopes of what the classes could follow of them:
+ * outer[turn][class] outer[class][class]^-1. */
+static void free_of_classes(size_t unknowns, const double *slope, struct gsn_scores *s)
 {
-    double a[GSN_CLASS_UNKNOWNS * GSN_CLASS_UNKNOWNS];
+    double a[GSN_CLASS_UNKNOWNS * GSN_CLASS_UNKNOWNS], follow[GSN_CLASS_UNKNOWNS];
     const size_t base = GSN_DYE_TURNS;
     int definite;
 
@@ -329,25 +330,29 @@ static void find_follow(size_t unknowns, struct gsn_scores *s)
     definite = cholesky(a, unknowns);
     for (size_t m = 0; m < GSN_DYE_TURNS; m++) {
         for (size_t i = 0; i < unknowns; i++)
-            s->follow[m][i] = definite ? s->outer[m][base + i] : 0;
+            follow[i] = definite ? s->outer[m][base + i] : 0;
         if (definite)
-            substitute(a, unknowns, s->follow[m]);
+            substitute(a, unknowns, follow);
+        s->total[m] = slope[m];
+        for (size_t i = 0; i < unknowns; i++)
+            s->total[m] -= follow[i] * slope[base + i];
         for (size_t n = 0; n < GSN_DYE_TURNS; n++) {
             s->information[m][n] = s->outer[m][n];
             for (size_t i = 0; i < unknowns; i++)
-                s->information[m][n] -= s->follow[m][i] * s->outer[n][base + i];
+                s->information[m][n] -= follow[i] * s->outer[n][base + i];
         }
     }
 }
 
-static void sum_scores(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
-                       const struct gsn_optics *optics, int outer,
-                       double part[GSN_SAMPLE_PARTS][GSN_SCORE_UNKNOWNS], struct gsn_scores *s)
+void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
+                       const struct gsn_optics *optics, struct gsn_scores *ret_scores)
 {
     const size_t all = GSN_DYE_TURNS + gsn_classes_unknowns(classes);
+    double slope[GSN_SCORE_UNKNOWNS] = { 0 };
 
+    memset(ret_scores->outer, 0, sizeof ret_scores->outer);
     for (size_t i = 0; i < sample->count; i++) {
-        double score[GSN_SCORE_UNKNOWNS], *into = part[sample->pixel[i].part];
+        double score[GSN_SCORE_UNKNOWNS];
         struct seen seen;
         struct claim of;
 
@@ -355,52 +360,91 @@ static void sum_scores(const struct gsn_classes *classes, const struct gsn_stain
         claim(classes, &seen, &of);
         score_turns(classes, &seen, &of, optics, score);
         score_classes(classes, &of, score + GSN_DYE_TURNS);
-        for (size_t m = 0; m < all; m++)
-            into[m] += score[m];
-        for (size_t m = 0; outer && m < all; m++)
+        for (size_t m = 0; m < all; m++) {
+            slope[m] += score[m];
             for (size_t n = 0; n <= m; n++)
-                s->outer[m][n] += score[m] * score[n];
-    }
-    for (size_t m = 0; outer && m < all; m++)
-        for (size_t n = 0; n < m; n++)
-            s->outer[n][m] = s->outer[m][n];
-}
-
-static void free_of_classes(size_t unknowns,
-                            const double part[GSN_SAMPLE_PARTS][GSN_SCORE_UNKNOWNS],
-                            struct gsn_scores *s)
-{
-    memset(s->total, 0, sizeof s->total);
-    for (size_t p = 0; p < GSN_SAMPLE_PARTS; p++)
-        for (size_t m = 0; m < GSN_DYE_TURNS; m++) {
-            double sum = part[p][m];
-
-            for (size_t i = 0; i < unknowns; i++)
-                sum -= s->follow[m][i] * part[p][GSN_DYE_TURNS + i];
-            s->part[p][m] = sum;
-            s->total[m] += sum;
+                ret_scores->outer[m][n] += score[m] * score[n];
         }
+    }
+    for (size_t m = 0; m < all; m++)
+        for (size_t n = 0; n < m; n++)
+            ret_scores->outer[n][m] = ret_scores->outer[m][n];
+    free_of_classes(gsn_classes_unknowns(classes), slope, ret_scores);
 }
 
-void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
-                       const struct gsn_optics *optics, struct gsn_scores *ret_scores)
-{
-    double part[GSN_SAMPLE_PARTS][GSN_SCORE_UNKNOWNS] = { { 0 } };
+/* ---- misfit ------------------------------------------------------------------------------ */
 
-    memset(ret_scores->outer, 0, sizeof ret_scores->outer);
-    sum_scores(classes, sample, optics, 1, part, ret_scores);
-    find_follow(gsn_classes_unknowns(classes), ret_scores);
-    free_of_classes(gsn_classes_unknowns(classes), (const double(*)[GSN_SCORE_UNKNOWNS])part,
-                    ret_scores);
+enum { BINS = 16 };
+
+/* The classes along one direction: normals in one dimension. */
+struct along {
+    double mean[GSN_CLASSES], deviation[GSN_CLASSES];
+};
+
+static void look_along(const struct gsn_classes *classes, const double way[3], struct along *ret)
+{
+    for (size_t j = 0; j < classes->count; j++) {
+        const struct gsn_class *class = &classes->class[j];
+        double covariance[3][3], variance = 0;
+
+        (void)gsn_invert(&class->precision[0][0], 3, &covariance[0][0]);
+        ret->mean[j] = 0;
+        for (int k = 0; k < 3; k++) {
+            ret->mean[j] += way[k] * class->mean[k];
+            for (int n = 0; n < 3; n++)
+                variance += way[k] * way[n] * covariance[k][n];
+        }
+        ret->deviation[j] = sqrt(variance);
+    }
 }
 
-void gsn_classes_score_again(const struct gsn_classes *classes,
-                             const struct gsn_stain_sample *sample, const struct gsn_optics *optics,
-                             struct gsn_scores *scores)
+/* Share of the classes that lies below. */
+static double share_below(const struct gsn_classes *classes, const struct along *along, double z)
 {
-    double part[GSN_SAMPLE_PARTS][GSN_SCORE_UNKNOWNS] = { { 0 } };
+    double below = 0;
 
-    sum_scores(classes, sample, optics, 0, part, scores);
-    free_of_classes(gsn_classes_unknowns(classes), (const double(*)[GSN_SCORE_UNKNOWNS])part,
-                    scores);
+    for (size_t j = 0; j < classes->count; j++)
+        below += classes->class[j].share *
+                 erfc((along->mean[j] - z) / along->deviation[j] * M_SQRT1_2) / 2;
+    return below;
+}
+
+/* Of pixels in bins that should all hold the same; less what chance makes of that. */
+static double entropy(const size_t bin[BINS], size_t all)
+{
+    double sum = -(BINS - 1) / (2.0 * (double)all);
+
+    for (int b = 0; b < BINS; b++)
+        if (bin[b] > 0)
+            sum += (double)bin[b] / (double)all * log((double)bin[b] * BINS / (double)all);
+    return sum;
+}
+
+double gsn_classes_misfit(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
+                          const struct gsn_optics *optics)
+{
+    /* Each amount, how two go together, and how they go against each other. */
+    static const double way[][3] = { { 1, 0, 0 },  { 0, 1, 0 },  { 0, 0, 1 },
+                                     { 1, 1, 0 },  { 1, -1, 0 }, { 1, 0, 1 },
+                                     { 1, 0, -1 }, { 0, 1, 1 },  { 0, 1, -1 } };
+    enum { WAYS = sizeof way / sizeof way[0] };
+    struct along along[WAYS];
+    size_t bin[WAYS][BINS] = { { 0 } };
+    double worst = 0;
+
+    for (int w = 0; w < WAYS; w++)
+        look_along(classes, way[w], &along[w]);
+    for (size_t i = 0; i < sample->count; i++) {
+        struct seen seen;
+
+        see(&sample->pixel[i], optics, &seen);
+        for (int w = 0; w < WAYS; w++) {
+            const double z = way[w][0] * seen.z[0] + way[w][1] * seen.z[1] + way[w][2] * seen.z[2];
+
+            bin[w][(size_t)fmin(share_below(classes, &along[w], z) * BINS, BINS - 1)]++;
+        }
+    }
+    for (int w = 0; w < WAYS; w++)
+        worst = fmax(worst, entropy(bin[w], sample->count));
+    return worst;
 }

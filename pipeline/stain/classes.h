@@ -39,10 +39,9 @@ struct gsn_classes {
 
 /* Slopes of the log-likelihood by the turns, freed of what the classes could follow. */
 struct gsn_scores {
-    double total[GSN_DYE_TURNS], part[GSN_SAMPLE_PARTS][GSN_DYE_TURNS];
+    double total[GSN_DYE_TURNS];
     double information[GSN_DYE_TURNS][GSN_DYE_TURNS];
     double outer[GSN_SCORE_UNKNOWNS][GSN_SCORE_UNKNOWNS]; /* scratch */
-    double follow[GSN_DYE_TURNS][GSN_CLASS_UNKNOWNS];     /* what the classes follow */
 };
 
 /* count classes, at most GSN_CLASSES. */
@@ -57,10 +56,12 @@ double gsn_classes_likelihood(const struct gsn_classes *classes,
                               const struct gsn_optics *optics);
 void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
                        const struct gsn_optics *optics, struct gsn_scores *ret_scores);
-/* total and part anew at other turns, with what the classes follow as it was. */
-void gsn_classes_score_again(const struct gsn_classes *classes,
-                             const struct gsn_stain_sample *sample, const struct gsn_optics *optics,
-                             struct gsn_scores *scores);
+/* How far the pixels are from any mixture of classes, in nats per pixel: the largest relative
+ * entropy between the logarithms of the amounts, seen along one direction, and the classes there.
+ * About 0 (0.002 in 4000 pixels) where they fit; pixels of layered tissue, scanned as JPEG, come to
+ * 0.01 to 0.07. */
+double gsn_classes_misfit(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
+                          const struct gsn_optics *optics);
 
 /* Solves a x = b for a positive definite a (destroyed); x replaces b. 0 when a is not. */
 int gsn_solve(double *a, size_t n, double *b);

@@ -6,7 +6,7 @@
  * An amount a seen with noise s enters as z = log((a + sqrt(a^2 + 4 s^2)) / 2), which is log a
  * where a is well above the noise and stays finite where noise made it negative (Rocke and Durbin
  * 2003, 10.1093/bioinformatics/btg107). The classes are normal in the three z. */
-#include "pipeline/stain/classes.h"
+#include "pipeline/stain/dyes_parts.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -16,14 +16,12 @@
 #define PRIOR_DEG 5.0
 #define LONGEST_STEP (3 * RAD)
 #define SETTLED (0.03 * RAD)
-#define DIFFERENCE (0.05 * RAD) /* for the second derivatives: small beside any error of ours */
-#define LEAST_APART_DEG 6.0     /* vectors of one dye seen twice lie nearer than that */
+#define LEAST_APART_DEG 6.0 /* vectors of one dye seen twice lie nearer than that */
 
 enum { ROUNDS = 30, REFITS = 3, HALVINGS = 6, MOST_PIXELS = 4000 };
 
-/* Pixels are many but alike: neighbours share their tissue, and no tissue is truly log-normal. So
- * they count as no more than this many that know nothing of each other; then what the dyes of
- * drawn and of layered tissue were off by is what the covariance says. */
+/* In the first search, which tells how well the classes fit at their best, pixels count as so many
+ * that know nothing of each other. */
 static const double INDEPENDENT = 200;
 
 static double dot(const double a[3], const double b[3])
@@ -81,10 +79,8 @@ struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[G
     return turned;
 }
 
-/* The vectors at these turns, their inverse, and how they move with each turn. Returns 0 when they
- * lie nearly in one plane. */
-static int look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS],
-                        struct gsn_optics *ret)
+int gsn_dyes_look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS],
+                          struct gsn_optics *ret)
 {
     const struct gsn_dyes turned = gsn_dyes_turned(dyes, turn);
     const double *from[3] = { dyes->red, dyes->yellow, dyes->dark };
@@ -112,23 +108,13 @@ static int look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_T
 
 /* ---- fit --------------------------------------------------------------------------------- */
 
-struct search {
-    const struct gsn_stain_sample *sample;
-    const struct gsn_dyes *dyes; /* the prior's */
-    double precision[GSN_DYE_TURNS];
-    double turn[GSN_DYE_TURNS];
-    struct gsn_classes classes;
-    double weight; /* of each pixel */
-    double best;   /* the objective here */
-};
-
-static double objective(const struct search *s, const struct gsn_classes *classes,
+static double objective(const struct gsn_dyes_search *s, const struct gsn_classes *classes,
                         const double turn[GSN_DYE_TURNS])
 {
     struct gsn_optics optics;
     double sum;
 
-    if (!look_through(s->dyes, turn, &optics))
+    if (!gsn_dyes_look_through(s->dyes, turn, &optics))
         return -INFINITY;
     sum = s->weight * gsn_classes_likelihood(classes, s->sample, &optics);
     for (int m = 0; m < GSN_DYE_TURNS; m++)
@@ -137,12 +123,12 @@ static double objective(const struct search *s, const struct gsn_classes *classe
 }
 
 /* The objective at other turns, once the classes have followed there. */
-static double objective_following(const struct search *s, const double turn[GSN_DYE_TURNS],
+static double objective_following(const struct gsn_dyes_search *s, const double turn[GSN_DYE_TURNS],
                                   struct gsn_classes *ret_classes)
 {
     struct gsn_optics optics;
 
-    if (!look_through(s->dyes, turn, &optics))
+    if (!gsn_dyes_look_through(s->dyes, turn, &optics))
         return -INFINITY;
     *ret_classes = s->classes;
     for (int i = 0; i < REFITS; i++)
@@ -151,12 +137,12 @@ static double objective_following(const struct search *s, const double turn[GSN_
 }
 
 /* One Fisher step; returns the longest turn made in it. */
-static double step(struct search *s, struct gsn_scores *scores)
+static double step(struct gsn_dyes_search *s, struct gsn_scores *scores)
 {
     double a[GSN_DYE_TURNS * GSN_DYE_TURNS], b[GSN_DYE_TURNS], longest = 0;
     struct gsn_optics optics;
 
-    (void)look_through(s->dyes, s->turn, &optics);
+    (void)gsn_dyes_look_through(s->dyes, s->turn, &optics);
     gsn_classes_score(&s->classes, s->sample, &optics, scores);
     for (int m = 0; m < GSN_DYE_TURNS; m++) {
         for (int n = 0; n < GSN_DYE_TURNS; n++)
@@ -186,64 +172,6 @@ static double step(struct search *s, struct gsn_scores *scores)
         }
     }
     return 0;
-}
-
-/* Minus the second derivatives of the likelihood, the classes following. */
-static void curvature(const struct search *s, struct gsn_scores *scores,
-                      double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
-{
-    for (int n = 0; n < GSN_DYE_TURNS; n++) {
-        double side[2][GSN_DYE_TURNS];
-
-        for (int way = 0; way < 2; way++) {
-            double turn[GSN_DYE_TURNS];
-            struct gsn_optics optics;
-
-            memcpy(turn, s->turn, sizeof turn);
-            turn[n] += way ? DIFFERENCE : -DIFFERENCE;
-            (void)look_through(s->dyes, turn, &optics);
-            gsn_classes_score_again(&s->classes, s->sample, &optics, scores);
-            memcpy(side[way], scores->total, sizeof side[way]);
-        }
-        for (int m = 0; m < GSN_DYE_TURNS; m++)
-            ret[m][n] = (side[0][m] - side[1][m]) / (2 * DIFFERENCE);
-    }
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
-        for (int n = 0; n < m; n++)
-            ret[m][n] = ret[n][m] = (ret[m][n] + ret[n][m]) / 2;
-}
-
-/* What the pixels tell can only add to the prior. */
-static int within_prior(const struct search *s, double spread[GSN_DYE_TURNS][GSN_DYE_TURNS])
-{
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
-        if (!(spread[m][m] > 0 && spread[m][m] * s->precision[m] <= 1))
-            return 0;
-    return 1;
-}
-
-/* Of the posterior: by the second derivatives, or, where the likelihood bends the wrong way there,
- * by what the pixels are expected to tell, which never says less than the prior. */
-static void covariance(const struct search *s, struct gsn_scores *scores,
-                       double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
-{
-    enum { N = GSN_DYE_TURNS };
-    double bend[N][N];
-
-    struct gsn_optics optics;
-
-    (void)look_through(s->dyes, s->turn, &optics);
-    gsn_classes_score(&s->classes, s->sample, &optics, scores);
-    curvature(s, scores, bend);
-    for (int m = 0; m < N; m++)
-        for (int n = 0; n < N; n++)
-            bend[m][n] = s->weight * bend[m][n] + (m == n ? s->precision[m] : 0);
-    if (gsn_invert(&bend[0][0], N, &ret[0][0]) && within_prior(s, ret))
-        return;
-    for (int m = 0; m < N; m++)
-        for (int n = 0; n < N; n++)
-            bend[m][n] = s->weight * scores->information[m][n] + (m == n ? s->precision[m] : 0);
-    (void)gsn_invert(&bend[0][0], N, &ret[0][0]);
 }
 
 static double angle_deg(const double a[3], const double b[3])
@@ -282,19 +210,19 @@ static void describe(const struct gsn_dyes_prior *prior, struct gsn_dyes_fit *fi
 
 /* How far the evidence for so many classes goes (Schwarz 1978): what they explain, less what their
  * unknowns would explain of chance. */
-static double evidence(const struct search *s)
+static double evidence(const struct gsn_dyes_search *s)
 {
     const double unknowns = (double)gsn_classes_unknowns(&s->classes);
 
     return s->best - unknowns / 2 * log(s->weight * (double)s->sample->count);
 }
 
-static int search_with(size_t classes, struct search *s, struct gsn_scores *scores,
+static int search_with(size_t classes, struct gsn_dyes_search *s, struct gsn_scores *scores,
                        struct gsn_error *err)
 {
     struct gsn_optics optics;
 
-    if (!look_through(s->dyes, s->turn, &optics))
+    if (!gsn_dyes_look_through(s->dyes, s->turn, &optics))
         return gsn_fail(err, GSN_E_STAIN, "the dyes of %s lie in one plane", s->dyes->name);
     gsn_classes_start(&s->classes, classes, s->sample, &optics);
     s->best = objective_following(s, s->turn, &s->classes);
@@ -304,31 +232,47 @@ static int search_with(size_t classes, struct search *s, struct gsn_scores *scor
     return GSN_OK;
 }
 
-static int fit_turns(struct search *s, const struct gsn_dyes_prior *prior,
-                     struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
+/* With as many classes as the evidence goes for. */
+static int search_best(struct gsn_dyes_search *s, struct gsn_scores *scores, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_scores) scores = gsn_alloc_array(1, sizeof *scores);
-    struct gsn_dyes_fit fit = { .pixels = s->sample->count };
-    const struct search start = *s;
+    const struct gsn_dyes_search start = *s;
     int r = GSN_OK;
 
-    if (!scores)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
     for (size_t classes = 1; classes <= GSN_CLASSES && r >= 0; classes++) {
-        struct search other = start;
+        struct gsn_dyes_search other = start;
 
         r = search_with(classes, &other, scores, err);
         if (r >= 0 && classes > 1 && !(evidence(&other) > evidence(s)))
             break;
         *s = other;
     }
+    return r;
+}
+
+/* Twice: how well the classes fit where they fit best says what a pixel is worth. */
+static int fit_turns(struct gsn_dyes_search *s, const struct gsn_dyes_prior *prior,
+                     struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_scores) scores = gsn_alloc_array(1, sizeof *scores);
+    struct gsn_dyes_fit fit = { .pixels = s->sample->count };
+    struct gsn_dyes_search first = *s;
+    int r;
+
+    if (!scores)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
+    r = search_best(&first, scores, err);
     if (r < 0)
         return r;
-    covariance(s, scores, fit.covariance);
+    s->weight = gsn_dyes_weight(&first);
+    r = search_best(s, scores, err);
+    if (r < 0)
+        return r;
+    gsn_dyes_covariance(s, scores, fit.covariance);
     fit.dyes = gsn_dyes_turned(&prior->dyes, s->turn);
     fit.classes = s->classes.count;
     fit.strays = s->classes.strays;
-    (void)snprintf(fit.dyes.name, sizeof fit.dyes.name, "inferred-1");
+    fit.worth = s->weight * (double)s->sample->count;
+    (void)snprintf(fit.dyes.name, sizeof fit.dyes.name, "inferred-2");
     r = check_apart(&fit.dyes, err);
     if (r < 0)
         return r;
@@ -360,7 +304,7 @@ int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dy
                       struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
 {
     gsn_auto(gsn_stain_sample) few = NULL;
-    struct search search = { .dyes = &prior->dyes };
+    struct gsn_dyes_search search = { .dyes = &prior->dyes };
     int r;
 
     if (sample->count < GSN_SAMPLE_LEAST)

@@ -8,7 +8,9 @@
  * pixels most probable when amounts of dye are positive, vary by factors rather than by sums (a
  * mixture of log-normal classes, correlated in any way) and are seen through the noise of the scan,
  * and when the vectors lie about where the protocol says. Pixels that fit no class (pigment, ink)
- * count as strays and do not pull.
+ * count as strays and do not pull. No tissue is truly log-normal, and what that leads astray no
+ * number of pixels mends: so they count by how well they fit, and the worse they do, the nearer the
+ * vectors and their error stay to the protocol's.
  *
  * A vector has two ways to turn, so three have six: red 0 and 1, yellow 2 and 3, dark 4 and 5, in
  * radians, along the axes that gsn_dyes_turned() defines. */
@@ -57,6 +59,7 @@ struct gsn_dyes_fit {
     double moved_deg[3];     /* from the prior's vectors */
     size_t pixels, classes;  /* of tissue that the evidence was enough for */
     double strays;           /* share of the pixels that no class explains */
+    double worth;            /* pixels of a tissue that the classes fit which would tell as much */
 };
 
 /* Whether it is this stain at all is gsn_stain_look()'s question, not asked here.

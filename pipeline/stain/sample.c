@@ -11,8 +11,11 @@
 #define PALEST 0.05   /* length below which white errors of a percent turn the hue by 5 degrees */
 #define SRGB_TOE 0.04045 /* below this code the curve is a line (IEC 61966-2-1) */
 #define QUANTISED 0.001  /* noise of a scan of 8 bits that claims to have none */
+/* JPEG evens out the glass and not the tissue, so the glass tells of less noise than tissue has:
+ * there it is two codes of 255 at the least. */
+#define TISSUE_NOISE 0.003
 
-enum { MOST_PER_PANEL = 4000, ACROSS = 4 };
+enum { MOST_PER_PANEL = 4000 };
 
 int gsn_stain_sample_new(struct gsn_stain_sample **ret_sample, struct gsn_error *err)
 {
@@ -54,6 +57,7 @@ struct limits {
     enum gsn_light light;
     double white[3], noise[3]; /* light of the glass; its noise over that of a code */
     double palest, darkest[3];
+    double rougher; /* noise of tissue over that of the glass */
 };
 
 static double deviation_at(const struct limits *limits, int c, double density)
@@ -68,7 +72,9 @@ static double deviation_at(const struct limits *limits, int c, double density)
 static struct limits limits_of(const struct gsn_glass *glass)
 {
     const double noise = fmax(glass->noise_od, QUANTISED);
-    struct limits limits = { .light = glass->light, .palest = fmax(PALEST, 10 * noise) };
+    struct limits limits = { .light = glass->light,
+                             .palest = fmax(PALEST, 10 * noise),
+                             .rougher = fmax(TISSUE_NOISE / noise, 1) };
 
     for (int c = 0; c < 3; c++) {
         double low = 0, high = 5;
@@ -125,24 +131,23 @@ int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *cons
     if (r < 0)
         return r;
 
-    const size_t width = od[0]->width, height = od[0]->height;
+    const size_t pixels = (size_t)od[0]->width * od[0]->height;
 
-    for (size_t i = 0; i < width * height; i++)
+    for (size_t i = 0; i < pixels; i++)
         speaking += (size_t)speaks(od, mask, &limits, i);
     stride = speaking / MOST_PER_PANEL + 1;
     more = gsn_realloc_array(sample->pixel, sample->count + speaking / stride + 1, sizeof *more);
     if (!more)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the dyes of a slide");
     sample->pixel = more;
-    for (size_t i = 0; i < width * height; i++) {
-        struct gsn_stain_pixel pixel = { .part = (uint8_t)(i / width * ACROSS / height * ACROSS +
-                                                           i % width * ACROSS / width) };
+    for (size_t i = 0; i < pixels; i++) {
+        struct gsn_stain_pixel pixel;
 
         if (!speaks(od, mask, &limits, i) || seen++ % stride != 0)
             continue;
         for (int c = 0; c < 3; c++) {
             pixel.od[c] = od[c]->value[i];
-            pixel.noise[c] = (float)deviation_at(&limits, c, od[c]->value[i]);
+            pixel.noise[c] = (float)(limits.rougher * deviation_at(&limits, c, od[c]->value[i]));
         }
         sample->pixel[sample->count++] = pixel;
     }

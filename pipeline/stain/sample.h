@@ -10,14 +10,11 @@
 extern "C" {
 #endif
 
-/* Every panel is cut into parts, and what varies between parts is the error that neighbouring
- * pixels share. */
-enum { GSN_SAMPLE_PARTS = 16, GSN_SAMPLE_LEAST = 1000 };
+enum { GSN_SAMPLE_LEAST = 1000 };
 
 struct gsn_stain_pixel {
     float od[3];
     float noise[3]; /* deviation of od */
-    uint8_t part;
 };
 
 struct gsn_stain_sample {

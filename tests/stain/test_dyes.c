@@ -75,29 +75,54 @@ static struct gsn_stain_sample *sampled(struct gsn_plane *const od[3], const str
     return sample;
 }
 
-TEST(the_slides_own_vectors_are_found_within_what_is_said)
+/* Amounts that vary by factors. */
+static struct gsn_image *paint_log_normal(const struct scan *scan, const struct gsn_dyes *dyes)
+{
+    struct gsn_image *image = NULL;
+    struct dice dice = { 23 };
+
+    if (gsn_image_new(200, 200, 3, 8, &image, NULL) < 0)
+        return NULL;
+    for (uint32_t i = 0; i < 200 * 200; i++)
+        paint(image, i % 200, i / 200, scan, dyes,
+              (const double[3]){ 0.4 * exp(0.45 * dice_normal(&dice)),
+                                 0.3 * exp(0.45 * dice_normal(&dice)),
+                                 0.07 * exp(0.6 * dice_normal(&dice)) },
+              &dice);
+    return image;
+}
+
+/* Turned by about 5 and 4 degrees. */
+static struct gsn_dyes turned_bath(void)
+{
+    struct gsn_dyes truth = gsn_dyes_builtin();
+
+    truth.red[0] += 0.09;
+    unit(truth.red);
+    truth.yellow[1] -= 0.07;
+    unit(truth.yellow);
+    return truth;
+}
+
+/* What is found, no farther off than it says. */
+static struct gsn_dyes_fit find_turned(struct gsn_image *(*painter)(const struct scan *,
+                                                                    const struct gsn_dyes *))
 {
     const struct scan scan = { GSN_LIGHT_SRGB, { 248, 244, 238 }, 0, 1 };
     const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(GSN_LIGHT_SRGB);
-    struct gsn_dyes truth = prior.dyes;
+    const struct gsn_dyes truth = turned_bath();
     struct gsn_plane *od[3] = { NULL, NULL, NULL };
     gsn_auto(gsn_stain_sample) sample = NULL;
     struct gsn_error err = { 0 };
     struct gsn_dyes_fit fit;
 
-    truth.red[0] += 0.09; /* turned by about 5 and 4 degrees */
-    unit(truth.red);
-    truth.yellow[1] -= 0.07;
-    unit(truth.yellow);
     CHECK(degrees(truth.red, prior.dyes.red) > 4 && degrees(truth.yellow, prior.dyes.yellow) > 3);
 
-    gsn_auto(gsn_image) image = paint_slide(&scan, &truth);
+    gsn_auto(gsn_image) image = painter(&scan, &truth);
 
     CHECK_OK(densities(image, &scan, od, &err), err);
     sample = sampled(od, NULL, scan.light);
     CHECK_OK(gsn_dyes_estimate(sample, &prior, &fit, &err), err);
-    CHECK(degrees(fit.dyes.red, truth.red) < 3);
-    CHECK(degrees(fit.dyes.yellow, truth.yellow) < 3);
     CHECK(degrees(fit.dyes.red, truth.red) < 2 * fit.deviation_deg[0]);
     CHECK(degrees(fit.dyes.yellow, truth.yellow) < 2 * fit.deviation_deg[1]);
     CHECK(degrees(fit.dyes.dark, truth.dark) < 2 * fit.deviation_deg[2]);
@@ -106,6 +131,29 @@ TEST(the_slides_own_vectors_are_found_within_what_is_said)
     CHECK_NEAR(fit.dyes.full_red_od, prior.dyes.full_red_od, 0);
     CHECK(fit.pixels >= 1000 && fit.classes >= 1 && fit.strays < 0.02);
     planes_free(od);
+    return fit;
+}
+
+/* Every pixel a mixture, so that no pixel shows a dye. */
+TEST(where_amounts_are_log_normal_the_slides_own_vectors_are_found)
+{
+    const struct gsn_dyes_fit fit = find_turned(paint_log_normal);
+    const struct gsn_dyes truth = turned_bath();
+
+    CHECK(degrees(fit.dyes.red, truth.red) < 3);
+    CHECK(degrees(fit.dyes.yellow, truth.yellow) < 3);
+    CHECK(fit.worth > 50);
+}
+
+/* Pixels of no dark dye, and ends of pure red and pure yellow, are no log-normal tissue. */
+TEST(where_amounts_are_not_log_normal_pixels_count_for_little_and_the_error_says_so)
+{
+    const struct gsn_dyes_fit other = find_turned(paint_log_normal);
+    const struct gsn_dyes_fit fit = find_turned(paint_slide);
+
+    CHECK(fit.worth < other.worth / 4);
+    CHECK(fit.deviation_deg[0] > other.deviation_deg[0]);
+    CHECK(fit.deviation_deg[1] > other.deviation_deg[1]);
 }
 
 /* With nothing to go by the answer is the prior: one class of one amount says nothing of hue. */
@@ -160,10 +208,13 @@ TEST(the_mask_decides_which_pixels_speak)
     gsn_auto(gsn_image) mask = NULL;
     gsn_auto(gsn_stain_sample) none = NULL;
     gsn_auto(gsn_stain_sample) half = NULL;
+    gsn_auto(gsn_stain_sample) clean = NULL;
+    struct gsn_plane *unspoilt[3] = { NULL, NULL, NULL };
     struct gsn_error err = { 0 };
-    struct gsn_dyes_fit fit = { .pixels = 77 };
+    struct gsn_dyes_fit fit = { .pixels = 77 }, of_clean;
     struct gsn_stain_look look;
 
+    CHECK_OK(densities(image, &scan, unspoilt, &err), err);
     /* The lower half becomes pen ink, which the mask leaves out. */
     for (uint32_t i = 100 * 200 * 3; i < 200 * 200 * 3; i++)
         ((uint8_t *)image->samples)[i] = (uint8_t[3]){ 40, 60, 190 }[i % 3];
@@ -178,9 +229,14 @@ TEST(the_mask_decides_which_pixels_speak)
     half = sampled(od, mask, scan.light);
     CHECK_OK(gsn_stain_look(half, &look, &err), err);
     CHECK_OK(gsn_dyes_estimate(half, &prior, &fit, &err), err);
-    CHECK(degrees(fit.dyes.red, prior.dyes.red) < 3);
-    CHECK(degrees(fit.dyes.yellow, prior.dyes.yellow) < 3);
+    clean = sampled(unspoilt, mask, scan.light);
+    CHECK_OK(gsn_dyes_estimate(clean, &prior, &of_clean, &err), err);
+    CHECK(fit.pixels == of_clean.pixels);
+    CHECK(memcmp(&fit.dyes, &of_clean.dyes, sizeof fit.dyes) == 0);
+    for (int k = 0; k < 3; k++)
+        CHECK(fit.moved_deg[k] < fit.deviation_deg[k]);
     planes_free(od);
+    planes_free(unspoilt);
 }
 
 /* Three hundredths of green pen, as much of black, and JPEG's like: pixels of neither. */

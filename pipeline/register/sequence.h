@@ -5,8 +5,8 @@
  * Tissue changes little from one section to the next, but where it does, at the rims of spaces and
  * of the root, it goes on the way it goes around: the step from one section to another is compared
  * with the step that the sections around both foretell, cell by cell, weighed by what a cell's
- * noise leaves of it. In each other's places the two would show the contrary, and the stack around
- * both would change more evenly if they were exchanged. Sections are laid onto each other by their
+ * noise leaves of it. In each other's places the two would show the contrary, and with the two
+ * exchanged all around would fit better. Sections are laid onto each other by their
  * tissue before, and scaled, so that laying, warp and stain do not matter. What share of swaps
  * would show is told from what the stack's own sections show.
  *
@@ -50,9 +50,9 @@ enum gsn_sequence_kind {
 struct gsn_sequence_finding {
     enum gsn_sequence_kind kind;
     unsigned a, b;   /* serial numbers, as given */
-    double evidence; /* how much more evenly the sections around change after a swap, in standard
-                        errors; of a duplicate the share of their texture that both have in
-                        common */
+    double evidence; /* how far the changes run against their order that a swap turns over, and half
+                        of how much better all fits exchanged, in standard errors; of a duplicate
+                        the share of their texture that both have in common */
     double usual;    /* share of their texture that neighbours have in common */
     /* Of a swap, in standard errors: how far the change from one to the other runs against the way
      * it goes around them, and how far it should go along. */

@@ -4,20 +4,27 @@
 #include <math.h>
 #include <string.h>
 
-enum { NEAR = GSN_SEQUENCE_NEAR, SIDE = GSN_SEQUENCE_SIDE, EVERY = 3, SUSPECTS = 8 };
+enum {
+    NEAR = GSN_SEQUENCE_NEAR,
+    SIDE = GSN_SEQUENCE_SIDE,
+    EVERY = GSN_SEQUENCE_EVERY,
+    SUSPECTS = 8
+};
 
 /* Two planes' cells differ by no more than this, in standard deviations of one's noise. */
 static const double MOST = 3;
 
-static size_t away(size_t a, size_t b)
+size_t gsn_sequence_apart(size_t a, size_t b)
 {
     return a > b ? a - b : b - a;
 }
 
+/* Planes up to SIDE from either place are laid again with it, and as many more look at them. */
 static int concerns(size_t i, size_t f, const size_t place[2])
 {
     for (int k = 0; k < 2; k++)
-        if (away(i, place[k]) <= SIDE + 1 || away(i + f, place[k]) <= SIDE + 1)
+        if (gsn_sequence_apart(i, place[k]) <= 2 * SIDE + 1 ||
+            gsn_sequence_apart(i + f, place[k]) <= 2 * SIDE + 1)
             return 1;
     return 0;
 }
@@ -80,6 +87,24 @@ static double distance(const float *one, const float *other, const float *weight
     return sum;
 }
 
+void gsn_sequence_add_misfit(struct gsn_sequence_search *a, size_t place, float *sum)
+{
+    const size_t n = a->t->n, sample = gsn_sequence_sample(a->t);
+    const struct gsn_sequence_line line =
+        gsn_sequence_line_at(a->t->z, n, place, place, a->t->z[place]);
+    const float scale = (float)(1 / (1 + gsn_sequence_line_noise(&line)));
+    const float most = (float)(MOST * MOST);
+    float *foretold = a->t->off_too, *plane = a->t->off, *weight = a->t->energy;
+
+    foretell(a->t, place, foretold);
+    take(a->t, place, plane, weight);
+    for (size_t c = 0; c < sample; c++) {
+        const float off = plane[c] - foretold[c], square = off * off * weight[c] * scale;
+
+        sum[c] += square < most ? square : most;
+    }
+}
+
 /* Two that changed places far from each other fit worst of all, but for the ends, which are only
  * foretold from one side. */
 static void suspect(struct gsn_sequence_search *a)
@@ -101,18 +126,18 @@ void gsn_sequence_compare_far(struct gsn_sequence_search *a)
     float *plane = a->t->off, *weight = a->t->energy;
 
     for (size_t m = 0; m < n; m++)
-        foretell(a->t, m, a->foretold + m * sample);
+        foretell(a->t, m, a->sample + m * sample);
     for (size_t k = 0; k < n; k++) {
         take(a->t, k, plane, weight);
         for (size_t m = 0; m < n; m++)
-            a->fit[k * n + m] = distance(plane, a->foretold + m * sample, weight, sample);
+            a->fit[k * n + m] = distance(plane, a->sample + m * sample, weight, sample);
     }
     for (size_t c = 0; c < sample; c++)
         weight[c] = 1 / a->t->noise2[EVERY * c];
     for (size_t m = 0; m < n; m++)
         for (size_t k = 0; k < m; k++)
             a->apart[k * n + m] =
-                distance(a->foretold + k * sample, a->foretold + m * sample, weight, sample);
+                distance(a->sample + k * sample, a->sample + m * sample, weight, sample);
     suspect(a);
 }
 

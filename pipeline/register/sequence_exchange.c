@@ -3,9 +3,7 @@
 
 #include <string.h>
 
-enum { NEAR = GSN_SEQUENCE_NEAR };
-
-static void trade(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+void gsn_sequence_trade(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
 {
     size_t *place = a->t->place;
     const size_t plane = place[swap->place[0]];
@@ -14,25 +12,41 @@ static void trade(struct gsn_sequence_search *a, const struct gsn_sequence_swap 
     place[swap->place[1]] = plane;
 }
 
-void gsn_sequence_exchange(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+size_t gsn_sequence_affected(size_t n, const size_t place[2], size_t ret_at[GSN_SEQUENCE_AFFECTED])
 {
-    trade(a, swap);
+    size_t count = 0;
+
+    for (size_t k = 0; k < n; k++)
+        if (gsn_sequence_apart(k, place[0]) <= GSN_SEQUENCE_SIDE ||
+            gsn_sequence_apart(k, place[1]) <= GSN_SEQUENCE_SIDE)
+            ret_at[count++] = k;
+    return count;
+}
+
+/* The two first: the others were laid onto them. */
+void gsn_sequence_lay_around(struct gsn_sequence_search *a, const size_t place[2])
+{
+    size_t at[GSN_SEQUENCE_AFFECTED];
+    const size_t count = gsn_sequence_affected(a->t->n, place, at);
+
     for (int i = 0; i < 2; i++)
-        gsn_sequence_lay_again(a->t, swap->place[i]);
-    gsn_sequence_compare_near(a, swap->place);
+        gsn_sequence_lay_again(a->t, place[i]);
+    for (size_t i = 0; i < count; i++)
+        gsn_sequence_lay_again(a->t, at[i]);
 }
 
 void gsn_sequence_keep(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
 {
     const struct gsn_sequence_tissue *t = a->t;
     const size_t cells = t->columns * t->rows;
+    size_t at[GSN_SEQUENCE_AFFECTED];
+    const size_t count = gsn_sequence_affected(t->n, swap->place, at);
 
-    memcpy(a->kept, a->near, t->n * NEAR * sizeof *a->near);
-    for (int i = 0; i < 2; i++) {
-        const size_t plane = t->place[swap->place[i]];
+    for (size_t i = 0; i < count; i++) {
+        const size_t plane = t->place[at[i]];
 
-        memcpy(a->kept_value + (size_t)i * cells, t->value + plane * cells, cells * sizeof(float));
-        memcpy(a->kept_known + (size_t)i * cells, t->known + plane * cells, cells);
+        memcpy(a->kept_value + i * cells, t->value + plane * cells, cells * sizeof(float));
+        memcpy(a->kept_known + i * cells, t->known + plane * cells, cells);
         memcpy(a->kept_motion[i], t->motion[plane], sizeof a->kept_motion[i]);
     }
 }
@@ -41,16 +55,23 @@ void gsn_sequence_put_back(struct gsn_sequence_search *a, const struct gsn_seque
 {
     struct gsn_sequence_tissue *t = a->t;
     const size_t cells = t->columns * t->rows;
+    size_t at[GSN_SEQUENCE_AFFECTED];
+    const size_t count = gsn_sequence_affected(t->n, swap->place, at);
 
-    trade(a, swap);
-    memcpy(a->near, a->kept, t->n * NEAR * sizeof *a->near);
-    for (int i = 0; i < 2; i++) {
-        const size_t plane = t->place[swap->place[i]];
+    for (size_t i = 0; i < count; i++) {
+        const size_t plane = t->place[at[i]];
 
-        memcpy(t->value + plane * cells, a->kept_value + (size_t)i * cells, cells * sizeof(float));
-        memcpy(t->known + plane * cells, a->kept_known + (size_t)i * cells, cells);
+        memcpy(t->value + plane * cells, a->kept_value + i * cells, cells * sizeof(float));
+        memcpy(t->known + plane * cells, a->kept_known + i * cells, cells);
         memcpy(t->motion[plane], a->kept_motion[i], sizeof a->kept_motion[i]);
     }
+}
+
+void gsn_sequence_exchange(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+{
+    gsn_sequence_trade(a, swap);
+    gsn_sequence_lay_around(a, swap->place);
+    gsn_sequence_compare_near(a, swap->place);
 }
 
 struct gsn_sequence_change gsn_sequence_change_both_ways(struct gsn_sequence_search *a,
@@ -60,11 +81,12 @@ struct gsn_sequence_change gsn_sequence_change_both_ways(struct gsn_sequence_sea
     struct gsn_sequence_change change = gsn_sequence_change_between(a->t, i, j);
 
     gsn_sequence_keep(a, swap);
-    trade(a, swap);
+    gsn_sequence_trade(a, swap);
     gsn_sequence_lay_again(a->t, i);
     gsn_sequence_lay_again(a->t, j);
     change.shown -= gsn_sequence_change_between(a->t, i, j).shown;
     change.shown /= 2;
+    gsn_sequence_trade(a, swap);
     gsn_sequence_put_back(a, swap);
     return change;
 }

@@ -5,24 +5,25 @@
 
 #include <math.h>
 
-enum { NEAR = GSN_SEQUENCE_NEAR, LIKELY = 4 };
+enum { NEAR = GSN_SEQUENCE_NEAR, LIKELY = 6 };
 
-/* A change is looked at where it runs against what is foretold by this many standard errors. */
-static const double LEAST_AGAINST = 0.75;
+/* Two near sections that show more than this, in standard errors, lie in order; others are compared
+ * both ways. So are those farther apart that stand between in order and not no better than this,
+ * roughly, by cells as they were laid. */
+static const double DOUBTFUL = 1.5, ROUGHLY = 0.2;
+/* A swap is looked at where both ways run against what is foretold by this many standard errors,
+ * and by so many more for every stack's worth of changes that are not above SHOWN in order: where
+ * half of them are noise, noise shows swaps. */
+static const double LEAST_AGAINST = 0.4, SHOWN = 0.5, MORE = 5;
 /* And where the logarithm of the likelihood ratio against the order as numbered is this much: where
  * hardly any change is foretold, noise runs against it half of the time. */
-static const double LIKELIER = 5;
-/* Places farther apart than NEAR must show this part of a swap at least: none is shown where one of
- * the two alone is out of place. Roughly, by cells as they were laid, it is no more than that. */
-static const double PART = 0.2, ROUGHLY = 0.2;
-/* A proposal must make the changes around run more evenly by this many standard errors, those that
- * the two run against counted twice. In order hardly any two sections are above 0. */
-static const double CONVINCING = 6;
-/* Of what the two show in order a swap shows this share at least as a rule, as each was laid by
- * those it does not belong to; and it is found where that is above ENOUGH. */
-static const double LAID = 0.6, ENOUGH = 1.5;
-/* Where fewer than this share of swaps at a distance would show, what does show may be chance. */
-static const double TELLING = 0.25;
+static const double LIKELIER = 2;
+/* How much a better fit speaks for a swap beside the changes that it turns over, which are part of
+ * it; and how much must speak for one. */
+static const double FIT = 0.5, CONVINCING = 0.5;
+/* As numbered two show more than both ways say, as each was laid by those around it: this share is
+ * left. */
+static const double LAID = 0.85;
 /* Of all swaps at a distance so many show where it is said that they do. */
 static const double NEARLY_ALL = 0.95;
 
@@ -32,30 +33,35 @@ static int is_end(const struct gsn_sequence_search *a, size_t i, size_t j)
     return j == i + 1 && (i == 0 || j + 1 == a->t->n);
 }
 
+static int is_near(const struct gsn_sequence_swap *swap)
+{
+    return swap->place[1] <= swap->place[0] + NEAR;
+}
+
 static int runs_against(const struct gsn_sequence_search *a, size_t f,
                         struct gsn_sequence_change change)
 {
-    if (a->shown[(f < NEAR ? f : NEAR) - 1] < TELLING)
-        return 0;
-    return change.shown < -LEAST_AGAINST &&
-           -2 * a->gain * change.shown * change.foretold > LIKELIER &&
-           (f <= NEAR || change.shown < -PART * a->gain * change.foretold);
+    return change.shown < -a->least[(f < NEAR ? f : NEAR) - 1] &&
+           -2 * a->gain * change.shown * change.foretold > LIKELIER;
+}
+
+/* Whether two places are worth a closer look. */
+static int is_doubtful(const struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+{
+    const size_t i = swap->place[0], j = swap->place[1];
+
+    return is_near(swap)
+               ? a->near[i * NEAR + j - i - 1].shown < DOUBTFUL
+               : (a->suspect[i] && a->suspect[j]) || gsn_sequence_standing(a, i, j) <= ROUGHLY;
 }
 
 /* Whether what two places show runs against what is foretold. */
 static int look_at(struct gsn_sequence_search *a, struct gsn_sequence_swap *swap)
 {
-    const size_t i = swap->place[0], j = swap->place[1];
-
-    if (j <= i + NEAR)
-        swap->change = a->near[i * NEAR + j - i - 1];
-    else if (a->suspect[i] && a->suspect[j])
-        swap->change = gsn_sequence_change_both_ways(a, swap);
-    else if (gsn_sequence_standing(a, i, j) <= ROUGHLY)
-        swap->change = gsn_sequence_change_between(a->t, i, j);
-    else
+    if (!is_doubtful(a, swap))
         return 0;
-    return runs_against(a, j - i, swap->change);
+    swap->change = gsn_sequence_change_both_ways(a, swap);
+    return runs_against(a, swap->place[1] - swap->place[0], swap->change);
 }
 
 /* The swaps that run against what is foretold the most, among sections that are in none yet; how
@@ -81,36 +87,45 @@ static size_t list_likely(struct gsn_sequence_search *a, struct gsn_sequence_swa
     return count;
 }
 
-/* How far all near changes run the way that those around them do. */
-static double evenness(const struct gsn_sequence_search *a)
+static int is_far(const struct gsn_sequence_swap *swap)
 {
-    double sum = 0;
+    return swap->place[1] > swap->place[0] + GSN_SEQUENCE_ONE_WAY;
+}
 
-    for (size_t i = 0; i < a->t->n * NEAR; i++)
-        sum += a->near[i].shown;
-    return sum;
+static int is_any(const struct gsn_sequence_swap *swap)
+{
+    return swap->place[1] > swap->place[0];
+}
+
+/* What speaks for a swap of sections at any distance. */
+static double by_itself(const struct gsn_sequence_swap *swap)
+{
+    return swap->fit - swap->change.shown;
 }
 
 /* What lies beside swapped sections looks out of place too: of the likeliest swaps that one which
- * convinces most; 0: none does. */
+ * convinces most; 0: none does. What changes between two sections adds up only as far as tissue
+ * changes one way, so the best of either kind is looked for, and then the better of the two. */
 static int find_best(struct gsn_sequence_search *a, struct gsn_sequence_swap *ret_swap)
 {
-    const double before = evenness(a);
-    struct gsn_sequence_swap likely[LIKELY] = { 0 };
+    struct gsn_sequence_swap likely[LIKELY] = { 0 }, best[2] = { 0 };
     const size_t count = list_likely(a, likely);
-    double most = CONVINCING;
 
+    best[0].convincing = best[1].convincing = CONVINCING;
     for (size_t k = 0; k < count; k++) {
-        gsn_sequence_keep(a, &likely[k]);
-        gsn_sequence_exchange(a, &likely[k]);
-        likely[k].convincing = evenness(a) - before - 2 * likely[k].change.shown;
-        gsn_sequence_put_back(a, &likely[k]);
-        if (likely[k].convincing > most) {
-            most = likely[k].convincing;
-            *ret_swap = likely[k];
-        }
+        struct gsn_sequence_swap *of_kind = &best[is_far(&likely[k])];
+
+        gsn_sequence_weigh(a, &likely[k]);
+        likely[k].convincing = likely[k].turned + FIT * likely[k].fit;
+        if (likely[k].convincing > of_kind->convincing &&
+            (is_near(&likely[k]) || likely[k].fit > 0))
+            *of_kind = likely[k];
     }
-    return most > CONVINCING;
+    if (!is_any(&best[0]) || !is_any(&best[1]))
+        *ret_swap = best[is_any(&best[1])];
+    else
+        *ret_swap = best[by_itself(&best[1]) > by_itself(&best[0])];
+    return is_any(ret_swap);
 }
 
 static int is_duplicate(const struct gsn_sequence *found, unsigned a, unsigned b)
@@ -160,23 +175,24 @@ static double learn_gain(const struct gsn_sequence_search *a, double *room)
 
 /* Whether a swap would show of two sections that show this much in order. */
 static int would_show(const struct gsn_sequence_search *a, struct gsn_sequence_change change,
-                      double times)
+                      double times, double least)
 {
     const double shown = LAID * times * change.shown;
 
-    return shown > ENOUGH && 2 * a->gain * shown * times * change.foretold > LIKELIER;
+    return shown > least && 2 * a->gain * shown * times * change.foretold > LIKELIER;
 }
 
 /* The share of swaps f sections apart that would show, told from how far the sections here run
  * along what is foretold; beyond NEAR change adds up. */
-static double share_shown(const struct gsn_sequence_search *a, size_t f)
+static double share_shown(const struct gsn_sequence_search *a, size_t f, double least)
 {
     const size_t n = a->t->n, far = f < NEAR ? f : NEAR;
     size_t shown = 0, count = 0;
 
     for (size_t i = 0; i + far < n; i++)
         if (!is_end(a, i, i + far)) {
-            shown += (size_t)would_show(a, a->near[i * NEAR + far - 1], (double)f / (double)far);
+            shown +=
+                (size_t)would_show(a, a->near[i * NEAR + far - 1], (double)f / (double)far, least);
             count++;
         }
     return count ? (double)shown / (double)count : 0;
@@ -184,9 +200,12 @@ static double share_shown(const struct gsn_sequence_search *a, size_t f)
 
 static void tell_shown(struct gsn_sequence_search *a, struct gsn_sequence *found)
 {
-    for (size_t f = 1; f <= NEAR; f++)
-        found->shown[f - 1] = a->shown[f - 1] = share_shown(a, f);
-    for (size_t f = a->t->n - 1; f > 0 && share_shown(a, f) >= NEARLY_ALL; f--)
+    for (size_t f = 1; f <= NEAR; f++) {
+        a->least[f - 1] = LEAST_AGAINST + MORE * (1 - share_shown(a, f, SHOWN));
+        found->shown[f - 1] = share_shown(a, f, a->least[f - 1]);
+    }
+    for (size_t f = a->t->n - 1;
+         f > 0 && share_shown(a, f, a->least[(f < NEAR ? f : NEAR) - 1]) >= NEARLY_ALL; f--)
         found->reach = (unsigned)f;
 }
 
@@ -195,23 +214,23 @@ int gsn_sequence_find_swaps(struct gsn_sequence_tissue *t, const struct gsn_sequ
 {
     gsn_auto_mem(char) used = gsn_alloc_array(2 * t->n, 1);
     gsn_auto_mem(double) fit = gsn_alloc_array(2 * t->n * t->n, sizeof *fit);
-    gsn_auto_mem(struct gsn_sequence_change) near = gsn_alloc_array(2 * t->n * NEAR, sizeof *near);
+    gsn_auto_mem(struct gsn_sequence_change) near = gsn_alloc_array(t->n * NEAR, sizeof *near);
     const size_t cells = t->columns * t->rows;
-    gsn_auto_mem(float) kept_value = gsn_alloc_array(2 * cells, sizeof *kept_value);
-    gsn_auto_mem(unsigned char) kept_known = gsn_alloc_array(2 * cells, 1);
-    gsn_auto_mem(float) foretold = gsn_alloc_array(t->n * gsn_sequence_sample(t), sizeof *foretold);
+    const size_t kept = GSN_SEQUENCE_AFFECTED * cells;
+    gsn_auto_mem(float) kept_value = gsn_alloc_array(kept, sizeof *kept_value);
+    gsn_auto_mem(unsigned char) kept_known = gsn_alloc_array(kept, 1);
+    gsn_auto_mem(float) sample = gsn_alloc_array(t->n * gsn_sequence_sample(t), sizeof *sample);
     struct gsn_sequence_search a = { .t = t,
                                      .near = near,
                                      .kept_value = kept_value,
                                      .kept_known = kept_known,
-                                     .foretold = foretold,
+                                     .sample = sample,
                                      .fit = fit,
                                      .used = used };
 
-    if (!used || !fit || !near || !kept_value || !kept_known || !foretold)
+    if (!used || !fit || !near || !kept_value || !kept_known || !sample)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
     a.suspect = used + t->n;
-    a.kept = near + t->n * NEAR;
     a.apart = fit + t->n * t->n;
     gsn_sequence_compare_near(&a, NULL);
     a.gain = learn_gain(&a, fit);

@@ -18,6 +18,8 @@ static const double MOST = 3;
 static const double LEAST_NOISE2 = 1e-4;
 /* What the sections around say of a cell counts by its share beyond this many times their noise. */
 static const double BEYOND = 2;
+/* Fewer squares of the same weight tell no error. */
+static const double FEWEST = 8;
 
 static const float *plane_at(const struct gsn_sequence_tissue *t, size_t place)
 {
@@ -244,7 +246,7 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
                                                        size_t i, size_t j)
 {
     const size_t squares = ((t->columns + SQUARE - 1) / SQUARE) * ((t->rows + SQUARE - 1) / SQUARE);
-    double first = 0, second = 0, foretold = 0, left = 0, share, noise;
+    double first = 0, second = 0, foretold = 0, squared = 0, left = 0, share, noise;
     const struct gsn_sequence_modes modes = differ(t, i, j, &noise);
 
     add_squares(t, &modes, noise);
@@ -252,8 +254,9 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
         first += t->square[k].first;
         second += t->square[k].second;
         foretold += t->square[k].foretold;
+        squared += t->square[k].foretold * t->square[k].foretold;
     }
-    if (!(foretold > 0))
+    if (!(foretold * foretold > FEWEST * squared))
         return (struct gsn_sequence_change){ 0, 0, 0, 0 };
     share = fmin(fmax((first + second) / foretold, -1), 1);
     for (size_t k = 0; k < squares; k++) {

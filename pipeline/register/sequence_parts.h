@@ -106,7 +106,8 @@ int gsn_sequence_learn_noise(struct gsn_sequence_tissue *tissue, struct gsn_erro
 
 /* The change from the plane at place i to that at place j, i < j, along the change that the
  * sections around foretell, both in standard errors. In each other's places the two would show
- * the contrary. Errors are told from what squares of cells say each for itself. */
+ * the contrary. Errors are told from what squares of cells say each for itself; nothing is shown
+ * and nothing foretold where all rests on a few of them. */
 struct gsn_sequence_change {
     double shown, foretold;
     double first, second; /* how far the one lies before the middle, and the other behind it */

@@ -131,6 +131,16 @@ static void print_candidates(const struct gsn_show *view, const struct gsn_secti
     print_choice(view, s, is_used);
 }
 
+/* A panel's look may find marks that the stack or the neighbours' tissue contradicts. */
+static const char *state_of(const struct gsn_show *view, const struct gsn_section_row *s)
+{
+    const struct gsn_candidate_row *first;
+
+    return strcmp(s->state, "found") == 0 && gsn_show_candidates(view, s, &first) > 0
+               ? "found, but its marks are in doubt"
+               : s->state;
+}
+
 /* Serial number 0: a piece that lies in no slot. */
 static void print_section(const struct gsn_show *view, const struct gsn_section_row *s)
 {
@@ -141,7 +151,7 @@ static void print_section(const struct gsn_show *view, const struct gsn_section_
                       (long long)gsn_show_panel_number(view, s->panel_id), s->state, s->flags);
     else
         gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
-                      (long long)s->slot, s->state, s->flags);
+                      (long long)s->slot, state_of(view, s), s->flags);
     print_candidates(view, s);
     if (action)
         gsn_text_line(stdout, "    next: %s%s", action, otherwise(s));

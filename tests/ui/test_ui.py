@@ -480,6 +480,11 @@ class Told(Bench):
                       "       1   100.0 %    17.2 um  up    yes     on two marks, without mark 3\n"
                       "       2   < 0.1 %          -  down  no      the same spots, the other way "
                       "up\n    next: gieson decide R07-left 9.6 pose N\n", shown)
+        self.assertIn("(slot 6)  needs-eye  two-marks\n", shown)
+        self.scene.run("UPDATE section SET state = 'found', flags = '' WHERE slot = 6")
+        self.assertIn("(slot 6)  found, but its marks are in doubt",
+                      self.call("show", "R07-left").stdout)
+        self.scene.run("UPDATE section SET state = 'needs-eye', flags = 'two-marks' WHERE slot = 6")
         listed = self.json("show", "R07-left")["sections"][-1]
         self.assertEqual(listed["action"], "gieson decide R07-left 9.6 pose N")
         self.assertEqual([c["number"] for c in listed["candidates"]], [1, 2])

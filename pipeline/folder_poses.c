@@ -73,6 +73,28 @@ static void flag(struct gsn_folder_section *section, const struct gsn_pose *pose
         gsn_folder_add_flag(section, "gross");
 }
 
+/* Where a mark may be wrong, the ellipses grow as the whole error does. */
+static void tell_ellipses(const struct gsn_folder *folder, const struct gsn_pose *pose,
+                          double growth, struct gsn_folder_section *section)
+{
+    static const int towards[GSN_FOLDER_ELLIPSES][2] = {
+        { 0, 0 }, { 1, 0 }, { 0, 1 }, { -1, 0 }, { 0, -1 }
+    };
+    const double radius = folder->options->radius > 0
+                              ? folder->options->radius
+                              : folder->stack->summary.rho_um / folder->unit;
+    const double px = growth / folder->px_um;
+
+    for (size_t i = 0; i < GSN_FOLDER_ELLIPSES; i++) {
+        const struct gsn_point at = { radius * towards[i][0], radius * towards[i][1] };
+        const struct gsn_point um = { at.x * folder->unit, at.y * folder->unit };
+        const struct gsn_ellipse e = gsn_pose_ellipse_at(&pose->error, um, 0.95);
+
+        section->ellipse[i] =
+            (struct gsn_folder_ellipse){ at, { e.major * px, e.minor * px, e.angle } };
+    }
+}
+
 static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pose *pose,
                  const struct gsn_pose_options *options)
 {
@@ -95,6 +117,7 @@ static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pos
     folder->work[i].pose.panel_to_block_um = px_to_frame;
     section->frame_to_px = gsn_folder_frame_to_px(folder, &px_to_frame);
     section->error_px = error_um / folder->px_um;
+    tell_ellipses(folder, pose, error_um / pose->tre_um, section);
     section->rms_px = pose->rms_um / folder->px_um;
     section->flipped = pose->flipped;
     flag(section, pose);

@@ -4,6 +4,7 @@
 #include "pipeline/register/tissue_check.h"
 
 #include <stdio.h>
+#include <string.h>
 
 /* Chi-squared of one in a million for each of the 3 degrees of freedom, and then its root. */
 static const double DISAGREES = 3.3;
@@ -77,6 +78,7 @@ static void tell_tissue(struct gsn_folder *folder, size_t i, const struct gsn_ti
     section->frame_to_px = gsn_folder_frame_to_px(folder, &map);
     section->from = pose->from;
     section->error_px = pose->error / px;
+    memset(section->ellipse, 0, sizeof section->ellipse);
     section->rms_px = 0;
     section->flipped = flipped;
     folder->stack->by_tissue++;

@@ -76,6 +76,20 @@ static json_t *matrix_of(const struct gsn_affine *m)
     return json_pack("[[f, f, f], [f, f, f]]", m->m00, m->m01, m->m02, m->m10, m->m11, m->m12);
 }
 
+static json_t *ellipses_of(const struct gsn_folder_section *s)
+{
+    json_t *list = json_array();
+
+    for (size_t i = 0; i < GSN_FOLDER_ELLIPSES; i++) {
+        const struct gsn_folder_ellipse *e = &s->ellipse[i];
+
+        (void)json_array_append_new(list,
+                                    json_pack("[f, f, f, f, f]", e->at.x, e->at.y, e->px.major,
+                                              e->px.minor, e->px.angle * 180 / M_PI));
+    }
+    return list;
+}
+
 static json_t *section_of(const struct gsn_folder_section *s)
 {
     json_t *root = json_pack("{s:s, s:s, s:f, s:f}", "state", state_name(s), "flags", s->flags,
@@ -88,6 +102,7 @@ static json_t *section_of(const struct gsn_folder_section *s)
         (void)json_object_set_new(root, "sections_away", json_integer(s->from));
     } else {
         (void)json_object_set_new(root, "error_px", json_real(s->error_px));
+        (void)json_object_set_new(root, "ellipse95_px", ellipses_of(s));
         (void)json_object_set_new(root, "marks_rms_px", json_real(s->rms_px));
     }
     return root;

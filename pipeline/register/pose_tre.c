@@ -93,6 +93,17 @@ double gsn_pose_ellipse(double freedom, double share)
     return sqrt(freedom * (pow(1 - share, -2 / freedom) - 1));
 }
 
+struct gsn_ellipse gsn_pose_ellipse_at(const struct gsn_pose_error *error,
+                                       struct gsn_point block_um, double share)
+{
+    const struct gsn_cov2 c = gsn_pose_tre_at(error, block_um, 0);
+    const double mean = 0.5 * (c.xx + c.yy), apart = hypot(0.5 * (c.xx - c.yy), c.xy);
+    const double k = gsn_pose_ellipse(error->freedom, share);
+
+    return (struct gsn_ellipse){ k * sqrt(fmax(mean + apart, 0)), k * sqrt(fmax(mean - apart, 0)),
+                                 0.5 * atan2(2 * c.xy, c.xx - c.yy) };
+}
+
 void gsn_pose_error_about(const struct gsn_pose_error *error, struct gsn_point at,
                           double ret_covariance[3][3])
 {

@@ -62,6 +62,15 @@ double gsn_pose_tre_rms(const struct gsn_pose_error *error, const struct gsn_pos
  * tell it. */
 double gsn_pose_ellipse(double freedom, double share);
 
+/* Half axes, and the direction of the longer one from the x axis, in -pi/2 to pi/2. */
+struct gsn_ellipse {
+    double major, minor, angle;
+};
+
+/* That ellipse at a point of the block, of a rigid pose. */
+struct gsn_ellipse gsn_pose_ellipse_at(const struct gsn_pose_error *error,
+                                       struct gsn_point block_um, double share);
+
 /* The formula above, for a localisation error, a triangle's rho and a target's distance r from its
  * centroid, all in one unit. */
 double gsn_pose_tre(double fle, double rho, double r);

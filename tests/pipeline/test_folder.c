@@ -83,6 +83,25 @@ static double off(const struct gsn_affine *a, const struct gsn_affine *b, struct
     return hypot(p.x - q.x, p.y - q.y);
 }
 
+/* The errors' mean square is quadratic in the place: over the disc it is halfway from that at the
+ * origin to the mean of the rim's. */
+static void check_ellipses(const struct gsn_folder_section *s, double radius)
+{
+    double square[GSN_FOLDER_ELLIPSES], rim = 0;
+
+    for (size_t i = 0; i < GSN_FOLDER_ELLIPSES; i++) {
+        const struct gsn_folder_ellipse *e = &s->ellipse[i];
+
+        CHECK_NEAR(hypot(e->at.x, e->at.y), i > 0 ? radius : 0, 1e-9);
+        CHECK(e->px.major >= e->px.minor && e->px.minor > 0);
+        square[i] = e->px.major * e->px.major + e->px.minor * e->px.minor;
+        rim += i > 0 ? square[i] / 4 : 0;
+    }
+    /* 2.447 for 95 % of normal errors, more as few sections tell how large they are. */
+    CHECK(sqrt((square[0] + rim) / 2) > 2.44 * s->error_px);
+    CHECK(sqrt((square[0] + rim) / 2) < 4 * s->error_px);
+}
+
 /* Cases 17, 19, 20, 21 and 3: what has a pose has the true one, what has none says why. */
 TEST(every_section_has_its_pose_or_a_reason)
 {
@@ -103,6 +122,7 @@ TEST(every_section_has_its_pose_or_a_reason)
         CHECK(off(&s->frame_to_px, &truth, (struct gsn_point){ 150, 0 }) < 0.25);
         CHECK(s->error_px > 0 && s->error_px < 0.2);
         CHECK((strstr(s->flags, "flipped") != NULL) == (i == 2));
+        check_ellipses(s, 150);
     }
     CHECK(stack->section[LOST].state != GSN_POSE_OK);
     CHECK(stack->section[LOST].state == GSN_POSE_TWO_MARKS ||

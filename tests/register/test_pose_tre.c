@@ -17,10 +17,11 @@ struct score {
 
 static size_t within(const struct gsn_pose_error *error, struct gsn_point e, struct gsn_point at)
 {
-    const struct gsn_cov2 c = gsn_pose_tre_at(error, at, 0);
-    const double k = gsn_pose_ellipse(error->freedom, 0.95), det = c.xx * c.yy - c.xy * c.xy;
+    const struct gsn_ellipse ellipse = gsn_pose_ellipse_at(error, at, 0.95);
+    const double along = e.x * cos(ellipse.angle) + e.y * sin(ellipse.angle);
+    const double across = e.y * cos(ellipse.angle) - e.x * sin(ellipse.angle);
 
-    return (c.yy * e.x * e.x - 2 * c.xy * e.x * e.y + c.xx * e.y * e.y) / det <= k * k;
+    return pow(along / ellipse.major, 2) + pow(across / ellipse.minor, 2) <= 1;
 }
 
 static struct score simulate(const struct mounted_world *world, size_t sections, size_t trials,
@@ -91,6 +92,27 @@ TEST(the_field_of_three_equal_marks_is_the_formula)
 }
 
 /* Twice Fisher's F with 2 and 10 degrees of freedom: 2 * 4.102821. */
+/* Half axes a and b in directions v and w: the covariance is (a^2 v v' + b^2 w w') / k^2. */
+TEST(the_ellipse_has_the_covariances_own_axes)
+{
+    struct gsn_pose_error error = { .pose = { { 9, 2, 0.1 }, { 2, 4, 0.2 }, { 0.1, 0.2, 0.05 } },
+                                    .strain = { { 0.01, 0, 0 }, { 0, 0.02, 0 }, { 0, 0, 0.01 } },
+                                    .freedom = INFINITY };
+    const struct gsn_point at[] = { { 0, 0 }, { 7, -3 }, { -11, 20 } };
+
+    for (size_t i = 0; i < sizeof at / sizeof *at; i++) {
+        const struct gsn_cov2 c = gsn_pose_tre_at(&error, at[i], 0);
+        const struct gsn_ellipse e = gsn_pose_ellipse_at(&error, at[i], 0.95);
+        const double a = e.major * e.major / 5.991465, b = e.minor * e.minor / 5.991465;
+        const double x = cos(e.angle), y = sin(e.angle);
+
+        CHECK(e.major >= e.minor && fabs(e.angle) <= M_PI / 2);
+        CHECK_NEAR(a * x * x + b * y * y, c.xx, 1e-6 * c.xx);
+        CHECK_NEAR((a - b) * x * y, c.xy, 1e-6 * c.xx);
+        CHECK_NEAR(a * y * y + b * x * x, c.yy, 1e-6 * c.yy);
+    }
+}
+
 TEST(the_ellipse_is_wider_when_few_sections_tell_the_noise)
 {
     CHECK_NEAR(gsn_pose_ellipse(INFINITY, 0.95), sqrt(5.991465), 1e-6);

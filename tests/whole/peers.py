@@ -44,11 +44,26 @@ def register(programs, folder, answer):
     return json.loads(answer.read_text())
 
 
+def in_frame(off, pose, at):
+    """The error at a point of the frame, along the frame's axes."""
+    x, y = (row[0] * at[0] + row[1] * at[1] + row[2] for row in off)
+    return pose[0][0] * x + pose[1][0] * y, pose[0][1] * x + pose[1][1] * y
+
+
+def holds(ellipse, error):
+    """Whether the ellipse (x, y, half axes, direction of the longer) about its point holds it."""
+    major, minor, turn = ellipse[2], ellipse[3], math.radians(ellipse[4])
+    along = error[0] * math.cos(turn) + error[1] * math.sin(turn)
+    across = error[1] * math.cos(turn) - error[0] * math.sin(turn)
+    return (along / major) ** 2 + (across / minor) ** 2 <= 1
+
+
 def printed_over_true(folder, poses):
-    """Of each section: its printed error over the one it has, over the disc of RADIUS."""
+    """Of each section its printed error over the one it has, over the disc of RADIUS; the same of
+    all together; and the share of true errors that the ellipses hold."""
     grid = [(x * RADIUS / 10, y * RADIUS / 10) for x in range(-10, 11) for y in range(-10, 11)
             if x * x + y * y <= 100]
-    ratios, printed, true = [], 0, 0
+    ratios, inside, printed, true = [], [], 0, 0
     for section in json.loads((folder / "truth.json").read_text())["slices"]:
         name = section["file"]
         if name not in poses:
@@ -57,11 +72,13 @@ def printed_over_true(folder, poses):
                for ours, theirs in zip(poses[name], section["matrix"])]
         square = statistics.fmean(sum((row[0] * x + row[1] * y + row[2]) ** 2 for row in off)
                                   for x, y in grid)
-        said = poses["gieson"]["section"][name]["error_px"]
+        own = poses["gieson"]["section"][name]
+        said = own["error_px"]
         ratios.append(said / math.sqrt(square))
+        inside += [holds(e, in_frame(off, poses[name], e[:2])) for e in own["ellipse95_px"]]
         printed += said * said
         true += square
-    return ratios, math.sqrt(printed / true)
+    return ratios, math.sqrt(printed / true), statistics.fmean(inside)
 
 
 def one_set(programs, folder, times):
@@ -77,7 +94,7 @@ def one_set(programs, folder, times):
     peers = lines_of(DEBIANS, PEERS / "register_opencv.py", folder, "--methods", MARKERS)
     median = min(p["err_px_median"] for p in peers)
     worst = min(p["err_px_max"] for p in peers)
-    ratios, whole = printed_over_true(folder, poses)
+    ratios, whole, held = printed_over_true(folder, poses)
     within = sum(0.5 <= r <= 2 for r in ratios) / max(len(ratios), 1)
     met = (score["failed"] == 0 and score["silently_wrong"] == 0 and
            score["err_px_median"] <= BAR * median and score["err_px_max"] <= BAR * worst)
@@ -88,7 +105,8 @@ def one_set(programs, folder, times):
           f"of the best peer's; largest {score['err_px_max']:.4f} px, "
           f"{score['err_px_max'] / worst:.3f} of the best peer's")
     print(f"  printed error within half and twice the true one: {100 * within:.0f} %; of all "
-          f"sections together {whole:.3f} of the true one")
+          f"sections together {whole:.3f} of the true one; the 95 % ellipses hold "
+          f"{100 * held:.1f} % of the errors")
     print("  time: " + ", ".join(f"{a:.2f} of {b:.2f} ms ({a / b:.3f})"
                                  for a, b in zip(ours, theirs)) +
           f"; the middle {statistics.median(a / b for a, b in zip(ours, theirs)):.3f} of cc_small")

@@ -9,10 +9,10 @@ enum { CHANNELS = 3, CODES = 256 };
 /* Where the mark surely is, and where the tissue around it, in radii. A radius may be a third off.
  */
 static const double INSIDE = 0.5, RING_FROM = 1.35, RING_TO = 2.0;
-/* Blocks of a fifth of a radius stand for a piece of edge; what changes over two of them is what
- * the fit cannot know of the tissue under it. */
+/* Blocks of a fifth of a radius stand for a piece of edge; what changes from one to the next is
+ * what the fit cannot know of the tissue under it. */
 static const double BLOCKS_PER_RADIUS = 5;
-enum { BLOCK_MOST = 8, LAG = 2 };
+enum { BLOCK_MOST = 8, LAG = 1 };
 /* A block that goes this far towards the mark, or away from it, is debris or a hole. */
 static const double DARK = 0.35, PALE = 0.6;
 /* Variance of rounding a sample, in codes of 256, and the share of the overall variance that is

@@ -168,6 +168,7 @@ static int run(struct gsn_edge_fit *fit, struct gsn_mark *mark)
     if (!gsn_edge_look(fit))
         return 0;
     guess_levels(fit);
+    gsn_edge_learn_tissue(fit);
     if (!(gsn_edge_contrast(fit) > CONTRAST_LEAST) || !gsn_edge_descend(fit, h) ||
         rim(fit) < RIM_LEAST)
         return 0;

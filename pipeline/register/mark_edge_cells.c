@@ -4,7 +4,12 @@
 #include <math.h>
 #include <string.h>
 
-enum { RINGS = GSN_EDGE_RINGS };
+enum { RINGS = GSN_EDGE_RINGS, BANDS = 4 };
+
+/* Beyond this from an edge all is tissue, but for a very blurred one. */
+static const double OVER_PX = 3;
+/* Standard errors of the sum of squares that chance alone is given. */
+static const double SIGMAS = 1;
 
 /* atan2 in turns, 0..1, to 1e-4 of a turn: enough to sort pixels into sectors. */
 static inline float turn_of(float y, float x)
@@ -91,4 +96,51 @@ struct gsn_edge_ring gsn_edge_rings(const struct gsn_edge_fit *fit, size_t secto
         all.squares += ring->squares;
     }
     return all;
+}
+
+/* Squares of a sector's pixels about their cells' means, and of bands of rings about the next. */
+struct changes {
+    double grain, grain_n, squares, per_pixel, bands;
+};
+
+static void add_bands(struct changes *c, struct gsn_edge_ring a, struct gsn_edge_ring b)
+{
+    if (!(a.n > 0 && b.n > 0))
+        return;
+    c->squares += pow(a.sum / a.n - b.sum / b.n, 2);
+    c->per_pixel += 1 / a.n + 1 / b.n;
+    c->bands += 1;
+}
+
+static void add_sector(const struct gsn_edge_fit *fit, size_t k, int from, int band,
+                       struct changes *c)
+{
+    for (int b = from; b < RINGS - 1; b++) {
+        const struct gsn_edge_ring *ring = &fit->ring[k][b];
+
+        if (ring->n > 1) {
+            c->grain += ring->squares - ring->sum * ring->sum / ring->n;
+            c->grain_n += ring->n - 1;
+        }
+    }
+    for (int b = from; b + 2 * band < RINGS; b += band)
+        add_bands(c, gsn_edge_rings(fit, k, b, b + band),
+                  gsn_edge_rings(fit, k, b + band, b + 2 * band));
+}
+
+/* Neighbouring bands of width w of a level that walks by v per pixel differ by 2/3 v w in square.
+ * Only what chance does not make of grain counts: on even tissue, all of it is heard. */
+void gsn_edge_learn_tissue(struct gsn_edge_fit *fit)
+{
+    const int from = (int)ceil((fit->v[GSN_EDGE_R] + OVER_PX) / fit->width);
+    const int room = RINGS - 1 - from, band = room >= 4 * BANDS ? room / BANDS : 1;
+    struct changes c = { 0 };
+    double chance;
+
+    for (size_t k = 0; k < fit->sectors; k++)
+        if (fit->sector[k].weight > 0)
+            add_sector(fit, k, from, band, &c);
+    fit->grain = c.grain / fmax(c.grain_n, 1);
+    chance = fit->grain * c.per_pixel * (1 + SIGMAS * sqrt(2 / fmax(c.bands, 1)));
+    fit->walk = fmax(c.squares - chance, 0) / fmax(c.bands, 1) * 1.5 / (band * fit->width);
 }

@@ -66,10 +66,13 @@ struct gsn_edge_fit {
     struct gsn_edge_sector sector[GSN_EDGE_SECTORS];
     double radius; /* about that of the mark */
     double v[GSN_EDGE_UNKNOWNS];
+    int near;             /* only tissue at the edge is heard from now on */
     int lobes;            /* orders that are fitted, 1 for none */
     double noise, tissue; /* variance of a pixel: noise + tissue q^2 */
-    double spread;        /* variance of the sectors' b */
-    double lobe;          /* standard deviation of a lobe */
+    double grain, walk; /* of tissue: a pixel's variance about those next to it, and what the level
+                           of a sector gains in variance per pixel outwards */
+    double spread;      /* variance of the sectors' b */
+    double lobe;        /* standard deviation of a lobe */
 };
 
 /* Squared residuals on either side of the edge. */
@@ -86,6 +89,9 @@ void gsn_edge_sort(struct gsn_edge_fit *fit);
 /* Of count rings from the first on; what lies outside of 0..GSN_EDGE_RINGS is empty. */
 struct gsn_edge_ring gsn_edge_rings(const struct gsn_edge_fit *fit, size_t sector, int from,
                                     int to);
+
+/* Grain and walk of the tissue from the edge outwards. */
+void gsn_edge_learn_tissue(struct gsn_edge_fit *fit);
 
 /* ---- mark_edge_look.c: a first look -------------------------------------------------------- */
 

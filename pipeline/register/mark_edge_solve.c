@@ -162,7 +162,7 @@ static void reweigh_sectors(struct gsn_edge_fit *fit, int step)
         const double z2 = s->off * s->off / (scale * scale * s->variance);
         const double weight = z2 < 1 ? (1 - z2) * (1 - z2) : 0;
 
-        s->weight = step < FREELY ? weight : fmin(weight, s->weight);
+        s->weight = step < FREELY && !fit->near ? weight : fmin(weight, s->weight);
     }
     gsn_edge_gate(fit);
 }
@@ -249,8 +249,9 @@ int gsn_edge_descend(struct gsn_edge_fit *fit, gsn_edge_matrix ret_h)
         learn_spread(fit);
         settled = hypot(by[CX], by[CY]);
         /* The next step will be a tenth of it. */
-        if (step > SETTLING && settled < 4e-3)
+        if (fit->near && settled < 4e-3)
             return 1;
+        fit->near = fit->near || (step >= SETTLING && settled < 4e-2);
     }
     return settled < 0.05;
 }

@@ -54,18 +54,24 @@ static inline float clamp(float u)
 }
 
 /* How far inside and outside of the outline pixels take part: the whole edge, and enough of either
- * side to know its level. Where tissue differs from place to place more than noise makes it seem
- * to, that from further away tells less about that under the edge. */
+ * side to know its level. */
 static double inwards(const struct gsn_edge_fit *fit)
 {
     return fmax(3 * fit->v[V_BLUR] + 1, 0.35 * fit->v[R]);
 }
 
+/* The mean over a length w of a level that walks by v a pixel misses that at its end by v w / 3 in
+ * square, and grain adds to it as little as there are many pixels: both together are least at
+ * `best`. Until it is settled which sectors see the mark's edge, some width shows where there is
+ * none. */
 static double outwards(const struct gsn_edge_fit *fit)
 {
-    const double alike = fit->level_noise / (fit->level_noise + fit->spread);
+    const double across = 2 * M_PI * fit->v[R] / (double)fit->sectors;
+    const double best = sqrt(3 * fit->grain / (across * fmax(fit->walk, 1e-30)));
+    const double reach = fmin(best, fit->v[R]);
 
-    return fmax(3 * fit->v[V_BLUR] + 2, (0.4 + 0.6 * alike) * fit->v[R]);
+    return fit->near ? fmax(2 * fit->v[V_BLUR] + 1.5, reach)
+                     : fmax(3 * fit->v[V_BLUR] + 2, fmax(reach, 0.8 * fit->v[R]));
 }
 
 /* How a sector looks before its pixels are asked. */

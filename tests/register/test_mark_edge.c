@@ -187,6 +187,34 @@ TEST(a_faint_mark_in_texture_knows_that_it_is_measured_worse)
     CHECK(claimed / squares > 0.7 * 0.7 && claimed / squares < 1.4 * 1.4);
 }
 
+/* From half a radius off the edge the tissue of one side is darker: that says nothing of the edge.
+ */
+TEST(tissue_that_is_another_further_out_does_not_pull_the_mark)
+{
+    const double radius = 16;
+    struct draw_chance chance = { 5 };
+    double pull = 0;
+
+    for (int n = 0; n < RUNS; n++) {
+        const struct gsn_point c = { draw_uniform(&chance, 47, 49), draw_uniform(&chance, 47, 49) };
+        struct gsn_error err = { 0 };
+        struct gsn_mark mark;
+
+        draw_faulty(c, radius, 1, (struct fault){ .lobes = 0.01 }, &chance);
+        for (size_t i = 0; i < SIDE * SIDE; i++) {
+            const double x = (double)(i % SIDE) + 0.5 - c.x, y = (double)(i / SIDE) + 0.5 - c.y;
+
+            value[i] += x > 0 ? (float)(0.15 * (1 - disc_at(x, y, 1.5 * radius, 1.2))) : 0.0F;
+        }
+        draw_noise(&plane, &chance, 0.03);
+        CHECK_OK(gsn_mark_edge_fit(&plane, c, radius, &mark, &err), err);
+        CHECK(mark.found);
+        pull += (mark.px.x - c.x) / RUNS;
+    }
+    print_message("  pulled by %.4f px\n", pull);
+    CHECK(fabs(pull) < 0.25 * bound(radius, 1.2, 0.03));
+}
+
 TEST(what_has_no_round_edge_is_no_mark)
 {
     struct draw_chance chance = { 3 };

@@ -20,6 +20,9 @@ enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
  * their axes can differ from being one. */
 static const double CHI2_ROUND = 20.515;
 static const double ALPHA = GSN_POSE_ALPHA;
+/* Declared marks that are off by more than chance, and by no more than a hundredth, are so rare
+ * that chance has to be far rarer still before it is they. */
+static const double DECLARED_ALPHA = 1e-5;
 /* A mark this much poorer than the median one says little of the stack. */
 static const double POOR = 4;
 
@@ -210,7 +213,7 @@ static int fit_trend(struct lesson *l, size_t terms)
 
 /* Whether a constant or another term is more than chance makes; variance: in units of the spread.
  */
-static int beyond_chance(const struct lesson *l, const double v[3], double variance)
+static int beyond_chance(const struct lesson *l, const double v[3], double variance, double alpha)
 {
     const double n = (double)l->count;
     double inverse[GSN_SMALL][GSN_SMALL], square = 0;
@@ -222,12 +225,12 @@ static int beyond_chance(const struct lesson *l, const double v[3], double varia
     for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j < 3; j++)
             square += v[i] * inverse[i][j] * v[j];
-    return square / variance > gsn_chance_limit(3, n - 4, ALPHA) * (n - 1) / (n - 3);
+    return square / variance > gsn_chance_limit(3, n - 4, alpha) * (n - 1) / (n - 3);
 }
 
 static int matters(const struct lesson *l, size_t term)
 {
-    return beyond_chance(l, l->term[term], l->inverse[term][term]);
+    return beyond_chance(l, l->term[term], l->inverse[term][term], ALPHA);
 }
 
 /* Strain to one vector for each mark. */
@@ -355,7 +358,7 @@ static void hold_against_declared(struct gsn_pose_stack *s, const struct lesson 
         y[2 * i + 1] = s->triangle[i].y - s->declared[i].y;
     }
     whiten(l, y, v);
-    s->as_declared = !beyond_chance(l, v, l->inverse[0][0]);
+    s->as_declared = !beyond_chance(l, v, l->inverse[0][0], DECLARED_ALPHA);
 }
 
 /* What is known of the noise, for the tests of single sections. */

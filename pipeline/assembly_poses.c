@@ -82,7 +82,10 @@ static void use_strain(struct gsn_assembly *a, const struct gsn_pose_options *op
 {
     const struct gsn_pose_targets targets =
         gsn_pose_targets_of(options->targets_um, options->target_count);
+    struct gsn_affine mean = { 1, 0, 0, 0, 1, 0 };
 
+    if (a->summary.as_declared)
+        mean = gsn_strain_of_mean(a->summary.mean_triangle, options->markers_um);
     for (size_t i = 0; i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];
 
@@ -90,6 +93,7 @@ static void use_strain(struct gsn_assembly *a, const struct gsn_pose_options *op
             (a->strain_mode != GSN_STRAIN_CORRECTED && a->strain_mode != GSN_STRAIN_TISSUE))
             continue;
         s->pose.panel_to_block_um = gsn_strain_corrected(&s->pose);
+        s->pose.panel_to_block_um = gsn_affine_compose(&s->pose.panel_to_block_um, &mean);
         if (targets.count > 0)
             s->pose.tre_um = gsn_pose_tre_rms(&s->pose.error, &targets, 1);
     }

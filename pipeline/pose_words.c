@@ -50,6 +50,17 @@ static void say_axes(const struct gsn_axes *axes, double interval_um, struct lis
             axes->bend_sd);
 }
 
+static const char *what_became_of_strain(const struct gsn_pose_summary *summary,
+                                         enum gsn_strain_mode mode)
+{
+    if (mode != GSN_STRAIN_CORRECTED && mode != GSN_STRAIN_TISSUE)
+        return "The poses stay rigid, and the predicted error includes it";
+    return summary->as_declared
+               ? "Each was stretched back by what its own marks make likely, as the job asks, and "
+                 "all of them by what they share against the declared marks"
+               : "Each was stretched back by what its own marks make likely, as the job asks";
+}
+
 /* The tensor's parts along its own directions differ by twice the deviator. */
 static void say_strain(const struct gsn_pose_summary *summary, enum gsn_strain_mode mode,
                        struct list *list)
@@ -60,9 +71,7 @@ static void say_strain(const struct gsn_pose_summary *summary, enum gsn_strain_m
         "the sections of this block differ in shape by more than their marks' errors: standard "
         "deviation %.1f %% in size and %.1f %% between directions. %s",
         100 * summary->strain_sd[0], 200 * hypot(summary->strain_sd[1], summary->strain_sd[2]),
-        mode == GSN_STRAIN_CORRECTED || mode == GSN_STRAIN_TISSUE
-            ? "Each was stretched back by what its own marks make likely, as the job asks"
-            : "The poses stay rigid, and the predicted error includes it");
+        what_became_of_strain(summary, mode));
 }
 
 static void say_panel(const struct gsn_strain_common *panel, struct list *list)

@@ -32,16 +32,15 @@ static void turn_to_majority(struct gsn_pose_stack *s)
 }
 
 /* The block frame: on the protocol's marks, or else from the triangle itself. */
-static int lay_frame(struct gsn_pose_stack *s, const struct gsn_point *declared,
-                     struct gsn_error *err)
+static int lay_frame(struct gsn_pose_stack *s, struct gsn_error *err)
 {
     const struct gsn_point c = gsn_pose_centroid(s->triangle);
     const double length = gsn_pose_side(s->triangle, 0);
     struct gsn_rigid motion;
     int r;
 
-    if (declared) {
-        r = gsn_rigid_fit(s->triangle, declared, NULL, GSN_MARKS, &motion, NULL, err);
+    if (s->declared) {
+        r = gsn_rigid_fit(s->triangle, s->declared, NULL, GSN_MARKS, &motion, NULL, err);
         if (r < 0)
             return r;
     } else {
@@ -199,6 +198,7 @@ static struct gsn_pose_summary summarise(const struct gsn_pose_stack *s,
                                     .rho_um = gsn_pose_rho(s->triangle),
                                     .freedom = s->freedom,
                                     .stretches = s->stretches,
+                                    .as_declared = s->as_declared,
                                     .axes = s->axes,
                                     .scale_vs_declared = 1,
                                     .side_ratio = { 1, 1, 1 },
@@ -285,20 +285,20 @@ static struct gsn_pose_targets targets_of(const struct gsn_pose_stack *s,
                : gsn_pose_targets_of(around, 4);
 }
 
-static int solve(struct gsn_pose_stack *s, const struct gsn_point *declared, struct gsn_error *err)
+static int solve(struct gsn_pose_stack *s, struct gsn_error *err)
 {
     int r;
 
-    if (declared)
-        memcpy(s->triangle, declared, sizeof s->triangle);
+    if (s->declared)
+        memcpy(s->triangle, s->declared, sizeof s->triangle);
     else
         gsn_pose_start(s);
     gsn_pose_settle(s);
-    if (!declared)
+    if (!s->declared)
         turn_to_majority(s);
     r = check_shape(s, err);
     if (r >= 0)
-        r = lay_frame(s, declared, err);
+        r = lay_frame(s, err);
     if (r >= 0)
         r = gsn_pose_learn(s, err);
     if (r >= 0 && (s->axes.slanted || s->axes.bent))
@@ -312,7 +312,9 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
 {
     gsn_auto_mem(struct gsn_pose_member) member = gsn_alloc_array(count, sizeof *member);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count * GSN_MARKS, sizeof *scratch);
-    struct gsn_pose_stack s = { .member = member, .count = count, .scratch = scratch };
+    struct gsn_pose_stack s = {
+        .member = member, .count = count, .scratch = scratch, .declared = options->markers_um
+    };
     struct gsn_pose_targets targets;
     int r;
 
@@ -326,7 +328,7 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
     gsn_pose_enrol(&s, inputs);
     if (s.with_three == 0)
         return gsn_fail(err, GSN_E_MARKERS, "none of %zu sections has three marks", count);
-    r = solve(&s, options->markers_um, err);
+    r = solve(&s, err);
     if (r < 0)
         return r;
 

@@ -89,6 +89,8 @@ struct gsn_pose_summary {
                                block, and no section is called flipped */
     int stretches;          /* sections differ in shape by more than the marks' errors make */
     double strain_sd[3];    /* standard deviation of their strain: common, x against y, shear */
+    int as_declared;        /* they do, and what that makes of the mean by chance is all that the
+                               protocol's triangle differs from the mean one by (gsn_strain_of_mean) */
     struct gsn_axes axes;
     int chirality; /* +1, -1: most sections have, or mirror, the protocol's triangle (+1 when no
                       triangle was given, or flips cannot be told) */

@@ -20,6 +20,9 @@ enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
  * their axes can differ from being one. */
 static const double CHI2_ROUND = 20.515;
 static const double ALPHA = GSN_POSE_ALPHA;
+/* Declared marks that are off by more than chance, and by no more than a hundredth, are so rare
+ * that chance has to be far rarer still before it is they. */
+static const double DECLARED_ALPHA = 1e-5;
 /* A mark this much poorer than the median one says little of the stack. */
 static const double POOR = 4;
 
@@ -86,6 +89,20 @@ static int make_whitening(const struct gsn_pose_stack *s, struct lesson *l)
     return gsn_small_cholesky3((const double(*)[3])noise, l->lower);
 }
 
+/* The strain in what the marks are off by. */
+static void whiten(const struct lesson *l, const double y[COORDS], double ret_v[3])
+{
+    for (size_t i = 0; i < 3; i++) {
+        double strain = 0;
+
+        for (size_t a = 0; a < COORDS; a++)
+            strain += l->strain_of[i][a] * y[a];
+        for (size_t j = 0; j < i; j++)
+            strain -= l->lower[i][j] * ret_v[j];
+        ret_v[i] = strain / l->lower[i][i];
+    }
+}
+
 static void sample(const struct gsn_pose_stack *s, const struct gsn_pose_member *m,
                    struct lesson *l)
 {
@@ -100,15 +117,7 @@ static void sample(const struct gsn_pose_stack *s, const struct gsn_pose_member 
         y[2 * i] = p.x - laid.onto[i].x;
         y[2 * i + 1] = p.y - laid.onto[i].y;
     }
-    for (size_t i = 0; i < 3; i++) {
-        double strain = 0;
-
-        for (size_t a = 0; a < COORDS; a++)
-            strain += l->strain_of[i][a] * y[a];
-        for (size_t j = 0; j < i; j++)
-            strain -= l->lower[i][j] * to->v[j];
-        to->v[i] = strain / l->lower[i][i];
-    }
+    whiten(l, y, to->v);
     to->inlier = m->inlier;
     l->z[l->count++] = m->input->serial;
 }
@@ -202,10 +211,11 @@ static int fit_trend(struct lesson *l, size_t terms)
     return 0;
 }
 
-/* Whether the last of the terms is more than chance makes. */
-static int matters(const struct lesson *l, size_t term)
+/* Whether a constant or another term is more than chance makes; variance: in units of the spread.
+ */
+static int beyond_chance(const struct lesson *l, const double v[3], double variance, double alpha)
 {
-    const double *v = l->term[term], n = (double)l->count;
+    const double n = (double)l->count;
     double inverse[GSN_SMALL][GSN_SMALL], square = 0;
 
     for (size_t i = 0; i < 3; i++)
@@ -215,7 +225,12 @@ static int matters(const struct lesson *l, size_t term)
     for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j < 3; j++)
             square += v[i] * inverse[i][j] * v[j];
-    return square / l->inverse[term][term] > gsn_chance_limit(3, n - 4, ALPHA) * (n - 1) / (n - 3);
+    return square / variance > gsn_chance_limit(3, n - 4, alpha) * (n - 1) / (n - 3);
+}
+
+static int matters(const struct lesson *l, size_t term)
+{
+    return beyond_chance(l, l->term[term], l->inverse[term][term], ALPHA);
 }
 
 /* Strain to one vector for each mark. */
@@ -331,6 +346,21 @@ static void learn_strain(struct gsn_pose_stack *s, const struct lesson *l)
         s->mark_um2 *= noise;
 }
 
+/* Axes that slant have no one triangle to hold against the protocol's. */
+static void hold_against_declared(struct gsn_pose_stack *s, const struct lesson *l)
+{
+    double y[COORDS], v[3];
+
+    if (!s->declared || !s->stretches || l->terms > 1)
+        return;
+    for (size_t i = 0; i < GSN_MARKS; i++) {
+        y[2 * i] = s->triangle[i].x - s->declared[i].x;
+        y[2 * i + 1] = s->triangle[i].y - s->declared[i].y;
+    }
+    whiten(l, y, v);
+    s->as_declared = !beyond_chance(l, v, l->inverse[0][0], DECLARED_ALPHA);
+}
+
 /* What is known of the noise, for the tests of single sections. */
 static void set_limits(struct gsn_pose_stack *s, const struct lesson *l)
 {
@@ -355,8 +385,10 @@ int gsn_pose_learn(struct gsn_pose_stack *s, struct gsn_error *err)
     /* Shapes that agree to a tenth of a pixel have nothing to teach. */
     if (s->mark_um2 > s->finest && make_maps(s, &l) >= 0 && make_whitening(s, &l) >= 0) {
         gather(s, &l);
-        if (l.count >= GSN_SCATTER_LEAST && learn_axes(s, &l) >= 0)
+        if (l.count >= GSN_SCATTER_LEAST && learn_axes(s, &l) >= 0) {
             learn_strain(s, &l);
+            hold_against_declared(s, &l);
+        }
     }
     set_limits(s, &l);
     return GSN_OK;

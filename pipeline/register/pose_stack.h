@@ -40,11 +40,13 @@ struct gsn_pose_stack {
     double finest;   /* variance below which no test calls anything gross, um^2 */
     double scalene_sigma;
     int flips_told;
-    int stretches;                   /* strain was found beyond what the marks' errors make */
-    double strain[3][3];             /* its covariance; 0 otherwise */
-    double freedom;                  /* with which mark_um2 is known */
-    double side_limit;               /* of chi2 with 1 degree of freedom, at 0.1 % false alarms */
-    double spread_freedom, widening; /* of chi2 with 3: see gsn_pose_fault_chance() */
+    const struct gsn_point *declared; /* the protocol's triangle, or NULL */
+    int stretches;                    /* strain was found beyond what the marks' errors make */
+    int as_declared;                  /* see there */
+    double strain[3][3];              /* its covariance; 0 otherwise */
+    double freedom;                   /* with which mark_um2 is known */
+    double side_limit;                /* of chi2 with 1 degree of freedom, at 0.1 % false alarms */
+    double spread_freedom, widening;  /* of chi2 with 3: see gsn_pose_fault_chance() */
     struct gsn_axes axes;
 };
 

@@ -36,6 +36,22 @@ struct gsn_affine gsn_strain_corrected(const struct gsn_pose *pose)
     return gsn_affine_compose(&pose->panel_to_block_um, &back);
 }
 
+/* (0, 0), (1, 0) and (0, 1) -> the triangle. */
+static struct gsn_affine onto_triangle(const struct gsn_point t[GSN_MARKS])
+{
+    return (struct gsn_affine){ t[1].x - t[0].x, t[2].x - t[0].x, t[0].x,
+                                t[1].y - t[0].y, t[2].y - t[0].y, t[0].y };
+}
+
+struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_MARKS],
+                                     const struct gsn_point declared[GSN_MARKS])
+{
+    const struct gsn_affine from = onto_triangle(mean), onto = onto_triangle(declared);
+    const struct gsn_affine back = gsn_affine_inverse(&from);
+
+    return gsn_affine_compose(&back, &onto);
+}
+
 void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
                         const struct gsn_point to[GSN_MARKS], double ret_strain[3])
 {

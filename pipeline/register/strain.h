@@ -37,6 +37,12 @@ struct gsn_strain_axes gsn_strain_principal(const double strain[3]);
  * the point that strain does not move. The pose itself where the stack shows no strain. */
 struct gsn_affine gsn_strain_corrected(const struct gsn_pose *pose);
 
+/* The block as the stack's mean triangle has it -> as the protocol's has it. Some sixty sections
+ * that each stretch by a hundredth stretch by a thousandth in the mean; where the mean triangle is
+ * as_declared, that is laid over the strain of each. Neither triangle lies on one line. */
+struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_MARKS],
+                                     const struct gsn_point declared[GSN_MARKS]);
+
 /* What all sections have in common: the scan's fault, not the tissue's. */
 struct gsn_strain_common {
     int anisotropic;    /* 1: beyond 0.1 % of chance, and beyond a practical limit */

@@ -94,6 +94,10 @@ TEST(what_becomes_of_strain_is_said_unless_the_job_says_rigid)
     CHECK(said_of(&s, &SQUARE, GSN_STRAIN_CORRECTED, "was stretched back") == 1);
     CHECK(said_of(&s, &SQUARE, GSN_STRAIN_TISSUE, "was stretched back") == 1);
     CHECK(said_of(&s, &SQUARE, GSN_STRAIN_RIGID, "differ in shape") == 0);
+    CHECK(said_of(&s, &SQUARE, GSN_STRAIN_TISSUE, "what they share against") == 0);
+    s.as_declared = 1;
+    CHECK(said_of(&s, &SQUARE, GSN_STRAIN_TISSUE, "what they share against the declared") == 1);
+    CHECK(said_of(&s, &SQUARE, GSN_STRAIN_REPORTED, "what they share against") == 0);
 }
 
 TEST(what_became_of_sections_to_be_laid_by_tissue_is_said_with_their_areas)

@@ -80,7 +80,7 @@ TEST(where_nothing_stretches_nothing_is_corrected)
     world.strain_sd[0] = world.strain_sd[1] = 0;
     mounted_draw(&s, &world, &chance);
     mounted_solve(&s, &mounted_declared);
-    CHECK(!s.summary.stretches);
+    CHECK(!s.summary.stretches && !s.summary.as_declared);
     for (size_t i = 0; i < s.count; i++) {
         const struct gsn_affine map = gsn_strain_corrected(&s.pose[i]);
 
@@ -88,6 +88,95 @@ TEST(where_nothing_stretches_nothing_is_corrected)
         CHECK_NEAR(fabs(gsn_affine_det(&map)), MOUNTED_PX * MOUNTED_PX, 1e-8);
     }
     mounted_done(&s);
+}
+
+/* What the sections of a stack are off by in the mean, by their own strain alone and with the mean
+ * triangle's strain undone as well: root mean square over stacks. */
+struct in_mean {
+    double alone, as_declared, agreed;
+};
+
+static struct in_mean mean_errors(const struct gsn_pose_options *options, size_t stacks)
+{
+    struct draw_chance chance = { 4 };
+    struct mounted_stack s = mounted_new(60);
+    struct in_mean mean = { 0 };
+
+    for (size_t k = 0; k < stacks; k++) {
+        struct gsn_point sum = { 0 };
+        struct gsn_affine map;
+
+        mounted_draw(&s, &LEVEL2, &chance);
+        mounted_solve(&s, options);
+        for (size_t i = 0; i < s.count; i++) {
+            const struct gsn_affine corrected = gsn_strain_corrected(&s.pose[i]);
+            const struct gsn_point p =
+                gsn_affine_apply(&corrected, mounted_px(&s.mounting[i], TARGET));
+
+            sum.x += p.x / (double)s.count;
+            sum.y += p.y / (double)s.count;
+        }
+        mean.agreed += s.summary.as_declared / (double)stacks;
+        mean.alone += (pow(sum.x - TARGET.x, 2) + pow(sum.y - TARGET.y, 2)) / (double)stacks;
+        map = gsn_strain_of_mean(s.summary.mean_triangle, options->markers_um);
+        sum = gsn_affine_apply(&map, sum);
+        mean.as_declared += (pow(sum.x - TARGET.x, 2) + pow(sum.y - TARGET.y, 2)) / (double)stacks;
+    }
+    mounted_done(&s);
+    return (struct in_mean){ sqrt(mean.alone), sqrt(mean.as_declared), mean.agreed };
+}
+
+/* The share of a mark's shift that the target goes along with, when a triangle is laid on another.
+ */
+static void shares_of(struct gsn_point target, double ret_share[GSN_MARKS])
+{
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_point *a = &mounted_marks[(i + 1) % GSN_MARKS];
+        const struct gsn_point *b = &mounted_marks[(i + 2) % GSN_MARKS], *c = &mounted_marks[i];
+
+        ret_share[i] = ((b->x - a->x) * (target.y - a->y) - (b->y - a->y) * (target.x - a->x)) /
+                       ((b->x - a->x) * (c->y - a->y) - (b->y - a->y) * (c->x - a->x));
+    }
+}
+
+/* Nothing of the sections' strain is left, only what the marks of sixty sections err by. */
+TEST(what_sections_stretch_by_in_the_mean_is_undone_on_the_declared_marks)
+{
+    const struct in_mean mean = mean_errors(&mounted_declared, mounted_trials(200));
+    double share[GSN_MARKS], left = 0;
+
+    shares_of(TARGET, share);
+    for (int i = 0; i < GSN_MARKS; i++)
+        left += 2 * pow(LEVEL2.burn_um * share[i], 2) / 60;
+    print_message("  in the mean %.2f um, on the declared marks %.2f (%.2f by the marks alone); "
+                  "agreed %.3f\n",
+                  mean.alone, mean.as_declared, sqrt(left), mean.agreed);
+    CHECK_NEAR(mean.as_declared, sqrt(left), 0.12 * sqrt(left));
+    CHECK(mean.alone > 1.3 * mean.as_declared);
+    CHECK(mean.agreed > 0.98);
+}
+
+TEST(declared_marks_that_chance_does_not_explain_are_not_taken)
+{
+    struct gsn_point wider[GSN_MARKS];
+    const struct gsn_pose_options options = { .markers_um = wider };
+
+    for (int i = 0; i < GSN_MARKS; i++)
+        wider[i] = (struct gsn_point){ 1.01 * mounted_marks[i].x, 1.01 * mounted_marks[i].y };
+    CHECK(mean_errors(&options, 20).agreed == 0);
+}
+
+TEST(the_mean_triangle_goes_exactly_onto_the_declared_one)
+{
+    const struct gsn_point mean[GSN_MARKS] = { { -2040, -1003 }, { 1711, -1490 }, { -1502, 1295 } };
+    const struct gsn_affine map = gsn_strain_of_mean(mean, mounted_marks);
+
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_point p = gsn_affine_apply(&map, mean[i]);
+
+        CHECK_NEAR(p.x, mounted_marks[i].x, 1e-9);
+        CHECK_NEAR(p.y, mounted_marks[i].y, 1e-9);
+    }
 }
 
 /* Case 47. Whatever the strain, the pose's own determinant is that of the pixel size. */

@@ -32,6 +32,13 @@ enum gsn_assembly_state {
     GSN_SECTION_EMPTY,
 };
 
+/* Where its neighbours' tissue lays a section, perhaps too roughly for a pose. */
+struct gsn_tissue_place {
+    int known;
+    struct gsn_affine panel_to_block_um;
+    double error_um; /* predicted, root mean square over its tissue */
+};
+
 /* One slot, found or not. */
 struct gsn_assembly_section {
     unsigned panel; /* 1-based */
@@ -40,6 +47,7 @@ struct gsn_assembly_section {
     struct gsn_pose pose;
     enum gsn_assembly_state state;
     struct gsn_tissue_finding finding; /* whether its neighbours' tissue bears out its marks */
+    struct gsn_tissue_place place;     /* of one that its marks do not lay */
     double clipped;  /* share of its tissue with a sample at either end of the codes; masked */
     char flags[160]; /* words with one space between */
     struct gsn_mask_figures masked;               /* what of it is not measured, and why */

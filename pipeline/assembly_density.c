@@ -306,6 +306,8 @@ static int work_panel(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_assembly_find_dyes(specimen, options, scan, a, panel, err);
     if (r >= 0)
+        r = gsn_assembly_seek_marks(specimen, options, scan, panel->given->number, a, err);
+    if (r >= 0)
         r = thumbnails(scan, panel->given->number, a, err);
     if (r >= 0)
         r = gsn_candidate_sheet_look(sheet, a, scan, panel->given->number, err);

@@ -75,6 +75,12 @@ void gsn_assembly_offer_marks(const struct gsn_specimen *specimen,
                               const struct gsn_pose_options *options, const struct gsn_assembly *a,
                               struct gsn_assembly_section *section);
 
+/* assembly_marks.c: on an opened panel, the marks of the sections that their tissue has laid: spots
+ * that lie where it puts a mark and look like the panel's others. The pose stays the tissue's. */
+int gsn_assembly_seek_marks(const struct gsn_specimen *specimen,
+                            const struct gsn_specimen_options *options, const struct gsn_scan *scan,
+                            unsigned panel, struct gsn_assembly *a, struct gsn_error *err);
+
 /* The colour volume on the grid's lattice. */
 int gsn_assembly_place_colour(struct gsn_assembly *a, struct gsn_error *err);
 /* Cuts it down to what is left of the grid. */

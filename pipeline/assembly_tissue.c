@@ -179,17 +179,28 @@ static void state_section(const struct gsn_specimen *specimen, const struct gsn_
                          ret_section->covariance);
 }
 
-/* The pose of one section by its tissue. Its marks have no residuals: they did not lay it. */
-static void take(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
-                 const struct gsn_tissue_pose *pose)
+static struct gsn_tissue_place place_of(const struct gsn_specimen *specimen,
+                                        const struct gsn_assembly_section *s,
+                                        const struct gsn_tissue_pose *pose)
 {
     const struct gsn_affine panel = to_panel(s, gsn_assembly_panel(specimen, s->panel)->px_um);
     const struct gsn_affine back = gsn_affine_inverse(&panel);
-    const struct gsn_affine map = gsn_affine_compose(&back, &pose->to_block);
 
+    return (struct gsn_tissue_place){ .known = 1,
+                                      .panel_to_block_um =
+                                          gsn_affine_compose(&back, &pose->to_block),
+                                      .error_um = pose->error };
+}
+
+/* The pose of one section by its tissue. Its marks have no residuals: they did not lay it. */
+static void take(struct gsn_assembly_section *s, const struct gsn_tissue_place *place)
+{
+    const struct gsn_affine map = place->panel_to_block_um;
+
+    s->place = *place;
     s->pose = (struct gsn_pose){ .state = GSN_POSE_TWO_MARKS };
     s->pose.panel_to_block_um = map;
-    s->pose.tre_um = pose->error;
+    s->pose.tre_um = place->error_um;
     s->pose.flipped = gsn_affine_det(&map) < 0;
     s->pose.rotated180 = map.m11 < 0;
     s->posed = 1;
@@ -256,13 +267,12 @@ static void reset_flags(struct gsn_assembly_section *s)
 }
 
 /* An open section whose tissue lies elsewhere than its two spots say: they are not its marks. */
-static void correct(const struct gsn_specimen *specimen, struct gsn_assembly_section *s,
-                    const struct gsn_tissue_pose *pose)
+static void correct(struct gsn_assembly_section *s, const struct gsn_tissue_place *place)
 {
     struct gsn_assembly_section corrected = *s;
 
     reset_flags(&corrected);
-    take(specimen, &corrected, pose);
+    take(&corrected, place);
     if (apart(s, &s->pose.panel_to_block_um, &corrected.pose.panel_to_block_um) < APART_UM)
         return;
     forget_marks(&corrected);
@@ -279,6 +289,7 @@ static void hold(const struct gsn_specimen *specimen, const struct gsn_pose_opti
     s->pose = (struct gsn_pose){ .state = GSN_POSE_NONE };
     s->posed = 0;
     s->state = GSN_SECTION_HELD;
+    forget_marks(s);
     reset_flags(s);
     gsn_assembly_flag(s, "tissue-disagrees");
 }
@@ -316,6 +327,24 @@ static int check(const struct gsn_specimen *specimen, struct gsn_assembly *a,
     return r;
 }
 
+/* What marks do not lay is laid by its tissue; where that is too rough, it shows at least where
+ * the marks are. */
+static void believe(const struct gsn_specimen *specimen, const struct gsn_tissue_pose *pose,
+                    struct gsn_assembly_section *s)
+{
+    const struct gsn_tissue_place place = place_of(specimen, s, pose);
+    const int fine = pose->error <= MOST_ERROR_UM;
+
+    if (is_lost(s) && fine) {
+        take(s, &place);
+        name_marks(s);
+    } else if (is_lost(s)) {
+        s->place = place;
+    } else if (is_open(s) && fine) {
+        correct(s, &place);
+    }
+}
+
 static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                const struct part *parts, size_t count, struct gsn_error *err)
 {
@@ -332,21 +361,9 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
             sections[i].tissue = NULL;
     }
     r = gsn_tissue_lay(sections, count, poses, &summary, err);
-    for (size_t i = 0; r >= 0 && i < count; i++) {
-        struct gsn_assembly_section *s = &a->section[parts[i].section];
-
-        if (!poses[i].laid || poses[i].unsure || summary.held == 0 || poses[i].from > AROUND ||
-            poses[i].error > MOST_ERROR_UM)
-            continue;
-        if (is_lost(s)) {
-            take(specimen, s, &poses[i]);
-            if (s->finding.contradicted)
-                forget_marks(s);
-            name_marks(s);
-        } else if (is_open(s)) {
-            correct(specimen, s, &poses[i]);
-        }
-    }
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        if (poses[i].laid && !poses[i].unsure && summary.held > 0 && poses[i].from <= AROUND)
+            believe(specimen, &poses[i], &a->section[parts[i].section]);
     return r;
 }
 

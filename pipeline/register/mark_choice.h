@@ -5,6 +5,7 @@
 #ifndef GSN_REGISTER_MARK_CHOICE_H
 #define GSN_REGISTER_MARK_CHOICE_H
 
+#include "pipeline/register/mark_odds.h"
 #include "pipeline/register/markers.h"
 #include "pipeline/register/rigid.h"
 
@@ -19,6 +20,8 @@ extern "C" {
 #define GSN_MARK_TORN_PAIR 1.5
 /* A second choice with more than this share of the first's likelihood makes both worthless. */
 #define GSN_MARK_RUNNER_UP_MOST 0.5
+/* A spot must be a mark, and none that lies there by chance, with these odds. */
+#define GSN_MARK_ODDS_LEAST 20.0
 
 enum { GSN_MARK_CHOICES = 128 };
 
@@ -40,6 +43,11 @@ struct gsn_mark_choices {
 };
 
 /* mark_weigh.c: one choice by its marks alone. */
+
+/* How far the sections of the stack move their marks. The caller guarantees that the prior is
+ * learnt. */
+struct gsn_mark_moves gsn_mark_choice_moves(const struct gsn_mark_candidates *section,
+                                            const struct gsn_triangle_prior *prior);
 
 /* Lays the choice and weighs it; torn_pair: how many tolerances a pair may be too short or too
  * long. 0: it is beyond what happens to marks, or one of three lies there by chance. */

@@ -74,31 +74,49 @@ void gsn_mark_count_chance(const struct gsn_mark_candidates *section,
     *area_um2 += M_PI * reach_um * reach_um;
 }
 
-/* Density per um^2 of places so far away, where a spread per axis of own_um adds to that of two
- * others, base_um each, carried over. */
-static double density(double away_um, double own_um, double base_um, double carried)
+/* Density per um^2 of places so far away, with this variance per axis. */
+static double density(double away_um, double variance)
 {
-    const double variance = own_um * own_um + carried * base_um * base_um;
-
     return exp(-0.5 * away_um * away_um / variance) / (2 * M_PI * variance);
+}
+
+/* Odds for a spot so far from where a mark belongs. What lays that place has variances of its own,
+ * per axis, in an ordinary section and in any other. */
+static double odds_of(const struct gsn_mark *spot, double px_um,
+                      const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
+                      double away_um, double ordinary, double other)
+{
+    const double unlike = unlike_in_all(spot, px_um, prior);
+    const double looks = fmax(exp(-0.5 * unlike) / prior->chance[class_of(unlike)],
+                              DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
+    const double here =
+        moves->ordinary * density(away_um, moves->ordinary_um * moves->ordinary_um + ordinary) +
+        moves->loose * density(away_um, moves->loose_um * moves->loose_um + other) +
+        moves->torn * density(away_um, moves->torn_um * moves->torn_um + other);
+
+    return SEEN / (1 - SEEN) * here * looks;
 }
 
 double gsn_mark_odds(const struct gsn_mark *spot, double px_um,
                      const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
                      double away_um, double apart_um, double across_um)
 {
-    const double unlike = unlike_in_all(spot, px_um, prior);
-    const double looks = fmax(exp(-0.5 * unlike) / prior->chance[class_of(unlike)],
-                              DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
     /* The middle of two has half of their variance; what turns them moves the third by as much more
      * as it is farther away, in one of its two directions. */
     const double carried = 0.5 + pow(across_um / apart_um, 2);
-    const double here =
-        moves->ordinary * density(away_um, moves->ordinary_um, moves->ordinary_um, carried) +
-        moves->loose * density(away_um, moves->loose_um, moves->loose_um, carried) +
-        moves->torn * density(away_um, moves->torn_um, moves->loose_um, carried);
 
     assert(spot && prior && moves && apart_um > 0);
 
-    return SEEN / (1 - SEEN) * here * looks;
+    return odds_of(spot, px_um, prior, moves, away_um,
+                   carried * moves->ordinary_um * moves->ordinary_um,
+                   carried * moves->loose_um * moves->loose_um);
+}
+
+double gsn_mark_odds_placed(const struct gsn_mark *spot, double px_um,
+                            const struct gsn_triangle_prior *prior,
+                            const struct gsn_mark_moves *moves, double away_um, double error_um)
+{
+    assert(spot && prior && moves);
+
+    return odds_of(spot, px_um, prior, moves, away_um, error_um * error_um, error_um * error_um);
 }

@@ -40,6 +40,11 @@ struct gsn_mark_moves {
 double gsn_mark_odds(const struct gsn_mark *spot, double px_um,
                      const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
                      double away_um, double apart_um, double across_um);
+/* The same for one that lies away_um from where something else than marks lays the mark, with this
+ * error per axis. */
+double gsn_mark_odds_placed(const struct gsn_mark *spot, double px_um,
+                            const struct gsn_triangle_prior *prior,
+                            const struct gsn_mark_moves *moves, double away_um, double error_um);
 
 #ifdef __cplusplus
 }

@@ -18,11 +18,9 @@ static const double TORN_SHARE = 0.03;
 static const double FAINT = 4;
 /* exp(-4.5): three standard deviations. */
 static const double LIKELIHOOD_LEAST = 0.0111;
-/* The third of three must be a mark, and no spot that lies there by chance, with these odds. */
-static const double THIRD_ODDS = 20;
 
-static struct gsn_mark_moves moves_of(const struct gsn_mark_candidates *section,
-                                      const struct gsn_triangle_prior *prior)
+struct gsn_mark_moves gsn_mark_choice_moves(const struct gsn_mark_candidates *section,
+                                            const struct gsn_triangle_prior *prior)
 {
     const double loose = gsn_mark_tolerance(prior, section->px_um);
     const double least =
@@ -40,7 +38,7 @@ static struct gsn_mark_moves moves_of(const struct gsn_mark_candidates *section,
 static double fitting(const struct gsn_mark_candidates *section,
                       const struct gsn_triangle_prior *prior, double chi2)
 {
-    const struct gsn_mark_moves m = moves_of(section, prior);
+    const struct gsn_mark_moves m = gsn_mark_choice_moves(section, prior);
 
     if (!prior->learnt || !(prior->stretch_um > 0))
         return exp(-0.5 * chi2);
@@ -138,7 +136,7 @@ static double third_odds(const struct gsn_mark_candidates *section,
     const struct gsn_point middle = { 0.5 * (mark[a].x + mark[b].x),
                                       0.5 * (mark[a].y + mark[b].y) };
     const struct gsn_mark *spot = &section->mark[choice->candidate[third]];
-    const struct gsn_mark_moves moves = moves_of(section, prior);
+    const struct gsn_mark_moves moves = gsn_mark_choice_moves(section, prior);
     const double away = gsn_mark_distance(
         gsn_rigid_apply(motion, gsn_mark_to_um(spot->px, section->px_um, choice->mirrored)),
         mark[third]);
@@ -158,7 +156,7 @@ static int by_chance(const struct gsn_mark_candidates *section,
 
     pair.candidate[third] = -1;
     return lay(section, prior, &pair, &pair.motion, &chi2) && plausible_pair(chi2) &&
-           third_odds(section, prior, choice, third, &pair.motion) < THIRD_ODDS;
+           third_odds(section, prior, choice, third, &pair.motion) < GSN_MARK_ODDS_LEAST;
 }
 
 static int any_by_chance(const struct gsn_mark_candidates *section,

@@ -145,6 +145,14 @@ size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior,
                           struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS]);
 
+/* The marks of a section that something else than marks has laid, its tissue: panel_to_um lays
+ * pixels on the frame of the prior, with this error per axis. A mark that is not found yet becomes
+ * the spot that is one 20 to 1, by how far it is from the mark's place and by its looks, unless
+ * another spot is half as likely or more. The caller guarantees that the prior is learnt. */
+void gsn_markers_place(const struct gsn_mark_candidates *section,
+                       const struct gsn_triangle_prior *prior, const struct gsn_affine *panel_to_um,
+                       double error_um, struct gsn_mark marks[GSN_MARKS]);
+
 #ifdef __cplusplus
 }
 #endif

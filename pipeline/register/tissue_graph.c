@@ -277,20 +277,24 @@ static double usual_of(const struct work *w, double *room)
     return n > 0 ? gsn_median(room, n) : 0;
 }
 
-/* Whether all that ties this section to others is unsure. */
+/* Whether all that ties this section to others is unsure, or a neighbour would have it on the other
+ * face than it was laid on. */
 static int is_unsure(const struct work *w, size_t i)
 {
-    int ties = 0, sure = 0;
+    int ties = 0, sure = 0, faces = 0;
 
     for (size_t k = 0; k < w->springs.springs; k++) {
         const struct gsn_tissue_spring *s = &w->springs.spring[k];
 
-        if (!usable(w, s) || (s->a != i && s->b != i) || s->b != s->a + 1)
+        if ((s->a != i && s->b != i) || s->b != s->a + 1)
+            continue;
+        faces += s->dropped;
+        if (!usable(w, s))
             continue;
         ties++;
         sure += !w->unsure[k];
     }
-    return ties > 0 && sure == 0;
+    return (ties > 0 && sure == 0) || faces > 0;
 }
 
 /* The mean disagreement of its comparisons that others do not explain: root of chi2 over its 3. */

@@ -257,6 +257,37 @@ static double off_um(const struct gsn_assembly_section *s)
     return most;
 }
 
+/* Section 5 shows marks where they were burnt, of the ones in this set, and no others. */
+static void check_burnt(const struct gsn_assembly_section *s, unsigned marks)
+{
+    const struct drawn_panel panel = drawn_panel_of(2, 24, DENSITY);
+
+    for (unsigned m = 0; m < GSN_MARKS; m++) {
+        const struct gsn_point at = drawn_panel_place(&panel, 1, drawn_marks_um[m]);
+
+        CHECK(s->seen.mark[m].found == (int)(marks >> m & 1));
+        if (s->seen.mark[m].found)
+            CHECK_NEAR(hypot(s->seen.mark[m].px.x - at.x, s->seen.mark[m].px.y - at.y), 0, 0.5);
+    }
+}
+
+/* One mark lays nothing; where the tissue does, it is known for what it is. */
+TEST(marks_of_a_section_that_its_tissue_lays_are_those_where_it_puts_them)
+{
+    for (unsigned burnt = 0; burnt <= 4; burnt = burnt ? 4 * burnt : 1) {
+        struct drawn_panel panels[3];
+
+        lopsided_panels(panels);
+        panels[1].section[1].no_marks = 7 & ~burnt;
+        gsn_auto(gsn_assembly) a = assembled_from(panels);
+        const struct gsn_assembly_section *laid = &a->section[5];
+
+        CHECK(laid->state == GSN_SECTION_DOUBTFUL && strstr(laid->flags, "by-tissue"));
+        check_burnt(laid, burnt);
+        CHECK_NEAR(off_um(laid), 0, 60);
+    }
+}
+
 /* Case 20: what two marks leave open, the tissue settles; a person's choice it does not touch. */
 TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
 {
@@ -283,7 +314,8 @@ TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
             CHECK(laid->state == (chosen ? GSN_SECTION_USED : GSN_SECTION_DOUBTFUL));
             CHECK((strstr(laid->flags, "by-tissue") != NULL) == corrected);
             CHECK((strstr(laid->flags, "turned") != NULL) == (swapped && chosen));
-            CHECK(laid->seen.mark[1].found == !corrected);
+            if (corrected)
+                check_burnt(laid, 7);
             if (!swapped || corrected)
                 CHECK_NEAR(off_um(laid), 0, 60);
             else
@@ -319,9 +351,9 @@ TEST(three_marks_that_the_tissue_contradicts_do_not_lay_a_section)
         CHECK((strstr(laid->flags, "tissue-disagrees by-tissue") != NULL) == !chosen);
         CHECK(laid->pose.flipped == (int)chosen &&
               (strstr(laid->flags, "flipped") != NULL) == chosen);
-        CHECK(laid->seen.mark[0].found == (int)chosen);
         if (chosen)
             continue;
+        check_burnt(laid, 7);
         CHECK(laid->finding.contradicted && laid->finding.other_face);
         CHECK(laid->candidates.count == 4 && laid->candidates.at[3].laid);
         CHECK_NEAR(off_um(laid), 0, 60);
@@ -331,9 +363,12 @@ TEST(three_marks_that_the_tissue_contradicts_do_not_lay_a_section)
 }
 
 /* Section 5 with no marks told, and marks 2 and 3, or 3 and 2, or other spots, to choose from. */
-static void leave_open(struct gsn_panel_section *s, int rivals)
+static void leave_open(const struct drawn_panel *panel, struct gsn_panel_section *s, int rivals)
 {
-    const struct gsn_mark second = s->mark[1], third = s->mark[2];
+    struct gsn_mark second = { .radius_px = 3, .score = 0.9, .found = 1 }, third = second;
+
+    second.px = drawn_panel_place(panel, 1, drawn_marks_um[1]);
+    third.px = drawn_panel_place(panel, 1, drawn_marks_um[2]);
 
     leave_two(s);
     s->sighting = GSN_SIGHT_NEEDS_EYE;
@@ -354,7 +389,7 @@ static void leave_open(struct gsn_panel_section *s, int rivals)
 }
 
 /* Of spots that could be other marks, the tissue names those that lay the section as it does, and
- * none where no candidate does or more than one. */
+ * none where no candidate does or more than one. The picture shows none of them by itself. */
 TEST(marks_that_could_be_others_are_named_where_the_tissue_says_which)
 {
     for (int rivals = 1; rivals <= 3; rivals++) {
@@ -362,23 +397,15 @@ TEST(marks_that_could_be_others_are_named_where_the_tissue_says_which)
         drawn_auto d;
 
         lopsided_panels(panels);
+        panels[1].section[1].no_marks = 7;
         drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
-        struct gsn_panel_section *s = &d.findings[1]->section[1];
-        const struct gsn_mark second = s->mark[1], third = s->mark[2];
-
-        leave_open(s, rivals);
+        leave_open(&panels[1], &d.findings[1]->section[1], rivals);
         gsn_auto(gsn_assembly) a = assembled(&d);
         const struct gsn_assembly_section *laid = &a->section[5];
 
         CHECK(laid->state == GSN_SECTION_DOUBTFUL && strstr(laid->flags, "by-tissue"));
         CHECK_NEAR(off_um(laid), 0, 60);
-        CHECK(!laid->seen.mark[0].found);
-        CHECK(laid->seen.mark[1].found == (rivals == 2) &&
-              laid->seen.mark[2].found == (rivals == 2));
-        if (rivals != 2)
-            continue;
-        CHECK_NEAR(laid->seen.mark[1].px.x, second.px.x, 0);
-        CHECK_NEAR(laid->seen.mark[2].px.x, third.px.x, 0);
+        check_burnt(laid, rivals == 2 ? 6 : 0);
     }
 }
 
@@ -659,4 +686,16 @@ TEST(running_out_of_memory_while_tissue_is_compared_leaks_nothing)
 
     drawn_specimen_even(&d, BY_TISSUE_JOB, DENSITY);
     CHECK_MANY_OOM(assemble_once(&d, &err), err, 1, 60);
+}
+
+TEST(running_out_of_memory_while_marks_are_looked_for_again_leaks_nothing)
+{
+    struct drawn_panel panels[3];
+    struct gsn_error err = { 0 };
+    drawn_auto d;
+
+    lopsided_panels(panels);
+    panels[1].section[1].no_marks = 6;
+    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    CHECK_MANY_OOM(assemble_once(&d, &err), err, 1, 12);
 }

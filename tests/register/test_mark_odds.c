@@ -42,6 +42,25 @@ TEST(in_its_place_the_odds_are_those_of_the_three_spreads)
     CHECK_NEAR(odds(0.4, 0) / (19 * here / 1e-6 * 128), 1, 1e-12);
 }
 
+/* Nothing is carried over from other marks: the error is that of the place alone. */
+TEST(beside_a_place_of_its_own_error_the_odds_are_those_of_the_three_spreads)
+{
+    const struct gsn_triangle_prior prior = taught();
+    const struct gsn_mark mark = spot(0.4, 75);
+    const double variance[3] = { 900 + 2500, 1600 + 2500, 57600 + 2500 };
+    const double share[3] = { 0.9, 0.07, 0.03 };
+
+    for (double away = 0; away < 500; away += 50) {
+        double here = 0;
+
+        for (int k = 0; k < 3; k++)
+            here += share[k] * exp(-0.5 * away * away / variance[k]) / (2 * M_PI * variance[k]);
+        CHECK_NEAR(gsn_mark_odds_placed(&mark, PX, &prior, &MOVES, away, 50) /
+                       (19 * here / 1e-6 * 128),
+                   1, 1e-12);
+    }
+}
+
 TEST(the_odds_fall_with_the_distance_and_with_the_looks)
 {
     for (double away = 0; away < 1000; away += 10)

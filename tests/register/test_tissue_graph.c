@@ -151,6 +151,29 @@ TEST(marks_that_contradict_the_tissue_are_told)
     unmount(&s);
 }
 
+/* One neighbour lies face down and does not know it: what it says of the section's face is against
+ * the other neighbour, and either may be right. */
+TEST(a_section_that_its_neighbours_lay_on_either_face_is_unsure)
+{
+    struct gsn_tissue_pose poses[SECTIONS];
+    struct gsn_tissue_summary summary;
+
+    for (int wrong = 0; wrong < 2; wrong++) {
+        const struct gsn_affine turned_over = { -1, 0, 0, 0, 1, 0 };
+        struct stack s;
+
+        mount(&s, 1, 0);
+        for (unsigned k = 0; k < SECTIONS; k++)
+            if (k != 6)
+                mark(&s, k);
+        if (wrong)
+            s.section[5].to_block = gsn_affine_compose(&s.section[5].to_block, &turned_over);
+        lay(&s, poses, &summary);
+        CHECK(poses[6].laid && poses[6].unsure == wrong);
+        unmount(&s);
+    }
+}
+
 TEST(numbers_that_do_not_rise_are_refused)
 {
     struct gsn_tissue_section section[2] = { { .serial = 4 }, { .serial = 4 } };

@@ -19,6 +19,7 @@
 #include "pipeline/stain/reference.h"
 #include "pipeline/stain/mask.h"
 #include "pipeline/stain/tone.h"
+#include "pipeline/stain/turned.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -93,7 +94,8 @@ struct gsn_levelling {
     struct gsn_level_fit fit; /* of the steps between them */
     size_t panels;            /* that were compared */
     struct gsn_level_tissue tissue[GSN_UNTREATED_KINDS]; /* on the panels' common scale */
-    char why[480];                                       /* why not done, or empty */
+    struct gsn_turned_left vectors; /* what the dye vectors leave open beside those tissues */
+    char why[480];                  /* why not done, or empty */
 };
 
 /* What became of the sections that were to be laid by their tissue. */
@@ -134,8 +136,9 @@ struct gsn_assembly {
     unsigned spot_panels;           /* that were compared for it */
     struct gsn_columns *columns;    /* owned; NULL where a reference tissue is stated */
     struct gsn_levelling levelling;
-    double red_error; /* relative standard error of a mean density on the panels' own scale: by
-                         vectors, white, gains and the steps between panels */
+    double red_error;  /* relative standard error of a mean density on the panels' own scale: by
+                          vectors, white, gains and the steps between panels */
+    double step_error; /* of it, what the steps between panels leave open */
     double
         common_error; /* relative: what that scale itself may be off by against another specimen's
                          where no reference tissue tells; 0: one panel, or a tissue was stated */

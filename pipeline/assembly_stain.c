@@ -101,7 +101,7 @@ int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_asse
     if (!share)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the errors of a stain");
     judge_evenness(specimen, a);
-
+    a->step_error = step_error(specimen, a, share);
     for (size_t p = 0; p < a->panel_count; p++) {
         const struct gsn_assembly_panel *panel = &a->panel[p];
 
@@ -113,8 +113,7 @@ int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_asse
             gains += panel->gain.error * panel->gain.error / (panel->gain.gain * panel->gain.gain);
     }
     if (panels > 0)
-        a->red_error =
-            hypot(hypot(vectors / panels, sqrt(gains) / panels), step_error(specimen, a, share));
+        a->red_error = hypot(hypot(vectors / panels, sqrt(gains) / panels), a->step_error);
     return GSN_OK;
 }
 

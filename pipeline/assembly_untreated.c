@@ -28,6 +28,7 @@ struct field {
     uint8_t *kind;            /* owned: 1 + enum gsn_untreated, 0 none */
     struct gsn_grid *away;    /* owned: of each column from the region, um */
     double *value, *distance; /* owned: of the columns of one plane that are looked at */
+    size_t *column;           /* owned: which they are */
     double *scratch;
 };
 
@@ -38,6 +39,7 @@ static void field_done(struct field *f)
     gsn_grid_free(f->away);
     gsn_free(f->value);
     gsn_free(f->distance);
+    gsn_free(f->column);
     gsn_free(f->scratch);
 }
 
@@ -49,8 +51,9 @@ static int field_init(const struct gsn_lattice *at, const struct gsn_mask *regio
     f->kind = gsn_alloc_array(f->count, 1);
     f->value = gsn_alloc_array(at->nx * at->ny, sizeof *f->value);
     f->distance = gsn_alloc_array(at->nx * at->ny, sizeof *f->distance);
+    f->column = gsn_alloc_array(at->nx * at->ny, sizeof *f->column);
     f->scratch = gsn_alloc_array(f->count, sizeof *f->scratch);
-    if (f->smooth && f->kind && f->value && f->distance && f->scratch)
+    if (f->smooth && f->kind && f->value && f->distance && f->column && f->scratch)
         return gsn_columns_away(region, at, &f->away, err);
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
 }
@@ -171,6 +174,7 @@ static size_t list_columns(const struct field *f, const struct gsn_assembly *a, 
                 !is_untreated(f, a->region, kind, x, y, z))
                 continue;
             f->value[n] = (double)a->columns->density->value[i];
+            f->column[n] = i;
             f->distance[n++] = (double)f->away->value[y * f->at.nx + x];
         }
     return n;
@@ -186,20 +190,42 @@ static size_t keep_far(struct field *f, size_t count)
     memcpy(f->scratch, f->distance, count * sizeof *f->scratch);
     least = gsn_order_pick(f->scratch, count, count - far);
     for (size_t i = 0; i < count; i++)
-        if (f->distance[i] >= least)
-            f->value[n++] = f->value[i];
+        if (f->distance[i] >= least) {
+            f->value[n] = f->value[i];
+            f->column[n++] = f->column[i];
+        }
     return n;
 }
 
-/* The tissue's density in one section; NaN where too little of it is seen. */
-static double seen_in(struct field *f, const struct gsn_assembly *a, uint8_t kind, size_t z)
+/* Adds the first count columns, as a panel's vectors see them. */
+static int add_turned(const struct field *f, const struct gsn_assembly *a,
+                      const struct gsn_assembly_panel *panel, size_t count,
+                      struct gsn_turned *turned, struct gsn_error *err)
+{
+    const struct gsn_dyes_fit *fit = &panel->stain.fit;
+    double od[3] = { 0 };
+
+    if (!(fit->deviation_deg[0] > 0) || count == 0)
+        return GSN_OK; /* vectors that were taken as exact */
+    for (int c = 0; c < 3; c++)
+        for (size_t i = 0; i < count; i++)
+            od[c] += (double)a->columns->od[c]->value[f->column[i]] / (double)count;
+    return gsn_turned_add(turned, &fit->dyes, od, (double)count, err);
+}
+
+/* The tissue's density in one section; NaN where too little of it is seen. ret_count: how many
+ * columns it rests on. */
+static double seen_in(struct field *f, const struct gsn_assembly *a, uint8_t kind, size_t z,
+                      size_t *ret_count)
 {
     size_t n = list_columns(f, a, kind, z);
 
+    *ret_count = 0;
     if (n < LEAST_COLUMNS)
         return (double)NAN;
     if (kind != 1 + GSN_UNTREATED_DENTINE)
         n = keep_far(f, n);
+    *ret_count = n;
     return gsn_reference_red(f->value, n);
 }
 
@@ -257,30 +283,101 @@ static double height_of(const struct gsn_mask *region)
     return n > 0 ? region->at.origin_um.z + region->at.step_um.z * sum / (double)n : (double)NAN;
 }
 
+/* The panel that a plane is compared by; NULL: none. */
+static const struct gsn_assembly_panel *panel_of(const struct gsn_specimen *specimen,
+                                                 struct gsn_assembly *a, const struct field *f,
+                                                 size_t z)
+{
+    const struct gsn_assembly_panel *panel = gsn_assembly_panel_of_serial(
+        a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
+
+    return panel && panel->levelled ? panel : NULL;
+}
+
+static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                        struct field *f, unsigned kind, struct sight *sight,
+                        struct gsn_turned *turned, struct gsn_error *err)
+{
+    size_t n = 0;
+    int r = GSN_OK;
+
+    for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
+        const struct gsn_assembly_panel *of = panel_of(specimen, a, f, z);
+        size_t columns;
+
+        if (!of)
+            continue;
+        sight[n] = (struct sight){ f->at.origin_um.z + (double)z * f->at.step_um.z,
+                                   seen_in(f, a, (uint8_t)(1 + kind), z, &columns), of };
+        n += isnan(sight[n].value) ? 0 : 1;
+        r = add_turned(f, a, of, columns, turned, err);
+    }
+    a->levelling.tissue[kind] = sum_up(sight, n, height_of(a->region), f->scratch);
+    return r;
+}
+
+/* Lists the region's columns in one section; returns how many. */
+static size_t list_region(const struct field *f, const struct gsn_assembly *a, size_t z)
+{
+    size_t n = 0;
+
+    for (size_t y = 0; y < f->at.ny; y++)
+        for (size_t x = 0; x < f->at.nx; x++) {
+            const size_t i = gsn_lattice_index(&f->at, x, y, z);
+
+            if (!isnan(a->columns->density->value[i]) &&
+                gsn_mask_has(a->region, gsn_lattice_centre(&f->at, x, y, z)))
+                f->column[n++] = i;
+        }
+    return n;
+}
+
+/* The vectors of all panels lean on one prior, and the tissue misleads them alike: their errors are
+ * taken as common. */
+static void mean_covariance(const struct gsn_assembly *a, double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
+{
+    double panels = 0;
+
+    for (size_t p = 0; p < a->panel_count; p++)
+        panels += a->panel[p].levelled;
+    for (int m = 0; m < GSN_DYE_TURNS; m++)
+        for (int n = 0; n < GSN_DYE_TURNS; n++) {
+            ret[m][n] = 0;
+            for (size_t p = 0; p < a->panel_count; p++)
+                if (a->panel[p].levelled)
+                    ret[m][n] += a->panel[p].stain.fit.covariance[m][n] / panels;
+        }
+}
+
+static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                       const struct field *f, const struct gsn_turned *tissue,
+                       struct gsn_error *err)
+{
+    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS];
+    struct gsn_turned region = { 0 };
+    int r = GSN_OK;
+
+    for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
+        const struct gsn_assembly_panel *of = panel_of(specimen, a, f, z);
+
+        if (of)
+            r = add_turned(f, a, of, list_region(f, a, z), &region, err);
+    }
+    mean_covariance(a, covariance);
+    a->levelling.vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, &region, covariance);
+    return r;
+}
+
 static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                          struct field *f, struct gsn_error *err)
 {
     gsn_auto_mem(struct sight) sight = gsn_alloc_array(f->at.nz, sizeof *sight);
-    const double height = height_of(a->region);
+    struct gsn_turned turned[GSN_UNTREATED_KINDS] = { { 0 } };
+    int r = sight ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
 
-    if (!sight)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
-    for (unsigned k = 0; k < GSN_UNTREATED_KINDS; k++) {
-        size_t n = 0;
-
-        for (size_t z = 0; z < f->at.nz; z++) {
-            const struct gsn_assembly_panel *of = gsn_assembly_panel_of_serial(
-                a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
-
-            if (!of || !of->levelled)
-                continue;
-            sight[n] = (struct sight){ f->at.origin_um.z + (double)z * f->at.step_um.z,
-                                       seen_in(f, a, (uint8_t)(1 + k), z), of };
-            n += isnan(sight[n].value) ? 0 : 1;
-        }
-        a->levelling.tissue[k] = sum_up(sight, n, height, f->scratch);
-    }
-    return GSN_OK;
+    for (unsigned k = 0; k < GSN_UNTREATED_KINDS && r >= 0; k++)
+        r = measure_kind(specimen, a, f, k, sight, &turned[k], err);
+    return r < 0 ? r : judge_turns(specimen, a, f, turned, err);
 }
 
 static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,

@@ -12,7 +12,7 @@ static const double LEAST_TISSUE = 0.9, LEAST_SEEN = 0.5;
 
 /* Sums over one plane of cells. */
 struct tally {
-    float sum, tissue, seen;
+    float sum, tissue, seen, od[3];
 };
 
 int gsn_columns_new(const struct gsn_lattice *at, struct gsn_columns **ret_columns,
@@ -25,10 +25,13 @@ int gsn_columns_new(const struct gsn_lattice *at, struct gsn_columns **ret_colum
         r = gsn_grid_new(at, &c->density, err);
     if (r >= 0)
         r = gsn_grid_new(at, &c->tissue, err);
+    for (int k = 0; k < 3 && r >= 0; k++)
+        r = gsn_grid_new(at, &c->od[k], err);
     if (r < 0)
         return r;
     for (size_t i = 0; i < gsn_lattice_count(at); i++)
-        c->density->value[i] = c->tissue->value[i] = NAN;
+        c->density->value[i] = c->tissue->value[i] = c->od[0]->value[i] = c->od[1]->value[i] =
+            c->od[2]->value[i] = NAN;
     *ret_columns = gsn_steal(&c);
     return GSN_OK;
 }
@@ -39,6 +42,8 @@ void gsn_columns_free(struct gsn_columns *columns)
         return;
     gsn_grid_free(columns->density);
     gsn_grid_free(columns->tissue);
+    for (int k = 0; k < 3; k++)
+        gsn_grid_free(columns->od[k]);
     gsn_free(columns);
 }
 
@@ -63,6 +68,8 @@ static void tally_row(const struct gsn_stack_section *s, int y, const float *den
             continue;
         t->tissue++;
         t->sum += density[x];
+        for (int k = 0; k < 3; k++)
+            t->od[k] += od[k][x];
     }
 }
 
@@ -85,17 +92,21 @@ static int tally_section(const struct gsn_stack_section *s, unsigned apart,
     return GSN_OK;
 }
 
-static void keep(const struct tally *tally, double pixels, size_t plane, float *density,
-                 float *tissue)
+/* first: the plane's first cell. */
+static void keep(const struct tally *tally, double pixels, size_t plane, size_t first,
+                 struct gsn_columns *c)
 {
     for (size_t i = 0; i < plane; i++) {
         const struct tally *t = &tally[i];
 
         if (!(t->seen > 0) || t->seen < LEAST_SEEN * pixels)
             continue;
-        tissue[i] = t->tissue / t->seen;
-        if (tissue[i] >= LEAST_TISSUE)
-            density[i] = t->sum / t->tissue;
+        c->tissue->value[first + i] = t->tissue / t->seen;
+        if (c->tissue->value[first + i] < LEAST_TISSUE)
+            continue;
+        c->density->value[first + i] = t->sum / t->tissue;
+        for (int k = 0; k < 3; k++)
+            c->od[k]->value[first + i] = t->od[k] / t->tissue;
     }
 }
 
@@ -119,8 +130,7 @@ int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section 
     r = tally_section(section, apart, absorber, at, tally, err);
     if (r < 0)
         return r;
-    keep(tally, at->step_um.x * at->step_um.y / px_um2, plane,
-         columns->density->value + (size_t)k * plane, columns->tissue->value + (size_t)k * plane);
+    keep(tally, at->step_um.x * at->step_um.y / px_um2, plane, (size_t)k * plane, columns);
     return GSN_OK;
 }
 

@@ -19,6 +19,7 @@ extern "C" {
 struct gsn_columns {
     struct gsn_grid *density; /* mean over the cell's tissue; NaN: not seen, or glass in it */
     struct gsn_grid *tissue;  /* share of the cell's seen pixels that is tissue; NaN: not seen */
+    struct gsn_grid *od[3];   /* R, G and B as scanned: means where density has one */
 };
 
 /* gives: nothing seen. Fails with GSN_E_NOMEM. */

@@ -173,7 +173,7 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
     gsn_draft_definition(e, &d);
     if (e->specimen->protocol->kind == GSN_KIND_SECTIONS)
         gsn_draft_loss(e, &d);
-    gsn_draft_calibration(e, &d);
+    gsn_draft_vectors(e, &d);
     gsn_draft_parameters(e, &d);
     judge(e, &d);
     r = fill_outputs(result, &d, err);

@@ -16,6 +16,11 @@ static const double MOST_WHITE_OD = 0.05;
 
 static const char *const DYES[] = { "red", "yellow", "dark" };
 
+static int is_calibrated(const struct gsn_assembly_panel *panel)
+{
+    return panel->calibrated.panel && panel->calibrated.panel->has_dyes;
+}
+
 /* "calibration panel C01.jpg: red (0.230 0.710 0.666) +- 0.1 deg, yellow ..." */
 static const char *vectors_of(const struct gsn_assembly_panel *panel, struct gsn_draft *d)
 {
@@ -31,8 +36,9 @@ static const char *vectors_of(const struct gsn_assembly_panel *panel, struct gsn
 
         used += n > 0 ? (size_t)n : 0;
     }
-    return gsn_draft_say(d, "calibration panel %s: %s", panel->calibrated.panel->stated->file,
-                         line);
+    return is_calibrated(panel) ? gsn_draft_say(d, "calibration panel %s: %s",
+                                                panel->calibrated.panel->stated->file, line)
+                                : gsn_draft_say(d, "from the slide's own tissue: %s", line);
 }
 
 /* "red 1.2 of 4.0, ..." */
@@ -68,7 +74,7 @@ static void warn_of_panel(const struct gsn_assembly_panel *panel, struct gsn_dra
 {
     const struct gsn_calibrated *c = &panel->calibrated;
 
-    if (c->panel->has_dyes)
+    if (is_calibrated(panel))
         warn_of_dyes(panel, d);
     if (c->white_od > MOST_WHITE_OD)
         gsn_draft_warn(
@@ -106,20 +112,22 @@ static void warn_of_others(const struct gsn_evidence *e, struct gsn_draft *d)
     }
 }
 
-void gsn_draft_calibration(const struct gsn_evidence *e, struct gsn_draft *d)
+void gsn_draft_vectors(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     struct gsn_report_value *rows = d->parameter;
     size_t *count = &d->report.parameter_count, told = 0;
 
-    if (!e->assembly || e->assembly->calibration_count == 0)
+    if (!e->assembly)
         return;
     for (size_t i = 0; i < e->assembly->panel_count; i++) {
         const struct gsn_assembly_panel *panel = &e->assembly->panel[i];
 
-        if (!panel->opened || !panel->calibrated.panel)
+        if (!panel->opened)
             continue;
-        warn_of_panel(panel, d);
-        if (!panel->calibrated.panel->has_dyes || told++ >= MOST_TOLD)
+        if (panel->calibrated.panel)
+            warn_of_panel(panel, d);
+        /* Built-in vectors are taken as they are, and have no error to tell. */
+        if (!(panel->stain.fit.deviation_deg[0] > 0) || told++ >= MOST_TOLD)
             continue;
         gsn_draft_text(rows, count, gsn_draft_say(d, "dye vectors of panel %u", panel->stain.panel),
                        vectors_of(panel, d));
@@ -129,5 +137,6 @@ void gsn_draft_calibration(const struct gsn_evidence *e, struct gsn_draft *d)
                                          panel->stain.panel),
                            apart_of(&panel->calibrated.apart, d));
     }
-    warn_of_others(e, d);
+    if (e->assembly->calibration_count > 0)
+        warn_of_others(e, d);
 }

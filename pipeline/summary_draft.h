@@ -41,7 +41,7 @@ struct gsn_draft {
     struct gsn_report_fit fit;
     struct gsn_report_units units;
     struct gsn_report_tile tile;
-    int linked;                 /* whether untreated tissue tells how the baseline was stained */
+    int linked; /* whether untreated tissue tells how the baseline was stained */
     struct gsn_level_link link;
     int out_of_memory;
 };
@@ -90,8 +90,9 @@ double gsn_draft_density_error(const struct gsn_evidence *e);
 const char *gsn_draft_dyes(const struct gsn_evidence *e);
 const char *gsn_draft_tissue_name(unsigned tissue);
 
-/* summary_calibration.c: what the calibration panels say, and where the slides say otherwise. */
-void gsn_draft_calibration(const struct gsn_evidence *e, struct gsn_draft *d);
+/* summary_calibration.c: the panels' dye vectors that are not the built-in ones and how well they
+ * are known; what the calibration panels say, and where the slides say otherwise. */
+void gsn_draft_vectors(const struct gsn_evidence *e, struct gsn_draft *d);
 
 /* summary_parameters.c: what the figures depend on, in words. */
 void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d);

@@ -259,11 +259,20 @@ void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
             : gsn_draft_dyes(e);
 }
 
+/* Relative standard error of a density that is compared with a baseline by untreated tissue and is
+ * this much of it. The line through the tissues takes out most of what the vectors are off. */
+static double own_error(const struct gsn_assembly *a, double ratio)
+{
+    const struct gsn_turned_left *vectors = &a->levelling.vectors;
+
+    return vectors->known ? hypot(a->step_error, gsn_turned_error(vectors, ratio)) : a->red_error;
+}
+
 /* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
- * it leaves out what all panels have in common. */
+ * it leaves out what all panels have in common and untreated tissue shows. */
 double gsn_draft_own_scale_error(const struct gsn_evidence *e)
 {
-    return e->assembly && e->account ? e->assembly->red_error * e->account->density.mean : 0;
+    return e->assembly && e->account ? own_error(e->assembly, 1) * e->account->density.mean : 0;
 }
 
 double gsn_draft_density_error(const struct gsn_evidence *e)
@@ -292,7 +301,9 @@ static void link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
     control->mean = d->link.gain * b->mean_density + d->link.offset;
     control->standard_error =
         hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
-    treated->standard_error = hypot(gsn_draft_own_scale_error(e), zero_error(e, control->mean));
+    treated->standard_error =
+        hypot(own_error(e->assembly, treated->mean / control->mean) * e->account->density.mean,
+              zero_error(e, control->mean));
 }
 
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
@@ -366,4 +377,11 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
     }
     r->loss_percent = loss.percent;
     r->loss_points = loss.points;
+    if (d->linked && e->assembly->levelling.vectors.known) {
+        const double ratio = treated.mean / control.mean;
+
+        gsn_draft_value(d->measure, &r->measure_count, "Standard error of the loss by dye vectors",
+                        100 * ratio * gsn_turned_error(&e->assembly->levelling.vectors, ratio),
+                        "%");
+    }
 }

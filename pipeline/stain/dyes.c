@@ -47,13 +47,10 @@ static void unit(double v[3])
 
 void gsn_dyes_ways(const double v[3], double ret_way[2][3])
 {
-    int least = 0;
-    double axis[3] = { 0 };
+    /* No dye, absorbing what it may, lies nearer than 45 degrees to this, so neighbouring vectors
+     * have neighbouring ways. */
+    static const double axis[3] = { M_SQRT1_2, -M_SQRT1_2, 0 };
 
-    for (int c = 1; c < 3; c++)
-        if (fabs(v[c]) < fabs(v[least]))
-            least = c;
-    axis[least] = 1;
     cross(v, axis, ret_way[0]);
     unit(ret_way[0]);
     cross(v, ret_way[0], ret_way[1]);

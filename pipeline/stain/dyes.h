@@ -40,7 +40,6 @@ GSN_DEFINE_AUTO(gsn_stain_sample);
 int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *const od[3],
                          const struct gsn_image *mask, const struct gsn_glass *glass,
                          struct gsn_error *err);
-size_t gsn_stain_sample_count(const struct gsn_stain_sample *sample);
 
 /* Where the vectors are expected: those of the protocol, or of the batch's calibration. */
 struct gsn_dyes_prior {
@@ -69,8 +68,9 @@ struct gsn_dyes_fit {
 int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dyes_prior *prior,
                       struct gsn_dyes_fit *ret_fit, struct gsn_error *err);
 
-/* The two ways a vector can turn, unit vectors across to it and to each other: across to the axis
- * it has least of, and across to both. */
+/* The two ways a vector without negative entries can turn, unit vectors across to it and to each
+ * other. Vectors that differ little have ways that differ little, so the turns of one panel and
+ * those of another, or of the prior, mean the same. */
 void gsn_dyes_ways(const double vector[3], double ret_way[2][3]);
 
 /* The dyes with each vector turned; lengths stay 1, entries that would be negative are 0. */
@@ -90,7 +90,7 @@ int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes 
 
 /* What the stained pixels absorb, whatever vectors their dyes have. */
 struct gsn_stain_look {
-    double red;    /* share that absorbs green most, as acid fuchsin does */
+    double red;    /* share that absorbs green well above red, as acid fuchsin does */
     double yellow; /* share that absorbs blue far more than green, as picric acid does */
     size_t pixels; /* stained, and not too pale to have a hue */
 };

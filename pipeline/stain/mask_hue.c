@@ -15,9 +15,10 @@
 
 #include <math.h>
 
-/* A hue is the share that red and green have in the sum of the three densities; bins are 3 to 4
- * degrees wide. */
-enum { ACROSS = 25, BINS = ACROSS * ACROSS };
+/* A hue is the share that red and green have in the sum of the three densities; bins are about
+ * 2 degrees wide. Evened over 3 x 3 they reach no farther than a colour has to be from the dyes to
+ * be foreign; else ordinary tissue would stand up for the ink beside it. */
+enum { ACROSS = 50, BINS = ACROSS * ACROSS };
 
 /* Fewer sections cannot outvote a pen. */
 enum { LEAST_SECTIONS = 4 };

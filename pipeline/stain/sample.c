@@ -35,11 +35,6 @@ void gsn_stain_sample_free(struct gsn_stain_sample *sample)
     gsn_free(sample);
 }
 
-size_t gsn_stain_sample_count(const struct gsn_stain_sample *sample)
-{
-    return sample->count;
-}
-
 /* Optical density per code (of 0..1) at this light: how far an error of the code reaches. */
 static double reach_of_code(enum gsn_light light, double linear)
 {

@@ -302,6 +302,45 @@ TEST(running_out_of_memory_while_levelling_is_said)
     CHECK_EVERY_OOM(gsn_assembly_sum_errors(&SPECIMEN, a, &err), err);
 }
 
+/* As these vectors see the columns: what is not red is yellow. */
+static void stain_columns(struct gsn_assembly *a, const struct gsn_dyes_fit *fit)
+{
+    const struct gsn_dyes *dyes = &fit->dyes;
+
+    for (size_t i = 0; i < gsn_lattice_count(&a->columns->density->at); i++) {
+        const double density = (double)a->columns->density->value[i];
+
+        for (int c = 0; c < 3; c++)
+            a->columns->od[c]->value[i] = (float)(dyes->full_red_od * density * dyes->red[c] +
+                                                  0.34 * (1 - 0.55 * density) * dyes->yellow[c]);
+    }
+    for (int p = 0; p < PANELS; p++)
+        a->panel[p].stain.fit = *fit;
+}
+
+/* Yellow goes down in a line as red goes up, so all that vectors do is on the line of the untreated
+ * tissues; vectors that are taken as exact have no error. */
+TEST(what_vectors_do_alike_to_untreated_tissue_and_region_is_not_counted)
+{
+    const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(GSN_LIGHT_CODES_LINEAR);
+    const struct gsn_dyes_fit stated = gsn_dyes_as_stated(&prior), exact = { .dyes = prior.dyes };
+    struct drawing treated = EVEN;
+    struct gsn_error err = { 0 };
+
+    treated.loss = 0.4;
+    gsn_auto(gsn_assembly) a = draw(&treated);
+    gsn_auto(gsn_assembly) b = draw(&treated);
+
+    stain_columns(a, &stated);
+    CHECK_OK(level(a, &err), err);
+    CHECK(a->levelling.vectors.known);
+    CHECK_NEAR(gsn_turned_error(&a->levelling.vectors, 1), 0, 1e-3);
+    CHECK(gsn_turned_error(&a->levelling.vectors, 0.6) > 0.01);
+    stain_columns(b, &exact);
+    CHECK_OK(level(b, &err), err);
+    CHECK(!b->levelling.vectors.known);
+}
+
 TEST(running_out_of_memory_among_tissues_is_said)
 {
     const struct gsn_lattice coarse = { 55, 50, SECTIONS, { -1728, -1568, 12 }, { 64, 64, 24 } };
@@ -368,6 +407,9 @@ TEST(a_cell_holds_the_mean_of_its_tissue)
         CHECK_NEAR((double)columns->density->value[16], 0.5, 0.04);
         CHECK_NEAR((double)columns->density->value[21], 0.5, 1e-6);
         CHECK_NEAR((double)columns->tissue->value[21], 1, 0);
+        CHECK_NEAR((double)columns->od[0]->value[21], log10(255 / 81.0), 1e-4);
+        CHECK_NEAR((double)columns->od[1]->value[21], 0, 1e-6);
+        CHECK(is_nan((double)columns->od[0]->value[19]));
         CHECK(is_nan((double)columns->density->value[19]));
         CHECK_NEAR((double)columns->tissue->value[19], 0, 0);
     }

@@ -4,6 +4,7 @@
  * looked at with and without what the tissue itself says of its dyes. */
 #include "pipeline/stain/mask.h"
 
+#include "pipeline/stain/absorb.h"
 #include "tests/check.h"
 #include "tests/stain/paint.h"
 
@@ -212,6 +213,75 @@ TEST(pens_are_ink_whatever_the_slides_own_dyes_are)
                 CHECK_NEAR(ink_of(&p, 1), 1, 0.001);
                 CHECK(ink_of(&p, 0) < 0.01);
             }
+}
+
+/* ---- bands ---- */
+
+enum { BANDED = 4, BAND_AT = 40, BAND = 4 }; /* the section; pixels */
+
+/* A band of one hue over every section, so many times as wide on one of them. */
+static void draw_bands(struct panel *p, const double od[3], int times)
+{
+    struct gsn_error err = { 0 };
+    struct dice dice = { 9 };
+
+    for (int at = 0; at < COUNT; at++) {
+        const int x = at % WIDTH, y = at / WIDTH, u = x % PITCH_X, v = y % PITCH_Y;
+        const int i = y / PITCH_Y * COLUMNS + x / PITCH_X;
+
+        if (!in_tissue(u, v) || u < BAND_AT || u >= BAND_AT + BAND * (i == BANDED ? times : 1))
+            continue;
+        for (int c = 0; c < 3; c++)
+            ((uint8_t *)p->image->samples)[3 * at + c] =
+                (uint8_t)(WHITE[c] * pow(10, -od[c]) + NOISE * dice_normal(&dice) + 0.5);
+    }
+    for (int c = 0; c < 3; c++) {
+        gsn_plane_free(p->od[c]);
+        p->od[c] = NULL;
+    }
+    CHECK_OK(gsn_absorb_thin(p->image, &p->glass, 1, p->od, &err), err);
+}
+
+/* Share of the widest band that is ink. */
+static double banded_ink(const struct panel *p, int times)
+{
+    size_t all = 0, ink = 0;
+
+    for (int v = 0; v < PITCH_Y; v++)
+        for (int u = BAND_AT; u < BAND_AT + BAND * times; u++) {
+            const int x = BANDED % COLUMNS * PITCH_X + u, y = BANDED / COLUMNS * PITCH_Y + v;
+
+            if (!in_tissue(u, v))
+                continue;
+            all++;
+            ink += (gsn_mask_label(p->labels, BANDED, x, y) & GSN_DEFECT_INK) != 0;
+        }
+    return (double)ink / (double)all;
+}
+
+/* The panel's own dyes explain both colours. One is unlike all that the sections have besides; the
+ * other is 8 degrees from ordinary tissue, of which there is plenty. */
+TEST(a_section_with_eight_times_its_panels_share_of_a_hue_has_ink_there)
+{
+    const struct gsn_dyes own = other_yellow(), stated = gsn_dyes_builtin();
+    static const double amounts[][2] = { { 0, 0.5 }, { 0.15, 0.5 } };
+
+    for (int k = 0; k < 2; k++) {
+        double od[3];
+
+        for (int c = 0; c < 3; c++)
+            od[c] = amounts[k][0] * own.red[c] + amounts[k][1] * own.yellow[c];
+        for (int times = 2; times <= 8; times += 6) {
+            panel_auto p = { 0 };
+
+            draw(&p, &stated, NO_PEN, 1);
+            draw_bands(&p, od, times);
+            find(&p, NULL);
+            CHECK(banded_ink(&p, times) > 0.99); /* by the stated dyes */
+            find(&p, &own);
+            CHECK(times == 2 ? banded_ink(&p, times) < 0.01 : banded_ink(&p, times) > 0.99);
+        }
+    }
 }
 
 TEST(three_sections_outvote_no_pen)

@@ -1,0 +1,52 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What an error of the dye vectors leaves in a loss once the stain of both specimens was compared
+ * by tissue that nobody treated.
+ *
+ * A vector that is off multiplies red and adds to it, and that the untreated tissues show as well:
+ * the line through them takes it out (stain/level.h). Two things stay. What is added to both sides
+ * alike cancels in their difference and not in their ratio; and tissue that holds more of another
+ * dye than untreated tissue of its density does, as inflamed bone holds nuclei, lies off the line.
+ */
+#ifndef GSN_STAIN_TURNED_H
+#define GSN_STAIN_TURNED_H
+
+#include "pipeline/stain/dyes.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A tissue's mean density, and how it moves as the vectors turn. Begins as zeros. */
+struct gsn_turned {
+    double red;
+    double by_turn[GSN_DYE_TURNS]; /* per radian */
+    double weight;                 /* of all that was added */
+};
+
+/* Adds tissue of these mean densities, seen with these vectors.
+ * Fails with GSN_E_STAIN when the vectors lie in one plane. */
+int gsn_turned_add(struct gsn_turned *tissue, const struct gsn_dyes *dyes, const double od[3],
+                   double weight, struct gsn_error *err);
+
+/* Variances, relative to the density of the region. */
+struct gsn_turned_left {
+    int known;
+    double off;  /* by what the region is off the line through the untreated tissues */
+    double zero; /* by where that line puts density 0 */
+    double both; /* covariance of the two */
+};
+
+/* What is left in a region's density. Not known where fewer than two tissues have weight, the
+ * region has none, or the tissues are of one density. */
+struct gsn_turned_left gsn_turned_left_of(const struct gsn_turned *tissue, size_t count,
+                                          const struct gsn_turned *region,
+                                          const double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS]);
+
+/* Relative standard error of the region's density over the baseline's, when it is this. */
+double gsn_turned_error(const struct gsn_turned_left *left, double ratio);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -89,7 +89,7 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     gsn_auto_mem(double) z = gsn_alloc_array(n, sizeof *z);
     gsn_auto_mem(size_t) place = gsn_alloc_array(n, sizeof *place);
     gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
-    gsn_auto_mem(unsigned char) known = gsn_alloc_array(2 * n * count, 1);
+    gsn_auto_mem(unsigned char) known = gsn_alloc_array((2 * n + 1) * count, 1);
     double(*motion)[GSN_SEQUENCE_MOTION] = gsn_alloc_array(n, sizeof *motion);
     gsn_auto_mem(void) own_motion = motion;
     gsn_auto_mem(float) of_cells = gsn_alloc_array(7 * count, sizeof *of_cells);
@@ -108,6 +108,7 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     t.place = place;
     t.known = known;
     t.whole = known + n * count;
+    t.told = t.whole + n * count;
     t.motion = motion;
     t.noise2 = of_cells;
     t.deviation = of_cells + count;

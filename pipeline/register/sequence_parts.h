@@ -64,6 +64,7 @@ struct gsn_sequence_tissue {
     float *filled;                         /* as many: as they came, holes filled */
     unsigned char *whole;                  /* as many: where filled was known */
     unsigned char *known;                  /* as many: where value is */
+    unsigned char *told;                   /* cells: where a place is foretold: scratch */
     double (*motion)[GSN_SEQUENCE_MOTION]; /* n: from value to filled, in cells */
     float *noise2, *deviation;             /* cells: of one section, and its root */
     float *change, *energy;                /* cells: scratch */
@@ -99,6 +100,14 @@ struct gsn_sequence_modes {
 void gsn_sequence_take_off(const struct gsn_sequence_tissue *tissue,
                            const struct gsn_sequence_modes *modes, float *const *off, size_t count);
 size_t gsn_sequence_modes_size(size_t columns, size_t rows);
+
+/* What the planes of a line foretell of the place that it belongs to, of every step-th cell; of all
+ * cells, three on one side are held to their middle. A cell that some of them do not know is the
+ * others' on that side: it was filled from beside, and would foretell of what lies there now that
+ * it lies right. Clears told where no plane of a side knows it. */
+void gsn_sequence_foretell(const struct gsn_sequence_tissue *tissue,
+                           const struct gsn_sequence_line *line, size_t place, size_t step,
+                           float *ret_value, unsigned char *told);
 
 /* What sets a section apart from the line through its neighbours, cell by cell, in the median.
  * Fails with GSN_E_NOMEM. */

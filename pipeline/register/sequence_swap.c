@@ -24,6 +24,9 @@ static const double FIT = 0.5, CONVINCING = 0.5;
 /* As numbered two show more than both ways say, as each was laid by those around it: this share is
  * left. */
 static const double LAID = 0.85;
+/* Where fewer neighbours than these lie above SHOWN, what they show is noise, and so is what adds
+ * up of it: no distance asks for less than neighbours do. */
+static const double HARDLY_ANY = 0.5;
 /* Of all swaps at a distance so many show where it is said that they do. */
 static const double NEARLY_ALL = 0.95;
 
@@ -200,8 +203,13 @@ static double share_shown(const struct gsn_sequence_search *a, size_t f, double 
 
 static void tell_shown(struct gsn_sequence_search *a, struct gsn_sequence *found)
 {
+    const double neighbours = share_shown(a, 1, SHOWN);
+
     for (size_t f = 1; f <= NEAR; f++) {
-        a->least[f - 1] = LEAST_AGAINST + MORE * (1 - share_shown(a, f, SHOWN));
+        const double share = share_shown(a, f, SHOWN);
+
+        a->least[f - 1] = LEAST_AGAINST +
+                          MORE * (1 - (neighbours < HARDLY_ANY ? fmin(share, neighbours) : share));
         found->shown[f - 1] = share_shown(a, f, a->least[f - 1]);
     }
     for (size_t f = a->t->n - 1;

@@ -260,6 +260,32 @@ TEST(sections_from_either_end_are_laid_again_where_they_belong)
     }
 }
 
+/* Of a torn section nothing is known over half of the frame. Whatever stands in for it there does
+ * not speak for those beside it, in whichever order they lie. */
+TEST(what_a_torn_section_lacks_says_nothing_of_those_beside_it)
+{
+    struct draw_chance chance = { 21 };
+    size_t found = 0, others = 0;
+
+    for (unsigned t = 0; t < 6; t++) {
+        const unsigned torn = t & 1 ? 0 : SECTIONS - 1, a = torn ? SECTIONS - 4 : 1;
+
+        see_all(&chance);
+        for (int c = 0; c < CELLS; c++)
+            if (c % COLUMNS < COLUMNS / 2)
+                seen[torn][c] = NAN;
+        planes[a].density = seen[a + 2];
+        planes[a + 2].density = seen[a];
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+
+        found += has(s, GSN_SEQUENCE_SWAP, a, a + 2) != 0;
+        others += s->count;
+    }
+    others -= found;
+    print_message("  %zu of 6 swaps found, %zu other proposals\n", found, others);
+    CHECK(found == 6 && others == 0);
+}
+
 /* Two sections drawn from all, in each other's places, alone in their stack. */
 static void swap_any(struct draw_chance *chance, unsigned ret_at[2])
 {

@@ -129,10 +129,23 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
 /* Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
                                  size_t rows, struct gsn_sequence *found, struct gsn_error *err);
-/* Of the stack's tissue, after the duplicates. Fails with GSN_E_NOMEM. */
+/* Of the stack's tissue; sections that are out are in no swap. Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_swaps(struct gsn_sequence_tissue *tissue,
-                            const struct gsn_sequence_plane *planes, struct gsn_sequence *found,
-                            struct gsn_error *err);
+                            const struct gsn_sequence_plane *planes, const char *out,
+                            struct gsn_sequence *found, struct gsn_error *err);
+
+/* Of every section that was found there twice the first mount, or the second. */
+void gsn_sequence_leave_out(const struct gsn_sequence_plane *planes,
+                            const struct gsn_sequence *found, int second, char *ret_out, size_t n);
+/* Whether both mounts of every such section lie side by side, and in none of the swaps found with
+ * one of them left out. Else either may be the one that lies wrong. */
+int gsn_sequence_is_settled(const struct gsn_sequence_plane *planes,
+                            const struct gsn_sequence *found);
+/* Of the swaps found with the one mount and those with the other left out those stand that bring
+ * the two together, and those found both ways that do not part them. room: of as many findings as
+ * both have. */
+void gsn_sequence_agree(const struct gsn_sequence_plane *planes, const struct gsn_sequence *other,
+                        struct gsn_sequence *found, char *room);
 
 #ifdef __cplusplus
 }

@@ -368,6 +368,41 @@ TEST(a_section_mounted_twice_is_found_across_the_stack)
     }
 }
 
+/* A swap of a section that is there twice, or of one beside it: [2 1 2 0 ...], say. The pair is
+ * named, or none; the two mounts are named all the same. */
+TEST(beside_a_section_mounted_twice_no_wrong_pair_is_named)
+{
+    static const unsigned pair[][2] = {
+        { 0, 3 }, { 1, 3 }, { 2, 4 }, { 3, 4 }, { 0, 2 }, { 1, 4 }
+    };
+    const size_t pairs = sizeof pair / sizeof *pair, trials = 2 * pairs;
+    struct draw_chance chance = { 31 };
+    size_t found = 0, others = 0, duplicates = 0;
+
+    for (size_t t = 0; t < trials; t++) {
+        const unsigned first = t < pairs ? 0 : SECTIONS / 2;
+        const unsigned a = first + pair[t % pairs][0], b = first + pair[t % pairs][1];
+
+        see_all(&chance);
+        mount_again(seen[first + 3], (int)first + 2, &chance);
+        planes[a].density = seen[b];
+        planes[b].density = seen[a];
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+
+        for (size_t i = 0; i < s->count; i++) {
+            const int swap = s->finding[i].kind == GSN_SEQUENCE_SWAP;
+
+            duplicates += (size_t)!swap;
+            others += (size_t)swap;
+        }
+        found += has(s, GSN_SEQUENCE_SWAP, a, b) != 0;
+    }
+    others -= found;
+    print_message("  %zu of %zu swaps found, %zu other proposals\n", found, trials, others);
+    CHECK(duplicates == trials);
+    CHECK(others == 0 && 4 * found >= 3 * trials);
+}
+
 TEST(sections_without_detail_of_their_own_are_not_called_duplicates)
 {
     see_without_grain(1);

@@ -66,8 +66,8 @@ static double level_of(const float *value, size_t count)
     return sum > 0 ? square / sum : 1;
 }
 
-static void fill_tissue(const struct gsn_sequence_plane *planes, struct gsn_sequence_cells *cells,
-                        struct gsn_sequence_tissue *t)
+static void fill_tissue(const struct gsn_sequence_plane *planes, const char *out,
+                        struct gsn_sequence_cells *cells, struct gsn_sequence_tissue *t)
 {
     const size_t count = t->columns * t->rows;
     double level;
@@ -78,18 +78,21 @@ static void fill_tissue(const struct gsn_sequence_plane *planes, struct gsn_sequ
         t->place[k] = k;
     for (size_t c = 0; c < t->n * count; c++) {
         t->filled[c] = (float)((double)cells->value[c] / level);
-        t->whole[c] = (unsigned char)!isnan(planes[c / count].density[c % count]);
+        t->whole[c] =
+            (unsigned char)(!out[c / count] && !isnan(planes[c / count].density[c % count]));
     }
 }
 
-static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
-                      size_t rows, struct gsn_sequence *found, struct gsn_error *err)
+/* As if nothing were known of the sections that are left out. */
+static int find_swaps(const struct gsn_sequence_plane *planes, const char *out, size_t n,
+                      size_t columns, size_t rows, struct gsn_sequence *found,
+                      struct gsn_error *err)
 {
     const size_t count = columns * rows;
     gsn_auto_mem(double) z = gsn_alloc_array(n, sizeof *z);
     gsn_auto_mem(size_t) place = gsn_alloc_array(n, sizeof *place);
     gsn_auto_mem(float) value = gsn_alloc_array(2 * n * count, sizeof *value);
-    gsn_auto_mem(unsigned char) known = gsn_alloc_array(2 * n * count, 1);
+    gsn_auto_mem(unsigned char) known = gsn_alloc_array((2 * n + 1) * count, 1);
     double(*motion)[GSN_SEQUENCE_MOTION] = gsn_alloc_array(n, sizeof *motion);
     gsn_auto_mem(void) own_motion = motion;
     gsn_auto_mem(float) of_cells = gsn_alloc_array(7 * count, sizeof *of_cells);
@@ -108,6 +111,7 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     t.place = place;
     t.known = known;
     t.whole = known + n * count;
+    t.told = t.whole + n * count;
     t.motion = motion;
     t.noise2 = of_cells;
     t.deviation = of_cells + count;
@@ -118,14 +122,37 @@ static int find_swaps(const struct gsn_sequence_plane *planes, size_t n, size_t 
     t.off_too = of_cells + 6 * count;
     t.modes = modes;
     t.square = square;
-    fill_tissue(planes, &cells, &t);
+    fill_tissue(planes, out, &cells, &t);
     r = gsn_sequence_lay(&t, err);
     if (r >= 0)
         r = gsn_sequence_learn_noise(&t, err);
     if (r >= 0)
-        r = gsn_sequence_find_swaps(&t, planes, found, err);
+        r = gsn_sequence_find_swaps(&t, planes, out, found, err);
     if (r >= 0)
         found->unseen = unseen(planes, n, count, found->reach ? found->reach : (unsigned)-1);
+    return r;
+}
+
+/* Of a section that is there twice one mount is left out, and where it may be the other that lies
+ * wrong, that one too. */
+static int find_once(const struct gsn_sequence_plane *planes, size_t n, size_t columns, size_t rows,
+                     struct gsn_sequence *found, struct gsn_error *err)
+{
+    gsn_auto_mem(char) out = gsn_alloc_array(4 * n + 2, 1);
+    gsn_auto_mem(struct gsn_sequence_finding) finding = gsn_alloc_array(n + 1, sizeof *finding);
+    struct gsn_sequence other = { .finding = finding };
+    int r;
+
+    if (!out || !finding)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", n);
+    gsn_sequence_leave_out(planes, found, 0, out, n);
+    r = find_swaps(planes, out, n, columns, rows, found, err);
+    if (r < 0 || gsn_sequence_is_settled(planes, found))
+        return r;
+    gsn_sequence_leave_out(planes, found, 1, out, n);
+    r = find_swaps(planes, out, n, columns, rows, &other, err);
+    if (r >= 0)
+        gsn_sequence_agree(planes, &other, found, out);
     return r;
 }
 
@@ -146,7 +173,7 @@ int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, 
     if (count >= LEAST)
         r = gsn_sequence_find_duplicates(planes, count, columns, rows, found, err);
     if (r >= 0 && count >= LEAST)
-        r = find_swaps(planes, count, columns, rows, found, err);
+        r = find_once(planes, count, columns, rows, found, err);
     if (r < 0)
         return r;
     qsort(found->finding, found->count, sizeof *found->finding, order);

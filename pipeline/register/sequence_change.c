@@ -6,13 +6,12 @@
 #include <math.h>
 #include <string.h>
 
-enum { SIDE = GSN_SEQUENCE_SIDE, SQUARE = 6, SMOOTHINGS = 3, NOISE_SMOOTHINGS = 4 };
+enum { SQUARE = 6, SMOOTHINGS = 3, NOISE_SMOOTHINGS = 4 };
 
 /* Median of the square of a standard normal number. */
 static const double MEDIAN_SQUARE = 0.455;
-/* A section's density is off the middle one of three on its side by no more than this, and two
- * sections differ by no more, in standard deviations of their noise: dirt, tears and debris of one
- * section have no more say than that. */
+/* Two sections differ by no more than this, in standard deviations of their noise: dirt, tears and
+ * debris of one section have no more say than that. */
 static const double MOST = 3;
 /* Least noise variance of a cell, in squares of the tissue's density. */
 static const double LEAST_NOISE2 = 1e-4;
@@ -69,54 +68,6 @@ static float clip(float value, float most)
     return least(greatest(value, -most), most);
 }
 
-static void add_plane(float *restrict sum, const float *plane, float much, size_t cells)
-{
-    for (size_t c = 0; c < cells; c++)
-        sum[c] += much * plane[c];
-}
-
-/* Three sections on one side, held to their middle. */
-static void add_held(float *restrict sum, const float *const side[SIDE], const float much[SIDE],
-                     const float *deviation, size_t cells)
-{
-    const float *a = side[0], *b = side[1], *d = side[2];
-
-    for (size_t c = 0; c < cells; c++) {
-        const float most = (float)MOST * deviation[c];
-        const float mid = greatest(least(a[c], b[c]), least(greatest(a[c], b[c]), d[c]));
-
-        sum[c] += much[0] * (mid + clip(a[c] - mid, most)) +
-                  much[1] * (mid + clip(b[c] - mid, most)) +
-                  much[2] * (mid + clip(d[c] - mid, most));
-    }
-}
-
-/* Adds what a line foretells. */
-static void add_line(const struct gsn_sequence_tissue *t, const struct gsn_sequence_line *line,
-                     size_t place, float *sum)
-{
-    const size_t cells = t->columns * t->rows;
-
-    for (size_t first = 0; first < line->count;) {
-        const float *side[SIDE];
-        float much[SIDE];
-        size_t count = 0;
-
-        for (; first + count < line->count &&
-               (line->at[first + count] > place) == (line->at[first] > place);
-             count++) {
-            side[count] = plane_at(t, line->at[first + count]);
-            much[count] = (float)line->weight[first + count];
-        }
-        if (count == SIDE)
-            add_held(sum, side, much, t->deviation, cells);
-        else
-            for (size_t k = 0; k < count; k++)
-                add_plane(sum, side[k], much[k], cells);
-        first += count;
-    }
-}
-
 /* Variance of the difference of two lines over one section's. */
 static double noise_between(const struct gsn_sequence_line *a, const struct gsn_sequence_line *b)
 {
@@ -149,14 +100,15 @@ static double square_sum(const struct gsn_sequence_tissue *t, const float *cells
 static void make_filter(const struct gsn_sequence_tissue *t, const struct gsn_sequence_modes *m,
                         double noise)
 {
-    const unsigned char *known = m->known[0], *known_too = m->known[1];
+    const unsigned char *known = m->known[0], *known_too = m->known[1], *told = t->told;
     const float *noise2 = t->noise2, *change = t->change, beyond = (float)(BEYOND * noise);
     float *restrict energy = t->energy;
 
     for (size_t c = 0; c < t->columns * t->rows; c++) {
         const float share = 1 - beyond * noise2[c] / greatest(energy[c], 1e-12f);
 
-        energy[c] = (float)(known[c] & known_too[c]) * greatest(share, 0) * change[c] / noise2[c];
+        energy[c] =
+            (float)(known[c] & known_too[c] & told[c]) * greatest(share, 0) * change[c] / noise2[c];
     }
 }
 
@@ -205,10 +157,10 @@ static void lay_between(const struct gsn_sequence_tissue *t, size_t i, size_t j)
     gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
 }
 
-/* Leaves the change foretold in change, its smooth square in energy, and in off and off_too how the
- * two planes differ from the middle between the places, each without what laying and stain may have
- * to do with it: a section's own laying follows its neighbours and would say that it lies right
- * wherever it is. */
+/* Leaves the change foretold in change, where it is in told, its smooth square in energy, and in
+ * off and off_too how the two planes differ from the middle between the places, each without what
+ * laying and stain may have to do with it: a section's own laying follows its neighbours and would
+ * say that it lies right wherever it is. */
 static struct gsn_sequence_modes differ(const struct gsn_sequence_tissue *t, size_t i, size_t j,
                                         double *ret_noise)
 {
@@ -221,10 +173,9 @@ static struct gsn_sequence_modes differ(const struct gsn_sequence_tissue *t, siz
     };
 
     lay_between(t, i, j);
-    memset(t->off, 0, cells * sizeof *t->off);
-    memset(t->off_too, 0, cells * sizeof *t->off_too);
-    add_line(t, &a, i, t->off);
-    add_line(t, &b, j, t->off_too);
+    memset(t->told, 1, cells);
+    gsn_sequence_foretell(t, &a, i, 1, t->off, t->told);
+    gsn_sequence_foretell(t, &b, j, 1, t->off_too, t->told);
     for (size_t c = 0; c < cells; c++) {
         const float middle_density = 0.5f * (t->off[c] + t->off_too[c]);
 

@@ -44,21 +44,16 @@ size_t gsn_sequence_sample(const struct gsn_sequence_tissue *t)
     return (t->columns * t->rows + EVERY - 1) / EVERY;
 }
 
-/* The line through the sections around a place, itself left out. */
-static void foretell(const struct gsn_sequence_tissue *t, size_t place, float *ret_sample)
+/* The line through the sections around a place, itself left out, and where it tells. */
+static struct gsn_sequence_line foretell(const struct gsn_sequence_tissue *t, size_t place,
+                                         float *ret_sample)
 {
-    const size_t cells = t->columns * t->rows, sample = gsn_sequence_sample(t);
     const struct gsn_sequence_line line =
         gsn_sequence_line_at(t->z, t->n, place, place, t->z[place]);
 
-    memset(ret_sample, 0, sample * sizeof *ret_sample);
-    for (size_t k = 0; k < line.count; k++) {
-        const float *plane = t->value + t->place[line.at[k]] * cells;
-        const float weight = (float)line.weight[k];
-
-        for (size_t c = 0; c < sample; c++)
-            ret_sample[c] += weight * plane[EVERY * c];
-    }
+    memset(t->told, 1, gsn_sequence_sample(t));
+    gsn_sequence_foretell(t, &line, place, EVERY, ret_sample, t->told);
+    return line;
 }
 
 /* The plane at a place, and how much each cell counts. */
@@ -89,19 +84,18 @@ static double distance(const float *one, const float *other, const float *weight
 
 void gsn_sequence_add_misfit(struct gsn_sequence_search *a, size_t place, float *sum)
 {
-    const size_t n = a->t->n, sample = gsn_sequence_sample(a->t);
-    const struct gsn_sequence_line line =
-        gsn_sequence_line_at(a->t->z, n, place, place, a->t->z[place]);
+    const size_t sample = gsn_sequence_sample(a->t);
+    float *foretold = a->t->off_too, *plane = a->t->off, *weight = a->t->energy;
+    const unsigned char *told = a->t->told;
+    const struct gsn_sequence_line line = foretell(a->t, place, foretold);
     const float scale = (float)(1 / (1 + gsn_sequence_line_noise(&line)));
     const float most = (float)(MOST * MOST);
-    float *foretold = a->t->off_too, *plane = a->t->off, *weight = a->t->energy;
 
-    foretell(a->t, place, foretold);
     take(a->t, place, plane, weight);
     for (size_t c = 0; c < sample; c++) {
         const float off = plane[c] - foretold[c], square = off * off * weight[c] * scale;
 
-        sum[c] += square < most ? square : most;
+        sum[c] += (float)told[c] * (square < most ? square : most);
     }
 }
 
@@ -126,7 +120,7 @@ void gsn_sequence_compare_far(struct gsn_sequence_search *a)
     float *plane = a->t->off, *weight = a->t->energy;
 
     for (size_t m = 0; m < n; m++)
-        foretell(a->t, m, a->sample + m * sample);
+        (void)foretell(a->t, m, a->sample + m * sample);
     for (size_t k = 0; k < n; k++) {
         take(a->t, k, plane, weight);
         for (size_t m = 0; m < n; m++)

@@ -35,23 +35,9 @@ void gsn_sequence_lay_around(struct gsn_sequence_search *a, const size_t place[2
         gsn_sequence_lay_again(a->t, at[i]);
 }
 
-void gsn_sequence_keep(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
-{
-    const struct gsn_sequence_tissue *t = a->t;
-    const size_t cells = t->columns * t->rows;
-    size_t at[GSN_SEQUENCE_AFFECTED];
-    const size_t count = gsn_sequence_affected(t->n, swap->place, at);
-
-    for (size_t i = 0; i < count; i++) {
-        const size_t plane = t->place[at[i]];
-
-        memcpy(a->kept_value + i * cells, t->value + plane * cells, cells * sizeof(float));
-        memcpy(a->kept_known + i * cells, t->known + plane * cells, cells);
-        memcpy(a->kept_motion[i], t->motion[plane], sizeof a->kept_motion[i]);
-    }
-}
-
-void gsn_sequence_put_back(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+/* Between the planes around a swap and their scratch. */
+static void copy_around(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap,
+                        int back)
 {
     struct gsn_sequence_tissue *t = a->t;
     const size_t cells = t->columns * t->rows;
@@ -59,12 +45,25 @@ void gsn_sequence_put_back(struct gsn_sequence_search *a, const struct gsn_seque
     const size_t count = gsn_sequence_affected(t->n, swap->place, at);
 
     for (size_t i = 0; i < count; i++) {
-        const size_t plane = t->place[at[i]];
+        float *value = t->value + t->place[at[i]] * cells, *kept_value = a->kept_value + i * cells;
+        unsigned char *known = t->known + t->place[at[i]] * cells,
+                      *kept_known = a->kept_known + i * cells;
+        double *motion = t->motion[t->place[at[i]]], *kept_motion = a->kept_motion[i];
 
-        memcpy(t->value + plane * cells, a->kept_value + i * cells, cells * sizeof(float));
-        memcpy(t->known + plane * cells, a->kept_known + i * cells, cells);
-        memcpy(t->motion[plane], a->kept_motion[i], sizeof a->kept_motion[i]);
+        memcpy(back ? value : kept_value, back ? kept_value : value, cells * sizeof *value);
+        memcpy(back ? known : kept_known, back ? kept_known : known, cells);
+        memcpy(back ? motion : kept_motion, back ? kept_motion : motion, sizeof *t->motion);
     }
+}
+
+void gsn_sequence_keep(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+{
+    copy_around(a, swap, 0);
+}
+
+void gsn_sequence_put_back(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)
+{
+    copy_around(a, swap, 1);
 }
 
 void gsn_sequence_exchange(struct gsn_sequence_search *a, const struct gsn_sequence_swap *swap)

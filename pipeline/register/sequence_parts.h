@@ -64,6 +64,7 @@ struct gsn_sequence_tissue {
     float *filled;                         /* as many: as they came, holes filled */
     unsigned char *whole;                  /* as many: where filled was known */
     unsigned char *known;                  /* as many: where value is */
+    unsigned char *told;                   /* cells: where a place is foretold: scratch */
     double (*motion)[GSN_SEQUENCE_MOTION]; /* n: from value to filled, in cells */
     float *noise2, *deviation;             /* cells: of one section, and its root */
     float *change, *energy;                /* cells: scratch */
@@ -100,6 +101,14 @@ void gsn_sequence_take_off(const struct gsn_sequence_tissue *tissue,
                            const struct gsn_sequence_modes *modes, float *const *off, size_t count);
 size_t gsn_sequence_modes_size(size_t columns, size_t rows);
 
+/* What the planes of a line foretell of the place that it belongs to, of every step-th cell; of all
+ * cells, three on one side are held to their middle. A cell that some of them do not know is the
+ * others' on that side: it was filled from beside, and would foretell of what lies there now that
+ * it lies right. Clears told where no plane of a side knows it. */
+void gsn_sequence_foretell(const struct gsn_sequence_tissue *tissue,
+                           const struct gsn_sequence_line *line, size_t place, size_t step,
+                           float *ret_value, unsigned char *told);
+
 /* What sets a section apart from the line through its neighbours, cell by cell, in the median.
  * Fails with GSN_E_NOMEM. */
 int gsn_sequence_learn_noise(struct gsn_sequence_tissue *tissue, struct gsn_error *err);
@@ -120,10 +129,23 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
 /* Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
                                  size_t rows, struct gsn_sequence *found, struct gsn_error *err);
-/* Of the stack's tissue, after the duplicates. Fails with GSN_E_NOMEM. */
+/* Of the stack's tissue; sections that are out are in no swap. Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_swaps(struct gsn_sequence_tissue *tissue,
-                            const struct gsn_sequence_plane *planes, struct gsn_sequence *found,
-                            struct gsn_error *err);
+                            const struct gsn_sequence_plane *planes, const char *out,
+                            struct gsn_sequence *found, struct gsn_error *err);
+
+/* Of every section that was found there twice the first mount, or the second. */
+void gsn_sequence_leave_out(const struct gsn_sequence_plane *planes,
+                            const struct gsn_sequence *found, int second, char *ret_out, size_t n);
+/* Whether both mounts of every such section lie side by side, and in none of the swaps found with
+ * one of them left out. Else either may be the one that lies wrong. */
+int gsn_sequence_is_settled(const struct gsn_sequence_plane *planes,
+                            const struct gsn_sequence *found);
+/* Of the swaps found with the one mount and those with the other left out those stand that bring
+ * the two together, and those found both ways that do not part them. room: of as many findings as
+ * both have. */
+void gsn_sequence_agree(const struct gsn_sequence_plane *planes, const struct gsn_sequence *other,
+                        struct gsn_sequence *found, char *room);
 
 #ifdef __cplusplus
 }

@@ -29,7 +29,8 @@ struct gsn_sequence_search {
     double *apart;                   /* n * n: of i < j, between what the two places foretell */
     double least[GSN_SEQUENCE_NEAR]; /* how much swaps 1 to NEAR apart must show */
     double gain;                     /* how much of what is foretold a change shows */
-    char *used;                      /* n: in a proposal already */
+    char *used;                      /* n: in a proposal already, or left out */
+    int exchanged;                   /* whether a swap was found */
     char *suspect;                   /* n: of those that fit worst where they lie */
 };
 

@@ -4,6 +4,7 @@
 #include "pipeline/register/median.h"
 
 #include <math.h>
+#include <string.h>
 
 enum { NEAR = GSN_SEQUENCE_NEAR, LIKELY = 6 };
 
@@ -21,9 +22,15 @@ static const double LIKELIER = 2;
 /* How much a better fit speaks for a swap beside the changes that it turns over, which are part of
  * it; and how much must speak for one. */
 static const double FIT = 0.5, CONVINCING = 0.5;
+/* For every further one, as what is laid anew around the first shifts by about this: what is below
+ * shows once the first is put right. */
+static const double CONVINCING_MORE = 1.5;
 /* As numbered two show more than both ways say, as each was laid by those around it: this share is
  * left. */
 static const double LAID = 0.85;
+/* Where fewer neighbours than these lie above SHOWN, what they show is noise, and so is what adds
+ * up of it: no distance asks for less than neighbours do. */
+static const double HARDLY_ANY = 0.5;
 /* Of all swaps at a distance so many show where it is said that they do. */
 static const double NEARLY_ALL = 0.95;
 
@@ -111,7 +118,7 @@ static int find_best(struct gsn_sequence_search *a, struct gsn_sequence_swap *re
     struct gsn_sequence_swap likely[LIKELY] = { 0 }, best[2] = { 0 };
     const size_t count = list_likely(a, likely);
 
-    best[0].convincing = best[1].convincing = CONVINCING;
+    best[0].convincing = best[1].convincing = a->exchanged ? CONVINCING_MORE : CONVINCING;
     for (size_t k = 0; k < count; k++) {
         struct gsn_sequence_swap *of_kind = &best[is_far(&likely[k])];
 
@@ -128,15 +135,6 @@ static int find_best(struct gsn_sequence_search *a, struct gsn_sequence_swap *re
     return is_any(ret_swap);
 }
 
-static int is_duplicate(const struct gsn_sequence *found, unsigned a, unsigned b)
-{
-    for (size_t k = 0; k < found->count; k++)
-        if (found->finding[k].kind == GSN_SEQUENCE_DUPLICATE && found->finding[k].a == a &&
-            found->finding[k].b == b)
-            return 1;
-    return 0;
-}
-
 /* The others are looked for as if the swap found were undone. No section is in two proposals. */
 static void find_all(struct gsn_sequence_search *a, const struct gsn_sequence_plane *planes,
                      struct gsn_sequence *found)
@@ -147,16 +145,16 @@ static void find_all(struct gsn_sequence_search *a, const struct gsn_sequence_pl
         const unsigned first = planes[swap.place[0]].serial, second = planes[swap.place[1]].serial;
 
         a->used[swap.place[0]] = a->used[swap.place[1]] = 1;
+        a->exchanged = 1;
         gsn_sequence_exchange(a, &swap);
         gsn_sequence_compare_far(a);
-        if (!is_duplicate(found, first, second))
-            found->finding[found->count++] =
-                (struct gsn_sequence_finding){ .kind = GSN_SEQUENCE_SWAP,
-                                               .a = first,
-                                               .b = second,
-                                               .evidence = swap.convincing,
-                                               .against = -swap.change.shown,
-                                               .foretold = swap.change.foretold };
+        found->finding[found->count++] =
+            (struct gsn_sequence_finding){ .kind = GSN_SEQUENCE_SWAP,
+                                           .a = first,
+                                           .b = second,
+                                           .evidence = swap.convincing,
+                                           .against = -swap.change.shown,
+                                           .foretold = swap.change.foretold };
     }
 }
 
@@ -190,7 +188,7 @@ static double share_shown(const struct gsn_sequence_search *a, size_t f, double 
     size_t shown = 0, count = 0;
 
     for (size_t i = 0; i + far < n; i++)
-        if (!is_end(a, i, i + far)) {
+        if (!is_end(a, i, i + far) && !a->used[i] && !a->used[i + far]) {
             shown +=
                 (size_t)would_show(a, a->near[i * NEAR + far - 1], (double)f / (double)far, least);
             count++;
@@ -200,8 +198,13 @@ static double share_shown(const struct gsn_sequence_search *a, size_t f, double 
 
 static void tell_shown(struct gsn_sequence_search *a, struct gsn_sequence *found)
 {
+    const double neighbours = share_shown(a, 1, SHOWN);
+
     for (size_t f = 1; f <= NEAR; f++) {
-        a->least[f - 1] = LEAST_AGAINST + MORE * (1 - share_shown(a, f, SHOWN));
+        const double share = share_shown(a, f, SHOWN);
+
+        a->least[f - 1] = LEAST_AGAINST +
+                          MORE * (1 - (neighbours < HARDLY_ANY ? fmin(share, neighbours) : share));
         found->shown[f - 1] = share_shown(a, f, a->least[f - 1]);
     }
     for (size_t f = a->t->n - 1;
@@ -210,7 +213,7 @@ static void tell_shown(struct gsn_sequence_search *a, struct gsn_sequence *found
 }
 
 int gsn_sequence_find_swaps(struct gsn_sequence_tissue *t, const struct gsn_sequence_plane *planes,
-                            struct gsn_sequence *found, struct gsn_error *err)
+                            const char *out, struct gsn_sequence *found, struct gsn_error *err)
 {
     gsn_auto_mem(char) used = gsn_alloc_array(2 * t->n, 1);
     gsn_auto_mem(double) fit = gsn_alloc_array(2 * t->n * t->n, sizeof *fit);
@@ -230,6 +233,7 @@ int gsn_sequence_find_swaps(struct gsn_sequence_tissue *t, const struct gsn_sequ
 
     if (!used || !fit || !near || !kept_value || !kept_known || !sample)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", t->n);
+    memcpy(used, out, t->n);
     a.suspect = used + t->n;
     a.apart = fit + t->n * t->n;
     gsn_sequence_compare_near(&a, NULL);

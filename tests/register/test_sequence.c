@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence.h"
 
+#include "pipeline/register/sequence_parts.h"
+
 #include "tests/check.h"
 #include "tests/phantom/geometry.h"
 #include "tests/register/draw.h"
@@ -260,6 +262,124 @@ TEST(sections_from_either_end_are_laid_again_where_they_belong)
     }
 }
 
+/* Of a torn section nothing is known over half of the frame. Whatever stands in for it there does
+ * not speak for those beside it, in whichever order they lie. */
+TEST(what_a_torn_section_lacks_says_nothing_of_those_beside_it)
+{
+    struct draw_chance chance = { 21 };
+    size_t found = 0, others = 0;
+
+    for (unsigned t = 0; t < 6; t++) {
+        const unsigned torn = t & 1 ? 0 : SECTIONS - 1, a = torn ? SECTIONS - 4 : 1;
+
+        see_all(&chance);
+        for (int c = 0; c < CELLS; c++)
+            if (c % COLUMNS < COLUMNS / 2)
+                seen[torn][c] = NAN;
+        planes[a].density = seen[a + 2];
+        planes[a + 2].density = seen[a];
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+
+        found += has(s, GSN_SEQUENCE_SWAP, a, a + 2) != 0;
+        others += s->count;
+    }
+    others -= found;
+    print_message("  %zu of 6 swaps found, %zu other proposals\n", found, others);
+    CHECK(found == 6 && others == 0);
+}
+
+/* Of a line through seven planes: each lacks a tenth of its cells, where some other value stands.
+ */
+static void foretell_with(float stand_in, float ret_value[CELLS], unsigned char told[CELLS])
+{
+    enum { PLANES = 7, PLACE = 3 };
+    static float value[PLANES * CELLS], deviation[CELLS];
+    static unsigned char known[PLANES * CELLS];
+    size_t place[PLANES];
+    double z[PLANES];
+    struct draw_chance chance = { 41 };
+    const struct gsn_sequence_tissue t = { .n = PLANES,
+                                           .columns = COLUMNS,
+                                           .rows = ROWS,
+                                           .z = z,
+                                           .place = place,
+                                           .value = value,
+                                           .known = known,
+                                           .deviation = deviation };
+
+    for (int k = 0; k < PLANES; k++) {
+        z[k] = k;
+        place[k] = (size_t)k;
+    }
+    for (int c = 0; c < PLANES * CELLS; c++) {
+        const float own = 5 + (float)(c / CELLS) + (float)(0.01 * draw_normal(&chance));
+
+        known[c] = draw_uniform(&chance, 0, 1) > 0.1;
+        value[c] = known[c] ? own : stand_in;
+    }
+    for (int c = 0; c < CELLS; c++)
+        deviation[c] = 1;
+    memset(told, 1, CELLS);
+    const struct gsn_sequence_line line = gsn_sequence_line_at(z, PLANES, PLACE, PLACE, PLACE);
+
+    gsn_sequence_foretell(&t, &line, PLACE, 1, ret_value, told);
+}
+
+/* A straight line through all planes but one, of which a side of three that lacks one of them is
+ * off by no more than its weight times how far that lies from the others. */
+TEST(what_stands_in_for_cells_that_a_section_lacks_is_not_looked_at)
+{
+    static float low[CELLS], high[CELLS];
+    static unsigned char told[CELLS], told_too[CELLS];
+    size_t count = 0;
+
+    foretell_with(-100, low, told);
+    foretell_with(100, high, told_too);
+    for (int c = 0; c < CELLS; c++) {
+        CHECK(told[c] == told_too[c]);
+        count += told[c];
+        if (told[c]) {
+            CHECK(low[c] == high[c]);
+            CHECK(fabs((double)low[c] - 8) < 1.1);
+        }
+    }
+    CHECK(count > 0.99 * CELLS && count < CELLS);
+}
+
+static struct gsn_sequence_finding named(enum gsn_sequence_kind kind, unsigned a, unsigned b,
+                                         double evidence)
+{
+    return (struct gsn_sequence_finding){ .kind = kind, .a = a, .b = b, .evidence = evidence };
+}
+
+/* 0 and 3 changed places, and 2 and 3 are one section: 2 1 2 0. Without the first mount 1 and 3
+ * seem to have changed places, without the second 0 and 3 do, which leaves the mounts side by side.
+ */
+TEST(the_swap_that_leaves_two_mounts_side_by_side_stands)
+{
+    static const float cell[1] = { 1 };
+    const struct gsn_sequence_plane four[] = { { 0, cell }, { 1, cell }, { 2, cell }, { 3, cell } };
+    struct gsn_sequence_finding own[4] = { named(GSN_SEQUENCE_DUPLICATE, 0, 2, 0.6),
+                                           named(GSN_SEQUENCE_SWAP, 2, 3, 9) },
+                                others[] = { named(GSN_SEQUENCE_SWAP, 0, 3, 2) };
+    struct gsn_sequence found = { .count = 2, .finding = own };
+    const struct gsn_sequence other = { .count = 1, .finding = others };
+    char out[4], room[3];
+
+    gsn_sequence_leave_out(four, &found, 0, out, 4);
+    CHECK(out[0] && !out[1] && !out[2] && !out[3]);
+    gsn_sequence_leave_out(four, &found, 1, out, 4);
+    CHECK(!out[0] && !out[1] && out[2] && !out[3]);
+    CHECK(!gsn_sequence_is_settled(four, &found));
+    own[1] = named(GSN_SEQUENCE_SWAP, 1, 3, 9);
+    gsn_sequence_agree(four, &other, &found, room);
+    CHECK(found.count == 2);
+    CHECK(has(&found, GSN_SEQUENCE_SWAP, 0, 3) && has(&found, GSN_SEQUENCE_DUPLICATE, 0, 2));
+    own[0] = named(GSN_SEQUENCE_DUPLICATE, 0, 1, 0.6);
+    found.count = 1;
+    CHECK(gsn_sequence_is_settled(four, &found));
+}
+
 /* Two sections drawn from all, in each other's places, alone in their stack. */
 static void swap_any(struct draw_chance *chance, unsigned ret_at[2])
 {
@@ -340,6 +460,41 @@ TEST(a_section_mounted_twice_is_found_across_the_stack)
 
         CHECK(has(s, GSN_SEQUENCE_DUPLICATE, a, b));
     }
+}
+
+/* A swap of a section that is there twice, or of one beside it: [2 1 2 0 ...], say. The pair is
+ * named, or none; the two mounts are named all the same. */
+TEST(beside_a_section_mounted_twice_no_wrong_pair_is_named)
+{
+    static const unsigned pair[][2] = {
+        { 0, 3 }, { 1, 3 }, { 2, 4 }, { 3, 4 }, { 0, 2 }, { 1, 4 }
+    };
+    const size_t pairs = sizeof pair / sizeof *pair, trials = 2 * pairs;
+    struct draw_chance chance = { 31 };
+    size_t found = 0, others = 0, duplicates = 0;
+
+    for (size_t t = 0; t < trials; t++) {
+        const unsigned first = t < pairs ? 0 : SECTIONS / 2;
+        const unsigned a = first + pair[t % pairs][0], b = first + pair[t % pairs][1];
+
+        see_all(&chance);
+        mount_again(seen[first + 3], (int)first + 2, &chance);
+        planes[a].density = seen[b];
+        planes[b].density = seen[a];
+        gsn_auto(gsn_sequence) s = examined(SECTIONS);
+
+        for (size_t i = 0; i < s->count; i++) {
+            const int swap = s->finding[i].kind == GSN_SEQUENCE_SWAP;
+
+            duplicates += (size_t)!swap;
+            others += (size_t)swap;
+        }
+        found += has(s, GSN_SEQUENCE_SWAP, a, b) != 0;
+    }
+    others -= found;
+    print_message("  %zu of %zu swaps found, %zu other proposals\n", found, trials, others);
+    CHECK(duplicates == trials);
+    CHECK(others == 0 && 4 * found >= 3 * trials);
 }
 
 TEST(sections_without_detail_of_their_own_are_not_called_duplicates)

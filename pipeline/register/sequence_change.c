@@ -53,21 +53,6 @@ int gsn_sequence_learn_noise(struct gsn_sequence_tissue *t, struct gsn_error *er
     return GSN_OK;
 }
 
-static float least(float a, float b)
-{
-    return a < b ? a : b;
-}
-
-static float greatest(float a, float b)
-{
-    return a > b ? a : b;
-}
-
-static float clip(float value, float most)
-{
-    return least(greatest(value, -most), most);
-}
-
 /* Variance of the difference of two lines over one section's. */
 static double noise_between(const struct gsn_sequence_line *a, const struct gsn_sequence_line *b)
 {
@@ -105,10 +90,10 @@ static void make_filter(const struct gsn_sequence_tissue *t, const struct gsn_se
     float *restrict energy = t->energy;
 
     for (size_t c = 0; c < t->columns * t->rows; c++) {
-        const float share = 1 - beyond * noise2[c] / greatest(energy[c], 1e-12f);
+        const float share = 1 - beyond * noise2[c] / gsn_sequence_greatest(energy[c], 1e-12f);
 
-        energy[c] =
-            (float)(known[c] & known_too[c] & told[c]) * greatest(share, 0) * change[c] / noise2[c];
+        energy[c] = (float)(known[c] & known_too[c] & told[c]) * gsn_sequence_greatest(share, 0) *
+                    change[c] / noise2[c];
     }
 }
 
@@ -118,7 +103,7 @@ static void multiply(const struct gsn_sequence_tissue *t, const float *filter,
     const float *deviation = t->deviation, most = (float)MOST * sqrtf(2);
 
     for (size_t c = 0; c < t->columns * t->rows; c++)
-        cells[c] = filter[c] * clip(cells[c], most * deviation[c]);
+        cells[c] = filter[c] * gsn_sequence_clip(cells[c], most * deviation[c]);
 }
 
 /* The products with the filter, square by square. */

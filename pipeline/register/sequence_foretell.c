@@ -17,21 +17,6 @@ struct side {
     size_t count;
 };
 
-static float least(float a, float b)
-{
-    return a < b ? a : b;
-}
-
-static float greatest(float a, float b)
-{
-    return a > b ? a : b;
-}
-
-static float clip(float value, float most)
-{
-    return least(greatest(value, -most), most);
-}
-
 /* The planes of a line from the first on that lie on its side of a place. */
 static struct side take_side(const struct gsn_sequence_tissue *t,
                              const struct gsn_sequence_line *line, size_t first, size_t place)
@@ -118,11 +103,13 @@ static void add_held(const struct side *s, const float *const value[SIDE], const
 
     for (size_t c = 0; c < count; c++) {
         const float most = (float)MOST * deviation[c];
-        const float mid = greatest(least(a[c], b[c]), least(greatest(a[c], b[c]), d[c]));
+        const float mid =
+            gsn_sequence_greatest(gsn_sequence_least(a[c], b[c]),
+                                  gsn_sequence_least(gsn_sequence_greatest(a[c], b[c]), d[c]));
 
-        sum[c] += s->much[0] * (mid + clip(a[c] - mid, most)) +
-                  s->much[1] * (mid + clip(b[c] - mid, most)) +
-                  s->much[2] * (mid + clip(d[c] - mid, most));
+        sum[c] += s->much[0] * (mid + gsn_sequence_clip(a[c] - mid, most)) +
+                  s->much[1] * (mid + gsn_sequence_clip(b[c] - mid, most)) +
+                  s->much[2] * (mid + gsn_sequence_clip(d[c] - mid, most));
     }
 }
 

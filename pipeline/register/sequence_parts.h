@@ -11,6 +11,22 @@
 extern "C" {
 #endif
 
+/* Unlike fminf() these are worked out for several cells at once. */
+static inline float gsn_sequence_least(float a, float b)
+{
+    return a < b ? a : b;
+}
+
+static inline float gsn_sequence_greatest(float a, float b)
+{
+    return a > b ? a : b;
+}
+
+static inline float gsn_sequence_clip(float value, float most)
+{
+    return gsn_sequence_least(gsn_sequence_greatest(value, -most), most);
+}
+
 /* Sections on either side that a place is judged by: with fewer their grain counts, with more the
  * tissue's curvature does. */
 enum { GSN_SEQUENCE_SIDE = 3, GSN_SEQUENCE_AROUND = 2 * GSN_SEQUENCE_SIDE };

@@ -53,7 +53,7 @@ int gsn_absorber_at_end(const struct gsn_absorber *absorber, uint32_t x, uint32_
  * at the top are bare glass. */
 int gsn_absorber_clipped(const struct gsn_absorber *absorber, uint32_t x, uint32_t y);
 
-/* Collagen-equivalent density, as gsn_unmixer_red() tells it up to rounding. */
+/* Collagen-equivalent density; red that is honestly below 0 stays so (rows.h). */
 struct gsn_red_reader;
 
 /* gives; borrows absorber. Fails as gsn_unmix(). */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Optical density only where it is wanted: glass between the sections of a panel is most of it. */
+/* Optical density, log10(glass / light), only where it is wanted: glass between the sections of a
+ * panel is most of it. Brighter than glass is below 0; a sample of 0 is read as half a code. */
 #ifndef GSN_STAIN_ABSORB_H
 #define GSN_STAIN_ABSORB_H
 
@@ -10,8 +11,8 @@
 extern "C" {
 #endif
 
-/* gives: R + G + B optical density in one plane, for pictures that were made small.
- * Fails as gsn_optical_density(). */
+/* gives: R + G + B optical density in one plane, for pictures that were made small. Fails with
+ * GSN_E_INPUT when the glass is of another size or the image is grey, GSN_E_NOMEM. */
 int gsn_absorb_total(const struct gsn_image *image, const struct gsn_glass *glass,
                      struct gsn_plane **ret_total, struct gsn_error *err);
 
@@ -22,7 +23,7 @@ struct gsn_pixel_box {
 
 /* gives: optical density of every apart-th pixel of every apart-th row, from the first on: single
  * pixels with their own noise, for statistics that a few of them tell as well as all.
- * Fails as gsn_optical_density(). */
+ * Fails as gsn_absorb_total(). */
 int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass, unsigned apart,
                     struct gsn_plane *ret_od[3], struct gsn_error *err);
 
@@ -34,7 +35,7 @@ int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass
 /* A picture ready to be read as optical density. One reader serves any number of threads. */
 struct gsn_absorber;
 
-/* gives; borrows image and glass. Fails as gsn_optical_density(). */
+/* gives; borrows image and glass. Fails as gsn_absorb_total(). */
 int gsn_absorber_new(const struct gsn_image *image, const struct gsn_glass *glass,
                      struct gsn_absorber **ret_absorber, struct gsn_error *err);
 void gsn_absorber_free(struct gsn_absorber *absorber);
@@ -43,7 +44,7 @@ GSN_DEFINE_AUTO(gsn_absorber);
 /* R, G and B of count pixels from (x, y) on. */
 void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count,
                       float *const od[3]);
-/* R alone, of every apart-th of them. A sample of 0 is read as half a code. */
+/* R alone, of every apart-th of them. */
 void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, uint32_t apart,
                       size_t count, float *to);
 /* Whether a sample of these pixels is at either end of its codes, where it only says "or beyond".

@@ -3,6 +3,7 @@
 #include "pipeline/stain/rows.h"
 
 #include "tests/check.h"
+#include "tests/stain/paint.h"
 
 #include <string.h>
 
@@ -147,29 +148,26 @@ TEST(clipped_tissue_has_no_density_and_bare_glass_has)
 TEST(a_thin_plane_holds_single_pixels_of_the_picture)
 {
     gsn_auto(gsn_image) image = NULL;
-    struct gsn_plane *thin[3], *whole[3];
+    struct gsn_plane *thin[3];
     struct gsn_glass glass;
     struct gsn_error err = { 0 };
 
     draw_picture(&image, &glass);
     glass.surface[1][1] = 0.01;
     glass.surface[1][5] = -0.02;
-    CHECK_OK(gsn_optical_density(image, &glass, 1, whole, NULL, &err), err);
     for (unsigned apart = 1; apart <= 3; apart += 2) {
         CHECK_OK(gsn_absorb_thin(image, &glass, apart, thin, &err), err);
         CHECK(thin[0]->width == (WIDTH + apart - 1) / apart);
         CHECK(thin[0]->height == (HEIGHT + apart - 1) / apart);
-        for (int c = 0; c < 3; c++) {
-            for (size_t i = 0; i < (size_t)thin[c]->width * thin[c]->height; i++) {
-                const size_t x = i % thin[c]->width * apart, y = i / thin[c]->width * apart;
-
-                CHECK_NEAR(thin[c]->value[i], whole[c]->value[y * WIDTH + x], 2e-6);
-            }
+        for (unsigned c = 0; c < 3; c++) {
+            for (uint32_t i = 0; i < thin[c]->width * thin[c]->height; i++)
+                CHECK_NEAR(thin[c]->value[i],
+                           paint_density(image, &glass, i % thin[c]->width * apart,
+                                         i / thin[c]->width * apart, c),
+                           2e-6);
             gsn_plane_free(thin[c]);
         }
     }
-    for (int c = 0; c < 3; c++)
-        gsn_plane_free(whole[c]);
 }
 
 static int read_once(const struct gsn_image *image, const struct gsn_glass *glass,

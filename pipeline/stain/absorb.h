@@ -63,12 +63,8 @@ int gsn_red_reader_new(const struct gsn_absorber *absorber, const struct gsn_dye
 void gsn_red_reader_free(struct gsn_red_reader *reader);
 GSN_DEFINE_AUTO(gsn_red_reader);
 
-/* Of count pixels from (x, y) on; NaN where they are tissue and clipped. scratch: 3 x count. */
-void gsn_red_reader_row(const struct gsn_red_reader *reader, uint32_t x, uint32_t y, size_t count,
-                        float *scratch, float *to);
-
-/* gives: the same inside the box, every apart-th row of it. The box lies in the picture. Fails with
- * GSN_E_NOMEM. */
+/* gives: every apart-th row inside the box, NaN where it is tissue and clipped. The box lies in the
+ * picture. Fails with GSN_E_NOMEM. */
 int gsn_red_box(const struct gsn_red_reader *reader, const struct gsn_pixel_box *box,
                 unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err);
 

@@ -154,6 +154,7 @@ TEST(a_thin_plane_holds_single_pixels_of_the_picture)
 
     draw_picture(&image, &glass);
     glass.surface[1][1] = 0.01;
+    glass.surface[1][3] = 0.03;
     glass.surface[1][5] = -0.02;
     for (unsigned apart = 1; apart <= 3; apart += 2) {
         CHECK_OK(gsn_absorb_thin(image, &glass, apart, thin, &err), err);

@@ -231,11 +231,7 @@ static int judge_vectors(const struct gsn_scan *scan, struct gsn_assembly_panel 
     r = gsn_red_mean(scan->od, NULL, &fit->dyes, &red, err);
     if (r < 0)
         return r;
-    red.sampling = 0; /* of the glass beside the tissue it would say nothing */
-
-    const struct gsn_red_side side = { &red, fit, WHITE_ERROR_OD, 1, 0 };
-
-    panel->red_error = gsn_red_half_width(&side) / 1.96 / red.mean;
+    panel->red_error = gsn_red_error(&red, fit, WHITE_ERROR_OD);
     return GSN_OK;
 }
 

@@ -13,21 +13,6 @@ enum { TAPS = 2 };
 /* A window reaches a little further than the fit's, which is 2.3 radii. */
 static const double WINDOW = 2.4;
 
-static void plane_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
-                      float *to)
-{
-    const struct gsn_plane *plane = context;
-    const float *from = plane->value + (size_t)y * plane->width + x;
-
-    for (size_t i = 0; i < count; i++)
-        to[i] = from[i * apart];
-}
-
-struct gsn_mark_density gsn_mark_density_of(const struct gsn_plane *plane)
-{
-    return (struct gsn_mark_density){ plane->width, plane->height, plane, plane_row };
-}
-
 /* Pixels that lie alike on either side of a cell's middle. */
 static uint32_t tap(size_t step, size_t i)
 {

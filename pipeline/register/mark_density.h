@@ -18,9 +18,6 @@
 extern "C" {
 #endif
 
-/* A plane as what markers.h reads. borrows; keeps: plane. */
-struct gsn_mark_density gsn_mark_density_of(const struct gsn_plane *plane);
-
 /* Averages some pixels of each step x step to a cell of the field, whose first begins at the slot's
  * corner; masked pixels take no part. Fails with GSN_E_NOMEM. */
 int gsn_mark_density_reduce(const struct gsn_mark_density *density, const struct gsn_slot *slot,

@@ -4,11 +4,6 @@
 #include <assert.h>
 #include <math.h>
 
-double gsn_pose_tre(double fle, double rho, double r)
-{
-    return fle * sqrt((1 + r * r / (2 * rho * rho)) / 3);
-}
-
 /* p' M q */
 static double between(const double p[3], const double m[3][3], const double q[3])
 {

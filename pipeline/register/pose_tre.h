@@ -71,10 +71,6 @@ struct gsn_ellipse {
 struct gsn_ellipse gsn_pose_ellipse_at(const struct gsn_pose_error *error,
                                        struct gsn_point block_um, double share);
 
-/* The formula above, for a localisation error, a triangle's rho and a target's distance r from its
- * centroid, all in one unit. */
-double gsn_pose_tre(double fle, double rho, double r);
-
 #ifdef __cplusplus
 }
 #endif

@@ -106,11 +106,6 @@ struct gsn_point gsn_rigid_apply(const struct gsn_rigid *motion, struct gsn_poin
                                motion->sin * p.x + motion->cos * p.y + motion->dy };
 }
 
-double gsn_rigid_angle(const struct gsn_rigid *motion)
-{
-    return atan2(motion->sin, motion->cos);
-}
-
 struct gsn_affine gsn_rigid_to_affine(const struct gsn_rigid *motion, double px_um, int flipped)
 {
     const double mirror = flipped ? -1 : 1;

@@ -36,9 +36,6 @@ int gsn_rigid_fit(const struct gsn_point *from, const struct gsn_point *onto, co
 
 struct gsn_point gsn_rigid_apply(const struct gsn_rigid *motion, struct gsn_point p);
 
-/* The angle in radians, -pi..pi; positive turns x towards y (clockwise on the screen). */
-double gsn_rigid_angle(const struct gsn_rigid *motion);
-
 /* Panel pixels -> um: scale by px_um, mirror in x when flipped, then the motion. The determinant is
  * px_um^2, or -px_um^2 when flipped. */
 struct gsn_affine gsn_rigid_to_affine(const struct gsn_rigid *motion, double px_um, int flipped);

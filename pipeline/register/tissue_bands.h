@@ -33,10 +33,6 @@ struct gsn_tissue_fit {
     double evidence;
 };
 
-/* Improves the motion in the bands from the coarsest to finest. */
-void gsn_tissue_improve(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t finest,
-                        struct gsn_tissue_fit *fit);
-
 /* The likeliest starts of a search; most: room. Returns their number. Fails with GSN_E_NOMEM. */
 int gsn_tissue_starts(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t most,
                       struct gsn_affine *ret_start, size_t *ret_count, struct gsn_error *err);

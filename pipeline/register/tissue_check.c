@@ -3,6 +3,7 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/register/median.h"
+#include "pipeline/register/tissue_evidence.h"
 
 #include <assert.h>
 #include <math.h>
@@ -16,10 +17,6 @@ enum { SIDE = 2, VOTES = 2 * SIDE, REACH = 4, FEWEST = 6 };
 static const double CHANCE = 3.6;
 /* Fits with less than this share of the usual evidence are worth a search. */
 static const double POOR = 0.5;
-/* Right motions have 1.6 times the evidence of the best other and more, as in tissue_graph.c. */
-static const double SURE = 1.5;
-/* Evidence below this is chance, as there. */
-static const double LEAST_EVIDENCE = 24;
 
 /* Where one neighbour's tissue lays a section. */
 struct vote {
@@ -115,7 +112,7 @@ static double spread_about(const struct gsn_tissue *t, const struct look *look,
         double d;
         size_t k = count;
 
-        if (v->evidence < LEAST_EVIDENCE)
+        if (v->evidence < GSN_TISSUE_LEAST_EVIDENCE)
             continue;
         d = apart(t, &v->to_block, &middle->to_block);
         for (; k > 0 && far[k - 1] > d; k--)
@@ -139,7 +136,7 @@ static void weigh(const struct check *c, size_t i)
         double spread;
 
         evidence[k] = v->evidence;
-        if (v->evidence < LEAST_EVIDENCE)
+        if (v->evidence < GSN_TISSUE_LEAST_EVIDENCE)
             continue;
         look->fit++;
         spread = spread_about(s->tissue, look, v);
@@ -212,7 +209,7 @@ static int search(struct check *c, size_t i, struct gsn_error *err)
     double most = 0;
 
     for (size_t k = 0; k < look->votes; k++)
-        most += SURE * look->vote[k].evidence;
+        most += GSN_TISSUE_SURE * look->vote[k].evidence;
     memcpy(best, look->vote, sizeof best);
     for (size_t k = 0; k < look->votes; k++) {
         const struct gsn_tissue_section *other = &s[look->vote[k].of];

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/register/median.h"
+#include "pipeline/register/tissue_evidence.h"
 #include "pipeline/register/tissue_springs.h"
 
 #include <assert.h>
@@ -12,12 +13,6 @@
 /* Each section is compared with this many after it. */
 enum { REACH = 2 };
 
-/* An outline alone, which fits in many ways, gives all of them about the same evidence. Right
- * motions have 1.6 times that of the best other and more; two sections of other blocks with like
- * outlines reach 1.5 in one case of forty. */
-static const double SURE = 1.5;
-/* A comparison whose evidence is below this is chance: the best of all that were tried. */
-static const double LEAST_EVIDENCE = 24;
 /* The reference is held as if it were known to a millionth of its size. */
 static const double HELD = 1e-6;
 
@@ -74,9 +69,9 @@ static int compare(struct work *w, size_t a, size_t b, struct gsn_error *err)
     }
     if (r == GSN_E_NOMEM)
         return r;
-    if (r < 0 || match.evidence < LEAST_EVIDENCE)
+    if (r < 0 || match.evidence < GSN_TISSUE_LEAST_EVIDENCE)
         return GSN_OK;
-    w->unsure[w->springs.springs] = searched && match.coarse < SURE * match.rival;
+    w->unsure[w->springs.springs] = searched && match.coarse < GSN_TISSUE_SURE * match.rival;
     w->springs.spring[w->springs.springs++] =
         (struct gsn_tissue_spring){ .a = a, .b = b, .match = match, .weight = 1 };
     return GSN_OK;

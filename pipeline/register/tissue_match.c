@@ -194,8 +194,9 @@ static int solve(const struct normal *normal, double ret_move[3])
     return 0;
 }
 
-void gsn_tissue_improve(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t finest,
-                        struct gsn_tissue_fit *fit)
+/* Improves the motion in the bands from the coarsest to finest. */
+static void improve(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t finest,
+                    struct gsn_tissue_fit *fit)
 {
     const size_t levels = a->levels < b->levels ? a->levels : b->levels;
     struct frame frame[GSN_TISSUE_LEVELS] = { 0 };
@@ -237,7 +238,7 @@ static void descend(const struct gsn_tissue *a, const struct gsn_tissue *b,
     const size_t levels = a->levels < b->levels ? a->levels : b->levels;
 
     for (size_t l = levels > COARSE_BANDS ? levels - COARSE_BANDS : 0;; l--) {
-        gsn_tissue_improve(a, b, l, fit);
+        improve(a, b, l, fit);
         if (l == 0)
             return;
     }
@@ -281,7 +282,7 @@ static int finish(const struct gsn_tissue *a, const struct gsn_tissue *b,
 
     descend(a, b, there);
     back = (struct gsn_tissue_fit){ .a_to_b = gsn_affine_inverse(&there->a_to_b) };
-    gsn_tissue_improve(b, a, 0, &back);
+    improve(b, a, 0, &back);
     inverse = gsn_affine_inverse(&back.a_to_b);
     for (size_t i = 0; i < 3; i++)
         memcpy(h[i], there->information[i], 3 * sizeof h[i][0]);
@@ -314,8 +315,8 @@ static void improve_coarse(const struct gsn_tissue *a, const struct gsn_tissue *
 {
     const size_t levels = a->levels < b->levels ? a->levels : b->levels;
 
-    gsn_tissue_improve(a, b, levels - 1, fit);
-    gsn_tissue_improve(a, b, levels > COARSE_BANDS ? levels - COARSE_BANDS : 0, fit);
+    improve(a, b, levels - 1, fit);
+    improve(a, b, levels > COARSE_BANDS ? levels - COARSE_BANDS : 0, fit);
 }
 
 int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,

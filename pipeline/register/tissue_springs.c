@@ -114,8 +114,9 @@ static void apart(const struct gsn_affine *from, const struct gsn_affine *onto, 
     ret[2] = remainder(turn_of(onto) - turn_of(from), 2 * M_PI);
 }
 
-void gsn_tissue_left(const struct gsn_tissue_springs *s, const struct gsn_tissue_spring *spring,
-                     double ret_left[3])
+/* The motion that is left of a spring, in the block at a's centre: shift and turn. */
+static void left_of(const struct gsn_tissue_springs *s, const struct gsn_tissue_spring *spring,
+                    double ret_left[3])
 {
     const struct gsn_tissue_node *a = &s->node[spring->a], *b = &s->node[spring->b];
     const struct gsn_affine by_b = gsn_affine_compose(&spring->match.a_to_b, &b->to_block);
@@ -186,7 +187,7 @@ static void add_spring(const struct gsn_tissue_springs *s, struct gsn_tissue_spr
 
     if (!active(s, spring) || information_of(s, spring, w) < 0)
         return;
-    gsn_tissue_left(s, spring, left);
+    left_of(s, spring, left);
     spring->chi2 = chi2_of(w, left);
     spring->weight = HALF / (HALF + spring->chi2);
     for (size_t k = 0; k < 3; k++)

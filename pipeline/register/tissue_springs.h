@@ -38,9 +38,6 @@ struct gsn_tissue_springs {
 
 /* Symmetric and positive: 0, or -1 where it is not. */
 int gsn_tissue_invert(double m[3][3]);
-/* The motion that is left of a spring, in the block at a's centre: shift and turn. */
-void gsn_tissue_left(const struct gsn_tissue_springs *s, const struct gsn_tissue_spring *spring,
-                     double ret_left[3]);
 /* Solves from the places given; unplaced nodes stay so. Fails with GSN_E_NOMEM. */
 int gsn_tissue_relax(struct gsn_tissue_springs *s, struct gsn_error *err);
 

@@ -341,8 +341,9 @@ void gsn_red_reader_free(struct gsn_red_reader *reader)
     gsn_free(reader);
 }
 
-void gsn_red_reader_row(const struct gsn_red_reader *reader, uint32_t x, uint32_t y, size_t count,
-                        float *scratch, float *to)
+/* Of count pixels from (x, y) on; NaN where they are tissue and clipped. scratch: 3 x count. */
+static void read_row(const struct gsn_red_reader *reader, uint32_t x, uint32_t y, size_t count,
+                     float *scratch, float *to)
 {
     const struct gsn_absorber *absorber = reader->absorber;
     float *const od[3] = { scratch, scratch + count, scratch + 2 * count };
@@ -372,8 +373,8 @@ int gsn_red_box(const struct gsn_red_reader *reader, const struct gsn_pixel_box 
     if (r < 0)
         return r;
     for (uint32_t y = 0; y < height; y++)
-        gsn_red_reader_row(reader, (uint32_t)box->x, (uint32_t)box->y + y * apart, width, scratch,
-                           density->value + (size_t)y * width);
+        read_row(reader, (uint32_t)box->x, (uint32_t)box->y + y * apart, width, scratch,
+                 density->value + (size_t)y * width);
     *ret_density = gsn_steal(&density);
     return GSN_OK;
 }

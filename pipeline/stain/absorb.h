@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Optical density only where it is wanted: glass between the sections of a panel is most of it. */
+/* Optical density, log10(glass / light), only where it is wanted: glass between the sections of a
+ * panel is most of it. Brighter than glass is below 0; a sample of 0 is read as half a code. */
 #ifndef GSN_STAIN_ABSORB_H
 #define GSN_STAIN_ABSORB_H
 
@@ -10,8 +11,8 @@
 extern "C" {
 #endif
 
-/* gives: R + G + B optical density in one plane, for pictures that were made small.
- * Fails as gsn_optical_density(). */
+/* gives: R + G + B optical density in one plane, for pictures that were made small. Fails with
+ * GSN_E_INPUT when the glass is of another size or the image is grey, GSN_E_NOMEM. */
 int gsn_absorb_total(const struct gsn_image *image, const struct gsn_glass *glass,
                      struct gsn_plane **ret_total, struct gsn_error *err);
 
@@ -22,7 +23,7 @@ struct gsn_pixel_box {
 
 /* gives: optical density of every apart-th pixel of every apart-th row, from the first on: single
  * pixels with their own noise, for statistics that a few of them tell as well as all.
- * Fails as gsn_optical_density(). */
+ * Fails as gsn_absorb_total(). */
 int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass, unsigned apart,
                     struct gsn_plane *ret_od[3], struct gsn_error *err);
 
@@ -34,7 +35,7 @@ int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass
 /* A picture ready to be read as optical density. One reader serves any number of threads. */
 struct gsn_absorber;
 
-/* gives; borrows image and glass. Fails as gsn_optical_density(). */
+/* gives; borrows image and glass. Fails as gsn_absorb_total(). */
 int gsn_absorber_new(const struct gsn_image *image, const struct gsn_glass *glass,
                      struct gsn_absorber **ret_absorber, struct gsn_error *err);
 void gsn_absorber_free(struct gsn_absorber *absorber);
@@ -43,7 +44,7 @@ GSN_DEFINE_AUTO(gsn_absorber);
 /* R, G and B of count pixels from (x, y) on. */
 void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count,
                       float *const od[3]);
-/* R alone, of every apart-th of them. A sample of 0 is read as half a code. */
+/* R alone, of every apart-th of them. */
 void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, uint32_t apart,
                       size_t count, float *to);
 /* Whether a sample of these pixels is at either end of its codes, where it only says "or beyond".
@@ -53,7 +54,7 @@ int gsn_absorber_at_end(const struct gsn_absorber *absorber, uint32_t x, uint32_
  * at the top are bare glass. */
 int gsn_absorber_clipped(const struct gsn_absorber *absorber, uint32_t x, uint32_t y);
 
-/* Collagen-equivalent density, as gsn_unmixer_red() tells it up to rounding. */
+/* Collagen-equivalent density; red that is honestly below 0 stays so (rows.h). */
 struct gsn_red_reader;
 
 /* gives; borrows absorber. Fails as gsn_unmix(). */
@@ -62,12 +63,8 @@ int gsn_red_reader_new(const struct gsn_absorber *absorber, const struct gsn_dye
 void gsn_red_reader_free(struct gsn_red_reader *reader);
 GSN_DEFINE_AUTO(gsn_red_reader);
 
-/* Of count pixels from (x, y) on; NaN where they are tissue and clipped. scratch: 3 x count. */
-void gsn_red_reader_row(const struct gsn_red_reader *reader, uint32_t x, uint32_t y, size_t count,
-                        float *scratch, float *to);
-
-/* gives: the same inside the box, every apart-th row of it. The box lies in the picture. Fails with
- * GSN_E_NOMEM. */
+/* gives: every apart-th row inside the box, NaN where it is tissue and clipped. The box lies in the
+ * picture. Fails with GSN_E_NOMEM. */
 int gsn_red_box(const struct gsn_red_reader *reader, const struct gsn_pixel_box *box,
                 unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err);
 

@@ -52,7 +52,8 @@ int gsn_solve(double *a, size_t n, double *b)
     return 1;
 }
 
-int gsn_invert(const double *a, size_t n, double *ret_inverse)
+/* The inverse of a positive definite a. 0 when it is not. */
+static int invert(const double *a, size_t n, double *ret_inverse)
 {
     double l[GSN_DYE_TURNS * GSN_DYE_TURNS], column[GSN_DYE_TURNS];
 
@@ -169,7 +170,7 @@ static void set_class(const struct moments *m, double all, struct gsn_class *cla
     (void)cholesky(&l[0][0], 3);
     for (int k = 0; k < 3; k++)
         log_det += 2 * log(l[k][k]);
-    (void)gsn_invert(&covariance[0][0], 3, &class->precision[0][0]);
+    (void)invert(&covariance[0][0], 3, &class->precision[0][0]);
     class->log_norm = log(class->share) - 1.5 * LOG_2PI - log_det / 2;
 }
 
@@ -387,7 +388,7 @@ static void look_along(const struct gsn_classes *classes, const double way[3], s
         const struct gsn_class *class = &classes->class[j];
         double covariance[3][3], variance = 0;
 
-        (void)gsn_invert(&class->precision[0][0], 3, &covariance[0][0]);
+        (void)invert(&class->precision[0][0], 3, &covariance[0][0]);
         ret->mean[j] = 0;
         for (int k = 0; k < 3; k++) {
             ret->mean[j] += way[k] * class->mean[k];

@@ -65,8 +65,6 @@ double gsn_classes_misfit(const struct gsn_classes *classes, const struct gsn_st
 
 /* Solves a x = b for a positive definite a (destroyed); x replaces b. 0 when a is not. */
 int gsn_solve(double *a, size_t n, double *b);
-/* The inverse of a positive definite a. 0 when it is not. */
-int gsn_invert(const double *a, size_t n, double *ret_inverse);
 
 #ifdef __cplusplus
 }

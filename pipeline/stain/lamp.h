@@ -20,7 +20,7 @@ struct gsn_lamp {
     double columns;  /* the same across, for scanners that move that way */
 };
 
-/* od: R, G and B of the panel, as gsn_optical_density() gives them. box: the part of the picture to
+/* od: R, G and B of the panel, as gsn_absorb_thin() gives them. box: the part of the picture to
  * look at, where no label and no frame is; it lies in the picture. borrows: both. */
 struct gsn_lamp gsn_lamp_look(struct gsn_plane *const od[3], const struct gsn_pixel_box *box);
 

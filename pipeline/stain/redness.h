@@ -69,21 +69,8 @@ int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
 int gsn_glass_given(uint32_t width, uint32_t height, enum gsn_light light, const double white[3],
                     struct gsn_glass *ret_glass, struct gsn_error *err);
 
-/* The white of the brightest holes in a tile that shows too little glass to be measured: per
- * channel the mean code (0..255) of the pixels between the 99th and the 99.9th percentile of
- * brightness. Fails with GSN_E_STAIN when even they are darker than code 128 in a channel,
- * GSN_E_INPUT when the image is grey, GSN_E_NOMEM. */
-int gsn_white_of_holes(const struct gsn_image *image, double ret_white[3], struct gsn_error *err);
-
 /* Linear light of the glass at a pixel. */
 double gsn_glass_at(const struct gsn_glass *glass, uint32_t x, uint32_t y, unsigned channel);
-
-/* gives: optical density per channel, log10(glass / light); brighter than glass is below 0.
- * A sample of 0 is read as half a code. ret_clipped (may be NULL) counts pixels with such a sample.
- * Fails with GSN_E_INPUT when the glass is of another size or the image is grey, GSN_E_NOMEM. */
-int gsn_optical_density(const struct gsn_image *image, const struct gsn_glass *glass,
-                        unsigned threads, struct gsn_plane *ret_od[3], size_t *ret_clipped,
-                        struct gsn_error *err);
 
 /* gives: the amounts of the three dyes that explain the densities best in least squares, none
  * below 0. Red is divided by full_red_od: it is the collagen-equivalent density, 1 = full; yellow

@@ -2,13 +2,24 @@
 
 /* The inner loop of unmixing, for whole rows of pixels, one version per instruction set. Pixels do
  * not depend on each other and nothing is fused, so all versions give the same bits. Private to
- * pipeline/stain. */
+ * pipeline/stain.
+ *
+ * What is told is red alone. The amounts may come out negative: the other two by up to GSN_HONEST
+ * of the pixel's density, red by up to twice that. For a dye that is a few degrees off its vector
+ * leaves negative amounts in honest tissue; cutting them off at 0 pulls the mean of red towards
+ * whichever dye is nearest, and differently in pale and in dense tissue. Left in, a turned vector
+ * multiplies red and adds to it alike everywhere, which can be taken out again (stain/level.h). A
+ * pixel further off is no mixture of these dyes and is unmixed as gsn_unmixer_apply() does. */
 #ifndef GSN_STAIN_ROWS_H
 #define GSN_STAIN_ROWS_H
 
 #include "pipeline/stain/unmix.h"
 
 #include <stddef.h>
+
+/* Red and dark are 18 degrees apart: a vector that is 5 degrees off leaves a negative amount of
+ * sin 5 / sin 18, a quarter, of the other. Red pays for the yellow as well: twice that. */
+#define GSN_HONEST 0.25F
 
 enum gsn_rows_isa { GSN_ROWS_PLAIN, GSN_ROWS_AVX2, GSN_ROWS_AVX512, GSN_ROWS_ISAS };
 

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Compiled once per instruction set, as GSN_ROWS_RED. gsn_unmixer_red() without a branch: of the
- * solutions that use one dye, two or all, the allowed one with the largest a.b wins, and that of
- * all three wins wherever its amounts are honest. */
+/* Compiled once per instruction set, as GSN_ROWS_RED, without a branch: of the solutions that use
+ * one dye, two or all, the allowed one with the largest a.b wins, and that of all three wins
+ * wherever its amounts are honest. */
 #include "pipeline/stain/rows.h"
 
 gsn_red_row GSN_ROWS_RED;

@@ -6,9 +6,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Two-sided 95 % of a normal. */
-static const double TWO_SIDED = 1.959964;
-
 /* Slopes by differences: turns of half a degree, whites of half a percent. Smaller than any error
  * they are used for, larger than what floats of densities lose. */
 static const double TURN = 0.5 * M_PI / 180, WHITE_OD = 0.002;
@@ -21,21 +18,21 @@ static int is_in(struct gsn_plane *const od[3], const struct gsn_image *mask, si
            isfinite(od[1]->value[i]) && isfinite(od[2]->value[i]);
 }
 
-struct moments {
-    double sum, squares;
+struct total {
+    double sum;
     size_t count, seen;
 };
 
 /* Over every `stride`-th pixel, the densities raised by `shift`. */
 static int mean_of(struct gsn_plane *const od[3], const struct gsn_image *mask,
                    const struct gsn_dyes *dyes, const double shift[3], size_t stride,
-                   struct moments *ret, struct gsn_error *err)
+                   struct total *ret, struct gsn_error *err)
 {
     const size_t count = (size_t)od[0]->width * od[0]->height;
     struct gsn_unmixer mix;
     const int r = gsn_unmixer_init(&mix, dyes, err);
 
-    *ret = (struct moments){ 0 };
+    *ret = (struct total){ 0 };
     for (size_t i = 0; r >= 0 && i < count; i++) {
         double amount[3];
 
@@ -45,9 +42,7 @@ static int mean_of(struct gsn_plane *const od[3], const struct gsn_image *mask,
                               od[2]->value[i] + shift[2] };
 
         gsn_unmixer_apply(&mix, d, amount);
-        amount[0] /= dyes->full_red_od;
-        ret->sum += amount[0];
-        ret->squares += amount[0] * amount[0];
+        ret->sum += amount[0] / dyes->full_red_od;
         ret->count++;
     }
     return r;
@@ -57,7 +52,7 @@ static int slope(struct gsn_plane *const od[3], const struct gsn_image *mask,
                  const struct gsn_dyes dyes[2], const double shift[2][3], size_t stride,
                  double between, double *ret_slope, struct gsn_error *err)
 {
-    struct moments side[2];
+    struct total side[2];
 
     for (int way = 0; way < 2; way++) {
         const int r = mean_of(od, mask, &dyes[way], shift[way], stride, &side[way], err);
@@ -105,7 +100,7 @@ int gsn_red_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
 {
     static const double none[3] = { 0 };
     struct gsn_red_mean red = { 0 };
-    struct moments all;
+    struct total all;
     int r;
 
     for (int c = 1; c < 3; c++)
@@ -120,10 +115,7 @@ int gsn_red_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
         return r;
     if (all.count == 0)
         return gsn_fail(err, GSN_E_STAIN, "there is no tissue to measure");
-    red.pixels = all.count;
     red.mean = all.sum / (double)all.count;
-    red.sampling =
-        sqrt(fmax(all.squares / (double)all.count - red.mean * red.mean, 0) / (double)all.count);
     r = slopes(od, mask, dyes, all.count / MOST_FOR_SLOPES + 1, &red, err);
     if (r >= 0)
         *ret_mean = red;
@@ -142,69 +134,12 @@ static double through(const double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS],
     return sum;
 }
 
-/* Variance of the logarithm of the mean. */
-static double by_white(const struct gsn_red_side *side)
+double gsn_red_error(const struct gsn_red_mean *red, const struct gsn_dyes_fit *fit,
+                     double white_od)
 {
-    double sum = 0;
+    double variance = through(fit->covariance, red->by_turn);
 
-    for (int c = 0; c < 3; c++) {
-        const double g = side->red->by_white[c] * side->white_od / side->red->mean;
-
-        sum += g * g;
-    }
-    return sum;
-}
-
-static double by_sampling(const struct gsn_red_side *side)
-{
-    return side->red->sampling * side->red->sampling / (side->red->mean * side->red->mean);
-}
-
-static double by_vectors(const struct gsn_red_side *control, const struct gsn_red_side *treated,
-                         int same_batch)
-{
-    double g[2][GSN_DYE_TURNS], both[GSN_DYE_TURNS];
-
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
-        g[0][m] = control->red->by_turn[m] / control->red->mean;
-        g[1][m] = treated->red->by_turn[m] / treated->red->mean;
-        both[m] = g[1][m] - g[0][m];
-    }
-    if (same_batch)
-        return through(control->fit->covariance, both);
-    return through(control->fit->covariance, g[0]) + through(treated->fit->covariance, g[1]);
-}
-
-int gsn_red_loss(const struct gsn_red_side *control, const struct gsn_red_side *treated,
-                 int same_batch, struct gsn_red_loss *ret_loss, struct gsn_error *err)
-{
-    double left, vectors, whites, sampling, gain, reach;
-
-    if (!(control->red->mean > 0 && treated->red->mean > 0))
-        return gsn_fail(err, GSN_E_STAIN, "without red in both there is no loss to speak of");
-    left = treated->red->mean / treated->gain / (control->red->mean / control->gain);
-    vectors = by_vectors(control, treated, same_batch);
-    whites = by_white(control) + by_white(treated);
-    sampling = by_sampling(control) + by_sampling(treated);
-    gain = control->gain_error * control->gain_error + treated->gain_error * treated->gain_error;
-
-    /* A ratio is even in its logarithm. */
-    reach = TWO_SIDED * sqrt(vectors + whites + sampling + gain);
-    *ret_loss = (struct gsn_red_loss){ .percent = 100 * (1 - left),
-                                       .lower = 100 * (1 - left * exp(reach)),
-                                       .upper = 100 * (1 - left * exp(-reach)),
-                                       .by_vectors = 100 * left * sqrt(vectors),
-                                       .by_whites = 100 * left * sqrt(whites),
-                                       .by_sampling = 100 * left * sqrt(sampling),
-                                       .by_gain = 100 * left * sqrt(gain) };
-    return GSN_OK;
-}
-
-double gsn_red_half_width(const struct gsn_red_side *side)
-{
-    const double relative =
-        through(side->fit->covariance, side->red->by_turn) / (side->red->mean * side->red->mean) +
-        by_white(side) + by_sampling(side) + side->gain_error * side->gain_error;
-
-    return TWO_SIDED * fabs(side->red->mean / side->gain) * sqrt(relative);
+    for (int c = 0; c < 3; c++)
+        variance += red->by_white[c] * white_od * red->by_white[c] * white_od;
+    return sqrt(variance) / fabs(red->mean);
 }

@@ -103,16 +103,3 @@ double gsn_unmixer_left(const struct gsn_unmixer *mix, const double od[3])
     }
     return sqrt(left);
 }
-
-double gsn_unmixer_red(const struct gsn_unmixer *mix, const double od[3])
-{
-    const double b[3] = { dot(mix->dye[0], od), dot(mix->dye[1], od), dot(mix->dye[2], od) };
-    const double least = -(double)GSN_HONEST * sqrt(dot(od, od));
-    double amount[3];
-
-    for (int k = 0; k < 3; k++)
-        amount[k] = dot(mix->inverse[7][k], b);
-    if (!(amount[0] >= 2 * least && amount[1] >= least && amount[2] >= least))
-        gsn_unmixer_apply(mix, od, amount);
-    return amount[0];
-}

@@ -24,18 +24,6 @@ void gsn_unmixer_apply(const struct gsn_unmixer *mix, const double od[3], double
 /* The length of what no such amounts explain. */
 double gsn_unmixer_left(const struct gsn_unmixer *mix, const double od[3]);
 
-/* Red alone, as a length. The amounts may come out negative: the other two by up to GSN_HONEST of
- * the pixel's density, red by up to twice that. For a dye that is a few degrees off its vector
- * leaves negative amounts in honest tissue; cutting them off at 0 pulls the mean of red towards
- * whichever dye is nearest, and differently in pale and in dense tissue. Left in, a turned vector
- * multiplies red and adds to it alike everywhere, which can be taken out again (stain/level.h). A
- * pixel further off is no mixture of these dyes and is unmixed as gsn_unmixer_apply() does. */
-double gsn_unmixer_red(const struct gsn_unmixer *mix, const double od[3]);
-
-/* Red and dark are 18 degrees apart: a vector that is 5 degrees off leaves a negative amount of
- * sin 5 / sin 18, a quarter, of the other. Red pays for the yellow as well: twice that. */
-#define GSN_HONEST 0.25F
-
 #ifdef __cplusplus
 }
 #endif

@@ -249,7 +249,7 @@ static struct gsn_image *turned(const struct gsn_image *image, int mirrored, int
     return now;
 }
 
-/* Draws paint over the code of a label that stands upright. */
+/* A pen line through the code of a label that stands upright. */
 static void scratch_code(struct gsn_image *image)
 {
     for (uint32_t y = 0; y < image->height; y++)
@@ -406,10 +406,8 @@ TEST(running_out_of_memory_while_turning_leaves_the_picture_as_it_was)
 TEST(a_label_that_cannot_be_read_is_shown_where_it_is)
 {
     gsn_auto(gsn_image) image = phantom_panel(1);
-    /* A pen line through the code. */
-    for (uint32_t y = 0; y < image->height; y++)
-        for (uint32_t x = 60; x < 75; x++)
-            memset((uint8_t *)image->samples + 3 * ((size_t)y * image->width + x), 30, 3);
+
+    scratch_code(image);
     gsn_auto(gsn_panel_findings) findings = examined_as(image, 1, PHANTOM_JOB);
 
     CHECK(findings->label_number == 0);

@@ -3,12 +3,15 @@
 /* Real slides with pen on them, empty ones, and one with next to nothing (shared data, which is not
  * part of the product). None of them is stained by Van Gieson. */
 #include "pipeline/decode/decode.h"
+#include "pipeline/stain/absorb.h"
 #include "pipeline/stain/mask.h"
+#include "pipeline/stain/order.h"
 
 #include "tests/check.h"
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 /* As dense as the palest collagen that counts, thresholds[0] of a job by default. */
 #define COLLAGEN 0.3
@@ -51,6 +54,34 @@ static uint8_t *read_shared(const char *name, size_t *ret_size)
     return bytes;
 }
 
+static double brightness(const uint8_t rgb[3])
+{
+    return rgb[0] + rgb[1] + rgb[2];
+}
+
+/* A white as a person would state it, of a picture without enough glass: that of the brightest
+ * pixels but for the very brightest. */
+static void state_white(const struct gsn_image *image, double ret_white[3])
+{
+    const uint8_t *rgb = image->samples;
+    const size_t count = (size_t)image->width * image->height;
+    gsn_auto_mem(double) sum = gsn_alloc_array(count, sizeof *sum);
+    double low, high, n = 0;
+
+    CHECK(image->channels == 3 && image->bits == 8 && sum != NULL);
+    for (size_t i = 0; i < count; i++)
+        sum[i] = brightness(rgb + 3 * i);
+    low = gsn_order_pick(sum, count, (size_t)(0.99 * (double)(count - 1)));
+    high = gsn_order_pick(sum, count, (size_t)(0.999 * (double)(count - 1)));
+    memset(ret_white, 0, 3 * sizeof *ret_white);
+    for (size_t i = 0; i < count; i++)
+        n += brightness(rgb + 3 * i) >= low && brightness(rgb + 3 * i) <= high;
+    for (size_t i = 0; i < count; i++)
+        for (size_t c = 0; c < 3; c++)
+            if (brightness(rgb + 3 * i) >= low && brightness(rgb + 3 * i) <= high)
+                ret_white[c] += rgb[3 * i + c] / n;
+}
+
 static void look(const struct gsn_image *image, double px_um, struct seen *s)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
@@ -64,12 +95,12 @@ static void look(const struct gsn_image *image, double px_um, struct seen *s)
     s->width = image->width;
     s->height = image->height;
     if (gsn_glass_estimate(image, GSN_LIGHT_CODES_LINEAR, &glass, &err) < 0) {
-        CHECK_OK(gsn_white_of_holes(image, white, &err), err);
+        state_white(image, white);
         CHECK_OK(gsn_glass_given(image->width, image->height, GSN_LIGHT_CODES_LINEAR, white, &glass,
                                  &err),
                  err);
     }
-    CHECK_OK(gsn_optical_density(image, &glass, 1, od, NULL, &err), err);
+    CHECK_OK(gsn_absorb_thin(image, &glass, 1, od, &err), err);
     const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, &all, NULL };
 
     CHECK_OK(gsn_mask_find(&panel, 1, &s->labels, &s->figures, &err), err);

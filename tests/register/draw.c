@@ -97,3 +97,18 @@ void draw_burn(struct gsn_plane *plane, const struct draw_mark *mark)
             (float)(plane->value[i] * (1 - mark->bleach * h) * (1 - a) + mark->depth * a);
     }
 }
+
+static void plane_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                      float *to)
+{
+    const struct gsn_plane *plane = context;
+    const float *from = plane->value + (size_t)y * plane->width + x;
+
+    for (size_t i = 0; i < count; i++)
+        to[i] = from[i * apart];
+}
+
+struct gsn_mark_density draw_density(const struct gsn_plane *plane)
+{
+    return (struct gsn_mark_density){ plane->width, plane->height, plane, plane_row };
+}

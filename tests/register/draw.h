@@ -7,6 +7,7 @@
 
 #include "pipeline/core/geom.h"
 #include "pipeline/core/image.h"
+#include "pipeline/register/markers.h"
 
 #include <stdint.h>
 
@@ -37,5 +38,8 @@ struct draw_mark {
 /* The phantom's mark: 75 um, edge 14, ring 115, bleached by 0.65, red density 0.573. */
 struct draw_mark draw_phantom_mark(struct gsn_point centre, double px_um);
 void draw_burn(struct gsn_plane *plane, const struct draw_mark *mark);
+
+/* A plane as what markers are looked for in. borrows; keeps: plane. */
+struct gsn_mark_density draw_density(const struct gsn_plane *plane);
 
 #endif

@@ -122,3 +122,8 @@ size_t mounted_trials(size_t few)
 
     return trials > 0 ? trials : few;
 }
+
+double mounted_tre(double fle, double rho, double r)
+{
+    return fle * sqrt((1 + r * r / (2 * rho * rho)) / 3);
+}

@@ -56,6 +56,10 @@ void mounted_solve(struct mounted_stack *s, const struct gsn_pose_options *optio
 /* Where the pose puts a point of the block, less where it is. */
 struct gsn_point mounted_error(const struct mounted_stack *s, size_t i, struct gsn_point target);
 
+/* The target registration error of three marks alike, FLE^2/3 (1 + r^2 / (2 rho^2)): at a distance
+ * r from the centroid of a triangle of that rho. */
+double mounted_tre(double fle, double rho, double r);
+
 /* The number of trials a test makes: few, or as many as GIESON_TRIALS says. */
 size_t mounted_trials(size_t few);
 

@@ -18,7 +18,7 @@ static struct gsn_slot slot_at(int x, int y, int width, int height)
 
 static struct gsn_mark_field reduced(const struct gsn_slot *slot, size_t step)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(&plane);
+    const struct gsn_mark_density density = draw_density(&plane);
     struct gsn_mark_field field = { .width = (size_t)slot->width / step,
                                     .height = (size_t)slot->height / step,
                                     .cell_px = (double)step,
@@ -65,7 +65,7 @@ TEST(masked_cells_take_the_mean_of_the_others)
 /* The window that is read around a spot holds all that the fit looks at. */
 TEST(a_mark_is_where_the_whole_plane_shows_it)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(&plane);
+    const struct gsn_mark_density density = draw_density(&plane);
     const struct gsn_slot slot = slot_at(0, 0, WIDTH, HEIGHT);
     struct draw_chance chance = { 4 };
     struct gsn_error err = { 0 };
@@ -91,7 +91,7 @@ TEST(a_mark_is_where_the_whole_plane_shows_it)
 
 static int read_once(struct gsn_error *err)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(&plane);
+    const struct gsn_mark_density density = draw_density(&plane);
     const struct gsn_slot slot = slot_at(0, 0, WIDTH, HEIGHT);
     struct gsn_mark_field field = { .width = 20, .height = 20, .cell_px = 4, .od = cells };
     struct gsn_mark mark = { .score = 77 };

@@ -96,24 +96,35 @@ static void draw_tissue(struct gsn_plane *plane, struct draw_chance *chance)
         plane->value[i] += (float)(0.001 * (double)(i % SIDE));
 }
 
-TEST(a_burn_in_rough_tissue_is_found_and_its_error_is_known)
+/* The phantom's mark near the middle of tissue, and where it is found. */
+static struct gsn_mark found_burn(double px_um, double radius_px, struct draw_chance *chance,
+                                  struct gsn_point *ret_centre)
 {
     static float value[SIDE * SIDE];
     struct gsn_plane plane = { SIDE, SIDE, value };
+    const struct gsn_point c = { draw_uniform(chance, 31, 33), draw_uniform(chance, 31, 33) };
+    const struct draw_mark burn = draw_phantom_mark(c, px_um);
+    struct gsn_mark mark;
+
+    draw_tissue(&plane, chance);
+    draw_burn(&plane, &burn);
+    mark = fit(&plane, (struct gsn_point){ 32, 32 }, radius_px);
+    CHECK(mark.found);
+    *ret_centre = c;
+    return mark;
+}
+
+TEST(a_burn_in_rough_tissue_is_found_and_its_error_is_known)
+{
     struct draw_chance chance = { 3 };
     double squares = 0, claimed = 0;
     const int runs = 200;
 
     for (int n = 0; n < runs; n++) {
-        const struct gsn_point c = { draw_uniform(&chance, 31, 33), draw_uniform(&chance, 31, 33) };
-        const struct draw_mark burn = draw_phantom_mark(c, 16);
-        struct gsn_mark mark;
+        struct gsn_point c;
+        const struct gsn_mark mark = found_burn(16, 5.5, &chance, &c);
 
-        draw_tissue(&plane, &chance);
-        draw_burn(&plane, &burn);
-        mark = fit(&plane, (struct gsn_point){ 32, 32 }, 5.5);
-        CHECK(mark.found);
-        CHECK_NEAR(mark.radius_px, burn.radius, 0.25);
+        CHECK_NEAR(mark.radius_px, 75 / 16.0, 0.25);
         squares += pow(mark.px.x - c.x, 2) + pow(mark.px.y - c.y, 2);
         claimed += mark.cov_xx + mark.cov_yy;
     }
@@ -126,19 +137,13 @@ TEST(a_burn_in_rough_tissue_is_found_and_its_error_is_known)
 /* 75 um at 24 and 40 um per pixel: edges sharper than a pixel, where a fit settles least easily. */
 TEST(a_burn_of_two_pixels_radius_is_found_every_time)
 {
-    static float value[SIDE * SIDE];
-    struct gsn_plane plane = { SIDE, SIDE, value };
     struct draw_chance chance = { 6 };
 
     for (int n = 0; n < 200; n++) {
-        const struct gsn_point c = { draw_uniform(&chance, 31, 33), draw_uniform(&chance, 31, 33) };
-        const struct draw_mark burn = draw_phantom_mark(c, n % 2 ? 24 : 40);
-        struct gsn_mark mark;
+        const double px_um = n % 2 ? 24 : 40;
+        struct gsn_point c;
+        const struct gsn_mark mark = found_burn(px_um, 75 / px_um, &chance, &c);
 
-        draw_tissue(&plane, &chance);
-        draw_burn(&plane, &burn);
-        mark = fit(&plane, (struct gsn_point){ 32, 32 }, burn.radius);
-        CHECK(mark.found);
         CHECK_NEAR(mark.px.x, c.x, 0.1);
         CHECK_NEAR(mark.px.y, c.y, 0.1);
     }

@@ -139,7 +139,7 @@ TEST(a_field_too_small_for_a_line_has_none)
 
 TEST(what_a_line_covers_is_masked_and_nothing_else)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     const struct gsn_mark_lined lined = { &density, 1, { { 1, 100, 0.1, 2 } } };
     const struct gsn_mark_density open = gsn_mark_density_without(&lined);
     float row[100];

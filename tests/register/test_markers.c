@@ -75,7 +75,7 @@ static int find_marks(const struct gsn_plane *red_od, const struct gsn_slot *slo
                       const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
                       int *ret_mirrored, double *ret_runner_up, struct gsn_error *err)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(red_od);
+    const struct gsn_mark_density density = draw_density(red_od);
     struct gsn_mark_candidates candidates;
     const int r = gsn_markers_candidates(&density, slot, px_um, &candidates, err);
 
@@ -133,7 +133,7 @@ TEST(debris_is_not_taken_for_a_mark)
 /* Three are burnt alike, but one may be half burnt in, and half of that bleached. */
 TEST(a_spot_of_a_quarter_of_the_marks_strength_is_still_measured)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     const struct gsn_slot slot = whole_panel();
     struct draw_mark burn = draw_phantom_mark((struct gsn_point){ 130.3, 200.6 }, PX);
     struct gsn_mark_candidates section;
@@ -272,7 +272,7 @@ TEST(two_marks_that_the_tissue_cannot_tell_are_not_guessed)
 static struct gsn_mark_candidates pictured(double angle, int flipped, unsigned marks, uint64_t seed)
 {
     const struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     struct gsn_mark_candidates section;
     struct gsn_error err = { 0 };
 
@@ -579,7 +579,7 @@ TEST(what_marks_look_like_finds_them_among_any_number_of_blots)
 {
     const struct gsn_triangle_prior prior = learnt();
     const struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     struct gsn_mark_candidates section;
     struct gsn_mark marks[GSN_MARKS];
     struct gsn_error err = { 0 };
@@ -595,7 +595,7 @@ TEST(what_marks_look_like_finds_them_among_any_number_of_blots)
 TEST(as_long_as_nothing_is_learnt_the_darkest_spots_are_sought)
 {
     const struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     struct gsn_mark_candidates plain = { 0 }, sought = { 0 };
     struct gsn_error err = { 0 };
 
@@ -802,7 +802,7 @@ TEST(sections_that_do_not_agree_are_refused)
 
 TEST(bad_questions_are_refused_and_the_output_stays_untouched)
 {
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     struct gsn_slot slot = whole_panel();
     struct gsn_mark_candidates candidates = { .count = 77 };
     struct gsn_error err = { 0 };
@@ -835,7 +835,7 @@ static int find_once(struct gsn_error *err)
 static int seek_once(const struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
     struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = gsn_mark_density_of(&panel);
+    const struct gsn_mark_density density = draw_density(&panel);
     const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
     struct gsn_mark_candidates section;
 

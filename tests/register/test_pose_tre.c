@@ -79,16 +79,13 @@ TEST(the_field_of_three_equal_marks_is_the_formula)
         const double rms = sqrt(s.squares / (double)s.sections);
 
         print_message("  TRE at %d rho: %.4f of the formula, predicted %.4f\n", k,
-                      rms / gsn_pose_tre(fle, rho, k * rho),
-                      sqrt(s.predicted / (double)s.sections) / gsn_pose_tre(fle, rho, k * rho));
-        CHECK(rms <= 1.05 * gsn_pose_tre(fle, rho, k * rho));
-        CHECK_NEAR(sqrt(s.predicted / (double)s.sections), gsn_pose_tre(fle, rho, k * rho),
+                      rms / mounted_tre(fle, rho, k * rho),
+                      sqrt(s.predicted / (double)s.sections) / mounted_tre(fle, rho, k * rho));
+        CHECK(rms <= 1.05 * mounted_tre(fle, rho, k * rho));
+        CHECK_NEAR(sqrt(s.predicted / (double)s.sections), mounted_tre(fle, rho, k * rho),
                    0.02 * fle);
         check_calibrated("three marks", &s);
     }
-    CHECK_NEAR(gsn_pose_tre(1, 1, 0), 0.57735, 1e-5);
-    CHECK_NEAR(gsn_pose_tre(1, 1, 1), 0.70711, 1e-5);
-    CHECK_NEAR(gsn_pose_tre(1, 1, 2), 1, 1e-12);
 }
 
 /* Twice Fisher's F with 2 and 10 degrees of freedom: 2 * 4.102821. */
@@ -221,7 +218,7 @@ TEST(the_mean_over_a_disc_is_the_formulas_integral)
     }
     mounted_draw(&s, &EVEN, &chance);
     mounted_solve(&s, &options);
-    CHECK_NEAR(s.pose[3].tre_um, gsn_pose_tre(s.summary.fle_um, rho, radius / sqrt(2)),
+    CHECK_NEAR(s.pose[3].tre_um, mounted_tre(s.summary.fle_um, rho, radius / sqrt(2)),
                0.002 * s.pose[3].tre_um);
     mounted_done(&s);
 }

@@ -60,6 +60,18 @@ void paint(struct gsn_image *image, uint32_t x, uint32_t y, const struct scan *s
     }
 }
 
+double paint_density(const struct gsn_image *image, const struct gsn_glass *glass, uint32_t x,
+                     uint32_t y, unsigned channel)
+{
+    const unsigned sample = gsn_image_at(image, x, y, channel);
+    const double code = (sample ? sample : 0.5) / (image->bits == 8 ? 255 : 65535);
+    const double u = 2 * (x + 0.5) / glass->width - 1, v = 2 * (y + 0.5) / glass->height - 1;
+    const double *s = glass->surface[channel];
+
+    return s[0] + s[1] * u + s[2] * v + s[3] * u * u + s[4] * u * v + s[5] * v * v -
+           log10(to_linear(glass->light, code));
+}
+
 struct gsn_image *paint_glass(uint32_t width, uint32_t height, uint32_t bits,
                               const struct scan *scan, struct dice *dice)
 {

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "pipeline/core/file.h"
+#include "pipeline/stain/absorb.h"
 #include "pipeline/stain/dyes.h"
 #include "pipeline/stain/segment.h"
 #include "tests/stain/paint.h"
@@ -50,7 +51,7 @@ static int densities(const struct gsn_image *image, const struct scan *scan,
     int r = gsn_glass_given(image->width, image->height, scan->light, scan->white, &glass, err);
 
     if (r >= 0)
-        r = gsn_optical_density(image, &glass, 2, ret_od, NULL, err);
+        r = gsn_absorb_thin(image, &glass, 1, ret_od, err);
     return r;
 }
 

@@ -173,39 +173,18 @@ TEST(grey_and_tiny_pictures_are_refused)
     gsn_auto(gsn_image) tiny = NULL;
     struct gsn_error err = { 0 };
     struct gsn_glass glass;
-    double white[3];
 
     CHECK_OK(gsn_image_new(100, 100, 1, 8, &grey, &err), err);
     CHECK_OK(gsn_image_new(15, 100, 3, 8, &tiny, &err), err);
     CHECK(gsn_glass_estimate(grey, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_INPUT);
     CHECK(gsn_glass_estimate(tiny, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_INPUT);
-    CHECK(gsn_white_of_holes(grey, white, &err) == GSN_E_INPUT);
-}
-
-TEST(the_white_of_holes_is_that_of_the_few_bright_pixels)
-{
-    static const uint8_t hole[3] = { 250, 242, 231 };
-    struct dice dice = { 7 };
-    gsn_auto(gsn_image) image = paint_glass(200, 100, 8, &even, &dice);
-    struct gsn_error err = { 0 };
-    double white[3] = { -7, -7, -7 };
-
-    cover(image, &even, 1.1, (const double[3]){ 2.5, 2.5, 0 }, &dice);
-    CHECK(gsn_white_of_holes(image, white, &err) == GSN_E_STAIN);
-    CHECK_NEAR(white[0], -7, 0);
-    rectangle(image, 50, 80, 20, 60, hole); /* 6 % of the picture */
-    CHECK_OK(gsn_white_of_holes(image, white, &err), err);
-    for (int c = 0; c < 3; c++)
-        CHECK_NEAR(white[c], hole[c], 1e-9);
 }
 
 static int estimate_once(const struct gsn_image *image, struct gsn_error *err)
 {
     struct gsn_glass glass;
-    double white[3];
-    const int r = gsn_glass_estimate(image, GSN_LIGHT_SRGB, &glass, err);
 
-    return r < 0 ? r : gsn_white_of_holes(image, white, err);
+    return gsn_glass_estimate(image, GSN_LIGHT_SRGB, &glass, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

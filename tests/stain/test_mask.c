@@ -4,6 +4,8 @@
  * with noise, and looked at. What was damaged is known to the pixel. */
 #include "pipeline/stain/mask.h"
 
+#include "pipeline/stain/absorb.h"
+
 #include "tests/check.h"
 #include "tests/stain/paint.h"
 
@@ -128,7 +130,7 @@ static int find_with(struct scene *scene, const struct gsn_mask_section *section
     if (r < 0)
         return r;
     scan(scene, image, &glass);
-    r = gsn_optical_density(image, &glass, 1, od, NULL, err);
+    r = gsn_absorb_thin(image, &glass, 1, od, err);
     red = od[0];
     green = od[1];
     blue = od[2];

@@ -142,7 +142,7 @@ static void draw(struct panel *p, const struct gsn_dyes *dyes, int pen, size_t a
     }
     CHECK_OK(gsn_glass_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, WHITE, &p->glass, &err), err);
     p->glass.noise_od = NOISE / 244 / log(10);
-    CHECK_OK(gsn_optical_density(p->image, &p->glass, 1, p->od, NULL, &err), err);
+    CHECK_OK(gsn_absorb_thin(p->image, &p->glass, 1, p->od, &err), err);
 }
 
 static int find_with(struct panel *p, const struct gsn_dyes *own, struct gsn_error *err)

@@ -3,6 +3,7 @@
 #include "pipeline/stain/rows.h"
 
 #include "tests/check.h"
+#include "tests/stain/paint.h"
 
 #include <string.h>
 
@@ -24,7 +25,27 @@ static void draw_densities(float *const od[3])
             od[c][i] = (float)(next(&seed) % 4096) / 2000.0F - 0.4F;
 }
 
-/* The unmixer in double precision is the reference. */
+/* The volume that three vectors span. */
+static double volume(const double a[3], const double b[3], const double c[3])
+{
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) +
+           a[2] * (b[0] * c[1] - b[1] * c[0]);
+}
+
+/* The amounts that make up a density, by Cramer's rule; where they cannot be honest, those of which
+ * none is below 0. */
+static double exact_red(const struct gsn_unmixer *mix, const double od[3])
+{
+    const double *red = mix->dye[0], *yellow = mix->dye[1], *dark = mix->dye[2];
+    const double all = volume(red, yellow, dark), least = -0.25 * hypot(hypot(od[0], od[1]), od[2]);
+    double amount[3] = { volume(od, yellow, dark) / all, volume(red, od, dark) / all,
+                         volume(red, yellow, od) / all };
+
+    if (amount[0] < 2 * least || amount[1] < least || amount[2] < least)
+        gsn_unmixer_apply(mix, od, amount);
+    return amount[0];
+}
+
 TEST(a_row_is_unmixed_as_each_pixel_is)
 {
     static float red[COUNT], green[COUNT], blue[COUNT], amount[COUNT];
@@ -41,7 +62,7 @@ TEST(a_row_is_unmixed_as_each_pixel_is)
     gsn_red_row_for(GSN_ROWS_PLAIN)(&weights, red, green, blue, COUNT, amount);
     for (size_t i = 0; i < COUNT; i++) {
         const double pixel[3] = { red[i], green[i], blue[i] };
-        const double exact = gsn_unmixer_red(&mix, pixel) / dyes.full_red_od;
+        const double exact = exact_red(&mix, pixel) / dyes.full_red_od;
 
         /* At the edge of what is honest, rounding decides. */
         far += fabs(exact - (double)amount[i]) > 5e-5;
@@ -127,29 +148,27 @@ TEST(clipped_tissue_has_no_density_and_bare_glass_has)
 TEST(a_thin_plane_holds_single_pixels_of_the_picture)
 {
     gsn_auto(gsn_image) image = NULL;
-    struct gsn_plane *thin[3], *whole[3];
+    struct gsn_plane *thin[3];
     struct gsn_glass glass;
     struct gsn_error err = { 0 };
 
     draw_picture(&image, &glass);
     glass.surface[1][1] = 0.01;
+    glass.surface[1][3] = 0.03;
     glass.surface[1][5] = -0.02;
-    CHECK_OK(gsn_optical_density(image, &glass, 1, whole, NULL, &err), err);
     for (unsigned apart = 1; apart <= 3; apart += 2) {
         CHECK_OK(gsn_absorb_thin(image, &glass, apart, thin, &err), err);
         CHECK(thin[0]->width == (WIDTH + apart - 1) / apart);
         CHECK(thin[0]->height == (HEIGHT + apart - 1) / apart);
-        for (int c = 0; c < 3; c++) {
-            for (size_t i = 0; i < (size_t)thin[c]->width * thin[c]->height; i++) {
-                const size_t x = i % thin[c]->width * apart, y = i / thin[c]->width * apart;
-
-                CHECK_NEAR(thin[c]->value[i], whole[c]->value[y * WIDTH + x], 2e-6);
-            }
+        for (unsigned c = 0; c < 3; c++) {
+            for (uint32_t i = 0; i < thin[c]->width * thin[c]->height; i++)
+                CHECK_NEAR(thin[c]->value[i],
+                           paint_density(image, &glass, i % thin[c]->width * apart,
+                                         i / thin[c]->width * apart, c),
+                           2e-6);
             gsn_plane_free(thin[c]);
         }
     }
-    for (int c = 0; c < 3; c++)
-        gsn_plane_free(whole[c]);
 }
 
 static int read_once(const struct gsn_image *image, const struct gsn_glass *glass,

@@ -1,0 +1,427 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What is said of a loss by dye vectors that were inferred, or were not, from evidence that is
+ * stated here. */
+#include "pipeline/summary.h"
+
+#include "tests/check.h"
+#include "tests/pipeline/drawn_specimen.h"
+
+#include <jansson.h>
+#include <stdio.h>
+#include <string.h>
+
+#define JOB                                                                                        \
+    "{\"specimen\": \"treated\", \"baseline\": \"control\", \"dyes\": \"estimate\", "              \
+    "" DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION "}"
+#define SET "inferred-2"
+#define BY_VECTORS "Standard error of the loss by dye vectors"
+
+enum { MOST_PANELS = 30 };
+
+/* The figures that the interval of a loss is made of, all of them different. */
+static const double TREATED = 0.45, CONTROL = 0.75;
+static const double BY_STEPS = 0.021, BY_ALL = 0.09, IN_COMMON = 0.05; /* relative, treated */
+static const double OF_CONTROL = 0.013, OF_CONTROL_BY_ALL = 0.06;      /* of its mean density */
+static const double GAIN_SCATTER = 0.02, OFFSET_SCATTER = 0.01;        /* from panel to panel */
+static const double OWN = 0.034, SHARED = 0.057, TOGETHER = -0.4;      /* by vectors */
+
+struct told {
+    struct gsn_protocol *protocol;
+    struct gsn_panel_section section;
+    struct gsn_specimen_panel given[MOST_PANELS];
+    struct gsn_assembly_panel panel[MOST_PANELS];
+    struct gsn_specimen specimen;
+    struct gsn_assembly assembly;
+    struct gsn_account account;
+};
+
+/* A tetrahedron, as a report names how many there are. */
+static struct gsn_dms *one_tet(void)
+{
+    static const double corner[4][3] = { { 0, 0, 0 }, { 90, 0, 0 }, { 0, 90, 0 }, { 0, 0, 90 } };
+    static const uint32_t tet[1][4] = { { 0, 1, 2, 3 } };
+    gsn_auto(gsn_tets) mesh = NULL;
+    gsn_auto_mem(double) knots = NULL;
+    double(*knot)[3] = NULL;
+    struct gsn_dms *space = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_tets_new(corner, 4, tet, 1, &mesh, &err), err);
+    CHECK_OK(gsn_dms_clouds(mesh, 1, 0.1, &knot, &err), err);
+    knots = (double *)knot;
+    CHECK_OK(gsn_dms_new(mesh, 1, knot, GSN_DMS_SHARED, &space, &err), err);
+    return space;
+}
+
+static struct gsn_assembly_panel inferred_panel(const struct gsn_specimen_panel *given)
+{
+    return (
+        struct gsn_assembly_panel){ .given = given,
+                                    .opened = 1,
+                                    .levelled = 1,
+                                    .level = { 1, 0 },
+                                    .stain = { .panel = given->number,
+                                               .fit = { .dyes = { .name = SET,
+                                                                  .red = { 0.28, 0.96, 0 },
+                                                                  .yellow = { 0, 0.28, 0.96 },
+                                                                  .dark = { 0.6, 0.64, 0.48 },
+                                                                  .full_red_od = 1 },
+                                                        .deviation_deg = { 1.5, 2.25, 3.125 } } } };
+}
+
+/* Untreated tissue that reads alike in both, so badly known that it tells nothing of their stain:
+ * what two specimens' baths scatter by is all that there is to compare them with. */
+static void put_tissue(struct told *t)
+{
+    static const double value[GSN_UNTREATED_KINDS] = { 0.88, 0.2, NAN };
+
+    for (int k = 0; k < GSN_UNTREATED_KINDS; k++)
+        t->assembly.levelling.tissue[k] = t->specimen.baseline.tissue[k] =
+            (struct gsn_level_tissue){ value[k], 1e4 };
+}
+
+/* Levelled panels with inferred vectors that leave an own and a shared part open. */
+static void told_init(struct told *t, size_t panels)
+{
+    *t = (struct told){ .protocol = drawn_protocol(JOB) };
+    for (size_t i = 0; i < panels; i++) {
+        t->given[i] = (struct gsn_specimen_panel){ .number = (unsigned)i + 1,
+                                                   .file = "P.png",
+                                                   .sha256 = "0",
+                                                   .state = "registered",
+                                                   .message = "",
+                                                   .section_count = 1,
+                                                   .section = &t->section };
+        t->panel[i] = inferred_panel(&t->given[i]);
+    }
+    t->specimen = (struct gsn_specimen){
+        .protocol = t->protocol, .panel_count = panels, .panel = t->given, .key = "0123456789abcdef"
+    };
+    t->assembly = (struct gsn_assembly){
+        .panel_count = panels,
+        .panel = t->panel,
+        .solved = 1,
+        .red_error = BY_ALL,
+        .step_error = BY_STEPS,
+        .common_error = IN_COMMON,
+        .levelling = { .done = 1,
+                       .panels = panels,
+                       .fit = { .gain_scatter = GAIN_SCATTER, .offset_scatter = OFFSET_SCATTER },
+                       .vectors = { 1, OWN * OWN, SHARED * SHARED, TOGETHER * OWN * SHARED } }
+    };
+    t->account = (struct gsn_account){ .space = one_tet(),
+                                       .coverage = 1,
+                                       .density = { .mean = TREATED, .volume_um3 = 3e7 } };
+    t->specimen.baseline =
+        (struct gsn_specimen_baseline){ .name = "control",
+                                        .specimens = 1,
+                                        .mean_density = CONTROL,
+                                        .volume_mm3 = 0.03,
+                                        .mean_density_error = OF_CONTROL_BY_ALL,
+                                        .own_scale_error = OF_CONTROL,
+                                        .definition =
+                                            "collagen-equivalent density (red dye by unmixing)",
+                                        .dyes = SET };
+    put_tissue(t);
+}
+
+static void told_done(struct told *t)
+{
+    gsn_dms_free(t->account.space);
+    gsn_protocol_free(t->protocol);
+}
+#define told_auto __attribute__((cleanup(told_done))) struct told
+
+static int summarise_once(const struct told *t, struct gsn_specimen_result **ret,
+                          struct gsn_error *err)
+{
+    const struct gsn_evidence evidence = { .specimen = &t->specimen,
+                                           .assembly = &t->assembly,
+                                           .account = &t->account };
+    gsn_auto(gsn_specimen_result) result = gsn_alloc_array(1, sizeof *result);
+    const int r = result ? gsn_summarise(&evidence, result, err)
+                         : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+
+    if (r >= 0 && ret)
+        *ret = gsn_steal(&result);
+    return r;
+}
+
+static struct gsn_specimen_result *summarised(const struct told *t)
+{
+    struct gsn_specimen_result *result = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(summarise_once(t, &result, &err), err);
+    return result;
+}
+
+static struct gsn_specimen_measure measure(const struct gsn_specimen_result *result,
+                                           const char *name)
+{
+    for (size_t i = 0; i < result->measure_count; i++)
+        if (strcmp(result->measure[i].name, name) == 0)
+            return result->measure[i];
+    return (struct gsn_specimen_measure){ .value = NAN, .lower = NAN, .upper = NAN };
+}
+
+/* gives: the row of this name among the measures or the parameters, or NULL. */
+static json_t *row_of(const struct gsn_specimen_result *result, int parameter, const char *name)
+{
+    json_t *root = json_loadb(result->json, result->json_size, JSON_REJECT_DUPLICATES, NULL);
+    const json_t *rows = json_object_get(parameter ? json_object_get(root, "provenance") : root,
+                                         parameter ? "parameters" : "measures");
+    json_t *found = NULL;
+
+    CHECK(rows != NULL);
+    for (size_t i = 0; i < json_array_size(rows) && !found; i++) {
+        json_t *row = json_array_get(rows, i);
+
+        if (strcmp(json_string_value(json_object_get(row, "name")), name) == 0)
+            found = json_incref(row);
+    }
+    json_decref(root);
+    return found;
+}
+
+static int is_nan(double value)
+{
+    return value != value;
+}
+
+/* Per cent that the vectors leave open in the loss, as the report says; NaN: it says nothing. */
+static double by_vectors(const struct gsn_specimen_result *result)
+{
+    json_t *row = row_of(result, 0, BY_VECTORS);
+    const double value = row ? json_number_value(json_object_get(row, "value")) : (double)NAN;
+
+    CHECK(!row || strcmp(json_string_value(json_object_get(row, "unit")), "%") == 0);
+    CHECK(!row == !strstr(result->html, BY_VECTORS));
+    json_decref(row);
+    return value;
+}
+
+/* ---- what vectors leave open ----------------------------------------------------------------- */
+
+/* A vector that is off adds to both sides alike, in units of the treated density, and something of
+ * its own to the treated one. */
+static double loss_with(double own, double shared)
+{
+    return 100 * (1 - TREATED * (1 + own + shared) / (CONTROL + TREATED * shared));
+}
+
+TEST(a_loss_is_as_open_as_a_shared_and_an_own_error_of_the_densities_make_it)
+{
+    const double small = 1e-5;
+    const double own = OWN * (loss_with(small, 0) - loss_with(-small, 0)) / (2 * small);
+    const double shared = SHARED * (loss_with(0, small) - loss_with(0, -small)) / (2 * small);
+    told_auto t;
+
+    told_init(&t, 2);
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK_NEAR(measure(result, "loss").value, 40, 1e-9);
+    CHECK_NEAR(by_vectors(result), sqrt(own * own + 2 * TOGETHER * own * shared + shared * shared),
+               1e-5);
+}
+
+TEST(what_both_sides_share_wholly_counts_as_they_differ)
+{
+    static const double ratio[] = { 1, 0.8, 0.4, 1.2 };
+
+    for (int k = 0; k < 4; k++) {
+        told_auto t;
+
+        told_init(&t, 2);
+        t.account.density.mean = ratio[k] * CONTROL;
+        t.assembly.levelling.vectors = (struct gsn_turned_left){ 1, 0, SHARED * SHARED, 0 };
+        gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+        CHECK_NEAR(by_vectors(result), 100 * ratio[k] * fabs(1 - ratio[k]) * SHARED, 1e-9);
+    }
+}
+
+/* ---- the interval ---------------------------------------------------------------------------- */
+
+/* Fieller's: the shares at which treated - share * control is just 1.96 of its own errors off. */
+static void check_interval(const struct gsn_specimen_result *result, double treated,
+                           double of_treated, double of_control)
+{
+    const struct gsn_specimen_measure loss = measure(result, "loss");
+    const double edge[2] = { 1 - loss.upper / 100, 1 - loss.lower / 100 };
+
+    CHECK(loss.lower < loss.value && loss.value < loss.upper);
+    for (int k = 0; k < 2; k++)
+        CHECK_NEAR(fabs(treated - edge[k] * CONTROL) / hypot(of_treated, edge[k] * of_control),
+                   1.959963985, 1e-7);
+}
+
+/* What two baths may differ by is twice what those of one specimen's panels do. */
+static double of_linked_control(void)
+{
+    return hypot(OF_CONTROL, hypot(2 * GAIN_SCATTER * CONTROL, 2 * OFFSET_SCATTER));
+}
+
+/* Density 0 is known as well as the panels agree on it, and moves both sides. */
+static double of_zero(double ratio, double panels)
+{
+    return OFFSET_SCATTER / sqrt(panels) * fabs(1 - ratio);
+}
+
+TEST(the_interval_holds_the_vectors_beside_the_steps_and_what_the_baths_differ_by)
+{
+    const double own = OWN, shared = (1 - TREATED / CONTROL) * SHARED;
+    const double vectors = sqrt(own * own + 2 * TOGETHER * own * shared + shared * shared);
+    told_auto t;
+
+    told_init(&t, 4);
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    check_interval(result, TREATED,
+                   hypot(TREATED * hypot(BY_STEPS, vectors), of_zero(TREATED / CONTROL, 4)),
+                   of_linked_control());
+}
+
+TEST(without_a_loss_what_both_sides_share_is_not_in_the_interval)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    t.account.density.mean = CONTROL;
+    t.assembly.levelling.vectors = (struct gsn_turned_left){ 1, 0, SHARED * SHARED, 0 };
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK_NEAR(by_vectors(result), 0, 1e-12);
+    check_interval(result, CONTROL, CONTROL * BY_STEPS, of_linked_control());
+}
+
+/* The steps are among the errors of vectors that were taken as exact. */
+TEST(nothing_inferred_leaves_no_row_and_the_interval_by_all_of_the_stain)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    t.assembly.levelling.vectors = (struct gsn_turned_left){ 0 };
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK(is_nan(by_vectors(result)));
+    check_interval(result, TREATED, hypot(TREATED * BY_ALL, of_zero(TREATED / CONTROL, 2)),
+                   of_linked_control());
+}
+
+TEST(without_untreated_tissue_of_the_control_both_sides_count_in_full)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    for (int k = 0; k < GSN_UNTREATED_KINDS; k++)
+        t.specimen.baseline.tissue[k] = (struct gsn_level_tissue){ NAN, NAN };
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK(is_nan(by_vectors(result)));
+    check_interval(result, TREATED, TREATED * hypot(BY_ALL, IN_COMMON), OF_CONTROL_BY_ALL);
+}
+
+/* A control is compared by its own scale, of which zero is the treated side's to count. */
+TEST(what_is_handed_on_of_a_control_is_its_own_part)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    gsn_auto(gsn_specimen_result) inferred = summarised(&t);
+
+    CHECK_NEAR(measure(inferred, "own_scale_error").value, TREATED * hypot(BY_STEPS, OWN), 1e-12);
+    CHECK_NEAR(measure(inferred, "mean_density_error").value, TREATED * hypot(BY_ALL, IN_COMMON),
+               1e-12);
+    t.assembly.levelling.vectors.known = 0;
+    gsn_auto(gsn_specimen_result) stated = summarised(&t);
+
+    CHECK_NEAR(measure(stated, "own_scale_error").value, TREATED * BY_ALL, 1e-12);
+}
+
+/* ---- what is read ---------------------------------------------------------------------------- */
+
+/* gives: the vectors of a panel as the report tells them, NULL where it does not. */
+static char *vectors_of(const struct gsn_specimen_result *result, unsigned panel)
+{
+    char name[40];
+    char *text = NULL;
+    json_t *row;
+
+    (void)snprintf(name, sizeof name, "dye vectors of panel %u", panel);
+    row = row_of(result, 1, name);
+    if (row) {
+        text = gsn_format("%s", json_string_value(json_object_get(row, "value")));
+        CHECK(text && strstr(text, "red (") && strstr(result->html, name) &&
+              strstr(result->html, strstr(text, "red (")));
+    }
+    json_decref(row);
+    return text;
+}
+
+TEST(inferred_vectors_are_named_with_where_they_come_from_and_how_well_they_are_known)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    for (unsigned panel = 1; panel <= 2; panel++) {
+        gsn_auto_mem(char) text = vectors_of(result, panel);
+
+        CHECK(text != NULL);
+        assert_string_equal(text, "from the slide's own tissue: red (0.2800 0.9600 0.0000) +- 1.50 "
+                                  "deg, yellow (0.0000 0.2800 0.9600) +- 2.25 deg, dark (0.6000 "
+                                  "0.6400 0.4800) +- 3.12 deg");
+    }
+    CHECK(vectors_of(result, 3) == NULL);
+}
+
+TEST(vectors_that_are_taken_as_exact_and_panels_that_were_not_opened_are_not_told)
+{
+    told_auto t;
+
+    told_init(&t, 3);
+    memset(t.panel[0].stain.fit.deviation_deg, 0, sizeof t.panel[0].stain.fit.deviation_deg);
+    t.panel[1].opened = 0;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+    gsn_auto_mem(char) third = vectors_of(result, 3);
+
+    CHECK(vectors_of(result, 1) == NULL && vectors_of(result, 2) == NULL && third != NULL);
+}
+
+TEST(of_many_panels_the_first_two_dozen_are_told)
+{
+    told_auto t;
+
+    told_init(&t, MOST_PANELS);
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+    gsn_auto_mem(char) last = vectors_of(result, 24);
+
+    CHECK(last != NULL && vectors_of(result, 25) == NULL);
+}
+
+TEST(a_control_of_other_vectors_gives_no_loss_and_no_error_of_one)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    t.specimen.baseline.dyes = "van-gieson-1";
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK(result->withheld);
+    assert_string_equal(result->message, "the dye vectors differ: control has van-gieson-1, "
+                                         "treated has inferred-2");
+    CHECK(is_nan(measure(result, "loss").value));
+    CHECK(is_nan(by_vectors(result)));
+}
+
+TEST(no_text_of_the_vectors_goes_missing_for_want_of_memory)
+{
+    struct gsn_error err = { 0 };
+    told_auto t;
+
+    told_init(&t, 2);
+    CHECK_EVERY_OOM(summarise_once(&t, NULL, &err), err);
+}

@@ -57,17 +57,6 @@ void gsn_adapt_report_done(struct gsn_adapt_report *report)
     report->tet_rms = NULL;
 }
 
-const char *gsn_adapt_end_name(enum gsn_adapt_end end)
-{
-    static const char *const names[] = {
-        [GSN_ADAPT_WITHIN] = "within tolerance", [GSN_ADAPT_SAMPLES] = "samples exhausted",
-        [GSN_ADAPT_UNKNOWNS] = "most unknowns",  [GSN_ADAPT_ROUNDS] = "rounds over",
-        [GSN_ADAPT_NO_GAIN] = "no gain",         [GSN_ADAPT_FAILED] = "refinement failed",
-    };
-
-    return names[end];
-}
-
 static int complete(const struct gsn_adapt_options *options, struct gsn_adapt_options *ret,
                     struct gsn_error *err)
 {

@@ -43,9 +43,6 @@ enum gsn_adapt_end {
     GSN_ADAPT_FAILED,   /* the last refinement could not be made; `why` says it */
 };
 
-/* The end as a word for reports: "within tolerance", ... */
-const char *gsn_adapt_end_name(enum gsn_adapt_end end);
-
 struct gsn_adapt_round {
     size_t tets, unknowns, empty_tets, over_tolerance;
     double rms, worst;

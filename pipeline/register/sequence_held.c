@@ -11,10 +11,11 @@
 /* The second mount of a section lies in one of the next slots, whose own section is missing. */
 enum { NEAR_BY = 3 };
 /* Of a folded section one side alone may come to lie right: as many patches must agree as of the
- * fewest that a median is taken of, and by more, for chance lifts the best more than the middle. */
+ * fewest that a median is taken of, and by more, for chance lifts the best more than the middle.
+ * Fewer deviations than of the median, since six pairs of a section are compared and not all. */
 static double upper_quartile(double *share, size_t count);
 static const struct gsn_sequence_summary BEST_QUARTER = { upper_quartile,
-                                                          2 * GSN_SEQUENCE_LEAST_PATCHES, 0.42 };
+                                                          2 * GSN_SEQUENCE_LEAST_PATCHES, 0.42, 5 };
 /* A cell of which less than this share is seen is not known. */
 static const double SEEN = 0.5;
 /* What is not known counts as this little seen: it is no glass. */

@@ -17,9 +17,6 @@ enum { ROW = 12 };
 enum { SMOOTHINGS = 2 };
 enum { MOST_PATCHES = 4096 };
 
-/* Two mounts share this much more of their texture than neighbours of this stack do, in standard
- * deviations of what neighbours share. */
-static const double SAME_DEVIATIONS = 8;
 /* What two mounts of a section share under a good scanner. Where the limit is above, neighbours
  * share so much that nothing could tell a section that is there twice. */
 static const double TWO_MOUNTS = 0.6;
@@ -243,7 +240,7 @@ int gsn_sequence_texture_judge(struct gsn_sequence_texture *t,
         share[i] = fabs(share[i] - usual);
     *ret_usual = usual;
     *ret_least =
-        fmax(summary->same, usual + SAME_DEVIATIONS * MAD_TO_SD * gsn_median(share, pairs));
+        fmax(summary->same, usual + summary->deviations * MAD_TO_SD * gsn_median(share, pairs));
     *ret_told = *ret_least <= TWO_MOUNTS;
     return GSN_OK;
 }

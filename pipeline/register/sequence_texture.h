@@ -41,12 +41,12 @@ size_t gsn_sequence_texture_compare(struct gsn_sequence_texture *texture, size_t
 /* Patches of a whole plane, with tissue or without. */
 size_t gsn_sequence_texture_patches(const struct gsn_sequence_texture *texture);
 
-/* One number for the shares of at least so many patches; NaN of fewer. same: two mounts share this
- * much at least. */
+/* One number for the shares of at least so many patches; NaN of fewer. Two mounts share `same`
+ * at least, and this many standard deviations of what neighbours share more than they do. */
 struct gsn_sequence_summary {
     double (*of)(double *share, size_t count);
     size_t least;
-    double same;
+    double same, deviations;
 };
 double gsn_sequence_texture_shared(struct gsn_sequence_texture *texture, size_t i, size_t j,
                                    size_t step, const struct gsn_sequence_summary *summary);

@@ -11,9 +11,11 @@ enum { FIRST_LOOK = 10, LEAST_OF_FIRST = 5 };
 /* A pair whose first look is below this part of the limit is not looked at again. */
 static const double FAR_BELOW = 0.7;
 
-/* Two mounts share 0.38 of their texture at least, in the median of their patches. */
-static const struct gsn_sequence_summary WHOLE = { gsn_median, GSN_SEQUENCE_LEAST_PATCHES, 0.38 };
-static const struct gsn_sequence_summary FIRST = { gsn_median, LEAST_OF_FIRST, 0.38 };
+/* Two mounts share this much of their texture at least, and this much more than neighbours of this
+ * stack do, in standard deviations of what neighbours share. */
+static const struct gsn_sequence_summary WHOLE = { gsn_median, GSN_SEQUENCE_LEAST_PATCHES, 0.38,
+                                                   8 };
+static const struct gsn_sequence_summary FIRST = { gsn_median, LEAST_OF_FIRST, 0.38, 8 };
 
 /* Pairs far below the limit, which are nearly all, are told by a few of their patches. */
 static double shared_if_much(struct gsn_sequence_texture *t, size_t i, size_t j, double least)

@@ -247,8 +247,10 @@ static int join(struct gsn_sequence *sequence, const struct search *w, struct gs
 
     if (!all)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
-    memcpy(all, sequence->finding, sequence->count * sizeof *all);
-    memcpy(all + sequence->count, w->finding, w->found * sizeof *all);
+    for (size_t i = 0; i < sequence->count; i++)
+        all[i] = sequence->finding[i];
+    for (size_t i = 0; i < w->found; i++)
+        all[sequence->count + i] = w->finding[i];
     gsn_free(sequence->finding);
     sequence->finding = all;
     sequence->count += w->found;

@@ -180,11 +180,16 @@ static int measure_strength(const struct work *work, size_t k, struct gsn_error 
     return r < 0 ? r : gsn_evenness_of_section(density, &work->strength[k], err);
 }
 
-/* What is told from the whole section in coarse cells: rows nearer than half a cell to each other
- * say the same. */
+/* Of what is told in coarse cells, rows nearer than half a cell to each other say the same. */
+static unsigned rows_apart(const struct work *work)
+{
+    return (unsigned)fmax(1, floor(GSN_COLUMN_UM / 2 / work->scan->px_um));
+}
+
+/* What is told from the whole section in coarse cells. */
 static int gather(const struct work *work, size_t i, struct gsn_error *err)
 {
-    const unsigned apart = (unsigned)fmax(1, floor(GSN_COLUMN_UM / 2 / work->scan->px_um));
+    const unsigned apart = rows_apart(work);
     struct gsn_stack_section section = stack_section(&work->a->section[i]);
     gsn_auto(gsn_plane) density = NULL;
     int r = work->planes || work->a->columns ? see_section(work, i, apart, &density, err) : GSN_OK;
@@ -198,6 +203,26 @@ static int gather(const struct work *work, size_t i, struct gsn_error *err)
     return work->a->columns ? gsn_columns_add(work->a->columns, &section, apart, work->absorber,
                                               work->specimen->protocol->interval_um, err)
                             : GSN_OK;
+}
+
+/* Held sections are seen as they lie: another may be the same one mounted twice. */
+static int gather_held(const struct work *work, struct gsn_error *err)
+{
+    const unsigned apart = rows_apart(work);
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && work->planes && i < work->a->section_count; i++) {
+        const struct gsn_assembly_section *s = &work->a->section[i];
+        gsn_auto(gsn_plane) density = NULL;
+
+        if (s->panel != work->panel || s->state != GSN_SECTION_HELD ||
+            s->seen.serial == GSN_NO_SERIAL || s->seen.width <= 0 || s->seen.height <= 0)
+            continue;
+        r = see_section(work, i, apart, &density, err);
+        if (r >= 0)
+            r = gsn_section_planes_hold(work->planes, i, density, apart, work->scan->px_um, err);
+    }
+    return r;
 }
 
 /* Each section has planes of its own, so the threads cannot matter. */
@@ -281,6 +306,8 @@ static int lay_panel(struct work *work, struct gsn_assembly_panel *panel, struct
                            err);
     if (r >= 0)
         r = lay_sections(work, &panel->strength, err);
+    if (r >= 0)
+        r = gather_held(work, err);
     gsn_assembly_light_done(&work->light);
     return r;
 }

@@ -4,50 +4,101 @@
 #include "pipeline/assembly_parts.h"
 #include <stdio.h>
 
-static struct gsn_assembly_section *section_of(const struct gsn_section_planes *planes,
-                                               struct gsn_assembly *a, unsigned serial)
+static void flag(struct gsn_assembly_section *s, const struct gsn_sequence_finding *finding,
+                 unsigned other)
 {
-    for (size_t k = 0; k < planes->count; k++)
-        if (a->section[planes->section[k]].seen.serial == serial)
-            return &a->section[planes->section[k]];
-    return NULL;
+    char word[40];
+
+    (void)snprintf(word, sizeof word,
+                   finding->kind == GSN_SEQUENCE_SWAP ? "swapped-with-%u?" : "same-as-%u?", other);
+    gsn_assembly_flag(s, word);
 }
 
-static void flag(const struct gsn_section_planes *planes, struct gsn_assembly *a,
-                 const struct gsn_sequence_finding *finding)
+/* Flags the sections of that number that were compared, laid or held. */
+static void flag_all(const struct gsn_section_planes *planes, struct gsn_assembly *a,
+                     const struct gsn_sequence_finding *finding, int second)
 {
-    const unsigned serial[2] = { finding->a, finding->b };
+    const unsigned serial = second ? finding->b : finding->a;
+    const unsigned other = second ? finding->a : finding->b;
+    const size_t count = finding->held[second] ? planes->held_count : planes->count;
 
-    for (int i = 0; i < 2; i++) {
-        struct gsn_assembly_section *s = section_of(planes, a, serial[i]);
-        char word[40];
+    for (size_t k = 0; k < count; k++) {
+        const size_t i = finding->held[second] ? planes->held[k].section : planes->section[k];
 
-        (void)snprintf(word, sizeof word,
-                       finding->kind == GSN_SEQUENCE_SWAP ? "swapped-with-%u?" : "same-as-%u?",
-                       serial[1 - i]);
-        if (s)
-            gsn_assembly_flag(s, word);
+        if (a->section[i].seen.serial == serial)
+            flag(&a->section[i], finding, other);
     }
+}
+
+static int examine_laid(const struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                        struct gsn_sequence_plane *plane, struct gsn_sequence **ret_sequence,
+                        struct gsn_error *err)
+{
+    for (size_t k = 0; k < planes->count; k++)
+        plane[k] =
+            (struct gsn_sequence_plane){ a->section[planes->section[k]].seen.serial,
+                                         planes->density + k * planes->columns * planes->rows };
+    return gsn_sequence_examine(plane, planes->count, planes->columns, planes->rows, ret_sequence,
+                                err);
+}
+
+static int examine_held(const struct gsn_section_planes *planes, const struct gsn_assembly *a,
+                        const struct gsn_sequence_plane *plane, struct gsn_sequence *sequence,
+                        struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_sequence_held) held = gsn_alloc_array(planes->held_count, sizeof *held);
+
+    if (!held)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
+    for (size_t k = 0; k < planes->held_count; k++) {
+        const struct gsn_section_apart *s = &planes->held[k];
+
+        held[k] = (struct gsn_sequence_held){ a->section[s->section].seen.serial, s->columns,
+                                              s->rows, s->cell_um / planes->cell_um, s->density };
+    }
+    return gsn_sequence_examine_held(plane, planes->count, planes->columns, planes->rows, held,
+                                     planes->held_count, sequence, err);
 }
 
 int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_assembly *a,
                               struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(planes->count, sizeof *plane);
+    gsn_auto(gsn_sequence) sequence = NULL;
     int r;
 
     if (!plane)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
     gsn_section_planes_settle(planes);
-    for (size_t k = 0; k < planes->count; k++)
-        plane[k] =
-            (struct gsn_sequence_plane){ a->section[planes->section[k]].seen.serial,
-                                         planes->density + k * planes->columns * planes->rows };
-    r = gsn_sequence_examine(plane, planes->count, planes->columns, planes->rows, ret_sequence,
-                             err);
-    for (size_t i = 0; r >= 0 && i < (*ret_sequence)->count; i++)
-        flag(planes, a, &(*ret_sequence)->finding[i]);
-    return r;
+    r = examine_laid(planes, a, plane, &sequence, err);
+    if (r >= 0 && planes->held_count > 0)
+        r = examine_held(planes, a, plane, sequence, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < sequence->count; i++)
+        for (int second = 0; second < 2; second++)
+            flag_all(planes, a, &sequence->finding[i], second);
+    *ret_sequence = gsn_steal(&sequence);
+    return GSN_OK;
+}
+
+static void say_held(const struct gsn_sequence_finding *f, char ret_sentence[GSN_POSE_SENTENCE])
+{
+    const unsigned held = f->held[0] ? f->a : f->b, used = f->held[0] ? f->b : f->a;
+    char what[200];
+
+    if (f->held[0] && f->held[1])
+        (void)snprintf(what, sizeof what, "both are held: use one of them at most");
+    else
+        (void)snprintf(what, sizeof what,
+                       "section %u is held and %u is used: if %u is the one that belongs where it "
+                       "is, %u lies in the place of another",
+                       held, used, held, used);
+    (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
+                   "sections %u and %u look like one section, mounted or scanned twice: the best "
+                   "quarter of their texture agrees to %.0f %%, that of neighbours to %.0f %%; %s: "
+                   "look at both",
+                   f->a, f->b, 100 * f->evidence, 100 * f->usual, what);
 }
 
 void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
@@ -59,6 +110,8 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
                        "against the way it changes around them, by %.1f standard errors where %.1f "
                        "along it are expected; nothing was moved: look at both",
                        finding->a, finding->b, finding->against, finding->foretold);
+    else if (finding->kind == GSN_SEQUENCE_HELD_DUPLICATE)
+        say_held(finding, ret_sentence);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
                        "sections %u and %u look like one section, mounted or scanned twice: their "

@@ -95,8 +95,9 @@ int gsn_section_planes_new(const struct gsn_assembly *a, double cell_um,
     if (planes) {
         planes->cell_um = cell_um;
         planes->section = gsn_alloc_array(a->section_count, sizeof *planes->section);
+        planes->held = gsn_alloc_array(a->section_count, sizeof *planes->held);
     }
-    if (!planes || !room || !planes->section)
+    if (!planes || !room || !planes->section || !planes->held)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the sections");
     planes->count = gsn_section_planes_list(a, planes->section);
     if (planes->count == 0) {
@@ -117,6 +118,9 @@ void gsn_section_planes_free(struct gsn_section_planes *planes)
 {
     if (!planes)
         return;
+    for (size_t k = 0; k < planes->held_count; k++)
+        gsn_free(planes->held[k].density);
+    gsn_free(planes->held);
     gsn_free(planes->section);
     gsn_free(planes->density);
     gsn_free(planes->seen);
@@ -154,6 +158,52 @@ void gsn_section_planes_add(struct gsn_section_planes *planes, const struct gsn_
     for (size_t k = 0; planes && k < planes->count; k++)
         if (planes->section[k] == i)
             gather(planes, k, &a->section[i], density, apart);
+}
+
+/* known, seen: samples of each cell, scratch. */
+static void gather_apart(struct gsn_section_apart *s, const struct gsn_plane *density,
+                         unsigned apart, double px_um, float *known, float *seen)
+{
+    for (size_t y = 0; y < density->height; y++)
+        for (size_t x = 0; x < density->width; x++) {
+            const float value = density->value[y * density->width + x];
+            const size_t u = (size_t)(((double)x + 0.5) * px_um / s->cell_um);
+            const size_t v = (size_t)(((double)(y * apart) + 0.5) * px_um / s->cell_um);
+            const size_t cell = v * s->columns + u;
+
+            s->density[cell] += isnan(value) ? 0 : value;
+            known[cell] += isnan(value) ? 0.0f : 1.0f;
+            seen[cell]++;
+        }
+    for (size_t c = 0; c < s->columns * s->rows; c++)
+        s->density[c] = known[c] > 0 && (double)known[c] >= SEEN * (double)seen[c]
+                            ? s->density[c] / known[c]
+                        : seen[c] > 0 ? NAN
+                                      : 0;
+}
+
+int gsn_section_planes_hold(struct gsn_section_planes *planes, size_t i,
+                            const struct gsn_plane *density, unsigned apart, double px_um,
+                            struct gsn_error *err)
+{
+    struct gsn_section_apart s = { .section = i };
+
+    if (!planes)
+        return GSN_OK;
+    s.cell_um = fmax(planes->cell_um / 2, apart * px_um);
+    s.columns = (size_t)(density->width * px_um / s.cell_um) + 1;
+    s.rows = (size_t)(density->height * apart * px_um / s.cell_um) + 1;
+
+    gsn_auto_mem(float) cells = gsn_alloc_array(s.columns * s.rows, sizeof *cells);
+    gsn_auto_mem(float) room = gsn_alloc_array(2 * s.columns * s.rows, sizeof *room);
+
+    if (!cells || !room)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the planes of the sections");
+    s.density = cells;
+    gather_apart(&s, density, apart, px_um, room, room + s.columns * s.rows);
+    s.density = gsn_steal(&cells);
+    planes->held[planes->held_count++] = s;
+    return GSN_OK;
 }
 
 static float mean_of(double sum, double seen, double cell_um)

@@ -27,7 +27,14 @@ static int order(const void *a, const void *b)
         return f->kind < g->kind ? -1 : 1;
     if (f->evidence != g->evidence)
         return f->evidence > g->evidence ? -1 : 1;
-    return f->a < g->a ? -1 : f->a > g->a;
+    if (f->a != g->a)
+        return f->a < g->a ? -1 : 1;
+    return f->b < g->b ? -1 : f->b > g->b;
+}
+
+void gsn_sequence_sort(struct gsn_sequence *sequence)
+{
+    qsort(sequence->finding, sequence->count, sizeof *sequence->finding, order);
 }
 
 /* How much a swap of sections that is not seen carries from one place to the other, as a share of
@@ -176,7 +183,7 @@ int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, 
         r = find_once(planes, count, columns, rows, found, err);
     if (r < 0)
         return r;
-    qsort(found->finding, found->count, sizeof *found->finding, order);
+    gsn_sequence_sort(found);
     *ret_sequence = gsn_steal(&found);
     return GSN_OK;
 }

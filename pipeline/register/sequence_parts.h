@@ -142,6 +142,9 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
 
 /* ---- findings ----------------------------------------------------------------------------- */
 
+/* Swaps, duplicates, those of which one is held; the surest first within each kind. */
+void gsn_sequence_sort(struct gsn_sequence *sequence);
+
 /* Fails with GSN_E_NOMEM. */
 int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t n, size_t columns,
                                  size_t rows, struct gsn_sequence *found, struct gsn_error *err);

@@ -137,6 +137,9 @@ void gsn_draft_vectors(const struct gsn_evidence *e, struct gsn_draft *d)
                                          panel->stain.panel),
                            apart_of(&panel->calibrated.apart, d));
     }
+    if (told > MOST_TOLD)
+        gsn_draft_text(rows, count, "dye vectors of further panels",
+                       gsn_draft_say(d, "%zu more panels have their own", told - MOST_TOLD));
     if (e->assembly->calibration_count > 0)
         warn_of_others(e, d);
 }

@@ -391,8 +391,9 @@ TEST(vectors_that_are_taken_as_exact_and_panels_that_were_not_opened_are_not_tol
     CHECK(vectors_of(result, 1) == NULL && vectors_of(result, 2) == NULL && third != NULL);
 }
 
-TEST(of_many_panels_the_first_two_dozen_are_told)
+TEST(of_many_panels_the_first_two_dozen_are_told_and_how_many_more_there_are)
 {
+    static const char *const further = "dye vectors of further panels";
     told_auto t;
 
     told_init(&t, MOST_PANELS);
@@ -400,6 +401,16 @@ TEST(of_many_panels_the_first_two_dozen_are_told)
     gsn_auto_mem(char) last = vectors_of(result, 24);
 
     CHECK(last != NULL && vectors_of(result, 25) == NULL);
+    json_t *more = row_of(result, 1, further);
+
+    CHECK(more != NULL && strstr(result->html, further));
+    assert_string_equal(json_string_value(json_object_get(more, "value")),
+                        "6 more panels have their own");
+    json_decref(more);
+    t.assembly.panel_count = 24;
+    gsn_auto(gsn_specimen_result) all = summarised(&t);
+
+    CHECK(row_of(all, 1, further) == NULL);
 }
 
 TEST(a_control_of_other_vectors_gives_no_loss_and_no_error_of_one)

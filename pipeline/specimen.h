@@ -59,6 +59,9 @@ struct gsn_specimen_baseline {
     double mean_density, volume_mm3;
     double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
     double own_scale_error;    /* that without what its stain as a whole may be off by */
+    /* Of the specimen of which least is known: shares of its region that were not measured, and that
+     * were neither measured nor bridged. */
+    double unmeasured, unknown;
     /* Of tissue that nobody treated; value NaN: not known of every one of the specimens. */
     struct gsn_level_tissue tissue[GSN_SPECIMEN_TISSUES];
     const char *definition, *dyes;

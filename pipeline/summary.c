@@ -83,6 +83,7 @@ static void keep_measures(const struct gsn_evidence *e, const struct gsn_draft *
     measure_row(result, "mean_density", r->region.mean_density, NAN, NAN, "density");
     measure_row(result, "region_volume", r->region.volume_mm3, NAN, NAN, "mm3");
     measure_row(result, "coverage", r->region.coverage, NAN, NAN, "");
+    measure_row(result, "known", e->account ? e->account->coverage : NAN, NAN, NAN, "");
     if (gsn_draft_density_error(e) > 0)
         measure_row(result, "mean_density_error", gsn_draft_density_error(e), NAN, NAN, "density");
     if (gsn_draft_own_scale_error(e) > 0)

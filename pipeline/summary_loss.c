@@ -194,23 +194,35 @@ const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d
     return e->withheld ? and_panels(e, d, e->withheld) : NULL;
 }
 
-/* Why too little of the region is known to give a loss; NULL: enough is. */
+/* Why too little of a region is known to give a loss; NULL: enough is. */
+static const char *too_little(struct gsn_draft *d, const char *whose, double known, double measured)
+{
+    if (known < LEAST_KNOWN)
+        return gsn_draft_say(d, "%sonly %.0f %% of the region of interest has data", whose,
+                             100 * measured);
+    if (measured < LEAST_MEASURED)
+        return gsn_draft_say(
+            d,
+            "%sonly %.0f %% of the region of interest was measured; the rest could "
+            "only be bridged from the sections beside it",
+            whose, 100 * measured);
+    return NULL;
+}
+
 static const char *too_little_known(const struct gsn_evidence *e, struct gsn_draft *d)
 {
-    const struct gsn_report_region *region = &d->report.region;
+    const char *why = too_little(d, "", e->account->coverage, d->report.region.coverage);
 
-    if (e->account->coverage < LEAST_KNOWN)
-        return and_panels(e, d,
-                          gsn_draft_say(d, "only %.0f %% of the region of interest has data",
-                                        100 * region->coverage));
-    if (region->coverage < LEAST_MEASURED)
-        return and_panels(
-            e, d,
-            gsn_draft_say(d,
-                          "only %.0f %% of the region of interest was measured; the rest could "
-                          "only be bridged from the sections beside it",
-                          100 * region->coverage));
-    return NULL;
+    return why ? and_panels(e, d, why) : NULL;
+}
+
+static const char *too_little_of_baseline(const struct gsn_specimen_baseline *b,
+                                          struct gsn_draft *d)
+{
+    const char *whose = gsn_draft_say(d, "of the baseline %s ", b->name);
+    const char *why = too_little(d, whose, 1 - b->unknown, 1 - b->unmeasured);
+
+    return why ? gsn_draft_say(d, "%s: settle what its report says, then run again", why) : NULL;
 }
 
 /* Why the baseline gives nothing to compare with. */
@@ -306,6 +318,38 @@ static void link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
               zero_error(e, control->mean));
 }
 
+/* Why two densities that are known say nothing of each other; NULL: they do. */
+static const char *not_comparable(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+    const char *version = d->report.density_version;
+    const char *own = too_little_known(e, d), *theirs = too_little_of_baseline(b, d);
+
+    if (own && theirs)
+        gsn_draft_warn(d, theirs);
+    if (own || theirs)
+        return own ? own : theirs;
+    if (e->assembly && e->assembly->not_comparable[0])
+        return e->assembly->not_comparable;
+    if (strcmp(b->dyes, version) != 0 &&
+        (strstr(b->dyes, GSN_DRAFT_IN_BATCH) || strstr(version, GSN_DRAFT_IN_BATCH)))
+        return gsn_draft_say(d,
+                             "batches not comparable: the control was measured by %s, this "
+                             "specimen by %s; state \"reference\" in both jobs",
+                             b->dyes, version);
+    return NULL;
+}
+
+/* Others may have this specimen for their baseline. */
+static void warn_as_baseline(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const char *known = e->account ? too_little_known(e, d) : NULL;
+
+    if (known)
+        gsn_draft_warn(d,
+                       gsn_draft_say(d, "no loss can be given against this specimen: %s", known));
+}
+
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
@@ -327,6 +371,7 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
 
     if (!b->name[0]) {
         r->loss_reason = "no baseline is stated, so this specimen is its own";
+        warn_as_baseline(e, d);
         return;
     }
     if (!e->account) {
@@ -345,23 +390,8 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
     if (d->linked)
         link_sides(e, d, &control, &treated);
     r->baseline_mean = control.mean;
-    r->loss_reason = too_little_known(e, d);
+    r->loss_reason = not_comparable(e, d);
     if (r->loss_reason) {
-        gsn_draft_warn(d, r->loss_reason);
-        return;
-    }
-    if (e->assembly && e->assembly->not_comparable[0]) {
-        r->loss_reason = e->assembly->not_comparable;
-        gsn_draft_warn(d, r->loss_reason);
-        return;
-    }
-    if (strcmp(b->dyes, r->density_version) != 0 &&
-        (strstr(b->dyes, GSN_DRAFT_IN_BATCH) || strstr(r->density_version, GSN_DRAFT_IN_BATCH))) {
-        r->loss_reason =
-            gsn_draft_say(d,
-                          "batches not comparable: the control was measured by %s, this "
-                          "specimen by %s; state \"reference\" in both jobs",
-                          b->dyes, r->density_version);
         gsn_draft_warn(d, r->loss_reason);
         return;
     }

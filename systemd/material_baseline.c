@@ -103,6 +103,8 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
     b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));
     add_tissues(measures, b);
+    b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
+    b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
     b->specimens++;
     if (!m->definition) {

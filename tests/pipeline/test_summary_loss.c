@@ -428,6 +428,72 @@ TEST(a_control_of_other_vectors_gives_no_loss_and_no_error_of_one)
     CHECK(is_nan(by_vectors(result)));
 }
 
+/* ---- what is not known of either side -------------------------------------------------------- */
+
+TEST(a_baseline_of_which_too_little_is_known_gives_no_loss)
+{
+    static const struct {
+        double unknown, unmeasured;
+        const char *says;
+    } cases[] = {
+        { 0.09, 0.29, "" },
+        { 0.11, 0.29,
+          "of the baseline control only 71 % of the region of interest has data: settle what its "
+          "report says, then run again" },
+        { 0.09, 0.31,
+          "of the baseline control only 69 % of the region of interest was measured; the rest "
+          "could "
+          "only be bridged from the sections beside it: settle what its report says, then run "
+          "again" },
+    };
+
+    for (int k = 0; k < 3; k++) {
+        told_auto t;
+
+        told_init(&t, 2);
+        t.specimen.baseline.unknown = cases[k].unknown;
+        t.specimen.baseline.unmeasured = cases[k].unmeasured;
+        gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+        CHECK(result->withheld == (k > 0) && is_nan(measure(result, "loss").value) == (k > 0));
+        if (k > 0)
+            assert_string_equal(result->message, cases[k].says);
+    }
+}
+
+TEST(where_too_little_is_known_of_either_side_both_are_named)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    t.account.coverage = 0.8;
+    t.specimen.baseline.unknown = t.specimen.baseline.unmeasured = 0.2;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK(result->withheld);
+    assert_string_equal(result->message, "only 80 % of the region of interest has data");
+    CHECK(strstr(result->html, "of the baseline control only 80 % of the region of interest has "
+                               "data") != NULL);
+}
+
+TEST(a_specimen_that_is_its_own_says_when_it_is_no_baseline_for_others)
+{
+    static const char *const says =
+        "no loss can be given against this specimen: only 80 % of the region of interest has data";
+
+    for (int k = 0; k < 2; k++) {
+        told_auto t;
+
+        told_init(&t, 2);
+        t.specimen.baseline = (struct gsn_specimen_baseline){ .name = "" };
+        t.account.coverage = k ? 0.8 : 0.95;
+        gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+        CHECK(!result->withheld && !strstr(result->html, says) == !k);
+        CHECK_NEAR(measure(result, "known").value, t.account.coverage, 0);
+    }
+}
+
 TEST(no_text_of_the_vectors_goes_missing_for_want_of_memory)
 {
     struct gsn_error err = { 0 };

@@ -450,6 +450,37 @@ TEST(a_treated_specimen_is_done_again_when_its_control_is_reported)
     check_report(&scratch, after);
 }
 
+/* Of the control's region a third lies on a panel that has not come. */
+TEST(a_control_that_is_half_there_gives_no_loss_until_the_rest_comes)
+{
+    static const char *const region =
+        ", \"region\": {\"shape\": \"box\", \"min\": [-240, -144, 0], \"max\": [240, 144, 144]}";
+    gsn_auto_mem(char) treated = gsn_format("%s, \"baseline\": \"control\"", region);
+    gsn_auto_mem(char) control = gsn_format("{\"specimen\": \"control\", " HEAD "%s}", region);
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+
+    write_specimen(&scratch, "treated", treated, 0.6);
+    bench_write_job(&scratch, "control", control);
+    bench_write_panel(&scratch, "control", "P01.png", 1, 0.8);
+    (void)take(&scratch, store, "control");
+    (void)take(&scratch, store, "treated");
+    (void)work_all(store, 9);
+    gsn_auto(gsn_run_row) before = latest(store, "treated");
+
+    assert_string_equal(before->message, "of the baseline control only 67 % of the region of "
+                                         "interest has data: settle what its report says, then run "
+                                         "again");
+    CHECK(strcmp(before->state, "withheld") == 0);
+    bench_write_panel(&scratch, "control", "P02.png", 2, 0.8);
+    (void)take(&scratch, store, "control");
+    (void)work_all(store, 9);
+    gsn_auto(gsn_run_row) after = latest(store, "treated");
+
+    CHECK(strcmp(after->state, "reported") == 0);
+    CHECK_NEAR(measure(store, after, "loss"), 25, 0.5);
+}
+
 /* Each is the other's baseline. With figures and without, the work ends. */
 TEST(baselines_in_a_circle_end)
 {

@@ -442,9 +442,8 @@ TEST(a_baseline_of_which_too_little_is_known_gives_no_loss)
           "report says, then run again" },
         { 0.09, 0.31,
           "of the baseline control only 69 % of the region of interest was measured; the rest "
-          "could "
-          "only be bridged from the sections beside it: settle what its report says, then run "
-          "again" },
+          "could only be bridged from the sections beside it: settle what its report says, then "
+          "run again" },
     };
 
     for (int k = 0; k < 3; k++) {

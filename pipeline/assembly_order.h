@@ -2,10 +2,9 @@
 
 /* Whether the laid sections lie in the order of their numbers (register/sequence.h).
  *
- * While the panels are opened, each section's density is gathered in cells of the block;
- * at the end all are compared, and the held ones with
- * the laid around them, for one may be the second mount of the other. What is found is flags and
- * sentences: proposals for a person. */
+ * While the panels are opened, each section's density is gathered in cells of the block; at the end
+ * all are compared, and the held ones with those around them, for one may be the second mount of
+ * the other. What is found is flags and sentences: proposals for a person. */
 #ifndef GSN_PIPELINE_ASSEMBLY_ORDER_H
 #define GSN_PIPELINE_ASSEMBLY_ORDER_H
 

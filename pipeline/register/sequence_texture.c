@@ -7,9 +7,9 @@
 #include <math.h>
 #include <string.h>
 
-/* A patch is compared at all shifts up to REACH, as two mounts of a section
- * are warped each in its own way. A patch of 16 is half a millimetre: small enough to be shifted as
- * a whole, large enough that chance agrees by a fifth at most shifts. */
+/* A patch is compared at all shifts up to REACH, as two mounts of a section are warped each in its
+ * own way. A patch of 16 is half a millimetre: small enough to be shifted as a whole, large enough
+ * that chance agrees by a fifth at most shifts. */
 enum { PATCH = 16, REACH = 5, SHIFTS = 2 * REACH + 1, WINDOW = PATCH + 2 * REACH };
 /* Whole vectors. */
 enum { ROW = 12 };

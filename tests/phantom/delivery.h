@@ -13,10 +13,10 @@
 extern "C" {
 #endif
 
-/* Fills in the files of a plan. Up to L2 each panel comes once, in order. At L3 one panel does not
- * come at all, one is cut short, one is stored turned, one is a TIFF of 16 bits and one states a
- * wrong resolution; the turned one is scanned a second time, upright, and comes last; the order of
- * the others is any. */
+/* Fills in the files of a plan. Up to L2, and at L3-whole, each panel comes once, in order. At L3
+ * one panel does not come at all, one is cut short, one is stored turned, one is a TIFF of 16 bits
+ * and one states a wrong resolution; the turned one is scanned a second time, upright, and comes
+ * last; the order of the others is any. */
 void gsn_phantom_delivery_draw(struct gsn_phantom_plan *plan);
 
 /* gives: the name of file i; NULL when memory runs out. Where the order is any, it begins with the

@@ -32,8 +32,9 @@ static const struct argp_option OPTIONS[] = {
       "S00 (no lesion), S01, S02, S03 or S04; N1 and so on of the study", 0 },
     { "study", KEY_STUDY, NULL, 0, "make all 15 animals of the study", 0 },
     { "level", 'l', "LEVEL", 0,
-      "L0 (ideal), L1 (a careful bench, the default), L2 (an ordinary one, with defects) or L3 (a "
-      "bad one)",
+      "L0 (ideal), L1 (a careful bench, the default), L2 (an ordinary one, with defects), L3 (a "
+      "bad "
+      "one) or L3-whole (a bad one whose panels all come in)",
       0 },
     { "seed", KEY_SEED, "NUMBER", 0, "what is drawn at random follows from it; default 1", 0 },
     { "out", 'o', "DIR", 0, "the folder to write", 0 },

@@ -16,6 +16,14 @@ static const double PITCH_UM = 8000;
 static const double PANEL_WIDTH_UM = 36800, PANEL_HEIGHT_UM = 24960;
 static const double LEAST_PX_UM = 8, MOST_PX_UM = 48;
 
+/* A bad bench, however its panels come in. */
+#define BAD_BENCH                                                                                  \
+    .turn_within_deg = 180, .flip_share = .10, .jitter_um = 1300, .size_sd = .02, .axis_sd = .01,  \
+    .warp_rms_um = 30, .mark_missing_share = .08, .mark_wander_um = 6, .decoys_most = 6,           \
+    .ln_red_sd = .20, .ln_yellow_sd = .25, .dye_turn_deg = 5, .white_sd = .03, .ramp = .10,        \
+    .illumination = .15, .noise_sd = 3, .texture = 1.3, .defects_least = 6, .defects_most = 8,     \
+    .missing_least = 2, .missing_most = 3, .handled = 1, .extension = "jpg", .quality = 60
+
 static const struct gsn_phantom_level LEVEL[] = {
     { .name = "L0", .extension = "png" },
     { .name = "L1",
@@ -51,32 +59,8 @@ static const struct gsn_phantom_level LEVEL[] = {
       .handled = 1,
       .extension = "jpg",
       .quality = 85 },
-    { .name = "L3",
-      .turn_within_deg = 180,
-      .flip_share = .10,
-      .jitter_um = 1300,
-      .size_sd = .02,
-      .axis_sd = .01,
-      .warp_rms_um = 30,
-      .mark_missing_share = .08,
-      .mark_wander_um = 6,
-      .decoys_most = 6,
-      .ln_red_sd = .20,
-      .ln_yellow_sd = .25,
-      .dye_turn_deg = 5,
-      .white_sd = .03,
-      .ramp = .10,
-      .illumination = .15,
-      .noise_sd = 3,
-      .texture = 1.3,
-      .defects_least = 6,
-      .defects_most = 8,
-      .missing_least = 2,
-      .missing_most = 3,
-      .handled = 1,
-      .awkward = 1,
-      .extension = "jpg",
-      .quality = 60 },
+    { .name = "L3", .awkward = 1, BAD_BENCH },
+    { .name = "L3-whole", BAD_BENCH },
 };
 
 static const struct gsn_phantom_level *find_level(const char *name)
@@ -219,7 +203,8 @@ int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed
     plan.sections = plan.specimen->sections;
     plan.panels = (plan.sections + GSN_PHANTOM_SLOTS - 1) / GSN_PHANTOM_SLOTS;
     if (!plan.level)
-        return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3", level);
+        return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3, and L3-whole",
+                        level);
     if (px_um == 0)
         plan.px_um = px_um = plan.specimen->usual_px_um;
     if (!(px_um >= LEAST_PX_UM && px_um <= MOST_PX_UM))

@@ -33,6 +33,19 @@ TEST(an_ordinary_scanner_delivers_each_panel_once_and_in_order)
     }
 }
 
+TEST(a_bad_bench_that_loses_no_panel_turns_and_stains_alike)
+{
+    const struct gsn_phantom_plan bad = plan_of("L3", 3), whole = plan_of("L3-whole", 3);
+
+    CHECK(whole.files == 5 && whole.missing_panel == 0 && bad.missing_panel > 0);
+    for (int i = 0; i < whole.files; i++)
+        CHECK(whole.file[i].panel == i + 1 && whole.file[i].kept == 1 && whole.file[i].passes == 1);
+    for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++)
+        CHECK_NEAR(whole.section[k].theta, bad.section[k].theta, 0);
+    for (int i = 0; i < whole.panels; i++)
+        CHECK_NEAR(whole.batch[i].red_gain, bad.batch[i].red_gain, 0);
+}
+
 static void check_awkward(const struct gsn_phantom_plan *plan)
 {
     int cut = 0, turned = 0, deep = 0, wrong = 0, again = 0, seen[GSN_PHANTOM_PANELS + 1] = { 0 };

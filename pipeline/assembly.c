@@ -148,9 +148,9 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
     if (r >= 0 && band && a->grid)
         r = gsn_assembly_find_band(specimen, options, a, err);
     if (r >= 0)
-        r = gsn_assembly_find_tissues(specimen, a, err);
+        gsn_assembly_sum_errors(specimen, a);
     if (r >= 0)
-        r = gsn_assembly_sum_errors(specimen, a, err);
+        r = gsn_assembly_find_tissues(specimen, a, err);
     if (r < 0)
         return r;
     *ret_assembly = gsn_steal(&a);

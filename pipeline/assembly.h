@@ -15,7 +15,7 @@
 #include "pipeline/specimen.h"
 #include "pipeline/stain/dust.h"
 #include "pipeline/stain/lamp.h"
-#include "pipeline/stain/level.h"
+#include "pipeline/stain/level_tissues.h"
 #include "pipeline/stain/reference.h"
 #include "pipeline/stain/mask.h"
 #include "pipeline/stain/tone.h"
@@ -69,6 +69,7 @@ struct gsn_assembly_panel {
     struct gsn_calibrated calibrated; /* by its calibration panel, where one is stated */
     struct gsn_stain_gain gain;       /* what its densities were divided by */
     int levelled;                     /* whether it was compared with the panels beside it */
+    size_t place;                     /* then, along the block among those that were; 0-based */
     struct gsn_level level;           /* its densities were: minus offset, divided by gain */
     double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
     double red_error; /* relative standard error of its red by vectors and white; 0: the
@@ -90,12 +91,15 @@ enum gsn_untreated {
 
 /* What of the panels was compared, and with which tissue other specimens can be. */
 struct gsn_levelling {
-    int done;                 /* whether the panels could be compared with each other */
-    struct gsn_level_fit fit; /* of the steps between them */
-    size_t panels;            /* that were compared */
-    struct gsn_level_tissue tissue[GSN_UNTREATED_KINDS]; /* on the panels' common scale */
-    struct gsn_turned_left vectors; /* what the dye vectors leave open beside those tissues */
-    char why[480];                  /* why not done, or empty */
+    int done;                       /* whether the panels could be compared with each other */
+    struct gsn_level_fit fit;       /* of the steps between them */
+    size_t panels;                  /* that were compared */
+    double share[GSN_LEVEL_PANELS]; /* of the region's voxels with data, by place; they sum to 1 */
+    struct gsn_level_tissues tissues; /* by enum gsn_untreated, on the panels' common scale */
+    struct gsn_turned_left vectors;   /* what the dye vectors leave open beside those tissues */
+    struct gsn_turned_scatter turns;  /* where the vectors were taken as exact: what they turn by
+                                         from panel to panel; vectors is then per rad^2 of it */
+    char why[480];                    /* why not done, or empty */
 };
 
 /* What became of the sections that were to be laid by their tissue. */

@@ -166,8 +166,8 @@ static int line_between(struct view *v, const size_t before[SIDE], const size_t 
 struct order {
     size_t *plane; /* owned */
     size_t planes, panels;
-    size_t first[65]; /* of each panel, and the end */
-    int panel[64];
+    size_t first[GSN_LEVEL_PANELS + 1]; /* of each panel, and the end */
+    int panel[GSN_LEVEL_PANELS];
 };
 
 static int order_planes(const struct view *v, struct order *o, struct gsn_error *err)
@@ -182,7 +182,7 @@ static int order_planes(const struct view *v, struct order *o, struct gsn_error 
             /* One with too few sections cannot be compared. */
             if (o->panels > 0 && o->planes - o->first[o->panels - 1] < SIDE)
                 o->planes = o->first[--o->panels];
-            if (o->panels == 64)
+            if (o->panels == GSN_LEVEL_PANELS)
                 break;
             o->panel[o->panels] = v->panel[z];
             o->first[o->panels++] = o->planes;
@@ -246,7 +246,7 @@ static int compare(struct view *v, const struct order *o, struct gsn_level *leve
                    struct gsn_level_fit *fit, struct gsn_error *why)
 {
     gsn_auto_mem(struct gsn_level_line) within = gsn_alloc_array(v->planes + 1, sizeof *within);
-    struct gsn_level_line step[64];
+    struct gsn_level_line step[GSN_LEVEL_PANELS];
     double at[2];
     size_t lines;
     int r = within ? GSN_OK : gsn_fail(why, GSN_E_NOMEM, "out of memory for comparing panels");
@@ -284,6 +284,7 @@ static void take_levels(const struct order *o, const struct gsn_level *level,
     for (size_t p = 0; p < o->panels; p++) {
         a->panel[o->panel[p]].level = level[p];
         a->panel[o->panel[p]].levelled = 1;
+        a->panel[o->panel[p]].place = p;
     }
     a->levelling.panels = o->panels;
     a->levelling.done = 1;
@@ -292,7 +293,7 @@ static void take_levels(const struct order *o, const struct gsn_level *level,
 static int level_view(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct view *v,
                       struct gsn_error *err)
 {
-    struct gsn_level level[65];
+    struct gsn_level level[GSN_LEVEL_PANELS];
     struct gsn_error why = { 0 };
     struct order o;
     int r = order_planes(v, &o, err);
@@ -323,8 +324,8 @@ int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly 
 
     for (size_t p = 0; p < a->panel_count; p++)
         a->panel[p].level = (struct gsn_level){ 1, 0 };
-    for (size_t i = 0; i < GSN_UNTREATED_KINDS; i++)
-        a->levelling.tissue[i] = (struct gsn_level_tissue){ NAN, NAN };
+    for (size_t i = 0; i < GSN_LEVEL_TISSUES; i++)
+        a->levelling.tissues.value[i] = (double)NAN;
     if (!a->columns)
         return GSN_OK;
     r = find_footprint(specimen, a, &footprint, err);

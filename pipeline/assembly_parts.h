@@ -124,7 +124,8 @@ int gsn_assembly_place_columns(const struct gsn_specimen *specimen, unsigned sec
 /* Brings the panels to their common scale. That it cannot be done is a state, with a sentence. */
 int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err);
-/* Finds tissue that other specimens have too, off the region. Comes when the region is known. */
+/* Finds tissue that other specimens have too, off the region. Comes when the region and its shares
+ * of the panels are known. */
 int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err);
 
@@ -132,8 +133,8 @@ int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_as
  * panel. */
 int gsn_assembly_normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                            struct gsn_error *err);
-/* The standard error of a mean density by the stain, and what unequal panels add to it. */
-int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                            struct gsn_error *err);
+/* The standard error of a mean density by the stain, and what unequal panels add to it; and the
+ * region's shares of the levelled panels. */
+void gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a);
 
 #endif

@@ -4,6 +4,7 @@
 #include "pipeline/evenness.h"
 
 #include <math.h>
+#include <string.h>
 #include <stdio.h>
 
 /* Panels that have a section in the planes of the grid. */
@@ -47,61 +48,53 @@ static void judge_evenness(const struct gsn_specimen *specimen, struct gsn_assem
     a->common_error = evenness.error;
 }
 
-/* Shares of the region's voxels by panel, in the panels' order; returns how many voxels have data.
- */
-static size_t share_panels(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                           double *share, double *ret_mean)
+/* Shares of the region's voxels by levelled panel; returns their mean density, 0 where none has
+ * data. */
+static double share_panels(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                           double share[GSN_LEVEL_PANELS])
 {
     const struct gsn_lattice *at = &a->grid->at;
     size_t total = 0, i = 0;
     double sum = 0;
 
+    memset(share, 0, GSN_LEVEL_PANELS * sizeof *share);
     for (size_t z = 0; z < at->nz; z++) {
         const struct gsn_assembly_panel *panel = gsn_assembly_panel_of_serial(
             a, gsn_assembly_serial_of_plane(at, z, specimen->protocol->interval_um));
 
         for (size_t y = 0; y < at->ny; y++)
             for (size_t x = 0; x < at->nx; x++, i++)
-                if (panel && !isnan(a->grid->value[i]) &&
+                if (panel && panel->levelled && !isnan(a->grid->value[i]) &&
                     gsn_mask_has(a->region, gsn_lattice_centre(at, x, y, z))) {
-                    share[panel - a->panel]++;
+                    share[panel->place]++;
                     sum += a->grid->value[i];
                     total++;
                 }
     }
-    for (size_t p = 0; p < a->panel_count && total > 0; p++)
+    for (size_t p = 0; p < GSN_LEVEL_PANELS && total > 0; p++)
         share[p] /= (double)total;
-    *ret_mean = total > 0 ? sum / (double)total : 0;
-    return total;
+    return total > 0 ? sum / (double)total : 0;
 }
 
 /* What the steps between the panels leave open, relative to the mean. */
-static double step_error(const struct gsn_specimen *specimen, struct gsn_assembly *a, double *share)
+static double step_error(const struct gsn_specimen *specimen, struct gsn_assembly *a)
 {
-    double mean, of_levelled[64];
-    size_t count = 0;
+    double mean;
 
-    if (!a->levelling.done || !a->grid || !a->region ||
-        share_panels(specimen, a, share, &mean) == 0 || !(mean > 0))
+    if (!a->levelling.done || !a->grid || !a->region)
         return 0;
-    for (size_t p = 0; p < a->panel_count && count < sizeof of_levelled / sizeof *of_levelled; p++)
-        if (a->panel[p].levelled)
-            of_levelled[count++] = share[p];
-    return gsn_level_error(&a->levelling.fit, of_levelled, count, mean) / mean;
+    mean = share_panels(specimen, a, a->levelling.share);
+    return mean > 0 ? gsn_level_error(&a->levelling.fit, a->levelling.share, mean) / mean : 0;
 }
 
 /* The vectors of all panels lean on one prior, so their errors are taken as common; gains are
  * measured panel by panel. */
-int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                            struct gsn_error *err)
+void gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_assembly *a)
 {
-    gsn_auto_mem(double) share = gsn_alloc_array(a->panel_count + 1, sizeof *share);
     double vectors = 0, gains = 0, panels = 0;
 
-    if (!share)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the errors of a stain");
     judge_evenness(specimen, a);
-    a->step_error = step_error(specimen, a, share);
+    a->step_error = step_error(specimen, a);
     for (size_t p = 0; p < a->panel_count; p++) {
         const struct gsn_assembly_panel *panel = &a->panel[p];
 
@@ -114,7 +107,6 @@ int gsn_assembly_sum_errors(const struct gsn_specimen *specimen, struct gsn_asse
     }
     if (panels > 0)
         a->red_error = hypot(hypot(vectors / panels, sqrt(gains) / panels), a->step_error);
-    return GSN_OK;
 }
 
 int gsn_assembly_place_reference(const struct gsn_specimen *specimen, double px_um,

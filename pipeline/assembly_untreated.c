@@ -205,8 +205,8 @@ static int add_turned(const struct field *f, const struct gsn_assembly *a,
     const struct gsn_dyes_fit *fit = &panel->stain.fit;
     double od[3] = { 0 };
 
-    if (!(fit->deviation_deg[0] > 0) || count == 0)
-        return GSN_OK; /* vectors that were taken as exact */
+    if (count == 0)
+        return GSN_OK;
     for (int c = 0; c < 3; c++)
         for (size_t i = 0; i < count; i++)
             od[c] += (double)a->columns->od[c]->value[f->column[i]] / (double)count;
@@ -237,35 +237,41 @@ struct sight {
     const struct gsn_assembly_panel *panel;
 };
 
-/* The median over a panel's sections, at their mean height. */
+/* What a panel's sections say together. */
 static struct gsn_level_seen seen_on(const struct sight *sight, size_t count, double *scratch)
 {
-    struct gsn_level_seen seen = { 0 };
+    struct gsn_level_seen seen = { .panel = sight->panel->place, .sections = count };
+    double mean = 0;
 
     for (size_t i = 0; i < count; i++) {
         seen.z_um += sight[i].z_um / (double)count;
+        mean += sight[i].value / (double)count;
         scratch[i] = sight[i].value;
     }
-    seen.value = gsn_order_pick(scratch, count, count / 2);
+    seen.value = 0.5 * (gsn_order_pick(scratch, count, count / 2) +
+                        gsn_order_pick(scratch, count, (count - 1) / 2));
+    for (size_t i = 0; i < count; i++)
+        seen.square += (sight[i].value - mean) * (sight[i].value - mean);
     return seen;
 }
 
-/* The tissue at the height of the region: there both specimens are compared, whatever sections each
- * of them lacks. */
-static struct gsn_level_tissue sum_up(const struct sight *sight, size_t count, double at_um,
-                                      double *scratch)
-{
-    struct gsn_level_seen panel[64];
-    size_t panels = 0;
+/* What is seen of one tissue, panel by panel. */
+struct panels_seen {
+    struct gsn_level_seen panel[GSN_LEVEL_PANELS];
+    size_t count;
+};
 
+static void sum_up(const struct sight *sight, size_t count, double *scratch,
+                   struct panels_seen *ret_seen)
+{
+    ret_seen->count = 0;
     if (count < LEAST_SECTIONS)
-        return (struct gsn_level_tissue){ NAN, NAN };
-    for (size_t i = 0, end; i < count && panels < sizeof panel / sizeof *panel; i = end) {
+        return;
+    for (size_t i = 0, end; i < count && ret_seen->count < GSN_LEVEL_PANELS; i = end) {
         for (end = i; end < count && sight[end].panel == sight[i].panel;)
             end++;
-        panel[panels++] = seen_on(sight + i, end - i, scratch);
+        ret_seen->panel[ret_seen->count++] = seen_on(sight + i, end - i, scratch);
     }
-    return gsn_level_tissue_at(panel, panels, at_um);
 }
 
 /* Mean height of a region; NaN where it is empty. */
@@ -296,7 +302,7 @@ static const struct gsn_assembly_panel *panel_of(const struct gsn_specimen *spec
 
 static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                         struct field *f, unsigned kind, struct sight *sight,
-                        struct gsn_turned *turned, struct gsn_error *err)
+                        struct panels_seen *seen, struct gsn_turned *turned, struct gsn_error *err)
 {
     size_t n = 0;
     int r = GSN_OK;
@@ -312,7 +318,7 @@ static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly
         n += isnan(sight[n].value) ? 0 : 1;
         r = add_turned(f, a, of, columns, turned, err);
     }
-    a->levelling.tissue[kind] = sum_up(sight, n, height_of(a->region), f->scratch);
+    sum_up(sight, n, f->scratch, seen);
     return r;
 }
 
@@ -332,28 +338,65 @@ static size_t list_region(const struct field *f, const struct gsn_assembly *a, s
     return n;
 }
 
+/* Whether vectors were inferred or measured, so that their errors are known. */
+static int has_errors(const struct gsn_assembly *a)
+{
+    for (size_t p = 0; p < a->panel_count; p++)
+        if (a->panel[p].levelled && a->panel[p].stain.fit.deviation_deg[0] > 0)
+            return 1;
+    return 0;
+}
+
 /* The vectors of all panels lean on one prior, and the tissue misleads them alike: their errors are
  * taken as common. */
 static void mean_covariance(const struct gsn_assembly *a, double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
 {
-    double panels = 0;
-
     for (size_t p = 0; p < a->panel_count; p++)
-        panels += a->panel[p].levelled;
+        for (int m = 0; m < GSN_DYE_TURNS && a->panel[p].levelled; m++)
+            for (int n = 0; n < GSN_DYE_TURNS; n++)
+                ret[m][n] += a->panel[p].stain.fit.covariance[m][n] / (double)a->levelling.panels;
+}
+
+/* What density 0 scatters by from panel to panel, beyond what levelling errs by: variance. */
+static double zero_variance(const struct gsn_levelling *l)
+{
+    double erring = 0;
+
+    for (size_t p = 0; p < l->panels; p++) {
+        double lever[GSN_LEVEL_PANELS];
+
+        for (size_t i = 0; i < l->panels; i++)
+            lever[i] = (i == p) - 1 / (double)l->panels;
+        erring += gsn_level_covariance(&l->fit, lever, 0, lever, 0) / ((double)l->panels - 1);
+    }
+    return fmax(0, l->fit.offset_scatter * l->fit.offset_scatter - erring);
+}
+
+/* Vectors that were taken as exact are not: each panel's bath turns them a little, and yellow that
+ * counts as red is an offset. The mean over the region's panels keeps a share of independent turns.
+ * Where they put density 0 the offsets say themselves. */
+static void judge_scatter(const struct gsn_turned *tissue, const struct gsn_turned *region,
+                          struct gsn_levelling *l)
+{
+    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS] = { { 0 } }, kept = 0;
+
+    if (l->panels < 2)
+        return;
+    for (size_t p = 0; p < l->panels; p++)
+        kept += l->share[p] * l->share[p];
     for (int m = 0; m < GSN_DYE_TURNS; m++)
-        for (int n = 0; n < GSN_DYE_TURNS; n++) {
-            ret[m][n] = 0;
-            for (size_t p = 0; p < a->panel_count; p++)
-                if (a->panel[p].levelled)
-                    ret[m][n] += a->panel[p].stain.fit.covariance[m][n] / panels;
-        }
+        covariance[m][m] = kept;
+    l->turns =
+        gsn_turned_scatter_of(tissue, GSN_UNTREATED_KINDS, zero_variance(l), (double)l->panels - 1);
+    l->vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, region, covariance);
+    l->vectors.zero = l->vectors.both = 0;
 }
 
 static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        const struct field *f, const struct gsn_turned *tissue,
                        struct gsn_error *err)
 {
-    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS];
+    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS] = { { 0 } };
     struct gsn_turned region = { 0 };
     int r = GSN_OK;
 
@@ -363,9 +406,33 @@ static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly 
         if (of)
             r = add_turned(f, a, of, list_region(f, a, z), &region, err);
     }
+    if (r < 0)
+        return r;
+    if (!has_errors(a)) {
+        judge_scatter(tissue, &region, &a->levelling);
+        return GSN_OK;
+    }
     mean_covariance(a, covariance);
     a->levelling.vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, &region, covariance);
-    return r;
+    return GSN_OK;
+}
+
+/* The tissues where the region lies: there both specimens are compared, whatever sections each of
+ * them lacks. */
+static void judge_tissues(const struct panels_seen seen[GSN_UNTREATED_KINDS],
+                          struct gsn_assembly *a)
+{
+    const struct gsn_level_frame frame = { &a->levelling.fit, a->levelling.share,
+                                           height_of(a->region) };
+    const struct gsn_level_seen *panel[GSN_LEVEL_TISSUES];
+    size_t count[GSN_LEVEL_TISSUES];
+
+    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_LEVEL_TISSUES, "one list of tissues");
+    for (size_t k = 0; k < GSN_UNTREATED_KINDS; k++) {
+        panel[k] = seen[k].panel;
+        count[k] = seen[k].count;
+    }
+    gsn_level_tissues_at(&frame, panel, count, &a->levelling.tissues);
 }
 
 static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
@@ -373,11 +440,15 @@ static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembl
 {
     gsn_auto_mem(struct sight) sight = gsn_alloc_array(f->at.nz, sizeof *sight);
     struct gsn_turned turned[GSN_UNTREATED_KINDS] = { { 0 } };
+    struct panels_seen seen[GSN_UNTREATED_KINDS];
     int r = sight ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
 
     for (unsigned k = 0; k < GSN_UNTREATED_KINDS && r >= 0; k++)
-        r = measure_kind(specimen, a, f, k, sight, &turned[k], err);
-    return r < 0 ? r : judge_turns(specimen, a, f, turned, err);
+        r = measure_kind(specimen, a, f, k, sight, &seen[k], &turned[k], err);
+    if (r < 0)
+        return r;
+    judge_tissues(seen, a);
+    return judge_turns(specimen, a, f, turned, err);
 }
 
 static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,

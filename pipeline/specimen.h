@@ -17,7 +17,8 @@
 #include "pipeline/protocol.h"
 #include "pipeline/register/pose.h"
 #include "pipeline/stain/dyes.h"
-#include "pipeline/stain/level.h"
+#include "pipeline/stain/level_tissues.h"
+#include "pipeline/stain/turned.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -48,9 +49,6 @@ struct gsn_specimen_decision {
     int is_pose; /* whether it chose a pose */
 };
 
-/* Kinds of tissue that nobody treated, as pipeline/assembly.h names them. */
-enum { GSN_SPECIMEN_TISSUES = 3 };
-
 /* The control's figures; name is "" when the job states no baseline. */
 struct gsn_specimen_baseline {
     const char *name;
@@ -59,11 +57,13 @@ struct gsn_specimen_baseline {
     double mean_density, volume_mm3;
     double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
     double own_scale_error;    /* that without what its stain as a whole may be off by */
-    /* Of the specimen of which least is known: shares of its region that were not measured, and that
-     * were neither measured nor bridged. */
+    /* Of the specimen of which least is known: shares of its region that were not measured, and
+     * that were neither measured nor bridged. */
     double unmeasured, unknown;
-    /* Of tissue that nobody treated; value NaN: not known of every one of the specimens. */
-    struct gsn_level_tissue tissue[GSN_SPECIMEN_TISSUES];
+    /* That nobody treated; NaN: not known of every one of the specimens. */
+    struct gsn_level_tissues tissues;
+    struct gsn_turned_scatter
+        turns; /* of its panels' dye vectors, where they were taken as exact */
     const char *definition, *dyes;
 };
 
@@ -142,6 +142,8 @@ struct gsn_specimen_result {
 
 /* The measure by which a tissue's density is handed on: its value, and 95 % to either side. */
 const char *gsn_specimen_tissue_measure(unsigned tissue);
+/* That by which the covariance of two tissues' densities is. */
+const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other);
 
 /* gives. A specimen whose evidence is too thin has a result too: withheld, with a report that names
  * the evidence and the next action. Fails with GSN_E_NOMEM, GSN_E_IO, GSN_E_PROCESS, GSN_E_FIT. */

@@ -71,6 +71,21 @@ static void measure_row(struct gsn_specimen_result *result, const char *name, do
         };
 }
 
+/* What others need that have this specimen for their baseline. */
+static void keep_tissues(const struct gsn_level_tissues *tissues,
+                         struct gsn_specimen_result *result)
+{
+    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+        const double value = tissues->value[t], error = gsn_level_tissue_error(tissues, t);
+
+        measure_row(result, gsn_specimen_tissue_measure(t), value, value - 1.96 * error,
+                    value + 1.96 * error, "density");
+        for (unsigned u = 0; u < t; u++)
+            measure_row(result, gsn_specimen_tissues_measure(t, u), tissues->covariance[t][u], NAN,
+                        NAN, "density^2");
+    }
+}
+
 static void keep_measures(const struct gsn_evidence *e, const struct gsn_draft *d,
                           struct gsn_specimen_result *result)
 {
@@ -88,12 +103,14 @@ static void keep_measures(const struct gsn_evidence *e, const struct gsn_draft *
         measure_row(result, "mean_density_error", gsn_draft_density_error(e), NAN, NAN, "density");
     if (gsn_draft_own_scale_error(e) > 0)
         measure_row(result, "own_scale_error", gsn_draft_own_scale_error(e), NAN, NAN, "density");
-    for (unsigned t = 0; e->assembly && e->account && t < GSN_UNTREATED_KINDS; t++) {
-        const struct gsn_level_tissue *tissue = &e->assembly->levelling.tissue[t];
+    if (e->assembly && e->account) {
+        const struct gsn_turned_scatter *turns = &e->assembly->levelling.turns;
 
-        measure_row(result, gsn_specimen_tissue_measure(t), tissue->value,
-                    tissue->value - 1.96 * tissue->error, tissue->value + 1.96 * tissue->error,
-                    "density");
+        keep_tissues(&e->assembly->levelling.tissues, result);
+        if (turns->freedom > 0) {
+            measure_row(result, "vector_turns", turns->variance, NAN, NAN, "rad^2");
+            measure_row(result, "vector_turns_freedom", turns->freedom, NAN, NAN, "");
+        }
     }
     measure_row(result, "loss", r->loss_percent, r->loss_lower, r->loss_upper, "%");
     measure_row(result, "loss_points", r->loss_points, NAN, NAN, "points");

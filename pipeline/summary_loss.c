@@ -33,6 +33,15 @@ const char *gsn_specimen_tissue_measure(unsigned tissue)
     return names[tissue];
 }
 
+const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other)
+{
+    static const char *const names[] = { "tissue_dense_loose", "tissue_dense_dentine",
+                                         "tissue_loose_dentine" };
+
+    _Static_assert((int)GSN_UNTREATED_KINDS == 3, "all pairs of three have a name");
+    return names[tissue + other - 1];
+}
+
 /* How much more the stain of two specimens may differ than that of two panels of one. */
 static const double SPECIMENS_OVER_PANELS = 2;
 
@@ -43,14 +52,12 @@ void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
     const struct gsn_levelling *l = e->assembly ? &e->assembly->levelling : NULL;
     struct gsn_level spread;
 
-    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_SPECIMEN_TISSUES, "one baseline, one list");
     if (!l || !l->done || !e->account || b->specimens == 0)
         return;
     /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
-    d->linked =
-        gsn_level_between(l->tissue, b->tissue, GSN_UNTREATED_KINDS, &spread, &d->link, NULL) >= 0;
+    d->linked = gsn_level_between(&l->tissues, &b->tissues, &spread, &d->link, NULL) >= 0;
 }
 
 /* What the untreated tissues are off the link by, in their errors, when something is wrong. */
@@ -271,20 +278,40 @@ void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
             : gsn_draft_dyes(e);
 }
 
-/* Relative standard error of a density that is compared with a baseline by untreated tissue and is
- * this much of it. The line through the tissues takes out most of what the vectors are off. */
-static double own_error(const struct gsn_assembly *a, double ratio)
+/* Relative standard error, by its dye vectors, of a density that is compared with a baseline by
+ * untreated tissue and is this much of it; 0: not known. The line through the tissues takes out
+ * most of what the vectors are off. What vectors that were taken as exact turn by, both specimens'
+ * panels say. */
+static double vectors_error(const struct gsn_evidence *e, double ratio)
 {
-    const struct gsn_turned_left *vectors = &a->levelling.vectors;
+    const struct gsn_levelling *l = &e->assembly->levelling;
+    const struct gsn_turned_scatter both =
+        gsn_turned_together(&l->turns, &e->specimen->baseline.turns);
 
-    return vectors->known ? hypot(a->step_error, gsn_turned_error(vectors, ratio)) : a->red_error;
+    if (!l->vectors.known)
+        return 0;
+    return gsn_turned_error(&l->vectors, ratio) *
+           (l->turns.freedom > 0 ? gsn_turned_wide(&both) : 1);
+}
+
+/* That by all that the stain leaves open. What the steps between panels do is in the errors of the
+ * tissues, which stand for the panels that bear the region. */
+static double own_error(const struct gsn_evidence *e, double ratio)
+{
+    const struct gsn_assembly *a = e->assembly;
+    const double vectors = vectors_error(e, ratio);
+    const double other = sqrt(fmax(0, a->red_error * a->red_error - a->step_error * a->step_error));
+
+    /* Inferred vectors are the most of the other. */
+    return a->levelling.vectors.known && !(a->levelling.turns.freedom > 0) ? vectors
+                                                                           : hypot(vectors, other);
 }
 
 /* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
  * it leaves out what all panels have in common and untreated tissue shows. */
 double gsn_draft_own_scale_error(const struct gsn_evidence *e)
 {
-    return e->assembly && e->account ? own_error(e->assembly, 1) * e->account->density.mean : 0;
+    return e->assembly && e->account ? own_error(e, 1) * e->account->density.mean : 0;
 }
 
 double gsn_draft_density_error(const struct gsn_evidence *e)
@@ -314,7 +341,7 @@ static void link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
     control->standard_error =
         hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
     treated->standard_error =
-        hypot(own_error(e->assembly, treated->mean / control->mean) * e->account->density.mean,
+        hypot(own_error(e, treated->mean / control->mean) * e->account->density.mean,
               zero_error(e, control->mean));
 }
 
@@ -411,7 +438,6 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
         const double ratio = treated.mean / control.mean;
 
         gsn_draft_value(d->measure, &r->measure_count, "Standard error of the loss by dye vectors",
-                        100 * ratio * gsn_turned_error(&e->assembly->levelling.vectors, ratio),
-                        "%");
+                        100 * ratio * vectors_error(e, ratio), "%");
     }
 }

@@ -82,16 +82,17 @@ static const char *tissues_of(const struct gsn_evidence *e, struct gsn_draft *d)
     size_t used = 0;
 
     for (size_t k = 0; k < GSN_UNTREATED_KINDS && used < sizeof line; k++) {
-        const struct gsn_level_tissue *t = &e->assembly->levelling.tissue[k];
+        const struct gsn_level_tissues *tissues = &e->assembly->levelling.tissues;
         char control[48] = "";
         int n;
 
-        if (isnan(t->value))
+        if (isnan(tissues->value[k]))
             continue;
-        if (d->linked && !isnan(b->tissue[k].value))
-            (void)snprintf(control, sizeof control, " (baseline %.3f)", b->tissue[k].value);
+        if (d->linked && !isnan(b->tissues.value[k]))
+            (void)snprintf(control, sizeof control, " (baseline %.3f)", b->tissues.value[k]);
         n = snprintf(line + used, sizeof line - used, "%s%s %.3f +- %.3f%s", used ? "; " : "",
-                     gsn_draft_tissue_name((unsigned)k), t->value, t->error, control);
+                     gsn_draft_tissue_name((unsigned)k), tissues->value[k],
+                     gsn_level_tissue_error(tissues, k), control);
         used += n > 0 ? (size_t)n : 0;
     }
     return gsn_draft_say(d, "%s", used ? line : "none was found");
@@ -108,6 +109,9 @@ static void fill_levels(const struct gsn_evidence *e, struct gsn_draft *d)
                    levels_of(e->assembly, d));
     gsn_draft_value(rows, count, "share of the differences between panels that was taken out",
                     100 * e->assembly->levelling.fit.kept, "%");
+    if (e->assembly->levelling.turns.freedom > 0)
+        gsn_draft_value(rows, count, "scatter of the dye vectors from panel to panel, one turn",
+                        180 / M_PI * sqrt(e->assembly->levelling.turns.variance), "deg");
     gsn_draft_text(rows, count, "untreated tissue, density on the panels' common scale",
                    tissues_of(e, d));
 }

@@ -62,13 +62,37 @@ static int finished_run(struct gsn_store *store, int64_t specimen, struct gsn_ru
 /* Sums over controls; what one of them lacks is not known of all. */
 static void add_tissues(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
 {
-    for (unsigned t = 0; t < GSN_SPECIMEN_TISSUES; t++) {
+    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
         const struct gsn_measure_row *row = row_named(rows, gsn_specimen_tissue_measure(t));
         const double error = row ? (row->upper - row->lower) / (2 * 1.96) : (double)NAN;
 
-        b->tissue[t].value += row ? row->value : (double)NAN;
-        b->tissue[t].error = hypot(b->tissue[t].error, error);
+        b->tissues.value[t] += row ? row->value : (double)NAN;
+        b->tissues.covariance[t][t] += error * error;
+        for (unsigned u = 0; u < t; u++) {
+            b->tissues.covariance[t][u] += measure_named(rows, gsn_specimen_tissues_measure(t, u));
+            b->tissues.covariance[u][t] = b->tissues.covariance[t][u];
+        }
     }
+}
+
+/* Their mean. */
+static void share_tissues(struct gsn_specimen_baseline *b)
+{
+    const double n = (double)b->specimens;
+
+    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+        b->tissues.value[t] /= n;
+        for (unsigned u = 0; u < GSN_LEVEL_TISSUES; u++)
+            b->tissues.covariance[t][u] /= n * n;
+    }
+}
+
+static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
+{
+    const struct gsn_turned_scatter turns = { known(rows, "vector_turns"),
+                                              known(rows, "vector_turns_freedom") };
+
+    b->turns = gsn_turned_together(&b->turns, &turns);
 }
 
 /* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
@@ -103,6 +127,7 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
     b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));
     add_tissues(measures, b);
+    add_turns(measures, b);
     b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
@@ -133,10 +158,7 @@ int gsn_material_take_baseline(struct gsn_material *m, struct gsn_error *err)
         b->mean_density /= (double)b->specimens;
         b->mean_density_error /= (double)b->specimens;
         b->own_scale_error /= (double)b->specimens;
-        for (unsigned t = 0; t < GSN_SPECIMEN_TISSUES; t++) {
-            b->tissue[t].value /= (double)b->specimens;
-            b->tissue[t].error /= (double)b->specimens;
-        }
+        share_tissues(b);
         b->volume_mm3 /= (double)b->specimens;
     }
     b->definition = m->definition ? m->definition : "";

@@ -11,11 +11,6 @@ enum { LEAST_CELLS = 100, LEAST_LINES = 4, MOST_ROUNDS = 30 };
 /* Standard deviation of the cells' densities below which noise, not tissue, would tell the slope.
  */
 static const double LEAST_CONTRAST = 0.05;
-/* What animals of one kind are taken to differ by in tissue that nobody treated: of its density,
- * and in density by the cells in it, whose nuclei are neither red nor yellow. Nobody has measured
- * either; a study's own controls will. */
-static const double ANIMALS = 0.02, CELLS = 0.005;
-
 /* ---- one line ------------------------------------------------------------------------------ */
 
 struct moments {
@@ -111,12 +106,14 @@ static double lift(const struct gsn_level_line *line, double at)
 static void learn_drift(const struct gsn_level_line *within, size_t lines,
                         struct gsn_level_fit *fit)
 {
-    double sum[2] = { 0 }, square[3] = { 0 };
+    double sum[2] = { 0 }, square[3] = { 0 }, lags = 0; /* sum of their squares */
     const double n = (double)lines;
 
-    for (size_t i = 0; i < lines; i++)
+    for (size_t i = 0; i < lines; i++) {
+        lags += within[i].lag * within[i].lag;
         for (int k = 0; k < 2; k++)
             sum[k] += lift(&within[i], fit->at[k]) / within[i].lag / n;
+    }
     for (size_t i = 0; i < lines; i++) {
         const double a = lift(&within[i], fit->at[0]) - sum[0] * within[i].lag;
         const double b = lift(&within[i], fit->at[1]) - sum[1] * within[i].lag;
@@ -127,18 +124,23 @@ static void learn_drift(const struct gsn_level_line *within, size_t lines,
     }
     for (int k = 0; k < 2; k++)
         fit->drift[k] = sum[k];
-    for (int k = 0; k < 3; k++)
-        fit->covariance[k] = square[k] / (n - 1) * (1 + 1 / n);
+    for (int k = 0; k < 3; k++) {
+        fit->covariance[k] = square[k] / (n - 1);
+        fit->drift_covariance[k] = square[k] / (n - 1) / lags;
+    }
     /* Rounding and JPEG leave a thousandth between any two pictures. */
     fit->covariance[0] += 1e-6;
     fit->covariance[2] += 1e-6;
 }
 
-/* The step in units of its error, squared. */
-static double size_of_step(const struct gsn_level_fit *fit, const double d[2])
+/* A step in units of its error, squared. */
+static double size_of_step(const struct gsn_level_fit *fit, double lag, const double d[2])
 {
-    const double *c = fit->covariance, det = c[0] * c[2] - c[1] * c[1];
+    double c[3], det;
 
+    for (int k = 0; k < 3; k++)
+        c[k] = fit->covariance[k] + lag * lag * fit->drift_covariance[k];
+    det = c[0] * c[2] - c[1] * c[1];
     return (c[2] * d[0] * d[0] - 2 * c[1] * d[0] * d[1] + c[0] * d[1] * d[1]) / det;
 }
 
@@ -155,7 +157,7 @@ static double share_kept(const struct gsn_level_line *step, size_t steps,
 
     for (size_t i = 0; i < steps; i++) {
         step_of(&step[i], fit, d);
-        sum += size_of_step(fit, d);
+        sum += size_of_step(fit, step[i].lag, d);
     }
     return steps > 0 && sum > 0 ? fmax(0, 1 - 2 * (double)steps / sum) : 0;
 }
@@ -186,8 +188,11 @@ int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
                     struct gsn_level *ret_level, struct gsn_level_fit *ret_fit,
                     struct gsn_error *err)
 {
-    struct gsn_level_fit fit = { .at = { at[0], at[1] } };
+    struct gsn_level_fit fit = { .at = { at[0], at[1] }, .steps = steps };
 
+    if (steps >= GSN_LEVEL_PANELS)
+        return gsn_fail(err, GSN_E_STAIN, "%zu panels: one block has %d at most", steps + 1,
+                        GSN_LEVEL_PANELS);
     if (lines < LEAST_LINES)
         return gsn_fail(err, GSN_E_STAIN,
                         "only %zu times could sections of one panel be compared with each other, "
@@ -198,6 +203,7 @@ int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
     for (size_t i = 0; i < steps; i++) {
         double d[2];
 
+        fit.lag[i] = step[i].lag;
         step_of(&step[i], &fit, d);
         if (!(1 + fit.kept * (d[1] - d[0]) / (at[1] - at[0]) > 0.1))
             return gsn_fail(err, GSN_E_STAIN,
@@ -218,118 +224,38 @@ int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
     return GSN_OK;
 }
 
-/* Variance of a step at a density on the line between the two. */
-static double step_variance(const struct gsn_level_fit *fit, double density)
+/* Covariance of a step's lift at two densities. */
+static double at_densities(const struct gsn_level_fit *fit, const double c[3], double a, double b)
 {
-    const double u = (density - fit->at[0]) / (fit->at[1] - fit->at[0]), v = 1 - u;
-    const double *c = fit->covariance;
+    const double width = fit->at[1] - fit->at[0];
+    const double ua = (a - fit->at[0]) / width, ub = (b - fit->at[0]) / width;
 
-    return fmax(0, v * v * c[0] + 2 * u * v * c[1] + u * u * c[2]);
+    return (1 - ua) * (1 - ub) * c[0] + ((1 - ua) * ub + ua * (1 - ub)) * c[1] + ua * ub * c[2];
 }
 
-double gsn_level_error(const struct gsn_level_fit *fit, const double *share, size_t panels,
-                       double density)
+double gsn_level_covariance(const struct gsn_level_fit *fit, const double *a, double density_a,
+                            const double *b, double density_b)
 {
-    double sum = 0;
+    double behind_a = 0, behind_b = 0, steps = 0, drift_a = 0, drift_b = 0;
 
-    /* A step lifts all panels behind it, and by their part the mean of all. */
-    for (size_t i = 1; i < panels; i++) {
-        double behind = -(double)(panels - i) / (double)panels;
-
-        for (size_t p = i; p < panels; p++)
-            behind += share[p];
-        sum += behind * behind;
+    /* A step lifts all panels behind it; an error of the drift lifts every step by its lag. */
+    for (size_t i = fit->steps; i > 0; i--) {
+        behind_a += a[i];
+        behind_b += b[i];
+        steps += behind_a * behind_b;
+        drift_a += behind_a * fit->lag[i - 1];
+        drift_b += behind_b * fit->lag[i - 1];
     }
-    return sqrt(sum * step_variance(fit, density));
+    return steps * at_densities(fit, fit->covariance, density_a, density_b) +
+           drift_a * drift_b * at_densities(fit, fit->drift_covariance, density_a, density_b);
 }
 
-/* ---- two specimens ------------------------------------------------------------------------- */
-
-static double tissue_variance(const struct gsn_level_tissue *a, const struct gsn_level_tissue *b)
+double gsn_level_error(const struct gsn_level_fit *fit, const double *share, double density)
 {
-    const double animals = ANIMALS * b->value;
+    const size_t panels = fit->steps + 1;
+    double lever[GSN_LEVEL_PANELS];
 
-    return a->error * a->error + b->error * b->error + 2 * (animals * animals + CELLS * CELLS);
-}
-
-static int both_have(const struct gsn_level_tissue *a, const struct gsn_level_tissue *b)
-{
-    return !isnan(a->value) && !isnan(b->value);
-}
-
-/* Two or three tissues tell a variance badly: where they differ by more than their errors, the
- * difference is rather believed than halved. */
-static const double GENEROUS = 4;
-
-/* How many times spread, squared, the tissues' differences allow for; 1 at least. */
-static double widening(const struct gsn_level_tissue *here, const struct gsn_level_tissue *there,
-                       size_t count, const struct gsn_level *spread)
-{
-    double excess = 0, expected = 0;
-
-    for (size_t i = 0; i < count; i++) {
-        if (!both_have(&here[i], &there[i]))
-            continue;
-        const double v = tissue_variance(&here[i], &there[i]);
-        const double d = here[i].value - there[i].value, g = spread->gain * there[i].value;
-
-        excess += d * d / v - 1;
-        expected += (g * g + spread->offset * spread->offset) / v;
-    }
-    return expected > 0 ? fmax(1, GENEROUS * excess / expected) : 1;
-}
-
-/* Baths that are even still differ: less than this is not worth a name. */
-static const struct gsn_level LEAST_SPREAD = { 1e-3, 5e-4 };
-
-int gsn_level_between(const struct gsn_level_tissue *here, const struct gsn_level_tissue *there,
-                      size_t count, const struct gsn_level *spread, struct gsn_level_link *ret_link,
-                      struct gsn_error *err)
-{
-    const struct gsn_level prior = { fmax(spread->gain, LEAST_SPREAD.gain),
-                                     fmax(spread->offset, LEAST_SPREAD.offset) };
-    const double wide = widening(here, there, count, &prior);
-    double n00 = 1 / (wide * prior.gain * prior.gain), n01 = 0;
-    double n11 = 1 / (wide * prior.offset * prior.offset), r0 = 0, r1 = 0, off = 0, det;
-    struct gsn_level_link link = { 0 };
-
-    for (size_t i = 0; i < count; i++) {
-        if (!both_have(&here[i], &there[i]))
-            continue;
-        const double w = 1 / tissue_variance(&here[i], &there[i]), t = there[i].value;
-
-        link.tissues++;
-        n00 += w * t * t;
-        n01 += w * t;
-        n11 += w;
-        r0 += w * t * (here[i].value - t);
-        r1 += w * (here[i].value - t);
-    }
-    if (link.tissues < 2)
-        return gsn_fail(err, GSN_E_STAIN,
-                        "the two specimens share %zu kind%s of untreated tissue, two are needed to "
-                        "compare their stain",
-                        link.tissues, link.tissues == 1 ? "" : "s");
-    det = n00 * n11 - n01 * n01;
-    link.gain = 1 + (n11 * r0 - n01 * r1) / det;
-    link.offset = (n00 * r1 - n01 * r0) / det;
-    link.covariance[0] = n11 / det;
-    link.covariance[1] = -n01 / det;
-    link.covariance[2] = n00 / det;
-    for (size_t i = 0; i < count; i++)
-        if (both_have(&here[i], &there[i])) {
-            const double d = here[i].value - link.gain * there[i].value - link.offset;
-
-            off += d * d / tissue_variance(&here[i], &there[i]) / (double)link.tissues;
-        }
-    link.disagreement = sqrt(off);
-    *ret_link = link;
-    return GSN_OK;
-}
-
-double gsn_level_link_error(const struct gsn_level_link *link, double density)
-{
-    const double *c = link->covariance;
-
-    return sqrt(fmax(0, density * density * c[0] + 2 * density * c[1] + c[2]));
+    for (size_t p = 0; p < panels; p++)
+        lever[p] = share[p] - 1 / (double)panels;
+    return sqrt(fmax(0, gsn_level_covariance(fit, lever, density, lever, density)));
 }

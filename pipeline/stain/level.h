@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Panels of one block brought to one scale, and two specimens compared, by tissue that the
- * treatment did not reach.
+/* Panels of one block brought to one scale by tissue that the treatment did not reach.
  *
  * A bath that dyes stronger multiplies the density; a dye whose colour turned a little lets some of
  * the yellow dye count as red, and yellow is weakest where red is strongest, so that adds a
@@ -42,11 +41,17 @@ struct gsn_level {
     double gain, offset;
 };
 
+/* Panels of one block, at most. */
+enum { GSN_LEVEL_PANELS = 64 };
+
 /* How well the panels could be levelled. */
 struct gsn_level_fit {
-    double at[2];                        /* the two densities between which tissue lies mostly */
-    double drift[2];                     /* what tissue itself changes by at those, per section */
-    double covariance[3];                /* of one step at those: 00, 01, 11 */
+    double at[2];               /* the two densities between which tissue lies mostly */
+    double drift[2];            /* what tissue itself changes by at those, per section */
+    double covariance[3];       /* of one step at those: 00, 01, 11 */
+    double drift_covariance[3]; /* of drift; what it is off by, all steps are off by */
+    size_t steps;
+    double lag[GSN_LEVEL_PANELS];        /* of each step, sections */
     double kept;                         /* share of the steps that is more than error, 0..1 */
     double gain_scatter, offset_scatter; /* standard deviations from panel to panel */
 };
@@ -56,54 +61,22 @@ struct gsn_level_fit {
  * panels share is not told by steps. Steps are shrunk by the share of them that their own error
  * explains (their sum of squares in units of the error is compared with that of mere error), so
  * panels that are even stay as they are.
- * Fails with GSN_E_STAIN when there are too few lines or a step turns the order of densities round.
+ * Fails with GSN_E_STAIN when there are too few lines, GSN_LEVEL_PANELS steps or a step turns the
+ * order of densities round.
  */
 int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
                     const struct gsn_level_line *within, size_t lines, const double at[2],
                     struct gsn_level *ret_level, struct gsn_level_fit *ret_fit,
                     struct gsn_error *err);
 
-/* Standard error of a mean density, at that density, over panels with these shares of the region,
- * by the errors of the steps. */
-double gsn_level_error(const struct gsn_level_fit *fit, const double *share, size_t panels,
-                       double density);
-
-/* One tissue's density. error: standard error; value NaN: not seen. */
-struct gsn_level_tissue {
-    double value, error;
-};
-
-/* What one panel says of a tissue: its density, and the height of the block it was seen at. */
-struct gsn_level_seen {
-    double z_um, value;
-};
-
-/* The tissue's density at a height. Tissue thins and thickens along a block, and panels are lost:
- * where four panels or more show that it runs along the block (the slope is four times its error),
- * it is the straight line's value at that height; else the panels' mean. The error is by what the
- * panels are off; with one panel nothing tells what another would say, and it is 5 %. No panel: the
- * value is NaN. */
-struct gsn_level_tissue gsn_level_tissue_at(const struct gsn_level_seen *panel, size_t panels,
-                                            double at_um);
-
-/* How one specimen's densities read in the stain of another: here = gain * there + offset. */
-struct gsn_level_link {
-    double gain, offset;
-    double covariance[3]; /* of gain and offset: 00, 01, 11 */
-    size_t tissues;       /* that both show */
-    double disagreement;  /* rms of what the tissues are off the line by, in their errors */
-};
-
-/* The link by tissues that both specimens have. What animals differ by in tissue that nobody
- * treated (taken as 2 % of its density) counts as error. The link leans towards "no difference", as
- * much as the tissues differ no more than by error and as spread allows: it says what standard
- * deviations of gain and offset the panels' own scatter makes likely between two specimens.
- * Fails with GSN_E_STAIN when they share fewer than two. */
-int gsn_level_between(const struct gsn_level_tissue *here, const struct gsn_level_tissue *there,
-                      size_t count, const struct gsn_level *spread, struct gsn_level_link *ret_link,
-                      struct gsn_error *err);
-/* Standard error of gain * density + offset. */
-double gsn_level_link_error(const struct gsn_level_link *link, double density);
+/* Covariance of what the errors of the steps lift two sums over panels by: one weighs the panels by
+ * a, the other by b, and they lie at these densities. Weights are fit->steps + 1 each; those of one
+ * sum to 0, as all panels alike are nobody's step. */
+double gsn_level_covariance(const struct gsn_level_fit *fit, const double *a, double density_a,
+                            const double *b, double density_b);
+/* Standard error of a mean density, at that density, over panels with these shares of the region
+ * (they sum to 1), against the mean of all panels. */
+double gsn_level_error(const struct gsn_level_fit *fit, const double *share, double density);
 
 #ifdef __cplusplus
 }

@@ -102,6 +102,43 @@ struct gsn_turned_left gsn_turned_left_of(const struct gsn_turned *tissue, size_
                                      through(covariance, off, zero) };
 }
 
+struct gsn_turned_scatter gsn_turned_scatter_of(const struct gsn_turned *tissue, size_t count,
+                                                double zero_variance, double freedom)
+{
+    const struct line line = line_of(tissue, count);
+    double squares = 0;
+
+    if (line.tissues < 2 || !(line.squares > LEAST_APART * LEAST_APART))
+        return (struct gsn_turned_scatter){ 0 };
+    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+        const double zero = change_at(&line, tissue, count, m, 0);
+
+        squares += zero * zero;
+    }
+    if (!(squares > 0))
+        return (struct gsn_turned_scatter){ 0 };
+    return (struct gsn_turned_scatter){ zero_variance / squares, freedom };
+}
+
+struct gsn_turned_scatter gsn_turned_together(const struct gsn_turned_scatter *a,
+                                              const struct gsn_turned_scatter *b)
+{
+    const double freedom = a->freedom + b->freedom;
+
+    if (!(freedom > 0))
+        return (struct gsn_turned_scatter){ 0 };
+    return (struct gsn_turned_scatter){
+        (a->variance * a->freedom + b->variance * b->freedom) / freedom, freedom
+    };
+}
+
+double gsn_turned_wide(const struct gsn_turned_scatter *scatter)
+{
+    const double free = scatter->freedom;
+
+    return free > 0 ? sqrt(scatter->variance * (free > 3 ? free / (free - 2) : 3)) : 0;
+}
+
 double gsn_turned_error(const struct gsn_turned_left *left, double ratio)
 {
     const double lost = 1 - ratio;

@@ -43,6 +43,23 @@ struct gsn_turned_left gsn_turned_left_of(const struct gsn_turned *tissue, size_
                                           const struct gsn_turned *region,
                                           const double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS]);
 
+/* What vectors turn by from panel to panel. */
+struct gsn_turned_scatter {
+    double variance; /* of one turn, rad^2 */
+    double freedom;  /* degrees of, that it is known by; 0: not known */
+};
+
+/* The scatter that makes density 0 scatter by this variance from panel to panel. Not known where
+ * the tissues tell no line. */
+struct gsn_turned_scatter gsn_turned_scatter_of(const struct gsn_turned *tissue, size_t count,
+                                                double zero_variance, double freedom);
+/* Of two specimens' panels together. */
+struct gsn_turned_scatter gsn_turned_together(const struct gsn_turned_scatter *a,
+                                              const struct gsn_turned_scatter *b);
+/* Standard deviation of one turn, rad, wide enough that 1.96 of it hold 95 % though it is known
+ * from few panels (the standard deviation of Student's distribution); 0: not known. */
+double gsn_turned_wide(const struct gsn_turned_scatter *scatter);
+
 /* Relative standard error of the region's density over the baseline's, when it is this. */
 double gsn_turned_error(const struct gsn_turned_left *left, double ratio);
 

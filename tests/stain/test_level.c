@@ -167,7 +167,7 @@ TEST(the_error_said_is_the_error_made)
             off += share[p] * ((seen - level[p].offset) / level[p].gain - 0.8);
         }
         squares += off * off / 200;
-        said += pow(gsn_level_error(&fit, share, 5, 0.8), 2) / 200;
+        said += pow(gsn_level_error(&fit, share, 0.8), 2) / 200;
     }
     CHECK(sqrt(said) > 0.8 * sqrt(squares) && sqrt(said) < 1.6 * sqrt(squares));
 }
@@ -175,7 +175,7 @@ TEST(the_error_said_is_the_error_made)
 TEST(one_panel_is_its_own_scale)
 {
     struct block one = { .panels = 1, .stain = { { 1.2, 0.05 } }, .noise = 0.01 };
-    const double share[1] = { 1 };
+    const double share[MOST_PANELS] = { 0.5, 0.5 };
     struct dice dice = { 14 };
     struct gsn_level level[MOST_PANELS];
     struct gsn_level_fit fit;
@@ -189,7 +189,7 @@ TEST(one_panel_is_its_own_scale)
     one.stain[1] = one.stain[0];
     CHECK_OK(chain(&one, &dice, level, &fit, &err), err);
     CHECK_NEAR(level[0].gain, level[1].gain, 0.01);
-    CHECK_NEAR(gsn_level_error(&fit, share, 1, 0.8), 0, 0);
+    CHECK_NEAR(gsn_level_error(&fit, share, 0.8), 0, 0);
 }
 
 TEST(tissue_all_of_one_density_tells_no_line)
@@ -228,73 +228,6 @@ TEST(dense_and_pale_that_change_places_are_refused)
     CHECK(level[0].gain == -7 && fit.kept == -7);
 }
 
-/* ---- two specimens ------------------------------------------------------------------------- */
-
-static const struct gsn_level SPREAD = { 0.06, 0.03 };
-
-static void stain(const struct gsn_level_tissue *there, double gain, double offset,
-                  struct gsn_level_tissue *here)
-{
-    for (size_t i = 0; i < 3; i++)
-        here[i] = (struct gsn_level_tissue){ gain * there[i].value + offset, there[i].error };
-}
-
-TEST(two_specimens_are_linked_by_tissue_that_nobody_treated)
-{
-    const struct gsn_level_tissue there[3] = { { 0.85, 0.004 }, { 0.2, 0.004 }, { 0.55, 0.004 } };
-    struct gsn_level_tissue here[3];
-    struct gsn_level_link link;
-    struct gsn_error err = { 0 };
-
-    stain(there, 1.15, 0.02, here);
-    CHECK_OK(gsn_level_between(here, there, 3, &SPREAD, &link, &err), err);
-    CHECK(link.tissues == 3 && link.disagreement < 0.5);
-    CHECK_NEAR(link.gain * 0.84 + link.offset, 1.15 * 0.84 + 0.02, 0.01);
-    CHECK_NEAR(gsn_level_link_error(&link, 0.84), 0.84 * 0.02 * sqrt(2), 0.008);
-    /* One that is not seen in both does not take part. */
-    here[2].value = NAN;
-    CHECK_OK(gsn_level_between(here, there, 3, &SPREAD, &link, &err), err);
-    CHECK(link.tissues == 2);
-    CHECK_NEAR(link.gain * 0.84 + link.offset, 1.15 * 0.84 + 0.02, 0.012);
-}
-
-/* Even baths say that a difference of a percent is the animal's; a wide one is the stain's still.
- */
-TEST(even_baths_leave_the_animals_their_differences)
-{
-    const struct gsn_level none = { 0, 0 };
-    const struct gsn_level_tissue there[3] = { { 0.85, 0.002 }, { 0.2, 0.002 }, { 0.55, 0.002 } };
-    struct gsn_level_tissue here[3];
-    struct gsn_level_link link;
-    struct gsn_error err = { 0 };
-
-    stain(there, 1.02, 0, here);
-    CHECK_OK(gsn_level_between(here, there, 3, &none, &link, &err), err);
-    CHECK_NEAR(link.gain * 0.84 + link.offset, 0.84, 0.002);
-    stain(there, 1.15, 0, here);
-    CHECK_OK(gsn_level_between(here, there, 3, &none, &link, &err), err);
-    CHECK_NEAR(link.gain * 0.84 + link.offset, 1.15 * 0.84, 0.015);
-}
-
-/* Case 41. */
-TEST(a_tissue_that_changed_shows_as_disagreement)
-{
-    const struct gsn_level_tissue there[3] = { { 0.85, 0.004 }, { 0.2, 0.004 }, { 0.55, 0.004 } };
-    struct gsn_level_tissue here[3];
-    struct gsn_level_link link = { .gain = -7 };
-    struct gsn_error err = { 0 };
-
-    stain(there, 1, 0, here);
-    here[2].value *= 0.75;
-    CHECK_OK(gsn_level_between(here, there, 3, &SPREAD, &link, &err), err);
-    CHECK(link.disagreement > 2);
-    link.gain = -7;
-    here[0].value = here[1].value = NAN;
-    CHECK(gsn_level_between(here, there, 3, &SPREAD, &link, &err) == GSN_E_STAIN);
-    assert_non_null(strstr(err.text, "share 1 kind of untreated tissue"));
-    CHECK(link.gain == -7);
-}
-
 static int one_line(struct gsn_error *err)
 {
     double x[CELLS], y[CELLS];
@@ -310,59 +243,4 @@ TEST(running_out_of_memory_is_said)
     struct gsn_error err = { 0 };
 
     CHECK_EVERY_OOM(one_line(&err), err);
-}
-
-/* ---- one tissue along the block ------------------------------------------------------------ */
-
-/* Least squares in closed form: on the line, whatever panels are there. */
-TEST(a_tissue_that_runs_along_the_block_is_told_at_any_height)
-{
-    static const double z[] = { 144, 432, 720, 1008, 1296 };
-    struct gsn_level_seen panel[5];
-
-    for (int i = 0; i < 5; i++)
-        panel[i] = (struct gsn_level_seen){ z[i], 0.9 - 5e-5 * z[i] };
-    for (size_t from = 0; from < 2; from++) {
-        const struct gsn_level_tissue t = gsn_level_tissue_at(panel + from, 5 - from, 420);
-
-        CHECK_NEAR(t.value, 0.9 - 5e-5 * 420, 1e-12);
-        CHECK_NEAR(t.error, 0, 1e-9);
-    }
-}
-
-/* Residuals 1, -1, -1, 1 of a line through z = -3, -1, 1, 3: sum of squares 4 on two
- * degrees of freedom, so at z = 5 the error is sqrt(2 (1 / 4 + 25 / 20)) = sqrt(3). The slope's is
- * sqrt(2 / 20) = 0.316, four times of which is 1.265. */
-TEST(a_slope_counts_when_it_is_four_times_its_error)
-{
-    static const double off[] = { 1, -1, -1, 1 };
-    struct gsn_level_seen steep[4], flat[4];
-    struct gsn_level_tissue t;
-
-    for (int i = 0; i < 4; i++) {
-        const double z = 2 * i - 3;
-
-        steep[i] = (struct gsn_level_seen){ z, 10 + 1.3 * z + off[i] };
-        flat[i] = (struct gsn_level_seen){ z, 10 + 1.2 * z + off[i] };
-    }
-    t = gsn_level_tissue_at(steep, 4, 5);
-    CHECK_NEAR(t.value, 16.5, 1e-12);
-    CHECK_NEAR(t.error, sqrt(3), 1e-12);
-    t = gsn_level_tissue_at(flat, 4, 5);
-    CHECK_NEAR(t.value, 10, 1e-12);
-    CHECK_NEAR(t.error, sqrt((4 + 1.44 * 20) / 3 / 4), 1e-12);
-}
-
-TEST(few_panels_tell_a_mean_and_none_tells_nothing)
-{
-    static const struct gsn_level_seen panel[] = { { 0, 0.8 }, { 100, 0.82 }, { 200, 0.84 } };
-    struct gsn_level_tissue t = gsn_level_tissue_at(panel, 3, 1000);
-
-    CHECK_NEAR(t.value, 0.82, 1e-12);
-    CHECK_NEAR(t.error, 0.02 / sqrt(3), 1e-12);
-    t = gsn_level_tissue_at(panel, 1, 1000);
-    CHECK_NEAR(t.value, 0.8, 1e-12);
-    CHECK_NEAR(t.error, 0.04, 1e-12);
-    t = gsn_level_tissue_at(panel, 0, 1000);
-    CHECK(isnan(t.value) && isnan(t.error));
 }

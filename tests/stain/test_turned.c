@@ -214,3 +214,64 @@ TEST(vectors_in_one_plane_are_refused)
     CHECK_NEAR(turned.red, 7, 0);
     CHECK_NEAR(turned.weight, 2, 0);
 }
+
+/* The zero of the line through three tissues, by least squares. */
+static double zero_of(const double density[3], const double red[3])
+{
+    const double x = (density[0] + density[1] + density[2]) / 3;
+    const double y = (red[0] + red[1] + red[2]) / 3;
+    double xx = 0, xy = 0;
+
+    for (int k = 0; k < 3; k++) {
+        xx += (density[k] - x) * (density[k] - x);
+        xy += (density[k] - x) * (red[k] - y);
+    }
+    return y - xy / xx * x;
+}
+
+/* 400 baths, each of which turns all vectors by a degree either way: from where they put density 0
+ * the degree is told. */
+TEST(what_baths_turn_by_is_told_by_where_they_put_density_zero)
+{
+    enum { BATHS = 400 };
+    static const struct tissue kind[3] = { { 0.85, 0.02 }, { 0.2, 0.1 }, { 0.55, 0 } };
+    static const double density[3] = { 0.85, 0.2, 0.55 };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    struct gsn_turned tissue[3];
+    struct gsn_turned_scatter scatter;
+    struct dice dice = { 81 };
+    double squares = 0;
+
+    for (int k = 0; k < 3; k++)
+        tissue[k] = turned_of(&kind[k]);
+    for (int i = 0; i < BATHS; i++) {
+        double turn[GSN_DYE_TURNS], red[3], od[3];
+
+        for (int m = 0; m < GSN_DYE_TURNS; m++)
+            turn[m] = RAD * dice_normal(&dice);
+        for (int k = 0; k < 3; k++) {
+            densities_of(&kind[k], &dyes, od);
+            red[k] = red_by(&dyes, turn, od);
+        }
+        squares += pow(zero_of(density, red), 2) / BATHS;
+    }
+    scatter = gsn_turned_scatter_of(tissue, 3, squares, BATHS);
+    CHECK_NEAR(sqrt(scatter.variance) / RAD, 1, 0.1);
+    CHECK_NEAR(scatter.freedom, BATHS, 0);
+    CHECK_NEAR(gsn_turned_wide(&scatter) / RAD, 1, 0.1);
+    scatter = gsn_turned_scatter_of(tissue, 1, squares, BATHS); /* no line through one */
+    CHECK(scatter.freedom == 0 && gsn_turned_wide(&scatter) == 0);
+}
+
+TEST(few_panels_may_turn_by_more_than_they_show_and_two_specimens_show_more)
+{
+    const struct gsn_turned_scatter none = { 0 }, few = { 4e-4, 2 }, more = { 1e-4, 4 };
+    const struct gsn_turned_scatter both = gsn_turned_together(&few, &more);
+
+    CHECK_NEAR(gsn_turned_wide(&few), 0.02 * sqrt(3), 1e-12);
+    CHECK_NEAR(gsn_turned_wide(&more), 0.01 * sqrt(2), 1e-12);
+    CHECK_NEAR(both.variance, 2e-4, 1e-15);
+    CHECK_NEAR(both.freedom, 6, 0);
+    CHECK(gsn_turned_together(&none, &more).variance == more.variance);
+    CHECK(gsn_turned_together(&none, &none).freedom == 0);
+}

@@ -6,6 +6,7 @@
 #define GSN_PIPELINE_SUMMARY_DRAFT_H
 
 #include "pipeline/core/hash.h"
+#include "pipeline/measure/loss.h"
 #include "pipeline/report/report.h"
 #include "pipeline/summary.h"
 
@@ -74,14 +75,24 @@ void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_bridge(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_tile(const struct gsn_evidence *e, struct gsn_draft *d);
 
-/* summary_loss.c: by which stain the figures are, how it compares with the baseline's, the loss. */
+/* summary_stain.c: by which stain the figures are, how it compares with the baseline's, and what
+ * that leaves open. */
 void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_link(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d);
-void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);
-/* Why nothing could be told of the region, with the panels that gave nothing; NULL: it could. */
-const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d);
+/* The baseline as it would read in this specimen's stain, and what that leaves open on both sides.
+ */
+void gsn_draft_link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
+                          struct gsn_loss_side *control, struct gsn_loss_side *treated);
+/* Standard error of the loss by the dye vectors, per cent. */
+double gsn_draft_loss_by_vectors(const struct gsn_evidence *e, const struct gsn_loss_side *control,
+                                 const struct gsn_loss_side *treated);
+/* Why vectors that were taken as exact are too far from the baths that were used; NULL: they will
+ * do. */
+const char *gsn_draft_vectors_unfit(const struct gsn_evidence *e, struct gsn_draft *d,
+                                    const struct gsn_loss_side *control,
+                                    const struct gsn_loss_side *treated);
 /* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
  * it leaves out what all panels have in common. */
 double gsn_draft_own_scale_error(const struct gsn_evidence *e);
@@ -89,6 +100,11 @@ double gsn_draft_density_error(const struct gsn_evidence *e);
 /* The set of dye vectors that the figures stand on: the panels' own; "" when there is none. */
 const char *gsn_draft_dyes(const struct gsn_evidence *e);
 const char *gsn_draft_tissue_name(unsigned tissue);
+
+/* summary_loss.c: the loss, or why there is none. */
+void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);
+/* Why nothing could be told of the region, with the panels that gave nothing; NULL: it could. */
+const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d);
 
 /* summary_calibration.c: the panels' dye vectors that are not the built-in ones and how well they
  * are known; what the calibration panels say, and where the slides say otherwise. */

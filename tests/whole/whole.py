@@ -4,6 +4,10 @@
 against the phantom's truth or against the same work done another way.
 
     whole.py BIN accuracy --level L1 --seed 1 [--seed 2 ...] [--specimen S02 ...]
+    whole.py BIN loss --level L3-whole --seed 23 [--specimen S02 ...] [--ready DIR] [--calibrated]
+                               the loss on a bad bench: near the truth and its interval holds it, or
+                               withheld with a reason; S03 and S04 move it little; --calibrated: the
+                               batches' calibration panels are stated
     whole.py BIN identical     two stores, 1 and 2 threads: the same bytes; `gieson verify` agrees
     whole.py BIN killed        gieson-work killed at ten moments: the same report
     whole.py BIN awkward       refused panels cost only themselves
@@ -40,6 +44,8 @@ SKIPPED = 77
 # level -> largest RMS registration error over the region in um, largest error of the loss in points,
 # largest relative error of the fitted volume above 0.5
 DEMANDED = {"L0": (2.0, 0.5, 0.02), "L1": (4.0, 1.0, 0.03)}
+# level -> largest error of a loss that is given, and by how much another stain may move it, points
+LOSS_WITHIN = {"L2": (2.0, 1.5), "L3": (4.0, 3.0), "L3-whole": (4.0, 3.0)}
 REGION_CENTRE, REGION_RADIUS = (411.0, 646.0), 900.0
 REGION_SERIALS = range(5, 30)
 
@@ -195,6 +201,61 @@ def marks(bench, args):
     return 1 if failed else 0
 
 
+def state_calibration(folder):
+    """What an operator types who has stained and scanned a glass with each batch."""
+    job = json.loads((folder / "job.json").read_text())
+    job["calibration"] = []
+    for i, panel in enumerate(sorted((folder / "calibration").glob("*-C*"))):
+        shutil.copy(panel, folder)
+        job["calibration"].append({"file": panel.name, "panels": [i + 1],
+                                   "patches": [[0, 0.25, 0.5, 0.75, 1], ["red", "yellow", "dark"]]})
+    (folder / "job.json").write_text(json.dumps(job))
+
+
+def judge_loss(report, truth, level, name):
+    """Whether a loss is right, or withheld with a reason. Returns it, or None, and the verdict."""
+    loss, interval = report["loss_percent"], report["loss_interval"]
+    if loss is None:
+        print(f"{name}: withheld: {report['loss_reason']}", flush=True)
+        return None, bool(report["loss_reason"])
+    good = abs(loss - truth) <= LOSS_WITHIN[level][0] and \
+        interval["lower"] <= truth <= interval["upper"]
+    print(f"{name}: loss {loss:.2f} ({interval['lower']:.2f} to {interval['upper']:.2f}), true "
+          f"{truth:.2f}{'' if good else '   NOT MET'}", flush=True)
+    return loss, good
+
+
+def loss(bench, args):
+    failed, withheld = 0, 0
+    for seed in args.seed or [1]:
+        place = Bench(bench.bin, bench.folder / f"{args.level}-{seed}")
+        found = {}
+        for specimen in ["S00", *args.specimen]:
+            folder = place.folder / f"GVP-D-{specimen}"
+            if args.ready:
+                shutil.copytree(pathlib.Path(args.ready) / args.level / str(seed) / specimen, folder)
+            else:
+                place.phantom(specimen, args.level, seed)
+            if args.calibrated:
+                state_calibration(folder)
+            place.call("import", folder)
+        place.call("run", check=False)
+        for specimen in args.specimen:
+            truth = float(truth_rows(place.folder / f"GVP-D-{specimen}", "loss.csv")[0]["loss_pct"])
+            found[specimen], good = judge_loss(place.report(f"GVP-D-{specimen}"), truth, args.level,
+                                               f"{args.level} seed {seed} {specimen}")
+            # With calibration panels there is no reason to withhold it.
+            failed += not good or (args.calibrated and found[specimen] is None)
+            withheld += found[specimen] is None
+        for specimen in {"S03", "S04"} & found.keys():
+            moved = (found[specimen] or math.nan) - (found.get("S02") or math.nan)
+            if abs(moved) > LOSS_WITHIN[args.level][1]:
+                failed += 1
+                print(f"{specimen}: another stain moves the loss by {moved:+.2f}   NOT MET")
+    print(f"{failed} not met, {withheld} withheld")
+    return 1 if failed else 0
+
+
 def identical(bench, args):
     stores = []
     for threads in (1, 2):
@@ -338,7 +399,7 @@ def tile(bench, args):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("bin")
-    parser.add_argument("what", choices=["accuracy", "identical", "killed", "awkward", "volume",
+    parser.add_argument("what", choices=["accuracy", "loss", "identical", "killed", "awkward", "volume",
                                          "tile", "marks"])
     parser.add_argument("--level", default="L0")
     parser.add_argument("--seed", type=int, action="append")
@@ -346,6 +407,8 @@ def main():
     parser.add_argument("--sound", action="store_true",
                         help="marks: fail on what is wrong and used, not on what was not found")
     parser.add_argument("--ready", help="a folder with phantoms made before")
+    parser.add_argument("--calibrated", action="store_true",
+                        help="loss: with a calibration panel for each batch")
     parser.add_argument("--keep", help="a folder to work in and leave behind")
     args = parser.parse_args()
     args.specimen = args.specimen or ["S01", "S02"]

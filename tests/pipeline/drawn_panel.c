@@ -4,6 +4,8 @@
 #include "pipeline/decode/png_write.h"
 #include "tests/check.h"
 
+#include <string.h>
+
 static const double PITCH_UM = 2600;
 static const double WHITE[3] = { 248, 244, 238 };
 static const double FULL_RED = 0.62, YELLOW = 0.34, BURN = 1.15;
@@ -134,18 +136,40 @@ static void draw_pixel(const struct drawn_panel *panel, struct gsn_image *image,
     }
 }
 
+struct gsn_image *drawn_turned(const struct gsn_image *image, int mirrored, int quarters)
+{
+    const uint32_t width = image->width, height = image->height;
+    struct gsn_image *now = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_image_new(quarters % 2 ? height : width, quarters % 2 ? width : height, 3, 8, &now,
+                           &err),
+             err);
+    for (uint32_t y = 0; y < height; y++)
+        for (uint32_t x = 0; x < width; x++) {
+            const uint32_t u = mirrored ? width - 1 - x : x;
+            const uint32_t to_x[4] = { u, height - 1 - y, width - 1 - u, y };
+            const uint32_t to_y[4] = { y, u, height - 1 - y, width - 1 - u };
+
+            memcpy((uint8_t *)now->samples +
+                       3 * ((size_t)to_y[quarters] * now->width + to_x[quarters]),
+                   (const uint8_t *)image->samples + 3 * ((size_t)y * width + x), 3);
+        }
+    return now;
+}
+
 struct gsn_image *drawn_panel_image(const struct drawn_panel *panel)
 {
     const uint32_t width = (uint32_t)(DRAWN_COLUMNS * PITCH_UM / panel->px_um);
     const uint32_t height = (uint32_t)(DRAWN_ROWS * PITCH_UM / panel->px_um);
-    struct gsn_image *image = NULL;
+    gsn_auto(gsn_image) image = NULL;
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_image_new(width, height, 3, 8, &image, &err), err);
     for (uint32_t y = 0; y < height; y++)
         for (uint32_t x = 0; x < width; x++)
             draw_pixel(panel, image, x, y);
-    return image;
+    return drawn_turned(image, panel->mirrored, panel->quarters);
 }
 
 uint8_t *drawn_panel_png(const struct drawn_panel *panel, size_t *ret_size)

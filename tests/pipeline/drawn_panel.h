@@ -35,7 +35,9 @@ struct drawn_section {
 
 struct drawn_panel {
     double px_um;
-    int srgb; /* codes by the sRGB curve instead of in proportion to light */
+    int srgb;     /* codes by the sRGB curve instead of in proportion to light */
+    int mirrored; /* as it was fed: left to right, ... */
+    int quarters; /* ... then turned clockwise; places and sections are those of the upright one */
     struct drawn_section section[DRAWN_SLOTS]; /* row by row */
 };
 
@@ -46,6 +48,10 @@ struct drawn_panel drawn_panel_of(unsigned number, double px_um, double density)
 /* Where a point of the block's section lies on the panel, in pixels with centres at +0.5. */
 struct gsn_point drawn_panel_place(const struct drawn_panel *panel, unsigned slot,
                                    struct gsn_point um);
+
+/* gives: the picture mirrored left to right or not, then turned clockwise by quarters. Fails the
+ * test when memory runs out. */
+struct gsn_image *drawn_turned(const struct gsn_image *image, int mirrored, int quarters);
 
 /* gives: the picture; its PNG. Fail the test when memory runs out. */
 struct gsn_image *drawn_panel_image(const struct drawn_panel *panel);

@@ -226,29 +226,6 @@ static const char MARKED_JOB[] =
     "{\"specimen\": \"S02-L0\", \"study\": \"GVP-D\", \"px_um\": 24, \"layout\": [3, 4], "
     "\"markers_um\": [[-2050, -1000], [1700, -1500], [-1500, 1300]]}";
 
-/* gives: the picture mirrored left to right, then turned clockwise by quarters. */
-static struct gsn_image *turned(const struct gsn_image *image, int mirrored, int quarters)
-{
-    const uint32_t width = image->width, height = image->height;
-    struct gsn_image *now = NULL;
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_image_new(quarters % 2 ? height : width, quarters % 2 ? width : height, 3, 8, &now,
-                           &err),
-             err);
-    for (uint32_t y = 0; y < height; y++)
-        for (uint32_t x = 0; x < width; x++) {
-            const uint32_t u = mirrored ? width - 1 - x : x;
-            const uint32_t to_x[4] = { u, height - 1 - y, width - 1 - u, y };
-            const uint32_t to_y[4] = { y, u, height - 1 - y, width - 1 - u };
-
-            memcpy((uint8_t *)now->samples +
-                       3 * ((size_t)to_y[quarters] * now->width + to_x[quarters]),
-                   (const uint8_t *)image->samples + 3 * ((size_t)y * width + x), 3);
-        }
-    return now;
-}
-
 /* A pen line through the code of a label that stands upright. */
 static void scratch_code(struct gsn_image *image)
 {
@@ -285,7 +262,7 @@ static void check_every_way(const struct gsn_image *image, const char *job, int 
 
         if (quarters % 2 == 0 && !coded)
             continue;
-        gsn_auto(gsn_image) picture = turned(image, way & 1, quarters);
+        gsn_auto(gsn_image) picture = drawn_turned(image, way & 1, quarters);
         gsn_auto(gsn_panel_findings) findings = examined_as(picture, 3, job);
 
         check_same(findings, upright);
@@ -336,12 +313,12 @@ TEST(a_panel_of_which_nothing_tells_which_way_it_lies_is_refused)
     static const char SQUARE[] = "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [4, 4]}";
     static const char SWAPPED[] = "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [4, 3]}";
     gsn_auto(gsn_image) image = phantom_panel(3);
-    gsn_auto(gsn_image) lying = turned(image, 0, 1);
+    gsn_auto(gsn_image) lying = drawn_turned(image, 0, 1);
 
     refused(lying, SQUARE, "its label lies on its side, and neither the grid of its sections nor");
     refused(image, SWAPPED, "its label stands upright, but its sections lie as 3 rows of 4");
     scratch_code(image);
-    gsn_auto(gsn_image) blind = turned(image, 0, 1);
+    gsn_auto(gsn_image) blind = drawn_turned(image, 0, 1);
     refused(blind, PHANTOM_JOB, "nor the marks of its sections tell which way it was turned: ");
 }
 
@@ -350,7 +327,7 @@ TEST(a_label_that_lies_on_its_side_by_make_leaves_the_panel_as_it_is)
 {
     enum { X = 2, Y = 124, SIDE = 128 };
     gsn_auto(gsn_image) image = phantom_panel(3);
-    gsn_auto(gsn_image) made = turned(image, 0, 0);
+    gsn_auto(gsn_image) made = drawn_turned(image, 0, 0);
 
     for (uint32_t y = 0; y < SIDE; y++)
         for (uint32_t x = 0; x < SIDE; x++)
@@ -388,8 +365,8 @@ TEST(running_out_of_memory_while_turning_leaves_the_picture_as_it_was)
     CHECK_EVERY_OOM(look_once(scan, protocol, &err), err);
 
     struct gsn_image *image = scan->picture->image;
-    gsn_auto(gsn_image) before = turned(image, 0, 0);
-    gsn_auto(gsn_image) after = turned(image, 1, 3);
+    gsn_auto(gsn_image) before = drawn_turned(image, 0, 0);
+    gsn_auto(gsn_image) after = drawn_turned(image, 1, 3);
     const struct gsn_dust_turn turn = { 1, 3 };
 
     gsn_check_fail_allocation(1);

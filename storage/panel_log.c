@@ -11,15 +11,16 @@
         GSN_SQL_##type, offsetof(struct gsn_panel_row, name)                                       \
     }
 static const struct gsn_sql_field panel_fields[] = {
-    PANEL(INT, id),       PANEL(INT, specimen_id), PANEL(INT, number), PANEL(TEXT, file_name),
-    PANEL(TEXT, sha256),  PANEL(INT, size),        PANEL(TEXT, state), PANEL(TEXT, code),
-    PANEL(TEXT, message), PANEL(INT, width),       PANEL(INT, height), PANEL(REAL, px_um),
+    PANEL(INT, id),         PANEL(INT, specimen_id), PANEL(INT, number),   PANEL(TEXT, file_name),
+    PANEL(TEXT, sha256),    PANEL(INT, size),        PANEL(TEXT, state),   PANEL(TEXT, code),
+    PANEL(TEXT, message),   PANEL(INT, width),       PANEL(INT, height),   PANEL(REAL, px_um),
+    PANEL(INT, turn_known), PANEL(INT, mirrored),    PANEL(INT, quarters), PANEL(TEXT, turn_note),
 };
 #undef PANEL
 
 #define SELECT_PANEL                                                                               \
     "SELECT id, specimen_id, number, file_name, sha256, size, state, code, message, width, "       \
-    "height, px_um FROM panel "
+    "height, px_um, quarters IS NOT NULL, mirrored, quarters, turn_note FROM panel "
 
 static const struct gsn_sql_shape panel_shape = SQL_SHAPE(struct gsn_panel_row, panel_fields);
 
@@ -155,6 +156,14 @@ int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64
 {
     return update(store, id, "UPDATE panel SET width = ?2, height = ?3, px_um = ?4 WHERE id = ?1",
                   SQL_ARGS(SQL_INT(id), SQL_INT(width), SQL_INT(height), SQL_REAL(px_um)), err);
+}
+
+int gsn_panel_set_turn(struct gsn_store *store, int64_t id, int64_t mirrored, int64_t quarters,
+                       const char *note, struct gsn_error *err)
+{
+    return update(store, id,
+                  "UPDATE panel SET mirrored = ?2, quarters = ?3, turn_note = ?4 WHERE id = ?1",
+                  SQL_ARGS(SQL_INT(id), SQL_INT(mirrored), SQL_INT(quarters), SQL_TEXT(note)), err);
 }
 
 static double if_found(const struct gsn_marker_row *marker, double value)

@@ -30,6 +30,10 @@ struct gsn_panel_row {
     const char *message;   /* the sentence of the refusal, or empty */
     int64_t width, height; /* pixels; 0 until decoded */
     double px_um;          /* NaN until known */
+    int64_t turn_known;    /* 0: how its picture was set upright is not, and the rest is 0 */
+    int64_t mirrored;      /* 1: left to right, and that first */
+    int64_t quarters;      /* clockwise, 0 to 3 */
+    const char *turn_note; /* what is to be said of that, or empty */
 };
 
 struct gsn_panel_rows {
@@ -42,9 +46,10 @@ GSN_DEFINE_AUTO(gsn_panel_row);
 void gsn_panel_rows_free(struct gsn_panel_rows *rows);
 GSN_DEFINE_AUTO(gsn_panel_rows);
 
-/* Inserts a panel (id is not read). The same bytes for the same specimen are the same panel,
- * whatever the file is called: ret_again becomes 1 and ret_id the row that was there.
- * Fails with GSN_E_INPUT when the specimen is unknown, the digest or the state is none. */
+/* Inserts a panel (id and how its picture was turned are not read). The same bytes for the same
+ * specimen are the same panel, whatever the file is called: ret_again becomes 1 and ret_id the row
+ * that was there. Fails with GSN_E_INPUT when the specimen is unknown, the digest or the state is
+ * none. */
 int gsn_panel_put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
                   int *ret_again, struct gsn_error *err);
 /* gives. Fails with GSN_E_NOTFOUND. */
@@ -62,6 +67,10 @@ int gsn_panel_set_name(struct gsn_store *store, int64_t id, int64_t number, cons
 /* What the decoder found. */
 int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64_t height,
                        double px_um, struct gsn_error *err);
+/* How its picture was set upright when what is known of its sections was found. Fails with
+ * GSN_E_NOTFOUND, GSN_E_INPUT. */
+int gsn_panel_set_turn(struct gsn_store *store, int64_t id, int64_t mirrored, int64_t quarters,
+                       const char *note, struct gsn_error *err);
 
 struct gsn_marker_row {
     int64_t found; /* 0: the rest is not read, and reads back as NaN */

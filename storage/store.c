@@ -23,7 +23,7 @@ enum {
 
 static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
                                        gsn_schema_004, gsn_schema_005, gsn_schema_006,
-                                       gsn_schema_007 };
+                                       gsn_schema_007, gsn_schema_008 };
 enum { NEWEST = sizeof schemas / sizeof schemas[0] };
 
 struct gsn_store {

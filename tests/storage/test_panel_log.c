@@ -28,6 +28,31 @@ TEST(a_panel_reads_back_as_it_was_written)
     CHECK_OK(gsn_panel_set_state(store, id, "registered", NULL, NULL, &err), err);
 }
 
+TEST(how_a_panel_was_set_upright_is_kept_as_it_was_told)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_panel_row) fresh = NULL;
+    struct gsn_error err = { 0 };
+    const int64_t id = bench_add_panel(store, bench_add_specimen(store, "S", "g", ""), 3);
+
+    CHECK_OK(gsn_panel_get(store, id, &fresh, &err), err);
+    CHECK(!fresh->turn_known && fresh->turn_note[0] == '\0');
+    for (int way = 0; way < 8; way++) {
+        gsn_auto(gsn_panel_row) got = NULL;
+
+        CHECK_OK(gsn_panel_set_turn(store, id, way & 1, way >> 1, way ? "turned" : NULL, &err),
+                 err);
+        CHECK_OK(gsn_panel_get(store, id, &got, &err), err);
+        CHECK(got->turn_known && got->mirrored == (way & 1) && got->quarters == way >> 1);
+        assert_string_equal(got->turn_note, way ? "turned" : "");
+    }
+    CHECK(gsn_panel_set_turn(store, id, 2, 0, "", &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_set_turn(store, id, 0, 4, "", &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_set_turn(store, id, 0, -1, "", &err) == GSN_E_INPUT);
+    CHECK(gsn_panel_set_turn(store, 99, 0, 0, "", &err) == GSN_E_NOTFOUND);
+}
+
 TEST(the_same_bytes_again_are_the_same_panel)
 {
     scratch_auto scratch = gsn_scratch_new();
@@ -237,6 +262,12 @@ TEST(sections_and_marks_of_the_fifth_schema_are_kept)
     CHECK_NEAR(got->at[0].marker[2].score, 36, 0);
     CHECK(ask(store, "SELECT sum(mark * y_px) FROM marker WHERE panel_id = 7 AND slot = 2") ==
           11 + 3 * 31);
+
+    /* Nobody kept how the picture of its panel was turned. */
+    gsn_auto(gsn_panel_row) panel = NULL;
+
+    CHECK_OK(gsn_panel_get(store, 7, &panel, &err), err);
+    CHECK(strcmp(panel->state, "registered") == 0 && !panel->turn_known);
 }
 
 static int put_once(struct gsn_store *store, const struct gsn_panel_row *row, struct gsn_error *err)
@@ -266,4 +297,5 @@ TEST(running_out_of_memory_leaks_nothing)
     CHECK_EVERY_OOM(put_once(store, &row, &err), err);
     CHECK_EVERY_OOM(gsn_section_replace(store, 1, &one, 1, &err), err);
     CHECK_EVERY_OOM(list_once(store, specimen, &err), err);
+    CHECK_EVERY_OOM(gsn_panel_set_turn(store, 1, 1, 3, "turned", &err), err);
 }

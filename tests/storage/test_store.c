@@ -79,7 +79,7 @@ TEST(every_way_of_opening_promises_durability_and_whole_references)
         CHECK(ask(store, "PRAGMA synchronous") == 2);
         CHECK(ask(store, "PRAGMA foreign_keys") == 1);
         CHECK(ask(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode") == 1);
-        CHECK(ask(store, "PRAGMA user_version") == 7);
+        CHECK(ask(store, "PRAGMA user_version") == 8);
         CHECK(strcmp(gsn_store_dir(store), scratch.dir) == 0);
     }
 }
@@ -130,7 +130,8 @@ TEST(no_row_needs_a_table_of_its_own_to_be_checked)
     "INSERT INTO study VALUES (1, 'st'); INSERT INTO study_group VALUES (1, 1, 'g'); "             \
     "INSERT INTO animal VALUES (1, 1, 'rat'); INSERT INTO specimen VALUES (1, 'S', 1, 1, 1, 4, "   \
     "'sections', '', '{}', printf('%064d', 0)); INSERT INTO panel VALUES (1, 1, 3, 'P', "          \
-    "printf('%064d', 3), 9, 'waiting', '', '', 0, 0, NULL); INSERT INTO section (id, panel_id, "   \
+    "printf('%064d', 3), 9, 'waiting', '', '', 0, 0, NULL, NULL, NULL, ''); "                      \
+    "INSERT INTO section (id, panel_id, "                                                          \
     "slot, serial, state, flags) VALUES (4097, 1, 1, 1, 'found', ''); INSERT INTO job (kind, "     \
     "specimen_id, "                                                                                \
     "panel_id) VALUES ('panel', 1, 1); INSERT INTO run (specimen_id, key, version, inputs_json, "  \
@@ -222,11 +223,11 @@ TEST(a_store_of_a_newer_version_is_refused_untouched)
     scratch_auto scratch = gsn_scratch_new();
 
     gsn_store_free(bench_open(&scratch, GSN_STORE_CREATE));
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 8") == SQLITE_OK);
-    refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 8, this one");
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 9") == SQLITE_OK);
+    refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 9, this one");
     refuses(scratch.dir, GSN_STORE_WRITE, GSN_E_UNSUPPORTED, "newer gieson");
     refuses(scratch.dir, GSN_STORE_CREATE, GSN_E_UNSUPPORTED, "newer gieson");
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 7") == SQLITE_OK);
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 8") == SQLITE_OK);
     gsn_store_free(bench_open(&scratch, GSN_STORE_WRITE));
 }
 

@@ -325,7 +325,8 @@ static int work_panel(const struct gsn_specimen *specimen,
     int r = specimen->read(specimen->context, panel->given->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &scan, err);
+        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &panel->given->upright,
+                          &scan, err);
     if (r >= 0)
         r = gsn_assembly_find_dyes(specimen, options, scan, a, panel, err);
     if (r >= 0)

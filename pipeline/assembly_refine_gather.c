@@ -76,7 +76,8 @@ static int gather_panel(struct gsn_refine_work *w, const struct gsn_specimen_pan
     int r = w->specimen->read(w->specimen->context, given->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_scan_open(w->options->decoder, bytes, size, w->specimen->protocol, &scan, err);
+        r = gsn_scan_open(w->options->decoder, bytes, size, w->specimen->protocol, &given->upright,
+                          &scan, err);
     return r < 0 ? r : gather_scan(w, given, scan, err);
 }
 

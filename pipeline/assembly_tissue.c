@@ -132,7 +132,8 @@ static int look_at_panel(const struct gsn_specimen *specimen,
     int r = specimen->read(specimen->context, panel->sha256, &bytes, &size, err);
 
     if (r >= 0)
-        r = gsn_scan_survey(options->decoder, bytes, size, specimen->protocol, &scan, err);
+        r = gsn_scan_survey(options->decoder, bytes, size, specimen->protocol, &panel->upright,
+                            &scan, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
         const struct gsn_assembly_section *s = &a->section[parts[i].section];
 

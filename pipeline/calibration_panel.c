@@ -188,7 +188,7 @@ static int read_panel(const char *decoder, const void *bytes, size_t size,
     as_glass.rows = panel->stated->patch[panel->stated->patch_count - 1].row;
     as_glass.columns = longest_row(panel->stated);
     as_glass.has_markers = 0;
-    r = gsn_scan_open(decoder, bytes, size, &as_glass, &scan, err);
+    r = gsn_scan_open(decoder, bytes, size, &as_glass, NULL, &scan, err);
     if (r >= 0)
         r = check_glass(&scan->glass, err);
     if (r >= 0)

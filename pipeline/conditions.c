@@ -99,8 +99,8 @@ static int add_dust(const struct look *look, const struct gsn_pixel_box *box, st
                                                     one->px.y / look->side },
                                             .radius_px = MARK_RADII * one->radius_px / look->side };
         }
-    return gsn_dust_add(a->dust, look->od, look->scan->px_um * look->side, look->scan->turn, box,
-                        mark, count, err);
+    return gsn_dust_add(a->dust, look->od, look->scan->px_um * look->side, look->scan->upright.turn,
+                        box, mark, count, err);
 }
 
 /* gives: in cells of the box 0, or NaN where the section is masked. */
@@ -146,7 +146,7 @@ static int look_at_cells(const struct look *look, const struct gsn_mask_labels *
     const struct gsn_pixel_box box = in_cells(&whole, look->side);
     int r = GSN_OK;
 
-    look->panel->turn = look->scan->turn;
+    look->panel->turn = look->scan->upright.turn;
     look->panel->lamp = gsn_lamp_look(look->od, &box);
     for (size_t i = 0; i < look->a->section_count && r >= 0; i++)
         if (is_there(&look->a->section[i], look->panel->given->number))

@@ -270,12 +270,13 @@ int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
     if (!findings || !findings->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
     gsn_progress_say(progress, "decoding", 0, 1);
-    r = gsn_scan_survey(decoder, bytes, size, protocol, &scan, err);
+    r = gsn_scan_survey(decoder, bytes, size, protocol, NULL, &scan, err);
     if (r < 0)
         return r;
     findings->width = scan->picture->image->width;
     findings->height = scan->picture->image->height;
     findings->px_um = scan->px_um;
+    findings->upright = scan->upright;
     (void)snprintf(findings->note, sizeof findings->note, "%s%s%s", scan->picture->note,
                    scan->picture->note[0] && scan->note[0] ? "; " : "", scan->note);
     r = examine(scan, protocol, number, answers, threads, progress, findings, err);

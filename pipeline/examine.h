@@ -70,6 +70,7 @@ struct gsn_panel_answers {
 struct gsn_panel_findings {
     uint32_t width, height;
     double px_um;
+    struct gsn_upright upright;
     char note[1024]; /* what was assumed or odd on this panel, "; " between */
     char label[64];  /* the text of its code, when that ends in a panel's number ("...-P03") */
     unsigned label_number;  /* that number; 0: no such code was read */

@@ -12,11 +12,16 @@
 /* A file and a job that differ by more than this about the pixel size cannot both be right. */
 static const double PX_UM_TOLERANCE = 0.01;
 
+static void add(char *noted, size_t room, const char *text)
+{
+    const size_t used = strlen(noted);
+
+    (void)snprintf(noted + used, room - used, "%s%s", used ? "; " : "", text);
+}
+
 static void note(struct gsn_scan *scan, const char *text)
 {
-    const size_t used = strlen(scan->note);
-
-    (void)snprintf(scan->note + used, sizeof scan->note - used, "%s%s", used ? "; " : "", text);
+    add(scan->note, sizeof scan->note, text);
 }
 
 static void note_profile(struct gsn_scan *scan)
@@ -109,47 +114,64 @@ static int look_round(struct gsn_scan *scan, const struct gsn_protocol *protocol
     return r;
 }
 
+static void say_of_turn(struct gsn_upright *upright, const char *text)
+{
+    add(upright->note, sizeof upright->note, text);
+}
+
 /* why: by what it was told; NULL: by the code alone. */
-static void note_turn(struct gsn_scan *scan, const char *why)
+static void note_turn(struct gsn_upright *upright, const char *why)
 {
     char text[160];
 
-    if (scan->turn.mirrored)
-        note(scan, why ? "mirrored back as a whole"
-                       : "mirrored back as a whole: the code on its label was mirrored");
-    if (scan->turn.quarters == 2 && !why)
-        note(scan, "turned by 180 degrees: the code on its label stood on its head");
-    if (!why || (scan->turn.quarters == 0 && !scan->turn.mirrored))
+    if (upright->turn.mirrored)
+        say_of_turn(upright, why ? "mirrored back as a whole"
+                                 : "mirrored back as a whole: the code on its label was mirrored");
+    if (upright->turn.quarters == 2 && !why)
+        say_of_turn(upright, "turned by 180 degrees: the code on its label stood on its head");
+    if (!why || (upright->turn.quarters == 0 && !upright->turn.mirrored))
         return;
     (void)snprintf(text, sizeof text, "turned by %u degrees clockwise: %s",
-                   90 * scan->turn.quarters, why);
-    note(scan, text);
+                   90 * upright->turn.quarters, why);
+    say_of_turn(upright, text);
+}
+
+static int find_turn(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                     struct gsn_error *err)
+{
+    const char *why = NULL;
+    int r = GSN_OK;
+
+    scan->upright.turn = gsn_upright_by_code(scan->picture);
+    if (gsn_upright_asks(scan->picture, protocol))
+        r = look_round(scan, protocol, &scan->upright.turn, &why, err);
+    if (r >= 0)
+        note_turn(&scan->upright, why);
+    return r;
 }
 
 static int set_upright(struct gsn_scan *scan, const struct gsn_protocol *protocol,
-                       struct gsn_error *err)
+                       const struct gsn_upright *known, struct gsn_error *err)
 {
-    struct gsn_dust_turn turn = gsn_upright_by_code(scan->picture);
-    const char *why = NULL;
     int r = GSN_OK;
 
     if (protocol->kind != GSN_KIND_SECTIONS)
         return GSN_OK;
-    if (gsn_upright_asks(scan->picture, protocol))
-        r = look_round(scan, protocol, &turn, &why, err);
+    if (known)
+        scan->upright = *known;
+    else
+        r = find_turn(scan, protocol, err);
     if (r >= 0)
-        r = gsn_upright_turn(scan->picture, turn, err);
-    if (r < 0)
-        return r;
-    scan->turn = turn;
-    note_turn(scan, why);
-    return GSN_OK;
+        r = gsn_upright_turn(scan->picture, scan->upright.turn, err);
+    if (r >= 0 && scan->upright.note[0])
+        note(scan, scan->upright.note);
+    return r;
 }
 
 /* Everything but glass and density. */
 static int read_scan(const char *decoder, const void *bytes, size_t size,
-                     const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
-                     struct gsn_error *err)
+                     const struct gsn_protocol *protocol, const struct gsn_upright *upright,
+                     struct gsn_scan **ret_scan, struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = gsn_alloc_array(1, sizeof *scan);
     /* A white that the job states is one of the file's codes, which a profile would move. */
@@ -164,12 +186,13 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
 
     if (!scan)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a scan");
-    limits.codes = protocol->kind == GSN_KIND_SECTIONS;
+    limits.codes = protocol->kind == GSN_KIND_SECTIONS && !upright;
     r = gsn_decode_apart(decoder, bytes, size, &limits, &scan->picture, err);
     /* Readers of codes are as old as decoders: one that falls over must not cost the panel. */
     if ((r == GSN_E_INPUT || r == GSN_E_LIMIT) && limits.codes &&
         gsn_decode_apart(decoder, bytes, size, &plain, &scan->picture, NULL) >= 0) {
-        note(scan, "the code on its label could not be read: the reader failed on this picture");
+        say_of_turn(&scan->upright,
+                    "the code on its label could not be read: the reader failed on this picture");
         r = GSN_OK;
     }
     if (r < 0)
@@ -185,7 +208,7 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
     r = size_of_pixels(scan, protocol, err);
     if (r < 0)
         return r;
-    r = set_upright(scan, protocol, err);
+    r = set_upright(scan, protocol, upright, err);
     if (r < 0)
         return r;
     *ret_scan = gsn_steal(&scan);
@@ -202,12 +225,12 @@ static unsigned apart_of(const struct gsn_image *image, const struct gsn_protoco
 }
 
 int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
-                  struct gsn_error *err)
+                  const struct gsn_protocol *protocol, const struct gsn_upright *upright,
+                  struct gsn_scan **ret_scan, struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
     enum gsn_light light;
-    int r = read_scan(decoder, bytes, size, protocol, &scan, err);
+    int r = read_scan(decoder, bytes, size, protocol, upright, &scan, err);
 
     if (r < 0)
         return r;
@@ -270,11 +293,11 @@ static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol, st
 }
 
 int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
-                    const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
-                    struct gsn_error *err)
+                    const struct gsn_protocol *protocol, const struct gsn_upright *upright,
+                    struct gsn_scan **ret_scan, struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
-    int r = read_scan(decoder, bytes, size, protocol, &scan, err);
+    int r = read_scan(decoder, bytes, size, protocol, upright, &scan, err);
 
     if (r >= 0)
         r = survey(scan, protocol, err);

@@ -14,6 +14,13 @@
 extern "C" {
 #endif
 
+/* How a picture was set upright. Whatever is found on it lies on the upright picture, so whoever
+ * opens it again must set it upright alike. */
+struct gsn_upright {
+    struct gsn_dust_turn turn;
+    char note[240]; /* what was assumed, for people; empty when nothing was */
+};
+
 struct gsn_scan {
     struct gsn_picture *picture; /* RGB */
     struct gsn_glass glass;
@@ -23,28 +30,29 @@ struct gsn_scan {
     struct gsn_plane *total; /* R + G + B optical density in cells of step x step pixels, after
                                 gsn_scan_survey(); else NULL */
     unsigned step;
-    struct gsn_dust_turn turn; /* how the picture was turned upright */
-    double px_um;              /* the job's, else the file's; never 0 */
-    char note[300];            /* what was assumed, "; " between; empty when nothing was */
+    struct gsn_upright upright;
+    double px_um;   /* the job's, else the file's; never 0 */
+    char note[300]; /* what was assumed, "; " between; empty when nothing was */
 };
 
-/* gives. A panel is set upright (upright.h): mirrored back, or turned by quarters, and that is
- * noted. Samples are read as the job says, else as the file says, else as the built-in dye vectors
- * were measured (codes in proportion to light), and that is noted.
+/* gives. A panel is set upright, and that is noted: as it was when somebody looked at it before
+ * (upright), and then no codes are read; or, where that is NULL, as the codes printed on it and its
+ * sections tell (upright.h). Samples are read as the job says, else as the file says, else as
+ * the built-in dye vectors were measured (codes in proportion to light), and that is noted.
  *
  * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_glass_estimate() do; with
- * GSN_E_WITHHELD when it is not clear which way round it lies; with
+ * GSN_E_WITHHELD when it is to be told which way round it lies and that is not clear; with
  * GSN_E_INPUT when neither job nor file states the pixel size, or the picture is grey; with
  * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
- * borrows: bytes, protocol. */
+ * borrows: bytes, protocol, upright. */
 int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
-                  struct gsn_error *err);
+                  const struct gsn_protocol *protocol, const struct gsn_upright *upright,
+                  struct gsn_scan **ret_scan, struct gsn_error *err);
 /* The same for one look at a panel: the glass is measured on the picture made small, which costs a
  * fiftieth, and optical density is there in cells only. Fails as gsn_scan_open(). */
 int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
-                    const struct gsn_protocol *protocol, struct gsn_scan **ret_scan,
-                    struct gsn_error *err);
+                    const struct gsn_protocol *protocol, const struct gsn_upright *upright,
+                    struct gsn_scan **ret_scan, struct gsn_error *err);
 void gsn_scan_free(struct gsn_scan *scan);
 GSN_DEFINE_AUTO(gsn_scan);
 

@@ -30,7 +30,8 @@ struct gsn_specimen_panel {
     unsigned number; /* 1-based; 0: unknown */
     const char *file, *sha256, *state, *message;
     size_t size;
-    double px_um; /* as examined; 0 without sections */
+    double px_um;               /* as examined; 0 without sections */
+    struct gsn_upright upright; /* as examined: whoever opens it again turns it alike */
     size_t section_count;
     const struct gsn_panel_section *section;
 };

@@ -140,7 +140,7 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
     gsn_progress_say(options->progress, "unmixing", 0, 1);
     r = specimen->read(specimen->context, specimen->picture_sha256, &bytes, &size, err);
     if (r >= 0)
-        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &scan, err);
+        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, NULL, &scan, err);
     if (r >= 0)
         r = gsn_scan_dyes(scan, NULL, specimen->protocol, &tile->fit, err);
     if (r >= 0)

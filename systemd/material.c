@@ -64,6 +64,8 @@ int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a specimen");
     r = take_rows(m, store, specimen_id, err);
     if (r >= 0)
+        r = gsn_material_check_turns(m, err);
+    if (r >= 0)
         r = gsn_material_take_files(m, err);
     if (r < 0)
         return r;

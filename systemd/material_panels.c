@@ -64,6 +64,17 @@ int gsn_material_hold_duplicates(struct gsn_material *m, struct gsn_error *err)
     return gsn_panel_list(m->store, m->row->id, &m->panels, err);
 }
 
+int gsn_material_check_turns(const struct gsn_material *m, struct gsn_error *err)
+{
+    for (size_t i = 0; i < m->panels->count; i++)
+        if (gsn_panel_lacks_turn(&m->panels->at[i]))
+            return gsn_fail(err, GSN_E_INPUT,
+                            "panel %s was looked at by an older gieson, which did not keep how it "
+                            "lies: import its folder again with --replace, then say `gieson run`",
+                            m->panels->at[i].file_name);
+    return GSN_OK;
+}
+
 /* The specimen's job comes after its panels' jobs, so a panel that still waits had one that failed.
  */
 static const char *message_of(const struct gsn_panel_row *row)
@@ -83,6 +94,15 @@ static struct gsn_panel_section section_of(const struct gsn_material *m,
     if (section.sighting == GSN_SIGHT_NEEDS_EYE || strstr(section.flags, "decided"))
         gsn_candidates_from_rows(m->candidates, row->panel_id, row->slot, &section.candidates);
     return section;
+}
+
+static struct gsn_upright upright_of(const struct gsn_panel_row *row)
+{
+    struct gsn_upright upright = { .turn = { .mirrored = row->mirrored != 0,
+                                             .quarters = (unsigned)row->quarters } };
+
+    (void)snprintf(upright.note, sizeof upright.note, "%s", row->turn_note);
+    return upright;
 }
 
 int gsn_material_take_panels(struct gsn_material *m, struct gsn_error *err)
@@ -107,6 +127,7 @@ int gsn_material_take_panels(struct gsn_material *m, struct gsn_error *err)
                                                    .message = message_of(row),
                                                    .size = (size_t)row->size,
                                                    .px_um = row->px_um,
+                                                   .upright = upright_of(row),
                                                    .section_count = used - first,
                                                    .section = m->section + first };
     }

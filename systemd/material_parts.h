@@ -43,6 +43,8 @@ struct gsn_material {
 /* Holds panels that claim one number: which of them is right is for a person to say. Lists the
  * panels anew. */
 int gsn_material_hold_duplicates(struct gsn_material *m, struct gsn_error *err);
+/* Refuses panels that lack their turn (panel_job.h). */
+int gsn_material_check_turns(const struct gsn_material *m, struct gsn_error *err);
 /* The panels and their sections as they were logged. */
 int gsn_material_take_panels(struct gsn_material *m, struct gsn_error *err);
 /* Reads every file that the job names. */

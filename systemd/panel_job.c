@@ -82,6 +82,11 @@ struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *
     return s;
 }
 
+int gsn_panel_lacks_turn(const struct gsn_panel_row *row)
+{
+    return strcmp(row->state, "registered") == 0 && !row->turn_known;
+}
+
 /* Why this panel may not be used although its picture is fine, or GSN_OK. */
 static int check_number(const struct gsn_panel_row *panel, const struct gsn_protocol *protocol,
                         struct gsn_error *why)
@@ -144,6 +149,9 @@ static int keep(struct gsn_store *store, const struct gsn_job_row *job,
     if (findings)
         r = gsn_panel_set_size(store, job->panel_id, findings->width, findings->height,
                                findings->px_um, err);
+    if (r >= 0 && findings)
+        r = gsn_panel_set_turn(store, job->panel_id, findings->upright.turn.mirrored,
+                               findings->upright.turn.quarters, findings->upright.note, err);
     if (r >= 0)
         r = gsn_section_replace(store, job->panel_id, rows, count, err);
     if (r >= 0)

@@ -20,6 +20,10 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
 /* A row read back as what gsn_panel_examine() found. */
 struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *row);
 
+/* Whether it was registered before it was kept how its picture was set upright: then it must be
+ * examined again, for its sections may lie on a picture that was turned. */
+int gsn_panel_lacks_turn(const struct gsn_panel_row *row);
+
 /* gives: the bytes of an object, after its hash was compared with its name.
  * Fails with GSN_E_NOTFOUND, GSN_E_INPUT "... is damaged", GSN_E_IO. */
 int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_bytes,

@@ -8,6 +8,7 @@
 #include "storage/panel_log.h"
 #include "storage/result.h"
 #include "systemd/candidates.h"
+#include "systemd/panel_job.h"
 
 #include <jansson.h>
 #include <stdlib.h>
@@ -241,6 +242,51 @@ static int finish(struct gsn_store *store, const struct gsn_job_row *job, int64_
     return r;
 }
 
+/* ---- panels that an older gieson looked at ------------------------------------------------ */
+
+/* In a transaction. The panel waits, so that one whose job fails is not asked for again and again.
+ */
+static int ask_again(struct gsn_store *store, const struct gsn_job_row *job,
+                     const struct gsn_panel_rows *panels, struct gsn_error *err)
+{
+    int64_t id;
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && i < panels->count; i++) {
+        if (!gsn_panel_lacks_turn(&panels->at[i]))
+            continue;
+        r = gsn_panel_set_state(store, panels->at[i].id, "waiting", NULL, NULL, err);
+        if (r >= 0)
+            r = gsn_queue_add(store, job->specimen_id, panels->at[i].id, &id, err);
+    }
+    if (r >= 0)
+        r = gsn_queue_add(store, job->specimen_id, 0, &id, err);
+    return r >= 0 ? gsn_queue_done(store, job, err) : r;
+}
+
+/* ret_asked: whether the job waits for panels now. */
+static int ask_for_turns(struct gsn_store *store, const struct gsn_job_row *job, int *ret_asked,
+                         struct gsn_error *err)
+{
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    int r = gsn_panel_list(store, job->specimen_id, &panels, err);
+
+    *ret_asked = 0;
+    for (size_t i = 0; r >= 0 && i < panels->count; i++)
+        *ret_asked |= gsn_panel_lacks_turn(&panels->at[i]);
+    if (r < 0 || !*ret_asked)
+        return r;
+    r = gsn_store_begin(store, err);
+    if (r < 0)
+        return r;
+    r = ask_again(store, job, panels, err);
+    if (r < 0) {
+        gsn_store_rollback(store);
+        return r;
+    }
+    return gsn_store_commit(store, err);
+}
+
 /* What the figures of this run mean, for those who compare with it later. gives. */
 static char *parameters_of(const struct gsn_material *material,
                            const struct gsn_specimen_result *result)
@@ -268,8 +314,11 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
     gsn_auto_mem(char) parameters = NULL;
     struct gsn_run_row run = { .specimen_id = job->specimen_id, .version = GSN_VERSION };
     int64_t id;
-    int r = gsn_material_load(store, job->specimen_id, &material, err);
+    int asked, r = ask_for_turns(store, job, &asked, err);
 
+    if (r < 0 || asked)
+        return r;
+    r = gsn_material_load(store, job->specimen_id, &material, err);
     if (r >= 0)
         r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
     if (r < 0)

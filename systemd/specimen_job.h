@@ -15,7 +15,7 @@ struct gsn_material;
 
 /* gives. Panels of one number that are both usable are held here, both, with the reason in their
  * rows. Fails with GSN_E_NOTFOUND, GSN_E_IO (a damaged object), GSN_E_INPUT (a mask or volume that
- * cannot be read), GSN_E_NOMEM. keeps: store. */
+ * cannot be read, a panel that an older gieson looked at), GSN_E_NOMEM. keeps: store. */
 int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
                       struct gsn_material **ret_material, struct gsn_error *err);
 void gsn_material_free(struct gsn_material *material);
@@ -33,7 +33,8 @@ const char *gsn_material_inputs(const struct gsn_material *material);
 const char *gsn_material_own_key(const struct gsn_material *material);
 
 /* Works the specimen of a claimed job, writes its report and ends run and job in one transaction;
- * then asks for the specimens whose baseline this is. Fails as gsn_specimen_work() does. */
+ * then asks for the specimens whose baseline this is. Where an older gieson looked at its panels,
+ * the job waits again until they were looked at anew. Fails as gsn_specimen_work() does. */
 int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      const struct gsn_job_options *options, const struct gsn_progress *progress,
                      struct gsn_error *err);

@@ -49,6 +49,7 @@ static void add_panel(struct drawn_specimen *d, const struct drawn_panel *drawn)
                                                .message = "",
                                                .size = size,
                                                .px_um = d->findings[i]->px_um,
+                                               .upright = d->findings[i]->upright,
                                                .section_count = d->findings[i]->count,
                                                .section = d->findings[i]->section };
     d->input[i] = (struct gsn_specimen_input){ d->file[i], d->sha256[i], size };

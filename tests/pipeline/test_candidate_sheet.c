@@ -35,7 +35,8 @@ static struct gsn_scan *opened(const struct drawn_specimen *d, size_t panel)
     struct gsn_scan *scan = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_scan_open(NULL, d->png[panel], d->input[panel].size, d->protocol, &scan, &err),
+    CHECK_OK(gsn_scan_open(NULL, d->png[panel], d->input[panel].size, d->protocol,
+                           &d->panel[panel].upright, &scan, &err),
              err);
     return scan;
 }

@@ -361,7 +361,7 @@ TEST(running_out_of_memory_while_turning_leaves_the_picture_as_it_was)
     gsn_auto_mem(uint8_t) png = drawn_panel_png(&panel, &size);
 
     CHECK_OK(gsn_protocol_parse(JOB, strlen(JOB), &protocol, &err), err);
-    CHECK_OK(gsn_scan_survey(NULL, png, size, protocol, &scan, &err), err);
+    CHECK_OK(gsn_scan_survey(NULL, png, size, protocol, NULL, &scan, &err), err);
     CHECK_EVERY_OOM(look_once(scan, protocol, &err), err);
 
     struct gsn_image *image = scan->picture->image;

@@ -205,6 +205,7 @@ static int add_panel(struct panels *p, const char *folder, unsigned number, stru
                                                .message = "",
                                                .size = size,
                                                .px_um = p->findings[i]->px_um,
+                                               .upright = p->findings[i]->upright,
                                                .section_count = p->findings[i]->count,
                                                .section = p->findings[i]->section };
     p->count++;

@@ -10,6 +10,8 @@
 /* Pixels read of a cell along each side: a blur over a dozen cells follows, so that four of a cell
  * of 5 x 5 show every spot that all of them show. */
 enum { TAPS = 2 };
+/* Fits that are begun anew where one has wandered to; one that never rests is of no mark. */
+enum { AGAIN = 3 };
 /* A window reaches a little further than the fit's, which is 2.3 radii. */
 static const double WINDOW = 2.4;
 
@@ -73,9 +75,10 @@ int gsn_mark_density_reduce(const struct gsn_mark_density *density, const struct
     return GSN_OK;
 }
 
-int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                         struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
-                         struct gsn_error *err)
+/* One fit, with the pixels around its start. */
+static int fit_from(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+                    struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
+                    struct gsn_error *err)
 {
     const double reach = WINDOW * radius_px + 2;
     const int x0 = (int)fmax(floor(start.x - reach), slot->x);
@@ -102,6 +105,45 @@ int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gs
         mark.px.x += x0;
         mark.px.y += y0;
     }
+    *ret_mark = mark;
+    return GSN_OK;
+}
+
+/* Whether the pixels that a fit looked at reach as far around the mark that it found as around one
+ * whose radius was guessed as wrongly as it may be. Of tissue that was hardly seen, the level is
+ * what a slope from elsewhere makes of it, and with it the contrast. */
+static int is_seen(struct gsn_point start, double radius_px, const struct gsn_mark *mark)
+{
+    const double moved = hypot(mark->px.x - start.x, mark->px.y - start.y);
+
+    return moved + GSN_MARK_FIT_REACH / GSN_MARK_FIT_FACTOR * mark->radius_px <=
+           GSN_MARK_FIT_REACH * radius_px;
+}
+
+static int is_inside(const struct gsn_slot *slot, struct gsn_point at)
+{
+    return at.x >= slot->x && at.x <= slot->x + slot->width && at.y >= slot->y &&
+           at.y <= slot->y + slot->height;
+}
+
+int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+                         struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
+                         struct gsn_error *err)
+{
+    struct gsn_mark mark;
+    int r = fit_from(density, slot, start, radius_px, &mark, err);
+
+    for (int again = 0; r >= 0 && mark.found && !is_seen(start, radius_px, &mark); again++) {
+        if (again == AGAIN || !is_inside(slot, mark.px)) {
+            mark = (struct gsn_mark){ 0 };
+            break;
+        }
+        start = mark.px;
+        radius_px = mark.radius_px;
+        r = fit_from(density, slot, start, radius_px, &mark, err);
+    }
+    if (r < 0)
+        return r;
     *ret_mark = mark;
     return GSN_OK;
 }

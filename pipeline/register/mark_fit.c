@@ -17,8 +17,6 @@ enum { CX, CY, R, S, M, B0, BX, BY, P, RING, UNKNOWNS };
 static const double EDGE_FROM = 6;
 enum { ROUNDS = 3, STEPS = 100, LAG = 2 };
 
-/* The window: far enough for the ring and some tissue around it, in starting radii. */
-static const double REACH = 2.3;
 /* The ring's outer radius and the blur, in radii of the disc, as far as the picture says nothing:
  * weak beliefs that keep the fit well posed when there is no ring. */
 static const double RING_MEAN = 1.5, RING_SD = 0.25, BLUR_MEAN = 0.2, BLUR_SD = 0.3;
@@ -312,10 +310,10 @@ static int covariance(const struct window *w, const double *v, struct gsn_mark *
     return 1;
 }
 
-/* Pixels within REACH of the start; whether at least half of the disc is among them. */
+/* Pixels within reach of the start; whether at least half of the disc is among them. */
 static int gather(const struct gsn_plane *plane, struct gsn_point start, struct window *w)
 {
-    const double reach = REACH * w->radius;
+    const double reach = GSN_MARK_FIT_REACH * w->radius;
     const int x0 = (int)fmax(floor(start.x - reach), 0), y0 = (int)fmax(floor(start.y - reach), 0);
     const int x1 = (int)fmin(ceil(start.x + reach), plane->width);
     const int y1 = (int)fmin(ceil(start.y + reach), plane->height);
@@ -366,7 +364,7 @@ static void guess(const struct window *w, double *v)
 static int fit_small(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
                      struct gsn_mark *ret_mark, struct gsn_error *err)
 {
-    const size_t side = (size_t)ceil(2 * REACH * radius_px) + 3;
+    const size_t side = (size_t)ceil(2 * GSN_MARK_FIT_REACH * radius_px) + 3;
     gsn_auto_mem(struct pixel) pixels = gsn_alloc_array(side * side, sizeof *pixels);
     struct window w = { .pixel = pixels, .radius = radius_px };
     struct gsn_mark mark = { 0 };

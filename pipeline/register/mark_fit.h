@@ -21,7 +21,12 @@
 extern "C" {
 #endif
 
-/* Fits the mark near start, whose radius is about radius_px (within a factor of 1.6).
+/* How wrong a starting radius may be, and how far from the start, in starting radii, pixels are
+ * looked at: far enough for the ring and some tissue around it. */
+#define GSN_MARK_FIT_FACTOR 1.6
+#define GSN_MARK_FIT_REACH 2.3
+
+/* Fits the mark near start, whose radius is about radius_px (within GSN_MARK_FIT_FACTOR).
  *
  * borrows: plane; NaN pixels are left out. The covariance takes the texture of the tissue into
  * account, as far as the ring lets it through and as far as it is correlated from pixel to pixel.

@@ -89,6 +89,35 @@ TEST(a_mark_is_where_the_whole_plane_shows_it)
     }
 }
 
+/* Begun at the rim of a blot with half of its radius, a fit may end on all of the blot, of whose
+ * surroundings it has seen next to nothing. It is then as good as one that began there. */
+TEST(what_a_mark_stands_out_by_is_told_by_the_tissue_around_it)
+{
+    const struct gsn_mark_density density = draw_density(&plane);
+    const struct gsn_slot slot = slot_at(0, 0, WIDTH, HEIGHT);
+    const double radius = 5.4, begun = 0.5 * radius;
+    struct draw_chance chance = { 9 };
+    struct gsn_error err = { 0 };
+    int wide = 0;
+
+    for (int n = 0; n < 200; n++) {
+        const struct gsn_point c = { draw_uniform(&chance, 55, 65), draw_uniform(&chance, 40, 50) };
+        const double angle = draw_uniform(&chance, 0, 2 * M_PI);
+        const struct gsn_point rim = { c.x + begun * cos(angle), c.y + begun * sin(angle) };
+        struct gsn_mark mark;
+
+        draw_fill(&plane, 0.1);
+        draw_ellipse(&plane, c, radius, radius, 0, 0.15);
+        draw_noise(&plane, &chance, 0.05);
+        CHECK_OK(gsn_mark_density_fit(&density, &slot, rim, begun, &mark, &err), err);
+        if (!mark.found || mark.radius_px < GSN_MARK_FIT_FACTOR * begun)
+            continue;
+        wide++;
+        CHECK_NEAR(mark.contrast, 0.15, 0.03);
+    }
+    CHECK(wide > 50);
+}
+
 static int read_once(struct gsn_error *err)
 {
     const struct gsn_mark_density density = draw_density(&plane);

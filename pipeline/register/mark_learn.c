@@ -79,19 +79,17 @@ static void learn_numbers(double *value, size_t count, size_t n, struct gsn_tria
                                scatter(value + TISSUE_Y * count, n, prior->tissue_um.y));
 }
 
-/* What is seen beside the marks of clear sections; one spot more than was counted, since none may
- * be seen in a small stack. */
-static void learn_chance(const struct gsn_mark_candidates *sections, const int *clear,
-                         const struct gsn_mark *marks, size_t count,
-                         struct gsn_triangle_prior *prior)
+/* What marks of clear sections look like, and what is seen beside them. */
+static void learn_looks(const struct gsn_mark_candidates *sections, const int *clear,
+                        const struct gsn_mark *marks, size_t count,
+                        struct gsn_triangle_prior *prior)
 {
-    double seen[GSN_MARK_CHANCE] = { 0 }, area_um2 = 0;
+    struct gsn_mark_counts counts = { .marks = 0 };
 
     for (size_t i = 0; i < count; i++)
         if (clear[i])
-            gsn_mark_count_chance(&sections[i], &marks[GSN_MARKS * i], prior, seen, &area_um2);
-    for (int k = 0; k < GSN_MARK_CHANCE; k++)
-        prior->chance[k] = area_um2 > 0 ? (seen[k] + 1) / area_um2 : 0;
+            gsn_mark_count(&sections[i], &marks[GSN_MARKS * i], prior, &counts);
+    gsn_mark_learn_looks(&counts, prior);
 }
 
 /* One round: from what is known before it to what the sections then say. */
@@ -119,7 +117,7 @@ static int learn(const struct gsn_mark_candidates *sections, size_t count,
         return GSN_OK;
     learn_numbers(value, count, n, prior);
     prior->learnt = 1;
-    learn_chance(sections, clear, marks, count, prior);
+    learn_looks(sections, clear, marks, count, prior);
     return gsn_mark_map_mean(sections, motion, clear + count, clear, count, prior->tissue_um,
                              &prior->tissue, err);
 }

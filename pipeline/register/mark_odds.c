@@ -28,7 +28,6 @@ double gsn_mark_dirt(const struct gsn_mark *mark)
     return pow(fmax(EXPLAINED - mark->score, 0) / EXPLAINED_SD, 2);
 }
 
-/* Classes of unlikeness: each reaches twice as far as the one before, the last to anything. */
 static int class_of(double unlike)
 {
     int k = 0;
@@ -36,6 +35,12 @@ static int class_of(double unlike)
     while (k < GSN_MARK_CHANCE - 1 && unlike > ldexp(1, k))
         k++;
     return k;
+}
+
+/* Share of burns that are at least so unlike, as far as none was counted. */
+static double expected(int k)
+{
+    return k > 0 ? exp(-0.5 * ldexp(1, k - 1)) : 1;
 }
 
 static double unlike_in_all(const struct gsn_mark *mark, double px_um,
@@ -49,29 +54,55 @@ static double distance_um(const struct gsn_mark_candidates *section, struct gsn_
     return section->px_um * hypot(px.x - section->tissue_px.x, px.y - section->tissue_px.y);
 }
 
-void gsn_mark_count_chance(const struct gsn_mark_candidates *section,
-                           const struct gsn_mark marks[GSN_MARKS],
-                           const struct gsn_triangle_prior *prior, double seen[GSN_MARK_CHANCE],
-                           double *area_um2)
+static int is_one_of(const struct gsn_mark marks[GSN_MARKS], const struct gsn_mark *spot)
+{
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (marks[i].px.x == spot->px.x && marks[i].px.y == spot->px.y)
+            return 1;
+    return 0;
+}
+
+void gsn_mark_count(const struct gsn_mark_candidates *section,
+                    const struct gsn_mark marks[GSN_MARKS], const struct gsn_triangle_prior *prior,
+                    struct gsn_mark_counts *counts)
 {
     double reach_um = 0;
 
-    assert(section && marks && prior && seen && area_um2);
+    assert(section && marks && prior && counts);
 
     /* Farther out than its marks, a section may show those of its neighbours. */
-    for (int k = 0; k < GSN_MARKS; k++)
-        reach_um = fmax(reach_um, distance_um(section, marks[k].px));
+    for (int i = 0; i < GSN_MARKS; i++) {
+        reach_um = fmax(reach_um, distance_um(section, marks[i].px));
+        counts->marks += 1;
+        for (int k = class_of(unlike_in_all(&marks[i], section->px_um, prior)); k >= 0; k--)
+            counts->alike[k] += 1;
+    }
     for (size_t i = 0; i < section->count; i++) {
         const struct gsn_mark *spot = &section->mark[i];
-        int other = distance_um(section, spot->px) > reach_um;
 
-        for (int k = 0; k < GSN_MARKS; k++)
-            other |= marks[k].px.x == spot->px.x && marks[k].px.y == spot->px.y;
-        for (int k = class_of(unlike_in_all(spot, section->px_um, prior));
-             !other && k < GSN_MARK_CHANCE; k++)
-            seen[k] += 1;
+        if (distance_um(section, spot->px) > reach_um || is_one_of(marks, spot))
+            continue;
+        for (int k = class_of(unlike_in_all(spot, section->px_um, prior)); k < GSN_MARK_CHANCE; k++)
+            counts->seen[k] += 1;
     }
-    *area_um2 += M_PI * reach_um * reach_um;
+    counts->area_um2 += M_PI * reach_um * reach_um;
+}
+
+/* One spot more than was counted, since none may be seen in a small stack. One of the marks that
+ * look so may be the one in question, which does not vouch for itself: one that looks as burns may
+ * stands for it. */
+void gsn_mark_learn_looks(const struct gsn_mark_counts *counts, struct gsn_triangle_prior *prior)
+{
+    const double area = counts->area_um2;
+
+    assert(counts && prior);
+
+    for (int k = 0; k < GSN_MARK_CHANCE; k++) {
+        const double others = fmax(counts->alike[k] - 1, 0);
+
+        prior->alike[k] = area > 0 ? (others + expected(k)) / fmax(counts->marks, 1) : 0;
+        prior->chance[k] = area > 0 ? (counts->seen[k] + 1) / area : 0;
+    }
 }
 
 /* Density per um^2 of places so far away, with this variance per axis. */
@@ -86,9 +117,9 @@ static double odds_of(const struct gsn_mark *spot, double px_um,
                       const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
                       double away_um, double ordinary, double other)
 {
-    const double unlike = unlike_in_all(spot, px_um, prior);
-    const double looks = fmax(exp(-0.5 * unlike) / prior->chance[class_of(unlike)],
-                              DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
+    const int k = class_of(unlike_in_all(spot, px_um, prior));
+    const double looks =
+        fmax(prior->alike[k] / prior->chance[k], DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
     const double here =
         moves->ordinary * density(away_um, moves->ordinary_um * moves->ordinary_um + ordinary) +
         moves->loose * density(away_um, moves->loose_um * moves->loose_um + other) +

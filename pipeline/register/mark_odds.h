@@ -3,8 +3,9 @@
 /* Whether a spot is a mark or lies there by chance.
  *
  * Given two marks, the third is where the triangle puts it, as far as sections stretch and tear; a
- * spot that is no mark lies anywhere, as often as such spots were seen on the sections whose marks
- * are clear. The odds are those of the two, with how often a mark is seen at all. */
+ * spot that is no mark lies anywhere. How often a mark looks so unlike the typical one, and how
+ * often anything else looks as like it, is counted on the sections whose marks are clear. The odds
+ * are those of the two, with how often a mark is seen at all. */
 #ifndef GSN_REGISTER_MARK_ODDS_H
 #define GSN_REGISTER_MARK_ODDS_H
 
@@ -21,13 +22,21 @@ double gsn_mark_unlike(const struct gsn_mark *mark, double px_um,
 /* The same for what the fit leaves unexplained of the picture: dirt that touches the mark. */
 double gsn_mark_dirt(const struct gsn_mark *mark);
 
-/* Adds to seen what one section shows beside its three marks: spots by how unlike a mark they are
- * at most, and to area_um2 where they were counted, which is as far as the marks lie. borrows:
- * everything. */
-void gsn_mark_count_chance(const struct gsn_mark_candidates *section,
-                           const struct gsn_mark marks[GSN_MARKS],
-                           const struct gsn_triangle_prior *prior, double seen[GSN_MARK_CHANCE],
-                           double *area_um2);
+/* What clear sections show, by classes of unlikeness: each reaches twice as far as the one before,
+ * the first to 1, the last to anything. */
+struct gsn_mark_counts {
+    double marks;
+    double alike[GSN_MARK_CHANCE]; /* marks that are at least as unlike as the class begins */
+    double seen[GSN_MARK_CHANCE];  /* spots that are none, at most as unlike as the class ends */
+    double area_um2;               /* where they were counted: as far as the marks lie */
+};
+
+/* Adds one section, its marks and its other spots. borrows: everything. */
+void gsn_mark_count(const struct gsn_mark_candidates *section,
+                    const struct gsn_mark marks[GSN_MARKS], const struct gsn_triangle_prior *prior,
+                    struct gsn_mark_counts *counts);
+/* Fills alike and chance of the prior, with 0 where nothing was counted. */
+void gsn_mark_learn_looks(const struct gsn_mark_counts *counts, struct gsn_triangle_prior *prior);
 
 /* How far sections of this stack move a mark, one standard deviation per axis. */
 struct gsn_mark_moves {

@@ -69,8 +69,9 @@ struct gsn_triangle_prior {
     double contrast, radius_um; /* of the typical mark */
     struct gsn_mark_map tissue; /* what the sections have in common */
     double stretch_um;          /* how far an ordinary section's marks lie from a rigid triangle */
-    double chance[GSN_MARK_CHANCE]; /* spots per um^2 that are no marks and at most as unlike one as
-                                       each class (mark_odds.h); 0: nothing is known of them */
+    /* By classes of unlikeness (mark_odds.h); 0: nothing is known of them. */
+    double alike[GSN_MARK_CHANCE];  /* share of the marks that are at least as unlike */
+    double chance[GSN_MARK_CHANCE]; /* spots per um^2 that are no marks and at most as unlike */
 };
 
 /* Optical density of the red channel, of width x height pixels, where it is asked for: row() puts

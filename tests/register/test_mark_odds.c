@@ -6,13 +6,16 @@
 static const double PX = 16;
 static const struct gsn_mark_moves MOVES = { 30, 40, 240, 0.9, 0.07, 0.03 };
 
-/* One spot that is no mark per mm^2, and hardly any that look like one. */
+/* One spot that is no mark per mm^2, and hardly any that look like one; marks that look as burns
+ * may. */
 static struct gsn_triangle_prior taught(void)
 {
     struct gsn_triangle_prior prior = { .learnt = 1, .contrast = 0.4, .radius_um = 75 };
 
-    for (int k = 0; k < GSN_MARK_CHANCE; k++)
+    for (int k = 0; k < GSN_MARK_CHANCE; k++) {
+        prior.alike[k] = k > 0 ? exp(-0.5 * ldexp(1, k - 1)) : 1;
         prior.chance[k] = 1e-6 * ldexp(1, k - GSN_MARK_CHANCE + 1);
+    }
     return prior;
 }
 
@@ -88,22 +91,68 @@ TEST(looks_of_the_typical_mark_cost_nothing)
     CHECK_NEAR(gsn_mark_dirt(&mark), 1, 1e-12);
 }
 
+/* A spot that differs from the typical mark by so much in contrast alone. */
+static struct gsn_mark as_unlike(double unlike)
+{
+    return spot(0.4 * exp(0.15 * sqrt(2 * unlike)), 75);
+}
+
+/* However rare they are among marks, and however often chance makes them. */
+TEST(looks_weigh_as_marks_have_them_more_often_than_other_spots)
+{
+    struct gsn_triangle_prior prior = taught();
+    const struct gsn_mark plain = as_unlike(0), odd = as_unlike(5);
+
+    prior.alike[3] = 0.005;
+    prior.chance[3] = 0.04e-6;
+    CHECK_NEAR(gsn_mark_odds(&odd, PX, &prior, &MOVES, 100, 3000, 2000) /
+                   gsn_mark_odds(&plain, PX, &prior, &MOVES, 100, 3000, 2000) /
+                   (0.005 / 0.04 / 128),
+               1, 1e-9);
+}
+
 /* Marks themselves and what lies farther out than they do, a neighbour's, are not chance. */
 TEST(what_is_seen_beside_the_marks_is_counted_as_far_as_they_reach)
 {
     const struct gsn_triangle_prior prior = taught();
     struct gsn_mark_candidates section = { .px_um = PX, .tissue_px = { 100, 100 }, .count = 6 };
-    double seen[GSN_MARK_CHANCE] = { 0 }, area = 5;
+    struct gsn_mark_counts counts = { .area_um2 = 5 };
     const struct gsn_point at[6] = { { 200, 100 }, { 40, 100 },  { 100, 150 },
                                      { 120, 120 }, { 100, 180 }, { 100, 201 } };
 
     for (int i = 0; i < 6; i++) {
-        section.mark[i] = spot(i == 4 ? 0.1 : 0.4, 75);
+        section.mark[i] = i == 2 ? as_unlike(3) : spot(i == 4 ? 0.1 : 0.4, 75);
         section.mark[i].px = at[i];
     }
-    gsn_mark_count_chance(&section, section.mark, &prior, seen, &area);
-    CHECK_NEAR(area, 5 + M_PI * 1600 * 1600, 1e-6);
-    CHECK(seen[0] == 1 && seen[GSN_MARK_CHANCE - 1] == 2);
+    gsn_mark_count(&section, section.mark, &prior, &counts);
+    CHECK_NEAR(counts.area_um2, 5 + M_PI * 1600 * 1600, 1e-6);
+    CHECK(counts.seen[0] == 1 && counts.seen[GSN_MARK_CHANCE - 1] == 2);
     for (int k = 1; k < GSN_MARK_CHANCE; k++)
-        CHECK(seen[k] >= seen[k - 1]);
+        CHECK(counts.seen[k] >= counts.seen[k - 1]);
+    CHECK(counts.marks == 3 && counts.alike[0] == 3);
+    CHECK(counts.alike[1] == 1 && counts.alike[2] == 1 && counts.alike[3] == 0);
+}
+
+/* Of the marks that were counted, the one in question may be the only one that looks so. */
+TEST(no_mark_vouches_for_itself)
+{
+    struct gsn_mark_counts counts = { .marks = 30, .area_um2 = 1e8 };
+    struct gsn_triangle_prior none = taught(), one = none, two = none, unknown = none;
+
+    counts.alike[0] = 30;
+    gsn_mark_learn_looks(&counts, &none);
+    for (int k = 1; k < 4; k++)
+        counts.alike[k] = 1;
+    gsn_mark_learn_looks(&counts, &one);
+    counts.alike[1] = 2;
+    gsn_mark_learn_looks(&counts, &two);
+    CHECK_NEAR(one.alike[0], 1, 1e-12);
+    for (int k = 0; k < GSN_MARK_CHANCE; k++)
+        CHECK(one.alike[k] == none.alike[k]);
+    CHECK_NEAR(one.alike[3], exp(-2) / 30, 1e-12);
+    CHECK_NEAR(two.alike[1] - one.alike[1], 1.0 / 30, 1e-12);
+    counts = (struct gsn_mark_counts){ .marks = 0 };
+    gsn_mark_learn_looks(&counts, &unknown);
+    for (int k = 0; k < GSN_MARK_CHANCE; k++)
+        CHECK(unknown.alike[k] == 0 && unknown.chance[k] == 0);
 }

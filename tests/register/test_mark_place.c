@@ -23,8 +23,10 @@ static struct gsn_triangle_prior taught(void)
     };
 
     memcpy(prior.mark_um, MARK_UM, sizeof prior.mark_um);
-    for (int k = 0; k < GSN_MARK_CHANCE; k++)
+    for (int k = 0; k < GSN_MARK_CHANCE; k++) {
+        prior.alike[k] = k > 0 ? exp(-0.5 * ldexp(1, k - 1)) : 1;
         prior.chance[k] = 0.5e-6 * ldexp(1, k - GSN_MARK_CHANCE + 1);
+    }
     return prior;
 }
 

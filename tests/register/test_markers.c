@@ -419,6 +419,57 @@ TEST(a_spot_that_may_be_there_by_chance_is_not_the_third_mark)
     CHECK(marks[0].found && marks[1].found && marks[2].found);
 }
 
+/* A stack of clear sections that stretch. Their tissue has faint blots, and here and there one that
+ * is dark enough for a mark, but of which a disc explains little. */
+static struct gsn_triangle_prior taught_by_blots(void)
+{
+    enum { SECTIONS = 8, FAINT = 6 };
+    struct draw_chance chance = { 5 };
+    struct gsn_mark_candidates sections[SECTIONS];
+    struct gsn_triangle_prior prior = PRIOR;
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < SECTIONS; i++) {
+        sections[i] = section_of(&PRIOR, 0.7 * i, i % 2, 7);
+        for (int m = 0; m < GSN_MARKS; m++) {
+            sections[i].mark[m].px.x += 35 / PX * draw_normal(&chance);
+            sections[i].mark[m].px.y += 35 / PX * draw_normal(&chance);
+            sections[i].mark[m].contrast *= exp(0.07 * draw_normal(&chance));
+        }
+        for (int k = 0; k < FAINT + i % 2; k++) {
+            const struct gsn_point at = { draw_uniform(&chance, 130, 290),
+                                          draw_uniform(&chance, 130, 290) };
+
+            add(&sections[i], at, k < FAINT ? 0.1 : 0.44);
+            sections[i].mark[GSN_MARKS + k].score = 0.57;
+        }
+    }
+    CHECK_OK(gsn_markers_learn(sections, SECTIONS, &prior, &err), err);
+    CHECK(prior.chance[0] > 0);
+    return prior;
+}
+
+/* No mark of the stack looks like that blot, and other blots do. */
+TEST(a_blot_of_tissue_beside_the_lost_marks_place_is_not_that_mark)
+{
+    const struct gsn_triangle_prior prior = taught_by_blots();
+    /* Two and a half standard deviations of where the others put it. */
+    static const double BESIDE_UM[GSN_MARKS] = { 140, 215, 150 };
+
+    for (int lost = 0; lost < GSN_MARKS; lost++)
+        for (int plain = 0; plain < 2; plain++) {
+            struct gsn_mark_candidates section = section_of(&PRIOR, 0.4, 0, 7U & ~(1U << lost));
+            struct gsn_point beside = mount(PRIOR.mark_um[lost], 0.4, 0);
+            struct gsn_mark marks[GSN_MARKS];
+
+            beside.x += BESIDE_UM[lost] / PX;
+            add(&section, beside, plain ? 0.4 : 0.46);
+            section.mark[2].score = plain ? 0.9 : 0.56;
+            gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+            CHECK(marks[lost].found == plain);
+        }
+}
+
 /* Where a spot of the third mark's looks would be taken for it: a section with two marks laid
  * upright, as numbered or the other way round. */
 static struct gsn_point third_if_upright(struct gsn_point a, struct gsn_point b, int lost, int swap)

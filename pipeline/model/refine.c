@@ -308,6 +308,22 @@ static int fit_again(const struct gsn_tets *mesh, const struct gsn_samples *samp
     return r;
 }
 
+/* The first fit. Where samples leave a wide gap, or those of one fold do, little smoothing leaves
+ * it to next to nothing what lies in there, and iterations without end find out: then it is raised,
+ * which folds may ask for anyway, until the equations can be solved. */
+static int first_state(const struct gsn_tets *mesh, const struct gsn_samples *samples,
+                       struct gsn_adapt_options *options, struct state *state,
+                       struct gsn_error *err)
+{
+    int r = fit_again(mesh, samples, options, state, err);
+
+    for (unsigned step = 0; r == GSN_E_FIT && options->fold && step < SMOOTHING_STEPS; step++) {
+        options->fit.smoothing *= SMOOTHING_FACTOR;
+        r = fit_again(mesh, samples, options, state, err);
+    }
+    return r;
+}
+
 /* Raises the weight of the penalty as long as samples not seen are predicted better for it: as much
  * smoothing as the noise asks for, and no constant that would bias a clean field. */
 static int tune_smoothing(struct state *state, const struct gsn_samples *samples,
@@ -349,9 +365,7 @@ int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
     if (r >= 0)
         r = gsn_domain_build(region, &full.domain, &mesh, err);
     if (r >= 0)
-        r = space_on(mesh, &full, &state.space, err);
-    if (r >= 0)
-        r = fit_state(&state, samples, &full, err);
+        r = first_state(mesh, samples, &full, &state, err);
     if (r >= 0)
         r = tune_smoothing(&state, samples, &full, err);
     if (r >= 0) {

@@ -55,7 +55,8 @@ struct gsn_adapt_report {
     struct gsn_adapt_round round[GSN_ADAPT_MOST_ROUNDS + 1];
     enum gsn_adapt_end end;
     struct gsn_error why;      /* with GSN_ADAPT_FAILED */
-    double smoothing;          /* weight of the penalty; with folds, as they asked for */
+    double smoothing;          /* weight of the penalty; with folds, as they asked for, or as much
+                                  more as the equations did */
     struct gsn_fit_report fit; /* of the result */
     uint32_t *tet_samples;     /* per tetrahedron of the result; 0: "no data" */
     double *tet_rms;
@@ -65,7 +66,8 @@ void gsn_adapt_report_done(struct gsn_adapt_report *report);
 /* gives: the space, the spline on it (which keeps the space: free it first) and the report, to be
  * ended with gsn_adapt_report_done().
  *
- * Fails as gsn_domain_build() and gsn_fit() do when no first fit can be made, with GSN_E_INPUT on
+ * Fails as gsn_domain_build() and gsn_fit() do when no first fit can be made, with folds at any
+ * smoothing that they may ask for, with GSN_E_INPUT on
  * options out of range and with GSN_E_NOMEM at any time; a refinement that fails otherwise ends
  * the rounds and leaves the last good fit. */
 int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,

@@ -107,6 +107,34 @@ TEST(noise_is_not_followed)
     result_done(&result);
 }
 
+/* How many iterations equations may take; each layer of samples is of the other fold. */
+static int folded(unsigned iterations, struct result *ret, struct gsn_error *err)
+{
+    static uint8_t fold[GRID * GRID * GRID];
+    struct gsn_adapt_options options = options_with(0.01, 0);
+
+    for (size_t i = 0; i < sizeof fold; i++)
+        fold[i] = i / (GRID * GRID) % 2;
+    options.fold = fold;
+    options.fit.iterations = iterations;
+    return adapt(ball, &options, ret, err);
+}
+
+TEST(with_folds_equations_that_take_too_long_are_smoothed_more)
+{
+    struct result free = { .space = NULL }, hurried = free, none = free;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(folded(2000, &free, &err), err);
+    CHECK_OK(folded(80, &hurried, &err), err);
+    CHECK(hurried.report.smoothing > free.report.smoothing);
+    CHECK_NEAR(hurried.report.fit.rms, free.report.fit.rms, 0.1 * free.report.fit.rms);
+    CHECK(folded(20, &none, &err) == GSN_E_FIT);
+    CHECK(strstr(err.text, "20 iterations") && !none.space);
+    result_done(&free);
+    result_done(&hurried);
+}
+
 TEST(a_sharp_ball_is_followed_better_after_refinement)
 {
     struct gsn_adapt_options options = options_with(0.01, 3);

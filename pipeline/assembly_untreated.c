@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/assembly_parts.h"
+#include "pipeline/assembly_untreated.h"
 
 #include "pipeline/stain/order.h"
 #include "pipeline/stain/reference.h"
@@ -18,21 +18,9 @@ static const double LEAST_OF_BONE = 0.35, MOST_OF_BONE = 0.82;
 static const double SURROUNDINGS_UM = 300;
 
 /* Columns from the border of a tissue: what is blurred over it is neither. */
-enum { RIM = 2, LEAST_COLUMNS = 50, LEAST_SECTIONS = 3 };
+enum { RIM = 2, LEAST_COLUMNS = 50 };
 
-/* The work in hand: one value and one kind per column of the block. */
-struct field {
-    struct gsn_lattice at;
-    size_t count;
-    float *smooth;            /* owned: mean of 3 x 3 x 3 where there is tissue, else NaN */
-    uint8_t *kind;            /* owned: 1 + enum gsn_untreated, 0 none */
-    struct gsn_grid *away;    /* owned: of each column from the region, um */
-    double *value, *distance; /* owned: of the columns of one plane that are looked at */
-    size_t *column;           /* owned: which they are */
-    double *scratch;
-};
-
-static void field_done(struct field *f)
+static void field_done(struct gsn_untreated_field *f)
 {
     gsn_free(f->smooth);
     gsn_free(f->kind);
@@ -43,10 +31,10 @@ static void field_done(struct field *f)
     gsn_free(f->scratch);
 }
 
-static int field_init(const struct gsn_lattice *at, const struct gsn_mask *region, struct field *f,
-                      struct gsn_error *err)
+static int field_init(const struct gsn_lattice *at, const struct gsn_mask *region,
+                      struct gsn_untreated_field *f, struct gsn_error *err)
 {
-    *f = (struct field){ .at = *at, .count = gsn_lattice_count(at) };
+    *f = (struct gsn_untreated_field){ .at = *at, .count = gsn_lattice_count(at) };
     f->smooth = gsn_alloc_array(f->count, sizeof *f->smooth);
     f->kind = gsn_alloc_array(f->count, 1);
     f->value = gsn_alloc_array(at->nx * at->ny, sizeof *f->value);
@@ -77,7 +65,7 @@ static float mean_around(const struct gsn_grid *density, size_t x, size_t y, siz
     return n > 0 ? (float)(sum / n) : NAN;
 }
 
-static void smoothen(const struct gsn_grid *density, struct field *f)
+static void smoothen(const struct gsn_grid *density, struct gsn_untreated_field *f)
 {
     for (size_t i = 0, z = 0; z < f->at.nz; z++)
         for (size_t y = 0; y < f->at.ny; y++)
@@ -86,7 +74,7 @@ static void smoothen(const struct gsn_grid *density, struct field *f)
 }
 
 /* The density of bone: the median of what lies above Otsu's cut; NaN where there is no tissue. */
-static double bone_of(struct field *f, float *list)
+static double bone_of(struct gsn_untreated_field *f, float *list)
 {
     double cut;
     size_t n = 0, above = 0;
@@ -126,7 +114,7 @@ static uint8_t kind_of(double value, double bone, int in_root, double border)
     return value <= LEAST_OF_BONE * bone ? 1 + GSN_UNTREATED_LOOSE : 0;
 }
 
-static void tell_kinds(struct field *f, const struct gsn_mask *root,
+static void tell_kinds(struct gsn_untreated_field *f, const struct gsn_mask *root,
                        const struct gsn_tissue_levels *levels, double bone)
 {
     for (size_t i = 0; i < f->count; i++)
@@ -136,7 +124,7 @@ static void tell_kinds(struct field *f, const struct gsn_mask *root,
 }
 
 /* Whether all columns around are of one kind. */
-static int is_core(const struct field *f, size_t x, size_t y, size_t z)
+static int is_core(const struct gsn_untreated_field *f, size_t x, size_t y, size_t z)
 {
     const size_t nx = f->at.nx, ny = f->at.ny;
     const uint8_t kind = f->kind[gsn_lattice_index(&f->at, x, y, z)];
@@ -152,8 +140,8 @@ static int is_core(const struct field *f, size_t x, size_t y, size_t z)
 
 /* Dentine is not remodelled, so it need not be far from the region; bone and loose tissue above and
  * below the region are left out with it. */
-static int is_untreated(const struct field *f, const struct gsn_mask *region, uint8_t kind,
-                        size_t x, size_t y, size_t z)
+static int is_untreated(const struct gsn_untreated_field *f, const struct gsn_mask *region,
+                        uint8_t kind, size_t x, size_t y, size_t z)
 {
     if (kind == 1 + GSN_UNTREATED_DENTINE)
         return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
@@ -161,8 +149,8 @@ static int is_untreated(const struct field *f, const struct gsn_mask *region, ui
 }
 
 /* Lists the tissue's columns in one section; returns how many. */
-static size_t list_columns(const struct field *f, const struct gsn_assembly *a, uint8_t kind,
-                           size_t z)
+static size_t list_columns(const struct gsn_untreated_field *f, const struct gsn_assembly *a,
+                           uint8_t kind, size_t z)
 {
     size_t n = 0;
 
@@ -181,7 +169,7 @@ static size_t list_columns(const struct field *f, const struct gsn_assembly *a, 
 }
 
 /* Keeps the half of the columns that is farther from the region; returns how many that are. */
-static size_t keep_far(struct field *f, size_t count)
+static size_t keep_far(struct gsn_untreated_field *f, size_t count)
 {
     const size_t far = count / 2 > LEAST_COLUMNS ? count / 2 : LEAST_COLUMNS;
     size_t n = 0;
@@ -197,26 +185,8 @@ static size_t keep_far(struct field *f, size_t count)
     return n;
 }
 
-/* Adds the first count columns, as a panel's vectors see them. */
-static int add_turned(const struct field *f, const struct gsn_assembly *a,
-                      const struct gsn_assembly_panel *panel, size_t count,
-                      struct gsn_turned *turned, struct gsn_error *err)
-{
-    const struct gsn_dyes_fit *fit = &panel->stain.fit;
-    double od[3] = { 0 };
-
-    if (count == 0)
-        return GSN_OK;
-    for (int c = 0; c < 3; c++)
-        for (size_t i = 0; i < count; i++)
-            od[c] += (double)a->columns->od[c]->value[f->column[i]] / (double)count;
-    return gsn_turned_add(turned, &fit->dyes, od, (double)count, err);
-}
-
-/* The tissue's density in one section; NaN where too little of it is seen. ret_count: how many
- * columns it rests on. */
-static double seen_in(struct field *f, const struct gsn_assembly *a, uint8_t kind, size_t z,
-                      size_t *ret_count)
+double gsn_untreated_in(struct gsn_untreated_field *f, const struct gsn_assembly *a, uint8_t kind,
+                        size_t z, size_t *ret_count)
 {
     size_t n = list_columns(f, a, kind, z);
 
@@ -229,230 +199,8 @@ static double seen_in(struct field *f, const struct gsn_assembly *a, uint8_t kin
     return gsn_reference_red(f->value, n);
 }
 
-/* ---- along the block ----------------------------------------------------------------------- */
-
-/* One section of a tissue. */
-struct sight {
-    double z_um, value;
-    const struct gsn_assembly_panel *panel;
-};
-
-/* What a panel's sections say together. */
-static struct gsn_level_seen seen_on(const struct sight *sight, size_t count, double *scratch)
-{
-    struct gsn_level_seen seen = { .panel = sight->panel->place, .sections = count };
-    double mean = 0;
-
-    for (size_t i = 0; i < count; i++) {
-        seen.z_um += sight[i].z_um / (double)count;
-        mean += sight[i].value / (double)count;
-        scratch[i] = sight[i].value;
-    }
-    seen.value = 0.5 * (gsn_order_pick(scratch, count, count / 2) +
-                        gsn_order_pick(scratch, count, (count - 1) / 2));
-    for (size_t i = 0; i < count; i++)
-        seen.square += (sight[i].value - mean) * (sight[i].value - mean);
-    return seen;
-}
-
-/* What is seen of one tissue, panel by panel. */
-struct panels_seen {
-    struct gsn_level_seen panel[GSN_LEVEL_PANELS];
-    size_t count;
-};
-
-static void sum_up(const struct sight *sight, size_t count, double *scratch,
-                   struct panels_seen *ret_seen)
-{
-    ret_seen->count = 0;
-    if (count < LEAST_SECTIONS)
-        return;
-    for (size_t i = 0, end; i < count && ret_seen->count < GSN_LEVEL_PANELS; i = end) {
-        for (end = i; end < count && sight[end].panel == sight[i].panel;)
-            end++;
-        ret_seen->panel[ret_seen->count++] = seen_on(sight + i, end - i, scratch);
-    }
-}
-
-/* Mean height of a region; NaN where it is empty. */
-static double height_of(const struct gsn_mask *region)
-{
-    const size_t plane = region->at.nx * region->at.ny;
-    double sum = 0;
-    size_t n = 0;
-
-    for (size_t i = 0; i < gsn_lattice_count(&region->at); i++)
-        if (region->inside[i]) {
-            sum += (double)(i / plane);
-            n++;
-        }
-    return n > 0 ? region->at.origin_um.z + region->at.step_um.z * sum / (double)n : (double)NAN;
-}
-
-/* The panel that a plane is compared by; NULL: none. */
-static const struct gsn_assembly_panel *panel_of(const struct gsn_specimen *specimen,
-                                                 struct gsn_assembly *a, const struct field *f,
-                                                 size_t z)
-{
-    const struct gsn_assembly_panel *panel = gsn_assembly_panel_of_serial(
-        a, gsn_assembly_serial_of_plane(&f->at, z, specimen->protocol->interval_um));
-
-    return panel && panel->levelled ? panel : NULL;
-}
-
-static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                        struct field *f, unsigned kind, struct sight *sight,
-                        struct panels_seen *seen, struct gsn_turned *turned, struct gsn_error *err)
-{
-    size_t n = 0;
-    int r = GSN_OK;
-
-    for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
-        const struct gsn_assembly_panel *of = panel_of(specimen, a, f, z);
-        size_t columns;
-
-        if (!of)
-            continue;
-        sight[n] = (struct sight){ f->at.origin_um.z + (double)z * f->at.step_um.z,
-                                   seen_in(f, a, (uint8_t)(1 + kind), z, &columns), of };
-        n += isnan(sight[n].value) ? 0 : 1;
-        r = add_turned(f, a, of, columns, turned, err);
-    }
-    sum_up(sight, n, f->scratch, seen);
-    return r;
-}
-
-/* Lists the region's columns in one section; returns how many. */
-static size_t list_region(const struct field *f, const struct gsn_assembly *a, size_t z)
-{
-    size_t n = 0;
-
-    for (size_t y = 0; y < f->at.ny; y++)
-        for (size_t x = 0; x < f->at.nx; x++) {
-            const size_t i = gsn_lattice_index(&f->at, x, y, z);
-
-            if (!isnan(a->columns->density->value[i]) &&
-                gsn_mask_has(a->region, gsn_lattice_centre(&f->at, x, y, z)))
-                f->column[n++] = i;
-        }
-    return n;
-}
-
-/* Whether vectors were inferred or measured, so that their errors are known. */
-static int has_errors(const struct gsn_assembly *a)
-{
-    for (size_t p = 0; p < a->panel_count; p++)
-        if (a->panel[p].levelled && a->panel[p].stain.fit.deviation_deg[0] > 0)
-            return 1;
-    return 0;
-}
-
-/* The vectors of all panels lean on one prior, and the tissue misleads them alike: their errors are
- * taken as common. */
-static void mean_covariance(const struct gsn_assembly *a, double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
-{
-    for (size_t p = 0; p < a->panel_count; p++)
-        for (int m = 0; m < GSN_DYE_TURNS && a->panel[p].levelled; m++)
-            for (int n = 0; n < GSN_DYE_TURNS; n++)
-                ret[m][n] += a->panel[p].stain.fit.covariance[m][n] / (double)a->levelling.panels;
-}
-
-/* What density 0 scatters by from panel to panel, beyond what levelling errs by: variance. */
-static double zero_variance(const struct gsn_levelling *l)
-{
-    double erring = 0;
-
-    for (size_t p = 0; p < l->panels; p++) {
-        double lever[GSN_LEVEL_PANELS];
-
-        for (size_t i = 0; i < l->panels; i++)
-            lever[i] = (i == p) - 1 / (double)l->panels;
-        erring += gsn_level_covariance(&l->fit, lever, 0, lever, 0) / ((double)l->panels - 1);
-    }
-    return fmax(0, l->fit.offset_scatter * l->fit.offset_scatter - erring);
-}
-
-/* Vectors that were taken as exact are not: each panel's bath turns them a little, and yellow that
- * counts as red is an offset. The mean over the region's panels keeps a share of independent turns.
- * Where they put density 0 the offsets say themselves. */
-static void judge_scatter(const struct gsn_turned *tissue, const struct gsn_turned *region,
-                          struct gsn_levelling *l)
-{
-    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS] = { { 0 } }, kept = 0;
-
-    if (l->panels < 2)
-        return;
-    for (size_t p = 0; p < l->panels; p++)
-        kept += l->share[p] * l->share[p];
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
-        covariance[m][m] = kept;
-    l->turns =
-        gsn_turned_scatter_of(tissue, GSN_UNTREATED_KINDS, zero_variance(l), (double)l->panels - 1);
-    l->vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, region, covariance);
-    l->vectors.zero = l->vectors.both = 0;
-}
-
-static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                       const struct field *f, const struct gsn_turned *tissue,
-                       struct gsn_error *err)
-{
-    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS] = { { 0 } };
-    struct gsn_turned region = { 0 };
-    int r = GSN_OK;
-
-    for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
-        const struct gsn_assembly_panel *of = panel_of(specimen, a, f, z);
-
-        if (of)
-            r = add_turned(f, a, of, list_region(f, a, z), &region, err);
-    }
-    if (r < 0)
-        return r;
-    if (!has_errors(a)) {
-        judge_scatter(tissue, &region, &a->levelling);
-        return GSN_OK;
-    }
-    mean_covariance(a, covariance);
-    a->levelling.vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, &region, covariance);
-    return GSN_OK;
-}
-
-/* The tissues where the region lies: there both specimens are compared, whatever sections each of
- * them lacks. */
-static void judge_tissues(const struct panels_seen seen[GSN_UNTREATED_KINDS],
-                          struct gsn_assembly *a)
-{
-    const struct gsn_level_frame frame = { &a->levelling.fit, a->levelling.share,
-                                           height_of(a->region) };
-    const struct gsn_level_seen *panel[GSN_LEVEL_TISSUES];
-    size_t count[GSN_LEVEL_TISSUES];
-
-    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_LEVEL_TISSUES, "one list of tissues");
-    for (size_t k = 0; k < GSN_UNTREATED_KINDS; k++) {
-        panel[k] = seen[k].panel;
-        count[k] = seen[k].count;
-    }
-    gsn_level_tissues_at(&frame, panel, count, &a->levelling.tissues);
-}
-
-static int measure_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                         struct field *f, struct gsn_error *err)
-{
-    gsn_auto_mem(struct sight) sight = gsn_alloc_array(f->at.nz, sizeof *sight);
-    struct gsn_turned turned[GSN_UNTREATED_KINDS] = { { 0 } };
-    struct panels_seen seen[GSN_UNTREATED_KINDS];
-    int r = sight ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
-
-    for (unsigned k = 0; k < GSN_UNTREATED_KINDS && r >= 0; k++)
-        r = measure_kind(specimen, a, f, k, sight, &seen[k], &turned[k], err);
-    if (r < 0)
-        return r;
-    judge_tissues(seen, a);
-    return judge_turns(specimen, a, f, turned, err);
-}
-
-static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct field *f,
-                      struct gsn_error *err)
+static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                      struct gsn_untreated_field *f, struct gsn_error *err)
 {
     gsn_auto_mem(float) list = gsn_alloc_array(f->count, sizeof *list);
     gsn_auto(gsn_mask) root = NULL;
@@ -470,13 +218,13 @@ static int find_kinds(const struct gsn_specimen *specimen, struct gsn_assembly *
     if (r < 0)
         return r;
     tell_kinds(f, root, &levels, bone);
-    return measure_kinds(specimen, a, f, err);
+    return gsn_untreated_measure(specimen, a, f, err);
 }
 
 int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err)
 {
-    struct field f;
+    struct gsn_untreated_field f;
     int r;
 
     if (!a->columns || !a->levelling.done || !a->region)

@@ -27,33 +27,50 @@ struct tissue {
     double noise[GSN_LEVEL_PANELS];  /* variance, of the panels that see it */
 };
 
-/* Relative variance of one section, over all tissues and panels. */
-static double section_variance(const struct gsn_level_seen *const seen[GSN_LEVEL_TISSUES],
-                               const size_t count[GSN_LEVEL_TISSUES])
+/* Squares of sections, and by how many degrees of freedom they are known. */
+struct scatter {
+    double squares, of_density, free;
+};
+
+static void add_scatter(const struct gsn_level_seen *seen, size_t count, struct scatter *s)
 {
-    double squares = 0, free = 0;
+    for (size_t i = 0; i < count; i++) {
+        const double free = seen[i].sections > 0 ? (double)seen[i].sections - 1 : 0;
 
-    for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++)
-        for (size_t i = 0; i < count[t]; i++) {
-            const struct gsn_level_seen *s = &seen[t][i];
-
-            if (s->sections < 2)
-                continue;
-            squares += s->square / (s->value * s->value);
-            free += (double)s->sections - 1;
-        }
-    return free >= LEAST_FREE ? squares / free : SCATTER * SCATTER;
+        s->squares += free > 0 ? seen[i].square : 0;
+        s->of_density += free * seen[i].value * seen[i].value;
+        s->free += free;
+    }
 }
 
-static void tissue_init(const struct gsn_level_seen *seen, size_t count, double variance,
+/* Variance of one section over its density squared, by all tissues and panels. */
+static double relative_variance(const struct gsn_level_seen *const seen[GSN_LEVEL_TISSUES],
+                                const size_t count[GSN_LEVEL_TISSUES])
+{
+    struct scatter all = { 0 };
+
+    for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++)
+        add_scatter(seen[t], count[t], &all);
+    return all.free >= LEAST_FREE && all.of_density > 0 ? all.squares / all.of_density
+                                                        : SCATTER * SCATTER;
+}
+
+/* Sections of one tissue may scatter by more than those of all do; that they scatter by less is
+ * chance. */
+static void tissue_init(const struct gsn_level_seen *seen, size_t count, double relative,
                         struct tissue *t)
 {
+    struct scatter own = { 0 };
+    double variance;
+
     *t = (struct tissue){ .seen = seen, .count = count };
     for (size_t i = 0; i < count; i++)
         t->density += seen[i].value / (double)count;
+    add_scatter(seen, count, &own);
+    variance = fmax(relative * t->density * t->density,
+                    own.free >= LEAST_FREE ? own.squares / own.free : 0);
     for (size_t i = 0; i < count; i++)
-        t->noise[i] =
-            LEAST_VARIANCE + MEDIAN * variance * t->density * t->density / (double)seen[i].sections;
+        t->noise[i] = LEAST_VARIANCE + MEDIAN * variance / (double)seen[i].sections;
 }
 
 /* Covariance of what two panels are off by. */
@@ -110,12 +127,12 @@ void gsn_level_tissues_at(const struct gsn_level_frame *frame,
                           const size_t count[GSN_LEVEL_TISSUES],
                           struct gsn_level_tissues *ret_tissues)
 {
-    const double variance = section_variance(seen, count);
+    const double relative = relative_variance(seen, count);
     struct tissue tissue[GSN_LEVEL_TISSUES];
     struct gsn_level_tissues ret = { 0 };
 
     for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++) {
-        tissue_init(seen[t], count[t], variance, &tissue[t]);
+        tissue_init(seen[t], count[t], relative, &tissue[t]);
         if (count[t] > 0)
             weigh(frame, &tissue[t]);
         ret.value[t] = count[t] > 0 ? 0 : (double)NAN;

@@ -169,6 +169,24 @@ TEST(two_panels_that_agree_are_not_known_better_than_their_sections_scatter)
     CHECK(isnan(t.value[LOOSE]) && isnan(t.covariance[LOOSE][DENSE]));
 }
 
+/* Next to no red, and grain: dense tissue is known no worse for it. */
+TEST(pale_tissue_that_scatters_says_nothing_of_dense_tissue)
+{
+    const struct gsn_level_fit fit = fit_of(1e-6, 0);
+    const double share[PANELS] = { 1 };
+    const struct gsn_level_frame frame = { &fit, share, 144 };
+    const struct gsn_level_seen dense = { 0, 144, 0.9, 9, 8 * 0.0001 };
+    const struct gsn_level_seen pale = { 0, 144, 0.001, 9, 8 * 0.0009 };
+    const struct gsn_level_seen *const list[GSN_LEVEL_TISSUES] = { &dense, &pale, NULL };
+    struct gsn_level_tissues t;
+
+    gsn_level_tissues_at(&frame, list, (const size_t[]){ 1, 1, 0 }, &t);
+    CHECK_NEAR(gsn_level_tissue_error(&t, LOOSE), 0.03 * sqrt(1.57 / 9), 2e-4);
+    /* Their squares are pooled, so it is at most what both scatter by together. */
+    CHECK(gsn_level_tissue_error(&t, DENSE) >= 0.01 * sqrt(1.57 / 9));
+    CHECK(gsn_level_tissue_error(&t, DENSE) <= sqrt(0.0001 + 0.0009) * sqrt(1.57 / 9) + 2e-4);
+}
+
 /* Region on panel 0, tissue on panel 2: two steps, a drift over both lags, and what tissue may
  * change by over the distance. */
 TEST(a_tissue_two_panels_off_is_as_uncertain_as_the_steps_between)

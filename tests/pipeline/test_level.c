@@ -344,11 +344,11 @@ TEST(what_vectors_do_alike_to_untreated_tissue_and_region_is_not_counted)
     CHECK(b->levelling.turns.variance < 1e-5); /* as even panels say: a fifth of a degree */
 }
 
-TEST(running_out_of_memory_among_tissues_is_said)
+/* gives: a coarse block of even panels as if they had been levelled. */
+static struct gsn_assembly *draw_levelled(void)
 {
     const struct gsn_lattice coarse = { 55, 50, SECTIONS, { -1728, -1568, 12 }, { 64, 64, 24 } };
-    gsn_auto(gsn_assembly) a = draw_on(&coarse, &EVEN);
-    struct gsn_error err = { 0 };
+    struct gsn_assembly *a = draw_on(&coarse, &EVEN);
 
     a->levelling.done = 1;
     a->levelling.panels = PANELS;
@@ -358,6 +358,35 @@ TEST(running_out_of_memory_among_tissues_is_said)
         a->panel[p].levelled = 1;
         a->panel[p].place = (size_t)p;
     }
+    return a;
+}
+
+/* A walk of n points has a sample variance of (n + 1) / 6 of its steps' variance: five sixths for
+ * four panels. */
+TEST(offsets_that_levelling_itself_scatters_are_no_turn_of_the_vectors)
+{
+    gsn_auto(gsn_assembly) a = draw_levelled();
+    struct gsn_levelling *l = &a->levelling;
+    struct gsn_error err = { 0 };
+    double alone;
+
+    l->fit.offset_scatter = 0.05;
+    CHECK_OK(gsn_assembly_find_tissues(&SPECIMEN, a, &err), err);
+    alone = l->turns.variance;
+    CHECK(alone > 1e-5);
+    l->fit.covariance[0] = 0.6 * 0.05 * 0.05; /* half of the scatter's variance */
+    CHECK_OK(gsn_assembly_find_tissues(&SPECIMEN, a, &err), err);
+    CHECK_NEAR(l->turns.variance, 0.5 * alone, 1e-6 * alone);
+    l->fit.covariance[0] = 2 * 0.05 * 0.05;
+    CHECK_OK(gsn_assembly_find_tissues(&SPECIMEN, a, &err), err);
+    CHECK_NEAR(l->turns.variance, 0, 0);
+}
+
+TEST(running_out_of_memory_among_tissues_is_said)
+{
+    gsn_auto(gsn_assembly) a = draw_levelled();
+    struct gsn_error err = { 0 };
+
     CHECK_EVERY_OOM(gsn_assembly_find_tissues(&SPECIMEN, a, &err), err);
     CHECK_NEAR(a->levelling.tissues.value[GSN_UNTREATED_DENSE], 0.88, 0.02);
 }

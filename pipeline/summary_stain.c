@@ -139,15 +139,19 @@ void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
             : gsn_draft_dyes(e);
 }
 
+/* What vectors that were taken as exact turn by from panel to panel, as both sides' panels say. */
+static struct gsn_turned_scatter turns_of_both(const struct gsn_evidence *e)
+{
+    return gsn_turned_together(&e->assembly->levelling.turns, &e->specimen->baseline.turns);
+}
+
 /* Relative standard error, by its dye vectors, of a density that is compared with a baseline by
  * untreated tissue and is this much of it; 0: not known. The line through the tissues takes out
- * most of what the vectors are off. What vectors that were taken as exact turn by, both specimens'
- * panels say. */
+ * most of what the vectors are off. */
 static double vectors_error(const struct gsn_evidence *e, double ratio)
 {
     const struct gsn_levelling *l = &e->assembly->levelling;
-    const struct gsn_turned_scatter both =
-        gsn_turned_together(&l->turns, &e->specimen->baseline.turns);
+    const struct gsn_turned_scatter both = turns_of_both(e);
 
     if (!l->vectors.known)
         return 0;
@@ -222,13 +226,10 @@ const char *gsn_draft_vectors_unfit(const struct gsn_evidence *e, struct gsn_dra
                                     const struct gsn_loss_side *control,
                                     const struct gsn_loss_side *treated)
 {
-    const struct gsn_turned_scatter *turns = &e->assembly->levelling.turns;
-    struct gsn_turned_scatter both;
     double error;
 
-    if (!d->linked || !(turns->freedom > 0))
+    if (!d->linked || !(e->assembly->levelling.turns.freedom > 0))
         return NULL;
-    both = gsn_turned_together(turns, &e->specimen->baseline.turns);
     error = gsn_draft_loss_by_vectors(e, control, treated);
     if (error <= MOST_BY_VECTORS)
         return NULL;
@@ -239,5 +240,5 @@ const char *gsn_draft_vectors_unfit(const struct gsn_evidence *e, struct gsn_dra
         "from panel to panel, standard deviation), so with vectors taken as exact the region's "
         "nuclei make the loss uncertain by %.1f points alone, more than %g: stain and scan a "
         "calibration panel with each batch and state \"calibration\" in the jobs of both specimens",
-        180 / M_PI * sqrt(both.variance), error, MOST_BY_VECTORS);
+        180 / M_PI * sqrt(turns_of_both(e).variance), error, MOST_BY_VECTORS);
 }

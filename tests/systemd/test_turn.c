@@ -6,6 +6,7 @@
 #include "storage/queue.h"
 #include "storage/result.h"
 #include "systemd/job.h"
+#include "systemd/specimen_job.h"
 #include "tests/check.h"
 #include "tests/pipeline/drawn_label.h"
 #include "tests/pipeline/drawn_panel.h"
@@ -13,6 +14,7 @@
 
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 static const struct gsn_job_options OPTIONS = { .mesher = GSN_MESHER,
                                                 .owner = "test",
@@ -203,4 +205,57 @@ TEST(a_panel_that_cannot_be_looked_at_again_is_named_and_holds_nothing_up)
     CHECK_OK(gsn_file_read(gsn_scratch_path(&scratch, run->json_path), 1 << 26, &json, &size, &err),
              err);
     CHECK(strstr((const char *)json, "P02.png was not used: its own job failed"));
+}
+
+/* A claimed job of a specimen whose panels an older gieson looked at. */
+static struct gsn_job_row *claimed(const struct gsn_scratch *scratch, struct gsn_store *store)
+{
+    struct gsn_job_row *job = NULL;
+    struct gsn_error err = { 0 };
+
+    work(store, ALL_JOBS);
+    forget_turns(scratch);
+    ask_for_specimen(store);
+    CHECK_OK(gsn_queue_claim(store, "test", getpid(), 600, gsn_queue_clock(), &job, &err), err);
+    return job;
+}
+
+static void check_all_are_looked_at(struct gsn_store *store, const struct gsn_job_row *job)
+{
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_specimen_job(store, job, &OPTIONS, NULL, &err), err);
+    work(store, ALL_JOBS); /* each panel once, and the specimen */
+    check_idle(store);
+    CHECK(drawn_label_asked() == 2 * PANELS);
+}
+
+TEST(panels_are_asked_for_all_or_none)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = taken_in(&scratch);
+    gsn_auto(gsn_job_row) job = claimed(&scratch, store);
+    struct gsn_job_counts counts;
+    struct gsn_error err = { 0 };
+
+    CHECK(bench_raw(&scratch, "CREATE TRIGGER full BEFORE UPDATE ON panel WHEN NEW.number = 2 "
+                              "BEGIN SELECT RAISE(ABORT, 'full'); END") == 0);
+    CHECK(gsn_specimen_job(store, job, &OPTIONS, NULL, &err) < 0);
+    CHECK(strstr(err.text, "full"));
+    CHECK_OK(gsn_queue_counts(store, &counts, &err), err);
+    CHECK(counts.waiting == 0 && counts.running == 1);
+    CHECK(bench_raw(&scratch, "DROP TRIGGER full") == 0);
+    check_all_are_looked_at(store, job);
+}
+
+TEST(running_out_of_memory_while_panels_are_asked_for_leaks_nothing)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = taken_in(&scratch);
+    gsn_auto(gsn_job_row) job = claimed(&scratch, store);
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(gsn_specimen_job(store, job, &OPTIONS, NULL, &err), err);
+    work(store, ALL_JOBS);
+    check_idle(store);
 }

@@ -177,6 +177,53 @@ static void warn_as_baseline(const struct gsn_evidence *e, struct gsn_draft *d)
                        gsn_draft_say(d, "no loss can be given against this specimen: %s", known));
 }
 
+/* Why this specimen is compared with nothing; NULL: there is something. */
+static const char *nothing_beside(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+    const char *known, *none;
+
+    if (!b->name[0]) {
+        warn_as_baseline(e, d);
+        return "no baseline is stated, so this specimen is its own";
+    }
+    if (!e->account)
+        return gsn_draft_withheld(e, d);
+    if (b->specimens > 0)
+        return NULL;
+    known = too_little_known(e, d);
+    none = no_baseline(b, d);
+    gsn_draft_warn(d, none);
+    /* With a baseline it would be withheld just the same. */
+    return known ? gsn_draft_say(d, "%s; %s", known, none) : none;
+}
+
+/* Why two sides give no loss; NULL: they gave ret_loss. */
+static const char *compare(const struct gsn_evidence *e, struct gsn_draft *d,
+                           const struct gsn_loss_side *control, const struct gsn_loss_side *treated,
+                           struct gsn_loss *ret_loss)
+{
+    struct gsn_error why = { 0 };
+    const char *reason = not_comparable(e, d);
+
+    if (!reason)
+        reason = gsn_draft_vectors_unfit(e, d, control, treated);
+    if (!reason && gsn_loss(control, treated, 0.95, ret_loss, &why) < 0)
+        reason = gsn_draft_say(d, "%s", why.text);
+    return reason;
+}
+
+static void print_loss(const struct gsn_loss *loss, struct gsn_report *r)
+{
+    if (loss->has_interval) {
+        r->loss_lower = loss->percent_low;
+        r->loss_upper = loss->percent_high;
+        r->loss_interval = "95 %, stain and white";
+    }
+    r->loss_percent = loss->percent;
+    r->loss_points = loss->points;
+}
+
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
@@ -193,49 +240,20 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
                                      .mean = r->region.mean_density,
                                      .standard_error = gsn_draft_density_error(e),
                                      .volume_um3 = 1e9 * r->region.volume_mm3 };
-    struct gsn_error why = { 0 };
     struct gsn_loss loss;
 
-    if (!b->name[0]) {
-        r->loss_reason = "no baseline is stated, so this specimen is its own";
-        warn_as_baseline(e, d);
+    r->loss_reason = nothing_beside(e, d);
+    if (r->loss_reason || !e->account || b->specimens == 0)
         return;
-    }
-    if (!e->account) {
-        r->loss_reason = gsn_draft_withheld(e, d);
-        return;
-    }
-    if (b->specimens == 0) {
-        const char *known = too_little_known(e, d);
-
-        r->loss_reason = no_baseline(b, d);
-        gsn_draft_warn(d, r->loss_reason);
-        if (known) /* with a baseline it would be withheld just the same */
-            r->loss_reason = gsn_draft_say(d, "%s; %s", known, r->loss_reason);
-        return;
-    }
     if (d->linked)
         gsn_draft_link_sides(e, d, &control, &treated);
     r->baseline_mean = control.mean;
-    r->loss_reason = not_comparable(e, d);
-    if (!r->loss_reason)
-        r->loss_reason = gsn_draft_vectors_unfit(e, d, &control, &treated);
+    r->loss_reason = compare(e, d, &control, &treated, &loss);
     if (r->loss_reason) {
         gsn_draft_warn(d, r->loss_reason);
         return;
     }
-    if (gsn_loss(&control, &treated, 0.95, &loss, &why) < 0) {
-        r->loss_reason = gsn_draft_say(d, "%s", why.text);
-        gsn_draft_warn(d, r->loss_reason);
-        return;
-    }
-    if (loss.has_interval) {
-        r->loss_lower = loss.percent_low;
-        r->loss_upper = loss.percent_high;
-        r->loss_interval = "95 %, stain and white";
-    }
-    r->loss_percent = loss.percent;
-    r->loss_points = loss.points;
+    print_loss(&loss, r);
     if (d->linked && e->assembly->levelling.vectors.known)
         gsn_draft_value(d->measure, &r->measure_count, "Standard error of the loss by dye vectors",
                         gsn_draft_loss_by_vectors(e, &control, &treated), "%");

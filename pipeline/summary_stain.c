@@ -5,8 +5,8 @@
 #include <string.h>
 
 /* Standard error of a loss by vectors that were taken as exact, per cent, with which it is given:
- * what animals differ by is twice that. */
-static const double MOST_BY_VECTORS = 1;
+ * on a bad bench a loss is to be within four points, which two of these are. */
+static const double MOST_BY_VECTORS = 2;
 /* Texture and what a region's tissue happens to be scatter by about this much in even baths. */
 static const double UNEVEN_UNSAID = 0.03;
 

@@ -89,16 +89,23 @@ static void add_control(struct gsn_store *store, const struct control *c)
 static const struct control ONE = { "c", 1, 0.002, 4, GSN_LEVEL_TISSUES },
                             OTHER = { "d", 1.2, 0.005, 2, GSN_LEVEL_TISSUES };
 
+static struct gsn_material *loaded(struct gsn_store *store, int64_t id)
+{
+    struct gsn_material *material = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_material_load(store, id, &material, &err), err);
+    return material;
+}
+
 TEST(the_tissues_of_one_control_come_back_with_their_errors_and_what_these_share)
 {
     scratch_auto scratch = gsn_scratch_new();
     int64_t id;
     gsn_auto(gsn_store) store = with_treated(&scratch, &id);
-    gsn_auto(gsn_material) material = NULL;
-    struct gsn_error err = { 0 };
 
     add_control(store, &ONE);
-    CHECK_OK(gsn_material_load(store, id, &material, &err), err);
+    gsn_auto(gsn_material) material = loaded(store, id);
     const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
 
     CHECK(b->specimens == 1);
@@ -120,12 +127,10 @@ TEST(the_tissues_of_several_controls_are_their_mean)
     scratch_auto scratch = gsn_scratch_new();
     int64_t id;
     gsn_auto(gsn_store) store = with_treated(&scratch, &id);
-    gsn_auto(gsn_material) material = NULL;
-    struct gsn_error err = { 0 };
 
     add_control(store, &ONE);
     add_control(store, &OTHER);
-    CHECK_OK(gsn_material_load(store, id, &material, &err), err);
+    gsn_auto(gsn_material) material = loaded(store, id);
     const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
 
     CHECK(b->specimens == 2);
@@ -147,13 +152,11 @@ TEST(a_tissue_that_one_control_lacks_is_not_known)
     scratch_auto scratch = gsn_scratch_new();
     int64_t id;
     gsn_auto(gsn_store) store = with_treated(&scratch, &id);
-    gsn_auto(gsn_material) material = NULL;
-    struct gsn_error err = { 0 };
 
     add_control(store, &ONE);
     other.tissues--;
     add_control(store, &other);
-    CHECK_OK(gsn_material_load(store, id, &material, &err), err);
+    gsn_auto(gsn_material) material = loaded(store, id);
     const struct gsn_level_tissues *tissues = &gsn_material_specimen(material)->baseline.tissues;
     const double lacked = tissues->value[other.tissues];
 

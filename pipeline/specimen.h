@@ -51,6 +51,13 @@ struct gsn_specimen_decision {
 };
 
 /* The control's figures; name is "" when the job states no baseline. */
+/* What one specimen of a baseline hands on beside its figures. */
+struct gsn_specimen_control {
+    struct gsn_level_tissues tissues;
+    size_t panels;                 /* that were levelled */
+    double zero[GSN_LEVEL_PANELS]; /* where each of them puts density 0, on their common scale */
+};
+
 struct gsn_specimen_baseline {
     const char *name;
     size_t specimens; /* with a result; more than one for a group; 0: none yet */
@@ -64,7 +71,9 @@ struct gsn_specimen_baseline {
     /* That nobody treated; NaN: not known of every one of the specimens. */
     struct gsn_level_tissues tissues;
     struct gsn_turned_scatter
-        turns; /* of its panels' dye vectors, where they were taken as exact */
+        turns;       /* of its panels' dye vectors, where they were taken as exact */
+    size_t controls; /* of specimens, those that follow */
+    const struct gsn_specimen_control *control;
     const char *definition, *dyes;
 };
 
@@ -137,6 +146,8 @@ struct gsn_specimen_result {
     struct gsn_specimen_candidates *candidates; /* owned */
     size_t stain_count;
     struct gsn_specimen_stain *stain; /* owned */
+    size_t zero_count;                /* of panels that were levelled */
+    double zero[GSN_LEVEL_PANELS];
     size_t measure_count;
     struct gsn_specimen_measure measure[GSN_SPECIMEN_MEASURES];
 };

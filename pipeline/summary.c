@@ -22,7 +22,7 @@ static void fill_head(const struct gsn_evidence *e, struct gsn_draft *d)
     r->week = isnan(p->week) ? "" : gsn_draft_say(d, "%g", p->week);
     r->kind = kinds[p->kind];
     r->baseline = p->baseline;
-    r->loss_percent = r->loss_points = r->baseline_mean = NAN;
+    r->loss_percent = r->loss_points = r->baseline_mean = r->zero_density = NAN;
     r->area_figure = (struct gsn_report_value){ .value = NAN };
     r->region =
         (struct gsn_report_region){ .volume_mm3 = NAN, .mean_density = NAN, .coverage = NAN };
@@ -141,6 +141,7 @@ static int write_report(const struct gsn_evidence *e, struct gsn_draft *d,
     (void)snprintf(result->definition, sizeof result->definition, "%s", r->density_name);
     (void)snprintf(result->dyes, sizeof result->dyes, "%s", r->density_version);
     keep_measures(e, d, result);
+    result->zero_count = e->assembly ? gsn_draft_panel_zeros(e->assembly, result->zero) : 0;
     return GSN_OK;
 }
 

@@ -8,6 +8,7 @@
 #include "pipeline/core/hash.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/report/report.h"
+#include "pipeline/stain/level_zero.h"
 #include "pipeline/summary.h"
 
 #ifdef __cplusplus
@@ -44,6 +45,7 @@ struct gsn_draft {
     struct gsn_report_tile tile;
     int linked; /* whether untreated tissue tells how the baseline was stained */
     struct gsn_level_link link;
+    struct gsn_level_zero zero; /* by this specimen's panels and its baseline's; with a link only */
     int out_of_memory;
 };
 
@@ -100,6 +102,14 @@ double gsn_draft_density_error(const struct gsn_evidence *e);
 /* The set of dye vectors that the figures stand on: the panels' own; "" when there is none. */
 const char *gsn_draft_dyes(const struct gsn_evidence *e);
 const char *gsn_draft_tissue_name(unsigned tissue);
+
+/* summary_zero.c: where each levelled panel puts density 0, on their common scale; returns their
+ * number. */
+size_t gsn_draft_panel_zeros(const struct gsn_assembly *assembly,
+                             double ret_zero[GSN_LEVEL_PANELS]);
+/* Where density 0 lies in this specimen's stain, by its panels and its baseline's. */
+void gsn_draft_find_zero(const struct gsn_evidence *e, const struct gsn_level *spread,
+                         struct gsn_draft *d);
 
 /* summary_loss.c: the loss, or why there is none. */
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);

@@ -247,7 +247,8 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
         return;
     if (d->linked)
         gsn_draft_link_sides(e, d, &control, &treated);
-    r->baseline_mean = control.mean;
+    r->baseline_mean = control.mean + d->zero.at;
+    r->zero_density = d->linked ? d->zero.at : (double)NAN;
     r->loss_reason = compare(e, d, &control, &treated, &loss);
     if (r->loss_reason) {
         gsn_draft_warn(d, r->loss_reason);

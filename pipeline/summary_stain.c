@@ -51,6 +51,8 @@ void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
     d->linked = gsn_level_between(&l->tissues, &b->tissues, &spread, &d->link, NULL) >= 0;
+    if (d->linked)
+        gsn_draft_find_zero(e, &spread, d);
 }
 
 /* What the untreated tissues are off the link by, in their errors, when something is wrong. */
@@ -186,28 +188,21 @@ double gsn_draft_density_error(const struct gsn_evidence *e)
                : 0;
 }
 
-/* Where density 0 lies on the common scale of the panels nobody knows better than the panels agree
- * on it. It moves both sides alike, and the loss by that times what the sides differ by. */
-static double zero_error(const struct gsn_evidence *e, double baseline)
-{
-    const struct gsn_levelling *l = &e->assembly->levelling;
-
-    return l->fit.offset_scatter / sqrt((double)l->panels) *
-           fabs(1 - e->account->density.mean / baseline);
-}
-
-/* The baseline as it would read in this specimen's stain, and what that leaves open. */
+/* The baseline as it would read in this specimen's stain, and what that leaves open. Both sides are
+ * counted from where density 0 lies; what that is off by moves both alike, and the loss by that
+ * times what they differ by. */
 void gsn_draft_link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
                           struct gsn_loss_side *control, struct gsn_loss_side *treated)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
 
-    control->mean = d->link.gain * b->mean_density + d->link.offset;
+    control->mean = d->link.gain * b->mean_density + d->link.offset - d->zero.at;
     control->standard_error =
         hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
+    treated->mean -= d->zero.at;
     treated->standard_error =
         hypot(own_error(e, treated->mean / control->mean) * e->account->density.mean,
-              zero_error(e, control->mean));
+              d->zero.error * fabs(1 - treated->mean / control->mean));
 }
 
 /* Standard error of the loss by the dye vectors, per cent. */

@@ -107,6 +107,7 @@ void gsn_material_free(struct gsn_material *m)
     gsn_free(m->calibration_sha256);
     gsn_free(m->definition);
     gsn_free(m->dyes);
+    gsn_free(m->control);
     gsn_free(m->inputs);
     gsn_free(m);
 }

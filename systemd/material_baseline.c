@@ -59,19 +59,31 @@ static int finished_run(struct gsn_store *store, int64_t specimen, struct gsn_ru
     return GSN_OK;
 }
 
-/* Sums over controls; what one of them lacks is not known of all. */
-static void add_tissues(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
+/* A control's; NaN: it does not have that. */
+static struct gsn_level_tissues tissues_of(const struct gsn_measure_rows *rows)
 {
+    struct gsn_level_tissues ret;
+
     for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
         const struct gsn_measure_row *row = row_named(rows, gsn_specimen_tissue_measure(t));
         const double error = row ? (row->upper - row->lower) / (2 * 1.96) : (double)NAN;
 
-        b->tissues.value[t] += row ? row->value : (double)NAN;
-        b->tissues.covariance[t][t] += error * error;
-        for (unsigned u = 0; u < t; u++) {
-            b->tissues.covariance[t][u] += measure_named(rows, gsn_specimen_tissues_measure(t, u));
-            b->tissues.covariance[u][t] = b->tissues.covariance[t][u];
-        }
+        ret.value[t] = row ? row->value : (double)NAN;
+        ret.covariance[t][t] = error * error;
+        for (unsigned u = 0; u < t; u++)
+            ret.covariance[t][u] = ret.covariance[u][t] =
+                measure_named(rows, gsn_specimen_tissues_measure(t, u));
+    }
+    return ret;
+}
+
+/* Sums over controls; what one of them lacks is not known of all. */
+static void add_tissues(const struct gsn_level_tissues *tissues, struct gsn_specimen_baseline *b)
+{
+    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+        b->tissues.value[t] += tissues->value[t];
+        for (unsigned u = 0; u < GSN_LEVEL_TISSUES; u++)
+            b->tissues.covariance[t][u] += tissues->covariance[t][u];
     }
 }
 
@@ -93,6 +105,29 @@ static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_b
                                               known(rows, "vector_turns_freedom") };
 
     b->turns = gsn_turned_together(&b->turns, &turns);
+}
+
+static void take_zeros(const struct gsn_run_row *run, struct gsn_specimen_control *control)
+{
+    json_t *root = json_loads(run->parameters_json, 0, NULL);
+    const json_t *zeros = json_object_get(root, "panel_zeros");
+
+    for (size_t i = 0; i < json_array_size(zeros) && i < GSN_LEVEL_PANELS; i++)
+        control->zero[control->panels++] = json_number_value(json_array_get(zeros, i));
+    json_decref(root);
+}
+
+/* What a control hands on beside its figures. */
+static void take_control(struct gsn_material *m, const struct gsn_measure_rows *measures,
+                         const struct gsn_run_row *run)
+{
+    struct gsn_specimen_baseline *b = &m->specimen.baseline;
+    struct gsn_specimen_control *control = &m->control[b->controls++];
+
+    *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
+    take_zeros(run, control);
+    add_tissues(&control->tissues, b);
+    add_turns(measures, b);
 }
 
 /* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
@@ -126,8 +161,7 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     b->mean_density += mean;
     b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
     b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));
-    add_tissues(measures, b);
-    add_turns(measures, b);
+    take_control(m, measures, run);
     b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
@@ -151,6 +185,10 @@ int gsn_material_take_baseline(struct gsn_material *m, struct gsn_error *err)
     if (!b->name[0])
         return GSN_OK;
     r = gsn_specimen_baseline(m->store, m->row->study, b->name, &controls, err);
+    if (r >= 0) {
+        b->control = m->control = gsn_alloc_array(controls->count + 1, sizeof *m->control);
+        r = m->control ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    }
     for (size_t i = 0; r >= 0 && i < controls->count; i++)
         if (controls->at[i].id != m->row->id)
             r = add_control(m, &controls->at[i], err);

@@ -35,6 +35,7 @@ struct gsn_material {
     struct gsn_mask *region;
     struct gsn_grid *volume;
     char *definition, *dyes; /* of the baseline */
+    struct gsn_specimen_control *control;
     json_t *baseline_keys;
     char *inputs;
     struct gsn_digest key, own_key;

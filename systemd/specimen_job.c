@@ -287,12 +287,27 @@ static int ask_for_turns(struct gsn_store *store, const struct gsn_job_row *job,
     return gsn_store_commit(store, err);
 }
 
+/* gives: where each of its panels puts density 0; NULL: out of memory. */
+static json_t *zeros_of(const struct gsn_specimen_result *result)
+{
+    json_t *zeros = json_array();
+
+    for (size_t i = 0; i < result->zero_count; i++)
+        if (json_array_append_new(zeros, json_real(result->zero[i])) < 0) {
+            json_decref(zeros);
+            return NULL;
+        }
+    return zeros;
+}
+
 /* What the figures of this run mean, for those who compare with it later. gives. */
 static char *parameters_of(const struct gsn_material *material,
                            const struct gsn_specimen_result *result)
 {
-    json_t *root = json_pack("{s:s, s:s, s:s}", "definition", result->definition, "dyes",
-                             result->dyes, "own_key", gsn_material_own_key(material));
+    json_t *zeros = zeros_of(result);
+    json_t *root =
+        json_pack("{s:s, s:s, s:s, s:o}", "definition", result->definition, "dyes", result->dyes,
+                  "own_key", gsn_material_own_key(material), "panel_zeros", zeros);
     char *dumped = json_dumps(root, JSON_COMPACT);
     char *text = dumped ? gsn_strdup(dumped) : NULL;
 

@@ -163,6 +163,11 @@ static void add_comparison(struct gsn_text *text, const struct gsn_report *repor
     gsn_text_raw(text, "</td></tr>\n<tr><td><span class=\"key own\"></span>This specimen</td><td>");
     gsn_text_number(text, own, 3);
     gsn_text_raw(text, "</td></tr>\n");
+    if (isfinite(report->zero_density)) {
+        gsn_text_raw(text, "<tr><td>No collagen, from which both are counted</td><td>");
+        gsn_text_number(text, report->zero_density, 3);
+        gsn_text_raw(text, "</td></tr>\n");
+    }
     if (isfinite(report->loss_points)) {
         gsn_text_raw(text, "<tr><td>Difference, on a scale of 0 to 100</td><td>");
         gsn_text_number(text, report->loss_points, 1);

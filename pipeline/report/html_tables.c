@@ -196,6 +196,7 @@ void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report)
             row_interval(text, report);
             row_number(text, "Collagen loss, absolute", report->loss_points, 3, "points");
             row_number(text, "Mean density of the baseline", report->baseline_mean, 5, "density");
+            row_number(text, "What no collagen reads as", report->zero_density, 3, "density");
         }
         row_number(text, "Mean density of the region", report->region.mean_density, 5, "density");
         row_number(text, "Volume of the region", report->region.volume_mm3, 5, "mm3");

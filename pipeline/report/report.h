@@ -189,6 +189,7 @@ struct gsn_report {
     const char *loss_interval;     /* "95 %, stain and white"; NULL: no interval is known */
     const char *loss_reason;       /* why it is withheld */
     double baseline_mean;          /* density */
+    double zero_density; /* that no collagen reads as, from which both are counted; NaN: 0 */
 
     const char *density_name;            /* "collagen-equivalent density" */
     const char *density_version;         /* "van-gieson-gvp-1" */

@@ -2,6 +2,7 @@
 
 /* What is said of a loss by dye vectors that were inferred, or were not, from evidence that is
  * stated here. */
+#include "pipeline/stain/level_zero.h"
 #include "pipeline/summary.h"
 
 #include "tests/check.h"
@@ -248,16 +249,22 @@ TEST(what_both_sides_share_wholly_counts_as_they_differ)
 /* ---- the interval ---------------------------------------------------------------------------- */
 
 /* Fieller's: the shares at which treated - share * control is just 1.96 of its own errors off. */
-static void check_interval(const struct gsn_specimen_result *result, double treated,
-                           double of_treated, double of_control)
+static void check_sides(const struct gsn_specimen_result *result, const double mean[2],
+                        const double error[2])
 {
     const struct gsn_specimen_measure loss = measure(result, "loss");
     const double edge[2] = { 1 - loss.upper / 100, 1 - loss.lower / 100 };
 
     CHECK(loss.lower < loss.value && loss.value < loss.upper);
     for (int k = 0; k < 2; k++)
-        CHECK_NEAR(fabs(treated - edge[k] * CONTROL) / hypot(of_treated, edge[k] * of_control),
+        CHECK_NEAR(fabs(mean[0] - edge[k] * mean[1]) / hypot(error[0], edge[k] * error[1]),
                    1.959963985, 1e-7);
+}
+
+static void check_interval(const struct gsn_specimen_result *result, double treated,
+                           double of_treated, double of_control)
+{
+    check_sides(result, (double[]){ treated, CONTROL }, (double[]){ of_treated, of_control });
 }
 
 /* What two baths may differ by is twice what those of one specimen's panels do. */
@@ -266,10 +273,12 @@ static double of_linked_control(void)
     return hypot(OF_CONTROL, hypot(2 * GAIN_SCATTER * CONTROL, 2 * OFFSET_SCATTER));
 }
 
-/* Density 0 is known as well as the panels agree on it, and moves both sides. */
-static double of_zero(double ratio, double panels)
+/* Density 0 is known as well as panels that all agree can tell, and moves both sides. */
+static double of_zero(double ratio, size_t panels)
 {
-    return OFFSET_SCATTER / sqrt(panels) * fabs(1 - ratio);
+    static const double zero[MOST_PANELS];
+
+    return gsn_level_zero_of(zero, panels).error * fabs(1 - ratio);
 }
 
 TEST(the_interval_holds_the_vectors_beside_what_the_baths_differ_by)
@@ -354,6 +363,96 @@ TEST(a_loss_that_turned_vectors_leave_open_by_more_than_two_points_is_withheld)
     assert_non_null(strstr(withheld->html, "nuclei make the loss uncertain by 2.0 points"));
     assert_non_null(strstr(withheld->html, "stain and scan a calibration panel with each batch"));
     CHECK_NEAR(measure(withheld, "mean_density").value, TREATED, 1e-12); /* that stays */
+}
+
+/* ---- where density 0 lies -------------------------------------------------------------------- */
+
+static double report_number(const struct gsn_specimen_result *result, const char *name)
+{
+    json_t *root = json_loadb(result->json, result->json_size, JSON_REJECT_DUPLICATES, NULL);
+    const json_t *value = json_object_get(root, name);
+    const double number = json_is_number(value) ? json_number_value(value) : (double)NAN;
+
+    json_decref(root);
+    return number;
+}
+
+/* A panel whose reading is gain * density + offset puts density 0 at - offset / gain. */
+static void put_zero(struct gsn_assembly_panel *panel, double gain, double zero)
+{
+    panel->level = (struct gsn_level){ gain, -gain * zero };
+}
+
+/* Two panels of this and two of the control, in twos 0.01 to either side of 0.03: the middle. */
+TEST(both_sides_are_counted_from_where_the_panels_of_both_put_density_0)
+{
+    const double zero = 0.03, share = 0.5;
+    const double all[] = { 0.02, 0.04, 0.02, 0.04 };
+    const struct gsn_specimen_control control = {
+        .tissues = { .value = { 0.88, 0.2, NAN },
+                     .covariance = { { 1e8 }, { 0, 1e8 }, { 0, 0, 1e8 } } },
+        .panels = 2,
+        .zero = { 0.02, 0.04 }
+    };
+    const double ratio = (TREATED - zero) / (CONTROL - zero);
+    double error;
+    told_auto t;
+
+    told_init(&t, 2);
+    put_zero(&t.panel[0], 1.1, 0.02);
+    put_zero(&t.panel[1], 0.9, 0.04);
+    t.specimen.baseline.controls = 1;
+    t.specimen.baseline.control = &control;
+    t.assembly.levelling.vectors = (struct gsn_turned_left){ 0 };
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    error = hypot(gsn_level_zero_of(all, 4).error,
+                  share * 2 * hypot(OFFSET_SCATTER, GAIN_SCATTER * zero));
+    CHECK_NEAR(measure(result, "loss").value, 100 * (1 - ratio), 1e-9);
+    CHECK_NEAR(report_number(result, "zero_density"), zero, 1e-9);
+    CHECK_NEAR(report_number(result, "baseline_mean_density"), CONTROL, 1e-9);
+    CHECK_NEAR(measure(result, "mean_density").value, TREATED, 1e-12);
+    check_sides(
+        result, (double[]){ TREATED - zero, CONTROL - zero },
+        (double[]){ hypot(TREATED * BESIDE_STEPS, error * (1 - ratio)), of_linked_control() });
+    assert_non_null(strstr(result->html, "No collagen, from which both are counted"));
+}
+
+/* A control of an older store, or one that cannot be linked, leaves the specimen's own panels. */
+TEST(without_the_baselines_panels_density_0_is_where_most_of_its_own_put_it)
+{
+    const double own[] = { 0, 0.001, -0.001, 0.2, 0.002, -0.002, 0 };
+    const struct gsn_specimen_control strange = { .tissues = { .value = { NAN, NAN, NAN } },
+                                                  .panels = 3,
+                                                  .zero = { 0.3, 0.3, 0.3 } };
+    const double zero = gsn_level_zero_of(own, 7).at;
+    told_auto t;
+
+    told_init(&t, 7);
+    for (int p = 0; p < 7; p++)
+        put_zero(&t.panel[p], 1, own[p]);
+    t.specimen.baseline.controls = 1;
+    t.specimen.baseline.control = &strange;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK(fabs(zero) < 0.005); /* their mean is 0.029 */
+    CHECK_NEAR(measure(result, "loss").value, 100 * (1 - (TREATED - zero) / (CONTROL - zero)),
+               1e-9);
+}
+
+TEST(where_each_panel_puts_density_0_is_handed_on)
+{
+    told_auto t;
+
+    told_init(&t, 3);
+    put_zero(&t.panel[0], 1.25, 0.02);
+    put_zero(&t.panel[2], 0.8, -0.07);
+    t.panel[1].levelled = 0;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK(result->zero_count == 2);
+    CHECK_NEAR(result->zero[0], 0.02, 1e-12);
+    CHECK_NEAR(result->zero[1], -0.07, 1e-12);
 }
 
 TEST(without_untreated_tissue_of_the_control_both_sides_count_in_full)

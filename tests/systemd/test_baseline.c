@@ -6,6 +6,8 @@
 #include "tests/check.h"
 #include "tests/storage/bench.h"
 
+#include <string.h>
+
 static const char JOB[] =
     "{\"specimen\": \"a\", \"px_um\": 24, \"layout\": [2, 2], \"panels\": 1, "
     "\"baseline\": \"healthy\", \"markers_um\": [[0, 0], [600, 0], [0, 900]]}";
@@ -30,6 +32,7 @@ struct control {
     const char *name;
     double times, variance, freedom;
     unsigned tissues;
+    const char *parameters;
 };
 
 static size_t add_tissues(const struct control *c, struct gsn_measure_row *rows)
@@ -76,7 +79,7 @@ static void add_control(struct gsn_store *store, const struct control *c)
                                      .key = bench_digest(7),
                                      .version = "test",
                                      .inputs_json = "[]",
-                                     .parameters_json = "{}" };
+                                     .parameters_json = c->parameters ? c->parameters : "{}" };
     struct gsn_run_end end = { .state = "reported", .measures = rows };
     struct gsn_error err = { 0 };
     int64_t id;
@@ -86,8 +89,8 @@ static void add_control(struct gsn_store *store, const struct control *c)
     CHECK_OK(gsn_run_finish(store, id, &end, NOON, &err), err);
 }
 
-static const struct control ONE = { "c", 1, 0.002, 4, GSN_LEVEL_TISSUES },
-                            OTHER = { "d", 1.2, 0.005, 2, GSN_LEVEL_TISSUES };
+static const struct control ONE = { "c", 1, 0.002, 4, GSN_LEVEL_TISSUES, NULL },
+                            OTHER = { "d", 1.2, 0.005, 2, GSN_LEVEL_TISSUES, NULL };
 
 static struct gsn_material *loaded(struct gsn_store *store, int64_t id)
 {
@@ -163,6 +166,52 @@ TEST(a_tissue_that_one_control_lacks_is_not_known)
     for (unsigned t = 0; t < other.tissues; t++)
         CHECK_NEAR(tissues->value[t], 1.1 * VALUE[t], 1e-12);
     CHECK(lacked != lacked); /* NaN */
+}
+
+/* Each control's panels are read on its own scale, so its tissues stay beside them. */
+TEST(where_the_panels_of_each_control_put_density_0_comes_back_beside_its_own_tissues)
+{
+    struct control zeros = ONE, none = OTHER;
+    scratch_auto scratch = gsn_scratch_new();
+    int64_t id;
+    gsn_auto(gsn_store) store = with_treated(&scratch, &id);
+
+    zeros.parameters = "{\"panel_zeros\": [0.0625, -0.5, 0]}";
+    none.tissues--;
+    add_control(store, &zeros);
+    add_control(store, &none); /* by a version that did not hand them on */
+    gsn_auto(gsn_material) material = loaded(store, id);
+    const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
+    const double lacked = b->control[1].tissues.value[none.tissues];
+
+    CHECK(b->controls == 2);
+    CHECK(b->control[0].panels == 3 && b->control[1].panels == 0);
+    CHECK_NEAR(b->control[0].zero[0], 0.0625, 0);
+    CHECK_NEAR(b->control[0].zero[1], -0.5, 0);
+    CHECK_NEAR(b->control[0].zero[2], 0, 0);
+    for (unsigned t = 0; t < none.tissues; t++) {
+        CHECK_NEAR(b->control[0].tissues.value[t], VALUE[t], 1e-12);
+        CHECK_NEAR(b->control[1].tissues.value[t], 1.2 * VALUE[t], 1e-12);
+        CHECK_NEAR(b->control[1].tissues.covariance[t][t], ERROR[t] * ERROR[t], 1e-12);
+    }
+    CHECK(lacked != lacked); /* NaN */
+}
+
+TEST(more_panels_than_a_block_can_have_are_not_read)
+{
+    char many[2 * GSN_LEVEL_PANELS + 40] = "{\"panel_zeros\": [1";
+    struct control strange = ONE;
+    scratch_auto scratch = gsn_scratch_new();
+    int64_t id;
+    gsn_auto(gsn_store) store = with_treated(&scratch, &id);
+
+    for (int i = 0; i < GSN_LEVEL_PANELS; i++)
+        strcat(many, ",2");
+    strange.parameters = strcat(many, "]}");
+    add_control(store, &strange);
+    gsn_auto(gsn_material) material = loaded(store, id);
+
+    CHECK(gsn_material_specimen(material)->baseline.control[0].panels == GSN_LEVEL_PANELS);
 }
 
 TEST(running_out_of_memory_for_a_baseline_leaks_nothing)

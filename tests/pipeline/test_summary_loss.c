@@ -418,6 +418,32 @@ TEST(both_sides_are_counted_from_where_the_panels_of_both_put_density_0)
     assert_non_null(strstr(result->html, "No collagen, from which both are counted"));
 }
 
+/* What reads d there reads 1.1 d + 0.02 here, density 0 as well. */
+TEST(the_baselines_panels_tell_of_density_0_in_this_specimens_stain)
+{
+    const double here[] = { 0.03, 0.05 };
+    struct gsn_specimen_control control = { .tissues = { .value = { 0.88, 0.2, NAN } },
+                                            .panels = 2 };
+    told_auto t;
+
+    told_init(&t, 2);
+    for (int p = 0; p < 2; p++) {
+        put_zero(&t.panel[p], 1, here[p]);
+        control.zero[p] = (here[p] - 0.02) / 1.1;
+    }
+    for (int k = 0; k < 2; k++) {
+        control.tissues.covariance[k][k] = 1e-10;
+        t.assembly.levelling.tissues.value[k] = 1.1 * control.tissues.value[k] + 0.02;
+        t.assembly.levelling.tissues.covariance[k][k] = 1e-10;
+    }
+    t.specimen.baseline.tissues = control.tissues;
+    t.specimen.baseline.controls = 1;
+    t.specimen.baseline.control = &control;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    CHECK_NEAR(report_number(result, "zero_density"), 0.04, 0.003);
+}
+
 /* A control of an older store, or one that cannot be linked, leaves the specimen's own panels. */
 TEST(without_the_baselines_panels_density_0_is_where_most_of_its_own_put_it)
 {

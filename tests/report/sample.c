@@ -323,7 +323,7 @@ static void fill_head(struct gsn_report *r, enum gsn_report_kind kind)
     r->loss_interval = kind == GSN_REPORT_SPECIMEN ? "95 %, stain and white" : NULL;
     r->loss_points = kind == GSN_REPORT_SPECIMEN ? 30.845 : (double)NAN;
     r->baseline_mean = .8431;
-    r->zero_density = .0123;
+    r->zero_density = 0;
     r->density_name = "collagen-equivalent density";
     r->density_version = "van-gieson-gvp-1";
     r->area_figure = (struct gsn_report_value){ "Region above density 0.5", 59.5, "%", NULL };

@@ -164,6 +164,23 @@ TEST(the_first_thing_said_is_the_loss_and_against_what)
     sample_free(sample);
 }
 
+TEST(from_what_both_densities_are_counted_stands_between_them_and_their_difference)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+
+    sample_report(sample)->zero_density = 0.0274;
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+    const char *row = strstr(page, "<td>No collagen, from which both are counted</td><td>0.027<");
+
+    assert_non_null(row);
+    CHECK(row > strstr(page, "This specimen</td>") && row < strstr(page, "<td>Difference, on"));
+    sample_report(sample)->zero_density = (double)NAN;
+    gsn_auto_mem(char) other = page_of(sample_report(sample));
+
+    assert_null(strstr(other, "No collagen, from which"));
+    sample_free(sample);
+}
+
 TEST(a_withheld_loss_shows_its_reason_and_no_number)
 {
     struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);

@@ -80,6 +80,8 @@ TEST(the_keys_that_scripts_rely_on_are_there)
     assert_string_equal(string(root, "baseline"), "GVP-D-S00");
     assert_string_equal(string(root, "verdict"), "reported with warnings");
     CHECK_NEAR(number(root, "loss_percent"), 36.585, 1e-12);
+    CHECK_NEAR(number(root, "baseline_mean_density"), 0.8431, 1e-12);
+    CHECK_NEAR(number(root, "zero_density"), 0, 0);
     CHECK_NEAR(number(root, "loss_interval.lower"), 34.08, 1e-12);
     CHECK_NEAR(number(root, "loss_interval.upper"), 38.94, 1e-12);
     CHECK_NEAR(number(root, "region.volume_mm3"), 0.9802, 1e-12);
@@ -120,7 +122,7 @@ TEST(what_is_not_known_is_null)
     struct gsn_report *report = sample_report(sample);
     json_t *root;
 
-    report->loss_percent = (double)NAN;
+    report->loss_percent = report->zero_density = (double)NAN;
     report->region.mean_density = (double)INFINITY;
     report->baseline = "";
     report->study = NULL;
@@ -130,6 +132,7 @@ TEST(what_is_not_known_is_null)
     root = parsed(report);
     CHECK(json_is_null(at(root, "loss_percent")));
     CHECK(json_is_null(at(root, "loss_interval")));
+    CHECK(json_is_null(at(root, "zero_density")));
     CHECK(json_is_null(at(root, "region.mean_density")));
     CHECK(json_is_null(at(root, "baseline")));
     CHECK(json_is_null(at(root, "study")));

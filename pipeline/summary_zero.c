@@ -4,7 +4,6 @@
 #include "pipeline/core/mem.h"
 
 #include <math.h>
-#include <string.h>
 
 size_t gsn_draft_panel_zeros(const struct gsn_assembly *a, double ret_zero[GSN_LEVEL_PANELS])
 {

@@ -50,7 +50,6 @@ struct gsn_specimen_decision {
     int is_pose; /* whether it chose a pose */
 };
 
-/* The control's figures; name is "" when the job states no baseline. */
 /* What one specimen of a baseline hands on beside its figures. */
 struct gsn_specimen_control {
     struct gsn_level_tissues tissues;
@@ -58,6 +57,7 @@ struct gsn_specimen_control {
     double zero[GSN_LEVEL_PANELS]; /* where each of them puts density 0, on their common scale */
 };
 
+/* The control's figures; name is "" when the job states no baseline. */
 struct gsn_specimen_baseline {
     const char *name;
     size_t specimens; /* with a result; more than one for a group; 0: none yet */
@@ -71,9 +71,8 @@ struct gsn_specimen_baseline {
     /* That nobody treated; NaN: not known of every one of the specimens. */
     struct gsn_level_tissues tissues;
     struct gsn_turned_scatter
-        turns;       /* of its panels' dye vectors, where they were taken as exact */
-    size_t controls; /* of specimens, those that follow */
-    const struct gsn_specimen_control *control;
+        turns; /* of its panels' dye vectors, where they were taken as exact */
+    const struct gsn_specimen_control *control; /* each of the specimens */
     const char *definition, *dyes;
 };
 

@@ -33,7 +33,8 @@ void gsn_draft_find_zero(const struct gsn_evidence *e, const struct gsn_level *s
                          struct gsn_draft *d)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
-    gsn_auto_mem(double) zero = gsn_alloc_array((b->controls + 1) * GSN_LEVEL_PANELS, sizeof *zero);
+    gsn_auto_mem(double) zero =
+        gsn_alloc_array((b->specimens + 1) * GSN_LEVEL_PANELS, sizeof *zero);
     size_t own, all;
 
     if (!zero) {
@@ -41,7 +42,7 @@ void gsn_draft_find_zero(const struct gsn_evidence *e, const struct gsn_level *s
         return;
     }
     own = all = gsn_draft_panel_zeros(e->assembly, zero);
-    for (size_t i = 0; i < b->controls; i++)
+    for (size_t i = 0; i < b->specimens; i++)
         all += zeros_of(&b->control[i], &e->assembly->levelling, spread, zero + all);
     d->zero = gsn_level_zero_of(zero, all);
     /* What the link is off by, all of the controls' panels are. */

@@ -117,12 +117,12 @@ static void take_zeros(const struct gsn_run_row *run, struct gsn_specimen_contro
     json_decref(root);
 }
 
-/* What a control hands on beside its figures. */
+/* One more of the specimens, and what it hands on beside its figures. */
 static void take_control(struct gsn_material *m, const struct gsn_measure_rows *measures,
                          const struct gsn_run_row *run)
 {
     struct gsn_specimen_baseline *b = &m->specimen.baseline;
-    struct gsn_specimen_control *control = &m->control[b->controls++];
+    struct gsn_specimen_control *control = &m->control[b->specimens++];
 
     *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
     take_zeros(run, control);
@@ -165,7 +165,6 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
-    b->specimens++;
     if (!m->definition) {
         m->definition = parameter(run, "definition");
         m->dyes = parameter(run, "dyes");

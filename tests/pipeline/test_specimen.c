@@ -82,11 +82,15 @@ static const char *text_at(const json_t *root, const char *key)
 #define WITH_REGION(more)                                                                          \
     "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
 
+/* A control that hands no panel on. */
+static const struct gsn_specimen_control PLAIN = { 0 };
+
 /* The control's figures as a store would hand them on. */
 static struct gsn_specimen_baseline baseline_of(const struct gsn_specimen_result *control)
 {
     return (struct gsn_specimen_baseline){ .name = "control",
                                            .specimens = 1,
+                                           .control = &PLAIN,
                                            .mean_density = measure(control, "mean_density"),
                                            .mean_density_error =
                                                has_measure(control, "mean_density_error")
@@ -242,6 +246,7 @@ TEST(a_reference_that_shows_too_little_withholds_the_loss_and_says_so)
                         0.6);
     d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control",
                                                           .specimens = 1,
+                                                          .control = &PLAIN,
                                                           .mean_density = 0.5,
                                                           .volume_mm3 = 1,
                                                           .definition = "",
@@ -296,6 +301,7 @@ static void draw_gaps(struct drawn_specimen *d, struct drawn_panel panels[3],
     d->specimen.baseline =
         (struct gsn_specimen_baseline){ .name = "control",
                                         .specimens = 1,
+                                        .control = &PLAIN,
                                         .mean_density = 0.8,
                                         .volume_mm3 = 576e-3 * 336e-3 * 192e-3,
                                         .definition =

@@ -33,6 +33,7 @@ struct told {
     struct gsn_panel_section section;
     struct gsn_specimen_panel given[MOST_PANELS];
     struct gsn_assembly_panel panel[MOST_PANELS];
+    struct gsn_specimen_control control; /* that hands no panel on */
     struct gsn_specimen specimen;
     struct gsn_assembly assembly;
     struct gsn_account account;
@@ -124,6 +125,7 @@ static void told_init(struct told *t, size_t panels)
                                         .volume_mm3 = 0.03,
                                         .mean_density_error = OF_CONTROL_BY_ALL,
                                         .own_scale_error = OF_CONTROL,
+                                        .control = &t->control,
                                         .definition =
                                             "collagen-equivalent density (red dye by unmixing)",
                                         .dyes = SET };
@@ -401,7 +403,6 @@ TEST(both_sides_are_counted_from_where_the_panels_of_both_put_density_0)
     told_init(&t, 2);
     put_zero(&t.panel[0], 1.1, 0.02);
     put_zero(&t.panel[1], 0.9, 0.04);
-    t.specimen.baseline.controls = 1;
     t.specimen.baseline.control = &control;
     t.assembly.levelling.vectors = (struct gsn_turned_left){ 0 };
     gsn_auto(gsn_specimen_result) result = summarised(&t);
@@ -437,7 +438,6 @@ TEST(the_baselines_panels_tell_of_density_0_in_this_specimens_stain)
         t.assembly.levelling.tissues.covariance[k][k] = 1e-10;
     }
     t.specimen.baseline.tissues = control.tissues;
-    t.specimen.baseline.controls = 1;
     t.specimen.baseline.control = &control;
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
@@ -457,7 +457,6 @@ TEST(without_the_baselines_panels_density_0_is_where_most_of_its_own_put_it)
     told_init(&t, 7);
     for (int p = 0; p < 7; p++)
         put_zero(&t.panel[p], 1, own[p]);
-    t.specimen.baseline.controls = 1;
     t.specimen.baseline.control = &strange;
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 

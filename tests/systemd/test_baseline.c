@@ -184,7 +184,7 @@ TEST(where_the_panels_of_each_control_put_density_0_comes_back_beside_its_own_ti
     const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
     const double lacked = b->control[1].tissues.value[none.tissues];
 
-    CHECK(b->controls == 2);
+    CHECK(b->specimens == 2);
     CHECK(b->control[0].panels == 3 && b->control[1].panels == 0);
     CHECK_NEAR(b->control[0].zero[0], 0.0625, 0);
     CHECK_NEAR(b->control[0].zero[1], -0.5, 0);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/material_parts.h"
 
-#include "storage/result.h"
+#include "systemd/run_parameters.h"
 
 #include <math.h>
 #include <string.h>
@@ -27,17 +27,6 @@ static double known(const struct gsn_measure_rows *rows, const char *name)
     const double value = measure_named(rows, name);
 
     return isnan(value) ? 0 : value;
-}
-
-/* A text of a run's parameters, or "". gives. */
-static char *parameter(const struct gsn_run_row *run, const char *name)
-{
-    json_t *root = json_loads(run->parameters_json, 0, NULL);
-    const char *text = json_string_value(json_object_get(root, name));
-    char *copy = gsn_strdup(text ? text : "");
-
-    json_decref(root);
-    return copy;
 }
 
 /* The specimen's latest run with a report, whichever way it ended. */
@@ -107,16 +96,6 @@ static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_b
     b->turns = gsn_turned_together(&b->turns, &turns);
 }
 
-static void take_zeros(const struct gsn_run_row *run, struct gsn_specimen_control *control)
-{
-    json_t *root = json_loads(run->parameters_json, 0, NULL);
-    const json_t *zeros = json_object_get(root, "panel_zeros");
-
-    for (size_t i = 0; i < json_array_size(zeros) && i < GSN_LEVEL_PANELS; i++)
-        control->zero[control->panels++] = json_number_value(json_array_get(zeros, i));
-    json_decref(root);
-}
-
 /* One more of the specimens, and what it hands on beside its figures. */
 static void take_control(struct gsn_material *m, const struct gsn_measure_rows *measures,
                          const struct gsn_run_row *run)
@@ -125,7 +104,7 @@ static void take_control(struct gsn_material *m, const struct gsn_measure_rows *
     struct gsn_specimen_control *control = &m->control[b->specimens++];
 
     *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
-    take_zeros(run, control);
+    control->panels = gsn_run_panel_zeros(run, control->zero);
     add_tissues(&control->tissues, b);
     add_turns(measures, b);
 }
@@ -150,7 +129,7 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
         r = gsn_measure_list(m->store, run->id, &measures, &quiet);
     if (r < 0)
         return gsn_fail(err, r, "%s", quiet.text);
-    own_key = parameter(run, "own_key");
+    own_key = gsn_run_parameter(run, "own_key");
     if (!own_key || json_array_append_new(m->baseline_keys, json_string(own_key)) < 0)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
     mean = measure_named(measures, "mean_density");
@@ -166,8 +145,8 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
     if (!m->definition) {
-        m->definition = parameter(run, "definition");
-        m->dyes = parameter(run, "dyes");
+        m->definition = gsn_run_parameter(run, "definition");
+        m->dyes = gsn_run_parameter(run, "dyes");
     }
     return m->definition && m->dyes ? GSN_OK
                                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");

@@ -9,9 +9,8 @@
 #include "storage/result.h"
 #include "systemd/candidates.h"
 #include "systemd/panel_job.h"
+#include "systemd/run_parameters.h"
 
-#include <jansson.h>
-#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
@@ -287,35 +286,6 @@ static int ask_for_turns(struct gsn_store *store, const struct gsn_job_row *job,
     return gsn_store_commit(store, err);
 }
 
-/* gives: where each of its panels puts density 0; NULL: out of memory. */
-static json_t *zeros_of(const struct gsn_specimen_result *result)
-{
-    json_t *zeros = json_array();
-
-    for (size_t i = 0; i < result->zero_count; i++)
-        if (json_array_append_new(zeros, json_real(result->zero[i])) < 0) {
-            json_decref(zeros);
-            return NULL;
-        }
-    return zeros;
-}
-
-/* What the figures of this run mean, for those who compare with it later. gives. */
-static char *parameters_of(const struct gsn_material *material,
-                           const struct gsn_specimen_result *result)
-{
-    json_t *zeros = zeros_of(result);
-    json_t *root =
-        json_pack("{s:s, s:s, s:s, s:o}", "definition", result->definition, "dyes", result->dyes,
-                  "own_key", gsn_material_own_key(material), "panel_zeros", zeros);
-    char *dumped = json_dumps(root, JSON_COMPACT);
-    char *text = dumped ? gsn_strdup(dumped) : NULL;
-
-    free(dumped); /* door */
-    json_decref(root);
-    return text;
-}
-
 int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      const struct gsn_job_options *options, const struct gsn_progress *progress,
                      struct gsn_error *err)
@@ -338,7 +308,7 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
         r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
     if (r < 0)
         return r;
-    parameters = parameters_of(material, result);
+    parameters = gsn_run_parameters(gsn_material_own_key(material), result);
     if (!parameters)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the parameters of a run");
     run.key = gsn_material_key(material);

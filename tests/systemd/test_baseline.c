@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* What controls handed on in the store is what a treated specimen is compared with. */
-#include "storage/result.h"
+#include "systemd/run_parameters.h"
 #include "systemd/specimen_job.h"
 #include "tests/check.h"
 #include "tests/storage/bench.h"
@@ -195,6 +195,29 @@ TEST(where_the_panels_of_each_control_put_density_0_comes_back_beside_its_own_ti
         CHECK_NEAR(b->control[1].tissues.covariance[t][t], ERROR[t] * ERROR[t], 1e-12);
     }
     CHECK(lacked != lacked); /* NaN */
+}
+
+/* 1/3 takes all digits of a double. */
+TEST(what_a_run_hands_on_comes_back_to_the_last_bit)
+{
+    const struct gsn_specimen_result result = {
+        .definition = "of \"red\"", .dyes = "set", .zero = { 1.0 / 3, -0.25 }, .zero_count = 2
+    };
+    struct control whole = ONE;
+    scratch_auto scratch = gsn_scratch_new();
+    int64_t id;
+    gsn_auto(gsn_store) store = with_treated(&scratch, &id);
+    gsn_auto_mem(char) parameters = gsn_run_parameters("key", &result);
+
+    whole.parameters = parameters;
+    add_control(store, &whole);
+    gsn_auto(gsn_material) material = loaded(store, id);
+    const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
+
+    assert_string_equal(b->definition, "of \"red\"");
+    assert_string_equal(b->dyes, "set");
+    CHECK(b->control[0].panels == 2);
+    CHECK(b->control[0].zero[0] == 1.0 / 3 && b->control[0].zero[1] == -0.25);
 }
 
 TEST(more_panels_than_a_block_can_have_are_not_read)

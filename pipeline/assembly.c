@@ -62,7 +62,8 @@ const struct gsn_specimen_panel *gsn_assembly_panel(const struct gsn_specimen *s
     return NULL;
 }
 
-/* Every slot of every panel that the job expects or that came. */
+/* Every slot of every panel that the job expects or that came; each has a number, and pieces
+ * between the slots are the panel's alone. */
 static int list_slots(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                       struct gsn_error *err)
 {

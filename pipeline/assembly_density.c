@@ -215,8 +215,8 @@ static int gather_held(const struct work *work, struct gsn_error *err)
         const struct gsn_assembly_section *s = &work->a->section[i];
         gsn_auto(gsn_plane) density = NULL;
 
-        if (s->panel != work->panel || s->state != GSN_SECTION_HELD ||
-            s->seen.serial == GSN_NO_SERIAL || s->seen.width <= 0 || s->seen.height <= 0)
+        if (s->panel != work->panel || s->state != GSN_SECTION_HELD || s->seen.width <= 0 ||
+            s->seen.height <= 0)
             continue;
         r = see_section(work, i, apart, &density, err);
         if (r >= 0)

@@ -59,8 +59,7 @@ static size_t list(const struct gsn_assembly *a, struct part *parts)
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
 
-        if (s->seen.serial == GSN_NO_SERIAL ||
-            (!is_lost(s) && !is_open(s) && !is_held_by_marks(s)) ||
+        if ((!is_lost(s) && !is_open(s) && !is_held_by_marks(s)) ||
             (count > 0 && a->section[parts[count - 1].section].seen.serial == s->seen.serial))
             continue;
         parts[count++] = (struct part){ .section = i };

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_parts.h"
 
+#include "pipeline/core/file.h"
 #include "pipeline/masking.h"
 
 /* Whether every panel with sections has standards, so that all are on one scale. */
@@ -41,8 +42,7 @@ static int know_calibration(const struct gsn_specimen *specimen,
 {
     const struct gsn_stated_calibration *stated = &specimen->protocol->calibration[which];
     const char *sha256 = specimen->calibration_sha256 ? specimen->calibration_sha256[which] : NULL;
-    gsn_auto_mem(uint8_t) bytes = NULL;
-    size_t size;
+    gsn_auto_fd picture_fd = -1;
     int r;
 
     if (a->calibration[which])
@@ -52,10 +52,10 @@ static int know_calibration(const struct gsn_specimen *specimen,
                         "calibration panel %s did not come with the specimen: import it again with "
                         "the file beside job.json",
                         stated->file);
-    r = specimen->read(specimen->context, sha256, &bytes, &size, err);
+    r = specimen->open(specimen->context, sha256, &picture_fd, err);
     if (r < 0)
         return r;
-    return gsn_calibration_panel_read(options->decoder, bytes, size, specimen->protocol, stated,
+    return gsn_calibration_panel_read(options->decoder, picture_fd, specimen->protocol, stated,
                                       &a->calibration[which], err);
 }
 

@@ -4,6 +4,7 @@
 #include "pipeline/assembly_order.h"
 #include "pipeline/candidate_sheet.h"
 #include "pipeline/conditions.h"
+#include "pipeline/core/file.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
@@ -317,15 +318,14 @@ static int work_panel(const struct gsn_specimen *specimen,
                       struct gsn_assembly *a, struct gsn_section_planes *planes,
                       struct gsn_candidate_sheet *sheet, struct gsn_error *err)
 {
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd picture_fd = -1;
     gsn_auto(gsn_scan) scan = NULL;
     struct gsn_specimen_stain *stain = &panel->stain;
     struct work work = { .specimen = specimen, .options = options, .a = a, .planes = planes };
-    size_t size;
-    int r = specimen->read(specimen->context, panel->given->sha256, &bytes, &size, err);
+    int r = specimen->open(specimen->context, panel->given->sha256, &picture_fd, err);
 
     if (r >= 0)
-        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, &panel->given->upright,
+        r = gsn_scan_open(options->decoder, picture_fd, specimen->protocol, &panel->given->upright,
                           &scan, err);
     if (r >= 0)
         r = gsn_assembly_find_dyes(specimen, options, scan, a, panel, err);

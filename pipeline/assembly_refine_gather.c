@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_refine.h"
 
+#include "pipeline/core/file.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/register/stack.h"
 
@@ -70,13 +71,12 @@ static int gather_scan(struct gsn_refine_work *w, const struct gsn_specimen_pane
 static int gather_panel(struct gsn_refine_work *w, const struct gsn_specimen_panel *given,
                         struct gsn_error *err)
 {
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd picture_fd = -1;
     gsn_auto(gsn_scan) scan = NULL;
-    size_t size;
-    int r = w->specimen->read(w->specimen->context, given->sha256, &bytes, &size, err);
+    int r = w->specimen->open(w->specimen->context, given->sha256, &picture_fd, err);
 
     if (r >= 0)
-        r = gsn_scan_open(w->options->decoder, bytes, size, w->specimen->protocol, &given->upright,
+        r = gsn_scan_open(w->options->decoder, picture_fd, w->specimen->protocol, &given->upright,
                           &scan, err);
     return r < 0 ? r : gather_scan(w, given, scan, err);
 }

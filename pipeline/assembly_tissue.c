@@ -2,6 +2,7 @@
 #include "pipeline/assembly_tissue.h"
 
 #include "pipeline/assembly_parts.h"
+#include "pipeline/core/file.h"
 #include "pipeline/register/tissue_check.h"
 
 #include <math.h>
@@ -125,13 +126,12 @@ static int look_at_panel(const struct gsn_specimen *specimen,
                          const struct gsn_specimen_panel *panel, const struct gsn_assembly *a,
                          struct part *parts, size_t count, struct gsn_error *err)
 {
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd picture_fd = -1;
     gsn_auto(gsn_scan) scan = NULL;
-    size_t size;
-    int r = specimen->read(specimen->context, panel->sha256, &bytes, &size, err);
+    int r = specimen->open(specimen->context, panel->sha256, &picture_fd, err);
 
     if (r >= 0)
-        r = gsn_scan_survey(options->decoder, bytes, size, specimen->protocol, &panel->upright,
+        r = gsn_scan_survey(options->decoder, picture_fd, specimen->protocol, &panel->upright,
                             &scan, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
         const struct gsn_assembly_section *s = &a->section[parts[i].section];

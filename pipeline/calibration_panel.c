@@ -175,7 +175,7 @@ static unsigned longest_row(const struct gsn_stated_calibration *stated)
     return most;
 }
 
-static int read_panel(const char *decoder, const void *bytes, size_t size,
+static int read_panel(struct gsn_decoder *decoder, int picture_fd,
                       const struct gsn_protocol *protocol, struct gsn_calibration_panel *panel,
                       struct gsn_error *err)
 {
@@ -188,7 +188,7 @@ static int read_panel(const char *decoder, const void *bytes, size_t size,
     as_glass.rows = panel->stated->patch[panel->stated->patch_count - 1].row;
     as_glass.columns = longest_row(panel->stated);
     as_glass.has_markers = 0;
-    r = gsn_scan_open(decoder, bytes, size, &as_glass, NULL, &scan, err);
+    r = gsn_scan_open(decoder, picture_fd, &as_glass, NULL, &scan, err);
     if (r >= 0)
         r = check_glass(&scan->glass, err);
     if (r >= 0)
@@ -205,7 +205,7 @@ static int read_panel(const char *decoder, const void *bytes, size_t size,
                : GSN_OK;
 }
 
-int gsn_calibration_panel_read(const char *decoder, const void *bytes, size_t size,
+int gsn_calibration_panel_read(struct gsn_decoder *decoder, int picture_fd,
                                const struct gsn_protocol *protocol,
                                const struct gsn_stated_calibration *stated,
                                struct gsn_calibration_panel **ret_panel, struct gsn_error *err)
@@ -216,7 +216,7 @@ int gsn_calibration_panel_read(const char *decoder, const void *bytes, size_t si
     if (!panel)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a calibration panel");
     panel->stated = stated;
-    r = read_panel(decoder, bytes, size, protocol, panel, err);
+    r = read_panel(decoder, picture_fd, protocol, panel, err);
     if (r < 0)
         return gsn_fail_at(err, "calibration panel %s", stated->file);
     *ret_panel = gsn_steal(&panel);

@@ -38,7 +38,7 @@ struct gsn_calibrated {
  * glass is not white or is overexposed, when not all stated patches are found in their rows, and
  * when one is clipped; the sentence names the file and the patch. borrows: stated, for as long as
  * the panel is used. */
-int gsn_calibration_panel_read(const char *decoder, const void *bytes, size_t size,
+int gsn_calibration_panel_read(struct gsn_decoder *decoder, int picture_fd,
                                const struct gsn_protocol *protocol,
                                const struct gsn_stated_calibration *stated,
                                struct gsn_calibration_panel **ret_panel, struct gsn_error *err);

@@ -253,7 +253,7 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     return r < 0 ? r : gsn_examine_pixels(scan, protocol, slots, found, threads, findings, err);
 }
 
-int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
+int gsn_panel_examine(struct gsn_decoder *decoder, int picture_fd,
                       const struct gsn_protocol *protocol, unsigned number,
                       const struct gsn_panel_answers *answers, unsigned threads,
                       const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
@@ -270,7 +270,7 @@ int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
     if (!findings || !findings->section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
     gsn_progress_say(progress, "decoding", 0, 1);
-    r = gsn_scan_survey(decoder, bytes, size, protocol, NULL, &scan, err);
+    r = gsn_scan_survey(decoder, picture_fd, protocol, NULL, &scan, err);
     if (r < 0)
         return r;
     findings->width = scan->picture->image->width;

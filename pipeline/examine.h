@@ -88,7 +88,7 @@ const char *gsn_sighting_name(enum gsn_sighting sighting);
  * "decision-void". One that is there makes its section found, flagged "decided". Fails as
  * gsn_scan_open() and gsn_panel_split() do, and with GSN_E_WITHHELD when the marks say that the
  * pixels are not as large as stated. borrows: everything. */
-int gsn_panel_examine(const char *decoder, const void *bytes, size_t size,
+int gsn_panel_examine(struct gsn_decoder *decoder, int picture_fd,
                       const struct gsn_protocol *protocol, unsigned number,
                       const struct gsn_panel_answers *answers, unsigned threads,
                       const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,

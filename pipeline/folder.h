@@ -21,8 +21,10 @@ extern "C" {
 #define GSN_FOLDER_PX_UM 5.0
 #define GSN_FOLDER_ELLIPSES 5
 
+struct gsn_decoder; /* pipeline/decode/apart.h */
+
 struct gsn_folder_options {
-    const char *decoder;          /* path of gieson-decode, or NULL to decode in this process */
+    struct gsn_decoder *decoder;  /* NULL: decode in this process */
     double px_um;                 /* 0: not stated, lengths are pixels */
     const struct gsn_point *mark; /* the three marks in the frame wanted, or NULL */
     double radius; /* the error is given over a disc of this radius about the frame's origin; 0: at

@@ -11,10 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
-#include <sys/mman.h>
 #include <time.h>
-
-enum { MOST_PICTURE_BYTES = 1 << 30 };
 
 /* Cells along a picture's longer side: what neighbouring sections share is larger than such a
  * cell, and finer ones laid none of the stacks we have better. */
@@ -88,21 +85,17 @@ int gsn_folder_search(struct gsn_folder *folder, const char *dir, size_t i, stru
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
     gsn_auto_mem(char) path = gsn_format("%s/%s", dir, section->file);
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd picture_fd = -1;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error own = { 0 };
-    size_t size;
     double began;
     int r;
 
     if (!path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %s", section->file);
-    r = gsn_file_read(path, MOST_PICTURE_BYTES, &bytes, &size, &own);
+    r = gsn_file_open(path, &picture_fd, &own);
     if (r >= 0)
-        r = gsn_decode_apart(folder->options->decoder, bytes, size, NULL, &picture, &own);
-    /* The decoder's pages come into this process with the decoding, not with the search. */
-    if (r >= 0 && picture->mapped_bytes > 0)
-        (void)madvise(picture->place, picture->mapped_bytes, MADV_POPULATE_READ);
+        r = gsn_decode_apart(folder->options->decoder, picture_fd, NULL, &picture, &own);
     began = gsn_folder_cpu_ms();
     if (r >= 0)
         r = gsn_mark_spots_find(picture->image, folder->px_um, &folder->work[i].spots, &own);

@@ -169,7 +169,7 @@ static int set_upright(struct gsn_scan *scan, const struct gsn_protocol *protoco
 }
 
 /* Everything but glass and density. */
-static int read_scan(const char *decoder, const void *bytes, size_t size,
+static int read_scan(struct gsn_decoder *decoder, int picture_fd,
                      const struct gsn_protocol *protocol, const struct gsn_upright *upright,
                      struct gsn_scan **ret_scan, struct gsn_error *err)
 {
@@ -187,10 +187,10 @@ static int read_scan(const char *decoder, const void *bytes, size_t size,
     if (!scan)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a scan");
     limits.codes = protocol->kind == GSN_KIND_SECTIONS && !upright;
-    r = gsn_decode_apart(decoder, bytes, size, &limits, &scan->picture, err);
+    r = gsn_decode_apart(decoder, picture_fd, &limits, &scan->picture, err);
     /* Readers of codes are as old as decoders: one that falls over must not cost the panel. */
     if ((r == GSN_E_INPUT || r == GSN_E_LIMIT) && limits.codes &&
-        gsn_decode_apart(decoder, bytes, size, &plain, &scan->picture, NULL) >= 0) {
+        gsn_decode_apart(decoder, picture_fd, &plain, &scan->picture, NULL) >= 0) {
         say_of_turn(&scan->upright,
                     "the code on its label could not be read: the reader failed on this picture");
         r = GSN_OK;
@@ -224,13 +224,13 @@ static unsigned apart_of(const struct gsn_image *image, const struct gsn_protoco
     return protocol->kind == GSN_KIND_TILE ? 1 : (unsigned)ceil(sqrt(fmax(pixels / most, 1)));
 }
 
-int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, const struct gsn_upright *upright,
-                  struct gsn_scan **ret_scan, struct gsn_error *err)
+int gsn_scan_open(struct gsn_decoder *decoder, int picture_fd, const struct gsn_protocol *protocol,
+                  const struct gsn_upright *upright, struct gsn_scan **ret_scan,
+                  struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
     enum gsn_light light;
-    int r = read_scan(decoder, bytes, size, protocol, upright, &scan, err);
+    int r = read_scan(decoder, picture_fd, protocol, upright, &scan, err);
 
     if (r < 0)
         return r;
@@ -292,12 +292,12 @@ static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol, st
     return gsn_absorb_total(small, &glass, &scan->total, err);
 }
 
-int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
+int gsn_scan_survey(struct gsn_decoder *decoder, int picture_fd,
                     const struct gsn_protocol *protocol, const struct gsn_upright *upright,
                     struct gsn_scan **ret_scan, struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
-    int r = read_scan(decoder, bytes, size, protocol, upright, &scan, err);
+    int r = read_scan(decoder, picture_fd, protocol, upright, &scan, err);
 
     if (r >= 0)
         r = survey(scan, protocol, err);

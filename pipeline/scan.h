@@ -44,13 +44,13 @@ struct gsn_scan {
  * GSN_E_WITHHELD when it is to be told which way round it lies and that is not clear; with
  * GSN_E_INPUT when neither job nor file states the pixel size, or the picture is grey; with
  * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
- * borrows: bytes, protocol, upright. */
-int gsn_scan_open(const char *decoder, const void *bytes, size_t size,
-                  const struct gsn_protocol *protocol, const struct gsn_upright *upright,
-                  struct gsn_scan **ret_scan, struct gsn_error *err);
+ * borrows: picture_fd, protocol, upright. */
+int gsn_scan_open(struct gsn_decoder *decoder, int picture_fd, const struct gsn_protocol *protocol,
+                  const struct gsn_upright *upright, struct gsn_scan **ret_scan,
+                  struct gsn_error *err);
 /* The same for one look at a panel: the glass is measured on the picture made small, which costs a
  * fiftieth, and optical density is there in cells only. Fails as gsn_scan_open(). */
-int gsn_scan_survey(const char *decoder, const void *bytes, size_t size,
+int gsn_scan_survey(struct gsn_decoder *decoder, int picture_fd,
                     const struct gsn_protocol *protocol, const struct gsn_upright *upright,
                     struct gsn_scan **ret_scan, struct gsn_error *err);
 void gsn_scan_free(struct gsn_scan *scan);

@@ -4,6 +4,7 @@
 #include "pipeline/account.h"
 #include "pipeline/assembly.h"
 #include "pipeline/band.h"
+#include "pipeline/decode/apart.h"
 #include "pipeline/summary.h"
 #include "pipeline/tile.h"
 
@@ -110,6 +111,8 @@ static int work_sections(const struct gsn_specimen *specimen,
     struct gsn_error why = { 0 };
     struct gsn_evidence evidence = { .specimen = specimen };
     int r = gsn_assembly_make(specimen, options, &assembly, &why);
+
+    gsn_decoder_rest(options->decoder);
 
     if (r < 0 && !is_about_evidence(r)) {
         if (err)

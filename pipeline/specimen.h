@@ -93,16 +93,17 @@ struct gsn_specimen {
     const struct gsn_specimen_decision *decision;
     const char *key; /* hash of inputs, parameters and version */
 
-    /* Reads an object. gives: the bytes. */
-    int (*read)(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
-                struct gsn_error *err);
+    /* Opens an object whose bytes have been checked. gives: a descriptor to close(). */
+    int (*open)(void *context, const char *sha256, int *ret_fd, struct gsn_error *err);
     void *context;
 };
 
+struct gsn_decoder; /* pipeline/decode/apart.h */
+
 struct gsn_specimen_options {
-    const char *mesher;  /* path of gieson-mesh */
-    const char *decoder; /* path of gieson-decode; NULL: as for gsn_decode_apart() */
-    unsigned threads;    /* 0: all */
+    const char *mesher;          /* path of gieson-mesh */
+    struct gsn_decoder *decoder; /* NULL: as for gsn_decode_apart() */
+    unsigned threads;            /* 0: all */
     const struct gsn_progress *progress;
 };
 

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/tile.h"
 
+#include "pipeline/core/file.h"
 #include "pipeline/decode/png_write.h"
 #include "pipeline/render/canvas.h"
 
@@ -73,19 +74,18 @@ static int agreement_picture(const struct gsn_image *map, const struct gsn_image
                    tile, err);
 }
 
-static int compare(const struct gsn_specimen *specimen, const char *decoder,
+static int compare(const struct gsn_specimen *specimen, struct gsn_decoder *decoder,
                    const struct gsn_image *map, struct gsn_tile *tile, struct gsn_error *err)
 {
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd mask_fd = -1;
     gsn_auto(gsn_picture) reference = NULL;
-    size_t size;
     int r;
 
     if (!specimen->reference_sha256)
         return agreement_picture(map, NULL, tile, err);
-    r = specimen->read(specimen->context, specimen->reference_sha256, &bytes, &size, err);
+    r = specimen->open(specimen->context, specimen->reference_sha256, &mask_fd, err);
     if (r >= 0)
-        r = gsn_decode_apart(decoder, bytes, size, NULL, &reference, err);
+        r = gsn_decode_apart(decoder, mask_fd, NULL, &reference, err);
     if (r >= 0)
         r = gsn_mask_compare(map, reference->image, &tile->overlap, err);
     if (r < 0)
@@ -130,17 +130,16 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
                   struct gsn_tile **ret_tile, struct gsn_error *err)
 {
     gsn_auto(gsn_tile) tile = gsn_alloc_array(1, sizeof *tile);
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd picture_fd = -1;
     gsn_auto(gsn_scan) scan = NULL;
-    size_t size;
     int r;
 
     if (!tile)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a tile");
     gsn_progress_say(options->progress, "unmixing", 0, 1);
-    r = specimen->read(specimen->context, specimen->picture_sha256, &bytes, &size, err);
+    r = specimen->open(specimen->context, specimen->picture_sha256, &picture_fd, err);
     if (r >= 0)
-        r = gsn_scan_open(options->decoder, bytes, size, specimen->protocol, NULL, &scan, err);
+        r = gsn_scan_open(options->decoder, picture_fd, specimen->protocol, NULL, &scan, err);
     if (r >= 0)
         r = gsn_scan_dyes(scan, NULL, specimen->protocol, &tile->fit, err);
     if (r >= 0)

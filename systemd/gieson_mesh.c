@@ -104,7 +104,7 @@ static int work(void)
         (void)gsn_fail(&err, GSN_E_IO, "stdout: %s", strerror(errno));
         return complain(&err, EXIT_ANSWER);
     }
-    if (gsn_sandbox_enter(ANSWER_FD, &err) < 0)
+    if (gsn_sandbox_enter(ANSWER_FD, 0, &err) < 0)
         return complain(&err, EXIT_SANDBOX);
     r = read_question(&asked, &asked_size, &err);
     if (r >= 0)

@@ -109,9 +109,8 @@ int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
 int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job_options *options,
                    struct gsn_job_verdict *ret_verdict, struct gsn_error *err)
 {
-    const struct gsn_specimen_options how = { .mesher = options->mesher,
-                                              .decoder = options->decoder,
-                                              .threads = options->threads };
+    gsn_auto(gsn_decoder) decoder = NULL;
+    struct gsn_specimen_options how = { .mesher = options->mesher, .threads = options->threads };
     struct gsn_job_verdict verdict = { .run = run_id };
     gsn_auto(gsn_run_row) run = NULL;
     gsn_auto(gsn_material) material = NULL;
@@ -121,8 +120,11 @@ int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job
 
     if (r >= 0)
         r = gsn_run_get(store, run_id, &run, err);
+    if (r >= 0 && options->decoder)
+        r = gsn_decoder_new(options->decoder, &decoder, err);
     if (r < 0)
         return r;
+    how.decoder = decoder;
     if (!run->json_sha256[0])
         return gsn_fail(err, GSN_E_INPUT, "run %lld is %s and has no report to compare with",
                         (long long)run_id, run->state);

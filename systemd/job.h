@@ -11,7 +11,7 @@
 
 struct gsn_job_options {
     const char *mesher;  /* path of gieson-mesh */
-    const char *decoder; /* path of gieson-decode; NULL: as for gsn_decode_apart() */
+    const char *decoder; /* path of gieson-decode; NULL: pictures are decoded in this process */
     /* What is missing, where it was looked for and what to do, of a program that is not there;
      * NULL: it is there. */
     const char *lacks_mesher, *lacks_decoder;

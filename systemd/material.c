@@ -5,10 +5,9 @@
 
 #include <string.h>
 
-static int read_object(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
-                       struct gsn_error *err)
+static int open_object(void *context, const char *sha256, int *ret_fd, struct gsn_error *err)
 {
-    return gsn_object_read(context, sha256, ret_bytes, ret_size, err);
+    return gsn_object_open(context, sha256, ret_fd, err);
 }
 
 static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
@@ -40,7 +39,7 @@ static int take_rows(struct gsn_material *m, struct gsn_store *store, int64_t id
     int r;
 
     m->store = store;
-    m->specimen.read = read_object;
+    m->specimen.open = open_object;
     m->specimen.context = store;
     r = load_rows(m, id, err);
     if (r >= 0)

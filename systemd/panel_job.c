@@ -3,6 +3,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
+#include "pipeline/decode/apart.h"
 #include "storage/catalog.h"
 #include "storage/result.h"
 #include "systemd/answers.h"
@@ -10,16 +11,28 @@
 #include "systemd/marker_rows.h"
 #include "systemd/rescan.h"
 
+#include <errno.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
-enum { MOST_OBJECT_BYTES = 1 << 30 };
+enum { MOST_OBJECT_BYTES = 1 << 30, HASH_BYTES = 1 << 16 };
 
 int gsn_is_refusal(int code)
 {
     return code == GSN_E_INPUT || code == GSN_E_UNSUPPORTED || code == GSN_E_LIMIT ||
            code == GSN_E_STAIN || code == GSN_E_MARKERS;
+}
+
+static int check_digest(const char *sha256, const struct gsn_digest *digest, struct gsn_error *err)
+{
+    if (strcmp(digest->hex, sha256) == 0)
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_IO,
+                    "the stored object %s is damaged: its bytes no longer have this hash; "
+                    "import the original again",
+                    sha256);
 }
 
 int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_bytes,
@@ -35,15 +48,54 @@ int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_b
         r = gsn_file_read(path, MOST_OBJECT_BYTES, &bytes, &size, err);
     if (r >= 0)
         r = gsn_sha256(bytes, size, &digest, err);
+    if (r >= 0)
+        r = check_digest(sha256, &digest, err);
     if (r < 0)
         return r;
-    if (strcmp(digest.hex, sha256) != 0)
-        return gsn_fail(err, GSN_E_IO,
-                        "the stored object %s is damaged: its bytes no longer have this hash; "
-                        "import the original again",
-                        sha256);
     *ret_bytes = gsn_steal(&bytes);
     *ret_size = size;
+    return GSN_OK;
+}
+
+static int hash_file(int fd, const char *path, struct gsn_digest *ret_digest, struct gsn_error *err)
+{
+    gsn_auto(gsn_hash) hash = NULL;
+    uint8_t piece[HASH_BYTES];
+    off_t at = 0;
+    int r = gsn_hash_new(&hash, err);
+
+    while (r >= 0) {
+        const ssize_t got = pread(fd, piece, sizeof piece, at);
+
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got < 0)
+            return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+        if (got == 0)
+            break;
+        at += got;
+        r = gsn_hash_add(hash, piece, (size_t)got, err);
+    }
+    return r < 0 ? r : gsn_hash_end(hash, ret_digest, err);
+}
+
+int gsn_object_open(struct gsn_store *store, const char *sha256, int *ret_fd, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = NULL;
+    gsn_auto_fd fd = -1;
+    struct gsn_digest digest;
+    int r = gsn_store_object_path(store, sha256, &path, err);
+
+    if (r >= 0)
+        r = gsn_file_open(path, &fd, err);
+    if (r >= 0)
+        r = hash_file(fd, path, &digest, err);
+    if (r >= 0)
+        r = check_digest(sha256, &digest, err);
+    if (r < 0)
+        return r;
+    *ret_fd = fd;
+    fd = -1;
     return GSN_OK;
 }
 
@@ -259,18 +311,21 @@ static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
                    const struct gsn_job_options *options, const struct gsn_progress *progress,
                    struct gsn_panel_findings **ret_findings, struct gsn_error *err)
 {
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd picture_fd = -1;
+    gsn_auto(gsn_decoder) decoder = NULL;
     gsn_auto_mem(struct gsn_panel_answer) answer = NULL;
     struct gsn_panel_answers answers = { 0 };
-    size_t size;
-    int r = gsn_object_read(store, panel->sha256, &bytes, &size, err);
+    int r = gsn_object_open(store, panel->sha256, &picture_fd, err);
+
+    if (r >= 0 && options->decoder)
+        r = gsn_decoder_new(options->decoder, &decoder, err);
 
     if (r >= 0)
         r = gsn_answers_read(decided, panel->number, panel->sha256, &answer, &answers.count, err);
     answers.at = answer;
 
     if (r >= 0)
-        r = gsn_panel_examine(options->decoder, bytes, size, protocol,
+        r = gsn_panel_examine(decoder, picture_fd, protocol,
                               (unsigned)(panel->number ? panel->number : 1), &answers,
                               options->threads, progress, ret_findings, err);
     return r;

@@ -26,6 +26,9 @@ int gsn_panel_lacks_turn(const struct gsn_panel_row *row);
 
 /* gives: the bytes of an object, after its hash was compared with its name.
  * Fails with GSN_E_NOTFOUND, GSN_E_INPUT "... is damaged", GSN_E_IO. */
+/* gives: a descriptor to close(), of an object whose bytes were just found to have this hash. */
+int gsn_object_open(struct gsn_store *store, const char *sha256, int *ret_fd,
+                    struct gsn_error *err);
 int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_bytes,
                     size_t *ret_size, struct gsn_error *err);
 

@@ -196,7 +196,7 @@ static size_t lost_of(const struct gsn_folder_stack *stack)
     return lost;
 }
 
-int gsn_register_folder(const struct gsn_register_request *request, const char *decoder,
+int gsn_register_folder(const struct gsn_register_request *request, struct gsn_decoder *decoder,
                         struct gsn_error *err)
 {
     struct gsn_point mark[GSN_MARKS];

@@ -6,6 +6,8 @@
 
 #include "pipeline/core/error.h"
 
+struct gsn_decoder; /* pipeline/decode/apart.h */
+
 struct gsn_register_request {
     const char *dir;
     const char *marks; /* six numbers, or NULL */
@@ -17,7 +19,7 @@ struct gsn_register_request {
 
 /* Prints the poses. Returns the exit status: that of the mistake whose sentence is in err, or 65
  * when a picture has no pose. */
-int gsn_register_folder(const struct gsn_register_request *request, const char *decoder,
+int gsn_register_folder(const struct gsn_register_request *request, struct gsn_decoder *decoder,
                         struct gsn_error *err);
 
 #endif

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
+#include "pipeline/decode/apart.h"
 #include "storage/catalog.h"
 #include "storage/event.h"
 #include "storage/panel_log.h"
@@ -290,10 +291,10 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      const struct gsn_job_options *options, const struct gsn_progress *progress,
                      struct gsn_error *err)
 {
-    const struct gsn_specimen_options how = { .mesher = options->mesher,
-                                              .decoder = options->decoder,
-                                              .threads = options->threads,
-                                              .progress = progress };
+    gsn_auto(gsn_decoder) decoder = NULL;
+    struct gsn_specimen_options how = { .mesher = options->mesher,
+                                        .threads = options->threads,
+                                        .progress = progress };
     gsn_auto(gsn_material) material = NULL;
     gsn_auto(gsn_specimen_result) result = NULL;
     gsn_auto_mem(char) parameters = NULL;
@@ -303,7 +304,12 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
 
     if (r < 0 || asked)
         return r;
-    r = gsn_material_load(store, job->specimen_id, &material, err);
+    if (options->decoder) {
+        r = gsn_decoder_new(options->decoder, &decoder, err);
+        how.decoder = decoder;
+    }
+    if (r >= 0)
+        r = gsn_material_load(store, job->specimen_id, &material, err);
     if (r >= 0)
         r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
     if (r < 0)

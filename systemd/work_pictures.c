@@ -10,18 +10,15 @@
 #include <stdio.h>
 #include <sysexits.h>
 
-enum { MOST_CHECK_BYTES = 1 << 30 };
-
-static int check_one(const char *decoder, const char *path)
+static int check_one(struct gsn_decoder *decoder, const char *path)
 {
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd fd = -1;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error err = { 0 };
-    size_t size;
-    int r = gsn_file_read(path, MOST_CHECK_BYTES, &bytes, &size, &err);
+    int r = gsn_file_open(path, &fd, &err);
 
     if (r >= 0)
-        r = gsn_decode_apart(decoder, bytes, size, NULL, &picture, &err);
+        r = gsn_decode_apart(decoder, fd, NULL, &picture, &err);
     if (r < 0) {
         (void)printf("%s: refused (%s): %s\n", path, gsn_code_name(r), err.text);
         return gsn_code_exit(r);
@@ -35,13 +32,16 @@ static int check_one(const char *decoder, const char *path)
 
 int gsn_work_check(const struct gsn_work_request *request)
 {
-    gsn_auto_mem(char) decoder = NULL;
+    gsn_auto_mem(char) program = NULL;
+    gsn_auto(gsn_decoder) decoder = NULL;
     struct gsn_error err = { 0 };
     int status = EX_OK, r;
 
     if (request->rest_count < 1)
         return gsn_work_usage("check needs at least one file");
-    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    r = gsn_process_sibling("gieson-decode", &program, &err);
+    if (r >= 0)
+        r = gsn_decoder_new(program, &decoder, &err);
     if (r < 0)
         return gsn_work_complain(&err, r);
     for (int i = 0; i < request->rest_count; i++) {
@@ -61,7 +61,8 @@ int gsn_work_register(const struct gsn_work_request *request)
                                                  .radius = request->radius,
                                                  .by_tissue = request->by_tissue,
                                                  .json = request->json };
-    gsn_auto_mem(char) decoder = NULL;
+    gsn_auto_mem(char) program = NULL;
+    gsn_auto(gsn_decoder) decoder = NULL;
     struct gsn_error err = { 0 };
     int status, r;
 
@@ -70,7 +71,9 @@ int gsn_work_register(const struct gsn_work_request *request)
     /* One section after the other works in the same pages. */
     (void)mallopt(M_MMAP_THRESHOLD, 32 << 20);
     (void)mallopt(M_TRIM_THRESHOLD, 256 << 20);
-    r = gsn_process_sibling("gieson-decode", &decoder, &err);
+    r = gsn_process_sibling("gieson-decode", &program, &err);
+    if (r >= 0)
+        r = gsn_decoder_new(program, &decoder, &err);
     if (r < 0)
         return gsn_work_complain(&err, r);
     status = gsn_register_folder(&folder, decoder, &err);

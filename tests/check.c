@@ -3,12 +3,15 @@
 
 #include <stdatomic.h>
 #include <stdio.h>
+#include <sys/mman.h>
+#include <unistd.h>
 
 enum { MOST_TESTS = 256, SKIPPED = 77 /* what CTest is told to read as skipped */ };
 
 static struct CMUnitTest tests[MOST_TESTS];
 static size_t test_count;
 static unsigned skipped;
+static int bytes_fd = -1;
 
 /* 0: every allocation passes. Otherwise the one with this number fails. */
 static atomic_size_t failing, asked;
@@ -38,6 +41,15 @@ void gsn_check_register(const char *name, void (*body)(void **state))
 {
     if (test_count < MOST_TESTS)
         tests[test_count++] = (struct CMUnitTest){ .name = name, .test_func = body };
+}
+
+int gsn_check_fd(const void *bytes, size_t size)
+{
+    if (bytes_fd >= 0)
+        (void)close(bytes_fd);
+    bytes_fd = memfd_create("test", MFD_CLOEXEC);
+    CHECK(bytes_fd >= 0 && write(bytes_fd, bytes, size) == (ssize_t)size);
+    return bytes_fd;
 }
 
 void gsn_check_near(double value, double truth, double tolerance, const char *what,

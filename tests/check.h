@@ -36,6 +36,9 @@ void gsn_check_register(const char *name, void (*body)(void **state));
  */
 void gsn_check_skip(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
+/* A descriptor of a file without a name that holds the bytes, until the next call. */
+int gsn_check_fd(const void *bytes, size_t size);
+
 void gsn_check_near(double value, double truth, double tolerance, const char *what,
                     const char *file, int line);
 /* |value - truth| <= tolerance; prints all three when it is not, and fails on NaN. */

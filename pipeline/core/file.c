@@ -6,13 +6,14 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 static int fill(int fd, const char *path, uint8_t *bytes, size_t size, struct gsn_error *err)
 {
     for (size_t done = 0; done < size;) {
-        const ssize_t got = read(fd, bytes + done, size - done);
+        const ssize_t got = pread(fd, bytes + done, size - done, (off_t)done);
 
         if (got < 0 && errno == EINTR)
             continue;
@@ -24,8 +25,8 @@ static int fill(int fd, const char *path, uint8_t *bytes, size_t size, struct gs
     return GSN_OK;
 }
 
-static int read_open(int fd, const char *path, size_t limit, uint8_t **ret_bytes, size_t *ret_size,
-                     struct gsn_error *err)
+int gsn_file_read_open(int fd, const char *path, size_t limit, uint8_t **ret_bytes,
+                       size_t *ret_size, struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) bytes = NULL;
     struct stat st;
@@ -100,9 +101,36 @@ int gsn_file_read(const char *path, size_t limit, uint8_t **ret_bytes, size_t *r
 
     if (r < 0)
         return r;
-    r = read_open(fd, path, limit, ret_bytes, ret_size, err);
+    r = gsn_file_read_open(fd, path, limit, ret_bytes, ret_size, err);
     (void)close(fd);
     return r;
+}
+
+void gsn_fd_close(int *fd)
+{
+    if (*fd >= 0)
+        (void)close(*fd);
+    *fd = -1;
+}
+
+int gsn_file_from_bytes(const void *bytes, size_t size, int *ret_fd, struct gsn_error *err)
+{
+    gsn_auto_fd fd = memfd_create("gieson-bytes", MFD_CLOEXEC);
+    const uint8_t *from = bytes;
+
+    for (size_t done = 0; fd >= 0 && done < size;) {
+        const ssize_t put = write(fd, from + done, size - done);
+
+        if (put < 0 && errno != EINTR)
+            gsn_fd_close(&fd);
+        done += put > 0 ? (size_t)put : 0;
+    }
+    if (fd < 0)
+        return gsn_fail(err, GSN_E_IO, "no memory for a file of %zu bytes: %s", size,
+                        strerror(errno));
+    *ret_fd = fd;
+    fd = -1;
+    return GSN_OK;
 }
 
 static int drain(int fd, const char *path, const uint8_t *bytes, size_t size, struct gsn_error *err)

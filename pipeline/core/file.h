@@ -27,6 +27,19 @@ int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_
  * (a directory, a device) is for the caller to check. Fails with GSN_E_NOTFOUND, GSN_E_IO. */
 int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err);
 
+/* For a descriptor on the stack: closed when it goes out of scope; -1: none. */
+void gsn_fd_close(int *fd);
+#define gsn_auto_fd __attribute__((cleanup(gsn_fd_close))) int
+
+/* The content of an open regular file, wherever its position is, as gsn_file_read() gives it. name:
+ * for the sentence. */
+int gsn_file_read_open(int fd, const char *name, size_t limit, uint8_t **ret_bytes,
+                       size_t *ret_size, struct gsn_error *err);
+
+/* gives: a descriptor to close(), of a file without a name that holds the bytes. Fails with
+ * GSN_E_IO. */
+int gsn_file_from_bytes(const void *bytes, size_t size, int *ret_fd, struct gsn_error *err);
+
 /* A file to be locked, made when it is missing. gives: a descriptor to close(). Fails with
  * GSN_E_IO. */
 int gsn_file_open_lock(const char *path, int *ret_fd, struct gsn_error *err);

@@ -15,7 +15,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { CHUNK = 1 << 16 };
+enum { CHUNK = 1 << 16, CLOSING_S = 10 };
 
 /* One conversation: the ends we hold and what has crossed so far. */
 struct talk {
@@ -200,6 +200,12 @@ static bool ends_in_time(const struct talk *talk)
     return r != 0;
 }
 
+static void finish_complaint(struct talk *talk)
+{
+    talk->how.complaint[talk->complaint_size] = '\0';
+    talk->how.complaint[strcspn(talk->how.complaint, "\n")] = '\0';
+}
+
 /* Waits for the end of the child, with quick not for its own, and keeps how it was. */
 static int reap(struct talk *talk, bool quick, struct gsn_error *err)
 {
@@ -218,8 +224,7 @@ static int reap(struct talk *talk, bool quick, struct gsn_error *err)
         return gsn_fail(err, GSN_E_PROCESS, "its end cannot be learnt: %s", strerror(errno));
     how->code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
     how->signal = WIFSIGNALED(status) ? WTERMSIG(status) : 0;
-    how->complaint[talk->complaint_size] = '\0';
-    how->complaint[strcspn(how->complaint, "\n")] = '\0';
+    finish_complaint(talk);
     return GSN_OK;
 }
 
@@ -319,19 +324,91 @@ int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *l
     return GSN_OK;
 }
 
-int gsn_process_lend(const char *const argv[], const struct gsn_process_limits *limits, int fd,
-                     struct gsn_process_end *ret_end, struct gsn_error *err)
-{
-    struct talk talk = { .child = -1, .in = -1, .out = -1, .complaints = -1 };
-    const int r = hold_talk(&talk, argv, limits, fd, err);
+/* ---- a child that stays ------------------------------------------------------------------ */
 
-    gsn_free(talk.answer);
+struct gsn_process {
+    struct talk talk;
+};
+
+int gsn_process_open(const char *const argv[], int fd, struct gsn_process **ret_process,
+                     struct gsn_error *err)
+{
+    const struct gsn_process_limits none = { 0 };
+    struct gsn_process *process = gsn_alloc_array(1, sizeof *process);
+    int r;
+
+    if (!process)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a child");
+    process->talk = (struct talk){ .child = -1, .in = -1, .out = -1, .complaints = -1 };
+    r = start(&process->talk, argv, &none, fd, err);
     if (r < 0) {
-        (void)gsn_fail_at(err, "%s", argv[0]);
+        shut(&process->talk.out);
+        shut(&process->talk.complaints);
+        gsn_free(process);
         return r;
     }
-    *ret_end = talk.how;
+    /* What it prints is dropped where it is not its complaint: it has another way to answer. */
+    shut(&process->talk.out);
+    (void)fcntl(process->talk.complaints, F_SETFL, O_NONBLOCK);
+    *ret_process = process;
     return GSN_OK;
+}
+
+int gsn_process_allow(const struct gsn_process *process, uint64_t memory_bytes,
+                      struct gsn_error *err)
+{
+    const struct rlimit most = { .rlim_cur = memory_bytes, .rlim_max = RLIM_INFINITY };
+
+    if (prlimit(process->talk.child, RLIMIT_AS, &most, NULL) < 0)
+        return gsn_fail(err, GSN_E_PROCESS, "a child's memory cannot be limited: %s",
+                        strerror(errno));
+    return GSN_OK;
+}
+
+int gsn_process_await(struct gsn_process *process, int fd, unsigned wall_s)
+{
+    const double end = wall_s ? seconds() + wall_s : 0;
+
+    for (;;) {
+        struct pollfd ends[2] = { { .fd = fd, .events = POLLIN },
+                                  { .fd = process->talk.complaints, .events = POLLIN } };
+
+        if (end > 0 && seconds() > end) {
+            process->talk.how.late = 1;
+            return 0;
+        }
+        if (poll(ends, 2, 200) <= 0)
+            continue;
+        if (ends[0].revents)
+            return 1;
+        if (ends[1].revents)
+            listen_to_complaint(&process->talk);
+    }
+}
+
+void gsn_process_close(struct gsn_process *process, int at_once, struct gsn_process_end *ret_end)
+{
+    struct talk *talk;
+
+    if (!process)
+        return;
+    talk = &process->talk;
+    talk->end = seconds() + CLOSING_S;
+    if (!at_once && !talk->how.late)
+        talk->how.late = !ends_in_time(talk);
+    (void)reap(talk, at_once, NULL);
+    while (talk->complaints >= 0) {
+        const size_t before = talk->complaint_size;
+
+        listen_to_complaint(talk);
+        if (talk->complaint_size == before)
+            break;
+    }
+    shut(&talk->complaints);
+    finish_complaint(talk);
+    if (ret_end)
+        *ret_end = talk->how;
+    gsn_free(process);
 }
 
 int gsn_process_start(const char *const argv[], pid_t *ret_child, struct gsn_error *err)

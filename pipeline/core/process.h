@@ -39,16 +39,30 @@ int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *l
 struct gsn_process_end {
     int code;            /* its exit status; -1 when a signal ended it */
     int signal;          /* that signal, or 0 */
-    int late;            /* it was killed at the end of wall_s */
+    int late;            /* it was killed when its time was over */
     char complaint[200]; /* the first line it wrote on stderr, or empty */
 };
 
-/* Runs argv[0] as gsn_process_ask() does, but its stdin is the descriptor fd itself: what both have
- * mapped needs no copying. What it writes on stdout is dropped, up to answer_bytes. How it ended is
- * for the caller to judge. Fails with GSN_E_PROCESS when it cannot be started or waited for, and
- * with GSN_E_LIMIT when it talks too much. */
-int gsn_process_lend(const char *const argv[], const struct gsn_process_limits *limits, int fd,
-                     struct gsn_process_end *ret_end, struct gsn_error *err);
+/* A child that answers many questions, by a way of its own: its stdin is the descriptor fd. */
+struct gsn_process;
+
+/* Starts argv[0] with argv (NULL-terminated) and no signal blocked. What it prints on stdout is
+ * dropped; on stderr it may complain. It dies with the thread that started it.
+ * Fails with GSN_E_PROCESS or GSN_E_NOMEM. gives: ret_process, for gsn_process_close(). */
+int gsn_process_open(const char *const argv[], int fd, struct gsn_process **ret_process,
+                     struct gsn_error *err);
+
+/* From now on it may hold so much address space. Fails with GSN_E_PROCESS. */
+int gsn_process_allow(const struct gsn_process *process, uint64_t memory_bytes,
+                      struct gsn_error *err);
+
+/* Waits until fd, our end of that way, has something to read or is closed, and listens to
+ * complaints meanwhile. Returns 1, or 0 when wall_s seconds (0: no limit) have gone by. */
+int gsn_process_await(struct gsn_process *process, int fd, unsigned wall_s);
+
+/* Waits for its end, some seconds at most, then kills it; with at_once, or when it was late, kills
+ * it now. Frees process. ret_end may be NULL. */
+void gsn_process_close(struct gsn_process *process, int at_once, struct gsn_process_end *ret_end);
 
 /* Starts argv[0] with our own stdin, stdout and stderr and with no signal blocked.
  * Fails with GSN_E_PROCESS. The caller waits for the child. */

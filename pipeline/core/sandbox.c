@@ -20,15 +20,16 @@ static int refused(const char *what, int code, struct gsn_error *err)
 
 /* ---- limits ------------------------------------------------------------------------------ */
 
-static int limit(struct gsn_error *err)
+static int limit(rlim_t descriptors, struct gsn_error *err)
 {
-    static const __rlimit_resource_t none_of[] = { RLIMIT_CORE, RLIMIT_FSIZE, RLIMIT_NOFILE,
-                                                   RLIMIT_NPROC };
-    const struct rlimit none = { 0, 0 };
+    static const __rlimit_resource_t none_of[] = { RLIMIT_CORE, RLIMIT_FSIZE, RLIMIT_NPROC };
+    const struct rlimit none = { 0, 0 }, few = { descriptors, descriptors };
 
     for (size_t i = 0; i < sizeof none_of / sizeof none_of[0]; i++)
         if (setrlimit(none_of[i], &none) < 0)
             return refused("setrlimit", errno, err);
+    if (setrlimit(RLIMIT_NOFILE, &few) < 0)
+        return refused("setrlimit", errno, err);
     if (prctl(PR_SET_DUMPABLE, 0, 0, 0, 0) < 0 || prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) < 0)
         return refused("prctl", errno, err);
     return GSN_OK;
@@ -121,7 +122,7 @@ static int allow_sanitizer(scmp_filter_ctx list)
 #endif
 
 /* Memory that is not code, and the signal by which abort() ends its own process. */
-static int allow_some(scmp_filter_ctx list)
+static int allow_some(scmp_filter_ctx list, int may_receive)
 {
     const uint64_t own = (uint64_t)getpid();
     int r = seccomp_rule_add(list, SCMP_ACT_ALLOW, SCMP_SYS(mmap), 1,
@@ -132,10 +133,12 @@ static int allow_some(scmp_filter_ctx list)
                              SCMP_A2(SCMP_CMP_MASKED_EQ, PROT_EXEC, 0));
     if (r == 0)
         r = seccomp_rule_add(list, SCMP_ACT_ALLOW, SCMP_SYS(tgkill), 1, SCMP_A0(SCMP_CMP_EQ, own));
+    if (r == 0 && may_receive)
+        r = seccomp_rule_add(list, SCMP_ACT_ALLOW, SCMP_SYS(recvmsg), 1, SCMP_A0(SCMP_CMP_EQ, 0));
     return r;
 }
 
-static int keep_few_calls(struct gsn_error *err)
+static int keep_few_calls(int may_receive, struct gsn_error *err)
 {
     scmp_filter_ctx list = seccomp_init(SCMP_ACT_KILL_PROCESS);
     int r = list ? 0 : -ENOMEM;
@@ -143,7 +146,7 @@ static int keep_few_calls(struct gsn_error *err)
     for (size_t i = 0; r == 0 && i < sizeof calls / sizeof calls[0]; i++)
         r = seccomp_rule_add(list, SCMP_ACT_ALLOW, calls[i], 0);
     if (r == 0)
-        r = allow_some(list);
+        r = allow_some(list, may_receive);
     if (r == 0)
         r = allow_sanitizer(list);
     if (r == 0)
@@ -153,7 +156,7 @@ static int keep_few_calls(struct gsn_error *err)
     return r < 0 ? refused("seccomp", -r, err) : GSN_OK;
 }
 
-int gsn_sandbox_enter(int last_fd, struct gsn_error *err)
+int gsn_sandbox_enter(int last_fd, int may_receive, struct gsn_error *err)
 {
     int r;
 
@@ -161,8 +164,8 @@ int gsn_sandbox_enter(int last_fd, struct gsn_error *err)
         return refused("close_range", errno, err);
     r = gsn_sandbox_leave_files(err);
     if (r >= 0)
-        r = limit(err);
+        r = limit(may_receive ? (rlim_t)last_fd + 2 : 0, err);
     if (r >= 0)
-        r = keep_few_calls(err);
+        r = keep_few_calls(may_receive, err);
     return r;
 }

@@ -21,10 +21,12 @@
 extern "C" {
 #endif
 
-/* Closes every descriptor above last_fd and enters. There is no way back. Call it while the process
+/* Closes every descriptor above last_fd and enters. With may_receive it can still be handed
+ * descriptors, one at a time, over a socket that is its stdin; what it may do with them is no more
+ * than with those it has. There is no way back. Call it while the process
  * has one thread, and end with _exit(): the exit handlers of libraries were written for outside.
  * Fails with GSN_E_PROCESS where the kernel refuses; then nobody should go on. */
-int gsn_sandbox_enter(int last_fd, struct gsn_error *err);
+int gsn_sandbox_enter(int last_fd, int may_receive, struct gsn_error *err);
 
 /* The second wall alone: from now on nothing can be opened, made, moved or removed, and from
  * version 4 on no TCP port be bound or connected to. Does nothing where the kernel has no Landlock.

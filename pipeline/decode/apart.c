@@ -1,6 +1,21 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Decoding in a child that stays warm.
+ *
+ * Method: a pool of channels. A channel is a child, a socket to it, and memory that both have
+ * mapped. A question is one page of limits in that memory and the file's descriptor over the
+ * socket; the child maps the file, so none of its bytes are copied, and decodes to where the
+ * samples stay. Then it sends a byte. The samples are the caller's until it frees the picture, and
+ * with that the channel is free for the next file: no program is started and no page is zeroed
+ * anew.
+ *
+ * Failure: a child that dies, hangs or lies costs the file it was asked about. Whoever refused a
+ * file is not asked again either, for that file may be why: the next one gets a new child.
+ * Cost: 0.1 ms a question beside the decoding; a new child 3 ms, and every page of memory that was
+ * not used before about 0.5 us. */
 #include "pipeline/decode/apart.h"
 
+#include "pipeline/core/file.h"
 #include "pipeline/core/process.h"
 #include "pipeline/decode/apart_page.h"
 #include "pipeline/decode/raster.h"
@@ -8,15 +23,18 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <math.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 /* What a codec may use beside samples and file: its work, its libraries and its stacks. */
 static const uint64_t OWN_BYTES = (uint64_t)256 << 20;
-enum { DEFAULT_SECONDS = 120 };
+enum { DEFAULT_SECONDS = 120, MOST_FILE_BYTES = 1 << 30 };
 
 /* The sanitizers reserve terabytes of address space and would not start under a limit. */
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
@@ -25,64 +43,207 @@ static const int LIMITS_MEMORY = 0;
 static const int LIMITS_MEMORY = 1;
 #endif
 
-struct shared {
-    int fd; /* -1: none */
-    struct gsn_decode_page page;
+struct channel {
+    struct gsn_decoder *decoder;
+    struct channel *next;      /* the next idle one */
+    struct gsn_process *child; /* NULL: to be started */
+    int socket, memory;        /* -1: none */
+    uint8_t *at;               /* the memory: a page, then samples */
+    uint64_t size;
 };
 
-static void shared_done(struct shared *shared)
+struct gsn_decoder {
+    char *program;
+    pthread_mutex_t lock; /* of idle */
+    struct channel *idle;
+};
+
+int gsn_decoder_new(const char *program, struct gsn_decoder **ret_decoder, struct gsn_error *err)
 {
-    if (shared->fd >= 0)
-        (void)close(shared->fd);
+    struct gsn_decoder *decoder = gsn_alloc_array(1, sizeof *decoder);
+
+    if (decoder)
+        *decoder = (struct gsn_decoder){ .program = gsn_strdup(program) };
+    if (!decoder || !decoder->program || pthread_mutex_init(&decoder->lock, NULL) != 0) {
+        if (decoder)
+            gsn_free(decoder->program);
+        gsn_free(decoder);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a decoder");
+    }
+    *ret_decoder = decoder;
+    return GSN_OK;
 }
+
+/* The end of a child, however it comes about. */
+static void end_child(struct channel *channel, int at_once, struct gsn_process_end *ret_end)
+{
+    gsn_fd_close(&channel->socket);
+    gsn_process_close(channel->child, at_once, ret_end);
+    channel->child = NULL;
+}
+
+static void free_channel(struct channel *channel)
+{
+    if (!channel)
+        return;
+    end_child(channel, 1, NULL);
+    if (channel->at)
+        (void)munmap(channel->at, channel->size);
+    gsn_fd_close(&channel->memory);
+    gsn_free(channel);
+}
+
+static void free_idle(struct channel *idle)
+{
+    while (idle) {
+        struct channel *next = idle->next;
+
+        free_channel(idle);
+        idle = next;
+    }
+}
+
+static struct channel *take_idle(struct gsn_decoder *decoder, int all)
+{
+    struct channel *idle;
+
+    (void)pthread_mutex_lock(&decoder->lock);
+    idle = decoder->idle;
+    decoder->idle = idle && !all ? idle->next : NULL;
+    (void)pthread_mutex_unlock(&decoder->lock);
+    return idle;
+}
+
+void gsn_decoder_rest(struct gsn_decoder *decoder)
+{
+    if (decoder)
+        free_idle(take_idle(decoder, 1));
+}
+
+void gsn_decoder_free(struct gsn_decoder *decoder)
+{
+    if (!decoder)
+        return;
+    free_idle(decoder->idle);
+    (void)pthread_mutex_destroy(&decoder->lock);
+    gsn_free(decoder->program);
+    gsn_free(decoder);
+}
+
+static void give_back(void *kept)
+{
+    struct channel *channel = kept;
+    struct gsn_decoder *decoder = channel->decoder;
+
+    (void)pthread_mutex_lock(&decoder->lock);
+    channel->next = decoder->idle;
+    decoder->idle = channel;
+    (void)pthread_mutex_unlock(&decoder->lock);
+}
+
+/* ---- asking ------------------------------------------------------------------------------ */
 
 static uint64_t whole_pages(uint64_t bytes)
 {
     return (bytes + GSN_DECODE_PAGE_BYTES - 1) & ~(uint64_t)(GSN_DECODE_PAGE_BYTES - 1);
 }
 
-static int put(int fd, const void *bytes, size_t size, uint64_t at)
+static uint64_t room_for(const struct gsn_decode_limits *limits)
 {
-    const uint8_t *from = bytes;
-
-    while (size > 0) {
-        const ssize_t done = pwrite(fd, from, size, (off_t)at);
-
-        if (done < 0 && errno != EINTR)
-            return -1;
-        from += done > 0 ? done : 0;
-        size -= done > 0 ? (size_t)done : 0;
-        at += done > 0 ? (uint64_t)done : 0;
-    }
-    return 0;
+    return GSN_DECODE_PAGE_BYTES + whole_pages(limits->most_bytes);
 }
 
 /* Room for samples that are never decoded costs nothing: the memory is sparse. */
-static int share(struct shared *shared, const void *bytes, size_t size,
-                 const struct gsn_decode_limits *limits, struct gsn_error *err)
+static int new_channel(struct gsn_decoder *decoder, uint64_t size, struct channel **ret_channel,
+                       struct gsn_error *err)
 {
-    struct gsn_decode_page *page = &shared->page;
+    struct channel *channel = gsn_alloc_array(1, sizeof *channel);
+    void *at = MAP_FAILED;
 
-    *page = (struct gsn_decode_page){ .magic = GSN_DECODE_PAGE_MAGIC,
-                                      .most_pixels = limits->most_pixels,
-                                      .most_bytes = limits->most_bytes,
-                                      .codes = limits->codes != 0,
-                                      .light = limits->light != 0,
-                                      .slide = limits->slide != 0,
-                                      .level = limits->level,
-                                      .target_um = limits->target_um,
-                                      .file_at = GSN_DECODE_PAGE_BYTES,
-                                      .file_size = size };
-    page->samples_at = page->file_at + whole_pages(size);
-    page->whole_size = page->samples_at + whole_pages(limits->most_bytes);
-    shared->fd = memfd_create("gieson-decode", MFD_CLOEXEC | MFD_ALLOW_SEALING);
-    if (shared->fd < 0 || ftruncate(shared->fd, (off_t)page->whole_size) < 0 ||
-        fcntl(shared->fd, F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW) < 0 ||
-        put(shared->fd, page, sizeof *page, 0) < 0 ||
-        put(shared->fd, bytes, size, page->file_at) < 0)
+    if (!channel)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding");
+    *channel = (struct channel){ .decoder = decoder, .socket = -1, .size = size };
+    channel->memory = memfd_create("gieson-decode", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+    if (channel->memory >= 0 && ftruncate(channel->memory, (off_t)size) == 0 &&
+        fcntl(channel->memory, F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW) == 0)
+        at = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED, channel->memory, 0);
+    if (at == MAP_FAILED) {
+        free_channel(channel);
         return gsn_fail(err, GSN_E_PROCESS, "no memory to share with the decoder: %s",
                         strerror(errno));
+    }
+    channel->at = at;
+    *ret_channel = channel;
     return GSN_OK;
+}
+
+/* An idle channel with this much room, or a new one. */
+static int open_channel(struct gsn_decoder *decoder, uint64_t size, struct channel **ret_channel,
+                        struct gsn_error *err)
+{
+    struct channel *channel;
+
+    while ((channel = take_idle(decoder, 0))) {
+        if (channel->size == size) {
+            *ret_channel = channel;
+            return GSN_OK;
+        }
+        free_channel(channel);
+    }
+    return new_channel(decoder, size, ret_channel, err);
+}
+
+static int start_child(struct channel *channel, struct gsn_error *err)
+{
+    const char *const argv[] = { channel->decoder->program, NULL };
+    int ends[2], r;
+
+    if (socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) < 0)
+        return gsn_fail(err, GSN_E_PROCESS, "%s could not be started: %s", argv[0],
+                        strerror(errno));
+    channel->socket = ends[0];
+    r = gsn_process_open(argv, ends[1], &channel->child, err);
+    (void)close(ends[1]);
+    if (r < 0) {
+        gsn_fd_close(&channel->socket);
+        return r;
+    }
+    /* One that is gone already will be missed when it is asked. */
+    (void)gsn_decode_send(channel->socket, channel->memory);
+    return GSN_OK;
+}
+
+static void write_question(struct channel *channel, uint64_t size,
+                           const struct gsn_decode_limits *limits)
+{
+    const struct gsn_decode_page page = { .magic = GSN_DECODE_PAGE_MAGIC,
+                                          .most_pixels = limits->most_pixels,
+                                          .most_bytes = limits->most_bytes,
+                                          .file_size = size,
+                                          .codes = limits->codes != 0,
+                                          .light = limits->light != 0,
+                                          .slide = limits->slide != 0,
+                                          .level = limits->level,
+                                          .target_um = limits->target_um };
+
+    memcpy(channel->at, &page, sizeof page);
+}
+
+/* Lets the channel's child, a new one where there is none, have memory for this file, and sends it.
+ * Whether it is still there shows when it is waited for. */
+static int ask(struct channel *channel, int fd, uint64_t size,
+               const struct gsn_decode_limits *limits, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    write_question(channel, size, limits);
+    if (!channel->child)
+        r = start_child(channel, err);
+    if (r >= 0 && LIMITS_MEMORY)
+        r = gsn_process_allow(channel->child, channel->size + OWN_BYTES + size, err);
+    if (r >= 0)
+        (void)gsn_decode_send(channel->socket, fd);
+    return r;
 }
 
 /* ---- how it ended ------------------------------------------------------------------------ */
@@ -113,19 +274,27 @@ static int judge_end(const struct gsn_process_end *end, const char *decoder,
     return GSN_OK;
 }
 
-static int run(const struct shared *shared, const char *decoder,
-               const struct gsn_decode_limits *limits, struct gsn_error *err)
+/* Asks and waits for the answer; a child that ends instead has its end judged. One that was there
+ * before this file may have ended for another reason (with the thread that had started it, or by
+ * what an earlier file did to it), so the file is tried once more with a new one. */
+static int converse(struct channel *channel, int fd, uint64_t size,
+                    const struct gsn_decode_limits *limits, struct gsn_error *err)
 {
-    const char *const argv[] = { decoder, NULL };
-    const struct gsn_process_limits most = {
-        .memory_bytes = LIMITS_MEMORY ? shared->page.whole_size + OWN_BYTES : 0,
-        .cpu_s = limits->seconds,
-        .wall_s = limits->seconds
-    };
-    struct gsn_process_end end;
-    const int r = gsn_process_lend(argv, &most, shared->fd, &end, err);
+    for (;;) {
+        const int was_there = channel->child != NULL;
+        const int r = ask(channel, fd, size, limits, err);
+        struct gsn_process_end end;
+        char byte;
 
-    return r < 0 ? r : judge_end(&end, decoder, limits, err);
+        if (r < 0)
+            return r;
+        if (gsn_process_await(channel->child, channel->socket, limits->seconds) &&
+            recv(channel->socket, &byte, 1, 0) == 1)
+            return GSN_OK;
+        end_child(channel, 0, &end);
+        if (!was_there || end.late)
+            return judge_end(&end, channel->decoder->program, limits, err);
+    }
 }
 
 /* ---- what it said ------------------------------------------------------------------------ */
@@ -175,13 +344,12 @@ static int refusal(const struct gsn_decode_page *page, uint64_t memory_bytes, st
     return gsn_fail(err, page->code, "%s", page->text);
 }
 
-/* The samples stay where the decoder put them; nobody else has them any more. */
-static int take(const struct shared *shared, const struct gsn_decode_page *said,
-                struct gsn_picture **ret_picture, struct gsn_error *err)
+/* The samples stay where the decoder put them; the channel is the picture's until it is freed. */
+static int keep_samples(struct channel *channel, const struct gsn_decode_page *said,
+                        struct gsn_picture **ret_picture, struct gsn_error *err)
 {
     gsn_auto(gsn_picture) picture = gsn_alloc_array(1, sizeof *picture);
     struct gsn_image *image = picture ? gsn_alloc_array(1, sizeof *image) : NULL;
-    void *samples;
 
     if (!image)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding");
@@ -189,12 +357,10 @@ static int take(const struct shared *shared, const struct gsn_decode_page *said,
     *image = (struct gsn_image){
         .width = said->width, .height = said->height, .channels = said->channels, .bits = said->bits
     };
-    samples = mmap(NULL, gsn_image_bytes(image), PROT_READ | PROT_WRITE, MAP_PRIVATE, shared->fd,
-                   (off_t)shared->page.samples_at);
-    if (samples == MAP_FAILED)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding");
-    image->samples = picture->place = samples;
-    picture->mapped_bytes = gsn_image_bytes(image);
+    image->samples = picture->place = channel->at + GSN_DECODE_PAGE_BYTES;
+    (void)madvise(picture->place, gsn_image_bytes(image), MADV_POPULATE_WRITE);
+    picture->keeper = channel;
+    picture->give_back = give_back;
     picture->px_um_x = said->px_um_x;
     picture->px_um_y = said->px_um_y;
     picture->transfer = (enum gsn_transfer)said->transfer;
@@ -209,13 +375,12 @@ static int take(const struct shared *shared, const struct gsn_decode_page *said,
     return GSN_OK;
 }
 
-static int hear(const struct shared *shared, const struct gsn_decode_limits *limits,
+static int hear(struct channel *channel, const struct gsn_decode_limits *limits, uint64_t file_size,
                 struct gsn_picture **ret_picture, struct gsn_error *err)
 {
     struct gsn_decode_page said;
 
-    if (pread(shared->fd, &said, sizeof said, 0) != (ssize_t)sizeof said)
-        return gsn_fail(err, GSN_E_IO, "the decoder's answer cannot be read");
+    memcpy(&said, channel->at, sizeof said);
     clean(said.text, sizeof said.text);
     clean(said.profile, sizeof said.profile);
     clean(said.kind, sizeof said.kind);
@@ -230,23 +395,52 @@ static int hear(const struct shared *shared, const struct gsn_decode_limits *lim
     if (!said.answered)
         return lied(err);
     if (said.code != GSN_OK)
-        return refusal(&said, shared->page.whole_size + OWN_BYTES, err);
-    return can_be(&said, limits) ? take(shared, &said, ret_picture, err) : lied(err);
+        return refusal(&said, limits->most_bytes + OWN_BYTES + file_size, err);
+    return can_be(&said, limits) ? keep_samples(channel, &said, ret_picture, err) : lied(err);
 }
 
-int gsn_decode_apart(const char *decoder, const void *bytes, size_t size,
-                     const struct gsn_decode_limits *limits, struct gsn_picture **ret_picture,
-                     struct gsn_error *err)
+static int decode_apart(struct gsn_decoder *decoder, int fd, uint64_t size,
+                        const struct gsn_decode_limits *limits, struct gsn_picture **ret_picture,
+                        struct gsn_error *err)
 {
-    __attribute__((cleanup(shared_done))) struct shared shared = { .fd = -1 };
+    struct channel *channel = NULL;
+    int r = open_channel(decoder, room_for(limits), &channel, err);
+
+    if (r < 0)
+        return r;
+    r = converse(channel, fd, size, limits, err);
+    if (r >= 0)
+        r = hear(channel, limits, size, ret_picture, err);
+    if (r < 0)
+        free_channel(channel);
+    return r;
+}
+
+static int decode_here(int fd, const struct gsn_decode_limits *limits,
+                       struct gsn_picture **ret_picture, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    size_t size;
+    int r = gsn_file_read_open(fd, "the picture", MOST_FILE_BYTES, &bytes, &size, err);
+
+    return r < 0 ? r : gsn_decode(bytes, size, limits, ret_picture, err);
+}
+
+int gsn_decode_apart(struct gsn_decoder *decoder, int fd, const struct gsn_decode_limits *limits,
+                     struct gsn_picture **ret_picture, struct gsn_error *err)
+{
     struct gsn_decode_limits most = gsn_decode_defaults(limits);
-    int r;
+    struct stat status;
 
     if (!decoder)
-        return gsn_decode(bytes, size, limits, ret_picture, err);
+        return decode_here(fd, limits, ret_picture, err);
+    if (fstat(fd, &status) < 0)
+        return gsn_fail(err, GSN_E_IO, "the picture cannot be read: %s", strerror(errno));
+    if (!S_ISREG(status.st_mode))
+        return gsn_fail(err, GSN_E_INPUT, "the picture is not a regular file");
+    if (status.st_size > MOST_FILE_BYTES)
+        return gsn_fail(err, GSN_E_LIMIT, "%lld bytes are more than the limit of %d",
+                        (long long)status.st_size, MOST_FILE_BYTES);
     most.seconds = most.seconds ? most.seconds : DEFAULT_SECONDS;
-    r = share(&shared, bytes, size, &most, err);
-    if (r >= 0)
-        r = run(&shared, decoder, &most, err);
-    return r < 0 ? r : hear(&shared, &most, ret_picture, err);
+    return decode_apart(decoder, fd, (uint64_t)status.st_size, &most, ret_picture, err);
 }

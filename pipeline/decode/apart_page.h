@@ -1,20 +1,21 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The memory that the worker and gieson-decode share: one page of question and answer, the bytes of
- * the file, and room for the samples. Both programs are of one build. Internal to decoding. */
+/* What the worker and gieson-decode say to each other. They share memory: one page of question and
+ * answer, and behind it room for the samples. The decoder's stdin is a socket; over it comes that
+ * memory first, then file after file, a descriptor in each message, and the decoder sends a byte
+ * back when a file's answer stands on the page. Both programs are of one build. Internal to
+ * decoding. */
 #ifndef GSN_DECODE_APART_PAGE_H
 #define GSN_DECODE_APART_PAGE_H
 
 #include "pipeline/decode/decode.h"
 
-#define GSN_DECODE_PAGE_MAGIC "gsndec4"
+#define GSN_DECODE_PAGE_MAGIC "gsndec5"
 
 struct gsn_decode_page {
     char magic[8];
-    /* asked; places are from the start of the memory, on page borders */
-    uint64_t most_pixels, most_bytes;
-    uint64_t file_at, file_size;
-    uint64_t samples_at, whole_size;
+    /* asked */
+    uint64_t most_pixels, most_bytes, file_size;
     uint32_t codes, light, slide, level;
     double target_um;
     /* answered */
@@ -29,11 +30,19 @@ struct gsn_decode_page {
 };
 enum { GSN_DECODE_PAGE_BYTES = 4096 };
 
-/* The child's half: maps the shared memory behind the descriptor.
+/* The worker's half: sends a descriptor. Returns 0, or -1 with errno. */
+int gsn_decode_send(int socket, int fd);
+/* The decoder's: the next descriptor; -1 when the worker has no more, or is gone. */
+int gsn_decode_receive(int socket);
+
+/* The decoder's: maps the shared memory behind the descriptor.
  * Fails with GSN_E_INPUT when it is not what gsn_decode_apart() sends, or GSN_E_IO. */
 int gsn_decode_page_map(int fd, struct gsn_decode_page **ret_page, struct gsn_error *err);
 
+/* The bytes of the file that is asked about; NULL when they cannot be mapped. */
+const uint8_t *gsn_decode_page_file(const struct gsn_decode_page *page, int fd);
+
 /* Decodes and writes the answer, a refusal included. */
-void gsn_decode_page_answer(struct gsn_decode_page *page);
+void gsn_decode_page_answer(struct gsn_decode_page *page, const uint8_t *file);
 
 #endif

@@ -176,6 +176,8 @@ void gsn_picture_free(struct gsn_picture *picture)
         picture->image->samples = NULL;
     if (picture->mapped_bytes > 0)
         (void)munmap(picture->place, picture->mapped_bytes);
+    if (picture->give_back)
+        picture->give_back(picture->keeper);
     gsn_image_free(picture->image);
     gsn_free(picture->icc);
     gsn_free(picture);

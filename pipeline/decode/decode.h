@@ -76,6 +76,9 @@ struct gsn_picture {
 
     void *place;         /* where the samples are when they are not allocated, or NULL */
     size_t mapped_bytes; /* of it, to be unmapped; 0: it is somebody else's */
+    /* Whoever lent the place, to be told that it is free again; NULL: nobody. */
+    void (*give_back)(void *keeper);
+    void *keeper;
 };
 
 /* Decodes the first page of a picture file, or the level of a slide that limits ask for.

@@ -60,7 +60,8 @@ static void map_place(uint64_t bytes, struct gsn_picture *picture)
 {
     void *place;
 
-    if (bytes < LARGE_BYTES)
+    /* A profile makes 16-bit samples of 8-bit ones, over the old ones: no room behind these. */
+    if (bytes < LARGE_BYTES || picture->wants_profile)
         return;
     place = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     if (place == MAP_FAILED)
@@ -75,8 +76,12 @@ static void map_place(uint64_t bytes, struct gsn_picture *picture)
 static int make_image(const struct gsn_raster_layout *layout, uint32_t width, uint32_t height,
                       struct gsn_picture *picture, struct gsn_error *err)
 {
-    if (!picture->place)
-        map_place((uint64_t)width * height * layout->channels * layout->bits / 8, picture);
+    const uint64_t bytes = (uint64_t)width * height * layout->channels * layout->bits / 8;
+
+    if (picture->place)
+        (void)madvise(picture->place, bytes, MADV_POPULATE_WRITE);
+    else
+        map_place(bytes, picture);
     if (!picture->place)
         return gsn_image_new(width, height, layout->channels, layout->bits, &picture->image, err);
     picture->image = gsn_alloc_array(1, sizeof *picture->image);

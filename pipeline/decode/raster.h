@@ -45,8 +45,8 @@ int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_raster_layout *l
                     const struct gsn_decode_limits *limits, struct gsn_picture *picture,
                     struct gsn_error *err);
 
-/* As gsn_decode(), with the samples at place, which holds limits->most_bytes zeros; NULL allocates
- * them. borrows: place, as long as the picture lives. */
+/* As gsn_decode(), with the samples at place, the start of a page with room for limits->most_bytes,
+ * whatever they hold; NULL allocates them. borrows: place, as long as the picture lives. */
 int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limits *limits,
                     void *place, struct gsn_picture **ret_picture, struct gsn_error *err);
 

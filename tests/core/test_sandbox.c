@@ -41,7 +41,7 @@ static int in_sandbox(int (*deed)(void), int fd)
     CHECK(child >= 0);
     if (child == 0) {
         if ((fd >= 0 && fd != LAST_FD && dup2(fd, LAST_FD) < 0) ||
-            gsn_sandbox_enter(LAST_FD, NULL) < 0)
+            gsn_sandbox_enter(LAST_FD, 0, NULL) < 0)
             _exit(NO_SANDBOX);
         _exit(deed() ? SAID_YES : SAID_NO);
     }

@@ -64,7 +64,7 @@ static void eats(void)
 
 static void babbles(void)
 {
-    for (int i = 0; i < 1000; i++)
+    for (;;)
         if (write(1, "pay me", 6) < 0)
             _exit(0);
 }
@@ -84,6 +84,13 @@ static void say_picture(void)
     page->pages = 1;
     memset(page->kind, 'k', sizeof page->kind);
     memset(page->note, '\n', sizeof page->note);
+}
+
+/* Answers, and is gone before the next question. */
+static void leaves(void)
+{
+    say_picture();
+    _exit(write(0, "", 1) < 0);
 }
 
 static void lies_about_size(void)
@@ -143,6 +150,7 @@ int main(void)
         { "hang", hangs },
         { "eat", eats },
         { "babble", babbles },
+        { "leave", leaves },
         { "nothing", says_nothing },
         { "fair", say_picture },
         { "size", lies_about_size },
@@ -154,10 +162,20 @@ int main(void)
         { "loud", refuses_loudly },
     };
 
-    if (gsn_decode_page_map(0, &page, NULL) < 0 || gsn_sandbox_enter(2, NULL) < 0)
+    if (gsn_decode_page_map(gsn_decode_receive(0), &page, NULL) < 0 ||
+        gsn_sandbox_enter(4, 1, NULL) < 0)
         return 3;
-    for (size_t i = 0; i < sizeof deeds / sizeof deeds[0]; i++)
-        if (strcmp((const char *)page + page->file_at, deeds[i].word) == 0)
-            deeds[i].deed();
-    _exit(0);
+    for (;;) {
+        const int fd = gsn_decode_receive(0);
+        const char *word = fd >= 0 ? (const char *)gsn_decode_page_file(page, fd) : NULL;
+
+        if (!word)
+            _exit(0);
+        for (size_t i = 0; i < sizeof deeds / sizeof deeds[0]; i++)
+            if (strcmp(word, deeds[i].word) == 0)
+                deeds[i].deed();
+        (void)close(fd);
+        if (write(0, "", 1) < 0)
+            _exit(0);
+    }
 }

@@ -2,6 +2,7 @@
 #include "pipeline/decode/apart.h"
 
 #include "pipeline/core/file.h"
+#include "pipeline/core/parallel.h"
 #include "tests/check.h"
 #include "tests/decode/awkward_files.h"
 #include "tests/decode/make.h"
@@ -11,14 +12,24 @@
 
 #define FOLDER GSN_SHARED "/data/images/"
 
-static struct gsn_picture *decode(const char *decoder, const struct made *file, int *ret_code,
-                                  struct gsn_error *err)
+static struct gsn_picture *decode(struct gsn_decoder *decoder, const struct made *file,
+                                  int *ret_code, struct gsn_error *err)
 {
     struct gsn_picture *picture = NULL;
 
     *err = (struct gsn_error){ 0 };
-    *ret_code = gsn_decode_apart(decoder, file->bytes, file->size, NULL, &picture, err);
+    *ret_code =
+        gsn_decode_apart(decoder, gsn_check_fd(file->bytes, file->size), NULL, &picture, err);
     return picture;
+}
+
+static struct gsn_decoder *new_decoder(const char *program)
+{
+    struct gsn_decoder *decoder = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_decoder_new(program, &decoder, &err), err);
+    return decoder;
 }
 
 static int same_text_and_numbers(const struct gsn_picture *a, const struct gsn_picture *b)
@@ -31,12 +42,12 @@ static int same_text_and_numbers(const struct gsn_picture *a, const struct gsn_p
 }
 
 /* The same answer in and out of the sandbox: code, sentence, samples and what is known of them. */
-static int is_same_apart(const struct made *file)
+static int is_same_apart(struct gsn_decoder *decoder, const struct made *file)
 {
     struct gsn_error here_said, apart_said;
     int here_code, apart_code;
     gsn_auto(gsn_picture) here = decode(NULL, file, &here_code, &here_said);
-    gsn_auto(gsn_picture) apart = decode(GSN_DECODER, file, &apart_code, &apart_said);
+    gsn_auto(gsn_picture) apart = decode(decoder, file, &apart_code, &apart_said);
 
     if (here_code != apart_code || strcmp(here_said.text, apart_said.text) != 0) {
         print_error("here %d \"%s\", apart %d \"%s\"\n", here_code, here_said.text, apart_code,
@@ -49,6 +60,7 @@ static int is_same_apart(const struct made *file)
 
 TEST(every_awkward_file_gets_the_same_answer_in_the_sandbox)
 {
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_DECODER);
     size_t wrong = 0;
 
     if (access(FOLDER, R_OK) != 0) {
@@ -60,7 +72,7 @@ TEST(every_awkward_file_gets_the_same_answer_in_the_sandbox)
         struct gsn_error err = { 0 };
 
         CHECK_OK(gsn_file_read(path, 16 << 20, &file.bytes, &file.size, &err), err);
-        if (is_same_apart(&file))
+        if (is_same_apart(decoder, &file))
             continue;
         print_error("%s differs\n", awkward_files[i].file);
         wrong++;
@@ -71,6 +83,7 @@ TEST(every_awkward_file_gets_the_same_answer_in_the_sandbox)
 TEST(made_pictures_of_every_kind_come_back_whole)
 {
     static const uint32_t channels[] = { 1, 3, 1, 3 }, bits[] = { 8, 8, 16, 16 };
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_DECODER);
 
     for (size_t i = 0; i < 4; i++) {
         gsn_auto(gsn_image) image = make_picture(611, 403, channels[i], bits[i]);
@@ -79,11 +92,11 @@ TEST(made_pictures_of_every_kind_come_back_whole)
         auto_made png = make_png(image, &(struct png_recipe){ .per_metre = 1000 });
         auto_made nothing = { 0 };
 
-        CHECK(is_same_apart(&tiff) && is_same_apart(&png) && is_same_apart(&nothing));
+        CHECK(is_same_apart(decoder, &tiff) && is_same_apart(decoder, &png) &&
+              is_same_apart(decoder, &nothing));
     }
 }
 
-/* Samples are the caller's own: writing to one picture changes no other. */
 /* Else a camera that was not locked would be measured after all. */
 TEST(why_a_picture_must_not_be_measured_comes_out_of_the_sandbox)
 {
@@ -93,32 +106,43 @@ TEST(why_a_picture_must_not_be_measured_comes_out_of_the_sandbox)
     const struct made file = { (uint8_t *)frame, sizeof frame - 1 };
     struct gsn_error err;
     int r;
-    gsn_auto(gsn_picture) picture = decode(GSN_DECODER, &file, &r, &err);
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_DECODER);
+    gsn_auto(gsn_picture) picture = decode(decoder, &file, &r, &err);
 
     CHECK_OK(r, err);
     CHECK(strcmp(picture->withheld, "gain is not locked") == 0);
-    CHECK(is_same_apart(&file));
+    CHECK(is_same_apart(decoder, &file));
 }
 
-TEST(a_picture_outlives_its_decoder_and_may_be_written_to)
+/* Samples are the caller's own: writing to one picture changes no other, and the next picture comes
+ * whole where that one was. */
+TEST(pictures_are_the_callers_own_as_long_as_it_has_them)
 {
     gsn_auto(gsn_image) image = make_picture(100, 80, 3, 8);
     auto_made png = make_png(image, &(struct png_recipe){ 0 });
     struct gsn_error err;
     int r;
-    gsn_auto(gsn_picture) first = decode(GSN_DECODER, &png, &r, &err);
-    gsn_auto(gsn_picture) second = decode(GSN_DECODER, &png, &r, &err);
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_DECODER);
+    struct gsn_picture *first = decode(decoder, &png, &r, &err);
+    gsn_auto(gsn_picture) second = decode(decoder, &png, &r, &err);
+    const void *place = first->image->samples;
 
     CHECK(first && second && same_picture(first->image, image));
     memset(first->image->samples, 7, gsn_image_bytes(first->image));
     CHECK(same_picture(second->image, image));
+    gsn_picture_free(first);
+    first = decode(decoder, &png, &r, &err);
+    CHECK(first->image->samples == place && same_picture(first->image, image));
+    gsn_picture_free(first);
 }
 
 static int ask_misbehaving(const char *word, const struct gsn_decode_limits *limits,
                            struct gsn_error *err)
 {
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_MISBEHAVING);
     struct gsn_picture mark, *picture = &mark;
-    const int r = gsn_decode_apart(GSN_MISBEHAVING, word, strlen(word) + 1, limits, &picture, err);
+    const int r =
+        gsn_decode_apart(decoder, gsn_check_fd(word, strlen(word) + 1), limits, &picture, err);
 
     if (r >= 0)
         gsn_picture_free(picture);
@@ -205,10 +229,11 @@ TEST(a_decoder_that_lies_is_not_believed)
 
 TEST(what_a_decoder_says_is_one_clean_line)
 {
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_MISBEHAVING);
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_decode_apart(GSN_MISBEHAVING, "fair", 5, NULL, &picture, &err), err);
+    CHECK_OK(gsn_decode_apart(decoder, gsn_check_fd("fair", 5), NULL, &picture, &err), err);
     CHECK(strlen(picture->kind) == sizeof picture->kind - 1);
     CHECK(strlen(picture->note) == sizeof picture->note - 1 && !strchr(picture->note, '\n'));
     CHECK(ask_misbehaving("loud", NULL, &err) == GSN_E_INPUT);
@@ -219,24 +244,96 @@ TEST(a_decoder_that_talks_is_not_listened_to)
 {
     struct gsn_error err = { 0 };
 
-    CHECK(ask_misbehaving("babble", NULL, &err) == GSN_E_LIMIT);
+    CHECK(ask_misbehaving("babble", NULL, &err) == GSN_E_INPUT);
 }
 
 TEST(a_decoder_that_is_not_there_is_no_fault_of_the_file)
 {
+    gsn_auto(gsn_decoder) decoder = new_decoder("/nowhere/gieson-decode");
     struct gsn_picture *picture = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_decode_apart("/nowhere/gieson-decode", "x", 1, NULL, &picture, &err) ==
-          GSN_E_PROCESS);
+    CHECK(gsn_decode_apart(decoder, gsn_check_fd("x", 1), NULL, &picture, &err) == GSN_E_PROCESS);
     CHECK(strstr(err.text, "/nowhere/gieson-decode") == err.text && !picture);
+}
+
+/* Whoever died for one file does not stand in the way of the next; nor does one that a signal took
+ * while nobody asked. */
+TEST(a_file_that_kills_its_decoder_costs_only_itself)
+{
+    static const char *const words[] = { "fair", "crash",   "fair", "connect",
+                                         "fair", "nothing", "fair", "fair" };
+    static const int codes[] = { GSN_OK, GSN_E_INPUT, GSN_OK, GSN_E_INPUT,
+                                 GSN_OK, GSN_E_INPUT, GSN_OK, GSN_OK };
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_MISBEHAVING);
+
+    for (size_t i = 0; i < COUNT(words); i++) {
+        gsn_auto(gsn_picture) picture = NULL;
+        struct gsn_error err = { 0 };
+
+        assert_int_equal(gsn_decode_apart(decoder, gsn_check_fd(words[i], strlen(words[i]) + 1),
+                                          NULL, &picture, &err),
+                         codes[i]);
+    }
+}
+
+TEST(a_decoder_that_died_while_nobody_asked_is_started_again)
+{
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_MISBEHAVING);
+
+    for (int i = 0; i < 3; i++) {
+        gsn_auto(gsn_picture) picture = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK_OK(gsn_decode_apart(decoder, gsn_check_fd("leave", 6), NULL, &picture, &err), err);
+    }
+}
+
+struct crowd {
+    struct gsn_decoder *decoder;
+    const struct gsn_image *image;
+    struct made png;
+};
+
+/* As `gieson register` asks: from several threads, which end between one folder and the next. */
+static int decode_next(size_t i, void *context, struct gsn_error *err)
+{
+    struct crowd *crowd = context;
+    gsn_auto_fd fd = -1;
+    gsn_auto(gsn_picture) picture = NULL;
+    int r = gsn_file_from_bytes(crowd->png.bytes, crowd->png.size, &fd, err);
+
+    (void)i;
+    if (r >= 0)
+        r = gsn_decode_apart(crowd->decoder, fd, NULL, &picture, err);
+    if (r >= 0 && !same_picture(picture->image, crowd->image))
+        return gsn_fail(err, GSN_E_INPUT, "another picture");
+    return r;
+}
+
+TEST(several_threads_may_ask_and_end)
+{
+    gsn_auto(gsn_image) image = make_picture(211, 97, 3, 8);
+    auto_made png = make_png(image, &(struct png_recipe){ 0 });
+    gsn_auto(gsn_decoder) decoder = new_decoder(GSN_DECODER);
+    struct crowd crowd = { decoder, image, png };
+    struct gsn_error err = { 0 };
+
+    for (int round = 0; round < 3; round++)
+        CHECK_OK(gsn_parallel_for(24, 4, decode_next, &crowd, &err), err);
+    gsn_decoder_rest(decoder);
+    CHECK_OK(gsn_parallel_for(4, 2, decode_next, &crowd, &err), err);
 }
 
 static int decode_png(const struct made *png, struct gsn_error *err)
 {
+    gsn_auto(gsn_decoder) decoder = NULL;
     gsn_auto(gsn_picture) picture = NULL;
+    int r = gsn_decoder_new(GSN_DECODER, &decoder, err);
 
-    return gsn_decode_apart(GSN_DECODER, png->bytes, png->size, NULL, &picture, err);
+    if (r >= 0)
+        r = gsn_decode_apart(decoder, gsn_check_fd(png->bytes, png->size), NULL, &picture, err);
+    return r;
 }
 
 TEST(running_out_of_memory_is_an_error)

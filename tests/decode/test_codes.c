@@ -67,7 +67,17 @@ static void turn(struct gsn_image *image, int orientation)
     }
 }
 
-static struct gsn_picture *decoded(const struct gsn_image *image, const char *decoder, int codes)
+static struct gsn_decoder *new_decoder(void)
+{
+    struct gsn_decoder *decoder = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_decoder_new(GSN_DECODER, &decoder, &err), err);
+    return decoder;
+}
+
+static struct gsn_picture *decoded(const struct gsn_image *image, struct gsn_decoder *decoder,
+                                   int codes)
 {
     const struct gsn_decode_limits limits = { .codes = codes };
     struct gsn_picture *picture = NULL;
@@ -75,7 +85,8 @@ static struct gsn_picture *decoded(const struct gsn_image *image, const char *de
     const struct png_recipe recipe = { 0 };
     auto_made png = make_png(image, &recipe);
 
-    CHECK_OK(gsn_decode_apart(decoder, png.bytes, png.size, &limits, &picture, &err), err);
+    CHECK_OK(gsn_decode_apart(decoder, gsn_check_fd(png.bytes, png.size), &limits, &picture, &err),
+             err);
     return picture;
 }
 
@@ -90,7 +101,8 @@ TEST(a_data_matrix_is_read_whichever_way_round_it_lies)
         gsn_auto(gsn_image) image = drawn("GVP-D-S01-P03");
 
         turn(image, ways[i].orientation);
-        gsn_auto(gsn_picture) picture = decoded(image, i ? GSN_DECODER : NULL, 1);
+        gsn_auto(gsn_decoder) decoder = new_decoder();
+        gsn_auto(gsn_picture) picture = decoded(image, i ? decoder : NULL, 1);
 
         CHECK(picture->code_count == 1);
         assert_string_equal(picture->code[0].text, "GVP-D-S01-P03");
@@ -112,7 +124,8 @@ TEST(codes_are_read_only_when_asked_for)
 TEST(a_text_that_does_not_print_is_shown_as_question_marks)
 {
     gsn_auto(gsn_image) image = drawn("a\x1b[2J\nb");
-    gsn_auto(gsn_picture) picture = decoded(image, GSN_DECODER, 1);
+    gsn_auto(gsn_decoder) decoder = new_decoder();
+    gsn_auto(gsn_picture) picture = decoded(image, decoder, 1);
 
     CHECK(picture->code_count == 1);
     assert_string_equal(picture->code[0].text, "a?[2J?b");
@@ -124,7 +137,8 @@ TEST(a_picture_without_a_code_has_none)
 
     for (uint32_t i = 0; i < 120 * 120; i++)
         paint(image, 25 + i % 120, 35 + i / 120, (const uint8_t[]){ 240, 238, 235 });
-    gsn_auto(gsn_picture) picture = decoded(image, GSN_DECODER, 1);
+    gsn_auto(gsn_decoder) decoder = new_decoder();
+    gsn_auto(gsn_picture) picture = decoded(image, decoder, 1);
 
     CHECK(picture->code_count == 0);
 }
@@ -134,6 +148,7 @@ TEST(photographs_of_codes_are_read)
 {
     static const char *const names[] = { "01", "07", "11", "12", "16" };
     const struct gsn_decode_limits limits = { .codes = 1 };
+    gsn_auto(gsn_decoder) decoder = new_decoder();
     int read = 0;
 
     for (size_t i = 0; i < 5; i++) {
@@ -146,7 +161,8 @@ TEST(photographs_of_codes_are_read)
         (void)snprintf(path, sizeof path, GSN_SHARED "/data/barcodes/test_image%s.png", names[i]);
         if (gsn_file_read(path, 1 << 26, &bytes, &size, &err) == GSN_E_NOTFOUND)
             gsn_check_skip("%s is not there", path);
-        CHECK_OK(gsn_decode_apart(GSN_DECODER, bytes, size, &limits, &picture, &err), err);
+        CHECK_OK(gsn_decode_apart(decoder, gsn_check_fd(bytes, size), &limits, &picture, &err),
+                 err);
         print_message("%s: %u %s \"%s\"\n", names[i], picture->code_count, picture->code[0].kind,
                       picture->code[0].text);
         read += picture->code_count > 0;

@@ -260,10 +260,13 @@ TEST(in_the_sandbox_the_light_is_the_same)
     gsn_auto(gsn_image) image = make_picture(300, 200, 3, 8);
     auto_made file = make_tiff(image, &(struct tiff_recipe){ .icc = &profile });
     gsn_auto(gsn_picture) here = decoded(&file, &LIGHT);
+    gsn_auto(gsn_decoder) decoder = NULL;
     gsn_auto(gsn_picture) apart = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_decode_apart(GSN_DECODER, file.bytes, file.size, &LIGHT, &apart, &err), err);
+    CHECK_OK(gsn_decoder_new(GSN_DECODER, &decoder, &err), err);
+    CHECK_OK(gsn_decode_apart(decoder, gsn_check_fd(file.bytes, file.size), &LIGHT, &apart, &err),
+             err);
     CHECK(apart->transfer == GSN_TRANSFER_PROFILE && same_picture(apart->image, here->image));
     assert_string_equal(apart->profile, here->profile);
 }

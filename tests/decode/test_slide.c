@@ -149,6 +149,7 @@ static void check_slide(const struct slide *slide, double um, const char *vendor
 
     for (unsigned level = 0; level < LEVELS; level++) {
         const struct gsn_decode_limits limits = { .slide = 1, .level = level };
+        gsn_auto(gsn_decoder) decoder = NULL;
         gsn_auto(gsn_picture) picture = NULL;
         gsn_auto(gsn_picture) apart = NULL;
         struct gsn_error err = { 0 };
@@ -159,7 +160,8 @@ static void check_slide(const struct slide *slide, double um, const char *vendor
         CHECK(picture->px_um_x == picture->px_um_y);
         if (level == 1)
             assert_string_equal(picture->note, says);
-        CHECK_OK(gsn_decode_apart(GSN_DECODER, bytes, size, &limits, &apart, &err), err);
+        CHECK_OK(gsn_decoder_new(GSN_DECODER, &decoder, &err), err);
+        CHECK_OK(gsn_decode_apart(decoder, gsn_check_fd(bytes, size), &limits, &apart, &err), err);
         check_level(apart, level);
         CHECK(apart->px_um_x == picture->px_um_x);
 #ifdef GSN_HAS_OPENSLIDE

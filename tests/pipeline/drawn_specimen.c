@@ -1,23 +1,19 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/pipeline/drawn_specimen.h"
 
+#include "pipeline/core/file.h"
 #include "tests/check.h"
 
 #include <stdio.h>
 #include <string.h>
 
-static int read_png(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
-                    struct gsn_error *err)
+static int open_png(void *context, const char *sha256, int *ret_fd, struct gsn_error *err)
 {
     const struct drawn_specimen *d = context;
 
-    for (size_t i = 0; i < d->count; i++) {
-        if (strcmp(d->sha256[i], sha256) != 0)
-            continue;
-        *ret_bytes = gsn_memdup(d->png[i], d->panel[i].size);
-        *ret_size = d->panel[i].size;
-        return *ret_bytes ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
-    }
+    for (size_t i = 0; i < d->count; i++)
+        if (strcmp(d->sha256[i], sha256) == 0)
+            return gsn_file_from_bytes(d->png[i], d->panel[i].size, ret_fd, err);
     return gsn_fail(err, GSN_E_NOTFOUND, "there is no object %s", sha256);
 }
 
@@ -39,8 +35,8 @@ static void add_panel(struct drawn_specimen *d, const struct drawn_panel *drawn)
     d->png[i] = drawn_panel_png(drawn, &size);
     (void)snprintf(d->sha256[i], sizeof d->sha256[i], "%064zx", i + 1);
     (void)snprintf(d->file[i], sizeof d->file[i], "P%02zu.png", i + 1);
-    CHECK_OK(gsn_panel_examine(NULL, d->png[i], size, d->protocol, (unsigned)i + 1, NULL, 1, NULL,
-                               &d->findings[i], &err),
+    CHECK_OK(gsn_panel_examine(NULL, gsn_check_fd(d->png[i], size), d->protocol, (unsigned)i + 1,
+                               NULL, 1, NULL, &d->findings[i], &err),
              err);
     d->panel[i] = (struct gsn_specimen_panel){ .number = (unsigned)i + 1,
                                                .file = d->file[i],
@@ -70,7 +66,7 @@ void drawn_specimen_init(struct drawn_specimen *d, const char *job,
         .input_count = count,
         .input = d->input,
         .key = "0123456789abcdef",
-        .read = read_png,
+        .open = open_png,
         .context = d
     };
 }

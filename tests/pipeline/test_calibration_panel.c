@@ -2,6 +2,7 @@
 #include "pipeline/calibration_panel.h"
 
 #include "pipeline/decode/png_write.h"
+#include "pipeline/core/file.h"
 #include "tests/check.h"
 #include "tests/phantom/calibration.h"
 #include "tests/pipeline/drawn_specimen.h"
@@ -49,8 +50,8 @@ static int read_as(const struct gsn_image *image, const struct gsn_protocol *pro
     const int r = gsn_png_encode(image, &png, &size, err);
 
     return r < 0 ? r
-                 : gsn_calibration_panel_read(NULL, png, size, protocol, &protocol->calibration[0],
-                                              ret_panel, err);
+                 : gsn_calibration_panel_read(NULL, gsn_check_fd(png, size), protocol,
+                                              &protocol->calibration[0], ret_panel, err);
 }
 
 static double apart_deg(const double a[3], const double b[3])
@@ -219,18 +220,14 @@ struct stained {
     const char *listed[3];
 };
 
-static int read_any(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
-                    struct gsn_error *err)
+static int open_any(void *context, const char *sha256, int *ret_fd, struct gsn_error *err)
 {
     const struct stained *s = context;
 
     for (size_t i = 0; i < 3; i++)
-        if (strcmp(s->sha256[i], sha256) == 0) {
-            *ret_bytes = gsn_memdup(s->png[i], s->size[i]);
-            *ret_size = s->size[i];
-            return *ret_bytes ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory");
-        }
-    return s->inner.read(s->inner.context, sha256, ret_bytes, ret_size, err);
+        if (strcmp(s->sha256[i], sha256) == 0)
+            return gsn_file_from_bytes(s->png[i], s->size[i], ret_fd, err);
+    return s->inner.open(s->inner.context, sha256, ret_fd, err);
 }
 
 static void stained_done(struct stained *s)
@@ -260,7 +257,7 @@ static void stained_init(struct stained *s, const char *job, const char *const b
         (void)snprintf(s->sha256[i], sizeof s->sha256[i], "%063ua", i);
         s->listed[i] = s->sha256[i];
     }
-    s->drawn.specimen.read = read_any;
+    s->drawn.specimen.open = open_any;
     s->drawn.specimen.context = s;
     s->drawn.specimen.calibration_sha256 = s->listed;
 }

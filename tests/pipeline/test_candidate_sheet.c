@@ -35,7 +35,7 @@ static struct gsn_scan *opened(const struct drawn_specimen *d, size_t panel)
     struct gsn_scan *scan = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_scan_open(NULL, d->png[panel], d->input[panel].size, d->protocol,
+    CHECK_OK(gsn_scan_open(NULL, gsn_check_fd(d->png[panel], d->input[panel].size), d->protocol,
                            &d->panel[panel].upright, &scan, &err),
              err);
     return scan;

@@ -31,7 +31,8 @@ static struct gsn_panel_findings *examined(const struct drawn_panel *panel, unsi
     size_t size;
     gsn_auto_mem(uint8_t) png = drawn_panel_png(panel, &size);
 
-    CHECK_OK(gsn_panel_examine(NULL, png, size, protocol, number, NULL, 1, NULL, &findings, &err),
+    CHECK_OK(gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, number, NULL, 1, NULL,
+                               &findings, &err),
              err);
     CHECK(findings->count == DRAWN_SLOTS);
     return findings;
@@ -256,8 +257,8 @@ TEST(a_panel_that_cannot_be_read_leaves_the_findings_untouched)
         gsn_auto(gsn_protocol) protocol = protocol_of(cases[i].job);
         struct gsn_panel_findings *findings = NULL;
         struct gsn_error err = { 0 };
-        const int r = gsn_panel_examine(NULL, png, cases[i].cut ? cases[i].cut : size, protocol, 1,
-                                        NULL, 1, NULL, &findings, &err);
+        const int r = gsn_panel_examine(NULL, gsn_check_fd(png, cases[i].cut ? cases[i].cut : size),
+                                        protocol, 1, NULL, 1, NULL, &findings, &err);
 
         if (r != cases[i].code || !err.text[0] || !strstr(err.text, cases[i].says))
             fail_msg("case %zu: %d (%s)", i, r, err.text);
@@ -285,7 +286,8 @@ TEST(the_stages_tell_where_they_are)
     size_t size;
     gsn_auto_mem(uint8_t) png = drawn_panel_png(&panel, &size);
 
-    CHECK_OK(gsn_panel_examine(NULL, png, size, protocol, 1, NULL, 2, &progress, &findings, &err),
+    CHECK_OK(gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, 1, NULL, 2, &progress,
+                               &findings, &err),
              err);
     CHECK(strcmp(stages, "decoding splitting marks ") == 0);
 }
@@ -300,8 +302,8 @@ static int examine_once(const struct oom *oom, struct gsn_error *err)
 {
     gsn_auto(gsn_panel_findings) findings = NULL;
 
-    return gsn_panel_examine(NULL, oom->png, oom->size, oom->protocol, 1, NULL, 1, NULL, &findings,
-                             err);
+    return gsn_panel_examine(NULL, gsn_check_fd(oom->png, oom->size), oom->protocol, 1, NULL, 1,
+                             NULL, &findings, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

@@ -28,7 +28,8 @@ static struct gsn_panel_findings *examined_as(const struct gsn_image *image, uns
 
     CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
     CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
-    CHECK_OK(gsn_panel_examine(NULL, png, size, protocol, number, NULL, 1, NULL, &findings, &err),
+    CHECK_OK(gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, number, NULL, 1, NULL,
+                               &findings, &err),
              err);
     return findings;
 }
@@ -301,8 +302,8 @@ static void refused(const struct gsn_image *image, const char *job, const char *
 
     CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
     CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
-    CHECK(gsn_panel_examine(NULL, png, size, protocol, 3, NULL, 1, NULL, &findings, &err) ==
-          GSN_E_WITHHELD);
+    CHECK(gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, 3, NULL, 1, NULL, &findings,
+                            &err) == GSN_E_WITHHELD);
     CHECK(findings == NULL);
     if (!strstr(err.text, sentence))
         fail_msg("\"%s\" is not in \"%s\"", sentence, err.text);
@@ -361,7 +362,7 @@ TEST(running_out_of_memory_while_turning_leaves_the_picture_as_it_was)
     gsn_auto_mem(uint8_t) png = drawn_panel_png(&panel, &size);
 
     CHECK_OK(gsn_protocol_parse(JOB, strlen(JOB), &protocol, &err), err);
-    CHECK_OK(gsn_scan_survey(NULL, png, size, protocol, NULL, &scan, &err), err);
+    CHECK_OK(gsn_scan_survey(NULL, gsn_check_fd(png, size), protocol, NULL, &scan, &err), err);
     CHECK_EVERY_OOM(look_once(scan, protocol, &err), err);
 
     struct gsn_image *image = scan->picture->image;
@@ -411,8 +412,8 @@ TEST(the_marks_tell_that_the_pixels_are_not_as_large_as_stated)
         const char *at;
 
         CHECK_OK(gsn_protocol_parse(job, strlen(job), &protocol, &err), err);
-        const int r =
-            gsn_panel_examine(NULL, png, size, protocol, 1, NULL, 1, NULL, &findings, &err);
+        const int r = gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, 1, NULL, 1, NULL,
+                                        &findings, &err);
 
         if (r != GSN_E_WITHHELD)
             fail_msg("%g um: %d (%s)", stated[i], r, r < 0 ? err.text : findings->note);

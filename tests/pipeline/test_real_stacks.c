@@ -169,13 +169,13 @@ static size_t find_dots(const char *folder, const char *name, struct gsn_point *
 {
     static float dark[SIDE * SIDE];
     gsn_auto_mem(char) path = gsn_format("%s/%s", folder, name);
-    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_fd fd = -1;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error err = { 0 };
-    size_t size, n = 0;
+    size_t n = 0;
 
-    CHECK_OK(gsn_file_read(path, 1 << 24, &bytes, &size, &err), err);
-    CHECK_OK(gsn_decode_apart(NULL, bytes, size, NULL, &picture, &err), err);
+    CHECK_OK(gsn_file_open(path, &fd, &err), err);
+    CHECK_OK(gsn_decode_apart(NULL, fd, NULL, &picture, &err), err);
     CHECK(picture->image->width == SIDE && picture->image->height == SIDE);
     darkness(picture->image, dark);
     for (int y = 12; y < SIDE - 12; y++)

@@ -26,7 +26,7 @@ static int open_as(const struct made *png, const char *job, struct gsn_scan **re
 {
     gsn_auto(gsn_protocol) protocol = drawn_protocol(job);
 
-    return gsn_scan_open(NULL, png->bytes, png->size, protocol, NULL, ret_scan, err);
+    return gsn_scan_open(NULL, gsn_check_fd(png->bytes, png->size), protocol, NULL, ret_scan, err);
 }
 
 static struct gsn_scan *opened(const struct made *png, const char *job)
@@ -241,7 +241,8 @@ static int open_once(const struct oom *oom, struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
 
-    return gsn_scan_open(NULL, oom->png->bytes, oom->png->size, oom->protocol, NULL, &scan, err);
+    return gsn_scan_open(NULL, gsn_check_fd(oom->png->bytes, oom->png->size), oom->protocol, NULL,
+                         &scan, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

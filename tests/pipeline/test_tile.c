@@ -2,6 +2,7 @@
 #include "pipeline/tile.h"
 
 #include "pipeline/decode/png_write.h"
+#include "pipeline/core/file.h"
 #include "tests/check.h"
 #include "tests/pipeline/drawn_specimen.h"
 
@@ -21,15 +22,13 @@ struct tile {
     size_t picture_size, reference_size;
 };
 
-static int read_tile(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
-                     struct gsn_error *err)
+static int open_tile(void *context, const char *sha256, int *ret_fd, struct gsn_error *err)
 {
     const struct tile *tile = context;
     const int second = strcmp(sha256, "reference") == 0;
 
-    *ret_size = second ? tile->reference_size : tile->picture_size;
-    *ret_bytes = gsn_memdup(second ? tile->reference : tile->picture, *ret_size);
-    return *ret_bytes ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a tile");
+    return gsn_file_from_bytes(second ? tile->reference : tile->picture,
+                               second ? tile->reference_size : tile->picture_size, ret_fd, err);
 }
 
 static void paint(struct gsn_image *image, uint32_t x, uint32_t y)
@@ -68,7 +67,7 @@ static void tile_init(struct tile *tile, const char *job, uint32_t width, uint32
                                             .reference_sha256 = "reference",
                                             .baseline = { .name = "" },
                                             .key = "0",
-                                            .read = read_tile,
+                                            .open = open_tile,
                                             .context = tile };
 }
 

@@ -170,17 +170,13 @@ int __wrap_gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t 
 
 /* ---- the specimen ------------------------------------------------------------------------- */
 
-static int read_panel(void *context, const char *sha256, uint8_t **ret_bytes, size_t *ret_size,
-                      struct gsn_error *err)
+static int open_panel(void *context, const char *sha256, int *ret_fd, struct gsn_error *err)
 {
     const struct panels *p = context;
 
     for (size_t i = 0; i < p->count; i++)
-        if (strcmp(p->panel[i].sha256, sha256) == 0) {
-            *ret_size = p->panel[i].size;
-            *ret_bytes = gsn_memdup(p->bytes[i], *ret_size);
-            return *ret_bytes ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
-        }
+        if (strcmp(p->panel[i].sha256, sha256) == 0)
+            return gsn_file_from_bytes(p->bytes[i], p->panel[i].size, ret_fd, err);
     return gsn_fail(err, GSN_E_NOTFOUND, "there is no object %s", sha256);
 }
 
@@ -188,13 +184,15 @@ static int add_panel(struct panels *p, const char *folder, unsigned number, stru
 {
     const size_t i = p->count;
     gsn_auto_mem(char) path = gsn_format("%s/%s-P%02u.jpg", folder, p->protocol->specimen, number);
+    gsn_auto_fd fd = -1;
     size_t size;
     int r = path ? gsn_file_read(path, MOST_BYTES, &p->bytes[i], &size, err)
                  : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 
     if (r >= 0)
-        r = gsn_panel_examine(NULL, p->bytes[i], size, p->protocol, number, NULL, 0, NULL,
-                              &p->findings[i], err);
+        r = gsn_file_open(path, &fd, err);
+    if (r >= 0)
+        r = gsn_panel_examine(NULL, fd, p->protocol, number, NULL, 0, NULL, &p->findings[i], err);
     if (r < 0)
         return r;
     (void)snprintf(p->name[i], sizeof p->name[i], "P%02u", number);
@@ -240,7 +238,7 @@ static int assemble(struct panels *p, struct gsn_error *err)
         .region = p->region,
         .baseline = { .name = "", .definition = "", .dyes = "" },
         .key = "",
-        .read = read_panel,
+        .open = open_panel,
         .context = p,
     };
     gsn_auto(gsn_assembly) assembly = NULL;

@@ -19,26 +19,42 @@ static const double EVEN = 0.3;
 
 /* ---- picture -> density ------------------------------------------------------------------- */
 
-/* Adds one row of samples to the cells it falls into: first[x] to first[x + 1] - 1 into cell x. */
-static void add_row(const struct gsn_image *image, uint32_t y, const uint32_t *first, uint32_t w,
-                    float *sum)
+/* Adds one row of samples, weight of it, to the cells that share it: cell x reaches from x * cell
+ * to (x + 1) * cell, and a pixel that two cells share counts in both by its share, so that a cell's
+ * middle is where its place says. */
+static void add_row(const struct gsn_image *image, uint32_t y, double cell, uint32_t w,
+                    double weight, float *sum)
 {
     const size_t channels = image->channels;
     const size_t row = (size_t)y * image->width * channels;
 
-    for (uint32_t x = 0; x < w; x++)
-        for (size_t c = 0; c < channels; c++) {
-            const size_t i = row + first[x] * channels + c, end = row + first[x + 1] * channels;
-            uint32_t part = 0;
+    for (uint32_t x = 0; x < w; x++) {
+        const double left = x * cell, right = fmin((x + 1) * cell, image->width);
+        const uint32_t first = (uint32_t)left, last = (uint32_t)(ceil(right) - 1);
+        const float begin = (float)(weight * (left - first));
+        const float end = (float)(weight * (last + 1 - right));
 
-            if (image->bits == 8)
-                for (size_t k = i; k < end; k += channels)
-                    part += ((const uint8_t *)image->samples)[k];
-            else
-                for (size_t k = i; k < end; k += channels)
-                    part += ((const uint16_t *)image->samples)[k];
-            sum[x * channels + c] += (float)part;
+        for (size_t c = 0; c < channels; c++) {
+            const size_t i = row + first * channels + c, k = row + last * channels + c;
+            uint32_t part = 0;
+            float outer;
+
+            if (image->bits == 8) {
+                const uint8_t *at = image->samples;
+
+                for (size_t j = i; j <= k; j += channels)
+                    part += at[j];
+                outer = begin * (float)at[i] + end * (float)at[k];
+            } else {
+                const uint16_t *at = image->samples;
+
+                for (size_t j = i; j <= k; j += channels)
+                    part += at[j];
+                outer = begin * (float)at[i] + end * (float)at[k];
+            }
+            sum[x * channels + c] += (float)weight * (float)part - outer;
         }
+    }
 }
 
 static int by_value(const void *a, const void *b)
@@ -64,21 +80,20 @@ static void add_density(const float *mean, size_t cells, float *density)
 }
 
 /* The means of the cells, channel after channel. */
-static void reduce(const struct gsn_image *image, double cell, const uint32_t *first, uint32_t w,
-                   uint32_t h, float *row, float *mean)
+static void reduce(const struct gsn_image *image, double cell, uint32_t w, uint32_t h, float *row,
+                   float *mean)
 {
     const size_t channels = image->channels;
 
     for (uint32_t v = 0; v < h; v++) {
-        const uint32_t top = (uint32_t)(v * cell), end = (uint32_t)((v + 1) * cell);
+        const double top = v * cell, bottom = fmin((v + 1) * cell, image->height);
 
         memset(row, 0, w * channels * sizeof *row);
-        for (uint32_t y = top; y < end; y++)
-            add_row(image, y, first, w, row);
+        for (uint32_t y = (uint32_t)top; y < bottom; y++)
+            add_row(image, y, cell, w, fmin(y + 1, bottom) - fmax(y, top), row);
         for (size_t x = 0; x < w; x++)
             for (size_t c = 0; c < channels; c++)
-                mean[(c * h + v) * w + x] =
-                    row[x * channels + c] / (float)((first[x + 1] - first[x]) * (end - top));
+                mean[(c * h + v) * w + x] = row[x * channels + c] / (float)(cell * cell);
     }
 }
 
@@ -88,7 +103,6 @@ int gsn_tissue_reduce(const struct gsn_image *image, double cell, struct gsn_pla
     const uint32_t w = (uint32_t)(image->width / cell), h = (uint32_t)(image->height / cell);
     const size_t cells = (size_t)w * h, channels = image->channels;
     gsn_auto(gsn_plane) density = NULL;
-    gsn_auto_mem(uint32_t) first = gsn_alloc_array((size_t)w + 1, sizeof *first);
     gsn_auto_mem(float) row = gsn_alloc_array(w * channels, sizeof *row);
     gsn_auto_mem(float) mean = gsn_alloc_array(channels * cells, sizeof *mean);
     int r;
@@ -98,14 +112,12 @@ int gsn_tissue_reduce(const struct gsn_image *image, double cell, struct gsn_pla
     if (w < LEAST_CELLS || h < LEAST_CELLS)
         return gsn_fail(err, GSN_E_INPUT, "a picture of %u x %u pixels is too small to be laid",
                         image->width, image->height);
-    if (!first || !row || !mean)
+    if (!row || !mean)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
     r = gsn_plane_new(w, h, &density, err);
     if (r < 0)
         return r;
-    for (uint32_t x = 0; x <= w; x++)
-        first[x] = (uint32_t)(x * cell);
-    reduce(image, cell, first, w, h, row, mean);
+    reduce(image, cell, w, h, row, mean);
     for (size_t c = 0; c < channels; c++)
         add_density(mean + c * cells, cells, density->value);
     *ret_density = gsn_steal(&density);

@@ -2,6 +2,7 @@
 #include "pipeline/examine_parts.h"
 
 #include "pipeline/register/panel.h"
+#include "pipeline/upright.h"
 
 #include <stdarg.h>
 #include <stdio.h>
@@ -190,6 +191,8 @@ static void note_label(const struct gsn_picture *picture, const struct gsn_scrap
 {
     int x0 = INT_MAX, y0 = INT_MAX, x1 = 0, y1 = 0;
 
+    if (findings->label_number > 0)
+        return;
     for (unsigned i = 0; i < picture->code_count; i++)
         if (read_label(findings, picture->code[i].text))
             return;
@@ -253,24 +256,17 @@ static int examine(const struct gsn_scan *scan, const struct gsn_protocol *proto
     return r < 0 ? r : gsn_examine_pixels(scan, protocol, slots, found, threads, findings, err);
 }
 
-int gsn_panel_examine(struct gsn_decoder *decoder, int picture_fd,
-                      const struct gsn_protocol *protocol, unsigned number,
-                      const struct gsn_panel_answers *answers, unsigned threads,
-                      const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
+static int examine_as(struct gsn_decoder *decoder, int picture_fd,
+                      const struct gsn_protocol *protocol, const struct gsn_upright *upright,
+                      unsigned number, const struct gsn_panel_answers *answers, unsigned threads,
+                      const struct gsn_progress *progress, struct gsn_panel_findings *findings,
                       struct gsn_error *err)
 {
-    gsn_auto(gsn_panel_findings) findings = gsn_alloc_array(1, sizeof *findings);
     gsn_auto(gsn_scan) scan = NULL;
     int r;
 
-    if (findings)
-        findings->count = (size_t)protocol->rows * protocol->columns;
-    if (findings)
-        findings->section = gsn_alloc_array(findings->count, sizeof *findings->section);
-    if (!findings || !findings->section)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
     gsn_progress_say(progress, "decoding", 0, 1);
-    r = gsn_scan_survey(decoder, picture_fd, protocol, NULL, &scan, err);
+    r = gsn_scan_survey(decoder, picture_fd, protocol, upright, &scan, err);
     if (r < 0)
         return r;
     findings->width = scan->picture->image->width;
@@ -279,9 +275,55 @@ int gsn_panel_examine(struct gsn_decoder *decoder, int picture_fd,
     findings->upright = scan->upright;
     (void)snprintf(findings->note, sizeof findings->note, "%s%s%s", scan->picture->note,
                    scan->picture->note[0] && scan->note[0] ? "; " : "", scan->note);
-    r = examine(scan, protocol, number, answers, threads, progress, findings, err);
+    return examine(scan, protocol, number, answers, threads, progress, findings, err);
+}
+
+static int findings_new(const struct gsn_protocol *protocol,
+                        struct gsn_panel_findings **ret_findings, struct gsn_error *err)
+{
+    gsn_auto(gsn_panel_findings) findings = gsn_alloc_array(1, sizeof *findings);
+
+    if (findings)
+        findings->count = (size_t)protocol->rows * protocol->columns;
+    if (findings)
+        findings->section = gsn_alloc_array(findings->count, sizeof *findings->section);
+    if (!findings || !findings->section)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel");
+    *ret_findings = gsn_steal(&findings);
+    return GSN_OK;
+}
+
+int gsn_panel_examine(struct gsn_decoder *decoder, int picture_fd,
+                      const struct gsn_protocol *protocol, unsigned number,
+                      const struct gsn_panel_answers *answers, unsigned threads,
+                      const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
+                      struct gsn_error *err)
+{
+    gsn_auto(gsn_panel_findings) findings = NULL;
+    gsn_auto(gsn_panel_findings) first = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_upright as_marked = { .note = "set as its marks say, as was decided" };
+    int r = findings_new(protocol, &findings, err);
+
     if (r < 0)
         return r;
+    r = examine_as(decoder, picture_fd, protocol, NULL, number, answers, threads, progress,
+                   findings, &why);
+    if (r == GSN_E_WITHHELD && (findings->against.mirrored || findings->against.quarters) &&
+        gsn_answers_say(answers, GSN_SAID_AS_MARKED)) {
+        first = gsn_steal(&findings);
+        as_marked.turn = gsn_upright_compose(first->upright.turn, first->against);
+        r = findings_new(protocol, &findings, err);
+        if (r < 0)
+            return r;
+        findings->label_number = first->label_number;
+        memcpy(findings->label, first->label, sizeof findings->label);
+        memcpy(findings->label_subject, first->label_subject, sizeof findings->label_subject);
+        r = examine_as(decoder, picture_fd, protocol, &as_marked, number, answers, threads,
+                       progress, findings, &why);
+    }
+    if (r < 0)
+        return gsn_fail(err, r, "%s", why.text);
     *ret_findings = gsn_steal(&findings);
     return GSN_OK;
 }

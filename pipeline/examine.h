@@ -47,12 +47,14 @@ struct gsn_panel_section {
 
 /* What a person decided about one panel, where its picture does not tell. */
 enum gsn_panel_said {
-    GSN_SAID_CUT,     /* the sections in this slot and the one it touches: cut them as proposed */
-    GSN_SAID_HOLD,    /* the same: hold them, whatever the neck is like */
-    GSN_SAID_SEAT,    /* this piece is the section of slot to */
-    GSN_SAID_DISMISS, /* this piece is nothing */
-    GSN_SAID_FIRST,   /* the section nearest to the top left, row by row, is that of slot to */
-    GSN_SAID_POSE,    /* the marks of this section are where choice says */
+    GSN_SAID_CUT,       /* the sections in this slot and the one it touches: cut them as proposed */
+    GSN_SAID_HOLD,      /* the same: hold them, whatever the neck is like */
+    GSN_SAID_SEAT,      /* this piece is the section of slot to */
+    GSN_SAID_DISMISS,   /* this piece is nothing */
+    GSN_SAID_FIRST,     /* the section nearest to the top left, row by row, is that of slot to */
+    GSN_SAID_POSE,      /* the marks of this section are where choice says */
+    GSN_SAID_AS_SET,    /* the panel lies as it was set upright, whatever its marks say */
+    GSN_SAID_AS_MARKED, /* it lies as its marks say */
 };
 struct gsn_panel_answer {
     enum gsn_panel_said said;
@@ -71,8 +73,9 @@ struct gsn_panel_findings {
     uint32_t width, height;
     double px_um;
     struct gsn_upright upright;
-    char note[1024]; /* what was assumed or odd on this panel, "; " between */
-    char label[64];  /* the text of its code, when that ends in a panel's number ("...-P03") */
+    struct gsn_dust_turn against; /* how it lies by its marks, once it is set upright otherwise */
+    char note[1024];              /* what was assumed or odd on this panel, "; " between */
+    char label[64]; /* the text of its code, when that ends in a panel's number ("...-P03") */
     unsigned label_number;  /* that number; 0: no such code was read */
     char label_subject[64]; /* what stands before it: "GVP-D-S01" */
     size_t count;
@@ -87,7 +90,8 @@ const char *gsn_sighting_name(enum gsn_sighting sighting);
  * that was chosen and is not there any more is said in the note, and its section is flagged
  * "decision-void". One that is there makes its section found, flagged "decided". Fails as
  * gsn_scan_open() and gsn_panel_split() do, and with GSN_E_WITHHELD when the marks say that the
- * pixels are not as large as stated. borrows: everything. */
+ * pixels are not as large as stated, or that the panel lies otherwise than it was set upright and
+ * nobody decided. borrows: everything. */
 int gsn_panel_examine(struct gsn_decoder *decoder, int picture_fd,
                       const struct gsn_protocol *protocol, unsigned number,
                       const struct gsn_panel_answers *answers, unsigned threads,

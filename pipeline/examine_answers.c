@@ -4,6 +4,14 @@
 #include <math.h>
 #include <string.h>
 
+int gsn_answers_say(const struct gsn_panel_answers *answers, enum gsn_panel_said said)
+{
+    for (size_t i = 0; answers && i < answers->count; i++)
+        if (answers->at[i].said == said)
+            return 1;
+    return 0;
+}
+
 unsigned gsn_answers_first(const struct gsn_panel_answers *answers, size_t slots)
 {
     for (size_t i = 0; answers && i < answers->count; i++)

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/parallel.h"
 #include "pipeline/slot_marks.h"
+#include "pipeline/upright.h"
 
 #include <math.h>
 #include <string.h>
@@ -151,23 +152,75 @@ static int is_turned(const struct gsn_panel_section *section, const struct sight
     return way.x < 0;
 }
 
-/* What the marks say of the whole panel. Mounting differs from section to section, so most of them
- * do not lie the wrong way round by chance; but a laboratory may mount so. */
-static void note_way_round(const struct gsn_scan *scan, size_t mirrored, size_t turned,
-                           size_t count, struct gsn_panel_findings *findings)
+/* How the sections with three marks lie against the job's triangle. */
+struct lie {
+    size_t marked, mirrored, turned;
+};
+
+/* Sections are mounted one by one, so so many do not lie the wrong way round by chance. */
+static int is_most(size_t count, const struct lie *lie)
 {
-    if (2 * mirrored > count)
-        gsn_findings_say(
-            findings,
-            "%zu of %zu sections are mirrored against the job's \"markers_um\": if no label says "
-            "which way round the panel is, look at the scanner's settings",
-            mirrored, count);
-    if (2 * turned > count && turned >= FEWEST_TURNED && scan->picture->code_count == 0)
-        gsn_findings_say(
-            findings,
-            "%zu of %zu sections are turned by half against the job's \"markers_um\": if the panel "
-            "was fed the wrong way round, its sections count backwards, as no code was read",
-            turned, count);
+    return count >= FEWEST_TURNED && 4 * count >= 3 * lie->marked;
+}
+
+/* What the label says, as the first half of a sentence. */
+static const char *label_words(const struct gsn_scan *scan, const struct gsn_dust_turn *left)
+{
+    const struct gsn_dust_turn *turn = &scan->upright.turn;
+
+    if (!gsn_upright_is_coded(scan->picture))
+        return "no code was read on its label";
+    if (left->mirrored)
+        return turn->mirrored ? "the code on its label is mirrored" : "its label is not mirrored";
+    return turn->quarters == 2 ? "the code on its label stands on its head"
+                               : "the code on its label stands upright";
+}
+
+/* The label sets the panel upright, the marks of its sections say whether it is: neither decides
+ * alone, since a label may be stuck on its head, and a laboratory may mount all sections turned.
+ * A triangle drawn with y up is mirrored top to bottom, which is mirrored and turned by half. */
+static int check_way_round(const struct gsn_scan *scan, const struct lie *lie,
+                           const struct gsn_panel_answers *answers,
+                           struct gsn_panel_findings *findings, struct gsn_error *err)
+{
+    const struct gsn_dust_turn left = { is_most(lie->mirrored, lie),
+                                        is_most(lie->turned, lie) ? 2 : 0 };
+    const char *label = label_words(scan, &left);
+
+    if (!left.mirrored && !left.quarters) {
+        if (2 * lie->mirrored > lie->marked)
+            gsn_findings_say(findings,
+                             "%zu of %zu sections are mirrored against the job's \"markers_um\"",
+                             lie->mirrored, lie->marked);
+        return GSN_OK;
+    }
+    if (gsn_answers_say(answers, GSN_SAID_AS_SET)) {
+        gsn_findings_say(findings, "used as it was set upright, against its marks, as was decided");
+        return GSN_OK;
+    }
+    findings->against = left;
+    if (left.mirrored && left.quarters)
+        return gsn_fail(
+            err, GSN_E_WITHHELD,
+            "%zu of %zu sections are mirrored top to bottom against \"markers_um\" (%s):"
+            " are the markers' y pointing up? In job.json y points down, as in the "
+            "scan: turn the sign of every y and import again with --replace; or decide "
+            "as-marked (turn the picture so) or as-set (all sections lie face down)",
+            lie->mirrored, lie->marked, label);
+    if (left.mirrored)
+        return gsn_fail(err, GSN_E_WITHHELD,
+                        "%zu of %zu sections are mirrored against \"markers_um\", but %s: are the "
+                        "markers' x pointing left, or does the scanner mirror? Put it right and "
+                        "import again; or decide as-marked (mirror the picture) or as-set (all "
+                        "sections lie face down)",
+                        lie->mirrored, lie->marked, label);
+    return gsn_fail(
+        err, GSN_E_WITHHELD,
+        "%s, but by \"markers_um\" the marks of %zu of %zu sections then lie on theirs: "
+        "the label is stuck on its head, or all sections are. Turned by half, sections "
+        "count backwards: look at the glass, then decide as-marked (by its marks) or "
+        "as-set (by its label, or as it was scanned)",
+        label, lie->turned, lie->marked);
 }
 
 /* Lays all candidates of the panel on its triangle. Upright is the job's frame, or else the way
@@ -343,7 +396,7 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     struct search search = { scan, gsn_protocol_layout(protocol), NULL, 0, found, candidates };
     struct gsn_triangle_prior prior;
     struct gsn_point upright = { protocol->has_markers, 0 };
-    size_t mirrored = 0, turned = 0;
+    struct lie lie = { 0 };
     int agreed, r;
 
     if (!candidates || !scratch)
@@ -369,8 +422,11 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
             return r;
         if (agreed)
             sight = choose_marks(section, &candidates[i], &prior);
-        mirrored += sight.mirrored && count_found(section->mark) == GSN_MARKS;
-        turned += agreed && is_turned(section, &sight, &prior, scan->px_um);
+        if (count_found(section->mark) == GSN_MARKS) {
+            lie.marked++;
+            lie.mirrored += sight.mirrored != 0;
+            lie.turned += is_turned(section, &sight, &prior, scan->px_um) != 0;
+        }
         if (agreed && !protocol->has_markers)
             add_direction(section, &sight, &prior, scan->px_um, &upright);
         if (section->sighting != GSN_SIGHT_HELD)
@@ -380,7 +436,5 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     void_choices(answers, findings);
     if (agreed)
         lay_candidates(&prior, upright, scan->px_um, findings);
-    if (protocol->has_markers)
-        note_way_round(scan, mirrored, turned, count, findings);
-    return GSN_OK;
+    return protocol->has_markers ? check_way_round(scan, &lie, answers, findings, err) : GSN_OK;
 }

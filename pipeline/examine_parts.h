@@ -30,6 +30,8 @@ int gsn_examine_pixels(const struct gsn_scan *scan, const struct gsn_protocol *p
                        const struct gsn_slot *found, size_t count, unsigned threads,
                        const struct gsn_panel_findings *findings, struct gsn_error *err);
 
+/* Whether a person said this of the panel as a whole. */
+int gsn_answers_say(const struct gsn_panel_answers *answers, enum gsn_panel_said said);
 /* The slot that a person said is the panel's first of tissue; GSN_SLOT_UNSAID: nobody did. */
 unsigned gsn_answers_first(const struct gsn_panel_answers *answers, size_t slots);
 /* borrows: the answer about this scrap, or NULL. */

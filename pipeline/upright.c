@@ -89,6 +89,20 @@ static const struct gsn_printed *code_of(const struct gsn_picture *picture)
     return NULL;
 }
 
+int gsn_upright_is_coded(const struct gsn_picture *picture)
+{
+    return code_of(picture) != NULL;
+}
+
+/* To turn and then mirror is to mirror and then turn the other way. */
+struct gsn_dust_turn gsn_upright_compose(struct gsn_dust_turn first, struct gsn_dust_turn then)
+{
+    const unsigned quarters = then.mirrored ? 4 - first.quarters % 4 : first.quarters;
+
+    return (struct gsn_dust_turn){ !first.mirrored != !then.mirrored,
+                                   (quarters + then.quarters) % 4 };
+}
+
 struct gsn_dust_turn gsn_upright_by_code(const struct gsn_picture *picture)
 {
     const struct gsn_printed *code = code_of(picture);

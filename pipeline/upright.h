@@ -7,7 +7,8 @@
  * whether the whole panel lies on its side is asked of the grid of its sections, rows by columns as
  * the job states it. Where no code is read and the grid lies on its side, the marks' triangle that
  * the job states tells which way, by the majority of the sections. A panel of which that is not
- * clear is refused. */
+ * clear is refused. Whether it then lies as the marks say is asked where they are found
+ * (examine_marks.c). */
 #ifndef GSN_PIPELINE_UPRIGHT_H
 #define GSN_PIPELINE_UPRIGHT_H
 
@@ -23,6 +24,12 @@ int gsn_upright_asks(const struct gsn_picture *picture, const struct gsn_protoco
 
 /* What the code alone says; nothing to turn where there is none. */
 struct gsn_dust_turn gsn_upright_by_code(const struct gsn_picture *picture);
+
+/* Whether a code was read that says which way round it lies. */
+int gsn_upright_is_coded(const struct gsn_picture *picture);
+
+/* The one turn that is one and then another. */
+struct gsn_dust_turn gsn_upright_compose(struct gsn_dust_turn first, struct gsn_dust_turn then);
 
 /* What code, grid and marks say together. scan: as surveyed, not turned. ret_why: by what it was
  * told, in words, static; untouched where the code alone tells. Fails with GSN_E_WITHHELD when

@@ -22,6 +22,7 @@ struct gsn_decision_row {
     int64_t number;     /* of the panel, from 1 */
     int64_t slot;       /* from 1 in the panel's order; 0: the panel as a whole */
     const char *answer; /* "cut", "hold", "slot 5", "dismiss", "first 5", "use <sha256>", "lost",
+                           "as-set", "as-marked",
                            "pose 2 of <sha256> up|down X,Y X,Y X,Y" (px; "-": no such mark) */
     double x_px, y_px;  /* the middle of what it is about, on the upright picture; NaN: nothing */
     const char *actor, *reason;

@@ -95,6 +95,10 @@ static int read_answer(const struct gsn_decision_row *row, const char *sha256,
         answer.said = GSN_SAID_POSE;
     else if (row->slot == 0 && first != UINT_MAX)
         answer.said = GSN_SAID_FIRST;
+    else if (row->slot == 0 && strcmp(row->answer, "as-set") == 0)
+        answer.said = GSN_SAID_AS_SET;
+    else if (row->slot == 0 && strcmp(row->answer, "as-marked") == 0)
+        answer.said = GSN_SAID_AS_MARKED;
     else
         return 0;
     answer.to = answer.said == GSN_SAID_FIRST ? first : seat != UINT_MAX ? seat : 0;

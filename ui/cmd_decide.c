@@ -68,6 +68,7 @@ static int is_of_slot(const char *word)
 static int is_answer(const char *word)
 {
     return is_of_slot(word) || takes_object(word) || strcmp(word, "lost") == 0 ||
+           strcmp(word, "as-set") == 0 || strcmp(word, "as-marked") == 0 ||
            strcmp(word, "undo") == 0;
 }
 
@@ -110,7 +111,7 @@ static int understand(int argc, char **argv, struct question *q)
     if (take_words(argc, argv, q) < 0 || !is_answer(q->word))
         return gsn_ui_usage(
             "say `gieson decide SPECIMEN PANEL.SLOT cut|hold|dismiss|slot N|pose N` or "
-            "`gieson decide SPECIMEN PANEL use FILE|first N|lost`, or undo; "
+            "`gieson decide SPECIMEN PANEL use FILE|first N|as-set|as-marked|lost`, or undo; "
             "`gieson show SPECIMEN` says what is asked");
     if (!take_place(q))
         return gsn_ui_usage("the place is a panel's number, with a slot's behind a dot, such as 3 "

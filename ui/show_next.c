@@ -39,6 +39,8 @@ static char *panel_question(const struct gsn_show *view, const struct gsn_panel_
     /* Where its sections lie is what is asked. */
     if (panel->width == 0 && strstr(panel->message, "slots in two ways"))
         return gsn_show_decide_command(view, panel->number, 0, "first N");
+    if (strstr(panel->message, "decide as-marked"))
+        return gsn_show_decide_command(view, panel->number, 0, "as-marked");
     if (!is_claimed_twice(view, panel))
         return NULL;
     file = gsn_text_word(panel->file_name);

@@ -187,27 +187,6 @@ TEST(a_mirrored_section_has_its_marks_in_the_jobs_order)
     CHECK_NEAR(worst_mark(&panel, findings), 0, 0.1);
 }
 
-/* Whether the findings say that most sections lie turned, when the first `turned` do. */
-static int told_turned(unsigned turned, const char *job)
-{
-    struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
-
-    for (unsigned slot = 0; slot < turned; slot++)
-        panel.section[slot].turn_deg += 180;
-    gsn_auto(gsn_panel_findings) findings = examined(&panel, 1, job);
-
-    return strstr(findings->note, "turned by half") != NULL &&
-           strstr(findings->note, "count backwards, as no code was read") != NULL;
-}
-
-/* Nothing but a code tells a panel that was fed the wrong way round from one that is mounted so. */
-TEST(without_a_code_a_panel_of_turned_sections_is_told)
-{
-    CHECK(told_turned(4, JOB_WITH_MARKS) && told_turned(3, JOB_WITH_MARKS));
-    CHECK(!told_turned(2, JOB_WITH_MARKS) && !told_turned(0, JOB_WITH_MARKS));
-    CHECK(!told_turned(4, JOB));
-}
-
 TEST(the_order_of_mounting_decides_which_slot_is_which)
 {
     static const struct {

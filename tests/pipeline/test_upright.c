@@ -98,3 +98,135 @@ TEST(a_reader_that_failed_is_said_of_the_panel_from_then_on)
         CHECK(strstr(a->panel[p].note, FAILED));
     }
 }
+
+/* ---- label against marks ------------------------------------------------------------------- */
+
+#define MARKED "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [2, 2], \"markers_um\": "
+static const char JOB_MARKED[] = MARKED DRAWN_MARKS_JSON "}";
+static const char JOB_Y_UP[] = MARKED "[[-717.5, 350], [595, 525], [-525, -455]]}";
+static const char JOB_X_LEFT[] = MARKED "[[717.5, -350], [-595, -525], [525, 455]]}";
+
+/* A panel that was fed like this, whose label says that; in findings what is found. */
+static int examine_labelled(int mirrored, int quarters, const char *job,
+                            const struct gsn_panel_answers *answers,
+                            struct gsn_panel_findings **ret_findings, struct gsn_error *err)
+{
+    gsn_auto(gsn_protocol) protocol = drawn_protocol(job);
+    struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+    gsn_auto_mem(uint8_t) png = NULL;
+    size_t size;
+
+    panel.mirrored = mirrored;
+    panel.quarters = quarters;
+    png = drawn_panel_png(&panel, &size);
+    return gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, 1, answers, 1, NULL,
+                             ret_findings, err);
+}
+
+/* What holds a panel names both readings. A scanner that mirrors and a triangle that is drawn so
+ * look alike, and so does a label on its head and a panel of sections that are. */
+TEST(a_label_that_contradicts_the_marks_holds_the_panel_and_names_both)
+{
+    static const struct {
+        int label[2], fed[2]; /* mirrored, quarters */
+        const char *job, *says[2];
+    } lies[] = {
+        { { 0, 2 },
+          { 0, 0 },
+          JOB_MARKED,
+          { "the code on its label stands on its head", "the marks of 4 of 4 sections" } },
+        { { 0, 0 },
+          { 0, 2 },
+          JOB_MARKED,
+          { "the code on its label stands upright", "the marks of 4 of 4 sections" } },
+        { { -1, 0 },
+          { 0, 2 },
+          JOB_MARKED,
+          { "no code was read on its label", "the marks of 4 of 4 sections" } },
+        { { 1, 0 },
+          { 0, 0 },
+          JOB_MARKED,
+          { "4 of 4 sections are mirrored", "the code on its label is mirrored" } },
+        { { 0, 0 },
+          { 0, 0 },
+          JOB_Y_UP,
+          { "mirrored top to bottom", "are the markers' y pointing up?" } },
+        { { -1, 0 },
+          { 0, 0 },
+          JOB_Y_UP,
+          { "no code was read on its label", "are the markers' y pointing up?" } },
+        { { 0, 0 },
+          { 0, 0 },
+          JOB_X_LEFT,
+          { "its label is not mirrored", "are the markers' x pointing left" } },
+    };
+
+    for (size_t i = 0; i < sizeof lies / sizeof lies[0]; i++) {
+        struct gsn_panel_findings *findings = NULL;
+        struct gsn_error err = { 0 };
+
+        drawn_label_lies(lies[i].label[0], lies[i].label[1]);
+        if (lies[i].label[0] < 0)
+            drawn_label_fails();
+        CHECK(examine_labelled(lies[i].fed[0], lies[i].fed[1], lies[i].job, NULL, &findings,
+                               &err) == GSN_E_WITHHELD);
+        CHECK(findings == NULL);
+        for (int k = 0; k < 2; k++)
+            if (!strstr(err.text, lies[i].says[k]))
+                fail_msg("case %zu: \"%s\" is not in \"%s\"", i, lies[i].says[k], err.text);
+        CHECK(strlen(err.text) + 1 < sizeof err.text);
+    }
+}
+
+/* Three of four sections are not a bench's chance, two may be. */
+TEST(two_of_four_turned_sections_leave_the_panel_to_its_label)
+{
+    gsn_auto(gsn_protocol) protocol = drawn_protocol(JOB_MARKED);
+
+    for (unsigned turned = 2; turned < 4; turned++) {
+        struct drawn_panel panel = drawn_panel_of(1, 24, 0.8);
+        gsn_auto(gsn_panel_findings) findings = NULL;
+        gsn_auto_mem(uint8_t) png = NULL;
+        size_t size;
+
+        for (unsigned slot = 0; slot < turned; slot++)
+            panel.section[slot].turn_deg += 180;
+        png = drawn_panel_png(&panel, &size);
+        drawn_label_lies(0, 0);
+        CHECK(gsn_panel_examine(NULL, gsn_check_fd(png, size), protocol, 1, NULL, 1, NULL,
+                                &findings, NULL) == (turned < 3 ? GSN_OK : GSN_E_WITHHELD));
+    }
+}
+
+/* The label says half a turn too much: by the marks the panel is as it was fed. */
+TEST(a_person_says_whether_label_or_marks_are_right)
+{
+    static const struct gsn_panel_answer as_set = { .said = GSN_SAID_AS_SET },
+                                         as_marked = { .said = GSN_SAID_AS_MARKED };
+    const struct gsn_panel_answers set = { 1, &as_set }, marked = { 1, &as_marked };
+
+    for (int mirrored = 0; mirrored < 2; mirrored++)
+        for (int quarters = 0; quarters < 4; quarters += 2) {
+            gsn_auto(gsn_panel_findings) truth = NULL;
+            gsn_auto(gsn_panel_findings) by_label = NULL;
+            gsn_auto(gsn_panel_findings) by_marks = NULL;
+            struct gsn_error err = { 0 };
+
+            drawn_label_lies(mirrored, quarters);
+            CHECK_OK(examine_labelled(mirrored, quarters, JOB_MARKED, NULL, &truth, &err), err);
+            drawn_label_lies(mirrored, (quarters + 2) % 4);
+            CHECK_OK(examine_labelled(mirrored, quarters, JOB_MARKED, &set, &by_label, &err), err);
+            CHECK_OK(examine_labelled(mirrored, quarters, JOB_MARKED, &marked, &by_marks, &err),
+                     err);
+            for (size_t i = 0; i < truth->count; i++) {
+                const struct gsn_mark *is = &truth->section[i].mark[0];
+
+                CHECK_NEAR(by_marks->section[i].mark[0].px.x, is->px.x, 1e-3);
+                CHECK_NEAR(by_marks->section[i].mark[0].px.y, is->px.y, 1e-3);
+                CHECK_NEAR(by_label->section[truth->count - 1 - i].mark[0].px.x,
+                           truth->width - is->px.x, 1e-3);
+            }
+            CHECK(strstr(by_marks->note, "set as its marks say, as was decided"));
+            CHECK(strstr(by_label->note, "against its marks, as was decided"));
+        }
+}

@@ -102,6 +102,37 @@ static int account_of_stack(const struct gsn_assembly *assembly,
                        options, ret_account, why, err);
 }
 
+/* Whether the region, or the tissue that the stain is measured by, is said in coordinates of the
+ * block's x and y. */
+static int is_in_block_frame(const struct gsn_region *region)
+{
+    return region->kind == GSN_REGION_BAND ? region->file != NULL || region->radius_um > 0
+                                           : region->kind != GSN_REGION_NONE;
+}
+
+/* Marks whose places in the block nobody stated lie in a frame of their own: its origin and its
+ * turn follow from the mounting, and a region of the block lies anywhere in it. */
+static int check_frame(const struct gsn_specimen *specimen, const struct gsn_assembly *a,
+                       struct gsn_error *why)
+{
+    const struct gsn_protocol *p = specimen->protocol;
+    const struct gsn_point *t = a->summary.mean_triangle;
+    char unknown[120] = "";
+
+    if (p->has_markers || !a->solved ||
+        !(is_in_block_frame(&p->region) || is_in_block_frame(&p->reference_tissue)))
+        return GSN_OK;
+    if (p->unknown)
+        (void)snprintf(unknown, sizeof unknown, "; it has keys that are not used: %.80s",
+                       p->unknown);
+    return gsn_fail(why, GSN_E_WITHHELD,
+                    "the region is stated in the block frame, but \"markers_um\" is not stated in "
+                    "job.json%s: where the region lies is not known. State where the three marks "
+                    "lie in the block; a region that was drawn on this stack has them at "
+                    "[[%.0f, %.0f], [%.0f, %.0f], [%.0f, %.0f]]",
+                    unknown, t[0].x, t[0].y, t[1].x, t[1].y, t[2].x, t[2].y);
+}
+
 static int work_sections(const struct gsn_specimen *specimen,
                          const struct gsn_specimen_options *options,
                          struct gsn_specimen_result *result, struct gsn_error *err)
@@ -119,6 +150,8 @@ static int work_sections(const struct gsn_specimen *specimen,
             *err = why;
         return r;
     }
+    if (r >= 0)
+        r = check_frame(specimen, assembly, &why);
     if (r >= 0 && assembly->grid)
         r = account_of_stack(assembly, specimen, options, &account, &evidence.bridge, &why, err);
     else if (r >= 0 && !assembly->solved)

@@ -525,6 +525,11 @@ TEST(a_withheld_report_is_whole_and_says_why)
           ", \"region\": {\"shape\": \"box\", \"min\": [5000, 0, 48], \"max\": [5200, 200, "
           "240]}}",
           "only 0 % of the region of interest has data", 0, 0 },
+        { "{\"specimen\": \"x\", \"px_um\": 24, \"layout\": [2, 2], \"transfer\": \"linear\", "
+          "\"marker_um\": " DRAWN_MARKS_JSON ", \"region\": " DRAWN_REGION "}",
+          "but \"markers_um\" is not stated in job.json; it has keys that are not used: "
+          "\"marker_um\"",
+          0, 0 },
     };
 
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++)

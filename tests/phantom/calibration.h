@@ -31,17 +31,19 @@ struct gsn_phantom_patch gsn_phantom_dye_patch_of(const struct gsn_phantom_plan 
 void gsn_phantom_dye_patch_od(const struct gsn_phantom_plan *plan, int batch,
                               enum gsn_phantom_dye dye, double ret_od[3]);
 
-/* The optical density of patch i in batch 1..5. */
+/* The optical density of patch i in a batch, from 1. */
 void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i, double ret_od[3]);
 
-/* gives: the panel of batch 1..5, 8-bit RGB, with the batch's white, the light and the noise of its
+/* gives: the panel of a batch, from 1, or, as 0, of the bath that they are drawn from, with patches
+ * of its dyes only; 8-bit RGB, with the batch's white, the light and the noise of its
  * level, and the label "C01". Fails with GSN_E_NOMEM. borrows: plan. */
 int gsn_phantom_calibration_draw(const struct gsn_phantom_plan *plan, int batch, unsigned threads,
                                  struct gsn_image **ret_image, struct gsn_error *err);
 
-/* Writes all five into folder/calibration, and folder/truth/calibration.csv and
- * calibration_dyes.csv; at levels that are not
- * handled all batches are alike, and nothing is written. folder/truth must be there. */
+/* Writes all of them into folder/calibration, and folder/truth/calibration.csv and
+ * calibration_dyes.csv; at levels that are not handled all batches are alike, and none is written.
+ * Those that a variant's job.json states are written into folder, as PNG. folder/truth must be
+ * there. */
 int gsn_phantom_calibration_write(const struct gsn_phantom_plan *plan, unsigned threads,
                                   const char *folder, struct gsn_error *err);
 

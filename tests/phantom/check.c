@@ -3,7 +3,6 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/core/parallel.h"
-#include "tests/phantom/geometry.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -16,6 +15,7 @@ struct layer_sum {
 };
 
 struct job {
+    const struct gsn_phantom_geometry *geometry;
     const double *depth;
     double step_um, gain;
     size_t across; /* steps over the region's diameter */
@@ -26,7 +26,7 @@ static void add_point(const struct job *job, struct gsn_vec3 at, struct layer_su
 {
     struct gsn_phantom_field field;
 
-    gsn_phantom_field_at(at, &field);
+    gsn_phantom_field_at(job->geometry, at, &field);
     sum->inside++;
     sum->intact += field.intact;
     sum->lost += field.lost;
@@ -41,7 +41,7 @@ static void add_point(const struct job *job, struct gsn_vec3 at, struct layer_su
 static int add_layer(size_t index, void *context, struct gsn_error *err)
 {
     const struct job *job = context;
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
+    const struct gsn_phantom_geometry *g = job->geometry;
     struct layer_sum sum = { 0 };
     struct gsn_vec3 at;
 
@@ -51,7 +51,7 @@ static int add_layer(size_t index, void *context, struct gsn_error *err)
         at.y = g->lesion.y - g->region_radius + ((double)j + 0.5) * job->step_um;
         for (size_t i = 0; i < job->across; i++) {
             at.x = g->lesion.x - g->region_radius + ((double)i + 0.5) * job->step_um;
-            if (gsn_phantom_in_region(at))
+            if (gsn_phantom_in_region(g, at))
                 add_point(job, at, &sum);
         }
     }
@@ -59,16 +59,17 @@ static int add_layer(size_t index, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], double gain,
-                    unsigned threads, struct gsn_phantom_sums *ret_sums, struct gsn_error *err)
+int gsn_phantom_sum(const struct gsn_phantom_geometry *g, double step_um,
+                    const double depth[GSN_PHANTOM_DEPTHS], double gain, unsigned threads,
+                    struct gsn_phantom_sums *ret_sums, struct gsn_error *err)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
     const double height = 2 * g->region_half_height;
     const size_t layers = (size_t)fmax(1, round(height / step_um));
     const double step = height / (double)layers, cell = step * step * step * 1e-9;
     gsn_auto_mem(struct layer_sum) layer = gsn_alloc_array(layers, sizeof *layer);
     struct gsn_phantom_sums sums = { 0 };
-    struct job job = { .depth = depth,
+    struct job job = { .geometry = g,
+                       .depth = depth,
                        .step_um = step,
                        .gain = gain,
                        .across = (size_t)ceil(2 * g->region_radius / step - 1e-9),
@@ -121,7 +122,7 @@ int gsn_phantom_check_all(double step_um, unsigned threads,
     const double points = 0.02, relative = 0.001;
     struct gsn_phantom_check *next = ret_check;
     struct gsn_phantom_sums sums;
-    const int r = gsn_phantom_sum(step_um, depth, 1, threads, &sums, err);
+    const int r = gsn_phantom_sum(gsn_phantom_geometry(), step_um, depth, 1, threads, &sums, err);
 
     if (r < 0)
         return r;

@@ -8,6 +8,7 @@
 #define GSN_PHANTOM_CHECK_H
 
 #include "pipeline/core/error.h"
+#include "tests/phantom/geometry.h"
 
 #include <stddef.h>
 
@@ -30,9 +31,10 @@ extern const double gsn_phantom_thresholds[GSN_PHANTOM_THRESHOLDS];
 
 /* Sums at steps of about step_um (rounded so that the region's height is a whole number of them),
  * volumes above the thresholds for each of the depths A in bone gain times as dense as ordinary.
- * Fails with GSN_E_NOMEM. borrows: depth. */
-int gsn_phantom_sum(double step_um, const double depth[GSN_PHANTOM_DEPTHS], double gain,
-                    unsigned threads, struct gsn_phantom_sums *ret_sums, struct gsn_error *err);
+ * Fails with GSN_E_NOMEM. borrows: g, depth. */
+int gsn_phantom_sum(const struct gsn_phantom_geometry *g, double step_um,
+                    const double depth[GSN_PHANTOM_DEPTHS], double gain, unsigned threads,
+                    struct gsn_phantom_sums *ret_sums, struct gsn_error *err);
 
 /* 100 (1 - I(A)/I(0)). */
 double gsn_phantom_loss_percent(const struct gsn_phantom_sums *sums, double depth);

@@ -11,10 +11,8 @@
 static const double USUAL_TAG_UM = 25400.0 / 300;
 
 /* The roles of the panels of an awkward delivery; each panel plays one, the first of them when
- * there are fewer panels. */
+ * there are fewer panels, and none of them as ROLES and beyond. */
 enum role { MISSING, CUT, TURNED, DEEP, WRONG_TAG, ROLES };
-
-_Static_assert((int)ROLES >= GSN_PHANTOM_PANELS, "each panel has one role");
 
 static struct gsn_phantom_file plain(const struct gsn_phantom_plan *plan, int panel)
 {
@@ -24,7 +22,7 @@ static struct gsn_phantom_file plain(const struct gsn_phantom_plan *plan, int pa
                                       .passes = 1,
                                       .kept = 1,
                                       .tag_um = plan->px_um,
-                                      .extension = plan->level->extension };
+                                      .extension = plan->level.extension };
 }
 
 static void shuffle(struct gsn_phantom_random *random, int *card, int count)
@@ -63,13 +61,13 @@ void gsn_phantom_delivery_draw(struct gsn_phantom_plan *plan)
 {
     struct gsn_phantom_random random =
         gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DELIVERY, 0, 0);
-    int role[GSN_PHANTOM_PANELS] = { 0 }, order[GSN_PHANTOM_PANELS] = { 0 };
+    int role[GSN_PHANTOM_PANELS_MOST] = { 0 }, order[GSN_PHANTOM_PANELS_MOST] = { 0 };
     struct gsn_phantom_file again = { 0 };
 
     plan->files = 0;
     for (int i = 0; i < plan->panels; i++)
         plan->file[plan->files++] = plain(plan, i + 1);
-    if (!plan->level->awkward)
+    if (!plan->level.awkward)
         return;
     shuffle(&random, role, plan->panels);
     shuffle(&random, order, plan->panels);
@@ -93,10 +91,10 @@ char *gsn_phantom_delivery_name(const struct gsn_phantom_plan *plan, int i)
 {
     const struct gsn_phantom_file *file = &plan->file[i];
 
-    if (plan->level->awkward)
-        return gsn_format("%02d-" GSN_PHANTOM_STUDY "-%s-P%02d.%s", i + 1, plan->specimen->name,
+    if (plan->level.awkward)
+        return gsn_format("%02d-" GSN_PHANTOM_STUDY "-%s-P%02d.%s", i + 1, plan->specimen.name,
                           file->panel, file->extension);
-    return gsn_format(GSN_PHANTOM_STUDY "-%s-P%02d.%s", plan->specimen->name, file->panel,
+    return gsn_format(GSN_PHANTOM_STUDY "-%s-P%02d.%s", plan->specimen.name, file->panel,
                       file->extension);
 }
 
@@ -156,7 +154,7 @@ int gsn_phantom_delivery_encode(const struct gsn_phantom_plan *plan,
     int r;
 
     if (strcmp(file->extension, "jpg") == 0)
-        r = encode_jpeg(file, plan->level->quality, image, ret_file, err);
+        r = encode_jpeg(file, plan->level.quality, image, ret_file, err);
     else if (strcmp(file->extension, "png") == 0)
         r = gsn_phantom_png(image, file->tag_um, ret_file, err);
     else

@@ -18,14 +18,16 @@ struct gsn_phantom_glass {
     float *od;
 };
 
-/* Writes the specimen's name, the panel's ("P03") and both as a Data Matrix. */
+/* Writes the specimen's name, the panel's ("P03") and both as a Data Matrix, unless the variant has
+ * no labels. */
 int gsn_phantom_label_write(const struct gsn_phantom_plan *plan, const char *panel,
                             const struct gsn_phantom_glass *glass, struct gsn_error *err);
 
-/* gives: RGB of 8 or 16 bits, in the light and on the white of batch 1..5; noise names the stream
- * of its noise. The pixels do not depend on the number of threads. Fails with GSN_E_NOMEM. */
+/* gives: RGB of 8 or 16 bits, in the light and on this white; borrows: white. noise names the
+ * stream of its noise. The pixels do not depend on the number of threads. Fails with GSN_E_NOMEM.
+ */
 int gsn_phantom_expose(const struct gsn_phantom_plan *plan, const struct gsn_phantom_glass *glass,
-                       int batch, int noise, uint32_t bits, unsigned threads,
+                       const double white[3], int noise, uint32_t bits, unsigned threads,
                        struct gsn_image **ret_image, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -2,6 +2,7 @@
 #include "tests/phantom/geometry.h"
 
 #include <math.h>
+#include <string.h>
 
 static const struct gsn_phantom_geometry GVP_D = {
     .sections = 60,
@@ -88,11 +89,109 @@ static const struct gsn_phantom_geometry GVP_D = {
                 { { 1773, -126, 1206 }, { 66, 102, 185 } },
                 { { 457, -750, 575 }, { 164, 131, 189 } } },
     .mark = { { -2050, -1000 }, { 1700, -1500 }, { -1500, 1300 } },
+    .marrows = GSN_PHANTOM_MARROWS,
+};
+
+/* A second animal, cut thicker: a deeper and narrower block, a stouter root that slants the other
+ * way, a wider ligament, and a lesion on the opposite side. */
+static const struct gsn_phantom_geometry GVP_P = {
+    .sections = 48,
+    .first_z = 15,
+    .interval = 30,
+    .height = 1440,
+    .ax = 1900,
+    .ay = 2300,
+    .p = 2.6,
+    .delta = 12,
+    .a = 430,
+    .b = 560,
+    .root_length = 1100,
+    .apex_z = 180,
+    .cx = 220,
+    .cy = -140,
+    .tx = -0.08,
+    .ty = 0.05,
+    .pulp_scale = 0.42,
+    .pulp_start = 0.2,
+    .pdl_width = 220,
+    .bone_width = 820,
+    .bone_wave = 0.2,
+    .bone_turn = 2.1,
+    .density = { [GSN_PHANTOM_CONN] = 0.16,
+                 [GSN_PHANTOM_DENT] = 0.60,
+                 [GSN_PHANTOM_PULP] = 0.10,
+                 [GSN_PHANTOM_PDL] = 0.38,
+                 [GSN_PHANTOM_BONE] = 0.82,
+                 [GSN_PHANTOM_MARR] = 0.05 },
+    .lamella = 0.04,
+    .lamella_length = 95,
+    .slope_z = 0.06,
+    .lesion = { -580, -384, 660 },
+    .lesion_radius = { 480, 540, 300 },
+    .lesion_turn = 1.1,
+    .lesion_in_pdl = 0.5,
+    .region_depth = 400,
+    .region_half_height = 270,
+    .region_radius = 850,
+    .outline = { { 2, .002, 1.1, .000451 },
+                 { 3, .004, 2.7, -.000913 },
+                 { 4, .005, 5.2, .000622 },
+                 { 5, .002, .9, .00097 },
+                 { 7, .003, 4.4, -.000538 } },
+    .marrow = { { { 75, 1227, 1348 }, { 89, 137, 190 } },
+                { { -263, 1574, 514 }, { 118, 153, 170 } },
+                { { -652, 1454, 1297 }, { 111, 74, 109 } },
+                { { 891, -1716, 505 }, { 64, 75, 220 } },
+                { { -1513, 759, 300 }, { 146, 125, 136 } },
+                { { 776, -656, 381 }, { 93, 88, 172 } },
+                { { -916, -1176, 1231 }, { 122, 143, 152 } },
+                { { 1559, 982, 1310 }, { 109, 157, 98 } },
+                { { 580, 680, 331 }, { 116, 80, 201 } },
+                { { -1549, -741, 248 }, { 130, 138, 128 } },
+                { { 518, 1216, 669 }, { 89, 92, 130 } },
+                { { 950, 1880, 621 }, { 108, 113, 150 } },
+                { { 1157, 371, 936 }, { 120, 104, 222 } },
+                { { 1688, 310, 1083 }, { 117, 84, 229 } },
+                { { 699, 1361, 96 }, { 116, 130, 204 } },
+                { { 1483, 465, 687 }, { 85, 109, 185 } },
+                { { -1160, -565, 1197 }, { 99, 128, 179 } },
+                { { -290, 1841, 103 }, { 81, 66, 136 } },
+                { { 1047, -457, 791 }, { 87, 129, 180 } },
+                { { 1196, -105, 905 }, { 149, 148, 130 } },
+                { { 930, 1194, 1273 }, { 133, 151, 144 } },
+                { { -262, -908, 115 }, { 149, 102, 117 } },
+                { { -819, 1532, 826 }, { 70, 141, 117 } },
+                { { 945, -1092, 1231 }, { 95, 117, 128 } },
+                { { 1294, -326, 1287 }, { 107, 66, 148 } },
+                { { 967, -1092, 632 }, { 66, 65, 213 } },
+                { { -1693, 174, 895 }, { 140, 63, 117 } },
+                { { 1160, 270, 1386 }, { 65, 95, 110 } },
+                { { -1192, -400, 93 }, { 142, 78, 186 } },
+                { { -955, 1836, 1206 }, { 83, 118, 209 } },
+                { { -142, 1145, 416 }, { 143, 135, 229 } },
+                { { -388, 937, 441 }, { 98, 111, 181 } },
+                { { 1569, 1395, 667 }, { 143, 122, 136 } },
+                { { 1206, 824, 1052 }, { 122, 65, 119 } },
+                { { -1619, -1224, 1356 }, { 83, 89, 163 } },
+                { { -1261, -1337, 421 }, { 133, 78, 133 } },
+                { { 101, -1187, 1319 }, { 113, 76, 126 } },
+                { { -1363, 4, 1142 }, { 93, 133, 221 } },
+                { { 1441, 1784, 849 }, { 128, 111, 139 } },
+                { { -257, -1610, 1244 }, { 86, 132, 104 } } },
+    .mark = { { 1350, -1500 }, { -1450, 1250 }, { -1000, -1700 } },
+    .marrows = GSN_PHANTOM_MARROWS,
 };
 
 const struct gsn_phantom_geometry *gsn_phantom_geometry(void)
 {
     return &GVP_D;
+}
+
+const struct gsn_phantom_geometry *gsn_phantom_geometry_find(const char *name)
+{
+    if (strcmp(name, "D") == 0)
+        return &GVP_D;
+    return strcmp(name, "P") == 0 ? &GVP_P : NULL;
 }
 
 double gsn_phantom_step(double t)
@@ -102,15 +201,14 @@ double gsn_phantom_step(double t)
     return u * u * (3 - 2 * u);
 }
 
-double gsn_phantom_section_z(int k)
+double gsn_phantom_section_z(const struct gsn_phantom_geometry *g, int k)
 {
-    return GVP_D.first_z + GVP_D.interval * k;
+    return g->first_z + g->interval * k;
 }
 
 /* F, the smooth outline of the block. */
-static double tissue(struct gsn_vec3 at)
+static double tissue(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
     const double u = fabs(at.x) / g->ax, v = fabs(at.y) / g->ay;
     const double edge = g->delta / fmin(g->ax, g->ay);
     double phi, rho, waves = 0, bound = 0;
@@ -132,9 +230,9 @@ static double tissue(struct gsn_vec3 at)
 }
 
 /* Distance from the paraboloid of the root whose half axes are scaled and that starts later. */
-static double paraboloid(struct gsn_vec3 at, double scale, double start)
+static double paraboloid(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, double scale,
+                         double start)
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
     const double a = g->a * scale, b = g->b * scale;
     const double x = at.x - (g->cx + g->tx * at.z), y = at.y - (g->cy + g->ty * at.z);
     const double s = (at.z - g->apex_z) / g->root_length - start;
@@ -145,42 +243,41 @@ static double paraboloid(struct gsn_vec3 at, double scale, double start)
     return value / sqrt(gx * gx + gy * gy + gz * gz);
 }
 
-double gsn_phantom_root_distance(struct gsn_vec3 at)
+double gsn_phantom_root_distance(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
-    return paraboloid(at, 1, 0);
+    return paraboloid(g, at, 1, 0);
 }
 
-static double bone_width(struct gsn_vec3 at)
+static double bone_width(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
     const double theta = atan2(at.y - (g->cy + g->ty * at.z), at.x - (g->cx + g->tx * at.z));
 
     return g->bone_width * (1 + g->bone_wave * cos(theta - g->bone_turn));
 }
 
 /* How far the point is in the nearest marrow space, 0..1. */
-static double marrow(struct gsn_vec3 at)
+static double marrow(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
     /* No space is thinner than 4 delta: its soft edge ends within 1 + 1/4 radii. */
     const double far = 1.25;
     double most = 0;
 
-    for (int i = 0; i < GSN_PHANTOM_MARROWS; i++) {
-        const struct gsn_vec3 c = GVP_D.marrow[i].centre, r = GVP_D.marrow[i].radius;
+    for (int i = 0; i < g->marrows; i++) {
+        const struct gsn_vec3 c = g->marrow[i].centre, r = g->marrow[i].radius;
         const double x = at.x - c.x, y = at.y - c.y, z = at.z - c.z;
         double q;
 
         if (fabs(x) > far * r.x || fabs(y) > far * r.y || fabs(z) > far * r.z)
             continue;
         q = sqrt(x * x / (r.x * r.x) + y * y / (r.y * r.y) + z * z / (r.z * r.z));
-        most = fmax(most, gsn_phantom_step((1 - q) * fmin(r.x, fmin(r.y, r.z)) / GVP_D.delta));
+        most = fmax(most, gsn_phantom_step((1 - q) * fmin(r.x, fmin(r.y, r.z)) / g->delta));
     }
     return most;
 }
 
-static void layers(struct gsn_vec3 at, double d, double layer[GSN_PHANTOM_LAYERS])
+static void layers(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, double d,
+                   double layer[GSN_PHANTOM_LAYERS])
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
     const double root = gsn_phantom_step(-d / g->delta);
     const double beyond_pdl = gsn_phantom_step((d - g->pdl_width) / g->delta);
     double beyond_bone = 0, bone;
@@ -189,22 +286,21 @@ static void layers(struct gsn_vec3 at, double d, double layer[GSN_PHANTOM_LAYERS
         layer[i] = 0;
     if (root > 0)
         layer[GSN_PHANTOM_PULP] =
-            gsn_phantom_step(-paraboloid(at, g->pulp_scale, g->pulp_start) / g->delta) * root;
+            gsn_phantom_step(-paraboloid(g, at, g->pulp_scale, g->pulp_start) / g->delta) * root;
     layer[GSN_PHANTOM_DENT] = root - layer[GSN_PHANTOM_PULP];
     layer[GSN_PHANTOM_PDL] = (1 - root) * (1 - beyond_pdl);
     if (beyond_pdl > 0)
-        beyond_bone = gsn_phantom_step((d - g->pdl_width - bone_width(at)) / g->delta);
+        beyond_bone = gsn_phantom_step((d - g->pdl_width - bone_width(g, at)) / g->delta);
     layer[GSN_PHANTOM_CONN] = beyond_pdl * beyond_bone;
     bone = beyond_pdl * (1 - beyond_bone);
     if (bone > 0)
-        layer[GSN_PHANTOM_MARR] = bone * marrow(at);
+        layer[GSN_PHANTOM_MARR] = bone * marrow(g, at);
     layer[GSN_PHANTOM_BONE] = bone - layer[GSN_PHANTOM_MARR];
 }
 
 /* E, a Gaussian turned about z. */
-static double lesion(struct gsn_vec3 at)
+static double lesion(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
     const struct gsn_vec3 d = gsn_vec3_sub(at, g->lesion), r = g->lesion_radius;
     const double c = cos(g->lesion_turn), s = sin(g->lesion_turn);
     const double u = (c * d.x + s * d.y) / r.x, w = (c * d.y - s * d.x) / r.y, h = d.z / r.z;
@@ -212,16 +308,16 @@ static double lesion(struct gsn_vec3 at)
     return exp(-(u * u + w * w + h * h) / 2);
 }
 
-void gsn_phantom_field_at(struct gsn_vec3 at, struct gsn_phantom_field *ret_field)
+void gsn_phantom_field_at(const struct gsn_phantom_geometry *g, struct gsn_vec3 at,
+                          struct gsn_phantom_field *ret_field)
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
-    struct gsn_phantom_field f = { .tissue = tissue(at) };
+    struct gsn_phantom_field f = { .tissue = tissue(g, at) };
     double d, bone, sum = 0;
 
     if (f.tissue > 0) {
-        d = gsn_phantom_root_distance(at);
-        layers(at, d, f.layer);
-        f.lesion = lesion(at);
+        d = gsn_phantom_root_distance(g, at);
+        layers(g, at, d, f.layer);
+        f.lesion = lesion(g, at);
         bone = g->density[GSN_PHANTOM_BONE] * f.layer[GSN_PHANTOM_BONE] *
                (1 + g->lamella * cos(2 * M_PI * d / g->lamella_length)) *
                (1 - g->slope_z * at.z / g->height);
@@ -231,7 +327,9 @@ void gsn_phantom_field_at(struct gsn_vec3 at, struct gsn_phantom_field *ret_fiel
         f.bone = f.tissue * bone;
         f.intact = f.tissue * (sum + bone);
         f.lost = f.tissue * f.lesion *
-                 (bone + g->lesion_in_pdl * g->density[GSN_PHANTOM_PDL] * f.layer[GSN_PHANTOM_PDL]);
+                 (bone - g->floor * f.layer[GSN_PHANTOM_BONE] +
+                  g->lesion_in_pdl * (g->density[GSN_PHANTOM_PDL] - g->floor) *
+                      f.layer[GSN_PHANTOM_PDL]);
     }
     *ret_field = f;
 }
@@ -248,15 +346,14 @@ double gsn_phantom_density(const struct gsn_phantom_field *field, double depth)
     return field->intact - depth * field->lost;
 }
 
-int gsn_phantom_in_region(struct gsn_vec3 at)
+int gsn_phantom_in_region(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
-    const struct gsn_phantom_geometry *g = &GVP_D;
     const double x = at.x - g->lesion.x, y = at.y - g->lesion.y;
     double d;
 
     if (fabs(at.z - g->lesion.z) > g->region_half_height ||
         x * x + y * y > g->region_radius * g->region_radius)
         return 0;
-    d = gsn_phantom_root_distance(at);
+    d = gsn_phantom_root_distance(g, at);
     return d >= g->pdl_width && d < g->pdl_width + g->region_depth;
 }

@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The phantom block GVP-D: a tooth root in bone, known in closed form at every point.
+/* The phantom block: a tooth root in bone, known in closed form at every point.
  *
  * Lengths are micrometres, angles radians. The block frame has x right and y down in the section
- * and z along the cutting direction; section k is the plane z = 12 + 24 k. The collagen density D
- * (0..1) is the truth of the phantom. It is linear in the depth A of the lesion. */
+ * and z along the cutting direction; section k is the plane z = first_z + interval k. The collagen
+ * density D (0..1) is the truth of the phantom. It is linear in the depth A of the lesion. GVP-D is
+ * the block of the specification; another block is another struct. */
 #ifndef GSN_PHANTOM_GEOMETRY_H
 #define GSN_PHANTOM_GEOMETRY_H
 
@@ -51,6 +52,8 @@ struct gsn_phantom_geometry {
     struct gsn_phantom_wave outline[GSN_PHANTOM_OUTLINE_WAVES];
     struct gsn_phantom_ellipsoid marrow[GSN_PHANTOM_MARROWS];
     struct gsn_point mark[GSN_PHANTOM_MARKS];
+    int marrows;  /* of the array above only so many count */
+    double floor; /* no layer is paler, and the lesion takes none down to less */
 };
 
 /* What the block holds at one point. Where tissue is 0 all the rest is 0 too. */
@@ -62,18 +65,21 @@ struct gsn_phantom_field {
     double bone;                      /* the bone's share of intact */
 };
 
-/* The one instance. */
+/* GVP-D. */
 const struct gsn_phantom_geometry *gsn_phantom_geometry(void);
+/* "D", or "P": another anatomy. NULL for a name nobody defined. */
+const struct gsn_phantom_geometry *gsn_phantom_geometry_find(const char *name);
 
 /* Smooth step from 0 at t = -1 to 1 at t = 1. */
 double gsn_phantom_step(double t);
 
-double gsn_phantom_section_z(int k);
+double gsn_phantom_section_z(const struct gsn_phantom_geometry *g, int k);
 
 /* Signed distance from the root surface, first order: below 0 inside the root. */
-double gsn_phantom_root_distance(struct gsn_vec3 at);
+double gsn_phantom_root_distance(const struct gsn_phantom_geometry *g, struct gsn_vec3 at);
 
-void gsn_phantom_field_at(struct gsn_vec3 at, struct gsn_phantom_field *ret_field);
+void gsn_phantom_field_at(const struct gsn_phantom_geometry *g, struct gsn_vec3 at,
+                          struct gsn_phantom_field *ret_field);
 
 /* Makes all bone gain times as dense, as animals differ; 1 changes nothing. */
 void gsn_phantom_field_thicken(struct gsn_phantom_field *field, double gain);
@@ -82,7 +88,7 @@ void gsn_phantom_field_thicken(struct gsn_phantom_field *field, double gain);
 double gsn_phantom_density(const struct gsn_phantom_field *field, double depth);
 
 /* 1 inside the region of interest, 0 outside. */
-int gsn_phantom_in_region(struct gsn_vec3 at);
+int gsn_phantom_in_region(const struct gsn_phantom_geometry *g, struct gsn_vec3 at);
 
 #ifdef __cplusplus
 }

@@ -11,7 +11,7 @@ struct dealing {
     struct gsn_phantom_plan *plan;
     struct gsn_phantom_random *random;
     int panel; /* from 0 */
-    int used[GSN_PHANTOM_SLOTS];
+    int used[GSN_PHANTOM_SLOTS_MOST];
 };
 
 /* --- marks and decoys --- */
@@ -19,24 +19,26 @@ struct dealing {
 /* They belong to the section that is mounted: a section mounted twice brings the same marks. */
 static void burn_marks(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
-    const struct gsn_phantom_level *level = plan->level;
+    const struct gsn_phantom_geometry *g = &plan->variant.geometry;
+    const struct gsn_phantom_level *level = &plan->level;
     struct gsn_phantom_random random =
         gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_MARKS, s->shows < 0 ? s->k : s->shows, 0);
+    const double longest = plan->variant.aspect > 0 ? plan->variant.aspect : 1.15;
 
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
         struct gsn_phantom_mark *mark = &s->mark[i];
 
         *mark = (struct gsn_phantom_mark){ .centre = g->mark[i],
-                                           .radius_um = gsn_phantom_recipe()->mark_radius_um,
-                                           .ratio = 1 };
-        if (!level->handled)
+                                           .radius_um = plan->variant.burning.radius_um,
+                                           .ratio = 1,
+                                           .missing = plan->variant.no_marks };
+        if (!level->handled && plan->variant.aspect < 0)
             continue;
-        mark->missing = gsn_phantom_uniform(&random) < level->mark_missing_share;
+        mark->missing |= gsn_phantom_uniform(&random) < level->mark_missing_share;
         mark->centre.x += gsn_phantom_normal(&random, level->mark_wander_um);
         mark->centre.y += gsn_phantom_normal(&random, level->mark_wander_um);
-        mark->radius_um *= gsn_phantom_between(&random, 0.9, 1.1);
-        mark->ratio = gsn_phantom_between(&random, 1, 1.15);
+        mark->radius_um *= level->handled ? gsn_phantom_between(&random, 0.9, 1.1) : 1;
+        mark->ratio = gsn_phantom_between(&random, 1, longest);
         mark->turn = gsn_phantom_between(&random, 0, M_PI);
     }
 }
@@ -45,7 +47,7 @@ static void burn_marks(const struct gsn_phantom_plan *plan, struct gsn_phantom_s
 static int near_mark(const struct gsn_phantom_plan *plan, const struct gsn_phantom_section *s,
                      struct gsn_point at_um)
 {
-    const double apart = 350;
+    const double apart = 275 + plan->variant.burning.radius_um;
 
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
         const struct gsn_point p = gsn_affine_apply(&s->to_panel, s->mark[i].centre);
@@ -59,9 +61,12 @@ static int near_mark(const struct gsn_phantom_plan *plan, const struct gsn_phant
 static void strew(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
 {
     const double reach = 2600, least_um = 40, most_um = 130;
+    const double size = plan->variant.burning.radius_um / gsn_phantom_burning()->radius_um;
+    const int exactly = plan->variant.decoys;
     struct gsn_phantom_random random =
         gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DECOYS, s->k, 0);
-    const int wanted = (int)gsn_phantom_below(&random, (uint32_t)plan->level->decoys_most + 1);
+    const int drawn = (int)gsn_phantom_below(&random, (uint32_t)plan->level.decoys_most + 1);
+    const int wanted = exactly < 0 ? drawn : exactly;
 
     while (s->decoys < wanted) {
         struct gsn_phantom_decoy *decoy = &s->decoy[s->decoys];
@@ -69,6 +74,10 @@ static void strew(const struct gsn_phantom_plan *plan, struct gsn_phantom_sectio
         decoy->kind =
             (enum gsn_phantom_decoy_kind)gsn_phantom_below(&random, GSN_PHANTOM_DECOY_KINDS);
         decoy->radius_um = gsn_phantom_between(&random, least_um, most_um);
+        if (exactly >= 0) { /* round, and as large as a mark may be */
+            decoy->kind = GSN_PHANTOM_DEBRIS;
+            decoy->radius_um *= size;
+        }
         decoy->at_um = gsn_phantom_around(&random, gsn_phantom_centre_um(plan, s), reach);
         s->decoys += !near_mark(plan, s, decoy->at_um);
     }
@@ -92,25 +101,32 @@ static void lose(struct gsn_phantom_plan *plan, int k, struct gsn_phantom_random
     const struct gsn_phantom_defect defect = {
         .kind = again ? GSN_PHANTOM_DUPLICATE : GSN_PHANTOM_EMPTY_SLOT,
         .k = k,
-        .at = gsn_phantom_slot_centre_um(s->slot),
+        .at = gsn_phantom_slot_centre_um(plan, s->slot),
     };
 
     s->shows = again ? k - 1 : -1;
     add(plan, &defect);
 }
 
+/* What a level says of twelve sections, for a panel of more or fewer. */
+static int per_panel(const struct gsn_phantom_plan *plan, int in_twelve)
+{
+    return (in_twelve * plan->slots + GSN_PHANTOM_SLOTS / 2) / GSN_PHANTOM_SLOTS;
+}
+
 static void lose_some(struct dealing *deal)
 {
-    const struct gsn_phantom_level *level = deal->plan->level;
+    const struct gsn_phantom_level *level = &deal->plan->level;
     const int range = level->missing_most - level->missing_least + 1;
+    const int slots = deal->plan->slots;
     int left = level->missing_least + (int)gsn_phantom_below(deal->random, (uint32_t)range);
 
+    left = per_panel(deal->plan, left);
     while (left > 0) {
-        const int slot = (int)gsn_phantom_below(deal->random, GSN_PHANTOM_SLOTS);
-        const int k = deal->panel * GSN_PHANTOM_SLOTS + slot;
+        const int slot = (int)gsn_phantom_below(deal->random, (uint32_t)slots);
+        const int k = deal->panel * slots + slot;
 
-        if (deal->used[slot] ||
-            (slot + 1 < GSN_PHANTOM_SLOTS && deal->plan->section[k + 1].shows == k))
+        if (deal->used[slot] || (slot + 1 < slots && deal->plan->section[k + 1].shows == k))
             continue;
         lose(deal->plan, k, deal->random);
         deal->used[slot] = 1;
@@ -123,9 +139,9 @@ static void lose_some(struct dealing *deal)
 /* One edge runs over all sections of a row: each has an entry. */
 static void note_row(struct dealing *deal, struct gsn_phantom_defect d)
 {
-    const int first = d.k - d.k % GSN_PHANTOM_COLUMNS;
+    const int columns = deal->plan->variant.columns, first = d.k - d.k % columns;
 
-    for (int k = first; k < first + GSN_PHANTOM_COLUMNS; k++) {
+    for (int k = first; k < first + columns; k++) {
         d.k = k;
         if (deal->plan->section[k].shows >= 0)
             add(deal->plan, &d);
@@ -138,17 +154,18 @@ static int may_befall(const struct dealing *deal, enum gsn_phantom_defect_kind k
         return 0;
     if (kind != GSN_PHANTOM_TOUCHING)
         return 1;
-    return slot % GSN_PHANTOM_COLUMNS + 1 < GSN_PHANTOM_COLUMNS && !deal->used[slot + 1];
+    return slot % deal->plan->variant.columns + 1 < deal->plan->variant.columns &&
+           !deal->used[slot + 1];
 }
 
 /* 0 when no section is left that it could befall. */
 static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
 {
-    const int first = deal->panel * GSN_PHANTOM_SLOTS;
-    const int start = (int)gsn_phantom_below(deal->random, GSN_PHANTOM_SLOTS);
+    const int slots = deal->plan->slots, first = deal->panel * slots;
+    const int start = (int)gsn_phantom_below(deal->random, (uint32_t)slots);
 
-    for (int i = 0; i < GSN_PHANTOM_SLOTS; i++) {
-        const int slot = (start + i) % GSN_PHANTOM_SLOTS;
+    for (int i = 0; i < slots; i++) {
+        const int slot = (start + i) % slots;
         struct gsn_phantom_defect d = { .kind = kind, .k = first + slot };
 
         if (!may_befall(deal, kind, slot))
@@ -172,13 +189,13 @@ static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
 
 static void lose_panel(struct gsn_phantom_plan *plan)
 {
-    const int first = (plan->missing_panel - 1) * GSN_PHANTOM_SLOTS;
+    const int first = (plan->missing_panel - 1) * plan->slots;
 
-    for (int k = first; k < first + GSN_PHANTOM_SLOTS; k++) {
+    for (int k = first; k < first + plan->slots; k++) {
         const struct gsn_phantom_defect defect = {
             .kind = GSN_PHANTOM_MISSING_PANEL,
             .k = k,
-            .at = gsn_phantom_slot_centre_um(k - first),
+            .at = gsn_phantom_slot_centre_um(plan, k - first),
         };
 
         plan->section[k].shows = -1;
@@ -200,7 +217,7 @@ static void shuffle(struct gsn_phantom_random *random, int card[GSN_PHANTOM_ACCI
 
 static void deal_defects(struct gsn_phantom_plan *plan)
 {
-    const struct gsn_phantom_level *level = plan->level;
+    const struct gsn_phantom_level *level = &plan->level;
     const int range = level->defects_most - level->defects_least + 1;
     struct gsn_phantom_random random =
         gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DEFECTS, 0, 0);
@@ -216,6 +233,7 @@ static void deal_defects(struct gsn_phantom_plan *plan)
         }
         lose_some(&deal);
         count = level->defects_least + (int)gsn_phantom_below(&random, (uint32_t)range);
+        count = per_panel(plan, count);
         /* What finds no section is put aside, which a whole hand of cards never is. */
         for (int last = dealt + 2 * GSN_PHANTOM_ACCIDENTS; count > 0 && dealt < last; dealt++) {
             if (dealt % GSN_PHANTOM_ACCIDENTS == 0)
@@ -228,11 +246,11 @@ static void deal_defects(struct gsn_phantom_plan *plan)
 
 void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
 {
-    if (plan->level->handled)
+    if (plan->level.handled)
         deal_defects(plan);
     for (int k = 0; k < plan->sections; k++) {
         burn_marks(plan, &plan->section[k]);
-        if (plan->level->handled)
+        if (plan->level.handled || plan->variant.decoys >= 0)
             strew(plan, &plan->section[k]);
     }
 }

@@ -12,7 +12,8 @@ extern "C" {
 #endif
 
 /* Fills in marks, decoys and defects, and takes sections away; the sections must lie already. At
- * levels that are not handled the marks are perfect and nothing else happens. */
+ * levels that are not handled the marks are perfect and nothing else happens, but for what a
+ * variant wants. */
 void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan);
 
 #ifdef __cplusplus

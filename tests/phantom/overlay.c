@@ -117,9 +117,10 @@ static void draw_pen(const struct gsn_phantom_glass *glass, const struct gsn_pha
 }
 
 /* From the label to the right border. */
-static void draw_edge(const struct gsn_phantom_glass *glass, const struct gsn_phantom_defect *d)
+static void draw_edge(const struct gsn_phantom_plan *plan, const struct gsn_phantom_glass *glass,
+                      const struct gsn_phantom_defect *d)
 {
-    const double left_um = gsn_phantom_slot_centre_um(0).x - gsn_phantom_slot_half_um;
+    const double left_um = gsn_phantom_slot_centre_um(plan, 0).x - gsn_phantom_slot_half_um;
     const double od[3] = { EDGE_OD, EDGE_OD, EDGE_OD };
 
     for (uint32_t x = clip(left_um / glass->px_um, glass->width); x < glass->width; x++) {
@@ -244,8 +245,8 @@ static int draw_bubble(const struct gsn_phantom_glass *glass, const struct gsn_p
     return GSN_OK;
 }
 
-static int draw_defect(const struct gsn_phantom_glass *glass, const struct gsn_phantom_defect *d,
-                       struct gsn_error *err)
+static int draw_defect(const struct gsn_phantom_plan *plan, const struct gsn_phantom_glass *glass,
+                       const struct gsn_phantom_defect *d, struct gsn_error *err)
 {
     const struct gsn_phantom_disc disc = { d->at, d->radius };
 
@@ -256,7 +257,7 @@ static int draw_defect(const struct gsn_phantom_glass *glass, const struct gsn_p
     case GSN_PHANTOM_BUBBLE:
         return draw_bubble(glass, d, err);
     case GSN_PHANTOM_COVERSLIP_EDGE:
-        draw_edge(glass, d);
+        draw_edge(plan, glass, d);
         return GSN_OK;
     case GSN_PHANTOM_PEN:
         draw_pen(glass, d);
@@ -281,7 +282,7 @@ static int drawn_before(const struct gsn_phantom_plan *plan, size_t i)
 int gsn_phantom_overlay_draw(const struct gsn_phantom_plan *plan, int panel,
                              const struct gsn_phantom_glass *glass, struct gsn_error *err)
 {
-    for (int k = (panel - 1) * GSN_PHANTOM_SLOTS; k < panel * GSN_PHANTOM_SLOTS; k++)
+    for (int k = (panel - 1) * plan->slots; k < panel * plan->slots; k++)
         for (int i = 0; i < plan->section[k].decoys; i++)
             gsn_phantom_decoy_draw(plan, k, i, glass);
     for (int kind = 0; kind < GSN_PHANTOM_ACCIDENTS; kind++)
@@ -291,7 +292,7 @@ int gsn_phantom_overlay_draw(const struct gsn_phantom_plan *plan, int panel,
 
             if ((int)d->kind != kind || plan->section[d->k].panel != panel || drawn_before(plan, i))
                 continue;
-            r = draw_defect(glass, d, err);
+            r = draw_defect(plan, glass, d, err);
             if (r < 0)
                 return r;
         }

@@ -19,7 +19,7 @@ static int draw_section(size_t slot, void *context, struct gsn_error *err)
     const struct canvas *canvas = context;
 
     return gsn_phantom_section_draw(canvas->plan,
-                                    (canvas->file->panel - 1) * GSN_PHANTOM_SLOTS + (int)slot,
+                                    (canvas->file->panel - 1) * canvas->plan->slots + (int)slot,
                                     &canvas->sheet[slot], err);
 }
 
@@ -43,10 +43,10 @@ static int draw_glass(struct canvas *canvas, unsigned threads, struct gsn_error 
     const struct gsn_phantom_plan *plan = canvas->plan;
     const struct gsn_phantom_glass glass = { plan->width, plan->height, plan->px_um, canvas->od };
     char name[16];
-    int r = gsn_parallel_for(GSN_PHANTOM_SLOTS, threads, draw_section, canvas, err);
+    int r = gsn_parallel_for((size_t)plan->slots, threads, draw_section, canvas, err);
 
     (void)snprintf(name, sizeof name, "P%02d", canvas->file->panel);
-    for (int i = 0; r >= 0 && i < GSN_PHANTOM_SLOTS; i++)
+    for (int i = 0; r >= 0 && i < plan->slots; i++)
         lay_sheet(canvas, &canvas->sheet[i]);
     if (r >= 0)
         r = gsn_phantom_overlay_draw(plan, canvas->file->panel, &glass, err);
@@ -63,11 +63,10 @@ static int noise_of(const struct gsn_phantom_file *file)
 
 int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, const struct gsn_phantom_file *file,
                            unsigned threads, struct gsn_image **ret_image,
-                           struct gsn_phantom_extent ret_extent[GSN_PHANTOM_SLOTS],
-                           struct gsn_error *err)
+                           struct gsn_phantom_extent *ret_extent, struct gsn_error *err)
 {
-    struct gsn_phantom_sheet sheet[GSN_PHANTOM_SLOTS] = { 0 };
-    struct gsn_phantom_extent extent[GSN_PHANTOM_SLOTS];
+    struct gsn_phantom_sheet sheet[GSN_PHANTOM_SLOTS_MOST] = { 0 };
+    struct gsn_phantom_extent extent[GSN_PHANTOM_SLOTS_MOST];
     gsn_auto_mem(float) od = gsn_alloc_array((size_t)plan->width * plan->height, 3 * sizeof *od);
     struct canvas canvas = { .plan = plan, .file = file, .sheet = sheet, .od = od };
     const struct gsn_phantom_glass glass = { plan->width, plan->height, plan->px_um, od };
@@ -77,16 +76,16 @@ int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, const struct gsn
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a panel of %u x %u", plan->width,
                         plan->height);
     r = draw_glass(&canvas, threads, err);
-    for (int i = 0; i < GSN_PHANTOM_SLOTS; i++) {
+    for (int i = 0; i < plan->slots; i++) {
         extent[i] = sheet[i].extent;
         gsn_phantom_sheet_done(&sheet[i]);
     }
     if (r >= 0)
-        r = gsn_phantom_expose(plan, &glass, file->panel, noise_of(file), (uint32_t)file->bits,
-                               threads, ret_image, err);
+        r = gsn_phantom_expose(plan, &glass, plan->batch[file->panel - 1].white, noise_of(file),
+                               (uint32_t)file->bits, threads, ret_image, err);
     if (r < 0)
         return gsn_fail_at(err, "panel %d", file->panel);
-    for (int i = 0; i < GSN_PHANTOM_SLOTS; i++)
+    for (int i = 0; i < plan->slots; i++)
         ret_extent[i] = extent[i];
     return GSN_OK;
 }

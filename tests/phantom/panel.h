@@ -12,12 +12,11 @@ extern "C" {
 #endif
 
 /* Draws the panel of a file, RGB of the file's bits, upright; the codes of 16 bits are 257 times
- * those of 8. gives: ret_image; ret_extent is by slot. The pixels do not depend on the number of
- * threads. Fails with GSN_E_NOMEM. borrows: plan, file. */
+ * those of 8. gives: ret_image; ret_extent is by slot, as many as a panel has. The pixels do not
+ * depend on the number of threads. Fails with GSN_E_NOMEM. borrows: plan, file. */
 int gsn_phantom_panel_draw(const struct gsn_phantom_plan *plan, const struct gsn_phantom_file *file,
                            unsigned threads, struct gsn_image **ret_image,
-                           struct gsn_phantom_extent ret_extent[GSN_PHANTOM_SLOTS],
-                           struct gsn_error *err);
+                           struct gsn_phantom_extent *ret_extent, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -42,7 +42,7 @@ int gsn_phantom_make(const struct gsn_phantom_plan *plan, int with_density, unsi
     if (r < 0)
         return r;
     for (int i = 0; i < plan->files; i++) {
-        const int first = (plan->file[i].panel - 1) * GSN_PHANTOM_SLOTS;
+        const int first = (plan->file[i].panel - 1) * plan->slots;
 
         gsn_progress_say(progress, "drawing panels", (size_t)i, steps);
         r = write_panel(plan, i, threads, folder, &extent[first], err);

@@ -13,13 +13,13 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { KEY_CHECK = 256, KEY_STUDY, KEY_SEED, KEY_PX, KEY_DENSITY, KEY_THREADS };
+enum { KEY_CHECK = 256, KEY_STUDY, KEY_SEED, KEY_PX, KEY_VARIANT, KEY_DENSITY, KEY_THREADS };
 enum { STATUS_FAILED = 1, STATUS_MISSED = 2 };
 
 static const double CHECK_STEP_UM = 6;
 
 struct request {
-    const char *specimen, *level, *out;
+    const char *specimen, *level, *out, *variant;
     uint64_t seed;
     double px_um;
     int check, study, density;
@@ -38,7 +38,11 @@ static const struct argp_option OPTIONS[] = {
       0 },
     { "seed", KEY_SEED, "NUMBER", 0, "what is drawn at random follows from it; default 1", 0 },
     { "out", 'o', "DIR", 0, "the folder to write", 0 },
-    { "px", KEY_PX, "UM", 0, "pixel size, 8 to 48 um; default 16, for the study 24", 0 },
+    { "px", KEY_PX, "UM", 0, "pixel size, 4 to 48 um; default 16, for the study 24", 0 },
+    { "variant", KEY_VARIANT, "FILE", 0,
+      "what the specimen is to have instead of what its level and block say: another bath, other "
+      "marks, another anatomy (JSON)",
+      0 },
     { "density", KEY_DENSITY, NULL, 0, "write truth/density.raw (20 MB) as well", 0 },
     { "threads", KEY_THREADS, "COUNT", 0, "default: as many as there are processors", 0 },
     { 0 },
@@ -106,6 +110,9 @@ static error_t take_option(int key, char *value, struct argp_state *state)
         if (request->px_um <= 0)
             argp_error(state, "--px %s: not a number of micrometres", value);
         return 0;
+    case KEY_VARIANT:
+        request->variant = value;
+        return 0;
     case KEY_DENSITY:
         request->density = 1;
         return 0;
@@ -117,6 +124,8 @@ static error_t take_option(int key, char *value, struct argp_state *state)
     case ARGP_KEY_END:
         if (!request->check && (!(request->specimen || request->study) || !request->out))
             argp_error(state, "--check, or --specimen or --study and --out, must be given");
+        if (request->study && request->variant)
+            argp_error(state, "--variant goes with --specimen, not with --study");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -151,18 +160,25 @@ static int run_make(const struct request *request, struct gsn_error *err)
 {
     const struct gsn_progress progress = { show_progress, NULL };
     const struct gsn_progress *shown = isatty(STDERR_FILENO) ? &progress : NULL;
-    struct gsn_phantom_plan plan;
-    int r;
+    gsn_auto_phantom_variant variant = gsn_phantom_variant_usual();
+    gsn_auto_mem(struct gsn_phantom_plan) plan = NULL;
+    int r = GSN_OK;
 
     if (request->study) {
         r = gsn_phantom_study_make(request->level, request->seed, request->px_um, request->threads,
                                    request->out, shown, err);
         return r < 0 ? STATUS_FAILED : 0;
     }
-    r = gsn_phantom_plan_make(request->specimen, request->level, request->seed, request->px_um,
-                              &plan, err);
+    plan = gsn_alloc_array(1, sizeof *plan);
+    if (!plan)
+        r = gsn_fail(err, GSN_E_NOMEM, "out of memory for the plan");
+    if (r >= 0 && request->variant)
+        r = gsn_phantom_variant_read(request->variant, &variant, err);
     if (r >= 0)
-        r = gsn_phantom_make(&plan, request->density, request->threads, request->out, shown, err);
+        r = gsn_phantom_plan_make_variant(request->specimen, request->level, request->seed,
+                                          request->px_um, &variant, plan, err);
+    if (r >= 0)
+        r = gsn_phantom_make(plan, request->density, request->threads, request->out, shown, err);
     return r < 0 ? STATUS_FAILED : 0;
 }
 

@@ -2,7 +2,7 @@
 
 /* Which specimen, at which level of difficulty, and how its sections lie on the panels.
  *
- * Panels are numbered from 1, slots 0..11 row by row, sections k from 0. Panel pixels have their
+ * Panels are numbered from 1, slots from 0 row by row, sections k from 0. Panel pixels have their
  * centres at +0.5. A plan is a plain value: everything drawn at random for the poses is in it. */
 #ifndef GSN_PHANTOM_PLAN_H
 #define GSN_PHANTOM_PLAN_H
@@ -12,6 +12,7 @@
 #include "tests/phantom/geometry.h"
 #include "tests/phantom/random.h"
 #include "tests/phantom/stain.h"
+#include "tests/phantom/variant.h"
 #include "tests/phantom/warp.h"
 
 #include <stdint.h>
@@ -26,8 +27,10 @@ enum {
     GSN_PHANTOM_ROWS = 3,
     GSN_PHANTOM_SLOTS = GSN_PHANTOM_COLUMNS * GSN_PHANTOM_ROWS,
     GSN_PHANTOM_PANELS = GSN_PHANTOM_SECTIONS / GSN_PHANTOM_SLOTS,
-    GSN_PHANTOM_DECOYS_MOST = 6,
-    GSN_PHANTOM_DEFECTS_MOST = 120
+    /* Those above are the usual layout; a variant may have 4 to 24 slots. */
+    GSN_PHANTOM_SLOTS_MOST = 24,
+    GSN_PHANTOM_PANELS_MOST = GSN_PHANTOM_SECTIONS / 4,
+    GSN_PHANTOM_DEFECTS_MOST = 240
 };
 
 #define GSN_PHANTOM_STUDY "GVP-D"
@@ -115,16 +118,18 @@ struct gsn_phantom_file {
 };
 
 struct gsn_phantom_plan {
-    const struct gsn_phantom_specimen *specimen;
-    int sections, panels; /* of the arrays below only so many count */
-    const struct gsn_phantom_level *level;
+    struct gsn_phantom_specimen specimen; /* as the variant has it, and so the level */
+    struct gsn_phantom_level level;
+    struct gsn_phantom_variant variant; /* its text is the caller's */
+    int sections, panels;               /* of the arrays below only so many count */
+    int slots;                          /* of a panel */
     uint64_t seed;
     double px_um;
     uint32_t width, height; /* of a panel */
     struct gsn_phantom_section section[GSN_PHANTOM_SECTIONS];
-    struct gsn_phantom_batch batch[GSN_PHANTOM_PANELS];
+    struct gsn_phantom_batch batch[GSN_PHANTOM_PANELS_MOST];
     int files, missing_panel; /* a panel that is not delivered; 0 for none */
-    struct gsn_phantom_file file[GSN_PHANTOM_PANELS + 1];
+    struct gsn_phantom_file file[GSN_PHANTOM_PANELS_MOST + 1];
     size_t defects;
     struct gsn_phantom_defect defect[GSN_PHANTOM_DEFECTS_MOST];
 };
@@ -136,11 +141,19 @@ enum { GSN_PHANTOM_STUDY_FIRST = 5, GSN_PHANTOM_SPECIMENS = 20 };
 const struct gsn_phantom_specimen *gsn_phantom_specimen_find(const char *name);
 const struct gsn_phantom_specimen *gsn_phantom_specimen_at(int i);
 
-/* Plans a specimen at level "L0".."L3", 8 to 48 um/px, 0
- * for what is usual.
- * Fails with GSN_E_NOTFOUND for a name nobody defined, GSN_E_LIMIT for the pixel size. */
+/* Plans a specimen at level "L0".."L3", 4 to 48 um/px, 0 for what is usual. Fails with
+ * GSN_E_NOTFOUND for a name nobody defined, GSN_E_LIMIT for the pixel size, GSN_E_NOMEM. */
 int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
                           struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
+/* The same, of a variant. keeps: its text. Fails with GSN_E_LIMIT too when its lesion is deeper
+ * than there is tissue, or its block fills no panel. */
+int gsn_phantom_plan_make_variant(const char *specimen, const char *level, uint64_t seed,
+                                  double px_um, const struct gsn_phantom_variant *variant,
+                                  struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
+
+/* Whether marks, decoys and stain differ from section to section and panel to panel, so that the
+ * truth has to say them: at the levels that are handled, and in every variant. */
+int gsn_phantom_plan_varies(const struct gsn_phantom_plan *plan);
 
 /* A stream of random numbers for the n-th thing of its kind in this specimen. */
 struct gsn_phantom_random gsn_phantom_plan_random(const struct gsn_phantom_plan *plan,
@@ -158,8 +171,11 @@ struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section,
 /* Its inverse, m: p = c + R(theta) diag(sx, sy) Flip X / px_um. */
 struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *section, double px_um);
 
-/* Where slot 0..11 lies on a panel, in um from its upper left corner. */
-struct gsn_point gsn_phantom_slot_centre_um(int slot);
+/* Where a slot lies on a panel, in um from the upper left corner of its picture. */
+struct gsn_point gsn_phantom_slot_centre_um(const struct gsn_phantom_plan *plan, int slot);
+
+/* How wide the scanner's black bed shows around the panel. */
+double gsn_phantom_frame_um(const struct gsn_phantom_plan *plan);
 
 /* Half the pitch of the slots, 4 mm. */
 extern const double gsn_phantom_slot_half_um;

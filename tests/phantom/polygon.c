@@ -10,9 +10,9 @@ static struct gsn_point from_frame(const struct gsn_phantom_sight *sight, double
 }
 
 /* How far the tissue reaches along y of a turned frame, at x, from the end where sign points. */
-static double tissue_end(double x, double turn, double sign)
+static double tissue_end(const struct gsn_phantom_sight *sight, double x, double turn, double sign)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
+    const struct gsn_phantom_geometry *g = &sight->plan->variant.geometry;
     const double step = 20;
     double y = hypot(g->ax, g->ay);
 
@@ -70,7 +70,7 @@ static size_t ribbon(const struct gsn_phantom_defect *d, double px_um, struct gs
 static size_t tear(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
                    struct gsn_point *ret_p)
 {
-    const double end = fmax(tissue_end(d->at.x, d->turn, 1), d->at.y);
+    const double end = fmax(tissue_end(sight, d->at.x, d->turn, 1), d->at.y);
     const double gap = gsn_phantom_tear_gap(d, end);
 
     ret_p[0] = from_frame(sight, d->at.x, d->at.y, d->turn);
@@ -84,10 +84,10 @@ static size_t fold(const struct gsn_phantom_sight *sight, const struct gsn_phant
 {
     const double near = d->at.x, far = d->at.x + d->width;
 
-    ret_p[0] = from_frame(sight, near, tissue_end(near, d->turn, -1), d->turn);
-    ret_p[1] = from_frame(sight, far, tissue_end(near, d->turn, -1), d->turn);
-    ret_p[2] = from_frame(sight, far, tissue_end(near, d->turn, 1), d->turn);
-    ret_p[3] = from_frame(sight, near, tissue_end(near, d->turn, 1), d->turn);
+    ret_p[0] = from_frame(sight, near, tissue_end(sight, near, d->turn, -1), d->turn);
+    ret_p[1] = from_frame(sight, far, tissue_end(sight, near, d->turn, -1), d->turn);
+    ret_p[2] = from_frame(sight, far, tissue_end(sight, near, d->turn, 1), d->turn);
+    ret_p[3] = from_frame(sight, near, tissue_end(sight, near, d->turn, 1), d->turn);
     return 4;
 }
 
@@ -95,7 +95,7 @@ static size_t edge(const struct gsn_phantom_sight *sight, const struct gsn_phant
                    struct gsn_point *ret_p)
 {
     static const int sign[4][2] = { { -1, -1 }, { 1, -1 }, { 1, 1 }, { -1, 1 } };
-    const double x0 = gsn_phantom_slot_centre_um(sight->section->slot).x;
+    const double x0 = gsn_phantom_slot_centre_um(sight->plan, sight->section->slot).x;
 
     for (int i = 0; i < 4; i++) {
         const double x = x0 + sign[i][0] * gsn_phantom_slot_half_um;

@@ -85,6 +85,22 @@ double gsn_phantom_normal(struct gsn_phantom_random *random, double sd)
     return sd * pair[0];
 }
 
+void gsn_phantom_turn_vector(struct gsn_phantom_random *random, double angle, double vector[3])
+{
+    double across[3], along = 0, length = 0;
+
+    for (int c = 0; c < 3; c++) {
+        across[c] = gsn_phantom_normal(random, 1);
+        along += across[c] * vector[c];
+    }
+    for (int c = 0; c < 3; c++) {
+        across[c] -= along * vector[c];
+        length += across[c] * across[c];
+    }
+    for (int c = 0; c < 3; c++)
+        vector[c] = cos(angle) * vector[c] + sin(angle) * across[c] / sqrt(length);
+}
+
 double gsn_phantom_between(struct gsn_phantom_random *random, double low, double high)
 {
     return low + (high - low) * gsn_phantom_uniform(random);

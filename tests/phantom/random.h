@@ -25,7 +25,8 @@ enum gsn_phantom_stream {
     GSN_PHANTOM_STREAM_DECOYS,
     GSN_PHANTOM_STREAM_BATCH,
     GSN_PHANTOM_STREAM_DEFECTS,
-    GSN_PHANTOM_STREAM_DELIVERY
+    GSN_PHANTOM_STREAM_DELIVERY,
+    GSN_PHANTOM_STREAM_BATH
 };
 
 struct gsn_phantom_random {
@@ -50,6 +51,9 @@ void gsn_phantom_normals(struct gsn_phantom_random *random, double ret_pair[2]);
 
 /* Normal with this deviation and mean 0. */
 double gsn_phantom_normal(struct gsn_phantom_random *random, double sd);
+
+/* Turns a unit vector by an angle towards a random direction across it. */
+void gsn_phantom_turn_vector(struct gsn_phantom_random *random, double angle, double vector[3]);
 
 /* Uniform in low..high. */
 double gsn_phantom_between(struct gsn_phantom_random *random, double low, double high);

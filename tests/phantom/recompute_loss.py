@@ -26,6 +26,7 @@ class Block:
         self.g = truth["geometry"]
         self.lesion = truth["lesion"]
         self.bone_gain = truth.get("bone_gain", 1)
+        self.floor = truth.get("floor", 0)
 
     def axis(self, z):
         g = self.g
@@ -77,6 +78,7 @@ class Block:
         outer = smooth((d - g["wpdl"] - width) / delta)
         marrow = beyond * (1 - outer) * self.marrow(x, y, z)
         bone = beyond * (1 - outer) - marrow
+        plain = bone
         bone *= 1 + g["lam"] * math.cos(2 * math.pi * d / g["lamL"])
         bone *= 1 - g["gz"] * z / g["H"]
         taken = self.lesion["A"] * self.eaten(x, y, z)
@@ -85,8 +87,9 @@ class Block:
         rest += k["marr"] * marrow
         tissue = self.tissue(x, y, z)
         whole = rest + k["pdl"] * pdl + k["bone"] * bone
-        left = rest + k["pdl"] * pdl * (1 - self.lesion["in_pdl"] * taken)
-        left += k["bone"] * bone * self.bone_gain * (1 - taken)
+        in_pdl = self.lesion["in_pdl"] * taken
+        left = rest + (k["pdl"] * (1 - in_pdl) + self.floor * in_pdl) * pdl
+        left += k["bone"] * bone * self.bone_gain * (1 - taken) + self.floor * plain * taken
         return tissue * whole, tissue * left
 
     def region(self, step):

@@ -51,7 +51,7 @@ static void add_sections(struct gsn_phantom_buffer *text, const struct gsn_phant
             "\"sx\": %.15g, \"sy\": %.15g, \"c_px\": [%.15g, %.15g]",
             k ? "," : "", k, s->z_um, s->panel, s->slot, truth_of(s->shows == k), truth_of(s->flip),
             s->theta * DEG_PER_RAD, s->sx, s->sy, s->centre_px.x, s->centre_px.y);
-        if (plan->level->handled) {
+        if (gsn_phantom_plan_varies(plan)) {
             gsn_phantom_buffer_print(text, ", \"shows\": %d", s->shows);
             add_marks(text, s);
             add_decoys(text, s);
@@ -61,13 +61,13 @@ static void add_sections(struct gsn_phantom_buffer *text, const struct gsn_phant
     gsn_phantom_buffer_print(text, "],\n");
 }
 
-static void add_markers(struct gsn_phantom_buffer *text)
+static void add_markers(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan)
 {
     gsn_phantom_buffer_print(text, "  \"markers\": [");
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++)
         gsn_phantom_buffer_print(text, "%s{\"marker\": %d, \"block_um\": [%.15g, %.15g]}",
-                                 i ? ", " : "", i + 1, gsn_phantom_geometry()->mark[i].x,
-                                 gsn_phantom_geometry()->mark[i].y);
+                                 i ? ", " : "", i + 1, plan->variant.geometry.mark[i].x,
+                                 plan->variant.geometry.mark[i].y);
     gsn_phantom_buffer_print(text, "],\n");
 }
 
@@ -144,10 +144,10 @@ static void add_defects(struct gsn_phantom_buffer *text, const struct gsn_phanto
 void gsn_phantom_record_drawn(const struct gsn_phantom_plan *plan, struct gsn_phantom_buffer *text)
 {
     add_sections(text, plan);
-    add_markers(text);
-    if (plan->level->handled)
+    add_markers(text, plan);
+    if (gsn_phantom_plan_varies(plan))
         add_panels(text, plan);
-    if (plan->level->awkward)
+    if (plan->level.awkward)
         add_files(text, plan);
     add_defects(text, plan);
 }

@@ -11,7 +11,7 @@
 extern "C" {
 #endif
 
-/* Adds "sections", "markers" and "defects", and at the levels that are handled "panels", and the
+/* Adds "sections", "markers" and "defects", and where sections and panels vary "panels", and the
  * closing brace. */
 void gsn_phantom_record_drawn(const struct gsn_phantom_plan *plan, struct gsn_phantom_buffer *text);
 

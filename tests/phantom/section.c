@@ -26,7 +26,7 @@ static uint32_t to_px(double um, double px_um, uint32_t most)
 
 static struct gsn_phantom_window window_of(const struct gsn_phantom_plan *plan, int slot)
 {
-    const struct gsn_point centre = gsn_phantom_slot_centre_um(slot);
+    const struct gsn_point centre = gsn_phantom_slot_centre_um(plan, slot);
     const double half = gsn_phantom_slot_half_um;
     const struct gsn_phantom_window window = {
         to_px(centre.x - half, plan->px_um, plan->width),
@@ -57,13 +57,13 @@ static struct gsn_point grain_at(const struct brush *brush, struct gsn_point p, 
     const struct gsn_point tissue = { (at.x + gsn_phantom_slot_half_um) / GSN_PHANTOM_TEXEL_UM,
                                       (at.y + gsn_phantom_slot_half_um) / GSN_PHANTOM_TEXEL_UM };
 
-    return brush->plan->level->handled ? tissue : picture;
+    return brush->plan->level.handled ? tissue : picture;
 }
 
 static void draw_tissue(struct brush *brush, struct gsn_point p, struct gsn_point at,
                         const struct gsn_phantom_field *field, double od[3])
 {
-    const double amount = brush->plan->level->texture;
+    const double amount = brush->plan->level.texture;
     struct gsn_phantom_local local = { .ramp_place = ramp_place(brush, p.x, p.y) };
 
     if (brush->red && brush->yellow) {
@@ -94,11 +94,13 @@ static void widen(struct gsn_phantom_extent *extent, uint32_t x, uint32_t y)
 }
 
 /* Marks are burnt last, in material coordinates, so that no texture lies on them. */
-static void burn_marks(const struct gsn_phantom_section *section, struct gsn_point at, double od[3])
+static void burn_marks(const struct gsn_phantom_plan *plan,
+                       const struct gsn_phantom_section *section, struct gsn_point at, double od[3])
 {
-    const struct gsn_phantom_recipe *recipe = gsn_phantom_recipe();
-    /* Beyond this no mark reaches, however large it was burnt. */
-    const double reach = recipe->mark_ring_um + recipe->mark_edge_um + 0.3 * recipe->mark_radius_um;
+    const struct gsn_phantom_burning *b = &plan->variant.burning;
+    /* Beyond this no mark reaches, however large and long it was burnt. */
+    const double reach = b->ring_um + b->edge_um + 0.3 * b->radius_um +
+                         (plan->variant.aspect > 0 ? 0.3 * b->ring_um : 0);
 
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
         const struct gsn_phantom_mark *mark = &section->mark[i];
@@ -108,8 +110,9 @@ static void burn_marks(const struct gsn_phantom_section *section, struct gsn_poi
         if (mark->missing || fabs(away.x) > reach || fabs(away.y) > reach)
             continue;
         p = gsn_phantom_turn_into(away, mark->turn);
-        gsn_phantom_burn(hypot(p.x / sqrt(mark->ratio), p.y * sqrt(mark->ratio)) -
-                             (mark->radius_um - recipe->mark_radius_um),
+        gsn_phantom_burn(b,
+                         hypot(p.x / sqrt(mark->ratio), p.y * sqrt(mark->ratio)) -
+                             (mark->radius_um - b->radius_um),
                          od);
     }
 }
@@ -120,11 +123,12 @@ static double draw_layer(struct brush *brush, struct gsn_point p, struct gsn_poi
     struct gsn_phantom_field field;
     double od[3] = { 0 };
 
-    gsn_phantom_field_at(gsn_vec3_make(at.x, at.y, brush->sight.cut_z_um), &field);
-    gsn_phantom_field_thicken(&field, brush->plan->specimen->bone_gain);
+    gsn_phantom_field_at(&brush->plan->variant.geometry,
+                         gsn_vec3_make(at.x, at.y, brush->sight.cut_z_um), &field);
+    gsn_phantom_field_thicken(&field, brush->plan->specimen.bone_gain);
     if (field.tissue > 0)
         draw_tissue(brush, p, at, &field, od);
-    burn_marks(brush->sight.section, at, od);
+    burn_marks(brush->plan, brush->sight.section, at, od);
     for (int c = 0; c < 3; c++)
         out[c] += (float)od[c];
     return field.tissue;
@@ -197,17 +201,17 @@ static struct gsn_phantom_window sheet_window(const struct gsn_phantom_plan *pla
                                               const struct gsn_phantom_section *section)
 {
     const double reach_px = 3100 / plan->px_um; /* half a diagonal of the tissue is 2800 um */
-    const double writing_px = 3600 / plan->px_um;
+    const double writing_px = 3600 / plan->px_um, frame_px = plan->variant.black_frame_px;
     const struct gsn_phantom_window slot = window_of(plan, section->slot);
     const struct gsn_point c = section->centre_px;
 
-    if (!plan->level->handled)
+    if (!plan->level.handled)
         return slot;
     return (struct gsn_phantom_window){
-        (uint32_t)fmax(fmin(slot.x0, c.x - reach_px), writing_px),
-        (uint32_t)fmax(fmin(slot.y0, c.y - reach_px), 0),
-        (uint32_t)fmin(fmax(slot.x1, c.x + reach_px), plan->width),
-        (uint32_t)fmin(fmax(slot.y1, c.y + reach_px), plan->height),
+        (uint32_t)fmax(fmin(slot.x0, c.x - reach_px), frame_px + writing_px),
+        (uint32_t)fmax(fmin(slot.y0, c.y - reach_px), frame_px),
+        (uint32_t)fmin(fmax(slot.x1, c.x + reach_px), plan->width - frame_px),
+        (uint32_t)fmin(fmax(slot.y1, c.y + reach_px), plan->height - frame_px),
     };
 }
 
@@ -228,13 +232,13 @@ static int draw_sheet(const struct gsn_phantom_plan *plan, int k, struct gsn_pha
                            .slot = window_of(plan, section->slot),
                            .stain = { .red_gain = batch->red_gain,
                                       .yellow_gain = batch->yellow_gain,
-                                      .ramp = plan->level->ramp,
-                                      .depth = plan->specimen->depth,
+                                      .ramp = plan->level.ramp,
+                                      .depth = plan->specimen.depth,
                                       .dye = batch->dye } };
 
     gsn_phantom_sight_make(plan, k, &brush.sight);
     brush.nuclei = gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_NUCLEI, section->shows, 0);
-    if (plan->level->texture > 0) {
+    if (plan->level.texture > 0) {
         const int r = make_textures(&brush, &red, &yellow, err);
 
         if (r < 0)

@@ -37,7 +37,7 @@ static void shape_fold(struct gsn_phantom_random *random, struct gsn_phantom_def
 static void shape_piece(const struct gsn_phantom_plan *plan, struct gsn_phantom_random *random,
                         const struct gsn_phantom_section *s, struct gsn_phantom_defect *d)
 {
-    const struct gsn_point slot = gsn_phantom_slot_centre_um(s->slot), middle = { 0, 0 };
+    const struct gsn_point slot = gsn_phantom_slot_centre_um(plan, s->slot), middle = { 0, 0 };
     const double corner = 3250, radius = gsn_phantom_between(random, 250, 500);
     const uint32_t which = gsn_phantom_below(random, 4);
     const struct gsn_point place_px = {
@@ -112,9 +112,8 @@ static void shape_pen(struct gsn_phantom_random *random, struct gsn_point slot,
 
 /* Lays a section and its right neighbour so close that their outlines meet: the half width of the
  * outline |x/Ax|^p + |y/Ay|^p = 1 in a direction is its support function. */
-static double half_width(const struct gsn_phantom_section *s)
+static double half_width(const struct gsn_phantom_geometry *g, const struct gsn_phantom_section *s)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
     const double q = g->p / (g->p - 1);
 
     return pow(pow(fabs(g->ax * s->sx * cos(s->theta)), q) +
@@ -125,17 +124,18 @@ static double half_width(const struct gsn_phantom_section *s)
 static void touch(const struct gsn_phantom_plan *plan, struct gsn_phantom_random *random,
                   struct gsn_phantom_section *left, struct gsn_phantom_defect *d)
 {
+    const struct gsn_phantom_geometry *g = &plan->variant.geometry;
     struct gsn_phantom_section *right = left + 1;
     const double overlap = gsn_phantom_between(random, 0, 80);
     const double px_um = plan->px_um;
-    const double apart = half_width(left) + half_width(right) - overlap;
+    const double apart = half_width(g, left) + half_width(g, right) - overlap;
     const double excess = (right->centre_px.x - left->centre_px.x) * px_um - apart;
 
     left->centre_px.x += excess / 2 / px_um;
     right->centre_px.x -= excess / 2 / px_um;
     left->to_panel = gsn_phantom_panel_map(left, px_um);
     right->to_panel = gsn_phantom_panel_map(right, px_um);
-    d->at = (struct gsn_point){ left->centre_px.x * px_um + half_width(left),
+    d->at = (struct gsn_point){ left->centre_px.x * px_um + half_width(g, left),
                                 (left->centre_px.y + right->centre_px.y) / 2 * px_um };
     d->radius = 400;
 }
@@ -168,14 +168,13 @@ void gsn_phantom_defect_shape(const struct gsn_phantom_plan *plan,
         d->radius = gsn_phantom_between(random, 300, 1200);
         break;
     case GSN_PHANTOM_COVERSLIP_EDGE:
-        d->at = gsn_phantom_slot_centre_um(s->slot);
-        d->at.y +=
-            (s->slot < GSN_PHANTOM_SLOTS / 2 ? -1 : 1) * gsn_phantom_between(random, 1100, 2200);
+        d->at = gsn_phantom_slot_centre_um(plan, s->slot);
+        d->at.y += (s->slot < plan->slots / 2 ? -1 : 1) * gsn_phantom_between(random, 1100, 2200);
         d->turn = gsn_phantom_between(random, -.01, .01);
         d->width = 40;
         break;
     case GSN_PHANTOM_PEN:
-        shape_pen(random, gsn_phantom_slot_centre_um(s->slot), centre, d);
+        shape_pen(random, gsn_phantom_slot_centre_um(plan, s->slot), centre, d);
         break;
     case GSN_PHANTOM_DEFOCUS:
         d->at = gsn_phantom_around(random, centre, 2000);

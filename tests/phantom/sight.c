@@ -9,11 +9,12 @@ void gsn_phantom_sight_make(const struct gsn_phantom_plan *plan, int k,
     const struct gsn_phantom_section *section = &plan->section[k];
     struct gsn_phantom_sight sight = { .plan = plan, .section = section };
 
-    sight.cut_z_um = gsn_phantom_section_z(section->shows < 0 ? k : section->shows);
+    sight.cut_z_um =
+        gsn_phantom_section_z(&plan->variant.geometry, section->shows < 0 ? k : section->shows);
     for (size_t i = 0; i < plan->defects; i++)
         if (plan->defect[i].k == k && plan->defect[i].kind <= GSN_PHANTOM_LOST_PIECE)
             sight.rent = &plan->defect[i];
-    if (plan->level->warp_rms_um > 0)
+    if (plan->level.warp_rms_um > 0)
         gsn_phantom_plan_warp(plan, k, &sight.warp);
     *ret_sight = sight;
 }
@@ -22,7 +23,7 @@ static struct gsn_point warp_at(const struct gsn_phantom_sight *sight, struct gs
 {
     const double px_um = sight->plan->px_um;
 
-    if (sight->plan->level->warp_rms_um <= 0)
+    if (sight->plan->level.warp_rms_um <= 0)
         return (struct gsn_point){ 0, 0 };
     return gsn_phantom_warp_at(&sight->warp, (struct gsn_point){ p.x * px_um, p.y * px_um });
 }
@@ -150,13 +151,14 @@ static int clean(const struct gsn_phantom_sight *sight, const struct gsn_phantom
 
     return reading.layers == 1 && !reading.moved && !gsn_phantom_defect_covers(d, px_um, um) &&
            gsn_phantom_in_region(
+               &sight->plan->variant.geometry,
                gsn_vec3_make(reading.at[0].x, reading.at[0].y, sight->section->z_um));
 }
 
 double gsn_phantom_sight_hidden(const struct gsn_phantom_sight *sight,
                                 const struct gsn_phantom_defect *defect)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
+    const struct gsn_phantom_geometry *g = &sight->plan->variant.geometry;
     const double z = sight->section->z_um, px_um = sight->plan->px_um;
     /* A fold draws the region in by up to 500 um, a tear pushes it out by up to 300. */
     const double reach = (g->region_radius + 600) / px_um;
@@ -171,7 +173,7 @@ double gsn_phantom_sight_hidden(const struct gsn_phantom_sight *sight,
             const struct gsn_point p = { x, y };
             const struct gsn_point at = gsn_phantom_sight_block(sight, p);
 
-            whole += (size_t)gsn_phantom_in_region(gsn_vec3_make(at.x, at.y, z));
+            whole += (size_t)gsn_phantom_in_region(g, gsn_vec3_make(at.x, at.y, z));
             seen += (size_t)clean(sight, defect, p);
         }
     return whole > seen ? (double)(whole - seen) / (double)whole : 0;

@@ -31,9 +31,6 @@ static const struct gsn_phantom_recipe RECIPE = {
                    [GSN_PHANTOM_PDL] = .55,
                    [GSN_PHANTOM_BONE] = .25,
                    [GSN_PHANTOM_MARR] = .45 },
-    .mark_radius_um = 75,
-    .mark_ring_um = 115,
-    .mark_edge_um = 14,
     .mark_bleach = 0.65,
     .mark_amount = 1.15,
 };
@@ -97,15 +94,25 @@ void gsn_phantom_optical_density(const struct gsn_phantom_field *field,
                     nuclear * dye[GSN_PHANTOM_NUCLEAR][c];
 }
 
-void gsn_phantom_burn(double distance_um, double od[3])
+const struct gsn_phantom_burning *gsn_phantom_burning(void)
 {
-    const double a = gsn_phantom_step((RECIPE.mark_radius_um - distance_um) / RECIPE.mark_edge_um);
+    static const struct gsn_phantom_burning disc = { .radius_um = 75,
+                                                     .ring_um = 115,
+                                                     .edge_um = 14 };
+
+    return &disc;
+}
+
+void gsn_phantom_burn(const struct gsn_phantom_burning *burning, double distance_um, double od[3])
+{
+    const double a = gsn_phantom_step((burning->radius_um - distance_um) / burning->edge_um);
     const double ring =
-        gsn_phantom_step((RECIPE.mark_ring_um - distance_um) / RECIPE.mark_edge_um) * (1 - a);
+        gsn_phantom_step((burning->ring_um - distance_um) / burning->edge_um) * (1 - a);
+    const double burnt = burning->hole ? ring : a;
+    const double bleached = burning->hole ? ring : RECIPE.mark_bleach * ring;
     double mark[3];
 
     gsn_phantom_dye_vector(GSN_PHANTOM_MARK, mark);
     for (int c = 0; c < 3; c++)
-        od[c] =
-            od[c] * (1 - RECIPE.mark_bleach * ring) * (1 - a) + RECIPE.mark_amount * a * mark[c];
+        od[c] = od[c] * (1 - bleached) * (1 - a) + RECIPE.mark_amount * burnt * mark[c];
 }

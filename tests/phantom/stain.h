@@ -53,15 +53,25 @@ void gsn_phantom_optical_density(const struct gsn_phantom_field *field,
                                  const struct gsn_phantom_stain *stain,
                                  const struct gsn_phantom_local *local, double ret_od[3]);
 
-/* Burns a laser mark into od: a dark disc of 75 um with a bleached ring, at distance_um of its
- * centre. */
-void gsn_phantom_burn(double distance_um, double od[3]);
+/* What a laser leaves: a dark disc with a bleached ring around it, or, where it burnt through, a
+ * hole as bright as glass with a dark rim. Lengths in um. */
+struct gsn_phantom_burning {
+    int hole;
+    double radius_um, ring_um; /* of the disc or hole; of the ring or rim around it */
+    double edge_um;            /* over which one becomes the other */
+};
+
+/* The disc of the specification, of 75 um. */
+const struct gsn_phantom_burning *gsn_phantom_burning(void);
+
+/* Burns a mark into od, at distance_um of its centre. */
+void gsn_phantom_burn(const struct gsn_phantom_burning *burning, double distance_um, double od[3]);
 
 /* How the specification's numbers are written down for others. */
 struct gsn_phantom_recipe {
     double red_amount, yellow_amount, yellow_loss, nuclear_amount, least_texture, lesion_nuclei;
     double nuclei[GSN_PHANTOM_LAYERS], amplitude[GSN_PHANTOM_LAYERS];
-    double mark_radius_um, mark_ring_um, mark_edge_um, mark_bleach, mark_amount;
+    double mark_bleach, mark_amount;
 };
 
 const struct gsn_phantom_recipe *gsn_phantom_recipe(void);

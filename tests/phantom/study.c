@@ -31,7 +31,8 @@ static int write_table(unsigned threads, const char *folder, struct gsn_error *e
 
     if (!truth)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for study.csv");
-    r = gsn_phantom_truth_sums(gsn_phantom_specimen_at(0), threads, &sums, err);
+    r = gsn_phantom_truth_sums(gsn_phantom_geometry(), gsn_phantom_specimen_at(0), threads, &sums,
+                               err);
     if (r < 0)
         return r;
     gsn_phantom_buffer_print(&text, "specimen,group,animal,week,true_loss_pct\n");

@@ -162,11 +162,11 @@ int gsn_phantom_tables_write(const struct gsn_phantom_plan *plan,
         r = write_markers(plan, folder, err);
     if (r >= 0)
         r = write_defects(plan, folder, err);
-    if (r >= 0 && plan->level->handled)
+    if (r >= 0 && gsn_phantom_plan_varies(plan))
         r = write_decoys(plan, folder, err);
-    if (r >= 0 && plan->level->awkward)
+    if (r >= 0 && plan->level.awkward)
         r = write_files(plan, folder, err);
-    for (int k = 0; r >= 0 && plan->level->warp_rms_um > 0 && k < plan->sections; k++)
+    for (int k = 0; r >= 0 && plan->level.warp_rms_um > 0 && k < plan->sections; k++)
         if (plan->section[k].shows >= 0)
             r = write_warp(plan, k, folder, err);
     return r;

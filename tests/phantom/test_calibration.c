@@ -42,7 +42,7 @@ static void check_patch(const struct gsn_phantom_plan *plan, const struct gsn_im
     const struct gsn_phantom_batch *b = &plan->batch[batch - 1];
     const double u = (p.x + p.width / 2.0) / plan->width - .55;
     const double v = (p.y + p.height / 2.0) / plan->height - .45;
-    const double light = 1 - 2 * plan->level->illumination * (u * u + v * v);
+    const double light = 1 - 2 * plan->level.illumination * (u * u + v * v);
     const double red = b->red_gain * .62 * p.density;
     const double yellow = b->yellow_gain * .34 * (1 - .55 * p.density);
 

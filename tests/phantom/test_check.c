@@ -43,9 +43,9 @@ TEST(slicing_alone_costs_a_hundredth_of_a_point)
                                              12 + 24.0 * k };
                 struct gsn_phantom_field field;
 
-                if (!gsn_phantom_in_region(at))
+                if (!gsn_phantom_in_region(gsn_phantom_geometry(), at))
                     continue;
-                gsn_phantom_field_at(at, &field);
+                gsn_phantom_field_at(gsn_phantom_geometry(), at, &field);
                 intact += field.intact;
                 lost += field.lost;
             }
@@ -58,8 +58,8 @@ TEST(sums_are_the_same_with_any_number_of_threads)
     struct gsn_phantom_sums one, three;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_phantom_sum(24, DEPTH, 1, 1, &one, &err), err);
-    CHECK_OK(gsn_phantom_sum(24, DEPTH, 1, 3, &three, &err), err);
+    CHECK_OK(gsn_phantom_sum(gsn_phantom_geometry(), 24, DEPTH, 1, 1, &one, &err), err);
+    CHECK_OK(gsn_phantom_sum(gsn_phantom_geometry(), 24, DEPTH, 1, 3, &three, &err), err);
     CHECK(memcmp(&one, &three, sizeof one) == 0);
 }
 
@@ -67,7 +67,7 @@ static int sum_once(struct gsn_error *err)
 {
     struct gsn_phantom_sums sums;
 
-    return gsn_phantom_sum(100, DEPTH, 1, 1, &sums, err);
+    return gsn_phantom_sum(gsn_phantom_geometry(), 100, DEPTH, 1, 1, &sums, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

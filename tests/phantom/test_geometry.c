@@ -91,7 +91,7 @@ TEST(the_density_is_that_of_the_specification_everywhere)
         const struct gsn_vec3 at = somewhere(&random);
         const double A = depth[i % 4];
 
-        gsn_phantom_field_at(at, &field);
+        gsn_phantom_field_at(gsn_phantom_geometry(), at, &field);
         CHECK_NEAR(gsn_phantom_density(&field, A), plain_density(at.x, at.y, at.z, A), 1e-12);
     }
 }
@@ -110,7 +110,7 @@ TEST(the_outline_is_that_of_the_specification_where_it_changes)
         const struct gsn_vec3 at = { 2600 * rho * c, 2050 * rho * s,
                                      1440 * gsn_phantom_uniform(&random) };
 
-        gsn_phantom_field_at(at, &field);
+        gsn_phantom_field_at(gsn_phantom_geometry(), at, &field);
         CHECK_NEAR(field.tissue, plain_tissue(at.x, at.y, at.z), 1e-12);
         between += field.tissue > 0 && field.tissue < 1;
     }
@@ -126,7 +126,7 @@ TEST(layers_sum_to_one_where_there_is_tissue_and_to_nothing_elsewhere)
         struct gsn_phantom_field field;
         double sum = 0;
 
-        gsn_phantom_field_at(somewhere(&random), &field);
+        gsn_phantom_field_at(gsn_phantom_geometry(), somewhere(&random), &field);
         for (int l = 0; l < GSN_PHANTOM_LAYERS; l++) {
             CHECK(field.layer[l] >= 0);
             sum += field.layer[l];
@@ -147,7 +147,7 @@ TEST(the_lesion_takes_collagen_and_never_more_than_there_is)
     for (int i = 0; i < PLACES; i++) {
         struct gsn_phantom_field field;
 
-        gsn_phantom_field_at(somewhere(&random), &field);
+        gsn_phantom_field_at(gsn_phantom_geometry(), somewhere(&random), &field);
         CHECK(field.lost >= 0 && field.lost <= field.intact);
         CHECK(field.intact >= 0 && field.intact <= 1);
     }
@@ -158,17 +158,23 @@ TEST(distance_grows_by_one_per_micrometre_across_the_root_surface)
     /* A point on the surface at z = 700 straight right of the axis: (X/a)^2 = s. */
     const double s = 0.5, step = 0.01;
     const struct gsn_vec3 on = { -100 + 0.10 * 700 + 520 * sqrt(s), 80 - 0.06 * 700, 700 };
-    const double dx = (gsn_phantom_root_distance(gsn_vec3_make(on.x + step, on.y, on.z)) -
-                       gsn_phantom_root_distance(gsn_vec3_make(on.x - step, on.y, on.z))) /
-                      (2 * step);
-    const double dy = (gsn_phantom_root_distance(gsn_vec3_make(on.x, on.y + step, on.z)) -
-                       gsn_phantom_root_distance(gsn_vec3_make(on.x, on.y - step, on.z))) /
-                      (2 * step);
-    const double dz = (gsn_phantom_root_distance(gsn_vec3_make(on.x, on.y, on.z + step)) -
-                       gsn_phantom_root_distance(gsn_vec3_make(on.x, on.y, on.z - step))) /
-                      (2 * step);
+    const double dx =
+        (gsn_phantom_root_distance(gsn_phantom_geometry(), gsn_vec3_make(on.x + step, on.y, on.z)) -
+         gsn_phantom_root_distance(gsn_phantom_geometry(),
+                                   gsn_vec3_make(on.x - step, on.y, on.z))) /
+        (2 * step);
+    const double dy =
+        (gsn_phantom_root_distance(gsn_phantom_geometry(), gsn_vec3_make(on.x, on.y + step, on.z)) -
+         gsn_phantom_root_distance(gsn_phantom_geometry(),
+                                   gsn_vec3_make(on.x, on.y - step, on.z))) /
+        (2 * step);
+    const double dz =
+        (gsn_phantom_root_distance(gsn_phantom_geometry(), gsn_vec3_make(on.x, on.y, on.z + step)) -
+         gsn_phantom_root_distance(gsn_phantom_geometry(),
+                                   gsn_vec3_make(on.x, on.y, on.z - step))) /
+        (2 * step);
 
-    CHECK_NEAR(gsn_phantom_root_distance(on), 0, 1e-9);
+    CHECK_NEAR(gsn_phantom_root_distance(gsn_phantom_geometry(), on), 0, 1e-9);
     CHECK_NEAR(sqrt(dx * dx + dy * dy + dz * dz), 1, 1e-6);
 }
 
@@ -179,7 +185,9 @@ TEST(the_region_of_interest_reaches_from_section_5_to_section_29)
 
         for (double y = -260; y <= 1560; y += 20)
             for (double x = -500; x <= 1320; x += 20)
-                inside |= gsn_phantom_in_region(gsn_vec3_make(x, y, gsn_phantom_section_z(k)));
+                inside |= gsn_phantom_in_region(
+                    gsn_phantom_geometry(),
+                    gsn_vec3_make(x, y, gsn_phantom_section_z(gsn_phantom_geometry(), k)));
         CHECK(inside == (k >= 5 && k <= 29));
     }
 }

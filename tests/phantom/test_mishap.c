@@ -128,7 +128,7 @@ TEST(batches_are_drawn_as_the_table_of_levels_says)
 
 static void count_panel(const struct gsn_phantom_plan *plan, int panel)
 {
-    const struct gsn_phantom_level *level = plan->level;
+    const struct gsn_phantom_level *level = &plan->level;
     int gone = 0, dealt = 0;
 
     for (size_t i = 0; i < plan->defects; i++) {
@@ -179,8 +179,8 @@ TEST(a_bad_day_loses_two_or_three_of_twelve_and_has_six_to_eight_defects)
     for (uint64_t seed = 0; seed < SEEDS; seed++) {
         const struct gsn_phantom_plan plan = plan_of("L3", seed);
 
-        CHECK(plan.level->missing_least == 2 && plan.level->missing_most == 3);
-        CHECK(plan.level->defects_least == 6 && plan.level->defects_most == 8);
+        CHECK(plan.level.missing_least == 2 && plan.level.missing_most == 3);
+        CHECK(plan.level.defects_least == 6 && plan.level.defects_most == 8);
         CHECK(plan.defects < GSN_PHANTOM_DEFECTS_MOST);
         for (int panel = 1; panel <= GSN_PHANTOM_PANELS; panel++)
             count_panel(&plan, panel);

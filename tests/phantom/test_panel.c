@@ -109,7 +109,8 @@ TEST(dentine_is_the_closed_form_at_level_0)
 
             if (hypot(at.x, at.y) > 800)
                 continue;
-            gsn_phantom_field_at(gsn_vec3_make(at.x, at.y, section_of(&drawn, slot)->z_um), &field);
+            gsn_phantom_field_at(gsn_phantom_geometry(),
+                                 gsn_vec3_make(at.x, at.y, section_of(&drawn, slot)->z_um), &field);
             if (field.layer[GSN_PHANTOM_DENT] < 1)
                 continue;
             for (uint32_t c = 0; c < 3; c++)

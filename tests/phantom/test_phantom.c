@@ -166,14 +166,14 @@ TEST(the_job_names_its_baseline_unless_it_is_the_baseline)
 /* The specification gives 0.9802 mm3 from steps of 6 um; voxels of 16 x 16 x 24 um come close. */
 TEST(the_region_mask_lies_on_the_sections_and_has_the_region_s_volume)
 {
-    const struct gsn_lattice part = gsn_phantom_region_lattice();
-    const struct gsn_lattice whole = gsn_phantom_truth_lattice();
+    const struct gsn_lattice part = gsn_phantom_region_lattice(gsn_phantom_geometry());
+    const struct gsn_lattice whole = gsn_phantom_truth_lattice(gsn_phantom_geometry());
     gsn_auto(gsn_mask) small = NULL;
     gsn_auto(gsn_mask) large = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_phantom_region_mask(&part, &small, &err), err);
-    CHECK_OK(gsn_phantom_region_mask(&whole, &large, &err), err);
+    CHECK_OK(gsn_phantom_region_mask(gsn_phantom_geometry(), &part, &small, &err), err);
+    CHECK_OK(gsn_phantom_region_mask(gsn_phantom_geometry(), &whole, &large, &err), err);
     CHECK(gsn_mask_count(small) == gsn_mask_count(large));
     CHECK_NEAR((double)gsn_mask_count(small) * gsn_lattice_voxel_um3(&part) * 1e-9, 0.9802, 0.002);
     CHECK_NEAR(fmod(part.origin_um.z - 12, 24), 0, 0);
@@ -187,16 +187,16 @@ TEST(the_region_mask_lies_on_the_sections_and_has_the_region_s_volume)
 
 TEST(the_density_grid_holds_the_density_at_its_voxel_centres)
 {
-    const struct gsn_lattice part = gsn_phantom_region_lattice();
+    const struct gsn_lattice part = gsn_phantom_region_lattice(gsn_phantom_geometry());
     gsn_auto(gsn_grid) grid = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_phantom_density_grid(&part, 0.5, 1, 0, &grid, &err), err);
+    CHECK_OK(gsn_phantom_density_grid(gsn_phantom_geometry(), &part, 0.5, 1, 0, &grid, &err), err);
     for (size_t i = 0; i < part.nx; i++) {
         const size_t y = i % part.ny, z = i % part.nz;
         struct gsn_phantom_field field;
 
-        gsn_phantom_field_at(gsn_lattice_centre(&part, i, y, z), &field);
+        gsn_phantom_field_at(gsn_phantom_geometry(), gsn_lattice_centre(&part, i, y, z), &field);
         CHECK_NEAR((double)grid->value[gsn_lattice_index(&part, i, y, z)],
                    field.intact - 0.5 * field.lost, 1e-6);
     }

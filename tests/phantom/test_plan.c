@@ -80,7 +80,7 @@ TEST(poses_of_level_1_keep_within_their_limits_and_use_them)
 
     CHECK_OK(gsn_phantom_plan_make("S02", "L1", 11, 16, &plan, &err), err);
     for (int k = 0; k < GSN_PHANTOM_SECTIONS; k++) {
-        const struct gsn_point c = gsn_phantom_slot_centre_um(k % 12);
+        const struct gsn_point c = gsn_phantom_slot_centre_um(&plan, k % 12);
 
         most_turn = fmax(most_turn, fabs(plan.section[k].theta) * 180 / M_PI);
         most_shift = fmax(most_shift, fabs(plan.section[k].centre_px.x * 16 - c.x));
@@ -120,7 +120,7 @@ static void check_same_but_for_the_stain(const char *level)
         CHECK(s02.defect[i].kind == s03.defect[i].kind && s02.defect[i].k == s03.defect[i].k);
         CHECK(s02.defect[i].at.x == s03.defect[i].at.x);
     }
-    CHECK(s03.specimen->depth == s02.specimen->depth);
+    CHECK(s03.specimen.depth == s02.specimen.depth);
     for (int i = 0; i < GSN_PHANTOM_PANELS; i++) {
         CHECK_NEAR(s03.batch[i].red_gain, 1.15 * s02.batch[i].red_gain, 1e-12);
         CHECK(memcmp(s03.batch[i].dye, s02.batch[i].dye, sizeof s02.batch[i].dye) == 0);
@@ -145,7 +145,7 @@ TEST(what_does_not_exist_is_refused_in_one_sentence)
     } refused[] = {
         { "S02", "L4", 16, GSN_E_NOTFOUND, "no level L4" },
         { "S09", "L1", 16, GSN_E_NOTFOUND, "no specimen S09" },
-        { "S02", "L1", 4, GSN_E_LIMIT, "a pixel of 4 um" },
+        { "S02", "L1", 3, GSN_E_LIMIT, "a pixel of 3 um" },
         { "S02", "L1", 100, GSN_E_LIMIT, "a pixel of 100 um" },
         { "S02", "L1", NAN, GSN_E_LIMIT, "a pixel of" },
     };

@@ -165,7 +165,8 @@ static double changed(struct gsn_phantom_plan plan, const struct gsn_phantom_def
             const struct gsn_point at = gsn_phantom_sight_block(&sight, p);
             int apart = 0;
 
-            if (!gsn_phantom_in_region(gsn_vec3_make(at.x, at.y, sight.section->z_um)))
+            if (!gsn_phantom_in_region(gsn_phantom_geometry(),
+                                       gsn_vec3_make(at.x, at.y, sight.section->z_um)))
                 continue;
             for (uint32_t c = 0; c < 3; c++)
                 apart |= gsn_image_at(plain, x, y, c) != gsn_image_at(spoilt, x, y, c);
@@ -224,7 +225,7 @@ TEST(the_recorded_fraction_is_what_the_picture_hides)
 TEST(a_fold_hides_three_times_its_width)
 {
     const struct gsn_phantom_plan plan = plan_of(7, 16);
-    const double z = gsn_phantom_section_z(14), x0 = 450, w = 100;
+    const double z = gsn_phantom_section_z(gsn_phantom_geometry(), 14), x0 = 450, w = 100;
     const struct gsn_phantom_defect fold = {
         .kind = GSN_PHANTOM_FOLD, .k = 14, .at = { x0, 0 }, .width = w
     };
@@ -232,7 +233,7 @@ TEST(a_fold_hides_three_times_its_width)
 
     for (double y = -600; y < 1700; y += 8)
         for (double x = -600; x < 1500; x += 8)
-            if (gsn_phantom_in_region(gsn_vec3_make(x, y, z))) {
+            if (gsn_phantom_in_region(gsn_phantom_geometry(), gsn_vec3_make(x, y, z))) {
                 region++;
                 lost += x >= x0 && x < x0 + 3 * w;
             }

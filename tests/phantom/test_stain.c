@@ -96,10 +96,10 @@ TEST(a_mark_is_a_dark_disc_in_a_bleached_ring)
     double inside[3] = { .3, .4, .5 }, edge[3] = { .3, .4, .5 };
     double ring[3] = { .3, .4, .5 }, beyond[3] = { .3, .4, .5 };
 
-    gsn_phantom_burn(0, inside);
-    gsn_phantom_burn(75, edge);
-    gsn_phantom_burn(95, ring);
-    gsn_phantom_burn(130, beyond);
+    gsn_phantom_burn(gsn_phantom_burning(), 0, inside);
+    gsn_phantom_burn(gsn_phantom_burning(), 75, edge);
+    gsn_phantom_burn(gsn_phantom_burning(), 95, ring);
+    gsn_phantom_burn(gsn_phantom_burning(), 130, beyond);
     for (int c = 0; c < 3; c++) {
         const double before = beyond[c], mark = 1.15 * dye(.50, .60, .63, c);
 

@@ -14,7 +14,7 @@ static struct gsn_phantom_sums sums_of(const char *name)
     struct gsn_error err = { 0 };
 
     CHECK(s);
-    CHECK_OK(gsn_phantom_truth_sums(s, 0, &sums, &err), err);
+    CHECK_OK(gsn_phantom_truth_sums(gsn_phantom_geometry(), s, 0, &sums, &err), err);
     return sums;
 }
 
@@ -76,7 +76,7 @@ TEST(a_denser_control_is_denser_by_its_bone)
 {
     const struct gsn_phantom_specimen *n4 = gsn_phantom_specimen_find("GVP-D-N4");
     const struct gsn_phantom_sums plain = sums_of("S00"), dense = sums_of("N4");
-    const struct gsn_lattice part = gsn_phantom_region_lattice();
+    const struct gsn_lattice part = gsn_phantom_region_lattice(gsn_phantom_geometry());
     gsn_auto(gsn_grid) ordinary = NULL;
     gsn_auto(gsn_grid) denser = NULL;
     gsn_auto(gsn_mask) region = NULL;
@@ -85,9 +85,12 @@ TEST(a_denser_control_is_denser_by_its_bone)
 
     CHECK_NEAR(gsn_phantom_truth_loss(n4, &plain), gsn_phantom_truth_loss(n4, &dense), 1e-9);
     CHECK(dense.above[0][2] > plain.above[0][2]);
-    CHECK_OK(gsn_phantom_density_grid(&part, 0, 1, 0, &ordinary, &err), err);
-    CHECK_OK(gsn_phantom_density_grid(&part, 0, n4->bone_gain, 0, &denser, &err), err);
-    CHECK_OK(gsn_phantom_region_mask(&part, &region, &err), err);
+    CHECK_OK(gsn_phantom_density_grid(gsn_phantom_geometry(), &part, 0, 1, 0, &ordinary, &err),
+             err);
+    CHECK_OK(
+        gsn_phantom_density_grid(gsn_phantom_geometry(), &part, 0, n4->bone_gain, 0, &denser, &err),
+        err);
+    CHECK_OK(gsn_phantom_region_mask(gsn_phantom_geometry(), &part, &region, &err), err);
     for (size_t i = 0; i < gsn_lattice_count(&part); i++)
         if (region->inside[i]) {
             before += (double)ordinary->value[i];

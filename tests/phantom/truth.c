@@ -14,19 +14,26 @@
 #define DEG_PER_RAD (180 / M_PI)
 
 static const double VOXEL_UM = 16, LOSS_STEP_UM = 6;
-static const size_t TRUTH_NX = 326, TRUTH_NY = 258;
 
 /* --- volumes --- */
 
-struct gsn_lattice gsn_phantom_truth_lattice(void)
+/* Voxels over an axis of the block, its soft edge included. */
+static size_t voxels_over(double half_axis)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
+    const double edge = 8;
+
+    return 2 * (size_t)ceil((half_axis + edge) / VOXEL_UM);
+}
+
+struct gsn_lattice gsn_phantom_truth_lattice(const struct gsn_phantom_geometry *g)
+{
+    const size_t nx = voxels_over(g->ax), ny = voxels_over(g->ay);
     const struct gsn_lattice at = {
-        .nx = TRUTH_NX,
-        .ny = TRUTH_NY,
+        .nx = nx,
+        .ny = ny,
         .nz = (size_t)g->sections,
-        .origin_um = { -VOXEL_UM * ((double)TRUTH_NX - 1) / 2,
-                       -VOXEL_UM * ((double)TRUTH_NY - 1) / 2, g->first_z },
+        .origin_um = { -VOXEL_UM * ((double)nx - 1) / 2, -VOXEL_UM * ((double)ny - 1) / 2,
+                       g->first_z },
         .step_um = { VOXEL_UM, VOXEL_UM, g->interval },
     };
     return at;
@@ -43,10 +50,9 @@ static void crop(double low, double high, double step, double *origin, size_t *c
     *count = (size_t)(last - first) + 1;
 }
 
-struct gsn_lattice gsn_phantom_region_lattice(void)
+struct gsn_lattice gsn_phantom_region_lattice(const struct gsn_phantom_geometry *g)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
-    struct gsn_lattice at = gsn_phantom_truth_lattice();
+    struct gsn_lattice at = gsn_phantom_truth_lattice(g);
 
     crop(g->lesion.x - g->region_radius, g->lesion.x + g->region_radius, at.step_um.x,
          &at.origin_um.x, &at.nx);
@@ -57,8 +63,8 @@ struct gsn_lattice gsn_phantom_region_lattice(void)
     return at;
 }
 
-int gsn_phantom_region_mask(const struct gsn_lattice *at, struct gsn_mask **ret_mask,
-                            struct gsn_error *err)
+int gsn_phantom_region_mask(const struct gsn_phantom_geometry *g, const struct gsn_lattice *at,
+                            struct gsn_mask **ret_mask, struct gsn_error *err)
 {
     gsn_auto(gsn_mask) mask = NULL;
     const int r = gsn_mask_new(at, &mask, err);
@@ -69,12 +75,13 @@ int gsn_phantom_region_mask(const struct gsn_lattice *at, struct gsn_mask **ret_
         for (size_t y = 0; y < at->ny; y++)
             for (size_t x = 0; x < at->nx; x++)
                 mask->inside[gsn_lattice_index(at, x, y, z)] =
-                    (uint8_t)gsn_phantom_in_region(gsn_lattice_centre(at, x, y, z));
+                    (uint8_t)gsn_phantom_in_region(g, gsn_lattice_centre(at, x, y, z));
     *ret_mask = gsn_steal(&mask);
     return GSN_OK;
 }
 
 struct density_job {
+    const struct gsn_phantom_geometry *geometry;
     struct gsn_grid *grid;
     double depth, gain;
 };
@@ -88,7 +95,7 @@ static int fill_density(size_t z, void *context, struct gsn_error *err)
     (void)err;
     for (size_t y = 0; y < at->ny; y++)
         for (size_t x = 0; x < at->nx; x++) {
-            gsn_phantom_field_at(gsn_lattice_centre(at, x, y, z), &field);
+            gsn_phantom_field_at(job->geometry, gsn_lattice_centre(at, x, y, z), &field);
             gsn_phantom_field_thicken(&field, job->gain);
             job->grid->value[gsn_lattice_index(at, x, y, z)] =
                 (float)gsn_phantom_density(&field, job->depth);
@@ -96,11 +103,12 @@ static int fill_density(size_t z, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-int gsn_phantom_density_grid(const struct gsn_lattice *at, double depth, double gain,
-                             unsigned threads, struct gsn_grid **ret_grid, struct gsn_error *err)
+int gsn_phantom_density_grid(const struct gsn_phantom_geometry *g, const struct gsn_lattice *at,
+                             double depth, double gain, unsigned threads,
+                             struct gsn_grid **ret_grid, struct gsn_error *err)
 {
     gsn_auto(gsn_grid) grid = NULL;
-    struct density_job job = { .depth = depth, .gain = gain };
+    struct density_job job = { .geometry = g, .depth = depth, .gain = gain };
     int r;
 
     r = gsn_grid_new(at, &grid, err);
@@ -145,13 +153,13 @@ static int write_raw(const void *bytes, size_t size, const char *folder, const c
     return gsn_phantom_buffer_write(&raw, folder, file, err);
 }
 
-static int write_region(const struct gsn_lattice *at, const char *folder, const char *name,
-                        struct gsn_error *err)
+static int write_region(const struct gsn_phantom_geometry *g, const struct gsn_lattice *at,
+                        const char *folder, const char *name, struct gsn_error *err)
 {
     gsn_auto(gsn_mask) mask = NULL;
     int r;
 
-    r = gsn_phantom_region_mask(at, &mask, err);
+    r = gsn_phantom_region_mask(g, at, &mask, err);
     if (r < 0)
         return r;
     r = write_raw(mask->inside, gsn_lattice_count(at), folder, name, err);
@@ -160,14 +168,16 @@ static int write_region(const struct gsn_lattice *at, const char *folder, const 
     return write_header(at, "MET_UCHAR", folder, name, err);
 }
 
-static int write_density(const struct gsn_phantom_specimen *s, unsigned threads, const char *folder,
+static int write_density(const struct gsn_phantom_plan *plan, unsigned threads, const char *folder,
                          struct gsn_error *err)
 {
-    const struct gsn_lattice at = gsn_phantom_truth_lattice();
+    const struct gsn_phantom_geometry *g = &plan->variant.geometry;
+    const struct gsn_phantom_specimen *s = &plan->specimen;
+    const struct gsn_lattice at = gsn_phantom_truth_lattice(g);
     gsn_auto(gsn_grid) grid = NULL;
     int r;
 
-    r = gsn_phantom_density_grid(&at, s->depth, s->bone_gain, threads, &grid, err);
+    r = gsn_phantom_density_grid(g, &at, s->depth, s->bone_gain, threads, &grid, err);
     if (r < 0)
         return r;
     r = write_raw(grid->value, gsn_lattice_count(&at) * sizeof *grid->value, folder, "density",
@@ -179,12 +189,33 @@ static int write_density(const struct gsn_phantom_specimen *s, unsigned threads,
 
 /* --- what the operator types --- */
 
+/* The patches of one row, of standards or of dyes. */
+static void add_calibration(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan)
+{
+    const enum gsn_phantom_calibrated by = plan->variant.calibrated;
+
+    if (by == GSN_PHANTOM_BY_DYES)
+        gsn_phantom_buffer_print(text, "  \"calibration\": \"" GSN_PHANTOM_STUDY "-%s-C01.png\",\n",
+                                 plan->specimen.name);
+    if (by != GSN_PHANTOM_BY_PATCHES)
+        return;
+    gsn_phantom_buffer_print(text, "  \"calibration\": [");
+    for (int panel = 1; panel <= plan->panels; panel++)
+        gsn_phantom_buffer_print(text,
+                                 "%s\n    {\"file\": \"" GSN_PHANTOM_STUDY "-%s-C%02d.png\", "
+                                 "\"panels\": [%d], \"patches\": [[0, 0.25, 0.5, 0.75, 1], "
+                                 "[\"red\", \"yellow\", \"dark\"]]}",
+                                 panel > 1 ? "," : "", plan->specimen.name, panel, panel);
+    gsn_phantom_buffer_print(text, "],\n");
+}
+
 int gsn_phantom_write_job(const struct gsn_phantom_plan *plan, const char *folder,
                           struct gsn_error *err)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
-    const struct gsn_phantom_specimen *s = plan->specimen;
-    const struct gsn_lattice region = gsn_phantom_region_lattice();
+    const struct gsn_phantom_variant *v = &plan->variant;
+    const struct gsn_phantom_geometry *g = &v->geometry;
+    const struct gsn_phantom_specimen *s = &plan->specimen;
+    const struct gsn_lattice region = gsn_phantom_region_lattice(g);
     gsn_auto_phantom_buffer text = { 0 };
     int r;
 
@@ -197,32 +228,34 @@ int gsn_phantom_write_job(const struct gsn_phantom_plan *plan, const char *folde
         gsn_phantom_buffer_print(&text, "  \"baseline\": \"%s\",\n", s->baseline);
     gsn_phantom_buffer_print(&text,
                              "  \"px_um\": %.15g,\n  \"interval_um\": %.15g,\n  \"panels\": %d,\n"
-                             "  \"layout\": [%d, %d],\n  \"order\": \"row\",\n"
+                             "  \"layout\": [%d, %d],\n  \"order\": \"%s\",\n"
                              "  \"sections\": %d,\n",
-                             plan->px_um, g->interval, plan->panels, GSN_PHANTOM_ROWS,
-                             GSN_PHANTOM_COLUMNS, plan->sections);
-    gsn_phantom_buffer_print(&text, "  \"markers_um\": [");
+                             plan->px_um, g->interval, plan->panels, v->rows, v->columns, v->order,
+                             plan->sections);
+    add_calibration(&text, plan);
+    gsn_phantom_buffer_print(&text, "  \"%s\": [", v->markers_key);
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++)
         gsn_phantom_buffer_print(&text, "%s[%.15g, %.15g]", i ? ", " : "", g->mark[i].x,
-                                 g->mark[i].y);
+                                 v->markers_y_up ? -g->mark[i].y : g->mark[i].y);
     /* The dyes act on code values, so optical density is the logarithm of the code itself. */
     gsn_phantom_buffer_print(&text,
                              "],\n  \"region\": \"region.mhd\",\n  \"transfer\": \"linear\",\n"
                              "  \"thresholds\": [%g, %g, %g]\n}\n",
                              gsn_phantom_thresholds[0], gsn_phantom_thresholds[1],
                              gsn_phantom_thresholds[2]);
-    r = write_region(&region, folder, "region", err);
+    r = write_region(g, &region, folder, "region", err);
     if (r < 0)
         return r;
     return gsn_phantom_buffer_write(&text, folder, "job.json", err);
 }
 
-int gsn_phantom_truth_sums(const struct gsn_phantom_specimen *s, unsigned threads,
+int gsn_phantom_truth_sums(const struct gsn_phantom_geometry *g,
+                           const struct gsn_phantom_specimen *s, unsigned threads,
                            struct gsn_phantom_sums *ret_sums, struct gsn_error *err)
 {
     const double depths[GSN_PHANTOM_DEPTHS] = { s->depth, s->depth, s->depth, s->depth };
 
-    return gsn_phantom_sum(LOSS_STEP_UM, depths, s->bone_gain, threads, ret_sums, err);
+    return gsn_phantom_sum(g, LOSS_STEP_UM, depths, s->bone_gain, threads, ret_sums, err);
 }
 
 double gsn_phantom_truth_loss(const struct gsn_phantom_specimen *s,
@@ -234,15 +267,16 @@ double gsn_phantom_truth_loss(const struct gsn_phantom_specimen *s,
     return gsn_phantom_loss_percent(sums, s->depth) - denser;
 }
 
-static int write_loss(const struct gsn_phantom_specimen *s, unsigned threads, const char *folder,
+static int write_loss(const struct gsn_phantom_plan *plan, unsigned threads, const char *folder,
                       struct gsn_error *err)
 {
+    const struct gsn_phantom_specimen *s = &plan->specimen;
     gsn_auto_phantom_buffer text = { 0 };
     struct gsn_phantom_sums sums;
     double integral;
     int r;
 
-    r = gsn_phantom_truth_sums(s, threads, &sums, err);
+    r = gsn_phantom_truth_sums(&plan->variant.geometry, s, threads, &sums, err);
     if (r < 0)
         return r;
     integral = sums.intact - s->depth * sums.lost + (s->bone_gain - 1) * sums.bone;
@@ -268,10 +302,8 @@ static void add_layers(struct gsn_phantom_buffer *text, const char *name,
                              value[GSN_PHANTOM_BONE], value[GSN_PHANTOM_MARR]);
 }
 
-static void add_geometry(struct gsn_phantom_buffer *text)
+static void add_geometry(struct gsn_phantom_buffer *text, const struct gsn_phantom_geometry *g)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
-
     gsn_phantom_buffer_print(
         text,
         "  \"geometry\": {\n    \"N\": %d, \"first_z\": %.15g, \"interval\": %.15g, \"H\": %.15g,\n"
@@ -294,7 +326,7 @@ static void add_geometry(struct gsn_phantom_buffer *text)
                                  g->outline[i].m, g->outline[i].a, g->outline[i].p,
                                  g->outline[i].w);
     gsn_phantom_buffer_print(text, "],\n    \"marrow\": [");
-    for (int i = 0; i < GSN_PHANTOM_MARROWS; i++) {
+    for (int i = 0; i < g->marrows; i++) {
         const struct gsn_phantom_ellipsoid *e = &g->marrow[i];
 
         gsn_phantom_buffer_print(text, "%s\n      [%.15g, %.15g, %.15g, %.15g, %.15g, %.15g]",
@@ -307,10 +339,9 @@ static void add_geometry(struct gsn_phantom_buffer *text)
                              g->region_depth, g->region_half_height, g->region_radius);
 }
 
-static void add_lesion(struct gsn_phantom_buffer *text, double depth)
+static void add_lesion(struct gsn_phantom_buffer *text, const struct gsn_phantom_geometry *g,
+                       double depth)
 {
-    const struct gsn_phantom_geometry *g = gsn_phantom_geometry();
-
     gsn_phantom_buffer_print(text,
                              "  \"lesion\": {\"A\": %.15g, \"centre\": [%.15g, %.15g, %.15g], "
                              "\"s\": [%.15g, %.15g, %.15g], \"lphi\": %.15g, \"in_pdl\": %.15g},\n",
@@ -319,11 +350,12 @@ static void add_lesion(struct gsn_phantom_buffer *text, double depth)
                              g->lesion_in_pdl);
 }
 
-static void add_dye(struct gsn_phantom_buffer *text, const char *name, enum gsn_phantom_dye dye)
+static void add_dye(struct gsn_phantom_buffer *text, const struct gsn_phantom_plan *plan,
+                    const char *name, enum gsn_phantom_dye dye)
 {
     double v[3];
 
-    gsn_phantom_dye_vector(dye, v);
+    gsn_phantom_variant_dye(&plan->variant, dye, v);
     gsn_phantom_buffer_print(text, "    \"%s\": [%.15g, %.15g, %.15g],\n", name, v[0], v[1], v[2]);
 }
 
@@ -334,18 +366,18 @@ static void add_stain(struct gsn_phantom_buffer *text, const struct gsn_phantom_
 
     gsn_phantom_buffer_print(text, "  \"stain\": {\n    \"I0\": [%.15g, %.15g, %.15g],\n", white[0],
                              white[1], white[2]);
-    add_dye(text, "RED", GSN_PHANTOM_RED);
-    add_dye(text, "YEL", GSN_PHANTOM_YELLOW);
-    add_dye(text, "NUC", GSN_PHANTOM_NUCLEAR);
-    add_dye(text, "MARK", GSN_PHANTOM_MARK);
+    add_dye(text, plan, "RED", GSN_PHANTOM_RED);
+    add_dye(text, plan, "YEL", GSN_PHANTOM_YELLOW);
+    add_dye(text, plan, "NUC", GSN_PHANTOM_NUCLEAR);
+    add_dye(text, plan, "MARK", GSN_PHANTOM_MARK);
     add_layers(text, "nf", recipe->nuclei);
     add_layers(text, "amp", recipe->amplitude);
     gsn_phantom_buffer_print(text,
                              "    \"red\": %.15g, \"yellow\": %.15g, \"yellow_loss\": %.15g, "
                              "\"nuclear\": %.15g,\n    \"kr\": %.15g, \"ky\": %.15g\n  },\n",
                              recipe->red_amount, recipe->yellow_amount, recipe->yellow_loss,
-                             recipe->nuclear_amount, plan->specimen->red_gain,
-                             plan->specimen->yellow_gain);
+                             recipe->nuclear_amount, plan->specimen.red_gain,
+                             plan->specimen.yellow_gain);
 }
 
 static void add_level(struct gsn_phantom_buffer *text, const struct gsn_phantom_level *level)
@@ -373,22 +405,27 @@ static void add_level(struct gsn_phantom_buffer *text, const struct gsn_phantom_
 static int write_parameters(const struct gsn_phantom_plan *plan, const char *folder,
                             struct gsn_error *err)
 {
+    const struct gsn_phantom_geometry *g = &plan->variant.geometry;
     gsn_auto_phantom_buffer text = { 0 };
 
     gsn_phantom_buffer_print(&text,
                              "{\n  \"version\": \"GVP-1\",\n  \"specimen\": \"%s-%s\",\n"
                              "  \"level\": \"%s\",\n  \"seed\": %llu,\n  \"px_um\": %.15g,\n",
-                             GSN_PHANTOM_STUDY, plan->specimen->name, plan->level->name,
+                             GSN_PHANTOM_STUDY, plan->specimen.name, plan->level.name,
                              (unsigned long long)plan->seed, plan->px_um);
-    add_geometry(&text);
-    add_lesion(&text, plan->specimen->depth);
-    if (plan->specimen->bone_gain != 1)
-        gsn_phantom_buffer_print(&text, "  \"bone_gain\": %.15g,\n", plan->specimen->bone_gain);
+    if (plan->variant.text)
+        gsn_phantom_buffer_print(&text, "  \"variant\": %s,\n", plan->variant.text);
+    add_geometry(&text, g);
+    add_lesion(&text, g, plan->specimen.depth);
+    if (g->floor > 0)
+        gsn_phantom_buffer_print(&text, "  \"floor\": %.15g,\n", g->floor);
+    if (plan->specimen.bone_gain != 1)
+        gsn_phantom_buffer_print(&text, "  \"bone_gain\": %.15g,\n", plan->specimen.bone_gain);
     add_stain(&text, plan);
     gsn_phantom_buffer_print(&text,
                              "  \"texture_source\": {\"file\": \"%s\", \"sha256\": \"%s\"},\n",
                              GSN_PHANTOM_TEXTURE_FILE, GSN_PHANTOM_TEXTURE_SHA256);
-    add_level(&text, plan->level);
+    add_level(&text, &plan->level);
     gsn_phantom_record_drawn(plan, &text);
     return gsn_phantom_buffer_write(&text, folder, "truth.json", err);
 }
@@ -398,17 +435,18 @@ int gsn_phantom_write_truth(const struct gsn_phantom_plan *plan,
                             int with_density, unsigned threads, const char *folder,
                             struct gsn_error *err)
 {
-    const struct gsn_lattice whole = gsn_phantom_truth_lattice();
+    const struct gsn_phantom_geometry *g = &plan->variant.geometry;
+    const struct gsn_lattice whole = gsn_phantom_truth_lattice(g);
     int r;
 
     r = write_parameters(plan, folder, err);
     if (r >= 0)
         r = gsn_phantom_tables_write(plan, extent, folder, err);
     if (r >= 0)
-        r = write_region(&whole, folder, "roi", err);
+        r = write_region(g, &whole, folder, "roi", err);
     if (r >= 0 && with_density)
-        r = write_density(plan->specimen, threads, folder, err);
+        r = write_density(plan, threads, folder, err);
     if (r >= 0)
-        r = write_loss(plan->specimen, threads, folder, err);
+        r = write_loss(plan, threads, folder, err);
     return r;
 }

@@ -13,22 +13,24 @@
 extern "C" {
 #endif
 
-/* The grid of the truth volumes: 16 x 16 x 24 um over the whole block, z on the sections. */
-struct gsn_lattice gsn_phantom_truth_lattice(void);
+/* The grid of the truth volumes: 16 x 16 um over the whole block, z on the sections. */
+struct gsn_lattice gsn_phantom_truth_lattice(const struct gsn_phantom_geometry *g);
 /* The part of it that holds the region of interest and a border of two voxels. */
-struct gsn_lattice gsn_phantom_region_lattice(void);
+struct gsn_lattice gsn_phantom_region_lattice(const struct gsn_phantom_geometry *g);
 
 /* give: the region of interest, and D at the depth A in bone gain times as dense, at the
  * voxel centres of a lattice. */
-int gsn_phantom_region_mask(const struct gsn_lattice *at, struct gsn_mask **ret_mask,
-                            struct gsn_error *err);
-int gsn_phantom_density_grid(const struct gsn_lattice *at, double depth, double gain,
-                             unsigned threads, struct gsn_grid **ret_grid, struct gsn_error *err);
+int gsn_phantom_region_mask(const struct gsn_phantom_geometry *g, const struct gsn_lattice *at,
+                            struct gsn_mask **ret_mask, struct gsn_error *err);
+int gsn_phantom_density_grid(const struct gsn_phantom_geometry *g, const struct gsn_lattice *at,
+                             double depth, double gain, unsigned threads,
+                             struct gsn_grid **ret_grid, struct gsn_error *err);
 
 /* The sums over the region that belong to a specimen, and its loss against the block as defined, of
  * these sums or of those of any other specimen: a control that is denser has lost less than none. A
  * specimen has a lesion or bone of its own density, not both. */
-int gsn_phantom_truth_sums(const struct gsn_phantom_specimen *s, unsigned threads,
+int gsn_phantom_truth_sums(const struct gsn_phantom_geometry *g,
+                           const struct gsn_phantom_specimen *s, unsigned threads,
                            struct gsn_phantom_sums *ret_sums, struct gsn_error *err);
 double gsn_phantom_truth_loss(const struct gsn_phantom_specimen *s,
                               const struct gsn_phantom_sums *sums);

@@ -50,10 +50,10 @@ static void fill_block(void)
     for (int i = 0; i < WIDE * HIGH; i++) {
         const struct gsn_vec3 at = { (i % WIDE + 0.5 - WIDE / 2.0) * CELL_UM,
                                      (i / WIDE + 0.5 - HIGH / 2.0) * CELL_UM,
-                                     gsn_phantom_section_z(30) };
+                                     gsn_phantom_section_z(gsn_phantom_geometry(), 30) };
         struct gsn_phantom_field field;
 
-        gsn_phantom_field_at(at, &field);
+        gsn_phantom_field_at(gsn_phantom_geometry(), at, &field);
         block[i] = (float)(0.2 * field.tissue + 0.5 * gsn_phantom_density(&field, 0.37));
     }
 }

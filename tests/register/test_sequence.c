@@ -39,7 +39,7 @@ static void fill_block(void)
                                          12 + 24 * (FIRST + k) };
             struct gsn_phantom_field field;
 
-            gsn_phantom_field_at(at, &field);
+            gsn_phantom_field_at(gsn_phantom_geometry(), at, &field);
             block[k][i] = (float)gsn_phantom_density(&field, 0.37);
         }
 }

@@ -144,15 +144,16 @@ static int read_light(const json_t *job, struct gsn_protocol *p, struct gsn_erro
     static const char *const transfers[] = { "unknown", "linear", "srgb", NULL };
     static const char *const dyes[] = { "builtin", "estimate", NULL };
     const json_t *white = json_object_get(job, "white");
-    int transfer = GSN_STATED_UNKNOWN;
+    int transfer = GSN_STATED_UNKNOWN, vectors = -1;
     int r;
 
     r = gsn_stated_word(job, "transfer", transfers, &transfer, err);
     if (r >= 0)
-        r = gsn_stated_word(job, "dyes", dyes, &p->estimate_dyes, err);
+        r = gsn_stated_word(job, "dyes", dyes, &vectors, err);
     if (r < 0)
         return r;
     p->transfer = (enum gsn_stated_transfer)transfer;
+    p->dyes = (enum gsn_stated_dyes)(vectors + 1);
     if (!white)
         return GSN_OK;
     if (gsn_stated_numbers(white, 3, p->white) < 0 || !(p->white[0] > 0 && p->white[0] <= 1) ||

@@ -19,6 +19,7 @@ extern "C" {
 enum gsn_kind { GSN_KIND_SECTIONS, GSN_KIND_VOLUME, GSN_KIND_TILE };
 enum gsn_stated_order { GSN_STATED_ROW, GSN_STATED_COLUMN, GSN_STATED_SNAKE };
 enum gsn_stated_transfer { GSN_STATED_UNKNOWN, GSN_STATED_LINEAR, GSN_STATED_SRGB };
+enum gsn_stated_dyes { GSN_STATED_DYES_NONE, GSN_STATED_DYES_BUILTIN, GSN_STATED_DYES_ESTIMATE };
 enum gsn_stated_strain {
     GSN_STATED_STRAIN_REPORTED, /* the default */
     GSN_STATED_STRAIN_RIGID,
@@ -53,10 +54,10 @@ struct gsn_protocol {
     struct gsn_point markers_um[3];
     size_t threshold_count;
     double threshold[8];
-    double tolerance;  /* of the fit, in density units; 0: the pipeline's default */
-    char *file;        /* kind volume: the volume; kind tile: the picture; else NULL */
-    char *reference;   /* kind tile: the mask to compare with; else NULL */
-    int estimate_dyes; /* "dyes": "estimate" */
+    double tolerance; /* of the fit, in density units; 0: the pipeline's default */
+    char *file;       /* kind volume: the volume; kind tile: the picture; else NULL */
+    char *reference;  /* kind tile: the mask to compare with; else NULL */
+    enum gsn_stated_dyes dyes;
     int has_white;
     double white[3]; /* tile without blank glass: the light of the empty slide, 0..1 codes */
     char *unknown;   /* keys that are not ours, quoted and with commas; NULL when there is none */

@@ -54,10 +54,20 @@ static enum gsn_light light_of(struct gsn_scan *scan, const struct gsn_protocol 
         return GSN_LIGHT_PROFILE;
     if (stated == GSN_TRANSFER_ICC || stated == GSN_TRANSFER_SRGB)
         return GSN_LIGHT_SRGB;
-    if (stated == GSN_TRANSFER_UNKNOWN)
+    scan->light_assumed = stated == GSN_TRANSFER_UNKNOWN;
+    if (scan->light_assumed && protocol->kind == GSN_KIND_TILE)
+        return GSN_LIGHT_SRGB;
+    if (scan->light_assumed)
         note(scan, "transfer curve not stated: codes taken as linear light, as the dye vectors "
                    "were measured");
     return GSN_LIGHT_CODES_LINEAR;
+}
+
+static void note_dyes(struct gsn_scan *scan, const struct gsn_protocol *protocol)
+{
+    if (protocol->dyes == GSN_STATED_DYES_BUILTIN && scan->light != gsn_dyes_builtin().light)
+        note(scan, "the built-in dye vectors are used as the job states, on samples of another "
+                   "light than they were measured in");
 }
 
 static int size_of_pixels(struct gsn_scan *scan, const struct gsn_protocol *protocol,
@@ -67,6 +77,10 @@ static int size_of_pixels(struct gsn_scan *scan, const struct gsn_protocol *prot
     char text[120];
 
     scan->px_um = protocol->px_um > 0 ? protocol->px_um : x;
+    if (!(scan->px_um > 0) && protocol->kind == GSN_KIND_TILE) {
+        scan->px_um = 0;
+        return GSN_OK;
+    }
     if (!(scan->px_um > 0))
         return gsn_fail(err, GSN_E_INPUT,
                         "the pixel size is not known: neither \"px_um\" in job.json nor a "
@@ -224,19 +238,41 @@ static unsigned apart_of(const struct gsn_image *image, const struct gsn_protoco
     return protocol->kind == GSN_KIND_TILE ? 1 : (unsigned)ceil(sqrt(fmax(pixels / most, 1)));
 }
 
+/* Of a tile whose tissue fills it. */
+static int take_palest(struct gsn_scan *scan, struct gsn_error *err)
+{
+    const int r = gsn_palest_find(scan->picture->image, scan->light, &scan->palest, err);
+
+    if (r < 0)
+        return r;
+    scan->by_palest = 1;
+    scan->glass = scan->palest.glass;
+    return GSN_OK;
+}
+
+static int find_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol,
+                      struct gsn_error *err)
+{
+    int r;
+
+    if (protocol->has_white)
+        return give_glass(scan, protocol, scan->light, err);
+    r = gsn_glass_estimate(scan->picture->image, scan->light, &scan->glass, err);
+    return r == GSN_E_STAIN && protocol->kind == GSN_KIND_TILE ? take_palest(scan, err) : r;
+}
+
 int gsn_scan_open(struct gsn_decoder *decoder, int picture_fd, const struct gsn_protocol *protocol,
                   const struct gsn_upright *upright, struct gsn_scan **ret_scan,
                   struct gsn_error *err)
 {
     gsn_auto(gsn_scan) scan = NULL;
-    enum gsn_light light;
     int r = read_scan(decoder, picture_fd, protocol, upright, &scan, err);
 
     if (r < 0)
         return r;
-    light = light_of(scan, protocol);
-    r = protocol->has_white ? give_glass(scan, protocol, light, err)
-                            : gsn_glass_estimate(scan->picture->image, light, &scan->glass, err);
+    scan->light = light_of(scan, protocol);
+    note_dyes(scan, protocol);
+    r = find_glass(scan, protocol, err);
     scan->apart = apart_of(scan->picture->image, protocol);
     if (r >= 0)
         r = gsn_absorb_thin(scan->picture->image, &scan->glass, scan->apart, scan->od, err);
@@ -269,11 +305,12 @@ static int survey_glass(const struct gsn_image *small, enum gsn_light light,
 static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol, struct gsn_error *err)
 {
     const struct gsn_image *image = scan->picture->image;
-    const enum gsn_light light = light_of(scan, protocol);
+    const enum gsn_light light = scan->light = light_of(scan, protocol);
     gsn_auto(gsn_image) small = NULL;
     struct gsn_glass glass;
     int r;
 
+    note_dyes(scan, protocol);
     scan->step = gsn_panel_step(scan->px_um);
     r = gsn_panel_reduce(image, scan->step, &small, err);
     if (r < 0)
@@ -332,20 +369,27 @@ int gsn_scan_dyes(const struct gsn_scan *scan, const struct gsn_image *tissue,
                   const struct gsn_protocol *protocol, struct gsn_dyes_fit *ret_fit,
                   struct gsn_error *err)
 {
-    const struct gsn_dyes builtin = gsn_dyes_builtin();
     const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(scan->glass.light);
+    const int is_tile = protocol->kind == GSN_KIND_TILE;
     gsn_auto(gsn_stain_sample) sample = NULL;
-    double apart_deg;
+    struct gsn_stain_look look;
+    double apart_deg = 0;
     int r = gsn_stain_sample_new(&sample, err);
 
     if (r >= 0)
         r = gsn_stain_sample_add(sample, scan->od, tissue, &scan->glass, err);
     if (r >= 0)
-        r = gsn_stain_fits(sample, &prior.dyes, &apart_deg, err);
+        r = is_tile ? gsn_stain_look(sample, &look, err)
+                    : gsn_stain_fits(sample, &prior.dyes, &apart_deg, err);
+    if (r >= 0 && is_tile)
+        r = gsn_stain_apart(sample, &prior.dyes, &apart_deg, err);
     if (r < 0)
         return r;
-    if (protocol->estimate_dyes || builtin.light != scan->glass.light)
+    if (protocol->dyes == GSN_STATED_DYES_ESTIMATE ||
+        (protocol->dyes == GSN_STATED_DYES_NONE && !is_tile &&
+         gsn_dyes_builtin().light != scan->glass.light))
         return infer_dyes(sample, &prior, ret_fit, err);
-    *ret_fit = (struct gsn_dyes_fit){ .dyes = builtin };
+    *ret_fit = is_tile ? gsn_dyes_as_stated(&prior) : (struct gsn_dyes_fit){ .dyes = prior.dyes };
+    ret_fit->apart_deg = apart_deg;
     return GSN_OK;
 }

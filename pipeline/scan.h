@@ -9,6 +9,7 @@
 #include "pipeline/protocol.h"
 #include "pipeline/stain/dust.h"
 #include "pipeline/stain/dyes.h"
+#include "pipeline/tile_density.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -31,18 +32,23 @@ struct gsn_scan {
                                 gsn_scan_survey(); else NULL */
     unsigned step;
     struct gsn_upright upright;
-    double px_um;   /* the job's, else the file's; never 0 */
-    char note[300]; /* what was assumed, "; " between; empty when nothing was */
+    double px_um; /* the job's, else the file's; 0 only for a tile of which neither says it */
+    enum gsn_light light;
+    int light_assumed;        /* neither job nor file says what the samples mean */
+    int by_palest;            /* a tile with too little glass: its palest parts stand for it */
+    struct gsn_palest palest; /* then */
+    char note[300];           /* what was assumed, "; " between; empty when nothing was */
 };
 
 /* gives. A panel is set upright, and that is noted: as it was when somebody looked at it before
  * (upright), and then no codes are read; or, where that is NULL, as the codes printed on it and its
  * sections tell (upright.h). Samples are read as the job says, else as the file says, else as
- * the built-in dye vectors were measured (codes in proportion to light), and that is noted.
+ * the built-in dye vectors were measured (codes in proportion to light), and that is noted; those
+ * of a tile as sRGB, which is what pictures are kept in that say nothing.
  *
  * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_glass_estimate() do; with
  * GSN_E_WITHHELD when it is to be told which way round it lies and that is not clear; with
- * GSN_E_INPUT when neither job nor file states the pixel size, or the picture is grey; with
+ * GSN_E_INPUT when neither job nor file states the pixel size of a panel, or it is grey; with
  * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
  * borrows: picture_fd, protocol, upright. */
 int gsn_scan_open(struct gsn_decoder *decoder, int picture_fd, const struct gsn_protocol *protocol,
@@ -57,7 +63,9 @@ void gsn_scan_free(struct gsn_scan *scan);
 GSN_DEFINE_AUTO(gsn_scan);
 
 /* The dye vectors to unmix this scan with: the built-in ones, taken as exact, or those of the slide
- * itself where the job asks for it or where the built-in ones were measured in another light.
+ * itself where the job asks for it or, where it states nothing, the built-in ones were measured in
+ * another light. Those of a tile are the built-in ones as well as they are known, unless asked;
+ * it may be of a stain that is like this one (picrosirius), which the fit's apart_deg tells.
  * tissue: of the size of the thinned densities, 0 leaves a pixel out of what the slide is asked;
  * NULL takes all that is stained.
  * Fails as gsn_stain_fits(), gsn_stain_look() and gsn_dyes_estimate() do: a slide of another stain

@@ -74,13 +74,13 @@ void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d)
                                                          account->above_threshold),
                                    .value = 100 * account->above_share,
                                    .unit = "%" };
-    gsn_draft_value(d->measure, &r->measure_count, "MicroUnit density, lower quartile",
+    gsn_draft_value(d->measure, &r->measure_count, "Micro-units, lower quartile of density",
                     account->summary.quartile1, "density");
-    gsn_draft_value(d->measure, &r->measure_count, "MicroUnit density, upper quartile",
+    gsn_draft_value(d->measure, &r->measure_count, "Micro-units, upper quartile of density",
                     account->summary.quartile3, "density");
-    gsn_draft_value(d->measure, &r->measure_count, "MicroUnits with data",
+    gsn_draft_value(d->measure, &r->measure_count, "Micro-units with data",
                     (double)account->summary.ok, "");
-    gsn_draft_value(d->measure, &r->measure_count, "MicroUnits without data",
+    gsn_draft_value(d->measure, &r->measure_count, "Micro-units without data",
                     (double)account->summary.no_data, "");
     fill_fit(account, d);
 }
@@ -108,17 +108,101 @@ void gsn_draft_bridge(const struct gsn_evidence *e, struct gsn_draft *d)
                           100 * share, b->error));
 }
 
+/* What the figures of a tile rest on, each as measured, as stated or as assumed. */
+static void tell_origin(const struct gsn_tile *t, const struct gsn_protocol *p, struct gsn_draft *d)
+{
+    struct gsn_report_value *rows = d->parameter;
+    size_t *count = &d->report.parameter_count;
+    const double *white = t->glass.white;
+    const char *codes = gsn_draft_say(d, "%.0f, %.0f, %.0f of 255", white[0], white[1], white[2]);
+
+    gsn_draft_text(rows, count, "white",
+                   p->has_white ? gsn_draft_say(d, "%s, as stated in job.json", codes)
+                   : t->by_palest
+                       ? gsn_draft_say(d,
+                                       "%s, the palest %.2g %% of the picture; assumed to be the "
+                                       "empty slide",
+                                       codes, 100 * t->palest.share)
+                       : gsn_draft_say(d,
+                                       "%s, measured on the glass that is %.0f %% of the picture",
+                                       codes, 100 * t->glass.fraction));
+    if (t->px_um > 0)
+        gsn_draft_text(rows, count, "pixel size",
+                       gsn_draft_say(d, "%g um, as %s states", t->px_um,
+                                     p->px_um > 0 ? "job.json" : "the file"));
+    else
+        gsn_draft_text(rows, count, "pixel size", "not known; no figure here needs it");
+    gsn_draft_text(rows, count, "transfer curve",
+                   t->light_assumed ? "sRGB, assumed: neither job.json nor the file says"
+                   : p->transfer == GSN_STATED_LINEAR ? "linear, as stated in job.json"
+                   : p->transfer == GSN_STATED_SRGB   ? "sRGB, as stated in job.json"
+                                                      : "as the file states");
+    gsn_draft_text(
+        rows, count, "dye vectors",
+        p->dyes == GSN_STATED_DYES_ESTIMATE
+            ? gsn_draft_say(d, "%s, inferred from the picture as job.json asks", t->fit.dyes.name)
+            : gsn_draft_say(d, "%s, %s, each %.1f degrees uncertain", t->fit.dyes.name,
+                            p->dyes == GSN_STATED_DYES_BUILTIN ? "as stated in job.json"
+                                                               : "assumed",
+                            t->fit.deviation_deg[0]));
+}
+
+/* From here on a slide of sections would be refused (gsn_stain_fits()). */
+static const double UNLIKE_DEG = 8;
+
+static void warn_of_tile(const struct gsn_tile *t, const struct gsn_protocol *p,
+                         struct gsn_draft *d)
+{
+    const int table = p->dyes == GSN_STATED_DYES_NONE;
+
+    if (t->by_palest || t->light_assumed || table)
+        gsn_draft_warn(
+            d,
+            gsn_draft_say(d, "assumed, because nobody stated it:%s%s%s%s%s",
+                          t->by_palest ? " the palest part of the picture is the empty slide" : "",
+                          t->by_palest && (t->light_assumed || table) ? ";" : "",
+                          t->light_assumed ? " samples are coded as sRGB" : "",
+                          t->light_assumed && table ? ";" : "",
+                          table ? " the dyes are those of the built-in table" : ""));
+    if (table && t->fit.apart_deg > UNLIKE_DEG)
+        gsn_draft_warn(
+            d,
+            gsn_draft_say(d,
+                          "half of the stained pixels lie more than %.0f degrees from every "
+                          "mixture of Van Gieson's dyes, as picrosirius does: the density is the "
+                          "built-in table's, to be compared with pictures of this stain alone; "
+                          "\"dyes\": \"estimate\" in a job.json takes the picture's own",
+                          t->fit.apart_deg));
+    gsn_draft_warn(d, "how strongly the slide was stained one picture does not tell: a stain 20 % "
+                      "stronger reads as 20 % more density and is in no interval; compare pictures "
+                      "of one batch, or by the share of the red dye, which it does not change");
+    if (t->by_palest && t->palest.clipped > 0.01)
+        gsn_draft_warn(d,
+                       gsn_draft_say(d,
+                                     "%.0f %% of the samples that stand for white are at the "
+                                     "highest code: the empty slide may be brighter, expose less",
+                                     100 * t->palest.clipped));
+    if (t->note[0])
+        gsn_draft_warn(d, t->note);
+}
+
 void gsn_draft_tile(const struct gsn_evidence *e, struct gsn_draft *d)
 {
+    const struct gsn_protocol *p = e->specimen->protocol;
     const struct gsn_tile *t = e->tile;
     const double pixels = (double)t->overlap.pixels;
+    struct gsn_report_value *rows = d->measure;
+    size_t *count = &d->report.measure_count;
 
     d->tile = (struct gsn_report_tile){
         .area_fraction = t->collagen.area_fraction,
-        .mean_density = t->collagen.mean_density,
+        .mean_density = t->density.mean,
+        .mean_lower = t->density.mean - 1.96 * t->density.error,
+        .mean_upper = t->density.mean + 1.96 * t->density.error,
+        .red_share = t->density.red_share,
         .threshold = t->collagen.threshold,
         .compared = t->compared,
-        .mask_name = e->specimen->protocol->reference,
+        .mask_name = p->reference,
         .dice = t->compared ? t->overlap.dice : NAN,
         .map_fraction = t->compared ? (double)t->overlap.map_px / pixels : NAN,
         .mask_fraction = t->compared ? (double)t->overlap.reference_px / pixels : NAN,
@@ -126,7 +210,7 @@ void gsn_draft_tile(const struct gsn_evidence *e, struct gsn_draft *d)
         .false_negative = t->compared ? t->overlap.false_negative : NAN,
     };
     d->report.tile = &d->tile;
-    d->report.region.mean_density = t->collagen.mean_density;
+    d->report.region.mean_density = t->density.mean;
     for (size_t i = 0; i < t->picture_count; i++)
         d->picture[i] =
             (struct gsn_report_picture){ .id = t->picture[i].id,
@@ -136,9 +220,17 @@ void gsn_draft_tile(const struct gsn_evidence *e, struct gsn_draft *d)
                                                   t->picture[i].width, t->picture[i].height } };
     d->report.pictures = d->picture;
     d->report.picture_count = t->picture_count;
-    if (t->fit.deviation_deg[0] > 0)
-        gsn_draft_value(d->measure, &d->report.measure_count, "red dye direction, uncertainty",
-                        t->fit.deviation_deg[0], "deg");
-    if (t->note[0])
-        gsn_draft_warn(d, t->note);
+    gsn_draft_value(rows, count, "Standard error of the mean density by white", t->density.by_white,
+                    "density");
+    gsn_draft_value(rows, count, "Standard error of the mean density by detail and compression",
+                    t->density.by_detail, "density");
+    gsn_draft_value(rows, count, "Standard error of the mean density by dye vectors",
+                    t->density.by_vectors, "density");
+    gsn_draft_value(rows, count, "Red dye in the tissue, mean", t->density.red, "optical density");
+    gsn_draft_value(rows, count, "Yellow dye in the tissue, mean", t->density.yellow,
+                    "optical density");
+    gsn_draft_value(rows, count, "Dark dye in the tissue, mean", t->density.dark,
+                    "optical density");
+    tell_origin(t, p, d);
+    warn_of_tile(t, p, d);
 }

@@ -164,9 +164,10 @@ void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d)
             gsn_draft_text(rows, count, "light and bath", light_of(e->assembly, d));
         fill_levels(e, d);
     }
-    if (p->px_um > 0)
+    /* A tile's are told with its figures, as stated or as assumed. */
+    if (p->px_um > 0 && !e->tile)
         gsn_draft_value(rows, count, "pixel size, stated", p->px_um, "um");
-    if (p->kind != GSN_KIND_VOLUME) {
+    if (p->kind != GSN_KIND_VOLUME && !e->tile) {
         gsn_draft_text(rows, count, "transfer curve, stated",
                        p->transfer == GSN_STATED_LINEAR ? "linear"
                        : p->transfer == GSN_STATED_SRGB ? "sRGB"

@@ -147,10 +147,17 @@ int gsn_tile_work(const struct gsn_specimen *specimen, const struct gsn_specimen
                     "As scanned.", tile, err);
     if (r >= 0)
         r = map_collagen(specimen, options, scan, tile, err);
+    if (r >= 0)
+        r = gsn_tile_density(scan->picture->image, &scan->glass,
+                             scan->by_palest ? &scan->palest.darker : NULL, &tile->fit,
+                             &tile->density, err);
     if (r < 0)
         return r;
     tile->glass = scan->glass;
     tile->px_um = scan->px_um;
+    tile->light_assumed = scan->light_assumed;
+    tile->by_palest = scan->by_palest;
+    tile->palest = scan->palest;
     (void)snprintf(tile->note, sizeof tile->note, "%s", scan->note);
     *ret_tile = gsn_steal(&tile);
     return GSN_OK;

@@ -9,6 +9,7 @@
 #include "pipeline/scan.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/segment.h"
+#include "pipeline/tile_density.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -17,9 +18,12 @@ extern "C" {
 struct gsn_tile {
     struct gsn_glass glass;
     struct gsn_dyes_fit fit;
-    double px_um;
+    double px_um; /* 0: nobody states it */
+    int light_assumed, by_palest;
+    struct gsn_palest palest; /* where by_palest */
     char note[400];
-    struct gsn_collagen collagen;
+    struct gsn_collagen collagen; /* the map, pixel by pixel */
+    struct gsn_tile_density density;
     int compared;
     struct gsn_overlap overlap;
     size_t picture_count;

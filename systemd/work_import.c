@@ -22,7 +22,7 @@ static const char *base_name(const char *path)
     return slash ? slash + 1 : path;
 }
 
-/* The job that an operator would have written for a single file. gives. */
+/* The job of a single file: what the command states, and nothing that nobody did. gives. */
 static char *job_for_file(const struct gsn_work_request *request, const char *file)
 {
     const char *name = base_name(file);
@@ -35,12 +35,6 @@ static char *job_for_file(const struct gsn_work_request *request, const char *fi
 
     if (request->thresholds)
         (void)json_object_set(job, "thresholds", request->thresholds);
-    if (request->tile) {
-        (void)json_object_set_new(job, "dyes", json_string("estimate"));
-        (void)json_object_set_new(job, "transfer", json_string("srgb"));
-        (void)json_object_set_new(job, "px_um", json_real(1));
-        (void)json_object_set_new(job, "white", json_pack("[f, f, f]", 1.0, 1.0, 1.0));
-    }
     if (request->tile && request->reference)
         (void)json_object_set_new(job, "reference", json_string(base_name(request->reference)));
     dumped = json_dumps(job, JSON_INDENT(2) | JSON_REAL_PRECISION(9));

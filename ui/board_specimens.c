@@ -32,11 +32,13 @@ static void specimen_facts(struct gsn_board_maker *maker, struct gsn_board_line 
 {
     if (row->group[0])
         gsn_board_fact(maker, line, gsn_format("group     %s", row->group));
-    gsn_board_fact(maker, line,
-                   gsn_format("panels    %u of %u read, %u refused or held", row->panels_registered,
-                              row->panels, row->panels_refused));
-    gsn_board_fact(maker, line,
-                   gsn_format("sections  %u of %u found", row->sections_found, row->sections));
+    if (gsn_snapshot_has_panels(row))
+        gsn_board_fact(maker, line,
+                       gsn_format("panels    %u of %u read, %u refused or held",
+                                  row->panels_registered, row->panels, row->panels_refused));
+    if (gsn_snapshot_has_panels(row))
+        gsn_board_fact(maker, line,
+                       gsn_format("sections  %u of %u found", row->sections_found, row->sections));
     if (!isnan(row->loss_percent)) {
         gsn_auto_mem(char) loss =
             gsn_look_loss(row->loss_percent, row->loss_lower, row->loss_upper);

@@ -32,12 +32,14 @@ static void print_row(const struct gsn_ui *ui, const struct gsn_snapshot_row *ro
     const struct gsn_look *look = gsn_look_of(row->state);
     gsn_auto_mem(char) name = gsn_text_cell(row->name, name_width);
     gsn_auto_mem(char) group = gsn_text_cell(row->group, 8);
-    char loss[24] = "-", panels[24], sections[24];
+    char loss[24] = "-", panels[24] = "-", sections[24] = "-";
 
     if (!isnan(row->loss_percent))
         (void)snprintf(loss, sizeof loss, "%.2f %%", row->loss_percent);
-    (void)snprintf(panels, sizeof panels, "%u/%u", row->panels_registered, row->panels);
-    (void)snprintf(sections, sizeof sections, "%u/%u", row->sections_found, row->sections);
+    if (gsn_snapshot_has_panels(row)) {
+        (void)snprintf(panels, sizeof panels, "%u/%u", row->panels_registered, row->panels);
+        (void)snprintf(sections, sizeof sections, "%u/%u", row->sections_found, row->sections);
+    }
     (void)printf("%s%s %s %s %7s %9s %-9s %9s%s", ui->colour ? gsn_hue_ansi(look->hue) : "",
                  look->symbol, name ? name : "", group ? group : "", panels, sections, row->state,
                  loss, ui->colour ? "\033[0m" : "");
@@ -55,7 +57,8 @@ static void print_block(const struct gsn_ui *ui, const struct gsn_snapshot_row *
     (void)fputs(ui->colour ? gsn_hue_ansi(look->hue) : "", stdout);
     (void)printf("%s %s%s ", look->symbol, row->state, ui->colour ? "\033[0m" : "");
     gsn_text_line(stdout, "%s", row->name);
-    gsn_text_wrap(stdout, 4, ui->width, facts ? facts : "");
+    if (gsn_snapshot_has_panels(row))
+        gsn_text_wrap(stdout, 4, ui->width, facts ? facts : "");
     if (loss && loss[0])
         (void)printf("    loss %s\n", loss);
     if (row->detail)

@@ -28,6 +28,12 @@ struct gsn_snapshot_row {
     int64_t changed;                             /* when something last happened; 0: unknown */
 };
 
+/* Whether it has any: a volume or a single picture has none to count. */
+static inline int gsn_snapshot_has_panels(const struct gsn_snapshot_row *row)
+{
+    return row->panels > 0 || row->sections > 0;
+}
+
 struct gsn_snapshot {
     size_t count;
     struct gsn_snapshot_row *at; /* in order of id */

@@ -277,6 +277,13 @@ static void add_cards(struct gsn_text *text, const struct gsn_report *report)
     gsn_text_number(text, report->tile ? report->tile->mean_density : report->region.mean_density,
                     3);
     gsn_text_raw(text, "</p><p class=\"soft\">");
+    if (report->tile) {
+        gsn_text_raw(text, "95 %: ");
+        gsn_text_number(text, report->tile->mean_lower, 2);
+        gsn_text_raw(text, " to ");
+        gsn_text_number(text, report->tile->mean_upper, 2);
+        gsn_text_raw(text, " (white, detail, dye vectors; not the strength of the stain); ");
+    }
     gsn_text_escape(text, report->density_name);
     if (has(report->density_version)) {
         gsn_text_raw(text, ", ");

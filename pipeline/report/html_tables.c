@@ -142,6 +142,9 @@ void gsn_html_tile(struct gsn_text *text, const struct gsn_report *report)
     open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
     row_number(text, "Collagen, of the tissue area", 100 * tile->area_fraction, 2, "%");
     row_number(text, "Mean density of the tissue", tile->mean_density, 4, "");
+    row_number(text, "95 % interval, lower end", tile->mean_lower, 4, "");
+    row_number(text, "95 % interval, upper end", tile->mean_upper, 4, "");
+    row_number(text, "Red of all dye in the tissue", 100 * tile->red_share, 2, "%");
     row_digits(text, "Threshold of the map", tile->threshold, "");
     if (tile->compared) {
         row_number(text, "Dice with the mask", tile->dice, 4, "");
@@ -168,22 +171,22 @@ static void add_registration(struct gsn_text *text, const struct gsn_report_regi
 static void add_fit(struct gsn_text *text, const struct gsn_report_fit *fit)
 {
     row_count(text, "Degree of the spline", fit->degree);
-    row_count(text, "Tetrahedra", fit->tets);
-    row_count(text, "Tetrahedra without data", fit->empty_tets);
+    row_count(text, "Micro-units (tetrahedra of the model)", fit->tets);
+    row_count(text, "Micro-units in which no sample lies", fit->empty_tets);
     row_count(text, "Unknowns of the fit", fit->unknowns);
     row_count(text, "Samples", fit->samples);
     row_digits(text, "Residual of the fit, root mean square", fit->rms, "density");
     row_digits(text, "Residual of the fit, largest", fit->worst, "density");
     row_plain(text, "Smoothing", fit->smoothing, "");
-    row_plain(text, "Tolerance per tetrahedron", fit->tolerance, "density");
-    row_count(text, "Tetrahedra within the tolerance", fit->tets_in_tolerance);
+    row_plain(text, "Tolerance in each micro-unit", fit->tolerance, "density");
+    row_count(text, "Micro-units within the tolerance", fit->tets_in_tolerance);
 }
 
 static void add_units(struct gsn_text *text, const struct gsn_report_units *units)
 {
-    row_number(text, "Micro-unit of lowest density", units->smallest, 4, "density");
+    row_number(text, "Micro-units, lowest density", units->smallest, 4, "density");
     row_number(text, "Micro-units, median density", units->median, 4, "density");
-    row_number(text, "Micro-unit of highest density", units->largest, 4, "density");
+    row_number(text, "Micro-units, highest density", units->largest, 4, "density");
 }
 
 void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report)

@@ -95,6 +95,9 @@ json_t *gsn_json_tile(const struct gsn_report_tile *tile, struct gsn_json_writer
     gsn_json_put(writer, object, "area_fraction", gsn_json_number(tile->area_fraction));
     gsn_json_put(writer, object, "mean_density", gsn_json_number(tile->mean_density));
     gsn_json_put(writer, object, "threshold", gsn_json_number(tile->threshold));
+    gsn_json_put(writer, object, "mean_density_lower", gsn_json_number(tile->mean_lower));
+    gsn_json_put(writer, object, "mean_density_upper", gsn_json_number(tile->mean_upper));
+    gsn_json_put(writer, object, "red_share", gsn_json_number(tile->red_share));
     if (tile->compared) {
         mask = json_object();
         gsn_json_put(writer, mask, "name", gsn_json_text(tile->mask_name));

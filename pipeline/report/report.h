@@ -146,6 +146,9 @@ struct gsn_report_units {
 struct gsn_report_tile {
     double area_fraction; /* collagen of tissue */
     double mean_density;
+    double mean_lower,
+        mean_upper;   /* 95 %: white, detail and dye vectors, not the stain's strength */
+    double red_share; /* red of all dye in the tissue, whatever the stain's strength */
     double threshold;
     int compared;
     const char *mask_name;

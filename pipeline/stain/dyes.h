@@ -57,6 +57,7 @@ struct gsn_dyes_fit {
     double deviation_deg[3]; /* of red, yellow and dark: root of both ways' variances */
     double moved_deg[3];     /* from the prior's vectors */
     size_t pixels, classes;  /* of tissue that the evidence was enough for */
+    double apart_deg;        /* half of the pixels lie farther from every mixture; 0: not asked */
     double strays;           /* share of the pixels that no class explains */
     double worth;            /* pixels of a tissue that the classes fit which would tell as much */
 };
@@ -79,12 +80,14 @@ struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[G
 /* A fit that says: these vectors, as well known as the prior says. */
 struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior);
 
-/* How far the stained pixels lie from every mixture of the dyes: the median angle. Picrosirius,
- * whose red is another, comes to 5 degrees; haematoxylin and eosin to 11. Beyond 8 the slide is
- * refused.
- *
- * A slide too pale or too empty to tell is not refused (0 degrees). Fails with GSN_E_STAIN; the
- * sentence gives the figure. GSN_E_NOMEM. */
+/* How far the stained pixels lie from every mixture of the dyes: the median angle; 0 for a slide
+ * too pale or too empty to tell. Fails with GSN_E_STAIN when the dyes are too alike, GSN_E_NOMEM.
+ */
+int gsn_stain_apart(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
+                    double *ret_apart_deg, struct gsn_error *err);
+
+/* The same, and beyond 8 degrees the slide is refused: haematoxylin and eosin come to 11.
+ * Fails with GSN_E_STAIN; the sentence gives the figure. GSN_E_NOMEM. */
 int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
                    double *ret_apart_deg, struct gsn_error *err);
 

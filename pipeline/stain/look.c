@@ -80,8 +80,8 @@ int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look 
     return r;
 }
 
-int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
-                   double *ret_apart_deg, struct gsn_error *err)
+int gsn_stain_apart(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
+                    double *ret_apart_deg, struct gsn_error *err)
 {
     gsn_auto_mem(double) apart = gsn_alloc_array(sample->count + 1, sizeof *apart);
     struct gsn_unmixer mix;
@@ -100,6 +100,18 @@ int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes 
     }
     if (sample->count >= GSN_SAMPLE_LEAST)
         middle = gsn_order_pick(apart, sample->count, sample->count / 2);
+    *ret_apart_deg = middle;
+    return GSN_OK;
+}
+
+int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
+                   double *ret_apart_deg, struct gsn_error *err)
+{
+    double middle = 0;
+    const int r = gsn_stain_apart(sample, dyes, &middle, err);
+
+    if (r < 0)
+        return r;
     if (middle > MOST_APART_DEG)
         return gsn_fail(err, GSN_E_STAIN,
                         "this does not look like Van Gieson: half of its stained pixels lie more "

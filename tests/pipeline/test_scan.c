@@ -232,6 +232,24 @@ TEST(built_in_dyes_serve_the_light_they_were_measured_in_and_no_other)
     CHECK(r == GSN_E_STAIN || strcmp(fit.dyes.name, gsn_dyes_builtin().name) != 0);
 }
 
+TEST(built_in_dyes_that_the_job_states_are_obeyed_in_any_light_and_noted)
+{
+    static const char stated[] = "{" PX ", \"dyes\": \"builtin\", \"transfer\": \"srgb\"}";
+    auto_made png = drawn_png(0, &(struct png_recipe){ .srgb = 1 });
+    gsn_auto(gsn_protocol) protocol = drawn_protocol(stated);
+    gsn_auto(gsn_scan) scan = opened(&png, stated);
+    gsn_auto(gsn_scan) unsaid = opened(&png, "{" PX ", \"transfer\": \"srgb\"}");
+    const struct gsn_dyes builtin = gsn_dyes_builtin();
+    struct gsn_dyes_fit fit = { .deviation_deg = { -1, -1, -1 } };
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_scan_dyes(scan, NULL, protocol, &fit, &err), err);
+    CHECK(strcmp(fit.dyes.name, builtin.name) == 0 && fit.dyes.light == GSN_LIGHT_SRGB);
+    CHECK(memcmp(fit.dyes.red, builtin.red, sizeof builtin.red) == 0);
+    CHECK(strstr(scan->note, "the built-in dye vectors are used as the job states"));
+    CHECK(!strstr(unsaid->note, "built-in dye vectors"));
+}
+
 struct oom {
     const struct made *png;
     const struct gsn_protocol *protocol;

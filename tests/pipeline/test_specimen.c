@@ -556,7 +556,7 @@ TEST(units_without_samples_are_counted_apart)
     };
 
     CHECK_OK(gsn_specimen_work(&specimen, &OPTIONS, &result, &err), err);
-    said = strstr(result->json, "\"MicroUnits without data\"");
+    said = strstr(result->json, "\"Micro-units without data\"");
     CHECK(said && sscanf(strstr(said, "\"value\":"), "\"value\": %lf", &without) == 1);
     print_message("  %g units without data\n", without);
     CHECK(without > 0);

@@ -4,8 +4,10 @@
 #include "pipeline/decode/png_write.h"
 #include "pipeline/core/file.h"
 #include "tests/check.h"
+#include "tests/decode/make.h"
 #include "tests/pipeline/drawn_specimen.h"
 
+#include <math.h>
 #include <string.h>
 
 /* A tile of WIDTH x HEIGHT pixels: glass, yellow tissue, and red tissue on the right half of it. */
@@ -142,6 +144,150 @@ TEST(the_report_of_a_tile_carries_its_dice)
     tile_init(&tile, JOB, WIDTH, MIDDLE + 10);
     CHECK_OK(gsn_specimen_work(&tile.specimen, &OPTIONS, &whole, &err), err);
     CHECK(!whole->withheld && strstr(whole->json, "\"dice\": 0.857142857") != NULL);
+}
+
+/* ---- nobody states anything --------------------------------------------------------------- */
+
+/* A photograph of tissue that fills the picture but for a vacuole here and there, taken in this
+ * light, of a stain this strong; quality 0: a PNG, else a JPEG. */
+struct shot {
+    double light, stain;
+    int quality;
+};
+
+enum { SHOT = 384 };
+
+/* Amounts of red and yellow, as optical densities: they vary by place, at 40 pixels and at 7. */
+static void amounts(double x, double y, double *ret_red, double *ret_yellow)
+{
+    const int vacuole = hypot(fmod(x, 96) - 48, fmod(y, 96) - 48) < 11;
+    const double slow = sin(x / 40) * cos(y / 33), fast = sin(x / 1.1) * sin(y / 1.3);
+
+    *ret_red = vacuole ? 0 : 0.62 * (0.44 + 0.37 * slow + 0.06 * fast);
+    *ret_yellow = vacuole ? 0 : 0.4 - 0.1 * slow + 0.04 * fast;
+}
+
+/* And what its mean density is. */
+static double tile_shoot(struct tile *tile, const char *job, const struct shot *shot)
+{
+    static const double white[3] = { 0.84, 0.82, 0.78 };
+    const struct gsn_dyes dyes = gsn_dyes_builtin();
+    gsn_auto(gsn_image) picture = NULL;
+    struct gsn_error err = { 0 };
+    double sum = 0, count = 0;
+
+    *tile = (struct tile){ .protocol = drawn_protocol(job) };
+    CHECK_OK(gsn_image_new(SHOT, SHOT, 3, 8, &picture, &err), err);
+    for (uint32_t y = 0; y < SHOT; y++)
+        for (uint32_t x = 0; x < SHOT; x++) {
+            double red, yellow;
+
+            amounts(x, y, &red, &yellow);
+            sum += red / dyes.full_red_od;
+            count += red > 0;
+            for (size_t c = 0; c < 3; c++) {
+                const double od = shot->stain * (red * dyes.red[c] + yellow * dyes.yellow[c]);
+                const double light = fmin(shot->light * white[c] * pow(10, -od), 1);
+
+                ((uint8_t *)picture->samples)[((size_t)y * SHOT + x) * 3 + c] =
+                    (uint8_t)(255 * gsn_light_encode(GSN_LIGHT_SRGB, light) + 0.5);
+            }
+        }
+    if (shot->quality) {
+        const struct made made =
+            make_jpeg(picture, &(struct jpeg_recipe){ .quality = shot->quality });
+
+        tile->picture = made.bytes;
+        tile->picture_size = made.size;
+    } else {
+        CHECK_OK(gsn_png_encode(picture, &tile->picture, &tile->picture_size, &err), err);
+    }
+    tile->specimen = (struct gsn_specimen){ .protocol = tile->protocol,
+                                            .picture_sha256 = "picture",
+                                            .baseline = { .name = "" },
+                                            .key = "0",
+                                            .open = open_tile,
+                                            .context = tile };
+    return shot->stain * sum / count;
+}
+
+static const char BARE[] = "{\"specimen\": \"t\", \"kind\": \"tile\", \"file\": \"t.png\"}";
+
+static struct gsn_tile_density density_of(const struct shot *shot, double *ret_truth)
+{
+    gsn_auto(gsn_tile) result = NULL;
+    struct gsn_error err = { 0 };
+    tile_auto tile;
+
+    *ret_truth = tile_shoot(&tile, BARE, shot);
+    CHECK_OK(gsn_tile_work(&tile.specimen, &OPTIONS, &result, &err), err);
+    return result->density;
+}
+
+/* Its interval holds the truth, too, though the white is that of its palest parts. */
+TEST(exposure_and_compression_move_the_mean_by_three_per_cent_at_most_and_within_its_interval)
+{
+    static const struct shot shots[] = { { 1, 1, 0 },  { 0.9, 1, 0 }, { 1.1, 1, 0 },
+                                         { 1, 1, 85 }, { 1, 1, 50 },  { 0.9, 1, 50 } };
+    double truth;
+    const struct gsn_tile_density first = density_of(&shots[0], &truth);
+
+    CHECK(fabs(first.mean - truth) < 1.96 * first.error);
+    for (size_t i = 0; i < sizeof shots / sizeof shots[0]; i++) {
+        const struct gsn_tile_density now = density_of(&shots[i], &truth);
+
+        print_message("  light %.1f, quality %d: %.4f +- %.4f (%.4f, %.4f, %.4f), truth %.4f\n",
+                      shots[i].light, shots[i].quality, now.mean, 1.96 * now.error, now.by_white,
+                      now.by_detail, now.by_vectors, truth);
+        CHECK_NEAR(now.mean / first.mean, 1, 0.03);
+        CHECK(fabs(now.mean - first.mean) < 1.96 * now.error);
+        CHECK(fabs(now.mean - truth) < 1.96 * now.error);
+    }
+}
+
+TEST(a_stronger_stain_reads_as_more_density_and_the_share_of_red_stays)
+{
+    double truth;
+    const struct gsn_tile_density a = density_of(&(struct shot){ 1, 1, 0 }, &truth);
+    const struct gsn_tile_density b = density_of(&(struct shot){ 1, 1.2, 0 }, &truth);
+
+    CHECK_NEAR(b.mean / a.mean, 1.2, 0.03);
+    CHECK_NEAR(b.yellow / a.yellow, 1.2, 0.03);
+    CHECK_NEAR(b.red_share / a.red_share, 1, 0.01);
+}
+
+TEST(what_nobody_stated_is_called_assumed_and_what_somebody_did_stated)
+{
+    static const char stated[] = "{\"specimen\": \"t\", \"kind\": \"tile\", \"file\": \"t.png\", "
+                                 "\"white\": [0.92, 0.91, 0.9], \"px_um\": 0.5, "
+                                 "\"transfer\": \"srgb\", \"dyes\": \"builtin\"}";
+    static const char *const bare_says[] = { "the palest part of the picture is the empty slide",
+                                             "samples are coded as sRGB",
+                                             "the dyes are those of the built-in table",
+                                             "a stain 20 % stronger reads as 20 % more density",
+                                             "not known; no figure here needs it",
+                                             "van-gieson-gvp-1, assumed",
+                                             "assumed to be the empty slide" };
+    static const char *const stated_says[] = { "of 255, as stated in job.json",
+                                               "0.5 um, as job.json states",
+                                               "sRGB, as stated in job.json",
+                                               "van-gieson-gvp-1, as stated in job.json" };
+    const struct shot shot = { 1, 1, 0 };
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < 2; i++) {
+        gsn_auto(gsn_specimen_result) whole = NULL;
+        tile_auto tile;
+
+        (void)tile_shoot(&tile, i ? stated : BARE, &shot);
+        CHECK_OK(gsn_specimen_work(&tile.specimen, &OPTIONS, &whole, &err), err);
+        for (size_t k = 0; !i && k < sizeof bare_says / sizeof bare_says[0]; k++)
+            CHECK(strstr(whole->json, bare_says[k]) != NULL);
+        CHECK(!i == !strstr(whole->json, "as stated in job.json"));
+        for (size_t k = 0; i && k < sizeof stated_says / sizeof stated_says[0]; k++)
+            CHECK(strstr(whole->json, stated_says[k]) != NULL);
+        CHECK(!i == (strstr(whole->json, "assumed, because nobody stated it") != NULL));
+    }
 }
 
 static int tile_once(const struct tile *tile, struct gsn_error *err)

@@ -291,8 +291,19 @@ static void fill_figures(struct sample *sample)
     for (int i = 0; i < BINS; i++)
         sample->bin[i] =
             (size_t)(620 * exp(-pow((i - 21) / 6.5, 2)) + 240 * exp(-pow((i - 8) / 3., 2)));
-    sample->tile = (struct gsn_report_tile){ .311, .607, .467, 1,    "psr_left_mask.jpg",
-                                             .875, .305, .258, .192, .045 };
+    sample->tile = (struct gsn_report_tile){ .area_fraction = .311,
+                                             .mean_density = .607,
+                                             .mean_lower = .264,
+                                             .mean_upper = .939,
+                                             .red_share = .509,
+                                             .threshold = .467,
+                                             .compared = 1,
+                                             .mask_name = "psr_left_mask.jpg",
+                                             .dice = .875,
+                                             .map_fraction = .305,
+                                             .mask_fraction = .258,
+                                             .false_positive = .192,
+                                             .false_negative = .045 };
     r->volumes = volumes;
     r->volume_count = 3;
     r->warnings = warnings;

@@ -62,6 +62,49 @@ def deconvolved(colour):
             for how, t in (("Otsu's threshold", blind), ("the best of all thresholds", told))]
 
 
+def retouched(numpy, image, light=1.0, stain=1.0):
+    """The picture in this light and of a stain this strong, as sRGB of 8 bits."""
+    code = numpy.asarray(image, dtype=float) / 255
+    linear = numpy.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    white = numpy.percentile(linear, 99.5, axis=(0, 1))
+    linear = numpy.clip(light * white * (numpy.maximum(linear, 1e-4) / white) ** stain, 0, 1)
+    coded = numpy.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return numpy.round(255 * coded).astype(numpy.uint8)
+
+
+def moved(call, folder, colour):
+    """What light, compression and the stain's strength do to the mean of the picrosirius tile; None
+    without numpy, else whether it is as promised."""
+    try:
+        import numpy
+        from PIL import Image
+    except ImportError:
+        return None
+    image = Image.open(colour / "psr_left.jpg").convert("RGB")
+    made = {"as_is": {}, "light09": {"light": 0.9}, "light11": {"light": 1.1}, "stain12": {"stain": 1.2}}
+    for name, how in made.items():
+        Image.fromarray(retouched(numpy, image, **how)).save(f"{folder}/{name}.png")
+    for quality in (85, 50):
+        image.save(f"{folder}/jpeg{quality}.jpg", quality=quality)
+    pictures = [f"{name}.png" for name in made] + ["jpeg85.jpg", "jpeg50.jpg"]
+    for picture in pictures:
+        call("import", "--tile", f"{folder}/{picture}")
+    call("run")
+    found = {picture: json.loads(call("report", picture[:-4], "--json").stdout)["tile"]
+             for picture in pictures}
+    first, fine = found["as_is.png"], True
+    for picture, tile in found.items():
+        moves = tile["mean_density"] / first["mean_density"] - 1
+        shares = tile["red_share"] / first["red_share"] - 1
+        inside = tile["mean_density_lower"] <= first["mean_density"] <= tile["mean_density_upper"]
+        print(f"picrosirius, {picture[:-4]}: mean {tile['mean_density']:.3f} "
+              f"({tile['mean_density_lower']:.3f} to {tile['mean_density_upper']:.3f}), "
+              f"{100 * moves:+.1f} %; share of red {100 * shares:+.1f} %")
+        fine &= abs(shares) <= 0.03
+        fine &= abs(moves - 0.2) <= 0.03 if picture == "stain12.png" else abs(moves) <= 0.03 and inside
+    return fine
+
+
 def main():
     programs, tests = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
     colour = SHARED / "data" / "colour"
@@ -85,6 +128,8 @@ def main():
             print("picrosirius,", line)
         if not mask["dice"] >= 0.8:
             wrong.append("the picrosirius tile")
+        if moved(call, folder, colour) is False:
+            wrong.append("light, compression and stain of the picrosirius tile")
         said = call("show", "he").stdout + call("status").stdout
         refused = "does not look like Van Gieson" in " ".join(said.split())
         print("haematoxylin and eosin:", "refused, does not look like Van Gieson" if refused

@@ -17,6 +17,8 @@ enum {
     JPEG_LENGTH = 514,
 };
 
+enum { TEXT = 2, OPAQUE = 7 }; /* types */
+
 enum {
     MOST_DIRECTORIES = 4096,
     MOST_ELEMENTS = 1 << 24, /* of offsets and lengths in all: bounds the time hostile files take */
@@ -50,6 +52,15 @@ static bool give_up(struct tiff *tiff, const char *what, uint64_t at)
 {
     tiff->answer = gsn_walk_missing(GSN_CONTAINER_TIFF, "%s at byte %llu is not all in the file",
                                     what, (unsigned long long)at);
+    return false;
+}
+
+/* Who makes the file as long as it will be, or writes the directory first, has zeros where something
+ * is to come. */
+static bool is_awaited(struct tiff *tiff, const char *what, uint64_t at)
+{
+    tiff->answer = gsn_walk_missing(GSN_CONTAINER_TIFF, "%s at byte %llu is not written yet", what,
+                                    (unsigned long long)at);
     return false;
 }
 
@@ -98,11 +109,16 @@ static bool read_entry(struct tiff *tiff, uint64_t at, struct entry *entry)
     entry->tag = (unsigned)number(tiff, bytes, 2);
     entry->type = (unsigned)number(tiff, bytes + 2, 2);
     entry->count = number(tiff, bytes + 4, inline_size);
+    /* Empty texts are seen, numbers without a number are not. */
+    if (entry->type == 0 || (entry->count == 0 && entry->type != TEXT && entry->type != OPAQUE))
+        return is_awaited(tiff, "a TIFF entry", at);
     entry->at = at + 4 + inline_size;
     size = type_size(entry->type);
     if (size == 0 || entry->count <= inline_size / size)
         return true;
     entry->at = number(tiff, bytes + 4 + inline_size, inline_size);
+    if (entry->at == 0)
+        return is_awaited(tiff, "a TIFF value", at);
     /* count * size in 64 bits: compared by division, so that it cannot wrap. */
     if (entry->count > tiff->walk->size / size || !is_inside(tiff, entry->at, entry->count * size))
         return give_up(tiff, "a TIFF value", entry->at);
@@ -134,14 +150,6 @@ static bool read_elements(struct tiff *tiff, const struct entry *entry, uint64_t
     return true;
 }
 
-/* Who writes the directory first leaves zeros in it for what is to come. */
-static bool is_awaited(struct tiff *tiff, const char *what, uint64_t index)
-{
-    tiff->answer = gsn_walk_missing(GSN_CONTAINER_TIFF, "%s, number %llu, is not written yet", what,
-                                    (unsigned long long)index + 1);
-    return false;
-}
-
 /* Without lengths only the starts can be looked at. Offsets and lengths lie apart in the file, so
  * they are read in turns of some hundred rather than one by one. */
 static bool check_pieces(struct tiff *tiff, const struct entry *offsets,
@@ -164,7 +172,7 @@ static bool check_pieces(struct tiff *tiff, const struct entry *offsets,
         for (uint64_t i = 0; i < count; i++) {
             if (offsets->tag != JPEG_OFFSET &&
                 (at[i] == 0 || (first + i < lengths->count && length[i] == 0)))
-                return is_awaited(tiff, what, first + i);
+                return is_awaited(tiff, what, at[i]);
             if (!is_inside(tiff, at[i], length[i]))
                 return give_up(tiff, what, at[i]);
         }
@@ -179,6 +187,8 @@ static bool remember_children(struct tiff *tiff, const struct entry *children)
     for (uint64_t i = 0; i < children->count && tiff->directories < MOST_DIRECTORIES; i++) {
         if (!type_size(children->type) || !element(tiff, children, i, &at))
             return tiff->answer.reason[0] == '\0';
+        if (at == 0)
+            return is_awaited(tiff, "a TIFF directory", at);
         remember(tiff, at);
     }
     return true;
@@ -227,6 +237,9 @@ static bool walk_directory(struct tiff *tiff, uint64_t at)
 
     if (!read_number(tiff, at, count_size, "a TIFF directory", &count))
         return false;
+    /* TIFF 6.0 demands one entry at least. */
+    if (count == 0)
+        return is_awaited(tiff, "a TIFF directory", at);
     at += count_size;
     if (count > tiff->walk->size / entry_size || !is_inside(tiff, at, count * entry_size))
         return give_up(tiff, "a TIFF directory", at);

@@ -7,9 +7,11 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/vfs.h>
 #include <unistd.h>
 
 #include "acquire/container.h"
+#include "acquire/folder_source.h"
 #include "acquire/natural.h"
 #include "pipeline/core/file.h"
 
@@ -36,26 +38,52 @@ void gsn_folder_set_state(struct gsn_folder_file *file, enum gsn_folder_state st
     if (file->state != state || strcmp(file->reason, reason) != 0)
         file->told = false;
     file->state = state;
+    file->action[0] = '\0';
     (void)snprintf(file->reason, sizeof file->reason, "%s", reason);
+}
+
+static void bar(struct gsn_folder_file *file, const char *reason, const char *action)
+{
+    gsn_folder_set_state(file, GSN_FILE_BARRED, reason);
+    (void)snprintf(file->action, sizeof file->action, "%s", action);
+}
+
+/* What a sentence of gsn_file_open_in() asks for. The name stands beside it already. */
+static void bar_unreadable(const struct gsn_folder *folder, struct gsn_folder_file *file,
+                           const struct gsn_error *why)
+{
+    const size_t length = strlen(file->name);
+    const char *reason = why->text;
+    char action[sizeof file->action];
+
+    if (strncmp(reason, file->name, length) == 0)
+        reason += length + strspn(reason + length, ": ");
+    if (why->code == GSN_E_DENIED)
+        (void)snprintf(action, sizeof action, "let it be read: chmod a+r '%s/%s'", folder->dir,
+                       file->name);
+    else if (why->code == GSN_E_INPUT)
+        (void)snprintf(action, sizeof action, "put the file itself in its place");
+    else
+        (void)snprintf(action, sizeof action,
+                       "look at the disk or the network folder, or copy the file again");
+    bar(file, reason, action);
 }
 
 int gsn_folder_open_file(const struct gsn_folder *folder, const struct gsn_folder_file *file,
                          int *ret_fd, struct gsn_error *err)
 {
-    gsn_auto_mem(char) path = gsn_format("%s/%s", folder->dir, file->name);
-
-    if (!path)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
-    return gsn_file_open(path, ret_fd, err);
+    return gsn_file_open_in(folder->dir, file->name, ret_fd, err);
 }
 
+/* Opening asks a server for the file as it is now, where a look may have been told what it was. */
 static int judge(const struct gsn_folder *folder, const struct gsn_folder_file *file,
-                 struct gsn_container *ret_container, struct gsn_error *err)
+                 struct gsn_container *ret_container, bool *ret_same, struct gsn_error *err)
 {
     int fd = -1, r = gsn_folder_open_file(folder, file, &fd, err);
 
     if (r < 0)
         return r;
+    *ret_same = gsn_folder_is_as_told(fd, file);
     r = gsn_container_check_fd(fd, ret_container, err);
     (void)close(fd);
     return r;
@@ -67,15 +95,21 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
 {
     struct gsn_container container;
     struct gsn_error why = { 0 };
-    char reason[160];
-    const int r = judge(folder, file, &container, &why);
+    bool same = true;
+    const int r = judge(folder, file, &container, &same, &why);
 
     if (r == GSN_E_NOMEM)
         return gsn_fail(err, r, "%s", why.text);
+    /* The next look will find that it is gone. */
+    if (r == GSN_E_NOTFOUND)
+        return GSN_OK;
     if (r < 0) {
-        (void)snprintf(reason, sizeof reason, "cannot be read: %.140s", why.text);
-        gsn_folder_set_state(file, folder->replay && !patient ? GSN_FILE_SKIPPED : GSN_FILE_WAITING,
-                             reason);
+        bar_unreadable(folder, file, &why);
+        return GSN_OK;
+    }
+    if (!same) {
+        file->unsettled = true;
+        gsn_folder_set_state(file, GSN_FILE_WAITING, "changed while it was looked at");
         return GSN_OK;
     }
     if (container.kind == GSN_CONTAINER_UNKNOWN && !gsn_name_is_picture(file->name)) {
@@ -85,6 +119,25 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
     gsn_folder_set_state(file, container.complete || !patient ? GSN_FILE_READY : GSN_FILE_WAITING,
                          container.reason);
     file->incomplete = !container.complete;
+    return GSN_OK;
+}
+
+/* Most hidden files are none of ours, and not a word is lost about them. */
+static int settle_hidden(const struct gsn_folder *folder, struct gsn_folder_file *file,
+                         struct gsn_error *err)
+{
+    struct gsn_container container = { .kind = GSN_CONTAINER_UNKNOWN };
+    struct gsn_error why = { 0 };
+    bool same = true;
+    const int r = judge(folder, file, &container, &same, &why);
+
+    if (r == GSN_E_NOMEM)
+        return gsn_fail(err, r, "%s", why.text);
+    if (r >= 0 && container.kind != GSN_CONTAINER_UNKNOWN)
+        bar(file, "is a picture whose name begins with a dot, as those of unfinished copies do",
+            "rename it without the dot when it is a panel, else remove it");
+    else
+        file->state = GSN_FILE_SKIPPED;
     return GSN_OK;
 }
 
@@ -132,10 +185,14 @@ static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *fil
         make_key(file);
     if (S_ISREG(st->st_mode) && is_known(folder, file))
         gsn_folder_set_state(file, GSN_FILE_DONE, "");
-    if (S_ISDIR(st->st_mode))
+    if (file->name[0] == '.') {
+        gsn_folder_set_state(file, GSN_FILE_HIDDEN, "");
+        file->told = true;
+    } else if (S_ISDIR(st->st_mode)) {
         gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is a folder and is not looked into");
-    else if (!S_ISREG(st->st_mode))
+    } else if (!S_ISREG(st->st_mode) && !S_ISLNK(st->st_mode)) {
         gsn_folder_set_state(file, GSN_FILE_SKIPPED, "is no regular file and is left alone");
+    }
 }
 
 static int look_at(struct gsn_folder *folder, struct gsn_folder_file *file, const struct stat *st,
@@ -145,15 +202,21 @@ static int look_at(struct gsn_folder *folder, struct gsn_folder_file *file, cons
     /* A folder changes whenever something in it does; once told is enough. */
     const bool same =
         (same_stamp(&stamp, &file->stamp) && !file->unsettled) || S_ISDIR(st->st_mode);
+    const int64_t still_ms = now_ms - file->since_ms;
 
     file->present = true;
     if (!same) {
         start_waiting(folder, file, st, now_ms);
         return GSN_OK;
     }
-    if (file->state != GSN_FILE_WAITING || now_ms - file->since_ms < folder->options.settle_ms)
+    if (file->state == GSN_FILE_HIDDEN)
+        return still_ms < folder->options.patience_ms ? GSN_OK : settle_hidden(folder, file, err);
+    if (file->state == GSN_FILE_BARRED && file->name[0] == '.')
         return GSN_OK;
-    return settle(folder, file, now_ms - file->since_ms < folder->options.patience_ms, err);
+    if (file->state != GSN_FILE_BARRED &&
+        (file->state != GSN_FILE_WAITING || still_ms < folder->settle_ms))
+        return GSN_OK;
+    return settle(folder, file, still_ms < folder->options.patience_ms, err);
 }
 
 /* Where the name is, or belongs. */
@@ -212,10 +275,10 @@ static int look_at_name(struct gsn_folder *folder, int dir_fd, const char *name,
     bool found;
     size_t place;
 
-    if (name[0] == '.')
+    /* One that has just vanished is none. */
+    if (fstatat(dir_fd, name, &st, AT_SYMLINK_NOFOLLOW) < 0)
         return GSN_OK;
-    /* A link to nothing is told as what it is; a file that has just vanished is none. */
-    if (fstatat(dir_fd, name, &st, 0) < 0 && fstatat(dir_fd, name, &st, AT_SYMLINK_NOFOLLOW) < 0)
+    if (name[0] == '.' && !S_ISREG(st.st_mode))
         return GSN_OK;
     place = find_place(folder, name, &found);
     if (found)
@@ -242,6 +305,25 @@ static int list(struct gsn_folder *folder, DIR *dir, int64_t now_ms, struct gsn_
     }
 }
 
+int64_t gsn_folder_settle_on(long type, int64_t settle_ms)
+{
+    /* statfs(2); that of SMB is a 32-bit number, which some machines' types make negative. */
+    static const uint32_t remote[] = { 0x6969, 0x517b, 0xfe534d42, 0xff534d42, 0x65735546 };
+    static const int64_t least_ms = 6000;
+
+    for (size_t i = 0; i < sizeof remote / sizeof remote[0]; i++)
+        if ((uint32_t)type == remote[i] && settle_ms < least_ms)
+            return least_ms;
+    return settle_ms;
+}
+
+int64_t gsn_folder_settle_ms(const char *dir, int64_t settle_ms)
+{
+    struct statfs fs;
+
+    return statfs(dir, &fs) < 0 ? settle_ms : gsn_folder_settle_on((long)fs.f_type, settle_ms);
+}
+
 int gsn_folder_look(struct gsn_folder *folder, int64_t now_ms, struct gsn_error *err)
 {
     DIR *const dir = opendir(folder->dir);
@@ -249,6 +331,7 @@ int gsn_folder_look(struct gsn_folder *folder, int64_t now_ms, struct gsn_error 
 
     if (!dir)
         return gsn_fail(err, GSN_E_IO, "%s: %s", folder->dir, strerror(errno));
+    folder->settle_ms = gsn_folder_settle_ms(folder->dir, folder->options.settle_ms);
     for (size_t i = 0; i < folder->count; i++)
         folder->at[i].present = false;
     r = list(folder, dir, now_ms, err);

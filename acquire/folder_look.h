@@ -25,6 +25,8 @@ enum gsn_folder_state {
     GSN_FILE_READY,
     GSN_FILE_DONE,    /* acknowledged */
     GSN_FILE_SKIPPED, /* not for us, as long as it does not change */
+    GSN_FILE_BARRED,  /* cannot be had as it is; tried again at every look */
+    GSN_FILE_HIDDEN,  /* a name with a dot in front: a transfer, until it has kept still for long */
 };
 
 struct gsn_folder_file {
@@ -36,13 +38,14 @@ struct gsn_folder_file {
     int64_t since_ms;
     enum gsn_folder_state state;
     bool incomplete, present;
-    bool told; /* what the reason says was told, or need not be */
-    char reason[160];
+    bool told;                     /* what the reason says was told, or need not be */
+    char reason[480], action[480]; /* action: where a person has to do something, else empty */
 };
 
 struct gsn_folder {
     char *dir;
     struct gsn_source_options options;
+    int64_t settle_ms;   /* of the options, or what the file system needs */
     int inotify, watch;  /* -1: nobody tells us of changes */
     bool replay, listed; /* listed: the first look is over */
     uint64_t last_item;

@@ -13,15 +13,17 @@
 
 static bool has_news(const struct gsn_folder_file *file, struct gsn_source_event *ret_event)
 {
-    *ret_event =
-        (struct gsn_source_event){ .item = file->item, .name = file->name, .reason = file->reason };
+    *ret_event = (struct gsn_source_event){
+        .item = file->item, .name = file->name, .reason = file->reason, .action = file->action
+    };
     /* job.json describes the panels; whoever imports reads it himself. */
     if (strcmp(file->name, "job.json") == 0)
         return false;
     if (!file->present) {
         ret_event->what = GSN_SOURCE_GONE;
         ret_event->reason = "vanished before it was taken";
-        return file->state == GSN_FILE_WAITING || file->state == GSN_FILE_READY;
+        return file->state == GSN_FILE_WAITING || file->state == GSN_FILE_READY ||
+               file->state == GSN_FILE_BARRED;
     }
     switch (file->state) {
     case GSN_FILE_READY:
@@ -36,6 +38,9 @@ static bool has_news(const struct gsn_folder_file *file, struct gsn_source_event
     case GSN_FILE_SKIPPED:
         ret_event->what = GSN_SOURCE_NOTICE;
         return !file->told;
+    case GSN_FILE_BARRED:
+        ret_event->what = GSN_SOURCE_BARRED;
+        return true;
     default:
         return false;
     }
@@ -76,7 +81,9 @@ static void forget_news(struct gsn_folder *folder)
 static bool is_over(const struct gsn_folder *folder)
 {
     for (size_t i = 0; i < folder->count; i++) {
-        if (folder->at[i].state == GSN_FILE_WAITING || folder->at[i].state == GSN_FILE_READY)
+        const enum gsn_folder_state state = folder->at[i].state;
+
+        if (state == GSN_FILE_WAITING || state == GSN_FILE_READY || state == GSN_FILE_HIDDEN)
             return false;
     }
     return folder->replay;

@@ -215,12 +215,13 @@ int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_ev
 {
     gsn_auto_mem(char) name = gsn_strdup(event->name);
     gsn_auto_mem(char) reason = gsn_strdup(event->reason);
+    gsn_auto_mem(char) action = gsn_strdup(event->action ? event->action : "");
     gsn_auto_mem(char) key = gsn_strdup(event->key ? event->key : "");
     gsn_auto_mem(char) facts = gsn_strdup(event->facts ? event->facts : "");
     struct gsn_source_event *at;
 
     assert(event->name && event->reason);
-    if (!name || !reason || !key || !facts)
+    if (!name || !reason || !action || !key || !facts)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for an event");
     at = gsn_realloc_array(events->at, events->count + 1, sizeof *at);
     if (!at)
@@ -229,6 +230,7 @@ int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_ev
     at[events->count] = *event;
     at[events->count].name = gsn_steal(&name);
     at[events->count].reason = gsn_steal(&reason);
+    at[events->count].action = gsn_steal(&action);
     at[events->count].key = gsn_steal(&key);
     at[events->count].facts = gsn_steal(&facts);
     events->count++;
@@ -240,6 +242,7 @@ void gsn_source_events_free(struct gsn_source_events *events)
     for (size_t i = 0; events && i < events->count; i++) {
         gsn_free((void *)events->at[i].name);
         gsn_free((void *)events->at[i].reason);
+        gsn_free((void *)events->at[i].action);
         gsn_free((void *)events->at[i].key);
         gsn_free((void *)events->at[i].facts);
     }

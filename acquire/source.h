@@ -29,6 +29,8 @@ enum gsn_source_what {
     GSN_SOURCE_WAITING, /* seen, not ready; told when first seen and when the reason changes */
     GSN_SOURCE_GONE,    /* vanished before it was acknowledged; told once */
     GSN_SOURCE_NOTICE,  /* about something that will not be delivered, or the source; told once */
+    GSN_SOURCE_BARRED, /* would be delivered, were it not for what a person must change: reason says
+                          why, action what; told at every poll until that is so */
 };
 
 struct gsn_source_event {
@@ -37,6 +39,7 @@ struct gsn_source_event {
         item; /* for read and acknowledge; a notice ends the waiting for its item, 0: for none */
     const char *name;   /* as the source calls it, without folder */
     const char *reason; /* a sentence without full stop; empty when READY and whole */
+    const char *action; /* when BARRED: what to do about it, likewise; else empty */
     uint64_t size;      /* bytes, when READY */
     int incomplete;     /* READY after the patience ran out on a container that is not whole */
     enum gsn_source_subject subject;
@@ -174,8 +177,8 @@ int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *ad
                     const struct gsn_source_options *options, struct gsn_source **ret_source,
                     struct gsn_error *err);
 
-/* Appends a copy of event (its texts are copied too; NULL stands for an empty key or facts) to the
- * list. Fails with GSN_E_NOMEM. */
+/* Appends a copy of event (its texts are copied too; NULL stands for an empty action, key or facts)
+ * to the list. Fails with GSN_E_NOMEM. */
 int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_event *event,
                     struct gsn_error *err);
 

@@ -131,6 +131,15 @@ static int make_room(const struct gsn_spool *spool, uint64_t size, const char *n
     return r;
 }
 
+int gsn_spool_check_size(uint64_t size, const char *name, struct gsn_error *err)
+{
+    if (size <= GSN_SPOOL_MOST_BYTES)
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_LIMIT,
+                    "%.200s has %llu bytes, and no file may have more than %llu (1 GiB)", name,
+                    (unsigned long long)size, (unsigned long long)GSN_SPOOL_MOST_BYTES);
+}
+
 int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err)
 {
     uint64_t parts = 0;

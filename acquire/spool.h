@@ -73,6 +73,11 @@ int gsn_spool_take_item(struct gsn_spool *spool, struct gsn_source *source,
 int gsn_spool_verify(struct gsn_spool *spool, const struct gsn_digest *digest,
                      struct gsn_error *err);
 
+/* A file that nobody here could read later is not copied at all. */
+static const uint64_t GSN_SPOOL_MOST_BYTES = (uint64_t)1 << 30;
+/* Fails with GSN_E_LIMIT, and says by how much. */
+int gsn_spool_check_size(uint64_t size, const char *name, struct gsn_error *err);
+
 /* Whether one more object of this size would leave the reserve, if need be without the parts of
  * broken-off copies; GSN_E_LIMIT when not. */
 int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err);

@@ -3,7 +3,7 @@
 /* gieson-work: the heavy program. It does one thing and ends, so that a crash in mathematics or in
  * a decoder costs one job and never a scan. `gieson` and giesond start it; people rarely do.
  *
- *     gieson-work --store DIR import FOLDER
+ *     gieson-work --store DIR import FOLDER 77: some files were left out
  *     gieson-work --store DIR work          claims one job; 0: done, 66: nothing to do, 75: busy
  *     gieson-work --store DIR verify RUN
  *     gieson-work --store DIR changed       asks for the job of every specimen that changed
@@ -32,6 +32,7 @@ enum {
     OPT_SPECIMEN,
     OPT_THRESHOLD,
     OPT_REPLACE,
+    OPT_SERVED,
     OPT_MINUTES,
     OPT_MARKS,
     OPT_PX_UM,
@@ -44,6 +45,8 @@ static const struct argp_option options[] = {
     { "threads", 't', "N", 0, "Threads to use (default: as many as there are processors)", 0 },
     { "json", 'j', NULL, 0, "Print JSON", 0 },
     { "replace", OPT_REPLACE, NULL, 0, "import: a specimen of the same name takes the new job", 1 },
+    { "served", OPT_SERVED, NULL, OPTION_HIDDEN, "import: by giesond, which looks into the folder",
+      1 },
     { "volume", OPT_VOLUME, "FILE", 0, "import: a volume (.mhd, .nrrd, .inr) instead of a folder",
       1 },
     { "tile", OPT_TILE, "FILE", 0, "import: one picture of stained tissue", 1 },
@@ -105,6 +108,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_REPLACE:
         request->replace = 1;
+        return 0;
+    case OPT_SERVED:
+        request->served = 1;
         return 0;
     case OPT_VOLUME:
         request->volume = arg;

@@ -9,6 +9,7 @@
 
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 enum { MOST_JOB_BYTES = 1 << 20 };
 
@@ -72,33 +73,46 @@ static int take_everything(struct gsn_import_work *in, const struct gsn_protocol
     if (r >= 0 && protocol->kind == GSN_KIND_SECTIONS)
         r = gsn_import_take_panels(in, err);
     if (r >= 0)
+        r = gsn_import_forget_left(in, err);
+    if (r >= 0)
         r = ask_for_report(in, err);
     return r;
+}
+
+static void work_done(struct gsn_import_work *in)
+{
+    for (unsigned i = 0; i < in->counts.left_out; i++)
+        gsn_free(in->left[i]);
+    gsn_free(in->left);
 }
 
 int gsn_import_folder(const struct gsn_import *import, char **ret_specimen,
                       struct gsn_import_counts *ret_counts, struct gsn_error *err)
 {
-    struct gsn_import_work in = { .import = import };
+    __attribute__((cleanup(work_done))) struct gsn_import_work in = { .import = import };
     gsn_auto(gsn_spool) spool = NULL;
     gsn_auto(gsn_protocol) protocol = NULL;
-    gsn_auto_mem(char) path = gsn_format("%s/job.json", import->dir);
     gsn_auto_mem(uint8_t) file = NULL;
     gsn_auto_mem(char) name = NULL;
     const char *text = import->job_text;
     size_t size = text ? strlen(text) : 0;
     int r = GSN_OK;
 
-    if (!path)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (!text) {
-        r = gsn_file_read(path, MOST_JOB_BYTES, &file, &size, err);
+        gsn_auto_fd fd = -1;
+
+        r = gsn_file_open_in(import->dir, "job.json", &fd, err);
+        if (r >= 0)
+            r = gsn_file_read_open(fd, "job.json", MOST_JOB_BYTES, &file, &size, err);
         text = (const char *)file;
     }
     if (r == GSN_E_NOTFOUND)
-        return gsn_fail(err, r,
-                        "%s has no job.json: it says whose sections these are (see docs/job.md)",
-                        import->dir);
+        return gsn_fail(
+            err, r,
+            access(import->dir, F_OK) < 0
+                ? "there is no folder %s"
+                : "%s has no job.json: it says whose sections these are (see docs/job.md)",
+            import->dir);
     if (r >= 0)
         r = gsn_protocol_parse(text, size, &protocol, err);
     if (r >= 0)

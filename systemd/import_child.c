@@ -48,7 +48,8 @@ static void end_line(struct talk *talk)
         text += strlen(mark);
     if (!*text)
         return;
-    gsn_log(LOG_INFO, &about, "%s", text);
+    if (!talk->child->again)
+        gsn_log(LOG_INFO, &about, "%s", text);
     (void)snprintf(talk->last, sizeof talk->last, "%s", text);
 }
 
@@ -136,7 +137,7 @@ static void end_child(pid_t pid)
 
 static int judge(const struct talk *talk, int status, struct gsn_error *err)
 {
-    if (status == EX_OK)
+    if (status == EX_OK || status == EX_NOPERM)
         return GSN_OK;
     if (status == EX_TEMPFAIL)
         return gsn_fail(err, GSN_E_BUSY, "%.300s", talk->last);
@@ -151,7 +152,8 @@ static int start(struct talk *talk, struct gsn_error *err)
 {
     const struct gsn_import_child *const child = talk->child;
     const char *const argv[] = { child->worker, "--store",     child->store_dir,
-                                 "import",      child->folder, NULL };
+                                 "import",      child->folder, "--served",
+                                 NULL };
     int ends[2], r;
 
     if (pipe2(ends, O_CLOEXEC) < 0)

@@ -10,14 +10,16 @@
 struct gsn_import_child {
     const char *worker, *store_dir; /* borrowed */
     const char *source, *folder;
+    int again; /* it failed before: what it says was told then */
     struct gsn_lifeline *line;
     int64_t patience_ms; /* how long it may neither compute nor read nor write */
 };
 
 /* Runs it to its end. What it says goes to the log; its last line is the sentence when it fails.
- * Fails with GSN_E_BUSY when the folder still changes or we were asked to stop, GSN_E_PROCESS when
- * it cannot be run or hangs and was ended, and GSN_E_INPUT when it refused. One that cannot even be
- * ended costs us our breath, so that whoever watches us notices. */
+ * Files that it left out (EX_NOPERM) are for who looks into the folder to tell. Fails with
+ * GSN_E_BUSY when the folder still changes or we were asked to stop, GSN_E_PROCESS when it cannot
+ * be run or hangs and was ended, and GSN_E_INPUT when it refused. One that cannot even be ended
+ * costs us our breath, so that whoever watches us notices. */
 int gsn_import_child_run(const struct gsn_import_child *child, struct gsn_error *err);
 
 #endif

@@ -9,8 +9,6 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { MOST_ATTACHED_BYTES = 1 << 30 };
-
 /* A name that stays in the folder: the job must not reach elsewhere. */
 static int check_name(const char *name, struct gsn_error *err)
 {
@@ -23,17 +21,17 @@ static int check_name(const char *name, struct gsn_error *err)
 
 static int check_file(const struct gsn_import *import, const char *name, struct gsn_error *err)
 {
-    gsn_auto_mem(char) path = gsn_format("%s/%s", import->dir, name);
-    const int r = check_name(name, err);
+    gsn_auto_fd fd = -1;
+    struct gsn_error why = { 0 };
+    int r = check_name(name, err);
 
     if (r < 0)
         return r;
-    if (!path)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    if (access(path, F_OK) < 0)
+    r = gsn_file_open_in(import->dir, name, &fd, &why);
+    if (r == GSN_E_NOTFOUND)
         return gsn_fail(err, GSN_E_INPUT, "job.json names \"%s\": there is no such file in %s",
                         name, import->dir);
-    return GSN_OK;
+    return r < 0 ? gsn_fail(err, r, "job.json names \"%s\": %.300s", name, why.text) : GSN_OK;
 }
 
 int gsn_import_check_files(const struct gsn_import *import, const struct gsn_protocol *protocol,
@@ -76,16 +74,16 @@ static int log_attachment(struct gsn_import_work *in, const struct gsn_attachmen
 static int attach_one(struct gsn_import_work *in, const char *name, uint8_t **ret_bytes,
                       size_t *ret_size, struct gsn_error *err)
 {
-    gsn_auto_mem(char) path = gsn_format("%s/%s", in->import->dir, name);
+    gsn_auto_fd fd = -1;
     gsn_auto_mem(uint8_t) bytes = NULL;
     struct gsn_spooled spooled;
     size_t size;
     int r = check_name(name, err);
 
-    if (!path)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (r >= 0)
-        r = gsn_file_read(path, MOST_ATTACHED_BYTES, &bytes, &size, err);
+        r = gsn_file_open_in(in->import->dir, name, &fd, err);
+    if (r >= 0)
+        r = gsn_file_read_open(fd, name, GSN_SPOOL_MOST_BYTES, &bytes, &size, err);
     if (r == GSN_E_NOTFOUND)
         return gsn_fail(err, GSN_E_INPUT, "a header names \"%s\": there is no such file in %s",
                         name, in->import->dir);

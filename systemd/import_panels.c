@@ -117,10 +117,15 @@ static int take_item(struct gsn_import_work *in, struct gsn_source *source,
                      const struct gsn_source_event *item, struct gsn_error *err)
 {
     struct gsn_spooled spooled;
+    struct gsn_error why = { 0 };
     int r;
 
     if (is_calibration(in->protocol, item->name))
         return gsn_source_acknowledge(source, item->item, err);
+    if (gsn_spool_check_size(item->size, item->name, &why) < 0) {
+        r = gsn_import_leave_out(in, item->name, why.text, "take it out of the folder", err);
+        return r < 0 ? r : gsn_source_acknowledge(source, item->item, err);
+    }
     if (item->incomplete)
         notice(in->import, item->name, item->reason);
     r = gsn_spool_take_item(in->spool, source, item, &spooled, err);
@@ -165,6 +170,8 @@ int gsn_import_take_panels(struct gsn_import_work *in, struct gsn_error *err)
 
             if (event->what == GSN_SOURCE_READY)
                 r = take_item(in, source, event, err);
+            else if (event->what == GSN_SOURCE_BARRED && ended)
+                r = gsn_import_leave_out(in, event->name, event->reason, event->action, err);
         }
     }
     if (r >= 0 && !ended)

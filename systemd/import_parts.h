@@ -18,7 +18,16 @@ struct gsn_import_work {
     struct gsn_spool *spool;
     int64_t specimen;
     struct gsn_import_counts counts;
+    char **left; /* owned; paths of what was left out, as many as counted */
 };
+
+/* import_left.c: what is left out, and what was once. */
+
+/* Counts it, tells it, and puts its row unless a source does. Fails as the store does. */
+int gsn_import_leave_out(struct gsn_import_work *in, const char *name, const char *reason,
+                         const char *action, struct gsn_error *err);
+/* Ends the trouble of what was left out once and is taken now or gone. Fails as the store does. */
+int gsn_import_forget_left(struct gsn_import_work *in, struct gsn_error *err);
 
 /* import_files.c: the files that the job names. */
 

@@ -138,10 +138,19 @@ static int copy(struct gsn_intake *intake, const struct gsn_source_event *ready,
                 struct gsn_spooled *spooled, enum gsn_intake_fault *ret_fault,
                 struct gsn_error *err)
 {
-    int r = gsn_spool_has_room(intake->spool, ready->size, err);
+    struct gsn_error quiet = { 0 };
+    int r = gsn_spool_check_size(ready->size, ready->name, err);
 
     if (r < 0) {
-        *ret_fault = r == GSN_E_LIMIT ? GSN_FAULT_ROOM : GSN_FAULT_STORE;
+        *ret_fault = GSN_FAULT_SIZE;
+        return r;
+    }
+    r = gsn_spool_has_room(intake->spool, ready->size, err);
+    if (r < 0) {
+        /* Where a small file would go in, this one is too large and the disk is not full. */
+        *ret_fault = r != GSN_E_LIMIT                                         ? GSN_FAULT_STORE
+                     : gsn_spool_has_room(intake->spool, 0, &quiet) == GSN_OK ? GSN_FAULT_SIZE
+                                                                              : GSN_FAULT_ROOM;
         return r;
     }
     intake->read_code = GSN_OK;

@@ -58,6 +58,7 @@ void gsn_intake_past_done(struct gsn_intake_past *past);
 enum gsn_intake_fault {
     GSN_FAULT_NONE,
     GSN_FAULT_ITEM,  /* this picture cannot be had; others may */
+    GSN_FAULT_SIZE,  /* this picture does not fit; others may */
     GSN_FAULT_LATER, /* it changed or vanished, or the copy was broken off: the next poll tells */
     GSN_FAULT_ROOM,  /* the disk is below its reserve: nothing can be taken */
     GSN_FAULT_STORE, /* the store or its disk refuses: nothing can be taken */

@@ -80,9 +80,11 @@ static int look(struct gsn_serving *serving, int *ret_ended, struct gsn_error *e
         serving->next_look_ms = 0; /* is the device still there? */
     else
         gsn_source_row_say(&serving->row, "ready", "");
-    if (serving->folders && gsn_specimen_folders_is_busy(serving->folders) &&
-        serving->next_look_ms > gsn_now_ms() + serving->config->settle_ms + 50)
-        serving->next_look_ms = gsn_now_ms() + serving->config->settle_ms + 50;
+    if (serving->folders && gsn_specimen_folders_is_busy(serving->folders)) {
+        const int64_t soon = gsn_now_ms() + gsn_serving_settle_ms(serving) + 50;
+
+        serving->next_look_ms = serving->next_look_ms < soon ? serving->next_look_ms : soon;
+    }
     return GSN_OK;
 }
 
@@ -110,8 +112,12 @@ static int open_folders(struct gsn_serving *serving, struct gsn_error *err)
 
     if (strncmp(address, GSN_SERVING_HOT, strlen(GSN_SERVING_HOT)) != 0)
         return GSN_OK;
+    serving->ear = (struct gsn_specimen_ear){ .barred = gsn_serving_bar,
+                                              .over = gsn_serving_unbar,
+                                              .context = serving };
     return gsn_specimen_folders_new(address + strlen(GSN_SERVING_HOT), serving->config->settle_ms,
-                                    serving->config->patience_s * 1000, &serving->folders, err);
+                                    serving->config->patience_s * 1000, &serving->ear,
+                                    &serving->folders, err);
 }
 
 static int open_all(struct gsn_serving *serving, uint64_t reserve_bytes, struct gsn_error *err)

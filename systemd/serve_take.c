@@ -6,6 +6,7 @@
 #include <sys/stat.h>
 #include <time.h>
 
+#include "acquire/folder_source.h"
 #include "acquire/spool.h"
 #include "pipeline/core/process.h"
 #include "storage/bench.h"
@@ -16,6 +17,15 @@
 struct gsn_log_about gsn_serving_about(const struct gsn_serving *serving, const char *id)
 {
     return (struct gsn_log_about){ .id = id, .source = serving->config->name };
+}
+
+int64_t gsn_serving_settle_ms(const struct gsn_serving *serving)
+{
+    const char *const folder = strchr(serving->config->address, ':');
+
+    return serving->is_device || !folder
+               ? serving->config->settle_ms
+               : gsn_folder_settle_ms(folder + 1, serving->config->settle_ms);
 }
 
 int gsn_serving_on_copy(void *context, uint64_t offset)
@@ -114,6 +124,23 @@ static int blame_item(struct gsn_serving *serving, const char *name, const char 
     return GSN_OK;
 }
 
+int gsn_serving_bar(void *context, const char *name, const char *reason, const char *action,
+                    struct gsn_error *err)
+{
+    struct gsn_serving *const serving = context;
+
+    if (gsn_failing_rests_for(&serving->failing, name, reason, gsn_now_ms()))
+        return GSN_OK;
+    return put_trouble(serving, name, reason, action, err);
+}
+
+int gsn_serving_unbar(void *context, const char *name, struct gsn_error *err)
+{
+    struct gsn_serving *const serving = context;
+
+    return gsn_failing_over(&serving->failing, name, err);
+}
+
 int gsn_serving_settle_blame(struct gsn_serving *serving, struct gsn_error *err)
 {
     int r = GSN_OK;
@@ -141,6 +168,9 @@ static int tell_kept(struct gsn_serving *serving, const char *name, const char *
     return r;
 }
 
+#define MAKE_ROOM                                                                                  \
+    "take it out of there, or make room on the disk of the store; it is tried again by itself"
+
 /* Takes one. Fails only where nothing more can be taken in this round. */
 static int take(struct gsn_serving *serving, const struct gsn_source_event *ready,
                 struct arrived *arrived, struct gsn_error *err)
@@ -166,6 +196,8 @@ static int take(struct gsn_serving *serving, const struct gsn_source_event *read
     }
     if (fault == GSN_FAULT_ITEM)
         return blame_item(serving, ready->name, why.text, err);
+    if (fault == GSN_FAULT_SIZE)
+        return put_trouble(serving, ready->name, why.text, MAKE_ROOM, err);
     if (fault == GSN_FAULT_LATER)
         return GSN_OK;
     serving->store_failures += fault == GSN_FAULT_STORE;
@@ -199,23 +231,30 @@ static bool is_specimen_folder(const struct gsn_serving *serving, const char *na
     if (!serving->folders)
         return false;
     path = gsn_format("%s/%s", serving->config->address + strlen(GSN_SERVING_HOT), name);
-    return path && stat(path, &st) == 0 && S_ISDIR(st.st_mode);
+    return path && lstat(path, &st) == 0 && S_ISDIR(st.st_mode);
 }
 
 /* What is told without being delivered. Something that still changes is looked at again soon. */
-static void tell_news(struct gsn_serving *serving, const struct gsn_source_event *event)
+static int tell_news(struct gsn_serving *serving, const struct gsn_source_event *event,
+                     struct gsn_error *err)
 {
     const struct gsn_log_about what = gsn_serving_about(serving, NULL);
-    const int64_t soon = gsn_now_ms() + serving->config->settle_ms + 50;
+    const int64_t soon = gsn_now_ms() + gsn_serving_settle_ms(serving) + 50;
+
+    if (event->what == GSN_SOURCE_BARRED)
+        return gsn_serving_bar(serving, event->name, event->reason, event->action, err);
 
     if (event->what == GSN_SOURCE_WAITING && soon < serving->next_look_ms)
         serving->next_look_ms = soon;
-    if (event->what == GSN_SOURCE_NOTICE && is_specimen_folder(serving, event->name))
+    if (event->what == GSN_SOURCE_WAITING)
+        return GSN_OK;
+    if (event->what == GSN_SOURCE_NOTICE && is_specimen_folder(serving, event->name)) {
         gsn_log(LOG_INFO, &what, "%s: is taken in as a specimen once it holds a job.json",
                 event->name);
-    else if (event->what == GSN_SOURCE_NOTICE || event->what == GSN_SOURCE_GONE)
-        gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "",
-                event->reason);
+        return GSN_OK;
+    }
+    gsn_log(LOG_NOTICE, &what, "%s%s%s", event->name, event->name[0] ? ": " : "", event->reason);
+    return serving->is_device ? GSN_OK : gsn_serving_unbar(serving, event->name, err);
 }
 
 static int take_each(struct gsn_serving *serving, const struct gsn_source_events *events,
@@ -228,7 +267,9 @@ static int take_each(struct gsn_serving *serving, const struct gsn_source_events
         int r;
 
         if (event->what != GSN_SOURCE_READY) {
-            tell_news(serving, event);
+            r = tell_news(serving, event, err);
+            if (r < 0)
+                return r;
             continue;
         }
         if (gsn_failing_rests(&serving->failing, event->name, gsn_now_ms()) ||
@@ -255,7 +296,8 @@ int gsn_serving_take_all(struct gsn_serving *serving, const struct gsn_source_ev
     return r < 0 ? ((void)settle(serving, &arrived, &quiet), r) : settle(serving, &arrived, err);
 }
 
-static int run_import(const struct gsn_serving *serving, const char *folder, struct gsn_error *err)
+static int run_import(const struct gsn_serving *serving, const char *folder, bool again,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(char) worker = NULL;
     const int r = gsn_process_sibling("gieson-work", &worker, err);
@@ -263,6 +305,7 @@ static int run_import(const struct gsn_serving *serving, const char *folder, str
                                             .store_dir = gsn_store_dir(serving->store),
                                             .source = serving->config->name,
                                             .folder = folder,
+                                            .again = again,
                                             .line = serving->line,
                                             .patience_ms = serving->config->patience_s * 1000 };
 
@@ -273,12 +316,16 @@ static int import(struct gsn_serving *serving, const struct gsn_specimen_due *du
                   struct gsn_error *err)
 {
     struct gsn_error why = { 0 };
-    int r = gsn_spool_has_room(serving->spool, due->bytes, err);
+    int r = gsn_spool_has_room(serving->spool, due->bytes, &why);
 
+    if (r == GSN_E_LIMIT && gsn_spool_has_room(serving->spool, 0, err) == GSN_OK) {
+        gsn_specimen_folders_failed(serving->folders, due->index, gsn_now_ms());
+        return put_trouble(serving, due->name, why.text, MAKE_ROOM, err);
+    }
     if (r < 0)
-        return r;
+        return gsn_fail(err, r, "%s", why.text);
     gsn_source_row_progress(&serving->row, due->name, 0, 0, due->bytes);
-    r = run_import(serving, due->path, &why);
+    r = run_import(serving, due->path, due->again, &why);
     if (r >= 0) {
         gsn_specimen_folders_done(serving->folders, due->index);
         return gsn_failing_over(&serving->failing, due->name, err);
@@ -295,12 +342,16 @@ int gsn_serving_import_all(struct gsn_serving *serving, struct gsn_error *err)
     struct gsn_specimen_due due = { .path = NULL };
     long after = -1;
 
+    const char *const root = serving->config->address + strlen(GSN_SERVING_HOT);
+
     if (!serving->folders)
         return GSN_OK;
     for (;;) {
         int r = gsn_specimen_folders_next(serving->folders, gsn_now_ms(), after, &due, err);
 
-        if (r < 0 || !due.path || gsn_lifeline_is_over(serving->line))
+        if (r >= 0 && !due.path)
+            return gsn_failing_forget_gone(&serving->failing, root, err);
+        if (r < 0 || gsn_lifeline_is_over(serving->line))
             return r;
         after = (long)due.index;
         r = import(serving, &due, err);

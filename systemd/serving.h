@@ -28,6 +28,7 @@ struct gsn_serving {
     struct gsn_spool *spool;
     struct gsn_source *source;
     struct gsn_specimen_folders *folders; /* NULL: no hot folder */
+    struct gsn_specimen_ear ear;
     struct gsn_failing failing;
     struct gsn_source_row row;
     bool is_device; /* it can go away by itself */
@@ -46,6 +47,9 @@ struct gsn_serving {
 /* Who speaks, in the log. id: of the message, or NULL. */
 struct gsn_log_about gsn_serving_about(const struct gsn_serving *serving, const char *id);
 
+/* How long what comes must keep still: as configured, or what its file system needs. */
+int64_t gsn_serving_settle_ms(const struct gsn_serving *serving);
+
 /* Called by the spool and the intake while bytes come: the process lives, and how far it is. */
 int gsn_serving_on_copy(void *context, uint64_t offset);
 void gsn_serving_on_piece(void *context);
@@ -56,6 +60,10 @@ int gsn_serving_take_all(struct gsn_serving *serving, const struct gsn_source_ev
                          struct gsn_error *err);
 /* The device still answers: what failed before is the item's own trouble, and becomes a row. */
 int gsn_serving_settle_blame(struct gsn_serving *serving, struct gsn_error *err);
+/* For the ear: what a person must change is a row of trouble until it is over. */
+int gsn_serving_bar(void *serving, const char *name, const char *reason, const char *action,
+                    struct gsn_error *err);
+int gsn_serving_unbar(void *serving, const char *name, struct gsn_error *err);
 /* Has every folder of a specimen that is due taken in by gieson-work. */
 int gsn_serving_import_all(struct gsn_serving *serving, struct gsn_error *err);
 

@@ -2,9 +2,14 @@
 #include "systemd/specimen_folders.h"
 
 #include <dirent.h>
+#include <errno.h>
 #include <stdbool.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
+
+#include "acquire/natural.h"
+#include "pipeline/core/file.h"
 
 enum { FIRST_DELAY_MS = 2000, LONGEST_DELAY_MS = 120000 };
 
@@ -18,13 +23,24 @@ struct specimen {
     uint64_t ready_bytes;
     size_t ready;
     int64_t next_ms, delay_ms;
+    struct stat job; /* job.json as it was at the last look */
+};
+
+/* A folder that is no specimen yet. */
+struct stranger {
+    char *name;
+    int64_t since_ms;
+    bool seen; /* in this look */
 };
 
 struct gsn_specimen_folders {
     char *root;
     struct gsn_source_options options;
+    const struct gsn_specimen_ear *ear;
     size_t count;
     struct specimen *at;
+    size_t stranger_count;
+    struct stranger *stranger;
 };
 
 static int out_of_memory(struct gsn_error *err)
@@ -46,7 +62,10 @@ void gsn_specimen_folders_free(struct gsn_specimen_folders *folders)
 {
     for (size_t i = 0; folders && i < folders->count; i++)
         specimen_done(&folders->at[i]);
+    for (size_t i = 0; folders && i < folders->stranger_count; i++)
+        gsn_free(folders->stranger[i].name);
     if (folders) {
+        gsn_free(folders->stranger);
         gsn_free(folders->at);
         gsn_free(folders->root);
     }
@@ -54,6 +73,7 @@ void gsn_specimen_folders_free(struct gsn_specimen_folders *folders)
 }
 
 int gsn_specimen_folders_new(const char *root, int64_t settle_ms, int64_t patience_ms,
+                             const struct gsn_specimen_ear *ear,
                              struct gsn_specimen_folders **ret_folders, struct gsn_error *err)
 {
     gsn_auto(gsn_specimen_folders) folders = gsn_alloc_array(1, sizeof *folders);
@@ -64,6 +84,7 @@ int gsn_specimen_folders_new(const char *root, int64_t settle_ms, int64_t patien
         return out_of_memory(err);
     folders->options =
         (struct gsn_source_options){ .settle_ms = settle_ms, .patience_ms = patience_ms };
+    folders->ear = ear;
     *ret_folders = gsn_steal(&folders);
     return GSN_OK;
 }
@@ -101,27 +122,145 @@ static int add(struct gsn_specimen_folders *folders, const char *name, struct gs
     return GSN_OK;
 }
 
-/* Folders with a job.json that are new. One that cannot be opened is looked at again next time. */
-static int find_new(struct gsn_specimen_folders *folders, struct gsn_error *err)
+/* Since when a folder is there that is no specimen; notes that it is there still. */
+static int note_stranger(struct gsn_specimen_folders *folders, const char *name, int64_t now_ms,
+                         int64_t *ret_since_ms, struct gsn_error *err)
+{
+    gsn_auto_mem(char) copy = NULL;
+    struct stranger *more;
+
+    for (size_t i = 0; i < folders->stranger_count; i++) {
+        struct stranger *const stranger = &folders->stranger[i];
+
+        if (strcmp(stranger->name, name) != 0)
+            continue;
+        stranger->seen = true;
+        *ret_since_ms = stranger->since_ms;
+        return GSN_OK;
+    }
+    copy = gsn_strdup(name);
+    more = gsn_realloc_array(folders->stranger, folders->stranger_count + 1, sizeof *more);
+    if (more)
+        folders->stranger = more;
+    if (!copy || !more)
+        return out_of_memory(err);
+    more[folders->stranger_count++] =
+        (struct stranger){ .name = gsn_steal(&copy), .since_ms = now_ms, .seen = true };
+    *ret_since_ms = now_ms;
+    return GSN_OK;
+}
+
+static void forget_strangers(struct gsn_specimen_folders *folders)
+{
+    size_t kept = 0;
+
+    for (size_t i = 0; i < folders->stranger_count; i++) {
+        struct stranger *const stranger = &folders->stranger[i];
+
+        if (stranger->seen)
+            folders->stranger[kept++] = (struct stranger){ stranger->name, stranger->since_ms, 0 };
+        else
+            gsn_free(stranger->name);
+    }
+    folders->stranger_count = kept;
+}
+
+static int bar_name(const struct gsn_specimen_folders *folders, const char *name,
+                    const char *reason, char *action, struct gsn_error *err)
+{
+    gsn_auto_mem(char) what = action;
+
+    return what ? folders->ear->barred(folders->ear->context, name, reason, what, err)
+                : out_of_memory(err);
+}
+
+/* Whether anything in it is called like a picture; errno as opendir() leaves it when not even that
+ * can be seen. */
+static bool has_picture(const char *path)
+{
+    DIR *const dir = opendir(path);
+    const struct dirent *entry;
+    bool any = false;
+
+    if (!dir)
+        return false;
+    while (!any && (entry = readdir(dir)))
+        any = entry->d_name[0] != '.' && gsn_name_is_picture(entry->d_name);
+    (void)closedir(dir);
+    errno = 0;
+    return any;
+}
+
+/* No job.json can be had in this folder: a person is told, once that has lasted for long. */
+static int meet_stranger(struct gsn_specimen_folders *folders, const char *name, int64_t now_ms,
+                         const struct gsn_error *why, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = gsn_format("%s/%s", folders->root, name);
+    int64_t since_ms = 0;
+    int r = note_stranger(folders, name, now_ms, &since_ms, err);
+
+    bool any;
+
+    if (r < 0 || now_ms - since_ms < folders->options.patience_ms)
+        return r;
+    if (!path)
+        return out_of_memory(err);
+    any = has_picture(path);
+    if (errno == EACCES)
+        return bar_name(folders, name, "is a folder that may not be looked into",
+                        gsn_format("let it be read: chmod -R a+rX '%s'", path), err);
+    if (why->code == GSN_E_DENIED)
+        return bar_name(folders, name, why->text,
+                        gsn_format("let it be read: chmod -R a+rX '%s'", path), err);
+    if (why->code == GSN_E_INPUT)
+        return bar_name(folders, name, why->text, gsn_format("put the file itself into '%s'", path),
+                        err);
+    if (any)
+        return bar_name(folders, name,
+                        "holds pictures but no job.json, which says whose sections they are: "
+                        "nothing of it is taken in",
+                        gsn_format("write '%s/job.json', or remove the folder", path), err);
+    return folders->ear->over(folders->ear->context, name, err);
+}
+
+static int meet(struct gsn_specimen_folders *folders, const char *name, int64_t now_ms,
+                struct gsn_error *err)
+{
+    gsn_auto_mem(char) job = gsn_format("%s/job.json", name);
+    gsn_auto_fd fd = -1;
+    struct gsn_error why = { 0 };
+    int r;
+
+    if (!job)
+        return out_of_memory(err);
+    r = gsn_file_open_in(folders->root, job, &fd, &why);
+    if (r == GSN_E_NOMEM)
+        return out_of_memory(err);
+    if (r < 0)
+        return meet_stranger(folders, name, now_ms, &why, err);
+    r = add(folders, name, &why);
+    if (r < 0)
+        return r == GSN_E_NOMEM ? out_of_memory(err) : GSN_OK;
+    return folders->ear->over(folders->ear->context, name, err);
+}
+
+/* Folders that are new: with a job.json they are specimens. One that cannot be opened is looked at
+ * again next time. Links are told by the source of the whole folder. */
+static int find_new(struct gsn_specimen_folders *folders, int64_t now_ms, struct gsn_error *err)
 {
     DIR *const dir = opendir(folders->root);
     const struct dirent *entry;
     int r = GSN_OK;
 
-    while (dir && r != GSN_E_NOMEM && (entry = readdir(dir))) {
-        gsn_auto_mem(char) job = NULL;
-
-        if (entry->d_name[0] == '.' || entry->d_type == DT_REG || is_known(folders, entry->d_name))
-            continue;
-        job = gsn_format("%s/%s/job.json", folders->root, entry->d_name);
-        if (!job)
-            r = out_of_memory(err);
-        else if (access(job, R_OK) == 0)
-            r = add(folders, entry->d_name, err);
-    }
+    while (dir && r >= 0 && (entry = readdir(dir)))
+        if (entry->d_name[0] != '.' && (entry->d_type == DT_DIR || entry->d_type == DT_UNKNOWN) &&
+            !is_known(folders, entry->d_name))
+            r = meet(folders, entry->d_name, now_ms, err);
     if (dir)
         (void)closedir(dir);
-    return r == GSN_E_NOMEM ? r : GSN_OK;
+    if (r >= 0)
+        forget_strangers(folders);
+    return r;
 }
 
 static void forget_waiting(struct specimen *specimen, const char *name)
@@ -152,18 +291,54 @@ static int note_waiting(struct specimen *specimen, const char *name, struct gsn_
     return GSN_OK;
 }
 
-static int look(struct specimen *specimen, int64_t now_ms, struct gsn_error *err)
+/* What a person has changed is tried at once. */
+static void watch_job(struct specimen *specimen)
 {
+    gsn_auto_mem(char) path = gsn_format("%s/job.json", specimen->path);
+    struct stat now = { .st_size = 0 };
+
+    if (!path || lstat(path, &now) < 0)
+        return;
+    if (now.st_mtim.tv_sec != specimen->job.st_mtim.tv_sec ||
+        now.st_mtim.tv_nsec != specimen->job.st_mtim.tv_nsec ||
+        now.st_size != specimen->job.st_size || now.st_ino != specimen->job.st_ino ||
+        now.st_mode != specimen->job.st_mode) {
+        specimen->delay_ms = 0;
+        specimen->next_ms = 0;
+    }
+    specimen->job = now;
+}
+
+/* One file of a specimen: barred, or not any more. */
+static int tell_file(const struct gsn_specimen_folders *folders, const struct specimen *specimen,
+                     const struct gsn_source_event *event, struct gsn_error *err)
+{
+    gsn_auto_mem(char) name = gsn_format("%s/%s", specimen->name, event->name);
+
+    if (!name)
+        return out_of_memory(err);
+    if (event->what == GSN_SOURCE_BARRED)
+        return folders->ear->barred(folders->ear->context, name, event->reason, event->action, err);
+    return event->what == GSN_SOURCE_WAITING ? GSN_OK
+                                             : folders->ear->over(folders->ear->context, name, err);
+}
+
+static int look(const struct gsn_specimen_folders *folders, struct specimen *specimen,
+                int64_t now_ms, bool *ret_gone, struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
     struct gsn_source_events *events = NULL;
     int ended = 0;
-    int r = gsn_source_poll(specimen->source, now_ms, &events, &ended, err);
+    int r = gsn_source_poll(specimen->source, now_ms, &events, &ended, &why);
 
+    *ret_gone = r < 0 && r != GSN_E_NOMEM;
     if (r < 0)
-        return r;
+        return *ret_gone ? GSN_OK : out_of_memory(err);
     gsn_source_events_free(specimen->events);
     specimen->events = events;
     specimen->ready = 0;
     specimen->ready_bytes = 0;
+    watch_job(specimen);
     for (size_t i = 0; r >= 0 && i < events->count; i++) {
         const struct gsn_source_event *const event = &events->at[i];
 
@@ -172,6 +347,8 @@ static int look(struct specimen *specimen, int64_t now_ms, struct gsn_error *err
             r = note_waiting(specimen, event->name, err);
         else
             forget_waiting(specimen, event->name);
+        if (r >= 0)
+            r = tell_file(folders, specimen, event, err);
         if (event->what == GSN_SOURCE_READY) {
             specimen->ready++;
             specimen->ready_bytes += event->size;
@@ -191,16 +368,17 @@ static void drop(struct gsn_specimen_folders *folders, size_t index)
 int gsn_specimen_folders_next(struct gsn_specimen_folders *folders, int64_t now_ms, long after,
                               struct gsn_specimen_due *ret_due, struct gsn_error *err)
 {
-    int r = after < 0 ? find_new(folders, err) : GSN_OK;
+    int r = after < 0 ? find_new(folders, now_ms, err) : GSN_OK;
 
     ret_due->path = NULL;
     for (size_t i = (size_t)(after + 1); r >= 0 && i < folders->count;) {
         struct specimen *const specimen = &folders->at[i];
-        const int looked = look(specimen, now_ms, err);
+        bool gone = false;
 
-        if (looked == GSN_E_NOMEM)
-            return looked;
-        if (looked < 0) {
+        r = look(folders, specimen, now_ms, &gone, err);
+        if (r < 0)
+            return r;
+        if (gone) {
             drop(folders, i);
             continue;
         }
@@ -208,6 +386,7 @@ int gsn_specimen_folders_next(struct gsn_specimen_folders *folders, int64_t now_
             *ret_due = (struct gsn_specimen_due){ .path = specimen->path,
                                                   .name = specimen->name,
                                                   .bytes = specimen->ready_bytes,
+                                                  .again = specimen->delay_ms > 0,
                                                   .index = i };
             return GSN_OK;
         }

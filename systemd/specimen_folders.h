@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The folders inside a hot folder that hold a job.json: each is a specimen, taken in as a whole by
- * `gieson-work import` whenever something new in it is ready and nothing in it still changes. */
+ * `gieson-work import` whenever something new in it is ready and nothing in it still changes. What
+ * can be had comes in without what cannot. A folder with pictures that has no job.json when the
+ * patience is over, or one that cannot be looked into, is told. */
 #ifndef GSN_SYSTEMD_SPECIMEN_FOLDERS_H
 #define GSN_SYSTEMD_SPECIMEN_FOLDERS_H
 
@@ -11,8 +13,18 @@
 
 struct gsn_specimen_folders;
 
-/* gives. The times are those of gsn_source_options. */
+/* Who is told what a person must change, by the name below the root ("S01/P02.tif", "S01"), and
+ * when that is over. A failure ends the look. */
+struct gsn_specimen_ear {
+    int (*barred)(void *context, const char *name, const char *reason, const char *action,
+                  struct gsn_error *err);
+    int (*over)(void *context, const char *name, struct gsn_error *err);
+    void *context;
+};
+
+/* gives. The times are those of gsn_source_options. keeps: the ear. */
 int gsn_specimen_folders_new(const char *root, int64_t settle_ms, int64_t patience_ms,
+                             const struct gsn_specimen_ear *ear,
                              struct gsn_specimen_folders **ret_folders, struct gsn_error *err);
 void gsn_specimen_folders_free(struct gsn_specimen_folders *folders);
 GSN_DEFINE_AUTO(gsn_specimen_folders);
@@ -21,6 +33,7 @@ GSN_DEFINE_AUTO(gsn_specimen_folders);
 struct gsn_specimen_due {
     const char *path, *name; /* borrowed until the folder vanishes */
     uint64_t bytes;          /* that are ready */
+    int again;               /* the last import failed, and no person has changed job.json since */
     size_t index;
 };
 

@@ -15,6 +15,27 @@ static void say_notice(void *context, const char *name, const char *sentence)
     (void)fprintf(stderr, "gieson: %s: %s\n", name, sentence);
 }
 
+/* A name that is no UTF-8 keeps its ASCII. gives. */
+static json_t *json_text(const char *text)
+{
+    json_t *const whole = json_string(text);
+    gsn_auto_mem(char) plain = whole ? NULL : gsn_strdup(text);
+
+    for (char *at = plain; at && *at; at++)
+        if ((unsigned char)*at >= 0x80)
+            *at = '?';
+    return whole ? whole : json_string(plain ? plain : "");
+}
+
+/* Says it, and keeps it for --json. */
+static void say_left_out(void *context, const char *name, const char *reason, const char *action)
+{
+    (void)fprintf(stderr, "gieson: %s: not taken: it %s; next: %s\n", name, reason, action);
+    (void)json_array_append_new(context,
+                                json_pack("{s:o, s:o, s:o}", "name", json_text(name), "reason",
+                                          json_text(reason), "action", json_text(action)));
+}
+
 static const char *base_name(const char *path)
 {
     const char *slash = strrchr(path, '/');
@@ -45,12 +66,13 @@ static char *job_for_file(const struct gsn_work_request *request, const char *fi
 }
 
 static void print_import(const struct gsn_work_request *request, const char *specimen,
-                         const struct gsn_import_counts *counts)
+                         const struct gsn_import_counts *counts, json_t *left_out)
 {
     if (request->json) {
-        json_t *root = json_pack("{s:s, s:i, s:i, s:i, s:i}", "specimen", specimen, "panels_taken",
-                                 counts->taken, "panels_again", counts->again, "panels_unnumbered",
-                                 counts->held, "files", counts->attached);
+        json_t *root =
+            json_pack("{s:s, s:i, s:i, s:i, s:i, s:O}", "specimen", specimen, "panels_taken",
+                      counts->taken, "panels_again", counts->again, "panels_unnumbered",
+                      counts->held, "files", counts->attached, "left_out", left_out);
 
         (void)json_dumpf(root, stdout, JSON_INDENT(2));
         (void)putchar('\n');
@@ -65,6 +87,8 @@ static void print_import(const struct gsn_work_request *request, const char *spe
     if (counts->attached)
         (void)printf(" %u file%s that the job names,", counts->attached,
                      counts->attached == 1 ? "" : "s");
+    if (counts->left_out)
+        (void)printf(" %u file%s left out,", counts->left_out, counts->left_out == 1 ? "" : "s");
     (void)printf(" `gieson run` works the queue\n");
 }
 
@@ -75,7 +99,12 @@ int gsn_work_import(const struct gsn_work_request *request)
     gsn_auto_mem(char) job = NULL;
     gsn_auto_mem(char) specimen = NULL;
     gsn_auto(gsn_store) store = NULL;
-    struct gsn_import import = { .notice = say_notice, .replace = request->replace };
+    __attribute__((cleanup(json_decrefp))) json_t *left_out = json_array();
+    struct gsn_import import = { .notice = say_notice,
+                                 .left_out = say_left_out,
+                                 .context = left_out,
+                                 .replace = request->replace,
+                                 .served = request->served };
     struct gsn_import_counts counts;
     struct gsn_error err = { 0 };
     int r;
@@ -102,6 +131,6 @@ int gsn_work_import(const struct gsn_work_request *request)
     r = gsn_import_folder(&import, &specimen, &counts, &err);
     if (r < 0)
         return gsn_work_complain(&err, r);
-    print_import(request, specimen, &counts);
-    return EX_OK;
+    print_import(request, specimen, &counts, left_out);
+    return counts.left_out ? EX_NOPERM : EX_OK;
 }

@@ -13,7 +13,7 @@
 struct gsn_work_request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, replace, by_tissue;
+    int rest_count, json, replace, served, by_tissue;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius;
     json_t *thresholds;

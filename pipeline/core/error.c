@@ -44,7 +44,8 @@ const char *gsn_code_name(int code)
 {
     static const char *const names[] = { "ok",  "nomem",    "input",   "unsupported", "limit",
                                          "io",  "notfound", "markers", "stain",       "mesh",
-                                         "fit", "store",    "busy",    "process",     "withheld" };
+                                         "fit", "store",    "busy",    "process",     "withheld",
+                                         "denied" };
 
     if (code > 0 || code <= -(int)(sizeof names / sizeof names[0]))
         return "unknown";
@@ -59,6 +60,7 @@ int gsn_code_exit(int code)
     case GSN_E_NOMEM:
         return EX_OSERR;
     case GSN_E_IO:
+    case GSN_E_DENIED:
     case GSN_E_STORE:
         return EX_IOERR;
     case GSN_E_NOTFOUND:

@@ -28,6 +28,7 @@ enum gsn_code {
     GSN_E_BUSY = -12,       /* somebody else holds it; try again later */
     GSN_E_PROCESS = -13,    /* a child process died, timed out or could not be started */
     GSN_E_WITHHELD = -14,   /* a figure exists but its evidence is too thin to print it */
+    GSN_E_DENIED = -15,     /* the file system forbids it to this user */
 };
 
 struct gsn_error {

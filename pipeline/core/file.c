@@ -3,6 +3,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -60,6 +61,87 @@ int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err)
         return gsn_fail(err, errno == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", path,
                         strerror(errno));
     *ret_fd = fd;
+    return GSN_OK;
+}
+
+/* Whom this user is kept out by, so that somebody can let him in. */
+static int tell_denied(int dir, const char *part, const char *name, struct gsn_error *err)
+{
+    struct stat st;
+
+    if (fstatat(dir, part, &st, AT_SYMLINK_NOFOLLOW) < 0)
+        return gsn_fail(err, GSN_E_DENIED, "%s may not be read", name);
+    return gsn_fail(err, GSN_E_DENIED,
+                    "%s may not be read: it is of user %lld with mode %04o, and this is user %lld",
+                    name, (long long)st.st_uid, (unsigned)st.st_mode & 07777,
+                    (long long)geteuid());
+}
+
+static int tell_closed(int dir, const char *part, const char *name, int why, struct gsn_error *err)
+{
+    struct stat st;
+
+    if (fstatat(dir, part, &st, AT_SYMLINK_NOFOLLOW) == 0 && S_ISLNK(st.st_mode))
+        return gsn_fail(err, GSN_E_INPUT,
+                        "%s is a link, and links in a scan folder are not followed: they could "
+                        "lead to any file",
+                        name);
+    if (why == EACCES || why == EPERM)
+        return tell_denied(dir, part, name, err);
+    return gsn_fail(err, why == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", name, strerror(why));
+}
+
+/* One part of a path after the other, so that a link is noticed wherever it stands. O_NONBLOCK: a
+ * pipe must not stop us. */
+static int open_part(int dir, const char *part, bool last, const char *name, int *ret_fd,
+                     struct gsn_error *err)
+{
+    const int flags = last ? O_RDONLY | O_NONBLOCK | O_NOCTTY : O_PATH | O_DIRECTORY;
+    int fd;
+
+    if (!part[0] || strcmp(part, ".") == 0 || strcmp(part, "..") == 0)
+        return gsn_fail(err, GSN_E_INPUT, "%s leads out of its folder", name);
+    fd = openat(dir, part, flags | O_NOFOLLOW | O_CLOEXEC); /* door */
+    if (fd < 0)
+        return tell_closed(dir, part, name, errno, err);
+    *ret_fd = fd;
+    return GSN_OK;
+}
+
+int gsn_file_open_in(const char *folder, const char *name, int *ret_fd, struct gsn_error *err)
+{
+    gsn_auto_mem(char) copy = gsn_strdup(name);
+    gsn_auto_fd at = -1;
+    struct stat st;
+    int r = GSN_OK;
+
+    if (!copy)
+        return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", name);
+    at = open(folder, O_PATH | O_CLOEXEC | O_DIRECTORY); /* door */
+    if (at < 0)
+        return gsn_fail(err, errno == ENOENT ? GSN_E_NOTFOUND : GSN_E_IO, "%s: %s", folder,
+                        strerror(errno));
+    for (char *part = copy; r >= 0 && part;) {
+        char *const slash = strchr(part, '/');
+        int fd = -1;
+
+        if (slash)
+            *slash = '\0';
+        r = open_part(at, part, !slash, name, &fd, err);
+        if (r >= 0) {
+            gsn_fd_close(&at);
+            at = fd;
+        }
+        part = slash ? slash + 1 : NULL;
+    }
+    if (r < 0)
+        return r;
+    if (fstat(at, &st) < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", name, strerror(errno));
+    if (!S_ISREG(st.st_mode))
+        return gsn_fail(err, GSN_E_INPUT, "%s is no regular file", name);
+    *ret_fd = at;
+    at = -1;
     return GSN_OK;
 }
 

@@ -20,7 +20,7 @@ static const char whole[] = "\xff\xd8\xff\xd9";
 static const char half[] = "\xff\xd8\xff\xda\x00\x03s...";
 static const char png[] = "\x89PNG\r\n\x1a\n\0\0\0\0IEND\xae\x42\x60\x82";
 
-enum { SETTLE = 1000, PATIENCE = 60000, MOST_TOLD = 4096 };
+enum { SETTLE = 1000, PATIENCE = 60000, MOST_TOLD = 4096, NOBODY = 65534 };
 
 static const struct gsn_source_options options = { .settle_ms = SETTLE, .patience_ms = PATIENCE };
 
@@ -58,7 +58,7 @@ static struct gsn_source_events *poll(struct gsn_source *source, int64_t now)
 /* What a poll tells, as text: "READY a.jpg; WAITING b.jpg; ". */
 static const char *told(struct gsn_source *source, int64_t now)
 {
-    static const char *const words[] = { "READY", "WAITING", "GONE", "NOTICE" };
+    static const char *const words[] = { "READY", "WAITING", "GONE", "NOTICE", "BARRED" };
     static char text[2][MOST_TOLD];
     static unsigned turn;
     char *const to = text[turn++ % 2];
@@ -275,15 +275,106 @@ TEST(only_pictures_are_delivered_and_the_rest_is_named)
     CHECK(mkfifo(gsn_scratch_path(&scratch, "pipe.jpg"), 0644) == 0);
     CHECK(symlink("nowhere", gsn_scratch_path(&scratch, "link.jpg")) == 0);
     tells(source, 0,
-          "WAITING empty.png; NOTICE folder.jpg; NOTICE link.jpg; "
+          "WAITING empty.png; NOTICE folder.jpg; WAITING link.jpg; "
           "WAITING panel; NOTICE pipe.jpg; WAITING roi.mhd; WAITING text.TIF; ");
     write_file(&scratch, "folder.jpg/inside.jpg", whole, 4);
-    tells(source, SETTLE, "WAITING empty.png; READY panel; NOTICE roi.mhd; WAITING text.TIF; ");
-    tells(source, PATIENCE, "READY? empty.png; READY panel; READY? text.TIF; ");
+    tells(source, SETTLE,
+          "WAITING empty.png; BARRED link.jpg; READY panel; NOTICE roi.mhd; WAITING text.TIF; ");
+    tells(source, PATIENCE,
+          "BARRED .a.jpg.Xy12; READY? empty.png; BARRED link.jpg; READY panel; READY? text.TIF; ");
     CHECK(last_ended == 0);
     CHECK(take_all(source, PATIENCE) == 3);
-    tells(source, PATIENCE, "");
+    tells(source, PATIENCE, "BARRED .a.jpg.Xy12; BARRED link.jpg; ");
     CHECK(last_ended == 1);
+}
+
+/* What is barred, why, and what to do: "name reason | action". */
+static const char *barred(struct gsn_source *source, int64_t now)
+{
+    static char text[1200];
+    gsn_auto(gsn_source_events) events = poll(source, now);
+
+    text[0] = '\0';
+    for (size_t i = 0; i < events->count; i++)
+        if (events->at[i].what == GSN_SOURCE_BARRED)
+            (void)snprintf(text, sizeof text, "%s %s | %s", events->at[i].name,
+                           events->at[i].reason, events->at[i].action);
+    return text;
+}
+
+/* It used to wait without end, in silence, and kept the specimen it belongs to out. */
+TEST(a_file_that_may_not_be_read_is_told_with_what_to_do_until_it_may)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_source) source = open_source(&scratch, "hot");
+    const char *const path = gsn_scratch_path(&scratch, "P02.jpg");
+    const int is_root = geteuid() == 0;
+    const char *text;
+
+    write_file(&scratch, "P02.jpg", whole, 4);
+    CHECK(chmod(path, 0) == 0 && chmod(scratch.dir, 0755) == 0);
+    CHECK(!is_root || seteuid(NOBODY) == 0);
+    tells(source, 0, "WAITING P02.jpg; ");
+    text = barred(source, SETTLE);
+    CHECK(strstr(text, "P02.jpg may not be read: it is of user ") && strstr(text, "mode 0000"));
+    CHECK(strstr(text, "| let it be read: chmod a+r '") && strstr(text, "/P02.jpg'"));
+    tells(source, 2 * SETTLE, "BARRED P02.jpg; "); /* until it is changed */
+    CHECK(!is_root || seteuid(0) == 0);
+    CHECK(chmod(path, 0644) == 0);
+    CHECK(!is_root || seteuid(NOBODY) == 0);
+    tells(source, 3 * SETTLE, "WAITING P02.jpg; ");
+    tells(source, 4 * SETTLE, "READY P02.jpg; ");
+    CHECK(!is_root || seteuid(0) == 0);
+}
+
+TEST(a_link_is_barred_and_nobody_waits_for_it)
+{
+    scratch_auto outer = gsn_scratch_new();
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_source) source = open_source(&scratch, "replay");
+
+    write_file(&outer, "secret.jpg", whole, 4);
+    CHECK(symlink(gsn_scratch_path(&outer, "secret.jpg"), gsn_scratch_path(&scratch, "P01.jpg")) ==
+          0);
+    tells(source, 0, "WAITING P01.jpg; ");
+    CHECK(strcmp(barred(source, SETTLE),
+                 "P01.jpg is a link, and links in a scan folder are not followed: they could lead "
+                 "to any file | put the file itself in its place") == 0);
+    CHECK(last_ended == 1);
+}
+
+TEST(a_picture_that_keeps_a_hidden_name_is_told_and_other_hidden_files_are_not)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_source) source = open_source(&scratch, "hot");
+
+    write_file(&scratch, ".P03.jpg", whole, 4);
+    write_file(&scratch, "._P01.tif", "\0\5\26\7", 4); /* what a Mac leaves beside a file */
+    write_file(&scratch, ".DS_Store", "\0\0\0\1Bud1", 8);
+    CHECK(mkdir(gsn_scratch_path(&scratch, ".Trash"), 0755) == 0);
+    tells(source, 0, "");
+    tells(source, PATIENCE - 1, "");
+    CHECK(strcmp(barred(source, PATIENCE),
+                 ".P03.jpg is a picture whose name begins with a dot, as those of unfinished "
+                 "copies do | rename it without the dot when it is a panel, else remove it") == 0);
+    CHECK(rename(gsn_scratch_path(&scratch, ".P03.jpg"), gsn_scratch_path(&scratch, "P03.jpg")) ==
+          0);
+    tells(source, PATIENCE + 2, "GONE .P03.jpg; WAITING P03.jpg; ");
+}
+
+/* statfs(2) names the file systems; nfs(5) and mount.cifs(8) for how old a size may be there. */
+TEST(files_of_another_machine_keep_still_for_longer)
+{
+    static const long nfs = 0x6969, smb2 = (long)0xfe534d42, cifs = (long)0xff534d42, ext4 = 0xef53,
+                      tmpfs = 0x01021994;
+
+    CHECK(gsn_folder_settle_on(nfs, 1000) == 6000 && gsn_folder_settle_on(smb2, 150) == 6000);
+    CHECK(gsn_folder_settle_on(cifs, 1000) == 6000);
+    CHECK(gsn_folder_settle_on((int32_t)0xff534d42, 1000) == 6000); /* of a 32-bit machine */
+    CHECK(gsn_folder_settle_on(nfs, 9000) == 9000);
+    CHECK(gsn_folder_settle_on(ext4, 1000) == 1000 && gsn_folder_settle_on(tmpfs, 150) == 150);
+    CHECK(gsn_folder_settle_ms("/proc", 1000) == 1000);
+    CHECK(gsn_folder_settle_ms("/nowhere", 1000) == 1000);
 }
 
 TEST(a_replay_takes_what_is_there_once_and_ends)

@@ -123,7 +123,7 @@ TEST(a_place_longer_than_the_room_is_cut_too)
 
 TEST(every_code_has_a_word_of_its_own)
 {
-    for (int code = GSN_OK; code >= GSN_E_WITHHELD; code--) {
+    for (int code = GSN_OK; code >= GSN_E_DENIED; code--) {
         CHECK(strcmp(gsn_code_name(code), "unknown") != 0);
         for (int other = GSN_OK; other > code; other--)
             CHECK(strcmp(gsn_code_name(code), gsn_code_name(other)) != 0);
@@ -139,7 +139,7 @@ TEST(what_is_no_code_has_no_name)
 {
     assert_string_equal(gsn_code_name(1), "unknown");
     assert_string_equal(gsn_code_name(INT_MAX), "unknown");
-    assert_string_equal(gsn_code_name(GSN_E_WITHHELD - 1), "unknown");
+    assert_string_equal(gsn_code_name(GSN_E_DENIED - 1), "unknown");
     assert_string_equal(gsn_code_name(INT_MIN), "unknown");
 }
 
@@ -152,6 +152,7 @@ TEST(programs_end_with_the_status_of_sysexits)
     CHECK(gsn_code_exit(GSN_E_MARKERS) == EX_DATAERR);
     CHECK(gsn_code_exit(GSN_E_STAIN) == EX_DATAERR);
     CHECK(gsn_code_exit(GSN_E_WITHHELD) == EX_DATAERR);
+    CHECK(gsn_code_exit(GSN_E_DENIED) == EX_IOERR && EX_IOERR == 74);
     CHECK(gsn_code_exit(GSN_E_NOTFOUND) == EX_NOINPUT && EX_NOINPUT == 66);
     CHECK(gsn_code_exit(GSN_E_PROCESS) == EX_UNAVAILABLE && EX_UNAVAILABLE == 69);
     CHECK(gsn_code_exit(GSN_E_MESH) == EX_UNAVAILABLE);
@@ -164,6 +165,6 @@ TEST(programs_end_with_the_status_of_sysexits)
 
 TEST(no_failure_ends_a_program_as_if_all_were_well)
 {
-    for (int code = -1; code >= 2 * GSN_E_WITHHELD; code--)
+    for (int code = -1; code >= 2 * GSN_E_DENIED; code--)
         CHECK(gsn_code_exit(code) != 0);
 }

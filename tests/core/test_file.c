@@ -431,3 +431,77 @@ TEST(no_descriptor_is_left_open)
     CHECK(gsn_file_read(in(&folder, "a/b/c", path), 1, &bytes, &size, &err) == GSN_E_LIMIT);
     CHECK(entries("/proc/self/fd") == before);
 }
+
+/* ---- one way into a folder that others write to ------------------------------------------- */
+
+static int open_in(const struct folder *folder, const char *name, struct gsn_error *err)
+{
+    gsn_auto_fd fd = -1;
+    char byte;
+    const int r = gsn_file_open_in(folder->path, name, &fd, err);
+
+    CHECK(r < 0 || (fd >= 0 && read(fd, &byte, 1) == 1));
+    return r;
+}
+
+TEST(a_file_of_a_folder_is_opened_wherever_it_lies_in_it)
+{
+    IN_A_FOLDER(folder);
+    char path[ROOM];
+    struct gsn_error err = { 0 };
+
+    put(in(&folder, "a", path), "x");
+    CHECK_OK(gsn_file_mkdir(in(&folder, "deep/er", path), &err), err);
+    put(in(&folder, "deep/er/b", path), "x");
+    CHECK_OK(open_in(&folder, "a", &err), err);
+    CHECK_OK(open_in(&folder, "deep/er/b", &err), err);
+    CHECK(open_in(&folder, "none", &err) == GSN_E_NOTFOUND && strstr(err.text, "none: No such"));
+    CHECK(open_in(&folder, "none/b", &err) == GSN_E_NOTFOUND);
+    CHECK_EVERY_OOM(open_in(&folder, "deep/er/b", &err), err);
+}
+
+/* A mask that was a link to a secret file came out as an object for everybody. */
+TEST(nothing_leads_out_of_a_folder)
+{
+    static const char *const out[] = { "../secret",   "in/../../secret", "/etc/passwd", "in/link",
+                                       "away/secret", "in//b",           ".",           "",
+                                       "..",          "dangling",        "within" };
+    IN_A_FOLDER(outer);
+    struct folder folder = { "" };
+    struct gsn_error err = { 0 };
+    char path[ROOM];
+
+    put(in(&outer, "secret", path), "the key");
+    CHECK_OK(gsn_file_mkdir(in(&outer, "f/in", path), &err), err);
+    (void)snprintf(folder.path, sizeof folder.path, "%.40s/f", outer.path);
+    put(in(&folder, "in/b", path), "x");
+    CHECK(symlink("../../secret", in(&folder, "in/link", path)) == 0);
+    CHECK(symlink("..", in(&folder, "away", path)) == 0);
+    CHECK(symlink("nowhere", in(&folder, "dangling", path)) == 0);
+    CHECK(symlink("in/b", in(&folder, "within", path)) == 0);
+    for (size_t i = 0; i < sizeof out / sizeof out[0]; i++)
+        if (open_in(&folder, out[i], &err) != GSN_E_INPUT)
+            fail_msg("\"%s\" is not refused: %s", out[i], err.text);
+    CHECK(open_in(&folder, "in/link", &err) == GSN_E_INPUT && strstr(err.text, "is a link"));
+    CHECK(open_in(&folder, "in", &err) == GSN_E_INPUT && strstr(err.text, "no regular file"));
+    CHECK(mkfifo(in(&folder, "pipe", path), 0644) == 0);
+    CHECK(open_in(&folder, "pipe", &err) == GSN_E_INPUT);
+}
+
+TEST(who_may_not_read_a_file_is_told_whose_it_is)
+{
+    IN_A_FOLDER(folder);
+    const int is_root = geteuid() == 0;
+    struct gsn_error err = { 0 };
+    char path[ROOM];
+    int r;
+
+    put(in(&folder, "P02.png", path), "x");
+    CHECK(chmod(path, 0) == 0 && chmod(folder.path, 0755) == 0);
+    CHECK(!is_root || seteuid(NOBODY) == 0);
+    r = open_in(&folder, "P02.png", &err);
+    CHECK(!is_root || seteuid(0) == 0);
+    CHECK(r == GSN_E_DENIED);
+    CHECK(strstr(err.text, "P02.png may not be read: it is of user "));
+    CHECK(strstr(err.text, "with mode 0000"));
+}

@@ -232,6 +232,129 @@ def specimen(bench):
     demand(bench.ask("SELECT count(*) FROM specimen") == [(2,)], "both are specimens")
 
 
+def as_nobody(bench):
+    """Permissions do not bind root: from here on this is somebody whom they do."""
+    nobody = 65534
+    if os.geteuid() == 0:
+        for path in (bench.folder, bench.hot):
+            os.chown(path, nobody, nobody)
+        os.setgroups([])
+        os.setgid(nobody)
+        os.setuid(nobody)
+
+
+def read_status(bench):
+    told = subprocess.run([bench.programs / "gieson", "--store", bench.store, "status", "--json"],
+                          env=bench.environment, check=True, capture_output=True)
+    return {row["name"]: row for row in json.loads(told.stdout)["troubles"]}
+
+
+@scenario
+def barred(bench):
+    """What cannot be taken in is a row with what to do, and stands in nothing's way. Each is over
+    when a person has done it."""
+    as_nobody(bench)
+    bench.configure(patience=2)
+    bench.start("--only", "intake")
+    bench.wait_ready()
+    secret = bench.folder / "secret"
+    secret.write_bytes(picture(1))
+    expected = {  # name: (words of the reason, words of the action)
+        "denied.png": ("may not be read", "chmod a+r"),
+        "link.png": ("is a link", "put the file itself"),
+        ".hidden.png": ("begins with a dot", "rename it"),
+        "huge.png": ("no file may have more than 1073741824 (1 GiB)", "take it out"),
+        "nojob": ("no job.json", "write '"),
+        "deniedjob": ("may not be read", "chmod -R a+rX"),
+        "closed": ("may not be looked into", "chmod -R a+rX"),
+        "S02/P2.png": ("may not be read", "chmod a+r"),
+    }
+    bench.deliver("denied.png", picture(2))
+    (bench.hot / "denied.png").chmod(0)
+    (bench.hot / "link.png").symlink_to(secret)
+    (bench.hot / ".hidden.png").write_bytes(picture(3))
+    with open(bench.hot / "huge.png", "wb") as file:
+        file.truncate((1 << 30) + 1)
+    for name in ("nojob", "deniedjob", "closed", "S02"):
+        (bench.hot / name).mkdir()
+        (bench.hot / name / "P1.png").write_bytes(picture(len(name)))
+    (bench.hot / "closed").chmod(0)
+    for name in ("deniedjob", "S02"):
+        (bench.hot / name / "job.json").write_text(json.dumps({"specimen": name}))
+    (bench.hot / "deniedjob" / "job.json").chmod(0)
+    (bench.hot / "S02" / "P2.png").write_bytes(picture(20))
+    (bench.hot / "S02" / "P2.png").chmod(0)
+    bench.wait("all rows", lambda: {r[0] for r in bench.ask("SELECT name FROM trouble")} ==
+               set(expected))
+    rows = read_status(bench)
+    for name, (reason, action) in expected.items():
+        demand(reason in rows[name]["reason"], f"{name}: {rows[name]['reason']}")
+        demand(action in rows[name]["action"], f"{name}: {rows[name]['action']}")
+    said = subprocess.run([bench.programs / "gieson", "--store", bench.store, "status"],
+                          env=bench.environment, check=True, capture_output=True, text=True).stdout
+    for name, (_, action) in expected.items():
+        demand(f"trouble {name} from flatbed" in said and action in said, f"{name} in\n{said}")
+    bench.wait("the panel that can be had", lambda: bench.ask("SELECT file_name FROM panel") ==
+               [("P1.png",)])
+    bench.deliver("later.png", picture(4))
+    bench.wait_scan("later.png")
+    (bench.hot / "denied.png").chmod(0o644)
+    (bench.hot / "link.png").unlink()
+    (bench.hot / ".hidden.png").rename(bench.hot / "shown.png")
+    (bench.hot / "huge.png").unlink()
+    (bench.hot / "nojob" / "job.json").write_text(json.dumps({"specimen": "nojob"}))
+    (bench.hot / "deniedjob" / "job.json").chmod(0o644)
+    (bench.hot / "closed").chmod(0o755)
+    shutil.rmtree(bench.hot / "closed")
+    (bench.hot / "S02" / "P2.png").chmod(0o644)
+    bench.wait("no row", lambda: bench.ask("SELECT name FROM trouble") == [])
+    bench.wait("all panels", lambda: bench.ask("SELECT count(*) FROM panel") == [(4,)])
+    bench.check_whole({"denied.png": picture(2), "shown.png": picture(3), "later.png": picture(4)})
+
+
+@scenario
+def import_leaves_out(bench):
+    """`gieson import` of a folder with a panel that may not be read, or a link, says so, takes the
+    rest and does not end as if all were well; the next one that finds it mended ends the rows."""
+    as_nobody(bench)
+    folder = bench.folder / "jq"
+    folder.mkdir()
+    (folder / "job.json").write_text(json.dumps({"specimen": "Q", "px_um": 16, "panels": 3}))
+    for number in range(1, 4):
+        (folder / f"Q-P0{number}.png").write_bytes(picture(number))
+    (folder / "Q-P02.png").chmod(0)
+    (folder / "Q-P04.png").symlink_to("nowhere")
+
+    def take():
+        return subprocess.run([bench.programs / "gieson", "--store", bench.store, "import", folder,
+                               "--json"], env=bench.environment, capture_output=True, text=True)
+    took = take()
+    demand(took.returncode == 77, f"{took.returncode}: {took.stderr}")
+    demand("Q-P02.png: not taken: it may not be read" in took.stderr and
+           f"chmod a+r '{folder}/Q-P02.png'" in took.stderr, took.stderr)
+    demand("Q-P04.png: not taken: it is a link" in took.stderr, took.stderr)
+    told = json.loads(took.stdout)
+    demand(told["panels_taken"] == 2 and [row["name"] for row in told["left_out"]] ==
+           ["Q-P02.png", "Q-P04.png"], took.stdout)
+    rows = read_status(bench)
+    demand(set(rows) == {f"{folder}/Q-P02.png", f"{folder}/Q-P04.png"}, rows)
+    (folder / "Q-P02.png").chmod(0o644)
+    (folder / "Q-P04.png").unlink()
+    took = take()
+    demand(took.returncode == 0 and json.loads(took.stdout)["left_out"] == [], took.stderr)
+    demand(read_status(bench) == {}, "the rows are over")
+    # A mask that is a link would be read, and kept for everybody to read.
+    secret = bench.folder / "secret"
+    secret.write_text("the key")
+    (folder / "roi.mhd").symlink_to(secret)
+    (folder / "job.json").write_text(json.dumps({"specimen": "R", "region": "roi.mhd"}))
+    took = take()
+    demand(took.returncode == 65 and 'names "roi.mhd": roi.mhd is a link' in took.stderr,
+           took.stderr)
+    digest = hashlib.sha256(b"the key").hexdigest()
+    demand(not (bench.store / "objects" / digest[:2] / digest[2:]).exists(), "it is not kept")
+
+
 @scenario
 def import_hangs(bench):
     """A folder whose import hangs is a trouble with a sentence, and the next picture comes in."""

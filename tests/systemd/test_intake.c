@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
@@ -244,6 +245,35 @@ TEST(a_disk_below_its_reserve_takes_nothing_and_everything_later)
     gsn_spool_free(stage.spool);
     CHECK_OK(gsn_spool_open(stage.scratch.dir, 0, &stage.spool, &err), err);
     stage.intake.spool = stage.spool;
+    is_taken(&stage);
+}
+
+/* One file that did not fit used to stop everything behind it. */
+TEST(a_file_that_does_not_fit_is_its_own_fault_and_the_next_goes_on)
+{
+    auto_stage stage;
+    enum gsn_intake_fault fault = GSN_FAULT_NONE;
+    struct gsn_error err = { 0 };
+    struct statvfs fs;
+
+    stage_begin(&stage, 0);
+    CHECK(statvfs(stage.scratch.dir, &fs) == 0);
+    gsn_spool_free(stage.spool);
+    CHECK_OK(gsn_spool_open(stage.scratch.dir,
+                            (uint64_t)fs.f_bavail * fs.f_frsize - ((uint64_t)512 << 20),
+                            &stage.spool, &err),
+             err);
+    stage.intake.spool = stage.spool;
+    write_picture(&stage, "a.jpg", picture, SIZE);
+    CHECK(truncate(gsn_scratch_path(&stage.scratch, "hot/a.jpg"), 1 << 30) == 0);
+    CHECK(take(&stage, &fault, &err) == GSN_E_LIMIT && fault == GSN_FAULT_SIZE);
+    CHECK(strstr(err.text, "below its reserve"));
+    CHECK(truncate(gsn_scratch_path(&stage.scratch, "hot/a.jpg"), (1 << 30) + 1) == 0);
+    CHECK(take(&stage, &fault, &err) == GSN_E_LIMIT && fault == GSN_FAULT_SIZE);
+    CHECK(strcmp(err.text, "a.jpg has 1073741825 bytes, and no file may have more than 1073741824 "
+                           "(1 GiB)") == 0);
+    CHECK(unlink(gsn_scratch_path(&stage.scratch, "hot/a.jpg")) == 0);
+    write_picture(&stage, "b.jpg", picture, SIZE);
     is_taken(&stage);
 }
 

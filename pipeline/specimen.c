@@ -5,6 +5,7 @@
 #include "pipeline/assembly.h"
 #include "pipeline/band.h"
 #include "pipeline/decode/apart.h"
+#include "pipeline/model/model_file.h"
 #include "pipeline/summary.h"
 #include "pipeline/tile.h"
 
@@ -44,6 +45,72 @@ static int keep_poses(const struct gsn_assembly *a, struct gsn_specimen_result *
         if (a->panel[i].opened)
             result->stain[result->stain_count++] = a->panel[i].stain;
     return GSN_OK;
+}
+
+/* Makes room for one more file; the caller fills in its bytes. */
+static struct gsn_specimen_file *add_file(struct gsn_specimen_result *result, const char *name)
+{
+    result->file[result->file_count].name = name;
+    return &result->file[result->file_count++];
+}
+
+static int keep_colour(const struct gsn_assembly *a, struct gsn_specimen_result *result,
+                       struct gsn_error *err)
+{
+    struct gsn_specimen_file *file = add_file(result, "colour.nrrd");
+
+    return gsn_colour_grid_nrrd(a->colour, &file->bytes, &file->size, err);
+}
+
+/* What the model's file says of each tetrahedron: the account's units, one array a figure. */
+static int list_cells(const struct gsn_account *account, size_t tets, double **ret_density,
+                      double **ret_share, struct gsn_error *err)
+{
+    gsn_auto_mem(double) density = gsn_alloc_array(tets, sizeof *density);
+    gsn_auto_mem(double) share = gsn_alloc_array(tets, sizeof *share);
+
+    if (!density || !share)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a model of %zu tetrahedra", tets);
+    for (size_t t = 0; t < tets; t++) {
+        density[t] = account->units[t].mean;
+        share[t] = account->units[t].inside_share;
+    }
+    *ret_density = gsn_steal(&density);
+    *ret_share = gsn_steal(&share);
+    return GSN_OK;
+}
+
+/* The fitted spline as a file; nothing where there is no fit. */
+static int keep_model(const struct gsn_account *account, const struct gsn_specimen *specimen,
+                      struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    gsn_auto_mem(double) density = NULL;
+    gsn_auto_mem(double) share = NULL;
+    gsn_auto_mem(char) parameters = NULL;
+    struct gsn_specimen_file *file;
+    int r;
+
+    if (!account)
+        return GSN_OK;
+    r = list_cells(account, gsn_dms_mesh(account->space)->tet_count, &density, &share, err);
+    if (r < 0)
+        return r;
+    parameters =
+        gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "
+                   "\"rms_residual\": %.9g}",
+                   specimen->key, account->tolerance, account->smoothing, account->fit.fit.rms);
+    if (!parameters)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the model's parameters");
+    file = add_file(result, "model.vtkhdf");
+    return gsn_model_file_write(account->spline,
+                                &(struct gsn_model_cells){ .density = density,
+                                                           .inside_share = share,
+                                                           .residual = account->fit.tet_rms,
+                                                           .samples = account->fit.tet_samples },
+                                &(struct gsn_model_notes){ .name = specimen->protocol->specimen,
+                                                           .parameters = parameters,
+                                                           .version = GSN_VERSION },
+                                &file->bytes, &file->size, err);
 }
 
 static struct gsn_account_options account_options(const struct gsn_specimen_options *options,
@@ -165,9 +232,9 @@ static int work_sections(const struct gsn_specimen *specimen,
         return r;
     if (assembly && (r = keep_poses(assembly, result, err)) < 0)
         return r;
-    if (assembly && assembly->grid &&
-        (r = gsn_colour_grid_nrrd(assembly->colour, &result->colour, &result->colour_size, err)) <
-            0)
+    if (assembly && assembly->grid && (r = keep_colour(assembly, result, err)) < 0)
+        return r;
+    if ((r = keep_model(account, specimen, result, err)) < 0)
         return r;
     evidence.assembly = assembly;
     evidence.account = account;
@@ -212,6 +279,8 @@ static int work_volume(const struct gsn_specimen *specimen,
         r = try_account(specimen->volume, NULL, NULL, made ? made : specimen->region, specimen,
                         options, &account, &why, err);
     if (r < 0 && !is_about_evidence(r))
+        return r;
+    if ((r = keep_model(account, specimen, result, err)) < 0)
         return r;
     evidence.account = account;
     evidence.withheld = account ? NULL : why.text;
@@ -268,7 +337,8 @@ void gsn_specimen_result_free(struct gsn_specimen_result *result)
         return;
     gsn_free(result->json);
     gsn_free(result->html);
-    gsn_free(result->colour);
+    for (size_t i = 0; i < result->file_count; i++)
+        gsn_free(result->file[i].bytes);
     gsn_free(result->pose);
     gsn_free(result->candidates);
     gsn_free(result->stain);

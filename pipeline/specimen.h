@@ -130,15 +130,23 @@ struct gsn_specimen_measure {
     double value, lower, upper; /* NaN where there is none */
 };
 
-enum { GSN_SPECIMEN_MEASURES = 32 };
+/* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections), and
+ * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit). */
+struct gsn_specimen_file {
+    const char *name;
+    uint8_t *bytes; /* owned */
+    size_t size;
+};
+
+enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 2 };
 
 struct gsn_specimen_result {
     int withheld;      /* 1: no figure could be given, the report says why */
     char message[480]; /* why withheld, or empty */
     char *json, *html; /* owned */
     size_t json_size, html_size;
-    uint8_t *colour; /* owned; the true-colour volume as a file (NRRD); NULL without sections */
-    size_t colour_size;
+    size_t file_count;
+    struct gsn_specimen_file file[GSN_SPECIMEN_FILES];
     char definition[96], dyes[48];
     size_t pose_count;
     struct gsn_specimen_pose *pose; /* owned */

@@ -145,23 +145,21 @@ static int write_report(const struct gsn_evidence *e, struct gsn_draft *d,
     return GSN_OK;
 }
 
-/* Volumes that are kept as files beside the report. */
+/* What is kept as a file beside the report. */
 static int fill_outputs(const struct gsn_specimen_result *result, struct gsn_draft *d,
                         struct gsn_error *err)
 {
-    int r;
+    int r = GSN_OK;
 
-    if (!result->colour)
-        return GSN_OK;
-    r = gsn_sha256(result->colour, result->colour_size, &d->colour, err);
-    if (r < 0)
-        return r;
-    d->output = (struct gsn_report_input){ .name = "colour.nrrd",
-                                           .sha256 = d->colour.hex,
-                                           .size = result->colour_size };
-    d->report.outputs = &d->output;
-    d->report.output_count = 1;
-    return GSN_OK;
+    for (size_t i = 0; r >= 0 && i < result->file_count; i++) {
+        r = gsn_sha256(result->file[i].bytes, result->file[i].size, &d->output_is[i], err);
+        d->output[i] = (struct gsn_report_input){ .name = result->file[i].name,
+                                                  .sha256 = d->output_is[i].hex,
+                                                  .size = result->file[i].size };
+    }
+    d->report.outputs = d->output;
+    d->report.output_count = result->file_count;
+    return r;
 }
 
 int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *result,

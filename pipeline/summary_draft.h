@@ -37,8 +37,8 @@ struct gsn_draft {
     struct gsn_report_volume volume[GSN_ACCOUNT_THRESHOLDS];
     struct gsn_report_picture picture[GSN_ACCOUNT_PICTURES];
     struct gsn_report_value measure[GSN_DRAFT_ROWS], parameter[GSN_DRAFT_ROWS];
-    struct gsn_report_input *input, output;
-    struct gsn_digest colour;
+    struct gsn_report_input *input, output[GSN_SPECIMEN_FILES];
+    struct gsn_digest output_is[GSN_SPECIMEN_FILES];
     struct gsn_report_registration registration;
     struct gsn_report_fit fit;
     struct gsn_report_units units;

@@ -17,7 +17,7 @@
 
 /* Where a report lies: reports/SPECIMEN/KEY, so that the same work makes the same files. */
 struct place {
-    char *html, *json, *colour; /* paths */
+    char *html, *json; /* paths */
     struct gsn_digest html_is, json_is;
 };
 
@@ -25,7 +25,21 @@ static void place_done(struct place *place)
 {
     gsn_free(place->html);
     gsn_free(place->json);
-    gsn_free(place->colour);
+}
+
+/* What is kept beside the report. */
+static int write_beside(const char *folder, const struct gsn_specimen_result *result,
+                        struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && i < result->file_count; i++) {
+        gsn_auto_mem(char) path = gsn_format("%s/%s", folder, result->file[i].name);
+
+        r = path ? gsn_file_write(path, result->file[i].bytes, result->file[i].size, err)
+                 : gsn_fail(err, GSN_E_NOMEM, "out of memory for the report's place");
+    }
+    return r;
 }
 
 static int write_files(struct gsn_store *store, const char *specimen, const char *key,
@@ -41,8 +55,7 @@ static int write_files(struct gsn_store *store, const char *specimen, const char
     of_run = gsn_format("%s/%.16s", folder, key);
     place->html = gsn_format("%s/%.16s/report.html", folder, key);
     place->json = gsn_format("%s/%.16s/report.json", folder, key);
-    place->colour = gsn_format("%s/%.16s/colour.nrrd", folder, key);
-    if (!of_run || !place->html || !place->json || !place->colour)
+    if (!of_run || !place->html || !place->json)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the report's place");
     r = gsn_file_mkdir(of_run, err);
     if (r >= 0)
@@ -50,8 +63,7 @@ static int write_files(struct gsn_store *store, const char *specimen, const char
     if (r >= 0)
         r = gsn_file_write(place->json, result->json, result->json_size, err);
     if (r >= 0)
-        r = result->colour ? gsn_file_write(place->colour, result->colour, result->colour_size, err)
-                           : GSN_OK;
+        r = write_beside(of_run, result, err);
     if (r >= 0)
         r = gsn_sha256(result->html, result->html_size, &place->html_is, err);
     if (r >= 0)

@@ -186,6 +186,11 @@ unsigned gsn_dms_degree(const struct gsn_dms *space)
     return space->degree;
 }
 
+enum gsn_dms_sharing gsn_dms_sharing(const struct gsn_dms *space)
+{
+    return space->sharing;
+}
+
 size_t gsn_dms_functions(const struct gsn_dms *space)
 {
     return space->sets->functions;

@@ -69,6 +69,7 @@ size_t gsn_dms_bytes(const struct gsn_dms *space);
 const struct gsn_tets *gsn_dms_mesh(const struct gsn_dms *space);
 const double (*gsn_dms_knots(const struct gsn_dms *space))[3];
 unsigned gsn_dms_degree(const struct gsn_dms *space);
+enum gsn_dms_sharing gsn_dms_sharing(const struct gsn_dms *space);
 /* binomial(n + 3, 3). */
 size_t gsn_dms_functions(const struct gsn_dms *space);
 /* The number of control points, i.e. of unknowns. */

@@ -39,6 +39,7 @@ FOREIGN = {
     r"dmtx\.h": r"^pipeline/decode/codes_dmtx\.c$",
     r"zbar\.h": r"^pipeline/decode/codes_zbar\.c$",
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
+    r"hdf5\.h": r"^pipeline/model/model_file\.c$",
     r"(tiffio|jpeglib|png|zlib|openslide/.*|lcms2)\.h": r"^pipeline/decode/",
     r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",
     r"libusb\.h": r"^acquire/usb_(find|transport)\.c$",

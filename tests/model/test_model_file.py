@@ -1,8 +1,8 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: AGPL-3.0-or-later
-"""VTK reads the files test_vtu.c left in a folder and evaluates them as the spline itself does.
+"""VTK reads the files test_model_file.c left in a folder and evaluates them as the spline itself does.
 
-    test_vtu.py FOLDER      exit 77 (skipped) when python3-vtk9 is not installed
+    test_model_file.py FOLDER      exit 77 (skipped) when python3-vtk9 is not installed
 
 NAME.txt has lines "tet x y z s" by gsn_spline_eval(). Each point is asked of the cell alone
 (EvaluatePosition, then the cell's own interpolation) and of the whole grid (vtkProbeFilter), which
@@ -14,7 +14,7 @@ import sys
 try:
     import vtk
 except ImportError:
-    print("SKIPPED: python3-vtk9 is not installed, nobody checked the VTU export", file=sys.stderr)
+    print("SKIPPED: python3-vtk9 is not installed, nobody checked the model files", file=sys.stderr)
     sys.exit(77)
 
 TOLERANCE = 1e-12
@@ -27,7 +27,7 @@ NAMES = [f"{kind}_n{n}" for kind in ("collapsed_shared", "collapsed_own", "polyn
 
 
 def read(path):
-    reader = vtk.vtkXMLUnstructuredGridReader()
+    reader = vtk.vtkHDFReader()
     reader.SetFileName(str(path))
     reader.Update()
     return reader.GetOutput()
@@ -68,7 +68,7 @@ def at_grid(grid, points):
 
 
 def check(folder, name):
-    grid = read(folder / (name + ".vtu"))
+    grid = read(folder / (name + ".vtkhdf"))
     rows = [line.split() for line in (folder / (name + ".txt")).read_text().splitlines()]
     assert rows and grid.GetNumberOfCells() > 0, f"{name}: nothing to compare"
     for tet in range(grid.GetNumberOfCells()):

@@ -54,9 +54,10 @@ struct gsn_model {
 void gsn_model_free(struct gsn_model *model);
 GSN_DEFINE_AUTO(gsn_model);
 
-/* gives: the model, every number as it was written. borrows: bytes, which are this program's own
- * (HDF5 is no reader for hostile files). Fails with GSN_E_INPUT when they are no such file, are of
- * a newer format or do not match their checksum, and as gsn_dms_new() does. */
+/* gives: the model, every number as it was written. borrows: bytes, which the caller has held
+ * against the hash that the run keeps of them: HDF5 is no reader for hostile or damaged files.
+ * Fails with GSN_E_INPUT when they are no such file, are of a newer format or do not match their
+ * checksum, and as gsn_dms_new() does. */
 int gsn_model_file_read(const uint8_t *bytes, size_t size, struct gsn_model **ret_model,
                         struct gsn_error *err);
 

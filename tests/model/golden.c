@@ -25,6 +25,29 @@ static size_t count(const char *text, char what)
     return n;
 }
 
+/* The decimal as it stands: 25 digits are more than a double holds. */
+static _Float128 read_decimal(const char *word)
+{
+    _Float128 value = 0;
+    int negative = *word == '-', places = 0, exponent = 0;
+
+    for (word += negative; (*word >= '0' && *word <= '9') || *word == '.'; word++) {
+        if (*word == '.') {
+            places = 1;
+            continue;
+        }
+        value = 10 * value + (*word - '0');
+        exponent -= places;
+    }
+    if (*word == 'e' || *word == 'E')
+        exponent += (int)strtol(word + 1, NULL, 10);
+    for (; exponent < 0; exponent++)
+        value /= 10;
+    for (; exponent > 0; exponent--)
+        value *= 10;
+    return negative ? -value : value;
+}
+
 static void read_line(struct golden_table *table, size_t row, char *line)
 {
     char *rest = line;
@@ -35,6 +58,7 @@ static void read_line(struct golden_table *table, size_t row, char *line)
 
         assert_non_null(word);
         table->cell[row * table->columns + column] = strtod(word, &end);
+        table->fine[row * table->columns + column] = read_decimal(word);
         if (end != word && !*end)
             continue;
         table->cell[row * table->columns + column] = NAN;
@@ -60,7 +84,9 @@ struct golden_table golden_read(const struct golden_case *golden, const char *fi
     table.columns = count(header, ',') + 1;
     table.cell = gsn_alloc_array(table.rows * table.columns, sizeof *table.cell);
     table.kind = gsn_alloc_array(table.rows, sizeof *table.kind);
+    table.fine = gsn_alloc_array(table.rows * table.columns, sizeof *table.fine);
     assert_non_null(table.cell);
+    assert_non_null(table.fine);
     assert_non_null(table.kind);
     for (size_t row = 0; row < table.rows; row++)
         read_line(&table, row, strsep(&rest, "\n"));
@@ -71,6 +97,7 @@ struct golden_table golden_read(const struct golden_case *golden, const char *fi
 void golden_done(struct golden_table *table)
 {
     gsn_free(table->cell);
+    gsn_free(table->fine);
     gsn_free(table->kind);
 }
 
@@ -141,6 +168,108 @@ static void load(struct golden_case *golden)
     golden_done(&tets);
     golden_done(&control);
 }
+
+/* ---- beyond the mesh ---------------------------------------------------------------------- */
+
+/* How far beyond the mesh its enlargement reaches, of its size. */
+static const double enlarged = 16.0;
+
+/* Three tetrahedra over one boundary face; the diagonals run from lower to higher vertices, on both
+ * sides of an edge alike. */
+static size_t add_prism(const uint32_t *copy, const uint32_t face[3], uint32_t (*ret_tet)[4])
+{
+    const uint32_t low = face[0] < face[1] ? face[0] : face[1];
+    const uint32_t p = low < face[2] ? low : face[2];
+    const uint32_t high = face[0] > face[1] ? face[0] : face[1];
+    const uint32_t r = high > face[2] ? high : face[2];
+    const uint32_t q = face[0] + face[1] + face[2] - p - r;
+    const uint32_t tet[3][4] = { { p, q, r, copy[r] },
+                                 { p, q, copy[q], copy[r] },
+                                 { p, copy[p], copy[q], copy[r] } };
+
+    memcpy(ret_tet, tet, sizeof tet);
+    return 3;
+}
+
+/* ret_copy: of each vertex on the boundary, its copy far out; that of an inner one stays 0. */
+static struct gsn_tets *enlarge_mesh(const struct gsn_tets *mesh, uint32_t *ret_copy)
+{
+    const size_t n = mesh->vertex_count;
+    double(*vertex)[3] = gsn_alloc_array(2 * n, sizeof *vertex), middle[3] = { 0 };
+    uint32_t(*tet)[4] = gsn_alloc_array(13 * mesh->tet_count, sizeof *tet);
+    struct gsn_tets *larger = NULL;
+    struct gsn_error err = { 0 };
+    size_t count = mesh->tet_count, vertices = n;
+
+    assert_non_null(vertex);
+    assert_non_null(tet);
+    memcpy(tet, mesh->tet, count * sizeof *tet);
+    memcpy(vertex, mesh->vertex, n * sizeof *vertex);
+    for (size_t i = 0; i < n; i++)
+        for (int a = 0; a < 3; a++)
+            middle[a] += mesh->vertex[i][a] / (double)n;
+    for (size_t t = 0; t < mesh->tet_count; t++) {
+        for (int k = 0; k < 4; k++) {
+            const uint32_t face[3] = { mesh->tet[t][(k + 1) % 4], mesh->tet[t][(k + 2) % 4],
+                                       mesh->tet[t][(k + 3) % 4] };
+
+            for (int i = 0; mesh->neighbour[t][k] < 0 && i < 3; i++) {
+                if (ret_copy[face[i]])
+                    continue;
+                for (int a = 0; a < 3; a++)
+                    vertex[vertices][a] =
+                        middle[a] + enlarged * (mesh->vertex[face[i]][a] - middle[a]);
+                ret_copy[face[i]] = (uint32_t)vertices++;
+            }
+            if (mesh->neighbour[t][k] < 0)
+                count += add_prism(ret_copy, face, tet + count);
+        }
+    }
+    CHECK_OK(gsn_tets_new((const double(*)[3])vertex, vertices, (const uint32_t(*)[4])tet, count,
+                          &larger, &err),
+             err);
+    gsn_free(vertex);
+    gsn_free(tet);
+    return larger;
+}
+
+struct golden_larger golden_enlarge(const struct golden_case *golden)
+{
+    const size_t cloud = golden->degree + 1U, n = golden->mesh->vertex_count;
+    uint32_t *copy = gsn_alloc_array(n, sizeof *copy);
+    struct golden_larger larger = { .mesh = enlarge_mesh(golden->mesh, copy) };
+    const size_t knots = larger.mesh->vertex_count * cloud;
+    double(*knot)[3] = gsn_alloc_array(knots, sizeof *knot);
+    struct gsn_error err = { 0 };
+    double *control;
+
+    memcpy(knot, gsn_dms_knots(golden->space), n * cloud * sizeof *knot);
+    for (size_t i = n * cloud; i < knots; i++)
+        memcpy(knot[i], larger.mesh->vertex[i / cloud], sizeof *knot);
+    CHECK_OK(gsn_dms_new(larger.mesh, golden->degree, (const double(*)[3])knot, GSN_DMS_OWN,
+                         &larger.space, &err),
+             err);
+    control = gsn_alloc_array(gsn_dms_controls(larger.space), sizeof *control);
+    for (size_t t = 0; t < golden->mesh->tet_count; t++) {
+        for (size_t f = 0; f < gsn_dms_functions(larger.space); f++)
+            control[gsn_dms_control_ids(larger.space, t)[f]] =
+                golden->control[gsn_dms_control_ids(golden->space, t)[f]];
+    }
+    CHECK_OK(gsn_spline_new(larger.space, control, &larger.spline, &err), err);
+    gsn_free(control);
+    gsn_free(knot);
+    gsn_free(copy);
+    return larger;
+}
+
+void golden_larger_done(struct golden_larger *larger)
+{
+    gsn_spline_free(larger->spline);
+    gsn_dms_free(larger->space);
+    gsn_tets_free(larger->mesh);
+}
+
+/* ---- from folder to folder ------------------------------------------------------------------ */
 
 static int has(const char *folder, const char *file)
 {

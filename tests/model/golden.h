@@ -12,6 +12,7 @@
 struct golden_table {
     size_t rows, columns;
     double *cell;
+    _Float128 *fine; /* the same, all the digits of the file */
     char (*kind)[24];
 };
 
@@ -39,6 +40,19 @@ double golden_steepest(const struct golden_table *spline);
 
 /* gives: the spline of a case. */
 struct gsn_spline *golden_spline(const struct golden_case *golden);
+
+/* The same spline on a larger mesh: a copy of the boundary blown up from the middle, with clouds
+ * drawn together, prisms of three tetrahedra between the two, and control values 0. Own control
+ * points make that the formula's values beyond the mesh, where the product has no data. */
+struct golden_larger {
+    struct gsn_tets *mesh;
+    struct gsn_dms *space;
+    struct gsn_spline *spline;
+};
+
+/* gives. */
+struct golden_larger golden_enlarge(const struct golden_case *golden);
+void golden_larger_done(struct golden_larger *larger);
 
 /* The function of a space with this beta, given as numbers of a table. */
 size_t golden_function(const struct gsn_dms *space, const double beta[4]);

@@ -51,7 +51,7 @@ static const struct number_key NUMBER[] = {
 static const struct number_key BLOCK_NUMBER[] = {
     { "half_axes_um", 2, IN_BLOCK(ax), 500, 3000 },
     { "power", 1, IN_BLOCK(p), 1.5, 6 },
-    { "interval_um", 1, IN_BLOCK(interval), 4, 100 },
+    { "interval_um", 1, IN_BLOCK(interval), 4, 500 },
     { "root_um", 2, IN_BLOCK(a), 100, 1500 },
     { "root_length_um", 1, IN_BLOCK(root_length), 200, 5000 },
     { "apex_um", 1, IN_BLOCK(apex_z), -2000, 2000 },
@@ -60,6 +60,7 @@ static const struct number_key BLOCK_NUMBER[] = {
     { "ligament_um", 1, IN_BLOCK(pdl_width), 50, 600 },
     { "bone_um", 1, IN_BLOCK(bone_width), 200, 2000 },
     { "bone_density", 1, IN_BLOCK(density[GSN_PHANTOM_BONE]), 0.3, 0.95 },
+    { "marrow_density", 1, IN_BLOCK(density[GSN_PHANTOM_MARR]), 0, 0.3 },
     { "lesion_um", 3, IN_BLOCK(lesion), -3000, 3000 },
     { "lesion_size_um", 3, IN_BLOCK(lesion_radius), 50, 2000 },
     { "region_um", 3, IN_BLOCK(region_depth), 50, 2000 },
@@ -295,8 +296,8 @@ static int read_block(json_t *root, const char *place, struct gsn_phantom_varian
         r = read_table(block, place, BLOCK_NUMBER, COUNT(BLOCK_NUMBER), g, err);
     if (r < 0)
         return r;
-    if (read_whole(block, "sections", 12, 60, &g->sections) < 0)
-        return bad(err, place, "sections", "a whole number, 12 to 60");
+    if (read_whole(block, "sections", 4, 60, &g->sections) < 0)
+        return bad(err, place, "sections", "a whole number, 4 to 60");
     if (read_whole(block, "marrow", 0, GSN_PHANTOM_MARROWS, &g->marrows) < 0)
         return bad(err, place, "marrow", "a whole number, 0 to 40");
     g->first_z = g->interval / 2;

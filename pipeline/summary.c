@@ -60,6 +60,11 @@ static void judge(const struct gsn_evidence *e, struct gsn_draft *d)
         r->verdict = GSN_REPORT_WARNED;
         r->verdict_reason = d->warning[0];
     }
+    /* The same words in the report and in the run's row. */
+    if (strlen(r->verdict_reason) >= sizeof((struct gsn_specimen_result *)NULL)->message)
+        r->verdict_reason = gsn_draft_say(
+            d, "%.*s...", (int)sizeof((struct gsn_specimen_result *)NULL)->message - 4,
+            r->verdict_reason);
 }
 
 static void measure_row(struct gsn_specimen_result *result, const char *name, double value,

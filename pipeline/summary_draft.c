@@ -26,7 +26,7 @@ int gsn_draft_init(struct gsn_draft *d, size_t sections, size_t panels, size_t i
 {
     *d = (struct gsn_draft){ .report = { .loss_lower = NAN, .loss_upper = NAN } };
     d->warning = gsn_alloc_array(64 + 12 * panels + decisions, sizeof *d->warning);
-    d->exclusion = gsn_alloc_array((1 + GSN_DEFECTS) * sections + panels + 1, sizeof *d->exclusion);
+    d->exclusion = gsn_alloc_array(sections + GSN_DEFECTS + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
     d->flag = gsn_alloc_array(sections + 1, sizeof *d->flag);
     d->candidate = gsn_alloc_array(sections + 1, sizeof *d->candidate);

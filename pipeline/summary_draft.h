@@ -113,8 +113,14 @@ void gsn_draft_find_zero(const struct gsn_evidence *e, const struct gsn_level *s
 
 /* summary_loss.c: the loss, or why there is none. */
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);
-/* Why nothing could be told of the region, with the panels that gave nothing; NULL: it could. */
+
+/* summary_headline.c: the first cause of what why says: the panels that gave nothing, by cause,
+ * then why. No longer than a run's row keeps. */
+const char *gsn_draft_headline(const struct gsn_evidence *e, struct gsn_draft *d, const char *why);
+/* The same of why nothing could be told of the region; NULL: it could. */
 const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d);
+/* Whether two sentences say the same of two panels or sections: alike but for words with digits. */
+int gsn_draft_same_reason(const char *a, const char *b);
 
 /* summary_calibration.c: the panels' dye vectors that are not the built-in ones and how well they
  * are known; what the calibration panels say, and where the slides say otherwise. */

@@ -13,96 +13,6 @@ static const double LEAST_KNOWN = 0.9;
  * can hardly be measured on the rest. */
 static const double LEAST_MEASURED = 0.7;
 
-/* Why panels give nothing, and what each reason asks for. */
-enum silence { LOST, NOT_COME, REFUSED, HELD, UNUSED, SILENCES };
-
-enum { MOST_NAMED = 12, NAMED = 1600 };
-
-struct silent {
-    char text[NAMED];
-    size_t count, used;
-    int any[SILENCES];
-};
-
-static int is_lost(const struct gsn_specimen *specimen, unsigned number)
-{
-    for (size_t i = 0; i < specimen->decision_count; i++)
-        if (specimen->decision[i].panel == number && specimen->decision[i].slot == 0 &&
-            strcmp(specimen->decision[i].answer, "lost") == 0)
-            return 1;
-    return 0;
-}
-
-/* Names a panel of which no section is used, with its file where there is one. */
-static void name_silent(const struct gsn_specimen *specimen, unsigned number, struct silent *silent)
-{
-    static const char *const words[SILENCES] = { "is lost", "has not come", "was refused",
-                                                 "is held", "has no section that is used" };
-    const struct gsn_specimen_panel *panel = NULL;
-    enum silence why = is_lost(specimen, number) ? LOST : NOT_COME;
-
-    for (size_t i = 0; i < specimen->panel_count; i++)
-        if (specimen->panel[i].number == number)
-            panel = &specimen->panel[i];
-    if (panel)
-        why = panel->section_count > 0               ? UNUSED
-              : strcmp(panel->state, "refused") == 0 ? REFUSED
-                                                     : HELD;
-    silent->any[why] = 1;
-    if (silent->count++ < MOST_NAMED)
-        silent->used += (size_t)snprintf(
-            silent->text + silent->used, sizeof silent->text - silent->used,
-            "%s panel %u %s%s%.80s%s", silent->count > 1 ? "," : "", number, words[why],
-            panel ? " (" : "", panel ? panel->file : "", panel ? ")" : "");
-}
-
-static void name_all_silent(const struct gsn_evidence *e, struct silent *silent)
-{
-    const struct gsn_assembly *a = e->assembly;
-
-    for (unsigned number = 1; number <= 64; number++) {
-        int expected = 0, shown = 0;
-
-        for (size_t i = 0; i < a->section_count; i++) {
-            const struct gsn_assembly_section *s = &a->section[i];
-
-            expected |= s->panel == number;
-            shown |= s->panel == number &&
-                     (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
-        }
-        if (expected && !shown)
-            name_silent(e->specimen, number, silent);
-    }
-}
-
-/* The sentence, and where whole panels are the reason, which, why and what to do. */
-static const char *and_panels(const struct gsn_evidence *e, struct gsn_draft *d,
-                              const char *sentence)
-{
-    static const char *const actions[SILENCES] = { NULL, "import what has not come",
-                                                   "scan again what was refused",
-                                                   "settle what is held", "settle what is held" };
-    struct silent silent = { .count = 0 };
-    char next[160] = "";
-    size_t used = 0;
-
-    if (!e->assembly || !e->assembly->grid)
-        return sentence;
-    name_all_silent(e, &silent);
-    if (silent.count == 0)
-        return sentence;
-    for (int why = 0; why < SILENCES; why++)
-        if (silent.any[why] && actions[why] && !(why == UNUSED && silent.any[HELD]))
-            used += (size_t)snprintf(next + used, sizeof next - used, "%s %s", used ? "," : ":",
-                                     actions[why]);
-    return gsn_draft_say(d, "%s;%s%s", sentence, silent.text, next);
-}
-
-const char *gsn_draft_withheld(const struct gsn_evidence *e, struct gsn_draft *d)
-{
-    return e->withheld ? and_panels(e, d, e->withheld) : NULL;
-}
-
 /* Why too little of a region is known to give a loss; NULL: enough is. */
 static const char *too_little(struct gsn_draft *d, const char *whose, double known, double measured)
 {
@@ -122,7 +32,7 @@ static const char *too_little_known(const struct gsn_evidence *e, struct gsn_dra
 {
     const char *why = too_little(d, "", e->account->coverage, d->report.region.coverage);
 
-    return why ? and_panels(e, d, why) : NULL;
+    return why ? gsn_draft_headline(e, d, why) : NULL;
 }
 
 static const char *too_little_of_baseline(const struct gsn_specimen_baseline *b,

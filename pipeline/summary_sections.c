@@ -109,17 +109,128 @@ static const char *reason_of(struct gsn_draft *d, const struct gsn_assembly_sect
     return "fewer than two marks were found: look at it";
 }
 
-/* One row for each reason, in words. */
-static void exclude_masked(const struct gsn_assembly_section *s, struct gsn_draft *d)
+/* ---- what is left out, summed up by reason ------------------------------------------------- */
+
+/* "12 to 23, 40": the serial numbers of sections that share the reason of section first. */
+static const char *list_serials(const struct gsn_assembly *a, const char *const *reason,
+                                size_t first, size_t *ret_count, struct gsn_draft *d)
 {
-    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++)
-        if (1u << bit != GSN_DEFECT_HALO && s->masked.area_um2[bit] > 0)
-            exclude(d,
-                    gsn_draft_say(
-                        d, "%.3g mm2 of section %u (panel %u, slot %u), %.1f %% of its region",
-                        1e-6 * s->masked.area_um2[bit], s->seen.serial, s->panel, s->seen.slot + 1,
-                        100 * s->region_by[bit]),
-                    gsn_draft_say(d, "%s: %s", gsn_defect_word(bit), gsn_defect_reason(bit)));
+    char list[300] = "";
+    size_t count = 0, used = 0;
+    unsigned from = 0, to = 0;
+
+    for (size_t i = first; i <= a->section_count; i++) {
+        const int same =
+            i < a->section_count && reason[i] && gsn_draft_same_reason(reason[i], reason[first]);
+        const unsigned serial = same ? a->section[i].seen.serial : 0;
+
+        if (i < a->section_count && !same)
+            continue;
+        if (count > 0 && (!same || serial > to + 1) && used + 24 < sizeof list)
+            used += (size_t)(to > from ? snprintf(list + used, sizeof list - used, "%s%u to %u",
+                                                  used ? ", " : "", from, to)
+                                       : snprintf(list + used, sizeof list - used, "%s%u",
+                                                  used ? ", " : "", from));
+        if (count == 0 || serial > to + 1)
+            from = serial;
+        to = serial;
+        count += (size_t)same;
+    }
+    *ret_count = count;
+    return gsn_draft_say(d, "%s", list);
+}
+
+static void exclude_sections(const struct gsn_assembly *a, struct gsn_draft *d)
+{
+    gsn_auto_mem(const char *) reason = gsn_alloc_array(a->section_count + 1, sizeof *reason);
+
+    if (!reason) {
+        d->out_of_memory = 1;
+        return;
+    }
+    for (size_t i = 0; i < a->section_count; i++)
+        if (a->section[i].state == GSN_SECTION_HELD || a->section[i].state == GSN_SECTION_MISSING)
+            reason[i] = reason_of(d, &a->section[i]);
+    for (size_t i = 0; i < a->section_count; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+        const char *list;
+        size_t count;
+
+        for (size_t k = 0; k < i && reason[i]; k++)
+            if (reason[k] && gsn_draft_same_reason(reason[k], reason[i]))
+                reason[i] = NULL;
+        if (!reason[i])
+            continue;
+        list = list_serials(a, reason, i, &count, d);
+        exclude(d,
+                count == 1 ? gsn_draft_say(d, "section %u (panel %u, slot %u)", s->seen.serial,
+                                           s->panel, s->seen.slot + 1)
+                           : gsn_draft_say(d, "%zu sections: %s", count, list),
+                reason[i]);
+    }
+}
+
+/* One row for each defect: what it covers in all sections, and where most of the region. */
+static void exclude_masked(const struct gsn_assembly *a, struct gsn_draft *d)
+{
+    for (unsigned bit = 0; bit < GSN_DEFECTS; bit++) {
+        const struct gsn_assembly_section *worst = NULL;
+        double area_um2 = 0;
+        size_t count = 0;
+
+        for (size_t i = 0; 1u << bit != GSN_DEFECT_HALO && i < a->section_count; i++) {
+            const struct gsn_assembly_section *s = &a->section[i];
+
+            if (!(s->masked.area_um2[bit] > 0))
+                continue;
+            area_um2 += s->masked.area_um2[bit];
+            count++;
+            if (!worst || s->region_by[bit] > worst->region_by[bit])
+                worst = s;
+        }
+        if (!worst)
+            continue;
+        exclude(d,
+                gsn_draft_say(d,
+                              "%.3g mm2 in %zu section%s; most of the region in section %u (panel "
+                              "%u, slot %u): %.1f %%",
+                              1e-6 * area_um2, count, count == 1 ? "" : "s", worst->seen.serial,
+                              worst->panel, worst->seen.slot + 1, 100 * worst->region_by[bit]),
+                gsn_draft_say(d, "%s: %s", gsn_defect_word(bit), gsn_defect_reason(bit)));
+    }
+}
+
+/* Panels that give nothing, each reason once with the files that have it. */
+static void exclude_panels(const struct gsn_assembly *a, struct gsn_draft *d)
+{
+    for (size_t i = 0; i < a->panel_count; i++) {
+        const struct gsn_specimen_panel *first = a->panel[i].given;
+        char files[300] = "";
+        size_t used = 0, count = 0;
+        int told = first->section_count > 0;
+
+        for (size_t k = 0; k < i; k++)
+            told |= a->panel[k].given->section_count == 0 &&
+                    gsn_draft_same_reason(a->panel[k].given->message, first->message);
+        for (size_t k = i; !told && k < a->panel_count; k++) {
+            const struct gsn_specimen_panel *p = a->panel[k].given;
+
+            if (p->section_count > 0 || !gsn_draft_same_reason(p->message, first->message))
+                continue;
+            count++;
+            if (used + strlen(p->file) + 4 < sizeof files)
+                used += (size_t)snprintf(files + used, sizeof files - used, "%s%s",
+                                         used ? ", " : "", p->file);
+        }
+        if (told)
+            continue;
+        exclude(d,
+                count == 1 ? gsn_draft_say(d, "panel file %s", files)
+                           : gsn_draft_say(d, "%zu panel files: %s", count, files),
+                first->message);
+        gsn_draft_warn(d, gsn_draft_say(d, "%s %s not used: %s", files, count == 1 ? "was" : "were",
+                                        first->message));
+    }
 }
 
 static void fill_sections(const struct gsn_evidence *e, struct gsn_draft *d)
@@ -138,17 +249,13 @@ static void fill_sections(const struct gsn_evidence *e, struct gsn_draft *d)
         doubtful += s->state == GSN_SECTION_DOUBTFUL;
         held += s->state == GSN_SECTION_HELD;
         missing += s->state == GSN_SECTION_MISSING;
-        if (s->state == GSN_SECTION_HELD || s->state == GSN_SECTION_MISSING)
-            exclude(d,
-                    gsn_draft_say(d, "section %u (panel %u, slot %u)", s->seen.serial, s->panel,
-                                  s->seen.slot + 1),
-                    reason_of(d, s));
-        exclude_masked(s, d);
         if (s->finding.contradicted) {
             gsn_tissue_sentence(s, sentence);
             gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence));
         }
     }
+    exclude_sections(a, d);
+    exclude_masked(a, d);
     doubtful -= gsn_assembly_by_tissue(a);
     if (gsn_assembly_by_tissue(a))
         gsn_draft_warn(
@@ -178,6 +285,7 @@ static void fill_panels(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_assembly *a = e->assembly;
 
+    exclude_panels(a, d);
     for (size_t i = 0; i < a->panel_count; i++) {
         const struct gsn_assembly_panel *p = &a->panel[i];
         struct gsn_report_panel *row = &d->panel[i];
@@ -193,11 +301,6 @@ static void fill_panels(const struct gsn_evidence *e, struct gsn_draft *d)
                                        .glass = p->opened ? p->glass.fraction : NAN };
         for (size_t c = 0; c < 3; c++)
             row->white[c] = p->opened ? p->glass.white[c] : NAN;
-        if (!p->given->section_count) {
-            exclude(d, gsn_draft_say(d, "panel file %s", p->given->file), p->given->message);
-            gsn_draft_warn(
-                d, gsn_draft_say(d, "%s was not used: %s", p->given->file, p->given->message));
-        }
         if (p->note[0])
             gsn_draft_warn(d, gsn_draft_say(d, "panel %u: %s", p->given->number, p->note));
         if (p->opened && p->glass.overexposed > MOST_OVEREXPOSED)

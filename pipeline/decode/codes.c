@@ -1,14 +1,20 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/decode/codes.h"
 
+#include "pipeline/decode/raster.h"
+
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 /* A module of the smallest label is 0.15 mm; on a panel of 75 mm this leaves it five pixels. */
 enum { LONGEST = 2500, TAPS = 2 };
 /* A picture no longer than this is looked at as a whole. Of a larger one only what looks like
- * print: of a block of pixels at least so many percent are darker than so many percent of white.
- * Blocks this far from each other belong together; the smallest code has two blocks a side. */
+ * print: of a block of pixels at least so many percent are darker than so many percent of white,
+ * and its rows and columns change between dark and bright, as the modules of a code and the bars of
+ * a bar code do. The edge of a scanner's bed, a frame or a coverslip changes once at most. Blocks
+ * this far from each other belong together; the smallest code has two blocks a side, and a label
+ * takes a strip of the panel, so no more than this share of it is one. */
 enum {
     SMALL = 480,
     BLOCK = 16,
@@ -17,7 +23,22 @@ enum {
     REACH = 2,
     LEAST_BLOCKS = 2,
     MOST_AREAS = 16,
+    MOST_SHARE = 4, /* one part in so many of the page */
+    /* Changes in the 16 lines of a block, along both ways or along one alone. */
+    CHANGES_BOTH = BLOCK / 2,
+    CHANGES_ONE = 3 * BLOCK / 2,
 };
+
+/* A label is read within a fifth of a second. What looks like print for so long is none. */
+static const int64_t MOST_MS = 4000;
+
+int64_t gsn_codes_clock(void)
+{
+    struct timespec now;
+
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
 
 struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind, const void *text,
                                   size_t size)
@@ -86,19 +107,32 @@ static unsigned white_of(const struct gsn_code_page *page)
     return white;
 }
 
+static int is_print(const uint8_t *from, size_t width, unsigned dark)
+{
+    unsigned count = 0, across = 0, down = 0;
+
+    for (unsigned y = 0; y < BLOCK; y++)
+        for (unsigned x = 0; x < BLOCK; x++) {
+            const uint8_t *at = from + y * width + x;
+
+            count += *at < dark;
+            across += x > 0 && (*at < dark) != (at[-1] < dark);
+            down += y > 0 && (*at < dark) != (*(at - width) < dark);
+        }
+    return 100 * count >= PRINT_PERCENT * BLOCK * BLOCK &&
+           ((across >= CHANGES_BOTH && down >= CHANGES_BOTH) || across >= CHANGES_ONE ||
+            down >= CHANGES_ONE);
+}
+
 static void find_print(const struct gsn_code_page *page, const struct blocks *blocks)
 {
     const unsigned dark = white_of(page) * DARK_PERCENT / 100;
 
-    for (uint32_t i = 0; i < blocks->width * blocks->height; i++) {
-        const uint8_t *from = page->grey + (size_t)(i / blocks->width * BLOCK) * page->width +
-                              i % blocks->width * BLOCK;
-        unsigned count = 0;
-
-        for (unsigned k = 0; k < BLOCK * BLOCK; k++)
-            count += from[(size_t)(k / BLOCK) * page->width + k % BLOCK] < dark;
-        blocks->print[i] = 100 * count >= PRINT_PERCENT * BLOCK * BLOCK;
-    }
+    for (uint32_t i = 0; i < blocks->width * blocks->height; i++)
+        blocks->print[i] =
+            (uint8_t)is_print(page->grey + (size_t)(i / blocks->width * BLOCK) * page->width +
+                                  i % blocks->width * BLOCK,
+                              page->width, dark);
 }
 
 /* Widens the area over the blocks that touch it until none is left, and takes them away. */
@@ -151,7 +185,9 @@ static int read_area(const struct gsn_code_page *page, const struct area *area,
     const uint32_t right = (area->x1 + 1) * BLOCK, below = (area->y1 + 1) * BLOCK;
     const uint32_t x1 = right < page->width ? right : page->width;
     const uint32_t y1 = below < page->height ? below : page->height;
-    const struct gsn_code_page part = { .width = x1 - x0, .height = y1 - y0 };
+    const struct gsn_code_page part = { .width = x1 - x0,
+                                        .height = y1 - y0,
+                                        .until_ms = page->until_ms };
     struct gsn_code_page copy = part;
     gsn_auto_mem(uint8_t) grey = gsn_alloc((size_t)part.width * part.height);
 
@@ -175,13 +211,16 @@ static int read_areas(const struct gsn_code_page *page, struct gsn_picture *pict
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
     blocks.print = print;
     find_print(page, &blocks);
-    for (uint32_t i = 0; i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0; i++) {
+    for (uint32_t i = 0; i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0 &&
+                         gsn_codes_clock() < page->until_ms;
+         i++) {
         struct area area;
 
         if (!print[i])
             continue;
         area = take_area(&blocks, i % blocks.width, i / blocks.width);
-        if (area.x1 - area.x0 < LEAST_BLOCKS || area.y1 - area.y0 < LEAST_BLOCKS)
+        if (area.x1 - area.x0 < LEAST_BLOCKS || area.y1 - area.y0 < LEAST_BLOCKS ||
+            (area.x1 - area.x0) * (area.y1 - area.y0) * MOST_SHARE > blocks.width * blocks.height)
             continue;
         areas++;
         r = read_area(page, &area, picture, err);
@@ -194,8 +233,11 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
     const struct gsn_image *image = picture->image;
     const uint32_t longest = image->width > image->height ? image->width : image->height;
     const unsigned step = (longest + LONGEST - 1) / LONGEST;
-    struct gsn_code_page page = { .width = image->width / step, .height = image->height / step };
+    struct gsn_code_page page = { .width = image->width / step,
+                                  .height = image->height / step,
+                                  .until_ms = gsn_codes_clock() + MOST_MS };
     gsn_auto_mem(uint8_t) grey = NULL;
+    int r;
 
     if (page.width < BLOCK || page.height < BLOCK)
         return GSN_OK;
@@ -206,5 +248,9 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
         for (uint32_t x = 0; x < page.width; x++)
             grey[(size_t)y * page.width + x] = brightest(image, x * step, y * step, step);
     page.grey = grey;
-    return longest <= SMALL ? read_page(&page, picture, err) : read_areas(&page, picture, err);
+    r = longest <= SMALL ? read_page(&page, picture, err) : read_areas(&page, picture, err);
+    if (r >= 0 && picture->code_count == 0 && gsn_codes_clock() >= page.until_ms)
+        gsn_picture_remark(picture, "no code was found within the time for it: much on this "
+                                    "picture looks like print");
+    return r;
 }

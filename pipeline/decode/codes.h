@@ -14,7 +14,11 @@
 struct gsn_code_page {
     uint32_t width, height;
     uint8_t *grey;
+    int64_t until_ms; /* of gsn_codes_clock(): then the search is given up */
 };
+
+/* Milliseconds of a clock that only runs on. */
+int64_t gsn_codes_clock(void);
 
 /* Adds the codes of its kind behind those in picture->code, as far as there is room.
  * Fails with GSN_E_NOMEM. */

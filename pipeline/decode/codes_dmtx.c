@@ -6,8 +6,8 @@
 #include <dmtx.h>
 
 /* The library looks for edges on a grid: a symbol of ten modules of two pixels is met by it. What
- * looks like a symbol and is none costs time; tries are counted, not timed, so that the same
- * picture has the same codes on every machine. */
+ * looks like a symbol and is none costs time: tries are counted, so that the same picture has the
+ * same codes on every machine, and timed, so that a picture without codes holds up nobody. */
 enum { SCAN_GAP = 8, MOST_TRIES = 60 };
 
 /* Degrees, clockwise on the picture, by which the symbol's base is turned; the library's y runs
@@ -21,13 +21,14 @@ static double turn_of(DmtxRegion *region)
     return atan2(-(base[1].Y - base[0].Y), base[1].X - base[0].X) * 180 / M_PI;
 }
 
-/* One look at the page. Returns how many codes were added. */
-static int look(DmtxDecode *decoder, int mirrored, struct gsn_picture *picture)
+/* One look at the page, for so many milliseconds. Returns how many codes were added. */
+static int look(DmtxDecode *decoder, int mirrored, long most_ms, struct gsn_picture *picture)
 {
+    DmtxTime until = dmtxTimeAdd(dmtxTimeNow(), most_ms);
     int added = 0;
 
     for (int tries = 0; tries < MOST_TRIES; tries++) {
-        DmtxRegion *region = dmtxRegionFindNext(decoder, NULL);
+        DmtxRegion *region = dmtxRegionFindNext(decoder, &until);
         DmtxMessage *message;
         struct gsn_printed *code = NULL;
 
@@ -67,7 +68,7 @@ static int look_flipped(const struct gsn_code_page *page, int mirrored, struct g
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
     }
     (void)dmtxDecodeSetProp(decoder, DmtxPropScanGap, SCAN_GAP);
-    *ret_added = look(decoder, mirrored, picture);
+    *ret_added = look(decoder, mirrored, (long)(page->until_ms - gsn_codes_clock()), picture);
     (void)dmtxDecodeDestroy(&decoder);
     (void)dmtxImageDestroy(&image);
     return GSN_OK;
@@ -78,8 +79,10 @@ static int look_flipped(const struct gsn_code_page *page, int mirrored, struct g
 int gsn_codes_dmtx(const struct gsn_code_page *page, struct gsn_picture *picture,
                    struct gsn_error *err)
 {
-    int added = 0;
-    const int r = look_flipped(page, 0, picture, &added, err);
+    int added = 0, r = GSN_OK;
 
-    return r < 0 || added ? r : look_flipped(page, 1, picture, &added, err);
+    for (int mirrored = 0; r >= 0 && !added && mirrored < 2; mirrored++)
+        if (gsn_codes_clock() < page->until_ms)
+            r = look_flipped(page, mirrored, picture, &added, err);
+    return r;
 }

@@ -100,6 +100,20 @@ static void remark_unused_bits(struct gsn_picture *picture)
         gsn_picture_remark(picture, "only %u of 16 bits are used", bits);
 }
 
+/* What shows through a transparent pixel nobody knows, and the colour stored under it is whatever a
+ * program left there. */
+static int refuse_transparent(const struct gsn_picture *picture, struct gsn_error *err)
+{
+    const double pixels = (double)picture->image->width * picture->image->height;
+
+    if (picture->transparent == 0)
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_UNSUPPORTED,
+                    "%.3g %% of its pixels are transparent, and what shows through is not in the "
+                    "file: save it without transparency, or scan it again",
+                    100 * (double)picture->transparent / pixels);
+}
+
 struct gsn_decode_limits gsn_decode_defaults(const struct gsn_decode_limits *limits)
 {
     const struct gsn_decode_limits asked = limits ? *limits : (struct gsn_decode_limits){ 0 };
@@ -144,7 +158,9 @@ int gsn_decode_into(const void *bytes, size_t size, const struct gsn_decode_limi
     r = kind->decode(file, &most, picture, err);
     if (r < 0)
         return r;
-    r = refuse_constant(picture->image, err);
+    r = refuse_transparent(picture, err);
+    if (r >= 0)
+        r = refuse_constant(picture->image, err);
     if (r < 0)
         return r;
     remark_unused_bits(picture);

@@ -68,8 +68,9 @@ struct gsn_picture {
     /* The embedded ICC profile: its name, or, with GSN_TRANSFER_ICC, why it was refused; empty
      * unless light was asked for. Printable ASCII. */
     char profile[96];
-    int wants_profile; /* light was asked for */
-    uint8_t *icc;      /* owned; its bytes while decoding */
+    int wants_profile;    /* light was asked for */
+    uint64_t transparent; /* pixels that are; while decoding */
+    uint8_t *icc;         /* owned; its bytes while decoding */
     size_t icc_size;
     unsigned code_count; /* 0 unless codes were asked for */
     struct gsn_printed code[GSN_CODES];

@@ -22,6 +22,7 @@ struct reader {
     struct gsn_raster canvas;
     struct gsn_exif exif;
     uint8_t *samples; /* one row */
+    int alpha;        /* behind the colours of each pixel */
     int starved;      /* an allocation failed */
     int code;
     struct gsn_error *err;
@@ -90,7 +91,7 @@ static void on_read(png_structp png, png_bytep to, size_t count)
 
 static void set_up(struct reader *reader)
 {
-    static const uint8_t wanted[] = "iCCP\0sRGB\0gAMA\0pHYs\0eXIf\0tRNS";
+    static const uint8_t wanted[] = "iCCP\0sRGB\0gAMA\0pHYs\0eXIf";
     png_structp png = reader->png;
 
     png_set_read_fn(png, reader, on_read);
@@ -100,6 +101,7 @@ static void set_up(struct reader *reader)
     png_set_chunk_cache_max(png, 64);
     png_set_keep_unknown_chunks(png, PNG_HANDLE_CHUNK_NEVER, NULL, -1);
     png_set_keep_unknown_chunks(png, PNG_HANDLE_CHUNK_ALWAYS, wanted, (int)sizeof wanted / 5);
+    png_set_keep_unknown_chunks(png, PNG_HANDLE_CHUNK_AS_DEFAULT, (const uint8_t *)"tRNS", 1);
 }
 
 /* The chunk of this name that has at least size bytes, or NULL. */
@@ -173,9 +175,11 @@ static void set_conversions(struct reader *reader, unsigned colour, struct gsn_p
         png_set_palette_to_rgb(reader->png);
         gsn_picture_remark(picture, "palette expanded");
     }
-    if (colour & PNG_COLOR_MASK_ALPHA)
-        png_set_strip_alpha(reader->png);
-    if ((colour & PNG_COLOR_MASK_ALPHA) || find_chunk(reader, "tRNS", 0))
+    if (png_get_valid(reader->png, reader->info, PNG_INFO_tRNS))
+        png_set_tRNS_to_alpha(reader->png);
+    reader->alpha =
+        (colour & PNG_COLOR_MASK_ALPHA) || png_get_valid(reader->png, reader->info, PNG_INFO_tRNS);
+    if (reader->alpha)
         gsn_picture_remark(picture, "alpha ignored");
     if (reader->layout.bits == 16 && *(const uint8_t *)&probe == 1)
         png_set_swap(reader->png); /* PNG is big-endian */
@@ -207,12 +211,14 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
 
 static void read_row(struct reader *reader, struct gsn_run run)
 {
-    void *const straight = run.step == 1 && run.count == reader->layout.width
+    void *const straight = run.step == 1 && run.count == reader->layout.width && !reader->alpha
                                ? gsn_raster_row(&reader->canvas, run.y)
                                : NULL;
 
     reader->row = run.y + 1;
-    run.channels = run.stride = reader->layout.channels;
+    run.channels = reader->layout.channels;
+    run.stride = run.channels + (reader->alpha ? 1 : 0);
+    run.alpha = reader->alpha;
     if (straight) {
         png_read_row(reader->png, straight, NULL);
         return;

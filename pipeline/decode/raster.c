@@ -122,6 +122,7 @@ int gsn_raster_open(struct gsn_raster *canvas, const struct gsn_raster_layout *l
                   (corner.from_bottom ? ((ptrdiff_t)height - 1) * (ptrdiff_t)width : 0),
         .step_x = corner.turned ? down : right,
         .step_y = corner.turned ? right : down,
+        .transparent = &picture->transparent,
     };
     if (corner.turned)
         swap_pitch(picture);
@@ -181,6 +182,19 @@ static int is_straight(const struct gsn_raster *canvas, const struct gsn_run *ru
            run->stride == channels;
 }
 
+/* Pixels that let more through than they show. */
+static void count_transparent(const struct gsn_raster *canvas, const struct gsn_run *run,
+                              const void *samples)
+{
+    const uint8_t *const at8 = samples;
+    const uint16_t *const at16 = samples;
+    uint64_t count = 0;
+
+    for (size_t i = 0, k = run->channels; i < run->count; i++, k += run->stride)
+        count += canvas->image->bits == 8 ? at8[k] < 1 << 7 : at16[k] < 1 << 15;
+    *canvas->transparent += count;
+}
+
 static void scatter(const struct gsn_raster *canvas, const struct gsn_run *run, ptrdiff_t first,
                     const void *samples)
 {
@@ -219,6 +233,8 @@ void gsn_raster_put_rows(const struct gsn_raster *canvas, const struct gsn_run *
         const ptrdiff_t first = pixel * (ptrdiff_t)image->channels + (ptrdiff_t)run->channel;
         uint8_t *const to = (uint8_t *)image->samples + first * (ptrdiff_t)sample;
 
+        if (run->alpha)
+            count_transparent(canvas, run, row);
         if (!straight)
             scatter(canvas, run, first, row);
         else if (large)

@@ -29,6 +29,7 @@ struct gsn_raster_layout {
 struct gsn_raster {
     struct gsn_image *image; /* borrowed from the picture */
     ptrdiff_t origin, step_x, step_y;
+    uint64_t *transparent; /* borrowed from the picture: how many pixels are */
 };
 
 /* A run of pixels of one stored row: x, x + step, ... Samples are native; stride counts the samples
@@ -36,6 +37,7 @@ struct gsn_raster {
 struct gsn_run {
     uint32_t x, y, step, count;
     uint32_t channel, channels, stride;
+    int alpha; /* the sample behind the channels is one */
 };
 
 /* Checks the limits, then allocates picture->image; turns px_um and notes the orientation.

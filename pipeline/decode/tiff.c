@@ -168,6 +168,7 @@ static void read_tags(struct gsn_tiff *t)
     (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_COMPRESSION, &t->compression);
     (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_ORIENTATION, &t->orientation);
     (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_EXTRASAMPLES, &t->extra, &extra);
+    t->alpha = t->extra > 0 && extra && extra[0] != EXTRASAMPLE_UNSPECIFIED;
     if (!TIFFGetField(t->tiff, TIFFTAG_PHOTOMETRIC, &t->photometric))
         t->photometric = UINT16_MAX;
     if (t->photometric == PHOTOMETRIC_PALETTE &&

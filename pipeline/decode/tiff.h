@@ -18,6 +18,7 @@ struct gsn_tiff {
     uint16_t bits, samples; /* as stored, per pixel with alpha */
     uint16_t photometric, planar, compression, orientation;
     uint16_t extra; /* samples beyond the colours */
+    int alpha;      /* the first of them is declared to be one */
     const uint16_t *palette[3];
     double slide_um; /* size of the pixels of the level that was chosen; 0: no slide */
 

@@ -115,6 +115,7 @@ static void put(const struct pixels *p, const struct part *part, size_t row_byte
     run.channel = contiguous ? 0 : part->plane;
     run.channels = contiguous ? p->canvas->image->channels : 1;
     run.stride = contiguous ? t->samples : 1;
+    run.alpha = contiguous && t->alpha && t->samples > run.channels;
     gsn_raster_put_rows(p->canvas, &run, part->height, row_bytes, samples);
 }
 

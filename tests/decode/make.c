@@ -156,7 +156,7 @@ static void png_raw_chunks(png_structp png, const struct png_recipe *recipe)
         png_write_chunk(png, (png_const_bytep) "eXIf", recipe->exif, recipe->exif_size);
 }
 
-/* The rows of the image, with an alpha of half put behind each pixel when asked for. */
+/* The rows of the image, with an alpha put behind each pixel when asked for. */
 static void png_rows(png_structp png, png_infop info, const struct gsn_image *image,
                      const struct png_recipe *recipe)
 {
@@ -167,7 +167,7 @@ static void png_rows(png_structp png, png_infop info, const struct gsn_image *im
     gsn_auto_mem(png_bytep) rows = gsn_alloc_array(image->height, sizeof *rows);
 
     assert(all && rows);
-    memset(all, 0x80, image->height * row_bytes);
+    memset(all, recipe->alpha == 2 ? 0x14 : 0x80, image->height * row_bytes);
     for (uint32_t y = 0; y < image->height; y++) {
         rows[y] = all + y * row_bytes;
         for (uint32_t x = 0; recipe->bits != 1 && x < image->width; x++)
@@ -345,7 +345,7 @@ static void cut(const struct gsn_image *image, const struct tiff_recipe *recipe,
     for (uint32_t y = 0; y < height; y++)
         for (uint32_t x = 0; x < width; x++)
             for (unsigned c = first; c < last; c++) {
-                unsigned value = 77;
+                unsigned value = recipe->alpha == 2 ? 20 : image->bits == 8 ? 177 : 45000;
                 const uint32_t px = x0 + x, py = y0 + y;
 
                 if (px >= image->width || py >= image->height)

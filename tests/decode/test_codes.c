@@ -2,12 +2,14 @@
 #include "pipeline/decode/apart.h"
 
 #include "pipeline/core/file.h"
+#include "pipeline/decode/codes.h"
 #include "tests/check.h"
 #include "tests/decode/make.h"
 
 #include <dmtx.h>
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 enum { WIDTH = 400, HEIGHT = 300, MODULE = 5 };
 
@@ -141,6 +143,56 @@ TEST(a_picture_without_a_code_has_none)
     gsn_auto(gsn_picture) picture = decoded(image, decoder, 1);
 
     CHECK(picture->code_count == 0);
+}
+
+/* The same picture on the dark bed of a scanner, whose black is not even: as wide as the glass on
+ * either side. */
+static struct gsn_image *on_bed(const struct gsn_image *image)
+{
+    const uint32_t bed = 400;
+    struct gsn_image *whole = NULL;
+    struct gsn_error err = { 0 };
+    uint32_t random = 1;
+
+    CHECK_OK(gsn_image_new(image->width + 2 * bed, image->height + 2 * bed, 3, 8, &whole, &err),
+             err);
+    for (size_t i = 0; i < gsn_image_bytes(whole); i++) {
+        random = random * 1664525 + 1013904223;
+        ((uint8_t *)whole->samples)[i] = (uint8_t)(8 + (random >> 28));
+    }
+    for (uint32_t y = 0; y < image->height; y++)
+        memcpy((uint8_t *)whole->samples + 3 * ((size_t)(y + bed) * whole->width + bed),
+               (const uint8_t *)image->samples + (size_t)3 * y * image->width,
+               (size_t)3 * image->width);
+    return whole;
+}
+
+/* Its edges are no print, so nobody looks for a code along them; an askew one shows no other. */
+TEST(a_dark_bed_around_the_glass_costs_no_search)
+{
+    gsn_auto(gsn_image) image = drawn("GVP-D-S01-P03");
+    gsn_auto(gsn_image) bed = on_bed(image);
+    struct gsn_picture read = { .image = bed };
+    struct gsn_error err = { 0 };
+    clock_t spent = clock();
+
+    CHECK_OK(gsn_codes_read(&read, &err), err);
+    spent = clock() - spent;
+    CHECK(read.code_count == 1);
+    assert_string_equal(read.code[0].text, "GVP-D-S01-P03");
+    print_message("  %.0f ms\n", 1e3 * (double)spent / CLOCKS_PER_SEC);
+
+    /* Without its code nothing is left to look at. */
+    memset(&read.code, 0, sizeof read.code);
+    read.code_count = 0;
+    for (uint32_t i = 0; i < 120 * 120; i++)
+        paint(bed, 425 + i % 120, 435 + i / 120, (const uint8_t[]){ 240, 238, 235 });
+    spent = clock();
+    CHECK_OK(gsn_codes_read(&read, &err), err);
+    spent = clock() - spent;
+    CHECK(read.code_count == 0);
+    print_message("  %.0f ms without a code\n", 1e3 * (double)spent / CLOCKS_PER_SEC);
+    CHECK((double)spent / CLOCKS_PER_SEC < 0.5);
 }
 
 /* Photographs of Data Matrices that come with libdmtx. */

@@ -384,3 +384,27 @@ TEST(running_out_of_memory_leaks_nothing)
     CHECK_EVERY_OOM(decode_once(&strips, &err), err);
     CHECK_EVERY_OOM(decode_once(&indexed, &err), err);
 }
+
+/* What lies under a transparent pixel is whatever a program left there. */
+TEST(transparent_pixels_are_called_transparent)
+{
+    const struct png_recipe clear = { .alpha = 2 };
+    const struct tiff_recipe strips = { .alpha = 2 };
+
+    for (int i = 0; i < 4; i++) {
+        gsn_auto(gsn_image) image = make_picture(16, 12, i % 2 ? 3 : 1, i / 2 ? 16 : 8);
+        auto_made png = make_png(image, &clear);
+        auto_made tiff = make_tiff(image, &strips);
+        const struct made *const files[2] = { &png, &tiff };
+
+        for (int k = 0; k < 2; k++) {
+            struct gsn_picture *picture = NULL;
+            struct gsn_error err = { 0 };
+
+            CHECK(gsn_decode(files[k]->bytes, files[k]->size, NULL, &picture, &err) ==
+                  GSN_E_UNSUPPORTED);
+            CHECK(picture == NULL);
+            CHECK(strstr(err.text, "100 % of its pixels are transparent"));
+        }
+    }
+}

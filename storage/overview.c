@@ -72,8 +72,10 @@ int gsn_overview_list(struct gsn_store *store, struct gsn_overview_rows **ret_ro
     return overview_rows(
         store,
         ARRIVAL
-        ", p AS MATERIALIZED (SELECT specimen_id, count(*) AS n, sum(state = 'registered') "
-        "AS registered, sum(state IN ('refused', 'held')) AS refused, max(a.at) AS at "
+        ", p AS MATERIALIZED (SELECT specimen_id, sum(code <> 'spare') AS n, sum(state = "
+        "'registered') "
+        "AS registered, sum(state IN ('refused', 'held') AND code <> 'spare') AS refused, "
+        "max(a.at) AS at "
         "FROM panel LEFT JOIN arrival a ON a.panel_id = panel.id GROUP BY specimen_id), "
         "c AS MATERIALIZED (SELECT panel.specimen_id, sum(section.state <> 'empty') AS n, "
         "sum(section.state = 'found') AS found FROM panel JOIN section "
@@ -103,7 +105,7 @@ int gsn_overview_panels(struct gsn_store *store, struct gsn_open_panel_rows **re
         "FROM panel p LEFT JOIN job j ON j.kind = 'panel' AND "
         "j.specimen_id = p.specimen_id AND coalesce(j.panel_id, 0) = p.id AND j.state <> 'done' "
         "LEFT JOIN arrival a ON a.panel_id = p.id "
-        "WHERE j.id IS NOT NULL OR p.state IN ('refused', 'held') "
+        "WHERE j.id IS NOT NULL OR (p.state IN ('refused', 'held') AND p.code <> 'spare') "
         "ORDER BY p.specimen_id, p.number = 0, p.number, p.id",
         SQL_NO_ARGS, ret_rows, err);
 }

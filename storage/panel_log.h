@@ -18,6 +18,9 @@ extern "C" {
 
 enum { GSN_ROW_MARKS = 3 };
 
+/* Code of a panel that is held because another scan of the same glass is used: nothing is asked. */
+#define GSN_PANEL_SPARE "spare"
+
 /* Texts may be empty but never NULL. */
 struct gsn_panel_row {
     int64_t id, specimen_id;

@@ -128,7 +128,7 @@ int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job
     if (!run->json_sha256[0])
         return gsn_fail(err, GSN_E_INPUT, "run %lld is %s and has no report to compare with",
                         (long long)run_id, run->state);
-    r = gsn_material_load(store, run->specimen_id, &material, err);
+    r = gsn_material_load(store, run->specimen_id, decoder, &material, err);
     if (r >= 0)
         r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
     if (r >= 0)

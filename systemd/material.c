@@ -10,7 +10,9 @@ static int open_object(void *context, const char *sha256, int *ret_fd, struct gs
     return gsn_object_open(context, sha256, ret_fd, err);
 }
 
-static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
+/* Two scans of one panel are settled only where their pictures may be opened. */
+static int load_rows(struct gsn_material *m, int64_t id, int settles, struct gsn_decoder *decoder,
+                     struct gsn_error *err)
 {
     int r = gsn_specimen_get_by_id(m->store, id, &m->row, err);
 
@@ -18,8 +20,8 @@ static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
         r = gsn_protocol_parse(m->row->job_json, strlen(m->row->job_json), &m->protocol, err);
     if (r >= 0)
         r = gsn_panel_list(m->store, id, &m->panels, err);
-    if (r >= 0)
-        r = gsn_material_hold_duplicates(m, err);
+    if (r >= 0 && settles)
+        r = gsn_material_settle_duplicates(m, decoder, err);
     if (r >= 0)
         r = gsn_section_list(m->store, id, &m->sections, err);
     if (r >= 0)
@@ -33,15 +35,15 @@ static int load_rows(struct gsn_material *m, int64_t id, struct gsn_error *err)
 }
 
 /* What the key is made of. */
-static int take_rows(struct gsn_material *m, struct gsn_store *store, int64_t id,
-                     struct gsn_error *err)
+static int take_rows(struct gsn_material *m, struct gsn_store *store, int64_t id, int settles,
+                     struct gsn_decoder *decoder, struct gsn_error *err)
 {
     int r;
 
     m->store = store;
     m->specimen.open = open_object;
     m->specimen.context = store;
-    r = load_rows(m, id, err);
+    r = load_rows(m, id, settles, decoder, err);
     if (r >= 0)
         r = gsn_material_take_panels(m, err);
     if (r >= 0)
@@ -53,7 +55,7 @@ static int take_rows(struct gsn_material *m, struct gsn_store *store, int64_t id
     return r >= 0 ? gsn_material_make_keys(m, err) : r;
 }
 
-int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
+int gsn_material_load(struct gsn_store *store, int64_t specimen_id, struct gsn_decoder *decoder,
                       struct gsn_material **ret_material, struct gsn_error *err)
 {
     gsn_auto(gsn_material) m = gsn_alloc_array(1, sizeof *m);
@@ -61,7 +63,7 @@ int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
 
     if (!m)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a specimen");
-    r = take_rows(m, store, specimen_id, err);
+    r = take_rows(m, store, specimen_id, 1, decoder, err);
     if (r >= 0)
         r = gsn_material_check_turns(m, err);
     if (r >= 0)
@@ -76,7 +78,7 @@ int gsn_material_key_now(struct gsn_store *store, int64_t specimen_id, struct gs
                          struct gsn_error *err)
 {
     gsn_auto(gsn_material) m = gsn_alloc_array(1, sizeof *m);
-    const int r = m ? take_rows(m, store, specimen_id, err)
+    const int r = m ? take_rows(m, store, specimen_id, 0, NULL, err)
                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for a specimen");
 
     if (r >= 0)

@@ -9,59 +9,96 @@
 
 static int clash(const struct gsn_panel_row *a, const struct gsn_panel_row *b)
 {
-    return a != b && a->number == b->number && strcmp(a->state, "registered") == 0 &&
+    return a->number == b->number && strcmp(a->state, "registered") == 0 &&
            strcmp(b->state, "registered") == 0;
 }
 
-/* A second scan of one glass needs a choice; two glasses of one number may need another name.
- * gives: the sentence. */
-static int say_clash(const struct gsn_section_rows *sections, const struct gsn_panel_row *panel,
-                     const struct gsn_panel_row *other, char **ret_sentence, struct gsn_error *err)
+/* Sections of a panel whose three marks were found. */
+static size_t count_found(const struct gsn_section_rows *sections, const struct gsn_panel_row *p)
 {
-    gsn_auto_mem(char) sentence = NULL;
-    double apart_um;
-    size_t marks;
-    int same;
-    const int r = gsn_rescan_compare(sections, panel, other, &same, &marks, &apart_um, err);
+    size_t count = 0;
 
-    if (r < 0)
-        return r;
-    sentence = same ? gsn_format("panel number %lld is claimed by %.200s as well: say which scan "
-                                 "to use; both show the same glass (%zu marks agree to %.1f um)",
-                                 (long long)panel->number, other->file_name, marks, apart_um)
-                    : gsn_format("panel number %lld is claimed by %.200s as well: say which scan "
-                                 "to use, or rename one and import again",
-                                 (long long)panel->number, other->file_name);
-    if (!sentence)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    *ret_sentence = gsn_steal(&sentence);
-    return GSN_OK;
+    for (size_t i = 0; i < sections->count; i++)
+        count += sections->at[i].panel_id == p->id && strcmp(sections->at[i].state, "found") == 0;
+    return count;
 }
 
-/* Panels of one number are all held: which of them is right is for a person to say. */
-int gsn_material_hold_duplicates(struct gsn_material *m, struct gsn_error *err)
+/* Of two scans of one glass the one that shows more of it: sections with their marks, then finer
+ * pixels; of equals the later one, since who scans a glass again wants that scan. */
+static int is_better(const struct gsn_section_rows *sections, const struct gsn_panel_row *a,
+                     const struct gsn_panel_row *b)
 {
-    gsn_auto(gsn_section_rows) sections = NULL;
-    struct gsn_panel_rows *rows = m->panels;
-    int held = 0, r = gsn_section_list(m->store, m->row->id, &sections, err);
+    const size_t found_a = count_found(sections, a), found_b = count_found(sections, b);
 
-    for (size_t i = 0; r >= 0 && i < rows->count; i++)
-        for (size_t j = 0; r >= 0 && j < rows->count; j++) {
-            gsn_auto_mem(char) sentence = NULL;
+    if (found_a != found_b)
+        return found_a > found_b;
+    if (a->px_um < b->px_um || a->px_um > b->px_um)
+        return a->px_um < b->px_um;
+    return a->id > b->id;
+}
 
-            if (!clash(&rows->at[i], &rows->at[j]))
-                continue;
-            r = say_clash(sections, &rows->at[i], &rows->at[j], &sentence, err);
-            if (r >= 0)
-                r = gsn_panel_set_state(m->store, rows->at[i].id, "held",
-                                        gsn_code_name(GSN_E_WITHHELD), sentence, err);
-            held = 1;
-        }
-    if (r < 0 || !held)
-        return r;
-    m->panels = NULL;
-    gsn_panel_rows_free(rows);
-    return gsn_panel_list(m->store, m->row->id, &m->panels, err);
+/* Of two scans of one glass one is used and the other kept beside it. Two glasses of one number are
+ * both held: which of them is right is for a person to say. */
+static int settle_clash(struct gsn_material *m, struct gsn_decoder *decoder,
+                        const struct gsn_section_rows *sections, const struct gsn_panel_row *a,
+                        const struct gsn_panel_row *b, struct gsn_error *err)
+{
+    const struct gsn_panel_row *const pair[2] = { a, b };
+    struct gsn_rescan rescan = { .same = 0 };
+    int r = gsn_rescan_compare(m->store, decoder, m->protocol, sections, a, b, &rescan, err);
+
+    for (int i = 0; r >= 0 && i < 2; i++) {
+        const struct gsn_panel_row *panel = pair[i], *other = pair[1 - i];
+        gsn_auto_mem(char) sentence = NULL;
+
+        if (rescan.same && is_better(sections, panel, other))
+            continue;
+        sentence =
+            rescan.same
+                ? gsn_format(
+                      "another scan of panel %lld is used, %.200s: both show the same glass "
+                      "(%zu marks agree to %.1f um, the tissue to %.0f %%); this one is kept "
+                      "beside it",
+                      (long long)panel->number, other->file_name, rescan.marks, rescan.apart_um,
+                      100 * rescan.texture)
+                : gsn_format("panel number %lld is claimed by %.200s as well, which shows another "
+                             "glass: say which to use, or rename one and import again",
+                             (long long)panel->number, other->file_name);
+        if (!sentence)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+        r = gsn_panel_set_state(m->store, panel->id, "held",
+                                rescan.same ? GSN_PANEL_SPARE : gsn_code_name(GSN_E_WITHHELD),
+                                sentence, err);
+    }
+    return r;
+}
+
+/* Every pair that claims one number, those that a pair before settled left out. */
+int gsn_material_settle_duplicates(struct gsn_material *m, struct gsn_decoder *decoder,
+                                   struct gsn_error *err)
+{
+    for (;;) {
+        gsn_auto(gsn_section_rows) sections = NULL;
+        const struct gsn_panel_row *a = NULL, *b = NULL;
+        int r = gsn_section_list(m->store, m->row->id, &sections, err);
+
+        for (size_t i = 0; r >= 0 && !b && i < m->panels->count; i++)
+            for (size_t j = i + 1; !b && j < m->panels->count; j++)
+                if (clash(&m->panels->at[i], &m->panels->at[j])) {
+                    a = &m->panels->at[i];
+                    b = &m->panels->at[j];
+                }
+        if (r < 0 || !b)
+            return r;
+        r = settle_clash(m, decoder, sections, a, b, err);
+        if (r < 0)
+            return r;
+        gsn_panel_rows_free(m->panels);
+        m->panels = NULL;
+        r = gsn_panel_list(m->store, m->row->id, &m->panels, err);
+        if (r < 0)
+            return r;
+    }
 }
 
 int gsn_material_check_turns(const struct gsn_material *m, struct gsn_error *err)
@@ -93,6 +130,9 @@ static struct gsn_panel_section section_of(const struct gsn_material *m,
 
     if (section.sighting == GSN_SIGHT_NEEDS_EYE || strstr(section.flags, "decided"))
         gsn_candidates_from_rows(m->candidates, row->panel_id, row->slot, &section.candidates);
+    /* One that was taken as it was so likely, and not by a person, is taken again or not. */
+    if (!strstr(section.flags, "decided"))
+        section.candidates.chosen = 0;
     return section;
 }
 

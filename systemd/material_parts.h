@@ -41,9 +41,10 @@ struct gsn_material {
     struct gsn_digest key, own_key;
 };
 
-/* Holds panels that claim one number: which of them is right is for a person to say. Lists the
- * panels anew. */
-int gsn_material_hold_duplicates(struct gsn_material *m, struct gsn_error *err);
+/* Of panels that claim one number and show one glass the better scan is used; of others all are
+ * held. Lists the panels anew. decoder: as for gsn_decode_apart(). */
+int gsn_material_settle_duplicates(struct gsn_material *m, struct gsn_decoder *decoder,
+                                   struct gsn_error *err);
 /* Refuses panels that lack their turn (panel_job.h). */
 int gsn_material_check_turns(const struct gsn_material *m, struct gsn_error *err);
 /* The panels and their sections as they were logged. */

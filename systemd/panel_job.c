@@ -306,19 +306,16 @@ static int check_choice(const struct gsn_decision_rows *decided, const struct gs
                     (long long)panel->number);
 }
 
-static int examine(struct gsn_store *store, const struct gsn_panel_row *panel,
-                   const struct gsn_protocol *protocol, const struct gsn_decision_rows *decided,
-                   const struct gsn_job_options *options, const struct gsn_progress *progress,
-                   struct gsn_panel_findings **ret_findings, struct gsn_error *err)
+static int examine(struct gsn_store *store, struct gsn_decoder *decoder,
+                   const struct gsn_panel_row *panel, const struct gsn_protocol *protocol,
+                   const struct gsn_decision_rows *decided, const struct gsn_job_options *options,
+                   const struct gsn_progress *progress, struct gsn_panel_findings **ret_findings,
+                   struct gsn_error *err)
 {
     gsn_auto_fd picture_fd = -1;
-    gsn_auto(gsn_decoder) decoder = NULL;
     gsn_auto_mem(struct gsn_panel_answer) answer = NULL;
     struct gsn_panel_answers answers = { 0 };
     int r = gsn_object_open(store, panel->sha256, &picture_fd, err);
-
-    if (r >= 0 && options->decoder)
-        r = gsn_decoder_new(options->decoder, &decoder, err);
 
     if (r >= 0)
         r = gsn_answers_read(decided, panel->number, panel->sha256, &answer, &answers.count, err);
@@ -340,8 +337,9 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
     gsn_auto(gsn_protocol) protocol = NULL;
     gsn_auto(gsn_panel_findings) findings = NULL;
     gsn_auto(gsn_decision_rows) decided = NULL;
+    gsn_auto(gsn_decoder) decoder = NULL;
     struct gsn_error why = { 0 };
-    int r = gsn_specimen_get_by_id(store, job->specimen_id, &specimen, err);
+    int spare, r = gsn_specimen_get_by_id(store, job->specimen_id, &specimen, err);
 
     if (r >= 0)
         r = gsn_panel_get(store, job->panel_id, &panel, err);
@@ -349,9 +347,11 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
         r = gsn_protocol_parse(specimen->job_json, strlen(specimen->job_json), &protocol, err);
     if (r >= 0)
         r = gsn_decision_list(store, job->specimen_id, &decided, err);
+    if (r >= 0 && options->decoder)
+        r = gsn_decoder_new(options->decoder, &decoder, err);
     if (r < 0)
         return r;
-    r = examine(store, panel, protocol, decided, options, progress, &findings, &why);
+    r = examine(store, decoder, panel, protocol, decided, options, progress, &findings, &why);
     /* The picture is fine, and only a person can say what it shows. */
     if (r == GSN_E_WITHHELD)
         return keep(store, job, NULL, "held", gsn_code_name(r), why.text, err);
@@ -365,16 +365,16 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
     r = check_number(panel, protocol, &why);
     if (r >= 0)
         r = check_label(store, specimen, panel, findings, &why);
-    if (r >= 0)
-        r = check_choice(decided, panel, &why);
+    spare = r >= 0 && (r = check_choice(decided, panel, &why)) == GSN_E_WITHHELD;
     if (r >= 0 && !is_chosen(decided, panel))
-        r = gsn_rescan_check(store, panel, findings, &why);
+        r = gsn_rescan_check(store, decoder, protocol, panel, findings, &why);
     if (r < 0 && r != GSN_E_WITHHELD) {
         if (err)
             *err = why;
         return r;
     }
     if (r < 0)
-        return keep(store, job, findings, "held", gsn_code_name(r), why.text, err);
+        return keep(store, job, findings, "held", spare ? GSN_PANEL_SPARE : gsn_code_name(r),
+                    why.text, err);
     return keep(store, job, findings, "registered", "", findings->note, err);
 }

@@ -321,7 +321,7 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
         how.decoder = decoder;
     }
     if (r >= 0)
-        r = gsn_material_load(store, job->specimen_id, &material, err);
+        r = gsn_material_load(store, job->specimen_id, decoder, &material, err);
     if (r >= 0)
         r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
     if (r < 0)

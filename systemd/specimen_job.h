@@ -13,10 +13,10 @@
 /* Everything a run rests on, loaded and hashed. Opaque; made by gsn_material_load(). */
 struct gsn_material;
 
-/* gives. Panels of one number that are both usable are held here, both, with the reason in their
- * rows. Fails with GSN_E_NOTFOUND, GSN_E_IO (a damaged object), GSN_E_INPUT (a mask or volume that
+/* gives. Of panels of one number that show one glass one is used and the other kept as a spare; of
+ * others all are held, with the reason in their rows. decoder: as for gsn_decode_apart(). Fails with GSN_E_NOTFOUND, GSN_E_IO (a damaged object), GSN_E_INPUT (a mask or volume that
  * cannot be read, a panel that an older gieson looked at), GSN_E_NOMEM. keeps: store. */
-int gsn_material_load(struct gsn_store *store, int64_t specimen_id,
+int gsn_material_load(struct gsn_store *store, int64_t specimen_id, struct gsn_decoder *decoder,
                       struct gsn_material **ret_material, struct gsn_error *err);
 void gsn_material_free(struct gsn_material *material);
 GSN_DEFINE_AUTO(gsn_material);

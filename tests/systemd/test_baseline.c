@@ -97,7 +97,7 @@ static struct gsn_material *loaded(struct gsn_store *store, int64_t id)
     struct gsn_material *material = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_material_load(store, id, &material, &err), err);
+    CHECK_OK(gsn_material_load(store, id, NULL, &material, &err), err);
     return material;
 }
 
@@ -246,6 +246,6 @@ TEST(running_out_of_memory_for_a_baseline_leaks_nothing)
     struct gsn_error err = { 0 };
 
     add_control(store, &ONE);
-    CHECK_EVERY_OOM(gsn_material_load(store, id, &material, &err), err);
+    CHECK_EVERY_OOM(gsn_material_load(store, id, NULL, &material, &err), err);
     CHECK(gsn_material_specimen(material)->baseline.specimens == 1);
 }

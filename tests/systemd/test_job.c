@@ -188,10 +188,10 @@ TEST(awkward_panels_cost_only_themselves)
     check_panel(panels, "P09.png", "held", "withheld",
                 "panel number 9, but job.json says there "
                 "are 5");
-    check_panel(panels, "P04.png", "held", "withheld",
-                "is claimed by P04_rescan.png as well: say which scan to use; both show the same "
-                "glass (12 marks agree to ");
-    check_panel(panels, "P04_rescan.png", "held", "withheld", "claimed by P04.png as well");
+    check_panel(panels, "P04.png", "held", "spare",
+                "another scan of panel 4 is used, P04_rescan.png: both show the same glass (12 "
+                "marks agree to ");
+    check_panel(panels, "P04_rescan.png", "registered", "", "");
 
     gsn_auto(gsn_run_row) run = latest(store, "a");
 
@@ -241,6 +241,7 @@ TEST(a_decoder_apart_changes_nothing_and_a_harmful_panel_costs_only_itself)
     CHECK(verdict.same_inputs && verdict.same_json && verdict.same_html);
 }
 
+/* Case 31: two glasses of one number. */
 TEST(a_held_panel_is_released_by_importing_it_under_its_right_name)
 {
     static const char job[] = "{\"specimen\": \"a\", \"px_um\": 24, \"layout\": [2, 2], "
@@ -261,8 +262,8 @@ TEST(a_held_panel_is_released_by_importing_it_under_its_right_name)
     CHECK(work_all(store, 20) == 4);
     CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
     check_panel(panels, "P02.png", "held", "withheld",
-                "claimed by P02_b.png as well: say which "
-                "scan to use, or rename one and import again");
+                "claimed by P02_b.png as well, which shows another glass: say which to use, or "
+                "rename one and import again");
 
     bench_write_job(&scratch, "renamed", job);
     bench_write_panel(&scratch, "renamed", "P03.png", 3, 0.55);

@@ -67,6 +67,70 @@ static void check_panel(const struct gsn_panel_row *panel, const char *state, co
         fail_msg("%s is %s: %s", panel->file_name, panel->state, panel->message);
 }
 
+/* ---- scans of one glass, and glasses that are mounted alike -------------------------------- */
+
+/* Panel 1 or 2 of a block that a jig mounts: the second's sections lie as the first's, marks and
+ * all. What would be read on its label is crossed out. */
+static void write_jigged(const struct gsn_scratch *scratch, const char *file, int panel,
+                         double light)
+{
+    struct gsn_phantom_extent extent[GSN_PHANTOM_SLOTS];
+    gsn_auto(gsn_image) image = NULL;
+    gsn_auto_mem(uint8_t) png = NULL;
+    struct gsn_phantom_plan plan;
+    struct gsn_error err = { 0 };
+    uint8_t *pixel;
+    size_t size;
+
+    CHECK_OK(gsn_phantom_plan_make("S00", "L1", 7, 30, &plan, &err), err);
+    for (int k = 0; k < GSN_PHANTOM_SLOTS; k++) {
+        const struct gsn_phantom_section first = plan.section[k];
+        struct gsn_phantom_section *second = &plan.section[GSN_PHANTOM_SLOTS + k];
+
+        second->flip = first.flip;
+        second->theta = first.theta;
+        second->sx = first.sx;
+        second->sy = first.sy;
+        second->centre_px = first.centre_px;
+        second->to_panel = first.to_panel;
+        memcpy(second->mark, first.mark, sizeof second->mark);
+    }
+    CHECK_OK(gsn_phantom_panel_draw(&plan, &plan.file[panel - 1], 0, &image, extent, &err), err);
+    pixel = image->samples;
+    for (size_t i = 0; i < gsn_image_bytes(image); i++)
+        pixel[i] = (uint8_t)(light * pixel[i]);
+    for (uint32_t y = 0; y < image->height; y++)
+        memset(pixel + 3 * ((size_t)y * image->width + 48), 30, (size_t)3 * 12);
+    CHECK_OK(gsn_png_encode(image, &png, &size, &err), err);
+    bench_write(scratch, "in", file, png, size);
+}
+
+/* Case 5. Their marks lie alike to a pixel on both glasses, so the tissue must tell. */
+TEST(of_two_scans_of_one_glass_one_is_used_and_glasses_mounted_alike_are_two)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+
+    bench_write_job(&scratch, "in",
+                    "{\"specimen\": \"x\", \"px_um\": 30, \"layout\": [3, 4], \"panels\": 2, "
+                    "\"markers_um\": [[-2050, -1000], [1700, -1500], [-1500, 1300]]}");
+    write_jigged(&scratch, "P01.png", 1, 1);
+    write_jigged(&scratch, "P01_again.png", 1, 0.93);
+    write_jigged(&scratch, "P02.png", 2, 1);
+    gsn_auto(gsn_panel_rows) rows = worked(&scratch, store, "in", "x");
+
+    CHECK(rows->count == 3);
+    print_message("  %s\n", rows->at[0].message);
+    assert_string_equal(rows->at[0].file_name, "P01.png");
+    assert_string_equal(rows->at[0].state, "held");
+    assert_string_equal(rows->at[0].code, GSN_PANEL_SPARE);
+    CHECK(strstr(rows->at[0].message, "another scan of panel 1 is used, P01_again.png: both show "
+                                      "the same glass (36 marks agree to "));
+    assert_string_equal(rows->at[1].state, "registered");
+    assert_string_equal(rows->at[2].file_name, "P02.png");
+    assert_string_equal(rows->at[2].state, "registered");
+}
+
 /* Case 5: the same glass under another light and number, its code not to be read. */
 TEST(another_scan_of_the_same_glass_is_held_and_both_are_kept)
 {
@@ -93,7 +157,7 @@ TEST(another_scan_of_the_same_glass_is_held_and_both_are_kept)
     CHECK(strcmp(rows->at[1].state, "held") == 0);
     CHECK(
         strstr(rows->at[1].message, "it shows the same glass as P01.tif.png (12 marks agree to "));
-    CHECK(strstr(rows->at[1].message, " um): both are kept; to use this one, import it under that "
+    CHECK(strstr(rows->at[1].message, "): both are kept; to use this one, import it under that "
                                       "panel's name"));
     CHECK(strcmp(rows->at[2].state, "registered") == 0);
 }

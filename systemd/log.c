@@ -64,6 +64,7 @@ static void tame(char *text)
 
 void gsn_log(int priority, const struct gsn_log_about *about, const char *format, ...)
 {
+    const bool to_journal = is_journal();
     struct fields fields = { 0 };
     char message[900], number[24];
     va_list arguments;
@@ -72,7 +73,7 @@ void gsn_log(int priority, const struct gsn_log_about *about, const char *format
     (void)vsnprintf(message, sizeof message, format, arguments);
     va_end(arguments);
     tame(message);
-    if (is_journal()) {
+    if (to_journal) {
         (void)snprintf(number, sizeof number, "%d", priority);
         add(&fields, "MESSAGE", message);
         add(&fields, "PRIORITY", number);
@@ -86,7 +87,10 @@ void gsn_log(int priority, const struct gsn_log_about *about, const char *format
         if (send_fields(&fields) >= 0)
             return;
     }
-    (void)fprintf(stderr, "<%d>%s%s%s\n", priority,
+    /* journald reads the priority in front; people do not. */
+    if (to_journal)
+        (void)fprintf(stderr, "<%d>", priority);
+    (void)fprintf(stderr, "%s%s%s\n",
                   about && about->source && about->source[0] ? about->source : "",
                   about && about->source && about->source[0] ? ": " : "", message);
 }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* What the service says of itself: to the journal with fields, when its stderr is the journal; else
- * as lines on stderr with their priority in front ("<4>..."), as journald would read them. */
+ * as lines on stderr. */
 #ifndef GSN_SYSTEMD_LOG_H
 #define GSN_SYSTEMD_LOG_H
 

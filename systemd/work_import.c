@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/work_verbs.h"
 
+#include "storage/actor.h"
 #include "storage/event.h"
 #include "systemd/import.h"
 
@@ -95,6 +96,7 @@ static void print_import(const struct gsn_work_request *request, const char *spe
 int gsn_work_import(const struct gsn_work_request *request)
 {
     const char *file = request->volume ? request->volume : request->tile;
+    const struct gsn_actor who = gsn_actor_now();
     gsn_auto_mem(char) folder = NULL;
     gsn_auto_mem(char) job = NULL;
     gsn_auto_mem(char) specimen = NULL;
@@ -127,7 +129,7 @@ int gsn_work_import(const struct gsn_work_request *request)
     import.store = store;
     import.dir = folder;
     import.job_text = job;
-    import.actor = gsn_work_actor();
+    import.actor = who.name;
     r = gsn_import_folder(&import, &specimen, &counts, &err);
     if (r < 0)
         return gsn_work_complain(&err, r);

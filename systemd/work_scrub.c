@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/work_verbs.h"
 
+#include "storage/actor.h"
 #include "systemd/scrub.h"
 
 #include <stdio.h>
@@ -49,10 +50,10 @@ int gsn_work_scrub(const struct gsn_work_request *request)
 {
     gsn_auto(gsn_store) store = NULL;
     json_t *damaged = json_array();
-    struct gsn_scrub scrub = { .actor = gsn_work_actor(),
-                               .minutes = request->minutes,
-                               .damaged = say_damaged,
-                               .context = damaged };
+    const struct gsn_actor who = gsn_actor_now();
+    struct gsn_scrub scrub = {
+        .actor = who.name, .minutes = request->minutes, .damaged = say_damaged, .context = damaged
+    };
     struct gsn_scrub_counts counts = { 0 };
     struct gsn_error err = { 0 };
     int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);

@@ -32,8 +32,6 @@ int gsn_work_register(const struct gsn_work_request *request);
 int gsn_work_complain(const struct gsn_error *err, int code);
 /* Says what was asked wrongly; returns EX_USAGE. */
 int gsn_work_usage(const char *sentence);
-/* Who asked, not whom they became. Borrowed. */
-const char *gsn_work_actor(void);
 /* A decimal number of the command line, through the parser that reads every other number. gives;
  * NULL when it is none. */
 json_t *gsn_work_number(const char *text);

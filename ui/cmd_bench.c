@@ -5,6 +5,7 @@
 #include "ui/text.h"
 #include "ui/ui.h"
 
+#include "storage/actor.h"
 #include "storage/bench.h"
 #include "storage/scan.h"
 #include "storage/service.h"
@@ -47,6 +48,7 @@ static int read_filing(int argc, char **argv, struct filing *filing)
 int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
 {
     gsn_auto(gsn_store) store = NULL;
+    const struct gsn_actor who = gsn_actor_now();
     struct filing filing = { 0 };
     struct gsn_error err = { 0 };
     int status = EX_OK, r;
@@ -62,7 +64,7 @@ int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
         return status;
-    r = gsn_scan_file(store, filing.id, filing.specimen, (unsigned)filing.number, gsn_ui_actor(),
+    r = gsn_scan_file(store, filing.id, filing.specimen, (unsigned)filing.number, who.name,
                       time(NULL), &err);
     if (r < 0)
         return gsn_ui_complain(&err, r);
@@ -107,7 +109,7 @@ int gsn_cmd_expect(const struct gsn_ui *ui, int argc, char **argv)
         return status;
     r = knows_source(store, argv[1], &err);
     if (r >= 0)
-        r = gsn_scan_expect(store, argv[1], specimen, gsn_ui_actor(), time(NULL), &err);
+        r = gsn_scan_expect(store, argv[1], specimen, gsn_actor_now().name, time(NULL), &err);
     if (r < 0)
         return gsn_ui_complain(&err, r);
     if (ui->json)
@@ -188,7 +190,7 @@ int gsn_cmd_capture(const struct gsn_ui *ui, int argc, char **argv)
         return gsn_ui_fail(EX_TEMPFAIL, "giesond is not running, and only it speaks to devices: "
                                         "`systemctl start gieson`");
     if (r >= 0)
-        r = gsn_request_add(store, argv[1], kind, gsn_ui_actor(), time(NULL), &id, &err);
+        r = gsn_request_add(store, argv[1], kind, gsn_actor_now().name, time(NULL), &id, &err);
     if (r >= 0)
         r = wait_for_answer(store, id, &row, &err);
     return r < 0 ? gsn_ui_complain(&err, r) : tell_answer(ui, row);

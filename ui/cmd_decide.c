@@ -5,6 +5,8 @@
 #include "ui/show.h"
 #include "ui/text.h"
 
+#include "storage/actor.h"
+
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -327,13 +329,14 @@ static int was_said(const struct known *known, const struct question *q, const c
 static int decide(struct gsn_store *store, const struct question *q, int *ret_again,
                   struct gsn_error *err)
 {
+    const struct gsn_actor who = gsn_actor_now();
     struct known known = { 0 };
     gsn_auto_mem(char) answer = NULL;
     struct gsn_decision_row row = { .number = q->number,
                                     .slot = q->slot,
                                     .x_px = NAN,
                                     .y_px = NAN,
-                                    .actor = gsn_ui_actor(),
+                                    .actor = who.name,
                                     .reason = q->reason,
                                     .time = time(NULL) };
     const struct gsn_section_row *section;

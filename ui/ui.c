@@ -76,15 +76,6 @@ int gsn_ui_whole(const char *text, int64_t least, int64_t most, int64_t *ret_num
     return 1;
 }
 
-const char *gsn_ui_actor(void)
-{
-    const char *user = getenv("SUDO_USER"); /* who asked, not whom they became */
-
-    if (!user || !user[0])
-        user = getenv("USER");
-    return user && user[0] ? user : "gieson";
-}
-
 void gsn_ui_pause_ms(long ms)
 {
     const struct timespec time = { .tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000L };

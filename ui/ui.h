@@ -46,8 +46,6 @@ int gsn_ui_columns(int fd);
 
 /* A whole number of decimal digits from least to most: 1, and the number; else 0. */
 int gsn_ui_whole(const char *text, int64_t least, int64_t most, int64_t *ret_number);
-/* Who asks, for the diary. borrows: valid as long as the environment. */
-const char *gsn_ui_actor(void);
 void gsn_ui_pause_ms(long ms);
 
 /* Prints and releases root. */

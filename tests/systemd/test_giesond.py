@@ -221,7 +221,11 @@ def specimen(bench):
     bench.wait("the specimen's panels", lambda: bench.ask("SELECT count(*) FROM panel") ==
                [(panels,)])
     bench.wait("the trouble", lambda: bench.ask("SELECT name FROM trouble") == [("wrong",)])
-    demand("job.json" in bench.ask("SELECT reason FROM trouble")[0][0], "its reason is told")
+    reason = bench.ask("SELECT reason FROM trouble")[0][0]
+    demand("job.json" in reason, "its reason is told")
+    bench.wait("two more tries", lambda: bench.ask("SELECT tries FROM trouble")[0][0] >= 3)
+    demand(bench.words().count(reason) <= 2, f"who tries again says nothing new: {bench.words()}")
+    demand("<6>" not in bench.words(), "priorities are for the journal")
     for file in made.glob("region*"):
         shutil.copy(file, wrong)
     text = json.loads((made / "job.json").read_text())

@@ -9,6 +9,7 @@
 #include "storage/inbox.h"
 #include "storage/panel_name.h"
 #include "storage/sql.h"
+#include "storage/torn.h"
 #include "storage/within.h"
 
 /* A specimen, as far as a scan needs it. */
@@ -231,13 +232,41 @@ struct progress {
     int64_t asked; /* the specimen asked for last */
 };
 
+/* Whether this source gave another picture of this name before. */
+static int find_earlier(struct gsn_store *store, const struct gsn_scan_row *scan, int64_t *ret_came,
+                        struct gsn_error *err)
+{
+    return gsn_sql_int(
+        store,
+        "SELECT EXISTS (SELECT 1 FROM scan WHERE source = ?1 AND name = ?2 AND "
+        "sha256 <> ?3)",
+        SQL_ARGS(SQL_TEXT(scan->source), SQL_TEXT(scan->name), SQL_TEXT(scan->sha256)), ret_came,
+        err);
+}
+
 /* Its panel, and the jobs that this asks for. */
 static int settle_panel(struct gsn_store *store, const struct letter *scan, struct place *place,
                         struct progress *progress, struct gsn_error *err)
 {
-    int64_t job = 0;
+    const struct gsn_panel_row whole = { .specimen_id = place->specimen,
+                                         .file_name = scan->row.name,
+                                         .sha256 = scan->row.sha256,
+                                         .size = scan->row.size };
+    int64_t job = 0, came = 0;
     int again = 0;
-    int r = gsn_scan_put_panel(store, &scan->row, place->specimen, place->number, &place->panel,
+    int r = find_earlier(store, &scan->row, &came, err);
+
+    if (r >= 0 && came)
+        r = gsn_torn_replace(store, &whole, scan->row.arrived, "gieson-intake", &place->panel, err);
+    if (r >= 0 && place->panel) {
+        const size_t used = strlen(place->reason);
+
+        (void)snprintf(place->reason + used, sizeof place->reason - used,
+                       "; what came under this name before was a torn beginning of it");
+        return gsn_event_tail(store, &progress->diary, err);
+    }
+    if (r >= 0)
+        r = gsn_scan_put_panel(store, &scan->row, place->specimen, place->number, &place->panel,
                                &again, err);
 
     if (r < 0 || again || place->specimen == progress->asked)
@@ -252,10 +281,15 @@ static int settle(struct gsn_store *store, const struct letter *scan, struct pro
                   struct gsn_error *err)
 {
     struct place place = { .panel = 0 };
+    int64_t came = 0;
     int r = judge(store, &scan->row, (unsigned)scan->number, &place, err);
 
     if (r >= 0 && place.specimen)
         r = settle_panel(store, scan, &place, progress, err);
+    if (r >= 0 && strcmp(place.state, "unfiled") == 0)
+        r = find_earlier(store, &scan->row, &came, err);
+    if (r >= 0 && came)
+        r = gsn_torn_forget(store, &scan->row, err);
     if (r >= 0)
         r = insert(store, scan, &place, err);
     return r < 0 ? r : tell_arrival(store, &scan->row, &place, &progress->diary, err);

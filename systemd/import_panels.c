@@ -6,6 +6,7 @@
 #include "storage/panel_log.h"
 #include "storage/panel_name.h"
 #include "storage/queue.h"
+#include "storage/torn.h"
 
 #include <math.h>
 #include <string.h>
@@ -70,16 +71,18 @@ static int log_panel(struct gsn_import_work *in, const struct gsn_source_event *
                                        .code = "",
                                        .message = "",
                                        .px_um = NAN };
-    int64_t panel, job;
-    int again, r;
+    int64_t panel = 0, job, mended = 0;
+    int again = 0, r;
 
     r = gsn_store_begin(in->import->store, err);
     if (r < 0)
         return r;
-    r = gsn_panel_put(in->import->store, &row, &panel, &again, err);
+    r = gsn_torn_replace(in->import->store, &row, time(NULL), in->import->actor, &mended, err);
+    if (r >= 0 && !mended)
+        r = gsn_panel_put(in->import->store, &row, &panel, &again, err);
     if (r >= 0 && again)
         r = rename_panel(in, panel, &row, err);
-    if (r >= 0 && !again)
+    if (r >= 0 && !again && !mended)
         r = gsn_queue_add(in->import->store, in->specimen, panel, &job, err);
     if (r >= 0 && !again)
         r = gsn_event_add(in->import->store, time(NULL), in->import->actor, "panel", item->name,
@@ -95,6 +98,9 @@ static int log_panel(struct gsn_import_work *in, const struct gsn_source_event *
         in->counts.again++;
         notice(in->import, item->name, "the same bytes are in the store already");
     } else {
+        if (mended)
+            notice(in->import, item->name,
+                   "what came under this name before was a torn beginning of it; both are kept");
         in->counts.taken++;
         if (number == 0) {
             in->counts.held++;

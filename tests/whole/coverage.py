@@ -115,14 +115,13 @@ Set = collections.namedtuple("Set", "number geometry level turn stain file scatt
 
 
 def set_of(number):
-    """The n-th set. In each four all turns, in each 24 every level with every file and counterstain,
-    in each 12 every block; every eighth specimen has no tissue that is poor in collagen."""
-    return Set(number=number, geometry=number % 12, turn=TURNS[number % 4],
-               level="L2" if number % 3 == 1 else "L1",
-               stain="haematoxylin" if number % 5 == 3 else "dark",
-               file="JPEG 85" if number % 2 else "PNG",
-               scatter=(0, 0.5)[number // 2 % 2],
-               poor=number % 8 != 6)
+    """The n-th set. Every four have all turns, every twelve all blocks, and what else there is goes
+    round at other rates, so that no two of them go together."""
+    level = "L2" if number % 3 == 1 else "L1"
+    return Set(number=number, geometry=(5 * number + number // 12) % 12, turn=TURNS[number % 4],
+               level=level, stain="haematoxylin" if number % 5 == 3 else "dark",
+               file="JPEG 85" if number // 4 % 2 else "PNG",
+               scatter=2 if level == "L2" else (0, 0.5)[number // 3 % 2], poor=number % 7 != 6)
 
 
 def variant_of(drawn):
@@ -291,8 +290,9 @@ def mistakes(folder, args):
         name, words = mistake
         place = Bench(args.bin, folder / name)
         wrong = json.loads((VARIANTS / f"{name}.json").read_text())
-        made = [place.phantom("S00", "L1", args.seed, args.px[0], {}),
-                place.phantom("S02", "L1", args.seed, args.px[0], wrong)]
+        block = {"block": {"like": "D", "sections": 36}}
+        made = [place.phantom("S00", "L1", args.seed, args.px[0], block),
+                place.phantom("S02", "L1", args.seed, args.px[0], {**block, **wrong})]
         place.work(*made)
         report, said = place.report("S02"), place.messages("S02")
         said += [report["verdict_reason"] or "", report["loss_reason"] or "", *report["warnings"]]

@@ -89,8 +89,10 @@ static int check_fileable(struct gsn_store *store, const struct gsn_scan_row *sc
     if (scan->panel_id && strcmp(scan->specimen, specimen) == 0)
         r = is_held(store, scan->panel_id, &held, err);
     if (r >= 0 && scan->panel_id && !held)
-        return gsn_fail(err, GSN_E_INPUT, "scan %lld is filed already, as a panel of %s",
-                        (long long)scan->id, scan->specimen);
+        return gsn_fail(err, GSN_E_INPUT,
+                        "scan %lld is filed already, as a panel of %s: `gieson file %lld undo` "
+                        "takes that back",
+                        (long long)scan->id, scan->specimen, (long long)scan->id);
     return r;
 }
 
@@ -102,21 +104,13 @@ static int check_sections(const struct gsn_specimen_row *specimen, struct gsn_er
     return GSN_OK;
 }
 
-/* The bytes were a panel of this specimen before: a held one takes the number that a person gives,
- * and the others that are held are looked at again, for it may have stood in their way. */
-static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, int64_t specimen,
-                    int64_t panel, unsigned number, struct gsn_error *err)
+/* Held panels are looked at again: what stood in their way may be gone. */
+static int release_held(struct gsn_store *store, int64_t specimen, struct gsn_error *err)
 {
     gsn_auto(gsn_panel_rows) panels = NULL;
-    bool held = false;
     int64_t job = 0;
-    int r = is_held(store, panel, &held, err);
+    int r = gsn_panel_list(store, specimen, &panels, err);
 
-    if (r < 0 || !held)
-        return r;
-    r = gsn_panel_set_name(store, panel, number, scan->name, err);
-    if (r >= 0)
-        r = gsn_panel_list(store, specimen, &panels, err);
     for (size_t i = 0; r >= 0 && i < panels->count; i++) {
         if (strcmp(panels->at[i].state, "held") != 0)
             continue;
@@ -125,6 +119,25 @@ static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, in
             r = gsn_queue_ask(store, specimen, panels->at[i].id, &job, err);
     }
     return r < 0 ? r : gsn_queue_ask(store, specimen, 0, &job, err);
+}
+
+/* The bytes were a panel of this specimen before: a held one takes the number that a person gives,
+ * and the others that are held are looked at again, for it may have stood in their way. */
+static int renumber(struct gsn_store *store, const struct gsn_scan_row *scan, int64_t specimen,
+                    int64_t panel, unsigned number, struct gsn_error *err)
+{
+    gsn_auto(gsn_panel_row) row = NULL;
+    bool open = false;
+    int r = gsn_panel_get(store, panel, &row, err);
+
+    if (r >= 0)
+        open = strcmp(row->state, "held") == 0 || strcmp(row->code, "withheld") == 0;
+    if (r < 0 || !open)
+        return r;
+    r = gsn_panel_set_state(store, panel, "held", NULL, NULL, err);
+    if (r >= 0)
+        r = gsn_panel_set_name(store, panel, number, scan->name, err);
+    return r < 0 ? r : release_held(store, specimen, err);
 }
 
 static int tell_filing(struct gsn_store *store, const struct gsn_scan_row *scan,
@@ -176,6 +189,91 @@ int gsn_scan_file(struct gsn_store *store, int64_t id, const char *specimen, uns
     const int r = gsn_store_begin(store, err);
 
     return r < 0 ? r : gsn_sql_end(store, file(store, id, specimen, number, actor, now, err), err);
+}
+
+static int ask_number(struct gsn_store *store, const char *sql, int64_t id, int64_t *ret_number,
+                      struct gsn_error *err)
+{
+    return gsn_sql_int(store, sql, SQL_ARGS(SQL_INT(id)), ret_number, err);
+}
+
+/* A run's poses and stains name their panel, and what a report rests on is history. */
+static int drop_panel(struct gsn_store *store, int64_t panel, const char *actor,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(char) why = gsn_format(
+        "taken back by %s: it is not used; the scan it came as waits for its place", actor);
+    int64_t reported = 0;
+    int r = ask_number(store,
+                       "SELECT EXISTS (SELECT 1 FROM pose WHERE panel_id = ?1) OR "
+                       "EXISTS (SELECT 1 FROM stain_batch WHERE panel_id = ?1)",
+                       panel, &reported, err);
+
+    if (r >= 0 && !why)
+        r = gsn_fail(err, GSN_E_NOMEM, "out of memory for a sentence");
+    if (r >= 0 && reported)
+        return gsn_panel_set_state(store, panel, "refused", "withheld", why, err);
+    if (r >= 0)
+        r = gsn_sql_run(store, "DELETE FROM job WHERE panel_id = ?1", SQL_ARGS(SQL_INT(panel)),
+                        NULL, err);
+    if (r >= 0)
+        r = gsn_sql_run(store, "DELETE FROM section WHERE " SECTIONS_OF("?1"),
+                        SQL_ARGS(SQL_INT(panel)), NULL, err);
+    return r < 0 ? r
+                 : gsn_sql_run(store, "DELETE FROM panel WHERE id = ?1", SQL_ARGS(SQL_INT(panel)),
+                               NULL, err);
+}
+
+/* In a transaction. */
+static int unfile(struct gsn_store *store, int64_t id, const char *actor, int64_t now,
+                  struct gsn_error *err)
+{
+    gsn_auto(gsn_scan_row) scan = NULL;
+    gsn_auto(gsn_panel_row) panel = NULL;
+    gsn_auto_mem(char) text = NULL;
+    int64_t running = 0, others = 0;
+    int r = gsn_scan_get(store, id, &scan, err);
+
+    if (r >= 0 && !scan->panel_id)
+        return gsn_fail(err, GSN_E_INPUT, "scan %lld is not filed: there is nothing to take back",
+                        (long long)id);
+    if (r >= 0)
+        r = gsn_panel_get(store, scan->panel_id, &panel, err);
+    if (r >= 0)
+        r = ask_number(store,
+                       "SELECT EXISTS (SELECT 1 FROM job WHERE panel_id = ?1 AND state = "
+                       "'running')",
+                       scan->panel_id, &running, err);
+    if (r >= 0 && running)
+        return gsn_fail(err, GSN_E_BUSY, "scan %lld is being looked at: try again in a minute",
+                        (long long)id);
+    text = r >= 0
+               ? gsn_format("scan %lld is no panel of %s any more", (long long)id, scan->specimen)
+               : NULL;
+    if (r >= 0 && !text)
+        r = gsn_fail(err, GSN_E_NOMEM, "out of memory for the audit log");
+    if (r >= 0)
+        r = gsn_sql_run(store,
+                        "UPDATE scan SET state = 'unfiled', panel_id = NULL, reason = 'taken back "
+                        "by ' || ?2 || ': say whose it is with `gieson file`' WHERE id = ?1",
+                        SQL_ARGS(SQL_INT(id), SQL_TEXT(actor)), NULL, err);
+    /* The same bytes may have come twice, and be a panel by the other scan, too. */
+    if (r >= 0)
+        r = ask_number(store, "SELECT count(*) FROM scan WHERE panel_id = ?1", panel->id, &others,
+                       err);
+    if (r >= 0 && others == 0)
+        r = drop_panel(store, panel->id, actor, err);
+    if (r >= 0)
+        r = release_held(store, panel->specimen_id, err);
+    return r < 0 ? r : gsn_event_append(store, now, actor, "unfile", scan->name, text, err);
+}
+
+int gsn_scan_unfile(struct gsn_store *store, int64_t id, const char *actor, int64_t now,
+                    struct gsn_error *err)
+{
+    const int r = gsn_store_begin(store, err);
+
+    return r < 0 ? r : gsn_sql_end(store, unfile(store, id, actor, now, err), err);
 }
 
 /* In a transaction. */

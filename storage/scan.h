@@ -93,6 +93,12 @@ int gsn_scan_newest(struct gsn_store *store, const char *source, const char *sub
 int gsn_scan_file(struct gsn_store *store, int64_t id, const char *specimen, unsigned number,
                   const char *actor, int64_t now, struct gsn_error *err);
 
+/* Takes that back, whoever placed it: the scan is unfiled again. Its panel is forgotten, with what was
+ * found on it; one that a report rests on stays, and is refused until it is filed again. Fails with GSN_E_INPUT when the scan is
+ * not filed, GSN_E_BUSY while its panel is being looked at, GSN_E_NOTFOUND. */
+int gsn_scan_unfile(struct gsn_store *store, int64_t id, const char *actor, int64_t now,
+                    struct gsn_error *err);
+
 /* From now on what this source delivers belongs to the specimen; NULL: to nobody in particular.
  * Fails with GSN_E_NOTFOUND when there is no such specimen, GSN_E_INPUT when it has no panels. */
 int gsn_scan_expect(struct gsn_store *store, const char *source, const char *specimen,

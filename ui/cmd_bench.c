@@ -26,6 +26,7 @@ enum {
 struct filing {
     const char *scan, *specimen, *panel; /* as typed */
     int64_t id, number;
+    int undo;
 };
 
 static int read_filing(int argc, char **argv, struct filing *filing)
@@ -42,7 +43,26 @@ static int read_filing(int argc, char **argv, struct filing *filing)
         else
             return -1;
     }
-    return filing->scan && filing->specimen && filing->panel ? 0 : -1;
+    /* A specimen called undo is named with its panel. */
+    filing->undo = filing->specimen && strcmp(filing->specimen, "undo") == 0 && !filing->panel;
+    return filing->scan && filing->specimen && (filing->panel || filing->undo) ? 0 : -1;
+}
+
+static int undo_filing(const struct gsn_ui *ui, struct gsn_store *store, int64_t scan,
+                       const char *actor)
+{
+    struct gsn_error err = { 0 };
+    const int r = gsn_scan_unfile(store, scan, actor, time(NULL), &err);
+
+    if (r < 0)
+        return gsn_ui_complain(&err, r);
+    if (ui->json)
+        gsn_ui_print_json(
+            json_pack("{s:I, s:n, s:n}", "scan", (json_int_t)scan, "specimen", "panel"));
+    else
+        gsn_text_line(stdout, "scan %lld is nobody's panel again: `gieson status` lists it",
+                      (long long)scan);
+    return EX_OK;
 }
 
 int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
@@ -54,16 +74,19 @@ int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
     int status = EX_OK, r;
 
     if (read_filing(argc, argv, &filing) < 0)
-        return gsn_ui_usage("say `gieson file SCAN SPECIMEN --panel N`; `gieson status` lists the "
-                            "scans that nobody could place");
+        return gsn_ui_usage(
+            "say `gieson file SCAN SPECIMEN --panel N`, or `gieson file SCAN undo`; "
+            "`gieson status` lists the scans that nobody could place");
     if (!gsn_ui_whole(filing.scan, 1, INT64_MAX, &filing.id))
         return gsn_ui_usage("a scan is named by its number, not \"%s\"", filing.scan);
-    if (!gsn_ui_whole(filing.panel, 1, MOST_PANELS, &filing.number))
+    if (!filing.undo && !gsn_ui_whole(filing.panel, 1, MOST_PANELS, &filing.number))
         return gsn_ui_usage("--panel must be a whole number from 1 to %d, not \"%s\"",
                             (int)MOST_PANELS, filing.panel);
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
         return status;
+    if (filing.undo)
+        return undo_filing(ui, store, filing.id, who.name);
     r = gsn_scan_file(store, filing.id, filing.specimen, (unsigned)filing.number, who.name,
                       time(NULL), &err);
     if (r < 0)

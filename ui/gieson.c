@@ -58,7 +58,7 @@ static const char doc[] =
     "  demo [FOLDER]       two phantom specimens from panels to reports\n"
     "  phantom ...         make a specimen with a known truth (phantom --help)\n"
     "The bench:\n"
-    "  file SCAN SPECIMEN --panel N\n"
+    "  file SCAN SPECIMEN --panel N | file SCAN undo\n"
     "                      say where a scan belongs that nobody could place\n"
     "  expect SOURCE SPECIMEN\n"
     "                      what this source delivers is this specimen's, until\n"

@@ -498,6 +498,91 @@ TEST(a_held_panel_takes_the_number_that_a_person_gives_and_is_looked_at_again)
     CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting'") == 2);
 }
 
+/* "scan 1 is filed already" was all that one typo at the bench left. */
+TEST(a_filing_is_taken_back_as_if_it_had_never_been)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) scan = arrive(store, "IMG_1.JPG", 1, 0);
+    gsn_auto(gsn_scan_row) now = NULL;
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    const struct gsn_section_row found = { .slot = 1, .state = "found", .flags = "" };
+    struct gsn_event_verdict verdict;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    (void)bench_add_specimen(store, "T", "g", "");
+    CHECK(gsn_scan_unfile(store, scan->id, "ann", NOON, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "is not filed"));
+    CHECK(gsn_scan_unfile(store, 99, "ann", NOON, &err) == GSN_E_NOTFOUND);
+    CHECK_OK(gsn_scan_file(store, scan->id, "S", 7, "ann", NOON, &err), err);
+    CHECK_OK(gsn_section_replace(store, 1, &found, 1, &err), err);
+    CHECK(gsn_scan_file(store, scan->id, "T", 7, "ann", NOON, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "`gieson file 1 undo` takes that back"));
+    CHECK_OK(gsn_scan_unfile(store, scan->id, "bob", NOON, &err), err);
+    CHECK_OK(gsn_scan_get(store, scan->id, &now, &err), err);
+    CHECK(strcmp(now->state, "unfiled") == 0 && now->panel_id == 0);
+    CHECK(strcmp(now->reason, "taken back by bob: say whose it is with `gieson file`") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM panel") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM job WHERE panel_id IS NOT NULL") == 0);
+    CHECK(ask(store, "SELECT count(*) FROM event WHERE kind = 'unfile' AND actor = 'bob'") == 1);
+    CHECK_OK(gsn_scan_file(store, scan->id, "T", 7, "ann", NOON, &err), err);
+    CHECK_OK(gsn_panel_list(store, 2, &panels, &err), err);
+    CHECK(panels->count == 1 && panels->at[0].number == 7);
+    CHECK_OK(gsn_event_verify(store, NULL, &verdict, &err), err);
+    CHECK(verdict.broken == 0);
+}
+
+TEST(what_a_report_rests_on_is_kept_and_not_used_until_it_is_filed_again)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) scan = arrive(store, "IMG_1.JPG", 1, 0);
+    gsn_auto(gsn_scan_row) other = arrive(store, "IMG_2.JPG", 2, 0);
+    gsn_auto(gsn_panel_row) panel = NULL;
+    gsn_auto(gsn_panel_row) again = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    CHECK_OK(gsn_scan_file(store, scan->id, "S", 7, "ann", NOON, &err), err);
+    CHECK_OK(gsn_scan_file(store, other->id, "S", 7, "ann", NOON, &err), err);
+    CHECK_OK(gsn_panel_set_state(store, 2, "held", "input", "two of one number", &err), err);
+    CHECK_OK(gsn_sql_run(store,
+                         "INSERT INTO run (specimen_id, key, version, inputs_json, "
+                         "parameters_json, state, started) VALUES (1, 'k', 'v', '', '', 'running', "
+                         "0)",
+                         SQL_NO_ARGS, NULL, &err),
+             err);
+    CHECK_OK(gsn_sql_run(store,
+                         "INSERT INTO pose (run_id, panel_id, slot, serial, m00, m01, m02, m10, "
+                         "m11, m12, flipped, rotated180) VALUES (1, 1, 1, 1, 1, 0, 0, 0, 1, 0, 0, "
+                         "0)",
+                         SQL_NO_ARGS, NULL, &err),
+             err);
+    CHECK_OK(gsn_scan_unfile(store, scan->id, "bob", NOON, &err), err);
+    CHECK_OK(gsn_panel_get(store, 1, &panel, &err), err);
+    CHECK(strcmp(panel->state, "refused") == 0 && strstr(panel->message, "taken back by bob"));
+    CHECK(ask(store, "SELECT count(*) FROM panel WHERE id = 2 AND state = 'waiting'") == 1);
+    CHECK_OK(gsn_scan_file(store, scan->id, "S", 8, "ann", NOON, &err), err);
+    CHECK_OK(gsn_panel_get(store, 1, &again, &err), err);
+    CHECK(strcmp(again->state, "waiting") == 0 && again->number == 8);
+}
+
+TEST(a_filing_is_not_taken_back_while_its_panel_is_looked_at)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_row) scan = arrive(store, "IMG_1.JPG", 1, 0);
+    gsn_auto(gsn_job_row) job = NULL;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    CHECK_OK(gsn_scan_file(store, scan->id, "S", 7, "ann", NOON, &err), err);
+    CHECK_OK(gsn_queue_claim(store, "t", NOON, 60, 0, &job, &err), err);
+    CHECK(gsn_scan_unfile(store, scan->id, "bob", NOON, &err) == GSN_E_BUSY);
+    CHECK(ask(store, "SELECT count(*) FROM panel") == 1);
+}
+
 TEST(what_has_no_panels_is_not_expected)
 {
     scratch_auto scratch = gsn_scratch_new();

@@ -409,6 +409,13 @@ class Told(Bench):
         panels = self.json("show", "R07-left")["panels"]
         self.assertEqual([p["number"] for p in panels], [1, 2, 7])
         self.assertEqual(panels[2]["file"], "IMG_0041.JPG")
+        again = self.call("file", str(scan), "R07-right", "--panel", "1")
+        self.assertIn(f"`gieson file {scan} undo` takes that back", again.stderr)
+        self.assertEqual(self.json("file", str(scan), "undo"),
+                         {"scan": scan, "specimen": None, "panel": None})
+        self.assertEqual([s["scan"] for s in self.json("status")["unfiled"]], [scan])
+        self.assertNotIn(7, [p["number"] for p in self.json("show", "R07-left")["panels"]])
+        self.assertEqual(self.call("file", str(scan), "undo").returncode, 65)
 
     def test_a_held_panel_that_came_by_a_source_is_given_its_number(self):
         self.scene.panel(1, 0, "held", "no number in its name", age=100, name="IMG_0042.JPG")

@@ -7,7 +7,9 @@ other blocks, marks and layouts, and an operator's mistakes. Panels in a folder,
                             the loss in baths that no table knows. A set is one bath, one block and
                             three specimens: a control, one that has lost about 40 %, one that has
                             lost nothing. --stated: what the operator knows of the stain; --results:
-                            one line a specimen, kept; what is in it is not done again
+                            one line a specimen, kept; what is in it is not done again. With
+                            --keep the pictures stay and serve the next run; --stated with nothing
+                            behind it only makes them
     coverage.py BIN mistakes      label on its head, order, y up, marker_um
     coverage.py BIN marks [--px 4 10.58 24] [--radius 20 40 75 150 300]
     coverage.py BIN decoys [--decoys 0 10 20 40 60]
@@ -25,6 +27,7 @@ import json
 import math
 import os
 import pathlib
+import re
 import shutil
 import statistics
 import subprocess
@@ -66,6 +69,8 @@ class Bench:
 
     def phantom(self, specimen, level, seed, px_um, variant):
         place = self.folder / f"GVP-D-{specimen}"
+        if (place / "job.json").exists():  # it is written last
+            return place
         file = self.folder / f"{specimen}.json"
         file.write_text(json.dumps(variant))
         self.call("phantom", "--specimen", specimen, "--level", level, "--seed", seed, "--px", px_um,
@@ -177,6 +182,9 @@ def judge(report, truth):
     low, high = interval.get("lower"), interval.get("upper")
     found = {"true": truth, "loss": loss, "lower": low, "upper": high,
              "reason": report["loss_reason"], "state": "reported"}
+    at_most = re.search(r"at most (-?[0-9.]+) %", report["loss_reason"] or "")
+    if loss is None and high is None and at_most:
+        found["upper"] = high = float(at_most[1])
     if loss is None or low is None:
         found["state"] = "withheld" if high is None else "bounded"
         if high is not None:
@@ -192,9 +200,7 @@ def judge(report, truth):
 def work_set(bin_folder, folder, number, stated, args, say):
     """Makes one set and works it once for each statement."""
     drawn = set_of(number)
-    variant = variant_of(drawn)
-    if "panel" in stated:
-        variant["calibration"] = True
+    variant = {**variant_of(drawn), "calibration": True}
     maker = Bench(bin_folder, folder / f"set-{number}")
     loss = {"S00": 1, "S02": variant.get("loss", 1), "S01": 0}
     made = {s: maker.phantom(s, drawn.level, 1000 + args.seed + number, args.px[0],
@@ -209,7 +215,8 @@ def work_set(bin_folder, folder, number, stated, args, say):
             say({**drawn._asdict(), "stated": how, "specimen": specimen,
                  **judge(place.report(specimen), true_loss(made[specimen]))})
         shutil.rmtree(place.folder)
-    shutil.rmtree(maker.folder)
+    if not args.keep:
+        shutil.rmtree(maker.folder)
 
 
 def show_row(name, rows):
@@ -261,7 +268,7 @@ def colour(folder, args):
 
     def one(number):
         left = [how for how in args.stated if done[number, how] < 2]
-        if left:
+        if left or not args.stated:
             work_set(args.bin, folder, number, left, args, say)
 
     at_once(args.threads, one, range(args.first, args.first + args.sets))
@@ -443,7 +450,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--sets", type=int, default=12)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--stated", nargs="+", choices=("nothing", "free", "panel"),
+    parser.add_argument("--stated", nargs="*", choices=("nothing", "free", "panel"),
                         default=["nothing", "free", "panel"])
     parser.add_argument("--results")
     parser.add_argument("--radius", type=float, nargs="+", default=[20, 40, 75, 150, 300])

@@ -29,6 +29,10 @@ def main():
     # A bound from above is no figure, and may be wrong.
     assert coverage.judge(report(None, None, 30.0), 20.0)["state"] == "bounded"
     assert not coverage.judge(report(None, None, 30.0), 31.0)["covered"]
+    said = {**report(None, None, None), "loss_reason": "so the loss is at most 41.5 % and may be less"}
+    found = coverage.judge(said, 40.0)
+    assert found["state"] == "bounded" and found["covered"] and found["upper"] == 41.5
+    assert not coverage.judge(said, 42.0)["covered"]
     found = coverage.judge(report(None, None, None), 20.0)
     assert found["state"] == "withheld" and "covered" not in found
 

@@ -169,8 +169,8 @@ def free_tissue(folder):
 def state(folder, stated):
     """What the operator types beside what the phantom wrote."""
     job = json.loads((folder / "job.json").read_text())
-    if stated != "panel":
-        job.pop("calibration", None)
+    if stated != "panel":  # nor does it come in as one more panel of sections
+        (folder / job.pop("calibration")).unlink()
     if stated == "free":
         job["collagen_free"] = free_tissue(folder)
     (folder / "job.json").write_text(json.dumps(job))

@@ -215,7 +215,7 @@ static int wait_for_whole(struct gsn_intake *intake, const struct gsn_source_eve
                           const struct gsn_spooled *spooled, const struct gsn_container *container,
                           int64_t now, struct gsn_error *err)
 {
-    const struct gsn_intake_half *half = intake->half;
+    struct gsn_intake_half *half = intake->half;
     int r = GSN_OK;
 
     if (intake->patience_s == 0 || ready->incomplete || container->complete ||
@@ -227,6 +227,8 @@ static int wait_for_whole(struct gsn_intake *intake, const struct gsn_source_eve
     while (half && strcmp(half->name, ready->name) != 0)
         half = half->next;
     if (half && strcmp(half->digest.hex, spooled->digest.hex) == 0) {
+        /* A clock that was set back must not make it wait for as long as that. */
+        half->since = now < half->since ? now : half->since;
         if (now - half->since >= intake->patience_s) {
             forget_half(intake, ready->name);
             return GSN_OK;

@@ -39,7 +39,9 @@ long fault_disarm(void)
 static bool is_turn(void)
 {
     calls++;
-    return plan.at && (calls == plan.at || (plan.for_ever && calls > plan.at));
+    if (plan.dies && calls == plan.at)
+        _exit(FAULT_DIED);
+    return !plan.dies && plan.at && (calls == plan.at || (plan.for_ever && calls > plan.at));
 }
 
 static bool fails(bool changes)
@@ -105,6 +107,17 @@ static bool is_change(int flags)
     }
 OPEN(open)
 OPEN(open64)
+
+int openat(int dir, const char *path, int flags, ...)
+{
+    va_list rest;
+    mode_t mode;
+
+    va_start(rest, flags);
+    mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(rest, mode_t) : 0;
+    va_end(rest);
+    return fails(is_change(flags)) ? -1 : (int)syscall(SYS_openat, dir, path, flags, mode);
+}
 
 int mkostemp(char *path, int flags)
 {

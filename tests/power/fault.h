@@ -8,12 +8,15 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+enum { FAULT_DIED = 99 };
+
 struct fault {
     long at;           /* the first call that fails, from 1; 0: none */
     int error;         /* with this errno */
     bool for_ever;     /* and all calls after it */
     bool only_changes; /* calls that only read are not counted and never fail */
     bool shortened;    /* does not fail: writes half of its bytes */
+    bool dies;         /* the process ends there, with FAULT_DIED */
     uint64_t room;     /* bytes by which files may grow before the disk is full; 0: no limit */
 };
 

@@ -498,6 +498,38 @@ TEST(a_held_panel_takes_the_number_that_a_person_gives_and_is_looked_at_again)
     CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting'") == 2);
 }
 
+TEST(a_clock_that_jumps_changes_neither_order_nor_history)
+{
+    static const int64_t times[] = { NOON, NOON - 31536000, 0, NOON + 31536000, NOON };
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto(gsn_scan_rows) rows = NULL;
+    gsn_auto(gsn_panel_rows) panels = NULL;
+    struct gsn_event_verdict verdict;
+    struct gsn_error err = { 0 };
+
+    (void)bench_add_specimen(store, "S", "g", "");
+    for (unsigned i = 0; i < sizeof times / sizeof times[0]; i++) {
+        gsn_auto_mem(char) name = gsn_format("S-P%u.tif", i + 1);
+        const struct gsn_scan_row row = arrival(name, i + 1);
+        int64_t id = 0;
+        int again = -1;
+
+        CHECK_OK(gsn_scan_take(store, &row, i + 1, times[i], &id, &again, &err), err);
+        CHECK(id == i + 1 && again == 0);
+        if (i % 2)
+            CHECK_OK(gsn_scan_settle(store, &err), err);
+    }
+    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK_OK(gsn_scan_list(store, NULL, 0, &rows, &err), err);
+    CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
+    CHECK(rows->count == 5 && rows->at[0].id == 5 && panels->count == 5);
+    for (size_t i = 0; i < 5; i++)
+        CHECK(rows->at[i].arrived == times[4 - i] && panels->at[i].number == (int64_t)i + 1);
+    CHECK_OK(gsn_event_verify(store, NULL, &verdict, &err), err);
+    CHECK(verdict.broken == 0 && verdict.count >= 5);
+}
+
 /* "scan 1 is filed already" was all that one typo at the bench left. */
 TEST(a_filing_is_taken_back_as_if_it_had_never_been)
 {

@@ -530,6 +530,22 @@ TEST(half_a_picture_that_stays_so_is_taken_after_the_patience)
     gsn_intake_done(&stage.intake);
 }
 
+TEST(a_clock_that_is_set_back_makes_no_half_picture_wait_for_years)
+{
+    auto_stage stage;
+    enum { YEAR_S = 365 * 24 * 3600 };
+    struct device device = { .bytes = picture, .size = SIZE - 1 };
+    struct gsn_error err = { 0 };
+
+    stage_begin(&stage, 0);
+    CHECK(take_patiently(&stage, &device, 0, &err) == GSN_E_BUSY);
+    CHECK(take_patiently(&stage, &device, -YEAR_S, &err) == GSN_E_BUSY);
+    CHECK(take_patiently(&stage, &device, -YEAR_S + 59, &err) == GSN_E_BUSY);
+    CHECK_OK(take_patiently(&stage, &device, -YEAR_S + 60, &err), err);
+    CHECK(ask(&stage, "SELECT count(*) FROM scan") == 1);
+    gsn_intake_done(&stage.intake);
+}
+
 TEST(what_is_whole_is_deleted_there)
 {
     struct device device = { .bytes = picture, .size = SIZE };

@@ -1,0 +1,411 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* store_faults [STEP]: what opens a store and looks it over, with the N-th call of the system
+ * failing, once or for ever, or the process ending there, for every STEP-th N:
+ *   - a store of each older version, while it is brought up to this one;
+ *   - a store whose last writer died with pictures in the log and in the inbox, while it recovers;
+ *   - a scrub.
+ * Whatever happened: no crash, a sentence, and without faults the next one finds every row and
+ * every object as they were. */
+#include <errno.h>
+#include <ftw.h>
+#include <signal.h>
+#include <sqlite3.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "pipeline/core/file.h"
+#include "storage/event.h"
+#include "storage/scan.h"
+#include "storage/schema.h"
+#include "storage/sql.h"
+#include "storage/store.h"
+#include "systemd/scrub.h"
+#include "tests/power/bench.h"
+#include "tests/power/fault.h"
+#include "tests/power/ingest.h"
+
+enum { PICTURES = 3, SENTENCE = 600, VERSIONS = 8, APPLICATION = 0x67736e31 };
+
+/* Told by the process that meets the faults; it lies in memory both see. */
+struct told {
+    long calls;
+    int code;
+    bool ended; /* it came to its end, well or not */
+    char sentence[SENTENCE];
+};
+
+static struct told *told;
+
+/* ---- a store to begin with, copied for each run ---- */
+
+struct places {
+    const struct power_bench *bench;
+    char made[256]; /* the store as it was made */
+    int version;    /* of that, where it is an older one */
+};
+
+static const char *copy_from, *copy_to; /* for nftw(), which hands nothing on */
+
+static int copy_one(const char *path, const struct stat *st, int what, struct FTW *walk)
+{
+    gsn_auto_mem(char) to = gsn_format("%s%s", copy_to, path + strlen(copy_from));
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct gsn_error err = { 0 };
+    size_t size = 0;
+
+    (void)walk;
+    if (!to)
+        return -1;
+    if (what == FTW_D)
+        return mkdir(to, 0755);
+    if (gsn_file_read(path, (size_t)st->st_size, &bytes, &size, &err) < 0)
+        power_give_up(err.text);
+    FILE *const file = fopen(to, "wb"); /* door: SQLite's files must not be renamed into place */
+
+    if (!file || fwrite(bytes, 1, size, file) != size || fclose(file) != 0)
+        power_give_up(to);
+    return 0;
+}
+
+static void copy_tree(const char *from, const char *to)
+{
+    copy_from = from;
+    copy_to = to;
+    if (nftw(from, copy_one, 8, FTW_PHYS) != 0)
+        power_give_up(to);
+}
+
+/* Published schemas are never changed, so an old store is what they make up to its version. */
+static void make_old(struct places *places)
+{
+    static const char rows[] =
+        "INSERT INTO study VALUES (1, 'st'); INSERT INTO study_group VALUES (1, 1, 'g');"
+        "INSERT INTO animal VALUES (1, 1, 'rat');"
+        "INSERT INTO specimen VALUES (1, 'S1', 1, 1, 1, 4, 'sections', '', '{}', "
+        "printf('%064d', 1));"
+        "INSERT INTO panel VALUES (1, 1, 1, 'P1.tif', printf('%064d', 1), 9, 'registered', '', '', "
+        "10, 10, 12), (2, 1, 2, 'P2.tif', printf('%064d', 2), 9, 'refused', 'input', 'torn', 0, 0, "
+        "NULL);"
+        "INSERT INTO section (id, panel_id, slot, serial, state, flags) VALUES "
+        "(1, 1, 1, 1, 'found', ''), (2, 1, 2, 2, 'needs-eye', 'marks');"
+        "INSERT INTO marker VALUES (1, 1, 1, 5, 6, 2, 1, 0, 1, 9), (1, 2, 0, NULL, NULL, NULL, "
+        "NULL, NULL, NULL, NULL);"
+        "INSERT INTO job (kind, specimen_id, panel_id) VALUES ('panel', 1, 2);";
+    static const char *const schemas[VERSIONS] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
+                                                   gsn_schema_004, gsn_schema_005, gsn_schema_006,
+                                                   gsn_schema_007, gsn_schema_008 };
+    gsn_auto_mem(char) path = gsn_format("%s/gieson.db", places->made);
+    gsn_auto_mem(char) stamp = gsn_format("PRAGMA application_id = %d; PRAGMA user_version = %d",
+                                          (int)APPLICATION, places->version);
+    struct gsn_error err = { 0 };
+    sqlite3 *db = NULL;
+    int r;
+
+    if (!path || !stamp || gsn_file_mkdir(places->made, &err) < 0)
+        power_give_up(err.text);
+    r = sqlite3_open(path, &db); /* door */
+    for (int v = 0; r == SQLITE_OK && v < places->version; v++) {
+        r = sqlite3_exec(db, schemas[v], NULL, NULL, NULL); /* door */
+        if (r == SQLITE_OK && v == 0)
+            r = sqlite3_exec(db, rows, NULL, NULL, NULL); /* door */
+    }
+    if (r == SQLITE_OK)
+        r = sqlite3_exec(db, stamp, NULL, NULL, NULL); /* door */
+    if (r != SQLITE_OK)
+        power_give_up(sqlite3_errmsg(db));
+    (void)sqlite3_close(db);
+}
+
+static void ingest_and_die(const struct places *places)
+{
+    const struct power_ingest all = { .store = places->made, .address = places->bench->address };
+    const struct gsn_scan_row late = { .source = "folder",
+                                       .device = "",
+                                       .name = "late.jpg",
+                                       .key = "",
+                                       .subject = "panel",
+                                       .sha256 =
+                                           "00000000000000000000000000000000000000000000000000"
+                                           "000000000000ab",
+                                       .size = 7,
+                                       .facts = "" };
+    struct gsn_store *store = NULL;
+    struct gsn_error err = { 0 };
+    unsigned taken = 0;
+    int64_t id;
+    int again;
+
+    /* It is never closed, so the log is not written back, and the last picture lies in the inbox.
+     */
+    if (power_ingest(&all, &taken, &err) < 0 || taken != PICTURES ||
+        gsn_store_open(places->made, GSN_STORE_WRITE, &store, &err) < 0 ||
+        gsn_scan_take(store, &late, 1, 1800000000, &id, &again, &err) < 0)
+        power_give_up(err.text);
+    _exit(0);
+}
+
+static bool ended_well(pid_t child)
+{
+    int status = 0;
+
+    if (child < 0 || waitpid(child, &status, 0) < 0)
+        power_give_up("a child");
+    return WIFEXITED(status) && (WEXITSTATUS(status) == 0 || WEXITSTATUS(status) == FAULT_DIED);
+}
+
+static void make_hot(struct places *places)
+{
+    const pid_t child = fork();
+
+    if (child == 0)
+        ingest_and_die(places);
+    if (!ended_well(child))
+        power_give_up("a store to recover");
+}
+
+/* With all objects, and closed as it should be. */
+static void make_whole(struct places *places)
+{
+    const struct power_ingest all = { .store = places->made, .address = places->bench->address };
+    struct gsn_error err = { 0 };
+    unsigned taken = 0;
+
+    if (power_ingest(&all, &taken, &err) < 0 || taken != PICTURES)
+        power_give_up(err.text);
+}
+
+/* ---- what is done with it ---- */
+
+static int open_it(const char *dir, struct gsn_error *err)
+{
+    gsn_auto(gsn_store) store = NULL;
+
+    return gsn_store_open(dir, GSN_STORE_WRITE, &store, err);
+}
+
+static int scrub_it(const char *dir, struct gsn_error *err)
+{
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_scrub_counts counts;
+    struct gsn_scrub scrub = { .actor = "test" };
+    int r = gsn_store_open(dir, GSN_STORE_WRITE, &store, err);
+
+    scrub.store = store;
+    return r < 0 ? r : gsn_scrub_run(&scrub, &counts, err);
+}
+
+/* ---- whether all is there afterwards ---- */
+
+static bool is(struct gsn_store *store, const char *sql, int64_t expected, char text[SENTENCE])
+{
+    struct gsn_error err = { 0 };
+    int64_t value = -1;
+
+    if (gsn_sql_int(store, sql, SQL_NO_ARGS, &value, &err) >= 0 && value == expected)
+        return true;
+    (void)snprintf(text, SENTENCE, "%s: %lld, not %lld %s", sql, (long long)value,
+                   (long long)expected, err.text);
+    return false;
+}
+
+static bool is_sound(struct gsn_store *store, char text[SENTENCE])
+{
+    struct gsn_event_verdict verdict = { .broken = -1 };
+    struct gsn_error err = { 0 };
+
+    if (gsn_event_verify(store, NULL, &verdict, &err) < 0 || verdict.broken != 0) {
+        (void)snprintf(text, SENTENCE, "the audit log is broken at %lld: %s",
+                       (long long)verdict.broken, err.text);
+        return false;
+    }
+    return is(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check", 1, text) &&
+           is(store, "SELECT count(*) FROM pragma_foreign_key_check", 0, text);
+}
+
+static bool old_is_fine(struct gsn_store *store, char text[SENTENCE])
+{
+    return is(store, "SELECT count(*) FROM panel WHERE size = 9", 2, text) &&
+           is(store, "SELECT count(*) FROM section WHERE panel_id = 1", 2, text) &&
+           is(store,
+              "SELECT mark1_x_px = 5 AND mark1_y_px = 6 AND mark2_x_px IS NULL FROM section "
+              "WHERE slot = 1",
+              1, text) &&
+           is(store, "SELECT count(*) FROM job WHERE state = 'waiting' AND panel_id = 2", 1, text);
+}
+
+static bool hot_is_fine(struct gsn_store *store, char text[SENTENCE])
+{
+    return is(store, "SELECT count(*) FROM scan", PICTURES + 1, text) &&
+           is(store, "SELECT count(*) FROM inbox", 0, text) &&
+           is(store, "SELECT count(*) FROM scan WHERE name = 'late.jpg'", 1, text);
+}
+
+static bool scrubbed_is_fine(struct gsn_store *store, char text[SENTENCE])
+{
+    struct gsn_scrub_counts counts = { 0 };
+    const struct gsn_scrub scrub = { .store = store, .actor = "test" };
+    struct gsn_error err = { 0 };
+    int r = gsn_scrub_run(&scrub, &counts, &err);
+
+    /* A round that was broken off is finished first; then one that sees everything. */
+    if (r >= 0)
+        r = gsn_scrub_run(&scrub, &counts, &err);
+    if (r < 0 || counts.damaged != 0 || !counts.complete || counts.round_checked != PICTURES) {
+        (void)snprintf(text, SENTENCE, "the scrub afterwards: %lld of %lld damaged: %s",
+                       (long long)counts.damaged, (long long)counts.round_checked, err.text);
+        return false;
+    }
+    return is(store, "SELECT count(*) FROM scan", PICTURES, text) &&
+           is(store, "SELECT count(*) FROM trouble", 0, text);
+}
+
+struct act {
+    const char *what;
+    void (*make)(struct places *places);
+    int (*run)(const char *dir, struct gsn_error *err);
+    bool (*is_fine)(struct gsn_store *store, char text[SENTENCE]);
+};
+
+/* ---- the sweep ---- */
+
+struct tally {
+    size_t runs, failed, died, crashed, mute, bad;
+};
+
+static bool meets(const struct places *places, const struct act *act, const struct fault *fault)
+{
+    pid_t child;
+
+    memset(told, 0, sizeof *told);
+    child = fork();
+    if (child == 0) {
+        struct gsn_error err = { 0 };
+
+        (void)alarm(120);
+        fault_arm(fault);
+        told->code = act->run(places->bench->store, &err);
+        told->calls = fault_disarm();
+        told->ended = true;
+        (void)snprintf(told->sentence, SENTENCE, "%s", err.text);
+        _exit(0);
+    }
+    return ended_well(child);
+}
+
+/* In a process of its own too: what it opens is closed with it. */
+static bool is_fine_afterwards(const struct places *places, const struct act *act,
+                               char text[SENTENCE])
+{
+    const pid_t child = fork();
+
+    if (child == 0) {
+        struct gsn_store *store = NULL;
+        struct gsn_error err = { 0 };
+        bool fine = gsn_store_open(places->bench->store, GSN_STORE_WRITE, &store, &err) >= 0;
+
+        (void)snprintf(told->sentence, SENTENCE, "it cannot be opened: %s", err.text);
+        fine = fine && is_sound(store, told->sentence) && act->is_fine(store, told->sentence);
+        gsn_store_free(store);
+        _exit(fine ? 0 : 1);
+    }
+    if (ended_well(child))
+        return true;
+    (void)snprintf(text, SENTENCE, "%s", told->sentence);
+    return false;
+}
+
+static void complain(size_t *count, const char *what, long at, const char *text)
+{
+    if ((*count)++ < 3)
+        printf("%s, call %ld: %s\n", what, at, text);
+}
+
+static int sweep(const struct places *places, const struct act *act, const char *how,
+                 struct fault fault, long step)
+{
+    gsn_auto_mem(char) what = gsn_format("%s, %s", act->what, how);
+    struct tally tally = { 0 };
+    bool reached = true;
+
+    for (fault.at = 1; what && reached; fault.at += step) {
+        char text[SENTENCE] = "";
+        bool alive;
+
+        copy_tree(places->made, places->bench->store);
+        alive = meets(places, act, &fault);
+        reached = !alive || !told->ended || told->calls >= fault.at;
+        tally.runs++;
+        tally.died += alive && !told->ended;
+        tally.failed += told->code < 0;
+        if (!alive)
+            complain(&tally.crashed, what, fault.at, "the process died");
+        else if (told->code < 0 && !told->sentence[0])
+            complain(&tally.mute, what, fault.at, "failed without a sentence");
+        if (!is_fine_afterwards(places, act, text))
+            complain(&tally.bad, what, fault.at, text);
+        power_remove_tree(places->bench->store);
+    }
+    printf(
+        "%-44s %5zu runs: %5zu failed with a sentence, %5zu ended there; %zu crashes, %zu without "
+        "a sentence, %zu with something lost\n",
+        what ? what : "", tally.runs, tally.failed - tally.mute, tally.died, tally.crashed,
+        tally.mute, tally.bad);
+    (void)fflush(stdout);
+    return tally.crashed || tally.mute || tally.bad || tally.runs == 0;
+}
+
+static int try_all(const struct places *places, const struct act *act, long step)
+{
+    static const struct {
+        const char *how;
+        struct fault fault;
+    } faults[] = {
+        { "EIO once", { .error = EIO } },
+        { "EIO for ever", { .error = EIO, .for_ever = true } },
+        { "ENOSPC for ever", { .error = ENOSPC, .only_changes = true, .for_ever = true } },
+        { "killed", { .dies = true } },
+    };
+    int bad = 0;
+
+    for (size_t i = 0; i < sizeof faults / sizeof faults[0]; i++)
+        bad |= sweep(places, act, faults[i].how, faults[i].fault, step);
+    return bad;
+}
+
+int main(int argc, char **argv)
+{
+    static const struct act others[] = {
+        { "recovery", make_hot, open_it, hot_is_fine },
+        { "a scrub", make_whole, scrub_it, scrubbed_is_fine },
+    };
+    const struct power_bench bench = power_bench_new(PICTURES);
+    const long step = argc > 1 ? atol(argv[1]) : 1; /* door */
+    struct places places = { .bench = &bench };
+    int bad = 0;
+
+    told = mmap(NULL, sizeof *told, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    if (told == MAP_FAILED || step < 1)
+        power_give_up("memory");
+    for (places.version = 1; places.version < VERSIONS; places.version++) {
+        gsn_auto_mem(char) what = gsn_format("version %d brought up", places.version);
+        const struct act act = { what, make_old, open_it, old_is_fine };
+
+        (void)snprintf(places.made, sizeof places.made, "%s/old-%d", bench.dir, places.version);
+        make_old(&places);
+        bad |= try_all(&places, &act, step);
+    }
+    for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+        (void)snprintf(places.made, sizeof places.made, "%s/made-%zu", bench.dir, i);
+        others[i].make(&places);
+        bad |= try_all(&places, &others[i], step);
+    }
+    power_bench_done(&bench);
+    return bad;
+}

@@ -379,5 +379,6 @@ int gsn_assembly_work_panels(const struct gsn_specimen *specimen,
     r = gsn_candidate_sheet_draw(sheet, a, err);
     if (r < 0)
         return r;
-    return planes ? gsn_section_order_examine(planes, a, &a->sequence, err) : GSN_OK;
+    return planes ? gsn_section_order_examine(planes, specimen->protocol, a, &a->sequence, err)
+                  : GSN_OK;
 }

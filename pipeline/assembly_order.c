@@ -2,7 +2,17 @@
 #include "pipeline/assembly_order.h"
 
 #include "pipeline/assembly_parts.h"
+#include "pipeline/register/section_path.h"
+
 #include <stdio.h>
+#include <stdlib.h>
+
+/* The way through the sections is shorter by this many standard errors, or the order stands as it
+ * is stated. Errors have long tails, so no probability is claimed: on eleven phantoms of levels L1
+ * and L2 and on the Visible Human's axial cuts no other order came nearer to the true one than
+ * 2.4 below it, and of these eleven a snake that was called rows showed on ten by 7.7 to 26 (on one
+ * with half of its sections missing by 3.9). */
+static const double SHORTER = 6;
 
 static void flag(struct gsn_assembly_section *s, const struct gsn_sequence_finding *finding,
                  unsigned other)
@@ -60,7 +70,189 @@ static int examine_held(const struct gsn_section_planes *planes, const struct gs
                                      planes->held_count, sequence, err);
 }
 
-int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_assembly *a,
+/* ---- another order of all sections ---------------------------------------------------------- */
+
+enum { MOST_PANELS = 64 };
+
+/* How the panels may have been read otherwise. */
+struct reading {
+    enum gsn_order order;
+    unsigned turned;      /* the panel that lies turned by half, from 1; 0: none */
+    int all_turned;       /* every panel does */
+    unsigned exchange[2]; /* panels that have each other's numbers; 0: none */
+};
+
+static unsigned serial_as(const struct reading *reading, const struct gsn_layout *stated,
+                          const struct gsn_assembly_section *s)
+{
+    const struct gsn_layout layout = { stated->rows, stated->columns, reading->order };
+    unsigned panel = s->panel, row, column;
+
+    if (reading->exchange[0] && (panel == reading->exchange[0] || panel == reading->exchange[1]))
+        panel = reading->exchange[0] + reading->exchange[1] - panel;
+    gsn_panel_place(stated, s->seen.slot, &row, &column);
+    if (reading->all_turned != (reading->turned == s->panel)) {
+        row = stated->rows - 1 - row;
+        column = stated->columns - 1 - column;
+    }
+    for (unsigned slot = 0; slot < layout.rows * layout.columns; slot++) {
+        unsigned there_row, there_column;
+
+        gsn_panel_place(&layout, slot, &there_row, &there_column);
+        if (there_row == row && there_column == column)
+            return gsn_panel_serial(panel, slot, &layout);
+    }
+    return s->seen.serial;
+}
+
+struct place {
+    unsigned serial;
+    size_t plane;
+};
+
+static int by_serial(const void *a, const void *b)
+{
+    const struct place *p = a, *q = b;
+
+    return p->serial < q->serial ? -1 : p->serial > q->serial;
+}
+
+struct search {
+    const struct gsn_section_planes *planes;
+    const struct gsn_assembly *a;
+    const struct gsn_section_path *path;
+    struct gsn_layout layout;
+    struct place *place; /* room for all planes */
+    size_t *order;       /* likewise */
+    struct reading best;
+    double gain;
+};
+
+static int try_reading(struct search *s, const struct reading *reading, struct gsn_error *err)
+{
+    double gain = 0;
+    int r;
+
+    for (size_t k = 0; k < s->planes->count; k++)
+        s->place[k] =
+            (struct place){ serial_as(reading, &s->layout, &s->a->section[s->planes->section[k]]),
+                            k };
+    qsort(s->place, s->planes->count, sizeof *s->place, by_serial);
+    for (size_t k = 0; k < s->planes->count; k++)
+        s->order[k] = s->place[k].plane;
+    r = gsn_section_path_gain(s->path, s->order, &gain, err);
+    if (r >= 0 && gain > s->gain) {
+        s->gain = gain;
+        s->best = *reading;
+    }
+    return r;
+}
+
+/* The order that is stated with one panel read otherwise, and the other orders with all panels as
+ * they lie or turned. */
+static int try_all(struct search *s, unsigned panels, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (int order = GSN_ORDER_ROW; r >= 0 && order <= GSN_ORDER_SNAKE; order++)
+        for (int turned = 0; r >= 0 && turned < 2; turned++) {
+            const struct reading reading = { .order = (enum gsn_order)order, .all_turned = turned };
+
+            r = try_reading(s, &reading, err);
+        }
+    for (unsigned p = 1; r >= 0 && p <= panels; p++) {
+        const struct reading turned = { .order = s->layout.order, .turned = p };
+
+        r = try_reading(s, &turned, err);
+        for (unsigned q = p + 1; r >= 0 && q <= panels; q++) {
+            const struct reading exchanged = { .order = s->layout.order, .exchange = { p, q } };
+
+            r = try_reading(s, &exchanged, err);
+        }
+    }
+    return r;
+}
+
+static void say_reading(const struct search *s, char *ret_sentence, size_t size)
+{
+    static const char *const words[] = {
+        [GSN_ORDER_ROW] = "row", [GSN_ORDER_COLUMN] = "column", [GSN_ORDER_SNAKE] = "snake"
+    };
+    const struct reading *b = &s->best;
+    char what[200];
+
+    if (b->exchange[0])
+        (void)snprintf(
+            what, sizeof what,
+            "as if panels %u and %u had each other's numbers: look at the glasses and at "
+            "the files' names",
+            b->exchange[0], b->exchange[1]);
+    else if (b->turned)
+        (void)snprintf(
+            what, sizeof what,
+            "as if panel %u lay turned by half, so that its sections count backwards: look "
+            "at the glass and its label",
+            b->turned);
+    else if (b->order == s->layout.order)
+        (void)snprintf(what, sizeof what,
+                       "as if all panels lay turned by half, so that sections count backwards on "
+                       "each: look at the glasses and their labels");
+    else
+        (void)snprintf(what, sizeof what,
+                       "by \"order\": \"%s\"%s, where \"%s\" is stated: put it right in job.json",
+                       words[b->order], b->all_turned ? " with all panels turned by half" : "",
+                       words[s->layout.order]);
+    (void)snprintf(
+        ret_sentence, size,
+        "the tissue goes on from section to section %s (the way through them is shorter by "
+        "%.0f standard errors); z is wrong as it is stated, so no figure is given",
+        what, s->gain);
+}
+
+static void forget_swaps(struct gsn_sequence *sequence)
+{
+    size_t kept = 0;
+
+    for (size_t i = 0; i < sequence->count; i++)
+        if (sequence->finding[i].kind != GSN_SEQUENCE_SWAP)
+            sequence->finding[kept++] = sequence->finding[i];
+    sequence->count = kept;
+}
+
+static int examine_layout(const struct gsn_section_planes *planes,
+                          const struct gsn_sequence_plane *plane,
+                          const struct gsn_protocol *protocol, struct gsn_assembly *a,
+                          struct gsn_error *err)
+{
+    gsn_auto_mem(struct place) place = gsn_alloc_array(planes->count + 1, sizeof *place);
+    gsn_auto_mem(size_t) order = gsn_alloc_array(planes->count + 1, sizeof *order);
+    gsn_auto(gsn_section_path) path = NULL;
+    struct search search = { .planes = planes,
+                             .a = a,
+                             .layout = gsn_protocol_layout(protocol),
+                             .place = place,
+                             .order = order };
+    unsigned panels = 0;
+    int r;
+
+    if (!place || !order)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
+    for (size_t k = 0; k < planes->count; k++) {
+        const unsigned panel = a->section[planes->section[k]].panel;
+
+        panels = panel > panels ? panel : panels;
+    }
+    r = gsn_section_path_new(plane, planes->count, planes->columns, planes->rows, &path, err);
+    search.path = path;
+    if (r >= 0)
+        r = try_all(&search, panels < MOST_PANELS ? panels : MOST_PANELS, err);
+    if (r >= 0 && search.gain > SHORTER)
+        say_reading(&search, a->misordered, sizeof a->misordered);
+    return r;
+}
+
+int gsn_section_order_examine(struct gsn_section_planes *planes,
+                              const struct gsn_protocol *protocol, struct gsn_assembly *a,
                               struct gsn_sequence **ret_sequence, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(planes->count, sizeof *plane);
@@ -71,6 +263,11 @@ int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_asse
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
     gsn_section_planes_settle(planes);
     r = examine_laid(planes, a, plane, &sequence, err);
+    if (r >= 0)
+        r = examine_layout(planes, plane, protocol, a, err);
+    /* All are out of place then: no two of them are worth a look. */
+    if (r >= 0 && a->misordered[0])
+        forget_swaps(sequence);
     if (r >= 0 && planes->held_count > 0)
         r = examine_held(planes, a, plane, sequence, err);
     if (r < 0)

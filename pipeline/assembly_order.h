@@ -16,9 +16,13 @@
 extern "C" {
 #endif
 
-/* Compares all that was gathered; flags the sections. gives: ret_sequence. Fails with GSN_E_NOMEM.
+/* Compares all that was gathered; flags the sections. Where the tissue goes on through the panels
+ * in another order than the job states ("row" for a snake, panels that were turned by half, two
+ * panels that have each other's numbers), a->misordered says so, and single swaps are not looked
+ * for: z is wrong, and no figure stands. gives: ret_sequence. Fails with GSN_E_NOMEM.
  */
-int gsn_section_order_examine(struct gsn_section_planes *planes, struct gsn_assembly *a,
+int gsn_section_order_examine(struct gsn_section_planes *planes,
+                              const struct gsn_protocol *protocol, struct gsn_assembly *a,
                               struct gsn_sequence **ret_sequence, struct gsn_error *err);
 
 /* What a person is asked about one finding. */

@@ -219,6 +219,8 @@ static int work_sections(const struct gsn_specimen *specimen,
     }
     if (r >= 0)
         r = check_frame(specimen, assembly, &why);
+    if (r >= 0 && assembly->misordered[0])
+        r = gsn_fail(&why, GSN_E_WITHHELD, "%s", assembly->misordered);
     if (r >= 0 && assembly->grid)
         r = account_of_stack(assembly, specimen, options, &account, &evidence.bridge, &why, err);
     else if (r >= 0 && !assembly->solved)

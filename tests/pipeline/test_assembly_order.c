@@ -12,6 +12,8 @@ enum { SECTIONS = 16, WIDE = 280, HIGH = 230, CELL = 5, AGAIN = 8 };
 
 static struct gsn_assembly_section sections[SECTIONS];
 static struct gsn_plane *planes[SECTIONS];
+/* A panel for each section. */
+static const struct gsn_protocol single = { .rows = 1, .columns = 1 };
 
 /* Each section on a panel of its own, 20 um a pixel: what all share, and a grain of 100 um that
  * each has for itself; section 8 is section 7 again, stained a tenth darker. */
@@ -60,7 +62,7 @@ static int look(struct gsn_assembly *a, struct gsn_sequence **ret_sequence, stru
 
     for (unsigned k = 0; r >= 0 && k < SECTIONS; k++)
         gsn_section_planes_add(cells, a, k, planes[k], 1);
-    return r < 0 ? r : gsn_section_order_examine(cells, a, ret_sequence, err);
+    return r < 0 ? r : gsn_section_order_examine(cells, &single, a, ret_sequence, err);
 }
 
 /* Case 31: both candidates are named, and both stay as they are. */
@@ -86,6 +88,76 @@ TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
     gsn_section_order_sentence(&sequence->finding[0], sentence);
     CHECK(strstr(sentence, "sections 7 and 8 look like one section, mounted or scanned twice"));
     free_planes();
+}
+
+/* ---- another order of all -------------------------------------------------------------------- */
+
+/* Two panels of two rows of four, read row by row: at[s] is where in the block the section with
+ * serial s was cut, and what all show moves on with it. */
+static struct gsn_assembly make_read(const unsigned at[SECTIONS], double per_section)
+{
+    struct draw_chance chance = { 7 };
+
+    memset(sections, 0, sizeof sections);
+    for (unsigned k = 0; k < SECTIONS; k++) {
+        struct gsn_error err = { 0 };
+
+        sections[k] = (struct gsn_assembly_section){
+            .panel = k / 8 + 1,
+            .seen = { .serial = k, .slot = k % 8, .width = WIDE, .height = HIGH },
+            .posed = 1,
+            .pose = { .panel_to_block_um = { 20, 0, -1600, 0, 20, -1200 } },
+            .state = GSN_SECTION_USED,
+        };
+        CHECK_OK(gsn_plane_new(WIDE, HIGH, &planes[k], &err), err);
+        for (int i = 0; i < WIDE * HIGH; i++)
+            planes[k]->value[i] = (float)(0.5 +
+                                          0.2 * sin(0.06 * (i % WIDE) + per_section * at[k]) *
+                                              cos(0.05 * (i / WIDE)) +
+                                          0.05 * draw_normal(&chance));
+    }
+    return (struct gsn_assembly){ .section_count = SECTIONS, .section = sections };
+}
+
+TEST(an_order_that_the_tissue_contradicts_is_named_with_the_likely_one)
+{
+    static const struct {
+        unsigned at[SECTIONS];
+        double per_section;
+        const char *says;
+    } cases[] = {
+        { { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15 }, 0.1, NULL },
+        { { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12 },
+          0.1,
+          "by \"order\": \"snake\", where \"row\" is stated: put it right in job.json" },
+        { { 0, 2, 4, 6, 1, 3, 5, 7, 8, 10, 12, 14, 9, 11, 13, 15 },
+          0.1,
+          "by \"order\": \"column\", where \"row\" is stated" },
+        { { 7, 6, 5, 4, 3, 2, 1, 0, 15, 14, 13, 12, 11, 10, 9, 8 },
+          0.1,
+          "as if all panels lay turned by half, so that sections count backwards" },
+        /* Sections that do not differ contradict nothing. */
+        { { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12 }, 0, NULL },
+    };
+    static const struct gsn_protocol rows = { .rows = 2, .columns = 4, .order = GSN_STATED_ROW };
+
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        struct gsn_assembly a = make_read(cases[i].at, cases[i].per_section);
+        gsn_auto(gsn_section_planes) cells = NULL;
+        gsn_auto(gsn_sequence) sequence = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK_OK(gsn_section_planes_new(&a, GSN_SEQUENCE_CELL_UM, &cells, &err), err);
+        for (unsigned k = 0; k < SECTIONS; k++)
+            gsn_section_planes_add(cells, &a, k, planes[k], 1);
+        CHECK_OK(gsn_section_order_examine(cells, &rows, &a, &sequence, &err), err);
+        print_message("  %s\n", a.misordered);
+        if (cases[i].says ? !strstr(a.misordered, cases[i].says) : a.misordered[0] != '\0')
+            fail_msg("case %zu: %s", i, a.misordered);
+        for (size_t k = 0; cases[i].says && k < sequence->count; k++)
+            CHECK(sequence->finding[k].kind != GSN_SEQUENCE_SWAP);
+        free_planes();
+    }
 }
 
 /* ---- a held section ------------------------------------------------------------------------ */
@@ -141,7 +213,7 @@ static int look_beside(struct gsn_assembly *a, unsigned held, struct gsn_sequenc
         gsn_section_planes_add(cells, a, k, planes[k], 1);
     if (r >= 0)
         r = gsn_section_planes_hold(cells, held, slide, 1, 20, err);
-    return r < 0 ? r : gsn_section_order_examine(cells, a, ret_sequence, err);
+    return r < 0 ? r : gsn_section_order_examine(cells, &single, a, ret_sequence, err);
 }
 
 TEST(a_folded_section_that_is_held_is_named_with_its_second_mount_that_is_laid)
@@ -362,7 +434,7 @@ static int hold_once(struct gsn_error *err)
 
     if (r >= 0)
         r = gsn_section_planes_hold(cells, SECTIONS - 1, slide_of_last, 1, 20, err);
-    return r < 0 ? r : gsn_section_order_examine(cells, &a, &sequence, err);
+    return r < 0 ? r : gsn_section_order_examine(cells, &single, &a, &sequence, err);
 }
 
 TEST(running_out_of_memory_for_a_held_section_leaks_nothing)

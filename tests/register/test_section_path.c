@@ -1,0 +1,124 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/register/section_path.h"
+
+#include "tests/check.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Waves of one length, each further on than the last by an angle: over whole waves the correlation
+ * of two is the cosine of the angle between them. */
+enum { SECTIONS = 12, WAVES = 4, COLUMNS = 48 * WAVES, ROWS = 12 };
+
+static float density[SECTIONS][ROWS * COLUMNS];
+static struct gsn_sequence_plane planes[SECTIONS];
+
+static void draw(const double angle[SECTIONS])
+{
+    for (unsigned k = 0; k < SECTIONS; k++) {
+        for (int i = 0; i < ROWS * COLUMNS; i++)
+            density[k][i] = (float)(0.5 + 0.3 * (k + 1) / SECTIONS *
+                                              cos(2 * M_PI * (i % COLUMNS) / 48.0 + angle[k]));
+        planes[k] = (struct gsn_sequence_plane){ k, density[k] };
+    }
+}
+
+static struct gsn_section_path *path_of(const double angle[SECTIONS])
+{
+    struct gsn_section_path *path = NULL;
+    struct gsn_error err = { 0 };
+
+    draw(angle);
+    CHECK_OK(gsn_section_path_new(planes, SECTIONS, COLUMNS, ROWS, &path, &err), err);
+    return path;
+}
+
+static double gain_of(const struct gsn_section_path *path, const size_t order[SECTIONS])
+{
+    struct gsn_error err = { 0 };
+    double gain = NAN;
+
+    CHECK_OK(gsn_section_path_gain(path, order, &gain, &err), err);
+    return gain;
+}
+
+/* Steps that are not quite alike, so that their error is known. */
+static void angles(double ret_angle[SECTIONS])
+{
+    ret_angle[0] = 0;
+    for (int k = 1; k < SECTIONS; k++)
+        ret_angle[k] = ret_angle[k - 1] + 0.08 + 0.02 * (k * k * 3 % 7);
+}
+
+/* However strongly each is stained. */
+TEST(two_sections_differ_by_one_less_their_correlation)
+{
+    double angle[SECTIONS];
+
+    angles(angle);
+    gsn_auto(gsn_section_path) path = path_of(angle);
+
+    for (size_t i = 0; i < SECTIONS; i++)
+        for (size_t j = 0; j < SECTIONS; j++)
+            CHECK_NEAR(gsn_section_path_unlike(path, i, j), 1 - cos(angle[i] - angle[j]), 1e-5);
+    density[3][17] = NAN; /* one cell of 36 that nobody saw */
+    gsn_section_path_free(gsn_steal(&path));
+    path = path_of(angle);
+    CHECK_NEAR(gsn_section_path_unlike(path, 3, 4), 1 - cos(angle[3] - angle[4]), 1e-5);
+}
+
+TEST(the_way_in_order_is_shorter_by_what_the_two_orders_do_not_share)
+{
+    static const size_t same[SECTIONS] = { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 },
+                        back[SECTIONS] = { 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0 },
+                        snake[SECTIONS] = { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11 };
+    double angle[SECTIONS], mixed[SECTIONS];
+
+    angles(angle);
+    for (int k = 0; k < SECTIONS; k++)
+        mixed[k] = angle[snake[k]];
+    gsn_auto(gsn_section_path) right = path_of(angle);
+    gsn_auto(gsn_section_path) wrong = path_of(mixed);
+
+    CHECK(gain_of(right, same) == 0 && gain_of(right, back) == 0);
+    /* The snake is its own inverse: what one way gains the other loses. */
+    CHECK_NEAR(gain_of(wrong, snake), -gain_of(right, snake), 1e-3 * gain_of(wrong, snake));
+    CHECK(gain_of(wrong, snake) > 6);
+}
+
+TEST(sections_that_do_not_differ_and_too_few_tell_nothing)
+{
+    static const size_t snake[SECTIONS] = { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11 };
+    const double still[SECTIONS] = { 0 };
+    gsn_auto(gsn_section_path) path = path_of(still);
+    gsn_auto(gsn_section_path) few = NULL;
+    struct gsn_error err = { 0 };
+    double gain = NAN;
+
+    CHECK(fabs(gain_of(path, snake)) < 6);
+    CHECK_OK(gsn_section_path_new(planes, 11, COLUMNS, ROWS, &few, &err), err);
+    CHECK_OK(gsn_section_path_gain(few, (const size_t[]){ 0, 2, 1, 3, 4, 5, 6, 7, 8, 9, 10 }, &gain,
+                                   &err),
+             err);
+    CHECK(gain == 0);
+}
+
+static int once(struct gsn_error *err)
+{
+    static const size_t snake[SECTIONS] = { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11 };
+    gsn_auto(gsn_section_path) path = NULL;
+    double gain;
+    const int r = gsn_section_path_new(planes, SECTIONS, COLUMNS, ROWS, &path, err);
+
+    return r < 0 ? r : gsn_section_path_gain(path, snake, &gain, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+    double angle[SECTIONS];
+
+    angles(angle);
+    draw(angle);
+    CHECK_EVERY_OOM(once(&err), err);
+}

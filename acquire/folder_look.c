@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <stdio.h>
 #include <string.h>
+#include <strings.h>
 #include <sys/stat.h>
 #include <sys/vfs.h>
 #include <unistd.h>
@@ -122,6 +123,22 @@ static int settle(const struct gsn_folder *folder, struct gsn_folder_file *file,
     return GSN_OK;
 }
 
+/* What programs call a file that they still write: rsync, browsers, WinSCP and editors. */
+static bool is_transfer(const char *name)
+{
+    static const char *const endings[] = { ".part",       ".partial",  ".filepart",
+                                           ".crdownload", ".download", ".tmp" };
+    const size_t length = strlen(name);
+
+    for (size_t i = 0; i < sizeof endings / sizeof endings[0]; i++) {
+        const size_t tail = strlen(endings[i]);
+
+        if (length > tail && strcasecmp(name + length - tail, endings[i]) == 0)
+            return true;
+    }
+    return name[0] == '.';
+}
+
 /* Most hidden files are none of ours, and not a word is lost about them. */
 static int settle_hidden(const struct gsn_folder *folder, struct gsn_folder_file *file,
                          struct gsn_error *err)
@@ -134,8 +151,12 @@ static int settle_hidden(const struct gsn_folder *folder, struct gsn_folder_file
     if (r == GSN_E_NOMEM)
         return gsn_fail(err, r, "%s", why.text);
     if (r >= 0 && container.kind != GSN_CONTAINER_UNKNOWN)
-        bar(file, "is a picture whose name begins with a dot, as those of unfinished copies do",
-            "rename it without the dot when it is a panel, else remove it");
+        bar(file,
+            file->name[0] == '.'
+                ? "is a picture whose name begins with a dot, as those of unfinished copies do"
+                : "is a picture whose name ends as those of unfinished copies do",
+            file->name[0] == '.' ? "rename it without the dot when it is a panel, else remove it"
+                                 : "rename it without that when it is a panel, else remove it");
     else
         file->state = GSN_FILE_SKIPPED;
     return GSN_OK;
@@ -185,7 +206,7 @@ static void start_waiting(struct gsn_folder *folder, struct gsn_folder_file *fil
         make_key(file);
     if (S_ISREG(st->st_mode) && is_known(folder, file))
         gsn_folder_set_state(file, GSN_FILE_DONE, "");
-    if (file->name[0] == '.') {
+    if (S_ISREG(st->st_mode) && is_transfer(file->name)) {
         gsn_folder_set_state(file, GSN_FILE_HIDDEN, "");
         file->told = true;
     } else if (S_ISDIR(st->st_mode)) {
@@ -211,7 +232,7 @@ static int look_at(struct gsn_folder *folder, struct gsn_folder_file *file, cons
     }
     if (file->state == GSN_FILE_HIDDEN)
         return still_ms < folder->options.patience_ms ? GSN_OK : settle_hidden(folder, file, err);
-    if (file->state == GSN_FILE_BARRED && file->name[0] == '.')
+    if (file->state == GSN_FILE_BARRED && is_transfer(file->name))
         return GSN_OK;
     if (file->state != GSN_FILE_BARRED &&
         (file->state != GSN_FILE_WAITING || still_ms < folder->settle_ms))

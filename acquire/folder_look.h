@@ -26,7 +26,7 @@ enum gsn_folder_state {
     GSN_FILE_DONE,    /* acknowledged */
     GSN_FILE_SKIPPED, /* not for us, as long as it does not change */
     GSN_FILE_BARRED,  /* cannot be had as it is; tried again at every look */
-    GSN_FILE_HIDDEN,  /* a name with a dot in front: a transfer, until it has kept still for long */
+    GSN_FILE_HIDDEN,  /* the name of a transfer, until it has kept still for long */
 };
 
 struct gsn_folder_file {

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The method: both objects are read side by side to the first byte in which they differ; behind it
- * the torn one may hold nothing but zeros, as a file does that was made to its length
- * (ftruncate(2), posix_fallocate(3)) before it was filled. Another scan of the same name differs in
- * its data and never passes: what a picture holds behind its first difference is not zeros to the
- * end.
+/* The method: both objects are read side by side. From the first byte in which they differ to the
+ * last, the torn one holds nothing but zeros, or has ended: so is a file that was cut, or made to
+ * its length (ftruncate(2), posix_fallocate(3)) and filled from its beginning, its end or both.
+ * Another scan of the same name differs in its data and never passes; nor does a picture in which
+ * somebody has blackened a place, for between two rows of that stand bytes that are alike.
  *
  * It costs reading both once, and only where two pictures of one name are not the same. */
 #include "storage/torn.h"
@@ -56,7 +56,7 @@ int gsn_torn_compare(const struct gsn_store *store, const char *torn, const char
     gsn_auto_mem(uint8_t) a = gsn_alloc(PIECE);
     gsn_auto_mem(uint8_t) b = gsn_alloc(PIECE);
     gsn_auto_fd torn_fd = -1, whole_fd = -1;
-    bool differ = false;
+    bool differ = false, behind = false; /* bytes of the first behind the stretch that differs */
     int r;
 
     if (!a || !b)
@@ -65,23 +65,26 @@ int gsn_torn_compare(const struct gsn_store *store, const char *torn, const char
     if (r >= 0)
         r = open_object(store, whole, &whole_fd, err);
     for (off_t at = 0; r >= 0; at += PIECE) {
-        size_t had = 0, has = 0, i = 0;
+        size_t had = 0, has = 0;
 
         r = read_piece(torn_fd, at, a, &had, err);
-        if (r >= 0 && !differ)
+        if (r >= 0)
             r = read_piece(whole_fd, at, b, &has, err);
         if (r < 0)
             return r;
         if (had == 0)
             break;
-        while (!differ && i < had && i < has && a[i] == b[i])
-            i++;
-        differ = differ || i < had;
-        for (; i < had; i++)
-            if (a[i] != 0) {
+        for (size_t i = 0; i < had; i++) {
+            if (i < has && a[i] == b[i]) {
+                behind = behind || (differ && a[i] != 0);
+                continue;
+            }
+            if (a[i] != 0 || behind) {
                 *ret_is_torn = 0;
                 return GSN_OK;
             }
+            differ = true;
+        }
     }
     if (r >= 0)
         *ret_is_torn = 1;

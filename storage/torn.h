@@ -3,9 +3,9 @@
 /* A picture that came before it was whole: some scanners rest in the middle of a file for longer
  * than anybody waits. When the whole one comes under the same name, it takes the torn one's place.
  *
- * One picture is a torn beginning of another when all that differs between them is zeros or missing
- * in the first: its file was cut there, or made to its length and not filled yet. Both stay as
- * originals. */
+ * One picture is a torn beginning of another when all that differs between them is one stretch that
+ * is zeros or missing in the first: its file was cut there, or made to its length and not filled
+ * yet. Both stay as originals. */
 #ifndef GSN_STORAGE_TORN_H
 #define GSN_STORAGE_TORN_H
 

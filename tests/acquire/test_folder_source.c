@@ -362,6 +362,23 @@ TEST(a_picture_that_keeps_a_hidden_name_is_told_and_other_hidden_files_are_not)
     tells(source, PATIENCE + 2, "GONE .P03.jpg; WAITING P03.jpg; ");
 }
 
+TEST(a_download_is_not_taken_under_its_passing_name)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_source) source = open_source(&scratch, "hot");
+
+    write_file(&scratch, "P03.jpg.part", whole, 4);
+    tells(source, 0, "");
+    tells(source, SETTLE, "");
+    CHECK(strcmp(barred(source, PATIENCE),
+                 "P03.jpg.part is a picture whose name ends as those of unfinished copies do | "
+                 "rename it without that when it is a panel, else remove it") == 0);
+    CHECK(rename(gsn_scratch_path(&scratch, "P03.jpg.part"),
+                 gsn_scratch_path(&scratch, "P03.jpg")) == 0);
+    tells(source, PATIENCE + 1, "WAITING P03.jpg; GONE P03.jpg.part; ");
+    tells(source, PATIENCE + 1 + SETTLE, "READY P03.jpg; ");
+}
+
 /* statfs(2) names the file systems; nfs(5) and mount.cifs(8) for how old a size may be there. */
 TEST(files_of_another_machine_keep_still_for_longer)
 {

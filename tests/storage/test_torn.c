@@ -94,6 +94,27 @@ TEST(a_beginning_that_was_cut_or_ends_in_zeros_is_torn)
     }
 }
 
+TEST(a_hole_is_torn_and_two_are_another_picture)
+{
+    auto_stage stage;
+    struct gsn_digest whole, holed;
+    uint8_t bytes[SIZE];
+
+    stage_begin(&stage);
+    whole = keep(&stage, stage.whole, SIZE);
+    memcpy(bytes, stage.whole, SIZE);
+    memset(bytes, 0, CUT); /* written from its end */
+    holed = keep(&stage, bytes, SIZE);
+    CHECK(is_torn(&stage, &holed, &whole) == 1 && is_torn(&stage, &whole, &holed) == 0);
+    memcpy(bytes, stage.whole, SIZE);
+    memset(bytes + 65000, 0, 70000);
+    holed = keep(&stage, bytes, SIZE);
+    CHECK(is_torn(&stage, &holed, &whole) == 1);
+    bytes[199000] = 0; /* as a place that somebody blackened, row by row */
+    holed = keep(&stage, bytes, SIZE);
+    CHECK(is_torn(&stage, &holed, &whole) == 0);
+}
+
 TEST(another_scan_of_the_same_name_is_not_torn)
 {
     auto_stage stage;

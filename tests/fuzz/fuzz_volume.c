@@ -26,8 +26,7 @@ static void read_header(parse *format, const uint8_t *bytes, size_t size)
     if (r < 0)
         HOLD(err.code == r && err.text[0]);
     else
-        HOLD(memchr(header.data_file, '\0', sizeof header.data_file) &&
-             (header.from_end || header.data_at <= size));
+        HOLD(memchr(header.data_file, '\0', sizeof header.data_file));
 }
 
 /* A name of its own for each process; the ending counts for one format. */

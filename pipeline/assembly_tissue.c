@@ -360,7 +360,7 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
         if (!parts[i].wanted)
             sections[i].tissue = NULL;
     }
-    r = gsn_tissue_lay(sections, count, poses, &summary, err);
+    r = gsn_tissue_lay(sections, count, GSN_TISSUE_MIDDLE, poses, &summary, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         if (poses[i].laid && !poses[i].unsure && summary.held > 0 && poses[i].from <= AROUND)
             believe(specimen, &poses[i], &a->section[parts[i].section]);

@@ -49,8 +49,8 @@ static void say_no_tissue(const struct gsn_folder_work *work, struct gsn_folder_
     if (!work->spots && section->reason[0])
         return;
     (void)snprintf(section->reason, sizeof section->reason,
-                   "no marks, and its tissue fits none of the two sections before and after; look "
-                   "at the section");
+                   "no marks, and its tissue fits none of the three sections before and after; "
+                   "look at the section");
 }
 
 /* A pose by tissue: the reference's own picture is the frame, not half a pixel beside it. */
@@ -137,7 +137,7 @@ int gsn_folder_lay_by_tissue(struct gsn_folder *folder, struct gsn_error *err)
     for (size_t i = 0; r >= 0 && i < count; i++)
         sections[i].marked &= !findings[i].contradicted;
     if (r >= 0)
-        r = gsn_tissue_lay(sections, count, poses, summary, err);
+        r = gsn_tissue_lay(sections, count, GSN_TISSUE_MIDDLE, poses, summary, err);
     if (r < 0)
         return r;
     summary->usual /= folder->px_um;

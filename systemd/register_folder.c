@@ -151,13 +151,14 @@ static void print_tissue(const struct gsn_folder_stack *stack)
 {
     const struct gsn_tissue_summary *t = &stack->tissue;
 
-    (void)printf("%zu of them laid by their tissue: two neighbours to about %.2f px, and %.2f px a "
-                 "section of drift away from %s\n",
-                 stack->by_tissue, t->usual, t->drift,
-                 t->held > 0 ? "those with marks" : stack->section[t->reference].file);
+    (void)printf(
+        "%zu of them laid by their tissue: two neighbours to about %.2f px, and at most %.2f "
+        "px a section away from %s\n",
+        stack->by_tissue, t->usual, t->drift,
+        t->held > 0 ? "those with marks" : stack->section[t->reference].file);
     if (t->held == 0)
         (void)printf(
-            "Without marks a structure that slants through the block comes out upright.\n");
+            "Without marks a block that slants or bends comes out upright and straight.\n");
 }
 
 static void print_text(const struct gsn_folder_stack *stack, size_t lost)

@@ -54,9 +54,9 @@ struct gsn_tissue_match {
     double back;     /* root mean square, over a's tissue, of the distance between laying a on b and
                         b on a; the motion is the mean of both */
     double evidence; /* logarithm of the likelihood ratio against sections that share nothing */
-    double rival;    /* the same of the best other rotation or face that was tried, in coarse bands;
-                        0 when nothing was searched */
-    double coarse;   /* of the motion chosen, in the same bands */
+    double rival;    /* the same of the best other rotation or face that was tried */
+    double spread;   /* standard deviation of their difference by chance; rival and spread are 0 when
+                        nothing was searched */
 };
 
 /* Searches all rotations, both faces and all shifts. gives: ret_match. Fails with GSN_E_MARKERS
@@ -68,8 +68,19 @@ int gsn_tissue_refine(const struct gsn_tissue *a, const struct gsn_tissue *b,
                       const struct gsn_affine *start, struct gsn_tissue_match *ret_match,
                       struct gsn_error *err);
 
-/* The same in the two coarsest bands alone, for an eighth of the cost. ret_evidence compares with
- * `coarse` of a search; 0 where nothing fits, and the motion stays. */
+/* The columns of a block of tissue: squares of a grid across it. */
+enum { GSN_TISSUE_COLUMNS_SIDE = 8, GSN_TISSUE_COLUMNS = 64 };
+
+/* How far each column by itself pulls a motion that is the best of all: shift in x and y at a's
+ * centre and turn, in a's frame; 0 for one that shows nothing. What columns pull apart is how the
+ * sections differ in shape, and tells the motion's true error (tissue_graph.h). to_grid: of a's
+ * lengths to the grid, whose squares are 1 long, from 0; what lies outside is its rim's. */
+void gsn_tissue_pulls(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                      const struct gsn_affine *a_to_b, const struct gsn_affine *to_grid,
+                      double ret_pull[GSN_TISSUE_COLUMNS][3]);
+
+/* The same in the two coarsest bands alone, for an eighth of the cost. ret_evidence is 0 where
+ * nothing fits, and the motion stays. */
 void gsn_tissue_glance(const struct gsn_tissue *a, const struct gsn_tissue *b,
                        const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
                        double *ret_evidence);

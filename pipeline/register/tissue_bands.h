@@ -30,7 +30,7 @@ struct gsn_tissue {
 struct gsn_tissue_fit {
     struct gsn_affine a_to_b;
     double information[3][3];
-    double evidence;
+    double evidence, variance; /* of the evidence, by chance */
 };
 
 /* The likeliest starts of a search; most: room. Returns their number. Fails with GSN_E_NOMEM. */

@@ -1,403 +1,983 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A pose graph in the plane (Lu & Milios, Autonomous Robots 4, 1997; Kuemmerle et al., g2o, ICRA
+ * 2011): sections are nodes of three unknowns, comparisons are edges.
+ *
+ * 1. Every section is compared with the next three that are there: from where their marks lay them,
+ *    when both have some, and else at all rotations and on both faces. Each comparison searches for
+ *    itself, so three of them around a triangle bear each other out when they close it and lead
+ * over the best other motions by LEAD together (Vuong's test of models that are not nested,
+ * Econometrica 57, 1989). A section is left out, the worst first, as long as more than a quarter of
+ * its triangles do not close; edges of the triangles that do are sure. (By its own likelihood an
+ * edge is not: of a body that is nearly symmetric, the mirrored fit of two neighbours may be the
+ * better one by far.)
+ * 2. Nodes are placed outwards from what holds, along sure edges first; what is reached over an
+ *    unsure edge alone is unsure, and so is all beyond. Edges that contradict these places are
+ *    compared again from there, and dropped when they show nothing.
+ * 3. Gauss-Newton with Cauchy's weights (Huber & Ronchetti, 2009), the normal equations in a band.
+ * An edge's covariance is its curvature's times a factor, one for each distance: by how much
+ * columns of tissue, squares of COLUMN times its radius, pull a comparison farther apart than cells
+ * that err by themselves would (the design effect); and then times what the closed ways leave,
+ * where that is more.
+ * 4. The error of a pose is the cluster-robust covariance of the whole graph (Liang & Zeger,
+ *    Biometrika 73, 1986), the clusters being columns through all sections: with A the normal
+ *    matrix, u_g what column g pulls at all edges, and W_k the information of the marks of k,
+ *        C = A^-1 (G / (G - 1) sum_g u_g u_g^T + sum_k W_k) A^-1.
+ *    So what a column does alike in many sections adds up along the stack, as the errors do.
+ *
+ * Sections that nothing reaches are not laid. For n sections 3 n comparisons, which cost all but
+ * nothing else. */
 #include "pipeline/register/tissue_graph.h"
 
 #include "pipeline/core/mem.h"
 #include "pipeline/register/median.h"
-#include "pipeline/register/tissue_evidence.h"
-#include "pipeline/register/tissue_springs.h"
+#include "pipeline/register/small.h"
 
 #include <assert.h>
 #include <math.h>
 #include <string.h>
 
-/* Each section is compared with this many after it. */
-enum { REACH = 2 };
+/* Each section is compared with this many after it; rounds of Gauss-Newton. */
+enum { REACH = 3, ROUNDS = 8 };
 
+/* By so many standard deviations together three edges that close a triangle lead over their best
+ * other motions: one in a hundred has that by chance, and one in fifty closes by chance. */
+static const double LEAD = 2.33;
+/* Log odds of a motion against none at all: a thousand to one, and it is the best of some million
+ * that were tried. */
+static const double LEAST_ODDS = 6.9 + 13.8;
+/* Motions nearer to each other than this share of the tissue's radius are one. */
+static const double ONE_MOTION = 0.1;
+/* Side of a column, of the tissue's radius of gyration. */
+static const double COLUMN = 0.75;
 /* The reference is held as if it were known to a millionth of its size. */
 static const double HELD = 1e-6;
+/* An edge whose chi-squared of 3 degrees is this large counts half: one in a thousand. */
+static const double HALF = 16;
+/* Median of chi-squared with 3 degrees of freedom. */
+static const double MEDIAN_CHI2 = 2.366;
+
+/* Section a on section b, b > a. */
+struct edge {
+    size_t a, b, far; /* far: sections from a to b, those that are there */
+    struct gsn_tissue_match match;
+    double effect; /* of its columns, 1 or more */
+    double lead;   /* over the best other motion, in standard deviations; of two with marks LEAD */
+    int sure;
+    double chi2;   /* of what is left of it, under its covariance */
+    double weight; /* by its chi2: 1 for one that agrees, towards 0 */
+    int dropped;   /* shows nothing where the two sections lie */
+};
+
+struct node {
+    struct gsn_point centre; /* in the section */
+    double radius;
+    int held;
+    struct gsn_affine hold; /* where it is held */
+    double holding[3][3];   /* information of that */
+    int placed, sure;
+    struct gsn_affine to_block;
+    double error;
+};
+
+/* The normal equations are symmetric: only the last wide columns up to the diagonal are kept. */
+struct graph {
+    const struct gsn_tissue_section *section;
+    size_t count, edges, wide;
+    struct node *node;
+    struct edge *edge;
+    double factor[REACH + 1]; /* of an edge's variances over its curvature's, by far */
+    double *a, *b, *room;     /* 3 count * wide; 3 count; as many as edges */
+};
 
 /* ---- Comparing ---------------------------------------------------------------------------- */
 
-struct work {
-    const struct gsn_tissue_section *section;
-    struct gsn_tissue_springs springs;
-    char *unsure; /* for each spring */
-};
-
-static struct gsn_tissue_spring *spring_of(const struct work *w, size_t a, size_t b)
+static struct edge *edge_of(const struct graph *g, size_t a, size_t b)
 {
-    for (size_t i = w->springs.springs; i-- > 0;)
-        if (w->springs.spring[i].a == a && w->springs.spring[i].b == b)
-            return &w->springs.spring[i];
+    for (size_t i = g->edges; i-- > 0;)
+        if (g->edge[i].a == a && g->edge[i].b == b)
+            return &g->edge[i];
     return NULL;
 }
 
-/* A start for a on b from what is known: their marks, or the way over a section between. */
-static int start_of(const struct work *w, size_t a, size_t b, struct gsn_affine *ret_start)
+static double product(const double m[3][3], const double x[3])
 {
-    const struct gsn_tissue_section *s = w->section;
+    double sum = 0;
 
-    if (s[a].marked && s[b].marked) {
-        const struct gsn_affine back = gsn_affine_inverse(&s[b].to_block);
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++)
+            sum += x[p] * m[p][q] * x[q];
+    return sum;
+}
 
-        *ret_start = gsn_affine_compose(&s[a].to_block, &back);
-        return 1;
-    }
-    for (size_t k = a + 1; k < b; k++) {
-        const struct gsn_tissue_spring *first = spring_of(w, a, k), *second = spring_of(w, k, b);
+static int invert(double m[3][3])
+{
+    double a[GSN_SMALL][GSN_SMALL] = { 0 };
 
-        if (first && second) {
-            *ret_start = gsn_affine_compose(&first->match.a_to_b, &second->match.a_to_b);
-            return 1;
-        }
-    }
+    for (size_t i = 0; i < 3; i++)
+        memcpy(a[i], m[i], 3 * sizeof a[i][0]);
+    if (gsn_small_invert(a, 3) < 0)
+        return -1;
+    for (size_t i = 0; i < 3; i++)
+        memcpy(m[i], a[i], 3 * sizeof a[i][0]);
     return 0;
 }
 
-static int compare(struct work *w, size_t a, size_t b, struct gsn_error *err)
+/* Columns of a grid about the centre that is given, upright in the frame that to leads to. */
+static struct gsn_affine grid_of(const struct gsn_affine *to, struct gsn_point centre,
+                                 double radius)
 {
-    const struct gsn_tissue *ta = w->section[a].tissue, *tb = w->section[b].tissue;
-    struct gsn_tissue_match match;
-    struct gsn_affine start;
-    int r, searched = 0;
+    const double k = 1 / (COLUMN * radius), half = 0.5 * GSN_TISSUE_COLUMNS_SIDE;
+    const struct gsn_affine scale = { k, 0, half - k * centre.x, 0, k, half - k * centre.y };
 
-    if (start_of(w, a, b, &start)) {
-        r = gsn_tissue_refine(ta, tb, &start, &match, err);
+    return gsn_affine_compose(to, &scale);
+}
+
+/* What the columns pull at a comparison, less their mean; the number of columns that say anything.
+ */
+static size_t pulls_of(const struct graph *g, const struct edge *e, const struct gsn_affine *grid,
+                       double ret_pull[GSN_TISSUE_COLUMNS][3])
+{
+    double mean[3] = { 0 };
+    size_t columns = 0;
+
+    gsn_tissue_pulls(g->section[e->a].tissue, g->section[e->b].tissue, &e->match.a_to_b, grid,
+                     ret_pull);
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++) {
+        columns += ret_pull[k][0] != 0;
+        for (size_t p = 0; p < 3; p++)
+            mean[p] += ret_pull[k][p];
+    }
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++)
+        for (size_t p = 0; p < 3 && ret_pull[k][0] != 0; p++)
+            ret_pull[k][p] -= mean[p] / (double)columns;
+    return columns;
+}
+
+/* By how much more the columns of a comparison differ than cells that err by themselves make them.
+ */
+static double effect_of(const struct graph *g, const struct edge *e)
+{
+    const struct gsn_affine still = { 1, 0, 0, 0, 1, 0 };
+    const struct node *a = &g->node[e->a];
+    const struct gsn_affine grid = grid_of(&still, a->centre, a->radius);
+    double pull[GSN_TISSUE_COLUMNS][3], information[3][3], sum = 0;
+    const size_t columns = pulls_of(g, e, &grid, pull);
+
+    memcpy(information, e->match.covariance, sizeof information);
+    if (columns < 2 || invert(information) < 0)
+        return 1;
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++)
+        sum += product(information, pull[k]) / 3;
+    return fmax(sum * (double)columns / (double)(columns - 1), 1);
+}
+
+/* Whether the best motion is there at all, by its columns; and how far the best other is behind. */
+static int judge_edge(const struct graph *g, struct edge *e)
+{
+    e->effect = effect_of(g, e);
+    if (e->match.spread > 0)
+        e->lead = fmax(e->match.evidence - e->match.rival, 0) / (e->match.spread * sqrt(e->effect));
+    return e->match.evidence >= LEAST_ODDS * e->effect;
+}
+
+static int compare(struct graph *g, size_t a, size_t b, size_t far, struct gsn_error *err)
+{
+    const struct gsn_tissue_section *sa = &g->section[a], *sb = &g->section[b];
+    struct edge e = { .a = a, .b = b, .far = far, .weight = 1 };
+    int r;
+
+    if (sa->marked && sb->marked) {
+        const struct gsn_affine back = gsn_affine_inverse(&sb->to_block);
+        const struct gsn_affine start = gsn_affine_compose(&sa->to_block, &back);
+
+        r = gsn_tissue_refine(sa->tissue, sb->tissue, &start, &e.match, err);
     } else {
-        r = gsn_tissue_search(ta, tb, &match, err);
-        searched = 1;
+        r = gsn_tissue_search(sa->tissue, sb->tissue, &e.match, err);
     }
     if (r == GSN_E_NOMEM)
         return r;
-    if (r < 0 || match.evidence < GSN_TISSUE_LEAST_EVIDENCE)
+    if (r < 0 || !judge_edge(g, &e))
         return GSN_OK;
-    w->unsure[w->springs.springs] = searched && match.coarse < GSN_TISSUE_SURE * match.rival;
-    w->springs.spring[w->springs.springs++] =
-        (struct gsn_tissue_spring){ .a = a, .b = b, .match = match, .weight = 1 };
+    if (sa->marked && sb->marked)
+        e.lead = LEAD;
+    g->edge[g->edges++] = e;
     return GSN_OK;
 }
 
-/* Neighbours first, so that those further apart start from the way over them. Further neighbours
- * are also those on both sides of one that is not there. */
-static int compare_all(struct work *w, size_t count, struct gsn_error *err)
+static int compare_all(struct graph *g, struct gsn_error *err)
 {
     int r = GSN_OK;
 
     for (size_t far = 1; far <= REACH; far++)
-        for (size_t a = 0; r >= 0 && a + far < count; a++) {
+        for (size_t a = 0; r >= 0 && a + far < g->count; a++) {
             size_t b = a;
 
-            for (size_t found = 0; found < far && b < count;)
-                if (++b < count && w->section[b].tissue)
+            for (size_t found = 0; found < far && b < g->count;)
+                if (++b < g->count && g->section[b].tissue)
                     found++;
-            if (b < count && w->section[a].tissue)
-                r = compare(w, a, b, err);
+            if (b < g->count && g->section[a].tissue)
+                r = compare(g, a, b, far, err);
         }
     return r;
 }
 
+/* How far apart two motions lay a section's tissue, root mean square. */
+static double between(const struct node *n, const struct gsn_affine *p, const struct gsn_affine *q)
+{
+    const struct gsn_point u = gsn_affine_apply(p, n->centre), v = gsn_affine_apply(q, n->centre);
+    const double turn =
+        hypot(hypot(p->m00 - q->m00, p->m01 - q->m01), hypot(p->m10 - q->m10, p->m11 - q->m11));
+
+    return hypot(hypot(u.x - v.x, u.y - v.y), M_SQRT1_2 * turn * n->radius);
+}
+
+static int is_one_motion(const struct node *n, const struct gsn_affine *p,
+                         const struct gsn_affine *q)
+{
+    return between(n, p, q) < ONE_MOTION * n->radius;
+}
+
+/* What the triangles say of a section. */
+struct tally {
+    unsigned with, against;
+    int out;
+};
+
+/* Three sections that were all compared with each other. */
+struct triangle {
+    size_t node[3];
+    struct edge *side[3];
+    int says; /* 1: it closes, and not by chance; -1: it does not; 0: by chance */
+};
+
+static int judge_triangle(const struct graph *g, struct edge *const side[3])
+{
+    const struct gsn_affine way =
+        gsn_affine_compose(&side[0]->match.a_to_b, &side[1]->match.a_to_b);
+
+    if (!is_one_motion(&g->node[side[0]->a], &way, &side[2]->match.a_to_b))
+        return -1;
+    return side[0]->lead + side[1]->lead + side[2]->lead >= sqrt(3) * LEAD;
+}
+
+/* At most REACH for each section: ways of one and one, one and two, two and one. */
+static size_t list_triangles(const struct graph *g, struct triangle *triangles)
+{
+    size_t count = 0;
+
+    for (size_t i = 0; i < g->edges; i++)
+        for (size_t k = 0; k < g->edges; k++) {
+            struct edge *const first = &g->edge[i], *const second = &g->edge[k];
+            struct triangle *t = &triangles[count];
+            struct edge *whole;
+
+            if (second->a != first->b || !(whole = edge_of(g, first->a, second->b)))
+                continue;
+            *t =
+                (struct triangle){ { first->a, first->b, second->b }, { first, second, whole }, 0 };
+            t->says = judge_triangle(g, t->side);
+            count++;
+        }
+    return count;
+}
+
+/* The section that most triangles contradict, of those in which more than one in four do; count:
+ * there is none. */
+static size_t most_contradicted(const struct graph *g, const struct triangle *triangles,
+                                size_t count, struct tally *tally)
+{
+    size_t worst = g->count;
+
+    for (size_t i = 0; i < g->count; i++)
+        tally[i].with = tally[i].against = 0;
+    for (size_t i = 0; i < count; i++)
+        for (size_t k = 0; k < 3; k++) {
+            const struct triangle *t = &triangles[i];
+
+            if (tally[t->node[0]].out || tally[t->node[1]].out || tally[t->node[2]].out)
+                continue;
+            tally[t->node[k]].with += t->says > 0;
+            tally[t->node[k]].against += t->says < 0;
+        }
+    for (size_t i = 0; i < g->count; i++)
+        if (3 * tally[i].against > tally[i].with &&
+            (worst == g->count || tally[i].against > tally[worst].against))
+            worst = i;
+    return worst;
+}
+
+/* Leaves contradicted sections out, the worst first, until the triangles of the others close; their
+ * edges are sure. */
+static int close_triangles(struct graph *g, struct gsn_error *err)
+{
+    gsn_auto_mem(struct triangle) triangles = gsn_alloc_array(REACH * g->count, sizeof *triangles);
+    gsn_auto_mem(struct tally) tally = gsn_alloc_array(g->count, sizeof *tally);
+    size_t count, worst;
+
+    if (!triangles || !tally)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying %zu sections by their tissue",
+                        g->count);
+    count = list_triangles(g, triangles);
+    while ((worst = most_contradicted(g, triangles, count, tally)) < g->count)
+        tally[worst].out = 1;
+    for (size_t i = 0; i < count; i++) {
+        const struct triangle *t = &triangles[i];
+
+        if (t->says <= 0 || tally[t->node[0]].out || tally[t->node[1]].out || tally[t->node[2]].out)
+            continue;
+        for (size_t k = 0; k < 3; k++)
+            t->side[k]->sure = 1;
+    }
+    return GSN_OK;
+}
+
+/* What is usual at each distance; it does not fall with it. */
+static void learn_factors(struct graph *g)
+{
+    double least = 1;
+
+    for (size_t far = 1; far <= REACH; far++) {
+        size_t n = 0;
+
+        for (size_t i = 0; i < g->edges; i++)
+            if (g->edge[i].far == far)
+                g->room[n++] = g->edge[i].effect;
+        least = fmax(least, n > 0 ? gsn_median(g->room, n) : 1);
+        g->factor[far] = least;
+    }
+}
+
 /* ---- First places ------------------------------------------------------------------------- */
 
-static void place(struct work *w, const struct gsn_tissue_spring *spring)
+static void place(struct graph *g, const struct edge *e)
 {
-    struct gsn_tissue_node *a = &w->springs.node[spring->a], *b = &w->springs.node[spring->b];
+    struct node *a = &g->node[e->a], *b = &g->node[e->b];
 
     if (a->placed) {
-        const struct gsn_affine back = gsn_affine_inverse(&spring->match.a_to_b);
+        const struct gsn_affine back = gsn_affine_inverse(&e->match.a_to_b);
 
         b->to_block = gsn_affine_compose(&back, &a->to_block);
+        b->sure = a->sure && e->sure;
         b->placed = 1;
     } else {
-        a->to_block = gsn_affine_compose(&spring->match.a_to_b, &b->to_block);
+        a->to_block = gsn_affine_compose(&e->match.a_to_b, &b->to_block);
+        a->sure = b->sure && e->sure;
         a->placed = 1;
     }
 }
 
-/* From what is placed outwards, always along the comparison that is most certain. */
-static void spread(struct work *w)
+/* Whether an edge leads on from a sure section and is sure itself. */
+static int leads_surely(const struct graph *g, const struct edge *e)
+{
+    return e->sure && (g->node[e->a].placed ? g->node[e->a].sure : g->node[e->b].sure);
+}
+
+/* From what is placed outwards, always along the edge that is most certain. */
+static void spread(struct graph *g)
 {
     for (;;) {
-        const struct gsn_tissue_spring *best = NULL;
-        double most = -1;
+        const struct edge *best = NULL;
+        int best_sure = 0;
 
-        for (size_t i = 0; i < w->springs.springs; i++) {
-            const struct gsn_tissue_spring *s = &w->springs.spring[i];
-            /* What is unsure comes last, whatever its evidence. */
-            const double evidence = w->unsure[i] ? 0 : s->match.evidence;
+        for (size_t i = 0; i < g->edges; i++) {
+            const struct edge *e = &g->edge[i];
+            int sure;
 
-            if (w->springs.node[s->a].placed != w->springs.node[s->b].placed && evidence > most) {
-                best = s;
-                most = evidence;
+            if (g->node[e->a].placed == g->node[e->b].placed)
+                continue;
+            sure = leads_surely(g, e);
+            if (!best || sure > best_sure ||
+                (sure == best_sure && e->match.evidence > best->match.evidence)) {
+                best = e;
+                best_sure = sure;
             }
         }
         if (!best)
             return;
-        place(w, best);
+        place(g, best);
     }
 }
 
-static size_t reached_from(struct work *w, size_t i, size_t count)
+static size_t reached_from(struct graph *g, size_t i)
 {
     size_t reached = 0;
 
-    for (size_t k = 0; k < count; k++)
-        w->springs.node[k].placed = 0;
-    w->springs.node[i].placed = 1;
-    spread(w);
-    for (size_t k = 0; k < count; k++)
-        reached += w->springs.node[k].placed != 0;
+    for (size_t k = 0; k < g->count; k++)
+        g->node[k].placed = 0;
+    g->node[i].placed = g->node[i].sure = 1;
+    spread(g);
+    for (size_t k = 0; k < g->count; k++)
+        reached += g->node[k].placed && g->node[k].sure;
     return reached;
 }
 
-/* The middle section of the most that hang together. */
-static size_t choose_reference(struct work *w, size_t count)
+/* The middle section of the most that surely hang together. */
+static size_t choose_reference(struct graph *g)
 {
     size_t best = 0, most = 0, left;
 
-    for (size_t i = 0; i < count; i++) {
-        const size_t reached = w->section[i].tissue ? reached_from(w, i, count) : 0;
+    for (size_t i = 0; i < g->count && most <= g->count / 2; i++) {
+        const size_t reached = g->section[i].tissue ? reached_from(g, i) : 0;
 
         if (reached > most) {
             most = reached;
             best = i;
         }
-        if (most > count / 2)
-            break;
     }
-    (void)reached_from(w, best, count);
+    (void)reached_from(g, best);
     left = most / 2;
-    for (size_t i = 0; i < count; i++)
-        if (w->springs.node[i].placed && left-- == 0)
+    for (size_t i = 0; i < g->count; i++)
+        if (g->node[i].placed && g->node[i].sure && left-- == 0)
             return i;
     return best;
 }
 
-static void hold(struct gsn_tissue_node *n, const struct gsn_affine *at, double information[3][3])
+static void hold(struct node *n, const struct gsn_affine *at, double information[3][3])
 {
-    n->held = n->placed = 1;
+    n->held = n->placed = n->sure = 1;
     n->hold = n->to_block = *at;
     memcpy(n->holding, information, sizeof n->holding);
 }
 
-static int hold_marked(struct work *w, size_t count)
+static size_t hold_marked(struct graph *g)
 {
-    int held = 0;
+    size_t held = 0;
 
-    for (size_t i = 0; i < count; i++) {
-        const struct gsn_tissue_section *s = &w->section[i];
+    for (size_t i = 0; i < g->count; i++) {
+        const struct gsn_tissue_section *s = &g->section[i];
         double a[3][3] = { { 0 } };
 
         if (!s->marked || !s->tissue)
             continue;
         memcpy(a, s->covariance, sizeof a);
-        if (gsn_tissue_invert(a) < 0)
+        if (invert(a) < 0)
             continue;
-        hold(&w->springs.node[i], &s->to_block, a);
+        hold(&g->node[i], &s->to_block, a);
         held++;
     }
     return held;
 }
 
-static void hold_reference(struct work *w, size_t at)
+static void hold_reference(struct graph *g, size_t at)
 {
-    struct gsn_tissue_node *n = &w->springs.node[at];
+    struct node *n = &g->node[at];
     const struct gsn_affine unmoved = { 1, 0, 0, 0, 1, 0 };
     const double size = pow(HELD * n->radius, -2);
     double information[3][3] = { { size, 0, 0 }, { 0, size, 0 }, { 0, 0, pow(HELD, -2) } };
 
+    for (size_t i = 0; i < g->count; i++)
+        g->node[i].placed = 0;
     hold(n, &unmoved, information);
+}
+
+/* Edges that lay their sections elsewhere than the surer ones are compared again from there. */
+static int compare_again(struct graph *g, struct gsn_error *err)
+{
+    for (size_t i = 0; i < g->edges; i++) {
+        struct edge *e = &g->edge[i];
+        const struct node *a = &g->node[e->a], *b = &g->node[e->b];
+        struct gsn_affine back, start;
+        struct edge again = *e;
+        int r;
+
+        if (!a->placed || !b->placed)
+            continue;
+        back = gsn_affine_inverse(&b->to_block);
+        start = gsn_affine_compose(&a->to_block, &back);
+        if (is_one_motion(a, &start, &e->match.a_to_b))
+            continue;
+        e->dropped = 1;
+        r = gsn_tissue_refine(g->section[e->a].tissue, g->section[e->b].tissue, &start,
+                              &again.match, err);
+        if (r == GSN_E_NOMEM)
+            return r;
+        if (r < 0 || !is_one_motion(a, &start, &again.match.a_to_b) || !judge_edge(g, &again))
+            continue;
+        again.sure = again.dropped = 0;
+        *e = again;
+    }
+    return GSN_OK;
+}
+
+static int usable(const struct graph *g, const struct edge *e)
+{
+    return !e->dropped && g->node[e->a].placed && g->node[e->b].placed;
+}
+
+/* ---- Normal equations --------------------------------------------------------------------- */
+
+static double *entry(const struct graph *g, size_t i, size_t j)
+{
+    return &g->a[i * g->wide + (g->wide - 1 - (i - j))];
+}
+
+/* Cholesky's factor, in place. */
+static void factorise(const struct graph *g)
+{
+    for (size_t i = 0; i < 3 * g->count; i++) {
+        const size_t from = i + 1 > g->wide ? i + 1 - g->wide : 0;
+
+        for (size_t j = from; j <= i; j++) {
+            const size_t both = j + 1 > g->wide ? j + 1 - g->wide : 0;
+            double sum = *entry(g, i, j);
+
+            for (size_t k = from > both ? from : both; k < j; k++)
+                sum -= *entry(g, i, k) * *entry(g, j, k);
+            *entry(g, i, j) = i == j ? sqrt(fmax(sum, 1e-300)) : sum / *entry(g, j, j);
+        }
+    }
+}
+
+static void substitute(const struct graph *g, double *x)
+{
+    for (size_t i = 0; i < 3 * g->count; i++) {
+        for (size_t j = i + 1 > g->wide ? i + 1 - g->wide : 0; j < i; j++)
+            x[i] -= *entry(g, i, j) * x[j];
+        x[i] /= *entry(g, i, i);
+    }
+    for (size_t i = 3 * g->count; i-- > 0;) {
+        x[i] /= *entry(g, i, i);
+        for (size_t j = i + 1 > g->wide ? i + 1 - g->wide : 0; j < i; j++)
+            x[j] -= *entry(g, i, j) * x[i];
+    }
+}
+
+static double turn_of(const struct gsn_affine *m)
+{
+    return atan2(-m->m01, m->m11);
+}
+
+/* Shift at p and turn from one place of a section to another. */
+static void apart(const struct gsn_affine *from, const struct gsn_affine *onto, struct gsn_point p,
+                  double ret[3])
+{
+    const struct gsn_point u = gsn_affine_apply(from, p), v = gsn_affine_apply(onto, p);
+
+    ret[0] = v.x - u.x;
+    ret[1] = v.y - u.y;
+    ret[2] = remainder(turn_of(onto) - turn_of(from), 2 * M_PI);
+}
+
+/* From x, y, turn of a section's frame to the block's. */
+static void to_block_of(const struct gsn_affine *m, double ret_j[3][3])
+{
+    const double j[3][3] = { { m->m00, m->m01, 0 },
+                             { m->m10, m->m11, 0 },
+                             { 0, 0, gsn_affine_det(m) < 0 ? -1 : 1 } };
+
+    memcpy(ret_j, j, sizeof j);
+}
+
+static int information_of(const struct graph *g, const struct edge *e, double ret[3][3])
+{
+    double j[3][3], half[3][3] = { 0 };
+
+    to_block_of(&g->node[e->a].to_block, j);
+    memset(ret, 0, 9 * sizeof ret[0][0]);
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++)
+            for (size_t k = 0; k < 3; k++)
+                half[p][q] += g->factor[e->far] * j[p][k] * e->match.covariance[k][q];
+    for (size_t p = 0; p < 3; p++)
+        for (size_t q = 0; q < 3; q++)
+            for (size_t k = 0; k < 3; k++)
+                ret[p][q] += half[p][k] * j[q][k];
+    return invert(ret);
+}
+
+/* How a motion that is left of an edge, b's word minus a's place at a's centre, follows from those
+ * of a and b, each about its own centre. */
+static void jacobians_of(const struct graph *g, const struct edge *e, double ret_j[2][3][3])
+{
+    const struct node *a = &g->node[e->a], *b = &g->node[e->b];
+    const struct gsn_point p = gsn_affine_apply(&a->to_block, a->centre);
+    const struct gsn_point q = gsn_affine_apply(&b->to_block, b->centre);
+    const double j[2][3][3] = { { { -1, 0, 0 }, { 0, -1, 0 }, { 0, 0, -1 } },
+                                { { 1, 0, -(p.y - q.y) }, { 0, 1, p.x - q.x }, { 0, 0, 1 } } };
+
+    memcpy(ret_j, j, sizeof j);
+}
+
+/* Adds J^T w J of rows that touch one or two nodes. */
+static void add_matrix(const struct graph *g, const size_t at[2], double j[2][3][3], size_t nodes,
+                       double w[3][3])
+{
+    for (size_t u = 0; u < nodes; u++)
+        for (size_t p = 0; p < 3; p++) {
+            const size_t row = 3 * at[u] + p;
+
+            for (size_t k = 0; k < 3; k++)
+                for (size_t l = 0; l < 3; l++)
+                    for (size_t v = 0; v < nodes; v++)
+                        for (size_t q = 0; q < 3 && 3 * at[v] + q <= row; q++)
+                            *entry(g, row, 3 * at[v] + q) += j[u][k][p] * w[k][l] * j[v][l][q];
+        }
+}
+
+/* Adds J^T w left to x. */
+static void add_side(const size_t at[2], double j[2][3][3], size_t nodes, double w[3][3],
+                     const double left[3], double *x)
+{
+    for (size_t u = 0; u < nodes; u++)
+        for (size_t p = 0; p < 3; p++)
+            for (size_t k = 0; k < 3; k++)
+                for (size_t l = 0; l < 3; l++)
+                    x[3 * at[u] + p] += j[u][k][p] * w[k][l] * left[l];
+}
+
+/* The information that an edge has in the graph; 0 where it has none. */
+static int weight_of(const struct graph *g, const struct edge *e, double ret_w[3][3])
+{
+    if (!usable(g, e) || information_of(g, e, ret_w) < 0)
+        return 0;
+    for (size_t k = 0; k < 3; k++)
+        for (size_t l = 0; l < 3; l++)
+            ret_w[k][l] *= e->weight;
+    return 1;
+}
+
+static void add_edge(struct graph *g, struct edge *e)
+{
+    const struct node *a = &g->node[e->a], *b = &g->node[e->b];
+    const struct gsn_affine by_b = gsn_affine_compose(&e->match.a_to_b, &b->to_block);
+    const size_t at[2] = { e->a, e->b };
+    double j[2][3][3], w[3][3], left[3];
+
+    if (!usable(g, e) || information_of(g, e, w) < 0)
+        return;
+    apart(&a->to_block, &by_b, a->centre, left);
+    e->chi2 = product(w, left);
+    e->weight = HALF / (HALF + e->chi2);
+    (void)weight_of(g, e, w);
+    jacobians_of(g, e, j);
+    add_matrix(g, at, j, 2, w);
+    add_side(at, j, 2, w, left, g->b);
+}
+
+static void add_hold(struct graph *g, size_t i)
+{
+    struct node *n = &g->node[i];
+    const size_t at[2] = { i, i };
+    double j[2][3][3] = { { { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 } } };
+    double left[3];
+
+    if (!n->placed)
+        for (size_t p = 0; p < 3; p++)
+            *entry(g, 3 * i + p, 3 * i + p) += 1;
+    if (!n->placed || !n->held)
+        return;
+    apart(&n->hold, &n->to_block, n->centre, left);
+    add_matrix(g, at, j, 1, n->holding);
+    add_side(at, j, 1, n->holding, left, g->b);
+}
+
+static void assemble(struct graph *g)
+{
+    memset(g->a, 0, 3 * g->count * g->wide * sizeof *g->a);
+    memset(g->b, 0, 3 * g->count * sizeof *g->b);
+    for (size_t i = 0; i < g->edges; i++)
+        add_edge(g, &g->edge[i]);
+    for (size_t i = 0; i < g->count; i++)
+        add_hold(g, i);
+    factorise(g);
+}
+
+/* Takes a step off. */
+static void move(struct node *n, const double by[3])
+{
+    const struct gsn_point c = gsn_affine_apply(&n->to_block, n->centre);
+    const double co = cos(by[2]), si = -sin(by[2]);
+    const struct gsn_affine turn = { co, -si, c.x - by[0] - co * c.x + si * c.y,
+                                     si, co,  c.y - by[1] - si * c.x - co * c.y };
+
+    n->to_block = gsn_affine_compose(&n->to_block, &turn);
+}
+
+/* The factor under which the edges' chi-squared is what is usual: each leaves only the share of 3
+ * degrees of freedom that the unknowns did not take. */
+static void close_ways(struct graph *g)
+{
+    size_t n = 0, unknown = 0, holds = 0;
+    double more;
+
+    for (size_t i = 0; i < g->edges; i++)
+        if (usable(g, &g->edge[i]))
+            g->room[n++] = g->edge[i].chi2;
+    for (size_t i = 0; i < g->count; i++) {
+        unknown += g->node[i].placed != 0;
+        holds += g->node[i].placed && g->node[i].held;
+    }
+    if (n + holds <= unknown)
+        return;
+    more = gsn_median(g->room, n) * (double)(n + holds) /
+           (MEDIAN_CHI2 * (double)(n + holds - unknown));
+    for (size_t far = 1; far <= REACH; far++)
+        g->factor[far] *= fmax(more, 1);
+}
+
+static void relax(struct graph *g)
+{
+    for (int round = 0; round < ROUNDS; round++) {
+        assemble(g);
+        substitute(g, g->b);
+        for (size_t i = 0; i < g->count; i++)
+            if (g->node[i].placed)
+                move(&g->node[i], &g->b[3 * i]);
+    }
+    assemble(g);
+}
+
+/* ---- Errors ------------------------------------------------------------------------------- */
+
+/* Where all sections' tissue lies in the block, and how far it reaches. */
+static struct gsn_affine block_grid(const struct graph *g)
+{
+    const struct gsn_affine still = { 1, 0, 0, 0, 1, 0 };
+    struct gsn_point centre = { 0, 0 };
+    double radius = 0, n = 0;
+
+    for (size_t i = 0; i < g->count; i++) {
+        const struct node *node = &g->node[i];
+        const struct gsn_point at = gsn_affine_apply(&node->to_block, node->centre);
+
+        if (!node->placed)
+            continue;
+        centre.x += at.x;
+        centre.y += at.y;
+        radius += node->radius;
+        n++;
+    }
+    return grid_of(&still, (struct gsn_point){ centre.x / n, centre.y / n }, radius / n);
+}
+
+/* Adds what one edge's columns pull to each column's right side. */
+static void add_pulls(const struct graph *g, const struct edge *e, const struct gsn_affine *grid,
+                      double *side)
+{
+    const struct gsn_affine to_grid = gsn_affine_compose(&g->node[e->a].to_block, grid);
+    const size_t at[2] = { e->a, e->b };
+    double pull[GSN_TISSUE_COLUMNS][3], j[2][3][3], w[3][3], turn[3][3];
+
+    if (!weight_of(g, e, w))
+        return;
+    (void)pulls_of(g, e, &to_grid, pull);
+    jacobians_of(g, e, j);
+    to_block_of(&g->node[e->a].to_block, turn);
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++) {
+        double in_block[3] = { 0 };
+
+        for (size_t p = 0; p < 3; p++)
+            for (size_t q = 0; q < 3; q++)
+                in_block[p] += turn[p][q] * pull[k][q];
+        add_side(at, j, 2, w, in_block, side + k * 3 * g->count);
+    }
+}
+
+static double over_tissue(const struct node *n, const double variance[3])
+{
+    return variance[0] + variance[1] + variance[2] * n->radius * n->radius;
+}
+
+/* Mean square over a section's tissue by what the columns pull. */
+static void add_column_errors(const struct graph *g, const double *side, size_t columns,
+                              double more)
+{
+    const double share = more * (double)columns / fmax((double)columns - 1, 1);
+
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++)
+        for (size_t i = 0; i < g->count; i++) {
+            const double *x = side + 3 * (k * g->count + i);
+            const double square[3] = { x[0] * x[0], x[1] * x[1], x[2] * x[2] };
+
+            g->node[i].error += share * over_tissue(&g->node[i], square);
+        }
+}
+
+/* And by the marks' own errors. */
+static void add_mark_errors(const struct graph *g)
+{
+    for (size_t i = 0; i < g->count; i++) {
+        double variance[3] = { 0 };
+
+        for (size_t p = 0; g->node[i].placed && p < 3; p++) {
+            memset(g->b, 0, 3 * g->count * sizeof *g->b);
+            g->b[3 * i + p] = 1;
+            substitute(g, g->b);
+            for (size_t k = 0; k < g->count; k++)
+                if (g->node[k].held)
+                    variance[p] += product(g->node[k].holding, &g->b[3 * k]);
+        }
+        g->node[i].error += over_tissue(&g->node[i], variance);
+    }
+}
+
+/* more: by how much the closed ways leave more than the columns tell. */
+static int learn_errors(struct graph *g, double more, struct gsn_error *err)
+{
+    gsn_auto_mem(double) side = gsn_alloc_array(3 * g->count * GSN_TISSUE_COLUMNS, sizeof *side);
+    const struct gsn_affine grid = block_grid(g);
+    size_t columns = 0;
+
+    if (!side)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying %zu sections by their tissue",
+                        g->count);
+    for (size_t i = 0; i < g->edges; i++)
+        add_pulls(g, &g->edge[i], &grid, side);
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++) {
+        double *x = side + k * 3 * g->count;
+        int any = 0;
+
+        for (size_t i = 0; i < 3 * g->count; i++)
+            any |= x[i] != 0;
+        columns += any != 0;
+        substitute(g, x);
+    }
+    add_column_errors(g, side, columns, more);
+    add_mark_errors(g);
+    for (size_t i = 0; i < g->count; i++)
+        g->node[i].error = sqrt(g->node[i].error);
+    return GSN_OK;
 }
 
 /* ---- Telling ------------------------------------------------------------------------------ */
 
-static int usable(const struct work *w, const struct gsn_tissue_spring *s)
-{
-    return s && !s->dropped && w->springs.node[s->a].placed && w->springs.node[s->b].placed;
-}
-
-/* How far two steps miss the double step, on the median of all: beyond what the curvature allows,
- * the same in all, it is a drift. */
-static double drift_of(const struct work *w, size_t count, double *x, double *y)
-{
-    size_t n = 0;
-
-    for (size_t a = 0; a + 2 < count; a++) {
-        const struct gsn_tissue_spring *one = spring_of(w, a, a + 1),
-                                       *two = spring_of(w, a + 1, a + 2);
-        const struct gsn_tissue_spring *both = spring_of(w, a, a + 2);
-        struct gsn_affine way;
-        struct gsn_point u, v, at;
-
-        if (!usable(w, one) || !usable(w, two) || !usable(w, both))
-            continue;
-        at = w->springs.node[a].centre;
-        way = gsn_affine_compose(&one->match.a_to_b, &two->match.a_to_b);
-        way = gsn_affine_compose(&way, &w->springs.node[a + 2].to_block);
-        u = gsn_affine_apply(&way, at);
-        way = gsn_affine_compose(&both->match.a_to_b, &w->springs.node[a + 2].to_block);
-        v = gsn_affine_apply(&way, at);
-        x[n] = v.x - u.x;
-        y[n++] = v.y - u.y;
-    }
-    return n >= 3 ? hypot(gsn_median(x, n), gsn_median(y, n)) : 0;
-}
-
-static unsigned distance_of(const struct work *w, size_t i, size_t count)
+static unsigned distance_of(const struct graph *g, size_t i)
 {
     unsigned least = (unsigned)-1;
 
-    for (size_t k = 0; k < count; k++) {
-        const unsigned a = w->section[i].serial, b = w->section[k].serial;
+    for (size_t k = 0; k < g->count; k++) {
+        const unsigned a = g->section[i].serial, b = g->section[k].serial;
         const unsigned far = a > b ? a - b : b - a;
 
-        if (w->springs.node[k].held && far < least)
+        if (g->node[k].held && far < least)
             least = far;
     }
     return least;
 }
 
-static double usual_of(const struct work *w, double *room)
+static double usual_of(const struct graph *g)
 {
     size_t n = 0;
 
-    for (size_t i = 0; i < w->springs.springs; i++) {
-        const struct gsn_tissue_spring *s = &w->springs.spring[i];
-        const double radius = w->springs.node[s->a].radius;
+    for (size_t i = 0; i < g->edges; i++) {
+        const struct edge *e = &g->edge[i];
+        const double variance[3] = { e->match.covariance[0][0], e->match.covariance[1][1],
+                                     e->match.covariance[2][2] };
 
-        if (usable(w, s))
-            room[n++] =
-                sqrt(w->springs.factor * (s->match.covariance[0][0] + s->match.covariance[1][1] +
-                                          s->match.covariance[2][2] * radius * radius));
+        if (usable(g, e) && e->far == 1)
+            g->room[n++] = sqrt(g->factor[1] * over_tissue(&g->node[e->a], variance));
     }
-    return n > 0 ? gsn_median(room, n) : 0;
-}
-
-/* Whether all that ties this section to others is unsure, or a neighbour would have it on the other
- * face than it was laid on. */
-static int is_unsure(const struct work *w, size_t i)
-{
-    int ties = 0, sure = 0, faces = 0;
-
-    for (size_t k = 0; k < w->springs.springs; k++) {
-        const struct gsn_tissue_spring *s = &w->springs.spring[k];
-
-        if ((s->a != i && s->b != i) || s->b != s->a + 1)
-            continue;
-        faces += s->dropped;
-        if (!usable(w, s))
-            continue;
-        ties++;
-        sure += !w->unsure[k];
-    }
-    return (ties > 0 && sure == 0) || faces > 0;
+    return n > 0 ? gsn_median(g->room, n) : 0;
 }
 
 /* The mean disagreement of its comparisons that others do not explain: root of chi2 over its 3. */
-static double disagreement(const struct work *w, size_t i)
+static double disagreement(const struct graph *g, size_t i)
 {
     double sum = 0;
     size_t n = 0;
 
-    for (size_t k = 0; k < w->springs.springs; k++) {
-        const struct gsn_tissue_spring *s = &w->springs.spring[k];
+    for (size_t k = 0; k < g->edges; k++) {
+        const struct edge *e = &g->edge[k];
 
-        if (usable(w, s) && (s->a == i || s->b == i)) {
-            sum += s->chi2 / 3;
+        if (usable(g, e) && (e->a == i || e->b == i)) {
+            sum += e->chi2 / 3;
             n++;
         }
     }
     return n > 0 ? sqrt(sum / (double)n) : 0;
 }
 
-static void tell(const struct work *w, size_t count, const struct gsn_tissue_summary *summary,
+static void tell(const struct graph *g, struct gsn_tissue_summary *summary,
                  struct gsn_tissue_pose *ret_poses)
 {
-    for (size_t i = 0; i < count; i++) {
-        const struct gsn_tissue_node *n = &w->springs.node[i];
+    summary->matches = g->edges;
+    summary->usual = usual_of(g);
+    for (size_t i = 0; i < g->edges; i++)
+        summary->refused += !usable(g, &g->edge[i]) || g->edge[i].weight < 0.25;
+    for (size_t i = 0; i < g->count; i++) {
+        const struct node *n = &g->node[i];
         struct gsn_tissue_pose *pose = &ret_poses[i];
 
         *pose = (struct gsn_tissue_pose){ .laid = n->placed };
         if (!n->placed)
             continue;
+        summary->laid++;
         pose->to_block = n->to_block;
-        pose->from = distance_of(w, i, count);
-        pose->error = hypot(n->error, summary->drift * pose->from);
-        pose->disagrees = n->held ? disagreement(w, i) : 0;
-        pose->unsure = !n->held && is_unsure(w, i);
+        pose->from = distance_of(g, i);
+        pose->error = n->error;
+        pose->disagrees = n->held ? disagreement(g, i) : 0;
+        pose->unsure = !n->held && !n->sure;
+        if (pose->from > 0)
+            summary->drift = fmax(summary->drift, pose->error / pose->from);
     }
 }
 
-static void drop_other_faces(struct work *w)
-{
-    for (size_t i = 0; i < w->springs.springs; i++) {
-        struct gsn_tissue_spring *s = &w->springs.spring[i];
-        const struct gsn_tissue_node *a = &w->springs.node[s->a], *b = &w->springs.node[s->b];
-
-        if (!a->placed || !b->placed)
-            continue;
-        s->dropped = gsn_affine_det(&a->to_block) * gsn_affine_det(&b->to_block) *
-                         gsn_affine_det(&s->match.a_to_b) <
-                     0;
-    }
-}
-
-static void sum_up(struct work *w, size_t count, double *room, struct gsn_tissue_summary *summary)
-{
-    summary->usual = usual_of(w, room);
-    summary->drift = drift_of(w, count, room, room + count);
-    summary->matches = w->springs.springs;
-    for (size_t i = 0; i < count; i++)
-        summary->laid += w->springs.node[i].placed != 0;
-    for (size_t i = 0; i < w->springs.springs; i++)
-        summary->refused += !usable(w, &w->springs.spring[i]) || w->springs.spring[i].weight < 0.25;
-}
-
-static int lay(struct work *w, size_t count, double *room, struct gsn_tissue_pose *ret_poses,
+static int lay(struct graph *g, size_t reference, struct gsn_tissue_pose *ret_poses,
                struct gsn_tissue_summary *ret_summary, struct gsn_error *err)
 {
     struct gsn_tissue_summary summary = { 0 };
-    int r = compare_all(w, count, err);
+    gsn_auto_mem(double) a = NULL;
+    double columns_alone;
+    int r = compare_all(g, err);
 
     if (r < 0)
         return r;
-    summary.held = (size_t)hold_marked(w, count);
-    if (summary.held == 0) {
-        summary.reference = choose_reference(w, count);
-        for (size_t i = 0; i < count; i++)
-            w->springs.node[i].placed = 0;
-        hold_reference(w, summary.reference);
-    }
-    spread(w);
-    drop_other_faces(w);
-    r = gsn_tissue_relax(&w->springs, err);
+    g->wide = 3;
+    for (size_t i = 0; i < g->edges; i++)
+        if (3 * (g->edge[i].b - g->edge[i].a) + 3 > g->wide)
+            g->wide = 3 * (g->edge[i].b - g->edge[i].a) + 3;
+    a = gsn_alloc_array(3 * g->count, g->wide * sizeof *a);
+    if (!a)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying %zu sections by their tissue",
+                        g->count);
+    g->a = a;
+    r = close_triangles(g, err);
     if (r < 0)
         return r;
-    sum_up(w, count, room, &summary);
-    tell(w, count, &summary, ret_poses);
+    learn_factors(g);
+    summary.held = hold_marked(g);
+    if (summary.held == 0) {
+        summary.reference = reference == GSN_TISSUE_MIDDLE ? choose_reference(g) : reference;
+        hold_reference(g, summary.reference);
+    }
+    spread(g);
+    r = compare_again(g, err);
+    if (r < 0)
+        return r;
+    columns_alone = g->factor[1];
+    relax(g);
+    close_ways(g);
+    relax(g);
+    r = learn_errors(g, g->factor[1] / columns_alone, err);
+    if (r < 0)
+        return r;
+    tell(g, &summary, ret_poses);
     *ret_summary = summary;
     return GSN_OK;
 }
 
-int gsn_tissue_lay(const struct gsn_tissue_section *sections, size_t count,
+int gsn_tissue_lay(const struct gsn_tissue_section *sections, size_t count, size_t reference,
                    struct gsn_tissue_pose *ret_poses, struct gsn_tissue_summary *ret_summary,
                    struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_tissue_node) node = gsn_alloc_array(count, sizeof *node);
-    gsn_auto_mem(struct gsn_tissue_spring) spring = gsn_alloc_array(REACH * count, sizeof *spring);
-    gsn_auto_mem(char) unsure = gsn_alloc_array(REACH * count, 1);
+    gsn_auto_mem(struct node) node = gsn_alloc_array(count, sizeof *node);
+    gsn_auto_mem(struct edge) edge = gsn_alloc_array(REACH * count, sizeof *edge);
+    gsn_auto_mem(double) b = gsn_alloc_array(3 * count, sizeof *b);
     gsn_auto_mem(double) room = gsn_alloc_array(REACH * count, sizeof *room);
-    struct work w = { sections,
-                      { .node = node, .spring = spring, .nodes = count, .factor = 1 },
-                      unsure };
+    struct graph g = {
+        .section = sections, .count = count, .node = node, .edge = edge, .b = b, .room = room
+    };
 
     assert(sections && ret_poses && ret_summary);
+    assert(reference == GSN_TISSUE_MIDDLE || (reference < count && sections[reference].tissue));
 
     for (size_t i = 1; i < count; i++)
         if (sections[i].serial <= sections[i - 1].serial)
             return gsn_fail(err, GSN_E_INPUT,
                             "section %u comes after section %u: serial numbers must rise",
                             sections[i].serial + 1, sections[i - 1].serial + 1);
-    if (!node || !spring || !unsure || !room)
+    if (!node || !edge || !b || !room)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying %zu sections by their tissue",
                         count);
     for (size_t i = 0; i < count; i++)
@@ -405,5 +985,5 @@ int gsn_tissue_lay(const struct gsn_tissue_section *sections, size_t count,
             node[i].centre = gsn_tissue_centre(sections[i].tissue);
             node[i].radius = gsn_tissue_radius(sections[i].tissue);
         }
-    return lay(&w, count, room, ret_poses, ret_summary, err);
+    return lay(&g, reference, ret_poses, ret_summary, err);
 }

@@ -32,6 +32,7 @@ struct frame {
     struct gsn_affine map;   /* in cells of this band */
     struct gsn_point centre; /* of a, in cells of this band */
     struct scale scale;
+    const struct gsn_affine *to_grid; /* of a's cells of this band; NULL: no columns */
 };
 
 /* ---- One band ----------------------------------------------------------------------------- */
@@ -48,7 +49,21 @@ static float weight_of(const struct scale *s, float a, float b)
     return (float)(limit / (limit + r * r / (1 - s->rho * s->rho)));
 }
 
-static void add_row(const struct frame *f, size_t y, struct row *row)
+/* Which column of the tissue a cell belongs to; all to the first where there are no columns. */
+static size_t column_at(const struct frame *f, double x, double y)
+{
+    const struct gsn_affine *m = f->to_grid;
+    const double last = GSN_TISSUE_COLUMNS_SIDE - 1;
+    double u, v;
+
+    if (!m)
+        return 0;
+    u = fmin(fmax(floor(m->m00 * x + m->m01 * y + m->m02), 0), last);
+    v = fmin(fmax(floor(m->m10 * x + m->m11 * y + m->m12), 0), last);
+    return (size_t)v * GSN_TISSUE_COLUMNS_SIDE + (size_t)u;
+}
+
+static void add_row(const struct frame *f, size_t y, struct row *rows)
 {
     const size_t w = f->a->w, bw = f->b->w;
     const float c = (float)f->map.m00, s = (float)f->map.m10;
@@ -61,6 +76,7 @@ static void add_row(const struct frame *f, size_t y, struct row *row)
 
     for (size_t x = 0; x < w; x++) {
         const float u = u0 + c * (float)x, v = v0 + s * (float)x;
+        struct row *row = rows;
         size_t i, j;
         float fu, fv, b, k, g, gx = dx[x], gy = dy[x], gt;
         const float *at;
@@ -76,6 +92,8 @@ static void add_row(const struct frame *f, size_t y, struct row *row)
         k = f->scale.a > 0 ? weight_of(&f->scale, a[x], b) : 1;
         gt = gy * ((float)x + 0.5f - (float)f->centre.x) - gx * turn_y;
         g = k * a[x];
+        if (f->to_grid)
+            row += column_at(f, (double)x + 0.5, y0);
         row->aa += (double)(g * a[x]);
         row->ab += (double)(g * b);
         row->bb += (double)(k * b * b);
@@ -97,21 +115,26 @@ static void add_row(const struct frame *f, size_t y, struct row *row)
     }
 }
 
+static struct sums sums_in(const struct row *r)
+{
+    return (struct sums){
+        .aa = r->aa,
+        .bb = r->bb,
+        .ab = r->ab,
+        .aaaa = r->aaaa,
+        .h = { { r->xx, r->xy, r->xt }, { r->xy, r->yy, r->yt }, { r->xt, r->yt, r->tt } },
+        .ja = { r->xa, r->ya, r->ta },
+        .jb = { r->xb, r->yb, r->tb },
+    };
+}
+
 static struct sums sums_of(const struct frame *f)
 {
     struct row r = { 0 };
 
     for (size_t y = 1; y + 1 < f->a->h; y++)
         add_row(f, y, &r);
-    return (struct sums){
-        .aa = r.aa,
-        .bb = r.bb,
-        .ab = r.ab,
-        .aaaa = r.aaaa,
-        .h = { { r.xx, r.xy, r.xt }, { r.xy, r.yy, r.yt }, { r.xt, r.yt, r.tt } },
-        .ja = { r.xa, r.ya, r.ta },
-        .jb = { r.xb, r.yb, r.tb },
-    };
+    return sums_in(&r);
 }
 
 /* How many independent cells a band has where there is tissue: for n normal numbers the fourth
@@ -125,8 +148,20 @@ static double count_of(const struct sums *s)
 /* ---- All bands ---------------------------------------------------------------------------- */
 
 struct normal {
-    double h[3][3], g[3], evidence;
+    double h[3][3], g[3], evidence, variance;
 };
+
+/* What of a band's sums pulls at the motion, in cells of the first level; of: the whole band's. */
+static void add_pull(const struct sums *s, const struct sums *of, size_t level, double rho,
+                     double g[3])
+{
+    const double size = ldexp(1, (int)level), unit[3] = { size, size, 1 };
+    const double weight = count_of(of) / (1 - rho * rho);
+
+    for (size_t i = 0; i < 3; i++)
+        g[i] +=
+            weight * rho * (s->jb[i] / sqrt(of->aa * of->bb) - rho * s->ja[i] / of->aa) / unit[i];
+}
 
 /* Adds a band at level to the normal equations, in cells of the first level. */
 static void add_band(const struct sums *s, size_t level, struct scale *scale, struct normal *normal)
@@ -148,13 +183,13 @@ static void add_band(const struct sums *s, size_t level, struct scale *scale, st
     /* Deviations over the cells with tissue. */
     scale->a = sqrt(s->aa / (4 * n));
     scale->b = sqrt(s->bb / (4 * n));
-    for (size_t i = 0; i < 3; i++) {
+    for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j < 3; j++)
             normal->h[i][j] += weight * rho * rho * s->h[i][j] / s->aa / (unit[i] * unit[j]);
-        normal->g[i] +=
-            weight * rho * (s->jb[i] / sqrt(s->aa * s->bb) - rho * s->ja[i] / s->aa) / unit[i];
-    }
+    add_pull(s, s, level, rho, normal->g);
     normal->evidence -= 0.5 * n * log(1 - rho * rho);
+    /* A correlation of n errs by (1 - rho^2) / sqrt(n). */
+    normal->variance += n * rho * rho;
 }
 
 static void frame_at(const struct gsn_tissue *a, const struct gsn_tissue *b, size_t level,
@@ -168,6 +203,7 @@ static void frame_at(const struct gsn_tissue *a, const struct gsn_tissue *b, siz
     f->map.m02 /= size;
     f->map.m12 /= size;
     f->centre = (struct gsn_point){ a->centre.x / size, a->centre.y / size };
+    f->to_grid = NULL;
 }
 
 /* Takes the motion that is left off: map o (turn by t about the centre, shift)^-1. */
@@ -216,6 +252,7 @@ static void improve(const struct gsn_tissue *a, const struct gsn_tissue *b, size
         }
         memcpy(fit->information, normal.h, sizeof fit->information);
         fit->evidence = normal.evidence;
+        fit->variance = normal.variance;
         if (solve(&normal, move) < 0)
             return;
         far = hypot(hypot(move[0], move[1]), move[2] * a->radius);
@@ -319,36 +356,59 @@ static void improve_coarse(const struct gsn_tissue *a, const struct gsn_tissue *
     improve(a, b, levels > COARSE_BANDS ? levels - COARSE_BANDS : 0, fit);
 }
 
-int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
-                      struct gsn_tissue_match *ret_match, struct gsn_error *err)
+/* The best of all motions in the coarse bands, and the best that is another. */
+static int best_two(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                    struct gsn_tissue_fit ret_fit[2], struct gsn_error *err)
 {
     const size_t levels = a->levels < b->levels ? a->levels : b->levels;
     struct gsn_affine start[STARTS];
-    struct gsn_tissue_fit best = { .evidence = -1 };
-    struct gsn_tissue_match match = { 0 };
+    struct gsn_tissue_fit best = { .evidence = -1 }, rival = { .evidence = -1 };
     size_t count;
-    int r = gsn_tissue_starts(a, b, STARTS, start, &count, err);
-
-    assert(ret_match);
+    const int r = gsn_tissue_starts(a, b, STARTS, start, &count, err);
 
     for (size_t i = 0; r >= 0 && i < count; i++) {
         struct gsn_tissue_fit fit = { .a_to_b = start[i] };
+        int is_best;
 
         improve_coarse(a, b, &fit);
-        if (fit.evidence > best.evidence) {
-            if (best.evidence >= 0 && !same(&fit.a_to_b, &best.a_to_b, a, levels))
-                match.rival = best.evidence;
-            best = fit;
-        } else if (!same(&fit.a_to_b, &best.a_to_b, a, levels)) {
-            match.rival = fmax(match.rival, fit.evidence);
+        is_best = fit.evidence > best.evidence;
+        if (best.evidence < 0 || same(&fit.a_to_b, &best.a_to_b, a, levels)) {
+            best = is_best ? fit : best;
+            continue;
         }
+        if (is_best || fit.evidence > rival.evidence)
+            rival = is_best ? best : fit;
+        best = is_best ? fit : best;
     }
     if (r < 0)
         return r;
     if (best.evidence < 0)
         return gsn_fail(err, GSN_E_MARKERS, "the two sections share no detail to lay them by");
-    match.coarse = best.evidence;
-    r = finish(a, b, &best, &match, err);
+    ret_fit[0] = best;
+    ret_fit[1] = rival;
+    return GSN_OK;
+}
+
+/* Coarse bands show little else than the outline, which may fit in two ways: all bands choose. */
+int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                      struct gsn_tissue_match *ret_match, struct gsn_error *err)
+{
+    struct gsn_tissue_match match = { 0 };
+    struct gsn_tissue_fit fit[2];
+    size_t better;
+    int r = best_two(a, b, fit, err);
+
+    assert(ret_match);
+
+    if (r < 0)
+        return r;
+    descend(a, b, &fit[0]);
+    if (fit[1].evidence > 0)
+        descend(a, b, &fit[1]);
+    better = fit[1].evidence > fit[0].evidence;
+    match.rival = fmax(fit[!better].evidence, 0);
+    match.spread = sqrt(fit[0].variance + fit[1].variance);
+    r = finish(a, b, &fit[better], &match, err);
     if (r >= 0)
         *ret_match = match;
     return r;
@@ -379,4 +439,52 @@ void gsn_tissue_glance(const struct gsn_tissue *a, const struct gsn_tissue *b,
     improve_coarse(a, b, &fit);
     *ret_evidence = fit.evidence;
     *ret_a_to_b = fit.evidence > 0 ? in_lengths(&fit.a_to_b, a->cell, b->cell) : *start;
+}
+
+/* ---- Columns ------------------------------------------------------------------------------ */
+
+void gsn_tissue_pulls(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                      const struct gsn_affine *a_to_b, const struct gsn_affine *to_grid,
+                      double ret_pull[GSN_TISSUE_COLUMNS][3])
+{
+    const size_t levels = a->levels < b->levels ? a->levels : b->levels;
+    const struct gsn_affine map = in_lengths(a_to_b, 1 / a->cell, 1 / b->cell);
+    const double unit[3] = { a->cell, a->cell, 1 };
+    double g[GSN_TISSUE_COLUMNS][3] = { 0 };
+    struct normal normal = { 0 };
+
+    memset(ret_pull, 0, sizeof g);
+    for (size_t l = 0; l < levels; l++) {
+        const double cell = ldexp(a->cell, (int)l);
+        const struct gsn_affine of_cells = { cell, 0, 0, 0, cell, 0 };
+        const struct gsn_affine grid = gsn_affine_compose(&of_cells, to_grid);
+        struct row rows[GSN_TISSUE_COLUMNS] = { 0 };
+        struct frame frame = { 0 };
+        struct sums sums;
+
+        frame_at(a, b, l, &map, &frame);
+        for (int round = 0; round < 2; round++) {
+            struct normal of_band = { 0 };
+
+            sums = sums_of(&frame);
+            add_band(&sums, l, &frame.scale, round ? &normal : &of_band);
+        }
+        if (!(frame.scale.a > 0))
+            continue;
+        frame.to_grid = &grid;
+        for (size_t y = 1; y + 1 < frame.a->h; y++)
+            add_row(&frame, y, rows);
+        for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++) {
+            const struct sums of_column = sums_in(&rows[k]);
+
+            add_pull(&of_column, &sums, l, frame.scale.rho, g[k]);
+        }
+    }
+    for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++) {
+        memcpy(normal.g, g[k], sizeof normal.g);
+        if (solve(&normal, ret_pull[k]) < 0)
+            continue;
+        for (size_t i = 0; i < 3; i++)
+            ret_pull[k][i] *= unit[i];
+    }
 }

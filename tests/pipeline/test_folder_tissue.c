@@ -122,8 +122,8 @@ TEST(a_folder_without_marks_is_laid_by_tissue_when_asked)
 
         CHECK(s->state == GSN_POSE_NONE && s->by_tissue == (k != BLANK));
         if (k == BLANK) {
-            CHECK(strcmp(s->reason, "no marks, and its tissue fits none of the two sections before "
-                                    "and after; look at the section") == 0);
+            CHECK(strcmp(s->reason, "no marks, and its tissue fits none of the three sections "
+                                    "before and after; look at the section") == 0);
             continue;
         }
         CHECK(drawn_apart(&found, &truth) < 1);

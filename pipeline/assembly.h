@@ -40,6 +40,13 @@ struct gsn_tissue_place {
     double error_um; /* predicted, root mean square over its tissue */
 };
 
+/* The stack where the job lays it by tissue alone. */
+struct gsn_by_tissue {
+    int done;
+    size_t frame; /* the section whose panel's picture, pixels times their size, is the block */
+    struct gsn_tissue_summary summary; /* lengths um */
+};
+
 /* One slot, found or not. */
 struct gsn_assembly_section {
     unsigned panel; /* 1-based */
@@ -122,12 +129,13 @@ struct gsn_assembly {
                                                    long as no panel needed it */
     size_t calibration_count;
     int by_standards; /* whether densities are on the scale of the calibration panels' standards */
-    int solved;       /* whether the stack's triangle could be solved */
-    struct gsn_pose_summary summary;
+    int solved;       /* whether there is a block frame: of the stack's triangle, or by tissue */
+    struct gsn_pose_summary summary; /* of the marks; 0 where none was asked for */
+    struct gsn_by_tissue by_tissue;
     struct gsn_strain_common panel_stretch; /* what the scan did to all sections alike */
     enum gsn_strain_mode strain_mode;       /* the protocol's */
     struct gsn_refinement refinement;       /* where that is GSN_STRAIN_TISSUE */
-    char unsolved[480];                     /* why not, or empty */
+    char unsolved[600];                     /* why not, or empty */
     char no_region[480];                    /* why the stated band could not be found, or empty */
     struct gsn_mask *region;        /* owned; NULL when the job states none or it was not found */
     struct gsn_grid *grid;          /* owned; NULL without region or solution */

@@ -113,7 +113,7 @@ int gsn_assembly_seek_marks(const struct gsn_specimen *specimen,
     struct search search = { .scan = scan, .layout = gsn_protocol_layout(specimen->protocol) };
     int r;
 
-    if (!any_wanted(a, panel))
+    if (a->by_tissue.done || !any_wanted(a, panel))
         return GSN_OK;
     slots = gsn_alloc_array(a->section_count, sizeof *slots);
     candidates = gsn_alloc_array(a->section_count, sizeof *candidates);

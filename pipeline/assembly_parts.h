@@ -50,7 +50,8 @@ int gsn_assembly_find_band(const struct gsn_specimen *specimen,
                            const struct gsn_specimen_options *options, struct gsn_assembly *a,
                            struct gsn_error *err);
 
-/* Poses of all sections together. A stack that cannot be solved is a state, with a sentence. */
+/* Poses of all sections together by their marks, where the job asks for marks. A stack that cannot
+ * be solved is a state, with a sentence. */
 int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                        struct gsn_error *err);
 

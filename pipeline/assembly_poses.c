@@ -2,6 +2,7 @@
 #include "pipeline/assembly_parts.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 enum { MOST_TARGETS = 4096 };
@@ -112,6 +113,9 @@ int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly 
     size_t count = 0;
     int r;
 
+    a->strain_mode = GSN_STRAIN_RIGID;
+    if (specimen->protocol->registration == GSN_STATED_TISSUE)
+        return GSN_OK;
     if (!inputs || !poses)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for poses");
     r = gsn_assembly_targets(a->region, &targets, &options.target_count, err);
@@ -133,7 +137,10 @@ int gsn_assembly_solve(const struct gsn_specimen *specimen, struct gsn_assembly 
         return gsn_fail(err, r, "%s", why.text);
     a->solved = r >= 0;
     if (r < 0)
-        memcpy(a->unsolved, why.text, sizeof a->unsolved);
+        (void)snprintf(a->unsolved, sizeof a->unsolved, "%s%s", why.text,
+                       r == GSN_E_MARKERS ? "; if no marks were burnt, state \"registration\": "
+                                            "\"tissue\" in job.json"
+                                          : "");
     for (size_t i = 0, p = 0; r >= 0 && i < a->section_count; i++)
         if (a->section[i].state == GSN_SECTION_HELD)
             take_pose(&a->section[i], &poses[p++]);

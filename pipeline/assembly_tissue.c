@@ -6,12 +6,18 @@
 #include "pipeline/register/tissue_check.h"
 
 #include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
 #include <string.h>
 
 /* Sections on either side that are looked at: two to compare with, and one that may be missing. */
 enum { AROUND = 3 };
 /* Side of a cell, um: about as fine as the panels are surveyed, whatever their pixels. */
 static const double CELL_UM = 48;
+/* Cells of glass around a section's box: its outline counts, and what is compared with it may lie
+ * beyond the box. */
+enum { MARGIN = 12 };
+static const double MARGIN_UM = 12 * 48;
 /* Beyond this predicted error, two intervals and a half, a section would blur what it is to add to.
  */
 static const double MOST_ERROR_UM = 60;
@@ -96,12 +102,13 @@ static float total_at(const struct gsn_plane *total, double x, double y)
     return (at[0] * (1 - fu) + at[1] * fu) * (1 - fv) + (at[w] * (1 - fu) + at[w + 1] * fu) * fv;
 }
 
-/* The section's box in cells of CELL_UM; the origin is the box's corner, in um. */
+/* The section's box in cells of CELL_UM, with its margin; the origin is the margin's corner, in um.
+ */
 static int look(const struct gsn_scan *scan, const struct gsn_panel_section *seen,
                 struct gsn_tissue **ret_tissue, struct gsn_error *err)
 {
     const uint32_t w = (uint32_t)(seen->width * scan->px_um / CELL_UM);
-    const uint32_t h = (uint32_t)(seen->height * scan->px_um / CELL_UM);
+    const uint32_t h = (uint32_t)(seen->height * scan->px_um / CELL_UM), wide = w + 2 * MARGIN;
     const double cell_px = CELL_UM / scan->px_um;
     gsn_auto(gsn_plane) plane = NULL;
     struct gsn_error own = { 0 };
@@ -109,12 +116,12 @@ static int look(const struct gsn_scan *scan, const struct gsn_panel_section *see
 
     if (w == 0 || h == 0 || scan->total->width < 2 || scan->total->height < 2)
         return GSN_OK;
-    r = gsn_plane_new(w, h, &plane, err);
+    r = gsn_plane_new(wide, h + 2 * MARGIN, &plane, err);
     if (r < 0)
         return r;
     for (uint32_t y = 0; y < h; y++)
         for (uint32_t x = 0; x < w; x++)
-            plane->value[(size_t)y * w + x] =
+            plane->value[(size_t)(y + MARGIN) * wide + x + MARGIN] =
                 total_at(scan->total, (seen->x + (x + 0.5) * cell_px) / scan->step,
                          (seen->y + (y + 0.5) * cell_px) / scan->step);
     r = gsn_tissue_new(plane, CELL_UM, ret_tissue, &own);
@@ -142,10 +149,11 @@ static int look_at_panel(const struct gsn_specimen *specimen,
     return r;
 }
 
-/* From um from the box's corner to panel pixels. */
+/* From um from the margin's corner to panel pixels. */
 static struct gsn_affine to_panel(const struct gsn_assembly_section *s, double px_um)
 {
-    return (struct gsn_affine){ 1 / px_um, 0, s->seen.x, 0, 1 / px_um, s->seen.y };
+    return (struct gsn_affine){ 1 / px_um, 0,         s->seen.x - MARGIN_UM / px_um,
+                                0,         1 / px_um, s->seen.y - MARGIN_UM / px_um };
 }
 
 /* A pose corrected for strain is no rigid one: the nearest that is, about the tissue's centre. */
@@ -367,6 +375,115 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
     return r;
 }
 
+/* ---- By tissue alone ---------------------------------------------------------------------- */
+
+static int unsolved(struct gsn_assembly *a, const char *format, ...)
+{
+    va_list args;
+
+    va_start(args, format);
+    (void)vsnprintf(a->unsolved, sizeof a->unsolved, format, args);
+    va_end(args);
+    return GSN_OK;
+}
+
+/* From um from the corner of a section's margin to its panel's picture in um, which is the block
+ * when the section is the frame. */
+static struct gsn_affine to_picture(const struct gsn_specimen *specimen,
+                                    const struct gsn_assembly_section *s)
+{
+    const double px_um = gsn_assembly_panel(specimen, s->panel)->px_um;
+
+    return (struct gsn_affine){ 1, 0, s->seen.x * px_um - MARGIN_UM,
+                                0, 1, s->seen.y * px_um - MARGIN_UM };
+}
+
+/* The part that the job states as the frame; count where it states none. Fails with
+ * GSN_E_NOTFOUND. */
+static int stated_frame(const struct gsn_specimen *specimen, const struct gsn_assembly *a,
+                        const struct part *parts, size_t count, size_t *ret_part)
+{
+    const struct gsn_protocol *p = specimen->protocol;
+
+    *ret_part = count;
+    for (size_t i = 0; p->frame_panel > 0 && i < count; i++) {
+        const struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (s->panel == p->frame_panel && s->seen.slot + 1 == p->frame_slot && parts[i].tissue)
+            *ret_part = i;
+    }
+    return p->frame_panel > 0 && *ret_part == count ? GSN_E_NOTFOUND : GSN_OK;
+}
+
+/* A section that its tissue alone lays is as good as its neighbours say. */
+static void take_alone(const struct gsn_specimen *specimen, const struct gsn_tissue_pose *pose,
+                       struct gsn_assembly_section *s)
+{
+    const struct gsn_tissue_place place = place_of(specimen, s, pose);
+
+    s->pose = (struct gsn_pose){ .state = GSN_POSE_OK,
+                                 .panel_to_block_um = place.panel_to_block_um,
+                                 .tre_um = place.error_um,
+                                 .flipped = gsn_affine_det(&place.panel_to_block_um) < 0,
+                                 .rotated180 = place.panel_to_block_um.m11 < 0 };
+    s->posed = 1;
+    s->state = GSN_SECTION_USED;
+    if (s->pose.flipped)
+        gsn_assembly_flag(s, "flipped");
+    if (s->pose.rotated180)
+        gsn_assembly_flag(s, "turned");
+}
+
+static void take_all(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                     const struct part *parts, size_t count, const struct gsn_tissue_pose *poses)
+{
+    for (size_t i = 0; i < count; i++) {
+        struct gsn_assembly_section *s = &a->section[parts[i].section];
+
+        if (poses[i].laid && !poses[i].unsure)
+            take_alone(specimen, &poses[i], s);
+        else
+            gsn_assembly_flag(s, poses[i].laid ? "tissue-unsure" : "no-tissue-fits");
+    }
+}
+
+/* All sections by their tissue, in the frame of one of them. */
+static int lay_alone(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                     const struct part *parts, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);
+    gsn_auto_mem(struct gsn_tissue_pose) poses = gsn_alloc_array(count, sizeof *poses);
+    struct gsn_tissue_summary *summary = &a->by_tissue.summary;
+    struct gsn_affine frame;
+    size_t at;
+    int r;
+
+    if (!sections || !poses)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
+    if (stated_frame(specimen, a, parts, count, &at) < 0)
+        return unsolved(a,
+                        "no tissue to lay others on is seen in panel %u, slot %u, which job.json "
+                        "states as \"frame\": look at the panel, or take the coordinates from "
+                        "another section",
+                        specimen->protocol->frame_panel, specimen->protocol->frame_slot);
+    for (size_t i = 0; i < count; i++)
+        sections[i] =
+            (struct gsn_tissue_section){ .serial = a->section[parts[i].section].seen.serial,
+                                         .tissue = parts[i].tissue };
+    r = gsn_tissue_lay(sections, count, at < count ? at : GSN_TISSUE_MIDDLE, poses, summary, err);
+    if (r < 0)
+        return r;
+    if (summary->laid < 2)
+        return unsolved(a, "the tissue of none of %zu sections fits another's", count);
+    a->by_tissue.frame = parts[summary->reference].section;
+    frame = to_picture(specimen, &a->section[a->by_tissue.frame]);
+    for (size_t i = 0; i < count; i++)
+        poses[i].to_block = gsn_affine_compose(&poses[i].to_block, &frame);
+    a->by_tissue.done = a->solved = 1;
+    take_all(specimen, a, parts, count, poses);
+    return GSN_OK;
+}
+
 static int look_at_all(const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options, const struct gsn_assembly *a,
                        struct part *parts, size_t count, struct gsn_error *err)
@@ -389,18 +506,21 @@ int gsn_assembly_lay_by_tissue(const struct gsn_specimen *specimen,
                                struct gsn_error *err)
 {
     gsn_auto_mem(struct part) parts = gsn_alloc_array(a->section_count, sizeof *parts);
+    const int alone = specimen->protocol->registration == GSN_STATED_TISSUE;
     size_t count;
     int r;
 
     if (!parts)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying sections by their tissue");
-    if (!a->solved)
+    if (specimen->protocol->registration == GSN_STATED_MARKS || (!a->solved && !alone))
         return GSN_OK;
     count = list(a, parts);
     r = look_at_all(specimen, options, a, parts, count, err);
-    if (r >= 0)
+    if (r >= 0 && alone)
+        r = lay_alone(specimen, a, parts, count, err);
+    else if (r >= 0)
         r = check(specimen, a, parts, count, err);
-    if (r >= 0 && choose(a, parts, count))
+    if (r >= 0 && !alone && choose(a, parts, count))
         r = lay(specimen, a, parts, count, err);
     for (size_t i = 0; i < count; i++)
         gsn_tissue_free(parts[i].tissue);

@@ -370,7 +370,8 @@ int gsn_examine_pixels(const struct gsn_scan *scan, const struct gsn_protocol *p
 
     for (size_t i = 0; i < findings->count; i++)
         marked += findings->section[i].sighting == GSN_SIGHT_FOUND;
-    if (!protocol->has_markers || count < 3 || 3 * marked >= count)
+    if (!protocol->has_markers || protocol->registration == GSN_STATED_TISSUE || count < 3 ||
+        3 * marked >= count)
         return GSN_OK;
     r = pixels_by_marks(scan, protocol, found, count, threads, &px_um, &quiet);
     if (r < 0)
@@ -382,6 +383,20 @@ int gsn_examine_pixels(const struct gsn_scan *scan, const struct gsn_protocol *p
                     "um: put \"px_um\" (or \"markers_um\") in job.json right and import it again "
                     "with --replace",
                     protocol->px_um > 0 ? "job.json" : "the file", scan->px_um, px_um);
+}
+
+/* Sections that are laid by their tissue are asked for no marks, and nobody is asked about them. */
+static void pass_over_marks(const struct gsn_slot *found, size_t count,
+                            const struct gsn_panel_answers *answers,
+                            struct gsn_panel_findings *findings)
+{
+    for (size_t i = 0; i < count; i++) {
+        struct gsn_panel_section *section = &findings->section[found[i].slot];
+
+        if (section->sighting != GSN_SIGHT_HELD)
+            section->sighting = GSN_SIGHT_FOUND;
+    }
+    void_choices(answers, findings);
 }
 
 int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
@@ -399,6 +414,10 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     struct lie lie = { 0 };
     int agreed, r;
 
+    if (protocol->registration == GSN_STATED_TISSUE) {
+        pass_over_marks(found, count, answers, findings);
+        return GSN_OK;
+    }
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
     r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);

@@ -111,6 +111,20 @@ size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
     return list.count;
 }
 
+void gsn_by_tissue_sentence(const struct gsn_by_tissue *by_tissue, double worst_um,
+                            char ret_sentence[GSN_POSE_SENTENCE])
+{
+    (void)snprintf(
+        ret_sentence, GSN_POSE_SENTENCE,
+        "the sections were laid by their tissue alone, one on the next to %.3g um, and the "
+        "farthest from the section that is the frame to %.3g um. What all tissue of the "
+        "block does alike no comparison shows: a block that is bent or slanted comes out "
+        "straight and upright, and where its shape changes along the cut that counts as "
+        "how it was mounted. Lengths and volumes hold from one section to the next, not "
+        "the course of a structure through the block: marks would show it",
+        by_tissue->summary.usual, worst_um);
+}
+
 void gsn_refinement_sentence(const struct gsn_refinement *r, char ret_sentence[GSN_POSE_SENTENCE])
 {
     if (!r->done) {

@@ -23,6 +23,10 @@ size_t gsn_pose_sentences(const struct gsn_pose_summary *summary,
 void gsn_refinement_sentence(const struct gsn_refinement *refinement,
                              char ret_sentence[GSN_POSE_SENTENCE]);
 
+/* What laying a stack by its tissue alone cannot know; worst_um: the largest predicted error. */
+void gsn_by_tissue_sentence(const struct gsn_by_tissue *by_tissue, double worst_um,
+                            char ret_sentence[GSN_POSE_SENTENCE]);
+
 /* Why a section whose marks contradict the stack is held, with the three poses on two marks. */
 void gsn_pose_reason(const struct gsn_pose *pose, char ret_sentence[GSN_POSE_SENTENCE]);
 

@@ -10,7 +10,7 @@
 #include <string.h>
 
 /* Limits that only a mistake exceeds. */
-enum { MOST_SLOTS = 400, MOST_SECTIONS = 100000 };
+enum { MOST_SLOTS = 400, MOST_SECTIONS = 100000, MOST_PANELS = 10000 };
 
 /* It stands behind the name of the dyes wherever that is kept. */
 enum { LONGEST_BATCH = 20 };
@@ -104,6 +104,55 @@ static int read_strain(const json_t *job, struct gsn_protocol *p, struct gsn_err
     return r;
 }
 
+/* By what the sections are laid, and in whose frame. Strain is what the marks show. */
+static int read_registration(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    static const char *const words[] = { "marks+tissue", "marks", "tissue", NULL };
+    const json_t *frame = json_object_get(job, "frame");
+    int registration = GSN_STATED_MARKS_AND_TISSUE;
+    const int r = gsn_stated_word(job, "registration", words, &registration, err);
+    double at[2];
+
+    if (r < 0)
+        return r;
+    p->registration = (enum gsn_stated_registration)registration;
+    if (p->registration == GSN_STATED_TISSUE &&
+        (p->strain == GSN_STATED_STRAIN_CORRECTED || p->strain == GSN_STATED_STRAIN_TISSUE))
+        return gsn_stated_bad(err, "strain",
+                              "\"reported\" or \"rigid\" where \"registration\" is \"tissue\": "
+                              "only marks show how far a section is stretched");
+    if (!frame)
+        return GSN_OK;
+    if (p->registration != GSN_STATED_TISSUE)
+        return gsn_stated_bad(err, "frame",
+                              "left out unless \"registration\" is \"tissue\": the marks are the "
+                              "frame");
+    if (gsn_stated_numbers(frame, 2, at) < 0 || at[0] < 1 || at[1] < 1 || at[0] != floor(at[0]) ||
+        at[1] != floor(at[1]) || at[0] > MOST_PANELS || at[1] > p->rows * p->columns)
+        return gsn_stated_bad(err, "frame",
+                              "[panel, slot], two whole numbers counted from 1: the section whose "
+                              "panel's picture the coordinates are taken from");
+    p->frame_panel = (unsigned)at[0];
+    p->frame_slot = (unsigned)at[1];
+    return GSN_OK;
+}
+
+/* Sections without marks have no frame but that of one of them, and any of them lies turned and
+ * shifted: coordinates say nothing without the section that they were taken from. */
+static int check_frame(const struct gsn_protocol *p, struct gsn_error *err)
+{
+    const int region = gsn_region_has_coordinates(&p->region);
+
+    if (p->registration != GSN_STATED_TISSUE || p->frame_panel > 0 ||
+        (!region && !gsn_region_has_coordinates(&p->reference_tissue)))
+        return GSN_OK;
+    return gsn_fail(err, GSN_E_INPUT,
+                    "job.json: \"%s\" has coordinates: where \"registration\" is \"tissue\" they "
+                    "need \"frame\": [panel, slot], the section whose panel's picture they were "
+                    "taken from; a band from a tissue needs none",
+                    region ? "region" : "reference");
+}
+
 /* When the stain was made and when it was scanned, and what its batch's control glass allows. */
 static int read_stain(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
@@ -193,12 +242,12 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const known[] = {
-        "specimen",  "study",       "group",     "animal",   "week",          "px_um",
-        "voxel_um",  "interval_um", "panels",    "layout",   "order",         "sections",
-        "region",    "markers_um",  "baseline",  "transfer", "dyes",          "white",
-        "kind",      "thresholds",  "tolerance", "file",     "reference",     "batch",
-        "comment",   "strain",      "stained",   "scanned",  "yellow_to_red", "level",
-        "target_um", "calibration"
+        "specimen",  "study",       "group",        "animal",   "week",          "px_um",
+        "voxel_um",  "interval_um", "panels",       "layout",   "order",         "sections",
+        "region",    "markers_um",  "baseline",     "transfer", "dyes",          "white",
+        "kind",      "thresholds",  "tolerance",    "file",     "reference",     "batch",
+        "comment",   "strain",      "stained",      "scanned",  "yellow_to_red", "level",
+        "target_um", "calibration", "registration", "frame"
     };
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
@@ -238,19 +287,21 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = gsn_stated_number(job, "interval_um", 0.1, 10000, &p->interval_um, err)) < 0 ||
         (r = gsn_stated_number(job, "voxel_um", 0.01, 1000, &p->voxel_um, err)) < 0 ||
         (r = gsn_stated_number(job, "tolerance", 1e-9, 1e9, &p->tolerance, err)) < 0 ||
-        (r = gsn_stated_count(job, "panels", 10000, &p->panels, err)) < 0 ||
+        (r = gsn_stated_count(job, "panels", MOST_PANELS, &p->panels, err)) < 0 ||
         (r = gsn_stated_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
         (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
         (r = read_thresholds(job, p, err)) < 0 ||
         (r = gsn_stated_region_read(job, &p->region, err)) < 0 ||
-        (r = read_strain(job, p, err)) < 0 || (r = read_light(job, p, err)) < 0 ||
-        (r = read_stain(job, p, err)) < 0)
+        (r = read_strain(job, p, err)) < 0 || (r = read_registration(job, p, err)) < 0 ||
+        (r = read_light(job, p, err)) < 0 || (r = read_stain(job, p, err)) < 0)
         return r;
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;
     r = read_reference(job, p, err);
     if (r >= 0)
         r = read_calibration(job, p, err);
+    if (r >= 0)
+        r = check_frame(p, err);
     if (r < 0)
         return r;
     if (p->level > floor(p->level) || (p->target_um > 0 && !isnan(p->level)))

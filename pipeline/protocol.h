@@ -27,6 +27,12 @@ enum gsn_stated_strain {
     GSN_STATED_STRAIN_TISSUE,
 };
 
+enum gsn_stated_registration {
+    GSN_STATED_MARKS_AND_TISSUE, /* the default */
+    GSN_STATED_MARKS,
+    GSN_STATED_TISSUE,
+};
+
 struct gsn_protocol {
     enum gsn_kind kind;
     char *specimen, *study, *group, *animal; /* never NULL; "" when not stated */
@@ -41,6 +47,9 @@ struct gsn_protocol {
     enum gsn_stated_order order;
     enum gsn_stated_transfer transfer;
     enum gsn_stated_strain strain; /* what becomes of a section's own stretch */
+    enum gsn_stated_registration registration; /* by what the sections are laid */
+    unsigned frame_panel, frame_slot; /* the section whose panel's picture is the block frame, both
+                                         1-based; 0: not stated, or not by tissue alone */
     struct gsn_region region;
     struct gsn_region reference_tissue; /* a shape; GSN_REGION_NONE: the stain is not normalised */
     double reference_density;           /* what that tissue's density is taken to be */

@@ -17,6 +17,12 @@ static int holds(const struct gsn_region *region, struct gsn_vec3 u)
            u.y < region->high.y;
 }
 
+int gsn_region_has_coordinates(const struct gsn_region *region)
+{
+    return region->kind == GSN_REGION_BAND ? region->file != NULL || region->radius_um > 0
+                                           : region->kind != GSN_REGION_NONE;
+}
+
 int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,
                       struct gsn_mask **ret_mask, struct gsn_error *err)
 {

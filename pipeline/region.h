@@ -33,6 +33,10 @@ struct gsn_region {
     double low_um, high_um;    /* band: distances from the body's surface, outward */
 };
 
+/* Whether it is said in coordinates of the block's x and y: a mask, a shape, a band from a file or
+ * within a cylinder. */
+int gsn_region_has_coordinates(const struct gsn_region *region);
+
 /* gives: the shape as a mask on this lattice, by voxel centres.
  * Fails with GSN_E_INPUT when no voxel centre lies inside. The kind is box, cylinder or sphere. */
 int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,

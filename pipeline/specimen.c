@@ -169,16 +169,9 @@ static int account_of_stack(const struct gsn_assembly *assembly,
                        options, ret_account, why, err);
 }
 
-/* Whether the region, or the tissue that the stain is measured by, is said in coordinates of the
- * block's x and y. */
-static int is_in_block_frame(const struct gsn_region *region)
-{
-    return region->kind == GSN_REGION_BAND ? region->file != NULL || region->radius_um > 0
-                                           : region->kind != GSN_REGION_NONE;
-}
-
 /* Marks whose places in the block nobody stated lie in a frame of their own: its origin and its
- * turn follow from the mounting, and a region of the block lies anywhere in it. */
+ * turn follow from the mounting, and a region of the block lies anywhere in it. By tissue alone the
+ * job states the frame's section. */
 static int check_frame(const struct gsn_specimen *specimen, const struct gsn_assembly *a,
                        struct gsn_error *why)
 {
@@ -186,8 +179,9 @@ static int check_frame(const struct gsn_specimen *specimen, const struct gsn_ass
     const struct gsn_point *t = a->summary.mean_triangle;
     char unknown[120] = "";
 
-    if (p->has_markers || !a->solved ||
-        !(is_in_block_frame(&p->region) || is_in_block_frame(&p->reference_tissue)))
+    if (p->has_markers || a->by_tissue.done || !a->solved ||
+        !(gsn_region_has_coordinates(&p->region) ||
+          gsn_region_has_coordinates(&p->reference_tissue)))
         return GSN_OK;
     if (p->unknown)
         (void)snprintf(unknown, sizeof unknown, "; it has keys that are not used: %.80s",

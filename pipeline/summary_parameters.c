@@ -131,6 +131,18 @@ static void fill_blindness(const struct gsn_evidence *e, struct gsn_draft *d)
         gsn_draft_text(rows, count, "sections twice", gsn_draft_say(d, "%s", sentence));
 }
 
+/* Where the sections are laid by their tissue alone. */
+static const char *frame_of(const struct gsn_assembly *a, struct gsn_draft *d)
+{
+    const struct gsn_assembly_section *s = &a->section[a->by_tissue.frame];
+
+    return gsn_draft_say(
+        d,
+        "the upright picture of panel %u, pixels times their size, as section %u in "
+        "its slot %u lies there",
+        s->panel, s->seen.serial, s->seen.slot + 1);
+}
+
 void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
@@ -145,8 +157,10 @@ void gsn_draft_parameters(const struct gsn_evidence *e, struct gsn_draft *d)
                                      : p->order == GSN_STATED_COLUMN ? "column by column"
                                                                      : "snake"));
         gsn_draft_text(rows, count, "block frame",
-                       p->has_markers ? "the marks stated in job.json"
-                                      : "the stack's own mean triangle");
+                       e->assembly && e->assembly->by_tissue.done ? frame_of(e->assembly, d)
+                       : p->registration == GSN_STATED_TISSUE     ? "none"
+                       : p->has_markers                           ? "the marks stated in job.json"
+                                        : "the stack's own mean triangle");
         fill_blindness(e, d);
         if (p->batch[0])
             gsn_draft_text(rows, count, "stain batch", p->batch);

@@ -101,6 +101,12 @@ static const char *reason_of(struct gsn_draft *d, const struct gsn_assembly_sect
         gsn_pose_reason(&s->pose, sentence);
         return gsn_draft_say(d, "%s", sentence);
     }
+    if (strstr(s->flags, "tissue-unsure"))
+        return "its tissue fits its neighbours' in more ways than one, or only that of sections "
+               "that "
+               "do: look at it and at those beside it";
+    if (strstr(s->flags, "no-tissue-fits"))
+        return "its tissue fits none of the three sections before and after it: look at it";
     if (s->finding.contradicted)
         return "what looks like its marks lays it elsewhere than its neighbours' tissue does: look "
                "at it";
@@ -315,14 +321,20 @@ static void fill_panels(const struct gsn_evidence *e, struct gsn_draft *d)
     d->report.panel_count = a->panel_count;
 }
 
-static void fill_registration(const struct gsn_assembly *a, double interval_um, struct gsn_draft *d)
+static void fill_registration(const struct gsn_assembly *a, const struct gsn_protocol *protocol,
+                              struct gsn_draft *d)
 {
+    static const char *const by[] = { [GSN_STATED_MARKS] = "marks",
+                                      [GSN_STATED_TISSUE] = "tissue",
+                                      [GSN_STATED_MARKS_AND_TISSUE] = "marks+tissue" };
     char sentence[GSN_POSE_SENTENCES][GSN_POSE_SENTENCE];
     size_t count;
     struct gsn_report_registration *r = &d->registration;
     double sum = 0, tre = 0;
 
-    *r = (struct gsn_report_registration){ .fle_um = a->summary.fle_um };
+    *r = (struct gsn_report_registration){ .fle_um = a->summary.fle_um,
+                                           .by = by[protocol->registration],
+                                           .comparison_um = NAN };
     for (size_t i = 0; i < a->section_count; i++) {
         const struct gsn_assembly_section *s = &a->section[i];
 
@@ -340,15 +352,22 @@ static void fill_registration(const struct gsn_assembly *a, double interval_um, 
         r->rms_residual_um = sqrt(sum / r->sections_posed);
         r->mean_tre_um = tre / r->sections_posed;
     }
-    count =
-        gsn_pose_sentences(&a->summary, &a->panel_stretch, a->strain_mode, interval_um, sentence);
+    d->report.registration = r;
+    if (a->by_tissue.done) {
+        r->fle_um = r->rms_residual_um = r->worst_residual_um = NAN;
+        r->comparison_um = a->by_tissue.summary.usual;
+        gsn_by_tissue_sentence(&a->by_tissue, r->worst_tre_um, sentence[0]);
+        gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence[0]));
+        return;
+    }
+    count = gsn_pose_sentences(&a->summary, &a->panel_stretch, a->strain_mode,
+                               protocol->interval_um, sentence);
     for (size_t i = 0; i < count; i++)
         gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence[i]));
     if (a->strain_mode == GSN_STRAIN_TISSUE) {
         gsn_refinement_sentence(&a->refinement, sentence[0]);
         gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence[0]));
     }
-    d->report.registration = r;
 }
 
 /* What the panels tell of lamp, bath, knife and glass. */
@@ -383,7 +402,7 @@ void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d)
     fill_conditions(e, d);
     fill_order(e->assembly, d);
     if (e->assembly->solved)
-        fill_registration(e->assembly, e->specimen->protocol->interval_um, d);
+        fill_registration(e->assembly, e->specimen->protocol, d);
     else
         gsn_draft_warn(d, e->assembly->unsolved);
 }

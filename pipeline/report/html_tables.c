@@ -161,9 +161,14 @@ static void add_registration(struct gsn_text *text, const struct gsn_report_regi
 {
     row_count(text, "Sections expected", done->sections_expected);
     row_count(text, "Sections in place", done->sections_posed);
-    row_number(text, "Localisation error of one mark (FLE)", done->fle_um, 2, "um");
-    row_number(text, "Residual of the marks, root mean square", done->rms_residual_um, 2, "um");
-    row_number(text, "Residual of the marks, largest", done->worst_residual_um, 2, "um");
+    if (isnan(done->comparison_um)) {
+        row_number(text, "Localisation error of one mark (FLE)", done->fle_um, 2, "um");
+        row_number(text, "Residual of the marks, root mean square", done->rms_residual_um, 2, "um");
+        row_number(text, "Residual of the marks, largest", done->worst_residual_um, 2, "um");
+    } else {
+        row_number(text, "Error of laying one section on the next by tissue", done->comparison_um,
+                   2, "um");
+    }
     row_number(text, "Predicted error at the region (TRE), mean", done->mean_tre_um, 2, "um");
     row_number(text, "Predicted error at the region (TRE), largest", done->worst_tre_um, 2, "um");
 }

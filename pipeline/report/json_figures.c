@@ -43,6 +43,8 @@ json_t *gsn_json_registration(const struct gsn_report_registration *done,
     gsn_json_put(writer, object, "worst_tre_um", gsn_json_number(done->worst_tre_um));
     gsn_json_put(writer, object, "sections_posed", gsn_json_count(done->sections_posed));
     gsn_json_put(writer, object, "sections_expected", gsn_json_count(done->sections_expected));
+    gsn_json_put(writer, object, "by", json_string(done->by));
+    gsn_json_put(writer, object, "comparison_um", gsn_json_number(done->comparison_um));
     return object;
 }
 

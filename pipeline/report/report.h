@@ -125,6 +125,9 @@ struct gsn_report_registration {
     double worst_residual_um;
     double mean_tre_um, worst_tre_um; /* predicted */
     unsigned sections_posed, sections_expected;
+    const char *by;       /* "marks", "tissue" or "marks+tissue" */
+    double comparison_um; /* by tissue alone: error of one comparison of neighbours; NaN: by marks,
+                             and by tissue alone the first three are NaN */
 };
 
 struct gsn_report_fit {

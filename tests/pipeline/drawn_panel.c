@@ -89,12 +89,27 @@ static void burn(double od[3], double r)
     add(od, CHAR, BURN * a);
 }
 
+/* Waves of 180 to 900 um in all directions: those that all sections have, and one section's. */
+static double structure(struct gsn_point u, unsigned seed)
+{
+    double sum = 0;
+
+    for (unsigned k = 0; k < 12; k++) {
+        const double way = 2.4 * k + 1.7 * seed, length = 180 + 720 * k / 11.0;
+        const double phase = 6.1 * sin(3.7 * k + 5.3 * seed);
+
+        sum += sin(2 * M_PI * (cos(way) * u.x + sin(way) * u.y) / length + phase);
+    }
+    return sum;
+}
+
 static void od_at(const struct drawn_panel *panel, unsigned slot, struct gsn_point px,
                   double ret_od[3])
 {
     const struct drawn_section *s = &panel->section[slot];
     const struct gsn_point u = material(panel, slot, px);
-    const double d = s->density * (1 + DRAWN_SLOPE * u.x);
+    const double grain = s->grain ? 0.07 * structure(u, 0) + 0.03 * structure(u, s->grain) : 0;
+    const double d = s->density * (1 + DRAWN_SLOPE * u.x + grain);
 
     ret_od[0] = ret_od[1] = ret_od[2] = 0;
     if (s->missing || hypot(u.x / DRAWN_WIDTH_UM, u.y / DRAWN_HEIGHT_UM) > 1 ||

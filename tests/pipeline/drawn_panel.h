@@ -28,6 +28,8 @@ struct drawn_section {
     unsigned no_marks;         /* bit m: mark m was not burnt */
     int flipped;               /* mounted face down */
     int lopsided;              /* the tissue ends at x = 200 and y = 100 um in its last quarter */
+    unsigned grain;            /* not 0: structures that all sections share, and a grain by this
+                                  number; the density's mean is no longer exact */
     double turn_deg;           /* of the mounting */
     struct gsn_point shift_um; /* of the mounting, on the panel */
     double density;            /* at x = 0 */

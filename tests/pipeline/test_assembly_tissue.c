@@ -244,6 +244,165 @@ TEST(marks_that_could_be_others_are_named_where_the_tissue_says_which)
     }
 }
 
+#define ALONE_JOB(more)                                                                            \
+    "{\"specimen\": \"drawn\", \"px_um\": 24, \"layout\": [2, 2], \"panels\": 3, \"transfer\": "   \
+    "\"linear\", \"registration\": \"tissue\"" more "}"
+
+/* In the picture of the second panel, um: about the middle of the section in its second slot. */
+#define ALONE_REGION                                                                               \
+    ", \"frame\": [2, 2], \"region\": {\"shape\": \"cylinder\", \"centre\": [3900, 1300], "        \
+    "\"radius\": 300, \"z\": [48, 240]}"
+
+/* No marks anywhere; mounted at any angle, two of them face down. */
+static void unmarked_panels(struct drawn_panel panels[3])
+{
+    drawn_three_panels(panels);
+    for (unsigned i = 0; i < 12; i++) {
+        struct drawn_section *s = &panels[i / 4].section[i % 4];
+
+        s->no_marks = 7;
+        s->lopsided = 1;
+        s->grain = i + 1;
+        s->turn_deg += 37 * i;
+        s->flipped = i == 3 || i == 8;
+    }
+}
+
+/* How far, root mean square, the poses lay points of a section from where its truth and that of the
+ * frame do. */
+static double off_frame(const struct drawn_panel panels[3], unsigned frame, unsigned i,
+                        const struct gsn_affine *panel_to_block)
+{
+    static const struct gsn_point at[] = { { 0, 0 }, { 500, -300 }, { -500, 300 }, { -300, -500 } };
+    double sum = 0;
+
+    for (size_t k = 0; k < 4; k++) {
+        const struct gsn_point px = drawn_panel_place(&panels[i / 4], i % 4, at[k]);
+        const struct gsn_point there = drawn_panel_place(&panels[frame / 4], frame % 4, at[k]);
+        const struct gsn_point um = gsn_affine_apply(panel_to_block, px);
+
+        sum += (pow(um.x - 24 * there.x, 2) + pow(um.y - 24 * there.y, 2)) / 4;
+    }
+    return sqrt(sum);
+}
+
+/* No triangle, no stated marks: the frame is the picture of the section that the job names. */
+TEST(panels_without_marks_are_laid_by_tissue_in_the_frame_of_one_section)
+{
+    struct drawn_panel panels[3];
+    double square = 0, told = 0;
+    drawn_auto d;
+
+    unmarked_panels(panels);
+    drawn_specimen_init(&d, ALONE_JOB(ALONE_REGION), panels, 3);
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(a->solved && a->by_tissue.done && a->by_tissue.frame == 5);
+    for (unsigned i = 0; i < 12; i++) {
+        const struct gsn_assembly_section *s = &a->section[i];
+        const double off = off_frame(panels, 5, i, &s->pose.panel_to_block_um);
+
+        CHECK(s->state == GSN_SECTION_USED && s->posed && s->candidates.count == 0);
+        CHECK(!s->seen.mark[0].found && !s->seen.mark[1].found && !s->seen.mark[2].found);
+        CHECK(s->pose.flipped == (i == 3 || i == 8));
+        CHECK_NEAR(off, 0, 6);
+        CHECK(i == 5 ? s->pose.tre_um < 0.1 && off < 1e-3 : s->pose.tre_um > 0.3);
+        square += off * off / 11;
+        told += s->pose.tre_um * s->pose.tre_um / 11;
+    }
+    print_message("  %.1f um off, %.1f predicted\n", sqrt(square), sqrt(told));
+    CHECK(sqrt(told) > 0.5 * sqrt(square) && sqrt(told) < 2 * sqrt(square));
+    CHECK(a->grid && gsn_mask_count(a->region) > 0);
+}
+
+/* Without coordinates nobody needs to name a section: the middle one is the frame. */
+TEST(a_region_by_tissue_needs_no_frame)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    unmarked_panels(panels);
+    drawn_specimen_init(&d,
+                        ALONE_JOB(", \"region\": {\"kind\": \"band\", \"from\": \"tissue\", "
+                                  "\"low_um\": -100000, \"high_um\": 0}"),
+                        panels, 3);
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(a->by_tissue.done && a->by_tissue.frame == 6 && a->region && !a->no_region[0]);
+    for (unsigned i = 0; i < 12; i++)
+        CHECK_NEAR(off_frame(panels, 6, i, &a->section[i].pose.panel_to_block_um), 0, 48);
+}
+
+TEST(a_frame_that_shows_no_tissue_withholds_the_stack)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    unmarked_panels(panels);
+    panels[1].section[1].missing = 1;
+    drawn_specimen_init(&d, ALONE_JOB(ALONE_REGION), panels, 3);
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(!a->solved && !a->by_tissue.done && !a->grid);
+    CHECK(strstr(a->unsolved, "panel 2, slot 2") && strstr(a->unsolved, "\"frame\""));
+}
+
+/* The tissue of a section that is missing between two is no way between them. */
+TEST(a_section_that_is_missing_leaves_a_gap_in_a_stack_by_tissue)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    unmarked_panels(panels);
+    panels[2].section[0].missing = 1;
+    drawn_specimen_init(&d, ALONE_JOB(ALONE_REGION), panels, 3);
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(a->section[8].state == GSN_SECTION_MISSING && a->section[9].state == GSN_SECTION_USED);
+    CHECK_NEAR(off_frame(panels, 5, 9, &a->section[9].pose.panel_to_block_um), 0, 48);
+}
+
+TEST(marks_alone_leave_to_nobody_what_they_do_not_lay)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    lopsided_panels(panels);
+    panels[1].section[1].no_marks = 7;
+    drawn_specimen_init(&d,
+                        "{\"specimen\": \"drawn\", \"registration\": \"marks\", " DRAWN_JOB_HEAD
+                        ", \"region\": " DRAWN_REGION "}",
+                        panels, 3);
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(a->solved && a->section[5].state == GSN_SECTION_HELD && !a->section[5].posed);
+    CHECK(a->section[4].state == GSN_SECTION_USED && a->section[4].finding.compared == 0);
+}
+
+/* What to state is said where marks are asked for and none are there. */
+TEST(a_stack_without_marks_says_how_it_can_be_laid)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+
+    unmarked_panels(panels);
+    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(!a->solved && strstr(a->unsolved, "\"registration\": \"tissue\""));
+}
+
+TEST(running_out_of_memory_while_a_stack_is_laid_by_tissue_leaks_nothing)
+{
+    struct drawn_panel panels[3];
+    struct gsn_error err = { 0 };
+    drawn_auto d;
+
+    unmarked_panels(panels);
+    drawn_specimen_init(&d, ALONE_JOB(ALONE_REGION), panels, 2);
+    CHECK_MANY_OOM(drawn_assemble_once(&d, &err), err, 1, 6);
+}
+
 TEST(running_out_of_memory_while_tissue_is_compared_leaks_nothing)
 {
     struct gsn_error err = { 0 };

@@ -47,6 +47,51 @@ TEST(what_is_not_stated_has_the_documented_default)
     CHECK(isnan(p->week) && p->region.kind == GSN_REGION_NONE && !p->has_markers);
     CHECK(p->kind == GSN_KIND_SECTIONS && p->transfer == GSN_STATED_UNKNOWN);
     CHECK(p->strain == GSN_STATED_STRAIN_REPORTED);
+    CHECK(p->registration == GSN_STATED_MARKS_AND_TISSUE && p->frame_panel == 0);
+}
+
+TEST(a_stack_may_be_laid_by_its_tissue_in_the_frame_of_a_section)
+{
+    gsn_auto(gsn_protocol) p = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(
+        parse("{\"specimen\": \"x\", \"registration\": \"tissue\", \"frame\": [2, 12], "
+              "\"region\": {\"shape\": \"cylinder\", \"centre\": [1, 2], \"radius\": 3, \"z\": "
+              "[4, 50]}}",
+              &p, &err),
+        err);
+    CHECK(p->registration == GSN_STATED_TISSUE && p->frame_panel == 2 && p->frame_slot == 12);
+}
+
+/* Coordinates without the section that they were taken from would be a guess. */
+TEST(coordinates_by_tissue_need_their_frame_and_a_band_needs_none)
+{
+    static const char *const regions[] = {
+        "\"region\": \"mask.nrrd\"",
+        "\"region\": {\"shape\": \"sphere\", \"centre\": [1, 2, 3], \"radius\": 4}",
+        "\"region\": {\"kind\": \"band\", \"from\": \"m.nrrd\", \"low_um\": 0, \"high_um\": 9}",
+        "\"region\": {\"kind\": \"band\", \"from\": \"bone\", \"low_um\": 0, \"high_um\": 9, "
+        "\"within\": {\"centre\": [1, 2], \"radius\": 3}}",
+        "\"reference\": {\"tissue\": {\"shape\": \"sphere\", \"centre\": [1, 2, 3], \"radius\": "
+        "4}, "
+        "\"density\": 1}",
+        "\"region\": {\"kind\": \"band\", \"from\": \"bone\", \"low_um\": 0, \"high_um\": 9}",
+    };
+
+    for (size_t i = 0; i < sizeof regions / sizeof regions[0]; i++)
+        for (int framed = 0; framed < 2; framed++) {
+            gsn_auto_mem(char) job =
+                gsn_format("{\"specimen\": \"x\", \"registration\": \"tissue\", %s%s}",
+                           framed ? "\"frame\": [1, 1], " : "", regions[i]);
+            gsn_auto(gsn_protocol) p = NULL;
+            struct gsn_error err = { 0 };
+            const int refused = !framed && i < 5;
+
+            CHECK(parse(job, &p, &err) == (refused ? GSN_E_INPUT : GSN_OK));
+            CHECK(!refused || (!p && strstr(err.text, i == 4 ? "\"reference\"" : "\"region\"") &&
+                               strstr(err.text, "\"frame\": [panel, slot]")));
+        }
 }
 
 TEST(what_becomes_of_strain_can_be_stated)
@@ -122,6 +167,12 @@ TEST(a_wrong_value_is_refused_by_the_name_of_its_key)
         { "{\"specimen\": \"x\", \"batch\": \"a name that is far too long to keep\"}",
           "\"batch\"" },
         { "{\"specimen\": \"x\", \"strain\": \"affine\"}", "\"strain\"" },
+        { "{\"specimen\": \"x\", \"registration\": \"sift\"}", "\"registration\"" },
+        { "{\"specimen\": \"x\", \"registration\": \"tissue\", \"strain\": \"tissue\"}",
+          "\"strain\"" },
+        { "{\"specimen\": \"x\", \"frame\": [1, 1]}", "\"frame\"" },
+        { "{\"specimen\": \"x\", \"registration\": \"tissue\", \"frame\": [1, 13]}", "\"frame\"" },
+        { "{\"specimen\": \"x\", \"registration\": \"tissue\", \"frame\": [0, 1]}", "\"frame\"" },
         { "{\"specimen\": \"x\", \"stained\": \"31.3.2026\"}", "\"stained\"" },
         { "{\"specimen\": \"x\", \"scanned\": 20260331}", "\"scanned\"" },
         { "{\"specimen\": \"x\", \"stained\": \"2026-03-31\", \"scanned\": \"2026-03-30\"}",

@@ -357,6 +357,46 @@ TEST(sections_that_lack_marks_are_doubtful_or_held_and_said)
     CHECK(strstr(result->json, "fewer than two marks were found: look at it") != NULL);
 }
 
+/* No marks: the report stands, by tissue, and says what that cannot know. */
+TEST(a_stack_without_marks_goes_to_a_report_by_tissue)
+{
+    struct drawn_panel panels[3];
+    drawn_auto d;
+    const json_t *registration;
+
+    for (unsigned p = 0; p < 3; p++) {
+        panels[p] = drawn_panel_of(p + 1, 24, 0.7);
+        for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++) {
+            panels[p].section[slot].no_marks = 7;
+            panels[p].section[slot].lopsided = 1;
+            panels[p].section[slot].grain = 4 * p + slot + 1;
+        }
+    }
+    drawn_specimen_init(
+        &d,
+        "{\"specimen\": \"drawn\", \"px_um\": 24, \"layout\": [2, 2], \"panels\": 3, "
+        "\"transfer\": \"linear\", \"registration\": \"tissue\", \"frame\": [2, 2], "
+        "\"region\": {\"shape\": \"cylinder\", \"centre\": [3900, 1300], \"radius\": "
+        "300, \"z\": [48, 240]}}",
+        panels, 3);
+    gsn_auto(gsn_specimen_result) result = worked(&d, 1);
+    json_t *root = report_of(result);
+
+    CHECK(!result->withheld && result->pose_count == 12);
+    /* The waves of the drawn structure leave some of its mean. */
+    CHECK_NEAR(measure(result, "mean_density"), 0.7, 0.1);
+    registration = json_object_get(root, "registration");
+    CHECK(strcmp(text_at(registration, "by"), "tissue") == 0);
+    CHECK(json_is_null(json_object_get(registration, "fle_um")));
+    CHECK(json_is_null(json_object_get(registration, "worst_residual_um")));
+    CHECK(json_number_value(json_object_get(registration, "comparison_um")) > 0);
+    CHECK(json_integer_value(json_object_get(registration, "sections_posed")) == 12);
+    CHECK(has_text(json_object_get(root, "warnings"), "laid by their tissue alone"));
+    CHECK(has_text(json_object_get(root, "warnings"), "a block that is bent or slanted"));
+    CHECK(strstr(result->html, "the upright picture of panel 2"));
+    json_decref(root);
+}
+
 /* Case 22. Spots that could be the marks as well as those that were chosen: nothing is chosen. */
 TEST(a_section_whose_marks_could_be_others_is_held_and_said)
 {

@@ -284,7 +284,8 @@ static void fill_figures(struct sample *sample)
     };
     struct gsn_report *r = &sample->report;
 
-    sample->registration = (struct gsn_report_registration){ 1.21, .86, 4.1, 1.62, 5.7, 58, 60 };
+    sample->registration =
+        (struct gsn_report_registration){ 1.21, .86, 4.1, 1.62, 5.7, 58, 60, "marks+tissue", NAN };
     sample->fit =
         (struct gsn_report_fit){ 8412, 13822, 1204331, 0, 8377, .0214, .188, 1e-6, .05, 2 };
     sample->units = (struct gsn_report_units){ 0, 1, sample->bin, BINS, .031, .552, .934 };

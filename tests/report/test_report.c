@@ -108,6 +108,8 @@ TEST(the_keys_that_scripts_rely_on_are_there)
     CHECK(number(root, "sections.14.predicted_tre_um") > 1);
     CHECK_NEAR(number(root, "fit.tets"), 8412, 0);
     CHECK_NEAR(number(root, "registration.fle_um"), 1.21, 0);
+    CHECK(strcmp(json_string_value(at(root, "registration.by")), "marks+tissue") == 0);
+    CHECK(json_is_null(at(root, "registration.comparison_um")));
     CHECK(json_array_size(at(root, "units.bins")) == 40);
     assert_string_equal(string(root, "provenance.inputs.5.name"), "job.json");
     assert_string_equal(string(root, "provenance.parameters.1.value"), "van-gieson-gvp-1");

@@ -124,7 +124,7 @@ static int add_trouble(struct gsn_store *store, const struct gsn_trouble_row *tr
     int r;
 
     if (!text)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the audit log");
     r = gsn_sql_run(store, "INSERT INTO trouble VALUES (?1, ?2, ?3, ?4, 1, ?5, ?5)",
                     SQL_ARGS(SQL_TEXT(trouble->source), SQL_TEXT(trouble->name),
                              SQL_TEXT(trouble->reason), SQL_TEXT(trouble->action), SQL_INT(now)),
@@ -133,7 +133,7 @@ static int add_trouble(struct gsn_store *store, const struct gsn_trouble_row *tr
                  : gsn_event_add(store, now, "gieson-intake", "trouble", trouble->name, text, err);
 }
 
-/* In a transaction. One that is known already is no line of the diary. */
+/* In a transaction. One that is known already is no line of the audit log. */
 static int put_trouble(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,
                        struct gsn_error *err)
 {
@@ -276,7 +276,7 @@ static int answer(struct gsn_store *store, int64_t id, const char *message, int6
     text = message ? gsn_format("%s refused: %s", row->kind, message)
                    : gsn_format("%s done", row->kind);
     if (!text)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the audit log");
     return gsn_event_add(store, now, "gieson-intake", "answer", row->source, text, err);
 }
 

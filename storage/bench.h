@@ -57,10 +57,11 @@ void gsn_trouble_rows_free(struct gsn_trouble_rows *rows);
 GSN_DEFINE_AUTO(gsn_trouble_rows);
 
 /* Says that something could not be taken in; a second time counts the tries. A new one is a line in
- * the diary. */
+ * the audit log. */
 int gsn_trouble_put(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,
                     struct gsn_error *err);
-/* It came in after all, or is dismissed: removed; with a line in the diary when it was there. */
+/* It came in after all, or is dismissed: removed; with an event in the audit log when it was there.
+ */
 int gsn_trouble_clear(struct gsn_store *store, const char *source, const char *name,
                       const char *actor, int64_t now, struct gsn_error *err);
 /* gives: oldest first. */
@@ -88,7 +89,7 @@ int gsn_request_next(struct gsn_store *store, const char *source, struct gsn_req
 /* gives. Fails with GSN_E_NOTFOUND. */
 int gsn_request_get(struct gsn_store *store, int64_t id, struct gsn_request_row **ret_row,
                     struct gsn_error *err);
-/* message NULL: done; else refused because of it. A line in the diary. */
+/* message NULL: done; else refused because of it. A line in the audit log. */
 int gsn_request_answer(struct gsn_store *store, int64_t id, const char *message, int64_t now,
                        struct gsn_error *err);
 

@@ -4,8 +4,8 @@
  * of two scans counts, which slot a piece belongs to, that a panel is lost.
  *
  * One question has one answer, the last that was given; saying the same again changes nothing. The
- * diary keeps every answer with who gave it and why. An answer asks for the panels it is about and
- * for the specimen's report. */
+ * audit log keeps every answer with who gave it and why. An answer asks for the panels it is about
+ * and for the specimen's report. */
 #ifndef GSN_STORAGE_DECISION_H
 #define GSN_STORAGE_DECISION_H
 
@@ -37,9 +37,10 @@ struct gsn_decision_rows {
 void gsn_decision_rows_free(struct gsn_decision_rows *rows);
 GSN_DEFINE_AUTO(gsn_decision_rows);
 
-/* In one transaction: the answer in place of an earlier one, a line of the diary, and the jobs that
- * rest on it. An empty answer takes the earlier one back. ret_again: 1 when that was the answer
- * already; then nothing is written. Fails with GSN_E_NOTFOUND when there is no such specimen. */
+/* In one transaction: the answer in place of an earlier one, a line of the audit log, and the jobs
+ * that rest on it. An empty answer takes the earlier one back. ret_again: 1 when that was the
+ * answer already; then nothing is written. Fails with GSN_E_NOTFOUND when there is no such
+ * specimen. */
 int gsn_decision_put(struct gsn_store *store, const char *specimen,
                      const struct gsn_decision_row *row, int *ret_again, struct gsn_error *err);
 /* gives: those of one specimen, by panel and slot. */

@@ -2,6 +2,7 @@
 #include "storage/event.h"
 
 #include <inttypes.h>
+#include <sqlite3.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -108,6 +109,7 @@ int gsn_event_append_to(struct gsn_store *store, struct gsn_event_tail *tail, in
         return r;
     tail->id = event.id;
     tail->head = digest;
+    gsn_store_log_grew(store);
     return GSN_OK;
 }
 
@@ -152,30 +154,52 @@ int gsn_event_head(struct gsn_store *store, struct gsn_digest *ret_head, struct 
     return r;
 }
 
+static const char *text_of(sqlite3_stmt *row, int column)
+{
+    const unsigned char *const text = sqlite3_column_text(row, column);
+
+    return text ? (const char *)text : "";
+}
+
+static void finalize(sqlite3_stmt **statement)
+{
+    (void)sqlite3_finalize(*statement);
+}
+
+/* Row by row: a log of years need not fit into memory. */
 int gsn_event_verify(struct gsn_store *store, const char *known_head,
                      struct gsn_event_verdict *ret_verdict, struct gsn_error *err)
 {
-    gsn_auto(gsn_event_rows) rows = NULL;
+    __attribute__((cleanup(finalize))) sqlite3_stmt *row = NULL;
     struct gsn_event_verdict verdict = { 0 };
     struct gsn_digest digest, previous = no_event;
-    int r = gsn_event_list(store, 0, &rows, err);
+    int step = SQLITE_DONE, r = GSN_OK;
 
-    if (r < 0)
-        return r;
-    verdict.count = (int64_t)rows->count;
+    if (sqlite3_prepare_v2(gsn_store_handle(store), "SELECT " COLUMNS " FROM event ORDER BY id", -1,
+                           &row, NULL) != SQLITE_OK)
+        return gsn_store_failed(store, err);
     verdict.head_is_there = known_head && strcmp(known_head, no_event.hex) == 0;
-    for (size_t i = 0; i < rows->count && !verdict.broken; i++) {
-        const struct gsn_event_row *event = &rows->at[i];
+    for (; r >= 0 && (step = sqlite3_step(row)) == SQLITE_ROW; verdict.count++) {
+        const struct gsn_event_row event = { .id = sqlite3_column_int64(row, 0),
+                                             .time = sqlite3_column_int64(row, 1),
+                                             .actor = text_of(row, 2),
+                                             .kind = text_of(row, 3),
+                                             .subject = text_of(row, 4),
+                                             .text = text_of(row, 5),
+                                             .hash = text_of(row, 6) };
 
-        r = hash_event(store, previous.hex, event, &digest, err);
-        if (r < 0)
-            return r;
-        if (strcmp(event->hash, digest.hex) != 0)
-            verdict.broken = event->id;
-        else if (known_head && strcmp(known_head, digest.hex) == 0)
+        if (verdict.broken)
+            continue;
+        r = hash_event(store, previous.hex, &event, &digest, err);
+        if (r >= 0 && strcmp(event.hash, digest.hex) != 0)
+            verdict.broken = event.id;
+        else if (r >= 0 && known_head && strcmp(known_head, digest.hex) == 0)
             verdict.head_is_there = 1;
         previous = digest;
     }
-    *ret_verdict = verdict;
-    return GSN_OK;
+    if (r >= 0 && step != SQLITE_DONE)
+        r = gsn_store_failed(store, err);
+    if (r >= 0)
+        *ret_verdict = verdict;
+    return r;
 }

@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The diary: who did what, when and why. Rows are only ever added, and each carries the SHA-256
+/* The audit log: who did what, when and why. Rows are only ever added, and each carries the SHA-256
  * of itself and of the one before, so a change of history shows.
  *
  * The hash covers the previous hash, the id, the time and the four texts, each preceded by its
- * length. Cutting off the end leaves a shorter but sound chain: compare with a head printed in a
- * report. */
+ * length. Cutting off the end leaves a shorter but sound chain: its end is remembered
+ * outside (audit.h). */
 #ifndef GSN_STORAGE_EVENT_H
 #define GSN_STORAGE_EVENT_H
 

@@ -52,8 +52,8 @@ SQL_DEFINE_ROWS(doubt);
 SQL_DEFINE_ROWS(overview);
 SQL_DEFINE_ROWS(open_panel);
 
-/* When each panel came: by the ledger, or by the diary for one that was imported by hand. The diary
- * grows for ever and has no index for this; its end tells of what is recent. */
+/* When each panel came: by the ledger, or by the audit log for one that was imported by hand. The
+ * audit log grows for ever and has no index for this; its end tells of what is recent. */
 #define ARRIVAL                                                                                    \
     "WITH told AS MATERIALIZED (SELECT text AS sha256, time FROM event WHERE kind = 'panel' AND "  \
     "id > (SELECT coalesce(max(id), 0) FROM event) - 20000), "                                     \

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "storage/result.h"
 
+#include "storage/audit.h"
 #include "storage/sql.h"
 
 #define RUN(type, name)                                                                            \
@@ -79,12 +80,18 @@ SQL_DEFINE_ROWS(stain);
 static int begin_run(struct gsn_store *store, const struct gsn_run_row *run, int64_t now,
                      int64_t *ret_id, struct gsn_error *err)
 {
-    int r = gsn_sql_run(store,
-                        "UPDATE run SET state = 'failed', message = 'its worker died', "
-                        "finished = ?2 WHERE specimen_id = ?1 AND state = 'running'",
-                        SQL_ARGS(SQL_INT(run->specimen_id), SQL_INT(now)), NULL, err);
+    int64_t dead = 0;
+    int r = gsn_sql_int(store, "SELECT id FROM run WHERE specimen_id = ?1 AND state = 'running'",
+                        SQL_ARGS(SQL_INT(run->specimen_id)), &dead, err);
 
     if (r >= 0)
+        r = gsn_sql_run(store,
+                        "UPDATE run SET state = 'failed', message = 'its worker died', "
+                        "finished = ?2 WHERE id = ?1",
+                        SQL_ARGS(SQL_INT(dead), SQL_INT(now)), NULL, err);
+    if (r >= 0)
+        r = gsn_audit_seal(store, dead, now, err);
+    if (r >= 0 || r == GSN_E_NOTFOUND)
         r = gsn_sql_run(store,
                         "INSERT INTO run (specimen_id, key, version, inputs_json, "
                         "parameters_json, state, started) VALUES (?1, ?2, ?3, ?4, ?5, 'running', "
@@ -171,6 +178,8 @@ static int finish(struct gsn_store *store, int64_t run_id, const struct gsn_run_
                    &end->stains[i], run_id, err);
     if (r >= 0)
         r = end_run(store, run_id, end, now, err);
+    if (r >= 0)
+        r = gsn_audit_seal(store, run_id, now, err);
     return r == GSN_E_INPUT ? gsn_fail_at(err, "run %lld", (long long)run_id) : r;
 }
 

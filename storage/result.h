@@ -26,7 +26,7 @@ struct gsn_run_row {
     const char *message; /* why withheld or failed, or empty */
     const char *report_path, *report_sha256;
     const char *json_path, *json_sha256;
-    const char *event_head;    /* the event chain's head printed in the report, or empty */
+    const char *event_head;    /* where the audit log ended before this run did, or empty */
     int64_t started, finished; /* finished is 0 while running */
 };
 
@@ -110,9 +110,9 @@ struct gsn_run_end {
     size_t stain_count;
 };
 
-/* Ends a running run: its row, measures, poses and stain batches in one transaction. Fails with
- * GSN_E_NOTFOUND when there is no such run, GSN_E_INPUT when it is not running or a value is not
- * allowed; then nothing was written. */
+/* Ends a running run: its row, measures, poses, stain batches and seal (audit.h) in one
+ * transaction. Fails with GSN_E_NOTFOUND when there is no such run, GSN_E_INPUT when it is not
+ * running or a value is not allowed; then nothing was written. */
 int gsn_run_finish(struct gsn_store *store, int64_t run_id, const struct gsn_run_end *end,
                    int64_t now, struct gsn_error *err);
 

@@ -148,7 +148,7 @@ static int tell_filing(struct gsn_store *store, const struct gsn_scan_row *scan,
         gsn_format("scan %lld is panel %u of %s", (long long)scan->id, number, specimen);
 
     if (!text)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the audit log");
     return gsn_event_append(store, now, actor, "file", scan->name, text, err);
 }
 

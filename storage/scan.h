@@ -5,7 +5,7 @@
  * A picture is logged in two steps. Its source waits for the first: when the bytes are durable, one
  * row of the inbox says all that is known of them, in one commit that writes one page. The second
  * settles what lies in the inbox, many at once: the row in the ledger, the panel, its job and the
- * line in the diary. Nobody can come between them, because every transaction that writes begins
+ * line in the audit log. Nobody can come between them, because every transaction that writes begins
  * with settling; so all is as if a picture were filed in the moment in which it came. */
 #ifndef GSN_STORAGE_SCAN_H
 #define GSN_STORAGE_SCAN_H

@@ -214,21 +214,21 @@ static int insert(struct gsn_store *store, const struct letter *scan, const stru
 }
 
 static int tell_arrival(struct gsn_store *store, const struct gsn_scan_row *scan,
-                        const struct place *place, struct gsn_event_tail *diary,
+                        const struct place *place, struct gsn_event_tail *log,
                         struct gsn_error *err)
 {
     gsn_auto_mem(char) text =
         gsn_format("%s, from %s, %s: %s", scan->sha256, scan->source, place->state, place->reason);
 
     if (!text)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the diary");
-    return gsn_event_append_to(store, diary, scan->arrived, "gieson-intake", "scan", scan->name,
-                               text, err);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the audit log");
+    return gsn_event_append_to(store, log, scan->arrived, "gieson-intake", "scan", scan->name, text,
+                               err);
 }
 
 /* What one picture leaves to the next of the same transaction. */
 struct progress {
-    struct gsn_event_tail diary;
+    struct gsn_event_tail log;
     int64_t asked; /* the specimen asked for last */
 };
 
@@ -263,7 +263,7 @@ static int settle_panel(struct gsn_store *store, const struct letter *scan, stru
 
         (void)snprintf(place->reason + used, sizeof place->reason - used,
                        "; what came under this name before was a torn beginning of it");
-        return gsn_event_tail(store, &progress->diary, err);
+        return gsn_event_tail(store, &progress->log, err);
     }
     if (r >= 0)
         r = gsn_scan_put_panel(store, &scan->row, place->specimen, place->number, &place->panel,
@@ -276,7 +276,7 @@ static int settle_panel(struct gsn_store *store, const struct letter *scan, stru
     return r;
 }
 
-/* Its panel, its row in the ledger, its line in the diary. */
+/* Its panel, its row in the ledger, its event in the audit log. */
 static int settle(struct gsn_store *store, const struct letter *scan, struct progress *progress,
                   struct gsn_error *err)
 {
@@ -292,7 +292,7 @@ static int settle(struct gsn_store *store, const struct letter *scan, struct pro
         r = gsn_torn_forget(store, &scan->row, err);
     if (r >= 0)
         r = insert(store, scan, &place, err);
-    return r < 0 ? r : tell_arrival(store, &scan->row, &place, &progress->diary, err);
+    return r < 0 ? r : tell_arrival(store, &scan->row, &place, &progress->log, err);
 }
 
 static int is_empty(struct gsn_store *store, bool *ret_empty, struct gsn_error *err)
@@ -322,7 +322,7 @@ int gsn_scan_settle_all(struct gsn_store *store, struct gsn_error *err)
                      SQL_NO_ARGS, &rows, &count, err);
     letters = rows;
     if (r >= 0)
-        r = gsn_event_tail(store, &progress.diary, err);
+        r = gsn_event_tail(store, &progress.log, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         r = settle(store, &letters[i], &progress, err);
     if (r >= 0)

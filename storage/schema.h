@@ -13,5 +13,6 @@ extern const char gsn_schema_005[];
 extern const char gsn_schema_006[];
 extern const char gsn_schema_007[];
 extern const char gsn_schema_008[];
+extern const char gsn_schema_009[];
 
 #endif

@@ -138,6 +138,8 @@ struct gsn_inbox *gsn_store_inbox(struct gsn_store *store);
 /* borrows: the store's own hash, with nothing added. */
 struct gsn_hash;
 int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err);
+/* Told by who appends to the audit log: the commit writes down where it ends. */
+void gsn_store_log_grew(struct gsn_store *store);
 int gsn_store_failed(struct gsn_store *store, struct gsn_error *err);
 
 #endif

@@ -10,7 +10,9 @@
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
 #include "storage/inbox.h"
+#include "storage/audit.h"
 #include "storage/kept.h"
+#include "storage/pagesum.h"
 #include "storage/schema.h"
 #include "storage/sql.h"
 #include "storage/within.h"
@@ -23,16 +25,17 @@ enum {
 
 static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
                                        gsn_schema_004, gsn_schema_005, gsn_schema_006,
-                                       gsn_schema_007, gsn_schema_008 };
-enum { NEWEST = sizeof schemas / sizeof schemas[0] };
+                                       gsn_schema_007, gsn_schema_008, gsn_schema_009 };
+enum { NEWEST = sizeof schemas / sizeof schemas[0], SEALED_FROM = 9 };
 
 struct gsn_store {
-    char *dir;
+    char *dir, *head; /* and DIR/audit.head */
     sqlite3 *db;
     unsigned depth; /* of nested transactions */
     struct gsn_inbox inbox;
     struct gsn_kept kept;
     struct gsn_hash *hash; /* NULL until it is needed */
+    int log_grew;          /* in the transaction that is open */
 };
 
 struct gsn_kept *gsn_store_kept(struct gsn_store *store)
@@ -52,6 +55,11 @@ int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct g
     if (r >= 0)
         *ret_hash = store->hash;
     return r;
+}
+
+void gsn_store_log_grew(struct gsn_store *store)
+{
+    store->log_grew = 1;
 }
 
 struct sqlite3 *gsn_store_handle(struct gsn_store *store)
@@ -102,6 +110,8 @@ static int begin(struct gsn_store *store, struct gsn_error *err)
 {
     int r;
 
+    if (store->depth == 0)
+        store->log_grew = 0;
     /* After a disk error SQLite rolls back by itself; what follows must not start anew. */
     if (store->depth > 0 && sqlite3_get_autocommit(store->db))
         return gsn_fail(err, GSN_E_STORE, "%s/gieson.db: the transaction was lost", store->dir);
@@ -135,14 +145,26 @@ void gsn_store_rollback(struct gsn_store *store)
 
 int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
 {
-    int r;
+    struct gsn_event_tail tail = { 0 };
+    int r = GSN_OK, grew;
 
     assert(store->depth > 0);
-    r = gsn_sql_run(store, store->depth == 1 ? "COMMIT" : "RELEASE inner", SQL_NO_ARGS, NULL, err);
-    if (r < 0)
+    grew = store->depth == 1 && store->log_grew;
+    if (grew)
+        r = gsn_audit_may_write_head(store, store->head, &grew, err);
+    if (r >= 0 && grew)
+        r = gsn_event_tail(store, &tail, err);
+    if (r >= 0)
+        r = gsn_sql_run(store, store->depth == 1 ? "COMMIT" : "RELEASE inner", SQL_NO_ARGS, NULL,
+                        err);
+    if (r < 0) {
         gsn_store_rollback(store);
-    else
-        store->depth--;
+        return r;
+    }
+    store->depth--;
+    /* Behind the commit, so that the file never knows of more than the database has. */
+    if (grew)
+        gsn_audit_write_head(store->head, &tail);
     return r;
 }
 
@@ -198,6 +220,8 @@ static int migrate_from(struct gsn_store *store, int64_t version, struct gsn_err
         return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", store->dir);
     for (int64_t next = version; r >= 0 && next < NEWEST; next++)
         r = execute(store, schemas[next], err);
+    if (r >= 0 && version > 0 && version < SEALED_FROM)
+        r = gsn_audit_seal_old_runs(store, err);
     return r >= 0 ? execute(store, stamp, err) : r;
 }
 
@@ -255,22 +279,59 @@ static int read_version(struct gsn_store *store, int64_t *ret_version, struct gs
     return GSN_OK;
 }
 
-static int use_wal(struct gsn_store *store, struct gsn_error *err)
+/* SQLite's own waiting does not cover this change, which two creators may make at once. */
+static int switch_journal(struct gsn_store *store, const char *sql, struct gsn_error *err)
 {
     enum { NAP_MS = 10 };
-    int64_t wal = 0;
-    int r = execute(store, "PRAGMA journal_mode = WAL", err);
+    int r = execute(store, sql, err);
 
-    /* SQLite's own waiting does not cover this change, which two creators may make at once. */
     for (int waited = 0; r == GSN_E_BUSY && waited < BUSY_MS; waited += NAP_MS) {
         (void)sqlite3_sleep(NAP_MS);
-        r = execute(store, "PRAGMA journal_mode = WAL", err);
+        r = execute(store, sql, err);
     }
+    return r;
+}
+
+static int use_wal(struct gsn_store *store, struct gsn_error *err)
+{
+    int64_t wal = 0;
+    int r = switch_journal(store, "PRAGMA journal_mode = WAL", err);
+
     if (r >= 0)
         r = pragma(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode", &wal, err);
     if (r >= 0 && !wal)
         r = gsn_fail(err, GSN_E_STORE, "%s/gieson.db: this file system allows no WAL", store->dir);
     return r;
+}
+
+static int reserve(struct gsn_store *store, struct gsn_error *err)
+{
+    int bytes = GSN_PAGESUM_BYTES;
+
+    return sqlite3_file_control(store->db, "main", SQLITE_FCNTL_RESERVE_BYTES, &bytes) == SQLITE_OK
+               ? GSN_OK
+               : gsn_store_failed(store, err);
+}
+
+/* -1: the file does not say. */
+static int reserved_bytes(struct gsn_store *store)
+{
+    int bytes = -1;
+
+    return sqlite3_file_control(store->db, "main", SQLITE_FCNTL_RESERVE_BYTES, &bytes) == SQLITE_OK
+               ? bytes
+               : -1;
+}
+
+/* A store of an older gieson has no place for checksums in its pages: each is written anew, in one
+ * transaction, which needs the store for itself and the log out of the way. */
+static int make_room_for_sums(struct gsn_store *store, struct gsn_error *err)
+{
+    int r = switch_journal(store, "PRAGMA journal_mode = DELETE", err);
+
+    if (r >= 0)
+        r = reserve(store, err);
+    return r >= 0 ? execute(store, "VACUUM", err) : r;
 }
 
 static int prepare_schema(struct gsn_store *store, enum gsn_store_mode mode, struct gsn_error *err)
@@ -286,7 +347,11 @@ static int prepare_schema(struct gsn_store *store, enum gsn_store_mode mode, str
         return gsn_fail(err, GSN_E_UNSUPPORTED,
                         "%s was made by an older gieson; any command that writes brings it up",
                         store->dir);
-    if (mode != GSN_STORE_READ)
+    if (version == 0)
+        r = reserve(store, err);
+    else if (version < SEALED_FROM && reserved_bytes(store) != GSN_PAGESUM_BYTES)
+        r = make_room_for_sums(store, err);
+    if (r >= 0 && mode != GSN_STORE_READ)
         r = use_wal(store, err);
     if (r >= 0 && version < NEWEST)
         r = migrate(store, err);
@@ -302,7 +367,7 @@ static int open_database(struct gsn_store *store, const char *path, enum gsn_sto
                                                   : SQLITE_OPEN_READWRITE);
     int r;
 
-    if (sqlite3_open_v2(path, &store->db, flags, NULL) != SQLITE_OK) /* door */
+    if (sqlite3_open_v2(path, &store->db, flags, gsn_pagesum_vfs()) != SQLITE_OK) /* door */
         return store->db ? gsn_store_failed(store, err)
                          : gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
     /* SQLite falls back to reading when it may not write; we want the sentence now. */
@@ -341,9 +406,11 @@ int gsn_store_open(const char *dir, enum gsn_store_mode mode, struct gsn_store *
     gsn_auto_mem(char) path = gsn_format("%s/gieson.db", dir);
     int r = GSN_OK;
 
-    if (store)
+    if (store) {
         store->dir = gsn_strdup(dir);
-    if (!store || !path || !store->dir)
+        store->head = gsn_format("%s/" GSN_AUDIT_HEAD, dir);
+    }
+    if (!store || !path || !store->dir || !store->head)
         return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", dir);
     if (mode == GSN_STORE_CREATE)
         r = make_dirs(dir, err);
@@ -359,6 +426,28 @@ int gsn_store_open(const char *dir, enum gsn_store_mode mode, struct gsn_store *
     return GSN_OK;
 }
 
+int gsn_store_copy(struct gsn_store *store, const char *path, struct gsn_error *err)
+{
+    sqlite3_backup *backup;
+    sqlite3 *to = NULL;
+    int r = GSN_OK,
+        is = sqlite3_open_v2(path, &to, /* door */
+                             SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE, gsn_pagesum_vfs());
+
+    backup = is == SQLITE_OK ? sqlite3_backup_init(to, "main", store->db, "main") : NULL;
+    if (backup) {
+        (void)sqlite3_backup_step(backup, -1);
+        is = sqlite3_backup_finish(backup);
+    } else if (to) {
+        is = sqlite3_errcode(to);
+    }
+    if (is != SQLITE_OK || !backup)
+        r = gsn_fail(err, code_of(is), "%s: the database could not be copied: %s", path,
+                     to ? sqlite3_errmsg(to) : "out of memory");
+    (void)sqlite3_close(to);
+    return r;
+}
+
 void gsn_store_free(struct gsn_store *store)
 {
     if (!store)
@@ -367,5 +456,6 @@ void gsn_store_free(struct gsn_store *store)
     gsn_kept_done(&store->kept);
     (void)sqlite3_close(store->db);
     gsn_free(store->dir);
+    gsn_free(store->head);
     gsn_free(store);
 }

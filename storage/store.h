@@ -55,6 +55,11 @@ int gsn_store_change(struct gsn_store *store, int64_t *ret_change, struct gsn_er
 /* Waits at most so long (ms) for others' locks from now on; 10 seconds when nothing is said. */
 void gsn_store_set_patience(struct gsn_store *store, int patience_ms);
 
+/* A copy of the database as it is now, by SQLite's backup interface, while others read and write;
+ * durable when this returns. path: a file that is not there. Fails with GSN_E_IO, GSN_E_BUSY,
+ * GSN_E_STORE, GSN_E_NOMEM. */
+int gsn_store_copy(struct gsn_store *store, const char *path, struct gsn_error *err);
+
 /* As given to gsn_store_open(). borrows: valid as long as the store. */
 const char *gsn_store_dir(const struct gsn_store *store);
 

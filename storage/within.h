@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The parts of which a larger change is made: one panel, one job, one line of the diary, each in
- * the transaction that the caller has begun. They set no savepoint, which would copy every page
+/* The parts of which a larger change is made: one panel, one job, one event of the audit log, each
+ * in the transaction that the caller has begun. They set no savepoint, which would copy every page
  * that they change: when one fails, the whole transaction must be rolled back. Private to this
  * folder. */
 #ifndef GSN_STORAGE_WITHIN_H
@@ -31,7 +31,7 @@ int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
                        struct gsn_error *err);
 /* Empties the inbox into the ledger; for gsn_store_begin(). */
 int gsn_scan_settle_all(struct gsn_store *store, struct gsn_error *err);
-/* Where the diary ends: as an id and a hash; 0 and zeros when there is none. */
+/* Where the audit log ends: as an id and a hash; 0 and zeros when there is none. */
 struct gsn_event_tail {
     int64_t id;
     struct gsn_digest head;

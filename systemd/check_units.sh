@@ -63,7 +63,7 @@ grep -q '^StateDirectoryMode=2750' "$units/gieson.service" || wrong "the service
 # One store for all: where the directory is, where the configuration says, what the timers' services
 # are told.
 grep -qx 'Directory=/var/lib/gieson' "$folder/gieson.conf" || wrong "gieson.conf has another store"
-for unit in gieson-night gieson-scrub; do
+for unit in gieson-night gieson-scrub gieson-scrub-quick; do
     grep -qx 'Environment=GIESON_STORE=%S/gieson' "$units/$unit.service" || wrong "$unit: its store"
 done
 exit $status

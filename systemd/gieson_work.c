@@ -7,7 +7,9 @@
  *     gieson-work --store DIR work          claims one job; 0: done, 66: nothing to do, 75: busy
  *     gieson-work --store DIR verify RUN
  *     gieson-work --store DIR changed       asks for the job of every specimen that changed
- *     gieson-work --store DIR scrub         reads stored objects again; 65: some are damaged
+ *     gieson-work --store DIR scrub         looks the store over; 65: something is damaged
+ *     gieson-work --store DIR backup TO     copies the store, verified
+ *     gieson-work --store DIR restore FROM  makes the store from such a copy
  *     gieson-work check FILE...             decodes strictly, says what each file is
  *     gieson-work register FOLDER           the poses of a folder of section pictures
  */
@@ -34,6 +36,8 @@ enum {
     OPT_REPLACE,
     OPT_SERVED,
     OPT_MINUTES,
+    OPT_QUICK,
+    OPT_JOURNAL,
     OPT_MARKS,
     OPT_PX_UM,
     OPT_RADIUS,
@@ -56,6 +60,10 @@ static const struct argp_option options[] = {
     { "threshold", OPT_THRESHOLD, "X", 0, "import --volume, --tile: may be given up to 8 times",
       1 },
     { "minutes", OPT_MINUTES, "N", 0, "scrub: stop after so long; the next one goes on there", 1 },
+    { "quick", OPT_QUICK, NULL, 0, "scrub: all but the bytes of the originals", 1 },
+    { "journal", OPT_JOURNAL, "FILE", 0,
+      "verify, scrub: lines of the system's journal that say where the audit log ended (-: stdin)",
+      1 },
     { "marks", OPT_MARKS, "X,Y X,Y X,Y", 0, "register: where the marks are in the frame wanted",
       1 },
     { "px-um", OPT_PX_UM, "UM", 0, "register: size of a pixel; without it lengths are pixels", 1 },
@@ -106,6 +114,12 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case OPT_MINUTES:
         request->minutes = take_whole(arg, "minutes", MOST_MINUTES, state);
         return 0;
+    case OPT_QUICK:
+        request->quick = 1;
+        return 0;
+    case OPT_JOURNAL:
+        request->journal = arg;
+        return 0;
     case OPT_REPLACE:
         request->replace = 1;
         return 0;
@@ -147,8 +161,8 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case ARGP_KEY_END:
         if (!request->verb)
-            argp_error(state,
-                       "say what to do: import, work, changed, verify, scrub, check or register");
+            argp_error(state, "say what to do: import, work, changed, verify, scrub, backup, "
+                              "restore, check or register");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -163,7 +177,8 @@ int main(int argc, char **argv)
         int (*run)(const struct gsn_work_request *request);
     } verbs[] = { { "import", 1, gsn_work_import },    { "work", 1, gsn_work_next },
                   { "changed", 1, gsn_work_changed },  { "verify", 1, gsn_work_verify },
-                  { "scrub", 1, gsn_work_scrub },      { "check", 0, gsn_work_check },
+                  { "scrub", 1, gsn_work_scrub },      { "backup", 1, gsn_work_backup },
+                  { "restore", 1, gsn_work_restore },  { "check", 0, gsn_work_check },
                   { "register", 0, gsn_work_register } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
@@ -181,8 +196,8 @@ int main(int argc, char **argv)
     while (i < sizeof verbs / sizeof verbs[0] && strcmp(verbs[i].verb, request.verb) != 0)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
-        status = gsn_work_usage(
-            "this verb is not known: import, work, changed, verify, scrub, check or register");
+        status = gsn_work_usage("this verb is not known: import, work, changed, verify, scrub, "
+                                "backup, restore, check or register");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = gsn_work_usage("no store: say --store DIR or set GIESON_STORE");
     else

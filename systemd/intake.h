@@ -4,7 +4,7 @@
  * disk -> bytes durable -> its row in the inbox durable -> (where the device is to delete its copy:
  * the object read again, and found to be a whole picture) -> the source is told. A crash anywhere
  * leaves a picture that is offered again and recognised. gsn_scan_settle() does the rest, when it
- * is called or by whoever writes to the store next: ledger, panel, job and diary. */
+ * is called or by whoever writes to the store next: ledger, panel, job and audit log. */
 #ifndef GSN_SYSTEMD_INTAKE_H
 #define GSN_SYSTEMD_INTAKE_H
 

@@ -57,8 +57,7 @@ static void tell(void *context, const char *stage, size_t done, size_t total)
                              gsn_queue_clock(), &quiet);
 }
 
-/* Asked before the work begins: a specimen would come to its mesher after hours. */
-static int check_programs(const struct gsn_job_options *options, bool meshes, struct gsn_error *err)
+int gsn_job_check_programs(const struct gsn_job_options *options, int meshes, struct gsn_error *err)
 {
     if (options->lacks_decoder)
         return gsn_fail(err, GSN_E_PROCESS, "%s", options->lacks_decoder);
@@ -72,7 +71,7 @@ static int do_job(struct gsn_store *store, const struct gsn_job_row *job,
                   struct gsn_error *err)
 {
     const bool is_panel = strcmp(job->kind, "panel") == 0;
-    const int r = check_programs(options, !is_panel, err);
+    const int r = gsn_job_check_programs(options, !is_panel, err);
 
     if (r < 0)
         return r;
@@ -104,44 +103,4 @@ int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
     }
     return gsn_fail_at(err, "%s %s%s%s", job->kind, job->specimen, job->panel[0] ? ", " : "",
                        job->panel);
-}
-
-int gsn_job_verify(struct gsn_store *store, int64_t run_id, const struct gsn_job_options *options,
-                   struct gsn_job_verdict *ret_verdict, struct gsn_error *err)
-{
-    gsn_auto(gsn_decoder) decoder = NULL;
-    struct gsn_specimen_options how = { .mesher = options->mesher, .threads = options->threads };
-    struct gsn_job_verdict verdict = { .run = run_id };
-    gsn_auto(gsn_run_row) run = NULL;
-    gsn_auto(gsn_material) material = NULL;
-    gsn_auto(gsn_specimen_result) result = NULL;
-    struct gsn_digest json, html;
-    int r = check_programs(options, true, err);
-
-    if (r >= 0)
-        r = gsn_run_get(store, run_id, &run, err);
-    if (r >= 0 && options->decoder)
-        r = gsn_decoder_new(options->decoder, &decoder, err);
-    if (r < 0)
-        return r;
-    how.decoder = decoder;
-    if (!run->json_sha256[0])
-        return gsn_fail(err, GSN_E_INPUT, "run %lld is %s and has no report to compare with",
-                        (long long)run_id, run->state);
-    r = gsn_material_load(store, run->specimen_id, decoder, &material, err);
-    if (r >= 0)
-        r = gsn_specimen_work(gsn_material_specimen(material), &how, &result, err);
-    if (r >= 0)
-        r = gsn_sha256(result->json, result->json_size, &json, err);
-    if (r >= 0)
-        r = gsn_sha256(result->html, result->html_size, &html, err);
-    if (r < 0)
-        return r;
-    verdict.same_inputs = strcmp(run->key, gsn_material_key(material)) == 0;
-    verdict.same_json = strcmp(run->json_sha256, json.hex) == 0;
-    verdict.same_html = strcmp(run->report_sha256, html.hex) == 0;
-    (void)snprintf(verdict.was, sizeof verdict.was, "%s", run->json_sha256);
-    (void)snprintf(verdict.is, sizeof verdict.is, "%s", json.hex);
-    *ret_verdict = verdict;
-    return GSN_OK;
 }

@@ -27,18 +27,9 @@ struct gsn_job_options {
 int gsn_job_next(struct gsn_store *store, const struct gsn_job_options *options,
                  struct gsn_error *err);
 
-/* What gsn_job_verify() found. */
-struct gsn_job_verdict {
-    int64_t run;
-    int same_inputs;          /* rows, objects, parameters and version are those of the run */
-    int same_json, same_html; /* re-made byte for byte */
-    char was[65], is[65];     /* SHA-256 of report.json then and now */
-};
-
-/* Works the specimen of a finished run again, from the original bytes, and compares; keeps nothing.
- * A difference is a verdict, not a failure. Fails with GSN_E_NOTFOUND, GSN_E_INPUT for a run that
- * has no report, and as the pipeline does. */
-int gsn_job_verify(struct gsn_store *store, int64_t run, const struct gsn_job_options *options,
-                   struct gsn_job_verdict *ret_verdict, struct gsn_error *err);
+/* Whether the programs are there that a job needs. Asked before the work begins: a specimen would
+ * come to its mesher after hours. */
+int gsn_job_check_programs(const struct gsn_job_options *options, int meshes,
+                           struct gsn_error *err);
 
 #endif

@@ -17,7 +17,7 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { MOST_OBJECT_BYTES = 1 << 30, HASH_BYTES = 1 << 16 };
+enum { MOST_OBJECT_BYTES = 1 << 30 };
 
 int gsn_is_refusal(int code)
 {
@@ -57,28 +57,6 @@ int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_b
     return GSN_OK;
 }
 
-static int hash_file(int fd, const char *path, struct gsn_digest *ret_digest, struct gsn_error *err)
-{
-    gsn_auto(gsn_hash) hash = NULL;
-    uint8_t piece[HASH_BYTES];
-    off_t at = 0;
-    int r = gsn_hash_new(&hash, err);
-
-    while (r >= 0) {
-        const ssize_t got = pread(fd, piece, sizeof piece, at);
-
-        if (got < 0 && errno == EINTR)
-            continue;
-        if (got < 0)
-            return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
-        if (got == 0)
-            break;
-        at += got;
-        r = gsn_hash_add(hash, piece, (size_t)got, err);
-    }
-    return r < 0 ? r : gsn_hash_end(hash, ret_digest, err);
-}
-
 int gsn_object_open(struct gsn_store *store, const char *sha256, int *ret_fd, struct gsn_error *err)
 {
     gsn_auto_mem(char) path = NULL;
@@ -89,7 +67,7 @@ int gsn_object_open(struct gsn_store *store, const char *sha256, int *ret_fd, st
     if (r >= 0)
         r = gsn_file_open(path, &fd, err);
     if (r >= 0)
-        r = hash_file(fd, path, &digest, err);
+        r = gsn_sha256_file(fd, path, &digest, NULL, err);
     if (r >= 0)
         r = check_digest(sha256, &digest, err);
     if (r < 0)
@@ -182,34 +160,57 @@ static int keep_candidates(struct gsn_store *store, int64_t panel_id,
     return gsn_candidate_replace(store, panel_id, rows, used, err);
 }
 
-/* The panel's rows and the end of the job, all or nothing. */
-static int keep(struct gsn_store *store, const struct gsn_job_row *job,
-                const struct gsn_panel_findings *findings, const char *state, const char *code,
-                const char *message, struct gsn_error *err)
+/* What became of a panel: its rows. */
+struct outcome {
+    struct gsn_panel_findings *findings; /* NULL: none */
+    const char *state, *code, *message;
+    struct gsn_error why; /* of one that is not registered */
+};
+
+static void outcome_done(struct outcome *outcome)
 {
-    const size_t count = findings && strcmp(state, "registered") == 0 ? findings->count : 0;
+    gsn_panel_findings_free(outcome->findings);
+}
+#define auto_outcome __attribute__((cleanup(outcome_done))) struct outcome
+
+/* In a transaction. */
+static int write_outcome(struct gsn_store *store, int64_t panel, const struct outcome *outcome,
+                         struct gsn_error *err)
+{
+    const struct gsn_panel_findings *const findings = outcome->findings;
+    const size_t count =
+        findings && strcmp(outcome->state, "registered") == 0 ? findings->count : 0;
     gsn_auto_mem(struct gsn_section_row) rows = gsn_alloc_array(count, sizeof *rows);
-    int r;
+    int r = GSN_OK;
 
     if (!rows)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the rows of a panel");
     for (size_t i = 0; i < count; i++)
         rows[i] = row_of(&findings->section[i]);
-    r = gsn_store_begin(store, err);
-    if (r < 0)
-        return r;
     if (findings)
-        r = gsn_panel_set_size(store, job->panel_id, findings->width, findings->height,
-                               findings->px_um, err);
+        r = gsn_panel_set_size(store, panel, findings->width, findings->height, findings->px_um,
+                               err);
     if (r >= 0 && findings)
-        r = gsn_panel_set_turn(store, job->panel_id, findings->upright.turn.mirrored,
+        r = gsn_panel_set_turn(store, panel, findings->upright.turn.mirrored,
                                findings->upright.turn.quarters, findings->upright.note, err);
     if (r >= 0)
-        r = gsn_section_replace(store, job->panel_id, rows, count, err);
+        r = gsn_section_replace(store, panel, rows, count, err);
     if (r >= 0)
-        r = keep_candidates(store, job->panel_id, findings, count, err);
-    if (r >= 0)
-        r = gsn_panel_set_state(store, job->panel_id, state, code, message, err);
+        r = keep_candidates(store, panel, findings, count, err);
+    return r < 0 ? r
+                 : gsn_panel_set_state(store, panel, outcome->state, outcome->code,
+                                       outcome->message, err);
+}
+
+/* The panel's rows and the end of the job, all or nothing. */
+static int keep(struct gsn_store *store, const struct gsn_job_row *job,
+                const struct outcome *outcome, struct gsn_error *err)
+{
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = write_outcome(store, job->panel_id, outcome, err);
     if (r >= 0)
         r = ask_for_report(store, job->specimen_id, err);
     if (r >= 0)
@@ -328,53 +329,70 @@ static int examine(struct gsn_store *store, struct gsn_decoder *decoder,
     return r;
 }
 
-int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
-                  const struct gsn_job_options *options, const struct gsn_progress *progress,
-                  struct gsn_error *err)
+/* Looks at a panel's picture. Fails when that cannot be done (memory, disk, store); a panel that is
+ * refused or held is an outcome. */
+static int look(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
+                const struct gsn_job_options *options, const struct gsn_progress *progress,
+                struct outcome *outcome, struct gsn_error *err)
 {
     gsn_auto(gsn_specimen_row) specimen = NULL;
     gsn_auto(gsn_panel_row) panel = NULL;
     gsn_auto(gsn_protocol) protocol = NULL;
-    gsn_auto(gsn_panel_findings) findings = NULL;
     gsn_auto(gsn_decision_rows) decided = NULL;
     gsn_auto(gsn_decoder) decoder = NULL;
-    struct gsn_error why = { 0 };
-    int spare, r = gsn_specimen_get_by_id(store, job->specimen_id, &specimen, err);
+    struct gsn_error *const why = &outcome->why;
+    int spare = 0, r = gsn_specimen_get_by_id(store, specimen_id, &specimen, err);
 
     if (r >= 0)
-        r = gsn_panel_get(store, job->panel_id, &panel, err);
+        r = gsn_panel_get(store, panel_id, &panel, err);
     if (r >= 0)
         r = gsn_protocol_parse(specimen->job_json, strlen(specimen->job_json), &protocol, err);
     if (r >= 0)
-        r = gsn_decision_list(store, job->specimen_id, &decided, err);
+        r = gsn_decision_list(store, specimen_id, &decided, err);
     if (r >= 0 && options->decoder)
         r = gsn_decoder_new(options->decoder, &decoder, err);
     if (r < 0)
         return r;
-    r = examine(store, decoder, panel, protocol, decided, options, progress, &findings, &why);
-    /* The picture is fine, and only a person can say what it shows. */
-    if (r == GSN_E_WITHHELD)
-        return keep(store, job, NULL, "held", gsn_code_name(r), why.text, err);
-    if (r < 0 && !gsn_is_refusal(r)) {
-        if (err)
-            *err = why;
-        return r;
-    }
-    if (r < 0)
-        return keep(store, job, NULL, "refused", gsn_code_name(r), why.text, err);
-    r = check_number(panel, protocol, &why);
+    r = examine(store, decoder, panel, protocol, decided, options, progress, &outcome->findings,
+                why);
     if (r >= 0)
-        r = check_label(store, specimen, panel, findings, &why);
-    spare = r >= 0 && (r = check_choice(decided, panel, &why)) == GSN_E_WITHHELD;
+        r = check_number(panel, protocol, why);
+    if (r >= 0)
+        r = check_label(store, specimen, panel, outcome->findings, why);
+    spare = r >= 0 && (r = check_choice(decided, panel, why)) == GSN_E_WITHHELD;
     if (r >= 0 && !is_chosen(decided, panel))
-        r = gsn_rescan_check(store, decoder, protocol, panel, findings, &why);
-    if (r < 0 && r != GSN_E_WITHHELD) {
-        if (err)
-            *err = why;
-        return r;
-    }
-    if (r < 0)
-        return keep(store, job, findings, "held", spare ? GSN_PANEL_SPARE : gsn_code_name(r),
-                    why.text, err);
-    return keep(store, job, findings, "registered", "", findings->note, err);
+        r = gsn_rescan_check(store, decoder, protocol, panel, outcome->findings, why);
+    outcome->code = r >= 0 ? "" : spare ? GSN_PANEL_SPARE : gsn_code_name(r);
+    outcome->message = r < 0 ? why->text : outcome->findings->note;
+    /* Held: the picture is fine, and only a person can say what it shows. */
+    if (r >= 0)
+        outcome->state = "registered";
+    else if (r == GSN_E_WITHHELD)
+        outcome->state = "held";
+    else if (!outcome->findings && gsn_is_refusal(r))
+        outcome->state = "refused";
+    if (outcome->state)
+        return GSN_OK;
+    if (err)
+        *err = *why;
+    return r;
+}
+
+int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
+                  const struct gsn_job_options *options, const struct gsn_progress *progress,
+                  struct gsn_error *err)
+{
+    auto_outcome outcome = { .findings = NULL };
+    const int r = look(store, job->specimen_id, job->panel_id, options, progress, &outcome, err);
+
+    return r < 0 ? r : keep(store, job, &outcome, err);
+}
+
+int gsn_panel_look_again(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
+                         const struct gsn_job_options *options, struct gsn_error *err)
+{
+    auto_outcome outcome = { .findings = NULL };
+    const int r = look(store, specimen_id, panel_id, options, NULL, &outcome, err);
+
+    return r < 0 ? r : write_outcome(store, panel_id, &outcome, err);
 }

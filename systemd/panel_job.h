@@ -17,6 +17,11 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
                   const struct gsn_job_options *options, const struct gsn_progress *progress,
                   struct gsn_error *err);
 
+/* The same without a job: rows alone, in a transaction of the caller's. For a copy of the store, in
+ * which it is to be seen whether the picture still says what the rows say. */
+int gsn_panel_look_again(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
+                         const struct gsn_job_options *options, struct gsn_error *err);
+
 /* A row read back as what gsn_panel_examine() found. */
 struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *row);
 

@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A scrub: the store is asked whether it is still what it was, before anybody needs it.
+ *
+ * 1. The audit (systemd/audit.h): pages of the database, tables, audit log, runs, report files,
+ * what rows and log and folders say of one another. Minutes at most.
+ * 2. Unless it is to be quick, every object is read from the disk and hashed, in the order of the
+ *    digests. DIR/scrub.json keeps how far it came, so that a round may take many nights.
+ *
+ * A finding is told at once, then written down as a trouble and an event; a database that cannot
+ * take that any more has been told of by then. */
 #include "systemd/scrub.h"
 
 #include "pipeline/core/file.h"
@@ -16,7 +26,6 @@
 #include <unistd.h>
 
 enum {
-    PIECE = 1 << 20,
     AT_ONCE = 256,     /* rows */
     KEEP_EVERY_S = 10, /* a power cut costs this much of a round */
     MOST_KEPT_BYTES = 4096,
@@ -30,9 +39,9 @@ struct round {
     const struct gsn_scrub *scrub;
     struct gsn_scrub_counts counts;
     struct gsn_trouble_rows *troubles; /* as they were at the start */
-    uint8_t *piece;
-    char after[65]; /* the last object that was read */
-    int64_t kept;   /* seconds: when that was written down */
+    json_t *found;                     /* by the audit: what -> sentence */
+    char after[65];                    /* the last object that was read */
+    int64_t kept;                      /* seconds: when that was written down */
 };
 
 static int64_t seconds(void)
@@ -92,46 +101,29 @@ static int keep(struct round *round, struct gsn_error *err)
 
 /* ---- one object -------------------------------------------------------------------------- */
 
-static int hash_fd(struct round *round, int fd, const char *path, struct gsn_digest *ret_digest,
-                   struct gsn_error *err)
-{
-    gsn_auto(gsn_hash) hash = NULL;
-    int r = gsn_hash_new(&hash, err);
-
-    while (r >= 0) {
-        const ssize_t got = read(fd, round->piece, PIECE);
-
-        if (got < 0 && errno == EINTR)
-            continue;
-        if (got < 0)
-            return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
-        if (got == 0)
-            return gsn_hash_end(hash, ret_digest, err);
-        round->counts.bytes += got;
-        r = gsn_hash_add(hash, round->piece, (size_t)got, err);
-    }
-    return r;
-}
-
 /* From the disk and not from memory, and without pushing out what others keep there. */
 static int hash_object(struct round *round, const char *path, struct gsn_digest *ret_digest,
                        struct gsn_error *err)
 {
+    int64_t size = 0;
     int fd = -1;
     int r = gsn_file_open(path, &fd, err);
 
     if (r < 0)
         return r;
     (void)posix_fadvise(fd, 0, 0, POSIX_FADV_DONTNEED);
-    r = hash_fd(round, fd, path, ret_digest, err);
+    r = gsn_sha256_file(fd, path, ret_digest, &size, err);
+    round->counts.bytes += r >= 0 ? size : 0;
     (void)posix_fadvise(fd, 0, 0, POSIX_FADV_DONTNEED);
     (void)close(fd);
     return r;
 }
 
 /* Fails with GSN_E_INPUT, GSN_E_NOTFOUND or GSN_E_IO when the object is not what its name says. */
-static int check(struct round *round, const char *sha256, struct gsn_error *err)
+static int check(struct round *round, const struct gsn_object_row *object, struct gsn_error *err)
 {
+    const char *const sha256 = object->sha256;
+    const int64_t before = round->counts.bytes;
     gsn_auto_mem(char) path = NULL;
     struct gsn_digest digest;
     int r = gsn_store_object_path(round->scrub->store, sha256, &path, err);
@@ -140,6 +132,9 @@ static int check(struct round *round, const char *sha256, struct gsn_error *err)
         r = hash_object(round, path, &digest, err);
     if (r >= 0 && strcmp(digest.hex, sha256) != 0)
         r = gsn_fail(err, GSN_E_INPUT, "%s: its bytes are no longer those that came in", path);
+    if (r >= 0 && round->counts.bytes - before != object->size)
+        r = gsn_fail(err, GSN_E_INPUT, "%s: the row says it came in with %lld bytes", path,
+                     (long long)object->size);
     return r;
 }
 
@@ -208,11 +203,12 @@ static int was_damaged(const struct round *round, const char *sha256)
     return 0;
 }
 
-static int take(struct round *round, const char *sha256, struct gsn_error *err)
+static int take(struct round *round, const struct gsn_object_row *object, struct gsn_error *err)
 {
+    const char *const sha256 = object->sha256;
     const struct gsn_scrub *scrub = round->scrub;
     struct gsn_error why = { 0 };
-    int r = check(round, sha256, &why);
+    int r = check(round, object, &why);
 
     if (r == GSN_E_NOMEM)
         return gsn_fail(err, r, "%s", why.text);
@@ -226,6 +222,75 @@ static int take(struct round *round, const char *sha256, struct gsn_error *err)
     if (r >= 0 && seconds() - round->kept >= KEEP_EVERY_S)
         r = keep(round, err);
     return r;
+}
+
+/* ---- the audit ---------------------------------------------------------------------------- */
+
+static void take_finding(void *context, const char *what, const char *sentence)
+{
+    struct round *const round = context;
+    const struct gsn_scrub *const scrub = round->scrub;
+
+    round->counts.findings++;
+    (void)json_object_set_new(round->found, what, json_string(sentence));
+    if (scrub->found)
+        scrub->found(scrub->context, what, sentence);
+}
+
+static int is_object(const char *name)
+{
+    return strlen(name) == sizeof((struct gsn_digest *)NULL)->hex - 1 &&
+           strspn(name, "0123456789abcdef") == strlen(name);
+}
+
+/* Each finding is a trouble, until it is not found any more. */
+static int write_findings(struct round *round, struct gsn_error *err)
+{
+    struct gsn_store *const store = round->scrub->store;
+    const char *const actor = round->scrub->actor;
+    const char *what;
+    json_t *sentence;
+    int r = GSN_OK;
+
+    for (size_t i = 0; r >= 0 && i < round->troubles->count; i++) {
+        const struct gsn_trouble_row *const t = &round->troubles->at[i];
+
+        if (strcmp(t->source, SOURCE) == 0 && !is_object(t->name) &&
+            !json_object_get(round->found, t->name))
+            r = gsn_trouble_clear(store, SOURCE, t->name, actor, time(NULL), err);
+    }
+    json_object_foreach(round->found, what, sentence)
+    {
+        const struct gsn_trouble_row trouble = {
+            .source = SOURCE,
+            .name = what,
+            .reason = json_string_value(sentence),
+            .action =
+                "compare with a backup (`gieson backup` makes one), put back what is damaged; "
+                "then `gieson scrub`"
+        };
+
+        if (r >= 0)
+            r = gsn_event_add(store, time(NULL), actor, "damaged", what, trouble.reason, err);
+        if (r >= 0)
+            r = gsn_trouble_put(store, &trouble, time(NULL), err);
+    }
+    return r;
+}
+
+/* The pages first: a database that is damaged may not be able to answer the rest, and what was
+ * found until then has been told. */
+static int audit(struct round *round, struct gsn_error *err)
+{
+    gsn_auto_heads none = { .count = 0 };
+    struct gsn_audit_heads *const heads = round->scrub->heads ? round->scrub->heads : &none;
+    struct gsn_store *const store = round->scrub->store;
+    int r = gsn_audit_pages(gsn_store_dir(store), take_finding, round, &round->counts.without, err);
+
+    if (r >= 0)
+        r = gsn_audit_store(store, heads, round->scrub->quick, take_finding, round,
+                            &round->counts.events, err);
+    return r < 0 ? r : write_findings(round, err);
 }
 
 /* ---- a round ----------------------------------------------------------------------------- */
@@ -259,7 +324,7 @@ static int go_round(struct round *round, struct gsn_error *err)
         for (size_t i = 0; r >= 0 && i < objects->count; i++) {
             if (minutes && seconds() >= end)
                 return keep(round, err);
-            r = take(round, objects->at[i].sha256, err);
+            r = take(round, &objects->at[i], err);
         }
         if (r < 0)
             return r;
@@ -269,15 +334,17 @@ static int go_round(struct round *round, struct gsn_error *err)
 int gsn_scrub_run(const struct gsn_scrub *scrub, struct gsn_scrub_counts *ret_counts,
                   struct gsn_error *err)
 {
-    gsn_auto_mem(uint8_t) piece = gsn_alloc(PIECE);
-    struct round round = { .scrub = scrub, .piece = piece, .kept = seconds() };
-    int r = piece ? recall(&round, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    struct round round = { .scrub = scrub, .kept = seconds(), .found = json_object() };
+    int r = round.found ? recall(&round, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 
     if (r >= 0)
         r = gsn_trouble_list(scrub->store, &round.troubles, err);
     if (r >= 0)
+        r = audit(&round, err);
+    if (r >= 0 && !scrub->quick)
         r = go_round(&round, err);
     gsn_trouble_rows_free(round.troubles);
+    json_decref(round.found);
     if (r >= 0)
         *ret_counts = round.counts;
     return r;

@@ -8,10 +8,12 @@
 #include "storage/event.h"
 #include "storage/panel_log.h"
 #include "storage/result.h"
+#include "systemd/audit.h"
 #include "systemd/candidates.h"
 #include "systemd/panel_job.h"
 #include "systemd/run_parameters.h"
 
+#include <math.h>
 #include <string.h>
 #include <time.h>
 
@@ -154,6 +156,83 @@ static int make_rows(const struct gsn_specimen_result *result, const struct gsn_
     return GSN_OK;
 }
 
+static int same(double a, double b)
+{
+    return memcmp(&a, &b, sizeof a) == 0 || (isnan(a) && isnan(b));
+}
+
+static int same_measures(const struct gsn_measure_rows *was, const struct gsn_measure_row *is,
+                         size_t count)
+{
+    int ret = was->count == count;
+
+    for (size_t i = 0; ret && i < count; i++)
+        ret = strcmp(was->at[i].name, is[i].name) == 0 && same(was->at[i].value, is[i].value) &&
+              same(was->at[i].lower, is[i].lower) && same(was->at[i].upper, is[i].upper) &&
+              strcmp(was->at[i].unit, is[i].unit) == 0;
+    return ret;
+}
+
+static int same_poses(const struct gsn_pose_rows *was, const struct gsn_pose_row *is, size_t count)
+{
+    int ret = was->count == count;
+
+    for (size_t i = 0; ret && i < count; i++) {
+        const struct gsn_pose_row *const a = &was->at[i], *const b = &is[i];
+
+        ret = a->panel_id == b->panel_id && a->slot == b->slot && a->serial == b->serial &&
+              a->flipped == b->flipped && a->rotated180 == b->rotated180 && same(a->m00, b->m00) &&
+              same(a->m01, b->m01) && same(a->m02, b->m02) && same(a->m10, b->m10) &&
+              same(a->m11, b->m11) && same(a->m12, b->m12) && same(a->rms_um, b->rms_um) &&
+              same(a->tre_um, b->tre_um);
+    }
+    return ret;
+}
+
+static int same_stains(const struct gsn_stain_rows *was, const struct gsn_stain_row *is,
+                       size_t count)
+{
+    int ret = was->count == count;
+
+    for (size_t i = 0; ret && i < count; i++) {
+        ret = was->at[i].panel_id == is[i].panel_id && strcmp(was->at[i].source, is[i].source) == 0;
+        for (size_t c = 0; ret && c < 3; c++)
+            ret = same(was->at[i].white[c], is[i].white[c]);
+        for (size_t c = 0; ret && c < 9; c++)
+            ret = same(was->at[i].vector[c], is[i].vector[c]);
+    }
+    return ret;
+}
+
+int gsn_specimen_compare_rows(struct gsn_store *store, int64_t run,
+                              const struct gsn_panel_rows *panels,
+                              const struct gsn_specimen_result *result, gsn_audit_found *found,
+                              void *context, struct gsn_error *err)
+{
+    gsn_auto(gsn_measure_rows) measures = NULL;
+    gsn_auto(gsn_pose_rows) poses = NULL;
+    gsn_auto(gsn_stain_rows) stains = NULL;
+    gsn_auto_mem(char) what = gsn_format("run %lld", (long long)run);
+    struct rows rows = { 0 };
+    int r =
+        what ? make_rows(result, panels, &rows, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+
+    if (r >= 0)
+        r = gsn_measure_list(store, run, &measures, err);
+    if (r >= 0)
+        r = gsn_pose_list(store, run, &poses, err);
+    if (r >= 0)
+        r = gsn_stain_list(store, run, &stains, err);
+    if (r >= 0 && !same_measures(measures, rows.measure, result->measure_count))
+        found(context, what, "its stored figures are not those that come out of the originals");
+    if (r >= 0 && !same_poses(poses, rows.pose, result->pose_count))
+        found(context, what, "its stored poses are not those that come out of the originals");
+    if (r >= 0 && !same_stains(stains, rows.stain, result->stain_count))
+        found(context, what, "its stored colours are not those that come out of the originals");
+    rows_done(&rows);
+    return r;
+}
+
 /* What there is to choose from, now that the stack is solved, in place of what each panel alone
  * showed. */
 static int keep_candidates(struct gsn_store *store, const struct gsn_panel_rows *panels,
@@ -194,6 +273,8 @@ static int commit(struct gsn_store *store, const struct gsn_job_row *job, int64_
     if (r >= 0)
         r = gsn_event_add(store, time(NULL), "gieson-work", "run", job->specimen,
                           gsn_material_key(material), err);
+    if (r >= 0)
+        r = gsn_audit_write_beside(store, run, err);
     if (r >= 0)
         r = gsn_specimen_dependents(store, job->specimen_id, &dependents, err);
     for (size_t i = 0; r >= 0 && i < dependents->count; i++) {

@@ -7,6 +7,8 @@
 #include "pipeline/core/hash.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/specimen.h"
+#include "storage/audit.h"
+#include "storage/panel_log.h"
 #include "storage/queue.h"
 #include "systemd/job.h"
 
@@ -38,5 +40,12 @@ const char *gsn_material_own_key(const struct gsn_material *material);
 int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      const struct gsn_job_options *options, const struct gsn_progress *progress,
                      struct gsn_error *err);
+
+/* Tells which rows of a finished run are not those of this result. panels: as the result was made
+ * from. */
+int gsn_specimen_compare_rows(struct gsn_store *store, int64_t run,
+                              const struct gsn_panel_rows *panels,
+                              const struct gsn_specimen_result *result, gsn_audit_found *found,
+                              void *context, struct gsn_error *err);
 
 #endif

@@ -4,11 +4,11 @@
 #include "pipeline/core/process.h"
 #include "pipeline/core/sandbox.h"
 #include "storage/catalog.h"
-#include "storage/event.h"
 #include "storage/result.h"
 #include "systemd/give_back.h"
 #include "systemd/job.h"
 #include "systemd/night.h"
+#include "systemd/verify.h"
 
 #include <stdio.h>
 #include <sysexits.h>
@@ -84,6 +84,8 @@ int gsn_work_next(const struct gsn_work_request *request)
     if (r >= 0) {
         say_walls();
         r = gsn_job_next(store, &how, &err);
+        if (r >= 0)
+            gsn_audit_tell_journal(store);
     }
     if (r == GSN_E_NOTFOUND || r == GSN_E_BUSY)
         return gsn_code_exit(r);
@@ -114,33 +116,46 @@ static int find_run(struct gsn_store *store, const char *text, int64_t *ret_run,
     return r;
 }
 
-/* The run's known head must still be in the diary, and no row before or after it changed. */
-static int print_verdict(const struct gsn_work_request *request, const struct gsn_job_verdict *v,
-                         const struct gsn_event_verdict *diary)
+static void hear_finding(void *context, const char *what, const char *sentence)
 {
-    const int whole = diary->broken == 0 && diary->head_is_there;
-    const int same = v->same_inputs && v->same_json && v->same_html && whole;
+    (void)json_array_append_new(context, json_pack("{s:o, s:o}", "what", gsn_work_text(what),
+                                                   "message", gsn_work_text(sentence)));
+}
+
+static void print_findings(const json_t *findings)
+{
+    for (size_t i = 0; i < json_array_size(findings); i++) {
+        const json_t *const f = json_array_get(findings, i);
+
+        (void)printf("  %s: %s\n", json_string_value(json_object_get(f, "what")),
+                     json_string_value(json_object_get(f, "message")));
+    }
+}
+
+static int print_verdict(const struct gsn_work_request *request, const struct gsn_verdict *v,
+                         json_t *findings)
+{
+    const int same = v->findings == 0;
 
     if (request->json) {
         json_t *root =
-            json_pack("{s:I, s:b, s:b, s:b, s:b, s:b, s:I, s:s, s:s}", "run", (json_int_t)v->run,
-                      "verified", same, "same_inputs", v->same_inputs, "same_json", v->same_json,
-                      "same_html", v->same_html, "diary_whole", whole, "diary_events",
-                      (json_int_t)diary->count, "json_sha256_was", v->was, "json_sha256_is", v->is);
+            json_pack("{s:I, s:b, s:b, s:b, s:b, s:b, s:I, s:b, s:I, s:s, s:s, s:O}", "run",
+                      (json_int_t)v->run, "verified", same, "same_inputs", v->same_inputs,
+                      "same_json", v->same_json, "same_html", v->same_html, "diary_whole",
+                      v->whole_log, "diary_events", (json_int_t)v->events, "audit_log_whole",
+                      v->whole_log, "audit_log_events", (json_int_t)v->events, "json_sha256_was",
+                      v->was, "json_sha256_is", v->is, "findings", findings);
 
         (void)json_dumpf(root, stdout, JSON_INDENT(2));
         (void)putchar('\n');
         json_decref(root);
     } else if (same) {
-        (void)printf("run %lld: verified, report.json %.16s... and report.html are the same bytes, "
-                     "the diary of %lld events is whole\n",
-                     (long long)v->run, v->is, (long long)diary->count);
+        (void)printf("run %lld: verified: the originals give report.json %.16s... and report.html "
+                     "byte for byte, the files are those, the audit log of %lld events is whole\n",
+                     (long long)v->run, v->is, (long long)v->events);
     } else {
-        (void)printf("run %lld: NOT the same:%s%s%s%s\n", (long long)v->run,
-                     v->same_inputs ? "" : " its inputs or this version of gieson changed;",
-                     v->same_json ? "" : " report.json differs;",
-                     v->same_html ? "" : " report.html differs;",
-                     whole ? "" : " the diary was changed after it was written;");
+        (void)printf("run %lld: NOT the same:\n", (long long)v->run);
+        print_findings(findings);
     }
     return same ? EX_OK : 1;
 }
@@ -149,28 +164,34 @@ int gsn_work_verify(const struct gsn_work_request *request)
 {
     gsn_auto(gsn_store) store = NULL;
     __attribute__((cleanup(helpers_done))) struct helpers helpers = { .mesher = NULL };
+    gsn_auto_heads heads = { .count = 0 };
     struct gsn_job_options how;
-    gsn_auto(gsn_run_row) row = NULL;
-    struct gsn_job_verdict verdict;
-    struct gsn_event_verdict diary;
+    json_t *findings = json_array();
+    struct gsn_verify verify = {
+        .options = &how, .heads = &heads, .found = hear_finding, .context = findings
+    };
+    struct gsn_verdict verdict;
     struct gsn_error err = { 0 };
-    int64_t run = 0;
-    int r;
+    int r, status;
 
     if (request->rest_count != 1)
         return gsn_work_usage("verify needs one run number or specimen");
     r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
+    if (r >= 0 && request->journal)
+        r = gsn_audit_read_journal(request->journal, &heads, &err);
     if (r >= 0)
-        r = find_run(store, request->rest[0], &run, &err);
+        r = find_run(store, request->rest[0], &verify.run, &err);
     if (r >= 0)
         r = job_options(request, &helpers, &how, &err);
+    verify.store = store;
     if (r >= 0)
-        r = gsn_job_verify(store, run, &how, &verdict, &err);
-    if (r >= 0)
-        r = gsn_run_get(store, run, &row, &err);
-    if (r >= 0)
-        r = gsn_event_verify(store, row->event_head, &diary, &err);
-    return r < 0 ? gsn_work_complain(&err, r) : print_verdict(request, &verdict, &diary);
+        r = gsn_verify_run(&verify, &verdict, &err);
+    /* What was found before it failed is not lost with it. */
+    if (r < 0)
+        print_findings(findings);
+    status = r < 0 ? gsn_work_complain(&err, r) : print_verdict(request, &verdict, findings);
+    json_decref(findings);
+    return status;
 }
 
 int gsn_work_changed(const struct gsn_work_request *request)

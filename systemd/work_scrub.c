@@ -2,6 +2,7 @@
 #include "systemd/work_verbs.h"
 
 #include "storage/actor.h"
+#include "systemd/backup.h"
 #include "systemd/scrub.h"
 
 #include <stdio.h>
@@ -10,31 +11,50 @@
 #include <sysexits.h>
 #include <unistd.h>
 
+/* Of what was found: the list of damaged objects, and that of findings. */
+struct told {
+    json_t *damaged, *findings;
+};
+
 static void say_damaged(void *context, const char *sha256, const char *sentence)
 {
-    json_t *list = context;
+    const struct told *const told = context;
 
     (void)fprintf(stderr, "gieson: damaged: %s\n", sentence);
-    (void)json_array_append_new(
-        list, json_pack("{s:s, s:o}", "sha256", sha256, "message", json_string(sentence)));
+    (void)json_array_append_new(told->damaged, json_pack("{s:s, s:o}", "sha256", sha256, "message",
+                                                         gsn_work_text(sentence)));
+}
+
+static void say_found(void *context, const char *what, const char *sentence)
+{
+    const struct told *const told = context;
+
+    (void)fprintf(stderr, "gieson: damaged: %s: %s\n", what, sentence);
+    (void)json_array_append_new(told->findings, json_pack("{s:o, s:o}", "what", gsn_work_text(what),
+                                                          "message", gsn_work_text(sentence)));
 }
 
 static void print_scrub(const struct gsn_work_request *request, const struct gsn_scrub_counts *c,
-                        json_t *damaged)
+                        const struct told *told)
 {
     if (request->json) {
-        json_t *root = json_pack("{s:I, s:I, s:b, s:I, s:O}", "checked", (json_int_t)c->checked,
-                                 "bytes", (json_int_t)c->bytes, "complete", c->complete,
-                                 "round_checked", (json_int_t)c->round_checked, "damaged", damaged);
+        json_t *root =
+            json_pack("{s:I, s:I, s:b, s:I, s:O, s:O, s:I}", "checked", (json_int_t)c->checked,
+                      "bytes", (json_int_t)c->bytes, "complete", c->complete, "round_checked",
+                      (json_int_t)c->round_checked, "damaged", told->damaged, "findings",
+                      told->findings, "audit_log_events", (json_int_t)c->events);
 
         (void)json_dumpf(root, stdout, JSON_INDENT(2));
         (void)putchar('\n');
         json_decref(root);
         return;
     }
-    (void)printf("%lld objects (%.1f MB) read again, %lld damaged%s\n", (long long)c->checked,
-                 1e-6 * (double)c->bytes, (long long)c->damaged,
-                 c->complete ? "" : "; the next `gieson scrub` goes on from here");
+    (void)printf("database, reports and an audit log of %lld events looked over, %lld findings\n",
+                 (long long)c->events, (long long)c->findings);
+    if (!request->quick)
+        (void)printf("%lld objects (%.1f MB) read again, %lld damaged%s\n", (long long)c->checked,
+                     1e-6 * (double)c->bytes, (long long)c->damaged,
+                     c->complete ? "" : "; the next `gieson scrub` goes on from here");
 }
 
 /* Whoever works or looks at a screen goes first. */
@@ -49,23 +69,80 @@ static void step_back(void)
 int gsn_work_scrub(const struct gsn_work_request *request)
 {
     gsn_auto(gsn_store) store = NULL;
-    json_t *damaged = json_array();
     const struct gsn_actor who = gsn_actor_now();
-    struct gsn_scrub scrub = {
-        .actor = who.name, .minutes = request->minutes, .damaged = say_damaged, .context = damaged
-    };
+    gsn_auto_heads heads = { .count = 0 };
+    struct told told = { json_array(), json_array() };
+    struct gsn_scrub scrub = { .actor = who.name,
+                               .quick = request->quick,
+                               .minutes = request->minutes,
+                               .heads = &heads,
+                               .damaged = say_damaged,
+                               .found = say_found,
+                               .context = &told };
     struct gsn_scrub_counts counts = { 0 };
     struct gsn_error err = { 0 };
     int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
 
     step_back();
+    if (r >= 0 && request->journal)
+        r = gsn_audit_read_journal(request->journal, &heads, &err);
     scrub.store = store;
     if (r >= 0)
         r = gsn_scrub_run(&scrub, &counts, &err);
-    if (r >= 0)
-        print_scrub(request, &counts, damaged);
-    json_decref(damaged);
+    if (r >= 0) {
+        gsn_audit_tell_journal(store);
+        print_scrub(request, &counts, &told);
+    }
+    json_decref(told.damaged);
+    json_decref(told.findings);
     if (r < 0)
         return gsn_work_complain(&err, r);
-    return counts.damaged > 0 ? EX_DATAERR : EX_OK;
+    return counts.damaged > 0 || counts.findings > 0 ? EX_DATAERR : EX_OK;
+}
+
+/* ---- a second copy ------------------------------------------------------------------------ */
+
+static void say_why_not(void *context, const char *what, const char *sentence)
+{
+    (void)context;
+    (void)fprintf(stderr, "gieson: damaged: %s: %s\n", what, sentence);
+}
+
+static int copy_store(const struct gsn_work_request *request, const char *from, const char *to)
+{
+    const struct gsn_actor who = gsn_actor_now();
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_backup_counts counts;
+    struct gsn_error err = { 0 };
+    int r = gsn_store_open(from, GSN_STORE_WRITE, &store, &err);
+
+    if (r >= 0)
+        r = gsn_backup_make(store, to, who.name, say_why_not, NULL, &counts, &err);
+    if (r < 0)
+        return gsn_work_complain(&err, r);
+    if (request->json)
+        (void)printf("{\"objects\": %lld, \"bytes\": %lld, \"files\": %lld, "
+                     "\"audit_log_events\": %lld}\n",
+                     (long long)counts.objects, (long long)counts.bytes, (long long)counts.files,
+                     (long long)counts.events);
+    else
+        (void)printf("%s: %lld objects (%.1f MB), %lld files of reports and an audit log of %lld "
+                     "events, all read back and the same\n",
+                     to, (long long)counts.objects, 1e-6 * (double)counts.bytes,
+                     (long long)counts.files, (long long)counts.events);
+    return EX_OK;
+}
+
+int gsn_work_backup(const struct gsn_work_request *request)
+{
+    if (request->rest_count != 1)
+        return gsn_work_usage("backup where? Say `gieson backup FOLDER`, a new or an empty one");
+    return copy_store(request, request->store_dir, request->rest[0]);
+}
+
+int gsn_work_restore(const struct gsn_work_request *request)
+{
+    if (request->rest_count != 1)
+        return gsn_work_usage("restore from where? Say `gieson --store NEW restore FOLDER`");
+    return copy_store(request, request->rest[0], request->store_dir);
 }

@@ -13,9 +13,9 @@
 struct gsn_work_request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, replace, served, by_tissue;
+    int rest_count, json, replace, served, by_tissue, quick;
     unsigned threads, minutes;
-    const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius;
+    const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius, *journal;
     json_t *thresholds;
 };
 
@@ -25,6 +25,9 @@ int gsn_work_next(const struct gsn_work_request *request);
 int gsn_work_verify(const struct gsn_work_request *request);
 int gsn_work_changed(const struct gsn_work_request *request);
 int gsn_work_scrub(const struct gsn_work_request *request);
+/* Both: from the store into a folder, and from a folder into a store that is not there yet. */
+int gsn_work_backup(const struct gsn_work_request *request);
+int gsn_work_restore(const struct gsn_work_request *request);
 int gsn_work_check(const struct gsn_work_request *request);
 int gsn_work_register(const struct gsn_work_request *request);
 
@@ -32,6 +35,8 @@ int gsn_work_register(const struct gsn_work_request *request);
 int gsn_work_complain(const struct gsn_error *err, int code);
 /* Says what was asked wrongly; returns EX_USAGE. */
 int gsn_work_usage(const char *sentence);
+/* gives: a text that may hold any bytes. */
+json_t *gsn_work_text(const char *text);
 /* A decimal number of the command line, through the parser that reads every other number. gives;
  * NULL when it is none. */
 json_t *gsn_work_number(const char *text);

@@ -3,6 +3,7 @@
 #include "ui/ui.h"
 
 #include "pipeline/core/file.h"
+#include "storage/audit.h"
 #include "storage/catalog.h"
 #include "storage/result.h"
 
@@ -31,6 +32,21 @@ static int find(struct gsn_store *store, const char *name, struct gsn_run_row **
         return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` works the queue",
                         name);
     return gsn_run_get(store, latest, ret_run, err);
+}
+
+/* A report that is not what the run wrote is not handed out, whichever half of it was asked for. */
+static int check_files(struct gsn_store *store, const struct gsn_run_row *run,
+                       struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
+    int r = gsn_audit_file(store, run->json_path, run->json_sha256, &why);
+
+    if (r >= 0)
+        r = gsn_audit_file(store, run->report_path, run->report_sha256, &why);
+    if (r >= 0)
+        return r;
+    return gsn_fail(err, r, "%s; it is not shown. `gieson verify %lld` says what else changed",
+                    why.text, (long long)run->id);
 }
 
 static int print_file(const char *path, struct gsn_error *err)
@@ -63,6 +79,9 @@ int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
     json = gsn_format("%s/%s", gsn_store_dir(store), run->json_path);
     if (!json)
         return gsn_ui_fail(EX_OSERR, "out of memory");
+    r = check_files(store, run, &err);
+    if (r < 0)
+        return gsn_ui_complain(&err, r);
     if (ui->json) {
         r = print_file(json, &err);
         return r < 0 ? gsn_ui_complain(&err, r) : EX_OK;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The verbs that other programs do: import, verify, scrub, check and register are gieson-work's,
- * phantom has a program of its own, and the configuration is the service's. */
+/* The verbs that other programs do: import, verify, scrub, backup, restore, check and register are
+ * gieson-work's, phantom has a program of its own, and the configuration is the service's. */
 #include "ui/ui.h"
 
 #include <string.h>
@@ -29,8 +29,24 @@ int gsn_cmd_import(const struct gsn_ui *ui, int argc, char **argv)
 
 int gsn_cmd_verify(const struct gsn_ui *ui, int argc, char **argv)
 {
-    if (argc != 2)
+    const int journal = argc > 2 && strcmp(argv[1], "--journal") == 0;
+
+    if (argc != (journal ? 4 : 2))
         return gsn_ui_usage("verify which run? Say `gieson verify RUN` or a specimen's name");
+    return pass_on(ui, "gieson-work", 1, argc, argv, 0);
+}
+
+int gsn_cmd_backup(const struct gsn_ui *ui, int argc, char **argv)
+{
+    if (argc != 2)
+        return gsn_ui_usage("backup where? Say `gieson backup FOLDER`, a new or an empty one");
+    return pass_on(ui, "gieson-work", 1, argc, argv, 0);
+}
+
+int gsn_cmd_restore(const struct gsn_ui *ui, int argc, char **argv)
+{
+    if (argc != 2)
+        return gsn_ui_usage("restore from where? Say `gieson --store NEW restore FOLDER`");
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
@@ -66,11 +82,18 @@ int gsn_cmd_scrub(const struct gsn_ui *ui, int argc, char **argv)
 {
     int64_t minutes = 0;
 
-    if (argc != 1 && (argc != 3 || strcmp(argv[1], "--minutes") != 0))
-        return gsn_ui_usage("scrub takes only --minutes N, not \"%s\"", argv[argc > 2 ? 2 : 1]);
-    if (argc == 3 && !gsn_ui_whole(argv[2], 1, MOST_MINUTES, &minutes))
-        return gsn_ui_usage("--minutes must be a whole number from 1 to %d, not \"%s\"",
-                            (int)MOST_MINUTES, argv[2]);
+    for (int i = 1; i < argc; i++) {
+        const int takes = strcmp(argv[i], "--minutes") == 0 || strcmp(argv[i], "--journal") == 0;
+
+        if ((!takes && strcmp(argv[i], "--quick") != 0) || (takes && i + 1 == argc))
+            return gsn_ui_usage(
+                "scrub takes only --quick, --minutes N and --journal FILE, not \"%s\"", argv[i]);
+        if (strcmp(argv[i], "--minutes") == 0 &&
+            !gsn_ui_whole(argv[i + 1], 1, MOST_MINUTES, &minutes))
+            return gsn_ui_usage("--minutes must be a whole number from 1 to %d, not \"%s\"",
+                                (int)MOST_MINUTES, argv[i + 1]);
+        i += takes;
+    }
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 

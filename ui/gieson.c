@@ -29,6 +29,7 @@ static const struct {
     { "night", gsn_cmd_night },       { "retry", gsn_cmd_retry },
     { "decide", gsn_cmd_decide },     { "report", gsn_cmd_report },
     { "verify", gsn_cmd_verify },     { "scrub", gsn_cmd_scrub },
+    { "backup", gsn_cmd_backup },     { "restore", gsn_cmd_restore },
     { "check", gsn_cmd_check },       { "check-config", gsn_cmd_check_config },
     { "register", gsn_cmd_register }, { "devices", gsn_cmd_devices },
     { "demo", gsn_cmd_demo },         { "phantom", gsn_cmd_phantom },
@@ -51,8 +52,12 @@ static const char doc[] =
     "                      answer what `show` asks: cut, hold, slot N, dismiss,\n"
     "                      use FILE, first N, as-set, as-marked, lost;\n"
     "                      undo takes it back\n"
-    "  verify RUN          work a finished run again and compare every byte\n"
-    "  scrub               read every stored original again, compare its hash\n"
+    "  verify RUN          work a finished run again from its original bytes and\n"
+    "                      compare every byte, figure and file\n"
+    "  scrub               look the store over: database, audit log, reports, and\n"
+    "                      every original's hash (--quick: without these)\n"
+    "  backup FOLDER       copy the store and read the copy back\n"
+    "  restore FOLDER      make the store from such a copy\n"
     "  check FILE...       decode pictures strictly and say what they are\n"
     "  register FOLDER     how the sections of a plain folder of pictures lie\n"
     "  demo [FOLDER]       two phantom specimens from panels to reports\n"

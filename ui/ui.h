@@ -28,7 +28,7 @@ typedef int gsn_verb(const struct gsn_ui *ui, int argc, char **argv);
 gsn_verb gsn_cmd_status, gsn_cmd_top, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run, gsn_cmd_retry,
     gsn_cmd_report, gsn_cmd_verify, gsn_cmd_check, gsn_cmd_demo, gsn_cmd_phantom, gsn_cmd_file,
     gsn_cmd_expect, gsn_cmd_capture, gsn_cmd_check_config, gsn_cmd_devices, gsn_cmd_night,
-    gsn_cmd_scrub, gsn_cmd_register, gsn_cmd_decide;
+    gsn_cmd_scrub, gsn_cmd_register, gsn_cmd_decide, gsn_cmd_backup, gsn_cmd_restore;
 
 /* "gieson: sentence" on stderr; returns the exit status for the code. */
 int gsn_ui_complain(const struct gsn_error *err, int code);

@@ -1,7 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/core/hash.h"
 
+#include <errno.h>
 #include <openssl/evp.h>
+#include <string.h>
+#include <unistd.h>
+
+enum { PIECE_BYTES = 1 << 18 };
 
 struct gsn_hash {
     EVP_MD_CTX *evp;
@@ -78,5 +83,32 @@ int gsn_sha256(const void *bytes, size_t size, struct gsn_digest *ret_digest, st
         r = gsn_hash_add(hash, bytes, size, err);
     if (r >= 0)
         r = gsn_hash_end(hash, ret_digest, err);
+    return r;
+}
+
+int gsn_sha256_file(int fd, const char *name, struct gsn_digest *ret_digest, int64_t *ret_size,
+                    struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) piece = gsn_alloc(PIECE_BYTES);
+    gsn_auto(gsn_hash) hash = NULL;
+    int64_t at = 0;
+    int r = piece ? gsn_hash_new(&hash, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+
+    while (r >= 0) {
+        const ssize_t got = pread(fd, piece, PIECE_BYTES, at);
+
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got < 0)
+            return gsn_fail(err, GSN_E_IO, "%s: %s", name, strerror(errno));
+        if (got == 0)
+            break;
+        at += got;
+        r = gsn_hash_add(hash, piece, (size_t)got, err);
+    }
+    if (r >= 0)
+        r = gsn_hash_end(hash, ret_digest, err);
+    if (r >= 0 && ret_size)
+        *ret_size = at;
     return r;
 }

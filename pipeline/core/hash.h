@@ -7,6 +7,8 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
 
+#include <stdint.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -18,6 +20,11 @@ struct gsn_digest {
 
 int gsn_sha256(const void *bytes, size_t size, struct gsn_digest *ret_digest,
                struct gsn_error *err);
+
+/* Of an open file from its first byte to its last, wherever its position is; ret_size may be NULL.
+ * name: for the sentence. */
+int gsn_sha256_file(int fd, const char *name, struct gsn_digest *ret_digest, int64_t *ret_size,
+                    struct gsn_error *err);
 
 /* The same in pieces. */
 struct gsn_hash;

@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: AGPL-3.0-or-later
 -- What has come and has no row in the ledger yet. A picture is safe with one row on one page here:
--- its row in the ledger, its panel, its job and its line in the diary lie on ten pages, and are
+-- its row in the ledger, its panel, its job and its event in the audit log lie on ten pages, and are
 -- written for many pictures at once. Whoever writes next writes these first, in the order in which
 -- they came. Every rule that the ledger and the panels have stands here too, so that what has been
 -- taken in is never refused afterwards.

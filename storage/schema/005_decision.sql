@@ -1,6 +1,6 @@
 -- SPDX-License-Identifier: AGPL-3.0-or-later
 -- What a person decided about a panel or one of its slots. One row a question: the last answer holds,
--- and the diary has them all. number is that of the panel and slot counts from 1 in its order, 0 for
+-- and the audit log has them all. number is that of the panel and slot counts from 1 in its order, 0 for
 -- the panel as a whole; x_px, y_px: the middle of what the answer is about, on the upright picture.
 CREATE TABLE decision (
     specimen_id INTEGER NOT NULL REFERENCES specimen,

@@ -40,7 +40,7 @@ completes() {
 }
 
 completes "gieson sta" "status"
-completes "gieson --store x re" "report|retry|register"
+completes "gieson --store x re" "report|retry|restore|register"
 completes "gieson show R07-" "R07-left"
 completes "gieson report " "R07\\ right|R07-left"
 completes "gieson --store nowhere show " ""

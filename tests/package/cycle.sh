@@ -32,7 +32,8 @@ inside apt-get install -qy --no-install-recommends /root/gieson.deb >"$root/log"
     tail -n 30 "$root/log"
     exit 1
 }
-for unit in gieson.service gieson-worker.service gieson-night.timer gieson-scrub.timer; do
+for unit in gieson.service gieson-worker.service gieson-night.timer gieson-scrub.timer \
+    gieson-scrub-quick.timer; do
     [ "$(inside systemctl is-enabled $unit)" = enabled ] || wrong "$unit is not enabled"
 done
 [ "$(stat -c %a "$root/var/lib/gieson")" = 2750 ] || wrong "the store's place is too open or shut"
@@ -78,7 +79,7 @@ until_true 'gieson report GVP-D-S02 >/dev/null 2>&1' || echo "wrong: the folder 
 gieson status
 [ "$(gieson status | grep -c reported)" -eq 2 ] || echo "wrong: a specimen has no figures"
 systemctl reload gieson gieson-worker || echo "wrong: no reload"
-for service in gieson-night gieson-scrub; do
+for service in gieson-night gieson-scrub gieson-scrub-quick; do
     systemctl start $service || { echo "wrong: $service failed"; journalctl --no-pager -u $service; }
 done
 old=$(systemctl show -P MainPID gieson)

@@ -55,6 +55,7 @@ for file in usr/bin/gieson usr/bin/giesond usr/libexec/gieson/gieson-work \
     lib/systemd/system/gieson.service lib/systemd/system/gieson-worker.service \
     lib/systemd/system/gieson-night.service lib/systemd/system/gieson-night.timer \
     lib/systemd/system/gieson-scrub.service lib/systemd/system/gieson-scrub.timer \
+    lib/systemd/system/gieson-scrub-quick.service lib/systemd/system/gieson-scrub-quick.timer \
     usr/lib/sysusers.d/gieson.conf usr/lib/tmpfiles.d/gieson.conf \
     lib/udev/rules.d/65-gieson.rules lib/udev/hwdb.d/65-gieson.hwdb etc/gieson/gieson.conf \
     usr/share/man/man1/gieson.1.gz usr/share/man/man5/gieson.conf.5.gz \

@@ -20,15 +20,18 @@ struct session {
 
 static int put_specimen(struct gsn_store *store, struct gsn_error *err)
 {
-    const struct gsn_specimen_row specimen = { .name = "S1",
-                                               .study = "study",
-                                               .group = "group",
-                                               .animal = "animal",
-                                               .week = 1,
-                                               .kind = "sections",
-                                               .baseline = "",
-                                               .job_json = "{}",
-                                               .job_sha256 = "" };
+    const struct gsn_specimen_row specimen = {
+        .name = "S1",
+        .study = "study",
+        .group = "group",
+        .animal = "animal",
+        .week = 1,
+        .kind = "sections",
+        .baseline = "",
+        .job_json = "{\"specimen\": \"S1\", \"study\": \"study\", \"group\": \"group\", "
+                    "\"animal\": \"animal\", \"week\": 1}",
+        .job_sha256 = ""
+    };
     int64_t id = 0;
 
     return gsn_specimen_put(store, &specimen, GSN_SPECIMEN_REFUSE, "t", NOW, &id, err);

@@ -31,7 +31,7 @@
 #include "tests/power/fault.h"
 #include "tests/power/ingest.h"
 
-enum { PICTURES = 3, SENTENCE = 600, VERSIONS = 8, APPLICATION = 0x67736e31 };
+enum { PICTURES = 3, SENTENCE = 600, VERSIONS = 9, APPLICATION = 0x67736e31 };
 
 /* Told by the process that meets the faults; it lies in memory both see. */
 struct told {
@@ -98,9 +98,10 @@ static void make_old(struct places *places)
         "INSERT INTO marker VALUES (1, 1, 1, 5, 6, 2, 1, 0, 1, 9), (1, 2, 0, NULL, NULL, NULL, "
         "NULL, NULL, NULL, NULL);"
         "INSERT INTO job (kind, specimen_id, panel_id) VALUES ('panel', 1, 2);";
-    static const char *const schemas[VERSIONS] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
-                                                   gsn_schema_004, gsn_schema_005, gsn_schema_006,
-                                                   gsn_schema_007, gsn_schema_008 };
+    static const char *const schemas[VERSIONS - 1] = { gsn_schema_001, gsn_schema_002,
+                                                       gsn_schema_003, gsn_schema_004,
+                                                       gsn_schema_005, gsn_schema_006,
+                                                       gsn_schema_007, gsn_schema_008 };
     gsn_auto_mem(char) path = gsn_format("%s/gieson.db", places->made);
     gsn_auto_mem(char) stamp = gsn_format("PRAGMA application_id = %d; PRAGMA user_version = %d",
                                           (int)APPLICATION, places->version);

@@ -745,7 +745,7 @@ TEST(a_store_of_the_first_schema_is_brought_up_with_its_data_kept)
     CHECK(gsn_store_open(scratch.dir, GSN_STORE_READ, &store, &err) == GSN_E_UNSUPPORTED);
     CHECK(strstr(err.text, "older gieson") && store == NULL);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK(ask(store, "PRAGMA user_version") == 8);
+    CHECK(ask(store, "PRAGMA user_version") == 9);
     CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
     CHECK(ask(store, "SELECT count(*) FROM job WHERE state = 'waiting' AND panel_id = 1") == 1);
     CHECK(number_of(store, 1) == 3);
@@ -776,7 +776,7 @@ TEST(a_store_of_the_third_schema_is_brought_up_with_its_ledger_kept)
                     "facts, state, reason, arrived) VALUES (41, 'flatbed', '', 'S-P4.tif', '', "
                     "'panel', printf('%064x', 3), 9, '', 'unfiled', 'why', 5)") == 0);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK(ask(store, "PRAGMA user_version") == 8);
+    CHECK(ask(store, "PRAGMA user_version") == 9);
     CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
     CHECK_OK(gsn_scan_get(store, 41, &old, &err), err);
     CHECK(strcmp(old->reason, "why") == 0 && old->arrived == 5);

@@ -79,7 +79,7 @@ TEST(every_way_of_opening_promises_durability_and_whole_references)
         CHECK(ask(store, "PRAGMA synchronous") == 2);
         CHECK(ask(store, "PRAGMA foreign_keys") == 1);
         CHECK(ask(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode") == 1);
-        CHECK(ask(store, "PRAGMA user_version") == 8);
+        CHECK(ask(store, "PRAGMA user_version") == 9);
         CHECK(strcmp(gsn_store_dir(store), scratch.dir) == 0);
     }
 }
@@ -223,11 +223,11 @@ TEST(a_store_of_a_newer_version_is_refused_untouched)
     scratch_auto scratch = gsn_scratch_new();
 
     gsn_store_free(bench_open(&scratch, GSN_STORE_CREATE));
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 9") == SQLITE_OK);
-    refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 9, this one");
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 10") == SQLITE_OK);
+    refuses(scratch.dir, GSN_STORE_READ, GSN_E_UNSUPPORTED, "newer gieson (schema 10, this one");
     refuses(scratch.dir, GSN_STORE_WRITE, GSN_E_UNSUPPORTED, "newer gieson");
     refuses(scratch.dir, GSN_STORE_CREATE, GSN_E_UNSUPPORTED, "newer gieson");
-    CHECK(bench_raw(&scratch, "PRAGMA user_version = 8") == SQLITE_OK);
+    CHECK(bench_raw(&scratch, "PRAGMA user_version = 9") == SQLITE_OK);
     gsn_store_free(bench_open(&scratch, GSN_STORE_WRITE));
 }
 

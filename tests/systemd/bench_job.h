@@ -7,6 +7,7 @@
 #include "pipeline/core/file.h"
 #include "systemd/import.h"
 #include "systemd/job.h"
+#include "systemd/verify.h"
 #include "tests/pipeline/drawn_panel.h"
 #include "tests/storage/bench.h"
 
@@ -67,6 +68,28 @@ static inline int bench_import(const struct gsn_scratch *scratch, struct gsn_sto
 
     memset(heard, 0, sizeof *heard);
     return gsn_import_folder(&import, &specimen, counts, err);
+}
+
+/* What verify found, a line each, in heard. */
+static inline int bench_verify_loudly(struct gsn_store *store, int64_t run,
+                                      const struct gsn_job_options *options, struct heard *heard,
+                                      struct gsn_verdict *verdict, struct gsn_error *err)
+{
+    const struct gsn_verify how = {
+        .store = store, .run = run, .options = options, .found = bench_hear, .context = heard
+    };
+
+    memset(heard, 0, sizeof *heard);
+    return gsn_verify_run(&how, verdict, err);
+}
+
+static inline int bench_verify(struct gsn_store *store, int64_t run,
+                               const struct gsn_job_options *options, struct gsn_verdict *verdict,
+                               struct gsn_error *err)
+{
+    struct heard heard;
+
+    return bench_verify_loudly(store, run, options, &heard, verdict, err);
 }
 
 #endif

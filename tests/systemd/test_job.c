@@ -224,7 +224,7 @@ TEST(a_decoder_apart_changes_nothing_and_a_harmful_panel_costs_only_itself)
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     gsn_auto(gsn_panel_rows) panels = NULL;
-    struct gsn_job_verdict verdict = { 0 };
+    struct gsn_verdict verdict = { 0 };
     struct gsn_error err = { 0 };
 
     attacked.decoder = GSN_MISBEHAVING;
@@ -237,7 +237,7 @@ TEST(a_decoder_apart_changes_nothing_and_a_harmful_panel_costs_only_itself)
     check_panel(panels, "P02.png", "registered", "", "");
     gsn_auto(gsn_run_row) run = latest(store, "a");
 
-    CHECK_OK(gsn_job_verify(store, run->id, &here, &verdict, &err), err);
+    CHECK_OK(bench_verify(store, run->id, &here, &verdict, &err), err);
     CHECK(verdict.same_inputs && verdict.same_json && verdict.same_html);
 }
 
@@ -286,7 +286,7 @@ TEST(a_program_that_is_missing_costs_the_jobs_that_need_it_and_says_so)
     scratch_auto scratch = gsn_scratch_new();
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     gsn_auto(gsn_job_rows) jobs = NULL;
-    struct gsn_job_verdict verdict = { 0 };
+    struct gsn_verdict verdict = { 0 };
     struct gsn_error err = { 0 };
     size_t again = 0;
 
@@ -313,7 +313,7 @@ TEST(a_program_that_is_missing_costs_the_jobs_that_need_it_and_says_so)
     CHECK(again == 1 && work_all(store, 9) == 1);
     gsn_auto(gsn_run_row) run = latest(store, "a");
 
-    CHECK(gsn_job_verify(store, run->id, &lacking, &verdict, &err) == GSN_E_PROCESS);
+    CHECK(bench_verify(store, run->id, &lacking, &verdict, &err) == GSN_E_PROCESS);
     assert_string_equal(err.text, lacking.lacks_mesher);
     CHECK(verdict.run == 0);
 
@@ -341,7 +341,7 @@ TEST(a_finished_run_can_be_verified_and_a_damaged_object_is_named)
     gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
     gsn_auto(gsn_panel_rows) panels = NULL;
     gsn_auto(gsn_job_rows) jobs = NULL;
-    struct gsn_job_verdict verdict = { 0 };
+    struct gsn_verdict verdict = { 0 };
     struct gsn_error err = { 0 };
     const struct gsn_job_row *job;
     int64_t id;
@@ -352,15 +352,15 @@ TEST(a_finished_run_can_be_verified_and_a_damaged_object_is_named)
     CHECK(work_all(store, 9) == 3);
     gsn_auto(gsn_run_row) run = latest(store, "a");
 
-    CHECK_OK(gsn_job_verify(store, run->id, &OPTIONS, &verdict, &err), err);
+    CHECK_OK(bench_verify(store, run->id, &OPTIONS, &verdict, &err), err);
     CHECK(verdict.same_inputs && verdict.same_json && verdict.same_html);
     CHECK(verdict.run == run->id && strcmp(verdict.was, verdict.is) == 0);
     CHECK(strcmp(verdict.was, run->json_sha256) == 0);
-    CHECK(gsn_job_verify(store, 99, &OPTIONS, &verdict, &err) == GSN_E_NOTFOUND);
+    CHECK(bench_verify(store, 99, &OPTIONS, &verdict, &err) == GSN_E_NOTFOUND);
 
     CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
     damage(store, panels->at[1].sha256);
-    CHECK(gsn_job_verify(store, run->id, &OPTIONS, &verdict, &err) == GSN_E_IO);
+    CHECK(bench_verify(store, run->id, &OPTIONS, &verdict, &err) == GSN_E_IO);
     CHECK(strstr(err.text, "is damaged: its bytes no longer have this hash") != NULL);
 
     /* The panel's own job fails with the sentence; another specimen is worked all the same. */

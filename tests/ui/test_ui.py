@@ -49,6 +49,8 @@ class Words(Bench):
                      ["report"], ["import"], ["verify"], ["check"], ["run", "--threads"],
                      ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"], ["night", "more"],
                      ["night", "--threads"], ["scrub", "--minutes"], ["scrub", "--minutes", "x"],
+                     ["scrub", "--quickly"], ["backup"], ["backup", "a", "b"], ["restore"],
+                     ["verify", "--journal", "x"],
                      ["file"], ["file", "1", "S"], ["file", "x", "S", "--panel", "1"],
                      ["file", "1", "S", "--panel", "0"], ["file", "1", "S", "--panel", "-1"],
                      ["file", "1", "S", "T", "--panel", "1"], ["expect", "cam"],
@@ -74,7 +76,7 @@ class Words(Bench):
         done = self.call("--help", store=False)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
-                     "verify", "scrub", "check", "demo", "phantom", "file", "expect", "capture",
+                     "verify", "scrub", "backup", "restore", "check", "demo", "phantom", "file", "expect", "capture",
                      "check-config", "devices", "register", "decide"):
             self.assertRegex(done.stdout, rf"(?m)^ +{verb}\b")
         done = self.call("--version", store=False)
@@ -88,7 +90,8 @@ class Stores(Bench):
     def test_no_store_named_is_64(self):
         for args in (["status"], ["top"], ["show", "x"], ["report", "x"], ["run"], ["retry"],
                      ["import", "x"], ["verify", "1"], ["night"], ["scrub"], ["expect", "a", "b"],
-                     ["file", "1", "s", "--panel", "1"], ["capture", "cam"]):
+                     ["file", "1", "s", "--panel", "1"], ["capture", "cam"], ["backup", "x"],
+                     ["restore", "x"]):
             with self.subTest(args=args):
                 self.assertIn("GIESON_STORE", self.refused(self.call(*args, store=False), 64))
         self.refused(self.call("status", store=False, env={"GIESON_STORE": ""}), 64)
@@ -204,7 +207,44 @@ class Plain(Bench):
 
     def test_verify_says_that_the_bytes_are_the_same(self):
         self.reported_tile()
-        self.assertTrue(self.json("verify", "tile")["verified"])
+        told = self.json("verify", "tile")
+        self.assertTrue(told["verified"] and told["audit_log_whole"])
+        self.assertEqual(told["findings"], [])
+
+    def test_a_report_that_is_not_what_the_run_wrote_is_not_shown_and_verify_names_it(self):
+        self.reported_tile()
+        html, text = map(pathlib.Path, self.call("report", "tile").stdout.splitlines()[1:3])
+        for path in (html, text):
+            content = path.read_bytes()
+            path.write_bytes(content.replace(b"tile", b"tale"))
+            for args in (["report", "tile"], ["report", "tile", "--json"]):
+                done = self.refused(self.call(*args), 65)
+                self.assertIn(f"{path}: its bytes are not those that the run wrote; it is not shown. "
+                              "`gieson verify 1` says what else changed", done)
+            self.assertEqual([f["what"] for f in self.json("verify", "tile", code=1)["findings"]],
+                             [str(path.relative_to(self.store))])
+            self.assertRegex(self.call("verify", "tile").stdout,
+                             rf"^run 1: NOT the same:\n  .*{path.name}: .*not those that the run wrote")
+            path.write_bytes(content)
+        self.assertEqual(self.call("report", "tile", "--json").returncode, 0)
+
+    def test_verify_compares_with_the_lines_of_the_journal(self):
+        self.reported_tile()
+        number, head = (self.store / "audit.head").read_text(encoding="ascii").split()
+        journal = self.folder / "journal"
+        line = "Nov 25 05:00:00 bench gieson-work[7]: audit log: {} events, head {}\n"
+        journal.write_text("Nov 25 05:00:00 bench kernel: hello\n" + line.format(int(number), head),
+                           encoding="utf-8")
+        self.assertTrue(self.json("verify", "--journal", str(journal), "tile")["verified"])
+        journal.write_text(line.format(int(number) + 1, head), encoding="utf-8")
+        done = self.call("verify", "--journal", str(journal), "tile")
+        self.assertEqual(done.returncode, 1)
+        self.assertIn(f"audit log: its newest events are gone: by the journal there were "
+                      f"{int(number) + 1}", done.stdout)
+        self.assertEqual(self.call("scrub", "--quick", "--journal", str(journal)).returncode, 65)
+        journal.write_text("nothing\n", encoding="utf-8")
+        self.assertIn("journalctl -t gieson-work", self.refused(
+            self.call("verify", "--journal", str(journal), "tile"), 65))
 
 
 class Names(Bench):
@@ -809,7 +849,7 @@ class Scrub(Bench):
         lost.unlink()
         done = self.call("scrub")
         self.assertEqual(done.returncode, 65)
-        self.assertRegex(done.stdout, r"^3 objects \(.* MB\) read again, 2 damaged\n$")
+        self.assertRegex(done.stdout, r"(?m)^3 objects \(.* MB\) read again, 2 damaged$")
         self.assertEqual(done.stderr.count("\n"), 2)
         self.assertRegex(done.stderr, r"scan_P0\d\.png of one rests on it: .*its bytes are no "
                          r"longer those that came in; import the original again")
@@ -831,6 +871,51 @@ class Scrub(Bench):
         self.assertEqual(self.diary("scrub"), [("", "4 objects read again, 0 damaged")])
         (self.store / "scrub.json").write_text("{junk", encoding="utf-8")
         self.assertEqual(self.json("scrub")["checked"], 4)
+
+
+class Backup(Bench):
+    """A second copy, and a store from it."""
+
+    def test_a_restored_backup_is_the_same_store_and_verifies(self):
+        self.reported_tile()
+        self.imported("one", panels=3)
+        before = self.call("report", "tile", "--json").stdout
+        there = self.folder / "usb" / "2026-11"
+        told = self.json("backup", str(there))
+        self.assertEqual(told["objects"], 4)
+        again = self.folder / "again"
+        done = self.call("--store", str(again), "restore", str(there), store=False)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn("all read back and the same", done.stdout)
+        for store in (there, again):
+            done = self.call("--store", str(store), "verify", "tile", store=False)
+            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+            self.assertEqual(self.call("--store", str(store), "report", "tile", "--json",
+                                       store=False).stdout, before)
+            self.assertEqual(self.call("--store", str(store), "scrub", store=False).returncode, 0)
+        self.assertEqual(self.json("scrub")["findings"], [])
+
+    def test_nothing_is_written_over(self):
+        self.reported_tile()
+        there = self.folder / "there"
+        there.mkdir()
+        (there / "letter").write_text("dear", encoding="utf-8")
+        self.assertIn(f"{there} is not empty (letter): nothing is ever written over",
+                      self.refused(self.call("backup", str(there)), 65))
+        self.assertEqual(os.listdir(there), ["letter"])
+        self.assertIn("is not empty", self.refused(self.call("restore", str(self.store)), 65))
+        self.refused(self.call("restore", str(there)), 66)
+
+    def test_a_damaged_store_is_not_copied_and_what_is_damaged_is_named(self):
+        self.reported_tile()
+        html = pathlib.Path(self.call("report", "tile").stdout.splitlines()[1])
+        html.write_bytes(html.read_bytes() + b" ")
+        there = self.folder / "there"
+        done = self.call("backup", str(there))
+        self.assertEqual(done.returncode, 65)
+        self.assertRegex(done.stderr, r"damaged: .*report\.html: .*not those that the run wrote")
+        self.assertIn("no backup was made", done.stderr)
+        self.assertFalse((there / "gieson.db").exists())
 
 
 class Disk(Bench):

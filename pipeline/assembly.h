@@ -158,7 +158,7 @@ struct gsn_assembly {
                              tissue was stated; 0: one panel, or one was */
     struct gsn_sequence *sequence; /* owned; what is odd in the order of the sections; NULL: not
                                       looked at, as nothing was measured */
-    char misordered[400]; /* why the order that the job states is not the sections', or empty */
+    char misordered[400];     /* why the order that the job states is not the sections', or empty */
     char not_comparable[240]; /* why the stain could not be normalised though asked, or empty */
 };
 

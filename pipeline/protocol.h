@@ -46,7 +46,7 @@ struct gsn_protocol {
     unsigned panels, rows, columns, sections;
     enum gsn_stated_order order;
     enum gsn_stated_transfer transfer;
-    enum gsn_stated_strain strain; /* what becomes of a section's own stretch */
+    enum gsn_stated_strain strain;             /* what becomes of a section's own stretch */
     enum gsn_stated_registration registration; /* by what the sections are laid */
     unsigned frame_panel, frame_slot; /* the section whose panel's picture is the block frame, both
                                          1-based; 0: not stated, or not by tissue alone */

@@ -25,12 +25,17 @@ struct gsn_section_path {
     size_t count;
     double *unlike; /* count * count */
     double error;   /* of one step in the order as given; 0: not told */
+    size_t *place;  /* count: scratch */
+    double *room;   /* count: scratch */
 };
 
 void gsn_section_path_free(struct gsn_section_path *path)
 {
-    if (path)
-        gsn_free(path->unlike);
+    if (!path)
+        return;
+    gsn_free(path->unlike);
+    gsn_free(path->place);
+    gsn_free(path->room);
     gsn_free(path);
 }
 
@@ -103,11 +108,13 @@ int gsn_section_path_new(const struct gsn_sequence_plane *planes, size_t count, 
     const size_t squares = columns / SQUARE * (rows / SQUARE);
     gsn_auto(gsn_section_path) path = gsn_alloc_array(1, sizeof *path);
     gsn_auto_mem(float) value = gsn_alloc_array(count * squares + 1, sizeof *value);
-    gsn_auto_mem(double) room = gsn_alloc_array(count + 1, sizeof *room);
 
-    if (path)
+    if (path) {
         path->unlike = gsn_alloc_array(count * count + 1, sizeof *path->unlike);
-    if (!path || !path->unlike || !value || !room)
+        path->place = gsn_alloc_array(count + 1, sizeof *path->place);
+        path->room = gsn_alloc_array(count + 1, sizeof *path->room);
+    }
+    if (!path || !path->unlike || !path->place || !path->room || !value)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", count);
     path->count = count;
     for (size_t i = 0; i < count; i++)
@@ -116,7 +123,7 @@ int gsn_section_path_new(const struct gsn_sequence_plane *planes, size_t count, 
         for (size_t j = 0; j < i; j++)
             path->unlike[i * count + j] = path->unlike[j * count + i] =
                 unlike(value + i * squares, value + j * squares, squares);
-    path->error = step_error(path, NULL, room);
+    path->error = step_error(path, NULL, path->room);
     *ret_path = gsn_steal(&path);
     return GSN_OK;
 }
@@ -132,17 +139,13 @@ static int is_step(size_t a, size_t b)
     return a != b && (a > b ? a - b : b - a) <= STEPS;
 }
 
-int gsn_section_path_gain(const struct gsn_section_path *path, const size_t *order,
-                          double *ret_gain, struct gsn_error *err)
+double gsn_section_path_gain(struct gsn_section_path *path, const size_t *order)
 {
     const size_t n = path->count;
-    gsn_auto_mem(size_t) place = gsn_alloc_array(n + 1, sizeof *place);
-    gsn_auto_mem(double) room = gsn_alloc_array(n + 1, sizeof *room);
+    size_t *place = path->place;
     double shorter = 0, error;
     size_t steps = 0;
 
-    if (!place || !room)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of %zu sections", n);
     for (size_t i = 0; i < n; i++)
         place[order[i]] = i;
     for (size_t i = 0; i < n; i++)
@@ -156,7 +159,48 @@ int gsn_section_path_gain(const struct gsn_section_path *path, const size_t *ord
                 steps++;
             }
         }
-    error = fmin(path->error, step_error(path, order, room));
-    *ret_gain = steps > 0 && error > 0 ? shorter / (error * sqrt((double)steps)) : 0;
-    return GSN_OK;
+    error = fmin(path->error, step_error(path, order, path->room));
+    return steps > 0 && error > 0 ? shorter / (error * sqrt((double)steps)) : 0;
+}
+
+/* The mean difference of a plane from those up to so many places around a place, but for i and j
+ * and those that lie around both. ret_count: of how many. */
+static double mean_unlike(const struct gsn_section_path *path, size_t plane, size_t place, size_t i,
+                          size_t j, size_t steps, size_t *ret_count)
+{
+    const size_t first = place > steps ? place - steps : 0, other = place == i ? j : i;
+    double sum = 0;
+    size_t count = 0;
+
+    for (size_t k = first; k <= place + steps && k < path->count; k++) {
+        if (k == i || k == j || (k > other ? k - other : other - k) <= steps)
+            continue;
+        sum += gsn_section_path_unlike(path, plane, k);
+        count++;
+    }
+    *ret_count = count;
+    return count ? sum / (double)count : 0;
+}
+
+static double exchange(const struct gsn_section_path *path, size_t i, size_t j, size_t steps)
+{
+    size_t here, there;
+    const double nearer =
+        mean_unlike(path, i, i, i, j, steps, &here) - mean_unlike(path, i, j, i, j, steps, &there) +
+        mean_unlike(path, j, j, i, j, steps, &there) - mean_unlike(path, j, i, i, j, steps, &here);
+
+    return here > 0 && there > 0 && path->error > 0
+               ? nearer / (path->error * sqrt(2 / (double)here + 2 / (double)there))
+               : 0;
+}
+
+double gsn_section_path_exchange(const struct gsn_section_path *path, size_t i, size_t j)
+{
+    double least = INFINITY;
+
+    if (j == i + 1 && (i == 0 || j + 1 == path->count))
+        return 0;
+    for (size_t steps = 1; steps <= STEPS; steps++)
+        least = fmin(least, exchange(path, i, j, steps));
+    return least;
 }

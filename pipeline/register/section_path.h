@@ -29,9 +29,14 @@ double gsn_section_path_unlike(const struct gsn_section_path *path, size_t i, si
 
 /* By how many standard errors the way through the planes in another order is shorter than as they
  * are given; negative: it is longer. order: count numbers of planes, each once; 0 where they go the
- * same way, or where planes are too few to tell what a step's error is. Fails with GSN_E_NOMEM. */
-int gsn_section_path_gain(const struct gsn_section_path *path, const size_t *order,
-                          double *ret_gain, struct gsn_error *err);
+ * same way, or where planes are too few to tell what a step's error is. */
+double gsn_section_path_gain(struct gsn_section_path *path, const size_t *order);
+
+/* The same of two planes that take each other's places: by how many standard errors each is nearer
+ * to those around the other's place than to those around its own, both together. Neighbours alone
+ * must show it, and neighbours with those two places away: the smaller of the two counts. 0 for the
+ * last two at either end, of which nothing tells which is the last. */
+double gsn_section_path_exchange(const struct gsn_section_path *path, size_t i, size_t j);
 
 #ifdef __cplusplus
 }

@@ -308,42 +308,59 @@ int gsn_section_order_examine(struct gsn_section_planes *planes,
     return GSN_OK;
 }
 
-static void say_held(const struct gsn_sequence_finding *f, char ret_sentence[GSN_POSE_SENTENCE])
+struct section_name {
+    char text[24];
+};
+
+/* As people say it, and `gieson decide` takes it. */
+static struct section_name name_of(unsigned serial, unsigned slots)
 {
-    const unsigned held = f->held[0] ? f->a : f->b, used = f->held[0] ? f->b : f->a;
+    struct section_name name;
+
+    (void)snprintf(name.text, sizeof name.text, "%u.%u", serial / slots + 1, serial % slots + 1);
+    return name;
+}
+
+static void say_held(const struct gsn_sequence_finding *f, unsigned slots,
+                     char ret_sentence[GSN_POSE_SENTENCE])
+{
+    const struct section_name a = name_of(f->a, slots), b = name_of(f->b, slots);
+    const char *held = f->held[0] ? a.text : b.text, *used = f->held[0] ? b.text : a.text;
     char what[200];
 
     if (f->held[0] && f->held[1])
         (void)snprintf(what, sizeof what, "both are held: use one of them at most");
     else
         (void)snprintf(what, sizeof what,
-                       "section %u is held and %u is used: if %u is the one that belongs where it "
-                       "is, %u lies in the place of another",
+                       "section %s is held and %s is used: if %s is the one that belongs where it "
+                       "is, %s lies in the place of another",
                        held, used, held, used);
     (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                   "sections %u and %u look like one section, mounted or scanned twice: the best "
+                   "sections %s and %s look like one section, mounted or scanned twice: the best "
                    "quarter of their texture agrees to %.0f %%, that of neighbours to %.0f %%; %s: "
                    "look at both",
-                   f->a, f->b, 100 * f->evidence, 100 * f->usual, what);
+                   a.text, b.text, 100 * f->evidence, 100 * f->usual, what);
 }
 
-void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
+void gsn_section_order_sentence(const struct gsn_sequence_finding *finding, unsigned slots,
                                 char ret_sentence[GSN_POSE_SENTENCE])
 {
+    const struct section_name a = name_of(finding->a, slots), b = name_of(finding->b, slots);
+
     if (finding->kind == GSN_SEQUENCE_SWAP)
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %u and %u look swapped: from one to the other the tissue changes "
+                       "sections %s and %s look swapped: from one to the other the tissue changes "
                        "against the way it changes around them, by %.1f standard errors where %.1f "
                        "along it are expected; nothing was moved: look at both",
-                       finding->a, finding->b, finding->against, finding->foretold);
+                       a.text, b.text, finding->against, finding->foretold);
     else if (finding->kind == GSN_SEQUENCE_HELD_DUPLICATE)
-        say_held(finding, ret_sentence);
+        say_held(finding, slots, ret_sentence);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %u and %u look like one section, mounted or scanned twice: their "
+                       "sections %s and %s look like one section, mounted or scanned twice: their "
                        "texture agrees to %.0f %%, that of neighbours to %.0f %%; both are used: "
                        "look at them, and hold the one that is not there",
-                       finding->a, finding->b, 100 * finding->evidence, 100 * finding->usual);
+                       a.text, b.text, 100 * finding->evidence, 100 * finding->usual);
 }
 
 int gsn_section_order_blind_to_swaps(const struct gsn_sequence *sequence,

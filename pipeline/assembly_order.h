@@ -25,8 +25,9 @@ int gsn_section_order_examine(struct gsn_section_planes *planes,
                               const struct gsn_protocol *protocol, struct gsn_assembly *a,
                               struct gsn_sequence **ret_sequence, struct gsn_error *err);
 
-/* What a person is asked about one finding. */
-void gsn_section_order_sentence(const struct gsn_sequence_finding *finding,
+/* What a person is asked about one finding; sections are named PANEL.SLOT, with so many slots a
+ * panel. */
+void gsn_section_order_sentence(const struct gsn_sequence_finding *finding, unsigned slots,
                                 char ret_sentence[GSN_POSE_SENTENCE]);
 
 /* What the tissue could not have shown, in words; empty where it shows all that is looked for.

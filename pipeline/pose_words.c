@@ -171,10 +171,10 @@ void gsn_tissue_sentence(const struct gsn_assembly_section *section,
     const struct gsn_tissue_finding *f = &section->finding;
 
     (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                   "section %u (panel %u, slot %u): what looks like its marks lays it %.0f um from "
+                   "section %u.%u: what looks like its marks lays it %.0f um from "
                    "where the tissue of its neighbours does%s; up to %.0f um would be usual here. "
                    "%s: look at it, and say with `gieson decide` if they are its marks",
-                   section->seen.serial, section->panel, section->seen.slot + 1, f->apart,
+                   section->panel, section->seen.slot + 1, f->apart,
                    f->other_face ? ", and with the other face up" : "", f->limit,
                    section->state == GSN_SECTION_HELD
                        ? "The tissue alone does not lay it, so it is held"

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/protocol.h"
 
+#include "pipeline/core/nearest.h"
 #include "pipeline/stain/age.h"
 #include "pipeline/stated_region.h"
 #include "pipeline/stated_value.h"
@@ -8,6 +9,7 @@
 #include <jansson.h>
 #include <math.h>
 #include <string.h>
+#include <strings.h>
 
 /* Limits that only a mistake exceeds. */
 enum { MOST_SLOTS = 400, MOST_SECTIONS = 100000, MOST_PANELS = 10000 };
@@ -237,8 +239,41 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
     return GSN_OK;
 }
 
-/* Keys we do not know are named, not refused: a scanner's own notes must not stop the work, and a
- * misspelt key must not pass unseen. */
+/* What other programs, or other people, call our keys. */
+static const char *meant_by_beginning(const char *key)
+{
+    static const char *const other[][2] = {
+        { "pixel", "px_um" },
+        { "mpp", "px_um" },
+        { "resolution", "px_um" },
+        { "spacing", "interval_um" },
+        { "distance", "interval_um" },
+        { "thickness", "interval_um" },
+        { "roi", "region" },
+        { "mask", "region" },
+        { "control", "baseline" },
+        { "name", "specimen" },
+        { "id", "specimen" },
+        { "note", "comment" },
+        { "grid", "layout" },
+        { "rows", "layout" },
+        { "columns", "layout" },
+        { "marks", "markers_um" },
+        { "fiducial", "markers_um" },
+        { "//", "comment" },
+        { "_", "comment" },
+        { "unit", "spacing_unit" },
+    };
+
+    for (size_t i = 0; i < sizeof other / sizeof other[0]; i++)
+        if (strncasecmp(key, other[i][0], strlen(other[i][0])) == 0)
+            return other[i][1];
+    return NULL;
+}
+
+/* Keys we do not know stop the import (systemd/import_check.c), for a misspelt one must not pass.
+ * Here they are only noted: stores hold jobs of older versions. "comment" and what begins with it
+ * is the operator's. */
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
 {
     static const char *const known[] = {
@@ -247,8 +282,9 @@ static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct g
         "region",    "markers_um",  "baseline",     "transfer", "dyes",          "white",
         "kind",      "thresholds",  "tolerance",    "file",     "reference",     "batch",
         "comment",   "strain",      "stained",      "scanned",  "yellow_to_red", "level",
-        "target_um", "calibration", "registration", "frame"
+        "target_um", "calibration", "registration", "frame",    "spacing_unit"
     };
+    const size_t count = sizeof known / sizeof known[0];
     void *at = json_object_iter((json_t *)(uintptr_t)job);
 
     for (; at; at = json_object_iter_next((json_t *)(uintptr_t)job, at)) {
@@ -256,10 +292,15 @@ static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct g
         size_t i = 0;
         char *more;
 
-        while (i < sizeof known / sizeof known[0] && strcmp(key, known[i]) != 0)
+        while (i < count && strcmp(key, known[i]) != 0)
             i++;
-        if (i < sizeof known / sizeof known[0])
+        if (i < count || strncmp(key, "comment", strlen("comment")) == 0)
             continue;
+        if (!p->unknown) {
+            const char *near = meant_by_beginning(key);
+
+            p->unknown_near = near ? near : gsn_nearest(key, known, count);
+        }
         more =
             gsn_format("%s%s\"%.60s\"", p->unknown ? p->unknown : "", p->unknown ? ", " : "", key);
         if (!more)
@@ -274,12 +315,14 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
 {
     static const char *const orders[] = { "row", "column", "snake", NULL };
     static const char *const kinds[] = { "sections", "volume", "tile", NULL };
-    int order = GSN_STATED_ROW, kind = GSN_KIND_SECTIONS;
+    static const char *const units[] = { "um", "mm", NULL };
+    int order = GSN_STATED_ROW, kind = GSN_KIND_SECTIONS, unit = -1;
     int r;
 
     if ((r = note_unknown_keys(job, p, err)) < 0 || (r = read_names(job, p, err)) < 0 ||
         (r = gsn_stated_word(job, "kind", kinds, &kind, err)) < 0 ||
         (r = gsn_stated_word(job, "order", orders, &order, err)) < 0 ||
+        (r = gsn_stated_word(job, "spacing_unit", units, &unit, err)) < 0 ||
         (r = gsn_stated_number(job, "week", 0, 10000, &p->week, err)) < 0 ||
         (r = gsn_stated_number(job, "px_um", 0.01, 1000, &p->px_um, err)) < 0 ||
         (r = gsn_stated_number(job, "level", 0, 31, &p->level, err)) < 0 ||
@@ -297,6 +340,7 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         return r;
     p->kind = (enum gsn_kind)kind;
     p->order = (enum gsn_stated_order)order;
+    p->spacing_unit = (enum gsn_spacing_unit)(unit + 1);
     r = read_reference(job, p, err);
     if (r >= 0)
         r = read_calibration(job, p, err);
@@ -333,7 +377,13 @@ int gsn_protocol_parse(const char *text, size_t size, struct gsn_protocol **ret_
     p->columns = 4;
     job = json_loadb(text, size, JSON_REJECT_DUPLICATES, &where);
     if (!job)
-        return gsn_fail(err, GSN_E_INPUT, "job.json: line %d: %s", where.line, where.text);
+        return gsn_fail(err, GSN_E_INPUT, "job.json: line %d: %s%s", where.line, where.text,
+                        strstr(where.text, "expected near '}'") ||
+                                strstr(where.text, "unexpected token near ']'")
+                            ? ": is there a comma too many before it?"
+                        : strstr(where.text, "expected near")
+                            ? ": is a comma or a quotation mark missing before it?"
+                            : "");
     r = json_is_object(job) ? read_all(job, p, err)
                             : gsn_fail(err, GSN_E_INPUT, "job.json: not a JSON object");
     json_decref(job);

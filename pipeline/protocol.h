@@ -20,6 +20,7 @@ enum gsn_kind { GSN_KIND_SECTIONS, GSN_KIND_VOLUME, GSN_KIND_TILE };
 enum gsn_stated_order { GSN_STATED_ROW, GSN_STATED_COLUMN, GSN_STATED_SNAKE };
 enum gsn_stated_transfer { GSN_STATED_UNKNOWN, GSN_STATED_LINEAR, GSN_STATED_SRGB };
 enum gsn_stated_dyes { GSN_STATED_DYES_NONE, GSN_STATED_DYES_BUILTIN, GSN_STATED_DYES_ESTIMATE };
+enum gsn_spacing_unit { GSN_SPACING_UNSAID, GSN_SPACING_UM, GSN_SPACING_MM };
 enum gsn_stated_strain {
     GSN_STATED_STRAIN_REPORTED, /* the default */
     GSN_STATED_STRAIN_RIGID,
@@ -69,7 +70,9 @@ struct gsn_protocol {
     enum gsn_stated_dyes dyes;
     int has_white;
     double white[3]; /* tile without blank glass: the light of the empty slide, 0..1 codes */
-    char *unknown;   /* keys that are not ours, quoted and with commas; NULL when there is none */
+    char *unknown; /* keys that are not ours, quoted and with commas; NULL when there is none */
+    const char *unknown_near; /* the key that the first of them was meant to be; NULL: none is near */
+    enum gsn_spacing_unit spacing_unit; /* of volumes and masks whose header states none */
 };
 
 /* gives. Fails with GSN_E_INPUT naming the key and what is allowed; GSN_E_NOMEM. */

@@ -34,8 +34,8 @@ int gsn_stated_number(const json_t *job, const char *key, double low, double hig
         return GSN_OK;
     if (!json_is_number(value) || !(json_number_value(value) >= low) ||
         !(json_number_value(value) <= high))
-        return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be a number from %g to %g", key,
-                        low, high);
+        return gsn_fail(err, GSN_E_INPUT, "job.json: \"%s\" must be a number from %g to %g%s", key,
+                        low, high, strstr(key, "_um") ? " micrometres" : "");
     *number = json_number_value(value);
     return GSN_OK;
 }

@@ -117,29 +117,32 @@ static const char *reason_of(struct gsn_draft *d, const struct gsn_assembly_sect
 
 /* ---- what is left out, summed up by reason ------------------------------------------------- */
 
-/* "12 to 23, 40": the serial numbers of sections that share the reason of section first. */
-static const char *list_serials(const struct gsn_assembly *a, const char *const *reason,
-                                size_t first, size_t *ret_count, struct gsn_draft *d)
+/* "2.1 to 2.12, 4.5": the sections that share the reason of section first. */
+static const char *list_sections(const struct gsn_assembly *a, const char *const *reason,
+                                 size_t first, size_t *ret_count, struct gsn_draft *d)
 {
+    const struct gsn_assembly_section *from = NULL, *to = NULL;
     char list[300] = "";
     size_t count = 0, used = 0;
-    unsigned from = 0, to = 0;
 
     for (size_t i = first; i <= a->section_count; i++) {
         const int same =
             i < a->section_count && reason[i] && gsn_draft_same_reason(reason[i], reason[first]);
-        const unsigned serial = same ? a->section[i].seen.serial : 0;
+        const struct gsn_assembly_section *s = same ? &a->section[i] : NULL;
+        const int goes_on = s && to && s->seen.serial == to->seen.serial + 1;
 
         if (i < a->section_count && !same)
             continue;
-        if (count > 0 && (!same || serial > to + 1) && used + 24 < sizeof list)
-            used += (size_t)(to > from ? snprintf(list + used, sizeof list - used, "%s%u to %u",
-                                                  used ? ", " : "", from, to)
-                                       : snprintf(list + used, sizeof list - used, "%s%u",
-                                                  used ? ", " : "", from));
-        if (count == 0 || serial > to + 1)
-            from = serial;
-        to = serial;
+        if (count > 0 && !goes_on && used + 40 < sizeof list) {
+            used += (size_t)snprintf(list + used, sizeof list - used, "%s%u.%u", used ? ", " : "",
+                                     from->panel, from->seen.slot + 1);
+            if (to != from)
+                used += (size_t)snprintf(list + used, sizeof list - used, " to %u.%u", to->panel,
+                                         to->seen.slot + 1);
+        }
+        if (!goes_on)
+            from = s;
+        to = s;
         count += (size_t)same;
     }
     *ret_count = count;
@@ -167,10 +170,9 @@ static void exclude_sections(const struct gsn_assembly *a, struct gsn_draft *d)
                 reason[i] = NULL;
         if (!reason[i])
             continue;
-        list = list_serials(a, reason, i, &count, d);
+        list = list_sections(a, reason, i, &count, d);
         exclude(d,
-                count == 1 ? gsn_draft_say(d, "section %u (panel %u, slot %u)", s->seen.serial,
-                                           s->panel, s->seen.slot + 1)
+                count == 1 ? gsn_draft_say(d, "section %u.%u", s->panel, s->seen.slot + 1)
                            : gsn_draft_say(d, "%zu sections: %s", count, list),
                 reason[i]);
     }
@@ -197,11 +199,10 @@ static void exclude_masked(const struct gsn_assembly *a, struct gsn_draft *d)
         if (!worst)
             continue;
         exclude(d,
-                gsn_draft_say(d,
-                              "%.3g mm2 in %zu section%s; most of the region in section %u (panel "
-                              "%u, slot %u): %.1f %%",
-                              1e-6 * area_um2, count, count == 1 ? "" : "s", worst->seen.serial,
-                              worst->panel, worst->seen.slot + 1, 100 * worst->region_by[bit]),
+                gsn_draft_say(
+                    d, "%.3g mm2 in %zu section%s; most of the region in section %u.%u: %.1f %%",
+                    1e-6 * area_um2, count, count == 1 ? "" : "s", worst->panel,
+                    worst->seen.slot + 1, 100 * worst->region_by[bit]),
                 gsn_draft_say(d, "%s: %s", gsn_defect_word(bit), gsn_defect_reason(bit)));
     }
 }
@@ -385,12 +386,15 @@ static void fill_conditions(const struct gsn_evidence *e, struct gsn_draft *d)
 /* Sentences; the sections themselves are flagged whatever their number. */
 enum { MOST_OUT_OF_ORDER = 16 };
 
-static void fill_order(const struct gsn_assembly *a, struct gsn_draft *d)
+static void fill_order(const struct gsn_evidence *e, struct gsn_draft *d)
 {
+    const struct gsn_assembly *a = e->assembly;
     char sentence[GSN_POSE_SENTENCE];
 
     for (size_t i = 0; a->sequence && i < a->sequence->count && i < MOST_OUT_OF_ORDER; i++) {
-        gsn_section_order_sentence(&a->sequence->finding[i], sentence);
+        gsn_section_order_sentence(&a->sequence->finding[i],
+                                   e->specimen->protocol->rows * e->specimen->protocol->columns,
+                                   sentence);
         gsn_draft_warn(d, gsn_draft_say(d, "%s", sentence));
     }
 }
@@ -400,7 +404,7 @@ void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d)
     fill_sections(e, d);
     fill_panels(e, d);
     fill_conditions(e, d);
-    fill_order(e->assembly, d);
+    fill_order(e, d);
     if (e->assembly->solved)
         fill_registration(e->assembly, e->specimen->protocol, d);
     else

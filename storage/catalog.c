@@ -31,7 +31,7 @@ SQL_DEFINE_ROWS(specimen);
 static int not_found_means(int r, struct gsn_error *err, const char *name)
 {
     if (r == GSN_E_NOTFOUND)
-        return gsn_fail(err, r, "there is no specimen %s", name);
+        return gsn_fail(err, r, "there is no specimen %s: `gieson status` lists them", name);
     return r;
 }
 

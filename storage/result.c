@@ -205,8 +205,8 @@ int gsn_run_latest(struct gsn_store *store, int64_t specimen_id, const char *sta
                           SQL_ARGS(SQL_INT(specimen_id), SQL_TEXT(state)), ret_run, err);
 
     if (r == GSN_E_NOTFOUND)
-        return gsn_fail(err, r, "specimen %lld has no %s run", (long long)specimen_id,
-                        state ? state : "");
+        return gsn_fail(err, r, "specimen %lld has no %s run yet: `gieson run` makes one",
+                        (long long)specimen_id, state && state[0] ? state : "finished");
     return r;
 }
 

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "systemd/config_parts.h"
 
+#include "pipeline/core/nearest.h"
+
 #include <stdbool.h>
 #include <string.h>
 
@@ -68,6 +70,29 @@ static bool blame_settings(struct gsn_config_reading *reading,
     return blamed;
 }
 
+/* Names the line of every key that is one slip away from one of ours. A kind's own keys are not
+ * judged: without an address nobody knows the kind. True when there was one. */
+static bool blame_spelling(struct gsn_config_reading *reading,
+                           const struct gsn_config_source *source)
+{
+    static const char *const ours[] = { "Address",   "Specimen", "SettleMs",
+                                        "PatienceS", "SweepS",   "DeleteAfterCopy" };
+    bool blamed = false;
+
+    for (size_t i = 0; i < source->setting_count; i++) {
+        const char *const key = source->setting[i].key;
+        const char *const near = gsn_nearest(key, ours, sizeof ours / sizeof ours[0]);
+        const struct gsn_config_line *const line = line_of(reading, source, key);
+
+        if (!near || !line)
+            continue;
+        gsn_config_mistake(&reading->lines, line->file, line->number,
+                           "%s: there is no such key: did you mean %s?", key, near);
+        blamed |= strcmp(near, "Address") == 0;
+    }
+    return blamed;
+}
+
 void gsn_config_judge_source(struct gsn_config_reading *reading, size_t i)
 {
     struct gsn_config_source *const source = &reading->config->source[i];
@@ -78,6 +103,8 @@ void gsn_config_judge_source(struct gsn_config_reading *reading, size_t i)
         source->sweep_s =
             gsn_source_subsystem(source->address) ? DEVICE_SWEEP_S : GSN_FOLDER_SWEEP_S;
     if (!seen->address) {
+        if (blame_spelling(reading, source))
+            return;
         gsn_config_mistake(&reading->lines, seen->heading->file, seen->heading->number,
                            "[source %s] has no Address", source->name);
         return;

@@ -33,6 +33,7 @@ enum {
     OPT_REFERENCE,
     OPT_SPECIMEN,
     OPT_THRESHOLD,
+    OPT_SPACING_UNIT,
     OPT_REPLACE,
     OPT_SERVED,
     OPT_MINUTES,
@@ -59,6 +60,8 @@ static const struct argp_option options[] = {
     { "specimen", OPT_SPECIMEN, "NAME", 0, "import --volume, --tile: its name", 1 },
     { "threshold", OPT_THRESHOLD, "X", 0, "import --volume, --tile: may be given up to 8 times",
       1 },
+    { "spacing-unit", OPT_SPACING_UNIT, "UNIT", 0,
+      "import --volume: mm or um, where its header does not say", 1 },
     { "minutes", OPT_MINUTES, "N", 0, "scrub: stop after so long; the next one goes on there", 1 },
     { "quick", OPT_QUICK, NULL, 0, "scrub: all but the bytes of the originals", 1 },
     { "journal", OPT_JOURNAL, "FILE", 0,
@@ -137,6 +140,11 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_SPECIMEN:
         request->specimen = arg;
+        return 0;
+    case OPT_SPACING_UNIT:
+        if (strcmp(arg, "mm") != 0 && strcmp(arg, "um") != 0)
+            argp_error(state, "--spacing-unit must be mm or um, not \"%s\"", arg);
+        request->spacing_unit = arg;
         return 0;
     case OPT_MARKS:
         request->marks = arg;

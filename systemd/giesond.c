@@ -8,6 +8,9 @@
  *
  * SIGHUP: reads the configuration again. SIGTERM: ends what it started, then itself. */
 #include "systemd/config.h"
+
+#include "pipeline/core/mem.h"
+#include "pipeline/core/printable.h"
 #include "systemd/daemon.h"
 #include "systemd/status_text.h"
 
@@ -17,6 +20,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sysexits.h>
+#include <unistd.h>
 
 const char *argp_program_version = "giesond " GSN_VERSION;
 
@@ -78,8 +82,12 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
 
 static void print_mistake(void *context, const char *sentence)
 {
+    gsn_auto_mem(char) text = gsn_strdup(sentence);
+
     (void)context;
-    (void)fprintf(stderr, "%s\n", sentence);
+    if (text)
+        gsn_printable(text);
+    (void)fprintf(stderr, "%s\n", text ? text : "out of memory");
 }
 
 static int check_config(const char *file)
@@ -87,8 +95,15 @@ static int check_config(const char *file)
     const struct gsn_config_ear ear = { .say = print_mistake };
     gsn_auto(gsn_config) config = NULL;
     struct gsn_error err = { 0 };
-    const int r = gsn_config_read(file, &ear, &config, &err);
+    int r;
 
+    /* The service runs without a file; who names one means it. */
+    if (strcmp(file, GSN_CONFIG_FILE) != 0 && access(file, F_OK) < 0) {
+        (void)gsn_fail(&err, GSN_E_NOTFOUND, "there is no %s", file);
+        print_mistake(NULL, err.text);
+        return EX_NOINPUT;
+    }
+    r = gsn_config_read(file, &ear, &config, &err);
     if (r == GSN_E_INPUT)
         return EX_CONFIG;
     if (r < 0) {

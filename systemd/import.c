@@ -65,6 +65,8 @@ static int take_everything(struct gsn_import_work *in, const struct gsn_protocol
 
     in->protocol = protocol;
     if (r >= 0)
+        r = gsn_import_check_job(in->import, protocol, err);
+    if (r >= 0)
         r = put_specimen(in, protocol, text, err);
     if (r >= 0 && in->import->replace)
         r = ask_again(in, err);
@@ -76,7 +78,7 @@ static int take_everything(struct gsn_import_work *in, const struct gsn_protocol
         r = gsn_import_forget_left(in, err);
     if (r >= 0)
         r = ask_for_report(in, err);
-    return r;
+    return r >= 0 ? gsn_import_tell_job(in, err) : r;
 }
 
 static void work_done(struct gsn_import_work *in)

@@ -29,6 +29,14 @@ int gsn_import_leave_out(struct gsn_import_work *in, const char *name, const cha
 /* Ends the trouble of what was left out once and is taken now or gone. Fails as the store does. */
 int gsn_import_forget_left(struct gsn_import_work *in, struct gsn_error *err);
 
+/* import_check.c: what can be told before anything is written. */
+
+/* Keys, units and plausible lengths. Fails with GSN_E_INPUT, and as reading a header does. */
+int gsn_import_check_job(const struct gsn_import *import, const struct gsn_protocol *protocol,
+                         struct gsn_error *err);
+/* What will be withheld, and which panels are missing, as notices. Fails as the store does. */
+int gsn_import_tell_job(const struct gsn_import_work *in, struct gsn_error *err);
+
 /* import_files.c: the files that the job names. */
 
 /* Before anything is written: a job that must be corrected leaves no specimen of its name. Fails

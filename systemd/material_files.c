@@ -63,18 +63,19 @@ static void sweep(const struct gsn_material *m, const char *folder)
 static int read_volumes(struct gsn_material *m, const char *folder, struct gsn_error *err)
 {
     const struct gsn_protocol *p = m->protocol;
+    const double unit_um = p->spacing_unit == GSN_SPACING_MM ? 1000 : 1;
     int r = GSN_OK;
 
     if (p->region.file) {
         gsn_auto_mem(char) path = gsn_format("%s/%s", folder, p->region.file);
 
-        r = path ? gsn_volume_read_mask(path, MOST_VOLUME_BYTES, &m->region, err)
+        r = path ? gsn_volume_read_mask(path, MOST_VOLUME_BYTES, unit_um, &m->region, err)
                  : gsn_fail(err, GSN_E_NOMEM, "out of memory");
     }
     if (r >= 0 && p->kind == GSN_KIND_VOLUME) {
         gsn_auto_mem(char) path = gsn_format("%s/%s", folder, p->file);
 
-        r = path ? gsn_volume_read_grid(path, MOST_VOLUME_BYTES, &m->volume, err)
+        r = path ? gsn_volume_read_grid(path, MOST_VOLUME_BYTES, unit_um, &m->volume, err)
                  : gsn_fail(err, GSN_E_NOMEM, "out of memory");
     }
     return r;

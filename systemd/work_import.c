@@ -8,33 +8,23 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <sysexits.h>
+#include <unistd.h>
 
 static void say_notice(void *context, const char *name, const char *sentence)
 {
     (void)context;
-    (void)fprintf(stderr, "gieson: %s: %s\n", name, sentence);
-}
-
-/* A name that is no UTF-8 keeps its ASCII. gives. */
-static json_t *json_text(const char *text)
-{
-    json_t *const whole = json_string(text);
-    gsn_auto_mem(char) plain = whole ? NULL : gsn_strdup(text);
-
-    for (char *at = plain; at && *at; at++)
-        if ((unsigned char)*at >= 0x80)
-            *at = '?';
-    return whole ? whole : json_string(plain ? plain : "");
+    gsn_work_say(stderr, "gieson: %s: %s\n", name, sentence);
 }
 
 /* Says it, and keeps it for --json. */
 static void say_left_out(void *context, const char *name, const char *reason, const char *action)
 {
-    (void)fprintf(stderr, "gieson: %s: not taken: it %s; next: %s\n", name, reason, action);
+    gsn_work_say(stderr, "gieson: %s: not taken: it %s; next: %s\n", name, reason, action);
     (void)json_array_append_new(context,
-                                json_pack("{s:o, s:o, s:o}", "name", json_text(name), "reason",
-                                          json_text(reason), "action", json_text(action)));
+                                json_pack("{s:o, s:o, s:o}", "name", gsn_work_text(name), "reason",
+                                          gsn_work_text(reason), "action", gsn_work_text(action)));
 }
 
 static const char *base_name(const char *path)
@@ -57,6 +47,8 @@ static char *job_for_file(const struct gsn_work_request *request, const char *fi
 
     if (request->thresholds)
         (void)json_object_set(job, "thresholds", request->thresholds);
+    if (request->volume && request->spacing_unit)
+        (void)json_object_set_new(job, "spacing_unit", json_string(request->spacing_unit));
     if (request->tile && request->reference)
         (void)json_object_set_new(job, "reference", json_string(base_name(request->reference)));
     dumped = json_dumps(job, JSON_INDENT(2) | JSON_REAL_PRECISION(9));
@@ -64,6 +56,17 @@ static char *job_for_file(const struct gsn_work_request *request, const char *fi
     free(dumped); /* door */
     json_decref(job);
     return text;
+}
+
+/* The command is there to be copied, so it names a store that the environment does not. */
+static void tell_run(const char *store_dir)
+{
+    const char *usual = getenv("GIESON_STORE");
+    const int is_usual =
+        (usual && strcmp(usual, store_dir) == 0) || strcmp(store_dir, "/var/lib/gieson") == 0;
+
+    gsn_work_say(stdout, " `gieson%s%s run` works the queue\n", is_usual ? "" : " --store ",
+                 is_usual ? "" : store_dir);
 }
 
 static void print_import(const struct gsn_work_request *request, const char *specimen,
@@ -80,17 +83,25 @@ static void print_import(const struct gsn_work_request *request, const char *spe
         json_decref(root);
         return;
     }
-    (void)printf("%s:", specimen);
+    gsn_work_say(stdout, "%s:", specimen);
     if (counts->taken || counts->again || !counts->attached)
-        (void)printf(" %u panel%s taken,", counts->taken, counts->taken == 1 ? "" : "s");
+        gsn_work_say(stdout, " %u panel%s taken,", counts->taken, counts->taken == 1 ? "" : "s");
     if (counts->again)
-        (void)printf(" %u here already,", counts->again);
+        gsn_work_say(stdout, " %u here already,", counts->again);
     if (counts->attached)
-        (void)printf(" %u file%s that the job names,", counts->attached,
+        gsn_work_say(stdout, " %u file%s that the job names,", counts->attached,
                      counts->attached == 1 ? "" : "s");
     if (counts->left_out)
-        (void)printf(" %u file%s left out,", counts->left_out, counts->left_out == 1 ? "" : "s");
-    (void)printf(" `gieson run` works the queue\n");
+        gsn_work_say(stdout, " %u file%s left out,", counts->left_out,
+                     counts->left_out == 1 ? "" : "s");
+    tell_run(request->store_dir);
+}
+
+static int is_file(const char *path)
+{
+    struct stat what;
+
+    return stat(path, &what) == 0 && S_ISREG(what.st_mode);
 }
 
 int gsn_work_import(const struct gsn_work_request *request)
@@ -123,6 +134,17 @@ int gsn_work_import(const struct gsn_work_request *request)
     }
     if (!folder || (file && !job))
         return gsn_work_usage("out of memory");
+    if (file && access(file, F_OK) < 0) {
+        (void)gsn_fail(&err, GSN_E_NOTFOUND, "there is no file %s", file);
+        return gsn_work_complain(&err, GSN_E_NOTFOUND);
+    }
+    if (!file && is_file(folder)) {
+        (void)gsn_fail(&err, GSN_E_INPUT,
+                       "%s is a file: import the folder that it lies in, with its job.json, or say "
+                       "`gieson import --tile %s`",
+                       folder, folder);
+        return gsn_work_complain(&err, GSN_E_INPUT);
+    }
     r = gsn_store_open(request->store_dir, GSN_STORE_CREATE, &store, &err);
     if (r < 0)
         return gsn_work_complain(&err, r);

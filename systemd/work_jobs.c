@@ -64,8 +64,8 @@ static int job_options(const struct gsn_work_request *request, struct helpers *h
 static void say_walls(void)
 {
     if (gsn_sandbox_landlock() == 0)
-        (void)fprintf(stderr, "gieson: this kernel has no Landlock: decoder and mesher are held by "
-                              "their list of system calls alone\n");
+        gsn_work_say(stderr, "gieson: this kernel has no Landlock: decoder and mesher are held by "
+                             "their list of system calls alone\n");
 }
 
 int gsn_work_next(const struct gsn_work_request *request)
@@ -150,11 +150,12 @@ static int print_verdict(const struct gsn_work_request *request, const struct gs
         (void)putchar('\n');
         json_decref(root);
     } else if (same) {
-        (void)printf("run %lld: verified: the originals give report.json %.16s... and report.html "
+        gsn_work_say(stdout,
+                     "run %lld: verified: the originals give report.json %.16s... and report.html "
                      "byte for byte, the files are those, the audit log of %lld events is whole\n",
                      (long long)v->run, v->is, (long long)v->events);
     } else {
-        (void)printf("run %lld: NOT the same:\n", (long long)v->run);
+        gsn_work_say(stdout, "run %lld: NOT the same:\n", (long long)v->run);
         print_findings(findings);
     }
     return same ? EX_OK : 1;

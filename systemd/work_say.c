@@ -2,19 +2,40 @@
 #include "systemd/work_verbs.h"
 
 #include "pipeline/core/mem.h"
+#include "pipeline/core/printable.h"
 
+#include <stdarg.h>
 #include <stdio.h>
 #include <sysexits.h>
 
+void gsn_work_say(FILE *to, const char *format, ...)
+{
+    gsn_auto_mem(char) text = NULL;
+    va_list args, again;
+    int length;
+
+    va_start(args, format);
+    va_copy(again, args);
+    length = vsnprintf(NULL, 0, format, args);
+    text = length < 0 ? NULL : gsn_alloc_array((size_t)length + 1, 1);
+    if (text)
+        (void)vsnprintf(text, (size_t)length + 1, format, again);
+    va_end(again);
+    va_end(args);
+    if (text)
+        gsn_printable(text);
+    (void)fputs(text ? text : "out of memory\n", to);
+}
+
 int gsn_work_complain(const struct gsn_error *err, int code)
 {
-    (void)fprintf(stderr, "gieson: %s\n", err->text);
+    gsn_work_say(stderr, "gieson: %s\n", err->text);
     return gsn_code_exit(code);
 }
 
 int gsn_work_usage(const char *sentence)
 {
-    (void)fprintf(stderr, "gieson: %s\n", sentence);
+    gsn_work_say(stderr, "gieson: %s\n", sentence);
     return EX_USAGE;
 }
 

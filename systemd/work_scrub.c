@@ -20,7 +20,7 @@ static void say_damaged(void *context, const char *sha256, const char *sentence)
 {
     const struct told *const told = context;
 
-    (void)fprintf(stderr, "gieson: damaged: %s\n", sentence);
+    gsn_work_say(stderr, "gieson: damaged: %s\n", sentence);
     (void)json_array_append_new(told->damaged, json_pack("{s:s, s:o}", "sha256", sha256, "message",
                                                          gsn_work_text(sentence)));
 }
@@ -29,7 +29,7 @@ static void say_found(void *context, const char *what, const char *sentence)
 {
     const struct told *const told = context;
 
-    (void)fprintf(stderr, "gieson: damaged: %s: %s\n", what, sentence);
+    gsn_work_say(stderr, "gieson: damaged: %s: %s\n", what, sentence);
     (void)json_array_append_new(told->findings, json_pack("{s:o, s:o}", "what", gsn_work_text(what),
                                                           "message", gsn_work_text(sentence)));
 }
@@ -49,11 +49,12 @@ static void print_scrub(const struct gsn_work_request *request, const struct gsn
         json_decref(root);
         return;
     }
-    (void)printf("database, reports and an audit log of %lld events looked over, %lld findings\n",
+    gsn_work_say(stdout,
+                 "database, reports and an audit log of %lld events looked over, %lld findings\n",
                  (long long)c->events, (long long)c->findings);
     if (!request->quick)
-        (void)printf("%lld objects (%.1f MB) read again, %lld damaged%s\n", (long long)c->checked,
-                     1e-6 * (double)c->bytes, (long long)c->damaged,
+        gsn_work_say(stdout, "%lld objects (%.1f MB) read again, %lld damaged%s\n",
+                     (long long)c->checked, 1e-6 * (double)c->bytes, (long long)c->damaged,
                      c->complete ? "" : "; the next `gieson scrub` goes on from here");
 }
 

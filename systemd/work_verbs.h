@@ -8,6 +8,7 @@
 #include "pipeline/core/error.h"
 
 #include <jansson.h>
+#include <stdio.h>
 
 /* The command line; what was not said is 0 or NULL. */
 struct gsn_work_request {
@@ -15,7 +16,8 @@ struct gsn_work_request {
     char **rest;
     int rest_count, json, replace, served, by_tissue, quick;
     unsigned threads, minutes;
-    const char *volume, *tile, *reference, *specimen, *marks, *px_um, *radius, *journal;
+    const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
+        *journal;
     json_t *thresholds;
 };
 
@@ -31,6 +33,8 @@ int gsn_work_restore(const struct gsn_work_request *request);
 int gsn_work_check(const struct gsn_work_request *request);
 int gsn_work_register(const struct gsn_work_request *request);
 
+/* To a terminal or a file, without what moves a cursor. */
+void gsn_work_say(FILE *to, const char *format, ...) __attribute__((format(printf, 2, 3)));
 /* Says what failed; returns its exit status. */
 int gsn_work_complain(const struct gsn_error *err, int code);
 /* Says what was asked wrongly; returns EX_USAGE. */

@@ -139,10 +139,11 @@ static void add_doubts(struct gsn_board_maker *maker, const struct gsn_doubt_row
         return;
     gsn_board_set(maker, &line->key, gsn_format("doubt %lld", (long long)specimen->id));
     gsn_board_set(maker, &line->name,
-                  count == 1 ? gsn_format("section %lld", (long long)first->serial - 1)
+                  count == 1 ? gsn_format("section %lld.%lld", (long long)first->panel,
+                                          (long long)first->slot)
                              : gsn_format("%zu sections", count));
     gsn_board_set(maker, &line->detail,
-                  gsn_format("%lld poses to choose from in panel %lld, slot %lld",
+                  gsn_format("%lld poses to choose from for section %lld.%lld",
                              (long long)first->candidates, (long long)first->panel,
                              (long long)first->slot));
     gsn_board_set(

@@ -123,8 +123,8 @@ int gsn_cmd_demo(const struct gsn_ui *given, int argc, char **argv)
     char *run_argv[] = { run, NULL };
     int status;
 
-    if (argc > 2)
-        return gsn_ui_usage("demo takes one folder or none");
+    if (argc > 2 || folder[0] == '-')
+        return gsn_ui_usage("demo takes one folder or none, not \"%s\"", argv[argc > 2 ? 2 : 1]);
     if (!dir)
         return EX_OSERR;
     if (!ui.store_dir)

@@ -16,6 +16,7 @@
 
 enum {
     LOOK_EVERY_MS = 100,
+    MOST_THREADS = 64,
     FRUITLESS_STARTS = 8, /* workers that ended without touching the queue: something is broken */
 };
 
@@ -135,8 +136,12 @@ int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const ch
             return EX_OK;
         if (status == EX_TEMPFAIL)
             gsn_ui_pause_ms(LOOK_EVERY_MS); /* another worker has it */
+        else if (attempts(store) != before)
+            fruitless = 0;
+        else if (status == EX_USAGE || status == EX_IOERR || status == EX_NOPERM)
+            return status; /* it has said why, and would say it again */
         else
-            fruitless = attempts(store) == before ? fruitless + 1 : 0;
+            fruitless++;
     }
     return gsn_ui_fail(EX_UNAVAILABLE, "workers end without taking a job: look at the lines above");
 }
@@ -148,7 +153,7 @@ void gsn_ui_print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *ro
         gsn_format("%s: %s%s%s%s%s", row->name, row->state, loss && loss[0] ? ", loss " : "",
                    loss ? loss : "", row->detail ? ": " : "", row->detail ? row->detail : "");
 
-    gsn_text_wrap(stdout, 0, ui->width, line ? line : row->name);
+    gsn_ui_wrap(ui, 0, line ? line : row->name);
 }
 
 static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
@@ -156,7 +161,7 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
     gsn_auto(gsn_snapshot) snapshot = NULL;
     struct gsn_error err = { 0 };
     const int r = gsn_snapshot_take(store, &snapshot, &err);
-    int failed = 0;
+    size_t failed = 0, withheld = 0;
 
     if (r < 0)
         return gsn_ui_complain(&err, r);
@@ -164,15 +169,17 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
         const struct gsn_snapshot_row *row = &snapshot->at[i];
 
         failed += strcmp(row->state, "failed") == 0;
+        withheld += strcmp(row->state, "withheld") == 0;
         if (ui->json)
             continue;
         gsn_ui_print_end(ui, row);
     }
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:I, s:I, s:I}", "done", (json_int_t)snapshot->jobs.done,
-                                    "failed", (json_int_t)snapshot->jobs.failed, "waiting",
-                                    (json_int_t)snapshot->jobs.waiting));
-    return failed ? EX_DATAERR : EX_OK;
+        gsn_ui_print_json(json_pack(
+            "{s:I, s:I, s:I, s:I, s:I}", "done", (json_int_t)snapshot->jobs.done, "failed",
+            (json_int_t)snapshot->jobs.failed, "waiting", (json_int_t)snapshot->jobs.waiting,
+            "specimens", (json_int_t)snapshot->count, "withheld", (json_int_t)withheld));
+    return failed || (withheld && withheld == snapshot->count) ? EX_DATAERR : EX_OK;
 }
 
 int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args[4])
@@ -180,8 +187,13 @@ int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args
     int n = 0;
 
     for (int i = 1; i < argc; i++) {
-        if (strcmp(argv[i], "--threads") != 0 || i + 1 == argc || n > 0)
+        int64_t threads;
+
+        if (strcmp(argv[i], "--threads") != 0 || n > 0)
             return gsn_ui_usage("%s takes only --threads N, not \"%s\"", verb, argv[i]);
+        if (i + 1 == argc || !gsn_ui_whole(argv[i + 1], 0, MOST_THREADS, &threads))
+            return gsn_ui_usage("--threads must be a whole number from 0 to %d, not \"%s\"",
+                                (int)MOST_THREADS, i + 1 == argc ? "" : argv[i + 1]);
         ret_args[n++] = argv[i++];
         ret_args[n++] = argv[i];
     }
@@ -228,7 +240,7 @@ int gsn_cmd_retry(const struct gsn_ui *ui, int argc, char **argv)
     if (ui->json)
         gsn_ui_print_json(json_pack("{s:I}", "waiting_again", (json_int_t)count));
     else
-        (void)printf("%zu job%s again; `gieson run` works them\n", count,
-                     count == 1 ? " waits" : "s wait");
+        gsn_ui_say(ui, "%zu job%s again; `gieson run` works them", count,
+                   count == 1 ? " waits" : "s wait");
     return EX_OK;
 }

@@ -17,14 +17,17 @@ enum { REST_OF_ROW = 49, NAME_LEAST = 10, NAME_MOST = 40, NEXT_GAP = 2 };
  * is there to be copied. */
 static void print_next(const struct gsn_ui *ui, const struct gsn_snapshot_row *row, int used)
 {
-    if (row->action && used + NEXT_GAP + gsn_text_columns(row->action) <= ui->width)
-        gsn_text_line(stdout, "%*s%s", NEXT_GAP, "", row->action);
+    gsn_auto_mem(char) action = row->action ? gsn_ui_advice(ui, row->action) : NULL;
+    const int fits = action && used + NEXT_GAP + gsn_text_columns(action) <= ui->width;
+
+    if (fits)
+        gsn_text_line(stdout, "%*s%s", NEXT_GAP, "", action);
     else
         (void)putchar('\n');
     if (row->detail)
-        gsn_text_wrap(stdout, 4, ui->width, row->detail);
-    if (row->action && used + NEXT_GAP + gsn_text_columns(row->action) > ui->width)
-        gsn_text_line(stdout, "    next: %s", row->action);
+        gsn_ui_wrap(ui, 4, row->detail);
+    if (action && !fits)
+        gsn_text_line(stdout, "    next: %s", action);
 }
 
 static void print_row(const struct gsn_ui *ui, const struct gsn_snapshot_row *row, int name_width)
@@ -61,10 +64,12 @@ static void print_block(const struct gsn_ui *ui, const struct gsn_snapshot_row *
         gsn_text_wrap(stdout, 4, ui->width, facts ? facts : "");
     if (loss && loss[0])
         (void)printf("    loss %s\n", loss);
+    gsn_auto_mem(char) action = row->action ? gsn_ui_advice(ui, row->action) : NULL;
+
     if (row->detail)
-        gsn_text_wrap(stdout, 4, ui->width, row->detail);
-    if (row->action)
-        gsn_text_line(stdout, "    next: %s", row->action);
+        gsn_ui_wrap(ui, 4, row->detail);
+    if (action)
+        gsn_text_line(stdout, "    next: %s", action);
 }
 
 /* The longest name as far as the terminal has room; 0 where the table does not fit at all. */
@@ -105,8 +110,10 @@ static void print_need(const struct gsn_ui *ui, const char *state, const char *n
     (void)printf("%s%s %s%s ", ui->colour ? gsn_hue_ansi(look->hue) : "", look->symbol, state,
                  ui->colour ? "\033[0m" : "");
     gsn_text_line(stdout, "%s from %s", name, source);
-    gsn_text_wrap(stdout, 4, ui->width, reason);
-    gsn_text_line(stdout, "    next: %s", action);
+    gsn_auto_mem(char) advice = gsn_ui_advice(ui, action);
+
+    gsn_ui_wrap(ui, 4, reason);
+    gsn_text_line(stdout, "    next: %s", advice ? advice : action);
 }
 
 static void print_bench(const struct gsn_ui *ui, const struct gsn_snapshot *snapshot)
@@ -116,7 +123,7 @@ static void print_bench(const struct gsn_ui *ui, const struct gsn_snapshot *snap
     gsn_auto_mem(char) service = gsn_board_service(snapshot);
 
     if (snapshot->sources->count > 0 || snapshot->unsettled > 0)
-        gsn_text_wrap(stdout, 0, ui->width, service ? service : "");
+        gsn_ui_wrap(ui, 0, service ? service : "");
     for (size_t i = 0; i < snapshot->sources->count; i++)
         print_source(ui, &snapshot->sources->at[i]);
     for (size_t i = 0; i < troubles->count; i++)
@@ -141,7 +148,7 @@ static void print_table(const struct gsn_ui *ui, const struct gsn_snapshot *snap
     gsn_text_wrap(stdout, 0, ui->width, queue ? queue : "");
     print_bench(ui, snapshot);
     if (snapshot->count == 0)
-        gsn_text_wrap(stdout, 0, ui->width, "no specimen yet: `gieson import FOLDER` takes one in");
+        gsn_ui_wrap(ui, 0, "no specimen yet: `gieson import FOLDER` takes one in");
     else if (name_width > 0)
         (void)printf("  %-*s %-8s %7s %9s %-9s %9s%s\n", name_width, "SPECIMEN", "GROUP", "PANELS",
                      "SECTIONS", "STATE", "LOSS",

@@ -50,20 +50,12 @@ int gsn_cmd_restore(const struct gsn_ui *ui, int argc, char **argv)
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
-int gsn_cmd_check(const struct gsn_ui *ui, int argc, char **argv)
-{
-    if (argc < 2)
-        return gsn_ui_usage("check which files? Say `gieson check FILE...`");
-    return pass_on(ui, "gieson-work", 0, argc, argv, 0);
-}
-
-int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
+/* Those that need no store. */
+static int pass_on_plain(const struct gsn_ui *ui, int argc, char **argv)
 {
     gsn_auto_mem(const char *) args = gsn_alloc_array((size_t)argc + 2, sizeof *args);
     size_t n = 0;
 
-    if (argc < 2)
-        return gsn_ui_usage("register which pictures? Say `gieson register FOLDER`");
     if (!args)
         return gsn_ui_fail(EX_OSERR, "out of memory");
     if (ui->json)
@@ -71,6 +63,20 @@ int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
     for (int i = 0; i < argc; i++)
         args[n++] = argv[i];
     return gsn_ui_call(ui, "gieson-work", 0, args);
+}
+
+int gsn_cmd_check(const struct gsn_ui *ui, int argc, char **argv)
+{
+    if (argc < 2)
+        return gsn_ui_usage("check which files? Say `gieson check FILE...`");
+    return pass_on_plain(ui, argc, argv);
+}
+
+int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
+{
+    if (argc < 2)
+        return gsn_ui_usage("register which pictures? Say `gieson register FOLDER`");
+    return pass_on_plain(ui, argc, argv);
 }
 
 int gsn_cmd_phantom(const struct gsn_ui *ui, int argc, char **argv)

@@ -2,6 +2,7 @@
 
 /* gieson: the technician's and the biologist's command. It reads the store and asks for work; the
  * work itself is done by gieson-work, which it starts. */
+#include "ui/help.h"
 #include "ui/ui.h"
 
 #include <argp.h>
@@ -22,23 +23,37 @@ static const struct {
     const char *name;
     gsn_verb *run;
 } verbs[] = {
-    { "status", gsn_cmd_status },     { "top", gsn_cmd_top },
-    { "show", gsn_cmd_show },         { "import", gsn_cmd_import },
-    { "file", gsn_cmd_file },         { "expect", gsn_cmd_expect },
-    { "capture", gsn_cmd_capture },   { "run", gsn_cmd_run },
-    { "night", gsn_cmd_night },       { "retry", gsn_cmd_retry },
-    { "decide", gsn_cmd_decide },     { "report", gsn_cmd_report },
-    { "verify", gsn_cmd_verify },     { "scrub", gsn_cmd_scrub },
-    { "backup", gsn_cmd_backup },     { "restore", gsn_cmd_restore },
-    { "check", gsn_cmd_check },       { "check-config", gsn_cmd_check_config },
-    { "register", gsn_cmd_register }, { "devices", gsn_cmd_devices },
-    { "demo", gsn_cmd_demo },         { "phantom", gsn_cmd_phantom },
+    { "status", gsn_cmd_status },
+    { "top", gsn_cmd_top },
+    { "show", gsn_cmd_show },
+    { "import", gsn_cmd_import },
+    { "new", gsn_cmd_new },
+    { "file", gsn_cmd_file },
+    { "expect", gsn_cmd_expect },
+    { "capture", gsn_cmd_capture },
+    { "run", gsn_cmd_run },
+    { "night", gsn_cmd_night },
+    { "retry", gsn_cmd_retry },
+    { "decide", gsn_cmd_decide },
+    { "report", gsn_cmd_report },
+    { "verify", gsn_cmd_verify },
+    { "scrub", gsn_cmd_scrub },
+    { "backup", gsn_cmd_backup },
+    { "restore", gsn_cmd_restore },
+    { "check", gsn_cmd_check },
+    { "check-config", gsn_cmd_check_config },
+    { "register", gsn_cmd_register },
+    { "devices", gsn_cmd_devices },
+    { "demo", gsn_cmd_demo },
+    { "phantom", gsn_cmd_phantom },
 };
 
 static const char doc[] =
     "From stained sections on scanned panels to the collagen that was lost.\v"
     /* Lines of at most 76 columns: argp breaks longer ones where it likes. */
+    "`gieson VERB --help` tells more of each, with an example.\n\n"
     "Verbs:\n"
+    "  new FOLDER          a folder with a job.json to be filled in\n"
     "  import FOLDER       take panels beside a job.json into the store\n"
     "                      (--volume FILE, --tile FILE: a volume or one picture)\n"
     "  run                 work the queue to its end\n"
@@ -93,6 +108,7 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     switch (key) {
     case 's':
         rest->ui->store_dir = arg;
+        rest->ui->store_said = 1;
         return 0;
     case 'j':
         rest->ui->json = 1;
@@ -108,20 +124,39 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     }
 }
 
-/* --json and --store may also stand behind the verb; they are taken out of its arguments. */
-static int take_late_options(struct rest *rest)
+static void say_store(struct gsn_ui *ui, const char *dir)
 {
+    ui->store_dir = dir;
+    ui->store_said = 1;
+}
+
+/* Our options may also stand behind the verb; they are taken out of its arguments. What is behind
+ * --because is a person's, and phantom's are its own program's. ret_help: whether help is asked
+ * for. */
+static int take_late_options(struct rest *rest, int *ret_help)
+{
+    const int is_phantom = rest->argc > 0 && strcmp(rest->argv[0], "phantom") == 0;
     int kept = 0;
 
+    *ret_help = 0;
     for (int i = 0; i < rest->argc; i++) {
-        if (strcmp(rest->argv[i], "--json") == 0)
-            rest->ui->json = 1;
-        else if (strcmp(rest->argv[i], "--store") == 0 && i + 1 < rest->argc)
-            rest->ui->store_dir = rest->argv[++i];
-        else if (strncmp(rest->argv[i], "--store=", 8) == 0)
-            rest->ui->store_dir = rest->argv[i] + 8;
-        else
+        const char *word = rest->argv[i];
+
+        if (is_phantom)
             rest->argv[kept++] = rest->argv[i];
+        else if (strcmp(word, "--json") == 0 || strcmp(word, "-j") == 0)
+            rest->ui->json = 1;
+        else if ((strcmp(word, "--store") == 0 || strcmp(word, "-s") == 0) && i + 1 < rest->argc)
+            say_store(rest->ui, rest->argv[++i]);
+        else if (strncmp(word, "--store=", 8) == 0)
+            say_store(rest->ui, word + 8);
+        else if (strcmp(word, "--help") == 0 || strcmp(word, "-?") == 0)
+            *ret_help = 1;
+        else {
+            rest->argv[kept++] = rest->argv[i];
+            if (strcmp(word, "--because") == 0 && i + 1 < rest->argc)
+                rest->argv[kept++] = rest->argv[++i];
+        }
     }
     return kept;
 }
@@ -140,17 +175,31 @@ static void look_around(struct gsn_ui *ui)
     ui->width = ui->out_tty ? gsn_ui_columns(STDOUT_FILENO) : INT_MAX;
 }
 
+static int unknown_verb(const char *verb)
+{
+    const char *near = gsn_help_nearest(verb);
+
+    return gsn_ui_usage("\"%s\" is not a verb%s%s%s; `gieson --help` lists them", verb,
+                        near ? ": did you mean \"" : "", near ? near : "", near ? "\"?" : "");
+}
+
 static int run_verb(struct gsn_ui *ui, struct rest *rest)
 {
+    int help;
+
     if (rest->argc == 0)
         return gsn_ui_usage("say what to do, for instance `gieson status`; `gieson --help` lists "
                             "the verbs");
-    rest->argc = take_late_options(rest);
-    for (size_t i = 0; rest->argc > 0 && i < sizeof verbs / sizeof verbs[0]; i++)
-        if (strcmp(verbs[i].name, rest->argv[0]) == 0)
+    rest->argc = take_late_options(rest, &help);
+    for (size_t i = 0; rest->argc > 0 && i < sizeof verbs / sizeof verbs[0]; i++) {
+        if (strcmp(verbs[i].name, rest->argv[0]) != 0)
+            continue;
+        if (!help)
             return verbs[i].run(ui, rest->argc, rest->argv);
-    return gsn_ui_usage("\"%s\" is not a verb; `gieson --help` lists them",
-                        rest->argc > 0 ? rest->argv[0] : "");
+        gsn_help_print(gsn_help_of(rest->argv[0]));
+        return EX_OK;
+    }
+    return unknown_verb(rest->argc > 0 ? rest->argv[0] : "");
 }
 
 /* An answer that did not reach its reader is no success. */

@@ -22,8 +22,8 @@ static void print_sources(const struct gsn_ui *ui, const struct gsn_show *view)
         if (!gsn_show_delivers(view, trouble->source))
             continue;
         gsn_text_line(stdout, "  trouble  %s", trouble->name);
-        gsn_text_wrap(stdout, 4, ui->width, trouble->reason);
-        gsn_text_line(stdout, "    next: %s", trouble->action);
+        gsn_ui_wrap(ui, 4, trouble->reason);
+        gsn_ui_next(ui, trouble->action, "");
     }
 }
 
@@ -36,14 +36,22 @@ static void print_panels(const struct gsn_ui *ui, const struct gsn_show *view)
         gsn_text_line(stdout, "  panel %lld  %-10s %s", (long long)p->number, p->state,
                       p->file_name);
         if (p->message[0])
-            gsn_text_wrap(stdout, 4, ui->width, p->message);
+            gsn_ui_wrap(ui, 4, p->message);
         if (action)
-            gsn_text_line(stdout, "    next: %s", action);
+            gsn_ui_next(ui, action, "");
     }
 }
 
+static void print_missing(const struct gsn_ui *ui, int64_t number, const char *action)
+{
+    gsn_auto_mem(char) advice = gsn_ui_advice(ui, action);
+
+    gsn_text_line(stdout, "  panel %lld  has not come", (long long)number);
+    gsn_text_line(stdout, "    next: import it; where it is lost: %s", advice ? advice : action);
+}
+
 /* Panels that the job states and that never came. */
-static void print_absent(const struct gsn_show *view)
+static void print_absent(const struct gsn_ui *ui, const struct gsn_show *view)
 {
     for (int64_t number = 1; number <= view->expected; number++) {
         const struct gsn_decision_row *decided = gsn_show_decision_on(view, number, 0);
@@ -58,9 +66,7 @@ static void print_absent(const struct gsn_show *view)
             gsn_text_line(stdout, "  panel %lld  lost, as %s said%s%s", (long long)number,
                           decided->actor, decided->reason[0] ? ": " : "", decided->reason);
         else
-            gsn_text_line(stdout,
-                          "  panel %lld  has not come\n    next: import it; where it is lost: %s",
-                          (long long)number, action ? action : "");
+            print_missing(ui, number, action ? action : "");
     }
 }
 
@@ -141,8 +147,9 @@ static const char *state_of(const struct gsn_show *view, const struct gsn_sectio
                : s->state;
 }
 
-/* Serial number 0: a piece that lies in no slot. */
-static void print_section(const struct gsn_show *view, const struct gsn_section_row *s)
+/* Named as `decide` takes it, PANEL.SLOT. Serial number 0: a piece that lies in no slot. */
+static void print_section(const struct gsn_ui *ui, const struct gsn_show *view,
+                          const struct gsn_section_row *s)
 {
     gsn_auto_mem(char) action = gsn_show_section_action(view, s);
 
@@ -150,15 +157,16 @@ static void print_section(const struct gsn_show *view, const struct gsn_section_
         gsn_text_line(stdout, "  a piece beside the slots of panel %lld  %s  %s",
                       (long long)gsn_show_panel_number(view, s->panel_id), s->state, s->flags);
     else
-        gsn_text_line(stdout, "  section %lld (slot %lld)  %s  %s", (long long)s->serial - 1,
-                      (long long)s->slot, state_of(view, s), s->flags);
+        gsn_text_line(stdout, "  section %lld.%lld  %s  %s",
+                      (long long)gsn_show_panel_number(view, s->panel_id), (long long)s->slot,
+                      state_of(view, s), s->flags);
     print_candidates(view, s);
     if (action)
-        gsn_text_line(stdout, "    next: %s%s", action, otherwise(s));
+        gsn_ui_next(ui, action, otherwise(s));
 }
 
 /* Only what a person should look at, or did; found and empty slots are counted. */
-static void print_sections(const struct gsn_show *view)
+static void print_sections(const struct gsn_ui *ui, const struct gsn_show *view)
 {
     size_t found = 0, empty = 0;
 
@@ -170,7 +178,7 @@ static void print_sections(const struct gsn_show *view)
         empty += strcmp(s->state, "empty") == 0;
         if ((strcmp(s->state, "found") != 0 && strcmp(s->state, "empty") != 0) ||
             gsn_show_candidates(view, s, &first) > 0 || gsn_show_has_flag(s, "decision-void"))
-            print_section(view, s);
+            print_section(ui, view, s);
     }
     if (view->sections->count > 0)
         (void)printf("  %zu sections found, %zu slots empty\n", found, empty);
@@ -209,7 +217,7 @@ void gsn_show_print(const struct gsn_ui *ui, const struct gsn_show *view)
         gsn_text_line(stdout, "  baseline %s", s->baseline);
     print_sources(ui, view);
     print_panels(ui, view);
-    print_absent(view);
-    print_sections(view);
+    print_absent(ui, view);
+    print_sections(ui, view);
     print_runs(ui, view);
 }

@@ -14,6 +14,59 @@
 #include <sysexits.h>
 #include <time.h>
 
+char *gsn_ui_advice(const struct gsn_ui *ui, const char *text)
+{
+    static const char ours[] = "gieson ";
+    gsn_auto_mem(char) store = gsn_text_word(ui->store_dir ? ui->store_dir : "");
+    gsn_auto_mem(char) said = NULL;
+
+    if (!ui->store_said || !store)
+        return gsn_strdup(text);
+    for (const char *at = text; *at;) {
+        const char *next = strstr(at, ours);
+        /* A command begins the text, or stands in backquotes. */
+        const int is_command = next && (next == text || next[-1] == '`');
+        const size_t length = next ? (size_t)(next - at) + strlen(ours) : strlen(at);
+        char *more = gsn_format("%s%.*s%s%s%s", said ? said : "", (int)length, at,
+                                is_command ? "--store " : "", is_command ? store : "",
+                                is_command ? " " : "");
+
+        gsn_free(said);
+        said = more;
+        if (!said)
+            return NULL;
+        at += length;
+    }
+    return said ? gsn_steal(&said) : gsn_strdup("");
+}
+
+void gsn_ui_wrap(const struct gsn_ui *ui, int indent, const char *text)
+{
+    gsn_auto_mem(char) advice = gsn_ui_advice(ui, text);
+
+    gsn_text_wrap(stdout, indent, ui->width, advice ? advice : text);
+}
+
+void gsn_ui_say(const struct gsn_ui *ui, const char *format, ...)
+{
+    gsn_auto_mem(char) advice = NULL;
+    char text[512];
+    va_list args;
+
+    va_start(args, format);
+    (void)vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    advice = gsn_ui_advice(ui, text);
+    gsn_text_line(stdout, "%s", advice ? advice : "out of memory");
+}
+
+void gsn_ui_next(const struct gsn_ui *ui, const char *action, const char *behind)
+{
+    gsn_auto_mem(char) advice = gsn_ui_advice(ui, action);
+
+    gsn_text_line(stdout, "    next: %s%s", advice ? advice : action, behind);
+}
+
 int gsn_ui_complain(const struct gsn_error *err, int code)
 {
     gsn_text_line(stderr, "gieson: %s", err->text);

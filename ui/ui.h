@@ -16,6 +16,7 @@
 
 struct gsn_ui {
     const char *store_dir; /* NULL when not given */
+    int store_said;        /* on this command line, so that commands we advise must say it too */
     int json;
     int out_tty, err_tty; /* stdout, stderr are terminals */
     int colour;           /* stdout is a terminal and NO_COLOR is not set */
@@ -28,7 +29,19 @@ typedef int gsn_verb(const struct gsn_ui *ui, int argc, char **argv);
 gsn_verb gsn_cmd_status, gsn_cmd_top, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run, gsn_cmd_retry,
     gsn_cmd_report, gsn_cmd_verify, gsn_cmd_check, gsn_cmd_demo, gsn_cmd_phantom, gsn_cmd_file,
     gsn_cmd_expect, gsn_cmd_capture, gsn_cmd_check_config, gsn_cmd_devices, gsn_cmd_night,
-    gsn_cmd_scrub, gsn_cmd_register, gsn_cmd_decide, gsn_cmd_backup, gsn_cmd_restore;
+    gsn_cmd_scrub, gsn_cmd_register, gsn_cmd_decide, gsn_cmd_new, gsn_cmd_backup, gsn_cmd_restore;
+
+/* gives: the text with --store in every command of ours that it advises, where the store was said
+ * on this command line: a command is there to be copied. NULL when memory runs out. */
+char *gsn_ui_advice(const struct gsn_ui *ui, const char *text);
+
+/* Prints a line, or a text wrapped to the terminal and set in by indent, as advice. */
+void gsn_ui_say(const struct gsn_ui *ui, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+void gsn_ui_wrap(const struct gsn_ui *ui, int indent, const char *text);
+
+/* "    next: ACTION", and what may stand behind it. */
+void gsn_ui_next(const struct gsn_ui *ui, const char *action, const char *behind);
 
 /* "gieson: sentence" on stderr; returns the exit status for the code. */
 int gsn_ui_complain(const struct gsn_error *err, int code);

@@ -169,7 +169,16 @@ static int locate(struct stored *stored, size_t size, struct gsn_error *err)
     return inflate_all(stored->file + (left ? skip : 0), left, stored->inflated, wanted, err);
 }
 
-static int load(const char *path, size_t limit, struct stored *stored, struct gsn_error *err)
+static void scale(struct gsn_lattice *at, double unit_um)
+{
+    at->step_um =
+        gsn_vec3_make(unit_um * at->step_um.x, unit_um * at->step_um.y, unit_um * at->step_um.z);
+    at->origin_um = gsn_vec3_make(unit_um * at->origin_um.x, unit_um * at->origin_um.y,
+                                  unit_um * at->origin_um.z);
+}
+
+static int load(const char *path, size_t limit, double unit_um, struct stored *stored,
+                struct gsn_error *err)
 {
     struct gsn_volume_header *header = &stored->header;
     size_t size;
@@ -185,6 +194,7 @@ static int load(const char *path, size_t limit, struct stored *stored, struct gs
         (void)gsn_fail_at(err, "%s", path);
         return r;
     }
+    scale(&header->at, header->unit_um > 0 ? header->unit_um : unit_um);
     if (header->data_file[0])
         r = read_neighbour(path, limit, stored, &size, err);
     if (r < 0)
@@ -270,8 +280,8 @@ static size_t or_default(size_t limit)
     return limit ? limit : (size_t)512 << 20;
 }
 
-int gsn_volume_read_grid(const char *path, size_t limit_bytes, struct gsn_grid **ret_grid,
-                         struct gsn_error *err)
+int gsn_volume_read_grid(const char *path, size_t limit_bytes, double unit_um,
+                         struct gsn_grid **ret_grid, struct gsn_error *err)
 {
     __attribute__((cleanup(stored_done))) struct stored stored = { 0 };
     gsn_auto(gsn_grid) grid = NULL;
@@ -279,7 +289,7 @@ int gsn_volume_read_grid(const char *path, size_t limit_bytes, struct gsn_grid *
 
     assert(path && ret_grid);
 
-    r = load(path, or_default(limit_bytes), &stored, err);
+    r = load(path, or_default(limit_bytes), unit_um, &stored, err);
     if (r < 0)
         return r;
     r = gsn_grid_new(&stored.header.at, &grid, err);
@@ -292,8 +302,8 @@ int gsn_volume_read_grid(const char *path, size_t limit_bytes, struct gsn_grid *
     return GSN_OK;
 }
 
-int gsn_volume_read_mask(const char *path, size_t limit_bytes, struct gsn_mask **ret_mask,
-                         struct gsn_error *err)
+int gsn_volume_read_mask(const char *path, size_t limit_bytes, double unit_um,
+                         struct gsn_mask **ret_mask, struct gsn_error *err)
 {
     __attribute__((cleanup(stored_done))) struct stored stored = { 0 };
     gsn_auto(gsn_mask) mask = NULL;
@@ -301,7 +311,7 @@ int gsn_volume_read_mask(const char *path, size_t limit_bytes, struct gsn_mask *
 
     assert(path && ret_mask);
 
-    r = load(path, or_default(limit_bytes), &stored, err);
+    r = load(path, or_default(limit_bytes), unit_um, &stored, err);
     if (r < 0)
         return r;
     r = gsn_mask_new(&stored.header.at, &mask, err);
@@ -312,4 +322,16 @@ int gsn_volume_read_mask(const char *path, size_t limit_bytes, struct gsn_mask *
         return r;
     *ret_mask = gsn_steal(&mask);
     return GSN_OK;
+}
+
+int gsn_volume_states_unit(const char *header, size_t size)
+{
+    static const char *const fields[] = { "space units", "units" };
+    struct gsn_words rest = { header, size }, line, key, value;
+
+    while (gsn_words_line(&rest, &line) && line.size > 0)
+        for (size_t i = 0; i < sizeof fields / sizeof fields[0]; i++)
+            if (gsn_words_split(line, ":", &key, &value) && gsn_words_are(key, fields[i]))
+                return 1;
+    return 0;
 }

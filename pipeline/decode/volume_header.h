@@ -23,7 +23,8 @@ enum gsn_voxel {
 };
 
 struct gsn_volume_header {
-    struct gsn_lattice at;
+    struct gsn_lattice at; /* in the header's own unit */
+    double unit_um;        /* which is so many micrometres; 0: it does not say */
     enum gsn_voxel voxel;
     int big_endian, compressed; /* compressed: one zlib or gzip stream */
     char data_file[256];        /* beside the header; empty: the data are in the header's file */

@@ -3,6 +3,8 @@
 /* NRRD: "field: value" lines up to an empty one, behind which attached data follow. */
 #include "pipeline/decode/volume_header.h"
 
+#include <math.h>
+
 static const struct {
     const char *name;
     enum gsn_voxel voxel;
@@ -85,25 +87,47 @@ static int read_directions(struct gsn_words value, struct gsn_lattice *at, struc
     return GSN_OK;
 }
 
-/* Units other than ours would make every volume wrong by powers of ten. */
-static int check_units(struct gsn_words value, struct gsn_error *err)
+/* Micrometres in this unit; 0: not one that is read. */
+static double unit_of(struct gsn_words word)
 {
-    static const char *const ours[] = { "\"um\"",        "\"\xc2\xb5m\"", "\"\xce\xbcm\"",
-                                        "\"micron\"",    "\"microns\"",   "\"micrometer\"",
-                                        "\"micrometre\"" };
+    static const struct {
+        const char *name;
+        double um;
+    } units[] = {
+        { "\"um\"", 1 },
+        { "\"\xc2\xb5m\"", 1 },
+        { "\"\xce\xbcm\"", 1 },
+        { "\"micron\"", 1 },
+        { "\"microns\"", 1 },
+        { "\"micrometer\"", 1 },
+        { "\"micrometre\"", 1 },
+        { "\"mm\"", 1000 },
+        { "\"millimeter\"", 1000 },
+        { "\"millimetre\"", 1000 },
+    };
 
+    for (size_t i = 0; i < sizeof units / sizeof units[0]; i++)
+        if (gsn_words_are(word, units[i].name))
+            return units[i].um;
+    return 0;
+}
+
+/* A unit that is taken for another makes every volume wrong by powers of ten. */
+static int read_units(struct gsn_words value, struct gsn_volume_header *header,
+                      struct gsn_error *err)
+{
     while (value.size) {
         size_t size = 0;
-        int known = 0;
+        double um;
 
         while (size < value.size && value.at[size] != ' ')
             size++;
-        for (size_t i = 0; i < sizeof ours / sizeof ours[0]; i++)
-            known |= gsn_words_are((struct gsn_words){ value.at, size }, ours[i]);
-        if (size && !known)
+        um = unit_of((struct gsn_words){ value.at, size });
+        if (size && (!(um > 0) || (header->unit_um > 0 && fabs(um - header->unit_um) > 0)))
             return gsn_fail(err, GSN_E_UNSUPPORTED,
-                            "NRRD units %.*s are not read: write the volume in micrometres",
+                            "NRRD units %.*s are not read: write all of them as \"um\" or \"mm\"",
                             (int)(size < 40 ? size : 40), value.at);
+        header->unit_um = size ? um : header->unit_um;
         size += size < value.size;
         value.at += size;
         value.size -= size;
@@ -156,7 +180,7 @@ static int take(struct gsn_words key, struct gsn_words value, struct nrrd *nrrd,
     if (gsn_words_are(key, "space origin"))
         return gsn_header_origin(value, &header->at, err);
     if (gsn_words_are(key, "units") || gsn_words_are(key, "space units"))
-        return check_units(value, err);
+        return read_units(value, header, err);
     if (gsn_words_are(key, "byte skip") || gsn_words_are(key, "byteskip"))
         return take_skip(value, header, err);
     if (gsn_words_are(key, "line skip") || gsn_words_are(key, "lineskip"))

@@ -84,8 +84,8 @@ static void axis_y(struct gsn_text *text, const struct frame *frame, double step
 }
 
 /* Marks differ by shape as well as by colour. */
-static void dot(struct gsn_text *text, int mark, double x, double y, unsigned serial,
-                double residual)
+static void dot(struct gsn_text *text, int mark, double x, double y,
+                const struct gsn_report_section *section)
 {
     switch (mark) {
     case 0:
@@ -99,8 +99,9 @@ static void dot(struct gsn_text *text, int mark, double x, double y, unsigned se
     default:
         gsn_text_print(text, "<path class=\"m3\" d=\"M%.1f %.1fl3.4 6h-6.8z\">", x, y - 3.6);
     }
-    gsn_text_print(text, "<title>Section %u, mark %d: ", serial, mark + 1);
-    gsn_text_number(text, residual, 2);
+    gsn_text_print(text, "<title>Section %u.%u, mark %d: ", section->panel, section->slot + 1,
+                   mark + 1);
+    gsn_text_number(text, section->residual_um[mark], 2);
     gsn_text_print(text, " \xC2\xB5m</title></%s>\n",
                    mark == 0   ? "circle"
                    : mark == 1 ? "rect"
@@ -161,17 +162,16 @@ void gsn_chart_residuals(struct gsn_text *text, const struct gsn_report *report)
         if (!section->posed) {
             gsn_text_print(text,
                            "<rect class=\"gap\" x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" "
-                           "height=\"%.1f\"><title>Section %u has no pose</title></rect>\n",
+                           "height=\"%.1f\"><title>Section %u.%u has no pose</title></rect>\n",
                            place_x(&frame, section->serial - 0.5), frame.top,
                            place_x(&frame, 1) - place_x(&frame, 0), frame.bottom - frame.top,
-                           section->serial);
+                           section->panel, section->slot + 1);
             continue;
         }
         for (int k = 0; k < 3; k++)
             if (section->marker_found[k] && isfinite(section->residual_um[k]))
                 dot(text, k, place_x(&frame, section->serial),
-                    place_y(&frame, section->residual_um[k]), section->serial,
-                    section->residual_um[k]);
+                    place_y(&frame, section->residual_um[k]), section);
     }
     gsn_text_raw(text, "</svg>\n");
 }

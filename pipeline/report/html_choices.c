@@ -58,13 +58,15 @@ static void add_candidate(struct gsn_text *text, const struct gsn_report_section
     gsn_text_raw(text, "</div>\n");
 }
 
-static void add_section(struct gsn_text *text, const struct gsn_report_section *section)
+static void add_section(struct gsn_text *text, const struct gsn_report *report,
+                        const struct gsn_report_section *section)
 {
-    gsn_text_print(text, "<div class=\"panel\"><h3>Section %u (panel %u, slot %u)</h3>\n<p>",
-                   section->serial, section->panel, section->slot + 1);
-    if (section->compared_with)
-        gsn_text_print(text, "The blue line is the outline of section %u. ",
-                       section->compared_with - 1);
+    gsn_text_print(text, "<div class=\"panel\"><h3>Section %u.%u</h3>\n<p>", section->panel,
+                   section->slot + 1);
+    for (size_t i = 0; section->compared_with && i < report->section_count; i++)
+        if (report->sections[i].serial + 1 == section->compared_with)
+            gsn_text_print(text, "The blue line is the outline of section %u.%u. ",
+                           report->sections[i].panel, report->sections[i].slot + 1);
     if (is_said(section->command)) {
         gsn_text_raw(text, "To choose: <code>");
         gsn_text_escape(text, section->command);
@@ -85,7 +87,7 @@ void gsn_html_choices(struct gsn_text *text, const struct gsn_report *report)
                        "candidate would lay them in the block.</p>\n");
     for (size_t i = 0; i < report->section_count; i++)
         if (report->sections[i].candidate_count > 0)
-            add_section(text, &report->sections[i]);
+            add_section(text, report, &report->sections[i]);
     gsn_text_raw(text, "</section>\n");
 }
 

@@ -86,8 +86,8 @@ static void add_slot(struct gsn_text *text, const struct gsn_report_section *sec
         gsn_html_image(text, &section->thumbnail, "");
     else
         gsn_text_raw(text, "<span class=\"none\"></span>");
-    gsn_text_print(text, "<p class=\"who\"><b>%u</b> <span class=\"state\">%s ", section->serial,
-                   look->symbol);
+    gsn_text_print(text, "<p class=\"who\"><b>%u.%u</b> <span class=\"state\">%s ", section->panel,
+                   section->slot + 1, look->symbol);
     gsn_text_escape(text, section->state);
     gsn_text_raw(text, "</span></p>\n");
     if (any_mark || section->posed)
@@ -234,8 +234,9 @@ void gsn_html_sheet(struct gsn_text *text, const struct gsn_report *report)
         return;
     gsn_text_raw(text,
                  "<section id=\"sheet\"><h2>Contact sheet</h2>\n"
-                 "<p class=\"lead\">Every slot as it lies on the glass, with the serial number "
-                 "of its section (counted from 0).</p>\n");
+                 "<p class=\"lead\">Every slot as it lies on the glass, named PANEL.SLOT as "
+                 "<code>gieson decide</code> takes it; slots count from 1 in the order of "
+                 "mounting.</p>\n");
     add_legend(text, report);
     gsn_text_raw(text, "<div class=\"panels\">\n");
     for (unsigned number = next_number(report, 0); number; number = next_number(report, number))

@@ -31,7 +31,7 @@ TEST(the_tooth_has_its_known_sum_and_count)
     double sum = 0;
 
     need_folder();
-    CHECK_OK(gsn_volume_read_grid(FOLDER "tooth.mhd", 0, &grid, &err), err);
+    CHECK_OK(gsn_volume_read_grid(FOLDER "tooth.mhd", 0, 1, &grid, &err), err);
     CHECK(grid->at.nx == 140 && grid->at.ny == 120 && grid->at.nz == 161);
     CHECK_NEAR(gsn_lattice_voxel_um3(&grid->at), 1, 0);
     for (size_t i = 0; i < gsn_lattice_count(&grid->at); i++) {
@@ -50,8 +50,8 @@ TEST(the_tooth_as_a_mask_is_where_it_is_not_zero)
     size_t wrong = 0;
 
     need_folder();
-    CHECK_OK(gsn_volume_read_grid(FOLDER "tooth.mhd", 0, &grid, &err), err);
-    CHECK_OK(gsn_volume_read_mask(FOLDER "tooth.mhd", 0, &mask, &err), err);
+    CHECK_OK(gsn_volume_read_grid(FOLDER "tooth.mhd", 0, 1, &grid, &err), err);
+    CHECK_OK(gsn_volume_read_mask(FOLDER "tooth.mhd", 0, 1, &mask, &err), err);
     for (size_t i = 0; i < gsn_lattice_count(&grid->at); i++)
         wrong += grid->value[i] > 0 ? mask->inside[i] != 1 : mask->inside[i] != 0;
     CHECK(wrong == 0);
@@ -91,12 +91,12 @@ TEST(inrimage_files_give_their_numbers)
     double cells = 0;
 
     need_folder();
-    CHECK_OK(gsn_volume_read_grid(FOLDER "small-scalar.inr", 0, &grid, &err), err);
+    CHECK_OK(gsn_volume_read_grid(FOLDER "small-scalar.inr", 0, 1, &grid, &err), err);
     CHECK(grid->at.nx == 2 && grid->at.ny == 2 && grid->at.nz == 2);
     CHECK_NEAR(grid->at.step_um.y, 100, 0);
     for (size_t i = 0; i < 8; i++)
         CHECK_NEAR(grid->value[i], small[i], 0);
-    CHECK_OK(gsn_volume_read_grid(FOLDER "skull_2.9.inr", 0, &skull, &err), err);
+    CHECK_OK(gsn_volume_read_grid(FOLDER "skull_2.9.inr", 0, 1, &skull, &err), err);
     CHECK(gsn_lattice_count(&skull->at) == 64 * 64 * 64);
     CHECK_NEAR(skull->at.step_um.x, 3.94305, 1e-15);
     CHECK_NEAR(skull->at.step_um.z, 3.65079, 1e-15);
@@ -154,7 +154,7 @@ static void check_counting(const struct room *room, double first, double step)
     gsn_auto(gsn_grid) grid = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_volume_read_grid(room->path, 0, &grid, &err), err);
+    CHECK_OK(gsn_volume_read_grid(room->path, 0, 1, &grid, &err), err);
     CHECK(grid->at.nx == 3 && grid->at.ny == 2 && grid->at.nz == 1);
     CHECK_NEAR(grid->at.step_um.x, 1.5, 0);
     CHECK_NEAR(grid->at.step_um.y, 2, 0);
@@ -251,6 +251,42 @@ TEST(nrrds_are_read_attached_detached_raw_and_gzipped)
     check_counting(&room, 0, 1);
 }
 
+TEST(lengths_are_micrometres_by_the_header_else_by_the_caller)
+{
+    static const char axes[] =
+        "NRRD0004\ndimension: 3\nsizes: 3 2 1\ntype: uchar\nencoding: raw\nspacings: 0.05 0.04 "
+        "0.024\n";
+    static const char metaimage[] =
+        "NDims = 3\nDimSize = 3 2 1\nElementSpacing = 0.05 0.04 0.024\nOffset = 1 2 3\n"
+        "ElementType = MET_UCHAR\nElementDataFile = LOCAL\n";
+    static const struct {
+        const char *name, *header, *more;
+        double unit_um, wanted; /* of the first spacing */
+        int states;
+    } cases[] = {
+        { "v.mha", metaimage, "", 1, 0.05, 0 },
+        { "v.mha", metaimage, "", 1000, 50, 0 },
+        { "v.nrrd", axes, "\n", 1000, 50, 0 },
+        { "v.nrrd", axes, "units: \"mm\" \"mm\" \"mm\"\n\n", 1, 50, 1 },
+        { "v.nrrd", axes, "units: \"um\" \"um\" \"um\"\n\n", 1000, 0.05, 1 },
+    };
+    auto_room room = room_new();
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        gsn_auto_mem(char) header = gsn_format("%s%s", cases[i].header, cases[i].more);
+        gsn_auto(gsn_grid) grid = NULL;
+
+        put(&room, cases[i].name, header, "123456", 6);
+        CHECK_OK(gsn_volume_read_grid(room.path, 0, cases[i].unit_um, &grid, &err), err);
+        CHECK_NEAR(grid->at.step_um.x, cases[i].wanted, 1e-12);
+        CHECK_NEAR(grid->at.step_um.z, cases[i].wanted * 0.48, 1e-12);
+        if (strcmp(cases[i].name, "v.mha") == 0)
+            CHECK_NEAR(grid->at.origin_um.y, 2 * cases[i].unit_um, 1e-12);
+        CHECK(gsn_volume_states_unit(header, strlen(header)) == cases[i].states);
+    }
+}
+
 TEST(an_inrimage_of_bytes_is_read)
 {
     static const char fields[] =
@@ -275,7 +311,7 @@ TEST(a_mask_is_one_wherever_the_voxel_is_not_zero)
 
     put(&room, "v.mha", MHD "ElementType = MET_DOUBLE\nElementDataFile = LOCAL\n", double6,
         sizeof double6);
-    CHECK_OK(gsn_volume_read_mask(room.path, 0, &mask, &err), err);
+    CHECK_OK(gsn_volume_read_mask(room.path, 0, 1, &mask, &err), err);
     CHECK(memcmp(mask->inside, (uint8_t[]){ 1, 1, 1, 0, 1, 1 }, 6) == 0);
 }
 
@@ -285,7 +321,7 @@ static void check_refused_at(const struct room *room, int code, const char *word
 {
     gsn_auto(gsn_grid) grid = NULL;
     struct gsn_error err = { 0 };
-    const int r = gsn_volume_read_grid(room->path, 0, &grid, &err);
+    const int r = gsn_volume_read_grid(room->path, 0, 1, &grid, &err);
 
     if (r != code || !strstr(err.text, words) || grid) {
         print_error("%d \"%s\", should be %d \"%s\"\n", r, err.text, code, words);
@@ -355,8 +391,10 @@ TEST(what_is_not_read_is_refused_by_name)
     check_refused(&room, GSN_E_INPUT, "spacing \"1 -1 1\"");
     put(&room, "v.mha", "ElementSpacing = 1 1e999 1\nElementDataFile = LOCAL\n", "", 0);
     check_refused(&room, GSN_E_INPUT, "spacing");
-    put(&room, "v.nrrd", NRRD "space units: \"mm\" \"mm\" \"mm\"\n\n", "", 0);
-    check_refused(&room, GSN_E_UNSUPPORTED, "units \"mm\" are not read");
+    put(&room, "v.nrrd", NRRD "space units: \"mm\" \"um\" \"mm\"\n\n", "", 0);
+    check_refused(&room, GSN_E_UNSUPPORTED, "units \"um\" are not read");
+    put(&room, "v.nrrd", NRRD "space units: \"m\" \"m\" \"m\"\n\n", "", 0);
+    check_refused(&room, GSN_E_UNSUPPORTED, "units \"m\" are not read");
     put(&room, "v.nrrd", NRRD "encoding: bzip2\n\n", "", 0);
     check_refused(&room, GSN_E_UNSUPPORTED, "encoding bzip2");
     put(&room, "v.nrrd", "NRRD0004\nspace directions: (1,1,0) (0,1,0) (0,0,1)\n\n", "", 0);
@@ -396,9 +434,9 @@ TEST(infinity_is_refused_and_a_mask_has_no_nan)
         sizeof infinite);
     check_refused(&room, GSN_E_INPUT, "voxel (0, 1, 0) is inf");
     put(&room, "v.mha", MHD "ElementType = MET_FLOAT\nElementDataFile = LOCAL\n", odd, sizeof odd);
-    CHECK_OK(gsn_volume_read_grid(room.path, 0, &grid, &err), err);
+    CHECK_OK(gsn_volume_read_grid(room.path, 0, 1, &grid, &err), err);
     CHECK_NEAR((double)isnan(grid->value[2]), 1, 0);
-    CHECK(gsn_volume_read_mask(room.path, 0, &mask, &err) == GSN_E_INPUT);
+    CHECK(gsn_volume_read_mask(room.path, 0, 1, &mask, &err) == GSN_E_INPUT);
     CHECK(mask == NULL);
 }
 
@@ -414,7 +452,7 @@ TEST(the_limit_holds_before_anything_is_allocated)
         bytes6, 6);
     check_refused(&room, GSN_E_LIMIT, "1000000 x 1000000 x 1000000 voxels");
     put(&room, "v.mha", MHD "ElementType = MET_UCHAR\nElementDataFile = LOCAL\n", bytes6, 6);
-    CHECK(gsn_volume_read_grid(room.path, 23, &grid, &err) == GSN_E_LIMIT);
+    CHECK(gsn_volume_read_grid(room.path, 23, 1, &grid, &err) == GSN_E_LIMIT);
     CHECK(grid == NULL);
 }
 
@@ -422,9 +460,9 @@ static int read_once(const struct room *room, struct gsn_error *err)
 {
     gsn_auto(gsn_grid) grid = NULL;
     gsn_auto(gsn_mask) mask = NULL;
-    const int r = gsn_volume_read_grid(room->path, 0, &grid, err);
+    const int r = gsn_volume_read_grid(room->path, 0, 1, &grid, err);
 
-    return r < 0 ? r : gsn_volume_read_mask(room->path, 0, &mask, err);
+    return r < 0 ? r : gsn_volume_read_mask(room->path, 0, 1, &mask, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

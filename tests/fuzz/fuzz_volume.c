@@ -48,12 +48,12 @@ static void read_file(const char *path)
     gsn_auto(gsn_grid) grid = NULL;
     gsn_auto(gsn_mask) mask = NULL;
     struct gsn_error err = { 0 };
-    int r = gsn_volume_read_grid(path, MOST_BYTES, &grid, &err);
+    int r = gsn_volume_read_grid(path, MOST_BYTES, 1, &grid, &err);
 
     HOLD((r >= 0) == (grid != NULL) && (r >= 0 || (err.code == r && err.text[0])));
     for (size_t i = 0; grid && i < gsn_lattice_count(&grid->at); i++)
         HOLD(!isinf(grid->value[i]));
-    r = gsn_volume_read_mask(path, MOST_BYTES, &mask, &err);
+    r = gsn_volume_read_mask(path, MOST_BYTES, 1, &mask, &err);
     HOLD((r >= 0) == (mask != NULL) && (r >= 0 || (err.code == r && err.text[0])));
     for (size_t i = 0; mask && i < gsn_lattice_count(&mask->at); i++)
         HOLD(mask->inside[i] <= 1);

@@ -85,8 +85,8 @@ TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
                                                          : "") == 0);
         CHECK(sections[k].state == GSN_SECTION_USED && sections[k].seen.serial == k);
     }
-    gsn_section_order_sentence(&sequence->finding[0], sentence);
-    CHECK(strstr(sentence, "sections 7 and 8 look like one section, mounted or scanned twice"));
+    gsn_section_order_sentence(&sequence->finding[0], 12, sentence);
+    CHECK(strstr(sentence, "sections 1.8 and 1.9 look like one section, mounted or scanned twice"));
     free_planes();
 }
 
@@ -235,12 +235,13 @@ TEST(a_folded_section_that_is_held_is_named_with_its_second_mount_that_is_laid)
                                                              : "") == 0);
             CHECK(sections[k].state == (k == held ? GSN_SECTION_HELD : GSN_SECTION_USED));
         }
-        gsn_section_order_sentence(&sequence->finding[0], sentence);
-        CHECK(strstr(sentence, "sections 7 and 8 look like one section, mounted or scanned twice"));
+        gsn_section_order_sentence(&sequence->finding[0], 12, sentence);
+        CHECK(strstr(sentence,
+                     "sections 1.8 and 1.9 look like one section, mounted or scanned twice"));
         (void)snprintf(said, sizeof said,
-                       "section %u is held and %u is used: if %u is the one that "
-                       "belongs where it is, %u lies in the place of another",
-                       held, 2 * AGAIN - 1 - held, held, 2 * AGAIN - 1 - held);
+                       "section 1.%u is held and 1.%u is used: if 1.%u is the one that "
+                       "belongs where it is, 1.%u lies in the place of another",
+                       held + 1, 2 * AGAIN - held, held + 1, 2 * AGAIN - held);
         CHECK(strstr(sentence, said) && !strstr(sentence, "both are used"));
         free_planes();
     }
@@ -270,10 +271,11 @@ TEST(of_two_held_mounts_one_may_be_used_and_both_are_said_to_be_held)
                                                   .held = { 1, 1 } };
     char sentence[GSN_POSE_SENTENCE];
 
-    gsn_section_order_sentence(&finding, sentence);
-    CHECK(strcmp(sentence, "sections 3 and 4 look like one section, mounted or scanned twice: the "
-                           "best quarter of their texture agrees to 52 %, that of neighbours to "
-                           "24 %; both are held: use one of them at most: look at both") == 0);
+    gsn_section_order_sentence(&finding, 12, sentence);
+    CHECK(strcmp(sentence,
+                 "sections 1.4 and 1.5 look like one section, mounted or scanned twice: the "
+                 "best quarter of their texture agrees to 52 %, that of neighbours to "
+                 "24 %; both are held: use one of them at most: look at both") == 0);
 }
 
 /* Pixels of 5 um, every other row of them given; the first ten columns are masked. */
@@ -316,9 +318,9 @@ TEST(a_swap_is_a_proposal_in_words)
                                                   .foretold = 4.25 };
     char sentence[GSN_POSE_SENTENCE];
 
-    gsn_section_order_sentence(&finding, sentence);
+    gsn_section_order_sentence(&finding, 12, sentence);
     CHECK(strcmp(sentence,
-                 "sections 17 and 18 look swapped: from one to the other the tissue changes "
+                 "sections 2.6 and 2.7 look swapped: from one to the other the tissue changes "
                  "against the way it changes around them, by 3.1 standard errors where 4.2 "
                  "along it are expected; nothing was moved: look at both") == 0);
 }

@@ -152,10 +152,9 @@ TEST(a_section_that_the_tissue_contradicts_says_how_far_and_what_became_of_it)
     char sentence[GSN_POSE_SENTENCE];
 
     gsn_tissue_sentence(&section, sentence);
-    CHECK(strstr(sentence,
-                 "section 16 (panel 2, slot 4): what looks like its marks lays it 2887 um "
-                 "from where the tissue of its neighbours does, and with the other face "
-                 "up; up to 568 um would be usual here. It was laid by the tissue:"));
+    CHECK(strstr(sentence, "section 2.4: what looks like its marks lays it 2887 um "
+                           "from where the tissue of its neighbours does, and with the other face "
+                           "up; up to 568 um would be usual here. It was laid by the tissue:"));
     section.state = GSN_SECTION_HELD;
     section.finding.other_face = 0;
     gsn_tissue_sentence(&section, sentence);

@@ -28,7 +28,8 @@ TEST(every_documented_key_is_read)
 
     CHECK_OK(parse(FULL, &p, &err), err);
     CHECK(strcmp(p->specimen, "A/1") == 0 && strcmp(p->baseline, "B") == 0);
-    CHECK(p->order == GSN_STATED_SNAKE && p->transfer == GSN_STATED_SRGB && p->dyes == GSN_STATED_DYES_ESTIMATE);
+    CHECK(p->order == GSN_STATED_SNAKE && p->transfer == GSN_STATED_SRGB &&
+          p->dyes == GSN_STATED_DYES_ESTIMATE);
     CHECK(p->rows == 3 && p->columns == 4 && gsn_protocol_sections(p) == 59);
     CHECK(p->has_markers && p->markers_um[2].y == 1300);
     CHECK(p->region.kind == GSN_REGION_CYLINDER && p->region.high.z == 50);

@@ -333,7 +333,7 @@ TEST(lost_sections_are_bridged_counted_and_said)
                    "25.0 % of the region of interest was not seen and is bridged from the sections "
                    "beside it"));
     CHECK(json_array_size(json_object_get(root, "exclusions")) == 1);
-    CHECK(strstr(gaps->json, "2 sections: 4, 6") != NULL);
+    CHECK(strstr(gaps->json, "2 sections: 2.1, 2.3") != NULL);
     CHECK(strstr(gaps->json, "the slot is empty; the gap is kept at its place") != NULL);
     json_decref(root);
 }

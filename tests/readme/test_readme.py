@@ -9,8 +9,11 @@
   empty folder with BIN first in PATH; `export NAME=VALUE` holds for the lines behind it.
 - Every other program named in an "sh" block is one of ours in BIN, one of the repository's, or one
   that the build itself uses; every verb named anywhere in the page is one that --help lists.
-- Every "json" block parses, and every link to a file of the repository leads to one.
+- Every "json" block is a job.json that `gieson import` takes, every "ini" block a configuration with
+  which `gieson check-config` finds no fault, and every link to a file of the repository leads to one.
+- So do the indented pieces of a job in docs/job.md, and verbs named in docs/*.md are verbs.
 """
+import itertools
 import json
 import os
 import pathlib
@@ -65,13 +68,74 @@ def check_verbs(page, help_text, say):
             say(f"`gieson {verb}` is not a verb that --help lists")
 
 
-def check_json(found, say):
+def ended(command, folder):
+    return subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                          errors="replace", timeout=LINE_LIMIT_S)
+
+
+def import_job(job, bin_folder, where, say):
+    """A job is taken by an import, with whatever files it names."""
+    with tempfile.TemporaryDirectory(prefix="gieson-job-") as folder:
+        scans = pathlib.Path(folder) / "scans"
+        scans.mkdir()
+        (scans / "job.json").write_text(json.dumps(job))
+        for name in re.findall(r'"([^"]+\.(?:tif|png|mhd|nrrd))"', json.dumps(job)):
+            (scans / name).write_bytes(b"any")
+        done = ended([bin_folder / "gieson", "-s", "store", "import", "scans"], folder)
+        if done.returncode != 0:
+            say(f"{where}: the job {json.dumps(job)[:80]}... is not taken: {done.stderr.strip()}")
+
+
+def check_json(found, bin_folder, say):
     for language, _, lines in found:
-        if language == "json":
-            try:
-                json.loads("\n".join(lines))
-            except ValueError as reason:
-                say(f"a json block does not parse: {reason}")
+        if language != "json":
+            continue
+        try:
+            import_job(json.loads("\n".join(lines)), bin_folder, "README.md", say)
+        except ValueError as reason:
+            say(f"a json block does not parse: {reason}")
+
+
+def check_ini(page, bin_folder, say):
+    for language, _, text in FENCE.findall(page):
+        if language != "ini":
+            continue
+        with tempfile.NamedTemporaryFile("w", suffix=".conf") as file:
+            file.write(text)
+            file.flush()
+            done = ended([bin_folder / "gieson", "check-config", file.name], ".")
+            if done.returncode != 0:
+                say(f"an ini block is refused: {done.stderr.strip()}")
+
+
+def pieces(text):
+    """Indented blocks that are JSON, whole or keys of an object: a list of objects each."""
+    for block in re.findall(r"(?:^    .*\n)+", text, re.M):
+        if block.lstrip()[0] not in '{"':
+            continue
+        # A name in place of a number stands for one, a later for a larger one.
+        count = itertools.count(100, 100)
+        rest = re.sub(r"(?<=[\[ ])(?:[xyzr]|from|to)(?=[,\]}])", lambda _: str(next(count)), block.strip())
+        decoder = json.JSONDecoder()
+        if rest[0] == '"':
+            yield json.loads("{" + rest + "}")
+            continue
+        while rest:
+            piece, end = decoder.raw_decode(rest)
+            rest = rest[end:].strip()
+            yield {"region": piece}
+
+
+def check_docs(bin_folder, help_text, say):
+    frame = {"specimen": "Q", "markers_um": [[-2050, -1000], [1700, -1500], [-1500, 1300]]}
+    count = 0
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        check_verbs(page.read_text(encoding="utf-8"), help_text, say)
+    for piece in pieces((ROOT / "docs" / "job.md").read_text(encoding="utf-8")):
+        import_job({**frame, **piece}, bin_folder, "docs/job.md", say)
+        count += 1
+    if count < 5:
+        say(f"docs/job.md: only {count} pieces of a job were found")
 
 
 def check_links(page, say):
@@ -119,7 +183,9 @@ def main():
     check_setup(found, say)
     check_programs(found, bin_folder, say)
     check_verbs(page, help_text, say)
-    check_json(found, say)
+    check_json(found, bin_folder, say)
+    check_ini(page, bin_folder, say)
+    check_docs(bin_folder, help_text, say)
     check_links(page, say)
     with tempfile.TemporaryDirectory(prefix="gieson-readme-") as folder:
         if type_examples(found, environment, folder, say) == 0:

@@ -224,15 +224,16 @@ TEST(the_contact_sheet_shows_every_slot_with_its_state_in_words)
         slots++;
     CHECK(slots == 60);
     for (unsigned serial = 0; serial < 60; serial++) {
-        (void)snprintf(cell, sizeof cell, "<p class=\"who\"><b>%u</b>", serial);
+        (void)snprintf(cell, sizeof cell, "<p class=\"who\"><b>%u.%u</b>", serial / 12 + 1,
+                       serial % 12 + 1);
         assert_non_null(strstr(page, cell));
     }
     assert_non_null(strstr(page, "\xE2\x9C\x93 56 used"));
     assert_non_null(strstr(page, "! 2 doubtful"));
     assert_non_null(strstr(page, "turned over"));
     assert_non_null(strstr(page, "turned by 180"));
-    assert_non_null(strstr(page, "<b>29</b> <span class=\"state\">\xE2\x80\x93 missing"));
-    assert_non_null(strstr(page, "<b>52</b> <span class=\"state\">\xE2\x9C\x95 held"));
+    assert_non_null(strstr(page, "<b>3.6</b> <span class=\"state\">\xE2\x80\x93 missing"));
+    assert_non_null(strstr(page, "<b>5.5</b> <span class=\"state\">\xE2\x9C\x95 held"));
     sample_free(sample);
 }
 

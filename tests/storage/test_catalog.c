@@ -155,7 +155,7 @@ TEST(an_unknown_specimen_is_named)
     struct gsn_error err = { 0 };
 
     CHECK(gsn_specimen_get(store, "S99", &got, &err) == GSN_E_NOTFOUND);
-    CHECK(strcmp(err.text, "there is no specimen S99") == 0);
+    CHECK(strcmp(err.text, "there is no specimen S99: `gieson status` lists them") == 0);
     CHECK(got == NULL);
 }
 

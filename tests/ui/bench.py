@@ -85,10 +85,11 @@ class Bench(unittest.TestCase):
 
     def call(self, *args, store=True, env=None, **more):
         """stdout and stderr as text, bytes that are no UTF-8 escaped."""
-        command = [str(BIN / "gieson"), *(["--store", str(self.store)] if store else []), *args]
+        command = [str(BIN / "gieson"), *args]
+        env = {**({"GIESON_STORE": str(self.store)} if store else {}), **(env or {})}
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE,
                    "stdin": subprocess.DEVNULL, **more}
-        return subprocess.run(command, env=self.environment(**(env or {})), encoding="utf-8",
+        return subprocess.run(command, env=self.environment(**env), encoding="utf-8",
                               errors="backslashreplace", check=False, **streams)
 
     def json(self, *args, code=0):
@@ -110,8 +111,8 @@ class Bench(unittest.TestCase):
         screen, inside = pty.openpty()
         fcntl.ioctl(inside, termios.TIOCSWINSZ, struct.pack("HHHH", 24, width, 0, 0))
         # Our own end stays open until all is read: some kernels drop what the last one leaves.
-        with subprocess.Popen([str(BIN / "gieson"), "--store", str(self.store), *args],
-                              env=self.environment(**(env or {})), stdin=inside, stdout=inside,
+        env = {"GIESON_STORE": str(self.store), **(env or {})}
+        with subprocess.Popen([str(BIN / "gieson"), *args], env=self.environment(**env), stdin=inside, stdout=inside,
                               stderr=inside) as child:
             written = b""
             while True:

@@ -154,7 +154,7 @@ TEST(a_board_says_what_comes_in_what_needs_a_person_and_specimens_by_urgency)
         "COMES IN|s receiving||NEEDS YOU|b.jpg trouble|scan it again|c.jpg unfiled|"
         "gieson file 7 SPECIMEN --panel N||SPECIMENS|failed failed|panel 1 failed|"
         "works working|panel 1 working|waits waiting|panel 1 waiting|empty waiting|done reported|"
-        "section 4 needs-eye|");
+        "section 1.3 needs-eye|");
 }
 
 /* The one line of this name, or NULL. */
@@ -219,7 +219,7 @@ TEST(a_section_that_needs_an_eye_names_the_command_that_settles_it)
 
     CHECK(line->kind == GSN_BOARD_DOUBT && gsn_board_is_part(line) && gsn_board_is_item(line));
     CHECK(strcmp(line->action, "gieson decide done 1.3 pose N") == 0);
-    CHECK(strcmp(line->detail, "2 poses to choose from in panel 1, slot 3") == 0);
+    CHECK(strcmp(line->detail, "2 poses to choose from for section 1.3") == 0);
     CHECK(line->specimen == 1);
 }
 

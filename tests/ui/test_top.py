@@ -228,7 +228,7 @@ class Live(Top):
         after = terminal.wait_for_text("panel 2")
         self.assertRegex(after, r"\. R12-right +waiting +0/2 panels +now +run\n")
         self.assertRegex(after, r"  \. panel 1 +waiting +scan_P01\.png +now\n")
-        self.assertEqual(self.call("run").returncode, 0)
+        self.assertEqual(self.call("run").returncode, 65)  # withheld
         terminal.wait_for_text("withheld")
 
     def test_progress_is_followed_to_the_end(self):

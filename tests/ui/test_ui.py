@@ -75,6 +75,12 @@ class Words(Bench):
     def test_help_names_every_verb_and_version_is_a_version(self):
         done = self.call("--help", store=False)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
+        for verb in re.findall(r"^  ([a-z][a-z-]*) ", done.stdout, re.M):
+            page = self.call(verb, "--help", store=False)
+            self.assertEqual(page.returncode, 0, verb)
+            self.assertIn("usage: ", page.stdout.lower())
+            if verb != "phantom":
+                self.assertRegex(page.stdout, rf"(?s)usage: gieson {verb}.*Example:\n  .*gieson {verb}")
         for verb in ("import", "run", "night", "status", "top", "show", "report", "retry",
                      "verify", "scrub", "backup", "restore", "check", "demo", "phantom", "file", "expect", "capture",
                      "check-config", "devices", "register", "decide"):
@@ -147,6 +153,19 @@ class Stores(Bench):
             rest.unlink()
         database.write_bytes(b"no database at all" * 1000)
         self.refused(self.call("status"), 74)
+
+    def test_what_is_advised_names_the_store_that_the_command_named(self):
+        self.imported("one")
+        there = str(self.store)
+        for args in (["status"], ["retry"], ["import", self.job("two", folder="b")]):
+            with self.subTest(args=args):
+                said = self.call("--store", there, *args, store=False)
+                said = said.stdout + said.stderr
+                advised = re.findall(r"(?:`|next: |  )gieson [^`\n]*", said)
+                self.assertGreater(len(advised), 0, said)
+                for command in advised:
+                    self.assertIn(f"gieson --store {there} ", command)
+                self.assertNotIn("--store", self.call(*args).stdout)
 
     def test_what_is_not_in_the_store_is_66(self):
         self.imported("here")
@@ -275,6 +294,17 @@ class Names(Bench):
         for text in texts:
             self.assertNotRegex(text, r"[\x00-\x09\x0b-\x1f\x7f]")
 
+    def test_a_name_moves_no_cursor(self):
+        place = self.job("odd")
+        png(place + "/\x1b[2J\x9b31m_P02.png", 8, 8)
+        for args in (["import", place], ["check", place + "/\x1b[2J\x9b31m_P02.png"],
+                     ["check", "\x1b[2J"], ["show", "\x1b[2J"], ["import", "\x1b[2J"],
+                     ["check-config", "\x1b[2J"], ["register", "\x1b[2J"]):
+            with self.subTest(args=args):
+                done = self.call(*args)
+                self.assertNotIn("\x1b", done.stdout + done.stderr)
+                self.assertNotIn("\x9b", done.stdout + done.stderr)
+
     def test_a_complaint_about_a_name_is_one_line(self):
         self.empty_store()
         for name in ODD_NAMES:
@@ -284,7 +314,7 @@ class Names(Bench):
 
     def test_the_next_command_can_be_pasted_into_a_shell(self):
         self.import_all()
-        self.assertEqual(self.call("run").returncode, 0)
+        self.assertEqual(self.call("run").returncode, 65)  # all withheld
         for row in self.json("status")["specimens"]:
             self.assertTrue(row["action"].startswith("gieson show "), row["action"])
             env = self.environment(GIESON_STORE=str(self.store),
@@ -386,7 +416,8 @@ class Run(Bench):
         self.empty_store()
         done = self.call("run")
         self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
-        self.assertEqual(self.json("run"), {"done": 0, "failed": 0, "waiting": 0})
+        self.assertEqual(self.json("run"), {"done": 0, "failed": 0, "waiting": 0, "specimens": 0,
+                                            "withheld": 0})
 
     def test_a_truncated_panel_costs_only_itself(self):
         place = self.job("one", panels=2)
@@ -527,9 +558,9 @@ class Told(Bench):
                       "       1   100.0 %    17.2 um  up    yes     on two marks, without mark 3\n"
                       "       2   < 0.1 %          -  down  no      the same spots, the other way "
                       "up\n    next: gieson decide R07-left 9.6 pose N\n", shown)
-        self.assertIn("(slot 6)  needs-eye  two-marks\n", shown)
+        self.assertIn("section 9.6  needs-eye  two-marks\n", shown)
         self.scene.run("UPDATE section SET state = 'found', flags = '' WHERE slot = 6")
-        self.assertIn("(slot 6)  found, but its marks are in doubt",
+        self.assertIn("section 9.6  found, but its marks are in doubt",
                       self.call("show", "R07-left").stdout)
         self.scene.run("UPDATE section SET state = 'needs-eye', flags = 'two-marks' WHERE slot = 6")
         listed = self.json("show", "R07-left")["sections"][-1]
@@ -784,7 +815,7 @@ class Night(Bench):
 
     def test_what_failed_earlier_is_told_and_not_tried_again_without_a_change(self):
         self.imported("one")
-        self.assertEqual(self.call("run").returncode, 0)
+        self.assertEqual(self.call("run").returncode, 65)  # all withheld
         with sqlite3.connect(self.store / "gieson.db") as db:
             db.execute("UPDATE job SET state = 'failed', message = 'no mesh' WHERE kind = "
                        "'specimen'")
@@ -1006,7 +1037,8 @@ class Streams(Bench):
                 os.close(fd)
 
         bench.ball(self.folder / "ball.mhd")
-        done = self.call("import", "--volume", str(self.folder / "ball.mhd"), "--threshold", "50")
+        done = self.call("import", "--volume", str(self.folder / "ball.mhd"), "--threshold", "50",
+                         "--spacing-unit", "um")
         self.assertEqual(done.returncode, 0, done.stderr)
         self.call("run", stdin=None, stdout=None, stderr=None, preexec_fn=close_all)
         row = self.json("status")["specimens"][0]
@@ -1060,7 +1092,7 @@ class Terminal(Bench):
         self.empty_store()
         self.fits(40, self.lines(40, "status"))
         self.imported("one")
-        self.assertEqual(self.call("run").returncode, 0)
+        self.assertEqual(self.call("run").returncode, 65)  # all withheld
         for width in (40, 80):
             self.fits(width, self.lines(width, "status"))
             self.fits(width, self.lines(width, "show", "one"))
@@ -1072,7 +1104,7 @@ class Terminal(Bench):
             png(place + "/a_long_name_too_P02.png", 3600, 4800, seed=width)
             self.assertEqual(self.call("import", place).returncode, 0)
             code, screen = self.terminal(width, "run", env={"NO_COLOR": "1"})
-            self.assertEqual(code, 0, screen)
+            self.assertEqual(code, 65, screen)  # withheld
             drawn = [p for p in re.split(r"[\r\n]", screen) if p.startswith("[")]
             self.assertGreater(len(drawn), 0, "the work was too quick to be seen")
             for piece in drawn:

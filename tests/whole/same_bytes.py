@@ -30,7 +30,7 @@ MATERIALS = [
     ("L2-8", "phantom", ["--level", "L2", "--seed", "8"]),
     ("L2-9", "phantom", ["--level", "L2", "--seed", "9"]),
     ("L3", "phantom", ["--level", "L3", "--seed", "22"]),
-    ("volume", "file", ["--volume", SHARED / "data/volumes/tooth.mhd", "--threshold", "100"]),
+    ("volume", "file", ["--volume", SHARED / "data/volumes/tooth.mhd", "--threshold", "100", "--spacing-unit", "um"]),
     ("tile", "file", ["--tile", SHARED / "data/colour/psr_left.jpg", "--specimen", "psr"]),
     ("folder", "folder", ["--n", "12", "--seed", "5"]),
 ]

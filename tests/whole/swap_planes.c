@@ -222,7 +222,7 @@ static int open_folder(struct panels *p, const char *folder, struct gsn_error *e
     if (r >= 0)
         r = gsn_protocol_parse((const char *)text, size, &p->protocol, err);
     if (r >= 0)
-        r = gsn_volume_read_mask(region, 0, &p->region, err);
+        r = gsn_volume_read_mask(region, 0, 1, &p->region, err);
     for (unsigned i = 1; r >= 0 && i <= p->protocol->panels && i <= MOST_PANELS; i++)
         r = add_panel(p, folder, i, err);
     return r;

@@ -386,7 +386,7 @@ def volume(bench, args):
         return SKIPPED
     place = Bench(bench.bin, bench.folder)
     began = time.monotonic()
-    place.call("import", "--volume", tooth, "--threshold", 100)
+    place.call("import", "--volume", tooth, "--threshold", 100, "--spacing-unit", "um")
     place.call("run")
     report = place.report("tooth")
     bound = report["volumes"][0]

@@ -1,0 +1,62 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/nearest.h"
+
+#include <ctype.h>
+#include <string.h>
+
+/* Longer words than this have no near one. */
+enum { LONGEST = 40 };
+
+static size_t least(size_t a, size_t b)
+{
+    return a < b ? a : b;
+}
+
+static int letter(char c)
+{
+    return tolower((unsigned char)c);
+}
+
+/* Three rows of the table are enough. */
+static size_t count_slips(const char *a, const char *b)
+{
+    const size_t n = strlen(a), m = strlen(b);
+    size_t row[3][LONGEST + 1];
+
+    for (size_t j = 0; j <= m; j++)
+        row[0][j] = j;
+    for (size_t i = 1; i <= n; i++) {
+        size_t *now = row[i % 3];
+        const size_t *last = row[(i + 2) % 3], *before = row[(i + 1) % 3];
+
+        now[0] = i;
+        for (size_t j = 1; j <= m; j++) {
+            const int same = letter(a[i - 1]) == letter(b[j - 1]);
+
+            now[j] = least(least(last[j], now[j - 1]) + 1, last[j - 1] + !same);
+            if (i > 1 && j > 1 && letter(a[i - 1]) == letter(b[j - 2]) &&
+                letter(a[i - 2]) == letter(b[j - 1]))
+                now[j] = least(now[j], before[j - 2] + 1);
+        }
+    }
+    return row[n % 3][m];
+}
+
+const char *gsn_nearest(const char *written, const char *const *words, size_t count)
+{
+    const size_t length = strlen(written), most = length / 3 < 2 ? 2 : length / 3;
+    const char *best = NULL;
+    size_t fewest = most + 1;
+
+    if (length > LONGEST)
+        return NULL;
+    for (size_t i = 0; i < count; i++) {
+        const size_t slips = strlen(words[i]) <= LONGEST ? count_slips(written, words[i]) : fewest;
+
+        if (slips < fewest && slips < length) {
+            fewest = slips;
+            best = words[i];
+        }
+    }
+    return best;
+}

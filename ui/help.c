@@ -1,0 +1,140 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "ui/help.h"
+
+#include "pipeline/core/nearest.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static const struct gsn_help pages[] = {
+    { "status", "", "What is in the store, a line a specimen, each with the command to give next.",
+      "", "gieson status\ngieson status -j | jq '.specimens[].state'" },
+    { "top", "", "The same on a screen that follows; ? lists its keys, q ends it.", "",
+      "gieson top" },
+    { "show", "SPECIMEN", "Its panels, the sections that need an eye, its runs and figures.", "",
+      "gieson show R07-left" },
+    { "import", "FOLDER | --volume FILE | --tile FILE",
+      "Takes the panels beside a job.json into the store, with the files that it names; or one "
+      "volume,\n"
+      "or one picture of stained tissue. Nothing at the source is changed. What can be told of the "
+      "job\n"
+      "is told before any work: keys, units, panels that are missing, what will be withheld.",
+      "  --replace            a specimen of the same name takes the new job.json\n"
+      "  --specimen NAME      of a volume or tile (default: the file's name)\n"
+      "  --threshold X        volume above this density; up to 8 times\n"
+      "  --spacing-unit UNIT  of a volume whose header does not say: mm or um\n"
+      "  --reference FILE     a mask beside a tile to compare its map with\n",
+      "gieson new R07-left && $EDITOR R07-left/job.json\ngieson import R07-left\n"
+      "gieson import --volume tooth.mhd --spacing-unit mm --threshold 100" },
+    { "new", "FOLDER",
+      "Writes FOLDER/job.json, a template with a comment beside each key, and nothing else. One "
+      "that is\n"
+      "there already is left as it is.",
+      "", "gieson new R07-left" },
+    { "run", "",
+      "Works the queue to its end. Ends with 65 when a job failed, or when every specimen in the\n"
+      "store is withheld.",
+      "  --threads N          0 (all) to 64; the bytes of a report do not depend on it\n",
+      "gieson run --threads 2" },
+    { "night", "",
+      "Works every specimen that changed since its last report, and prints a line for each.",
+      "  --threads N          0 (all) to 64\n", "gieson night" },
+    { "retry", "[SPECIMEN]", "Lets failed jobs, of one specimen or of all, wait again.", "",
+      "gieson retry R07-left && gieson run" },
+    { "decide", "SPECIMEN PLACE ANSWER",
+      "Answers what `gieson show` asks. The place is a panel's number (3), or a slot of it (3.6), "
+      "slots\n"
+      "counted from 1 in the order of mounting.\n"
+      "Of a slot:  cut, hold, slot N, dismiss, pose N\n"
+      "Of a panel: use FILE, first N, as-marked, as-set, lost\n"
+      "undo takes an answer back.",
+      "  --because TEXT       why; kept with the answer\n",
+      "gieson decide R07-left 2.6 pose 2 --because 'the crack is on the left'" },
+    { "report", "SPECIMEN", "Where its latest report is; with --json the report itself.", "",
+      "gieson report R07-left\ngieson report R07-left --json | jq .loss_percent" },
+    { "verify", "RUN | SPECIMEN",
+      "Works a finished run again and compares every byte; ends with 1 when one\n"
+      "differs.",
+      "", "gieson verify R07-left" },
+    { "scrub", "", "Reads every stored original again and compares its hash.",
+      "  --minutes N          stop after so long; the next one goes on there\n"
+      "  --quick              database, log and reports alone\n"
+      "  --journal FILE       compare the audit log with what the journal has of it\n",
+      "gieson scrub --minutes 30" },
+    { "backup", "FOLDER", "Copies the store, whole and verified, into a new or an empty folder.",
+      "", "gieson backup /media/disk/gieson" },
+    { "restore", "FOLDER", "Makes a new store of a backup, verified.", "",
+      "gieson --store new-store restore /media/disk/gieson" },
+    { "check", "FILE...",
+      "Decodes pictures strictly and says what each is, or why it is refused. Needs no\n"
+      "store.",
+      "", "gieson check R07-left/R07-P03.tif" },
+    { "register", "FOLDER",
+      "How the sections of a plain folder of pictures lie. Needs no store; see\n"
+      "docs/register.md.",
+      "  --marks X,Y X,Y X,Y  where the marks are in the frame wanted\n"
+      "  --px-um UM           size of a pixel; without it lengths are pixels\n"
+      "  --radius R           the error is given over this disc\n"
+      "  --by-tissue          lay sections without marks by their neighbours' tissue\n",
+      "gieson register sections --px-um 10.58 --json > poses.json" },
+    { "demo", "[FOLDER]",
+      "Two phantom specimens with a known truth from panels to reports, in FOLDER (default:\n"
+      "demo).",
+      "", "gieson demo" },
+    { "phantom", "...", "Makes a specimen with a known truth.", "", "gieson phantom --help" },
+    { "file", "SCAN SPECIMEN --panel N",
+      "Says where a scan belongs that nobody could place, or which number a\n"
+      "held panel has.",
+      "  --panel N            its number in the specimen\n", "gieson file 18 R07-left --panel 3" },
+    { "expect", "SOURCE SPECIMEN | SOURCE --nobody",
+      "From now on what the source delivers belongs to the specimen, or to nobody.",
+      "  --nobody             end that\n", "gieson expect scanner R07-left" },
+    { "capture", "SOURCE", "Has the service take a picture now, and waits for it.",
+      "  --blank              of clean glass\n  --dark               with the lens covered\n",
+      "gieson capture copystand --blank" },
+    { "devices", "",
+      "What is plugged in and could be a source, with its address for the configuration.", "",
+      "gieson devices" },
+    { "check-config", "[FILE]",
+      "What is wrong with the configuration of the service, or with another file, with\n"
+      "file, line and reason; 66 when there is none, 78 when it is wrong.",
+      "", "gieson check-config /etc/gieson/gieson.conf" },
+};
+
+enum { PAGES = sizeof pages / sizeof pages[0] };
+
+const struct gsn_help *gsn_help_of(const char *verb)
+{
+    for (size_t i = 0; i < PAGES; i++)
+        if (strcmp(pages[i].verb, verb) == 0)
+            return &pages[i];
+    return NULL;
+}
+
+const char *gsn_help_nearest(const char *verb)
+{
+    const char *names[PAGES];
+
+    for (size_t i = 0; i < PAGES; i++)
+        names[i] = pages[i].verb;
+    return gsn_nearest(verb, names, PAGES);
+}
+
+void gsn_help_print(const struct gsn_help *help)
+{
+    const char *line = help->example;
+
+    (void)printf("usage: gieson %s%s%s\n\n%s\n", help->verb, help->arguments[0] ? " " : "",
+                 help->arguments, help->what);
+    (void)printf("\nOptions:\n%s"
+                 "  -s, --store DIR      the store\n"
+                 "  -j, --json           print JSON\n"
+                 "\nExample:\n",
+                 help->options);
+    while (*line) {
+        const size_t length = strcspn(line, "\n");
+
+        (void)printf("  %.*s\n", (int)length, line);
+        line += length + (line[length] == '\n');
+    }
+}

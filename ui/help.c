@@ -64,7 +64,7 @@ static const struct gsn_help pages[] = {
     { "backup", "FOLDER", "Copies the store, whole and verified, into a new or an empty folder.",
       "", "gieson backup /media/disk/gieson" },
     { "restore", "FOLDER", "Makes a new store of a backup, verified.", "",
-      "gieson --store new-store restore /media/disk/gieson" },
+      "gieson restore /media/disk/gieson --store new-store" },
     { "check", "FILE...",
       "Decodes pictures strictly and says what each is, or why it is refused. Needs no\n"
       "store.",

@@ -134,7 +134,7 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
         r = gsn_assembly_place_reference(specimen, px_um, sections, a, err);
     if (r >= 0)
         r = gsn_assembly_place_calibrations(specimen, a, err);
-    if (r >= 0 && !a->by_standards)
+    if (r >= 0)
         r = gsn_assembly_place_columns(specimen, sections, a, err);
     if (r >= 0)
         r = gsn_assembly_refine(specimen, options, a, err);
@@ -152,6 +152,8 @@ int gsn_assembly_make(const struct gsn_specimen *specimen,
         gsn_assembly_sum_errors(specimen, a);
     if (r >= 0)
         r = gsn_assembly_find_tissues(specimen, a, err);
+    if (r >= 0)
+        r = gsn_assembly_count_colours(specimen, a, err);
     if (r < 0)
         return r;
     *ret_assembly = gsn_steal(&a);
@@ -180,6 +182,7 @@ void gsn_assembly_free(struct gsn_assembly *a)
     gsn_mask_free(a->tissue);
     gsn_grid_free(a->tissue_grid);
     gsn_columns_free(a->columns);
+    gsn_cloud_free(a->cloud);
     gsn_sequence_free(a->sequence);
     gsn_free(a);
 }

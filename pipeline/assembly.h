@@ -13,6 +13,7 @@
 #include "pipeline/register/strain.h"
 #include "pipeline/register/tissue_check.h"
 #include "pipeline/specimen.h"
+#include "pipeline/stain/cloud.h"
 #include "pipeline/stain/dust.h"
 #include "pipeline/stain/lamp.h"
 #include "pipeline/stain/level_tissues.h"
@@ -103,6 +104,7 @@ struct gsn_levelling {
     size_t panels;                  /* that were compared */
     double share[GSN_LEVEL_PANELS]; /* of the region's voxels with data, by place; they sum to 1 */
     struct gsn_level_tissues tissues; /* by enum gsn_untreated, on the panels' common scale */
+    double yellow[GSN_LEVEL_TISSUES]; /* of them in the region's planes, OD; NaN: not seen */
     struct gsn_turned_left vectors;   /* what the dye vectors leave open beside those tissues */
     struct gsn_turned_scatter turns;  /* where the vectors were taken as exact: what they turn by
                                          from panel to panel; vectors is then per rad^2 of it */
@@ -146,8 +148,12 @@ struct gsn_assembly {
     size_t spot_count;              /* of the scanner's dust */
     struct gsn_mask_disc *spot;     /* owned; pixels as the scanner gave them */
     unsigned spot_panels;           /* that were compared for it */
-    struct gsn_columns *columns;    /* owned; NULL where a reference tissue is stated */
+    struct gsn_columns *columns;    /* owned; NULL where there is no grid */
     struct gsn_levelling levelling;
+    struct gsn_cloud *cloud; /* owned; the colours of its tissue on the panels' common scale; NULL
+                                as columns are */
+    double region_od[3];     /* mean R, G and B of the region's tissue on it; NaN: none is seen */
+    double free_od[3]; /* of the stated tissue without collagen; NaN: none is stated, or seen */
     double red_error;  /* relative standard error of a mean density on the panels' own scale: by
                           vectors, white, gains and the steps between panels */
     double step_error; /* of it, what the steps between panels leave open */

@@ -22,7 +22,7 @@ int gsn_assembly_place_columns(const struct gsn_specimen *specimen, unsigned sec
 {
     struct gsn_lattice at;
 
-    if (!a->grid || a->tissue_grid)
+    if (!a->grid)
         return GSN_OK;
     if (gsn_assembly_place_block(specimen, GSN_COLUMN_UM, sections, a, &at, NULL) < 0 ||
         (double)at.nx * (double)at.ny * (double)at.nz > MOST_COLUMNS)
@@ -325,8 +325,8 @@ int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly 
     for (size_t p = 0; p < a->panel_count; p++)
         a->panel[p].level = (struct gsn_level){ 1, 0 };
     for (size_t i = 0; i < GSN_LEVEL_TISSUES; i++)
-        a->levelling.tissues.value[i] = (double)NAN;
-    if (!a->columns)
+        a->levelling.tissues.value[i] = a->levelling.yellow[i] = (double)NAN;
+    if (!a->columns || a->tissue_grid || a->by_standards)
         return GSN_OK;
     r = find_footprint(specimen, a, &footprint, err);
     if (r < 0)

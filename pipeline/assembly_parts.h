@@ -130,6 +130,11 @@ int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly 
 int gsn_assembly_find_tissues(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                               struct gsn_error *err);
 
+/* assembly_cloud.c: the colours of all tissue, panel by panel, and the region's mean colour. Comes
+ * when the panels are on one scale. */
+int gsn_assembly_count_colours(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                               struct gsn_error *err);
+
 /* Divides each plane by the gain that the reference tissue, or else the standards, tell of its
  * panel. */
 int gsn_assembly_normalise(const struct gsn_specimen *specimen, struct gsn_assembly *a,

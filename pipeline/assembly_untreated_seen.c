@@ -79,45 +79,53 @@ static const struct gsn_assembly_panel *panel_of(const struct gsn_specimen *spec
     return panel && panel->levelled ? panel : NULL;
 }
 
+/* Mean optical density of the first count columns. */
+static void mean_od(const struct gsn_untreated_field *f, const struct gsn_assembly *a, size_t count,
+                    double ret_od[3])
+{
+    for (int c = 0; c < 3; c++) {
+        ret_od[c] = 0;
+        for (size_t i = 0; i < count; i++)
+            ret_od[c] += (double)a->columns->od[c]->value[f->column[i]] / (double)count;
+    }
+}
+
 /* Adds the first count columns, as a panel's vectors see them. */
 static int add_turned(const struct gsn_untreated_field *f, const struct gsn_assembly *a,
                       const struct gsn_assembly_panel *panel, size_t count,
                       struct gsn_turned *turned, struct gsn_error *err)
 {
-    const struct gsn_dyes_fit *fit = &panel->stain.fit;
-    double od[3] = { 0 };
+    double od[3];
 
     if (count == 0)
         return GSN_OK;
-    for (int c = 0; c < 3; c++)
-        for (size_t i = 0; i < count; i++)
-            od[c] += (double)a->columns->od[c]->value[f->column[i]] / (double)count;
-    return gsn_turned_add(turned, &fit->dyes, od, (double)count, err);
+    mean_od(f, a, count, od);
+    return gsn_turned_add(turned, &panel->stain.fit.dyes, od, (double)count, err);
 }
 
-static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                        struct gsn_untreated_field *f, unsigned kind, struct sight *sight,
-                        struct panels_seen *seen, struct gsn_turned *turned, struct gsn_error *err)
+/* A mean over planes. */
+struct average {
+    double sum, weight;
+};
+
+/* Adds the yellow dye of the first count columns. */
+static int add_yellow(const struct gsn_untreated_field *f, const struct gsn_assembly *a,
+                      const struct gsn_assembly_panel *panel, size_t count, double weight,
+                      struct average *yellow, struct gsn_error *err)
 {
-    size_t n = 0;
-    int r = GSN_OK;
+    double od[3], amount[3];
+    int r;
 
-    for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
-        const struct gsn_assembly_panel *of = panel_of(specimen, a, f, z);
-        size_t columns;
-
-        if (!of)
-            continue;
-        sight[n] = (struct sight){ f->at.origin_um.z + (double)z * f->at.step_um.z,
-                                   gsn_untreated_in(f, a, (uint8_t)(1 + kind), z, &columns), of };
-        n += isnan(sight[n].value) ? 0 : 1;
-        r = add_turned(f, a, of, columns, turned, err);
-    }
-    sum_up(sight, n, f->scratch, seen);
-    return r;
+    if (count == 0)
+        return GSN_OK;
+    mean_od(f, a, count, od);
+    r = gsn_unmix_one(od, &panel->stain.fit.dyes, amount, err);
+    if (r < 0)
+        return r;
+    yellow->sum += weight * amount[1];
+    yellow->weight += weight;
+    return GSN_OK;
 }
-
-/* ---- vectors --------------------------------------------------------------------------------- */
 
 /* Lists the region's columns in one section; returns how many. */
 static size_t list_region(const struct gsn_untreated_field *f, const struct gsn_assembly *a,
@@ -135,6 +143,36 @@ static size_t list_region(const struct gsn_untreated_field *f, const struct gsn_
         }
     return n;
 }
+
+static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly *a,
+                        struct gsn_untreated_field *f, unsigned kind, const double *weight,
+                        struct sight *sight, struct panels_seen *seen, struct gsn_turned *turned,
+                        struct gsn_error *err)
+{
+    struct average yellow = { 0 };
+    size_t n = 0;
+    int r = GSN_OK;
+
+    for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
+        const struct gsn_assembly_panel *of = panel_of(specimen, a, f, z);
+        size_t columns;
+
+        if (!of)
+            continue;
+        sight[n] = (struct sight){ f->at.origin_um.z + (double)z * f->at.step_um.z,
+                                   gsn_untreated_in(f, a, (uint8_t)(1 + kind), z, &columns), of };
+        n += isnan(sight[n].value) ? 0 : 1;
+        r = add_turned(f, a, of, columns, turned, err);
+        if (r >= 0)
+            r = add_yellow(f, a, of, columns, weight[z], &yellow, err);
+    }
+    sum_up(sight, n, f->scratch, seen);
+    if (yellow.weight > 0)
+        a->levelling.yellow[kind] = yellow.sum / yellow.weight;
+    return r;
+}
+
+/* ---- vectors --------------------------------------------------------------------------------- */
 
 /* Whether vectors were inferred or measured, so that their errors are known. */
 static int has_errors(const struct gsn_assembly *a)
@@ -237,12 +275,16 @@ int gsn_untreated_measure(const struct gsn_specimen *specimen, struct gsn_assemb
                           struct gsn_untreated_field *f, struct gsn_error *err)
 {
     gsn_auto_mem(struct sight) sight = gsn_alloc_array(f->at.nz, sizeof *sight);
+    gsn_auto_mem(double) weight = gsn_alloc_array(f->at.nz, sizeof *weight);
     struct gsn_turned turned[GSN_UNTREATED_KINDS] = { { 0 } };
     struct panels_seen seen[GSN_UNTREATED_KINDS];
-    int r = sight ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
+    int r = sight && weight ? GSN_OK
+                            : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");
 
+    for (size_t z = 0; z < f->at.nz && r >= 0; z++)
+        weight[z] = (double)list_region(f, a, z);
     for (unsigned k = 0; k < GSN_UNTREATED_KINDS && r >= 0; k++)
-        r = measure_kind(specimen, a, f, k, sight, &seen[k], &turned[k], err);
+        r = measure_kind(specimen, a, f, k, weight, sight, &seen[k], &turned[k], err);
     if (r < 0)
         return r;
     judge_tissues(seen, a);

@@ -239,6 +239,18 @@ static int read_names(const json_t *job, struct gsn_protocol *p, struct gsn_erro
     return GSN_OK;
 }
 
+static int read_collagen_free(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *tissue = json_object_get(job, "collagen_free");
+
+    if (!tissue)
+        return GSN_OK;
+    if (p->kind != GSN_KIND_SECTIONS || !json_is_object(tissue))
+        return gsn_stated_bad(err, "collagen_free",
+                              "a shape of tissue without collagen, for sections only");
+    return gsn_stated_shape_read(tissue, "collagen_free", &p->collagen_free, err);
+}
+
 /* What other programs, or other people, call our keys. */
 static const char *meant_by_beginning(const char *key)
 {
@@ -282,7 +294,7 @@ static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct g
         "region",    "markers_um",  "baseline",     "transfer", "dyes",          "white",
         "kind",      "thresholds",  "tolerance",    "file",     "reference",     "batch",
         "comment",   "strain",      "stained",      "scanned",  "yellow_to_red", "level",
-        "target_um", "calibration", "registration", "frame",    "spacing_unit"
+        "target_um", "calibration", "registration", "frame",    "spacing_unit",  "collagen_free"
     };
     const size_t count = sizeof known / sizeof known[0];
     void *at = json_object_iter((json_t *)(uintptr_t)job);
@@ -342,6 +354,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
     p->order = (enum gsn_stated_order)order;
     p->spacing_unit = (enum gsn_spacing_unit)(unit + 1);
     r = read_reference(job, p, err);
+    if (r >= 0)
+        r = read_collagen_free(job, p, err);
     if (r >= 0)
         r = read_calibration(job, p, err);
     if (r >= 0)

@@ -53,6 +53,7 @@ struct gsn_protocol {
                                          1-based; 0: not stated, or not by tissue alone */
     struct gsn_region region;
     struct gsn_region reference_tissue; /* a shape; GSN_REGION_NONE: the stain is not normalised */
+    struct gsn_region collagen_free;    /* a shape of tissue that holds none; NONE: not stated */
     double reference_density;           /* what that tissue's density is taken to be */
     size_t calibration_count;
     struct gsn_stated_calibration *calibration; /* owned; NULL when none is stated */

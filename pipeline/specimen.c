@@ -181,7 +181,8 @@ static int check_frame(const struct gsn_specimen *specimen, const struct gsn_ass
 
     if (p->has_markers || a->by_tissue.done || !a->solved ||
         !(gsn_region_has_coordinates(&p->region) ||
-          gsn_region_has_coordinates(&p->reference_tissue)))
+          gsn_region_has_coordinates(&p->reference_tissue) ||
+          gsn_region_has_coordinates(&p->collagen_free)))
         return GSN_OK;
     if (p->unknown)
         (void)snprintf(unknown, sizeof unknown, "; it has keys that are not used: %.80s",
@@ -192,6 +193,16 @@ static int check_frame(const struct gsn_specimen *specimen, const struct gsn_ass
                     "lie in the block; a region that was drawn on this stack has them at "
                     "[[%.0f, %.0f], [%.0f, %.0f], [%.0f, %.0f]]",
                     unknown, t[0].x, t[0].y, t[1].x, t[1].y, t[2].x, t[2].y);
+}
+
+/* What specimens that have this one for their baseline need beside its figures. */
+static void hand_on(struct gsn_assembly *a, struct gsn_specimen_result *result)
+{
+    result->colours.tissues = a->levelling.tissues;
+    memcpy(result->colours.yellow, a->levelling.yellow, sizeof result->colours.yellow);
+    memcpy(result->colours.region_od, a->region_od, sizeof result->colours.region_od);
+    memcpy(result->colours.free_od, a->free_od, sizeof result->colours.free_od);
+    result->colours.cloud = gsn_steal(&a->cloud);
 }
 
 static int work_sections(const struct gsn_specimen *specimen,
@@ -236,7 +247,10 @@ static int work_sections(const struct gsn_specimen *specimen,
     evidence.account = account;
     evidence.withheld = account ? NULL : why.text;
     gsn_progress_say(options->progress, "report", 0, 1);
-    return gsn_summarise(&evidence, result, err);
+    r = gsn_summarise(&evidence, result, err);
+    if (r >= 0 && assembly)
+        hand_on(assembly, result);
+    return r;
 }
 
 /* The whole volume, where no region is stated. */
@@ -338,5 +352,6 @@ void gsn_specimen_result_free(struct gsn_specimen_result *result)
     gsn_free(result->pose);
     gsn_free(result->candidates);
     gsn_free(result->stain);
+    gsn_cloud_free(result->colours.cloud);
     gsn_free(result);
 }

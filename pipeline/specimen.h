@@ -16,6 +16,7 @@
 #include "pipeline/examine.h"
 #include "pipeline/protocol.h"
 #include "pipeline/register/pose.h"
+#include "pipeline/stain/cloud.h"
 #include "pipeline/stain/dyes.h"
 #include "pipeline/stain/level_tissues.h"
 #include "pipeline/stain/turned.h"
@@ -53,8 +54,10 @@ struct gsn_specimen_decision {
 /* What one specimen of a baseline hands on beside its figures. */
 struct gsn_specimen_control {
     struct gsn_level_tissues tissues;
-    size_t panels;                 /* that were levelled */
-    double zero[GSN_LEVEL_PANELS]; /* where each of them puts density 0, on their common scale */
+    double yellow[GSN_LEVEL_TISSUES]; /* of them, OD; NaN: not seen */
+    double region_od[3];              /* mean R, G and B of its region; NaN: not known */
+    double free_od[3];                /* of its stated tissue without collagen; NaN: none */
+    struct gsn_cloud *cloud;          /* of its tissue; NULL: not known */
 };
 
 /* The control's figures; name is "" when the job states no baseline. */
@@ -153,9 +156,8 @@ struct gsn_specimen_result {
     size_t candidates_count;
     struct gsn_specimen_candidates *candidates; /* owned */
     size_t stain_count;
-    struct gsn_specimen_stain *stain; /* owned */
-    size_t zero_count;                /* of panels that were levelled */
-    double zero[GSN_LEVEL_PANELS];
+    struct gsn_specimen_stain *stain;    /* owned */
+    struct gsn_specimen_control colours; /* for those whose baseline it is; cloud owned */
     size_t measure_count;
     struct gsn_specimen_measure measure[GSN_SPECIMEN_MEASURES];
 };

@@ -146,7 +146,6 @@ static int write_report(const struct gsn_evidence *e, struct gsn_draft *d,
     (void)snprintf(result->definition, sizeof result->definition, "%s", r->density_name);
     (void)snprintf(result->dyes, sizeof result->dyes, "%s", r->density_version);
     keep_measures(e, d, result);
-    result->zero_count = e->assembly ? gsn_draft_panel_zeros(e->assembly, result->zero) : 0;
     return GSN_OK;
 }
 

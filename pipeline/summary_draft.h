@@ -8,7 +8,7 @@
 #include "pipeline/core/hash.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/report/report.h"
-#include "pipeline/stain/level_zero.h"
+#include "pipeline/stain/edge.h"
 #include "pipeline/summary.h"
 
 #ifdef __cplusplus
@@ -45,7 +45,10 @@ struct gsn_draft {
     struct gsn_report_tile tile;
     int linked; /* whether untreated tissue tells how the baseline was stained */
     struct gsn_level_link link;
-    struct gsn_level_zero zero; /* by this specimen's panels and its baseline's; with a link only */
+    struct gsn_edge edge;  /* of both specimens' colours, where the loss was narrowed by it */
+    size_t edge_panels;    /* that show it; 0: the loss was not */
+    int by_colours;        /* whether the loss is one whose vectors nobody measured */
+    double loss_by_colour; /* standard error of the loss that it leaves, per cent */
     int out_of_memory;
 };
 
@@ -87,14 +90,6 @@ void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d);
  */
 void gsn_draft_link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
                           struct gsn_loss_side *control, struct gsn_loss_side *treated);
-/* Standard error of the loss by the dye vectors, per cent. */
-double gsn_draft_loss_by_vectors(const struct gsn_evidence *e, const struct gsn_loss_side *control,
-                                 const struct gsn_loss_side *treated);
-/* Why vectors that were taken as exact are too far from the baths that were used; NULL: they will
- * do. */
-const char *gsn_draft_vectors_unfit(const struct gsn_evidence *e, struct gsn_draft *d,
-                                    const struct gsn_loss_side *control,
-                                    const struct gsn_loss_side *treated);
 /* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
  * it leaves out what all panels have in common. */
 double gsn_draft_own_scale_error(const struct gsn_evidence *e);
@@ -103,13 +98,19 @@ double gsn_draft_density_error(const struct gsn_evidence *e);
 const char *gsn_draft_dyes(const struct gsn_evidence *e);
 const char *gsn_draft_tissue_name(unsigned tissue);
 
-/* summary_zero.c: where each levelled panel puts density 0, on their common scale; returns their
- * number. */
-size_t gsn_draft_panel_zeros(const struct gsn_assembly *assembly,
-                             double ret_zero[GSN_LEVEL_PANELS]);
-/* Where density 0 lies in this specimen's stain, by its panels and its baseline's. */
-void gsn_draft_find_zero(const struct gsn_evidence *e, const struct gsn_level *spread,
-                         struct gsn_draft *d);
+/* Standard error of a loss by vectors that calibration panels tell, per cent. */
+double gsn_draft_loss_by_vectors(const struct gsn_evidence *e, const struct gsn_loss_side *control,
+                                 const struct gsn_loss_side *treated);
+/* The table of the dye vectors that colours are read by: the first panel's. NULL: none is open. */
+const struct gsn_dyes *gsn_draft_table(const struct gsn_evidence *e);
+/* Whether calibration panels tell the vectors of all panels. */
+int gsn_draft_calibrated(const struct gsn_evidence *e);
+
+/* summary_colour.c: a loss whose dye vectors nobody measured, by the colours of both specimens'
+ * tissue; why it cannot be given, or NULL. */
+const char *gsn_draft_narrow(const struct gsn_evidence *e, struct gsn_draft *d,
+                             const struct gsn_loss_side *control,
+                             const struct gsn_loss_side *treated, struct gsn_loss *loss);
 
 /* summary_loss.c: the loss, or why there is none. */
 void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d);

@@ -13,6 +13,9 @@ static const double LEAST_KNOWN = 0.9;
  * can hardly be measured on the rest. */
 static const double LEAST_MEASURED = 0.7;
 
+/* Per cent: of a smaller loss nobody can say from which density it is counted. */
+static const double LEAST_FOR_ZERO = 5;
+
 /* Why too little of a region is known to give a loss; NULL: enough is. */
 static const char *too_little(struct gsn_draft *d, const char *whose, double known, double measured)
 {
@@ -116,19 +119,20 @@ static const char *compare(const struct gsn_evidence *e, struct gsn_draft *d,
     struct gsn_error why = { 0 };
     const char *reason = not_comparable(e, d);
 
-    if (!reason)
-        reason = gsn_draft_vectors_unfit(e, d, control, treated);
     if (!reason && gsn_loss(control, treated, 0.95, ret_loss, &why) < 0)
         reason = gsn_draft_say(d, "%s", why.text);
+    if (!reason && !gsn_draft_calibrated(e))
+        reason = gsn_draft_narrow(e, d, control, treated, ret_loss);
     return reason;
 }
 
-static void print_loss(const struct gsn_loss *loss, struct gsn_report *r)
+static void print_loss(const struct gsn_loss *loss, int narrowed, struct gsn_report *r)
 {
     if (loss->has_interval) {
         r->loss_lower = loss->percent_low;
         r->loss_upper = loss->percent_high;
-        r->loss_interval = "95 %, stain and white";
+        r->loss_interval =
+            narrowed ? "95 %, stain, white and dye vectors" : "95 %, stain and white";
     }
     r->loss_percent = loss->percent;
     r->loss_points = loss->points;
@@ -157,15 +161,19 @@ void gsn_draft_loss(const struct gsn_evidence *e, struct gsn_draft *d)
         return;
     if (d->linked)
         gsn_draft_link_sides(e, d, &control, &treated);
-    r->baseline_mean = control.mean + d->zero.at;
-    r->zero_density = d->linked ? d->zero.at : (double)NAN;
+    r->baseline_mean = control.mean;
     r->loss_reason = compare(e, d, &control, &treated, &loss);
     if (r->loss_reason) {
         gsn_draft_warn(d, r->loss_reason);
         return;
     }
-    print_loss(&loss, r);
-    if (d->linked && e->assembly->levelling.vectors.known)
+    print_loss(&loss, d->by_colours, r);
+    if (d->edge_panels > 0 && fabs(loss.percent) > LEAST_FOR_ZERO)
+        r->zero_density =
+            (treated.mean - (1 - loss.percent / 100) * control.mean) / (loss.percent / 100);
+    if (d->by_colours || (d->linked && e->assembly->levelling.vectors.known))
         gsn_draft_value(d->measure, &r->measure_count, "Standard error of the loss by dye vectors",
-                        gsn_draft_loss_by_vectors(e, &control, &treated), "%");
+                        d->by_colours ? d->loss_by_colour
+                                      : gsn_draft_loss_by_vectors(e, &control, &treated),
+                        "%");
 }

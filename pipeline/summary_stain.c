@@ -4,9 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Standard error of a loss by vectors that were taken as exact, per cent, with which it is given:
- * on a bad bench a loss is to be within four points, which two of these are. */
-static const double MOST_BY_VECTORS = 2;
 /* Texture and what a region's tissue happens to be scatter by about this much in even baths. */
 static const double UNEVEN_UNSAID = 0.03;
 
@@ -51,8 +48,6 @@ void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
     d->linked = gsn_level_between(&l->tissues, &b->tissues, &spread, &d->link, NULL) >= 0;
-    if (d->linked)
-        gsn_draft_find_zero(e, &spread, d);
 }
 
 /* What the untreated tissues are off the link by, in their errors, when something is wrong. */
@@ -106,15 +101,29 @@ void gsn_draft_evenness(const struct gsn_evidence *e, struct gsn_draft *d)
             d, gsn_draft_say(d, "the panels were not levelled: %s", e->assembly->levelling.why));
 }
 
+const struct gsn_dyes *gsn_draft_table(const struct gsn_evidence *e)
+{
+    for (size_t i = 0; e->assembly && i < e->assembly->panel_count; i++)
+        if (e->assembly->panel[i].opened)
+            return &e->assembly->panel[i].stain.fit.dyes;
+    return NULL;
+}
+
+int gsn_draft_calibrated(const struct gsn_evidence *e)
+{
+    for (size_t i = 0; e->assembly && i < e->assembly->panel_count; i++)
+        if (e->assembly->panel[i].opened && !(e->assembly->panel[i].calibrated.panel &&
+                                              e->assembly->panel[i].calibrated.panel->has_dyes))
+            return 0;
+    return 1;
+}
+
 /* The set of dye vectors that the figures stand on: the panels' own, or none. */
 const char *gsn_draft_dyes(const struct gsn_evidence *e)
 {
     if (e->tile)
         return e->tile->fit.dyes.name;
-    for (size_t i = 0; e->assembly && i < e->assembly->panel_count; i++)
-        if (e->assembly->panel[i].opened)
-            return e->assembly->panel[i].stain.fit.dyes.name;
-    return "";
+    return gsn_draft_table(e) ? gsn_draft_table(e)->name : "";
 }
 
 void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
@@ -188,52 +197,23 @@ double gsn_draft_density_error(const struct gsn_evidence *e)
                : 0;
 }
 
-/* The baseline as it would read in this specimen's stain, and what that leaves open. Both sides are
- * counted from where density 0 lies; what that is off by moves both alike, and the loss by that
- * times what they differ by. */
+/* The baseline as it would read in this specimen's stain, and what that leaves open. */
 void gsn_draft_link_sides(const struct gsn_evidence *e, const struct gsn_draft *d,
                           struct gsn_loss_side *control, struct gsn_loss_side *treated)
 {
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
 
-    control->mean = d->link.gain * b->mean_density + d->link.offset - d->zero.at;
+    control->mean = d->link.gain * b->mean_density + d->link.offset;
     control->standard_error =
         hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
-    treated->mean -= d->zero.at;
     treated->standard_error =
-        hypot(own_error(e, treated->mean / control->mean) * e->account->density.mean,
-              d->zero.error * fabs(1 - treated->mean / control->mean));
+        own_error(e, treated->mean / control->mean) * e->account->density.mean;
 }
 
-/* Standard error of the loss by the dye vectors, per cent. */
 double gsn_draft_loss_by_vectors(const struct gsn_evidence *e, const struct gsn_loss_side *control,
                                  const struct gsn_loss_side *treated)
 {
     const double ratio = treated->mean / control->mean;
 
     return 100 * ratio * vectors_error(e, ratio);
-}
-
-/* Vectors that were taken as exact, and are far from the baths that were used. How far, a few
- * panels say, and on each of them all nuclei of the region err together: so large an error is no
- * part of an interval but a reason. NULL: they will do. */
-const char *gsn_draft_vectors_unfit(const struct gsn_evidence *e, struct gsn_draft *d,
-                                    const struct gsn_loss_side *control,
-                                    const struct gsn_loss_side *treated)
-{
-    double error;
-
-    if (!d->linked || !(e->assembly->levelling.turns.freedom > 0))
-        return NULL;
-    error = gsn_draft_loss_by_vectors(e, control, treated);
-    if (error <= MOST_BY_VECTORS)
-        return NULL;
-    return gsn_draft_say(
-        d,
-        "the panels were stained in baths whose colours differ (the dye vectors turn by %.1f "
-        "degrees "
-        "from panel to panel, standard deviation), so with vectors taken as exact the region's "
-        "nuclei make the loss uncertain by %.1f points alone, more than %g: stain and scan a "
-        "calibration panel with each batch and state \"calibration\" in the jobs of both specimens",
-        180 / M_PI * sqrt(turns_of_both(e).variance), error, MOST_BY_VECTORS);
 }

@@ -108,6 +108,8 @@ void gsn_material_free(struct gsn_material *m)
     gsn_free(m->calibration_sha256);
     gsn_free(m->definition);
     gsn_free(m->dyes);
+    for (size_t i = 0; m->control && i < m->specimen.baseline.specimens; i++)
+        gsn_cloud_free(m->control[i].cloud);
     gsn_free(m->control);
     gsn_free(m->inputs);
     gsn_free(m);

@@ -97,16 +97,16 @@ static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_b
 }
 
 /* One more of the specimens, and what it hands on beside its figures. */
-static void take_control(struct gsn_material *m, const struct gsn_measure_rows *measures,
-                         const struct gsn_run_row *run)
+static int take_control(struct gsn_material *m, const struct gsn_measure_rows *measures,
+                        const struct gsn_run_row *run, struct gsn_error *err)
 {
     struct gsn_specimen_baseline *b = &m->specimen.baseline;
     struct gsn_specimen_control *control = &m->control[b->specimens++];
 
     *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
-    control->panels = gsn_run_panel_zeros(run, control->zero);
     add_tissues(&control->tissues, b);
     add_turns(measures, b);
+    return gsn_run_colours(run, control, err);
 }
 
 /* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
@@ -140,7 +140,9 @@ static int add_control(struct gsn_material *m, const struct gsn_specimen_row *co
     b->mean_density += mean;
     b->mean_density_error = hypot(b->mean_density_error, known(measures, "mean_density_error"));
     b->own_scale_error = hypot(b->own_scale_error, known(measures, "own_scale_error"));
-    take_control(m, measures, run);
+    r = take_control(m, measures, run, err);
+    if (r < 0)
+        return r;
     b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");

@@ -15,8 +15,9 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
  * wrote none. gives; NULL: out of memory. */
 char *gsn_run_parameter(const struct gsn_run_row *run, const char *name);
 
-/* Where each of its panels puts density 0; returns their number, 0 where an older version told
- * none. */
-size_t gsn_run_panel_zeros(const struct gsn_run_row *run, double ret_zero[GSN_LEVEL_PANELS]);
+/* What the colours of its tissue were: region_od, yellow and cloud, which is given; not known (NaN,
+ * NULL) where an older version told none. Fails with GSN_E_NOMEM. */
+int gsn_run_colours(const struct gsn_run_row *run, struct gsn_specimen_control *colours,
+                    struct gsn_error *err);
 
 #endif

@@ -82,15 +82,15 @@ static const char *text_at(const json_t *root, const char *key)
 #define WITH_REGION(more)                                                                          \
     "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
 
-/* A control that hands no panel on. */
-static const struct gsn_specimen_control PLAIN = { 0 };
+/* A control whose region held red alone, and that hands no more on. */
+static const struct gsn_specimen_control RED = { .region_od = { 0.1186, 0.3551, 0.3249 } };
 
 /* The control's figures as a store would hand them on. */
 static struct gsn_specimen_baseline baseline_of(const struct gsn_specimen_result *control)
 {
     return (struct gsn_specimen_baseline){ .name = "control",
                                            .specimens = 1,
-                                           .control = &PLAIN,
+                                           .control = &control->colours,
                                            .mean_density = measure(control, "mean_density"),
                                            .mean_density_error =
                                                has_measure(control, "mean_density_error")
@@ -191,7 +191,7 @@ TEST(the_interval_on_the_loss_holds_the_error_of_the_gains)
     CHECK_NEAR(measure(base, "mean_density_error") / measure(base, "mean_density"), each, 5e-4);
     CHECK_NEAR(loss->value, 0, 0.5);
     CHECK_NEAR(loss->upper - loss->lower, 2 * 1.96 * 100 * each * sqrt(2), 0.5);
-    CHECK(strstr(result->json, "95 %, stain and white") != NULL);
+    CHECK(strstr(result->json, "95 %, stain, white and dye vectors") != NULL);
 }
 
 /* Case 12. Tissue so dark that the red dye leaves no light at all in green and blue. */
@@ -246,7 +246,7 @@ TEST(a_reference_that_shows_too_little_withholds_the_loss_and_says_so)
                         0.6);
     d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control",
                                                           .specimens = 1,
-                                                          .control = &PLAIN,
+                                                          .control = &RED,
                                                           .mean_density = 0.5,
                                                           .volume_mm3 = 1,
                                                           .definition = "",
@@ -301,7 +301,7 @@ static void draw_gaps(struct drawn_specimen *d, struct drawn_panel panels[3],
     d->specimen.baseline =
         (struct gsn_specimen_baseline){ .name = "control",
                                         .specimens = 1,
-                                        .control = &PLAIN,
+                                        .control = &RED,
                                         .mean_density = 0.8,
                                         .volume_mm3 = 576e-3 * 336e-3 * 192e-3,
                                         .definition =

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What is said of a loss by dye vectors that were inferred, or were not, from evidence that is
- * stated here. */
-#include "pipeline/stain/level_zero.h"
+/* What is said of a loss by dye vectors that calibration panels tell, or nobody, from evidence that
+ * is stated here. */
+#include "pipeline/stain/unmix.h"
 #include "pipeline/summary.h"
 
 #include "tests/check.h"
@@ -30,6 +30,8 @@ static const double OWN = 0.034, SHARED = 0.057, TOGETHER = -0.4; /* by vectors 
 
 struct told {
     struct gsn_protocol *protocol;
+    struct gsn_stated_calibration stated;
+    struct gsn_calibration_panel calibration;
     struct gsn_panel_section section;
     struct gsn_specimen_panel given[MOST_PANELS];
     struct gsn_assembly_panel panel[MOST_PANELS];
@@ -57,13 +59,15 @@ static struct gsn_dms *one_tet(void)
     return space;
 }
 
-static struct gsn_assembly_panel inferred_panel(const struct gsn_specimen_panel *given)
+static struct gsn_assembly_panel calibrated_panel(const struct gsn_specimen_panel *given,
+                                                  const struct gsn_calibration_panel *by)
 {
     return (
         struct gsn_assembly_panel){ .given = given,
                                     .opened = 1,
                                     .levelled = 1,
                                     .level = { 1, 0 },
+                                    .calibrated = { .panel = by, .compared = 1 },
                                     .stain = { .panel = given->number,
                                                .fit = { .dyes = { .name = SET,
                                                                   .red = { 0.28, 0.96, 0 },
@@ -86,10 +90,12 @@ static void put_tissue(struct told *t)
     t->specimen.baseline.tissues = t->assembly.levelling.tissues;
 }
 
-/* Levelled panels with inferred vectors that leave an own and a shared part open. */
+/* Levelled panels with calibrated vectors that leave an own and a shared part open. */
 static void told_init(struct told *t, size_t panels)
 {
-    *t = (struct told){ .protocol = drawn_protocol(JOB) };
+    *t = (struct told){ .protocol = drawn_protocol(JOB), .stated = { .file = "C01.png" } };
+    t->calibration.stated = &t->stated;
+    t->calibration.has_dyes = 1;
     for (size_t i = 0; i < panels; i++) {
         t->given[i] = (struct gsn_specimen_panel){ .number = (unsigned)i + 1,
                                                    .file = "P.png",
@@ -98,7 +104,7 @@ static void told_init(struct told *t, size_t panels)
                                                    .message = "",
                                                    .section_count = 1,
                                                    .section = &t->section };
-        t->panel[i] = inferred_panel(&t->given[i]);
+        t->panel[i] = calibrated_panel(&t->given[i], &t->calibration);
     }
     t->specimen = (struct gsn_specimen){
         .protocol = t->protocol, .panel_count = panels, .panel = t->given, .key = "0123456789abcdef"
@@ -275,14 +281,6 @@ static double of_linked_control(void)
     return hypot(OF_CONTROL, hypot(2 * GAIN_SCATTER * CONTROL, 2 * OFFSET_SCATTER));
 }
 
-/* Density 0 is known as well as panels that all agree can tell, and moves both sides. */
-static double of_zero(double ratio, size_t panels)
-{
-    static const double zero[MOST_PANELS];
-
-    return gsn_level_zero_of(zero, panels).error * fabs(1 - ratio);
-}
-
 TEST(the_interval_holds_the_vectors_beside_what_the_baths_differ_by)
 {
     const double own = OWN, shared = (1 - TREATED / CONTROL) * SHARED;
@@ -292,8 +290,7 @@ TEST(the_interval_holds_the_vectors_beside_what_the_baths_differ_by)
     told_init(&t, 4);
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
-    check_interval(result, TREATED, hypot(TREATED * vectors, of_zero(TREATED / CONTROL, 4)),
-                   of_linked_control());
+    check_interval(result, TREATED, TREATED * vectors, of_linked_control());
 }
 
 TEST(without_a_loss_what_both_sides_share_is_not_in_the_interval)
@@ -319,8 +316,7 @@ TEST(nothing_inferred_leaves_no_row_and_the_interval_by_the_rest_of_the_stain)
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     CHECK(is_nan(by_vectors(result)));
-    check_interval(result, TREATED, hypot(TREATED * BESIDE_STEPS, of_zero(TREATED / CONTROL, 2)),
-                   of_linked_control());
+    check_interval(result, TREATED, TREATED * BESIDE_STEPS, of_linked_control());
 }
 
 /* Vectors that were taken as exact turn as much as the panels of both specimens scatter by, of
@@ -338,146 +334,198 @@ TEST(exact_vectors_are_off_by_what_the_panels_of_both_specimens_scatter)
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     CHECK_NEAR(by_vectors(result), 100 * TREATED / CONTROL * OWN * turn, 1e-9);
-    check_interval(result, TREATED,
-                   hypot(TREATED * hypot(BESIDE_STEPS, OWN * turn), of_zero(TREATED / CONTROL, 5)),
-                   of_linked_control());
+    check_interval(result, TREATED, TREATED * hypot(BESIDE_STEPS, OWN * turn), of_linked_control());
     CHECK_NEAR(measure(result, "vector_turns").value, 0.002, 0);
     CHECK_NEAR(measure(result, "vector_turns_freedom").value, 4, 0);
 }
 
-/* Two points of loss by the vectors are given, and a little more is not. */
-TEST(a_loss_that_turned_vectors_leave_open_by_more_than_two_points_is_withheld)
+/* ---- vectors that nobody measured ------------------------------------------------------------ */
+
+/* The bath that coloured everything, each vector some degrees off the table's. */
+static const double BATH_TURN[GSN_DYE_TURNS] = { 0.03, -0.02, 0.06, 0.05, -0.05, 0.04 };
+
+static void colour_of(const struct gsn_dyes *bath, const double amount[3], double od[3])
 {
-    const double two = 0.02 / (TREATED / CONTROL * OWN), free = 8;
-    told_auto t;
-
-    told_init(&t, 5);
-    t.assembly.levelling.vectors = (struct gsn_turned_left){ 1, OWN * OWN, 0, 0 };
-    t.assembly.levelling.turns =
-        (struct gsn_turned_scatter){ 0.98 * two * two * (free - 2) / free, free };
-    gsn_auto(gsn_specimen_result) given = summarised(&t);
-
-    CHECK_NEAR(measure(given, "loss").value, 40, 1e-9);
-    t.assembly.levelling.turns.variance *= 1.06;
-    gsn_auto(gsn_specimen_result) withheld = summarised(&t);
-
-    CHECK(is_nan(measure(withheld, "loss").value));
-    assert_non_null(strstr(withheld->html, "nuclei make the loss uncertain by 2.0 points"));
-    assert_non_null(strstr(withheld->html, "stain and scan a calibration panel with each batch"));
-    CHECK_NEAR(measure(withheld, "mean_density").value, TREATED, 1e-12); /* that stays */
+    for (int c = 0; c < 3; c++)
+        od[c] = amount[0] * bath->red[c] + amount[1] * bath->yellow[c] + amount[2] * bath->dark[c];
 }
 
-/* ---- where density 0 lies -------------------------------------------------------------------- */
-
-static double report_number(const struct gsn_specimen_result *result, const char *name)
+/* gives: panels of cells with any mixture of yellow and dark; pure: a fifth of them nearly without
+ * collagen, else all with at least this much. */
+static struct gsn_cloud *cells_of(const struct gsn_dyes *bath, size_t panels, int pure)
 {
-    json_t *root = json_loadb(result->json, result->json_size, JSON_REJECT_DUPLICATES, NULL);
-    const json_t *value = json_object_get(root, name);
-    const double number = json_is_number(value) ? json_number_value(value) : (double)NAN;
+    struct gsn_cloud *cloud = NULL;
+    gsn_auto(gsn_cloud_tally) tally = NULL;
+    struct gsn_error err = { 0 };
 
-    json_decref(root);
-    return number;
-}
+    CHECK_OK(gsn_cloud_new(panels, &cloud, &err), err);
+    CHECK_OK(gsn_cloud_tally_new(&tally, &err), err);
+    for (size_t p = 0; p < panels; p++) {
+        cloud->panel[p].panel = (unsigned)p + 1;
+        for (int dark = 0; dark < 240; dark++)
+            for (int red = 0; red < 200; red++) {
+                const double share = dark / 400.0;
+                const double more =
+                    pure ? (red < 40 ? 0.02 : (red - 36) / 160.0) : 0.2 + red / 200.0;
+                double od[3];
 
-/* A panel whose reading is gain * density + offset puts density 0 at - offset / gain. */
-static void put_zero(struct gsn_assembly_panel *panel, double gain, double zero)
-{
-    panel->level = (struct gsn_level){ gain, -gain * zero };
-}
-
-/* Two panels of this and two of the control, in twos 0.01 to either side of 0.03: the middle. */
-TEST(both_sides_are_counted_from_where_the_panels_of_both_put_density_0)
-{
-    const double zero = 0.03, share = 0.5;
-    const double all[] = { 0.02, 0.04, 0.02, 0.04 };
-    const struct gsn_specimen_control control = {
-        .tissues = { .value = { 0.88, 0.2, NAN },
-                     .covariance = { { 1e8 }, { 0, 1e8 }, { 0, 0, 1e8 } } },
-        .panels = 2,
-        .zero = { 0.02, 0.04 }
-    };
-    const double ratio = (TREATED - zero) / (CONTROL - zero);
-    double error;
-    told_auto t;
-
-    told_init(&t, 2);
-    put_zero(&t.panel[0], 1.1, 0.02);
-    put_zero(&t.panel[1], 0.9, 0.04);
-    t.specimen.baseline.control = &control;
-    t.assembly.levelling.vectors = (struct gsn_turned_left){ 0 };
-    gsn_auto(gsn_specimen_result) result = summarised(&t);
-
-    error = hypot(gsn_level_zero_of(all, 4).error,
-                  share * 2 * hypot(OFFSET_SCATTER, GAIN_SCATTER * zero));
-    CHECK_NEAR(measure(result, "loss").value, 100 * (1 - ratio), 1e-9);
-    CHECK_NEAR(report_number(result, "zero_density"), zero, 1e-9);
-    CHECK_NEAR(report_number(result, "baseline_mean_density"), CONTROL, 1e-9);
-    CHECK_NEAR(measure(result, "mean_density").value, TREATED, 1e-12);
-    check_sides(
-        result, (double[]){ TREATED - zero, CONTROL - zero },
-        (double[]){ hypot(TREATED * BESIDE_STEPS, error * (1 - ratio)), of_linked_control() });
-    assert_non_null(strstr(result->html, "No collagen, from which both are counted"));
-}
-
-/* What reads d there reads 1.1 d + 0.02 here, density 0 as well. */
-TEST(the_baselines_panels_tell_of_density_0_in_this_specimens_stain)
-{
-    const double here[] = { 0.03, 0.05 };
-    struct gsn_specimen_control control = { .tissues = { .value = { 0.88, 0.2, NAN } },
-                                            .panels = 2 };
-    told_auto t;
-
-    told_init(&t, 2);
-    for (int p = 0; p < 2; p++) {
-        put_zero(&t.panel[p], 1, here[p]);
-        control.zero[p] = (here[p] - 0.02) / 1.1;
+                colour_of(bath, (double[]){ more, 0.4 * (1 - share), 0.4 * share }, od);
+                gsn_cloud_tally_add(tally, od, 10);
+            }
+        CHECK_OK(gsn_cloud_tally_take(tally, &cloud->panel[p], &err), err);
     }
-    for (int k = 0; k < 2; k++) {
-        control.tissues.covariance[k][k] = 1e-10;
-        t.assembly.levelling.tissues.value[k] = 1.1 * control.tissues.value[k] + 0.02;
-        t.assembly.levelling.tissues.covariance[k][k] = 1e-10;
+    return cloud;
+}
+
+/* Red as a table sees it, in shares of what counts as full. */
+static double seen_density(const struct gsn_dyes *table, const double od[3])
+{
+    struct gsn_unmixer mix;
+    struct gsn_error err = { 0 };
+    double red = 0;
+
+    CHECK_OK(gsn_unmixer_init(&mix, table, &err), err);
+    for (int k = 0; k < 3; k++)
+        for (int c = 0; c < 3; c++)
+            red += mix.inverse[7][0][k] * mix.dye[k][c] * od[c];
+    return red / table->full_red_od;
+}
+
+struct narrowed {
+    struct told told;
+    struct gsn_specimen_control control;
+};
+
+static void narrowed_done(struct narrowed *n)
+{
+    gsn_cloud_free(n->told.assembly.cloud);
+    gsn_cloud_free(n->control.cloud);
+    told_done(&n->told);
+}
+#define narrowed_auto __attribute__((cleanup(narrowed_done))) struct narrowed
+
+/* Of the control's collagen this much is left, nuclei and yellow come in its place; the table is
+ * the built-in one, and the bath is it or another. */
+static void narrowed_init(struct narrowed *n, double left, int turned, size_t panels, int pure)
+{
+    const struct gsn_dyes table = gsn_dyes_builtin();
+    const struct gsn_dyes bath = turned ? gsn_dyes_turned(&table, BATH_TURN) : table;
+    struct told *t = &n->told;
+
+    told_init(t, panels);
+    for (size_t i = 0; i < panels; i++) {
+        t->panel[i].calibrated = (struct gsn_calibrated){ .panel = NULL };
+        t->panel[i].stain.fit = (struct gsn_dyes_fit){ .dyes = table };
     }
-    t.specimen.baseline.tissues = control.tissues;
-    t.specimen.baseline.control = &control;
-    gsn_auto(gsn_specimen_result) result = summarised(&t);
-
-    CHECK_NEAR(report_number(result, "zero_density"), 0.04, 0.003);
+    t->specimen.baseline.dyes = t->panel[0].stain.fit.dyes.name;
+    t->specimen.baseline.own_scale_error = 1e-4;
+    t->assembly.red_error = t->assembly.step_error = t->assembly.common_error = 0;
+    t->assembly.levelling.vectors.known = 0;
+    t->assembly.levelling.fit.gain_scatter = t->assembly.levelling.fit.offset_scatter = 1e-4;
+    t->assembly.cloud = cells_of(&bath, panels, pure);
+    n->control = (struct gsn_specimen_control){ .yellow = { NAN, NAN, NAN },
+                                                .free_od = { NAN, NAN, NAN },
+                                                .cloud = cells_of(&bath, panels, pure) };
+    colour_of(&bath, (double[]){ 0.52, 0.18, 0.01 }, n->control.region_od);
+    colour_of(&bath, (double[]){ 0.52 * left, 0.18 + 0.14 * (1 - left), 0.01 + 0.14 * (1 - left) },
+              t->assembly.region_od);
+    t->specimen.baseline.control = &n->control;
+    t->specimen.baseline.mean_density = seen_density(&table, n->control.region_od);
+    t->account.density.mean = seen_density(&table, t->assembly.region_od);
 }
 
-/* A control of an older store, or one that cannot be linked, leaves the specimen's own panels. */
-TEST(without_the_baselines_panels_density_0_is_where_most_of_its_own_put_it)
+TEST(a_loss_is_the_same_whatever_bath_the_table_of_vectors_is_off_by)
 {
-    const double own[] = { 0, 0.001, -0.001, 0.2, 0.002, -0.002, 0 };
-    const struct gsn_specimen_control strange = { .tissues = { .value = { NAN, NAN, NAN } },
-                                                  .panels = 3,
-                                                  .zero = { 0.3, 0.3, 0.3 } };
-    const double zero = gsn_level_zero_of(own, 7).at;
-    told_auto t;
+    narrowed_auto same, other;
 
-    told_init(&t, 7);
-    for (int p = 0; p < 7; p++)
-        put_zero(&t.panel[p], 1, own[p]);
-    t.specimen.baseline.control = &strange;
-    gsn_auto(gsn_specimen_result) result = summarised(&t);
+    narrowed_init(&same, 0.6, 0, 3, 1);
+    narrowed_init(&other, 0.6, 1, 3, 1);
+    gsn_auto(gsn_specimen_result) by_table = summarised(&same.told);
+    gsn_auto(gsn_specimen_result) by_bath = summarised(&other.told);
+    const struct gsn_specimen_measure a = measure(by_table, "loss"), b = measure(by_bath, "loss");
+    const double apparent =
+        100 * (1 - other.told.account.density.mean / other.told.specimen.baseline.mean_density);
 
-    CHECK(fabs(zero) < 0.005); /* their mean is 0.029 */
-    CHECK_NEAR(measure(result, "loss").value, 100 * (1 - (TREATED - zero) / (CONTROL - zero)),
-               1e-9);
+    CHECK(fabs(apparent - 40) > 4); /* what the table says */
+    CHECK_NEAR(b.value, a.value, 0.6);
+    CHECK(a.lower < 40 && 40 < a.upper && b.lower < 40 && 40 < b.upper);
+    CHECK(b.upper - b.lower > 5 && b.upper - b.lower < 12);
+    CHECK(by_vectors(by_bath) > 1);
+    assert_non_null(strstr(by_bath->html, "95 %, stain, white and dye vectors"));
 }
 
-TEST(where_each_panel_puts_density_0_is_handed_on)
+TEST(no_loss_stays_none_in_any_bath_and_is_known_well)
 {
-    told_auto t;
+    narrowed_auto n;
 
-    told_init(&t, 3);
-    put_zero(&t.panel[0], 1.25, 0.02);
-    put_zero(&t.panel[2], 0.8, -0.07);
-    t.panel[1].levelled = 0;
-    gsn_auto(gsn_specimen_result) result = summarised(&t);
+    narrowed_init(&n, 1, 1, 3, 1);
+    gsn_auto(gsn_specimen_result) result = summarised(&n.told);
+    const struct gsn_specimen_measure loss = measure(result, "loss");
 
-    CHECK(result->zero_count == 2);
-    CHECK_NEAR(result->zero[0], 0.02, 1e-12);
-    CHECK_NEAR(result->zero[1], -0.07, 1e-12);
+    CHECK_NEAR(loss.value, 0, 0.1);
+    CHECK(loss.lower < 0 && 0 < loss.upper && loss.upper - loss.lower < 1);
+}
+
+/* Stated on either side: the interval is narrower, and no edge need be sharp. */
+TEST(tissue_that_is_stated_to_hold_no_collagen_replaces_the_guess)
+{
+    for (int pure = 0; pure < 2; pure++) {
+        const struct gsn_dyes table = gsn_dyes_builtin();
+        const struct gsn_dyes bath = gsn_dyes_turned(&table, BATH_TURN);
+        narrowed_auto n;
+
+        narrowed_init(&n, 0.6, 1, 3, pure);
+        colour_of(&bath, (double[]){ 0.005, 0.27, 0.12 },
+                  pure ? n.told.assembly.free_od : n.control.free_od);
+        gsn_auto(gsn_specimen_result) result = summarised(&n.told);
+        const struct gsn_specimen_measure loss = measure(result, "loss");
+
+        CHECK(!result->withheld && loss.lower < 40 && 40 < loss.upper);
+        CHECK(loss.upper - loss.lower <
+              (pure ? 7 : 12)); /* a blunt edge has a slope hard to tell */
+    }
+}
+
+TEST(without_tissue_poor_in_collagen_the_loss_is_at_most_something_and_withheld)
+{
+    narrowed_auto n;
+
+    narrowed_init(&n, 0.6, 1, 3, 0);
+    gsn_auto(gsn_specimen_result) result = summarised(&n.told);
+
+    CHECK(result->withheld && is_nan(measure(result, "loss").value));
+    assert_non_null(strstr(result->message, "so that the loss is at most 6"));
+    assert_non_null(strstr(result->message, "a calibration panel would narrow this"));
+    CHECK(!is_nan(measure(result, "mean_density").value)); /* that stays */
+}
+
+TEST(colours_of_one_panel_or_of_none_narrow_nothing)
+{
+    narrowed_auto one, none;
+
+    narrowed_init(&one, 0.6, 1, 1, 1);
+    narrowed_init(&none, 0.6, 1, 3, 1);
+    gsn_cloud_free(none.told.assembly.cloud);
+    gsn_cloud_free(none.control.cloud);
+    none.told.assembly.cloud = none.control.cloud = NULL;
+    gsn_auto(gsn_specimen_result) alone = summarised(&one.told);
+    gsn_auto(gsn_specimen_result) blind = summarised(&none.told);
+
+    CHECK(alone->withheld && blind->withheld);
+    assert_non_null(strstr(alone->message, "fewer than 2 panels of each specimen show tissue"));
+    assert_non_null(strstr(blind->message, "a calibration panel would narrow this"));
+}
+
+TEST(no_colour_goes_missing_for_want_of_memory)
+{
+    struct gsn_error err = { 0 };
+    narrowed_auto n;
+
+    narrowed_init(&n, 0.6, 1, 2, 1);
+    /* So few cells that no time is lost on them; what the edge needs is tested beside it. */
+    for (size_t p = 0; p < 2; p++)
+        n.told.assembly.cloud->panel[p].bins = n.control.cloud->panel[p].bins = 1;
+    CHECK_EVERY_OOM(summarise_once(&n.told, NULL, &err), err);
 }
 
 TEST(without_untreated_tissue_of_the_control_both_sides_count_in_full)
@@ -493,7 +541,6 @@ TEST(without_untreated_tissue_of_the_control_both_sides_count_in_full)
     check_interval(result, TREATED, TREATED * hypot(BY_ALL, IN_COMMON), OF_CONTROL_BY_ALL);
 }
 
-/* A control is compared by its own scale, of which zero is the treated side's to count. */
 TEST(what_is_handed_on_of_a_control_is_its_own_part)
 {
     told_auto t;
@@ -535,6 +582,7 @@ TEST(inferred_vectors_are_named_with_where_they_come_from_and_how_well_they_are_
     told_auto t;
 
     told_init(&t, 2);
+    t.panel[0].calibrated.panel = t.panel[1].calibrated.panel = NULL;
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     for (unsigned panel = 1; panel <= 2; panel++) {

@@ -6,6 +6,7 @@
 #include "tests/check.h"
 #include "tests/storage/bench.h"
 
+#include <math.h>
 #include <string.h>
 
 static const char JOB[] =
@@ -168,42 +169,19 @@ TEST(a_tissue_that_one_control_lacks_is_not_known)
     CHECK(lacked != lacked); /* NaN */
 }
 
-/* Each control's panels are read on its own scale, so its tissues stay beside them. */
-TEST(where_the_panels_of_each_control_put_density_0_comes_back_beside_its_own_tissues)
-{
-    struct control zeros = ONE, none = OTHER;
-    scratch_auto scratch = gsn_scratch_new();
-    int64_t id;
-    gsn_auto(gsn_store) store = with_treated(&scratch, &id);
-
-    zeros.parameters = "{\"panel_zeros\": [0.0625, -0.5, 0]}";
-    none.tissues--;
-    add_control(store, &zeros);
-    add_control(store, &none); /* by a version that did not hand them on */
-    gsn_auto(gsn_material) material = loaded(store, id);
-    const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
-    const double lacked = b->control[1].tissues.value[none.tissues];
-
-    CHECK(b->specimens == 2);
-    CHECK(b->control[0].panels == 3 && b->control[1].panels == 0);
-    CHECK_NEAR(b->control[0].zero[0], 0.0625, 0);
-    CHECK_NEAR(b->control[0].zero[1], -0.5, 0);
-    CHECK_NEAR(b->control[0].zero[2], 0, 0);
-    for (unsigned t = 0; t < none.tissues; t++) {
-        CHECK_NEAR(b->control[0].tissues.value[t], VALUE[t], 1e-12);
-        CHECK_NEAR(b->control[1].tissues.value[t], 1.2 * VALUE[t], 1e-12);
-        CHECK_NEAR(b->control[1].tissues.covariance[t][t], ERROR[t] * ERROR[t], 1e-12);
-    }
-    CHECK(lacked != lacked); /* NaN */
-}
-
 /* 1/3 takes all digits of a double. */
-TEST(what_a_run_hands_on_comes_back_to_the_last_bit)
+TEST(what_a_run_hands_on_of_its_colours_comes_back_beside_its_tissues)
 {
-    const struct gsn_specimen_result result = {
-        .definition = "of \"red\"", .dyes = "set", .zero = { 1.0 / 3, -0.25 }, .zero_count = 2
-    };
-    struct control whole = ONE;
+    struct gsn_cloud_bin bin[] = { { 7, 12, 0.75 }, { 9000, 3, 1.25 } };
+    struct gsn_cloud_panel panel[] = { { 1, 0, NULL, 0 }, { 2, 1e-5, bin, 2 } };
+    struct gsn_cloud cloud = { panel, 2 };
+    const struct gsn_specimen_result result = { .definition = "of \"red\"",
+                                                .dyes = "set",
+                                                .colours = { .region_od = { 1.0 / 3, 0.5, 0.25 },
+                     .free_od = { 0.1, 0.2, 0.3 },
+                                                             .yellow = { 0.125, (double)NAN, 0.5 },
+                                                             .cloud = &cloud } };
+    struct control whole = ONE, none = OTHER;
     scratch_auto scratch = gsn_scratch_new();
     int64_t id;
     gsn_auto(gsn_store) store = with_treated(&scratch, &id);
@@ -211,30 +189,45 @@ TEST(what_a_run_hands_on_comes_back_to_the_last_bit)
 
     whole.parameters = parameters;
     add_control(store, &whole);
+    add_control(store, &none); /* by a version that did not hand them on */
     gsn_auto(gsn_material) material = loaded(store, id);
     const struct gsn_specimen_baseline *b = &gsn_material_specimen(material)->baseline;
+    const struct gsn_specimen_control *control = b->control;
 
     assert_string_equal(b->definition, "of \"red\"");
     assert_string_equal(b->dyes, "set");
-    CHECK(b->control[0].panels == 2);
-    CHECK(b->control[0].zero[0] == 1.0 / 3 && b->control[0].zero[1] == -0.25);
+    CHECK(b->specimens == 2);
+    CHECK(control[0].region_od[0] == 1.0 / 3 && control[0].region_od[2] == 0.25);
+    CHECK(control[0].free_od[2] == 0.3 && isnan(control[1].free_od[0]));
+    CHECK(control[0].yellow[0] == 0.125 && isnan(control[0].yellow[1]));
+    CHECK(control[0].cloud && control[0].cloud->panels == 1); /* one holds nothing */
+    CHECK(control[0].cloud->panel[0].panel == 2 && control[0].cloud->panel[0].bins == 2);
+    CHECK_NEAR(control[0].cloud->panel[0].noise, 1e-5, 1e-18);
+    CHECK(control[0].cloud->panel[0].bin[1].at == 9000);
+    CHECK_NEAR(control[0].cloud->panel[0].bin[1].cells, 3, 0);
+    CHECK_NEAR(control[0].cloud->panel[0].bin[1].od, 1.25, 1e-12);
+    CHECK(!control[1].cloud && isnan(control[1].region_od[0]));
+    for (unsigned t = 0; t < none.tissues; t++) {
+        CHECK_NEAR(control[0].tissues.value[t], VALUE[t], 1e-12);
+        CHECK_NEAR(control[1].tissues.covariance[t][t], ERROR[t] * ERROR[t], 1e-12);
+    }
 }
 
-TEST(more_panels_than_a_block_can_have_are_not_read)
+TEST(colours_that_no_run_wrote_do_no_harm)
 {
-    char many[2 * GSN_LEVEL_PANELS + 40] = "{\"panel_zeros\": [1";
     struct control strange = ONE;
     scratch_auto scratch = gsn_scratch_new();
     int64_t id;
     gsn_auto(gsn_store) store = with_treated(&scratch, &id);
 
-    for (int i = 0; i < GSN_LEVEL_PANELS; i++)
-        strcat(many, ",2");
-    strange.parameters = strcat(many, "]}");
+    strange.parameters = "{\"colours\": {\"region_od\": [\"a\"], \"panels\": [{\"bins\": "
+                         "[-5, 2, 900, 99999999, 1]}, 7]}}";
     add_control(store, &strange);
     gsn_auto(gsn_material) material = loaded(store, id);
+    const struct gsn_cloud *cloud = gsn_material_specimen(material)->baseline.control[0].cloud;
 
-    CHECK(gsn_material_specimen(material)->baseline.control[0].panels == GSN_LEVEL_PANELS);
+    CHECK(cloud && cloud->panels == 2 && cloud->panel[0].bins == 1 && cloud->panel[1].bins == 0);
+    CHECK(cloud->panel[0].bin[0].at < GSN_CLOUD_GREENS * GSN_CLOUD_BLUES);
 }
 
 TEST(running_out_of_memory_for_a_baseline_leaks_nothing)

@@ -49,7 +49,7 @@ static struct sight choose_marks(struct gsn_panel_section *section,
     double score = 0, runner_up = 0;
 
     gsn_markers_choose(candidates, prior, section->mark, &sight.mirrored, &score, &runner_up);
-    sight.ambiguous = score > 0 && runner_up > 0.5 * score;
+    sight.ambiguous = score > 0 && 20 * runner_up > score;
     if (count_found(section->mark) < GSN_MARKS)
         gsn_candidates_of_rivals(rivals, gsn_markers_rivals(candidates, prior, rivals),
                                  &section->candidates);
@@ -324,6 +324,8 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
                            double *ret_px_um, struct gsn_error *err)
 {
     static const double times[] = { 0.5, 2, 0.25, 4, 0.125, 8 };
+    /* Sections swell and shrink by some per cent. */
+    static const double SAME = 0.1;
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
@@ -351,7 +353,8 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
         if (r == GSN_E_NOMEM)
             return r;
         scale = r >= 0 ? scale_of(protocol->markers_um, seen.mark_um) : 0;
-        if (!(scale > 0))
+        /* Of the size that is stated: other burns than those looked for, and no other pixels. */
+        if (!(scale > 0) || fabs(scale * times[i] - 1) < SAME)
             continue;
         *ret_px_um = scale * other.px_um;
         return GSN_OK;

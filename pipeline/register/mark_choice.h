@@ -29,9 +29,11 @@ enum { GSN_MARK_CHOICES = 128 };
 struct gsn_mark_choice {
     int candidate[GSN_MARKS]; /* index, or -1: this mark is not there */
     int mirrored;
-    double likelihood;
-    int trusted; /* nothing about it is beyond what happens to marks */
-    int folded;  /* a pair of another length than two marks have */
+    double over_none;  /* likelihood over that of a section without marks, tissue left aside */
+    double likelihood; /* the same, with what the tissue says */
+    int trusted;       /* nothing about it is beyond what happens to marks */
+    int rivalled;      /* three others are marks with a chance that matters */
+    int folded;        /* a pair of another length than two marks have */
     struct gsn_rigid motion;
     double unlike; /* the tissue, laid so */
 };
@@ -55,14 +57,15 @@ int gsn_mark_choice_weigh(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior, double torn_pair,
                           struct gsn_mark_choice *choice);
 int gsn_mark_choice_is_triple(const struct gsn_mark_choice *choice);
-/* What three are worth beside pairs: two of them as a pair, with the odds for the third. */
-double gsn_mark_choice_worth(const struct gsn_mark_candidates *section,
-                             const struct gsn_triangle_prior *prior,
-                             const struct gsn_mark_choice *three, int third);
 /* Whether nothing tore or folded: the marks lie as far apart as sections stretch. */
 int gsn_mark_choice_lies_well(const struct gsn_mark_candidates *section,
                               const struct gsn_triangle_prior *prior,
                               const struct gsn_mark_choice *choice);
+
+/* mark_choose.c: how much likelier the section has three marks, anywhere, than none; without what
+ * the tissue says. */
+double gsn_mark_choices_over_none(const struct gsn_mark_candidates *section,
+                                  const struct gsn_triangle_prior *prior);
 
 /* mark_choices.c: all of a section. fine: 1 for each candidate that may be a mark. */
 

@@ -11,6 +11,9 @@
  * too short, or too long, is believed only where the picture says so with these odds against all
  * other ways; it is two marks for a person to look at, since no pose fits them. */
 static const double FOLDED_PAIR = 3, FOLDED_ODDS = 20;
+/* Spots that are the section's marks with no more than this chance, all ways together, are not
+ * worth a person's look. */
+static const double LISTED_LEAST = 0.05;
 /* A pair this much less likely than the three, before the tissue is asked, is not heard. */
 static const double UNHEARD = 1e-5;
 
@@ -31,50 +34,24 @@ static int calls(const struct gsn_mark_choice *choice, int candidate)
     return 0;
 }
 
-/* What three are worth on the scale of a pair that contradicts them: two of them as a pair, with
- * the odds that the third is a mark; worth has it for each third. Of a pair of their own spots the
- * third is the other spot; a pair with another spot stands against whichever two and third are
- * likeliest. */
-static double worth_against(const double worth[GSN_MARKS], const struct gsn_mark_choice *three,
-                            const struct gsn_mark_choice *pair)
-{
-    double most = 0;
-    int shared = 0, third = 0;
-
-    for (int i = 0; i < GSN_MARKS; i++) {
-        most = fmax(most, worth[i]);
-        if (calls(pair, three->candidate[i]))
-            shared++;
-        else
-            third = i;
-    }
-    return shared == 2 ? worth[third] : most;
-}
-
-/* Pairs that contradict the three, weighed as what is left of the three is: all of them where only
- * a tear could have brought the three where they are, or else those of their own spots. */
+/* Pairs that contradict the three: all of them where only a tear could have brought the three where
+ * they are, or else those of their own spots. */
 static void gather_rivals(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior, const int *fine,
                           const struct gsn_mark_choice *three, struct gsn_mark_choices *rivals)
 {
     const int torn = !gsn_mark_choice_lies_well(section, prior, three);
     struct gsn_mark_choices all;
-    double worth[GSN_MARKS];
     int own[GSN_MARK_CANDIDATES];
 
     rivals->count = all.count = 0;
-    for (int i = 0; i < GSN_MARKS; i++)
-        worth[i] = gsn_mark_choice_worth(section, prior, three, i);
     for (size_t i = 0; i < section->count; i++)
         own[i] = fine[i] && (torn || calls(three, (int)i));
     gsn_mark_choices_add_pairs(section, prior, own, GSN_MARK_TORN_PAIR, &all);
     for (size_t i = 0; i < all.count; i++) {
-        struct gsn_mark_choice *pair = &all.item[i];
+        const struct gsn_mark_choice *pair = &all.item[i];
 
-        if (contained(pair, three))
-            continue;
-        pair->likelihood *= three->likelihood / worth_against(worth, three, pair);
-        if (pair->likelihood > UNHEARD * three->likelihood)
+        if (!contained(pair, three) && pair->likelihood > UNHEARD * three->likelihood)
             gsn_mark_choices_keep(rivals, pair);
     }
 }
@@ -112,7 +89,19 @@ static int trustworthy(const struct gsn_mark_choice *choice, double runner_up)
 {
     const double most = choice->folded ? 1 / FOLDED_ODDS : GSN_MARK_RUNNER_UP_MOST;
 
-    return choice->trusted && runner_up <= most * choice->likelihood;
+    return choice->trusted && !choice->rivalled && runner_up <= most * choice->likelihood;
+}
+
+/* Odds that the section has marks, and has them there, against its having none: as many of the
+ * stack's sections have some. What two lay is held against the tissue, to which three may have been
+ * laid by chance and are in its mean. */
+static double odds_against_none(const struct gsn_triangle_prior *prior,
+                                const struct gsn_mark_choice *choice)
+{
+    const double stack = prior->marked > 0 ? prior->marked / (1 - prior->marked) : INFINITY;
+    const int pictured = !gsn_mark_choice_is_triple(choice) && choice->unlike > 0;
+
+    return stack * choice->over_none * (pictured ? gsn_mark_picture_odds(choice->unlike, 1) : 1);
 }
 
 /* Two marks and no third: as far apart as they should be, or else what a fold leaves of them. */
@@ -152,6 +141,7 @@ static struct gsn_mark_choice gather(const struct gsn_mark_candidates *section,
     if (prior->tissue.cell > 0 && section->map.cell > 0)
         gsn_mark_choices_ask_picture(section, prior, choices);
     choice = gsn_mark_choices_decide(choices, 1, ret_runner_up);
+    choice.rivalled = GSN_MARK_ODDS_LEAST * *ret_runner_up > choice.likelihood;
     if (choice.trusted && prior->learnt)
         hear_pairs(section, prior, fine, &choice, ret_runner_up);
     /* Two rival triples are a riddle for a person; a pair out of them would be a guess. */
@@ -167,22 +157,26 @@ void gsn_markers_choose(const struct gsn_mark_candidates *section,
 {
     struct gsn_mark_choices choices;
     struct gsn_mark_choice choice;
-    double runner_up;
+    double runner_up, odds, all;
+    int trusted;
 
     assert(section && prior && ret_marks);
 
     choice = gather(section, prior, &choices, &runner_up);
-    for (int i = 0; i < GSN_MARKS; i++) {
-        const int found = trustworthy(&choice, runner_up) && choice.candidate[i] >= 0;
-
-        ret_marks[i] = found ? section->mark[choice.candidate[i]] : (struct gsn_mark){ 0 };
-    }
+    odds = choice.likelihood > 0 ? odds_against_none(prior, &choice) : 0;
+    /* Two marks are for a person to look at, so that they are rather there than not is enough. */
+    trusted = trustworthy(&choice, runner_up) &&
+              odds >= (gsn_mark_choice_is_triple(&choice) ? GSN_MARK_ODDS_LEAST : 1);
+    for (int i = 0; i < GSN_MARKS; i++)
+        ret_marks[i] = trusted && choice.candidate[i] >= 0 ? section->mark[choice.candidate[i]]
+                                                           : (struct gsn_mark){ 0 };
     if (ret_mirrored)
-        *ret_mirrored = trustworthy(&choice, runner_up) && choice.mirrored;
+        *ret_mirrored = trusted && choice.mirrored;
+    all = choice.likelihood > 0 ? choice.likelihood * (1 + 1 / odds) + runner_up : 1;
     if (ret_score)
-        *ret_score = choice.likelihood;
+        *ret_score = choice.likelihood / all;
     if (ret_runner_up)
-        *ret_runner_up = runner_up;
+        *ret_runner_up = runner_up / all;
 }
 
 /* The likelier first; of equals the one with the stronger spots, then the one that lies up. */
@@ -210,12 +204,27 @@ static int is_told(const struct gsn_mark_choices *choices, size_t i)
     return 0;
 }
 
+double gsn_mark_choices_over_none(const struct gsn_mark_candidates *section,
+                                  const struct gsn_triangle_prior *prior)
+{
+    struct gsn_mark_choices choices = { .count = 0 };
+    int fine[GSN_MARK_CANDIDATES];
+    double sum = 0;
+
+    for (size_t i = 0; i < section->count; i++)
+        fine[i] = gsn_mark_acceptable(section, i, prior);
+    gsn_mark_choices_add_triples(section, prior, fine, &choices);
+    for (size_t i = 0; i < choices.count; i++)
+        sum += choices.item[i].over_none;
+    return sum;
+}
+
 size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
                           const struct gsn_triangle_prior *prior,
                           struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS])
 {
     struct gsn_mark_choices choices;
-    double runner_up, sum = 0;
+    double runner_up, sum = 0, none = 0;
     size_t count = 0;
 
     assert(section && prior && ret_rivals);
@@ -233,10 +242,12 @@ size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
         for (int m = 0; m < GSN_MARKS; m++)
             if (choice->candidate[m] >= 0)
                 rival->mark[m] = section->mark[choice->candidate[m]];
+        if (count == 0)
+            none = choice->likelihood / odds_against_none(prior, choice);
         sum += rival->share;
         count++;
     }
     for (size_t i = 0; i < count; i++)
-        ret_rivals[i].share /= sum;
-    return count;
+        ret_rivals[i].share /= sum + none;
+    return sum < LISTED_LEAST * (sum + none) ? 0 : count;
 }

@@ -11,9 +11,6 @@ static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
 /* Marks of which looks say nothing: half burnt in, half under dirt. They stand against spots of any
  * looks. */
 static const double DISGUISED = 0.02;
-/* Burns that are seen where one belongs. */
-static const double SEEN = 0.95;
-
 double gsn_mark_unlike(const struct gsn_mark *mark, double px_um,
                        const struct gsn_triangle_prior *prior)
 {
@@ -86,6 +83,7 @@ void gsn_mark_count(const struct gsn_mark_candidates *section,
             counts->seen[k] += 1;
     }
     counts->area_um2 += M_PI * reach_um * reach_um;
+    counts->sections += 1;
 }
 
 /* One spot more than was counted, since none may be seen in a small stack. One of the marks that
@@ -97,12 +95,23 @@ void gsn_mark_learn_looks(const struct gsn_mark_counts *counts, struct gsn_trian
 
     assert(counts && prior);
 
+    prior->area_um2 = counts->sections > 0 ? area / counts->sections : 0;
     for (int k = 0; k < GSN_MARK_CHANCE; k++) {
         const double others = fmax(counts->alike[k] - 1, 0);
 
         prior->alike[k] = area > 0 ? (others + expected(k)) / fmax(counts->marks, 1) : 0;
         prior->chance[k] = area > 0 ? (counts->seen[k] + 1) / area : 0;
     }
+}
+
+double gsn_mark_looks_odds(const struct gsn_mark *mark, double px_um,
+                           const struct gsn_triangle_prior *prior)
+{
+    const int k = class_of(unlike_in_all(mark, px_um, prior));
+
+    assert(prior->learnt);
+
+    return fmax(prior->alike[k] / prior->chance[k], DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
 }
 
 /* Density per um^2 of places so far away, with this variance per axis. */
@@ -117,15 +126,12 @@ static double odds_of(const struct gsn_mark *spot, double px_um,
                       const struct gsn_triangle_prior *prior, const struct gsn_mark_moves *moves,
                       double away_um, double ordinary, double other)
 {
-    const int k = class_of(unlike_in_all(spot, px_um, prior));
-    const double looks =
-        fmax(prior->alike[k] / prior->chance[k], DISGUISED / prior->chance[GSN_MARK_CHANCE - 1]);
     const double here =
         moves->ordinary * density(away_um, moves->ordinary_um * moves->ordinary_um + ordinary) +
         moves->loose * density(away_um, moves->loose_um * moves->loose_um + other) +
         moves->torn * density(away_um, moves->torn_um * moves->torn_um + other);
 
-    return SEEN / (1 - SEEN) * here * looks;
+    return GSN_MARK_SEEN / (1 - GSN_MARK_SEEN) * here * gsn_mark_looks_odds(spot, px_um, prior);
 }
 
 double gsn_mark_odds(const struct gsn_mark *spot, double px_um,

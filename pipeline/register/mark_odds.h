@@ -22,6 +22,14 @@ double gsn_mark_unlike(const struct gsn_mark *mark, double px_um,
 /* The same for what the fit leaves unexplained of the picture: dirt that touches the mark. */
 double gsn_mark_dirt(const struct gsn_mark *mark);
 
+/* How many times more often a mark looks like this spot than spots that are none do, these per
+ * um^2: the odds of its looks, in um^2. The caller guarantees that the prior is learnt. */
+double gsn_mark_looks_odds(const struct gsn_mark *mark, double px_um,
+                           const struct gsn_triangle_prior *prior);
+
+/* Burns that are seen where one belongs. */
+#define GSN_MARK_SEEN 0.95
+
 /* What clear sections show, by classes of unlikeness: each reaches twice as far as the one before,
  * the first to 1, the last to anything. */
 struct gsn_mark_counts {
@@ -29,6 +37,7 @@ struct gsn_mark_counts {
     double alike[GSN_MARK_CHANCE]; /* marks that are at least as unlike as the class begins */
     double seen[GSN_MARK_CHANCE];  /* spots that are none, at most as unlike as the class ends */
     double area_um2;               /* where they were counted: as far as the marks lie */
+    double sections;
 };
 
 /* Adds one section, its marks and its other spots. borrows: everything. */

@@ -34,16 +34,96 @@ struct gsn_mark_moves gsn_mark_choice_moves(const struct gsn_mark_candidates *se
                                     .torn = TORN_SHARE };
 }
 
-/* Of a misfit in tolerances, what is known of the section apart. */
+/* Normal density of a misfit of `freedom` dimensions, given in tolerances, by this deviation. */
+static double normal(double chi2, double tolerance_um, double sd_um, int freedom)
+{
+    return exp(-0.5 * chi2 * pow(tolerance_um / sd_um, 2)) / pow(sqrt(2 * M_PI) * sd_um, freedom);
+}
+
+/* Density of a misfit, whatever befell the section: 1 dimension for two marks, 3 for three, of
+ * which the size has a deviation of its own. */
 static double fitting(const struct gsn_mark_candidates *section,
-                      const struct gsn_triangle_prior *prior, double chi2)
+                      const struct gsn_triangle_prior *prior, double chi2, int freedom)
 {
     const struct gsn_mark_moves m = gsn_mark_choice_moves(section, prior);
+    const double size = freedom == 3 ? SIZE : 1;
 
     if (!prior->learnt || !(prior->stretch_um > 0))
-        return exp(-0.5 * chi2);
-    return m.ordinary * exp(-0.5 * chi2 * pow(m.loose_um / m.ordinary_um, 2)) +
-           m.loose * exp(-0.5 * chi2) + m.torn * exp(-0.5 * chi2 * pow(m.loose_um / m.torn_um, 2));
+        return normal(chi2, m.loose_um, m.loose_um, freedom) / size;
+    return (m.ordinary * normal(chi2, m.loose_um, m.ordinary_um, freedom) +
+            m.loose * normal(chi2, m.loose_um, m.loose_um, freedom) +
+            m.torn * normal(chi2, m.loose_um, m.torn_um, freedom)) /
+           size;
+}
+
+static int knows_looks(const struct gsn_triangle_prior *prior)
+{
+    return prior->learnt && prior->chance[GSN_MARK_CHANCE - 1] > 0 && prior->area_um2 > 0;
+}
+
+/* Where spots lie, um^2: as far as was counted, or else a disc over which the section's own spots
+ * would spread as they do, and never less than one as large as the triangle. */
+static double area_of(const struct gsn_mark_candidates *section,
+                      const struct gsn_triangle_prior *prior)
+{
+    const double n = fmax((double)section->count, 1);
+    double x = 0, y = 0, squares = 0;
+
+    if (knows_looks(prior))
+        return prior->area_um2;
+    for (size_t i = 0; i < section->count; i++) {
+        x += section->mark[i].px.x / n;
+        y += section->mark[i].px.y / n;
+    }
+    for (size_t i = 0; i < section->count; i++)
+        squares += (pow(section->mark[i].px.x - x, 2) + pow(section->mark[i].px.y - y, 2)) / n;
+    return 2 * M_PI *
+           fmax(squares * section->px_um * section->px_um,
+                pow(gsn_mark_triangle_size(prior->mark_um), 2));
+}
+
+/* How much likelier the spots look so and lie somewhere each as marks than as spots that are none:
+ * by what the stack taught, or as rare as those of this section that may be marks. */
+static double looks_odds(const struct gsn_mark_candidates *section,
+                         const struct gsn_triangle_prior *prior,
+                         const struct gsn_mark_choice *choice, double area_um2)
+{
+    double odds = 1, others = 0;
+
+    for (size_t i = 0; i < section->count; i++)
+        others += gsn_mark_acceptable(section, i, prior);
+    if (!knows_looks(prior))
+        odds = exp(-0.5 * gsn_mark_looks(section, prior, choice->candidate, GSN_MARK_UNLIKE_MOST));
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (choice->candidate[i] >= 0)
+            odds *= knows_looks(prior) ? gsn_mark_looks_odds(&section->mark[choice->candidate[i]],
+                                                             section->px_um, prior)
+                                       : area_um2 / fmax(others, 1);
+    return odds;
+}
+
+/* The likelihood that the section has its marks there, over that of its having none: the spots
+ * would then lie anywhere. A triangle may lie anywhere, turned by any angle and on either face; in
+ * coordinates in which each mark counts alike, d^2a d^2b d^2c = 3 sqrt(3) rho d^2centroid dangle
+ * d^3shape, and sqrt(2) distance d^2centre dangle dlength for two. */
+static double over_none(const struct gsn_mark_candidates *section,
+                        const struct gsn_triangle_prior *prior,
+                        const struct gsn_mark_choice *choice, double chi2)
+{
+    const double area = area_of(section, prior);
+    const double odds = looks_odds(section, prior, choice, area);
+    const struct gsn_point *mark = prior->mark_um;
+
+    if (gsn_mark_choice_is_triple(choice))
+        return pow(GSN_MARK_SEEN, 3) * odds * fitting(section, prior, chi2, 3) /
+               (4 * M_PI * area * 3 * sqrt(3) * gsn_mark_triangle_size(mark));
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (choice->candidate[i] < 0)
+            return pow(GSN_MARK_SEEN, 2) * (1 - GSN_MARK_SEEN) * odds *
+                   fitting(section, prior, chi2, 1) /
+                   (4 * M_PI * area * M_SQRT2 *
+                    gsn_mark_distance(mark[(i + 1) % GSN_MARKS], mark[(i + 2) % GSN_MARKS]));
+    return 0;
 }
 
 int gsn_mark_choice_is_triple(const struct gsn_mark_choice *choice)
@@ -62,14 +142,12 @@ static int plausible_pair(double chi2)
 static void weigh(const struct gsn_mark_candidates *section, const struct gsn_triangle_prior *prior,
                   double chi2, double torn_pair, struct gsn_mark_choice *choice)
 {
-    const double beauty =
-        exp(-0.5 * gsn_mark_looks(section, prior, choice->candidate, GSN_MARK_UNLIKE_MOST));
     const double decency = exp(-0.5 * gsn_mark_looks(section, prior, choice->candidate, FAINT));
     const int pair = !gsn_mark_choice_is_triple(choice);
     const int marks = prior->learnt && gsn_mark_alike(section, prior, choice->candidate);
     const double allowed = !marks ? 1 : pair ? torn_pair : GSN_MARK_TORN;
 
-    choice->likelihood = fitting(section, prior, chi2) * beauty;
+    choice->likelihood = choice->over_none = over_none(section, prior, choice, chi2);
     choice->trusted = exp(-0.5 * chi2 / (allowed * allowed)) * decency >= LIKELIHOOD_LEAST;
     choice->folded = pair && !plausible_pair(chi2);
     if (pair && !marks)
@@ -182,20 +260,6 @@ int gsn_mark_choice_weigh(const struct gsn_mark_candidates *section,
     weigh(section, prior, chi2, torn_pair, choice);
     return choice->trusted &&
            !(gsn_mark_choice_is_triple(choice) && any_by_chance(section, prior, choice));
-}
-
-double gsn_mark_choice_worth(const struct gsn_mark_candidates *section,
-                             const struct gsn_triangle_prior *prior,
-                             const struct gsn_mark_choice *three, int third)
-{
-    struct gsn_mark_choice pair = *three;
-    double chi2;
-
-    pair.candidate[third] = -1;
-    if (!lay(section, prior, &pair, &pair.motion, &chi2))
-        return 0;
-    weigh(section, prior, chi2, GSN_MARK_TORN_PAIR, &pair);
-    return pair.likelihood * third_odds(section, prior, three, third, &pair.motion);
 }
 
 int gsn_mark_choice_lies_well(const struct gsn_mark_candidates *section,

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder_parts.h"
+#include "pipeline/register/strain.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -34,7 +35,7 @@ static void say_why(const struct gsn_folder_work *work, struct gsn_folder_sectio
 {
     if (section->reason[0])
         return;
-    if (section->score > 0 && section->runner_up > 0.5 * section->score)
+    if (section->score > 0 && 20 * section->runner_up > section->score)
         (void)snprintf(section->reason, sizeof section->reason,
                        "the marks could be others: the best three spots score %.2g, the next %.2g; "
                        "look at the section",
@@ -88,11 +89,34 @@ static void tell_ellipses(const struct gsn_folder *folder, const struct gsn_pose
     for (size_t i = 0; i < GSN_FOLDER_ELLIPSES; i++) {
         const struct gsn_point at = { radius * towards[i][0], radius * towards[i][1] };
         const struct gsn_point um = { at.x * folder->unit, at.y * folder->unit };
-        const struct gsn_ellipse e = gsn_pose_ellipse_at(&pose->error, um, 0.95);
+        const struct gsn_ellipse e =
+            gsn_pose_ellipse_at(&pose->error, um, folder->stack->summary.stretches, 0.95);
 
         section->ellipse[i] =
             (struct gsn_folder_ellipse){ at, { e.major * px, e.minor * px, e.angle } };
     }
+}
+
+/* The pose with the section's own size, where the stack's differ by more than their marks'
+ * errors: the knife and the water bath change a section's size by some per cent, which a
+ * rigid pose leaves as an error that grows with the distance from the marks' middle. Marks that are
+ * stated are where the frame has them, whatever the sections' mean size. ret_error_um: over the
+ * same targets as before. */
+static struct gsn_affine fit_size(const struct gsn_folder *folder, const struct gsn_pose *pose,
+                                  const struct gsn_pose_options *options, double *ret_error_um)
+{
+    const struct gsn_pose_summary *summary = &folder->stack->summary;
+    const struct gsn_pose_targets targets =
+        gsn_pose_targets_of(options->targets_um, options->target_count);
+    const struct gsn_affine own = gsn_strain_corrected(pose);
+    struct gsn_affine mean;
+
+    if (targets.count > 0)
+        *ret_error_um = gsn_pose_tre_rms(&pose->error, &targets, 1);
+    if (!options->markers_um)
+        return own;
+    mean = gsn_strain_of_mean(summary->mean_triangle, options->markers_um);
+    return gsn_affine_compose(&own, &mean);
 }
 
 static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pose *pose,
@@ -100,7 +124,7 @@ static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pos
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
     struct gsn_affine px_to_frame = pose->panel_to_block_um;
-    double error_um = pose->tre_um;
+    double error_um = pose->tre_um, growth = 1;
 
     section->state = pose->state;
     folder->work[i].pose = *pose;
@@ -114,10 +138,14 @@ static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pos
                            &error_um);
     else if (pose->gross)
         error_um = hypot(pose->tre_um, pose->rms_um);
+    else if (folder->stack->summary.stretches)
+        px_to_frame = fit_size(folder, pose, options, &error_um);
+    if (pose->gross)
+        growth = error_um / pose->tre_um;
     folder->work[i].pose.panel_to_block_um = px_to_frame;
     section->frame_to_px = gsn_folder_frame_to_px(folder, &px_to_frame);
     section->error_px = error_um / folder->px_um;
-    tell_ellipses(folder, pose, error_um / pose->tre_um, section);
+    tell_ellipses(folder, pose, growth, section);
     section->rms_px = pose->rms_um / folder->px_um;
     section->flipped = pose->flipped;
     flag(section, pose);
@@ -129,7 +157,7 @@ int gsn_folder_solve(struct gsn_folder *folder, struct gsn_error *err)
     gsn_auto_mem(struct gsn_pose_input) inputs = gsn_alloc_array(count, sizeof *inputs);
     gsn_auto_mem(struct gsn_pose) poses = gsn_alloc_array(count, sizeof *poses);
     struct gsn_point targets[TARGETS * TARGETS], marks[GSN_MARKS];
-    struct gsn_pose_options options = { .targets_um = targets };
+    struct gsn_pose_options options = { .targets_um = targets, .sizes = 1 };
     int r;
 
     if (!inputs || !poses)

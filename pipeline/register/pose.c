@@ -301,7 +301,7 @@ static int solve(struct gsn_pose_stack *s, struct gsn_error *err)
         r = lay_frame(s, err);
     if (r >= 0)
         r = gsn_pose_learn(s, err);
-    if (r >= 0 && (s->axes.slanted || s->axes.bent))
+    if (r >= 0 && (s->axes.slanted || s->axes.bent || (s->sizes && s->stretches)))
         gsn_pose_place(s, gsn_pose_acceptable(s));
     return r;
 }
@@ -312,9 +312,11 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
 {
     gsn_auto_mem(struct gsn_pose_member) member = gsn_alloc_array(count, sizeof *member);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count * GSN_MARKS, sizeof *scratch);
-    struct gsn_pose_stack s = {
-        .member = member, .count = count, .scratch = scratch, .declared = options->markers_um
-    };
+    struct gsn_pose_stack s = { .member = member,
+                                .count = count,
+                                .scratch = scratch,
+                                .declared = options->markers_um,
+                                .sizes = options->sizes };
     struct gsn_pose_targets targets;
     int r;
 

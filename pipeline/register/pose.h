@@ -100,6 +100,7 @@ struct gsn_pose_options {
     const struct gsn_point *markers_um; /* the protocol's three marks in the block frame, or NULL */
     const struct gsn_point *targets_um; /* where the error matters, such as the region's voxels */
     size_t target_count;                /* 0: the TRE is given at the distance rho */
+    int sizes; /* strain is looked for in the sections' sizes alone, and not in their shapes */
 };
 
 /* Solves the stack. borrows: everything. Marks weigh by the covariance of their fits and by what

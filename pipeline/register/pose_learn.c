@@ -19,6 +19,8 @@ enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
 /* Chi-squared beyond which 0.1 % lie with 5 degrees of freedom: those in which three variances and
  * their axes can differ from being one. */
 static const double CHI2_ROUND = 20.515;
+/* Standard deviations beyond which 0.1 % lie on one side. */
+static const double SIGMAS = 3.09;
 static const double ALPHA = GSN_POSE_ALPHA;
 /* Declared marks that are off by more than chance, and by no more than a hundredth, are so rare
  * that chance has to be far rarer still before it is they. */
@@ -290,17 +292,24 @@ static int learn_axes(struct gsn_pose_stack *s, struct lesson *l)
     l->terms = axes.bent || axes.slanted ? l->terms : 1;
     if (l->terms == 1 && fit_trend(l, 1) < 0)
         return -1;
-    if (axes.bent || axes.slanted) {
-        struct gsn_point shift[GSN_MARKS];
-
-        to_marks(l, l->term[0], shift);
-        for (size_t i = 0; i < GSN_MARKS; i++) {
-            s->triangle[i].x += shift[i].x;
-            s->triangle[i].y += shift[i].y;
-        }
-    }
     s->axes = axes;
     return 0;
+}
+
+/* Moves the triangle to the mean of the sections' shapes. Before strain was known it was the mean
+ * of marks that weigh by their own errors, and a section that has swollen pulled a mark that it
+ * shows well farther out than the others. */
+static void move_triangle(struct gsn_pose_stack *s, const struct lesson *l)
+{
+    struct gsn_point shift[GSN_MARKS];
+
+    if (!s->axes.bent && !s->axes.slanted && !(s->sizes && s->stretches))
+        return;
+    to_marks(l, l->term[0], shift);
+    for (size_t i = 0; i < GSN_MARKS; i++) {
+        s->triangle[i].x += shift[i].x;
+        s->triangle[i].y += shift[i].y;
+    }
 }
 
 /* The noise by the smallest of three sample variances, which chance makes too small by the more
@@ -310,6 +319,34 @@ static double smallest(const double value[3], double n)
     const double near = value[1] / (value[1] - value[2]), far = value[0] / (value[0] - value[2]);
 
     return fmin(value[2] * (1 + (near + far) / n), 0.5 * (value[1] + value[2]));
+}
+
+/* Where sections may differ in size alone: the noise is what is left of their shapes, in the two
+ * directions across a change of size. The logarithm of the ratio of two sample variances, of n and
+ * 2 n degrees of freedom, has the variance 3 / n. */
+static void learn_sizes(struct gsn_pose_stack *s, const struct lesson *l)
+{
+    const double n = (double)l->count;
+    double size[3], length2 = 0, along = 0, noise = 0;
+
+    for (size_t i = 0; i < 3; i++) {
+        size[i] = i == 0;
+        for (size_t j = 0; j < i; j++)
+            size[i] -= l->lower[i][j] * size[j];
+        size[i] /= l->lower[i][i];
+        length2 += size[i] * size[i];
+        noise += l->spread[i][i];
+    }
+    for (size_t i = 0; i < 3; i++)
+        for (size_t j = 0; j < 3; j++)
+            along += size[i] * l->spread[i][j] * size[j] / length2;
+    noise = 0.5 * (noise - along) * n / (n - (double)l->terms);
+    along *= n / (n - (double)l->terms);
+    if (!(noise > 0) || !(log(along / noise) > SIGMAS * sqrt(3 / n)))
+        return;
+    s->stretches = 1;
+    s->strain[0][0] = (along - noise) / length2;
+    s->mark_um2 *= noise;
 }
 
 /* Splits the spread of n vectors into noise, alike in all directions, and the rest. Mauchly's test
@@ -367,7 +404,7 @@ static void set_limits(struct gsn_pose_stack *s, const struct lesson *l)
     const double n = (double)l->count;
 
     if (s->stretches)
-        s->freedom = n - 3;
+        s->freedom = s->sizes ? 2 * n - 3 : n - 3;
     s->spread_freedom = fmax(s->freedom, 2);
     s->side_limit = gsn_chance_limit(1, s->spread_freedom, ALPHA);
     /* Hotelling's: where strain was learnt, all of the covariance is estimated. */
@@ -386,7 +423,11 @@ int gsn_pose_learn(struct gsn_pose_stack *s, struct gsn_error *err)
     if (s->mark_um2 > s->finest && make_maps(s, &l) >= 0 && make_whitening(s, &l) >= 0) {
         gather(s, &l);
         if (l.count >= GSN_SCATTER_LEAST && learn_axes(s, &l) >= 0) {
-            learn_strain(s, &l);
+            if (s->sizes)
+                learn_sizes(s, &l);
+            else
+                learn_strain(s, &l);
+            move_triangle(s, &l);
             hold_against_declared(s, &l);
         }
     }

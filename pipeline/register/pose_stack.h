@@ -41,6 +41,7 @@ struct gsn_pose_stack {
     double scalene_sigma;
     int flips_told;
     const struct gsn_point *declared; /* the protocol's triangle, or NULL */
+    int sizes;                        /* sections may differ in size alone */
     int stretches;                    /* strain was found beyond what the marks' errors make */
     int as_declared;                  /* see there */
     double strain[3][3];              /* its covariance; 0 otherwise */

@@ -89,9 +89,9 @@ double gsn_pose_ellipse(double freedom, double share)
 }
 
 struct gsn_ellipse gsn_pose_ellipse_at(const struct gsn_pose_error *error,
-                                       struct gsn_point block_um, double share)
+                                       struct gsn_point block_um, int corrected, double share)
 {
-    const struct gsn_cov2 c = gsn_pose_tre_at(error, block_um, 0);
+    const struct gsn_cov2 c = gsn_pose_tre_at(error, block_um, corrected);
     const double mean = 0.5 * (c.xx + c.yy), apart = hypot(0.5 * (c.xx - c.yy), c.xy);
     const double k = gsn_pose_ellipse(error->freedom, share);
 

@@ -67,9 +67,9 @@ struct gsn_ellipse {
     double major, minor, angle;
 };
 
-/* That ellipse at a point of the block, of a rigid pose. */
+/* That ellipse at a point of the block, of a rigid pose or of one that is corrected for strain. */
 struct gsn_ellipse gsn_pose_ellipse_at(const struct gsn_pose_error *error,
-                                       struct gsn_point block_um, double share);
+                                       struct gsn_point block_um, int corrected, double share);
 
 #ifdef __cplusplus
 }

@@ -139,7 +139,7 @@ TEST(errors_at_marks_and_targets_follow_the_formulas)
     for (int k = 0; k < 3; k++) {
         const double r = k * rho;
         const struct gsn_point target = { c.x + 0.6 * r, c.y + 0.8 * r };
-        const struct gsn_pose_options options = { MARKS, &target, 1 };
+        const struct gsn_pose_options options = { MARKS, &target, 1, 0 };
         double squares = 0, predicted = 0;
         size_t covered = 0;
 
@@ -312,7 +312,7 @@ static void wrong_marks(double sigmas, double *ret_error, double *ret_printed,
     const struct gsn_point targets[] = {
         { 400, 600 }, { 1300, 600 }, { -500, 600 }, { 400, -300 }
     };
-    const struct gsn_pose_options options = { MARKS, targets, 4 };
+    const struct gsn_pose_options options = { MARKS, targets, 4, 0 };
     struct draw_chance chance = { 77 };
     struct bench b = bench_new(1600);
     double error = 0, printed = 0, all_three = 0, n = 0;

@@ -17,7 +17,7 @@ struct score {
 
 static size_t within(const struct gsn_pose_error *error, struct gsn_point e, struct gsn_point at)
 {
-    const struct gsn_ellipse ellipse = gsn_pose_ellipse_at(error, at, 0.95);
+    const struct gsn_ellipse ellipse = gsn_pose_ellipse_at(error, at, 0, 0.95);
     const double along = e.x * cos(ellipse.angle) + e.y * sin(ellipse.angle);
     const double across = e.y * cos(ellipse.angle) - e.x * sin(ellipse.angle);
 
@@ -29,7 +29,7 @@ static struct score simulate(const struct mounted_world *world, size_t sections,
 {
     struct draw_chance chance = { seed };
     struct mounted_stack s = mounted_new(sections);
-    const struct gsn_pose_options options = { world->marks, &target, 1 };
+    const struct gsn_pose_options options = { world->marks, &target, 1, 0 };
     struct score score = { 0 };
 
     while (score.sections < trials && score.stacks++ < trials) {
@@ -99,7 +99,7 @@ TEST(the_ellipse_has_the_covariances_own_axes)
 
     for (size_t i = 0; i < sizeof at / sizeof *at; i++) {
         const struct gsn_cov2 c = gsn_pose_tre_at(&error, at[i], 0);
-        const struct gsn_ellipse e = gsn_pose_ellipse_at(&error, at[i], 0.95);
+        const struct gsn_ellipse e = gsn_pose_ellipse_at(&error, at[i], 0, 0.95);
         const double a = e.major * e.major / 5.991465, b = e.minor * e.minor / 5.991465;
         const double x = cos(e.angle), y = sin(e.angle);
 
@@ -206,7 +206,7 @@ TEST(the_mean_over_a_disc_is_the_formulas_integral)
     static struct gsn_point disc[SIDE * SIDE];
     struct draw_chance chance = { 70 };
     struct mounted_stack s = mounted_new(40);
-    struct gsn_pose_options options = { mounted_marks, disc, 0 };
+    struct gsn_pose_options options = { mounted_marks, disc, 0, 0 };
     const double rho = sqrt(4220833.3333333), radius = 2000;
 
     for (int i = 0; i < SIDE * SIDE; i++) {

@@ -79,11 +79,12 @@ class Scene:
     def ran(self, specimen, state="reported", loss=None, message="", age=0):
         run = self.run("INSERT INTO run (specimen_id, key, version, inputs_json, parameters_json, "
                        "state, message, report_path, started, finished) VALUES (?, ?, '1', '{}', "
-                       "'{}', ?, ?, 'reports/r/report.html', ?, ?)", specimen, self.digest(),
-                       state, message, self.now - age, self.now - age)
+                       "'{}', 'running', ?, 'reports/r/report.html', ?, ?)", specimen,
+                       self.digest(), message, self.now - age, self.now - age)
         if loss is not None:
             self.run("INSERT INTO measure (run_id, name, value, unit) VALUES (?, 'loss', ?, '%')",
                      run, loss)
+        self.run("UPDATE run SET state = ? WHERE id = ?", state, run)
         return run
 
     def source(self, name, address, state, message="", item="", done=0, total=0, age=0,

@@ -206,6 +206,8 @@ static int check_beside(struct gsn_store *store, const struct gsn_run_row *run,
     root = json_loadb((const char *)text, size, 0, NULL);
     if (!same_text(root, "schema", "gieson-audit-1") || !same_text(root, "key", run->key) ||
         json_integer_value(json_object_get(root, "run")) != run->id ||
+        json_integer_value(json_object_get(root, "events")) <= 0 ||
+        json_string_length(json_object_get(root, "head")) != sizeof head.head.hex - 1 ||
         !same_text(root, "rows_sha256", seal.hex) ||
         !same_text(root, "html_sha256", run->report_sha256) ||
         !same_text(root, "json_sha256", run->json_sha256)) {

@@ -219,6 +219,7 @@ class Bench:
         self.bin = pathlib.Path(bin_folder).resolve()
         self.folder = pathlib.Path(folder)
         self.store = self.folder / "store"
+        self.journal = self.folder / "journal"
         self.verified = 0
 
     def call(self, *args, store=None):
@@ -250,14 +251,17 @@ class Bench:
             (self.store / log).unlink()
 
     def found(self, store, named):
-        """scrub, then verify: what they say, and who said it; None when neither found anything."""
+        """scrub, then verify, then with the journal: what they say, and who found it; None: nobody."""
         said = ""
-        for args in (("scrub", "--quick"), ("scrub",), ("verify", "S01")):
+        asked = [("scrub", "--quick"), ("scrub",), ("verify", "S01")]
+        if self.journal.exists():
+            asked.append(("scrub", "--quick", "--journal", str(self.journal)))
+        for args in asked:
             self.verified += args[0] == "verify"
             done = self.call(*args, store=store)
             said += done.stdout + done.stderr
             if done.returncode != 0 and re.search(named, said, re.DOTALL):
-                return " ".join(args), said
+                return " ".join(args[:3]), said
             if done.returncode < 0:
                 raise SystemExit(f"{args} was killed by signal {-done.returncode}\n{said}")
         return None, said
@@ -284,6 +288,10 @@ def main():
         whole, said = bench.found(bench.store, "")
         if whole or not sums_are_right(bench.store / "gieson.db"):
             raise SystemExit(f"the store was not whole before anything was done to it:\n{said}")
+        # The line that a worker leaves in the system's journal; here is none.
+        events, head = (bench.store / "audit.head").read_text(encoding="ascii").split()
+        bench.journal.write_text(f"gieson-work[1]: audit log: {int(events)} events, head {head}\n",
+                                 encoding="utf-8")
         copy = pathlib.Path(folder) / "copy"
         done, by = 0, {}
         for name, named, steps in cases(args.only):

@@ -17,9 +17,12 @@
 
 #include "pipeline/register/median.h"
 
+#include <float.h>
 #include <math.h>
 
-enum { SQUARE = 6, LEAST = 12, STEPS = 2 };
+/* From fewer than 24 planes a step's error is itself uncertain by more than a quarter: the median
+ * deviation of n values scatters by 1.17 / sqrt(n) of itself (Rousseeuw and Croux, 1993). */
+enum { SQUARE = 6, LEAST = 24, STEPS = 2 };
 
 struct gsn_section_path {
     size_t count;
@@ -99,7 +102,8 @@ static double step_error(const struct gsn_section_path *path, const size_t *orde
     middle = gsn_median(room, count);
     for (size_t i = 0; i < count; i++)
         room[i] = fabs(room[i] - middle);
-    return gsn_median(room, count) / (2 * 0.6745);
+    /* Densities are floats: a correlation is known no better. */
+    return fmax(gsn_median(room, count) / (2 * 0.6745), (double)FLT_EPSILON);
 }
 
 int gsn_section_path_new(const struct gsn_sequence_plane *planes, size_t count, size_t columns,

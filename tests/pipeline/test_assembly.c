@@ -107,7 +107,10 @@ TEST(a_section_whose_marks_contradict_the_stack_is_held)
 {
     drawn_auto d;
 
-    drawn_specimen_even(&d, DRAWN_JOB, DRAWN_DENSITY);
+    drawn_specimen_even(&d,
+                        "{\"specimen\": \"drawn\", \"registration\": \"marks\", " DRAWN_JOB_HEAD
+                        ", \"region\": " DRAWN_REGION "}",
+                        DRAWN_DENSITY);
     d.findings[1]->section[0].mark[1].px.x += 14;
     gsn_auto(gsn_assembly) a = drawn_assembly(&d);
 
@@ -115,6 +118,20 @@ TEST(a_section_whose_marks_contradict_the_stack_is_held)
     CHECK(strcmp(a->section[4].flags, "residual-too-large debris") == 0);
     drawn_check_gap(a->grid, 4);
     drawn_check_plane(a->grid, 5, DRAWN_DENSITY);
+}
+
+/* With tissue it is laid where its neighbours are, and what it shows there is right. */
+TEST(a_section_whose_marks_contradict_the_stack_is_laid_by_its_tissue)
+{
+    drawn_auto d;
+
+    drawn_specimen_even(&d, DRAWN_JOB, DRAWN_DENSITY);
+    d.findings[1]->section[0].mark[1].px.x += 14;
+    gsn_auto(gsn_assembly) a = drawn_assembly(&d);
+
+    CHECK(a->section[4].state == GSN_SECTION_DOUBTFUL);
+    CHECK(strcmp(a->section[4].flags, "residual-too-large by-tissue debris") == 0);
+    drawn_check_plane(a->grid, 4, DRAWN_DENSITY);
 }
 
 TEST(a_second_section_of_one_serial_is_held_and_flagged)

@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { SECTIONS = 16, WIDE = 280, HIGH = 230, CELL = 5, AGAIN = 8 };
+enum { SECTIONS = 24, WIDE = 280, HIGH = 230, CELL = 5, AGAIN = 8 };
 
 static struct gsn_assembly_section sections[SECTIONS];
 static struct gsn_plane *planes[SECTIONS];
@@ -92,7 +92,7 @@ TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
 
 /* ---- another order of all -------------------------------------------------------------------- */
 
-/* Two panels of two rows of four, read row by row: at[s] is where in the block the section with
+/* Three panels of two rows of four, read row by row: at[s] is where in the block the section with
  * serial s was cut, and what all show moves on with it. */
 static struct gsn_assembly make_read(const unsigned at[SECTIONS], double per_section)
 {
@@ -126,18 +126,22 @@ TEST(an_order_that_the_tissue_contradicts_is_named_with_the_likely_one)
         double per_section;
         const char *says;
     } cases[] = {
-        { { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15 }, 0.1, NULL },
-        { { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12 },
+        { { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23 },
+          0.1,
+          NULL },
+        { { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12, 16, 17, 18, 19, 23, 22, 21, 20 },
           0.1,
           "by \"order\": \"snake\", where \"row\" is stated: put it right in job.json" },
-        { { 0, 2, 4, 6, 1, 3, 5, 7, 8, 10, 12, 14, 9, 11, 13, 15 },
+        { { 0, 2, 4, 6, 1, 3, 5, 7, 8, 10, 12, 14, 9, 11, 13, 15, 16, 18, 20, 22, 17, 19, 21, 23 },
           0.1,
           "by \"order\": \"column\", where \"row\" is stated" },
-        { { 7, 6, 5, 4, 3, 2, 1, 0, 15, 14, 13, 12, 11, 10, 9, 8 },
+        { { 7, 6, 5, 4, 3, 2, 1, 0, 15, 14, 13, 12, 11, 10, 9, 8, 23, 22, 21, 20, 19, 18, 17, 16 },
           0.1,
           "as if all panels lay turned by half, so that sections count backwards" },
         /* Sections that do not differ contradict nothing. */
-        { { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12 }, 0, NULL },
+        { { 0, 1, 2, 3, 7, 6, 5, 4, 8, 9, 10, 11, 15, 14, 13, 12, 16, 17, 18, 19, 23, 22, 21, 20 },
+          0,
+          NULL },
     };
     static const struct gsn_protocol rows = { .rows = 2, .columns = 4, .order = GSN_STATED_ROW };
 

@@ -15,6 +15,9 @@ static const struct gsn_specimen_options OPTIONS = { .mesher = GSN_MESHER, .thre
 #define TREATED_JOB                                                                                \
     "{\"specimen\": \"treated\", \"baseline\": \"control\", \"thresholds\": [0.5], \"lens\": "     \
     "4, " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION "}"
+#define TREATED_MARKS_JOB                                                                          \
+    "{\"specimen\": \"treated\", \"baseline\": \"control\", \"registration\": "                    \
+    "\"marks\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION "}"
 
 static struct gsn_specimen_result *worked(const struct drawn_specimen *d, unsigned threads)
 {
@@ -81,6 +84,9 @@ static const char *text_at(const json_t *root, const char *key)
     "[264, 384, 288]}, \"density\": " #density "}"
 #define WITH_REGION(more)                                                                          \
     "{\"specimen\": \"drawn\", " DRAWN_JOB_HEAD ", \"region\": " DRAWN_REGION more "}"
+
+/* What no marks lay is not laid by tissue either. */
+#define MARKS_JOB WITH_REGION(", \"registration\": \"marks\"")
 
 /* A control whose region held red alone, and that hands no more on. */
 static const struct gsn_specimen_control RED = { .region_od = { 0.1186, 0.3551, 0.3249 } };
@@ -294,10 +300,10 @@ TEST(a_withheld_baseline_is_not_called_missing)
 
 /* A region of which less than 90 % was seen has figures, but no loss. */
 /* dyes outlives d. */
-static void draw_gaps(struct drawn_specimen *d, struct drawn_panel panels[3],
+static void draw_gaps(struct drawn_specimen *d, const char *job, struct drawn_panel panels[3],
                       const struct gsn_dyes *dyes)
 {
-    drawn_specimen_init(d, TREATED_JOB, panels, 3);
+    drawn_specimen_init(d, job, panels, 3);
     d->specimen.baseline =
         (struct gsn_specimen_baseline){ .name = "control",
                                         .specimens = 1,
@@ -314,12 +320,16 @@ TEST(lost_sections_are_bridged_counted_and_said)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
     struct drawn_panel panels[3];
-    drawn_auto d;
+    drawn_auto d, control;
 
     for (unsigned i = 0; i < 3; i++)
         panels[i] = drawn_panel_of(i + 1, 24, 0.6);
     panels[1].section[0].missing = panels[1].section[2].missing = 1;
-    draw_gaps(&d, panels, &dyes);
+    drawn_specimen_even(&control, DRAWN_JOB, 0.8);
+    draw_gaps(&d, TREATED_JOB, panels, &dyes);
+    gsn_auto(gsn_specimen_result) base = worked(&control, 2);
+
+    d.specimen.baseline = baseline_of(base);
     gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);
     json_t *root = report_of(gaps);
 
@@ -348,7 +358,7 @@ TEST(sections_that_lack_marks_are_doubtful_or_held_and_said)
         panels[i] = drawn_panel_of(i + 1, 24, 0.6);
     panels[1].section[1].no_marks = 2;
     panels[2].section[1].no_marks = 6;
-    drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
+    drawn_specimen_init(&d, MARKS_JOB, panels, 3);
     gsn_auto(gsn_specimen_result) result = worked(&d, 1);
 
     CHECK(strstr(result->json, "1 section was laid by two marks only: compare with the "
@@ -402,7 +412,7 @@ TEST(a_section_whose_marks_could_be_others_is_held_and_said)
 {
     drawn_auto d;
 
-    drawn_specimen_even(&d, DRAWN_JOB, 0.6);
+    drawn_specimen_even(&d, MARKS_JOB, 0.6);
     struct gsn_panel_section *s = &d.findings[1]->section[2];
 
     for (size_t m = 0; m < GSN_MARKS; m++)
@@ -452,7 +462,7 @@ TEST(a_loss_needs_most_of_the_region)
         panels[i] = drawn_panel_of(i + 1, 24, 0.6);
     panels[1].section[0].missing = panels[1].section[2].missing = 1;
     panels[2].section[0].missing = 1;
-    draw_gaps(&d, panels, &dyes);
+    draw_gaps(&d, TREATED_JOB, panels, &dyes);
     gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);
 
     CHECK(gaps->withheld);
@@ -473,7 +483,7 @@ static void check_panel_named(int baseline, const char *ends)
         panels[i] = drawn_panel_of(i + 1, 24, 0.6);
     for (unsigned k = 0; k < 4; k++)
         panels[1].section[k].no_marks = 6;
-    draw_gaps(&d, panels, &dyes);
+    draw_gaps(&d, TREATED_MARKS_JOB, panels, &dyes);
     if (!baseline)
         d.specimen.baseline = (struct gsn_specimen_baseline){ .name = "control" };
     gsn_auto(gsn_specimen_result) gaps = worked(&d, 2);

@@ -138,10 +138,21 @@ def check_docs(bin_folder, help_text, say):
         say(f"docs/job.md: only {count} pieces of a job were found")
 
 
+def anchors_of(page):
+    """The headings of a page as links name them."""
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+            for heading in re.findall(r"^#+ +(.+?) *$", page, re.M)}
+
+
 def check_links(page, say):
     for target in re.findall(r"\]\(([^)\s]+)\)", page):
-        if "://" not in target and not (ROOT / target).exists():
+        file, _, anchor = target.partition("#")
+        if "://" in target:
+            continue
+        if not (ROOT / file).exists():
             say(f"the link to {target} leads nowhere")
+        elif anchor and anchor not in anchors_of((ROOT / file).read_text(encoding="utf-8")):
+            say(f"the link to {target} leads to no heading of that page")
 
 
 def type_examples(found, environment, folder, say):

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The whole way once, for somebody who has never seen it: two phantom specimens with a known truth,
- * taken in as a scanner's folder, worked, reported, and compared with the truth. */
+/* The whole way once, for somebody who has never seen it: two phantom specimens with a known truth
+ * and a calibration panel of their bath, taken in as a scanner's folder, worked, reported, and
+ * compared with the truth. */
 #include "ui/look.h"
 #include "ui/ui.h"
 
@@ -20,12 +21,21 @@ enum { MOST_TRUTH_BYTES = 1 << 16 };
 
 static int make_specimen(const struct gsn_ui *ui, const char *folder, const char *which)
 {
+    static const char WITH_PANEL[] = "{\"calibration\": true}\n";
     gsn_auto_mem(char) out = gsn_format("%s/scans/GVP-D-%s", folder, which);
-    const char *const args[] = { "--specimen", which,   "--level", "L1", "--seed",
-                                 "7",          "--out", out,       NULL };
+    gsn_auto_mem(char) variant = gsn_format("%s/variant.json", folder);
+    const char *const args[] = { "--specimen", which,   "--level", "L1", "--seed", "7",
+                                 "--variant",  variant, "--out",   out,  NULL };
+    struct gsn_error err = { 0 };
+    int r;
 
-    if (!out)
+    if (!out || !variant)
         return EX_OSERR;
+    r = gsn_file_mkdir(folder, &err);
+    if (r >= 0)
+        r = gsn_file_write(variant, WITH_PANEL, sizeof WITH_PANEL - 1, &err);
+    if (r < 0)
+        return gsn_ui_complain(&err, r);
     (void)fprintf(stderr, "demo: scanning phantom %s\n", which);
     return gsn_ui_call(ui, "gieson-phantom", 0, args);
 }

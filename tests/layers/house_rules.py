@@ -27,6 +27,7 @@ LAYERS = {
     "pipeline/measure": ("pipeline/core", "pipeline/model"),
     "pipeline/render": ("pipeline/core", "pipeline/model"),
     "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),
+    "pipeline/phantom": ("pipeline/core",),
     "pipeline": ("pipeline",),
     "ui": ("pipeline/core", "storage"),
     "systemd": ("pipeline", "acquire", "storage"),
@@ -36,11 +37,12 @@ LAYERS = {
 FOREIGN = {
     r"sqlite3\.h": r"^storage/",
     r"opencv2/.*": r"^pipeline/.*_opencv\.cpp$",
-    r"dmtx\.h": r"^pipeline/decode/codes_dmtx\.c$",
+    r"dmtx\.h": r"^pipeline/(decode/codes_dmtx|phantom/matrix)\.c$",
     r"zbar\.h": r"^pipeline/decode/codes_zbar\.c$",
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
     r"hdf5\.h": r"^pipeline/model/model_file\.c$",
-    r"(tiffio|jpeglib|png|zlib|openslide/.*|lcms2)\.h": r"^pipeline/decode/",
+    r"(tiffio|jpeglib|png)\.h": r"^pipeline/(decode|phantom)/",
+    r"(zlib|openslide/.*|lcms2)\.h": r"^pipeline/decode/",
     r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",
     r"libusb\.h": r"^acquire/usb_(find|transport)\.c$",
     r"openssl/.*": r"^pipeline/core/hash\.c$",
@@ -80,6 +82,8 @@ def layer_of(path):
 
 
 def allowed(owner, header):
+    if layer_of(header) == "pipeline/phantom":
+        return owner == "pipeline/phantom"
     if owner == "pipeline" or owner == "systemd":
         return any(header.startswith(f + "/") for f in LAYERS[owner] + (owner,))
     target = layer_of(header)
@@ -148,6 +152,8 @@ PLANTED = {
                           "storage may not include"),
     "ui reaching into the pipeline": ("ui/planted.c", SPDX + '#include "pipeline/protocol.h"\n',
                                       "ui may not include"),
+    "the product built on the phantom": (
+        "systemd/planted.c", SPDX + '#include "pipeline/phantom/plan.h"\n', "systemd may not include"),
     "a foreign header": ("ui/planted.c", SPDX + "#include <sqlite3.h>\n", "may be named only in"),
     "a banned call": ("acquire/planted.c", SPDX + "void f(void)\n{\n    void *p = malloc(3);\n}\n",
                       "malloc() has one door"),

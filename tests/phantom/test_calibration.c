@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
 
-#include "tests/phantom/calibration.h"
+#include "pipeline/phantom/calibration.h"
 
 static struct gsn_phantom_plan plan_of(const char *specimen, const char *level, double px_um)
 {

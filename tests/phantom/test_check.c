@@ -3,8 +3,8 @@
 
 #include <string.h>
 
-#include "tests/phantom/check.h"
-#include "tests/phantom/geometry.h"
+#include "pipeline/phantom/check.h"
+#include "pipeline/phantom/geometry.h"
 
 static const double DEPTH[GSN_PHANTOM_DEPTHS] = { 0, .3698, .8153, 1 };
 

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "tests/phantom/defect.h"
+#include "pipeline/phantom/defect.h"
 
 static const struct gsn_phantom_defect TEAR = {
     .kind = GSN_PHANTOM_TEAR, .turn = 0.7, .at = { 300, -200 }, .slope = .12

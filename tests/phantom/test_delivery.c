@@ -6,8 +6,8 @@
 
 #include <jpeglib.h>
 
-#include "tests/phantom/delivery.h"
-#include "tests/phantom/panel.h"
+#include "pipeline/phantom/delivery.h"
+#include "pipeline/phantom/panel.h"
 
 static struct gsn_phantom_plan plan_of(const char *level, uint64_t seed)
 {

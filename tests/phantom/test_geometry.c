@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
-#include "tests/phantom/geometry.h"
-#include "tests/phantom/random.h"
+#include "pipeline/phantom/geometry.h"
+#include "pipeline/phantom/random.h"
 
 enum { PLACES = 20000 };
 

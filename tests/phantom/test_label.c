@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
-#include "tests/phantom/label.h"
+#include "pipeline/phantom/label.h"
 
 enum { CELL = 48, LETTER = 6 * CELL };
 

@@ -5,8 +5,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "tests/phantom/matrix.h"
-#include "tests/phantom/panel.h"
+#include "pipeline/phantom/matrix.h"
+#include "pipeline/phantom/panel.h"
 
 enum { SIDE = GSN_PHANTOM_MATRIX_SIDE };
 

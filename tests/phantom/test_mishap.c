@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
 
-#include "tests/phantom/plan.h"
+#include "pipeline/phantom/plan.h"
 
 enum { SEEDS = 60, DRAWN = SEEDS * GSN_PHANTOM_SECTIONS };
 

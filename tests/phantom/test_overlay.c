@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "pipeline/core/mem.h"
-#include "tests/phantom/overlay.h"
+#include "pipeline/phantom/overlay.h"
 
 enum { WIDE = 2300, HIGH = 1560 };
 

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "tests/phantom/panel.h"
+#include "pipeline/phantom/panel.h"
 
 /* One panel and the plan it was drawn from. */
 struct drawn {

@@ -9,9 +9,9 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "tests/phantom/phantom.h"
-#include "tests/phantom/tables.h"
-#include "tests/phantom/truth.h"
+#include "pipeline/phantom/phantom.h"
+#include "pipeline/phantom/tables.h"
+#include "pipeline/phantom/truth.h"
 
 enum { MOST_BYTES = 64 << 20 };
 

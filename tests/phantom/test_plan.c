@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "tests/phantom/plan.h"
+#include "pipeline/phantom/plan.h"
 
 static void check_there_and_back(const struct gsn_phantom_section *s, double px_um)
 {

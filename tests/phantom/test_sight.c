@@ -3,8 +3,8 @@
 
 #include <string.h>
 
-#include "tests/phantom/panel.h"
-#include "tests/phantom/sight.h"
+#include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/sight.h"
 
 static struct gsn_phantom_plan plan_of(uint64_t seed, double px_um)
 {

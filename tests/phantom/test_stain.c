@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
-#include "tests/phantom/stain.h"
+#include "pipeline/phantom/stain.h"
 
 /* The dyes of the specification, normalised. */
 static double dye(double r, double g, double b, int channel)

@@ -4,8 +4,8 @@
 #include <string.h>
 
 #include "pipeline/core/mem.h"
-#include "tests/phantom/study.h"
-#include "tests/phantom/truth.h"
+#include "pipeline/phantom/study.h"
+#include "pipeline/phantom/truth.h"
 
 static struct gsn_phantom_sums sums_of(const char *name)
 {

@@ -4,8 +4,8 @@
 #include <string.h>
 
 #include "pipeline/core/file.h"
-#include "tests/phantom/texture.h"
-#include "tests/phantom/tiles.h"
+#include "pipeline/phantom/texture.h"
+#include "pipeline/phantom/tiles.h"
 
 enum { SIDE = 300 };
 

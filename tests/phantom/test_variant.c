@@ -2,9 +2,9 @@
 #include "tests/check.h"
 
 #include "pipeline/core/file.h"
-#include "tests/phantom/expose.h"
-#include "tests/phantom/panel.h"
-#include "tests/phantom/truth.h"
+#include "pipeline/phantom/expose.h"
+#include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/truth.h"
 
 #include <dirent.h>
 #include <jansson.h>

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
 
-#include "tests/phantom/warp.h"
+#include "pipeline/phantom/warp.h"
 
 enum { SIDE = GSN_PHANTOM_WARP_SIDE };
 

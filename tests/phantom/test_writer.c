@@ -10,7 +10,7 @@
 
 #include <jpeglib.h>
 
-#include "tests/phantom/writer.h"
+#include "pipeline/phantom/writer.h"
 
 enum { WIDE = 133, HIGH = 150 };
 

@@ -4,7 +4,7 @@
 #include "pipeline/decode/png_write.h"
 #include "pipeline/core/file.h"
 #include "tests/check.h"
-#include "tests/phantom/calibration.h"
+#include "pipeline/phantom/calibration.h"
 #include "tests/pipeline/drawn_specimen.h"
 
 #include <math.h>

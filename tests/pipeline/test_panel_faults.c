@@ -6,7 +6,7 @@
 
 #include "pipeline/decode/png_write.h"
 #include "tests/check.h"
-#include "tests/phantom/panel.h"
+#include "pipeline/phantom/panel.h"
 #include "tests/pipeline/drawn_panel.h"
 
 #include <stdio.h>

@@ -3,7 +3,7 @@
 #include "pipeline/register/pose.h"
 
 #include "tests/check.h"
-#include "tests/phantom/geometry.h"
+#include "pipeline/phantom/geometry.h"
 #include "tests/register/draw.h"
 #include "tests/register/mounted.h"
 

@@ -8,7 +8,7 @@
 #include "storage/catalog.h"
 #include "storage/panel_log.h"
 #include "tests/check.h"
-#include "tests/phantom/panel.h"
+#include "pipeline/phantom/panel.h"
 #include "tests/pipeline/drawn_panel.h"
 #include "tests/systemd/bench_job.h"
 

@@ -1,0 +1,256 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/phantom/mishap.h"
+
+#include "pipeline/phantom/shape.h"
+#include "pipeline/phantom/stain.h"
+
+#include <math.h>
+
+/* Sections that have been given a defect, of one panel. */
+struct dealing {
+    struct gsn_phantom_plan *plan;
+    struct gsn_phantom_random *random;
+    int panel; /* from 0 */
+    int used[GSN_PHANTOM_SLOTS_MOST];
+};
+
+/* --- marks and decoys --- */
+
+/* They belong to the section that is mounted: a section mounted twice brings the same marks. */
+static void burn_marks(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
+{
+    const struct gsn_phantom_geometry *g = &plan->variant.geometry;
+    const struct gsn_phantom_level *level = &plan->level;
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_MARKS, s->shows < 0 ? s->k : s->shows, 0);
+    const double longest = plan->variant.aspect > 0 ? plan->variant.aspect : 1.15;
+
+    for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
+        struct gsn_phantom_mark *mark = &s->mark[i];
+
+        *mark = (struct gsn_phantom_mark){ .centre = g->mark[i],
+                                           .radius_um = plan->variant.burning.radius_um,
+                                           .ratio = 1,
+                                           .missing = plan->variant.no_marks };
+        if (!level->handled && plan->variant.aspect < 0)
+            continue;
+        mark->missing |= gsn_phantom_uniform(&random) < level->mark_missing_share;
+        mark->centre.x += gsn_phantom_normal(&random, level->mark_wander_um);
+        mark->centre.y += gsn_phantom_normal(&random, level->mark_wander_um);
+        mark->radius_um *= level->handled ? gsn_phantom_between(&random, 0.9, 1.1) : 1;
+        mark->ratio = gsn_phantom_between(&random, 1, longest);
+        mark->turn = gsn_phantom_between(&random, 0, M_PI);
+    }
+}
+
+/* A decoy on a mark would be a spoilt mark instead. */
+static int near_mark(const struct gsn_phantom_plan *plan, const struct gsn_phantom_section *s,
+                     struct gsn_point at_um)
+{
+    const double apart = 275 + plan->variant.burning.radius_um;
+
+    for (int i = 0; i < GSN_PHANTOM_MARKS; i++) {
+        const struct gsn_point p = gsn_affine_apply(&s->to_panel, s->mark[i].centre);
+
+        if (hypot(p.x * plan->px_um - at_um.x, p.y * plan->px_um - at_um.y) < apart)
+            return 1;
+    }
+    return 0;
+}
+
+static void strew(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
+{
+    const double reach = 2600, least_um = 40, most_um = 130;
+    const double size = plan->variant.burning.radius_um / gsn_phantom_burning()->radius_um;
+    const int exactly = plan->variant.decoys;
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DECOYS, s->k, 0);
+    const int drawn = (int)gsn_phantom_below(&random, (uint32_t)plan->level.decoys_most + 1);
+    const int wanted = exactly < 0 ? drawn : exactly;
+
+    while (s->decoys < wanted) {
+        struct gsn_phantom_decoy *decoy = &s->decoy[s->decoys];
+
+        decoy->kind =
+            (enum gsn_phantom_decoy_kind)gsn_phantom_below(&random, GSN_PHANTOM_DECOY_KINDS);
+        decoy->radius_um = gsn_phantom_between(&random, least_um, most_um);
+        if (exactly >= 0) { /* round, and as large as a mark may be */
+            decoy->kind = GSN_PHANTOM_DEBRIS;
+            decoy->radius_um *= size;
+        }
+        decoy->at_um = gsn_phantom_around(&random, gsn_phantom_centre_um(plan, s), reach);
+        s->decoys += !near_mark(plan, s, decoy->at_um);
+    }
+}
+
+/* --- sections that are not there --- */
+
+static void add(struct gsn_phantom_plan *plan, const struct gsn_phantom_defect *defect)
+{
+    if (plan->defects < GSN_PHANTOM_DEFECTS_MOST)
+        plan->defect[plan->defects++] = *defect;
+}
+
+/* A lost section leaves its slot empty; now and then the one before it is mounted there again. */
+static void lose(struct gsn_phantom_plan *plan, int k, struct gsn_phantom_random *random)
+{
+    const double duplicate_share = 0.25;
+    struct gsn_phantom_section *s = &plan->section[k];
+    const int again = gsn_phantom_uniform(random) < duplicate_share && s->slot > 0 &&
+                      plan->section[k - 1].shows == k - 1;
+    const struct gsn_phantom_defect defect = {
+        .kind = again ? GSN_PHANTOM_DUPLICATE : GSN_PHANTOM_EMPTY_SLOT,
+        .k = k,
+        .at = gsn_phantom_slot_centre_um(plan, s->slot),
+    };
+
+    s->shows = again ? k - 1 : -1;
+    add(plan, &defect);
+}
+
+/* What a level says of twelve sections, for a panel of more or fewer. */
+static int per_panel(const struct gsn_phantom_plan *plan, int in_twelve)
+{
+    return (in_twelve * plan->slots + GSN_PHANTOM_SLOTS / 2) / GSN_PHANTOM_SLOTS;
+}
+
+static void lose_some(struct dealing *deal)
+{
+    const struct gsn_phantom_level *level = &deal->plan->level;
+    const int range = level->missing_most - level->missing_least + 1;
+    const int slots = deal->plan->slots;
+    int left = level->missing_least + (int)gsn_phantom_below(deal->random, (uint32_t)range);
+
+    left = per_panel(deal->plan, left);
+    while (left > 0) {
+        const int slot = (int)gsn_phantom_below(deal->random, (uint32_t)slots);
+        const int k = deal->panel * slots + slot;
+
+        if (deal->used[slot] || (slot + 1 < slots && deal->plan->section[k + 1].shows == k))
+            continue;
+        lose(deal->plan, k, deal->random);
+        deal->used[slot] = 1;
+        left--;
+    }
+}
+
+/* --- defects --- */
+
+/* One edge runs over all sections of a row: each has an entry. */
+static void note_row(struct dealing *deal, struct gsn_phantom_defect d)
+{
+    const int columns = deal->plan->variant.columns, first = d.k - d.k % columns;
+
+    for (int k = first; k < first + columns; k++) {
+        d.k = k;
+        if (deal->plan->section[k].shows >= 0)
+            add(deal->plan, &d);
+    }
+}
+
+static int may_befall(const struct dealing *deal, enum gsn_phantom_defect_kind kind, int slot)
+{
+    if (deal->used[slot])
+        return 0;
+    if (kind != GSN_PHANTOM_TOUCHING)
+        return 1;
+    return slot % deal->plan->variant.columns + 1 < deal->plan->variant.columns &&
+           !deal->used[slot + 1];
+}
+
+/* 0 when no section is left that it could befall. */
+static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
+{
+    const int slots = deal->plan->slots, first = deal->panel * slots;
+    const int start = (int)gsn_phantom_below(deal->random, (uint32_t)slots);
+
+    for (int i = 0; i < slots; i++) {
+        const int slot = (start + i) % slots;
+        struct gsn_phantom_defect d = { .kind = kind, .k = first + slot };
+
+        if (!may_befall(deal, kind, slot))
+            continue;
+        gsn_phantom_defect_shape(deal->plan, deal->random, &deal->plan->section[d.k], &d);
+        deal->used[slot] = 1;
+        if (kind == GSN_PHANTOM_COVERSLIP_EDGE) {
+            note_row(deal, d);
+            return 1;
+        }
+        add(deal->plan, &d);
+        if (kind == GSN_PHANTOM_TOUCHING) {
+            d.k++;
+            deal->used[slot + 1] = 1;
+            add(deal->plan, &d);
+        }
+        return 1;
+    }
+    return 0;
+}
+
+static void lose_panel(struct gsn_phantom_plan *plan)
+{
+    const int first = (plan->missing_panel - 1) * plan->slots;
+
+    for (int k = first; k < first + plan->slots; k++) {
+        const struct gsn_phantom_defect defect = {
+            .kind = GSN_PHANTOM_MISSING_PANEL,
+            .k = k,
+            .at = gsn_phantom_slot_centre_um(plan, k - first),
+        };
+
+        plan->section[k].shows = -1;
+        add(plan, &defect);
+    }
+}
+
+/* The kinds in an order of their own: dealt out like cards, so that a specimen sees each of them
+ * before it sees one twice. */
+static void shuffle(struct gsn_phantom_random *random, int card[GSN_PHANTOM_ACCIDENTS])
+{
+    for (int i = 0; i < GSN_PHANTOM_ACCIDENTS; i++) {
+        const int j = (int)gsn_phantom_below(random, (uint32_t)i + 1);
+
+        card[i] = card[j];
+        card[j] = i;
+    }
+}
+
+static void deal_defects(struct gsn_phantom_plan *plan)
+{
+    const struct gsn_phantom_level *level = &plan->level;
+    const int range = level->defects_most - level->defects_least + 1;
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_DEFECTS, 0, 0);
+    int card[GSN_PHANTOM_ACCIDENTS] = { 0 }, dealt = 0;
+
+    for (int panel = 0; panel < plan->panels; panel++) {
+        struct dealing deal = { .plan = plan, .random = &random, .panel = panel };
+        int count;
+
+        if (panel + 1 == plan->missing_panel) {
+            lose_panel(plan);
+            continue;
+        }
+        lose_some(&deal);
+        count = level->defects_least + (int)gsn_phantom_below(&random, (uint32_t)range);
+        count = per_panel(plan, count);
+        /* What finds no section is put aside, which a whole hand of cards never is. */
+        for (int last = dealt + 2 * GSN_PHANTOM_ACCIDENTS; count > 0 && dealt < last; dealt++) {
+            if (dealt % GSN_PHANTOM_ACCIDENTS == 0)
+                shuffle(&random, card);
+            count -=
+                befall(&deal, (enum gsn_phantom_defect_kind)card[dealt % GSN_PHANTOM_ACCIDENTS]);
+        }
+    }
+}
+
+void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
+{
+    if (plan->level.handled)
+        deal_defects(plan);
+    for (int k = 0; k < plan->sections; k++) {
+        burn_marks(plan, &plan->section[k]);
+        if (plan->level.handled || plan->variant.decoys >= 0)
+            strew(plan, &plan->section[k]);
+    }
+}

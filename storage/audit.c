@@ -20,6 +20,7 @@
  * Costs one pass over the database and one over the log. */
 #include "storage/audit.h"
 
+#include <errno.h>
 #include <inttypes.h>
 #include <sqlite3.h>
 #include <stdio.h>
@@ -100,14 +101,38 @@ static int ask(struct gsn_store *store, const char *sql, gsn_audit_found *found,
     return r;
 }
 
+/* integrity_check takes a page that the disk does not give for a damaged one. */
+struct table_teller {
+    gsn_audit_found *found;
+    void *context;
+    int unread;
+};
+
+static void tell_table(void *context, const char *what, const char *sentence)
+{
+    struct table_teller *const teller = context;
+    const char *const code = strstr(sentence, "unable to get the page. error code=");
+
+    if (code && (atoi(strchr(code, '=') + 1) & 0xff) == SQLITE_IOERR) /* door */
+        teller->unread = 1;
+    else
+        tell(teller->found, teller->context, what, sentence);
+}
+
 int gsn_audit_tables(struct gsn_store *store, gsn_audit_found *found, void *context,
                      struct gsn_error *err)
 {
+    struct table_teller teller = { .found = found, .context = context };
     const int r = ask(store,
                       "SELECT 'gieson.db', 'SQLite says: ' || integrity_check "
                       "FROM pragma_integrity_check WHERE integrity_check <> 'ok'",
-                      found, context, err);
+                      tell_table, &teller, err);
 
+    if (r >= 0 && teller.unread)
+        return gsn_fail(err, GSN_E_IO,
+                        "%s/gieson.db: disk I/O error: a page could not be read, so that nobody "
+                        "knows whether it is damaged; see what the kernel says of the disk (dmesg)",
+                        gsn_store_dir(store));
     return r < 0
                ? r
                : ask(store,
@@ -118,27 +143,47 @@ int gsn_audit_tables(struct gsn_store *store, gsn_audit_found *found, void *cont
 
 /* ---- where the log ended ------------------------------------------------------------------ */
 
-void gsn_audit_write_head(const char *path, const struct gsn_event_tail *tail)
+int gsn_audit_write_head(const char *path, const struct gsn_event_tail *tail, struct gsn_error *err)
 {
     char line[HEAD_LINE + 1];
     gsn_auto_fd fd = -1;
+    int r = gsn_file_open_lock(path, &fd, err);
 
     (void)snprintf(line, sizeof line, "%019" PRId64 " %s\n", tail->id, tail->head.hex);
-    /* Half a line would speak of an end that never was. */
-    if (gsn_file_open_lock(path, &fd, NULL) >= 0 && pwrite(fd, line, HEAD_LINE, 0) != HEAD_LINE)
+    if (r >= 0 && pwrite(fd, line, HEAD_LINE, 0) != HEAD_LINE) {
+        r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+        /* Half a line would speak of an end that never was. */
         (void)!ftruncate(fd, 0);
+    }
+    return r;
 }
 
-/* GSN_E_NOTFOUND: there is none that can be read. */
-static int read_head_line(const char *path, struct gsn_event_tail *ret_tail)
+int gsn_audit_renew_head(struct gsn_store *store, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = gsn_format("%s/" GSN_AUDIT_HEAD, gsn_store_dir(store));
+    struct gsn_event_tail tail;
+    const int r =
+        path ? gsn_event_tail(store, &tail, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+
+    return r < 0 ? r : gsn_audit_write_head(path, &tail, err);
+}
+
+/* GSN_E_NOTFOUND: there is none, or none of ours. What the disk does not give is GSN_E_IO. */
+static int read_head_line(const char *path, struct gsn_event_tail *ret_tail, struct gsn_error *err)
 {
     char line[HEAD_LINE + 2] = "";
     gsn_auto_fd fd = -1;
     struct gsn_event_tail tail;
+    const int r = gsn_file_open(path, &fd, err);
+    ssize_t got;
 
-    if (gsn_file_open(path, &fd, NULL) < 0 || pread(fd, line, HEAD_LINE + 1, 0) != HEAD_LINE ||
-        sscanf(line, "%" SCNd64 " %64[0-9a-f]", &tail.id, tail.head.hex) != 2 || tail.id <= 0 ||
-        strlen(tail.head.hex) != sizeof tail.head.hex - 1)
+    if (r < 0)
+        return r;
+    got = pread(fd, line, HEAD_LINE + 1, 0);
+    if (got < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (got != HEAD_LINE || sscanf(line, "%" SCNd64 " %64[0-9a-f]", &tail.id, tail.head.hex) != 2 ||
+        tail.id <= 0 || strlen(tail.head.hex) != sizeof tail.head.hex - 1)
         return GSN_E_NOTFOUND;
     *ret_tail = tail;
     return GSN_OK;
@@ -149,12 +194,12 @@ int gsn_audit_may_write_head(struct gsn_store *store, const char *path, int *ret
 {
     struct gsn_event_tail tail;
     int64_t is = 0;
-    int r = read_head_line(path, &tail);
+    int r = read_head_line(path, &tail, err);
 
     if (r >= 0)
         r = gsn_sql_int(store, "SELECT hash = ?2 FROM event WHERE id = ?1",
                         SQL_ARGS(SQL_INT(tail.id), SQL_TEXT(tail.head.hex)), &is, err);
-    else
+    else if (r == GSN_E_NOTFOUND)
         is = 1;
     *ret_may = is == 1;
     return r == GSN_E_NOTFOUND ? GSN_OK : r;
@@ -207,11 +252,14 @@ static int read_head_file(struct gsn_store *store, struct gsn_audit_head *head,
 
     if (!path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    if (read_head_line(path, &tail) >= 0) {
+    r = read_head_line(path, &tail, err);
+    if (r >= 0) {
         head->events = tail.id;
         head->head = tail.head;
         return GSN_OK;
     }
+    if (r != GSN_E_NOTFOUND)
+        return r;
     r = gsn_sql_int(store, "SELECT count(*) FROM event", SQL_NO_ARGS, &events, err);
     if (r >= 0 && events > 0)
         tell(found, context, GSN_AUDIT_HEAD,

@@ -69,6 +69,10 @@ int gsn_audit_sealed(struct gsn_store *store, int64_t run, struct gsn_digest *re
 /* Where the log ends now. */
 int gsn_audit_tail(struct gsn_store *store, struct gsn_audit_head *ret_head, struct gsn_error *err);
 
+/* DIR/audit.head says where the log ends now; every commit says so too, but quietly. Fails with
+ * GSN_E_IO. */
+int gsn_audit_renew_head(struct gsn_store *store, struct gsn_error *err);
+
 /* For store.c. Seals those that ended before there were seals. */
 struct gsn_event_tail;
 int gsn_audit_seal_old_runs(struct gsn_store *store, struct gsn_error *err);
@@ -76,8 +80,9 @@ int gsn_audit_seal_old_runs(struct gsn_store *store, struct gsn_error *err);
  * for then it is the evidence. */
 int gsn_audit_may_write_head(struct gsn_store *store, const char *path, int *ret_may,
                              struct gsn_error *err);
-/* Quietly, for what it tells of is durable already and the next commit writes it again. */
-void gsn_audit_write_head(const char *path, const struct gsn_event_tail *tail);
+/* Fails with GSN_E_IO, and then says nothing of an end. */
+int gsn_audit_write_head(const char *path, const struct gsn_event_tail *tail,
+                         struct gsn_error *err);
 
 #ifdef __cplusplus
 }

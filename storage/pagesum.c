@@ -17,6 +17,8 @@
  *    program: it stays as that program wrote it and is found. One that another program only copied
  *    out of the log has none, which is no damage.
  *
+ * A failing disk (EIO) is told as one: SQLite takes it for a damaged file, "malformed".
+ *
  * Reading does not compare: gsn_pagesum_check() does, over the file as it lies on the disk, unused
  * pages included. It costs one pass over the file; writing costs a microsecond a page. */
 #include "storage/pagesum.h"
@@ -101,6 +103,8 @@ static int read_page(sqlite3_file *file, void *bytes, int size, sqlite3_int64 at
     sqlite3_file *const to = file_of(file);
     const int r = to->pMethods->xRead(to, bytes, size, at);
 
+    if (r == SQLITE_IOERR_CORRUPTFS)
+        return SQLITE_IOERR_READ;
     if (r != SQLITE_OK)
         return r;
     look_at_header(summed, bytes, size, at);
@@ -186,15 +190,13 @@ static int open_file(sqlite3_vfs *vfs, const char *name, sqlite3_file *file, int
     int r;
 
     (void)vfs;
-    if (!(flags & SQLITE_OPEN_MAIN_DB))
-        return system->xOpen(system, name, file, flags, ret_flags);
     r = system->xOpen(system, name, to, flags, ret_flags);
     summed->base.pMethods = to->pMethods ? &methods : NULL;
     if (r != SQLITE_OK)
         return r;
-    /* A file that is empty is going to be a new one. */
-    summed->has_sums = 1;
-    if (to->pMethods->xRead(to, header, HEADER, 0) == SQLITE_OK)
+    /* A file that is empty is going to be a new one. All others are here for their errors alone. */
+    summed->has_sums = (flags & SQLITE_OPEN_MAIN_DB) != 0;
+    if (summed->has_sums && to->pMethods->xRead(to, header, HEADER, 0) == SQLITE_OK)
         look_at_header(summed, header, HEADER, 0);
     return SQLITE_OK;
 }

@@ -95,8 +95,14 @@ static int code_of(int sqlite_code)
 
 int gsn_store_failed(struct gsn_store *store, struct gsn_error *err)
 {
-    return gsn_fail(err, code_of(sqlite3_errcode(store->db)), "%s/gieson.db: %s", store->dir,
-                    sqlite3_errmsg(store->db));
+    /* SQLite's sentence is the one for a database that may only be read. */
+    const char *const why =
+        sqlite3_extended_errcode(store->db) == SQLITE_READONLY_DBMOVED
+            ? "the file was moved, deleted or unmounted while it was open, or cannot be looked at"
+            : sqlite3_errmsg(store->db);
+
+    return gsn_fail(err, code_of(sqlite3_errcode(store->db) & 0xff), "%s/gieson.db: %s", store->dir,
+                    why);
 }
 
 static int execute(struct gsn_store *store, const char *sql, struct gsn_error *err)
@@ -162,9 +168,10 @@ int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
         return r;
     }
     store->depth--;
-    /* Behind the commit, so that the file never knows of more than the database has. */
+    /* Behind the commit, so that the file never knows of more than the database has; quietly, for
+     * what it tells of is durable already, and the next commit writes it again. */
     if (grew)
-        gsn_audit_write_head(store->head, &tail);
+        (void)gsn_audit_write_head(store->head, &tail, NULL);
     return r;
 }
 
@@ -372,7 +379,8 @@ static int open_database(struct gsn_store *store, const char *path, enum gsn_sto
                          : gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
     /* SQLite falls back to reading when it may not write; we want the sentence now. */
     if (mode != GSN_STORE_READ && sqlite3_db_readonly(store->db, "main") == 1)
-        return gsn_fail(err, GSN_E_IO, "%s: no permission to write", path);
+        return gsn_fail(err, GSN_E_IO, "%s: it cannot be opened for writing: %s", path,
+                        access(path, W_OK) < 0 ? strerror(errno) : "the disk did not say why");
     r = configure(store, err);
     if (r >= 0)
         r = prepare_schema(store, mode, err);

@@ -20,6 +20,7 @@
 #include "storage/object.h"
 
 #include <dirent.h>
+#include <errno.h>
 #include <inttypes.h>
 #include <jansson.h>
 #include <limits.h>
@@ -411,7 +412,10 @@ static int check_objects(struct gsn_store *store, int sizes, gsn_audit_found *fo
             found(context, "object", err ? err->text : "a row names no object");
             r = GSN_OK;
         } else if (r >= 0 && stat(path, &st) < 0) {
-            found(context, what, "it is lost: a row rests on it and there is no such file");
+            if (errno == ENOENT)
+                found(context, what, "it is lost: a row rests on it and there is no such file");
+            else
+                r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
         } else if (r >= 0 && st.st_size != rows->at[i].size) {
             found(context, what, "its size is not the one it came in with");
         }

@@ -90,10 +90,12 @@ static int copy_object(struct backup *b, const char *sha256, struct gsn_error *e
     if (r < 0)
         return r;
     r = gsn_file_open(path, &fd, &why);
-    if (r < 0) {
+    if (r == GSN_E_NOTFOUND) {
         tell(b, path, why.text);
         return GSN_OK;
     }
+    if (r < 0)
+        return gsn_fail(err, r, "%s", why.text);
     r = gsn_spool_take_fd(b->spool, fd, path, &spooled, err);
     if (r < 0 && r != GSN_E_INPUT)
         return r;
@@ -214,8 +216,10 @@ static int name_database(struct backup *b, const char *part, struct gsn_error *e
     for (size_t i = 0; i < sizeof beside / sizeof *beside; i++) {
         gsn_auto_mem(char) path = gsn_format("%s/%s", part, beside[i]);
 
-        if (path)
-            (void)unlink(path);
+        if (!path)
+            return no_memory(err);
+        if (unlink(path) < 0 && errno != ENOENT)
+            return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
     }
     if (rename(from, to) < 0 || rmdir(part) < 0)
         return gsn_fail(err, GSN_E_IO, "%s: %s", to, strerror(errno));
@@ -235,7 +239,9 @@ static int read_back(struct backup *b, const char *actor, struct gsn_error *err)
         r = gsn_audit_store(copy, &heads, 1, tell, b, &b->counts.events, err);
     if (r < 0 || b->damaged > 0)
         return r;
-    return gsn_event_add(copy, time(NULL), actor, "copy", "", gsn_store_dir(b->store), err);
+    r = gsn_event_add(copy, time(NULL), actor, "copy", "", gsn_store_dir(b->store), err);
+    /* No commit comes that would write it again. */
+    return r < 0 ? r : gsn_audit_renew_head(copy, err);
 }
 
 static int make(struct backup *b, const char *actor, struct gsn_error *err)

@@ -288,7 +288,9 @@ static int make_one(const char *path, struct gsn_error *err)
         return sync_parent(path, err);
     if (errno != EEXIST)
         return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
-    if (stat(path, &st) < 0 || !S_ISDIR(st.st_mode))
+    if (stat(path, &st) < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    if (!S_ISDIR(st.st_mode))
         return gsn_fail(err, GSN_E_IO, "%s: not a directory", path);
     return GSN_OK;
 }

@@ -4,9 +4,12 @@
  * failing, once or for ever, or the process ending there, for every STEP-th N:
  *   - a store of each older version, while it is brought up to this one;
  *   - a store whose last writer died with pictures in the log and in the inbox, while it recovers;
- *   - a scrub.
- * Whatever happened: no crash, a sentence, and without faults the next one finds every row and
- * every object as they were. */
+ *   - a scrub;
+ *   - a backup of a store with a report, and a restore, which is a backup of the backup;
+ *   - a report made again and compared (verify).
+ * Whatever happened: no crash, a sentence that names the fault, and without faults the next one
+ * finds every row and every object as they were. A folder that has the name of a backup's database
+ * is a whole backup. What could not be read is told as that, and never as forged. */
 #include <errno.h>
 #include <ftw.h>
 #include <signal.h>
@@ -22,11 +25,17 @@
 
 #include "pipeline/core/file.h"
 #include "storage/event.h"
+#include "storage/result.h"
 #include "storage/scan.h"
 #include "storage/schema.h"
 #include "storage/sql.h"
 #include "storage/store.h"
+#include "systemd/backup.h"
+#include "systemd/import.h"
+#include "systemd/job.h"
 #include "systemd/scrub.h"
+#include "systemd/verify.h"
+#include "tests/pipeline/drawn_panel.h"
 #include "tests/power/bench.h"
 #include "tests/power/fault.h"
 #include "tests/power/ingest.h"
@@ -39,9 +48,36 @@ struct told {
     int code;
     bool ended; /* it came to its end, well or not */
     char sentence[SENTENCE];
+    bool named;             /* a finding named the fault */
+    char accused[SENTENCE]; /* a finding that does not name it; "": none */
 };
 
 static struct told *told;
+
+static const struct gsn_job_options job_options = { .mesher = GSN_MESHER,
+                                                    .owner = "test",
+                                                    .threads = 1 };
+
+/* Whether a sentence says that a call failed, in libc's words or SQLite's. */
+static bool names_fault(const char *sentence)
+{
+    return strstr(sentence, strerror(EIO)) || strstr(sentence, "disk I/O error") ||
+           strstr(sentence, strerror(ENOSPC)) || strstr(sentence, "disk is full") ||
+           strstr(sentence, "unable to open database file") ||
+           strstr(sentence, "cannot be opened for writing") ||
+           strstr(sentence, "or cannot be looked at") || strstr(sentence, "database is locked") ||
+           strstr(sentence, "locking protocol");
+}
+
+/* What an audit found: with a fault about, only the fault. */
+static void accuse(void *context, const char *what, const char *sentence)
+{
+    (void)context;
+    if (names_fault(sentence))
+        told->named = true;
+    else if (!told->accused[0])
+        (void)snprintf(told->accused, SENTENCE, "%s: %s", what, sentence);
+}
 
 /* ---- a store to begin with, copied for each run ---- */
 
@@ -182,6 +218,42 @@ static void make_whole(struct places *places)
         power_give_up(err.text);
 }
 
+/* With a report on two panels. */
+static void make_reported(struct places *places)
+{
+    static const char job[] = "{\"specimen\": \"S1\", \"px_um\": 24, \"layout\": [2, 2], "
+                              "\"panels\": 2, \"transfer\": \"linear\", \"thresholds\": [0.5], "
+                              "\"markers_um\": " DRAWN_MARKS_JSON "}";
+    gsn_auto_mem(char) folder = gsn_format("%s/specimen", places->bench->dir);
+    gsn_auto_mem(char) written = gsn_format("%s/job.json", folder);
+    gsn_auto_mem(char) specimen = NULL;
+    struct gsn_import import = { .dir = folder, .actor = "test" };
+    struct gsn_import_counts counts;
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_error err = { 0 };
+    int r = gsn_file_mkdir(folder, &err);
+
+    if (r >= 0)
+        r = gsn_file_write(written, job, sizeof job - 1, &err);
+    for (unsigned number = 1; r >= 0 && number <= 2; number++) {
+        const struct drawn_panel panel = drawn_panel_of(number, 24, 0.1);
+        gsn_auto_mem(char) path = gsn_format("%s/P%02u.png", folder, number);
+        size_t size;
+        gsn_auto_mem(uint8_t) png = drawn_panel_png(&panel, &size);
+
+        r = gsn_file_write(path, png, size, &err);
+    }
+    if (r >= 0)
+        r = gsn_store_open(places->made, GSN_STORE_CREATE, &store, &err);
+    import.store = store;
+    if (r >= 0)
+        r = gsn_import_folder(&import, &specimen, &counts, &err);
+    while (r >= 0)
+        r = gsn_job_next(store, &job_options, &err);
+    if (r != GSN_E_NOTFOUND) /* nothing more to do */
+        power_give_up(err.text);
+}
+
 /* ---- what is done with it ---- */
 
 static int open_it(const char *dir, struct gsn_error *err)
@@ -200,6 +272,37 @@ static int scrub_it(const char *dir, struct gsn_error *err)
 
     scrub.store = store;
     return r < 0 ? r : gsn_scrub_run(&scrub, &counts, err);
+}
+
+/* Beside the store: it must not lie in it. gives. */
+static char *backup_place(const char *dir)
+{
+    char *const place = gsn_format("%s-copy", dir);
+
+    if (!place)
+        power_give_up("memory");
+    return place;
+}
+
+static int back_up(const char *dir, struct gsn_error *err)
+{
+    gsn_auto_mem(char) place = backup_place(dir);
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_backup_counts counts;
+    int r = gsn_store_open(dir, GSN_STORE_READ, &store, err);
+
+    return r < 0 ? r : gsn_backup_make(store, place, "test", accuse, NULL, &counts, err);
+}
+
+static int verify_it(const char *dir, struct gsn_error *err)
+{
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_verdict verdict;
+    struct gsn_verify verify = { .run = 1, .options = &job_options, .found = accuse };
+    int r = gsn_store_open(dir, GSN_STORE_WRITE, &store, err);
+
+    verify.store = store;
+    return r < 0 ? r : gsn_verify_run(&verify, &verdict, err);
 }
 
 /* ---- whether all is there afterwards ---- */
@@ -267,6 +370,72 @@ static bool scrubbed_is_fine(struct gsn_store *store, char text[SENTENCE])
            is(store, "SELECT count(*) FROM trouble", 0, text);
 }
 
+static void refuse(void *context, const char *what, const char *sentence)
+{
+    if (!((char *)context)[0])
+        (void)snprintf(context, SENTENCE, "%s: %s", what, sentence);
+}
+
+static bool has_report(struct gsn_store *store, char text[SENTENCE])
+{
+    return is(store, "SELECT count(*) FROM panel WHERE state = 'registered'", 2, text) &&
+           is(store, "SELECT count(*) FROM run WHERE json_sha256 <> ''", 1, text);
+}
+
+/* No folder, one without a database, which is no backup, or a whole one. */
+static bool is_no_or_whole_backup(const char *place, bool must_be, char text[SENTENCE])
+{
+    gsn_auto_mem(char) database = gsn_format("%s/gieson.db", place);
+    gsn_auto(gsn_store) copy = NULL;
+    struct gsn_audit_heads heads = { .count = 0 };
+    struct gsn_error err = { 0 };
+    int r;
+
+    if (!database || access(database, F_OK) < 0) {
+        (void)snprintf(text, SENTENCE, "it ended well and there is no backup");
+        return !must_be;
+    }
+    text[0] = '\0';
+    r = gsn_store_open(place, GSN_STORE_WRITE, &copy, &err);
+    if (r >= 0)
+        r = gsn_audit_store(copy, &heads, 1, refuse, text, NULL, &err);
+    gsn_audit_heads_done(&heads);
+    if (r < 0)
+        (void)snprintf(text, SENTENCE, "its backup: %s", err.text);
+    return r >= 0 && !text[0] && has_report(copy, text);
+}
+
+static bool backed_up_is_fine(struct gsn_store *store, char text[SENTENCE])
+{
+    gsn_auto_mem(char) place = backup_place(gsn_store_dir(store));
+    bool fine = has_report(store, text) &&
+                is_no_or_whole_backup(place, told->ended && told->code >= 0, text);
+    struct gsn_backup_counts counts = { 0 };
+    struct gsn_error err = { 0 };
+
+    power_remove_tree(place);
+    if (fine && gsn_backup_make(store, place, "test", NULL, NULL, &counts, &err) < 0) {
+        (void)snprintf(text, SENTENCE, "a backup afterwards: %s", err.text);
+        fine = false;
+    }
+    fine = fine && is_no_or_whole_backup(place, true, text);
+    power_remove_tree(place);
+    return fine;
+}
+
+/* The calls are those of reading; what it would take to change a row is swept elsewhere. */
+static bool verified_is_fine(struct gsn_store *store, char text[SENTENCE])
+{
+    struct gsn_audit_heads heads = { .count = 0 };
+    struct gsn_error err = { 0 };
+
+    text[0] = '\0';
+    if (gsn_audit_store(store, &heads, 1, refuse, text, NULL, &err) < 0)
+        (void)snprintf(text, SENTENCE, "the audit afterwards: %s", err.text);
+    gsn_audit_heads_done(&heads);
+    return !text[0] && has_report(store, text);
+}
+
 struct act {
     const char *what;
     void (*make)(struct places *places);
@@ -277,7 +446,7 @@ struct act {
 /* ---- the sweep ---- */
 
 struct tally {
-    size_t runs, failed, died, crashed, mute, bad;
+    size_t runs, failed, died, crashed, mute, accused, bad;
 };
 
 static bool meets(const struct places *places, const struct act *act, const struct fault *fault)
@@ -347,19 +516,20 @@ static int sweep(const struct places *places, const struct act *act, const char 
         tally.failed += told->code < 0;
         if (!alive)
             complain(&tally.crashed, what, fault.at, "the process died");
-        else if (told->code < 0 && !told->sentence[0])
-            complain(&tally.mute, what, fault.at, "failed without a sentence");
+        else if (told->code < 0 && !told->named && !names_fault(told->sentence))
+            complain(&tally.mute, what, fault.at, told->sentence);
+        if (told->accused[0])
+            complain(&tally.accused, what, fault.at, told->accused);
         if (!is_fine_afterwards(places, act, text))
             complain(&tally.bad, what, fault.at, text);
         power_remove_tree(places->bench->store);
     }
-    printf(
-        "%-44s %5zu runs: %5zu failed with a sentence, %5zu ended there; %zu crashes, %zu without "
-        "a sentence, %zu with something lost\n",
-        what ? what : "", tally.runs, tally.failed - tally.mute, tally.died, tally.crashed,
-        tally.mute, tally.bad);
+    printf("%-44s %5zu runs: %5zu failed and said why, %5zu ended there; %zu crashes, %zu "
+           "not saying why, %zu false findings, %zu with something lost\n",
+           what ? what : "", tally.runs, tally.failed - tally.mute, tally.died, tally.crashed,
+           tally.mute, tally.accused, tally.bad);
     (void)fflush(stdout);
-    return tally.crashed || tally.mute || tally.bad || tally.runs == 0;
+    return tally.crashed || tally.mute || tally.accused || tally.bad || tally.runs == 0;
 }
 
 static int try_all(const struct places *places, const struct act *act, long step)
@@ -385,6 +555,8 @@ int main(int argc, char **argv)
     static const struct act others[] = {
         { "recovery", make_hot, open_it, hot_is_fine },
         { "a scrub", make_whole, scrub_it, scrubbed_is_fine },
+        { "a backup", make_reported, back_up, backed_up_is_fine },
+        { "a verify", make_reported, verify_it, verified_is_fine },
     };
     const struct power_bench bench = power_bench_new(PICTURES);
     const long step = argc > 1 ? atol(argv[1]) : 1; /* door */

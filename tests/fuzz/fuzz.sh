@@ -19,7 +19,9 @@ acquire=$(ls acquire/*.c)
 flags="-std=gnu17 -D_GNU_SOURCE -DGSN_VERSION=\"fuzz\" -DGSN_LIBEXECDIR=\"/\" -I. -g $(pkg-config --cflags libusb-1.0 jansson)"
 libraries="$(pkg-config --libs libusb-1.0 jansson zlib libcrypto) -lm -lpthread"
 sanitizers="-fsanitize=address,undefined -fno-sanitize-recover=all"
-export ASAN_OPTIONS=abort_on_error=1
+# No run lives long: a small quarantine keeps freed memory from being new pages each time, which took
+# a sixth of the time.
+export ASAN_OPTIONS=abort_on_error=1:quarantine_size_mb=8
 
 # What is judged, and what that needs besides.
 sources_of() {

@@ -7,7 +7,7 @@
 BIN is the folder with the programs. Scenarios are the functions marked as such below; each ends the
 processes it started. Exit 0: all that was demanded holds; 77: it cannot be tried here.
 
-GIESON_KILLS=200: as many kills in `killed` as that. GIESON_REST_S=60: `rest` measures so long."""
+GIESON_KILLS=200: as many kills in `killed` as that, and in each of GIESON_ROUNDS of `slow_writers`. GIESON_REST_S=60: `rest` measures so long."""
 import hashlib
 import json
 import os
@@ -62,6 +62,7 @@ class Bench:
         self.config = self.folder / "gieson.conf"
         self.log = self.folder / "log"
         self.service = None
+        self.ends = []  # what else is to be called at the end
         self.environment = dict(os.environ)
         for name in ("GIESON_STORE", "JOURNAL_STREAM", "NOTIFY_SOCKET", "WATCHDOG_USEC"):
             self.environment.pop(name, None)
@@ -411,13 +412,51 @@ def write_slowly(path, data, way, pause):
         other.unlink()
 
 
+class Disk:
+    """A file system under the hot folder, as a network folder is one. Writers have their files open in
+    it and their folder by another mount of it, so they go on when it is pulled from under the
+    service: `umount -l` and, after a while, the same file system again."""
+
+    def __init__(self, bench):
+        self.hot = bench.hot
+        self.writers = bench.folder / "share"
+        self.writers.mkdir()
+        bench.ends.append(self.done)
+        self.mounted = self.run("mount", "-t", "tmpfs", "-o", "size=256m", "share", self.writers) and \
+            self.run("mount", "--bind", self.writers, self.hot)
+        if not self.mounted:
+            self.run("umount", self.writers)
+            self.writers = self.hot
+
+    @staticmethod
+    def run(*words):
+        return subprocess.run(list(map(str, words)), stderr=subprocess.DEVNULL, check=False).returncode == 0
+
+    def pull(self, seconds):
+        """Returns how often it was away: 0 or 1."""
+        if not self.mounted or not self.run("umount", "-l", self.hot):
+            return 0
+        time.sleep(seconds)
+        demand(self.run("mount", "--bind", self.writers, self.hot), "it is mounted again")
+        return 1
+
+    def done(self):
+        if self.mounted:
+            self.run("umount", "-l", self.hot)
+            self.run("umount", "-l", self.writers)
+
+
 @scenario
 def slow_writers(bench):
     """Eight ways to write, some resting for longer than anybody waits, while the intake is killed:
-    each picture is one panel with its last bytes, and nothing that came in is gone."""
+    each picture is one panel with its last bytes, and nothing that came in is gone. Where it may
+    (root), the folder is a file system that is unmounted under the service meanwhile, writers and
+    all, and mounted again."""
     kills = int(os.environ.get("GIESON_KILLS", "4"))
     rounds = int(os.environ.get("GIESON_ROUNDS", "1"))
     dice = random.Random(24)
+    disk = Disk(bench)
+    unmounts = 0
     bench.configure(patience=2)
     bench.start("--only", "intake")
     bench.wait_ready()
@@ -431,7 +470,7 @@ def slow_writers(bench):
                 name = f"S-P{number:03}.tif"
                 delivered[name] = scan_of(number, dice.randrange(2000, 90000))
                 writers.append(threading.Thread(
-                    target=write_slowly, args=(bench.hot / name, delivered[name], way, pause)))
+                    target=write_slowly, args=(disk.writers / name, delivered[name], way, pause)))
         for writer in writers:
             writer.start()
         for _ in range(kills):
@@ -439,6 +478,7 @@ def slow_writers(bench):
             victim = bench.intake()
             if victim:
                 os.kill(victim, signal.SIGKILL)
+            unmounts += disk.pull(dice.uniform(0.1, 2))
         for writer in writers:
             writer.join()
     expected = sorted((name, hashlib.sha256(data).hexdigest()) for name, data in delivered.items())
@@ -449,8 +489,8 @@ def slow_writers(bench):
         data = (bench.store / "objects" / digest[:2] / digest[2:]).read_bytes()
         demand(hashlib.sha256(data).hexdigest() == digest, f"the object {digest} is whole")
     torn = bench.ask("SELECT count(*) FROM scan WHERE state = 'kept' AND reason LIKE '%torn%'")
-    print(f"{len(delivered)} pictures, {kills * rounds} kills, {torn[0][0]} torn beginnings replaced: "
-          "0 lost, 0 double")
+    print(f"{len(delivered)} pictures, {kills * rounds} kills, {unmounts} unmounts, {torn[0][0]} torn "
+          "beginnings replaced: 0 lost, 0 double")
 
 
 @scenario
@@ -1052,6 +1092,8 @@ def main():
             if sys.exc_info()[0] and bench.log.exists():
                 print(bench.words()[-6000:])
             bench.stop()
+            for end in bench.ends:
+                end()
 
 
 if __name__ == "__main__":

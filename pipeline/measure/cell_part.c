@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/simplex_sets.h"
+#include "pipeline/model/simplex_spline.h"
 
 static double linear_at(const uint8_t beta[4], const double corner[4], unsigned degree)
 {

@@ -6,7 +6,7 @@
 
 #include "pipeline/measure/skin_hull.h"
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/simplex_sets.h"
+#include "pipeline/model/simplex_spline.h"
 
 /* Values, coefficients and polar values are good to about 1e-14 of the largest control value; next
  * to knot planes 1e-12. */

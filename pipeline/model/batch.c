@@ -2,8 +2,8 @@
 #include "pipeline/model/batch.h"
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/model/poly.h"
-#include "pipeline/model/seam_at.h"
+#include "pipeline/model/bpatch.h"
+#include "pipeline/model/face_correction.h"
 #include "pipeline/model/spline_internal.h"
 
 #include <assert.h>

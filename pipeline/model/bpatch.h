@@ -37,6 +37,13 @@ void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double
 double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,
                         const double lambda[4], double *ret_gradient);
 
+/* Polynomials of three variables as sums of monomials, what the kernels run fastest on. */
+
+/* The coefficients of sum_beta b_beta n!/beta! lambda^beta as a polynomial of lambda_1..3, in the
+ * order of kernels.h: monomial (a,b,c) has n!/(a! b! c! (n-a-b-c)!) times the forward difference
+ * of order a, b, c of b at (n,0,0,0). */
+void gsn_poly_of_bernstein(unsigned degree, const double *bernstein, double *ret_coefficient);
+
 #ifdef __cplusplus
 }
 #endif

@@ -9,7 +9,7 @@
 #include "pipeline/model/dms.h"
 #include "pipeline/model/frame.h"
 #include "pipeline/model/kernels.h"
-#include "pipeline/model/simplex.h"
+#include "pipeline/model/simplex_spline.h"
 
 #ifdef __cplusplus
 extern "C" {

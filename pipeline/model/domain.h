@@ -4,7 +4,7 @@
  *
  * The region's mask, grown by a voxel, is covered with cubes of a coarse lattice; cavities that the
  * cubes enclose on all sides are filled, the boundary of their union is closed into a manifold
- * (domain_cells.h), and TetGen makes a constrained Delaunay tetrahedralisation of it, refined
+ * (domain_cells.c), and TetGen makes a constrained Delaunay tetrahedralisation of it, refined
  * to a size. The domain is larger than the region by at least a voxel, so that the basis sums to
  * one everywhere inside the region whatever the boundary clouds. TetGen runs in a process of its
  * own. */

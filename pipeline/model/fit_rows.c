@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/fit_rows.h"
+#include "pipeline/model/fit_system.h"
 
 #include "pipeline/core/parallel.h"
 #include "pipeline/model/bpatch.h"
+#include "pipeline/model/face_correction.h"
 #include "pipeline/model/frame.h"
-#include "pipeline/model/seam_at.h"
 
 #include <math.h>
 #include <stdbool.h>

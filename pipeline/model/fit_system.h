@@ -4,11 +4,78 @@
 #ifndef GSN_MODEL_FIT_SYSTEM_H
 #define GSN_MODEL_FIT_SYSTEM_H
 
-#include "pipeline/model/fit_rows.h"
+#include "pipeline/model/dms.h"
+#include "pipeline/model/fit.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+/* The samples of a fit, sorted by the tetrahedra they lie in, and what each contributes to the
+ * normal equations.
+ *
+ * In the core of a tetrahedron the spline is one polynomial of that tetrahedron's control points:
+ * those samples add to one small dense block. A sample in a seam, where functions of several
+ * tetrahedra meet, keeps its row of basis values. Samples are seen in the order of their
+ * tetrahedron and, inside it, of their index: every sum is the same for any number of threads. */
+
+struct gsn_fit_rows {
+    const struct gsn_dms *space;
+    const struct gsn_samples *samples;
+    double mean;     /* of the values; the fit is of the deviations from it */
+    uint32_t *start; /* tetrahedron t has order[start[t] .. start[t + 1]) */
+    uint32_t *order; /* sample numbers */
+
+    size_t packed; /* entries of a block: f <= g, row by row */
+    double *block; /* per tetrahedron: sum N_f N_g over its core samples */
+    double *right; /* per tetrahedron and function: sum N_f (value - mean) */
+
+    size_t seams;          /* rows */
+    size_t *seam_first;    /* row r has the terms seam_first[r] .. seam_first[r + 1] */
+    uint32_t *seam_sample; /* ascending in the order of `order` */
+    double *seam_target;   /* value - mean * sum of the row */
+    uint32_t *seam_control;
+    double *seam_value;
+    size_t *seam_of_tet; /* tetrahedron t has the rows seam_of_tet[t] .. seam_of_tet[t + 1] */
+};
+
+/* Sorts the samples. Fails with GSN_E_INPUT naming the first sample that is not finite or lies
+ * outside the mesh, GSN_E_LIMIT on more than 2^31, GSN_E_NOMEM. End with gsn_fit_rows_done() in
+ * either case. keeps: space, samples. */
+int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
+                      const struct gsn_samples *samples, unsigned threads, struct gsn_error *err);
+/* Evaluates the basis at all of them. Fails with GSN_E_NOMEM. */
+int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gsn_error *err);
+void gsn_fit_rows_done(struct gsn_fit_rows *rows);
+
+struct gsn_fit_residual {
+    double squares, worst; /* sum of squares, largest absolute value */
+};
+
+/* The residuals of each tetrahedron's samples with these control points; ret has room for all. */
+int gsn_fit_rows_residuals(const struct gsn_fit_rows *rows, const double *control, unsigned threads,
+                           struct gsn_fit_residual *ret, struct gsn_error *err);
+
+/* The gradient penalty of a fit, tetrahedron by tetrahedron.
+ *
+ * The spline on a tetrahedron is taken as the polynomial it is when all clouds are collapsed:
+ * Bernstein form, so that the integral has a closed form. That is off by the relative size of the
+ * clouds, in a term that is small by design, and keeps what matters: constants cost nothing. */
+
+/* What does not depend on the tetrahedron: mass[f][k][g][l] is the mean over any tetrahedron of the
+ * product of the Bernstein polynomials beta_f - e_k and beta_g - e_l of degree n - 1. */
+struct gsn_fit_smooth {
+    unsigned degree;
+    size_t functions;
+    double mass[GSN_DMS_MAX_FUNCTIONS][4][GSN_DMS_MAX_FUNCTIONS][4];
+};
+
+void gsn_fit_smooth_init(struct gsn_fit_smooth *smooth, const struct gsn_dms *space);
+
+/* Adds weight * integral grad N_f . grad N_g over tetrahedron tet to block, whose entries f <= g
+ * are stored row by row. weight in 1/um. */
+void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_tets *mesh,
+                        size_t tet, double weight, double *block);
 
 /* Compressed rows, all of the matrix: row i has the entries first[i] .. first[i + 1], their columns
  * ascending. */

@@ -1,8 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/kernels.h"
 
-#include "pipeline/model/kernels_isa.h"
-
 const struct gsn_kernels *gsn_kernels_for(enum gsn_isa isa)
 {
     switch (isa) {

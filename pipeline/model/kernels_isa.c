@@ -2,10 +2,9 @@
 
 /* Compiled once per instruction set, with GSN_ISA naming the version; and once more as the careful
  * scalar version, whose plane values have been decided elsewhere. */
-#include "pipeline/model/kernels_isa.h"
+#include "pipeline/model/kernels.h"
 
 #include "pipeline/model/lanes.h"
-#include "pipeline/model/seam_data.h"
 
 #define NAME(what) what
 

@@ -17,7 +17,7 @@
 #include "pipeline/model/model_file.h"
 
 #include "pipeline/core/hash.h"
-#include "pipeline/model/simplex_sets.h"
+#include "pipeline/model/simplex_spline.h"
 
 #include <assert.h>
 #include <string.h>

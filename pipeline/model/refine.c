@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/refine.h"
 
-#include "pipeline/model/crossval.h"
+#include "pipeline/model/fit.h"
 
 #include <assert.h>
 #include <math.h>

@@ -5,7 +5,7 @@
  * A round splits the tetrahedra whose rms residual is above the tolerance and whose samples can
  * carry more unknowns, makes new clouds and fits again from the samples; splitting into four alone
  * would never converge (docs/MATH.md, section 8). A round is taken only if it lowers the error
- * at samples not seen by a thousandth or more (crossval.h): noise is not followed. */
+ * at samples not seen by a thousandth or more (fit.h): noise is not followed. */
 #ifndef GSN_MODEL_REFINE_H
 #define GSN_MODEL_REFINE_H
 

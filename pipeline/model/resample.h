@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* A spline on a regular grid, by objects: every tetrahedron writes its polynomial into the voxels
- * whose centres it holds, then every face adds its seam (seam.h) to the voxels near it. No point is
- * ever searched for. */
+ * whose centres it holds, then every face adds its seam (face_correction.h) to the voxels near it.
+ * No point is ever searched for. */
 #ifndef GSN_MODEL_RESAMPLE_H
 #define GSN_MODEL_RESAMPLE_H
 

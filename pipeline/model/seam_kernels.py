@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: AGPL-3.0-or-later
-"""Writes the kernels of pipeline/model/seam.h as straight-line C.
+"""Writes the kernels of pipeline/model/face_correction.h as straight-line C.
 
 usage: seam_kernels.py tables|kernels|orders > FILE
 

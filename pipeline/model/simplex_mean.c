@@ -1,13 +1,30 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Means of simplex splines over a tetrahedral cell.
+ *
+ * Method: the mean recurrence, equation (9) of the paper as corrected in docs/MATH.md, section 5:
+ * the mean over a cell from means of lower degree and means over the cell's faces, edges and
+ * corners. Beside it, for knots of which four may lie in one plane, the slow and plain way: cut the
+ * cell at all planes of three knots and integrate the polynomial of each piece exactly.
+ *
+ * Steps: (1) which knots lie beyond the cell's planes, which within; (2) descend over knot sets and
+ * faces of the cell at once, remembering every mean; (3) at degree 0 the part of a cell, triangle,
+ * edge or corner inside a tetrahedron of knots, with exact decisions on planes that touch.
+ *
+ * Failure: none; the caller guarantees a cell of positive volume.
+ * Cost: the recurrence takes some ten thousand operations a tetrahedron at degree 3; the pieces a
+ * thousand times that, so tests alone ask for them. */
 #include "pipeline/model/simplex_mean.h"
 
 #include "pipeline/model/frame.h"
 #include "pipeline/model/orient.h"
-#include "pipeline/model/simplex.h"
+#include "pipeline/model/simplex_spline.h"
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
+
+/* --- by the mean recurrence --- */
 
 enum {
     FACES = 4,
@@ -16,7 +33,8 @@ enum {
     FAR = 64, /* sum of lambda^2 that is too much */
 };
 
-/* As in simplex.c: lambda of member i of a quad is swap[i] * plane value of the others / det. */
+/* As in simplex_spline.c: lambda of member i of a quad is swap[i] * plane value of the others /
+ * det. */
 static const int swap[4] = { -1, 1, -1, 1 };
 
 enum { UNKNOWN, NO, YES };
@@ -421,4 +439,105 @@ int gsn_simplex_cell_misses(const struct gsn_simplex_cell *cell, unsigned mask)
             return 1;
     }
     return 0;
+}
+
+/* --- by pieces, for knots in any position --- */
+
+/* Means over a cell for knots in any position: cut, then integrate polynomial by polynomial. */
+
+/* A plane that passes a corner nearer than this share of the cell's size goes through it. */
+#define TOUCH 1e-13
+
+/* One function over the pieces of one cell. */
+struct cutting {
+    const struct gsn_simplex_sets *sets;
+    const double (*knot)[3];
+    const uint16_t *pick;
+    size_t function;
+    double touch;
+};
+
+/* The mean over one piece, by a rule that is exact for polynomials of degree 3 (Keast): the middle
+ * and four points around it. All lie inside the piece, off every knot plane. */
+static double rule(const struct cutting *cutting, const double (*corner)[3])
+{
+    double sum = 0;
+
+    for (int i = 0; i < 5; i++) {
+        struct gsn_simplex_at at;
+        double u[3];
+
+        for (int c = 0; c < 3; c++) {
+            u[c] = (corner[0][c] + corner[1][c] + corner[2][c] + corner[3][c]) / (i < 4 ? 6 : 4);
+            u[c] += i < 4 ? corner[i][c] / 3 : 0;
+        }
+        gsn_simplex_at_init(&at, cutting->sets, cutting->knot, cutting->pick, u, 0);
+        sum += (i < 4 ? 0.45 : -0.8) * gsn_simplex_value(&at, cutting->function);
+    }
+    return sum;
+}
+
+/* How far the corners lie on either side of the plane of a knot triple; 0 when it has none. */
+static int see_plane(const struct cutting *cutting, size_t triple, const double (*corner)[3],
+                     double ret_value[4])
+{
+    const uint8_t *m = cutting->sets->set[triple].member;
+    double p[3], q[3], r[3], normal[3], size;
+
+    gsn_subtract(cutting->knot[m[1]], cutting->knot[m[0]], p);
+    gsn_subtract(cutting->knot[m[2]], cutting->knot[m[0]], q);
+    gsn_cross(p, q, normal);
+    size = sqrt(gsn_dot(normal, normal));
+    if (!(size > 0))
+        return 0;
+    for (int i = 0; i < 4; i++) {
+        gsn_subtract(corner[i], cutting->knot[m[0]], r);
+        ret_value[i] = gsn_dot(normal, r) / size;
+        if (fabs(ret_value[i]) <= cutting->touch)
+            ret_value[i] = 0;
+    }
+    return 1;
+}
+
+/* The mean over a piece that the planes before this one do not cut. */
+static double cut(const struct cutting *cutting, size_t triple, const double (*corner)[3])
+{
+    for (; triple < cutting->sets->first[2]; triple++) {
+        double value[4], part[4][3], at, mean;
+        int in = -1, out = -1;
+
+        if (cutting->sets->set[triple].mask & ~cutting->sets->set[cutting->function].mask ||
+            !see_plane(cutting, triple, corner, value))
+            continue;
+        for (int i = 0; i < 4; i++) {
+            in = value[i] > 0 ? i : in;
+            out = value[i] < 0 ? i : out;
+        }
+        if (in < 0 || out < 0)
+            continue;
+        at = value[in] / (value[in] - value[out]);
+        memcpy(part, corner, sizeof part);
+        for (int c = 0; c < 3; c++)
+            part[out][c] = corner[in][c] + at * (corner[out][c] - corner[in][c]);
+        mean = at * cut(cutting, triple, (const double(*)[3])part);
+        memcpy(part[in], part[out], sizeof *part);
+        memcpy(part[out], corner[out], sizeof *part);
+        return mean + (1 - at) * cut(cutting, triple, (const double(*)[3])part);
+    }
+    return rule(cutting, corner);
+}
+
+double gsn_simplex_mean_by_pieces(const struct gsn_simplex_sets *sets, const double (*knot)[3],
+                                  const uint16_t *pick, const struct gsn_simplex_cell *cell,
+                                  size_t function)
+{
+    double edge[3];
+
+    gsn_subtract(cell->corner[3], cell->corner[0], edge);
+    return cut(&(struct cutting){ .sets = sets,
+                                  .knot = knot,
+                                  .pick = pick,
+                                  .function = function,
+                                  .touch = TOUCH * sqrt(gsn_dot(edge, edge)) },
+               sets->first[3], (const double(*)[3])cell->corner);
 }

@@ -15,7 +15,7 @@
 #ifndef GSN_MODEL_SIMPLEX_MEAN_H
 #define GSN_MODEL_SIMPLEX_MEAN_H
 
-#include "pipeline/model/simplex_sets.h"
+#include "pipeline/model/simplex_spline.h"
 
 #ifdef __cplusplus
 extern "C" {

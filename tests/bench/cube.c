@@ -3,9 +3,9 @@
 /* The unit cube, its meshes, clouds and splines. */
 #include "tests/bench/bench.h"
 
-#include "pipeline/model/domain_order.h"
+#include "pipeline/model/domain_internal.h"
 #include "pipeline/model/frame.h"
-#include "pipeline/model/simplex_sets.h"
+#include "pipeline/model/simplex_spline.h"
 #include "pipeline/model/tetgen_bridge.h"
 
 #include <math.h>

@@ -2,7 +2,7 @@
 
 /* The cubic seam kernels, hot in the cache, as a fraction of the multiply-add peak of the same
  * instruction set measured in the same turns. */
-#include "pipeline/model/seam.h"
+#include "pipeline/model/face_correction.h"
 
 #include "tests/bench/bench.h"
 

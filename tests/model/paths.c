@@ -4,8 +4,8 @@
 #include "tests/check.h"
 
 #include "pipeline/model/batch.h"
+#include "pipeline/model/face_correction.h"
 #include "pipeline/model/resample.h"
-#include "pipeline/model/seam_at.h"
 
 #include <string.h>
 

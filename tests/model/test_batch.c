@@ -5,7 +5,7 @@
 #include "tests/model/kuhn.h"
 
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/seam_at.h"
+#include "pipeline/model/face_correction.h"
 #include "pipeline/model/spline_internal.h"
 
 #include <string.h>

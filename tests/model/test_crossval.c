@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/crossval.h"
+#include "pipeline/model/fit.h"
 
 #include "pipeline/model/refine.h"
 #include "tests/check.h"

@@ -2,8 +2,7 @@
 #include "pipeline/model/domain.h"
 
 #include "pipeline/core/file.h"
-#include "pipeline/model/domain_mesher.h"
-#include "pipeline/model/domain_verify.h"
+#include "pipeline/model/domain_internal.h"
 
 #include <stdio.h>
 #include <string.h>

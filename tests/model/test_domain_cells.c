@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/domain_cells.h"
+#include "pipeline/model/domain_internal.h"
 
 #include <string.h>
 

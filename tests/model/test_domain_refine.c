@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/model/domain.h"
 
-#include "pipeline/model/domain_verify.h"
+#include "pipeline/model/domain_internal.h"
 
 #include <string.h>
 

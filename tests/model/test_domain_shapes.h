@@ -8,7 +8,7 @@
 #include "pipeline/core/grid.h"
 #include "pipeline/model/domain.h"
 #include "pipeline/model/fit.h"
-#include "pipeline/model/surface.h"
+#include "pipeline/model/tetgen_wire.h"
 
 /* gives: a region whose first voxel's corner is 0; rule says which voxels are inside. */
 struct gsn_mask *shape_mask(size_t nx, size_t ny, size_t nz, double step_x, double step_y,

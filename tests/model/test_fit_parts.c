@@ -1,8 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The pieces a fit is made of, against closed forms and against the basis evaluated one by one. */
-#include "pipeline/model/fit_rows.h"
-#include "pipeline/model/fit_smooth.h"
 #include "pipeline/model/fit_system.h"
 
 #include <string.h>

@@ -8,10 +8,8 @@
 #include "tests/model/formula.h"
 
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/insert.h"
 #include "pipeline/model/knots.h"
-#include "pipeline/model/spline_hessian.h"
-#include "pipeline/model/spline_segment.h"
+#include "pipeline/model/spline.h"
 
 #include <string.h>
 

@@ -8,7 +8,7 @@
 #include "tests/model/paths.h"
 
 #include "pipeline/model/dms_internal.h"
-#include "pipeline/model/spline_segment.h"
+#include "pipeline/model/spline.h"
 
 #include <string.h>
 

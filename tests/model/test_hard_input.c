@@ -7,11 +7,9 @@
 
 #include "pipeline/model/batch.h"
 #include "pipeline/model/dms_internal.h"
-#include "pipeline/model/insert.h"
 #include "pipeline/model/knots.h"
 #include "pipeline/model/resample.h"
-#include "pipeline/model/spline_hessian.h"
-#include "pipeline/model/spline_segment.h"
+#include "pipeline/model/spline.h"
 
 #include <string.h>
 

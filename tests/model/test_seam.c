@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/seam.h"
+#include "pipeline/model/face_correction.h"
 
 #include "tests/check.h"
 #include "tests/model/golden.h"
@@ -10,7 +10,7 @@
 
 #include <string.h>
 
-/* s and its gradient by the identity of seam.h, from every face of the mesh. */
+/* s and its gradient by the identity of face_correction.h, from every face of the mesh. */
 static int eval(const struct gsn_dms *space, const struct gsn_spline *spline, const double u[3],
                 double *ret_value, double ret_slope[3])
 {

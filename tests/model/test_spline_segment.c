@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/spline_segment.h"
+#include "pipeline/model/spline.h"
 
 #include "tests/check.h"
 #include "tests/model/formula.h"

@@ -20,12 +20,12 @@
  *
  * Which side of a knot plane a point lies on is decided in floating point where the value exceeds
  * its rounding error, and exactly elsewhere (orient.h). */
-#ifndef GSN_MODEL_SEAM_H
-#define GSN_MODEL_SEAM_H
+#ifndef GSN_MODEL_FACE_CORRECTION_H
+#define GSN_MODEL_FACE_CORRECTION_H
 
 #include "pipeline/model/dms_internal.h"
 #include "pipeline/model/kernels.h"
-#include "pipeline/model/seam_data.h"
+#include "pipeline/model/spline.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -92,6 +92,39 @@ void gsn_seam_weights(struct gsn_seam *seam, unsigned unclear, const double u[3]
  * given in the axes of the mesh. On each tetrahedron of four knots the face adds a polynomial, so
  * the sum over them of the integral over its part in the cell is exact. */
 double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3]);
+
+/* Seams at single points: which faces have something to add at u, and what it all sums to. */
+
+/* Calls visit for every face whose seam may not vanish at u, by the tetrahedron with the smaller
+ * number and its corner opposite the face, ascending, and for others; u lies in tetrahedron home.
+ *
+ * In the core of home there are none. Where only the corner opposite a face is not clear of its
+ * cloud, on both sides of the face, there is but that face: the other faces of the two lie beyond
+ * their knots, so the functions of the two sum to one, and as none is negative no others live. */
+void gsn_seam_each(const struct gsn_dms *space, size_t home, const double u[3],
+                   void (*visit)(void *context, size_t tet, unsigned corner), void *context);
+
+/* Adds what the faces have at u to the value of the polynomial of home and, unless it is NULL, to
+ * its gradient. */
+void gsn_spline_add_seams(const struct gsn_spline *spline, size_t home, const double u[3],
+                          double *value, double *gradient);
+
+/* All control points that s(u) depends on, ascending, and what a unit of each adds to it: with
+ * adj_g the derivative of s(u) with respect to c_g (above) of one tetrahedron, adj_0 = 1 at home,
+ * the weights of its faces on both their sides, and
+ *
+ *     adj_{g+e_j} += lambda_j(u | X_g) adj_g,      |g| = 0..n-1,      N_beta = adj_beta.
+ *
+ * Returns GSN_OK, or GSN_E_LIMIT when there are more than room. */
+int gsn_seam_row(const struct gsn_dms *space, size_t home, const double u[3], size_t room,
+                 uint32_t *ret_control, double *ret_value, size_t *ret_count);
+
+/* The jumps of a face: D_g(u) = side (c_g^I(u) - c_g^J(u)) as polynomials (above). */
+
+/* All of them for 1 <= |g| <= top, g in the order of gsn_seam_weights(), each by its monomials
+ * 1, x, y, z, xx, xy, xz, yy, yz, zz in the axes of the face, as far as its degree n - |g| goes. */
+void gsn_seam_jumps(const struct gsn_dms *space, const struct gsn_prism *prism,
+                    const double *control, double *ret_poly);
 
 #ifdef __cplusplus
 }

@@ -10,9 +10,9 @@
  * anew.
  *
  * Failure: a child that dies, hangs or lies costs the file it was asked about. Whoever refused a
- * file is not asked again either, for that file may be why: the next one gets a new child.
- * Cost: 0.1 ms a question beside the decoding; a new child 3 ms, and every page of memory that was
- * not used before about 0.5 us. */
+ * file is not asked again either, for that file may be why: the next one gets a new child. Cost:
+ * 0.1 ms a question beside the decoding; a new child 3 ms, and every page of memory that was not
+ * used before about 0.5 us. */
 #include "pipeline/decode/apart.h"
 
 #include "pipeline/core/file.h"
@@ -31,6 +31,149 @@
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
+
+/* --- the page that both sides have mapped --- */
+
+/* Room for one descriptor beside a message, aligned as the kernel wants it. */
+union beside {
+    char room[CMSG_SPACE(sizeof(int))];
+    struct cmsghdr aligned;
+};
+
+int gsn_decode_send(int socket, int fd)
+{
+    char byte = 0;
+    union beside beside = { .room = { 0 } };
+    struct iovec text = { .iov_base = &byte, .iov_len = 1 };
+    struct msghdr message = { .msg_iov = &text,
+                              .msg_iovlen = 1,
+                              .msg_control = beside.room,
+                              .msg_controllen = sizeof beside.room };
+    struct cmsghdr *head = CMSG_FIRSTHDR(&message);
+
+    head->cmsg_level = SOL_SOCKET;
+    head->cmsg_type = SCM_RIGHTS;
+    head->cmsg_len = CMSG_LEN(sizeof fd);
+    memcpy(CMSG_DATA(head), &fd, sizeof fd);
+    for (;;) {
+        if (sendmsg(socket, &message, MSG_NOSIGNAL) >= 0)
+            return 0;
+        if (errno != EINTR)
+            return -1;
+    }
+}
+
+int gsn_decode_receive(int socket)
+{
+    char byte;
+    union beside beside;
+    struct iovec text = { .iov_base = &byte, .iov_len = 1 };
+    struct msghdr message = { .msg_iov = &text,
+                              .msg_iovlen = 1,
+                              .msg_control = beside.room,
+                              .msg_controllen = sizeof beside.room };
+    const struct cmsghdr *head;
+    ssize_t got;
+    int fd = -1;
+
+    do
+        got = recvmsg(socket, &message, 0);
+    while (got < 0 && errno == EINTR);
+    head = got > 0 ? CMSG_FIRSTHDR(&message) : NULL;
+    if (head && head->cmsg_level == SOL_SOCKET && head->cmsg_type == SCM_RIGHTS &&
+        head->cmsg_len == CMSG_LEN(sizeof fd))
+        memcpy(&fd, CMSG_DATA(head), sizeof fd);
+    return fd;
+}
+
+int gsn_decode_page_map(int fd, struct gsn_decode_page **ret_page, struct gsn_error *err)
+{
+    struct stat status;
+    struct gsn_decode_page *page;
+
+    if (fstat(fd, &status) < 0)
+        return gsn_fail(err, GSN_E_IO, "the question: %s", strerror(errno));
+    if (!S_ISREG(status.st_mode) || status.st_size < GSN_DECODE_PAGE_BYTES)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the question is no shared memory: this program is asked "
+                        "by gieson-work, not by people");
+    page = mmap(NULL, (size_t)status.st_size, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (page == MAP_FAILED)
+        return gsn_fail(err, GSN_E_IO, "the question: %s", strerror(errno));
+    if (memcmp(page->magic, GSN_DECODE_PAGE_MAGIC, sizeof page->magic) != 0 ||
+        page->most_bytes > (uint64_t)status.st_size - GSN_DECODE_PAGE_BYTES) {
+        (void)munmap(page, (size_t)status.st_size);
+        return gsn_fail(err, GSN_E_INPUT, "the question is damaged, or of another version");
+    }
+    *ret_page = page;
+    return GSN_OK;
+}
+
+const uint8_t *gsn_decode_page_file(const struct gsn_decode_page *page, int fd)
+{
+    static const uint8_t none[1];
+    const void *file;
+
+    if (page->file_size == 0)
+        return none;
+    file = mmap(NULL, page->file_size, PROT_READ, MAP_PRIVATE, fd, 0);
+    return file == MAP_FAILED ? NULL : file;
+}
+
+static void describe(const struct gsn_picture *picture, struct gsn_decode_page *page)
+{
+    page->width = picture->image->width;
+    page->height = picture->image->height;
+    page->channels = picture->image->channels;
+    page->bits = picture->image->bits;
+    page->pages = picture->pages;
+    page->transfer = (uint32_t)picture->transfer;
+    page->px_um_x = picture->px_um_x;
+    page->px_um_y = picture->px_um_y;
+    memcpy(page->kind, picture->kind, sizeof page->kind);
+    memcpy(page->note, picture->note, sizeof page->note);
+    memcpy(page->withheld, picture->withheld, sizeof page->withheld);
+    memcpy(page->profile, picture->profile, sizeof page->profile);
+    page->printed_count = picture->code_count;
+    memcpy(page->printed, picture->code, sizeof page->printed);
+}
+
+void gsn_decode_page_answer(struct gsn_decode_page *page, const uint8_t *file)
+{
+    const struct gsn_decode_limits limits = { .most_pixels = page->most_pixels,
+                                              .most_bytes = page->most_bytes,
+                                              .codes = page->codes != 0,
+                                              .light = page->light != 0,
+                                              .slide = page->slide != 0,
+                                              .level = page->level,
+                                              .target_um = page->target_um };
+    uint8_t *memory = (uint8_t *)page;
+    gsn_auto(gsn_picture) picture = NULL;
+    struct gsn_error said = { 0 };
+
+    page->code = gsn_decode_into(file, page->file_size, &limits, memory + GSN_DECODE_PAGE_BYTES,
+                                 &picture, &said);
+    memcpy(page->text, said.text, sizeof page->text);
+    if (picture)
+        describe(picture, page);
+    page->answered = 1;
+}
+
+/* --- the pool of children --- */
+
+/* Decoding in a child that stays warm.
+ *
+ * Method: a pool of channels. A channel is a child, a socket to it, and memory that both have
+ * mapped. A question is one page of limits in that memory and the file's descriptor over the
+ * socket; the child maps the file, so none of its bytes are copied, and decodes to where the
+ * samples stay. Then it sends a byte. The samples are the caller's until it frees the picture, and
+ * with that the channel is free for the next file: no program is started and no page is zeroed
+ * anew.
+ *
+ * Failure: a child that dies, hangs or lies costs the file it was asked about. Whoever refused a
+ * file is not asked again either, for that file may be why: the next one gets a new child.
+ * Cost: 0.1 ms a question beside the decoding; a new child 3 ms, and every page of memory that was
+ * not used before about 0.5 us. */
 
 /* What a codec may use beside samples and file: its work, its libraries and its stacks. */
 static const uint64_t OWN_BYTES = (uint64_t)256 << 20;

@@ -1,11 +1,164 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The codes printed on a picture: Data Matrix by libdmtx, QR and bar codes by ZBar.
+ *
+ * Method: a grey picture of the brightest channel of each pixel, in which print is dark and stained
+ * tissue all but vanishes. Of a large picture only what
+ * looks like print is shown to the libraries: blocks whose rows and columns change between dark and
+ * bright as often as the modules of a code do.
+ *
+ * Steps: (1) grey; (2) blocks, joined to boxes; (3) each box to both libraries, upright and
+ * mirrored, with a bound on tries and on time; (4) texts kept as data, what does not print becoming
+ * '?'.
+ *
+ * Failure: GSN_E_NOMEM; a picture without codes is none. Both libraries parse what a stranger
+ * sends, so this runs in gieson-decode alone. Cost: tries are bounded in number, so that every
+ * machine finds the same, and in time. */
 #include "pipeline/decode/codes.h"
 
 #include "pipeline/decode/raster.h"
 
+#include <dmtx.h>
+#include <zbar.h>
+
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
+
+/* --- Data Matrix --- */
+
+/* The library looks for edges on a grid: a symbol of ten modules of two pixels is met by it. What
+ * looks like a symbol and is none costs time: tries are counted, so that the same picture has the
+ * same codes on every machine, and timed, so that a picture without codes holds up nobody. */
+enum { SCAN_GAP = 8, MOST_TRIES = 60 };
+
+/* Degrees, clockwise on the picture, by which the symbol's base is turned; the library's y runs
+ * up. */
+static double data_matrix_turn(DmtxRegion *region)
+{
+    DmtxVector2 base[2] = { { 0, 0 }, { 1, 0 } };
+
+    (void)dmtxMatrix3VMultiplyBy(&base[0], region->fit2raw);
+    (void)dmtxMatrix3VMultiplyBy(&base[1], region->fit2raw);
+    return atan2(-(base[1].Y - base[0].Y), base[1].X - base[0].X) * 180 / M_PI;
+}
+
+/* One look at the page, for so many milliseconds. Returns how many codes were added. */
+static int scan_data_matrix(DmtxDecode *decoder, int mirrored, long most_ms,
+                            struct gsn_picture *picture)
+{
+    DmtxTime until = dmtxTimeAdd(dmtxTimeNow(), most_ms);
+    int added = 0;
+
+    for (int tries = 0; tries < MOST_TRIES; tries++) {
+        DmtxRegion *region = dmtxRegionFindNext(decoder, &until);
+        DmtxMessage *message;
+        struct gsn_printed *code = NULL;
+
+        if (!region)
+            break;
+        message = dmtxDecodeMatrixRegion(decoder, region, DmtxUndefined);
+        if (message)
+            code =
+                gsn_codes_add(picture, "Data Matrix", message->output, (size_t)message->outputIdx);
+        if (code) {
+            code->turn_deg = remainder(data_matrix_turn(region) + (mirrored ? 180 : 0), 360);
+            code->mirrored = mirrored;
+            added++;
+        }
+        if (message)
+            (void)dmtxMessageDestroy(&message);
+        (void)dmtxRegionDestroy(&region);
+        if (added)
+            break;
+    }
+    return added;
+}
+
+static int look_flipped(const struct gsn_code_page *page, int mirrored, struct gsn_picture *picture,
+                        int *ret_added, struct gsn_error *err)
+{
+    DmtxImage *image =
+        dmtxImageCreate(page->grey, (int)page->width, (int)page->height, DmtxPack8bppK);
+    DmtxDecode *decoder;
+
+    if (!image)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+    (void)dmtxImageSetProp(image, DmtxPropImageFlip, mirrored ? DmtxFlipY : DmtxFlipNone);
+    decoder = dmtxDecodeCreate(image, 1);
+    if (!decoder) {
+        (void)dmtxImageDestroy(&image);
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+    }
+    (void)dmtxDecodeSetProp(decoder, DmtxPropScanGap, SCAN_GAP);
+    *ret_added =
+        scan_data_matrix(decoder, mirrored, (long)(page->until_ms - gsn_codes_clock()), picture);
+    (void)dmtxDecodeDestroy(&decoder);
+    (void)dmtxImageDestroy(&image);
+    return GSN_OK;
+}
+
+/* A mirrored symbol cannot be read, so the page is looked at both ways. The library flips top to
+ * bottom, which is left to right and half a turn. */
+int gsn_codes_dmtx(const struct gsn_code_page *page, struct gsn_picture *picture,
+                   struct gsn_error *err)
+{
+    int added = 0, r = GSN_OK;
+
+    for (int mirrored = 0; r >= 0 && !added && mirrored < 2; mirrored++)
+        if (gsn_codes_clock() < page->until_ms)
+            r = look_flipped(page, mirrored, picture, &added, err);
+    return r;
+}
+
+/* --- QR and bar codes --- */
+
+static double bar_code_turn(const zbar_symbol_t *symbol)
+{
+    switch (zbar_symbol_get_orientation(symbol)) {
+    case ZBAR_ORIENT_RIGHT:
+        return 90;
+    case ZBAR_ORIENT_DOWN:
+        return 180;
+    case ZBAR_ORIENT_LEFT:
+        return -90;
+    default:
+        return 0;
+    }
+}
+
+int gsn_codes_zbar(const struct gsn_code_page *page, struct gsn_picture *picture,
+                   struct gsn_error *err)
+{
+    zbar_image_scanner_t *scanner = zbar_image_scanner_create();
+    zbar_image_t *image = zbar_image_create();
+    const zbar_symbol_t *symbol = NULL;
+
+    if (scanner && image) {
+        zbar_image_set_format(image, zbar_fourcc('Y', '8', '0', '0'));
+        zbar_image_set_size(image, page->width, page->height);
+        zbar_image_set_data(image, page->grey, (unsigned long)page->width * page->height, NULL);
+        if (zbar_scan_image(scanner, image) > 0)
+            symbol = zbar_image_first_symbol(image);
+    }
+    for (; symbol; symbol = zbar_symbol_next(symbol)) {
+        struct gsn_printed *code =
+            gsn_codes_add(picture, zbar_get_symbol_name(zbar_symbol_get_type(symbol)),
+                          zbar_symbol_get_data(symbol), zbar_symbol_get_data_length(symbol));
+
+        if (code)
+            code->turn_deg = bar_code_turn(symbol);
+    }
+    if (image)
+        zbar_image_destroy(image);
+    if (scanner)
+        zbar_image_scanner_destroy(scanner);
+    return scanner && image ? GSN_OK
+                            : gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
+}
+
+/* --- where to look --- */
 
 /* A module of the smallest label is 0.15 mm; on a panel of 75 mm this leaves it five pixels. */
 enum { LONGEST = 2500, TAPS = 2 };

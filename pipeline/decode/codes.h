@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The codes printed on a picture: Data Matrix by libdmtx (codes_dmtx.c), QR and bar codes by ZBar
- * (codes_zbar.c). Both parse whatever pixels a stranger sends, so they run where decoders run
- * (apart.h). Internal to decoding; callers see struct gsn_printed in decode.h.
+/* The codes printed on a picture: Data Matrix by libdmtx, QR and bar codes by ZBar. Both parse
+ * whatever pixels a stranger sends, so they run where decoders run (apart.h). Internal to decoding;
+ * callers see struct gsn_printed in decode.h.
  *
  * They are given a grey picture of the brightest channel of each pixel: print is dark in all three,
  * stained tissue never is in red, so sections all but vanish from it. */

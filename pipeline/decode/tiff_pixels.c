@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/decode/tiff.h"
+#include "pipeline/decode/tiff_internal.h"
 
 /* The pixels of one page on their way from libtiff to the canvas. */
 struct pixels {

@@ -1,13 +1,27 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* How much of a region of voxels is above a threshold, with bounds that are guaranteed.
+ *
+ * Method: branch and bound on equation (10): on a box the spline is a linear function plus an
+ * interval (enclosure.h), and both ends of the interval are half-spaces whose share of the box has
+ * a closed form. What differs most is halved first. Reference: docs/MATH.md, section 6.
+ *
+ * Steps: (1) which tetrahedra reach each voxel (overlap.h); (2) bound all voxels for all thresholds
+ * at once; (3) halve boxes, a batch at a time, until the sum of the differences is small enough or
+ * the boxes are spent. All sums run in a fixed order.
+ *
+ * Failure: GSN_E_INPUT when a voxel sticks out of the mesh, GSN_E_NOMEM. When the boxes are spent
+ * the bounds are true but wider than wanted. Cost: the number of boxes grows with the area of the
+ * level, not with the volume. */
 #include "pipeline/measure/level_set.h"
+
+#include "pipeline/core/parallel.h"
+#include "pipeline/measure/enclosure.h"
+#include "pipeline/measure/overlap.h"
+#include "pipeline/measure/sum.h"
 
 #include <math.h>
 #include <string.h>
-
-#include "pipeline/core/parallel.h"
-#include "pipeline/measure/bracket.h"
-#include "pipeline/measure/overlap.h"
-#include "pipeline/measure/sum.h"
 
 enum {
     BATCH = 256,      /* items a thread takes at a time */

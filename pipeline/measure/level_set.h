@@ -9,9 +9,9 @@
  *
  * both sides a half-space cut out of a box. Where s is one polynomial the interval comes from its
  * tensor Bernstein coefficients and shrinks with the square of the box; across the skins between
- * tetrahedra it comes from the coefficients of the gradient and shrinks in proportion (bracket.h).
- * The boxes are the region's voxels, halved where the two sides differ most until the sum of the
- * differences is small enough. Volumes in um^3. */
+ * tetrahedra it comes from the coefficients of the gradient and shrinks in proportion
+ * (enclosure.h). The boxes are the region's voxels, halved where the two sides differ most until
+ * the sum of the differences is small enough. Volumes in um^3. */
 #ifndef GSN_MEASURE_LEVEL_SET_H
 #define GSN_MEASURE_LEVEL_SET_H
 

@@ -3,9 +3,9 @@
 /* How much of a tetrahedral cell is denser than a threshold, with bounds that are guaranteed.
  *
  * Equation (10) where it is stated, on a tetrahedron. The cell is first cut along the faces of the
- * mesh. On a part inside one tetrahedron s is a polynomial p plus something known (skin.h). With b
- * the Bernstein coefficients of p over the part, l the linear function through the four of its
- * corners, and r = b - l,
+ * mesh. On a part inside one tetrahedron s is a polynomial p plus something known
+ * (boundary_layer.h). With b the Bernstein coefficients of p over the part, l the linear function
+ * through the four of its corners, and r = b - l,
  *
  *     vol{ l + min r > t }  <=  vol{ p > t }  <=  vol{ l + max r > t },
  *

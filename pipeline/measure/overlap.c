@@ -1,4 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The tetrahedra whose functions reach each voxel of a region, and that the region lies in the
+ * mesh.
+ *
+ * Method: object order. Every tetrahedron walks through the voxels in the box around its knots;
+ * what half-spaces keep apart is left out. A voxel sticks out when a face of the boundary cuts it,
+ * or when no tetrahedron holds its centre.
+ *
+ * Steps: (1) number the region's voxels in the order of the grid; (2) count and list the pairs;
+ * (3) sort each voxel's tetrahedra; (4) look at the voxels near each face of the boundary.
+ *
+ * Failure: GSN_E_INPUT names the first voxel that sticks out; GSN_E_NOMEM.
+ * Cost: linear in the pairs, some ten a voxel. */
 #include "pipeline/measure/overlap.h"
 
 #include <math.h>

@@ -6,7 +6,7 @@
 #define GSN_MEASURE_OVERLAP_H
 
 #include "pipeline/core/grid.h"
-#include "pipeline/measure/piece.h"
+#include "pipeline/measure/local_polynomial.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -6,7 +6,7 @@
 #include <stdio.h>
 
 #include "pipeline/model/resample.h"
-#include "pipeline/render/plate.h"
+#include "pipeline/render/canvas.h"
 
 static const struct gsn_colour outline_colour = { 214, 48, 49 };
 static const char axis_name[3] = { 'x', 'y', 'z' };

@@ -4,7 +4,7 @@
 #include <math.h>
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/render/plate.h"
+#include "pipeline/render/canvas.h"
 
 enum {
     BAND = 8,    /* rows of the picture a thread paints at a time */

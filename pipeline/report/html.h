@@ -24,7 +24,7 @@ void gsn_html_unit(struct gsn_text *text, const char *unit);
 /* html_sheet.c: every slot of every panel, as laid out on the glass. */
 void gsn_html_sheet(struct gsn_text *text, const struct gsn_report *report);
 
-/* html_choices.c: the poses that a person may choose from, and what people decided. */
+/* html_tables.c: the poses that a person may choose from, and what people decided. */
 void gsn_html_choices(struct gsn_text *text, const struct gsn_report *report);
 void gsn_html_decisions(struct gsn_text *text, const struct gsn_report *report);
 int gsn_html_has_choices(const struct gsn_report *report);

@@ -10,7 +10,7 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "pipeline/decode/volume_header.h"
+#include "pipeline/decode/volume_internal.h"
 #include "tests/fuzz/hold.h"
 
 enum { MOST_BYTES = 1 << 20 };

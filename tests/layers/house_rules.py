@@ -37,8 +37,8 @@ LAYERS = {
 FOREIGN = {
     r"sqlite3\.h": r"^storage/",
     r"opencv2/.*": r"^pipeline/.*_opencv\.cpp$",
-    r"dmtx\.h": r"^pipeline/(decode/codes_dmtx|phantom/matrix)\.c$",
-    r"zbar\.h": r"^pipeline/decode/codes_zbar\.c$",
+    r"dmtx\.h": r"^pipeline/(decode/codes|phantom/matrix)\.c$",
+    r"zbar\.h": r"^pipeline/decode/codes\.c$",
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
     r"hdf5\.h": r"^pipeline/model/model_file\.c$",
     r"(tiffio|jpeglib|png)\.h": r"^pipeline/(decode|phantom)/",

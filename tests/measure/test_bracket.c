@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/measure/bracket.h"
+#include "pipeline/measure/enclosure.h"
 
 #include "tests/check.h"
 #include "tests/measure/draw.h"

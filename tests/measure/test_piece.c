@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/measure/piece.h"
+#include "pipeline/measure/local_polynomial.h"
 
 #include "tests/check.h"
 #include "tests/measure/draw.h"

@@ -2,8 +2,8 @@
 
 /* What the three TIFF files share: the open file, what its tags state, and what libtiff said.
  * Internal to decoding. */
-#ifndef GSN_DECODE_TIFF_H
-#define GSN_DECODE_TIFF_H
+#ifndef GSN_DECODE_TIFF_INTERNAL_H
+#define GSN_DECODE_TIFF_INTERNAL_H
 
 #include "pipeline/decode/raster.h"
 

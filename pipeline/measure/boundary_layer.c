@@ -1,12 +1,152 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/measure/skin.h"
+
+/* The boundary layer of a tetrahedron: where functions of its neighbours reach in, and how far.
+ *
+ * Method: equation (10) of the paper: beside the polynomial of the tetrahedron a spline is an
+ * average of coefficient differences with weights that are not negative, so their extremes bound
+ * it. A bound that shrinks with the cell comes from the exact value at its centroid and from the
+ * coefficients of the gradient of the difference, with 0 <= M <= 1 / |det W| (the header derives
+ * it).
+ *
+ * Steps of making: the differences of all functions that reach the tetrahedron, their gradients,
+ * the jumps across faces when control points are not shared, and the hull of the knots of each.
+ * Steps of bounding: those hulls that separating planes do not keep from the cell, then the
+ * extremes.
+ *
+ * Failure: GSN_E_NOMEM while making; bounds never fail, they get wide.
+ * Cost: making, some hundred polar values a tetrahedron; bounding, a few planes a hull. */
+#include "pipeline/measure/boundary_layer.h"
+
+#include "pipeline/model/bpatch.h"
+#include "pipeline/model/frame.h"
+#include "pipeline/model/simplex_spline.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "pipeline/measure/skin_hull.h"
-#include "pipeline/model/bpatch.h"
-#include "pipeline/model/simplex_spline.h"
+/* --- whether a hull of knots reaches a cell --- */
+
+enum { STEPS = 12 };
+
+/* Of the largest coordinate. */
+static const double hull_margin = 4e-15;
+
+/* Adds one knot to a hull; an empty one has count 0. */
+static void add_to_hull(struct gsn_skin_hull *hull, const double knot[3])
+{
+    memcpy(hull->knot[hull->count], knot, sizeof hull->knot[0]);
+    for (int a = 0; a < 3; a++) {
+        hull->low[a] = hull->count > 0 ? fmin(hull->low[a], knot[a]) : knot[a];
+        hull->high[a] = hull->count > 0 ? fmax(hull->high[a], knot[a]) : knot[a];
+    }
+    hull->count++;
+}
+
+/* The knot of the hull least far along a direction, less the corner of the cell furthest along it.
+ * Returns the component of that along the direction: at least 0 when the direction separates. */
+static double gap_along(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
+                        const double way[3], double ret_difference[3])
+{
+    double least = INFINITY, most = -INFINITY;
+    const double *knot = hull->knot[0], *corner = cell->corner[0];
+
+    for (unsigned i = 0; i < hull->count; i++) {
+        const double at = gsn_dot(way, hull->knot[i]);
+
+        if (at < least) {
+            least = at;
+            knot = hull->knot[i];
+        }
+    }
+    for (int k = 0; k < 4; k++) {
+        const double at = gsn_dot(way, cell->corner[k]);
+
+        if (at > most) {
+            most = at;
+            corner = cell->corner[k];
+        }
+    }
+    gsn_subtract(knot, corner, ret_difference);
+    return gsn_dot(way, ret_difference);
+}
+
+static int separates(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
+                     const double way[3], double reach, double ret_difference[3])
+{
+    return gap_along(hull, cell, way, ret_difference) >=
+           -hull_margin * reach * sqrt(gsn_dot(way, way));
+}
+
+/* The faces of a tetrahedron as seen from outside or inside: where cells touch, only a face's own
+ * plane tells. */
+static int faces_separate(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
+                          double reach)
+{
+    for (int k = 0; k < 4; k++) {
+        const double *a = cell->corner[(k + 1) % 4];
+        double b[3], c[3], top[3], way[3], difference[3];
+
+        gsn_subtract(cell->corner[(k + 2) % 4], a, b);
+        gsn_subtract(cell->corner[(k + 3) % 4], a, c);
+        gsn_subtract(a, cell->corner[k], top);
+        gsn_cross(b, c, way);
+        if (gsn_dot(way, top) < 0.0) {
+            for (int i = 0; i < 3; i++)
+                way[i] = -way[i];
+        }
+        if (separates(hull, cell, way, reach, difference))
+            return 1;
+    }
+    return 0;
+}
+
+/* Gilbert's search for the shortest difference of a point of the hull and one of the cell; every
+ * direction it tries may turn out to separate. */
+static int search_separates(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
+                            double reach)
+{
+    double at[3], next[3];
+
+    gsn_subtract(hull->knot[0], cell->corner[0], at);
+    for (int step = 0; step < STEPS; step++) {
+        double back[3], length, t;
+
+        if (separates(hull, cell, at, reach, next))
+            return gsn_dot(at, at) > 0.0;
+        gsn_subtract(at, next, back);
+        length = gsn_dot(back, back);
+        if (!(length > 0.0))
+            return 0;
+        t = fmin(1.0, fmax(0.0, gsn_dot(at, back) / length));
+        for (int i = 0; i < 3; i++)
+            at[i] -= t * back[i];
+    }
+    return 0;
+}
+
+/* 0 only when a plane was found that has the two on different sides, where touching, and what may
+ * be the rounding of touching, counts as different sides; what is lost by that is a layer of about
+ * 1e-15 of the coordinates. */
+static int hull_reaches(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell)
+{
+    double reach = 0.0;
+
+    for (int a = 0; a < 3; a++) {
+        double low = INFINITY, high = -INFINITY;
+
+        for (int k = 0; k < 4; k++) {
+            low = fmin(low, cell->corner[k][a]);
+            high = fmax(high, cell->corner[k][a]);
+        }
+        if (hull->low[a] >= high || hull->high[a] <= low)
+            return 0;
+        reach = fmax(reach, fmax(fmax(fabs(low), fabs(high)),
+                                 fmax(fabs(hull->low[a]), fabs(hull->high[a]))));
+    }
+    return !faces_separate(hull, cell, reach) && !search_separates(hull, cell, reach);
+}
+
+/* --- making --- */
 
 /* Values, coefficients and polar values are good to about 1e-14 of the largest control value; next
  * to knot planes 1e-12. */
@@ -138,7 +278,7 @@ static void hull_of(const struct gsn_skin *skin, const struct actor *actor, cons
     ret_hull->count = 0;
     for (unsigned k = 0; k < 4; k++) {
         for (unsigned l = 0; k != without && l <= beta[k]; l++)
-            gsn_skin_hull_add(ret_hull, actor->knot[k * (skin->degree + 1U) + l]);
+            add_to_hull(ret_hull, actor->knot[k * (skin->degree + 1U) + l]);
     }
 }
 
@@ -147,7 +287,7 @@ static int keep_value(struct cast *cast, const struct gsn_skin_value *value, str
 {
     struct gsn_skin *skin = cast->skin;
 
-    if (!gsn_skin_hull_reaches(&value->hull, &cast->home))
+    if (!hull_reaches(&value->hull, &cast->home))
         return GSN_OK;
     if (skin->values == cast->value_room) {
         const size_t room = 2 * cast->value_room + 64;
@@ -166,7 +306,7 @@ static int keep_slope(struct cast *cast, const struct gsn_skin_slope *slope, str
 {
     struct gsn_skin *skin = cast->skin;
 
-    if (!gsn_skin_hull_reaches(&slope->hull, &cast->home))
+    if (!hull_reaches(&slope->hull, &cast->home))
         return GSN_OK;
     if (skin->slopes == cast->slope_room) {
         const size_t room = 2 * cast->slope_room + 64;
@@ -383,4 +523,175 @@ void gsn_skin_free(struct gsn_skin *skin)
     gsn_free(skin->value);
     gsn_free(skin->slope);
     gsn_free(skin);
+}
+
+/* --- bounding on cells --- */
+
+/* Of a slope: more than its rounding. */
+static const double slope_slack = 1e-11;
+/* Of the largest coordinate: what counts as on a plane. */
+static const double plane_margin = 4e-15;
+
+/* Whether the cell lies on corner k's side of the plane through three knots, or touches it. */
+static int is_inner(const double a[3], const double b[3], const double c[3], const double top[3],
+                    const struct gsn_tet_cell *cell)
+{
+    double p[3], q[3], up[3], normal[3], size, sign;
+
+    gsn_subtract(b, a, p);
+    gsn_subtract(c, a, q);
+    gsn_subtract(top, a, up);
+    gsn_cross(p, q, normal);
+    sign = gsn_dot(normal, up) < 0.0 ? -1.0 : 1.0;
+    size = sqrt(gsn_dot(normal, normal));
+    for (int k = 0; k < 4; k++) {
+        double from[3], reach = 0.0;
+
+        gsn_subtract(cell->corner[k], a, from);
+        for (int i = 0; i < 3; i++)
+            reach = fmax(reach, fmax(fabs(cell->corner[k][i]), fabs(a[i])));
+        if (sign * gsn_dot(normal, from) < -plane_margin * reach * size)
+            return 0;
+    }
+    return 1;
+}
+
+int gsn_skin_clear(const struct gsn_skin *skin, const struct gsn_tet_cell *cell)
+{
+    const unsigned n = skin->degree, cloud = n + 1U;
+
+    for (unsigned k = 0; k < 4; k++) {
+        const double(*a)[3] = skin->knot + (k + 1) % 4 * cloud;
+        const double(*b)[3] = skin->knot + (k + 2) % 4 * cloud;
+        const double(*c)[3] = skin->knot + (k + 3) % 4 * cloud;
+
+        for (unsigned i = 0; i <= n; i++) {
+            for (unsigned j = 0; i + j <= n; j++) {
+                for (unsigned l = 0; i + j + l <= n; l++) {
+                    if (!is_inner(a[i], b[j], c[l], skin->knot[k * cloud], cell))
+                        return 0;
+                }
+            }
+        }
+    }
+    return 1;
+}
+
+size_t gsn_skin_by_values(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
+                          struct gsn_skin_bound *ret_bound)
+{
+    size_t count = 0;
+
+    *ret_bound = (struct gsn_skin_bound){ { 0.0 }, 0.0, 0.0 };
+    for (size_t i = 0; i < skin->values; i++) {
+        if (!hull_reaches(&skin->value[i].hull, cell))
+            continue;
+        ret_bound->low = fmin(ret_bound->low, skin->value[i].d);
+        ret_bound->high = fmax(ret_bound->high, skin->value[i].d);
+        count++;
+    }
+    ret_bound->low -= skin->slack;
+    ret_bound->high += skin->slack;
+    return count;
+}
+
+/* Whether the cell lies in a hull of four knots: there M, of degree 0, is 1/|det| all over. */
+static int is_within(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell)
+{
+    const double(*knot)[3] = hull->knot;
+    int within = hull->count == 4;
+
+    for (int k = 0; within && k < 4; k++)
+        within = is_inner(knot[(k + 1) % 4], knot[(k + 2) % 4], knot[(k + 3) % 4], knot[k], cell);
+    return within;
+}
+
+/* Between which vectors a gradient lies: means from low to high, plus jumps. */
+struct range {
+    double low[3], high[3], jump_low[3], jump_high[3];
+};
+
+static void widen(struct range *range, const struct gsn_skin_slope *slope, int full)
+{
+    const double *gradient = slope->gradient;
+
+    for (int a = 0; a < 3; a++) {
+        const double low = fmin(0.0, gradient[a]), high = fmax(0.0, gradient[a]);
+
+        if (slope->jump) {
+            range->jump_low[a] += full ? gradient[a] : low;
+            range->jump_high[a] += full ? gradient[a] : high;
+        } else {
+            range->low[a] = fmin(range->low[a], low);
+            range->high[a] = fmax(range->high[a], high);
+        }
+    }
+}
+
+/* The means are of 0 too: what home's own functions, or none, bring. */
+static void find_range(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
+                       struct range *ret_range)
+{
+    *ret_range = (struct range){ .low = { 0.0 } };
+    for (size_t i = 0; i < skin->slopes; i++) {
+        const struct gsn_skin_slope *slope = &skin->slope[i];
+
+        if (hull_reaches(&slope->hull, cell))
+            widen(ret_range, slope, slope->jump && is_within(&slope->hull, cell));
+    }
+    for (int a = 0; a < 3; a++) {
+        ret_range->low[a] += ret_range->jump_low[a];
+        ret_range->high[a] += ret_range->jump_high[a];
+    }
+}
+
+/* From the value at the middle of the cell. Returns 0 when a slope has no bound. */
+static int bound_slopes(const struct gsn_tet_cell *cell, const double middle[3], double value,
+                        const struct range *range, struct gsn_skin_bound *ret_bound)
+{
+    double most = 0.0;
+
+    for (int k = 0; k < 4; k++) {
+        double swing = 0.0;
+
+        ret_bound->corner[k] = value;
+        for (int a = 0; a < 3; a++) {
+            const double low = range->low[a], high = range->high[a];
+            const double step = cell->corner[k][a] - middle[a];
+
+            ret_bound->corner[k] += 0.5 * (low + high) * step;
+            swing += (0.5 * (high - low) + slope_slack * fmax(fabs(low), fabs(high))) * fabs(step);
+        }
+        if (!isfinite(swing))
+            return 0;
+        most = fmax(most, swing);
+    }
+    ret_bound->low = -most;
+    ret_bound->high = most;
+    return 1;
+}
+
+int gsn_skin_by_slopes(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
+                       struct gsn_skin_bound *ret_bound)
+{
+    struct range range;
+    struct gsn_skin_bound bound;
+    double middle[3], value;
+    const double *const arg[GSN_DMS_MAX_DEGREE] = { middle, middle, middle };
+    size_t hint = skin->tet;
+
+    for (int a = 0; a < 3; a++)
+        middle[a] = 0.25 * (cell->corner[0][a] + cell->corner[1][a] + cell->corner[2][a] +
+                            cell->corner[3][a]);
+    if (gsn_spline_eval(skin->spline, middle, &hint, &value, NULL) != GSN_OK)
+        return 0;
+    if (skin->whole)
+        value -= gsn_bpatch_polar(skin->degree, (const double(*)[3])skin->knot, skin->control, arg);
+    find_range(skin, cell, &range);
+    if (!bound_slopes(cell, middle, value, &range, &bound))
+        return 0;
+    bound.low -= skin->slack;
+    bound.high += skin->slack;
+    *ret_bound = bound;
+    return 1;
 }

@@ -25,8 +25,8 @@
  *
  * Where functions are missing, because boundary knots point into I, the polynomial is 0 instead and
  * d = c, those of I included: the same formulas. */
-#ifndef GSN_MEASURE_SKIN_H
-#define GSN_MEASURE_SKIN_H
+#ifndef GSN_MEASURE_BOUNDARY_LAYER_H
+#define GSN_MEASURE_BOUNDARY_LAYER_H
 
 #include "pipeline/measure/tet_cut.h"
 #include "pipeline/model/spline.h"

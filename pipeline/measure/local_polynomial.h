@@ -5,8 +5,8 @@
  * On tetrahedron I the spline is p_I + something in [residual_low, residual_high]; the something is
  * 0 on the core of I. A piece holds p_I as a tensor of monomials, so that moving it to a box costs
  * some hundred operations. */
-#ifndef GSN_MEASURE_PIECE_H
-#define GSN_MEASURE_PIECE_H
+#ifndef GSN_MEASURE_LOCAL_POLYNOMIAL_H
+#define GSN_MEASURE_LOCAL_POLYNOMIAL_H
 
 #include "pipeline/measure/box.h"
 #include "pipeline/model/spline.h"

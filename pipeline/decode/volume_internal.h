@@ -2,8 +2,8 @@
 
 /* The text headers of volume files: one description for the three formats, and the few ways of
  * taking a header apart that they share. Internal to decoding. */
-#ifndef GSN_DECODE_VOLUME_HEADER_H
-#define GSN_DECODE_VOLUME_HEADER_H
+#ifndef GSN_DECODE_VOLUME_INTERNAL_H
+#define GSN_DECODE_VOLUME_INTERNAL_H
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/grid.h"

@@ -4,14 +4,14 @@
  *
  * Where one tetrahedron's functions are alone the spline is its polynomial, bounded by its tensor
  * Bernstein coefficients. Elsewhere the value at the centre is exact and the gradient is bounded by
- * the gradient coefficients that reach the box (see piece.h). Both get better as boxes get smaller,
+ * the gradient coefficients that reach the box (see local_polynomial.h). Both get better as boxes get smaller,
  * the first with the square of the size, the second in proportion. Where the gradient says nothing
  * (control points that are not shared, boundary clouds that point inward) the polynomials of all
  * tetrahedra touched and their residual bounds are used. */
-#ifndef GSN_MEASURE_BRACKET_H
-#define GSN_MEASURE_BRACKET_H
+#ifndef GSN_MEASURE_ENCLOSURE_H
+#define GSN_MEASURE_ENCLOSURE_H
 
-#include "pipeline/measure/piece.h"
+#include "pipeline/measure/local_polynomial.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -409,7 +409,7 @@ TEST(running_out_of_memory_while_tissue_is_compared_leaks_nothing)
     drawn_auto d;
 
     drawn_specimen_even(&d, BY_TISSUE_JOB, DRAWN_DENSITY);
-    CHECK_MANY_OOM(drawn_assemble_once(&d, &err), err, 1, 30);
+    CHECK_MANY_OOM(drawn_assemble_once(&d, &err), err, 1, 8);
 }
 
 TEST(running_out_of_memory_while_marks_are_looked_for_again_leaks_nothing)

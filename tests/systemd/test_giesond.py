@@ -284,9 +284,11 @@ def barred(bench):
         (bench.hot / name).mkdir()
         (bench.hot / name / "P1.png").write_bytes(picture(len(name)))
     (bench.hot / "closed").chmod(0)
-    for name in ("deniedjob", "S02"):
-        (bench.hot / name / "job.json").write_text(json.dumps({"specimen": name}))
-    (bench.hot / "deniedjob" / "job.json").chmod(0)
+    for name, mode in (("deniedjob", 0), ("S02", 0o644)):  # never readable for a moment
+        unnamed = bench.folder / f"job of {name}"
+        unnamed.write_text(json.dumps({"specimen": name}))
+        unnamed.chmod(mode)
+        unnamed.rename(bench.hot / name / "job.json")
     (bench.hot / "S02" / "P2.png").write_bytes(picture(20))
     (bench.hot / "S02" / "P2.png").chmod(0)
     bench.wait("all rows", lambda: {r[0] for r in bench.ask("SELECT name FROM trouble")} ==

@@ -6,7 +6,7 @@
 
 #include <assert.h>
 
-static double median_search_ms(const struct gsn_folder *folder)
+static double median_search_ms(const struct gsn_section_folder *folder)
 {
     gsn_auto_mem(double) ms = gsn_alloc_array(folder->stack->count, sizeof *ms);
     size_t n = 0;
@@ -17,7 +17,7 @@ static double median_search_ms(const struct gsn_folder *folder)
     return n > 0 ? gsn_median(ms, n) : 0;
 }
 
-static int run(struct gsn_folder *folder, const char *dir, struct gsn_error *err)
+static int run(struct gsn_section_folder *folder, const char *dir, struct gsn_error *err)
 {
     struct gsn_error own = { 0 };
     double began;
@@ -46,7 +46,7 @@ int gsn_folder_register(const char *dir, const struct gsn_folder_options *option
 {
     gsn_auto(gsn_folder_stack) stack = gsn_alloc_array(1, sizeof *stack);
     gsn_auto_mem(struct gsn_folder_work) work = NULL;
-    struct gsn_folder folder = { .options = options, .stack = stack };
+    struct gsn_section_folder folder = { .options = options, .stack = stack };
     int r;
 
     assert(dir && options && ret_stack);

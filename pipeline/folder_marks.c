@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder_parts.h"
 
-void gsn_folder_stated_marks(const struct gsn_folder *folder,
+void gsn_folder_stated_marks(const struct gsn_section_folder *folder,
                              struct gsn_point ret_mark_um[GSN_MARKS])
 {
     for (size_t i = 0; i < GSN_MARKS; i++)
@@ -10,7 +10,8 @@ void gsn_folder_stated_marks(const struct gsn_folder *folder,
 }
 
 /* The candidates of all sections that could be read, one after the other. */
-static size_t collect(const struct gsn_folder *folder, struct gsn_mark_candidates *candidates)
+static size_t collect(const struct gsn_section_folder *folder,
+                      struct gsn_mark_candidates *candidates)
 {
     size_t n = 0;
 
@@ -20,8 +21,8 @@ static size_t collect(const struct gsn_folder *folder, struct gsn_mark_candidate
     return n;
 }
 
-static int know_triangle(const struct gsn_folder *folder, struct gsn_triangle_prior *ret_prior,
-                         struct gsn_error *err)
+static int know_triangle(const struct gsn_section_folder *folder,
+                         struct gsn_triangle_prior *ret_prior, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(folder->stack->count, sizeof *candidates);
@@ -52,7 +53,8 @@ static size_t found_of(const struct gsn_folder_work *work)
     return found;
 }
 
-static void choose(struct gsn_folder *folder, size_t i, const struct gsn_triangle_prior *prior)
+static void choose(struct gsn_section_folder *folder, size_t i,
+                   const struct gsn_triangle_prior *prior)
 {
     struct gsn_folder_work *work = &folder->work[i];
     struct gsn_folder_section *section = &folder->stack->section[i];
@@ -79,8 +81,8 @@ static int measure(struct gsn_folder_work *work, int all, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int choose_all(struct gsn_folder *folder, const struct gsn_triangle_prior *prior, int last,
-                      struct gsn_error *err)
+static int choose_all(struct gsn_section_folder *folder, const struct gsn_triangle_prior *prior,
+                      int last, struct gsn_error *err)
 {
     int r = GSN_OK;
 
@@ -100,7 +102,7 @@ static int choose_all(struct gsn_folder *folder, const struct gsn_triangle_prior
 /* What was chosen from afar is measured, everything where nothing could be chosen; three measured
  * marks of every clear section then tell how like the triangles are, and the choice is made again.
  */
-int gsn_folder_choose_marks(struct gsn_folder *folder, struct gsn_error *err)
+int gsn_folder_choose_marks(struct gsn_section_folder *folder, struct gsn_error *err)
 {
     struct gsn_triangle_prior prior;
     int r = know_triangle(folder, &prior, err);

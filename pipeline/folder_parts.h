@@ -22,7 +22,7 @@ struct gsn_folder_work {
     double search_ms;
 };
 
-struct gsn_folder {
+struct gsn_section_folder {
     const struct gsn_folder_options *options;
     struct gsn_folder_stack *stack;
     struct gsn_folder_work *work;
@@ -39,28 +39,29 @@ double gsn_folder_cpu_ms(void);
 int gsn_folder_list(const char *dir, struct gsn_folder_stack *stack, struct gsn_error *err);
 /* Reads one picture and looks for its spots, and at its tissue where that is asked for; a picture
  * that cannot be read costs itself alone. Fails with GSN_E_PROCESS, GSN_E_NOMEM. */
-int gsn_folder_search(struct gsn_folder *folder, const char *dir, size_t i, struct gsn_error *err);
+int gsn_folder_search(struct gsn_section_folder *folder, const char *dir, size_t i,
+                      struct gsn_error *err);
 
 /* folder_marks.c */
 
 /* The caller guarantees that the marks are stated. */
-void gsn_folder_stated_marks(const struct gsn_folder *folder,
+void gsn_folder_stated_marks(const struct gsn_section_folder *folder,
                              struct gsn_point ret_mark_um[GSN_MARKS]);
 /* Chooses the three marks of every section, and measures them. Fails with GSN_E_MARKERS,
  * GSN_E_NOMEM. */
-int gsn_folder_choose_marks(struct gsn_folder *folder, struct gsn_error *err);
+int gsn_folder_choose_marks(struct gsn_section_folder *folder, struct gsn_error *err);
 
 /* folder_poses.c */
 
 /* The block is in um, pixel centres at +0.5; the answer in the caller's unit, at whole numbers. */
-struct gsn_affine gsn_folder_frame_to_px(const struct gsn_folder *folder,
+struct gsn_affine gsn_folder_frame_to_px(const struct gsn_section_folder *folder,
                                          const struct gsn_affine *to_block);
 void gsn_folder_add_flag(struct gsn_folder_section *section, const char *word);
 /* Lays the sections by their marks. Fails with GSN_E_MARKERS, GSN_E_NOMEM. */
-int gsn_folder_solve(struct gsn_folder *folder, struct gsn_error *err);
+int gsn_folder_solve(struct gsn_section_folder *folder, struct gsn_error *err);
 
 /* folder_tissue.c: lays what the marks left. Fails with GSN_E_NOMEM. */
-int gsn_folder_lay_by_tissue(struct gsn_folder *folder, struct gsn_error *err);
+int gsn_folder_lay_by_tissue(struct gsn_section_folder *folder, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

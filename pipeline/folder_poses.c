@@ -8,7 +8,7 @@
 
 enum { TARGETS = 21 };
 
-static size_t make_targets(const struct gsn_folder *folder, struct gsn_point *targets)
+static size_t make_targets(const struct gsn_section_folder *folder, struct gsn_point *targets)
 {
     const double radius = folder->options->radius * folder->unit;
     size_t n = 0;
@@ -48,7 +48,7 @@ static void say_why(const struct gsn_folder_work *work, struct gsn_folder_sectio
                        work->spots->candidates.count == 1 ? "" : "s");
 }
 
-struct gsn_affine gsn_folder_frame_to_px(const struct gsn_folder *folder,
+struct gsn_affine gsn_folder_frame_to_px(const struct gsn_section_folder *folder,
                                          const struct gsn_affine *to_block)
 {
     struct gsn_affine map = gsn_affine_inverse(to_block);
@@ -75,7 +75,7 @@ static void flag(struct gsn_folder_section *section, const struct gsn_pose *pose
 }
 
 /* Where a mark may be wrong, the ellipses grow as the whole error does. */
-static void tell_ellipses(const struct gsn_folder *folder, const struct gsn_pose *pose,
+static void tell_ellipses(const struct gsn_section_folder *folder, const struct gsn_pose *pose,
                           double growth, struct gsn_folder_section *section)
 {
     static const int towards[GSN_FOLDER_ELLIPSES][2] = {
@@ -102,7 +102,8 @@ static void tell_ellipses(const struct gsn_folder *folder, const struct gsn_pose
  * rigid pose leaves as an error that grows with the distance from the marks' middle. Marks that are
  * stated are where the frame has them, whatever the sections' mean size. ret_error_um: over the
  * same targets as before. */
-static struct gsn_affine fit_size(const struct gsn_folder *folder, const struct gsn_pose *pose,
+static struct gsn_affine fit_size(const struct gsn_section_folder *folder,
+                                  const struct gsn_pose *pose,
                                   const struct gsn_pose_options *options, double *ret_error_um)
 {
     const struct gsn_pose_summary *summary = &folder->stack->summary;
@@ -119,7 +120,7 @@ static struct gsn_affine fit_size(const struct gsn_folder *folder, const struct 
     return gsn_affine_compose(&own, &mean);
 }
 
-static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pose *pose,
+static void tell(const struct gsn_section_folder *folder, size_t i, const struct gsn_pose *pose,
                  const struct gsn_pose_options *options)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
@@ -151,7 +152,7 @@ static void tell(const struct gsn_folder *folder, size_t i, const struct gsn_pos
     flag(section, pose);
 }
 
-int gsn_folder_solve(struct gsn_folder *folder, struct gsn_error *err)
+int gsn_folder_solve(struct gsn_section_folder *folder, struct gsn_error *err)
 {
     const size_t count = folder->stack->count;
     gsn_auto_mem(struct gsn_pose_input) inputs = gsn_alloc_array(count, sizeof *inputs);

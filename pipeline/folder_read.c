@@ -64,8 +64,8 @@ int gsn_folder_list(const char *dir, struct gsn_folder_stack *stack, struct gsn_
 }
 
 /* What of a picture is needed to lay it by its tissue. One that shows none has no such pose. */
-static int look_at_tissue(struct gsn_folder *folder, size_t i, const struct gsn_image *image,
-                          struct gsn_error *err)
+static int look_at_tissue(struct gsn_section_folder *folder, size_t i,
+                          const struct gsn_image *image, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) density = NULL;
     struct gsn_error own = { 0 };
@@ -81,7 +81,8 @@ static int look_at_tissue(struct gsn_folder *folder, size_t i, const struct gsn_
     return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", own.text) : GSN_OK;
 }
 
-int gsn_folder_search(struct gsn_folder *folder, const char *dir, size_t i, struct gsn_error *err)
+int gsn_folder_search(struct gsn_section_folder *folder, const char *dir, size_t i,
+                      struct gsn_error *err)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
     gsn_auto_mem(char) path = gsn_format("%s/%s", dir, section->file);

@@ -10,7 +10,7 @@
 static const double DISAGREES = 3.3;
 
 /* Whether the marks are to be relied on. */
-static int marks_hold(const struct gsn_folder *folder)
+static int marks_hold(const struct gsn_section_folder *folder)
 {
     size_t with = 0, read = 0;
 
@@ -21,7 +21,7 @@ static int marks_hold(const struct gsn_folder *folder)
     return with > 0 && (folder->options->mark || 2 * with >= read);
 }
 
-static void state_section(const struct gsn_folder *folder, size_t i, int marks,
+static void state_section(const struct gsn_section_folder *folder, size_t i, int marks,
                           struct gsn_tissue_section *ret_section)
 {
     const struct gsn_folder_work *work = &folder->work[i];
@@ -54,8 +54,8 @@ static void say_no_tissue(const struct gsn_folder_work *work, struct gsn_folder_
 }
 
 /* A pose by tissue: the reference's own picture is the frame, not half a pixel beside it. */
-static void tell_tissue(struct gsn_folder *folder, size_t i, const struct gsn_tissue_pose *pose,
-                        int flipped)
+static void tell_tissue(struct gsn_section_folder *folder, size_t i,
+                        const struct gsn_tissue_pose *pose, int flipped)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
     const double px = folder->px_um, half = folder->stack->tissue.held > 0 ? 0 : 0.5 * px;
@@ -90,7 +90,7 @@ static void tell_tissue(struct gsn_folder *folder, size_t i, const struct gsn_ti
 }
 
 /* The face that most sections show; with marks it is the marks' that counts. */
-static int usual_face(const struct gsn_folder *folder, const struct gsn_tissue_pose *poses)
+static int usual_face(const struct gsn_section_folder *folder, const struct gsn_tissue_pose *poses)
 {
     int sum = 0;
 
@@ -100,7 +100,7 @@ static int usual_face(const struct gsn_folder *folder, const struct gsn_tissue_p
     return folder->stack->tissue.held > 0 || sum >= 0 ? 1 : -1;
 }
 
-static void tell_all(struct gsn_folder *folder, const struct gsn_tissue_section *sections,
+static void tell_all(struct gsn_section_folder *folder, const struct gsn_tissue_section *sections,
                      const struct gsn_tissue_finding *findings, const struct gsn_tissue_pose *poses)
 {
     const int face = usual_face(folder, poses);
@@ -119,7 +119,7 @@ static void tell_all(struct gsn_folder *folder, const struct gsn_tissue_section 
     }
 }
 
-int gsn_folder_lay_by_tissue(struct gsn_folder *folder, struct gsn_error *err)
+int gsn_folder_lay_by_tissue(struct gsn_section_folder *folder, struct gsn_error *err)
 {
     const size_t count = folder->stack->count;
     gsn_auto_mem(struct gsn_tissue_section) sections = gsn_alloc_array(count, sizeof *sections);

@@ -18,7 +18,7 @@
 #include "pipeline/measure/boundary_layer.h"
 
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/simplex_spline.h"
 
 #include <math.h>
@@ -32,7 +32,7 @@ enum { STEPS = 12 };
 static const double hull_margin = 4e-15;
 
 /* Adds one knot to a hull; an empty one has count 0. */
-static void add_to_hull(struct gsn_skin_hull *hull, const double knot[3])
+static void add_to_hull(struct gsn_boundary_layer_hull *hull, const double knot[3])
 {
     memcpy(hull->knot[hull->count], knot, sizeof hull->knot[0]);
     for (int a = 0; a < 3; a++) {
@@ -44,7 +44,7 @@ static void add_to_hull(struct gsn_skin_hull *hull, const double knot[3])
 
 /* The knot of the hull least far along a direction, less the corner of the cell furthest along it.
  * Returns the component of that along the direction: at least 0 when the direction separates. */
-static double gap_along(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
+static double gap_along(const struct gsn_boundary_layer_hull *hull, const struct gsn_tet_cell *cell,
                         const double way[3], double ret_difference[3])
 {
     double least = INFINITY, most = -INFINITY;
@@ -70,7 +70,7 @@ static double gap_along(const struct gsn_skin_hull *hull, const struct gsn_tet_c
     return gsn_dot(way, ret_difference);
 }
 
-static int separates(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
+static int separates(const struct gsn_boundary_layer_hull *hull, const struct gsn_tet_cell *cell,
                      const double way[3], double reach, double ret_difference[3])
 {
     return gap_along(hull, cell, way, ret_difference) >=
@@ -79,8 +79,8 @@ static int separates(const struct gsn_skin_hull *hull, const struct gsn_tet_cell
 
 /* The faces of a tetrahedron as seen from outside or inside: where cells touch, only a face's own
  * plane tells. */
-static int faces_separate(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
-                          double reach)
+static int faces_separate(const struct gsn_boundary_layer_hull *hull,
+                          const struct gsn_tet_cell *cell, double reach)
 {
     for (int k = 0; k < 4; k++) {
         const double *a = cell->corner[(k + 1) % 4];
@@ -102,8 +102,8 @@ static int faces_separate(const struct gsn_skin_hull *hull, const struct gsn_tet
 
 /* Gilbert's search for the shortest difference of a point of the hull and one of the cell; every
  * direction it tries may turn out to separate. */
-static int search_separates(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell,
-                            double reach)
+static int search_separates(const struct gsn_boundary_layer_hull *hull,
+                            const struct gsn_tet_cell *cell, double reach)
 {
     double at[3], next[3];
 
@@ -127,7 +127,7 @@ static int search_separates(const struct gsn_skin_hull *hull, const struct gsn_t
 /* 0 only when a plane was found that has the two on different sides, where touching, and what may
  * be the rounding of touching, counts as different sides; what is lost by that is a layer of about
  * 1e-15 of the coordinates. */
-static int hull_reaches(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell)
+static int hull_reaches(const struct gsn_boundary_layer_hull *hull, const struct gsn_tet_cell *cell)
 {
     double reach = 0.0;
 
@@ -160,7 +160,7 @@ struct actor {
 };
 
 struct cast {
-    struct gsn_skin *skin;
+    struct gsn_boundary_layer *skin;
     const struct gsn_dms *space;
     struct gsn_tet_cell home;
     struct actor *actor;
@@ -212,7 +212,8 @@ static int is_own_control(const struct cast *cast, uint32_t control)
 }
 
 /* F_I at the knots t_{k,0..beta_k-1}. */
-static double polar_of(const struct gsn_skin *skin, const double (*knot)[3], const uint8_t beta[4])
+static double polar_of(const struct gsn_boundary_layer *skin, const double (*knot)[3],
+                       const uint8_t beta[4])
 {
     const double *arg[GSN_DMS_MAX_DEGREE];
     unsigned n = 0;
@@ -227,7 +228,7 @@ static double polar_of(const struct gsn_skin *skin, const double (*knot)[3], con
 /* The polar value at knots of its own is home's own control value: there d is 0 exactly. */
 static void find_d(const struct cast *cast, struct actor *actor)
 {
-    struct gsn_skin *skin = cast->skin;
+    struct gsn_boundary_layer *skin = cast->skin;
     const uint32_t *id = gsn_dms_control_ids(cast->space, actor->tet);
 
     for (size_t f = 0; f < gsn_dms_functions(cast->space); f++) {
@@ -272,8 +273,9 @@ static const struct actor *actor_of(const struct cast *cast, int32_t tet)
 }
 
 /* The knots t_{k,0..beta_k} of all clouds but one (4: of all). */
-static void hull_of(const struct gsn_skin *skin, const struct actor *actor, const uint8_t beta[4],
-                    unsigned without, struct gsn_skin_hull *ret_hull)
+static void hull_of(const struct gsn_boundary_layer *skin, const struct actor *actor,
+                    const uint8_t beta[4], unsigned without,
+                    struct gsn_boundary_layer_hull *ret_hull)
 {
     ret_hull->count = 0;
     for (unsigned k = 0; k < 4; k++) {
@@ -283,15 +285,17 @@ static void hull_of(const struct gsn_skin *skin, const struct actor *actor, cons
 }
 
 /* The caller keeps value.d other than 0. */
-static int keep_value(struct cast *cast, const struct gsn_skin_value *value, struct gsn_error *err)
+static int keep_value(struct cast *cast, const struct gsn_boundary_layer_value *value,
+                      struct gsn_error *err)
 {
-    struct gsn_skin *skin = cast->skin;
+    struct gsn_boundary_layer *skin = cast->skin;
 
     if (!hull_reaches(&value->hull, &cast->home))
         return GSN_OK;
     if (skin->values == cast->value_room) {
         const size_t room = 2 * cast->value_room + 64;
-        struct gsn_skin_value *grown = gsn_realloc_array(skin->value, room, sizeof *grown);
+        struct gsn_boundary_layer_value *grown =
+            gsn_realloc_array(skin->value, room, sizeof *grown);
 
         if (!grown)
             return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu functions", room);
@@ -302,15 +306,17 @@ static int keep_value(struct cast *cast, const struct gsn_skin_value *value, str
     return GSN_OK;
 }
 
-static int keep_slope(struct cast *cast, const struct gsn_skin_slope *slope, struct gsn_error *err)
+static int keep_slope(struct cast *cast, const struct gsn_boundary_layer_slope *slope,
+                      struct gsn_error *err)
 {
-    struct gsn_skin *skin = cast->skin;
+    struct gsn_boundary_layer *skin = cast->skin;
 
     if (!hull_reaches(&slope->hull, &cast->home))
         return GSN_OK;
     if (skin->slopes == cast->slope_room) {
         const size_t room = 2 * cast->slope_room + 64;
-        struct gsn_skin_slope *grown = gsn_realloc_array(skin->slope, room, sizeof *grown);
+        struct gsn_boundary_layer_slope *grown =
+            gsn_realloc_array(skin->slope, room, sizeof *grown);
 
         if (!grown)
             return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu slopes", room);
@@ -326,7 +332,7 @@ static int add_values(struct cast *cast, const struct actor *actor, struct gsn_e
     int r = GSN_OK;
 
     for (size_t f = 0; r == GSN_OK && f < gsn_dms_functions(cast->space); f++) {
-        struct gsn_skin_value value = { .d = actor->d[f] };
+        struct gsn_boundary_layer_value value = { .d = actor->d[f] };
 
         if (value.d < 0.0 || value.d > 0.0) {
             hull_of(cast->skin, actor, gsn_dms_beta(cast->space, f), 4, &value.hull);
@@ -337,15 +343,15 @@ static int add_values(struct cast *cast, const struct actor *actor, struct gsn_e
 }
 
 /* G_g. */
-static void mean_slope(const struct gsn_skin *skin, const struct actor *actor, const uint8_t g[4],
-                       double ret_gradient[3])
+static void mean_slope(const struct gsn_boundary_layer *skin, const struct actor *actor,
+                       const uint8_t g[4], double ret_gradient[3])
 {
     const unsigned cloud = skin->degree + 1U;
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     double at[4];
 
-    gsn_frame_init(&frame, actor->knot[g[0]], actor->knot[cloud + g[1]],
-                   actor->knot[2 * cloud + g[2]], actor->knot[3 * cloud + g[3]]);
+    gsn_barycentric_init(&frame, actor->knot[g[0]], actor->knot[cloud + g[1]],
+                         actor->knot[2 * cloud + g[2]], actor->knot[3 * cloud + g[3]]);
     for (unsigned k = 0; k < 4; k++) {
         uint8_t beta[4];
 
@@ -366,7 +372,7 @@ static int add_means(struct cast *cast, const struct actor *actor, struct gsn_er
     int r = GSN_OK;
 
     do {
-        struct gsn_skin_slope slope = { .jump = 0 };
+        struct gsn_boundary_layer_slope slope = { .jump = 0 };
 
         mean_slope(cast->skin, actor, g, slope.gradient);
         hull_of(cast->skin, actor, g, 4, &slope.hull);
@@ -377,7 +383,7 @@ static int add_means(struct cast *cast, const struct actor *actor, struct gsn_er
 }
 
 /* The largest |det| of any four knots. */
-static double largest_det(const struct gsn_skin_hull *hull)
+static double largest_det(const struct gsn_boundary_layer_hull *hull)
 {
     const double(*knot)[3] = hull->knot;
     double most = 0.0;
@@ -418,7 +424,7 @@ static double jump_of(const struct cast *cast, const struct actor *actor, unsign
 }
 
 /* (b - a) x (c - a) of t_{j,beta_j}, j != k, towards corner k. */
-static void face_normal(const struct gsn_skin *skin, const struct actor *actor,
+static void face_normal(const struct gsn_boundary_layer *skin, const struct actor *actor,
                         const uint8_t beta[4], unsigned k, double ret_normal[3])
 {
     const unsigned cloud = skin->degree + 1U;
@@ -441,7 +447,7 @@ static int add_jump(struct cast *cast, const struct actor *actor, unsigned k, si
 {
     const uint8_t *beta = gsn_dms_beta(cast->space, f);
     const double jump = beta[k] > 0 ? 0.0 : jump_of(cast, actor, k, f);
-    struct gsn_skin_slope slope = { .jump = 1 };
+    struct gsn_boundary_layer_slope slope = { .jump = 1 };
     double normal[3], det;
 
     if (!(jump < 0.0 || jump > 0.0))
@@ -481,7 +487,7 @@ static int add_actor(struct cast *cast, const struct actor *actor, struct gsn_er
 
 static void begin(struct cast *cast, size_t tet)
 {
-    struct gsn_skin *skin = cast->skin;
+    struct gsn_boundary_layer *skin = cast->skin;
     const uint32_t *id = gsn_dms_control_ids(cast->space, tet);
 
     skin->tet = tet;
@@ -495,10 +501,11 @@ static void begin(struct cast *cast, size_t tet)
                sizeof cast->home.corner[k]);
 }
 
-int gsn_skin_new(const struct gsn_spline *spline, size_t tet, const uint32_t *near, size_t count,
-                 struct gsn_skin **ret_skin, struct gsn_error *err)
+int gsn_boundary_layer_new(const struct gsn_spline *spline, size_t tet, const uint32_t *near,
+                           size_t count, struct gsn_boundary_layer **ret_skin,
+                           struct gsn_error *err)
 {
-    gsn_auto(gsn_skin) skin = gsn_alloc_array(1, sizeof *skin);
+    gsn_auto(gsn_boundary_layer) skin = gsn_alloc_array(1, sizeof *skin);
     gsn_auto_mem(struct actor) actor = gsn_alloc_array(count, sizeof *actor);
     struct cast cast = { .skin = skin, .space = gsn_spline_space(spline), .actor = actor };
     int r = GSN_OK;
@@ -516,7 +523,7 @@ int gsn_skin_new(const struct gsn_spline *spline, size_t tet, const uint32_t *ne
     return GSN_OK;
 }
 
-void gsn_skin_free(struct gsn_skin *skin)
+void gsn_boundary_layer_free(struct gsn_boundary_layer *skin)
 {
     if (!skin)
         return;
@@ -556,7 +563,7 @@ static int is_inner(const double a[3], const double b[3], const double c[3], con
     return 1;
 }
 
-int gsn_skin_clear(const struct gsn_skin *skin, const struct gsn_tet_cell *cell)
+int gsn_boundary_layer_clear(const struct gsn_boundary_layer *skin, const struct gsn_tet_cell *cell)
 {
     const unsigned n = skin->degree, cloud = n + 1U;
 
@@ -577,12 +584,13 @@ int gsn_skin_clear(const struct gsn_skin *skin, const struct gsn_tet_cell *cell)
     return 1;
 }
 
-size_t gsn_skin_by_values(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
-                          struct gsn_skin_bound *ret_bound)
+size_t gsn_boundary_layer_by_values(const struct gsn_boundary_layer *skin,
+                                    const struct gsn_tet_cell *cell,
+                                    struct gsn_boundary_layer_bound *ret_bound)
 {
     size_t count = 0;
 
-    *ret_bound = (struct gsn_skin_bound){ { 0.0 }, 0.0, 0.0 };
+    *ret_bound = (struct gsn_boundary_layer_bound){ { 0.0 }, 0.0, 0.0 };
     for (size_t i = 0; i < skin->values; i++) {
         if (!hull_reaches(&skin->value[i].hull, cell))
             continue;
@@ -596,7 +604,7 @@ size_t gsn_skin_by_values(const struct gsn_skin *skin, const struct gsn_tet_cell
 }
 
 /* Whether the cell lies in a hull of four knots: there M, of degree 0, is 1/|det| all over. */
-static int is_within(const struct gsn_skin_hull *hull, const struct gsn_tet_cell *cell)
+static int is_within(const struct gsn_boundary_layer_hull *hull, const struct gsn_tet_cell *cell)
 {
     const double(*knot)[3] = hull->knot;
     int within = hull->count == 4;
@@ -611,7 +619,7 @@ struct range {
     double low[3], high[3], jump_low[3], jump_high[3];
 };
 
-static void widen(struct range *range, const struct gsn_skin_slope *slope, int full)
+static void widen(struct range *range, const struct gsn_boundary_layer_slope *slope, int full)
 {
     const double *gradient = slope->gradient;
 
@@ -629,12 +637,12 @@ static void widen(struct range *range, const struct gsn_skin_slope *slope, int f
 }
 
 /* The means are of 0 too: what home's own functions, or none, bring. */
-static void find_range(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
+static void find_range(const struct gsn_boundary_layer *skin, const struct gsn_tet_cell *cell,
                        struct range *ret_range)
 {
     *ret_range = (struct range){ .low = { 0.0 } };
     for (size_t i = 0; i < skin->slopes; i++) {
-        const struct gsn_skin_slope *slope = &skin->slope[i];
+        const struct gsn_boundary_layer_slope *slope = &skin->slope[i];
 
         if (hull_reaches(&slope->hull, cell))
             widen(ret_range, slope, slope->jump && is_within(&slope->hull, cell));
@@ -647,7 +655,7 @@ static void find_range(const struct gsn_skin *skin, const struct gsn_tet_cell *c
 
 /* From the value at the middle of the cell. Returns 0 when a slope has no bound. */
 static int bound_slopes(const struct gsn_tet_cell *cell, const double middle[3], double value,
-                        const struct range *range, struct gsn_skin_bound *ret_bound)
+                        const struct range *range, struct gsn_boundary_layer_bound *ret_bound)
 {
     double most = 0.0;
 
@@ -671,11 +679,12 @@ static int bound_slopes(const struct gsn_tet_cell *cell, const double middle[3],
     return 1;
 }
 
-int gsn_skin_by_slopes(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
-                       struct gsn_skin_bound *ret_bound)
+int gsn_boundary_layer_by_slopes(const struct gsn_boundary_layer *skin,
+                                 const struct gsn_tet_cell *cell,
+                                 struct gsn_boundary_layer_bound *ret_bound)
 {
     struct range range;
-    struct gsn_skin_bound bound;
+    struct gsn_boundary_layer_bound bound;
     double middle[3], value;
     const double *const arg[GSN_DMS_MAX_DEGREE] = { middle, middle, middle };
     size_t hint = skin->tet;

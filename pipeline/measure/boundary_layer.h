@@ -35,25 +35,25 @@
 extern "C" {
 #endif
 
-enum { GSN_SKIN_MEMBERS = GSN_DMS_MAX_DEGREE + 4 };
+enum { GSN_BOUNDARY_LAYER_MEMBERS = GSN_DMS_MAX_DEGREE + 4 };
 
 /* Knots outside whose hull something vanishes, and the box around them. */
-struct gsn_skin_hull {
+struct gsn_boundary_layer_hull {
     unsigned count;
-    double knot[GSN_SKIN_MEMBERS][3], low[3], high[3];
+    double knot[GSN_BOUNDARY_LAYER_MEMBERS][3], low[3], high[3];
 };
-struct gsn_skin_value {
-    struct gsn_skin_hull hull;
+struct gsn_boundary_layer_value {
+    struct gsn_boundary_layer_hull hull;
     double d;
 };
-struct gsn_skin_slope {
-    struct gsn_skin_hull hull;
+struct gsn_boundary_layer_slope {
+    struct gsn_boundary_layer_hull hull;
     int jump; /* whether it adds up to the others by itself, at any weight from 0 to 1 */
     double gradient[3];
 };
 
 /* All that acts in a tetrahedron besides its polynomial. */
-struct gsn_skin {
+struct gsn_boundary_layer {
     const struct gsn_spline *spline;
     size_t tet;
     unsigned degree;
@@ -61,32 +61,36 @@ struct gsn_skin {
     int whole;    /* whether the polynomial is p_I; else 0 */
     double slack; /* more than the rounding of any value of s here */
     size_t values, slopes;
-    struct gsn_skin_value *value;
-    struct gsn_skin_slope *slope;
+    struct gsn_boundary_layer_value *value;
+    struct gsn_boundary_layer_slope *slope;
 };
 
 /* gives; keeps spline. near: count tetrahedra, among them all whose functions reach the part of tet
  * that matters, and tet. Fails with GSN_E_NOMEM. */
-int gsn_skin_new(const struct gsn_spline *spline, size_t tet, const uint32_t *near, size_t count,
-                 struct gsn_skin **ret_skin, struct gsn_error *err);
-void gsn_skin_free(struct gsn_skin *skin);
-GSN_DEFINE_AUTO(gsn_skin);
+int gsn_boundary_layer_new(const struct gsn_spline *spline, size_t tet, const uint32_t *near,
+                           size_t count, struct gsn_boundary_layer **ret_skin,
+                           struct gsn_error *err);
+void gsn_boundary_layer_free(struct gsn_boundary_layer *skin);
+GSN_DEFINE_AUTO(gsn_boundary_layer);
 
 /* Whether the cell lies in Omega^I. */
-int gsn_skin_clear(const struct gsn_skin *skin, const struct gsn_tet_cell *cell);
+int gsn_boundary_layer_clear(const struct gsn_boundary_layer *skin,
+                             const struct gsn_tet_cell *cell);
 
 /* What is to be added to the polynomial on a cell: the linear function with these values at the
  * corners, and something in low..high, rounding included. */
-struct gsn_skin_bound {
+struct gsn_boundary_layer_bound {
     double corner[4], low, high;
 };
 /* By the d that reach the cell; returns how many there are. */
-size_t gsn_skin_by_values(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
-                          struct gsn_skin_bound *ret_bound);
+size_t gsn_boundary_layer_by_values(const struct gsn_boundary_layer *skin,
+                                    const struct gsn_tet_cell *cell,
+                                    struct gsn_boundary_layer_bound *ret_bound);
 /* By the gradient. Returns 0, the output untouched, where s cannot be evaluated or a slope has no
  * bound. */
-int gsn_skin_by_slopes(const struct gsn_skin *skin, const struct gsn_tet_cell *cell,
-                       struct gsn_skin_bound *ret_bound);
+int gsn_boundary_layer_by_slopes(const struct gsn_boundary_layer *skin,
+                                 const struct gsn_tet_cell *cell,
+                                 struct gsn_boundary_layer_bound *ret_bound);
 
 #ifdef __cplusplus
 }

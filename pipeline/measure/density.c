@@ -198,13 +198,13 @@ int gsn_region_density(const struct gsn_spline *spline, const struct gsn_mask *r
 /* --- tetrahedra as units --- */
 
 /* The box of the voxels first..end. */
-static struct gsn_box box_of(const struct gsn_lattice *at, const size_t first[3],
-                             const size_t end[3])
+static struct gsn_aabb box_of(const struct gsn_lattice *at, const size_t first[3],
+                              const size_t end[3])
 {
     const struct gsn_vec3 low = gsn_lattice_centre(at, first[0], first[1], first[2]);
     const struct gsn_vec3 high = gsn_lattice_centre(at, end[0] - 1, end[1] - 1, end[2] - 1);
 
-    return (struct gsn_box){
+    return (struct gsn_aabb){
         .centre = { 0.5 * (low.x + high.x), 0.5 * (low.y + high.y), 0.5 * (low.z + high.z) },
         .half = { 0.5 * at->step_um.x * (double)(end[0] - first[0]),
                   0.5 * at->step_um.y * (double)(end[1] - first[1]),
@@ -239,9 +239,9 @@ static double volume_in_row(const struct gsn_mask *region, const size_t first[3]
         while (to[0] < x_end && inside[to[0]])
             to[0]++;
         if (to[0] > x) {
-            const struct gsn_box box = box_of(&region->at, from, to);
+            const struct gsn_aabb box = box_of(&region->at, from, to);
 
-            volume += gsn_box_tet_volume(&box, corner);
+            volume += gsn_aabb_tet_volume(&box, corner);
             x = to[0];
         }
     }
@@ -261,14 +261,14 @@ static double volume_inside(const struct gsn_mask *region, const double corner[4
             low = fmin(low, corner[k][a]);
             high = fmax(high, corner[k][a]);
         }
-        gsn_overlap_range(&region->at, a, low, high, &first[a], &end[a]);
+        gsn_voxel_range(&region->at, a, low, high, &first[a], &end[a]);
     }
     if (first[0] >= end[0] || first[1] >= end[1] || first[2] >= end[2])
         return 0.0;
     if (all_inside(region, first, end)) {
-        const struct gsn_box box = box_of(&region->at, first, end);
+        const struct gsn_aabb box = box_of(&region->at, first, end);
 
-        return gsn_box_tet_volume(&box, corner);
+        return gsn_aabb_tet_volume(&box, corner);
     }
     for (size_t z = first[2]; z < end[2]; z++) {
         for (size_t y = first[1]; y < end[1]; y++)

@@ -26,12 +26,12 @@ static const double value_slack = 1e-11;
 
 static int make_batch(size_t batch, void *context, struct gsn_error *err)
 {
-    const struct gsn_pieces *pieces = context;
-    const size_t slopes = gsn_piece_slopes(gsn_spline_space(pieces->spline));
+    const struct gsn_local_polynomials *pieces = context;
+    const size_t slopes = gsn_local_polynomial_slopes(gsn_spline_space(pieces->spline));
 
     (void)err;
     for (size_t t = batch * BATCH; t < pieces->count && t < (batch + 1) * BATCH; t++)
-        gsn_piece_make(pieces->spline, t, pieces->slope + t * slopes, &pieces->piece[t]);
+        gsn_local_polynomial_make(pieces->spline, t, pieces->slope + t * slopes, &pieces->piece[t]);
     return GSN_OK;
 }
 
@@ -99,17 +99,18 @@ static int all_agree(const struct gsn_spline *spline)
     return 1;
 }
 
-int gsn_pieces_new(const struct gsn_spline *spline, unsigned threads,
-                   struct gsn_pieces **ret_pieces, struct gsn_error *err)
+int gsn_local_polynomials_new(const struct gsn_spline *spline, unsigned threads,
+                              struct gsn_local_polynomials **ret_pieces, struct gsn_error *err)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const size_t count = gsn_dms_mesh(space)->tet_count;
-    gsn_auto(gsn_pieces) pieces = gsn_alloc_array(1, sizeof *pieces);
+    gsn_auto(gsn_local_polynomials) pieces = gsn_alloc_array(1, sizeof *pieces);
     int r;
 
     if (pieces) {
         pieces->piece = gsn_alloc_array(count, sizeof *pieces->piece);
-        pieces->slope = gsn_alloc_array(count, gsn_piece_slopes(space) * sizeof *pieces->slope);
+        pieces->slope =
+            gsn_alloc_array(count, gsn_local_polynomial_slopes(space) * sizeof *pieces->slope);
     }
     if (!pieces || !pieces->piece || !pieces->slope)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
@@ -125,7 +126,7 @@ int gsn_pieces_new(const struct gsn_spline *spline, unsigned threads,
     return GSN_OK;
 }
 
-void gsn_pieces_free(struct gsn_pieces *pieces)
+void gsn_local_polynomials_free(struct gsn_local_polynomials *pieces)
 {
     if (!pieces)
         return;
@@ -134,22 +135,22 @@ void gsn_pieces_free(struct gsn_pieces *pieces)
     gsn_free(pieces);
 }
 
-void gsn_bracket_hull(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                      const struct gsn_box *box, struct gsn_bracket *ret_bracket,
-                      uint32_t *ret_deepest)
+void gsn_enclosure_hull(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                        size_t count, const struct gsn_aabb *box, struct gsn_enclosure *ret_bracket,
+                        uint32_t *ret_deepest)
 {
     double depth = -INFINITY;
 
-    *ret_bracket = (struct gsn_bracket){ .least = INFINITY, .most = -INFINITY };
+    *ret_bracket = (struct gsn_enclosure){ .least = INFINITY, .most = -INFINITY };
     for (size_t i = 0; i < count; i++) {
-        const struct gsn_piece *piece = &pieces->piece[tet[i]];
+        const struct gsn_local_polynomial *piece = &pieces->piece[tet[i]];
         double here;
 
-        if (gsn_piece_meets(piece, box) == GSN_PIECE_APART)
+        if (gsn_local_polynomial_meets(piece, box) == GSN_LOCAL_POLYNOMIAL_APART)
             continue;
         ret_bracket->least = fmin(ret_bracket->least, piece->whole_low);
         ret_bracket->most = fmax(ret_bracket->most, piece->whole_high);
-        here = gsn_piece_depth(piece, box->centre);
+        here = gsn_local_polynomial_depth(piece, box->centre);
         if (here > depth) {
             depth = here;
             *ret_deepest = tet[i];
@@ -160,15 +161,15 @@ void gsn_bracket_hull(const struct gsn_pieces *pieces, const uint32_t *tet, size
 /* Which way the box is to be bounded. */
 enum way { BY_POLYNOMIAL, BY_GRADIENT, BY_RESIDUAL };
 
-static enum way choose(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                       const struct gsn_box *box, uint32_t deepest)
+static enum way choose(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                       size_t count, const struct gsn_aabb *box, uint32_t deepest)
 {
     int alone = 1, inward = 0;
 
-    if (gsn_piece_meets(&pieces->piece[deepest], box) == GSN_PIECE_COVERS)
+    if (gsn_local_polynomial_meets(&pieces->piece[deepest], box) == GSN_LOCAL_POLYNOMIAL_COVERS)
         return BY_POLYNOMIAL;
     for (size_t i = 0; i < count; i++) {
-        if (gsn_piece_reaches(&pieces->piece[tet[i]], box)) {
+        if (gsn_local_polynomial_reaches(&pieces->piece[tet[i]], box)) {
             alone &= tet[i] == deepest;
             inward |= pieces->piece[tet[i]].inward;
         }
@@ -184,8 +185,8 @@ struct pull {
     double gradient[3], weight;
 };
 
-static struct pull pull_of(const struct gsn_piece_slope *slope, double weight,
-                           const struct gsn_box *box, const struct gsn_piece_bend *bend)
+static struct pull pull_of(const struct gsn_local_polynomial_slope *slope, double weight,
+                           const struct gsn_aabb *box, const struct gsn_local_polynomial_bend *bend)
 {
     struct pull pull = { .weight = weight };
     double t[3];
@@ -249,21 +250,21 @@ static double strongest(const struct pull *pull, size_t count, int a, double sig
 }
 
 /* Between which bounds the mean gradient lies, less the bend. */
-static void spread(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                   const struct gsn_box *box, const struct gsn_piece_bend *bend, double low[3],
-                   double high[3])
+static void spread(const struct gsn_local_polynomials *pieces, const uint32_t *tet, size_t count,
+                   const struct gsn_aabb *box, const struct gsn_local_polynomial_bend *bend,
+                   double low[3], double high[3])
 {
-    const size_t slopes = gsn_piece_slopes(gsn_spline_space(pieces->spline));
+    const size_t slopes = gsn_local_polynomial_slopes(gsn_spline_space(pieces->spline));
     struct pull pull[MOST_PULLS];
     size_t pulls = 0;
 
     for (size_t i = 0; i < count; i++) {
-        const struct gsn_piece *piece = &pieces->piece[tet[i]];
+        const struct gsn_local_polynomial *piece = &pieces->piece[tet[i]];
 
-        if (!gsn_piece_reaches(piece, box))
+        if (!gsn_local_polynomial_reaches(piece, box))
             continue;
         for (size_t f = 0; f < slopes; f++) {
-            const double weight = gsn_piece_slope_weight(piece, &piece->slope[f], box);
+            const double weight = gsn_local_polynomial_slope_weight(piece, &piece->slope[f], box);
 
             if (weight > 0.0)
                 add_pull(pull, &pulls, pull_of(&piece->slope[f], weight, box, bend));
@@ -276,9 +277,9 @@ static void spread(const struct gsn_pieces *pieces, const uint32_t *tet, size_t 
 }
 
 /* s(u) = s(centre) + bend + sum over the axes of t_a times a mean of the spread coefficients. */
-static void by_gradient(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                        const struct gsn_box *box, uint32_t deepest,
-                        const struct gsn_piece_bend *bend, struct gsn_bracket *bracket)
+static void by_gradient(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                        size_t count, const struct gsn_aabb *box, uint32_t deepest,
+                        const struct gsn_local_polynomial_bend *bend, struct gsn_enclosure *bracket)
 {
     double low[3], high[3], value = bracket->linear.value;
     size_t hint = deepest;
@@ -303,34 +304,35 @@ static void by_gradient(const struct gsn_pieces *pieces, const uint32_t *tet, si
     }
 }
 
-static void by_residual(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                        const struct gsn_box *box, struct gsn_bracket *bracket)
+static void by_residual(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                        size_t count, const struct gsn_aabb *box, struct gsn_enclosure *bracket)
 {
     bracket->low = INFINITY;
     bracket->high = -INFINITY;
     for (size_t i = 0; i < count; i++) {
-        const struct gsn_piece *piece = &pieces->piece[tet[i]];
+        const struct gsn_local_polynomial *piece = &pieces->piece[tet[i]];
         double low, high;
 
-        if (gsn_piece_meets(piece, box) == GSN_PIECE_APART)
+        if (gsn_local_polynomial_meets(piece, box) == GSN_LOCAL_POLYNOMIAL_APART)
             continue;
-        gsn_piece_bound(piece, box, &bracket->linear, &low, &high);
+        gsn_local_polynomial_bound(piece, box, &bracket->linear, &low, &high);
         bracket->low = fmin(bracket->low, low + piece->residual_low);
         bracket->high = fmax(bracket->high, high + piece->residual_high);
     }
 }
 
-void gsn_bracket_tighten(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                         const struct gsn_box *box, uint32_t deepest, struct gsn_bracket *bracket)
+void gsn_enclosure_tighten(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                           size_t count, const struct gsn_aabb *box, uint32_t deepest,
+                           struct gsn_enclosure *bracket)
 {
-    const struct gsn_piece *piece = &pieces->piece[deepest];
+    const struct gsn_local_polynomial *piece = &pieces->piece[deepest];
     const enum way way = choose(pieces, tet, count, box, deepest);
-    struct gsn_piece_bend bend;
+    struct gsn_local_polynomial_bend bend;
     double swing = 0.0, bends = 0.0;
 
-    gsn_piece_tangent(piece, box, &bracket->linear, &bend);
+    gsn_local_polynomial_tangent(piece, box, &bracket->linear, &bend);
     if (way == BY_POLYNOMIAL)
-        gsn_piece_bound(piece, box, &bracket->linear, &bracket->low, &bracket->high);
+        gsn_local_polynomial_bound(piece, box, &bracket->linear, &bracket->low, &bracket->high);
     else if (way == BY_GRADIENT)
         by_gradient(pieces, tet, count, box, deepest, &bend, bracket);
     else

@@ -4,10 +4,10 @@
  *
  * Where one tetrahedron's functions are alone the spline is its polynomial, bounded by its tensor
  * Bernstein coefficients. Elsewhere the value at the centre is exact and the gradient is bounded by
- * the gradient coefficients that reach the box (see local_polynomial.h). Both get better as boxes get smaller,
- * the first with the square of the size, the second in proportion. Where the gradient says nothing
- * (control points that are not shared, boundary clouds that point inward) the polynomials of all
- * tetrahedra touched and their residual bounds are used. */
+ * the gradient coefficients that reach the box (see local_polynomial.h). Both get better as boxes
+ * get smaller, the first with the square of the size, the second in proportion. Where the gradient
+ * says nothing (control points that are not shared, boundary clouds that point inward) the
+ * polynomials of all tetrahedra touched and their residual bounds are used. */
 #ifndef GSN_MEASURE_ENCLOSURE_H
 #define GSN_MEASURE_ENCLOSURE_H
 
@@ -18,26 +18,26 @@ extern "C" {
 #endif
 
 /* All pieces of a spline. */
-struct gsn_pieces {
+struct gsn_local_polynomials {
     const struct gsn_spline *spline;
     size_t count;
-    struct gsn_piece *piece;
-    struct gsn_piece_slope *slope;
+    struct gsn_local_polynomial *piece;
+    struct gsn_local_polynomial_slope *slope;
     int shared;   /* whether neighbours agree on the control values of their common face */
     double slack; /* more than the rounding of s anywhere */
 };
 
 /* gives; keeps spline. threads 0: all. Fails with GSN_E_NOMEM. */
-int gsn_pieces_new(const struct gsn_spline *spline, unsigned threads,
-                   struct gsn_pieces **ret_pieces, struct gsn_error *err);
-void gsn_pieces_free(struct gsn_pieces *pieces);
-GSN_DEFINE_AUTO(gsn_pieces);
+int gsn_local_polynomials_new(const struct gsn_spline *spline, unsigned threads,
+                              struct gsn_local_polynomials **ret_pieces, struct gsn_error *err);
+void gsn_local_polynomials_free(struct gsn_local_polynomials *pieces);
+GSN_DEFINE_AUTO(gsn_local_polynomials);
 
 /* On the box, s lies between linear + low and linear + high, and between least and most. After
- * gsn_bracket_hull() only the last two are set. bent says that the interval is mostly the bend of
+ * gsn_enclosure_hull() only the last two are set. bent says that the interval is mostly the bend of
  * one polynomial, and not what smaller boxes escape. */
-struct gsn_bracket {
-    struct gsn_piece_linear linear;
+struct gsn_enclosure {
+    struct gsn_local_polynomial_linear linear;
     double low, high;
     double least, most;
     int bent;
@@ -46,12 +46,13 @@ struct gsn_bracket {
 /* tet: count tetrahedra, among them all whose functions reach the box. Cheap: by the coefficients
  * of the tetrahedra touched. *ret_deepest: which holds the box's centre; the caller guarantees that
  * one does. */
-void gsn_bracket_hull(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                      const struct gsn_box *box, struct gsn_bracket *ret_bracket,
-                      uint32_t *ret_deepest);
+void gsn_enclosure_hull(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                        size_t count, const struct gsn_aabb *box, struct gsn_enclosure *ret_bracket,
+                        uint32_t *ret_deepest);
 /* Sets the rest. */
-void gsn_bracket_tighten(const struct gsn_pieces *pieces, const uint32_t *tet, size_t count,
-                         const struct gsn_box *box, uint32_t deepest, struct gsn_bracket *bracket);
+void gsn_enclosure_tighten(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                           size_t count, const struct gsn_aabb *box, uint32_t deepest,
+                           struct gsn_enclosure *bracket);
 
 #ifdef __cplusplus
 }

@@ -44,16 +44,16 @@ struct cell {
 };
 
 struct work {
-    const struct gsn_pieces *pieces;
-    const struct gsn_overlap *overlap;
+    const struct gsn_local_polynomials *pieces;
+    const struct gsn_voxel_overlap *overlap;
     const double *threshold;
     size_t thresholds;
     unsigned threads;
 };
 
-static struct gsn_box cell_box(const struct gsn_overlap *overlap, const struct cell *cell)
+static struct gsn_aabb cell_box(const struct gsn_voxel_overlap *overlap, const struct cell *cell)
 {
-    struct gsn_box box = gsn_overlap_box(&overlap->at, overlap->voxel[cell->v]);
+    struct gsn_aabb box = gsn_voxel_aabb(&overlap->at, overlap->voxel[cell->v]);
 
     for (int a = 0; a < 3; a++) {
         const double parts = (double)(1U << cell->level[a]);
@@ -64,24 +64,24 @@ static struct gsn_box cell_box(const struct gsn_overlap *overlap, const struct c
     return box;
 }
 
-static void shares(const struct gsn_bracket *bracket, double threshold, double *ret_lower,
+static void shares(const struct gsn_enclosure *bracket, double threshold, double *ret_lower,
                    double *ret_upper)
 {
-    const struct gsn_piece_linear *linear = &bracket->linear;
+    const struct gsn_local_polynomial_linear *linear = &bracket->linear;
 
     if (bracket->least > threshold) {
         *ret_lower = *ret_upper = 1.0;
     } else if (bracket->most <= threshold) {
         *ret_lower = *ret_upper = 0.0;
     } else {
-        *ret_lower = gsn_box_share_above(linear->value + bracket->low - threshold, linear->slope);
-        *ret_upper = gsn_box_share_above(linear->value + bracket->high - threshold, linear->slope);
+        *ret_lower = gsn_aabb_share_above(linear->value + bracket->low - threshold, linear->slope);
+        *ret_upper = gsn_aabb_share_above(linear->value + bracket->high - threshold, linear->slope);
     }
 }
 
 /* The tetrahedra that matter to a box in voxel v: those that reach it, kept in near when they are
  * few enough, else all that reach the voxel. */
-static const uint32_t *around(const struct work *work, size_t v, const struct gsn_box *box,
+static const uint32_t *around(const struct work *work, size_t v, const struct gsn_aabb *box,
                               uint32_t near[NEAR], size_t *ret_count)
 {
     const uint32_t *tet = work->overlap->tet + work->overlap->first[v];
@@ -90,7 +90,7 @@ static const uint32_t *around(const struct work *work, size_t v, const struct gs
 
     *ret_count = count;
     for (size_t i = 0; i < count; i++) {
-        if (!gsn_piece_reaches(&work->pieces->piece[tet[i]], box))
+        if (!gsn_local_polynomial_reaches(&work->pieces->piece[tet[i]], box))
             continue;
         if (kept == NEAR)
             return tet;
@@ -102,7 +102,7 @@ static const uint32_t *around(const struct work *work, size_t v, const struct gs
 
 /* Where cutting helps most: across the strongest bend; where the gap is not bend, boxes are to get
  * smaller all round. */
-static uint8_t cut_axis(const struct gsn_box *box, const struct gsn_bracket *bracket)
+static uint8_t cut_axis(const struct gsn_aabb *box, const struct gsn_enclosure *bracket)
 {
     const double *size = bracket->bent ? bracket->linear.bend : box->half;
     uint8_t axis = 0;
@@ -117,17 +117,17 @@ static uint8_t cut_axis(const struct gsn_box *box, const struct gsn_bracket *bra
 /* Fills the cell's shares for one threshold, and its axis. */
 static void measure(const struct work *work, double threshold, struct cell *cell)
 {
-    const struct gsn_box box = cell_box(work->overlap, cell);
+    const struct gsn_aabb box = cell_box(work->overlap, cell);
     const double part = ldexp(1.0, -(cell->level[0] + cell->level[1] + cell->level[2]));
     uint32_t near[NEAR];
     size_t count;
     const uint32_t *tet = around(work, cell->v, &box, near, &count);
-    struct gsn_bracket bracket;
+    struct gsn_enclosure bracket;
     uint32_t deepest = tet[0];
 
-    gsn_bracket_hull(work->pieces, tet, count, &box, &bracket, &deepest);
+    gsn_enclosure_hull(work->pieces, tet, count, &box, &bracket, &deepest);
     if (bracket.least <= threshold && bracket.most > threshold) {
-        gsn_bracket_tighten(work->pieces, tet, count, &box, deepest, &bracket);
+        gsn_enclosure_tighten(work->pieces, tet, count, &box, deepest, &bracket);
         cell->axis = cut_axis(&box, &bracket);
     }
     shares(&bracket, threshold, &cell->lower, &cell->upper);
@@ -146,14 +146,14 @@ struct judging {
 static void judge(const struct judging *judging, size_t v)
 {
     const struct work *work = judging->work;
-    const struct gsn_box box = gsn_overlap_box(&work->overlap->at, work->overlap->voxel[v]);
+    const struct gsn_aabb box = gsn_voxel_aabb(&work->overlap->at, work->overlap->voxel[v]);
     uint8_t *verdict = judging->verdict + v * work->thresholds;
     const size_t first = work->overlap->first[v], count = work->overlap->first[v + 1] - first;
     const uint32_t *tet = work->overlap->tet + first;
-    struct gsn_bracket bracket;
+    struct gsn_enclosure bracket;
     uint32_t deepest = tet[0];
 
-    gsn_bracket_hull(work->pieces, tet, count, &box, &bracket, &deepest);
+    gsn_enclosure_hull(work->pieces, tet, count, &box, &bracket, &deepest);
     for (int tight = 0; tight < 2; tight++) {
         size_t open = 0;
 
@@ -165,7 +165,7 @@ static void judge(const struct judging *judging, size_t v)
         }
         if (open == 0 || tight)
             return;
-        gsn_bracket_tighten(work->pieces, tet, count, &box, deepest, &bracket);
+        gsn_enclosure_tighten(work->pieces, tet, count, &box, deepest, &bracket);
     }
 }
 
@@ -420,9 +420,9 @@ int gsn_level_set_volume(const struct gsn_spline *spline, const struct gsn_mask 
                          struct gsn_volume_bound *ret_bounds, struct gsn_error *err)
 {
     static const struct gsn_level_set_options plain = { 0 };
-    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto(gsn_local_polynomials) pieces = NULL;
     gsn_auto_mem(struct gsn_volume_bound) bound = NULL;
-    gsn_auto(gsn_overlap) overlap = NULL;
+    gsn_auto(gsn_voxel_overlap) overlap = NULL;
     struct work work = { .threshold = thresholds, .thresholds = count };
     int r;
 
@@ -436,9 +436,9 @@ int gsn_level_set_volume(const struct gsn_spline *spline, const struct gsn_mask 
     bound = gsn_alloc_array(count, sizeof *bound);
     if (!bound)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu thresholds", count);
-    r = gsn_pieces_new(spline, work.threads, &pieces, err);
+    r = gsn_local_polynomials_new(spline, work.threads, &pieces, err);
     if (r == GSN_OK)
-        r = gsn_overlap_new(region, gsn_spline_space(spline), pieces->piece, &overlap, err);
+        r = gsn_voxel_overlap_new(region, gsn_spline_space(spline), pieces->piece, &overlap, err);
     if (r < 0)
         return r;
     work.pieces = pieces;

@@ -20,7 +20,7 @@
 #include "pipeline/measure/boundary_layer.h"
 #include "pipeline/measure/sum.h"
 #include "pipeline/model/bpatch.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/simplex_spline.h"
 
 #include <float.h>
@@ -30,7 +30,7 @@
 /* borrows skin. Volumes in um^3. */
 struct cell_part {
     struct gsn_tet_cell at;
-    const struct gsn_skin *skin;
+    const struct gsn_boundary_layer *skin;
     double coefficient[GSN_DMS_MAX_FUNCTIONS]; /* of the polynomial, over this part */
     double volume, lower, upper;
     uint8_t level, edge[2]; /* how often halved, and the edge to halve next */
@@ -53,7 +53,7 @@ struct linear {
     double corner[4], low, high, least, most;
 };
 
-static struct linear linear_of(const struct gsn_skin *skin, const double *coefficient,
+static struct linear linear_of(const struct gsn_boundary_layer *skin, const double *coefficient,
                                double threshold)
 {
     const struct gsn_dms *space = gsn_spline_space(skin->spline);
@@ -78,8 +78,8 @@ static struct linear linear_of(const struct gsn_skin *skin, const double *coeffi
 }
 
 /* Narrows the part's shares by one bound of what is to be added to p. */
-static void narrow(const struct linear *linear, const struct gsn_skin_bound *bound, double *lower,
-                   double *upper)
+static void narrow(const struct linear *linear, const struct gsn_boundary_layer_bound *bound,
+                   double *lower, double *upper)
 {
     double low[4], high[4];
 
@@ -143,12 +143,13 @@ static void choose_edge(int bent, struct cell_part *part)
 static void measure(struct cell_part *part, double threshold)
 {
     static const double nothing[GSN_DMS_MAX_FUNCTIONS] = { 0.0 };
-    const struct gsn_skin *skin = part->skin;
-    const int clear = gsn_skin_clear(skin, &part->at);
+    const struct gsn_boundary_layer *skin = part->skin;
+    const int clear = gsn_boundary_layer_clear(skin, &part->at);
     const struct linear linear =
         linear_of(skin, clear || skin->whole ? part->coefficient : nothing, threshold);
-    struct gsn_skin_bound by_values = { .low = -skin->slack, .high = skin->slack }, by_slopes;
-    const size_t reach = clear ? 0 : gsn_skin_by_values(skin, &part->at, &by_values);
+    struct gsn_boundary_layer_bound by_values = { .low = -skin->slack, .high = skin->slack },
+                                    by_slopes;
+    const size_t reach = clear ? 0 : gsn_boundary_layer_by_values(skin, &part->at, &by_values);
     double lower = 0.0, upper = 1.0, width;
 
     narrow(&linear, &by_values, &lower, &upper);
@@ -157,7 +158,7 @@ static void measure(struct cell_part *part, double threshold)
     if (linear.most + by_values.high <= 0.0)
         upper = 0.0;
     width = by_values.high - by_values.low;
-    if (reach > 0 && upper > lower && gsn_skin_by_slopes(skin, &part->at, &by_slopes)) {
+    if (reach > 0 && upper > lower && gsn_boundary_layer_by_slopes(skin, &part->at, &by_slopes)) {
         narrow(&linear, &by_slopes, &lower, &upper);
         width = fmin(width, by_slopes.high - by_slopes.low);
     }
@@ -167,8 +168,8 @@ static void measure(struct cell_part *part, double threshold)
     part->upper = fmax(lower, upper) * part->volume;
 }
 
-static void make_part(const struct gsn_skin *skin, const struct gsn_tet_cell *at, double threshold,
-                      struct cell_part *ret_part)
+static void make_part(const struct gsn_boundary_layer *skin, const struct gsn_tet_cell *at,
+                      double threshold, struct cell_part *ret_part)
 {
     const double *const corner[4] = { at->corner[0], at->corner[1], at->corner[2], at->corner[3] };
 
@@ -235,13 +236,13 @@ struct work {
     struct cell_part *part; /* count, room */
     size_t *heap;           /* open of them: parts that can be halved, widest first */
     size_t skins;
-    struct gsn_skin **skin;
+    struct gsn_boundary_layer **skin;
 };
 
 static void work_done(struct work *work)
 {
     for (size_t i = 0; i < work->skins; i++)
-        gsn_skin_free(work->skin[i]);
+        gsn_boundary_layer_free(work->skin[i]);
     gsn_free(work->skin);
     gsn_free(work->part);
     gsn_free(work->heap);
@@ -432,7 +433,7 @@ static int find_near(const struct work *work, uint32_t **ret_near, size_t *ret_c
 }
 
 /* Makes parts of what the cell and the skin's tetrahedron have in common. */
-static int add_parts(struct work *work, const struct gsn_skin *skin,
+static int add_parts(struct work *work, const struct gsn_boundary_layer *skin,
                      const struct gsn_tet_parts *common, struct gsn_error *err)
 {
     for (size_t i = 0; i < common->count; i++) {
@@ -458,7 +459,7 @@ static int add_tet(struct work *work, const uint32_t *near, size_t count, uint32
         memcpy(home.corner[k], mesh->vertex[mesh->tet[tet][k]], sizeof home.corner[k]);
     r = gsn_tet_cell_common(&work->cell, &home, crumb * work->volume, &common, err);
     if (r == GSN_OK && common.count > 0)
-        r = gsn_skin_new(work->spline, tet, near, count, &work->skin[work->skins], err);
+        r = gsn_boundary_layer_new(work->spline, tet, near, count, &work->skin[work->skins], err);
     if (r == GSN_OK && common.count > 0)
         r = add_parts(work, work->skin[work->skins++], &common, err);
     gsn_free(common.cell);
@@ -474,7 +475,7 @@ static int cut_by_mesh(struct work *work, struct gsn_error *err)
 
     if (r < 0)
         return r;
-    work->skin = gsn_alloc_array(count, sizeof(struct gsn_skin *));
+    work->skin = gsn_alloc_array(count, sizeof(struct gsn_boundary_layer *));
     if (!work->skin)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
     for (size_t i = 0; r == GSN_OK && i < count; i++)

@@ -35,7 +35,8 @@ static inline size_t monomial_place(unsigned n, unsigned i, unsigned j, unsigned
 }
 
 /* Barycentric coordinate k of a point. */
-static inline double barycentric_at(const struct gsn_piece *piece, int k, const double u[3])
+static inline double barycentric_at(const struct gsn_local_polynomial *piece, int k,
+                                    const double u[3])
 {
     double lambda = 0.25;
 
@@ -67,7 +68,7 @@ static void times_linear(unsigned n, double *product, double c0, const double c[
 }
 
 /* lambda[k] and the frame they live in. */
-static void place(struct gsn_piece *piece, const struct gsn_tets *mesh, size_t tet)
+static void place(struct gsn_local_polynomial *piece, const struct gsn_tets *mesh, size_t tet)
 {
     double corner[4][3], reach = 0.0, det = 0.0;
 
@@ -99,16 +100,18 @@ static void place(struct gsn_piece *piece, const struct gsn_tets *mesh, size_t t
 
 /* The polynomial sum_f b_f (n! / beta!) lambda^beta as monomials, and the sizes of what was added:
  * the same sum with every factor made positive. */
-static void expand(struct gsn_piece *piece, const struct gsn_dms *space, const double *bernstein)
+static void expand(struct gsn_local_polynomial *piece, const struct gsn_dms *space,
+                   const double *bernstein)
 {
-    static const double factorial[GSN_PIECE_SIDE] = { 1.0, 1.0, 2.0, 6.0 };
+    static const double factorial[GSN_LOCAL_POLYNOMIAL_SIDE] = { 1.0, 1.0, 2.0, 6.0 };
     const unsigned n = piece->degree;
 
     memset(piece->monomial, 0, sizeof piece->monomial);
     memset(piece->size, 0, sizeof piece->size);
     for (size_t f = 0; f < gsn_dms_functions(space); f++) {
         const uint8_t *beta = gsn_dms_beta(space, f);
-        double term[GSN_PIECE_TERMS] = { 0.0 }, major[GSN_PIECE_TERMS] = { 0.0 };
+        double term[GSN_LOCAL_POLYNOMIAL_TERMS] = { 0.0 },
+               major[GSN_LOCAL_POLYNOMIAL_TERMS] = { 0.0 };
         double weight = factorial[n];
 
         for (int k = 0; k < 4; k++)
@@ -143,8 +146,8 @@ static const double *knot_of(const struct gsn_dms *space, size_t tet, int corner
 }
 
 /* least[k] of the knots t_{j,0..upto[j]}. */
-static void least_lambda(const struct gsn_piece *piece, const struct gsn_dms *space, size_t tet,
-                         const unsigned upto[4], double ret_least[4])
+static void least_lambda(const struct gsn_local_polynomial *piece, const struct gsn_dms *space,
+                         size_t tet, const unsigned upto[4], double ret_least[4])
 {
     for (int k = 0; k < 4; k++) {
         ret_least[k] = INFINITY;
@@ -158,7 +161,8 @@ static void least_lambda(const struct gsn_piece *piece, const struct gsn_dms *sp
 
 /* Inward: a knot of a boundary face on the inner side of its plane. The cancelling of the terms
  * that lack a cloud stops at the boundary; those terms live on the hulls of such faces' knots. */
-static int points_inward(const struct gsn_piece *piece, const struct gsn_dms *space, size_t tet)
+static int points_inward(const struct gsn_local_polynomial *piece, const struct gsn_dms *space,
+                         size_t tet)
 {
     for (int k = 0; k < 4; k++) {
         if (gsn_dms_mesh(space)->neighbour[tet][k] >= 0)
@@ -173,7 +177,7 @@ static int points_inward(const struct gsn_piece *piece, const struct gsn_dms *sp
     return 0;
 }
 
-size_t gsn_piece_slopes(const struct gsn_dms *space)
+size_t gsn_local_polynomial_slopes(const struct gsn_dms *space)
 {
     /* binomial(n + 2, 3) of binomial(n + 3, 3) */
     const unsigned n = gsn_dms_degree(space);
@@ -270,7 +274,8 @@ static void share_of(const double (*knot)[3], int m, int r, double det_r, double
  *
  * the least of at most six linear functions. The recurrence, in which every u is in exactly two of
  * the five tetrahedra, gives the same. */
-static void make_caps(const double (*knot)[3], double det_x, struct gsn_piece_slope *slope)
+static void make_caps(const double (*knot)[3], double det_x,
+                      struct gsn_local_polynomial_slope *slope)
 {
     double z[5], largest = 0.0;
     int m = 0;
@@ -304,8 +309,9 @@ static void make_caps(const double (*knot)[3], double det_x, struct gsn_piece_sl
 }
 
 /* The knots of the function g of degree 1 in the piece's own coordinates. */
-static void cap_slope(const struct gsn_dms *space, size_t tet, const struct gsn_piece *piece,
-                      const unsigned g[4], struct gsn_piece_slope *slope)
+static void cap_slope(const struct gsn_dms *space, size_t tet,
+                      const struct gsn_local_polynomial *piece, const unsigned g[4],
+                      struct gsn_local_polynomial_slope *slope)
 {
     double knot[5][3];
     const double *x[4];
@@ -321,8 +327,9 @@ static void cap_slope(const struct gsn_dms *space, size_t tet, const struct gsn_
     make_caps((const double(*)[3])knot, fabs(det_of(x)), slope);
 }
 
-static void make_slope(const struct gsn_spline *spline, size_t tet, const struct gsn_piece *piece,
-                       const unsigned g[4], struct gsn_piece_slope *ret_slope)
+static void make_slope(const struct gsn_spline *spline, size_t tet,
+                       const struct gsn_local_polynomial *piece, const unsigned g[4],
+                       struct gsn_local_polynomial_slope *ret_slope)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const uint32_t *control = gsn_dms_control_ids(space, tet);
@@ -346,8 +353,9 @@ static void make_slope(const struct gsn_spline *spline, size_t tet, const struct
         cap_slope(space, tet, piece, g, ret_slope);
 }
 
-static void make_slopes(const struct gsn_spline *spline, size_t tet, const struct gsn_piece *piece,
-                        struct gsn_piece_slope *ret_slope)
+static void make_slopes(const struct gsn_spline *spline, size_t tet,
+                        const struct gsn_local_polynomial *piece,
+                        struct gsn_local_polynomial_slope *ret_slope)
 {
     const unsigned most = piece->degree - 1U;
     unsigned g[4];
@@ -362,8 +370,9 @@ static void make_slopes(const struct gsn_spline *spline, size_t tet, const struc
     }
 }
 
-void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piece_slope *ret_slope,
-                    struct gsn_piece *ret_piece)
+void gsn_local_polynomial_make(const struct gsn_spline *spline, size_t tet,
+                               struct gsn_local_polynomial_slope *ret_slope,
+                               struct gsn_local_polynomial *ret_piece)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const unsigned n = gsn_dms_degree(space), all[4] = { n, n, n, n };
@@ -393,7 +402,7 @@ void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piec
 
 /* --- bounding on boxes --- */
 
-double gsn_piece_depth(const struct gsn_piece *piece, const double u[3])
+double gsn_local_polynomial_depth(const struct gsn_local_polynomial *piece, const double u[3])
 {
     double depth = INFINITY;
 
@@ -403,7 +412,8 @@ double gsn_piece_depth(const struct gsn_piece *piece, const double u[3])
 }
 
 /* Whether lambda_k rises to least[k] or more somewhere in the box, for every k by itself. */
-static int rises_to(const struct gsn_piece *piece, const double least[4], const struct gsn_box *box)
+static int rises_to(const struct gsn_local_polynomial *piece, const double least[4],
+                    const struct gsn_aabb *box)
 {
     const double scale = 1.0 / piece->scale;
 
@@ -419,13 +429,15 @@ static int rises_to(const struct gsn_piece *piece, const double least[4], const 
     return 1;
 }
 
-int gsn_piece_reaches(const struct gsn_piece *piece, const struct gsn_box *box)
+int gsn_local_polynomial_reaches(const struct gsn_local_polynomial *piece,
+                                 const struct gsn_aabb *box)
 {
     return rises_to(piece, piece->least, box);
 }
 
-double gsn_piece_slope_weight(const struct gsn_piece *piece, const struct gsn_piece_slope *slope,
-                              const struct gsn_box *box)
+double gsn_local_polynomial_slope_weight(const struct gsn_local_polynomial *piece,
+                                         const struct gsn_local_polynomial_slope *slope,
+                                         const struct gsn_aabb *box)
 {
     const double scale = 1.0 / piece->scale;
     double weight = 1.0;
@@ -444,7 +456,8 @@ double gsn_piece_slope_weight(const struct gsn_piece *piece, const struct gsn_pi
     return fmax(0.0, weight);
 }
 
-enum gsn_piece_touch gsn_piece_meets(const struct gsn_piece *piece, const struct gsn_box *box)
+enum gsn_local_polynomial_touch gsn_local_polynomial_meets(const struct gsn_local_polynomial *piece,
+                                                           const struct gsn_aabb *box)
 {
     const double scale = 1.0 / piece->scale;
     int in_core = 1;
@@ -457,11 +470,11 @@ enum gsn_piece_touch gsn_piece_meets(const struct gsn_piece *piece, const struct
             reach += fabs(piece->lambda[k][a]) * (box->half[a] * scale);
         }
         if (middle + reach < -LAMBDA_SLACK)
-            return GSN_PIECE_APART;
+            return GSN_LOCAL_POLYNOMIAL_APART;
         if (middle - reach <= piece->delta[k] + LAMBDA_SLACK)
             in_core = 0;
     }
-    return in_core ? GSN_PIECE_COVERS : GSN_PIECE_TOUCHES;
+    return in_core ? GSN_LOCAL_POLYNOMIAL_COVERS : GSN_LOCAL_POLYNOMIAL_TOUCHES;
 }
 
 /* The coefficients of one line of the tensor about x0, for steps of w: Horner's rule, repeated. */
@@ -480,7 +493,8 @@ static void shift_line(double *first, size_t stride, unsigned degree, double x0,
 }
 
 /* The piece as a polynomial in the box's own t in [-1,1]^3. */
-static void shift(const struct gsn_piece *piece, const struct gsn_box *box, double *ret_term)
+static void shift(const struct gsn_local_polynomial *piece, const struct gsn_aabb *box,
+                  double *ret_term)
 {
     const unsigned n = piece->degree;
     const size_t stride[3] = { (n + 1U) * (n + 1U), n + 1U, 1 };
@@ -498,21 +512,23 @@ static void shift(const struct gsn_piece *piece, const struct gsn_box *box, doub
     }
 }
 
-void gsn_piece_tangent(const struct gsn_piece *piece, const struct gsn_box *box,
-                       struct gsn_piece_linear *ret_linear, struct gsn_piece_bend *ret_bend)
+void gsn_local_polynomial_tangent(const struct gsn_local_polynomial *piece,
+                                  const struct gsn_aabb *box,
+                                  struct gsn_local_polynomial_linear *ret_linear,
+                                  struct gsn_local_polynomial_bend *ret_bend)
 {
     const unsigned n = piece->degree;
-    double term[GSN_PIECE_TERMS];
+    double term[GSN_LOCAL_POLYNOMIAL_TERMS];
 
     shift(piece, box, term);
-    *ret_linear = (struct gsn_piece_linear){
+    *ret_linear = (struct gsn_local_polynomial_linear){
         .value = term[0],
         .slope = { term[monomial_place(n, 1, 0, 0)], term[monomial_place(n, 0, 1, 0)],
                    term[monomial_place(n, 0, 0, 1)] },
     };
-    *ret_bend = (struct gsn_piece_bend){ { 0.0 }, { 0.0 } };
+    *ret_bend = (struct gsn_local_polynomial_bend){ { 0.0 }, { 0.0 } };
     if (n >= 2)
-        *ret_bend = (struct gsn_piece_bend){
+        *ret_bend = (struct gsn_local_polynomial_bend){
             .square = { term[monomial_place(n, 2, 0, 0)], term[monomial_place(n, 0, 2, 0)],
                         term[monomial_place(n, 0, 0, 2)] },
             .cross = { term[monomial_place(n, 0, 1, 1)], term[monomial_place(n, 1, 0, 1)],
@@ -556,7 +572,7 @@ static void bernstein_line(double *c, size_t stride, unsigned n)
 }
 
 /* More than the rounding in any coefficient of the piece on this box. */
-static double rounding(const struct gsn_piece *piece, const struct gsn_box *box)
+static double rounding(const struct gsn_local_polynomial *piece, const struct gsn_aabb *box)
 {
     double reach = 0.0, sum = 0.0;
 
@@ -568,12 +584,14 @@ static double rounding(const struct gsn_piece *piece, const struct gsn_box *box)
     return VALUE_SLACK * sum;
 }
 
-void gsn_piece_bound(const struct gsn_piece *piece, const struct gsn_box *box,
-                     const struct gsn_piece_linear *linear, double *ret_low, double *ret_high)
+void gsn_local_polynomial_bound(const struct gsn_local_polynomial *piece,
+                                const struct gsn_aabb *box,
+                                const struct gsn_local_polynomial_linear *linear, double *ret_low,
+                                double *ret_high)
 {
     const unsigned n = piece->degree;
     const size_t side = n + 1U, stride[3] = { side * side, side, 1 };
-    double term[GSN_PIECE_TERMS], low = INFINITY, high = -INFINITY;
+    double term[GSN_LOCAL_POLYNOMIAL_TERMS], low = INFINITY, high = -INFINITY;
     double square_low = 0.0, square_high = 0.0, slack = rounding(piece, box);
 
     shift(piece, box, term);

@@ -8,7 +8,7 @@
 #ifndef GSN_MEASURE_LOCAL_POLYNOMIAL_H
 #define GSN_MEASURE_LOCAL_POLYNOMIAL_H
 
-#include "pipeline/measure/box.h"
+#include "pipeline/measure/aabb.h"
 #include "pipeline/model/spline.h"
 
 #ifdef __cplusplus
@@ -16,9 +16,10 @@ extern "C" {
 #endif
 
 enum {
-    GSN_PIECE_SIDE = GSN_DMS_MAX_DEGREE + 1,
-    GSN_PIECE_TERMS = GSN_PIECE_SIDE * GSN_PIECE_SIDE * GSN_PIECE_SIDE,
-    GSN_PIECE_CAPS = 6,
+    GSN_LOCAL_POLYNOMIAL_SIDE = GSN_DMS_MAX_DEGREE + 1,
+    GSN_LOCAL_POLYNOMIAL_TERMS =
+        GSN_LOCAL_POLYNOMIAL_SIDE * GSN_LOCAL_POLYNOMIAL_SIDE * GSN_LOCAL_POLYNOMIAL_SIDE,
+    GSN_LOCAL_POLYNOMIAL_CAPS = 6,
 };
 
 /* One coefficient of the gradient. With shared control points the gradient of s is itself a simplex
@@ -29,15 +30,15 @@ enum {
  * (terms without a whole cloud cancel between neighbours): on any box grad s is a convex
  * combination of the G_g whose functions reach it, with weights that also give u from the nodes
  * when n >= 2. */
-struct gsn_piece_slope {
+struct gsn_local_polynomial_slope {
     double gradient[3], node[3]; /* node: the mean of the n - 1 knots of g */
     double least[4];             /* of lambda_k over the knots of the function's support */
     /* For n = 2 the function itself is nowhere above any of cap[i][0..2] . x + cap[i][3]. */
     unsigned caps;
-    double cap[GSN_PIECE_CAPS][4];
+    double cap[GSN_LOCAL_POLYNOMIAL_CAPS][4];
 };
 
-struct gsn_piece {
+struct gsn_local_polynomial {
     unsigned degree;
     double origin[3], scale; /* x = (u - origin) / scale; the centroid and the longest reach */
     double lambda[4][3];     /* lambda_k = 1/4 + lambda[k] . x */
@@ -47,51 +48,59 @@ struct gsn_piece {
     double residual_low, residual_high;
     double whole_low, whole_high; /* of s on the tetrahedron */
     /* coefficient of x^i y^j z^k at [(i (n+1) + j) (n+1) + k], 0 where i + j + k > n */
-    double monomial[GSN_PIECE_TERMS];
+    double monomial[GSN_LOCAL_POLYNOMIAL_TERMS];
     /* no less than the sum of the sizes of all terms that made the monomials of total degree d */
-    double size[GSN_PIECE_SIDE];
-    const struct gsn_piece_slope *slope; /* gsn_piece_slopes() of them */
+    double size[GSN_LOCAL_POLYNOMIAL_SIDE];
+    const struct gsn_local_polynomial_slope *slope; /* gsn_local_polynomial_slopes() of them */
 };
 
 /* How many gradient coefficients a tetrahedron of this space has. */
-size_t gsn_piece_slopes(const struct gsn_dms *space);
+size_t gsn_local_polynomial_slopes(const struct gsn_dms *space);
 
-/* ret_slope: room for gsn_piece_slopes(); the piece keeps it. */
-void gsn_piece_make(const struct gsn_spline *spline, size_t tet, struct gsn_piece_slope *ret_slope,
-                    struct gsn_piece *ret_piece);
+/* ret_slope: room for gsn_local_polynomial_slopes(); the piece keeps it. */
+void gsn_local_polynomial_make(const struct gsn_spline *spline, size_t tet,
+                               struct gsn_local_polynomial_slope *ret_slope,
+                               struct gsn_local_polynomial *ret_piece);
 
 /* Whether any function of the tetrahedron may differ from 0 somewhere in the box. */
-int gsn_piece_reaches(const struct gsn_piece *piece, const struct gsn_box *box);
+int gsn_local_polynomial_reaches(const struct gsn_local_polynomial *piece,
+                                 const struct gsn_aabb *box);
 /* No less than the function of one gradient coefficient anywhere in the box; 0 when it does not
  * reach it, at most 1. */
-double gsn_piece_slope_weight(const struct gsn_piece *piece, const struct gsn_piece_slope *slope,
-                              const struct gsn_box *box);
+double gsn_local_polynomial_slope_weight(const struct gsn_local_polynomial *piece,
+                                         const struct gsn_local_polynomial_slope *slope,
+                                         const struct gsn_aabb *box);
 
 /* Smallest barycentric coordinate of a point: >= 0 inside. */
-double gsn_piece_depth(const struct gsn_piece *piece, const double u[3]);
+double gsn_local_polynomial_depth(const struct gsn_local_polynomial *piece, const double u[3]);
 
-enum gsn_piece_touch {
-    GSN_PIECE_APART,   /* the box meets the tetrahedron nowhere */
-    GSN_PIECE_TOUCHES, /* it may */
-    GSN_PIECE_COVERS,  /* it lies in the core: s is p_I on the box */
+enum gsn_local_polynomial_touch {
+    GSN_LOCAL_POLYNOMIAL_APART,   /* the box meets the tetrahedron nowhere */
+    GSN_LOCAL_POLYNOMIAL_TOUCHES, /* it may */
+    GSN_LOCAL_POLYNOMIAL_COVERS,  /* it lies in the core: s is p_I on the box */
 };
-enum gsn_piece_touch gsn_piece_meets(const struct gsn_piece *piece, const struct gsn_box *box);
+enum gsn_local_polynomial_touch gsn_local_polynomial_meets(const struct gsn_local_polynomial *piece,
+                                                           const struct gsn_aabb *box);
 
 /* l(t) = value + slope . t on the box, t in [-1,1]^3: value and gradient of p_I at its centre.
  * bend[a] is the sum of the sizes of p_I's further terms that change along axis a. */
-struct gsn_piece_linear {
+struct gsn_local_polynomial_linear {
     double value, slope[3], bend[3];
 };
 /* The terms of second degree at the same centre: sum square[a] t_a^2 + cross[a] t_b t_c. */
-struct gsn_piece_bend {
+struct gsn_local_polynomial_bend {
     double square[3], cross[3];
 };
-void gsn_piece_tangent(const struct gsn_piece *piece, const struct gsn_box *box,
-                       struct gsn_piece_linear *ret_linear, struct gsn_piece_bend *ret_bend);
+void gsn_local_polynomial_tangent(const struct gsn_local_polynomial *piece,
+                                  const struct gsn_aabb *box,
+                                  struct gsn_local_polynomial_linear *ret_linear,
+                                  struct gsn_local_polynomial_bend *ret_bend);
 
 /* low <= p_I - l <= high on the whole box, rounding included. */
-void gsn_piece_bound(const struct gsn_piece *piece, const struct gsn_box *box,
-                     const struct gsn_piece_linear *linear, double *ret_low, double *ret_high);
+void gsn_local_polynomial_bound(const struct gsn_local_polynomial *piece,
+                                const struct gsn_aabb *box,
+                                const struct gsn_local_polynomial_linear *linear, double *ret_low,
+                                double *ret_high);
 
 #ifdef __cplusplus
 }

@@ -21,19 +21,19 @@
  * voxel counts as cutting it. */
 static const double skin_of_voxel = 1e-9;
 
-struct gsn_box gsn_overlap_box(const struct gsn_lattice *at, size_t index)
+struct gsn_aabb gsn_voxel_aabb(const struct gsn_lattice *at, size_t index)
 {
     const size_t x = index % at->nx, y = index / at->nx % at->ny, z = index / at->nx / at->ny;
     const struct gsn_vec3 centre = gsn_lattice_centre(at, x, y, z);
 
-    return (struct gsn_box){
+    return (struct gsn_aabb){
         .centre = { centre.x, centre.y, centre.z },
         .half = { 0.5 * at->step_um.x, 0.5 * at->step_um.y, 0.5 * at->step_um.z },
     };
 }
 
-void gsn_overlap_range(const struct gsn_lattice *at, int axis, double low, double high,
-                       size_t *ret_first, size_t *ret_end)
+void gsn_voxel_range(const struct gsn_lattice *at, int axis, double low, double high,
+                     size_t *ret_first, size_t *ret_end)
 {
     const double origin[3] = { at->origin_um.x, at->origin_um.y, at->origin_um.z };
     const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
@@ -50,7 +50,7 @@ void gsn_overlap_range(const struct gsn_lattice *at, int axis, double low, doubl
 /* Calls visit for every voxel of the region whose cell may meet the box spanned by the points. */
 struct visit {
     const struct gsn_mask *region;
-    int (*body)(size_t index, const struct gsn_box *box, void *context);
+    int (*body)(size_t index, const struct gsn_aabb *box, void *context);
     void *context;
 };
 
@@ -66,7 +66,7 @@ static int walk(const struct visit *visit, const double (*corner)[3], int corner
             low = fmin(low, corner[k][a]);
             high = fmax(high, corner[k][a]);
         }
-        gsn_overlap_range(at, a, low, high, &first[a], &end[a]);
+        gsn_voxel_range(at, a, low, high, &first[a], &end[a]);
     }
     for (size_t z = first[2]; z < end[2]; z++) {
         for (size_t y = first[1]; y < end[1]; y++) {
@@ -74,7 +74,7 @@ static int walk(const struct visit *visit, const double (*corner)[3], int corner
                 const size_t index = gsn_lattice_index(at, x, y, z);
 
                 if (visit->region->inside[index]) {
-                    const struct gsn_box box = gsn_overlap_box(at, index);
+                    const struct gsn_aabb box = gsn_voxel_aabb(at, index);
 
                     if (visit->body(index, &box, visit->context))
                         return 1;
@@ -90,14 +90,14 @@ struct cut_by_boundary {
     size_t index;
 };
 
-static int is_cut(size_t index, const struct gsn_box *box, void *context)
+static int is_cut(size_t index, const struct gsn_aabb *box, void *context)
 {
     struct cut_by_boundary *cut = context;
-    struct gsn_box core = *box;
+    struct gsn_aabb core = *box;
 
     for (int a = 0; a < 3; a++)
         core.half[a] *= 1.0 - skin_of_voxel;
-    if (!gsn_box_meets_triangle(&core, (const double(*)[3])cut->face))
+    if (!gsn_aabb_meets_triangle(&core, (const double(*)[3])cut->face))
         return 0;
     cut->index = index;
     return 1;
@@ -133,7 +133,7 @@ static int check_boundary(const struct gsn_mask *region, const struct gsn_tets *
 }
 
 struct pairs {
-    const struct gsn_piece *piece;
+    const struct gsn_local_polynomial *piece;
     uint32_t tet;
     const size_t *rank;  /* of a lattice index in the region */
     size_t *first;       /* [rank + 1] counts, then [rank] is where the next goes */
@@ -141,25 +141,25 @@ struct pairs {
     unsigned char *held; /* whether some tetrahedron holds the voxel's centre */
 };
 
-static int note_pair(size_t index, const struct gsn_box *box, void *context)
+static int note_pair(size_t index, const struct gsn_aabb *box, void *context)
 {
     const struct pairs *pairs = context;
     const size_t rank = pairs->rank[index];
 
-    if (!gsn_piece_reaches(pairs->piece, box))
+    if (!gsn_local_polynomial_reaches(pairs->piece, box))
         return 0;
     if (pairs->list) {
         pairs->list[pairs->first[rank]++] = pairs->tet;
     } else {
         pairs->first[rank + 1]++;
-        if (gsn_piece_depth(pairs->piece, box->centre) > -skin_of_voxel)
+        if (gsn_local_polynomial_depth(pairs->piece, box->centre) > -skin_of_voxel)
             pairs->held[rank] = 1;
     }
     return 0;
 }
 
 static void note_all(const struct gsn_mask *region, const struct gsn_dms *space,
-                     const struct gsn_piece *pieces, struct pairs *pairs)
+                     const struct gsn_local_polynomial *pieces, struct pairs *pairs)
 {
     const struct visit visit = { region, note_pair, pairs };
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
@@ -181,7 +181,8 @@ static void note_all(const struct gsn_mask *region, const struct gsn_dms *space,
 }
 
 static int fill(const struct gsn_mask *region, const struct gsn_dms *space,
-                const struct gsn_piece *pieces, struct gsn_overlap *overlap, struct gsn_error *err)
+                const struct gsn_local_polynomial *pieces, struct gsn_voxel_overlap *overlap,
+                struct gsn_error *err)
 {
     const size_t total = gsn_lattice_count(&region->at), count = overlap->voxel_count;
     gsn_auto_mem(size_t) rank = gsn_alloc_array(total, sizeof *rank);
@@ -214,12 +215,12 @@ static int fill(const struct gsn_mask *region, const struct gsn_dms *space,
     return GSN_OK;
 }
 
-int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
-                    const struct gsn_piece *pieces, struct gsn_overlap **ret_overlap,
-                    struct gsn_error *err)
+int gsn_voxel_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
+                          const struct gsn_local_polynomial *pieces,
+                          struct gsn_voxel_overlap **ret_overlap, struct gsn_error *err)
 {
     const size_t count = gsn_mask_count(region);
-    gsn_auto(gsn_overlap) overlap = NULL;
+    gsn_auto(gsn_voxel_overlap) overlap = NULL;
     int r;
 
     if (count == 0)
@@ -243,7 +244,7 @@ int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
     return GSN_OK;
 }
 
-void gsn_overlap_free(struct gsn_overlap *overlap)
+void gsn_voxel_overlap_free(struct gsn_voxel_overlap *overlap)
 {
     if (!overlap)
         return;

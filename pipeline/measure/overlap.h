@@ -12,7 +12,7 @@
 extern "C" {
 #endif
 
-struct gsn_overlap {
+struct gsn_voxel_overlap {
     struct gsn_lattice at;
     size_t voxel_count; /* of the region, in lattice order */
     size_t *voxel;      /* lattice index of each */
@@ -24,18 +24,18 @@ struct gsn_overlap {
  * per tetrahedron of the space's mesh.
  * Fails with GSN_E_INPUT when the region is empty or one of its voxels sticks out of the mesh
  * (named), GSN_E_NOMEM. */
-int gsn_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
-                    const struct gsn_piece *pieces, struct gsn_overlap **ret_overlap,
-                    struct gsn_error *err);
-void gsn_overlap_free(struct gsn_overlap *overlap);
-GSN_DEFINE_AUTO(gsn_overlap);
+int gsn_voxel_overlap_new(const struct gsn_mask *region, const struct gsn_dms *space,
+                          const struct gsn_local_polynomial *pieces,
+                          struct gsn_voxel_overlap **ret_overlap, struct gsn_error *err);
+void gsn_voxel_overlap_free(struct gsn_voxel_overlap *overlap);
+GSN_DEFINE_AUTO(gsn_voxel_overlap);
 
 /* The box of one voxel of a lattice. */
-struct gsn_box gsn_overlap_box(const struct gsn_lattice *at, size_t index);
+struct gsn_aabb gsn_voxel_aabb(const struct gsn_lattice *at, size_t index);
 
 /* First and one past the last voxel, along one axis, whose closed cells meet low..high. */
-void gsn_overlap_range(const struct gsn_lattice *at, int axis, double low, double high,
-                       size_t *ret_first, size_t *ret_end);
+void gsn_voxel_range(const struct gsn_lattice *at, int axis, double low, double high,
+                     size_t *ret_first, size_t *ret_end);
 
 #ifdef __cplusplus
 }

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 
 double gsn_tet_cell_volume(const struct gsn_tet_cell *cell)
 {

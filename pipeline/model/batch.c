@@ -46,7 +46,7 @@ struct work {
     size_t pairs;
     uint32_t point; /* whose faces are being listed */
     struct gsn_prism prism;
-    struct gsn_seam seam;
+    struct gsn_face_correction seam;
     double value[CHUNK], slope[3][CHUNK];
 };
 
@@ -153,7 +153,8 @@ static void add_group(struct work *work, unsigned unclear, const uint32_t *point
         for (int c = 0; c < 3; c++)
             at[c][i] = work->u[point[i]][c];
     }
-    gsn_seam_add(&work->seam, unclear, u, count, value, work->job->gradient ? slopes : NULL);
+    gsn_face_correction_add(&work->seam, unclear, u, count, value,
+                            work->job->gradient ? slopes : NULL);
     for (size_t i = 0; i < count; i++) {
         work->value[point[i]] += value[i];
         for (int c = 0; work->job->gradient && c < 3; c++)
@@ -177,7 +178,7 @@ static void add_face(struct work *work, const struct key *pair, size_t count)
         if (unclear < 0)
             continue;
         if (!ready)
-            gsn_seam_init(&work->seam, space, &work->prism, work->job->spline->control);
+            gsn_face_correction_init(&work->seam, space, &work->prism, work->job->spline->control);
         ready = 1;
         point[unclear][waiting[unclear]++] = pair[i].point;
         if (waiting[unclear] == GROUP) {
@@ -219,7 +220,7 @@ static void eval_group(struct work *work, const struct gsn_dms_shape *shape,
                        const double *coefficient, const struct key *key, size_t count)
 {
     const struct gsn_dms *space = work->job->space;
-    const struct gsn_frame *frame = &shape->frame;
+    const struct gsn_barycentric *frame = &shape->frame;
     double lambda[3][GROUP], value[GROUP], slope[3][GROUP];
     const double *const at[3] = { lambda[0], lambda[1], lambda[2] };
     double *const slopes[3] = { slope[0], slope[1], slope[2] };
@@ -249,7 +250,7 @@ static void eval_group(struct work *work, const struct gsn_dms_shape *shape,
         if (gsn_dms_clear(shape, all) == GSN_DMS_ALL)
             continue;
         work->point = key[i].point;
-        gsn_seam_each(space, key[i].by, work->u[key[i].point], list_face, work);
+        gsn_face_correction_each(space, key[i].by, work->u[key[i].point], list_face, work);
     }
 }
 

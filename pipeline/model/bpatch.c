@@ -13,7 +13,7 @@
  * Cost: 35 affine combinations and 15 determinants at degree 3. */
 #include "pipeline/model/bpatch.h"
 
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/simplex_spline.h"
 
 #include <string.h>
@@ -22,18 +22,18 @@
 
 /* The frame of X_gamma. */
 static void frame_of(unsigned degree, const double (*knot)[3], const uint8_t gamma[4],
-                     struct gsn_frame *ret)
+                     struct gsn_barycentric *ret)
 {
     const double *x[4];
 
     for (unsigned k = 0; k < 4; k++)
         x[k] = knot[k * (degree + 1) + gamma[k]];
-    gsn_frame_init(ret, x[0], x[1], x[2], x[3]);
+    gsn_barycentric_init(ret, x[0], x[1], x[2], x[3]);
 }
 
 /* The last step of the polar form in the direction of axis c instead of u, times n. */
-static void add_gradient(const struct gsn_frame *frame, const uint8_t raised[4], double weight,
-                         double (*gradient)[3])
+static void add_gradient(const struct gsn_barycentric *frame, const uint8_t raised[4],
+                         double weight, double (*gradient)[3])
 {
     for (int c = 0; c < 3; c++) {
         double rest = 0;
@@ -56,7 +56,7 @@ void gsn_bpatch_basis(unsigned degree, const double (*knot)[3], const double u[3
         memset(ret_gradient, 0, functions * sizeof *ret_gradient);
     for (unsigned r = 0; r < degree; r++) {
         uint8_t gamma[4] = { (uint8_t)r, 0, 0, 0 };
-        struct gsn_frame frame;
+        struct gsn_barycentric frame;
         double lambda[4];
 
         memset(upper, 0, sizeof upper);
@@ -65,7 +65,7 @@ void gsn_bpatch_basis(unsigned degree, const double (*knot)[3], const double u[3
             const uint8_t *raised = gsn_simplex_raised[place];
 
             frame_of(degree, knot, gamma, &frame);
-            gsn_frame_at(&frame, u, lambda);
+            gsn_barycentric_at(&frame, u, lambda);
             for (unsigned j = 0; j < 4; j++)
                 upper[raised[j]] += lambda[j] * lower[place];
             if (ret_gradient && r + 1 == degree)
@@ -88,12 +88,12 @@ double gsn_bpatch_polar(unsigned degree, const double (*knot)[3], const double *
         /* In place: no gamma + e_j comes before gamma, and those after it are still the old
          * ones. */
         do {
-            struct gsn_frame frame;
+            struct gsn_barycentric frame;
             const size_t place = gsn_simplex_place(gamma);
             double lambda[4], sum = 0;
 
             frame_of(degree, knot, gamma, &frame);
-            gsn_frame_at(&frame, arg[r - 1], lambda);
+            gsn_barycentric_at(&frame, arg[r - 1], lambda);
             for (unsigned j = 0; j < 4; j++)
                 sum += lambda[j] * value[gsn_simplex_raised[place][j]];
             value[place] = sum;
@@ -108,7 +108,7 @@ typedef double steps[GSN_SIMPLEX_MAX_FUNCTIONS][GSN_SIMPLEX_MAX_FUNCTIONS];
 
 /* The next step for one gamma. The values are symmetric in the corners, so that any of those in
  * alpha may be the last one taken. */
-static void step(unsigned r, const struct gsn_frame *frame, const double *const corner[4],
+static void step(unsigned r, const struct gsn_barycentric *frame, const double *const corner[4],
                  size_t gamma, double (*from)[GSN_SIMPLEX_MAX_FUNCTIONS],
                  double (*to)[GSN_SIMPLEX_MAX_FUNCTIONS])
 {
@@ -117,7 +117,7 @@ static void step(unsigned r, const struct gsn_frame *frame, const double *const 
     double lambda[4][4];
 
     for (int k = 0; k < 4; k++)
-        gsn_frame_at(frame, corner[k], lambda[k]);
+        gsn_barycentric_at(frame, corner[k], lambda[k]);
     do {
         const size_t place = gsn_simplex_place(alpha);
         const double *before;
@@ -145,7 +145,7 @@ void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double
         uint8_t gamma[4] = { (uint8_t)(degree - r), 0, 0, 0 };
 
         do {
-            struct gsn_frame frame;
+            struct gsn_barycentric frame;
 
             frame_of(degree, knot, gamma, &frame);
             step(r, &frame, corner, gsn_simplex_place(gamma), r % 2 ? even : odd,
@@ -156,8 +156,9 @@ void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double
         ret_coefficient[f] = (degree % 2 ? odd : even)[f][0];
 }
 
-double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,
-                        const double lambda[4], double *ret_gradient)
+double gsn_bernstein_at(unsigned degree, const double *coefficient,
+                        const struct gsn_barycentric *frame, const double lambda[4],
+                        double *ret_gradient)
 {
     double value[GSN_SIMPLEX_MAX_FUNCTIONS], sum = 0;
 

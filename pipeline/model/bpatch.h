@@ -12,7 +12,7 @@
 #ifndef GSN_MODEL_BPATCH_H
 #define GSN_MODEL_BPATCH_H
 
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -34,8 +34,9 @@ void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double
 
 /* A polynomial in Bernstein form at lambda, and its gradient unless that is NULL; frame is the one
  * of its tetrahedron. */
-double gsn_bernstein_at(unsigned degree, const double *coefficient, const struct gsn_frame *frame,
-                        const double lambda[4], double *ret_gradient);
+double gsn_bernstein_at(unsigned degree, const double *coefficient,
+                        const struct gsn_barycentric *frame, const double lambda[4],
+                        double *ret_gradient);
 
 /* Polynomials of three variables as sums of monomials, what the kernels run fastest on. */
 

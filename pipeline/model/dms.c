@@ -62,7 +62,7 @@ void gsn_dms_measure(unsigned degree, const double (*knot)[3], struct gsn_dms_sh
     for (unsigned i = 0; i < 4 * (degree + 1); i++) {
         double lambda[4];
 
-        gsn_frame_at(&shape->frame, knot[i], lambda);
+        gsn_barycentric_at(&shape->frame, knot[i], lambda);
         for (unsigned k = 0; k < 4; k++) {
             shape->low[k] = fmin(shape->low[k], lambda[k]);
             if (k != i / (degree + 1))
@@ -91,7 +91,7 @@ int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, 
     r = check_folds(degree, knot, whole, margin, err);
     if (r < 0)
         return r;
-    gsn_frame_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);
+    gsn_barycentric_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);
     gsn_dms_measure(degree, knot, ret_shape);
     wide = ret_shape->high[0] + ret_shape->high[1] + ret_shape->high[2] + ret_shape->high[3];
     if (!(wide < widest))
@@ -107,8 +107,8 @@ void gsn_dms_shape_of(const struct gsn_dms *space, size_t tet, struct gsn_dms_sh
     const struct gsn_tets *mesh = space->mesh;
     const uint32_t *v = mesh->tet[tet];
 
-    gsn_frame_init(&ret_shape->frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                   mesh->vertex[v[3]]);
+    gsn_barycentric_init(&ret_shape->frame, mesh->vertex[v[0]], mesh->vertex[v[1]],
+                         mesh->vertex[v[2]], mesh->vertex[v[3]]);
     for (int k = 0; k < 4; k++) {
         ret_shape->low[k] = (double)space->reach[tet].low[k];
         ret_shape->high[k] = (double)space->reach[tet].high[k];
@@ -237,9 +237,9 @@ struct search {
     const struct gsn_dms *space;
     size_t home;
     double corner[4][3];
-    struct gsn_box box;
-    struct gsn_frame frame;
-    struct gsn_ascent *ascent;
+    struct gsn_bvh_box box;
+    struct gsn_barycentric frame;
+    struct gsn_sorted_batch *ascent;
 };
 
 /* Which corner of a tetrahedron vertex v is; 4 when it is none. The coordinates of shared vertices
@@ -270,7 +270,7 @@ static int is_beyond_home(const struct search *search, size_t other, const doubl
         for (unsigned i = c * per_cloud + (shared < 4); beyond && i < (c + 1) * per_cloud; i++) {
             double lambda[4];
 
-            gsn_frame_at(&search->frame, knot[i], lambda);
+            gsn_barycentric_at(&search->frame, knot[i], lambda);
             for (unsigned k = 0; k < 4; k++) {
                 if (!(lambda[k] < -GSN_DMS_SLACK))
                     beyond &= ~(1u << k);
@@ -293,7 +293,7 @@ static int is_beyond_other(const struct search *search, size_t other)
         const unsigned shared = corner_of(mesh, other, mesh->tet[search->home][i]);
         double lambda[4];
 
-        gsn_frame_at(&shape.frame, search->corner[i], lambda);
+        gsn_barycentric_at(&shape.frame, search->corner[i], lambda);
         for (unsigned k = 0; k < 4; k++) {
             const int touches = shared < 4 && shared != k && shape.low[k] == 0;
 
@@ -309,29 +309,29 @@ static int consider(void *context, uint32_t other)
     struct search *search = context;
     double own[GSN_SIMPLEX_MAX_KNOTS][3];
     const double(*knot)[3] = (const double(*)[3])own;
-    struct gsn_box box;
+    struct gsn_bvh_box box;
 
     if (other == search->home)
-        return gsn_ascent_add(search->ascent, other);
+        return gsn_sorted_batch_add(search->ascent, other);
     gsn_dms_gather(search->space, other, own);
-    box = gsn_box_around(knot, 4 * (search->space->degree + 1));
-    if (!gsn_box_meets(&box, &search->box) || is_beyond_home(search, other, knot) ||
+    box = gsn_bvh_box_around(knot, 4 * (search->space->degree + 1));
+    if (!gsn_bvh_box_meets(&box, &search->box) || is_beyond_home(search, other, knot) ||
         is_beyond_other(search, other))
         return 0;
-    return gsn_ascent_add(search->ascent, other);
+    return gsn_sorted_batch_add(search->ascent, other);
 }
 
-void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_ascent *ascent)
+void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_sorted_batch *ascent)
 {
     struct search search = { .space = space, .home = home, .ascent = ascent };
 
     for (int k = 0; k < 4; k++)
         memcpy(search.corner[k], space->mesh->vertex[space->mesh->tet[home][k]],
                sizeof search.corner[k]);
-    search.box = gsn_box_around((const double(*)[3])search.corner, 4);
-    gsn_frame_init(&search.frame, search.corner[0], search.corner[1], search.corner[2],
-                   search.corner[3]);
-    (void)gsn_boxtree_meeting(space->tree, &search.box, consider, &search);
+    search.box = gsn_bvh_box_around((const double(*)[3])search.corner, 4);
+    gsn_barycentric_init(&search.frame, search.corner[0], search.corner[1], search.corner[2],
+                         search.corner[3]);
+    (void)gsn_bvh_meeting(space->tree, &search.box, consider, &search);
 }
 
 /* Marks the corners of one boundary face that have a knot on its inner side. */
@@ -462,7 +462,7 @@ static struct gsn_dms_reach reach_of(const struct gsn_dms_shape *shape)
 static int measure_tets(struct gsn_dms *space, struct gsn_error *err)
 {
     const size_t count = space->mesh->tet_count;
-    gsn_auto_mem(struct gsn_box) box = gsn_alloc_array(count, sizeof *box);
+    gsn_auto_mem(struct gsn_bvh_box) box = gsn_alloc_array(count, sizeof *box);
 
     if (!box)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
@@ -479,9 +479,9 @@ static int measure_tets(struct gsn_dms *space, struct gsn_error *err)
             return gsn_fail_at(err, "tetrahedron %zu (vertices %u %u %u %u)", t, v[0], v[1], v[2],
                                v[3]);
         space->reach[t] = reach_of(&shape);
-        box[t] = gsn_box_around((const double(*)[3])knot, 4 * (space->degree + 1));
+        box[t] = gsn_bvh_box_around((const double(*)[3])knot, 4 * (space->degree + 1));
     }
-    return gsn_boxtree_new(box, count, &space->tree, err);
+    return gsn_bvh_new(box, count, &space->tree, err);
 }
 
 int gsn_dms_new(const struct gsn_tets *mesh, unsigned degree, const double (*knots)[3],
@@ -520,7 +520,7 @@ void gsn_dms_free(struct gsn_dms *space)
         return;
     gsn_tets_free(space->mesh);
     gsn_simplex_sets_free(space->sets);
-    gsn_boxtree_free(space->tree);
+    gsn_bvh_free(space->tree);
     gsn_free(space->knot);
     gsn_free(space->id);
     gsn_free(space->reach);
@@ -546,7 +546,7 @@ size_t gsn_dms_bytes(const struct gsn_dms *space)
                          sets->quads[sets->first[4]] * sizeof *sets->quad;
 
     return sizeof *space + sizeof *mesh + mesh->vertex_count * per_vertex +
-           mesh->tet_count * per_tet + gsn_boxtree_bytes(space->tree) + table;
+           mesh->tet_count * per_tet + gsn_bvh_bytes(space->tree) + table;
 }
 
 const struct gsn_tets *gsn_dms_mesh(const struct gsn_dms *space)

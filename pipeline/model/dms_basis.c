@@ -143,7 +143,7 @@ static int take_holder(void *context, uint32_t tet)
 int gsn_dms_locate(const struct gsn_dms *space, const double u[3], size_t hint, size_t *ret_tet)
 {
     const struct gsn_tets *mesh = space->mesh;
-    const struct gsn_box *bounds = gsn_boxtree_bounds(space->tree);
+    const struct gsn_bvh_box *bounds = gsn_bvh_bounds(space->tree);
     struct search search = { .mesh = mesh, .u = u };
 
     for (int c = 0; c < 3; c++) {
@@ -152,11 +152,11 @@ int gsn_dms_locate(const struct gsn_dms *space, const double u[3], size_t hint, 
     }
     if (hint < mesh->tet_count && walk(mesh, u, hint, STEPS_FROM_HINT, 0, ret_tet))
         return GSN_OK;
-    if (!gsn_boxtree_at(space->tree, u, take_first, &search))
+    if (!gsn_bvh_at(space->tree, u, take_first, &search))
         return GSN_DMS_OUTSIDE;
     if (walk(mesh, u, search.found, STEPS_FROM_LEAF, 1, ret_tet))
         return GSN_OK;
-    if (!gsn_boxtree_at(space->tree, u, take_holder, &search))
+    if (!gsn_bvh_at(space->tree, u, take_holder, &search))
         return GSN_DMS_OUTSIDE;
     *ret_tet = search.found;
     return GSN_OK;
@@ -183,7 +183,7 @@ int gsn_dms_tet_basis(const struct gsn_dms *space, size_t tet, const double u[3]
     unsigned clear;
 
     gsn_dms_shape_of(space, tet, &shape);
-    gsn_frame_at(&shape.frame, u, lambda);
+    gsn_barycentric_at(&shape.frame, u, lambda);
     if (is_beyond(&shape, lambda))
         return 0;
     gsn_dms_gather(space, tet, own);
@@ -204,7 +204,7 @@ struct place {
     size_t home;
     struct gsn_dms_shape shape; /* of home */
     unsigned clear;             /* of u in home */
-    struct gsn_ascent ascent;
+    struct gsn_sorted_batch ascent;
 };
 
 /* Whether some plane lambda_k = high[k] of home has u on one side and all knots of another
@@ -218,7 +218,7 @@ static int is_apart(const struct place *place, size_t tet)
     for (unsigned i = 0; apart && i < 4 * (place->space->degree + 1); i++) {
         double lambda[4];
 
-        gsn_frame_at(&place->shape.frame, knot[i], lambda);
+        gsn_barycentric_at(&place->shape.frame, knot[i], lambda);
         for (unsigned k = 0; k < 4; k++) {
             if (lambda[k] > place->shape.high[k])
                 apart &= ~(1u << k);
@@ -235,11 +235,11 @@ static int consider(void *context, uint32_t tet)
 
     if (tet != place->home) {
         gsn_dms_shape_of(place->space, tet, &shape);
-        gsn_frame_at(&shape.frame, place->u, lambda);
+        gsn_barycentric_at(&shape.frame, place->u, lambda);
         if (is_beyond(&shape, lambda) || is_apart(place, tet))
             return 0;
     }
-    return gsn_ascent_add(&place->ascent, tet);
+    return gsn_sorted_batch_add(&place->ascent, tet);
 }
 
 void gsn_dms_each(const struct gsn_dms *space, size_t home, const double u[3], int with_gradient,
@@ -252,22 +252,22 @@ void gsn_dms_each(const struct gsn_dms *space, size_t home, const double u[3], i
     struct place place = { .space = space, .u = u, .home = home };
 
     gsn_dms_shape_of(space, home, &place.shape);
-    gsn_frame_at(&place.shape.frame, u, lambda);
+    gsn_barycentric_at(&place.shape.frame, u, lambda);
     place.clear = gsn_dms_clear(&place.shape, lambda);
-    gsn_ascent_begin(&place.ascent);
+    gsn_sorted_batch_begin(&place.ascent);
     do {
         /* In the core of home nothing else lives. */
         if (place.clear == GSN_DMS_ALL)
-            (void)gsn_ascent_add(&place.ascent, (uint32_t)home);
+            (void)gsn_sorted_batch_add(&place.ascent, (uint32_t)home);
         else
-            (void)gsn_boxtree_at(space->tree, u, consider, &place);
+            (void)gsn_bvh_at(space->tree, u, consider, &place);
         for (size_t i = 0; i < place.ascent.count; i++) {
             const uint32_t tet = place.ascent.item[i];
 
             if (gsn_dms_tet_basis(space, tet, u, value, slopes))
                 visit(context, tet, value, (const double(*)[3])slopes);
         }
-    } while (gsn_ascent_next(&place.ascent));
+    } while (gsn_sorted_batch_next(&place.ascent));
 }
 
 /* The caller's array of terms while it fills. */

@@ -114,11 +114,11 @@ static void plan_radii(const struct gsn_tets *mesh, double fraction, struct plan
         plan[i] = (struct plan){ .radius = DBL_MAX, .spread = 1 };
     for (size_t t = 0; t < mesh->tet_count; t++) {
         const uint32_t *v = mesh->tet[t];
-        struct gsn_frame frame;
+        struct gsn_barycentric frame;
         double rest[3], steepest;
 
-        gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                       mesh->vertex[v[3]]);
+        gsn_barycentric_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                             mesh->vertex[v[3]]);
         for (int c = 0; c < 3; c++)
             rest[c] = frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
         steepest = length(rest);
@@ -159,7 +159,7 @@ static size_t list_outer_faces(const struct gsn_tets *mesh, struct outer_face *r
 
     for (size_t t = 0; t < mesh->tet_count; t++) {
         const uint32_t *v = mesh->tet[t];
-        struct gsn_frame frame;
+        struct gsn_barycentric frame;
 
         for (unsigned k = 0; k < 4; k++) {
             struct outer_face *face = &ret_faces[count];
@@ -167,8 +167,8 @@ static size_t list_outer_faces(const struct gsn_tets *mesh, struct outer_face *r
 
             if (mesh->neighbour[t][k] >= 0)
                 continue;
-            gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                           mesh->vertex[v[3]]);
+            gsn_barycentric_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                                 mesh->vertex[v[3]]);
             for (int c = 0; c < 3; c++)
                 face->normal[c] =
                     k ? -frame.row[k - 1][c] : frame.row[0][c] + frame.row[1][c] + frame.row[2][c];

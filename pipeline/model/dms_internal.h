@@ -4,10 +4,10 @@
 #ifndef GSN_MODEL_DMS_INTERNAL_H
 #define GSN_MODEL_DMS_INTERNAL_H
 
-#include "pipeline/model/ascent.h"
-#include "pipeline/model/boxtree.h"
+#include "pipeline/model/sorted_batch.h"
+#include "pipeline/model/bvh.h"
 #include "pipeline/model/dms.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/kernels.h"
 #include "pipeline/model/simplex_spline.h"
 
@@ -25,7 +25,7 @@ enum { GSN_DMS_ALL = 15 }; /* all four corners of a tetrahedron, a bit each */
  * least lambda_k of all knots, high[k] the greatest of the knots of the other three corners, the
  * delta_k of docs/MATH.md. Beyond low the functions vanish, beyond all of high is the core. */
 struct gsn_dms_shape {
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     double low[4], high[4];
 };
 
@@ -47,7 +47,7 @@ struct gsn_dms {
     double (*knot)[3];
     uint32_t *id;                /* functions per tetrahedron */
     struct gsn_dms_reach *reach; /* per tetrahedron */
-    struct gsn_boxtree *tree;    /* of the boxes around the knots of each tetrahedron */
+    struct gsn_bvh *tree;        /* of the boxes around the knots of each tetrahedron */
     /* Per tetrahedron: all functions sum to one everywhere in it, because no knot of its boundary
      * vertices lies on the inner side of the boundary. */
     uint8_t *whole;
@@ -76,7 +76,7 @@ int gsn_dms_find_whole(struct gsn_dms *space, struct gsn_error *err);
 
 /* Brings tetrahedra whose supports reach into home, itself included, into ascending order: those
  * that no face plane of either keeps apart. */
-void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_ascent *ascent);
+void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_sorted_batch *ascent);
 
 /* The values and (unless ret_gradient is NULL) gradients at u of all functions of one tetrahedron,
  * wherever u lies. Returns 0, leaving the outputs undefined, when all are 0. */

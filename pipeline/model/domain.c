@@ -19,7 +19,7 @@
 #include "pipeline/model/domain.h"
 
 #include "pipeline/core/process.h"
-#include "pipeline/model/boxtree.h"
+#include "pipeline/model/bvh.h"
 #include "pipeline/model/domain_internal.h"
 
 #include <assert.h>
@@ -273,10 +273,9 @@ static const double TOUCHES = 1e-7;
 static const double SLACK = 1e-9;
 
 /* gives: the bounding boxes of the tetrahedra, findable by a point. */
-static int boxes_of(const struct gsn_tets *mesh, struct gsn_boxtree **ret_tree,
-                    struct gsn_error *err)
+static int boxes_of(const struct gsn_tets *mesh, struct gsn_bvh **ret_tree, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_box) box = gsn_alloc_array(mesh->tet_count, sizeof *box);
+    gsn_auto_mem(struct gsn_bvh_box) box = gsn_alloc_array(mesh->tet_count, sizeof *box);
 
     if (!box)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while refining a mesh");
@@ -292,7 +291,7 @@ static int boxes_of(const struct gsn_tets *mesh, struct gsn_boxtree **ret_tree,
             box[t].low[k] = low - TOUCHES * (high - low);
             box[t].high[k] = high + TOUCHES * (high - low);
         }
-    return gsn_boxtree_new(box, mesh->tet_count, ret_tree, err);
+    return gsn_bvh_new(box, mesh->tet_count, ret_tree, err);
 }
 
 static double det(const double *o, const double *a, const double *b, const double *c)
@@ -338,19 +337,19 @@ static int look_into(void *context, uint32_t tet)
 }
 
 /* The tetrahedron in which u lies deepest; false when it lies in none. */
-static bool find(const struct gsn_boxtree *tree, const struct gsn_tets *mesh, const double u[3],
+static bool find(const struct gsn_bvh *tree, const struct gsn_tets *mesh, const double u[3],
                  size_t *ret_tet)
 {
     struct deepest best = { .mesh = mesh, .u = u, .depth = -TOUCHES };
 
-    (void)gsn_boxtree_at(tree, u, look_into, &best);
+    (void)gsn_bvh_at(tree, u, look_into, &best);
     if (best.found)
         *ret_tet = best.tet;
     return best.found;
 }
 
 /* The limit of the place where each tetrahedron of a refinement lies, and how many break theirs. */
-static int read_limits(const struct gsn_boxtree *tree, const struct gsn_tets *mesh,
+static int read_limits(const struct gsn_bvh *tree, const struct gsn_tets *mesh,
                        const double *max_um3, const struct gsn_tets *fine, double *ret_limit,
                        size_t *ret_broken, struct gsn_error *err)
 {
@@ -373,7 +372,7 @@ static int read_limits(const struct gsn_boxtree *tree, const struct gsn_tets *me
 }
 
 /* One pass: asks for a refinement of `from`, replaces `limit` by that of the answer. */
-static int refine_once(const struct gsn_tets *mesh, const struct gsn_boxtree *tree,
+static int refine_once(const struct gsn_tets *mesh, const struct gsn_bvh *tree,
                        const double *max_um3, const struct gsn_domain_options *options,
                        const struct gsn_tets *from, double **limit, struct gsn_tets **ret_fine,
                        size_t *ret_broken, struct gsn_error *err)
@@ -400,9 +399,9 @@ static int refine_once(const struct gsn_tets *mesh, const struct gsn_boxtree *tr
     return GSN_OK;
 }
 
-static int refine(const struct gsn_tets *mesh, const struct gsn_boxtree *tree,
-                  const double *max_um3, const struct gsn_domain_options *options,
-                  struct gsn_tets **ret_mesh, struct gsn_error *err)
+static int refine(const struct gsn_tets *mesh, const struct gsn_bvh *tree, const double *max_um3,
+                  const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
+                  struct gsn_error *err)
 {
     gsn_auto_mem(double) limit = gsn_memdup(max_um3, mesh->tet_count * sizeof *limit);
     gsn_auto(gsn_tets) fine = NULL;
@@ -431,7 +430,7 @@ int gsn_domain_refine(const struct gsn_tets *mesh, const double *max_um3,
                       const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
                       struct gsn_error *err)
 {
-    gsn_auto(gsn_boxtree) tree = NULL;
+    gsn_auto(gsn_bvh) tree = NULL;
     int r;
 
     assert(mesh && max_um3 && options && options->mesher && ret_mesh);

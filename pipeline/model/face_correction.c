@@ -10,9 +10,9 @@
  * Steps: (1) the prism that holds the knots of a face, in axes of its own, and half-spaces that say
  * quickly that a point is not in it; (2) the jump of the two B-patches as monomials in these axes;
  * (3) planes, determinants and weights of all knot sets, filled into one plain structure; (4)
- * kernels over groups of points (seam_kernels.py writes them), a sign that floating point cannot
- * decide being done again with exact ones; (5) at single points, the faces that matter; (6) over a
- * cell, the polynomial of each tetrahedron of knots over its part in the cell.
+ * kernels over groups of points (face_correction_kernels.py writes them), a sign that floating
+ * point cannot decide being done again with exact ones; (5) at single points, the faces that
+ * matter; (6) over a cell, the polynomial of each tetrahedron of knots over its part in the cell.
  *
  * Failure: none; a flat set of knots counts as 0.
  * Cost: making a face ready some microseconds, a point in it 20 to 200 ns. */
@@ -26,8 +26,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "seam_orders.inc"
-#include "seam_tables.inc"
+#include "face_correction_orders.inc"
+#include "face_correction_tables.inc"
 
 /* --- where the knots of a face lie --- */
 
@@ -389,16 +389,17 @@ static void add_side_jump(const struct beside *beside, unsigned degree, unsigned
             poly = add(poly, sign, affine[0].c, 4);
         }
     }
-    for (unsigned i = first_on_face[degree]; top == degree && i < gsn_seam_sets(top); i++)
+    for (unsigned i = first_on_face[degree]; top == degree && i < gsn_face_correction_sets(top);
+         i++)
         *poly++ += sign * beside->control[on_face[i]];
 }
 
-void gsn_seam_jumps(const struct gsn_dms *space, const struct gsn_prism *prism,
-                    const double *control, double *ret_poly)
+void gsn_face_correction_jumps(const struct gsn_dms *space, const struct gsn_prism *prism,
+                               const double *control, double *ret_poly)
 {
     struct beside beside;
 
-    memset(ret_poly, 0, GSN_SEAM_MAX_POLY * sizeof *ret_poly);
+    memset(ret_poly, 0, GSN_FACE_CORRECTION_MAX_POLY * sizeof *ret_poly);
     beside_init(&beside, space, prism, prism->tet, control);
     add_side_jump(&beside, space->degree, prism->top, prism->side, ret_poly);
     if (prism->other < 0)
@@ -420,10 +421,10 @@ void gsn_seam_jumps(const struct gsn_dms *space, const struct gsn_prism *prism,
  * three, ascending, over the leaf's determinant. */
 static const double swap[4] = { -1, 1, -1, 1 };
 
-static void prepare_planes(struct gsn_seam *seam, unsigned from, unsigned to)
+static void prepare_planes(struct gsn_face_correction *seam, unsigned from, unsigned to)
 {
-    const struct gsn_seam_tables *tables = seam->tables;
-    const double(*at)[2 * GSN_SEAM_MAX_KNOTS] = seam->prism->at;
+    const struct gsn_face_correction_tables *tables = seam->tables;
+    const double(*at)[2 * GSN_FACE_CORRECTION_MAX_KNOTS] = seam->prism->at;
 
     for (unsigned p = from; p < to; p++) {
         double *plane = seam->data.plane[p], row[2][3];
@@ -440,10 +441,10 @@ static void prepare_planes(struct gsn_seam *seam, unsigned from, unsigned to)
     }
 }
 
-static void prepare_leaves(struct gsn_seam *seam, unsigned from, unsigned to)
+static void prepare_leaves(struct gsn_face_correction *seam, unsigned from, unsigned to)
 {
-    const struct gsn_seam_tables *tables = seam->tables;
-    const double(*at)[2 * GSN_SEAM_MAX_KNOTS] = seam->prism->at;
+    const struct gsn_face_correction_tables *tables = seam->tables;
+    const double(*at)[2 * GSN_FACE_CORRECTION_MAX_KNOTS] = seam->prism->at;
 
     for (unsigned l = from; l < to; l++) {
         const double *normal = seam->data.plane[tables->leaf_plane[l][3]];
@@ -458,9 +459,10 @@ static void prepare_leaves(struct gsn_seam *seam, unsigned from, unsigned to)
 }
 
 /* W of a set of more than four knots: the leaf of largest |det| among those ready. */
-static void choose_bases(struct gsn_seam *seam, unsigned from, unsigned to, unsigned leaves)
+static void choose_bases(struct gsn_face_correction *seam, unsigned from, unsigned to,
+                         unsigned leaves)
 {
-    const struct gsn_seam_tables *tables = seam->tables;
+    const struct gsn_face_correction_tables *tables = seam->tables;
 
     for (unsigned node = from; node < to; node++) {
         double largest = -1;
@@ -476,9 +478,9 @@ static void choose_bases(struct gsn_seam *seam, unsigned from, unsigned to, unsi
     }
 }
 
-static void prepare_weights(struct gsn_seam *seam, unsigned from, unsigned to)
+static void prepare_weights(struct gsn_face_correction *seam, unsigned from, unsigned to)
 {
-    const struct gsn_seam_tables *tables = seam->tables;
+    const struct gsn_face_correction_tables *tables = seam->tables;
 
     for (unsigned w = from; w < to; w++) {
         const unsigned leaf = seam->base[tables->weight[w].node], knot = tables->weight[w].knot;
@@ -496,9 +498,9 @@ static void prepare_weights(struct gsn_seam *seam, unsigned from, unsigned to)
 
 /* What points clear of all clouds need, or (all = 1) the rest too. A set keeps the W it was given
  * first. */
-static void prepare(struct gsn_seam *seam, int all)
+static void prepare(struct gsn_face_correction *seam, int all)
 {
-    const struct gsn_seam_tables *t = seam->tables;
+    const struct gsn_face_correction_tables *t = seam->tables;
 
     prepare_planes(seam, all ? t->planes[0] : 0, t->planes[all]);
     prepare_leaves(seam, all ? t->leaves[0] : 0, t->leaves[all]);
@@ -507,12 +509,12 @@ static void prepare(struct gsn_seam *seam, int all)
     seam->all = all;
 }
 
-void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
-                   const struct gsn_prism *prism, const double *control)
+void gsn_face_correction_init(struct gsn_face_correction *seam, const struct gsn_dms *space,
+                              const struct gsn_prism *prism, const double *control)
 {
     seam->prism = prism;
     seam->kernels = space->kernels;
-    seam->tables = &gsn_seam_tables[prism->top - 1];
+    seam->tables = &gsn_face_correction_tables[prism->top - 1];
     seam->degree = space->degree;
     memcpy(seam->data.origin, prism->origin, sizeof prism->origin);
     memcpy(seam->data.turn, prism->turn, sizeof prism->turn);
@@ -522,21 +524,22 @@ void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
                                     i % (prism->top + 1)];
     prepare(seam, 0);
     if (control)
-        gsn_seam_jumps(space, prism, control, seam->data.poly);
+        gsn_face_correction_jumps(space, prism, control, seam->data.poly);
 }
 
-void gsn_seam_complete(struct gsn_seam *seam)
+void gsn_face_correction_complete(struct gsn_face_correction *seam)
 {
     if (!seam->all)
         prepare(seam, 1);
 }
 
 /* One point that a kernel could not be sure of: the sides of near planes are decided exactly. */
-static void run_carefully(const struct gsn_seam *seam, enum gsn_seam_kind kind, unsigned degree,
-                          const double u[3], double *ret)
+static void run_carefully(const struct gsn_face_correction *seam,
+                          enum gsn_face_correction_kind kind, unsigned degree, const double u[3],
+                          double *ret)
 {
-    const struct gsn_seam_tables *tables = seam->tables;
-    double fixed[GSN_SEAM_MAX_PLANES], d[3], at[3];
+    const struct gsn_face_correction_tables *tables = seam->tables;
+    double fixed[GSN_FACE_CORRECTION_MAX_PLANES], d[3], at[3];
 
     gsn_subtract(u, seam->data.origin, d);
     for (int c = 0; c < 3; c++)
@@ -555,12 +558,13 @@ static void run_carefully(const struct gsn_seam *seam, enum gsn_seam_kind kind, 
 }
 
 /* Runs one group of points; ret has a row of the kernels' lanes per number. */
-static void run_group(struct gsn_seam *seam, enum gsn_seam_kind kind, unsigned unclear,
-                      const double *const u[3], size_t count, size_t numbers, double *ret)
+static void run_group(struct gsn_face_correction *seam, enum gsn_face_correction_kind kind,
+                      unsigned unclear, const double *const u[3], size_t count, size_t numbers,
+                      double *ret)
 {
     const size_t lanes = seam->kernels->lanes;
-    const unsigned degree = kind == GSN_SEAM_WEIGHTS ? 0 : seam->degree;
-    double some[3][GSN_MOST_LANES], careful[GSN_SEAM_MAX_SETS];
+    const unsigned degree = kind == GSN_FACE_CORRECTION_WEIGHTS ? 0 : seam->degree;
+    double some[3][GSN_MAX_SIMD_WIDTH], careful[GSN_FACE_CORRECTION_MAX_SETS];
     const double *at[3] = { u[0], u[1], u[2] };
     unsigned unsure;
 
@@ -574,7 +578,7 @@ static void run_group(struct gsn_seam *seam, enum gsn_seam_kind kind, unsigned u
     for (size_t i = 0; unsure != 0 && i < count; i++) {
         if (!(unsure >> i & 1))
             continue;
-        gsn_seam_complete(seam);
+        gsn_face_correction_complete(seam);
         run_carefully(seam, kind, degree, (const double[3]){ at[0][i], at[1][i], at[2][i] },
                       careful);
         for (size_t j = 0; j < numbers; j++)
@@ -582,15 +586,17 @@ static void run_group(struct gsn_seam *seam, enum gsn_seam_kind kind, unsigned u
     }
 }
 
-void gsn_seam_add(struct gsn_seam *seam, unsigned unclear, const double *const u[3], size_t count,
-                  double *value, double *const slope[3])
+void gsn_face_correction_add(struct gsn_face_correction *seam, unsigned unclear,
+                             const double *const u[3], size_t count, double *value,
+                             double *const slope[3])
 {
-    const enum gsn_seam_kind kind = slope ? GSN_SEAM_SLOPE : GSN_SEAM_VALUE;
+    const enum gsn_face_correction_kind kind =
+        slope ? GSN_FACE_CORRECTION_SLOPE : GSN_FACE_CORRECTION_VALUE;
     const size_t lanes = seam->kernels->lanes;
-    double ret[4 * GSN_MOST_LANES];
+    double ret[4 * GSN_MAX_SIMD_WIDTH];
 
     if (unclear != 0)
-        gsn_seam_complete(seam);
+        gsn_face_correction_complete(seam);
     for (size_t i = 0; i < count; i += lanes) {
         const double *at[3] = { &u[0][i], &u[1][i], &u[2][i] };
         const size_t now = count - i < lanes ? count - i : lanes;
@@ -605,21 +611,21 @@ void gsn_seam_add(struct gsn_seam *seam, unsigned unclear, const double *const u
     }
 }
 
-size_t gsn_seam_sets(unsigned top)
+size_t gsn_face_correction_sets(unsigned top)
 {
     return top == 1 ? 3 : top == 2 ? 9 : 19;
 }
 
-void gsn_seam_weights(struct gsn_seam *seam, unsigned unclear, const double u[3],
-                      double ret_weight[GSN_SEAM_MAX_SETS])
+void gsn_face_correction_weights(struct gsn_face_correction *seam, unsigned unclear,
+                                 const double u[3], double ret_weight[GSN_FACE_CORRECTION_MAX_SETS])
 {
     const double *at[3] = { &u[0], &u[1], &u[2] };
-    double ret[GSN_SEAM_MAX_SETS * GSN_MOST_LANES];
-    const size_t sets = gsn_seam_sets(seam->prism->top);
+    double ret[GSN_FACE_CORRECTION_MAX_SETS * GSN_MAX_SIMD_WIDTH];
+    const size_t sets = gsn_face_correction_sets(seam->prism->top);
 
     if (unclear != 0)
-        gsn_seam_complete(seam);
-    run_group(seam, GSN_SEAM_WEIGHTS, unclear, at, 1, sets, ret);
+        gsn_face_correction_complete(seam);
+    run_group(seam, GSN_FACE_CORRECTION_WEIGHTS, unclear, at, 1, sets, ret);
     for (size_t i = 0; i < sets; i++)
         ret_weight[i] = ret[i * seam->kernels->lanes];
 }
@@ -633,7 +639,7 @@ static unsigned unclear_at(const struct gsn_dms *space, size_t tet, const double
     double lambda[4];
 
     gsn_dms_shape_of(space, tet, &shape);
-    gsn_frame_at(&shape.frame, u, lambda);
+    gsn_barycentric_at(&shape.frame, u, lambda);
     return GSN_DMS_ALL & ~gsn_dms_clear(&shape, lambda);
 }
 
@@ -688,12 +694,13 @@ static void each_face(const struct gsn_dms *space, size_t tet, const double u[3]
     }
 }
 
-void gsn_seam_each(const struct gsn_dms *space, size_t home, const double u[3],
-                   void (*visit)(void *context, size_t tet, unsigned corner), void *context)
+void gsn_face_correction_each(const struct gsn_dms *space, size_t home, const double u[3],
+                              void (*visit)(void *context, size_t tet, unsigned corner),
+                              void *context)
 {
     const struct gsn_tets *mesh = space->mesh;
     const unsigned unclear = unclear_at(space, home, u);
-    struct gsn_ascent ascent;
+    struct gsn_sorted_batch ascent;
 
     if (unclear == 0)
         return;
@@ -709,12 +716,12 @@ void gsn_seam_each(const struct gsn_dms *space, size_t home, const double u[3],
             return;
         }
     }
-    gsn_ascent_begin(&ascent);
+    gsn_sorted_batch_begin(&ascent);
     do {
-        (void)gsn_boxtree_at(space->tree, u, gsn_ascent_add, &ascent);
+        (void)gsn_bvh_at(space->tree, u, gsn_sorted_batch_add, &ascent);
         for (size_t i = 0; i < ascent.count; i++)
             each_face(space, ascent.item[i], u, visit, context);
-    } while (gsn_ascent_next(&ascent));
+    } while (gsn_sorted_batch_next(&ascent));
 }
 
 struct sum {
@@ -729,7 +736,7 @@ static void add_face(void *context, size_t tet, unsigned corner)
     const double *const at[3] = { &sum->u[0], &sum->u[1], &sum->u[2] };
     double *slope[3] = { NULL };
     struct gsn_prism prism;
-    struct gsn_seam seam;
+    struct gsn_face_correction seam;
     int unclear;
 
     if (!gsn_prism_init(sum->spline->space, tet, corner, &prism))
@@ -739,16 +746,17 @@ static void add_face(void *context, size_t tet, unsigned corner)
         return;
     for (int c = 0; sum->gradient && c < 3; c++)
         slope[c] = &sum->gradient[c];
-    gsn_seam_init(&seam, sum->spline->space, &prism, sum->spline->control);
-    gsn_seam_add(&seam, (unsigned)unclear, at, 1, sum->value, sum->gradient ? slope : NULL);
+    gsn_face_correction_init(&seam, sum->spline->space, &prism, sum->spline->control);
+    gsn_face_correction_add(&seam, (unsigned)unclear, at, 1, sum->value,
+                            sum->gradient ? slope : NULL);
 }
 
-void gsn_spline_add_seams(const struct gsn_spline *spline, size_t home, const double u[3],
-                          double *value, double *gradient)
+void gsn_spline_add_face_corrections(const struct gsn_spline *spline, size_t home,
+                                     const double u[3], double *value, double *gradient)
 {
     struct sum sum = { spline, u, value, gradient };
 
-    gsn_seam_each(spline->space, home, u, add_face, &sum);
+    gsn_face_correction_each(spline->space, home, u, add_face, &sum);
 }
 
 /* A row while it grows, ascending. */
@@ -805,16 +813,16 @@ static void descend(struct row *row, size_t tet, struct adjoint *adjoint)
 
         do {
             const size_t place = gsn_simplex_place(gamma);
-            struct gsn_frame frame;
+            struct gsn_barycentric frame;
             double lambda[4];
 
             if (adjoint->of[r][place] == 0)
                 continue;
-            gsn_frame_init(&frame, space->knot[v[0] * per_cloud + gamma[0]],
-                           space->knot[v[1] * per_cloud + gamma[1]],
-                           space->knot[v[2] * per_cloud + gamma[2]],
-                           space->knot[v[3] * per_cloud + gamma[3]]);
-            gsn_frame_at(&frame, row->u, lambda);
+            gsn_barycentric_init(&frame, space->knot[v[0] * per_cloud + gamma[0]],
+                                 space->knot[v[1] * per_cloud + gamma[1]],
+                                 space->knot[v[2] * per_cloud + gamma[2]],
+                                 space->knot[v[3] * per_cloud + gamma[3]]);
+            gsn_barycentric_at(&frame, row->u, lambda);
             for (unsigned j = 0; j < 4; j++)
                 adjoint->of[r + 1][gsn_simplex_raised[place][j]] +=
                     lambda[j] * adjoint->of[r][place];
@@ -857,9 +865,9 @@ static void add_side_row(struct row *row, const struct gsn_prism *prism, size_t 
 static void add_weights(void *context, size_t tet, unsigned corner)
 {
     struct row *row = context;
-    double weight[GSN_SEAM_MAX_SETS];
+    double weight[GSN_FACE_CORRECTION_MAX_SETS];
     struct gsn_prism prism;
-    struct gsn_seam seam;
+    struct gsn_face_correction seam;
     int unclear;
 
     if (!gsn_prism_init(row->space, tet, corner, &prism))
@@ -867,15 +875,16 @@ static void add_weights(void *context, size_t tet, unsigned corner)
     unclear = gsn_prism_at(&prism, row->u);
     if (unclear < 0)
         return;
-    gsn_seam_init(&seam, row->space, &prism, NULL);
-    gsn_seam_weights(&seam, (unsigned)unclear, row->u, weight);
+    gsn_face_correction_init(&seam, row->space, &prism, NULL);
+    gsn_face_correction_weights(&seam, (unsigned)unclear, row->u, weight);
     add_side_row(row, &prism, tet, prism.side, weight);
     if (prism.other >= 0)
         add_side_row(row, &prism, (size_t)prism.other, -prism.side, weight);
 }
 
-int gsn_seam_row(const struct gsn_dms *space, size_t home, const double u[3], size_t room,
-                 uint32_t *ret_control, double *ret_value, size_t *ret_count)
+int gsn_face_correction_row(const struct gsn_dms *space, size_t home, const double u[3],
+                            size_t room, uint32_t *ret_control, double *ret_value,
+                            size_t *ret_count)
 {
     struct row row = {
         .space = space, .u = u, .room = room, .control = ret_control, .value = ret_value
@@ -883,7 +892,7 @@ int gsn_seam_row(const struct gsn_dms *space, size_t home, const double u[3], si
     struct adjoint adjoint = { { { 1 } } };
 
     descend(&row, home, &adjoint);
-    gsn_seam_each(space, home, u, add_weights, &row);
+    gsn_face_correction_each(space, home, u, add_weights, &row);
     *ret_count = row.count;
     return row.full ? GSN_E_LIMIT : GSN_OK;
 }
@@ -894,10 +903,10 @@ int gsn_seam_row(const struct gsn_dms *space, size_t home, const double u[3], si
 
 /* What is integrated: the polynomial of one leaf over its part in the cell. */
 struct part {
-    const struct gsn_seam *seam;
+    const struct gsn_face_correction *seam;
     unsigned leaf;
-    struct gsn_frame cell; /* all in the axes of the face */
-    uint8_t poly[GSN_SEAM_MAX_SETS], rest[GSN_SEAM_MAX_SETS];
+    struct gsn_barycentric cell; /* all in the axes of the face */
+    uint8_t poly[GSN_FACE_CORRECTION_MAX_SETS], rest[GSN_FACE_CORRECTION_MAX_SETS];
 };
 
 static double affine_at(const double function[4], const double u[3])
@@ -922,12 +931,12 @@ static double jump_at(const double *c, unsigned degree, const double u[3])
  * D_g plane_g, to the leaves. */
 static double factor(const struct part *part, unsigned set, const double u[3])
 {
-    const struct gsn_seam *seam = part->seam;
-    const struct gsn_seam_tables *tables = seam->tables;
+    const struct gsn_face_correction *seam = part->seam;
+    const struct gsn_face_correction_tables *tables = seam->tables;
     const unsigned gamma = tables->gamma[set];
     double sum = 0;
 
-    if (gamma < gsn_seam_sets(seam->prism->top))
+    if (gamma < gsn_face_correction_sets(seam->prism->top))
         sum = jump_at(&seam->data.poly[part->poly[gamma]], part->rest[gamma], u) *
               affine_at(seam->data.plane[tables->corners[gamma]], u);
     for (unsigned i = set ? tables->parent_end[set - 1] : 0; i < tables->parent_end[set]; i++) {
@@ -989,7 +998,7 @@ static double clip(const struct part *part, unsigned face, const double (*corner
     if (face == 4)
         return integrate(part, corner);
     for (int i = 0; i < 4; i++) {
-        gsn_frame_at(&part->cell, corner[i], lambda[i]);
+        gsn_barycentric_at(&part->cell, corner[i], lambda[i]);
         in = lambda[i][face] > GSN_DMS_SLACK ? i : in;
         out = lambda[i][face] < -GSN_DMS_SLACK ? i : out;
     }
@@ -1013,14 +1022,15 @@ static unsigned beyond(const struct part *part, const double knot[3])
     double lambda[4];
     unsigned faces = 0;
 
-    gsn_frame_at(&part->cell, knot, lambda);
+    gsn_barycentric_at(&part->cell, knot, lambda);
     for (int k = 0; k < 4; k++)
         faces |= (unsigned)(lambda[k] < 0) << k;
     return faces;
 }
 
 /* The corners of the cell in the axes of the face. */
-static void part_init(struct part *part, const struct gsn_seam *seam, const double (*corner)[3])
+static void part_init(struct part *part, const struct gsn_face_correction *seam,
+                      const double (*corner)[3])
 {
     double cell[4][3];
 
@@ -1033,16 +1043,16 @@ static void part_init(struct part *part, const struct gsn_seam *seam, const doub
         for (int c = 0; c < 3; c++)
             cell[k][c] = gsn_dot(seam->prism->turn[c], d);
     }
-    gsn_frame_init(&part->cell, cell[0], cell[1], cell[2], cell[3]);
+    gsn_barycentric_init(&part->cell, cell[0], cell[1], cell[2], cell[3]);
 }
 
-double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3])
+double gsn_face_correction_integral(struct gsn_face_correction *seam, const double (*corner)[3])
 {
-    double knot[GSN_SEAM_MAX_KNOTS][3], sum = 0;
-    unsigned off[GSN_SEAM_MAX_KNOTS];
+    double knot[GSN_FACE_CORRECTION_MAX_KNOTS][3], sum = 0;
+    unsigned off[GSN_FACE_CORRECTION_MAX_KNOTS];
     struct part part;
 
-    gsn_seam_complete(seam);
+    gsn_face_correction_complete(seam);
     part_init(&part, seam, corner);
     for (unsigned i = 0; i < seam->tables->knots; i++) {
         for (int c = 0; c < 3; c++)

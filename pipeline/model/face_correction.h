@@ -41,7 +41,8 @@ struct gsn_prism {
     double side;        /* 1 or -1: of I's last vertex in the direction (j - i) x (k - i) */
     double size;        /* no knot is farther from the origin */
     double origin[3], turn[3][3]; /* the axes of the face: along i j, in its plane, normal */
-    double at[3][2 * GSN_SEAM_MAX_KNOTS]; /* knots in these axes, then offsets from vertices */
+    double at[3][2 * GSN_FACE_CORRECTION_MAX_KNOTS]; /* knots in these axes, then offsets from
+                                                        vertices */
     /* Affine functions of d = u - origin: plane . (d, 1). u is in the prism when all of inside are
      * >= 0. Cloud m is clear, sets without it vanish at u, where clear[m] > 0. */
     double inside[5][4], clear[3][4];
@@ -56,42 +57,44 @@ int gsn_prism_init(const struct gsn_dms *space, size_t tet, unsigned corner,
 int gsn_prism_at(const struct gsn_prism *prism, const double u[3]);
 
 /* A prism with all that its kernels need. Large: keep one per thread. borrows prism and space. */
-struct gsn_seam {
-    struct gsn_seam_data data;
-    const struct gsn_seam_tables *tables;
+struct gsn_face_correction {
+    struct gsn_face_correction_data data;
+    const struct gsn_face_correction_tables *tables;
     const struct gsn_kernels *kernels;
     const struct gsn_prism *prism;
-    const double *knot[GSN_SEAM_MAX_KNOTS];
+    const double *knot[GSN_FACE_CORRECTION_MAX_KNOTS];
     unsigned degree;
     int all; /* prepared for points that are not clear of all clouds */
-    double det[GSN_SEAM_MAX_LEAVES];
-    uint8_t base[GSN_SEAM_MAX_NODES]; /* the leaf that is W */
+    double det[GSN_FACE_CORRECTION_MAX_LEAVES];
+    uint8_t base[GSN_FACE_CORRECTION_MAX_NODES]; /* the leaf that is W */
 };
 
 /* control holds the control values of the space, or is NULL when only weights are wanted. */
-void gsn_seam_init(struct gsn_seam *seam, const struct gsn_dms *space,
-                   const struct gsn_prism *prism, const double *control);
+void gsn_face_correction_init(struct gsn_face_correction *seam, const struct gsn_dms *space,
+                              const struct gsn_prism *prism, const double *control);
 
 /* Adds what the face has at count points to value and, unless slope is NULL, its gradient to
  * slope. The points are u[0][i], u[1][i], u[2][i]; all lie in the prism, and no cloud outside
  * unclear is unclear at any of them. */
-void gsn_seam_add(struct gsn_seam *seam, unsigned unclear, const double *const u[3], size_t count,
-                  double *value, double *const slope[3]);
+void gsn_face_correction_add(struct gsn_face_correction *seam, unsigned unclear,
+                             const double *const u[3], size_t count, double *value,
+                             double *const slope[3]);
 
 /* The number of T_g, in the order (1,0,0), (0,1,0), (0,0,1), (2,0,0), (1,1,0), (1,0,1), ... */
-size_t gsn_seam_sets(unsigned top);
+size_t gsn_face_correction_sets(unsigned top);
 
 /* Prepares for points that are not clear of all clouds; the calls below do so themselves. */
-void gsn_seam_complete(struct gsn_seam *seam);
+void gsn_face_correction_complete(struct gsn_face_correction *seam);
 
 /* plane_g M(T_g) at one point, all of them; positive on the side of (j - i) x (k - i). */
-void gsn_seam_weights(struct gsn_seam *seam, unsigned unclear, const double u[3],
-                      double ret_weight[GSN_SEAM_MAX_SETS]);
+void gsn_face_correction_weights(struct gsn_face_correction *seam, unsigned unclear,
+                                 const double u[3],
+                                 double ret_weight[GSN_FACE_CORRECTION_MAX_SETS]);
 
 /* The integral of what the face adds, over a tetrahedral cell of positive volume whose corners are
  * given in the axes of the mesh. On each tetrahedron of four knots the face adds a polynomial, so
  * the sum over them of the integral over its part in the cell is exact. */
-double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3]);
+double gsn_face_correction_integral(struct gsn_face_correction *seam, const double (*corner)[3]);
 
 /* Seams at single points: which faces have something to add at u, and what it all sums to. */
 
@@ -101,13 +104,14 @@ double gsn_seam_integral(struct gsn_seam *seam, const double (*corner)[3]);
  * In the core of home there are none. Where only the corner opposite a face is not clear of its
  * cloud, on both sides of the face, there is but that face: the other faces of the two lie beyond
  * their knots, so the functions of the two sum to one, and as none is negative no others live. */
-void gsn_seam_each(const struct gsn_dms *space, size_t home, const double u[3],
-                   void (*visit)(void *context, size_t tet, unsigned corner), void *context);
+void gsn_face_correction_each(const struct gsn_dms *space, size_t home, const double u[3],
+                              void (*visit)(void *context, size_t tet, unsigned corner),
+                              void *context);
 
 /* Adds what the faces have at u to the value of the polynomial of home and, unless it is NULL, to
  * its gradient. */
-void gsn_spline_add_seams(const struct gsn_spline *spline, size_t home, const double u[3],
-                          double *value, double *gradient);
+void gsn_spline_add_face_corrections(const struct gsn_spline *spline, size_t home,
+                                     const double u[3], double *value, double *gradient);
 
 /* All control points that s(u) depends on, ascending, and what a unit of each adds to it: with
  * adj_g the derivative of s(u) with respect to c_g (above) of one tetrahedron, adj_0 = 1 at home,
@@ -116,15 +120,17 @@ void gsn_spline_add_seams(const struct gsn_spline *spline, size_t home, const do
  *     adj_{g+e_j} += lambda_j(u | X_g) adj_g,      |g| = 0..n-1,      N_beta = adj_beta.
  *
  * Returns GSN_OK, or GSN_E_LIMIT when there are more than room. */
-int gsn_seam_row(const struct gsn_dms *space, size_t home, const double u[3], size_t room,
-                 uint32_t *ret_control, double *ret_value, size_t *ret_count);
+int gsn_face_correction_row(const struct gsn_dms *space, size_t home, const double u[3],
+                            size_t room, uint32_t *ret_control, double *ret_value,
+                            size_t *ret_count);
 
 /* The jumps of a face: D_g(u) = side (c_g^I(u) - c_g^J(u)) as polynomials (above). */
 
-/* All of them for 1 <= |g| <= top, g in the order of gsn_seam_weights(), each by its monomials
- * 1, x, y, z, xx, xy, xz, yy, yz, zz in the axes of the face, as far as its degree n - |g| goes. */
-void gsn_seam_jumps(const struct gsn_dms *space, const struct gsn_prism *prism,
-                    const double *control, double *ret_poly);
+/* All of them for 1 <= |g| <= top, g in the order of gsn_face_correction_weights(), each by its
+ * monomials 1, x, y, z, xx, xy, xz, yy, yz, zz in the axes of the face, as far as its degree n -
+ * |g| goes. */
+void gsn_face_correction_jumps(const struct gsn_dms *space, const struct gsn_prism *prism,
+                               const double *control, double *ret_poly);
 
 #ifdef __cplusplus
 }

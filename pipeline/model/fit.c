@@ -19,7 +19,7 @@
 
 #include "pipeline/model/batch.h"
 #include "pipeline/model/fit_system.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 
 #include <assert.h>
 #include <math.h>
@@ -69,10 +69,10 @@ static void gradients(const struct gsn_tets *mesh, size_t tet, double dot[4][4])
 {
     const uint32_t *v = mesh->tet[tet];
     double gradient[4][3];
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
 
-    gsn_frame_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                   mesh->vertex[v[3]]);
+    gsn_barycentric_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                         mesh->vertex[v[3]]);
     for (size_t c = 0; c < 3; c++) {
         gradient[0][c] = -(frame.row[0][c] + frame.row[1][c] + frame.row[2][c]);
         for (size_t k = 1; k < 4; k++)

@@ -4,7 +4,7 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/model/bpatch.h"
 #include "pipeline/model/face_correction.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -123,7 +123,7 @@ struct evaluation {
 /* What is the same for all samples of a tetrahedron. */
 struct cell {
     size_t tet;
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     double delta[4];
     double knot[4 * (GSN_DMS_MAX_DEGREE + 1)][3];
 };
@@ -135,8 +135,8 @@ static void cell_init(struct cell *cell, const struct gsn_dms *space, size_t tet
     const uint32_t *v = mesh->tet[tet];
 
     cell->tet = tet;
-    gsn_frame_init(&cell->frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                   mesh->vertex[v[3]]);
+    gsn_barycentric_init(&cell->frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                         mesh->vertex[v[3]]);
     gsn_dms_core(space, tet, cell->delta);
     for (size_t k = 0; k < 4; k++)
         memcpy(cell->knot[k * each], gsn_dms_knots(space)[v[k] * each],
@@ -147,7 +147,7 @@ static bool in_core(const struct cell *cell, const double u[3])
 {
     double lambda[4];
 
-    gsn_frame_at(&cell->frame, u, lambda);
+    gsn_barycentric_at(&cell->frame, u, lambda);
     for (size_t k = 0; k < 4; k++)
         if (!(lambda[k] > cell->delta[k] + MARGIN))
             return false;
@@ -220,8 +220,8 @@ static int add_seam(struct part *part, const struct gsn_fit_rows *rows, size_t t
     do {
         if (!room_for_row(part, room))
             return out_of_memory(err);
-        r = gsn_seam_row(rows->space, tet, rows->samples->at[sample], room,
-                         &part->control[part->terms], &part->value[part->terms], &count);
+        r = gsn_face_correction_row(rows->space, tet, rows->samples->at[sample], room,
+                                    &part->control[part->terms], &part->value[part->terms], &count);
         room *= 2;
     } while (r == GSN_E_LIMIT);
     for (size_t i = part->terms; i < part->terms + count; i++)

@@ -223,13 +223,13 @@ static void step(unsigned degree, unsigned level, const double (*knot)[3], const
     do {
         const size_t place = gsn_simplex_place(gamma);
         const double *x[4];
-        struct gsn_frame frame;
+        struct gsn_barycentric frame;
         double lambda[4], sum = 0;
 
         for (unsigned k = 0; k < 4; k++)
             x[k] = knot[k * (degree + 1) + gamma[k]];
-        gsn_frame_init(&frame, x[0], x[1], x[2], x[3]);
-        gsn_frame_at(&frame, u, lambda);
+        gsn_barycentric_init(&frame, x[0], x[1], x[2], x[3]);
+        gsn_barycentric_at(&frame, u, lambda);
         for (unsigned j = 0; j < 4; j++)
             sum += lambda[j] * value[gsn_simplex_raised[place][j]];
         value[place] = sum;

@@ -105,7 +105,7 @@ static void start_bodies(const struct voxel_block *block, const double about[3],
  * smaller changes nothing over a row. */
 static void add_half_space(const struct resample_job *job, const struct voxel_block *block,
                            const double about[3], const double normal[3], double constant,
-                           double flattest, struct gsn_body *body)
+                           double flattest, struct gsn_convex_body *body)
 {
     const double slope = normal[0] * job->step[0];
     const double by = -1 / (fabs(slope) > flattest ? slope : copysign(flattest, slope));
@@ -292,9 +292,10 @@ static void paint_init(const struct resample_job *job, size_t tet, const struct 
                        const struct voxel_block *block, struct gsn_paint *paint)
 {
     const double x = job->centre[0][block->low[0]] - solid->corner[0][0];
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
 
-    gsn_frame_init(&frame, solid->corner[0], solid->corner[1], solid->corner[2], solid->corner[3]);
+    gsn_barycentric_init(&frame, solid->corner[0], solid->corner[1], solid->corner[2],
+                         solid->corner[3]);
     gsn_poly_of_bernstein(job->space->degree,
                           &job->spline->bernstein[tet * gsn_dms_functions(job->space)],
                           paint->coefficient);
@@ -368,7 +369,7 @@ struct bucket {
 /* What a thread needs for faces. */
 struct facing {
     struct gsn_prism prism;
-    struct gsn_seam seam;
+    struct gsn_face_correction seam;
     int ready; /* seam is */
     struct bucket bucket[8];
 };
@@ -382,10 +383,10 @@ static void flush(const struct resample_job *job, struct facing *facing, unsigne
     if (bucket->count == 0)
         return;
     if (!facing->ready)
-        gsn_seam_init(&facing->seam, job->space, &facing->prism, job->spline->control);
+        gsn_face_correction_init(&facing->seam, job->space, &facing->prism, job->spline->control);
     facing->ready = 1;
     memset(value, 0, bucket->count * sizeof *value);
-    gsn_seam_add(&facing->seam, unclear, at, bucket->count, value, NULL);
+    gsn_face_correction_add(&facing->seam, unclear, at, bucket->count, value, NULL);
     for (size_t i = 0; i < bucket->count; i++)
         job->value[bucket->voxel[i]] += value[i];
     bucket->count = 0;

@@ -16,7 +16,7 @@
  * thousand times that, so tests alone ask for them. */
 #include "pipeline/model/simplex_mean.h"
 
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/orient.h"
 #include "pipeline/model/simplex_spline.h"
 

@@ -17,7 +17,7 @@
  * sets a tetrahedron and point, far fewer where planes are clear. */
 #include "pipeline/model/simplex_spline.h"
 
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/orient.h"
 
 #include <assert.h>

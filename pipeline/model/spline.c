@@ -121,11 +121,11 @@ int gsn_spline_eval(const struct gsn_spline *spline, const double u[3], size_t *
         return GSN_DMS_OUTSIDE;
     *hint = tet;
     gsn_dms_shape_of(space, tet, &shape);
-    gsn_frame_at(&shape.frame, u, lambda);
+    gsn_barycentric_at(&shape.frame, u, lambda);
     value = gsn_bernstein_at(space->degree, &spline->bernstein[tet * gsn_dms_functions(space)],
                              &shape.frame, lambda, ret_gradient ? gradient : NULL);
     if (gsn_dms_clear(&shape, lambda) != GSN_DMS_ALL)
-        gsn_spline_add_seams(spline, tet, u, &value, ret_gradient ? gradient : NULL);
+        gsn_spline_add_face_corrections(spline, tet, u, &value, ret_gradient ? gradient : NULL);
     *ret_value = value;
     if (ret_gradient)
         memcpy(ret_gradient, gradient, sizeof gradient);
@@ -228,18 +228,18 @@ void gsn_spline_residual(const struct gsn_spline *spline, size_t tet, double *re
 {
     const struct gsn_dms *space = spline->space;
     struct home home = { .spline = spline, .tet = tet };
-    struct gsn_ascent ascent;
+    struct gsn_sorted_batch ascent;
 
     gsn_dms_gather(space, tet, home.knot);
     gsn_spline_gather(spline, tet, home.control);
-    gsn_ascent_begin(&ascent);
+    gsn_sorted_batch_begin(&ascent);
     do {
         gsn_dms_reaching(space, tet, &ascent);
         for (size_t i = 0; i < ascent.count; i++) {
             if (ascent.item[i] != tet)
                 add_foreign(&home, ascent.item[i]);
         }
-    } while (gsn_ascent_next(&ascent));
+    } while (gsn_sorted_batch_next(&ascent));
     if (!space->whole[tet])
         bound_apart(&home);
     *ret_low = home.low;

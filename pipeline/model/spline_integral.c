@@ -56,12 +56,12 @@ static double faces_of(const struct gsn_spline *spline, size_t tet, const double
 
     for (unsigned k = 0; k < 4; k++) {
         struct gsn_prism prism;
-        struct gsn_seam seam;
+        struct gsn_face_correction seam;
 
         if (!gsn_prism_init(spline->space, tet, k, &prism) || misses(&prism, corner))
             continue;
-        gsn_seam_init(&seam, spline->space, &prism, spline->control);
-        sum += gsn_seam_integral(&seam, corner);
+        gsn_face_correction_init(&seam, spline->space, &prism, spline->control);
+        sum += gsn_face_correction_integral(&seam, corner);
     }
     return sum;
 }
@@ -72,8 +72,8 @@ int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret
     const struct gsn_tets *mesh = spline->space->mesh;
     const size_t functions = gsn_dms_functions(spline->space);
     double corner[4][3], mean = 0, seams = 0;
-    struct gsn_ascent ascent;
-    struct gsn_box box;
+    struct gsn_sorted_batch ascent;
+    struct gsn_bvh_box box;
 
     if (tet >= mesh->tet_count)
         return gsn_fail(err, GSN_E_INPUT, "tetrahedron %zu of %zu", tet, mesh->tet_count);
@@ -81,13 +81,13 @@ int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret
         mean += spline->bernstein[tet * functions + f];
     for (int k = 0; k < 4; k++)
         memcpy(corner[k], mesh->vertex[mesh->tet[tet][k]], sizeof corner[k]);
-    box = gsn_box_around((const double(*)[3])corner, 4);
-    gsn_ascent_begin(&ascent);
+    box = gsn_bvh_box_around((const double(*)[3])corner, 4);
+    gsn_sorted_batch_begin(&ascent);
     do {
-        (void)gsn_boxtree_meeting(spline->space->tree, &box, gsn_ascent_add, &ascent);
+        (void)gsn_bvh_meeting(spline->space->tree, &box, gsn_sorted_batch_add, &ascent);
         for (size_t i = 0; i < ascent.count; i++)
             seams += faces_of(spline, ascent.item[i], (const double(*)[3])corner);
-    } while (gsn_ascent_next(&ascent));
+    } while (gsn_sorted_batch_next(&ascent));
     *ret_mean = mean / (double)functions + seams / gsn_tets_volume(mesh, tet);
     return GSN_OK;
 }
@@ -100,7 +100,7 @@ int gsn_spline_tet_mean(const struct gsn_spline *spline, size_t tet, double *ret
 struct visit {
     const struct gsn_spline *spline;
     const double (*corner)[3];
-    struct gsn_box box;
+    struct gsn_bvh_box box;
     double mean;
 };
 
@@ -115,7 +115,7 @@ static unsigned clear_of(const struct gsn_dms *space, size_t tet, const double (
     for (int i = 0; i < 4; i++) {
         double lambda[4];
 
-        gsn_frame_at(&shape.frame, corner[i], lambda);
+        gsn_barycentric_at(&shape.frame, corner[i], lambda);
         ret_clear[i] = gsn_dms_clear(&shape, lambda);
         common &= ret_clear[i];
     }
@@ -159,13 +159,13 @@ static void add_tet(struct visit *visit, uint32_t tet)
     const double(*knot)[3] = (const double(*)[3])own;
     uint16_t pick[GSN_SIMPLEX_MAX_LARGE];
     struct gsn_simplex_cell cell;
-    struct gsn_box box;
+    struct gsn_bvh_box box;
     double flat = 6 * GSN_ORIENT_BOUND;
     unsigned clear[4];
 
     gsn_dms_gather(space, tet, own);
-    box = gsn_box_around(knot, knots);
-    if (!gsn_box_meets(&box, &visit->box))
+    box = gsn_bvh_box_around(knot, knots);
+    if (!gsn_bvh_box_meets(&box, &visit->box))
         return;
     if (clear_of(space, tet, visit->corner, clear) == GSN_DMS_ALL) {
         visit->mean += core_mean(visit->spline, tet, knot, visit->corner);
@@ -190,8 +190,8 @@ static void add_tet(struct visit *visit, uint32_t tet)
 int gsn_spline_cell_mean(const struct gsn_spline *spline, const double cell[4][3], double *ret_mean,
                          struct gsn_error *err)
 {
-    struct visit visit = { .spline = spline, .corner = cell, .box = gsn_box_around(cell, 4) };
-    struct gsn_ascent ascent;
+    struct visit visit = { .spline = spline, .corner = cell, .box = gsn_bvh_box_around(cell, 4) };
+    struct gsn_sorted_batch ascent;
 
     for (int i = 0; i < 4; i++) {
         for (int c = 0; c < 3; c++) {
@@ -202,12 +202,12 @@ int gsn_spline_cell_mean(const struct gsn_spline *spline, const double cell[4][3
     if (gsn_orient3d(cell[0], cell[1], cell[2], cell[3]) == 0 ||
         gsn_det(cell[0], cell[1], cell[2], cell[3]) == 0)
         return gsn_fail(err, GSN_E_INPUT, "the cell is flat");
-    gsn_ascent_begin(&ascent);
+    gsn_sorted_batch_begin(&ascent);
     do {
-        (void)gsn_boxtree_meeting(spline->space->tree, &visit.box, gsn_ascent_add, &ascent);
+        (void)gsn_bvh_meeting(spline->space->tree, &visit.box, gsn_sorted_batch_add, &ascent);
         for (size_t i = 0; i < ascent.count; i++)
             add_tet(&visit, ascent.item[i]);
-    } while (gsn_ascent_next(&ascent));
+    } while (gsn_sorted_batch_next(&ascent));
     *ret_mean = visit.mean;
     return GSN_OK;
 }
@@ -239,7 +239,7 @@ static void normalise(double v[3])
 static int sight_init(struct sight *sight, const struct gsn_dms *space, const double p[3],
                       const double d[3])
 {
-    const struct gsn_box *bounds = gsn_boxtree_bounds(space->tree);
+    const struct gsn_bvh_box *bounds = gsn_bvh_bounds(space->tree);
     double beside[3] = { 0, 0, 0 }, to[3], shift;
     double *along = sight->along;
     int least = 0;
@@ -315,19 +315,19 @@ double gsn_spline_tet_line(const struct gsn_spline *spline, size_t tet, const do
 
 double gsn_spline_line(const struct gsn_spline *spline, const double p[3], const double d[3])
 {
-    struct gsn_ascent ascent;
+    struct gsn_sorted_batch ascent;
     struct sight sight;
     double sum = 0;
 
     if (!sight_init(&sight, spline->space, p, d))
         return NAN;
-    gsn_ascent_begin(&ascent);
+    gsn_sorted_batch_begin(&ascent);
     do {
-        (void)gsn_boxtree_along(spline->space->tree, sight.start, sight.along, gsn_ascent_add,
-                                &ascent);
+        (void)gsn_bvh_along(spline->space->tree, sight.start, sight.along, gsn_sorted_batch_add,
+                            &ascent);
         for (size_t i = 0; i < ascent.count; i++)
             sum += tet_line(spline, &sight, ascent.item[i]);
-    } while (gsn_ascent_next(&ascent));
+    } while (gsn_sorted_batch_next(&ascent));
     return sum;
 }
 

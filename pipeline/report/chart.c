@@ -38,90 +38,92 @@ static int decimals_of(double step)
     return decimals > 0 ? decimals : 0;
 }
 
-static void open_svg(struct gsn_text *text, double width, double height, const char *title)
+static void open_svg(struct gsn_report_text *text, double width, double height, const char *title)
 {
-    gsn_text_print(text, "<svg viewBox=\"0 0 %.0f %.0f\" role=\"img\" class=\"chart\"><title>",
-                   width, height);
-    gsn_text_escape(text, title);
-    gsn_text_raw(text, "</title>\n");
+    gsn_report_text_print(
+        text, "<svg viewBox=\"0 0 %.0f %.0f\" role=\"img\" class=\"chart\"><title>", width, height);
+    gsn_report_text_escape(text, title);
+    gsn_report_text_raw(text, "</title>\n");
 }
 
-static void label(struct gsn_text *text, double x, double y, const char *anchor, double value,
-                  int decimals)
+static void label(struct gsn_report_text *text, double x, double y, const char *anchor,
+                  double value, int decimals)
 {
-    gsn_text_print(text, "<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\">", x, y, anchor);
-    gsn_text_number(text, value, decimals);
-    gsn_text_raw(text, "</text>\n");
+    gsn_report_text_print(text, "<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\">", x, y, anchor);
+    gsn_report_text_number(text, value, decimals);
+    gsn_report_text_raw(text, "</text>\n");
 }
 
-static void axis_x(struct gsn_text *text, const struct frame *frame, double step, const char *name)
+static void axis_x(struct gsn_report_text *text, const struct frame *frame, double step,
+                   const char *name)
 {
     const long first = lround(ceil(frame->x0 / step)), last = lround(floor(frame->x1 / step));
 
     for (long i = first; i <= last; i++)
         label(text, place_x(frame, (double)i * step), frame->bottom + 15, "middle",
               (double)i * step, decimals_of(step));
-    gsn_text_print(text,
-                   "<path class=\"axis\" d=\"M%.1f %.1fH%.1f\"/>\n"
-                   "<text class=\"name\" x=\"%.1f\" y=\"%.1f\" text-anchor=\"end\">%s</text>\n",
-                   frame->left, frame->bottom, frame->right, frame->right, frame->bottom + 31,
-                   name);
+    gsn_report_text_print(
+        text,
+        "<path class=\"axis\" d=\"M%.1f %.1fH%.1f\"/>\n"
+        "<text class=\"name\" x=\"%.1f\" y=\"%.1f\" text-anchor=\"end\">%s</text>\n",
+        frame->left, frame->bottom, frame->right, frame->right, frame->bottom + 31, name);
 }
 
-static void axis_y(struct gsn_text *text, const struct frame *frame, double step, const char *name)
+static void axis_y(struct gsn_report_text *text, const struct frame *frame, double step,
+                   const char *name)
 {
     const long last = lround(floor(frame->y1 / step + 1e-9));
 
     for (long i = 0; i <= last; i++) {
         const double y = place_y(frame, (double)i * step);
 
-        gsn_text_print(text, "<path class=\"grid\" d=\"M%.1f %.1fH%.1f\"/>\n", frame->left, y,
-                       frame->right);
+        gsn_report_text_print(text, "<path class=\"grid\" d=\"M%.1f %.1fH%.1f\"/>\n", frame->left,
+                              y, frame->right);
         label(text, frame->left - 6, y + 4, "end", (double)i * step, decimals_of(step));
     }
-    gsn_text_print(text, "<text class=\"name\" x=\"%.1f\" y=\"%.1f\">%s</text>\n", 2.0,
-                   frame->top - 10, name);
+    gsn_report_text_print(text, "<text class=\"name\" x=\"%.1f\" y=\"%.1f\">%s</text>\n", 2.0,
+                          frame->top - 10, name);
 }
 
 /* Marks differ by shape as well as by colour. */
-static void dot(struct gsn_text *text, int mark, double x, double y,
+static void dot(struct gsn_report_text *text, int mark, double x, double y,
                 const struct gsn_report_section *section)
 {
     switch (mark) {
     case 0:
-        gsn_text_print(text, "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3\">", x, y);
+        gsn_report_text_print(text, "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3\">", x, y);
         break;
     case 1:
-        gsn_text_print(text,
-                       "<rect class=\"m2\" x=\"%.1f\" y=\"%.1f\" width=\"5.4\" height=\"5.4\">",
-                       x - 2.7, y - 2.7);
+        gsn_report_text_print(
+            text, "<rect class=\"m2\" x=\"%.1f\" y=\"%.1f\" width=\"5.4\" height=\"5.4\">", x - 2.7,
+            y - 2.7);
         break;
     default:
-        gsn_text_print(text, "<path class=\"m3\" d=\"M%.1f %.1fl3.4 6h-6.8z\">", x, y - 3.6);
+        gsn_report_text_print(text, "<path class=\"m3\" d=\"M%.1f %.1fl3.4 6h-6.8z\">", x, y - 3.6);
     }
-    gsn_text_print(text, "<title>Section %u.%u, mark %d: ", section->panel, section->slot + 1,
-                   mark + 1);
-    gsn_text_number(text, section->residual_um[mark], 2);
-    gsn_text_print(text, " \xC2\xB5m</title></%s>\n",
-                   mark == 0   ? "circle"
-                   : mark == 1 ? "rect"
-                               : "path");
+    gsn_report_text_print(text, "<title>Section %u.%u, mark %d: ", section->panel,
+                          section->slot + 1, mark + 1);
+    gsn_report_text_number(text, section->residual_um[mark], 2);
+    gsn_report_text_print(text, " \xC2\xB5m</title></%s>\n",
+                          mark == 0   ? "circle"
+                          : mark == 1 ? "rect"
+                                      : "path");
 }
 
-static void legend(struct gsn_text *text, double x, double y)
+static void legend(struct gsn_report_text *text, double x, double y)
 {
-    gsn_text_print(text,
-                   "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3\"/>"
-                   "<text x=\"%.1f\" y=\"%.1f\">mark 1</text>\n",
-                   x, y - 4, x + 8, y);
-    gsn_text_print(text,
-                   "<rect class=\"m2\" x=\"%.1f\" y=\"%.1f\" width=\"5.4\" height=\"5.4\"/>"
-                   "<text x=\"%.1f\" y=\"%.1f\">mark 2</text>\n",
-                   x + 57, y - 6.7, x + 68, y);
-    gsn_text_print(text,
-                   "<path class=\"m3\" d=\"M%.1f %.1fl3.4 6h-6.8z\"/>"
-                   "<text x=\"%.1f\" y=\"%.1f\">mark 3</text>\n",
-                   x + 120, y - 7.6, x + 128, y);
+    gsn_report_text_print(text,
+                          "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3\"/>"
+                          "<text x=\"%.1f\" y=\"%.1f\">mark 1</text>\n",
+                          x, y - 4, x + 8, y);
+    gsn_report_text_print(text,
+                          "<rect class=\"m2\" x=\"%.1f\" y=\"%.1f\" width=\"5.4\" height=\"5.4\"/>"
+                          "<text x=\"%.1f\" y=\"%.1f\">mark 2</text>\n",
+                          x + 57, y - 6.7, x + 68, y);
+    gsn_report_text_print(text,
+                          "<path class=\"m3\" d=\"M%.1f %.1fl3.4 6h-6.8z\"/>"
+                          "<text x=\"%.1f\" y=\"%.1f\">mark 3</text>\n",
+                          x + 120, y - 7.6, x + 128, y);
 }
 
 static double largest_residual(const struct gsn_report *report)
@@ -145,7 +147,7 @@ static unsigned last_serial(const struct gsn_report *report)
     return last;
 }
 
-void gsn_chart_residuals(struct gsn_text *text, const struct gsn_report *report)
+void gsn_chart_residuals(struct gsn_report_text *text, const struct gsn_report *report)
 {
     const double most = fmax(largest_residual(report), 0.5);
     const double step = gsn_chart_step(most, 5);
@@ -160,12 +162,13 @@ void gsn_chart_residuals(struct gsn_text *text, const struct gsn_report *report)
         const struct gsn_report_section *section = &report->sections[i];
 
         if (!section->posed) {
-            gsn_text_print(text,
-                           "<rect class=\"gap\" x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" "
-                           "height=\"%.1f\"><title>Section %u.%u has no pose</title></rect>\n",
-                           place_x(&frame, section->serial - 0.5), frame.top,
-                           place_x(&frame, 1) - place_x(&frame, 0), frame.bottom - frame.top,
-                           section->panel, section->slot + 1);
+            gsn_report_text_print(
+                text,
+                "<rect class=\"gap\" x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" "
+                "height=\"%.1f\"><title>Section %u.%u has no pose</title></rect>\n",
+                place_x(&frame, section->serial - 0.5), frame.top,
+                place_x(&frame, 1) - place_x(&frame, 0), frame.bottom - frame.top, section->panel,
+                section->slot + 1);
             continue;
         }
         for (int k = 0; k < 3; k++)
@@ -173,7 +176,7 @@ void gsn_chart_residuals(struct gsn_text *text, const struct gsn_report *report)
                 dot(text, k, place_x(&frame, section->serial),
                     place_y(&frame, section->residual_um[k]), section);
     }
-    gsn_text_raw(text, "</svg>\n");
+    gsn_report_text_raw(text, "</svg>\n");
 }
 
 static size_t fullest(const struct gsn_report_units *units)
@@ -186,7 +189,7 @@ static size_t fullest(const struct gsn_report_units *units)
     return most;
 }
 
-void gsn_chart_densities(struct gsn_text *text, const struct gsn_report_units *units)
+void gsn_chart_densities(struct gsn_report_text *text, const struct gsn_report_units *units)
 {
     const double most = (double)fullest(units);
     const double step = fmax(gsn_chart_step(most, 5), 1);
@@ -207,48 +210,49 @@ void gsn_chart_densities(struct gsn_text *text, const struct gsn_report_units *u
 
         if (units->bin[i] == 0)
             continue;
-        gsn_text_print(text,
-                       "<rect class=\"bar\" x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\">"
-                       "<title>",
-                       x + 0.5, y, fmax(place_x(&frame, from + width) - x - 1, 0.5),
-                       frame.bottom - y);
-        gsn_text_number(text, from, 3);
-        gsn_text_raw(text, " to ");
-        gsn_text_number(text, from + width, 3);
-        gsn_text_raw(text, ": ");
-        gsn_text_count(text, units->bin[i]);
-        gsn_text_raw(text, "</title></rect>\n");
+        gsn_report_text_print(
+            text,
+            "<rect class=\"bar\" x=\"%.1f\" y=\"%.1f\" width=\"%.1f\" height=\"%.1f\">"
+            "<title>",
+            x + 0.5, y, fmax(place_x(&frame, from + width) - x - 1, 0.5), frame.bottom - y);
+        gsn_report_text_number(text, from, 3);
+        gsn_report_text_raw(text, " to ");
+        gsn_report_text_number(text, from + width, 3);
+        gsn_report_text_raw(text, ": ");
+        gsn_report_text_count(text, units->bin[i]);
+        gsn_report_text_raw(text, "</title></rect>\n");
     }
     if (units->median >= units->first && units->median <= units->last) {
         const double x = place_x(&frame, units->median);
 
-        gsn_text_print(
+        gsn_report_text_print(
             text,
             "<path class=\"median\" d=\"M%.1f %.1fV%.1f\"/>\n"
             "<text class=\"strong\" x=\"%.1f\" y=\"%.1f\" text-anchor=\"middle\">median ",
             x, frame.top - 6, frame.bottom, x, frame.top - 12);
-        gsn_text_number(text, units->median, 3);
-        gsn_text_raw(text, "</text>\n");
+        gsn_report_text_number(text, units->median, 3);
+        gsn_report_text_raw(text, "</text>\n");
     }
-    gsn_text_raw(text, "</svg>\n");
+    gsn_report_text_raw(text, "</svg>\n");
 }
 
-static void loss_bar(struct gsn_text *text, double y, double density, double scale,
+static void loss_bar(struct gsn_report_text *text, double y, double density, double scale,
                      const char *style)
 {
-    gsn_text_print(text,
-                   "<rect class=\"track\" x=\"0\" y=\"%.0f\" width=\"400\" height=\"14\" rx=\"3\"/>"
-                   "<rect class=\"%s\" x=\"0\" y=\"%.0f\" width=\"%.1f\" height=\"14\" "
-                   "rx=\"3\"/>\n",
-                   y, style, y, 400 * fmin(fmax(density / scale, 0), 1));
+    gsn_report_text_print(
+        text,
+        "<rect class=\"track\" x=\"0\" y=\"%.0f\" width=\"400\" height=\"14\" rx=\"3\"/>"
+        "<rect class=\"%s\" x=\"0\" y=\"%.0f\" width=\"%.1f\" height=\"14\" "
+        "rx=\"3\"/>\n",
+        y, style, y, 400 * fmin(fmax(density / scale, 0), 1));
 }
 
-void gsn_chart_loss(struct gsn_text *text, double baseline, double specimen)
+void gsn_chart_loss(struct gsn_report_text *text, double baseline, double specimen)
 {
     const double scale = fmax(fmax(baseline, specimen), 1);
 
     open_svg(text, 400, 38, "Mean density of the baseline above, of this specimen below");
     loss_bar(text, 0, baseline, scale, "base");
     loss_bar(text, 22, specimen, scale, "own");
-    gsn_text_raw(text, "</svg>\n");
+    gsn_report_text_raw(text, "</svg>\n");
 }

@@ -14,11 +14,11 @@ extern "C" {
 #endif
 
 /* How far each mark of each section lies from where the common triangle wants it. */
-void gsn_chart_residuals(struct gsn_text *text, const struct gsn_report *report);
+void gsn_chart_residuals(struct gsn_report_text *text, const struct gsn_report *report);
 /* How many micro-units have which density; report->units is not NULL. */
-void gsn_chart_densities(struct gsn_text *text, const struct gsn_report_units *units);
+void gsn_chart_densities(struct gsn_report_text *text, const struct gsn_report_units *units);
 /* The mean density of the baseline and of this specimen as two bars, 0..1. */
-void gsn_chart_loss(struct gsn_text *text, double baseline, double specimen);
+void gsn_chart_loss(struct gsn_report_text *text, double baseline, double specimen);
 
 /* The step of 1, 2 or 5 times a power of ten that cuts a range > 0 into at most so many parts. */
 double gsn_chart_step(double range, unsigned parts);

@@ -15,17 +15,18 @@ static int has(const char *said)
     return said && *said;
 }
 
-void gsn_html_image(struct gsn_text *text, const struct gsn_report_png *png, const char *said)
+void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
+                    const char *said)
 {
-    gsn_text_raw(text, "<img alt=\"");
-    gsn_text_escape(text, said);
-    gsn_text_print(text, "\" width=\"%u\" height=\"%u\" src=\"data:image/png;base64,", png->width,
-                   png->height);
-    gsn_text_base64(text, png->bytes, png->size);
-    gsn_text_raw(text, "\">");
+    gsn_report_text_raw(text, "<img alt=\"");
+    gsn_report_text_escape(text, said);
+    gsn_report_text_print(text, "\" width=\"%u\" height=\"%u\" src=\"data:image/png;base64,",
+                          png->width, png->height);
+    gsn_report_text_base64(text, png->bytes, png->size);
+    gsn_report_text_raw(text, "\">");
 }
 
-void gsn_html_unit(struct gsn_text *text, const char *unit)
+void gsn_html_unit(struct gsn_report_text *text, const char *unit)
 {
     static const char *const known[][2] = {
         { "mm3", "mm\xC2\xB3" },        { "um3", "\xC2\xB5m\xC2\xB3" }, { "mm2", "mm\xC2\xB2" },
@@ -34,15 +35,15 @@ void gsn_html_unit(struct gsn_text *text, const char *unit)
 
     for (size_t i = 0; unit && i < sizeof known / sizeof known[0]; i++) {
         if (strcmp(unit, known[i][0]) == 0) {
-            gsn_text_raw(text, known[i][1]);
+            gsn_report_text_raw(text, known[i][1]);
             return;
         }
     }
-    gsn_text_escape(text, unit);
+    gsn_report_text_escape(text, unit);
 }
 
 /* The hash of the style sheet as the policy names it: base64 of the raw 32 bytes. */
-static int add_policy(struct gsn_text *text, struct gsn_error *err)
+static int add_policy(struct gsn_report_text *text, struct gsn_error *err)
 {
     struct gsn_digest digest;
     unsigned char raw[32];
@@ -56,58 +57,63 @@ static int add_policy(struct gsn_text *text, struct gsn_error *err)
         raw[i] = (unsigned char)((high <= '9' ? high - '0' : high - 'a' + 10) << 4 |
                                  (low <= '9' ? low - '0' : low - 'a' + 10));
     }
-    gsn_text_raw(text, "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
-                       "img-src data:; style-src 'sha256-");
-    gsn_text_base64(text, raw, sizeof raw);
-    gsn_text_raw(text, "'; base-uri 'none'; form-action 'none'\">\n");
+    gsn_report_text_raw(
+        text, "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
+              "img-src data:; style-src 'sha256-");
+    gsn_report_text_base64(text, raw, sizeof raw);
+    gsn_report_text_raw(text, "'; base-uri 'none'; form-action 'none'\">\n");
     return GSN_OK;
 }
 
-static int add_head(struct gsn_text *text, const struct gsn_report *report, struct gsn_error *err)
+static int add_head(struct gsn_report_text *text, const struct gsn_report *report,
+                    struct gsn_error *err)
 {
     int r;
 
-    gsn_text_raw(text, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
+    gsn_report_text_raw(text,
+                        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
     r = add_policy(text, err);
     if (r < 0)
         return r;
-    gsn_text_raw(text, "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
-                       "<meta name=\"referrer\" content=\"no-referrer\">\n<title>");
-    gsn_text_escape_short(text, report->specimen, 80);
-    gsn_text_raw(text, " \xC2\xB7 gieson</title>\n<style>");
-    gsn_text_bytes(text, gsn_html_style, gsn_html_style_size);
-    gsn_text_raw(text, "</style>\n</head>\n<body>\n");
+    gsn_report_text_raw(text,
+                        "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
+                        "<meta name=\"referrer\" content=\"no-referrer\">\n<title>");
+    gsn_report_text_escape_short(text, report->specimen, 80);
+    gsn_report_text_raw(text, " \xC2\xB7 gieson</title>\n<style>");
+    gsn_report_text_bytes(text, gsn_html_style, gsn_html_style_size);
+    gsn_report_text_raw(text, "</style>\n</head>\n<body>\n");
     return GSN_OK;
 }
 
-static void add_id(struct gsn_text *text, const char *name, const char *value)
+static void add_id(struct gsn_report_text *text, const char *name, const char *value)
 {
     if (!has(value))
         return;
-    gsn_text_print(text, "<li>%s <b>", name);
-    gsn_text_escape(text, value);
-    gsn_text_raw(text, "</b></li>\n");
+    gsn_report_text_print(text, "<li>%s <b>", name);
+    gsn_report_text_escape(text, value);
+    gsn_report_text_raw(text, "</b></li>\n");
 }
 
-static void add_title(struct gsn_text *text, const struct gsn_report *report)
+static void add_title(struct gsn_report_text *text, const struct gsn_report *report)
 {
     static const char *const what[] = { "collagen report", "volume report", "tile report" };
 
-    gsn_text_print(text, "<header class=\"top\">\n<p class=\"brand\"><b>gieson</b> %s</p>\n<h1>",
-                   what[report->kind]);
-    gsn_text_escape(text, report->specimen);
-    gsn_text_raw(text, "</h1>\n<ul class=\"ids\">\n");
+    gsn_report_text_print(text,
+                          "<header class=\"top\">\n<p class=\"brand\"><b>gieson</b> %s</p>\n<h1>",
+                          what[report->kind]);
+    gsn_report_text_escape(text, report->specimen);
+    gsn_report_text_raw(text, "</h1>\n<ul class=\"ids\">\n");
     add_id(text, "Study", report->study);
     add_id(text, "Group", report->group);
     add_id(text, "Animal", report->animal);
     add_id(text, "Week", report->week);
-    gsn_text_raw(text, "</ul>\n");
+    gsn_report_text_raw(text, "</ul>\n");
 }
 
-static void add_link(struct gsn_text *text, const char *id, const char *name, int there)
+static void add_link(struct gsn_report_text *text, const char *id, const char *name, int there)
 {
     if (there)
-        gsn_text_print(text, "<li><a href=\"#%s\">%s</a></li>\n", id, name);
+        gsn_report_text_print(text, "<li><a href=\"#%s\">%s</a></li>\n", id, name);
 }
 
 static int has_charts(const struct gsn_report *report)
@@ -115,9 +121,9 @@ static int has_charts(const struct gsn_report *report)
     return (report->registration && report->section_count > 0) || report->units;
 }
 
-static void add_contents(struct gsn_text *text, const struct gsn_report *report)
+static void add_contents(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<nav aria-label=\"Contents\"><ul>\n");
+    gsn_report_text_raw(text, "<nav aria-label=\"Contents\"><ul>\n");
     add_link(text, "warnings", "Warnings", report->warning_count > 0);
     add_link(text, "volumes", "Volumes", report->volume_count > 0);
     add_link(text, "pictures", "Pictures", report->picture_count > 0);
@@ -129,194 +135,202 @@ static void add_contents(struct gsn_text *text, const struct gsn_report *report)
     add_link(text, "measures", "Measures", 1);
     add_link(text, "exclusions", "Left out", report->exclusion_count > 0);
     add_link(text, "provenance", "Provenance", 1);
-    gsn_text_raw(text, "</ul></nav>\n</header>\n");
+    gsn_report_text_raw(text, "</ul></nav>\n</header>\n");
 }
 
-static void add_verdict(struct gsn_text *text, const struct gsn_report *report)
+static void add_verdict(struct gsn_report_text *text, const struct gsn_report *report)
 {
     static const char *const style[] = { "is-ok", "is-warn", "is-bad" };
     static const char *const said[] = { "\xE2\x9C\x93 Reported", "! Reported with warnings",
                                         "\xE2\x9C\x95 Withheld" };
 
-    gsn_text_print(text, "<div class=\"verdict %s\"><p class=\"state\">%s</p>",
-                   style[report->verdict], said[report->verdict]);
+    gsn_report_text_print(text, "<div class=\"verdict %s\"><p class=\"state\">%s</p>",
+                          style[report->verdict], said[report->verdict]);
     if (has(report->verdict_reason)) {
-        gsn_text_raw(text, "<p>");
-        gsn_text_escape(text, report->verdict_reason);
-        gsn_text_raw(text, "</p>");
+        gsn_report_text_raw(text, "<p>");
+        gsn_report_text_escape(text, report->verdict_reason);
+        gsn_report_text_raw(text, "</p>");
     }
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
 }
 
 /* The two bars and what they stand for. */
-static void add_comparison(struct gsn_text *text, const struct gsn_report *report)
+static void add_comparison(struct gsn_report_text *text, const struct gsn_report *report)
 {
     const double own = report->region.mean_density;
 
-    gsn_text_raw(text, "<div><p class=\"label\">Mean density in the region</p>\n");
+    gsn_report_text_raw(text, "<div><p class=\"label\">Mean density in the region</p>\n");
     if (isfinite(report->baseline_mean) && isfinite(own))
         gsn_chart_loss(text, report->baseline_mean, own);
-    gsn_text_raw(text, "<table class=\"pair\">\n<tr><td><span class=\"key base\"></span>Baseline ");
-    gsn_text_escape(text, report->baseline);
-    gsn_text_raw(text, "</td><td>");
-    gsn_text_number(text, report->baseline_mean, 3);
-    gsn_text_raw(text, "</td></tr>\n<tr><td><span class=\"key own\"></span>This specimen</td><td>");
-    gsn_text_number(text, own, 3);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(
+        text, "<table class=\"pair\">\n<tr><td><span class=\"key base\"></span>Baseline ");
+    gsn_report_text_escape(text, report->baseline);
+    gsn_report_text_raw(text, "</td><td>");
+    gsn_report_text_number(text, report->baseline_mean, 3);
+    gsn_report_text_raw(
+        text, "</td></tr>\n<tr><td><span class=\"key own\"></span>This specimen</td><td>");
+    gsn_report_text_number(text, own, 3);
+    gsn_report_text_raw(text, "</td></tr>\n");
     if (isfinite(report->zero_density)) {
-        gsn_text_raw(text, "<tr><td>No collagen, from which both are counted</td><td>");
-        gsn_text_number(text, report->zero_density, 3);
-        gsn_text_raw(text, "</td></tr>\n");
+        gsn_report_text_raw(text, "<tr><td>No collagen, from which both are counted</td><td>");
+        gsn_report_text_number(text, report->zero_density, 3);
+        gsn_report_text_raw(text, "</td></tr>\n");
     }
     if (isfinite(report->loss_points)) {
-        gsn_text_raw(text, "<tr><td>Difference, on a scale of 0 to 100</td><td>");
-        gsn_text_number(text, report->loss_points, 1);
-        gsn_text_raw(text, " points</td></tr>\n");
+        gsn_report_text_raw(text, "<tr><td>Difference, on a scale of 0 to 100</td><td>");
+        gsn_report_text_number(text, report->loss_points, 1);
+        gsn_report_text_raw(text, " points</td></tr>\n");
     }
-    gsn_text_raw(text, "</table></div>\n");
+    gsn_report_text_raw(text, "</table></div>\n");
 }
 
-static void add_interval(struct gsn_text *text, const struct gsn_report *report)
+static void add_interval(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (!report->loss_interval)
         return;
-    gsn_text_raw(text, "<p class=\"range\">");
-    gsn_text_number(text, report->loss_lower, 1);
-    gsn_text_raw(text, " to ");
-    gsn_text_number(text, report->loss_upper, 1);
-    gsn_text_raw(text, " % <span class=\"soft\">(");
-    gsn_text_escape(text, report->loss_interval);
-    gsn_text_raw(text, ")</span></p>\n");
+    gsn_report_text_raw(text, "<p class=\"range\">");
+    gsn_report_text_number(text, report->loss_lower, 1);
+    gsn_report_text_raw(text, " to ");
+    gsn_report_text_number(text, report->loss_upper, 1);
+    gsn_report_text_raw(text, " % <span class=\"soft\">(");
+    gsn_report_text_escape(text, report->loss_interval);
+    gsn_report_text_raw(text, ")</span></p>\n");
 }
 
-static void add_loss(struct gsn_text *text, const struct gsn_report *report)
+static void add_loss(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<div class=\"hero\">\n<div><p class=\"label\">Collagen loss against ");
-    gsn_text_escape(text, report->baseline);
-    gsn_text_raw(text, "</p>\n");
+    gsn_report_text_raw(text,
+                        "<div class=\"hero\">\n<div><p class=\"label\">Collagen loss against ");
+    gsn_report_text_escape(text, report->baseline);
+    gsn_report_text_raw(text, "</p>\n");
     if (isfinite(report->loss_percent)) {
-        gsn_text_raw(text, "<p class=\"big\">");
-        gsn_text_number(text, report->loss_percent, 1);
-        gsn_text_raw(text, "<small>%</small></p>\n");
+        gsn_report_text_raw(text, "<p class=\"big\">");
+        gsn_report_text_number(text, report->loss_percent, 1);
+        gsn_report_text_raw(text, "<small>%</small></p>\n");
         add_interval(text, report);
-        gsn_text_raw(text, "<p class=\"soft\">Relative per cent: of the mean "
-                           "density that ");
-        gsn_text_escape(text, report->baseline);
-        gsn_text_raw(text, " has in this region, so much is missing here. Points are the plain "
-                           "difference of the two densities.</p>\n");
+        gsn_report_text_raw(text, "<p class=\"soft\">Relative per cent: of the mean "
+                                  "density that ");
+        gsn_report_text_escape(text, report->baseline);
+        gsn_report_text_raw(text,
+                            " has in this region, so much is missing here. Points are the plain "
+                            "difference of the two densities.</p>\n");
     } else {
-        gsn_text_raw(text, "<p class=\"big word\">withheld</p>\n<p>");
-        gsn_text_escape(text, has(report->loss_reason) ? report->loss_reason : "No reason given.");
-        gsn_text_raw(text, "</p>\n");
+        gsn_report_text_raw(text, "<p class=\"big word\">withheld</p>\n<p>");
+        gsn_report_text_escape(text,
+                               has(report->loss_reason) ? report->loss_reason : "No reason given.");
+        gsn_report_text_raw(text, "</p>\n");
     }
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
     add_comparison(text, report);
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
 }
 
-static void add_density(struct gsn_text *text, const struct gsn_report *report)
+static void add_density(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<div class=\"hero\">\n<div><p class=\"label\">Mean density in the region"
-                       "</p>\n<p class=\"big\">");
-    gsn_text_number(text, report->region.mean_density, 3);
-    gsn_text_raw(text, "</p>\n<p class=\"soft\">");
-    gsn_text_escape(text, has(report->loss_reason)
-                              ? report->loss_reason
-                              : "No baseline is named, so there is no loss to report.");
-    gsn_text_raw(text, "</p></div>\n</div>\n");
+    gsn_report_text_raw(text,
+                        "<div class=\"hero\">\n<div><p class=\"label\">Mean density in the region"
+                        "</p>\n<p class=\"big\">");
+    gsn_report_text_number(text, report->region.mean_density, 3);
+    gsn_report_text_raw(text, "</p>\n<p class=\"soft\">");
+    gsn_report_text_escape(text, has(report->loss_reason)
+                                     ? report->loss_reason
+                                     : "No baseline is named, so there is no loss to report.");
+    gsn_report_text_raw(text, "</p></div>\n</div>\n");
 }
 
-static void add_area(struct gsn_text *text, const struct gsn_report *report)
+static void add_area(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<div class=\"hero\">\n<div><p class=\"label\">Collagen, of the tissue area"
-                       "</p>\n<p class=\"big\">");
-    gsn_text_number(text, 100 * report->tile->area_fraction, 1);
-    gsn_text_raw(text, "<small>%</small></p></div>\n");
+    gsn_report_text_raw(text,
+                        "<div class=\"hero\">\n<div><p class=\"label\">Collagen, of the tissue area"
+                        "</p>\n<p class=\"big\">");
+    gsn_report_text_number(text, 100 * report->tile->area_fraction, 1);
+    gsn_report_text_raw(text, "<small>%</small></p></div>\n");
     if (report->tile->compared) {
-        gsn_text_raw(text, "<div><p class=\"label\">Agreement with ");
-        gsn_text_escape(text, report->tile->mask_name);
-        gsn_text_raw(text, "</p>\n<p class=\"big\">");
-        gsn_text_number(text, report->tile->dice, 3);
-        gsn_text_raw(text, "</p>\n<p class=\"soft\">Dice: twice the common area over the sum of "
-                           "both; 1 is the same map.</p></div>\n");
+        gsn_report_text_raw(text, "<div><p class=\"label\">Agreement with ");
+        gsn_report_text_escape(text, report->tile->mask_name);
+        gsn_report_text_raw(text, "</p>\n<p class=\"big\">");
+        gsn_report_text_number(text, report->tile->dice, 3);
+        gsn_report_text_raw(text,
+                            "</p>\n<p class=\"soft\">Dice: twice the common area over the sum of "
+                            "both; 1 is the same map.</p></div>\n");
     }
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
 }
 
-static void open_card(struct gsn_text *text, const char *name)
+static void open_card(struct gsn_report_text *text, const char *name)
 {
-    gsn_text_print(text, "<div><p class=\"label\">%s</p><p class=\"value\">", name);
+    gsn_report_text_print(text, "<div><p class=\"label\">%s</p><p class=\"value\">", name);
 }
 
-static void close_card(struct gsn_text *text, const char *trusted, const char *said)
+static void close_card(struct gsn_report_text *text, const char *trusted, const char *said)
 {
-    gsn_text_print(text, "</p><p class=\"soft\">%s", trusted);
-    gsn_text_escape(text, said);
-    gsn_text_raw(text, "</p></div>\n");
+    gsn_report_text_print(text, "</p><p class=\"soft\">%s", trusted);
+    gsn_report_text_escape(text, said);
+    gsn_report_text_raw(text, "</p></div>\n");
 }
 
-static void add_area_card(struct gsn_text *text, const struct gsn_report_value *area)
+static void add_area_card(struct gsn_report_text *text, const struct gsn_report_value *area)
 {
     if (!area->name)
         return;
     open_card(text, "Area figure");
     if (area->text)
-        gsn_text_escape(text, area->text);
+        gsn_report_text_escape(text, area->text);
     else
-        gsn_text_digits(text, area->value, 3);
-    gsn_text_raw(text, " <small>");
+        gsn_report_text_digits(text, area->value, 3);
+    gsn_report_text_raw(text, " <small>");
     gsn_html_unit(text, area->unit);
-    gsn_text_raw(text, "</small>");
+    gsn_report_text_raw(text, "</small>");
     close_card(text, "", area->name);
 }
 
-static void add_cards(struct gsn_text *text, const struct gsn_report *report)
+static void add_cards(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<div class=\"cards\">\n");
+    gsn_report_text_raw(text, "<div class=\"cards\">\n");
     open_card(text, "Mean density");
-    gsn_text_number(text, report->tile ? report->tile->mean_density : report->region.mean_density,
-                    3);
-    gsn_text_raw(text, "</p><p class=\"soft\">");
+    gsn_report_text_number(
+        text, report->tile ? report->tile->mean_density : report->region.mean_density, 3);
+    gsn_report_text_raw(text, "</p><p class=\"soft\">");
     if (report->tile) {
-        gsn_text_raw(text, "95 %: ");
-        gsn_text_number(text, report->tile->mean_lower, 2);
-        gsn_text_raw(text, " to ");
-        gsn_text_number(text, report->tile->mean_upper, 2);
-        gsn_text_raw(text, " (white, detail, dye vectors; not the strength of the stain); ");
+        gsn_report_text_raw(text, "95 %: ");
+        gsn_report_text_number(text, report->tile->mean_lower, 2);
+        gsn_report_text_raw(text, " to ");
+        gsn_report_text_number(text, report->tile->mean_upper, 2);
+        gsn_report_text_raw(text, " (white, detail, dye vectors; not the strength of the stain); ");
     }
-    gsn_text_escape(text, report->density_name);
+    gsn_report_text_escape(text, report->density_name);
     if (has(report->density_version)) {
-        gsn_text_raw(text, ", ");
-        gsn_text_escape(text, report->density_version);
+        gsn_report_text_raw(text, ", ");
+        gsn_report_text_escape(text, report->density_version);
     }
-    gsn_text_raw(text, "</p></div>\n");
+    gsn_report_text_raw(text, "</p></div>\n");
     if (isfinite(report->region.volume_mm3)) {
         open_card(text, "Region");
-        gsn_text_number(text, report->region.volume_mm3, 4);
-        gsn_text_raw(text, " <small>mm\xC2\xB3</small>");
+        gsn_report_text_number(text, report->region.volume_mm3, 4);
+        gsn_report_text_raw(text, " <small>mm\xC2\xB3</small>");
         close_card(text, "", report->region.description);
     }
     if (isfinite(report->region.coverage)) {
         open_card(text, "Region with data");
-        gsn_text_number(text, 100 * report->region.coverage, 1);
-        gsn_text_raw(text, "<small> %</small>");
+        gsn_report_text_number(text, 100 * report->region.coverage, 1);
+        gsn_report_text_raw(text, "<small> %</small>");
         close_card(text, "of its volume; the rest is left out, not guessed", "");
     }
     if (report->registration) {
         open_card(text, "Sections in place");
-        gsn_text_count(text, report->registration->sections_posed);
-        gsn_text_raw(text, " <small>of ");
-        gsn_text_count(text, report->registration->sections_expected);
-        gsn_text_raw(text, "</small>");
+        gsn_report_text_count(text, report->registration->sections_posed);
+        gsn_report_text_raw(text, " <small>of ");
+        gsn_report_text_count(text, report->registration->sections_expected);
+        gsn_report_text_raw(text, "</small>");
         close_card(text, "by their three laser marks", "");
     }
     add_area_card(text, &report->area_figure);
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
 }
 
-static void add_summary(struct gsn_text *text, const struct gsn_report *report)
+static void add_summary(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<main>\n<div class=\"summary\" id=\"summary\">\n");
+    gsn_report_text_raw(text, "<main>\n<div class=\"summary\" id=\"summary\">\n");
     add_verdict(text, report);
     if (report->tile)
         add_area(text, report);
@@ -325,20 +339,21 @@ static void add_summary(struct gsn_text *text, const struct gsn_report *report)
     else
         add_density(text, report);
     add_cards(text, report);
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
 }
 
-static void add_warnings(struct gsn_text *text, const struct gsn_report *report)
+static void add_warnings(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->warning_count == 0)
         return;
-    gsn_text_raw(text, "<section id=\"warnings\"><h2>Warnings</h2>\n<ul class=\"warnings\">\n");
+    gsn_report_text_raw(text,
+                        "<section id=\"warnings\"><h2>Warnings</h2>\n<ul class=\"warnings\">\n");
     for (size_t i = 0; i < report->warning_count; i++) {
-        gsn_text_raw(text, "<li>");
-        gsn_text_escape(text, report->warnings[i]);
-        gsn_text_raw(text, "</li>\n");
+        gsn_report_text_raw(text, "<li>");
+        gsn_report_text_escape(text, report->warnings[i]);
+        gsn_report_text_raw(text, "</li>\n");
     }
-    gsn_text_raw(text, "</ul></section>\n");
+    gsn_report_text_raw(text, "</ul></section>\n");
 }
 
 /* Of a column of pictures on a wide screen. */
@@ -346,76 +361,78 @@ enum { COLUMN_PX = 560 };
 
 /* A wide picture takes the whole width and scrolls in its own box where that is narrow; one of few
  * pixels would only be blown up. */
-static void add_image(struct gsn_text *text, const struct gsn_report_picture *picture)
+static void add_image(struct gsn_report_text *text, const struct gsn_report_picture *picture)
 {
     const bool wide = 10 * (size_t)picture->png.width > 16 * (size_t)picture->png.height &&
                       picture->png.width > COLUMN_PX;
 
-    gsn_text_raw(text, wide ? "<figure class=\"wide\"><div class=\"scroll\">" : "<figure>");
+    gsn_report_text_raw(text, wide ? "<figure class=\"wide\"><div class=\"scroll\">" : "<figure>");
     if (picture->png.size)
         gsn_html_image(text, &picture->png, picture->title);
     if (wide)
-        gsn_text_raw(text, "</div>");
+        gsn_report_text_raw(text, "</div>");
 }
 
-static void add_pictures(struct gsn_text *text, const struct gsn_report *report)
+static void add_pictures(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->picture_count == 0)
         return;
-    gsn_text_print(text, "<section id=\"pictures\"><h2>%s</h2>\n<div class=\"pictures\">\n",
-                   report->tile ? "Picture and map" : "Pictures");
+    gsn_report_text_print(text, "<section id=\"pictures\"><h2>%s</h2>\n<div class=\"pictures\">\n",
+                          report->tile ? "Picture and map" : "Pictures");
     for (size_t i = 0; i < report->picture_count; i++) {
         const struct gsn_report_picture *picture = &report->pictures[i];
 
         add_image(text, picture);
-        gsn_text_raw(text, "<figcaption><h3>");
-        gsn_text_escape(text, picture->title);
-        gsn_text_raw(text, "</h3><p>");
-        gsn_text_escape(text, picture->caption);
-        gsn_text_raw(text, "</p></figcaption></figure>\n");
+        gsn_report_text_raw(text, "<figcaption><h3>");
+        gsn_report_text_escape(text, picture->title);
+        gsn_report_text_raw(text, "</h3><p>");
+        gsn_report_text_escape(text, picture->caption);
+        gsn_report_text_raw(text, "</p></figcaption></figure>\n");
     }
-    gsn_text_raw(text, "</div></section>\n");
+    gsn_report_text_raw(text, "</div></section>\n");
 }
 
-static void add_charts(struct gsn_text *text, const struct gsn_report *report)
+static void add_charts(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (!has_charts(report))
         return;
-    gsn_text_raw(text, "<section id=\"charts\"><h2>Charts</h2>\n<div class=\"charts\">\n");
+    gsn_report_text_raw(text, "<section id=\"charts\"><h2>Charts</h2>\n<div class=\"charts\">\n");
     if (report->registration && report->section_count > 0) {
-        gsn_text_raw(text, "<figure><div class=\"drawing\">\n");
+        gsn_report_text_raw(text, "<figure><div class=\"drawing\">\n");
         gsn_chart_residuals(text, report);
-        gsn_text_raw(text,
-                     "</div><figcaption><h3>Marks, section by section</h3><p>Distance of each "
-                     "laser mark from the common triangle. Small values show that nothing "
-                     "went grossly wrong; they are not the error at the region. Grey: a "
-                     "section without a pose.</p></figcaption></figure>\n");
+        gsn_report_text_raw(
+            text, "</div><figcaption><h3>Marks, section by section</h3><p>Distance of each "
+                  "laser mark from the common triangle. Small values show that nothing "
+                  "went grossly wrong; they are not the error at the region. Grey: a "
+                  "section without a pose.</p></figcaption></figure>\n");
     }
     if (report->units) {
-        gsn_text_raw(text, "<figure><div class=\"drawing\">\n");
+        gsn_report_text_raw(text, "<figure><div class=\"drawing\">\n");
         gsn_chart_densities(text, report->units);
-        gsn_text_raw(text,
-                     "</div><figcaption><h3>Micro-units by density</h3><p>Mean density of each "
-                     "tetrahedron of the model.</p></figcaption></figure>\n");
+        gsn_report_text_raw(
+            text, "</div><figcaption><h3>Micro-units by density</h3><p>Mean density of each "
+                  "tetrahedron of the model.</p></figcaption></figure>\n");
     }
-    gsn_text_raw(text, "</div></section>\n");
+    gsn_report_text_raw(text, "</div></section>\n");
 }
 
-static void add_foot(struct gsn_text *text, const struct gsn_report *report)
+static void add_foot(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "</main>\n<footer><p>gieson ");
-    gsn_text_escape(text, report->version);
+    gsn_report_text_raw(text, "</main>\n<footer><p>gieson ");
+    gsn_report_text_escape(text, report->version);
     if (report->kind != GSN_REPORT_VOLUME)
-        gsn_text_raw(text, ". Density is what the dye shows: young fibrils take less fuchsin than "
-                           "mature collagen, and figures of different stains must not be pooled");
-    gsn_text_raw(text, ". This file holds everything it shows and fetches nothing.</p></footer>\n"
-                       "</body>\n</html>\n");
+        gsn_report_text_raw(text,
+                            ". Density is what the dye shows: young fibrils take less fuchsin than "
+                            "mature collagen, and figures of different stains must not be pooled");
+    gsn_report_text_raw(text,
+                        ". This file holds everything it shows and fetches nothing.</p></footer>\n"
+                        "</body>\n</html>\n");
 }
 
 int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,
                     struct gsn_error *err)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
     const int r = add_head(&text, report, err);
 
     if (r < 0)
@@ -437,6 +454,6 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     add_foot(&text, report);
     if (text.failed)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the report's page");
-    gsn_text_give(&text, ret_text, ret_size);
+    gsn_report_text_give(&text, ret_text, ret_size);
     return GSN_OK;
 }

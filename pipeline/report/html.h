@@ -17,24 +17,25 @@ extern const unsigned char gsn_html_style[];
 extern const size_t gsn_html_style_size;
 
 /* <img> with the picture as a data: URI. */
-void gsn_html_image(struct gsn_text *text, const struct gsn_report_png *png, const char *said);
+void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
+                    const char *said);
 /* A unit as people write it: mm3 becomes mm with a raised 3. */
-void gsn_html_unit(struct gsn_text *text, const char *unit);
+void gsn_html_unit(struct gsn_report_text *text, const char *unit);
 
 /* html_sheet.c: every slot of every panel, as laid out on the glass. */
-void gsn_html_sheet(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_sheet(struct gsn_report_text *text, const struct gsn_report *report);
 
 /* html_tables.c: the poses that a person may choose from, and what people decided. */
-void gsn_html_choices(struct gsn_text *text, const struct gsn_report *report);
-void gsn_html_decisions(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_choices(struct gsn_report_text *text, const struct gsn_report *report);
+void gsn_html_decisions(struct gsn_report_text *text, const struct gsn_report *report);
 int gsn_html_has_choices(const struct gsn_report *report);
 
 /* html_tables.c */
-void gsn_html_volumes(struct gsn_text *text, const struct gsn_report *report);
-void gsn_html_tile(struct gsn_text *text, const struct gsn_report *report);
-void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report);
-void gsn_html_exclusions(struct gsn_text *text, const struct gsn_report *report);
-void gsn_html_provenance(struct gsn_text *text, const struct gsn_report *report);
+void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *report);
+void gsn_html_tile(struct gsn_report_text *text, const struct gsn_report *report);
+void gsn_html_measures(struct gsn_report_text *text, const struct gsn_report *report);
+void gsn_html_exclusions(struct gsn_report_text *text, const struct gsn_report *report);
+void gsn_html_provenance(struct gsn_report_text *text, const struct gsn_report *report);
 
 #ifdef __cplusplus
 }

@@ -26,194 +26,200 @@ int gsn_html_has_choices(const struct gsn_report *report)
     return 0;
 }
 
-static void add_facts(struct gsn_text *text, const struct gsn_report_candidate *c)
+static void add_facts(struct gsn_report_text *text, const struct gsn_report_candidate *c)
 {
-    gsn_text_raw(text, "<p>");
-    gsn_text_escape(text, c->differs);
-    gsn_text_raw(text, "</p>\n<p class=\"soft\">");
+    gsn_report_text_raw(text, "<p>");
+    gsn_report_text_escape(text, c->differs);
+    gsn_report_text_raw(text, "</p>\n<p class=\"soft\">");
     if (isfinite(c->share) && c->share < 0.001) {
-        gsn_text_raw(text, "under 0.1 % likely");
+        gsn_report_text_raw(text, "under 0.1 % likely");
     } else if (isfinite(c->share)) {
-        gsn_text_number(text, 100 * c->share, 1);
-        gsn_text_raw(text, " % likely");
+        gsn_report_text_number(text, 100 * c->share, 1);
+        gsn_report_text_raw(text, " % likely");
     } else {
-        gsn_text_raw(text, "how likely is not known");
+        gsn_report_text_raw(text, "how likely is not known");
     }
     if (isfinite(c->predicted_tre_um)) {
-        gsn_text_raw(text, " \xC2\xB7 <span class=\"nowrap\">TRE ");
-        gsn_text_number(text, c->predicted_tre_um, 1);
-        gsn_text_raw(text, " \xC2\xB5m</span>");
+        gsn_report_text_raw(text, " \xC2\xB7 <span class=\"nowrap\">TRE ");
+        gsn_report_text_number(text, c->predicted_tre_um, 1);
+        gsn_report_text_raw(text, " \xC2\xB5m</span>");
     }
-    gsn_text_raw(text, "</p>\n");
+    gsn_report_text_raw(text, "</p>\n");
     if (c->flipped)
-        gsn_text_raw(text, "<p class=\"turned\">\xE2\x87\x84 turned over</p>\n");
+        gsn_report_text_raw(text, "<p class=\"turned\">\xE2\x87\x84 turned over</p>\n");
     if (c->rotated180)
-        gsn_text_raw(text, "<p class=\"turned\">\xE2\x86\xBB turned by 180\xC2\xB0</p>\n");
+        gsn_report_text_raw(text, "<p class=\"turned\">\xE2\x86\xBB turned by 180\xC2\xB0</p>\n");
 }
 
-static void add_candidate(struct gsn_text *text, const struct gsn_report_section *section, size_t i)
+static void add_candidate(struct gsn_report_text *text, const struct gsn_report_section *section,
+                          size_t i)
 {
     const struct gsn_report_candidate *c = &section->candidates[i];
 
-    gsn_text_print(text, "<div class=\"choice%s\">", section->chosen == i + 1 ? " taken" : "");
+    gsn_report_text_print(text, "<div class=\"choice%s\">",
+                          section->chosen == i + 1 ? " taken" : "");
     if (c->picture.size) {
         gsn_html_image(text, &c->picture, c->differs);
-        gsn_text_raw(text, "\n");
+        gsn_report_text_raw(text, "\n");
     }
-    gsn_text_print(text, "<p class=\"who\"><b>%u</b>", (unsigned)i + 1);
+    gsn_report_text_print(text, "<p class=\"who\"><b>%u</b>", (unsigned)i + 1);
     if (section->chosen == i + 1)
-        gsn_text_raw(text, " <span class=\"state\">\xE2\x9C\x93 chosen</span>");
-    gsn_text_raw(text, "</p>\n");
+        gsn_report_text_raw(text, " <span class=\"state\">\xE2\x9C\x93 chosen</span>");
+    gsn_report_text_raw(text, "</p>\n");
     add_facts(text, c);
-    gsn_text_raw(text, "</div>\n");
+    gsn_report_text_raw(text, "</div>\n");
 }
 
-static void add_section(struct gsn_text *text, const struct gsn_report *report,
+static void add_section(struct gsn_report_text *text, const struct gsn_report *report,
                         const struct gsn_report_section *section)
 {
-    gsn_text_print(text, "<div class=\"panel\"><h3>Section %u.%u</h3>\n<p>", section->panel,
-                   section->slot + 1);
+    gsn_report_text_print(text, "<div class=\"panel\"><h3>Section %u.%u</h3>\n<p>", section->panel,
+                          section->slot + 1);
     for (size_t i = 0; section->compared_with && i < report->section_count; i++)
         if (report->sections[i].serial + 1 == section->compared_with)
-            gsn_text_print(text, "The blue line is the outline of section %u.%u. ",
-                           report->sections[i].panel, report->sections[i].slot + 1);
+            gsn_report_text_print(text, "The blue line is the outline of section %u.%u. ",
+                                  report->sections[i].panel, report->sections[i].slot + 1);
     if (is_said(section->command)) {
-        gsn_text_raw(text, "To choose: <code>");
-        gsn_text_escape(text, section->command);
-        gsn_text_raw(text, " <i>number</i></code>");
+        gsn_report_text_raw(text, "To choose: <code>");
+        gsn_report_text_escape(text, section->command);
+        gsn_report_text_raw(text, " <i>number</i></code>");
     }
-    gsn_text_raw(text, "</p>\n<div class=\"choices\">\n");
+    gsn_report_text_raw(text, "</p>\n<div class=\"choices\">\n");
     for (size_t i = 0; i < section->candidate_count; i++)
         add_candidate(text, section, i);
-    gsn_text_raw(text, "</div></div>\n");
+    gsn_report_text_raw(text, "</div></div>\n");
 }
 
-void gsn_html_choices(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_choices(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (!gsn_html_has_choices(report))
         return;
-    gsn_text_raw(text, "<section id=\"choices\"><h2>Poses to choose from</h2>\n"
-                       "<p class=\"lead\">Sections whose pose a person should settle, as each "
-                       "candidate would lay them in the block.</p>\n");
+    gsn_report_text_raw(text,
+                        "<section id=\"choices\"><h2>Poses to choose from</h2>\n"
+                        "<p class=\"lead\">Sections whose pose a person should settle, as each "
+                        "candidate would lay them in the block.</p>\n");
     for (size_t i = 0; i < report->section_count; i++)
         if (report->sections[i].candidate_count > 0)
             add_section(text, report, &report->sections[i]);
-    gsn_text_raw(text, "</section>\n");
+    gsn_report_text_raw(text, "</section>\n");
 }
 
-static void add_cell(struct gsn_text *text, const char *said)
+static void add_cell(struct gsn_report_text *text, const char *said)
 {
-    gsn_text_raw(text, "<td>");
-    gsn_text_escape(text, said);
-    gsn_text_raw(text, "</td>");
+    gsn_report_text_raw(text, "<td>");
+    gsn_report_text_escape(text, said);
+    gsn_report_text_raw(text, "</td>");
 }
 
-void gsn_html_decisions(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_decisions(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->decision_count == 0)
         return;
-    gsn_text_raw(text, "<section id=\"decisions\"><h2>Decided by people</h2>\n"
-                       "<div class=\"table scroll\"><table><thead><tr><th>Where</th><th>What</th>"
-                       "<th>By</th><th>When</th><th>Why</th><th>Effect</th></tr></thead><tbody>\n");
+    gsn_report_text_raw(
+        text, "<section id=\"decisions\"><h2>Decided by people</h2>\n"
+              "<div class=\"table scroll\"><table><thead><tr><th>Where</th><th>What</th>"
+              "<th>By</th><th>When</th><th>Why</th><th>Effect</th></tr></thead><tbody>\n");
     for (size_t i = 0; i < report->decision_count; i++) {
         const struct gsn_report_decision *d = &report->decisions[i];
 
-        gsn_text_print(text, "<tr><th scope=\"row\" class=\"name\">panel %u", d->panel);
+        gsn_report_text_print(text, "<tr><th scope=\"row\" class=\"name\">panel %u", d->panel);
         if (d->slot)
-            gsn_text_print(text, ", slot %u", d->slot);
-        gsn_text_raw(text, "</th>");
+            gsn_report_text_print(text, ", slot %u", d->slot);
+        gsn_report_text_raw(text, "</th>");
         add_cell(text, d->answer);
         add_cell(text, d->actor);
         add_cell(text, d->time);
         add_cell(text, is_said(d->reason) ? d->reason : "\xE2\x80\x93");
         add_cell(text, is_said(d->effect) ? d->effect : "\xE2\x80\x93");
-        gsn_text_raw(text, "</tr>\n");
+        gsn_report_text_raw(text, "</tr>\n");
     }
-    gsn_text_raw(text, "</tbody></table></div></section>\n");
+    gsn_report_text_raw(text, "</tbody></table></div></section>\n");
 }
 
 /* --- tables --- */
 
-static void open_table(struct gsn_text *text, const char *style, const char *columns)
+static void open_table(struct gsn_report_text *text, const char *style, const char *columns)
 {
-    gsn_text_print(text,
-                   "<div class=\"table %s scroll\"><table><thead><tr>%s</tr></thead><tbody>\n",
-                   style, columns);
+    gsn_report_text_print(
+        text, "<div class=\"table %s scroll\"><table><thead><tr>%s</tr></thead><tbody>\n", style,
+        columns);
 }
 
-static void close_table(struct gsn_text *text)
+static void close_table(struct gsn_report_text *text)
 {
-    gsn_text_raw(text, "</tbody></table></div>\n");
+    gsn_report_text_raw(text, "</tbody></table></div>\n");
 }
 
-static void open_row(struct gsn_text *text, const char *name)
+static void open_row(struct gsn_report_text *text, const char *name)
 {
-    gsn_text_raw(text, "<tr><th scope=\"row\" class=\"name\">");
-    gsn_text_escape(text, name);
-    gsn_text_raw(text, "</th>");
+    gsn_report_text_raw(text, "<tr><th scope=\"row\" class=\"name\">");
+    gsn_report_text_escape(text, name);
+    gsn_report_text_raw(text, "</th>");
 }
 
-static void row_number(struct gsn_text *text, const char *name, double value, int decimals,
+static void row_number(struct gsn_report_text *text, const char *name, double value, int decimals,
                        const char *unit)
 {
     open_row(text, name);
-    gsn_text_raw(text, "<td class=\"num\">");
-    gsn_text_number(text, value, decimals);
-    gsn_text_raw(text, "</td><td>");
+    gsn_report_text_raw(text, "<td class=\"num\">");
+    gsn_report_text_number(text, value, decimals);
+    gsn_report_text_raw(text, "</td><td>");
     gsn_html_unit(text, unit);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(text, "</td></tr>\n");
 }
 
-static void row_interval(struct gsn_text *text, const struct gsn_report *report)
+static void row_interval(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (!report->loss_interval || !isfinite(report->loss_percent))
         return;
-    gsn_text_raw(text, "<tr><th scope=\"row\" class=\"name\">Its interval (");
-    gsn_text_escape(text, report->loss_interval);
-    gsn_text_raw(text, ")</th><td class=\"num\">");
-    gsn_text_number(text, report->loss_lower, 2);
-    gsn_text_raw(text, " to ");
-    gsn_text_number(text, report->loss_upper, 2);
-    gsn_text_raw(text, "</td><td>%</td></tr>\n");
+    gsn_report_text_raw(text, "<tr><th scope=\"row\" class=\"name\">Its interval (");
+    gsn_report_text_escape(text, report->loss_interval);
+    gsn_report_text_raw(text, ")</th><td class=\"num\">");
+    gsn_report_text_number(text, report->loss_lower, 2);
+    gsn_report_text_raw(text, " to ");
+    gsn_report_text_number(text, report->loss_upper, 2);
+    gsn_report_text_raw(text, "</td><td>%</td></tr>\n");
 }
 
-static void row_digits(struct gsn_text *text, const char *name, double value, const char *unit)
+static void row_digits(struct gsn_report_text *text, const char *name, double value,
+                       const char *unit)
 {
     open_row(text, name);
-    gsn_text_raw(text, "<td class=\"num\">");
-    gsn_text_digits(text, value, 4);
-    gsn_text_raw(text, "</td><td>");
+    gsn_report_text_raw(text, "<td class=\"num\">");
+    gsn_report_text_digits(text, value, 4);
+    gsn_report_text_raw(text, "</td><td>");
     gsn_html_unit(text, unit);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(text, "</td></tr>\n");
 }
 
 /* A setting, with the digits it was given. */
-static void row_plain(struct gsn_text *text, const char *name, double value, const char *unit)
+static void row_plain(struct gsn_report_text *text, const char *name, double value,
+                      const char *unit)
 {
     open_row(text, name);
-    gsn_text_raw(text, "<td class=\"num\">");
-    gsn_text_plain(text, value);
-    gsn_text_raw(text, "</td><td>");
+    gsn_report_text_raw(text, "<td class=\"num\">");
+    gsn_report_text_plain(text, value);
+    gsn_report_text_raw(text, "</td><td>");
     gsn_html_unit(text, unit);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(text, "</td></tr>\n");
 }
 
-static void row_count(struct gsn_text *text, const char *name, size_t count)
+static void row_count(struct gsn_report_text *text, const char *name, size_t count)
 {
     open_row(text, name);
-    gsn_text_raw(text, "<td class=\"num\">");
-    gsn_text_count(text, count);
-    gsn_text_raw(text, "</td><td></td></tr>\n");
+    gsn_report_text_raw(text, "<td class=\"num\">");
+    gsn_report_text_count(text, count);
+    gsn_report_text_raw(text, "</td><td></td></tr>\n");
 }
 
-static void row_text(struct gsn_text *text, const struct gsn_report_value *row)
+static void row_text(struct gsn_report_text *text, const struct gsn_report_value *row)
 {
     open_row(text, row->name);
-    gsn_text_raw(text, "<td colspan=\"2\">");
-    gsn_text_escape(text, row->text);
-    gsn_text_raw(text, " ");
+    gsn_report_text_raw(text, "<td colspan=\"2\">");
+    gsn_report_text_escape(text, row->text);
+    gsn_report_text_raw(text, " ");
     gsn_html_unit(text, row->unit);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(text, "</td></tr>\n");
 }
 
 /* What has no unit and no fraction was counted. */
@@ -223,7 +229,7 @@ static int is_count(const struct gsn_report_value *row)
            row->value == floor(row->value);
 }
 
-static void row_measure(struct gsn_text *text, const struct gsn_report_value *row)
+static void row_measure(struct gsn_report_text *text, const struct gsn_report_value *row)
 {
     if (row->text)
         row_text(text, row);
@@ -233,14 +239,14 @@ static void row_measure(struct gsn_text *text, const struct gsn_report_value *ro
         row_digits(text, row->name, row->value, row->unit);
 }
 
-void gsn_html_volumes(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->volume_count == 0)
         return;
-    gsn_text_raw(text,
-                 "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
-                 "<p class=\"lead\">The volume of the fitted model lies between the two bounds "
-                 "for certain.</p>\n");
+    gsn_report_text_raw(
+        text, "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
+              "<p class=\"lead\">The volume of the fitted model lies between the two bounds "
+              "for certain.</p>\n");
     open_table(text, "figures",
                "<th class=\"num\">Density above</th><th class=\"num\">At least, "
                "mm\xC2\xB3</th><th class=\"num\">At most, mm\xC2\xB3</th>"
@@ -249,27 +255,27 @@ void gsn_html_volumes(struct gsn_text *text, const struct gsn_report *report)
         const struct gsn_report_volume *volume = &report->volumes[i];
         const double middle = (volume->lower_mm3 + volume->upper_mm3) / 2;
 
-        gsn_text_raw(text, "<tr><td class=\"num\">");
-        gsn_text_plain(text, volume->threshold);
-        gsn_text_raw(text, "</td><td class=\"num\">");
-        gsn_text_digits(text, volume->lower_mm3, 5);
-        gsn_text_raw(text, "</td><td class=\"num\">");
-        gsn_text_digits(text, volume->upper_mm3, 5);
-        gsn_text_raw(text, "</td><td class=\"num\">");
-        gsn_text_number(text, 100 * middle / report->region.volume_mm3, 1);
-        gsn_text_raw(text, " %</td></tr>\n");
+        gsn_report_text_raw(text, "<tr><td class=\"num\">");
+        gsn_report_text_plain(text, volume->threshold);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_digits(text, volume->lower_mm3, 5);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_digits(text, volume->upper_mm3, 5);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_number(text, 100 * middle / report->region.volume_mm3, 1);
+        gsn_report_text_raw(text, " %</td></tr>\n");
     }
     close_table(text);
-    gsn_text_raw(text, "</section>\n");
+    gsn_report_text_raw(text, "</section>\n");
 }
 
-void gsn_html_tile(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_tile(struct gsn_report_text *text, const struct gsn_report *report)
 {
     const struct gsn_report_tile *tile = report->tile;
 
     if (!tile)
         return;
-    gsn_text_raw(text, "<section id=\"tile\"><h2>Collagen map</h2>\n");
+    gsn_report_text_raw(text, "<section id=\"tile\"><h2>Collagen map</h2>\n");
     open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
     row_number(text, "Collagen, of the tissue area", 100 * tile->area_fraction, 2, "%");
     row_number(text, "Mean density of the tissue", tile->mean_density, 4, "");
@@ -285,10 +291,11 @@ void gsn_html_tile(struct gsn_text *text, const struct gsn_report *report)
         row_number(text, "Of the mask, not in the map", 100 * tile->false_negative, 2, "%");
     }
     close_table(text);
-    gsn_text_raw(text, "</section>\n");
+    gsn_report_text_raw(text, "</section>\n");
 }
 
-static void add_registration(struct gsn_text *text, const struct gsn_report_registration *done)
+static void add_registration(struct gsn_report_text *text,
+                             const struct gsn_report_registration *done)
 {
     row_count(text, "Sections expected", done->sections_expected);
     row_count(text, "Sections in place", done->sections_posed);
@@ -304,7 +311,7 @@ static void add_registration(struct gsn_text *text, const struct gsn_report_regi
     row_number(text, "Predicted error at the region (TRE), largest", done->worst_tre_um, 2, "um");
 }
 
-static void add_fit(struct gsn_text *text, const struct gsn_report_fit *fit)
+static void add_fit(struct gsn_report_text *text, const struct gsn_report_fit *fit)
 {
     row_count(text, "Degree of the spline", fit->degree);
     row_count(text, "Micro-units (tetrahedra of the model)", fit->tets);
@@ -318,16 +325,16 @@ static void add_fit(struct gsn_text *text, const struct gsn_report_fit *fit)
     row_count(text, "Micro-units within the tolerance", fit->tets_in_tolerance);
 }
 
-static void add_units(struct gsn_text *text, const struct gsn_report_units *units)
+static void add_units(struct gsn_report_text *text, const struct gsn_report_units *units)
 {
     row_number(text, "Micro-units, lowest density", units->smallest, 4, "density");
     row_number(text, "Micro-units, median density", units->median, 4, "density");
     row_number(text, "Micro-units, highest density", units->largest, 4, "density");
 }
 
-void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_measures(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<section id=\"measures\"><h2>Measures</h2>\n");
+    gsn_report_text_raw(text, "<section id=\"measures\"><h2>Measures</h2>\n");
     open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
     if (!report->tile) {
         if (report->baseline && *report->baseline) {
@@ -352,49 +359,50 @@ void gsn_html_measures(struct gsn_text *text, const struct gsn_report *report)
     for (size_t i = 0; i < report->measure_count; i++)
         row_measure(text, &report->measures[i]);
     close_table(text);
-    gsn_text_raw(text, "</section>\n");
+    gsn_report_text_raw(text, "</section>\n");
 }
 
-void gsn_html_exclusions(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_exclusions(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->exclusion_count == 0)
         return;
-    gsn_text_raw(text, "<section id=\"exclusions\"><h2>Left out, and why</h2>\n");
+    gsn_report_text_raw(text, "<section id=\"exclusions\"><h2>Left out, and why</h2>\n");
     open_table(text, "", "<th>What</th><th>Reason</th>");
     for (size_t i = 0; i < report->exclusion_count; i++) {
         open_row(text, report->exclusions[i].what);
-        gsn_text_raw(text, "<td class=\"reason\">");
-        gsn_text_escape(text, report->exclusions[i].reason);
-        gsn_text_raw(text, "</td></tr>\n");
+        gsn_report_text_raw(text, "<td class=\"reason\">");
+        gsn_report_text_escape(text, report->exclusions[i].reason);
+        gsn_report_text_raw(text, "</td></tr>\n");
     }
     close_table(text);
-    gsn_text_raw(text, "</section>\n");
+    gsn_report_text_raw(text, "</section>\n");
 }
 
-static void add_files(struct gsn_text *text, const char *title,
+static void add_files(struct gsn_report_text *text, const char *title,
                       const struct gsn_report_input *files, size_t count)
 {
-    gsn_text_raw(text, "<details open><summary>");
-    gsn_text_escape(text, title);
-    gsn_text_raw(text, "</summary><div class=\"scroll\"><table><thead><tr><th>File</th><th "
-                       "class=\"num\">Bytes</th><th>SHA-256</th></tr>"
-                       "</thead><tbody>\n");
+    gsn_report_text_raw(text, "<details open><summary>");
+    gsn_report_text_escape(text, title);
+    gsn_report_text_raw(text, "</summary><div class=\"scroll\"><table><thead><tr><th>File</th><th "
+                              "class=\"num\">Bytes</th><th>SHA-256</th></tr>"
+                              "</thead><tbody>\n");
     for (size_t i = 0; i < count; i++) {
         open_row(text, files[i].name);
-        gsn_text_raw(text, "<td class=\"num\">");
-        gsn_text_count(text, files[i].size);
-        gsn_text_raw(text, "</td><td class=\"hash\">");
-        gsn_text_escape(text, files[i].sha256);
-        gsn_text_raw(text, "</td></tr>\n");
+        gsn_report_text_raw(text, "<td class=\"num\">");
+        gsn_report_text_count(text, files[i].size);
+        gsn_report_text_raw(text, "</td><td class=\"hash\">");
+        gsn_report_text_escape(text, files[i].sha256);
+        gsn_report_text_raw(text, "</td></tr>\n");
     }
-    gsn_text_raw(text, "</tbody></table></div></details>\n");
+    gsn_report_text_raw(text, "</tbody></table></div></details>\n");
 }
 
-static void add_parameters(struct gsn_text *text, const struct gsn_report *report)
+static void add_parameters(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<details><summary>Parameters</summary><div class=\"scroll\"><table>"
-                       "<thead><tr><th>Name</th><th class=\"num\">Value</th><th>Unit</th></tr>"
-                       "</thead><tbody>\n");
+    gsn_report_text_raw(text,
+                        "<details><summary>Parameters</summary><div class=\"scroll\"><table>"
+                        "<thead><tr><th>Name</th><th class=\"num\">Value</th><th>Unit</th></tr>"
+                        "</thead><tbody>\n");
     for (size_t i = 0; i < report->parameter_count; i++) {
         const struct gsn_report_value *row = &report->parameters[i];
 
@@ -403,36 +411,37 @@ static void add_parameters(struct gsn_text *text, const struct gsn_report *repor
         else
             row_plain(text, row->name, row->value, row->unit);
     }
-    gsn_text_raw(text, "</tbody></table></div></details>\n");
+    gsn_report_text_raw(text, "</tbody></table></div></details>\n");
 }
 
-void gsn_html_provenance(struct gsn_text *text, const struct gsn_report *report)
+void gsn_html_provenance(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_text_raw(text, "<section id=\"provenance\"><h2>Provenance</h2>\n"
-                       "<p class=\"lead\">The same inputs, parameters and version give this page "
-                       "again, byte for byte.</p>\n");
+    gsn_report_text_raw(text,
+                        "<section id=\"provenance\"><h2>Provenance</h2>\n"
+                        "<p class=\"lead\">The same inputs, parameters and version give this page "
+                        "again, byte for byte.</p>\n");
     open_table(text, "", "<th>What</th><th>Value</th>");
     open_row(text, "Run");
-    gsn_text_raw(text, "<td class=\"hash\">");
-    gsn_text_escape(text, report->key);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(text, "<td class=\"hash\">");
+    gsn_report_text_escape(text, report->key);
+    gsn_report_text_raw(text, "</td></tr>\n");
     open_row(text, "Program");
-    gsn_text_raw(text, "<td>gieson ");
-    gsn_text_escape(text, report->version);
-    gsn_text_raw(text, "</td></tr>\n");
+    gsn_report_text_raw(text, "<td>gieson ");
+    gsn_report_text_escape(text, report->version);
+    gsn_report_text_raw(text, "</td></tr>\n");
     open_row(text, "Density");
-    gsn_text_raw(text, "<td class=\"reason\">");
-    gsn_text_escape(text, report->density_name);
-    gsn_text_raw(text, " (");
-    gsn_text_escape(text, report->density_version);
-    gsn_text_raw(text, ")</td></tr>\n");
+    gsn_report_text_raw(text, "<td class=\"reason\">");
+    gsn_report_text_escape(text, report->density_name);
+    gsn_report_text_raw(text, " (");
+    gsn_report_text_escape(text, report->density_version);
+    gsn_report_text_raw(text, ")</td></tr>\n");
     close_table(text);
-    gsn_text_raw(text, "<p></p>\n");
+    gsn_report_text_raw(text, "<p></p>\n");
     if (report->input_count)
         add_files(text, "Input files", report->inputs, report->input_count);
     if (report->output_count)
         add_files(text, "Files beside this report", report->outputs, report->output_count);
     if (report->parameter_count)
         add_parameters(text, report);
-    gsn_text_raw(text, "</section>\n");
+    gsn_report_text_raw(text, "</section>\n");
 }

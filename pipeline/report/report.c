@@ -43,9 +43,9 @@ static void json_append(struct json_writer *writer, json_t *array, json_t *value
 
 static json_t *json_text(const char *said)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
-    gsn_text_utf8(&text, said);
+    gsn_report_text_utf8(&text, said);
     return text.failed ? NULL : json_stringn(text.bytes, text.size);
 }
 
@@ -499,9 +499,9 @@ static void put_head(const struct gsn_report *report, json_t *root, struct json_
 
 static int dump_piece(const char *bytes, size_t size, void *context)
 {
-    struct gsn_text *text = context;
+    struct gsn_report_text *text = context;
 
-    gsn_text_bytes(text, bytes, size);
+    gsn_report_text_bytes(text, bytes, size);
     return text->failed ? -1 : 0;
 }
 
@@ -533,18 +533,18 @@ int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *re
 {
     /* Nine digits are more than any figure deserves, and 0.1 stays 0.1. */
     const size_t flags = JSON_INDENT(2) | JSON_REAL_PRECISION(9);
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
     struct json_writer writer = { .failed = 0 };
     json_t *root = build(report, &writer, err);
 
     if (!writer.failed && json_dump_callback(root, dump_piece, &text, flags) < 0)
         writer.failed = 1;
     json_decref(root);
-    gsn_text_raw(&text, "\n");
+    gsn_report_text_raw(&text, "\n");
     if (writer.code < 0)
         return writer.code;
     if (writer.failed || text.failed)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for report.json");
-    gsn_text_give(&text, ret_text, ret_size);
+    gsn_report_text_give(&text, ret_text, ret_size);
     return GSN_OK;
 }

@@ -13,21 +13,21 @@ static const char dash[] = "\xE2\x80\x93";
 static const char minus[] = "\xE2\x88\x92";
 static const char narrow_space[] = "\xE2\x80\xAF";
 
-void gsn_text_done(struct gsn_text *text)
+void gsn_report_text_done(struct gsn_report_text *text)
 {
     gsn_free(text->bytes);
-    *text = (struct gsn_text){ .bytes = NULL };
+    *text = (struct gsn_report_text){ .bytes = NULL };
 }
 
-void gsn_text_give(struct gsn_text *text, char **ret_bytes, size_t *ret_size)
+void gsn_report_text_give(struct gsn_report_text *text, char **ret_bytes, size_t *ret_size)
 {
     *ret_bytes = text->bytes;
     *ret_size = text->size;
-    *text = (struct gsn_text){ .bytes = NULL };
+    *text = (struct gsn_report_text){ .bytes = NULL };
 }
 
 /* Makes room for so many more bytes and the zero behind them. */
-static int reserve(struct gsn_text *text, size_t more)
+static int reserve(struct gsn_report_text *text, size_t more)
 {
     size_t room = text->room ? text->room : 256;
     char *bytes;
@@ -52,7 +52,7 @@ static int reserve(struct gsn_text *text, size_t more)
     return 1;
 }
 
-void gsn_text_bytes(struct gsn_text *text, const void *bytes, size_t size)
+void gsn_report_text_bytes(struct gsn_report_text *text, const void *bytes, size_t size)
 {
     if (!reserve(text, size))
         return;
@@ -62,12 +62,12 @@ void gsn_text_bytes(struct gsn_text *text, const void *bytes, size_t size)
     text->bytes[text->size] = '\0';
 }
 
-void gsn_text_raw(struct gsn_text *text, const char *markup)
+void gsn_report_text_raw(struct gsn_report_text *text, const char *markup)
 {
-    gsn_text_bytes(text, markup, strlen(markup));
+    gsn_report_text_bytes(text, markup, strlen(markup));
 }
 
-void gsn_text_print(struct gsn_text *text, const char *format, ...)
+void gsn_report_text_print(struct gsn_report_text *text, const char *format, ...)
 {
     va_list args, again;
     int length;
@@ -126,33 +126,34 @@ static int is_hidden(uint32_t point)
            (point >= 0x2066 && point <= 0x2069) || point == 0xFFFE || point == 0xFFFF;
 }
 
-static void escape_point(struct gsn_text *text, uint32_t point, const char *bytes, size_t length)
+static void escape_point(struct gsn_report_text *text, uint32_t point, const char *bytes,
+                         size_t length)
 {
     switch (point) {
     case '&':
-        gsn_text_raw(text, "&amp;");
+        gsn_report_text_raw(text, "&amp;");
         break;
     case '<':
-        gsn_text_raw(text, "&lt;");
+        gsn_report_text_raw(text, "&lt;");
         break;
     case '>':
-        gsn_text_raw(text, "&gt;");
+        gsn_report_text_raw(text, "&gt;");
         break;
     case '"':
-        gsn_text_raw(text, "&quot;");
+        gsn_report_text_raw(text, "&quot;");
         break;
     case '\'':
-        gsn_text_raw(text, "&#39;");
+        gsn_report_text_raw(text, "&#39;");
         break;
     default:
         if (point == 0xFFFD || is_hidden(point))
-            gsn_text_raw(text, unknown);
+            gsn_report_text_raw(text, unknown);
         else
-            gsn_text_bytes(text, bytes, length);
+            gsn_report_text_bytes(text, bytes, length);
     }
 }
 
-void gsn_text_escape_short(struct gsn_text *text, const char *said, size_t most)
+void gsn_report_text_escape_short(struct gsn_report_text *text, const char *said, size_t most)
 {
     size_t length, count = 0;
 
@@ -160,32 +161,32 @@ void gsn_text_escape_short(struct gsn_text *text, const char *said, size_t most)
         const uint32_t point = gsn_utf8_next(said, &length);
 
         if (count++ == most) {
-            gsn_text_raw(text, "\xE2\x80\xA6"); /* an ellipsis */
+            gsn_report_text_raw(text, "\xE2\x80\xA6"); /* an ellipsis */
             return;
         }
         escape_point(text, point, said, length);
     }
 }
 
-void gsn_text_escape(struct gsn_text *text, const char *said)
+void gsn_report_text_escape(struct gsn_report_text *text, const char *said)
 {
-    gsn_text_escape_short(text, said, SIZE_MAX);
+    gsn_report_text_escape_short(text, said, SIZE_MAX);
 }
 
-void gsn_text_utf8(struct gsn_text *text, const char *said)
+void gsn_report_text_utf8(struct gsn_report_text *text, const char *said)
 {
     size_t length;
 
-    gsn_text_raw(text, ""); /* so that even nothing is a text */
+    gsn_report_text_raw(text, ""); /* so that even nothing is a text */
     for (; said && *said; said += length) {
         if (gsn_utf8_next(said, &length) == 0xFFFD)
-            gsn_text_raw(text, unknown);
+            gsn_report_text_raw(text, unknown);
         else
-            gsn_text_bytes(text, said, length);
+            gsn_report_text_bytes(text, said, length);
     }
 }
 
-void gsn_text_base64(struct gsn_text *text, const void *bytes, size_t size)
+void gsn_report_text_base64(struct gsn_report_text *text, const void *bytes, size_t size)
 {
     static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     const unsigned char *from = bytes;
@@ -210,22 +211,22 @@ void gsn_text_base64(struct gsn_text *text, const void *bytes, size_t size)
 }
 
 /* Writes digits with groups of three before the point. */
-static void grouped(struct gsn_text *text, const char *digits)
+static void grouped(struct gsn_report_text *text, const char *digits)
 {
     size_t whole = 0;
 
     if (*digits == '-') {
-        gsn_text_raw(text, minus);
+        gsn_report_text_raw(text, minus);
         digits++;
     }
     while (digits[whole] >= '0' && digits[whole] <= '9')
         whole++;
     for (size_t i = 0; i < whole; i++) {
         if (i > 0 && (whole - i) % 3 == 0 && whole > 4)
-            gsn_text_raw(text, narrow_space);
-        gsn_text_bytes(text, &digits[i], 1);
+            gsn_report_text_raw(text, narrow_space);
+        gsn_report_text_bytes(text, &digits[i], 1);
     }
-    gsn_text_raw(text, digits + whole);
+    gsn_report_text_raw(text, digits + whole);
 }
 
 static int is_zero(const char *digits)
@@ -233,12 +234,12 @@ static int is_zero(const char *digits)
     return digits[strspn(digits, "-0.")] == '\0';
 }
 
-void gsn_text_number(struct gsn_text *text, double value, int decimals)
+void gsn_report_text_number(struct gsn_report_text *text, double value, int decimals)
 {
     char digits[400]; /* DBL_MAX has 309 digits before its point */
 
     if (!isfinite(value)) {
-        gsn_text_raw(text, dash);
+        gsn_report_text_raw(text, dash);
         return;
     }
     (void)snprintf(digits, sizeof digits, "%.*f", decimals, value);
@@ -246,7 +247,7 @@ void gsn_text_number(struct gsn_text *text, double value, int decimals)
 }
 
 /* "1.500e-06" as 1.5 x 10^-6 with raised digits. */
-static void scientific(struct gsn_text *text, double value, int digits)
+static void scientific(struct gsn_report_text *text, double value, int digits)
 {
     static const char *const raised[10] = { "\xE2\x81\xB0", "\xC2\xB9",     "\xC2\xB2",
                                             "\xC2\xB3",     "\xE2\x81\xB4", "\xE2\x81\xB5",
@@ -262,35 +263,35 @@ static void scientific(struct gsn_text *text, double value, int digits)
     if (end[-1] == '.')
         end[-1] = '\0';
     grouped(text, written);
-    gsn_text_raw(text, " \xC3\x97 10");
+    gsn_report_text_raw(text, " \xC3\x97 10");
     if (*exponent++ == '-')
-        gsn_text_raw(text, "\xE2\x81\xBB");
+        gsn_report_text_raw(text, "\xE2\x81\xBB");
     for (exponent += exponent[0] == '0'; *exponent; exponent++)
-        gsn_text_raw(text, raised[*exponent - '0']);
+        gsn_report_text_raw(text, raised[*exponent - '0']);
 }
 
-void gsn_text_digits(struct gsn_text *text, double value, int digits)
+void gsn_report_text_digits(struct gsn_report_text *text, double value, int digits)
 {
     int exponent;
 
     if (!isfinite(value) || value == 0) {
-        gsn_text_number(text, value, 0);
+        gsn_report_text_number(text, value, 0);
         return;
     }
     exponent = (int)floor(log10(fabs(value)));
     if (exponent >= 9 || exponent < -3)
         scientific(text, value, digits);
     else
-        gsn_text_number(text, value, digits - 1 - exponent > 0 ? digits - 1 - exponent : 0);
+        gsn_report_text_number(text, value, digits - 1 - exponent > 0 ? digits - 1 - exponent : 0);
 }
 
-void gsn_text_plain(struct gsn_text *text, double value)
+void gsn_report_text_plain(struct gsn_report_text *text, double value)
 {
     enum { DIGITS = 9 };
     char written[40];
 
     if (!isfinite(value) || value == 0) {
-        gsn_text_number(text, value, 0);
+        gsn_report_text_number(text, value, 0);
     } else if (fabs(value) >= 1e9 || fabs(value) < 1e-4) {
         scientific(text, value, DIGITS);
     } else {
@@ -299,7 +300,7 @@ void gsn_text_plain(struct gsn_text *text, double value)
     }
 }
 
-void gsn_text_count(struct gsn_text *text, size_t count)
+void gsn_report_text_count(struct gsn_report_text *text, size_t count)
 {
     char digits[24];
 

@@ -14,43 +14,43 @@
 extern "C" {
 #endif
 
-struct gsn_text {
+struct gsn_report_text {
     char *bytes; /* with a zero byte behind the last, once something was added */
     size_t size, room;
     int failed;
 };
 
 /* Releases the bytes; the text is empty again. */
-void gsn_text_done(struct gsn_text *text);
-#define gsn_auto_text __attribute__((cleanup(gsn_text_done))) struct gsn_text
+void gsn_report_text_done(struct gsn_report_text *text);
+#define gsn_auto_report_text __attribute__((cleanup(gsn_report_text_done))) struct gsn_report_text
 
 /* gives: the bytes; the text is empty again. The caller has looked at `failed`. */
-void gsn_text_give(struct gsn_text *text, char **ret_bytes, size_t *ret_size);
+void gsn_report_text_give(struct gsn_report_text *text, char **ret_bytes, size_t *ret_size);
 
-void gsn_text_bytes(struct gsn_text *text, const void *bytes, size_t size);
+void gsn_report_text_bytes(struct gsn_report_text *text, const void *bytes, size_t size);
 /* Trusted text as it stands: our own markup. */
-void gsn_text_raw(struct gsn_text *text, const char *markup);
-void gsn_text_print(struct gsn_text *text, const char *format, ...)
+void gsn_report_text_raw(struct gsn_report_text *text, const char *markup);
+void gsn_report_text_print(struct gsn_report_text *text, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 /* Somebody else's text for HTML, in an element or a quoted attribute: & < > " ' are escaped;
  * what is not UTF-8, control characters and the marks that turn the direction of writing become
  * U+FFFD. NULL is empty. */
-void gsn_text_escape(struct gsn_text *text, const char *said);
+void gsn_report_text_escape(struct gsn_report_text *text, const char *said);
 /* The same with only the first `most` characters and an ellipsis behind them. */
-void gsn_text_escape_short(struct gsn_text *text, const char *said, size_t most);
+void gsn_report_text_escape_short(struct gsn_report_text *text, const char *said, size_t most);
 /* Somebody else's text as UTF-8: wrong bytes become U+FFFD, everything else stays. */
-void gsn_text_utf8(struct gsn_text *text, const char *said);
+void gsn_report_text_utf8(struct gsn_report_text *text, const char *said);
 /* RFC 4648, section 4. */
-void gsn_text_base64(struct gsn_text *text, const void *bytes, size_t size);
+void gsn_report_text_base64(struct gsn_report_text *text, const void *bytes, size_t size);
 
 /* A number for people: with so many decimals, a true minus sign, a narrow space between groups of
  * three digits; a dash when it is not finite. */
-void gsn_text_number(struct gsn_text *text, double value, int decimals);
+void gsn_report_text_number(struct gsn_report_text *text, double value, int decimals);
 /* With so many significant digits (1..12); with a power of ten from 1e9 on and below 1e-3. */
-void gsn_text_digits(struct gsn_text *text, double value, int digits);
+void gsn_report_text_digits(struct gsn_report_text *text, double value, int digits);
 /* As short as nine significant digits allow, for settings: 0.05, 120, 1 x 10^-6. */
-void gsn_text_plain(struct gsn_text *text, double value);
-void gsn_text_count(struct gsn_text *text, size_t count);
+void gsn_report_text_plain(struct gsn_report_text *text, double value);
+void gsn_report_text_count(struct gsn_report_text *text, size_t count);
 
 /* The next character of a zero-terminated text and how many bytes it takes; U+FFFD and 1 for a byte
  * that begins no character. 0 at the end. */

@@ -4,7 +4,7 @@
 #include "tests/bench/bench.h"
 
 #include "pipeline/model/domain_internal.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/simplex_spline.h"
 #include "pipeline/model/tetgen_bridge.h"
 
@@ -176,16 +176,16 @@ static double width(const struct gsn_tets *mesh, unsigned degree, const double (
                     size_t tet)
 {
     double high[4] = { 0 };
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
 
-    gsn_frame_init(&frame, knot_of(mesh, degree, knot, tet, 0, 0),
-                   knot_of(mesh, degree, knot, tet, 1, 0), knot_of(mesh, degree, knot, tet, 2, 0),
-                   knot_of(mesh, degree, knot, tet, 3, 0));
+    gsn_barycentric_init(
+        &frame, knot_of(mesh, degree, knot, tet, 0, 0), knot_of(mesh, degree, knot, tet, 1, 0),
+        knot_of(mesh, degree, knot, tet, 2, 0), knot_of(mesh, degree, knot, tet, 3, 0));
     for (unsigned k = 0; k < 4; k++) {
         for (unsigned l = 1; l <= degree; l++) {
             double lambda[4];
 
-            gsn_frame_at(&frame, knot_of(mesh, degree, knot, tet, k, l), lambda);
+            gsn_barycentric_at(&frame, knot_of(mesh, degree, knot, tet, k, l), lambda);
             for (unsigned j = 0; j < 4; j++)
                 high[j] = j == k ? high[j] : fmax(high[j], lambda[j]);
         }

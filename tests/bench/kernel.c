@@ -22,7 +22,7 @@ static const struct {
  * asked about them. */
 struct subject {
     struct gsn_prism prism;
-    struct gsn_seam seam;
+    struct gsn_face_correction seam;
     double x[POINTS], y[POINTS], z[POINTS];
 };
 
@@ -79,9 +79,9 @@ static int find_subject(const struct bench_case *bench, struct subject *subject)
                 !gsn_prism_init(bench->space, t, k, &subject->prism) ||
                 !draw_points(bench, subject))
                 continue;
-            gsn_seam_init(&subject->seam, bench->space, &subject->prism,
-                          gsn_spline_controls(bench->spline));
-            gsn_seam_add(&subject->seam, 7, at, 1, &unused, NULL);
+            gsn_face_correction_init(&subject->seam, bench->space, &subject->prism,
+                                     gsn_spline_controls(bench->spline));
+            gsn_face_correction_add(&subject->seam, 7, at, 1, &unused, NULL);
             return 1;
         }
     }
@@ -90,7 +90,7 @@ static int find_subject(const struct bench_case *bench, struct subject *subject)
 
 struct kernel_job {
     const struct subject *subject;
-    gsn_seam_kernel *run;
+    gsn_face_correction_kernel *run;
     unsigned lanes, unsure;
     size_t rounds;
     double sink;
@@ -100,7 +100,7 @@ static void run_kernel(void *context)
 {
     struct kernel_job *job = context;
     const struct subject *s = job->subject;
-    double ret[4 * GSN_MOST_LANES];
+    double ret[4 * GSN_MAX_SIMD_WIDTH];
 
     for (size_t round = 0; round < job->rounds; round++) {
         for (size_t i = 0; i < POINTS; i += job->lanes) {
@@ -114,12 +114,13 @@ static void run_kernel(void *context)
 struct lineup {
     struct bench_peak peak[GSN_ISA_COUNT];
     struct kernel_job kernel[GSN_ISA_COUNT][CLASSES];
-    const struct gsn_seam_choice *choice[GSN_ISA_COUNT][CLASSES];
+    const struct gsn_face_correction_choice *choice[GSN_ISA_COUNT][CLASSES];
     struct bench_job job[MOST_JOBS];
     int first[GSN_ISA_COUNT]; /* job of the peak, or -1 */
 };
 
-static size_t line_up(struct lineup *lineup, const struct subject *subject, enum gsn_seam_kind kind)
+static size_t line_up(struct lineup *lineup, const struct subject *subject,
+                      enum gsn_face_correction_kind kind)
 {
     size_t count = 0;
 
@@ -135,7 +136,7 @@ static size_t line_up(struct lineup *lineup, const struct subject *subject, enum
         lineup->job[count++] =
             (struct bench_job){ .run = bench_peak_run, .context = &lineup->peak[isa] };
         for (int c = 0; c < CLASSES; c++) {
-            const struct gsn_seam_choice *choice =
+            const struct gsn_face_correction_choice *choice =
                 &kernels->seam[kind][3][subject->prism.top][CLASS[c].unclear];
 
             lineup->choice[isa][c] = choice;
@@ -184,8 +185,9 @@ void bench_kernel(void)
         bench_case_done(&bench);
         return;
     }
-    for (int kind = GSN_SEAM_VALUE; kind <= GSN_SEAM_SLOPE; kind++) {
-        bench_race(lineup.job, line_up(&lineup, &subject, (enum gsn_seam_kind)kind), repeats);
+    for (int kind = GSN_FACE_CORRECTION_VALUE; kind <= GSN_FACE_CORRECTION_SLOPE; kind++) {
+        bench_race(lineup.job, line_up(&lineup, &subject, (enum gsn_face_correction_kind)kind),
+                   repeats);
         for (int isa = 0; isa < GSN_ISA_COUNT; isa++) {
             for (int c = 0; lineup.first[isa] >= 0 && c < CLASSES; c++)
                 say_kernel(&lineup, isa, c, &subject, KIND[kind], repeats);

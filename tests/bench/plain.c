@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/bench/plain.h"
 
-#include "pipeline/model/boxtree.h"
-#include "pipeline/model/frame.h"
+#include "pipeline/model/bvh.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/orient.h"
 #include "tests/bench/bench.h"
 
@@ -16,8 +16,8 @@ enum { MOST_KNOTS = 7, MOST_NODES = 21 };
 /* A tetrahedron's barycentric coordinates and the least each takes at its knots, and the box around
  * them. */
 struct cover {
-    struct gsn_box box;
-    struct gsn_frame frame;
+    struct gsn_bvh_box box;
+    struct gsn_barycentric frame;
     double low[4];
 };
 
@@ -27,10 +27,10 @@ struct cover {
 struct plain {
     const struct gsn_spline *spline;
     const struct gsn_dms *space;
-    struct gsn_boxtree *tree; /* of the boxes around the knots of each tetrahedron */
-    struct cover *cover;      /* per tetrahedron */
-    size_t nodes;             /* per function */
-    uint8_t *largest;         /* W of each node of each function: a bit per knot of the set */
+    struct gsn_bvh *tree; /* of the boxes around the knots of each tetrahedron */
+    struct cover *cover;  /* per tetrahedron */
+    size_t nodes;         /* per function */
+    uint8_t *largest;     /* W of each node of each function: a bit per knot of the set */
 };
 
 static double det(const double a[3], const double b[3], const double c[3], const double d[3])
@@ -193,9 +193,10 @@ static const double *knot_of(const struct gsn_dms *space, size_t tet, unsigned i
         space)[gsn_dms_mesh(space)->tet[tet][i / per_cloud] * per_cloud + i % per_cloud];
 }
 
-static struct gsn_box knots_box(const struct gsn_dms *space, size_t tet)
+static struct gsn_bvh_box knots_box(const struct gsn_dms *space, size_t tet)
 {
-    struct gsn_box box = { { INFINITY, INFINITY, INFINITY }, { -INFINITY, -INFINITY, -INFINITY } };
+    struct gsn_bvh_box box = { { INFINITY, INFINITY, INFINITY },
+                               { -INFINITY, -INFINITY, -INFINITY } };
 
     for (unsigned i = 0; i < 4 * (gsn_dms_degree(space) + 1); i++) {
         for (int c = 0; c < 3; c++) {
@@ -211,12 +212,12 @@ static struct cover cover_of(const struct gsn_dms *space, size_t tet)
     const unsigned per_cloud = gsn_dms_degree(space) + 1;
     struct cover cover = { .box = knots_box(space, tet) };
 
-    gsn_frame_init(&cover.frame, knot_of(space, tet, 0), knot_of(space, tet, per_cloud),
-                   knot_of(space, tet, 2 * per_cloud), knot_of(space, tet, 3 * per_cloud));
+    gsn_barycentric_init(&cover.frame, knot_of(space, tet, 0), knot_of(space, tet, per_cloud),
+                         knot_of(space, tet, 2 * per_cloud), knot_of(space, tet, 3 * per_cloud));
     for (unsigned i = 0; i < 4 * per_cloud; i++) {
         double lambda[4];
 
-        gsn_frame_at(&cover.frame, knot_of(space, tet, i), lambda);
+        gsn_barycentric_at(&cover.frame, knot_of(space, tet, i), lambda);
         for (int k = 0; k < 4; k++)
             cover.low[k] = fmin(cover.low[k], lambda[k]);
     }
@@ -228,7 +229,7 @@ struct plain *plain_new(const struct gsn_spline *spline)
     static const size_t NODES[GSN_DMS_MAX_DEGREE + 1] = { 0, 1, 5, MOST_NODES };
     const struct gsn_dms *space = gsn_spline_space(spline);
     const size_t tets = gsn_dms_mesh(space)->tet_count, functions = gsn_dms_functions(space);
-    struct gsn_box *box = bench_alloc(tets, sizeof *box);
+    struct gsn_bvh_box *box = bench_alloc(tets, sizeof *box);
     struct plain *plain = bench_alloc(1, sizeof *plain);
     struct gsn_error err = { 0 };
 
@@ -247,7 +248,7 @@ struct plain *plain_new(const struct gsn_spline *spline)
             prepare(knot, count, &plain->largest[(t * functions + f) * plain->nodes], 0);
         }
     }
-    bench_need(gsn_boxtree_new(box, tets, &plain->tree, &err), &err, "boxes");
+    bench_need(gsn_bvh_new(box, tets, &plain->tree, &err), &err, "boxes");
     gsn_free(box);
     return plain;
 }
@@ -256,13 +257,13 @@ void plain_free(struct plain *plain)
 {
     if (!plain)
         return;
-    gsn_boxtree_free(plain->tree);
+    gsn_bvh_free(plain->tree);
     gsn_free(plain->cover);
     gsn_free(plain->largest);
     gsn_free(plain);
 }
 
-static int box_holds(const struct gsn_box *box, const double u[3])
+static int box_holds(const struct gsn_bvh_box *box, const double u[3])
 {
     for (int c = 0; c < 3; c++) {
         if (!(u[c] >= box->low[c] && u[c] <= box->high[c]))
@@ -275,7 +276,7 @@ static int cover_holds(const struct cover *cover, const double u[3])
 {
     double lambda[4];
 
-    gsn_frame_at(&cover->frame, u, lambda);
+    gsn_barycentric_at(&cover->frame, u, lambda);
     for (int k = 0; k < 4; k++) {
         if (lambda[k] < cover->low[k] - SLACK)
             return 0;
@@ -325,6 +326,6 @@ double plain_eval(const struct plain *plain, enum plain_choice choice, const dou
 {
     struct sum sum = { .plain = plain, .choice = choice, .u = u };
 
-    (void)gsn_boxtree_at(plain->tree, u, add_tet, &sum);
+    (void)gsn_bvh_at(plain->tree, u, add_tet, &sum);
     return sum.value;
 }

@@ -295,10 +295,10 @@ TEST(shares_of_a_region_with_holes_are_those_of_its_voxels_one_by_one)
         for (int k = 0; k < 4; k++)
             memcpy(tet[k], kuhn.mesh->vertex[kuhn.mesh->tet[t][k]], sizeof tet[k]);
         for (size_t i = 0; i < gsn_lattice_count(&region->at); i++) {
-            const struct gsn_box box = gsn_overlap_box(&region->at, i);
+            const struct gsn_aabb box = gsn_voxel_aabb(&region->at, i);
 
             if (region->inside[i])
-                volume += gsn_box_tet_volume(&box, (const double(*)[3])tet);
+                volume += gsn_aabb_tet_volume(&box, (const double(*)[3])tet);
         }
         CHECK_NEAR(unit[t].inside_share, volume / unit[t].volume_um3, 1e-12);
     }

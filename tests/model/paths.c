@@ -73,7 +73,7 @@ static int run_row(const struct gsn_spline *spline, const double u[3], size_t *h
 
     if (gsn_dms_locate(space, u, *hint, hint) != GSN_OK)
         return GSN_DMS_OUTSIDE;
-    CHECK(gsn_seam_row(space, *hint, u, CONTROLS, control, weight, &count) == GSN_OK);
+    CHECK(gsn_face_correction_row(space, *hint, u, CONTROLS, control, weight, &count) == GSN_OK);
     for (size_t i = 0; i < count; i++)
         sum += gsn_spline_controls(spline)[control[i]] * weight[i];
     *ret_value = sum;

@@ -12,7 +12,7 @@ enum path {
     PATH_EVAL,       /* gsn_spline_eval() */
     PATH_MANY,       /* gsn_spline_eval_many(), all points in one call */
     PATH_GRID,       /* gsn_spline_resample() on a lattice of one voxel; no gradient */
-    PATH_ROW,        /* gsn_seam_row() times the control values; no gradient */
+    PATH_ROW,        /* gsn_face_correction_row() times the control values; no gradient */
     PATHS
 };
 

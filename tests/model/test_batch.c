@@ -116,20 +116,21 @@ TEST(one_point_has_what_it_has_among_many)
                  err);
         for (size_t i = 0; i < POINTS; i++) {
             double bernstein[GSN_DMS_MAX_FUNCTIONS], lambda[4], one, gradient[3], alone;
-            struct gsn_frame frame;
+            struct gsn_barycentric frame;
             const uint32_t *v;
 
             if (isnan(value[i]))
                 continue;
             CHECK(gsn_dms_locate(made.space, at[i], home, &home) == GSN_OK);
             v = made.space->mesh->tet[home];
-            gsn_frame_init(&frame, made.space->mesh->vertex[v[0]], made.space->mesh->vertex[v[1]],
-                           made.space->mesh->vertex[v[2]], made.space->mesh->vertex[v[3]]);
-            gsn_frame_at(&frame, at[i], lambda);
+            gsn_barycentric_init(&frame, made.space->mesh->vertex[v[0]],
+                                 made.space->mesh->vertex[v[1]], made.space->mesh->vertex[v[2]],
+                                 made.space->mesh->vertex[v[3]]);
+            gsn_barycentric_at(&frame, at[i], lambda);
             gsn_spline_bernstein(made.spline, home, bernstein);
             alone = one = gsn_bernstein_at(degree, bernstein, &frame, lambda, gradient);
-            gsn_spline_add_seams(made.spline, home, at[i], &one, gradient);
-            gsn_spline_add_seams(made.spline, home, at[i], &alone, NULL);
+            gsn_spline_add_face_corrections(made.spline, home, at[i], &one, gradient);
+            gsn_spline_add_face_corrections(made.spline, home, at[i], &alone, NULL);
             CHECK_NEAR(one, value[i], 1e-13);
             CHECK_NEAR(alone, one, 1e-14);
             for (int c = 0; c < 3; c++)
@@ -159,7 +160,8 @@ TEST(rows_hold_the_sum_of_the_functions_of_each_control_point)
 
                 if (gsn_dms_basis(made.space, at[i], 0, &hint, term, TERMS, &terms) != GSN_OK)
                     continue;
-                CHECK(gsn_seam_row(made.space, hint, at[i], TERMS, id, value, &count) == GSN_OK);
+                CHECK(gsn_face_correction_row(made.space, hint, at[i], TERMS, id, value, &count) ==
+                      GSN_OK);
                 for (size_t j = 0; j < terms; j++)
                     truth[term[j].control] += term[j].value;
                 for (size_t j = 0; j < count; j++) {
@@ -174,7 +176,7 @@ TEST(rows_hold_the_sum_of_the_functions_of_each_control_point)
                 }
                 CHECK(sum < 1 + 1e-12);
                 if (count > 3)
-                    CHECK(gsn_seam_row(made.space, hint, at[i], 3, id, value, &count) ==
+                    CHECK(gsn_face_correction_row(made.space, hint, at[i], 3, id, value, &count) ==
                           GSN_E_LIMIT);
             }
             gsn_free(at);

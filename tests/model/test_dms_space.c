@@ -122,7 +122,7 @@ static size_t holder_of(const struct gsn_tets *mesh, const double u[3])
     return t;
 }
 
-static void draw_in_box(const struct gsn_box *box, uint64_t *seed, double ret_u[3])
+static void draw_in_box(const struct gsn_bvh_box *box, uint64_t *seed, double ret_u[3])
 {
     for (int c = 0; c < 3; c++)
         ret_u[c] = box->low[c] + draw(seed) * (box->high[c] - box->low[c]);
@@ -133,7 +133,8 @@ static void check_locate(struct gsn_tets *taken)
 {
     gsn_auto(gsn_dms) space = space_over(taken, 2, 0.02);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
-    const struct gsn_box box = gsn_box_around((const double(*)[3])mesh->vertex, mesh->vertex_count);
+    const struct gsn_bvh_box box =
+        gsn_bvh_box_around((const double(*)[3])mesh->vertex, mesh->vertex_count);
     uint64_t seed = 3;
     size_t hint = 0;
 
@@ -235,17 +236,17 @@ TEST(no_tetrahedron_that_reaches_another_is_missed)
     size_t listed = 0;
 
     for (size_t home = 0; home < mesh->tet_count; home++) {
-        struct gsn_ascent ascent;
+        struct gsn_sorted_batch ascent;
         uint8_t reaches[1000] = { 0 };
 
-        gsn_ascent_begin(&ascent);
+        gsn_sorted_batch_begin(&ascent);
         gsn_dms_reaching(space, home, &ascent);
         for (size_t i = 0; i < ascent.count; i++) {
             CHECK(i == 0 || ascent.item[i] > ascent.item[i - 1]);
             reaches[ascent.item[i]] = 1;
         }
         listed += ascent.count;
-        CHECK(reaches[home] && !gsn_ascent_next(&ascent));
+        CHECK(reaches[home] && !gsn_sorted_batch_next(&ascent));
         for (int i = 0; i < 10; i++) {
             double u[3], value[GSN_DMS_MAX_FUNCTIONS];
 
@@ -277,7 +278,7 @@ TEST(the_mean_over_everything_adds_all_functions)
     uint64_t seed = 9;
     double mean, sum = 0;
 
-    CHECK(control && gsn_dms_mesh(space)->tet_count > GSN_ASCENT_ROOM);
+    CHECK(control && gsn_dms_mesh(space)->tet_count > GSN_SORTED_BATCH_ROOM);
     for (size_t i = 0; i < gsn_dms_controls(space); i++)
         control[i] = draw(&seed);
     CHECK_OK(gsn_spline_new(space, control, &spline, &err), err);

@@ -212,10 +212,10 @@ static void check_power(const struct golden_case *golden)
     for (size_t t = 0; t < golden->mesh->tet_count; t++) {
         const uint32_t *v = golden->mesh->tet[t];
         double own[GSN_DMS_MAX_FUNCTIONS];
-        struct gsn_frame frame;
+        struct gsn_barycentric frame;
 
-        gsn_frame_init(&frame, golden->mesh->vertex[v[0]], golden->mesh->vertex[v[1]],
-                       golden->mesh->vertex[v[2]], golden->mesh->vertex[v[3]]);
+        gsn_barycentric_init(&frame, golden->mesh->vertex[v[0]], golden->mesh->vertex[v[1]],
+                             golden->mesh->vertex[v[2]], golden->mesh->vertex[v[3]]);
         gsn_spline_bernstein(spline, t, own);
         /* A polynomial is its values at the nodes of the Bernstein form. */
         for (size_t f = 0; f < gsn_dms_functions(golden->space); f++) {

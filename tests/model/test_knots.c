@@ -145,15 +145,15 @@ TEST(derivatives_by_a_knot_are_the_limit_of_differences)
 /* sum delta of a tetrahedron from its definition; cloud has its four clouds. */
 static double sum_delta(unsigned degree, const double (*const cloud[4])[3])
 {
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     double delta = 0;
 
-    gsn_frame_init(&frame, *cloud[0], *cloud[1], *cloud[2], *cloud[3]);
+    gsn_barycentric_init(&frame, *cloud[0], *cloud[1], *cloud[2], *cloud[3]);
     for (unsigned k = 0; k < 4; k++) {
         double most = 0, lambda[4];
 
         for (unsigned i = 0; i < 4 * (degree + 1); i++) {
-            gsn_frame_at(&frame, cloud[i / (degree + 1)][i % (degree + 1)], lambda);
+            gsn_barycentric_at(&frame, cloud[i / (degree + 1)][i % (degree + 1)], lambda);
             if (i / (degree + 1) != k)
                 most = fmax(most, lambda[k]);
         }

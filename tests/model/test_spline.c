@@ -484,7 +484,7 @@ static void check_residual(struct made *made, uint64_t *seed)
             draw_in_skins(mesh, t, seed, u);
             if (gsn_spline_eval(made->spline, u, &hint, &value, NULL) != GSN_OK || hint != t)
                 continue;
-            gsn_frame_at(&shape.frame, u, lambda);
+            gsn_barycentric_at(&shape.frame, u, lambda);
             off = value - gsn_bernstein_at(gsn_dms_degree(made->space), bernstein, &shape.frame,
                                            lambda, NULL);
             CHECK(off >= low - 1e-12 && off <= high + 1e-12);

@@ -110,12 +110,12 @@ static double chord(const struct gsn_dms *space, const double (*knot)[3], size_t
                     const double a[3], const double b[3])
 {
     const uint8_t *m = space->sets->set[quad].member;
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     double at_a[4], at_b[4], from = 0, to = 1;
 
-    gsn_frame_init(&frame, knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]);
-    gsn_frame_at(&frame, a, at_a);
-    gsn_frame_at(&frame, b, at_b);
+    gsn_barycentric_init(&frame, knot[m[0]], knot[m[1]], knot[m[2]], knot[m[3]]);
+    gsn_barycentric_at(&frame, a, at_a);
+    gsn_barycentric_at(&frame, b, at_b);
     for (int k = 0; k < 4; k++) {
         const double zero = at_a[k] / (at_a[k] - at_b[k]);
 
@@ -136,15 +136,15 @@ static double corrected(const struct gsn_dms *space, const double (*knot)[3], co
     const struct gsn_simplex_set *set = &space->sets->set[s];
     const struct gsn_simplex_set *w;
     struct gsn_simplex_at at;
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     double lambda[4], sum;
 
     if (set->size == 4)
         return chord(space, knot, s, a, b) / fabs(gsn_simplex_det(set, knot));
     w = &space->sets->set[pick[s]];
-    gsn_frame_init(&frame, knot[w->member[0]], knot[w->member[1]], knot[w->member[2]],
-                   knot[w->member[3]]);
-    gsn_frame_at(&frame, a, lambda);
+    gsn_barycentric_init(&frame, knot[w->member[0]], knot[w->member[1]], knot[w->member[2]],
+                         knot[w->member[3]]);
+    gsn_barycentric_at(&frame, a, lambda);
     gsn_simplex_at_init(&at, space->sets, knot, pick, b, 0);
     sum = gsn_simplex_value(&at, s);
     for (unsigned i = 0, m = 0; i < 4; i++) {

@@ -29,7 +29,7 @@ TEST(every_mark_found_in_a_posed_section_has_one_dot)
 {
     struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
     const struct gsn_report *report = sample_report(sample);
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
     size_t marks = 0;
 
     for (size_t i = 0; i < report->section_count; i++)
@@ -48,7 +48,7 @@ TEST(bars_are_as_high_as_their_counts)
 {
     static const size_t bin[2] = { 10, 5 };
     const struct gsn_report_units units = { 0, 1, bin, 2, 0.1, 0.4, 0.9 };
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
     gsn_chart_densities(&text, &units);
     assert_non_null(strstr(text.bytes, "y=\"34.0\" width=\"246.0\" height=\"180.0\""));
@@ -61,7 +61,7 @@ TEST(nothing_to_draw_draws_nothing_wrong)
 {
     const struct gsn_report_units none = { 0, 0, NULL, 0, (double)NAN, (double)NAN, (double)NAN };
     const struct gsn_report empty = { .specimen = "x" };
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
     gsn_chart_densities(&text, &none);
     CHECK(text.size == 0);
@@ -71,7 +71,7 @@ TEST(nothing_to_draw_draws_nothing_wrong)
 
 TEST(the_bars_of_a_loss_are_its_densities)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
     gsn_chart_loss(&text, 0.8, 0.5);
     assert_non_null(strstr(text.bytes, "width=\"320.0\""));

@@ -129,7 +129,7 @@ TEST(the_policy_allows_just_this_style_sheet)
     gsn_auto_mem(char) page = page_of(sample_report(sample));
     const char *const from = strstr(page, "<style>") + 7;
     const char *const to = strstr(page, "</style>");
-    gsn_auto_text wanted = { .bytes = NULL };
+    gsn_auto_report_text wanted = { .bytes = NULL };
     struct gsn_error err = { 0 };
     struct gsn_digest digest;
     uint8_t raw[32];
@@ -141,9 +141,9 @@ TEST(the_policy_allows_just_this_style_sheet)
         CHECK(sscanf(digest.hex + 2 * i, "%2x", &byte) == 1);
         raw[i] = (uint8_t)byte;
     }
-    gsn_text_raw(&wanted, "content=\"default-src 'none'; img-src data:; style-src 'sha256-");
-    gsn_text_base64(&wanted, raw, sizeof raw);
-    gsn_text_raw(&wanted, "'; base-uri 'none'; form-action 'none'\">");
+    gsn_report_text_raw(&wanted, "content=\"default-src 'none'; img-src data:; style-src 'sha256-");
+    gsn_report_text_base64(&wanted, raw, sizeof raw);
+    gsn_report_text_raw(&wanted, "'; base-uri 'none'; form-action 'none'\">");
     assert_non_null(strstr(page, wanted.bytes));
     sample_free(sample);
 }

@@ -11,7 +11,7 @@
         CHECK(!(text).failed);                                                                     \
         assert_string_equal((text).bytes, truth);                                                  \
         CHECK((text).size == strlen(truth));                                                       \
-        gsn_text_done(&(text));                                                                    \
+        gsn_report_text_done(&(text));                                                             \
     } while (0)
 
 static const char unknown[] = "\xEF\xBF\xBD";
@@ -28,23 +28,23 @@ TEST(base64_agrees_with_the_vectors_of_rfc_4648)
                                              { "\xFB\xEF\xBE\xFF", "++++/w==" } };
 
     for (size_t i = 0; i < sizeof vector / sizeof vector[0]; i++) {
-        gsn_auto_text text = { .bytes = NULL };
+        gsn_auto_report_text text = { .bytes = NULL };
 
-        gsn_text_base64(&text, vector[i][0], strlen(vector[i][0]));
+        gsn_report_text_base64(&text, vector[i][0], strlen(vector[i][0]));
         CHECK_TEXT(text, vector[i][1]);
     }
 }
 
 TEST(markup_in_names_is_disarmed)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
-    gsn_text_escape(&text, "<script>alert(\"x\" & 'y')</script>");
+    gsn_report_text_escape(&text, "<script>alert(\"x\" & 'y')</script>");
     CHECK_TEXT(text, "&lt;script&gt;alert(&quot;x&quot; &amp; &#39;y&#39;)&lt;/script&gt;");
-    gsn_text_escape(&text, "Zahnwurzel \xC3\xA4\xC3\xB6\xC3\xBC \xF0\x9F\xA6\xB7");
+    gsn_report_text_escape(&text, "Zahnwurzel \xC3\xA4\xC3\xB6\xC3\xBC \xF0\x9F\xA6\xB7");
     CHECK_TEXT(text, "Zahnwurzel \xC3\xA4\xC3\xB6\xC3\xBC \xF0\x9F\xA6\xB7");
-    gsn_text_escape(&text, NULL);
-    gsn_text_raw(&text, "|");
+    gsn_report_text_escape(&text, NULL);
+    gsn_report_text_raw(&text, "|");
     CHECK_TEXT(text, "|");
 }
 
@@ -61,9 +61,9 @@ TEST(what_is_not_utf8_or_hides_becomes_the_replacement_character)
                 { "\x7F", 1 },         { "\xE2\x80\xAE", 1 } };
 
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-        gsn_auto_text text = { .bytes = NULL };
+        gsn_auto_report_text text = { .bytes = NULL };
 
-        gsn_text_escape(&text, bad[i].said);
+        gsn_report_text_escape(&text, bad[i].said);
         CHECK(text.size == 3 * bad[i].count);
         for (size_t k = 0; k < bad[i].count; k++)
             assert_memory_equal(text.bytes + 3 * k, unknown, 3);
@@ -72,23 +72,23 @@ TEST(what_is_not_utf8_or_hides_becomes_the_replacement_character)
 
 TEST(utf8_keeps_controls_and_mends_bytes)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
-    gsn_text_utf8(&text, "a\x01"
-                         "b\xFF<");
+    gsn_report_text_utf8(&text, "a\x01"
+                                "b\xFF<");
     CHECK_TEXT(text, "a\x01"
                      "b\xEF\xBF\xBD<");
-    gsn_text_utf8(&text, NULL);
+    gsn_report_text_utf8(&text, NULL);
     CHECK_TEXT(text, "");
 }
 
 TEST(long_names_are_cut_at_a_character)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
-    gsn_text_escape_short(&text, "\xC3\xA4\xC3\xB6\xC3\xBC<", 3);
+    gsn_report_text_escape_short(&text, "\xC3\xA4\xC3\xB6\xC3\xBC<", 3);
     CHECK_TEXT(text, "\xC3\xA4\xC3\xB6\xC3\xBC\xE2\x80\xA6");
-    gsn_text_escape_short(&text, "abc", 3);
+    gsn_report_text_escape_short(&text, "abc", 3);
     CHECK_TEXT(text, "abc");
 }
 
@@ -115,13 +115,13 @@ TEST(numbers_are_written_for_people)
         { (double)NAN, 1, "\xE2\x80\x93" },
         { (double)INFINITY, 1, "\xE2\x80\x93" },
     };
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
     for (size_t i = 0; i < sizeof plain / sizeof plain[0]; i++) {
-        gsn_text_number(&text, plain[i].value, plain[i].decimals);
+        gsn_report_text_number(&text, plain[i].value, plain[i].decimals);
         CHECK_TEXT(text, plain[i].truth);
     }
-    gsn_text_number(&text, 1e308, 0);
+    gsn_report_text_number(&text, 1e308, 0);
     CHECK(!text.failed && text.size > 309);
 }
 
@@ -144,28 +144,28 @@ TEST(digits_are_significant_ones)
           "2 \xC3\x97 10\xC2\xB9\xC2\xB2" },
         { 1e-10, 1, "1 \xC3\x97 10\xE2\x81\xBB\xC2\xB9\xE2\x81\xB0" },
     };
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
     for (size_t i = 0; i < sizeof row / sizeof row[0]; i++) {
-        gsn_text_digits(&text, row[i].value, row[i].digits);
+        gsn_report_text_digits(&text, row[i].value, row[i].digits);
         CHECK_TEXT(text, row[i].truth);
     }
-    gsn_text_plain(&text, 0.05);
+    gsn_report_text_plain(&text, 0.05);
     CHECK_TEXT(text, "0.05");
-    gsn_text_plain(&text, 120);
+    gsn_report_text_plain(&text, 120);
     CHECK_TEXT(text, "120");
-    gsn_text_plain(&text, 1e-6);
+    gsn_report_text_plain(&text, 1e-6);
     CHECK_TEXT(text, "1 \xC3\x97 10\xE2\x81\xBB\xE2\x81\xB6");
 }
 
 static int write_a_lot(struct gsn_error *err)
 {
-    gsn_auto_text text = { .bytes = NULL };
+    gsn_auto_report_text text = { .bytes = NULL };
 
     for (int i = 0; i < 200; i++) {
-        gsn_text_print(&text, "%d ", i);
-        gsn_text_escape(&text, "<&>");
-        gsn_text_base64(&text, "abc", 3);
+        gsn_report_text_print(&text, "%d ", i);
+        gsn_report_text_escape(&text, "<&>");
+        gsn_report_text_base64(&text, "abc", 3);
     }
     return text.failed ? gsn_fail(err, GSN_E_NOMEM, "out of memory") : GSN_OK;
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/boxtree.h"
+#include "pipeline/model/bvh.h"
 
 #include <assert.h>
 #include <math.h>
@@ -24,8 +24,8 @@ struct node {
 
 /* Nodes are numbered as in a heap: 1 is the root, 2 i and 2 i + 1 are below i, and leaves .. 2
  * leaves - 1 are the leaves. */
-struct gsn_boxtree {
-    struct gsn_box bounds;
+struct gsn_bvh {
+    struct gsn_bvh_box bounds;
     double origin[3], scale;
     size_t count, leaves;
     size_t deepest; /* the first node of the deepest level, which is the first leaf in space */
@@ -38,9 +38,9 @@ struct place {
     uint32_t item;
 };
 
-struct gsn_box gsn_box_around(const double (*point)[3], size_t count)
+struct gsn_bvh_box gsn_bvh_box_around(const double (*point)[3], size_t count)
 {
-    struct gsn_box box;
+    struct gsn_bvh_box box;
 
     memcpy(box.low, point[0], sizeof box.low);
     memcpy(box.high, point[0], sizeof box.high);
@@ -53,7 +53,7 @@ struct gsn_box gsn_box_around(const double (*point)[3], size_t count)
     return box;
 }
 
-int gsn_box_meets(const struct gsn_box *a, const struct gsn_box *b)
+int gsn_bvh_box_meets(const struct gsn_bvh_box *a, const struct gsn_bvh_box *b)
 {
     for (int c = 0; c < 3; c++) {
         if (a->low[c] > b->high[c] || a->high[c] < b->low[c])
@@ -62,7 +62,7 @@ int gsn_box_meets(const struct gsn_box *a, const struct gsn_box *b)
     return 1;
 }
 
-static void bound(struct gsn_boxtree *tree, const struct gsn_box *box)
+static void bound(struct gsn_bvh *tree, const struct gsn_bvh_box *box)
 {
     double half = 0;
     int exponent = 0;
@@ -85,7 +85,7 @@ static void bound(struct gsn_boxtree *tree, const struct gsn_box *box)
 
 /* A coordinate of a node. This grows with x, rounding and all, which is why rounding it outward is
  * enough to keep every box within its nodes. What is not a number goes outside of everything. */
-static double within(const struct gsn_boxtree *tree, double x, int axis)
+static double within(const struct gsn_bvh *tree, double x, int axis)
 {
     const double y = (x - tree->origin[axis]) * tree->scale;
 
@@ -104,7 +104,7 @@ static float round_up(double x)
     return -round_down(-x);
 }
 
-static struct node node_of(const struct gsn_boxtree *tree, const struct gsn_box *box)
+static struct node node_of(const struct gsn_bvh *tree, const struct gsn_bvh_box *box)
 {
     struct node node;
 
@@ -159,7 +159,7 @@ static uint64_t hilbert_code(uint32_t x[3])
 }
 
 /* Where the middle of a box lies along the curve. */
-static uint64_t code_of(const struct gsn_boxtree *tree, const struct gsn_box *box)
+static uint64_t code_of(const struct gsn_bvh *tree, const struct gsn_bvh_box *box)
 {
     const double cells = (double)(1 << CURVE_BITS);
     uint32_t cell[3];
@@ -182,7 +182,7 @@ static int by_code(const void *left, const void *right)
     return (a->item > b->item) - (a->item < b->item);
 }
 
-static int sort_items(struct gsn_boxtree *tree, const struct gsn_box *box, struct gsn_error *err)
+static int sort_items(struct gsn_bvh *tree, const struct gsn_bvh_box *box, struct gsn_error *err)
 {
     gsn_auto_mem(struct place) place = gsn_alloc_array(tree->count, sizeof *place);
 
@@ -198,7 +198,7 @@ static int sort_items(struct gsn_boxtree *tree, const struct gsn_box *box, struc
 
 /* The items of a leaf node: returns the first, and how many. Along the curve the leaves of
  * the deepest level come before those one above it. */
-static const uint32_t *items_of(const struct gsn_boxtree *tree, size_t node, size_t *ret_count)
+static const uint32_t *items_of(const struct gsn_bvh *tree, size_t node, size_t *ret_count)
 {
     const size_t deepest = tree->deepest;
     const size_t place = node >= deepest ? node - deepest : node + tree->leaves - deepest;
@@ -208,7 +208,7 @@ static const uint32_t *items_of(const struct gsn_boxtree *tree, size_t node, siz
     return &tree->item[first];
 }
 
-static void fill_nodes(struct gsn_boxtree *tree, const struct gsn_box *box)
+static void fill_nodes(struct gsn_bvh *tree, const struct gsn_bvh_box *box)
 {
     for (size_t i = 2 * tree->leaves - 1; i > 0; i--) {
         if (i >= tree->leaves) {
@@ -228,10 +228,10 @@ static void fill_nodes(struct gsn_boxtree *tree, const struct gsn_box *box)
     }
 }
 
-int gsn_boxtree_new(const struct gsn_box *box, size_t count, struct gsn_boxtree **ret_tree,
-                    struct gsn_error *err)
+int gsn_bvh_new(const struct gsn_bvh_box *box, size_t count, struct gsn_bvh **ret_tree,
+                struct gsn_error *err)
 {
-    gsn_auto(gsn_boxtree) tree = gsn_alloc_array(1, sizeof *tree);
+    gsn_auto(gsn_bvh) tree = gsn_alloc_array(1, sizeof *tree);
     int r;
 
     assert(box && count > 0 && count < UINT32_MAX && ret_tree);
@@ -255,7 +255,7 @@ int gsn_boxtree_new(const struct gsn_box *box, size_t count, struct gsn_boxtree 
     return GSN_OK;
 }
 
-void gsn_boxtree_free(struct gsn_boxtree *tree)
+void gsn_bvh_free(struct gsn_bvh *tree)
 {
     if (!tree)
         return;
@@ -264,12 +264,12 @@ void gsn_boxtree_free(struct gsn_boxtree *tree)
     gsn_free(tree);
 }
 
-const struct gsn_box *gsn_boxtree_bounds(const struct gsn_boxtree *tree)
+const struct gsn_bvh_box *gsn_bvh_bounds(const struct gsn_bvh *tree)
 {
     return &tree->bounds;
 }
 
-size_t gsn_boxtree_bytes(const struct gsn_boxtree *tree)
+size_t gsn_bvh_bytes(const struct gsn_bvh *tree)
 {
     return sizeof *tree + 2 * tree->leaves * sizeof *tree->node + tree->count * sizeof *tree->item;
 }
@@ -282,8 +282,7 @@ static size_t beside(size_t i)
     return i ? i + 1 : 0;
 }
 
-static int visit_leaf(const struct gsn_boxtree *tree, size_t node, gsn_boxtree_visit *visit,
-                      void *context)
+static int visit_leaf(const struct gsn_bvh *tree, size_t node, gsn_bvh_visit *visit, void *context)
 {
     size_t count;
     const uint32_t *item = items_of(tree, node, &count);
@@ -301,9 +300,9 @@ static int meet(const struct node *a, const struct node *b)
 }
 
 /* All leaves below nodes that pass the question, from left to right. */
-static inline int search(const struct gsn_boxtree *tree,
+static inline int search(const struct gsn_bvh *tree,
                          int (*passes)(const void *asked, const struct node *node),
-                         const void *asked, gsn_boxtree_visit *visit, void *context)
+                         const void *asked, gsn_bvh_visit *visit, void *context)
 {
     int r = 0;
 
@@ -325,20 +324,19 @@ static int meets_box(const void *asked, const struct node *node)
     return meet(node, asked);
 }
 
-int gsn_boxtree_meeting(const struct gsn_boxtree *tree, const struct gsn_box *box,
-                        gsn_boxtree_visit *visit, void *context)
+int gsn_bvh_meeting(const struct gsn_bvh *tree, const struct gsn_bvh_box *box, gsn_bvh_visit *visit,
+                    void *context)
 {
     const struct node asked = node_of(tree, box);
 
     return search(tree, meets_box, &asked, visit, context);
 }
 
-int gsn_boxtree_at(const struct gsn_boxtree *tree, const double u[3], gsn_boxtree_visit *visit,
-                   void *context)
+int gsn_bvh_at(const struct gsn_bvh *tree, const double u[3], gsn_bvh_visit *visit, void *context)
 {
-    const struct gsn_box point = { { u[0], u[1], u[2] }, { u[0], u[1], u[2] } };
+    const struct gsn_bvh_box point = { { u[0], u[1], u[2] }, { u[0], u[1], u[2] } };
 
-    return gsn_boxtree_meeting(tree, &point, visit, context);
+    return gsn_bvh_meeting(tree, &point, visit, context);
 }
 
 /* A line in the coordinates of the nodes. */
@@ -371,8 +369,8 @@ static int is_near_line(const void *asked, const struct node *node)
     return near(asked, node);
 }
 
-int gsn_boxtree_along(const struct gsn_boxtree *tree, const double p[3], const double d[3],
-                      gsn_boxtree_visit *visit, void *context)
+int gsn_bvh_along(const struct gsn_bvh *tree, const double p[3], const double d[3],
+                  gsn_bvh_visit *visit, void *context)
 {
     struct line line;
     double size = 1;

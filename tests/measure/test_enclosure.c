@@ -8,9 +8,9 @@
 static const double low[3] = { -30.0, 100.0, 0.0 }, high[3] = { 60.0, 190.0, 90.0 };
 static const unsigned cells[3] = { 3, 3, 3 };
 
-static struct gsn_box draw_box(uint64_t *seed, double most)
+static struct gsn_aabb draw_box(uint64_t *seed, double most)
 {
-    struct gsn_box box;
+    struct gsn_aabb box;
 
     for (int a = 0; a < 3; a++) {
         box.half[a] = most * (0.05 + 0.95 * draw(seed));
@@ -20,25 +20,26 @@ static struct gsn_box draw_box(uint64_t *seed, double most)
 }
 
 /* The bracket of a box from all tetrahedra that reach it. */
-static struct gsn_bracket bracket_of(const struct gsn_pieces *pieces, const struct gsn_box *box)
+static struct gsn_enclosure bracket_of(const struct gsn_local_polynomials *pieces,
+                                       const struct gsn_aabb *box)
 {
     gsn_auto_mem(uint32_t) tet = gsn_alloc_array(pieces->count, sizeof *tet);
-    struct gsn_bracket bracket;
+    struct gsn_enclosure bracket;
     uint32_t deepest = 0;
     size_t count = 0;
 
     for (size_t t = 0; t < pieces->count; t++) {
-        if (gsn_piece_reaches(&pieces->piece[t], box))
+        if (gsn_local_polynomial_reaches(&pieces->piece[t], box))
             tet[count++] = (uint32_t)t;
     }
-    gsn_bracket_hull(pieces, tet, count, box, &bracket, &deepest);
-    gsn_bracket_tighten(pieces, tet, count, box, deepest, &bracket);
+    gsn_enclosure_hull(pieces, tet, count, box, &bracket, &deepest);
+    gsn_enclosure_tighten(pieces, tet, count, box, deepest, &bracket);
     return bracket;
 }
 
 /* s at random points, corners and the centre of the box is where the bracket says. */
-static void check_points(const struct gsn_spline *spline, const struct gsn_box *box,
-                         const struct gsn_bracket *bracket, uint64_t *seed)
+static void check_points(const struct gsn_spline *spline, const struct gsn_aabb *box,
+                         const struct gsn_enclosure *bracket, uint64_t *seed)
 {
     size_t hint = 0;
 
@@ -63,13 +64,13 @@ static void check_points(const struct gsn_spline *spline, const struct gsn_box *
 static void check_spline(const struct gsn_spline *spline, uint64_t seed)
 {
     const double size[4] = { 0.3, 2.0, 8.0, 25.0 };
-    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto(gsn_local_polynomials) pieces = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_pieces_new(spline, 1, &pieces, &err), err);
+    CHECK_OK(gsn_local_polynomials_new(spline, 1, &pieces, &err), err);
     for (int i = 0; i < 1200; i++) {
-        const struct gsn_box box = draw_box(&seed, size[i % 4]);
-        const struct gsn_bracket bracket = bracket_of(pieces, &box);
+        const struct gsn_aabb box = draw_box(&seed, size[i % 4]);
+        const struct gsn_enclosure bracket = bracket_of(pieces, &box);
 
         check_points(spline, &box, &bracket, &seed);
     }
@@ -102,18 +103,18 @@ TEST(brackets_shrink_with_the_box_in_cores_and_in_skins)
 {
     struct kuhn kuhn;
     struct gsn_error err = { 0 };
-    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto(gsn_local_polynomials) pieces = NULL;
     uint64_t seed = 4;
 
     CHECK_OK(kuhn_random(low, high, cells, 2, 0.05, 5, &kuhn, &err), err);
-    CHECK_OK(gsn_pieces_new(kuhn.spline, 1, &pieces, &err), err);
+    CHECK_OK(gsn_local_polynomials_new(kuhn.spline, 1, &pieces, &err), err);
     CHECK(pieces->shared);
     for (int i = 0; i < 300; i++) {
-        struct gsn_box box = draw_box(&seed, 4.0);
+        struct gsn_aabb box = draw_box(&seed, 4.0);
         double before = INFINITY;
 
         for (int k = 0; k < 6; k++) {
-            const struct gsn_bracket bracket = bracket_of(pieces, &box);
+            const struct gsn_enclosure bracket = bracket_of(pieces, &box);
 
             /* In proportion at least; the factor leaves room for the linear part to move. */
             CHECK(bracket.high - bracket.low <= 0.6 * before);
@@ -132,7 +133,7 @@ TEST(the_caps_of_the_gradients_functions_are_those_functions)
     struct kuhn kuhn;
     struct gsn_error err = { 0 };
     gsn_auto(gsn_dms) first = NULL;
-    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto(gsn_local_polynomials) pieces = NULL;
     gsn_auto_mem(double) knot = NULL;
     uint64_t seed = 31;
     size_t hint = 0, checked = 0;
@@ -142,9 +143,9 @@ TEST(the_caps_of_the_gradients_functions_are_those_functions)
     for (size_t i = 0; i < 6 * kuhn.mesh->vertex_count; i++)
         knot[i] = gsn_dms_knots(kuhn.space)[3 * (i / 6) + i / 3 % 2][i % 3];
     CHECK_OK(gsn_dms_new(kuhn.mesh, 1, (const double(*)[3])knot, GSN_DMS_OWN, &first, &err), err);
-    CHECK_OK(gsn_pieces_new(kuhn.spline, 1, &pieces, &err), err);
+    CHECK_OK(gsn_local_polynomials_new(kuhn.spline, 1, &pieces, &err), err);
     for (int i = 0; i < 4000; i++) {
-        const struct gsn_box box = draw_box(&seed, 0.0);
+        const struct gsn_aabb box = draw_box(&seed, 0.0);
         struct gsn_dms_term term[256];
         double sum = 0.0;
         size_t count;
@@ -152,15 +153,17 @@ TEST(the_caps_of_the_gradients_functions_are_those_functions)
         CHECK(gsn_dms_basis(first, box.centre, 0, &hint, term, 256, &count) == GSN_OK);
         CHECK(count <= 256);
         for (size_t k = 0; k < count; k++) {
-            const struct gsn_piece *piece = &pieces->piece[term[k].tet];
+            const struct gsn_local_polynomial *piece = &pieces->piece[term[k].tet];
 
             /* Functions of degree 1 are in the order of their corner; slopes in that of g. */
-            CHECK_NEAR(gsn_piece_slope_weight(piece, &piece->slope[3 - term[k].function], &box),
-                       term[k].value, 1e-9);
+            CHECK_NEAR(
+                gsn_local_polynomial_slope_weight(piece, &piece->slope[3 - term[k].function], &box),
+                term[k].value, 1e-9);
         }
         for (size_t t = 0; t < pieces->count; t++) {
             for (size_t f = 0; f < 4; f++)
-                sum += gsn_piece_slope_weight(&pieces->piece[t], &pieces->piece[t].slope[f], &box);
+                sum += gsn_local_polynomial_slope_weight(&pieces->piece[t],
+                                                         &pieces->piece[t].slope[f], &box);
         }
         CHECK_NEAR(sum, 1.0, 1e-8);
         checked += count;
@@ -176,7 +179,7 @@ TEST(a_bracket_encloses_a_spline_with_cliffs)
     struct gsn_error err = { 0 };
     gsn_auto(gsn_dms) space = NULL;
     gsn_auto(gsn_spline) spline = NULL;
-    gsn_auto(gsn_pieces) pieces = NULL;
+    gsn_auto(gsn_local_polynomials) pieces = NULL;
     gsn_auto_mem(double) control = NULL;
     uint64_t seed = 12;
 
@@ -186,7 +189,7 @@ TEST(a_bracket_encloses_a_spline_with_cliffs)
     for (size_t i = 0; i < gsn_dms_controls(space); i++)
         control[i] = 2.0 * draw(&seed) - 1.0;
     CHECK_OK(gsn_spline_new(space, control, &spline, &err), err);
-    CHECK_OK(gsn_pieces_new(spline, 1, &pieces, &err), err);
+    CHECK_OK(gsn_local_polynomials_new(spline, 1, &pieces, &err), err);
     CHECK(!pieces->shared);
     check_spline(spline, 8);
     gsn_spline_free(gsn_steal(&spline));

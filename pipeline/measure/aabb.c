@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/measure/box.h"
+#include "pipeline/measure/aabb.h"
 
 #include <math.h>
 #include <string.h>
@@ -66,7 +66,7 @@ static void sort3(double m[3])
     }
 }
 
-double gsn_box_share_above(double value, const double slope[3])
+double gsn_aabb_share_above(double value, const double slope[3])
 {
     /* With x = (1 + sign t) / 2 the function is value - sum m / 2 + m . x, m = 2 |slope|. */
     double m[3] = { 2.0 * fabs(slope[0]), 2.0 * fabs(slope[1]), 2.0 * fabs(slope[2]) };
@@ -109,9 +109,9 @@ static void crossing(const double in[3], const double out[3], double d_in, doubl
         ret[a] = in[a] + t * (out[a] - in[a]);
 }
 
-static double clip(const struct gsn_box *box, const double p[4][3], int plane);
+static double clip(const struct gsn_aabb *box, const double p[4][3], int plane);
 
-static double clip_piece(const struct gsn_box *box, const double a[3], const double b[3],
+static double clip_piece(const struct gsn_aabb *box, const double a[3], const double b[3],
                          const double c[3], const double d[3], int plane)
 {
     double piece[4][3];
@@ -125,7 +125,7 @@ static double clip_piece(const struct gsn_box *box, const double a[3], const dou
 
 /* Volume of the tetrahedron's part inside planes plane..5 of the box. A plane leaves of it a
  * tetrahedron or a prism, which is three: volumes only add, nothing cancels. */
-static double clip(const struct gsn_box *box, const double p[4][3], int plane)
+static double clip(const struct gsn_aabb *box, const double p[4][3], int plane)
 {
     double d[4], cut[4][3];
     int in[4], out[4], ins = 0, outs = 0;
@@ -171,7 +171,7 @@ static double clip(const struct gsn_box *box, const double p[4][3], int plane)
            clip_piece(box, cut[1], p[in[1]], cut[2], cut[3], plane);
 }
 
-double gsn_box_tet_volume(const struct gsn_box *box, const double corner[4][3])
+double gsn_aabb_tet_volume(const struct gsn_aabb *box, const double corner[4][3])
 {
     return clip(box, corner, 0);
 }
@@ -192,7 +192,7 @@ static int separates(const double axis[3], const double half[3], const double p[
     return low > reach || high < -reach;
 }
 
-int gsn_box_meets_triangle(const struct gsn_box *box, const double corner[3][3])
+int gsn_aabb_meets_triangle(const struct gsn_aabb *box, const double corner[3][3])
 {
     double p[3][3], edge[3][3], normal[3];
 

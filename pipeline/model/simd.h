@@ -5,8 +5,8 @@
  * A file that includes this is compiled once per instruction set. Every operation rounds alike in
  * each of them, the fused multiply-add included, so that a lane holds the same bits whether eight,
  * four or one of them are computed together, and a report does not depend on the processor. */
-#ifndef GSN_MODEL_LANES_H
-#define GSN_MODEL_LANES_H
+#ifndef GSN_MODEL_SIMD_H
+#define GSN_MODEL_SIMD_H
 
 #include <math.h>
 #include <stddef.h>
@@ -17,27 +17,27 @@
 
 #include <immintrin.h>
 
-enum { GSN_LANES = 8 };
-typedef __m512d gsn_lanes;
+enum { GSN_SIMD_WIDTH = 8 };
+typedef __m512d gsn_simd;
 
-static inline gsn_lanes gsn_lanes_load(const double *from)
+static inline gsn_simd gsn_simd_load(const double *from)
 {
     return _mm512_loadu_pd(from);
 }
 
-static inline void gsn_lanes_store(double *to, gsn_lanes a)
+static inline void gsn_simd_store(double *to, gsn_simd a)
 {
     _mm512_storeu_pd(to, a);
 }
 
 /* The first count lanes, or all of them; 0 in the others. */
-static inline gsn_lanes gsn_lanes_load_some(const double *from, size_t count)
+static inline gsn_simd gsn_simd_load_some(const double *from, size_t count)
 {
     return count < 8 ? _mm512_maskz_loadu_pd((__mmask8)((1u << count) - 1), from)
                      : _mm512_loadu_pd(from);
 }
 
-static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
+static inline void gsn_simd_store_some(double *to, gsn_simd a, size_t count)
 {
     if (count < 8)
         _mm512_mask_storeu_pd(to, (__mmask8)((1u << count) - 1), a);
@@ -45,65 +45,65 @@ static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
         _mm512_storeu_pd(to, a);
 }
 
-static inline gsn_lanes gsn_lanes_all(double a)
+static inline gsn_simd gsn_simd_all(double a)
 {
     return _mm512_set1_pd(a);
 }
 
-static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
+static inline gsn_simd gsn_simd_fma(gsn_simd a, gsn_simd b, gsn_simd c)
 {
     return _mm512_fmadd_pd(a, b, c);
 }
 
-static inline gsn_lanes gsn_lanes_max(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_max(gsn_simd a, gsn_simd b)
 {
     return _mm512_max_pd(a, b);
 }
 
-static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_min(gsn_simd a, gsn_simd b)
 {
     return _mm512_min_pd(a, b);
 }
 
-static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
+static inline gsn_simd gsn_simd_ceil(gsn_simd a)
 {
     return _mm512_ceil_pd(a);
 }
 
-static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
+static inline gsn_simd gsn_simd_floor(gsn_simd a)
 {
     return _mm512_floor_pd(a);
 }
 
 /* min(a, |b|) for a >= 0. */
-static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_least(gsn_simd a, gsn_simd b)
 {
     return _mm512_range_pd(a, b, 2 | 2 << 2);
 }
 
 /* The lanes of keep, a bit each, one behind the other as whole numbers, which they must be. Writes
  * as many numbers as there are lanes. */
-static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
+static inline void gsn_simd_squeeze(int32_t *to, gsn_simd a, unsigned keep)
 {
     _mm256_storeu_si256((__m256i *)to,
                         _mm512_cvttpd_epi32(_mm512_maskz_compress_pd((__mmask8)keep, a)));
 }
 
 /* A bit per lane: a < b. */
-static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
+static inline unsigned gsn_simd_below(gsn_simd a, gsn_simd b)
 {
     return _mm512_cmp_pd_mask(a, b, _CMP_LT_OQ);
 }
 
 /* A bit per lane: not a > bound. */
-static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
+static inline unsigned gsn_simd_not_above(gsn_simd a, double bound)
 {
     return _mm512_cmp_pd_mask(a, _mm512_set1_pd(bound), _CMP_NGT_UQ);
 }
 
 /* value where the signs of a, b, c, d alternate, 0 elsewhere. */
-static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b, gsn_lanes c,
-                                                        gsn_lanes d, double value)
+static inline gsn_simd gsn_simd_where_signs_alternate(gsn_simd a, gsn_simd b, gsn_simd c,
+                                                      gsn_simd d, double value)
 {
     /* (a ^ b) & (b ^ c), then & (c ^ d). */
     const __m512i abc = _mm512_ternarylogic_epi64(_mm512_castpd_si512(a), _mm512_castpd_si512(b),
@@ -118,70 +118,70 @@ static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b
 
 #include <immintrin.h>
 
-enum { GSN_LANES = 4 };
-typedef __m256d gsn_lanes;
+enum { GSN_SIMD_WIDTH = 4 };
+typedef __m256d gsn_simd;
 
-static inline gsn_lanes gsn_lanes_load(const double *from)
+static inline gsn_simd gsn_simd_load(const double *from)
 {
     return _mm256_loadu_pd(from);
 }
 
-static inline void gsn_lanes_store(double *to, gsn_lanes a)
+static inline void gsn_simd_store(double *to, gsn_simd a)
 {
     _mm256_storeu_pd(to, a);
 }
 
-static inline __m256i gsn_lanes_some(size_t count)
+static inline __m256i gsn_simd_some(size_t count)
 {
     return _mm256_cmpgt_epi64(_mm256_set1_epi64x((long long)count), _mm256_setr_epi64x(0, 1, 2, 3));
 }
 
-static inline gsn_lanes gsn_lanes_load_some(const double *from, size_t count)
+static inline gsn_simd gsn_simd_load_some(const double *from, size_t count)
 {
-    return _mm256_maskload_pd(from, gsn_lanes_some(count));
+    return _mm256_maskload_pd(from, gsn_simd_some(count));
 }
 
-static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
+static inline void gsn_simd_store_some(double *to, gsn_simd a, size_t count)
 {
-    _mm256_maskstore_pd(to, gsn_lanes_some(count), a);
+    _mm256_maskstore_pd(to, gsn_simd_some(count), a);
 }
 
-static inline gsn_lanes gsn_lanes_all(double a)
+static inline gsn_simd gsn_simd_all(double a)
 {
     return _mm256_set1_pd(a);
 }
 
-static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
+static inline gsn_simd gsn_simd_fma(gsn_simd a, gsn_simd b, gsn_simd c)
 {
     return _mm256_fmadd_pd(a, b, c);
 }
 
-static inline gsn_lanes gsn_lanes_max(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_max(gsn_simd a, gsn_simd b)
 {
     return _mm256_max_pd(a, b);
 }
 
-static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_min(gsn_simd a, gsn_simd b)
 {
     return _mm256_min_pd(a, b);
 }
 
-static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
+static inline gsn_simd gsn_simd_ceil(gsn_simd a)
 {
     return _mm256_ceil_pd(a);
 }
 
-static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
+static inline gsn_simd gsn_simd_floor(gsn_simd a)
 {
     return _mm256_floor_pd(a);
 }
 
-static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_least(gsn_simd a, gsn_simd b)
 {
     return _mm256_min_pd(a, _mm256_andnot_pd(_mm256_set1_pd(-0.0), b));
 }
 
-static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
+static inline void gsn_simd_squeeze(int32_t *to, gsn_simd a, unsigned keep)
 {
     int32_t whole[4];
 
@@ -192,18 +192,18 @@ static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
     }
 }
 
-static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
+static inline unsigned gsn_simd_below(gsn_simd a, gsn_simd b)
 {
     return (unsigned)_mm256_movemask_pd(_mm256_cmp_pd(a, b, _CMP_LT_OQ));
 }
 
-static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
+static inline unsigned gsn_simd_not_above(gsn_simd a, double bound)
 {
     return (unsigned)_mm256_movemask_pd(_mm256_cmp_pd(a, _mm256_set1_pd(bound), _CMP_NGT_UQ));
 }
 
-static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b, gsn_lanes c,
-                                                        gsn_lanes d, double value)
+static inline gsn_simd gsn_simd_where_signs_alternate(gsn_simd a, gsn_simd b, gsn_simd c,
+                                                      gsn_simd d, double value)
 {
     const __m256d all =
         _mm256_and_pd(_mm256_and_pd(_mm256_xor_pd(a, b), _mm256_xor_pd(b, c)), _mm256_xor_pd(c, d));
@@ -213,82 +213,82 @@ static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b
 
 #else
 
-enum { GSN_LANES = 1 };
-typedef double gsn_lanes;
+enum { GSN_SIMD_WIDTH = 1 };
+typedef double gsn_simd;
 
-static inline gsn_lanes gsn_lanes_load(const double *from)
+static inline gsn_simd gsn_simd_load(const double *from)
 {
     return *from;
 }
 
-static inline void gsn_lanes_store(double *to, gsn_lanes a)
+static inline void gsn_simd_store(double *to, gsn_simd a)
 {
     *to = a;
 }
 
-static inline gsn_lanes gsn_lanes_load_some(const double *from, size_t count)
+static inline gsn_simd gsn_simd_load_some(const double *from, size_t count)
 {
     return count ? *from : 0;
 }
 
-static inline void gsn_lanes_store_some(double *to, gsn_lanes a, size_t count)
+static inline void gsn_simd_store_some(double *to, gsn_simd a, size_t count)
 {
     if (count)
         *to = a;
 }
 
-static inline gsn_lanes gsn_lanes_all(double a)
+static inline gsn_simd gsn_simd_all(double a)
 {
     return a;
 }
 
-static inline gsn_lanes gsn_lanes_fma(gsn_lanes a, gsn_lanes b, gsn_lanes c)
+static inline gsn_simd gsn_simd_fma(gsn_simd a, gsn_simd b, gsn_simd c)
 {
     return fma(a, b, c);
 }
 
-static inline gsn_lanes gsn_lanes_max(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_max(gsn_simd a, gsn_simd b)
 {
     return a > b ? a : b;
 }
 
-static inline gsn_lanes gsn_lanes_min(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_min(gsn_simd a, gsn_simd b)
 {
     return a < b ? a : b;
 }
 
-static inline gsn_lanes gsn_lanes_ceil(gsn_lanes a)
+static inline gsn_simd gsn_simd_ceil(gsn_simd a)
 {
     return ceil(a);
 }
 
-static inline gsn_lanes gsn_lanes_floor(gsn_lanes a)
+static inline gsn_simd gsn_simd_floor(gsn_simd a)
 {
     return floor(a);
 }
 
-static inline gsn_lanes gsn_lanes_least(gsn_lanes a, gsn_lanes b)
+static inline gsn_simd gsn_simd_least(gsn_simd a, gsn_simd b)
 {
     return fmin(a, fabs(b));
 }
 
-static inline void gsn_lanes_squeeze(int32_t *to, gsn_lanes a, unsigned keep)
+static inline void gsn_simd_squeeze(int32_t *to, gsn_simd a, unsigned keep)
 {
     (void)keep;
     *to = (int32_t)a;
 }
 
-static inline unsigned gsn_lanes_below(gsn_lanes a, gsn_lanes b)
+static inline unsigned gsn_simd_below(gsn_simd a, gsn_simd b)
 {
     return a < b;
 }
 
-static inline unsigned gsn_lanes_not_above(gsn_lanes a, double bound)
+static inline unsigned gsn_simd_not_above(gsn_simd a, double bound)
 {
     return !(a > bound);
 }
 
-static inline unsigned gsn_lanes_sign(double a)
+static inline unsigned gsn_simd_sign(double a)
 {
     uint64_t bits;
 
@@ -296,11 +296,11 @@ static inline unsigned gsn_lanes_sign(double a)
     return (unsigned)(bits >> 63);
 }
 
-static inline gsn_lanes gsn_lanes_where_signs_alternate(gsn_lanes a, gsn_lanes b, gsn_lanes c,
-                                                        gsn_lanes d, double value)
+static inline gsn_simd gsn_simd_where_signs_alternate(gsn_simd a, gsn_simd b, gsn_simd c,
+                                                      gsn_simd d, double value)
 {
-    const unsigned p = gsn_lanes_sign(a), q = gsn_lanes_sign(b), r = gsn_lanes_sign(c),
-                   s = gsn_lanes_sign(d);
+    const unsigned p = gsn_simd_sign(a), q = gsn_simd_sign(b), r = gsn_simd_sign(c),
+                   s = gsn_simd_sign(d);
 
     return (p ^ q) & (q ^ r) & (r ^ s) ? value : 0;
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/measure/box.h"
+#include "pipeline/measure/aabb.h"
 
 #include "tests/check.h"
 #include "tests/measure/draw.h"
@@ -39,7 +39,7 @@ TEST(a_half_space_cut_equals_inclusion_and_exclusion)
         const double slope[3] = { 0.2 + draw(&seed), -0.2 - draw(&seed), 0.2 + draw(&seed) };
         const double value = 4.0 * draw(&seed) - 2.0;
 
-        CHECK_NEAR(gsn_box_share_above(value, slope), share_by_corners(value, slope), 1e-14);
+        CHECK_NEAR(gsn_aabb_share_above(value, slope), share_by_corners(value, slope), 1e-14);
     }
 }
 
@@ -50,12 +50,12 @@ TEST(a_cut_along_an_axis_is_exact_and_tiny_slopes_change_nothing)
             double slope[3] = { 0.0, 0.0, 0.0 };
 
             slope[a] = 2.0 * s;
-            CHECK_NEAR(gsn_box_share_above(1.0, slope), 0.75, 1e-16);
-            CHECK_NEAR(gsn_box_share_above(-1.0, slope), 0.25, 1e-16);
+            CHECK_NEAR(gsn_aabb_share_above(1.0, slope), 0.75, 1e-16);
+            CHECK_NEAR(gsn_aabb_share_above(-1.0, slope), 0.25, 1e-16);
             for (int e = 1; e < 300; e++) {
                 slope[(a + 1) % 3] = pow(10.0, -e);
                 slope[(a + 2) % 3] = pow(10.0, -300 + e);
-                CHECK_NEAR(gsn_box_share_above(1.0, slope), 0.75, 1e-15);
+                CHECK_NEAR(gsn_aabb_share_above(1.0, slope), 0.75, 1e-15);
             }
         }
     }
@@ -65,9 +65,9 @@ TEST(a_flat_function_is_above_or_not)
 {
     const double flat[3] = { 0.0, 0.0, 0.0 };
 
-    CHECK_NEAR(gsn_box_share_above(1e-300, flat), 1.0, 0.0);
-    CHECK_NEAR(gsn_box_share_above(0.0, flat), 0.0, 0.0);
-    CHECK_NEAR(gsn_box_share_above(-1.0, flat), 0.0, 0.0);
+    CHECK_NEAR(gsn_aabb_share_above(1e-300, flat), 1.0, 0.0);
+    CHECK_NEAR(gsn_aabb_share_above(0.0, flat), 0.0, 0.0);
+    CHECK_NEAR(gsn_aabb_share_above(-1.0, flat), 0.0, 0.0);
 }
 
 TEST(above_and_below_make_one_and_slopes_of_any_size_do)
@@ -85,9 +85,9 @@ TEST(above_and_below_make_one_and_slopes_of_any_size_do)
             scaled[a] = scale * slope[a];
             value += slope[a] * (2.0 * draw(&seed) - 1.0);
         }
-        share = gsn_box_share_above(value, slope);
-        CHECK_NEAR(share + gsn_box_share_above(-value, minus), 1.0, 1e-14);
-        CHECK_NEAR(gsn_box_share_above(scale * value, scaled), share, 1e-13);
+        share = gsn_aabb_share_above(value, slope);
+        CHECK_NEAR(share + gsn_aabb_share_above(-value, minus), 1.0, 1e-14);
+        CHECK_NEAR(gsn_aabb_share_above(scale * value, scaled), share, 1e-13);
     }
 }
 
@@ -97,17 +97,17 @@ TEST(a_tetrahedron_is_the_sum_of_its_parts_in_boxes)
 
     for (int i = 0; i < 300; i++) {
         double corner[4][3], sum = 0.0, whole = 0.0;
-        const struct gsn_box all = { { 0.0, 0.0, 0.0 }, { 2.0, 2.0, 2.0 } };
+        const struct gsn_aabb all = { { 0.0, 0.0, 0.0 }, { 2.0, 2.0, 2.0 } };
 
         for (int k = 0; k < 12; k++)
             corner[k / 3][k % 3] = 4.0 * draw(&seed) - 2.0;
         for (int k = 0; k < 64; k++) {
-            const struct gsn_box part = { { k % 4 - 1.5, k / 4 % 4 - 1.5, k / 16 - 1.5 },
-                                          { 0.5, 0.5, 0.5 } };
+            const struct gsn_aabb part = { { k % 4 - 1.5, k / 4 % 4 - 1.5, k / 16 - 1.5 },
+                                           { 0.5, 0.5, 0.5 } };
 
-            sum += gsn_box_tet_volume(&part, (const double(*)[3])corner);
+            sum += gsn_aabb_tet_volume(&part, (const double(*)[3])corner);
         }
-        whole = gsn_box_tet_volume(&all, (const double(*)[3])corner);
+        whole = gsn_aabb_tet_volume(&all, (const double(*)[3])corner);
         CHECK(whole > 0.0);
         CHECK_NEAR(sum, whole, 1e-13);
     }
@@ -116,19 +116,19 @@ TEST(a_tetrahedron_is_the_sum_of_its_parts_in_boxes)
 TEST(a_corner_of_the_cube_cut_by_a_tetrahedron_has_the_known_volume)
 {
     const double corner[4][3] = { { 0, 0, 0 }, { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 } };
-    const struct gsn_box quarter = { { 0.25, 0.25, 0.25 }, { 0.25, 0.25, 0.25 } };
-    const struct gsn_box within = { { 0.1, 0.1, 0.1 }, { 0.05, 0.05, 0.05 } };
-    const struct gsn_box away = { { 0.9, 0.9, 0.9 }, { 0.2, 0.2, 0.2 } };
+    const struct gsn_aabb quarter = { { 0.25, 0.25, 0.25 }, { 0.25, 0.25, 0.25 } };
+    const struct gsn_aabb within = { { 0.1, 0.1, 0.1 }, { 0.05, 0.05, 0.05 } };
+    const struct gsn_aabb away = { { 0.9, 0.9, 0.9 }, { 0.2, 0.2, 0.2 } };
 
     /* The unit corner is 1/6; three corners of 1/48 lie beyond one half. */
-    CHECK_NEAR(gsn_box_tet_volume(&quarter, corner), 1.0 / 6.0 - 3.0 / 48.0, 1e-16);
-    CHECK_NEAR(gsn_box_tet_volume(&within, corner), 0.001, 1e-17);
-    CHECK_NEAR(gsn_box_tet_volume(&away, corner), 0.0, 0.0);
+    CHECK_NEAR(gsn_aabb_tet_volume(&quarter, corner), 1.0 / 6.0 - 3.0 / 48.0, 1e-16);
+    CHECK_NEAR(gsn_aabb_tet_volume(&within, corner), 0.001, 1e-17);
+    CHECK_NEAR(gsn_aabb_tet_volume(&away, corner), 0.0, 0.0);
 }
 
 TEST(a_triangle_meets_a_box_when_a_point_of_it_is_inside)
 {
-    const struct gsn_box box = { { 1.0, 2.0, 3.0 }, { 0.5, 0.4, 0.3 } };
+    const struct gsn_aabb box = { { 1.0, 2.0, 3.0 }, { 0.5, 0.4, 0.3 } };
     uint64_t seed = 4;
     int met = 0, apart = 0;
 
@@ -154,9 +154,9 @@ TEST(a_triangle_meets_a_box_when_a_point_of_it_is_inside)
         }
         /* Sampling may miss a glancing touch, never invent one. */
         if (inside)
-            CHECK(gsn_box_meets_triangle(&box, (const double(*)[3])corner));
+            CHECK(gsn_aabb_meets_triangle(&box, (const double(*)[3])corner));
         met += inside;
-        apart += !gsn_box_meets_triangle(&box, (const double(*)[3])corner);
+        apart += !gsn_aabb_meets_triangle(&box, (const double(*)[3])corner);
     }
     CHECK(met > 300 && apart > 300);
     /* Glancing touches are few: nearly all others are seen to be apart. */

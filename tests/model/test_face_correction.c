@@ -17,22 +17,22 @@ static int eval(const struct gsn_dms *space, const struct gsn_spline *spline, co
     const double *at[3] = { &u[0], &u[1], &u[2] };
     double *slope[3] = { &ret_slope[0], &ret_slope[1], &ret_slope[2] };
     double bernstein[GSN_DMS_MAX_FUNCTIONS], lambda[4];
-    struct gsn_frame frame;
+    struct gsn_barycentric frame;
     const uint32_t *v;
     size_t home;
 
     if (gsn_dms_locate(space, u, 0, &home) != GSN_OK)
         return GSN_DMS_OUTSIDE;
     v = space->mesh->tet[home];
-    gsn_frame_init(&frame, space->mesh->vertex[v[0]], space->mesh->vertex[v[1]],
-                   space->mesh->vertex[v[2]], space->mesh->vertex[v[3]]);
-    gsn_frame_at(&frame, u, lambda);
+    gsn_barycentric_init(&frame, space->mesh->vertex[v[0]], space->mesh->vertex[v[1]],
+                         space->mesh->vertex[v[2]], space->mesh->vertex[v[3]]);
+    gsn_barycentric_at(&frame, u, lambda);
     gsn_spline_bernstein(spline, home, bernstein);
     *ret_value = gsn_bernstein_at(space->degree, bernstein, &frame, lambda, ret_slope);
     for (size_t t = 0; t < space->mesh->tet_count; t++) {
         for (unsigned k = 0; k < 4; k++) {
             struct gsn_prism prism;
-            struct gsn_seam seam;
+            struct gsn_face_correction seam;
             int unclear;
 
             if (!gsn_prism_init(space, t, k, &prism))
@@ -40,8 +40,8 @@ static int eval(const struct gsn_dms *space, const struct gsn_spline *spline, co
             unclear = gsn_prism_at(&prism, u);
             if (unclear < 0)
                 continue;
-            gsn_seam_init(&seam, space, &prism, gsn_spline_controls(spline));
-            gsn_seam_add(&seam, (unsigned)unclear, at, 1, ret_value, slope);
+            gsn_face_correction_init(&seam, space, &prism, gsn_spline_controls(spline));
+            gsn_face_correction_add(&seam, (unsigned)unclear, at, 1, ret_value, slope);
         }
     }
     return GSN_OK;
@@ -95,14 +95,14 @@ static double mean_over(const struct gsn_dms *space, const struct gsn_spline *sp
         memcpy(corner[k], mesh->vertex[mesh->tet[tet][k]], sizeof corner[k]);
     for (size_t t = 0; t < mesh->tet_count; t++) {
         for (unsigned k = 0; k < 4; k++) {
-            static struct gsn_seam seam;
+            static struct gsn_face_correction seam;
             struct gsn_prism prism;
 
             if (!gsn_prism_init(space, t, k, &prism))
                 continue;
-            gsn_seam_init(&seam, space, &prism, gsn_spline_controls(spline));
-            mean +=
-                gsn_seam_integral(&seam, (const double(*)[3])corner) / gsn_tets_volume(mesh, tet);
+            gsn_face_correction_init(&seam, space, &prism, gsn_spline_controls(spline));
+            mean += gsn_face_correction_integral(&seam, (const double(*)[3])corner) /
+                    gsn_tets_volume(mesh, tet);
         }
     }
     return mean;
@@ -336,13 +336,13 @@ TEST(all_instruction_sets_give_the_same_bits)
             }
             for (int isa = 0; isa < GSN_ISA_COUNT; isa++) {
                 double *slope[3] = { found[isa][1], found[isa][2], found[isa][3] };
-                struct gsn_seam seam;
+                struct gsn_face_correction seam;
 
                 if (!gsn_kernels_for((enum gsn_isa)isa))
                     continue;
                 gsn_dms_use(space, gsn_kernels_for((enum gsn_isa)isa));
-                gsn_seam_init(&seam, space, &prism, control);
-                gsn_seam_add(&seam, 7, at, 11, found[isa][0], slope);
+                gsn_face_correction_init(&seam, space, &prism, control);
+                gsn_face_correction_add(&seam, 7, at, 11, found[isa][0], slope);
                 CHECK(memcmp(found[isa], found[0], sizeof found[0]) == 0);
                 used++;
             }

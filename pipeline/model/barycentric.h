@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Vectors as three doubles, and the barycentric coordinates of a tetrahedron. */
-#ifndef GSN_MODEL_FRAME_H
-#define GSN_MODEL_FRAME_H
+#ifndef GSN_MODEL_BARYCENTRIC_H
+#define GSN_MODEL_BARYCENTRIC_H
 
 #include "pipeline/model/orient.h"
 
@@ -45,17 +45,17 @@ static inline double gsn_det(const double a[3], const double b[3], const double 
 
 /* lambda_k(u) = row[k - 1] . (u - origin) for k = 1, 2, 3; lambda_0 is what is left to 1. So
  * row[k - 1] is the gradient of lambda_k. */
-struct gsn_frame {
+struct gsn_barycentric {
     double origin[3], row[3][3];
 };
 
 /* A determinant smaller than this share of the product of its edges has lost digits that slivers
  * cannot spare: then the rows are computed in twice the precision. */
-#define GSN_FRAME_FLAT 0x1p-9
+#define GSN_BARYCENTRIC_FLAT 0x1p-9
 
 /* The caller guarantees a determinant other than 0. */
-static inline void gsn_frame_init(struct gsn_frame *frame, const double a[3], const double b[3],
-                                  const double c[3], const double d[3])
+static inline void gsn_barycentric_init(struct gsn_barycentric *frame, const double a[3],
+                                        const double b[3], const double c[3], const double d[3])
 {
     double edge[3][3], det, size = 1;
 
@@ -69,7 +69,7 @@ static inline void gsn_frame_init(struct gsn_frame *frame, const double a[3], co
     det = gsn_dot(frame->row[0], edge[0]);
     for (int k = 0; k < 3; k++)
         size *= fabs(edge[k][0]) + fabs(edge[k][1]) + fabs(edge[k][2]);
-    if (!(fabs(det) > GSN_FRAME_FLAT * size)) {
+    if (!(fabs(det) > GSN_BARYCENTRIC_FLAT * size)) {
         gsn_orient_rows(a, b, c, d, frame->row);
         return;
     }
@@ -79,8 +79,8 @@ static inline void gsn_frame_init(struct gsn_frame *frame, const double a[3], co
     }
 }
 
-static inline void gsn_frame_at(const struct gsn_frame *frame, const double u[3],
-                                double ret_lambda[4])
+static inline void gsn_barycentric_at(const struct gsn_barycentric *frame, const double u[3],
+                                      double ret_lambda[4])
 {
     double d[3];
 

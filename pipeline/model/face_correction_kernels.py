@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """Writes the kernels of pipeline/model/face_correction.h as straight-line C.
 
-usage: seam_kernels.py tables|kernels|orders > FILE
+usage: face_correction_kernels.py tables|kernels|orders > FILE
 
 A face has three clouds; its knot l of cloud k is number k (top + 1) + l. The sets are
 T_g = {t_k,0..g_k} for 1 <= |g| <= top and everything that removing knots leads to. A set that has
@@ -133,7 +133,7 @@ def row(face, knots, i):
 
 def write_tables():
     faces = {top: Face(top) for top in TOPS}
-    print("/* Made by seam_kernels.py. */")
+    print("/* Made by face_correction_kernels.py. */")
     for top, face in faces.items():
         name = "top%d_" % top
         for place, part in enumerate(("minuend1", "subtrahend1", "minuend2", "subtrahend2")):
@@ -150,7 +150,7 @@ def write_tables():
             ends.append(len(bases))
         array("uint16_t", name + "base", bases)
         array("uint16_t", name + "base_end", ends)
-        array("struct gsn_seam_weight", name + "weight",
+        array("struct gsn_face_correction_weight", name + "weight",
               [(face.nodes.index(knots), knots[i]) for knots, i in face.weights])
         parents, ends = [], []
         for child in face.leaves + face.nodes:
@@ -164,7 +164,7 @@ def write_tables():
         sets = [face.of_gamma(g) for g in gammas(top)]
         array("uint8_t", name + "gamma",
               [sets.index(s) if s in sets else len(sets) for s in face.leaves + face.nodes])
-    print("static const struct gsn_seam_tables gsn_seam_tables[%d] = {" % len(TOPS))
+    print("static const struct gsn_face_correction_tables gsn_face_correction_tables[%d] = {" % len(TOPS))
     for top, face in faces.items():
         name = "top%d_" % top
         print("    { .knots = %d," % (3 * (top + 1)))
@@ -187,7 +187,7 @@ def betas(degree):
 
 def write_orders():
     """Where the multi-indices of a tetrahedron go when its corners are taken in another order."""
-    print("/* Made by seam_kernels.py. */")
+    print("/* Made by face_correction_kernels.py. */")
     print("static const uint8_t turned[%d][24][20] = {" % len(TOPS))
     for degree in TOPS:
         places = {beta: i for i, beta in enumerate(betas(degree))}
@@ -218,16 +218,16 @@ class Writer:
     def fresh(self, value, flops):
         name = "t%d" % self.count
         self.count += 1
-        self.say("const gsn_lanes %s = %s;" % (name, value), flops)
+        self.say("const gsn_simd %s = %s;" % (name, value), flops)
         return name
 
     @staticmethod
     def fma(a, b, c):
-        return "gsn_lanes_fma(%s, %s, %s)" % (a, b, c)
+        return "gsn_simd_fma(%s, %s, %s)" % (a, b, c)
 
     @staticmethod
     def all(place):
-        return "gsn_lanes_all(%s)" % place
+        return "gsn_simd_all(%s)" % place
 
     def affine(self, place):
         """place[0] x + place[1] y + place[2] z + place[3]."""
@@ -241,15 +241,15 @@ class Writer:
         if key not in self.known:
             value = self.count
             self.count += 1
-            self.say("const gsn_lanes t%d = PLANE(%d);" % (value, index), 6)
-            self.say("least = gsn_lanes_least(least, t%d);" % value)
+            self.say("const gsn_simd t%d = PLANE(%d);" % (value, index), 6)
+            self.say("least = gsn_simd_least(least, t%d);" % value)
             self.known[key] = "t%d" % value
         return self.known[key]
 
     def leaf(self, knots):
         index = self.face.leaves.index(knots)
         planes = [self.plane(p) for p in self.face.leaf_planes(knots)]
-        return self.fresh("gsn_lanes_where_signs_alternate(%s, data->leaf[%d])" %
+        return self.fresh("gsn_simd_where_signs_alternate(%s, data->leaf[%d])" %
                           (", ".join(planes), index), 0)
 
     def weight(self, knots, i):
@@ -344,7 +344,7 @@ class Writer:
             if value is None:
                 sys.exit("a set of the face itself is never lost")
             if self.kind == "weights":
-                self.say("gsn_lanes_store(&ret[%d * GSN_LANES], %s * %s);" % (place, plane, value),
+                self.say("gsn_simd_store(&ret[%d * GSN_SIMD_WIDTH], %s * %s);" % (place, plane, value),
                          1)
                 continue
             poly = self.polynomial(first, degree)
@@ -383,7 +383,7 @@ class Writer:
         print("    BEGIN")
         print("\n".join(self.lines))
         if self.kind != "weights":
-            print("    gsn_lanes_store(ret, %s);" % sums["value"])
+            print("    gsn_simd_store(ret, %s);" % sums["value"])
         if self.kind == "slope":
             print("    END_SLOPE(%s, %s, %s)" % (sums[0], sums[1], sums[2]))
         print("    END")
@@ -398,7 +398,7 @@ class Writer:
 def write_choice(flops):
     """The table of all kernels by kind, degree, top and unclear clouds (a bit each)."""
     classes = ("face", "edge0", "edge1", "vertex", "edge2", "vertex", "vertex", "vertex")
-    print("#ifdef GSN_SEAM_CAREFUL")
+    print("#ifdef GSN_FACE_CORRECTION_CAREFUL")
     print("#define CHOICE(title, careful, flops) { NAME(careful), flops }")
     print("#else")
     print("#define CHOICE(title, careful, flops) { NAME(title), flops }")
@@ -407,7 +407,7 @@ def write_choice(flops):
     flops = dict(flops)
     for degree, top, kind in KERNELS:
         number = "%d" % top if kind == "weights" else "%d%d" % (degree, top)
-        where = "[GSN_SEAM_%s][%d][%d]" % (kind.upper(), 0 if kind == "weights" else degree, top)
+        where = "[GSN_FACE_CORRECTION_%s][%d][%d]" % (kind.upper(), 0 if kind == "weights" else degree, top)
         rows = []
         for name in classes:
             title = "%s_%s_%s" % (kind, number, name if top > 1 else "vertex")
@@ -418,11 +418,11 @@ def write_choice(flops):
 
 def write_kernels():
     faces = {top: Face(top) for top in TOPS}
-    print("/* Made by seam_kernels.py. */")
+    print("/* Made by face_correction_kernels.py. */")
     flops = []
     for name in CLASSES:
         if name == "face":
-            print("#ifndef GSN_SEAM_CAREFUL")
+            print("#ifndef GSN_FACE_CORRECTION_CAREFUL")
         if name == "vertex":
             print("#endif")
         for degree, top, kind in KERNELS:

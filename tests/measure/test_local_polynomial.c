@@ -10,9 +10,9 @@ static const unsigned cells[3] = { 3, 3, 3 };
 
 enum { MOST_SLOPES = 10 }; /* of degree 3 */
 
-static struct gsn_box draw_box(uint64_t *seed, double most)
+static struct gsn_aabb draw_box(uint64_t *seed, double most)
 {
-    struct gsn_box box;
+    struct gsn_aabb box;
 
     for (int a = 0; a < 3; a++) {
         box.half[a] = most * (0.05 + 0.95 * draw(seed));
@@ -30,20 +30,21 @@ static void check_enclosure(unsigned degree, double fraction)
     size_t skins = 0, cores = 0;
 
     CHECK_OK(kuhn_random(low, high, cells, degree, fraction, 7, &kuhn, &err), err);
-    gsn_auto_mem(struct gsn_piece) piece = gsn_alloc_array(kuhn.mesh->tet_count, sizeof *piece);
-    gsn_auto_mem(struct gsn_piece_slope) slope =
+    gsn_auto_mem(struct gsn_local_polynomial) piece =
+        gsn_alloc_array(kuhn.mesh->tet_count, sizeof *piece);
+    gsn_auto_mem(struct gsn_local_polynomial_slope) slope =
         gsn_alloc_array(kuhn.mesh->tet_count, MOST_SLOPES * sizeof *slope);
     for (size_t t = 0; t < kuhn.mesh->tet_count; t++)
-        gsn_piece_make(kuhn.spline, t, slope + t * MOST_SLOPES, &piece[t]);
+        gsn_local_polynomial_make(kuhn.spline, t, slope + t * MOST_SLOPES, &piece[t]);
     for (int i = 0; i < 400; i++) {
-        const struct gsn_box box = draw_box(&seed, i % 2 ? 2.0 : 12.0);
+        const struct gsn_aabb box = draw_box(&seed, i % 2 ? 2.0 : 12.0);
         size_t hint = 0;
 
         for (int k = 0; k < 20; k++) {
             double u[3], t[3], s, least, most;
-            struct gsn_piece_linear linear;
-            struct gsn_piece_bend bend;
-            enum gsn_piece_touch touch;
+            struct gsn_local_polynomial_linear linear;
+            struct gsn_local_polynomial_bend bend;
+            enum gsn_local_polynomial_touch touch;
             double value;
 
             for (int a = 0; a < 3; a++) {
@@ -51,12 +52,12 @@ static void check_enclosure(unsigned degree, double fraction)
                 u[a] = box.centre[a] + t[a] * box.half[a];
             }
             CHECK(gsn_spline_eval(kuhn.spline, u, &hint, &s, NULL) == GSN_OK);
-            touch = gsn_piece_meets(&piece[hint], &box);
-            CHECK(touch != GSN_PIECE_APART);
-            CHECK(gsn_piece_depth(&piece[hint], u) >= -1e-12);
-            gsn_piece_tangent(&piece[hint], &box, &linear, &bend);
-            gsn_piece_bound(&piece[hint], &box, &linear, &least, &most);
-            if (touch == GSN_PIECE_TOUCHES) {
+            touch = gsn_local_polynomial_meets(&piece[hint], &box);
+            CHECK(touch != GSN_LOCAL_POLYNOMIAL_APART);
+            CHECK(gsn_local_polynomial_depth(&piece[hint], u) >= -1e-12);
+            gsn_local_polynomial_tangent(&piece[hint], &box, &linear, &bend);
+            gsn_local_polynomial_bound(&piece[hint], &box, &linear, &least, &most);
+            if (touch == GSN_LOCAL_POLYNOMIAL_TOUCHES) {
                 least += piece[hint].residual_low;
                 most += piece[hint].residual_high;
             }
@@ -65,8 +66,8 @@ static void check_enclosure(unsigned degree, double fraction)
                 value += linear.slope[a] * t[a];
             CHECK(s >= value + least && s <= value + most);
             CHECK(s >= piece[hint].whole_low && s <= piece[hint].whole_high);
-            skins += touch == GSN_PIECE_TOUCHES;
-            cores += touch == GSN_PIECE_COVERS;
+            skins += touch == GSN_LOCAL_POLYNOMIAL_TOUCHES;
+            cores += touch == GSN_LOCAL_POLYNOMIAL_COVERS;
         }
     }
     CHECK(skins > 500 && cores > 100);
@@ -99,23 +100,23 @@ TEST(a_linear_field_leaves_nothing_beside_its_tangent)
 
         CHECK_OK(kuhn_new(low, high, cells, degree, 0.05, &q, &kuhn, &err), err);
         for (int i = 0; i < 100; i++) {
-            const struct gsn_box box = draw_box(&seed, 10.0);
-            struct gsn_piece_slope slope[MOST_SLOPES];
-            struct gsn_piece piece;
-            struct gsn_piece_linear linear;
-            struct gsn_piece_bend bend;
+            const struct gsn_aabb box = draw_box(&seed, 10.0);
+            struct gsn_local_polynomial_slope slope[MOST_SLOPES];
+            struct gsn_local_polynomial piece;
+            struct gsn_local_polynomial_linear linear;
+            struct gsn_local_polynomial_bend bend;
             double least, most;
 
-            gsn_piece_make(kuhn.spline, (size_t)i, slope, &piece);
-            gsn_piece_tangent(&piece, &box, &linear, &bend);
-            gsn_piece_bound(&piece, &box, &linear, &least, &most);
+            gsn_local_polynomial_make(kuhn.spline, (size_t)i, slope, &piece);
+            gsn_local_polynomial_tangent(&piece, &box, &linear, &bend);
+            gsn_local_polynomial_bound(&piece, &box, &linear, &least, &most);
             CHECK_NEAR(linear.value, quadric_at(&q, box.centre), 1e-11);
             for (int a = 0; a < 3; a++)
                 CHECK_NEAR(linear.slope[a], q.linear[a] * box.half[a], 1e-11);
             /* The box may lie several tetrahedra away, where rounding is allowed for with the third
              * power of the distance. */
             CHECK(least <= 0.0 && least > -1e-6 && most >= 0.0 && most < 1e-6);
-            for (size_t f = 0; f < gsn_piece_slopes(kuhn.space); f++) {
+            for (size_t f = 0; f < gsn_local_polynomial_slopes(kuhn.space); f++) {
                 for (int a = 0; a < 3; a++)
                     CHECK_NEAR(slope[f].gradient[a], q.linear[a], 1e-12);
             }
@@ -127,20 +128,20 @@ TEST(a_linear_field_leaves_nothing_beside_its_tangent)
 TEST(a_square_is_bounded_by_its_extremes)
 {
     const struct quadric q = { 0.0, { 0.0, 0.0, 0.0 }, { 0.01, 0.0, 0.0 } };
-    const struct gsn_box box = { { 10.0, 140.0, 40.0 }, { 4.0, 3.0, 2.0 } };
+    const struct gsn_aabb box = { { 10.0, 140.0, 40.0 }, { 4.0, 3.0, 2.0 } };
     struct kuhn kuhn;
     struct gsn_error err = { 0 };
-    struct gsn_piece_slope slope[MOST_SLOPES];
-    struct gsn_piece piece;
-    struct gsn_piece_linear linear;
-    struct gsn_piece_bend bend;
+    struct gsn_local_polynomial_slope slope[MOST_SLOPES];
+    struct gsn_local_polynomial piece;
+    struct gsn_local_polynomial_linear linear;
+    struct gsn_local_polynomial_bend bend;
     double least, most;
 
     for (unsigned degree = 2; degree <= 3; degree++) {
         CHECK_OK(kuhn_new(low, high, cells, degree, 0.05, &q, &kuhn, &err), err);
-        gsn_piece_make(kuhn.spline, 11, slope, &piece);
-        gsn_piece_tangent(&piece, &box, &linear, &bend);
-        gsn_piece_bound(&piece, &box, &linear, &least, &most);
+        gsn_local_polynomial_make(kuhn.spline, 11, slope, &piece);
+        gsn_local_polynomial_tangent(&piece, &box, &linear, &bend);
+        gsn_local_polynomial_bound(&piece, &box, &linear, &least, &most);
         /* 0.01 (10 + 4 t)^2 = 1 + 0.8 t + 0.16 t^2 */
         CHECK_NEAR(linear.value, 1.0, 1e-9);
         CHECK_NEAR(linear.slope[0], 0.8, 1e-9);
@@ -149,7 +150,7 @@ TEST(a_square_is_bounded_by_its_extremes)
         CHECK_NEAR(least, 0.0, 1e-7);
         CHECK_NEAR(most, 0.16, 1e-7);
         /* The gradient's coefficients are its values at their nodes. */
-        for (size_t f = 0; f < gsn_piece_slopes(kuhn.space); f++) {
+        for (size_t f = 0; f < gsn_local_polynomial_slopes(kuhn.space); f++) {
             CHECK_NEAR(slope[f].gradient[0], 0.02 * slope[f].node[0], 1e-10);
             CHECK_NEAR(slope[f].gradient[1], 0.0, 1e-10);
         }

@@ -1,21 +1,21 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/model/ascent.h"
+#include "pipeline/model/sorted_batch.h"
 
-void gsn_ascent_begin(struct gsn_ascent *ascent)
+void gsn_sorted_batch_begin(struct gsn_sorted_batch *ascent)
 {
     ascent->from = 0;
     ascent->limit = UINT32_MAX;
     ascent->count = 0;
 }
 
-int gsn_ascent_add(void *context, uint32_t item)
+int gsn_sorted_batch_add(void *context, uint32_t item)
 {
-    struct gsn_ascent *ascent = context;
+    struct gsn_sorted_batch *ascent = context;
     size_t at;
 
     if (item < ascent->from || item >= ascent->limit)
         return 0;
-    if (ascent->count == GSN_ASCENT_ROOM) {
+    if (ascent->count == GSN_SORTED_BATCH_ROOM) {
         /* The greatest waits for the next search. */
         const uint32_t last = ascent->item[ascent->count - 1];
 
@@ -30,7 +30,7 @@ int gsn_ascent_add(void *context, uint32_t item)
     return 0;
 }
 
-int gsn_ascent_next(struct gsn_ascent *ascent)
+int gsn_sorted_batch_next(struct gsn_sorted_batch *ascent)
 {
     if (ascent->limit == UINT32_MAX)
         return 0;

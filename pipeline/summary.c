@@ -192,7 +192,7 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
     if (e->tile)
         gsn_draft_tile(e, &d);
     gsn_draft_definition(e, &d);
-    if (e->specimen->protocol->kind == GSN_KIND_SECTIONS)
+    if (e->specimen->protocol->kind == GSN_KIND_SECTIONS || e->specimen->baseline.name[0])
         gsn_draft_loss(e, &d);
     gsn_draft_vectors(e, &d);
     gsn_draft_parameters(e, &d);

@@ -100,6 +100,8 @@ static const char *nothing_beside(const struct gsn_evidence *e, struct gsn_draft
         warn_as_baseline(e, d);
         return "no baseline is stated, so this specimen is its own";
     }
+    if (e->tile)
+        return "a tile is one picture: it has no baseline. Take `baseline` out of its job.json";
     if (!e->account)
         return gsn_draft_withheld(e, d);
     if (b->specimens > 0)

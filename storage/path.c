@@ -64,27 +64,41 @@ static bool escape(const char *name, char *to, size_t room)
     return true;
 }
 
-int gsn_store_report_dir(const struct gsn_store *store, const char *specimen, char **ret_path,
-                         struct gsn_error *err)
+/* DIR/ROOM/NAME, for names that may hold anything. */
+static int make_dir_path(const struct gsn_store *store, const char *room, const char *said,
+                         char **ret_path, struct gsn_error *err)
 {
     struct gsn_digest digest = { "" };
     char name[LONGEST_NAME];
-    bool whole;
+    const bool whole = escape(said, name, sizeof name);
     char *path;
     int r = GSN_OK;
 
-    if (!*specimen)
-        return gsn_fail(err, GSN_E_INPUT, "a specimen needs a name");
-    whole = escape(specimen, name, sizeof name);
     if (!whole)
-        r = gsn_sha256(specimen, strlen(specimen), &digest, err);
+        r = gsn_sha256(said, strlen(said), &digest, err);
     if (r < 0)
         return r;
     /* '~' is never plain, so a cut name cannot be mistaken for a whole one. */
-    path =
-        gsn_format("%s/reports/%s%s%s", gsn_store_dir(store), name, whole ? "" : "~", digest.hex);
+    path = gsn_format("%s/%s/%s%s%s", gsn_store_dir(store), room, name, whole ? "" : "~",
+                      digest.hex);
     if (!path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
     *ret_path = path;
     return GSN_OK;
+}
+
+int gsn_store_report_dir(const struct gsn_store *store, const char *specimen, char **ret_path,
+                         struct gsn_error *err)
+{
+    if (!*specimen)
+        return gsn_fail(err, GSN_E_INPUT, "a specimen needs a name");
+    return make_dir_path(store, "reports", specimen, ret_path, err);
+}
+
+int gsn_store_study_dir(const struct gsn_store *store, const char *study, char **ret_path,
+                        struct gsn_error *err)
+{
+    if (!*study)
+        return gsn_fail(err, GSN_E_INPUT, "a study needs a name: state `study` in job.json");
+    return make_dir_path(store, "studies", study, ret_path, err);
 }

@@ -76,6 +76,10 @@ int gsn_store_object_path(const struct gsn_store *store, const char *hex, char *
 int gsn_store_report_dir(const struct gsn_store *store, const char *specimen, char **ret_path,
                          struct gsn_error *err);
 
+/* gives: DIR/studies/NAME, by the same rule: the pages of a study, which can be made again. */
+int gsn_store_study_dir(const struct gsn_store *store, const char *study, char **ret_path,
+                        struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

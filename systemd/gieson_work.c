@@ -12,6 +12,8 @@
  *     gieson-work --store DIR restore FROM  makes the store from such a copy
  *     gieson-work check FILE...             decodes strictly, says what each file is
  *     gieson-work register FOLDER           the poses of a folder of section pictures
+ *     gieson-work --store DIR study [NAME]  makes the page of a study, or of all
+ *     gieson-work plan                      how many animals a difference needs
  */
 #include "systemd/work_verbs.h"
 
@@ -42,7 +44,12 @@ enum {
     OPT_MARKS,
     OPT_PX_UM,
     OPT_RADIUS,
-    OPT_BY_TISSUE
+    OPT_BY_TISSUE,
+    OPT_CSV,
+    OPT_BECAUSE,
+    OPT_DIFFERENCE,
+    OPT_SD,
+    OPT_POWER
 };
 
 static const struct argp_option options[] = {
@@ -73,6 +80,11 @@ static const struct argp_option options[] = {
     { "radius", OPT_RADIUS, "R", 0, "register: the error is given over this disc", 1 },
     { "by-tissue", OPT_BY_TISSUE, NULL, 0,
       "register: lay sections without marks by the tissue of their neighbours", 1 },
+    { "csv", OPT_CSV, NULL, 0, "study: print a row an animal and measure", 1 },
+    { "because", OPT_BECAUSE, "TEXT", 0, "study NAME exclude SPECIMEN: why", 1 },
+    { "difference", OPT_DIFFERENCE, "POINTS", 0, "plan: of losses, to be found", 1 },
+    { "sd", OPT_SD, "POINTS", 0, "plan: what losses of animals differ by", 1 },
+    { "power", OPT_POWER, "P", 0, "plan: how surely it is to be found (default 0.8)", 1 },
     { 0 },
 };
 
@@ -158,6 +170,21 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case OPT_RADIUS:
         request->radius = arg;
         return 0;
+    case OPT_CSV:
+        request->csv = 1;
+        return 0;
+    case OPT_BECAUSE:
+        request->because = arg;
+        return 0;
+    case OPT_DIFFERENCE:
+        request->difference = arg;
+        return 0;
+    case OPT_SD:
+        request->sd = arg;
+        return 0;
+    case OPT_POWER:
+        request->power = arg;
+        return 0;
     case OPT_THRESHOLD:
         take_threshold(arg, request, state);
         return 0;
@@ -170,7 +197,7 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case ARGP_KEY_END:
         if (!request->verb)
             argp_error(state, "say what to do: import, work, changed, verify, scrub, backup, "
-                              "restore, check or register");
+                              "restore, check, register, study or plan");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -183,11 +210,12 @@ int main(int argc, char **argv)
         const char *verb;
         int needs_store;
         int (*run)(const struct gsn_work_request *request);
-    } verbs[] = { { "import", 1, gsn_work_import },    { "work", 1, gsn_work_next },
-                  { "changed", 1, gsn_work_changed },  { "verify", 1, gsn_work_verify },
-                  { "scrub", 1, gsn_work_scrub },      { "backup", 1, gsn_work_backup },
-                  { "restore", 1, gsn_work_restore },  { "check", 0, gsn_work_check },
-                  { "register", 0, gsn_work_register } };
+    } verbs[] = { { "import", 1, gsn_work_import },     { "work", 1, gsn_work_next },
+                  { "changed", 1, gsn_work_changed },   { "verify", 1, gsn_work_verify },
+                  { "scrub", 1, gsn_work_scrub },       { "backup", 1, gsn_work_backup },
+                  { "restore", 1, gsn_work_restore },   { "check", 0, gsn_work_check },
+                  { "register", 0, gsn_work_register }, { "study", 1, gsn_work_study },
+                  { "plan", 0, gsn_work_plan } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
                                         .args_doc = "VERB [ARGUMENT...]",
@@ -205,7 +233,7 @@ int main(int argc, char **argv)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
         status = gsn_work_usage("this verb is not known: import, work, changed, verify, scrub, "
-                                "backup, restore, check or register");
+                                "backup, restore, check, register, study or plan");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = gsn_work_usage("no store: say --store DIR or set GIESON_STORE");
     else

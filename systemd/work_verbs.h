@@ -14,10 +14,10 @@
 struct gsn_work_request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, replace, served, by_tissue, quick;
+    int rest_count, json, csv, replace, served, by_tissue, quick;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
-        *journal;
+        *journal, *because, *difference, *sd, *power;
     json_t *thresholds;
 };
 
@@ -32,6 +32,8 @@ int gsn_work_backup(const struct gsn_work_request *request);
 int gsn_work_restore(const struct gsn_work_request *request);
 int gsn_work_check(const struct gsn_work_request *request);
 int gsn_work_register(const struct gsn_work_request *request);
+int gsn_work_study(const struct gsn_work_request *request);
+int gsn_work_plan(const struct gsn_work_request *request);
 
 /* To a terminal or a file, without what moves a cursor. */
 void gsn_work_say(FILE *to, const char *format, ...) __attribute__((format(printf, 2, 3)));

@@ -79,6 +79,23 @@ int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
     return pass_on_plain(ui, argc, argv);
 }
 
+int gsn_cmd_study(const struct gsn_ui *ui, int argc, char **argv)
+{
+    return pass_on(ui, "gieson-work", 1, argc, argv, 0);
+}
+
+/* A store is needed only where a study is named. */
+int gsn_cmd_plan(const struct gsn_ui *ui, int argc, char **argv)
+{
+    for (int i = 1; i < argc; i++) {
+        if (argv[i][0] != '-')
+            return pass_on(ui, "gieson-work", 1, argc, argv, 0);
+        if (!strchr(argv[i], '='))
+            i++;
+    }
+    return pass_on_plain(ui, argc, argv);
+}
+
 int gsn_cmd_phantom(const struct gsn_ui *ui, int argc, char **argv)
 {
     return pass_on(ui, "gieson-phantom", 0, argc, argv, 1);

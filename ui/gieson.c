@@ -36,6 +36,8 @@ static const struct {
     { "retry", gsn_cmd_retry },
     { "decide", gsn_cmd_decide },
     { "report", gsn_cmd_report },
+    { "study", gsn_cmd_study },
+    { "plan", gsn_cmd_plan },
     { "verify", gsn_cmd_verify },
     { "scrub", gsn_cmd_scrub },
     { "backup", gsn_cmd_backup },
@@ -62,6 +64,9 @@ static const char doc[] =
     "  top                 the same on a screen that follows; ? lists its keys\n"
     "  show SPECIMEN       its panels, sections and figures\n"
     "  report SPECIMEN     where its report is; with --json the report itself\n"
+    "  study [NAME]        the groups of a study, their losses and intervals over\n"
+    "                      animals: a page, a table, JSON\n"
+    "  plan                how many animals a difference needs\n"
     "  retry [SPECIMEN]    let failed jobs wait again\n"
     "  decide SPECIMEN PLACE ANSWER\n"
     "                      answer what `show` asks: cut, hold, slot N, dismiss,\n"

@@ -52,6 +52,25 @@ static const struct gsn_help pages[] = {
       "gieson decide R07-left 2.6 pose 2 --because 'the crack is on the left'" },
     { "report", "SPECIMEN", "Where its latest report is; with --json the report itself.", "",
       "gieson report R07-left\ngieson report R07-left --json | jq .loss_percent" },
+    { "study", "[NAME [STATEMENT]]",
+      "Makes the page of a study (of all without a name) from the latest reports: groups, losses "
+      "with\n"
+      "their intervals over animals, one dot an animal, what limits the answer. Prints the "
+      "figures.\n"
+      "Statements, which the audit log keeps:\n"
+      "exclude SPECIMEN --because WHY, include SPECIMEN: who takes part, set beforehand\n"
+      "blind: hides the names of groups; freeze: ends changes; unblind: shows them after that",
+      "  --csv                a row an animal and measure, for R, pandas, Prism\n"
+      "  --because TEXT       why a specimen is excluded\n",
+      "gieson study periodontitis\n"
+      "gieson study periodontitis exclude R07-left --because 'the block broke'" },
+    { "plan", "--difference POINTS --sd POINTS | STUDY --difference POINTS",
+      "How many animals a group needs to find a difference of losses, in points, by a two-sided t\n"
+      "test at 5 %. What animals differ by is stated, or taken from a study.",
+      "  --difference POINTS  to be found\n"
+      "  --sd POINTS          what losses of animals differ by\n"
+      "  --power P            how surely (default: 0.8)\n",
+      "gieson plan --difference 10 --sd 6" },
     { "verify", "RUN | SPECIMEN",
       "Works a finished run again and compares every byte; ends with 1 when one\n"
       "differs.",

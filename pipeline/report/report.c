@@ -14,89 +14,26 @@
 #include "pipeline/report/report.h"
 
 #include "pipeline/core/hash.h"
+#include "pipeline/report/json.h"
 #include "pipeline/report/text.h"
 #include "pipeline/report/words.h"
 
-#include <jansson.h>
-
 #include <math.h>
-
-struct json_writer {
-    int failed;
-    int code; /* of a failure that has its own sentence; 0: memory ran out */
-};
-
-/* --- values --- */
-
-/* takes: value. */
-static void json_put(struct json_writer *writer, json_t *object, const char *key, json_t *value)
-{
-    if (json_object_set_new(object, key, value) < 0)
-        writer->failed = 1;
-}
-
-static void json_append(struct json_writer *writer, json_t *array, json_t *value)
-{
-    if (json_array_append_new(array, value) < 0)
-        writer->failed = 1;
-}
-
-static json_t *json_text(const char *said)
-{
-    gsn_auto_report_text text = { .bytes = NULL };
-
-    gsn_report_text_utf8(&text, said);
-    return text.failed ? NULL : json_stringn(text.bytes, text.size);
-}
-
-static json_t *json_text_or_null(const char *said)
-{
-    return said && *said ? json_text(said) : json_null();
-}
-
-/* NaN is a figure that does not exist. Minus zero is zero. */
-static json_t *json_figure(double value)
-{
-    return isfinite(value) ? json_real(value == 0 ? 0 : value) : json_null();
-}
-
-static json_t *json_count(size_t count)
-{
-    return json_integer((json_int_t)count);
-}
-
-static json_t *json_figures(const double *values, size_t count, struct json_writer *writer)
-{
-    json_t *array = json_array();
-
-    for (size_t i = 0; i < count; i++)
-        json_append(writer, array, json_figure(values[i]));
-    return array;
-}
-
-static json_t *json_texts(const char *const *said, size_t count, struct json_writer *writer)
-{
-    json_t *array = json_array();
-
-    for (size_t i = 0; i < count; i++)
-        json_append(writer, array, json_text(said[i]));
-    return array;
-}
 
 /* --- figures --- */
 
-static json_t *json_region(const struct gsn_report_region *region, struct json_writer *writer)
+static json_t *json_region(const struct gsn_report_region *region, struct gsn_json_writer *writer)
 {
     json_t *object = json_object();
 
-    json_put(writer, object, "volume_mm3", json_figure(region->volume_mm3));
-    json_put(writer, object, "mean_density", json_figure(region->mean_density));
-    json_put(writer, object, "coverage", json_figure(region->coverage));
-    json_put(writer, object, "description", json_text(region->description));
+    gsn_json_put(writer, object, "volume_mm3", gsn_json_figure(region->volume_mm3));
+    gsn_json_put(writer, object, "mean_density", gsn_json_figure(region->mean_density));
+    gsn_json_put(writer, object, "coverage", gsn_json_figure(region->coverage));
+    gsn_json_put(writer, object, "description", gsn_json_text(region->description));
     return object;
 }
 
-static json_t *json_volumes(const struct gsn_report *report, struct json_writer *writer)
+static json_t *json_volumes(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
@@ -104,55 +41,55 @@ static json_t *json_volumes(const struct gsn_report *report, struct json_writer 
         const struct gsn_report_volume *volume = &report->volumes[i];
         json_t *object = json_object();
 
-        json_put(writer, object, "threshold", json_figure(volume->threshold));
-        json_put(writer, object, "lower_mm3", json_figure(volume->lower_mm3));
-        json_put(writer, object, "upper_mm3", json_figure(volume->upper_mm3));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "threshold", gsn_json_figure(volume->threshold));
+        gsn_json_put(writer, object, "lower_mm3", gsn_json_figure(volume->lower_mm3));
+        gsn_json_put(writer, object, "upper_mm3", gsn_json_figure(volume->upper_mm3));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
 static json_t *json_registration(const struct gsn_report_registration *done,
-                                 struct json_writer *writer)
+                                 struct gsn_json_writer *writer)
 {
     json_t *object;
 
     if (!done)
         return json_null();
     object = json_object();
-    json_put(writer, object, "fle_um", json_figure(done->fle_um));
-    json_put(writer, object, "rms_residual_um", json_figure(done->rms_residual_um));
-    json_put(writer, object, "worst_residual_um", json_figure(done->worst_residual_um));
-    json_put(writer, object, "mean_tre_um", json_figure(done->mean_tre_um));
-    json_put(writer, object, "worst_tre_um", json_figure(done->worst_tre_um));
-    json_put(writer, object, "sections_posed", json_count(done->sections_posed));
-    json_put(writer, object, "sections_expected", json_count(done->sections_expected));
-    json_put(writer, object, "by", json_string(done->by));
-    json_put(writer, object, "comparison_um", json_figure(done->comparison_um));
+    gsn_json_put(writer, object, "fle_um", gsn_json_figure(done->fle_um));
+    gsn_json_put(writer, object, "rms_residual_um", gsn_json_figure(done->rms_residual_um));
+    gsn_json_put(writer, object, "worst_residual_um", gsn_json_figure(done->worst_residual_um));
+    gsn_json_put(writer, object, "mean_tre_um", gsn_json_figure(done->mean_tre_um));
+    gsn_json_put(writer, object, "worst_tre_um", gsn_json_figure(done->worst_tre_um));
+    gsn_json_put(writer, object, "sections_posed", gsn_json_count(done->sections_posed));
+    gsn_json_put(writer, object, "sections_expected", gsn_json_count(done->sections_expected));
+    gsn_json_put(writer, object, "by", json_string(done->by));
+    gsn_json_put(writer, object, "comparison_um", gsn_json_figure(done->comparison_um));
     return object;
 }
 
-static json_t *json_fit(const struct gsn_report_fit *fit, struct json_writer *writer)
+static json_t *json_fit(const struct gsn_report_fit *fit, struct gsn_json_writer *writer)
 {
     json_t *object;
 
     if (!fit)
         return json_null();
     object = json_object();
-    json_put(writer, object, "degree", json_count(fit->degree));
-    json_put(writer, object, "tets", json_count(fit->tets));
-    json_put(writer, object, "unknowns", json_count(fit->unknowns));
-    json_put(writer, object, "samples", json_count(fit->samples));
-    json_put(writer, object, "empty_tets", json_count(fit->empty_tets));
-    json_put(writer, object, "rms", json_figure(fit->rms));
-    json_put(writer, object, "worst", json_figure(fit->worst));
-    json_put(writer, object, "smoothing", json_figure(fit->smoothing));
-    json_put(writer, object, "tolerance", json_figure(fit->tolerance));
-    json_put(writer, object, "tets_in_tolerance", json_count(fit->tets_in_tolerance));
+    gsn_json_put(writer, object, "degree", gsn_json_count(fit->degree));
+    gsn_json_put(writer, object, "tets", gsn_json_count(fit->tets));
+    gsn_json_put(writer, object, "unknowns", gsn_json_count(fit->unknowns));
+    gsn_json_put(writer, object, "samples", gsn_json_count(fit->samples));
+    gsn_json_put(writer, object, "empty_tets", gsn_json_count(fit->empty_tets));
+    gsn_json_put(writer, object, "rms", gsn_json_figure(fit->rms));
+    gsn_json_put(writer, object, "worst", gsn_json_figure(fit->worst));
+    gsn_json_put(writer, object, "smoothing", gsn_json_figure(fit->smoothing));
+    gsn_json_put(writer, object, "tolerance", gsn_json_figure(fit->tolerance));
+    gsn_json_put(writer, object, "tets_in_tolerance", gsn_json_count(fit->tets_in_tolerance));
     return object;
 }
 
-static json_t *json_units(const struct gsn_report_units *units, struct json_writer *writer)
+static json_t *json_units(const struct gsn_report_units *units, struct gsn_json_writer *writer)
 {
     json_t *object, *bins;
 
@@ -161,85 +98,87 @@ static json_t *json_units(const struct gsn_report_units *units, struct json_writ
     object = json_object();
     bins = json_array();
     for (size_t i = 0; i < units->bin_count; i++)
-        json_append(writer, bins, json_count(units->bin[i]));
-    json_put(writer, object, "first", json_figure(units->first));
-    json_put(writer, object, "last", json_figure(units->last));
-    json_put(writer, object, "bins", bins);
-    json_put(writer, object, "smallest", json_figure(units->smallest));
-    json_put(writer, object, "median", json_figure(units->median));
-    json_put(writer, object, "largest", json_figure(units->largest));
+        gsn_json_append(writer, bins, gsn_json_count(units->bin[i]));
+    gsn_json_put(writer, object, "first", gsn_json_figure(units->first));
+    gsn_json_put(writer, object, "last", gsn_json_figure(units->last));
+    gsn_json_put(writer, object, "bins", bins);
+    gsn_json_put(writer, object, "smallest", gsn_json_figure(units->smallest));
+    gsn_json_put(writer, object, "median", gsn_json_figure(units->median));
+    gsn_json_put(writer, object, "largest", gsn_json_figure(units->largest));
     return object;
 }
 
-static json_t *json_tile(const struct gsn_report_tile *tile, struct json_writer *writer)
+static json_t *json_tile(const struct gsn_report_tile *tile, struct gsn_json_writer *writer)
 {
     json_t *object, *mask = NULL;
 
     if (!tile)
         return json_null();
     object = json_object();
-    json_put(writer, object, "area_fraction", json_figure(tile->area_fraction));
-    json_put(writer, object, "mean_density", json_figure(tile->mean_density));
-    json_put(writer, object, "threshold", json_figure(tile->threshold));
-    json_put(writer, object, "mean_density_lower", json_figure(tile->mean_lower));
-    json_put(writer, object, "mean_density_upper", json_figure(tile->mean_upper));
-    json_put(writer, object, "red_share", json_figure(tile->red_share));
+    gsn_json_put(writer, object, "area_fraction", gsn_json_figure(tile->area_fraction));
+    gsn_json_put(writer, object, "mean_density", gsn_json_figure(tile->mean_density));
+    gsn_json_put(writer, object, "threshold", gsn_json_figure(tile->threshold));
+    gsn_json_put(writer, object, "mean_density_lower", gsn_json_figure(tile->mean_lower));
+    gsn_json_put(writer, object, "mean_density_upper", gsn_json_figure(tile->mean_upper));
+    gsn_json_put(writer, object, "red_share", gsn_json_figure(tile->red_share));
     if (tile->compared) {
         mask = json_object();
-        json_put(writer, mask, "name", json_text(tile->mask_name));
-        json_put(writer, mask, "dice", json_figure(tile->dice));
-        json_put(writer, mask, "map_fraction", json_figure(tile->map_fraction));
-        json_put(writer, mask, "mask_fraction", json_figure(tile->mask_fraction));
-        json_put(writer, mask, "false_positive", json_figure(tile->false_positive));
-        json_put(writer, mask, "false_negative", json_figure(tile->false_negative));
+        gsn_json_put(writer, mask, "name", gsn_json_text(tile->mask_name));
+        gsn_json_put(writer, mask, "dice", gsn_json_figure(tile->dice));
+        gsn_json_put(writer, mask, "map_fraction", gsn_json_figure(tile->map_fraction));
+        gsn_json_put(writer, mask, "mask_fraction", gsn_json_figure(tile->mask_fraction));
+        gsn_json_put(writer, mask, "false_positive", gsn_json_figure(tile->false_positive));
+        gsn_json_put(writer, mask, "false_negative", gsn_json_figure(tile->false_negative));
     }
-    json_put(writer, object, "mask", tile->compared ? mask : json_null());
+    gsn_json_put(writer, object, "mask", tile->compared ? mask : json_null());
     return object;
 }
 
 /* --- sections --- */
 
 static json_t *markers_of(const struct gsn_point px[3], const int found[3],
-                          struct json_writer *writer)
+                          struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < 3; i++) {
         const double pair[2] = { px[i].x, px[i].y };
 
-        json_append(writer, array, found[i] ? json_figures(pair, 2, writer) : json_null());
+        gsn_json_append(writer, array, found[i] ? gsn_json_figures(pair, 2, writer) : json_null());
     }
     return array;
 }
 
-static json_t *residuals_of(const struct gsn_report_section *section, struct json_writer *writer)
+static json_t *residuals_of(const struct gsn_report_section *section,
+                            struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < 3; i++)
-        json_append(writer, array,
-                    section->marker_found[i] ? json_figure(section->residual_um[i]) : json_null());
+        gsn_json_append(writer, array,
+                        section->marker_found[i] ? gsn_json_figure(section->residual_um[i])
+                                                 : json_null());
     return array;
 }
 
-static json_t *pose_of(const struct gsn_affine *map, struct json_writer *writer)
+static json_t *pose_of(const struct gsn_affine *map, struct gsn_json_writer *writer)
 {
     const double entries[6] = { map->m00, map->m01, map->m02, map->m10, map->m11, map->m12 };
 
-    return json_figures(entries, 6, writer);
+    return gsn_json_figures(entries, 6, writer);
 }
 
-static json_t *strain_of(const struct gsn_report_section *section, struct json_writer *writer)
+static json_t *strain_of(const struct gsn_report_section *section, struct gsn_json_writer *writer)
 {
     json_t *object = json_object();
 
-    json_put(writer, object, "along_percent", json_figure(section->strain_percent[0]));
-    json_put(writer, object, "across_percent", json_figure(section->strain_percent[1]));
-    json_put(writer, object, "deg", json_figure(section->strain_deg));
+    gsn_json_put(writer, object, "along_percent", gsn_json_figure(section->strain_percent[0]));
+    gsn_json_put(writer, object, "across_percent", gsn_json_figure(section->strain_percent[1]));
+    gsn_json_put(writer, object, "deg", gsn_json_figure(section->strain_deg));
     return object;
 }
 
-static json_t *masked_of(const struct gsn_report_section *section, struct json_writer *writer)
+static json_t *masked_of(const struct gsn_report_section *section, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
@@ -247,15 +186,16 @@ static json_t *masked_of(const struct gsn_report_section *section, struct json_w
         const struct gsn_report_masked *masked = &section->masked[i];
         json_t *object = json_object();
 
-        json_put(writer, object, "reason", json_text(masked->reason));
-        json_put(writer, object, "area_mm2", json_figure(masked->area_mm2));
-        json_put(writer, object, "region_share", json_figure(masked->region_share));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "reason", gsn_json_text(masked->reason));
+        gsn_json_put(writer, object, "area_mm2", gsn_json_figure(masked->area_mm2));
+        gsn_json_put(writer, object, "region_share", gsn_json_figure(masked->region_share));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
-static json_t *candidates_of(const struct gsn_report_section *section, struct json_writer *writer)
+static json_t *candidates_of(const struct gsn_report_section *section,
+                             struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
@@ -263,58 +203,60 @@ static json_t *candidates_of(const struct gsn_report_section *section, struct js
         const struct gsn_report_candidate *c = &section->candidates[i];
         json_t *object = json_object();
 
-        json_put(writer, object, "number", json_count(i + 1));
-        json_put(writer, object, "chosen", json_boolean(section->chosen == i + 1));
-        json_put(writer, object, "differs", json_text(c->differs));
-        json_put(writer, object, "markers_px", markers_of(c->marker_px, c->marker_found, writer));
-        json_put(writer, object, "flipped", json_boolean(c->flipped));
-        json_put(writer, object, "rotated180", json_boolean(c->rotated180));
-        json_put(writer, object, "share", json_figure(c->share));
-        json_put(writer, object, "panel_to_block_um",
-                 c->laid ? pose_of(&c->panel_to_block_um, writer) : json_null());
-        json_put(writer, object, "predicted_tre_um", json_figure(c->predicted_tre_um));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "number", gsn_json_count(i + 1));
+        gsn_json_put(writer, object, "chosen", json_boolean(section->chosen == i + 1));
+        gsn_json_put(writer, object, "differs", gsn_json_text(c->differs));
+        gsn_json_put(writer, object, "markers_px",
+                     markers_of(c->marker_px, c->marker_found, writer));
+        gsn_json_put(writer, object, "flipped", json_boolean(c->flipped));
+        gsn_json_put(writer, object, "rotated180", json_boolean(c->rotated180));
+        gsn_json_put(writer, object, "share", gsn_json_figure(c->share));
+        gsn_json_put(writer, object, "panel_to_block_um",
+                     c->laid ? pose_of(&c->panel_to_block_um, writer) : json_null());
+        gsn_json_put(writer, object, "predicted_tre_um", gsn_json_figure(c->predicted_tre_um));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
-static json_t *section_of(const struct gsn_report_section *section, struct json_writer *writer)
+static json_t *section_of(const struct gsn_report_section *section, struct gsn_json_writer *writer)
 {
     json_t *object = json_object();
 
-    json_put(writer, object, "serial", json_count(section->serial));
-    json_put(writer, object, "z_um", json_figure(section->z_um));
-    json_put(writer, object, "panel", json_count(section->panel));
-    json_put(writer, object, "slot", json_count(section->slot));
-    json_put(writer, object, "row", json_count(section->row));
-    json_put(writer, object, "column", json_count(section->column));
-    json_put(writer, object, "state", json_text(section->state));
-    json_put(writer, object, "flipped", json_boolean(section->flipped));
-    json_put(writer, object, "rotated180", json_boolean(section->rotated180));
-    json_put(writer, object, "flags", json_texts(section->flags, section->flag_count, writer));
-    json_put(writer, object, "markers_px",
-             markers_of(section->marker_px, section->marker_found, writer));
-    json_put(writer, object, "marker_residuals_um", residuals_of(section, writer));
-    json_put(writer, object, "panel_to_block_um",
-             section->posed ? pose_of(&section->panel_to_block_um, writer) : json_null());
-    json_put(writer, object, "predicted_tre_um",
-             section->posed ? json_figure(section->predicted_tre_um) : json_null());
-    json_put(writer, object, "strain",
-             section->strained ? strain_of(section, writer) : json_null());
-    json_put(writer, object, "outline_mm2", json_figure(section->outline_mm2));
-    json_put(writer, object, "masked_mm2", json_figure(section->masked_mm2));
-    json_put(writer, object, "region_masked", json_figure(section->region_masked));
-    json_put(writer, object, "masked", masked_of(section, writer));
-    json_put(writer, object, "candidates", candidates_of(section, writer));
+    gsn_json_put(writer, object, "serial", gsn_json_count(section->serial));
+    gsn_json_put(writer, object, "z_um", gsn_json_figure(section->z_um));
+    gsn_json_put(writer, object, "panel", gsn_json_count(section->panel));
+    gsn_json_put(writer, object, "slot", gsn_json_count(section->slot));
+    gsn_json_put(writer, object, "row", gsn_json_count(section->row));
+    gsn_json_put(writer, object, "column", gsn_json_count(section->column));
+    gsn_json_put(writer, object, "state", gsn_json_text(section->state));
+    gsn_json_put(writer, object, "flipped", json_boolean(section->flipped));
+    gsn_json_put(writer, object, "rotated180", json_boolean(section->rotated180));
+    gsn_json_put(writer, object, "flags",
+                 gsn_json_texts(section->flags, section->flag_count, writer));
+    gsn_json_put(writer, object, "markers_px",
+                 markers_of(section->marker_px, section->marker_found, writer));
+    gsn_json_put(writer, object, "marker_residuals_um", residuals_of(section, writer));
+    gsn_json_put(writer, object, "panel_to_block_um",
+                 section->posed ? pose_of(&section->panel_to_block_um, writer) : json_null());
+    gsn_json_put(writer, object, "predicted_tre_um",
+                 section->posed ? gsn_json_figure(section->predicted_tre_um) : json_null());
+    gsn_json_put(writer, object, "strain",
+                 section->strained ? strain_of(section, writer) : json_null());
+    gsn_json_put(writer, object, "outline_mm2", gsn_json_figure(section->outline_mm2));
+    gsn_json_put(writer, object, "masked_mm2", gsn_json_figure(section->masked_mm2));
+    gsn_json_put(writer, object, "region_masked", gsn_json_figure(section->region_masked));
+    gsn_json_put(writer, object, "masked", masked_of(section, writer));
+    gsn_json_put(writer, object, "candidates", candidates_of(section, writer));
     return object;
 }
 
-static json_t *json_sections(const struct gsn_report *report, struct json_writer *writer)
+static json_t *json_sections(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < report->section_count; i++)
-        json_append(writer, array, section_of(&report->sections[i], writer));
+        gsn_json_append(writer, array, section_of(&report->sections[i], writer));
     return array;
 }
 
@@ -322,27 +264,28 @@ static json_t *json_sections(const struct gsn_report *report, struct json_writer
 
 /* report.json; docs/report.md is its schema. */
 
-static json_t *value_of(const struct gsn_report_value *row, struct json_writer *writer)
+static json_t *value_of(const struct gsn_report_value *row, struct gsn_json_writer *writer)
 {
     json_t *object = json_object();
 
-    json_put(writer, object, "name", json_text(row->name));
-    json_put(writer, object, "value", row->text ? json_text(row->text) : json_figure(row->value));
-    json_put(writer, object, "unit", json_text(row->unit));
+    gsn_json_put(writer, object, "name", gsn_json_text(row->name));
+    gsn_json_put(writer, object, "value",
+                 row->text ? gsn_json_text(row->text) : gsn_json_figure(row->value));
+    gsn_json_put(writer, object, "unit", gsn_json_text(row->unit));
     return object;
 }
 
 static json_t *values_of(const struct gsn_report_value *rows, size_t count,
-                         struct json_writer *writer)
+                         struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < count; i++)
-        json_append(writer, array, value_of(&rows[i], writer));
+        gsn_json_append(writer, array, value_of(&rows[i], writer));
     return array;
 }
 
-static json_t *panels_of(const struct gsn_report *report, struct json_writer *writer)
+static json_t *panels_of(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
@@ -350,21 +293,21 @@ static json_t *panels_of(const struct gsn_report *report, struct json_writer *wr
         const struct gsn_report_panel *panel = &report->panels[i];
         json_t *object = json_object();
 
-        json_put(writer, object, "number", json_count(panel->number));
-        json_put(writer, object, "file", json_text(panel->file));
-        json_put(writer, object, "sha256", json_text_or_null(panel->sha256));
-        json_put(writer, object, "state", json_text(panel->state));
-        json_put(writer, object, "message", json_text(panel->message));
-        json_put(writer, object, "rows", json_count(panel->rows));
-        json_put(writer, object, "columns", json_count(panel->columns));
-        json_put(writer, object, "white", json_figures(panel->white, 3, writer));
-        json_put(writer, object, "glass_fraction", json_figure(panel->glass));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "number", gsn_json_count(panel->number));
+        gsn_json_put(writer, object, "file", gsn_json_text(panel->file));
+        gsn_json_put(writer, object, "sha256", gsn_json_text_or_null(panel->sha256));
+        gsn_json_put(writer, object, "state", gsn_json_text(panel->state));
+        gsn_json_put(writer, object, "message", gsn_json_text(panel->message));
+        gsn_json_put(writer, object, "rows", gsn_json_count(panel->rows));
+        gsn_json_put(writer, object, "columns", gsn_json_count(panel->columns));
+        gsn_json_put(writer, object, "white", gsn_json_figures(panel->white, 3, writer));
+        gsn_json_put(writer, object, "glass_fraction", gsn_json_figure(panel->glass));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
-static json_t *decisions_of(const struct gsn_report *report, struct json_writer *writer)
+static json_t *decisions_of(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
@@ -372,20 +315,20 @@ static json_t *decisions_of(const struct gsn_report *report, struct json_writer 
         const struct gsn_report_decision *decision = &report->decisions[i];
         json_t *object = json_object();
 
-        json_put(writer, object, "panel", json_count(decision->panel));
-        json_put(writer, object, "slot",
-                 decision->slot ? json_count(decision->slot - 1) : json_null());
-        json_put(writer, object, "answer", json_text(decision->answer));
-        json_put(writer, object, "by", json_text(decision->actor));
-        json_put(writer, object, "time", json_text(decision->time));
-        json_put(writer, object, "reason", json_text_or_null(decision->reason));
-        json_put(writer, object, "effect", json_text_or_null(decision->effect));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "panel", gsn_json_count(decision->panel));
+        gsn_json_put(writer, object, "slot",
+                     decision->slot ? gsn_json_count(decision->slot - 1) : json_null());
+        gsn_json_put(writer, object, "answer", gsn_json_text(decision->answer));
+        gsn_json_put(writer, object, "by", gsn_json_text(decision->actor));
+        gsn_json_put(writer, object, "time", gsn_json_text(decision->time));
+        gsn_json_put(writer, object, "reason", gsn_json_text_or_null(decision->reason));
+        gsn_json_put(writer, object, "effect", gsn_json_text_or_null(decision->effect));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
-static json_t *pictures_of(const struct gsn_report *report, struct json_writer *writer,
+static json_t *pictures_of(const struct gsn_report *report, struct gsn_json_writer *writer,
                            struct gsn_error *err)
 {
     json_t *array = json_array();
@@ -401,100 +344,100 @@ static json_t *pictures_of(const struct gsn_report *report, struct json_writer *
             writer->failed = 1;
             writer->code = r;
         }
-        json_put(writer, object, "id", json_text(picture->id));
-        json_put(writer, object, "title", json_text(picture->title));
-        json_put(writer, object, "caption", json_text(picture->caption));
-        json_put(writer, object, "width", json_count(picture->png.width));
-        json_put(writer, object, "height", json_count(picture->png.height));
-        json_put(writer, object, "sha256", json_text(digest.hex));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "id", gsn_json_text(picture->id));
+        gsn_json_put(writer, object, "title", gsn_json_text(picture->title));
+        gsn_json_put(writer, object, "caption", gsn_json_text(picture->caption));
+        gsn_json_put(writer, object, "width", gsn_json_count(picture->png.width));
+        gsn_json_put(writer, object, "height", gsn_json_count(picture->png.height));
+        gsn_json_put(writer, object, "sha256", gsn_json_text(digest.hex));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
-static json_t *exclusions_of(const struct gsn_report *report, struct json_writer *writer)
+static json_t *exclusions_of(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < report->exclusion_count; i++) {
         json_t *object = json_object();
 
-        json_put(writer, object, "what", json_text(report->exclusions[i].what));
-        json_put(writer, object, "reason", json_text(report->exclusions[i].reason));
-        json_append(writer, array, object);
+        gsn_json_put(writer, object, "what", gsn_json_text(report->exclusions[i].what));
+        gsn_json_put(writer, object, "reason", gsn_json_text(report->exclusions[i].reason));
+        gsn_json_append(writer, array, object);
     }
     return array;
 }
 
 static json_t *files_of(const struct gsn_report_input *files, size_t count,
-                        struct json_writer *writer)
+                        struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
 
     for (size_t i = 0; i < count; i++) {
         json_t *file = json_object();
 
-        json_put(writer, file, "name", json_text(files[i].name));
-        json_put(writer, file, "bytes", json_count(files[i].size));
-        json_put(writer, file, "sha256", json_text_or_null(files[i].sha256));
-        json_append(writer, array, file);
+        gsn_json_put(writer, file, "name", gsn_json_text(files[i].name));
+        gsn_json_put(writer, file, "bytes", gsn_json_count(files[i].size));
+        gsn_json_put(writer, file, "sha256", gsn_json_text_or_null(files[i].sha256));
+        gsn_json_append(writer, array, file);
     }
     return array;
 }
 
-static json_t *provenance_of(const struct gsn_report *report, struct json_writer *writer)
+static json_t *provenance_of(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *object = json_object();
 
-    json_put(writer, object, "version", json_text(report->version));
-    json_put(writer, object, "key", json_text(report->key));
-    json_put(writer, object, "inputs", files_of(report->inputs, report->input_count, writer));
+    gsn_json_put(writer, object, "version", gsn_json_text(report->version));
+    gsn_json_put(writer, object, "key", gsn_json_text(report->key));
+    gsn_json_put(writer, object, "inputs", files_of(report->inputs, report->input_count, writer));
     if (report->output_count > 0)
-        json_put(writer, object, "outputs",
-                 files_of(report->outputs, report->output_count, writer));
-    json_put(writer, object, "parameters",
-             values_of(report->parameters, report->parameter_count, writer));
+        gsn_json_put(writer, object, "outputs",
+                     files_of(report->outputs, report->output_count, writer));
+    gsn_json_put(writer, object, "parameters",
+                 values_of(report->parameters, report->parameter_count, writer));
     return object;
 }
 
-static json_t *interval_of(const struct gsn_report *report, struct json_writer *writer)
+static json_t *interval_of(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *object;
 
     if (!report->loss_interval || !isfinite(report->loss_percent))
         return json_null();
     object = json_object();
-    json_put(writer, object, "lower", json_figure(report->loss_lower));
-    json_put(writer, object, "upper", json_figure(report->loss_upper));
-    json_put(writer, object, "of", json_text(report->loss_interval));
+    gsn_json_put(writer, object, "lower", gsn_json_figure(report->loss_lower));
+    gsn_json_put(writer, object, "upper", gsn_json_figure(report->loss_upper));
+    gsn_json_put(writer, object, "of", gsn_json_text(report->loss_interval));
     return object;
 }
 
-static void put_head(const struct gsn_report *report, json_t *root, struct json_writer *writer)
+static void put_head(const struct gsn_report *report, json_t *root, struct gsn_json_writer *writer)
 {
     json_t *density = json_object();
 
-    json_put(writer, root, "schema", json_string("gieson-report-1"));
-    json_put(writer, root, "kind", json_string(gsn_report_kind_word(report->kind)));
-    json_put(writer, root, "specimen", json_text(report->specimen));
-    json_put(writer, root, "study", json_text_or_null(report->study));
-    json_put(writer, root, "group", json_text_or_null(report->group));
-    json_put(writer, root, "animal", json_text_or_null(report->animal));
-    json_put(writer, root, "week", json_text_or_null(report->week));
-    json_put(writer, root, "verdict", json_string(gsn_report_verdict_word(report->verdict)));
-    json_put(writer, root, "verdict_reason", json_text_or_null(report->verdict_reason));
-    json_put(writer, root, "baseline", json_text_or_null(report->baseline));
-    json_put(writer, root, "baseline_mean_density", json_figure(report->baseline_mean));
-    json_put(writer, root, "zero_density", json_figure(report->zero_density));
-    json_put(writer, root, "loss_percent", json_figure(report->loss_percent));
-    json_put(writer, root, "loss_interval", interval_of(report, writer));
-    json_put(writer, root, "loss_points", json_figure(report->loss_points));
-    json_put(writer, root, "loss_reason", json_text_or_null(report->loss_reason));
-    json_put(writer, density, "name", json_text(report->density_name));
-    json_put(writer, density, "version", json_text(report->density_version));
-    json_put(writer, root, "density", density);
-    json_put(writer, root, "area",
-             report->area_figure.name ? value_of(&report->area_figure, writer) : json_null());
+    gsn_json_put(writer, root, "schema", json_string("gieson-report-1"));
+    gsn_json_put(writer, root, "kind", json_string(gsn_report_kind_word(report->kind)));
+    gsn_json_put(writer, root, "specimen", gsn_json_text(report->specimen));
+    gsn_json_put(writer, root, "study", gsn_json_text_or_null(report->study));
+    gsn_json_put(writer, root, "group", gsn_json_text_or_null(report->group));
+    gsn_json_put(writer, root, "animal", gsn_json_text_or_null(report->animal));
+    gsn_json_put(writer, root, "week", gsn_json_text_or_null(report->week));
+    gsn_json_put(writer, root, "verdict", json_string(gsn_report_verdict_word(report->verdict)));
+    gsn_json_put(writer, root, "verdict_reason", gsn_json_text_or_null(report->verdict_reason));
+    gsn_json_put(writer, root, "baseline", gsn_json_text_or_null(report->baseline));
+    gsn_json_put(writer, root, "baseline_mean_density", gsn_json_figure(report->baseline_mean));
+    gsn_json_put(writer, root, "zero_density", gsn_json_figure(report->zero_density));
+    gsn_json_put(writer, root, "loss_percent", gsn_json_figure(report->loss_percent));
+    gsn_json_put(writer, root, "loss_interval", interval_of(report, writer));
+    gsn_json_put(writer, root, "loss_points", gsn_json_figure(report->loss_points));
+    gsn_json_put(writer, root, "loss_reason", gsn_json_text_or_null(report->loss_reason));
+    gsn_json_put(writer, density, "name", gsn_json_text(report->density_name));
+    gsn_json_put(writer, density, "version", gsn_json_text(report->density_version));
+    gsn_json_put(writer, root, "density", density);
+    gsn_json_put(writer, root, "area",
+                 report->area_figure.name ? value_of(&report->area_figure, writer) : json_null());
 }
 
 static int dump_piece(const char *bytes, size_t size, void *context)
@@ -505,26 +448,28 @@ static int dump_piece(const char *bytes, size_t size, void *context)
     return text->failed ? -1 : 0;
 }
 
-static json_t *build(const struct gsn_report *report, struct json_writer *writer,
+static json_t *build(const struct gsn_report *report, struct gsn_json_writer *writer,
                      struct gsn_error *err)
 {
     json_t *root = json_object();
 
     put_head(report, root, writer);
-    json_put(writer, root, "region", json_region(&report->region, writer));
-    json_put(writer, root, "volumes", json_volumes(report, writer));
-    json_put(writer, root, "sections", json_sections(report, writer));
-    json_put(writer, root, "panels", panels_of(report, writer));
-    json_put(writer, root, "decisions", decisions_of(report, writer));
-    json_put(writer, root, "registration", json_registration(report->registration, writer));
-    json_put(writer, root, "fit", json_fit(report->fit, writer));
-    json_put(writer, root, "units", json_units(report->units, writer));
-    json_put(writer, root, "tile", json_tile(report->tile, writer));
-    json_put(writer, root, "measures", values_of(report->measures, report->measure_count, writer));
-    json_put(writer, root, "pictures", pictures_of(report, writer, err));
-    json_put(writer, root, "warnings", json_texts(report->warnings, report->warning_count, writer));
-    json_put(writer, root, "exclusions", exclusions_of(report, writer));
-    json_put(writer, root, "provenance", provenance_of(report, writer));
+    gsn_json_put(writer, root, "region", json_region(&report->region, writer));
+    gsn_json_put(writer, root, "volumes", json_volumes(report, writer));
+    gsn_json_put(writer, root, "sections", json_sections(report, writer));
+    gsn_json_put(writer, root, "panels", panels_of(report, writer));
+    gsn_json_put(writer, root, "decisions", decisions_of(report, writer));
+    gsn_json_put(writer, root, "registration", json_registration(report->registration, writer));
+    gsn_json_put(writer, root, "fit", json_fit(report->fit, writer));
+    gsn_json_put(writer, root, "units", json_units(report->units, writer));
+    gsn_json_put(writer, root, "tile", json_tile(report->tile, writer));
+    gsn_json_put(writer, root, "measures",
+                 values_of(report->measures, report->measure_count, writer));
+    gsn_json_put(writer, root, "pictures", pictures_of(report, writer, err));
+    gsn_json_put(writer, root, "warnings",
+                 gsn_json_texts(report->warnings, report->warning_count, writer));
+    gsn_json_put(writer, root, "exclusions", exclusions_of(report, writer));
+    gsn_json_put(writer, root, "provenance", provenance_of(report, writer));
     return root;
 }
 
@@ -534,7 +479,7 @@ int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *re
     /* Nine digits are more than any figure deserves, and 0.1 stays 0.1. */
     const size_t flags = JSON_INDENT(2) | JSON_REAL_PRECISION(9);
     gsn_auto_report_text text = { .bytes = NULL };
-    struct json_writer writer = { .failed = 0 };
+    struct gsn_json_writer writer = { .failed = 0 };
     json_t *root = build(report, &writer, err);
 
     if (!writer.failed && json_dump_callback(root, dump_piece, &text, flags) < 0)

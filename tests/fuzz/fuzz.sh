@@ -20,7 +20,7 @@ flags="-std=gnu17 -D_GNU_SOURCE -DGSN_VERSION=\"fuzz\" -DGSN_LIBEXECDIR=\"/\" -I
 libraries="$(pkg-config --libs libusb-1.0 jansson zlib libcrypto) -lm -lpthread"
 sanitizers="-fsanitize=address,undefined -fno-sanitize-recover=all"
 # No run lives long: a small quarantine keeps freed memory from being new pages each time, which took
-# a sixth of the time.
+# a tenth of the time.
 export ASAN_OPTIONS=abort_on_error=1:quarantine_size_mb=8
 
 # What is judged, and what that needs besides.

@@ -28,6 +28,7 @@ LAYERS = {
     "pipeline/render": ("pipeline/core", "pipeline/model"),
     "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),
     "pipeline/phantom": ("pipeline/core",),
+    "pipeline/study": ("pipeline/core", "pipeline/measure", "pipeline/report"),
     "pipeline": ("pipeline",),
     "ui": ("pipeline/core", "storage"),
     "systemd": ("pipeline", "acquire", "storage"),

@@ -990,7 +990,7 @@ class Disk(Bench):
         self.freeze()
         done = self.call("run", **self.person)
         self.assertNotEqual(done.returncode, 0)
-        self.assertIn("permission", done.stderr)
+        self.assertIn("Permission denied", done.stderr)
 
     def test_a_folder_where_no_store_can_be_made_is_74(self):
         scans = self.job("one")

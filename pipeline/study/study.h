@@ -1,0 +1,145 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A study: specimens become animals, animals groups, groups one answer.
+ *
+ * The unit is the animal. Specimens of one animal, in one group at one time point, are averaged
+ * first: two sides of a jaw are not two animals. Every comparison, interval and p is over animals
+ * (inference.h); what a single measurement is uncertain by is shown beside it and never in its
+ * place.
+ *
+ * Nothing is looked up here and nothing printed; the caller gives records and writes the bytes. */
+#ifndef GSN_STUDY_STUDY_H
+#define GSN_STUDY_STUDY_H
+
+#include "pipeline/core/mem.h"
+#include "pipeline/study/inference.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { GSN_STUDY_MEASURES = 12 };
+
+struct gsn_study_measure {
+    const char *name; /* "density", "volume_above_0.5", ... */
+    const char *unit;
+    const char *definition; /* one sentence */
+};
+
+/* One specimen as its latest report has it. Texts may hold anything and are borrowed. */
+struct gsn_study_specimen {
+    const char *name, *animal, *group;
+    double week;         /* NaN: not stated */
+    const char *control; /* the group that its loss is measured against; NULL: it is a control */
+    double value[GSN_STUDY_MEASURES];    /* in the order of the study's measures; NaN: none */
+    double error[GSN_STUDY_MEASURES];    /* standard error of the measurement; NaN: not known */
+    double vector_error;                 /* the part of error[0] that dye vectors make; NaN: none */
+    double loss, loss_lower, loss_upper; /* its own report's, per cent; NaN: none */
+    const char *left_out;                /* why it takes no part; NULL: it does */
+    const char *page;                    /* link to its report; NULL: not shown */
+    const char *key;                     /* of its run, 64 hexadecimal digits, or empty */
+};
+
+struct gsn_study_input {
+    const char *name, *version;
+    const char *region; /* what the figures are of, in words */
+    const struct gsn_study_measure *measure;
+    size_t measure_count; /* 1..GSN_STUDY_MEASURES; the first is the main one */
+    const struct gsn_study_specimen *specimen;
+    size_t specimen_count;
+    int blind;          /* group names are codes, nobody is a control */
+    const char *frozen; /* "2026-11-25, by mueller", or NULL */
+};
+
+/* An animal in a group at a time point: the mean of its specimens that take part. */
+struct gsn_study_animal {
+    const char *name;
+    size_t cell; /* that it belongs to */
+    double value[GSN_STUDY_MEASURES];
+    double error[GSN_STUDY_MEASURES]; /* of that mean, as if specimens erred independently */
+    double vector_error;
+    size_t specimens;
+};
+
+/* A group at a time point. */
+struct gsn_study_cell {
+    const char *group;
+    double week;
+    int is_control;
+    size_t first, count; /* of the animals */
+    struct gsn_group_mean mean[GSN_STUDY_MEASURES];
+    double error[GSN_STUDY_MEASURES]; /* root mean square of its animals' errors; NaN: not known */
+    double vector_error;
+};
+
+enum gsn_study_kind {
+    GSN_STUDY_LOSS,      /* a group against its control */
+    GSN_STUDY_TREATMENT, /* two groups that are both no control, or none is known */
+};
+
+/* Which part of the variance of a loss is whose; per cent squared, NaN where there is no loss. They
+ * add up to total, but where the measurement's own error is larger than the spread seen. Where no
+ * error of measurement is known, its parts are NaN and the animals' hold them. */
+struct gsn_study_budget {
+    double total;
+    double animals, animals_control; /* true spread, over the number of animals */
+    double vectors, measurement;     /* dye vectors; all other error of measurement */
+    double vectors_control, measurement_control;
+};
+
+struct gsn_study_comparison {
+    enum gsn_study_kind kind;
+    size_t measure;
+    size_t a, b; /* cells; b is the control */
+    int pooled;  /* b stands for the control of all time points, as there is none at this one */
+    struct gsn_group_mean mean_a, mean_b;
+    struct gsn_group_difference difference;
+    struct gsn_group_loss loss; /* NaN for kind TREATMENT */
+    double p_exact;             /* permutation; NaN: too few or too many animals */
+    double p_least;             /* that permutation could reach */
+    double p_holm;              /* Welch's p, corrected over all comparisons of kind and measure */
+    struct gsn_study_budget budget;
+};
+
+struct gsn_study {
+    struct gsn_study_input input; /* borrowed */
+    struct gsn_study_animal *animal;
+    size_t animal_count;
+    struct gsn_study_cell *cell;
+    size_t cell_count;
+    struct gsn_study_comparison *comparison;
+    size_t comparison_count;
+    size_t shared_animals; /* names that occur in several groups: then groups are not independent */
+};
+
+void gsn_study_free(struct gsn_study *study);
+GSN_DEFINE_AUTO(gsn_study);
+
+/* gives: the analysis; input is borrowed as long as it lives. The order of the specimens does not
+ * matter. Fails with GSN_E_NOMEM, GSN_E_INPUT without measures, and GSN_E_WITHHELD when specimens
+ * of one group name several control groups. */
+int gsn_study_analyse(const struct gsn_study_input *input, struct gsn_study **ret_study,
+                      struct gsn_error *err);
+
+/* What so few animals allow, and what they do not, in a sentence; writes "" when nothing is to be
+ * said. */
+void gsn_study_allows(const struct gsn_study_comparison *comparison, char *text, size_t room);
+
+/* give: bytes, with a zero behind that is not counted. The same study gives the same bytes. Fail
+ * with GSN_E_NOMEM. */
+/* One row an animal and measure, RFC 4180, names in the first line; docs/study.md. */
+int gsn_study_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
+                  struct gsn_error *err);
+/* "gieson-study-1", docs/study.md. */
+int gsn_study_json(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
+                   struct gsn_error *err);
+/* One page that fetches nothing. */
+int gsn_study_page(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
+                   struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

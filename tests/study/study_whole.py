@@ -1,0 +1,128 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""A study from volumes of known densities to its page, and the same comparisons by R.
+
+    study_whole.py BIN study.R     ends with 77 where R is not installed
+"""
+import csv
+import io
+import json
+import os
+import pathlib
+import random
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+
+SIDE = 8
+GROUPS = {"placebo": 0.60, "drug A": 0.50, "drug B": 0.38}
+WEEKS = (1, 4)
+ANIMALS = 3
+
+
+def write_volume(path, mean):
+    """A cube whose density rises evenly along its diagonal: its mean is exact."""
+    cells = [mean * (0.95 + 0.1 * (x + y + z) / (3 * (SIDE - 1)))
+             for z in range(SIDE) for y in range(SIDE) for x in range(SIDE)]
+    head = (f"NRRD0004\ntype: float\ndimension: 3\nsizes: {SIDE} {SIDE} {SIDE}\nendian: little\n"
+            "encoding: raw\nspace dimension: 3\nspace units: \"um\" \"um\" \"um\"\n"
+            "space directions: (24,0,0) (0,24,0) (0,0,24)\n\n")
+    path.write_bytes(head.encode() + struct.pack(f"<{len(cells)}f", *cells))
+
+
+def check(claim, sentence):
+    if not claim:
+        print("not true:", sentence)
+        sys.exit(1)
+
+
+def main():
+    bin_dir, script = sys.argv[1:3]
+    if not shutil.which("Rscript"):
+        print("skipped: R is not installed (r-base-core)")
+        return 77
+    gieson = str(pathlib.Path(bin_dir) / "gieson")
+    with tempfile.TemporaryDirectory(prefix="gieson-study-") as folder:
+        folder = pathlib.Path(folder)
+        env = dict(os.environ, GIESON_STORE=str(folder / "store"))
+
+        def run(*args, ends=0):
+            done = subprocess.run([gieson, *args], env=env, capture_output=True, text=True)
+            check(done.returncode == ends, f"gieson {args} ends with {ends}: {done.returncode} "
+                                           f"{done.stdout}{done.stderr}")
+            return done.stdout + done.stderr
+
+        draw = random.Random(11)
+        truth = {}
+        for group, mean in GROUPS.items():
+            for week in WEEKS:
+                for animal in range(ANIMALS):
+                    name = f"{group.replace(' ', '')}-{week}-{animal}"
+                    home = folder / "in" / name
+                    home.mkdir(parents=True)
+                    rat = f"rat {len(truth) + 1}"
+                    truth[rat] = draw.gauss(mean, 0.03)
+                    write_volume(home / "v.nrrd", truth[rat])
+                    job = {"specimen": name, "study": "drawn", "group": group, "animal": rat,
+                           "week": week, "kind": "volume", "file": "v.nrrd"}
+                    if group != "placebo":
+                        job["baseline"] = "placebo"
+                    (home / "job.json").write_text(json.dumps(job))
+                    run("import", str(home))
+        run("run")
+        run("study", "drawn")
+        page = folder / "store" / "studies" / "drawn"
+        first = {p.name: p.read_bytes() for p in page.iterdir()}
+        check(set(first) == {"index.html", "study.json", "animals.csv"}, f"three files: {first.keys()}")
+        run("study")
+        check(first == {p.name: p.read_bytes() for p in page.iterdir()}, "the same bytes again")
+
+        study = json.loads(first["study.json"])
+        for animal in study["animals"]:
+            value = animal["measures"]["density"]["value"]
+            check(abs(value - truth[animal["animal"]]) < 2e-3,
+                  f"{animal['animal']}: {value}, true {truth[animal['animal']]}")
+
+        # R, from the CSV alone.
+        told = subprocess.run(["Rscript", "--vanilla", script, str(page / "animals.csv")],
+                              capture_output=True, text=True, check=True).stdout
+        losses = [c for c in study["comparisons"]
+                  if c["kind"] == "against control" and c["measure"] == "density"]
+        rows = list(csv.DictReader(io.StringIO(told)))
+        check(len(rows) == len(losses) == 4, f"four comparisons: {len(rows)}, {len(losses)}")
+        for row in rows:
+            ours = next(c for c in losses if c["group"] == row["group"] and
+                        c["week"] == float(row["week"]))
+            for key in row.keys() - {"group", "week"}:
+                theirs = float(row[key])
+                check(abs(ours[key] - theirs) <= 1e-6 * max(1, abs(theirs)),
+                      f"{row['group']}, week {row['week']}, {key}: {ours[key]}, R says {theirs}")
+
+        # Who takes part, blind and frozen.
+        run("study", "drawn", "exclude", "drugA-1-0", ends=65)
+        check("excluded by" in run("study", "drawn", "exclude", "drugA-1-0", "--because", "broke"),
+              "an exclusion is shown")
+        run("study", "drawn", "unblind", ends=65)
+        blind = run("study", "drawn", "blind")
+        text = (page / "index.html").read_text() + (page / "animals.csv").read_text()
+        check("placebo" not in blind and ">placebo" not in text and '"placebo"' not in text,
+              "no name of a group while it is blind")
+        run("study", "drawn", "freeze")
+        run("study", "drawn", "include", "drugA-1-0", ends=65)
+        check("placebo" in run("study", "drawn", "unblind"), "names are back")
+        check("SD" not in run("study", "nobody", ends=66), "an unknown study is refused")
+
+        # Planning, against power.t.test of R.
+        plan = json.loads(run("plan", "--difference", "10", "--sd", "6", "--json"))
+        said = subprocess.run(["Rscript", "--vanilla", "-e",
+                               "cat(ceiling(power.t.test(delta=10, sd=6, power=.8)$n))"],
+                              capture_output=True, text=True, check=True).stdout
+        check(plan["animals_per_group"] == int(said), f"{plan}, R says {said}")
+    print(f"{len(truth)} animals, {len(losses)} losses as R has them")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

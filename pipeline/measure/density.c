@@ -12,7 +12,7 @@
  * order statistics, a histogram with ends that the caller fixes.
  *
  * Failure: GSN_E_INPUT names a voxel outside the mesh; GSN_E_NOMEM.
- * Cost: nine values a voxel at the resampler's price; a unit some 10 us. */
+ * Cost: nine values a voxel at the resampler's price; a unit the integral of its pieces. */
 #include "pipeline/measure/density.h"
 
 #include "pipeline/core/parallel.h"

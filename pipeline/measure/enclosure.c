@@ -12,7 +12,7 @@
  * 1e-12 next to knot planes, and every bound has a slack above that.
  *
  * Failure: GSN_E_NOMEM when the polynomials are made; bounds never fail, they get wide.
- * Cost: some hundred operations a tetrahedron touched, and one value of the spline. */
+ * Cost: linear in the tetrahedra touched, and one value of the spline. */
 #include "pipeline/measure/enclosure.h"
 
 #include "pipeline/core/parallel.h"

@@ -12,8 +12,8 @@
  * bounded size, and each evaluates its simplex splines.
  *
  * Failure: GSN_DMS_OUTSIDE for a point in no tetrahedron; nothing is allocated.
- * Cost: a walk of a few steps from a good hint; the core some hundred operations, a point near an
- * edge some ten tetrahedra of a thousand each. */
+ * Cost: a walk of a few steps from a good hint; a point in a core one polynomial, one near an edge
+ * one a tetrahedron whose knots reach it. */
 #include "pipeline/model/bpatch.h"
 #include "pipeline/model/dms_internal.h"
 #include "pipeline/model/orient.h"

@@ -14,8 +14,8 @@
  * new tetrahedra lie, since TetGen hands them on to ones that only touch.
  *
  * Failure: GSN_E_MESH when TetGen gives up or its answer does not verify, GSN_E_PROCESS when it
- * dies or exceeds a limit; nothing is believed unseen. Cost: TetGen's, some seconds for 10^5
- * tetrahedra; verification a small part of it. */
+ * dies or exceeds a limit; nothing is believed unseen. Cost: TetGen's; verification is linear
+ * in the tetrahedra. */
 #include "pipeline/model/domain.h"
 
 #include "pipeline/core/process.h"

@@ -15,7 +15,7 @@
  * matter; (6) over a cell, the polynomial of each tetrahedron of knots over its part in the cell.
  *
  * Failure: none; a flat set of knots counts as 0.
- * Cost: making a face ready some microseconds, a point in it 20 to 200 ns. */
+ * Cost: a face is made ready once; a point in it costs the pieces that its lines meet. */
 #include "pipeline/model/face_correction.h"
 
 #include "pipeline/model/orient.h"

@@ -14,7 +14,7 @@
  *
  * Failure: GSN_E_INPUT names the first sample that is not finite or lies outside the mesh;
  * GSN_E_FIT when the solver does not reach its tolerance. Cost: evaluation of the samples
- * dominates; the solver takes some hundred passes over the matrix. */
+ * dominates; the solver passes over the matrix once a step. */
 #include "pipeline/model/fit.h"
 
 #include "pipeline/model/batch.h"

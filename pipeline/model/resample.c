@@ -13,8 +13,8 @@
  * rule.
  *
  * Failure: GSN_E_INPUT on a grid that is none, GSN_E_NOMEM; the output is then untouched.
- * Cost: a few ns a voxel in cores, some 50 ns in a prism; the same bits for any number of threads
- * and any instruction set. */
+ * Cost: a voxel in a core is one polynomial, one in a prism the pieces of its row; the same bits
+ * for any number of threads and any instruction set. */
 #include "pipeline/model/resample.h"
 
 #include "pipeline/core/grid.h"

@@ -12,8 +12,8 @@
  * edge or corner inside a tetrahedron of knots, with exact decisions on planes that touch.
  *
  * Failure: none; the caller guarantees a cell of positive volume.
- * Cost: the recurrence takes some ten thousand operations a tetrahedron at degree 3; the pieces a
- * thousand times that, so tests alone ask for them. */
+ * Cost: the recurrence branches once a knot and degree; the pieces cost far more, so tests alone
+ * ask for them. */
 #include "pipeline/model/simplex_mean.h"
 
 #include "pipeline/model/barycentric.h"

@@ -13,7 +13,7 @@
  * Steps of making one: copy the control values, refuse what is not finite, turn every B-patch into
  * Bernstein form once.
  * Failure: GSN_E_INPUT on a control value that is not finite; GSN_DMS_OUTSIDE at a point without
- * data. Cost: a value in a core about 100 ns; bounds of a tetrahedron a polar value per foreign
+ * data. Cost: a value in a core is one blossom; bounds of a tetrahedron a polar value per foreign
  * function. */
 #include "pipeline/model/spline.h"
 

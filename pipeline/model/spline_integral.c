@@ -11,8 +11,8 @@
  *
  * All are exact up to rounding: no step size, no sampling.
  * Failure: GSN_E_NOMEM, and GSN_E_INPUT for an end of a segment that is too far away or not finite;
- * an impossible line is NaN. Cost: a tetrahedron of the mesh some 10 us; a cell every tetrahedron
- * that the search tree finds; a line or a segment all tetrahedra of the mesh. */
+ * an impossible line is NaN. Cost: a tetrahedron of the mesh one closed form a function; a cell
+ * every tetrahedron that the search tree finds; a line or a segment all tetrahedra of the mesh. */
 #include "pipeline/model/bpatch.h"
 #include "pipeline/model/dms_internal.h"
 #include "pipeline/model/face_correction.h"

@@ -11,7 +11,7 @@
  * band by band, each pixel adding the tetrahedra in order; (4) paint with a colour scale.
  *
  * Failure: GSN_E_INPUT on a view without a direction or of an impossible size; GSN_E_NOMEM.
- * Cost: about a microsecond a pixel and tetrahedron of its line; the same bytes for any number of
+ * Cost: one integral a pixel and tetrahedron of its line; the same bytes for any number of
  * threads. */
 #include "pipeline/render/projection.h"
 

@@ -12,8 +12,8 @@
  * The noncentral t is integrated over the chi distribution, P = E[Phi(t s - delta)] with
  * s = chi / sqrt(freedom), by Simpson's rule: GSL has none.
  *
- * Failure: too few animals give NaN and never a guess. Cost: microseconds, but for permutations (5
- * million ways: half a second) and the interval of g (two bisections, milliseconds). */
+ * Failure: too few animals give NaN and never a guess. Cost: constant, but for permutations, which
+ * grow with the number of ways, and the interval of g, two bisections over an integral. */
 #include "pipeline/study/inference.h"
 
 #include "pipeline/core/mem.h"

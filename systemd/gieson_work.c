@@ -46,6 +46,7 @@ enum {
     OPT_RADIUS,
     OPT_BY_TISSUE,
     OPT_CSV,
+    OPT_QUIET,
     OPT_BECAUSE,
     OPT_DIFFERENCE,
     OPT_SD,
@@ -81,6 +82,7 @@ static const struct argp_option options[] = {
     { "by-tissue", OPT_BY_TISSUE, NULL, 0,
       "register: lay sections without marks by the tissue of their neighbours", 1 },
     { "csv", OPT_CSV, NULL, 0, "study: print a row an animal and measure", 1 },
+    { "quiet", OPT_QUIET, NULL, 0, "study: write the files and print nothing", 1 },
     { "because", OPT_BECAUSE, "TEXT", 0, "study NAME exclude SPECIMEN: why", 1 },
     { "difference", OPT_DIFFERENCE, "POINTS", 0, "plan: of losses, to be found", 1 },
     { "sd", OPT_SD, "POINTS", 0, "plan: what losses of animals differ by", 1 },
@@ -172,6 +174,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_CSV:
         request->csv = 1;
+        return 0;
+    case OPT_QUIET:
+        request->quiet = 1;
         return 0;
     case OPT_BECAUSE:
         request->because = arg;

@@ -102,6 +102,8 @@ static int make_page(const struct gsn_work_request *request, struct gsn_store *s
         r = gsn_study_write(store, study, &folder, err);
     if (r < 0)
         return r;
+    if (request->quiet)
+        return GSN_OK;
     if (request->csv)
         return print_bytes(study, gsn_study_csv, err);
     if (request->json)
@@ -119,7 +121,7 @@ static int make_all(const struct gsn_work_request *request, struct gsn_store *st
 
     if (r < 0)
         return gsn_work_complain(&err, r);
-    if (names->count == 0)
+    if (names->count == 0 && !request->quiet)
         gsn_work_say(stderr, "no specimen states a `study` in its job.json\n");
     if (request->json)
         (void)fputs("[\n", stdout);

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The nightly run: every specimen that changed since its last report is worked to its next one. */
+/* The nightly run: every specimen that changed since its last report is processed to its next one,
+ * and the pages of all studies are made again. */
 #include "ui/snapshot.h"
 #include "ui/text.h"
 #include "ui/ui.h"
@@ -107,6 +108,7 @@ static int work(const struct gsn_ui *ui, struct gsn_store *store, const char *co
 int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
 {
     static const char *const ask[] = { "changed", NULL };
+    static const char *const studies[] = { "study", "--quiet", NULL };
     const char *args[4] = { 0 };
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
@@ -125,5 +127,10 @@ int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
     night.rows = ui->json ? json_array() : NULL;
     status = work(ui, store, args, &night);
     json_decref(night.rows);
+    if (status == EX_OK || status == EX_DATAERR) {
+        const int made = gsn_ui_call(&quiet, "gieson-work", 1, studies);
+
+        status = status == EX_OK ? made : status;
+    }
     return status;
 }

@@ -37,7 +37,9 @@ static const struct gsn_help pages[] = {
       "  --threads N          0 (all) to 64; the bytes of a report do not depend on it\n",
       "gieson run --threads 2" },
     { "night", "",
-      "Works every specimen that changed since its last report, and prints a line for each.",
+      "Works every specimen that changed since its last report, prints a line for each, and makes "
+      "the\n"
+      "pages of all studies again.",
       "  --threads N          0 (all) to 64\n", "gieson night" },
     { "retry", "[SPECIMEN]", "Lets failed jobs, of one specimen or of all, wait again.", "",
       "gieson retry R07-left && gieson run" },

@@ -79,6 +79,10 @@ def main():
         run("study")
         check(first == {p.name: p.read_bytes() for p in page.iterdir()}, "the same bytes again")
 
+        shutil.rmtree(page)
+        run("night")
+        check(first == {p.name: p.read_bytes() for p in page.iterdir()}, "the night makes them too")
+
         study = json.loads(first["study.json"])
         for animal in study["animals"]:
             value = animal["measures"]["density"]["value"]

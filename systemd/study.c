@@ -337,6 +337,7 @@ static int note_exclusion(struct gsn_study_files *f, const struct gsn_specimen_r
     if (!e || strcmp(e->kind, GSN_STUDY_EXCLUDE) != 0)
         return GSN_OK;
     write_day(e->time, day);
+    s->excluded = 1;
     s->left_out =
         say_text(f, "excluded by %s on %s, %s its first report: %.300s", e->actor, day,
                  first_report == 0 || e->time < first_report ? "before" : "after", e->text);
@@ -463,6 +464,9 @@ static void hide_specimen(struct gsn_study_specimen *s, const char *letter)
     s->key = "";
     s->loss = s->loss_lower = s->loss_upper = NAN;
     s->name = s->animal;
+    /* A reason of ours may name the baseline. */
+    if (s->left_out && !s->excluded)
+        s->left_out = "has no figure; why is shown once the study is no longer blind";
 }
 
 /* salt: the hash of the event that made the study blind. */

@@ -38,6 +38,7 @@ struct gsn_study_specimen {
     double vector_error;                 /* the part of error[0] that dye vectors make; NaN: none */
     double loss, loss_lower, loss_upper; /* its own report's, per cent; NaN: none */
     const char *left_out;                /* why it takes no part; NULL: it does */
+    int excluded;                        /* and that a person said so */
     const char *page;                    /* link to its report; NULL: not shown */
     const char *key;                     /* of its run, 64 hexadecimal digits, or empty */
 };

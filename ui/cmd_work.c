@@ -122,10 +122,16 @@ int gsn_cmd_scrub(const struct gsn_ui *ui, int argc, char **argv)
 
 int gsn_cmd_check_config(const struct gsn_ui *ui, int argc, char **argv)
 {
-    const char *const args[] = { "--check-config", argc == 2 ? "--config" : NULL,
-                                 argc == 2 ? argv[1] : NULL, NULL };
+    const char *args[5] = { "--check-config" };
+    size_t n = 1;
 
     if (argc > 2)
         return gsn_ui_usage("check-config takes one file or none, not \"%s\"", argv[2]);
+    if (ui->json)
+        args[n++] = "--json";
+    if (argc == 2) {
+        args[n++] = "--config";
+        args[n] = argv[1];
+    }
     return gsn_ui_call(ui, "giesond", 0, args);
 }

@@ -719,6 +719,17 @@ class Config(Bench):
         self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:2: .*Workers")
         self.assertRegex(done.stderr, rf"(?m)^{re.escape(str(file))}:[34]: .*kitchen")
 
+    def test_json_lists_the_mistakes_and_nothing_else_is_printed(self):
+        file, _ = self.check("[work]\nWorkers=many\n")
+        done = self.call("check-config", str(file), "--json", store=False)
+        self.assertEqual((done.returncode, done.stderr), (78, ""))
+        told = json.loads(done.stdout)
+        self.assertEqual((told["fine"], told["sources"], len(told["mistakes"])), (False, None, 1))
+        self.assertIn("Workers", told["mistakes"][0])
+        file, _ = self.check("[work]\nWorkers=2\n")
+        done = self.call("check-config", str(file), "--json", store=False)
+        self.assertEqual((done.returncode, json.loads(done.stdout)["workers"]), (0, 2))
+
 
 # A PTP camera whose node may not be spoken to, and a UVC camera with an odd name.
 DEVICES = """P: /devices/pci0000:00/usb1/1-1

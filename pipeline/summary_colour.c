@@ -34,9 +34,8 @@
 #include <stdio.h>
 
 static const double PUREST = 0.13;
-/* The same of tissue that is stated to hold none: a density of 0.03 where the control has 0.8, as
- * well as a stated zero is known, times 1.3 for what such tissue absorbs against the control's. */
-static const double FREE_PUREST = 0.05;
+/* The same of tissue that is stated to hold none: a density of 0.05 where the control has 0.8. */
+static const double FREE_PUREST = 0.08;
 /* Of the edge's slope, as the cells tell it: a third of what vectors 5 degrees off leave open. */
 static const double SLOPE_ERROR = 0.3;
 /* Of the edge itself, in the same unit, beside what panels scatter by: 0.8 points of a loss of 40,

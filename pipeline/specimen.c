@@ -81,8 +81,9 @@ static int list_cells(const struct gsn_account *account, size_t tets, double **r
 }
 
 /* The fitted spline as a file; nothing where there is no fit. */
-static int keep_model(const struct gsn_account *account, const struct gsn_specimen *specimen,
-                      struct gsn_specimen_result *result, struct gsn_error *err)
+static int keep_model(const struct gsn_account *account, const struct gsn_mask *region,
+                      const struct gsn_specimen *specimen, struct gsn_specimen_result *result,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(double) density = NULL;
     gsn_auto_mem(double) share = NULL;
@@ -107,6 +108,7 @@ static int keep_model(const struct gsn_account *account, const struct gsn_specim
                                                            .inside_share = share,
                                                            .residual = account->fit.tet_rms,
                                                            .samples = account->fit.tet_samples },
+                                region,
                                 &(struct gsn_model_notes){ .name = specimen->protocol->specimen,
                                                            .parameters = parameters,
                                                            .version = GSN_VERSION },
@@ -241,7 +243,7 @@ static int work_sections(const struct gsn_specimen *specimen,
         return r;
     if (assembly && assembly->grid && (r = keep_colour(assembly, result, err)) < 0)
         return r;
-    if ((r = keep_model(account, specimen, result, err)) < 0)
+    if ((r = keep_model(account, assembly ? assembly->region : NULL, specimen, result, err)) < 0)
         return r;
     evidence.assembly = assembly;
     evidence.account = account;
@@ -290,7 +292,7 @@ static int work_volume(const struct gsn_specimen *specimen,
                         options, &account, &why, err);
     if (r < 0 && !is_about_evidence(r))
         return r;
-    if ((r = keep_model(account, specimen, result, err)) < 0)
+    if ((r = keep_model(account, made ? made : specimen->region, specimen, result, err)) < 0)
         return r;
     evidence.account = account;
     evidence.withheld = account ? NULL : why.text;

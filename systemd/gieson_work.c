@@ -14,6 +14,10 @@
  *     gieson-work register FOLDER           the poses of a folder of section pictures
  *     gieson-work --store DIR study [NAME]  makes the page of a study, or of all
  *     gieson-work plan                      how many animals a difference needs
+ *     gieson-work --store DIR export SPECIMEN FILE        the model for other programs
+ *     gieson-work --store DIR probe SPECIMEN X Y Z        the model at a point,
+ *     gieson-work --store DIR line SPECIMEN X1 ... Z2     along a segment,
+ *     gieson-work --store DIR integral SPECIMEN           over a region, a box, a plane
  */
 #include "systemd/work_verbs.h"
 
@@ -50,7 +54,13 @@ enum {
     OPT_BECAUSE,
     OPT_DIFFERENCE,
     OPT_SD,
-    OPT_POWER
+    OPT_POWER,
+    OPT_LEVEL,
+    OPT_STEP,
+    OPT_WHOLE,
+    OPT_BOX,
+    OPT_PLANE,
+    OPT_POINTS
 };
 
 static const struct argp_option options[] = {
@@ -87,6 +97,12 @@ static const struct argp_option options[] = {
     { "difference", OPT_DIFFERENCE, "POINTS", 0, "plan: of losses, to be found", 1 },
     { "sd", OPT_SD, "POINTS", 0, "plan: what losses of animals differ by", 1 },
     { "power", OPT_POWER, "P", 0, "plan: how surely it is to be found (default 0.8)", 1 },
+    { "level", OPT_LEVEL, "V", 0, "export: of a surface; integral: may be given up to 8 times", 1 },
+    { "step", OPT_STEP, "UM", 0, "export: size of a volume's voxels, of a surface's edges", 1 },
+    { "whole", OPT_WHOLE, NULL, 0, "export, integral: the whole domain, not the region", 1 },
+    { "box", OPT_BOX, "X1,Y1,Z1,X2,Y2,Z2", 0, "integral: over the region in a box", 1 },
+    { "plane", OPT_PLANE, "X,Y,Z,NX,NY,NZ", 0, "integral: over the region on a plane", 1 },
+    { "points", OPT_POINTS, "N", 0, "line: of the profile (default: 33)", 1 },
     { 0 },
 };
 
@@ -102,16 +118,17 @@ static unsigned take_whole(const char *text, const char *option, unsigned most,
     return (unsigned)value;
 }
 
-static void take_threshold(const char *text, struct gsn_work_request *request,
-                           struct argp_state *state)
+/* One more number of an option that may be given again. */
+static void take_number(const char *text, const char *option, json_t **list,
+                        struct argp_state *state)
 {
     json_t *number = gsn_work_number(text);
 
     if (!json_is_number(number))
-        argp_error(state, "--threshold must be a number, not \"%s\"", text);
-    if (!request->thresholds)
-        request->thresholds = json_array();
-    (void)json_array_append_new(request->thresholds, number);
+        argp_error(state, "--%s must be a number, not \"%s\"", option, text);
+    if (!*list)
+        *list = json_array();
+    (void)json_array_append_new(*list, number);
 }
 
 static error_t take_option(int key, char *arg, struct argp_state *state)
@@ -191,7 +208,25 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         request->power = arg;
         return 0;
     case OPT_THRESHOLD:
-        take_threshold(arg, request, state);
+        take_number(arg, "threshold", &request->thresholds, state);
+        return 0;
+    case OPT_LEVEL:
+        take_number(arg, "level", &request->levels, state);
+        return 0;
+    case OPT_STEP:
+        request->step = arg;
+        return 0;
+    case OPT_WHOLE:
+        request->whole = 1;
+        return 0;
+    case OPT_BOX:
+        request->box = arg;
+        return 0;
+    case OPT_PLANE:
+        request->plane = arg;
+        return 0;
+    case OPT_POINTS:
+        request->points = arg;
         return 0;
     case ARGP_KEY_ARG:
         if (request->verb)
@@ -202,7 +237,8 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case ARGP_KEY_END:
         if (!request->verb)
             argp_error(state, "say what to do: import, work, changed, verify, scrub, backup, "
-                              "restore, check, register, study or plan");
+                              "restore, check, register, study, plan, export, probe, line or "
+                              "integral");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -220,7 +256,9 @@ int main(int argc, char **argv)
                   { "scrub", 1, gsn_work_scrub },       { "backup", 1, gsn_work_backup },
                   { "restore", 1, gsn_work_restore },   { "check", 0, gsn_work_check },
                   { "register", 0, gsn_work_register }, { "study", 1, gsn_work_study },
-                  { "plan", 0, gsn_work_plan } };
+                  { "plan", 0, gsn_work_plan },         { "export", 1, gsn_work_export },
+                  { "probe", 1, gsn_work_probe },       { "line", 1, gsn_work_line },
+                  { "integral", 1, gsn_work_integral } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
                                         .args_doc = "VERB [ARGUMENT...]",
@@ -238,11 +276,13 @@ int main(int argc, char **argv)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
         status = gsn_work_usage("this verb is not known: import, work, changed, verify, scrub, "
-                                "backup, restore, check, register, study or plan");
+                                "backup, restore, check, register, study, plan, export, probe, "
+                                "line or integral");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = gsn_work_usage("no store: say --store DIR or set GIESON_STORE");
     else
         status = verbs[i].run(&request);
     json_decref(request.thresholds);
+    json_decref(request.levels);
     return status;
 }

@@ -44,6 +44,20 @@ json_t *gsn_work_number(const char *text)
     return json_loads(text, JSON_DECODE_ANY, NULL);
 }
 
+int gsn_work_numbers(const char *text, size_t count, double *ret_number)
+{
+    gsn_auto_mem(char) list = gsn_format("[%s]", text);
+    json_t *root = list ? json_loads(list, 0, NULL) : NULL;
+    int ok = json_array_size(root) == count;
+
+    for (size_t i = 0; ok && i < count; i++)
+        ok = json_is_number(json_array_get(root, i));
+    for (size_t i = 0; ok && i < count; i++)
+        ret_number[i] = json_number_value(json_array_get(root, i));
+    json_decref(root);
+    return ok;
+}
+
 json_t *gsn_work_text(const char *text)
 {
     json_t *whole = json_string(text);

@@ -14,11 +14,11 @@
 struct gsn_work_request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, csv, quiet, replace, served, by_tissue, quick;
+    int rest_count, json, csv, quiet, replace, served, by_tissue, quick, whole;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
-        *journal, *because, *difference, *sd, *power;
-    json_t *thresholds;
+        *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points;
+    json_t *thresholds, *levels;
 };
 
 int gsn_work_import(const struct gsn_work_request *request);
@@ -34,6 +34,10 @@ int gsn_work_check(const struct gsn_work_request *request);
 int gsn_work_register(const struct gsn_work_request *request);
 int gsn_work_study(const struct gsn_work_request *request);
 int gsn_work_plan(const struct gsn_work_request *request);
+int gsn_work_export(const struct gsn_work_request *request);
+int gsn_work_probe(const struct gsn_work_request *request);
+int gsn_work_line(const struct gsn_work_request *request);
+int gsn_work_integral(const struct gsn_work_request *request);
 
 /* To a terminal or a file, without what moves a cursor. */
 void gsn_work_say(FILE *to, const char *format, ...) __attribute__((format(printf, 2, 3)));
@@ -46,5 +50,7 @@ json_t *gsn_work_text(const char *text);
 /* A decimal number of the command line, through the parser that reads every other number. gives;
  * NULL when it is none. */
 json_t *gsn_work_number(const char *text);
+/* So many finite numbers with commas between them and nothing else: 1, and the numbers; else 0. */
+int gsn_work_numbers(const char *text, size_t count, double *ret_number);
 
 #endif

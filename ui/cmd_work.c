@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The verbs that other programs do: import, verify, scrub, backup, restore, check and register are
- * gieson-work's, phantom has a program of its own, and the configuration is the service's. */
+/* The verbs that other programs do: import, verify, scrub, backup, restore, check, register, study,
+ * plan, export, probe, line and integral are gieson-work's, phantom has a program of its own, and
+ * the configuration is the service's. */
 #include "ui/ui.h"
 
 #include <string.h>
@@ -82,6 +83,40 @@ int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
 int gsn_cmd_study(const struct gsn_ui *ui, int argc, char **argv)
 {
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
+}
+
+/* `export`, `probe`, `line` and `integral`: options go first, then everything else behind "--",
+ * since a coordinate may be negative. */
+int gsn_cmd_model(const struct gsn_ui *ui, int argc, char **argv)
+{
+    static const char *const valued[] = { "--level", "--step",   "--box",
+                                          "--plane", "--points", "--threads" };
+    gsn_auto_mem(const char *) args = gsn_alloc_array((size_t)argc + 2, sizeof *args);
+    size_t n = 0;
+
+    if (!args)
+        return gsn_ui_fail(EX_OSERR, "out of memory");
+    for (int pass = 0; pass < 2; pass++) {
+        for (int i = pass == 0 ? 1 : 0; i < argc; i++) {
+            const int is_option = strncmp(argv[i], "--", 2) == 0;
+            int takes = 0;
+
+            for (size_t k = 0; k < sizeof valued / sizeof *valued; k++)
+                takes |= strcmp(argv[i], valued[k]) == 0;
+            if (takes && i + 1 == argc)
+                return gsn_ui_usage("%s needs a value; `gieson %s --help` says which", argv[i],
+                                    argv[0]);
+            if (is_option == (pass == 0)) {
+                args[n++] = argv[i];
+                if (takes)
+                    args[n++] = argv[i + 1];
+            }
+            i += takes;
+        }
+        if (pass == 0)
+            args[n++] = "--";
+    }
+    return gsn_ui_call(ui, "gieson-work", 1, args);
 }
 
 /* A store is needed only where a study is named. */

@@ -38,6 +38,10 @@ static const struct {
     { "report", gsn_cmd_report },
     { "study", gsn_cmd_study },
     { "plan", gsn_cmd_plan },
+    { "export", gsn_cmd_model },
+    { "probe", gsn_cmd_model },
+    { "line", gsn_cmd_model },
+    { "integral", gsn_cmd_model },
     { "verify", gsn_cmd_verify },
     { "scrub", gsn_cmd_scrub },
     { "backup", gsn_cmd_backup },
@@ -67,6 +71,15 @@ static const char doc[] =
     "  study [NAME]        the groups of a study, their losses and intervals over\n"
     "                      animals: a page, a table, JSON\n"
     "  plan                how many animals a difference needs\n"
+    "  export SPECIMEN FILE\n"
+    "                      its model for other programs: .vtkhdf .vtu .csv .stl\n"
+    "                      .ply .nrrd .nii.gz .ome.tif\n"
+    "  probe SPECIMEN X Y Z\n"
+    "                      the model at a point, and the pixels it rests on\n"
+    "  line SPECIMEN X1 Y1 Z1 X2 Y2 Z2\n"
+    "                      the model along a segment, and its integral\n"
+    "  integral SPECIMEN   over the region, a box, a plane; volumes above a\n"
+    "                      level with guaranteed bounds of the model\n"
     "  retry [SPECIMEN]    let failed jobs wait again\n"
     "  decide SPECIMEN PLACE ANSWER\n"
     "                      answer what `show` asks: cut, hold, slot N, dismiss,\n"

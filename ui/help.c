@@ -73,6 +73,45 @@ static const struct gsn_help pages[] = {
       "  --sd POINTS          what losses of animals differ by\n"
       "  --power P            how surely (default: 0.8)\n",
       "gieson plan --difference 10 --sd 6" },
+    { "export", "SPECIMEN FILE",
+      "Writes the model of its last run as a file of another program; the ending says which:\n"
+      ".vtkhdf .vtu       the model itself, Bezier tetrahedra, for ParaView and VTK\n"
+      ".csv               its tetrahedra (micro-units), a row each\n"
+      ".stl .ply          the surface at one density\n"
+      ".nrrd .nii.gz      the density on a grid (default: the stack's own voxels)\n"
+      ".ome.tif           the aligned sections in true colour\n"
+      "Surfaces and volumes end where the region ends. A file that exists is not written over.",
+      "  --level V            of a surface\n"
+      "  --step UM            size of a volume's voxels, length of a surface's edges\n"
+      "  --whole              beyond the region too, as far as the model goes\n",
+      "gieson export R07-left R07-left.stl --level 0.5\n"
+      "gieson export R07-left R07-left.nrrd --step 12" },
+    { "probe", "SPECIMEN X Y Z",
+      "The model at a point of the block, in micrometres: value, gradient, the cell around it "
+      "with\n"
+      "what it rests on and bounds of the model in it, and the pixels of the nearest two "
+      "sections.\n"
+      "With --json second derivatives too. A point without data is refused.",
+      "", "gieson probe R07-left -300 120 450" },
+    { "line", "SPECIMEN X1 Y1 Z1 X2 Y2 Z2",
+      "The exact integral of the model along a segment, in the region and in the whole domain, and "
+      "a\n"
+      "profile.",
+      "  --points N           of the profile (default: 33)\n",
+      "gieson line R07-left -300 120 0 -300 120 600 --points 101" },
+    { "integral", "SPECIMEN",
+      "Volume, integral and mean of the model over the region, or over a part of it. A box takes "
+      "the\n"
+      "voxels whose centre it holds, so that boxes side by side add up.",
+      "  --level V            volume above V, with bounds of the model that are guaranteed;\n"
+      "                       up to 8 times\n"
+      "  --box X1,Y1,Z1,X2,Y2,Z2\n"
+      "                       two corners, micrometres\n"
+      "  --plane X,Y,Z,NX,NY,NZ\n"
+      "                       a point and a normal: area, integral and mean on the plane\n"
+      "  --whole              the whole domain, cell by cell\n",
+      "gieson integral R07-left --level 0.3 --level 0.5\n"
+      "gieson integral R07-left --plane 0,0,300,0,0,1 --json" },
     { "verify", "RUN | SPECIMEN",
       "Works a finished run again and compares every byte; ends with 1 when one\n"
       "differs.",

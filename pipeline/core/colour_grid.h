@@ -29,6 +29,11 @@ GSN_DEFINE_AUTO(gsn_colour_grid);
 int gsn_colour_grid_nrrd(const struct gsn_colour_grid *grid, uint8_t **ret_bytes, size_t *ret_size,
                          struct gsn_error *err);
 
+/* The way back: of files that gsn_colour_grid_nrrd() wrote, and no other. gives. Fails with
+ * GSN_E_INPUT, GSN_E_NOMEM. */
+int gsn_colour_grid_read(const uint8_t *bytes, size_t size, struct gsn_colour_grid **ret_grid,
+                         struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

@@ -3,7 +3,7 @@
 /* Method: HDF5 in memory (the core file driver and its file image), in VTK's VTKHDF layout and,
  * beside it, in a group of our own that is read back.
  * Reference: VTK, "VTK File Formats", VTKHDF 1.0; the order of points in a Bezier tetrahedron is
- * that of vtkHigherOrderTetra.
+ * that of vtkHigherOrderTetra (bezier_cells.h).
  *
  * Steps of writing: the picture (points and coefficients cell by cell, cell data), the model, its
  * checksum, the image. Of reading: the image, sizes that agree with each other, the arrays, the
@@ -17,7 +17,7 @@
 #include "pipeline/model/model_file.h"
 
 #include "pipeline/core/hash.h"
-#include "pipeline/model/simplex_spline.h"
+#include "pipeline/model/bezier_cells.h"
 
 #include <assert.h>
 #include <string.h>
@@ -28,8 +28,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__,
                "the checksum is over the bytes of the file, which are little-endian");
 
 enum {
-    FORMAT = 1,
-    BEZIER_TETRAHEDRON = 78,  /* VTK's number of the cell type */
+    FORMAT = 2,               /* 1 has no region */
     LONG_ARRAY = 8192,        /* values; shorter ones are not worth a chunk */
     CHUNK_ROWS = 16384,       /* of a long array */
     IMAGE_STEP = 1 << 20,     /* by which the file in memory grows */
@@ -153,89 +152,6 @@ static hid_t create_group(hid_t above, const char *name)
     return H5Gcreate2(above, name, H5P_DEFAULT, plan, H5P_DEFAULT);
 }
 
-/* VTK's points of a tetrahedron of any degree: corners, then along each of these edges, then inside
- * each of these faces (one point at degree 3, none below). */
-static const uint8_t EDGE[6][2] = { { 0, 1 }, { 1, 2 }, { 2, 0 }, { 0, 3 }, { 1, 3 }, { 2, 3 } };
-static const uint8_t FACE[4][3] = { { 0, 1, 3 }, { 1, 2, 3 }, { 0, 2, 3 }, { 0, 1, 2 } };
-
-/* The multi-indices of VTK's points, one after the other. */
-static void order_points(unsigned degree, uint8_t ret_beta[GSN_DMS_MAX_FUNCTIONS][4])
-{
-    size_t p = 0;
-
-    memset(ret_beta, 0, GSN_DMS_MAX_FUNCTIONS * sizeof *ret_beta);
-    for (int k = 0; k < 4; k++)
-        ret_beta[p++][k] = (uint8_t)degree;
-    for (int e = 0; e < 6; e++) {
-        for (unsigned i = 1; i < degree; i++, p++) {
-            ret_beta[p][EDGE[e][0]] = (uint8_t)(degree - i);
-            ret_beta[p][EDGE[e][1]] = (uint8_t)i;
-        }
-    }
-    for (int f = 0; degree == 3 && f < 4; f++, p++)
-        for (int k = 0; k < 3; k++)
-            ret_beta[p][FACE[f][k]] = 1;
-}
-
-/* The Bezier points of a straight tetrahedron divide it evenly. */
-static void place_point(const struct gsn_tets *mesh, size_t tet, const uint8_t beta[4],
-                        unsigned degree, double ret_point[3])
-{
-    for (int c = 0; c < 3; c++) {
-        ret_point[c] = 0;
-        for (int k = 0; k < 4; k++)
-            ret_point[c] += beta[k] * mesh->vertex[mesh->tet[tet][k]][c];
-        ret_point[c] /= degree;
-    }
-}
-
-struct picture {
-    size_t tets, points;
-    double (*point)[3];
-    double *s;
-    int64_t *connectivity, *offset;
-    uint8_t *type;
-};
-
-static void picture_done(struct picture *p)
-{
-    gsn_free(p->point);
-    gsn_free(p->s);
-    gsn_free(p->connectivity);
-    gsn_free(p->offset);
-    gsn_free(p->type);
-}
-
-static int draw_picture(const struct gsn_spline *spline, struct picture *p, struct gsn_error *err)
-{
-    const struct gsn_dms *space = gsn_spline_space(spline);
-    const size_t each = gsn_dms_functions(space);
-    uint8_t beta[GSN_DMS_MAX_FUNCTIONS][4];
-    double coefficient[GSN_DMS_MAX_FUNCTIONS];
-
-    p->tets = gsn_dms_mesh(space)->tet_count;
-    p->points = p->tets * each;
-    p->point = gsn_alloc_array(p->points, sizeof *p->point);
-    p->s = gsn_alloc_array(p->points, sizeof *p->s);
-    p->connectivity = gsn_alloc_array(p->points, sizeof *p->connectivity);
-    p->offset = gsn_alloc_array(p->tets + 1, sizeof *p->offset);
-    p->type = gsn_alloc_array(p->tets, sizeof *p->type);
-    if (!p->point || !p->s || !p->connectivity || !p->offset || !p->type)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a model of %zu tetrahedra", p->tets);
-    order_points(gsn_dms_degree(space), beta);
-    for (size_t t = 0; t < p->tets; t++) {
-        gsn_spline_bernstein(spline, t, coefficient);
-        for (size_t i = 0, at = t * each; i < each; i++, at++) {
-            place_point(gsn_dms_mesh(space), t, beta[i], gsn_dms_degree(space), p->point[at]);
-            p->s[at] = coefficient[gsn_simplex_place(beta[i])];
-            p->connectivity[at] = (int64_t)at;
-        }
-        p->offset[t + 1] = (int64_t)((t + 1) * each);
-        p->type[t] = BEZIER_TETRAHEDRON;
-    }
-    return GSN_OK;
-}
-
 static int write_cells(hid_t group, size_t tets, const struct gsn_model_cells *cells,
                        struct gsn_error *err)
 {
@@ -256,12 +172,12 @@ static int write_picture(hid_t file, const struct gsn_spline *spline,
                          const struct gsn_model_cells *cells, struct gsn_error *err)
 {
     static const int64_t version[2] = { 1, 0 };
-    struct picture p __attribute__((cleanup(picture_done))) = { .tets = 0 };
+    gsn_auto(gsn_bezier_cells) p = NULL;
     auto_id group = create_group(file, "VTKHDF");
     auto_id point_data = group < 0 ? -1 : create_group(group, "PointData");
     auto_id cell_data = group < 0 ? -1 : create_group(group, "CellData");
-    int r = draw_picture(spline, &p, err);
-    const int64_t points = (int64_t)p.points, tets = (int64_t)p.tets;
+    int r = gsn_bezier_cells_new(spline, &p, err);
+    const int64_t points = r < 0 ? 0 : (int64_t)p->points, tets = r < 0 ? 0 : (int64_t)p->tets;
 
     if (r >= 0 && (point_data < 0 || cell_data < 0))
         r = fail_item("make", "VTKHDF", err);
@@ -276,28 +192,57 @@ static int write_picture(hid_t file, const struct gsn_spline *spline,
     if (r >= 0)
         r = write_integers(group, "NumberOfConnectivityIds", 1, &points, err);
     if (r >= 0)
-        r = write_doubles(group, "Points", p.points, 3, &p.point[0][0], err);
+        r = write_doubles(group, "Points", p->points, 3, &p->point[0][0], err);
     if (r >= 0)
-        r = write_integers(group, "Connectivity", p.points, p.connectivity, err);
+        r = write_integers(group, "Connectivity", p->points, p->connectivity, err);
     if (r >= 0)
-        r = write_integers(group, "Offsets", p.tets + 1, p.offset, err);
+        r = write_integers(group, "Offsets", p->tets + 1, p->offset, err);
     if (r >= 0)
         r = write_array(
-            group, &(struct array){ "Types", H5T_STD_U8LE, H5T_NATIVE_UINT8, p.tets, 0, p.type },
+            group, &(struct array){ "Types", H5T_STD_U8LE, H5T_NATIVE_UINT8, p->tets, 0, p->type },
             err);
     if (r >= 0)
-        r = write_doubles(point_data, "s", p.points, 0, p.s, err);
-    return r < 0 ? r : write_cells(cell_data, p.tets, cells, err);
+        r = write_doubles(point_data, "s", p->points, 0, p->s, err);
+    return r < 0 ? r : write_cells(cell_data, p->tets, cells, err);
+}
+
+/* A lattice as it is in the file: voxels along x, y, z, centre of the first, steps. */
+struct lattice {
+    double number[9];
+};
+
+static struct lattice list_lattice(const struct gsn_lattice *at)
+{
+    return (struct lattice){ { (double)at->nx, (double)at->ny, (double)at->nz, at->origin_um.x,
+                               at->origin_um.y, at->origin_um.z, at->step_um.x, at->step_um.y,
+                               at->step_um.z } };
+}
+
+static int write_region(hid_t above, const struct gsn_mask *region, struct gsn_error *err)
+{
+    const struct lattice lattice = list_lattice(&region->at);
+    auto_id group = create_group(above, "region");
+    int r = group < 0 ? fail_item("make", "region", err) : GSN_OK;
+
+    if (r >= 0)
+        r = write_doubles(group, "lattice", 9, 0, lattice.number, err);
+    if (r >= 0)
+        r = write_array(group,
+                        &(struct array){ "inside", H5T_STD_U8LE, H5T_NATIVE_UINT8,
+                                         gsn_lattice_count(&region->at), 0, region->inside },
+                        err);
+    return r;
 }
 
 /* Everything that the model is, in one order, whoever holds it. */
 static int sum_up(const struct gsn_spline *spline, const struct gsn_model_cells *cells,
-                  const struct gsn_model_notes *notes, struct gsn_digest *ret_digest,
-                  struct gsn_error *err)
+                  const struct gsn_mask *region, const struct gsn_model_notes *notes,
+                  struct gsn_digest *ret_digest, struct gsn_error *err)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
     const size_t tets = mesh->tet_count;
+    const struct lattice lattice = region ? list_lattice(&region->at) : (struct lattice){ { 0 } };
     const struct {
         const void *bytes;
         size_t size;
@@ -314,6 +259,8 @@ static int sum_up(const struct gsn_spline *spline, const struct gsn_model_cells 
         { notes->name, strlen(notes->name) + 1 },
         { notes->parameters, strlen(notes->parameters) + 1 },
         { notes->version, strlen(notes->version) + 1 },
+        { region ? &lattice : NULL, sizeof lattice },
+        { region ? region->inside : NULL, region ? gsn_lattice_count(&region->at) : 0 },
     };
     gsn_auto(gsn_hash) hash = NULL;
     int r = gsn_hash_new(&hash, err);
@@ -325,8 +272,8 @@ static int sum_up(const struct gsn_spline *spline, const struct gsn_model_cells 
 }
 
 static int write_model(hid_t file, const struct gsn_spline *spline,
-                       const struct gsn_model_cells *cells, const struct gsn_model_notes *notes,
-                       struct gsn_error *err)
+                       const struct gsn_model_cells *cells, const struct gsn_mask *region,
+                       const struct gsn_model_notes *notes, struct gsn_error *err)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
@@ -334,7 +281,7 @@ static int write_model(hid_t file, const struct gsn_spline *spline,
     const int64_t facts[3] = { FORMAT, gsn_dms_degree(space), gsn_dms_sharing(space) };
     auto_id group = create_group(file, "gieson");
     struct gsn_digest digest;
-    int r = sum_up(spline, cells, notes, &digest, err);
+    int r = sum_up(spline, cells, region, notes, &digest, err);
 
     if (r >= 0 && group < 0)
         r = fail_item("make", "gieson", err);
@@ -360,7 +307,7 @@ static int write_model(hid_t file, const struct gsn_spline *spline,
     if (r >= 0)
         r = write_doubles(group, "controls", gsn_dms_controls(space), 0,
                           gsn_spline_controls(spline), err);
-    return r;
+    return r < 0 || !region ? r : write_region(group, region, err);
 }
 
 /* A file that is in memory only; image: one to start from, or NULL. The oldest format will do, and
@@ -401,8 +348,8 @@ static int take_image(hid_t file, uint8_t **ret_bytes, size_t *ret_size, struct 
 }
 
 int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model_cells *cells,
-                         const struct gsn_model_notes *notes, uint8_t **ret_bytes, size_t *ret_size,
-                         struct gsn_error *err)
+                         const struct gsn_mask *region, const struct gsn_model_notes *notes,
+                         uint8_t **ret_bytes, size_t *ret_size, struct gsn_error *err)
 {
     auto_id file = open_in_memory(NULL, 0);
     int r;
@@ -413,7 +360,7 @@ int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model
         return fail_item("make", "model.vtkhdf", err);
     r = write_picture(file, spline, cells, err);
     if (r >= 0)
-        r = write_model(file, spline, cells, notes, err);
+        r = write_model(file, spline, cells, region, notes, err);
     return r < 0 ? r : take_image(file, ret_bytes, ret_size, err);
 }
 
@@ -501,7 +448,7 @@ static int read_facts(hid_t group, int64_t ret_facts[3], struct gsn_error *err)
     if (shape < 0 || H5Sget_simple_extent_npoints(shape) != 3 ||
         H5Aread(attribute, H5T_NATIVE_INT64, ret_facts) < 0)
         return refuse("format, degree, sharing", err);
-    if (ret_facts[0] != FORMAT)
+    if (ret_facts[0] < 1 || ret_facts[0] > FORMAT)
         return gsn_fail(err, GSN_E_INPUT,
                         "this model was kept by a newer gieson (format %d, this one knows %d)",
                         (int)ret_facts[0], FORMAT);
@@ -559,6 +506,42 @@ static int read_spline(hid_t group, const int64_t facts[3], struct gsn_model *mo
     return r < 0 ? r : gsn_spline_new(model->space, control, &model->spline, err);
 }
 
+static int read_region(hid_t above, struct gsn_mask **ret_region, struct gsn_error *err)
+{
+    auto_id group = H5Gopen2(above, "region", H5P_DEFAULT);
+    gsn_auto(gsn_mask) region = NULL;
+    gsn_auto_mem(double) number = NULL;
+    gsn_auto_mem(uint8_t) inside = NULL;
+    size_t numbers = 9, voxels = 0;
+    struct gsn_lattice at;
+    int r = group < 0 ? refuse("region", err)
+                      : read_array(group, "lattice", H5T_NATIVE_DOUBLE, sizeof(double), 0, &numbers,
+                                   &number, err);
+
+    if (r >= 0)
+        r = read_array(group, "inside", H5T_NATIVE_UINT8, 1, 0, &voxels, &inside, err);
+    if (r < 0)
+        return r;
+    for (int k = 0; k < 3; k++)
+        if (!(number[k] >= 1 && number[k] <= (double)voxels && number[6 + k] > 0))
+            return refuse("lattice", err);
+    at = (struct gsn_lattice){ .nx = (size_t)number[0],
+                               .ny = (size_t)number[1],
+                               .nz = (size_t)number[2],
+                               .origin_um = { number[3], number[4], number[5] },
+                               .step_um = { number[6], number[7], number[8] } };
+    /* Each is at most as large as their number, which is bounded: the product cannot overflow. */
+    if (at.nx * at.ny > voxels || gsn_lattice_count(&at) != voxels)
+        return refuse("lattice", err);
+    r = gsn_mask_new(&at, &region, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < voxels; i++)
+        region->inside[i] = inside[i] != 0;
+    *ret_region = gsn_steal(&region);
+    return GSN_OK;
+}
+
 static int check_sum(hid_t group, const struct gsn_model *model, struct gsn_error *err)
 {
     const struct gsn_model_notes notes = { model->name, model->parameters, model->version };
@@ -567,7 +550,7 @@ static int check_sum(hid_t group, const struct gsn_model *model, struct gsn_erro
     int r = read_text(group, "sha256", &kept, err);
 
     if (r >= 0)
-        r = sum_up(model->spline, &model->cells, &notes, &digest, err);
+        r = sum_up(model->spline, &model->cells, model->region, &notes, &digest, err);
     if (r >= 0 && strcmp(kept, digest.hex) != 0)
         r = gsn_fail(err, GSN_E_INPUT,
                      "the model was changed since it was kept: its checksum is %.12s..., its "
@@ -600,6 +583,8 @@ int gsn_model_file_read(const uint8_t *bytes, size_t size, struct gsn_model **re
         r = read_spline(group, facts, model, err);
     if (r >= 0)
         r = read_cells(cells, gsn_dms_mesh(model->space)->tet_count, &model->cells, err);
+    if (r >= 0 && H5Lexists(group, "region", H5P_DEFAULT) > 0)
+        r = read_region(group, &model->region, err);
     if (r >= 0)
         r = check_sum(group, model, err);
     if (r < 0)
@@ -614,6 +599,7 @@ void gsn_model_free(struct gsn_model *model)
         return;
     gsn_spline_free(model->spline);
     gsn_dms_free(model->space);
+    gsn_mask_free(model->region);
     gsn_free(model->cells.density);
     gsn_free(model->cells.inside_share);
     gsn_free(model->cells.residual);

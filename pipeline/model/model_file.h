@@ -13,11 +13,12 @@
  * much. Cell data are what is known of each tetrahedron.
  *
  * /gieson holds the model itself, to the last bit: mesh, knots, control values, degree and sharing,
- * the parameters of the run, and a SHA-256 over all of them. The same model gives the same bytes
- * with the same version of the HDF5 library; no time is kept. */
+ * the region of interest, the parameters of the run, and a SHA-256 over all of them. The same model
+ * gives the same bytes with the same version of the HDF5 library; no time is kept. */
 #ifndef GSN_MODEL_MODEL_FILE_H
 #define GSN_MODEL_MODEL_FILE_H
 
+#include "pipeline/core/grid.h"
 #include "pipeline/model/spline.h"
 
 #ifdef __cplusplus
@@ -38,17 +39,20 @@ struct gsn_model_notes {
     const char *version;    /* of the program that fitted it */
 };
 
-/* gives: the bytes of a file. borrows: everything. Fails with GSN_E_IO when the HDF5 library does,
- * naming what was written, and with GSN_E_NOMEM. Not for two threads at once. */
+/* gives: the bytes of a file. borrows: everything; region: the voxels that the figures of the run
+ * are over, or NULL. Fails with GSN_E_IO when the HDF5 library does, naming what was written, and
+ * with GSN_E_NOMEM. Not for two threads at once. */
 int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model_cells *cells,
-                         const struct gsn_model_notes *notes, uint8_t **ret_bytes, size_t *ret_size,
-                         struct gsn_error *err);
+                         const struct gsn_mask *region, const struct gsn_model_notes *notes,
+                         uint8_t **ret_bytes, size_t *ret_size, struct gsn_error *err);
 
-/* A model that was read: the spline keeps the space; cells are NULL where the file has none. */
+/* A model that was read: the spline keeps the space; cells are NULL where the file has none, and so
+ * is the region (files of format 1 have none). */
 struct gsn_model {
     struct gsn_dms *space;
     struct gsn_spline *spline;
     struct gsn_model_cells cells;
+    struct gsn_mask *region;
     char *name, *parameters, *version;
 };
 void gsn_model_free(struct gsn_model *model);

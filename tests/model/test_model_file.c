@@ -118,7 +118,7 @@ static void leave(const struct gsn_spline *spline, const char *name)
     struct gsn_error err = { 0 };
     size_t size = 0;
 
-    CHECK_OK(gsn_model_file_write(spline, &cells, &NOTES, &bytes, &size, &err), err);
+    CHECK_OK(gsn_model_file_write(spline, &cells, NULL, &NOTES, &bytes, &size, &err), err);
     CHECK_OK(gsn_file_write(path, bytes, size, &err), err);
     leave_probes(spline, name);
     cells_done(&cells);
@@ -154,6 +154,12 @@ TEST(polynomials_on_open_clouds_are_written_for_vtk)
     }
 }
 
+static uint8_t inside[] = { 1, 0, 0, 1, 1, 0, 1, 1, 0, 0, 1, 0 };
+static const struct gsn_mask REGION = {
+    .at = { .nx = 2, .ny = 3, .nz = 2, .origin_um = { -0.3, 0.1, 7 }, .step_um = { 1, 0.7, 24 } },
+    .inside = inside,
+};
+
 /* A model of degree 3 with open clouds, as bytes. */
 static void write_model(struct gsn_dms **ret_space, struct gsn_spline **ret_spline,
                         struct gsn_model_cells *ret_cells, uint8_t **ret_bytes, size_t *ret_size)
@@ -163,7 +169,9 @@ static void write_model(struct gsn_dms **ret_space, struct gsn_spline **ret_spli
     *ret_space = kuhn_space(CELLS, 0.2, 3, 0.05, GSN_DMS_SHARED);
     *ret_spline = random_spline(*ret_space);
     *ret_cells = draw_cells(gsn_dms_mesh(*ret_space)->tet_count);
-    CHECK_OK(gsn_model_file_write(*ret_spline, ret_cells, &NOTES, ret_bytes, ret_size, &err), err);
+    CHECK_OK(
+        gsn_model_file_write(*ret_spline, ret_cells, &REGION, &NOTES, ret_bytes, ret_size, &err),
+        err);
 }
 
 #define CHECK_SAME(a, b, count) CHECK(memcmp((a), (b), (count) * sizeof *(a)) == 0)
@@ -195,6 +203,9 @@ TEST(a_model_comes_back_to_the_last_bit)
     CHECK_SAME(cells.inside_share, model->cells.inside_share, mesh->tet_count);
     CHECK_SAME(cells.residual, model->cells.residual, mesh->tet_count);
     CHECK_SAME(cells.samples, model->cells.samples, mesh->tet_count);
+    CHECK(model->region);
+    CHECK_SAME(&REGION.at, &model->region->at, 1);
+    CHECK_SAME(inside, model->region->inside, sizeof inside);
     CHECK(strcmp(model->name, NOTES.name) == 0);
     CHECK(strcmp(model->parameters, NOTES.parameters) == 0);
     CHECK(strcmp(model->version, NOTES.version) == 0);
@@ -212,7 +223,8 @@ TEST(the_same_model_is_the_same_bytes)
     size_t first_size = 0, second_size = 0;
 
     write_model(&space, &spline, &cells, &first, &first_size);
-    CHECK_OK(gsn_model_file_write(spline, &cells, &NOTES, &second, &second_size, &err), err);
+    CHECK_OK(gsn_model_file_write(spline, &cells, &REGION, &NOTES, &second, &second_size, &err),
+             err);
     CHECK(first_size == second_size && memcmp(first, second, first_size) == 0);
     cells_done(&cells);
 }
@@ -226,11 +238,11 @@ TEST(what_is_not_known_of_cells_is_not_in_the_file)
     struct gsn_error err = { 0 };
     size_t size = 0;
 
-    CHECK_OK(gsn_model_file_write(spline, &(struct gsn_model_cells){ .density = NULL }, &NOTES,
-                                  &bytes, &size, &err),
+    CHECK_OK(gsn_model_file_write(spline, &(struct gsn_model_cells){ .density = NULL }, NULL,
+                                  &NOTES, &bytes, &size, &err),
              err);
     CHECK_OK(gsn_model_file_read(bytes, size, &model, &err), err);
-    CHECK(!model->cells.density && !model->cells.samples);
+    CHECK(!model->cells.density && !model->cells.samples && !model->region);
     CHECK(gsn_dms_sharing(model->space) == GSN_DMS_OWN);
 }
 
@@ -243,13 +255,15 @@ TEST(a_changed_number_is_refused)
     struct gsn_model_cells cells;
     struct gsn_error err = { 0 };
     size_t size = 0;
-    uint8_t *found[3];
+    uint8_t *found[5];
 
     write_model(&space, &spline, &cells, &bytes, &size);
     found[0] = memmem(bytes, size, &gsn_spline_controls(spline)[5], sizeof(double));
     found[1] = memmem(bytes, size, &cells.residual[3], sizeof(double));
     found[2] = memmem(bytes, size, NOTES.parameters, strlen(NOTES.parameters));
-    for (size_t i = 0; i < 3; i++) {
+    found[3] = memmem(bytes, size, inside, sizeof inside);
+    found[4] = memmem(bytes, size, &REGION.at.step_um, sizeof REGION.at.step_um);
+    for (size_t i = 0; i < 5; i++) {
         struct gsn_model *model = NULL;
 
         CHECK(found[i]);
@@ -296,8 +310,8 @@ static int write_and_read(const struct gsn_spline *spline, struct gsn_error *err
     gsn_auto(gsn_model) model = NULL;
     gsn_auto_mem(uint8_t) bytes = NULL;
     size_t size = 0;
-    int r = gsn_model_file_write(spline, &(struct gsn_model_cells){ .density = NULL }, &NOTES,
-                                 &bytes, &size, err);
+    int r = gsn_model_file_write(spline, &(struct gsn_model_cells){ .density = NULL }, &REGION,
+                                 &NOTES, &bytes, &size, err);
 
     return r < 0 ? r : gsn_model_file_read(bytes, size, &model, err);
 }

@@ -12,6 +12,7 @@
 - Every "json" block is a job.json that `gieson import` takes, every "ini" block a configuration with
   which `gieson check-config` finds no fault, and every link to a file of the repository leads to one.
 - So do the indented pieces of a job in docs/job.md, and verbs named in docs/*.md are verbs.
+- The examples of docs/model.md, which ask the specimen of the README's, are typed behind them.
 """
 import itertools
 import json
@@ -199,8 +200,10 @@ def main():
     check_docs(bin_folder, help_text, say)
     check_links(page, say)
     with tempfile.TemporaryDirectory(prefix="gieson-readme-") as folder:
-        if type_examples(found, environment, folder, say) == 0:
-            say("no example was typed to its end")
+        more = blocks((ROOT / "docs" / "model.md").read_text(encoding="utf-8"))
+        for page in (found, more):
+            if type_examples(page, environment, folder, say) == 0:
+                say("no example was typed to its end")
     print("\n".join(complaints) if complaints else "the README does what it says")
     return 1 if complaints else 0
 

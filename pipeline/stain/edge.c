@@ -30,7 +30,7 @@ enum { PLACES = 301 };
 
 /* The stretch across that counts, c / b to either side, falling off linearly. */
 static const double ACROSS = 0.15;
-static const double QUANTILE = 0.02, BULK = 0.20;
+static const double QUANTILE = 0.02, FOREMOST = 0.005, FOLLOWING = 0.05;
 static const double LEAST_CELLS = 300;
 /* Below this share of what remains a cell has no place along the line. */
 static const double LEAST_REMAINS = 0.02;
@@ -284,10 +284,10 @@ int gsn_edge_find(const struct gsn_edge_point *point, size_t points, const doubl
         tilt_before = tilt;
         s.slope += fmax(-MOST_STEP, fmin(MOST_STEP, next - s.slope));
     }
-    edge.blunt = -edge_of_ratio(&s, ratio, edge.frame);
-    edge.blunt += quantile(line, BULK);
-    edge.cells = line->all;
+    (void)edge_of_ratio(&s, ratio, edge.frame);
     (void)remains_at(&s, ratio, edge.remains);
+    edge.vertex = quantile(line, FOLLOWING) - quantile(line, FOREMOST);
+    edge.cells = line->all;
     *ret_edge = edge;
     return GSN_OK;
 }

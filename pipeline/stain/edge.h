@@ -33,8 +33,8 @@ struct gsn_edge_point {
 struct gsn_edge {
     double frame[3][3]; /* rows: what an amount takes of R, G and B */
     double remains[3];  /* the hue of the second */
-    double blunt; /* how far from the edge a fifth of the cells lie, control's tissue over what
-                     remains: sharp where tissue without collagen is among them */
+    double vertex; /* how wide the foremost cells are spread, from half a per cent of them to 5 %,
+                      control's tissue over what remains: tissue without collagen has one hue */
     double cells; /* that the edge rests on */
 };
 

@@ -486,6 +486,21 @@ TEST(tissue_that_is_stated_to_hold_no_collagen_replaces_the_guess)
     }
 }
 
+/* A shape on the wrong tissue: cells beside it hold less. */
+TEST(tissue_that_is_stated_to_hold_none_and_is_red_is_not_taken_for_it)
+{
+    const struct gsn_dyes table = gsn_dyes_builtin();
+    const struct gsn_dyes bath = gsn_dyes_turned(&table, BATH_TURN);
+    narrowed_auto n;
+
+    narrowed_init(&n, 0.6, 1, 3, 1);
+    colour_of(&bath, (double[]){ 0.12, 0.27, 0.12 }, n.told.assembly.free_od);
+    gsn_auto(gsn_specimen_result) result = summarised(&n.told);
+
+    CHECK(result->withheld && is_nan(measure(result, "loss").value));
+    assert_non_null(strstr(result->message, "\"collagen_free\" states holds collagen"));
+}
+
 TEST(without_tissue_poor_in_collagen_the_loss_is_at_most_something_and_withheld)
 {
     narrowed_auto n;

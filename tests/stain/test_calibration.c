@@ -157,6 +157,23 @@ TEST(patches_that_are_no_single_dye_are_refused_with_the_reason)
     }
 }
 
+/* Haematoxylin as Ruifrok and Johnston measured it (2001), 28 degrees from the built-in dark. */
+TEST(another_counterstain_is_a_dark_dye)
+{
+    static const double haematoxylin[3] = { 0.650, 0.704, 0.286 };
+    struct panel panel = panel_of(0, 1);
+    struct gsn_dyes_fit seen;
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < GSN_PATCH_CELLS; i++)
+        for (int c = 0; c < 3; c++)
+            panel.patch[2].od[i][c] = 0.45 * haematoxylin[c];
+    CHECK_OK(fit(&panel, &seen, &err), err);
+    for (int c = 0; c < 3; c++)
+        CHECK_NEAR(seen.dyes.dark[c], haematoxylin[c], 1e-3);
+    CHECK(seen.moved_deg[DARK] > 20);
+}
+
 /* Red on one half, yellow on the other. */
 TEST(a_patch_of_two_hues_is_refused)
 {

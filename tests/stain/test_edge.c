@@ -80,7 +80,7 @@ TEST(tissue_without_collagen_tells_the_loss_whatever_the_dyes)
 
     for (double truth = 0.3; truth < 0.95; truth += 0.2)
         CHECK_NEAR(found(&tissue, truth, &edge), truth, 0.004);
-    CHECK(edge.blunt < 0.1);
+    CHECK(edge.vertex < 0.05);
     CHECK_NEAR(edge.remains[0] + edge.remains[1] + edge.remains[2], 1, 1e-12);
 }
 
@@ -123,15 +123,15 @@ TEST(the_loss_is_the_largest_that_can_be_and_a_known_purity_mends_it)
     CHECK_NEAR(gsn_edge_ratio(&edge, control, treated, purest), 0.6, 0.01);
 }
 
-TEST(a_block_without_pure_tissue_has_a_blunt_edge)
+TEST(a_block_without_pure_tissue_has_a_wide_vertex)
 {
     static const struct tissue pure = { .pure = 0.25, .least = 0.02 },
                                none = { .pure = 0, .least = 0.15 };
-    struct gsn_edge sharp, blunt;
+    struct gsn_edge sharp, wide;
 
     (void)found(&pure, 0.6, &sharp);
-    (void)found(&none, 0.6, &blunt);
-    CHECK(blunt.blunt > 2 * sharp.blunt);
+    (void)found(&none, 0.6, &wide);
+    CHECK(wide.vertex > 3 * sharp.vertex);
 }
 
 TEST(the_edge_of_the_same_cells_is_0_and_that_of_redder_ones_above)
@@ -154,7 +154,7 @@ TEST(the_edge_of_the_same_cells_is_0_and_that_of_redder_ones_above)
 TEST(no_loss_no_line_and_no_cells_are_refused)
 {
     static const struct tissue tissue = { .pure = 0.1, .least = 0.02 };
-    static const struct gsn_edge before = { .blunt = 7 };
+    static const struct gsn_edge before = { .vertex = 7 };
     static struct gsn_edge_point point[CELLS];
     const size_t points = make(&tissue, CELLS, point);
     struct gsn_error err = { 0 };

@@ -136,7 +136,6 @@ static void area_figure(const struct voxels *v, double threshold, struct gsn_acc
 
     for (size_t i = 0; i < v->count; i++)
         above += (double)v->value[i] > threshold;
-    account->above_threshold = threshold;
     account->above_share = v->count ? (double)above / (double)v->count : NAN;
 }
 
@@ -162,11 +161,16 @@ static int measure(const struct voxels *v, const struct gsn_mask *region,
                                                  .progress = options->progress };
     const size_t tets = gsn_dms_mesh(account->space)->tet_count;
     const int sections = protocol->kind == GSN_KIND_SECTIONS;
-    double thresholds[GSN_ACCOUNT_THRESHOLDS];
+    const struct gsn_level scale = options->scale.gain > 0 ? options->scale
+                                                           : (struct gsn_level){ .gain = 1 };
+    double thresholds[GSN_ACCOUNT_THRESHOLDS], here[GSN_ACCOUNT_THRESHOLDS];
     int r;
 
     choose_thresholds(protocol, v->low, v->high, thresholds, &account->bound_count);
-    area_figure(v, thresholds[account->bound_count / 2], account);
+    for (size_t i = 0; i < account->bound_count; i++)
+        here[i] = scale.gain * thresholds[i] + scale.offset;
+    area_figure(v, here[account->bound_count / 2], account);
+    account->above_threshold = thresholds[account->bound_count / 2];
     r = gsn_region_density(account->spline, region, options->threads, options->progress,
                            &account->density, err);
     if (r >= 0)
@@ -179,8 +183,10 @@ static int measure(const struct voxels *v, const struct gsn_mask *region,
                                                    : v->low + 1, /* a file may hold one value */
                                 &account->summary, err);
     if (r >= 0)
-        r = gsn_level_set_volume(account->spline, region, thresholds, account->bound_count, &level,
+        r = gsn_level_set_volume(account->spline, region, here, account->bound_count, &level,
                                  account->bound, err);
+    for (size_t i = 0; r >= 0 && i < account->bound_count; i++)
+        account->bound[i].threshold = thresholds[i];
     return r;
 }
 

@@ -12,6 +12,7 @@
 #include "pipeline/measure/level_set.h"
 #include "pipeline/model/refine.h"
 #include "pipeline/protocol.h"
+#include "pipeline/stain/level.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -38,7 +39,7 @@ struct gsn_account {
     struct gsn_unit *units; /* owned; one per tetrahedron */
     struct gsn_units_summary summary;
     size_t bound_count;
-    struct gsn_volume_bound bound[GSN_ACCOUNT_THRESHOLDS];
+    struct gsn_volume_bound bound[GSN_ACCOUNT_THRESHOLDS]; /* threshold: as the protocol means it */
     double above_threshold, above_share; /* area figure: share of sampled voxels above it */
     size_t picture_count;
     struct gsn_account_picture picture[GSN_ACCOUNT_PICTURES];
@@ -49,6 +50,9 @@ struct gsn_account_options {
     unsigned threads;   /* 0: all */
     const struct gsn_progress *progress;
     const struct gsn_colour_grid *colour; /* shown beside it, on the same lattice; NULL: none */
+    /* How densities that the protocol's thresholds are meant in read here, gain * density + offset:
+     * those of the baseline, in this specimen's stain. All zeros: as they are. */
+    struct gsn_level scale;
     const struct gsn_grid *shown; /* what the cuts show beside the model; NULL: the grid itself */
 };
 

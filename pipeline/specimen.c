@@ -115,26 +115,20 @@ static int keep_model(const struct gsn_account *account, const struct gsn_mask *
                                 &file->bytes, &file->size, err);
 }
 
-static struct gsn_account_options account_options(const struct gsn_specimen_options *options,
-                                                  const struct gsn_grid *shown,
-                                                  const struct gsn_colour_grid *colour)
+static struct gsn_account_options account_options(const struct gsn_specimen_options *options)
 {
     return (struct gsn_account_options){ .mesher = options->mesher,
                                          .threads = options->threads,
-                                         .progress = options->progress,
-                                         .shown = shown,
-                                         .colour = colour };
+                                         .progress = options->progress };
 }
 
 /* Makes the account, or says in why what stands against it. */
-static int try_account(const struct gsn_grid *grid, const struct gsn_grid *shown,
-                       const struct gsn_colour_grid *colour, const struct gsn_mask *region,
-                       const struct gsn_specimen *specimen,
-                       const struct gsn_specimen_options *options, struct gsn_account **ret_account,
-                       struct gsn_error *why, struct gsn_error *err)
+static int try_account(const struct gsn_grid *grid, const struct gsn_mask *region,
+                       const struct gsn_specimen *specimen, const struct gsn_account_options *how,
+                       struct gsn_account **ret_account, struct gsn_error *why,
+                       struct gsn_error *err)
 {
-    const struct gsn_account_options how = account_options(options, shown, colour);
-    const int r = gsn_account_make(grid, region, specimen->protocol, &how, ret_account, why);
+    const int r = gsn_account_make(grid, region, specimen->protocol, how, ret_account, why);
 
     if (r < 0 && !is_about_evidence(r)) {
         if (err)
@@ -160,6 +154,8 @@ static int account_of_stack(const struct gsn_assembly *assembly,
                             struct gsn_account **ret_account, struct gsn_bridge *ret_bridge,
                             struct gsn_error *why, struct gsn_error *err)
 {
+    struct gsn_account_options how = account_options(options);
+    struct gsn_level_link link;
     gsn_auto(gsn_grid) bridged = NULL;
     int r = copy_grid(assembly->grid, &bridged, err);
 
@@ -167,8 +163,11 @@ static int account_of_stack(const struct gsn_assembly *assembly,
         r = gsn_bridge_gaps(bridged, assembly->region, ret_bridge, err);
     if (r < 0)
         return r;
-    return try_account(bridged, assembly->grid, assembly->colour, assembly->region, specimen,
-                       options, ret_account, why, err);
+    how.shown = assembly->grid;
+    how.colour = assembly->colour;
+    if (gsn_stain_link(specimen, assembly, &link, NULL) >= 0)
+        how.scale = (struct gsn_level){ link.gain, link.offset };
+    return try_account(bridged, assembly->region, specimen, &how, ret_account, why, err);
 }
 
 /* Marks whose places in the block nobody stated lie in a frame of their own: its origin and its
@@ -269,6 +268,7 @@ static int work_volume(const struct gsn_specimen *specimen,
                        const struct gsn_specimen_options *options,
                        struct gsn_specimen_result *result, struct gsn_error *err)
 {
+    const struct gsn_account_options how = account_options(options);
     gsn_auto(gsn_mask) made = NULL;
     gsn_auto(gsn_account) account = NULL;
     struct gsn_error why = { 0 };
@@ -288,8 +288,8 @@ static int work_volume(const struct gsn_specimen *specimen,
         return r;
     }
     if (r >= 0)
-        r = try_account(specimen->volume, NULL, NULL, made ? made : specimen->region, specimen,
-                        options, &account, &why, err);
+        r = try_account(specimen->volume, made ? made : specimen->region, specimen, &how, &account,
+                        &why, err);
     if (r < 0 && !is_about_evidence(r))
         return r;
     if ((r = keep_model(account, made ? made : specimen->region, specimen, result, err)) < 0)

@@ -185,6 +185,7 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
         gsn_draft_figures(e, &d);
         gsn_draft_bridge(e, &d);
         gsn_draft_find_link(e, &d);
+        gsn_draft_check_volumes(e, &d);
         gsn_draft_evenness(e, &d);
         if (d.linked)
             gsn_draft_link(e, &d);

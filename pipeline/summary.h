@@ -25,6 +25,12 @@ struct gsn_evidence {
     const char *withheld;     /* the sentence why there is no account, or NULL */
 };
 
+/* How the baseline would read in this specimen's stain, by tissue outside of the region that nobody
+ * treated. Fails with GSN_E_STAIN when there is no baseline with a result, the
+ * panels were not levelled, or too little tissue is alike. */
+int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_assembly *assembly,
+                   struct gsn_level_link *ret_link, struct gsn_error *err);
+
 /* Fills json, html, measures, definition, dyes, withheld and message of result. borrows: evidence.
  * Fails with GSN_E_NOMEM. */
 int gsn_summarise(const struct gsn_evidence *evidence, struct gsn_specimen_result *result,

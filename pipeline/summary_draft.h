@@ -74,9 +74,11 @@ void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d);
  * it. Comes after the sections. */
 void gsn_draft_choices(const struct gsn_evidence *e, struct gsn_draft *d);
 
-/* summary_figures.c: the region, its volumes and MicroUnits; what was bridged (after the figures);
+/* summary_figures.c: the region, its volumes and MicroUnits; whether its volumes have the baseline's scale (after the link);
+ * what was bridged (after the figures);
  * a single tile. */
 void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d);
+void gsn_draft_check_volumes(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_bridge(const struct gsn_evidence *e, struct gsn_draft *d);
 void gsn_draft_tile(const struct gsn_evidence *e, struct gsn_draft *d);
 

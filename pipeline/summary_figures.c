@@ -33,6 +33,24 @@ static void fill_fit(const struct gsn_account *account, struct gsn_draft *d)
     d->report.units = &d->units;
 }
 
+/* Volumes above a density are compared with the baseline's: on one scale, or not at all. */
+void gsn_draft_check_volumes(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    const struct gsn_protocol *p = e->specimen->protocol;
+    const struct gsn_assembly *a = e->assembly;
+
+    if (!a || e->specimen->baseline.specimens == 0 || d->linked || a->by_standards ||
+        (p->reference_tissue.kind != GSN_REGION_NONE && !a->not_comparable[0]))
+        return;
+    d->report.volume_count = 0;
+    gsn_draft_warn(d, gsn_draft_say(d,
+                                    "volumes above a density are withheld: too little untreated "
+                                    "tissue is alike in this specimen and in %s to bring them to "
+                                    "its scale; state \"reference\" in both jobs, or scan a "
+                                    "calibration panel with standards",
+                                    e->specimen->baseline.name));
+}
+
 void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_account *account = e->account;

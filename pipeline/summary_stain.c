@@ -35,19 +35,24 @@ const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other)
 /* How much more the stain of two specimens may differ than that of two panels of one. */
 static const double SPECIMENS_OVER_PANELS = 2;
 
-/* How the baseline would read in this specimen's stain, by tissue that nobody treated. */
-void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
+int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_assembly *assembly,
+                   struct gsn_level_link *ret_link, struct gsn_error *err)
 {
-    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
-    const struct gsn_levelling *l = e->assembly ? &e->assembly->levelling : NULL;
+    const struct gsn_specimen_baseline *b = &specimen->baseline;
+    const struct gsn_levelling *l = assembly ? &assembly->levelling : NULL;
     struct gsn_level spread;
 
-    if (!l || !l->done || !e->account || b->specimens == 0)
-        return;
+    if (!l || !l->done || b->specimens == 0)
+        return gsn_fail(err, GSN_E_STAIN, "no tissue tells how the baseline's stain would read here");
     /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
-    d->linked = gsn_level_between(&l->tissues, &b->tissues, &spread, &d->link, NULL) >= 0;
+    return gsn_level_between(&l->tissues, &b->tissues, &spread, ret_link, err);
+}
+
+void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
+{
+    d->linked = e->account && gsn_stain_link(e->specimen, e->assembly, &d->link, NULL) >= 0;
 }
 
 /* What the untreated tissues are off the link by, in their errors, when something is wrong. */

@@ -107,6 +107,27 @@ TEST(a_linear_density_has_the_mean_at_the_centre_and_slabs_above_thresholds)
     CHECK_NEAR(account->tolerance, 0.03 * 0.8 * (NX - 1) / NX, 1e-6);
 }
 
+/* 0.1 to 0.9 across the box; what the baseline calls 0.6 reads 0.5 here. */
+TEST(volumes_above_a_density_are_on_the_baselines_scale)
+{
+    gsn_auto(gsn_grid) grid = linear_grid(0.5, (struct gsn_vec3){ 0.8 / (STEP * NX), 0, 0 });
+    gsn_auto(gsn_protocol) protocol =
+        drawn_protocol("{\"specimen\": \"x\", \"thresholds\": [0.6]}");
+    gsn_auto(gsn_mask) region = box_region(&grid->at);
+    gsn_auto(gsn_account) account = NULL;
+    struct gsn_account_options options = OPTIONS;
+    struct gsn_error err = { 0 };
+
+    options.scale = (struct gsn_level){ 0.75, 0.05 };
+    CHECK_OK(gsn_account_make(grid, region, protocol, &options, &account, &err), err);
+    CHECK_NEAR(account->bound[0].threshold, 0.6, 0);
+    CHECK_NEAR(account->bound[0].lower_um3, 0.5 * BOX_UM3, 5e-3 * BOX_UM3);
+    CHECK_NEAR(account->bound[0].upper_um3, 0.5 * BOX_UM3, 5e-3 * BOX_UM3);
+    CHECK_NEAR(account->above_threshold, 0.6, 0);
+    CHECK_NEAR(account->above_share, 0.5, 1e-12);
+    CHECK_NEAR(account->density.mean, 0.5, SMOOTHED * 0.5); /* that stays its own */
+}
+
 TEST(a_slope_along_every_axis_leaves_the_mean_where_it_is)
 {
     gsn_auto(gsn_grid) grid = linear_grid(0.5, (struct gsn_vec3){ 4e-4, -7e-4, 9e-4 });

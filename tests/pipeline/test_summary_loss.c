@@ -554,6 +554,17 @@ TEST(without_untreated_tissue_of_the_control_both_sides_count_in_full)
 
     CHECK(is_nan(by_vectors(result)));
     check_interval(result, TREATED, TREATED * hypot(BY_ALL, IN_COMMON), OF_CONTROL_BY_ALL);
+    assert_non_null(strstr(result->html, "volumes above a density are withheld"));
+}
+
+TEST(volumes_on_the_baselines_scale_are_not_withheld)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    assert_null(strstr(result->html, "volumes above a density are withheld"));
 }
 
 TEST(what_is_handed_on_of_a_control_is_its_own_part)

@@ -16,7 +16,8 @@ static void fill_fit(const struct gsn_account *account, struct gsn_draft *d)
                                       .unknowns = fit->unknowns,
                                       .samples = fit->samples,
                                       .empty_tets = fit->empty_tets,
-                                      .tets_in_tolerance = tets - account->over_tolerance,
+                                      .tets_in_tolerance =
+                                          tets - fit->empty_tets - account->over_tolerance,
                                       .rms = fit->rms,
                                       .worst = fit->worst,
                                       .smoothing = account->smoothing,

@@ -244,9 +244,10 @@ void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *rep
     if (report->volume_count == 0)
         return;
     gsn_report_text_raw(
-        text, "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
-              "<p class=\"lead\">The volume of the fitted model lies between the two bounds "
-              "for certain.</p>\n");
+        text,
+        "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
+        "<p class=\"lead\">Of the fitted model: its volume lies between the two bounds, which "
+        "are guaranteed. How far the model is from the tissue they do not say.</p>\n");
     open_table(text, "figures",
                "<th class=\"num\">Density above</th><th class=\"num\">At least, "
                "mm\xC2\xB3</th><th class=\"num\">At most, mm\xC2\xB3</th>"
@@ -316,13 +317,17 @@ static void add_fit(struct gsn_report_text *text, const struct gsn_report_fit *f
     row_count(text, "Degree of the spline", fit->degree);
     row_count(text, "Micro-units (tetrahedra of the model)", fit->tets);
     row_count(text, "Micro-units in which no sample lies", fit->empty_tets);
+    if (fit->tets > 0)
+        row_number(text, "Share of the micro-units in which no sample lies",
+                   100 * (double)fit->empty_tets / (double)fit->tets, 1, "%");
     row_count(text, "Unknowns of the fit", fit->unknowns);
     row_count(text, "Samples", fit->samples);
     row_digits(text, "Residual of the fit, root mean square", fit->rms, "density");
     row_digits(text, "Residual of the fit, largest", fit->worst, "density");
     row_plain(text, "Smoothing", fit->smoothing, "");
     row_plain(text, "Tolerance in each micro-unit", fit->tolerance, "density");
-    row_count(text, "Micro-units within the tolerance", fit->tets_in_tolerance);
+    row_count(text, "Micro-units with samples that are within the tolerance",
+              fit->tets_in_tolerance);
 }
 
 static void add_units(struct gsn_report_text *text, const struct gsn_report_units *units)

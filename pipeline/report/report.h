@@ -45,7 +45,8 @@ struct gsn_report_region {
     const char *description; /* "wpdl <= d < wpdl+450, ..." or the mask's file name */
 };
 
-/* The volume of {density > threshold} in the region lies between these two, for certain. */
+/* The volume of {s > threshold} in the region, s being the fitted model, lies between these two:
+ * they are guaranteed for the model, and say nothing of how far it is from the tissue. */
 struct gsn_report_volume {
     double threshold, lower_mm3, upper_mm3;
 };
@@ -131,8 +132,10 @@ struct gsn_report_registration {
 };
 
 struct gsn_report_fit {
-    size_t tets, unknowns, samples, empty_tets, tets_in_tolerance;
-    double rms, worst; /* of the residuals, in density */
+    size_t tets, unknowns, samples;
+    size_t empty_tets;        /* without a sample */
+    size_t tets_in_tolerance; /* of those with samples: an empty one is within nothing */
+    double rms, worst;        /* of the residuals, in density */
     double smoothing, tolerance;
     unsigned degree;
 };

@@ -198,6 +198,16 @@ class Closed(Model):
                 self.near(float(row["density"]),
                           field(*(float(row[c]) for c in ("x_um", "y_um", "z_um"))))
 
+    def test_no_empty_cell_counts_as_within_the_tolerance(self):
+        path, _ = self.export("units.csv")
+        rows = list(csv.DictReader(path.read_text().splitlines()))
+        fit = json.loads(self.call("report", "block", "--json").stdout)["fit"]
+        filled = [row for row in rows if row["samples"] != "0"]
+        self.assertEqual(fit["tets"], len(rows))
+        self.assertEqual(fit["empty_tets"], len(rows) - len(filled))
+        self.assertEqual(fit["tets_in_tolerance"],
+                         sum(float(row["residual"]) <= fit["tolerance"] for row in filled))
+
     def test_the_kept_file_is_copied_to_the_last_bit(self):
         path, _ = self.export("model.vtkhdf")
         kept = next(self.store.glob("reports/block/*/model.vtkhdf"))

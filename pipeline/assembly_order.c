@@ -15,19 +15,33 @@
  * with half of its sections missing by 3.9). */
 static const double SHORTER = 6;
 
+struct section_name {
+    char text[24];
+};
+
+/* As people say it, and `gieson decide` takes it. */
+static struct section_name name_of(unsigned serial, unsigned slots)
+{
+    struct section_name name;
+
+    (void)snprintf(name.text, sizeof name.text, "%u.%u", serial / slots + 1, serial % slots + 1);
+    return name;
+}
+
 static void flag(struct gsn_assembly_section *s, const struct gsn_sequence_finding *finding,
-                 unsigned other)
+                 struct section_name other)
 {
     char word[40];
 
     (void)snprintf(word, sizeof word,
-                   finding->kind == GSN_SEQUENCE_SWAP ? "swapped-with-%u?" : "same-as-%u?", other);
+                   finding->kind == GSN_SEQUENCE_SWAP ? "swapped-with-%s?" : "same-as-%s?",
+                   other.text);
     gsn_assembly_flag(s, word);
 }
 
 /* Flags the sections of that number that were compared, laid or held. */
 static void flag_all(const struct gsn_section_planes *planes, struct gsn_assembly *a,
-                     const struct gsn_sequence_finding *finding, int second)
+                     const struct gsn_sequence_finding *finding, int second, unsigned slots)
 {
     const unsigned serial = second ? finding->b : finding->a;
     const unsigned other = second ? finding->a : finding->b;
@@ -37,7 +51,7 @@ static void flag_all(const struct gsn_section_planes *planes, struct gsn_assembl
         const size_t i = finding->held[second] ? planes->held[k].section : planes->section[k];
 
         if (a->section[i].seen.serial == serial)
-            flag(&a->section[i], finding, other);
+            flag(&a->section[i], finding, name_of(other, slots));
     }
 }
 
@@ -289,6 +303,7 @@ int gsn_section_order_examine(struct gsn_section_planes *planes,
 {
     gsn_auto_mem(struct gsn_sequence_plane) plane = gsn_alloc_array(planes->count, sizeof *plane);
     gsn_auto(gsn_sequence) sequence = NULL;
+    const struct gsn_layout layout = gsn_protocol_layout(protocol);
     int r;
 
     if (!plane)
@@ -303,22 +318,9 @@ int gsn_section_order_examine(struct gsn_section_planes *planes,
         return r;
     for (size_t i = 0; i < sequence->count; i++)
         for (int second = 0; second < 2; second++)
-            flag_all(planes, a, &sequence->finding[i], second);
+            flag_all(planes, a, &sequence->finding[i], second, layout.rows * layout.columns);
     *ret_sequence = gsn_steal(&sequence);
     return GSN_OK;
-}
-
-struct section_name {
-    char text[24];
-};
-
-/* As people say it, and `gieson decide` takes it. */
-static struct section_name name_of(unsigned serial, unsigned slots)
-{
-    struct section_name name;
-
-    (void)snprintf(name.text, sizeof name.text, "%u.%u", serial / slots + 1, serial % slots + 1);
-    return name;
 }
 
 static void say_held(const struct gsn_sequence_finding *f, unsigned slots,

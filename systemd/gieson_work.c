@@ -275,11 +275,12 @@ int main(int argc, char **argv)
     while (i < sizeof verbs / sizeof verbs[0] && strcmp(verbs[i].verb, request.verb) != 0)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
-        status = gsn_work_usage("this verb is not known: import, work, changed, verify, scrub, "
+        status = gsn_work_usage(&request,
+                                "this verb is not known: import, work, changed, verify, scrub, "
                                 "backup, restore, check, register, study, plan, export, probe, "
                                 "line or integral");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
-        status = gsn_work_usage("no store: say --store DIR or set GIESON_STORE");
+        status = gsn_work_usage(&request, "no store: say --store DIR or set GIESON_STORE");
     else
         status = verbs[i].run(&request);
     json_decref(request.thresholds);

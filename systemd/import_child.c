@@ -137,10 +137,14 @@ static void end_child(pid_t pid)
 
 static int judge(const struct talk *talk, int status, struct gsn_error *err)
 {
-    if (status == EX_OK || status == EX_NOPERM)
+    if (status == EX_OK)
         return GSN_OK;
     if (status == EX_TEMPFAIL)
         return gsn_fail(err, GSN_E_BUSY, "%.300s", talk->last);
+    if (status == EX_NOPERM)
+        return gsn_fail(err, GSN_E_DENIED, "%.390s", talk->last);
+    if (status == EX_IOERR)
+        return gsn_fail(err, GSN_E_IO, "%.390s", talk->last);
     if (status >= 128 || !talk->last[0])
         return gsn_fail(err, GSN_E_PROCESS, "gieson-work ended with %d%s%.300s", status,
                         talk->last[0] ? ": " : "", talk->last);

@@ -16,10 +16,11 @@ struct gsn_import_child {
 };
 
 /* Runs it to its end. What it says goes to the log; its last line is the sentence when it fails.
- * Files that it left out (EX_NOPERM) are for who looks into the folder to tell. Fails with
- * GSN_E_BUSY when the folder still changes or we were asked to stop, GSN_E_PROCESS when it cannot
- * be run or hangs and was ended, and GSN_E_INPUT when it refused. One that cannot even be ended
- * costs us our breath, so that whoever watches us notices. */
+ * Files that it left out are for who looks into the folder to tell. Fails with GSN_E_BUSY when the
+ * folder still changes or we were asked to stop, GSN_E_PROCESS when it cannot be run or hangs and
+ * was ended, GSN_E_DENIED when it may not read what the folder needs, GSN_E_IO when a disk or the
+ * store refused, and GSN_E_INPUT when it refused. One that cannot even be ended costs us our
+ * breath, so that whoever watches us notices. */
 int gsn_import_child_run(const struct gsn_import_child *child, struct gsn_error *err);
 
 #endif

@@ -312,9 +312,28 @@ static int run_import(const struct gsn_serving *serving, const char *folder, boo
     return r < 0 ? r : gsn_import_child_run(&child, err);
 }
 
+/* What a person does about a folder that an import failed on. gives. */
+static char *mend_import(const struct gsn_specimen_due *due, int code)
+{
+    switch (code) {
+    case GSN_E_DENIED:
+        return gsn_format("let it be read: chmod -R a+rX '%s'; it is tried again by itself",
+                          due->path);
+    case GSN_E_IO:
+        return gsn_strdup("look at the disk or the network folder, and at the store's; it is tried "
+                          "again by itself");
+    case GSN_E_PROCESS:
+        return gsn_strdup("look at the journal, and whether the disk or the network folder "
+                          "answers; it is tried again by itself");
+    default:
+        return gsn_strdup("correct the folder; it is tried again by itself");
+    }
+}
+
 static int import(struct gsn_serving *serving, const struct gsn_specimen_due *due,
                   struct gsn_error *err)
 {
+    gsn_auto_mem(char) action = NULL;
     struct gsn_error why = { 0 };
     int r = gsn_spool_has_room(serving->spool, due->bytes, &why);
 
@@ -333,8 +352,9 @@ static int import(struct gsn_serving *serving, const struct gsn_specimen_due *du
     gsn_specimen_folders_failed(serving->folders, due->index, gsn_now_ms());
     if (r == GSN_E_BUSY)
         return GSN_OK;
-    return put_trouble(serving, due->name, why.text,
-                       "correct the folder; it is tried again by itself", err);
+    action = mend_import(due, r);
+    return action ? put_trouble(serving, due->name, why.text, action, err)
+                  : gsn_fail(err, GSN_E_NOMEM, "out of memory for %s", due->name);
 }
 
 int gsn_serving_import_all(struct gsn_serving *serving, struct gsn_error *err)

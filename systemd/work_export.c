@@ -339,18 +339,20 @@ int gsn_work_export(const struct gsn_work_request *request)
     int r;
 
     if (request->rest_count != 2)
-        return gsn_work_usage("export what, and where to? Say `gieson export SPECIMEN FILE`");
+        return gsn_work_usage(request,
+                              "export what, and where to? Say `gieson export SPECIMEN FILE`");
     e.file = request->rest[1];
     format = find_format(e.file);
     if (levels == 1)
         e.level = json_number_value(json_array_get(request->levels, 0));
     if (request->step && !gsn_work_numbers(request->step, 1, &e.step))
-        return gsn_work_usage("--step is a length in micrometres, above 0");
+        return gsn_work_usage(request, "--step is a length in micrometres, above 0");
     mistake = find_mistake(format, &e, levels);
     if (mistake)
-        return gsn_work_usage(mistake);
+        return gsn_work_usage(request, mistake);
     if (access(e.file, F_OK) == 0)
-        return gsn_work_usage("that file exists already, and export writes over none: remove it, "
+        return gsn_work_usage(request,
+                              "that file exists already, and export writes over none: remove it, "
                               "or say another name");
     r = gsn_store_open(request->store_dir, GSN_STORE_READ, &e.store, &err);
     if (r >= 0)
@@ -362,7 +364,7 @@ int gsn_work_export(const struct gsn_work_request *request)
     if (r >= 0)
         r = gsn_file_write(e.file, e.bytes, e.size, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     say_export(&e);
     return EX_OK;
 }

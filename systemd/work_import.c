@@ -12,19 +12,30 @@
 #include <sysexits.h>
 #include <unistd.h>
 
+/* Who asked, and what was left out, for --json. */
+struct told {
+    const struct gsn_work_request *request;
+    json_t *left_out;
+};
+
 static void say_notice(void *context, const char *name, const char *sentence)
 {
-    (void)context;
-    gsn_work_say(stderr, "gieson: %s: %s\n", name, sentence);
+    const struct told *const told = context;
+    gsn_auto_mem(char) before = gsn_format("gieson: %s: ", name);
+
+    gsn_work_tell(told->request, stderr, before ? before : "gieson: ", sentence);
 }
 
-/* Says it, and keeps it for --json. */
 static void say_left_out(void *context, const char *name, const char *reason, const char *action)
 {
-    gsn_work_say(stderr, "gieson: %s: not taken: it %s; next: %s\n", name, reason, action);
-    (void)json_array_append_new(context,
+    const struct told *const told = context;
+    gsn_auto_mem(char) before = gsn_format("gieson: %s: not taken: it %s; next: ", name, reason);
+
+    gsn_work_tell(told->request, stderr, before ? before : "gieson: ", action);
+    (void)json_array_append_new(told->left_out,
                                 json_pack("{s:o, s:o, s:o}", "name", gsn_work_text(name), "reason",
-                                          gsn_work_text(reason), "action", gsn_work_text(action)));
+                                          gsn_work_text(reason), "action",
+                                          gsn_work_advice(told->request, action)));
 }
 
 static const char *base_name(const char *path)
@@ -58,17 +69,6 @@ static char *job_for_file(const struct gsn_work_request *request, const char *fi
     return text;
 }
 
-/* The command is there to be copied, so it names a store that the environment does not. */
-static void tell_run(const char *store_dir)
-{
-    const char *usual = getenv("GIESON_STORE");
-    const int is_usual =
-        (usual && strcmp(usual, store_dir) == 0) || strcmp(store_dir, "/var/lib/gieson") == 0;
-
-    gsn_work_say(stdout, " `gieson%s%s run` works the queue\n", is_usual ? "" : " --store ",
-                 is_usual ? "" : store_dir);
-}
-
 static void print_import(const struct gsn_work_request *request, const char *specimen,
                          const struct gsn_import_counts *counts, json_t *left_out)
 {
@@ -94,7 +94,7 @@ static void print_import(const struct gsn_work_request *request, const char *spe
     if (counts->left_out)
         gsn_work_say(stdout, " %u file%s left out,", counts->left_out,
                      counts->left_out == 1 ? "" : "s");
-    tell_run(request->store_dir);
+    gsn_work_tell(request, stdout, " ", "`gieson run` works the queue");
 }
 
 static int is_file(const char *path)
@@ -102,6 +102,14 @@ static int is_file(const char *path)
     struct stat what;
 
     return stat(path, &what) == 0 && S_ISREG(what.st_mode);
+}
+
+/* The service tells files that are left out by itself; it asks whether it may not read the rest. */
+static int end_import(const struct gsn_work_request *request, const struct gsn_error *err, int code)
+{
+    const int status = gsn_work_complain(request, err, code);
+
+    return request->served && code == GSN_E_DENIED ? EX_NOPERM : status;
 }
 
 int gsn_work_import(const struct gsn_work_request *request)
@@ -113,9 +121,10 @@ int gsn_work_import(const struct gsn_work_request *request)
     gsn_auto_mem(char) specimen = NULL;
     gsn_auto(gsn_store) store = NULL;
     __attribute__((cleanup(json_decrefp))) json_t *left_out = json_array();
+    struct told told = { request, left_out };
     struct gsn_import import = { .notice = say_notice,
                                  .left_out = say_left_out,
-                                 .context = left_out,
+                                 .context = &told,
                                  .replace = request->replace,
                                  .served = request->served };
     struct gsn_import_counts counts;
@@ -123,7 +132,7 @@ int gsn_work_import(const struct gsn_work_request *request)
     int r;
 
     if (!file && request->rest_count != 1)
-        return gsn_work_usage("import needs one folder");
+        return gsn_work_usage(request, "import needs one folder");
     if (file) {
         const int length = (int)(base_name(file) - file);
 
@@ -133,28 +142,28 @@ int gsn_work_import(const struct gsn_work_request *request)
         folder = gsn_strdup(request->rest[0]);
     }
     if (!folder || (file && !job))
-        return gsn_work_usage("out of memory");
+        return gsn_work_usage(request, "out of memory");
     if (file && access(file, F_OK) < 0) {
         (void)gsn_fail(&err, GSN_E_NOTFOUND, "there is no file %s", file);
-        return gsn_work_complain(&err, GSN_E_NOTFOUND);
+        return gsn_work_complain(request, &err, GSN_E_NOTFOUND);
     }
     if (!file && is_file(folder)) {
         (void)gsn_fail(&err, GSN_E_INPUT,
                        "%s is a file: import the folder that it lies in, with its job.json, or say "
                        "`gieson import --tile %s`",
                        folder, folder);
-        return gsn_work_complain(&err, GSN_E_INPUT);
+        return gsn_work_complain(request, &err, GSN_E_INPUT);
     }
     r = gsn_store_open(request->store_dir, GSN_STORE_CREATE, &store, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     import.store = store;
     import.dir = folder;
     import.job_text = job;
     import.actor = who.name;
     r = gsn_import_folder(&import, &specimen, &counts, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return end_import(request, &err, r);
     print_import(request, specimen, &counts, left_out);
-    return counts.left_out ? EX_NOPERM : EX_OK;
+    return counts.left_out && !request->served ? EX_NOPERM : EX_OK;
 }

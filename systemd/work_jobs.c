@@ -89,7 +89,7 @@ int gsn_work_next(const struct gsn_work_request *request)
     }
     if (r == GSN_E_NOTFOUND || r == GSN_E_BUSY)
         return gsn_code_exit(r);
-    return r < 0 ? gsn_work_complain(&err, r) : EX_OK;
+    return r < 0 ? gsn_work_complain(request, &err, r) : EX_OK;
 }
 
 /* A run by its number, or the latest of a specimen by its name. */
@@ -176,7 +176,7 @@ int gsn_work_verify(const struct gsn_work_request *request)
     int r, status;
 
     if (request->rest_count != 1)
-        return gsn_work_usage("verify needs one run number or specimen");
+        return gsn_work_usage(request, "verify needs one run number or specimen");
     r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
     if (r >= 0 && request->journal)
         r = gsn_audit_read_journal(request->journal, &heads, &err);
@@ -190,7 +190,8 @@ int gsn_work_verify(const struct gsn_work_request *request)
     /* What was found before it failed is not lost with it. */
     if (r < 0)
         print_findings(findings);
-    status = r < 0 ? gsn_work_complain(&err, r) : print_verdict(request, &verdict, findings);
+    status =
+        r < 0 ? gsn_work_complain(request, &err, r) : print_verdict(request, &verdict, findings);
     json_decref(findings);
     return status;
 }
@@ -204,5 +205,5 @@ int gsn_work_changed(const struct gsn_work_request *request)
 
     if (r >= 0)
         r = gsn_night_ask(store, &count, &err);
-    return r < 0 ? gsn_work_complain(&err, r) : EX_OK;
+    return r < 0 ? gsn_work_complain(request, &err, r) : EX_OK;
 }

@@ -311,13 +311,13 @@ int gsn_work_probe(const struct gsn_work_request *request)
 
     if (!read_coordinates(request, 3, u))
         return gsn_work_usage(
-            "say a specimen and a point of the block in micrometres: `gieson probe "
-            "SPECIMEN X Y Z`");
+            request, "say a specimen and a point of the block in micrometres: `gieson probe "
+                     "SPECIMEN X Y Z`");
     r = open_model(request, &a, &err);
     if (r >= 0)
         r = probe(&a, u, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     if (request->json)
         return print_json(a.root);
     print_probe(&a);
@@ -429,16 +429,18 @@ int gsn_work_line(const struct gsn_work_request *request)
 
     if (!read_coordinates(request, 6, end) ||
         (end[0] == end[3] && end[1] == end[4] && end[2] == end[5]))
-        return gsn_work_usage("say a specimen and two points of the block in micrometres: `gieson "
+        return gsn_work_usage(request,
+                              "say a specimen and two points of the block in micrometres: `gieson "
                               "line SPECIMEN X1 Y1 Z1 X2 Y2 Z2`");
     if (request->points && (!gsn_work_numbers(request->points, 1, &points) || points < 2 ||
                             points > MOST_PROFILE || points != floor(points)))
-        return gsn_work_usage("--points is how many points the profile has, from 2 to 100000");
+        return gsn_work_usage(request,
+                              "--points is how many points the profile has, from 2 to 100000");
     r = open_model(request, &a, &err);
     if (r >= 0)
         r = follow_line(&a, end, (size_t)points, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     if (request->json)
         return print_json(a.root);
     print_line(&a);
@@ -583,14 +585,17 @@ int gsn_work_integral(const struct gsn_work_request *request)
     int r;
 
     if (request->rest_count != 1 || ways > 1)
-        return gsn_work_usage("say `gieson integral SPECIMEN`, with one of --box, --plane and "
+        return gsn_work_usage(request,
+                              "say `gieson integral SPECIMEN`, with one of --box, --plane and "
                               "--whole or none of them");
     if (request->box && !gsn_work_numbers(request->box, 6, six))
-        return gsn_work_usage("--box is two corners in micrometres: X1,Y1,Z1,X2,Y2,Z2");
+        return gsn_work_usage(request, "--box is two corners in micrometres: X1,Y1,Z1,X2,Y2,Z2");
     if (request->plane && !gsn_work_numbers(request->plane, 6, six))
-        return gsn_work_usage("--plane is a point in micrometres and a normal: X,Y,Z,NX,NY,NZ");
+        return gsn_work_usage(request,
+                              "--plane is a point in micrometres and a normal: X,Y,Z,NX,NY,NZ");
     if (json_array_size(request->levels) > (request->plane || request->whole ? 0 : MOST_LEVELS))
-        return gsn_work_usage("--level goes with the region or a --box, up to eight times");
+        return gsn_work_usage(request,
+                              "--level goes with the region or a --box, up to eight times");
     r = open_model(request, &a, &err);
     if (r >= 0 && request->box)
         r = integrate_box(&a, six, &err);
@@ -602,7 +607,7 @@ int gsn_work_integral(const struct gsn_work_request *request)
         r = require_region(&a, &err) ? integrate_region(&a, a.model->region, "region", &err)
                                      : GSN_E_NOTFOUND;
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     if (request->json)
         return print_json(a.root);
     print_integral(&a);

@@ -57,12 +57,12 @@ int gsn_work_check(const struct gsn_work_request *request)
     int status = EX_OK, r;
 
     if (request->rest_count < 1)
-        return gsn_work_usage("check needs at least one file");
+        return gsn_work_usage(request, "check needs at least one file");
     r = gsn_process_sibling("gieson-decode", &program, &err);
     if (r >= 0)
         r = gsn_decoder_new(program, &decoder, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     for (int i = 0; i < request->rest_count; i++) {
         r = check_one(decoder, request->rest[i], checked);
 
@@ -90,7 +90,7 @@ int gsn_work_register(const struct gsn_work_request *request)
     int status, r;
 
     if (request->rest_count != 1)
-        return gsn_work_usage("register needs one folder of pictures");
+        return gsn_work_usage(request, "register needs one folder of pictures");
     /* One section after the other works in the same pages. */
     (void)mallopt(M_MMAP_THRESHOLD, 32 << 20);
     (void)mallopt(M_TRIM_THRESHOLD, 256 << 20);
@@ -98,7 +98,7 @@ int gsn_work_register(const struct gsn_work_request *request)
     if (r >= 0)
         r = gsn_decoder_new(program, &decoder, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     status = gsn_register_folder(&folder, decoder, &err);
     if (err.text[0])
         gsn_work_say(stderr, "gieson: %s\n", err.text);

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/core/printable.h"
+#include "storage/advice.h"
 
 #include <stdarg.h>
 #include <stdio.h>
@@ -27,15 +28,23 @@ void gsn_work_say(FILE *to, const char *format, ...)
     (void)fputs(text ? text : "out of memory\n", to);
 }
 
-int gsn_work_complain(const struct gsn_error *err, int code)
+void gsn_work_tell(const struct gsn_work_request *request, FILE *to, const char *before,
+                   const char *text)
 {
-    gsn_work_say(stderr, "gieson: %s\n", err->text);
+    gsn_auto_mem(char) advice = gsn_advice(request->store_dir, text);
+
+    gsn_work_say(to, "%s%s\n", before, advice ? advice : text);
+}
+
+int gsn_work_complain(const struct gsn_work_request *request, const struct gsn_error *err, int code)
+{
+    gsn_work_tell(request, stderr, "gieson: ", err->text);
     return gsn_code_exit(code);
 }
 
-int gsn_work_usage(const char *sentence)
+int gsn_work_usage(const struct gsn_work_request *request, const char *sentence)
 {
-    gsn_work_say(stderr, "gieson: %s\n", sentence);
+    gsn_work_tell(request, stderr, "gieson: ", sentence);
     return EX_USAGE;
 }
 
@@ -56,6 +65,13 @@ int gsn_work_numbers(const char *text, size_t count, double *ret_number)
         ret_number[i] = json_number_value(json_array_get(root, i));
     json_decref(root);
     return ok;
+}
+
+json_t *gsn_work_advice(const struct gsn_work_request *request, const char *text)
+{
+    gsn_auto_mem(char) advice = gsn_advice(request->store_dir, text);
+
+    return gsn_work_text(advice ? advice : text);
 }
 
 json_t *gsn_work_text(const char *text)

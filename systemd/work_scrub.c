@@ -13,6 +13,7 @@
 
 /* Of what was found: the list of damaged objects, and that of findings. */
 struct told {
+    const struct gsn_work_request *request;
     json_t *damaged, *findings;
 };
 
@@ -20,18 +21,21 @@ static void say_damaged(void *context, const char *sha256, const char *sentence)
 {
     const struct told *const told = context;
 
-    gsn_work_say(stderr, "gieson: damaged: %s\n", sentence);
+    gsn_work_tell(told->request, stderr, "gieson: damaged: ", sentence);
     (void)json_array_append_new(told->damaged, json_pack("{s:s, s:o}", "sha256", sha256, "message",
-                                                         gsn_work_text(sentence)));
+                                                         gsn_work_advice(told->request, sentence)));
 }
 
 static void say_found(void *context, const char *what, const char *sentence)
 {
     const struct told *const told = context;
 
-    gsn_work_say(stderr, "gieson: damaged: %s: %s\n", what, sentence);
-    (void)json_array_append_new(told->findings, json_pack("{s:o, s:o}", "what", gsn_work_text(what),
-                                                          "message", gsn_work_text(sentence)));
+    gsn_auto_mem(char) before = gsn_format("gieson: damaged: %s: ", what);
+
+    gsn_work_tell(told->request, stderr, before ? before : "gieson: damaged: ", sentence);
+    (void)json_array_append_new(told->findings,
+                                json_pack("{s:o, s:o}", "what", gsn_work_text(what), "message",
+                                          gsn_work_advice(told->request, sentence)));
 }
 
 static void print_scrub(const struct gsn_work_request *request, const struct gsn_scrub_counts *c,
@@ -53,9 +57,11 @@ static void print_scrub(const struct gsn_work_request *request, const struct gsn
                  "database, reports and an audit log of %lld events looked over, %lld findings\n",
                  (long long)c->events, (long long)c->findings);
     if (!request->quick)
-        gsn_work_say(stdout, "%lld objects (%.1f MB) read again, %lld damaged%s\n",
-                     (long long)c->checked, 1e-6 * (double)c->bytes, (long long)c->damaged,
-                     c->complete ? "" : "; the next `gieson scrub` goes on from here");
+        gsn_work_say(stdout, "%lld objects (%.1f MB) read again, %lld damaged",
+                     (long long)c->checked, 1e-6 * (double)c->bytes, (long long)c->damaged);
+    if (!request->quick)
+        gsn_work_tell(request, stdout, "",
+                      c->complete ? "" : "; the next `gieson scrub` goes on from here");
 }
 
 /* Whoever works or looks at a screen goes first. */
@@ -72,7 +78,7 @@ int gsn_work_scrub(const struct gsn_work_request *request)
     gsn_auto(gsn_store) store = NULL;
     const struct gsn_actor who = gsn_actor_now();
     gsn_auto_heads heads = { .count = 0 };
-    struct told told = { json_array(), json_array() };
+    struct told told = { request, json_array(), json_array() };
     struct gsn_scrub scrub = { .actor = who.name,
                                .quick = request->quick,
                                .minutes = request->minutes,
@@ -97,7 +103,7 @@ int gsn_work_scrub(const struct gsn_work_request *request)
     json_decref(told.damaged);
     json_decref(told.findings);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     return counts.damaged > 0 || counts.findings > 0 ? EX_DATAERR : EX_OK;
 }
 
@@ -120,7 +126,7 @@ static int copy_store(const struct gsn_work_request *request, const char *from, 
     if (r >= 0)
         r = gsn_backup_make(store, to, who.name, say_why_not, NULL, &counts, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     if (request->json)
         (void)printf("{\"objects\": %lld, \"bytes\": %lld, \"files\": %lld, "
                      "\"audit_log_events\": %lld}\n",
@@ -137,13 +143,15 @@ static int copy_store(const struct gsn_work_request *request, const char *from, 
 int gsn_work_backup(const struct gsn_work_request *request)
 {
     if (request->rest_count != 1)
-        return gsn_work_usage("backup where? Say `gieson backup FOLDER`, a new or an empty one");
+        return gsn_work_usage(request,
+                              "backup where? Say `gieson backup FOLDER`, a new or an empty one");
     return copy_store(request, request->store_dir, request->rest[0]);
 }
 
 int gsn_work_restore(const struct gsn_work_request *request)
 {
     if (request->rest_count != 1)
-        return gsn_work_usage("restore from where? Say `gieson --store NEW restore FOLDER`");
+        return gsn_work_usage(request,
+                              "restore from where? Say `gieson --store NEW restore FOLDER`");
     return copy_store(request, request->rest[0], request->store_dir);
 }

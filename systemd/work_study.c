@@ -120,7 +120,7 @@ static int make_all(const struct gsn_work_request *request, struct gsn_store *st
     int r = gsn_study_list(store, &names, &err), status = EX_OK;
 
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     if (names->count == 0 && !request->quiet)
         gsn_work_say(stderr, "no specimen states a `study` in its job.json\n");
     if (request->json)
@@ -130,7 +130,7 @@ static int make_all(const struct gsn_work_request *request, struct gsn_store *st
             (void)fputs(",\n", stdout);
         r = make_page(request, store, names->at[i], &err);
         if (r < 0) {
-            status = gsn_work_complain(&err, r);
+            status = gsn_work_complain(request, &err, r);
             if (request->json)
                 (void)fputs("null\n", stdout);
         }
@@ -237,7 +237,7 @@ int gsn_work_study(const struct gsn_work_request *request)
         r = state_change(request, store, &err);
     if (r >= 0)
         r = make_page(request, store, request->rest[0], &err);
-    return r < 0 ? gsn_work_complain(&err, r) : EX_OK;
+    return r < 0 ? gsn_work_complain(request, &err, r) : EX_OK;
 }
 
 /* ---- how many animals ---------------------------------------------------------------------- */
@@ -335,12 +335,13 @@ int gsn_work_plan(const struct gsn_work_request *request)
 
     if (!(difference > 0) || !(power > 0 && power < 1) || (request->sd && !(sd > 0)) ||
         request->rest_count > 1 || (request->rest_count == 1) == (request->sd != NULL))
-        return gsn_work_usage("say `gieson plan --difference POINTS --sd POINTS`, or the name of a "
+        return gsn_work_usage(request,
+                              "say `gieson plan --difference POINTS --sd POINTS`, or the name of a "
                               "study in place of --sd; --power is between 0 and 1");
     if (!request->sd)
         r = read_spread(request, &sd, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     print_plan(request, difference, sd, power);
     return EX_OK;
 }

@@ -41,12 +41,17 @@ int gsn_work_integral(const struct gsn_work_request *request);
 
 /* To a terminal or a file, without what moves a cursor. */
 void gsn_work_say(FILE *to, const char *format, ...) __attribute__((format(printf, 2, 3)));
+/* A line: what stands before the text, and the text as advice (storage/advice.h). */
+void gsn_work_tell(const struct gsn_work_request *request, FILE *to, const char *before,
+                   const char *text);
 /* Says what failed; returns its exit status. */
-int gsn_work_complain(const struct gsn_error *err, int code);
+int gsn_work_complain(const struct gsn_work_request *request, const struct gsn_error *err,
+                      int code);
 /* Says what was asked wrongly; returns EX_USAGE. */
-int gsn_work_usage(const char *sentence);
-/* gives: a text that may hold any bytes. */
+int gsn_work_usage(const struct gsn_work_request *request, const char *sentence);
+/* gives: a text that may hold any bytes; the second as advice. */
 json_t *gsn_work_text(const char *text);
+json_t *gsn_work_advice(const struct gsn_work_request *request, const char *text);
 /* A decimal number of the command line, through the parser that reads every other number. gives;
  * NULL when it is none. */
 json_t *gsn_work_number(const char *text);

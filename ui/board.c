@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/board.h"
 
+#include "storage/advice.h"
+
 #include "ui/board_parts.h"
 #include "ui/look.h"
 #include "ui/text.h"
@@ -91,7 +93,7 @@ static char *source_detail(const struct gsn_bench_source *source)
 
 static void add_source(struct gsn_board_maker *maker, const struct gsn_bench_source *source)
 {
-    gsn_auto_mem(char) name = gsn_text_word(source->name);
+    gsn_auto_mem(char) name = gsn_advice_word(source->name);
     struct gsn_board_line *line =
         gsn_board_add(maker, GSN_BOARD_SOURCE, gsn_look_of(source->state)->state);
 

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/board_parts.h"
 
+#include "storage/advice.h"
+
 #include "ui/look.h"
 #include "ui/text.h"
 
@@ -89,7 +91,7 @@ static void panel_action(struct gsn_board_maker *maker, struct gsn_board_line *l
                          const struct gsn_open_panel_row *panel,
                          const struct gsn_snapshot_row *specimen)
 {
-    gsn_auto_mem(char) name = gsn_text_word(specimen->name);
+    gsn_auto_mem(char) name = gsn_advice_word(specimen->name);
     const char *verb = strcmp(line->state, "failed") == 0 ? "retry" : "show";
 
     if (panel->scan && strcmp(line->state, "held") == 0)
@@ -133,7 +135,7 @@ static void add_doubts(struct gsn_board_maker *maker, const struct gsn_doubt_row
 {
     struct gsn_board_line *line =
         count > 0 ? gsn_board_add(maker, GSN_BOARD_DOUBT, "needs-eye") : NULL;
-    gsn_auto_mem(char) name = gsn_text_word(specimen->name);
+    gsn_auto_mem(char) name = gsn_advice_word(specimen->name);
 
     if (!line)
         return;

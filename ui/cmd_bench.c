@@ -55,10 +55,10 @@ static int undo_filing(const struct gsn_ui *ui, struct gsn_store *store, int64_t
     const int r = gsn_scan_unfile(store, scan, actor, time(NULL), &err);
 
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
         gsn_ui_print_json(
-            json_pack("{s:I, s:n, s:n}", "scan", (json_int_t)scan, "specimen", "panel"));
+            ui, json_pack("{s:I, s:n, s:n}", "scan", (json_int_t)scan, "specimen", "panel"));
     else
         gsn_text_line(stdout, "scan %lld is nobody's panel again: `gieson status` lists it",
                       (long long)scan);
@@ -75,12 +75,12 @@ int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
 
     if (read_filing(argc, argv, &filing) < 0)
         return gsn_ui_usage(
-            "say `gieson file SCAN SPECIMEN --panel N`, or `gieson file SCAN undo`; "
-            "`gieson status` lists the scans that nobody could place");
+            ui, "say `gieson file SCAN SPECIMEN --panel N`, or `gieson file SCAN undo`; "
+                "`gieson status` lists the scans that nobody could place");
     if (!gsn_ui_whole(filing.scan, 1, INT64_MAX, &filing.id))
-        return gsn_ui_usage("a scan is named by its number, not \"%s\"", filing.scan);
+        return gsn_ui_usage(ui, "a scan is named by its number, not \"%s\"", filing.scan);
     if (!filing.undo && !gsn_ui_whole(filing.panel, 1, MOST_PANELS, &filing.number))
-        return gsn_ui_usage("--panel must be a whole number from 1 to %d, not \"%s\"",
+        return gsn_ui_usage(ui, "--panel must be a whole number from 1 to %d, not \"%s\"",
                             (int)MOST_PANELS, filing.panel);
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
@@ -90,11 +90,11 @@ int gsn_cmd_file(const struct gsn_ui *ui, int argc, char **argv)
     r = gsn_scan_file(store, filing.id, filing.specimen, (unsigned)filing.number, who.name,
                       time(NULL), &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:I, s:o, s:I}", "scan", (json_int_t)filing.id, "specimen",
-                                    gsn_text_json(filing.specimen), "panel",
-                                    (json_int_t)filing.number));
+        gsn_ui_print_json(ui, json_pack("{s:I, s:o, s:I}", "scan", (json_int_t)filing.id,
+                                        "specimen", gsn_text_json(filing.specimen), "panel",
+                                        (json_int_t)filing.number));
     else
         gsn_text_line(stdout, "scan %lld is panel %lld of %s", (long long)filing.id,
                       (long long)filing.number, filing.specimen);
@@ -125,8 +125,8 @@ int gsn_cmd_expect(const struct gsn_ui *ui, int argc, char **argv)
     int status = EX_OK, r;
 
     if (argc != 3)
-        return gsn_ui_usage("say `gieson expect SOURCE SPECIMEN` or `gieson expect SOURCE "
-                            "--nobody`");
+        return gsn_ui_usage(ui, "say `gieson expect SOURCE SPECIMEN` or `gieson expect SOURCE "
+                                "--nobody`");
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
         return status;
@@ -134,10 +134,10 @@ int gsn_cmd_expect(const struct gsn_ui *ui, int argc, char **argv)
     if (r >= 0)
         r = gsn_scan_expect(store, argv[1], specimen, gsn_actor_now().name, time(NULL), &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:o, s:o}", "source", gsn_text_json(argv[1]), "delivers",
-                                    gsn_text_json(specimen ? specimen : "")));
+        gsn_ui_print_json(ui, json_pack("{s:o, s:o}", "source", gsn_text_json(argv[1]), "delivers",
+                                        gsn_text_json(specimen ? specimen : "")));
     else if (specimen)
         gsn_text_line(stdout, "%s delivers panels of %s from now on", argv[1], specimen);
     else
@@ -172,15 +172,16 @@ static int tell_answer(const struct gsn_ui *ui, const struct gsn_request_row *ro
     const int refused = strcmp(row->state, "refused") == 0;
 
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:I, s:o, s:s, s:s, s:o}", "request", (json_int_t)row->id,
+        gsn_ui_print_json(ui,
+                          json_pack("{s:I, s:o, s:s, s:s, s:o}", "request", (json_int_t)row->id,
                                     "source", gsn_text_json(row->source), "kind", row->kind,
                                     "state", row->state, "message", gsn_text_json(row->message)));
     if (strcmp(row->state, "waiting") == 0)
-        return gsn_ui_fail(EX_TEMPFAIL,
+        return gsn_ui_fail(ui, EX_TEMPFAIL,
                            "%s has not answered within %d s; it still will: see `gieson status`",
                            row->source, (int)ANSWER_WITHIN_S);
     if (refused)
-        return gsn_ui_fail(EX_DATAERR, "%s refused: %s", row->source, row->message);
+        return gsn_ui_fail(ui, EX_DATAERR, "%s refused: %s", row->source, row->message);
     if (!ui->json)
         gsn_text_line(stdout, "%s took its picture", row->source);
     return EX_OK;
@@ -201,7 +202,8 @@ int gsn_cmd_capture(const struct gsn_ui *ui, int argc, char **argv)
         if (strcmp(argv[2], kinds[i][0]) == 0)
             kind = kinds[i][1];
     if (!kind)
-        return gsn_ui_usage("say `gieson capture SOURCE`, with --blank for clean glass or --dark "
+        return gsn_ui_usage(ui,
+                            "say `gieson capture SOURCE`, with --blank for clean glass or --dark "
                             "for a covered lens");
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
@@ -210,11 +212,12 @@ int gsn_cmd_capture(const struct gsn_ui *ui, int argc, char **argv)
     if (r >= 0)
         r = gsn_service_is_there(gsn_store_dir(store), GSN_SERVICE_INTAKE, &there, &err);
     if (r >= 0 && !there)
-        return gsn_ui_fail(EX_TEMPFAIL, "giesond is not running, and only it speaks to devices: "
-                                        "`systemctl start gieson`");
+        return gsn_ui_fail(ui, EX_TEMPFAIL,
+                           "giesond is not running, and only it speaks to devices: "
+                           "`systemctl start gieson`");
     if (r >= 0)
         r = gsn_request_add(store, argv[1], kind, gsn_actor_now().name, time(NULL), &id, &err);
     if (r >= 0)
         r = wait_for_answer(store, id, &row, &err);
-    return r < 0 ? gsn_ui_complain(&err, r) : tell_answer(ui, row);
+    return r < 0 ? gsn_ui_complain(ui, &err, r) : tell_answer(ui, row);
 }

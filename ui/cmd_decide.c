@@ -108,23 +108,24 @@ static int take_place(struct question *q)
 }
 
 /* EX_OK, or the status of a mistake that was told. */
-static int understand(int argc, char **argv, struct question *q)
+static int understand(const struct gsn_ui *ui, int argc, char **argv, struct question *q)
 {
     if (take_words(argc, argv, q) < 0 || !is_answer(q->word))
         return gsn_ui_usage(
-            "say `gieson decide SPECIMEN PANEL.SLOT cut|hold|dismiss|slot N|pose N` or "
-            "`gieson decide SPECIMEN PANEL use FILE|first N|as-set|as-marked|lost`, or undo; "
-            "`gieson show SPECIMEN` says what is asked");
+            ui, "say `gieson decide SPECIMEN PANEL.SLOT cut|hold|dismiss|slot N|pose N` or "
+                "`gieson decide SPECIMEN PANEL use FILE|first N|as-set|as-marked|lost`, or undo; "
+                "`gieson show SPECIMEN` says what is asked");
     if (!take_place(q))
-        return gsn_ui_usage("the place is a panel's number, with a slot's behind a dot, such as 3 "
+        return gsn_ui_usage(ui,
+                            "the place is a panel's number, with a slot's behind a dot, such as 3 "
                             "or 3.6, not \"%s\"",
                             q->place);
     if (is_of_slot(q->word) != (q->slot > 0) && strcmp(q->word, "undo") != 0)
-        return gsn_ui_usage("\"%s\" is said of %s, not of \"%s\"", q->word,
+        return gsn_ui_usage(ui, "\"%s\" is said of %s, not of \"%s\"", q->word,
                             is_of_slot(q->word) ? "a slot, such as 3.6" : "a panel, such as 3",
                             q->place);
     if (takes_number(q->word) && !gsn_ui_whole(q->object, 1, MOST_NUMBER, &q->to))
-        return gsn_ui_usage("a %s is named by its number, not \"%s\"",
+        return gsn_ui_usage(ui, "a %s is named by its number, not \"%s\"",
                             strcmp(q->word, "pose") == 0 ? "pose" : "slot", q->object);
     return EX_OK;
 }
@@ -368,7 +369,7 @@ int gsn_cmd_decide(const struct gsn_ui *ui, int argc, char **argv)
     gsn_auto(gsn_store) store = NULL;
     struct question q = { 0 };
     struct gsn_error err = { 0 };
-    int status = understand(argc, argv, &q), again = 0, r;
+    int status = understand(ui, argc, argv, &q), again = 0, r;
 
     if (status != EX_OK)
         return status;
@@ -377,12 +378,12 @@ int gsn_cmd_decide(const struct gsn_ui *ui, int argc, char **argv)
         return status;
     r = decide(store, &q, &again, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:o, s:I, s:o, s:s, s:b}", "specimen",
-                                    gsn_text_json(q.specimen), "panel", (json_int_t)q.number,
-                                    "slot", q.slot ? json_integer(q.slot) : json_null(), "answer",
-                                    q.word, "again", again));
+        gsn_ui_print_json(ui, json_pack("{s:o, s:I, s:o, s:s, s:b}", "specimen",
+                                        gsn_text_json(q.specimen), "panel", (json_int_t)q.number,
+                                        "slot", q.slot ? json_integer(q.slot) : json_null(),
+                                        "answer", q.word, "again", again));
     else
         gsn_text_line(stdout, "%s of %s: %s%s%s%s", q.place, q.specimen, q.word,
                       q.object ? " " : "", q.object ? q.object : "",

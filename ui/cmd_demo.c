@@ -35,7 +35,7 @@ static int make_specimen(const struct gsn_ui *ui, const char *folder, const char
     if (r >= 0)
         r = gsn_file_write(variant, WITH_PANEL, sizeof WITH_PANEL - 1, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     (void)fprintf(stderr, "demo: scanning phantom %s\n", which);
     return gsn_ui_call(ui, "gieson-phantom", 0, args);
 }
@@ -106,7 +106,7 @@ static int print_end(const struct gsn_ui *ui, const char *folder)
     if (r >= 0)
         r = gsn_measure_list(store, run->id, &measures, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     for (size_t i = 0; i < measures->count; i++)
         if (strcmp(measures->at[i].name, "loss") == 0) {
             loss = measures->at[i].value;
@@ -114,7 +114,7 @@ static int print_end(const struct gsn_ui *ui, const char *folder)
             upper = measures->at[i].upper;
         }
     if (isnan(loss) || isnan(truth))
-        return gsn_ui_fail(EX_DATAERR, "the demo ended without a loss: %s", run->message);
+        return gsn_ui_fail(ui, EX_DATAERR, "the demo ended without a loss: %s", run->message);
     said = gsn_look_loss(loss, lower, upper);
     (void)printf("\ncollagen loss  %s  of %s against GVP-D-%s\n"
                  "the truth      %.2f %%  (difference %+.2f points)\n"
@@ -134,7 +134,8 @@ int gsn_cmd_demo(const struct gsn_ui *given, int argc, char **argv)
     int status;
 
     if (argc > 2 || folder[0] == '-')
-        return gsn_ui_usage("demo takes one folder or none, not \"%s\"", argv[argc > 2 ? 2 : 1]);
+        return gsn_ui_usage(given, "demo takes one folder or none, not \"%s\"",
+                            argv[argc > 2 ? 2 : 1]);
     if (!dir)
         return EX_OSERR;
     if (!ui.store_dir)

@@ -58,7 +58,7 @@ static void print_text(const char *at, const char *end)
     }
 }
 
-static void print_json(const char *at, const char *end)
+static void print_json(const struct gsn_ui *ui, const char *at, const char *end)
 {
     json_t *array = json_array();
     struct device device;
@@ -67,7 +67,7 @@ static void print_json(const char *at, const char *end)
         (void)json_array_append_new(
             array, json_pack("{s:o, s:o, s:o}", "address", gsn_text_json(device.address), "name",
                              gsn_text_json(device.name), "note", gsn_text_json(device.note)));
-    gsn_ui_print_json(json_pack("{s:o}", "devices", array));
+    gsn_ui_print_json(ui, json_pack("{s:o}", "devices", array));
 }
 
 int gsn_cmd_devices(const struct gsn_ui *ui, int argc, char **argv)
@@ -81,7 +81,7 @@ int gsn_cmd_devices(const struct gsn_ui *ui, int argc, char **argv)
     int r;
 
     if (argc > 1)
-        return gsn_ui_usage("devices takes no argument, not \"%s\"", argv[1]);
+        return gsn_ui_usage(ui, "devices takes no argument, not \"%s\"", argv[1]);
     r = gsn_process_sibling("gieson-intake", &program, &err);
     if (r >= 0) {
         const char *const call[] = { program, "--list", NULL };
@@ -89,9 +89,9 @@ int gsn_cmd_devices(const struct gsn_ui *ui, int argc, char **argv)
         r = gsn_process_ask(call, &limits, "", 0, &answer, &size, &err);
     }
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        print_json((const char *)answer, (const char *)answer + size);
+        print_json(ui, (const char *)answer, (const char *)answer + size);
     else
         print_text((const char *)answer, (const char *)answer + size);
     return EX_OK;

@@ -85,25 +85,25 @@ int gsn_cmd_new(const struct gsn_ui *ui, int argc, char **argv)
     int r;
 
     if (argc != 2)
-        return gsn_ui_usage("new takes one folder: say `gieson new FOLDER`");
+        return gsn_ui_usage(ui, "new takes one folder: say `gieson new FOLDER`");
     if (!name || !path)
-        return gsn_ui_fail(EX_OSERR, "out of memory");
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
     if (access(path, F_OK) == 0)
-        return gsn_ui_fail(EX_CANTCREAT, "%s is there already and stays as it is", path);
+        return gsn_ui_fail(ui, EX_CANTCREAT, "%s is there already and stays as it is", path);
     quoted = gsn_text_json(strcmp(name, ".") == 0 ? "NAME" : name);
     dumped = quoted ? json_dumps(quoted, JSON_ENCODE_ANY) : NULL;
     text = dumped ? gsn_format(template_text, dumped) : NULL;
     free(dumped); /* door */
     json_decref(quoted);
     if (!text)
-        return gsn_ui_fail(EX_OSERR, "out of memory");
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
     r = gsn_file_mkdir(argv[1], &err);
     if (r >= 0)
         r = gsn_file_write(path, text, strlen(text), &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:o}", "job", gsn_text_json(path)));
+        gsn_ui_print_json(ui, json_pack("{s:o}", "job", gsn_text_json(path)));
     else
         gsn_text_line(stdout, "%s: fill it in, copy the panels beside it, then `gieson import %s`",
                       path, argv[1]);

@@ -68,9 +68,9 @@ static void compare(const struct gsn_ui *ui, const struct gsn_snapshot *before,
 static int tell_end(const struct gsn_ui *ui, const struct night *night)
 {
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:O, s:I, s:I}", "worked", night->rows, "failed",
-                                    (json_int_t)night->failed, "failed_before",
-                                    (json_int_t)night->failed_before));
+        gsn_ui_print_json(ui, json_pack("{s:O, s:I, s:I}", "worked", night->rows, "failed",
+                                        (json_int_t)night->failed, "failed_before",
+                                        (json_int_t)night->failed_before));
     else if (night->worked == 0)
         (void)printf("nothing changed since the last reports\n");
     if (night->failed_before > 0)
@@ -93,14 +93,14 @@ static int work(const struct gsn_ui *ui, struct gsn_store *store, const char *co
     int status, r = gsn_snapshot_take(store, &before, &err);
 
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     quiet.json = 0;
     status = gsn_ui_work_queue(&quiet, store, args);
     if (status != EX_OK)
         return status;
     r = gsn_snapshot_take(store, &after, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     compare(ui, before, after, night);
     return tell_end(ui, night);
 }
@@ -113,7 +113,7 @@ int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
     struct night night = { 0 };
-    int status = gsn_ui_threads("night", argc, argv, args);
+    int status = gsn_ui_threads(ui, "{v}", argc, argv, args);
 
     if (status != EX_OK)
         return status;

@@ -69,22 +69,22 @@ int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
     int status = EX_OK, r;
 
     if (argc != 2)
-        return gsn_ui_usage("report of which specimen? Say `gieson report SPECIMEN`");
+        return gsn_ui_usage(ui, "report of which specimen? Say `gieson report SPECIMEN`");
     store = gsn_ui_store(ui, GSN_STORE_READ, &status);
     if (!store)
         return status;
     r = find(store, argv[1], &run, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     json = gsn_format("%s/%s", gsn_store_dir(store), run->json_path);
     if (!json)
-        return gsn_ui_fail(EX_OSERR, "out of memory");
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
     r = check_files(store, run, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json) {
         r = print_file(json, &err);
-        return r < 0 ? gsn_ui_complain(&err, r) : EX_OK;
+        return r < 0 ? gsn_ui_complain(ui, &err, r) : EX_OK;
     }
     gsn_text_line(stdout, "run %lld, %s%s%s", (long long)run->id, run->state,
                   run->message[0] ? ": " : "", run->message);

@@ -143,7 +143,8 @@ int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const ch
         else
             fruitless++;
     }
-    return gsn_ui_fail(EX_UNAVAILABLE, "workers end without taking a job: look at the lines above");
+    return gsn_ui_fail(ui, EX_UNAVAILABLE,
+                       "workers end without taking a job: look at the lines above");
 }
 
 void gsn_ui_print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *row)
@@ -164,7 +165,7 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
     size_t failed = 0, withheld = 0;
 
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     for (size_t i = 0; i < snapshot->count; i++) {
         const struct gsn_snapshot_row *row = &snapshot->at[i];
 
@@ -175,14 +176,16 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
         gsn_ui_print_end(ui, row);
     }
     if (ui->json)
-        gsn_ui_print_json(json_pack(
-            "{s:I, s:I, s:I, s:I, s:I}", "done", (json_int_t)snapshot->jobs.done, "failed",
-            (json_int_t)snapshot->jobs.failed, "waiting", (json_int_t)snapshot->jobs.waiting,
-            "specimens", (json_int_t)snapshot->count, "withheld", (json_int_t)withheld));
+        gsn_ui_print_json(
+            ui, json_pack("{s:I, s:I, s:I, s:I, s:I}", "done", (json_int_t)snapshot->jobs.done,
+                          "failed", (json_int_t)snapshot->jobs.failed, "waiting",
+                          (json_int_t)snapshot->jobs.waiting, "specimens",
+                          (json_int_t)snapshot->count, "withheld", (json_int_t)withheld));
     return failed || (withheld && withheld == snapshot->count) ? EX_DATAERR : EX_OK;
 }
 
-int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args[4])
+int gsn_ui_threads(const struct gsn_ui *ui, const char *verb, int argc, char **argv,
+                   const char *ret_args[4])
 {
     int n = 0;
 
@@ -190,9 +193,9 @@ int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args
         int64_t threads;
 
         if (strcmp(argv[i], "--threads") != 0 || n > 0)
-            return gsn_ui_usage("%s takes only --threads N, not \"%s\"", verb, argv[i]);
+            return gsn_ui_usage(ui, "%s takes only --threads N, not \"%s\"", verb, argv[i]);
         if (i + 1 == argc || !gsn_ui_whole(argv[i + 1], 0, MOST_THREADS, &threads))
-            return gsn_ui_usage("--threads must be a whole number from 0 to %d, not \"%s\"",
+            return gsn_ui_usage(ui, "--threads must be a whole number from 0 to %d, not \"%s\"",
                                 (int)MOST_THREADS, i + 1 == argc ? "" : argv[i + 1]);
         ret_args[n++] = argv[i++];
         ret_args[n++] = argv[i];
@@ -206,7 +209,7 @@ int gsn_cmd_run(const struct gsn_ui *ui, int argc, char **argv)
     const char *args[4] = { 0 };
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
-    int status = gsn_ui_threads("run", argc, argv, args);
+    int status = gsn_ui_threads(ui, "{v}", argc, argv, args);
 
     if (status != EX_OK)
         return status;
@@ -227,7 +230,7 @@ int gsn_cmd_retry(const struct gsn_ui *ui, int argc, char **argv)
     size_t count = 0;
 
     if (argc > 2)
-        return gsn_ui_usage("retry takes one specimen or none");
+        return gsn_ui_usage(ui, "retry takes one specimen or none");
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
         return status;
@@ -236,9 +239,9 @@ int gsn_cmd_retry(const struct gsn_ui *ui, int argc, char **argv)
     if (r >= 0)
         r = gsn_queue_retry(store, specimen ? specimen->id : 0, &count, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        gsn_ui_print_json(json_pack("{s:I}", "waiting_again", (json_int_t)count));
+        gsn_ui_print_json(ui, json_pack("{s:I}", "waiting_again", (json_int_t)count));
     else
         gsn_ui_say(ui, "%zu job%s again; `gieson run` works them", count,
                    count == 1 ? " waits" : "s wait");

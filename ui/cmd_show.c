@@ -12,15 +12,15 @@ int gsn_cmd_show(const struct gsn_ui *ui, int argc, char **argv)
     int status = EX_OK, r;
 
     if (argc != 2)
-        return gsn_ui_usage("show which specimen? `gieson status` lists them");
+        return gsn_ui_usage(ui, "show which specimen? `gieson status` lists them");
     store = gsn_ui_store(ui, GSN_STORE_READ, &status);
     if (!store)
         return status;
     r = gsn_show_load(store, argv[1], &view, &err);
     if (r < 0)
-        status = gsn_ui_complain(&err, r);
+        status = gsn_ui_complain(ui, &err, r);
     else if (ui->json)
-        gsn_ui_print_json(gsn_show_json(&view));
+        gsn_ui_print_json(ui, gsn_show_json(&view));
     else
         gsn_show_print(ui, &view);
     gsn_show_done(&view);

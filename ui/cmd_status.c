@@ -1,5 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/board.h"
+
+#include "storage/advice.h"
 #include "ui/look.h"
 #include "ui/snapshot.h"
 #include "ui/text.h"
@@ -17,7 +19,7 @@ enum { REST_OF_ROW = 49, NAME_LEAST = 10, NAME_MOST = 40, NEXT_GAP = 2 };
  * is there to be copied. */
 static void print_next(const struct gsn_ui *ui, const struct gsn_snapshot_row *row, int used)
 {
-    gsn_auto_mem(char) action = row->action ? gsn_ui_advice(ui, row->action) : NULL;
+    gsn_auto_mem(char) action = row->action ? gsn_advice(ui->store_dir, row->action) : NULL;
     const int fits = action && used + NEXT_GAP + gsn_text_columns(action) <= ui->width;
 
     if (fits)
@@ -64,7 +66,7 @@ static void print_block(const struct gsn_ui *ui, const struct gsn_snapshot_row *
         gsn_text_wrap(stdout, 4, ui->width, facts ? facts : "");
     if (loss && loss[0])
         (void)printf("    loss %s\n", loss);
-    gsn_auto_mem(char) action = row->action ? gsn_ui_advice(ui, row->action) : NULL;
+    gsn_auto_mem(char) action = row->action ? gsn_advice(ui->store_dir, row->action) : NULL;
 
     if (row->detail)
         gsn_ui_wrap(ui, 4, row->detail);
@@ -110,7 +112,7 @@ static void print_need(const struct gsn_ui *ui, const char *state, const char *n
     (void)printf("%s%s %s%s ", ui->colour ? gsn_hue_ansi(look->hue) : "", look->symbol, state,
                  ui->colour ? "\033[0m" : "");
     gsn_text_line(stdout, "%s from %s", name, source);
-    gsn_auto_mem(char) advice = gsn_ui_advice(ui, action);
+    gsn_auto_mem(char) advice = gsn_advice(ui->store_dir, action);
 
     gsn_ui_wrap(ui, 4, reason);
     gsn_text_line(stdout, "    next: %s", advice ? advice : action);
@@ -227,7 +229,7 @@ static json_t *unfiled_json(const struct gsn_scan_rows *scans)
     return array;
 }
 
-static void print_json(const struct gsn_snapshot *snapshot)
+static void print_json(const struct gsn_ui *ui, const struct gsn_snapshot *snapshot)
 {
     const struct gsn_job_counts *jobs = &snapshot->jobs;
     json_t *specimens = json_array();
@@ -235,6 +237,7 @@ static void print_json(const struct gsn_snapshot *snapshot)
     for (size_t i = 0; i < snapshot->count; i++)
         (void)json_array_append_new(specimens, row_json(&snapshot->at[i]));
     gsn_ui_print_json(
+        ui,
         json_pack("{s:{s:I, s:I, s:I, s:I}, s:{s:b, s:b}, s:o, s:o, s:I, s:o, s:o}", "queue",
                   "waiting", (json_int_t)jobs->waiting, "running", (json_int_t)jobs->running,
                   "done", (json_int_t)jobs->done, "failed", (json_int_t)jobs->failed, "service",
@@ -252,15 +255,15 @@ int gsn_cmd_status(const struct gsn_ui *ui, int argc, char **argv)
     int status = EX_OK, r;
 
     if (argc > 1)
-        return gsn_ui_usage("status takes no argument, not \"%s\"; see `gieson show`", argv[1]);
+        return gsn_ui_usage(ui, "status takes no argument, not \"%s\"; see `gieson show`", argv[1]);
     store = gsn_ui_store(ui, GSN_STORE_READ, &status);
     if (!store)
         return status;
     r = gsn_snapshot_take(store, &snapshot, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     if (ui->json)
-        print_json(snapshot);
+        print_json(ui, snapshot);
     else
         print_table(ui, snapshot);
     return EX_OK;

@@ -6,6 +6,7 @@
 #include "ui/text.h"
 #include "ui/ui.h"
 
+#include "storage/advice.h"
 #include "storage/queue.h"
 
 #include <stdio.h>
@@ -151,27 +152,29 @@ static void watch_screen(struct watch *watch, struct gsn_queue_view *view,
 
 /* ---- without a terminal ------------------------------------------------------------------ */
 
-static void print_line(const struct gsn_board_line *line, int name_width, int64_t now)
+static void print_line(const struct gsn_ui *ui, const struct gsn_board_line *line, int name_width,
+                       int64_t now)
 {
     const int indent = gsn_board_is_part(line) ? 2 : 0;
     gsn_auto_mem(char) age = gsn_look_age(now, line->since);
     gsn_auto_mem(char) name = gsn_text_cell(line->name, name_width - indent);
-    const char *detail = line->sentence ? line->sentence : line->detail;
+    const char *told = line->sentence ? line->sentence : line->detail;
+    gsn_auto_mem(char) detail = gsn_advice(ui->store_dir, told ? told : "");
 
     if (line->kind == GSN_BOARD_HEADING)
-        gsn_text_line(stdout, "%s", line->name);
+        gsn_ui_say(ui, "%s", line->name);
     else if (line->kind == GSN_BOARD_COMMAND)
-        gsn_text_line(stdout, "    next: %s", line->name);
+        gsn_ui_next(ui, line->name, "");
     else {
         gsn_text_line(stdout, "%*s%s %s  %-9s  %-6s  %s", indent, "",
                       gsn_look_of(line->state)->symbol, name ? name : "", line->state,
                       age ? age : "", detail ? detail : "");
         if (line->action && line->kind != GSN_BOARD_TROUBLE && line->kind != GSN_BOARD_SCAN)
-            gsn_text_line(stdout, "    next: %s", line->action);
+            gsn_ui_next(ui, line->action, "");
     }
 }
 
-static int print_table(struct gsn_store *store)
+static int print_table(const struct gsn_ui *ui, struct gsn_store *store)
 {
     gsn_auto(gsn_snapshot) snapshot = NULL;
     gsn_auto(gsn_board) board = NULL;
@@ -184,9 +187,9 @@ static int print_table(struct gsn_store *store)
     if (r >= 0)
         r = gsn_board_make(snapshot, &board, &err);
     if (r < 0)
-        return gsn_ui_complain(&err, r);
+        return gsn_ui_complain(ui, &err, r);
     service = gsn_board_service(snapshot);
-    gsn_text_line(stdout, "%s", service ? service : "");
+    gsn_ui_say(ui, "%s", service ? service : "");
     (void)putchar('\n');
     for (size_t i = 0; i < board->count; i++) {
         const int columns =
@@ -196,7 +199,7 @@ static int print_table(struct gsn_store *store)
             width = columns;
     }
     for (size_t i = 0; i < board->count; i++)
-        print_line(&board->at[i], width, now);
+        print_line(ui, &board->at[i], width, now);
     return EX_OK;
 }
 
@@ -211,15 +214,15 @@ int gsn_cmd_top(const struct gsn_ui *ui, int argc, char **argv)
     int status = EX_OK, news = 0, r;
 
     if (argc > 1)
-        return gsn_ui_usage("top takes no argument, not \"%s\"; see `gieson show`", argv[1]);
+        return gsn_ui_usage(ui, "top takes no argument, not \"%s\"; see `gieson show`", argv[1]);
     if (ui->json)
-        return gsn_ui_usage("top is for eyes; `gieson status --json` says the same to scripts");
+        return gsn_ui_usage(ui, "top is for eyes; `gieson status --json` says the same to scripts");
     watch.store = gsn_ui_store(ui, GSN_STORE_READ, &status);
     if (!watch.store)
         return status;
     if (!ui->out_tty || !isatty(STDIN_FILENO) ||
         gsn_screen_open(ui->colour, &screen, &err) == GSN_E_UNSUPPORTED) {
-        status = print_table(watch.store);
+        status = print_table(ui, watch.store);
         gsn_store_free(watch.store);
         return status;
     }
@@ -230,5 +233,5 @@ int gsn_cmd_top(const struct gsn_ui *ui, int argc, char **argv)
         watch_screen(&watch, view, screen);
     gsn_store_free(watch.store);
     gsn_screen_free(gsn_steal(&screen));
-    return r < 0 ? gsn_ui_complain(&err, r) : EX_OK;
+    return r < 0 ? gsn_ui_complain(ui, &err, r) : EX_OK;
 }

@@ -15,7 +15,7 @@ static int pass_on(const struct gsn_ui *ui, const char *program, int with_store,
     gsn_auto_mem(const char *) args = gsn_alloc_array((size_t)argc + 1, sizeof *args);
 
     if (!args)
-        return gsn_ui_fail(EX_OSERR, "out of memory");
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
     for (int i = from; i < argc; i++)
         args[i - from] = argv[i];
     return gsn_ui_call(ui, program, with_store, args);
@@ -24,7 +24,7 @@ static int pass_on(const struct gsn_ui *ui, const char *program, int with_store,
 int gsn_cmd_import(const struct gsn_ui *ui, int argc, char **argv)
 {
     if (argc < 2)
-        return gsn_ui_usage("import what? Say `gieson import FOLDER`");
+        return gsn_ui_usage(ui, "import what? Say `gieson import FOLDER`");
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
@@ -33,21 +33,21 @@ int gsn_cmd_verify(const struct gsn_ui *ui, int argc, char **argv)
     const int journal = argc > 2 && strcmp(argv[1], "--journal") == 0;
 
     if (argc != (journal ? 4 : 2))
-        return gsn_ui_usage("verify which run? Say `gieson verify RUN` or a specimen's name");
+        return gsn_ui_usage(ui, "verify which run? Say `gieson verify RUN` or a specimen's name");
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
 int gsn_cmd_backup(const struct gsn_ui *ui, int argc, char **argv)
 {
     if (argc != 2)
-        return gsn_ui_usage("backup where? Say `gieson backup FOLDER`, a new or an empty one");
+        return gsn_ui_usage(ui, "backup where? Say `gieson backup FOLDER`, a new or an empty one");
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
 int gsn_cmd_restore(const struct gsn_ui *ui, int argc, char **argv)
 {
     if (argc != 2)
-        return gsn_ui_usage("restore from where? Say `gieson --store NEW restore FOLDER`");
+        return gsn_ui_usage(ui, "restore from where? Say `gieson --store NEW restore FOLDER`");
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
@@ -58,7 +58,7 @@ static int pass_on_plain(const struct gsn_ui *ui, int argc, char **argv)
     size_t n = 0;
 
     if (!args)
-        return gsn_ui_fail(EX_OSERR, "out of memory");
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
     if (ui->json)
         args[n++] = "--json";
     for (int i = 0; i < argc; i++)
@@ -69,14 +69,14 @@ static int pass_on_plain(const struct gsn_ui *ui, int argc, char **argv)
 int gsn_cmd_check(const struct gsn_ui *ui, int argc, char **argv)
 {
     if (argc < 2)
-        return gsn_ui_usage("check which files? Say `gieson check FILE...`");
+        return gsn_ui_usage(ui, "check which files? Say `gieson check FILE...`");
     return pass_on_plain(ui, argc, argv);
 }
 
 int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
 {
     if (argc < 2)
-        return gsn_ui_usage("register which pictures? Say `gieson register FOLDER`");
+        return gsn_ui_usage(ui, "register which pictures? Say `gieson register FOLDER`");
     return pass_on_plain(ui, argc, argv);
 }
 
@@ -95,7 +95,7 @@ int gsn_cmd_model(const struct gsn_ui *ui, int argc, char **argv)
     size_t n = 0;
 
     if (!args)
-        return gsn_ui_fail(EX_OSERR, "out of memory");
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
     for (int pass = 0; pass < 2; pass++) {
         for (int i = pass == 0 ? 1 : 0; i < argc; i++) {
             const int is_option = strncmp(argv[i], "--", 2) == 0;
@@ -104,7 +104,7 @@ int gsn_cmd_model(const struct gsn_ui *ui, int argc, char **argv)
             for (size_t k = 0; k < sizeof valued / sizeof *valued; k++)
                 takes |= strcmp(argv[i], valued[k]) == 0;
             if (takes && i + 1 == argc)
-                return gsn_ui_usage("%s needs a value; `gieson %s --help` says which", argv[i],
+                return gsn_ui_usage(ui, "%s needs a value; `gieson %s --help` says which", argv[i],
                                     argv[0]);
             if (is_option == (pass == 0)) {
                 args[n++] = argv[i];
@@ -145,10 +145,11 @@ int gsn_cmd_scrub(const struct gsn_ui *ui, int argc, char **argv)
 
         if ((!takes && strcmp(argv[i], "--quick") != 0) || (takes && i + 1 == argc))
             return gsn_ui_usage(
-                "scrub takes only --quick, --minutes N and --journal FILE, not \"%s\"", argv[i]);
+                ui, "scrub takes only --quick, --minutes N and --journal FILE, not \"%s\"",
+                argv[i]);
         if (strcmp(argv[i], "--minutes") == 0 &&
             !gsn_ui_whole(argv[i + 1], 1, MOST_MINUTES, &minutes))
-            return gsn_ui_usage("--minutes must be a whole number from 1 to %d, not \"%s\"",
+            return gsn_ui_usage(ui, "--minutes must be a whole number from 1 to %d, not \"%s\"",
                                 (int)MOST_MINUTES, argv[i + 1]);
         i += takes;
     }
@@ -161,7 +162,7 @@ int gsn_cmd_check_config(const struct gsn_ui *ui, int argc, char **argv)
     size_t n = 1;
 
     if (argc > 2)
-        return gsn_ui_usage("check-config takes one file or none, not \"%s\"", argv[2]);
+        return gsn_ui_usage(ui, "check-config takes one file or none, not \"%s\"", argv[2]);
     if (ui->json)
         args[n++] = "--json";
     if (argc == 2) {

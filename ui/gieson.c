@@ -5,6 +5,8 @@
 #include "ui/help.h"
 #include "ui/ui.h"
 
+#include "storage/advice.h"
+
 #include <argp.h>
 #include <errno.h>
 #include <limits.h>
@@ -14,8 +16,6 @@
 #include <string.h>
 #include <sysexits.h>
 #include <unistd.h>
-
-#define SERVICE_STORE "/var/lib/gieson"
 
 const char *argp_program_version = "gieson " GSN_VERSION;
 
@@ -126,7 +126,6 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     switch (key) {
     case 's':
         rest->ui->store_dir = arg;
-        rest->ui->store_said = 1;
         return 0;
     case 'j':
         rest->ui->json = 1;
@@ -140,12 +139,6 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     default:
         return ARGP_ERR_UNKNOWN;
     }
-}
-
-static void say_store(struct gsn_ui *ui, const char *dir)
-{
-    ui->store_dir = dir;
-    ui->store_said = 1;
 }
 
 /* Our options may also stand behind the verb; they are taken out of its arguments. What is behind
@@ -165,9 +158,9 @@ static int take_late_options(struct rest *rest, int *ret_help)
         else if (strcmp(word, "--json") == 0 || strcmp(word, "-j") == 0)
             rest->ui->json = 1;
         else if ((strcmp(word, "--store") == 0 || strcmp(word, "-s") == 0) && i + 1 < rest->argc)
-            say_store(rest->ui, rest->argv[++i]);
+            rest->ui->store_dir = rest->argv[++i];
         else if (strncmp(word, "--store=", 8) == 0)
-            say_store(rest->ui, word + 8);
+            rest->ui->store_dir = word + 8;
         else if (strcmp(word, "--help") == 0 || strcmp(word, "-?") == 0)
             *ret_help = 1;
         else {
@@ -179,25 +172,32 @@ static int take_late_options(struct rest *rest, int *ret_help)
     return kept;
 }
 
+static int is_store(const char *dir)
+{
+    gsn_auto_mem(char) database = gsn_format("%s/gieson.db", dir);
+
+    return database && access(database, F_OK) == 0;
+}
+
 static void look_around(struct gsn_ui *ui)
 {
     const char *no_colour = getenv("NO_COLOR");
 
     ui->store_dir = getenv("GIESON_STORE");
     /* Where the package's services keep theirs; only when there is one. */
-    if ((!ui->store_dir || !ui->store_dir[0]) && access(SERVICE_STORE "/gieson.db", F_OK) == 0)
-        ui->store_dir = SERVICE_STORE;
+    if ((!ui->store_dir || !ui->store_dir[0]) && is_store(gsn_advice_usual_store()))
+        ui->store_dir = gsn_advice_usual_store();
     ui->out_tty = isatty(STDOUT_FILENO);
     ui->err_tty = isatty(STDERR_FILENO);
     ui->colour = ui->out_tty && !(no_colour && no_colour[0]);
     ui->width = ui->out_tty ? gsn_ui_columns(STDOUT_FILENO) : INT_MAX;
 }
 
-static int unknown_verb(const char *verb)
+static int unknown_verb(const struct gsn_ui *ui, const char *verb)
 {
     const char *near = gsn_help_nearest(verb);
 
-    return gsn_ui_usage("\"%s\" is not a verb%s%s%s; `gieson --help` lists them", verb,
+    return gsn_ui_usage(ui, "\"%s\" is not a verb%s%s%s; `gieson --help` lists them", verb,
                         near ? ": did you mean \"" : "", near ? near : "", near ? "\"?" : "");
 }
 
@@ -206,7 +206,8 @@ static int run_verb(struct gsn_ui *ui, struct rest *rest)
     int help;
 
     if (rest->argc == 0)
-        return gsn_ui_usage("say what to do, for instance `gieson status`; `gieson --help` lists "
+        return gsn_ui_usage(ui,
+                            "say what to do, for instance `gieson status`; `gieson --help` lists "
                             "the verbs");
     rest->argc = take_late_options(rest, &help);
     for (size_t i = 0; rest->argc > 0 && i < sizeof verbs / sizeof verbs[0]; i++) {
@@ -217,7 +218,7 @@ static int run_verb(struct gsn_ui *ui, struct rest *rest)
         gsn_help_print(gsn_help_of(rest->argv[0]));
         return EX_OK;
     }
-    return unknown_verb(rest->argc > 0 ? rest->argv[0] : "");
+    return unknown_verb(ui, rest->argc > 0 ? rest->argv[0] : "");
 }
 
 /* An answer that did not reach its reader is no success. */

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/pages.h"
 
+#include "storage/advice.h"
 #include "ui/look.h"
 #include "ui/text.h"
 
@@ -10,7 +11,6 @@ static const struct gsn_ink plain = { .hue = GSN_HUE_PLAIN };
 static const struct gsn_ink low = { .stress = GSN_STRESS_LOW };
 static const struct gsn_ink high = { .stress = GSN_STRESS_HIGH };
 
-/* In lines; returns the row behind them. */
 static int put_wrapped(struct gsn_screen *screen, int row, int last, struct gsn_ink ink,
                        const char *text)
 {
@@ -28,13 +28,22 @@ static int put_wrapped(struct gsn_screen *screen, int row, int last, struct gsn_
     return row;
 }
 
+int gsn_page_advice(struct gsn_screen *screen, int row, int last, struct gsn_ink ink,
+                    const char *store_dir, const char *text)
+{
+    gsn_auto_mem(char) advice = gsn_advice(store_dir, text);
+
+    return put_wrapped(screen, row, last, ink, advice ? advice : text);
+}
+
 static void put_back(struct gsn_screen *screen)
 {
     gsn_screen_put(screen, gsn_screen_rows(screen) - 1, 0, gsn_screen_columns(screen), low,
                    "any key: back  q quit");
 }
 
-void gsn_page_details(const struct gsn_board_line *line, int64_t now, struct gsn_screen *screen)
+void gsn_page_details(const struct gsn_board_line *line, const char *store_dir, int64_t now,
+                      struct gsn_screen *screen)
 {
     const struct gsn_look *look = gsn_look_of(line->state);
     const int last = gsn_screen_rows(screen) - 2;
@@ -45,13 +54,13 @@ void gsn_page_details(const struct gsn_board_line *line, int64_t now, struct gsn
 
     row = put_wrapped(screen, row, last, (struct gsn_ink){ .hue = look->hue }, state ? state : "");
     if (line->sentence)
-        row = put_wrapped(screen, row + 1, last, plain, line->sentence);
+        row = gsn_page_advice(screen, row + 1, last, plain, store_dir, line->sentence);
     row++;
     for (size_t i = 0; i < GSN_BOARD_FACTS && line->fact[i]; i++)
-        row = put_wrapped(screen, row, last, plain, line->fact[i]);
+        row = gsn_page_advice(screen, row, last, plain, store_dir, line->fact[i]);
     if (line->action) {
         row = put_wrapped(screen, row + 1, last, low, "next");
-        (void)put_wrapped(screen, row, last, high, line->action);
+        (void)gsn_page_advice(screen, row, last, high, store_dir, line->action);
     }
     put_back(screen);
 }

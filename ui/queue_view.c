@@ -1,14 +1,16 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/queue_view.h"
 
+#include "storage/advice.h"
 #include "ui/pages.h"
 #include "ui/text.h"
 
 #include <string.h>
 
 enum {
-    AIRY_ROWS = 16,     /* from here on there is room for blank lines */
-    COUNTS_BESIDE = 80, /* columns: the queue's numbers stand behind the store's name */
+    MOST_ABOUT_SERVICE = 3, /* lines, where rows are many */
+    AIRY_ROWS = 16,         /* from here on there is room for blank lines */
+    COUNTS_BESIDE = 80,     /* columns: the queue's numbers stand behind the store's name */
 };
 
 enum page { PAGE_LIST, PAGE_DETAILS, PAGE_HELP };
@@ -246,15 +248,23 @@ static void put_item(const struct gsn_queue_view *view, struct gsn_screen *scree
         put_next(screen, row, c->next_at, calm, line->action);
 }
 
+/* A sentence or a command, with the store in what it advises. */
+static void put_told(const struct gsn_queue_view *view, struct gsn_screen *screen, int row,
+                     int column, struct gsn_ink ink, const char *text)
+{
+    gsn_auto_mem(char) advice = gsn_advice(view->store_dir, text);
+
+    gsn_screen_put(screen, row, column, gsn_screen_columns(screen) - column, ink,
+                   advice ? advice : text);
+}
+
 static void put_line(const struct gsn_queue_view *view, struct gsn_screen *screen, int row,
                      const struct columns *c, const struct gsn_board_line *line)
 {
-    const int width = gsn_screen_columns(screen);
-
     if (line->kind == GSN_BOARD_HEADING)
-        gsn_screen_put(screen, row, 0, width, low, line->name);
+        put_told(view, screen, row, 0, low, line->name);
     else if (line->kind == GSN_BOARD_COMMAND)
-        gsn_screen_put(screen, row, SYMBOL + GAP, width - SYMBOL - GAP, plain, line->name);
+        put_told(view, screen, row, SYMBOL + GAP, plain, line->name);
     else
         put_item(view, screen, row, c, line);
 }
@@ -296,6 +306,8 @@ static int put_head(const struct gsn_queue_view *view, struct gsn_screen *screen
 {
     const int width = gsn_screen_columns(screen);
     const int beside = width >= COUNTS_BESIDE ? gsn_text_columns(view->counts) : 0;
+    const struct gsn_ink ink = view->trouble || !view->served ? care : low;
+    const char *said = view->trouble ? view->trouble : view->service;
     int row = 0;
 
     gsn_screen_put(screen, row, 0, 6, high, "gieson");
@@ -304,10 +316,11 @@ static int put_head(const struct gsn_queue_view *view, struct gsn_screen *screen
         gsn_screen_put(screen, row, width - beside, beside, plain, view->counts);
     else
         gsn_screen_put(screen, ++row, 0, width, plain, view->counts);
-    if (view->trouble)
-        gsn_screen_put(screen, ++row, 0, width, care, view->trouble);
-    else
-        gsn_screen_put(screen, ++row, 0, width, view->served ? low : care, view->service);
+    row++;
+    if (gsn_screen_rows(screen) >= AIRY_ROWS)
+        return gsn_page_advice(screen, row, row + MOST_ABOUT_SERVICE - 1, ink, view->store_dir,
+                               said);
+    put_told(view, screen, row, 0, ink, said);
     return row + 1;
 }
 
@@ -324,15 +337,14 @@ static size_t items_to(const struct gsn_queue_view *view, size_t end)
 static void put_advice(const struct gsn_queue_view *view, struct gsn_screen *screen, int row)
 {
     const struct gsn_board_line *line = chosen(view);
-    const int width = gsn_screen_columns(screen);
 
     if (view->message)
-        gsn_screen_put(screen, row, 0, width, high, view->message);
+        put_told(view, screen, row, 0, high, view->message);
     else if (line && line->action) {
         gsn_screen_put(screen, row, 0, 6, low, "next");
-        gsn_screen_put(screen, row, 6, width - 6, plain, line->action);
+        put_told(view, screen, row, 6, plain, line->action);
     } else if (line && line->sentence)
-        gsn_screen_put(screen, row, 0, width, plain, line->sentence);
+        put_told(view, screen, row, 0, plain, line->sentence);
 }
 
 static void put_foot(const struct gsn_queue_view *view, struct gsn_screen *screen)
@@ -359,7 +371,7 @@ void gsn_queue_view_draw(struct gsn_queue_view *view, struct gsn_screen *screen)
     else if (view->page == PAGE_HELP)
         gsn_page_help(screen);
     else if (view->page == PAGE_DETAILS && view->chosen)
-        gsn_page_details(chosen(view), view->now, screen);
+        gsn_page_details(chosen(view), view->store_dir, view->now, screen);
     else {
         const int from = put_head(view, screen) + airy;
 

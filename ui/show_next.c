@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/show.h"
 
+#include "storage/advice.h"
+
 #include "ui/snapshot.h"
 #include "ui/text.h"
 
@@ -9,7 +11,7 @@
 char *gsn_show_decide_command(const struct gsn_show *view, int64_t number, int64_t slot,
                               const char *answer)
 {
-    gsn_auto_mem(char) name = gsn_text_word(view->specimen->name);
+    gsn_auto_mem(char) name = gsn_advice_word(view->specimen->name);
 
     if (!name)
         return NULL;
@@ -43,7 +45,7 @@ static char *panel_question(const struct gsn_show *view, const struct gsn_panel_
         return gsn_show_decide_command(view, panel->number, 0, "as-marked");
     if (!is_claimed_twice(view, panel))
         return NULL;
-    file = gsn_text_word(panel->file_name);
+    file = gsn_advice_word(panel->file_name);
     use = file ? gsn_format("use %s", file) : NULL;
     return use ? gsn_show_decide_command(view, panel->number, 0, use) : NULL;
 }

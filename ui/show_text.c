@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/show.h"
 
+#include "storage/advice.h"
+
 #include "ui/text.h"
 
 #include <math.h>
@@ -44,7 +46,7 @@ static void print_panels(const struct gsn_ui *ui, const struct gsn_show *view)
 
 static void print_missing(const struct gsn_ui *ui, int64_t number, const char *action)
 {
-    gsn_auto_mem(char) advice = gsn_ui_advice(ui, action);
+    gsn_auto_mem(char) advice = gsn_advice(ui->store_dir, action);
 
     gsn_text_line(stdout, "  panel %lld  has not come", (long long)number);
     gsn_text_line(stdout, "    next: import it; where it is lost: %s", advice ? advice : action);

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/snapshot.h"
 
+#include "storage/advice.h"
 #include "storage/service.h"
 #include "ui/look.h"
 #include "ui/text.h"
@@ -71,7 +72,7 @@ static int take_job(const struct gsn_overview_job *job, const char *panel,
 static int advise(const struct gsn_snapshot *snapshot, int has_work, struct gsn_snapshot_row *row,
                   struct gsn_error *err)
 {
-    gsn_auto_mem(char) name = gsn_text_word(row->name);
+    gsn_auto_mem(char) name = gsn_advice_word(row->name);
     const char *verb = NULL;
 
     if (!name)
@@ -240,7 +241,7 @@ void gsn_snapshot_free(struct gsn_snapshot *snapshot)
 
 char *gsn_snapshot_file_command(int64_t scan, const char *specimen)
 {
-    gsn_auto_mem(char) name = specimen ? gsn_text_word(specimen) : gsn_strdup("SPECIMEN");
+    gsn_auto_mem(char) name = specimen ? gsn_advice_word(specimen) : gsn_strdup("SPECIMEN");
 
     return name ? gsn_format("gieson file %lld %s --panel N", (long long)scan, name) : NULL;
 }

@@ -171,27 +171,3 @@ json_t *gsn_text_json(const char *text)
     }
     return json_string(clean);
 }
-
-char *gsn_text_word(const char *text)
-{
-    static const char harmless[] = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
-                                   "0123456789_-.,:+@%/";
-    char *word;
-    size_t used = 0;
-
-    if (text[0] && !text[strspn(text, harmless)])
-        return gsn_strdup(text);
-    word = gsn_alloc_array(strlen(text) + 1, 4);
-    if (!word)
-        return NULL;
-    word[used++] = '\'';
-    for (; *text; text++) {
-        if (*text == '\'') {
-            memcpy(word + used, "'\\'", 3);
-            used += 3;
-        }
-        word[used++] = *text;
-    }
-    word[used] = '\'';
-    return word;
-}

@@ -37,7 +37,4 @@ void gsn_text_wrap(FILE *to, int indent, int width, const char *text);
 /* gives: a JSON text, with U+FFFD for every byte that is no UTF-8. NULL when memory runs out. */
 json_t *gsn_text_json(const char *text);
 
-/* gives: a word of a shell's command line, quoted where it must be. NULL when memory runs out. */
-char *gsn_text_word(const char *text);
-
 #endif

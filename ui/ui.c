@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/ui.h"
 
+#include "storage/advice.h"
+
 #include "pipeline/core/process.h"
 #include "ui/text.h"
 
@@ -14,35 +16,9 @@
 #include <sysexits.h>
 #include <time.h>
 
-char *gsn_ui_advice(const struct gsn_ui *ui, const char *text)
-{
-    static const char ours[] = "gieson ";
-    gsn_auto_mem(char) store = gsn_text_word(ui->store_dir ? ui->store_dir : "");
-    gsn_auto_mem(char) said = NULL;
-
-    if (!ui->store_said || !store)
-        return gsn_strdup(text);
-    for (const char *at = text; *at;) {
-        const char *next = strstr(at, ours);
-        /* A command begins the text, or stands in backquotes. */
-        const int is_command = next && (next == text || next[-1] == '`');
-        const size_t length = next ? (size_t)(next - at) + strlen(ours) : strlen(at);
-        char *more = gsn_format("%s%.*s%s%s%s", said ? said : "", (int)length, at,
-                                is_command ? "--store " : "", is_command ? store : "",
-                                is_command ? " " : "");
-
-        gsn_free(said);
-        said = more;
-        if (!said)
-            return NULL;
-        at += length;
-    }
-    return said ? gsn_steal(&said) : gsn_strdup("");
-}
-
 void gsn_ui_wrap(const struct gsn_ui *ui, int indent, const char *text)
 {
-    gsn_auto_mem(char) advice = gsn_ui_advice(ui, text);
+    gsn_auto_mem(char) advice = gsn_advice(ui->store_dir, text);
 
     gsn_text_wrap(stdout, indent, ui->width, advice ? advice : text);
 }
@@ -56,24 +32,31 @@ void gsn_ui_say(const struct gsn_ui *ui, const char *format, ...)
     va_start(args, format);
     (void)vsnprintf(text, sizeof text, format, args);
     va_end(args);
-    advice = gsn_ui_advice(ui, text);
+    advice = gsn_advice(ui->store_dir, text);
     gsn_text_line(stdout, "%s", advice ? advice : "out of memory");
 }
 
 void gsn_ui_next(const struct gsn_ui *ui, const char *action, const char *behind)
 {
-    gsn_auto_mem(char) advice = gsn_ui_advice(ui, action);
+    gsn_auto_mem(char) advice = gsn_advice(ui->store_dir, action);
 
     gsn_text_line(stdout, "    next: %s%s", advice ? advice : action, behind);
 }
 
-int gsn_ui_complain(const struct gsn_error *err, int code)
+static void say_failure(const struct gsn_ui *ui, const char *sentence)
 {
-    gsn_text_line(stderr, "gieson: %s", err->text);
+    gsn_auto_mem(char) advice = gsn_advice(ui->store_dir, sentence);
+
+    gsn_text_line(stderr, "gieson: %s", advice ? advice : sentence);
+}
+
+int gsn_ui_complain(const struct gsn_ui *ui, const struct gsn_error *err, int code)
+{
+    say_failure(ui, err->text);
     return gsn_code_exit(code);
 }
 
-int gsn_ui_fail(int status, const char *format, ...)
+int gsn_ui_fail(const struct gsn_ui *ui, int status, const char *format, ...)
 {
     char sentence[512];
     va_list args;
@@ -81,7 +64,7 @@ int gsn_ui_fail(int status, const char *format, ...)
     va_start(args, format);
     (void)vsnprintf(sentence, sizeof sentence, format, args);
     va_end(args);
-    gsn_text_line(stderr, "gieson: %s", sentence);
+    say_failure(ui, sentence);
     return status;
 }
 
@@ -92,12 +75,12 @@ struct gsn_store *gsn_ui_store(const struct gsn_ui *ui, enum gsn_store_mode mode
     int r;
 
     if (!ui->store_dir || !ui->store_dir[0]) {
-        *ret_status = gsn_ui_usage("no store: say --store DIR or set GIESON_STORE");
+        *ret_status = gsn_ui_usage(ui, "no store: say --store DIR or set GIESON_STORE");
         return NULL;
     }
     r = gsn_store_open(ui->store_dir, mode, &store, &err);
     if (r < 0)
-        *ret_status = gsn_ui_complain(&err, r);
+        *ret_status = gsn_ui_complain(ui, &err, r);
     return store;
 }
 
@@ -136,8 +119,32 @@ void gsn_ui_pause_ms(long ms)
     (void)nanosleep(&time, NULL);
 }
 
-void gsn_ui_print_json(json_t *root)
+/* What people read in it advises as the screens do. */
+static void advise_in(const struct gsn_ui *ui, json_t *node)
 {
+    static const char *const keys[] = { "action", "detail", "message", "reason" };
+    const char *name;
+    json_t *part;
+    size_t i;
+
+    json_array_foreach(node, i, part) advise_in(ui, part);
+    json_object_foreach(node, name, part)
+    {
+        advise_in(ui, part);
+        for (size_t k = 0; json_is_string(part) && k < sizeof keys / sizeof keys[0]; k++) {
+            gsn_auto_mem(char) advice = strcmp(name, keys[k]) == 0
+                                            ? gsn_advice(ui->store_dir, json_string_value(part))
+                                            : NULL;
+
+            if (advice)
+                (void)json_string_set(part, advice);
+        }
+    }
+}
+
+void gsn_ui_print_json(const struct gsn_ui *ui, json_t *root)
+{
+    advise_in(ui, root);
     (void)json_dumpf(root, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(9));
     (void)putchar('\n');
     json_decref(root);
@@ -154,7 +161,7 @@ pid_t gsn_ui_start(const struct gsn_ui *ui, const char *program, int with_store,
     int r = gsn_process_sibling(program, &path, &err);
 
     if (r < 0) {
-        (void)gsn_ui_complain(&err, r);
+        (void)gsn_ui_complain(ui, &err, r);
         return -1;
     }
     while (args[given])
@@ -173,7 +180,7 @@ pid_t gsn_ui_start(const struct gsn_ui *ui, const char *program, int with_store,
     r = gsn_process_start(argv, &child, &err);
     if (r >= 0)
         return child;
-    (void)gsn_ui_complain(&err, r);
+    (void)gsn_ui_complain(ui, &err, r);
     return -1;
 }
 
@@ -183,7 +190,7 @@ int gsn_ui_call(const struct gsn_ui *ui, const char *program, int with_store,
     pid_t child;
 
     if (with_store && (!ui->store_dir || !ui->store_dir[0]))
-        return gsn_ui_usage("no store: say --store DIR or set GIESON_STORE");
+        return gsn_ui_usage(ui, "no store: say --store DIR or set GIESON_STORE");
     child = gsn_ui_start(ui, program, with_store, args);
     return child < 0 ? EX_OSERR : gsn_process_wait(child, 1);
 }

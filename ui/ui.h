@@ -16,7 +16,6 @@
 
 struct gsn_ui {
     const char *store_dir; /* NULL when not given */
-    int store_said;        /* on this command line, so that commands we advise must say it too */
     int json;
     int out_tty, err_tty; /* stdout, stderr are terminals */
     int colour;           /* stdout is a terminal and NO_COLOR is not set */
@@ -32,11 +31,8 @@ gsn_verb gsn_cmd_status, gsn_cmd_top, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run,
     gsn_cmd_scrub, gsn_cmd_register, gsn_cmd_decide, gsn_cmd_new, gsn_cmd_backup, gsn_cmd_restore,
     gsn_cmd_study, gsn_cmd_plan, gsn_cmd_model;
 
-/* gives: the text with --store in every command of ours that it advises, where the store was said
- * on this command line: a command is there to be copied. NULL when memory runs out. */
-char *gsn_ui_advice(const struct gsn_ui *ui, const char *text);
-
-/* Prints a line, or a text wrapped to the terminal and set in by indent, as advice. */
+/* Prints a line, or a text wrapped to the terminal and set in by indent, as advice
+ * (storage/advice.h). */
 void gsn_ui_say(const struct gsn_ui *ui, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 void gsn_ui_wrap(const struct gsn_ui *ui, int indent, const char *text);
@@ -44,12 +40,13 @@ void gsn_ui_wrap(const struct gsn_ui *ui, int indent, const char *text);
 /* "    next: ACTION", and what may stand behind it. */
 void gsn_ui_next(const struct gsn_ui *ui, const char *action, const char *behind);
 
-/* "gieson: sentence" on stderr; returns the exit status for the code. */
-int gsn_ui_complain(const struct gsn_error *err, int code);
+/* "gieson: sentence" on stderr, as advice; returns the exit status for the code. */
+int gsn_ui_complain(const struct gsn_ui *ui, const struct gsn_error *err, int code);
 /* The same with a sentence and a status of sysexits.h; returns status. */
-int gsn_ui_fail(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
+int gsn_ui_fail(const struct gsn_ui *ui, int status, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
 /* A mistake on the command line. */
-#define gsn_ui_usage(...) gsn_ui_fail(EX_USAGE, __VA_ARGS__)
+#define gsn_ui_usage(ui, ...) gsn_ui_fail(ui, EX_USAGE, __VA_ARGS__)
 
 /* Opens the store for reading; complains and returns NULL when there is none, with the exit status
  * in *ret_status. */
@@ -62,8 +59,8 @@ int gsn_ui_columns(int fd);
 int gsn_ui_whole(const char *text, int64_t least, int64_t most, int64_t *ret_number);
 void gsn_ui_pause_ms(long ms);
 
-/* Prints and releases root. */
-void gsn_ui_print_json(json_t *root);
+/* Prints and releases root; its texts for people as advice. */
+void gsn_ui_print_json(const struct gsn_ui *ui, json_t *root);
 /* gives: the number, or null for NaN. */
 json_t *gsn_ui_number(double value);
 
@@ -78,7 +75,8 @@ int gsn_ui_call(const struct gsn_ui *ui, const char *program, int with_store,
 
 /* What gieson-work is asked for when it works the queue: "--threads N" of the verb's arguments, as
  * far as they are given, then "work". Complains about any other argument and returns a status. */
-int gsn_ui_threads(const char *verb, int argc, char **argv, const char *ret_args[4]);
+int gsn_ui_threads(const struct gsn_ui *ui, const char *verb, int argc, char **argv,
+                   const char *ret_args[4]);
 /* Starts one worker after the other until the queue is empty; the exit status. */
 int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[]);
 /* How a specimen ended, in a line. */

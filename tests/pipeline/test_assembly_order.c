@@ -80,8 +80,8 @@ TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
                       sequence->finding[i].against, sequence->finding[i].foretold);
     CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_DUPLICATE);
     for (unsigned k = 0; k < SECTIONS; k++) {
-        CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-7?"
-                                        : k == AGAIN - 1 ? "same-as-8?"
+        CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-8.1?"
+                                        : k == AGAIN - 1 ? "same-as-9.1?"
                                                          : "") == 0);
         CHECK(sections[k].state == GSN_SECTION_USED && sections[k].seen.serial == k);
     }
@@ -234,8 +234,8 @@ TEST(a_folded_section_that_is_held_is_named_with_its_second_mount_that_is_laid)
         CHECK_OK(look_beside(&a, held, &sequence, &err), err);
         CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_HELD_DUPLICATE);
         for (unsigned k = 0; k < SECTIONS; k++) {
-            CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-7?"
-                                            : k == AGAIN - 1 ? "same-as-8?"
+            CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-8.1?"
+                                            : k == AGAIN - 1 ? "same-as-9.1?"
                                                              : "") == 0);
             CHECK(sections[k].state == (k == held ? GSN_SECTION_HELD : GSN_SECTION_USED));
         }

@@ -14,6 +14,7 @@ import os
 import pathlib
 import random
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -318,6 +319,45 @@ def barred(bench):
     bench.wait("no row", lambda: bench.ask("SELECT name FROM trouble") == [])
     bench.wait("all panels", lambda: bench.ask("SELECT count(*) FROM panel") == [(4,)])
     bench.check_whole({"denied.png": picture(2), "shown.png": picture(3), "later.png": picture(4)})
+
+
+CLOSING_WORKER = """#!/bin/sh
+# The job.json of a folder called denied may no longer be read when the import begins.
+case "$4" in *denied) chmod 0 "$4/job.json" ;; *broken) kill -KILL $$ ;; esac
+exec {worker} "$@"
+"""
+
+
+@scenario
+def import_fails(bench):
+    """What to do about a folder whose import fails follows from why it failed."""
+    as_nobody(bench)
+    place = bench.folder / "bin"
+    place.mkdir()
+    for name in ("giesond", "gieson-intake"):
+        shutil.copy(bench.programs / name, place / name)
+    (place / "gieson-work").write_text(
+        CLOSING_WORKER.format(worker=shlex.quote(str(bench.programs / "gieson-work"))))
+    (place / "gieson-work").chmod(0o755)
+    bench.configure(patience=2)
+    bench.programs, real = place, bench.programs
+    bench.start("--only", "intake")
+    bench.programs = real
+    bench.wait_ready()
+    expected = {
+        "denied": ("job.json may not be read", f"chmod -R a+rX '{bench.hot}/denied'"),
+        "broken": ("gieson-work ended with 137", "look at the journal"),
+        "wrong": ("job.json", "correct the folder"),
+    }
+    for name in expected:
+        (bench.hot / name).mkdir()
+        (bench.hot / name / "P1.png").write_bytes(picture(len(name)))
+        (bench.hot / name / "job.json").write_text("{" if name == "wrong" else
+                                                   json.dumps({"specimen": name}))
+    bench.wait("all rows", lambda: len(bench.ask("SELECT name FROM trouble")) == len(expected))
+    rows = read_status(bench)
+    for name, (reason, action) in expected.items():
+        demand(reason in rows[name]["reason"] and action in rows[name]["action"], rows[name])
 
 
 @scenario

@@ -158,7 +158,7 @@ class Keys(Top):
         terminal.press(*["Down"] * 5)
         self.wait_chosen(terminal, 6)
         terminal.press("r")
-        terminal.wait_for_text("1 failed job waits again; `gieson run` works them")
+        terminal.wait_for_text("1 failed job waits again; `gieson --store store run` works them")
         terminal.wait_for(lambda screen: "0 failed" in screen and "x GVP-D-S03" not in screen)
         self.assertIn("GVP-D-S03", self.chosen(terminal))
 
@@ -223,7 +223,7 @@ class Live(Top):
 
     def test_an_import_by_another_program_appears(self):
         terminal = self.open()
-        terminal.wait_for_text("gieson import FOLDER")
+        terminal.wait_for_text("gieson --store store import FOLDER")
         self.imported("R12-right", panels=2)
         after = terminal.wait_for_text("panel 2")
         self.assertRegex(after, r"\. R12-right +waiting +0/2 panels +now +run\n")
@@ -252,7 +252,7 @@ class Live(Top):
         self.scene.run("DELETE FROM trouble")
         after = terminal.wait_for_text("of 13")
         self.assertIn("4 of 13", after)
-        self.assertIn("next  gieson file", after)
+        self.assertIn("next  gieson --store store file", after)
 
     def test_it_follows_the_size_of_its_terminal(self):
         terminal = self.busy(80, 24)
@@ -279,7 +279,7 @@ class Live(Top):
         both.close()
         terminal.wait_for_text("giesond is not running")
         with self.hold(0):
-            terminal.wait_for_text("giesond takes panels in; only `gieson run` works the queue")
+            terminal.wait_for_text("giesond takes panels in; only `gieson --store store run` works the queue")
         with self.hold(1):
             terminal.wait_for_text("giesond works the queue; nothing comes in by itself")
 

@@ -157,15 +157,22 @@ class Stores(Bench):
     def test_what_is_advised_names_the_store_that_the_command_named(self):
         self.imported("one")
         there = str(self.store)
-        for args in (["status"], ["retry"], ["import", self.job("two", folder="b")]):
+        for args in (["status"], ["status", "--json"], ["top"], ["retry"],
+                     ["import", self.job("two", folder="b")],
+                     # sentences of gieson, of the store and of gieson-work
+                     ["status", "x"], ["report"], ["decide", "one"], ["file", "1"],
+                     ["show", "nobody"], ["report", "one"], ["file", "9", "one"], ["expect", "x", "one"],
+                     ["import", self.job("one", study="other", folder="c")], ["verify", "one"],
+                     ["verify", "nobody"]):
             with self.subTest(args=args):
                 said = self.call("--store", there, *args, store=False)
                 said = said.stdout + said.stderr
-                advised = re.findall(r"(?:`|next: |  )gieson [^`\n]*", said)
+                advised = re.findall(r"(?:`|next: |  |\")gieson [^`\n]*", said)
                 self.assertGreater(len(advised), 0, said)
                 for command in advised:
                     self.assertIn(f"gieson --store {there} ", command)
-                self.assertNotIn("--store", self.call(*args).stdout)
+                again = self.call(*args)
+                self.assertNotIn("--store", again.stdout + again.stderr)
 
     def test_what_is_not_in_the_store_is_66(self):
         self.imported("here")

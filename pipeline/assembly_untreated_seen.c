@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_untreated.h"
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 
 #include <math.h>
 

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/candidate_sheet.h"
 
+#include "pipeline/core/robust.h"
 #include "pipeline/decode/png_write.h"
-#include "pipeline/register/median.h"
 #include "pipeline/render/canvas.h"
 
 #include <math.h>

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder.h"
 
+#include "pipeline/core/robust.h"
 #include "pipeline/folder_parts.h"
-#include "pipeline/register/median.h"
 
 #include <assert.h>
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/section_planes.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 
 #include <assert.h>
 #include <math.h>

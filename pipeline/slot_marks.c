@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/slot_marks.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/absorb.h"
 
 #include <math.h>

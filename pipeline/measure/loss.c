@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/core/distributions.h"
 #include "pipeline/measure/stats.h"
 
 /* A density is an optical figure of order 0.1 to 1; a mean this small is an empty region. */

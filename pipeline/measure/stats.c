@@ -4,20 +4,6 @@
 #include <assert.h>
 #include <math.h>
 
-#include <gsl/gsl_cdf.h>
-
-double gsn_normal_quantile(double probability)
-{
-    assert(probability > 0.0 && probability < 1.0);
-    return gsl_cdf_ugaussian_Pinv(probability);
-}
-
-double gsn_student_quantile(double probability, double freedom)
-{
-    assert(probability > 0.0 && probability < 1.0 && freedom > 0.0);
-    return gsl_cdf_tdist_Pinv(probability, freedom);
-}
-
 double gsn_welch_freedom(double variance_a, double freedom_a, double variance_b, double freedom_b)
 {
     const double sum = variance_a + variance_b;

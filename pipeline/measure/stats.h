@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The few distributions and intervals that figures need. */
+/* Intervals of differences and of ratios. */
 #ifndef GSN_MEASURE_STATS_H
 #define GSN_MEASURE_STATS_H
 
@@ -9,11 +9,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* The value a standard normal variable stays below with this probability, in (0, 1). */
-double gsn_normal_quantile(double probability);
-/* The same for Student's t; freedom > 0 need not be whole. */
-double gsn_student_quantile(double probability, double freedom);
 
 /* Degrees of freedom of the difference of two means with these variances (of the means, not of
  * the values) and degrees of freedom: Welch and Satterthwaite. 0 stands for a known variance. */

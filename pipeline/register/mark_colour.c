@@ -5,6 +5,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/core/linalg.h"
+
 enum { CHANNELS = 3, CODES = 256 };
 /* Where the mark surely is, and where the tissue around it, in radii. A radius may be a third off.
  */
@@ -154,25 +156,6 @@ static void covariance_of(const struct blocks *blocks, size_t channels,
         ret_cov[i][i] += ROUNDING + RIDGE * trace;
 }
 
-/* Gaussian elimination of a positive definite system; overwrites both. */
-static void solve(double a[CHANNELS][CHANNELS], double *x, size_t n)
-{
-    for (size_t i = 0; i < n; i++) {
-        for (size_t k = i + 1; k < n; k++) {
-            const double f = a[k][i] / a[i][i];
-
-            for (size_t j = i; j < n; j++)
-                a[k][j] -= f * a[i][j];
-            x[k] -= f * x[i];
-        }
-    }
-    for (size_t i = n; i-- > 0;) {
-        for (size_t j = i + 1; j < n; j++)
-            x[i] -= a[i][j] * x[j];
-        x[i] /= a[i][i];
-    }
-}
-
 /* level less the weighted samples of 8 bits, which are most pictures'. */
 static void mix_bytes(const uint8_t *restrict from, size_t count, size_t channels, float level,
                       const float *weight, float *restrict to)
@@ -235,7 +218,8 @@ int gsn_mark_mix(const struct gsn_image *window, struct gsn_point centre, double
         weight[c] = contrast[c] = tissue[c] - mark[c];
     reject(&blocks, channels, tissue, contrast);
     covariance_of(&blocks, channels, cov);
-    solve(cov, weight, channels);
+    /* ROUNDING keeps it definite; else the plain contrast serves. */
+    (void)gsn_solve_spd(&cov[0][0], channels, CHANNELS, weight);
     for (size_t c = 0; c < channels; c++)
         length += weight[c] * contrast[c];
     for (size_t c = 0; c < channels; c++)

@@ -2,9 +2,9 @@
 #include "pipeline/register/markers.h"
 
 #include "pipeline/core/mem.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/mark_looks.h"
 #include "pipeline/register/mark_triangle.h"
-#include "pipeline/register/median.h"
 
 #include <assert.h>
 #include <math.h>

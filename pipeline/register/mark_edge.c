@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_edge.h"
 
+#include "pipeline/core/linalg.h"
 #include "pipeline/register/mark_edge_fit.h"
-#include "pipeline/register/small.h"
 
 #include <assert.h>
 #include <math.h>
@@ -143,7 +143,7 @@ static int covariance(const struct gsn_edge_fit *fit, gsn_edge_matrix h, struct 
 
         memcpy(a, h, sizeof a);
         column[c][c] = 1;
-        if (gsn_small_solve_spd(&a[0][0], column[c], UNKNOWNS) < 0)
+        if (gsn_solve_spd(&a[0][0], UNKNOWNS, UNKNOWNS, column[c]) < 0)
             return 0;
     }
     mark->cov_xx = larger * column[0][CX] - (larger - 1) * by_belief(fit, column[0], column[0]);

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_edge_fit.h"
 
-#include "pipeline/register/median.h"
-#include "pipeline/register/small.h"
+#include "pipeline/core/linalg.h"
+#include "pipeline/core/robust.h"
 
 #include <math.h>
 #include <string.h>
@@ -240,7 +240,7 @@ static void bend(struct gsn_edge_fit *fit)
                     h[i][j] += precision * slope[i] * slope[j];
             }
         }
-        if (gsn_small_solve_spd(&h[0][0], by, SHAPE) < 0)
+        if (gsn_solve_spd(&h[0][0], SHAPE, SHAPE, by) < 0)
             return;
         for (int i = 0; i < fitted; i++)
             fit->v[i] += by[i];

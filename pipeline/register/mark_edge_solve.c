@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_edge_fit.h"
 
-#include "pipeline/register/median.h"
-#include "pipeline/register/small.h"
+#include "pipeline/core/linalg.h"
+#include "pipeline/core/robust.h"
 
 #include <math.h>
 #include <string.h>
@@ -233,7 +233,7 @@ int gsn_edge_descend(struct gsn_edge_fit *fit, gsn_edge_matrix ret_h)
         gsn_edge_accumulate(fit, &sums);
         assemble(fit, h, by);
         memcpy(ret_h, h, sizeof h);
-        if (gsn_small_solve_spd(&h[0][0], by, UNKNOWNS) < 0)
+        if (gsn_solve_spd(&h[0][0], UNKNOWNS, UNKNOWNS, by) < 0)
             return 0;
         for (int i = 0; i < SHAPE; i++)
             by[i] = clamp(by[i], 0.15 * fit->v[R]);

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_fit.h"
 
+#include "pipeline/core/linalg.h"
 #include "pipeline/register/mark_edge.h"
-#include "pipeline/register/small.h"
 
 #include <assert.h>
 #include <math.h>
@@ -189,7 +189,7 @@ static int descend(const struct window *w, double *v)
         memcpy(by, g, sizeof by);
         for (int j = 0; j < UNKNOWNS; j++)
             a[j][j] += lambda * h[j][j];
-        if (gsn_small_solve_spd(&a[0][0], by, UNKNOWNS) >= 0) {
+        if (gsn_solve_spd(&a[0][0], UNKNOWNS, UNKNOWNS, by) >= 0) {
             for (int j = 0; j < UNKNOWNS; j++)
                 trial[j] = v[j] + by[j];
             if (legal(w, trial))
@@ -301,7 +301,7 @@ static int covariance(const struct window *w, const double *v, struct gsn_mark *
         memcpy(a, h, sizeof a);
         memset(column[c], 0, sizeof column[c]);
         column[c][c == 0 ? CX : CY] = 1;
-        if (gsn_small_solve_spd(&a[0][0], column[c], UNKNOWNS) < 0)
+        if (gsn_solve_spd(&a[0][0], UNKNOWNS, UNKNOWNS, column[c]) < 0)
             return 0;
     }
     mark->cov_xx = inflation * column[0][CX];

@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/markers.h"
 
+#include "pipeline/core/robust.h"
 #include "pipeline/register/mark_choice.h"
 #include "pipeline/register/mark_map.h"
 #include "pipeline/register/mark_odds.h"
 #include "pipeline/register/mark_triangle.h"
-#include "pipeline/register/median.h"
 #include "pipeline/register/rigid.h"
 
 #include "pipeline/core/mem.h"

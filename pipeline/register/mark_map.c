@@ -2,7 +2,7 @@
 #include "pipeline/register/mark_map.h"
 
 #include "pipeline/core/mem.h"
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 
 #include <assert.h>
 #include <math.h>

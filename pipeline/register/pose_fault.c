@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/pose_fault.h"
 
-#include "pipeline/register/small.h"
+#include "pipeline/core/distributions.h"
 
 #include <assert.h>
 #include <math.h>
@@ -116,7 +116,7 @@ double gsn_pose_fault_chance(const double left[3], const double off[GSN_MARKS][2
 
         ray = ray_of(&ratio, (double[]){ across * cos(turn), across * sin(turn), z });
         r = reach(&ratio, &ray, level, r > 0 ? r : far);
-        sum += gsn_chance_beyond3(freedom, r * r / widening);
+        sum += gsn_ratio_tail(3, freedom, r * r / widening);
     }
     return sum / WAYS;
 }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/pose_fit.h"
 
-#include "pipeline/register/small.h"
+#include "pipeline/core/linalg.h"
 
 #include <assert.h>
 #include <math.h>
@@ -23,7 +23,7 @@ struct system {
     size_t n;
     double j[COORDS][3], k[COORDS][3];
     double own[GSN_MARKS][3];            /* Omega's diagonal blocks: xx, xy, yy */
-    double weight[GSN_SMALL][GSN_SMALL]; /* Omega^-1 */
+    double weight[COORDS][COORDS]; /* Omega^-1 */
     double gain[3][COORDS];              /* pose error = -gain residual */
     double pose[3][3];
 };
@@ -61,13 +61,13 @@ static int weigh(const struct gsn_pose_fit_input *in, const struct gsn_rigid *mo
         s->own[i][1] = s->weight[2 * i][2 * i + 1];
         s->own[i][2] = s->weight[2 * i + 1][2 * i + 1];
     }
-    return gsn_small_invert(s->weight, s->n);
+    return gsn_invert_spd(&s->weight[0][0], s->n, COORDS);
 }
 
 /* (J' W J)^-1 and (J' W J)^-1 J' W. */
 static int solve_pose(struct system *s)
 {
-    double normal[GSN_SMALL][GSN_SMALL] = { 0 }, jw[3][COORDS] = { 0 };
+    double normal[3][3] = { 0 }, jw[3][COORDS] = { 0 };
 
     for (size_t i = 0; i < 3; i++)
         for (size_t b = 0; b < s->n; b++)
@@ -77,7 +77,7 @@ static int solve_pose(struct system *s)
         for (size_t l = 0; l < 3; l++)
             for (size_t b = 0; b < s->n; b++)
                 normal[i][l] += jw[i][b] * s->j[b][l];
-    if (gsn_small_invert(normal, 3) < 0)
+    if (gsn_invert_spd(&normal[0][0], 3, 3) < 0)
         return -1;
     for (size_t i = 0; i < 3; i++) {
         for (size_t l = 0; l < 3; l++)

@@ -7,9 +7,10 @@
  * m = trend(z) + s + n: the axes' slopes and bends, the section's own strain, and the noise. */
 #include "pipeline/register/pose_stack.h"
 
+#include "pipeline/core/distributions.h"
+#include "pipeline/core/linalg.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/register/scatter.h"
-#include "pipeline/register/small.h"
 
 #include <math.h>
 #include <string.h>
@@ -38,15 +39,15 @@ struct lesson {
     double middle, half;
     double term[TERMS][3];                /* the trend: constant, slope, bend; whitened */
     double spread[3][3];                  /* of what is left, whitened */
-    double inverse[GSN_SMALL][GSN_SMALL]; /* of the regression's normal matrix */
+    double inverse[TERMS][TERMS]; /* of the regression's normal matrix */
 };
 
 /* The inverse of [J K], and K less its rigid part. */
 static int make_maps(const struct gsn_pose_stack *s, struct lesson *l)
 {
     const struct gsn_point about = gsn_pose_centroid(s->triangle);
-    double a[GSN_SMALL][GSN_SMALL] = { 0 }, unit[GSN_SMALL][GSN_SMALL] = { 0 };
-    double normal[GSN_SMALL][GSN_SMALL] = { 0 }, jk[GSN_SMALL][GSN_SMALL] = { 0 };
+    double a[COORDS][COORDS] = { 0 }, unit[COORDS][COORDS] = { 0 };
+    double normal[3][3] = { 0 }, jk[3][3] = { 0 };
     double j[COORDS][3], k[COORDS][3];
 
     for (int i = 0; i < GSN_MARKS; i++) {
@@ -65,7 +66,8 @@ static int make_maps(const struct gsn_pose_stack *s, struct lesson *l)
             }
         }
     }
-    if (gsn_small_solve(a, unit, COORDS, COORDS) < 0 || gsn_small_solve(normal, jk, 3, 3) < 0)
+    if (gsn_solve_general(&a[0][0], COORDS, COORDS, &unit[0][0], COORDS, COORDS) < 0 ||
+        gsn_solve_general(&normal[0][0], 3, 3, &jk[0][0], 3, 3) < 0)
         return -1;
     for (size_t c = 0; c < 3; c++)
         memcpy(l->strain_of[c], unit[3 + c], sizeof l->strain_of[c]);
@@ -88,7 +90,8 @@ static int make_whitening(const struct gsn_pose_stack *s, struct lesson *l)
             for (size_t a = 0; a < COORDS; a++)
                 noise[i][j] += l->strain_of[i][a] * l->strain_of[j][a] * s->mark_um2;
         }
-    return gsn_small_cholesky3((const double(*)[3])noise, l->lower);
+    memcpy(l->lower, noise, sizeof noise);
+    return gsn_cholesky(&l->lower[0][0], 3, 3);
 }
 
 /* The strain in what the marks are off by. */
@@ -158,7 +161,7 @@ static void terms_at(const struct lesson *l, double serial, double ret_term[TERM
 /* Least squares over the inliers with the first `terms` terms. */
 static int regress(struct lesson *l, size_t terms)
 {
-    double right[GSN_SMALL][GSN_SMALL] = { 0 };
+    double right[TERMS][3] = { 0 };
 
     memset(l->inverse, 0, sizeof l->inverse);
     memset(l->term, 0, sizeof l->term);
@@ -175,7 +178,7 @@ static int regress(struct lesson *l, size_t terms)
                 right[i][c] += t[i] * l->vector[k].v[c];
         }
     }
-    if (gsn_small_invert(l->inverse, terms) < 0)
+    if (gsn_invert_spd(&l->inverse[0][0], terms, TERMS) < 0)
         return -1;
     for (size_t i = 0; i < terms; i++)
         for (size_t c = 0; c < 3; c++)
@@ -218,16 +221,16 @@ static int fit_trend(struct lesson *l, size_t terms)
 static int beyond_chance(const struct lesson *l, const double v[3], double variance, double alpha)
 {
     const double n = (double)l->count;
-    double inverse[GSN_SMALL][GSN_SMALL], square = 0;
+    double inverse[3][3], square = 0;
 
     for (size_t i = 0; i < 3; i++)
         memcpy(inverse[i], l->spread[i], sizeof l->spread[i]);
-    if (gsn_small_invert(inverse, 3) < 0)
+    if (gsn_invert_spd(&inverse[0][0], 3, 3) < 0)
         return 0;
     for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j < 3; j++)
             square += v[i] * inverse[i][j] * v[j];
-    return square / variance > gsn_chance_limit(3, n - 4, alpha) * (n - 1) / (n - 3);
+    return square / variance > gsn_ratio_limit(3, n - 4, alpha) * (n - 1) / (n - 3);
 }
 
 static int matters(const struct lesson *l, size_t term)
@@ -353,10 +356,11 @@ static void learn_sizes(struct gsn_pose_stack *s, const struct lesson *l)
  * of sphericity with Bartlett's correction says whether there is a rest. */
 static void learn_strain(struct gsn_pose_stack *s, const struct lesson *l)
 {
-    double value[3], axis[3][3], rest[3][3] = { 0 }, noise, mean;
+    double spread[3][3], value[3], axis[3][3], rest[3][3] = { 0 }, noise, mean;
     const double n = (double)l->count;
 
-    gsn_small_eigen3(l->spread, value, axis);
+    memcpy(spread, l->spread, sizeof spread);
+    gsn_eigen_symmetric(&spread[0][0], 3, value, &axis[0][0]);
     for (size_t i = 0; i < 3; i++)
         value[i] *= n / (n - (double)l->terms);
     if (!(value[2] > 0))
@@ -406,7 +410,7 @@ static void set_limits(struct gsn_pose_stack *s, const struct lesson *l)
     if (s->stretches)
         s->freedom = s->sizes ? 2 * n - 3 : n - 3;
     s->spread_freedom = fmax(s->freedom, 2);
-    s->side_limit = gsn_chance_limit(1, s->spread_freedom, ALPHA);
+    s->side_limit = gsn_ratio_limit(1, s->spread_freedom, ALPHA);
     /* Hotelling's: where strain was learnt, all of the covariance is estimated. */
     s->widening = s->stretches ? (n - 1) / (n - 3) : 1;
 }

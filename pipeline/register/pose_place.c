@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/pose_stack.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 
 #include <math.h>
 #include <string.h>

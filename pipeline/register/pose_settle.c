@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/pose_stack.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/scatter.h"
 
 #include <math.h>
@@ -112,13 +112,14 @@ static void estimate_noise(struct gsn_pose_stack *s)
     for (size_t i = 0; i < s->count; i++)
         if (s->member[i].marks == GSN_MARKS)
             s->scratch[k++] = s->member[i].squares;
+    gsn_sort(s->scratch, k);
     factor = gsn_median(s->scratch, k) / CHI2_MEDIAN;
     for (int round = 0; round < 20; round++) {
         double sum = 0;
         size_t inside = 0;
 
         limit = GSN_POSE_CHI2_GROSS * factor;
-        /* The median has sorted them: the sum runs in one order always. */
+        /* They are sorted: the sum runs in one order always. */
         for (size_t i = 0; i < k && s->scratch[i] <= limit; i++) {
             sum += s->scratch[i];
             inside++;

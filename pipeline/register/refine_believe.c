@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/core/parallel.h"
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/refine_parts.h"
 
 #include <math.h>

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/linalg.h"
 #include "pipeline/register/refine_parts.h"
-#include "pipeline/register/small.h"
 
 #include <math.h>
 #include <string.h>
@@ -23,7 +23,8 @@ struct joint {
     double (*line)[2 * AROUND + 1];
     matrix *prior, *spread; /* inverses of the priors and of the information */
     double *worth;          /* of a section's comparison */
-    double *band;           /* row i: a[i][i - BAND + 1 .. i], then its Cholesky factor */
+    size_t wide;            /* of the band: BAND, or size where that is less */
+    double *band;           /* column i: a[i .. i + wide - 1][i], then its Cholesky factor */
     double *step, *column;  /* unknowns */
     double (*covariance)[PARTS][PARTS];
     double prior_factor, comparison_factor;
@@ -51,24 +52,25 @@ static int joint_init(struct joint *j, struct gsn_error *err)
     const size_t count = j->stack->count;
 
     j->size = count * PARTS;
+    j->wide = BAND < j->size ? BAND : j->size;
     j->line = gsn_alloc_array(count, sizeof *j->line);
     j->prior = gsn_alloc_array(count, sizeof *j->prior);
     j->spread = gsn_alloc_array(count, sizeof *j->spread);
     j->worth = gsn_alloc_array(count, sizeof *j->worth);
-    j->band = gsn_alloc_array(j->size, BAND * sizeof *j->band);
+    j->band = gsn_alloc_array(j->size, j->wide * sizeof *j->band);
     j->step = gsn_alloc_array(j->size, sizeof *j->step);
     j->column = gsn_alloc_array(j->size, sizeof *j->column);
     if (!j->line || !j->prior || !j->spread || !j->worth || !j->band || !j->step || !j->column)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory to lay sections by their tissue");
     for (size_t k = 0; k < count; k++) {
         memcpy(j->prior[k], j->stack->section[k].prior, sizeof j->prior[k]);
-        if (gsn_small_invert(j->prior[k], PARTS) < 0)
+        if (gsn_invert_spd(&j->prior[k][0][0], PARTS, PARTS) < 0)
             return gsn_fail(err, GSN_E_INPUT,
                             "what is known of section %u beforehand is no "
                             "covariance",
                             j->stack->section[k].serial + 1);
         memcpy(j->spread[k], j->equation[k].information, sizeof j->spread[k]);
-        if (is_compared(&j->equation[k]) && gsn_small_invert(j->spread[k], PARTS) >= 0) {
+        if (is_compared(&j->equation[k]) && gsn_invert_spd(&j->spread[k][0][0], PARTS, PARTS) >= 0) {
             gsn_refine_line(j->stack, j->there, k, j->line[k]);
             j->worth[k] = 1;
         }
@@ -84,7 +86,7 @@ static double part_of(const struct joint *j, size_t k, size_t offset)
 
 static double *at(struct joint *j, size_t row, size_t column)
 {
-    return &j->band[row * BAND + (column + BAND - 1 - row)];
+    return &j->band[column * j->wide + (row - column)];
 }
 
 static void add_block(struct joint *j, size_t k, size_t l, double times, const matrix block)
@@ -117,7 +119,7 @@ static void add_comparison(struct joint *j, size_t k)
 /* Normal equations: the right side goes to step. */
 static void set_up(struct joint *j)
 {
-    memset(j->band, 0, j->size * BAND * sizeof *j->band);
+    memset(j->band, 0, j->size * j->wide * sizeof *j->band);
     memset(j->step, 0, j->size * sizeof *j->step);
     for (size_t k = 0; k < j->stack->count; k++) {
         add_block(j, k, k, 1 / j->prior_factor, j->prior[k]);
@@ -129,52 +131,13 @@ static void set_up(struct joint *j)
     }
 }
 
-/* Cholesky within the band; 0, or -1 where the matrix is not positive definite. */
-static int factorise(struct joint *j)
-{
-    for (size_t i = 0; i < j->size; i++) {
-        const size_t first = i + 1 > BAND ? i + 1 - BAND : 0;
-
-        for (size_t k = first; k <= i; k++) {
-            const size_t from = k + 1 > BAND && k + 1 - BAND > first ? k + 1 - BAND : first;
-            double sum = *at(j, i, k);
-
-            for (size_t l = from; l < k; l++)
-                sum -= *at(j, i, l) * *at(j, k, l);
-            if (k == i && !(sum > 0))
-                return -1;
-            *at(j, i, k) = k == i ? sqrt(sum) : sum / *at(j, k, k);
-        }
-    }
-    return 0;
-}
-
-/* first: all of x before it is 0. */
-static void solve(struct joint *j, double *x, size_t first)
-{
-    for (size_t i = first; i < j->size; i++) {
-        const size_t from = i + 1 > BAND ? i + 1 - BAND : 0;
-
-        for (size_t k = from > first ? from : first; k < i; k++)
-            x[i] -= *at(j, i, k) * x[k];
-        x[i] /= *at(j, i, i);
-    }
-    for (size_t i = j->size; i-- > 0;) {
-        const size_t end = i + BAND < j->size ? i + BAND : j->size;
-
-        for (size_t k = i + 1; k < end; k++)
-            x[i] -= *at(j, k, i) * x[k];
-        x[i] /= *at(j, i, i);
-    }
-}
-
 static void fill_covariances(struct joint *j)
 {
     for (size_t k = 0; k < j->stack->count; k++)
         for (size_t p = 0; p < PARTS; p++) {
             memset(j->column, 0, j->size * sizeof *j->column);
             j->column[k * PARTS + p] = 1;
-            solve(j, j->column, k * PARTS);
+            gsn_band_solve(j->band, j->size, j->wide, j->column);
             memcpy(j->covariance[k][p], j->column + k * PARTS, sizeof j->covariance[k][p]);
         }
 }
@@ -238,9 +201,9 @@ static int iterate(struct joint *j, struct gsn_error *err)
 {
     for (int round = 0;; round++) {
         set_up(j);
-        if (factorise(j) < 0)
+        if (gsn_band_cholesky(j->band, j->size, j->wide) < 0)
             return gsn_fail(err, GSN_E_FIT, "the sections' moves cannot be solved");
-        solve(j, j->step, 0);
+        gsn_band_solve(j->band, j->size, j->wide, j->step);
         fill_covariances(j);
         if (round == ROUNDS)
             return GSN_OK;

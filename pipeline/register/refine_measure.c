@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/linalg.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/register/refine_parts.h"
-#include "pipeline/register/small.h"
 
 #include <math.h>
 #include <string.h>
@@ -188,14 +188,14 @@ static void bend(const struct gsn_refine_compare *c, struct gsn_refine_equation 
     double spread[PARTS][PARTS], move[PARTS] = { 0 };
 
     memcpy(spread, e->information, sizeof spread);
-    if (!(e->information[0][0] > 0) || gsn_small_invert(spread, PARTS) < 0)
+    if (!(e->information[0][0] > 0) || gsn_invert_spd(&spread[0][0], PARTS, PARTS) < 0)
         return;
     for (size_t p = 0; p < PARTS; p++)
         for (size_t q = 0; q < PARTS; q++)
             move[p] += spread[p][q] * e->right[q];
     for (size_t p = 0; p < PARTS; p++)
         spread[p][p] += c->stack->bent_um2;
-    if (gsn_small_invert(spread, PARTS) < 0)
+    if (gsn_invert_spd(&spread[0][0], PARTS, PARTS) < 0)
         return;
     memcpy(e->information, spread, sizeof spread);
     for (size_t p = 0; p < PARTS; p++) {

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/scatter.h"
 
-#include "pipeline/register/median.h"
-#include "pipeline/register/small.h"
+#include "pipeline/core/linalg.h"
+#include "pipeline/core/robust.h"
 
 #include <assert.h>
 #include <math.h>
@@ -17,11 +17,10 @@ enum { ROUNDS = 30, REWEIGHTED = 8 };
 /* square of each vector under the covariance; -1 where it has none. */
 static int measure(struct gsn_scatter_vector *vectors, size_t count, const double c[3][3])
 {
-    double inverse[GSN_SMALL][GSN_SMALL];
+    double inverse[3][3];
 
-    for (size_t i = 0; i < 3; i++)
-        memcpy(inverse[i], c[i], 3 * sizeof inverse[i][0]);
-    if (gsn_small_invert(inverse, 3) < 0)
+    memcpy(inverse, c, sizeof inverse);
+    if (gsn_invert_spd(&inverse[0][0], 3, 3) < 0)
         return -1;
     for (size_t k = 0; k < count; k++) {
         const double *v = vectors[k].v;

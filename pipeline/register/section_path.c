@@ -15,7 +15,7 @@
  * archaeological deposits, American Antiquity 16 (1951). */
 #include "pipeline/register/section_path.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 
 #include <float.h>
 #include <math.h>

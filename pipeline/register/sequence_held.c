@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence_parts.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/sequence_texture.h"
 #include "pipeline/register/tissue.h"
 
@@ -49,7 +49,7 @@ struct search {
 /* The median of the upper half. */
 static double upper_quartile(double *share, size_t count)
 {
-    (void)gsn_median(share, count); /* sorts */
+    (void)gsn_order_pick(share, count, count / 2);
     return gsn_median(share + count / 2, count - count / 2);
 }
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence_parts.h"
 
-#include "pipeline/register/small.h"
+#include "pipeline/core/linalg.h"
 
 #include <assert.h>
 #include <math.h>
@@ -196,7 +196,7 @@ static void step(const float *plane, const float *onto, struct frame f, double m
         for (size_t j = 0; j < i; j++)
             normal[j * MODES + i] = normal[i * MODES + j];
     }
-    if (gsn_small_solve_spd(normal, right, MODES) < 0)
+    if (gsn_solve_spd(normal, MODES, MODES, right) < 0)
         return;
     for (size_t i = 0; i < MOTION; i++)
         motion[i] += right[i];

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence_parts.h"
 
-#include "pipeline/register/small.h"
+#include "pipeline/core/linalg.h"
 
 #include <assert.h>
 #include <math.h>
@@ -168,7 +168,7 @@ static void add_around(const struct taking *a, double (*from)[PRODUCTS], size_t 
 static void solve_square(const struct taking *a, const double sum[PRODUCTS],
                          double ret_much[AMOUNTS])
 {
-    double normal[GSN_SMALL][GSN_SMALL], right[GSN_SMALL][GSN_SMALL];
+    double normal[LOCAL][LOCAL];
     size_t at = 0;
 
     for (size_t i = 0; i < LOCAL; i++) {
@@ -176,15 +176,12 @@ static void solve_square(const struct taking *a, const double sum[PRODUCTS],
             normal[i][j] = normal[j][i] = sum[at++];
         normal[i][i] += sum[ROOM] * STIFF[i];
     }
-    for (size_t k = 0; k < a->count; k++)
-        for (size_t i = 0; i < LOCAL; i++)
-            right[i][k] = sum[at++];
     memset(ret_much, 0, AMOUNTS * sizeof *ret_much);
-    if (gsn_small_solve(normal, right, LOCAL, a->count) < 0)
+    if (gsn_cholesky(&normal[0][0], LOCAL, LOCAL) < 0)
         return;
+    memcpy(ret_much, sum + at, a->count * LOCAL * sizeof *ret_much);
     for (size_t k = 0; k < a->count; k++)
-        for (size_t i = 0; i < LOCAL; i++)
-            ret_much[k * LOCAL + i] = right[i][k];
+        gsn_cholesky_solve(&normal[0][0], LOCAL, LOCAL, ret_much + k * LOCAL);
 }
 
 /* Between the middles of squares what was found there changes evenly, here along x. */

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence_texture.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/sequence_parts.h"
 
 #include <math.h>

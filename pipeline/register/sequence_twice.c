@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/sequence_parts.h"
 
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/sequence_texture.h"
 
 /* A first look takes about FIRST_LOOK patches of the whole plane; those on tissue tell nearly all

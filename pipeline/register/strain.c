@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/strain.h"
 
+#include "pipeline/core/distributions.h"
+#include "pipeline/core/linalg.h"
 #include "pipeline/register/pose_fit.h"
-#include "pipeline/register/small.h"
 
 #include <math.h>
 #include <string.h>
@@ -57,7 +58,7 @@ void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
 {
     const struct gsn_point about = { (from[0].x + from[1].x + from[2].x) / 3,
                                      (from[0].y + from[1].y + from[2].y) / 3 };
-    double a[GSN_SMALL][GSN_SMALL] = { 0 }, y[GSN_SMALL][GSN_SMALL] = { 0 };
+    double a[COORDS][COORDS] = { 0 }, y[COORDS];
     struct gsn_rigid motion;
 
     memset(ret_strain, 0, 3 * sizeof *ret_strain);
@@ -74,13 +75,13 @@ void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
                 a[2 * i + r][c] = j[r][c];
                 a[2 * i + r][3 + c] = k[r][c];
             }
-        y[2 * i][0] = p.x - from[i].x;
-        y[2 * i + 1][0] = p.y - from[i].y;
+        y[2 * i] = p.x - from[i].x;
+        y[2 * i + 1] = p.y - from[i].y;
     }
-    if (gsn_small_solve(a, y, COORDS, 1) < 0)
+    if (gsn_solve_general(&a[0][0], COORDS, COORDS, y, 1, 1) < 0)
         return;
     for (size_t c = 0; c < 3; c++)
-        ret_strain[c] = y[3 + c][0];
+        ret_strain[c] = y[3 + c];
 }
 
 /* The section's marks, laid rigidly; whether it can be asked. */
@@ -107,7 +108,7 @@ static void rows_of(const struct gsn_pose *pose, int block, double ret_row[2][UN
 }
 
 struct regression {
-    double inverse[GSN_SMALL][GSN_SMALL], right[UNKNOWNS], square;
+    double inverse[UNKNOWNS][UNKNOWNS], right[UNKNOWNS], square;
     size_t rows, unknowns;
 };
 
@@ -132,7 +133,7 @@ static int solve(struct regression *g, double ret_found[2], double *ret_sd)
 {
     double left = g->square;
 
-    if (g->rows <= g->unknowns + 2 || gsn_small_invert(g->inverse, g->unknowns) < 0)
+    if (g->rows <= g->unknowns + 2 || gsn_invert_spd(&g->inverse[0][0], g->unknowns, UNKNOWNS) < 0)
         return 0;
     for (size_t i = 0; i < g->unknowns; i++) {
         double x = 0;
@@ -172,7 +173,7 @@ static int ask(const struct gsn_pose_input *inputs, const struct gsn_pose *poses
         .sd = 2 * sd,
         .from_declared = !block,
         .anisotropic = 2 * sqrt(square) > PRACTICAL &&
-                       square > sd * sd * gsn_chance_limit(2, (double)(g.rows - g.unknowns), ALPHA),
+                       square > sd * sd * gsn_ratio_limit(2, (double)(g.rows - g.unknowns), ALPHA),
     };
     return 1;
 }

@@ -2,7 +2,7 @@
 #include "pipeline/register/tissue_check.h"
 
 #include "pipeline/core/mem.h"
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/register/tissue_evidence.h"
 
 #include <assert.h>

@@ -29,9 +29,9 @@
  * nothing else. */
 #include "pipeline/register/tissue_graph.h"
 
+#include "pipeline/core/linalg.h"
 #include "pipeline/core/mem.h"
-#include "pipeline/register/median.h"
-#include "pipeline/register/small.h"
+#include "pipeline/core/robust.h"
 
 #include <assert.h>
 #include <math.h>
@@ -80,7 +80,7 @@ struct node {
     double error;
 };
 
-/* The normal equations are symmetric: only the last wide columns up to the diagonal are kept. */
+/* The normal equations are symmetric: only the diagonal and the wide - 1 below it are kept. */
 struct graph {
     const struct gsn_tissue_section *section;
     size_t count, edges, wide;
@@ -108,19 +108,6 @@ static double product(const double m[3][3], const double x[3])
         for (size_t q = 0; q < 3; q++)
             sum += x[p] * m[p][q] * x[q];
     return sum;
-}
-
-static int invert(double m[3][3])
-{
-    double a[GSN_SMALL][GSN_SMALL] = { 0 };
-
-    for (size_t i = 0; i < 3; i++)
-        memcpy(a[i], m[i], 3 * sizeof a[i][0]);
-    if (gsn_small_invert(a, 3) < 0)
-        return -1;
-    for (size_t i = 0; i < 3; i++)
-        memcpy(m[i], a[i], 3 * sizeof a[i][0]);
-    return 0;
 }
 
 /* Columns of a grid about the centre that is given, upright in the frame that to leads to. */
@@ -165,7 +152,7 @@ static double effect_of(const struct graph *g, const struct edge *e)
     const size_t columns = pulls_of(g, e, &grid, pull);
 
     memcpy(information, e->match.covariance, sizeof information);
-    if (columns < 2 || invert(information) < 0)
+    if (columns < 2 || gsn_invert_spd(&information[0][0], 3, 3) < 0)
         return 1;
     for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++)
         sum += product(information, pull[k]) / 3;
@@ -451,7 +438,7 @@ static size_t hold_marked(struct graph *g)
         if (!s->marked || !s->tissue)
             continue;
         memcpy(a, s->covariance, sizeof a);
-        if (invert(a) < 0)
+        if (gsn_invert_spd(&a[0][0], 3, 3) < 0)
             continue;
         hold(&g->node[i], &s->to_block, a);
         held++;
@@ -509,38 +496,7 @@ static int usable(const struct graph *g, const struct edge *e)
 
 static double *entry(const struct graph *g, size_t i, size_t j)
 {
-    return &g->a[i * g->wide + (g->wide - 1 - (i - j))];
-}
-
-/* Cholesky's factor, in place. */
-static void factorise(const struct graph *g)
-{
-    for (size_t i = 0; i < 3 * g->count; i++) {
-        const size_t from = i + 1 > g->wide ? i + 1 - g->wide : 0;
-
-        for (size_t j = from; j <= i; j++) {
-            const size_t both = j + 1 > g->wide ? j + 1 - g->wide : 0;
-            double sum = *entry(g, i, j);
-
-            for (size_t k = from > both ? from : both; k < j; k++)
-                sum -= *entry(g, i, k) * *entry(g, j, k);
-            *entry(g, i, j) = i == j ? sqrt(fmax(sum, 1e-300)) : sum / *entry(g, j, j);
-        }
-    }
-}
-
-static void substitute(const struct graph *g, double *x)
-{
-    for (size_t i = 0; i < 3 * g->count; i++) {
-        for (size_t j = i + 1 > g->wide ? i + 1 - g->wide : 0; j < i; j++)
-            x[i] -= *entry(g, i, j) * x[j];
-        x[i] /= *entry(g, i, i);
-    }
-    for (size_t i = 3 * g->count; i-- > 0;) {
-        x[i] /= *entry(g, i, i);
-        for (size_t j = i + 1 > g->wide ? i + 1 - g->wide : 0; j < i; j++)
-            x[j] -= *entry(g, i, j) * x[i];
-    }
+    return &g->a[j * g->wide + (i - j)];
 }
 
 static double turn_of(const struct gsn_affine *m)
@@ -583,7 +539,7 @@ static int information_of(const struct graph *g, const struct edge *e, double re
         for (size_t q = 0; q < 3; q++)
             for (size_t k = 0; k < 3; k++)
                 ret[p][q] += half[p][k] * j[q][k];
-    return invert(ret);
+    return gsn_invert_spd(&ret[0][0], 3, 3);
 }
 
 /* How a motion that is left of an edge, b's word minus a's place at a's centre, follows from those
@@ -672,7 +628,8 @@ static void add_hold(struct graph *g, size_t i)
     add_side(at, j, 1, n->holding, left, g->b);
 }
 
-static void assemble(struct graph *g)
+/* Assembles and factorises. */
+static int assemble(struct graph *g, struct gsn_error *err)
 {
     memset(g->a, 0, 3 * g->count * g->wide * sizeof *g->a);
     memset(g->b, 0, 3 * g->count * sizeof *g->b);
@@ -680,7 +637,10 @@ static void assemble(struct graph *g)
         add_edge(g, &g->edge[i]);
     for (size_t i = 0; i < g->count; i++)
         add_hold(g, i);
-    factorise(g);
+    return gsn_band_cholesky(g->a, 3 * g->count, g->wide) < 0
+               ? gsn_fail(err, GSN_E_FIT,
+                          "the comparisons of %zu sections do not say where each lies", g->count)
+               : GSN_OK;
 }
 
 /* Takes a step off. */
@@ -716,16 +676,19 @@ static void close_ways(struct graph *g)
         g->factor[far] *= fmax(more, 1);
 }
 
-static void relax(struct graph *g)
+static int relax(struct graph *g, struct gsn_error *err)
 {
     for (int round = 0; round < ROUNDS; round++) {
-        assemble(g);
-        substitute(g, g->b);
+        const int r = assemble(g, err);
+
+        if (r < 0)
+            return r;
+        gsn_band_solve(g->a, 3 * g->count, g->wide, g->b);
         for (size_t i = 0; i < g->count; i++)
             if (g->node[i].placed)
                 move(&g->node[i], &g->b[3 * i]);
     }
-    assemble(g);
+    return assemble(g, err);
 }
 
 /* ---- Errors ------------------------------------------------------------------------------- */
@@ -803,7 +766,7 @@ static void add_mark_errors(const struct graph *g)
         for (size_t p = 0; g->node[i].placed && p < 3; p++) {
             memset(g->b, 0, 3 * g->count * sizeof *g->b);
             g->b[3 * i + p] = 1;
-            substitute(g, g->b);
+            gsn_band_solve(g->a, 3 * g->count, g->wide, g->b);
             for (size_t k = 0; k < g->count; k++)
                 if (g->node[k].held)
                     variance[p] += product(g->node[k].holding, &g->b[3 * k]);
@@ -831,7 +794,7 @@ static int learn_errors(struct graph *g, double more, struct gsn_error *err)
         for (size_t i = 0; i < 3 * g->count; i++)
             any |= x[i] != 0;
         columns += any != 0;
-        substitute(g, x);
+        gsn_band_solve(g->a, 3 * g->count, g->wide, x);
     }
     add_column_errors(g, side, columns, more);
     add_mark_errors(g);
@@ -946,10 +909,13 @@ static int lay(struct graph *g, size_t reference, struct gsn_tissue_pose *ret_po
     if (r < 0)
         return r;
     columns_alone = g->factor[1];
-    relax(g);
+    r = relax(g, err);
+    if (r < 0)
+        return r;
     close_ways(g);
-    relax(g);
-    r = learn_errors(g, g->factor[1] / columns_alone, err);
+    r = relax(g, err);
+    if (r >= 0)
+        r = learn_errors(g, g->factor[1] / columns_alone, err);
     if (r < 0)
         return r;
     tell(g, &summary, ret_poses);

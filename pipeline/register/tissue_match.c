@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/linalg.h"
 #include "pipeline/register/tissue_bands.h"
-#include "pipeline/register/small.h"
 
 #include <assert.h>
 #include <math.h>
@@ -219,15 +219,11 @@ static void step(struct gsn_affine *map, struct gsn_point centre, const double m
 
 static int solve(const struct normal *normal, double ret_move[3])
 {
-    double a[GSN_SMALL][GSN_SMALL] = { 0 };
+    double a[3][3];
 
-    for (size_t i = 0; i < 3; i++)
-        memcpy(a[i], normal->h[i], 3 * sizeof a[i][0]);
-    if (gsn_small_invert(a, 3) < 0)
-        return -1;
-    for (size_t i = 0; i < 3; i++)
-        ret_move[i] = a[i][0] * normal->g[0] + a[i][1] * normal->g[1] + a[i][2] * normal->g[2];
-    return 0;
+    memcpy(a, normal->h, sizeof a);
+    memcpy(ret_move, normal->g, 3 * sizeof *ret_move);
+    return gsn_solve_spd(&a[0][0], 3, 3, ret_move);
 }
 
 /* Improves the motion in the bands from the coarsest to finest. */
@@ -314,16 +310,15 @@ static int finish(const struct gsn_tissue *a, const struct gsn_tissue *b,
 {
     struct gsn_tissue_fit back;
     struct gsn_affine inverse;
-    double h[GSN_SMALL][GSN_SMALL] = { 0 }, apart;
+    double h[3][3], apart;
     const double unit[3] = { a->cell, a->cell, 1 };
 
     descend(a, b, there);
     back = (struct gsn_tissue_fit){ .a_to_b = gsn_affine_inverse(&there->a_to_b) };
     improve(b, a, 0, &back);
     inverse = gsn_affine_inverse(&back.a_to_b);
-    for (size_t i = 0; i < 3; i++)
-        memcpy(h[i], there->information[i], 3 * sizeof h[i][0]);
-    if (gsn_small_invert(h, 3) < 0)
+    memcpy(h, there->information, sizeof h);
+    if (gsn_invert_spd(&h[0][0], 3, 3) < 0)
         return gsn_fail(err, GSN_E_MARKERS, "the two sections share no detail to lay them by");
     there->a_to_b = between(&there->a_to_b, &inverse, a, &apart);
     ret_match->a_to_b = in_lengths(&there->a_to_b, a->cell, b->cell);

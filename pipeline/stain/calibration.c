@@ -2,7 +2,7 @@
 #include "pipeline/stain/calibration.h"
 
 #include "pipeline/core/mem.h"
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 
 #include <assert.h>
 #include <math.h>

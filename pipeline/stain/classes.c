@@ -4,71 +4,12 @@
 #include <math.h>
 #include <string.h>
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/linalg.h"
 
 #define STRAY 0.01            /* share of pixels that may be of no class */
 #define STRAY_VOLUME 27.0     /* they lie anywhere up to density 3 in each channel */
 #define LEAST_VARIANCE 0.0009 /* of a logarithm: 3 %, finer than any tissue is even */
 #define LOG_2PI 1.8378770664093453
-
-/* ---- small dense systems ----------------------------------------------------------------- */
-
-static int cholesky(double *a, size_t n)
-{
-    for (size_t j = 0; j < n; j++) {
-        for (size_t k = 0; k < j; k++)
-            a[j * n + j] -= a[j * n + k] * a[j * n + k];
-        if (!(a[j * n + j] > 0))
-            return 0;
-        a[j * n + j] = sqrt(a[j * n + j]);
-        for (size_t i = j + 1; i < n; i++) {
-            for (size_t k = 0; k < j; k++)
-                a[i * n + j] -= a[i * n + k] * a[j * n + k];
-            a[i * n + j] /= a[j * n + j];
-        }
-    }
-    return 1;
-}
-
-static void substitute(const double *l, size_t n, double *b)
-{
-    for (size_t i = 0; i < n; i++) {
-        for (size_t k = 0; k < i; k++)
-            b[i] -= l[i * n + k] * b[k];
-        b[i] /= l[i * n + i];
-    }
-    for (size_t i = n; i-- > 0;) {
-        for (size_t k = i + 1; k < n; k++)
-            b[i] -= l[k * n + i] * b[k];
-        b[i] /= l[i * n + i];
-    }
-}
-
-int gsn_solve(double *a, size_t n, double *b)
-{
-    if (!cholesky(a, n))
-        return 0;
-    substitute(a, n, b);
-    return 1;
-}
-
-/* The inverse of a positive definite a. 0 when it is not. */
-static int invert(const double *a, size_t n, double *ret_inverse)
-{
-    double l[GSN_DYE_TURNS * GSN_DYE_TURNS], column[GSN_DYE_TURNS];
-
-    memcpy(l, a, n * n * sizeof *l);
-    if (!cholesky(l, n))
-        return 0;
-    for (size_t j = 0; j < n; j++) {
-        memset(column, 0, sizeof column);
-        column[j] = 1;
-        substitute(l, n, column);
-        for (size_t i = 0; i < n; i++)
-            ret_inverse[i * n + j] = column[i];
-    }
-    return 1;
-}
 
 /* ---- one pixel --------------------------------------------------------------------------- */
 
@@ -167,10 +108,11 @@ static void set_class(const struct moments *m, double all, struct gsn_class *cla
                                                   class->mean[k] * class->mean[n] +
                                                   (k == n ? LEAST_VARIANCE : 0);
     memcpy(l, covariance, sizeof l);
-    (void)cholesky(&l[0][0], 3);
+    (void)gsn_cholesky(&l[0][0], 3, 3); /* LEAST_VARIANCE keeps it definite */
     for (int k = 0; k < 3; k++)
         log_det += 2 * log(l[k][k]);
-    (void)invert(&covariance[0][0], 3, &class->precision[0][0]);
+    memcpy(class->precision, covariance, sizeof covariance);
+    (void)gsn_invert_spd(&class->precision[0][0], 3, 3);
     class->log_norm = log(class->share) - 1.5 * LOG_2PI - log_det / 2;
 }
 
@@ -328,12 +270,12 @@ static void free_of_classes(size_t unknowns, const double *slope, struct gsn_sco
     for (size_t i = 0; i < unknowns; i++)
         for (size_t j = 0; j < unknowns; j++)
             a[i * unknowns + j] = s->outer[base + i][base + j] * (i == j ? 1 + 1e-9 : 1);
-    definite = cholesky(a, unknowns);
+    definite = gsn_cholesky(a, unknowns, unknowns) == 0;
     for (size_t m = 0; m < GSN_DYE_TURNS; m++) {
         for (size_t i = 0; i < unknowns; i++)
             follow[i] = definite ? s->outer[m][base + i] : 0;
         if (definite)
-            substitute(a, unknowns, follow);
+            gsn_cholesky_solve(a, unknowns, unknowns, follow);
         s->total[m] = slope[m];
         for (size_t i = 0; i < unknowns; i++)
             s->total[m] -= follow[i] * slope[base + i];
@@ -388,7 +330,8 @@ static void look_along(const struct gsn_classes *classes, const double way[3], s
         const struct gsn_class *class = &classes->class[j];
         double covariance[3][3], variance = 0;
 
-        (void)invert(&class->precision[0][0], 3, &covariance[0][0]);
+        memcpy(covariance, class->precision, sizeof covariance);
+        (void)gsn_invert_spd(&covariance[0][0], 3, 3);
         ret->mean[j] = 0;
         for (int k = 0; k < 3; k++) {
             ret->mean[j] += way[k] * class->mean[k];

@@ -63,9 +63,6 @@ void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain
 double gsn_classes_misfit(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
                           const struct gsn_optics *optics);
 
-/* Solves a x = b for a positive definite a (destroyed); x replaces b. 0 when a is not. */
-int gsn_solve(double *a, size_t n, double *b);
-
 #ifdef __cplusplus
 }
 #endif

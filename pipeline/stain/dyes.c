@@ -12,6 +12,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "pipeline/core/linalg.h"
+
 #define RAD (M_PI / 180)
 #define PRIOR_DEG 5.0
 #define LONGEST_STEP (3 * RAD)
@@ -147,7 +149,7 @@ static double step(struct gsn_dyes_search *s, struct gsn_scores *scores)
         a[m * GSN_DYE_TURNS + m] += s->precision[m];
         b[m] = s->weight * scores->total[m] - s->precision[m] * s->turn[m];
     }
-    if (!gsn_solve(a, GSN_DYE_TURNS, b))
+    if (gsn_solve_spd(a, GSN_DYE_TURNS, GSN_DYE_TURNS, b) < 0)
         return 0;
     for (int m = 0; m < GSN_DYE_TURNS; m++)
         longest = fmax(longest, fabs(b[m]));

@@ -6,6 +6,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/core/linalg.h"
+
 enum { N = GSN_DYE_TURNS };
 
 /* A model that is d nats per pixel off the truth puts an unknown off by up to sqrt(2 d) of what one
@@ -17,7 +19,7 @@ static const double MISFIT_SHARES = 6;
  * over that reach. */
 #define REACH (2 * M_PI / 180)
 
-enum { REFITS = 8, SWEEPS = 30 };
+enum { REFITS = 8 };
 
 /* Tissue is no mixture of log-normal classes, so many pixels are off together. Each counts by so
  * much that all of them tell no more than the misfit lets them (the coarsened posterior of Miller
@@ -70,56 +72,20 @@ static void curvature(const struct gsn_dyes_search *s, struct gsn_scores *scores
                 s->weight * (bend[m][n] + bend[n][m]) / 2 / sqrt(s->precision[m] * s->precision[n]);
 }
 
-/* One of Jacobi's turns: makes a[p][q] vanish. */
-static void turn_pair(double a[N][N], double v[N][N], int p, int q)
-{
-    const double theta = (a[q][q] - a[p][p]) / (2 * a[p][q]);
-    const double t = (theta < 0 ? -1 : 1) / (fabs(theta) + sqrt(theta * theta + 1));
-    const double c = 1 / sqrt(t * t + 1), s = t * c;
-
-    for (int k = 0; k < N; k++) {
-        const double x = a[k][p], y = a[k][q], vx = v[k][p], vy = v[k][q];
-
-        a[k][p] = c * x - s * y;
-        a[k][q] = s * x + c * y;
-        v[k][p] = c * vx - s * vy;
-        v[k][q] = s * vx + c * vy;
-    }
-    for (int k = 0; k < N; k++) {
-        const double x = a[p][k], y = a[q][k];
-
-        a[p][k] = c * x - s * y;
-        a[q][k] = s * x + c * y;
-    }
-}
-
-/* Eigenvalues come to stand on the diagonal of a, vectors in the columns of v. */
-static void diagonalise(double a[N][N], double v[N][N])
-{
-    for (int i = 0; i < N; i++)
-        for (int j = 0; j < N; j++)
-            v[i][j] = i == j;
-    for (int sweep = 0; sweep < SWEEPS; sweep++)
-        for (int p = 0; p < N; p++)
-            for (int q = p + 1; q < N; q++)
-                if (fabs(a[p][q]) > 1e-12 * (fabs(a[p][p]) + fabs(a[q][q])))
-                    turn_pair(a, v, p, q);
-}
-
 /* Where the likelihood bends the wrong way, the pixels tell nothing. */
 void gsn_dyes_covariance(const struct gsn_dyes_search *s, struct gsn_scores *scores,
                          double ret_covariance[N][N])
 {
-    double told[N][N], axis[N][N];
+    double told[N][N], value[N], axis[N][N];
 
     curvature(s, scores, told);
-    diagonalise(told, axis);
+    gsn_eigen_symmetric(&told[0][0], N, value, &axis[0][0]);
     for (int m = 0; m < N; m++)
         for (int n = 0; n < N; n++) {
             double sum = 0;
 
             for (int k = 0; k < N; k++)
-                sum += axis[m][k] * axis[n][k] / (1 + fmax(told[k][k], 0));
+                sum += axis[m][k] * axis[n][k] / (1 + fmax(value[k], 0));
             ret_covariance[m][n] = sum / sqrt(s->precision[m] * s->precision[n]);
         }
 }

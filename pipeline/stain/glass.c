@@ -11,9 +11,9 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/glass_parts.h"
 #include "pipeline/stain/light.h"
-#include "pipeline/stain/order.h"
 
 /* Lengths below are optical densities unless said otherwise. */
 #define LEAST_GLASS 0.15 /* share of the picture that vendors and we ask for */

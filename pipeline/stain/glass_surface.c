@@ -2,8 +2,10 @@
 #include "pipeline/stain/glass_parts.h"
 
 #include <math.h>
+#include <string.h>
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/linalg.h"
+#include "pipeline/core/robust.h"
 
 /* Lengths below are optical densities. */
 #define LAST_REACH 0.004 /* quantisation of 8 bits stays within it */
@@ -36,35 +38,6 @@ static double evaluate(const double s[GSN_GLASS_TERMS], const double b[GSN_GLASS
     return sum;
 }
 
-/* Solves the 6 x 6 system by Cholesky for three right-hand sides; it is positive definite by the
- * ridge. */
-static void solve(double a[GSN_GLASS_TERMS][GSN_GLASS_TERMS], double b[3][GSN_GLASS_TERMS],
-                  double ret[3][GSN_GLASS_TERMS])
-{
-    for (int j = 0; j < GSN_GLASS_TERMS; j++) {
-        for (int k = 0; k < j; k++)
-            a[j][j] -= a[j][k] * a[j][k];
-        a[j][j] = sqrt(a[j][j]);
-        for (int i = j + 1; i < GSN_GLASS_TERMS; i++) {
-            for (int k = 0; k < j; k++)
-                a[i][j] -= a[i][k] * a[j][k];
-            a[i][j] /= a[j][j];
-        }
-    }
-    for (int c = 0; c < 3; c++) {
-        for (int i = 0; i < GSN_GLASS_TERMS; i++) {
-            for (int k = 0; k < i; k++)
-                b[c][i] -= a[i][k] * b[c][k];
-            b[c][i] /= a[i][i];
-        }
-        for (int i = GSN_GLASS_TERMS - 1; i >= 0; i--) {
-            for (int k = i + 1; k < GSN_GLASS_TERMS; k++)
-                b[c][i] -= a[k][i] * ret[c][k];
-            ret[c][i] = b[c][i] / a[i][i];
-        }
-    }
-}
-
 static int fit_surface(const struct gsn_glass_cells *all, struct gsn_glass_surface *surface)
 {
     double a[GSN_GLASS_TERMS][GSN_GLASS_TERMS] = { { 0 } }, b[3][GSN_GLASS_TERMS] = { { 0 } },
@@ -89,7 +62,11 @@ static int fit_surface(const struct gsn_glass_cells *all, struct gsn_glass_surfa
         return 0;
     for (int j = 1; j < GSN_GLASS_TERMS; j++)
         a[j][j] += RIDGE * sum;
-    solve(a, b, surface->s);
+    if (gsn_cholesky(&a[0][0], GSN_GLASS_TERMS, GSN_GLASS_TERMS) < 0)
+        return 0; /* the ridge keeps it definite */
+    memcpy(surface->s, b, sizeof b);
+    for (int c = 0; c < 3; c++)
+        gsn_cholesky_solve(&a[0][0], GSN_GLASS_TERMS, GSN_GLASS_TERMS, surface->s[c]);
     return 1;
 }
 

@@ -4,7 +4,7 @@
 #include <math.h>
 
 #include "pipeline/core/mem.h"
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 
 enum { LEAST_CELLS = 100, LEAST_LINES = 4, MOST_ROUNDS = 30 };
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/stain/classes.h"
+#include "pipeline/core/linalg.h"
 #include "pipeline/stain/level_tissues.h"
 
 #include <math.h>
@@ -67,7 +68,7 @@ static int divide(const struct pairs *p, double x[KINDS])
     double covariance[KINDS * KINDS];
 
     memcpy(covariance, p->covariance, sizeof covariance);
-    return gsn_solve(covariance, p->count, x);
+    return gsn_solve_spd(covariance, p->count, p->count, x) == 0;
 }
 
 /* Generalised least squares of the differences by a straight line, whose gain and offset have these

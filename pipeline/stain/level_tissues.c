@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/stain/level_tissues.h"
 
+#include "pipeline/core/linalg.h"
 #include "pipeline/stain/classes.h"
 
 #include <math.h>
@@ -100,7 +101,7 @@ static void weigh(const struct gsn_level_frame *frame, struct tissue *t)
         for (size_t j = 0; j < t->count; j++)
             covariance[i * t->count + j] = covariance_of(frame, t, i, j);
     }
-    (void)gsn_solve(covariance, t->count, t->weight); /* noise keeps it definite */
+    (void)gsn_solve_spd(covariance, t->count, t->count, t->weight); /* noise keeps it definite */
     for (size_t i = 0; i < t->count; i++)
         sum += t->weight[i];
     for (size_t p = 0; p <= frame->fit->steps; p++)

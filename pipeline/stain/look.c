@@ -6,8 +6,8 @@
 
 #include <math.h>
 
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/light.h"
-#include "pipeline/stain/order.h"
 #include "pipeline/stain/unmix.h"
 
 static const double MOST_APART_DEG = 8;

@@ -4,8 +4,8 @@
 #include <math.h>
 
 #include "pipeline/core/parallel.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/mask_cells.h"
-#include "pipeline/stain/order.h"
 
 static const char *const WORDS[GSN_DEFECTS][2] = {
     { "halo", "beside a laser mark, where heat changes the stain" },

@@ -11,7 +11,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 
 enum {
     WINDOW = 8, /* cells to either side: 17 x 17 tell the ratio to about a tenth */

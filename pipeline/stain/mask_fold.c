@@ -9,7 +9,7 @@
 
 #include <math.h>
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 
 enum {
     ANGLES = 16,

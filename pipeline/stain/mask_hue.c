@@ -10,7 +10,7 @@
  * sections. */
 #include "pipeline/stain/mask_cells.h"
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/unmix.h"
 
 #include <math.h>

@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 
 /* Below it an error of the white of a tenth of a percent is one of the gain of three percent. */
 #define PALEST_RED 0.05

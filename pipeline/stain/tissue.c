@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/stain/tissue.h"
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/segment.h"
 #include "pipeline/stain/tissue_body.h"
 

@@ -11,7 +11,7 @@
  * each its own way, and meet in the ligament. */
 #include "pipeline/stain/tissue.h"
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/tissue_body.h"
 
 #include <math.h>

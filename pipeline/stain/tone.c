@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/stain/tone.h"
 
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/light.h"
-#include "pipeline/stain/order.h"
 #include "pipeline/stain/unmix.h"
 
 #include <math.h>

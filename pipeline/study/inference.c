@@ -16,14 +16,13 @@
  * grow with the number of ways, and the interval of g, two bisections over an integral. */
 #include "pipeline/study/inference.h"
 
+#include "pipeline/core/distributions.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/measure/stats.h"
 
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
-
-#include <gsl/gsl_cdf.h>
 
 enum { MOST_ANIMALS = 10000 };
 
@@ -84,7 +83,7 @@ double gsn_noncentral_t(double t, double freedom, double noncentrality)
         const double s = first + step * i;
         const double weight = i == 0 || i == STEPS ? 1 : i % 2 ? 4 : 2;
 
-        sum += weight * gsl_cdf_ugaussian_P(t * s - noncentrality) * scaled_chi_density(s, freedom);
+        sum += weight * gsn_normal_cdf(t * s - noncentrality) * scaled_chi_density(s, freedom);
     }
     return fmin(fmax(sum * step / 3, 0), 1);
 }
@@ -143,7 +142,7 @@ struct gsn_group_difference gsn_group_compare(const struct gsn_group_mean *a,
     d.freedom =
         gsn_welch_freedom(variance_of(a), (double)(a->n - 1), variance_of(b), (double)(b->n - 1));
     d.t = d.difference / error;
-    d.p = 2 * gsl_cdf_tdist_Q(fabs(d.t), d.freedom);
+    d.p = 2 * gsn_student_tail(fabs(d.t), d.freedom);
     reach = gsn_student_quantile(two_sided, d.freedom) * error;
     d.lower = d.difference - reach;
     d.upper = d.difference + reach;

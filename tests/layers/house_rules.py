@@ -41,6 +41,7 @@ FOREIGN = {
     r"opencv2/.*": r"^pipeline/.*_opencv\.cpp$",
     r"dmtx\.h": r"^pipeline/(decode/codes|phantom/matrix)\.c$",
     r"zbar\.h": r"^pipeline/decode/codes\.c$",
+    r"gsl/.*": r"^pipeline/core/(linalg|robust|distributions|gsl_door)\.c$",
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
     r"hdf5\.h": r"^pipeline/model/model_file\.c$",
     r"(tiffio|jpeglib|png)\.h": r"^pipeline/(decode|export|phantom)/",

@@ -1,4 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/distributions.h"
 #include "pipeline/measure/stats.h"
 
 #include "tests/check.h"

@@ -2,9 +2,9 @@
 
 /* Sections that nobody here drew: ../shared/data/stacks, with landmarks and printed dots. */
 #include "pipeline/core/file.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/decode/apart.h"
 #include "pipeline/folder.h"
-#include "pipeline/register/median.h"
 #include "pipeline/register/rigid.h"
 #include "tests/check.h"
 

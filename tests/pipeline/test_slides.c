@@ -2,10 +2,10 @@
 
 /* Real slides with pen on them, empty ones, and one with next to nothing (shared data, which is not
  * part of the product). None of them is stained by Van Gieson. */
+#include "pipeline/core/robust.h"
 #include "pipeline/decode/decode.h"
 #include "pipeline/stain/absorb.h"
 #include "pipeline/stain/mask.h"
-#include "pipeline/stain/order.h"
 
 #include "tests/check.h"
 

@@ -4,8 +4,8 @@
 #include "tests/check.h"
 #include "tests/register/mounted.h"
 
+#include "pipeline/core/distributions.h"
 #include "pipeline/register/pose_fit.h"
-#include "pipeline/register/small.h"
 
 #include <string.h>
 

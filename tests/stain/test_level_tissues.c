@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/stain/level_tissues.h"
 
-#include "pipeline/stain/order.h"
+#include "pipeline/core/robust.h"
 #include "tests/check.h"
 #include "tests/stain/paint.h"
 

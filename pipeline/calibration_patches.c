@@ -135,16 +135,15 @@ static int find_pieces(struct field *field, struct gsn_error *err)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a calibration panel");
     for (size_t i = 0; i < count; i++)
         mask[i] = field->total->value[i] >= GSN_TISSUE_OD;
-    r = gsn_split_pieces(mask, (int)field->total->width, (int)field->total->height, 0, &pieces,
-                         err);
+    r = gsn_split_pieces(mask, field->total->width, field->total->height, 0, &pieces, NULL, err);
     if (r < 0)
         return r;
     field->piece = gsn_alloc_array(pieces->count + 1, sizeof *field->piece);
     if (!field->piece)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a calibration panel");
     for (size_t i = 0; i < pieces->count; i++)
-        if (is_patch(field, &pieces->piece[i]))
-            field->piece[field->count++] = pieces->piece[i];
+        if (is_patch(field, &pieces->component[i]))
+            field->piece[field->count++] = pieces->component[i];
     keep_alike(field);
     return GSN_OK;
 }

@@ -2,6 +2,8 @@
 #include "systemd/material_parts.h"
 
 #include "pipeline/core/hash.h"
+#include "pipeline/core/linalg.h"
+#include "pipeline/imaging/imaging.h"
 #include "systemd/answers.h"
 
 #include <stdio.h>
@@ -118,6 +120,10 @@ int gsn_material_make_keys(struct gsn_material *m, struct gsn_error *err)
     json_decref(unread);
     add_decisions(m, root);
     (void)json_object_set_new(root, "version", json_string(GSN_VERSION));
+    /* Another version of these may change a pixel or a figure. */
+    (void)json_object_set_new(root, "libraries",
+                              json_pack("{s:s, s:s}", "opencv", gsn_imaging_version(), "gsl",
+                                        gsn_linalg_version()));
     r = hash_text(root, NULL, &m->own_key, err);
     (void)json_object_set(root, "baseline", m->baseline_keys);
     if (r >= 0)

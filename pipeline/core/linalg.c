@@ -18,8 +18,14 @@
 
 #include <gsl/gsl_eigen.h>
 #include <gsl/gsl_linalg.h>
+#include <gsl/gsl_version.h>
 
 #include "pipeline/core/gsl_door.h"
+
+const char *gsn_linalg_version(void)
+{
+    return gsl_version;
+}
 
 /* ---- symmetric and positive definite ------------------------------------------------------- */
 

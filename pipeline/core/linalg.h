@@ -13,6 +13,9 @@
 extern "C" {
 #endif
 
+/* The version of GSL that runs, as "2.7.1": figures depend on it. borrows. */
+const char *gsn_linalg_version(void);
+
 /* The largest n of gsn_eigen_symmetric() and gsn_solve_general(). */
 enum { GSN_LINALG_FEW = 16 };
 

@@ -58,6 +58,7 @@ int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct 
                     struct gsn_scrap **ret_scraps, size_t *ret_scrap_count, struct gsn_error *err)
 {
     gsn_auto(gsn_components) pieces = NULL;
+    gsn_auto_mem(uint8_t) thin = NULL;
     struct gsn_panel_work panel = { 0 };
     int r;
 
@@ -71,10 +72,11 @@ int gsn_panel_split(const struct gsn_plane *tissue, unsigned step, const struct 
                                             .height = (int)tissue->height,
                                             .step = (int)step,
                                             .um = px_um * step };
-    r = gsn_panel_pieces_find(tissue, panel.cells.um, &pieces, err);
+    r = gsn_panel_pieces_find(tissue, panel.cells.um, &pieces, &thin, err);
     if (r < 0)
         return r;
     panel.pieces = pieces;
+    panel.thin = thin;
     panel.section_area = gsn_panel_section_area(pieces, &panel.cells);
     panel.places = (size_t)layout->rows * layout->columns;
     if (panel.section_area == 0) {

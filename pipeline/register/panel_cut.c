@@ -17,16 +17,16 @@ struct shape {
 static int draw_shape(const struct gsn_components *pieces, size_t piece, struct shape *ret_shape,
                       struct gsn_error *err)
 {
-    const struct gsn_component *box = &pieces->piece[piece];
+    const struct gsn_component *box = &pieces->component[piece];
     uint8_t *cell = gsn_alloc_array((size_t)box->width, (size_t)box->height);
 
     if (!cell)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    for (size_t i = 0; i < pieces->run_count; i++) {
-        const struct gsn_piece_run *run = &pieces->run[i];
+    for (size_t i = 0; i < box->area; i++) {
+        const uint32_t pixel = pieces->pixel[box->first + i];
+        const int x = (int)(pixel % pieces->width), y = (int)(pixel / pieces->width);
 
-        for (int x = run->x0; x < run->x1 && run->piece == (int)piece; x++)
-            cell[(run->y - box->y) * box->width + x - box->x] = 1;
+        cell[(y - box->y) * box->width + x - box->x] = 1;
     }
     *ret_shape = (struct shape){ box, cell };
     return GSN_OK;

@@ -29,6 +29,7 @@ struct gsn_panel_cells {
 struct gsn_panel_work {
     struct gsn_panel_cells cells;
     struct gsn_components *pieces;
+    const uint8_t *thin; /* of each piece: nowhere wider than a thread */
     double section_area; /* cells */
     struct gsn_panel_units *units;
     struct gsn_panel_grid grid;
@@ -46,9 +47,11 @@ unsigned gsn_panel_slot_at(const struct gsn_layout *layout, int place);
 
 /* panel_pieces.c */
 
-/* gives: what on the panel is darker than glass, in pieces. Fails with GSN_E_NOMEM. */
+/* gives: what on the panel is darker than glass, in pieces, and which are thin. Fails with
+ * GSN_E_NOMEM. */
 int gsn_panel_pieces_find(const struct gsn_plane *tissue, double cell_um,
-                          struct gsn_components **ret_pieces, struct gsn_error *err);
+                          struct gsn_components **ret_pieces, uint8_t **ret_thin,
+                          struct gsn_error *err);
 int gsn_panel_is_dust(const struct gsn_component *piece, const struct gsn_panel_cells *cells);
 /* The area that sections share: the size class of pieces that covers most of the panel. A label may
  * be larger than a section, and print is more numerous, but neither covers as much. 0: there is

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/panel_parts.h"
 
+#include "pipeline/imaging/threshold.h"
+
 /* Anything smaller is dust. */
 static const double DUST_UM = 200;
 /* The tissue's mean must stand this far above the glass, in optical density. */
@@ -28,37 +30,21 @@ static void clip(const struct gsn_plane *tissue, float *ret_value)
 /* Otsu's threshold between glass and tissue; ret_apart is the distance of their means. */
 static double threshold_of(const float *value, size_t count, double *ret_apart)
 {
-    size_t histogram[BINS] = { 0 }, below = 0, best = 0;
-    double all = 0, sum = 0, most = -1;
+    size_t histogram[BINS] = { 0 }, cut;
 
     for (size_t i = 0; i < count; i++) {
         const unsigned bin = (unsigned)(value[i] * (float)(BINS / DARKEST));
 
         histogram[bin < BINS ? bin : BINS - 1]++;
     }
-    for (size_t b = 0; b < BINS; b++)
-        all += (double)histogram[b] * ((double)b + 0.5);
-    *ret_apart = 0;
-    for (size_t b = 0; b + 1 < BINS; b++) {
-        double apart, between;
-
-        below += histogram[b];
-        sum += (double)histogram[b] * ((double)b + 0.5);
-        if (below == 0 || below == count)
-            continue;
-        apart = (all - sum) / (double)(count - below) - sum / (double)below;
-        between = (double)below * (double)(count - below) * apart * apart;
-        if (between > most) {
-            most = between;
-            best = b;
-            *ret_apart = apart / BINS * DARKEST;
-        }
-    }
-    return (double)(best + 1) / BINS * DARKEST;
+    cut = gsn_otsu_cut(histogram, BINS, ret_apart);
+    *ret_apart *= DARKEST / BINS;
+    return (double)cut / BINS * DARKEST;
 }
 
 int gsn_panel_pieces_find(const struct gsn_plane *tissue, double cell_um,
-                          struct gsn_components **ret_pieces, struct gsn_error *err)
+                          struct gsn_components **ret_pieces, uint8_t **ret_thin,
+                          struct gsn_error *err)
 {
     const size_t count = (size_t)tissue->width * tissue->height;
     gsn_auto_mem(float) value = gsn_alloc(count * sizeof *value);
@@ -72,8 +58,8 @@ int gsn_panel_pieces_find(const struct gsn_plane *tissue, double cell_um,
     threshold = (float)threshold_of(value, count, &apart);
     for (size_t i = 0; i < count; i++)
         mask[i] = apart >= TISSUE_LEAST && value[i] >= threshold;
-    return gsn_split_pieces(mask, (int)tissue->width, (int)tissue->height,
-                            (unsigned)(GSN_PANEL_THREAD_UM / cell_um), ret_pieces, err);
+    return gsn_split_pieces(mask, tissue->width, tissue->height,
+                            (unsigned)(GSN_PANEL_THREAD_UM / cell_um), ret_pieces, ret_thin, err);
 }
 
 int gsn_panel_is_dust(const struct gsn_component *piece, const struct gsn_panel_cells *cells)
@@ -87,14 +73,14 @@ double gsn_panel_section_area(const struct gsn_components *pieces,
     double most = 0, area = 0;
 
     for (size_t i = 0; i < pieces->count; i++) {
-        const double own = (double)pieces->piece[i].area;
+        const double own = (double)pieces->component[i].area;
         double sum = 0;
         size_t alike = 0;
 
-        if (gsn_panel_is_dust(&pieces->piece[i], cells))
+        if (gsn_panel_is_dust(&pieces->component[i], cells))
             continue;
         for (size_t k = 0; k < pieces->count; k++) {
-            const double other = (double)pieces->piece[k].area;
+            const double other = (double)pieces->component[k].area;
 
             if (other <= GSN_PANEL_SAME_AREA * own && own <= GSN_PANEL_SAME_AREA * other) {
                 sum += other;

@@ -22,7 +22,7 @@ int gsn_panel_is_hair(const struct gsn_panel_work *panel, const struct gsn_panel
 {
     const double longest = hypot(unit->part.x1 - unit->part.x0, unit->part.y1 - unit->part.y0);
 
-    return panel->pieces->piece[unit->piece].thin &&
+    return panel->thin[unit->piece] &&
            longest * panel->cells.um > HAIR * GSN_PANEL_THREAD_UM;
 }
 
@@ -111,7 +111,7 @@ static void give_fragment(struct gsn_panel_work *panel, size_t i)
 
     if (unit->part.area == 0 || panel->seat[i].place != GSN_NO_PLACE || unit->cut ||
         gsn_panel_share(panel, unit) >= GRID_LEAST || gsn_panel_is_hair(panel, unit) ||
-        gsn_panel_is_dust(&panel->pieces->piece[unit->piece], &panel->cells))
+        gsn_panel_is_dust(&panel->pieces->component[unit->piece], &panel->cells))
         return;
     for (size_t place = 0; place < panel->places; place++) {
         double apart;

@@ -138,7 +138,7 @@ int gsn_panel_list_scraps(const struct gsn_panel_work *panel, struct gsn_scrap *
         int inside;
 
         if (panel->seat[i].place != GSN_NO_PLACE || p->area == 0 ||
-            gsn_panel_is_dust(&panel->pieces->piece[unit->piece], &panel->cells))
+            gsn_panel_is_dust(&panel->pieces->component[unit->piece], &panel->cells))
             continue;
         inside = gsn_panel_grid_place(&panel->grid, gsn_part_centre(p)) != GSN_NO_PLACE;
         if (inside && gsn_panel_is_hair(panel, unit))

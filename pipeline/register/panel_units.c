@@ -126,33 +126,32 @@ static size_t owner(const struct cluster *c, struct gsn_point at)
 
 static void deal(const struct cluster *c, struct gsn_part part[MOST_IN_PIECE])
 {
+    const struct gsn_component *piece = &c->pieces->component[c->piece];
+
     for (size_t i = 0; i < MOST_IN_PIECE; i++)
         part[i] = (struct gsn_part){ 0 };
-    for (size_t i = 0; i < c->pieces->run_count; i++) {
-        const struct gsn_piece_run *run = &c->pieces->run[i];
+    for (size_t i = 0; i < piece->area; i++) {
+        const uint32_t pixel = c->pieces->pixel[piece->first + i];
+        const int x = (int)(pixel % c->pieces->width), y = (int)(pixel / c->pieces->width);
 
-        for (int x = run->x0; run->piece == (int)c->piece && x < run->x1; x++)
-            add_cells(&part[owner(c, (struct gsn_point){ x + 0.5, run->y + 0.5 })], run->y, x,
-                      x + 1);
+        add_cells(&part[owner(c, (struct gsn_point){ x + 0.5, y + 0.5 })], y, x, x + 1);
     }
 }
 
 /* Evenly along the longer axis of the piece. */
 static void seed(struct cluster *c)
 {
-    const struct gsn_component *piece = &c->pieces->piece[c->piece];
+    const struct gsn_component *piece = &c->pieces->component[c->piece];
     double xx = 0, xy = 0, yy = 0, angle, sd;
 
-    for (size_t i = 0; i < c->pieces->run_count; i++) {
-        const struct gsn_piece_run *run = &c->pieces->run[i];
+    for (size_t i = 0; i < piece->area; i++) {
+        const uint32_t pixel = c->pieces->pixel[piece->first + i];
+        const double dx = pixel % c->pieces->width + 0.5 - piece->cx;
+        const double dy = pixel / c->pieces->width + 0.5 - piece->cy;
 
-        for (int x = run->x0; run->piece == (int)c->piece && x < run->x1; x++) {
-            const double dx = x + 0.5 - piece->cx, dy = run->y + 0.5 - piece->cy;
-
-            xx += dx * dx;
-            xy += dx * dy;
-            yy += dy * dy;
-        }
+        xx += dx * dx;
+        xy += dx * dy;
+        yy += dy * dy;
     }
     angle = 0.5 * atan2(2 * xy, xx - yy);
     sd = sqrt((0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy)) / (double)piece->area);
@@ -294,20 +293,20 @@ int gsn_panel_units_find(const struct gsn_components *pieces, double area, doubl
     assert(pieces && area > 0 && ret_units);
 
     for (size_t i = 0; i < pieces->count; i++)
-        room += sections_in(&pieces->piece[i], area, most);
+        room += sections_in(&pieces->component[i], area, most);
     if (units)
         units->unit = gsn_alloc_array(room, sizeof *units->unit);
     if (!units || !units->unit)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a panel");
     for (size_t i = 0; i < pieces->count; i++) {
-        const size_t count = sections_in(&pieces->piece[i], area, most);
+        const size_t count = sections_in(&pieces->component[i], area, most);
         int r = GSN_OK;
 
         if (count > 1)
             r = take_apart(pieces, i, count, sqrt(area), units, err);
         else
             units->unit[units->count++] =
-                (struct gsn_panel_unit){ .part = part_of_piece(&pieces->piece[i]), .piece = i };
+                (struct gsn_panel_unit){ .part = part_of_piece(&pieces->component[i]), .piece = i };
         if (r < 0)
             return r;
     }

@@ -1,290 +1,158 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Method: morphological closing and opening by reconstruction (Serra 1982; Vincent 1993), connected
+ * components (pipeline/imaging).
+ * Steps: (1) the mask in a frame of empty cells is closed with a cross, so things along the border
+ * do not grow; (2) its components; (3) where threads are asked for, the mask is worn down by
+ * crosses and squares in turn, as an octagon does, so that a thread counts the same whichever way
+ * it runs, and grown back inside itself by two cells more, which gives back the outline; what is
+ * then missing of a component that has a wide place was a thread of it; (4) the components of what
+ * is left. */
 #include "pipeline/register/split.h"
 
 #include <assert.h>
 #include <string.h>
 
-void gsn_components_free(struct gsn_components *pieces)
-{
-    if (!pieces)
-        return;
-    gsn_free(pieces->piece);
-    gsn_free(pieces->run);
-    gsn_free(pieces);
-}
+#include "pipeline/imaging/morphology.h"
 
-/* The mask in a frame: dilated and eroded within it, things along the border do not grow. */
 enum { FRAME = 2 };
+/* Structuring elements by their radius: 5 and 9 cells. */
+static const double CROSS = 1, SQUARE = 1.5;
 
+/* A mask in its frame. */
 struct framed {
-    size_t width, height; /* with the frame */
+    uint32_t width, height; /* with the frame */
     uint8_t *cell;
 };
 
-static int frame(const uint8_t *mask, size_t width, size_t height, struct framed *ret)
+static size_t cells_of(const struct framed *mask)
 {
-    *ret = (struct framed){ .width = width + 2 * FRAME, .height = height + 2 * FRAME };
-    ret->cell = gsn_alloc_array(ret->width, ret->height);
-    for (size_t y = 0; ret->cell && y < height; y++)
-        memcpy(ret->cell + (y + FRAME) * ret->width + FRAME, mask + y * width, width);
-    return ret->cell ? GSN_OK : GSN_E_NOMEM;
+    return (size_t)mask->width * mask->height;
 }
 
-/* A cell and its four neighbours, all but the outermost ring. */
-static void grow(const struct framed *from, uint8_t *restrict to)
+/* The row of the mask itself that is y. */
+static uint8_t *row_of(const struct framed *mask, uint32_t y)
 {
-    const size_t w = from->width;
-
-    for (size_t y = 1; y + 1 < from->height; y++) {
-        const uint8_t *c = from->cell + y * w;
-
-        for (size_t x = 1; x + 1 < w; x++)
-            to[y * w + x] = c[x] | c[x - 1] | c[x + 1] | c[x - w] | c[x + w];
-    }
+    return mask->cell + (size_t)(y + FRAME) * mask->width + FRAME;
 }
 
-static void shrink(const struct framed *from, uint8_t *restrict to)
-{
-    const size_t w = from->width;
-
-    for (size_t y = FRAME; y + FRAME < from->height; y++) {
-        const uint8_t *c = from->cell + y * w;
-
-        for (size_t x = FRAME; x + FRAME < w; x++)
-            to[y * w + x] = c[x] & c[x - 1] & c[x + 1] & c[x - w] & c[x + w];
-    }
-}
-
-/* As shrink(), with the diagonal neighbours too; the frame counts as outside. */
-static void shrink_square(const struct framed *from, uint8_t *restrict to)
-{
-    const size_t w = from->width;
-
-    for (size_t y = 1; y + 1 < from->height; y++) {
-        const uint8_t *c = from->cell + y * w;
-
-        for (size_t x = 1; x + 1 < w; x++)
-            to[y * w + x] = c[x] & c[x - 1] & c[x + 1] & c[x - w] & c[x + w] & c[x - w - 1] &
-                            c[x - w + 1] & c[x + w - 1] & c[x + w + 1];
-    }
-}
-
-static size_t count_runs(const struct framed *mask)
-{
-    size_t count = 0;
-
-    for (size_t i = 1; i < mask->width * mask->height; i++)
-        count += mask->cell[i] & !mask->cell[i - 1];
-    return count;
-}
-
-/* The first run of a set of runs; halves the way on each visit. */
-static int root_of(struct gsn_piece_run *run, int i)
-{
-    while (run[i].piece != i) {
-        run[i].piece = run[run[i].piece].piece;
-        i = run[i].piece;
-    }
-    return i;
-}
-
-static void join(struct gsn_piece_run *run, int i, int k)
-{
-    const int a = root_of(run, i), b = root_of(run, k);
-
-    run[a > b ? a : b].piece = a > b ? b : a;
-}
-
-/* Finds the runs of row y from index first on and joins them to those of the row above, which
- * begin at above. Returns the index behind them. */
-static int take_row(const struct framed *mask, int y, struct gsn_piece_run *run, int above,
-                    int first)
-{
-    const uint8_t *row = mask->cell + (size_t)(y + FRAME) * mask->width;
-    const uint8_t *const end = row + mask->width;
-    int next = first, k = above;
-
-    for (const uint8_t *at = memchr(row, 1, mask->width); at;) {
-        const uint8_t *stop = memchr(at, 0, (size_t)(end - at)); /* the frame is 0 */
-        const int x0 = (int)(at - row) - FRAME, x1 = (int)(stop - row) - FRAME;
-
-        run[next] = (struct gsn_piece_run){ .y = y, .x0 = x0, .x1 = x1, .piece = next };
-        while (k < first && run[k].x1 < x0)
-            k++;
-        for (int j = k; j < first && run[j].x0 <= x1; j++)
-            join(run, next, j);
-        next++;
-        at = memchr(stop, 1, (size_t)(end - stop));
-    }
-    return next;
-}
-
-static void add_run(struct gsn_component *piece, const struct gsn_piece_run *run)
-{
-    const int length = run->x1 - run->x0;
-    const int right =
-        piece->area && piece->x + piece->width > run->x1 ? piece->x + piece->width : run->x1;
-
-    if (!piece->area)
-        *piece = (struct gsn_component){ .x = run->x0, .y = run->y };
-    piece->x = run->x0 < piece->x ? run->x0 : piece->x;
-    piece->width = right - piece->x;
-    piece->height = run->y + 1 - piece->y;
-    piece->area += (size_t)length;
-    piece->cx += length * 0.5 * (run->x0 + run->x1); /* sums until all runs are in */
-    piece->cy += length * (run->y + 0.5);
-}
-
-/* Numbers the pieces by their first runs and sums them up. */
-static int number(struct gsn_components *pieces, struct gsn_error *err)
-{
-    struct gsn_piece_run *run = pieces->run;
-    int count = 0;
-
-    for (int i = 0; i < (int)pieces->run_count; i++)
-        pieces->count += run[i].piece == i;
-    pieces->piece = gsn_alloc_array(pieces->count, sizeof *pieces->piece);
-    if (!pieces->piece)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    /* A parent comes before its children, so it has its number already. */
-    for (int i = 0; i < (int)pieces->run_count; i++) {
-        run[i].piece = run[i].piece == i ? count++ : run[run[i].piece].piece;
-        add_run(&pieces->piece[run[i].piece], &run[i]);
-    }
-    for (size_t i = 0; i < pieces->count; i++) {
-        pieces->piece[i].cx /= (double)pieces->piece[i].area;
-        pieces->piece[i].cy /= (double)pieces->piece[i].area;
-    }
-    return GSN_OK;
-}
-
-static int find_pieces(const struct framed *mask, int height, struct gsn_components **ret_pieces,
+static int find_pieces(const struct framed *mask, struct gsn_components **ret_pieces,
                        struct gsn_error *err)
 {
-    gsn_auto(gsn_components) pieces = gsn_alloc_array(1, sizeof *pieces);
-    int above = 0, first = 0, r;
+    const uint32_t width = mask->width - 2 * FRAME, height = mask->height - 2 * FRAME;
+    gsn_auto_mem(uint8_t) bare = gsn_alloc((size_t)width * height);
 
-    if (pieces) {
-        pieces->run_count = count_runs(mask);
-        pieces->run = gsn_alloc_array(pieces->run_count, sizeof *pieces->run);
-    }
-    if (!pieces || !pieces->run)
+    if (!bare)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    for (int y = 0; y < height; y++) {
-        const int next = take_row(mask, y, pieces->run, above, first);
-
-        above = first;
-        first = next;
-    }
-    r = number(pieces, err);
-    if (r < 0)
-        return r;
-    *ret_pieces = gsn_steal(&pieces);
-    return GSN_OK;
+    for (uint32_t y = 0; y < height; y++)
+        memcpy(bare + (size_t)y * width, row_of(mask, y), width);
+    return gsn_components_find(bare, width, height, ret_pieces, err);
 }
 
-static void swap(uint8_t **a, uint8_t **b)
+/* wide becomes the cells of mask that are wider than a thread, and two more around them. */
+static int widen(const struct framed *mask, unsigned thread, uint8_t *wide, struct gsn_error *err)
 {
-    uint8_t *const kept = *a;
-
-    *a = *b;
-    *b = kept;
-}
-
-/* The cells of mask that are wider than a thread, and two more around them, which gives back the
- * outline; in wide. Squares and crosses in turn wear a mask down as an octagon does, so a thread
- * counts the same whichever way it runs. */
-static void widen(const struct framed *mask, unsigned thread, uint8_t **wide, uint8_t **spare)
-{
-    const size_t cells = mask->width * mask->height;
     const unsigned turns = (thread + 1) / 2;
-    struct framed now = *mask;
+    int r = GSN_OK;
 
-    for (unsigned i = 0; i < turns; i++) {
-        memset(*spare, 0, cells);
-        (i % 2 ? shrink_square : shrink)(&now, *spare);
-        swap(wide, spare);
-        now.cell = *wide;
+    for (unsigned i = 0; r >= 0 && i < turns; i++)
+        r = gsn_erode(wide, mask->width, mask->height, i % 2 ? SQUARE : CROSS, err);
+    for (unsigned i = 0; r >= 0 && i < turns + 2; i++) {
+        r = gsn_dilate(wide, mask->width, mask->height, CROSS, err);
+        for (size_t k = 0; k < cells_of(mask); k++)
+            wide[k] &= mask->cell[k];
     }
-    for (unsigned i = 0; i < turns + 2; i++) {
-        memset(*spare, 0, cells);
-        grow(&now, *spare);
-        for (size_t k = 0; k < cells; k++)
-            (*spare)[k] &= mask->cell[k];
-        swap(wide, spare);
-        now.cell = *wide;
-    }
-}
-
-/* Marks the pieces of the mask that have no wide place. */
-static void mark_thin(struct gsn_components *pieces, const struct framed *mask, const uint8_t *wide)
-{
-    for (size_t i = 0; i < pieces->count; i++)
-        pieces->piece[i].thin = 1;
-    for (size_t i = 0; i < pieces->run_count; i++) {
-        const struct gsn_piece_run *run = &pieces->run[i];
-        const uint8_t *row = wide + (size_t)(run->y + FRAME) * mask->width + FRAME;
-
-        if (memchr(row + run->x0, 1, (size_t)(run->x1 - run->x0)))
-            pieces->piece[run->piece].thin = 0;
-    }
-}
-
-/* Takes the threads out of the mask that hang on something wide. */
-static int cut_threads(struct framed *mask, int height, unsigned thread,
-                       struct gsn_components **pieces, struct gsn_error *err)
-{
-    const size_t cells = mask->width * mask->height;
-    gsn_auto_mem(uint8_t) wide = gsn_alloc(cells);
-    gsn_auto_mem(uint8_t) spare = gsn_alloc(cells);
-    int r;
-
-    if (!wide || !spare)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    memcpy(wide, mask->cell, cells);
-    widen(mask, thread, &wide, &spare);
-    mark_thin(*pieces, mask, wide);
-    for (size_t i = 0; i < (*pieces)->run_count; i++) {
-        const struct gsn_piece_run *run = &(*pieces)->run[i];
-        const size_t at = (size_t)(run->y + FRAME) * mask->width + FRAME + (size_t)run->x0;
-
-        if (!(*pieces)->piece[run->piece].thin)
-            memcpy(mask->cell + at, wide + at, (size_t)(run->x1 - run->x0));
-    }
-    gsn_components_free(*pieces);
-    *pieces = NULL;
-    r = find_pieces(mask, height, pieces, err);
-    if (r >= 0)
-        mark_thin(*pieces, mask, wide);
     return r;
 }
 
-int gsn_split_pieces(const uint8_t *mask, int width, int height, unsigned thread,
-                     struct gsn_components **ret_pieces, struct gsn_error *err)
+/* The place in the frame of a pixel of a component. */
+static size_t place_of(const struct framed *mask, const struct gsn_components *pieces, size_t pixel)
 {
-    struct framed framed;
-    gsn_auto_mem(uint8_t) one = NULL;
-    gsn_auto_mem(uint8_t) other = NULL;
+    return (size_t)(pixel / pieces->width + FRAME) * mask->width + pixel % pieces->width + FRAME;
+}
+
+/* gives: for each component whether it has no wide place. NULL: no memory. */
+static uint8_t *find_thin(const struct gsn_components *pieces, const struct framed *mask,
+                          const uint8_t *wide)
+{
+    uint8_t *thin = gsn_alloc_array(pieces->count, 1);
+
+    for (size_t i = 0; thin && i < pieces->count; i++) {
+        const uint32_t *pixel = pieces->pixel + pieces->component[i].first;
+        int any = 0;
+
+        for (size_t k = 0; k < pieces->component[i].area; k++)
+            any |= wide[place_of(mask, pieces, pixel[k])];
+        thin[i] = !any;
+    }
+    return thin;
+}
+
+/* Takes the threads out of the mask that hang on something wide; the pieces that are left. */
+static int cut_threads(struct framed *mask, unsigned thread, struct gsn_components **pieces,
+                       uint8_t **ret_thin, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) wide = gsn_memdup(mask->cell, cells_of(mask));
+    gsn_auto_mem(uint8_t) thin = NULL;
+    int r = wide ? widen(mask, thread, wide, err) : GSN_OK;
+
+    if (r < 0)
+        return r;
+    thin = wide ? find_thin(*pieces, mask, wide) : NULL;
+    if (!thin)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
+    for (size_t i = 0; i < (*pieces)->count; i++) {
+        const uint32_t *pixel = (*pieces)->pixel + (*pieces)->component[i].first;
+
+        for (size_t k = 0; !thin[i] && k < (*pieces)->component[i].area; k++) {
+            const size_t at = place_of(mask, *pieces, pixel[k]);
+
+            mask->cell[at] = wide[at];
+        }
+    }
+    gsn_components_free(*pieces);
+    *pieces = NULL;
+    r = find_pieces(mask, pieces, err);
+    if (r < 0)
+        return r;
+    *ret_thin = find_thin(*pieces, mask, wide);
+    return *ret_thin ? GSN_OK
+                     : gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
+}
+
+int gsn_split_pieces(const uint8_t *mask, uint32_t width, uint32_t height, unsigned thread,
+                     struct gsn_components **ret_pieces, uint8_t **ret_thin,
+                     struct gsn_error *err)
+{
+    struct framed framed = { .width = width + 2 * FRAME, .height = height + 2 * FRAME };
+    gsn_auto_mem(uint8_t) cell = gsn_alloc_array(framed.width, framed.height);
+    gsn_auto_mem(uint8_t) thin = NULL;
     gsn_auto(gsn_components) pieces = NULL;
     int r;
 
     assert(mask && width > 0 && height > 0 && ret_pieces);
 
-    if (frame(mask, (size_t)width, (size_t)height, &framed) < 0)
+    if (!cell)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    one = framed.cell;
-    other = gsn_alloc_array(framed.width, framed.height);
-    if (!other)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
-    grow(&framed, other);
-    framed.cell = other;
-    shrink(&framed, one);
-    framed.cell = one;
-    r = find_pieces(&framed, height, &pieces, err);
+    framed.cell = cell;
+    for (uint32_t y = 0; y < height; y++)
+        memcpy(row_of(&framed, y), mask + (size_t)y * width, width);
+    r = gsn_dilate(cell, framed.width, framed.height, CROSS, err);
+    if (r >= 0)
+        r = gsn_erode(cell, framed.width, framed.height, CROSS, err);
+    if (r >= 0)
+        r = find_pieces(&framed, &pieces, err);
     if (r >= 0 && thread > 0)
-        r = cut_threads(&framed, height, thread, &pieces, err);
+        r = cut_threads(&framed, thread, &pieces, &thin, err);
+    if (r >= 0 && !thin) {
+        thin = gsn_alloc_array(pieces->count, 1);
+        if (!thin)
+            r = gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
+    }
     if (r < 0)
         return r;
+    if (ret_thin)
+        *ret_thin = gsn_steal(&thin);
     *ret_pieces = gsn_steal(&pieces);
     return GSN_OK;
 }

@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/imaging/components.h"
+
 /* Cells of whole pixels of about this size. A grain is told whole from what lies twice its radius
  * away: NEAR for specks of up to 40 um in a busy tissue, FAR for those of up to a tenth of a
  * millimetre. */
@@ -174,43 +176,12 @@ int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px
 
 /* ---- spots --------------------------------------------------------------------------------- */
 
-struct box {
-    uint32_t x0, y0, x1, y1;
-    size_t cells;
-};
-
-/* Takes the piece that holds a cell out of the map. stack: as many as there are cells. */
-static struct box take_piece(const struct gsn_dust *dust, uint8_t *map, uint32_t *stack, size_t at)
+static struct gsn_mask_disc spot_of(const struct gsn_dust *dust, const struct gsn_component *piece)
 {
-    struct box box = { UINT32_MAX, UINT32_MAX, 0, 0, 0 };
-    size_t depth = 0;
+    const double across = fmax(piece->width, piece->height);
 
-    map[at] = 0;
-    stack[depth++] = (uint32_t)at;
-    while (depth > 0) {
-        const uint32_t i = stack[--depth], x = i % dust->nx, y = i / dust->nx;
-
-        box.x0 = x < box.x0 ? x : box.x0;
-        box.x1 = x > box.x1 ? x : box.x1;
-        box.y0 = y < box.y0 ? y : box.y0;
-        box.y1 = y > box.y1 ? y : box.y1;
-        box.cells++;
-        for (uint32_t v = y > 0 ? y - 1 : 0; v <= y + 1 && v < dust->ny; v++)
-            for (uint32_t u = x > 0 ? x - 1 : 0; u <= x + 1 && u < dust->nx; u++)
-                if (map[(size_t)v * dust->nx + u]) {
-                    map[(size_t)v * dust->nx + u] = 0;
-                    stack[depth++] = v * dust->nx + u;
-                }
-    }
-    return box;
-}
-
-static struct gsn_mask_disc spot_of(const struct gsn_dust *dust, const struct box *box)
-{
-    const double across = fmax(box->x1 - box->x0 + 1, box->y1 - box->y0 + 1);
-
-    return (struct gsn_mask_disc){ .px = { (box->x0 + box->x1 + 1) * 0.5 * dust->side,
-                                           (box->y0 + box->y1 + 1) * 0.5 * dust->side },
+    return (struct gsn_mask_disc){ .px = { (piece->x + 0.5 * piece->width) * dust->side,
+                                           (piece->y + 0.5 * piece->height) * dust->side },
                                    .radius_px = (across / 2 + MARGIN) * dust->side };
 }
 
@@ -219,22 +190,24 @@ int gsn_dust_find(const struct gsn_dust *dust, struct gsn_mask_disc **ret_spot, 
 {
     const size_t cells = (size_t)dust->nx * dust->ny;
     gsn_auto_mem(uint8_t) map = gsn_alloc_array(cells + 1, 1);
-    gsn_auto_mem(uint32_t) stack = gsn_alloc_array(cells + 1, sizeof *stack);
+    gsn_auto(gsn_components) pieces = NULL;
     gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
     size_t count = 0, seeds = 0;
 
     for (size_t i = 0; map && dust->panels >= LEAST_PANELS && i < cells; i++)
         seeds += map[i] = dust->least[i] > 0;
     spot = gsn_alloc_array(seeds / LEAST_CELLS + 1, sizeof *spot);
-    if (!map || !stack || !spot)
+    if (!map || !spot)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
-    for (size_t i = 0; seeds > 0 && i < cells; i++)
-        if (map[i]) {
-            const struct box box = take_piece(dust, map, stack, i);
+    if (seeds > 0) {
+        const int r = gsn_components_find(map, dust->nx, dust->ny, &pieces, err);
 
-            if (box.cells >= LEAST_CELLS)
-                spot[count++] = spot_of(dust, &box);
-        }
+        if (r < 0)
+            return r;
+        for (size_t i = 0; i < pieces->count; i++)
+            if (pieces->component[i].area >= LEAST_CELLS)
+                spot[count++] = spot_of(dust, &pieces->component[i]);
+    }
     *ret_spot = gsn_steal(&spot);
     *ret_count = count;
     *ret_panels = dust->panels;

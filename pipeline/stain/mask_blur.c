@@ -12,6 +12,8 @@
 #include <string.h>
 
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/filter.h"
+#include "pipeline/imaging/morphology.h"
 
 enum {
     WINDOW = 8, /* cells to either side: 17 x 17 tell the ratio to about a tenth */
@@ -49,7 +51,7 @@ static int inner_tissue(const struct gsn_mask_cells *cells, uint8_t **ret_set,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     for (size_t i = 0; i < count; i++)
         set[i] = cells->tissue[i] && !cells->label[i];
-    r = gsn_mask_cells_erode(cells, set, (COARSE + 1) * cells->um, err);
+    r = gsn_erode(set, cells->nx, cells->ny, COARSE + 1, err);
     if (r >= 0)
         *ret_set = gsn_steal(&set);
     return r;
@@ -80,7 +82,7 @@ static void take_detail(const struct gsn_mask_cells *cells, const uint8_t *inner
 static int smooth_in_place(struct gsn_plane **plane, struct gsn_error *err)
 {
     struct gsn_plane *smooth;
-    const int r = gsn_mask_cells_smooth(*plane, WINDOW, &smooth, err);
+    const int r = gsn_box_mean(*plane, WINDOW, &smooth, err);
 
     if (r < 0)
         return r;
@@ -94,7 +96,7 @@ static int measure_detail(const struct gsn_mask_cells *cells, const uint8_t *inn
 {
     struct gsn_plane **const planes[] = { &d->fine, &d->coarse, &d->noise, &d->share };
     gsn_auto(gsn_plane) broad = NULL;
-    int r = gsn_mask_cells_smooth(cells->od[1], COARSE, &broad, err);
+    int r = gsn_box_mean(cells->od[1], COARSE, &broad, err);
 
     for (size_t i = 0; r >= 0 && i < 4; i++)
         r = gsn_plane_new(cells->nx, cells->ny, planes[i], err);
@@ -157,10 +159,10 @@ int gsn_mask_blur(struct gsn_mask_cells *cells, const struct gsn_plane *sharpnes
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     for (size_t i = 0; i < count; i++)
         set[i] = sharpness->value[i] < BLURRED * usual; /* false for NaN */
-    r = gsn_mask_cells_erode(cells, set, LEAST_BLUR_UM / 2, err);
+    r = gsn_erode(set, cells->nx, cells->ny, LEAST_BLUR_UM / 2 / cells->um, err);
     /* Most of the window at the border of a blurred place must be blurred to be told. */
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, set, LEAST_BLUR_UM / 2 + 0.75 * WINDOW * cells->um, err);
+        r = gsn_dilate(set, cells->nx, cells->ny, LEAST_BLUR_UM / 2 / cells->um + 0.75 * WINDOW, err);
     for (size_t i = 0; i < count; i++)
         set[i] &= cells->outline[i];
     if (r >= 0)

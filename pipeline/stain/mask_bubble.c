@@ -8,6 +8,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/imaging/filter.h"
+
 enum {
     BIN = 2, /* cells per bin of the vote, per axis */
     DIRECTIONS = 72,
@@ -164,7 +166,7 @@ int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto(gsn_plane) dark = NULL;
     gsn_auto_mem(uint32_t) votes = gsn_alloc_array(nx * ny, sizeof *votes);
     gsn_auto_mem(uint8_t) set = gsn_alloc_array((size_t)cells->nx * cells->ny, 1);
-    const int r = votes && set ? gsn_mask_cells_smooth(cells->dark, 1, &dark, err)
+    const int r = votes && set ? gsn_box_mean(cells->dark, 1, &dark, err)
                                : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     if (r < 0)

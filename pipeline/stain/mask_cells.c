@@ -4,6 +4,10 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/imaging/components.h"
+#include "pipeline/imaging/filter.h"
+#include "pipeline/imaging/morphology.h"
+
 /* Cells no larger than this resolve a hair and the char of a mark; finer ones only cost time. */
 static const double CELL_UM = 21.5;
 
@@ -168,7 +172,7 @@ static int explain(struct gsn_mask_cells *cells, const struct gsn_dyes *dyes, st
     for (size_t i = 0; r >= 0 && i < count; i++)
         cells->red->value[i] *= (float)dyes->full_red_od;
     for (int c = 0; c < 3 && r >= 0; c++)
-        r = gsn_mask_cells_smooth(cells->od[c], 1, &cells->even[c], err);
+        r = gsn_box_mean(cells->od[c], 1, &cells->even[c], err);
     if (r >= 0)
         r = find_foreign(cells, cells->even, dyes, err);
     if (r >= 0)
@@ -184,14 +188,14 @@ static int explain(struct gsn_mask_cells *cells, const struct gsn_dyes *dyes, st
 /* Whether a piece has colour: stained tissue has dye in it, a smear, a shadow or a line has none.
  */
 static int has_colour(const struct gsn_mask_cells *cells,
-                      const struct gsn_mask_cells_pieces *pieces,
-                      const struct gsn_mask_cells_piece *piece)
+                      const struct gsn_components *pieces,
+                      const struct gsn_component *piece)
 {
     double mean[3] = { 0 };
 
-    for (size_t i = 0; i < piece->count; i++)
+    for (size_t i = 0; i < piece->area; i++)
         for (int c = 0; c < 3; c++)
-            mean[c] += cells->od[c]->value[pieces->cell[piece->first + i]] / (double)piece->count;
+            mean[c] += cells->od[c]->value[pieces->pixel[piece->first + i]] / (double)piece->area;
 
     const double most = fmax(mean[0], fmax(mean[1], mean[2]));
     const double least = fmin(mean[0], fmin(mean[1], mean[2]));
@@ -203,27 +207,27 @@ static int has_colour(const struct gsn_mask_cells *cells,
 static int find_tissue(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
-    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
+    gsn_auto(gsn_components) pieces = NULL;
     size_t largest = 0;
     int r;
 
     for (size_t i = 0; i < count; i++)
         cells->tissue[i] = cells->total->value[i] > cells->clear;
-    r = gsn_mask_cells_pieces(cells, cells->tissue, &pieces, err);
+    r = gsn_components_find(cells->tissue, cells->nx, cells->ny, &pieces, err);
     if (r < 0)
         return r;
     memset(cells->tissue, 0, count);
     for (size_t p = 0; p < pieces->count; p++)
-        if (!has_colour(cells, pieces, &pieces->piece[p]))
-            pieces->piece[p].count = 0;
+        if (!has_colour(cells, pieces, &pieces->component[p]))
+            pieces->component[p].area = 0;
     for (size_t p = 0; p < pieces->count; p++)
-        largest = pieces->piece[p].count > largest ? pieces->piece[p].count : largest;
+        largest = pieces->component[p].area > largest ? pieces->component[p].area : largest;
     if ((double)largest * cells->um * cells->um < LEAST_SECTION_UM2)
         return GSN_OK;
     for (size_t p = 0; p < pieces->count; p++)
-        for (size_t i = 0; i < pieces->piece[p].count; i++)
-            if ((double)pieces->piece[p].count >= LEAST_PIECE * (double)largest)
-                cells->tissue[pieces->cell[pieces->piece[p].first + i]] = 1;
+        for (size_t i = 0; i < pieces->component[p].area; i++)
+            if ((double)pieces->component[p].area >= LEAST_PIECE * (double)largest)
+                cells->tissue[pieces->pixel[pieces->component[p].first + i]] = 1;
     return GSN_OK;
 }
 
@@ -232,10 +236,10 @@ static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
     int r;
 
     memcpy(cells->outline, cells->tissue, (size_t)cells->nx * cells->ny);
-    r = gsn_mask_cells_dilate(cells, cells->outline, CLEFT_UM, err);
+    r = gsn_dilate(cells->outline, cells->nx, cells->ny, CLEFT_UM / cells->um, err);
     if (r >= 0)
-        r = gsn_mask_cells_erode(cells, cells->outline, CLEFT_UM, err);
-    return r < 0 ? r : gsn_mask_cells_fill_holes(cells, cells->outline, err);
+        r = gsn_erode(cells->outline, cells->nx, cells->ny, CLEFT_UM / cells->um, err);
+    return r < 0 ? r : gsn_fill_holes(cells->outline, cells->nx, cells->ny, err);
 }
 
 int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_absorber *absorber,

@@ -46,36 +46,6 @@ GSN_DEFINE_AUTO(gsn_mask_cells);
 int gsn_mask_own_hues(struct gsn_mask_cells *const *cells, size_t count, const struct gsn_dyes *own,
                       struct gsn_error *err);
 
-/* gives: the mean over (2 r + 1)^2 cells, fewer at the border. Fails with GSN_E_NOMEM. */
-int gsn_mask_cells_smooth(const struct gsn_plane *plane, uint32_t r, struct gsn_plane **ret_smooth,
-                          struct gsn_error *err);
-
-/* In place: what lies within um of the set, or deeper than um in it, or both in turn. */
-int gsn_mask_cells_dilate(const struct gsn_mask_cells *cells, uint8_t *set, double um,
-                          struct gsn_error *err);
-int gsn_mask_cells_erode(const struct gsn_mask_cells *cells, uint8_t *set, double um,
-                         struct gsn_error *err);
-
-/* A connected piece (8 neighbours). */
-struct gsn_mask_cells_piece {
-    size_t first, count;     /* in the list of cells */
-    double x, y;             /* centre of area, in cells */
-    double length, breadth;  /* 4 standard deviations along and across its axis, in cells */
-    double along_x, along_y; /* unit vector of that axis */
-};
-
-struct gsn_mask_cells_pieces {
-    size_t count;
-    struct gsn_mask_cells_piece *piece;
-    uint32_t *cell; /* indices, piece by piece */
-};
-
-/* gives. Fails with GSN_E_NOMEM. */
-int gsn_mask_cells_pieces(const struct gsn_mask_cells *cells, const uint8_t *set,
-                          struct gsn_mask_cells_pieces **ret_pieces, struct gsn_error *err);
-void gsn_mask_cells_pieces_free(struct gsn_mask_cells_pieces *pieces);
-GSN_DEFINE_AUTO(gsn_mask_cells_pieces);
-
 /* Sets the bit where set is 1. */
 void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum gsn_defect defect);
 
@@ -87,11 +57,6 @@ int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure,
  * Fails with GSN_E_NOMEM. */
 int gsn_mask_cells_broad(const struct gsn_mask_cells *cells, uint8_t *set, double half_um,
                          struct gsn_error *err);
-/* Adds what no way of glass from the border reaches. The rim must be glass. Fails with GSN_E_NOMEM.
- */
-int gsn_mask_cells_fill_holes(const struct gsn_mask_cells *cells, uint8_t *set,
-                              struct gsn_error *err);
-
 /* The detectors, each of which sets its own bit; all fail with GSN_E_NOMEM only. */
 int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err);
 int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err);

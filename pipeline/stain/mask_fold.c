@@ -10,6 +10,8 @@
 #include <math.h>
 
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/filter.h"
+#include "pipeline/imaging/morphology.h"
 
 enum {
     ANGLES = 16,
@@ -180,10 +182,10 @@ static int fit_places(const struct gsn_mask_cells *cells, struct line *ret_line,
 {
     gsn_auto(gsn_plane) red = NULL;
     gsn_auto(gsn_plane) yellow = NULL;
-    int r = gsn_mask_cells_smooth(cells->red, PLACE, &red, err);
+    int r = gsn_box_mean(cells->red, PLACE, &red, err);
 
     if (r >= 0)
-        r = gsn_mask_cells_smooth(cells->yellow, PLACE, &yellow, err);
+        r = gsn_box_mean(cells->yellow, PLACE, &yellow, err);
     if (r >= 0)
         *ret_fitted = fit_line(cells, red, yellow, ret_line);
     return r;
@@ -201,9 +203,9 @@ static int measure_thickness(const struct gsn_mask_cells *cells, struct gsn_plan
 
     if (r < 0 || !fitted)
         return r;
-    r = gsn_mask_cells_smooth(cells->red, 1, &thick, err);
+    r = gsn_box_mean(cells->red, 1, &thick, err);
     if (r >= 0)
-        r = gsn_mask_cells_smooth(cells->yellow, 1, &yellow, err);
+        r = gsn_box_mean(cells->yellow, 1, &yellow, err);
     for (size_t i = 0; r >= 0 && i < (size_t)cells->nx * cells->ny; i++)
         thick->value[i] = (float)(yellow->value[i] + line.k * thick->value[i]);
     if (r >= 0)
@@ -239,7 +241,7 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
     }
     r = gsn_mask_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, weak, 1.5 * cells->um, err);
+        r = gsn_dilate(weak, cells->nx, cells->ny, 1.5, err);
     if (r >= 0)
         gsn_mask_cells_mark(cells, weak, GSN_DEFECT_FOLD);
     return r;

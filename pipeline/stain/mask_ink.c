@@ -5,6 +5,8 @@
 
 #include <math.h>
 
+#include "pipeline/imaging/morphology.h"
+
 /* Felt pens absorb as strongly as the darkest stain; paler foreign colour is dirt or JPEG. */
 #define INK_OD 0.35
 /* The dye vectors of a slide are known to about 4 degrees (a tangent of 0.07), and codes of 8 bits
@@ -87,7 +89,7 @@ int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = gsn_mask_cells_grow(cells, sure, weak, FADES_UM, err);
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, weak, SMEAR_UM, err);
+        r = gsn_dilate(weak, cells->nx, cells->ny, SMEAR_UM / cells->um, err);
     if (r >= 0)
         gsn_mask_cells_mark(cells, weak, GSN_DEFECT_INK);
     return r;
@@ -106,12 +108,12 @@ int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err)
     core = r >= 0 ? gsn_memdup(clear, count) : NULL;
     if (!core)
         return r < 0 ? r : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    r = gsn_mask_cells_erode(cells, core, LEAST_VOID_UM / 2, err);
+    r = gsn_erode(core, cells->nx, cells->ny, LEAST_VOID_UM / 2 / cells->um, err);
     if (r >= 0)
         r = gsn_mask_cells_grow(cells, core, clear, 1e9, err);
     /* The cells at its border hold glass too. */
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, clear, 1.5 * cells->um, err);
+        r = gsn_dilate(clear, cells->nx, cells->ny, 1.5, err);
     for (size_t i = 0; i < count; i++)
         clear[i] &= cells->outline[i];
     if (r >= 0)

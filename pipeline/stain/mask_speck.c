@@ -10,6 +10,10 @@
 
 #include <math.h>
 
+#include "pipeline/imaging/components.h"
+#include "pipeline/imaging/filter.h"
+#include "pipeline/imaging/morphology.h"
+
 enum {
     ANGLES = 16,
     REACH = 7, /* cells of a line to either side */
@@ -113,16 +117,16 @@ static int on_line(const struct gsn_mask_cells *cells, const struct star *star, 
 static int sort_lines(struct gsn_mask_cells *cells, const uint8_t *lines, uint8_t *edges,
                       uint8_t *hairs, struct gsn_error *err)
 {
-    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
-    const int r = gsn_mask_cells_pieces(cells, lines, &pieces, err);
+    gsn_auto(gsn_components) pieces = NULL;
+    const int r = gsn_components_find(lines, cells->nx, cells->ny, &pieces, err);
 
     for (size_t p = 0; r >= 0 && p < pieces->count; p++) {
-        const struct gsn_mask_cells_piece *piece = &pieces->piece[p];
+        const struct gsn_component *piece = &pieces->component[p];
         const int straight = piece->length * cells->um > EDGE_LENGTH_UM &&
                              piece->breadth * cells->um < EDGE_BREADTH_UM;
 
-        for (size_t i = 0; i < piece->count && piece->length * cells->um > LEAST_LINE_UM; i++)
-            (straight ? edges : hairs)[pieces->cell[piece->first + i]] = 1;
+        for (size_t i = 0; i < piece->area && piece->length * cells->um > LEAST_LINE_UM; i++)
+            (straight ? edges : hairs)[pieces->pixel[piece->first + i]] = 1;
     }
     return r;
 }
@@ -135,7 +139,7 @@ static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto_mem(uint8_t) edges = gsn_alloc_array(count, 1);
     gsn_auto_mem(uint8_t) hairs = gsn_alloc_array(count, 1);
     const struct star star = draw_star();
-    int r = lines && edges && hairs ? gsn_mask_cells_smooth(cells->od[0], AROUND, &around, err)
+    int r = lines && edges && hairs ? gsn_box_mean(cells->od[0], AROUND, &around, err)
                                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     for (size_t i = 0; r >= 0 && i < count; i++)
@@ -145,9 +149,9 @@ static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = sort_lines(cells, lines, edges, hairs, err);
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, edges, LINE_WIDE_UM, err);
+        r = gsn_dilate(edges, cells->nx, cells->ny, LINE_WIDE_UM / cells->um, err);
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, hairs, LINE_WIDE_UM, err);
+        r = gsn_dilate(hairs, cells->nx, cells->ny, LINE_WIDE_UM / cells->um, err);
     if (r >= 0)
         gsn_mask_cells_mark(cells, edges, GSN_DEFECT_EDGE);
     if (r >= 0)
@@ -159,20 +163,20 @@ static int find_grains(struct gsn_mask_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) dark = NULL;
-    gsn_auto(gsn_mask_cells_pieces) pieces = NULL;
+    gsn_auto(gsn_components) pieces = NULL;
     gsn_auto_mem(uint8_t) grains = gsn_alloc_array(count, 1);
-    int r = grains ? gsn_mask_cells_smooth(cells->dark, 1, &dark, err)
+    int r = grains ? gsn_box_mean(cells->dark, 1, &dark, err)
                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 
     for (size_t i = 0; r >= 0 && i < count; i++)
         grains[i] = !(cells->label[i] & ~GSN_DEFECT_BUBBLE) && dark->value[i] > GRAIN_OD;
     if (r >= 0)
-        r = gsn_mask_cells_pieces(cells, grains, &pieces, err);
+        r = gsn_components_find(grains, cells->nx, cells->ny, &pieces, err);
     for (size_t p = 0; r >= 0 && p < pieces->count; p++)
-        for (size_t i = 0; i < pieces->piece[p].count && pieces->piece[p].count < LEAST_GRAIN; i++)
-            grains[pieces->cell[pieces->piece[p].first + i]] = 0;
+        for (size_t i = 0; i < pieces->component[p].area && pieces->component[p].area < LEAST_GRAIN; i++)
+            grains[pieces->pixel[pieces->component[p].first + i]] = 0;
     if (r >= 0)
-        r = gsn_mask_cells_dilate(cells, grains, GRAIN_WIDE_UM, err);
+        r = gsn_dilate(grains, cells->nx, cells->ny, GRAIN_WIDE_UM / cells->um, err);
     if (r >= 0)
         gsn_mask_cells_mark(cells, grains, GSN_DEFECT_DEBRIS);
     return r;

@@ -3,33 +3,9 @@
 
 #include <math.h>
 
+#include "pipeline/imaging/threshold.h"
+
 enum { STEPS = 512 };
-
-/* Otsu's criterion for cutting the histogram behind each bin; the best cut lies in the middle of
- * equally good ones, as between two well parted classes. */
-static size_t best_cut(const size_t bin[STEPS], size_t count)
-{
-    double all = 0, best = -1, below = 0, sum = 0;
-    size_t first = 0, last = 0;
-
-    for (size_t i = 0; i < STEPS; i++)
-        all += (double)i * (double)bin[i];
-    for (size_t i = 0; i + 1 < STEPS; i++) {
-        below += (double)bin[i];
-        sum += (double)i * (double)bin[i];
-        const double above = (double)count - below;
-        const double gap = all * below / (double)count - sum;
-        const double between = below > 0 && above > 0 ? gap * gap / (below * above) : 0;
-
-        if (between > best) {
-            best = between;
-            first = i;
-        }
-        if (between >= best)
-            last = i;
-    }
-    return (first + last) / 2 + 1;
-}
 
 double gsn_otsu(const float *values, size_t count)
 {
@@ -50,7 +26,7 @@ double gsn_otsu(const float *values, size_t count)
 
         bin[at < STEPS ? at : STEPS - 1]++;
     }
-    return low + (high - low) * (double)best_cut(bin, count) / STEPS;
+    return low + (high - low) * (double)gsn_otsu_cut(bin, STEPS, NULL) / STEPS;
 }
 
 int gsn_plane_above(const struct gsn_plane *plane, double threshold, struct gsn_image **ret_map,

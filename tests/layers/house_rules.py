@@ -21,8 +21,9 @@ LAYERS = {
     "acquire": ("pipeline/core",),
     "storage": ("pipeline/core",),
     "pipeline/decode": ("pipeline/core",),
-    "pipeline/register": ("pipeline/core",),
-    "pipeline/stain": ("pipeline/core",),
+    "pipeline/imaging": ("pipeline/core",),
+    "pipeline/register": ("pipeline/core", "pipeline/imaging"),
+    "pipeline/stain": ("pipeline/core", "pipeline/imaging"),
     "pipeline/model": ("pipeline/core",),
     "pipeline/measure": ("pipeline/core", "pipeline/model"),
     "pipeline/render": ("pipeline/core", "pipeline/model"),
@@ -38,7 +39,7 @@ LAYERS = {
 # foreign header -> the only files that may name it
 FOREIGN = {
     r"sqlite3\.h": r"^storage/",
-    r"opencv2/.*": r"^pipeline/.*_opencv\.cpp$",
+    r"opencv2/.*": r"^pipeline/imaging/",
     r"dmtx\.h": r"^pipeline/(decode/codes|phantom/matrix)\.c$",
     r"zbar\.h": r"^pipeline/decode/codes\.c$",
     r"gsl/.*": r"^pipeline/core/(linalg|robust|distributions|gsl_door)\.c$",

@@ -58,14 +58,14 @@ TEST(pieces_are_those_of_a_flood_fill)
         for (int i = 0; i < CELLS; i++)
             if (shut[i] && !label[i])
                 flood(shut, i % WIDTH, i / WIDTH, ++count, label);
-        CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &pieces, &err), err);
+        CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &pieces, NULL, &err), err);
         CHECK(pieces->count == (size_t)count);
-        for (size_t i = 0; i < pieces->run_count; i++)
-            for (int x = pieces->run[i].x0; x < pieces->run[i].x1; x++)
-                seen[pieces->run[i].y * WIDTH + x] = pieces->run[i].piece + 1;
+        for (size_t i = 0; i < pieces->count; i++)
+            for (size_t k = 0; k < pieces->component[i].area; k++)
+                seen[pieces->pixel[pieces->component[i].first + k]] = (int)i + 1;
         assert_memory_equal(seen, label, sizeof label);
         for (size_t i = 0; i < pieces->count; i++)
-            cells += pieces->piece[i].area;
+            cells += pieces->component[i].area;
         for (int i = 0; i < CELLS; i++)
             cells -= (size_t)shut[i];
         CHECK(cells == 0);
@@ -82,13 +82,13 @@ TEST(box_and_centre_are_those_of_the_piece)
     for (int i = 0; i < 24; i++)
         mask[(10 + i / 6) * WIDTH + 20 + i % 6] = 1;
     mask[CELLS - 1] = 1;
-    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &pieces, &err), err);
-    CHECK(pieces->count == 2 && pieces->piece[0].area == 24 && pieces->piece[1].area == 1);
-    CHECK(pieces->piece[0].x == 20 && pieces->piece[0].y == 10);
-    CHECK(pieces->piece[0].width == 6 && pieces->piece[0].height == 4);
-    CHECK_NEAR(pieces->piece[0].cx, 23, 1e-12);
-    CHECK_NEAR(pieces->piece[0].cy, 12, 1e-12);
-    CHECK_NEAR(pieces->piece[1].cx, WIDTH - 0.5, 1e-12);
+    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &pieces, NULL, &err), err);
+    CHECK(pieces->count == 2 && pieces->component[0].area == 24 && pieces->component[1].area == 1);
+    CHECK(pieces->component[0].x == 20 && pieces->component[0].y == 10);
+    CHECK(pieces->component[0].width == 6 && pieces->component[0].height == 4);
+    CHECK_NEAR(pieces->component[0].cx, 23, 1e-12);
+    CHECK_NEAR(pieces->component[0].cy, 12, 1e-12);
+    CHECK_NEAR(pieces->component[1].cx, WIDTH - 0.5, 1e-12);
 }
 
 TEST(nothing_and_everything_are_no_and_one_piece)
@@ -98,11 +98,11 @@ TEST(nothing_and_everything_are_no_and_one_piece)
     gsn_auto(gsn_components) all = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &none, &err), err);
-    CHECK(none->count == 0 && none->run_count == 0);
+    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &none, NULL, &err), err);
+    CHECK(none->count == 0);
     memset(mask, 1, sizeof mask);
-    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &all, &err), err);
-    CHECK(all->count == 1 && all->piece[0].area == CELLS);
+    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &all, NULL, &err), err);
+    CHECK(all->count == 1 && all->component[0].area == CELLS);
 }
 
 /* Two squares of 8 cells, a line of two between them, and a line by itself. */
@@ -111,28 +111,29 @@ TEST(a_thread_joins_nothing_and_a_thing_that_thin_is_marked)
     uint8_t mask[CELLS] = { 0 };
     gsn_auto(gsn_components) pieces = NULL;
     gsn_auto(gsn_components) whole = NULL;
+    gsn_auto_mem(uint8_t) thin = NULL;
     struct gsn_error err = { 0 };
 
     for (int y = 0; y < HEIGHT; y++)
         for (int x = 0; x < WIDTH; x++)
             mask[y * WIDTH + x] = (y >= 4 && y < 12 && (x / 8 == 1 || x / 8 == 3)) ||
                                   (y >= 7 && y < 9 && x >= 8 && x < 40) || y == 20;
-    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &whole, &err), err);
+    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &whole, NULL, &err), err);
     CHECK(whole->count == 2);
-    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 4, &pieces, &err), err);
+    CHECK_OK(gsn_split_pieces(mask, WIDTH, HEIGHT, 4, &pieces, &thin, &err), err);
     CHECK(pieces->count == 3);
     /* An end of the thread stays where it meets a square. */
-    CHECK(!pieces->piece[0].thin && pieces->piece[0].x == 8 && pieces->piece[0].width <= 11);
-    CHECK(!pieces->piece[1].thin && pieces->piece[1].x >= 21 && pieces->piece[1].width <= 14);
-    CHECK(pieces->piece[0].area >= 60 && pieces->piece[1].area >= 60);
-    CHECK(pieces->piece[2].thin && pieces->piece[2].width == WIDTH && pieces->piece[2].height == 1);
+    CHECK(!thin[0] && pieces->component[0].x == 8 && pieces->component[0].width <= 11);
+    CHECK(!thin[1] && pieces->component[1].x >= 21 && pieces->component[1].width <= 14);
+    CHECK(pieces->component[0].area >= 60 && pieces->component[1].area >= 60);
+    CHECK(thin[2] && pieces->component[2].width == WIDTH && pieces->component[2].height == 1);
 }
 
 static int split_once(const uint8_t *mask, struct gsn_error *err)
 {
     gsn_auto(gsn_components) pieces = NULL;
 
-    return gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &pieces, err);
+    return gsn_split_pieces(mask, WIDTH, HEIGHT, 0, &pieces, NULL, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

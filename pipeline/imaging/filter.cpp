@@ -1,0 +1,43 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* cv::boxFilter adds up in double precision (running sums, Crow 1984), with zeros beyond the border;
+ * each sum is then divided by the number of pixels that there are. */
+#include "pipeline/imaging/filter.h"
+
+#include <algorithm>
+
+#include "pipeline/imaging/opencv.hpp"
+
+/* How many of the 2 r + 1 places about i lie on a line of n. */
+static uint32_t places(uint32_t i, uint32_t n, uint32_t r)
+{
+    return std::min(i, r) + 1 + std::min(n - 1 - i, r);
+}
+
+int gsn_box_mean(const struct gsn_plane *plane, uint32_t radius, struct gsn_plane **ret_mean,
+                 struct gsn_error *err)
+{
+    const int side = 2 * static_cast<int>(radius) + 1;
+    struct gsn_plane *mean = nullptr;
+    int r = gsn_plane_new(plane->width, plane->height, &mean, err);
+
+    if (r < 0)
+        return r;
+    r = gsn::guarded(err, [&] {
+        const cv::Mat from = gsn::over(plane->value, plane->width, plane->height, CV_32F);
+        cv::Mat to = gsn::over(mean->value, plane->width, plane->height, CV_32F);
+
+        cv::boxFilter(from, to, CV_32F, cv::Size(side, side), cv::Point(-1, -1), false,
+                      cv::BORDER_CONSTANT);
+    });
+    if (r < 0) {
+        gsn_plane_free(mean);
+        return r;
+    }
+    for (uint32_t y = 0; y < plane->height; y++)
+        for (uint32_t x = 0; x < plane->width; x++)
+            mean->value[static_cast<size_t>(y) * plane->width + x] /= static_cast<float>(
+                places(x, plane->width, radius) * places(y, plane->height, radius));
+    *ret_mean = mean;
+    return GSN_OK;
+}

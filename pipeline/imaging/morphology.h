@@ -1,0 +1,28 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Sets of pixels grown, worn down and filled. A set is width * height bytes, 0 or 1, changed in
+ * place; beyond its border lies nothing that grows into it or wears it down. */
+#ifndef GSN_IMAGING_MORPHOLOGY_H
+#define GSN_IMAGING_MORPHOLOGY_H
+
+#include "pipeline/core/error.h"
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* What lies within `radius` pixels of the set, centre to centre; the radius need not be whole. */
+int gsn_dilate(uint8_t *set, uint32_t width, uint32_t height, double radius,
+               struct gsn_error *err);
+/* What lies deeper than that in the set: the complement's dilation, taken away. */
+int gsn_erode(uint8_t *set, uint32_t width, uint32_t height, double radius, struct gsn_error *err);
+
+/* Adds what no way over 8 neighbours from the first pixel reaches; that pixel is not of the set. */
+int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, struct gsn_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,15 +1,24 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Method: the cross-correlation of two sections by Fourier transforms, for every rotation in steps
+ * of 5 degrees and for both faces (the plain face is the real part, the mirrored one the imaginary:
+ * one transform serves both).
+ * Steps: (1) both sections about their centres on a coarse grid; (2) the product of one spectrum
+ * with the conjugate of the other, and back; (3) the highest peak of each rotation and face; (4) the
+ * highest of those, at most one of rotations that are nearly the same.
+ * Fails when memory runs out. */
 #include "pipeline/register/tissue_bands.h"
 
 #include <math.h>
-#include <string.h>
+
+#include "pipeline/imaging/fourier.h"
 
 /* Every rotation in steps of 5 degrees: half a step moves the outline by less than a cell. */
-enum { N = GSN_TISSUE_GRID, ANGLES = 72, STAGES = 6 };
+enum { N = GSN_TISSUE_GRID, ANGLES = 72 };
 
-/* Complex numbers apart, so that a whole row is turned at once. */
+/* Complex numbers. */
 struct spectrum {
-    float re[N][N], im[N][N];
+    float z[N][N][2];
 };
 
 struct peak {
@@ -19,84 +28,9 @@ struct peak {
 
 struct room {
     struct spectrum a, b;
-    float cosine[N / 2], sine[N / 2];
     struct peak peak[2 * ANGLES];
     double step; /* side of a cell here, in cells of the first level */
 };
-
-/* ---- Fourier ------------------------------------------------------------------------------ */
-
-static void swap_rows(float *a, float *b)
-{
-    float keep[N];
-
-    memcpy(keep, a, sizeof keep);
-    memcpy(a, b, sizeof keep);
-    memcpy(b, keep, sizeof keep);
-}
-
-static size_t reversed(size_t i)
-{
-    size_t r = 0;
-
-    for (int bit = 0; bit < STAGES; bit++)
-        r |= (i >> bit & 1) << (STAGES - 1 - bit);
-    return r;
-}
-
-/* One butterfly of two rows. */
-static void butterfly(struct spectrum *s, size_t p, size_t q, float c, float si)
-{
-    float *restrict pr = s->re[p], *restrict pi = s->im[p];
-    float *restrict qr = s->re[q], *restrict qi = s->im[q];
-
-    for (size_t x = 0; x < N; x++) {
-        const float tr = c * qr[x] - si * qi[x], ti = c * qi[x] + si * qr[x];
-
-        qr[x] = pr[x] - tr;
-        qi[x] = pi[x] - ti;
-        pr[x] += tr;
-        pi[x] += ti;
-    }
-}
-
-/* Down all columns. sign -1: forward, 1: backward, not divided by anything. */
-static void transform_columns(const struct room *room, struct spectrum *s, float sign)
-{
-    for (size_t i = 0; i < N; i++) {
-        const size_t j = reversed(i);
-
-        if (j > i) {
-            swap_rows(s->re[i], s->re[j]);
-            swap_rows(s->im[i], s->im[j]);
-        }
-    }
-    for (size_t half = 1; half < N; half *= 2)
-        for (size_t start = 0; start < N; start += 2 * half)
-            for (size_t k = 0; k < half; k++)
-                butterfly(s, start + k, start + k + half, room->cosine[k * (N / 2) / half],
-                          sign * room->sine[k * (N / 2) / half]);
-}
-
-static void transpose(float a[N][N])
-{
-    for (size_t y = 0; y < N; y++)
-        for (size_t x = 0; x < y; x++) {
-            const float keep = a[y][x];
-
-            a[y][x] = a[x][y];
-            a[x][y] = keep;
-        }
-}
-
-/* Both ways; rows and columns come out exchanged, and right again after the way back. */
-static void transform(const struct room *room, struct spectrum *s, float sign)
-{
-    transform_columns(room, s, sign);
-    transpose(s->re);
-    transpose(s->im);
-    transform_columns(room, s, sign);
-}
 
 /* ---- Rotations ---------------------------------------------------------------------------- */
 
@@ -113,9 +47,10 @@ static float sample(const float *plane, size_t w, size_t h, double x, double y)
     return (at[0] * (1 - fx) + at[1] * fx) * (1 - fy) + (at[w] * (1 - fx) + at[w + 1] * fx) * fy;
 }
 
-/* The section about its centre, turned and perhaps mirrored; a cell is step of the first level. */
-static void lay(const struct gsn_tissue *t, double step, double angle, int mirrored,
-                float onto[N][N])
+/* The section about its centre, turned and perhaps mirrored, as the real (0) or imaginary (1) part; a
+ * cell is step of the first level. */
+static void lay(const struct gsn_tissue *t, double step, double angle, int mirrored, int part,
+                struct spectrum *onto)
 {
     const struct gsn_tissue_band *band = &t->band[t->levels - 1];
     const double scale = ldexp(1, (int)t->levels - 1);
@@ -126,42 +61,49 @@ static void lay(const struct gsn_tissue *t, double step, double angle, int mirro
         for (int x = 0; x < N; x++) {
             const double u = m * (x - N / 2), v = y - N / 2;
 
-            onto[y][x] = sample(t->whole, band->w, band->h, t->centre.x / scale + c * u - s * v,
-                                t->centre.y / scale + s * u + c * v);
+            onto->z[y][x][part] =
+                sample(t->whole, band->w, band->h, t->centre.x / scale + c * u - s * v,
+                       t->centre.y / scale + s * u + c * v);
         }
 }
 
-static void find_peak(const float plane[N][N], double angle, int mirrored, struct peak *peak)
+static void find_peak(const struct spectrum *s, int part, double angle, struct peak *peak)
 {
-    *peak = (struct peak){ .angle = angle, .mirrored = mirrored };
+    *peak = (struct peak){ .angle = angle, .mirrored = part };
     for (int y = 0; y < N; y++)
         for (int x = 0; x < N; x++)
-            if ((double)plane[y][x] > peak->height) {
-                peak->height = (double)plane[y][x];
+            if ((double)s->z[y][x][part] > peak->height) {
+                peak->height = (double)s->z[y][x][part];
                 peak->dx = x < N / 2 ? x : x - N;
                 peak->dy = y < N / 2 ? y : y - N;
             }
 }
 
 /* The plain face is the real part and the mirrored one the imaginary: one transform for both. */
-static void correlate(struct room *room, const struct gsn_tissue *b, double angle,
-                      struct peak ret_peak[2])
+static int correlate(struct room *room, const struct gsn_tissue *b, double angle,
+                     struct peak ret_peak[2], struct gsn_error *err)
 {
     struct spectrum *s = &room->b;
+    int r;
 
-    lay(b, room->step, angle, 0, s->re);
-    lay(b, room->step, angle, 1, s->im);
-    transform(room, s, -1);
-    for (size_t i = 0; i < (size_t)N * N; i++) {
-        const float ar = (&room->a.re[0][0])[i], ai = (&room->a.im[0][0])[i];
-        const float br = (&s->re[0][0])[i], bi = (&s->im[0][0])[i];
+    lay(b, room->step, angle, 0, 0, s);
+    lay(b, room->step, angle, 1, 1, s);
+    r = gsn_fourier(&s->z[0][0][0], N, N, 0, err);
+    for (size_t i = 0; r >= 0 && i < (size_t)N * N; i++) {
+        const float *p = (&room->a.z[0][0])[i];
+        float *q = (&s->z[0][0])[i];
+        const float re = q[0] * p[0] + q[1] * p[1], im = q[1] * p[0] - q[0] * p[1];
 
-        (&s->re[0][0])[i] = br * ar + bi * ai;
-        (&s->im[0][0])[i] = bi * ar - br * ai;
+        q[0] = re;
+        q[1] = im;
     }
-    transform(room, s, 1);
-    find_peak(s->re, angle, 0, &ret_peak[0]);
-    find_peak(s->im, angle, 1, &ret_peak[1]);
+    if (r >= 0)
+        r = gsn_fourier(&s->z[0][0][0], N, N, 1, err);
+    if (r < 0)
+        return r;
+    find_peak(s, 0, angle, &ret_peak[0]);
+    find_peak(s, 1, angle, &ret_peak[1]);
+    return GSN_OK;
 }
 
 /* A point u of a lies at c_b + R F (u - c_a + shift). */
@@ -215,18 +157,17 @@ int gsn_tissue_starts(const struct gsn_tissue *a, const struct gsn_tissue *b, si
 {
     gsn_auto_mem(struct room) room = gsn_alloc_array(1, sizeof *room);
     gsn_auto_mem(struct peak) peak = gsn_alloc_array(most, sizeof *peak);
+    int r;
 
     if (!room || !peak)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for laying a section by its tissue");
-    for (size_t k = 0; k < N / 2; k++) {
-        room->cosine[k] = (float)cos(2 * M_PI * (double)k / N);
-        room->sine[k] = (float)sin(2 * M_PI * (double)k / N);
-    }
     room->step = ldexp(1, (int)(a->levels > b->levels ? a->levels : b->levels) - 1);
-    lay(a, room->step, 0, 0, room->a.re);
-    transform(room, &room->a, -1);
-    for (size_t i = 0; i < ANGLES; i++)
-        correlate(room, b, 2 * M_PI * (double)i / ANGLES, &room->peak[2 * i]);
+    lay(a, room->step, 0, 0, 0, &room->a);
+    r = gsn_fourier(&room->a.z[0][0][0], N, N, 0, err);
+    for (size_t i = 0; r >= 0 && i < ANGLES; i++)
+        r = correlate(room, b, 2 * M_PI * (double)i / ANGLES, &room->peak[2 * i], err);
+    if (r < 0)
+        return r;
     *ret_count = highest(room, most, peak);
     for (size_t i = 0; i < *ret_count; i++)
         ret_start[i] = motion_of(a, b, &peak[i], room->step);

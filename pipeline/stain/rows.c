@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/stain/rows.h"
 
-gsn_red_row gsn_red_row_plain, gsn_red_row_avx2, gsn_red_row_avx512;
+gsn_red_row gsn_red_row_plain, gsn_red_row_avx512;
 
 /* Amount i of the solution that uses these dyes, of R, G and B. */
 static void amount_of(const struct gsn_unmixer *mix, unsigned subset, int i, float ret[3])
@@ -38,8 +38,6 @@ gsn_red_row *gsn_red_row_for(enum gsn_rows_isa isa)
     case GSN_ROWS_PLAIN:
         return gsn_red_row_plain;
 #ifdef __x86_64__
-    case GSN_ROWS_AVX2:
-        return __builtin_cpu_supports("avx2") ? gsn_red_row_avx2 : NULL;
     case GSN_ROWS_AVX512:
         return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")
                    ? gsn_red_row_avx512

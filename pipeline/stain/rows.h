@@ -21,7 +21,7 @@
  * sin 5 / sin 18, a quarter, of the other. Red pays for the yellow as well: twice that. */
 #define GSN_HONEST 0.25F
 
-enum gsn_rows_isa { GSN_ROWS_PLAIN, GSN_ROWS_AVX2, GSN_ROWS_AVX512, GSN_ROWS_ISAS };
+enum gsn_rows_isa { GSN_ROWS_PLAIN, GSN_ROWS_AVX512, GSN_ROWS_ISAS };
 
 /* The unmixer in single precision: what each solution takes of R, G and B. Straight from the
  * densities, for a Gram matrix squares the error that similar dyes make of rounding. */

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* cv::boxFilter adds up in double precision (running sums, Crow 1984), with zeros beyond the border;
- * each sum is then divided by the number of pixels that there are. */
+ * for a mean each sum is then divided by the number of pixels that there are. Halving is cv::resize
+ * by area. */
 #include "pipeline/imaging/filter.h"
 
 #include <algorithm>
@@ -14,22 +15,39 @@ static uint32_t places(uint32_t i, uint32_t n, uint32_t r)
     return std::min(i, r) + 1 + std::min(n - 1 - i, r);
 }
 
+int gsn_box_sum(const float *from, uint32_t width, uint32_t height, uint32_t radius, float *to,
+                struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        const int side = 2 * static_cast<int>(radius) + 1;
+        cv::Mat sums = gsn::over(to, width, height, CV_32F);
+
+        cv::boxFilter(gsn::over(from, width, height, CV_32F), sums, CV_32F, cv::Size(side, side),
+                      cv::Point(-1, -1), false, cv::BORDER_CONSTANT);
+    });
+}
+
+int gsn_halve(const float *from, uint32_t width, uint32_t height, float *to,
+              struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        const int w = static_cast<int>(width / 2), h = static_cast<int>(height / 2);
+        cv::Mat half = gsn::over(to, width / 2, height / 2, CV_32F);
+
+        cv::resize(gsn::over(from, width, height, CV_32F)(cv::Rect(0, 0, 2 * w, 2 * h)), half,
+                   half.size(), 0, 0, cv::INTER_AREA);
+    });
+}
+
 int gsn_box_mean(const struct gsn_plane *plane, uint32_t radius, struct gsn_plane **ret_mean,
                  struct gsn_error *err)
 {
-    const int side = 2 * static_cast<int>(radius) + 1;
     struct gsn_plane *mean = nullptr;
     int r = gsn_plane_new(plane->width, plane->height, &mean, err);
 
     if (r < 0)
         return r;
-    r = gsn::guarded(err, [&] {
-        const cv::Mat from = gsn::over(plane->value, plane->width, plane->height, CV_32F);
-        cv::Mat to = gsn::over(mean->value, plane->width, plane->height, CV_32F);
-
-        cv::boxFilter(from, to, CV_32F, cv::Size(side, side), cv::Point(-1, -1), false,
-                      cv::BORDER_CONSTANT);
-    });
+    r = gsn_box_sum(plane->value, plane->width, plane->height, radius, mean->value, err);
     if (r < 0) {
         gsn_plane_free(mean);
         return r;

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "pipeline/imaging/filter.h"
+
 enum { LEAST_CELLS = 16, SURROUNDINGS = 6, SAMPLED = 4096 };
 
 /* Denser than any tissue: pen and dirt count no more than this. */
@@ -162,18 +164,6 @@ static void blur(const float *from, float *onto, float *scratch, size_t w, size_
     }
 }
 
-/* Half as many cells either way, whose corners coincide: (1 3 3 1) / 8, by blurring and then
- * taking the mean of two by two. */
-static void halve(const float *blurred, size_t w, size_t h, float *onto)
-{
-    for (size_t y = 0; y < h / 2; y++)
-        for (size_t x = 0; x < w / 2; x++) {
-            const float *in = blurred + 2 * y * w + 2 * x;
-
-            onto[y * (w / 2) + x] = 0.25f * (in[0] + in[1] + in[w] + in[w + 1]);
-        }
-}
-
 static void slopes(struct gsn_tissue_band *band)
 {
     const size_t w = band->w, h = band->h;
@@ -197,58 +187,43 @@ static int new_band(struct gsn_tissue_band *band, size_t w, size_t h)
     return band->value && band->dx && band->dy;
 }
 
-/* The running mean of 2 REACH + 1 cells along one line, whose ends are taken as empty. */
-static void spread_line(const float *from, float *onto, size_t count, size_t stride)
-{
-    float sum = 0;
-
-    for (size_t i = 0; i < count + REACH; i++) {
-        sum += i < count ? from[i * stride] : 0;
-        sum -= i > 2 * REACH ? from[(i - 2 * REACH - 1) * stride] : 0;
-        if (i >= REACH)
-            onto[(i - REACH) * stride] = fmaxf(sum, 0) / (2 * REACH + 1);
-    }
-}
-
-static void spread(float *value, float *scratch, size_t w, size_t h)
-{
-    for (size_t y = 0; y < h; y++)
-        spread_line(value + y * w, scratch + y * w, w, 1);
-    for (size_t x = 0; x < w; x++)
-        spread_line(scratch + x, value + x, h, w);
-}
-
 /* Divides by the contrast around, so that all of the tissue has a say and not its strongest edges
  * alone, which may be one structure that slants through the block. */
-static void even_out(struct gsn_tissue_band *band, float *scratch)
+static int even_out(struct gsn_tissue_band *band, float *scratch, struct gsn_error *err)
 {
+    const float box = (2 * REACH + 1) * (2 * REACH + 1);
     const size_t cells = band->w * band->h;
     float *square = scratch + cells;
     double sum = 0;
     float least;
+    int r;
 
     for (size_t i = 0; i < cells; i++) {
         square[i] = band->value[i] * band->value[i];
         sum += (double)square[i];
     }
     least = (float)(EVEN * sum / (double)cells);
-    spread(square, scratch, band->w, band->h);
-    for (size_t i = 0; least > 0 && i < cells; i++)
-        band->value[i] /= sqrtf(square[i] + least);
+    r = gsn_box_sum(square, (uint32_t)band->w, (uint32_t)band->h, REACH, scratch, err);
+    for (size_t i = 0; r >= 0 && least > 0 && i < cells; i++)
+        band->value[i] /= sqrtf(fmaxf(scratch[i], 0) / box + least);
+    return r;
 }
 
 /* What is finer than the next level: the difference of two blurs, 2/3 and two cells wide. */
-static void make_band(const float *level, float *scratch, struct gsn_tissue_band *band)
+static int make_band(const float *level, float *scratch, struct gsn_tissue_band *band,
+                     struct gsn_error *err)
 {
     const size_t cells = band->w * band->h;
     float *narrow = band->value, *wide = scratch + cells;
+    int r;
 
     blur(level, narrow, scratch, band->w, band->h, 1);
     blur(narrow, wide, scratch, band->w, band->h, 4);
     for (size_t i = 0; i < cells; i++)
         band->value[i] -= wide[i];
-    even_out(band, scratch);
+    r = even_out(band, scratch, err);
     slopes(band);
+    return r;
 }
 
 /* The coarsest level less its wider surroundings: outline and large structures. */
@@ -270,7 +245,7 @@ static void make_whole(const float *level, float *scratch, struct gsn_tissue *t)
 
 /* Detail's centre and radius of gyration, of the second coarsest band: there outline, holes and
  * texture weigh alike. */
-static int place(struct gsn_tissue *t)
+static int place(struct gsn_tissue *t, struct gsn_error *err)
 {
     const size_t level = t->levels > 1 ? t->levels - 2 : 0;
     const struct gsn_tissue_band *band = &t->band[level];
@@ -288,11 +263,11 @@ static int place(struct gsn_tissue *t)
         square += e * (x * x + y * y);
     }
     if (!(sum > 0))
-        return -1;
+        return gsn_fail(err, GSN_E_INPUT, "nothing but empty glass: no tissue to lay it by");
     t->centre = (struct gsn_point){ x1 / sum, y1 / sum };
     t->radius = sqrt(
         fmax(square / sum - t->centre.x * t->centre.x - t->centre.y * t->centre.y, scale * scale));
-    return 0;
+    return GSN_OK;
 }
 
 static size_t levels_of(size_t w, size_t h)
@@ -307,19 +282,25 @@ static size_t levels_of(size_t w, size_t h)
     return levels;
 }
 
-static int make_bands(struct gsn_tissue *t, float *level, float *scratch)
+static int make_bands(struct gsn_tissue *t, float *level, float *scratch, struct gsn_error *err)
 {
+    int r;
+
     for (size_t l = 0;; l++) {
         struct gsn_tissue_band *band = &t->band[l];
         const size_t cells = band->w * band->h;
 
-        make_band(level, scratch, band);
+        r = make_band(level, scratch, band, err);
+        if (r < 0)
+            return r;
         if (l + 1 == t->levels) {
             make_whole(level, scratch, t);
-            return place(t);
+            return place(t, err);
         }
         blur(level, scratch + cells, scratch, band->w, band->h, 1);
-        halve(scratch + cells, band->w, band->h, level);
+        r = gsn_halve(scratch + cells, (uint32_t)band->w, (uint32_t)band->h, level, err);
+        if (r < 0)
+            return r;
     }
 }
 
@@ -330,6 +311,7 @@ int gsn_tissue_new(const struct gsn_plane *density, double cell, struct gsn_tiss
     gsn_auto(gsn_tissue) t = NULL;
     gsn_auto_mem(float) level = NULL;
     gsn_auto_mem(float) scratch = NULL;
+    int r;
 
     assert(cell > 0 && ret_tissue);
 
@@ -351,8 +333,9 @@ int gsn_tissue_new(const struct gsn_plane *density, double cell, struct gsn_tiss
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
     for (size_t i = 0; i < cells; i++)
         level[i] = isnan(density->value[i]) ? 0 : fminf(fmaxf(density->value[i], 0), MOST_OD);
-    if (make_bands(t, level, scratch) < 0)
-        return gsn_fail(err, GSN_E_INPUT, "nothing but empty glass: no tissue to lay it by");
+    r = make_bands(t, level, scratch, err);
+    if (r < 0)
+        return r;
     *ret_tissue = gsn_steal(&t);
     return GSN_OK;
 }

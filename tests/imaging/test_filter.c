@@ -40,6 +40,32 @@ TEST(a_box_mean_is_the_mean_of_what_is_there)
     }
 }
 
+TEST(halving_is_the_mean_of_two_by_two)
+{
+    uint32_t seed = 10;
+
+    for (uint32_t k = 0; k < CASES; k++) {
+        const uint32_t w = 2 + k % 31, h = 2 + k % 23;
+        float from[32 * 25], to[16 * 12];
+        struct gsn_error err = { 0 };
+
+        for (uint32_t i = 0; i < w * h; i++) {
+            seed = seed * 1664525u + 1013904223u;
+            from[i] = (float)(seed >> 8) / (1 << 24);
+        }
+        CHECK_OK(gsn_halve(from, w, h, to, &err), err);
+        for (uint32_t y = 0; y < h / 2; y++)
+            for (uint32_t x = 0; x < w / 2; x++) {
+                const float *at = from + 2 * y * w + 2 * x;
+
+                CHECK_NEAR((double)to[y * (w / 2) + x],
+                           0.25 * ((double)at[0] + (double)at[1] + (double)at[w] +
+                                   (double)at[w + 1]),
+                           1e-7);
+            }
+    }
+}
+
 static int mean_once(const struct gsn_plane *plane, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) mean = NULL;

@@ -29,7 +29,7 @@ TEST(sets_grow_and_shrink_by_exactly_the_radius)
         float to_set[PIXELS], to_rest[PIXELS];
         struct gsn_error err = { 0 };
 
-        draw(set, k % 2 ? 1000 - k % 5 : k % 40, &seed);
+        draw(set, k % 2 ? 1000 - k % 3 : k % 3, &seed);
         for (int i = 0; i < PIXELS; i++)
             other[i] = !set[i];
         memcpy(grown, set, sizeof set);

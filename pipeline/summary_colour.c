@@ -20,9 +20,7 @@
  *     4. where no edge is seen: what vectors leave open that are as far off as baths are, which is
  *        little where hardly anything is lost, or nothing but red is there
  *
- * A loss that is left open by more than MOST_WIDTH points is withheld, with the first cause.
- * Near a loss of 0 nothing remains to see the colour of; the mixture is then the one that lesions
- * leave, 7 parts of yellow to 3 of dark. */
+ * A loss that is left open by more than MOST_WIDTH points is withheld, with the first cause. */
 #include "pipeline/summary_draft.h"
 
 #include "pipeline/core/mem.h"
@@ -48,9 +46,9 @@ static const double EDGE_ERROR = 0.03;
 static const double WIDEST_VERTEX = 0.078;
 /* Points that an interval is at most wide: more is no answer. */
 static const double MOST_WIDTH = 25;
-/* A loss nearer to 0 leaves too little to see the colour of. */
+/* A loss nearer to 0 leaves too little to see the colour of; what a bath as far off as any makes of it
+ * is small then. */
 static const double LEAST_LOST = 0.08;
-static const double YELLOW_OF_REMAINS = 0.7;
 
 /* How far a bath's dyes lie from any table, either way: five degrees, and the dark one in a quarter
  * of all cases 20, for it may be another counterstain. No measured vectors of Van Gieson were
@@ -367,22 +365,18 @@ static const char *contradict(struct gsn_draft *d, const struct free_tissue *tis
 }
 
 /* Why the tissue's colours do not narrow the loss; NULL: ret_spread is what they leave of it. */
-static const char *by_edge(struct gsn_draft *d, const struct gsn_dyes *dyes,
-                           const struct sides *sides, const struct pool *pool,
+static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const struct pool *pool,
                            struct spread *ret_spread)
 {
     struct gsn_error why = { 0 };
     struct gsn_edge edge;
-    double seen[3], mean = 0, error = 0, step;
+    double mean = 0, error = 0, step;
     size_t panels[2];
     int r;
 
-    for (int c = 0; c < 3; c++)
-        seen[c] = fabs(1 - sides->apparent) >= LEAST_LOST
-                      ? sides->here[c]
-                      : 0.6 * sides->there[c] + 0.3 * (YELLOW_OF_REMAINS * dyes->yellow[c] +
-                                                       (1 - YELLOW_OF_REMAINS) * dyes->dark[c]);
-    r = gsn_edge_find(pool->point, pool->points, sides->there, seen, &edge, &why);
+    if (fabs(1 - sides->apparent) < LEAST_LOST)
+        return "too little is lost to see the colour of what remains";
+    r = gsn_edge_find(pool->point, pool->points, sides->there, sides->here, &edge, &why);
     if (r >= 0)
         r = judge_panels(&edge, pool, &mean, &error, panels, &why);
     if (r == GSN_E_NOMEM)
@@ -455,7 +449,7 @@ static const char *narrow(const struct gsn_evidence *e, struct gsn_draft *d,
     sides.deviation =
         fmax(0.01, 100 * hypot(treated->standard_error, sides.apparent * control->standard_error) /
                        control->mean);
-    why = by_edge(d, dyes, &sides, pool, &s);
+    why = by_edge(d, &sides, pool, &s);
     if (why) {
         s = (struct spread){ 100 * (1 - sides.apparent), 0, 0,
                              hypot(sides.deviation, prior_error(mix, &sides)) };

@@ -13,6 +13,9 @@
 #include "storage/audit.h"
 #include "storage/result.h"
 
+/* Beside the folders of a specimen's runs: a link to that of its last report. */
+#define GSN_LATEST "latest"
+
 /* Where the log ended, by those outside of it who remember. */
 struct gsn_audit_heads {
     size_t count, room;

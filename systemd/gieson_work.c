@@ -17,6 +17,7 @@
  *     gieson-work --store DIR export SPECIMEN FILE        the model for other programs
  *     gieson-work --store DIR probe SPECIMEN X Y Z        the model at a point,
  *     gieson-work --store DIR line SPECIMEN X1 ... Z2     along a segment,
+ *     gieson-work --store DIR index         the front page of the store
  *     gieson-work --store DIR integral SPECIMEN           over a region, a box, a plane
  */
 #include "systemd/work_verbs.h"
@@ -60,7 +61,8 @@ enum {
     OPT_WHOLE,
     OPT_BOX,
     OPT_PLANE,
-    OPT_POINTS
+    OPT_POINTS,
+    OPT_PUBLISH
 };
 
 static const struct argp_option options[] = {
@@ -94,6 +96,7 @@ static const struct argp_option options[] = {
     { "csv", OPT_CSV, NULL, 0, "study: print a row an animal and measure", 1 },
     { "quiet", OPT_QUIET, NULL, 0, "study: write the files and print nothing", 1 },
     { "because", OPT_BECAUSE, "TEXT", 0, "study NAME exclude SPECIMEN: why", 1 },
+    { "publish", OPT_PUBLISH, "FOLDER", 0, "index: copy all pages there", 1 },
     { "difference", OPT_DIFFERENCE, "POINTS", 0, "plan: of losses, to be found", 1 },
     { "sd", OPT_SD, "POINTS", 0, "plan: what losses of animals differ by", 1 },
     { "power", OPT_POWER, "P", 0, "plan: how surely it is to be found (default 0.8)", 1 },
@@ -228,6 +231,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case OPT_POINTS:
         request->points = arg;
         return 0;
+    case OPT_PUBLISH:
+        request->publish = arg;
+        return 0;
     case ARGP_KEY_ARG:
         if (request->verb)
             request->rest[request->rest_count++] = arg;
@@ -237,8 +243,8 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case ARGP_KEY_END:
         if (!request->verb)
             argp_error(state, "say what to do: import, work, changed, verify, scrub, backup, "
-                              "restore, check, register, study, plan, export, probe, line or "
-                              "integral");
+                              "restore, check, register, study, plan, export, probe, line, "
+                              "integral or index");
         return 0;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -258,7 +264,7 @@ int main(int argc, char **argv)
                   { "register", 0, gsn_work_register }, { "study", 1, gsn_work_study },
                   { "plan", 0, gsn_work_plan },         { "export", 1, gsn_work_export },
                   { "probe", 1, gsn_work_probe },       { "line", 1, gsn_work_line },
-                  { "integral", 1, gsn_work_integral } };
+                  { "integral", 1, gsn_work_integral }, { "index", 1, gsn_work_index } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
                                         .args_doc = "VERB [ARGUMENT...]",
@@ -278,7 +284,7 @@ int main(int argc, char **argv)
         status = gsn_work_usage(&request,
                                 "this verb is not known: import, work, changed, verify, scrub, "
                                 "backup, restore, check, register, study, plan, export, probe, "
-                                "line or integral");
+                                "line, integral or index");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = gsn_work_usage(&request, "no store: say --store DIR or set GIESON_STORE");
     else

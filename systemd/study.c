@@ -264,7 +264,7 @@ static const char *say_text(struct gsn_study_files *f, const char *format, ...)
     return keep_text(f, gsn_strdup(said));
 }
 
-/* A path as a link from DIR/studies/NAME: a '%' of the path is one in the link too. */
+/* A path as a link from the store's folder: a '%' of the path is one in the link too. */
 static char *make_link(const char *path)
 {
     gsn_auto_mem(char) link = gsn_alloc_array(3 * strlen(path) + 1, 1);
@@ -280,7 +280,7 @@ static char *make_link(const char *path)
             link[used++] = *path;
         }
     }
-    return gsn_format("../../%s", link);
+    return gsn_steal(&link);
 }
 
 static int read_report(struct gsn_study_files *f, struct gsn_store *store,
@@ -308,9 +308,9 @@ static int read_report(struct gsn_study_files *f, struct gsn_store *store,
             read_loss(root, baseline, s);
         else
             read_own_density(rows, s);
-        s->page = keep_text(f, make_link(run->report_path));
         s->key = keep_text(f, gsn_strdup(run->key));
-        if (!s->page || !s->key)
+        s->warnings = json_array_size(json_object_get(root, "warnings"));
+        if (!s->key)
             r = fail_memory(err);
     }
     if (r >= 0 && !isfinite(s->value[0])) {
@@ -369,6 +369,12 @@ static int read_specimen(struct gsn_study_files *f, struct gsn_store *store,
             last = &runs->at[i];
             first_report = first_report == 0 && last->json_path[0] ? last->finished : first_report;
         }
+    if (r >= 0 && last) {
+        s->finished = last->finished;
+        s->page = *last->report_path ? keep_text(f, make_link(last->report_path)) : NULL;
+        if (*last->report_path && !s->page)
+            r = fail_memory(err);
+    }
     if (r < 0)
         return r;
     if (!last)

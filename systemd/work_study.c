@@ -1,13 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The verbs about many animals: `study` makes the page of one study or of all, and keeps what
- * people state of it in the audit log; `plan` says how many animals a difference needs. */
+ * people state of it in the audit log; `index` makes the front page of the store, and a copy of all
+ * pages; `plan` says how many animals a difference needs. */
 #include "systemd/work_verbs.h"
 
 #include "pipeline/core/mem.h"
 #include "storage/actor.h"
 #include "storage/catalog.h"
 #include "storage/event.h"
+#include "systemd/store_index.h"
 #include "systemd/study.h"
 
 #include <math.h>
@@ -238,6 +240,42 @@ int gsn_work_study(const struct gsn_work_request *request)
     if (r >= 0)
         r = make_page(request, store, request->rest[0], &err);
     return r < 0 ? gsn_work_complain(request, &err, r) : EX_OK;
+}
+
+/* ---- the front page ------------------------------------------------------------------------- */
+
+int gsn_work_index(const struct gsn_work_request *request)
+{
+    gsn_auto(gsn_store) store = NULL;
+    gsn_auto_mem(char) page = NULL;
+    struct gsn_error err = { 0 };
+    int r;
+
+    if (request->rest_count > 0)
+        return gsn_work_usage("say `gieson index`, with --publish FOLDER to copy all pages there");
+    r = gsn_store_open(request->store_dir, GSN_STORE_READ, &store, &err);
+    if (r >= 0)
+        r = gsn_store_index_write(store, &err);
+    if (r >= 0 && request->publish)
+        r = gsn_store_publish(store, request->publish, &err);
+    if (r < 0)
+        return gsn_work_complain(&err, r);
+    if (request->quiet)
+        return EX_OK;
+    page = gsn_format("%s/index.html",
+                      request->publish ? request->publish : gsn_store_dir(store));
+    if (!page)
+        return EX_OSERR;
+    if (request->json) {
+        json_t *row = json_pack("{s:o}", "page", gsn_work_text(page));
+
+        (void)json_dumpf(row, stdout, JSON_INDENT(2));
+        (void)fputs("\n", stdout);
+        json_decref(row);
+    } else {
+        gsn_work_say(stdout, "%s\n", page);
+    }
+    return EX_OK;
 }
 
 /* ---- how many animals ---------------------------------------------------------------------- */

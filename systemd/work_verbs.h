@@ -17,7 +17,8 @@ struct gsn_work_request {
     int rest_count, json, csv, quiet, replace, served, by_tissue, quick, whole;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
-        *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points;
+        *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points,
+        *publish;
     json_t *thresholds, *levels;
 };
 
@@ -38,6 +39,7 @@ int gsn_work_export(const struct gsn_work_request *request);
 int gsn_work_probe(const struct gsn_work_request *request);
 int gsn_work_line(const struct gsn_work_request *request);
 int gsn_work_integral(const struct gsn_work_request *request);
+int gsn_work_index(const struct gsn_work_request *request);
 
 /* To a terminal or a file, without what moves a cursor. */
 void gsn_work_say(FILE *to, const char *format, ...) __attribute__((format(printf, 2, 3)));

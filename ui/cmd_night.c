@@ -1,13 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The nightly run: every specimen that changed since its last report is processed to its next one,
- * and the pages of all studies are made again. */
+ * and the pages of all studies and of the store are made again. $GIESON_PUBLISH names a folder that
+ * gets a copy of them. */
 #include "ui/snapshot.h"
 #include "ui/text.h"
 #include "ui/ui.h"
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sysexits.h>
 
@@ -109,6 +111,9 @@ int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
 {
     static const char *const ask[] = { "changed", NULL };
     static const char *const studies[] = { "study", "--quiet", NULL };
+    const char *const publish = getenv("GIESON_PUBLISH");
+    const char *const index[] = { "index", "--quiet", publish && *publish ? "--publish" : NULL,
+                                  publish, NULL };
     const char *args[4] = { 0 };
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
@@ -128,8 +133,10 @@ int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
     status = work(ui, store, args, &night);
     json_decref(night.rows);
     if (status == EX_OK || status == EX_DATAERR) {
-        const int made = gsn_ui_call(&quiet, "gieson-work", 1, studies);
+        int made = gsn_ui_call(&quiet, "gieson-work", 1, studies);
 
+        if (made == EX_OK)
+            made = gsn_ui_call(&quiet, "gieson-work", 1, index);
         status = status == EX_OK ? made : status;
     }
     return status;

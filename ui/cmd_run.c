@@ -206,6 +206,7 @@ int gsn_ui_threads(const struct gsn_ui *ui, const char *verb, int argc, char **a
 
 int gsn_cmd_run(const struct gsn_ui *ui, int argc, char **argv)
 {
+    static const char *const index[] = { "index", "--quiet", NULL };
     const char *args[4] = { 0 };
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
@@ -218,6 +219,8 @@ int gsn_cmd_run(const struct gsn_ui *ui, int argc, char **argv)
         return status;
     quiet.json = 0;
     status = gsn_ui_work_queue(&quiet, store, args);
+    if (status == EX_OK)
+        status = gsn_ui_call(&quiet, "gieson-work", 1, index);
     return status == EX_OK ? report_end(ui, store) : status;
 }
 

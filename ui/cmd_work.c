@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The verbs that other programs do: import, verify, scrub, backup, restore, check, register, study,
- * plan, export, probe, line and integral are gieson-work's, phantom has a program of its own, and
+ * plan, index, export, probe, line and integral are gieson-work's, phantom has a program of its own, and
  * the configuration is the service's. */
 #include "ui/ui.h"
 
@@ -81,6 +81,11 @@ int gsn_cmd_register(const struct gsn_ui *ui, int argc, char **argv)
 }
 
 int gsn_cmd_study(const struct gsn_ui *ui, int argc, char **argv)
+{
+    return pass_on(ui, "gieson-work", 1, argc, argv, 0);
+}
+
+int gsn_cmd_index(const struct gsn_ui *ui, int argc, char **argv)
 {
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }

@@ -38,6 +38,7 @@ static const struct {
     { "report", gsn_cmd_report },
     { "study", gsn_cmd_study },
     { "plan", gsn_cmd_plan },
+    { "index", gsn_cmd_index },
     { "export", gsn_cmd_model },
     { "probe", gsn_cmd_model },
     { "line", gsn_cmd_model },
@@ -71,6 +72,7 @@ static const char doc[] =
     "  study [NAME]        the groups of a study, their losses and intervals over\n"
     "                      animals: a page, a table, JSON\n"
     "  plan                how many animals a difference needs\n"
+    "  index               the front page of the store: every specimen and study\n"
     "  export SPECIMEN FILE\n"
     "                      its model for other programs: .vtkhdf .vtu .csv .stl\n"
     "                      .ply .nrrd .nii.gz .ome.tif\n"

@@ -73,6 +73,14 @@ static const struct gsn_help pages[] = {
       "  --sd POINTS          what losses of animals differ by\n"
       "  --power P            how surely (default: 0.8)\n",
       "gieson plan --difference 10 --sd 6" },
+    { "index", "",
+      "Makes the front page of the store, index.html in it: every specimen with its loss, what "
+      "needs a\n"
+      "person, the pages of the studies; and reports/SPECIMEN/latest. `gieson run` and `gieson "
+      "night`\n"
+      "make it again. Pages are files: a copy of them on a share or a web server needs no gieson.",
+      "  --publish FOLDER     copy index.html, studies and reports there\n",
+      "gieson index --publish /srv/www/gieson" },
     { "export", "SPECIMEN FILE",
       "Writes the model of its last run as a file of another program; the ending says which:\n"
       ".vtkhdf .vtu       the model itself, Bezier tetrahedra, for ParaView and VTK\n"

@@ -65,8 +65,8 @@ static int add_policy(struct gsn_report_text *text, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int add_head(struct gsn_report_text *text, const struct gsn_report *report,
-                    struct gsn_error *err)
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
+                  struct gsn_error *err)
 {
     int r;
 
@@ -78,8 +78,8 @@ static int add_head(struct gsn_report_text *text, const struct gsn_report *repor
     gsn_report_text_raw(text,
                         "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
                         "<meta name=\"referrer\" content=\"no-referrer\">\n<title>");
-    gsn_report_text_escape_short(text, report->specimen, 80);
-    gsn_report_text_raw(text, " \xC2\xB7 gieson</title>\n<style>");
+    gsn_report_text_escape_short(text, name, 80);
+    gsn_report_text_print(text, "%s \xC2\xB7 gieson</title>\n<style>", kind);
     gsn_report_text_bytes(text, gsn_html_style, gsn_html_style_size);
     gsn_report_text_raw(text, "</style>\n</head>\n<body>\n");
     return GSN_OK;
@@ -433,7 +433,7 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
                     struct gsn_error *err)
 {
     gsn_auto_report_text text = { .bytes = NULL };
-    const int r = add_head(&text, report, err);
+    const int r = gsn_html_head(&text, report->specimen, "", err);
 
     if (r < 0)
         return r;

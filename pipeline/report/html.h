@@ -16,6 +16,11 @@ extern "C" {
 extern const unsigned char gsn_html_style[];
 extern const size_t gsn_html_style_size;
 
+/* Everything up to and with <body>: the policy that nothing is fetched and nothing runs, the title
+ * (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM. */
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
+                  struct gsn_error *err);
+
 /* <img> with the picture as a data: URI. */
 void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
                     const char *said);

@@ -9,7 +9,6 @@
  * report's. Nothing is fetched and nothing runs. Fails only when memory runs out. */
 #include "pipeline/study/study.h"
 
-#include "pipeline/core/hash.h"
 #include "pipeline/report/chart.h"
 #include "pipeline/report/html.h"
 
@@ -66,31 +65,11 @@ static void put_p(struct gsn_report_text *text, double p)
 static int add_head(struct gsn_report_text *text, const struct gsn_study *study,
                     struct gsn_error *err)
 {
-    struct gsn_digest digest;
-    unsigned char raw[32];
-    const int r = gsn_sha256(gsn_html_style, gsn_html_style_size, &digest, err);
+    const int r = gsn_html_head(text, study->input.name, " \xC2\xB7 study", err);
 
     if (r < 0)
         return r;
-    for (size_t i = 0; i < sizeof raw; i++) {
-        unsigned byte = 0;
-
-        (void)sscanf(digest.hex + 2 * i, "%2x", &byte);
-        raw[i] = (unsigned char)byte;
-    }
-    gsn_report_text_raw(
-        text, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
-              "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
-              "style-src 'sha256-");
-    gsn_report_text_base64(text, raw, sizeof raw);
-    gsn_report_text_raw(text,
-                        "'; base-uri 'none'; form-action 'none'\">\n"
-                        "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
-                        "<meta name=\"referrer\" content=\"no-referrer\">\n<title>");
-    gsn_report_text_escape_short(text, study->input.name, 80);
-    gsn_report_text_raw(text, " \xC2\xB7 study \xC2\xB7 gieson</title>\n<style>");
-    gsn_report_text_bytes(text, gsn_html_style, gsn_html_style_size);
-    gsn_report_text_raw(text, "</style>\n</head>\n<body>\n<header class=\"top\">\n"
+    gsn_report_text_raw(text, "<header class=\"top\">\n"
                               "<p class=\"brand\"><b>gieson</b> study</p>\n<h1>");
     gsn_report_text_escape(text, *study->input.name ? study->input.name : "(study without a name)");
     gsn_report_text_raw(text, "</h1>\n<ul class=\"ids\">\n");
@@ -456,7 +435,7 @@ static void add_specimens(struct gsn_report_text *text, const struct gsn_study *
             continue;
         gsn_report_text_raw(text, "<tr><th scope=\"row\">");
         if (s->page) {
-            gsn_report_text_raw(text, "<a href=\"");
+            gsn_report_text_raw(text, "<a href=\"../../");
             gsn_report_text_escape(text, s->page);
             gsn_report_text_raw(text, "\">");
         }

@@ -10,11 +10,13 @@ import json
 import os
 import pathlib
 import random
+import re
 import shutil
 import struct
 import subprocess
 import sys
 import tempfile
+import urllib.parse
 
 SIDE = 8
 GROUPS = {"placebo": 0.60, "drug A": 0.50, "drug B": 0.38}
@@ -36,6 +38,15 @@ def check(claim, sentence):
     if not claim:
         print("not true:", sentence)
         sys.exit(1)
+
+
+def check_links(page, least):
+    """Each link of the page leads to a file beside it."""
+    links = re.findall(r'href="([^"#]+)"', page.read_text())
+    check(len(links) >= least, f"{page}: {len(links)} links")
+    for link in links:
+        there = page.parent / urllib.parse.unquote(link)
+        check(there.is_file(), f"{page}: {link} leads nowhere")
 
 
 def main():
@@ -83,6 +94,20 @@ def main():
         run("night")
         check(first == {p.name: p.read_bytes() for p in page.iterdir()}, "the night makes them too")
 
+        # The front page, the last report of each, and a copy of all pages whose links hold.
+        store = folder / "store"
+        front = (store / "index.html").read_text()
+        check("18</b> specimens" in front and front.count("<tr>") == 19, "a row a specimen")
+        latest = store / "reports" / "drugA-1-0" / "latest"
+        check((latest / "report.html").exists(), "the last report of a specimen")
+        web = folder / "web"
+        web.mkdir()
+        run("index", "--publish", str(web))
+        check_links(web / "index.html", 19)
+        check_links(web / "studies" / "drawn" / "index.html", 18)
+        check((web / "index.html").read_text() == front, "the page is the same there")
+        check("no run of the store" not in run("scrub", "--quick"), "a link is no stray report")
+
         study = json.loads(first["study.json"])
         for animal in study["animals"]:
             value = animal["measures"]["density"]["value"]
@@ -123,6 +148,10 @@ def main():
         text = (page / "index.html").read_text() + (page / "animals.csv").read_text()
         check(not any(word in blind + text for word in ("placebo", "sham", "drug")),
               "no name of a group while it is blind")
+        run("index")
+        front = (store / "index.html").read_text()
+        check(not any(word in front for word in ("placebo", "sham", "drug")),
+              "nor on the front page")
         run("study", "drawn", "freeze")
         run("study", "drawn", "include", "drugA-1-0", ends=65)
         check("placebo" in run("study", "drawn", "unblind"), "names are back")

@@ -32,8 +32,8 @@
 #include <stdio.h>
 
 static const double PUREST = 0.13;
-/* The density that tissue which is stated to hold none has at most, in 95 of 100 cases: what muscle,
- * red cells and marrow are taken to have. */
+/* The density that tissue which is stated to hold none has at most, in 95 of 100 cases: what
+ * muscle, red cells and marrow are taken to have. */
 static const double FREE_MOST = 0.05;
 /* Of the edge's slope, as the cells tell it: a third of what vectors 5 degrees off leave open. */
 static const double SLOPE_ERROR = 0.3;
@@ -46,8 +46,8 @@ static const double EDGE_ERROR = 0.03;
 static const double WIDEST_VERTEX = 0.078;
 /* Points that an interval is at most wide: more is no answer. */
 static const double MOST_WIDTH = 25;
-/* A loss nearer to 0 leaves too little to see the colour of; what a bath as far off as any makes of it
- * is small then. */
+/* A loss nearer to 0 leaves too little to see the colour of; what a bath as far off as any makes of
+ * it is small then. */
 static const double LEAST_LOST = 0.08;
 
 /* How far a bath's dyes lie from any table, either way: five degrees, and the dark one in a quarter
@@ -331,7 +331,8 @@ static double prior_error(const struct gsn_unmixer *mix, const struct sides *sid
                  DARK_DEG * (here[2] - sides->apparent * there[2]));
 }
 
-/* What tissue that is stated to hold no collagen shows, in the control's tissue over what remains. */
+/* What tissue that is stated to hold no collagen shows, in the control's tissue over what remains.
+ */
 struct free_tissue {
     double at;          /* over the edge */
     double slope_error; /* by the slope that it is carried along the edge with */

@@ -43,7 +43,8 @@ int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_assembl
     struct gsn_level spread;
 
     if (!l || !l->done || b->specimens == 0)
-        return gsn_fail(err, GSN_E_STAIN, "no tissue tells how the baseline's stain would read here");
+        return gsn_fail(err, GSN_E_STAIN,
+                        "no tissue tells how the baseline's stain would read here");
     /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;

@@ -72,6 +72,7 @@ static int add_study(struct gsn_store *store, const char *name, struct studies *
 {
     const size_t i = studies->count;
     gsn_auto_mem(char) folder = NULL;
+    gsn_auto_mem(char) page = NULL;
     int r = gsn_study_gather(store, name, &studies->files[i], err);
 
     if (r == GSN_E_NOTFOUND && !*name)
@@ -85,9 +86,13 @@ static int add_study(struct gsn_store *store, const char *name, struct studies *
     r = gsn_store_study_dir(store, name, &folder, err);
     if (r < 0)
         return r;
+    page = gsn_format("%s/index.html", folder);
     studies->page[i] = make_link(gsn_store_dir(store), folder);
-    studies->at[i].page = studies->page[i];
-    return studies->page[i] ? GSN_OK : no_memory(err);
+    if (!page || !studies->page[i])
+        return no_memory(err);
+    /* `gieson study` and the night make it. */
+    studies->at[i].page = access(page, F_OK) == 0 ? studies->page[i] : NULL;
+    return GSN_OK;
 }
 
 static int gather_studies(struct gsn_store *store, struct studies *studies, struct gsn_error *err)

@@ -262,8 +262,7 @@ int gsn_work_index(const struct gsn_work_request *request)
         return gsn_work_complain(&err, r);
     if (request->quiet)
         return EX_OK;
-    page = gsn_format("%s/index.html",
-                      request->publish ? request->publish : gsn_store_dir(store));
+    page = gsn_format("%s/index.html", request->publish ? request->publish : gsn_store_dir(store));
     if (!page)
         return EX_OSERR;
     if (request->json) {

@@ -19,6 +19,7 @@
 enum { DRAWN_WIDE = 150, DRAWN_HIGH = 22 };
 struct scale {
     double low, high; /* per cent of loss; low < high */
+    int used;         /* by any specimen */
 };
 
 static const char DASH[] = "\xE2\x80\x93";
@@ -30,12 +31,13 @@ static int needs_person(const struct gsn_study_specimen *s)
 
 static struct scale find_scale(const struct gsn_index_study *study, size_t count)
 {
-    struct scale scale = { 0, 10 };
+    struct scale scale = { 0, 10, 0 };
 
     for (size_t k = 0; k < count; k++)
         for (size_t i = 0; i < study[k].input->specimen_count; i++) {
             const struct gsn_study_specimen *const s = &study[k].input->specimen[i];
 
+            scale.used |= isfinite(s->loss) != 0;
             if (isfinite(s->loss_lower))
                 scale.low = fmin(scale.low, s->loss_lower);
             if (isfinite(s->loss_upper))
@@ -179,7 +181,12 @@ static void add_row(struct gsn_report_text *text, const struct scale *scale,
         draw_interval(text, scale, s);
     gsn_report_text_raw(text, "</td><td class=\"num\">");
     gsn_report_text_number(text, s->value[0], 3);
-    gsn_report_text_print(text, "</td><td class=\"num\">%zu</td><td class=\"nowrap\">", s->warnings);
+    gsn_report_text_raw(text, "</td><td class=\"num\">");
+    if (s->left_out)
+        gsn_report_text_raw(text, DASH);
+    else
+        gsn_report_text_count(text, s->warnings);
+    gsn_report_text_raw(text, "</td><td class=\"nowrap\">");
     put_day(text, s->finished);
     gsn_report_text_raw(text, "</td></tr>\n");
 }
@@ -203,10 +210,13 @@ static void add_study(struct gsn_report_text *text, const struct scale *scale,
     gsn_report_text_raw(
         text, "<div class=\"table scroll\"><table><thead><tr><th>Specimen</th><th>Group</th>"
               "<th class=\"num\">Week</th><th class=\"num\">Collagen loss</th><th>");
-    gsn_report_text_number(text, scale->low, 0);
-    gsn_report_text_raw(text, " to ");
-    gsn_report_text_number(text, scale->high, 0);
-    gsn_report_text_raw(text, " %</th><th class=\"num\">Density</th><th class=\"num\">Warnings</th>"
+    if (scale->used) {
+        gsn_report_text_number(text, scale->low, 0);
+        gsn_report_text_raw(text, " to ");
+        gsn_report_text_number(text, scale->high, 0);
+        gsn_report_text_raw(text, " %");
+    }
+    gsn_report_text_raw(text, "</th><th class=\"num\">Density</th><th class=\"num\">Warnings</th>"
                               "<th>Report of</th></tr></thead><tbody>\n");
     for (size_t i = 0; i < input->specimen_count; i++)
         add_row(text, scale, &input->specimen[i]);

@@ -39,10 +39,10 @@ struct gsn_study_specimen {
     double loss, loss_lower, loss_upper; /* its own report's, per cent; NaN: none */
     const char *left_out;                /* why it takes no part; NULL: it does */
     int excluded;                        /* and that a person said so */
-    const char *page;   /* its report, from the store's folder, as a link; NULL: not shown */
-    size_t warnings;    /* of its report */
-    int64_t finished;   /* when that was made, s since 1970; 0: there is none */
-    const char *key;                     /* of its run, 64 hexadecimal digits, or empty */
+    const char *page; /* its report, from the store's folder, as a link; NULL: not shown */
+    size_t warnings;  /* of its report */
+    int64_t finished; /* when that was made, s since 1970; 0: there is none */
+    const char *key;  /* of its run, 64 hexadecimal digits, or empty */
 };
 
 struct gsn_study_input {

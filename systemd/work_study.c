@@ -252,14 +252,15 @@ int gsn_work_index(const struct gsn_work_request *request)
     int r;
 
     if (request->rest_count > 0)
-        return gsn_work_usage("say `gieson index`, with --publish FOLDER to copy all pages there");
+        return gsn_work_usage(request,
+                              "say `gieson index`, with --publish FOLDER to copy all pages there");
     r = gsn_store_open(request->store_dir, GSN_STORE_READ, &store, &err);
     if (r >= 0)
         r = gsn_store_index_write(store, &err);
     if (r >= 0 && request->publish)
         r = gsn_store_publish(store, request->publish, &err);
     if (r < 0)
-        return gsn_work_complain(&err, r);
+        return gsn_work_complain(request, &err, r);
     if (request->quiet)
         return EX_OK;
     page = gsn_format("%s/index.html", request->publish ? request->publish : gsn_store_dir(store));

@@ -1,21 +1,16 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_parts.h"
 
-#include "pipeline/core/parallel.h"
 #include "pipeline/slot_marks.h"
 
 #include <string.h>
 
 /* The sections of one panel, where marks are looked for. */
 struct search {
-    const struct gsn_scan *scan;
-    const struct gsn_absorber *absorber;
-    struct gsn_layout layout;
-    double side;                            /* of the typical section's box, px */
+    struct gsn_slot_search in;
     struct gsn_slot *slots;                 /* those with tissue */
     struct gsn_mark_candidates *candidates; /* one for each */
     size_t *section;                        /* its place in the assembly */
-    size_t count;
 };
 
 static int is_wanted(const struct gsn_assembly_section *s, unsigned panel)
@@ -39,7 +34,7 @@ static void list_sections(const struct gsn_assembly *a, unsigned panel, struct s
 
         if (a->section[i].panel != panel || seen->width <= 0 || seen->height <= 0)
             continue;
-        search->slots[search->count] =
+        search->slots[search->in.count] =
             (struct gsn_slot){ .slot = seen->slot,
                                .found = 1,
                                .x = seen->x,
@@ -48,16 +43,8 @@ static void list_sections(const struct gsn_assembly *a, unsigned panel, struct s
                                .height = seen->height,
                                .centre_px = { seen->x + 0.5 * seen->width,
                                               seen->y + 0.5 * seen->height } };
-        search->section[search->count++] = i;
+        search->section[search->in.count++] = i;
     }
-}
-
-static int search_slot(size_t index, void *context, struct gsn_error *err)
-{
-    const struct search *search = context;
-
-    return gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
-                          &search->slots[index], NULL, &search->candidates[index], err);
 }
 
 /* Looks once more, now for spots like the panel's other marks. */
@@ -68,8 +55,9 @@ static int name_marks(const struct search *search, size_t index,
 {
     struct gsn_triangle_prior prior = *learnt;
     struct gsn_mark_candidates candidates;
-    const int r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
-                                 &search->slots[index], learnt, &candidates, err);
+    const struct gsn_slot_search *in = &search->in;
+    const int r = gsn_slot_marks(in->scan, in->absorber, &in->layout, in->side,
+                                 &search->slots[index], 0, learnt, &candidates, err);
 
     if (r < 0)
         return r;
@@ -79,21 +67,23 @@ static int name_marks(const struct search *search, size_t index,
     return GSN_OK;
 }
 
-static int look(struct search *search, unsigned panel, unsigned threads, struct gsn_assembly *a,
+static int look(struct search *search, unsigned panel, struct gsn_assembly *a,
                 struct gsn_error *err)
 {
-    gsn_auto_mem(double) scratch = gsn_alloc_array(search->count, sizeof *scratch);
+    const size_t count = search->in.count;
+    gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     struct gsn_triangle_prior prior = { 0 };
     int r;
 
     if (!scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    search->side = gsn_slot_typical_side(search->slots, search->count, scratch);
+    search->in.slots = search->slots;
+    search->in.side = gsn_slot_typical_side(search->slots, count, scratch);
     memcpy(prior.mark_um, a->summary.mean_triangle, sizeof prior.mark_um);
-    r = gsn_parallel_for(search->count, threads, search_slot, search, err);
+    r = gsn_slots_marks(&search->in, prior.mark_um, search->candidates, err);
     if (r >= 0)
-        r = gsn_markers_learn(search->candidates, search->count, &prior, err);
-    for (size_t i = 0; r >= 0 && prior.learnt && i < search->count; i++) {
+        r = gsn_markers_learn(search->candidates, count, &prior, err);
+    for (size_t i = 0; r >= 0 && prior.learnt && i < count; i++) {
         struct gsn_assembly_section *s = &a->section[search->section[i]];
 
         if (is_wanted(s, panel))
@@ -110,7 +100,9 @@ int gsn_assembly_seek_marks(const struct gsn_specimen *specimen,
     gsn_auto_mem(struct gsn_mark_candidates) candidates = NULL;
     gsn_auto_mem(size_t) section = NULL;
     gsn_auto(gsn_absorber) absorber = NULL;
-    struct search search = { .scan = scan, .layout = gsn_protocol_layout(specimen->protocol) };
+    struct search search = { .in = { .scan = scan,
+                                     .layout = gsn_protocol_layout(specimen->protocol),
+                                     .threads = options->threads } };
     int r;
 
     if (a->by_tissue.done || !any_wanted(a, panel))
@@ -123,10 +115,10 @@ int gsn_assembly_seek_marks(const struct gsn_specimen *specimen,
     r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
     if (r < 0)
         return r;
-    search.absorber = absorber;
+    search.in.absorber = absorber;
     search.slots = slots;
     search.candidates = candidates;
     search.section = section;
     list_sections(a, panel, &search);
-    return look(&search, panel, options->threads, a, err);
+    return look(&search, panel, a, err);
 }

@@ -235,20 +235,17 @@ static void lay_candidates(const struct gsn_triangle_prior *prior, struct gsn_po
 }
 
 struct search {
-    const struct gsn_scan *scan;
-    struct gsn_layout layout;
-    const struct gsn_absorber *absorber;
-    double side;                            /* of the typical section's box, px */
-    const struct gsn_slot *slots;           /* those with tissue */
-    struct gsn_mark_candidates *candidates; /* one for each */
+    struct gsn_slot_search in;
+    struct gsn_mark_candidates *candidates; /* one for each section */
 };
 
 static int search_slot(size_t index, void *context, struct gsn_error *err)
 {
     const struct search *search = context;
-    const struct gsn_slot *slot = &search->slots[index];
-    const int r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
-                                 slot, NULL, &search->candidates[index], err);
+    const struct gsn_slot_search *in = &search->in;
+    const struct gsn_slot *slot = &in->slots[index];
+    const int r = gsn_slot_marks(in->scan, in->absorber, &in->layout, in->side, slot, 0, NULL,
+                                 &search->candidates[index], err);
 
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
@@ -267,15 +264,15 @@ static int count_chosen(const struct gsn_mark_candidates *candidates,
 static int seek_again(const struct search *search, size_t index,
                       const struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
-    const struct gsn_slot *slot = &search->slots[index];
+    const struct gsn_slot_search *in = &search->in;
+    const struct gsn_slot *slot = &in->slots[index];
     const int before = count_chosen(&search->candidates[index], prior);
     struct gsn_mark_candidates again;
     int r;
 
     if (before == GSN_MARKS || !prior->learnt)
         return GSN_OK;
-    r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side, slot, prior,
-                       &again, err);
+    r = gsn_slot_marks(in->scan, in->absorber, &in->layout, in->side, slot, 0, prior, &again, err);
     if (r < 0)
         return gsn_fail_at(err, "slot %u", slot->slot + 1);
     if (count_chosen(&again, prior) > before)
@@ -318,7 +315,8 @@ static double scale_of(const struct gsn_point known[GSN_MARKS],
 }
 
 /* The pixel size at which the sections agree on the job's triangle, when that is far from the one
- * stated; 0: they agree at none. Burns of 40 to 150 um are looked for, so steps of 2 miss none. */
+ * stated; 0: they agree at none. Burns of the ordinary kind span a factor of 3.75, so steps of 2
+ * miss none. */
 static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
                            const struct gsn_slot *found, size_t count, unsigned threads,
                            double *ret_px_um, struct gsn_error *err)
@@ -341,7 +339,8 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
     *ret_px_um = 0;
     for (size_t i = 0; i < sizeof times / sizeof times[0]; i++) {
         struct gsn_scan other = *scan;
-        struct search search = { &other,    gsn_protocol_layout(protocol), absorber, side, found,
+        struct search search = { { &other, absorber, gsn_protocol_layout(protocol), side, found,
+                                   count, threads },
                                  candidates };
         struct gsn_triangle_prior seen = { 0 };
         double scale;
@@ -402,6 +401,19 @@ static void pass_over_marks(const struct gsn_slot *found, size_t count,
     void_choices(answers, findings);
 }
 
+/* Why there may be no marks at all. */
+static void say_too_coarse(const struct gsn_scan *scan, struct gsn_panel_findings *findings)
+{
+    const double least_um = GSN_MARK_LEAST_PX * scan->px_um;
+
+    if (least_um > GSN_MARK_LEAST_UM)
+        gsn_findings_say(findings,
+                         "no section shows three marks: at %.4g um a pixel those of less than %.3g "
+                         "um radius (%g pixels; holes: %.3g um) may not be told from grain: scan "
+                         "finer if they are so small",
+                         scan->px_um, least_um, GSN_MARK_LEAST_PX, 2 * least_um);
+}
+
 int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *protocol,
                       const struct gsn_slot *found, size_t count,
                       const struct gsn_panel_answers *answers, unsigned threads,
@@ -411,7 +423,9 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     gsn_auto(gsn_absorber) absorber = NULL;
-    struct search search = { scan, gsn_protocol_layout(protocol), NULL, 0, found, candidates };
+    struct search search = {
+        { scan, NULL, gsn_protocol_layout(protocol), 0, found, count, threads }, candidates
+    };
     struct gsn_triangle_prior prior;
     struct gsn_point upright = { protocol->has_markers, 0 };
     struct lie lie = { 0 };
@@ -426,9 +440,10 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
     if (r < 0)
         return r;
-    search.absorber = absorber;
-    search.side = gsn_slot_typical_side(found, count, scratch);
-    r = gsn_parallel_for(count, threads, search_slot, &search, err);
+    search.in.absorber = absorber;
+    search.in.side = gsn_slot_typical_side(found, count, scratch);
+    r = gsn_slots_marks(&search.in, protocol->has_markers ? protocol->markers_um : NULL, candidates,
+                        err);
     if (r < 0)
         return r;
     r = know_triangle(protocol, candidates, count, &prior, err);
@@ -456,6 +471,8 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
         state_marks(section, &sight);
     }
     void_choices(answers, findings);
+    if (lie.marked == 0)
+        say_too_coarse(scan, findings);
     if (agreed)
         lay_candidates(&prior, upright, scan->px_um, findings);
     return protocol->has_markers ? check_way_round(scan, &lie, answers, findings, err) : GSN_OK;

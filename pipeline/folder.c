@@ -17,6 +17,20 @@ static double median_search_ms(const struct gsn_section_folder *folder)
     return n > 0 ? gsn_median(ms, n) : 0;
 }
 
+/* Why there may be no marks, when they are not found. */
+static int fail_without_marks(const struct gsn_section_folder *folder, const char *why,
+                              struct gsn_error *err)
+{
+    const double least_um = GSN_MARK_LEAST_PX * folder->px_um;
+
+    if (!(folder->options->px_um > 0 && least_um > GSN_MARK_LEAST_UM))
+        return gsn_fail(err, GSN_E_MARKERS, "%s", why);
+    return gsn_fail(err, GSN_E_MARKERS,
+                    "%s; at %.4g um a pixel marks of less than %.3g um radius (%g pixels; holes: "
+                    "%.3g um) may not be told from grain: scan finer if they are so small",
+                    why, folder->px_um, least_um, GSN_MARK_LEAST_PX, 2 * least_um);
+}
+
 static int run(struct gsn_section_folder *folder, const char *dir, struct gsn_error *err)
 {
     struct gsn_error own = { 0 };
@@ -28,10 +42,14 @@ static int run(struct gsn_section_folder *folder, const char *dir, struct gsn_er
     began = gsn_folder_cpu_ms();
     if (r >= 0)
         r = gsn_folder_choose_marks(folder, &own);
+    if (r >= 0 || r == GSN_E_MARKERS)
+        r = gsn_folder_choose_burns(folder, dir, r, &own);
     if (r >= 0)
         r = gsn_folder_solve(folder, &own);
     if (r == GSN_E_MARKERS && folder->options->by_tissue && !folder->options->mark)
         r = GSN_OK;
+    else if (r == GSN_E_MARKERS)
+        r = fail_without_marks(folder, own.text, err);
     else if (r < 0 && own.text[0])
         r = gsn_fail(err, r, "%s", own.text);
     if (r >= 0 && folder->options->by_tissue)

@@ -113,3 +113,63 @@ int gsn_folder_choose_marks(struct gsn_section_folder *folder, struct gsn_error 
         r = know_triangle(folder, &prior, err);
     return r < 0 ? r : choose_all(folder, &prior, 1, err);
 }
+
+/* ---- other burns than the ordinary ------------------------------------------------------- */
+
+static int look_for_burns(const struct gsn_section_folder *folder, const char *dir, size_t i,
+                          struct gsn_mark_candidates *found, size_t apart, struct gsn_error *err)
+{
+    const struct gsn_mark_candidates *seen = &folder->work[i].spots->candidates;
+    gsn_auto(gsn_picture) picture = NULL;
+    int r = gsn_folder_open(folder, dir, i, &picture, err);
+
+    found[0] = *seen;
+    for (unsigned burn = 1; r >= 0 && burn < GSN_MARK_BURNS; burn++)
+        r = gsn_mark_spots_find_burns(picture->image, folder->px_um, seen->tissue_px, burn,
+                                      &found[burn * apart], err);
+    return r < 0 ? gsn_fail_at(err, "%s", folder->stack->section[i].file) : GSN_OK;
+}
+
+static void take_burns(struct gsn_section_folder *folder, const struct gsn_mark_candidates *found)
+{
+    for (size_t i = 0, n = 0; i < folder->stack->count; i++) {
+        struct gsn_mark_spots *spots = folder->work[i].spots;
+
+        if (!spots)
+            continue;
+        spots->candidates = found[n++];
+        for (size_t k = 0; k < GSN_MARK_CANDIDATES; k++)
+            spots->measured[k] = 1;
+    }
+}
+
+int gsn_folder_choose_burns(struct gsn_section_folder *folder, const char *dir, int chosen,
+                            struct gsn_error *err)
+{
+    const size_t count = folder->stack->count;
+    gsn_auto_mem(struct gsn_mark_candidates) found =
+        gsn_alloc_array(GSN_MARK_BURNS * count, sizeof *found);
+    struct gsn_point stated[GSN_MARKS];
+    const struct gsn_point *mark_um = folder->options->mark ? stated : NULL;
+    size_t readable, n = 0;
+    unsigned burn = 0;
+    int odd, r;
+
+    if (!found)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a stack");
+    if (mark_um)
+        gsn_folder_stated_marks(folder, stated);
+    readable = collect(folder, found);
+    r = gsn_markers_are_odd(found, readable, mark_um, &odd, err);
+    if (r < 0 || !odd)
+        return r < 0 ? r : chosen;
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        if (folder->work[i].spots)
+            r = look_for_burns(folder, dir, i, &found[n++], readable, err);
+    if (r >= 0)
+        r = gsn_markers_burn(found, readable, mark_um, &burn, err);
+    if (r < 0 || burn == 0)
+        return r < 0 ? r : chosen;
+    take_burns(folder, found + burn * readable);
+    return gsn_folder_choose_marks(folder, err);
+}

@@ -5,6 +5,7 @@
 #ifndef GSN_PIPELINE_FOLDER_PARTS_H
 #define GSN_PIPELINE_FOLDER_PARTS_H
 
+#include "pipeline/decode/apart.h"
 #include "pipeline/folder.h"
 #include "pipeline/register/mark_spots.h"
 
@@ -42,6 +43,10 @@ int gsn_folder_list(const char *dir, struct gsn_folder_stack *stack, struct gsn_
 int gsn_folder_search(struct gsn_section_folder *folder, const char *dir, size_t i,
                       struct gsn_error *err);
 
+/* The picture of section i. Fails as its decoder does. */
+int gsn_folder_open(const struct gsn_section_folder *folder, const char *dir, size_t i,
+                    struct gsn_picture **ret_picture, struct gsn_error *err);
+
 /* folder_marks.c */
 
 /* The caller guarantees that the marks are stated. */
@@ -50,6 +55,12 @@ void gsn_folder_stated_marks(const struct gsn_section_folder *folder,
 /* Chooses the three marks of every section, and measures them. Fails with GSN_E_MARKERS,
  * GSN_E_NOMEM. */
 int gsn_folder_choose_marks(struct gsn_section_folder *folder, struct gsn_error *err);
+
+/* Where few sections show marks of the ordinary size: reads the pictures again and looks for other
+ * kinds of burns (gsn_markers_burn()), and chooses among those. chosen: what
+ * gsn_folder_choose_marks() said. Fails with GSN_E_MARKERS, GSN_E_PROCESS, GSN_E_NOMEM. */
+int gsn_folder_choose_burns(struct gsn_section_folder *folder, const char *dir, int chosen,
+                            struct gsn_error *err);
 
 /* folder_poses.c */
 

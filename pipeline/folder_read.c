@@ -2,7 +2,6 @@
 #include "pipeline/folder_parts.h"
 
 #include "pipeline/core/file.h"
-#include "pipeline/decode/apart.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -81,22 +80,29 @@ static int look_at_tissue(struct gsn_section_folder *folder, size_t i,
     return r == GSN_E_NOMEM ? gsn_fail(err, r, "%s", own.text) : GSN_OK;
 }
 
+int gsn_folder_open(const struct gsn_section_folder *folder, const char *dir, size_t i,
+                    struct gsn_picture **ret_picture, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = gsn_format("%s/%s", dir, folder->stack->section[i].file);
+    gsn_auto_fd picture_fd = -1;
+    int r;
+
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %s", dir);
+    r = gsn_file_open(path, &picture_fd, err);
+    return r < 0 ? r
+                 : gsn_decode_apart(folder->options->decoder, picture_fd, NULL, ret_picture, err);
+}
+
 int gsn_folder_search(struct gsn_section_folder *folder, const char *dir, size_t i,
                       struct gsn_error *err)
 {
     struct gsn_folder_section *section = &folder->stack->section[i];
-    gsn_auto_mem(char) path = gsn_format("%s/%s", dir, section->file);
-    gsn_auto_fd picture_fd = -1;
     gsn_auto(gsn_picture) picture = NULL;
     struct gsn_error own = { 0 };
     double began;
-    int r;
+    int r = gsn_folder_open(folder, dir, i, &picture, &own);
 
-    if (!path)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %s", section->file);
-    r = gsn_file_open(path, &picture_fd, &own);
-    if (r >= 0)
-        r = gsn_decode_apart(folder->options->decoder, picture_fd, NULL, &picture, &own);
     began = gsn_folder_cpu_ms();
     if (r >= 0)
         r = gsn_mark_spots_find(picture->image, folder->px_um, &folder->work[i].spots, &own);

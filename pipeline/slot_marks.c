@@ -2,9 +2,13 @@
 #include "pipeline/slot_marks.h"
 
 #include "pipeline/core/robust.h"
+#include "pipeline/core/mem.h"
+#include "pipeline/core/parallel.h"
+#include "pipeline/register/median.h"
 #include "pipeline/stain/absorb.h"
 
 #include <math.h>
+#include <string.h>
 
 /* Half of a slot's width, and a tenth of it for sections that do not lie in its middle. */
 static const double SHARE = 0.6;
@@ -46,7 +50,7 @@ static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart,
 
 int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
                    const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
-                   const struct gsn_triangle_prior *prior,
+                   unsigned burn, const struct gsn_triangle_prior *prior,
                    struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
 {
     const struct gsn_slot window = search_window(scan, layout, side, slot);
@@ -54,5 +58,58 @@ int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absor
     const struct gsn_mark_density red = { image->width, image->height, absorber, red_row };
 
     return prior ? gsn_markers_seek(&red, &window, scan->px_um, prior, ret_candidates, err)
-                 : gsn_markers_candidates(&red, &window, scan->px_um, ret_candidates, err);
+                 : gsn_markers_candidates_of(&red, &window, scan->px_um, burn, ret_candidates,
+                                             err);
+}
+
+/* One kind of burn in all sections. */
+struct kind {
+    const struct gsn_slot_search *search;
+    unsigned burn;
+    struct gsn_mark_candidates *candidates;
+};
+
+static int search_slot(size_t index, void *context, struct gsn_error *err)
+{
+    const struct kind *kind = context;
+    const struct gsn_slot_search *search = kind->search;
+    const struct gsn_slot *slot = &search->slots[index];
+    const int r = gsn_slot_marks(search->scan, search->absorber, &search->layout, search->side,
+                                 slot, kind->burn, NULL, &kind->candidates[index], err);
+
+    return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
+}
+
+static int search_kind(const struct gsn_slot_search *search, unsigned burn,
+                       struct gsn_mark_candidates *candidates, struct gsn_error *err)
+{
+    struct kind kind = { search, burn, candidates };
+
+    return gsn_parallel_for(search->count, search->threads, search_slot, &kind, err);
+}
+
+int gsn_slots_marks(const struct gsn_slot_search *search, const struct gsn_point *mark_um,
+                    struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+{
+    const size_t count = search->count;
+    gsn_auto_mem(struct gsn_mark_candidates) all = NULL;
+    unsigned burn = 0;
+    int odd, r = search_kind(search, 0, ret_candidates, err);
+
+    if (r >= 0)
+        r = gsn_markers_are_odd(ret_candidates, count, mark_um, &odd, err);
+    if (r < 0 || !odd)
+        return r;
+    all = gsn_alloc_array(GSN_MARK_BURNS * count, sizeof *all);
+    if (!all)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
+    memcpy(all, ret_candidates, count * sizeof *all);
+    for (unsigned k = 1; r >= 0 && k < GSN_MARK_BURNS; k++)
+        r = search_kind(search, k, all + k * count, err);
+    if (r >= 0)
+        r = gsn_markers_burn(all, count, mark_um, &burn, err);
+    if (r < 0)
+        return r;
+    memcpy(ret_candidates, all + burn * count, count * sizeof *all);
+    return GSN_OK;
 }

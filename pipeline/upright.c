@@ -214,8 +214,12 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
     gsn_auto_mem(double) scratch = gsn_alloc_array(count + 1, sizeof *scratch);
     gsn_auto(gsn_absorber) absorber = NULL;
     struct gsn_triangle_prior prior = { 0 };
+    struct gsn_slot_search search = { .scan = scan,
+                                      .layout = reading->layout,
+                                      .slots = reading->slot,
+                                      .count = count,
+                                      .threads = 1 };
     unsigned votes[2][4] = { { 0 } }, total = 0;
-    double side;
     int r = GSN_OK;
 
     *ret_told = 0;
@@ -224,10 +228,10 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
     if (!protocol->has_markers)
         return GSN_OK;
     r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
-    side = gsn_slot_typical_side(reading->slot, count, scratch);
-    for (size_t i = 0; r >= 0 && i < count; i++)
-        r = gsn_slot_marks(scan, absorber, &reading->layout, side, &reading->slot[i], NULL,
-                           &candidates[i], err);
+    search.absorber = absorber;
+    search.side = gsn_slot_typical_side(reading->slot, count, scratch);
+    if (r >= 0)
+        r = gsn_slots_marks(&search, protocol->markers_um, candidates, err);
     memcpy(prior.mark_um, protocol->markers_um, sizeof prior.mark_um);
     if (r >= 0)
         r = gsn_markers_learn(candidates, count, &prior, err);

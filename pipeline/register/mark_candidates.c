@@ -14,6 +14,9 @@
 #include <string.h>
 
 static const double PX_MOST_UM = 40;
+const struct gsn_mark_burn gsn_mark_burns[GSN_MARK_BURNS] = { { 1, 0 },   { 0.35, 0 },
+                                                              { 3, 0 }, { 1, 1 },
+                                                              { 0.35, 1 }, { 3, 1 } };
 /* Spots that are measured: ink over the tissue has dozens that are darker than any mark, and few of
  * them are round. */
 enum { SPOTS = 64 };
@@ -96,11 +99,13 @@ static int measure_spots(const struct gsn_mark_density *density, const struct gs
                          const struct gsn_mark *spots, size_t count, int likeliest_first,
                          struct gsn_mark_candidates *candidates, struct gsn_error *err)
 {
+    const struct gsn_mark_burn *burn = &gsn_mark_burns[candidates->burn];
+
     for (size_t i = 0; i < count && !enough(candidates, &spots[i], likeliest_first); i++) {
         struct gsn_mark mark;
-        const int r =
-            gsn_mark_density_fit(density, slot, spots[i].px, spots[i].radius_px, &mark, err);
-        const double um = mark.radius_px * candidates->px_um;
+        const int r = gsn_mark_density_fit(density, slot, spots[i].px, spots[i].radius_px,
+                                           burn->holes, &mark, err);
+        const double um = mark.radius_px * candidates->px_um / burn->scale;
 
         if (r < 0)
             return r;
@@ -142,7 +147,10 @@ static int search(const struct gsn_mark_density *density, const struct gsn_slot 
                   const struct gsn_triangle_prior *prior, struct gsn_mark_candidates *candidates,
                   struct gsn_error *err)
 {
-    const size_t step = gsn_mark_field_step(candidates->px_um);
+    const struct gsn_mark_burn *burn = &gsn_mark_burns[candidates->burn];
+    /* Larger burns in larger cells are the ordinary kind again. */
+    const double px_um = candidates->px_um / burn->scale;
+    const size_t step = gsn_mark_field_step(px_um);
     struct gsn_mark_field field = { .width = (size_t)slot->width / step,
                                     .height = (size_t)slot->height / step,
                                     .cell_px = (double)step,
@@ -158,23 +166,23 @@ static int search(const struct gsn_mark_density *density, const struct gsn_slot 
     if (!values || !spots)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
     field.od = values;
-    r = gsn_mark_density_reduce(density, slot, step, &field, err);
+    r = burn->holes ? gsn_mark_density_reduce_filled(density, slot, step, &field, err)
+                    : gsn_mark_density_reduce(density, slot, step, &field, err);
     if (r < 0)
         return r;
     lined.count = gsn_mark_lines_bridge(&field, candidates->px_um, lined.line);
     gsn_mark_map_take(&field, &candidates->map);
-    r = gsn_mark_field_spots(&field, candidates->px_um, prior ? SPOTS_KNOWN : SPOTS, spots, &count,
-                             err);
+    r = gsn_mark_field_spots(&field, px_um, prior ? SPOTS_KNOWN : SPOTS, spots, &count, err);
     if (r >= 0 && prior)
         count = sort_by_looks(spots, count, candidates->px_um, prior);
     return r < 0 ? r : measure_spots(&open, slot, spots, count, prior != NULL, candidates, err);
 }
 
 static int look(const struct gsn_mark_density *red_od, const struct gsn_slot *slot, double px_um,
-                const struct gsn_triangle_prior *prior, struct gsn_mark_candidates *ret_candidates,
-                struct gsn_error *err)
+                unsigned burn, const struct gsn_triangle_prior *prior,
+                struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
 {
-    struct gsn_mark_candidates candidates = { .px_um = px_um };
+    struct gsn_mark_candidates candidates = { .px_um = px_um, .burn = burn };
     int r;
 
     if (!(px_um > 0 && px_um <= PX_MOST_UM))
@@ -201,9 +209,16 @@ int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct g
                            double px_um, struct gsn_mark_candidates *ret_candidates,
                            struct gsn_error *err)
 {
-    assert(red_od && slot && ret_candidates);
+    return gsn_markers_candidates_of(red_od, slot, px_um, 0, ret_candidates, err);
+}
 
-    return look(red_od, slot, px_um, NULL, ret_candidates, err);
+int gsn_markers_candidates_of(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+                              double px_um, unsigned burn,
+                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+{
+    assert(red_od && slot && burn < GSN_MARK_BURNS && ret_candidates);
+
+    return look(red_od, slot, px_um, burn, NULL, ret_candidates, err);
 }
 
 int gsn_markers_seek(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
@@ -212,5 +227,6 @@ int gsn_markers_seek(const struct gsn_mark_density *red_od, const struct gsn_slo
 {
     assert(red_od && slot && prior && ret_candidates);
 
-    return look(red_od, slot, px_um, prior->learnt ? prior : NULL, ret_candidates, err);
+    return look(red_od, slot, px_um, prior->burn, prior->learnt ? prior : NULL, ret_candidates,
+                err);
 }

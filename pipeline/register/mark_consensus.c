@@ -239,6 +239,7 @@ int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t cou
                         usable, best.sections);
     triple = typical(shapes, count, best.triple, scratch);
     corners_of(&triple, prior.mark_um);
+    prior.burn = sections[0].burn;
     *ret_prior = prior;
     return GSN_OK;
 }

@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/mark_density.h"
 
+#include "pipeline/core/mem.h"
+#include "pipeline/register/mark_fill.h"
 #include "pipeline/register/mark_fit.h"
 
 #include <assert.h>
@@ -75,10 +77,53 @@ int gsn_mark_density_reduce(const struct gsn_mark_density *density, const struct
     return GSN_OK;
 }
 
+/* The darkest of the pixels of each small cell of side px; those masked take no part. */
+static void take_darkest(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+                         size_t side, size_t y, size_t count, float *row, float *ret_darkest)
+{
+    for (size_t i = 0; i < count; i++)
+        ret_darkest[i] = NAN;
+    for (size_t k = 0; k < side * side; k++) {
+        density->row(density->context, (uint32_t)(slot->x + (int)(k % side)),
+                     (uint32_t)(slot->y + (int)(y * side + k / side)), (uint32_t)side, count, row);
+        for (size_t i = 0; i < count; i++)
+            ret_darkest[i] = fmaxf(ret_darkest[i], row[i]);
+    }
+}
+
+int gsn_mark_density_reduce_filled(const struct gsn_mark_density *density,
+                                   const struct gsn_slot *slot, size_t step,
+                                   struct gsn_mark_field *field, struct gsn_error *err)
+{
+    /* Cells of a third of a cell, or of a pixel. */
+    const size_t side = step % 3 == 0 ? step / 3 : 1, per = step / side;
+    const size_t width = field->width * per, height = field->height * per;
+    gsn_auto_mem(float) small = gsn_alloc((width * height + width + 1) * sizeof *small);
+    int r;
+
+    if (!small)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while looking for marks");
+    for (size_t y = 0; y < height; y++)
+        take_darkest(density, slot, side, y, width, small + width * height, small + y * width);
+    r = gsn_mark_fill(small, width, height, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < field->width * field->height; i++) {
+        const float *from = small + i / field->width * per * width + i % field->width * per;
+        float sum = 0, n = 0;
+
+        for (size_t k = 0; k < per * per; k++)
+            add_tap(from + k / per * width + k % per, 1, &sum, &n);
+        field->od[i] = n > 0 ? sum / n : NAN;
+    }
+    fill_holes(field);
+    return GSN_OK;
+}
+
 /* One fit, with the pixels around its start. */
 static int fit_from(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                    struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
-                    struct gsn_error *err)
+                    struct gsn_point start, double radius_px, int holes,
+                    struct gsn_mark *ret_mark, struct gsn_error *err)
 {
     const double reach = WINDOW * radius_px + 2;
     const int x0 = (int)fmax(floor(start.x - reach), slot->x);
@@ -97,6 +142,8 @@ static int fit_from(const struct gsn_mark_density *density, const struct gsn_slo
     for (int y = y0; y < y1; y++)
         density->row(density->context, (uint32_t)x0, (uint32_t)y, 1, window.width,
                      value + (size_t)(y - y0) * window.width);
+    if (holes && (r = gsn_mark_fill(value, window.width, window.height, err)) < 0)
+        return r;
     r = gsn_mark_fit(&window, (struct gsn_point){ start.x - x0, start.y - y0 }, radius_px, &mark,
                      err);
     if (r < 0)
@@ -127,11 +174,11 @@ static int is_inside(const struct gsn_slot *slot, struct gsn_point at)
 }
 
 int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                         struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
-                         struct gsn_error *err)
+                         struct gsn_point start, double radius_px, int holes,
+                         struct gsn_mark *ret_mark, struct gsn_error *err)
 {
     struct gsn_mark mark;
-    int r = fit_from(density, slot, start, radius_px, &mark, err);
+    int r = fit_from(density, slot, start, radius_px, holes, &mark, err);
 
     for (int again = 0; r >= 0 && mark.found && !is_seen(start, radius_px, &mark); again++) {
         if (again == AGAIN || !is_inside(slot, mark.px)) {
@@ -140,7 +187,7 @@ int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gs
         }
         start = mark.px;
         radius_px = mark.radius_px;
-        r = fit_from(density, slot, start, radius_px, &mark, err);
+        r = fit_from(density, slot, start, radius_px, holes, &mark, err);
     }
     if (r < 0)
         return r;

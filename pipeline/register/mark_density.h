@@ -23,10 +23,16 @@ extern "C" {
 int gsn_mark_density_reduce(const struct gsn_mark_density *density, const struct gsn_slot *slot,
                             size_t step, struct gsn_mark_field *field, struct gsn_error *err);
 
-/* gsn_mark_fit() with the pixels of the slot around start. */
+/* The same with holes filled that a dark rim encloses (mark_fill.h): all pixels are read, and rims
+ * are kept closed where they are as narrow as a third of a cell. */
+int gsn_mark_density_reduce_filled(const struct gsn_mark_density *density,
+                                   const struct gsn_slot *slot, size_t step,
+                                   struct gsn_mark_field *field, struct gsn_error *err);
+
+/* gsn_mark_fit() with the pixels of the slot around start; holes: filled first. */
 int gsn_mark_density_fit(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                         struct gsn_point start, double radius_px, struct gsn_mark *ret_mark,
-                         struct gsn_error *err);
+                         struct gsn_point start, double radius_px, int holes,
+                         struct gsn_mark *ret_mark, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/linalg.h"
 #include "pipeline/register/mark_edge_fit.h"
+#include "pipeline/register/mark_oval.h"
 
 #include <assert.h>
 #include <math.h>
@@ -19,6 +20,9 @@ static const double LOBE_FIRST = 0.015;
 /* Fewer sectors than this share of the rim that agree are no round edge. */
 static const double RIM_LEAST = 0.4;
 static const double CONTRAST_LEAST = 1e-4, SCORE_LEAST = 0.25;
+/* An oval is believed where it leaves less than this share unexplained of what a round outline
+ * leaves, and so much of its rim agrees. */
+static const double OVAL_LEAVES = 0.5, OVAL_RIM = 0.85;
 
 /* Pixels within reach of the start; whether at least half of the disc is among them. */
 static int gather(const struct gsn_plane *plane, struct gsn_point start, struct gsn_edge_fit *fit)
@@ -43,6 +47,35 @@ static int gather(const struct gsn_plane *plane, struct gsn_point start, struct 
             fit->x[fit->count] = (float)dx;
             fit->y[fit->count] = (float)dy;
             fit->value[fit->count++] = row[x];
+        }
+    }
+    return (double)disc >= 0.5 * M_PI * disc2 && fit->count > 4 * UNKNOWNS;
+}
+
+/* The same for an oval: its pixels, stretched. */
+static int gather_stretched(const struct gsn_plane *plane, struct gsn_point start,
+                            const struct gsn_mark_stretch *by, struct gsn_edge_fit *fit)
+{
+    const double reach = GSN_EDGE_REACH * fit->radius, disc2 = fit->radius * fit->radius;
+    /* The longer half axis of what is stretched to a circle. */
+    const double far = reach * sqrt(gsn_mark_oval_most);
+    const int x0 = (int)fmax(floor(start.x - far), 0), y0 = (int)fmax(floor(start.y - far), 0);
+    const int x1 = (int)fmin(ceil(start.x + far), plane->width);
+    const int y1 = (int)fmin(ceil(start.y + far), plane->height);
+    size_t disc = 0;
+
+    for (int y = y0; y < y1; y++) {
+        for (int x = x0; x < x1; x++) {
+            const float value = plane->value[(size_t)y * plane->width + (size_t)x];
+            const double dx = x + 0.5 - start.x, dy = y + 0.5 - start.y;
+            const double u = by->xx * dx + by->xy * dy, v = by->xy * dx + by->yy * dy;
+
+            if (!isfinite(value) || u * u + v * v > reach * reach)
+                continue;
+            disc += u * u + v * v <= disc2;
+            fit->x[fit->count] = (float)u;
+            fit->y[fit->count] = (float)v;
+            fit->value[fit->count++] = value;
         }
     }
     return (double)disc >= 0.5 * M_PI * disc2 && fit->count > 4 * UNKNOWNS;
@@ -179,19 +212,33 @@ static int run(struct gsn_edge_fit *fit, struct gsn_mark *mark)
            covariance(fit, h, mark);
 }
 
-int gsn_mark_edge_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                      struct gsn_mark *ret_mark, struct gsn_error *err)
+/* One fit; stretch: NULL for a round mark. Returns the share of the rim that agrees, or 0. */
+static double fit_outline(struct gsn_edge_fit *fit, const struct gsn_plane *plane,
+                          struct gsn_point start, double radius_px, const struct gsn_mark_stretch *stretch,
+                          struct gsn_mark *ret_mark)
 {
-    const size_t side = (size_t)ceil(2 * GSN_EDGE_REACH * radius_px) + 3, room = side * side;
-    gsn_auto_mem(float) floats = gsn_alloc(FLOATS * room * sizeof *floats);
-    gsn_auto_mem(int) cells = gsn_alloc(room * sizeof *cells);
-    gsn_auto_mem(struct gsn_edge_fit) fit = gsn_alloc_array(1, sizeof *fit);
     struct gsn_mark mark = { 0 };
 
-    assert(plane && radius_px > 0 && ret_mark);
+    fit->radius = radius_px;
+    fit->sectors =
+        (size_t)fmin(fmax(2 * M_PI * radius_px / SECTOR_PX, SECTORS_LEAST), GSN_EDGE_SECTORS);
+    if (!(stretch ? gather_stretched(plane, start, stretch, fit) : gather(plane, start, fit)) ||
+        !run(fit, &mark))
+        return 0;
+    mark.px = (struct gsn_point){ fit->at_x + fit->v[CX], fit->at_y + fit->v[CY] };
+    if (stretch)
+        gsn_mark_unstretch(stretch, &mark);
+    mark.px.x += start.x;
+    mark.px.y += start.y;
+    mark.found = 1;
+    *ret_mark = mark;
+    return rim(fit);
+}
 
-    if (!floats || !cells || !fit)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
+/* What the fit is worked in. */
+static void clear(struct gsn_edge_fit *fit, float *floats, int *cells, size_t room)
+{
+    memset(fit, 0, sizeof *fit);
     fit->x = floats;
     fit->y = floats + room;
     fit->value = floats + 2 * room;
@@ -199,15 +246,32 @@ int gsn_mark_edge_fit(const struct gsn_plane *plane, struct gsn_point start, dou
     fit->by_y = floats + 4 * room;
     fit->by_value = floats + 5 * room;
     fit->cell = cells;
-    fit->radius = radius_px;
-    fit->sectors =
-        (size_t)fmin(fmax(2 * M_PI * radius_px / SECTOR_PX, SECTORS_LEAST), GSN_EDGE_SECTORS);
-    *ret_mark = (struct gsn_mark){ 0 };
-    if (!gather(plane, start, fit) || !run(fit, &mark))
-        return GSN_OK;
-    mark.px =
-        (struct gsn_point){ start.x + fit->at_x + fit->v[CX], start.y + fit->at_y + fit->v[CY] };
-    mark.found = 1;
+}
+
+int gsn_mark_edge_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
+                      struct gsn_mark *ret_mark, struct gsn_error *err)
+{
+    /* An oval may be 1.6 times as large as was thought. */
+    const size_t side = (size_t)ceil(1.6 * 2 * GSN_EDGE_REACH * radius_px) + 3, room = side * side;
+    gsn_auto_mem(float) floats = gsn_alloc(FLOATS * room * sizeof *floats);
+    gsn_auto_mem(int) cells = gsn_alloc(room * sizeof *cells);
+    gsn_auto_mem(struct gsn_edge_fit) fit = gsn_alloc_array(1, sizeof *fit);
+    struct gsn_mark mark = { 0 }, oval = { 0 };
+    struct gsn_mark_stretch stretch;
+
+    assert(plane && radius_px > 0 && ret_mark);
+
+    if (!floats || !cells || !fit)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
+    clear(fit, floats, cells, room);
+    (void)fit_outline(fit, plane, start, radius_px, NULL, &mark);
+    if (mark.score < gsn_mark_round_score &&
+        gsn_mark_find_oval(plane, &start, &radius_px, &stretch)) {
+        clear(fit, floats, cells, room);
+        if (fit_outline(fit, plane, start, radius_px, &stretch, &oval) >= OVAL_RIM &&
+            1 - oval.score < OVAL_LEAVES * (1 - mark.score))
+            mark = oval;
+    }
     *ret_mark = mark;
     return GSN_OK;
 }

@@ -24,7 +24,7 @@ struct gsn_mark_field {
     float *od;                  /* width x height; must be finite */
 };
 
-/* Radius of a laser burn, um. */
+/* Radius of an ordinary laser burn, um. */
 extern const double gsn_mark_radius_least_um, gsn_mark_radius_most_um;
 /* Optical density below which nothing is called a spot. */
 extern const double gsn_mark_contrast_least;

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/linalg.h"
 #include "pipeline/register/mark_edge.h"
+#include "pipeline/register/mark_oval.h"
 
 #include <assert.h>
 #include <math.h>
@@ -26,6 +27,8 @@ static const double BLEACH_SD = 0.7;
 static const double SETTLED = 1e-8;
 /* Less contrast than this is rounding, and a disc that explains less of the picture is none. */
 static const double CONTRAST_LEAST = 1e-4, SCORE_LEAST = 0.25;
+/* An oval is believed where it leaves less than this share unexplained of what a disc leaves. */
+static const double OVAL_LEAVES = 0.5;
 /* Beyond this many blurs from an edge it is over, to eleven digits. */
 static const double FAR = 7;
 static const double LAMBDA_FIRST = 1e-3, LAMBDA_MOST = 1e8;
@@ -311,18 +314,22 @@ static int covariance(const struct window *w, const double *v, struct gsn_mark *
 }
 
 /* Pixels within reach of the start; whether at least half of the disc is among them. */
-static int gather(const struct gsn_plane *plane, struct gsn_point start, struct window *w)
+static int gather(const struct gsn_plane *plane, struct gsn_point start,
+                  const struct gsn_mark_stretch *by, struct window *w)
 {
     const double reach = GSN_MARK_FIT_REACH * w->radius;
-    const int x0 = (int)fmax(floor(start.x - reach), 0), y0 = (int)fmax(floor(start.y - reach), 0);
-    const int x1 = (int)fmin(ceil(start.x + reach), plane->width);
-    const int y1 = (int)fmin(ceil(start.y + reach), plane->height);
+    const double far = by ? reach * sqrt(gsn_mark_oval_most) : reach;
+    const int x0 = (int)fmax(floor(start.x - far), 0), y0 = (int)fmax(floor(start.y - far), 0);
+    const int x1 = (int)fmin(ceil(start.x + far), plane->width);
+    const int y1 = (int)fmin(ceil(start.y + far), plane->height);
     double disc = 0;
 
     for (int y = y0; y < y1; y++) {
         for (int x = x0; x < x1; x++) {
             const float value = plane->value[(size_t)y * plane->width + (size_t)x];
-            const double dx = x + 0.5 - start.x, dy = y + 0.5 - start.y;
+            const double right = x + 0.5 - start.x, down = y + 0.5 - start.y;
+            const double dx = by ? by->xx * right + by->xy * down : right;
+            const double dy = by ? by->xy * right + by->yy * down : down;
             const double r = hypot(dx, dy);
 
             if (r > reach || !isfinite(value))
@@ -361,34 +368,56 @@ static void guess(const struct window *w, double *v)
     v[P] = 0.1;
 }
 
-static int fit_small(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                     struct gsn_mark *ret_mark, struct gsn_error *err)
+/* stretch: NULL for a round mark. pixels has room for all within reach. */
+static struct gsn_mark fit_disc(const struct gsn_plane *plane, struct gsn_point start,
+                                double radius_px, const struct gsn_mark_stretch *stretch,
+                                struct pixel *pixels)
 {
-    const size_t side = (size_t)ceil(2 * GSN_MARK_FIT_REACH * radius_px) + 3;
-    gsn_auto_mem(struct pixel) pixels = gsn_alloc_array(side * side, sizeof *pixels);
     struct window w = { .pixel = pixels, .radius = radius_px };
     struct gsn_mark mark = { 0 };
     double v[UNKNOWNS];
     int settled = 1;
 
-    if (!pixels)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
-    *ret_mark = mark;
-    if (!gather(plane, start, &w))
-        return GSN_OK;
+    if (!gather(plane, start, stretch, &w))
+        return mark;
     guess(&w, v);
     for (int round = 0; round < ROUNDS && settled; round++) {
         reweigh(&w, v);
         settled = descend(&w, v);
     }
-    mark.px = (struct gsn_point){ start.x + v[CX], start.y + v[CY] };
     mark.radius_px = v[R];
     mark.contrast = v[M] - (v[B0] + (v[BX] * v[CX] + v[BY] * v[CY]) / w.radius);
     mark.score = explained(&w, v);
+    if (!settled || !(mark.contrast >= CONTRAST_LEAST) || !(mark.score >= SCORE_LEAST) ||
+        !covariance(&w, v, &mark))
+        return (struct gsn_mark){ 0 };
+    mark.px = (struct gsn_point){ v[CX], v[CY] };
+    if (stretch)
+        gsn_mark_unstretch(stretch, &mark);
+    mark.px = (struct gsn_point){ start.x + mark.px.x, start.y + mark.px.y };
     mark.found = 1;
-    if (settled && mark.contrast >= CONTRAST_LEAST && mark.score >= SCORE_LEAST &&
-        covariance(&w, v, &mark))
-        *ret_mark = mark;
+    return mark;
+}
+
+static int fit_small(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
+                     struct gsn_mark *ret_mark, struct gsn_error *err)
+{
+    /* An oval may be 1.6 times as large as was thought. */
+    const size_t side = (size_t)ceil(1.6 * 2 * GSN_MARK_FIT_REACH * radius_px) + 3;
+    gsn_auto_mem(struct pixel) pixels = gsn_alloc_array(side * side, sizeof *pixels);
+    struct gsn_mark_stretch stretch;
+    struct gsn_mark mark, oval;
+
+    if (!pixels)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
+    mark = fit_disc(plane, start, radius_px, NULL, pixels);
+    if (mark.score < gsn_mark_round_score &&
+        gsn_mark_find_oval(plane, &start, &radius_px, &stretch)) {
+        oval = fit_disc(plane, start, radius_px, &stretch, pixels);
+        if (1 - oval.score < OVAL_LEAVES * (1 - mark.score))
+            mark = oval;
+    }
+    *ret_mark = mark;
     return GSN_OK;
 }
 

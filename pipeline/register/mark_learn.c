@@ -156,6 +156,7 @@ int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while learning what a mark looks like");
     learnt = *prior;
     learnt.marked = 0;
+    learnt.burn = count > 0 ? sections[0].burn : 0;
     /* What the first round took for marks by the triangle alone, the second holds against looks. */
     for (int round = 0; round < ROUNDS && r >= 0; round++)
         r = learn(sections, count, &learnt, err);

@@ -197,6 +197,39 @@ int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
     return GSN_OK;
 }
 
+/* A picture's red channel, and the optical density of its codes. */
+struct red {
+    const struct gsn_image *image;
+    float table[CODES];
+};
+
+static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
+                    float *to)
+{
+    const struct red *red = context;
+    const size_t first = (size_t)y * red->image->width + x;
+
+    for (size_t i = 0; i < count; i++)
+        to[i] = red->table[code_at(red->image, (first + i * apart) * red->image->channels)];
+}
+
+int gsn_mark_spots_find_burns(const struct gsn_image *picture, double px_um,
+                              struct gsn_point tissue_px, unsigned burn,
+                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+{
+    const struct gsn_slot slot = { .found = 1,
+                                   .width = (int)picture->width,
+                                   .height = (int)picture->height,
+                                   .centre_px = tissue_px };
+    struct red red = { .image = picture };
+    const struct gsn_mark_density density = { picture->width, picture->height, &red, red_row };
+
+    assert(picture && ret_candidates);
+
+    density_table(red.table, 1);
+    return gsn_markers_candidates_of(&density, &slot, px_um, burn, ret_candidates, err);
+}
+
 void gsn_mark_spots_free(struct gsn_mark_spots *spots)
 {
     if (!spots)

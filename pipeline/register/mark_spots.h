@@ -35,6 +35,13 @@ int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
 void gsn_mark_spots_free(struct gsn_mark_spots *spots);
 GSN_DEFINE_AUTO(gsn_mark_spots);
 
+/* Looks for another kind of burn than the ordinary, of gsn_mark_burns: in the red channel alone,
+ * and every spot is measured. borrows: picture. tissue_px: centre of the tissue. Fails as
+ * gsn_markers_candidates(). */
+int gsn_mark_spots_find_burns(const struct gsn_image *picture, double px_um,
+                              struct gsn_point tissue_px, unsigned burn,
+                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+
 /* Replaces candidate i by what the fit says; one that is no disc keeps its place and loses its
  * score. Does nothing for one that is measured already. The caller guarantees i < count. Fails with
  * GSN_E_NOMEM. */

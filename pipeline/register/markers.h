@@ -29,8 +29,22 @@ enum {
     GSN_MARK_CANDIDATES = 96,
     GSN_MARK_MAP = 40,
     GSN_MARK_RIVALS = 4,
-    GSN_MARK_CHANCE = 8
+    GSN_MARK_CHANCE = 8,
+    GSN_MARK_BURNS = 6
 };
+
+/* What a laser leaves. All marks of a block are alike, so a stack is searched for one kind. */
+struct gsn_mark_burn {
+    double scale; /* 1: radii of 40 to 150 um are looked for; otherwise so many times that */
+    int holes;    /* burnt through: light in a dark rim. Dark discs are found as well. */
+};
+
+/* From 14 to 450 um, the ordinary kind first. */
+extern const struct gsn_mark_burn gsn_mark_burns[GSN_MARK_BURNS];
+/* Discs of 20 to 300 um radius are found where that is so many pixels or more, holes where it is
+ * twice as many; smaller ones may be missed. */
+#define GSN_MARK_LEAST_UM 20.0
+#define GSN_MARK_LEAST_PX 2.0
 
 struct gsn_mark {
     struct gsn_point px;
@@ -52,6 +66,7 @@ struct gsn_mark_map {
 /* Every spot of one section that may be a mark, the likeliest first. */
 struct gsn_mark_candidates {
     double px_um;
+    unsigned burn;              /* what was looked for, of gsn_mark_burns */
     struct gsn_point tissue_px; /* centre of the section's tissue */
     struct gsn_mark_map map;
     size_t count;
@@ -64,6 +79,7 @@ struct gsn_triangle_prior {
                                             them, otherwise in a frame of the triangle's own */
     /* Learnt from the stack; all 0 as long as nothing is known. */
     int learnt;
+    unsigned burn;              /* of gsn_mark_burns: 0, or what the sections were searched for */
     struct gsn_point tissue_um; /* centre of the tissue, same frame */
     double tissue_sd_um;        /* its scatter per axis from section to section */
     double contrast, radius_um; /* of the typical mark */
@@ -92,6 +108,11 @@ int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct g
                            double px_um, struct gsn_mark_candidates *ret_candidates,
                            struct gsn_error *err);
 
+/* The same for another kind of burn than the ordinary, of gsn_mark_burns. */
+int gsn_markers_candidates_of(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+                              double px_um, unsigned burn,
+                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+
 /* The same, once it is learnt what marks look like: spots like that are measured, where without it
  * the darkest are, and ink has more of those than there is room for. Before anything is learnt it
  * does the same as gsn_markers_candidates(), and it fails as that does. */
@@ -112,6 +133,20 @@ int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t cou
  * when fewer than 3 are. Fails with GSN_E_NOMEM. */
 int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
                       struct gsn_triangle_prior *prior, struct gsn_error *err);
+
+/* Which kind of burn the stack has, of gsn_mark_burns. sections: those of the whole stack searched
+ * for each kind, count of each, the ordinary kind first. mark_um: the triangle, or NULL where
+ * nobody states it. The kind with which most sections show three marks, at least half of all and
+ * more than the ordinary kind shows; among those within a tenth of the most, the one whose marks
+ * lie most nearly as the triangle does. 0 where no other kind does better than the ordinary. Fails
+ * with GSN_E_NOMEM. */
+int gsn_markers_burn(const struct gsn_mark_candidates *sections, size_t count,
+                     const struct gsn_point *mark_um, unsigned *ret_burn, struct gsn_error *err);
+
+/* Whether that is worth asking: fewer than two in three sections show three marks of the ordinary
+ * kind, or those that do are nearly too small or too large for it. Fails with GSN_E_NOMEM. */
+int gsn_markers_are_odd(const struct gsn_mark_candidates *sections, size_t count,
+                        const struct gsn_point *mark_um, int *ret_odd, struct gsn_error *err);
 
 /* Chooses and numbers the marks of one section: 1..3 as in the prior, allowing any rotation, a
  * mirrored section, and only the stated pixel size. Three spots that look like the stack's marks

@@ -80,7 +80,7 @@ TEST(a_mark_is_where_the_whole_plane_shows_it)
         draw_fill(&plane, 0.1);
         draw_burn(&plane, &burn);
         draw_noise(&plane, &chance, 0.02);
-        CHECK_OK(gsn_mark_density_fit(&density, &slot, at, radius, &own, &err), err);
+        CHECK_OK(gsn_mark_density_fit(&density, &slot, at, radius, 0, &own, &err), err);
         CHECK_OK(gsn_mark_fit(&plane, at, radius, &all, &err), err);
         CHECK(own.found && all.found);
         CHECK_NEAR(own.px.x, all.px.x, 1e-4);
@@ -109,7 +109,7 @@ TEST(what_a_mark_stands_out_by_is_told_by_the_tissue_around_it)
         draw_fill(&plane, 0.1);
         draw_ellipse(&plane, c, radius, radius, 0, 0.15);
         draw_noise(&plane, &chance, 0.05);
-        CHECK_OK(gsn_mark_density_fit(&density, &slot, rim, begun, &mark, &err), err);
+        CHECK_OK(gsn_mark_density_fit(&density, &slot, rim, begun, 0, &mark, &err), err);
         if (!mark.found || mark.radius_px < GSN_MARK_FIT_FACTOR * begun)
             continue;
         wide++;
@@ -127,7 +127,9 @@ static int read_once(struct gsn_error *err)
     int r = gsn_mark_density_reduce(&density, &slot, 4, &field, err);
 
     if (r >= 0)
-        r = gsn_mark_density_fit(&density, &slot, (struct gsn_point){ 60, 45 }, 12, &mark, err);
+        r = gsn_mark_density_reduce_filled(&density, &slot, 4, &field, err);
+    if (r >= 0)
+        r = gsn_mark_density_fit(&density, &slot, (struct gsn_point){ 60, 45 }, 12, 1, &mark, err);
     CHECK(r >= 0 || mark.score == 77);
     return r;
 }

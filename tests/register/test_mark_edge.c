@@ -106,6 +106,17 @@ TEST(an_ellipse_is_centred)
           1.4 * bound(16, 1.2, 0.03));
 }
 
+/* A beam that meets the block aslant, or is not round itself: aspect 1.6. */
+TEST(an_oval_is_centred_as_well_as_a_disc_and_says_how_well)
+{
+    double claimed, worst;
+    const double error =
+        error_of((struct fault){ .squeeze = 0.375 }, 16, 1, 0.03, &claimed, &worst);
+
+    CHECK(error < 1.5 * bound(16, 1.2, 0.03) && worst < 0.05);
+    CHECK(claimed / error > 0.5 && claimed / error < 2);
+}
+
 /* Case 23: a third of the rim is gone, and what is left says where the centre is and how badly it
  * is known. */
 TEST(a_mark_that_lost_an_arc_is_where_the_rest_puts_it)

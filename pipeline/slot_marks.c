@@ -1,10 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/slot_marks.h"
 
-#include "pipeline/core/robust.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/core/parallel.h"
-#include "pipeline/register/median.h"
+#include "pipeline/core/robust.h"
 #include "pipeline/stain/absorb.h"
 
 #include <math.h>
@@ -58,8 +57,7 @@ int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absor
     const struct gsn_mark_density red = { image->width, image->height, absorber, red_row };
 
     return prior ? gsn_markers_seek(&red, &window, scan->px_um, prior, ret_candidates, err)
-                 : gsn_markers_candidates_of(&red, &window, scan->px_um, burn, ret_candidates,
-                                             err);
+                 : gsn_markers_candidates_of(&red, &window, scan->px_um, burn, ret_candidates, err);
 }
 
 /* One kind of burn in all sections. */

@@ -32,8 +32,9 @@ struct gsn_slot_search {
 int gsn_slots_marks(const struct gsn_slot_search *search, const struct gsn_point *mark_um,
                     struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
 
-/* One section. burn: of gsn_mark_burns, where prior is NULL. absorber: of the scan's picture and glass; side: of the typical section's box, px; prior: what
- * the panel's sections have taught, or NULL. Fails as gsn_markers_candidates(). */
+/* One section. burn: of gsn_mark_burns, where prior is NULL. absorber: of the scan's picture and
+ * glass; side: of the typical section's box, px; prior: what the panel's sections have taught, or
+ * NULL. Fails as gsn_markers_candidates(). */
 int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
                    const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
                    unsigned burn, const struct gsn_triangle_prior *prior,

@@ -12,8 +12,8 @@ static const double NEAR_LIMIT = 1.25;
 
 /* What one kind of burn shows. */
 struct show {
-    size_t clear;      /* sections with three marks */
-    double misfit_um;  /* of the typical three on the triangle */
+    size_t clear;     /* sections with three marks */
+    double misfit_um; /* of the typical three on the triangle */
     double radius_um;
 };
 
@@ -54,10 +54,10 @@ int gsn_markers_are_odd(const struct gsn_mark_candidates *sections, size_t count
 
     if (r < 0)
         return r;
-    *ret_odd = count > 0 && (3 * show.clear < 2 * count ||
-                             (show.clear < count &&
-                              (show.radius_um < NEAR_LIMIT * gsn_mark_radius_least_um ||
-                               show.radius_um > gsn_mark_radius_most_um / NEAR_LIMIT)));
+    *ret_odd = count > 0 &&
+               (3 * show.clear < 2 * count ||
+                (show.clear < count && (show.radius_um < NEAR_LIMIT * gsn_mark_radius_least_um ||
+                                        show.radius_um > gsn_mark_radius_most_um / NEAR_LIMIT)));
     return GSN_OK;
 }
 

@@ -14,9 +14,8 @@
 #include <string.h>
 
 static const double PX_MOST_UM = 40;
-const struct gsn_mark_burn gsn_mark_burns[GSN_MARK_BURNS] = { { 1, 0 },   { 0.35, 0 },
-                                                              { 3, 0 }, { 1, 1 },
-                                                              { 0.35, 1 }, { 3, 1 } };
+const struct gsn_mark_burn gsn_mark_burns[GSN_MARK_BURNS] = { { 1, 0 }, { 0.35, 0 }, { 3, 0 },
+                                                              { 1, 1 }, { 0.35, 1 }, { 3, 1 } };
 /* Spots that are measured: ink over the tissue has dozens that are darker than any mark, and few of
  * them are round. */
 enum { SPOTS = 64 };

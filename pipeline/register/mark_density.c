@@ -122,8 +122,8 @@ int gsn_mark_density_reduce_filled(const struct gsn_mark_density *density,
 
 /* One fit, with the pixels around its start. */
 static int fit_from(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                    struct gsn_point start, double radius_px, int holes,
-                    struct gsn_mark *ret_mark, struct gsn_error *err)
+                    struct gsn_point start, double radius_px, int holes, struct gsn_mark *ret_mark,
+                    struct gsn_error *err)
 {
     const double reach = WINDOW * radius_px + 2;
     const int x0 = (int)fmax(floor(start.x - reach), slot->x);

@@ -214,8 +214,8 @@ static int run(struct gsn_edge_fit *fit, struct gsn_mark *mark)
 
 /* One fit; stretch: NULL for a round mark. Returns the share of the rim that agrees, or 0. */
 static double fit_outline(struct gsn_edge_fit *fit, const struct gsn_plane *plane,
-                          struct gsn_point start, double radius_px, const struct gsn_mark_stretch *stretch,
-                          struct gsn_mark *ret_mark)
+                          struct gsn_point start, double radius_px,
+                          const struct gsn_mark_stretch *stretch, struct gsn_mark *ret_mark)
 {
     struct gsn_mark mark = { 0 };
 

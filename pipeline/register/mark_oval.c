@@ -21,8 +21,10 @@ static double level_between(const struct gsn_plane *plane, struct gsn_point star
 {
     double sum = 0, n = 0;
 
-    for (int y = (int)fmax(floor(start.y - to), 0); y < (int)plane->height && y < start.y + to; y++) {
-        for (int x = (int)fmax(floor(start.x - to), 0); x < (int)plane->width && x < start.x + to; x++) {
+    for (int y = (int)fmax(floor(start.y - to), 0); y < (int)plane->height && y < start.y + to;
+         y++) {
+        for (int x = (int)fmax(floor(start.x - to), 0); x < (int)plane->width && x < start.x + to;
+             x++) {
             const float value = plane->value[(size_t)y * plane->width + (size_t)x];
             const double r = hypot(x + 0.5 - start.x, y + 0.5 - start.y);
 
@@ -101,13 +103,14 @@ int gsn_mark_find_oval(const struct gsn_plane *plane, struct gsn_point *start, d
     det = sqrt(oval.xx * oval.yy - oval.xy * oval.xy);
     half = 0.5 * (oval.xx + oval.yy) / det;
     aspect = half + sqrt(fmax(half * half - 1, 0));
-    if (oval.unlike > UNLIKE_MOST + UNLIKE_RIM / (2 * sqrt(det)) || aspect < AXES_LEAST || aspect > gsn_mark_oval_most || 2 * sqrt(det) > 1.6 * *radius ||
+    if (oval.unlike > UNLIKE_MOST + UNLIKE_RIM / (2 * sqrt(det)) || aspect < AXES_LEAST ||
+        aspect > gsn_mark_oval_most || 2 * sqrt(det) > 1.6 * *radius ||
         hypot(oval.centre.x - start->x, oval.centre.y - start->y) > *radius)
         return 0;
     /* The inverse of the root of the moments, these with determinant 1. */
     by = sqrt(2 * half + 2);
-    *ret_stretch =
-        (struct gsn_mark_stretch){ (oval.yy / det + 1) / by, -oval.xy / det / by, (oval.xx / det + 1) / by };
+    *ret_stretch = (struct gsn_mark_stretch){ (oval.yy / det + 1) / by, -oval.xy / det / by,
+                                              (oval.xx / det + 1) / by };
     *start = oval.centre;
     *radius = 2 * sqrt(det);
     return 1;
@@ -119,8 +122,8 @@ void gsn_mark_unstretch(const struct gsn_mark_stretch *stretch, struct gsn_mark 
     const double xx = stretch->yy, xy = -stretch->xy, yy = stretch->xx;
     const double c = mark->cov_xx, d = mark->cov_xy, e = mark->cov_yy;
 
-    mark->px = (struct gsn_point){ xx * mark->px.x + xy * mark->px.y,
-                                   xy * mark->px.x + yy * mark->px.y };
+    mark->px =
+        (struct gsn_point){ xx * mark->px.x + xy * mark->px.y, xy * mark->px.x + yy * mark->px.y };
     mark->cov_xx = xx * xx * c + 2 * xx * xy * d + xy * xy * e;
     mark->cov_xy = xx * xy * c + (xx * yy + xy * xy) * d + xy * yy * e;
     mark->cov_yy = xy * xy * c + 2 * xy * yy * d + yy * yy * e;

@@ -88,8 +88,8 @@ struct gsn_triangle_prior {
     /* By classes of unlikeness (mark_odds.h); 0: nothing is known of them. */
     double alike[GSN_MARK_CHANCE];  /* share of the marks that are at least as unlike */
     double chance[GSN_MARK_CHANCE]; /* spots per um^2 that are no marks and at most as unlike */
-    double area_um2; /* in which those were counted, of one section */
-    double marked;   /* share of the sections that have marks at all; 0: not known */
+    double area_um2;                /* in which those were counted, of one section */
+    double marked;                  /* share of the sections that have marks at all; 0: not known */
 };
 
 /* Optical density of the red channel, of width x height pixels, where it is asked for: row() puts

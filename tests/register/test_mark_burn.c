@@ -176,10 +176,9 @@ static void search(const struct drawn *drawn, struct gsn_mark_candidates *ret_se
     gsn_auto_mem(float) value = gsn_alloc_array((size_t)side * side, sizeof *value);
     struct gsn_plane plane = { side, side, value };
     const struct gsn_mark_density density = draw_density(&plane);
-    const struct gsn_slot slot = { .found = 1,
-                                   .width = (int)side,
-                                   .height = (int)side,
-                                   .centre_px = { 0.5 * side, 0.5 * side } };
+    const struct gsn_slot slot = {
+        .found = 1, .width = (int)side, .height = (int)side, .centre_px = { 0.5 * side, 0.5 * side }
+    };
     struct gsn_error err = { 0 };
 
     CHECK(value);
@@ -236,8 +235,7 @@ static void check_all_found(double px_um, const double *radius_um, size_t count,
         const struct tally tally = find(&drawn);
 
         print_message("  %g um at %g um a pixel%s: %d of %d, %d wrong, kind %u\n", radius_um[i],
-                      px_um, hole ? ", holes" : "", tally.right, SECTIONS, tally.wrong,
-                      tally.burn);
+                      px_um, hole ? ", holes" : "", tally.right, SECTIONS, tally.wrong, tally.burn);
         CHECK(tally.right == SECTIONS && tally.wrong == 0);
     }
 }

@@ -24,7 +24,9 @@
 #include "systemd/specimen_job.h"
 
 #include <errno.h>
+#include <jansson.h>
 #include <math.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -281,7 +283,38 @@ static int look_at_store(const struct gsn_verify *verify, struct listener *liste
     return r < 0 ? r : gsn_audit_ledger(store, tell, listener, err);
 }
 
-static int compare_report(const struct gsn_run_row *run, const char *key,
+/* Whether the run was made from such a file: its row is sealed, so what it says holds. */
+static bool was_input(const json_t *then, const struct gsn_specimen_input *input)
+{
+    const json_t *one;
+    size_t i;
+
+    json_array_foreach(then, i, one)
+    {
+        const char *name = json_string_value(json_object_get(one, "name"));
+        const char *sha256 = json_string_value(json_object_get(one, "sha256"));
+
+        if (name && sha256 && strcmp(name, input->name) == 0 && strcmp(sha256, input->sha256) == 0)
+            return true;
+    }
+    return false;
+}
+
+/* Panels, attachments and job.json that the run was not made from, by their names. */
+static void name_inputs(const struct gsn_run_row *run, const struct gsn_specimen *specimen,
+                        struct listener *listener)
+{
+    json_t *root = json_loads(run->inputs_json, 0, NULL);
+    const json_t *then = json_object_get(root, "inputs");
+
+    for (size_t i = 0; i < specimen->input_count; i++)
+        if (!was_input(then, &specimen->input[i]))
+            tell(listener, specimen->input[i].name,
+                 "is not what the run was made from: it is another file, or came later");
+    json_decref(root);
+}
+
+static int compare_report(const struct gsn_run_row *run, const struct gsn_material *material,
                           const struct gsn_specimen_result *result, struct listener *listener,
                           struct gsn_verdict *verdict, struct gsn_error *err)
 {
@@ -294,7 +327,7 @@ static int compare_report(const struct gsn_run_row *run, const char *key,
     if (r < 0)
         return r;
     (void)snprintf(what, sizeof what, "run %lld", (long long)run->id);
-    verdict->same_inputs = strcmp(run->key, key) == 0;
+    verdict->same_inputs = strcmp(run->key, gsn_material_key(material)) == 0;
     verdict->same_json = strcmp(run->json_sha256, json.hex) == 0;
     verdict->same_html = strcmp(run->report_sha256, html.hex) == 0;
     (void)snprintf(verdict->was, sizeof verdict->was, "%s", run->json_sha256);
@@ -303,6 +336,8 @@ static int compare_report(const struct gsn_run_row *run, const char *key,
         tell(listener, what,
              "its inputs, what was decided, its baseline or this version of gieson are not those "
              "that it was made from");
+    if (!verdict->same_inputs)
+        name_inputs(run, gsn_material_specimen(material), listener);
     if (!verdict->same_json)
         tell(listener, what, "report.json comes out of the originals with other bytes");
     if (!verdict->same_html)
@@ -332,7 +367,7 @@ static int work_again(const struct gsn_verify *verify, struct gsn_store *copy,
     if (r >= 0)
         r = gsn_panel_list(copy, run->specimen_id, &panels, err);
     if (r >= 0)
-        r = compare_report(run, gsn_material_key(material), result, listener, verdict, err);
+        r = compare_report(run, material, result, listener, verdict, err);
     return r < 0 ? r
                  : gsn_specimen_compare_rows(verify->store, run->id, panels, result, tell, listener,
                                              err);

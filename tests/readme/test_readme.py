@@ -12,17 +12,22 @@
 - Every "json" block is a job.json that `gieson import` takes, every "ini" block a configuration with
   which `gieson check-config` finds no fault, and every link to a file of the repository leads to one.
 - So do the indented pieces of a job in docs/job.md, and verbs named in docs/*.md are verbs.
+- The indented commands of docs/register.md lay a folder of drawn sections.
 - The examples of docs/model.md, which ask the specimen of the README's, are typed behind them.
 """
 import itertools
 import json
+import math
 import os
 import pathlib
+import random
 import re
 import shlex
+import struct
 import subprocess
 import sys
 import tempfile
+import zlib
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SETUP = ["./run demo", "./run test"]
@@ -139,6 +144,54 @@ def check_docs(bin_folder, help_text, say):
         say(f"docs/job.md: only {count} pieces of a job were found")
 
 
+def write_png(path, size, pixel):
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    rows = b"".join(b"\0" + bytes(pixel(x, y) for x in range(size)) for y in range(size))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" +
+                     chunk(b"IHDR", struct.pack(">IIBBBBB", size, size, 8, 0, 0, 0, 0)) +
+                     chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def draw_sections(folder, count=6, size=320):
+    """A disc of tissue with three burns, each section turned and moved a little."""
+    dice = random.Random(5)
+    for number in range(count):
+        turn, at = dice.uniform(-0.3, 0.3), [size / 2 + dice.uniform(-8, 8) for _ in range(2)]
+        marks = [(at[0] + math.cos(turn) * x - math.sin(turn) * y,
+                  at[1] + math.sin(turn) * x + math.cos(turn) * y)
+                 for x, y in ((-90, -30), (75, -60), (20, 85))]
+
+        def pixel(x, y):
+            if math.hypot(x - at[0], y - at[1]) > 140:
+                return 240 + dice.randrange(5)
+            burn = min(math.hypot(x - u, y - v) for u, v in marks)
+            return int(40 + 120 * min(max(burn - 9.5, 0), 1)) + dice.randrange(9)
+        write_png(folder / f"slice_{number:04}.png", size, pixel)
+
+
+def type_register(bin_folder, say):
+    """The commands that docs/register.md begins with, on a folder of drawn sections."""
+    page = (ROOT / "docs" / "register.md").read_text(encoding="utf-8")
+    lines = [re.split(r"  +", line)[0] for line in re.findall(r"^    (gieson .*)$", page, re.M)]
+    environment = {**os.environ, "PATH": f"{bin_folder}{os.pathsep}{os.environ.get('PATH', '')}"}
+    if len(lines) < 2:
+        say("docs/register.md: its commands were not found")
+    with tempfile.TemporaryDirectory(prefix="gieson-register-") as name:
+        folder = pathlib.Path(name)
+        (folder / "FOLDER").mkdir()
+        draw_sections(folder / "FOLDER")
+        for line in lines:
+            done = subprocess.run(["sh", "-c", line], cwd=folder, env=environment, capture_output=True,
+                                  text=True, timeout=LINE_LIMIT_S)
+            if done.returncode != 0:
+                say(f"docs/register.md: `{line}` ended with {done.returncode}: {done.stderr}")
+        told = json.loads((folder / "poses.json").read_text(encoding="utf-8"))
+        laid = [name for name in told if name.startswith("slice_") and len(told[name]) == 2]
+        if len(laid) != 6 or told["gieson"]["sections"] != 6:
+            say(f"docs/register.md: of 6 sections {len(laid)} have a pose")
+
+
 def anchors_of(page):
     """The headings of a page as links name them."""
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
@@ -199,6 +252,7 @@ def main():
     check_ini(page, bin_folder, say)
     check_docs(bin_folder, help_text, say)
     check_links(page, say)
+    type_register(bin_folder, say)
     with tempfile.TemporaryDirectory(prefix="gieson-readme-") as folder:
         more = blocks((ROOT / "docs" / "model.md").read_text(encoding="utf-8"))
         for page in (found, more):

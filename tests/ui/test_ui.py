@@ -267,6 +267,9 @@ class Plain(Bench):
         self.assertEqual(done.returncode, 1)
         self.assertIn(f"audit log: its newest events are gone: by the journal there were "
                       f"{int(number) + 1}", done.stdout)
+        with open(journal, encoding="utf-8") as lines:  # as journalctl ... | gieson verify ...
+            piped = self.call("verify", "--journal", "-", "tile", stdin=lines)
+        self.assertEqual((piped.returncode, piped.stdout), (done.returncode, done.stdout))
         self.assertEqual(self.call("scrub", "--quick", "--journal", str(journal)).returncode, 65)
         journal.write_text("nothing\n", encoding="utf-8")
         self.assertIn("journalctl -t gieson-work", self.refused(

@@ -269,10 +269,11 @@ def loss(bench, args):
 
 def identical(bench, args):
     stores = []
+    scans = [bench.phantom(specimen, "L0", 3) for specimen in ("S00", "S02")]
     for threads in (1, 2):
         place = Bench(bench.bin, bench.folder / f"threads-{threads}")
-        for specimen in ("S00", "S02"):
-            place.call("import", place.phantom(specimen, "L0", 3))
+        for folder in scans:
+            place.call("import", folder)
         place.call("run", "--threads", threads)
         stores.append(place)
     for specimen in ("GVP-D-S00", "GVP-D-S02"):

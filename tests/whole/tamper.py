@@ -28,8 +28,18 @@ HERE = pathlib.Path(__file__).resolve().parent
 JOB = {"specimen": "S01", "study": "GVP-D", "group": "S", "animal": "S1", "px_um": 24, "voxel_um": 48,
        "interval_um": 24, "panels": 2, "layout": [3, 4],
        "markers_um": [[-2050, -1000], [1700, -1500], [-1500, 1300]], "transfer": "linear",
-       "region": {"shape": "box", "min": [171, 406, 24], "max": [651, 886, 550]},
-       "thresholds": [0.5]}
+       "region": "region.mhd", "thresholds": [0.5]}
+# The box from (171, 406, 24) to (651, 886, 552) um, as a mask in a file of its own.
+MASK = """ObjectType = Image
+NDims = 3
+BinaryData = True
+BinaryDataByteOrderMSB = False
+Offset = 195 430 36
+ElementSpacing = 48 48 24
+DimSize = 10 10 22
+ElementType = MET_UCHAR
+ElementDataFile = region.raw
+"""
 ZEROS = "0" * 64
 
 
@@ -129,6 +139,20 @@ class Tampered:
     def do(self, step):
         verb, _, rest = step.strip().partition(" ")
         getattr(self, "do_" + verb)(rest.strip())
+
+    def do_attach(self, name):
+        """Another mask in place of the one the run had: valid, kept as an import keeps it."""
+        def work(db):
+            sha256, = db.execute("SELECT sha256 FROM attachment WHERE name = ?", (name,)).fetchone()
+            bytes_ = bytearray((self.store / "objects" / sha256[:2] / sha256[2:]).read_bytes())
+            bytes_[0] = 0
+            other = hashlib.sha256(bytes_).hexdigest()
+            path = self.store / "objects" / other[:2] / other[2:]
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(bytes_)
+            path.chmod(0o444)
+            db.execute("UPDATE attachment SET sha256 = ? WHERE name = ?", (other, name))
+        self.database(work)
 
     def do_raw(self, _):
         self.raw = True
@@ -240,6 +264,8 @@ class Bench:
         incoming.mkdir()
         for number in ("P01", "P02"):
             shutil.copy(scans / f"GVP-D-S01-{number}.png", incoming / f"{number}.png")
+        (incoming / "region.mhd").write_text(MASK, encoding="ascii")
+        (incoming / "region.raw").write_bytes(b"\1" * (10 * 10 * 22))
         (incoming / "job.json").write_text(json.dumps(JOB), encoding="utf-8")
         self.must("import", str(incoming))
         self.must("run")

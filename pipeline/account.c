@@ -152,9 +152,10 @@ static void choose_thresholds(const struct gsn_protocol *protocol, double low, d
                                                             : densities[i];
 }
 
-static int measure(const struct voxels *v, const struct gsn_mask *region,
-                   const struct gsn_protocol *protocol, const struct gsn_account_options *options,
-                   struct gsn_account *account, struct gsn_error *err)
+static int measure(const struct voxels *v, const struct gsn_grid *grid,
+                   const struct gsn_mask *region, const struct gsn_protocol *protocol,
+                   const struct gsn_account_options *options, struct gsn_account *account,
+                   struct gsn_error *err)
 {
     const struct gsn_level_set_options level = { .most_cells = MOST_CELLS,
                                                  .threads = options->threads,
@@ -187,6 +188,9 @@ static int measure(const struct voxels *v, const struct gsn_mask *region,
                                  account->bound, err);
     for (size_t i = 0; r >= 0 && i < account->bound_count; i++)
         account->bound[i].threshold = thresholds[i];
+    if (r >= 0 && sections)
+        r = gsn_tissue_volumes(grid, region, here, account->bound_count, options->threads,
+                               &account->tissue, err);
     return r;
 }
 
@@ -208,7 +212,7 @@ static int make(const struct voxels *v, const struct gsn_grid *grid, const struc
                                     FLOAT_SHARE * fmax(fabs(v->low), fabs(v->high)));
     r = fit(v, &grid->at, region, options, account, err);
     if (r >= 0)
-        r = measure(v, region, protocol, options, account, err);
+        r = measure(v, grid, region, protocol, options, account, err);
     if (r >= 0)
         r = gsn_pictures_make(options->shown ? options->shown : grid, region, protocol, options,
                               account, err);

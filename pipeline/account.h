@@ -10,6 +10,7 @@
 #include "pipeline/core/progress.h"
 #include "pipeline/measure/density.h"
 #include "pipeline/measure/level_set.h"
+#include "pipeline/measure/tissue_volume.h"
 #include "pipeline/model/refine.h"
 #include "pipeline/protocol.h"
 #include "pipeline/stain/level.h"
@@ -40,6 +41,7 @@ struct gsn_account {
     struct gsn_units_summary summary;
     size_t bound_count;
     struct gsn_volume_bound bound[GSN_ACCOUNT_THRESHOLDS]; /* threshold: as the protocol means it */
+    struct gsn_tissue_volumes tissue;    /* of sections, for the thresholds of bound */
     double above_threshold, above_share; /* area figure: share of sampled voxels above it */
     size_t picture_count;
     struct gsn_account_picture picture[GSN_ACCOUNT_PICTURES];

@@ -52,6 +52,23 @@ void gsn_draft_check_volumes(const struct gsn_evidence *e, struct gsn_draft *d)
                                     e->specimen->baseline.name));
 }
 
+/* Of the model and of the tissue; the latter only where sections are independent draws of it. */
+static struct gsn_report_volume describe_volume(const struct gsn_account *account, size_t i)
+{
+    const struct gsn_volume_bound *const bound = &account->bound[i];
+    const struct gsn_tissue_volume *const tissue = &account->tissue.volume[i];
+    const int given = account->tissue.sigma_z_um > 0 && !account->tissue.withheld;
+
+    return (struct gsn_report_volume){
+        .threshold = bound->threshold,
+        .lower_mm3 = 1e-9 * bound->lower_um3,
+        .upper_mm3 = 1e-9 * bound->upper_um3,
+        .estimate_mm3 = given ? 1e-9 * tissue->estimate_um3 : (double)NAN,
+        .interval_lower_mm3 = given ? 1e-9 * tissue->lower_um3 : (double)NAN,
+        .interval_upper_mm3 = given ? 1e-9 * tissue->upper_um3 : (double)NAN,
+    };
+}
+
 void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_account *account = e->account;
@@ -72,12 +89,12 @@ void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d)
                 : "a shape stated in job.json"
     };
     for (size_t i = 0; i < account->bound_count; i++)
-        d->volume[i] =
-            (struct gsn_report_volume){ .threshold = account->bound[i].threshold,
-                                        .lower_mm3 = 1e-9 * account->bound[i].lower_um3,
-                                        .upper_mm3 = 1e-9 * account->bound[i].upper_um3 };
+        d->volume[i] = describe_volume(account, i);
     r->volumes = d->volume;
     r->volume_count = account->bound_count;
+    if (account->tissue.withheld)
+        gsn_draft_text(d->measure, &r->measure_count, "Volumes of the tissue above a density",
+                       gsn_draft_say(d, "withheld: %s", account->tissue.withheld));
     for (size_t i = 0; i < account->picture_count; i++)
         d->picture[i] =
             (struct gsn_report_picture){ .id = account->picture[i].id,

@@ -244,20 +244,32 @@ void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *rep
     if (report->volume_count == 0)
         return;
     gsn_report_text_raw(
-        text,
-        "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
-        "<p class=\"lead\">Of the fitted model: its volume lies between the two bounds, which "
-        "are guaranteed. How far the model is from the tissue they do not say.</p>\n");
+        text, "<section id=\"volumes\"><h2>Volumes above a density</h2>\n"
+              "<p class=\"lead\">Of the tissue: an estimate and its 95 % interval, at the stain as "
+              "it was "
+              "read; a dash where it would be wider than 10 % either way, or cannot be told. Of "
+              "the fitted "
+              "model: bounds that are guaranteed, and do not say how far the model is from the "
+              "tissue.</p>\n");
     open_table(text, "figures",
-               "<th class=\"num\">Density above</th><th class=\"num\">At least, "
-               "mm\xC2\xB3</th><th class=\"num\">At most, mm\xC2\xB3</th>"
+               "<th class=\"num\">Density above</th><th class=\"num\">Tissue, mm\xC2\xB3</th>"
+               "<th class=\"num\">from</th><th class=\"num\">to</th>"
+               "<th class=\"num\">Model, at least</th><th class=\"num\">at most</th>"
                "<th class=\"num\">Share of the region</th>");
     for (size_t i = 0; i < report->volume_count; i++) {
         const struct gsn_report_volume *volume = &report->volumes[i];
-        const double middle = (volume->lower_mm3 + volume->upper_mm3) / 2;
+        const int given = isfinite(volume->estimate_mm3);
+        const double middle =
+            given ? volume->estimate_mm3 : (volume->lower_mm3 + volume->upper_mm3) / 2;
 
         gsn_report_text_raw(text, "<tr><td class=\"num\">");
         gsn_report_text_plain(text, volume->threshold);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_digits(text, volume->estimate_mm3, 4);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_digits(text, volume->interval_lower_mm3, 4);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_digits(text, volume->interval_upper_mm3, 4);
         gsn_report_text_raw(text, "</td><td class=\"num\">");
         gsn_report_text_digits(text, volume->lower_mm3, 5);
         gsn_report_text_raw(text, "</td><td class=\"num\">");

@@ -44,6 +44,11 @@ static json_t *json_volumes(const struct gsn_report *report, struct gsn_json_wri
         gsn_json_put(writer, object, "threshold", gsn_json_figure(volume->threshold));
         gsn_json_put(writer, object, "lower_mm3", gsn_json_figure(volume->lower_mm3));
         gsn_json_put(writer, object, "upper_mm3", gsn_json_figure(volume->upper_mm3));
+        gsn_json_put(writer, object, "estimate_mm3", gsn_json_figure(volume->estimate_mm3));
+        gsn_json_put(writer, object, "interval_lower_mm3",
+                     gsn_json_figure(volume->interval_lower_mm3));
+        gsn_json_put(writer, object, "interval_upper_mm3",
+                     gsn_json_figure(volume->interval_upper_mm3));
         gsn_json_append(writer, array, object);
     }
     return array;

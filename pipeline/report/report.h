@@ -49,6 +49,8 @@ struct gsn_report_region {
  * they are guaranteed for the model, and say nothing of how far it is from the tissue. */
 struct gsn_report_volume {
     double threshold, lower_mm3, upper_mm3;
+    double estimate_mm3;                           /* of the tissue (measure/tissue_volume.h) */
+    double interval_lower_mm3, interval_upper_mm3; /* of it, 95 %; NaN all three: withheld */
 };
 
 /* Tissue of one section that was not measured, for one reason. */

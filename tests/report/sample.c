@@ -259,9 +259,9 @@ static int fill_pictures(struct sample *sample, enum gsn_report_kind kind, unsig
 
 static void fill_figures(struct sample *sample)
 {
-    static const struct gsn_report_volume volumes[] = { { .3, .8729, .8737 },
-                                                        { .5, .5826, .5834 },
-                                                        { .7, .2036, .2042 } };
+    static const struct gsn_report_volume volumes[] = { { .3, .8729, .8737, .8701, .8532, .8870 },
+                                                        { .5, .5826, .5834, .5812, .5650, .5974 },
+                                                        { .7, .2036, .2042, NAN, NAN, NAN } };
     static const char *const warnings[] = {
         "Section 17: one of the three marks was not found; its pose rests on two marks, so a flip "
         "could not be checked.",

@@ -90,6 +90,10 @@ TEST(the_keys_that_scripts_rely_on_are_there)
     CHECK_NEAR(number(root, "volumes.1.threshold"), 0.5, 0);
     CHECK_NEAR(number(root, "volumes.1.lower_mm3"), 0.5826, 1e-12);
     CHECK_NEAR(number(root, "volumes.1.upper_mm3"), 0.5834, 1e-12);
+    CHECK_NEAR(number(root, "volumes.1.estimate_mm3"), 0.5812, 1e-12);
+    CHECK_NEAR(number(root, "volumes.1.interval_lower_mm3"), 0.5650, 1e-12);
+    CHECK_NEAR(number(root, "volumes.1.interval_upper_mm3"), 0.5974, 1e-12);
+    CHECK(json_is_null(at(root, "volumes.2.estimate_mm3")));
     CHECK(json_array_size(at(root, "sections")) == 60);
     CHECK_NEAR(number(root, "sections.14.serial"), 14, 0);
     CHECK_NEAR(number(root, "sections.14.z_um"), 24 * 14.5, 0);

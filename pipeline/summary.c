@@ -185,7 +185,6 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
         gsn_draft_figures(e, &d);
         gsn_draft_bridge(e, &d);
         gsn_draft_find_link(e, &d);
-        gsn_draft_check_volumes(e, &d);
         gsn_draft_evenness(e, &d);
         if (d.linked)
             gsn_draft_link(e, &d);
@@ -195,6 +194,8 @@ int gsn_summarise(const struct gsn_evidence *e, struct gsn_specimen_result *resu
     gsn_draft_definition(e, &d);
     if (e->specimen->protocol->kind == GSN_KIND_SECTIONS || e->specimen->baseline.name[0])
         gsn_draft_loss(e, &d);
+    if (e->account)
+        gsn_draft_check_volumes(e, &d);
     gsn_draft_vectors(e, &d);
     gsn_draft_parameters(e, &d);
     judge(e, &d);

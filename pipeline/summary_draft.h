@@ -74,7 +74,7 @@ void gsn_draft_assembly(const struct gsn_evidence *e, struct gsn_draft *d);
  * it. Comes after the sections. */
 void gsn_draft_choices(const struct gsn_evidence *e, struct gsn_draft *d);
 
-/* summary_figures.c: the region, its volumes and MicroUnits; whether its volumes have the baseline's scale (after the link);
+/* summary_figures.c: the region, its volumes and MicroUnits; whether its volumes have the baseline's scale (after the loss);
  * what was bridged (after the figures);
  * a single tile. */
 void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d);

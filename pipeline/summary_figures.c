@@ -34,13 +34,15 @@ static void fill_fit(const struct gsn_account *account, struct gsn_draft *d)
     d->report.units = &d->units;
 }
 
-/* Volumes above a density are compared with the baseline's: on one scale, or not at all. */
+/* Volumes above a density are compared with the baseline's: on one scale, or not at all. Where the
+ * dyes were measured the scale is theirs, as it is for the loss. */
 void gsn_draft_check_volumes(const struct gsn_evidence *e, struct gsn_draft *d)
 {
     const struct gsn_protocol *p = e->specimen->protocol;
     const struct gsn_assembly *a = e->assembly;
 
-    if (!a || e->specimen->baseline.specimens == 0 || d->linked || a->by_standards ||
+    if (!a || e->specimen->baseline.specimens == 0 || d->linked ||
+        !(d->by_colours || d->report.loss_reason) || a->by_standards ||
         (p->reference_tissue.kind != GSN_REGION_NONE && !a->not_comparable[0]))
         return;
     d->report.volume_count = 0;

@@ -554,17 +554,24 @@ TEST(without_untreated_tissue_of_the_control_both_sides_count_in_full)
 
     CHECK(is_nan(by_vectors(result)));
     check_interval(result, TREATED, TREATED * hypot(BY_ALL, IN_COMMON), OF_CONTROL_BY_ALL);
-    assert_non_null(strstr(result->html, "volumes above a density are withheld"));
+    assert_null(strstr(result->html, "volumes above a density are withheld"));
 }
 
-TEST(volumes_on_the_baselines_scale_are_not_withheld)
+/* Nobody measured the dyes: untreated tissue brings volumes to the baseline's scale, or nothing
+ * does. */
+TEST(volumes_that_nothing_brings_to_the_baselines_scale_are_withheld)
 {
-    told_auto t;
+    narrowed_auto linked, alone;
 
-    told_init(&t, 2);
-    gsn_auto(gsn_specimen_result) result = summarised(&t);
+    narrowed_init(&linked, 0.6, 1, 3, 1);
+    narrowed_init(&alone, 0.6, 1, 3, 1);
+    for (int k = 0; k < GSN_UNTREATED_KINDS; k++)
+        alone.told.specimen.baseline.tissues.value[k] = (double)NAN;
+    gsn_auto(gsn_specimen_result) on_its_scale = summarised(&linked.told);
+    gsn_auto(gsn_specimen_result) on_none = summarised(&alone.told);
 
-    assert_null(strstr(result->html, "volumes above a density are withheld"));
+    assert_null(strstr(on_its_scale->html, "volumes above a density are withheld"));
+    assert_non_null(strstr(on_none->html, "volumes above a density are withheld"));
 }
 
 TEST(what_is_handed_on_of_a_control_is_its_own_part)

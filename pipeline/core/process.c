@@ -357,9 +357,14 @@ int gsn_process_open(const char *const argv[], int fd, struct gsn_process **ret_
 int gsn_process_allow(const struct gsn_process *process, uint64_t memory_bytes,
                       struct gsn_error *err)
 {
-    const struct rlimit most = { .rlim_cur = memory_bytes, .rlim_max = RLIM_INFINITY };
+    struct rlimit most;
+    int r = prlimit(process->talk.child, RLIMIT_AS, NULL, &most);
 
-    if (prlimit(process->talk.child, RLIMIT_AS, &most, NULL) < 0)
+    /* What the job as a whole may have only root could raise. */
+    most.rlim_cur = memory_bytes < most.rlim_max ? memory_bytes : most.rlim_max;
+    if (r >= 0)
+        r = prlimit(process->talk.child, RLIMIT_AS, &most, NULL);
+    if (r < 0)
         return gsn_fail(err, GSN_E_PROCESS, "a child's memory cannot be limited: %s",
                         strerror(errno));
     return GSN_OK;

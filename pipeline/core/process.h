@@ -52,7 +52,8 @@ struct gsn_process;
 int gsn_process_open(const char *const argv[], int fd, struct gsn_process **ret_process,
                      struct gsn_error *err);
 
-/* From now on it may hold so much address space. Fails with GSN_E_PROCESS. */
+/* From now on it may hold so much address space, but no more than we may ourselves. Fails with
+ * GSN_E_PROCESS. */
 int gsn_process_allow(const struct gsn_process *process, uint64_t memory_bytes,
                       struct gsn_error *err);
 

@@ -9,6 +9,7 @@
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
@@ -404,6 +405,41 @@ TEST(a_program_that_cannot_be_started_is_named)
     assert_string_equal(err.text,
                         "/no/such/gieson-work could not be started: No such file or directory");
     CHECK(has_no_children());
+}
+
+/* As a job of the service, which may not raise what it was given: 0 when all is well. */
+static int allow_as_a_job(void)
+{
+    static const char *const argv[] = { "/bin/sh", "-c", "read line", NULL };
+    const rlim_t all = (rlim_t)1 << 46, part = (rlim_t)1 << 33;
+    const struct rlimit given = { .rlim_cur = all, .rlim_max = all };
+    struct gsn_process *process = NULL;
+    struct gsn_process_end end;
+    int way[2], status = 0;
+
+    if (setrlimit(RLIMIT_AS, &given) < 0 ||
+        (geteuid() == 0 && setresuid(65534, 65534, 65534) < 0) || pipe(way) < 0 ||
+        gsn_process_open(argv, way[0], &process, NULL) < 0)
+        return 1;
+    if (gsn_process_allow(process, part, NULL) < 0)
+        status = 2;
+    /* More than the job has: that much and no more. */
+    if (gsn_process_allow(process, 2 * all, NULL) < 0)
+        status = 3;
+    (void)close(way[0]);
+    (void)close(way[1]);
+    gsn_process_close(process, 1, &end);
+    return status;
+}
+
+TEST(a_job_with_a_limit_of_its_own_lends_part_of_it)
+{
+    const pid_t job = fork();
+
+    CHECK(job >= 0);
+    if (job == 0)
+        _exit(allow_as_a_job());
+    CHECK(gsn_process_wait(job, 1) == 0);
 }
 
 /* ---- siblings ---------------------------------------------------------------------------- */

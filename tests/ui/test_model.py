@@ -210,7 +210,7 @@ class Closed(Model):
 
     def test_the_kept_file_is_copied_to_the_last_bit(self):
         path, _ = self.export("model.vtkhdf")
-        kept = next(self.store.glob("reports/block/*/model.vtkhdf"))
+        kept = next(self.store.glob("reports/block/[0-9a-f]*/model.vtkhdf"))
         self.assertEqual(path.read_bytes(), kept.read_bytes())
 
     def test_the_same_export_is_the_same_bytes(self):
@@ -290,7 +290,7 @@ class Refusals(Model):
         yield path
 
     def test_a_model_that_was_changed_is_not_used(self):
-        with self.changed("reports/block/*/model.vtkhdf", 5000):
+        with self.changed("reports/block/[0-9a-f]*/model.vtkhdf", 5000):
             for args in (["probe", "block", 1, 2, 3], ["line", "block", 0, 0, 0, 9, 9, 9],
                          ["integral", "block"], ["export", "block", self.folder / "a.vtkhdf"]):
                 line = self.complaint(65, *args)
@@ -298,13 +298,13 @@ class Refusals(Model):
                 self.assertIn("it is not used. `gieson verify 1` says what else changed", line)
 
     def test_a_report_that_was_changed_vouches_for_nothing(self):
-        with self.changed("reports/block/*/report.json", 100):
+        with self.changed("reports/block/[0-9a-f]*/report.json", 100):
             self.assertIn("it is not used", self.complaint(65, "probe", "block", 1, 2, 3))
 
     def test_a_model_that_is_gone(self):
         shutil.copytree(self.store, self.folder / "copy")
         self.store = self.folder / "copy"
-        next(self.store.glob("reports/block/*/model.vtkhdf")).unlink()
+        next(self.store.glob("reports/block/[0-9a-f]*/model.vtkhdf")).unlink()
         self.assertIn("it is not used", self.complaint(66, "probe", "block", 1, 2, 3))
 
 

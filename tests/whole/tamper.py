@@ -184,7 +184,7 @@ class Tampered:
         (self.store / "audit.head").write_text("%019d %s\n" % self.end(), encoding="ascii")
 
     def do_beside(self, run):
-        path = self.file(f"reports/*/*/audit-{run}.json")
+        path = self.file(f"reports/*/[0-9a-f]*/audit-{run}.json")
         told = json.loads(path.read_text(encoding="utf-8"))
 
         def work(db):

@@ -72,6 +72,7 @@ struct gsn_assembly_section {
 struct gsn_assembly_panel {
     const struct gsn_specimen_panel *given; /* borrowed from the specimen */
     int opened;
+    int lossy; /* whether its picture is a JPEG */
     struct gsn_glass glass;
     struct gsn_specimen_stain stain;
     struct gsn_calibrated calibrated; /* by its calibration panel, where one is stated */

@@ -129,6 +129,7 @@ int gsn_assembly_count_colours(const struct gsn_specimen *specimen, struct gsn_a
             continue;
         a->cloud->panel[p].panel = a->panel[p].stain.panel;
         a->cloud->panel[p].noise = noise_of(&a->panel[p]);
+        a->cloud->panel[p].lossy = a->panel[p].lossy;
         for (size_t z = 0; z < at->nz; z++)
             if (gsn_assembly_panel_of_serial(
                     a, gsn_assembly_serial_of_plane(at, z, specimen->protocol->interval_um)) ==

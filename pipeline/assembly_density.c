@@ -338,6 +338,7 @@ static int work_panel(const struct gsn_specimen *specimen,
     if (r < 0)
         return r;
     panel->opened = 1;
+    panel->lossy = strcmp(scan->picture->kind, "JPEG") == 0;
     panel->glass = scan->glass;
     stain->panel = panel->given->number;
     memcpy(stain->white, scan->glass.white, sizeof stain->white);

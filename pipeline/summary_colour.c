@@ -40,6 +40,9 @@ static const double SLOPE_ERROR = 0.3;
 /* Of the edge itself, in the same unit, beside what panels scatter by: 0.8 points of a loss of 40,
  * which the study's middle values scattered by at a turn of 5 degrees without scatter. */
 static const double EDGE_ERROR = 0.03;
+/* The same where a panel of either side is a JPEG, whose colours run over from tissue to
+ * tissue: 2.7 points there, at quality 85. */
+static const double EDGE_ERROR_LOSSY = 0.10;
 /* Foremost cells that are spread wider are no tissue without collagen: as wide is the vertex of a
  * section stained for collagen (picrosirius, psr_left of liverquant), 0.060 of red over yellow, and
  * the control's tissue is 1.3 of its red. Of haematoxylin and eosin it is 0.134. */
@@ -71,6 +74,7 @@ struct pool {
     size_t points, panels;
     size_t *first; /* owned; of each panel, and the end */
     size_t own;    /* panels that are this specimen's, first */
+    int lossy;     /* whether any of them is a JPEG */
 };
 
 static void pool_done(struct pool *pool)
@@ -158,6 +162,7 @@ static void add_cloud(const struct gsn_cloud *cloud, const struct gsn_unmixer *m
             pool->points++;
         }
         pool->first[++pool->panels] = pool->points;
+        pool->lossy |= panel->lossy;
     }
 }
 
@@ -371,6 +376,7 @@ static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const
 {
     struct gsn_error why = { 0 };
     struct gsn_edge edge;
+    const double edge_error = pool->lossy ? EDGE_ERROR_LOSSY : EDGE_ERROR;
     double mean = 0, error = 0, step;
     size_t panels[2];
     int r;
@@ -394,13 +400,13 @@ static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const
            0.02;
     ret_spread->most = 100 * (1 - gsn_edge_ratio(&edge, sides->there, sides->here, -mean));
     ret_spread->per_purest = 100 * step;
-    ret_spread->deviation = hypot(100 * step * hypot(error, EDGE_ERROR), sides->deviation);
+    ret_spread->deviation = hypot(100 * step * hypot(error, edge_error), sides->deviation);
     ret_spread->purest = PUREST;
     d->edge = edge;
     d->edge_panels = panels[0] + panels[1];
     if (sides->stated) {
         const struct free_tissue tissue = look_at_free(&edge, sides);
-        const double deviation = hypot(hypot(error, EDGE_ERROR), tissue.slope_error);
+        const double deviation = hypot(hypot(error, edge_error), tissue.slope_error);
 
         /* No cell holds less than no collagen, so such tissue is not far inside the cloud. */
         if (tissue.at - mean > 1.96 * hypot(deviation, tissue.purest))

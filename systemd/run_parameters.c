@@ -48,8 +48,9 @@ static json_t *panels_of(const struct gsn_cloud *cloud)
     for (size_t p = 0; cloud && p < cloud->panels; p++)
         if (cloud->panel[p].bins > 0 &&
             json_array_append_new(
-                panels, json_pack("{s:i, s:f, s:o}", "panel", (int)cloud->panel[p].panel, "noise",
-                                  cloud->panel[p].noise, "bins", bins_of(&cloud->panel[p]))) < 0) {
+                panels, json_pack("{s:i, s:f, s:b, s:o}", "panel", (int)cloud->panel[p].panel,
+                                  "noise", cloud->panel[p].noise, "lossy", cloud->panel[p].lossy,
+                                  "bins", bins_of(&cloud->panel[p]))) < 0) {
             json_decref(panels);
             return NULL;
         }
@@ -98,6 +99,7 @@ static int take_bins(const json_t *from, struct gsn_cloud_panel *panel, struct g
 
     panel->panel = (unsigned)json_integer_value(json_object_get(from, "panel"));
     panel->noise = json_number_value(json_object_get(from, "noise"));
+    panel->lossy = json_is_true(json_object_get(from, "lossy"));
     panel->bin = gsn_alloc_array(count + 1, sizeof *panel->bin);
     if (!panel->bin)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the colours of a baseline");

@@ -454,6 +454,24 @@ TEST(a_loss_is_the_same_whatever_bath_the_table_of_vectors_is_off_by)
     assert_non_null(strstr(by_bath->html, "95 %, stain, white and dye vectors"));
 }
 
+/* Colours of a JPEG run over, so that tissue without collagen shows some. */
+TEST(a_jpeg_on_either_side_leaves_the_loss_more_open)
+{
+    for (int side = 0; side < 2; side++) {
+        narrowed_auto sharp, lossy;
+
+        narrowed_init(&sharp, 0.6, 1, 3, 1);
+        narrowed_init(&lossy, 0.6, 1, 3, 1);
+        (side ? lossy.control.cloud : lossy.told.assembly.cloud)->panel[1].lossy = 1;
+        gsn_auto(gsn_specimen_result) a = summarised(&sharp.told);
+        gsn_auto(gsn_specimen_result) b = summarised(&lossy.told);
+        const struct gsn_specimen_measure narrow = measure(a, "loss"), wide = measure(b, "loss");
+
+        CHECK_NEAR(wide.value, narrow.value, 0.5);
+        CHECK(wide.upper - wide.lower > 1.2 * (narrow.upper - narrow.lower));
+    }
+}
+
 TEST(no_loss_stays_none_in_any_bath_and_is_known_well)
 {
     narrowed_auto n;

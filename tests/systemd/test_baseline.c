@@ -173,7 +173,7 @@ TEST(a_tissue_that_one_control_lacks_is_not_known)
 TEST(what_a_run_hands_on_of_its_colours_comes_back_beside_its_tissues)
 {
     struct gsn_cloud_bin bin[] = { { 7, 12, 0.75 }, { 9000, 3, 1.25 } };
-    struct gsn_cloud_panel panel[] = { { 1, 0, NULL, 0 }, { 2, 1e-5, bin, 2 } };
+    struct gsn_cloud_panel panel[] = { { 1, 0, 0, NULL, 0 }, { 2, 1e-5, 1, bin, 2 } };
     struct gsn_cloud cloud = { panel, 2 };
     const struct gsn_specimen_result result = { .definition = "of \"red\"",
                                                 .dyes = "set",
@@ -203,6 +203,7 @@ TEST(what_a_run_hands_on_of_its_colours_comes_back_beside_its_tissues)
     CHECK(control[0].cloud && control[0].cloud->panels == 1); /* one holds nothing */
     CHECK(control[0].cloud->panel[0].panel == 2 && control[0].cloud->panel[0].bins == 2);
     CHECK_NEAR(control[0].cloud->panel[0].noise, 1e-5, 1e-18);
+    CHECK(control[0].cloud->panel[0].lossy);
     CHECK(control[0].cloud->panel[0].bin[1].at == 9000);
     CHECK_NEAR(control[0].cloud->panel[0].bin[1].cells, 3, 0);
     CHECK_NEAR(control[0].cloud->panel[0].bin[1].od, 1.25, 1e-12);

@@ -405,7 +405,7 @@ static int list_crossings(const struct gsn_lattice *at, const double a[3], const
     if (!t)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a segment");
     for (int c = 0; c < 3; c++)
-        for (size_t i = 0; i <= voxels[c]; i++) {
+        for (size_t i = 0; b[c] != a[c] && i <= voxels[c]; i++) { /* else it meets no face */
             const double face = origin[c] + ((double)i - 0.5) * step[c];
             const double here = (face - a[c]) / (b[c] - a[c]);
 

@@ -18,12 +18,15 @@ enum { LANDMARKS = 80, MOST_DOTS = 1500, SIDE = 600 };
 static char *stack_path(const char *name)
 {
     const char *shared = getenv("GIESON_SHARED");
-    char *path = gsn_format("%s/data/stacks/%s", shared ? shared : GSN_SHARED, name);
+    char path[1024];
+    char *copy;
 
-    CHECK(path);
+    (void)snprintf(path, sizeof path, "%s/data/stacks/%s", shared ? shared : GSN_SHARED, name);
     if (access(path, R_OK) < 0)
         gsn_check_skip("%s is not there", path);
-    return path;
+    copy = gsn_strdup(path);
+    CHECK(copy);
+    return copy;
 }
 
 /* ---- Landmarks ---------------------------------------------------------------------------- */

@@ -51,22 +51,6 @@ static int no_memory(struct gsn_error *err)
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pages of a store");
 }
 
-/* A path inside the store as a link from its folder: '%' is one in the link too. */
-static char *make_link(const char *folder, const char *path)
-{
-    const size_t under = strlen(folder) + 1;
-    gsn_auto_mem(char) link = gsn_alloc_array(3 * strlen(path) + 1, 1);
-    size_t used = 0;
-
-    if (!link)
-        return NULL;
-    for (const char *at = path + under; *at; at++) {
-        memcpy(link + used, *at == '%' ? "%25" : at, *at == '%' ? 3 : 1);
-        used += *at == '%' ? 3 : 1;
-    }
-    return gsn_format("%s/index.html", link);
-}
-
 static int add_study(struct gsn_store *store, const char *name, struct studies *studies,
                      struct gsn_error *err)
 {
@@ -87,7 +71,7 @@ static int add_study(struct gsn_store *store, const char *name, struct studies *
     if (r < 0)
         return r;
     page = gsn_format("%s/index.html", folder);
-    studies->page[i] = make_link(gsn_store_dir(store), folder);
+    studies->page[i] = page ? gsn_study_link(page + strlen(gsn_store_dir(store)) + 1) : NULL;
     if (!page || !studies->page[i])
         return no_memory(err);
     /* `gieson study` and the night make it. */

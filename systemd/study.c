@@ -264,8 +264,7 @@ static const char *say_text(struct gsn_study_files *f, const char *format, ...)
     return keep_text(f, gsn_strdup(said));
 }
 
-/* A path as a link from the store's folder: a '%' of the path is one in the link too. */
-static char *make_link(const char *path)
+char *gsn_study_link(const char *path)
 {
     gsn_auto_mem(char) link = gsn_alloc_array(3 * strlen(path) + 1, 1);
     size_t used = 0;
@@ -371,7 +370,7 @@ static int read_specimen(struct gsn_study_files *f, struct gsn_store *store,
         }
     if (r >= 0 && last) {
         s->finished = last->finished;
-        s->page = *last->report_path ? keep_text(f, make_link(last->report_path)) : NULL;
+        s->page = *last->report_path ? keep_text(f, gsn_study_link(last->report_path)) : NULL;
         if (*last->report_path && !s->page)
             r = fail_memory(err);
     }

@@ -38,6 +38,10 @@ int gsn_study_is_frozen(const struct gsn_study_files *files);
 int gsn_study_write(struct gsn_store *store, const struct gsn_study *study, char **ret_folder,
                     struct gsn_error *err);
 
+/* gives: a path from the store's folder as a link there: a '%' of the path is one in the link too.
+ * NULL when memory runs out. */
+char *gsn_study_link(const char *path);
+
 /* The names of all studies that have specimens, in order, without the empty one. */
 struct gsn_study_names {
     size_t count;

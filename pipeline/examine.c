@@ -110,9 +110,8 @@ static void note_slots(struct gsn_panel_findings *findings, const struct gsn_slo
                 s->cut_px[1].y);
         if (s->found && s->doubtful)
             gsn_findings_say(findings,
-                             "the section in slot %u lies between slots %u and %u and is held: "
-                             "gsn_findings_say which is its "
-                             "own",
+                             "the section in slot %u lies between slots %u and %u and is held: say "
+                             "which is its own",
                              s->slot + 1, s->slot + 1, s->rival + 1);
         if (s->lost > 0)
             gsn_findings_say(

@@ -2,7 +2,7 @@
 
 /* What the operator states about a specimen: job.json, read once and checked key by key.
  *
- * The keys are documented in docs/job.md. Lengths are micrometres in the block frame. */
+ * The keys are documented in docs/user/job.md. Lengths are micrometres in the block frame. */
 #ifndef GSN_PIPELINE_PROTOCOL_H
 #define GSN_PIPELINE_PROTOCOL_H
 

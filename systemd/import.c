@@ -113,7 +113,7 @@ int gsn_import_folder(const struct gsn_import *import, char **ret_specimen,
             err, r,
             access(import->dir, F_OK) < 0
                 ? "there is no folder %s"
-                : "%s has no job.json: it says whose sections these are (see docs/job.md)",
+                : "%s has no job.json: it says whose sections these are (see man gieson-job)",
             import->dir);
     if (r >= 0)
         r = gsn_protocol_parse(text, size, &protocol, err);

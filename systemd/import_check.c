@@ -52,11 +52,11 @@ static int check_keys(const struct gsn_protocol *p, struct gsn_error *err)
     if (p->unknown_near)
         return gsn_fail(
             err, GSN_E_INPUT,
-            "job.json: %s is no key: did you mean \"%s\"? docs/job.md lists all; notes go "
+            "job.json: %s is no key: did you mean \"%s\"? man gieson-job lists all; notes go "
             "under \"comment\"",
             p->unknown, p->unknown_near);
     return gsn_fail(err, GSN_E_INPUT,
-                    "job.json: %s is no key: docs/job.md lists all; notes go under \"comment\"",
+                    "job.json: %s is no key: man gieson-job lists all; notes go under \"comment\"",
                     p->unknown);
 }
 

@@ -17,7 +17,7 @@ static const char template_text[] =
     "  \"comment\": \"What is known of this specimen; lengths are micrometres. Take out the lines "
     "that\",\n"
     "  \"comment 2\": \"you do not need: comments, and keys whose default will do "
-    "(docs/job.md).\",\n"
+    "(man gieson-job).\",\n"
     "\n"
     "  \"comment calibration\": \"A glass of the same batch with a patch of each dye, scanned "
     "alike: with\",\n"

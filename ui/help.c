@@ -137,9 +137,7 @@ static const struct gsn_help pages[] = {
       "Decodes pictures strictly and says what each is, or why it is refused. Needs no\n"
       "store.",
       "", "gieson check R07-left/R07-P03.tif" },
-    { "register", "FOLDER",
-      "How the sections of a plain folder of pictures lie. Needs no store; see\n"
-      "docs/register.md.",
+    { "register", "FOLDER", "How the sections of a plain folder of pictures lie. Needs no store.",
       "  --marks X,Y X,Y X,Y  where the marks are in the frame wanted\n"
       "  --px-um UM           size of a pixel; without it lengths are pixels\n"
       "  --radius R           the error is given over this disc\n"

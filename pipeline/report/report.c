@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* report.json: everything a report says, for programs; docs/report.md is its schema.
+/* report.json: everything a report says, for programs; docs/user/report.md is its schema.
  *
  * Method: a tree of jansson values, written in the order of the schema with nine digits, so that
  * the same figures are the same bytes. A figure that does not exist is null, minus zero is zero;
@@ -267,7 +267,7 @@ static json_t *json_sections(const struct gsn_report *report, struct gsn_json_wr
 
 /* --- the report --- */
 
-/* report.json; docs/report.md is its schema. */
+/* report.json; docs/user/report.md is its schema. */
 
 static json_t *value_of(const struct gsn_report_value *row, struct gsn_json_writer *writer)
 {

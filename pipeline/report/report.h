@@ -238,7 +238,7 @@ struct gsn_report {
     size_t parameter_count;
 };
 
-/* give: the bytes, and a zero byte behind them that is not counted. docs/report.md is the schema of
+/* give: the bytes, and a zero byte behind them that is not counted. docs/user/report.md is the schema of
  * the first; the second is one HTML file that fetches nothing.
  * Bytes of a text that are not UTF-8 become U+FFFD. Fail with GSN_E_NOMEM. */
 int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *ret_size,

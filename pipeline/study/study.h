@@ -132,10 +132,10 @@ void gsn_study_allows(const struct gsn_study_comparison *comparison, char *text,
 
 /* give: bytes, with a zero behind that is not counted. The same study gives the same bytes. Fail
  * with GSN_E_NOMEM. */
-/* One row an animal and measure, RFC 4180, names in the first line; docs/study.md. */
+/* One row an animal and measure, RFC 4180, names in the first line; docs/user/study.md. */
 int gsn_study_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
                   struct gsn_error *err);
-/* "gieson-study-1", docs/study.md. */
+/* "gieson-study-1", docs/user/study.md. */
 int gsn_study_json(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
                    struct gsn_error *err);
 /* One page that fetches nothing. */

@@ -59,9 +59,11 @@ for file in usr/bin/gieson usr/bin/giesond usr/libexec/gieson/gieson-work \
     usr/lib/sysusers.d/gieson.conf usr/lib/tmpfiles.d/gieson.conf \
     lib/udev/rules.d/65-gieson.rules lib/udev/hwdb.d/65-gieson.hwdb etc/gieson/gieson.conf \
     usr/share/man/man1/gieson.1.gz usr/share/man/man5/gieson.conf.5.gz \
-    usr/share/man/man8/giesond.8.gz usr/share/bash-completion/completions/gieson; do
+    usr/share/man/man5/gieson-job.5.gz usr/share/man/man8/giesond.8.gz \
+    usr/share/doc/gieson/docs/user/README.md usr/share/bash-completion/completions/gieson; do
     test -f "$work/in/$file" || wrong "the package has no $file"
 done
+python3 "$sources/tests/docs/test_links.py" "$work/in/usr/share/doc/gieson/docs" || wrong "the manual"
 test -d "$work/in/etc/gieson/conf.d" || wrong "the package has no etc/gieson/conf.d"
 # Every program that the build makes is in it, also those that are new.
 for program in "$work"/one/gieson/obj-*/bin/*; do

@@ -10,7 +10,7 @@ static int parse(const char *text, struct gsn_protocol **ret, struct gsn_error *
     return gsn_protocol_parse(text, strlen(text), ret, err);
 }
 
-/* Every key of docs/job.md. */
+/* Every key of docs/user/job.md. */
 static const char FULL[] =
     "{\"specimen\": \"A/1\", \"study\": \"s\", \"group\": \"g\", \"animal\": \"a\", \"week\": 4,"
     " \"px_um\": 10.58, \"interval_um\": 24, \"panels\": 5, \"layout\": [3, 4], \"order\": "

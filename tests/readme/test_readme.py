@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: AGPL-3.0-or-later
-"""Does what the README says.
+"""Does what the README and the user's manual say.
 
-    test_readme.py BIN     BIN is the folder with the programs
+    test_readme.py BIN             BIN is the folder with the programs
+    test_readme.py BIN tutorial    the tutorial alone, from its first line to its last
 
 - The set-up is exactly two commands, `./run demo` and `./run test`, and they are all of their block.
 - Every `gieson ...` line of a block marked "sh example" ends with 0, in the order of the page, in an
@@ -10,10 +11,12 @@
 - Every other program named in an "sh" block is one of ours in BIN, one of the repository's, or one
   that the build itself uses; every verb named anywhere in the page is one that --help lists.
 - Every "json" block is a job.json that `gieson import` takes, every "ini" block a configuration with
-  which `gieson check-config` finds no fault, and every link to a file of the repository leads to one.
-- So do the indented pieces of a job in docs/job.md, and verbs named in docs/*.md are verbs.
-- The indented commands of docs/register.md lay a folder of drawn sections.
-- The examples of docs/model.md, which ask the specimen of the README's, are typed behind them.
+  which `gieson check-config` finds no fault.
+- The same holds for the pages of docs/user, for the indented pieces of a job in job.md, and verbs named
+  in any page of docs are verbs.
+- The indented commands of docs/user/register.md register a folder of drawn sections.
+- The examples of docs/user/model.md and reference.md, which ask the specimen of the README's, are typed
+  behind them. Blocks marked "sh tutorial" are typed in a folder of their own.
 """
 import itertools
 import json
@@ -33,6 +36,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 SETUP = ["./run demo", "./run test"]
 OF_THE_BUILD = {"cmake", "ctest"}
 OF_DEBIAN = {"dpkg-buildpackage", "apt"}  # tests/package types these
+TYPED = {"example": ("gieson", "export"), "tutorial": ("gieson", "export", "echo")}
 FENCE = re.compile(r"^```(\w*)[ ]*(\w*)[ ]*\n(.*?)^```[ ]*$", re.S | re.M)
 EXPORT = re.compile(r"^export (\w+)=(\S+)$")
 LINE_LIMIT_S = 600
@@ -58,13 +62,13 @@ def check_programs(found, bin_folder, say):
     for language, mark, lines in found:
         for line in lines if language == "sh" else []:
             program = shlex.split(line)[0]
-            known = program == "export" or program in OF_THE_BUILD | OF_DEBIAN or \
+            known = program in TYPED["tutorial"] or program in OF_THE_BUILD | OF_DEBIAN or \
                 (program.startswith("./") and os.access(ROOT / program, os.X_OK)) or \
                 os.access(bin_folder / program, os.X_OK)
             if not known:
                 say(f"`{line}`: {program} is not a program of ours")
-            if mark == "example" and program not in ("gieson", "export"):
-                say(f"`{line}`: an example is typed by this test, which knows only gieson and export")
+            if mark in TYPED and program not in TYPED[mark]:
+                say(f"`{line}`: an example is typed by this test, which knows only {TYPED[mark]}")
 
 
 def check_verbs(page, help_text, say):
@@ -135,13 +139,16 @@ def pieces(text):
 def check_docs(bin_folder, help_text, say):
     frame = {"specimen": "Q", "markers_um": [[-2050, -1000], [1700, -1500], [-1500, 1300]]}
     count = 0
-    for page in sorted((ROOT / "docs").glob("*.md")):
-        check_verbs(page.read_text(encoding="utf-8"), help_text, say)
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        check_verbs(text, help_text, say)
+        check_programs(blocks(text), bin_folder, say)
+        check_ini(text, bin_folder, say)
     for piece in pieces((ROOT / "docs" / "job.md").read_text(encoding="utf-8")):
-        import_job({**frame, **piece}, bin_folder, "docs/job.md", say)
+        import_job({**frame, **piece}, bin_folder, "docs/user/job.md", say)
         count += 1
     if count < 5:
-        say(f"docs/job.md: only {count} pieces of a job were found")
+        say(f"docs/user/job.md: only {count} pieces of a job were found")
 
 
 def write_png(path, size, pixel):
@@ -171,12 +178,12 @@ def draw_sections(folder, count=6, size=320):
 
 
 def type_register(bin_folder, say):
-    """The commands that docs/register.md begins with, on a folder of drawn sections."""
+    """The commands that docs/user/register.md begins with, on a folder of drawn sections."""
     page = (ROOT / "docs" / "register.md").read_text(encoding="utf-8")
     lines = [re.split(r"  +", line)[0] for line in re.findall(r"^    (gieson .*)$", page, re.M)]
     environment = {**os.environ, "PATH": f"{bin_folder}{os.pathsep}{os.environ.get('PATH', '')}"}
     if len(lines) < 2:
-        say("docs/register.md: its commands were not found")
+        say("docs/user/register.md: its commands were not found")
     with tempfile.TemporaryDirectory(prefix="gieson-register-") as name:
         folder = pathlib.Path(name)
         (folder / "FOLDER").mkdir()
@@ -185,34 +192,17 @@ def type_register(bin_folder, say):
             done = subprocess.run(["sh", "-c", line], cwd=folder, env=environment, capture_output=True,
                                   text=True, timeout=LINE_LIMIT_S)
             if done.returncode != 0:
-                say(f"docs/register.md: `{line}` ended with {done.returncode}: {done.stderr}")
+                say(f"docs/user/register.md: `{line}` ended with {done.returncode}: {done.stderr}")
         told = json.loads((folder / "poses.json").read_text(encoding="utf-8"))
         laid = [name for name in told if name.startswith("slice_") and len(told[name]) == 2]
         if len(laid) != 6 or told["gieson"]["sections"] != 6:
-            say(f"docs/register.md: of 6 sections {len(laid)} have a pose")
+            say(f"docs/user/register.md: of 6 sections {len(laid)} have a pose")
 
 
-def anchors_of(page):
-    """The headings of a page as links name them."""
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-            for heading in re.findall(r"^#+ +(.+?) *$", page, re.M)}
-
-
-def check_links(page, say):
-    for target in re.findall(r"\]\(([^)\s]+)\)", page):
-        file, _, anchor = target.partition("#")
-        if "://" in target:
-            continue
-        if not (ROOT / file).exists():
-            say(f"the link to {target} leads nowhere")
-        elif anchor and anchor not in anchors_of((ROOT / file).read_text(encoding="utf-8")):
-            say(f"the link to {target} leads to no heading of that page")
-
-
-def type_examples(found, environment, folder, say):
-    """Types every line of the examples; the number of gieson lines that ended well."""
+def type_examples(found, kind, environment, folder, say):
+    """Types every line of the blocks of this kind; the number of lines that ended well."""
     done = 0
-    lines = [line for language, mark, block in found if (language, mark) == ("sh", "example")
+    lines = [line for language, mark, block in found if (language, mark) == ("sh", kind)
              for line in block]
     for line in lines:
         export = EXPORT.match(line)
@@ -235,14 +225,16 @@ def type_examples(found, environment, folder, say):
     return done
 
 
-def main():
-    bin_folder = pathlib.Path(sys.argv[1]).resolve()
+def type_tutorial(environment, say):
+    page = (ROOT / "docs/user/tutorial.md").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory(prefix="gieson-tutorial-") as folder:
+        if type_examples(blocks(page), "tutorial", environment, folder, say) < 10:
+            say("the tutorial was not typed to its end")
+
+
+def type_readme(bin_folder, environment, say):
     page = (ROOT / "README.md").read_text(encoding="utf-8")
     found = blocks(page)
-    complaints = []
-    say = complaints.append
-    environment = {name: value for name, value in os.environ.items() if name != "GIESON_STORE"}
-    environment["PATH"] = f"{bin_folder}{os.pathsep}{environment.get('PATH', '')}"
     help_text = subprocess.run([bin_folder / "gieson", "--help"], capture_output=True, text=True,
                                check=True).stdout
     check_setup(found, say)
@@ -251,14 +243,25 @@ def main():
     check_json(found, bin_folder, say)
     check_ini(page, bin_folder, say)
     check_docs(bin_folder, help_text, say)
-    check_links(page, say)
     type_register(bin_folder, say)
     with tempfile.TemporaryDirectory(prefix="gieson-readme-") as folder:
-        more = blocks((ROOT / "docs" / "model.md").read_text(encoding="utf-8"))
-        for page in (found, more):
-            if type_examples(page, environment, folder, say) == 0:
-                say("no example was typed to its end")
-    print("\n".join(complaints) if complaints else "the README does what it says")
+        for name in ("README.md", "docs/user/model.md", "docs/user/reference.md"):
+            found = blocks((ROOT / name).read_text(encoding="utf-8"))
+            if type_examples(found, "example", environment, folder, say) == 0:
+                say(f"{name}: no example was typed to its end")
+
+
+def main():
+    bin_folder = pathlib.Path(sys.argv[1]).resolve()
+    complaints = []
+    say = complaints.append
+    environment = {name: value for name, value in os.environ.items() if name != "GIESON_STORE"}
+    environment["PATH"] = f"{bin_folder}{os.pathsep}{environment.get('PATH', '')}"
+    if "tutorial" in sys.argv[2:]:
+        type_tutorial(environment, say)
+    else:
+        type_readme(bin_folder, environment, say)
+    print("\n".join(complaints) if complaints else "the pages do what they say")
     return 1 if complaints else 0
 
 

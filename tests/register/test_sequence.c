@@ -221,7 +221,7 @@ static struct swaps swap_and_look(unsigned least, unsigned most, size_t trials)
     return all;
 }
 
-/* Case 30. docs/register.md says what share shows on laid planes. The long run:
+/* Case 30. docs/user/register.md says what share shows on laid planes. The long run:
  * GIESON_TRIALS=1000 build/bench/tests/test_register_sequence. */
 TEST(swapped_sections_are_proposed_and_nothing_else)
 {

@@ -17,7 +17,7 @@ import subprocess
 import sys
 
 CASES = 68
-LEAST_COVERED = 60
+LEAST_COVERED = 68
 # So much of a sentence, in characters, is asked for by its test: no two sentences share it.
 SHARED = 12
 ROOMS = ("acquire", "pipeline", "storage", "systemd", "ui")

@@ -107,6 +107,7 @@ TEST(a_region_of_the_same_size_up_to_rounding_is_the_same)
     CHECK_OK(gsn_loss(&control, &other, 0.95, &loss, &err), err);
 }
 
+/* Case 53. */
 TEST(a_baseline_near_zero_withholds_the_loss)
 {
     struct gsn_loss_side nothing = side("S00", 1e-7), thin = side("S03", 0.05);

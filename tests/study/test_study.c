@@ -100,6 +100,7 @@ TEST(a_time_point_without_control_is_compared_with_the_control_of_all)
     CHECK_NEAR(study->comparison[0].loss.percent, 100 * (1 - 0.31 / 0.55), 1e-12);
 }
 
+/* Case 51: with one animal in a group there is no interval, and that is said. */
 TEST(groups_that_nobody_treated_are_compared_with_each_other)
 {
     const struct gsn_study_specimen s[] = { draw("a", "1", "A", NULL, NAN, 0.30),
@@ -116,6 +117,7 @@ TEST(groups_that_nobody_treated_are_compared_with_each_other)
     CHECK(strstr(said, "a single animal has no spread"));
 }
 
+/* Case 52. */
 TEST(three_against_three_are_told_what_they_cannot_reach)
 {
     const struct gsn_study_specimen s[] = {

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_parts.h"
 
-#include "pipeline/register/stack_colour.h"
+#include "pipeline/register/stack/resample_colour.h"
 
 #include <math.h>
 #include <string.h>

@@ -8,7 +8,7 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
-#include "pipeline/register/stack_colour.h"
+#include "pipeline/register/stack/resample_colour.h"
 #include "pipeline/stain/absorb.h"
 #include "pipeline/stain/spread.h"
 

@@ -2,7 +2,7 @@
 #include "pipeline/assembly_order.h"
 
 #include "pipeline/assembly_parts.h"
-#include "pipeline/register/section_path.h"
+#include "pipeline/register/order/seriation.h"
 
 #include <math.h>
 #include <stdio.h>

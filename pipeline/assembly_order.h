@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Whether the laid sections lie in the order of their numbers (register/sequence.h).
+/* Whether the laid sections lie in the order of their numbers (register/order/sequence.h).
  *
  * While the panels are opened, each section's density is gathered in cells of the block; at the end
  * all are compared, and the held ones with those around them, for one may be the second mount of
@@ -9,7 +9,7 @@
 #define GSN_PIPELINE_ASSEMBLY_ORDER_H
 
 #include "pipeline/pose_words.h"
-#include "pipeline/register/sequence.h"
+#include "pipeline/register/order/sequence.h"
 #include "pipeline/section_planes.h"
 
 #ifdef __cplusplus

@@ -88,7 +88,7 @@ int gsn_assembly_place_colour(struct gsn_assembly *a, struct gsn_error *err);
 int gsn_assembly_crop_colour(struct gsn_assembly *a, struct gsn_error *err);
 /* What the samples of an opened panel mean as light. */
 struct gsn_assembly_light {
-    uint16_t *of_sample; /* owned, as is the next: stack_colour.h */
+    uint16_t *of_sample; /* owned, as is the next: resample_colour.h */
     uint8_t *code;
 };
 /* gives: the tables. Fails with GSN_E_NOMEM. */

@@ -7,7 +7,7 @@
 
 #include "pipeline/assembly_parts.h"
 #include "pipeline/masking.h"
-#include "pipeline/register/refine.h"
+#include "pipeline/register/tissue/refine.h"
 #include "pipeline/stain/absorb.h"
 
 /* The sections in cells about the region, while they are gathered and compared. */

@@ -3,7 +3,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/parallel.h"
-#include "pipeline/register/stack.h"
+#include "pipeline/register/stack/resample.h"
 
 #include <math.h>
 

@@ -3,7 +3,7 @@
 
 #include "pipeline/assembly_parts.h"
 #include "pipeline/core/file.h"
-#include "pipeline/register/tissue_check.h"
+#include "pipeline/register/tissue/pose_check.h"
 
 #include <math.h>
 #include <stdarg.h>

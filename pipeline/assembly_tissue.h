@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Sections that their marks lay, held against the tissue of their neighbours
- * (register/tissue_check.h), and those that marks do not lay, laid by it (register/tissue_graph.h).
+ * (register/tissue/pose_check.h), and those that marks do not lay, laid by it (register/tissue/pose_graph.h).
  *
  * A section that its marks lay elsewhere than its neighbours' tissue does is flagged
  * "tissue-disagrees" and treated as one without marks, unless a person chose them.

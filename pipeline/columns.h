@@ -6,7 +6,7 @@
 #define GSN_PIPELINE_COLUMNS_H
 
 #include "pipeline/core/grid.h"
-#include "pipeline/register/stack.h"
+#include "pipeline/register/stack/resample.h"
 #include "pipeline/stain/absorb.h"
 
 #ifdef __cplusplus

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* A plain folder of section pictures, one section a picture, registered by its three marks; by the
- * tissue of its neighbours where it has none and the caller agrees (register/tissue_graph.h).
+ * tissue of its neighbours where it has none and the caller agrees (register/tissue/pose_graph.h).
  *
  * This needs no protocol, no store and no panels. The frame is that of the marks the caller states,
  * or else the mean triangle's (pose.h). Lengths are um when the pixel size is stated, otherwise
@@ -12,7 +12,7 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/register/pose.h"
-#include "pipeline/register/tissue_graph.h"
+#include "pipeline/register/tissue/pose_graph.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder_parts.h"
 
-#include "pipeline/register/tissue_check.h"
+#include "pipeline/register/tissue/pose_check.h"
 
 #include <stdio.h>
 #include <string.h>

@@ -7,7 +7,7 @@
 
 #include "pipeline/account.h"
 #include "pipeline/assembly.h"
-#include "pipeline/register/bridge.h"
+#include "pipeline/register/stack/gap_interpolation.h"
 #include "pipeline/specimen.h"
 #include "pipeline/tile.h"
 

@@ -2,7 +2,7 @@
 
 /* Four voxels at a time, two in each half of a register; what is done to each is said in
  * stack_colour_sse4.c. */
-#include "pipeline/register/stack_colour.h"
+#include "pipeline/register/stack/resample_colour.h"
 
 #include <immintrin.h>
 #include <string.h>

@@ -2,7 +2,7 @@
 
 /* A pixel of three codes and its neighbour are six bytes in a row, so two loads bring all four
  * pixels of a voxel and two multiplications of pairs mix them. */
-#include "pipeline/register/stack_colour.h"
+#include "pipeline/register/stack/resample_colour.h"
 
 #include <smmintrin.h>
 

@@ -10,7 +10,7 @@
 #include "pipeline/register/panel.h"
 #include "pipeline/register/panel_reduce.h"
 #include "pipeline/register/pose.h"
-#include "pipeline/register/stack_colour.h"
+#include "pipeline/register/stack/resample_colour.h"
 #include "pipeline/stain/absorb.h"
 #include "pipeline/stain/mask.h"
 

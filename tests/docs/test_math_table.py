@@ -15,7 +15,7 @@ import sys
 
 FUNCTION = re.compile(r"\bgsn_[a-z0-9_]+")
 QUOTED = re.compile(r"`([^`]+)`")
-TEST_LIST = re.compile(r"(\w+/\w+): ((?:`[a-z0-9_]+`(?:, )?)+)")
+TEST_LIST = re.compile(r"(\w+(?:/\w+)+): ((?:`[a-z0-9_]+`(?:, )?)+)")
 LOOKS_LIKE_A_TEST = re.compile(r"^[a-z0-9]+(?:_[a-z0-9]+){3,}$")
 
 
@@ -30,7 +30,7 @@ def declared(root):
 
 
 def tests_of(root, place):
-    folder, file = place.split("/")
+    folder, file = place.rsplit("/", 1)
     path = root / "tests" / folder / f"test_{file}.c"
     if not path.is_file():
         return None

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/assembly_parts.h"
-#include "pipeline/register/stack_colour.h"
+#include "pipeline/register/stack/resample_colour.h"
 
 #include "tests/check.h"
 

@@ -5,7 +5,7 @@
 #include "pipeline/decode/png_write.h"
 #include "tests/check.h"
 #include "tests/register/draw.h"
-#include "tests/register/drawn_tissue.h"
+#include "tests/register/tissue/drawn_tissue.h"
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -54,7 +54,7 @@ static void lower_envelope(struct line *line, size_t n, double step)
     }
 }
 
-static void along(float *value, size_t n, size_t stride, double step, struct line *line)
+static void transform_line(float *value, size_t n, size_t stride, double step, struct line *line)
 {
     for (size_t i = 0; i < n; i++)
         line->in[i] = value[i * stride];
@@ -93,9 +93,9 @@ static int one_plane(size_t z, void *context, struct gsn_error *err)
         return r;
     at = line.at;
     for (size_t y = 0; y < box->ny; y++)
-        along(plane + y * box->nx, box->nx, 1, box->step_x, &line);
+        transform_line(plane + y * box->nx, box->nx, 1, box->step_x, &line);
     for (size_t x = 0; x < box->nx; x++)
-        along(plane + x, box->ny, box->nx, box->step_y, &line);
+        transform_line(plane + x, box->ny, box->nx, box->step_y, &line);
     return GSN_OK;
 }
 
@@ -113,7 +113,8 @@ static int one_row(size_t y, void *context, struct gsn_error *err)
         return r;
     at = line.at;
     for (size_t x = 0; x < box->nx; x++)
-        along(pass->squared + y * box->nx + x, box->nz, box->nx * box->ny, box->step_z, &line);
+        transform_line(pass->squared + y * box->nx + x, box->nz, box->nx * box->ny, box->step_z,
+                       &line);
     return GSN_OK;
 }
 

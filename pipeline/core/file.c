@@ -11,7 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-static int fill(int fd, const char *path, uint8_t *bytes, size_t size, struct gsn_error *err)
+static int read_all(int fd, const char *path, uint8_t *bytes, size_t size, struct gsn_error *err)
 {
     for (size_t done = 0; done < size;) {
         const ssize_t got = pread(fd, bytes + done, size - done, (off_t)done);
@@ -43,7 +43,7 @@ int gsn_file_read_open(int fd, const char *path, size_t limit, uint8_t **ret_byt
     bytes = gsn_alloc((size_t)st.st_size + 1);
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", path);
-    r = fill(fd, path, bytes, (size_t)st.st_size, err);
+    r = read_all(fd, path, bytes, (size_t)st.st_size, err);
     if (r < 0)
         return r;
     bytes[st.st_size] = 0;
@@ -73,8 +73,7 @@ static int tell_denied(int dir, const char *part, const char *name, struct gsn_e
         return gsn_fail(err, GSN_E_DENIED, "%s may not be read", name);
     return gsn_fail(err, GSN_E_DENIED,
                     "%s may not be read: it is of user %lld with mode %04o, and this is user %lld",
-                    name, (long long)st.st_uid, (unsigned)st.st_mode & 07777,
-                    (long long)geteuid());
+                    name, (long long)st.st_uid, (unsigned)st.st_mode & 07777, (long long)geteuid());
 }
 
 static int tell_closed(int dir, const char *part, const char *name, int why, struct gsn_error *err)
@@ -215,7 +214,8 @@ int gsn_file_from_bytes(const void *bytes, size_t size, int *ret_fd, struct gsn_
     return GSN_OK;
 }
 
-static int drain(int fd, const char *path, const uint8_t *bytes, size_t size, struct gsn_error *err)
+static int write_all(int fd, const char *path, const uint8_t *bytes, size_t size,
+                     struct gsn_error *err)
 {
     for (size_t done = 0; done < size;) {
         const ssize_t put = write(fd, bytes + done, size - done);
@@ -266,7 +266,7 @@ int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_
     fd = mkostemp(temp, O_CLOEXEC);
     if (fd < 0)
         return gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
-    r = drain(fd, path, bytes, size, err);
+    r = write_all(fd, path, bytes, size, err);
     if (r >= 0 && fchmod(fd, 0644) < 0)
         r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
     if (close(fd) < 0 && r >= 0)

@@ -26,7 +26,7 @@ double gsn_lattice_voxel_um3(const struct gsn_lattice *at)
 }
 
 /* Zeroed room for one item a voxel, or NULL, also when there are more than can be counted. */
-static void *voxels(const struct gsn_lattice *at, size_t size)
+static void *alloc_voxels(const struct gsn_lattice *at, size_t size)
 {
     size_t count;
 
@@ -41,7 +41,7 @@ int gsn_grid_new(const struct gsn_lattice *at, struct gsn_grid **ret_grid, struc
     gsn_auto(gsn_grid) grid = gsn_alloc_array(1, sizeof *grid);
 
     if (grid)
-        *grid = (struct gsn_grid){ .at = *at, .value = voxels(at, sizeof(float)) };
+        *grid = (struct gsn_grid){ .at = *at, .value = alloc_voxels(at, sizeof(float)) };
     if (!grid || !grid->value)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a grid of %zu x %zu x %zu", at->nx,
                         at->ny, at->nz);
@@ -62,7 +62,7 @@ int gsn_mask_new(const struct gsn_lattice *at, struct gsn_mask **ret_mask, struc
     gsn_auto(gsn_mask) mask = gsn_alloc_array(1, sizeof *mask);
 
     if (mask)
-        *mask = (struct gsn_mask){ .at = *at, .inside = voxels(at, 1) };
+        *mask = (struct gsn_mask){ .at = *at, .inside = alloc_voxels(at, 1) };
     if (!mask || !mask->inside)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a mask of %zu x %zu x %zu", at->nx,
                         at->ny, at->nz);
@@ -89,7 +89,7 @@ size_t gsn_mask_count(const struct gsn_mask *mask)
 }
 
 /* The cell index along one axis, or n when the point lies beyond. */
-static size_t cell(double at, double origin, double step, size_t n)
+static size_t find_cell(double at, double origin, double step, size_t n)
 {
     const double c = floor((at - origin) / step + 0.5);
 
@@ -99,9 +99,9 @@ static size_t cell(double at, double origin, double step, size_t n)
 int gsn_mask_has(const struct gsn_mask *mask, struct gsn_vec3 p)
 {
     const struct gsn_lattice *at = &mask->at;
-    const size_t x = cell(p.x, at->origin_um.x, at->step_um.x, at->nx);
-    const size_t y = cell(p.y, at->origin_um.y, at->step_um.y, at->ny);
-    const size_t z = cell(p.z, at->origin_um.z, at->step_um.z, at->nz);
+    const size_t x = find_cell(p.x, at->origin_um.x, at->step_um.x, at->nx);
+    const size_t y = find_cell(p.y, at->origin_um.y, at->step_um.y, at->ny);
+    const size_t z = find_cell(p.z, at->origin_um.z, at->step_um.z, at->nz);
 
     return x < at->nx && y < at->ny && z < at->nz &&
            mask->inside[gsn_lattice_index(at, x, y, z)] != 0;

@@ -7,12 +7,12 @@
 /* Longer words than this have no near one. */
 enum { LONGEST = 40 };
 
-static size_t least(size_t a, size_t b)
+static size_t smaller_of(size_t a, size_t b)
 {
     return a < b ? a : b;
 }
 
-static int letter(char c)
+static int fold_letter(char c)
 {
     return tolower((unsigned char)c);
 }
@@ -31,12 +31,12 @@ static size_t count_slips(const char *a, const char *b)
 
         now[0] = i;
         for (size_t j = 1; j <= m; j++) {
-            const int same = letter(a[i - 1]) == letter(b[j - 1]);
+            const int same = fold_letter(a[i - 1]) == fold_letter(b[j - 1]);
 
-            now[j] = least(least(last[j], now[j - 1]) + 1, last[j - 1] + !same);
-            if (i > 1 && j > 1 && letter(a[i - 1]) == letter(b[j - 2]) &&
-                letter(a[i - 2]) == letter(b[j - 1]))
-                now[j] = least(now[j], before[j - 2] + 1);
+            now[j] = smaller_of(smaller_of(last[j], now[j - 1]) + 1, last[j - 1] + !same);
+            if (i > 1 && j > 1 && fold_letter(a[i - 1]) == fold_letter(b[j - 2]) &&
+                fold_letter(a[i - 2]) == fold_letter(b[j - 1]))
+                now[j] = smaller_of(now[j], before[j - 2] + 1);
         }
     }
     return row[n % 3][m];

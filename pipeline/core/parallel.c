@@ -28,7 +28,7 @@ static void note_failure(struct loop *loop, size_t index, const struct gsn_error
     (void)pthread_mutex_unlock(&loop->lock);
 }
 
-static void *work(void *argument)
+static void *run_worker(void *argument)
 {
     struct loop *loop = argument;
 
@@ -74,9 +74,9 @@ int gsn_parallel_for(size_t count, unsigned threads, gsn_parallel_body *body, vo
     if (threads > MOST_THREADS)
         threads = MOST_THREADS;
     while (started + 1 < threads && started + 1 < count &&
-           pthread_create(&helper[started], NULL, work, &loop) == 0)
+           pthread_create(&helper[started], NULL, run_worker, &loop) == 0)
         started++;
-    (void)work(&loop);
+    (void)run_worker(&loop);
     for (size_t i = 0; i < started; i++)
         (void)pthread_join(helper[i], NULL);
     (void)pthread_mutex_destroy(&loop.lock);

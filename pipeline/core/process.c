@@ -27,10 +27,10 @@ struct talk {
     size_t answer_size, answer_room;
     struct gsn_process_end how;
     size_t complaint_size;
-    double end; /* seconds() at which the child's time is over; 0: never */
+    double end; /* read_clock() at which the child's time is over; 0: never */
 };
 
-static void shut(int *fd)
+static void close_end(int *fd)
 {
     if (*fd >= 0)
         (void)close(*fd);
@@ -38,7 +38,7 @@ static void shut(int *fd)
 }
 
 /* A second of grace for processor time: at the hard limit the kernel kills without saying why. */
-static void limit(int what, uint64_t most)
+static void set_limit(int what, uint64_t most)
 {
     const struct rlimit value = { .rlim_cur = most, .rlim_max = most + (what == RLIMIT_CPU) };
 
@@ -47,8 +47,8 @@ static void limit(int what, uint64_t most)
 }
 
 /* Between fork and exec: only async-signal-safe calls. */
-static void become(const char *const argv[], const struct gsn_process_limits *limits, int in,
-                   int out, int complaints)
+static void become_program(const char *const argv[], const struct gsn_process_limits *limits,
+                           int in, int out, int complaints)
 {
     sigset_t none;
     const char *why;
@@ -63,8 +63,8 @@ static void become(const char *const argv[], const struct gsn_process_limits *li
     (void)prctl(PR_SET_PDEATHSIG, SIGKILL, 0, 0, 0);
     (void)sigemptyset(&none);
     (void)sigprocmask(SIG_SETMASK, &none, NULL);
-    limit(RLIMIT_AS, limits->memory_bytes);
-    limit(RLIMIT_CPU, limits->cpu_s);
+    set_limit(RLIMIT_AS, limits->memory_bytes);
+    set_limit(RLIMIT_CPU, limits->cpu_s);
     (void)execv(argv[0], (char *const *)(uintptr_t)argv);
     why = strerrordesc_np(errno);
     if (why)
@@ -73,8 +73,8 @@ static void become(const char *const argv[], const struct gsn_process_limits *li
 }
 
 /* lent: the child's stdin, or -1 for a pipe from us. */
-static int start(struct talk *talk, const char *const argv[],
-                 const struct gsn_process_limits *limits, int lent, struct gsn_error *err)
+static int start_child(struct talk *talk, const char *const argv[],
+                       const struct gsn_process_limits *limits, int lent, struct gsn_error *err)
 {
     int in[2] = { -1, -1 }, out[2] = { -1, -1 }, complaints[2] = { -1, -1 };
 
@@ -82,10 +82,10 @@ static int start(struct talk *talk, const char *const argv[],
         pipe2(complaints, O_CLOEXEC) == 0)
         talk->child = fork();
     if (talk->child == 0)
-        become(argv, limits, lent >= 0 ? lent : in[0], out[1], complaints[1]);
-    shut(&in[0]);
-    shut(&out[1]);
-    shut(&complaints[1]);
+        become_program(argv, limits, lent >= 0 ? lent : in[0], out[1], complaints[1]);
+    close_end(&in[0]);
+    close_end(&out[1]);
+    close_end(&complaints[1]);
     talk->in = in[1];
     talk->out = out[0];
     talk->complaints = complaints[0];
@@ -97,7 +97,7 @@ static int start(struct talk *talk, const char *const argv[],
     return GSN_OK;
 }
 
-static void feed(struct talk *talk)
+static void feed_child(struct talk *talk)
 {
     const ssize_t put =
         write(talk->in, talk->question + talk->sent, talk->question_size - talk->sent);
@@ -105,10 +105,10 @@ static void feed(struct talk *talk)
     if (put > 0)
         talk->sent += (size_t)put;
     if ((put < 0 && errno != EAGAIN && errno != EINTR) || talk->sent == talk->question_size)
-        shut(&talk->in);
+        close_end(&talk->in);
 }
 
-static int hear(struct talk *talk, size_t most, struct gsn_error *err)
+static int read_child(struct talk *talk, size_t most, struct gsn_error *err)
 {
     ssize_t got;
 
@@ -123,7 +123,7 @@ static int hear(struct talk *talk, size_t most, struct gsn_error *err)
     }
     got = read(talk->out, talk->answer + talk->answer_size, CHUNK - 1);
     if (got == 0 || (got < 0 && errno != EINTR))
-        shut(&talk->out);
+        close_end(&talk->out);
     if (got > 0)
         talk->answer_size += (size_t)got;
     if (talk->answer_size > most)
@@ -137,12 +137,12 @@ static void listen_to_complaint(struct talk *talk)
     const ssize_t got = read(talk->complaints, rest, sizeof rest);
 
     if (got == 0 || (got < 0 && errno != EINTR))
-        shut(&talk->complaints);
+        close_end(&talk->complaints);
     for (ssize_t i = 0; i < got && talk->complaint_size + 1 < sizeof talk->how.complaint; i++)
         talk->how.complaint[talk->complaint_size++] = rest[i];
 }
 
-static double seconds(void)
+static double read_clock(void)
 {
     struct timespec now;
 
@@ -151,8 +151,8 @@ static double seconds(void)
 }
 
 /* Moves bytes both ways until the child closes its ends or its time is over. */
-static int converse(struct talk *talk, const struct gsn_process_limits *limits,
-                    struct gsn_error *err)
+static int talk_to_child(struct talk *talk, const struct gsn_process_limits *limits,
+                         struct gsn_error *err)
 {
     while (talk->out >= 0 || talk->complaints >= 0) {
         struct pollfd ends[3] = { { .fd = talk->in, .events = POLLOUT },
@@ -160,7 +160,7 @@ static int converse(struct talk *talk, const struct gsn_process_limits *limits,
                                   { .fd = talk->complaints, .events = POLLIN } };
         int r;
 
-        if (talk->end > 0 && seconds() > talk->end) {
+        if (talk->end > 0 && read_clock() > talk->end) {
             talk->how.late = 1;
             return GSN_OK;
         }
@@ -170,9 +170,9 @@ static int converse(struct talk *talk, const struct gsn_process_limits *limits,
         if (r <= 0)
             continue;
         if (talk->in >= 0 && ends[0].revents)
-            feed(talk);
+            feed_child(talk);
         if (talk->out >= 0 && ends[1].revents) {
-            r = hear(talk, limits->answer_bytes, err);
+            r = read_child(talk, limits->answer_bytes, err);
             if (r < 0)
                 return r;
         }
@@ -192,7 +192,7 @@ static bool ends_in_time(const struct talk *talk)
     if (child.fd < 0)
         return true;
     do {
-        const double left = talk->end - seconds();
+        const double left = talk->end - read_clock();
 
         r = left > 0 ? poll(&child, 1, (int)(1000 * left) + 1) : 0;
     } while (r < 0 && errno == EINTR);
@@ -207,7 +207,7 @@ static void finish_complaint(struct talk *talk)
 }
 
 /* Waits for the end of the child, with quick not for its own, and keeps how it was. */
-static int reap(struct talk *talk, bool quick, struct gsn_error *err)
+static int reap_child(struct talk *talk, bool quick, struct gsn_error *err)
 {
     struct gsn_process_end *how = &talk->how;
     pid_t ended;
@@ -229,8 +229,8 @@ static int reap(struct talk *talk, bool quick, struct gsn_error *err)
 }
 
 /* Its end as a sentence. */
-static int verdict(const struct gsn_process_end *how, const struct gsn_process_limits *limits,
-                   struct gsn_error *err)
+static int judge_end(const struct gsn_process_end *how, const struct gsn_process_limits *limits,
+                     struct gsn_error *err)
 {
     const char *colon = how->complaint[0] ? ": " : "";
 
@@ -282,19 +282,19 @@ static int hold_talk(struct talk *talk, const char *const argv[],
     struct hush hush;
     int r;
 
-    talk->end = limits->wall_s ? seconds() + limits->wall_s : 0;
+    talk->end = limits->wall_s ? read_clock() + limits->wall_s : 0;
     hold_sigpipe(&hush);
-    r = start(talk, argv, limits, lent, err);
+    r = start_child(talk, argv, limits, lent, err);
     if (r >= 0) {
-        const int talked = converse(talk, limits, err);
+        const int talked = talk_to_child(talk, limits, err);
 
-        shut(&talk->in);
-        r = reap(talk, talked < 0, talked < 0 ? NULL : err);
+        close_end(&talk->in);
+        r = reap_child(talk, talked < 0, talked < 0 ? NULL : err);
         r = talked < 0 ? talked : r;
     }
-    shut(&talk->in);
-    shut(&talk->out);
-    shut(&talk->complaints);
+    close_end(&talk->in);
+    close_end(&talk->out);
+    close_end(&talk->complaints);
     release_sigpipe(&hush);
     return r;
 }
@@ -312,7 +312,7 @@ int gsn_process_ask(const char *const argv[], const struct gsn_process_limits *l
     int r = hold_talk(&talk, argv, limits, -1, err);
 
     if (r >= 0)
-        r = verdict(&talk.how, limits, err);
+        r = judge_end(&talk.how, limits, err);
     if (r < 0) {
         gsn_free(talk.answer);
         (void)gsn_fail_at(err, "%s", argv[0]);
@@ -340,15 +340,15 @@ int gsn_process_open(const char *const argv[], int fd, struct gsn_process **ret_
     if (!process)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a child");
     process->talk = (struct talk){ .child = -1, .in = -1, .out = -1, .complaints = -1 };
-    r = start(&process->talk, argv, &none, fd, err);
+    r = start_child(&process->talk, argv, &none, fd, err);
     if (r < 0) {
-        shut(&process->talk.out);
-        shut(&process->talk.complaints);
+        close_end(&process->talk.out);
+        close_end(&process->talk.complaints);
         gsn_free(process);
         return r;
     }
     /* What it prints is dropped where it is not its complaint: it has another way to answer. */
-    shut(&process->talk.out);
+    close_end(&process->talk.out);
     (void)fcntl(process->talk.complaints, F_SETFL, O_NONBLOCK);
     *ret_process = process;
     return GSN_OK;
@@ -372,13 +372,13 @@ int gsn_process_allow(const struct gsn_process *process, uint64_t memory_bytes,
 
 int gsn_process_await(struct gsn_process *process, int fd, unsigned wall_s)
 {
-    const double end = wall_s ? seconds() + wall_s : 0;
+    const double end = wall_s ? read_clock() + wall_s : 0;
 
     for (;;) {
         struct pollfd ends[2] = { { .fd = fd, .events = POLLIN },
                                   { .fd = process->talk.complaints, .events = POLLIN } };
 
-        if (end > 0 && seconds() > end) {
+        if (end > 0 && read_clock() > end) {
             process->talk.how.late = 1;
             return 0;
         }
@@ -398,10 +398,10 @@ void gsn_process_close(struct gsn_process *process, int at_once, struct gsn_proc
     if (!process)
         return;
     talk = &process->talk;
-    talk->end = seconds() + CLOSING_S;
+    talk->end = read_clock() + CLOSING_S;
     if (!at_once && !talk->how.late)
         talk->how.late = !ends_in_time(talk);
-    (void)reap(talk, at_once, NULL);
+    (void)reap_child(talk, at_once, NULL);
     while (talk->complaints >= 0) {
         const size_t before = talk->complaint_size;
 
@@ -409,7 +409,7 @@ void gsn_process_close(struct gsn_process *process, int at_once, struct gsn_proc
         if (talk->complaint_size == before)
             break;
     }
-    shut(&talk->complaints);
+    close_end(&talk->complaints);
     finish_complaint(talk);
     if (ret_end)
         *ret_end = talk->how;

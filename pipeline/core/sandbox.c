@@ -12,7 +12,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
-static int refused(const char *what, int code, struct gsn_error *err)
+static int fail_refused(const char *what, int code, struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_PROCESS, "the sandbox cannot be entered: %s: %s", what,
                     strerror(code));
@@ -20,18 +20,18 @@ static int refused(const char *what, int code, struct gsn_error *err)
 
 /* ---- limits ------------------------------------------------------------------------------ */
 
-static int limit(rlim_t descriptors, struct gsn_error *err)
+static int limit_resources(rlim_t descriptors, struct gsn_error *err)
 {
     static const __rlimit_resource_t none_of[] = { RLIMIT_CORE, RLIMIT_FSIZE, RLIMIT_NPROC };
     const struct rlimit none = { 0, 0 }, few = { descriptors, descriptors };
 
     for (size_t i = 0; i < sizeof none_of / sizeof none_of[0]; i++)
         if (setrlimit(none_of[i], &none) < 0)
-            return refused("setrlimit", errno, err);
+            return fail_refused("setrlimit", errno, err);
     if (setrlimit(RLIMIT_NOFILE, &few) < 0)
-        return refused("setrlimit", errno, err);
+        return fail_refused("setrlimit", errno, err);
     if (prctl(PR_SET_DUMPABLE, 0, 0, 0, 0) < 0 || prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) < 0)
-        return refused("prctl", errno, err);
+        return fail_refused("prctl", errno, err);
     return GSN_OK;
 }
 
@@ -74,12 +74,12 @@ int gsn_sandbox_leave_files(struct gsn_error *err)
         return GSN_OK;
     /* No new privileges first: without that the kernel lets nobody in. */
     if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) < 0)
-        return refused("prctl", errno, err);
+        return fail_refused("prctl", errno, err);
     rules = syscall(SYS_landlock_create_ruleset, &all, words * sizeof(uint64_t), 0);
     if (rules < 0)
-        return refused("landlock_create_ruleset", errno, err);
+        return fail_refused("landlock_create_ruleset", errno, err);
     if (syscall(SYS_landlock_restrict_self, rules, 0) < 0)
-        r = refused("landlock_restrict_self", errno, err);
+        r = fail_refused("landlock_restrict_self", errno, err);
     (void)close((int)rules);
     return r;
 }
@@ -153,7 +153,7 @@ static int keep_few_calls(int may_receive, struct gsn_error *err)
         r = seccomp_load(list);
     if (list)
         seccomp_release(list);
-    return r < 0 ? refused("seccomp", -r, err) : GSN_OK;
+    return r < 0 ? fail_refused("seccomp", -r, err) : GSN_OK;
 }
 
 int gsn_sandbox_enter(int last_fd, int may_receive, struct gsn_error *err)
@@ -161,10 +161,10 @@ int gsn_sandbox_enter(int last_fd, int may_receive, struct gsn_error *err)
     int r;
 
     if (close_range((unsigned)last_fd + 1, ~0U, 0) < 0)
-        return refused("close_range", errno, err);
+        return fail_refused("close_range", errno, err);
     r = gsn_sandbox_leave_files(err);
     if (r >= 0)
-        r = limit(may_receive ? (rlim_t)last_fd + 2 : 0, err);
+        r = limit_resources(may_receive ? (rlim_t)last_fd + 2 : 0, err);
     if (r >= 0)
         r = keep_few_calls(may_receive, err);
     return r;

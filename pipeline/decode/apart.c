@@ -120,7 +120,7 @@ const uint8_t *gsn_decode_page_file(const struct gsn_decode_page *page, int fd)
     return file == MAP_FAILED ? NULL : file;
 }
 
-static void describe(const struct gsn_picture *picture, struct gsn_decode_page *page)
+static void describe_page(const struct gsn_picture *picture, struct gsn_decode_page *page)
 {
     page->width = picture->image->width;
     page->height = picture->image->height;
@@ -155,7 +155,7 @@ void gsn_decode_page_answer(struct gsn_decode_page *page, const uint8_t *file)
                                  &picture, &said);
     memcpy(page->text, said.text, sizeof page->text);
     if (picture)
-        describe(picture, page);
+        describe_page(picture, page);
     page->answered = 1;
 }
 
@@ -374,8 +374,8 @@ static void write_question(struct channel *channel, uint64_t size,
 
 /* Lets the channel's child, a new one where there is none, have memory for this file, and sends it.
  * Whether it is still there shows when it is waited for. */
-static int ask(struct channel *channel, int fd, uint64_t size,
-               const struct gsn_decode_limits *limits, struct gsn_error *err)
+static int ask_child(struct channel *channel, int fd, uint64_t size,
+                     const struct gsn_decode_limits *limits, struct gsn_error *err)
 {
     int r = GSN_OK;
 
@@ -420,12 +420,12 @@ static int judge_end(const struct gsn_process_end *end, const char *decoder,
 /* Asks and waits for the answer; a child that ends instead has its end judged. One that was there
  * before this file may have ended for another reason (with the thread that had started it, or by
  * what an earlier file did to it), so the file is tried once more with a new one. */
-static int converse(struct channel *channel, int fd, uint64_t size,
-                    const struct gsn_decode_limits *limits, struct gsn_error *err)
+static int exchange_file(struct channel *channel, int fd, uint64_t size,
+                         const struct gsn_decode_limits *limits, struct gsn_error *err)
 {
     for (;;) {
         const int was_there = channel->child != NULL;
-        const int r = ask(channel, fd, size, limits, err);
+        const int r = ask_child(channel, fd, size, limits, err);
         struct gsn_process_end end;
         char byte;
 
@@ -442,14 +442,14 @@ static int converse(struct channel *channel, int fd, uint64_t size,
 
 /* ---- what it said ------------------------------------------------------------------------ */
 
-static int lied(struct gsn_error *err)
+static int fail_lied(struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_INPUT,
                     "the decoder gave an answer that cannot be: do not trust the file, scan again");
 }
 
 /* One line of printable text, whatever stood there. */
-static void clean(char *text, size_t room)
+static void clean_text(char *text, size_t room)
 {
     size_t i;
 
@@ -476,14 +476,15 @@ static int can_be(const struct gsn_decode_page *page, const struct gsn_decode_li
 }
 
 /* The codes a decoder has a right to; memory that ran out is its limit, not ours. */
-static int refusal(const struct gsn_decode_page *page, uint64_t memory_bytes, struct gsn_error *err)
+static int judge_refusal(const struct gsn_decode_page *page, uint64_t memory_bytes,
+                         struct gsn_error *err)
 {
     if (page->code == GSN_E_NOMEM)
         return gsn_fail(err, GSN_E_LIMIT,
                         "decoding needs more than %.0f MiB of memory: scan at a lower resolution",
                         (double)memory_bytes / 1048576.0);
     if (page->code != GSN_E_INPUT && page->code != GSN_E_UNSUPPORTED && page->code != GSN_E_LIMIT)
-        return lied(err);
+        return fail_lied(err);
     return gsn_fail(err, page->code, "%s", page->text);
 }
 
@@ -518,28 +519,28 @@ static int keep_samples(struct channel *channel, const struct gsn_decode_page *s
     return GSN_OK;
 }
 
-static int hear(struct channel *channel, const struct gsn_decode_limits *limits, uint64_t file_size,
-                struct gsn_picture **ret_picture, struct gsn_error *err)
+static int read_answer(struct channel *channel, const struct gsn_decode_limits *limits,
+                       uint64_t file_size, struct gsn_picture **ret_picture, struct gsn_error *err)
 {
     struct gsn_decode_page said;
 
     memcpy(&said, channel->at, sizeof said);
-    clean(said.text, sizeof said.text);
-    clean(said.profile, sizeof said.profile);
-    clean(said.kind, sizeof said.kind);
-    clean(said.note, sizeof said.note);
-    clean(said.withheld, sizeof said.withheld);
+    clean_text(said.text, sizeof said.text);
+    clean_text(said.profile, sizeof said.profile);
+    clean_text(said.kind, sizeof said.kind);
+    clean_text(said.note, sizeof said.note);
+    clean_text(said.withheld, sizeof said.withheld);
     for (size_t i = 0; i < GSN_CODES; i++) {
-        clean(said.printed[i].text, sizeof said.printed[i].text);
-        clean(said.printed[i].kind, sizeof said.printed[i].kind);
+        clean_text(said.printed[i].text, sizeof said.printed[i].text);
+        clean_text(said.printed[i].kind, sizeof said.printed[i].kind);
         if (!isfinite(said.printed[i].turn_deg))
             said.printed[i].turn_deg = 0;
     }
     if (!said.answered)
-        return lied(err);
+        return fail_lied(err);
     if (said.code != GSN_OK)
-        return refusal(&said, limits->most_bytes + OWN_BYTES + file_size, err);
-    return can_be(&said, limits) ? keep_samples(channel, &said, ret_picture, err) : lied(err);
+        return judge_refusal(&said, limits->most_bytes + OWN_BYTES + file_size, err);
+    return can_be(&said, limits) ? keep_samples(channel, &said, ret_picture, err) : fail_lied(err);
 }
 
 static int decode_apart(struct gsn_decoder *decoder, int fd, uint64_t size,
@@ -551,9 +552,9 @@ static int decode_apart(struct gsn_decoder *decoder, int fd, uint64_t size,
 
     if (r < 0)
         return r;
-    r = converse(channel, fd, size, limits, err);
+    r = exchange_file(channel, fd, size, limits, err);
     if (r >= 0)
-        r = hear(channel, limits, size, ret_picture, err);
+        r = read_answer(channel, limits, size, ret_picture, err);
     if (r < 0)
         free_channel(channel);
     return r;

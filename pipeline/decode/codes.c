@@ -213,7 +213,8 @@ struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind,
 }
 
 /* The mean over a cell of the brightest channel, of at most TAPS x TAPS of its pixels. */
-static uint8_t brightest(const struct gsn_image *image, uint32_t x0, uint32_t y0, unsigned step)
+static uint8_t mean_brightest(const struct gsn_image *image, uint32_t x0, uint32_t y0,
+                              unsigned step)
 {
     const unsigned taps = step < TAPS ? step : TAPS;
     unsigned sum = 0;
@@ -399,7 +400,7 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
     for (uint32_t y = 0; y < page.height; y++)
         for (uint32_t x = 0; x < page.width; x++)
-            grey[(size_t)y * page.width + x] = brightest(image, x * step, y * step, step);
+            grey[(size_t)y * page.width + x] = mean_brightest(image, x * step, y * step, step);
     page.grey = grey;
     r = longest <= SMALL ? read_page(&page, picture, err) : read_areas(&page, picture, err);
     if (r >= 0 && picture->code_count == 0 && gsn_codes_clock() >= page.until_ms)

@@ -18,7 +18,7 @@ struct entry {
     size_t value_at;
 };
 
-static uint32_t get(const struct block *block, size_t at, unsigned bytes)
+static uint32_t get_number(const struct block *block, size_t at, unsigned bytes)
 {
     uint32_t value = 0;
 
@@ -30,28 +30,28 @@ static uint32_t get(const struct block *block, size_t at, unsigned bytes)
     return value;
 }
 
-static int inside(const struct block *block, uint64_t at, uint64_t count)
+static int lies_inside(const struct block *block, uint64_t at, uint64_t count)
 {
     return at <= block->size && count <= block->size - at;
 }
 
 /* A single SHORT or LONG stored in the entry itself; 0 when it is something else. */
-static uint32_t whole(const struct block *block, const struct entry *entry)
+static uint32_t read_whole(const struct block *block, const struct entry *entry)
 {
     if (entry->count != 1 || (entry->type != TYPE_SHORT && entry->type != TYPE_LONG))
         return 0;
-    return get(block, entry->value_at, entry->type == TYPE_SHORT ? 2 : 4);
+    return get_number(block, entry->value_at, entry->type == TYPE_SHORT ? 2 : 4);
 }
 
-static double rational(const struct block *block, const struct entry *entry)
+static double read_rational(const struct block *block, const struct entry *entry)
 {
-    const uint32_t at = get(block, entry->value_at, 4);
+    const uint32_t at = get_number(block, entry->value_at, 4);
     uint32_t below;
 
-    if (entry->count != 1 || entry->type != TYPE_RATIONAL || !inside(block, at, 8))
+    if (entry->count != 1 || entry->type != TYPE_RATIONAL || !lies_inside(block, at, 8))
         return 0;
-    below = get(block, at + 4, 4);
-    return below ? (double)get(block, at, 4) / below : 0;
+    below = get_number(block, at + 4, 4);
+    return below ? (double)get_number(block, at, 4) / below : 0;
 }
 
 static double unit_um(uint32_t unit)
@@ -60,16 +60,17 @@ static double unit_um(uint32_t unit)
 }
 
 /* Takes one entry; returns the offset of the Exif directory when the entry names it. */
-static uint32_t take(const struct block *block, const struct entry *entry, struct gsn_exif *exif)
+static uint32_t take_entry(const struct block *block, const struct entry *entry,
+                           struct gsn_exif *exif)
 {
-    const uint32_t value = whole(block, entry);
+    const uint32_t value = read_whole(block, entry);
 
     if (entry->tag == TAG_ORIENTATION && value >= 1 && value <= 8)
         exif->orientation = value;
     else if (entry->tag == TAG_X_RESOLUTION)
-        exif->per_unit_x = rational(block, entry);
+        exif->per_unit_x = read_rational(block, entry);
     else if (entry->tag == TAG_Y_RESOLUTION)
-        exif->per_unit_y = rational(block, entry);
+        exif->per_unit_y = read_rational(block, entry);
     else if (entry->tag == TAG_RESOLUTION_UNIT)
         exif->unit_um = unit_um(value);
     else if (entry->tag == TAG_COLOR_SPACE)
@@ -85,18 +86,18 @@ static int read_directory(const struct block *block, uint32_t at, struct gsn_exi
 {
     uint32_t count;
 
-    if (!inside(block, at, 2))
+    if (!lies_inside(block, at, 2))
         return 0;
-    count = get(block, at, 2);
-    if (!inside(block, (uint64_t)at + 2, 12 * (uint64_t)count))
+    count = get_number(block, at, 2);
+    if (!lies_inside(block, (uint64_t)at + 2, 12 * (uint64_t)count))
         return 0;
     for (uint32_t i = 0; i < count; i++) {
         const size_t entry_at = (size_t)at + 2 + 12 * (size_t)i;
-        const struct entry entry = { .tag = get(block, entry_at, 2),
-                                     .type = get(block, entry_at + 2, 2),
-                                     .count = get(block, entry_at + 4, 4),
+        const struct entry entry = { .tag = get_number(block, entry_at, 2),
+                                     .type = get_number(block, entry_at + 2, 2),
+                                     .count = get_number(block, entry_at + 4, 4),
                                      .value_at = entry_at + 8 };
-        const uint32_t exif_at = take(block, &entry, exif);
+        const uint32_t exif_at = take_entry(block, &entry, exif);
 
         if (exif_at)
             *ret_exif_at = exif_at;
@@ -115,7 +116,8 @@ int gsn_exif_read(const uint8_t *bytes, size_t size, struct gsn_exif *ret_exif)
     if (size < 8 || bytes[0] != bytes[1] || (bytes[0] != 'I' && bytes[0] != 'M'))
         return 0;
     block.big_endian = bytes[0] == 'M';
-    if (get(&block, 2, 2) != 42 || !read_directory(&block, get(&block, 4, 4), &exif, &exif_at))
+    if (get_number(&block, 2, 2) != 42 ||
+        !read_directory(&block, get_number(&block, 4, 4), &exif, &exif_at))
         return 0;
     if (exif_at && !read_directory(&block, exif_at, &exif, &ignored))
         return 0;

@@ -7,7 +7,7 @@
 static const char first_line[] = "# gieson frame 1";
 
 /* Copies what follows "# key: " when the line is that one. */
-static void take(const char *line, size_t size, const char *key, char *ret_value, size_t room)
+static void take_value(const char *line, size_t size, const char *key, char *ret_value, size_t room)
 {
     const size_t length = strlen(key);
 
@@ -23,10 +23,10 @@ void gsn_frame_notes_line(struct gsn_frame_notes *notes, int *begun, const char 
         *begun = 1;
     if (!*begun)
         return;
-    take(line, size, "matrix", notes->matrix, sizeof notes->matrix);
-    take(line, size, "range", notes->range, sizeof notes->range);
-    take(line, size, "transfer", notes->transfer, sizeof notes->transfer);
-    take(line, size, "not to be measured", notes->withheld, sizeof notes->withheld);
+    take_value(line, size, "matrix", notes->matrix, sizeof notes->matrix);
+    take_value(line, size, "range", notes->range, sizeof notes->range);
+    take_value(line, size, "transfer", notes->transfer, sizeof notes->transfer);
+    take_value(line, size, "not to be measured", notes->withheld, sizeof notes->withheld);
 }
 
 static struct gsn_frame_notes read_lines(const char *text, size_t size)

@@ -47,12 +47,12 @@ static void profile_done(struct profile *profile)
         cmsDeleteContext(profile->context);
 }
 
-static double srgb(double code)
+static double decode_srgb(double code)
 {
     return code <= 0.04045 ? code / 12.92 : pow((code + 0.055) / 1.055, 2.4);
 }
 
-static double straight(double code)
+static double decode_straight(double code)
 {
     return code;
 }
@@ -62,7 +62,7 @@ static double curve_at(const cmsToneCurve *curve, double code)
     return (double)cmsEvalToneCurveFloat(curve, (cmsFloat32Number)code);
 }
 
-static int follows(const struct profile *profile, double (*truth)(double))
+static int follows_curve(const struct profile *profile, double (*truth)(double))
 {
     for (int c = 0; c < CHANNELS; c++)
         for (int i = 0; i <= 255; i++)
@@ -72,7 +72,7 @@ static int follows(const struct profile *profile, double (*truth)(double))
 }
 
 /* Light rises with the code, from none to all; anything else would make up or destroy contrast. */
-static int rises(const struct profile *profile)
+static int rises_throughout(const struct profile *profile)
 {
     for (int c = 0; c < CHANNELS; c++) {
         double last = curve_at(profile->curve[c], 0);
@@ -115,7 +115,7 @@ static const char *open_profile(const struct gsn_picture *picture, struct profil
         if (!profile->curve[c])
             return "a curve of it is missing";
     }
-    return rises(profile) ? NULL : "its curves do not rise from dark to light";
+    return rises_throughout(profile) ? NULL : "its curves do not rise from dark to light";
 }
 
 static void name_profile(const struct profile *profile, struct gsn_picture *picture)
@@ -221,8 +221,8 @@ static int apply_tables(cmsHTRANSFORM transform, const struct gsn_image *image, 
     return GSN_OK;
 }
 
-static int linearise(const struct profile *profile, struct gsn_picture *picture, uint16_t *to,
-                     struct gsn_error *err)
+static int make_linear(const struct profile *profile, struct gsn_picture *picture, uint16_t *to,
+                       struct gsn_error *err)
 {
     cmsHTRANSFORM transform;
     int r;
@@ -237,8 +237,8 @@ static int linearise(const struct profile *profile, struct gsn_picture *picture,
     return r;
 }
 
-static int use(const struct profile *profile, struct gsn_picture *picture,
-               const struct gsn_decode_limits *limits, struct gsn_error *err)
+static int use_profile(const struct profile *profile, struct gsn_picture *picture,
+                       const struct gsn_decode_limits *limits, struct gsn_error *err)
 {
     struct gsn_image *image = picture->image;
     struct gsn_error why = { 0 };
@@ -252,7 +252,7 @@ static int use(const struct profile *profile, struct gsn_picture *picture,
                        "the picture is too large to be turned into linear light");
         return GSN_OK;
     }
-    r = linearise(profile, picture, to, &why);
+    r = make_linear(profile, picture, to, &why);
     if (r < 0 && (void *)to != image->samples)
         gsn_free(to);
     if (r == GSN_E_UNSUPPORTED) {
@@ -285,10 +285,12 @@ int gsn_icc_apply(struct gsn_picture *picture, const struct gsn_decode_limits *l
         (void)snprintf(picture->profile, sizeof picture->profile, "%s", why);
         return GSN_OK;
     }
-    if (profile.curve[0] && (follows(&profile, srgb) || follows(&profile, straight))) {
+    if (profile.curve[0] &&
+        (follows_curve(&profile, decode_srgb) || follows_curve(&profile, decode_straight))) {
         name_profile(&profile, picture);
-        picture->transfer = follows(&profile, srgb) ? GSN_TRANSFER_SRGB : GSN_TRANSFER_LINEAR;
+        picture->transfer =
+            follows_curve(&profile, decode_srgb) ? GSN_TRANSFER_SRGB : GSN_TRANSFER_LINEAR;
         return GSN_OK;
     }
-    return use(&profile, picture, limits, err);
+    return use_profile(&profile, picture, limits, err);
 }

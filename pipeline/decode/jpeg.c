@@ -32,7 +32,7 @@ struct reader {
 };
 
 /* "in row 12 of 128", "in scan 3" or "in the header": where reading has got to. */
-static void place(const struct reader *reader, char *text, size_t size)
+static void say_place(const struct reader *reader, char *text, size_t size)
 {
     const struct jpeg_decompress_struct *info = &reader->info;
 
@@ -71,7 +71,7 @@ __attribute__((noreturn)) static void leave(j_common_ptr info)
     char said[JMSG_LENGTH_MAX], where[48];
 
     info->err->format_message(info, said);
-    place(reader, where, sizeof where);
+    say_place(reader, where, sizeof where);
     reader->code = code_of(info->err->msg_code);
     if (reader->code == GSN_E_NOMEM)
         (void)gsn_fail(reader->err, reader->code, "out of memory while decoding JPEG");
@@ -111,7 +111,7 @@ static boolean source_fill(j_decompress_ptr info)
     struct reader *reader = info->client_data;
     char where[48];
 
-    place(reader, where, sizeof where);
+    say_place(reader, where, sizeof where);
     reader->code = gsn_fail(reader->err, GSN_E_INPUT,
                             "truncated JPEG: the data end %s, at byte %zu; copy or scan it again",
                             where, reader->file.size);

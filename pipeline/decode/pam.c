@@ -249,7 +249,7 @@ static int read_header(struct reader *reader, const struct gsn_decode_limits *li
 }
 
 /* Sample number i of the file. */
-static unsigned sample(const struct reader *reader, size_t i)
+static unsigned read_sample(const struct reader *reader, size_t i)
 {
     const uint8_t *const at = reader->file.at + reader->at;
 
@@ -257,7 +257,7 @@ static unsigned sample(const struct reader *reader, size_t i)
 }
 
 /* 0..MAXVAL to 0..65535, rounded. */
-static uint16_t stretch(const struct reader *reader, unsigned value)
+static uint16_t stretch_value(const struct reader *reader, unsigned value)
 {
     return (uint16_t)(((uint64_t)value * 65535 + reader->maxval / 2) / reader->maxval);
 }
@@ -267,9 +267,9 @@ static int check_samples(const struct reader *reader, struct gsn_error *err)
     const size_t count = (size_t)reader->width * reader->height * reader->depth;
 
     for (size_t i = 0; i < count && reader->maxval != 255 && reader->maxval != 65535; i++) {
-        if (sample(reader, i) > reader->maxval)
+        if (read_sample(reader, i) > reader->maxval)
             return gsn_fail(err, GSN_E_INPUT, "corrupt PAM: a sample of %u is above MAXVAL %u",
-                            sample(reader, i), reader->maxval);
+                            read_sample(reader, i), reader->maxval);
     }
     return GSN_OK;
 }
@@ -283,12 +283,12 @@ static void take_plain(const struct reader *reader, uint32_t y, void *row)
     for (size_t x = 0; x < reader->width; x++) {
         for (unsigned c = 0; c < channels; c++) {
             const unsigned from = reader->type->kind == BGR ? 2 - c : c;
-            const unsigned value = sample(reader, first + x * reader->depth + from);
+            const unsigned value = read_sample(reader, first + x * reader->depth + from);
 
             if (reader->layout.bits == 8)
                 ((uint8_t *)row)[x * channels + c] = (uint8_t)value;
             else
-                ((uint16_t *)row)[x * channels + c] = stretch(reader, value);
+                ((uint16_t *)row)[x * channels + c] = stretch_value(reader, value);
         }
     }
 }
@@ -346,7 +346,7 @@ static void put_bayer(const struct reader *reader, uint32_t x, uint32_t y, uint1
 
             if (colour == own && (nx != x || ny != y))
                 continue;
-            sum[colour] += sample(reader, (size_t)ny * reader->width + nx);
+            sum[colour] += read_sample(reader, (size_t)ny * reader->width + nx);
             count[colour]++;
         }
     }

@@ -150,7 +150,7 @@ static inline void scatter16(uint16_t *to, ptrdiff_t step, const uint16_t *from,
 
 /* Past the caches: whoever reads a picture larger than they are finds nothing of it there anyway,
  * and memory need not be read before it is written. */
-static void stream(uint8_t *to, const uint8_t *from, size_t bytes)
+static void stream_bytes(uint8_t *to, const uint8_t *from, size_t bytes)
 {
 #ifdef __SSE2__
     const size_t uneven = -(uintptr_t)to % sizeof(__m128i), head = uneven < bytes ? uneven : bytes;
@@ -195,8 +195,8 @@ static void count_transparent(const struct gsn_raster *canvas, const struct gsn_
     *canvas->transparent += count;
 }
 
-static void scatter(const struct gsn_raster *canvas, const struct gsn_run *run, ptrdiff_t first,
-                    const void *samples)
+static void scatter_run(const struct gsn_raster *canvas, const struct gsn_run *run, ptrdiff_t first,
+                        const void *samples)
 {
     const struct gsn_image *image = canvas->image;
     const ptrdiff_t step = canvas->step_x * (ptrdiff_t)run->step * (ptrdiff_t)image->channels;
@@ -236,9 +236,9 @@ void gsn_raster_put_rows(const struct gsn_raster *canvas, const struct gsn_run *
         if (run->alpha)
             count_transparent(canvas, run, row);
         if (!straight)
-            scatter(canvas, run, first, row);
+            scatter_run(canvas, run, first, row);
         else if (large)
-            stream(to, row, length);
+            stream_bytes(to, row, length);
         else
             memcpy(to, row, length);
     }
@@ -275,7 +275,7 @@ void gsn_picture_remark(struct gsn_picture *picture, const char *format, ...)
         (void)snprintf(picture->note + used, sizeof picture->note - used, "%s%s", glue, remark);
 }
 
-static double pitch(double per_unit, double unit_um)
+static double find_pitch(double per_unit, double unit_um)
 {
     /* NaN is not above 0 either; what remains of nonsense would be pixels of kilometres. */
     return per_unit > 1e-9 && per_unit < 1e12 ? unit_um / per_unit : 0;
@@ -284,7 +284,7 @@ static double pitch(double per_unit, double unit_um)
 void gsn_picture_pitch(struct gsn_picture *picture, double per_unit_x, double per_unit_y,
                        double unit_um)
 {
-    const double x = pitch(per_unit_x, unit_um), y = pitch(per_unit_y, unit_um);
+    const double x = find_pitch(per_unit_x, unit_um), y = find_pitch(per_unit_y, unit_um);
 
     if (x > 0 && y > 0) {
         picture->px_um_x = x;

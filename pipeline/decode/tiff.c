@@ -33,7 +33,7 @@ struct chain {
     unsigned offset_size, count_size, entry_size;
 };
 
-static uint64_t get(const struct chain *chain, uint64_t at, unsigned bytes)
+static uint64_t get_number(const struct chain *chain, uint64_t at, unsigned bytes)
 {
     uint64_t value = 0;
 
@@ -45,7 +45,7 @@ static uint64_t get(const struct chain *chain, uint64_t at, unsigned bytes)
     return value;
 }
 
-static int inside(const struct chain *chain, uint64_t at, uint64_t count)
+static int lies_inside(const struct chain *chain, uint64_t at, uint64_t count)
 {
     return at <= chain->file.size && count <= chain->file.size - at;
 }
@@ -56,19 +56,20 @@ static int next_page(const struct chain *chain, unsigned page, uint64_t at, uint
 {
     uint64_t count;
 
-    if (!inside(chain, at, chain->count_size))
+    if (!lies_inside(chain, at, chain->count_size))
         return gsn_fail(err, GSN_E_INPUT,
                         "truncated TIFF: page %u is to begin at byte %llu, the file ends at %zu; "
                         "copy or scan it again",
                         page, (unsigned long long)at, chain->file.size);
-    count = get(chain, at, chain->count_size);
+    count = get_number(chain, at, chain->count_size);
     if (count > chain->file.size ||
-        !inside(chain, at, chain->count_size + count * chain->entry_size + chain->offset_size))
+        !lies_inside(chain, at, chain->count_size + count * chain->entry_size + chain->offset_size))
         return gsn_fail(err, GSN_E_INPUT,
                         "truncated TIFF: the directory of page %u, at byte %llu, is to hold %llu "
                         "entries, the file ends at %zu",
                         page, (unsigned long long)at, (unsigned long long)count, chain->file.size);
-    *ret_next = get(chain, at + chain->count_size + count * chain->entry_size, chain->offset_size);
+    *ret_next =
+        get_number(chain, at + chain->count_size + count * chain->entry_size, chain->offset_size);
     return GSN_OK;
 }
 
@@ -82,7 +83,8 @@ static int refuse_loop(const uint64_t *seen, unsigned count, uint64_t next, stru
     return GSN_OK;
 }
 
-static int walk(const struct chain *chain, uint64_t at, unsigned *ret_pages, struct gsn_error *err)
+static int walk_chain(const struct chain *chain, uint64_t at, unsigned *ret_pages,
+                      struct gsn_error *err)
 {
     uint64_t seen[MOST_PAGES];
     unsigned pages = 0;
@@ -110,14 +112,14 @@ int gsn_tiff_count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_
     struct chain chain = { file, file.at[0] == 'M', 4, 2, 12 };
     uint64_t first = 4;
 
-    if (get(&chain, 2, 2) == 43) {
+    if (get_number(&chain, 2, 2) == 43) {
         chain = (struct chain){ file, chain.big_endian, 8, 8, 20 };
         first = 8;
     }
-    if (!inside(&chain, first, chain.offset_size))
+    if (!lies_inside(&chain, first, chain.offset_size))
         return gsn_fail(err, GSN_E_INPUT,
                         "truncated TIFF: the file ends in its header, at byte %zu", file.size);
-    return walk(&chain, get(&chain, first, chain.offset_size), ret_pages, err);
+    return walk_chain(&chain, get_number(&chain, first, chain.offset_size), ret_pages, err);
 }
 
 /* --- slides --- */
@@ -335,7 +337,7 @@ static void on_unmap(thandle_t handle, void *base, toff_t size)
 /* --- what libtiff says --- */
 
 /* Keeps the first complaint; the later ones mostly follow from it. */
-static void keep(struct gsn_tiff *t, const char *format, va_list args)
+static void keep_complaint(struct gsn_tiff *t, const char *format, va_list args)
 {
     char *consequence;
 
@@ -357,7 +359,7 @@ static int on_error(TIFF *tiff, void *user, const char *module, const char *form
 {
     (void)tiff;
     (void)module;
-    keep(user, format, args);
+    keep_complaint(user, format, args);
     return 1;
 }
 
@@ -384,7 +386,7 @@ static int on_warning(TIFF *tiff, void *user, const char *module, const char *fo
     (void)tiff;
     (void)module;
     if (!is_harmless(format))
-        keep(t, format, args);
+        keep_complaint(t, format, args);
     return 1;
 }
 
@@ -482,7 +484,7 @@ static int check_samples(const struct gsn_tiff *t, struct gsn_error *err)
 }
 
 /* How many samples of a pixel are its colour; 0 for a kind that is not read. */
-static unsigned colours(const struct gsn_tiff *t)
+static unsigned count_colours(const struct gsn_tiff *t)
 {
     switch (t->photometric) {
     case PHOTOMETRIC_MINISBLACK:
@@ -526,7 +528,7 @@ static const char *photometric_name(uint16_t photometric)
 
 static int check_colours(const struct gsn_tiff *t, struct gsn_error *err)
 {
-    const unsigned wanted = colours(t);
+    const unsigned wanted = count_colours(t);
     /* Samples nobody declared are alpha in practice, one of them at most. */
     const unsigned extra = t->extra > 1 ? t->extra : 1;
     const unsigned most = t->photometric == PHOTOMETRIC_PALETTE ? 1 : wanted + extra;
@@ -552,13 +554,13 @@ static double srgb_to_linear(double v)
     return v <= 0.04045 ? v / 12.92 : pow((v + 0.055) / 1.055, 2.4);
 }
 
-static double straight(double v)
+static double decode_straight(double v)
 {
     return v;
 }
 
 /* Within half an 8-bit step all along. */
-static int follows(const uint16_t *curve, size_t count, double (*truth)(double))
+static int follows_curve(const uint16_t *curve, size_t count, double (*truth)(double))
 {
     for (size_t i = 0; i < count; i++)
         if (fabs(curve[i] / 65535.0 - truth((double)i / (double)(count - 1))) > 0.5 / 255)
@@ -581,8 +583,8 @@ static enum gsn_transfer read_transfer(const struct gsn_tiff *t, struct gsn_pict
     if (!TIFFGetField(t->tiff, TIFFTAG_TRANSFERFUNCTION, &curve[0], &curve[1], &curve[2]))
         return GSN_TRANSFER_UNKNOWN;
     for (unsigned c = 0; c < 3 && curve[c]; c++) {
-        linear = linear && follows(curve[c], count, straight);
-        srgb = srgb && follows(curve[c], count, srgb_to_linear);
+        linear = linear && follows_curve(curve[c], count, decode_straight);
+        srgb = srgb && follows_curve(curve[c], count, srgb_to_linear);
     }
     return linear ? GSN_TRANSFER_LINEAR : srgb ? GSN_TRANSFER_SRGB : GSN_TRANSFER_UNKNOWN;
 }
@@ -618,11 +620,11 @@ static int check_page(struct gsn_tiff *t, struct gsn_error *err)
     return r < 0 ? r : check_colours(t, err);
 }
 
-static void remark(const struct gsn_tiff *t, struct gsn_picture *picture)
+static void note_remark(const struct gsn_tiff *t, struct gsn_picture *picture)
 {
     if (picture->pages > 1 && !(t->slide_um > 0))
         gsn_picture_remark(picture, "page 1 of %u", picture->pages);
-    if (t->samples > colours(t))
+    if (t->samples > count_colours(t))
         gsn_picture_remark(picture, "alpha ignored");
     if (t->photometric == PHOTOMETRIC_PALETTE)
         gsn_picture_remark(picture, "palette expanded");
@@ -636,7 +638,7 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
     const int is_palette = t->photometric == PHOTOMETRIC_PALETTE;
     const struct gsn_raster_layout layout = { .width = t->width,
                                               .height = t->height,
-                                              .channels = is_palette ? 3 : colours(t),
+                                              .channels = is_palette ? 3 : count_colours(t),
                                               .bits = is_palette ? 8 : t->bits,
                                               .orientation = t->orientation };
     struct gsn_raster canvas;
@@ -644,7 +646,7 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
 
     read_pitch(t, picture);
     picture->transfer = read_transfer(t, picture);
-    remark(t, picture);
+    note_remark(t, picture);
     r = gsn_raster_open(&canvas, &layout, limits, picture, err);
     if (r < 0)
         return r;

@@ -46,7 +46,7 @@ static int refuse_piece(const struct gsn_tiff *t, uint32_t x, uint32_t y, struct
                     t->height, t->said_code ? t->said : "the data cannot be decoded");
 }
 
-static unsigned packed(const uint8_t *row, uint32_t x, unsigned bits)
+static unsigned read_packed(const uint8_t *row, uint32_t x, unsigned bits)
 {
     const size_t at = (size_t)x * bits;
 
@@ -70,12 +70,12 @@ static const uint8_t *stored(const struct gsn_tiff *t, uint32_t index, uint64_t 
     return at;
 }
 
-static void expand(const struct pixels *p, const uint8_t *row, uint32_t count)
+static void expand_row(const struct pixels *p, const uint8_t *row, uint32_t count)
 {
     const struct gsn_tiff *t = p->t;
 
     for (uint32_t x = 0; x < count; x++) {
-        const unsigned index = packed(row, x, t->bits);
+        const unsigned index = read_packed(row, x, t->bits);
 
         for (unsigned c = 0; c < 3; c++)
             p->colour[3 * (size_t)x + c] =
@@ -84,7 +84,7 @@ static void expand(const struct pixels *p, const uint8_t *row, uint32_t count)
 }
 
 /* The complement of a sample of 8 or 16 bits is that of its bytes. */
-static void invert(uint8_t *piece, size_t bytes)
+static void invert_samples(uint8_t *piece, size_t bytes)
 {
     for (size_t i = 0; i < bytes; i++)
         piece[i] = (uint8_t)~piece[i];
@@ -97,8 +97,8 @@ struct part {
 };
 
 /* Puts the part's decoded samples, a row of them row_bytes after the other. */
-static void put(const struct pixels *p, const struct part *part, size_t row_bytes,
-                const uint8_t *samples)
+static void put_part(const struct pixels *p, const struct part *part, size_t row_bytes,
+                     const uint8_t *samples)
 {
     const struct gsn_tiff *t = p->t;
     const int contiguous = t->planar == PLANARCONFIG_CONTIG;
@@ -107,7 +107,7 @@ static void put(const struct pixels *p, const struct part *part, size_t row_byte
     if (p->colour) {
         run.channels = run.stride = 3;
         for (uint32_t i = 0; i < part->height; i++, run.y++) {
-            expand(p, samples + i * row_bytes, part->width);
+            expand_row(p, samples + i * row_bytes, part->width);
             gsn_raster_put(p->canvas, &run, p->colour);
         }
         return;
@@ -156,13 +156,13 @@ static int read_rows(const struct pixels *p, const struct part *part, struct gsn
         if (TIFFReadScanline(t->tiff, p->piece, row.y, row.plane) < 0 || t->said_code != GSN_OK)
             return refuse_piece(t, 0, row.y, err);
         if (t->photometric == PHOTOMETRIC_MINISWHITE)
-            invert(p->piece, bytes);
-        put(p, &row, bytes, p->piece);
+            invert_samples(p->piece, bytes);
+        put_part(p, &row, bytes, p->piece);
     }
     return GSN_OK;
 }
 
-static uint32_t least(uint32_t a, uint32_t b)
+static uint32_t smaller_of(uint32_t a, uint32_t b)
 {
     return a < b ? a : b;
 }
@@ -177,13 +177,13 @@ static int read_strips(const struct pixels *p, uint16_t plane, struct gsn_error 
 
     (void)TIFFGetFieldDefaulted(t->tiff, TIFFTAG_ROWSPERSTRIP, &rows);
     rows = rows == 0 || rows > t->height ? t->height : rows;
-    for (uint32_t y = 0; y < t->height && r >= 0; y += least(rows, t->height - y)) {
-        const struct part part = { 0, y, t->width, least(rows, t->height - y), plane };
+    for (uint32_t y = 0; y < t->height && r >= 0; y += smaller_of(rows, t->height - y)) {
+        const struct part part = { 0, y, t->width, smaller_of(rows, t->height - y), plane };
         const uint8_t *const there =
             stored(t, TIFFComputeStrip(t->tiff, y, plane), part.height * row_bytes);
 
         if (there)
-            put(p, &part, (size_t)row_bytes, there);
+            put_part(p, &part, (size_t)row_bytes, there);
         else
             r = plain ? read_whole(p, &part, err) : read_rows(p, &part, err);
     }
@@ -203,7 +203,7 @@ static const uint8_t *read_tile(const struct pixels *p, uint32_t x, uint32_t y, 
     if (TIFFReadTile(t->tiff, p->piece, x, y, 0, plane) < 0 || t->said_code != GSN_OK)
         return NULL;
     if (t->photometric == PHOTOMETRIC_MINISWHITE)
-        invert(p->piece, (size_t)bytes);
+        invert_samples(p->piece, (size_t)bytes);
     return p->piece;
 }
 
@@ -220,13 +220,13 @@ static int read_tiles(const struct pixels *p, uint16_t plane, struct gsn_error *
     for (uint64_t y = 0; y < t->height; y += high)
         for (uint64_t x = 0; x < t->width; x += wide) {
             const uint32_t left = (uint32_t)x, top = (uint32_t)y;
-            const struct part part = { left, top, least(wide, t->width - left),
-                                       least(high, t->height - top), plane };
+            const struct part part = { left, top, smaller_of(wide, t->width - left),
+                                       smaller_of(high, t->height - top), plane };
             const uint8_t *const tile = read_tile(p, left, top, plane);
 
             if (!tile)
                 return refuse_piece(t, left, top, err);
-            put(p, &part, row_bytes, tile);
+            put_part(p, &part, row_bytes, tile);
         }
     return GSN_OK;
 }

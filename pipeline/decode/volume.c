@@ -35,7 +35,7 @@ static int is_gap(char c)
     return is_blank(c) || c == ',' || c == '(' || c == ')';
 }
 
-static struct gsn_words trim(struct gsn_words words)
+static struct gsn_words trim_words(struct gsn_words words)
 {
     while (words.size && is_blank(words.at[0])) {
         words.at++;
@@ -71,8 +71,8 @@ int gsn_words_split(struct gsn_words line, const char *mark, struct gsn_words *r
 
     if (!found)
         return 0;
-    *ret_key = trim((struct gsn_words){ line.at, before });
-    *ret_value = trim((struct gsn_words){ line.at + behind, line.size - behind });
+    *ret_key = trim_words((struct gsn_words){ line.at, before });
+    *ret_value = trim_words((struct gsn_words){ line.at + behind, line.size - behind });
     return 1;
 }
 
@@ -268,8 +268,8 @@ static int has_ending(const char *path, const char *ending)
     return size > tail && strcasecmp(path + size - tail, ending) == 0;
 }
 
-static int parse(const char *path, struct gsn_words file, struct gsn_volume_header *header,
-                 struct gsn_error *err)
+static int parse_header(const char *path, struct gsn_words file, struct gsn_volume_header *header,
+                        struct gsn_error *err)
 {
     if (file.size >= 7 && memcmp(file.at, "NRRD000", 7) == 0)
         return gsn_nrrd_parse(file, header, err);
@@ -334,7 +334,7 @@ static void on_free(voidpf user, voidpf memory)
 }
 
 /* zlib counts in 32 bits, so larger data go through it in pieces. */
-static uInt piece(size_t left)
+static uInt next_piece(size_t left)
 {
     return left < UINT32_MAX / 2 ? (uInt)left : UINT32_MAX / 2;
 }
@@ -353,9 +353,9 @@ static int inflate_all(const uint8_t *from, size_t size, uint8_t *to, size_t wan
     while (r == Z_OK) {
         const size_t taken = (size_t)(z.next_in - from);
 
-        z.avail_in = piece(size - taken);
+        z.avail_in = next_piece(size - taken);
         z.next_out = done < wanted ? to + done : &spare;
-        z.avail_out = done < wanted ? piece(wanted - done) : 1;
+        z.avail_out = done < wanted ? next_piece(wanted - done) : 1;
         r = inflate(&z, Z_NO_FLUSH);
         if (z.next_out == &spare + 1)
             r = Z_BUF_ERROR;
@@ -374,7 +374,7 @@ static int inflate_all(const uint8_t *from, size_t size, uint8_t *to, size_t wan
 }
 
 /* Places stored->voxels; the data must be exactly as long as the header says. */
-static int locate(struct stored *stored, size_t size, struct gsn_error *err)
+static int locate_voxels(struct stored *stored, size_t size, struct gsn_error *err)
 {
     const struct gsn_volume_header *header = &stored->header;
     const size_t wanted = stored->count * voxel_bytes[header->voxel];
@@ -398,7 +398,7 @@ static int locate(struct stored *stored, size_t size, struct gsn_error *err)
     return inflate_all(stored->file + (left ? skip : 0), left, stored->inflated, wanted, err);
 }
 
-static void scale(struct gsn_lattice *at, double unit_um)
+static void scale_lattice(struct gsn_lattice *at, double unit_um)
 {
     at->step_um =
         gsn_vec3_make(unit_um * at->step_um.x, unit_um * at->step_um.y, unit_um * at->step_um.z);
@@ -406,8 +406,8 @@ static void scale(struct gsn_lattice *at, double unit_um)
                                   unit_um * at->origin_um.z);
 }
 
-static int load(const char *path, size_t limit, double unit_um, struct stored *stored,
-                struct gsn_error *err)
+static int load_volume(const char *path, size_t limit, double unit_um, struct stored *stored,
+                       struct gsn_error *err)
 {
     struct gsn_volume_header *header = &stored->header;
     size_t size;
@@ -416,20 +416,20 @@ static int load(const char *path, size_t limit, double unit_um, struct stored *s
     r = gsn_file_read(path, limit, &stored->file, &size, err);
     if (r < 0)
         return r;
-    r = parse(path, (struct gsn_words){ (const char *)stored->file, size }, header, err);
+    r = parse_header(path, (struct gsn_words){ (const char *)stored->file, size }, header, err);
     if (r >= 0)
         r = check_header(header, limit, err);
     if (r < 0) {
         (void)gsn_fail_at(err, "%s", path);
         return r;
     }
-    scale(&header->at, header->unit_um > 0 ? header->unit_um : unit_um);
+    scale_lattice(&header->at, header->unit_um > 0 ? header->unit_um : unit_um);
     if (header->data_file[0])
         r = read_neighbour(path, limit, stored, &size, err);
     if (r < 0)
         return r;
     stored->count = gsn_lattice_count(&header->at);
-    r = locate(stored, size, err);
+    r = locate_voxels(stored, size, err);
     if (r < 0)
         (void)gsn_fail_at(err, "%s", path);
     return r;
@@ -518,7 +518,7 @@ int gsn_volume_read_grid(const char *path, size_t limit_bytes, double unit_um,
 
     assert(path && ret_grid);
 
-    r = load(path, or_default(limit_bytes), unit_um, &stored, err);
+    r = load_volume(path, or_default(limit_bytes), unit_um, &stored, err);
     if (r < 0)
         return r;
     r = gsn_grid_new(&stored.header.at, &grid, err);
@@ -540,7 +540,7 @@ int gsn_volume_read_mask(const char *path, size_t limit_bytes, double unit_um,
 
     assert(path && ret_mask);
 
-    r = load(path, or_default(limit_bytes), unit_um, &stored, err);
+    r = load_volume(path, or_default(limit_bytes), unit_um, &stored, err);
     if (r < 0)
         return r;
     r = gsn_mask_new(&stored.header.at, &mask, err);

@@ -70,7 +70,7 @@ static void read_fields(struct gsn_words text, struct inr *inr)
 }
 
 /* Three fields as one list, so that they are checked like those of the other formats. */
-static struct gsn_words joined(const struct gsn_words part[3], char *text, size_t room)
+static struct gsn_words join_fields(const struct gsn_words part[3], char *text, size_t room)
 {
     size_t used = 0;
 
@@ -89,11 +89,11 @@ static int read_lattice(const struct inr *inr, struct gsn_lattice *at, struct gs
     char text[128];
     int r;
 
-    r = gsn_header_sizes(joined(inr->size, text, sizeof text), at, err);
+    r = gsn_header_sizes(join_fields(inr->size, text, sizeof text), at, err);
     if (r >= 0)
-        r = gsn_header_spacing(joined(inr->step, text, sizeof text), at, err);
+        r = gsn_header_spacing(join_fields(inr->step, text, sizeof text), at, err);
     if (r >= 0 && (inr->first[0].size || inr->first[1].size || inr->first[2].size))
-        r = gsn_header_origin(joined(inr->first, text, sizeof text), at, err);
+        r = gsn_header_origin(join_fields(inr->first, text, sizeof text), at, err);
     return r;
 }
 

@@ -106,7 +106,7 @@ static void escape_name(const char *name, char ret_name[NAME_ROOM])
 }
 
 /* gives: the description, NULL when memory runs out. */
-static char *describe(const struct gsn_colour_grid *stack, const char *name)
+static char *describe_stack(const struct gsn_colour_grid *stack, const char *name)
 {
     const struct gsn_lattice *at = &stack->at;
     const size_t room = XML_ROOM + at->nz * PLANE_ROOM;
@@ -175,7 +175,7 @@ int gsn_ome_tiff_write(const struct gsn_colour_grid *stack, const char *name, ui
                        size_t *ret_size, struct gsn_error *err)
 {
     struct memory m __attribute__((cleanup(memory_done))) = { .size = 0 };
-    gsn_auto_mem(char) xml = describe(stack, name);
+    gsn_auto_mem(char) xml = describe_stack(stack, name);
     gsn_auto_mem(uint8_t) row = gsn_alloc_array(stack->at.nx, 3);
     const double colour = 3.0 * (double)gsn_lattice_count(&stack->at);
     TIFF *tiff;

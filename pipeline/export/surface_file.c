@@ -16,7 +16,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "numbers are written a
 
 enum { STL_HEAD = 84, STL_FACET = 50, PLY_VERTEX = 36, PLY_FACE = 13 };
 
-static uint8_t *put(uint8_t *at, const void *value, size_t size)
+static uint8_t *put_value(uint8_t *at, const void *value, size_t size)
 {
     memcpy(at, value, size);
     return at + size;
@@ -62,7 +62,7 @@ int gsn_stl_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu triangles", (size_t)count);
     (void)snprintf((char *)bytes, STL_HEAD - sizeof count, "gieson, micrometres");
-    at = put(at + STL_HEAD - sizeof count, &count, sizeof count);
+    at = put_value(at + STL_HEAD - sizeof count, &count, sizeof count);
     for (size_t t = 0; t < count; t++) {
         float row[12];
 
@@ -70,7 +70,7 @@ int gsn_stl_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t
         for (int k = 0; k < 3; k++)
             for (int c = 0; c < 3; c++)
                 row[3 + 3 * k + c] = (float)surface->vertex[surface->triangle[t][k]][c];
-        at = put(at, row, sizeof row) + 2; /* two bytes that mean nothing */
+        at = put_value(at, row, sizeof row) + 2; /* two bytes that mean nothing */
     }
     *ret_bytes = bytes;
     *ret_size = size;
@@ -101,14 +101,14 @@ int gsn_ply_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu triangles",
                         surface->triangle_count);
-    at = put(at, head, (size_t)length);
+    at = put_value(at, head, (size_t)length);
     for (size_t v = 0; v < surface->vertex_count; v++) {
-        at = put(at, surface->vertex[v], sizeof surface->vertex[v]);
-        at = put(at, surface->normal[v], sizeof surface->normal[v]);
+        at = put_value(at, surface->vertex[v], sizeof surface->vertex[v]);
+        at = put_value(at, surface->normal[v], sizeof surface->normal[v]);
     }
     for (size_t t = 0; t < surface->triangle_count; t++) {
         *at++ = 3;
-        at = put(at, surface->triangle[t], sizeof surface->triangle[t]);
+        at = put_value(at, surface->triangle[t], sizeof surface->triangle[t]);
     }
     *ret_bytes = bytes;
     *ret_size = size;

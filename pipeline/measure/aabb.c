@@ -52,7 +52,7 @@ static double cube_below(const double m[3], double a)
     return fmin(1.0, volume);
 }
 
-static void sort3(double m[3])
+static void sort_three(double m[3])
 {
     for (int i = 0; i < 2; i++) {
         for (int j = 0; j < 2 - i; j++) {
@@ -72,7 +72,7 @@ double gsn_aabb_share_above(double value, const double slope[3])
     double m[3] = { 2.0 * fabs(slope[0]), 2.0 * fabs(slope[1]), 2.0 * fabs(slope[2]) };
     double half, scale;
 
-    sort3(m);
+    sort_three(m);
     half = 0.5 * (m[0] + m[1] + m[2]);
     if (value >= half)
         return value > 0.0 ? 1.0 : 0.0;
@@ -100,8 +100,8 @@ static double tet_volume(const double p[4][3])
 }
 
 /* The point where the edge in -> out crosses the plane; in has distance >= 0, out < 0. */
-static void crossing(const double in[3], const double out[3], double d_in, double d_out,
-                     double ret[3])
+static void find_crossing(const double in[3], const double out[3], double d_in, double d_out,
+                          double ret[3])
 {
     const double t = d_in / (d_in - d_out);
 
@@ -109,7 +109,7 @@ static void crossing(const double in[3], const double out[3], double d_in, doubl
         ret[a] = in[a] + t * (out[a] - in[a]);
 }
 
-static double clip(const struct gsn_aabb *box, const double p[4][3], int plane);
+static double clip_volume(const struct gsn_aabb *box, const double p[4][3], int plane);
 
 static double clip_piece(const struct gsn_aabb *box, const double a[3], const double b[3],
                          const double c[3], const double d[3], int plane)
@@ -120,12 +120,12 @@ static double clip_piece(const struct gsn_aabb *box, const double a[3], const do
     memcpy(piece[1], b, sizeof piece[1]);
     memcpy(piece[2], c, sizeof piece[2]);
     memcpy(piece[3], d, sizeof piece[3]);
-    return clip(box, piece, plane);
+    return clip_volume(box, piece, plane);
 }
 
 /* Volume of the tetrahedron's part inside planes plane..5 of the box. A plane leaves of it a
  * tetrahedron or a prism, which is three: volumes only add, nothing cancels. */
-static double clip(const struct gsn_aabb *box, const double p[4][3], int plane)
+static double clip_volume(const struct gsn_aabb *box, const double p[4][3], int plane)
 {
     double d[4], cut[4][3];
     int in[4], out[4], ins = 0, outs = 0;
@@ -153,18 +153,18 @@ static double clip(const struct gsn_aabb *box, const double p[4][3], int plane)
     plane++;
     if (ins == 1) {
         for (int k = 0; k < 3; k++)
-            crossing(p[in[0]], p[out[k]], d[in[0]], d[out[k]], cut[k]);
+            find_crossing(p[in[0]], p[out[k]], d[in[0]], d[out[k]], cut[k]);
         return clip_piece(box, p[in[0]], cut[0], cut[1], cut[2], plane);
     }
     if (ins == 3) {
         for (int k = 0; k < 3; k++)
-            crossing(p[in[k]], p[out[0]], d[in[k]], d[out[0]], cut[k]);
+            find_crossing(p[in[k]], p[out[0]], d[in[k]], d[out[0]], cut[k]);
         return clip_piece(box, p[in[0]], p[in[1]], p[in[2]], cut[0], plane) +
                clip_piece(box, p[in[1]], p[in[2]], cut[0], cut[1], plane) +
                clip_piece(box, p[in[2]], cut[0], cut[1], cut[2], plane);
     }
     for (int k = 0; k < 4; k++)
-        crossing(p[in[k / 2]], p[out[k % 2]], d[in[k / 2]], d[out[k % 2]], cut[k]);
+        find_crossing(p[in[k / 2]], p[out[k % 2]], d[in[k / 2]], d[out[k % 2]], cut[k]);
     /* Prism with the triangles (in0, cut0, cut1) and (in1, cut2, cut3). */
     return clip_piece(box, p[in[0]], cut[0], cut[1], p[in[1]], plane) +
            clip_piece(box, cut[0], cut[1], p[in[1]], cut[2], plane) +
@@ -173,11 +173,11 @@ static double clip(const struct gsn_aabb *box, const double p[4][3], int plane)
 
 double gsn_aabb_tet_volume(const struct gsn_aabb *box, const double corner[4][3])
 {
-    return clip(box, corner, 0);
+    return clip_volume(box, corner, 0);
 }
 
 /* Whether the axis keeps the triangle (relative to the box's centre) and the box apart. */
-static int separates(const double axis[3], const double half[3], const double p[3][3])
+static int axis_separates(const double axis[3], const double half[3], const double p[3][3])
 {
     const double reach =
         half[0] * fabs(axis[0]) + half[1] * fabs(axis[1]) + half[2] * fabs(axis[2]);
@@ -207,12 +207,12 @@ int gsn_aabb_meets_triangle(const struct gsn_aabb *box, const double corner[3][3
     for (int a = 0; a < 3; a++) {
         const double unit[3] = { a == 0, a == 1, a == 2 };
 
-        if (separates(unit, box->half, p))
+        if (axis_separates(unit, box->half, p))
             return 0;
         normal[a] = edge[0][(a + 1) % 3] * edge[1][(a + 2) % 3] -
                     edge[0][(a + 2) % 3] * edge[1][(a + 1) % 3];
     }
-    if (separates(normal, box->half, p))
+    if (axis_separates(normal, box->half, p))
         return 0;
     for (int k = 0; k < 3; k++) {
         for (int a = 0; a < 3; a++) {
@@ -220,7 +220,7 @@ int gsn_aabb_meets_triangle(const struct gsn_aabb *box, const double corner[3][3
 
             axis[(a + 1) % 3] = -edge[k][(a + 2) % 3];
             axis[(a + 2) % 3] = edge[k][(a + 1) % 3];
-            if (separates(axis, box->half, p))
+            if (axis_separates(axis, box->half, p))
                 return 0;
         }
     }

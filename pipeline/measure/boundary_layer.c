@@ -70,8 +70,9 @@ static double gap_along(const struct gsn_boundary_layer_hull *hull, const struct
     return gsn_dot(way, ret_difference);
 }
 
-static int separates(const struct gsn_boundary_layer_hull *hull, const struct gsn_tet_cell *cell,
-                     const double way[3], double reach, double ret_difference[3])
+static int way_separates(const struct gsn_boundary_layer_hull *hull,
+                         const struct gsn_tet_cell *cell, const double way[3], double reach,
+                         double ret_difference[3])
 {
     return gap_along(hull, cell, way, ret_difference) >=
            -hull_margin * reach * sqrt(gsn_dot(way, way));
@@ -94,7 +95,7 @@ static int faces_separate(const struct gsn_boundary_layer_hull *hull,
             for (int i = 0; i < 3; i++)
                 way[i] = -way[i];
         }
-        if (separates(hull, cell, way, reach, difference))
+        if (way_separates(hull, cell, way, reach, difference))
             return 1;
     }
     return 0;
@@ -111,7 +112,7 @@ static int search_separates(const struct gsn_boundary_layer_hull *hull,
     for (int step = 0; step < STEPS; step++) {
         double back[3], length, t;
 
-        if (separates(hull, cell, at, reach, next))
+        if (way_separates(hull, cell, at, reach, next))
             return gsn_dot(at, at) > 0.0;
         gsn_subtract(at, next, back);
         length = gsn_dot(back, back);
@@ -168,7 +169,7 @@ struct cast {
     size_t value_room, slope_room;
 };
 
-static void gather(const struct gsn_dms *space, size_t tet, double (*ret_knot)[3])
+static void gather_knots(const struct gsn_dms *space, size_t tet, double (*ret_knot)[3])
 {
     const size_t cloud = gsn_dms_degree(space) + 1U;
 
@@ -252,7 +253,7 @@ static void find_actors(struct cast *cast, const uint32_t *near, size_t count)
         struct actor *actor = &cast->actor[cast->count];
 
         actor->tet = near[i];
-        gather(cast->space, near[i], actor->knot);
+        gather_knots(cast->space, near[i], actor->knot);
         if (!is_near(cast, (const double(*)[3])actor->knot))
             continue;
         for (unsigned k = 0; k < 4; k++)
@@ -485,7 +486,7 @@ static int add_actor(struct cast *cast, const struct actor *actor, struct gsn_er
     return r;
 }
 
-static void begin(struct cast *cast, size_t tet)
+static void begin_cast(struct cast *cast, size_t tet)
 {
     struct gsn_boundary_layer *skin = cast->skin;
     const uint32_t *id = gsn_dms_control_ids(cast->space, tet);
@@ -493,7 +494,7 @@ static void begin(struct cast *cast, size_t tet)
     skin->tet = tet;
     skin->degree = gsn_dms_degree(cast->space);
     skin->whole = gsn_dms_is_whole(cast->space, tet);
-    gather(cast->space, tet, skin->knot);
+    gather_knots(cast->space, tet, skin->knot);
     for (size_t f = 0; f < gsn_dms_functions(cast->space); f++)
         skin->control[f] = gsn_spline_controls(skin->spline)[id[f]];
     for (unsigned k = 0; k < 4; k++)
@@ -513,7 +514,7 @@ int gsn_boundary_layer_new(const struct gsn_spline *spline, size_t tet, const ui
     if (!skin || !actor)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
     skin->spline = spline;
-    begin(&cast, tet);
+    begin_cast(&cast, tet);
     find_actors(&cast, near, count);
     for (size_t i = 0; r == GSN_OK && i < cast.count; i++)
         r = add_actor(&cast, &actor[i], err);
@@ -619,7 +620,7 @@ struct range {
     double low[3], high[3], jump_low[3], jump_high[3];
 };
 
-static void widen(struct range *range, const struct gsn_boundary_layer_slope *slope, int full)
+static void widen_slope(struct range *range, const struct gsn_boundary_layer_slope *slope, int full)
 {
     const double *gradient = slope->gradient;
 
@@ -645,7 +646,7 @@ static void find_range(const struct gsn_boundary_layer *skin, const struct gsn_t
         const struct gsn_boundary_layer_slope *slope = &skin->slope[i];
 
         if (hull_reaches(&slope->hull, cell))
-            widen(ret_range, slope, slope->jump && is_within(&slope->hull, cell));
+            widen_slope(ret_range, slope, slope->jump && is_within(&slope->hull, cell));
     }
     for (int a = 0; a < 3; a++) {
         ret_range->low[a] += ret_range->jump_low[a];

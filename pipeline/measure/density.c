@@ -336,7 +336,7 @@ static int by_value(const void *a, const void *b)
 }
 
 /* sorted, count > 0 */
-static double quantile(const double *sorted, size_t count, double q)
+static double find_quantile(const double *sorted, size_t count, double q)
 {
     const double place = q * (double)(count - 1);
     const size_t below = (size_t)place;
@@ -373,9 +373,9 @@ int gsn_units_summarise(const struct gsn_unit *units, size_t count, double low, 
     if (summary.ok > 0) {
         qsort(mean, summary.ok, sizeof *mean, by_value);
         summary.min = mean[0];
-        summary.quartile1 = quantile(mean, summary.ok, 0.25);
-        summary.median = quantile(mean, summary.ok, 0.5);
-        summary.quartile3 = quantile(mean, summary.ok, 0.75);
+        summary.quartile1 = find_quantile(mean, summary.ok, 0.25);
+        summary.median = find_quantile(mean, summary.ok, 0.5);
+        summary.quartile3 = find_quantile(mean, summary.ok, 0.75);
         summary.max = mean[summary.ok - 1];
     }
     *ret_summary = summary;

@@ -62,7 +62,7 @@ static double value_of(const struct gsn_spline *spline, size_t tet, const uint32
 }
 
 /* Whether both sides of face k of tet have the same control values for the face's functions. */
-static int agree(const struct gsn_spline *spline, size_t tet, int k)
+static int sides_agree(const struct gsn_spline *spline, size_t tet, int k)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
@@ -92,7 +92,7 @@ static int all_agree(const struct gsn_spline *spline)
 
     for (size_t t = 0; t < mesh->tet_count; t++) {
         for (int k = 0; k < 4; k++) {
-            if (mesh->neighbour[t][k] > (int32_t)t && !agree(spline, t, k))
+            if (mesh->neighbour[t][k] > (int32_t)t && !sides_agree(spline, t, k))
                 return 0;
         }
     }
@@ -161,8 +161,8 @@ void gsn_enclosure_hull(const struct gsn_local_polynomials *pieces, const uint32
 /* Which way the box is to be bounded. */
 enum way { BY_POLYNOMIAL, BY_GRADIENT, BY_RESIDUAL };
 
-static enum way choose(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
-                       size_t count, const struct gsn_aabb *box, uint32_t deepest)
+static enum way choose_way(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                           size_t count, const struct gsn_aabb *box, uint32_t deepest)
 {
     int alone = 1, inward = 0;
 
@@ -223,7 +223,7 @@ static void add_pull(struct pull *pull, size_t *count, struct pull more)
 
 /* The largest mean of sign * gradient[a] with weights up to their bounds that sum to 1: the largest
  * pulls first. */
-static double strongest(const struct pull *pull, size_t count, int a, double sign)
+static double strongest_pull(const struct pull *pull, size_t count, int a, double sign)
 {
     double before = INFINITY, left = 1.0, mean = 0.0;
 
@@ -250,9 +250,10 @@ static double strongest(const struct pull *pull, size_t count, int a, double sig
 }
 
 /* Between which bounds the mean gradient lies, less the bend. */
-static void spread(const struct gsn_local_polynomials *pieces, const uint32_t *tet, size_t count,
-                   const struct gsn_aabb *box, const struct gsn_local_polynomial_bend *bend,
-                   double low[3], double high[3])
+static void bound_gradient(const struct gsn_local_polynomials *pieces, const uint32_t *tet,
+                           size_t count, const struct gsn_aabb *box,
+                           const struct gsn_local_polynomial_bend *bend, double low[3],
+                           double high[3])
 {
     const size_t slopes = gsn_local_polynomial_slopes(gsn_spline_space(pieces->spline));
     struct pull pull[MOST_PULLS];
@@ -271,8 +272,8 @@ static void spread(const struct gsn_local_polynomials *pieces, const uint32_t *t
         }
     }
     for (int a = 0; a < 3; a++) {
-        low[a] = -strongest(pull, pulls, a, -1.0);
-        high[a] = strongest(pull, pulls, a, 1.0);
+        low[a] = -strongest_pull(pull, pulls, a, -1.0);
+        high[a] = strongest_pull(pull, pulls, a, 1.0);
     }
 }
 
@@ -292,7 +293,7 @@ static void by_gradient(const struct gsn_local_polynomials *pieces, const uint32
         bracket->high = pieces->piece[deepest].residual_high;
     }
     bracket->linear.value = value;
-    spread(pieces, tet, count, box, bend, low, high);
+    bound_gradient(pieces, tet, count, box, bend, low, high);
     for (int a = 0; a < 3; a++) {
         const double size = fmax(fabs(low[a]), fabs(high[a]));
         const double error =
@@ -326,7 +327,7 @@ void gsn_enclosure_tighten(const struct gsn_local_polynomials *pieces, const uin
                            struct gsn_enclosure *bracket)
 {
     const struct gsn_local_polynomial *piece = &pieces->piece[deepest];
-    const enum way way = choose(pieces, tet, count, box, deepest);
+    const enum way way = choose_way(pieces, tet, count, box, deepest);
     struct gsn_local_polynomial_bend bend;
     double swing = 0.0, bends = 0.0;
 

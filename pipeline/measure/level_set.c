@@ -64,8 +64,8 @@ static struct gsn_aabb cell_box(const struct gsn_voxel_overlap *overlap, const s
     return box;
 }
 
-static void shares(const struct gsn_enclosure *bracket, double threshold, double *ret_lower,
-                   double *ret_upper)
+static void bound_shares(const struct gsn_enclosure *bracket, double threshold, double *ret_lower,
+                         double *ret_upper)
 {
     const struct gsn_local_polynomial_linear *linear = &bracket->linear;
 
@@ -115,7 +115,7 @@ static uint8_t cut_axis(const struct gsn_aabb *box, const struct gsn_enclosure *
 }
 
 /* Fills the cell's shares for one threshold, and its axis. */
-static void measure(const struct work *work, double threshold, struct cell *cell)
+static void measure_cell(const struct work *work, double threshold, struct cell *cell)
 {
     const struct gsn_aabb box = cell_box(work->overlap, cell);
     const double part = ldexp(1.0, -(cell->level[0] + cell->level[1] + cell->level[2]));
@@ -130,7 +130,7 @@ static void measure(const struct work *work, double threshold, struct cell *cell
         gsn_enclosure_tighten(work->pieces, tet, count, &box, deepest, &bracket);
         cell->axis = cut_axis(&box, &bracket);
     }
-    shares(&bracket, threshold, &cell->lower, &cell->upper);
+    bound_shares(&bracket, threshold, &cell->lower, &cell->upper);
     cell->lower *= part;
     cell->upper *= part;
 }
@@ -143,7 +143,7 @@ struct judging {
     uint8_t *verdict; /* [v * thresholds + t] */
 };
 
-static void judge(const struct judging *judging, size_t v)
+static void judge_tet(const struct judging *judging, size_t v)
 {
     const struct work *work = judging->work;
     const struct gsn_aabb box = gsn_voxel_aabb(&work->overlap->at, work->overlap->voxel[v]);
@@ -176,7 +176,7 @@ static int judge_batch(size_t batch, void *context, struct gsn_error *err)
 
     (void)err;
     for (size_t v = batch * BATCH; v < count && v < (batch + 1) * BATCH; v++)
-        judge(judging, v);
+        judge_tet(judging, v);
     return GSN_OK;
 }
 
@@ -193,7 +193,7 @@ static int measure_batch(size_t batch, void *context, struct gsn_error *err)
 
     (void)err;
     for (size_t i = batch * BATCH; i < measuring->count && i < (batch + 1) * BATCH; i++)
-        measure(measuring->work, measuring->threshold, &measuring->cell[i]);
+        measure_cell(measuring->work, measuring->threshold, &measuring->cell[i]);
     return GSN_OK;
 }
 
@@ -215,7 +215,7 @@ struct front {
 };
 
 /* Drops decided cells, adding what they hold to the certain part. Order is kept. */
-static void settle(struct front *front, struct cell *cell, size_t count)
+static void drop_decided(struct front *front, struct cell *cell, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
         if (cell[i].upper > cell[i].lower)
@@ -225,7 +225,7 @@ static void settle(struct front *front, struct cell *cell, size_t count)
     }
 }
 
-static void halves(const struct cell *cell, struct cell *ret_half)
+static void halve_cell(const struct cell *cell, struct cell *ret_half)
 {
     for (unsigned k = 0; k < 2; k++) {
         const unsigned place = 2U * cell->place[cell->axis] + k;
@@ -273,7 +273,7 @@ static int cut_round(const struct work *work, double threshold, double cutoff, s
     cuts = 0;
     for (size_t i = 0; i < front->count; i++) {
         if (cuts < most_cuts && is_wide(&old[i], cutoff))
-            halves(&old[i], part + 2 * cuts++);
+            halve_cell(&old[i], part + 2 * cuts++);
         else
             grown[kept++] = old[i];
     }
@@ -282,7 +282,7 @@ static int cut_round(const struct work *work, double threshold, double cutoff, s
     r = measure_all(work, threshold, part, 2 * cuts, err);
     if (r < 0)
         return r;
-    settle(front, part, 2 * cuts);
+    drop_decided(front, part, 2 * cuts);
     return GSN_OK;
 }
 
@@ -300,7 +300,7 @@ static void add_up(const struct front *front, double *ret_lower, double *ret_upp
 
 /* The largest gap of a cell that can still be cut. Every round cuts the cells with half of it or
  * more: nearly largest first, without sorting, and in an order that no thread changes. */
-static double widest(const struct front *front)
+static double widest_gap(const struct front *front)
 {
     double gap = 0.0;
 
@@ -312,8 +312,8 @@ static double widest(const struct front *front)
 }
 
 /* Cuts until the gap is small enough, the budget is spent or nothing can be cut. In voxels. */
-static int refine(const struct work *work, double threshold, double wanted, size_t most_cells,
-                  struct front *front, struct gsn_volume_bound *bound, struct gsn_error *err)
+static int refine_front(const struct work *work, double threshold, double wanted, size_t most_cells,
+                        struct front *front, struct gsn_volume_bound *bound, struct gsn_error *err)
 {
     const double floor_voxels = 0.01 * (double)work->overlap->voxel_count;
 
@@ -327,7 +327,7 @@ static int refine(const struct work *work, double threshold, double wanted, size
         gap = bound->upper_um3 - bound->lower_um3;
         if (gap <= wanted * fmax(bound->upper_um3, floor_voxels) || left < 2)
             return GSN_OK;
-        r = cut_round(work, threshold, 0.5 * widest(front), left / 2, front, &cuts, err);
+        r = cut_round(work, threshold, 0.5 * widest_gap(front), left / 2, front, &cuts, err);
         if (r < 0)
             return r;
         if (cuts == 0)
@@ -336,8 +336,8 @@ static int refine(const struct work *work, double threshold, double wanted, size
     }
 }
 
-static int start(const struct work *work, const uint8_t *verdict, size_t t, struct front *front,
-                 struct gsn_error *err)
+static int start_front(const struct work *work, const uint8_t *verdict, size_t t,
+                       struct front *front, struct gsn_error *err)
 {
     const size_t count = work->overlap->voxel_count;
     gsn_auto_mem(struct cell) voxel = NULL;
@@ -362,7 +362,7 @@ static int start(const struct work *work, const uint8_t *verdict, size_t t, stru
     r = measure_all(work, work->threshold[t], voxel, open, err);
     if (r < 0)
         return r;
-    settle(front, voxel, open);
+    drop_decided(front, voxel, open);
     return GSN_OK;
 }
 
@@ -374,10 +374,10 @@ static int bound_one(const struct work *work, const uint8_t *verdict, size_t t, 
     struct gsn_volume_bound bound = { .threshold = work->threshold[t],
                                       .cells = work->overlap->voxel_count };
     struct front front = { 0 };
-    int r = start(work, verdict, t, &front, err);
+    int r = start_front(work, verdict, t, &front, err);
 
     if (r == GSN_OK)
-        r = refine(work, bound.threshold, wanted, most_cells, &front, &bound, err);
+        r = refine_front(work, bound.threshold, wanted, most_cells, &front, &bound, err);
     gsn_free(front.cell);
     if (r < 0)
         return r;

@@ -78,8 +78,8 @@ static struct linear linear_of(const struct gsn_boundary_layer *skin, const doub
 }
 
 /* Narrows the part's shares by one bound of what is to be added to p. */
-static void narrow(const struct linear *linear, const struct gsn_boundary_layer_bound *bound,
-                   double *lower, double *upper)
+static void narrow_shares(const struct linear *linear, const struct gsn_boundary_layer_bound *bound,
+                          double *lower, double *upper)
 {
     double low[4], high[4];
 
@@ -100,7 +100,7 @@ static double square_length(const struct gsn_tet_cell *cell, int i, int j)
 }
 
 /* The largest second difference of the coefficients along an edge. */
-static double bend(const struct cell_part *part, int i, int j)
+static double largest_bend(const struct cell_part *part, int i, int j)
 {
     uint8_t g[4] = { (uint8_t)(part->skin->degree - 2U), 0, 0, 0 };
     double most = 0.0;
@@ -128,7 +128,7 @@ static void choose_edge(int bent, struct cell_part *part)
 
     for (uint8_t i = 0; i < 4; i++) {
         for (uint8_t j = (uint8_t)(i + 1); j < 4; j++) {
-            const double size = bent ? bend(part, i, j) : square_length(&part->at, i, j);
+            const double size = bent ? largest_bend(part, i, j) : square_length(&part->at, i, j);
 
             if (size > best) {
                 best = size;
@@ -140,7 +140,7 @@ static void choose_edge(int bent, struct cell_part *part)
 }
 
 /* Finds the part's volumes, and its edge. */
-static void measure(struct cell_part *part, double threshold)
+static void measure_part(struct cell_part *part, double threshold)
 {
     static const double nothing[GSN_DMS_MAX_FUNCTIONS] = { 0.0 };
     const struct gsn_boundary_layer *skin = part->skin;
@@ -152,14 +152,14 @@ static void measure(struct cell_part *part, double threshold)
     const size_t reach = clear ? 0 : gsn_boundary_layer_by_values(skin, &part->at, &by_values);
     double lower = 0.0, upper = 1.0, width;
 
-    narrow(&linear, &by_values, &lower, &upper);
+    narrow_shares(&linear, &by_values, &lower, &upper);
     if (linear.least + by_values.low > 0.0)
         lower = 1.0;
     if (linear.most + by_values.high <= 0.0)
         upper = 0.0;
     width = by_values.high - by_values.low;
     if (reach > 0 && upper > lower && gsn_boundary_layer_by_slopes(skin, &part->at, &by_slopes)) {
-        narrow(&linear, &by_slopes, &lower, &upper);
+        narrow_shares(&linear, &by_slopes, &lower, &upper);
         width = fmin(width, by_slopes.high - by_slopes.low);
     }
     choose_edge(skin->degree > 1 && linear.high - linear.low > width, part);
@@ -177,7 +177,7 @@ static void make_part(const struct gsn_boundary_layer *skin, const struct gsn_te
     gsn_bpatch_bernstein(skin->degree, (const double(*)[3])skin->knot, skin->control, corner,
                          ret_part->coefficient);
     ret_part->volume = gsn_tet_cell_volume(at);
-    measure(ret_part, threshold);
+    measure_part(ret_part, threshold);
 }
 
 /* One corner goes to the middle of the edge: coefficient beta is the mean of those with some of
@@ -209,7 +209,7 @@ static void halve_part(const struct cell_part *part, double threshold, int end,
     }
     ret_half->volume = 0.5 * part->volume;
     ret_half->level++;
-    measure(ret_half, threshold);
+    measure_part(ret_half, threshold);
 }
 
 /* --- the cell --- */
@@ -254,7 +254,7 @@ static double gap_of(const struct work *work, size_t part)
 }
 
 /* Puts a part into its place in the heap, from the end upward. */
-static void push(struct work *work, size_t part)
+static void push_part(struct work *work, size_t part)
 {
     size_t place = work->open++;
 
@@ -270,7 +270,7 @@ static void push(struct work *work, size_t part)
 }
 
 /* Takes the widest part out. */
-static size_t pop(struct work *work)
+static size_t pop_widest(struct work *work)
 {
     const size_t top = work->heap[0], last = work->heap[--work->open];
     size_t place = 0;
@@ -292,14 +292,14 @@ static size_t pop(struct work *work)
     return top;
 }
 
-static void offer(struct work *work, size_t part)
+static void offer_part(struct work *work, size_t part)
 {
     if (gap_of(work, part) > 0.0 && work->part[part].level < MOST_LEVELS)
-        push(work, part);
+        push_part(work, part);
 }
 
 /* Room for one more part. */
-static int grow(struct work *work, struct gsn_error *err)
+static int grow_heap(struct work *work, struct gsn_error *err)
 {
     const size_t room = 2 * work->room + 64;
     struct cell_part *part;
@@ -323,16 +323,16 @@ static int halve_widest(struct work *work, struct gsn_error *err)
 {
     struct cell_part whole;
     size_t place;
-    int r = grow(work, err);
+    int r = grow_heap(work, err);
 
     if (r < 0)
         return r;
-    place = pop(work);
+    place = pop_widest(work);
     whole = work->part[place];
     halve_part(&whole, work->threshold, 0, &work->part[place]);
     halve_part(&whole, work->threshold, 1, &work->part[work->count++]);
-    offer(work, place);
-    offer(work, work->count - 1);
+    offer_part(work, place);
+    offer_part(work, work->count - 1);
     return GSN_OK;
 }
 
@@ -356,8 +356,8 @@ static void add_up(const struct work *work, struct gsn_volume_bound *ret_bound)
     };
 }
 
-static int refine(struct work *work, double wanted, struct gsn_volume_bound *ret_bound,
-                  struct gsn_error *err)
+static int refine_parts(struct work *work, double wanted, struct gsn_volume_bound *ret_bound,
+                        struct gsn_error *err)
 {
     for (size_t next = work->count;;) {
         int r;
@@ -437,12 +437,12 @@ static int add_parts(struct work *work, const struct gsn_boundary_layer *skin,
                      const struct gsn_tet_parts *common, struct gsn_error *err)
 {
     for (size_t i = 0; i < common->count; i++) {
-        const int r = grow(work, err);
+        const int r = grow_heap(work, err);
 
         if (r < 0)
             return r;
         make_part(skin, &common->cell[i], work->threshold, &work->part[work->count++]);
-        offer(work, work->count - 1);
+        offer_part(work, work->count - 1);
     }
     return GSN_OK;
 }
@@ -491,7 +491,7 @@ static int cut_by_mesh(struct work *work, struct gsn_error *err)
     return GSN_OK;
 }
 
-static double surface(const struct gsn_tet_cell *cell)
+static double cell_surface(const struct gsn_tet_cell *cell)
 {
     double sum = 0.0;
 
@@ -522,7 +522,7 @@ static int check_cell(struct work *work, struct gsn_error *err)
         }
     }
     work->volume = gsn_tet_cell_volume(&work->cell);
-    rounding = cut_slack * reach * surface(&work->cell);
+    rounding = cut_slack * reach * cell_surface(&work->cell);
     work->slack = sum_slack * work->volume + rounding;
     if (!isfinite(work->slack))
         return gsn_fail(err, GSN_E_INPUT, "the cell is too large to have a volume");
@@ -550,7 +550,7 @@ int gsn_level_set_cell(const struct gsn_spline *spline, const double cell[4][3],
     if (r == GSN_OK)
         r = cut_by_mesh(&work, err);
     if (r == GSN_OK)
-        r = refine(&work, options->gap > 0.0 ? options->gap : default_gap, &bound, err);
+        r = refine_parts(&work, options->gap > 0.0 ? options->gap : default_gap, &bound, err);
     work_done(&work);
     if (r < 0)
         return r;

@@ -68,7 +68,7 @@ static void times_linear(unsigned n, double *product, double c0, const double c[
 }
 
 /* lambda[k] and the frame they live in. */
-static void place(struct gsn_local_polynomial *piece, const struct gsn_tets *mesh, size_t tet)
+static void place_frame(struct gsn_local_polynomial *piece, const struct gsn_tets *mesh, size_t tet)
 {
     double corner[4][3], reach = 0.0, det = 0.0;
 
@@ -100,8 +100,8 @@ static void place(struct gsn_local_polynomial *piece, const struct gsn_tets *mes
 
 /* The polynomial sum_f b_f (n! / beta!) lambda^beta as monomials, and the sizes of what was added:
  * the same sum with every factor made positive. */
-static void expand(struct gsn_local_polynomial *piece, const struct gsn_dms *space,
-                   const double *bernstein)
+static void expand_monomials(struct gsn_local_polynomial *piece, const struct gsn_dms *space,
+                             const double *bernstein)
 {
     static const double factorial[GSN_LOCAL_POLYNOMIAL_SIDE] = { 1.0, 1.0, 2.0, 6.0 };
     const unsigned n = piece->degree;
@@ -186,7 +186,7 @@ size_t gsn_local_polynomial_slopes(const struct gsn_dms *space)
 }
 
 /* The function g + e_j. */
-static size_t raised(const struct gsn_dms *space, const unsigned g[4], int j)
+static size_t raised_index(const struct gsn_dms *space, const unsigned g[4], int j)
 {
     size_t f = 0;
 
@@ -340,7 +340,7 @@ static void make_slope(const struct gsn_spline *spline, size_t tet,
         ret_slope->node[a] = 0.0;
     for (int j = 0; j < 4; j++) {
         point[j] = knot_of(space, tet, j, g[j]);
-        value[j] = piece->degree * gsn_spline_controls(spline)[control[raised(space, g, j)]];
+        value[j] = piece->degree * gsn_spline_controls(spline)[control[raised_index(space, g, j)]];
         for (unsigned l = 0; l < g[j]; l++) {
             for (int a = 0; a < 3; a++)
                 ret_slope->node[a] += knot_of(space, tet, j, l)[a] / (piece->degree - 1U);
@@ -380,13 +380,13 @@ void gsn_local_polynomial_make(const struct gsn_spline *spline, size_t tet,
     double slack = 0.0;
 
     ret_piece->degree = n;
-    place(ret_piece, gsn_dms_mesh(space), tet);
+    place_frame(ret_piece, gsn_dms_mesh(space), tet);
     gsn_dms_core(space, tet, ret_piece->delta);
     least_lambda(ret_piece, space, tet, all, ret_piece->least);
     ret_piece->inward = points_inward(ret_piece, space, tet);
     gsn_spline_residual(spline, tet, &ret_piece->residual_low, &ret_piece->residual_high);
     gsn_spline_bernstein(spline, tet, bernstein);
-    expand(ret_piece, space, bernstein);
+    expand_monomials(ret_piece, space, bernstein);
     make_slopes(spline, tet, ret_piece, ret_slope);
     ret_piece->slope = ret_slope;
 
@@ -493,8 +493,8 @@ static void shift_line(double *first, size_t stride, unsigned degree, double x0,
 }
 
 /* The piece as a polynomial in the box's own t in [-1,1]^3. */
-static void shift(const struct gsn_local_polynomial *piece, const struct gsn_aabb *box,
-                  double *ret_term)
+static void shift_to_box(const struct gsn_local_polynomial *piece, const struct gsn_aabb *box,
+                         double *ret_term)
 {
     const unsigned n = piece->degree;
     const size_t stride[3] = { (n + 1U) * (n + 1U), n + 1U, 1 };
@@ -520,7 +520,7 @@ void gsn_local_polynomial_tangent(const struct gsn_local_polynomial *piece,
     const unsigned n = piece->degree;
     double term[GSN_LOCAL_POLYNOMIAL_TERMS];
 
-    shift(piece, box, term);
+    shift_to_box(piece, box, term);
     *ret_linear = (struct gsn_local_polynomial_linear){
         .value = term[0],
         .slope = { term[monomial_place(n, 1, 0, 0)], term[monomial_place(n, 0, 1, 0)],
@@ -572,7 +572,7 @@ static void bernstein_line(double *c, size_t stride, unsigned n)
 }
 
 /* More than the rounding in any coefficient of the piece on this box. */
-static double rounding(const struct gsn_local_polynomial *piece, const struct gsn_aabb *box)
+static double rounding_bound(const struct gsn_local_polynomial *piece, const struct gsn_aabb *box)
 {
     double reach = 0.0, sum = 0.0;
 
@@ -592,9 +592,9 @@ void gsn_local_polynomial_bound(const struct gsn_local_polynomial *piece,
     const unsigned n = piece->degree;
     const size_t side = n + 1U, stride[3] = { side * side, side, 1 };
     double term[GSN_LOCAL_POLYNOMIAL_TERMS], low = INFINITY, high = -INFINITY;
-    double square_low = 0.0, square_high = 0.0, slack = rounding(piece, box);
+    double square_low = 0.0, square_high = 0.0, slack = rounding_bound(piece, box);
 
-    shift(piece, box, term);
+    shift_to_box(piece, box, term);
     term[0] -= linear->value;
     slack += VALUE_SLACK * fabs(linear->value);
     for (int a = 0; a < 3; a++) {

@@ -42,8 +42,8 @@ static int check_alike(const struct gsn_loss_side *baseline, const struct gsn_lo
     return GSN_OK;
 }
 
-static int interval(const struct gsn_loss_side *baseline, const struct gsn_loss_side *treated,
-                    double confidence, struct gsn_loss *loss, struct gsn_error *err)
+static int find_interval(const struct gsn_loss_side *baseline, const struct gsn_loss_side *treated,
+                         double confidence, struct gsn_loss *loss, struct gsn_error *err)
 {
     const double var_a = treated->standard_error * treated->standard_error;
     const double var_b = baseline->standard_error * baseline->standard_error;
@@ -86,7 +86,7 @@ int gsn_loss(const struct gsn_loss_side *baseline, const struct gsn_loss_side *t
     loss.percent = 100.0 * (1.0 - treated->mean / baseline->mean);
     loss.points = 100.0 * (baseline->mean - treated->mean);
     if (baseline->standard_error > 0.0 && treated->standard_error > 0.0) {
-        r = interval(baseline, treated, confidence, &loss, err);
+        r = find_interval(baseline, treated, confidence, &loss, err);
         if (r < 0)
             return r;
     }

@@ -54,7 +54,7 @@ struct visit {
     void *context;
 };
 
-static int walk(const struct visit *visit, const double (*corner)[3], int corners)
+static int walk_cells(const struct visit *visit, const double (*corner)[3], int corners)
 {
     const struct gsn_lattice *at = &visit->region->at;
     size_t first[3], end[3];
@@ -125,7 +125,7 @@ static int check_boundary(const struct gsn_mask *region, const struct gsn_tets *
                 for (int a = 0; a < 3; a++)
                     cut.face[j][a] = mesh->vertex[mesh->tet[t][(k + 1 + j) % 4]][a];
             }
-            if (walk(&visit, (const double(*)[3])cut.face, 3))
+            if (walk_cells(&visit, (const double(*)[3])cut.face, 3))
                 return sticks_out(&region->at, cut.index, err);
         }
     }
@@ -176,13 +176,13 @@ static void note_all(const struct gsn_mask *region, const struct gsn_dms *space,
         }
         pairs->piece = &pieces[t];
         pairs->tet = (uint32_t)t;
-        (void)walk(&visit, (const double(*)[3])knot, count);
+        (void)walk_cells(&visit, (const double(*)[3])knot, count);
     }
 }
 
-static int fill(const struct gsn_mask *region, const struct gsn_dms *space,
-                const struct gsn_local_polynomial *pieces, struct gsn_voxel_overlap *overlap,
-                struct gsn_error *err)
+static int fill_overlap(const struct gsn_mask *region, const struct gsn_dms *space,
+                        const struct gsn_local_polynomial *pieces,
+                        struct gsn_voxel_overlap *overlap, struct gsn_error *err)
 {
     const size_t total = gsn_lattice_count(&region->at), count = overlap->voxel_count;
     gsn_auto_mem(size_t) rank = gsn_alloc_array(total, sizeof *rank);
@@ -237,7 +237,7 @@ int gsn_voxel_overlap_new(const struct gsn_mask *region, const struct gsn_dms *s
     }
     if (!overlap || !overlap->voxel || !overlap->first)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", count);
-    r = fill(region, space, pieces, overlap, err);
+    r = fill_overlap(region, space, pieces, overlap, err);
     if (r < 0)
         return r;
     *ret_overlap = gsn_steal(&overlap);

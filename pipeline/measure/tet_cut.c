@@ -127,7 +127,8 @@ static void find_planes(const struct gsn_tet_cell *other, struct cutting *cuttin
     }
 }
 
-static int keep(struct gsn_tet_parts *parts, const struct gsn_tet_cell *cell, struct gsn_error *err)
+static int keep_part(struct gsn_tet_parts *parts, const struct gsn_tet_cell *cell,
+                     struct gsn_error *err)
 {
     if (parts->count == parts->room) {
         const size_t room = parts->room > 0 ? 2 * parts->room : 16;
@@ -142,8 +143,8 @@ static int keep(struct gsn_tet_parts *parts, const struct gsn_tet_cell *cell, st
     return GSN_OK;
 }
 
-static int cut(const struct cutting *cutting, const struct gsn_tet_cell *cell, int plane,
-               struct gsn_error *err)
+static int cut_cell(const struct cutting *cutting, const struct gsn_tet_cell *cell, int plane,
+                    struct gsn_error *err)
 {
     struct gsn_tet_cell part[3];
     double distance[4];
@@ -152,7 +153,7 @@ static int cut(const struct cutting *cutting, const struct gsn_tet_cell *cell, i
     if (!(gsn_tet_cell_volume(cell) > cutting->crumb))
         return GSN_OK;
     if (plane == 4)
-        return keep(cutting->parts, cell, err);
+        return keep_part(cutting->parts, cell, err);
     for (int k = 0; k < 4; k++) {
         double from[3];
 
@@ -161,7 +162,7 @@ static int cut(const struct cutting *cutting, const struct gsn_tet_cell *cell, i
     }
     count = part_above(cell, distance, part);
     for (int i = 0; i < count; i++) {
-        const int r = cut(cutting, &part[i], plane + 1, err);
+        const int r = cut_cell(cutting, &part[i], plane + 1, err);
 
         if (r < 0)
             return r;
@@ -175,5 +176,5 @@ int gsn_tet_cell_common(const struct gsn_tet_cell *cell, const struct gsn_tet_ce
     struct cutting cutting = { .crumb = crumb, .parts = parts };
 
     find_planes(other, &cutting);
-    return cut(&cutting, cell, 0, err);
+    return cut_cell(&cutting, cell, 0, err);
 }

@@ -51,7 +51,7 @@ struct work {
 };
 
 /* Ten bits spread to every third. */
-static uint32_t spread(uint32_t x)
+static uint32_t spread_bits(uint32_t x)
 {
     x = (x | x << 16) & 0x030000FFu;
     x = (x | x << 8) & 0x0300F00Fu;
@@ -64,14 +64,14 @@ static int is_finite(const double u[3])
     return isfinite(u[0]) && isfinite(u[1]) && isfinite(u[2]);
 }
 
-static uint32_t morton(const double low[3], const double scale[3], const double u[3])
+static uint32_t morton_code(const double low[3], const double scale[3], const double u[3])
 {
     uint32_t code = 0;
 
     for (int c = 0; c < 3; c++) {
         const double cell = (u[c] - low[c]) * scale[c];
 
-        code |= spread(!(cell > 0) ? 0 : cell >= CELLS ? CELLS - 1 : (uint32_t)cell) << c;
+        code |= spread_bits(!(cell > 0) ? 0 : cell >= CELLS ? CELLS - 1 : (uint32_t)cell) << c;
     }
     return code;
 }
@@ -94,8 +94,8 @@ static void sort_stops(const struct stop *from, size_t count, unsigned shift, st
 }
 
 /* The points along the Morton curve through the box of the mesh; equals in the order given. */
-static void plan(const struct gsn_tets *mesh, const double (*at)[3], size_t count,
-                 struct stop *ret_stop, struct stop *scratch)
+static void plan_stops(const struct gsn_tets *mesh, const double (*at)[3], size_t count,
+                       struct stop *ret_stop, struct stop *scratch)
 {
     double low[3], scale[3];
 
@@ -109,7 +109,8 @@ static void plan(const struct gsn_tets *mesh, const double (*at)[3], size_t coun
         scale[c] = CELLS / (high - low[c]);
     }
     for (size_t i = 0; i < count; i++)
-        scratch[i] = (struct stop){ is_finite(at[i]) ? morton(low, scale, at[i]) : UINT32_MAX, i };
+        scratch[i] =
+            (struct stop){ is_finite(at[i]) ? morton_code(low, scale, at[i]) : UINT32_MAX, i };
     sort_stops(scratch, count, 0, ret_stop);
     sort_stops(ret_stop, count, 11, scratch);
     sort_stops(scratch, count, 22, ret_stop);
@@ -270,7 +271,7 @@ static void eval_home(struct work *work, const struct key *key, size_t count)
 
 /* The homes of the points of a chunk; those outside get their answer here. Returns how many are
  * inside. */
-static size_t locate(struct work *work, size_t count)
+static size_t locate_points(struct work *work, size_t count)
 {
     size_t hint = 0, inside = 0;
 
@@ -303,7 +304,7 @@ static int eval_chunk(size_t index, void *context, struct gsn_error *err)
     /* All at once: the memory is far away. */
     for (size_t i = 0; i < count; i++)
         memcpy(work.u[i], job->at[stop[i].point], sizeof work.u[i]);
-    inside = locate(&work, count);
+    inside = locate_points(&work, count);
     sort_keys(work.key, inside, work.scratch);
     for (size_t i = 0, end; i < inside; i = end) {
         for (end = i + 1; end < inside && work.key[end].by == work.key[i].by;)
@@ -340,7 +341,7 @@ int gsn_spline_eval_many(const struct gsn_spline *spline, const double (*at)[3],
     scratch = gsn_alloc_array(count, sizeof *scratch);
     if (!stop || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", count);
-    plan(job.space->mesh, at, count, stop, scratch);
+    plan_stops(job.space->mesh, at, count, stop, scratch);
     job.stop = stop;
     return gsn_parallel_for((count + CHUNK - 1) / CHUNK, threads, eval_chunk, &job, err);
 }

@@ -108,9 +108,10 @@ typedef double steps[GSN_SIMPLEX_MAX_FUNCTIONS][GSN_SIMPLEX_MAX_FUNCTIONS];
 
 /* The next step for one gamma. The values are symmetric in the corners, so that any of those in
  * alpha may be the last one taken. */
-static void step(unsigned r, const struct gsn_barycentric *frame, const double *const corner[4],
-                 size_t gamma, double (*from)[GSN_SIMPLEX_MAX_FUNCTIONS],
-                 double (*to)[GSN_SIMPLEX_MAX_FUNCTIONS])
+static void step_values(unsigned r, const struct gsn_barycentric *frame,
+                        const double *const corner[4], size_t gamma,
+                        double (*from)[GSN_SIMPLEX_MAX_FUNCTIONS],
+                        double (*to)[GSN_SIMPLEX_MAX_FUNCTIONS])
 {
     const uint8_t *raised = gsn_simplex_raised[gamma];
     uint8_t alpha[4] = { (uint8_t)r, 0, 0, 0 };
@@ -148,8 +149,8 @@ void gsn_bpatch_bernstein(unsigned degree, const double (*knot)[3], const double
             struct gsn_barycentric frame;
 
             frame_of(degree, knot, gamma, &frame);
-            step(r, &frame, corner, gsn_simplex_place(gamma), r % 2 ? even : odd,
-                 r % 2 ? odd : even);
+            step_values(r, &frame, corner, gsn_simplex_place(gamma), r % 2 ? even : odd,
+                        r % 2 ? odd : even);
         } while (gsn_simplex_next(gamma));
     }
     for (size_t f = 0; f < functions; f++)
@@ -205,7 +206,7 @@ static const double times[4][GSN_SIMPLEX_MAX_FUNCTIONS] = {
     { 1, 3, 3, 3, 3, 6, 6, 3, 6, 3, 1, 3, 3, 3, 6, 3, 1, 3, 3, 1 },
 };
 
-static void subtract(const struct differences *of, unsigned degree, int axis, double *b)
+static void subtract_axis(const struct differences *of, unsigned degree, int axis, double *b)
 {
     for (unsigned i = of->count[degree]; i-- > 0;)
         b[gsn_simplex_raised[of->place[i]][axis]] -= b[of->place[i]];
@@ -217,8 +218,8 @@ void gsn_poly_of_bernstein(unsigned degree, const double *bernstein, double *ret
 
     memcpy(ret_coefficient, bernstein, count * sizeof *ret_coefficient);
     for (int axis = 1; axis < 4; axis++) {
-        subtract(&first_order, degree, axis, ret_coefficient);
-        subtract(&second_order[axis - 1], degree, axis, ret_coefficient);
+        subtract_axis(&first_order, degree, axis, ret_coefficient);
+        subtract_axis(&second_order[axis - 1], degree, axis, ret_coefficient);
         if (degree == 3)
             ret_coefficient[gsn_simplex_raised[third_order[axis - 1]][axis]] -=
                 ret_coefficient[third_order[axis - 1]];

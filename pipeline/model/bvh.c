@@ -62,7 +62,7 @@ int gsn_bvh_box_meets(const struct gsn_bvh_box *a, const struct gsn_bvh_box *b)
     return 1;
 }
 
-static void bound(struct gsn_bvh *tree, const struct gsn_bvh_box *box)
+static void bound_leaf(struct gsn_bvh *tree, const struct gsn_bvh_box *box)
 {
     double half = 0;
     int exponent = 0;
@@ -85,7 +85,7 @@ static void bound(struct gsn_bvh *tree, const struct gsn_bvh_box *box)
 
 /* A coordinate of a node. This grows with x, rounding and all, which is why rounding it outward is
  * enough to keep every box within its nodes. What is not a number goes outside of everything. */
-static double within(const struct gsn_bvh *tree, double x, int axis)
+static double node_coordinate(const struct gsn_bvh *tree, double x, int axis)
 {
     const double y = (x - tree->origin[axis]) * tree->scale;
 
@@ -109,13 +109,13 @@ static struct node node_of(const struct gsn_bvh *tree, const struct gsn_bvh_box 
     struct node node;
 
     for (int c = 0; c < 3; c++) {
-        node.low[c] = round_down(within(tree, box->low[c], c));
-        node.high[c] = round_up(within(tree, box->high[c], c));
+        node.low[c] = round_down(node_coordinate(tree, box->low[c], c));
+        node.high[c] = round_up(node_coordinate(tree, box->high[c], c));
     }
     return node;
 }
 
-static void widen(struct node *node, const struct node *by)
+static void widen_node(struct node *node, const struct node *by)
 {
     for (int c = 0; c < 3; c++) {
         node->low[c] = by->low[c] < node->low[c] ? by->low[c] : node->low[c];
@@ -124,7 +124,7 @@ static void widen(struct node *node, const struct node *by)
 }
 
 /* Two zero bits after each of 21. */
-static uint64_t spread(uint64_t x)
+static uint64_t spread_bits(uint64_t x)
 {
     x = (x | x << 32) & 0x1F00000000FFFF;
     x = (x | x << 16) & 0x1F0000FF0000FF;
@@ -155,7 +155,7 @@ static uint64_t hilbert_code(uint32_t x[3])
     x[2] ^= x[1];
     for (uint32_t bit = 1u << (CURVE_BITS - 1); bit > 1; bit >>= 1)
         turn ^= x[2] & bit ? bit - 1 : 0;
-    return spread(x[0] ^ turn) << 2 | spread(x[1] ^ turn) << 1 | spread(x[2] ^ turn);
+    return spread_bits(x[0] ^ turn) << 2 | spread_bits(x[1] ^ turn) << 1 | spread_bits(x[2] ^ turn);
 }
 
 /* Where the middle of a box lies along the curve. */
@@ -166,7 +166,7 @@ static uint64_t code_of(const struct gsn_bvh *tree, const struct gsn_bvh_box *bo
 
     for (int c = 0; c < 3; c++) {
         const double middle = box->low[c] / 2 + box->high[c] / 2;
-        const double place = (within(tree, middle, c) + 1) / 2 * cells;
+        const double place = (node_coordinate(tree, middle, c) + 1) / 2 * cells;
 
         cell[c] = (uint32_t)fmin(fmax(place, 0), cells - 1);
     }
@@ -219,11 +219,11 @@ static void fill_nodes(struct gsn_bvh *tree, const struct gsn_bvh_box *box)
             for (size_t k = 1; k < count; k++) {
                 const struct node next = node_of(tree, &box[item[k]]);
 
-                widen(&tree->node[i], &next);
+                widen_node(&tree->node[i], &next);
             }
         } else {
             tree->node[i] = tree->node[2 * i];
-            widen(&tree->node[i], &tree->node[2 * i + 1]);
+            widen_node(&tree->node[i], &tree->node[2 * i + 1]);
         }
     }
 }
@@ -246,7 +246,7 @@ int gsn_bvh_new(const struct gsn_bvh_box *box, size_t count, struct gsn_bvh **re
     }
     if (!tree || !tree->node || !tree->item)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu boxes", count);
-    bound(tree, box);
+    bound_leaf(tree, box);
     r = sort_items(tree, box, err);
     if (r < 0)
         return r;
@@ -275,7 +275,7 @@ size_t gsn_bvh_bytes(const struct gsn_bvh *tree)
 }
 
 /* The node to look at after i when nothing below i is of interest; 0 at the end. */
-static size_t beside(size_t i)
+static size_t next_beside(size_t i)
 {
     while (i & 1)
         i >>= 1;
@@ -293,27 +293,27 @@ static int visit_leaf(const struct gsn_bvh *tree, size_t node, gsn_bvh_visit *vi
     return r;
 }
 
-static int meet(const struct node *a, const struct node *b)
+static int boxes_meet(const struct node *a, const struct node *b)
 {
     return (a->low[0] <= b->high[0]) & (a->high[0] >= b->low[0]) & (a->low[1] <= b->high[1]) &
            (a->high[1] >= b->low[1]) & (a->low[2] <= b->high[2]) & (a->high[2] >= b->low[2]);
 }
 
 /* All leaves below nodes that pass the question, from left to right. */
-static inline int search(const struct gsn_bvh *tree,
-                         int (*passes)(const void *asked, const struct node *node),
-                         const void *asked, gsn_bvh_visit *visit, void *context)
+static inline int search_leaves(const struct gsn_bvh *tree,
+                                int (*passes)(const void *asked, const struct node *node),
+                                const void *asked, gsn_bvh_visit *visit, void *context)
 {
     int r = 0;
 
     for (size_t i = 1; i > 0 && r == 0;) {
         if (!passes(asked, &tree->node[i])) {
-            i = beside(i);
+            i = next_beside(i);
         } else if (i < tree->leaves) {
             i = 2 * i;
         } else {
             r = visit_leaf(tree, i, visit, context);
-            i = beside(i);
+            i = next_beside(i);
         }
     }
     return r;
@@ -321,7 +321,7 @@ static inline int search(const struct gsn_bvh *tree,
 
 static int meets_box(const void *asked, const struct node *node)
 {
-    return meet(node, asked);
+    return boxes_meet(node, asked);
 }
 
 int gsn_bvh_meeting(const struct gsn_bvh *tree, const struct gsn_bvh_box *box, gsn_bvh_visit *visit,
@@ -329,7 +329,7 @@ int gsn_bvh_meeting(const struct gsn_bvh *tree, const struct gsn_bvh_box *box, g
 {
     const struct node asked = node_of(tree, box);
 
-    return search(tree, meets_box, &asked, visit, context);
+    return search_leaves(tree, meets_box, &asked, visit, context);
 }
 
 int gsn_bvh_at(const struct gsn_bvh *tree, const double u[3], gsn_bvh_visit *visit, void *context)
@@ -345,7 +345,7 @@ struct line {
 };
 
 /* A line misses a box when it does so seen along an axis of the box crossed with the line. */
-static int near(const struct line *line, const struct node *node)
+static int is_near(const struct line *line, const struct node *node)
 {
     double to[3], half[3];
 
@@ -366,7 +366,7 @@ static int near(const struct line *line, const struct node *node)
 
 static int is_near_line(const void *asked, const struct node *node)
 {
-    return near(asked, node);
+    return is_near(asked, node);
 }
 
 int gsn_bvh_along(const struct gsn_bvh *tree, const double p[3], const double d[3],
@@ -381,5 +381,5 @@ int gsn_bvh_along(const struct gsn_bvh *tree, const double p[3], const double d[
         size += fabs(line.start[c]);
     }
     line.slack = LINE_SLACK * size;
-    return search(tree, is_near_line, &line, visit, context);
+    return search_leaves(tree, is_near_line, &line, visit, context);
 }

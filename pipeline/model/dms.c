@@ -304,7 +304,7 @@ static int is_beyond_other(const struct search *search, size_t other)
     return beyond != 0;
 }
 
-static int consider(void *context, uint32_t other)
+static int consider_other(void *context, uint32_t other)
 {
     struct search *search = context;
     double own[GSN_SIMPLEX_MAX_KNOTS][3];
@@ -331,7 +331,7 @@ void gsn_dms_reaching(const struct gsn_dms *space, size_t home, struct gsn_sorte
     search.box = gsn_bvh_box_around((const double(*)[3])search.corner, 4);
     gsn_barycentric_init(&search.frame, search.corner[0], search.corner[1], search.corner[2],
                          search.corner[3]);
-    (void)gsn_bvh_meeting(space->tree, &search.box, consider, &search);
+    (void)gsn_bvh_meeting(space->tree, &search.box, consider_other, &search);
 }
 
 /* Marks the corners of one boundary face that have a knot on its inner side. */

@@ -54,7 +54,8 @@ static int is_behind(const struct gsn_tets *mesh, size_t tet, unsigned k, const 
 
 /* The determinants of u and three corners, lambda_k times that of the tetrahedron; returns the
  * rounding bound of them all. */
-static double heights(const struct gsn_tets *mesh, size_t tet, const double u[3], double ret[4])
+static double find_heights(const struct gsn_tets *mesh, size_t tet, const double u[3],
+                           double ret[4])
 {
     double to[4][3], normal[3], bound = FILTER;
 
@@ -77,10 +78,11 @@ static double heights(const struct gsn_tets *mesh, size_t tet, const double u[3]
 
 /* The corner opposite the face that u lies behind, the clearest case; INSIDE when there is none.
  * ret_far: u is far away from the tetrahedron. */
-static unsigned behind(const struct gsn_tets *mesh, size_t tet, const double u[3], int *ret_far)
+static unsigned find_face_behind(const struct gsn_tets *mesh, size_t tet, const double u[3],
+                                 int *ret_far)
 {
     double height[4];
-    const double bound = heights(mesh, tet, u, height);
+    const double bound = find_heights(mesh, tet, u, height);
     unsigned least = 0;
 
     for (unsigned k = 1; k < 4; k++) {
@@ -98,12 +100,12 @@ static unsigned behind(const struct gsn_tets *mesh, size_t tet, const double u[3
 }
 
 /* Whether the walk ends in the tetrahedron that holds u. */
-static int walk(const struct gsn_tets *mesh, const double u[3], size_t tet, int steps, int anywhere,
-                size_t *ret_tet)
+static int walk_to_point(const struct gsn_tets *mesh, const double u[3], size_t tet, int steps,
+                         int anywhere, size_t *ret_tet)
 {
     for (int step = 0; step < steps; step++) {
         int far;
-        const unsigned k = behind(mesh, tet, u, &far);
+        const unsigned k = find_face_behind(mesh, tet, u, &far);
 
         if (k == INSIDE) {
             *ret_tet = tet;
@@ -134,7 +136,7 @@ static int take_holder(void *context, uint32_t tet)
     struct search *search = context;
     int far;
 
-    if (behind(search->mesh, tet, search->u, &far) != INSIDE)
+    if (find_face_behind(search->mesh, tet, search->u, &far) != INSIDE)
         return 0;
     search->found = tet;
     return 1;
@@ -150,11 +152,11 @@ int gsn_dms_locate(const struct gsn_dms *space, const double u[3], size_t hint, 
         if (!(u[c] >= bounds->low[c] && u[c] <= bounds->high[c]))
             return GSN_DMS_OUTSIDE;
     }
-    if (hint < mesh->tet_count && walk(mesh, u, hint, STEPS_FROM_HINT, 0, ret_tet))
+    if (hint < mesh->tet_count && walk_to_point(mesh, u, hint, STEPS_FROM_HINT, 0, ret_tet))
         return GSN_OK;
     if (!gsn_bvh_at(space->tree, u, take_first, &search))
         return GSN_DMS_OUTSIDE;
-    if (walk(mesh, u, search.found, STEPS_FROM_LEAF, 1, ret_tet))
+    if (walk_to_point(mesh, u, search.found, STEPS_FROM_LEAF, 1, ret_tet))
         return GSN_OK;
     if (!gsn_bvh_at(space->tree, u, take_holder, &search))
         return GSN_DMS_OUTSIDE;
@@ -227,7 +229,7 @@ static int is_apart(const struct place *place, size_t tet)
     return apart != 0;
 }
 
-static int consider(void *context, uint32_t tet)
+static int consider_tet(void *context, uint32_t tet)
 {
     struct place *place = context;
     struct gsn_dms_shape shape;
@@ -260,7 +262,7 @@ void gsn_dms_each(const struct gsn_dms *space, size_t home, const double u[3], i
         if (place.clear == GSN_DMS_ALL)
             (void)gsn_sorted_batch_add(&place.ascent, (uint32_t)home);
         else
-            (void)gsn_bvh_at(space->tree, u, consider, &place);
+            (void)gsn_bvh_at(space->tree, u, consider_tet, &place);
         for (size_t i = 0; i < place.ascent.count; i++) {
             const uint32_t tet = place.ascent.item[i];
 

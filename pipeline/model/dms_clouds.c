@@ -30,7 +30,7 @@ struct plan {
 };
 
 /* The finaliser of SplitMix64: well mixed bits of any number. */
-static uint64_t mix(uint64_t x)
+static uint64_t mix_bits(uint64_t x)
 {
     x += 0x9e3779b97f4a7c15u;
     x = (x ^ x >> 30) * 0xbf58476d1ce4e5b9u;
@@ -41,18 +41,18 @@ static uint64_t mix(uint64_t x)
 /* A number in [-1, 1). */
 static double draw_number(uint64_t *state)
 {
-    *state = mix(*state);
+    *state = mix_bits(*state);
     return (double)(*state >> 11) * 0x1p-52 - 1;
 }
 
-static double length(const double v[3])
+static double length_of(const double v[3])
 {
     return sqrt(gsn_dot(v, v));
 }
 
-static void normalise(double v[3])
+static void make_unit(double v[3])
 {
-    const double size = length(v);
+    const double size = length_of(v);
 
     for (int c = 0; c < 3; c++)
         v[c] /= size;
@@ -66,9 +66,9 @@ static void draw_direction(uint64_t *state, double ret[3])
     do {
         for (int c = 0; c < 3; c++)
             ret[c] = draw_number(state);
-        size = length(ret);
+        size = length_of(ret);
     } while (size < 0.1 || size > 1);
-    normalise(ret);
+    make_unit(ret);
 }
 
 /* Three perpendicular directions. */
@@ -83,7 +83,7 @@ static void draw_axes(uint64_t state, double ret[3][3])
     } while (fabs(along) > 0.9);
     for (int c = 0; c < 3; c++)
         ret[1][c] -= along * ret[0][c];
-    normalise(ret[1]);
+    make_unit(ret[1]);
     gsn_cross(ret[0], ret[1], ret[2]);
 }
 
@@ -93,14 +93,14 @@ static void place_knots(const struct gsn_tets *mesh, unsigned degree, const stru
     for (size_t i = 0; i < mesh->vertex_count; i++) {
         double axis[3][3];
 
-        draw_axes(mix(i) ^ plan[i].draw, axis);
+        draw_axes(mix_bits(i) ^ plan[i].draw, axis);
         memcpy(knot[i * (degree + 1)], mesh->vertex[i], sizeof *knot);
         for (unsigned l = 1; l <= degree; l++) {
             double *to = knot[i * (degree + 1) + l];
 
             for (int c = 0; c < 3; c++)
                 to[c] = plan[i].outward[c] + plan[i].spread * axis[l - 1][c];
-            normalise(to);
+            make_unit(to);
             for (int c = 0; c < 3; c++)
                 to[c] = mesh->vertex[i][c] + plan[i].radius * to[c];
         }
@@ -121,9 +121,9 @@ static void plan_radii(const struct gsn_tets *mesh, double fraction, struct plan
                              mesh->vertex[v[3]]);
         for (int c = 0; c < 3; c++)
             rest[c] = frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
-        steepest = length(rest);
+        steepest = length_of(rest);
         for (int k = 0; k < 3; k++)
-            steepest = fmax(steepest, length(frame.row[k])); /* 1 / altitude */
+            steepest = fmax(steepest, length_of(frame.row[k])); /* 1 / altitude */
         for (int k = 0; k < 4; k++)
             plan[v[k]].radius = fmin(plan[v[k]].radius, fraction / steepest);
     }
@@ -132,7 +132,7 @@ static void plan_radii(const struct gsn_tets *mesh, double fraction, struct plan
 /* One step of Gilbert's algorithm for the point of a convex hull nearest the origin: moves x on the
  * segment towards the normal that is worst for it. That point, made a unit, is the direction that
  * fits the worst normal best. */
-static void climb(double x[3], const double normal[3], double step)
+static void step_to_hull(double x[3], const double normal[3], double step)
 {
     for (int c = 0; c < 3; c++)
         x[c] += step * (normal[c] - x[c]);
@@ -172,7 +172,7 @@ static size_t list_outer_faces(const struct gsn_tets *mesh, struct outer_face *r
             for (int c = 0; c < 3; c++)
                 face->normal[c] =
                     k ? -frame.row[k - 1][c] : frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
-            normalise(face->normal);
+            make_unit(face->normal);
             for (unsigned i = 0; i < 4; i++) {
                 if (i != k)
                     face->vertex[n++] = v[i];
@@ -217,16 +217,16 @@ static int plan_outward(const struct gsn_tets *mesh, struct plan *plan, struct g
         find_worst(face, count, plan, worst, mesh->vertex_count);
         for (size_t i = 0; i < mesh->vertex_count; i++) {
             if (worst[i])
-                climb(plan[i].outward, worst[i], best_step(plan[i].outward, worst[i]));
+                step_to_hull(plan[i].outward, worst[i], best_step(plan[i].outward, worst[i]));
         }
     }
     find_worst(face, count, plan, worst, mesh->vertex_count);
     for (size_t i = 0; i < mesh->vertex_count; i++) {
-        const double size = length(plan[i].outward);
+        const double size = length_of(plan[i].outward);
         const double margin = worst[i] && size > 0 ? gsn_dot(worst[i], plan[i].outward) / size : 0;
 
         if (margin > NARROWEST) {
-            normalise(plan[i].outward);
+            make_unit(plan[i].outward);
             plan[i].spread = 0.9 * margin;
         } else {
             memset(plan[i].outward, 0, sizeof plan[i].outward);
@@ -266,13 +266,13 @@ static size_t find_faults(const struct gsn_tets *mesh, const struct gsn_simplex_
     return faults;
 }
 
-static void amend(struct plan *plan, size_t count)
+static void amend_plan(struct plan *plan, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
         if (plan[i].shrink)
             plan[i].radius /= 2;
         if (plan[i].redraw)
-            plan[i].draw = mix(plan[i].draw + 1);
+            plan[i].draw = mix_bits(plan[i].draw + 1);
         plan[i].shrink = plan[i].redraw = 0;
     }
 }
@@ -312,7 +312,7 @@ int gsn_dms_clouds(const struct gsn_tets *mesh, unsigned degree, double fraction
             *ret_knots = gsn_steal(&knot);
             return GSN_OK;
         }
-        amend(plan, mesh->vertex_count);
+        amend_plan(plan, mesh->vertex_count);
     }
     return gsn_fail(err, GSN_E_MESH, "tetrahedron %zu: no valid knot clouds (%s)", bad, why.text);
 }

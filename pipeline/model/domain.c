@@ -45,9 +45,9 @@ static const bool LIMITS_MEMORY = true;
 #endif
 
 /* gives: what the mesher answered, its corners checked to exist and its vertices to be finite. */
-static int converse(const struct gsn_domain_options *options,
-                    const struct gsn_mesh_question *asking, struct gsn_soup **ret_soup,
-                    struct gsn_error *err)
+static int ask_mesher(const struct gsn_domain_options *options,
+                      const struct gsn_mesh_question *asking, struct gsn_soup **ret_soup,
+                      struct gsn_error *err)
 {
     struct gsn_mesh_question question = *asking;
     const char *const argv[] = { options->mesher, NULL };
@@ -90,7 +90,7 @@ int gsn_domain_ask(const struct gsn_domain_options *options,
                    struct gsn_error *err)
 {
     gsn_auto(gsn_soup) soup = NULL;
-    int r = converse(options, question, &soup, err);
+    int r = ask_mesher(options, question, &soup, err);
 
     if (r >= 0)
         r = check_soup(soup, err);
@@ -130,7 +130,7 @@ static struct box bounding_box(const struct gsn_soup *soup)
     return box;
 }
 
-static uint64_t morton(const struct box *box, const double p[3])
+static uint64_t morton_code(const struct box *box, const double p[3])
 {
     uint64_t code = 0;
 
@@ -165,7 +165,7 @@ static int order_vertices(struct gsn_soup *soup, const struct box *box, struct g
     if (!place || !now || !old)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while ordering a mesh");
     for (size_t v = 0; v < count; v++)
-        place[v] = (struct place){ morton(box, soup->vertex[v]), (uint32_t)v };
+        place[v] = (struct place){ morton_code(box, soup->vertex[v]), (uint32_t)v };
     qsort(place, count, sizeof *place, compare_places);
     for (size_t v = 0; v < count; v++) {
         now[place[v].index] = (uint32_t)v;
@@ -203,7 +203,7 @@ static int order_tets(struct gsn_soup *soup, const struct box *box, struct gsn_e
         for (size_t c = 0; c < 4; c++)
             for (size_t k = 0; k < 3; k++)
                 middle[k] += soup->vertex[old[4 * t + c]][k] / 4;
-        place[t] = (struct place){ morton(box, middle), (uint32_t)t };
+        place[t] = (struct place){ morton_code(box, middle), (uint32_t)t };
     }
     qsort(place, count, sizeof *place, compare_places);
     for (size_t t = 0; t < count; t++)
@@ -294,7 +294,7 @@ static int boxes_of(const struct gsn_tets *mesh, struct gsn_bvh **ret_tree, stru
     return gsn_bvh_new(box, mesh->tet_count, ret_tree, err);
 }
 
-static double det(const double *o, const double *a, const double *b, const double *c)
+static double signed_volume(const double *o, const double *a, const double *b, const double *c)
 {
     const struct gsn_vec3 u = gsn_vec3_make(a[0] - o[0], a[1] - o[1], a[2] - o[2]),
                           v = gsn_vec3_make(b[0] - o[0], b[1] - o[1], b[2] - o[2]),
@@ -304,14 +304,14 @@ static double det(const double *o, const double *a, const double *b, const doubl
 }
 
 /* The least barycentric coordinate of u. */
-static double depth(const struct gsn_tets *mesh, size_t tet, const double u[3])
+static double find_depth(const struct gsn_tets *mesh, size_t tet, const double u[3])
 {
     const double *a = mesh->vertex[mesh->tet[tet][0]], *b = mesh->vertex[mesh->tet[tet][1]],
                  *c = mesh->vertex[mesh->tet[tet][2]], *d = mesh->vertex[mesh->tet[tet][3]];
-    const double least =
-        fmin(fmin(det(u, b, c, d), det(a, u, c, d)), fmin(det(a, b, u, d), det(a, b, c, u)));
+    const double least = fmin(fmin(signed_volume(u, b, c, d), signed_volume(a, u, c, d)),
+                              fmin(signed_volume(a, b, u, d), signed_volume(a, b, c, u)));
 
-    return least / det(a, b, c, d);
+    return least / signed_volume(a, b, c, d);
 }
 
 /* A point, and the tetrahedron found so far in which it lies deepest. */
@@ -326,7 +326,7 @@ struct deepest {
 static int look_into(void *context, uint32_t tet)
 {
     struct deepest *best = context;
-    const double here = depth(best->mesh, tet, best->u);
+    const double here = find_depth(best->mesh, tet, best->u);
 
     if (here > best->depth || (best->found && here == best->depth && tet < best->tet)) {
         best->depth = here;
@@ -337,8 +337,8 @@ static int look_into(void *context, uint32_t tet)
 }
 
 /* The tetrahedron in which u lies deepest; false when it lies in none. */
-static bool find(const struct gsn_bvh *tree, const struct gsn_tets *mesh, const double u[3],
-                 size_t *ret_tet)
+static bool find_deepest(const struct gsn_bvh *tree, const struct gsn_tets *mesh, const double u[3],
+                         size_t *ret_tet)
 {
     struct deepest best = { .mesh = mesh, .u = u, .depth = -TOUCHES };
 
@@ -362,7 +362,7 @@ static int read_limits(const struct gsn_bvh *tree, const struct gsn_tets *mesh,
         for (size_t c = 0; c < 4; c++)
             for (size_t k = 0; k < 3; k++)
                 middle[k] += fine->vertex[fine->tet[t][c]][k] / 4;
-        if (!find(tree, mesh, middle, &place))
+        if (!find_deepest(tree, mesh, middle, &place))
             return gsn_fail(err, GSN_E_MESH, "tetrahedron %zu lies outside the mesh it refines", t);
         ret_limit[t] = max_um3[place];
         broken += ret_limit[t] > 0 && gsn_tets_volume(fine, t) > ret_limit[t] * (1 + SLACK);
@@ -399,9 +399,9 @@ static int refine_once(const struct gsn_tets *mesh, const struct gsn_bvh *tree,
     return GSN_OK;
 }
 
-static int refine(const struct gsn_tets *mesh, const struct gsn_bvh *tree, const double *max_um3,
-                  const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
-                  struct gsn_error *err)
+static int refine_mesh(const struct gsn_tets *mesh, const struct gsn_bvh *tree,
+                       const double *max_um3, const struct gsn_domain_options *options,
+                       struct gsn_tets **ret_mesh, struct gsn_error *err)
 {
     gsn_auto_mem(double) limit = gsn_memdup(max_um3, mesh->tet_count * sizeof *limit);
     gsn_auto(gsn_tets) fine = NULL;
@@ -439,5 +439,5 @@ int gsn_domain_refine(const struct gsn_tets *mesh, const double *max_um3,
             return gsn_fail(err, GSN_E_INPUT, "the limit %g um^3 of tetrahedron %zu", max_um3[t],
                             t);
     r = boxes_of(mesh, &tree, err);
-    return r < 0 ? r : refine(mesh, tree, max_um3, options, ret_mesh, err);
+    return r < 0 ? r : refine_mesh(mesh, tree, max_um3, options, ret_mesh, err);
 }

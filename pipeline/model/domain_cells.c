@@ -30,7 +30,7 @@ static const double *at_axis(const struct gsn_vec3 *v, size_t axis)
 }
 
 /* The cells, counted from corner_um, that voxel i grown by one voxel touches along an axis. */
-static void reach(size_t i, double step, double edge, long *ret_first, long *ret_last)
+static void find_reach(size_t i, double step, double edge, long *ret_first, long *ret_last)
 {
     *ret_first = (long)floor(((double)i - 1) * step / edge + SLACK);
     *ret_last = (long)ceil(((double)i + 2) * step / edge - SLACK) - 1;
@@ -54,8 +54,8 @@ static int lay_out(const struct gsn_lattice *at, double edge, struct gsn_cells *
             return gsn_fail(err, GSN_E_LIMIT,
                             "cells of %g um would cover the region's lattice in more than %d", edge,
                             MOST_CELLS);
-        reach(0, step, edge, &first, &ignored);
-        reach(voxels[k] - 1, step, edge, &ignored, &last);
+        find_reach(0, step, edge, &first, &ignored);
+        find_reach(voxels[k] - 1, step, edge, &ignored, &last);
         cells->corner_um[k] = origin - step / 2;
         cells->base[k] = first - 1;
         cells->n[k] = (size_t)(last - first + 3);
@@ -81,7 +81,7 @@ static void cover_voxel(struct gsn_cells *cells, const struct gsn_lattice *latti
     for (size_t k = 0; k < 3; k++) {
         long low, high;
 
-        reach(voxel[k], *at_axis(&lattice->step_um, k), cells->edge_um, &low, &high);
+        find_reach(voxel[k], *at_axis(&lattice->step_um, k), cells->edge_um, &low, &high);
         first[k] = (size_t)(low - cells->base[k]);
         last[k] = (size_t)(high - cells->base[k]);
     }
@@ -152,7 +152,7 @@ double gsn_cells_volume(const struct gsn_cells *cells)
 /* The cells around a lattice vertex are the bits x + 2 y + 4 z of a byte. */
 
 /* Whether the set bits are joined through faces of their cells. */
-static bool connected(unsigned cells)
+static bool is_connected(unsigned cells)
 {
     unsigned reached = cells & (~cells + 1), before = 0;
 
@@ -165,7 +165,7 @@ static bool connected(unsigned cells)
     return reached == cells;
 }
 
-static unsigned lowest(unsigned bits)
+static unsigned lowest_bit(unsigned bits)
 {
     return bits & (~bits + 1);
 }
@@ -186,10 +186,10 @@ static unsigned bit_to_fill(unsigned cells)
         const unsigned here = cells & EDGE[e].ring;
 
         if (here == EDGE[e].diagonal || here == (EDGE[e].ring & ~EDGE[e].diagonal))
-            return lowest(EDGE[e].ring & ~here);
+            return lowest_bit(EDGE[e].ring & ~here);
     }
-    if (!connected(cells) || !connected(~cells & 0xFF))
-        return lowest(~cells & 0xFF);
+    if (!is_connected(cells) || !is_connected(~cells & 0xFF))
+        return lowest_bit(~cells & 0xFF);
     return 0;
 }
 
@@ -232,7 +232,7 @@ static bool mend_all(struct gsn_cells *cells)
 }
 
 /* Marks the empty cells that the outside reaches through faces; stack has room for every cell. */
-static void flood(const struct gsn_cells *cells, uint8_t *outside, uint32_t *stack)
+static void flood_outside(const struct gsn_cells *cells, uint8_t *outside, uint32_t *stack)
 {
     const size_t stride[3] = { 1, cells->n[0], cells->n[0] * cells->n[1] };
     size_t depth = 0;
@@ -265,7 +265,7 @@ static int fill_cavities(struct gsn_cells *cells, struct gsn_error *err)
 
     if (!outside || !stack)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the domain's cells");
-    flood(cells, outside, stack);
+    flood_outside(cells, outside, stack);
     for (size_t i = 0; i < count; i++)
         cells->filled[i] = !outside[i];
     return GSN_OK;
@@ -312,8 +312,8 @@ static size_t corner_index(const struct gsn_cells *cells, const size_t at[3],
 
 /* Walks all open faces. Without a surface it counts vertices and facets into the first two. ids
  * holds 1 + the number a lattice vertex has in the surface, 0: none yet. */
-static void trace(const struct gsn_cells *cells, uint32_t *ids, size_t *vertices, size_t *facets,
-                  struct gsn_surface *surface)
+static void trace_surface(const struct gsn_cells *cells, uint32_t *ids, size_t *vertices,
+                          size_t *facets, struct gsn_surface *surface)
 {
     size_t at[3], cell = 0;
 
@@ -351,12 +351,12 @@ int gsn_cells_surface(const struct gsn_cells *cells, struct gsn_surface **ret_su
 
     if (!ids)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the domain's surface");
-    trace(cells, ids, &vertices, &facets, NULL);
+    trace_surface(cells, ids, &vertices, &facets, NULL);
     r = gsn_surface_new(vertices, facets, &surface, err);
     if (r < 0)
         return r;
     facets = 0;
-    trace(cells, ids, &vertices, &facets, surface);
+    trace_surface(cells, ids, &vertices, &facets, surface);
     *ret_surface = gsn_steal(&surface);
     return GSN_OK;
 }
@@ -369,7 +369,7 @@ static const double AGREES = 1e-9;
 /* Relative to a cell's edge, or to 1 for barycentric coordinates: rounding of added points. */
 static const double TOUCHES = 1e-7;
 
-static struct gsn_vec3 corner(const struct gsn_tets *mesh, size_t tet, size_t k)
+static struct gsn_vec3 corner_of(const struct gsn_tets *mesh, size_t tet, size_t k)
 {
     const double *v = mesh->vertex[mesh->tet[tet][k]];
 
@@ -382,7 +382,7 @@ static void face_corners(const struct gsn_tets *mesh, size_t tet, size_t opposit
 {
     for (size_t k = 0, used = 0; k < 4; k++)
         if (k != opposite)
-            ret[used++] = corner(mesh, tet, k);
+            ret[used++] = corner_of(mesh, tet, k);
 }
 
 double gsn_domain_volume(const struct gsn_tets *mesh)
@@ -412,7 +412,7 @@ double gsn_domain_area(const struct gsn_tets *mesh)
     return sum;
 }
 
-static int same(double value, double truth, const char *what, struct gsn_error *err)
+static int check_same(double value, double truth, const char *what, struct gsn_error *err)
 {
     if (fabs(value - truth) <= AGREES * truth)
         return GSN_OK;
@@ -423,9 +423,9 @@ static int same(double value, double truth, const char *what, struct gsn_error *
 int gsn_domain_verify_same(const struct gsn_tets *mesh, const struct gsn_tets *before,
                            struct gsn_error *err)
 {
-    const int r = same(gsn_domain_volume(mesh), gsn_domain_volume(before), "volume", err);
+    const int r = check_same(gsn_domain_volume(mesh), gsn_domain_volume(before), "volume", err);
 
-    return r < 0 ? r : same(gsn_domain_area(mesh), gsn_domain_area(before), "surface", err);
+    return r < 0 ? r : check_same(gsn_domain_area(mesh), gsn_domain_area(before), "surface", err);
 }
 
 /* In units of cells, counted from plane 0 of each axis. */
@@ -497,17 +497,19 @@ static int verify_boundary(const struct gsn_tets *mesh, const struct gsn_cells *
         r = gsn_cells_surface(cells, &surface, err);
     if (r < 0)
         return r;
-    return same(gsn_domain_area(mesh),
-                (double)surface->facet_count * cells->edge_um * cells->edge_um, "surface", err);
+    return check_same(gsn_domain_area(mesh),
+                      (double)surface->facet_count * cells->edge_um * cells->edge_um, "surface",
+                      err);
 }
 
 /* Marks the voxel centres that a tetrahedron holds, its boundary included. */
 static void mark_tet(const struct gsn_tets *mesh, size_t tet, const struct gsn_lattice *at,
                      uint8_t *held)
 {
-    const struct gsn_vec3 p0 = corner(mesh, tet, 0), a = gsn_vec3_sub(corner(mesh, tet, 1), p0),
-                          b = gsn_vec3_sub(corner(mesh, tet, 2), p0),
-                          c = gsn_vec3_sub(corner(mesh, tet, 3), p0);
+    const struct gsn_vec3 p0 = corner_of(mesh, tet, 0),
+                          a = gsn_vec3_sub(corner_of(mesh, tet, 1), p0),
+                          b = gsn_vec3_sub(corner_of(mesh, tet, 2), p0),
+                          c = gsn_vec3_sub(corner_of(mesh, tet, 3), p0);
     const struct gsn_vec3 bc = gsn_vec3_cross(b, c), ca = gsn_vec3_cross(c, a),
                           ab = gsn_vec3_cross(a, b);
     const double det = gsn_vec3_dot(a, bc);
@@ -559,7 +561,7 @@ static int verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *reg
 int gsn_domain_verify_cells(const struct gsn_tets *mesh, const struct gsn_cells *cells,
                             const struct gsn_mask *region, struct gsn_error *err)
 {
-    int r = same(gsn_domain_volume(mesh), gsn_cells_volume(cells), "volume", err);
+    int r = check_same(gsn_domain_volume(mesh), gsn_cells_volume(cells), "volume", err);
 
     if (r >= 0)
         r = verify_boundary(mesh, cells, err);

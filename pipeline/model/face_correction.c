@@ -36,12 +36,12 @@
 /* Room for rounding in tests that only spare work, relative to the size of the face. */
 #define SLACK 1e-10
 
-static double least(double a, double b)
+static double smaller_of(double a, double b)
 {
     return a < b ? a : b;
 }
 
-static double greatest(double a, double b)
+static double larger_of(double a, double b)
 {
     return a > b ? a : b;
 }
@@ -100,12 +100,12 @@ static void turn_knots(const struct gsn_dms *space, struct gsn_prism *prism)
             prism->at[c][i] = place;
             far += place * place;
         }
-        prism->size = greatest(prism->size, sqrt(far));
+        prism->size = larger_of(prism->size, sqrt(far));
     }
 }
 
 /* The barycentric coordinates of the projection on the face, as affine functions. */
-static void project(const struct gsn_prism *prism, double ret_mu[3][4])
+static void project_face(const struct gsn_prism *prism, double ret_mu[3][4])
 {
     const unsigned per_cloud = prism->top + 1;
     const double length = prism->at[0][per_cloud];
@@ -122,26 +122,26 @@ static void project(const struct gsn_prism *prism, double ret_mu[3][4])
 
 /* How far the knots reach along the normal and in the face's barycentric coordinates, the latter
  * by knots of the other clouds (high) and of all (low). */
-static void bound(const struct gsn_dms *space, struct gsn_prism *prism)
+static void bound_knots(const struct gsn_dms *space, struct gsn_prism *prism)
 {
     const unsigned per_cloud = prism->top + 1;
     double mu[3][4], low[3] = { 0 }, high[3] = { 0 }, under = 0, over = 0;
 
-    project(prism, mu);
+    project_face(prism, mu);
     for (unsigned i = 0; i < 3 * per_cloud; i++) {
         const double *knot =
             space->knot[prism->vertex[i / per_cloud] * (space->degree + 1) + i % per_cloud];
         double d[3];
 
         gsn_subtract(knot, prism->origin, d);
-        under = least(under, prism->at[2][i]);
-        over = greatest(over, prism->at[2][i]);
+        under = smaller_of(under, prism->at[2][i]);
+        over = larger_of(over, prism->at[2][i]);
         for (unsigned m = 0; m < 3; m++) {
             const double value = gsn_dot(mu[m], d) + mu[m][3];
 
-            low[m] = least(low[m], value);
+            low[m] = smaller_of(low[m], value);
             if (m != i / per_cloud)
-                high[m] = greatest(high[m], value);
+                high[m] = larger_of(high[m], value);
         }
     }
     for (int m = 0; m < 3; m++) {
@@ -198,7 +198,7 @@ int gsn_prism_init(const struct gsn_dms *space, size_t tet, unsigned corner,
     turn_knots(space, ret_prism);
     if (ret_prism->other < 0 && is_outward(ret_prism))
         return 0;
-    bound(space, ret_prism);
+    bound_knots(space, ret_prism);
     return 1;
 }
 
@@ -358,7 +358,7 @@ static void step_again(const struct beside *beside, unsigned corner, const struc
         add_product(ret, row[j], &affine[raised[j + 1]], &affine[raised[0]]);
 }
 
-static double *add(double *to, double sign, const double *c, size_t count)
+static double *add_scaled(double *to, double sign, const double *c, size_t count)
 {
     for (size_t i = 0; i < count; i++)
         to[i] += sign * c[i];
@@ -377,16 +377,16 @@ static void add_side_jump(const struct beside *beside, unsigned degree, unsigned
                       &affine[passed[i][0]]);
         for (unsigned corner = 0; corner < 3; corner++) {
             step_again(beside, corner, affine, &quadratic);
-            poly = add(poly, sign, quadratic.c, 10);
+            poly = add_scaled(poly, sign, quadratic.c, 10);
         }
         for (int i = 3; i < 9; i++)
-            poly = add(poly, sign, affine[on_face[i]].c, 4);
+            poly = add_scaled(poly, sign, affine[on_face[i]].c, 4);
     } else if (degree == 2) {
         for (unsigned corner = 0; corner < 3; corner++) {
             const uint8_t gamma[4] = { corner == 0, corner == 1, corner == 2, 0 };
 
             step_once(beside, gamma, gsn_simplex_raised[corner], &affine[0]);
-            poly = add(poly, sign, affine[0].c, 4);
+            poly = add_scaled(poly, sign, affine[0].c, 4);
         }
     }
     for (unsigned i = first_on_face[degree]; top == degree && i < gsn_face_correction_sets(top);
@@ -498,7 +498,7 @@ static void prepare_weights(struct gsn_face_correction *seam, unsigned from, uns
 
 /* What points clear of all clouds need, or (all = 1) the rest too. A set keeps the W it was given
  * first. */
-static void prepare(struct gsn_face_correction *seam, int all)
+static void prepare_part(struct gsn_face_correction *seam, int all)
 {
     const struct gsn_face_correction_tables *t = seam->tables;
 
@@ -522,7 +522,7 @@ void gsn_face_correction_init(struct gsn_face_correction *seam, const struct gsn
     for (unsigned i = 0; i < seam->tables->knots; i++)
         seam->knot[i] = space->knot[prism->vertex[i / (prism->top + 1)] * (space->degree + 1) +
                                     i % (prism->top + 1)];
-    prepare(seam, 0);
+    prepare_part(seam, 0);
     if (control)
         gsn_face_correction_jumps(space, prism, control, seam->data.poly);
 }
@@ -530,7 +530,7 @@ void gsn_face_correction_init(struct gsn_face_correction *seam, const struct gsn
 void gsn_face_correction_complete(struct gsn_face_correction *seam)
 {
     if (!seam->all)
-        prepare(seam, 1);
+        prepare_part(seam, 1);
 }
 
 /* One point that a kernel could not be sure of: the sides of near planes are decided exactly. */
@@ -769,7 +769,7 @@ struct row {
     int full;
 };
 
-static void put(struct row *row, uint32_t control, double value)
+static void put_entry(struct row *row, uint32_t control, double value)
 {
     size_t low = 0, high = row->count;
 
@@ -802,7 +802,7 @@ struct adjoint {
 };
 
 /* Hands them down to the control points. */
-static void descend(struct row *row, size_t tet, struct adjoint *adjoint)
+static void descend_row(struct row *row, size_t tet, struct adjoint *adjoint)
 {
     const struct gsn_dms *space = row->space;
     const uint32_t *id = gsn_dms_control_ids(space, tet), *v = space->mesh->tet[tet];
@@ -830,7 +830,7 @@ static void descend(struct row *row, size_t tet, struct adjoint *adjoint)
     }
     for (size_t f = 0; f < gsn_dms_functions(space); f++) {
         if (adjoint->of[space->degree][f] != 0)
-            put(row, id[f], adjoint->of[space->degree][f]);
+            put_entry(row, id[f], adjoint->of[space->degree][f]);
     }
 }
 
@@ -859,7 +859,7 @@ static void add_side_row(struct row *row, const struct gsn_prism *prism, size_t 
             adjoint.of[m][gsn_simplex_place(own)] = sign * *weight++;
         } while (gsn_simplex_next(gamma));
     }
-    descend(row, tet, &adjoint);
+    descend_row(row, tet, &adjoint);
 }
 
 static void add_weights(void *context, size_t tet, unsigned corner)
@@ -891,7 +891,7 @@ int gsn_face_correction_row(const struct gsn_dms *space, size_t home, const doub
     };
     struct adjoint adjoint = { { { 1 } } };
 
-    descend(&row, home, &adjoint);
+    descend_row(&row, home, &adjoint);
     gsn_face_correction_each(space, home, u, add_weights, &row);
     *ret_count = row.count;
     return row.full ? GSN_E_LIMIT : GSN_OK;
@@ -929,7 +929,7 @@ static double jump_at(const double *c, unsigned degree, const double u[3])
 
 /* What M(set) is multiplied by in the sum of the face: downwards from the T_g, each of which brings
  * D_g plane_g, to the leaves. */
-static double factor(const struct part *part, unsigned set, const double u[3])
+static double part_factor(const struct part *part, unsigned set, const double u[3])
 {
     const struct gsn_face_correction *seam = part->seam;
     const struct gsn_face_correction_tables *tables = seam->tables;
@@ -944,7 +944,7 @@ static double factor(const struct part *part, unsigned set, const double u[3])
         const double weight = affine_at(seam->data.weight[w], u);
 
         if (weight != 0)
-            sum += weight * factor(part, tables->leaves[1] + tables->weight[w].node, u);
+            sum += weight * part_factor(part, tables->leaves[1] + tables->weight[w].node, u);
     }
     return sum;
 }
@@ -968,7 +968,7 @@ static void find_jumps(struct part *part)
 
 /* Over a piece that lies in the cell, by rules that are exact for degree 2 (Hammer, Marlowe and
  * Stroud) and 3 (Keast). */
-static double integrate(const struct part *part, const double (*corner)[3])
+static double integrate_piece(const struct part *part, const double (*corner)[3])
 {
     const int cubic = part->seam->degree == 3;
     const double near = cubic ? 0.5 : (5 + 3 * sqrt(5)) / 20, far = (1 - near) / 3;
@@ -983,41 +983,41 @@ static double integrate(const struct part *part, const double (*corner)[3])
 
             u[c] = i == 4 ? all / 4 : far * all + (near - far) * corner[i][c];
         }
-        sum += (i == 4 ? -0.8 : cubic ? 0.45 : 0.25) * factor(part, part->leaf, u);
+        sum += (i == 4 ? -0.8 : cubic ? 0.45 : 0.25) * part_factor(part, part->leaf, u);
     }
     return volume * sum;
 }
 
 /* The integral over the piece's part on the inner side of the cell's faces from this one on. An
  * edge across the plane is cut in two, and the piece with it, until none is. */
-static double clip(const struct part *part, unsigned face, const double (*corner)[3])
+static double clip_integral(const struct part *part, unsigned face, const double (*corner)[3])
 {
     double lambda[4][4], piece[4][3], at, sum;
     int in = -1, out = -1;
 
     if (face == 4)
-        return integrate(part, corner);
+        return integrate_piece(part, corner);
     for (int i = 0; i < 4; i++) {
         gsn_barycentric_at(&part->cell, corner[i], lambda[i]);
         in = lambda[i][face] > GSN_DMS_SLACK ? i : in;
         out = lambda[i][face] < -GSN_DMS_SLACK ? i : out;
     }
     if (out < 0)
-        return clip(part, face + 1, corner);
+        return clip_integral(part, face + 1, corner);
     if (in < 0)
         return 0;
     at = lambda[in][face] / (lambda[in][face] - lambda[out][face]);
     memcpy(piece, corner, sizeof piece);
     for (int c = 0; c < 3; c++)
         piece[out][c] = corner[in][c] + at * (corner[out][c] - corner[in][c]);
-    sum = clip(part, face, (const double(*)[3])piece);
+    sum = clip_integral(part, face, (const double(*)[3])piece);
     memcpy(piece[in], piece[out], sizeof *piece);
     memcpy(piece[out], corner[out], sizeof *piece);
-    return sum + clip(part, face, (const double(*)[3])piece);
+    return sum + clip_integral(part, face, (const double(*)[3])piece);
 }
 
 /* A bit per face of the cell that a knot lies beyond. */
-static unsigned beyond(const struct part *part, const double knot[3])
+static unsigned faces_beyond(const struct part *part, const double knot[3])
 {
     double lambda[4];
     unsigned faces = 0;
@@ -1057,7 +1057,7 @@ double gsn_face_correction_integral(struct gsn_face_correction *seam, const doub
     for (unsigned i = 0; i < seam->tables->knots; i++) {
         for (int c = 0; c < 3; c++)
             knot[i][c] = seam->prism->at[c][i];
-        off[i] = beyond(&part, knot[i]);
+        off[i] = faces_beyond(&part, knot[i]);
     }
     for (unsigned l = 0; l < seam->tables->leaves[1]; l++) {
         const uint8_t *m = seam->tables->leaf[l];
@@ -1068,7 +1068,7 @@ double gsn_face_correction_integral(struct gsn_face_correction *seam, const doub
         for (int i = 0; i < 4; i++)
             memcpy(own[i], knot[m[i]], sizeof own[i]);
         part.leaf = l;
-        sum += seam->data.leaf[l] * clip(&part, 0, (const double(*)[3])own);
+        sum += seam->data.leaf[l] * clip_integral(&part, 0, (const double(*)[3])own);
     }
     return sum;
 }

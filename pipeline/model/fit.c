@@ -26,7 +26,7 @@
 
 /* --- the gradient penalty --- */
 
-static double factorial(unsigned n)
+static double factorial_of(unsigned n)
 {
     double product = 1;
 
@@ -46,10 +46,10 @@ static double mean_product(const uint8_t *beta, unsigned k, const uint8_t *gamma
     for (unsigned c = 0; c < 4; c++) {
         const unsigned a = beta[c] - (unsigned)(c == k), b = gamma[c] - (unsigned)(c == l);
 
-        value *= factorial(a + b) / factorial(a) / factorial(b);
+        value *= factorial_of(a + b) / factorial_of(a) / factorial_of(b);
         m += a;
     }
-    return value * factorial(m) * factorial(m) / factorial(2 * m + 3);
+    return value * factorial_of(m) * factorial_of(m) / factorial_of(2 * m + 3);
 }
 
 void gsn_fit_smooth_init(struct gsn_fit_smooth *smooth, const struct gsn_dms *space)
@@ -65,7 +65,7 @@ void gsn_fit_smooth_init(struct gsn_fit_smooth *smooth, const struct gsn_dms *sp
 }
 
 /* dot[k][l] = grad lambda_k . grad lambda_l. */
-static void gradients(const struct gsn_tets *mesh, size_t tet, double dot[4][4])
+static void dot_gradients(const struct gsn_tets *mesh, size_t tet, double dot[4][4])
 {
     const uint32_t *v = mesh->tet[tet];
     double gradient[4][3];
@@ -90,7 +90,7 @@ void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_te
     const double scale = weight * n * n * gsn_tets_volume(mesh, tet);
     double dot[4][4];
 
-    gradients(mesh, tet, dot);
+    dot_gradients(mesh, tet, dot);
     for (size_t f = 0; f < smooth->functions; f++)
         for (size_t g = f; g < smooth->functions; g++) {
             double sum = 0;
@@ -138,7 +138,7 @@ static double penalty_weight(const struct gsn_fit_rows *rows, double smoothing)
            pow(6 * sqrt(2) * volume / (double)mesh->tet_count, 2.0 / 3);
 }
 
-static int smooth(struct gsn_fit_rows *rows, double smoothing, struct gsn_error *err)
+static int add_penalty(struct gsn_fit_rows *rows, double smoothing, struct gsn_error *err)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(rows->space);
     const double weight = penalty_weight(rows, smoothing);
@@ -153,8 +153,8 @@ static int smooth(struct gsn_fit_rows *rows, double smoothing, struct gsn_error 
 }
 
 /* gives: the control values of the fit. */
-static int solve(struct gsn_fit_rows *rows, const struct gsn_fit_options *options,
-                 double **ret_control, unsigned *ret_iterations, struct gsn_error *err)
+static int solve_system(struct gsn_fit_rows *rows, const struct gsn_fit_options *options,
+                        double **ret_control, unsigned *ret_iterations, struct gsn_error *err)
 {
     struct gsn_fit_system system = { .unknowns = 0 };
     gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(rows->space), sizeof *control);
@@ -162,7 +162,7 @@ static int solve(struct gsn_fit_rows *rows, const struct gsn_fit_options *option
 
     if (!control)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the control points");
-    r = smooth(rows, options->smoothing, err);
+    r = add_penalty(rows, options->smoothing, err);
     if (r >= 0)
         r = gsn_fit_system_assemble(&system, rows, options->threads, err);
     gsn_progress_say(options->progress, "fit", 2, STEPS);
@@ -191,8 +191,8 @@ static void figures_done(struct figures *figures)
     gsn_free(figures->tet_rms);
 }
 
-static int figure(const struct gsn_fit_rows *rows, const double *control, unsigned threads,
-                  struct figures *figures, struct gsn_error *err)
+static int find_figures(const struct gsn_fit_rows *rows, const double *control, unsigned threads,
+                        struct figures *figures, struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(rows->space)->tet_count;
     gsn_auto_mem(struct gsn_fit_residual) residual = gsn_alloc_array(tets, sizeof *residual);
@@ -234,10 +234,10 @@ static int fit_rows(struct gsn_fit_rows *rows, const struct gsn_samples *samples
         r = gsn_fit_rows_evaluate(rows, options->threads, err);
     gsn_progress_say(options->progress, "fit", 1, STEPS);
     if (r >= 0)
-        r = solve(rows, options, &control, &figures->report.iterations, err);
+        r = solve_system(rows, options, &control, &figures->report.iterations, err);
     gsn_progress_say(options->progress, "fit", 3, STEPS);
     if (r >= 0)
-        r = figure(rows, control, options->threads, figures, err);
+        r = find_figures(rows, control, options->threads, figures, err);
     if (r >= 0)
         r = gsn_spline_new(space, control, &spline, err);
     gsn_progress_say(options->progress, "fit", STEPS, STEPS);

@@ -25,7 +25,7 @@ static size_t tasks_for(size_t count, size_t each)
     return (count + each - 1) / each;
 }
 
-static size_t smaller(size_t a, size_t b)
+static size_t smaller_of(size_t a, size_t b)
 {
     return a < b ? a : b;
 }
@@ -41,7 +41,7 @@ static int locate_task(size_t task, void *context, struct gsn_error *err)
 {
     const struct location *where = context;
     const struct gsn_samples *samples = where->rows->samples;
-    const size_t end = smaller((task + 1) * SAMPLES_A_TASK, samples->count);
+    const size_t end = smaller_of((task + 1) * SAMPLES_A_TASK, samples->count);
     size_t tet = 0;
 
     for (size_t i = task * SAMPLES_A_TASK; i < end; i++) {
@@ -58,7 +58,7 @@ static int locate_task(size_t task, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int sort(struct gsn_fit_rows *rows, const uint32_t *tet, struct gsn_error *err)
+static int sort_samples(struct gsn_fit_rows *rows, const uint32_t *tet, struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(rows->space)->tet_count, count = rows->samples->count;
 
@@ -100,7 +100,7 @@ int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
     for (size_t i = 0; i < samples->count; i++)
         sum += samples->value[i];
     rows->mean = sum / (double)samples->count;
-    return sort(rows, tet, err);
+    return sort_samples(rows, tet, err);
 }
 
 /* ---- what every sample contributes ---- */
@@ -177,7 +177,7 @@ static int out_of_memory(struct gsn_error *err)
 }
 
 /* array: the address of a pointer of any type. */
-static bool grow(void *array, size_t room, size_t size)
+static bool grow_array(void *array, size_t room, size_t size)
 {
     void *larger;
 
@@ -193,17 +193,17 @@ static bool room_for_row(struct part *part, size_t terms)
     if (part->rows == part->row_room) {
         const size_t room = 2 * part->row_room + 64;
 
-        if (!grow(&part->end, room, sizeof *part->end) ||
-            !grow(&part->sample, room, sizeof *part->sample) ||
-            !grow(&part->target, room, sizeof *part->target))
+        if (!grow_array(&part->end, room, sizeof *part->end) ||
+            !grow_array(&part->sample, room, sizeof *part->sample) ||
+            !grow_array(&part->target, room, sizeof *part->target))
             return false;
         part->row_room = room;
     }
     if (part->terms + terms > part->term_room) {
         const size_t room = 2 * (part->term_room + terms) + 1024;
 
-        if (!grow(&part->control, room, sizeof *part->control) ||
-            !grow(&part->value, room, sizeof *part->value))
+        if (!grow_array(&part->control, room, sizeof *part->control) ||
+            !grow_array(&part->value, room, sizeof *part->value))
             return false;
         part->term_room = room;
     }
@@ -252,7 +252,7 @@ static int evaluate_tets(struct gsn_fit_rows *rows, struct part *part, size_t fi
             if (r < 0)
                 return r;
         }
-        rows->seam_of_tet[t + 1] = part->rows; /* of this task so far; join() makes it all */
+        rows->seam_of_tet[t + 1] = part->rows; /* of this task so far; join_parts() makes it all */
     }
     return GSN_OK;
 }
@@ -263,8 +263,8 @@ static int evaluate_task(size_t task, void *context, struct gsn_error *err)
     const size_t first = task * TETS_A_TASK;
     const size_t tets = gsn_dms_mesh(work->rows->space)->tet_count;
 
-    return evaluate_tets(work->rows, &work->part[task], first, smaller(first + TETS_A_TASK, tets),
-                         err);
+    return evaluate_tets(work->rows, &work->part[task], first,
+                         smaller_of(first + TETS_A_TASK, tets), err);
 }
 
 static void part_done(struct part *part)
@@ -278,7 +278,8 @@ static void part_done(struct part *part)
 }
 
 /* Puts the parts, in their order, into one list, and gives each back as soon as it is in. */
-static int join(struct gsn_fit_rows *rows, struct part *part, size_t parts, struct gsn_error *err)
+static int join_parts(struct gsn_fit_rows *rows, struct part *part, size_t parts,
+                      struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(rows->space)->tet_count;
     size_t terms = 0, row = 0, at = 0;
@@ -296,7 +297,7 @@ static int join(struct gsn_fit_rows *rows, struct part *part, size_t parts, stru
         !rows->seam_value)
         return out_of_memory(err);
     for (size_t p = 0; p < parts; p++) {
-        const size_t end = smaller((p + 1) * TETS_A_TASK, tets);
+        const size_t end = smaller_of((p + 1) * TETS_A_TASK, tets);
 
         for (size_t t = p * TETS_A_TASK; t < end; t++)
             rows->seam_of_tet[t + 1] += row;
@@ -330,7 +331,7 @@ int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gs
         return out_of_memory(err);
     r = gsn_parallel_for(tasks, threads, evaluate_task, &work, err);
     if (r >= 0)
-        r = join(rows, part, tasks, err);
+        r = join_parts(rows, part, tasks, err);
     for (size_t p = 0; p < tasks; p++)
         part_done(&part[p]);
     return r;
@@ -407,7 +408,7 @@ static int compare_task(size_t task, void *context, struct gsn_error *err)
 {
     const struct comparison *with = context;
     const size_t end =
-        smaller((task + 1) * TETS_A_TASK, gsn_dms_mesh(with->rows->space)->tet_count);
+        smaller_of((task + 1) * TETS_A_TASK, gsn_dms_mesh(with->rows->space)->tet_count);
 
     (void)err;
     for (size_t t = task * TETS_A_TASK; t < end; t++)

@@ -38,7 +38,7 @@ static int out_of_memory(struct gsn_error *err)
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for the normal equations");
 }
 
-static size_t smaller(size_t a, size_t b)
+static size_t smaller_of(size_t a, size_t b)
 {
     return a < b ? a : b;
 }
@@ -85,9 +85,9 @@ static void row_add(struct row *row, size_t i, uint32_t column, double value)
 }
 
 /* Entry f, g of a symmetric block whose entries f <= g are stored row by row. */
-static size_t packed(size_t functions, size_t f, size_t g)
+static size_t packed_index(size_t functions, size_t f, size_t g)
 {
-    const size_t low = smaller(f, g), high = f + g - low;
+    const size_t low = smaller_of(f, g), high = f + g - low;
 
     return low * functions - low * (low + 1) / 2 + high;
 }
@@ -104,7 +104,8 @@ static void row_sum(const struct assembly *work, size_t i, struct row *row)
         const double *block = rows->block + tet * rows->packed;
 
         for (size_t g = 0; g < functions; g++)
-            row_add(row, i, work->control[tet * functions + g], block[packed(functions, f, g)]);
+            row_add(row, i, work->control[tet * functions + g],
+                    block[packed_index(functions, f, g)]);
         row->right += rows->right[place];
     }
     for (size_t p = work->terms.first[i]; p < work->terms.first[i + 1]; p++) {
@@ -178,7 +179,7 @@ static int assemble_task(size_t task, void *context, struct gsn_error *err)
 
     if (!sum || !mark || !column)
         return out_of_memory(err);
-    return assemble_rows(work, first, smaller(first + ROWS_A_TASK, unknowns), &row,
+    return assemble_rows(work, first, smaller_of(first + ROWS_A_TASK, unknowns), &row,
                          &work->part[task], err);
 }
 
@@ -189,8 +190,8 @@ static void part_done(struct part *part)
     *part = (struct part){ .column = NULL };
 }
 
-static int join(struct gsn_fit_system *system, struct part *part, size_t parts,
-                struct gsn_error *err)
+static int join_parts(struct gsn_fit_system *system, struct part *part, size_t parts,
+                      struct gsn_error *err)
 {
     size_t at = 0;
 
@@ -253,7 +254,7 @@ int gsn_fit_system_assemble(struct gsn_fit_system *system, const struct gsn_fit_
     if (r >= 0)
         r = gsn_parallel_for(parts, threads, assemble_task, &work, err);
     if (r >= 0)
-        r = join(system, work.part, parts, err);
+        r = join_parts(system, work.part, parts, err);
     for (size_t p = 0; work.part && p < parts; p++)
         part_done(&work.part[p]);
     users_done(&work.places);
@@ -275,7 +276,7 @@ void gsn_fit_system_done(struct gsn_fit_system *system)
 
 /* ---- conjugate gradients ---- */
 
-static void multiply(const struct gsn_fit_system *system, const double *x, double *ret)
+static void multiply_matrix(const struct gsn_fit_system *system, const double *x, double *ret)
 {
     for (size_t i = 0; i < system->unknowns; i++) {
         double sum = 0;
@@ -286,7 +287,7 @@ static void multiply(const struct gsn_fit_system *system, const double *x, doubl
     }
 }
 
-static double dot(const double *a, const double *b, size_t count)
+static double dot_product(const double *a, const double *b, size_t count)
 {
     double sum = 0;
 
@@ -339,8 +340,8 @@ int gsn_fit_system_solve(const struct gsn_fit_system *system, double tolerance, 
             *ret_iterations = iteration;
             return GSN_OK;
         }
-        multiply(system, way, image);
-        curvature = dot(way, image, n);
+        multiply_matrix(system, way, image);
+        curvature = dot_product(way, image, n);
         if (!(curvature > 0))
             return gsn_fail(err, GSN_E_FIT, "the normal equations are not positive");
         now = 0;

@@ -61,7 +61,8 @@
 #ifndef GSN_FACE_CORRECTION_CAREFUL
 
 /* c + p (..) and so on, innermost first; i runs over the coefficients. */
-static inline gsn_simd cubic(unsigned degree, const double *c, gsn_simd p, gsn_simd q, gsn_simd r)
+static inline gsn_simd eval_cubic(unsigned degree, const double *c, gsn_simd p, gsn_simd q,
+                                  gsn_simd r)
 {
 #define C(i) gsn_simd_all(c[i])
     gsn_simd of_p = C(1), of_q = C(2), of_r = C(3);
@@ -88,9 +89,9 @@ static inline gsn_simd cubic(unsigned degree, const double *c, gsn_simd p, gsn_s
 #undef C
 }
 
-static inline void paint(unsigned degree, const struct gsn_paint *paint, const double *y,
-                         const double *z, const struct gsn_rows *rows, const size_t stride[2],
-                         double *ret_value)
+static inline void paint_rows(unsigned degree, const struct gsn_paint *paint, const double *y,
+                              const double *z, const struct gsn_rows *rows, const size_t stride[2],
+                              double *ret_value)
 {
     static const double ramp[GSN_MAX_SIMD_WIDTH] = { 0, 1, 2, 3, 4, 5, 6, 7 };
     const gsn_simd step[3] = { gsn_simd_all(paint->x[0]), gsn_simd_all(paint->x[1]),
@@ -106,9 +107,9 @@ static inline void paint(unsigned degree, const struct gsn_paint *paint, const d
             start[k] = gsn_simd_all(fma(paint->y[k], dy, fma(paint->z[k], dz, paint->at[k])));
         for (int32_t i = rows->low[r]; i < high; i += GSN_SIMD_WIDTH) {
             const gsn_simd at = gsn_simd_all((double)i) + gsn_simd_load(ramp);
-            const gsn_simd value =
-                cubic(degree, paint->coefficient, gsn_simd_fma(at, step[0], start[0]),
-                      gsn_simd_fma(at, step[1], start[1]), gsn_simd_fma(at, step[2], start[2]));
+            const gsn_simd value = eval_cubic(
+                degree, paint->coefficient, gsn_simd_fma(at, step[0], start[0]),
+                gsn_simd_fma(at, step[1], start[1]), gsn_simd_fma(at, step[2], start[2]));
 
             gsn_simd_store_some(&to[i], value, (size_t)(high - i));
         }
@@ -116,7 +117,7 @@ static inline void paint(unsigned degree, const struct gsn_paint *paint, const d
 }
 
 /* The coefficients of the derivative with respect to one variable. */
-static void differentiate(unsigned degree, const double *c, int variable, double *ret)
+static void differentiate_terms(unsigned degree, const double *c, int variable, double *ret)
 {
     /* Of 1, p, q, r, pp, pq, pr, qq, qr, rr: its times, and where its coefficient stands. */
     static const unsigned char from[3][10] = { { 1, 4, 5, 6, 10, 11, 12, 13, 14, 15 },
@@ -131,22 +132,22 @@ static void differentiate(unsigned degree, const double *c, int variable, double
         ret[i] = times[variable][i] * c[from[variable][i]];
 }
 
-static inline void points(unsigned degree, const double *c, const double *const at[3], size_t count,
-                          double *ret_value, double *const ret_slope[3])
+static inline void eval_points(unsigned degree, const double *c, const double *const at[3],
+                               size_t count, double *ret_value, double *const ret_slope[3])
 {
     double steep[3][10];
 
     for (int v = 0; ret_slope && v < 3; v++)
-        differentiate(degree, c, v, steep[v]);
+        differentiate_terms(degree, c, v, steep[v]);
     for (size_t i = 0; i < count; i += GSN_SIMD_WIDTH) {
         const gsn_simd p = gsn_simd_load_some(&at[0][i], count - i);
         const gsn_simd q = gsn_simd_load_some(&at[1][i], count - i);
         const gsn_simd r = gsn_simd_load_some(&at[2][i], count - i);
 
-        gsn_simd_store_some(&ret_value[i], cubic(degree, c, p, q, r), count - i);
+        gsn_simd_store_some(&ret_value[i], eval_cubic(degree, c, p, q, r), count - i);
         for (int v = 0; ret_slope && v < 3; v++) {
             const gsn_simd slope =
-                degree == 1 ? gsn_simd_all(steep[v][0]) : cubic(degree - 1, steep[v], p, q, r);
+                degree == 1 ? gsn_simd_all(steep[v][0]) : eval_cubic(degree - 1, steep[v], p, q, r);
 
             gsn_simd_store_some(&ret_slope[v][i], slope, count - i);
         }
@@ -160,7 +161,7 @@ struct section {
     double at[GSN_MAX_SIMD_WIDTH];
 };
 
-static inline void cut(const struct gsn_lines *lines, double z, struct section *ret)
+static inline void cut_lines(const struct gsn_lines *lines, double z, struct section *ret)
 {
     ret->count = lines->count;
     ret->y = lines->y;
@@ -173,21 +174,21 @@ static inline void cut(const struct gsn_lines *lines, double z, struct section *
     }
 }
 
-static inline gsn_simd line(const struct section *section, unsigned i, gsn_simd y)
+static inline gsn_simd line_at(const struct section *section, unsigned i, gsn_simd y)
 {
     return gsn_simd_fma(gsn_simd_all(section->y[i]), y, gsn_simd_all(section->at[i]));
 }
 
 /* The ends of the part of rows y that a body has; whole numbers, at most one beyond the range. */
-static inline void ends(const struct section section[2], const gsn_simd range[2], gsn_simd y,
-                        gsn_simd ret_end[2])
+static inline void find_ends(const struct section section[2], const gsn_simd range[2], gsn_simd y,
+                             gsn_simd ret_end[2])
 {
     gsn_simd low = range[0], high = range[1];
 
     for (unsigned i = 0; i < section[0].count; i++)
-        low = gsn_simd_max(line(&section[0], i, y), low);
+        low = gsn_simd_max(line_at(&section[0], i, y), low);
     for (unsigned i = 0; i < section[1].count; i++)
-        high = gsn_simd_min(line(&section[1], i, y), high);
+        high = gsn_simd_min(line_at(&section[1], i, y), high);
     ret_end[0] = gsn_simd_min(gsn_simd_ceil(low), range[1] + gsn_simd_all(1));
     ret_end[1] = gsn_simd_max(gsn_simd_floor(high) + gsn_simd_all(1), range[0]);
 }
@@ -206,11 +207,11 @@ static inline void rows_at(const struct gsn_bodies *bodies, const struct section
         gsn_simd outer[2], inner[2];
         unsigned some;
 
-        ends(&section[0], range, at, outer);
+        find_ends(&section[0], range, at, outer);
         some = gsn_simd_below(outer[0], outer[1]) & now;
         if (some == 0)
             continue;
-        ends(&section[2], range, at, inner);
+        find_ends(&section[2], range, at, inner);
         gsn_simd_squeeze(&rows->y[rows->count], gsn_simd_all((double)i) + gsn_simd_load(ramp),
                          some);
         gsn_simd_squeeze(&rows->low[rows->count], outer[0], some);
@@ -223,17 +224,17 @@ static inline void rows_at(const struct gsn_bodies *bodies, const struct section
     }
 }
 
-static void rows(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
-                 size_t zs, struct gsn_rows *ret_rows)
+static void find_rows(const struct gsn_bodies *bodies, const double *y, size_t ys, const double *z,
+                      size_t zs, struct gsn_rows *ret_rows)
 {
     struct section section[4];
 
     ret_rows->count = 0;
     for (size_t i = 0; i < zs; i++) {
-        cut(&bodies->outer.low, z[i] - bodies->origin[1], &section[0]);
-        cut(&bodies->outer.high, z[i] - bodies->origin[1], &section[1]);
-        cut(&bodies->inner.low, z[i] - bodies->origin[1], &section[2]);
-        cut(&bodies->inner.high, z[i] - bodies->origin[1], &section[3]);
+        cut_lines(&bodies->outer.low, z[i] - bodies->origin[1], &section[0]);
+        cut_lines(&bodies->outer.high, z[i] - bodies->origin[1], &section[1]);
+        cut_lines(&bodies->inner.low, z[i] - bodies->origin[1], &section[2]);
+        cut_lines(&bodies->inner.high, z[i] - bodies->origin[1], &section[3]);
         rows_at(bodies, section, y, ys, (int32_t)i, ret_rows);
     }
 }
@@ -242,12 +243,12 @@ static void rows(const struct gsn_bodies *bodies, const double *y, size_t ys, co
     static void paint##n(const struct gsn_paint *what, const double *y, const double *z,           \
                          const struct gsn_rows *rows, const size_t stride[2], double *ret_value)   \
     {                                                                                              \
-        paint(n, what, y, z, rows, stride, ret_value);                                             \
+        paint_rows(n, what, y, z, rows, stride, ret_value);                                        \
     }                                                                                              \
     static void points##n(const double *c, const double *const at[3], size_t count,                \
                           double *ret_value, double *const ret_slope[3])                           \
     {                                                                                              \
-        points(n, c, at, count, ret_value, ret_slope);                                             \
+        eval_points(n, c, at, count, ret_value, ret_slope);                                        \
     }
 
 OF_DEGREE(1)
@@ -261,7 +262,7 @@ const struct gsn_kernels GSN_ISA = {
     .lanes = GSN_SIMD_WIDTH,
     .seam = { CHOICES },
 #ifndef GSN_FACE_CORRECTION_CAREFUL
-    .rows = rows,
+    .rows = find_rows,
     .paint = { NULL, paint1, paint2, paint3 },
     .points = { NULL, points1, points2, points3 },
 #endif

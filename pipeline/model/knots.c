@@ -215,8 +215,8 @@ static void hand_over(unsigned degree, unsigned r, const double *value,
 
 /* One step of the polar form, from |gamma| = level + 1 to level, with argument u. In place: no
  * gamma + e_j comes before gamma. */
-static void step(unsigned degree, unsigned level, const double (*knot)[3], const double u[3],
-                 double *value)
+static void step_polar(unsigned degree, unsigned level, const double (*knot)[3], const double u[3],
+                       double *value)
 {
     uint8_t gamma[4] = { (uint8_t)level, 0, 0, 0 };
 
@@ -250,7 +250,8 @@ static void split_control(const struct gsn_spline *spline, size_t tet, const dou
     for (unsigned r = 0; r <= space->degree; r++) {
         hand_over(space->degree, r, value, ret_control);
         if (r < space->degree)
-            step(space->degree, space->degree - r - 1, (const double(*)[3])knot, knots[r], value);
+            step_polar(space->degree, space->degree - r - 1, (const double(*)[3])knot, knots[r],
+                       value);
     }
 }
 

@@ -366,7 +366,7 @@ int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model
 
 /* ---- reading ------------------------------------------------------------------------------- */
 
-static int refuse(const char *item, struct gsn_error *err)
+static int refuse_item(const char *item, struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_INPUT,
                     "this is no model that gieson kept, or it is damaged: \"%s\" is missing or of "
@@ -389,12 +389,12 @@ static int read_array(hid_t group, const char *name, hid_t held, size_t item_siz
         H5Sget_simple_extent_dims(shape, extent, NULL) != rank || extent[0] == 0 ||
         extent[0] > MOST_TETS || (columns && extent[1] != columns) ||
         (*ret_rows && extent[0] != *ret_rows))
-        return refuse(name, err);
+        return refuse_item(name, err);
     values = gsn_alloc_array(extent[0] * (columns ? columns : 1), item_size);
     if (!values)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for \"%s\" of a model", name);
     if (H5Dread(set, held, H5S_ALL, H5S_ALL, H5P_DEFAULT, values) < 0)
-        return refuse(name, err);
+        return refuse_item(name, err);
     *ret_rows = extent[0];
     *(void **)ret_values = gsn_steal(&values);
     return GSN_OK;
@@ -429,12 +429,12 @@ static int read_text(hid_t group, const char *name, char **ret_text, struct gsn_
     gsn_auto_mem(char) text = NULL;
 
     if (size == 0 || H5Tget_class(type) != H5T_STRING || H5Tis_variable_str(type) != 0)
-        return refuse(name, err);
+        return refuse_item(name, err);
     text = gsn_alloc(size + 1);
     if (!text)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the name of a model");
     if (H5Aread(attribute, type, text) < 0)
-        return refuse(name, err);
+        return refuse_item(name, err);
     text[size] = '\0';
     *ret_text = gsn_steal(&text);
     return GSN_OK;
@@ -447,14 +447,14 @@ static int read_facts(hid_t group, int64_t ret_facts[3], struct gsn_error *err)
 
     if (shape < 0 || H5Sget_simple_extent_npoints(shape) != 3 ||
         H5Aread(attribute, H5T_NATIVE_INT64, ret_facts) < 0)
-        return refuse("format, degree, sharing", err);
+        return refuse_item("format, degree, sharing", err);
     if (ret_facts[0] < 1 || ret_facts[0] > FORMAT)
         return gsn_fail(err, GSN_E_INPUT,
                         "this model was kept by a newer gieson (format %d, this one knows %d)",
                         (int)ret_facts[0], FORMAT);
     if (ret_facts[1] < 1 || ret_facts[1] > GSN_DMS_MAX_DEGREE ||
         (ret_facts[2] != GSN_DMS_SHARED && ret_facts[2] != GSN_DMS_OWN))
-        return refuse("format, degree, sharing", err);
+        return refuse_item("format, degree, sharing", err);
     return GSN_OK;
 }
 
@@ -469,7 +469,7 @@ static int read_notes(hid_t group, struct gsn_model *model, struct gsn_error *er
         r = read_array(group, "parameters", H5T_NATIVE_UINT8, 1, 0, &length, &model->parameters,
                        err);
     if (r >= 0 && model->parameters[length - 1] != '\0')
-        r = refuse("parameters", err);
+        r = refuse_item("parameters", err);
     return r;
 }
 
@@ -502,7 +502,7 @@ static int read_spline(hid_t group, const int64_t facts[3], struct gsn_model *mo
         r = gsn_dms_new(mesh, (unsigned)facts[1], (const double(*)[3])knots,
                         (enum gsn_dms_sharing)facts[2], &model->space, err);
     if (r >= 0 && gsn_dms_controls(model->space) != controls)
-        r = refuse("controls", err);
+        r = refuse_item("controls", err);
     return r < 0 ? r : gsn_spline_new(model->space, control, &model->spline, err);
 }
 
@@ -514,7 +514,7 @@ static int read_region(hid_t above, struct gsn_mask **ret_region, struct gsn_err
     gsn_auto_mem(uint8_t) inside = NULL;
     size_t numbers = 9, voxels = 0;
     struct gsn_lattice at;
-    int r = group < 0 ? refuse("region", err)
+    int r = group < 0 ? refuse_item("region", err)
                       : read_array(group, "lattice", H5T_NATIVE_DOUBLE, sizeof(double), 0, &numbers,
                                    &number, err);
 
@@ -524,7 +524,7 @@ static int read_region(hid_t above, struct gsn_mask **ret_region, struct gsn_err
         return r;
     for (int k = 0; k < 3; k++)
         if (!(number[k] >= 1 && number[k] <= (double)voxels && number[6 + k] > 0))
-            return refuse("lattice", err);
+            return refuse_item("lattice", err);
     at = (struct gsn_lattice){ .nx = (size_t)number[0],
                                .ny = (size_t)number[1],
                                .nz = (size_t)number[2],
@@ -532,7 +532,7 @@ static int read_region(hid_t above, struct gsn_mask **ret_region, struct gsn_err
                                .step_um = { number[6], number[7], number[8] } };
     /* Each is at most as large as their number, which is bounded: the product cannot overflow. */
     if (at.nx * at.ny > voxels || gsn_lattice_count(&at) != voxels)
-        return refuse("lattice", err);
+        return refuse_item("lattice", err);
     r = gsn_mask_new(&at, &region, err);
     if (r < 0)
         return r;
@@ -572,7 +572,7 @@ int gsn_model_file_read(const uint8_t *bytes, size_t size, struct gsn_model **re
     assert(bytes && ret_model);
 
     if (group < 0 || cells < 0)
-        return refuse("gieson", err);
+        return refuse_item("gieson", err);
     model = gsn_alloc_array(1, sizeof *model);
     if (!model)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a model");

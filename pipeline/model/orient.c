@@ -12,7 +12,7 @@ struct expansion {
     double part[LONGEST];
 };
 
-static void append(struct expansion *e, double part)
+static void append_part(struct expansion *e, double part)
 {
     if (part != 0)
         e->part[e->count++] = part;
@@ -38,18 +38,19 @@ static double two_product(double a, double b, double *rest)
     return product;
 }
 
-static void difference(double a, double b, struct expansion *ret)
+static void exact_difference(double a, double b, struct expansion *ret)
 {
     double rest;
     const double sum = two_sum(a, -b, &rest);
 
     ret->count = 0;
-    append(ret, rest);
-    append(ret, sum);
+    append_part(ret, rest);
+    append_part(ret, sum);
 }
 
 /* Shewchuk's fast expansion sum: merge by magnitude, then carry upwards. */
-static void add(const struct expansion *e, const struct expansion *f, struct expansion *ret)
+static void add_expansions(const struct expansion *e, const struct expansion *f,
+                           struct expansion *ret)
 {
     double carry = 0, rest;
     int i = 0, j = 0;
@@ -60,13 +61,13 @@ static void add(const struct expansion *e, const struct expansion *f, struct exp
         const double next = from_e ? e->part[i++] : f->part[j++];
 
         carry = two_sum(carry, next, &rest);
-        append(ret, rest);
+        append_part(ret, rest);
     }
-    append(ret, carry);
+    append_part(ret, carry);
 }
 
 /* Shewchuk's scale expansion: e times one double. */
-static void scale(const struct expansion *e, double by, struct expansion *ret)
+static void scale_expansion(const struct expansion *e, double by, struct expansion *ret)
 {
     double carry = 0, rest;
 
@@ -76,15 +77,16 @@ static void scale(const struct expansion *e, double by, struct expansion *ret)
         const double high = two_product(e->part[i], by, &low);
         const double sum = two_sum(carry, low, &rest);
 
-        append(ret, rest);
+        append_part(ret, rest);
         carry = two_sum(high, sum, &rest);
-        append(ret, rest);
+        append_part(ret, rest);
     }
-    append(ret, carry);
+    append_part(ret, carry);
 }
 
 /* f has at most two parts: a difference. */
-static void multiply(const struct expansion *e, const struct expansion *f, struct expansion *ret)
+static void multiply_expansions(const struct expansion *e, const struct expansion *f,
+                                struct expansion *ret)
 {
     struct expansion first, second;
 
@@ -92,15 +94,15 @@ static void multiply(const struct expansion *e, const struct expansion *f, struc
     if (f->count == 0)
         return;
     if (f->count == 1) {
-        scale(e, f->part[0], ret);
+        scale_expansion(e, f->part[0], ret);
         return;
     }
-    scale(e, f->part[0], &first);
-    scale(e, f->part[1], &second);
-    add(&first, &second, ret);
+    scale_expansion(e, f->part[0], &first);
+    scale_expansion(e, f->part[1], &second);
+    add_expansions(&first, &second, ret);
 }
 
-static void negate(struct expansion *e)
+static void negate_expansion(struct expansion *e)
 {
     for (int i = 0; i < e->count; i++)
         e->part[i] = -e->part[i];
@@ -122,18 +124,18 @@ static void exact_minor(const struct expansion p[3], const struct expansion q[3]
 {
     struct expansion plus, minus;
 
-    multiply(&p[i], &q[j], &plus);
-    multiply(&p[j], &q[i], &minus);
-    negate(&minus);
-    add(&plus, &minus, ret);
+    multiply_expansions(&p[i], &q[j], &plus);
+    multiply_expansions(&p[j], &q[i], &minus);
+    negate_expansion(&minus);
+    add_expansions(&plus, &minus, ret);
 }
 
 static void exact_rows(const double a[3], const double b[3], const double c[3],
                        struct expansion p[3], struct expansion q[3])
 {
     for (int i = 0; i < 3; i++) {
-        difference(b[i], a[i], &p[i]);
-        difference(c[i], a[i], &q[i]);
+        exact_difference(b[i], a[i], &p[i]);
+        exact_difference(c[i], a[i], &q[i]);
     }
 }
 
@@ -145,9 +147,9 @@ static int exact_orient3d(const double a[3], const double b[3], const double c[3
     exact_rows(a, b, c, p, q);
     for (int i = 0; i < 3; i++) {
         exact_minor(p, q, (i + 1) % 3, (i + 2) % 3, &minor);
-        difference(d[i], a[i], &r);
-        multiply(&minor, &r, &term);
-        add(&sum, &term, &next);
+        exact_difference(d[i], a[i], &r);
+        multiply_expansions(&minor, &r, &term);
+        add_expansions(&sum, &term, &next);
         sum = next;
     }
     return sign_of_expansion(&sum);
@@ -203,7 +205,7 @@ static int rounded_det(const double a[3], const double b[3], const double c[3], 
     return rounded;
 }
 
-static int equal(const double a[3], const double b[3])
+static int same_point(const double a[3], const double b[3])
 {
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
@@ -224,7 +226,7 @@ int gsn_orient3d(const double a[3], const double b[3], const double c[3], const 
     if (fabs(det) > GSN_ORIENT_BOUND * permanent)
         return sign_of(det);
     /* The everyday zero: tetrahedra ask about vertices they share. */
-    if (equal(d, a) || equal(d, b) || equal(d, c))
+    if (same_point(d, a) || same_point(d, b) || same_point(d, c))
         return 0;
     if (!rounded_det(a, b, c, d, &det))
         return sign_of(det);

@@ -57,8 +57,8 @@ void gsn_adapt_report_done(struct gsn_adapt_report *report)
     report->tet_rms = NULL;
 }
 
-static int complete(const struct gsn_adapt_options *options, struct gsn_adapt_options *ret,
-                    struct gsn_error *err)
+static int complete_options(const struct gsn_adapt_options *options, struct gsn_adapt_options *ret,
+                            struct gsn_error *err)
 {
     *ret = *options;
     if (ret->degree == 0)
@@ -120,8 +120,8 @@ static size_t over_tolerance(const struct state *state, double tolerance)
     return over;
 }
 
-static void record(struct gsn_adapt_report *report, const struct state *state, double tolerance,
-                   bool accepted)
+static void record_round(struct gsn_adapt_report *report, const struct state *state,
+                         double tolerance, bool accepted)
 {
     report->round[report->rounds++] = (struct gsn_adapt_round){
         .tets = gsn_dms_mesh(state->space)->tet_count,
@@ -146,8 +146,8 @@ static int compare_wishes(const void *a, const void *b)
 }
 
 /* Fills wishes with the tetrahedra worth splitting; returns how many. */
-static size_t collect(const struct state *state, const struct gsn_adapt_options *options,
-                      struct wish *wishes)
+static size_t collect_wishes(const struct state *state, const struct gsn_adapt_options *options,
+                             struct wish *wishes)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(state->space);
     size_t count = 0;
@@ -174,8 +174,8 @@ static size_t collect(const struct state *state, const struct gsn_adapt_options 
 }
 
 /* How many wishes, from the first, keep the expected unknowns within the budget. */
-static size_t affordable(const struct state *state, const struct wish *wishes, size_t count,
-                         double budget)
+static size_t count_affordable(const struct state *state, const struct wish *wishes, size_t count,
+                               double budget)
 {
     const double tets = (double)gsn_dms_mesh(state->space)->tet_count;
     const double each = (double)state->fit.unknowns / tets;
@@ -187,9 +187,9 @@ static size_t affordable(const struct state *state, const struct wish *wishes, s
     return taken;
 }
 
-static int split(const struct state *state, const struct wish *wishes, size_t count,
-                 const struct gsn_adapt_options *options, struct gsn_tets **ret_mesh,
-                 struct gsn_error *err)
+static int split_wishes(const struct state *state, const struct wish *wishes, size_t count,
+                        const struct gsn_adapt_options *options, struct gsn_tets **ret_mesh,
+                        struct gsn_error *err)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(state->space);
     gsn_auto_mem(double) limit = gsn_alloc_array(mesh->tet_count, sizeof *limit);
@@ -215,13 +215,13 @@ static int next_state(const struct state *state, const struct gsn_samples *sampl
 
     if (!wishes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while refining a fit");
-    count = collect(state, options, wishes);
+    count = collect_wishes(state, options, wishes);
     *ret_end = count > 0 && most < carried ? GSN_ADAPT_UNKNOWNS : GSN_ADAPT_SAMPLES;
-    count = affordable(state, wishes, count, fmin(most, carried));
+    count = count_affordable(state, wishes, count, fmin(most, carried));
     for (unsigned attempt = 0; attempt < TRIES && count > 0; attempt++, count /= 2) {
         gsn_auto(gsn_tets) mesh = NULL;
         struct state next = { .space = NULL };
-        int r = split(state, wishes, count, options, &mesh, err);
+        int r = split_wishes(state, wishes, count, options, &mesh, err);
 
         if (r >= 0)
             r = space_on(mesh, options, &next.space, err);
@@ -262,7 +262,7 @@ static int refine_round(struct state *state, const struct gsn_samples *samples,
     if (!next.space)
         return GSN_OK;
     *ret_more = next.predicted < state->predicted * (1 - GAIN);
-    record(report, &next, options->tolerance, *ret_more);
+    record_round(report, &next, options->tolerance, *ret_more);
     if (*ret_more) {
         const struct state old = *state;
 
@@ -361,7 +361,7 @@ int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
     int r;
 
     assert(region && samples && options && ret_space && ret_spline && ret_report);
-    r = complete(options, &full, err);
+    r = complete_options(options, &full, err);
     if (r >= 0)
         r = gsn_domain_build(region, &full.domain, &mesh, err);
     if (r >= 0)
@@ -370,7 +370,7 @@ int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
         r = tune_smoothing(&state, samples, &full, err);
     if (r >= 0) {
         report.smoothing = full.fit.smoothing;
-        record(&report, &state, full.tolerance, true);
+        record_round(&report, &state, full.tolerance, true);
         r = refine_rounds(&state, samples, &full, &report, err);
     }
     if (r < 0) {

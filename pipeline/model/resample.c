@@ -178,8 +178,8 @@ static int is_inside(const struct resample_job *job, const struct solid *solid, 
 }
 
 /* Decides the open part by one face exactly. The side changes once at most along a row. */
-static void decide(const struct resample_job *job, const struct solid *solid, unsigned face,
-                   struct span open, const double yz[2], struct span *row)
+static void decide_face(const struct resample_job *job, const struct solid *solid, unsigned face,
+                        struct span open, const double yz[2], struct span *row)
 {
     int first, last;
 
@@ -210,14 +210,14 @@ static void decide(const struct resample_job *job, const struct solid *solid, un
     }
 }
 
-static int32_t clip(double x, int32_t low, int32_t high)
+static int32_t clip_index(double x, int32_t low, int32_t high)
 {
     return x < low ? low : x > high ? high : (int32_t)x;
 }
 
 /* A row between whose outer and inner ends lie voxels too near a face. */
-static void settle(const struct resample_job *job, const struct gsn_bodies *bodies,
-                   const struct solid *solid, const double yz[2], struct span *row)
+static void settle_row(const struct resample_job *job, const struct gsn_bodies *bodies,
+                       const struct solid *solid, const double yz[2], struct span *row)
 {
     for (unsigned k = 0; k < 4 && row->low < row->high; k++) {
         const struct gsn_lines *lines = solid->is_low[k] ? &bodies->inner.low : &bodies->inner.high;
@@ -227,16 +227,16 @@ static void settle(const struct resample_job *job, const struct gsn_bodies *bodi
         struct span open = { row->low, row->high };
 
         if (solid->is_low[k])
-            open.high = clip(ceil(end), row->low, row->high);
+            open.high = clip_index(ceil(end), row->low, row->high);
         else
-            open.low = clip(floor(end) + 1, row->low, row->high);
-        decide(job, solid, k, open, yz, row);
+            open.low = clip_index(floor(end) + 1, row->low, row->high);
+        decide_face(job, solid, k, open, yz, row);
     }
 }
 
 /* The faces of a tetrahedron as lines, moved outward and inward by their error. */
-static void outline(const struct resample_job *job, const struct voxel_block *block,
-                    struct solid *solid, struct gsn_bodies *bodies)
+static void outline_solid(const struct resample_job *job, const struct voxel_block *block,
+                          struct solid *solid, struct gsn_bodies *bodies)
 {
     const double flattest = FLATTEST * solid->error / (double)(block->high[0] - block->low[0]);
 
@@ -325,7 +325,7 @@ static void fill_tet(const struct resample_job *job, size_t tet, const size_t la
     if (!find_block(job, low, high, layers, &block))
         return;
     solid_normals(&solid);
-    outline(job, &block, &solid, &bodies);
+    outline_solid(job, &block, &solid, &bodies);
     paint_init(job, tet, &solid, &block, &paint);
     memcpy(part.high, block.low, sizeof part.high);
     while (next_part(&block, &part)) {
@@ -337,7 +337,7 @@ static void fill_tet(const struct resample_job *job, size_t tet, const size_t la
 
             if (row.low == rows.inner_low[i] && row.high == rows.inner_high[i])
                 continue;
-            settle(job, &bodies, &solid, yz, &row);
+            settle_row(job, &bodies, &solid, yz, &row);
             rows.low[i] = row.low;
             rows.high[i] = row.high;
         }
@@ -374,7 +374,7 @@ struct facing {
     struct bucket bucket[8];
 };
 
-static void flush(const struct resample_job *job, struct facing *facing, unsigned unclear)
+static void flush_facing(const struct resample_job *job, struct facing *facing, unsigned unclear)
 {
     struct bucket *bucket = &facing->bucket[unclear];
     const double *const at[3] = { bucket->at[0], bucket->at[1], bucket->at[2] };
@@ -392,8 +392,8 @@ static void flush(const struct resample_job *job, struct facing *facing, unsigne
     bucket->count = 0;
 }
 
-static void put(const struct resample_job *job, struct facing *facing, unsigned unclear, int32_t x,
-                const double yz[2], size_t first)
+static void put_voxel(const struct resample_job *job, struct facing *facing, unsigned unclear,
+                      int32_t x, const double yz[2], size_t first)
 {
     struct bucket *bucket = &facing->bucket[unclear];
     const size_t i = bucket->count++;
@@ -404,7 +404,7 @@ static void put(const struct resample_job *job, struct facing *facing, unsigned 
     bucket->at[1][i] = yz[0];
     bucket->at[2][i] = yz[1];
     if (bucket->count == BUCKET)
-        flush(job, facing, unclear);
+        flush_facing(job, facing, unclear);
 }
 
 static void put_unclear(const struct resample_job *job, struct facing *facing, int32_t from,
@@ -419,7 +419,7 @@ static void put_unclear(const struct resample_job *job, struct facing *facing, i
 
         for (int m = 0; m < 3; m++)
             unclear |= (unsigned)!(gsn_dot(prism->clear[m], d) + prism->clear[m][3] > 0) << m;
-        put(job, facing, unclear, x, yz, first);
+        put_voxel(job, facing, unclear, x, yz, first);
     }
 }
 
@@ -436,7 +436,7 @@ static void collect_row(const struct resample_job *job, struct facing *facing,
 
     put_unclear(job, facing, from, low, yz, first);
     for (int32_t x = low; x < high; x++)
-        put(job, facing, 0, x, yz, first);
+        put_voxel(job, facing, 0, x, yz, first);
     put_unclear(job, facing, high, to, yz, first);
 }
 
@@ -504,7 +504,7 @@ static void add_face(const struct resample_job *job, size_t tet, unsigned corner
                                           part.low[2] + (size_t)rows.z[i]));
     }
     for (unsigned unclear = 0; unclear < 8; unclear++)
-        flush(job, facing, unclear);
+        flush_facing(job, facing, unclear);
 }
 
 /* Adds the seams to the voxels of a slab. */

@@ -62,12 +62,12 @@ struct mean {
 };
 
 /* What a rounding bound of normal . r is relative to. */
-static double uncertainty(const double permanent[3], const double r[3])
+static double relative_uncertainty(const double permanent[3], const double r[3])
 {
     return permanent[0] * fabs(r[0]) + permanent[1] * fabs(r[1]) + permanent[2] * fabs(r[2]);
 }
 
-static double distance2(const double a[3], const double b[3])
+static double distance_squared(const double a[3], const double b[3])
 {
     double d[3];
 
@@ -77,8 +77,8 @@ static double distance2(const double a[3], const double b[3])
 
 /* normal . (v - a) for corner v of the cell, a being the knot nearest to it, and exactly 0 or of
  * the exact sign. */
-static double height(const struct mean *mean, const struct gsn_simplex_set *set, int v,
-                     const double normal[3], const double permanent[3])
+static double exact_height(const struct mean *mean, const struct gsn_simplex_set *set, int v,
+                           const double normal[3], const double permanent[3])
 {
     const double *corner = mean->cell->corner[v];
     unsigned nearest = set->member[0];
@@ -93,7 +93,7 @@ static double height(const struct mean *mean, const struct gsn_simplex_set *set,
     if (r[0] == 0 && r[1] == 0 && r[2] == 0)
         return 0;
     value = gsn_dot(normal, r);
-    if (fabs(value) > GSN_ORIENT_BOUND * uncertainty(permanent, r))
+    if (fabs(value) > GSN_ORIENT_BOUND * relative_uncertainty(permanent, r))
         return value;
     sign = gsn_orient3d(mean->knot[set->member[0]], mean->knot[set->member[1]],
                         mean->knot[set->member[2]], corner);
@@ -112,7 +112,7 @@ static const struct plane *plane_of(struct mean *mean, size_t triple)
     mean->knows_plane[slot] = 1;
     gsn_simplex_normal(set, mean->knot, normal, permanent);
     for (int v = 0; v < 4; v++)
-        plane->value[v] = height(mean, set, v, normal, permanent);
+        plane->value[v] = exact_height(mean, set, v, normal, permanent);
     return plane;
 }
 
@@ -129,7 +129,7 @@ static double det_of(struct mean *mean, size_t quad)
 
 /* The share of a simplex of dimension k, corners 0..k, where all cuts are positive: it is halved at
  * an edge that a cut crosses until no cut crosses any. */
-static double share(int k, double (*value)[FACES], int cuts)
+static double positive_share(int k, double (*value)[FACES], int cuts)
 {
     for (int cut = 0; cut < cuts; cut++) {
         int in = -1, out = -1;
@@ -148,16 +148,16 @@ static double share(int k, double (*value)[FACES], int cuts)
         for (int i = 0; i < cuts; i++)
             half[out][i] = value[in][i] + at * (value[out][i] - value[in][i]);
         half[out][cut] = 0;
-        part = at * share(k, half, cuts);
+        part = at * positive_share(k, half, cuts);
         memcpy(half[in], half[out], sizeof *half);
         memcpy(half[out], value[out], sizeof *half);
-        return part + (1 - at) * share(k, half, cuts);
+        return part + (1 - at) * positive_share(k, half, cuts);
     }
     return 1;
 }
 
 /* Degree 0: which faces of the knot tetrahedron cut the simplex, and what they leave of it. */
-static double leaf(struct mean *mean, unsigned simplex, size_t quad)
+static double mean_degree0(struct mean *mean, unsigned simplex, size_t quad)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[quad];
     const double det = det_of(mean, quad);
@@ -192,7 +192,7 @@ static double leaf(struct mean *mean, unsigned simplex, size_t quad)
             return 0;
         cuts += out;
     }
-    return share(corners - 1, value, cuts) / fabs(det);
+    return positive_share(corners - 1, value, cuts) / fabs(det);
 }
 
 static double value_of(struct mean *mean, unsigned simplex, size_t s);
@@ -250,7 +250,7 @@ static void choose_point(struct mean *mean, unsigned simplex, const struct gsn_s
     }
 }
 
-static double recur(struct mean *mean, unsigned simplex, size_t s)
+static double mean_recurrence(struct mean *mean, unsigned simplex, size_t s)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[s];
     const struct gsn_simplex_set *w = &mean->sets->set[mean->pick[s]];
@@ -280,7 +280,7 @@ static double integral_of(int n)
     return 1.0 / ((n + 1) * (n + 2) * (n + 3));
 }
 
-static int vanishes(struct mean *mean, unsigned simplex, size_t s)
+static int mean_vanishes(struct mean *mean, unsigned simplex, size_t s)
 {
     const struct gsn_simplex_set *set = &mean->sets->set[s];
 
@@ -297,14 +297,14 @@ static double value_of(struct mean *mean, unsigned simplex, size_t s)
     if (mean->knows_value[simplex][s])
         return *value;
     mean->knows_value[simplex][s] = 1;
-    if (vanishes(mean, simplex, s))
+    if (mean_vanishes(mean, simplex, s))
         *value = 0;
     else if (simplex == WHOLE && !(set->mask & ~mean->cell->within))
         *value = integral_of(set->size - 4) / mean->cell->volume;
     else if (set->size == 4)
-        *value = leaf(mean, simplex, s);
+        *value = mean_degree0(mean, simplex, s);
     else
-        *value = recur(mean, simplex, s);
+        *value = mean_recurrence(mean, simplex, s);
     return *value;
 }
 
@@ -326,7 +326,7 @@ void gsn_simplex_mean(const struct gsn_simplex_sets *sets, const double (*knot)[
             mean.clear[simplex & (simplex - 1)] & cell->clear[__builtin_ctz(simplex)];
     for (unsigned i = 0; i < 4 * (sets->degree + 1); i++) {
         for (int v = 0; v < 4; v++)
-            mean.distance2[i][v] = distance2(knot[i], cell->corner[v]);
+            mean.distance2[i][v] = distance_squared(knot[i], cell->corner[v]);
     }
     memset(mean.knows_value, 0, sizeof mean.knows_value);
     for (size_t f = 0; f < sets->functions; f++)
@@ -348,7 +348,7 @@ static inline int side_of(const struct face *face, const double v[3])
 
     gsn_subtract(v, face->at[0], r);
     value = gsn_dot(face->normal, r);
-    if (fabs(value) > GSN_ORIENT_BOUND * uncertainty(face->permanent, r))
+    if (fabs(value) > GSN_ORIENT_BOUND * relative_uncertainty(face->permanent, r))
         return value > 0 ? 1 : -1;
     for (int i = 0; i < 3; i++) {
         if (v[0] == face->at[i][0] && v[1] == face->at[i][1] && v[2] == face->at[i][2])
@@ -459,7 +459,7 @@ struct cutting {
 
 /* The mean over one piece, by a rule that is exact for polynomials of degree 3 (Keast): the middle
  * and four points around it. All lie inside the piece, off every knot plane. */
-static double rule(const struct cutting *cutting, const double (*corner)[3])
+static double apply_rule(const struct cutting *cutting, const double (*corner)[3])
 {
     double sum = 0;
 
@@ -500,7 +500,7 @@ static int see_plane(const struct cutting *cutting, size_t triple, const double 
 }
 
 /* The mean over a piece that the planes before this one do not cut. */
-static double cut(const struct cutting *cutting, size_t triple, const double (*corner)[3])
+static double cut_piece(const struct cutting *cutting, size_t triple, const double (*corner)[3])
 {
     for (; triple < cutting->sets->first[2]; triple++) {
         double value[4], part[4][3], at, mean;
@@ -519,12 +519,12 @@ static double cut(const struct cutting *cutting, size_t triple, const double (*c
         memcpy(part, corner, sizeof part);
         for (int c = 0; c < 3; c++)
             part[out][c] = corner[in][c] + at * (corner[out][c] - corner[in][c]);
-        mean = at * cut(cutting, triple, (const double(*)[3])part);
+        mean = at * cut_piece(cutting, triple, (const double(*)[3])part);
         memcpy(part[in], part[out], sizeof *part);
         memcpy(part[out], corner[out], sizeof *part);
-        return mean + (1 - at) * cut(cutting, triple, (const double(*)[3])part);
+        return mean + (1 - at) * cut_piece(cutting, triple, (const double(*)[3])part);
     }
-    return rule(cutting, corner);
+    return apply_rule(cutting, corner);
 }
 
 double gsn_simplex_mean_by_pieces(const struct gsn_simplex_sets *sets, const double (*knot)[3],
@@ -534,10 +534,10 @@ double gsn_simplex_mean_by_pieces(const struct gsn_simplex_sets *sets, const dou
     double edge[3];
 
     gsn_subtract(cell->corner[3], cell->corner[0], edge);
-    return cut(&(struct cutting){ .sets = sets,
-                                  .knot = knot,
-                                  .pick = pick,
-                                  .function = function,
-                                  .touch = TOUCH * sqrt(gsn_dot(edge, edge)) },
-               sets->first[3], (const double(*)[3])cell->corner);
+    return cut_piece(&(struct cutting){ .sets = sets,
+                                        .knot = knot,
+                                        .pick = pick,
+                                        .function = function,
+                                        .touch = TOUCH * sqrt(gsn_dot(edge, edge)) },
+                     sets->first[3], (const double(*)[3])cell->corner);
 }

@@ -61,7 +61,7 @@ int gsn_simplex_next(uint8_t beta[4])
     return 1;
 }
 
-static unsigned ones(unsigned mask)
+static unsigned count_ones(unsigned mask)
 {
     return (unsigned)__builtin_popcount(mask);
 }
@@ -84,7 +84,7 @@ static unsigned corners_of(unsigned degree, const uint8_t beta[4])
     return mask;
 }
 
-static void describe(struct gsn_simplex_set *set, unsigned mask, unsigned degree)
+static void describe_set(struct gsn_simplex_set *set, unsigned mask, unsigned degree)
 {
     const unsigned cloud = (2u << degree) - 1;
 
@@ -104,23 +104,23 @@ static void describe(struct gsn_simplex_set *set, unsigned mask, unsigned degree
 }
 
 /* Appends a set unless it is there already. */
-static uint16_t enter(struct gsn_simplex_sets *sets, uint16_t *place, unsigned mask)
+static uint16_t enter_set(struct gsn_simplex_sets *sets, uint16_t *place, unsigned mask)
 {
     if (place[mask] == ABSENT) {
         assert(sets->count < GSN_SIMPLEX_MAX_SETS);
         place[mask] = (uint16_t)sets->count;
-        describe(&sets->set[sets->count++], mask, sets->degree);
+        describe_set(&sets->set[sets->count++], mask, sets->degree);
     }
     return place[mask];
 }
 
 /* The V_beta, then generation after generation their subsets with one knot less. */
-static void descend(struct gsn_simplex_sets *sets, uint16_t *place)
+static void descend_sets(struct gsn_simplex_sets *sets, uint16_t *place)
 {
     uint8_t beta[4] = { (uint8_t)sets->degree, 0, 0, 0 };
 
     do {
-        const uint16_t function = enter(sets, place, knots_of(sets->degree, beta));
+        const uint16_t function = enter_set(sets, place, knots_of(sets->degree, beta));
 
         memcpy(sets->beta[function], beta, sizeof beta);
     } while (gsn_simplex_next(beta));
@@ -134,7 +134,7 @@ static void descend(struct gsn_simplex_sets *sets, uint16_t *place)
         for (size_t s = sets->first[size]; s < end; s++) {
             for (unsigned i = 0; i < size; i++)
                 sets->set[s].without[i] =
-                    enter(sets, place, sets->set[s].mask & ~(1u << sets->set[s].member[i]));
+                    enter_set(sets, place, sets->set[s].mask & ~(1u << sets->set[s].member[i]));
         }
     }
     sets->first[2] = sets->count;
@@ -154,7 +154,7 @@ static size_t list_quads(struct gsn_simplex_sets *sets, const uint16_t *place)
         for (unsigned chosen = 0; chosen < 1u << set->size; chosen++) {
             unsigned mask = 0;
 
-            if (ones(chosen) != 4)
+            if (count_ones(chosen) != 4)
                 continue;
             for (unsigned i = 0; i < set->size; i++)
                 mask |= (chosen >> i & 1) << set->member[i];
@@ -181,7 +181,7 @@ int gsn_simplex_sets_new(unsigned degree, struct gsn_simplex_sets **ret_sets, st
     for (size_t i = 0; i < MASKS; i++)
         place[i] = ABSENT;
     sets->degree = degree;
-    descend(sets, place);
+    descend_sets(sets, place);
 
     sets->quads = gsn_alloc_array(sets->first[4] + 1, sizeof *sets->quads);
     if (sets->quads)
@@ -220,8 +220,8 @@ static const int swap[4] = { -1, 1, -1, 1 };
 
 /* Row i of the determinant of ascending knots: knot i less the knot before it when both are of one
  * cloud, less the first one otherwise. */
-static inline void row(const struct gsn_simplex_set *set, unsigned i, const double (*knot)[3],
-                       double ret[3])
+static inline void determinant_row(const struct gsn_simplex_set *set, unsigned i,
+                                   const double (*knot)[3], double ret[3])
 {
     const unsigned from = set->cloud[i] == set->cloud[i - 1] ? i - 1 : 0;
 
@@ -233,8 +233,8 @@ void gsn_simplex_normal(const struct gsn_simplex_set *triple, const double (*kno
 {
     double p[3], q[3];
 
-    row(triple, 1, knot, p);
-    row(triple, 2, knot, q);
+    determinant_row(triple, 1, knot, p);
+    determinant_row(triple, 2, knot, q);
     gsn_cross(p, q, ret_normal);
     for (int i = 0; ret_permanent && i < 3; i++) {
         const int j = (i + 1) % 3, k = (i + 2) % 3;
@@ -249,7 +249,7 @@ double gsn_simplex_det(const struct gsn_simplex_set *quad, const double (*knot)[
     double r[3], normal[3], permanent[3], det;
 
     gsn_simplex_normal(quad, knot, normal, permanent);
-    row(quad, 3, knot, r);
+    determinant_row(quad, 3, knot, r);
     det = gsn_dot(normal, r);
     for (int c = 0; c < 3; c++)
         r[c] = fabs(r[c]);
@@ -270,7 +270,7 @@ static double measure_quads(const struct gsn_simplex_sets *sets, const double (*
         const struct gsn_simplex_set *quad = &sets->set[s];
         double r[3];
 
-        row(quad, 3, knot, r);
+        determinant_row(quad, 3, knot, r);
         *ret_size = fabs(gsn_dot(normal[quad->without[3] - sets->first[3]], r));
         least = *ret_size < least ? *ret_size : least;
         ret_size++;
@@ -495,7 +495,7 @@ void gsn_simplex_hessian(struct gsn_simplex_at *at, size_t s, double ret_hessian
 /* M(u | the set s with its knot t counted twice). Four of these knots that hold t twice are flat:
  * they are never W, and 0 in degree 0. So W is that of s itself; taking t away once leaves s, and
  * below five knots that is all there is. */
-static double doubled(struct gsn_simplex_at *at, size_t s, unsigned t)
+static double eval_doubled(struct gsn_simplex_at *at, size_t s, unsigned t)
 {
     const struct gsn_simplex_set *set = &at->sets->set[s];
     const size_t pick = set->size > 4 ? at->pick[s] : s;
@@ -513,7 +513,7 @@ static double doubled(struct gsn_simplex_at *at, size_t s, unsigned t)
         if (w->member[i] == t)
             part = gsn_simplex_value(at, s);
         else if (set->size > 4)
-            part = doubled(at, set->without[m], t);
+            part = eval_doubled(at, set->without[m], t);
         if (part != 0)
             sum += swap[i] * plane_of(at, w->without[i])->value / det * part;
     }
@@ -548,8 +548,8 @@ void gsn_simplex_knot_gradient(struct gsn_simplex_at *at, size_t function, unsig
 
         while (set->member[m] != w->member[i])
             m++;
-        part =
-            w->member[i] == t ? gsn_simplex_value(at, function) : doubled(at, set->without[m], t);
+        part = w->member[i] == t ? gsn_simplex_value(at, function)
+                                 : eval_doubled(at, set->without[m], t);
         add_slope(at, at->pick[function], i, -size * part, ret_gradient);
     }
     for (unsigned i = 0; i < 4; i++) {
@@ -613,7 +613,7 @@ struct view {
     double value[GSN_SIMPLEX_MAX_SETS];
 };
 
-static double area(const struct view *view, unsigned a, unsigned b, unsigned c)
+static double triangle_area(const struct view *view, unsigned a, unsigned b, unsigned c)
 {
     const double *p = view->knot[a], *q = view->knot[b], *r = view->knot[c];
 
@@ -621,7 +621,7 @@ static double area(const struct view *view, unsigned a, unsigned b, unsigned c)
 }
 
 /* Finds the widest triangle of three clouds for every set of missing clouds. */
-static void spare(struct view *view)
+static void find_spare(struct view *view)
 {
     const unsigned step = view->sets->degree + 1;
     double size[CLOUDS], longest = 0;
@@ -635,8 +635,8 @@ static void spare(struct view *view)
         }
     }
     for (unsigned out = 0; out < CLOUDS; out++)
-        size[out] = fabs(area(view, (out + 1) % CLOUDS * step, (out + 2) % CLOUDS * step,
-                              (out + 3) % CLOUDS * step));
+        size[out] = fabs(triangle_area(view, (out + 1) % CLOUDS * step, (out + 2) % CLOUDS * step,
+                                       (out + 3) % CLOUDS * step));
     for (unsigned missing = 0; missing < 1 << CLOUDS; missing++) {
         double best = WIDE * longest;
 
@@ -650,7 +650,8 @@ static void spare(struct view *view)
     }
 }
 
-static void look(struct view *view, const struct gsn_simplex_sets *sets, const double (*knot)[2])
+static void look_along(struct view *view, const struct gsn_simplex_sets *sets,
+                       const double (*knot)[2])
 {
     const unsigned knots = 4 * (sets->degree + 1);
 
@@ -669,10 +670,10 @@ static void look(struct view *view, const struct gsn_simplex_sets *sets, const d
         for (unsigned b = 0; b < knots; b++)
             view->cross[a][b] = x * knot[b][1] - y * knot[b][0];
     }
-    spare(view);
+    find_spare(view);
 }
 
-static int misses(const struct view *view, unsigned mask)
+static int origin_misses(const struct view *view, unsigned mask)
 {
     for (int i = 0; i < SIDES; i++) {
         if (!(mask & ~view->aside[i]))
@@ -682,7 +683,7 @@ static int misses(const struct view *view, unsigned mask)
 }
 
 /* Which side of the line a b the origin lies on, moved by e (1,0) + e^2 (0,1), e -> 0+. */
-static int side(const struct view *view, unsigned a, unsigned b)
+static int side_of_line(const struct view *view, unsigned a, unsigned b)
 {
     const double *p = view->knot[a], *q = view->knot[b];
     const int sign = gsn_orient_cross(p, q);
@@ -696,17 +697,19 @@ static int side(const struct view *view, unsigned a, unsigned b)
 
 static double leaf_on_line(const struct view *view, const uint8_t *m)
 {
-    const int first = side(view, m[0], m[1]);
+    const int first = side_of_line(view, m[0], m[1]);
     double size;
 
-    if (first == 0 || side(view, m[1], m[2]) != first || side(view, m[2], m[0]) != first)
+    if (first == 0 || side_of_line(view, m[1], m[2]) != first ||
+        side_of_line(view, m[2], m[0]) != first)
         return 0;
-    size = fabs(area(view, m[0], m[1], m[2]));
+    size = fabs(triangle_area(view, m[0], m[1], m[2]));
     return size > 0 ? 1 / size : 0;
 }
 
 /* The places in a set of the three knots with the largest triangle. */
-static void search(const struct view *view, const struct gsn_simplex_set *set, unsigned ret[3])
+static void search_widest(const struct view *view, const struct gsn_simplex_set *set,
+                          unsigned ret[3])
 {
     double best = -1;
 
@@ -731,13 +734,14 @@ static void search(const struct view *view, const struct gsn_simplex_set *set, u
 
 /* The places of W in a set: the last knots of three clouds with a wide triangle, which makes many
  * sets share their subsets, or else the three with the largest triangle. */
-static void choose(const struct view *view, const struct gsn_simplex_set *set, unsigned ret[3])
+static void choose_triple(const struct view *view, const struct gsn_simplex_set *set,
+                          unsigned ret[3])
 {
     const uint8_t spared = view->spared[set->missing];
     unsigned n = 0;
 
     if (spared == SEARCH) {
-        search(view, set, ret);
+        search_widest(view, set, ret);
         return;
     }
     for (unsigned i = 0; i < set->size; i++) {
@@ -758,12 +762,12 @@ static double value_of(struct view *view, size_t s)
         return view->value[s];
     view->knows[s] = 1;
     view->value[s] = 0;
-    if (misses(view, set->mask))
+    if (origin_misses(view, set->mask))
         return 0;
     if (set->size == 3)
         return view->value[s] = leaf_on_line(view, set->member);
-    choose(view, set, w);
-    size = area(view, set->member[w[0]], set->member[w[1]], set->member[w[2]]);
+    choose_triple(view, set, w);
+    size = triangle_area(view, set->member[w[0]], set->member[w[1]], set->member[w[2]]);
     for (int i = 0; i < 3 && size != 0; i++) {
         const double part = value_of(view, set->without[w[i]]);
 
@@ -779,8 +783,8 @@ int gsn_simplex_line(const struct gsn_simplex_sets *sets, const double (*knot)[2
 {
     struct view view;
 
-    look(&view, sets, knot);
-    if (misses(&view, (1u << 4 * (sets->degree + 1)) - 1))
+    look_along(&view, sets, knot);
+    if (origin_misses(&view, (1u << 4 * (sets->degree + 1)) - 1))
         return 0;
     for (size_t f = 0; f < sets->functions; f++)
         ret_integral[f] = value_of(&view, f) / (sets->degree + 1);

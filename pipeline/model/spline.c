@@ -151,7 +151,7 @@ struct home {
     double least, greatest; /* of the control values that act in home, and 0 */
 };
 
-static void widen(double value, double *low, double *high)
+static void widen_range(double value, double *low, double *high)
 {
     *low = fmin(*low, value);
     *high = fmax(*high, value);
@@ -199,11 +199,11 @@ static void add_foreign(struct home *home, size_t tet)
 
         if (gsn_simplex_cell_misses(&cell, space->sets->set[f].mask))
             continue;
-        widen(control, &home->least, &home->greatest);
+        widen_range(control, &home->least, &home->greatest);
         /* The polar value at knots of its own is home's own control value. */
         if (!is_own_control(home, id[f]))
-            widen(control - polar_of(home, (const double(*)[3])knot, space->sets->beta[f]),
-                  &home->low, &home->high);
+            widen_range(control - polar_of(home, (const double(*)[3])knot, space->sets->beta[f]),
+                        &home->low, &home->high);
     }
 }
 
@@ -216,8 +216,8 @@ static void bound_apart(struct home *home)
 
     gsn_spline_bernstein(home->spline, home->tet, coefficient);
     for (size_t f = 0; f < functions; f++) {
-        widen(home->control[f], &home->least, &home->greatest);
-        widen(coefficient[f], &low, &high);
+        widen_range(home->control[f], &home->least, &home->greatest);
+        widen_range(coefficient[f], &low, &high);
     }
     home->low = fmin(0, home->least - high);
     home->high = fmax(0, home->greatest - low);

@@ -32,7 +32,7 @@
  * of the faces around add. */
 
 /* Whether a plane of the prism has the whole cell beyond it. */
-static int misses(const struct gsn_prism *prism, const double (*corner)[3])
+static int cell_misses(const struct gsn_prism *prism, const double (*corner)[3])
 {
     double d[4][3];
 
@@ -58,7 +58,7 @@ static double faces_of(const struct gsn_spline *spline, size_t tet, const double
         struct gsn_prism prism;
         struct gsn_face_correction seam;
 
-        if (!gsn_prism_init(spline->space, tet, k, &prism) || misses(&prism, corner))
+        if (!gsn_prism_init(spline->space, tet, k, &prism) || cell_misses(&prism, corner))
             continue;
         gsn_face_correction_init(&seam, spline->space, &prism, spline->control);
         sum += gsn_face_correction_integral(&seam, corner);
@@ -223,7 +223,7 @@ struct sight {
 };
 
 /* Any length will do, but 0; NaN when there is no direction. */
-static void normalise(double v[3])
+static void make_direction(double v[3])
 {
     const double most = fmax(fabs(v[0]), fmax(fabs(v[1]), fabs(v[2])));
     double size;
@@ -249,7 +249,7 @@ static int sight_init(struct sight *sight, const struct gsn_dms *space, const do
             return 0;
         along[c] = d[c];
     }
-    normalise(along);
+    make_direction(along);
     for (int c = 0; c < 3; c++) {
         to[c] = (bounds->low[c] + bounds->high[c]) / 2 - p[c];
         if (fabs(along[c]) < fabs(along[least]))
@@ -262,7 +262,7 @@ static int sight_init(struct sight *sight, const struct gsn_dms *space, const do
         return 0;
     beside[least] = 1;
     gsn_cross(along, beside, sight->axis[0]);
-    normalise(sight->axis[0]);
+    make_direction(sight->axis[0]);
     gsn_cross(along, sight->axis[0], sight->axis[1]);
     return 1;
 }
@@ -367,7 +367,7 @@ static struct extent extent_of(const double (*knot)[3], size_t count)
 }
 
 /* Shortens the way to its part in a box, and by slack less; returns 0 when there is none. */
-static int clip(struct way *way, const struct extent *extent, double slack)
+static int clip_way(struct way *way, const struct extent *extent, double slack)
 {
     for (int c = 0; c < 3; c++) {
         double in, out;
@@ -392,8 +392,8 @@ static void point_at(const struct way *way, double t, double ret[3])
 }
 
 /* Whether the way crosses the triangle of three knots, or nearly so, and where. */
-static int crosses(const struct way *way, const struct gsn_simplex_set *triple,
-                   const double (*knot)[3], double *ret_t)
+static int crosses_triangle(const struct way *way, const struct gsn_simplex_set *triple,
+                            const double (*knot)[3], double *ret_t)
 {
     double normal[3], to[3], corner[3][3], here[3], height, slope, near;
     struct extent extent;
@@ -418,8 +418,8 @@ static int crosses(const struct way *way, const struct gsn_simplex_set *triple,
 }
 
 /* The ends of the pieces between knot triangles, ascending; returns their number. */
-static size_t cut(const struct way *way, const struct gsn_simplex_sets *sets,
-                  const double (*knot)[3], double ret_end[GSN_SIMPLEX_MAX_TRIPLES + 2])
+static size_t cut_way(const struct way *way, const struct gsn_simplex_sets *sets,
+                      const double (*knot)[3], double ret_end[GSN_SIMPLEX_MAX_TRIPLES + 2])
 {
     size_t count = 0;
 
@@ -428,7 +428,7 @@ static size_t cut(const struct way *way, const struct gsn_simplex_sets *sets,
         size_t at = count;
         double t;
 
-        if (!crosses(way, &sets->set[s], knot, &t))
+        if (!crosses_triangle(way, &sets->set[s], knot, &t))
             continue;
         for (; ret_end[at - 1] > t; at--)
             ret_end[at] = ret_end[at - 1];
@@ -459,7 +459,8 @@ static double share_at(const struct share *share, const struct way *way, double 
 }
 
 /* Gauss's rule: the middle for degree 1, two points for degrees 2 and 3. */
-static double piece(const struct share *share, const struct way *way, double from, double to)
+static double integrate_piece(const struct share *share, const struct way *way, double from,
+                              double to)
 {
     const double middle = (from + to) / 2, half = (to - from) / 2, off = half / sqrt(3);
 
@@ -481,16 +482,16 @@ static double tet_part(const struct gsn_spline *spline, size_t tet, const struct
 
     gsn_dms_gather(space, tet, knot);
     extent = extent_of((const double(*)[3])knot, 4 * (space->degree + 1));
-    if (!clip(&way, &extent, 0))
+    if (!clip_way(&way, &extent, 0))
         return 0;
     share.knot = (const double(*)[3])knot;
     gsn_simplex_pick(space->sets, share.knot, share.pick);
     for (size_t f = 0; f < gsn_dms_functions(space); f++)
         share.control[f] = gsn_spline_controls(spline)[id[f]];
-    ends = cut(&way, space->sets, share.knot, end);
+    ends = cut_way(&way, space->sets, share.knot, end);
     for (size_t i = 1; i < ends; i++) {
         if (end[i - 1] < end[i])
-            sum += piece(&share, &way, end[i - 1], end[i]);
+            sum += integrate_piece(&share, &way, end[i - 1], end[i]);
     }
     return sum;
 }
@@ -502,7 +503,7 @@ static double length_of(const double v[3])
 
 /* a + t (b - a) with a single rounding, or nearly so, however far away a and b are: the products
  * and sums carry their rounding errors along (Dekker 1971, Knuth). */
-static double along(double a, double b, double t)
+static double interpolate_along(double a, double b, double t)
 {
     const double d = b - a, back = d + a;
     const double d_low = (b - back) + (a - (back - d)); /* d + d_low is b - a exactly */
@@ -515,18 +516,18 @@ static double along(double a, double b, double t)
 /* The part of the segment near the box, begun again as a way of its own. The ends lie on the
  * segment but for a rounding of their own small coordinates, and outside the box if anything, so
  * that nothing is lost and no far end spoils what is near. */
-static int approach(const double a[3], const double b[3], const struct extent *extent,
-                    struct way *ret_way)
+static int approach_box(const double a[3], const double b[3], const struct extent *extent,
+                        struct way *ret_way)
 {
     struct way way = { .from = 0, .to = 1 };
 
     memcpy(way.start, a, sizeof way.start);
     gsn_subtract(b, a, way.along);
-    if (!clip(&way, extent, NEAR_ENOUGH))
+    if (!clip_way(&way, extent, NEAR_ENOUGH))
         return 0;
     for (int c = 0; c < 3; c++) {
-        ret_way->start[c] = along(a[c], b[c], way.from);
-        ret_way->along[c] = along(a[c], b[c], way.to) - ret_way->start[c];
+        ret_way->start[c] = interpolate_along(a[c], b[c], way.from);
+        ret_way->along[c] = interpolate_along(a[c], b[c], way.to) - ret_way->start[c];
     }
     ret_way->from = 0;
     ret_way->to = 1;
@@ -569,7 +570,7 @@ int gsn_spline_segment(const struct gsn_spline *spline, const double a[3], const
     r = check_ends(a, b, &extent, err);
     if (r < 0)
         return r;
-    if (approach(a, b, &extent, &way)) {
+    if (approach_box(a, b, &extent, &way)) {
         for (size_t t = 0; t < mesh->tet_count; t++)
             sum += tet_part(spline, t, &way);
         sum *= length_of(way.along);

@@ -146,13 +146,13 @@ struct cursor {
     const uint8_t *read; /* unpacking */
 };
 
-static void put(struct cursor *at, uint64_t value, size_t bytes)
+static void put_number(struct cursor *at, uint64_t value, size_t bytes)
 {
     for (size_t i = 0; i < bytes; i++)
         *at->write++ = (uint8_t)(value >> 8 * i);
 }
 
-static uint64_t get(struct cursor *at, size_t bytes)
+static uint64_t get_number(struct cursor *at, size_t bytes)
 {
     uint64_t value = 0;
 
@@ -166,12 +166,12 @@ static void put_double(struct cursor *at, double value)
     uint64_t bits;
 
     memcpy(&bits, &value, sizeof bits);
-    put(at, bits, sizeof bits);
+    put_number(at, bits, sizeof bits);
 }
 
 static double get_double(struct cursor *at)
 {
-    const uint64_t bits = get(at, sizeof bits);
+    const uint64_t bits = get_number(at, sizeof bits);
     double value;
 
     memcpy(&value, &bits, sizeof value);
@@ -189,7 +189,7 @@ static void put_corners(struct cursor *at, const uint32_t (*corner)[4], size_t c
 {
     for (size_t i = 0; i < count; i++)
         for (size_t k = 0; k < 4; k++)
-            put(at, corner[i][k], 4);
+            put_number(at, corner[i][k], 4);
 }
 
 static void get_vertices(struct cursor *at, double (*vertex)[3], size_t count)
@@ -203,11 +203,12 @@ static void get_corners(struct cursor *at, uint32_t (*corner)[4], size_t count)
 {
     for (size_t i = 0; i < count; i++)
         for (size_t k = 0; k < 4; k++)
-            corner[i][k] = (uint32_t)get(at, 4);
+            corner[i][k] = (uint32_t)get_number(at, 4);
 }
 
 /* gives: a message of its final size with the header written. */
-static uint8_t *begin(enum kind kind, const size_t count[COUNTS], size_t size, struct cursor *at)
+static uint8_t *begin_message(enum kind kind, const size_t count[COUNTS], size_t size,
+                              struct cursor *at)
 {
     uint8_t *bytes = gsn_alloc(size);
 
@@ -216,7 +217,7 @@ static uint8_t *begin(enum kind kind, const size_t count[COUNTS], size_t size, s
     memcpy(bytes, MAGIC[kind], 8);
     at->write = bytes + 8;
     for (size_t i = 0; i < COUNTS; i++)
-        put(at, count[i], 8);
+        put_number(at, count[i], 8);
     return bytes;
 }
 
@@ -232,7 +233,7 @@ static bool get_counts(const uint8_t *bytes, struct cursor *at, size_t ret_count
 
     at->read = bytes + 8;
     for (size_t i = 0; i < COUNTS; i++) {
-        const uint64_t count = get(at, 8);
+        const uint64_t count = get_number(at, 8);
 
         sane &= count < INT32_MAX;
         ret_count[i] = (size_t)count;
@@ -289,7 +290,7 @@ int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **r
                                    mesh ? 0 : surface->facet_count, mesh ? mesh->tet_count : 0 };
     const size_t size = question_size(count, mesh != NULL);
     struct cursor at;
-    uint8_t *bytes = begin(mesh ? KIND_REFINE : KIND_FILL, count, size, &at);
+    uint8_t *bytes = begin_message(mesh ? KIND_REFINE : KIND_FILL, count, size, &at);
 
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's question");
@@ -366,7 +367,7 @@ int gsn_mesh_answer_pack(const struct gsn_soup *mesh, uint8_t **ret_bytes, size_
     const size_t count[COUNTS] = { mesh->vertex_count, 0, mesh->tet_count };
     const size_t size = HEADER + count[0] * VERTEX + count[2] * CORNERS;
     struct cursor at;
-    uint8_t *bytes = begin(KIND_MESH, count, size, &at);
+    uint8_t *bytes = begin_message(KIND_MESH, count, size, &at);
 
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's answer");
@@ -383,7 +384,7 @@ int gsn_mesh_refusal_pack(const struct gsn_error *why, uint8_t **ret_bytes, size
 {
     const size_t count[COUNTS] = { (size_t)-why->code, 0, strlen(why->text) };
     struct cursor at;
-    uint8_t *bytes = begin(KIND_REFUSAL, count, HEADER + count[2], &at);
+    uint8_t *bytes = begin_message(KIND_REFUSAL, count, HEADER + count[2], &at);
 
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's answer");

@@ -63,8 +63,8 @@ static int apex_side(const struct gsn_tets *mesh, const struct face *face)
                         mesh->vertex[mesh->tet[face->owner / 4][face->owner % 4]]);
 }
 
-static int join(struct gsn_tets *mesh, const struct face *a, const struct face *b,
-                struct gsn_error *err)
+static int join_faces(struct gsn_tets *mesh, const struct face *a, const struct face *b,
+                      struct gsn_error *err)
 {
     if (apex_side(mesh, a) == apex_side(mesh, b))
         return gsn_fail(err, GSN_E_MESH,
@@ -93,7 +93,7 @@ static int find_neighbours(struct gsn_tets *mesh, struct gsn_error *err)
         if (i + 2 < count && same_face(&face[i], &face[i + 2]))
             return gsn_fail(err, GSN_E_MESH, "face %u %u %u belongs to more than two tetrahedra",
                             face[i].vertex[0], face[i].vertex[1], face[i].vertex[2]);
-        r = join(mesh, &face[i], &face[i + 1], err);
+        r = join_faces(mesh, &face[i], &face[i + 1], err);
         if (r < 0)
             return r;
     }
@@ -130,7 +130,7 @@ static int check_used(const struct gsn_tets *mesh, struct gsn_error *err)
 }
 
 /* Turns a negative tetrahedron around by swapping its last two corners. */
-static int orient(struct gsn_tets *mesh, size_t t, struct gsn_error *err)
+static int orient_tet(struct gsn_tets *mesh, size_t t, struct gsn_error *err)
 {
     uint32_t *v = mesh->tet[t];
     int side;
@@ -191,7 +191,7 @@ int gsn_tets_new(const double (*vertex)[3], size_t vertex_count, const uint32_t 
     if (r == GSN_OK)
         r = check_vertices(mesh, err);
     for (size_t t = 0; r == GSN_OK && t < tet_count; t++)
-        r = orient(mesh, t, err);
+        r = orient_tet(mesh, t, err);
     if (r == GSN_OK)
         r = check_used(mesh, err);
     if (r == GSN_OK)

@@ -99,7 +99,8 @@ double gsn_phantom_loss_percent(const struct gsn_phantom_sums *sums, double dept
     return 100 * depth * sums->lost / sums->intact;
 }
 
-static void demand(struct gsn_phantom_check *check, double value, double demanded, double tolerance)
+static void demand_value(struct gsn_phantom_check *check, double value, double demanded,
+                         double tolerance)
 {
     check->value = value;
     check->demanded = demanded;
@@ -128,17 +129,17 @@ int gsn_phantom_check_all(double step_um, unsigned threads,
         return r;
     for (int a = 0; a < GSN_PHANTOM_DEPTHS; a++, next++) {
         (void)snprintf(next->name, sizeof next->name, "loss %% at A = %g", depth[a]);
-        demand(next, gsn_phantom_loss_percent(&sums, depth[a]), loss[a], points);
+        demand_value(next, gsn_phantom_loss_percent(&sums, depth[a]), loss[a], points);
     }
     for (int t = 0; t < GSN_PHANTOM_THRESHOLDS; t++)
         for (int a = 0; a < GSN_PHANTOM_DEPTHS; a++, next++) {
             (void)snprintf(next->name, sizeof next->name, "mm3 of D > %g at A = %g",
                            gsn_phantom_thresholds[t], depth[a]);
-            demand(next, sums.above[a][t], above[t][a], relative * above[t][a]);
+            demand_value(next, sums.above[a][t], above[t][a], relative * above[t][a]);
         }
     (void)snprintf(next->name, sizeof next->name, "mm3 of the region");
-    demand(next++, sums.volume, region_mm3, relative * region_mm3);
+    demand_value(next++, sums.volume, region_mm3, relative * region_mm3);
     (void)snprintf(next->name, sizeof next->name, "mean density at A = 0");
-    demand(next, sums.intact / sums.volume, mean_density, relative * mean_density);
+    demand_value(next, sums.intact / sums.volume, mean_density, relative * mean_density);
     return GSN_OK;
 }

@@ -47,7 +47,7 @@ double gsn_phantom_tear_gap(const struct gsn_phantom_defect *tear, double y)
 
 /* --- what moves material, each in its turned frame --- */
 
-static int inside(const struct gsn_phantom_defect *piece, struct gsn_point p)
+static int lies_inside(const struct gsn_phantom_defect *piece, struct gsn_point p)
 {
     int in = 0;
 
@@ -97,9 +97,9 @@ static struct gsn_phantom_reading read_piece(const struct gsn_phantom_defect *d,
     const struct gsn_point p = gsn_phantom_turn_into(there, d->place_turn);
     struct gsn_phantom_reading reading = { 0 };
 
-    if (!inside(d, here))
+    if (!lies_inside(d, here))
         reading.at[reading.layers++] = x;
-    if (inside(d, p)) {
+    if (lies_inside(d, p)) {
         reading.moved = 1;
         reading.at[reading.layers++] = (struct gsn_point){ p.x + d->at.x, p.y + d->at.y };
     }
@@ -150,7 +150,7 @@ int gsn_phantom_defect_find(const struct gsn_phantom_defect *defect, struct gsn_
         p = gsn_phantom_turn_back(p, defect->turn);
     }
     if (defect && defect->kind == GSN_PHANTOM_LOST_PIECE)
-        found = !inside(defect, (struct gsn_point){ p.x - defect->at.x, p.y - defect->at.y });
+        found = !lies_inside(defect, (struct gsn_point){ p.x - defect->at.x, p.y - defect->at.y });
     if (found)
         *ret_x = p;
     return found;
@@ -159,7 +159,7 @@ int gsn_phantom_defect_find(const struct gsn_phantom_defect *defect, struct gsn_
 /* --- what lies on the glass --- */
 
 /* Catmull and Rom's curve through the points, the ends doubled. */
-static struct gsn_point curve(const struct gsn_phantom_defect *d, double t)
+static struct gsn_point trace_curve(const struct gsn_phantom_defect *d, double t)
 {
     const size_t last = d->count - 1;
     const size_t i = (size_t)fmin(floor(t), (double)last - 1);
@@ -177,7 +177,7 @@ void gsn_phantom_stroke(const struct gsn_phantom_defect *defect,
                         struct gsn_point ret_line[GSN_PHANTOM_STROKE + 1])
 {
     for (int i = 0; i <= GSN_PHANTOM_STROKE; i++)
-        ret_line[i] = curve(defect, (double)(defect->count - 1) * i / GSN_PHANTOM_STROKE);
+        ret_line[i] = trace_curve(defect, (double)(defect->count - 1) * i / GSN_PHANTOM_STROKE);
 }
 
 double gsn_phantom_stroke_distance(const struct gsn_point line[GSN_PHANTOM_STROKE + 1],

@@ -14,7 +14,7 @@ static const double USUAL_TAG_UM = 25400.0 / 300;
  * there are fewer panels, and none of them as ROLES and beyond. */
 enum role { MISSING, CUT, TURNED, DEEP, WRONG_TAG, ROLES };
 
-static struct gsn_phantom_file plain(const struct gsn_phantom_plan *plan, int panel)
+static struct gsn_phantom_file deliver_plain(const struct gsn_phantom_plan *plan, int panel)
 {
     return (struct gsn_phantom_file){ .panel = panel,
                                       .orientation = 1,
@@ -25,7 +25,7 @@ static struct gsn_phantom_file plain(const struct gsn_phantom_plan *plan, int pa
                                       .extension = plan->level.extension };
 }
 
-static void shuffle(struct gsn_phantom_random *random, int *card, int count)
+static void shuffle_cards(struct gsn_phantom_random *random, int *card, int count)
 {
     for (int i = 0; i < count; i++) {
         const int j = (int)gsn_phantom_below(random, (uint32_t)i + 1);
@@ -39,7 +39,7 @@ static struct gsn_phantom_file in_role(const struct gsn_phantom_plan *plan, int 
                                        enum role role, struct gsn_phantom_random *random)
 {
     static const int orientation[] = { 3, 6, 8 };
-    struct gsn_phantom_file file = plain(plan, panel);
+    struct gsn_phantom_file file = deliver_plain(plan, panel);
     const int turned = orientation[gsn_phantom_below(random, 3)];
     const double kept = gsn_phantom_between(random, .35, .85);
 
@@ -66,11 +66,11 @@ void gsn_phantom_delivery_draw(struct gsn_phantom_plan *plan)
 
     plan->files = 0;
     for (int i = 0; i < plan->panels; i++)
-        plan->file[plan->files++] = plain(plan, i + 1);
+        plan->file[plan->files++] = deliver_plain(plan, i + 1);
     if (!plan->level.awkward)
         return;
-    shuffle(&random, role, plan->panels);
-    shuffle(&random, order, plan->panels);
+    shuffle_cards(&random, role, plan->panels);
+    shuffle_cards(&random, order, plan->panels);
     plan->files = 0;
     for (int i = 0; i < plan->panels; i++) {
         const int panel = order[i] + 1;
@@ -100,7 +100,8 @@ char *gsn_phantom_delivery_name(const struct gsn_phantom_plan *plan, int i)
 
 /* Where the pixel in this row and column of the stored picture lies in the upright one (EXIF 2.3,
  * 4.6.4 A: what the first row and column of each orientation are). */
-static size_t upright(const struct gsn_image *image, int orientation, uint32_t row, uint32_t column)
+static size_t find_upright(const struct gsn_image *image, int orientation, uint32_t row,
+                           uint32_t column)
 {
     const uint32_t right = image->width - 1, low = image->height - 1;
 
@@ -111,8 +112,8 @@ static size_t upright(const struct gsn_image *image, int orientation, uint32_t r
     return (size_t)(low - column) * image->width + row; /* 8: the left side, the bottom */
 }
 
-static int turn(const struct gsn_image *image, int orientation, struct gsn_image **ret_image,
-                struct gsn_error *err)
+static int turn_image(const struct gsn_image *image, int orientation, struct gsn_image **ret_image,
+                      struct gsn_error *err)
 {
     const int lying = orientation != 3;
     gsn_auto(gsn_image) turned = NULL;
@@ -124,7 +125,7 @@ static int turn(const struct gsn_image *image, int orientation, struct gsn_image
     for (uint32_t y = 0; y < turned->height; y++)
         for (uint32_t x = 0; x < turned->width; x++)
             memcpy((uint8_t *)turned->samples + 3 * ((size_t)y * turned->width + x),
-                   (const uint8_t *)image->samples + 3 * upright(image, orientation, y, x), 3);
+                   (const uint8_t *)image->samples + 3 * find_upright(image, orientation, y, x), 3);
     *ret_image = gsn_steal(&turned);
     return GSN_OK;
 }
@@ -138,7 +139,7 @@ static int encode_jpeg(const struct gsn_phantom_file *file, int quality,
     int r = GSN_OK;
 
     if (file->orientation != 1)
-        r = turn(image, file->orientation, &turned, err);
+        r = turn_image(image, file->orientation, &turned, err);
     if (r >= 0 && file->passes > 1)
         r = gsn_phantom_jpeg_lossy(turned ? turned : image, quality, &lossy, err);
     if (r < 0)

@@ -24,7 +24,7 @@ static uint32_t to_px(double um, double px_um, uint32_t most)
     return (uint32_t)fmin(fmax(round(um / px_um), 0), most);
 }
 
-static void ink(const struct gsn_phantom_glass *glass, uint32_t x, uint32_t y)
+static void draw_ink(const struct gsn_phantom_glass *glass, uint32_t x, uint32_t y)
 {
     for (size_t c = 0; c < 3; c++)
         glass->od[3 * ((size_t)y * glass->width + x) + c] = (float)LABEL_INK;
@@ -40,7 +40,7 @@ static void write_text(const struct gsn_phantom_glass *glass, double frame_um, c
             const double u = (x + 0.5) * glass->px_um, v = (y + 0.5) * glass->px_um;
 
             if (gsn_phantom_label_has(text, u - frame_um - corner_um.x, v - frame_um - corner_um.y))
-                ink(glass, x, y);
+                draw_ink(glass, x, y);
         }
 }
 
@@ -56,7 +56,7 @@ static void write_matrix(const struct gsn_phantom_glass *glass, double frame_um,
     for (uint32_t y = 0; y < side; y++)
         for (uint32_t x = 0; x < side; x++)
             if (matrix->dark[y / module][x / module])
-                ink(glass, x0 + x, y0 + y);
+                draw_ink(glass, x0 + x, y0 + y);
 }
 
 /* Sticks the label on its head: each pixel of it changes places with the one across its middle. */

@@ -207,7 +207,7 @@ double gsn_phantom_section_z(const struct gsn_phantom_geometry *g, int k)
 }
 
 /* F, the smooth outline of the block. */
-static double tissue(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
+static double measure_tissue(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
     const double u = fabs(at.x) / g->ax, v = fabs(at.y) / g->ay;
     const double edge = g->delta / fmin(g->ax, g->ay);
@@ -230,8 +230,8 @@ static double tissue(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 }
 
 /* Distance from the paraboloid of the root whose half axes are scaled and that starts later. */
-static double paraboloid(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, double scale,
-                         double start)
+static double measure_paraboloid(const struct gsn_phantom_geometry *g, struct gsn_vec3 at,
+                                 double scale, double start)
 {
     const double a = g->a * scale, b = g->b * scale;
     const double x = at.x - (g->cx + g->tx * at.z), y = at.y - (g->cy + g->ty * at.z);
@@ -245,7 +245,7 @@ static double paraboloid(const struct gsn_phantom_geometry *g, struct gsn_vec3 a
 
 double gsn_phantom_root_distance(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
-    return paraboloid(g, at, 1, 0);
+    return measure_paraboloid(g, at, 1, 0);
 }
 
 static double bone_width(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
@@ -256,7 +256,7 @@ static double bone_width(const struct gsn_phantom_geometry *g, struct gsn_vec3 a
 }
 
 /* How far the point is in the nearest marrow space, 0..1. */
-static double marrow(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
+static double measure_marrow(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
     /* No space is thinner than 4 delta: its soft edge ends within 1 + 1/4 radii. */
     const double far = 1.25;
@@ -275,8 +275,8 @@ static double marrow(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
     return most;
 }
 
-static void layers(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, double d,
-                   double layer[GSN_PHANTOM_LAYERS])
+static void find_layers(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, double d,
+                        double layer[GSN_PHANTOM_LAYERS])
 {
     const double root = gsn_phantom_step(-d / g->delta);
     const double beyond_pdl = gsn_phantom_step((d - g->pdl_width) / g->delta);
@@ -286,7 +286,8 @@ static void layers(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, dou
         layer[i] = 0;
     if (root > 0)
         layer[GSN_PHANTOM_PULP] =
-            gsn_phantom_step(-paraboloid(g, at, g->pulp_scale, g->pulp_start) / g->delta) * root;
+            gsn_phantom_step(-measure_paraboloid(g, at, g->pulp_scale, g->pulp_start) / g->delta) *
+            root;
     layer[GSN_PHANTOM_DENT] = root - layer[GSN_PHANTOM_PULP];
     layer[GSN_PHANTOM_PDL] = (1 - root) * (1 - beyond_pdl);
     if (beyond_pdl > 0)
@@ -294,12 +295,12 @@ static void layers(const struct gsn_phantom_geometry *g, struct gsn_vec3 at, dou
     layer[GSN_PHANTOM_CONN] = beyond_pdl * beyond_bone;
     bone = beyond_pdl * (1 - beyond_bone);
     if (bone > 0)
-        layer[GSN_PHANTOM_MARR] = bone * marrow(g, at);
+        layer[GSN_PHANTOM_MARR] = bone * measure_marrow(g, at);
     layer[GSN_PHANTOM_BONE] = bone - layer[GSN_PHANTOM_MARR];
 }
 
 /* E, a Gaussian turned about z. */
-static double lesion(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
+static double weigh_lesion(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 {
     const struct gsn_vec3 d = gsn_vec3_sub(at, g->lesion), r = g->lesion_radius;
     const double c = cos(g->lesion_turn), s = sin(g->lesion_turn);
@@ -311,13 +312,13 @@ static double lesion(const struct gsn_phantom_geometry *g, struct gsn_vec3 at)
 void gsn_phantom_field_at(const struct gsn_phantom_geometry *g, struct gsn_vec3 at,
                           struct gsn_phantom_field *ret_field)
 {
-    struct gsn_phantom_field f = { .tissue = tissue(g, at) };
+    struct gsn_phantom_field f = { .tissue = measure_tissue(g, at) };
     double d, bone, sum = 0;
 
     if (f.tissue > 0) {
         d = gsn_phantom_root_distance(g, at);
-        layers(g, at, d, f.layer);
-        f.lesion = lesion(g, at);
+        find_layers(g, at, d, f.layer);
+        f.lesion = weigh_lesion(g, at);
         bone = g->density[GSN_PHANTOM_BONE] * f.layer[GSN_PHANTOM_BONE] *
                (1 + g->lamella * cos(2 * M_PI * d / g->lamella_length)) *
                (1 - g->slope_z * at.z / g->height);

@@ -26,7 +26,7 @@ static void sink_open(j_compress_ptr jpeg)
     sink->destination.free_in_buffer = CHUNK;
 }
 
-static void put(struct sink *sink, size_t size)
+static void put_bytes(struct sink *sink, size_t size)
 {
     if (gsn_phantom_buffer_put(sink->file, sink->file->size, sink->chunk, size) < 0)
         longjmp(sink->out, 1);
@@ -34,7 +34,7 @@ static void put(struct sink *sink, size_t size)
 
 static boolean sink_flush(j_compress_ptr jpeg)
 {
-    put((struct sink *)jpeg->dest, CHUNK);
+    put_bytes((struct sink *)jpeg->dest, CHUNK);
     sink_open(jpeg);
     return TRUE;
 }
@@ -43,7 +43,7 @@ static void sink_close(j_compress_ptr jpeg)
 {
     struct sink *sink = (struct sink *)jpeg->dest;
 
-    put(sink, CHUNK - sink->destination.free_in_buffer);
+    put_bytes(sink, CHUNK - sink->destination.free_in_buffer);
 }
 
 static void give_up(j_common_ptr jpeg)
@@ -79,8 +79,8 @@ static void set_orientation(j_compress_ptr jpeg, int orientation)
 }
 
 /* Owns nothing that libjpeg's way out would lose. */
-static int encode(j_compress_ptr jpeg, struct sink *sink, const struct gsn_image *image,
-                  double px_um, int quality, int orientation)
+static int encode_image(j_compress_ptr jpeg, struct sink *sink, const struct gsn_image *image,
+                        double px_um, int quality, int orientation)
 {
     if (setjmp(sink->out))
         return -1;
@@ -129,7 +129,7 @@ int gsn_phantom_jpeg(const struct gsn_image *image, double px_um, int quality, i
     jpeg.err->error_exit = give_up;
     jpeg.err->output_message = keep_quiet;
     jpeg.client_data = sink;
-    r = encode(&jpeg, sink, image, px_um, quality, orientation);
+    r = encode_image(&jpeg, sink, image, px_um, quality, orientation);
     jpeg_destroy_compress(&jpeg);
     if (r < 0)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a JPEG file");
@@ -151,8 +151,8 @@ static void stop_reading(j_common_ptr jpeg)
 }
 
 /* Owns nothing that libjpeg's way out would lose. */
-static int decode(j_decompress_ptr jpeg, struct reader *reader,
-                  const struct gsn_phantom_buffer *file, const struct gsn_image *onto)
+static int decode_image(j_decompress_ptr jpeg, struct reader *reader,
+                        const struct gsn_phantom_buffer *file, const struct gsn_image *onto)
 {
     if (setjmp(reader->out))
         return -1;
@@ -191,7 +191,7 @@ int gsn_phantom_jpeg_lossy(const struct gsn_image *image, int quality, struct gs
     jpeg.err->error_exit = stop_reading;
     jpeg.err->output_message = keep_quiet;
     jpeg.client_data = &reader;
-    r = decode(&jpeg, &reader, &file, back);
+    r = decode_image(&jpeg, &reader, &file, back);
     jpeg_destroy_decompress(&jpeg);
     if (r < 0)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a JPEG file");

@@ -58,7 +58,7 @@ static int near_mark(const struct gsn_phantom_plan *plan, const struct gsn_phant
     return 0;
 }
 
-static void strew(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
+static void strew_debris(const struct gsn_phantom_plan *plan, struct gsn_phantom_section *s)
 {
     const double reach = 2600, least_um = 40, most_um = 130;
     const double size = plan->variant.burning.radius_um / gsn_phantom_burning()->radius_um;
@@ -85,14 +85,14 @@ static void strew(const struct gsn_phantom_plan *plan, struct gsn_phantom_sectio
 
 /* --- sections that are not there --- */
 
-static void add(struct gsn_phantom_plan *plan, const struct gsn_phantom_defect *defect)
+static void add_defect(struct gsn_phantom_plan *plan, const struct gsn_phantom_defect *defect)
 {
     if (plan->defects < GSN_PHANTOM_DEFECTS_MOST)
         plan->defect[plan->defects++] = *defect;
 }
 
 /* A lost section leaves its slot empty; now and then the one before it is mounted there again. */
-static void lose(struct gsn_phantom_plan *plan, int k, struct gsn_phantom_random *random)
+static void lose_section(struct gsn_phantom_plan *plan, int k, struct gsn_phantom_random *random)
 {
     const double duplicate_share = 0.25;
     struct gsn_phantom_section *s = &plan->section[k];
@@ -105,7 +105,7 @@ static void lose(struct gsn_phantom_plan *plan, int k, struct gsn_phantom_random
     };
 
     s->shows = again ? k - 1 : -1;
-    add(plan, &defect);
+    add_defect(plan, &defect);
 }
 
 /* What a level says of twelve sections, for a panel of more or fewer. */
@@ -128,7 +128,7 @@ static void lose_some(struct dealing *deal)
 
         if (deal->used[slot] || (slot + 1 < slots && deal->plan->section[k + 1].shows == k))
             continue;
-        lose(deal->plan, k, deal->random);
+        lose_section(deal->plan, k, deal->random);
         deal->used[slot] = 1;
         left--;
     }
@@ -144,7 +144,7 @@ static void note_row(struct dealing *deal, struct gsn_phantom_defect d)
     for (int k = first; k < first + columns; k++) {
         d.k = k;
         if (deal->plan->section[k].shows >= 0)
-            add(deal->plan, &d);
+            add_defect(deal->plan, &d);
     }
 }
 
@@ -159,7 +159,7 @@ static int may_befall(const struct dealing *deal, enum gsn_phantom_defect_kind k
 }
 
 /* 0 when no section is left that it could befall. */
-static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
+static int draw_section(struct dealing *deal, enum gsn_phantom_defect_kind kind)
 {
     const int slots = deal->plan->slots, first = deal->panel * slots;
     const int start = (int)gsn_phantom_below(deal->random, (uint32_t)slots);
@@ -176,11 +176,11 @@ static int befall(struct dealing *deal, enum gsn_phantom_defect_kind kind)
             note_row(deal, d);
             return 1;
         }
-        add(deal->plan, &d);
+        add_defect(deal->plan, &d);
         if (kind == GSN_PHANTOM_TOUCHING) {
             d.k++;
             deal->used[slot + 1] = 1;
-            add(deal->plan, &d);
+            add_defect(deal->plan, &d);
         }
         return 1;
     }
@@ -199,13 +199,13 @@ static void lose_panel(struct gsn_phantom_plan *plan)
         };
 
         plan->section[k].shows = -1;
-        add(plan, &defect);
+        add_defect(plan, &defect);
     }
 }
 
 /* The kinds in an order of their own: dealt out like cards, so that a specimen sees each of them
  * before it sees one twice. */
-static void shuffle(struct gsn_phantom_random *random, int card[GSN_PHANTOM_ACCIDENTS])
+static void shuffle_kinds(struct gsn_phantom_random *random, int card[GSN_PHANTOM_ACCIDENTS])
 {
     for (int i = 0; i < GSN_PHANTOM_ACCIDENTS; i++) {
         const int j = (int)gsn_phantom_below(random, (uint32_t)i + 1);
@@ -237,9 +237,9 @@ static void deal_defects(struct gsn_phantom_plan *plan)
         /* What finds no section is put aside, which a whole hand of cards never is. */
         for (int last = dealt + 2 * GSN_PHANTOM_ACCIDENTS; count > 0 && dealt < last; dealt++) {
             if (dealt % GSN_PHANTOM_ACCIDENTS == 0)
-                shuffle(&random, card);
-            count -=
-                befall(&deal, (enum gsn_phantom_defect_kind)card[dealt % GSN_PHANTOM_ACCIDENTS]);
+                shuffle_kinds(&random, card);
+            count -= draw_section(
+                &deal, (enum gsn_phantom_defect_kind)card[dealt % GSN_PHANTOM_ACCIDENTS]);
         }
     }
 }
@@ -251,6 +251,6 @@ void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
     for (int k = 0; k < plan->sections; k++) {
         burn_marks(plan, &plan->section[k]);
         if (plan->level.handled || plan->variant.decoys >= 0)
-            strew(plan, &plan->section[k]);
+            strew_debris(plan, &plan->section[k]);
     }
 }

@@ -20,7 +20,7 @@ struct box {
     uint32_t x0, y0, x1, y1;
 };
 
-static uint32_t clip(double px, uint32_t most)
+static uint32_t clip_pixel(double px, uint32_t most)
 {
     return (uint32_t)fmin(fmax(px, 0), most);
 }
@@ -36,10 +36,10 @@ static struct box box_of(const struct gsn_phantom_glass *glass, const struct gsn
         top = fmin(top, point[i].y - reach_um);
         low = fmax(low, point[i].y + reach_um);
     }
-    return (struct box){ clip(floor(left / glass->px_um), glass->width),
-                         clip(floor(top / glass->px_um), glass->height),
-                         clip(ceil(right / glass->px_um), glass->width),
-                         clip(ceil(low / glass->px_um), glass->height) };
+    return (struct box){ clip_pixel(floor(left / glass->px_um), glass->width),
+                         clip_pixel(floor(top / glass->px_um), glass->height),
+                         clip_pixel(ceil(right / glass->px_um), glass->width),
+                         clip_pixel(ceil(low / glass->px_um), glass->height) };
 }
 
 static struct gsn_point centre_um(const struct gsn_phantom_glass *glass, uint32_t x, uint32_t y)
@@ -47,19 +47,19 @@ static struct gsn_point centre_um(const struct gsn_phantom_glass *glass, uint32_
     return (struct gsn_point){ (x + 0.5) * glass->px_um, (y + 0.5) * glass->px_um };
 }
 
-static float *pixel(const struct gsn_phantom_glass *glass, uint32_t x, uint32_t y)
+static float *pixel_at(const struct gsn_phantom_glass *glass, uint32_t x, uint32_t y)
 {
     return glass->od + 3 * ((size_t)y * glass->width + x);
 }
 
-static void darken(float *od, double share, const double by[3])
+static void darken_pixel(float *od, double share, const double by[3])
 {
     for (int c = 0; c < 3; c++)
         od[c] += (float)(share * by[c]);
 }
 
 /* How much of a pixel lies within half a width of the middle of a line, 0..1. */
-static double covered(double distance_um, double half_um, double px_um)
+static double cover_share(double distance_um, double half_um, double px_um)
 {
     const double inner = fmin(fmax((half_um - distance_um) / (SOFT_PX * px_um) + 0.5, 0), 1);
 
@@ -80,7 +80,7 @@ static void draw_stroke(const struct gsn_phantom_glass *glass, const struct gsn_
         for (uint32_t x = box.x0; x < box.x1; x++) {
             const double away = gsn_phantom_stroke_distance(line, centre_um(glass, x, y));
 
-            darken(pixel(glass, x, y), covered(away, d->width / 2, glass->px_um), od);
+            darken_pixel(pixel_at(glass, x, y), cover_share(away, d->width / 2, glass->px_um), od);
         }
 }
 
@@ -94,7 +94,7 @@ static void draw_disc(const struct gsn_phantom_glass *glass, struct gsn_phantom_
             const struct gsn_point p = centre_um(glass, x, y);
             const double away = hypot(p.x - disc.at.x, p.y - disc.at.y);
 
-            darken(pixel(glass, x, y), covered(away, disc.radius, glass->px_um), od);
+            darken_pixel(pixel_at(glass, x, y), cover_share(away, disc.radius, glass->px_um), od);
         }
 }
 
@@ -123,7 +123,7 @@ static void draw_edge(const struct gsn_phantom_plan *plan, const struct gsn_phan
     const double left_um = gsn_phantom_slot_centre_um(plan, 0).x - gsn_phantom_slot_half_um;
     const double od[3] = { EDGE_OD, EDGE_OD, EDGE_OD };
 
-    for (uint32_t x = clip(left_um / glass->px_um, glass->width); x < glass->width; x++) {
+    for (uint32_t x = clip_pixel(left_um / glass->px_um, glass->width); x < glass->width; x++) {
         const double middle = d->at.y + ((x + 0.5) * glass->px_um - d->at.x) * tan(d->turn);
         const struct gsn_point at = { d->at.x, middle };
         const struct box box = box_of(glass, &at, 1, d->width);
@@ -131,7 +131,7 @@ static void draw_edge(const struct gsn_phantom_plan *plan, const struct gsn_phan
         for (uint32_t y = box.y0; y < box.y1; y++) {
             const double away = fabs((y + 0.5) * glass->px_um - middle) * cos(d->turn);
 
-            darken(pixel(glass, x, y), covered(away, d->width / 2, glass->px_um), od);
+            darken_pixel(pixel_at(glass, x, y), cover_share(away, d->width / 2, glass->px_um), od);
         }
     }
 }
@@ -155,8 +155,8 @@ static void blur_line(const struct box *box, const float *in, const double *kern
 
             for (int i = -KERNEL_REACH; i <= KERNEL_REACH; i++) {
                 const int64_t u = (int64_t)x + (down ? 0 : i), v = (int64_t)y + (down ? i : 0);
-                const uint32_t px = clip(fmax((double)u, box->x0), box->x1 - 1);
-                const uint32_t py = clip(fmax((double)v, box->y0), box->y1 - 1);
+                const uint32_t px = clip_pixel(fmax((double)u, box->x0), box->x1 - 1);
+                const uint32_t py = clip_pixel(fmax((double)v, box->y0), box->y1 - 1);
                 const float *at = in + at_patch(box, px, py);
 
                 for (int c = 0; c < 3; c++)
@@ -201,7 +201,7 @@ static int blur_disc(const struct gsn_phantom_glass *glass, struct gsn_phantom_d
     for (uint32_t y = box.y0; y < box.y1; y++)
         for (uint32_t x = box.x0; x < box.x1; x++)
             for (uint32_t c = 0; c < 3; c++)
-                light[at_patch(&box, x, y) + c] = powf(10, -pixel(glass, x, y)[c]);
+                light[at_patch(&box, x, y) + c] = powf(10, -pixel_at(glass, x, y)[c]);
     blur_line(&box, light, kernel, 0, rows);
     blur_line(&box, rows, kernel, 1, light);
     for (uint32_t y = box.y0; y < box.y1; y++)
@@ -209,7 +209,7 @@ static int blur_disc(const struct gsn_phantom_glass *glass, struct gsn_phantom_d
             const struct gsn_point p = centre_um(glass, x, y);
             const double away = hypot(p.x - disc.at.x, p.y - disc.at.y);
             const double share = fmin(fmax((disc.radius - away) / fall_um + 0.5, 0), 1);
-            float *od = pixel(glass, x, y);
+            float *od = pixel_at(glass, x, y);
 
             for (uint32_t c = 0; share > 0 && c < 3; c++) {
                 const double blurred = -log10((double)light[at_patch(&box, x, y) + c]);
@@ -236,11 +236,11 @@ static int draw_bubble(const struct gsn_phantom_glass *glass, const struct gsn_p
         for (uint32_t x = box.x0; x < box.x1; x++) {
             const struct gsn_point p = centre_um(glass, x, y);
             const double away = (hypot(p.x - d->at.x, p.y - d->at.y) - d->radius) / glass->px_um;
-            float *od = pixel(glass, x, y);
+            float *od = pixel_at(glass, x, y);
 
             for (int c = 0; away < 0 && c < 3; c++)
                 od[c] *= (float)INSIDE_SHARE;
-            darken(od, exp(-away * away / (2 * RIM_PX * RIM_PX)), grey);
+            darken_pixel(od, exp(-away * away / (2 * RIM_PX * RIM_PX)), grey);
         }
     return GSN_OK;
 }

@@ -103,7 +103,7 @@ struct gsn_phantom_random gsn_phantom_plan_random(const struct gsn_phantom_plan 
 }
 
 /* Within -most..most. */
-static double spread(struct gsn_phantom_random *random, double most)
+static double draw_within(struct gsn_phantom_random *random, double most)
 {
     return most * (2 * gsn_phantom_uniform(random) - 1);
 }
@@ -121,8 +121,8 @@ struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *s, dou
 
 /* What a hand adds to the pose: some sections lie upside down or turned over, and the water has
  * stretched them. */
-static void handle(const struct gsn_phantom_level *level, struct gsn_phantom_random *random,
-                   struct gsn_phantom_section *s)
+static void handle_section(const struct gsn_phantom_level *level, struct gsn_phantom_random *random,
+                           struct gsn_phantom_section *s)
 {
     double size;
 
@@ -134,7 +134,7 @@ static void handle(const struct gsn_phantom_level *level, struct gsn_phantom_ran
     s->sy = 1 + size + gsn_phantom_normal(random, level->axis_sd);
 }
 
-static void lay(struct gsn_phantom_plan *plan, int k)
+static void place_section(struct gsn_phantom_plan *plan, int k)
 {
     struct gsn_phantom_section *s = &plan->section[k];
     struct gsn_phantom_random random = gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_POSE, k, 0);
@@ -148,11 +148,11 @@ static void lay(struct gsn_phantom_plan *plan, int k)
                                        .sx = 1,
                                        .sy = 1 };
     centre = gsn_phantom_slot_centre_um(plan, s->slot);
-    s->theta = RAD_PER_DEG * spread(&random, plan->level.turn_within_deg);
-    s->centre_px.x = (centre.x + spread(&random, plan->level.jitter_um)) / plan->px_um;
-    s->centre_px.y = (centre.y + spread(&random, plan->level.jitter_um)) / plan->px_um;
+    s->theta = RAD_PER_DEG * draw_within(&random, plan->level.turn_within_deg);
+    s->centre_px.x = (centre.x + draw_within(&random, plan->level.jitter_um)) / plan->px_um;
+    s->centre_px.y = (centre.y + draw_within(&random, plan->level.jitter_um)) / plan->px_um;
     if (plan->level.handled || plan->level.size_sd > 0)
-        handle(&plan->level, &random, s);
+        handle_section(&plan->level, &random, s);
     s->to_panel = gsn_phantom_panel_map(s, plan->px_um);
 }
 
@@ -263,7 +263,7 @@ int gsn_phantom_plan_make_variant(const char *specimen, const char *level, uint6
         return gsn_fail(err, GSN_E_LIMIT, "%d sections do not fill a panel of %d",
                         variant->geometry.sections, plan->slots);
     for (int k = 0; k < plan->sections; k++)
-        lay(plan, k);
+        place_section(plan, k);
     for (int panel = 0; panel < plan->panels; panel++)
         mix_batch(plan, panel);
     gsn_phantom_delivery_draw(plan);

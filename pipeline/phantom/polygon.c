@@ -25,7 +25,8 @@ static double tissue_end(const struct gsn_phantom_sight *sight, double x, double
     return sign * y;
 }
 
-static size_t disc(struct gsn_point centre, double radius, double px_um, struct gsn_point *ret_p)
+static size_t outline_disc(struct gsn_point centre, double radius, double px_um,
+                           struct gsn_point *ret_p)
 {
     enum { CORNERS = 24 };
     /* The polygon has the area of the disc. */
@@ -37,7 +38,8 @@ static size_t disc(struct gsn_point centre, double radius, double px_um, struct 
     return CORNERS;
 }
 
-static size_t square(struct gsn_point centre, double half, double px_um, struct gsn_point *ret_p)
+static size_t outline_square(struct gsn_point centre, double half, double px_um,
+                             struct gsn_point *ret_p)
 {
     static const int sign[4][2] = { { -1, -1 }, { 1, -1 }, { 1, 1 }, { -1, 1 } };
 
@@ -48,7 +50,8 @@ static size_t square(struct gsn_point centre, double half, double px_um, struct 
 }
 
 /* Both sides of a stroke. */
-static size_t ribbon(const struct gsn_phantom_defect *d, double px_um, struct gsn_point *ret_p)
+static size_t outline_ribbon(const struct gsn_phantom_defect *d, double px_um,
+                             struct gsn_point *ret_p)
 {
     enum { LAST = GSN_PHANTOM_STROKE };
     struct gsn_point line[LAST + 1];
@@ -67,8 +70,8 @@ static size_t ribbon(const struct gsn_phantom_defect *d, double px_um, struct gs
     return 2 * LAST + 2;
 }
 
-static size_t tear(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
-                   struct gsn_point *ret_p)
+static size_t outline_tear(const struct gsn_phantom_sight *sight,
+                           const struct gsn_phantom_defect *d, struct gsn_point *ret_p)
 {
     const double end = fmax(tissue_end(sight, d->at.x, d->turn, 1), d->at.y);
     const double gap = gsn_phantom_tear_gap(d, end);
@@ -79,8 +82,8 @@ static size_t tear(const struct gsn_phantom_sight *sight, const struct gsn_phant
     return 3;
 }
 
-static size_t fold(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
-                   struct gsn_point *ret_p)
+static size_t outline_fold(const struct gsn_phantom_sight *sight,
+                           const struct gsn_phantom_defect *d, struct gsn_point *ret_p)
 {
     const double near = d->at.x, far = d->at.x + d->width;
 
@@ -91,8 +94,8 @@ static size_t fold(const struct gsn_phantom_sight *sight, const struct gsn_phant
     return 4;
 }
 
-static size_t edge(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
-                   struct gsn_point *ret_p)
+static size_t outline_edge(const struct gsn_phantom_sight *sight,
+                           const struct gsn_phantom_defect *d, struct gsn_point *ret_p)
 {
     static const int sign[4][2] = { { -1, -1 }, { 1, -1 }, { 1, 1 }, { -1, 1 } };
     const double x0 = gsn_phantom_slot_centre_um(sight->plan, sight->section->slot).x;
@@ -106,8 +109,8 @@ static size_t edge(const struct gsn_phantom_sight *sight, const struct gsn_phant
     return 4;
 }
 
-static size_t piece(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
-                    struct gsn_point *ret_p)
+static size_t outline_piece(const struct gsn_phantom_sight *sight,
+                            const struct gsn_phantom_defect *d, struct gsn_point *ret_p)
 {
     for (size_t i = 0; i < d->count; i++)
         ret_p[i] = gsn_phantom_sight_panel(
@@ -123,24 +126,24 @@ size_t gsn_phantom_sight_polygon(const struct gsn_phantom_sight *sight,
 
     switch (d->kind) {
     case GSN_PHANTOM_TEAR:
-        return tear(sight, d, ret_p);
+        return outline_tear(sight, d, ret_p);
     case GSN_PHANTOM_FOLD:
-        return fold(sight, d, ret_p);
+        return outline_fold(sight, d, ret_p);
     case GSN_PHANTOM_LOST_PIECE:
-        return piece(sight, d, ret_p);
+        return outline_piece(sight, d, ret_p);
     case GSN_PHANTOM_COVERSLIP_EDGE:
-        return edge(sight, d, ret_p);
+        return outline_edge(sight, d, ret_p);
     case GSN_PHANTOM_HAIR:
     case GSN_PHANTOM_PEN:
-        return ribbon(d, px_um, ret_p);
+        return outline_ribbon(d, px_um, ret_p);
     case GSN_PHANTOM_BUBBLE:
     case GSN_PHANTOM_DEFOCUS:
-        return disc(d->at, d->radius, px_um, ret_p);
+        return outline_disc(d->at, d->radius, px_um, ret_p);
     case GSN_PHANTOM_TOUCHING:
-        return square(d->at, d->radius, px_um, ret_p);
+        return outline_square(d->at, d->radius, px_um, ret_p);
     case GSN_PHANTOM_CHATTER:
-        return square(d->at, 2700, px_um, ret_p);
+        return outline_square(d->at, 2700, px_um, ret_p);
     default:
-        return square(d->at, gsn_phantom_slot_half_um, px_um, ret_p);
+        return outline_square(d->at, gsn_phantom_slot_half_um, px_um, ret_p);
     }
 }

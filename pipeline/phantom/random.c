@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-static uint64_t mix(uint64_t *counter)
+static uint64_t mix_bits(uint64_t *counter)
 {
     uint64_t z = *counter += 0x9e3779b97f4a7c15u;
 
@@ -12,22 +12,22 @@ static uint64_t mix(uint64_t *counter)
     return z ^ (z >> 31);
 }
 
-static uint64_t rotate(uint64_t x, int by)
+static uint64_t rotate_bits(uint64_t x, int by)
 {
     return (x << by) | (x >> (64 - by));
 }
 
-static uint64_t next(struct gsn_phantom_random *random)
+static uint64_t next_bits(struct gsn_phantom_random *random)
 {
     uint64_t *s = random->state;
-    const uint64_t result = rotate(s[1] * 5, 7) * 9, shifted = s[1] << 17;
+    const uint64_t result = rotate_bits(s[1] * 5, 7) * 9, shifted = s[1] << 17;
 
     s[2] ^= s[0];
     s[3] ^= s[1];
     s[1] ^= s[2];
     s[0] ^= s[3];
     s[2] ^= shifted;
-    s[3] = rotate(s[3], 45);
+    s[3] = rotate_bits(s[3], 45);
     return result;
 }
 
@@ -41,21 +41,21 @@ struct gsn_phantom_random gsn_phantom_random_make(uint64_t seed, enum gsn_phanto
     /* Each part of the name is mixed before the next is added: neighbouring names are unrelated. */
     for (int i = 0; i < 4; i++) {
         counter += name[i];
-        counter = mix(&counter);
+        counter = mix_bits(&counter);
     }
     for (int i = 0; i < 4; i++)
-        random.state[i] = mix(&counter);
+        random.state[i] = mix_bits(&counter);
     return random;
 }
 
 double gsn_phantom_uniform(struct gsn_phantom_random *random)
 {
-    return (double)(next(random) >> 11) * 0x1p-53;
+    return (double)(next_bits(random) >> 11) * 0x1p-53;
 }
 
 uint32_t gsn_phantom_below(struct gsn_phantom_random *random, uint32_t count)
 {
-    return (uint32_t)(((next(random) >> 32) * count) >> 32);
+    return (uint32_t)(((next_bits(random) >> 32) * count) >> 32);
 }
 
 int gsn_phantom_poisson(struct gsn_phantom_random *random, double mean)

@@ -77,7 +77,7 @@ static void draw_tissue(struct brush *brush, struct gsn_point p, struct gsn_poin
     gsn_phantom_optical_density(field, &brush->stain, &local, od);
 }
 
-static void widen(struct gsn_phantom_extent *extent, uint32_t x, uint32_t y)
+static void widen_extent(struct gsn_phantom_extent *extent, uint32_t x, uint32_t y)
 {
     uint32_t right = extent->x + extent->width, low = extent->y + extent->height;
 
@@ -148,14 +148,14 @@ static void draw_pixels(struct brush *brush, struct gsn_phantom_sheet *sheet)
                 const double tissue = draw_layer(brush, p, reading.at[i], out);
 
                 if (i == 0 && tissue >= 0.5 && !(reading.moved && reading.layers == 1))
-                    widen(&sheet->extent, x, y);
+                    widen_extent(&sheet->extent, x, y);
             }
         }
 }
 
 /* The knife shook: thick and thin by turns, every 90 um. */
-static void chatter(const struct gsn_phantom_plan *plan, const struct gsn_phantom_defect *d,
-                    struct gsn_phantom_sheet *sheet)
+static void add_chatter(const struct gsn_phantom_plan *plan, const struct gsn_phantom_defect *d,
+                        struct gsn_phantom_sheet *sheet)
 {
     const double wave_um = 90, depth = 0.12;
     const struct gsn_phantom_window *w = &sheet->window;
@@ -249,7 +249,7 @@ static int draw_sheet(const struct gsn_phantom_plan *plan, int k, struct gsn_pha
     draw_pixels(&brush, sheet);
     for (size_t i = 0; i < plan->defects; i++)
         if (plan->defect[i].kind == GSN_PHANTOM_CHATTER && plan->defect[i].k == k)
-            chatter(plan, &plan->defect[i], sheet);
+            add_chatter(plan, &plan->defect[i], sheet);
     return GSN_OK;
 }
 

@@ -59,8 +59,8 @@ static void shape_piece(const struct gsn_phantom_plan *plan, struct gsn_phantom_
 }
 
 /* A curve that wanders: each step turns by up to bend. */
-static void wander(struct gsn_phantom_random *random, struct gsn_point from, double heading,
-                   double step, double bend, struct gsn_phantom_defect *d)
+static void draw_wandering(struct gsn_phantom_random *random, struct gsn_point from, double heading,
+                           double step, double bend, struct gsn_phantom_defect *d)
 {
     for (size_t i = 0; i < d->count; i++) {
         d->point[i] = from;
@@ -77,8 +77,8 @@ static void shape_hair(struct gsn_phantom_random *random, struct gsn_point centr
 
     d->width = 12;
     d->count = 6;
-    wander(random, gsn_phantom_around(random, centre, 2000), heading,
-           gsn_phantom_between(random, 350, 700), .9, d);
+    draw_wandering(random, gsn_phantom_around(random, centre, 2000), heading,
+                   gsn_phantom_between(random, 350, 700), .9, d);
     d->at = d->point[0];
     for (int i = 0; i < GSN_PHANTOM_DUST; i++) {
         d->dust[i].at = gsn_phantom_around(random, centre, 2600);
@@ -101,11 +101,11 @@ static void shape_pen(struct gsn_phantom_random *random, struct gsn_point slot,
         const struct gsn_point from = { centre.x - length / 2 * cos(phi),
                                         centre.y - length / 2 * sin(phi) };
 
-        wander(random, gsn_phantom_around(random, from, 600), phi, length / 3, .3, d);
+        draw_wandering(random, gsn_phantom_around(random, from, 600), phi, length / 3, .3, d);
     } else {
         const struct gsn_point from = { slot.x - length / 2, slot.y + side * 3100 };
 
-        wander(random, from, 0, length / 3, .05, d);
+        draw_wandering(random, from, 0, length / 3, .05, d);
     }
     d->at = d->point[0];
 }
@@ -121,8 +121,8 @@ static double half_width(const struct gsn_phantom_geometry *g, const struct gsn_
                1 / q);
 }
 
-static void touch(const struct gsn_phantom_plan *plan, struct gsn_phantom_random *random,
-                  struct gsn_phantom_section *left, struct gsn_phantom_defect *d)
+static void make_touch(const struct gsn_phantom_plan *plan, struct gsn_phantom_random *random,
+                       struct gsn_phantom_section *left, struct gsn_phantom_defect *d)
 {
     const struct gsn_phantom_geometry *g = &plan->variant.geometry;
     struct gsn_phantom_section *right = left + 1;
@@ -182,7 +182,7 @@ void gsn_phantom_defect_shape(const struct gsn_phantom_plan *plan,
         d->sigma_px = gsn_phantom_between(random, 1, 3);
         break;
     default:
-        touch(plan, random, s, d);
+        make_touch(plan, random, s, d);
         break;
     }
 }

@@ -95,7 +95,7 @@ static const struct gsn_phantom_defect *hider(const struct gsn_phantom_sight *si
 }
 
 /* A tear that runs through a mark spoils it however narrow it is. */
-static int torn(const struct gsn_phantom_sight *sight, const struct gsn_phantom_mark *mark)
+static int is_torn(const struct gsn_phantom_sight *sight, const struct gsn_phantom_mark *mark)
 {
     const struct gsn_phantom_defect *rent = sight->rent;
     struct gsn_point p;
@@ -124,7 +124,7 @@ const char *gsn_phantom_sight_mark(const struct gsn_phantom_sight *sight, int ma
                                            : GSN_PHANTOM_EMPTY_SLOT);
     if (m->missing)
         return "missing";
-    if (torn(sight, m))
+    if (is_torn(sight, m))
         return gsn_phantom_defect_name(GSN_PHANTOM_TEAR);
     for (int i = 0; i < RINGS * SPOKES; i++) {
         /* Rings of equal area. */
@@ -141,8 +141,8 @@ const char *gsn_phantom_sight_mark(const struct gsn_phantom_sight *sight, int ma
 
 /* --- the region --- */
 
-static int clean(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
-                 struct gsn_point p)
+static int is_clean(const struct gsn_phantom_sight *sight, const struct gsn_phantom_defect *d,
+                    struct gsn_point p)
 {
     const double px_um = sight->plan->px_um;
     const struct gsn_point um = { p.x * px_um, p.y * px_um };
@@ -174,7 +174,7 @@ double gsn_phantom_sight_hidden(const struct gsn_phantom_sight *sight,
             const struct gsn_point at = gsn_phantom_sight_block(sight, p);
 
             whole += (size_t)gsn_phantom_in_region(g, gsn_vec3_make(at.x, at.y, z));
-            seen += (size_t)clean(sight, defect, p);
+            seen += (size_t)is_clean(sight, defect, p);
         }
     return whole > seen ? (double)(whole - seen) / (double)whole : 0;
 }

@@ -33,9 +33,9 @@ static void make_weights(float weight[PATCH])
 
 /* Adds one patch, mirrored at random, with its upper left texel at (left, top), which may lie
  * outside the quilt. */
-static void sew(const struct tile *tile, const float weight[PATCH],
-                struct gsn_phantom_random *random, int64_t left, int64_t top,
-                struct gsn_plane *quilt)
+static void sew_patch(const struct tile *tile, const float weight[PATCH],
+                      struct gsn_phantom_random *random, int64_t left, int64_t top,
+                      struct gsn_plane *quilt)
 {
     const uint32_t x0 = gsn_phantom_below(random, tile->width - PATCH + 1);
     const uint32_t y0 = gsn_phantom_below(random, tile->height - PATCH + 1);
@@ -117,7 +117,7 @@ int gsn_phantom_quilt(enum gsn_phantom_tile tile, uint32_t width, uint32_t heigh
         return r;
     for (int64_t top = -PITCH; top < height; top += PITCH)
         for (int64_t left = -PITCH; left < width; left += PITCH)
-            sew(&TILE[tile], weight, random, left, top, quilt);
+            sew_patch(&TILE[tile], weight, random, left, top, quilt);
     r = subtract_mean(quilt, err);
     if (r < 0)
         return r;

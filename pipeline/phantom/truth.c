@@ -40,7 +40,7 @@ struct gsn_lattice gsn_phantom_truth_lattice(const struct gsn_phantom_geometry *
 }
 
 /* Cuts one axis of a lattice down to the voxels within low..high and two on either side. */
-static void crop(double low, double high, double step, double *origin, size_t *count)
+static void crop_axis(double low, double high, double step, double *origin, size_t *count)
 {
     const double border = 2;
     const double first = fmax(ceil((low - *origin) / step) - border, 0);
@@ -54,12 +54,12 @@ struct gsn_lattice gsn_phantom_region_lattice(const struct gsn_phantom_geometry 
 {
     struct gsn_lattice at = gsn_phantom_truth_lattice(g);
 
-    crop(g->lesion.x - g->region_radius, g->lesion.x + g->region_radius, at.step_um.x,
-         &at.origin_um.x, &at.nx);
-    crop(g->lesion.y - g->region_radius, g->lesion.y + g->region_radius, at.step_um.y,
-         &at.origin_um.y, &at.ny);
-    crop(g->lesion.z - g->region_half_height, g->lesion.z + g->region_half_height, at.step_um.z,
-         &at.origin_um.z, &at.nz);
+    crop_axis(g->lesion.x - g->region_radius, g->lesion.x + g->region_radius, at.step_um.x,
+              &at.origin_um.x, &at.nx);
+    crop_axis(g->lesion.y - g->region_radius, g->lesion.y + g->region_radius, at.step_um.y,
+              &at.origin_um.y, &at.ny);
+    crop_axis(g->lesion.z - g->region_half_height, g->lesion.z + g->region_half_height,
+              at.step_um.z, &at.origin_um.z, &at.nz);
     return at;
 }
 

@@ -80,7 +80,7 @@ enum { KEYS_MOST = 32 };
 /* --- failures --- */
 
 /* place: the file, and within it the object that a key belongs to. */
-static int bad(struct gsn_error *err, const char *place, const char *key, const char *wanted)
+static int refuse_key(struct gsn_error *err, const char *place, const char *key, const char *wanted)
 {
     return gsn_fail(err, GSN_E_INPUT, "%s: \"%s\" must be %s", place, key, wanted);
 }
@@ -247,22 +247,22 @@ static int read_marks(json_t *root, const char *place, struct gsn_phantom_varian
     if (!marks)
         return GSN_OK;
     if (!json_is_object(marks))
-        return bad(err, place, "marks", "an object");
+        return refuse_key(err, place, "marks", "an object");
     r = check_keys(marks, place, MARKS, COUNT(MARKS), err);
     if (r < 0)
         return r;
     if (json_object_get(marks, "radius_um") &&
         read_numbers(json_object_get(marks, "radius_um"), 1, 10, 400, &radius) < 0)
-        return bad(err, place, "radius_um", "a number, 10 to 400");
+        return refuse_key(err, place, "radius_um", "a number, 10 to 400");
     if (json_object_get(marks, "aspect") &&
         read_numbers(json_object_get(marks, "aspect"), 1, 1, 1.6, &v->aspect) < 0)
-        return bad(err, place, "aspect", "a number, 1 to 1.6");
+        return refuse_key(err, place, "aspect", "a number, 1 to 1.6");
     if (read_word(marks, "kind", kinds, &v->burning.hole) < 0)
-        return bad(err, place, "kind", "\"disc\" or \"hole\"");
+        return refuse_key(err, place, "kind", "\"disc\" or \"hole\"");
     if (read_whole(marks, "decoys", 0, GSN_PHANTOM_DECOYS_MOST, &v->decoys) < 0)
-        return bad(err, place, "decoys", "a whole number, 0 to 60");
+        return refuse_key(err, place, "decoys", "a whole number, 0 to 60");
     if (read_flag(marks, "none", &v->no_marks) < 0)
-        return bad(err, place, "none", "true or false");
+        return refuse_key(err, place, "none", "true or false");
     /* Another mark is the usual one made larger or smaller, but no edge is softer. */
     scale = radius / usual.radius_um;
     v->burning.radius_um = radius;
@@ -285,7 +285,7 @@ static int read_block(json_t *root, const char *place, struct gsn_phantom_varian
         return GSN_OK;
     if (read_word(json_is_object(block) ? block : root, json_is_object(block) ? "like" : "block",
                   names, &like) < 0)
-        return bad(err, place, "block", "\"D\" or \"P\", or an object \"like\" one of them");
+        return refuse_key(err, place, "block", "\"D\" or \"P\", or an object \"like\" one of them");
     *g = *gsn_phantom_geometry_find(names[like]);
     if (!json_is_object(block))
         return GSN_OK;
@@ -297,9 +297,9 @@ static int read_block(json_t *root, const char *place, struct gsn_phantom_varian
     if (r < 0)
         return r;
     if (read_whole(block, "sections", 4, 60, &g->sections) < 0)
-        return bad(err, place, "sections", "a whole number, 4 to 60");
+        return refuse_key(err, place, "sections", "a whole number, 4 to 60");
     if (read_whole(block, "marrow", 0, GSN_PHANTOM_MARROWS, &g->marrows) < 0)
-        return bad(err, place, "marrow", "a whole number, 0 to 40");
+        return refuse_key(err, place, "marrow", "a whole number, 0 to 40");
     g->first_z = g->interval / 2;
     g->height = g->interval * g->sections;
     return GSN_OK;
@@ -313,17 +313,17 @@ static int read_layout(const json_t *root, const char *place, struct gsn_phantom
 
     if (layout && (read_numbers(layout, 2, 1, 24, side) < 0 || side[0] != floor(side[0]) ||
                    side[1] != floor(side[1]) || side[0] * side[1] < 4 || side[0] * side[1] > 24))
-        return bad(err, place, "layout", "[rows, columns] of 4 to 24 sections");
+        return refuse_key(err, place, "layout", "[rows, columns] of 4 to 24 sections");
     v->rows = (int)side[0];
     v->columns = (int)side[1];
     triangle = json_object_get(root, "triangle_um");
     if (triangle && json_array_size(triangle) != GSN_PHANTOM_MARKS)
-        return bad(err, place, "triangle_um", "three points [x, y]");
+        return refuse_key(err, place, "triangle_um", "three points [x, y]");
     for (size_t i = 0; triangle && i < GSN_PHANTOM_MARKS; i++) {
         double at[2];
 
         if (read_numbers(json_array_get(triangle, i), 2, -3000, 3000, at) < 0)
-            return bad(err, place, "triangle_um", "three points [x, y] within 3000 um");
+            return refuse_key(err, place, "triangle_um", "three points [x, y] within 3000 um");
         v->geometry.mark[i] = (struct gsn_point){ at[0], at[1] };
     }
     return GSN_OK;
@@ -338,16 +338,16 @@ static int read_bath(const json_t *root, const char *place, struct gsn_phantom_v
     int stain = -1;
 
     if (seed && (!json_is_integer(seed) || json_integer_value(seed) < 0))
-        return bad(err, place, "bath_seed", "a whole number, 0 or more");
+        return refuse_key(err, place, "bath_seed", "a whole number, 0 or more");
     if (seed)
         v->bath_seed = (uint64_t)json_integer_value(seed);
     if (read_word(root, "counterstain", stains, &stain) < 0)
-        return bad(err, place, "counterstain", "\"haematoxylin\"");
+        return refuse_key(err, place, "counterstain", "\"haematoxylin\"");
     v->haematoxylin = stain == 0;
     if (json_is_null(quality))
         v->jpeg_quality = 0;
     else if (read_whole(root, "jpeg_quality", 1, 100, &v->jpeg_quality) < 0)
-        return bad(err, place, "jpeg_quality", "a whole number, 1 to 100, or null for PNG");
+        return refuse_key(err, place, "jpeg_quality", "a whole number, 1 to 100, or null for PNG");
     return GSN_OK;
 }
 
@@ -361,7 +361,7 @@ static int read_calibrated(const json_t *root, const char *place, struct gsn_pha
     else if (json_is_string(value) && strcmp(json_string_value(value), "patches") == 0)
         v->calibrated = GSN_PHANTOM_BY_PATCHES;
     else if (value && !json_is_false(value))
-        return bad(err, place, "calibration", "true, false or \"patches\"");
+        return refuse_key(err, place, "calibration", "true, false or \"patches\"");
     return GSN_OK;
 }
 
@@ -373,16 +373,16 @@ static int read_statements(const json_t *root, const char *place, struct gsn_pha
     int label = GSN_PHANTOM_UPRIGHT;
 
     if (read_word(root, "label", labels, &label) < 0)
-        return bad(err, place, "label", "\"upright\", \"turned\" or \"none\"");
+        return refuse_key(err, place, "label", "\"upright\", \"turned\" or \"none\"");
     v->label = (enum gsn_phantom_label)label;
     if (copy_word(root, "markers_key", v->markers_key) < 0)
-        return bad(err, place, "markers_key", "a key of job.json");
+        return refuse_key(err, place, "markers_key", "a key of job.json");
     if (copy_word(root, "order", v->order) < 0)
-        return bad(err, place, "order", "a word");
+        return refuse_key(err, place, "order", "a word");
     if (read_flag(root, "markers_y_up", &v->markers_y_up) < 0)
-        return bad(err, place, "markers_y_up", "true or false");
+        return refuse_key(err, place, "markers_y_up", "true or false");
     if (read_whole(root, "black_frame_px", 0, 2000, &v->black_frame_px) < 0)
-        return bad(err, place, "black_frame_px", "a whole number, 0 to 2000");
+        return refuse_key(err, place, "black_frame_px", "a whole number, 0 to 2000");
     return GSN_OK;
 }
 

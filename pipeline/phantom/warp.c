@@ -18,8 +18,8 @@ static void make_kernel(double pitch_um, double kernel[2 * REACH + 1])
     }
 }
 
-static struct gsn_point weigh(const struct gsn_point *first, int stride,
-                              const double kernel[2 * REACH + 1])
+static struct gsn_point weigh_nodes(const struct gsn_point *first, int stride,
+                                    const double kernel[2 * REACH + 1])
 {
     struct gsn_point sum = { 0 };
 
@@ -30,7 +30,7 @@ static struct gsn_point weigh(const struct gsn_point *first, int stride,
     return sum;
 }
 
-static void scale(struct gsn_phantom_warp *warp, double rms_um)
+static void scale_warp(struct gsn_phantom_warp *warp, double rms_um)
 {
     struct gsn_point *node = &warp->node[0][0];
     double squares = 0, factor;
@@ -61,16 +61,16 @@ void gsn_phantom_warp_draw(struct gsn_point corner_um, double side_um, double rm
         }
     for (int j = 0; j < WIDE; j++)
         for (int i = 0; i < SIDE; i++)
-            rows[j][i] = weigh(&noise[j][i], 1, kernel);
+            rows[j][i] = weigh_nodes(&noise[j][i], 1, kernel);
     for (int j = 0; j < SIDE; j++)
         for (int i = 0; i < SIDE; i++)
-            warp.node[j][i] = weigh(&rows[j][i], SIDE, kernel);
-    scale(&warp, rms_um);
+            warp.node[j][i] = weigh_nodes(&rows[j][i], SIDE, kernel);
+    scale_warp(&warp, rms_um);
     *ret_warp = warp;
 }
 
 /* Which node lies before a place along one axis, and how far beyond it the place is, 0..1. */
-static int before(double place, double *ret_beyond)
+static int find_node(double place, double *ret_beyond)
 {
     const double held = fmin(fmax(place, 0), SIDE - 1);
     const int node = (int)fmin(floor(held), SIDE - 2);
@@ -82,8 +82,8 @@ static int before(double place, double *ret_beyond)
 struct gsn_point gsn_phantom_warp_at(const struct gsn_phantom_warp *warp, struct gsn_point panel_um)
 {
     double u, v;
-    const int i = before((panel_um.x - warp->corner_um.x) / warp->pitch_um, &u);
-    const int j = before((panel_um.y - warp->corner_um.y) / warp->pitch_um, &v);
+    const int i = find_node((panel_um.x - warp->corner_um.x) / warp->pitch_um, &u);
+    const int j = find_node((panel_um.y - warp->corner_um.y) / warp->pitch_um, &v);
     const struct gsn_point *top = &warp->node[j][i], *low = &warp->node[j + 1][i];
     const struct gsn_point n = {
         (1 - v) * ((1 - u) * top[0].x + u * top[1].x) + v * ((1 - u) * low[0].x + u * low[1].x),

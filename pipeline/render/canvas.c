@@ -151,7 +151,7 @@ static const struct {
 /* clang-format on */
 
 /* Takes one code point from UTF-8 text; a malformed byte is taken alone. */
-static uint32_t take(const char **text)
+static uint32_t take_code_point(const char **text)
 {
     const unsigned char *c = (const unsigned char *)*text;
 
@@ -186,7 +186,7 @@ static int next_glyph(const char **text, struct glyph_bits *ret_bits)
 
     if (**text == '\0')
         return 0;
-    glyph = find(take(text));
+    glyph = find(take_code_point(text));
     *ret_bits = (struct glyph_bits){ { 0 } };
     for (int y = 0; y < 7; y++)
         ret_bits->row[y + glyph->drop] = glyph->row[y];
@@ -206,14 +206,15 @@ static const struct gsn_colour viridis[17] = {
     { 216, 226, 25 }, { 253, 231, 37 },
 };
 
-static uint8_t blend(uint8_t from, uint8_t to, double t)
+static uint8_t blend_sample(uint8_t from, uint8_t to, double t)
 {
     return (uint8_t)(from + (to - from) * t + 0.5);
 }
 
-static struct gsn_colour between(struct gsn_colour a, struct gsn_colour b, double t)
+static struct gsn_colour mix_colours(struct gsn_colour a, struct gsn_colour b, double t)
 {
-    return (struct gsn_colour){ blend(a.r, b.r, t), blend(a.g, b.g, t), blend(a.b, b.b, t) };
+    return (struct gsn_colour){ blend_sample(a.r, b.r, t), blend_sample(a.g, b.g, t),
+                                blend_sample(a.b, b.b, t) };
 }
 
 struct gsn_colour gsn_colour_of(enum gsn_colour_map map, double share)
@@ -232,7 +233,7 @@ struct gsn_colour gsn_colour_of(enum gsn_colour_map map, double share)
     }
     place = share * most;
     below = (size_t)fmin(most - 1.0, place);
-    return between(viridis[below], viridis[below + 1], place - (double)below);
+    return mix_colours(viridis[below], viridis[below + 1], place - (double)below);
 }
 
 int gsn_canvas_new(uint32_t width, uint32_t height, struct gsn_colour background,
@@ -249,7 +250,7 @@ int gsn_canvas_new(uint32_t width, uint32_t height, struct gsn_colour background
 }
 
 /* The three samples of a pixel, NULL outside. */
-static uint8_t *pixel(const struct gsn_image *image, int x, int y)
+static uint8_t *pixel_at(const struct gsn_image *image, int x, int y)
 {
     if (x < 0 || y < 0 || (uint32_t)x >= image->width || (uint32_t)y >= image->height)
         return NULL;
@@ -258,7 +259,7 @@ static uint8_t *pixel(const struct gsn_image *image, int x, int y)
 
 void gsn_canvas_put(struct gsn_image *image, int x, int y, struct gsn_colour colour)
 {
-    uint8_t *to = pixel(image, x, y);
+    uint8_t *to = pixel_at(image, x, y);
 
     assert(image->channels == 3 && image->bits == 8);
     if (!to)
@@ -270,12 +271,12 @@ void gsn_canvas_put(struct gsn_image *image, int x, int y, struct gsn_colour col
 
 void gsn_canvas_mix(struct gsn_image *image, int x, int y, struct gsn_colour colour, double weight)
 {
-    const uint8_t *at = pixel(image, x, y);
+    const uint8_t *at = pixel_at(image, x, y);
 
     weight = fmin(1.0, fmax(0.0, weight));
     if (at)
         gsn_canvas_put(image, x, y,
-                       between((struct gsn_colour){ at[0], at[1], at[2] }, colour, weight));
+                       mix_colours((struct gsn_colour){ at[0], at[1], at[2] }, colour, weight));
 }
 
 void gsn_canvas_box(struct gsn_image *image, int x, int y, int width, int height,
@@ -305,7 +306,7 @@ void gsn_canvas_no_data(struct gsn_image *image, int x, int y)
 }
 
 /* Distance of a point from a segment. */
-static double distance(double px, double py, double x0, double y0, double x1, double y1)
+static double distance_to_segment(double px, double py, double x0, double y0, double x1, double y1)
 {
     const double dx = x1 - x0, dy = y1 - y0, length2 = dx * dx + dy * dy;
     double t = 0.0;
@@ -353,7 +354,8 @@ void gsn_canvas_line(struct gsn_image *image, double x0, double y0, double x1, d
         for (int x = clamp_px(floor(low - reach), image->width);
              x < clamp_px(ceil(high + reach), image->width); x++) {
             /* Coverage of a pixel by the edge at half the width, to first order. */
-            const double cover = 0.5 * width + 0.5 - distance(x + 0.5, y + 0.5, x0, y0, x1, y1);
+            const double cover =
+                0.5 * width + 0.5 - distance_to_segment(x + 0.5, y + 0.5, x0, y0, x1, y1);
 
             if (cover > 0.0)
                 gsn_canvas_mix(image, x, y, colour, fmin(cover, width));
@@ -366,7 +368,7 @@ void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, 
     assert(picture->channels == 3 && picture->bits == 8);
     for (uint32_t j = 0; j < picture->height; j++) {
         for (uint32_t i = 0; i < picture->width; i++) {
-            const uint8_t *from = pixel(picture, (int)i, (int)j);
+            const uint8_t *from = pixel_at(picture, (int)i, (int)j);
 
             gsn_canvas_put(image, x + (int)i, y + (int)j,
                            (struct gsn_colour){ from[0], from[1], from[2] });
@@ -426,7 +428,7 @@ static double round_step(double least)
 }
 
 /* Just the digits that multiples of the step have. */
-static void number(char *text, size_t size, double value, double step)
+static void write_number(char *text, size_t size, double value, double step)
 {
     const int digits = (int)fmax(0.0, ceil(-log10(step) - 1e-9));
 
@@ -454,7 +456,7 @@ void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int
         const int at = y + (int)((height - 1) * (high - value) / (high - low) + 0.5);
         char text[32];
 
-        number(text, sizeof text, value, step);
+        write_number(text, sizeof text, value, step);
         gsn_canvas_box(image, x + width + 1, at, 3, 1, ink);
         gsn_canvas_text(image, x + width + 7, at - 3, 1, text, ink);
     }
@@ -476,7 +478,7 @@ enum {
     LEAST_WIDTH = 96, /* pictures narrower than this still carry their letters */
 };
 
-static int larger(int a, int b)
+static int larger_of(int a, int b)
 {
     return a > b ? a : b;
 }
@@ -485,14 +487,14 @@ int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height
                   struct gsn_image **ret_sheet, int *ret_x, int *ret_y, struct gsn_error *err)
 {
     const int w = (int)width, h = (int)height, x = MARGIN, y = plate->title ? TITLE + 4 : MARGIN;
-    const int bar_px = plate->um_per_px > 0.0 ? larger(w / 4, 40) : 0;
+    const int bar_px = plate->um_per_px > 0.0 ? larger_of(w / 4, 40) : 0;
     const int bar_top = y + (plate->unit ? 2 * GSN_CANVAS_CELL_HEIGHT : 4);
     const int note_width = plate->note ? gsn_canvas_text_width(plate->note, 1) : 0;
     const int title_width = plate->title ? gsn_canvas_text_width(plate->title, 1) : 0;
     const int body = w + (plate->has_scale ? MARGIN + BAR + GSN_CANVAS_SCALE_ROOM : 0);
     /* The foot needs the scale bar, a gap and the note side by side. */
-    const int text = larger(title_width, bar_px + (bar_px ? MARGIN : 0) + note_width);
-    const int full = larger(larger(body, text), LEAST_WIDTH) + 2 * MARGIN;
+    const int text = larger_of(title_width, bar_px + (bar_px ? MARGIN : 0) + note_width);
+    const int full = larger_of(larger_of(body, text), LEAST_WIDTH) + 2 * MARGIN;
     const int foot = plate->note || bar_px ? FOOT : MARGIN;
     gsn_auto(gsn_image) sheet = NULL;
     const int r = gsn_canvas_new((uint32_t)full, (uint32_t)(y + h + foot), paper, &sheet, err);
@@ -503,12 +505,14 @@ int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height
         gsn_canvas_text(sheet, x, 9, 1, plate->title, ink);
     gsn_canvas_frame(sheet, x, y, w, h, faint);
     if (plate->has_scale)
-        gsn_canvas_colour_bar(sheet, x + w + MARGIN, bar_top, BAR, larger(40, y + h - bar_top - 4),
-                              plate->map, plate->low, plate->high, plate->unit, ink);
+        gsn_canvas_colour_bar(sheet, x + w + MARGIN, bar_top, BAR,
+                              larger_of(40, y + h - bar_top - 4), plate->map, plate->low,
+                              plate->high, plate->unit, ink);
     if (bar_px > 0)
         gsn_canvas_scale_bar(sheet, x, y + h + FOOT - 8, plate->um_per_px, bar_px, ink);
     if (plate->note)
-        gsn_canvas_text(sheet, x + larger(w, text) - note_width, y + h + 12, 1, plate->note, ink);
+        gsn_canvas_text(sheet, x + larger_of(w, text) - note_width, y + h + 12, 1, plate->note,
+                        ink);
     *ret_sheet = gsn_steal(&sheet);
     *ret_x = x;
     *ret_y = y;

@@ -249,7 +249,7 @@ static void draw_outline(struct gsn_image *sheet, int x0, int y0, const struct g
 
 enum { NOTE = 64 };
 
-static void describe(const struct gsn_cut_frame *frame, char note[NOTE])
+static void describe_cut(const struct gsn_cut_frame *frame, char note[NOTE])
 {
     int right, down;
 
@@ -274,7 +274,7 @@ int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *fra
     int r, x, y;
 
     assert(plane->width == frame->width && plane->height == frame->height);
-    describe(frame, note);
+    describe_cut(frame, note);
     plate.note = note;
     gsn_plate_range(plane, &plate.low, &plate.high);
     r = gsn_plate_new(&plate, plane->width, plane->height, &sheet, &x, &y, err);
@@ -310,7 +310,7 @@ int gsn_cut_colour(const struct gsn_colour_grid *grid, const struct gsn_cut_fram
     const struct gsn_plate plate = { .title = title, .note = note, .um_per_px = frame->um_per_px };
     int r, x0, y0;
 
-    describe(frame, note);
+    describe_cut(frame, note);
     r = gsn_plate_new(&plate, frame->width, frame->height, &sheet, &x0, &y0, err);
     if (r < 0)
         return r;

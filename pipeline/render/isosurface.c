@@ -67,7 +67,7 @@ static uint64_t hash_mix(uint64_t a, uint64_t b)
     return h ^ (h >> 31);
 }
 
-static int grow(struct hash_table *slots, struct gsn_error *err)
+static int grow_table(struct hash_table *slots, struct gsn_error *err)
 {
     const size_t size = slots->size ? 2 * slots->size : 1024;
     uint64_t *hash = gsn_alloc_array(size, sizeof *hash);
@@ -106,7 +106,7 @@ static int hash_find(struct hash_table *slots, uint64_t hash, const void *key, h
     size_t at;
 
     if (2 * (slots->used + 1) > slots->size) {
-        const int r = grow(slots, err);
+        const int r = grow_table(slots, err);
 
         if (r < 0)
             return r;
@@ -312,8 +312,8 @@ static int make_points(const struct gsn_tets *mesh, const struct name *name, int
     return GSN_OK;
 }
 
-static int fill(const struct gsn_tets *mesh, const struct lattice *lattice, struct gsn_fine *fine,
-                struct gsn_error *err)
+static int fill_lattice(const struct gsn_tets *mesh, const struct lattice *lattice,
+                        struct gsn_fine *fine, struct gsn_error *err)
 {
     struct naming naming = { 0 };
     int r;
@@ -346,7 +346,7 @@ int gsn_fine_new(const struct gsn_tets *mesh, unsigned level, struct gsn_fine **
     fine->tet_count = mesh->tet_count;
     make_places(&lattice, fine);
     make_parts(&lattice, fine);
-    r = fill(mesh, &lattice, fine, err);
+    r = fill_lattice(mesh, &lattice, fine, err);
     if (r < 0)
         return r;
     *ret_fine = gsn_steal(&fine);
@@ -483,7 +483,7 @@ static void point_of(const struct search *search, size_t i, double ret_at[3])
 
 /* False position that halves the weight of an end that stays (Illinois), so that both ends close
  * in. Returns whether this was near enough. */
-static int narrow(struct crossing *crossing, double f)
+static int narrow_crossing(struct crossing *crossing, double f)
 {
     if (fabs(f) <= crossing->enough || crossing->t1 - crossing->t0 < 1e-12)
         return 1;
@@ -518,7 +518,7 @@ static int search_step(struct search *search, unsigned threads, struct gsn_error
     r = heights_at(search->level, (const double(*)[3])search->at, search->home, search->open,
                    threads, search->height, NULL, err);
     for (size_t i = 0; i < search->open && r >= 0; i++) {
-        if (!narrow(&search->crossing[search->which[i]], search->height[i]))
+        if (!narrow_crossing(&search->crossing[search->which[i]], search->height[i]))
             search->which[open++] = search->which[i];
     }
     search->open = open;
@@ -732,7 +732,7 @@ static int march_part(struct marching *marching, const uint32_t point[4], struct
                       : add_triangle(marching, v[0], v[2], v[1], err);
 }
 
-static int march(struct marching *marching, struct gsn_error *err)
+static int march_cells(struct marching *marching, struct gsn_error *err)
 {
     const struct gsn_fine *fine = marching->fine;
 
@@ -751,8 +751,8 @@ static int march(struct marching *marching, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int build(struct marching *marching, const struct level_function *level, unsigned threads,
-                 struct gsn_error *err)
+static int build_surface(struct marching *marching, const struct level_function *level,
+                         unsigned threads, struct gsn_error *err)
 {
     const size_t points = marching->fine->point_count;
     gsn_auto_mem(double) height = gsn_alloc_array(points, sizeof *height);
@@ -764,7 +764,7 @@ static int build(struct marching *marching, const struct level_function *level, 
     marching->height = height;
     r = level_heights(level, threads, height, err);
     if (r == GSN_OK)
-        r = march(marching, err);
+        r = march_cells(marching, err);
     if (r < 0)
         return r;
     surface->vertex = gsn_alloc_array(surface->vertex_count, sizeof *surface->vertex);
@@ -796,7 +796,7 @@ int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdi
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a surface");
     marching.fine = fine;
     marching.surface = surface;
-    r = build(&marching, &(struct level_function){ spline, level, fine }, threads, err);
+    r = build_surface(&marching, &(struct level_function){ spline, level, fine }, threads, err);
     hash_done(&marching.slots);
     gsn_free(marching.edge);
     if (r < 0)

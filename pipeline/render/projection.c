@@ -28,12 +28,12 @@
 
 static const double margin = 0.06; /* of the picture, on every side */
 
-static double dot(const double a[3], const double b[3])
+static double dot_product(const double a[3], const double b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-static void cross(const double a[3], const double b[3], double ret[3])
+static void cross_product(const double a[3], const double b[3], double ret[3])
 {
     ret[0] = a[1] * b[2] - a[2] * b[1];
     ret[1] = a[2] * b[0] - a[0] * b[2];
@@ -43,7 +43,7 @@ static void cross(const double a[3], const double b[3], double ret[3])
 /* Whether the vector could be brought to length 1. */
 static int make_unit(double a[3])
 {
-    const double length = sqrt(dot(a, a));
+    const double length = sqrt(dot_product(a, a));
 
     if (!isfinite(length) || !(length > 0.0))
         return 0;
@@ -52,7 +52,7 @@ static int make_unit(double a[3])
     return 1;
 }
 
-static int axes(const struct gsn_view *view, struct gsn_camera *camera)
+static int find_axes(const struct gsn_view *view, struct gsn_camera *camera)
 {
     double up[3];
 
@@ -62,11 +62,11 @@ static int axes(const struct gsn_view *view, struct gsn_camera *camera)
     }
     if (!make_unit(camera->into) || !make_unit(up))
         return 0;
-    cross(camera->into, up, camera->right);
+    cross_product(camera->into, up, camera->right);
     /* Nearly parallel to the view, up says nothing that survives rounding. */
-    if (dot(camera->right, camera->right) < 1e-12 || !make_unit(camera->right))
+    if (dot_product(camera->right, camera->right) < 1e-12 || !make_unit(camera->right))
         return 0;
-    cross(camera->into, camera->right, camera->down);
+    cross_product(camera->into, camera->right, camera->down);
     return 1;
 }
 
@@ -75,18 +75,18 @@ void gsn_camera_project(const struct gsn_camera *camera, const double point[3], 
 {
     const double away[3] = { point[0] - camera->centre[0], point[1] - camera->centre[1],
                              point[2] - camera->centre[2] };
-    const double depth = dot(away, camera->into);
+    const double depth = dot_product(away, camera->into);
     double scale = camera->px_per_um;
 
     if (camera->eye_um > 0.0)
         scale *= camera->eye_um / (camera->eye_um + depth);
-    ret_pixel[0] = 0.5 * camera->width + scale * dot(away, camera->right);
-    ret_pixel[1] = 0.5 * camera->height + scale * dot(away, camera->down);
+    ret_pixel[0] = 0.5 * camera->width + scale * dot_product(away, camera->right);
+    ret_pixel[1] = 0.5 * camera->height + scale * dot_product(away, camera->down);
     *ret_depth = depth;
 }
 
 /* The middle of the mesh as this camera sees it, and the radius of the ball around it. */
-static double centre(const struct gsn_tets *mesh, struct gsn_camera *camera)
+static double centre_camera(const struct gsn_tets *mesh, struct gsn_camera *camera)
 {
     const double *axis[3] = { camera->right, camera->down, camera->into };
     double radius2 = 0.0;
@@ -97,8 +97,8 @@ static double centre(const struct gsn_tets *mesh, struct gsn_camera *camera)
         double low = INFINITY, high = -INFINITY;
 
         for (size_t v = 0; v < mesh->vertex_count; v++) {
-            low = fmin(low, dot(mesh->vertex[v], axis[k]));
-            high = fmax(high, dot(mesh->vertex[v], axis[k]));
+            low = fmin(low, dot_product(mesh->vertex[v], axis[k]));
+            high = fmax(high, dot_product(mesh->vertex[v], axis[k]));
         }
         for (int a = 0; a < 3; a++)
             camera->centre[a] += 0.5 * (low + high) * axis[k][a];
@@ -108,7 +108,7 @@ static double centre(const struct gsn_tets *mesh, struct gsn_camera *camera)
                                  mesh->vertex[v][1] - camera->centre[1],
                                  mesh->vertex[v][2] - camera->centre[2] };
 
-        radius2 = fmax(radius2, dot(away, away));
+        radius2 = fmax(radius2, dot_product(away, away));
     }
     return sqrt(radius2);
 }
@@ -122,9 +122,9 @@ int gsn_camera_frame(const struct gsn_view *view, const struct gsn_tets *mesh,
     if (view->width == 0 || view->height == 0 || view->width > 16384 || view->height > 16384)
         return gsn_fail(err, GSN_E_INPUT, "a picture of %u x %u pixels cannot be drawn",
                         view->width, view->height);
-    if (!axes(view, &camera))
+    if (!find_axes(view, &camera))
         return gsn_fail(err, GSN_E_INPUT, "the view has no direction, or up is parallel to it");
-    radius = centre(mesh, &camera);
+    radius = centre_camera(mesh, &camera);
     /* Nearer than this the eye would be inside the scene. */
     if (view->eye_distance > 0.0)
         camera.eye_um = radius * fmax(1.5, view->eye_distance);
@@ -154,7 +154,7 @@ static int by_place(const void *a, const void *b)
     return (p[1] > q[1]) - (p[1] < q[1]);
 }
 
-static double turn(const double a[2], const double b[2], const double c[2])
+static double turn_of(const double a[2], const double b[2], const double c[2])
 {
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
 }
@@ -173,7 +173,7 @@ static unsigned convex_hull(double (*point)[2], unsigned count, double (*ret_hul
         for (unsigned i = 0; i < count; i++) {
             const double *next = point[upper ? count - 1 - i : i];
 
-            while (size >= start + 2 && turn(chain[size - 2], chain[size - 1], next) <= 0.0)
+            while (size >= start + 2 && turn_of(chain[size - 2], chain[size - 1], next) <= 0.0)
                 size--;
             memcpy(chain[size++], next, sizeof *chain);
         }

@@ -40,12 +40,12 @@ struct painting {
     int x, y;
 };
 
-static double dot(const double a[3], const double b[3])
+static double dot_product(const double a[3], const double b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-static struct corner project(const struct painting *painting, size_t v)
+static struct corner project_vertex(const struct painting *painting, size_t v)
 {
     const struct gsn_camera *camera = painting->camera;
     const double *axis[3] = { camera->right, camera->down, camera->into };
@@ -59,7 +59,7 @@ static struct corner project(const struct painting *painting, size_t v)
     corner.y = (float)(pixel[1] * SAMPLES);
     corner.depth = (float)(camera->eye_um > 0.0 ? -1.0 / (camera->eye_um + depth) : depth);
     for (int a = 0; a < 3; a++)
-        corner.normal[a] = (float)dot(normal, axis[a]);
+        corner.normal[a] = (float)dot_product(normal, axis[a]);
     return corner;
 }
 
@@ -103,29 +103,29 @@ static void fill_triangle(struct sample *sample, int width, int top, int rows,
 }
 
 /* Two-sided: the normal is turned to the eye. */
-static void shade(const struct sample *sample, struct gsn_colour colour, double ret_rgb[3])
+static void shade_sample(const struct sample *sample, struct gsn_colour colour, double ret_rgb[3])
 {
     const double base[3] = { colour.r, colour.g, colour.b };
     double n[3] = { (double)sample->normal[0], (double)sample->normal[1],
                     (double)sample->normal[2] };
-    const double length = sqrt(dot(n, n)), turn = n[2] > 0.0 ? -1.0 : 1.0;
+    const double length = sqrt(dot_product(n, n)), turn = n[2] > 0.0 ? -1.0 : 1.0;
     const double half[3] = { to_light[0], to_light[1], to_light[2] - 1.0 };
     double diffuse, shine, fill;
 
     for (int a = 0; a < 3; a++)
         n[a] *= turn / fmax(1e-12, length);
-    diffuse = fmax(0.0, dot(n, to_light));
+    diffuse = fmax(0.0, dot_product(n, to_light));
     /* A weak light from below right keeps the dark side readable. */
     fill = fmax(0.0, 0.6 * n[0] + 0.5 * n[1] - 0.62 * n[2]);
-    shine = pow(fmax(0.0, dot(n, half) / sqrt(dot(half, half))), 40.0);
+    shine = pow(fmax(0.0, dot_product(n, half) / sqrt(dot_product(half, half))), 40.0);
     for (int a = 0; a < 3; a++)
         ret_rgb[a] = fmin(255.0, base[a] * (0.30 + 0.66 * diffuse + 0.14 * fill) + 52.0 * shine);
 }
 
 /* The SAMPLES x SAMPLES samples of a pixel, mixed over what is there by the part that is covered.
  */
-static void resolve(const struct painting *painting, const struct sample *first, int width, int x,
-                    int y)
+static void resolve_pixel(const struct painting *painting, const struct sample *first, int width,
+                          int x, int y)
 {
     double sum[3] = { 0.0, 0.0, 0.0 };
     int hits = 0;
@@ -136,7 +136,7 @@ static void resolve(const struct painting *painting, const struct sample *first,
 
         if (isinf(sample->depth))
             continue;
-        shade(sample, painting->colour, rgb);
+        shade_sample(sample, painting->colour, rgb);
         for (int a = 0; a < 3; a++)
             sum[a] += rgb[a];
         hits++;
@@ -169,7 +169,8 @@ static int paint_band(size_t band, void *context, struct gsn_error *err)
     }
     for (int y = 0; y < rows_px; y++) {
         for (int x = 0; x < (int)painting->camera->width; x++)
-            resolve(painting, sample + (y * width + x) * SAMPLES, width, x, (int)band * BAND + y);
+            resolve_pixel(painting, sample + (y * width + x) * SAMPLES, width, x,
+                          (int)band * BAND + y);
     }
     return GSN_OK;
 }
@@ -187,7 +188,7 @@ static void face_normal(const struct gsn_tets *mesh, size_t tet, int opposite, d
         ret[a] =
             (p[1][m] - p[0][m]) * (p[2][n] - p[0][n]) - (p[1][n] - p[0][n]) * (p[2][m] - p[0][m]);
     }
-    length = sqrt(dot(ret, ret));
+    length = sqrt(dot_product(ret, ret));
     if ((apex[0] - p[0][0]) * ret[0] + (apex[1] - p[0][1]) * ret[1] + (apex[2] - p[0][2]) * ret[2] >
         0.0)
         length = -length;
@@ -242,7 +243,7 @@ static void draw_outline(const struct painting *painting, const struct gsn_tets 
                 double a[2], b[2], depth;
 
                 turn_around(mesh, t, k, u, v, there);
-                if (dot(here, there) > 0.9)
+                if (dot_product(here, there) > 0.9)
                     continue;
                 gsn_camera_project(painting->camera, mesh->vertex[u], a, &depth);
                 gsn_camera_project(painting->camera, mesh->vertex[v], b, &depth);
@@ -284,7 +285,7 @@ int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *
     painting.sheet = sheet;
     painting.corner = corner;
     for (size_t v = 0; v < surface->vertex_count; v++)
-        corner[v] = project(&painting, v);
+        corner[v] = project_vertex(&painting, v);
     gsn_canvas_box(sheet, painting.x, painting.y, (int)camera.width, (int)camera.height,
                    background);
     if (style->outline)

@@ -46,8 +46,8 @@ static void open_svg(struct gsn_report_text *text, double width, double height, 
     gsn_report_text_raw(text, "</title>\n");
 }
 
-static void label(struct gsn_report_text *text, double x, double y, const char *anchor,
-                  double value, int decimals)
+static void write_label(struct gsn_report_text *text, double x, double y, const char *anchor,
+                        double value, int decimals)
 {
     gsn_report_text_print(text, "<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\">", x, y, anchor);
     gsn_report_text_number(text, value, decimals);
@@ -60,8 +60,8 @@ static void axis_x(struct gsn_report_text *text, const struct frame *frame, doub
     const long first = lround(ceil(frame->x0 / step)), last = lround(floor(frame->x1 / step));
 
     for (long i = first; i <= last; i++)
-        label(text, place_x(frame, (double)i * step), frame->bottom + 15, "middle",
-              (double)i * step, decimals_of(step));
+        write_label(text, place_x(frame, (double)i * step), frame->bottom + 15, "middle",
+                    (double)i * step, decimals_of(step));
     gsn_report_text_print(
         text,
         "<path class=\"axis\" d=\"M%.1f %.1fH%.1f\"/>\n"
@@ -79,15 +79,15 @@ static void axis_y(struct gsn_report_text *text, const struct frame *frame, doub
 
         gsn_report_text_print(text, "<path class=\"grid\" d=\"M%.1f %.1fH%.1f\"/>\n", frame->left,
                               y, frame->right);
-        label(text, frame->left - 6, y + 4, "end", (double)i * step, decimals_of(step));
+        write_label(text, frame->left - 6, y + 4, "end", (double)i * step, decimals_of(step));
     }
     gsn_report_text_print(text, "<text class=\"name\" x=\"%.1f\" y=\"%.1f\">%s</text>\n", 2.0,
                           frame->top - 10, name);
 }
 
 /* Marks differ by shape as well as by colour. */
-static void dot(struct gsn_report_text *text, int mark, double x, double y,
-                const struct gsn_report_section *section)
+static void draw_dot(struct gsn_report_text *text, int mark, double x, double y,
+                     const struct gsn_report_section *section)
 {
     switch (mark) {
     case 0:
@@ -110,7 +110,7 @@ static void dot(struct gsn_report_text *text, int mark, double x, double y,
                                       : "path");
 }
 
-static void legend(struct gsn_report_text *text, double x, double y)
+static void draw_legend(struct gsn_report_text *text, double x, double y)
 {
     gsn_report_text_print(text,
                           "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3\"/>"
@@ -157,7 +157,7 @@ void gsn_chart_residuals(struct gsn_report_text *text, const struct gsn_report *
     open_svg(text, 560, 252, "Distance of every mark from the common triangle, by section");
     axis_y(text, &frame, step, "\xC2\xB5m");
     axis_x(text, &frame, fmax(gsn_chart_step(last + 1, 12), 1), "serial number of the section");
-    legend(text, 374, 18);
+    draw_legend(text, 374, 18);
     for (size_t i = 0; i < report->section_count; i++) {
         const struct gsn_report_section *section = &report->sections[i];
 
@@ -173,13 +173,13 @@ void gsn_chart_residuals(struct gsn_report_text *text, const struct gsn_report *
         }
         for (int k = 0; k < 3; k++)
             if (section->marker_found[k] && isfinite(section->residual_um[k]))
-                dot(text, k, place_x(&frame, section->serial),
-                    place_y(&frame, section->residual_um[k]), section);
+                draw_dot(text, k, place_x(&frame, section->serial),
+                         place_y(&frame, section->residual_um[k]), section);
     }
     gsn_report_text_raw(text, "</svg>\n");
 }
 
-static size_t fullest(const struct gsn_report_units *units)
+static size_t find_fullest(const struct gsn_report_units *units)
 {
     size_t most = 1;
 
@@ -191,7 +191,7 @@ static size_t fullest(const struct gsn_report_units *units)
 
 void gsn_chart_densities(struct gsn_report_text *text, const struct gsn_report_units *units)
 {
-    const double most = (double)fullest(units);
+    const double most = (double)find_fullest(units);
     const double step = fmax(gsn_chart_step(most, 5), 1);
     const int usable = units->bin_count > 0 && units->last > units->first;
     struct frame frame = {

@@ -453,8 +453,8 @@ static int dump_piece(const char *bytes, size_t size, void *context)
     return text->failed ? -1 : 0;
 }
 
-static json_t *build(const struct gsn_report *report, struct gsn_json_writer *writer,
-                     struct gsn_error *err)
+static json_t *build_json(const struct gsn_report *report, struct gsn_json_writer *writer,
+                          struct gsn_error *err)
 {
     json_t *root = json_object();
 
@@ -485,7 +485,7 @@ int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *re
     const size_t flags = JSON_INDENT(2) | JSON_REAL_PRECISION(9);
     gsn_auto_report_text text = { .bytes = NULL };
     struct gsn_json_writer writer = { .failed = 0 };
-    json_t *root = build(report, &writer, err);
+    json_t *root = build_json(report, &writer, err);
 
     if (!writer.failed && json_dump_callback(root, dump_piece, &text, flags) < 0)
         writer.failed = 1;

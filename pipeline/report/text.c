@@ -27,7 +27,7 @@ void gsn_report_text_give(struct gsn_report_text *text, char **ret_bytes, size_t
 }
 
 /* Makes room for so many more bytes and the zero behind them. */
-static int reserve(struct gsn_report_text *text, size_t more)
+static int reserve_room(struct gsn_report_text *text, size_t more)
 {
     size_t room = text->room ? text->room : 256;
     char *bytes;
@@ -54,7 +54,7 @@ static int reserve(struct gsn_report_text *text, size_t more)
 
 void gsn_report_text_bytes(struct gsn_report_text *text, const void *bytes, size_t size)
 {
-    if (!reserve(text, size))
+    if (!reserve_room(text, size))
         return;
     if (size)
         memcpy(text->bytes + text->size, bytes, size);
@@ -75,7 +75,7 @@ void gsn_report_text_print(struct gsn_report_text *text, const char *format, ...
     va_start(args, format);
     va_copy(again, args);
     length = vsnprintf(NULL, 0, format, args);
-    if (length >= 0 && reserve(text, (size_t)length)) {
+    if (length >= 0 && reserve_room(text, (size_t)length)) {
         (void)vsnprintf(text->bytes + text->size, (size_t)length + 1, format, again);
         text->size += (size_t)length;
     }
@@ -192,7 +192,7 @@ void gsn_report_text_base64(struct gsn_report_text *text, const void *bytes, siz
     const unsigned char *from = bytes;
     char *to;
 
-    if (size > SIZE_MAX / 2 || !reserve(text, (size + 2) / 3 * 4)) {
+    if (size > SIZE_MAX / 2 || !reserve_room(text, (size + 2) / 3 * 4)) {
         text->failed = 1;
         return;
     }
@@ -211,7 +211,7 @@ void gsn_report_text_base64(struct gsn_report_text *text, const void *bytes, siz
 }
 
 /* Writes digits with groups of three before the point. */
-static void grouped(struct gsn_report_text *text, const char *digits)
+static void write_grouped(struct gsn_report_text *text, const char *digits)
 {
     size_t whole = 0;
 
@@ -243,11 +243,11 @@ void gsn_report_text_number(struct gsn_report_text *text, double value, int deci
         return;
     }
     (void)snprintf(digits, sizeof digits, "%.*f", decimals, value);
-    grouped(text, is_zero(digits) && digits[0] == '-' ? digits + 1 : digits);
+    write_grouped(text, is_zero(digits) && digits[0] == '-' ? digits + 1 : digits);
 }
 
 /* "1.500e-06" as 1.5 x 10^-6 with raised digits. */
-static void scientific(struct gsn_report_text *text, double value, int digits)
+static void write_scientific(struct gsn_report_text *text, double value, int digits)
 {
     static const char *const raised[10] = { "\xE2\x81\xB0", "\xC2\xB9",     "\xC2\xB2",
                                             "\xC2\xB3",     "\xE2\x81\xB4", "\xE2\x81\xB5",
@@ -262,7 +262,7 @@ static void scientific(struct gsn_report_text *text, double value, int digits)
         end[-1] = '\0';
     if (end[-1] == '.')
         end[-1] = '\0';
-    grouped(text, written);
+    write_grouped(text, written);
     gsn_report_text_raw(text, " \xC3\x97 10");
     if (*exponent++ == '-')
         gsn_report_text_raw(text, "\xE2\x81\xBB");
@@ -280,7 +280,7 @@ void gsn_report_text_digits(struct gsn_report_text *text, double value, int digi
     }
     exponent = (int)floor(log10(fabs(value)));
     if (exponent >= 9 || exponent < -3)
-        scientific(text, value, digits);
+        write_scientific(text, value, digits);
     else
         gsn_report_text_number(text, value, digits - 1 - exponent > 0 ? digits - 1 - exponent : 0);
 }
@@ -293,10 +293,10 @@ void gsn_report_text_plain(struct gsn_report_text *text, double value)
     if (!isfinite(value) || value == 0) {
         gsn_report_text_number(text, value, 0);
     } else if (fabs(value) >= 1e9 || fabs(value) < 1e-4) {
-        scientific(text, value, DIGITS);
+        write_scientific(text, value, DIGITS);
     } else {
         (void)snprintf(written, sizeof written, "%.*g", DIGITS, value);
-        grouped(text, written);
+        write_grouped(text, written);
     }
 }
 
@@ -305,5 +305,5 @@ void gsn_report_text_count(struct gsn_report_text *text, size_t count)
     char digits[24];
 
     (void)snprintf(digits, sizeof digits, "%zu", count);
-    grouped(text, digits);
+    write_grouped(text, digits);
 }

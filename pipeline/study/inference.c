@@ -28,7 +28,7 @@ enum { MOST_ANIMALS = 10000 };
 
 static const double two_sided = 0.975;
 
-static double square(double x)
+static double square_of(double x)
 {
     return x * x;
 }
@@ -45,7 +45,7 @@ struct gsn_group_mean gsn_group_mean_of(const double *value, size_t n)
     if (n < 2)
         return m;
     for (size_t i = 0; i < n; i++)
-        squares += square(value[i] - m.mean);
+        squares += square_of(value[i] - m.mean);
     m.sd = sqrt(squares / (double)(n - 1));
     reach = gsn_student_quantile(two_sided, (double)(n - 1)) * m.sd / sqrt((double)n);
     m.lower = m.mean - reach;
@@ -56,7 +56,7 @@ struct gsn_group_mean gsn_group_mean_of(const double *value, size_t n)
 /* Of the mean. */
 static double variance_of(const struct gsn_group_mean *m)
 {
-    return square(m->sd) / (double)m->n;
+    return square_of(m->sd) / (double)m->n;
 }
 
 /* ---- the noncentral t ---------------------------------------------------------------------- */
@@ -67,7 +67,7 @@ static double scaled_chi_density(double s, double freedom)
     const double half = 0.5 * freedom;
 
     return 2 * exp(half * log(half) - lgamma(half) + (freedom - 1) * log(fmax(s, 1e-300)) -
-                   half * square(s));
+                   half * square_of(s));
 }
 
 double gsn_noncentral_t(double t, double freedom, double noncentrality)
@@ -114,8 +114,8 @@ static void measure_effect(const struct gsn_group_mean *a, const struct gsn_grou
                            struct gsn_group_difference *d)
 {
     const double freedom = (double)(a->n + b->n - 2);
-    const double pooled =
-        sqrt(((double)(a->n - 1) * square(a->sd) + (double)(b->n - 1) * square(b->sd)) / freedom);
+    const double pooled = sqrt(
+        ((double)(a->n - 1) * square_of(a->sd) + (double)(b->n - 1) * square_of(b->sd)) / freedom);
     const double per_t = sqrt(1.0 / (double)a->n + 1.0 / (double)b->n);
     const double unbiased =
         exp(lgamma(0.5 * freedom) - lgamma(0.5 * (freedom - 1))) / sqrt(0.5 * freedom);
@@ -161,8 +161,8 @@ struct gsn_group_loss gsn_group_loss_of(const struct gsn_group_mean *a,
         loss.percent = NAN;
     if (a->n < 2 || b->n < 2 || !isfinite(ratio))
         return loss;
-    freedom = gsn_welch_freedom(variance_of(a), (double)(a->n - 1), square(ratio) * variance_of(b),
-                                (double)(b->n - 1));
+    freedom = gsn_welch_freedom(variance_of(a), (double)(a->n - 1),
+                                square_of(ratio) * variance_of(b), (double)(b->n - 1));
     if (!(freedom > 0))
         return loss;
     if (gsn_fieller(a->mean, variance_of(a), b->mean, variance_of(b),

@@ -146,8 +146,9 @@ static int lay_colour(const struct work *work, size_t i, struct gsn_error *err)
     const struct gsn_stack_section section = stack_section(&work->a->section[i]);
     const struct gsn_stack_light light = { work->light.of_sample, work->light.code };
 
-    return gsn_stack_colour(&section, work->scan->picture->image, &light,
-                            work->specimen->protocol->interval_um, 1, work->a->colour, err);
+    return gsn_stack_resample_colour(&section, work->scan->picture->image, &light,
+                                     work->specimen->protocol->interval_um, 1, work->a->colour,
+                                     err);
 }
 
 /* gives: density of every apart-th row of a whole section, masked. */

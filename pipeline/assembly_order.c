@@ -71,18 +71,20 @@ static int examine_held(const struct gsn_section_planes *planes, const struct gs
                         const struct gsn_sequence_plane *plane, struct gsn_sequence *sequence,
                         struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_sequence_held) held = gsn_alloc_array(planes->held_count, sizeof *held);
+    gsn_auto_mem(struct gsn_sequence_excluded) held =
+        gsn_alloc_array(planes->held_count, sizeof *held);
 
     if (!held)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the order of the sections");
     for (size_t k = 0; k < planes->held_count; k++) {
         const struct gsn_section_apart *s = &planes->held[k];
 
-        held[k] = (struct gsn_sequence_held){ a->section[s->section].seen.serial, s->columns,
-                                              s->rows, s->cell_um / planes->cell_um, s->density };
+        held[k] =
+            (struct gsn_sequence_excluded){ a->section[s->section].seen.serial, s->columns, s->rows,
+                                            s->cell_um / planes->cell_um, s->density };
     }
-    return gsn_sequence_examine_held(plane, planes->count, planes->columns, planes->rows, held,
-                                     planes->held_count, sequence, err);
+    return gsn_sequence_examine_excluded(plane, planes->count, planes->columns, planes->rows, held,
+                                         planes->held_count, sequence, err);
 }
 
 /* ---- another order of all sections ---------------------------------------------------------- */
@@ -354,8 +356,8 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding, unsi
                        "sections %s and %s look swapped: from one to the other the tissue changes "
                        "against the way it changes around them, by %.1f standard errors where %.1f "
                        "along it are expected; nothing was moved: look at both",
-                       a.text, b.text, finding->against, finding->foretold);
-    else if (finding->kind == GSN_SEQUENCE_HELD_DUPLICATE)
+                       a.text, b.text, finding->against, finding->predicted);
+    else if (finding->kind == GSN_SEQUENCE_EXCLUDED_DUPLICATE)
         say_held(finding, slots, ret_sentence);
     else
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
@@ -401,7 +403,7 @@ int gsn_section_order_blind_to_duplicates(const struct gsn_sequence *sequence,
                                           char ret_sentence[GSN_POSE_SENTENCE])
 {
     ret_sentence[0] = '\0';
-    if (sequence->twice_told)
+    if (sequence->duplicates_known)
         return 0;
     (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
                    "a section mounted or scanned twice would not show: neighbours share all that "

@@ -368,7 +368,7 @@ static int lay(const struct gsn_specimen *specimen, struct gsn_assembly *a,
         if (!parts[i].wanted)
             sections[i].tissue = NULL;
     }
-    r = gsn_tissue_lay(sections, count, GSN_TISSUE_MIDDLE, poses, &summary, err);
+    r = gsn_tissue_register(sections, count, GSN_TISSUE_MIDDLE, poses, &summary, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         if (poses[i].laid && !poses[i].unsure && summary.held > 0 && poses[i].from <= AROUND)
             believe(specimen, &poses[i], &a->section[parts[i].section]);
@@ -470,7 +470,8 @@ static int lay_alone(const struct gsn_specimen *specimen, struct gsn_assembly *a
         sections[i] =
             (struct gsn_tissue_section){ .serial = a->section[parts[i].section].seen.serial,
                                          .tissue = parts[i].tissue };
-    r = gsn_tissue_lay(sections, count, at < count ? at : GSN_TISSUE_MIDDLE, poses, summary, err);
+    r = gsn_tissue_register(sections, count, at < count ? at : GSN_TISSUE_MIDDLE, poses, summary,
+                            err);
     if (r < 0)
         return r;
     if (summary->laid < 2)

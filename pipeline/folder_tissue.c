@@ -137,7 +137,7 @@ int gsn_folder_lay_by_tissue(struct gsn_section_folder *folder, struct gsn_error
     for (size_t i = 0; r >= 0 && i < count; i++)
         sections[i].marked &= !findings[i].contradicted;
     if (r >= 0)
-        r = gsn_tissue_lay(sections, count, GSN_TISSUE_MIDDLE, poses, summary, err);
+        r = gsn_tissue_register(sections, count, GSN_TISSUE_MIDDLE, poses, summary, err);
     if (r < 0)
         return r;
     summary->usual /= folder->px_um;

@@ -151,8 +151,9 @@ static int copy_grid(const struct gsn_grid *grid, struct gsn_grid **ret_copy, st
 static int account_of_stack(const struct gsn_assembly *assembly,
                             const struct gsn_specimen *specimen,
                             const struct gsn_specimen_options *options,
-                            struct gsn_account **ret_account, struct gsn_bridge *ret_bridge,
-                            struct gsn_error *why, struct gsn_error *err)
+                            struct gsn_account **ret_account,
+                            struct gsn_gap_interpolation *ret_bridge, struct gsn_error *why,
+                            struct gsn_error *err)
 {
     struct gsn_account_options how = account_options(options);
     struct gsn_level_link link;
@@ -160,7 +161,7 @@ static int account_of_stack(const struct gsn_assembly *assembly,
     int r = copy_grid(assembly->grid, &bridged, err);
 
     if (r >= 0)
-        r = gsn_bridge_gaps(bridged, assembly->region, ret_bridge, err);
+        r = gsn_gap_interpolate(bridged, assembly->region, ret_bridge, err);
     if (r < 0)
         return r;
     how.shown = assembly->grid;

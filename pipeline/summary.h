@@ -21,8 +21,9 @@ struct gsn_evidence {
     const struct gsn_assembly *assembly;
     const struct gsn_account *account;
     const struct gsn_tile *tile;
-    struct gsn_bridge bridge; /* what was bridged before the account; region 0: no sections */
-    const char *withheld;     /* the sentence why there is no account, or NULL */
+    struct gsn_gap_interpolation
+        bridge;           /* what was bridged before the account; region 0: no sections */
+    const char *withheld; /* the sentence why there is no account, or NULL */
 };
 
 /* How the baseline would read in this specimen's stain, by tissue outside of the region that nobody

@@ -126,7 +126,7 @@ void gsn_draft_figures(const struct gsn_evidence *e, struct gsn_draft *d)
 /* What was measured of the region, and what was bridged. Comes after the figures. */
 void gsn_draft_bridge(const struct gsn_evidence *e, struct gsn_draft *d)
 {
-    const struct gsn_bridge *b = &e->bridge;
+    const struct gsn_gap_interpolation *b = &e->bridge;
     struct gsn_report *r = &d->report;
     const double share = b->region > 0 ? (double)b->bridged / (double)b->region : 0;
 

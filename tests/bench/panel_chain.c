@@ -240,7 +240,8 @@ static int lay_colour(const struct bench_panel *panel, const struct gsn_image *i
 
         if (pose[i].state != GSN_POSE_OK)
             continue;
-        bench_need(gsn_stack_colour(&section, image, &light, 24, 1, grid, &err), &err, "chain");
+        bench_need(gsn_stack_resample_colour(&section, image, &light, 24, 1, grid, &err), &err,
+                   "chain");
         count++;
     }
     return count;

@@ -77,7 +77,7 @@ TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
     for (size_t i = 0; i < sequence->count; i++)
         print_message("  %d %u %u %.2f %.2f of %.2f\n", (int)sequence->finding[i].kind,
                       sequence->finding[i].a, sequence->finding[i].b, sequence->finding[i].evidence,
-                      sequence->finding[i].against, sequence->finding[i].foretold);
+                      sequence->finding[i].against, sequence->finding[i].predicted);
     CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_DUPLICATE);
     for (unsigned k = 0; k < SECTIONS; k++) {
         CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-8.1?"
@@ -232,7 +232,7 @@ TEST(a_folded_section_that_is_held_is_named_with_its_second_mount_that_is_laid)
         for (unsigned k = 0; k < SECTIONS; k++)
             cut_out(planes[k]);
         CHECK_OK(look_beside(&a, held, &sequence, &err), err);
-        CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_HELD_DUPLICATE);
+        CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_EXCLUDED_DUPLICATE);
         for (unsigned k = 0; k < SECTIONS; k++) {
             CHECK(strcmp(sections[k].flags, k == AGAIN       ? "same-as-8.1?"
                                             : k == AGAIN - 1 ? "same-as-9.1?"
@@ -267,7 +267,7 @@ TEST(a_held_section_beside_its_own_neighbours_is_left_alone)
 
 TEST(of_two_held_mounts_one_may_be_used_and_both_are_said_to_be_held)
 {
-    const struct gsn_sequence_finding finding = { .kind = GSN_SEQUENCE_HELD_DUPLICATE,
+    const struct gsn_sequence_finding finding = { .kind = GSN_SEQUENCE_EXCLUDED_DUPLICATE,
                                                   .a = 3,
                                                   .b = 4,
                                                   .evidence = 0.52,
@@ -319,7 +319,7 @@ TEST(a_swap_is_a_proposal_in_words)
                                                   .b = 18,
                                                   .evidence = 20,
                                                   .against = 3.1,
-                                                  .foretold = 4.25 };
+                                                  .predicted = 4.25 };
     char sentence[GSN_POSE_SENTENCE];
 
     gsn_section_order_sentence(&finding, 12, sentence);
@@ -331,11 +331,11 @@ TEST(a_swap_is_a_proposal_in_words)
 
 TEST(what_the_tissue_cannot_show_is_said_with_what_it_would_cost)
 {
-    const struct gsn_sequence all = { .reach = 1, .twice_told = 1 }, none = { 0 },
+    const struct gsn_sequence all = { .reach = 1, .duplicates_known = 1 }, none = { 0 },
                               some = { .shown = { 0.62, 0.97, 1 },
                                        .reach = 3,
                                        .unseen = 0.0069,
-                                       .twice_told = 1 };
+                                       .duplicates_known = 1 };
     char sentence[GSN_POSE_SENTENCE];
 
     CHECK(!gsn_section_order_blind_to_swaps(&all, sentence) && sentence[0] == '\0');

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Aligns the sections of a stack by their tissue, in cells of 33 um, so that what remains between
- * two of them is growth and not the way they were laid.
+ * two of them is growth and not the way they were registered.
  *
  * Steps: (1) each plane is compared with the cell-by-cell median of up to three planes on either
  * side, which one torn section cannot spoil. (2) An affine motion (six parameters, and one for the
@@ -43,7 +43,7 @@ size_t gsn_sequence_around(size_t n, size_t i, size_t j, size_t ret_at[GSN_SEQUE
 /* Cells of a row that are worked out together. */
 enum { STRIP = 128 };
 
-/* ---- smoothing and medians ------------------------------------------------------------------ */
+/* ---- smoothing and medians ---------------------------------------------------------------- */
 
 /* Once by (1 2 1) / 4 along a row, ends held. */
 static void smooth_row(float *cell, size_t count)
@@ -91,9 +91,9 @@ void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times)
     }
 }
 
-/* ---- what laying and stain explain ---------------------------------------------------------- */
+/* ---- what registration and stain explain -------------------------------------------------- */
 
-/* What laying and stain do is told in squares of cells, over some squares to either side. */
+/* What registration and stain do is told in squares of cells, over some squares to either side. */
 enum { SQUARE = 8, LOCAL = 3, REACH = 4 };
 
 /* Sums of products over a square's cells: modes with each other, then with every difference; and
@@ -173,7 +173,7 @@ static void add_products(float *restrict sum, const float *one, const float *oth
         sum[x] += one[x] * other[x];
 }
 
-/* The modes of cells that are known in both planes and laid right but for an edge. */
+/* The modes of cells that are known in both planes and registered right but for an edge. */
 static void mask_row_modes(const struct mode_fit *a, const struct gsn_sequence_modes *m, size_t y)
 {
     const size_t first = y * a->columns;
@@ -334,15 +334,15 @@ void gsn_sequence_remove_modes(const struct gsn_sequence_tissue *t,
     }
 }
 
-/* Errors of laying reach over several cells, so each plane is moved, not only corrected by its
- * slopes; a few times, as the planes around it have such errors too. */
+/* Errors of registration reach over several cells, so each plane is moved, not only corrected by
+ * its slopes; a few times, as the planes around it have such errors too. */
 enum { PASSES = 3, STEPS = 3, MOTION = GSN_SEQUENCE_MOTION, MODES = MOTION + 1 };
 
 struct frame {
     size_t columns, rows;
 };
 
-/* ---- where a moved plane is looked up ------------------------------------------------------- */
+/* ---- where a moved plane is looked up ----------------------------------------------------- */
 
 /* The first of the four cells around each point, and how far the point is from it; beyond the edge
  * the edge. */
@@ -414,10 +414,10 @@ static void resample_plane(const struct gsn_sequence_tissue *t, size_t k)
         }
 }
 
-/* ---- moving a plane onto what lies around it ------------------------------------------------ */
+/* ---- moving a plane onto what lies around it ---------------------------------------------- */
 
-/* Per cell the slopes of what a plane is laid onto, each alone and times u, and its density; and
- * how it differs. */
+/* Per cell the slopes of what a plane is registered onto, each alone and times u, and its density;
+ * and how it differs. */
 enum { BASIS = 5 };
 
 struct cells {
@@ -528,7 +528,7 @@ static void step_motion(const float *plane, const float *onto, struct frame f,
         motion[i] += right[i];
 }
 
-/* ---- what lies around ------------------------------------------------------------------------ */
+/* ---- what lies around --------------------------------------------------------------------- */
 
 /* Puts two rows' cells in order. */
 static void sort_rows(float *restrict low, float *restrict high)
@@ -574,7 +574,7 @@ static void compute_surroundings(const struct gsn_sequence_tissue *t, size_t pla
     gsn_sequence_median(t, at, count, ret_median);
 }
 
-/* Brings one laid plane to what lies around it, by its slopes and its stain. */
+/* Brings one registered plane to what lies around it, by its slopes and its stain. */
 static void remove_residual(const struct gsn_sequence_tissue *t, size_t k, const float *onto,
                             float *ret_value)
 {

@@ -38,15 +38,16 @@ size_t gsn_sequence_around(size_t n, size_t i, size_t j, size_t ret_at[GSN_SEQUE
 /* By (1 2 1) / 4 along both axes, some times; ends held. */
 void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times);
 
-/* What a square of cells says: of the plane at the first place, of that at the second, foretold. */
+/* What a square of cells says: of the plane at the first place, of that at the second, predicted.
+ */
 struct gsn_sequence_square {
-    double first, second, foretold;
+    double first, second, predicted;
 };
 
 /* A shift along x in cells, its change over half the frame along x and y, and the same along y. */
 enum { GSN_SEQUENCE_MOTION = 6 };
 
-/* The sections in fine cells, laid onto each other by their tissue. All is the caller's. */
+/* The sections in fine cells, registered onto each other by their tissue. All is the caller's. */
 struct gsn_sequence_tissue {
     size_t n, columns, rows;
     const double *z;                       /* n */
@@ -55,7 +56,7 @@ struct gsn_sequence_tissue {
     float *filled;                         /* as many: as they came, holes filled */
     unsigned char *whole;                  /* as many: where filled was known */
     unsigned char *known;                  /* as many: where value is */
-    unsigned char *told;                   /* cells: where a place is foretold: scratch */
+    unsigned char *predictable;            /* cells: where a place is predicted: scratch */
     double (*motion)[GSN_SEQUENCE_MOTION]; /* n: from value to filled, in cells */
     float *noise2, *deviation;             /* cells: of one section, and its root */
     float *change, *energy;                /* cells: scratch */
@@ -76,13 +77,13 @@ void gsn_sequence_median(const struct gsn_sequence_tissue *tissue, const size_t 
                          size_t count, float *ret_median);
 
 /* Densities of two planes that differ by more than this share of the tissue's are no error of
- * laying. */
+ * registration. */
 #define GSN_SEQUENCE_GROSS 0.6
 enum { GSN_SEQUENCE_DIFFERENCES = 3 };
 
-/* How planes differ because of how they were laid and stained: by the slopes of what they lie in
- * and by its density, in amounts that change slowly. Told where both sections are known and differ
- * by no more than an edge laid wrong does. */
+/* How planes differ because of how they were registered and stained: by the slopes of what they lie
+ * in and by its density, in amounts that change slowly. Told where both sections are known and
+ * differ by no more than an edge registered wrong does. */
 struct gsn_sequence_modes {
     const float *onto, *gross;
     const unsigned char *known[2];

@@ -98,7 +98,7 @@ static int new_texture(size_t n, size_t columns, size_t rows, struct texture **r
     return GSN_OK;
 }
 
-/* ---- what a section has finer than its anatomy --------------------------------------------- */
+/* ---- what a section has finer than its anatomy -------------------------------------------- */
 
 /* Below this a cell is glass, or so poor in dye that its noise is all there is. */
 static double least_tissue(const float *density, size_t cells)
@@ -141,7 +141,7 @@ static void fill_texture(struct texture *t, size_t i, const float *density)
         value[c] = sd > 0 ? (float)fmax(-CLIP, fmin((double)value[c] / sd, CLIP)) : 0;
 }
 
-/* ---- how much of it two sections share ----------------------------------------------------- */
+/* ---- how much of it two sections share ---------------------------------------------------- */
 
 static double tissue_share(const struct texture *t, const float *corner, size_t side)
 {
@@ -261,7 +261,8 @@ static double measure_shared(struct texture *t, size_t i, size_t j, size_t step,
 /* Whether neighbours show enough to know two mounts of one section by. ret_usual: what they share,
  * in the median of the pairs; ret_least: what two mounts share more than. Fails with GSN_E_NOMEM.
  */
-/* ---- what only two mounts share ------------------------------------------------------------- */
+/* ---- what only two mounts share ----------------------------------------------------------- */
+
 static int learn_limit(struct texture *t, const struct summary *summary, int *ret_told,
                        double *ret_usual, double *ret_least, struct gsn_error *err)
 {
@@ -290,8 +291,7 @@ static int learn_limit(struct texture *t, const struct summary *summary, int *re
     return GSN_OK;
 }
 
-/* ---- sections that were registered ------------------------------------------------------------
- */
+/* ---- sections that were registered -------------------------------------------------------- */
 
 /* A first look takes about FIRST_LOOK patches of the whole plane; those on tissue tell nearly all
  * pairs. */
@@ -348,14 +348,13 @@ int gsn_sequence_find_duplicates(const struct gsn_sequence_plane *planes, size_t
         return r;
     for (size_t i = 0; i < n; i++)
         fill_texture(t, i, planes[i].density);
-    r = learn_limit(t, &WHOLE, &found->twice_told, &usual, &least, err);
-    if (r >= 0 && found->twice_told)
+    r = learn_limit(t, &WHOLE, &found->duplicates_known, &usual, &least, err);
+    if (r >= 0 && found->duplicates_known)
         find_pairs(t, planes, usual, least, found);
     return r;
 }
 
-/* ---- sections excluded pending review ---------------------------------------------------------
- */
+/* ---- sections excluded pending review ----------------------------------------------------- */
 
 /* The second mount of a section lies in one of the next slots, whose own section is missing. */
 enum { NEAR_BY = 3 };
@@ -384,9 +383,9 @@ struct picture {
     const float *density; /* borrowed */
 };
 
-/* One section that is not laid, as it lies on its slide. */
+/* One section that is not registered, as it lies on its slide. */
 struct part {
-    const struct gsn_sequence_held *held;
+    const struct gsn_sequence_excluded *held;
     size_t columns, rows;
     float *density;            /* owned; in cells of the planes */
     struct gsn_tissue *tissue; /* owned; NULL where there is too little */
@@ -404,7 +403,7 @@ struct search {
 };
 
 /* The section under a map from its own cells to those of a frame. ret_density, seen: a frame. */
-static void place_section(const struct gsn_sequence_held *held, const struct gsn_affine *map,
+static void place_section(const struct gsn_sequence_excluded *held, const struct gsn_affine *map,
                           size_t columns, size_t rows, float *ret_density, float *seen)
 {
     const float area = (float)fabs(gsn_affine_det(map));
@@ -428,7 +427,7 @@ static void place_section(const struct gsn_sequence_held *held, const struct gsn
         ret_density[c] = (double)seen[c] >= SEEN ? ret_density[c] / seen[c] : seen[c] > 0 ? NAN : 0;
 }
 
-static struct gsn_affine to_cells(const struct gsn_sequence_held *held)
+static struct gsn_affine to_cells(const struct gsn_sequence_excluded *held)
 {
     return (struct gsn_affine){ held->side, 0, 0, 0, held->side, 0 };
 }
@@ -451,7 +450,7 @@ static int make_tissue(const struct picture *picture, struct gsn_tissue **ret_ti
 
 static int make_part(struct part *part, struct gsn_error *err)
 {
-    const struct gsn_sequence_held *held = part->held;
+    const struct gsn_sequence_excluded *held = part->held;
     const struct gsn_affine map = to_cells(held);
 
     part->columns = (size_t)((double)held->columns * held->side) + 1;
@@ -467,7 +466,7 @@ static int make_part(struct part *part, struct gsn_error *err)
                        err);
 }
 
-/* What the texture of a section laid by a_to_b shares with a picture's. */
+/* What the texture of a section registered by a_to_b shares with a picture's. */
 static int measure_registered(const struct part *part, const struct gsn_affine *a_to_b,
                               const struct picture *picture, double *ret_share,
                               struct gsn_error *err)
@@ -490,7 +489,7 @@ static int measure_registered(const struct part *part, const struct gsn_affine *
     return GSN_OK;
 }
 
-/* Lays a part on a picture by their tissue; NaN where they do not hang together. */
+/* Registers a part on a picture by their tissue; NaN where they do not hang together. */
 static int compare_by_tissue(const struct part *part, const struct picture *picture,
                              double *ret_share, struct gsn_error *err)
 {
@@ -517,7 +516,7 @@ static int is_near(unsigned a, unsigned b)
 static void keep_if_shared(struct search *w, unsigned own, unsigned other, int other_held,
                            double share)
 {
-    struct gsn_sequence_finding finding = { .kind = GSN_SEQUENCE_HELD_DUPLICATE,
+    struct gsn_sequence_finding finding = { .kind = GSN_SEQUENCE_EXCLUDED_DUPLICATE,
                                             .evidence = share,
                                             .usual = w->usual };
 
@@ -558,7 +557,7 @@ static int compare_neighbours(struct search *w, size_t i, struct gsn_error *err)
     return r;
 }
 
-static int compare_all(struct search *w, const struct gsn_sequence_held *held,
+static int compare_all(struct search *w, const struct gsn_sequence_excluded *held,
                        struct gsn_error *err)
 {
     int r = GSN_OK;
@@ -607,7 +606,7 @@ static int join_findings(struct gsn_sequence *sequence, const struct search *w,
     return GSN_OK;
 }
 
-static int compare_excluded(struct search *w, const struct gsn_sequence_held *held,
+static int compare_excluded(struct search *w, const struct gsn_sequence_excluded *held,
                             struct gsn_sequence *sequence, struct gsn_error *err)
 {
     gsn_auto_mem(struct part) part = gsn_alloc_array(w->parts, sizeof *part);
@@ -625,12 +624,13 @@ static int compare_excluded(struct search *w, const struct gsn_sequence_held *he
     return r < 0 || w->found == 0 ? r : join_findings(sequence, w, err);
 }
 
-int gsn_sequence_examine_held(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
-                              size_t rows, const struct gsn_sequence_held *held, size_t held_count,
-                              struct gsn_sequence *sequence, struct gsn_error *err)
+int gsn_sequence_examine_excluded(const struct gsn_sequence_plane *planes, size_t count,
+                                  size_t columns, size_t rows,
+                                  const struct gsn_sequence_excluded *held, size_t held_count,
+                                  struct gsn_sequence *sequence, struct gsn_error *err)
 {
     struct search w = { planes, count, columns, rows, .parts = held_count };
 
-    return held_count > 0 && sequence->twice_told ? compare_excluded(&w, held, sequence, err)
-                                                  : GSN_OK;
+    return held_count > 0 && sequence->duplicates_known ? compare_excluded(&w, held, sequence, err)
+                                                        : GSN_OK;
 }

@@ -8,8 +8,8 @@
  * the median square of what all sections differ from their lines by. (3) The change from one
  * section to another is multiplied, cell by cell, with the change that the lines around both
  * predict, weighed like a Wiener filter: by the share of it that is above its noise, over the
- * noise. (4) Both changes are freed of what laying and stain may have to do with them (align.h).
- * (5) Sums over squares of cells, whose scatter is the error of their total.
+ * noise. (4) Both changes are freed of what registration and stain may have to do with them
+ * (align.h). (5) Sums over squares of cells, whose scatter is the error of their total.
  *
  * Nothing is shown where it all rests on a few squares. Fails when memory runs out. */
 #include "pipeline/register/order/predict.h"
@@ -19,7 +19,7 @@
 #include <math.h>
 #include <string.h>
 
-/* ---- a line through the sections around ------------------------------------------------------ */
+/* ---- a line through the sections around --------------------------------------------------- */
 
 static struct gsn_sequence_line fit_slope(const double *z, size_t n, size_t i, size_t j)
 {
@@ -58,7 +58,7 @@ double gsn_sequence_line_noise(const struct gsn_sequence_line *line)
     return sum;
 }
 
-/* ---- prediction of a place ------------------------------------------------------------------- */
+/* ---- prediction of a place ---------------------------------------------------------------- */
 
 enum { SIDE = GSN_SEQUENCE_SIDE, STRIP = 32 };
 
@@ -119,7 +119,7 @@ static void copy_strip(const struct side *s, struct strip at, float ret_value[SI
 
 /* A cell that some planes do not know is the others' mean there. */
 static void fill_unknown_cell(const unsigned char known[SIDE], float value[SIDE][STRIP], size_t c,
-                              unsigned char *told)
+                              unsigned char *predictable)
 {
     float sum = 0, count = 0;
 
@@ -129,18 +129,18 @@ static void fill_unknown_cell(const unsigned char known[SIDE], float value[SIDE]
     }
     for (size_t k = 0; k < SIDE && count > 0; k++)
         value[k][c] = known[k] ? value[k][c] : sum / count;
-    *told = count > 0 ? *told : 0;
+    *predictable = count > 0 ? *predictable : 0;
 }
 
 static void fill_unknown(const struct side *s, struct strip at, float value[SIDE][STRIP],
-                         unsigned char *told)
+                         unsigned char *predictable)
 {
     for (size_t c = 0; c < at.count; c++) {
         const size_t i = at.first + c * at.step;
         const unsigned char known[SIDE] = { s->known[0][i], s->known[1][i], s->known[2][i] };
 
         if (!(known[0] & known[1] & known[2]))
-            fill_unknown_cell(known, value, c, &told[c]);
+            fill_unknown_cell(known, value, c, &predictable[c]);
     }
 }
 
@@ -171,7 +171,7 @@ static void add_clipped(const struct side *s, const float *const value[SIDE],
 }
 
 static void add_strip(const struct gsn_sequence_tissue *t, const struct side *s, struct strip at,
-                      float *sum, unsigned char *told)
+                      float *sum, unsigned char *predictable)
 {
     const int all = are_all_known(s, at);
     const float *value[SIDE];
@@ -180,7 +180,7 @@ static void add_strip(const struct gsn_sequence_tissue *t, const struct side *s,
     if (!all || at.step > 1)
         copy_strip(s, at, room);
     if (!all)
-        fill_unknown(s, at, room, told);
+        fill_unknown(s, at, room, predictable);
     for (size_t k = 0; k < SIDE; k++)
         value[k] = !all || at.step > 1 ? room[k] : s->value[k] + at.first;
     if (s->count == SIDE && at.step == 1)
@@ -190,7 +190,7 @@ static void add_strip(const struct gsn_sequence_tissue *t, const struct side *s,
 }
 
 void gsn_sequence_predict(const struct gsn_sequence_tissue *t, const struct gsn_sequence_line *line,
-                          size_t place, size_t step, float *ret_value, unsigned char *told)
+                          size_t place, size_t step, float *ret_value, unsigned char *predictable)
 {
     const size_t count = (t->columns * t->rows + step - 1) / step;
 
@@ -201,12 +201,12 @@ void gsn_sequence_predict(const struct gsn_sequence_tissue *t, const struct gsn_
         for (size_t c = 0; c < count; c += STRIP)
             add_strip(t, &side,
                       (struct strip){ c * step, count - c < STRIP ? count - c : STRIP, step },
-                      ret_value + c, told + c);
+                      ret_value + c, predictable + c);
         from += side.count;
     }
 }
 
-/* ---- the change between two sections --------------------------------------------------------- */
+/* ---- the change between two sections ------------------------------------------------------ */
 
 enum { SQUARE = 6, SMOOTHINGS = 3, NOISE_SMOOTHINGS = 4 };
 
@@ -288,15 +288,16 @@ static double sum_square(const struct gsn_sequence_tissue *t, const float *cells
 static void make_filter(const struct gsn_sequence_tissue *t, const struct gsn_sequence_modes *m,
                         double noise)
 {
-    const unsigned char *known = m->known[0], *known_too = m->known[1], *told = t->told;
+    const unsigned char *known = m->known[0], *known_too = m->known[1],
+                        *predictable = t->predictable;
     const float *noise2 = t->noise2, *change = t->change, beyond = (float)(BEYOND * noise);
     float *restrict energy = t->energy;
 
     for (size_t c = 0; c < t->columns * t->rows; c++) {
         const float share = 1 - beyond * noise2[c] / gsn_sequence_greatest(energy[c], 1e-12f);
 
-        energy[c] = (float)(known[c] & known_too[c] & told[c]) * gsn_sequence_greatest(share, 0) *
-                    change[c] / noise2[c];
+        energy[c] = (float)(known[c] & known_too[c] & predictable[c]) *
+                    gsn_sequence_greatest(share, 0) * change[c] / noise2[c];
     }
 }
 
@@ -345,10 +346,10 @@ static void compute_median_between(const struct gsn_sequence_tissue *t, size_t i
     gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
 }
 
-/* Leaves the change foretold in change, where it is in told, its smooth square in energy, and in
- * off and off_too how the two planes differ from the middle between the places, each without what
- * laying and stain may have to do with it: a section's own laying follows its neighbours and would
- * say that it lies right wherever it is. */
+/* Leaves the change predicted in change, where it is predictable, its smooth square in energy, and
+ * in off and off_too how the two planes differ from the middle between the places, each without
+ * what registration and stain may have to do with it: a section's own registration follows its
+ * neighbours and would say that it lies right wherever it is. */
 static struct gsn_sequence_modes compute_differences(const struct gsn_sequence_tissue *t, size_t i,
                                                      size_t j, double *ret_noise)
 {
@@ -361,9 +362,9 @@ static struct gsn_sequence_modes compute_differences(const struct gsn_sequence_t
     };
 
     compute_median_between(t, i, j);
-    memset(t->told, 1, cells);
-    gsn_sequence_predict(t, &a, i, 1, t->off, t->told);
-    gsn_sequence_predict(t, &b, j, 1, t->off_too, t->told);
+    memset(t->predictable, 1, cells);
+    gsn_sequence_predict(t, &a, i, 1, t->off, t->predictable);
+    gsn_sequence_predict(t, &b, j, 1, t->off_too, t->predictable);
     for (size_t c = 0; c < cells; c++) {
         const float middle_density = 0.5f * (t->off[c] + t->off_too[c]);
 
@@ -385,26 +386,26 @@ struct gsn_sequence_change gsn_sequence_change_between(const struct gsn_sequence
                                                        size_t i, size_t j)
 {
     const size_t squares = ((t->columns + SQUARE - 1) / SQUARE) * ((t->rows + SQUARE - 1) / SQUARE);
-    double first = 0, second = 0, foretold = 0, squared = 0, left = 0, share, noise;
+    double first = 0, second = 0, predicted = 0, squared = 0, left = 0, share, noise;
     const struct gsn_sequence_modes modes = compute_differences(t, i, j, &noise);
 
     add_squares(t, &modes, noise);
     for (size_t k = 0; k < squares; k++) {
         first += t->square[k].first;
         second += t->square[k].second;
-        foretold += t->square[k].foretold;
-        squared += t->square[k].foretold * t->square[k].foretold;
+        predicted += t->square[k].predicted;
+        squared += t->square[k].predicted * t->square[k].predicted;
     }
-    if (!(foretold * foretold > FEWEST * squared))
+    if (!(predicted * predicted > FEWEST * squared))
         return (struct gsn_sequence_change){ 0, 0, 0, 0 };
-    share = fmin(fmax((first + second) / foretold, -1), 1);
+    share = fmin(fmax((first + second) / predicted, -1), 1);
     for (size_t k = 0; k < squares; k++) {
         const struct gsn_sequence_square *s = &t->square[k];
 
-        left += pow(s->first + s->second - share * s->foretold, 2);
+        left += pow(s->first + s->second - share * s->predicted, 2);
     }
     left = sqrt(left);
-    return left > 0 ? (struct gsn_sequence_change){ (first + second) / left, foretold / left,
+    return left > 0 ? (struct gsn_sequence_change){ (first + second) / left, predicted / left,
                                                     first / left, second / left }
                     : (struct gsn_sequence_change){ 0, 0, 0, 0 };
 }

@@ -23,8 +23,7 @@
 
 enum { LEAST = 8 };
 
-/* ---- swaps beside a duplicate ------------------------------------------------------------------
- */
+/* ---- swaps beside a duplicate ------------------------------------------------------------- */
 
 static size_t find_place(const struct gsn_sequence_plane *planes, unsigned serial)
 {
@@ -217,8 +216,7 @@ static double measure_unseen(const struct gsn_sequence_plane *planes, size_t cou
     return all > 0 ? most / all : 0;
 }
 
-/* ---- planes in cells --------------------------------------------------------------------------
- */
+/* ---- planes in cells ---------------------------------------------------------------------- */
 
 struct cells {
     size_t n, columns, rows;
@@ -327,7 +325,7 @@ static int find_swaps(const struct gsn_sequence_plane *planes, const char *out, 
     t.place = place;
     t.known = known;
     t.whole = known + n * count;
-    t.told = t.whole + n * count;
+    t.predictable = t.whole + n * count;
     t.motion = motion;
     t.noise2 = of_cells;
     t.deviation = of_cells + count;

@@ -4,17 +4,17 @@
  *
  * Tissue changes little from one section to the next, but where it does, at the rims of spaces and
  * of the root, it goes on the way it goes around: the step from one section to another is compared
- * with the step that the sections around both foretell, cell by cell, weighed by what a cell's
+ * with the step that the sections around both predict, cell by cell, weighed by what a cell's
  * noise leaves of it. In each other's places the two would show the contrary, and with the two
- * exchanged all around would fit better. Sections are laid onto each other by their
- * tissue before, and scaled, so that laying, warp and stain do not matter. What share of swaps
- * would show is told from what the stack's own sections show.
+ * exchanged all around would fit better. Sections are registered onto each other by their
+ * tissue before, and scaled, so that registration, warp and stain do not matter. What share of
+ * swaps would show is told from what the stack's own sections show.
  *
  * A section that is there twice shares with its second mount the texture that neighbours do not
  * share. It is compared half a millimetre at a time, each piece where it fits best, since every
  * mount stretches and warps a section anew. Where neighbours share nearly all, there is no such
- * texture, and nothing is proposed. One of the two may be a section that is held, since nothing
- * lays it: it still has its texture.
+ * texture, and nothing is proposed. One of the two may be a section that is excluded, since nothing
+ * registers it: it still has its texture.
  *
  * What is found is a proposal for a person, never an action: nothing is moved in z. Which of the
  * last two at either end is the last cannot be told, and a section that was lost while the numbers
@@ -37,16 +37,18 @@ extern "C" {
 
 enum { GSN_SEQUENCE_NEAR = 3 };
 
-/* One laid section: columns * rows densities row by row; 0 on glass, NaN where nothing is known. */
+/* One registered section: columns * rows densities row by row; 0 on glass, NaN where nothing is
+ * known. */
 struct gsn_sequence_plane {
     unsigned serial;
     const float *density;
 };
 
 enum gsn_sequence_kind {
-    GSN_SEQUENCE_SWAP,           /* a's tissue belongs where b is, and b's where a is */
-    GSN_SEQUENCE_DUPLICATE,      /* a and b are one section, scanned or mounted twice */
-    GSN_SEQUENCE_HELD_DUPLICATE, /* the same of two of which one is not laid, or both are not */
+    GSN_SEQUENCE_SWAP,               /* a's tissue belongs where b is, and b's where a is */
+    GSN_SEQUENCE_DUPLICATE,          /* a and b are one section, scanned or mounted twice */
+    GSN_SEQUENCE_EXCLUDED_DUPLICATE, /* the same of two of which one is not registered, or both are
+                                        not */
 };
 
 struct gsn_sequence_finding {
@@ -54,13 +56,13 @@ struct gsn_sequence_finding {
     unsigned a, b;   /* serial numbers, as given */
     double evidence; /* how far the changes run against their order that a swap turns over, and half
                         of how much better all fits exchanged, in standard errors; of a duplicate
-                        the share of their texture that both have in common, where one is held
+                        the share of their texture that both have in common, where one is excluded
                         of the best quarter of it */
     double usual;    /* share of their texture that neighbours have in common, likewise */
-    int held[2];     /* of a duplicate: whether a is not laid, and b */
+    int held[2];     /* of a duplicate: whether a is not registered, and b */
     /* Of a swap, in standard errors: how far the change from one to the other runs against the way
      * it goes around them, and how far it should go along. */
-    double against, foretold;
+    double against, predicted;
 };
 
 struct gsn_sequence {
@@ -71,8 +73,8 @@ struct gsn_sequence {
                        too, 0: from no distance */
     double unseen;  /* the most that a swap which does not show carries from one place to the
                        other, as a share of all sections' density */
-    int twice_told; /* whether sections have texture of their own by which two mounts of one would
-                       be known */
+    int duplicates_known; /* whether sections have texture of their own by which two mounts of one
+                       would be known */
 };
 
 /* gives: planes in order of their serial numbers. Fewer than 8 planes tell nothing. borrows:
@@ -81,23 +83,24 @@ struct gsn_sequence {
 int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
                          size_t rows, struct gsn_sequence **ret_sequence, struct gsn_error *err);
 
-/* One section that is not laid, as it lies on its slide: densities as of a plane, in cells of its
- * own. */
-struct gsn_sequence_held {
+/* One section that is not registered, as it lies on its slide: densities as of a plane, in cells of
+ * its own. */
+struct gsn_sequence_excluded {
     unsigned serial;
     size_t columns, rows;
     double side; /* of its cells, in the planes' cells: at most 1 */
     const float *density;
 };
 
-/* Adds to what gsn_sequence_examine() found of the same planes: sections that are not laid, held
- * against the three numbers on either side, laid or not. Each is laid on the other by their tissue;
- * of a folded one it may be one side alone that comes to lie right, so the best quarter of the
- * texture counts, as of this stack's neighbours. Too little in common is no finding. borrows:
- * everything. Fails with GSN_E_NOMEM. */
-int gsn_sequence_examine_held(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
-                              size_t rows, const struct gsn_sequence_held *held, size_t held_count,
-                              struct gsn_sequence *sequence, struct gsn_error *err);
+/* Adds to what gsn_sequence_examine() found of the same planes: sections that are not registered,
+ * compared with the three numbers on either side, registered or not. Each is registered on the
+ * other by their tissue; of a folded one it may be one side alone that comes to lie right, so the
+ * best quarter of the texture counts, as of this stack's neighbours. Too little in common is no
+ * finding. borrows: everything. Fails with GSN_E_NOMEM. */
+int gsn_sequence_examine_excluded(const struct gsn_sequence_plane *planes, size_t count,
+                                  size_t columns, size_t rows,
+                                  const struct gsn_sequence_excluded *held, size_t held_count,
+                                  struct gsn_sequence *sequence, struct gsn_error *err);
 void gsn_sequence_free(struct gsn_sequence *sequence);
 GSN_DEFINE_AUTO(gsn_sequence);
 

@@ -45,11 +45,11 @@ struct search {
     float *kept_value;                /* of AFFECTED planes: scratch */
     unsigned char *kept_known;        /* as many: scratch */
     double kept_motion[AFFECTED][GSN_SEQUENCE_MOTION];
-    float *sample; /* n samples: scratch */
-    double *fit;   /* n * n: how ill the plane at one place fits at another */
-    double *apart; /* n * n: of i < j, between what the two places predict_place */
+    float *sample;                   /* n samples: scratch */
+    double *fit;                     /* n * n: how ill the plane at one place fits at another */
+    double *apart;                   /* n * n: of i < j, between what the two places predict */
     double least[GSN_SEQUENCE_NEAR]; /* how much swaps 1 to NEAR apart must show */
-    double gain;                     /* how much of what is foretold a change shows */
+    double gain;                     /* how much of what is predicted a change shows */
     char *used;                      /* n: in a proposal already, or left out */
     int exchanged;                   /* whether a swap was found */
     char *suspect;                   /* n: of those that fit worst where they lie */
@@ -57,14 +57,13 @@ struct search {
 
 struct swap {
     size_t place[2];
-    struct gsn_sequence_change change; /* laid both ways */
-    double turned; /* how far all changes that it turns over run against what is foretold */
+    struct gsn_sequence_change change; /* registered both ways */
+    double turned; /* how far all changes that it turns over run against what is predicted */
     double fit;    /* how much better the planes around would fit, in standard errors */
     double convincing;
 };
 
-/* ---- how planes fit ---------------------------------------------------------------------------
- */
+/* ---- how planes fit ----------------------------------------------------------------------- */
 
 /* Two planes' cells differ by no more than this, in standard deviations of one's noise. */
 static const double MOST = 3;
@@ -74,7 +73,8 @@ static size_t count_apart(size_t a, size_t b)
     return a > b ? a - b : b - a;
 }
 
-/* Planes up to SIDE from either place are laid again with it, and as many more look at them. */
+/* Planes up to SIDE from either place are registered again with it, and as many more look at them.
+ */
 static int is_concerned(size_t i, size_t f, const size_t place[2])
 {
     for (int k = 0; k < 2; k++)
@@ -108,8 +108,8 @@ static struct gsn_sequence_line predict_place(const struct gsn_sequence_tissue *
     const struct gsn_sequence_line line =
         gsn_sequence_line_at(t->z, t->n, place, place, t->z[place]);
 
-    memset(t->told, 1, sample_size(t));
-    gsn_sequence_predict(t, &line, place, EVERY, ret_sample, t->told);
+    memset(t->predictable, 1, sample_size(t));
+    gsn_sequence_predict(t, &line, place, EVERY, ret_sample, t->predictable);
     return line;
 }
 
@@ -125,7 +125,7 @@ static void sample_plane(const struct gsn_sequence_tissue *t, size_t place, floa
     }
 }
 
-/* Squared squared_distance over one section's noise. */
+/* Squared distance over one section's noise. */
 static double squared_distance(const float *one, const float *other, const float *weight,
                                size_t sample)
 {
@@ -144,22 +144,22 @@ static double squared_distance(const float *one, const float *other, const float
 static void add_misfit(struct search *a, size_t place, float *sum)
 {
     const size_t sample = sample_size(a->t);
-    float *foretold = a->t->off_too, *plane = a->t->off, *weight = a->t->energy;
-    const unsigned char *told = a->t->told;
-    const struct gsn_sequence_line line = predict_place(a->t, place, foretold);
+    float *predicted = a->t->off_too, *plane = a->t->off, *weight = a->t->energy;
+    const unsigned char *predictable = a->t->predictable;
+    const struct gsn_sequence_line line = predict_place(a->t, place, predicted);
     const float scale = (float)(1 / (1 + gsn_sequence_line_noise(&line)));
     const float most = (float)(MOST * MOST);
 
     sample_plane(a->t, place, plane, weight);
     for (size_t c = 0; c < sample; c++) {
-        const float off = plane[c] - foretold[c], square = off * off * weight[c] * scale;
+        const float off = plane[c] - predicted[c], square = off * off * weight[c] * scale;
 
-        sum[c] += (float)told[c] * (square < most ? square : most);
+        sum[c] += (float)predictable[c] * (square < most ? square : most);
     }
 }
 
 /* Two that changed places far from each other fit worst of all, but for the ends, which are only
- * foretold from one side. */
+ * predicted from one side. */
 static void mark_suspects(struct search *a)
 {
     const size_t n = a->t->n;
@@ -206,7 +206,7 @@ static double estimate_standing(const struct search *a, size_t i, size_t j)
     return a->apart[i * n + j] > 0 ? -off / (2 * a->apart[i * n + j]) : 0;
 }
 
-/* Two planes sample_plane each other's places; as they were laid. */
+/* Two planes take each other's places; as they were registered. */
 static void exchange_planes(struct search *a, const struct swap *swap)
 {
     size_t *place = a->t->place;
@@ -228,8 +228,8 @@ static size_t list_affected(size_t n, const size_t place[2], size_t ret_at[AFFEC
     return count;
 }
 
-/* Lays the planes at two places anew, and all whose surroundings they are. */
-/* The two first: the others were laid onto them. */
+/* Registers the planes at two places anew, and all whose surroundings they are. */
+/* The two first: the others were registered onto them. */
 static void register_around(struct search *a, const size_t place[2])
 {
     size_t at[AFFECTED];
@@ -272,7 +272,7 @@ static void restore_around(struct search *a, const struct swap *swap)
     copy_around(a, swap, 1);
 }
 
-/* For good: the two trade places, what is around is laid anew, and what is near compared. */
+/* For good: the two trade places, what is around is registered anew, and what is near compared. */
 static void apply_swap(struct search *a, const struct swap *swap)
 {
     exchange_planes(a, swap);
@@ -280,9 +280,9 @@ static void apply_swap(struct search *a, const struct swap *swap)
     compare_near(a, swap->place);
 }
 
-/* What two places show, each plane laid where it is and where the other is: a plane follows those
- * that it is laid onto, wherever it lies, and one from far away fits nowhere before it is laid
- * again. */
+/* What two places show, each plane registered where it is and where the other is: a plane follows
+ * those that it is registered onto, wherever it lies, and one from far away fits nowhere before it
+ * is registered again. */
 static struct gsn_sequence_change change_both_ways(struct search *a, const struct swap *swap)
 {
     const size_t i = swap->place[0], j = swap->place[1];
@@ -352,8 +352,8 @@ static double sum_shown(const struct search *a, const struct swap *swap)
 }
 
 /* What speaks for a swap: how far the changes run that it turns over, and how much better all
- * planes around would fit. Everything around is laid anew as it is and as it would be, as a plane
- * out of place has misled those that were laid onto it. */
+ * planes around would fit. Everything around is registered anew as it is and as it would be, as a
+ * plane out of place has misled those that were registered onto it. */
 static void weigh_swap(struct search *a, struct swap *swap)
 {
     float *as_is = a->sample, *exchanged = a->sample + sample_size(a->t);
@@ -374,41 +374,41 @@ static void weigh_swap(struct search *a, struct swap *swap)
     swap->fit = compare_sums(a->t, as_is, exchanged);
 }
 
-/* ---- the search ----------------------------------------------------------------------------- */
+/* ---- the search --------------------------------------------------------------------------- */
 
 enum { LIKELY = 6 };
 
 /* Two near sections that show more than this, in standard errors, lie in order; others are compared
  * both ways. So are those farther apart that stand between in order and not no better than this,
- * roughly, by cells as they were laid. */
+ * roughly, by cells as they were registered. */
 static const double DOUBTFUL = 1.5, ROUGHLY = 0.2;
 
-/* A swap is looked at where both ways run against what is foretold by this many standard errors,
+/* A swap is looked at where both ways run against what is predicted by this many standard errors,
  * and by so many more for every stack's worth of changes that are not above SHOWN in order: where
  * half of them are noise, noise shows swaps. */
 static const double LEAST_AGAINST = 0.4, SHOWN = 0.5, MORE = 5;
 
 /* And where the logarithm of the likelihood ratio against the order as numbered is this much: where
- * hardly any change is foretold, noise runs against it half of the time. */
+ * hardly any change is predicted, noise runs against it half of the time. */
 static const double LIKELIER = 2;
 
 /* How much a better fit speaks for a swap beside the changes that it turns over, which are part of
  * it; and how much must speak for one. */
 static const double FIT = 0.5, CONVINCING = 0.5;
 
-/* For every further one, as what is laid anew around the first shifts by about this: what is below
- * shows once the first is put right. */
+/* For every further one, as what is registered anew around the first shifts by about this: what is
+ * below shows once the first is put right. */
 static const double CONVINCING_MORE = 1.5;
 
-/* As numbered two show more than both ways say, as each was laid by those around it: this share is
- * left. */
+/* As numbered two show more than both ways say, as each was registered by those around it: this
+ * share is left. */
 static const double LAID = 0.85;
 
 /* Where fewer neighbours than these lie above SHOWN, what they show is noise, and so is what adds
- * up of it: no squared_distance asks for less than neighbours do. */
+ * up of it: no distance asks for less than neighbours do. */
 static const double HARDLY_ANY = 0.5;
 
-/* Of all swaps at a squared_distance so many show where it is said that they do. */
+/* Of all swaps at a distance so many show where it is said that they do. */
 static const double NEARLY_ALL = 0.95;
 
 /* Nothing lies beyond the last two, so nothing says which of them is the last. */
@@ -425,7 +425,7 @@ static int is_near(const struct swap *swap)
 static int runs_against(const struct search *a, size_t f, struct gsn_sequence_change change)
 {
     return change.shown < -a->least[(f < NEAR ? f : NEAR) - 1] &&
-           -2 * a->gain * change.shown * change.foretold > LIKELIER;
+           -2 * a->gain * change.shown * change.predicted > LIKELIER;
 }
 
 /* Whether two places are worth a closer look. */
@@ -438,7 +438,7 @@ static int is_doubtful(const struct search *a, const struct swap *swap)
                : (a->suspect[i] && a->suspect[j]) || estimate_standing(a, i, j) <= ROUGHLY;
 }
 
-/* Whether what two places show runs against what is foretold. */
+/* Whether what two places show runs against what is predicted. */
 static int looks_swapped(struct search *a, struct swap *swap)
 {
     if (!is_doubtful(a, swap))
@@ -447,7 +447,7 @@ static int looks_swapped(struct search *a, struct swap *swap)
     return runs_against(a, swap->place[1] - swap->place[0], swap->change);
 }
 
-/* The swaps that run against what is foretold the most, among sections that are in none yet; how
+/* The swaps that run against what is predicted the most, among sections that are in none yet; how
  * many. */
 static size_t list_likely(struct search *a, struct swap ret_swap[LIKELY])
 {
@@ -480,7 +480,7 @@ static int is_any(const struct swap *swap)
     return swap->place[1] > swap->place[0];
 }
 
-/* What speaks for a swap of sections at any squared_distance. */
+/* What speaks for a swap of sections at any distance. */
 static double support_of(const struct swap *swap)
 {
     return swap->fit - swap->change.shown;
@@ -530,11 +530,11 @@ static void find_all_swaps(struct search *a, const struct gsn_sequence_plane *pl
                                            .b = second,
                                            .evidence = swap.convincing,
                                            .against = -swap.change.shown,
-                                           .foretold = swap.change.foretold };
+                                           .predicted = swap.change.predicted };
     }
 }
 
-/* Most neighbours lie in order, so their median tells what changes show of what is foretold. */
+/* Most neighbours lie in order, so their median tells what changes show of what is predicted. */
 static double learn_gain(const struct search *a, double *room)
 {
     const size_t n = a->t->n;
@@ -542,7 +542,7 @@ static double learn_gain(const struct search *a, double *room)
     for (size_t i = 0; i + 1 < n; i++) {
         const struct gsn_sequence_change change = a->near[i * NEAR];
 
-        room[i] = change.foretold > 0 ? change.shown / change.foretold : 0;
+        room[i] = change.predicted > 0 ? change.shown / change.predicted : 0;
     }
     return fmin(fmax(gsn_median(room, n - 1), 0), 1);
 }
@@ -553,11 +553,11 @@ static int would_show(const struct search *a, struct gsn_sequence_change change,
 {
     const double shown = LAID * times * change.shown;
 
-    return shown > least && 2 * a->gain * shown * times * change.foretold > LIKELIER;
+    return shown > least && 2 * a->gain * shown * times * change.predicted > LIKELIER;
 }
 
 /* The share of swaps f sections apart that would show, told from how far the sections here run
- * along what is foretold; beyond NEAR change adds up. */
+ * along what is predicted; beyond NEAR change adds up. */
 static double share_shown(const struct search *a, size_t f, double least)
 {
     const size_t n = a->t->n, far = f < NEAR ? f : NEAR;

@@ -16,7 +16,7 @@
 #include <math.h>
 #include <stdbool.h>
 
-enum { LONGEST = GSN_BRIDGE_LONGEST };
+enum { LONGEST = GSN_GAP_LONGEST };
 
 /* A window of one plane left out says something of the region when it holds at least this share of
  * the region's voxels per plane. */
@@ -28,7 +28,7 @@ struct work {
     size_t columns, planes;
     bool *inside;   /* of the region, per voxel of the grid */
     size_t *filled; /* [start plane][length - 1]: voxels of the region */
-    struct gsn_bridge *bridge;
+    struct gsn_gap_interpolation *bridge;
 };
 
 static float *get_voxel(const struct work *w, size_t column, size_t plane)
@@ -161,13 +161,13 @@ static size_t touched_planes(const struct work *w)
     return count;
 }
 
-int gsn_bridge_gaps(struct gsn_grid *grid, const struct gsn_mask *region,
-                    struct gsn_bridge *ret_bridge, struct gsn_error *err)
+int gsn_gap_interpolate(struct gsn_grid *grid, const struct gsn_mask *region,
+                        struct gsn_gap_interpolation *ret_bridge, struct gsn_error *err)
 {
     const size_t total = gsn_lattice_count(&grid->at);
     gsn_auto_mem(bool) inside = gsn_alloc_array(total, sizeof *inside);
     gsn_auto_mem(size_t) filled = gsn_alloc_array(grid->at.nz * LONGEST, sizeof *filled);
-    struct gsn_bridge bridge = { 0 };
+    struct gsn_gap_interpolation bridge = { 0 };
     struct work w = { .grid = grid,
                       .region = region,
                       .columns = grid->at.nx * grid->at.ny,

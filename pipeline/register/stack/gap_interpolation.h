@@ -17,22 +17,22 @@
 extern "C" {
 #endif
 
-enum { GSN_BRIDGE_LONGEST = 3 }; /* planes; a longer gap stays one */
+enum { GSN_GAP_LONGEST = 3 }; /* planes; a longer gap stays one */
 
-struct gsn_bridge {
+struct gsn_gap_interpolation {
     size_t region, measured, bridged; /* voxels of the region: all, with data, filled here */
     size_t planes;                    /* of the lattice in which some voxel of it was filled */
     double error; /* standard error of the region's mean from bridging; 0 without a bridge, NaN
                      where no plane could be left out to measure it */
 };
 
-/* Fills the gaps of grid (NaN) of up to GSN_BRIDGE_LONGEST planes that both ends bound.
+/* Fills the gaps of grid (NaN) of up to GSN_GAP_LONGEST planes that both ends bound.
  *
  * Figures are counted at the voxels of grid whose centres lie in region; gaps outside it are filled
  * too. The error takes the gaps of one plane and length as wrong together and others as
  * independent. Fails with GSN_E_NOMEM; then grid is untouched. */
-int gsn_bridge_gaps(struct gsn_grid *grid, const struct gsn_mask *region,
-                    struct gsn_bridge *ret_bridge, struct gsn_error *err);
+int gsn_gap_interpolate(struct gsn_grid *grid, const struct gsn_mask *region,
+                        struct gsn_gap_interpolation *ret_bridge, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -320,9 +320,10 @@ static int is_even(const struct gsn_image *image, const struct gsn_stack_light *
     return 1;
 }
 
-int gsn_stack_colour(const struct gsn_stack_section *section, const struct gsn_image *image,
-                     const struct gsn_stack_light *light, double interval_um, unsigned threads,
-                     struct gsn_colour_grid *grid, struct gsn_error *err)
+int gsn_stack_resample_colour(const struct gsn_stack_section *section,
+                              const struct gsn_image *image, const struct gsn_stack_light *light,
+                              double interval_um, unsigned threads, struct gsn_colour_grid *grid,
+                              struct gsn_error *err)
 {
     struct job job = { section, image, light, grid, .run = gsn_colour_row_plain };
     gsn_auto_mem(size_t) planes = NULL;

@@ -32,11 +32,12 @@ struct gsn_stack_light {
  * does not depend on threads (0: all) nor on the processor. Fails, with the grid untouched, with
  * GSN_E_INPUT when the picture is grey, the box reaches outside of it or the affine map is
  * singular; GSN_E_NOMEM. */
-int gsn_stack_colour(const struct gsn_stack_section *section, const struct gsn_image *image,
-                     const struct gsn_stack_light *light, double interval_um, unsigned threads,
-                     struct gsn_colour_grid *grid, struct gsn_error *err);
+int gsn_stack_resample_colour(const struct gsn_stack_section *section,
+                              const struct gsn_image *image, const struct gsn_stack_light *light,
+                              double interval_um, unsigned threads, struct gsn_colour_grid *grid,
+                              struct gsn_error *err);
 
-/* ---- the inner loop, for its tests ---------------------------------------------------------- */
+/* ---- the inner loop, for its tests -------------------------------------------------------- */
 
 /* One row of voxels, all of whose pixels are there. */
 struct gsn_colour_row {

@@ -186,7 +186,7 @@ static int find_starts(const struct gsn_tissue *a, const struct gsn_tissue *b, s
     return GSN_OK;
 }
 
-/* ---- least squares in one band --------------------------------------------------------------- */
+/* ---- least squares in one band ------------------------------------------------------------ */
 
 /* A motion between cells of the first level of two sections. */
 struct fit {
@@ -613,9 +613,9 @@ int gsn_tissue_refine(const struct gsn_tissue *a, const struct gsn_tissue *b,
     return r;
 }
 
-void gsn_tissue_glance(const struct gsn_tissue *a, const struct gsn_tissue *b,
-                       const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
-                       double *ret_evidence)
+void gsn_tissue_refine_coarse(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                              const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
+                              double *ret_evidence)
 {
     struct fit fit = { .a_to_b = scale_to_lengths(start, 1 / a->cell, 1 / b->cell) };
 

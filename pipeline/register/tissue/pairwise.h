@@ -19,7 +19,7 @@ extern "C" {
  * rho^2 / (1 - rho^2), so texture that does not reach from one section to the next says nothing.
  *
  * What tissue cannot tell: a structure that slants through the block looks like a section that was
- * shifted. Chains of sections laid by tissue therefore drift, which laser marks do not
+ * shifted. Chains of sections registered by tissue therefore drift, which laser marks do not
  * (pose_graph.h). Motions are affine maps that are rigid, mirrored in x where the two sections
  * lie on different faces: determinant 1 or -1. Lengths are the caller's, pixel centres at +0.5. */
 
@@ -54,8 +54,8 @@ struct gsn_tissue_match {
     /* Of the pose, by the curvature: shift in x and y at a's centre, turn in radians about it, all
      * in a's frame. */
     double covariance[3][3];
-    double back;     /* root mean square, over a's tissue, of the distance between laying a on b and
-                        b on a; the motion is the mean of both */
+    double back; /* root mean square, over a's tissue, of the distance between registering a on b
+                    and b on a; the motion is the mean of both */
     double evidence; /* logarithm of the likelihood ratio against sections that share nothing */
     double rival;    /* the same of the best other rotation or face that was tried */
     double spread; /* standard deviation of their difference by chance; rival and spread are 0 when
@@ -85,9 +85,9 @@ void gsn_tissue_pulls(const struct gsn_tissue *a, const struct gsn_tissue *b,
 
 /* The same in the two coarsest bands alone, for an eighth of the cost. ret_evidence is 0 where
  * nothing fits, and the motion stays. */
-void gsn_tissue_glance(const struct gsn_tissue *a, const struct gsn_tissue *b,
-                       const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
-                       double *ret_evidence);
+void gsn_tissue_refine_coarse(const struct gsn_tissue *a, const struct gsn_tissue *b,
+                              const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
+                              double *ret_evidence);
 
 /* Evidence below this is chance: the best of all motions that were tried. */
 #define GSN_TISSUE_LEAST_EVIDENCE 24

@@ -31,7 +31,7 @@ static const double CHANCE = 3.6;
 /* Fits with less than this share of the usual evidence are worth a search. */
 static const double POOR = 0.5;
 
-/* Where one neighbour's tissue lays a section. */
+/* Where one neighbour's tissue puts a section. */
 struct vote {
     size_t of;
     struct gsn_affine to_block;
@@ -54,7 +54,7 @@ struct check {
     double usual, evidence; /* medians over the stack */
 };
 
-/* How far apart two motions lay a section's tissue, root mean square. */
+/* How far apart two motions put a section's tissue, root mean square. */
 static double measure_apart(const struct gsn_tissue *t, const struct gsn_affine *p,
                             const struct gsn_affine *q)
 {
@@ -87,7 +87,7 @@ static void compare_pair(struct check *c, size_t a, size_t b)
     struct gsn_affine motion, back, place;
     double evidence;
 
-    gsn_tissue_glance(s[a].tissue, s[b].tissue, &start, &motion, &evidence);
+    gsn_tissue_refine_coarse(s[a].tissue, s[b].tissue, &start, &motion, &evidence);
     place = gsn_affine_compose(&motion, &s[b].to_block);
     add_vote(&c->look[a], b, &place, evidence);
     back = gsn_affine_inverse(&motion);
@@ -191,7 +191,7 @@ static int learn_usual(struct check *c)
 
 /* ---- At all rotations and on both faces --------------------------------------------------- */
 
-/* Where all neighbours lay the section near this place; the sum of their evidence. */
+/* Where all neighbours put the section near this place; the sum of their evidence. */
 static double try_place(const struct check *c, size_t i, const struct gsn_affine *place,
                         struct vote ret_vote[VOTES])
 {
@@ -205,7 +205,7 @@ static double try_place(const struct check *c, size_t i, const struct gsn_affine
         const struct gsn_affine start = gsn_affine_compose(place, &from_it);
         struct gsn_affine motion;
 
-        gsn_tissue_glance(s[i].tissue, s[of].tissue, &start, &motion, &ret_vote[k].evidence);
+        gsn_tissue_refine_coarse(s[i].tissue, s[of].tissue, &start, &motion, &ret_vote[k].evidence);
         ret_vote[k].of = of;
         ret_vote[k].to_block = gsn_affine_compose(&motion, &s[of].to_block);
         sum += ret_vote[k].evidence;

@@ -3,9 +3,9 @@
 /* A pose graph in the plane (Lu & Milios, Autonomous Robots 4, 1997; Kuemmerle et al., g2o, ICRA
  * 2011): sections are nodes of three unknowns, comparisons are edges.
  *
- * 1. Every section is compared with the next three that are there: from where their marks lay them,
- *    when both have some, and else at all rotations and on both faces. Each comparison searches for
- *    itself, so three of them around a triangle bear each other out when they close it and lead
+ * 1. Every section is compared with the next three that are there: from where their marks put
+ * them, when both have some, and else at all rotations and on both faces. Each comparison searches
+ * for itself, so three of them around a triangle bear each other out when they close it and lead
  * over the best other motions by LEAD together (Vuong's test of models that are not nested,
  * Econometrica 57, 1989). A section is left out, the worst first, as long as more than a quarter of
  * its triangles do not close; edges of the triangles that do are sure. (By its own likelihood an
@@ -25,8 +25,8 @@
  *        C = A^-1 (G / (G - 1) sum_g u_g u_g^T + sum_k W_k) A^-1.
  *    So what a column does alike in many sections adds up along the stack, as the errors do.
  *
- * Sections that nothing reaches are not laid. For n sections 3 n comparisons, which cost all but
- * nothing else. */
+ * Sections that nothing reaches are not registered. For n sections 3 n comparisons, which cost all
+ * but nothing else. */
 #include "pipeline/register/tissue/pose_graph.h"
 
 #include "pipeline/core/linalg.h"
@@ -209,7 +209,7 @@ static int compare_all(struct graph *g, struct gsn_error *err)
     return r;
 }
 
-/* How far apart two motions lay a section's tissue, root mean square. */
+/* How far apart two motions put a section's tissue, root mean square. */
 static double distance_between(const struct node *n, const struct gsn_affine *p,
                                const struct gsn_affine *q)
 {
@@ -459,7 +459,8 @@ static void anchor_reference(struct graph *g, size_t at)
     set_anchor(n, &unmoved, information);
 }
 
-/* Edges that lay their sections elsewhere than the surer ones are compared again from there. */
+/* Edges that put their sections elsewhere than the surer ones are compared again from there.
+ */
 static int compare_again(struct graph *g, struct gsn_error *err)
 {
     for (size_t i = 0; i < g->edges; i++) {
@@ -924,9 +925,9 @@ static int solve_graph(struct graph *g, size_t reference, struct gsn_tissue_pose
     return GSN_OK;
 }
 
-int gsn_tissue_lay(const struct gsn_tissue_section *sections, size_t count, size_t reference,
-                   struct gsn_tissue_pose *ret_poses, struct gsn_tissue_summary *ret_summary,
-                   struct gsn_error *err)
+int gsn_tissue_register(const struct gsn_tissue_section *sections, size_t count, size_t reference,
+                        struct gsn_tissue_pose *ret_poses, struct gsn_tissue_summary *ret_summary,
+                        struct gsn_error *err)
 {
     gsn_auto_mem(struct node) node = gsn_alloc_array(count, sizeof *node);
     gsn_auto_mem(struct edge) edge = gsn_alloc_array(REACH * count, sizeof *edge);

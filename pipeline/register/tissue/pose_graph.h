@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Many sections laid by their tissue and their marks: one pose graph, solved together.
+/* Many sections registered by their tissue and their marks: one pose graph, solved together.
  *
  * Each section is compared with the next three; the comparisons are the graph's edges, as stiff as
  * each is certain, and a section with marks is held where its marks say, as firmly as they are
@@ -26,7 +26,7 @@ extern "C" {
 
 struct gsn_tissue_section {
     unsigned serial;                 /* rising */
-    const struct gsn_tissue *tissue; /* NULL: not there; it is not laid */
+    const struct gsn_tissue *tissue; /* NULL: not there; it is not registered */
     int marked;                      /* whether the following two are known */
     struct gsn_affine to_block;      /* rigid or rigid and mirrored, determinant 1 or -1 */
     double covariance[3][3];         /* shift in x and y at the tissue's centre, and turn, in the
@@ -39,7 +39,7 @@ struct gsn_tissue_pose {
     double error;     /* predicted, root mean square over its tissue, against what holds */
     unsigned from;    /* sections between it and the nearest held one: 0 when it is held itself */
     double disagrees; /* of a marked section: how far its comparisons with the neighbours would
-                         lay it elsewhere, as a multiple of what is usual; 0: no comparison */
+                         put it elsewhere, as a multiple of what is usual; 0: no comparison */
     int unsure;       /* another rotation or face fits it almost as well: a person should look */
 };
 
@@ -54,14 +54,14 @@ struct gsn_tissue_summary {
 /* As reference: the middle one of the most sections that hang together. */
 #define GSN_TISSUE_MIDDLE ((size_t)-1)
 
-/* Lays all sections. Sections whose marks are stated keep about their place. reference: the index
- * of the section that is held where none has marks, whose tissue the caller guarantees; or
+/* Registers all sections. Sections whose marks are stated keep about their place. reference: the
+ * index of the section that is held where none has marks, whose tissue the caller guarantees; or
  * GSN_TISSUE_MIDDLE. borrows: everything; ret_poses receives count entries, in the block's frame,
  * or in that of the reference where none has marks. Sections with nothing in common with any other
- * are not laid. Fails with GSN_E_INPUT when serial numbers do not rise; GSN_E_NOMEM. */
-int gsn_tissue_lay(const struct gsn_tissue_section *sections, size_t count, size_t reference,
-                   struct gsn_tissue_pose *ret_poses, struct gsn_tissue_summary *ret_summary,
-                   struct gsn_error *err);
+ * are not registered. Fails with GSN_E_INPUT when serial numbers do not rise; GSN_E_NOMEM. */
+int gsn_tissue_register(const struct gsn_tissue_section *sections, size_t count, size_t reference,
+                        struct gsn_tissue_pose *ret_poses, struct gsn_tissue_summary *ret_summary,
+                        struct gsn_error *err);
 
 #ifdef __cplusplus
 }

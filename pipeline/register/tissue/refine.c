@@ -214,8 +214,7 @@ static int new_comparison(const struct gsn_refine_stack *stack,
     return GSN_OK;
 }
 
-/* ---- Laid, and brought to mean 0 and variance 1 ------------------------------------------------
- */
+/* ---- Laid, and brought to mean 0 and variance 1 ------------------------------------------- */
 
 static int standardise(const struct gsn_refine_comparison *c, float *laid)
 {
@@ -258,8 +257,7 @@ static int resample_section(size_t k, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* ---- The line through the neighbours, and what fits it -----------------------------------------
- */
+/* ---- The line through the neighbours, and what fits it ------------------------------------ */
 
 static int draw_line(size_t k, void *context, struct gsn_error *err)
 {
@@ -461,7 +459,7 @@ static void sum_equation(const struct gsn_refine_comparison *c,
     }
 }
 
-/* The section's own slopes against those that its line foretells: its texture has no part in the
+/* The section's own slopes against those that its line predicts: its texture has no part in the
  * line, so what they share is how it answers to a move. */
 static void add_response(const struct gsn_refine_comparison *c, size_t k,
                          struct gsn_refine_buffers *room, double even)
@@ -515,20 +513,19 @@ static int make_equation(size_t k, void *context, struct gsn_error *err)
     return r;
 }
 
-/* ---- What the equations are worth --------------------------------------------------------------
- */
+/* ---- What the equations are worth --------------------------------------------------------- */
 
-/* Of the change that the lines foretell of a part, what all sections together show: structures that
+/* Of the change that the lines predict of a part, what all sections together show: structures that
  * are others in the next section, and those that are weighed down, do not move with it. */
 static double estimate_response(const struct gsn_refine_comparison *c, size_t p)
 {
-    double shown = 0, foretold = 0;
+    double shown = 0, predicted = 0;
 
     for (size_t k = 0; k < c->stack->count; k++) {
         shown += c->response[k][p];
-        foretold += c->equation[k].information[p][p];
+        predicted += c->equation[k].information[p][p];
     }
-    return foretold > 0 ? fmin(fmax(shown / foretold, LEAST_RESPONSE), 1) : 1;
+    return predicted > 0 ? fmin(fmax(shown / predicted, LEAST_RESPONSE), 1) : 1;
 }
 
 static void apply_response(struct gsn_refine_comparison *c)

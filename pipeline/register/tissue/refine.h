@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Sections laid by their marks, moved on by what their tissue has in common with its neighbours'.
+/* Sections registered by their marks, moved on by what their tissue has in common with its
+ * neighbours'.
  *
  * Marks that lie far from the region say where it is to many um, independently from section to
  * section; tissue says how a section lies against its neighbours, but not whether the block slants.
@@ -32,8 +33,8 @@ enum { GSN_REFINE_PARTS = 6 };
 
 struct gsn_refine_section {
     unsigned serial;
-    const float *density; /* side x side cells, rows one after the other, as the pose lays them;
-                             NaN: not known. NULL: the section is not there */
+    const float *density; /* side x side cells, rows one after the other, as the pose places
+                             them; NaN: not known. NULL: the section is not there */
     double prior[GSN_REFINE_PARTS][GSN_REFINE_PARTS]; /* covariance of its move, um2 */
 };
 

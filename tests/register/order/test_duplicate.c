@@ -10,7 +10,7 @@
 
 /* Blocks drawn anew for every stack: an outline, structures of half a millimetre that drift from
  * section to section, and a texture of some 60 um that each section has for itself. Each mount of a
- * section is laid, stretched, warped, stained, torn and scanned in its own way. */
+ * section is registered, stretched, warped, stained, torn and scanned in its own way. */
 enum {
     SECTIONS = 14,
     MARGIN = 8,
@@ -27,8 +27,8 @@ static int columns, rows, wide, high;
 
 /* What the water, the hand and the scanner do to a mount, by the phantom's levels (PHANTOM.md
  * section 5). Noise is such that two mounts and neighbours have as much texture in common as on the
- * phantom's laid panels: 61 to 66 and 22 to 24 % at L2, 51 to 58 and 18 to 19 % at L3. Lengths in
- * cells of 33 um. */
+ * phantom's registered panels: 61 to 66 and 22 to 24 % at L2, 51 to 58 and 18 to 19 % at L3.
+ * Lengths in cells of 33 um. */
 struct bench {
     const char *name;
     double laid, common, axis, warp, stain, noise;
@@ -197,7 +197,7 @@ static void count_findings(const struct gsn_sequence *s, const unsigned *at, siz
 {
     t->stacks++;
     t->made += count;
-    t->untold += !s->twice_told;
+    t->untold += !s->duplicates_known;
     for (size_t i = 0; i < s->count; i++) {
         const struct gsn_sequence_finding *f = &s->finding[i];
         int is = 0;
@@ -310,9 +310,9 @@ struct folding {
     double hidden, offset; /* cells of the planes; of the line from the middle */
 };
 
-static struct gsn_sequence_held hold(const struct bench *b, unsigned serial, int k,
-                                     const struct folding *fold, float *cells,
-                                     struct draw_chance *chance)
+static struct gsn_sequence_excluded hold(const struct bench *b, unsigned serial, int k,
+                                         const struct folding *fold, float *cells,
+                                         struct draw_chance *chance)
 {
     const double angle = draw_uniform(chance, 0, 2 * M_PI), across = draw_uniform(chance, 0, M_PI);
     const double face = draw_uniform(chance, 0, 1) < 0.3 ? -1 : 1;
@@ -338,10 +338,10 @@ static struct gsn_sequence_held hold(const struct bench *b, unsigned serial, int
         if (fabs(from) < fold->hidden / 2)
             cells[c] = NAN;
     }
-    return (struct gsn_sequence_held){ serial, BESIDE, BESIDE, 0.5, cells };
+    return (struct gsn_sequence_excluded){ serial, BESIDE, BESIDE, 0.5, cells };
 }
 
-/* All sections laid but number first; the next number is its second mount where again. */
+/* All sections registered but number first; the next number is its second mount where again. */
 static size_t lay_all_but(const struct bench *b, unsigned first, int again,
                           struct draw_chance *chance)
 {
@@ -358,16 +358,16 @@ static size_t lay_all_but(const struct bench *b, unsigned first, int again,
 }
 
 /* What is said of held sections alone. */
-static struct gsn_sequence *find_held(const struct gsn_sequence_held *held, size_t held_count,
+static struct gsn_sequence *find_held(const struct gsn_sequence_excluded *held, size_t held_count,
                                       size_t count)
 {
     struct gsn_sequence *s = gsn_alloc_array(1, sizeof *s);
     struct gsn_error err = { 0 };
 
     CHECK(s != NULL);
-    s->twice_told = 1;
-    CHECK_OK(gsn_sequence_examine_held(planes, count, (size_t)columns, (size_t)rows, held,
-                                       held_count, s, &err),
+    s->duplicates_known = 1;
+    CHECK_OK(gsn_sequence_examine_excluded(planes, count, (size_t)columns, (size_t)rows, held,
+                                           held_count, s, &err),
              err);
     return s;
 }
@@ -383,7 +383,7 @@ static struct tally hold_first(const struct bench *b, size_t trials, int again, 
         /* 80 to 250 um, twice as much hidden (PHANTOM.md section 5), anywhere but at the rim. */
         const struct folding fold = { draw_uniform(&chance, 4.8, 15),
                                       draw_uniform(&chance, -20, 20) };
-        struct gsn_sequence_held held;
+        struct gsn_sequence_excluded held;
         size_t count;
 
         draw_block(1, &chance);
@@ -396,7 +396,7 @@ static struct tally hold_first(const struct bench *b, size_t trials, int again, 
             const struct gsn_sequence_finding *at = &s->finding[f];
             const int is = again && at->a == first && at->b == first + 1;
 
-            CHECK(at->kind == GSN_SEQUENCE_HELD_DUPLICATE);
+            CHECK(at->kind == GSN_SEQUENCE_EXCLUDED_DUPLICATE);
             CHECK(at->held[0] == (at->a == first) && at->held[1] == (at->b == first));
             t.named += is != 0;
             t.others += !is;
@@ -433,7 +433,7 @@ TEST(two_mounts_that_are_both_held_are_named_with_what_was_found_before)
 {
     gsn_auto(gsn_sequence) s = gsn_alloc_array(1, sizeof *s);
     struct draw_chance chance = { 15 };
-    struct gsn_sequence_held held[2];
+    struct gsn_sequence_excluded held[2];
     struct gsn_error err = { 0 };
 
     draw_block(1, &chance);
@@ -443,14 +443,14 @@ TEST(two_mounts_that_are_both_held_are_named_with_what_was_found_before)
     }
     held[0] = hold(&L3, SECTIONS - 2, SECTIONS - 2, &WHOLE, beside[0], &chance);
     held[1] = hold(&L3, SECTIONS - 1, SECTIONS - 2, &WHOLE, beside[1], &chance);
-    s->twice_told = 1;
+    s->duplicates_known = 1;
     s->finding = gsn_alloc_array(1, sizeof *s->finding);
     s->finding[s->count++] = (struct gsn_sequence_finding){ .kind = GSN_SEQUENCE_DUPLICATE };
-    CHECK_OK(gsn_sequence_examine_held(planes, SECTIONS - 2, (size_t)columns, (size_t)rows, held, 2,
-                                       s, &err),
+    CHECK_OK(gsn_sequence_examine_excluded(planes, SECTIONS - 2, (size_t)columns, (size_t)rows,
+                                           held, 2, s, &err),
              err);
     CHECK(s->count == 2 && s->finding[0].kind == GSN_SEQUENCE_DUPLICATE);
-    CHECK(s->finding[1].kind == GSN_SEQUENCE_HELD_DUPLICATE);
+    CHECK(s->finding[1].kind == GSN_SEQUENCE_EXCLUDED_DUPLICATE);
     CHECK(s->finding[1].a == SECTIONS - 2 && s->finding[1].b == SECTIONS - 1);
     CHECK(s->finding[1].held[0] && s->finding[1].held[1]);
 }
@@ -465,7 +465,7 @@ TEST(what_has_too_little_tissue_in_common_is_not_named)
     draw_block(1, &chance);
     count = lay_all_but(&L2, 5, 1, &chance);
     for (int whole = 1; whole >= 0; whole--) {
-        struct gsn_sequence_held held = hold(&L2, 5, 5, &WHOLE, beside[0], &chance);
+        struct gsn_sequence_excluded held = hold(&L2, 5, 5, &WHOLE, beside[0], &chance);
         gsn_auto(gsn_sequence) s = NULL;
 
         for (int c = 0; c < BESIDE_CELLS && !whole; c++)
@@ -478,7 +478,7 @@ TEST(what_has_too_little_tissue_in_common_is_not_named)
     for (int c = 0; c < BESIDE_CELLS; c++)
         beside[1][c] = 0;
     gsn_auto(gsn_sequence) none =
-        find_held(&(struct gsn_sequence_held){ 5, BESIDE, BESIDE, 0.5, beside[1] }, 1, count);
+        find_held(&(struct gsn_sequence_excluded){ 5, BESIDE, BESIDE, 0.5, beside[1] }, 1, count);
     CHECK(none->count == 0);
 }
 
@@ -491,34 +491,34 @@ TEST(a_held_section_is_compared_nearby_and_where_two_mounts_would_be_known)
     draw_block(1, &chance);
     count = lay_all_but(&L2, 5, 1, &chance);
     for (unsigned serial = 2; serial <= 3; serial++) {
-        const struct gsn_sequence_held held = hold(&L2, serial, 5, &WHOLE, beside[0], &chance);
+        const struct gsn_sequence_excluded held = hold(&L2, serial, 5, &WHOLE, beside[0], &chance);
         struct gsn_sequence blind = { 0 };
         struct gsn_error err = { 0 };
 
         gsn_auto(gsn_sequence) s = find_held(&held, 1, count);
 
         CHECK(s->count == (serial == 3));
-        CHECK_OK(gsn_sequence_examine_held(planes, count, (size_t)columns, (size_t)rows, &held, 1,
-                                           &blind, &err),
+        CHECK_OK(gsn_sequence_examine_excluded(planes, count, (size_t)columns, (size_t)rows, &held,
+                                               1, &blind, &err),
                  err);
         CHECK(blind.count == 0 && blind.finding == NULL);
     }
 }
 
-static struct gsn_sequence_held alone;
+static struct gsn_sequence_excluded alone;
 
 static int find_once(struct gsn_error *err)
 {
-    struct gsn_sequence s = { .twice_told = 1 };
-    const int r = gsn_sequence_examine_held(planes, SECTIONS - 1, (size_t)columns, (size_t)rows,
-                                            &alone, 1, &s, err);
+    struct gsn_sequence s = { .duplicates_known = 1 };
+    const int r = gsn_sequence_examine_excluded(planes, SECTIONS - 1, (size_t)columns, (size_t)rows,
+                                                &alone, 1, &s, err);
 
     CHECK(s.count == (r >= 0) && (s.finding != NULL) == (r >= 0));
     gsn_free(s.finding);
     return r;
 }
 
-/* Of all laid sections the second mount alone is near. */
+/* Of all registered sections the second mount alone is near. */
 TEST(running_out_of_memory_for_held_sections_leaks_nothing)
 {
     struct draw_chance chance = { 18 };

@@ -60,9 +60,9 @@ static double cell_at(int k, double x, double y)
 static float seen[SECTIONS][CELLS];
 static struct gsn_sequence_plane planes[SECTIONS];
 
-/* One section: laid with an error of 20 um, stretched by half a percent, warped by 13 um, stained
- * by a tenth more or less, with grain and a tear. slant: how far, in cells, all lies further on in
- * the next section. */
+/* One section: registered with an error of 20 um, stretched by half a percent, warped by 13 um,
+ * stained by a tenth more or less, with grain and a tear. slant: how far, in cells, all lies
+ * further on in the next section. */
 static void see(float *cells, int k, double slant, struct draw_chance *chance)
 {
     double lay[6], wave[4][COLUMNS];
@@ -115,8 +115,8 @@ static void mount_again(float *cells, int k, struct draw_chance *chance)
     }
 }
 
-/* As a drawing without grain, laid and stained alike: what sets its sections apart from straight
- * lines is the curvature of the block, which neighbours share. */
+/* As a drawing without grain, registered and stained alike: what sets its sections apart from
+ * straight lines is the curvature of the block, which neighbours share. */
 static void see_without_grain(int step)
 {
     fill_block();
@@ -222,7 +222,7 @@ static struct swaps swap_and_look(unsigned least, unsigned most, size_t trials)
     return all;
 }
 
-/* Case 30. docs/user/register.md says what share shows on laid planes. The long run:
+/* Case 30. docs/user/register.md says what share shows on registered planes. The long run:
  * GIESON_TRIALS=1000 build/bench/tests/test_register_order_sequence. */
 TEST(swapped_sections_are_proposed_and_nothing_else)
 {
@@ -237,9 +237,9 @@ TEST(swapped_sections_are_proposed_and_nothing_else)
 }
 
 /* A slanting block moves on from section to section, and a section among strangers at the other end
- * is laid onto them: only laid again where it belongs does it show the contrary of what is foretold
- * there, and not a third of it; and only when those around are laid again, too, do all fit better
- * by six standard errors, half of which the evidence counts. */
+ * is registered onto them: only registered again where it belongs does it show the contrary of what
+ * is predicted there, and not a third of it; and only when those around are registered again, too,
+ * do all fit better by six standard errors, half of which the evidence counts. */
 TEST(sections_from_either_end_are_laid_again_where_they_belong)
 {
     static const unsigned pair[][2] = {
@@ -258,7 +258,7 @@ TEST(sections_from_either_end_are_laid_again_where_they_belong)
 
         CHECK(has(s, GSN_SEQUENCE_SWAP, a, b));
         CHECK(s->count == 1);
-        CHECK(s->finding[0].against > 0.5 * s->finding[0].foretold);
+        CHECK(s->finding[0].against > 0.5 * s->finding[0].predicted);
         CHECK(s->finding[0].evidence - s->finding[0].against > 3);
     }
 }
@@ -505,7 +505,7 @@ TEST(sections_without_detail_of_their_own_are_not_called_duplicates)
 
     for (size_t i = 0; i < s->count; i++)
         print_message("  %u %u %.2f\n", s->finding[i].a, s->finding[i].b, s->finding[i].evidence);
-    CHECK(s->count == 0 && !s->twice_told);
+    CHECK(s->count == 0 && !s->duplicates_known);
 }
 
 TEST(a_gap_in_the_numbers_is_no_fault)
@@ -550,7 +550,7 @@ TEST(numbers_that_do_not_rise_are_refused)
     planes[4].serial = 4;
     gsn_auto(gsn_sequence) few = examined(5);
 
-    CHECK(few->count == 0 && few->reach == 0 && !few->twice_told);
+    CHECK(few->count == 0 && few->reach == 0 && !few->duplicates_known);
 }
 
 static int examine_once(struct gsn_error *err)

@@ -68,7 +68,7 @@ static double wave(double x, double z)
 TEST(gaps_in_a_straight_ramp_are_bridged_exactly_and_at_their_own_z)
 {
     stack_auto stack;
-    struct gsn_bridge bridge;
+    struct gsn_gap_interpolation bridge;
     struct gsn_error err = { 0 };
     double truth;
 
@@ -77,7 +77,7 @@ TEST(gaps_in_a_straight_ramp_are_bridged_exactly_and_at_their_own_z)
     lose(stack.grid, 4);
     lose(stack.grid, 9);
     lose(stack.grid, 10);
-    CHECK_OK(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err), err);
+    CHECK_OK(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err), err);
     CHECK(bridge.region == (NZ - 2) * PLANE && bridge.measured == (NZ - 5) * PLANE);
     CHECK(bridge.bridged == 3 * PLANE && bridge.planes == 3);
     CHECK_NEAR(mean_of(&stack), truth, 1e-6);
@@ -93,13 +93,13 @@ TEST(the_error_that_is_told_is_the_one_that_is_made)
 
     for (size_t lost = 1; lost + 1 < NZ; lost++) {
         stack_auto stack;
-        struct gsn_bridge bridge;
+        struct gsn_gap_interpolation bridge;
         double truth;
 
         make(&stack, wave);
         truth = mean_of(&stack);
         lose(stack.grid, lost);
-        CHECK_OK(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err), err);
+        CHECK_OK(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err), err);
         told += bridge.error * bridge.error;
         made += pow(mean_of(&stack) - truth, 2);
     }
@@ -110,15 +110,15 @@ TEST(the_error_that_is_told_is_the_one_that_is_made)
 TEST(a_gap_that_is_too_long_or_at_an_end_stays_one)
 {
     stack_auto stack;
-    struct gsn_bridge bridge;
+    struct gsn_gap_interpolation bridge;
     struct gsn_error err = { 0 };
 
     make(&stack, wave);
-    for (size_t plane = 5; plane < 5 + GSN_BRIDGE_LONGEST + 1; plane++)
+    for (size_t plane = 5; plane < 5 + GSN_GAP_LONGEST + 1; plane++)
         lose(stack.grid, plane);
     lose(stack.grid, 0);
     lose(stack.grid, 1);
-    CHECK_OK(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err), err);
+    CHECK_OK(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err), err);
     CHECK(bridge.bridged == 0 && bridge.planes == 0 && bridge.error == 0);
     CHECK(isnan(stack.grid->value[1 * PLANE]) && isnan(stack.grid->value[6 * PLANE]));
 }
@@ -127,13 +127,13 @@ TEST(a_gap_that_is_too_long_or_at_an_end_stays_one)
 TEST(a_hole_in_one_section_is_bridged_from_the_sections_beside_it)
 {
     stack_auto stack;
-    struct gsn_bridge bridge;
+    struct gsn_gap_interpolation bridge;
     struct gsn_error err = { 0 };
 
     make(&stack, ramp);
     for (size_t i = 0; i < 5; i++)
         stack.grid->value[7 * PLANE + i] = NAN;
-    CHECK_OK(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err), err);
+    CHECK_OK(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err), err);
     CHECK(bridge.bridged == 5 && bridge.planes == 1);
     CHECK_NEAR(stack.grid->value[7 * PLANE + 2], ramp(2, 7), 1e-6);
     CHECK(stack.grid->value[7 * PLANE + 8] == (float)ramp(8, 7));
@@ -142,28 +142,28 @@ TEST(a_hole_in_one_section_is_bridged_from_the_sections_beside_it)
 TEST(where_nothing_can_be_left_out_no_error_is_told)
 {
     stack_auto stack;
-    struct gsn_bridge bridge;
+    struct gsn_gap_interpolation bridge;
     struct gsn_error err = { 0 };
 
     make(&stack, ramp);
     for (size_t plane = 0; plane < NZ; plane++)
         if (plane % 2 == 1)
             lose(stack.grid, plane);
-    CHECK_OK(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err), err);
+    CHECK_OK(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err), err);
     CHECK(bridge.bridged > 0 && isnan(bridge.error));
 }
 
 TEST(running_out_of_memory_leaves_the_gaps)
 {
     stack_auto stack;
-    struct gsn_bridge bridge = { .planes = 77 };
+    struct gsn_gap_interpolation bridge = { .planes = 77 };
     struct gsn_error err = { 0 };
 
     make(&stack, ramp);
     lose(stack.grid, 4);
     gsn_check_fail_allocation(2);
-    CHECK(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err) == GSN_E_NOMEM);
+    CHECK(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err) == GSN_E_NOMEM);
     gsn_check_fail_allocation(0);
     CHECK(isnan(stack.grid->value[4 * PLANE]) && bridge.planes == 77);
-    CHECK_EVERY_OOM(gsn_bridge_gaps(stack.grid, stack.region, &bridge, &err), err);
+    CHECK_EVERY_OOM(gsn_gap_interpolate(stack.grid, stack.region, &bridge, &err), err);
 }

@@ -64,7 +64,7 @@ static struct gsn_colour_grid *lay(const struct gsn_image *image,
 
     even_light(of_sample, code);
     CHECK_OK(gsn_colour_grid_new(at, &grid, &err), err);
-    CHECK_OK(gsn_stack_colour(section, image, &light, 24, threads, grid, &err), err);
+    CHECK_OK(gsn_stack_resample_colour(section, image, &light, 24, threads, grid, &err), err);
     return grid;
 }
 
@@ -210,12 +210,12 @@ TEST(bad_sections_are_refused_and_the_output_stays_untouched)
     outside.x = 1;
     flat.panel_to_block_um = (struct gsn_affine){ 1, 2, 0, 2, 4, 0 };
     CHECK_OK(gsn_colour_grid_new(&at, &grid, &err), err);
-    CHECK(gsn_stack_colour(&outside, image, &light, 24, 1, grid, &err) == GSN_E_INPUT);
+    CHECK(gsn_stack_resample_colour(&outside, image, &light, 24, 1, grid, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "the box of section 2 reaches outside its panel") == 0);
-    CHECK(gsn_stack_colour(&flat, image, &light, 24, 1, grid, &err) == GSN_E_INPUT);
+    CHECK(gsn_stack_resample_colour(&flat, image, &light, 24, 1, grid, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "the pose of section 2 cannot be undone") == 0);
     image->channels = 1;
-    CHECK(gsn_stack_colour(&outside, image, &light, 24, 1, grid, &err) == GSN_E_INPUT);
+    CHECK(gsn_stack_resample_colour(&outside, image, &light, 24, 1, grid, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "a grey picture has no colours to keep") == 0);
     for (size_t i = 0; i < 3 * gsn_lattice_count(&at); i++)
         CHECK(grid->rgb[i] == 0);
@@ -235,7 +235,7 @@ static int lay_once(const struct gsn_image *image, struct gsn_error *err)
 
     even_light(of_sample, code);
     if (r >= 0)
-        r = gsn_stack_colour(&section, image, &light, 24, 1, grid, err);
+        r = gsn_stack_resample_colour(&section, image, &light, 24, 1, grid, err);
     return r < 0 ? r : gsn_colour_grid_nrrd(grid, &file, &size, err);
 }
 

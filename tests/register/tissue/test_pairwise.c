@@ -151,8 +151,8 @@ static struct gsn_tissue *tissue_of(const struct gsn_image *image)
     return tissue;
 }
 
-/* Cells that were rounded to whole pixels and mapped back unrounded laid every section half a pixel
- * off, unless the side was a multiple of 250. */
+/* Cells that were rounded to whole pixels and mapped back unrounded registered every section half a
+ * pixel off, unless the side was a multiple of 250. */
 TEST(pictures_of_any_side_are_laid_without_an_offset)
 {
     static const uint32_t sides[] = { 300, 306, 500, 640, 700, 750, 1500 };

@@ -14,7 +14,7 @@ struct stack {
     struct gsn_tissue *tissue[SECTIONS];
 };
 
-/* Marks lay each section to about half a cell. */
+/* Marks put each section to about half a cell. */
 static void mount(struct stack *s, unsigned block, double slant)
 {
     struct draw_chance chance = { block };
@@ -52,7 +52,7 @@ static void check(const struct stack *s, struct gsn_tissue_finding findings[SECT
     CHECK_OK(gsn_tissue_check(s->section, SECTIONS, findings, &err), err);
 }
 
-/* With section k laid so, it and no other is contradicted. */
+/* With section k registered so, it and no other is contradicted. */
 static void check_told(struct stack *s, unsigned k, const struct gsn_affine *moved, int other_face)
 {
     const struct gsn_affine right = s->section[k].to_block;
@@ -153,7 +153,7 @@ static struct gsn_tissue *disc(struct draw_chance *chance)
     return tissue;
 }
 
-/* An outline alone that is laid as well any way round. */
+/* An outline alone that is registered as well any way round. */
 TEST(tissue_that_looks_the_same_any_way_round_contradicts_nothing)
 {
     struct gsn_tissue_finding findings[SECTIONS];

@@ -49,7 +49,8 @@ static void lay(const struct stack *s, struct gsn_tissue_pose *poses,
 {
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_tissue_lay(s->section, SECTIONS, GSN_TISSUE_MIDDLE, poses, summary, &err), err);
+    CHECK_OK(gsn_tissue_register(s->section, SECTIONS, GSN_TISSUE_MIDDLE, poses, summary, &err),
+             err);
 }
 
 static double off(const struct stack *s, unsigned k, const struct gsn_tissue_pose *pose)
@@ -84,7 +85,7 @@ TEST(a_section_without_marks_is_laid_by_its_neighbours)
     unmount(&s);
 }
 
-/* No marks at all: each lies on its neighbours, and what adds up is foretold. */
+/* No marks at all: each lies on its neighbours, and what adds up is predicted. */
 TEST(a_stack_without_marks_drifts_no_more_than_it_says)
 {
     struct gsn_tissue_pose poses[SECTIONS];
@@ -174,7 +175,7 @@ TEST(a_section_is_not_laid_on_the_face_that_one_neighbour_has_wrong)
     }
 }
 
-/* Grain on a disc lies as well at any rotation: what is laid is not taken for sure. */
+/* Grain on a disc lies as well at any rotation: what is registered is not taken for sure. */
 TEST(round_sections_that_share_nothing_are_unsure)
 {
     struct gsn_tissue_pose poses[SECTIONS];
@@ -213,7 +214,7 @@ TEST(numbers_that_do_not_rise_are_refused)
     struct gsn_tissue_summary summary = { .laid = 77 };
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_tissue_lay(section, 2, GSN_TISSUE_MIDDLE, poses, &summary, &err) == GSN_E_INPUT);
+    CHECK(gsn_tissue_register(section, 2, GSN_TISSUE_MIDDLE, poses, &summary, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "section 5 comes after section 5: serial numbers must rise") == 0);
     CHECK(poses[0].from == 77 && summary.laid == 77);
 }
@@ -223,7 +224,7 @@ static int lay_once(const struct stack *s, struct gsn_error *err)
     struct gsn_tissue_pose poses[SECTIONS];
     struct gsn_tissue_summary summary;
 
-    return gsn_tissue_lay(s->section, 3, GSN_TISSUE_MIDDLE, poses, &summary, err);
+    return gsn_tissue_register(s->section, 3, GSN_TISSUE_MIDDLE, poses, &summary, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

@@ -72,8 +72,9 @@ def check_programs(found, bin_folder, say):
 
 
 def check_verbs(page, help_text, say):
+    typed = "\n".join(line for language, _, lines in blocks(page) if language == "sh" for line in lines)
     for verb in sorted(set(re.findall(r"`gieson ([a-z]\w*)", page)) |
-                       set(re.findall(r"^gieson ([a-z]\w*)", page, re.M))):
+                       set(re.findall(r"^gieson ([a-z]\w*)", typed, re.M))):
         if not re.search(rf"^\s+{verb}\b", help_text, re.M):
             say(f"`gieson {verb}` is not a verb that --help lists")
 
@@ -144,7 +145,7 @@ def check_docs(bin_folder, help_text, say):
         check_verbs(text, help_text, say)
         check_programs(blocks(text), bin_folder, say)
         check_ini(text, bin_folder, say)
-    for piece in pieces((ROOT / "docs" / "job.md").read_text(encoding="utf-8")):
+    for piece in pieces((ROOT / "docs/user/job.md").read_text(encoding="utf-8")):
         import_job({**frame, **piece}, bin_folder, "docs/user/job.md", say)
         count += 1
     if count < 5:
@@ -179,7 +180,7 @@ def draw_sections(folder, count=6, size=320):
 
 def type_register(bin_folder, say):
     """The commands that docs/user/register.md begins with, on a folder of drawn sections."""
-    page = (ROOT / "docs" / "register.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/user/register.md").read_text(encoding="utf-8")
     lines = [re.split(r"  +", line)[0] for line in re.findall(r"^    (gieson .*)$", page, re.M)]
     environment = {**os.environ, "PATH": f"{bin_folder}{os.pathsep}{os.environ.get('PATH', '')}"}
     if len(lines) < 2:

@@ -31,7 +31,7 @@ MEASURED = [
     ("Pose: outliers", "One mark of three is off by 12 standard deviations; flips near the least asymmetry that "
      "tells them. [Method](method/pose.md).", "GIESON_TRIALS=2000 TESTS/test_register_pose_faults"),
     ("Order: a section mounted twice", "[Method](method/order.md).",
-     "GIESON_TRIALS=60 TESTS/test_register_twice"),
+     "GIESON_TRIALS=60 TESTS/test_register_order_duplicate"),
     ("Volumes of the tissue", "Stacks with a grain of their own on the phantom's density; registration and stain "
      "without error. [Method](method/volumes.md).",
      "GIESON_SEEDS=2 TESTS/test_measure_tissue_volume"),

@@ -1,17 +1,155 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A camera as a source, whatever its interface: which frames become panels, and how they are kept.
+ *
+ * Steps of a poll.
+ * 1. At most 32 frames are grabbed. With AtRest= each is reduced to a thumbnail and shown to
+ *    acquire/scene_stability.h; on request the first frame that was exposed since is taken.
+ * 2. A frame that is taken is encoded with the controls as they are read back then
+ *    (acquire/frame.h), and kept in memory until it is acknowledged, 8 at most.
+ * 3. Silence: after silence_ms without a whole frame the stream is begun anew.
+ * 4. Pending events are emitted in the order in which the pictures were taken.
+ *
+ * How it fails: only a lack of memory and an unplugged camera fail the poll; anything else is said
+ * once and the next frame is tried. Pictures that were taken before the camera went can still be
+ * read. */
 #include "acquire/camera.h"
 
 #include <errno.h>
 #include <poll.h>
+#include <stdbool.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
-#include "acquire/rest.h"
+#include "acquire/scene_stability.h"
+
+const char *const gsn_camera_keys[] = { "Format", "Width",        "Height", "Fps",   "Exposure",
+                                        "Gain",   "WhiteBalance", "AtRest", "Noise", "SilenceS",
+                                        NULL };
+
+/* Settings. */
+
+static const char *value_of(const struct gsn_source_options *options, const char *key)
+{
+    const char *value = NULL;
+
+    for (size_t i = 0; i < options->setting_count; i++) {
+        if (strcmp(options->setting[i].key, key) == 0)
+            value = options->setting[i].value;
+    }
+    return value;
+}
+
+/* A whole number from least to most; a setting that is not there leaves *ret_value as it is. */
+static int read_number(const struct gsn_source_options *options, const char *key, long long least,
+                       long long most, long long *ret_value, struct gsn_error *err)
+{
+    const char *const text = value_of(options, key);
+    char *end = NULL;
+    long long value;
+
+    if (!text)
+        return GSN_OK;
+    errno = 0;
+    value = strtoll(text, &end, 10);
+    if (errno || end == text || *end || value < least || value > most)
+        return gsn_fail(err, GSN_E_INPUT, "%s=%.60s: give a whole number from %lld to %lld", key,
+                        text, least, most);
+    *ret_value = value;
+    return GSN_OK;
+}
+
+static int read_format(const struct gsn_source_options *options,
+                       struct gsn_camera_settings *settings, struct gsn_error *err)
+{
+    const char *const text = value_of(options, "Format");
+
+    if (!text)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "a camera needs Format=, Width= and Height=: one format for all panels");
+    settings->format = gsn_pixel_format_named(text);
+    if (!settings->format)
+        return gsn_fail(err, GSN_E_INPUT, "Format=%.60s is not read here; these are: %s", text,
+                        gsn_pixel_format_list());
+    return GSN_OK;
+}
+
+static int read_rest(const struct gsn_source_options *options, struct gsn_camera_settings *settings,
+                     struct gsn_error *err)
+{
+    const char *const text = value_of(options, "AtRest");
+    const bool off = text && strcmp(text, "no") == 0;
+    long long frames = 8, noise = 4;
+    int r =
+        off ? GSN_OK : read_number(options, "AtRest", 2, GSN_STABILITY_MAX_FRAMES, &frames, err);
+
+    if (r >= 0)
+        r = read_number(options, "Noise", 1, 255, &noise, err);
+    if (r < 0)
+        return r;
+    if (!off && settings->format->packing == GSN_PACKING_JPEG)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "Format=MJPG: its frames do not show whether the panel is at rest; give "
+                        "another Format=, or AtRest=no and ask for each picture");
+    settings->at_rest = off ? 0 : (unsigned)frames;
+    settings->noise = (float)noise;
+    return GSN_OK;
+}
+
+int gsn_camera_settings_read(const struct gsn_source_options *options,
+                             struct gsn_camera_settings *ret_settings, struct gsn_error *err)
+{
+    struct gsn_camera_settings settings = { 0 };
+    const long long most = 1 << 30;
+    long long width = 0, height = 0, fps = 0, silence = 5, control[3] = { -1, -1, -1 };
+    static const char *const controls[3] = { "Exposure", "Gain", "WhiteBalance" };
+    int r = read_format(options, &settings, err);
+
+    if (r >= 0)
+        r = read_number(options, "Width", 1, 65535, &width, err);
+    if (r >= 0)
+        r = read_number(options, "Height", 1, 65535, &height, err);
+    if (r >= 0 && (!width || !height))
+        r = gsn_fail(err, GSN_E_INPUT,
+                     "a camera needs Format=, Width= and Height=: one format for all panels");
+    if (r >= 0)
+        r = read_number(options, "Fps", 1, 1000, &fps, err);
+    for (size_t i = 0; i < 3 && r >= 0; i++)
+        r = read_number(options, controls[i], 0, most, &control[i], err);
+    if (r >= 0)
+        r = read_number(options, "SilenceS", 1, 3600, &silence, err);
+    if (r >= 0)
+        r = read_rest(options, &settings, err);
+    if (r < 0)
+        return r;
+    settings.width = (uint32_t)width;
+    settings.height = (uint32_t)height;
+    settings.fps = (uint32_t)fps;
+    settings.exposure = control[0];
+    settings.gain = control[1];
+    settings.white_balance = control[2];
+    settings.silence_ms = silence * 1000;
+    *ret_settings = settings;
+    return GSN_OK;
+}
+
+int gsn_camera_check(const char *rest, const struct gsn_source_options *options,
+                     struct gsn_error *err)
+{
+    struct gsn_camera_settings settings;
+
+    if (!rest[0])
+        return gsn_fail(err, GSN_E_INPUT, "which camera? Its name is missing behind the colon");
+    return gsn_camera_settings_read(options, &settings, err);
+}
 
 /* Pictures kept until they are acknowledged: whoever takes them over is stuck if there are more. */
 enum { MOST_ITEMS = 8 };
+
 /* Frames looked at in one poll, so that a fast camera cannot keep it for ever. */
 enum { MOST_FRAMES = 32 };
+
 /* What poll() promised and the camera did not keep is asked for again after this long. */
 enum { PATIENCE_MS = 10 };
 
@@ -27,7 +165,7 @@ struct item {
 struct camera {
     struct gsn_grabber grabber;
     struct gsn_camera_settings settings;
-    struct gsn_rest rest;
+    struct gsn_stability rest;
     struct item item[MOST_ITEMS];
     uint64_t last_item;
     bool wanted; /* a picture was asked for, of this subject */
@@ -42,7 +180,9 @@ struct camera {
     struct gsn_error why; /* it is gone */
 };
 
-static void say(struct camera *camera, const char *sentence)
+/* Frames that become pictures. */
+
+static void set_notice(struct camera *camera, const char *sentence)
 {
     (void)snprintf(camera->notice, sizeof camera->notice, "%s", sentence);
 }
@@ -56,7 +196,7 @@ static struct item *free_place(struct camera *camera)
     return NULL;
 }
 
-static void empty(struct item *item)
+static void clear_item(struct item *item)
 {
     gsn_free(item->bytes);
     gsn_free(item->facts);
@@ -65,9 +205,9 @@ static void empty(struct item *item)
 
 /* Keeps the frame in a free place, with the controls as they are read back now; from then on the
  * scene is known. thumbnail NULL: the frame tells none. */
-static int keep(struct camera *camera, struct gsn_frame *frame,
-                const struct gsn_thumbnail *thumbnail, enum gsn_source_subject subject,
-                struct item *item, struct gsn_error *err)
+static int keep_frame(struct camera *camera, struct gsn_frame *frame,
+                      const struct gsn_thumbnail *thumbnail, enum gsn_source_subject subject,
+                      struct item *item, struct gsn_error *err)
 {
     char text[GSN_THUMBNAIL_TEXT + 1];
     int r;
@@ -81,11 +221,11 @@ static int keep(struct camera *camera, struct gsn_frame *frame,
     if (r >= 0)
         r = gsn_frame_facts(frame, camera->damaged, thumbnail ? text : NULL, &item->facts, err);
     if (r < 0) {
-        empty(item);
+        clear_item(item);
         return r;
     }
     if (thumbnail)
-        gsn_rest_know(&camera->rest, subject, thumbnail);
+        gsn_stability_know(&camera->rest, subject, thumbnail);
     item->subject = subject;
     item->name = gsn_frame_name(frame);
     item->number = ++camera->last_item;
@@ -105,23 +245,23 @@ static int serve_request(struct camera *camera, struct gsn_frame *frame,
         camera->stale--;
         return GSN_OK;
     }
-    r = keep(camera, frame, thumbnail, camera->subject, place, err);
+    r = keep_frame(camera, frame, thumbnail, camera->subject, place, err);
     if (r < 0)
         return r;
     camera->wanted = false;
     return GSN_OK;
 }
 
-static int look(struct camera *camera, struct gsn_frame *frame, struct gsn_error *err)
+static int look_at_frame(struct camera *camera, struct gsn_frame *frame, struct gsn_error *err)
 {
-    const struct gsn_rest before = camera->rest;
+    const struct gsn_stability before = camera->rest;
     struct item *const place = free_place(camera);
     struct gsn_thumbnail made;
     const struct gsn_thumbnail *thumbnail;
     int r = GSN_OK;
 
     if (!place && !camera->full)
-        say(camera, "pictures wait to be taken over; no more are taken until then");
+        set_notice(camera, "pictures wait to be taken over; no more are taken until then");
     camera->full = !place;
     if (!place)
         return GSN_OK;
@@ -130,8 +270,8 @@ static int look(struct camera *camera, struct gsn_frame *frame, struct gsn_error
     thumbnail = gsn_thumbnail_make(frame, &made) ? &made : NULL;
     if (camera->wanted)
         return serve_request(camera, frame, thumbnail, place, err);
-    if (thumbnail && gsn_rest_look(&camera->rest, thumbnail) == GSN_REST_TAKE)
-        r = keep(camera, frame, thumbnail, GSN_SUBJECT_PANEL, place, err);
+    if (thumbnail && gsn_stability_update(&camera->rest, thumbnail) == GSN_STABILITY_TAKE)
+        r = keep_frame(camera, frame, thumbnail, GSN_SUBJECT_PANEL, place, err);
     if (r < 0)
         camera->rest = before; /* the next frame is tried in its place */
     return r;
@@ -139,17 +279,18 @@ static int look(struct camera *camera, struct gsn_frame *frame, struct gsn_error
 
 /* Only a lack of memory and an unplugged camera are failures; what else happens to a frame is said
  * once, and the next one is tried. */
-static int bear(struct camera *camera, int code, const struct gsn_error *why, struct gsn_error *err)
+static int note_failure(struct camera *camera, int code, const struct gsn_error *why,
+                        struct gsn_error *err)
 {
     if (code == GSN_E_NOMEM)
         return gsn_fail(err, code, "%s", why->text);
     if (code == GSN_E_NOTFOUND) {
         camera->gone = true;
         camera->why = *why;
-        say(camera, why->text);
+        set_notice(camera, why->text);
     } else if (strcmp(camera->refused, why->text) != 0) {
         (void)snprintf(camera->refused, sizeof camera->refused, "%s", why->text);
-        say(camera, why->text);
+        set_notice(camera, why->text);
     }
     return GSN_OK;
 }
@@ -168,11 +309,11 @@ static int take_frames(struct camera *camera, unsigned *ret_count, struct gsn_er
         r = grabber->ops->grab(grabber->self, &frame, &there, &why);
         if (r >= 0 && there) {
             ++*ret_count;
-            r = look(camera, &frame, &why);
+            r = look_at_frame(camera, &frame, &why);
             grabber->ops->release(grabber->self);
         }
         if (r < 0)
-            r = bear(camera, r, &why, err);
+            r = note_failure(camera, r, &why, err);
     }
     camera->damaged += grabber->ops->damaged(grabber->self);
     return r;
@@ -190,7 +331,7 @@ static int begin_anew(struct camera *camera, struct gsn_error *err)
                    "until one comes",
                    (long long)(camera->settings.silence_ms / 1000), camera->damaged);
     if (!camera->silent)
-        say(camera, sentence);
+        set_notice(camera, sentence);
     camera->silent = true;
     grabber->ops->stop(grabber->self);
     r = grabber->ops->start(grabber->self, &why);
@@ -198,7 +339,7 @@ static int begin_anew(struct camera *camera, struct gsn_error *err)
         return r < 0 ? gsn_fail(err, r, "%s", why.text) : r;
     /* Some drivers stay in a stream that failed until their node is closed: whoever serves this
      * source opens it anew. */
-    return bear(camera, GSN_E_NOTFOUND, &why, err);
+    return note_failure(camera, GSN_E_NOTFOUND, &why, err);
 }
 
 static int watch_silence(struct camera *camera, unsigned frames, int64_t now_ms,
@@ -216,7 +357,7 @@ static int watch_silence(struct camera *camera, unsigned frames, int64_t now_ms,
     return begin_anew(camera, err);
 }
 
-static int tell_item(const struct item *item, struct gsn_source_events *events,
+static int emit_item(const struct item *item, struct gsn_source_events *events,
                      struct gsn_error *err)
 {
     const struct gsn_source_event event = { .what = GSN_SOURCE_READY,
@@ -227,11 +368,11 @@ static int tell_item(const struct item *item, struct gsn_source_events *events,
                                             .subject = item->subject,
                                             .facts = item->facts };
 
-    return gsn_source_tell(events, &event, err);
+    return gsn_source_emit(events, &event, err);
 }
 
 /* Items in the order in which they were taken: numbers go up, places do not. */
-static int tell_items(const struct camera *camera, struct gsn_source_events *events,
+static int emit_items(const struct camera *camera, struct gsn_source_events *events,
                       struct gsn_error *err)
 {
     uint64_t told = 0;
@@ -248,22 +389,23 @@ static int tell_items(const struct camera *camera, struct gsn_source_events *eve
         }
         if (!next)
             return GSN_OK;
-        r = tell_item(next, events, err);
+        r = emit_item(next, events, err);
         if (r < 0)
             return r;
         told = next->number;
     }
 }
 
-static int tell(struct camera *camera, struct gsn_source_events *events, struct gsn_error *err)
+static int emit_events(struct camera *camera, struct gsn_source_events *events,
+                       struct gsn_error *err)
 {
     const struct gsn_source_event notice = { .what = GSN_SOURCE_NOTICE,
                                              .name = "camera",
                                              .reason = camera->notice };
-    int r = camera->notice[0] ? gsn_source_tell(events, &notice, err) : GSN_OK;
+    int r = camera->notice[0] ? gsn_source_emit(events, &notice, err) : GSN_OK;
 
     if (r >= 0)
-        r = tell_items(camera, events, err);
+        r = emit_items(camera, events, err);
     if (r >= 0)
         camera->notice[0] = '\0';
     return r;
@@ -279,7 +421,7 @@ int gsn_camera_poll(void *self, int64_t now_ms, struct gsn_source_events *events
     if (r >= 0)
         r = watch_silence(camera, frames, now_ms, err);
     if (r >= 0)
-        r = tell(camera, events, err);
+        r = emit_events(camera, events, err);
     if (r < 0)
         return r;
     *ret_ended = 0;
@@ -325,7 +467,7 @@ int gsn_camera_acknowledge(void *self, uint64_t item, struct gsn_error *err)
 
     if (!kept)
         return no_item(item, err);
-    empty(kept);
+    clear_item(kept);
     return GSN_OK;
 }
 
@@ -380,18 +522,18 @@ void gsn_camera_close(void *self)
     camera->grabber.ops->stop(camera->grabber.self);
     camera->grabber.ops->close(camera->grabber.self);
     for (size_t i = 0; i < MOST_ITEMS; i++)
-        empty(&camera->item[i]);
+        clear_item(&camera->item[i]);
     gsn_free(camera);
 }
 
 /* What was taken before this process began: it may lie on the stage still. */
-static void remember(struct camera *camera, const struct gsn_source_options *options)
+static void recall_scenes(struct camera *camera, const struct gsn_source_options *options)
 {
     struct gsn_thumbnail thumbnail;
 
     for (int subject = 0; subject < GSN_SUBJECTS; subject++) {
         if (gsn_thumbnail_read(options->last_facts[subject], &thumbnail))
-            gsn_rest_know(&camera->rest, (enum gsn_source_subject)subject, &thumbnail);
+            gsn_stability_know(&camera->rest, (enum gsn_source_subject)subject, &thumbnail);
     }
 }
 
@@ -407,8 +549,8 @@ int gsn_camera_new(struct gsn_grabber grabber, const struct gsn_camera_settings 
     }
     camera->grabber = grabber;
     camera->settings = *settings;
-    camera->rest = gsn_rest_begin(settings->at_rest, settings->noise);
-    remember(camera, options);
+    camera->rest = gsn_stability_begin(settings->at_rest, settings->noise);
+    recall_scenes(camera, options);
     camera->last_frame_ms = -1;
     r = grabber.ops->start(grabber.self, err);
     if (r < 0) {

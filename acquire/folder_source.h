@@ -5,8 +5,8 @@
  * A file is ready when two looks agree on its size, mtime and ctime and its container is whole.
  * Sub-folders and files that neither look nor are called like a picture are not delivered and get
  * one notice. A link, a file that may not or cannot be read, and a picture that keeps the name of a
- * transfer (a dot in front, ".part" behind) are barred: each is told with what to do, tried again at
- * every look, and stands in no other file's way.
+ * transfer (a dot in front, ".part" behind) are barred: each is told with what to do, tried again
+ * at every look, and stands in no other file's way.
  *
  * Waiting ends early when the kernel tells of a file that began, was closed or moved here. It does
  * not tell of what other machines do on a network share, so the caller's timeout decides there. */

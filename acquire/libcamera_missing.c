@@ -4,8 +4,8 @@
 #include "acquire/camera.h"
 #include "acquire/libcamera_source.h"
 
-static int refuse(const char *rest, const struct gsn_source_options *options, void **ret_self,
-                  struct gsn_error *err)
+static int refuse_open(const char *rest, const struct gsn_source_options *options, void **ret_self,
+                       struct gsn_error *err)
 {
     (void)options;
     (void)ret_self;
@@ -20,7 +20,7 @@ const struct gsn_source_ops gsn_libcamera_source_ops = {
     .subsystem = "video4linux",
     .settings = gsn_camera_keys,
     .check = gsn_camera_check,
-    .open = refuse,
+    .open = refuse_open,
     .poll = gsn_camera_poll,
     .read = gsn_camera_read,
     .acknowledge = gsn_camera_acknowledge,

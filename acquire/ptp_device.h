@@ -16,7 +16,7 @@
 extern "C" {
 #endif
 
-enum gsn_ptp_pieces {
+enum gsn_ptp_piece_sizes {
     GSN_PTP_LARGEST_PIECE = 1 << 20, /* some firmware crashes when it is asked for more */
     GSN_PTP_SMALLEST_PIECE = 1 << 16,
 };

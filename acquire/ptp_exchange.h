@@ -7,7 +7,8 @@
 #ifndef GSN_ACQUIRE_PTP_EXCHANGE_H
 #define GSN_ACQUIRE_PTP_EXCHANGE_H
 
-#include "acquire/ptp_session.h"
+#include "acquire/ptp_transport.h"
+#include "acquire/ptp_wire.h"
 
 #include <stdbool.h>
 

@@ -1,4 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A PTP session that survives its device: what is asked again, and how often.
+ *
+ * Steps for one question.
+ * 1. A transaction that is still under way is cancelled and the pipe drained.
+ * 2. The session is opened if it is not; one that is open there already is closed and opened anew.
+ * 3. The question, its data into a sink with a limit, its response.
+ * 4. "Device Busy" is waited for with pauses from 100 ms to 2 s, 10 s in all. Silence and nonsense
+ *    lead to Cancel and the same question again, then to Device Reset, a new session and the
+ * question a last time. A device that forgot the session gets a new one.
+ *
+ * How it fails: three tries, then GSN_E_IO. A deletion is asked for once, in the session that its
+ * handle is of: in the next session the handle may be another object's. */
 #include "acquire/ptp_session.h"
 
 #include <assert.h>
@@ -88,7 +101,7 @@ static int make_room(struct sink *sink, struct gsn_error *err)
 }
 
 /* All data of the answer under way. When the sink is full, one byte more is too many. */
-static int pour(struct gsn_ptp_session *session, struct sink *sink, struct gsn_error *err)
+static int pour_data(struct gsn_ptp_session *session, struct sink *sink, struct gsn_error *err)
 {
     for (;;) {
         const bool full = sink->used == sink->room;
@@ -121,7 +134,7 @@ static int ask_once(struct gsn_ptp_session *session, const struct gsn_ptp_reques
 
     sink->used = 0;
     if (r >= 0)
-        r = pour(session, sink, err);
+        r = pour_data(session, sink, err);
     if (r >= 0)
         r = gsn_ptp_exchange_end(&session->exchange, ret_response, err);
     if (r >= 0 && gsn_ptp_exchange_was_short(&session->exchange) &&
@@ -162,7 +175,7 @@ static void begin_numbering(struct gsn_ptp_session *session)
     session->number++;
 }
 
-static int refused(const char *what, uint16_t code, struct gsn_error *err)
+static int fail_refused(const char *what, uint16_t code, struct gsn_error *err)
 {
     char words[80];
 
@@ -186,14 +199,14 @@ static int open_plainly(struct gsn_ptp_session *session, struct gsn_error *err)
     if (r >= 0 && response.code == GSN_PTP_DEVICE_BUSY)
         return gsn_fail(err, GSN_E_BUSY, "the device says that it is busy");
     if (r >= 0 && response.code != GSN_PTP_OK)
-        return refused("to open a session", response.code, err);
+        return fail_refused("to open a session", response.code, err);
     if (r >= 0)
         begin_numbering(session);
     return r;
 }
 
 /* Before a question is tried again: gently after the first failure, by a reset after the second. */
-static int mend(struct gsn_ptp_session *session, unsigned failures, struct gsn_error *err)
+static int mend_exchange(struct gsn_ptp_session *session, unsigned failures, struct gsn_error *err)
 {
     int r = GSN_E_IO;
 
@@ -242,7 +255,7 @@ int gsn_ptp_session_open(struct gsn_ptp_session *session, struct gsn_error *err)
         else if (++failures == MOST_TRIES)
             return r;
         else
-            mended = mend(session, failures, err);
+            mended = mend_exchange(session, failures, err);
         if (mended < 0)
             return mended;
     }
@@ -293,8 +306,9 @@ static int ask_in_session(struct gsn_ptp_session *session, const struct gsn_ptp_
     return r < 0 ? r : ask_once(session, request, sink, response, err);
 }
 
-static int ask(struct gsn_ptp_session *session, const struct gsn_ptp_request *request,
-               struct sink *sink, struct gsn_ptp_response *ret_response, struct gsn_error *err)
+static int ask_until_answered(struct gsn_ptp_session *session,
+                              const struct gsn_ptp_request *request, struct sink *sink,
+                              struct gsn_ptp_response *ret_response, struct gsn_error *err)
 {
     struct pauses pauses = { 0 };
     unsigned failures = 0;
@@ -321,7 +335,7 @@ static int ask(struct gsn_ptp_session *session, const struct gsn_ptp_request *re
         if (r < 0 && (++failures == MOST_TRIES || r == GSN_E_LIMIT))
             return r;
         if (r < 0)
-            mended = mend(session, failures, err);
+            mended = mend_exchange(session, failures, err);
         if (mended < 0)
             return mended;
     }
@@ -332,7 +346,7 @@ int gsn_ptp_ask(struct gsn_ptp_session *session, const struct gsn_ptp_request *r
                 struct gsn_error *err)
 {
     struct sink sink = { .bytes = buffer, .room = size, .limit = size };
-    const int r = ask(session, request, &sink, ret_response, err);
+    const int r = ask_until_answered(session, request, &sink, ret_response, err);
 
     if (r >= 0)
         *ret_got = sink.used;
@@ -347,7 +361,7 @@ int gsn_ptp_fetch(struct gsn_ptp_session *session, const struct gsn_ptp_request 
     int r = make_room(&sink, err);
 
     if (r >= 0)
-        r = ask(session, request, &sink, ret_response, err);
+        r = ask_until_answered(session, request, &sink, ret_response, err);
     if (r < 0) {
         gsn_free(sink.bytes);
         return r;

@@ -32,12 +32,6 @@
 extern "C" {
 #endif
 
-enum gsn_ptp_patience {
-    GSN_PTP_ANSWER_MS = 10000, /* for the first packet of an answer, and for each after it */
-    GSN_PTP_DRAIN_MS = 100,    /* a pipe is empty when nothing comes for so long */
-    GSN_PTP_BUSY_MS = 10000,   /* a busy device is asked again for about so long */
-};
-
 struct gsn_ptp_session;
 
 /* gives: a session that is not open yet. keeps: the transport, which is not closed by it. */
@@ -84,14 +78,6 @@ int gsn_ptp_stream_end(struct gsn_ptp_session *session, struct gsn_ptp_response 
                        struct gsn_error *err);
 /* Whether a stream is under way. */
 int gsn_ptp_stream_is_on(const struct gsn_ptp_session *session);
-
-/* What the events told since the last call: hints, for they may be missing or wrong. */
-struct gsn_ptp_hints {
-    int any;
-    size_t changed_count; /* handles of ObjectInfoChanged; more of them than fit: all_changed */
-    uint32_t changed[16];
-    int all_changed;
-};
 
 /* Takes in the events that are there now, without waiting, at most some dozens. Fails with
  * GSN_E_NOTFOUND when the device is gone; other trouble with events is no failure. */

@@ -16,7 +16,7 @@
  * of capture that its clock may have known; two objects that would share one get none.
  *
  * Its one setting, Record=FILE (a whole path), writes down what crosses the bus, pictures and all,
- * for a bug report or a test: acquire/ptp_record.h. */
+ * for a bug report or a test: acquire/ptp_transport.h. */
 #ifndef GSN_ACQUIRE_PTP_SOURCE_H
 #define GSN_ACQUIRE_PTP_SOURCE_H
 
@@ -31,13 +31,13 @@ extern const struct gsn_source_ops gsn_ptp_source_ops;
 
 /* Where the device is found, each time it has to be. open gives a transport, or fails as
  * gsn_source_open() does. */
-struct gsn_ptp_door {
+struct gsn_ptp_opener {
     int (*open)(void *context, struct gsn_ptp_transport **ret_transport, struct gsn_error *err);
     void *context; /* keeps */
 };
 
 /* gives: what gsn_ptp_source_ops.close() releases. */
-int gsn_ptp_source_new(const struct gsn_ptp_door *door, const struct gsn_source_options *options,
+int gsn_ptp_source_new(const struct gsn_ptp_opener *opener, const struct gsn_source_options *options,
                        void **ret_self, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -16,16 +16,16 @@ uint32_t gsn_ptp_get32(const uint8_t *bytes)
     return gsn_ptp_get16(bytes) | (uint32_t)gsn_ptp_get16(bytes + 2) << 16;
 }
 
-static void put16(uint8_t *bytes, uint16_t value)
+static void put_u16(uint8_t *bytes, uint16_t value)
 {
     bytes[0] = (uint8_t)value;
     bytes[1] = (uint8_t)(value >> 8);
 }
 
-static void put32(uint8_t *bytes, uint32_t value)
+static void put_u32(uint8_t *bytes, uint32_t value)
 {
-    put16(bytes, (uint16_t)value);
-    put16(bytes + 2, (uint16_t)(value >> 16));
+    put_u16(bytes, (uint16_t)value);
+    put_u16(bytes + 2, (uint16_t)(value >> 16));
 }
 
 struct gsn_ptp_header gsn_ptp_read_header(const uint8_t bytes[GSN_PTP_HEADER])
@@ -40,12 +40,12 @@ size_t gsn_ptp_write_command(const struct gsn_ptp_request *request, uint32_t tra
     const size_t size = GSN_PTP_HEADER + 4 * (size_t)request->count;
 
     assert(request->count <= GSN_PTP_PARAMETERS);
-    put32(ret_bytes, (uint32_t)size);
-    put16(ret_bytes + 4, GSN_PTP_COMMAND_BLOCK);
-    put16(ret_bytes + 6, request->operation);
-    put32(ret_bytes + 8, transaction);
+    put_u32(ret_bytes, (uint32_t)size);
+    put_u16(ret_bytes + 4, GSN_PTP_COMMAND_BLOCK);
+    put_u16(ret_bytes + 6, request->operation);
+    put_u32(ret_bytes + 8, transaction);
     for (size_t i = 0; i < request->count && i < GSN_PTP_PARAMETERS; i++)
-        put32(ret_bytes + GSN_PTP_HEADER + 4 * i, request->parameter[i]);
+        put_u32(ret_bytes + GSN_PTP_HEADER + 4 * i, request->parameter[i]);
     return size;
 }
 
@@ -120,7 +120,7 @@ struct reader {
     bool broken;
 };
 
-static const uint8_t *take(struct reader *reader, size_t size)
+static const uint8_t *take_bytes(struct reader *reader, size_t size)
 {
     const uint8_t *const bytes = reader->at;
 
@@ -133,16 +133,16 @@ static const uint8_t *take(struct reader *reader, size_t size)
     return bytes;
 }
 
-static uint16_t take16(struct reader *reader)
+static uint16_t take_u16(struct reader *reader)
 {
-    const uint8_t *const bytes = take(reader, 2);
+    const uint8_t *const bytes = take_bytes(reader, 2);
 
     return bytes ? gsn_ptp_get16(bytes) : 0;
 }
 
-static uint32_t take32(struct reader *reader)
+static uint32_t take_u32(struct reader *reader)
 {
-    const uint8_t *const bytes = take(reader, 4);
+    const uint8_t *const bytes = take_bytes(reader, 4);
 
     return bytes ? gsn_ptp_get32(bytes) : 0;
 }
@@ -166,7 +166,7 @@ static uint32_t take_character(const uint8_t *units, size_t count, size_t *n)
     return 0x10000 + ((unit - 0xD800) << 10) + (low - 0xDC00);
 }
 
-static size_t encode(uint32_t c, char bytes[4])
+static size_t encode_utf8(uint32_t c, char bytes[4])
 {
     if (c < 0x80) {
         bytes[0] = (char)c;
@@ -199,9 +199,9 @@ static bool is_control(uint32_t c)
  * into text is cut between characters. */
 static void take_text(struct reader *reader, char *text, size_t room)
 {
-    const uint8_t *const length = take(reader, 1);
+    const uint8_t *const length = take_bytes(reader, 1);
     const size_t count = length ? *length : 0;
-    const uint8_t *const units = take(reader, 2 * count);
+    const uint8_t *const units = take_bytes(reader, 2 * count);
     size_t used = 0;
 
     for (size_t n = 0; units && n < count;) {
@@ -211,7 +211,7 @@ static void take_text(struct reader *reader, char *text, size_t room)
 
         if (c == 0)
             break;
-        size = encode(is_control(c) ? REPLACEMENT : c, bytes);
+        size = encode_utf8(is_control(c) ? REPLACEMENT : c, bytes);
         if (used + size >= room)
             break;
         memcpy(text + used, bytes, size);
@@ -231,8 +231,8 @@ static void take_last_text(struct reader *reader, char *text, size_t room)
 /* A list of 16-bit codes; keeps the first `most` of them. */
 static size_t take_codes(struct reader *reader, uint16_t *codes, size_t most)
 {
-    const size_t count = take32(reader);
-    const uint8_t *const bytes = count <= reader->left / 2 ? take(reader, 2 * count) : NULL;
+    const size_t count = take_u32(reader);
+    const uint8_t *const bytes = count <= reader->left / 2 ? take_bytes(reader, 2 * count) : NULL;
 
     if (!bytes) {
         reader->broken = true;
@@ -243,7 +243,7 @@ static size_t take_codes(struct reader *reader, uint16_t *codes, size_t most)
     return count < most ? count : most;
 }
 
-static int broken(const char *what, size_t size, struct gsn_error *err)
+static int fail_broken(const char *what, size_t size, struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_INPUT, "the device's %s breaks off after %zu bytes", what, size);
 }
@@ -255,9 +255,9 @@ int gsn_ptp_read_device_info(const uint8_t *bytes, size_t size,
     struct gsn_ptp_device_info info = { 0 };
     char extension[GSN_PTP_TEXT];
 
-    (void)take(&reader, 2 + 4 + 2); /* version, the vendor's extension and its version */
+    (void)take_bytes(&reader, 2 + 4 + 2); /* version, the vendor's extension and its version */
     take_text(&reader, extension, sizeof extension);
-    (void)take(&reader, 2); /* functional mode */
+    (void)take_bytes(&reader, 2); /* functional mode */
     info.operation_count = take_codes(&reader, info.operation, GSN_PTP_OPERATIONS);
     /* Events (not believed anyway), device properties, formats captured and kept. */
     for (int i = 0; i < 4; i++)
@@ -267,7 +267,7 @@ int gsn_ptp_read_device_info(const uint8_t *bytes, size_t size,
     take_last_text(&reader, info.version, sizeof info.version);
     take_last_text(&reader, info.serial, sizeof info.serial);
     if (reader.broken)
-        return broken("DeviceInfo", size, err);
+        return fail_broken("DeviceInfo", size, err);
     *ret_info = info;
     return GSN_OK;
 }
@@ -287,18 +287,18 @@ int gsn_ptp_read_object_info(const uint8_t *bytes, size_t size,
     struct reader reader = { bytes, size, false };
     struct gsn_ptp_object_info info = { 0 };
 
-    info.storage = take32(&reader);
-    info.format = take16(&reader);
-    (void)take(&reader, 2); /* protection */
-    info.size = take32(&reader);
-    (void)take(&reader, 2 + 4 * 3 + 4 * 3); /* thumbnail; width, height and depth */
-    info.parent = take32(&reader);
-    (void)take(&reader, 2 + 4 + 4); /* association; sequence number */
+    info.storage = take_u32(&reader);
+    info.format = take_u16(&reader);
+    (void)take_bytes(&reader, 2); /* protection */
+    info.size = take_u32(&reader);
+    (void)take_bytes(&reader, 2 + 4 * 3 + 4 * 3); /* thumbnail; width, height and depth */
+    info.parent = take_u32(&reader);
+    (void)take_bytes(&reader, 2 + 4 + 4); /* association; sequence number */
     take_text(&reader, info.name, sizeof info.name);
     take_last_text(&reader, info.captured, sizeof info.captured);
     take_last_text(&reader, info.modified, sizeof info.modified);
     if (reader.broken)
-        return broken("ObjectInfo", size, err);
+        return fail_broken("ObjectInfo", size, err);
     *ret_info = info;
     return GSN_OK;
 }
@@ -306,7 +306,7 @@ int gsn_ptp_read_object_info(const uint8_t *bytes, size_t size,
 int gsn_ptp_read_list(const uint8_t *bytes, size_t size, uint32_t *ret_count, struct gsn_error *err)
 {
     struct reader reader = { bytes, size, false };
-    const uint32_t count = take32(&reader);
+    const uint32_t count = take_u32(&reader);
 
     if (reader.broken || count > reader.left / 4)
         return gsn_fail(err, GSN_E_INPUT, "the device's list of %lu breaks off after %zu bytes",
@@ -318,7 +318,7 @@ int gsn_ptp_read_list(const uint8_t *bytes, size_t size, uint32_t *ret_count, st
 int gsn_ptp_read_u64(const uint8_t *bytes, size_t size, uint64_t *ret_value, struct gsn_error *err)
 {
     if (size < 8)
-        return broken("property", size, err);
+        return fail_broken("property", size, err);
     *ret_value = gsn_ptp_get32(bytes) | (uint64_t)gsn_ptp_get32(bytes + 4) << 32;
     return GSN_OK;
 }

@@ -122,6 +122,14 @@ struct gsn_ptp_event {
 int gsn_ptp_read_event(const uint8_t *bytes, size_t size, struct gsn_ptp_event *ret_event,
                        struct gsn_error *err);
 
+/* What the events told since the last call: hints, for they may be missing or wrong. */
+struct gsn_ptp_hints {
+    int any;
+    size_t changed_count; /* handles of ObjectInfoChanged; more of them than fit: all_changed */
+    uint32_t changed[16];
+    int all_changed;
+};
+
 struct gsn_ptp_device_info {
     size_t operation_count;
     uint16_t operation[GSN_PTP_OPERATIONS]; /* those beyond are dropped */

@@ -1,22 +1,80 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What all kinds of source share: the one function through which every call of a kind passes, events,
+ * names.
+ *
+ * A source is made of a kind's operations and its own state; its calls are handed on. Each piece
+ * that was read is reported to on_read, the sign of life of whoever watches
+ * (systemd/service/heartbeat.h). An event is copied into the caller's list; names are put in
+ * natural order, where digits count by their number. A call that a kind does not offer has an
+ * answer that does no harm. */
 #include "acquire/source.h"
 
 #include <assert.h>
 #include <errno.h>
 #include <poll.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
+#include <strings.h>
 
-#include "acquire/folder_source.h"
-#include "acquire/libcamera_source.h"
-#include "acquire/ptp_source.h"
-#include "acquire/v4l2_source.h"
+/* Names. */
 
-/* The kinds of source there are. */
-static const struct gsn_source_ops *const kinds[] = {
-    &gsn_hot_folder_ops,  &gsn_replay_folder_ops,    &gsn_ptp_source_ops,
-    &gsn_v4l2_source_ops, &gsn_libcamera_source_ops,
-};
+static bool is_digit(char c)
+{
+    return c >= '0' && c <= '9';
+}
+
+/* Compares the numbers both begin with, and moves behind them. */
+static int compare_numbers(const char **a, const char **b)
+{
+    size_t la, lb;
+    int order;
+
+    *a += strspn(*a, "0");
+    *b += strspn(*b, "0");
+    la = strspn(*a, "0123456789");
+    lb = strspn(*b, "0123456789");
+    order = la != lb ? (la < lb ? -1 : 1) : memcmp(*a, *b, la);
+    *a += la;
+    *b += lb;
+    return order;
+}
+
+int gsn_natural_compare(const char *a, const char *b)
+{
+    const char *x = a, *y = b;
+
+    while (*x && *y) {
+        int order = (unsigned char)*x - (unsigned char)*y;
+
+        if (is_digit(*x) && is_digit(*y)) {
+            order = compare_numbers(&x, &y);
+        } else {
+            x++;
+            y++;
+        }
+        if (order != 0)
+            return order;
+    }
+    if (*x || *y)
+        return *x ? 1 : -1;
+    return strcmp(a, b);
+}
+
+int gsn_name_is_picture(const char *name)
+{
+    static const char *const endings[] = { "jpg", "jpeg", "png", "tif", "tiff", "btf",  "tf8",
+                                           "svs", "ndpi", "scn", "bmp", "gif",  "webp", "jp2",
+                                           "pam", "pnm",  "ppm", "pgm", "heic" };
+    const char *const dot = strrchr(name, '.');
+
+    for (size_t i = 0; dot && i < sizeof endings / sizeof endings[0]; i++) {
+        if (strcasecmp(dot + 1, endings[i]) == 0)
+            return 1;
+    }
+    return 0;
+}
 
 struct gsn_source {
     const struct gsn_source_ops *ops;
@@ -25,74 +83,6 @@ struct gsn_source {
     int (*on_read)(void *context, uint64_t item, uint64_t offset, int r);
     void *context;
 };
-
-static const struct gsn_source_ops *find_kind(const char *address)
-{
-    const char *const colon = strchr(address, ':');
-
-    for (size_t i = 0; colon && i < sizeof kinds / sizeof kinds[0]; i++) {
-        const size_t length = (size_t)(colon - address);
-
-        if (strlen(kinds[i]->kind) == length && memcmp(kinds[i]->kind, address, length) == 0)
-            return kinds[i];
-    }
-    return NULL;
-}
-
-static int check_keys(const struct gsn_source_ops *ops, const struct gsn_source_options *options,
-                      struct gsn_error *err)
-{
-    for (size_t i = 0; i < options->setting_count; i++) {
-        const char *const *known = ops->settings;
-
-        while (known && *known && strcmp(*known, options->setting[i].key) != 0)
-            known++;
-        if (!known || !*known)
-            return gsn_fail(err, GSN_E_INPUT, "a source of kind %s has no setting \"%.100s\"",
-                            ops->kind, options->setting[i].key);
-    }
-    return GSN_OK;
-}
-
-/* "give hot:FOLDER, replay:FOLDER or ptp:DEVICE", from the table. */
-static int name_kinds(const char *address, struct gsn_error *err)
-{
-    const size_t count = sizeof kinds / sizeof kinds[0];
-    char list[200] = "";
-
-    for (size_t i = 0; i < count; i++) {
-        const char *const joint = i == 0 ? "" : i + 1 < count ? ", " : " or ";
-        const size_t used = strlen(list);
-
-        (void)snprintf(list + used, sizeof list - used, "%s%s:%s", joint, kinds[i]->kind,
-                       kinds[i]->subsystem ? "DEVICE" : "FOLDER");
-    }
-    return gsn_fail(err, GSN_E_UNSUPPORTED, "\"%.200s\" names no source: give %s", address, list);
-}
-
-static int check(const char *address, const struct gsn_source_options *options,
-                 const struct gsn_source_ops **ret_ops, struct gsn_error *err)
-{
-    const struct gsn_source_ops *const ops = find_kind(address);
-    int r;
-
-    if (!ops)
-        return name_kinds(address, err);
-    r = check_keys(ops, options, err);
-    if (r >= 0 && ops->check)
-        r = ops->check(strchr(address, ':') + 1, options, err);
-    if (r >= 0)
-        *ret_ops = ops;
-    return r;
-}
-
-int gsn_source_check(const char *address, const struct gsn_source_options *options,
-                     struct gsn_error *err)
-{
-    const struct gsn_source_ops *ops;
-
-    return check(address, options, &ops, err);
-}
 
 int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,
                     const struct gsn_source_options *options, struct gsn_source **ret_source,
@@ -110,18 +100,6 @@ int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *ad
     *source = (struct gsn_source){ ops, self, copy, options->on_read, options->context };
     *ret_source = source;
     return GSN_OK;
-}
-
-int gsn_source_open(const char *address, const struct gsn_source_options *options,
-                    struct gsn_source **ret_source, struct gsn_error *err)
-{
-    const struct gsn_source_ops *ops = NULL;
-    void *self = NULL;
-    int r = check(address, options, &ops, err);
-
-    if (r >= 0)
-        r = ops->open(strchr(address, ':') + 1, options, &self, err);
-    return r < 0 ? r : gsn_source_make(ops, self, address, options, ret_source, err);
 }
 
 void gsn_source_free(struct gsn_source *source)
@@ -203,14 +181,7 @@ const char *gsn_source_device(const struct gsn_source *source)
     return source->ops->device ? source->ops->device(source->self) : "";
 }
 
-const char *gsn_source_subsystem(const char *address)
-{
-    const struct gsn_source_ops *const ops = find_kind(address);
-
-    return ops ? ops->subsystem : NULL;
-}
-
-int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_event *event,
+int gsn_source_emit(struct gsn_source_events *events, const struct gsn_source_event *event,
                     struct gsn_error *err)
 {
     gsn_auto_mem(char) name = gsn_strdup(event->name);

@@ -56,6 +56,7 @@ struct gsn_source_events {
 };
 
 void gsn_source_events_free(struct gsn_source_events *events);
+
 GSN_DEFINE_AUTO(gsn_source_events);
 
 /* One "Key=Value" of the source's section in the configuration. */
@@ -94,7 +95,9 @@ struct gsn_source;
  * sentence says which, where that can be found out), GSN_E_IO. */
 int gsn_source_open(const char *address, const struct gsn_source_options *options,
                     struct gsn_source **ret_source, struct gsn_error *err);
+
 void gsn_source_free(struct gsn_source *source);
+
 GSN_DEFINE_AUTO(gsn_source);
 
 /* Judges address and settings as open does, without touching a folder or a device. */
@@ -117,6 +120,7 @@ int gsn_source_read(struct gsn_source *source, uint64_t item, uint64_t offset, v
  * delete_there was asked for, the device deletes its copy now; a device that refuses is told of by
  * the next poll. Fails with GSN_E_NOTFOUND when no such item is READY. */
 int gsn_source_acknowledge(struct gsn_source *source, uint64_t item, struct gsn_error *err);
+
 /* The same, but the device keeps its copy whatever delete_there says. */
 int gsn_source_keep(struct gsn_source *source, uint64_t item, struct gsn_error *err);
 
@@ -145,7 +149,7 @@ const char *gsn_source_subsystem(const char *address);
  *   settings     the keys it understands, NULL at the end; the table refuses others.
  *   check        may be NULL: any rest and value will do.
  *   open         rest is the address behind "kind:".
- *   poll         fills a list the caller made empty, through gsn_source_tell().
+ *   poll         fills a list the caller made empty, through gsn_source_emit().
  *   acknowledge  must not fail for a lack of memory: the bytes are already safe.
  *   keep         may be NULL, where acknowledging deletes nothing.
  *   wait         may be NULL: the table waits for stop_fd and the time alone.
@@ -179,8 +183,17 @@ int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *ad
 
 /* Appends a copy of event (its texts are copied too; NULL stands for an empty action, key or facts)
  * to the list. Fails with GSN_E_NOMEM. */
-int gsn_source_tell(struct gsn_source_events *events, const struct gsn_source_event *event,
+int gsn_source_emit(struct gsn_source_events *events, const struct gsn_source_event *event,
                     struct gsn_error *err);
+
+/* Names of files as people read them: in which order they count, and what they call a picture. */
+
+/* Natural order: runs of digits compare as numbers of any length, the rest as bytes; names that
+ * are equal so far (1, 01) fall back to bytes. Returns < 0, 0, > 0; 0 only for equal names. */
+int gsn_natural_compare(const char *a, const char *b);
+
+/* Whether a file of this name is called like a picture ("P01.TIF"). */
+int gsn_name_is_picture(const char *name);
 
 #ifdef __cplusplus
 }

@@ -80,7 +80,7 @@ int gsn_spool_check_size(uint64_t size, const char *name, struct gsn_error *err)
 
 /* Whether one more object of this size would leave the reserve, if need be without the parts of
  * broken-off copies; GSN_E_LIMIT when not. */
-int gsn_spool_has_room(struct gsn_spool *spool, uint64_t size, struct gsn_error *err);
+int gsn_spool_has_space(struct gsn_spool *spool, uint64_t size, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

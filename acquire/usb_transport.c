@@ -1,16 +1,383 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The pipes of a USB Still Image device (class 06/01/01) through libusb-1.0; the only file that
+ * names it.
+ *
+ * Steps.
+ * 1. An address (serial number, VVVV:PPPP, both, or "any") is held against all Still Image devices;
+ *    exactly one must answer.
+ * 2. The interface is claimed, a kernel driver asked to let go. Where another program has it, /proc
+ *    says which.
+ * 3. Bulk transfers carry containers; an interrupt transfer waits for the next event all the time.
+ * 4. Class requests: Cancel, Device Reset (a bus reset where the device does not know it), Status.
+ *
+ * How it fails: unplugging is GSN_E_NOTFOUND wherever it is met; a pipe of events that fails three
+ * times in a row is given up, for events are hints. On closing, the event's memory is libusb's
+ * until it has said that the transfer ended. */
 #include "acquire/usb_transport.h"
 
+#include <ctype.h>
+#include <dirent.h>
 #include <errno.h>
 #include <libusb.h>
 #include <poll.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
-#include "acquire/usb_address.h"
-#include "acquire/usb_find.h"
+#include "pipeline/core/error.h"
+#include "pipeline/core/file.h"
 #include "pipeline/core/mem.h"
+
+/* Addresses, and who holds a device. */
+
+/* Four hexadecimal digits and nothing else up to the end of a part. */
+static int read_id(const char *text, uint16_t *ret_id)
+{
+    for (int i = 0; i < 4; i++)
+        if (!isxdigit((unsigned char)text[i]))
+            return 0;
+    *ret_id = (uint16_t)strtoul(text, NULL, 16);
+    return text[4] == ':' || text[4] == '\0';
+}
+
+static int fail_address(const char *rest, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_INPUT,
+                    "\"%.100s\" names no USB device: give its serial number, VVVV:PPPP or "
+                    "VVVV:PPPP:SERIAL with the hexadecimal numbers that lsusb prints, or any",
+                    rest);
+}
+
+static int read_serial(const char *serial, const char *rest, struct gsn_usb_address *address,
+                       struct gsn_error *err)
+{
+    const size_t length = strlen(serial);
+
+    if (length == 0 || length >= sizeof address->serial)
+        return fail_address(rest, err);
+    for (size_t i = 0; i < length; i++)
+        if (iscntrl((unsigned char)serial[i]))
+            return fail_address(rest, err);
+    memcpy(address->serial, serial, length + 1);
+    return GSN_OK;
+}
+
+int gsn_usb_address_read(const char *rest, struct gsn_usb_address *ret_address,
+                         struct gsn_error *err)
+{
+    struct gsn_usb_address address = { 0 };
+    int r = GSN_OK;
+
+    if (strcmp(rest, "any") == 0) {
+        *ret_address = address;
+        return GSN_OK;
+    }
+    if (!strchr(rest, ':')) {
+        r = read_serial(rest, rest, &address, err);
+    } else {
+        if (!read_id(rest, &address.vendor) || rest[4] != ':' ||
+            !read_id(rest + 5, &address.product))
+            return fail_address(rest, err);
+        address.has_ids = 1;
+        if (rest[9] == ':')
+            r = read_serial(rest + 10, rest, &address, err);
+    }
+    if (r >= 0)
+        *ret_address = address;
+    return r;
+}
+
+int gsn_usb_address_matches(const struct gsn_usb_address *address, uint16_t vendor,
+                            uint16_t product, const char *serial)
+{
+    return (!address->has_ids || (address->vendor == vendor && address->product == product)) &&
+           (!address->serial[0] || strcmp(address->serial, serial) == 0);
+}
+
+/* The first file open in /proc/PROCESS/fd whose path ends with end; 0 when there is none. */
+static int find_open(const char *process, const char *end, char *ret_path, size_t size)
+{
+    char path[64], link[400];
+    const size_t tail = strlen(end);
+    struct dirent *entry;
+    DIR *dir;
+    int found = 0;
+
+    (void)snprintf(path, sizeof path, "/proc/%.20s/fd", process);
+    dir = opendir(path);
+    while (dir && !found && (entry = readdir(dir))) {
+        const ssize_t length = readlinkat(dirfd(dir), entry->d_name, link, sizeof link);
+
+        found = length >= (ssize_t)tail && (size_t)length < size &&
+                memcmp(link + (size_t)length - tail, end, tail) == 0;
+        if (found) {
+            memcpy(ret_path, link, (size_t)length);
+            ret_path[length] = '\0';
+        }
+    }
+    if (dir)
+        (void)closedir(dir);
+    return found;
+}
+
+/* Whether the process has this very file open. */
+static int has_open(const char *process, const char *node)
+{
+    char path[400];
+
+    return find_open(process, node, path, sizeof path) && strcmp(path, node) == 0;
+}
+
+static void describe_process(const char *process, char *ret_text, size_t size)
+{
+    char path[64], name[64] = "";
+    ssize_t length = 0;
+    int fd;
+
+    (void)snprintf(path, sizeof path, "/proc/%.20s/comm", process);
+    if (gsn_file_open(path, &fd, NULL) >= 0) {
+        length = read(fd, name, sizeof name - 1);
+        (void)close(fd);
+    }
+    name[length > 0 ? length : 0] = '\0';
+    name[strcspn(name, "\n")] = '\0';
+    (void)snprintf(ret_text, size, "%s (process %.20s)", name[0] ? name : "another program",
+                   process);
+}
+
+int gsn_usb_holder(unsigned bus, unsigned device, char *ret_text, size_t size)
+{
+    char name[40], node[400], own[24];
+    struct dirent *entry;
+    DIR *proc;
+    int found = 0;
+
+    (void)snprintf(name, sizeof name, "/dev/bus/usb/%03u/%03u", bus, device);
+    /* Who asks has it open as well; an emulated bus keeps the file elsewhere. */
+    if (!find_open("self", name, node, sizeof node))
+        (void)snprintf(node, sizeof node, "%s", name);
+    (void)snprintf(own, sizeof own, "%ld", (long)getpid());
+    proc = opendir("/proc");
+    while (proc && !found && (entry = readdir(proc))) {
+        if (!isdigit((unsigned char)entry->d_name[0]) || strcmp(entry->d_name, own) == 0)
+            continue;
+        found = has_open(entry->d_name, node);
+        if (found)
+            describe_process(entry->d_name, ret_text, size);
+    }
+    if (proc)
+        (void)closedir(proc);
+    return found;
+}
+
+/* Which devices there are. */
+
+/* Where a Still Image device has its pipes. event 0: it has none. */
+struct usb_pipes {
+    int interface, alternate;
+    uint8_t in, out, event;
+    uint16_t in_packet, event_packet;
+};
+
+static int is_bulk(const struct libusb_endpoint_descriptor *endpoint, int in)
+{
+    return (endpoint->bmAttributes & 3) == LIBUSB_TRANSFER_TYPE_BULK &&
+           !in == !(endpoint->bEndpointAddress & LIBUSB_ENDPOINT_IN);
+}
+
+static int find_pipes_of(const struct libusb_interface_descriptor *setting,
+                         struct usb_pipes *ret_pipes)
+{
+    struct usb_pipes pipes = { .interface = setting->bInterfaceNumber,
+                               .alternate = setting->bAlternateSetting };
+
+    if (setting->bInterfaceClass != LIBUSB_CLASS_IMAGE || setting->bInterfaceSubClass != 1 ||
+        setting->bInterfaceProtocol != 1)
+        return 0;
+    for (int i = 0; i < setting->bNumEndpoints; i++) {
+        const struct libusb_endpoint_descriptor *const endpoint = &setting->endpoint[i];
+        const uint16_t packet = endpoint->wMaxPacketSize & 0x7ff;
+
+        if (is_bulk(endpoint, 1)) {
+            pipes.in = endpoint->bEndpointAddress;
+            pipes.in_packet = packet;
+        } else if (is_bulk(endpoint, 0)) {
+            pipes.out = endpoint->bEndpointAddress;
+        } else if ((endpoint->bmAttributes & 3) == LIBUSB_TRANSFER_TYPE_INTERRUPT) {
+            pipes.event = endpoint->bEndpointAddress;
+            pipes.event_packet = packet;
+        }
+    }
+    *ret_pipes = pipes;
+    return pipes.in && pipes.out && pipes.in_packet >= 8;
+}
+
+/* 0: the device is none of the Still Image class, or lacks a pipe; then *ret_pipes may be changed.
+ */
+static int find_pipes(libusb_device *device, struct usb_pipes *ret_pipes)
+{
+    struct libusb_config_descriptor *config;
+    int found = 0;
+
+    if (libusb_get_active_config_descriptor(device, &config) < 0)
+        return 0;
+    for (int i = 0; i < config->bNumInterfaces && !found; i++)
+        for (int k = 0; k < config->interface[i].num_altsetting && !found; k++)
+            found = find_pipes_of(&config->interface[i].altsetting[k], ret_pipes);
+    libusb_free_config_descriptor(config);
+    return found;
+}
+
+/* Descriptors' texts end in sentences and rows: no control characters. */
+static void read_text(libusb_device_handle *handle, uint8_t index, char *ret_text, size_t size)
+{
+    int length = 0;
+
+    if (index)
+        length = libusb_get_string_descriptor_ascii(handle, index, (unsigned char *)ret_text,
+                                                    (int)size - 1);
+    ret_text[length > 0 ? length : 0] = '\0';
+    for (char *at = ret_text; *at; at++)
+        if (*at < ' ' || *at > '~')
+            *at = '?';
+}
+
+static void describe_device(libusb_device *device, struct gsn_ptp_usb_device *ret_described)
+{
+    struct gsn_ptp_usb_device described = { .bus = libusb_get_bus_number(device),
+                                            .number = libusb_get_device_address(device) };
+    struct libusb_device_descriptor descriptor = { 0 };
+    libusb_device_handle *handle = NULL;
+    char maker[60], product[60];
+
+    (void)libusb_get_device_descriptor(device, &descriptor);
+    described.vendor = descriptor.idVendor;
+    described.product = descriptor.idProduct;
+    described.refused = libusb_open(device, &handle) < 0;
+    if (!described.refused) {
+        read_text(handle, descriptor.iSerialNumber, described.serial, sizeof described.serial);
+        read_text(handle, descriptor.iManufacturer, maker, sizeof maker);
+        read_text(handle, descriptor.iProduct, product, sizeof product);
+        (void)snprintf(described.name, sizeof described.name, "%s%s%s", maker,
+                       maker[0] && product[0] ? " " : "", product);
+        libusb_close(handle);
+    }
+    *ret_described = described;
+}
+
+/* Lists the Still Image devices; of the one that answers to address (NULL: none) ret_device is a
+ * reference, NULL when several or none do. ret_matches and ret_device may be NULL. */
+static int list_devices(libusb_context *context, const struct gsn_usb_address *address,
+                        struct gsn_ptp_usb_devices *ret_devices, size_t *ret_matches,
+                        libusb_device **ret_device, struct gsn_error *err)
+{
+    libusb_device **list, *match = NULL;
+    const ssize_t count = libusb_get_device_list(context, &list);
+    size_t matches = 0;
+    struct usb_pipes pipes;
+
+    if (count < 0)
+        return gsn_fail(err, count == LIBUSB_ERROR_NO_MEM ? GSN_E_NOMEM : GSN_E_IO,
+                        "the USB devices cannot be listed: %s", libusb_strerror((int)count));
+    ret_devices->count = 0;
+    for (ssize_t i = 0; i < count && ret_devices->count < GSN_PTP_USB_MOST; i++) {
+        struct gsn_ptp_usb_device *const at = &ret_devices->at[ret_devices->count];
+
+        if (!find_pipes(list[i], &pipes))
+            continue;
+        describe_device(list[i], at);
+        ret_devices->count++;
+        if (address && gsn_usb_address_matches(address, at->vendor, at->product, at->serial) &&
+            matches++ == 0)
+            match = list[i];
+    }
+    if (ret_device)
+        *ret_device = matches == 1 ? libusb_ref_device(match) : NULL;
+    if (ret_matches)
+        *ret_matches = matches;
+    libusb_free_device_list(list, 1);
+    return GSN_OK;
+}
+
+/* "04a9:31c0 SN0001, 1209:0001 (may not be opened)" of those that answer to address; NULL: all. */
+static void say_devices(const struct gsn_ptp_usb_devices *devices,
+                        const struct gsn_usb_address *address, char *ret_text, size_t size)
+{
+    size_t used = 0;
+
+    ret_text[0] = '\0';
+    for (size_t i = 0; i < devices->count && used < size; i++) {
+        const struct gsn_ptp_usb_device *const at = &devices->at[i];
+
+        if (address && !gsn_usb_address_matches(address, at->vendor, at->product, at->serial))
+            continue;
+        used +=
+            (size_t)snprintf(ret_text + used, size - used, "%s%04x:%04x%s%s%s", used ? ", " : "",
+                             at->vendor, at->product, at->serial[0] ? ":" : "", at->serial,
+                             at->refused ? " (may not be opened)" : "");
+    }
+}
+
+static int any_refused(const struct gsn_ptp_usb_devices *devices)
+{
+    for (size_t i = 0; i < devices->count; i++)
+        if (devices->at[i].refused)
+            return 1;
+    return 0;
+}
+
+/* Fails always: says why not exactly one of the devices answers to an address (rest, as given). */
+static int explain_mismatch(const char *rest, const struct gsn_usb_address *address, size_t matches,
+                            const struct gsn_ptp_usb_devices *devices, struct gsn_error *err)
+{
+    char text[240];
+
+    say_devices(devices, matches > 1 ? address : NULL, text, sizeof text);
+    if (matches > 1)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "%zu scanners or cameras answer to \"%.60s\": %s; name one of them",
+                        matches, rest, text);
+    if (any_refused(devices))
+        return gsn_fail(err, GSN_E_IO,
+                        "no scanner or camera answers to \"%.60s\", but there is %s: see that the "
+                        "udev rules are installed and this account is in the device's group",
+                        rest, text);
+    return gsn_fail(err, GSN_E_NOTFOUND,
+                    "no scanner or camera (USB Still Image class) answers to \"%.60s\"%s%s; is it "
+                    "switched on and set to PTP?",
+                    rest, text[0] ? "; there is " : "", text);
+}
+
+/* Fails with GSN_E_IO where there is no USB; GSN_E_NOMEM. gives: ret_context, for libusb_exit(). */
+static int start_libusb(libusb_context **ret_context, struct gsn_error *err)
+{
+    const int r = libusb_init(ret_context);
+
+    if (r < 0)
+        return gsn_fail(err, r == LIBUSB_ERROR_NO_MEM ? GSN_E_NOMEM : GSN_E_IO,
+                        "USB is not available here: %s", libusb_strerror(r));
+    return GSN_OK;
+}
+
+int gsn_ptp_usb_list(struct gsn_ptp_usb_devices *ret_devices, struct gsn_error *err)
+{
+    struct gsn_ptp_usb_devices devices;
+    libusb_context *context;
+    int r = start_libusb(&context, err);
+
+    if (r < 0)
+        return r;
+    r = list_devices(context, NULL, &devices, NULL, NULL, err);
+    libusb_exit(context);
+    if (r >= 0)
+        *ret_devices = devices;
+    return r;
+}
 
 enum {
     CONTROL_MS = 5000,
@@ -27,7 +394,7 @@ struct usb {
     struct gsn_ptp_transport transport;
     libusb_context *context;
     libusb_device_handle *handle;
-    struct gsn_usb_pipes pipes;
+    struct usb_pipes pipes;
     char name[140]; /* "04a9:31c0 SN0001", for sentences */
     int claimed;
     /* An interrupt transfer waits for the next event all the time. */
@@ -37,7 +404,7 @@ struct usb {
     uint8_t event_bytes[EVENT_ROOM];
 };
 
-static int fail(const struct usb *usb, int r, const char *doing, struct gsn_error *err)
+static int fail_usb(const struct usb *usb, int r, const char *doing, struct gsn_error *err)
 {
     const int code = r == LIBUSB_ERROR_NO_DEVICE ? GSN_E_NOTFOUND
                      : r == LIBUSB_ERROR_NO_MEM  ? GSN_E_NOMEM
@@ -69,7 +436,7 @@ static int expect_event(struct usb *usb, struct gsn_error *err)
         return GSN_OK;
     r = libusb_submit_transfer(usb->event);
     if (r == LIBUSB_ERROR_NO_DEVICE)
-        return fail(usb, r, "waiting for an event", err);
+        return fail_usb(usb, r, "waiting for an event", err);
     if (r == 0)
         usb->event_pending = 1;
     else
@@ -78,12 +445,12 @@ static int expect_event(struct usb *usb, struct gsn_error *err)
 }
 
 /* Lets libusb see what happened, without waiting. */
-static int look_around(struct usb *usb, struct gsn_error *err)
+static int handle_events(struct usb *usb, struct gsn_error *err)
 {
     struct timeval now = { 0 };
     const int r = libusb_handle_events_timeout_completed(usb->context, &now, NULL);
 
-    return r < 0 && r != LIBUSB_ERROR_INTERRUPTED ? fail(usb, r, "waiting", err) : GSN_OK;
+    return r < 0 && r != LIBUSB_ERROR_INTERRUPTED ? fail_usb(usb, r, "waiting", err) : GSN_OK;
 }
 
 static void cancel_event(struct usb *usb)
@@ -119,10 +486,10 @@ static int take_event(struct usb *usb, void *buffer, size_t size, size_t *ret_go
         *ret_got = 0;
         return GSN_PTP_STALLED;
     case LIBUSB_TRANSFER_NO_DEVICE:
-        return fail(usb, LIBUSB_ERROR_NO_DEVICE, "waiting for an event", err);
+        return fail_usb(usb, LIBUSB_ERROR_NO_DEVICE, "waiting for an event", err);
     default:
         usb->event_failures++;
-        return fail(usb, LIBUSB_ERROR_IO, "waiting for an event", err);
+        return fail_usb(usb, LIBUSB_ERROR_IO, "waiting for an event", err);
     }
 }
 
@@ -164,11 +531,11 @@ static int usb_wait(void *self, int timeout_ms, int stop_fd, struct gsn_error *e
 
         r = expect_event(usb, err);
         if (r >= 0)
-            r = look_around(usb, err);
+            r = handle_events(usb, err);
         if (r < 0)
             return r;
         if (usb->event_came && usb->event->status == LIBUSB_TRANSFER_NO_DEVICE)
-            return fail(usb, LIBUSB_ERROR_NO_DEVICE, "waiting for an event", err);
+            return fail_usb(usb, LIBUSB_ERROR_NO_DEVICE, "waiting for an event", err);
         if (usb->event_came || stopped || (timeout_ms >= 0 && left <= 0))
             return GSN_OK;
         r = sleep_until(usb, (int)left, stop_fd, &stopped, err);
@@ -207,7 +574,7 @@ static int usb_send(void *self, const void *bytes, size_t size, unsigned timeout
         return GSN_PTP_STALLED;
     if (r == LIBUSB_ERROR_TIMEOUT)
         return GSN_PTP_TIMEOUT;
-    return r < 0 ? fail(usb, r, "sending a request", err) : GSN_PTP_DONE;
+    return r < 0 ? fail_usb(usb, r, "sending a request", err) : GSN_PTP_DONE;
 }
 
 static int usb_receive(void *self, enum gsn_ptp_pipe pipe, void *buffer, size_t size,
@@ -222,7 +589,7 @@ static int usb_receive(void *self, enum gsn_ptp_pipe pipe, void *buffer, size_t 
     r = libusb_bulk_transfer(usb->handle, usb->pipes.in, buffer, (int)size, &got,
                              timeout_ms ? timeout_ms : 1);
     if (r < 0 && r != LIBUSB_ERROR_PIPE && r != LIBUSB_ERROR_TIMEOUT)
-        return fail(usb, r, "reading", err);
+        return fail_usb(usb, r, "reading", err);
     *ret_got = (size_t)got;
     return r == LIBUSB_ERROR_PIPE      ? GSN_PTP_STALLED
            : r == LIBUSB_ERROR_TIMEOUT ? GSN_PTP_TIMEOUT
@@ -240,7 +607,7 @@ static int usb_clear_halt(void *self, enum gsn_ptp_pipe pipe, struct gsn_error *
     if (pipe == GSN_PTP_EVENT)
         cancel_event(usb);
     r = endpoint ? libusb_clear_halt(usb->handle, endpoint) : 0;
-    return r < 0 ? fail(usb, r, "clearing a stalled endpoint", err) : GSN_OK;
+    return r < 0 ? fail_usb(usb, r, "clearing a stalled endpoint", err) : GSN_OK;
 }
 
 /* Class requests */
@@ -262,7 +629,7 @@ static int usb_cancel(void *self, uint32_t transaction, struct gsn_error *err)
                          (uint8_t)(transaction >> 16), (uint8_t)(transaction >> 24) };
     const int r = class_request(usb, CANCEL, bytes, sizeof bytes);
 
-    return r < 0 ? fail(usb, r, "the request to cancel", err) : GSN_OK;
+    return r < 0 ? fail_usb(usb, r, "the request to cancel", err) : GSN_OK;
 }
 
 /* A device that does not even know the class request is reset on the bus. */
@@ -278,7 +645,7 @@ static int usb_reset(void *self, struct gsn_error *err)
             r = LIBUSB_ERROR_NO_DEVICE;
     }
     usb->event_failures = 0;
-    return r < 0 ? fail(usb, r, "the request to reset", err) : GSN_OK;
+    return r < 0 ? fail_usb(usb, r, "the request to reset", err) : GSN_OK;
 }
 
 static int usb_status(void *self, uint16_t *ret_code, struct gsn_error *err)
@@ -288,7 +655,7 @@ static int usb_status(void *self, uint16_t *ret_code, struct gsn_error *err)
     const int r = class_request(usb, DEVICE_STATUS, bytes, sizeof bytes);
 
     if (r < 0)
-        return fail(usb, r, "asking for the status", err);
+        return fail_usb(usb, r, "asking for the status", err);
     if (r < 4)
         return gsn_fail(err, GSN_E_IO, "USB device %s: a status of %d bytes", usb->name, r);
     *ret_code = (uint16_t)(bytes[2] | bytes[3] << 8);
@@ -331,7 +698,7 @@ static void close_half_made(struct usb **usb)
     usb_close(*usb);
 }
 
-static int claim(struct usb *usb, libusb_device *device, struct gsn_error *err)
+static int claim_interface(struct usb *usb, libusb_device *device, struct gsn_error *err)
 {
     char holder[120];
     int r;
@@ -356,12 +723,12 @@ static int claim(struct usb *usb, libusb_device *device, struct gsn_error *err)
     if (r == 0 && usb->pipes.alternate)
         r = libusb_set_interface_alt_setting(usb->handle, usb->pipes.interface,
                                              usb->pipes.alternate);
-    return r < 0 ? fail(usb, r, "claiming it", err) : GSN_OK;
+    return r < 0 ? fail_usb(usb, r, "claiming it", err) : GSN_OK;
 }
 
 static int prepare_events(struct usb *usb, struct gsn_error *err)
 {
-    const struct gsn_usb_pipes *const pipes = &usb->pipes;
+    const struct usb_pipes *const pipes = &usb->pipes;
     int room = pipes->event_packet;
 
     if (!pipes->event || pipes->event_packet == 0)
@@ -383,19 +750,19 @@ static int open_device(struct usb *usb, libusb_device *device, struct gsn_error 
     struct gsn_ptp_usb_device described;
     int r;
 
-    gsn_usb_describe(device, &described);
+    describe_device(device, &described);
     usb->transport.vendor = described.vendor;
     usb->transport.product = described.product;
     memcpy(usb->transport.serial, described.serial, sizeof usb->transport.serial);
     (void)snprintf(usb->name, sizeof usb->name, "%04x:%04x%s%s", described.vendor,
                    described.product, described.serial[0] ? " " : "", described.serial);
-    if (!gsn_usb_find_pipes(device, &usb->pipes))
-        return fail(usb, LIBUSB_ERROR_NO_DEVICE, "it was opened", err);
+    if (!find_pipes(device, &usb->pipes))
+        return fail_usb(usb, LIBUSB_ERROR_NO_DEVICE, "it was opened", err);
     usb->transport.packet_size = usb->pipes.in_packet;
     r = libusb_open(device, &usb->handle);
     if (r < 0)
-        return fail(usb, r, "opening it", err);
-    r = claim(usb, device, err);
+        return fail_usb(usb, r, "opening it", err);
+    r = claim_interface(usb, device, err);
     return r < 0 ? r : prepare_events(usb, err);
 }
 
@@ -421,13 +788,13 @@ int gsn_ptp_usb_open(const char *rest, struct gsn_ptp_transport **ret_transport,
     usb = gsn_alloc_array(1, sizeof *usb);
     if (!usb)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a USB device");
-    r = gsn_usb_start(&usb->context, err);
+    r = start_libusb(&usb->context, err);
     if (r >= 0)
-        r = gsn_usb_look(usb->context, &address, &devices, &matches, &device, err);
+        r = list_devices(usb->context, &address, &devices, &matches, &device, err);
     if (r < 0)
         return r;
     if (!device)
-        return gsn_usb_explain(rest, &address, matches, &devices, err);
+        return explain_mismatch(rest, &address, matches, &devices, err);
     r = open_device(usb, device, err);
     libusb_unref_device(device);
     if (r < 0)

@@ -33,14 +33,14 @@ struct walk {
     struct gsn_uvc *uvc;
 };
 
-static unsigned u16(const uint8_t *at)
+static unsigned get_u16(const uint8_t *at)
 {
     return at[0] | (unsigned)at[1] << 8;
 }
 
-static uint32_t u32(const uint8_t *at)
+static uint32_t get_u32(const uint8_t *at)
 {
-    return u16(at) | (uint32_t)u16(at + 2) << 16;
+    return get_u16(at) | (uint32_t)get_u16(at + 2) << 16;
 }
 
 static int too_short(const struct walk *walk, const char *what, struct gsn_error *err)
@@ -65,13 +65,13 @@ static int read_control(struct walk *walk, const uint8_t *at, size_t length, str
     case VC_HEADER:
         if (length < 12)
             return too_short(walk, "header of the control interface", err);
-        walk->uvc->version = (uint16_t)u16(at + 3);
+        walk->uvc->version = (uint16_t)get_u16(at + 3);
         walk->has_control = true;
         return GSN_OK;
     case VC_INPUT_TERMINAL:
         if (length < 8)
             return too_short(walk, "input terminal", err);
-        if (u16(at + 4) != ITT_CAMERA)
+        if (get_u16(at + 4) != ITT_CAMERA)
             return GSN_OK;
         if (length < 15 || length < 15U + at[14])
             return too_short(walk, "camera terminal", err);
@@ -145,10 +145,10 @@ static int shortest_of(const struct walk *walk, const uint8_t *at, size_t room, 
 
     if (room < needed)
         return too_short(walk, "list of intervals", err);
-    *ret_shortest = u32(at);
+    *ret_shortest = get_u32(at);
     for (unsigned i = 1; i < count; i++)
-        *ret_shortest =
-            u32(at + 4 * (size_t)i) < *ret_shortest ? u32(at + 4 * (size_t)i) : *ret_shortest;
+        *ret_shortest = get_u32(at + 4 * (size_t)i) < *ret_shortest ? get_u32(at + 4 * (size_t)i)
+                                                                    : *ret_shortest;
     return GSN_OK;
 }
 
@@ -170,8 +170,8 @@ static int read_size(struct walk *walk, const uint8_t *at, size_t length, struct
         return gsn_fail(err, GSN_E_LIMIT, "the camera lists more than %d sizes",
                         GSN_UVC_MOST_SIZES);
     size.format = uvc->format_count - 1;
-    size.width = u16(at + 5);
-    size.height = u16(at + 7);
+    size.width = get_u16(at + 5);
+    size.height = get_u16(at + 7);
     if (!size.width || !size.height)
         return gsn_fail(err, GSN_E_INPUT, "a frame of %u x %u pixels at byte %zu", size.width,
                         size.height, walk->at);
@@ -240,7 +240,7 @@ static int read_one(struct walk *walk, const uint8_t *at, size_t length, struct 
     }
 }
 
-static int begin(struct walk *walk, struct gsn_error *err)
+static int begin_walk(struct walk *walk, struct gsn_error *err)
 {
     const uint8_t *const config = walk->bytes + 18;
     size_t total;
@@ -249,12 +249,12 @@ static int begin(struct walk *walk, struct gsn_error *err)
         config[1] != CONFIGURATION)
         return gsn_fail(err, GSN_E_INPUT,
                         "no device descriptor and configuration of USB at the beginning");
-    total = u16(config + 2);
+    total = get_u16(config + 2);
     if (total < config[0] || total > walk->size - 18)
         return gsn_fail(err, GSN_E_INPUT, "the configuration states %zu bytes, %zu are there",
                         total, walk->size - 18);
-    walk->uvc->vendor = (uint16_t)u16(walk->bytes + 8);
-    walk->uvc->product = (uint16_t)u16(walk->bytes + 10);
+    walk->uvc->vendor = (uint16_t)get_u16(walk->bytes + 8);
+    walk->uvc->product = (uint16_t)get_u16(walk->bytes + 10);
     walk->at = 18 + (size_t)config[0];
     walk->size = 18 + total; /* a second configuration is not in use */
     return GSN_OK;
@@ -262,7 +262,7 @@ static int begin(struct walk *walk, struct gsn_error *err)
 
 static int walk_all(struct walk *walk, struct gsn_error *err)
 {
-    int r = begin(walk, err);
+    int r = begin_walk(walk, err);
 
     while (r >= 0 && walk->at < walk->size) {
         const uint8_t *const at = walk->bytes + walk->at;
@@ -304,7 +304,7 @@ void gsn_uvc_free(struct gsn_uvc *uvc)
     gsn_free(uvc);
 }
 
-static void add(char *reason, size_t size, bool has, const char *what)
+static void add_reason(char *reason, size_t size, bool has, const char *what)
 {
     const size_t used = strlen(reason);
 
@@ -317,11 +317,12 @@ int gsn_uvc_can_be_locked(const struct gsn_uvc *uvc, char *ret_reason, size_t si
     const uint32_t ct = uvc->terminal, pu = uvc->processing;
 
     ret_reason[0] = '\0';
-    add(ret_reason, size, ct >> CT_AE_MODE & 1, "its automatic exposure cannot be switched off");
-    add(ret_reason, size, ct >> CT_EXPOSURE_ABSOLUTE & 1, "no exposure time");
-    add(ret_reason, size, pu >> PU_GAIN & 1, "no gain");
-    add(ret_reason, size, pu >> PU_WHITE_BALANCE & 1, "no white balance");
-    add(ret_reason, size, pu >> PU_WHITE_BALANCE_AUTO & 1,
-        "its automatic white balance cannot be switched off");
+    add_reason(ret_reason, size, ct >> CT_AE_MODE & 1,
+               "its automatic exposure cannot be switched off");
+    add_reason(ret_reason, size, ct >> CT_EXPOSURE_ABSOLUTE & 1, "no exposure time");
+    add_reason(ret_reason, size, pu >> PU_GAIN & 1, "no gain");
+    add_reason(ret_reason, size, pu >> PU_WHITE_BALANCE & 1, "no white balance");
+    add_reason(ret_reason, size, pu >> PU_WHITE_BALANCE_AUTO & 1,
+               "its automatic white balance cannot be switched off");
     return ret_reason[0] == '\0';
 }

@@ -23,10 +23,6 @@ extern "C" {
 
 extern const struct gsn_source_ops gsn_v4l2_source_ops;
 
-/* What its USB descriptors say against the camera of this name before anybody opens it: that it
- * cannot be locked, and why. Empty when nothing does, or when it is no USB camera. */
-void gsn_v4l2_note(const char *name, char *ret_note, size_t size);
-
 #ifdef __cplusplus
 }
 #endif

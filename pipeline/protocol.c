@@ -1,15 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/protocol.h"
 
-#include "pipeline/core/nearest.h"
-#include "pipeline/stain/age.h"
-#include "pipeline/stated_region.h"
-#include "pipeline/stated_value.h"
-
 #include <jansson.h>
 #include <math.h>
 #include <string.h>
 #include <strings.h>
+
+#include "pipeline/core/nearest.h"
+#include "pipeline/stain/age.h"
+#include "pipeline/stated_region.h"
+#include "pipeline/stated_value.h"
 
 /* Limits that only a mistake exceeds. */
 enum { MOST_SLOTS = 400, MOST_SECTIONS = 100000, MOST_PANELS = 10000 };
@@ -283,7 +283,7 @@ static const char *meant_by_beginning(const char *key)
     return NULL;
 }
 
-/* Keys we do not know stop the import (systemd/import_check.c), for a misspelt one must not pass.
+/* Keys we do not know stop the import (systemd/worker/import.c), for a misspelt one must not pass.
  * Here they are only noted: stores hold jobs of older versions. "comment" and what begins with it
  * is the operator's. */
 static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "storage/advice.h"
 
-#include "pipeline/core/mem.h"
-
 #include <stdlib.h>
 #include <string.h>
+
+#include "pipeline/core/mem.h"
 
 const char *gsn_advice_usual_store(void)
 {

@@ -29,16 +29,17 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/pagesum.h"
 #include "storage/sql.h"
-#include "storage/within.h"
+#include "storage/transaction.h"
 
 enum {
     HEAD_LINE = 19 + 1 + 64 + 1
 }; /* of DIR/audit.head: always as long, so that it is replaced */
 
-static void tell(gsn_audit_found *found, void *context, const char *what, const char *sentence)
+static void report_finding(gsn_audit_found *found, void *context, const char *what,
+                           const char *sentence)
 {
     if (found)
         found(context, what, sentence);
@@ -51,13 +52,13 @@ struct page_teller {
     void *context;
 };
 
-static void tell_page(void *context, int64_t page)
+static void report_page(void *context, int64_t page)
 {
     const struct page_teller *const teller = context;
     char what[64];
 
     (void)snprintf(what, sizeof what, "gieson.db, page %" PRId64, page);
-    tell(
+    report_finding(
         teller->found, teller->context, what,
         "its bytes are not those that gieson wrote: the disk changed them, or another program did");
 }
@@ -68,7 +69,7 @@ int gsn_audit_pages(const char *dir, gsn_audit_found *found, void *context, int6
     gsn_auto_mem(char) path = gsn_format("%s/gieson.db", dir);
     struct page_teller teller = { found, context };
     struct gsn_pagesum_verdict verdict;
-    const int r = path ? gsn_pagesum_check(path, tell_page, &teller, &verdict, err)
+    const int r = path ? gsn_pagesum_check(path, report_page, &teller, &verdict, err)
                        : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 
     if (r >= 0 && ret_without)
@@ -86,8 +87,8 @@ static const struct gsn_sql_field finding_fields[] = {
 static const struct gsn_sql_shape finding_shape = SQL_SHAPE(struct finding, finding_fields);
 
 /* A question whose answers are findings: what, and the sentence. */
-static int ask(struct gsn_store *store, const char *sql, gsn_audit_found *found, void *context,
-               struct gsn_error *err)
+static int ask_findings(struct gsn_store *store, const char *sql, gsn_audit_found *found,
+                        void *context, struct gsn_error *err)
 {
     void *rows = NULL;
     size_t count = 0;
@@ -95,7 +96,7 @@ static int ask(struct gsn_store *store, const char *sql, gsn_audit_found *found,
     const struct finding *const at = rows;
 
     for (size_t i = 0; r >= 0 && i < count; i++)
-        tell(found, context, at[i].what, at[i].sentence);
+        report_finding(found, context, at[i].what, at[i].sentence);
     if (r >= 0)
         gsn_sql_free_rows(&finding_shape, rows, count);
     return r;
@@ -108,7 +109,7 @@ struct table_teller {
     int unread;
 };
 
-static void tell_table(void *context, const char *what, const char *sentence)
+static void report_table(void *context, const char *what, const char *sentence)
 {
     struct table_teller *const teller = context;
     const char *const code = strstr(sentence, "unable to get the page. error code=");
@@ -116,17 +117,17 @@ static void tell_table(void *context, const char *what, const char *sentence)
     if (code && (atoi(strchr(code, '=') + 1) & 0xff) == SQLITE_IOERR) /* door */
         teller->unread = 1;
     else
-        tell(teller->found, teller->context, what, sentence);
+        report_finding(teller->found, teller->context, what, sentence);
 }
 
 int gsn_audit_tables(struct gsn_store *store, gsn_audit_found *found, void *context,
                      struct gsn_error *err)
 {
     struct table_teller teller = { .found = found, .context = context };
-    const int r = ask(store,
-                      "SELECT 'gieson.db', 'SQLite says: ' || integrity_check "
-                      "FROM pragma_integrity_check WHERE integrity_check <> 'ok'",
-                      tell_table, &teller, err);
+    const int r = ask_findings(store,
+                               "SELECT 'gieson.db', 'SQLite says: ' || integrity_check "
+                               "FROM pragma_integrity_check WHERE integrity_check <> 'ok'",
+                               report_table, &teller, err);
 
     if (r >= 0 && teller.unread)
         return gsn_fail(err, GSN_E_IO,
@@ -135,7 +136,8 @@ int gsn_audit_tables(struct gsn_store *store, gsn_audit_found *found, void *cont
                         gsn_store_dir(store));
     return r < 0
                ? r
-               : ask(store,
+               : ask_findings(
+                     store,
                      "SELECT 'table ' || \"table\", 'row ' || coalesce(rowid, '') || ' rests on a "
                      "row of ' || parent || ' that is not there' FROM pragma_foreign_key_check",
                      found, context, err);
@@ -237,7 +239,7 @@ static int check_head(struct gsn_store *store, const struct gsn_audit_head *head
                        head->where, head->events);
     else
         return r;
-    tell(found, context, "audit log", sentence);
+    report_finding(found, context, "audit log", sentence);
     return GSN_OK;
 }
 
@@ -262,9 +264,10 @@ static int read_head_file(struct gsn_store *store, struct gsn_audit_head *head,
         return r;
     r = gsn_sql_int(store, "SELECT count(*) FROM event", SQL_NO_ARGS, &events, err);
     if (r >= 0 && events > 0)
-        tell(found, context, GSN_AUDIT_HEAD,
-             "the file that says where the audit log ends is missing or damaged; the next event "
-             "writes it anew");
+        report_finding(
+            found, context, GSN_AUDIT_HEAD,
+            "the file that says where the audit log ends is missing or damaged; the next event "
+            "writes it anew");
     return r;
 }
 
@@ -283,14 +286,14 @@ int gsn_audit_log(struct gsn_store *store, const struct gsn_audit_head *heads, s
                        "event %" PRId64 " does not follow from the one before: it, or what stood "
                        "before it, was changed",
                        verdict.broken);
-        tell(found, context, "audit log", sentence);
+        report_finding(found, context, "audit log", sentence);
     }
     if (r >= 0)
         r = check_head(store, &file, found, context, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         r = check_head(store, &heads[i], found, context, err);
     if (r >= 0)
-        r = ask(
+        r = ask_findings(
             store,
             "SELECT 'audit log', 'it does not hold the event it ended with when run ' || r.id || "
             "' began to be written' FROM run r LEFT JOIN event e ON e.hash = r.event_head "
@@ -334,7 +337,7 @@ static int hash_column(struct gsn_hash *hash, sqlite3_stmt *row, int column, str
     }
 }
 
-static void finalize(sqlite3_stmt **statement)
+static void finalize_statement(sqlite3_stmt **statement)
 {
     (void)sqlite3_finalize(*statement);
 }
@@ -342,7 +345,7 @@ static void finalize(sqlite3_stmt **statement)
 static int hash_rows(struct gsn_store *store, const char *sql, int64_t run, struct gsn_hash *hash,
                      struct gsn_error *err)
 {
-    __attribute__((cleanup(finalize))) sqlite3_stmt *statement = NULL;
+    __attribute__((cleanup(finalize_statement))) sqlite3_stmt *statement = NULL;
     int step, r = GSN_OK;
 
     if (sqlite3_prepare_v2(gsn_store_handle(store), sql, -1, &statement, NULL) != SQLITE_OK ||
@@ -374,8 +377,8 @@ static int digest_run(struct gsn_store *store, int64_t run, struct gsn_digest *r
 /* Who seals the runs of an older gieson. */
 #define LATE "gieson-upgrade"
 
-static int seal(struct gsn_store *store, int64_t run, int64_t now, const char *actor,
-                struct gsn_error *err)
+static int seal_run(struct gsn_store *store, int64_t run, int64_t now, const char *actor,
+                    struct gsn_error *err)
 {
     struct gsn_digest digest;
     char subject[32];
@@ -387,7 +390,7 @@ static int seal(struct gsn_store *store, int64_t run, int64_t now, const char *a
 
 int gsn_audit_seal(struct gsn_store *store, int64_t run, int64_t now, struct gsn_error *err)
 {
-    return seal(store, run, now, "gieson-work", err);
+    return seal_run(store, run, now, "gieson-work", err);
 }
 
 struct sealed {
@@ -416,7 +419,7 @@ int gsn_audit_seal_old_runs(struct gsn_store *store, struct gsn_error *err)
                          SQL_NO_ARGS, &rows, &count, err);
     at = rows;
     for (size_t i = 0; r >= 0 && i < count; i++)
-        r = seal(store, at[i].run, now, LATE, err);
+        r = seal_run(store, at[i].run, now, LATE, err);
     gsn_sql_free_rows(&sealed_shape, rows, count);
     return r;
 }
@@ -452,16 +455,17 @@ static int check_seal(struct gsn_store *store, const struct sealed *row, gsn_aud
 
     (void)snprintf(what, sizeof what, "run %" PRId64, row->run);
     if (!row->state[0])
-        tell(found, context, what, "the audit log has its seal, and the run is gone");
+        report_finding(found, context, what, "the audit log has its seal, and the run is gone");
     else if (row->seals == 0)
-        tell(found, context, what, "it has ended and the audit log has no seal of it");
+        report_finding(found, context, what, "it has ended and the audit log has no seal of it");
     else if (row->seals > 1)
-        tell(found, context, what, "it was sealed more than once");
+        report_finding(found, context, what, "it was sealed more than once");
     else
         r = digest_run(store, row->run, &digest, err);
     if (r >= 0 && row->seals == 1 && row->state[0] && strcmp(digest.hex, row->text) != 0)
-        tell(found, context, what,
-             "its figures, poses, colours or what it says of itself are not those it ended with");
+        report_finding(
+            found, context, what,
+            "its figures, poses, colours or what it says of itself are not those it ended with");
     return r;
 }
 
@@ -553,7 +557,7 @@ int gsn_audit_ledger(struct gsn_store *store, gsn_audit_found *found, void *cont
     int r = GSN_OK;
 
     for (size_t i = 0; r >= 0 && i < sizeof ledger / sizeof *ledger; i++)
-        r = ask(store, ledger[i], found, context, err);
+        r = ask_findings(store, ledger[i], found, context, err);
     return r;
 }
 

@@ -1,11 +1,89 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The bench as people see it: sources, troubles, requests; and who serves the store.
+ *
+ * A source has a row with its state; a trouble is a picture or file that could not be taken, by
+ * source and name, with what a person must do, until it is over; a request waits for the source's
+ * process, which answers it. Who serves the store is told by locks on DIR/giesond.lock (open file
+ * description locks, fcntl(2)): they end with the process that took them, so a service that was
+ * killed leaves none.
+ *
+ * How it fails: GSN_E_BUSY for a second service; an answer that was given already is not found. */
 #include "storage/bench.h"
 
+#include <errno.h>
+#include <fcntl.h>
 #include <stdbool.h>
 #include <string.h>
+#include <unistd.h>
 
-#include "storage/event.h"
+#include "pipeline/core/file.h"
+#include "pipeline/core/mem.h"
+#include "storage/audit_log.h"
 #include "storage/sql.h"
+
+static const char *const tasks[] = { "takes panels in", "works the queue" };
+
+/* Who serves the store. */
+
+/* One byte of the file per service. */
+static struct flock byte_of(enum gsn_service service)
+{
+    return (struct flock){
+        .l_type = F_WRLCK, .l_whence = SEEK_SET, .l_start = (off_t)service, .l_len = 1
+    };
+}
+
+static char *path_of(const char *dir)
+{
+    return gsn_format("%s/giesond.lock", dir);
+}
+
+int gsn_service_take(const char *dir, enum gsn_service service, int *ret_lock,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = path_of(dir);
+    struct flock byte = byte_of(service);
+    int fd = -1;
+    int r = path ? gsn_file_open_lock(path, &fd, err)
+                 : gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", dir);
+
+    if (r < 0)
+        return r;
+    /* Of the open file, not of the process: another descriptor that is closed cannot drop it. */
+    if (fcntl(fd, F_OFD_SETLK, &byte) == 0) {
+        *ret_lock = fd;
+        return GSN_OK;
+    }
+    r = errno == EAGAIN || errno == EACCES
+            ? gsn_fail(err, GSN_E_BUSY, "another giesond %s for %s already", tasks[service], dir)
+            : gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    (void)close(fd);
+    return r;
+}
+
+int gsn_service_is_there(const char *dir, enum gsn_service service, int *ret_there,
+                         struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = path_of(dir);
+    struct flock byte = byte_of(service);
+    int fd = -1;
+    int r =
+        path ? gsn_file_open(path, &fd, err) : gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", dir);
+
+    if (r == GSN_E_NOTFOUND) {
+        *ret_there = 0;
+        return GSN_OK;
+    }
+    if (r < 0)
+        return r;
+    if (fcntl(fd, F_OFD_GETLK, &byte) < 0)
+        r = gsn_fail(err, GSN_E_IO, "%s: %s", path, strerror(errno));
+    (void)close(fd);
+    if (r >= 0)
+        *ret_there = byte.l_type != F_UNLCK;
+    return r;
+}
 
 #define SOURCE(type, name)                                                                         \
     {                                                                                              \
@@ -16,6 +94,7 @@ static const struct gsn_sql_field source_fields[] = {
     SOURCE(TEXT, message), SOURCE(TEXT, item),    SOURCE(INT, done),    SOURCE(INT, total),
     SOURCE(TEXT, expects), SOURCE(INT, changed),
 };
+
 #undef SOURCE
 static const struct gsn_sql_shape source_shape = SQL_SHAPE(struct gsn_bench_source, source_fields);
 
@@ -25,6 +104,8 @@ void gsn_bench_sources_free(struct gsn_bench_sources *rows)
         gsn_sql_free_rows(&source_shape, rows->at, rows->count);
     gsn_free(rows);
 }
+
+/* Sources. */
 
 int gsn_bench_list(struct gsn_store *store, struct gsn_bench_sources **ret_rows,
                    struct gsn_error *err)
@@ -76,8 +157,8 @@ static bool is_among(const char *name, const char *const *names, size_t count)
 }
 
 /* In a transaction. */
-static int keep(struct gsn_store *store, const char *const *names, size_t count, int64_t now,
-                struct gsn_error *err)
+static int keep_sources(struct gsn_store *store, const char *const *names, size_t count,
+                        int64_t now, struct gsn_error *err)
 {
     gsn_auto(gsn_bench_sources) rows = NULL;
     int r = gsn_bench_list(store, &rows, err);
@@ -98,7 +179,7 @@ int gsn_bench_keep(struct gsn_store *store, const char *const *names, size_t cou
 {
     const int r = gsn_store_begin(store, err);
 
-    return r < 0 ? r : gsn_sql_end(store, keep(store, names, count, now, err), err);
+    return r < 0 ? r : gsn_sql_end(store, keep_sources(store, names, count, now, err), err);
 }
 
 /* ---- what could not be taken in ---------------------------------------------------------- */
@@ -111,6 +192,7 @@ static const struct gsn_sql_field trouble_fields[] = {
     TROUBLE(TEXT, source), TROUBLE(TEXT, name), TROUBLE(TEXT, reason), TROUBLE(TEXT, action),
     TROUBLE(INT, tries),   TROUBLE(INT, since), TROUBLE(INT, last),
 };
+
 #undef TROUBLE
 static const struct gsn_sql_shape trouble_shape = SQL_SHAPE(struct gsn_trouble_row, trouble_fields);
 
@@ -196,6 +278,7 @@ static const struct gsn_sql_field request_fields[] = {
     REQUEST(INT, id),      REQUEST(INT, time),   REQUEST(TEXT, actor),   REQUEST(TEXT, kind),
     REQUEST(TEXT, source), REQUEST(TEXT, state), REQUEST(TEXT, message),
 };
+
 #undef REQUEST
 #define SELECT_REQUEST "SELECT id, time, actor, kind, source, state, message FROM request "
 static const struct gsn_sql_shape request_shape = SQL_SHAPE(struct gsn_request_row, request_fields);
@@ -256,8 +339,8 @@ int gsn_request_get(struct gsn_store *store, int64_t id, struct gsn_request_row 
 }
 
 /* In a transaction. */
-static int answer(struct gsn_store *store, int64_t id, const char *message, int64_t now,
-                  struct gsn_error *err)
+static int answer_request(struct gsn_store *store, int64_t id, const char *message, int64_t now,
+                          struct gsn_error *err)
 {
     gsn_auto(gsn_request_row) row = NULL;
     gsn_auto_mem(char) text = NULL;
@@ -285,5 +368,5 @@ int gsn_request_answer(struct gsn_store *store, int64_t id, const char *message,
 {
     const int r = gsn_store_begin(store, err);
 
-    return r < 0 ? r : gsn_sql_end(store, answer(store, id, message, now, err), err);
+    return r < 0 ? r : gsn_sql_end(store, answer_request(store, id, message, now, err), err);
 }

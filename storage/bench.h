@@ -5,6 +5,7 @@
 #ifndef GSN_STORAGE_BENCH_H
 #define GSN_STORAGE_BENCH_H
 
+#include "pipeline/core/error.h"
 #include "storage/store.h"
 
 #include <stdint.h>
@@ -29,14 +30,17 @@ struct gsn_bench_sources {
 };
 
 void gsn_bench_sources_free(struct gsn_bench_sources *rows);
+
 GSN_DEFINE_AUTO(gsn_bench_sources);
 
 /* Writes a source's row; one that says the same already is not written again. */
 int gsn_bench_put(struct gsn_store *store, const struct gsn_bench_source *source, int64_t now,
                   struct gsn_error *err);
+
 /* Sources that are not among these names become "off". */
 int gsn_bench_keep(struct gsn_store *store, const char *const *names, size_t count, int64_t now,
                    struct gsn_error *err);
+
 /* gives: by name. */
 int gsn_bench_list(struct gsn_store *store, struct gsn_bench_sources **ret_rows,
                    struct gsn_error *err);
@@ -54,16 +58,19 @@ struct gsn_trouble_rows {
 };
 
 void gsn_trouble_rows_free(struct gsn_trouble_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_trouble_rows);
 
 /* Says that something could not be taken in; a second time counts the tries. A new one is a line in
  * the audit log. */
 int gsn_trouble_put(struct gsn_store *store, const struct gsn_trouble_row *trouble, int64_t now,
                     struct gsn_error *err);
+
 /* It came in after all, or is dismissed: removed; with an event in the audit log when it was there.
  */
 int gsn_trouble_clear(struct gsn_store *store, const char *source, const char *name,
                       const char *actor, int64_t now, struct gsn_error *err);
+
 /* gives: oldest first. */
 int gsn_trouble_list(struct gsn_store *store, struct gsn_trouble_rows **ret_rows,
                      struct gsn_error *err);
@@ -78,20 +85,45 @@ struct gsn_request_row {
 };
 
 void gsn_request_row_free(struct gsn_request_row *row);
+
 GSN_DEFINE_AUTO(gsn_request_row);
 
 /* Fails with GSN_E_NOTFOUND when there is no such source. */
 int gsn_request_add(struct gsn_store *store, const char *source, const char *kind,
                     const char *actor, int64_t now, int64_t *ret_id, struct gsn_error *err);
+
 /* gives: the oldest waiting one for this source. Fails with GSN_E_NOTFOUND. */
 int gsn_request_next(struct gsn_store *store, const char *source, struct gsn_request_row **ret_row,
                      struct gsn_error *err);
+
 /* gives. Fails with GSN_E_NOTFOUND. */
 int gsn_request_get(struct gsn_store *store, int64_t id, struct gsn_request_row **ret_row,
                     struct gsn_error *err);
+
 /* message NULL: done; else refused because of it. A line in the audit log. */
 int gsn_request_answer(struct gsn_store *store, int64_t id, const char *message, int64_t now,
                        struct gsn_error *err);
+
+/* Who serves a store: locks on DIR/giesond.lock that end with the process that took them.
+ *
+ * A service that was killed leaves no lock, so readers can say whether panels come in and whether
+ * the queue is worked; and no two services take in the same panels. */
+
+enum gsn_service {
+    GSN_SERVICE_INTAKE, /* panels come in */
+    GSN_SERVICE_QUEUE,  /* jobs are worked */
+};
+
+/* gives: a descriptor; the service is there until it is closed or its process ends. Programs that
+ * the process starts do not hold it.
+ *
+ * Fails with GSN_E_BUSY when another process is that service, GSN_E_IO. */
+int gsn_service_take(const char *dir, enum gsn_service service, int *ret_lock,
+                     struct gsn_error *err);
+
+/* Whether somebody is that service now; takes no lock itself. Fails with GSN_E_IO. */
+int gsn_service_is_there(const char *dir, enum gsn_service service, int *ret_there,
+                         struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -33,8 +33,11 @@ struct gsn_specimen_rows {
 };
 
 void gsn_specimen_row_free(struct gsn_specimen_row *row);
+
 GSN_DEFINE_AUTO(gsn_specimen_row);
+
 void gsn_specimen_rows_free(struct gsn_specimen_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_specimen_rows);
 
 enum gsn_specimen_clash {
@@ -54,6 +57,7 @@ int gsn_specimen_put(struct gsn_store *store, const struct gsn_specimen_row *spe
 /* gives. Fails with GSN_E_NOTFOUND "there is no specimen X". */
 int gsn_specimen_get(struct gsn_store *store, const char *name,
                      struct gsn_specimen_row **ret_specimen, struct gsn_error *err);
+
 int gsn_specimen_get_by_id(struct gsn_store *store, int64_t id,
                            struct gsn_specimen_row **ret_specimen, struct gsn_error *err);
 
@@ -70,6 +74,83 @@ int gsn_specimen_baseline(struct gsn_store *store, const char *study, const char
  * id, never itself: their figures change when this one's do. */
 int gsn_specimen_dependents(struct gsn_store *store, int64_t specimen_id,
                             struct gsn_specimen_rows **ret_rows, struct gsn_error *err);
+
+/* The files a specimen's job names beside its panels: region masks, volumes, reference maps. Their
+ * bytes are objects; a row says which name stands for which. */
+
+struct gsn_attachment_row {
+    const char *name;   /* as the job writes it, unique in the specimen */
+    const char *sha256; /* names the object */
+    int64_t size;       /* bytes */
+};
+
+struct gsn_attachment_rows {
+    size_t count;
+    struct gsn_attachment_row *at;
+};
+
+void gsn_attachment_rows_free(struct gsn_attachment_rows *rows);
+
+GSN_DEFINE_AUTO(gsn_attachment_rows);
+
+/* Inserts the row, or lets an existing name stand for these bytes from now on. ret_again: 1 when it
+ * stood for them already.
+ * Fails with GSN_E_INPUT when the specimen is unknown or the digest is none. */
+int gsn_attachment_put(struct gsn_store *store, int64_t specimen_id,
+                       const struct gsn_attachment_row *row, int *ret_again, struct gsn_error *err);
+
+/* gives: one specimen's attachments, by name. */
+int gsn_attachment_list(struct gsn_store *store, int64_t specimen_id,
+                        struct gsn_attachment_rows **ret_rows, struct gsn_error *err);
+
+/* The objects that rows rest on: which there must be, and whose they are. */
+
+struct gsn_object_row {
+    const char *sha256;
+    int64_t size; /* bytes */
+};
+
+struct gsn_object_rows {
+    size_t count;
+    struct gsn_object_row *at;
+};
+
+void gsn_object_rows_free(struct gsn_object_rows *rows);
+
+GSN_DEFINE_AUTO(gsn_object_rows);
+
+/* gives: at most most objects of panels, scans and attachments, each once, by digest, behind this
+ * one (empty: from the first on). */
+int gsn_object_list(struct gsn_store *store, const char *after, size_t most,
+                    struct gsn_object_rows **ret_rows, struct gsn_error *err);
+
+/* gives: the bytes of an object, after its hash was compared with its name.
+ * Fails with GSN_E_NOTFOUND, GSN_E_IO "... is damaged". */
+int gsn_object_read(struct gsn_store *store, const char *sha256, uint8_t **ret_bytes,
+                    size_t *ret_size, struct gsn_error *err);
+
+/* gives: a descriptor to close(), of an object whose bytes were just found to have this hash. */
+int gsn_object_open(struct gsn_store *store, const char *sha256, int *ret_fd,
+                    struct gsn_error *err);
+
+/* What rests on an object. */
+struct gsn_object_use_row {
+    const char *specimen; /* its name; empty for a scan that has none */
+    const char *name;     /* of the file */
+};
+
+struct gsn_object_use_rows {
+    size_t count;
+    struct gsn_object_use_row *at;
+};
+
+void gsn_object_use_rows_free(struct gsn_object_use_rows *rows);
+
+GSN_DEFINE_AUTO(gsn_object_use_rows);
+
+/* gives: panels and attachments first, then scans that are no panel. */
+int gsn_object_uses(struct gsn_store *store, const char *sha256,
+                    struct gsn_object_use_rows **ret_rows, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -5,5 +5,5 @@ string(REGEX REPLACE "([0-9a-f][0-9a-f])" "0x\\1, " bytes "${hex}")
 string(REGEX REPLACE "((0x.., ){16})" "\\1\n" bytes "${bytes}")
 file(WRITE ${TO}
     "/* Made from ${NAME}'s SQL by embed.cmake. */\n"
-    "#include \"storage/schema.h\"\n"
+    "#include \"storage/sql.h\"\n"
     "const char ${NAME}[] = {\n${bytes}0x00 };\n")

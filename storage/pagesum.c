@@ -46,7 +46,7 @@ enum {
 
 static const uint8_t no_sum[GSN_PAGESUM_BYTES];
 
-static uint32_t word(const uint8_t *at)
+static uint32_t read_word(const uint8_t *at)
 {
     return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
 }
@@ -62,8 +62,8 @@ void gsn_pagesum(const uint8_t *page, size_t size, uint8_t ret_sum[GSN_PAGESUM_B
     uint32_t s1 = 0, s2 = 0;
 
     for (size_t i = 0; i + 8 <= size; i += 8) {
-        s1 += word(page + i) + s2;
-        s2 += word(page + i + 4) + s1;
+        s1 += read_word(page + i) + s2;
+        s2 += read_word(page + i + 4) + s1;
     }
     put_word(ret_sum, s1);
     put_word(ret_sum + 4, s2);
@@ -245,7 +245,7 @@ static int read_at(int fd, const char *path, uint8_t *bytes, size_t size, int64_
 }
 
 /* 1: as it was written; 0: not; -1: it has no sum. */
-static int judge(const uint8_t *page, size_t size)
+static int judge_page(const uint8_t *page, size_t size)
 {
     const uint8_t *const sum = page + size - GSN_PAGESUM_BYTES;
     uint8_t right[GSN_PAGESUM_BYTES];
@@ -286,7 +286,7 @@ int gsn_pagesum_check(const char *path, void (*damaged)(void *context, int64_t p
             if (i > 0)
                 (void)nanosleep(&nap, NULL);
             r = read_at(fd, path, page, size, at, err);
-            is = r >= 0 ? judge(page, size) : 0;
+            is = r >= 0 ? judge_page(page, size) : 0;
         }
         verdict.pages++;
         verdict.damaged += r >= 0 && is == 0;

@@ -1,10 +1,86 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Panels, their sections and marks; and what a file's name says about its panel.
+ *
+ * A panel's sections lie side by side in the table (id = panel * 4096 + slot,
+ * schema/006_slices.sql), so that replacing them writes few pages. The number in a name is the last
+ * one that is called a panel ("P03", "panel 3"), else the last number at all; the specimen's own
+ * digits are skipped by the caller.
+ *
+ * How it fails: GSN_E_NOTFOUND for a panel that is not there; the rows of one panel change in one
+ * transaction. */
 #include "storage/panel_log.h"
 
+#include <ctype.h>
 #include <math.h>
+#include <stdbool.h>
+#include <string.h>
+#include <strings.h>
 
 #include "storage/sql.h"
-#include "storage/within.h"
+#include "storage/transaction.h"
+
+enum { MOST_PANEL_NUMBER = 10000 };
+
+/* Names of files. */
+
+static bool ends_with_panel(const char *stem, size_t length)
+{
+    return length >= 5 && strncasecmp(stem + length - 5, "panel", 5) == 0;
+}
+
+/* Whether the digits at this place are called a panel: "panel 3", "Panel_3", "-P03"; not "grp2". */
+static bool is_called_panel(const char *stem, size_t digits_at)
+{
+    size_t i = digits_at;
+
+    while (i > 0 && strchr("-_ .", stem[i - 1]))
+        i--;
+    if (i < digits_at || ends_with_panel(stem, i))
+        return ends_with_panel(stem, i);
+    return i > 0 && (stem[i - 1] == 'P' || stem[i - 1] == 'p') &&
+           (i == 1 || !isalnum((unsigned char)stem[i - 2]));
+}
+
+struct numbers {
+    unsigned last, called;
+};
+
+static struct numbers read_numbers(const char *name, size_t skip)
+{
+    const char *const dot = strrchr(name, '.');
+    const size_t length = dot && dot > name ? (size_t)(dot - name) : strlen(name);
+    struct numbers found = { 0, 0 };
+
+    for (size_t i = skip; i < length;) {
+        const size_t start = i;
+        unsigned value = 0;
+
+        if (!isdigit((unsigned char)name[i])) {
+            i++;
+            continue;
+        }
+        for (; i < length && isdigit((unsigned char)name[i]); i++)
+            if (value <= MOST_PANEL_NUMBER)
+                value = 10 * value + (unsigned)(name[i] - '0');
+        found.last = value <= MOST_PANEL_NUMBER ? value : 0;
+        if (is_called_panel(name, start))
+            found.called = found.last;
+    }
+    return found;
+}
+
+unsigned gsn_panel_number(const char *name, size_t skip)
+{
+    const struct numbers found = read_numbers(name, skip);
+
+    return found.called ? found.called : found.last;
+}
+
+unsigned gsn_panel_number_called(const char *name, size_t skip)
+{
+    return read_numbers(name, skip).called;
+}
 
 #define PANEL(type, name)                                                                          \
     {                                                                                              \
@@ -16,6 +92,7 @@ static const struct gsn_sql_field panel_fields[] = {
     PANEL(TEXT, message),   PANEL(INT, width),       PANEL(INT, height),   PANEL(REAL, px_um),
     PANEL(INT, turn_known), PANEL(INT, mirrored),    PANEL(INT, quarters), PANEL(TEXT, turn_note),
 };
+
 #undef PANEL
 
 #define SELECT_PANEL                                                                               \
@@ -51,12 +128,16 @@ static const struct gsn_sql_field section_fields[] = {
     MARKER(1),
     MARKER(2),
 };
+
 #undef MARKER
+
 #undef SECTION
 
 static const struct gsn_sql_shape section_shape = SQL_SHAPE(struct gsn_section_row, section_fields);
 
 SQL_DEFINE_ROWS(section);
+
+/* Panels and sections. */
 
 int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
                      int *ret_again, struct gsn_error *err)
@@ -126,8 +207,8 @@ int gsn_panel_list(struct gsn_store *store, int64_t specimen_id, struct gsn_pane
                       SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
 }
 
-static int update(struct gsn_store *store, int64_t id, const char *sql, struct gsn_sql_args args,
-                  struct gsn_error *err)
+static int update_panel(struct gsn_store *store, int64_t id, const char *sql,
+                        struct gsn_sql_args args, struct gsn_error *err)
 {
     int64_t changed = 0;
     const int r = gsn_sql_run(store, sql, args, &changed, err);
@@ -140,33 +221,35 @@ static int update(struct gsn_store *store, int64_t id, const char *sql, struct g
 int gsn_panel_set_state(struct gsn_store *store, int64_t id, const char *state, const char *code,
                         const char *message, struct gsn_error *err)
 {
-    return update(store, id, "UPDATE panel SET state = ?2, code = ?3, message = ?4 WHERE id = ?1",
-                  SQL_ARGS(SQL_INT(id), SQL_TEXT(state), SQL_TEXT(code), SQL_TEXT(message)), err);
+    return update_panel(
+        store, id, "UPDATE panel SET state = ?2, code = ?3, message = ?4 WHERE id = ?1",
+        SQL_ARGS(SQL_INT(id), SQL_TEXT(state), SQL_TEXT(code), SQL_TEXT(message)), err);
 }
 
 int gsn_panel_set_name(struct gsn_store *store, int64_t id, int64_t number, const char *file_name,
                        struct gsn_error *err)
 {
-    return update(store, id, "UPDATE panel SET number = ?2, file_name = ?3 WHERE id = ?1",
-                  SQL_ARGS(SQL_INT(id), SQL_INT(number), SQL_TEXT(file_name)), err);
+    return update_panel(store, id, "UPDATE panel SET number = ?2, file_name = ?3 WHERE id = ?1",
+                        SQL_ARGS(SQL_INT(id), SQL_INT(number), SQL_TEXT(file_name)), err);
 }
 
 int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64_t height,
                        double px_um, struct gsn_error *err)
 {
-    return update(store, id, "UPDATE panel SET width = ?2, height = ?3, px_um = ?4 WHERE id = ?1",
-                  SQL_ARGS(SQL_INT(id), SQL_INT(width), SQL_INT(height), SQL_REAL(px_um)), err);
+    return update_panel(
+        store, id, "UPDATE panel SET width = ?2, height = ?3, px_um = ?4 WHERE id = ?1",
+        SQL_ARGS(SQL_INT(id), SQL_INT(width), SQL_INT(height), SQL_REAL(px_um)), err);
 }
 
 int gsn_panel_set_turn(struct gsn_store *store, int64_t id, int64_t mirrored, int64_t quarters,
                        const char *note, struct gsn_error *err)
 {
-    return update(store, id,
-                  "UPDATE panel SET mirrored = ?2, quarters = ?3, turn_note = ?4 WHERE id = ?1",
-                  SQL_ARGS(SQL_INT(id), SQL_INT(mirrored), SQL_INT(quarters), SQL_TEXT(note)), err);
+    return update_panel(
+        store, id, "UPDATE panel SET mirrored = ?2, quarters = ?3, turn_note = ?4 WHERE id = ?1",
+        SQL_ARGS(SQL_INT(id), SQL_INT(mirrored), SQL_INT(quarters), SQL_TEXT(note)), err);
 }
 
-static double if_found(const struct gsn_marker_row *marker, double value)
+static double if_found(const struct gsn_fiducial_row *marker, double value)
 {
     return marker->found ? value : NAN;
 }
@@ -204,6 +287,7 @@ static int insert_section(struct gsn_store *store, int64_t panel_id,
                                           (long long)section->slot)
                             : r;
 }
+
 #undef MARK
 
 int gsn_section_replace(struct gsn_store *store, int64_t panel_id,

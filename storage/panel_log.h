@@ -10,6 +10,7 @@
 
 #include "storage/store.h"
 
+#include <stddef.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -45,8 +46,11 @@ struct gsn_panel_rows {
 };
 
 void gsn_panel_row_free(struct gsn_panel_row *row);
+
 GSN_DEFINE_AUTO(gsn_panel_row);
+
 void gsn_panel_rows_free(struct gsn_panel_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_panel_rows);
 
 /* Inserts a panel (id and how its picture was turned are not read). The same bytes for the same
@@ -55,27 +59,33 @@ GSN_DEFINE_AUTO(gsn_panel_rows);
  * none. */
 int gsn_panel_put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
                   int *ret_again, struct gsn_error *err);
+
 /* gives. Fails with GSN_E_NOTFOUND. */
 int gsn_panel_get(struct gsn_store *store, int64_t id, struct gsn_panel_row **ret_panel,
                   struct gsn_error *err);
+
 /* gives: one specimen's panels by number, unknown numbers last, then by id. */
 int gsn_panel_list(struct gsn_store *store, int64_t specimen_id, struct gsn_panel_rows **ret_rows,
                    struct gsn_error *err);
+
 /* code and message: NULL stands for empty. Fails with GSN_E_NOTFOUND, GSN_E_INPUT. */
 int gsn_panel_set_state(struct gsn_store *store, int64_t id, const char *state, const char *code,
                         const char *message, struct gsn_error *err);
+
 /* A file that was delivered again under another name: what it is called now counts. */
 int gsn_panel_set_name(struct gsn_store *store, int64_t id, int64_t number, const char *file_name,
                        struct gsn_error *err);
+
 /* What the decoder found. */
 int gsn_panel_set_size(struct gsn_store *store, int64_t id, int64_t width, int64_t height,
                        double px_um, struct gsn_error *err);
+
 /* How its picture was set upright when what is known of its sections was found. Fails with
  * GSN_E_NOTFOUND, GSN_E_INPUT. */
 int gsn_panel_set_turn(struct gsn_store *store, int64_t id, int64_t mirrored, int64_t quarters,
                        const char *note, struct gsn_error *err);
 
-struct gsn_marker_row {
+struct gsn_fiducial_row {
     int64_t found; /* 0: the rest is not read, and reads back as NaN */
     double x_px, y_px, radius_px;
     double cov_xx, cov_xy, cov_yy; /* of the position, px^2 */
@@ -91,7 +101,7 @@ struct gsn_section_row {
     const char *flags;                     /* words separated by one space, or empty */
     double bbox_x, bbox_y, bbox_w, bbox_h; /* pixels */
     double area_px;
-    struct gsn_marker_row marker[GSN_ROW_MARKS]; /* marks 1, 2, 3 */
+    struct gsn_fiducial_row marker[GSN_ROW_MARKS]; /* marks 1, 2, 3 */
 };
 
 struct gsn_section_rows {
@@ -100,6 +110,7 @@ struct gsn_section_rows {
 };
 
 void gsn_section_rows_free(struct gsn_section_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_section_rows);
 
 /* Puts these in place of all sections of the panel, marks included, in one transaction; their
@@ -108,9 +119,21 @@ GSN_DEFINE_AUTO(gsn_section_rows);
 int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
                         const struct gsn_section_row *sections, size_t count,
                         struct gsn_error *err);
+
 /* gives: all sections of a specimen's panels, by serial number (unknown ones last), panel, slot. */
 int gsn_section_list(struct gsn_store *store, int64_t specimen_id,
                      struct gsn_section_rows **ret_rows, struct gsn_error *err);
+
+/* What a scan's name says about the panel it shows. */
+
+/* The panel number in a file name: the last number that is called a panel ("P03", "panel 3"), else
+ * the last number at all; 0 when there is none or it is beyond 10000. The first skip bytes and the
+ * extension are not read. */
+unsigned gsn_panel_number(const char *name, size_t skip);
+
+/* The same, but only a number that is called a panel: cameras count their pictures in names, and
+ * that count is no panel's number. */
+unsigned gsn_panel_number_called(const char *name, size_t skip);
 
 #ifdef __cplusplus
 }

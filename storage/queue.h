@@ -11,8 +11,10 @@
 #ifndef GSN_STORAGE_QUEUE_H
 #define GSN_STORAGE_QUEUE_H
 
+#include "pipeline/core/error.h"
 #include "storage/store.h"
 
+#include <stddef.h>
 #include <stdint.h>
 #include <sys/types.h>
 
@@ -51,8 +53,11 @@ struct gsn_job_rows {
 };
 
 void gsn_job_row_free(struct gsn_job_row *row);
+
 GSN_DEFINE_AUTO(gsn_job_row);
+
 void gsn_job_rows_free(struct gsn_job_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_job_rows);
 
 /* Asks for a job; panel_id 0 means the specimen job. A waiting one stays as it is, a running one
@@ -85,8 +90,10 @@ int gsn_queue_claim(struct gsn_store *store, const char *owner, pid_t pid, int64
 int gsn_queue_progress(struct gsn_store *store, const struct gsn_job_row *job, const char *stage,
                        int64_t done, int64_t total, double eta_s, int64_t now,
                        struct gsn_error *err);
+
 /* Done; or waiting again when it was asked for meanwhile. */
 int gsn_queue_done(struct gsn_store *store, const struct gsn_job_row *job, struct gsn_error *err);
+
 /* Failed with this code (enum gsn_code) and sentence; or waiting again when asked for meanwhile. */
 int gsn_queue_fail(struct gsn_store *store, const struct gsn_job_row *job, int code,
                    const char *message, struct gsn_error *err);
@@ -94,6 +101,7 @@ int gsn_queue_fail(struct gsn_store *store, const struct gsn_job_row *job, int c
 /* Given back undone, because the service stops: it waits again, and no death is counted. */
 int gsn_queue_release(struct gsn_store *store, const struct gsn_job_row *job,
                       struct gsn_error *err);
+
 /* gives: the running job that this process of this machine claimed. Fails with GSN_E_NOTFOUND. */
 int gsn_queue_of_process(struct gsn_store *store, pid_t pid, struct gsn_job_row **ret_job,
                          struct gsn_error *err);
@@ -109,8 +117,22 @@ int gsn_queue_list(struct gsn_store *store, struct gsn_job_rows **ret_rows, stru
 struct gsn_job_counts {
     int64_t waiting, running, done, failed;
 };
+
 int gsn_queue_counts(struct gsn_store *store, struct gsn_job_counts *ret_counts,
                      struct gsn_error *err);
+
+/* For the claim and its test: a specimen with a waiting or running job. */
+struct gsn_queue_node {
+    int64_t specimen_id, group_id;
+    int64_t ready_job; /* its specimen job, when only that is left and waits; else 0 */
+    int64_t base_specimen, base_group; /* what its baseline stands for; 0: nothing */
+};
+
+/* The lowest ready job that waits for nobody, or only for such as wait for it in turn, all of them
+ * ready: without the second a circle of baselines would stand still for ever. ret_job is 0 when
+ * there is none, and then something else is running or runs before. Fails with GSN_E_NOMEM. */
+int gsn_queue_next_specimen_job(const struct gsn_queue_node *nodes, size_t count, int64_t *ret_job,
+                                struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Runs with their measures, poses and stain batches; and the overview of the store.
+ *
+ * A run begins as a row with its key and inputs and ends in one transaction with all its rows and
+ * its seal (audit.h); rows of a finished run never change. The overview is counted by the database,
+ * one row per specimen and one per panel that waits for something, so that it stays quick with
+ * thousands of panels.
+ *
+ * How it fails: a run that has ended does not end again (GSN_E_INPUT); NaN is NULL in the database.
+ */
 #include "storage/result.h"
 
 #include "storage/audit.h"
@@ -18,6 +28,7 @@ static const struct gsn_sql_field run_fields[] = {
     RUN(TEXT, event_head),  RUN(INT, started),
     RUN(INT, finished),
 };
+
 #undef RUN
 #define SELECT_RUN                                                                                 \
     "SELECT id, specimen_id, key, version, inputs_json, parameters_json, state, message, "         \
@@ -35,6 +46,7 @@ static const struct gsn_sql_field measure_fields[] = {
     MEASURE(INT, run_id), MEASURE(TEXT, name),  MEASURE(REAL, value),
     MEASURE(REAL, lower), MEASURE(REAL, upper), MEASURE(TEXT, unit),
 };
+
 #undef MEASURE
 #define MEASURE_COLUMNS "run_id, name, value, lower, upper, unit"
 static const struct gsn_sql_shape measure_shape = SQL_SHAPE(struct gsn_measure_row, measure_fields);
@@ -51,6 +63,7 @@ static const struct gsn_sql_field pose_fields[] = {
     POSE(REAL, m11),    POSE(REAL, m12),     POSE(INT, flipped), POSE(INT, rotated180),
     POSE(REAL, rms_um), POSE(REAL, tre_um),
 };
+
 #undef POSE
 #define POSE_COLUMNS                                                                               \
     "run_id, panel_id, slot, serial, m00, m01, m02, m10, m11, m12, flipped, rotated180, rms_um, "  \
@@ -69,6 +82,7 @@ static const struct gsn_sql_field stain_fields[] = {
     STAIN(REAL, vector[3]), STAIN(REAL, vector[4]), STAIN(REAL, vector[5]), STAIN(REAL, vector[6]),
     STAIN(REAL, vector[7]), STAIN(REAL, vector[8]), STAIN(TEXT, source),
 };
+
 #undef STAIN
 #define STAIN_COLUMNS                                                                              \
     "run_id, panel_id, white_r, white_g, white_b, dye1_r, dye1_g, dye1_b, dye2_r, dye2_g, "        \
@@ -76,6 +90,8 @@ static const struct gsn_sql_field stain_fields[] = {
 static const struct gsn_sql_shape stain_shape = SQL_SHAPE(struct gsn_stain_row, stain_fields);
 
 SQL_DEFINE_ROWS(stain);
+
+/* Runs. */
 
 static int begin_run(struct gsn_store *store, const struct gsn_run_row *run, int64_t now,
                      int64_t *ret_id, struct gsn_error *err)
@@ -146,8 +162,8 @@ static int end_run(struct gsn_store *store, int64_t run_id, const struct gsn_run
 }
 
 /* Inserts one row whose first field is the run's id. */
-static int insert(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
-                  const void *row, int64_t run_id, struct gsn_error *err)
+static int insert_row(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                      const void *row, int64_t run_id, struct gsn_error *err)
 {
     struct gsn_sql_value values[16];
     const struct gsn_sql_args args = gsn_sql_fields(shape, row, values);
@@ -157,25 +173,27 @@ static int insert(struct gsn_store *store, const struct gsn_sql_shape *shape, co
 }
 
 /* In a transaction. */
-static int finish(struct gsn_store *store, int64_t run_id, const struct gsn_run_end *end,
-                  int64_t now, struct gsn_error *err)
+static int finish_run(struct gsn_store *store, int64_t run_id, const struct gsn_run_end *end,
+                      int64_t now, struct gsn_error *err)
 {
     int r = GSN_OK;
 
     for (size_t i = 0; r >= 0 && i < end->measure_count; i++)
-        r = insert(store, &measure_shape,
-                   "INSERT INTO measure (" MEASURE_COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-                   &end->measures[i], run_id, err);
+        r = insert_row(store, &measure_shape,
+                       "INSERT INTO measure (" MEASURE_COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                       &end->measures[i], run_id, err);
     for (size_t i = 0; r >= 0 && i < end->pose_count; i++)
-        r = insert(store, &pose_shape,
-                   "INSERT INTO pose (" POSE_COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, "
-                   "?9, ?10, ?11, ?12, ?13, ?14)",
-                   &end->poses[i], run_id, err);
+        r = insert_row(store, &pose_shape,
+                       "INSERT INTO pose (" POSE_COLUMNS
+                       ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, "
+                       "?9, ?10, ?11, ?12, ?13, ?14)",
+                       &end->poses[i], run_id, err);
     for (size_t i = 0; r >= 0 && i < end->stain_count; i++)
-        r = insert(store, &stain_shape,
-                   "INSERT INTO stain_batch (" STAIN_COLUMNS ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, "
-                   "?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)",
-                   &end->stains[i], run_id, err);
+        r = insert_row(store, &stain_shape,
+                       "INSERT INTO stain_batch (" STAIN_COLUMNS
+                       ") VALUES (?1, ?2, ?3, ?4, ?5, ?6, "
+                       "?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)",
+                       &end->stains[i], run_id, err);
     if (r >= 0)
         r = end_run(store, run_id, end, now, err);
     if (r >= 0)
@@ -192,7 +210,7 @@ int gsn_run_finish(struct gsn_store *store, int64_t run_id, const struct gsn_run
         return r;
     r = check_running(store, run_id, err);
     if (r >= 0)
-        r = finish(store, run_id, end, now, err);
+        r = finish_run(store, run_id, end, now, err);
     return gsn_sql_end(store, r, err);
 }
 
@@ -246,4 +264,131 @@ int gsn_stain_list(struct gsn_store *store, int64_t run_id, struct gsn_stain_row
     return stain_rows(store,
                       "SELECT " STAIN_COLUMNS " FROM stain_batch WHERE run_id = ?1 ORDER BY id",
                       SQL_ARGS(SQL_INT(run_id)), ret_rows, err);
+}
+
+#define FIELD(type, name)                                                                          \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct gsn_overview_row, name)                                    \
+    }
+static const struct gsn_sql_field overview_fields[] = {
+    FIELD(INT, id),           FIELD(TEXT, name),
+    FIELD(TEXT, group),       FIELD(INT, panels),
+    FIELD(INT, registered),   FIELD(INT, refused),
+    FIELD(INT, sections),     FIELD(INT, found),
+    FIELD(INT, run),          FIELD(TEXT, run_state),
+    FIELD(TEXT, run_message), FIELD(TEXT, report_path),
+    FIELD(REAL, loss),        FIELD(REAL, loss_lower),
+    FIELD(REAL, loss_upper),  FIELD(REAL, mean_density),
+    FIELD(INT, changed),      FIELD(TEXT, job.state),
+    FIELD(TEXT, job.stage),   FIELD(INT, job.done),
+    FIELD(INT, job.total),    FIELD(REAL, job.eta_s),
+    FIELD(TEXT, job.message),
+};
+
+#undef FIELD
+static const struct gsn_sql_shape overview_shape =
+    SQL_SHAPE(struct gsn_overview_row, overview_fields);
+
+#define FIELD(type, name)                                                                          \
+    {                                                                                              \
+        GSN_SQL_##type, offsetof(struct gsn_open_panel_row, name)                                  \
+    }
+static const struct gsn_sql_field open_panel_fields[] = {
+    FIELD(INT, id),         FIELD(INT, specimen_id),  FIELD(INT, number),   FIELD(TEXT, file_name),
+    FIELD(TEXT, state),     FIELD(TEXT, message),     FIELD(INT, arrived),  FIELD(INT, scan),
+    FIELD(TEXT, job.state), FIELD(TEXT, job.stage),   FIELD(INT, job.done), FIELD(INT, job.total),
+    FIELD(REAL, job.eta_s), FIELD(TEXT, job.message),
+};
+
+#undef FIELD
+static const struct gsn_sql_shape open_panel_shape =
+    SQL_SHAPE(struct gsn_open_panel_row, open_panel_fields);
+
+#define FIELD(name)                                                                                \
+    {                                                                                              \
+        GSN_SQL_INT, offsetof(struct gsn_doubt_row, name)                                          \
+    }
+static const struct gsn_sql_field doubt_fields[] = { FIELD(specimen_id), FIELD(panel), FIELD(slot),
+                                                     FIELD(serial), FIELD(candidates) };
+
+#undef FIELD
+static const struct gsn_sql_shape doubt_shape = SQL_SHAPE(struct gsn_doubt_row, doubt_fields);
+
+SQL_DEFINE_ROWS(doubt);
+SQL_DEFINE_ROWS(overview);
+SQL_DEFINE_ROWS(open_panel);
+
+/* When each panel came: by the ledger, or by the audit log for one that was imported by hand. The
+ * audit log grows for ever and has no index for this; its end tells of what is recent. */
+#define ARRIVAL                                                                                    \
+    "WITH told AS MATERIALIZED (SELECT text AS sha256, time FROM event WHERE kind = 'panel' AND "  \
+    "id > (SELECT coalesce(max(id), 0) FROM event) - 20000), "                                     \
+    "arrival AS MATERIALIZED (SELECT panel_id, max(at) AS at, max(scan) AS scan FROM ("            \
+    "SELECT panel_id, arrived AS at, id AS scan FROM scan WHERE panel_id IS NOT NULL "             \
+    "UNION ALL SELECT p.id, t.time, 0 FROM panel p JOIN told t ON t.sha256 = p.sha256) "           \
+    "GROUP BY panel_id) "
+
+#define JOB                                                                                        \
+    "coalesce(j.state, ''), coalesce(j.stage, ''), coalesce(j.done, 0), coalesce(j.total, 0), "    \
+    "j.eta_s, coalesce(j.message, '') "
+
+/* The overview. */
+
+int gsn_overview_list(struct gsn_store *store, struct gsn_overview_rows **ret_rows,
+                      struct gsn_error *err)
+{
+    return overview_rows(
+        store,
+        ARRIVAL
+        ", p AS MATERIALIZED (SELECT specimen_id, sum(code <> 'spare') AS n, sum(state = "
+        "'registered') "
+        "AS registered, sum(state IN ('refused', 'held') AND code <> 'spare') AS refused, "
+        "max(a.at) AS at "
+        "FROM panel LEFT JOIN arrival a ON a.panel_id = panel.id GROUP BY specimen_id), "
+        "c AS MATERIALIZED (SELECT panel.specimen_id, sum(section.state <> 'empty') AS n, "
+        "sum(section.state = 'found') AS found FROM panel JOIN section "
+        "ON section.panel_id = panel.id GROUP BY panel.specimen_id) "
+        "SELECT s.id, s.name, g.name, coalesce(p.n, 0), coalesce(p.registered, 0), "
+        "coalesce(p.refused, 0), coalesce(c.n, 0), coalesce(c.found, 0), coalesce(r.id, 0), "
+        "coalesce(r.state, ''), coalesce(r.message, ''), coalesce(r.report_path, ''), l.value, "
+        "l.lower, l.upper, d.value, max(coalesce(r.finished, 0), coalesce(p.at, 0)), " JOB
+        "FROM specimen s JOIN study_group g ON g.id = s.group_id "
+        "LEFT JOIN p ON p.specimen_id = s.id LEFT JOIN c ON c.specimen_id = s.id "
+        "LEFT JOIN run r ON r.id = (SELECT max(id) FROM run WHERE specimen_id = s.id) "
+        "LEFT JOIN measure l ON l.run_id = r.id AND l.name = 'loss' "
+        "LEFT JOIN measure d ON d.run_id = r.id AND d.name = 'mean_density' "
+        "LEFT JOIN job j ON j.kind = 'specimen' AND j.specimen_id = s.id AND "
+        "coalesce(j.panel_id, 0) = 0 AND j.state <> 'done' ORDER BY s.id",
+        SQL_NO_ARGS, ret_rows, err);
+}
+
+int gsn_overview_panels(struct gsn_store *store, struct gsn_open_panel_rows **ret_rows,
+                        struct gsn_error *err)
+{
+    return open_panel_rows(
+        store,
+        ARRIVAL
+        "SELECT p.id, p.specimen_id, p.number, p.file_name, p.state, p.message, "
+        "coalesce(a.at, 0), coalesce(a.scan, 0), " JOB
+        "FROM panel p LEFT JOIN job j ON j.kind = 'panel' AND "
+        "j.specimen_id = p.specimen_id AND coalesce(j.panel_id, 0) = p.id AND j.state <> 'done' "
+        "LEFT JOIN arrival a ON a.panel_id = p.id "
+        "WHERE j.id IS NOT NULL OR (p.state IN ('refused', 'held') AND p.code <> 'spare') "
+        "ORDER BY p.specimen_id, p.number = 0, p.number, p.id",
+        SQL_NO_ARGS, ret_rows, err);
+}
+
+int gsn_overview_doubts(struct gsn_store *store, struct gsn_doubt_rows **ret_rows,
+                        struct gsn_error *err)
+{
+    return doubt_rows(
+        store,
+        "SELECT p.specimen_id, p.number, s.slot, s.serial, json_array_length(s.candidates) "
+        "FROM section s JOIN panel p ON p.id = s.panel_id LEFT JOIN decision d ON "
+        "d.specimen_id = p.specimen_id AND d.number = p.number AND d.slot = s.slot "
+        "WHERE s.candidates <> '' AND p.state = 'registered' AND (d.slot IS NULL OR "
+        "s.flags LIKE '%decision-void%' OR s.flags LIKE '%decided%') AND NOT EXISTS ("
+        "SELECT 1 FROM json_each(s.candidates) c WHERE json_extract(c.value, '$.chosen') = 1) "
+        "ORDER BY p.specimen_id, p.number, s.slot",
+        SQL_NO_ARGS, ret_rows, err);
 }

@@ -36,8 +36,11 @@ struct gsn_run_rows {
 };
 
 void gsn_run_row_free(struct gsn_run_row *row);
+
 GSN_DEFINE_AUTO(gsn_run_row);
+
 void gsn_run_rows_free(struct gsn_run_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_run_rows);
 
 /* One figure; run_id is not read when given to gsn_run_finish(). */
@@ -54,6 +57,7 @@ struct gsn_measure_rows {
 };
 
 void gsn_measure_rows_free(struct gsn_measure_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_measure_rows);
 
 /* Where a section lies in the block: x_um = m00 x_px + m01 y_px + m02, y_um likewise. It keeps the
@@ -72,6 +76,7 @@ struct gsn_pose_rows {
 };
 
 void gsn_pose_rows_free(struct gsn_pose_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_pose_rows);
 
 /* The colours one panel was read with. */
@@ -88,6 +93,7 @@ struct gsn_stain_rows {
 };
 
 void gsn_stain_rows_free(struct gsn_stain_rows *rows);
+
 GSN_DEFINE_AUTO(gsn_stain_rows);
 
 /* Starts a run: reads specimen_id, key, version, inputs_json and parameters_json. An earlier run
@@ -119,9 +125,11 @@ int gsn_run_finish(struct gsn_store *store, int64_t run_id, const struct gsn_run
 /* gives: the specimen's latest run in this state; NULL: in any. Fails with GSN_E_NOTFOUND. */
 int gsn_run_latest(struct gsn_store *store, int64_t specimen_id, const char *state,
                    struct gsn_run_row **ret_run, struct gsn_error *err);
+
 /* gives. Fails with GSN_E_NOTFOUND. */
 int gsn_run_get(struct gsn_store *store, int64_t id, struct gsn_run_row **ret_run,
                 struct gsn_error *err);
+
 /* gives: the specimen's runs (0: of all specimens), oldest first. */
 int gsn_run_list(struct gsn_store *store, int64_t specimen_id, struct gsn_run_rows **ret_rows,
                  struct gsn_error *err);
@@ -129,10 +137,93 @@ int gsn_run_list(struct gsn_store *store, int64_t specimen_id, struct gsn_run_ro
 /* give: in the order they were written. */
 int gsn_measure_list(struct gsn_store *store, int64_t run_id, struct gsn_measure_rows **ret_rows,
                      struct gsn_error *err);
+
 int gsn_pose_list(struct gsn_store *store, int64_t run_id, struct gsn_pose_rows **ret_rows,
                   struct gsn_error *err);
+
 int gsn_stain_list(struct gsn_store *store, int64_t run_id, struct gsn_stain_rows **ret_rows,
                    struct gsn_error *err);
+
+/* The store at a glance: one row per specimen and one per panel that is not settled, counted by the
+ * database so that it stays quick with thousands of panels. */
+
+/* A job as far as it is not done: "waiting", "running", "failed", or empty when there is none. */
+struct gsn_overview_job {
+    const char *state;
+    const char *stage; /* empty before the first progress */
+    int64_t done, total;
+    double eta_s;        /* seconds left; NaN: unknown */
+    const char *message; /* why it failed, or empty */
+};
+
+struct gsn_overview_row {
+    int64_t id;
+    const char *name, *group;
+    int64_t panels, registered, refused; /* refused or held */
+    int64_t sections, found;             /* slots that are not empty, and those with a section */
+    int64_t run;                         /* the latest; 0: none */
+    const char *run_state, *run_message, *report_path; /* its own; empty where there is none */
+    double loss, loss_lower, loss_upper, mean_density; /* NaN: none */
+    int64_t changed;             /* when a panel last arrived or a run last ended; 0: unknown */
+    struct gsn_overview_job job; /* the specimen's own, not its panels' */
+};
+
+struct gsn_overview_rows {
+    size_t count;
+    struct gsn_overview_row *at;
+};
+
+void gsn_overview_rows_free(struct gsn_overview_rows *rows);
+
+GSN_DEFINE_AUTO(gsn_overview_rows);
+
+/* gives: all specimens, in order of id. */
+int gsn_overview_list(struct gsn_store *store, struct gsn_overview_rows **ret_rows,
+                      struct gsn_error *err);
+
+struct gsn_open_panel_row {
+    int64_t id, specimen_id;
+    int64_t number; /* 0: unknown */
+    const char *file_name;
+    const char *state, *message; /* of the panel */
+    int64_t arrived;             /* 0: unknown */
+    int64_t scan;                /* that it came as; 0: it was imported */
+    struct gsn_overview_job job;
+};
+
+struct gsn_open_panel_rows {
+    size_t count;
+    struct gsn_open_panel_row *at;
+};
+
+void gsn_open_panel_rows_free(struct gsn_open_panel_rows *rows);
+
+GSN_DEFINE_AUTO(gsn_open_panel_rows);
+
+/* gives: panels that are refused or held or whose job is not done, by specimen, number, id. */
+int gsn_overview_panels(struct gsn_store *store, struct gsn_open_panel_rows **ret_rows,
+                        struct gsn_error *err);
+
+/* A section whose pose a person is to choose: nobody did, or the choice could not be used. */
+struct gsn_doubt_row {
+    int64_t specimen_id;
+    int64_t panel, slot; /* the panel's number, the slot from 1 */
+    int64_t serial;      /* from 1; 0: unknown */
+    int64_t candidates;  /* poses to choose from */
+};
+
+struct gsn_doubt_rows {
+    size_t count;
+    struct gsn_doubt_row *at;
+};
+
+void gsn_doubt_rows_free(struct gsn_doubt_rows *rows);
+
+GSN_DEFINE_AUTO(gsn_doubt_rows);
+
+/* gives: those of all specimens, by specimen, panel, slot. */
+int gsn_overview_doubts(struct gsn_store *store, struct gsn_doubt_rows **ret_rows,
+                        struct gsn_error *err);
 
 #ifdef __cplusplus
 }

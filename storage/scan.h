@@ -3,10 +3,10 @@
 /* The ledger of what came from the bench: one row per picture.
  *
  * A picture is logged in two steps. Its source waits for the first: when the bytes are durable, one
- * row of the inbox says all that is known of them, in one commit that writes one page. The second
- * settles what lies in the inbox, many at once: the row in the ledger, the panel, its job and the
+ * row of the staging table says all that is known of them, in one commit that writes one page. The
+ * second commits what lies there, many at once: the row in the ledger, the panel, its job and the
  * line in the audit log. Nobody can come between them, because every transaction that writes begins
- * with settling; so all is as if a picture were filed in the moment in which it came. */
+ * with committing; so all is as if a picture were filed in the moment in which it came. */
 #ifndef GSN_STORAGE_SCAN_H
 #define GSN_STORAGE_SCAN_H
 
@@ -47,17 +47,16 @@ GSN_DEFINE_AUTO(gsn_scan_row);
 void gsn_scan_rows_free(struct gsn_scan_rows *rows);
 GSN_DEFINE_AUTO(gsn_scan_rows);
 
-/* Takes a picture into the inbox: when this returns it is durable. The row's state, reason and
- * panel_id are not read.
- * number: the panel's number as far as the source's names tell it, 0 for none.
- * ret_id: of its row in the ledger, once it is settled. ret_again: 1 when the same picture (source,
- * name, bytes) was there; then nothing is written. A handle settles by itself when it has taken
- * many. */
-int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
-                  int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err);
+/* Puts a picture into the staging table: when this returns it is durable. The row's state, reason
+ * and panel_id are not read. number: the panel's number as far as the source's names tell it, 0 for
+ * none. ret_id: of its row in the ledger, once it is committed. ret_again: 1 when the same picture
+ * (source, name, bytes) was there; then nothing is written. A handle commits by itself when it has
+ * staged many. */
+int gsn_scan_stage(struct gsn_store *store, const struct gsn_scan_row *scan, unsigned number,
+                   int64_t now, int64_t *ret_id, int *ret_again, struct gsn_error *err);
 
-/* Settles what lies in the inbox, in one transaction; nothing there, nothing is written. Until then
- * no list shows it. To be called when a burst is over. A panel goes
+/* Commits what lies in the staging table, in one transaction; nothing there, nothing is written.
+ * Until then no list shows it. To be called when a burst is over. A panel goes
  *   1. to the specimen that the source is expected to deliver (gsn_scan_expect), unless its own
  *      name begins with another one's: then a person must say;
  *   2. else to the specimen whose name its own name begins with, the longest of them, followed by
@@ -67,9 +66,9 @@ int gsn_scan_take(struct gsn_store *store, const struct gsn_scan_row *scan, unsi
  * follows, never from the specimen's own digits. A picture without one that goes to an expected
  * specimen takes the number behind the highest there; else the panel is held as an import would.
  * Only specimens cut into sections have panels. */
-int gsn_scan_settle(struct gsn_store *store, struct gsn_error *err);
-/* How many pictures are durable and not settled yet, whoever took them in. */
-int gsn_scan_count_unsettled(struct gsn_store *store, int64_t *ret_count, struct gsn_error *err);
+int gsn_scan_commit_staged(struct gsn_store *store, struct gsn_error *err);
+/* How many pictures are durable and not committed yet, whoever staged them. */
+int gsn_scan_count_staged(struct gsn_store *store, int64_t *ret_count, struct gsn_error *err);
 
 /* Whether a scan with this key was taken in; an empty key never is. */
 int gsn_scan_is_known(struct gsn_store *store, const char *key, int *ret_known,
@@ -93,9 +92,10 @@ int gsn_scan_newest(struct gsn_store *store, const char *source, const char *sub
 int gsn_scan_file(struct gsn_store *store, int64_t id, const char *specimen, unsigned number,
                   const char *actor, int64_t now, struct gsn_error *err);
 
-/* Takes that back, whoever placed it: the scan is unfiled again. Its panel is forgotten, with what was
- * found on it; one that a report rests on stays, and is refused until it is filed again. Fails with GSN_E_INPUT when the scan is
- * not filed, GSN_E_BUSY while its panel is being looked at, GSN_E_NOTFOUND. */
+/* Takes that back, whoever placed it: the scan is unfiled again. Its panel is forgotten, with what
+ * was found on it; one that a report rests on stays, and is refused until it is filed again. Fails
+ * with GSN_E_INPUT when the scan is not filed, GSN_E_BUSY while its panel is being looked at,
+ * GSN_E_NOTFOUND. */
 int gsn_scan_unfile(struct gsn_store *store, int64_t id, const char *actor, int64_t now,
                     struct gsn_error *err);
 

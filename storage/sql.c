@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* How storage/ speaks to SQLite: one statement with its arguments, run to its end.
+ *
+ * Steps. Take a kept statement of this text or compile it; bind ?1, ?2, ...; step; copy the rows
+ * into structs as a shape says, texts owned; give the statement back. Compiling costs a scan's rows
+ * more than writing them, so 48 statements are kept, those used last at the end: what is done again
+ * and again uses its statements in turn.
+ *
+ * How it fails: GSN_E_NOTFOUND where a row was asked for and none is there; else as
+ * gsn_store_failed() says. A statement is given back whatever happened. */
 #include "storage/sql.h"
 
 #include <assert.h>
@@ -6,7 +16,47 @@
 #include <sqlite3.h>
 #include <string.h>
 
-#include "storage/kept.h"
+/* Kept statements. */
+
+static sqlite3_stmt *take_out(struct gsn_kept *kept, size_t index)
+{
+    sqlite3_stmt *const statement = kept->at[index];
+
+    kept->count--;
+    memmove(&kept->at[index], &kept->at[index + 1], (kept->count - index) * sizeof *kept->at);
+    return statement;
+}
+
+struct sqlite3_stmt *gsn_kept_take(struct gsn_kept *kept, const char *sql)
+{
+    for (size_t i = 0; i < kept->count; i++) {
+        const size_t at = (kept->next + i) % kept->count;
+
+        if (strcmp(sqlite3_sql(kept->at[at]), sql) != 0)
+            continue;
+        kept->next = at;
+        return take_out(kept, at);
+    }
+    return NULL;
+}
+
+void gsn_kept_give(struct gsn_kept *kept, struct sqlite3_stmt *statement)
+{
+    if (!statement)
+        return;
+    /* What reset returns is the failure of the last step, which was told. */
+    (void)sqlite3_reset(statement);
+    (void)sqlite3_clear_bindings(statement);
+    if (kept->count == GSN_KEPT_STATEMENTS)
+        (void)sqlite3_finalize(take_out(kept, 0));
+    kept->at[kept->count++] = statement;
+}
+
+void gsn_kept_done(struct gsn_kept *kept)
+{
+    while (kept->count > 0)
+        (void)sqlite3_finalize(kept->at[--kept->count]);
+}
 
 /* Goes back to those that are kept. */
 struct statement {
@@ -14,13 +64,15 @@ struct statement {
     sqlite3_stmt *sqlite;
 };
 
+/* Statements and rows. */
+
 static void statement_done(struct statement *statement)
 {
     gsn_kept_give(gsn_store_kept(statement->store), statement->sqlite);
 }
 #define auto_statement __attribute__((cleanup(statement_done))) struct statement
 
-static int bind(sqlite3_stmt *statement, int index, const struct gsn_sql_value *value)
+static int bind_value(sqlite3_stmt *statement, int index, const struct gsn_sql_value *value)
 {
     if (value->type == GSN_SQL_INT)
         return sqlite3_bind_int64(statement, index, value->integer);
@@ -30,8 +82,8 @@ static int bind(sqlite3_stmt *statement, int index, const struct gsn_sql_value *
     return sqlite3_bind_text(statement, index, value->text ? value->text : "", -1, SQLITE_STATIC);
 }
 
-static int prepare(struct statement *statement, const char *sql, struct gsn_sql_args args,
-                   struct gsn_error *err)
+static int prepare_statement(struct statement *statement, const char *sql, struct gsn_sql_args args,
+                             struct gsn_error *err)
 {
     struct gsn_store *const store = statement->store;
 
@@ -42,7 +94,7 @@ static int prepare(struct statement *statement, const char *sql, struct gsn_sql_
         return gsn_store_failed(store, err);
     assert((size_t)sqlite3_bind_parameter_count(statement->sqlite) == args.count);
     for (size_t i = 0; i < args.count; i++) {
-        if (bind(statement->sqlite, (int)i + 1, &args.at[i]) != SQLITE_OK)
+        if (bind_value(statement->sqlite, (int)i + 1, &args.at[i]) != SQLITE_OK)
             return gsn_store_failed(store, err);
     }
     return GSN_OK;
@@ -52,7 +104,7 @@ int gsn_sql_run(struct gsn_store *store, const char *sql, struct gsn_sql_args ar
                 int64_t *ret_changed, struct gsn_error *err)
 {
     auto_statement statement = { .store = store };
-    int r = prepare(&statement, sql, args, err);
+    int r = prepare_statement(&statement, sql, args, err);
 
     if (r < 0)
         return r;
@@ -70,7 +122,7 @@ int gsn_sql_int(struct gsn_store *store, const char *sql, struct gsn_sql_args ar
                 int64_t *ret_value, struct gsn_error *err)
 {
     auto_statement statement = { .store = store };
-    int r = prepare(&statement, sql, args, err);
+    int r = prepare_statement(&statement, sql, args, err);
 
     if (r < 0)
         return r;
@@ -171,8 +223,8 @@ static int rows_add(struct gsn_store *store, sqlite3_stmt *statement, struct row
     return read_row(store, statement, rows->shape, row, err);
 }
 
-static int collect(struct gsn_store *store, sqlite3_stmt *statement, size_t most, struct rows *rows,
-                   struct gsn_error *err)
+static int collect_rows(struct gsn_store *store, sqlite3_stmt *statement, size_t most,
+                        struct rows *rows, struct gsn_error *err)
 {
     int r = rows_grow(rows, err);
 
@@ -189,16 +241,16 @@ static int collect(struct gsn_store *store, sqlite3_stmt *statement, size_t most
     return GSN_OK;
 }
 
-static int query(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
-                 struct gsn_sql_args args, size_t most, void **ret_rows, size_t *ret_count,
-                 struct gsn_error *err)
+static int run_query(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
+                     struct gsn_sql_args args, size_t most, void **ret_rows, size_t *ret_count,
+                     struct gsn_error *err)
 {
     __attribute__((cleanup(rows_done))) struct rows rows = { .shape = shape };
     auto_statement statement = { .store = store };
-    int r = prepare(&statement, sql, args, err);
+    int r = prepare_statement(&statement, sql, args, err);
 
     if (r >= 0)
-        r = collect(store, statement.sqlite, most, &rows, err);
+        r = collect_rows(store, statement.sqlite, most, &rows, err);
     if (r < 0)
         return r;
     *ret_count = rows.count;
@@ -210,7 +262,7 @@ int gsn_sql_rows(struct gsn_store *store, const struct gsn_sql_shape *shape, con
                  struct gsn_sql_args args, void **ret_rows, size_t *ret_count,
                  struct gsn_error *err)
 {
-    return query(store, shape, sql, args, SIZE_MAX, ret_rows, ret_count, err);
+    return run_query(store, shape, sql, args, SIZE_MAX, ret_rows, ret_count, err);
 }
 
 int gsn_sql_row(struct gsn_store *store, const struct gsn_sql_shape *shape, const char *sql,
@@ -218,7 +270,7 @@ int gsn_sql_row(struct gsn_store *store, const struct gsn_sql_shape *shape, cons
 {
     void *row = NULL;
     size_t count = 0;
-    const int r = query(store, shape, sql, args, 1, &row, &count, err);
+    const int r = run_query(store, shape, sql, args, 1, &row, &count, err);
 
     if (r < 0)
         return r;

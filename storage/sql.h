@@ -9,6 +9,7 @@
 
 #include "storage/store.h"
 
+#include <stddef.h>
 #include <stdint.h>
 
 enum gsn_sql_type { GSN_SQL_INT, GSN_SQL_REAL, GSN_SQL_TEXT };
@@ -21,7 +22,9 @@ struct gsn_sql_value {
 };
 
 #define SQL_INT(x) ((struct gsn_sql_value){ .type = GSN_SQL_INT, .integer = (x) })
+
 #define SQL_REAL(x) ((struct gsn_sql_value){ .type = GSN_SQL_REAL, .real = (x) })
+
 /* NULL stands for the empty text: our columns of text are never NULL. */
 #define SQL_TEXT(x) ((struct gsn_sql_value){ .type = GSN_SQL_TEXT, .text = (x) })
 
@@ -30,10 +33,12 @@ struct gsn_sql_args {
     size_t count;
     const struct gsn_sql_value *at;
 };
+
 #define SQL_ARGS(...)                                                                              \
     ((struct gsn_sql_args){ sizeof((struct gsn_sql_value[]){ __VA_ARGS__ }) /                      \
                                 sizeof(struct gsn_sql_value),                                      \
                             (struct gsn_sql_value[]){ __VA_ARGS__ } })
+
 #define SQL_NO_ARGS ((struct gsn_sql_args){ 0, NULL })
 
 /* Where column i of a row goes: an int64_t, a double or a const char *. */
@@ -130,16 +135,60 @@ int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err);
 
 /* store.c: the open database, and its last failure as a code and a sentence of ours. */
 struct sqlite3;
+
 struct sqlite3 *gsn_store_handle(struct gsn_store *store);
+
 struct gsn_kept;
+
 struct gsn_kept *gsn_store_kept(struct gsn_store *store);
-struct gsn_inbox;
-struct gsn_inbox *gsn_store_inbox(struct gsn_store *store);
+
+struct gsn_staging;
+
+struct gsn_staging *gsn_store_staging(struct gsn_store *store);
+
 /* borrows: the store's own hash, with nothing added. */
 struct gsn_hash;
+
 int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err);
+
 /* Told by who appends to the audit log: the commit writes down where it ends. */
 void gsn_store_log_grew(struct gsn_store *store);
+
 int gsn_store_failed(struct gsn_store *store, struct gsn_error *err);
+
+/* Compiled statements, kept for the next time: compiling costs a scan's rows more than writing
+ * them. */
+enum { GSN_KEPT_STATEMENTS = 48 };
+
+struct sqlite3_stmt;
+
+/* Those nobody uses now, the one used last at the end. What is done again and again uses its
+ * statements in turn: each goes to the end, and the next one comes to lie in its place. */
+struct gsn_kept {
+    size_t count;
+    size_t next; /* where the last one was found */
+    struct sqlite3_stmt *at[GSN_KEPT_STATEMENTS];
+};
+
+/* gives: a statement of this text, ready to bind; NULL when none is kept. */
+struct sqlite3_stmt *gsn_kept_take(struct gsn_kept *kept, const char *sql);
+
+/* takes a statement that is over, or NULL. */
+void gsn_kept_give(struct gsn_kept *kept, struct sqlite3_stmt *statement);
+
+void gsn_kept_done(struct gsn_kept *kept);
+
+/* The SQL of schema/NNN_*.sql, built into the program: schema n takes a store from version n-1 to
+ * version n. */
+
+extern const char gsn_schema_001[];
+extern const char gsn_schema_002[];
+extern const char gsn_schema_003[];
+extern const char gsn_schema_004[];
+extern const char gsn_schema_005[];
+extern const char gsn_schema_006[];
+extern const char gsn_schema_007[];
+extern const char gsn_schema_008[];
+extern const char gsn_schema_009[];
 
 #endif

@@ -1,21 +1,136 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The store: one SQLite database beside the original bytes, opened, migrated and committed here.
+ *
+ * Steps of opening.
+ * 1. The directory is judged: our application id in the database's header, and a version that we
+ * know.
+ * 2. Connection: WAL mode with synchronous=FULL and foreign keys on, both read back, because what a
+ * commit promises rests on them; the WAL files stay after the last writer (persistent WAL). Pages
+ * get their checksums by the VFS of pagesum.h.
+ * 3. Migration: schema/NNN_*.sql one after the other in a transaction, the version read again under
+ * its lock. Runs of a store older than the seals are sealed.
+ * 4. What a crash left in the staging table is committed.
+ * A transaction nests by savepoints; only the outermost commit reaches the disk. It begins with
+ * committing what lies in the staging table (scan.h), and ends by writing down where the audit log
+ * ends.
+ *
+ * How it fails: each failure of SQLite becomes one of our codes and one sentence
+ * (gsn_store_failed); after a disk error SQLite has rolled back by itself, and what follows does
+ * not start anew. Cost: a commit is one fsync of the WAL. */
 #include "storage/store.h"
 
 #include <assert.h>
 #include <errno.h>
 #include <sqlite3.h>
+#include <stdbool.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
-#include "storage/inbox.h"
 #include "storage/audit.h"
-#include "storage/kept.h"
 #include "storage/pagesum.h"
-#include "storage/schema.h"
 #include "storage/sql.h"
-#include "storage/within.h"
+#include "storage/transaction.h"
+
+enum {
+    DIGEST_DIGITS = 64,
+    LONGEST_NAME = 150, /* with the digest below the 255 bytes a file system allows */
+};
+
+/* Paths. */
+
+int gsn_digest_check(const char *hex, struct gsn_error *err)
+{
+    if (strlen(hex) != DIGEST_DIGITS || strspn(hex, "0123456789abcdef") != DIGEST_DIGITS)
+        return gsn_fail(err, GSN_E_INPUT, "\"%.80s\" is not a SHA-256", hex);
+    return GSN_OK;
+}
+
+int gsn_store_object_path(const struct gsn_store *store, const char *hex, char **ret_path,
+                          struct gsn_error *err)
+{
+    const int r = gsn_digest_check(hex, err);
+    char *path;
+
+    if (r < 0)
+        return r;
+    path = gsn_format("%s/objects/%.2s/%s", gsn_store_dir(store), hex, hex + 2);
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    *ret_path = path;
+    return GSN_OK;
+}
+
+static bool is_plain(char c, bool first)
+{
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' ||
+           c == '-' || (c == '.' && !first);
+}
+
+/* Writes at most room - 1 characters and a zero; whole escapes only. Returns false when cut. */
+static bool escape_name(const char *name, char *to, size_t room)
+{
+    static const char digits[] = "0123456789ABCDEF";
+    size_t used = 0;
+
+    for (const char *c = name; *c; c++) {
+        const bool plain = is_plain(*c, c == name);
+
+        to[used] = '\0';
+        if (used + (plain ? 1 : 3) >= room)
+            return false;
+        if (plain) {
+            to[used++] = *c;
+            continue;
+        }
+        to[used++] = '%';
+        to[used++] = digits[(unsigned char)*c >> 4];
+        to[used++] = digits[(unsigned char)*c & 15];
+    }
+    to[used] = '\0';
+    return true;
+}
+
+/* DIR/ROOM/NAME, for names that may hold anything. */
+static int make_dir_path(const struct gsn_store *store, const char *room, const char *said,
+                         char **ret_path, struct gsn_error *err)
+{
+    struct gsn_digest digest = { "" };
+    char name[LONGEST_NAME];
+    const bool whole = escape_name(said, name, sizeof name);
+    char *path;
+    int r = GSN_OK;
+
+    if (!whole)
+        r = gsn_sha256(said, strlen(said), &digest, err);
+    if (r < 0)
+        return r;
+    /* '~' is never plain, so a cut name cannot be mistaken for a whole one. */
+    path =
+        gsn_format("%s/%s/%s%s%s", gsn_store_dir(store), room, name, whole ? "" : "~", digest.hex);
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    *ret_path = path;
+    return GSN_OK;
+}
+
+int gsn_store_report_dir(const struct gsn_store *store, const char *specimen, char **ret_path,
+                         struct gsn_error *err)
+{
+    if (!*specimen)
+        return gsn_fail(err, GSN_E_INPUT, "a specimen needs a name");
+    return make_dir_path(store, "reports", specimen, ret_path, err);
+}
+
+int gsn_store_study_dir(const struct gsn_store *store, const char *study, char **ret_path,
+                        struct gsn_error *err)
+{
+    if (!*study)
+        return gsn_fail(err, GSN_E_INPUT, "a study needs a name: state `study` in job.json");
+    return make_dir_path(store, "studies", study, ret_path, err);
+}
 
 enum {
     BUSY_MS = 10000,
@@ -26,26 +141,29 @@ enum {
 static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schema_003,
                                        gsn_schema_004, gsn_schema_005, gsn_schema_006,
                                        gsn_schema_007, gsn_schema_008, gsn_schema_009 };
+
 enum { NEWEST = sizeof schemas / sizeof schemas[0], SEALED_FROM = 9 };
 
 struct gsn_store {
     char *dir, *head; /* and DIR/audit.head */
     sqlite3 *db;
     unsigned depth; /* of nested transactions */
-    struct gsn_inbox inbox;
+    struct gsn_staging staging;
     struct gsn_kept kept;
     struct gsn_hash *hash; /* NULL until it is needed */
     int log_grew;          /* in the transaction that is open */
 };
+
+/* The handle. */
 
 struct gsn_kept *gsn_store_kept(struct gsn_store *store)
 {
     return &store->kept;
 }
 
-struct gsn_inbox *gsn_store_inbox(struct gsn_store *store)
+struct gsn_staging *gsn_store_staging(struct gsn_store *store)
 {
-    return &store->inbox;
+    return &store->staging;
 }
 
 int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err)
@@ -71,6 +189,8 @@ const char *gsn_store_dir(const struct gsn_store *store)
 {
     return store->dir;
 }
+
+/* Transactions. */
 
 static int code_of(int sqlite_code)
 {
@@ -105,14 +225,14 @@ int gsn_store_failed(struct gsn_store *store, struct gsn_error *err)
                     why);
 }
 
-static int execute(struct gsn_store *store, const char *sql, struct gsn_error *err)
+static int execute_sql(struct gsn_store *store, const char *sql, struct gsn_error *err)
 {
     if (sqlite3_exec(store->db, sql, NULL, NULL, NULL) != SQLITE_OK) /* door */
         return gsn_store_failed(store, err);
     return GSN_OK;
 }
 
-static int begin(struct gsn_store *store, struct gsn_error *err)
+static int begin_change(struct gsn_store *store, struct gsn_error *err)
 {
     int r;
 
@@ -130,11 +250,11 @@ static int begin(struct gsn_store *store, struct gsn_error *err)
 
 int gsn_store_begin(struct gsn_store *store, struct gsn_error *err)
 {
-    int r = begin(store, err);
+    int r = begin_change(store, err);
 
     if (r < 0 || store->depth > 1)
         return r;
-    r = gsn_scan_settle_all(store, err);
+    r = gsn_scan_commit_all_staged(store, err);
     if (r < 0)
         gsn_store_rollback(store);
     return r;
@@ -146,7 +266,8 @@ void gsn_store_rollback(struct gsn_store *store)
     store->depth--;
     if (sqlite3_get_autocommit(store->db))
         return;
-    (void)execute(store, store->depth == 0 ? "ROLLBACK" : "ROLLBACK TO inner; RELEASE inner", NULL);
+    (void)execute_sql(store, store->depth == 0 ? "ROLLBACK" : "ROLLBACK TO inner; RELEASE inner",
+                      NULL);
 }
 
 int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
@@ -175,7 +296,7 @@ int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
     return r;
 }
 
-void gsn_store_set_patience(struct gsn_store *store, int patience_ms)
+void gsn_store_set_busy_timeout(struct gsn_store *store, int patience_ms)
 {
     (void)sqlite3_busy_timeout(store->db, patience_ms);
 }
@@ -186,19 +307,21 @@ static int no_store(const char *dir, struct gsn_error *err)
                     dir);
 }
 
-static int pragma(struct gsn_store *store, const char *sql, int64_t *ret_value,
-                  struct gsn_error *err)
+static int read_pragma(struct gsn_store *store, const char *sql, int64_t *ret_value,
+                       struct gsn_error *err)
 {
     return gsn_sql_int(store, sql, SQL_NO_ARGS, ret_value, err);
 }
 
 int gsn_store_change(struct gsn_store *store, int64_t *ret_change, struct gsn_error *err)
 {
-    return pragma(store, "PRAGMA data_version", ret_change, err);
+    return read_pragma(store, "PRAGMA data_version", ret_change, err);
 }
 
+/* Opening. */
+
 /* What a commit promises rests on these two, so they are read back. */
-static int configure(struct gsn_store *store, struct gsn_error *err)
+static int configure_connection(struct gsn_store *store, struct gsn_error *err)
 {
     int64_t synchronous = 0, keys = 0;
     int keep_wal = 1, r;
@@ -206,11 +329,11 @@ static int configure(struct gsn_store *store, struct gsn_error *err)
     if (sqlite3_busy_timeout(store->db, BUSY_MS) != SQLITE_OK ||
         sqlite3_file_control(store->db, "main", SQLITE_FCNTL_PERSIST_WAL, &keep_wal) != SQLITE_OK)
         return gsn_store_failed(store, err);
-    r = execute(store, "PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON", err);
+    r = execute_sql(store, "PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON", err);
     if (r >= 0)
-        r = pragma(store, "PRAGMA synchronous", &synchronous, err);
+        r = read_pragma(store, "PRAGMA synchronous", &synchronous, err);
     if (r >= 0)
-        r = pragma(store, "PRAGMA foreign_keys", &keys, err);
+        r = read_pragma(store, "PRAGMA foreign_keys", &keys, err);
     if (r >= 0 && (synchronous != SYNCHRONOUS_FULL || keys != 1))
         r = gsn_fail(err, GSN_E_STORE, "%s/gieson.db: SQLite does not promise durable commits",
                      store->dir);
@@ -226,21 +349,21 @@ static int migrate_from(struct gsn_store *store, int64_t version, struct gsn_err
     if (!stamp)
         return gsn_fail(err, GSN_E_NOMEM, "%s: out of memory", store->dir);
     for (int64_t next = version; r >= 0 && next < NEWEST; next++)
-        r = execute(store, schemas[next], err);
+        r = execute_sql(store, schemas[next], err);
     if (r >= 0 && version > 0 && version < SEALED_FROM)
         r = gsn_audit_seal_old_runs(store, err);
-    return r >= 0 ? execute(store, stamp, err) : r;
+    return r >= 0 ? execute_sql(store, stamp, err) : r;
 }
 
-static int migrate(struct gsn_store *store, struct gsn_error *err)
+static int migrate_schema(struct gsn_store *store, struct gsn_error *err)
 {
     int64_t version = 0;
-    int r = begin(store, err);
+    int r = begin_change(store, err);
 
     if (r < 0)
         return r;
     /* Read again under the lock: another process may have been first. */
-    r = pragma(store, "PRAGMA user_version", &version, err);
+    r = read_pragma(store, "PRAGMA user_version", &version, err);
     if (r >= 0)
         r = migrate_from(store, version, err);
     return gsn_sql_end(store, r, err);
@@ -254,16 +377,16 @@ struct label {
 /* In one transaction, or another process might create the store between two questions. */
 static int read_label(struct gsn_store *store, struct label *label, struct gsn_error *err)
 {
-    int r = execute(store, "BEGIN", err);
+    int r = execute_sql(store, "BEGIN", err);
 
     if (r < 0)
         return r;
-    r = pragma(store, "PRAGMA user_version", &label->version, err);
+    r = read_pragma(store, "PRAGMA user_version", &label->version, err);
     if (r >= 0)
-        r = pragma(store, "PRAGMA application_id", &label->application, err);
+        r = read_pragma(store, "PRAGMA application_id", &label->application, err);
     if (r >= 0)
-        r = pragma(store, "SELECT count(*) FROM sqlite_schema", &label->tables, err);
-    (void)execute(store, "ROLLBACK", NULL);
+        r = read_pragma(store, "SELECT count(*) FROM sqlite_schema", &label->tables, err);
+    (void)execute_sql(store, "ROLLBACK", NULL);
     return r;
 }
 
@@ -290,11 +413,11 @@ static int read_version(struct gsn_store *store, int64_t *ret_version, struct gs
 static int switch_journal(struct gsn_store *store, const char *sql, struct gsn_error *err)
 {
     enum { NAP_MS = 10 };
-    int r = execute(store, sql, err);
+    int r = execute_sql(store, sql, err);
 
     for (int waited = 0; r == GSN_E_BUSY && waited < BUSY_MS; waited += NAP_MS) {
         (void)sqlite3_sleep(NAP_MS);
-        r = execute(store, sql, err);
+        r = execute_sql(store, sql, err);
     }
     return r;
 }
@@ -305,13 +428,13 @@ static int use_wal(struct gsn_store *store, struct gsn_error *err)
     int r = switch_journal(store, "PRAGMA journal_mode = WAL", err);
 
     if (r >= 0)
-        r = pragma(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode", &wal, err);
+        r = read_pragma(store, "SELECT journal_mode = 'wal' FROM pragma_journal_mode", &wal, err);
     if (r >= 0 && !wal)
         r = gsn_fail(err, GSN_E_STORE, "%s/gieson.db: this file system allows no WAL", store->dir);
     return r;
 }
 
-static int reserve(struct gsn_store *store, struct gsn_error *err)
+static int reserve_bytes(struct gsn_store *store, struct gsn_error *err)
 {
     int bytes = GSN_PAGESUM_BYTES;
 
@@ -337,8 +460,8 @@ static int make_room_for_sums(struct gsn_store *store, struct gsn_error *err)
     int r = switch_journal(store, "PRAGMA journal_mode = DELETE", err);
 
     if (r >= 0)
-        r = reserve(store, err);
-    return r >= 0 ? execute(store, "VACUUM", err) : r;
+        r = reserve_bytes(store, err);
+    return r >= 0 ? execute_sql(store, "VACUUM", err) : r;
 }
 
 static int prepare_schema(struct gsn_store *store, enum gsn_store_mode mode, struct gsn_error *err)
@@ -355,13 +478,13 @@ static int prepare_schema(struct gsn_store *store, enum gsn_store_mode mode, str
                         "%s was made by an older gieson; any command that writes brings it up",
                         store->dir);
     if (version == 0)
-        r = reserve(store, err);
+        r = reserve_bytes(store, err);
     else if (version < SEALED_FROM && reserved_bytes(store) != GSN_PAGESUM_BYTES)
         r = make_room_for_sums(store, err);
     if (r >= 0 && mode != GSN_STORE_READ)
         r = use_wal(store, err);
     if (r >= 0 && version < NEWEST)
-        r = migrate(store, err);
+        r = migrate_schema(store, err);
     return r;
 }
 
@@ -381,12 +504,12 @@ static int open_database(struct gsn_store *store, const char *path, enum gsn_sto
     if (mode != GSN_STORE_READ && sqlite3_db_readonly(store->db, "main") == 1)
         return gsn_fail(err, GSN_E_IO, "%s: it cannot be opened for writing: %s", path,
                         access(path, W_OK) < 0 ? strerror(errno) : "the disk did not say why");
-    r = configure(store, err);
+    r = configure_connection(store, err);
     if (r >= 0)
         r = prepare_schema(store, mode, err);
-    /* What a crash left in the inbox. Who cannot settle it now can when it writes. */
+    /* What a crash left in the staging table. Who cannot commit it now can when it writes. */
     if (r >= 0 && mode != GSN_STORE_READ)
-        (void)gsn_scan_settle(store, NULL);
+        (void)gsn_scan_commit_staged(store, NULL);
     return r;
 }
 

@@ -41,8 +41,8 @@ GSN_DEFINE_AUTO(gsn_store);
 
 /* Several changes as one. They nest: only the outermost commit reaches the disk, and an inner
  * rollback undoes the inner part alone. The outermost begin takes the write lock at once, so
- * nothing read after it can be outdated when it is written back, and first settles what has come
- * (gsn_scan_take): a transaction sees the ledger whole. */
+ * nothing read after it can be outdated when it is written back, and first commits what has come
+ * (gsn_scan_stage): a transaction sees the ledger whole. */
 int gsn_store_begin(struct gsn_store *store, struct gsn_error *err);
 /* When it fails, the transaction is rolled back. */
 int gsn_store_commit(struct gsn_store *store, struct gsn_error *err);
@@ -53,7 +53,7 @@ void gsn_store_rollback(struct gsn_store *store);
  */
 int gsn_store_change(struct gsn_store *store, int64_t *ret_change, struct gsn_error *err);
 /* Waits at most so long (ms) for others' locks from now on; 10 seconds when nothing is said. */
-void gsn_store_set_patience(struct gsn_store *store, int patience_ms);
+void gsn_store_set_busy_timeout(struct gsn_store *store, int patience_ms);
 
 /* A copy of the database as it is now, by SQLite's backup interface, while others read and write;
  * durable when this returns. path: a file that is not there. Fails with GSN_E_IO, GSN_E_BUSY,

@@ -17,7 +17,7 @@
 
 #include "pipeline/core/file.h"
 #include "storage/sql.h"
-#include "storage/within.h"
+#include "storage/transaction.h"
 
 enum { PIECE = 1 << 16 };
 

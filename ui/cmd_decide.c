@@ -2,16 +2,15 @@
 
 /* What a person decides where the picture does not tell: `gieson show` names the question, this
  * takes the answer. */
-#include "ui/show.h"
-#include "ui/text.h"
-
-#include "storage/actor.h"
-
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <sysexits.h>
 #include <time.h>
+
+#include "storage/audit_log.h"
+#include "ui/show.h"
+#include "ui/text.h"
 
 enum { MOST_NUMBER = 100000, LEAST_DIGITS = 8 };
 
@@ -39,8 +38,8 @@ static void read_job(struct known *known)
     json_decref(job);
 }
 
-static int load(struct gsn_store *store, const char *name, struct known *known,
-                struct gsn_error *err)
+static int load_known(struct gsn_store *store, const char *name, struct known *known,
+                      struct gsn_error *err)
 {
     const int r = gsn_show_load_sections(store, name, &known->view, err);
 
@@ -108,7 +107,7 @@ static int take_place(struct question *q)
 }
 
 /* EX_OK, or the status of a mistake that was told. */
-static int understand(const struct gsn_ui *ui, int argc, char **argv, struct question *q)
+static int parse_question(const struct gsn_ui *ui, int argc, char **argv, struct question *q)
 {
     if (take_words(argc, argv, q) < 0 || !is_answer(q->word))
         return gsn_ui_usage(
@@ -306,8 +305,8 @@ static int check_panel(const struct known *known, const struct question *q, stru
 }
 
 /* gives: the answer as it is kept. */
-static char *canonical(const struct known *known, const struct question *q, const char *sha256,
-                       const struct gsn_candidate_row *pose)
+static char *kept_answer(const struct known *known, const struct question *q, const char *sha256,
+                         const struct gsn_candidate_row *pose)
 {
     if (strcmp(q->word, "undo") == 0)
         return gsn_strdup("");
@@ -327,8 +326,8 @@ static int was_said(const struct known *known, const struct question *q, const c
     return !answer[0] || (said && strcmp(said->answer, answer) == 0);
 }
 
-static int decide(struct gsn_store *store, const struct question *q, int *ret_again,
-                  struct gsn_error *err)
+static int put_decision(struct gsn_store *store, const struct question *q, int *ret_again,
+                        struct gsn_error *err)
 {
     const struct gsn_actor who = gsn_actor_now();
     struct known known = { 0 };
@@ -343,13 +342,13 @@ static int decide(struct gsn_store *store, const struct question *q, int *ret_ag
     const struct gsn_section_row *section;
     const struct gsn_candidate_row *pose = NULL;
     const char *sha256 = "";
-    int r = load(store, q->specimen, &known, err);
+    int r = load_known(store, q->specimen, &known, err);
 
     if (r >= 0 && strcmp(q->word, "use") == 0)
         r = find_file(&known, q, &sha256, err);
     if (r >= 0 && strcmp(q->word, "pose") == 0)
         r = find_pose(&known, q, &pose, err);
-    if (r >= 0 && !(answer = canonical(&known, q, sha256, pose)))
+    if (r >= 0 && !(answer = kept_answer(&known, q, sha256, pose)))
         r = gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (r >= 0 && !was_said(&known, q, answer))
         r = q->slot ? check_slot(&known, q, err) : check_panel(&known, q, err);
@@ -369,14 +368,14 @@ int gsn_cmd_decide(const struct gsn_ui *ui, int argc, char **argv)
     gsn_auto(gsn_store) store = NULL;
     struct question q = { 0 };
     struct gsn_error err = { 0 };
-    int status = understand(ui, argc, argv, &q), again = 0, r;
+    int status = parse_question(ui, argc, argv, &q), again = 0, r;
 
     if (status != EX_OK)
         return status;
     store = gsn_ui_store(ui, GSN_STORE_WRITE, &status);
     if (!store)
         return status;
-    r = decide(store, &q, &again, &err);
+    r = put_decision(store, &q, &again, &err);
     if (r < 0)
         return gsn_ui_complain(ui, &err, r);
     if (ui->json)

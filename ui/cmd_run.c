@@ -1,24 +1,36 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "ui/look.h"
-#include "ui/snapshot.h"
-#include "ui/text.h"
-#include "ui/ui.h"
 
-#include "pipeline/core/process.h"
-#include "storage/catalog.h"
-#include "storage/queue.h"
+/* The verbs that have work done and show what came of it: run, retry, night, report.
+ *
+ * `run` starts gieson-work until the queue is empty and draws one line of progress from the rows.
+ * `night` processes every specimen that changed since its last report, and makes the pages of all
+ * studies and of the store again; $GIESON_PUBLISH names a folder that gets a copy of them. `report`
+ * gives the latest report's path after its files were held against their hashes. */
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sysexits.h>
 #include <unistd.h>
+
+#include "pipeline/core/file.h"
+#include "pipeline/core/process.h"
+#include "storage/audit.h"
+#include "storage/catalog.h"
+#include "storage/queue.h"
+#include "storage/result.h"
+#include "ui/snapshot.h"
+#include "ui/text.h"
+#include "ui/ui.h"
 
 enum {
     LOOK_EVERY_MS = 100,
     MOST_THREADS = 64,
     FRUITLESS_STARTS = 8, /* workers that ended without touching the queue: something is broken */
 };
+
+/* run, retry */
 
 /* "decoding 3/5, 12 s left" */
 static char *how_far(const struct gsn_job_row *job)
@@ -64,7 +76,7 @@ static char *progress_line(const struct gsn_job_row *job, size_t finished, size_
 
 /* One line that is written over; the rows are what others read. The cursor stays at its start, so
  * that what a worker has to say is not appended to it. */
-static void draw(const struct gsn_ui *ui, struct gsn_store *store)
+static void draw_progress(const struct gsn_ui *ui, struct gsn_store *store)
 {
     gsn_auto(gsn_job_rows) jobs = NULL;
     struct gsn_error quiet = { 0 };
@@ -88,7 +100,7 @@ static void draw(const struct gsn_ui *ui, struct gsn_store *store)
     }
 }
 
-static void wipe(const struct gsn_ui *ui)
+static void wipe_line(const struct gsn_ui *ui)
 {
     if (ui->err_tty)
         (void)fputs("\r\033[K", stderr);
@@ -101,12 +113,12 @@ static int wait_and_draw(const struct gsn_ui *ui, struct gsn_store *store, pid_t
 
         if (status >= 0)
             return status;
-        draw(ui, store);
+        draw_progress(ui, store);
         gsn_ui_pause_ms(LOOK_EVERY_MS);
     }
 }
 
-static int64_t attempts(struct gsn_store *store)
+static int64_t count_attempts(struct gsn_store *store)
 {
     gsn_auto(gsn_job_rows) jobs = NULL;
     struct gsn_error quiet = { 0 };
@@ -124,19 +136,19 @@ int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const ch
     int fruitless = 0;
 
     while (fruitless < FRUITLESS_STARTS) {
-        const int64_t before = attempts(store);
+        const int64_t before = count_attempts(store);
         const pid_t child = gsn_ui_start(ui, "gieson-work", 1, args);
         int status;
 
         if (child < 0)
             return EX_OSERR;
         status = wait_and_draw(ui, store, child);
-        wipe(ui);
+        wipe_line(ui);
         if (status == EX_NOINPUT)
             return EX_OK;
         if (status == EX_TEMPFAIL)
             gsn_ui_pause_ms(LOOK_EVERY_MS); /* another worker has it */
-        else if (attempts(store) != before)
+        else if (count_attempts(store) != before)
             fruitless = 0;
         else if (status == EX_USAGE || status == EX_IOERR || status == EX_NOPERM)
             return status; /* it has said why, and would say it again */
@@ -248,5 +260,220 @@ int gsn_cmd_retry(const struct gsn_ui *ui, int argc, char **argv)
     else
         gsn_ui_say(ui, "%zu job%s again; `gieson run` works them", count,
                    count == 1 ? " waits" : "s wait");
+    return EX_OK;
+}
+
+/* What came of it. */
+struct night {
+    size_t worked, failed, failed_before;
+    json_t *rows; /* NULL without --json */
+};
+
+/* night */
+
+static const struct gsn_snapshot_row *same_row(const struct gsn_snapshot *snapshot, int64_t id)
+{
+    for (size_t i = 0; i < snapshot->count; i++)
+        if (snapshot->at[i].id == id)
+            return &snapshot->at[i];
+    return NULL;
+}
+
+/* By us or by somebody else at the same time: it had work to do, or has another run than before. */
+static int was_worked(const struct gsn_snapshot_row *before, const struct gsn_snapshot_row *after)
+{
+    return !before || before->run != after->run || strcmp(before->state, "waiting") == 0 ||
+           strcmp(before->state, "working") == 0;
+}
+
+static void tell_row(const struct gsn_ui *ui, struct night *night,
+                     const struct gsn_snapshot_row *row)
+{
+    if (!night->rows) {
+        gsn_ui_print_end(ui, row);
+        return;
+    }
+    (void)json_array_append_new(
+        night->rows,
+        json_pack("{s:o, s:s, s:o, s:o, s:o, s:o, s:o}", "specimen", gsn_text_json(row->name),
+                  "state", row->state, "detail", gsn_text_json(row->detail ? row->detail : ""),
+                  "loss_percent", gsn_ui_number(row->loss_percent), "loss_lower",
+                  gsn_ui_number(row->loss_lower), "loss_upper", gsn_ui_number(row->loss_upper),
+                  "report", row->report ? gsn_text_json(row->report) : json_null()));
+}
+
+static void compare_rows(const struct gsn_ui *ui, const struct gsn_snapshot *before,
+                         const struct gsn_snapshot *after, struct night *night)
+{
+    for (size_t i = 0; i < after->count; i++) {
+        const struct gsn_snapshot_row *row = &after->at[i];
+        const int failed = strcmp(row->state, "failed") == 0;
+
+        if (was_worked(same_row(before, row->id), row)) {
+            tell_row(ui, night, row);
+            night->worked++;
+            night->failed += failed != 0;
+        } else {
+            night->failed_before += failed != 0;
+        }
+    }
+}
+
+static int tell_end(const struct gsn_ui *ui, const struct night *night)
+{
+    if (ui->json)
+        gsn_ui_print_json(ui, json_pack("{s:O, s:I, s:I}", "worked", night->rows, "failed",
+                                        (json_int_t)night->failed, "failed_before",
+                                        (json_int_t)night->failed_before));
+    else if (night->worked == 0)
+        (void)printf("nothing changed since the last reports\n");
+    if (night->failed_before > 0)
+        gsn_text_line(stderr,
+                      "gieson: %zu specimen%s failed earlier: see `gieson status`; `gieson retry` "
+                      "lets %s wait again",
+                      night->failed_before, night->failed_before == 1 ? "" : "s",
+                      night->failed_before == 1 ? "it" : "them");
+    return night->failed > 0 ? EX_DATAERR : EX_OK;
+}
+
+/* before: as it was when all that changed had been asked for. */
+static int run_night(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[],
+                     struct night *night)
+{
+    gsn_auto(gsn_snapshot) before = NULL;
+    gsn_auto(gsn_snapshot) after = NULL;
+    struct gsn_ui quiet = *ui;
+    struct gsn_error err = { 0 };
+    int status, r = gsn_snapshot_take(store, &before, &err);
+
+    if (r < 0)
+        return gsn_ui_complain(ui, &err, r);
+    quiet.json = 0;
+    status = gsn_ui_work_queue(&quiet, store, args);
+    if (status != EX_OK)
+        return status;
+    r = gsn_snapshot_take(store, &after, &err);
+    if (r < 0)
+        return gsn_ui_complain(ui, &err, r);
+    compare_rows(ui, before, after, night);
+    return tell_end(ui, night);
+}
+
+int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
+{
+    static const char *const ask[] = { "changed", NULL };
+    static const char *const studies[] = { "study", "--quiet", NULL };
+    const char *const publish = getenv("GIESON_PUBLISH");
+    const char *const index[] = { "index", "--quiet", publish && *publish ? "--publish" : NULL,
+                                  publish, NULL };
+    const char *args[4] = { 0 };
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_ui quiet = *ui;
+    struct night night = { 0 };
+    int status = gsn_ui_threads(ui, "{v}", argc, argv, args);
+
+    if (status != EX_OK)
+        return status;
+    store = gsn_ui_store(ui, GSN_STORE_READ, &status);
+    if (!store)
+        return status;
+    quiet.json = 0;
+    status = gsn_ui_call(&quiet, "gieson-work", 1, ask);
+    if (status != EX_OK)
+        return status;
+    night.rows = ui->json ? json_array() : NULL;
+    status = run_night(ui, store, args, &night);
+    json_decref(night.rows);
+    if (status == EX_OK || status == EX_DATAERR) {
+        int made = gsn_ui_call(&quiet, "gieson-work", 1, studies);
+
+        if (made == EX_OK)
+            made = gsn_ui_call(&quiet, "gieson-work", 1, index);
+        status = status == EX_OK ? made : status;
+    }
+    return status;
+}
+
+enum { MOST_REPORT_BYTES = 1 << 28 };
+
+/* report */
+
+/* gives: the latest run of a specimen that left a report. */
+static int find_run(struct gsn_store *store, const char *name, struct gsn_run_row **ret_run,
+                    struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_row) specimen = NULL;
+    gsn_auto(gsn_run_rows) runs = NULL;
+    int64_t latest = 0;
+    int r = gsn_specimen_get(store, name, &specimen, err);
+
+    if (r >= 0)
+        r = gsn_run_list(store, specimen->id, &runs, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < runs->count; i++)
+        if (runs->at[i].json_path[0])
+            latest = runs->at[i].id;
+    if (!latest)
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` works the queue",
+                        name);
+    return gsn_run_get(store, latest, ret_run, err);
+}
+
+/* A report that is not what the run wrote is not handed out, whichever half of it was asked for. */
+static int check_files(struct gsn_store *store, const struct gsn_run_row *run,
+                       struct gsn_error *err)
+{
+    struct gsn_error why = { 0 };
+    int r = gsn_audit_file(store, run->json_path, run->json_sha256, &why);
+
+    if (r >= 0)
+        r = gsn_audit_file(store, run->report_path, run->report_sha256, &why);
+    if (r >= 0)
+        return r;
+    return gsn_fail(err, r, "%s; it is not shown. `gieson verify %lld` says what else changed",
+                    why.text, (long long)run->id);
+}
+
+static int print_file(const char *path, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    size_t size;
+    const int r = gsn_file_read(path, MOST_REPORT_BYTES, &bytes, &size, err);
+
+    if (r >= 0)
+        (void)fwrite(bytes, 1, size, stdout);
+    return r;
+}
+
+int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
+{
+    gsn_auto(gsn_store) store = NULL;
+    gsn_auto(gsn_run_row) run = NULL;
+    gsn_auto_mem(char) json = NULL;
+    struct gsn_error err = { 0 };
+    int status = EX_OK, r;
+
+    if (argc != 2)
+        return gsn_ui_usage(ui, "report of which specimen? Say `gieson report SPECIMEN`");
+    store = gsn_ui_store(ui, GSN_STORE_READ, &status);
+    if (!store)
+        return status;
+    r = find_run(store, argv[1], &run, &err);
+    if (r < 0)
+        return gsn_ui_complain(ui, &err, r);
+    json = gsn_format("%s/%s", gsn_store_dir(store), run->json_path);
+    if (!json)
+        return gsn_ui_fail(ui, EX_OSERR, "out of memory");
+    r = check_files(store, run, &err);
+    if (r < 0)
+        return gsn_ui_complain(ui, &err, r);
+    if (ui->json) {
+        r = print_file(json, &err);
+        return r < 0 ? gsn_ui_complain(ui, &err, r) : EX_OK;
+    }
+    gsn_text_line(stdout, "run %lld, %s%s%s", (long long)run->id, run->state,
+                  run->message[0] ? ": " : "", run->message);
+    (void)printf("%s/%s\n%s\n", gsn_store_dir(store), run->report_path, json);
     return EX_OK;
 }

@@ -1,16 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "ui/board.h"
-
-#include "storage/advice.h"
-#include "ui/look.h"
-#include "ui/snapshot.h"
-#include "ui/text.h"
-#include "ui/ui.h"
-
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <sysexits.h>
+
+#include "storage/advice.h"
+#include "ui/board.h"
+#include "ui/snapshot.h"
+#include "ui/text.h"
+#include "ui/ui.h"
 
 /* Columns of a row besides the specimen's name, up to the loss. */
 enum { REST_OF_ROW = 49, NAME_LEAST = 10, NAME_MOST = 40, NEXT_GAP = 2 };

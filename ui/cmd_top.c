@@ -2,19 +2,18 @@
 
 /* `gieson top`: the queue as it goes, read from the store alone; as a table, once, where there is
  * no terminal to draw on. */
-#include "ui/queue_view.h"
-#include "ui/text.h"
-#include "ui/ui.h"
-
-#include "storage/advice.h"
-#include "storage/queue.h"
-
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <sysexits.h>
 #include <time.h>
 #include <unistd.h>
+
+#include "storage/advice.h"
+#include "storage/queue.h"
+#include "ui/queue_view.h"
+#include "ui/text.h"
+#include "ui/ui.h"
 
 enum {
     LOOK_EVERY_MS = 500,
@@ -40,7 +39,7 @@ static int is_same_file(const struct watch *watch)
            now.st_dev == watch->file.st_dev;
 }
 
-static int reopen(struct watch *watch, struct gsn_error *err)
+static int reopen_store(struct watch *watch, struct gsn_error *err)
 {
     gsn_auto_mem(char) path = gsn_format("%s/gieson.db", watch->ui->store_dir);
     int r;
@@ -52,7 +51,7 @@ static int reopen(struct watch *watch, struct gsn_error *err)
     r = gsn_store_open(watch->ui->store_dir, GSN_STORE_READ, &watch->store, err);
     if (r < 0)
         return r;
-    gsn_store_set_patience(watch->store, PATIENCE_MS);
+    gsn_store_set_busy_timeout(watch->store, PATIENCE_MS);
     watch->told = 0;
     if (stat(path, &watch->file) < 0)
         return gsn_fail(err, GSN_E_NOTFOUND, "%s is gone", path);
@@ -61,7 +60,7 @@ static int reopen(struct watch *watch, struct gsn_error *err)
 
 /* Whether what is shown may be out of date: others committed, the service came or went, ages grew.
  */
-static int has_news(struct watch *watch, int64_t now, int *ret_news, struct gsn_error *err)
+static int has_changed(struct watch *watch, int64_t now, int *ret_news, struct gsn_error *err)
 {
     int intake = 0, queue = 0;
     int64_t change = 0;
@@ -79,15 +78,15 @@ static int has_news(struct watch *watch, int64_t now, int *ret_news, struct gsn_
     return GSN_OK;
 }
 
-static int look(struct watch *watch, struct gsn_queue_view *view, int *ret_news,
-                struct gsn_error *err)
+static int look_at_store(struct watch *watch, struct gsn_queue_view *view, int *ret_news,
+                         struct gsn_error *err)
 {
     const int64_t now = time(NULL);
     gsn_auto(gsn_snapshot) snapshot = NULL;
-    int r = watch->store && is_same_file(watch) ? GSN_OK : reopen(watch, err);
+    int r = watch->store && is_same_file(watch) ? GSN_OK : reopen_store(watch, err);
 
     if (r >= 0)
-        r = has_news(watch, now, ret_news, err);
+        r = has_changed(watch, now, ret_news, err);
     if (r < 0 || !*ret_news)
         return r;
     r = gsn_snapshot_take(watch->store, &snapshot, err);
@@ -99,19 +98,19 @@ static int look(struct watch *watch, struct gsn_queue_view *view, int *ret_news,
 
 /* Shows what is new; a store that does not answer is a line on the screen. Returns whether
  * anything must be drawn. */
-static int refresh(struct watch *watch, struct gsn_queue_view *view)
+static int refresh_view(struct watch *watch, struct gsn_queue_view *view)
 {
     struct gsn_error err = { 0 };
     int news = 0;
 
-    if (look(watch, view, &news, &err) >= 0)
+    if (look_at_store(watch, view, &news, &err) >= 0)
         return news;
     watch->told = 0;
     gsn_queue_view_set_trouble(view, err.text);
     return 1;
 }
 
-static void retry(const struct watch *watch, struct gsn_queue_view *view, int64_t specimen)
+static void retry_jobs(const struct watch *watch, struct gsn_queue_view *view, int64_t specimen)
 {
     gsn_auto(gsn_store) store = NULL;
     gsn_auto_mem(char) said = NULL;
@@ -120,7 +119,7 @@ static void retry(const struct watch *watch, struct gsn_queue_view *view, int64_
     int r = gsn_store_open(watch->ui->store_dir, GSN_STORE_WRITE, &store, &err);
 
     if (r >= 0) {
-        gsn_store_set_patience(store, PATIENCE_MS);
+        gsn_store_set_busy_timeout(store, PATIENCE_MS);
         r = gsn_queue_retry(store, specimen, &count, &err);
     }
     if (r < 0)
@@ -139,14 +138,14 @@ static void watch_screen(struct watch *watch, struct gsn_queue_view *view,
 
     while (key != GSN_KEY_CLOSED && wish != GSN_QUEUE_WISH_QUIT) {
         /* Keys that wait are taken before the store is asked: holding one down must not lag. */
-        if (key == GSN_KEY_NONE ? refresh(watch, view) : 1)
+        if (key == GSN_KEY_NONE ? refresh_view(watch, view) : 1)
             gsn_queue_view_draw(view, screen);
         key = gsn_screen_key(screen, LOOK_EVERY_MS);
         wish = key >= 0 ? gsn_queue_view_key(view, key) : GSN_QUEUE_WISH_NONE;
         if (wish == GSN_QUEUE_WISH_RETRY)
-            retry(watch, view, gsn_queue_view_specimen(view));
+            retry_jobs(watch, view, gsn_queue_view_specimen(view));
         if (wish == GSN_QUEUE_WISH_RETRY_ALL)
-            retry(watch, view, 0);
+            retry_jobs(watch, view, 0);
     }
 }
 
@@ -228,7 +227,7 @@ int gsn_cmd_top(const struct gsn_ui *ui, int argc, char **argv)
     }
     r = screen ? gsn_queue_view_new(ui->store_dir, &view, &err) : err.code;
     if (r >= 0)
-        r = look(&watch, view, &news, &err);
+        r = look_at_store(&watch, view, &news, &err);
     if (r >= 0)
         watch_screen(&watch, view, screen);
     gsn_store_free(watch.store);

@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The verbs that other programs do: import, verify, scrub, backup, restore, check, register, study,
- * plan, index, export, probe, line and integral are gieson-work's, phantom has a program of its own, and
- * the configuration is the service's. */
-#include "ui/ui.h"
-
+ * plan, index, export, probe, line and integral are gieson-work's, phantom has a program of its
+ * own, and the configuration is the service's. */
 #include <string.h>
+
+#include "ui/ui.h"
 
 enum { MOST_MINUTES = 10000 };
 

@@ -2,11 +2,6 @@
 
 /* gieson: the technician's and the biologist's command. It reads the store and asks for work; the
  * work itself is done by gieson-work, which it starts. */
-#include "ui/help.h"
-#include "ui/ui.h"
-
-#include "storage/advice.h"
-
 #include <argp.h>
 #include <errno.h>
 #include <limits.h>
@@ -17,42 +12,31 @@
 #include <sysexits.h>
 #include <unistd.h>
 
+#include "storage/advice.h"
+#include "ui/help.h"
+#include "ui/ui.h"
+
 const char *argp_program_version = "gieson " GSN_VERSION;
 
 static const struct {
     const char *name;
     gsn_verb *run;
 } verbs[] = {
-    { "status", gsn_cmd_status },
-    { "top", gsn_cmd_top },
-    { "show", gsn_cmd_show },
-    { "import", gsn_cmd_import },
-    { "new", gsn_cmd_new },
-    { "file", gsn_cmd_file },
-    { "expect", gsn_cmd_expect },
-    { "capture", gsn_cmd_capture },
-    { "run", gsn_cmd_run },
-    { "night", gsn_cmd_night },
-    { "retry", gsn_cmd_retry },
-    { "decide", gsn_cmd_decide },
-    { "report", gsn_cmd_report },
-    { "study", gsn_cmd_study },
-    { "plan", gsn_cmd_plan },
-    { "index", gsn_cmd_index },
-    { "export", gsn_cmd_model },
-    { "probe", gsn_cmd_model },
-    { "line", gsn_cmd_model },
-    { "integral", gsn_cmd_model },
-    { "verify", gsn_cmd_verify },
-    { "scrub", gsn_cmd_scrub },
-    { "backup", gsn_cmd_backup },
-    { "restore", gsn_cmd_restore },
-    { "check", gsn_cmd_check },
-    { "check-config", gsn_cmd_check_config },
-    { "register", gsn_cmd_register },
-    { "devices", gsn_cmd_devices },
-    { "demo", gsn_cmd_demo },
-    { "phantom", gsn_cmd_phantom },
+    { "status", gsn_cmd_status },     { "top", gsn_cmd_top },
+    { "show", gsn_cmd_show },         { "import", gsn_cmd_import },
+    { "new", gsn_cmd_new },           { "file", gsn_cmd_file },
+    { "expect", gsn_cmd_expect },     { "capture", gsn_cmd_capture },
+    { "run", gsn_cmd_run },           { "night", gsn_cmd_night },
+    { "retry", gsn_cmd_retry },       { "decide", gsn_cmd_decide },
+    { "report", gsn_cmd_report },     { "study", gsn_cmd_study },
+    { "plan", gsn_cmd_plan },         { "index", gsn_cmd_index },
+    { "export", gsn_cmd_model },      { "probe", gsn_cmd_model },
+    { "line", gsn_cmd_model },        { "integral", gsn_cmd_model },
+    { "verify", gsn_cmd_verify },     { "scrub", gsn_cmd_scrub },
+    { "backup", gsn_cmd_backup },     { "restore", gsn_cmd_restore },
+    { "check", gsn_cmd_check },       { "check-config", gsn_cmd_check_config },
+    { "register", gsn_cmd_register }, { "devices", gsn_cmd_devices },
+    { "demo", gsn_cmd_demo },         { "phantom", gsn_cmd_phantom },
 };
 
 static const char doc[] =

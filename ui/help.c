@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/help.h"
 
-#include "pipeline/core/nearest.h"
-
 #include <stdio.h>
 #include <string.h>
+
+#include "pipeline/core/nearest.h"
 
 static const struct gsn_help pages[] = {
     { "status", "", "What is in the store, a line a specimen, each with the command to give next.",

@@ -1,11 +1,137 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The first screen of `gieson top`: the list of the board, its pages, and its keys.
+ *
+ * Steps. A new board keeps what was chosen by its key. Drawing: the head, the list scrolled to what
+ * is chosen, advice on it, the foot; columns are given up from the right where the terminal is
+ * narrow, and on less than 40 x 10 nothing but a sentence is shown. Pages beside the list: all
+ * about one line, and the help. A key moves, opens a page, or is a wish that the caller fulfils. */
 #include "ui/queue_view.h"
 
+#include <string.h>
+
 #include "storage/advice.h"
-#include "ui/pages.h"
+#include "ui/board.h"
+#include "ui/screen.h"
 #include "ui/text.h"
 
-#include <string.h>
+/* On less than this nothing but a sentence is shown. */
+enum { MIN_ROWS = 10, MIN_COLUMNS = 40, GAP = 2 };
+
+static const struct gsn_ink plain = { .hue = GSN_HUE_PLAIN };
+static const struct gsn_ink low = { .stress = GSN_STRESS_LOW };
+static const struct gsn_ink high = { .stress = GSN_STRESS_HIGH };
+
+/* Pages beside the list. */
+
+static int put_wrapped(struct gsn_screen *screen, int row, int last, struct gsn_ink ink,
+                       const char *text)
+{
+    const int width = gsn_screen_columns(screen);
+
+    while (*text && row <= last) {
+        const size_t bytes = gsn_text_fit(text, width);
+        gsn_auto_mem(char) line = gsn_format("%.*s", (int)bytes, text);
+
+        gsn_screen_put(screen, row++, 0, width, ink, line ? line : "");
+        text += bytes;
+        while (*text == ' ')
+            text++;
+    }
+    return row;
+}
+
+/* A text in lines from row to last, with the store in its commands; returns the row behind them. */
+static int put_advice_page(struct gsn_screen *screen, int row, int last, struct gsn_ink ink,
+                           const char *store_dir, const char *text)
+{
+    gsn_auto_mem(char) advice = gsn_advice(store_dir, text);
+
+    return put_wrapped(screen, row, last, ink, advice ? advice : text);
+}
+
+static void put_back(struct gsn_screen *screen)
+{
+    gsn_screen_put(screen, gsn_screen_rows(screen) - 1, 0, gsn_screen_columns(screen), low,
+                   "any key: back  q quit");
+}
+
+/* All about one line of the board of that store; now: unix time that its age is counted from. */
+static void put_details(const struct gsn_board_line *line, const char *store_dir, int64_t now,
+                        struct gsn_screen *screen)
+{
+    const struct gsn_look *look = gsn_look_of(line->state);
+    const int last = gsn_screen_rows(screen) - 2;
+    gsn_auto_mem(char) age = gsn_look_age(now, line->since);
+    gsn_auto_mem(char) state = gsn_format("%s %s%s%s", look->symbol, line->state,
+                                          age && age[0] ? ", " : "", age ? age : "");
+    int row = put_wrapped(screen, 0, last, high, line->name);
+
+    row = put_wrapped(screen, row, last, (struct gsn_ink){ .hue = look->hue }, state ? state : "");
+    if (line->sentence)
+        row = put_advice_page(screen, row + 1, last, plain, store_dir, line->sentence);
+    row++;
+    for (size_t i = 0; i < GSN_BOARD_FACTS && line->fact[i]; i++)
+        row = put_advice_page(screen, row, last, plain, store_dir, line->fact[i]);
+    if (line->action) {
+        row = put_wrapped(screen, row + 1, last, low, "next");
+        (void)put_advice_page(screen, row, last, high, store_dir, line->action);
+    }
+    put_back(screen);
+}
+
+/* Keys and symbols. */
+/* Side by side where there is room; where there is none, the keys come first: symbols stand beside
+ * their words anyway. */
+static void put_help(struct gsn_screen *screen)
+{
+    static const char *const keys[] = {
+        "arrows, j, k   choose a line",
+        "PgUp PgDn      a screen further",
+        "Home End       first, last",
+        "Enter          all about it",
+        "r              let its failed jobs wait",
+        "R              let all failed jobs wait",
+        "q              quit",
+    };
+    static const char *const symbols[] = {
+        ". waiting",
+        "> working, receiving",
+        "+ reported, ready",
+        "! withheld, held, trouble",
+        "? unfiled: say whose it is",
+        "x failed, refused",
+        "- away    = paused",
+    };
+    enum { ROWS = sizeof keys / sizeof keys[0] };
+    const int width = gsn_screen_columns(screen), last = gsn_screen_rows(screen) - 2;
+    const int beside = width >= 2 * MIN_COLUMNS;
+
+    gsn_screen_put(screen, 0, 0, width, high, "gieson top");
+    for (int i = 0; i < ROWS; i++) {
+        const int row = beside ? 2 + i : 2 + ROWS + i;
+
+        if (1 + i + beside <= last)
+            gsn_screen_put(screen, 1 + i + beside, 0, MIN_COLUMNS, plain, keys[i]);
+        if (row <= last)
+            gsn_screen_put(screen, row, beside ? MIN_COLUMNS + GAP : 0, MIN_COLUMNS, plain,
+                           symbols[i]);
+    }
+    if (3 + ROWS + 2 <= last)
+        gsn_screen_put(screen, beside ? 3 + ROWS : 3 + 2 * ROWS, 0, width, low,
+                       "Only r and R change anything.");
+    put_back(screen);
+}
+
+/* Says how much room is needed. */
+static void put_too_small(struct gsn_screen *screen)
+{
+    gsn_auto_mem(char) sentence = gsn_format(
+        "gieson top needs %d columns and %d lines; here are %d and %d. q quits.", (int)MIN_COLUMNS,
+        (int)MIN_ROWS, gsn_screen_columns(screen), gsn_screen_rows(screen));
+
+    (void)put_wrapped(screen, 0, gsn_screen_rows(screen) - 1, plain, sentence ? sentence : "");
+}
 
 enum {
     MOST_ABOUT_SERVICE = 3, /* lines, where rows are many */
@@ -28,10 +154,6 @@ struct gsn_queue_view {
     int list_rows; /* as last drawn; a page */
     enum page page;
 };
-
-static const struct gsn_ink plain = { .hue = GSN_HUE_PLAIN };
-static const struct gsn_ink low = { .stress = GSN_STRESS_LOW };
-static const struct gsn_ink high = { .stress = GSN_STRESS_HIGH };
 static const struct gsn_ink care = { .hue = GSN_HUE_CARE, .stress = GSN_STRESS_HIGH };
 
 int gsn_queue_view_new(const char *store_dir, struct gsn_queue_view **ret_view,
@@ -68,12 +190,12 @@ static void set_text(char **field, const char *text)
     *field = text ? gsn_strdup(text) : NULL;
 }
 
-static const struct gsn_board_line *chosen(const struct gsn_queue_view *view)
+static const struct gsn_board_line *chosen_line(const struct gsn_queue_view *view)
 {
     return view->chosen ? &view->board->at[view->at] : NULL;
 }
 
-static void choose(struct gsn_queue_view *view, size_t at)
+static void choose_line(struct gsn_queue_view *view, size_t at)
 {
     view->at = at;
     set_text(&view->chosen, view->board->at[at].key);
@@ -86,12 +208,12 @@ static void choose_near(struct gsn_queue_view *view, size_t near)
 
     for (size_t i = near; i < board->count; i++)
         if (gsn_board_is_item(&board->at[i])) {
-            choose(view, i);
+            choose_line(view, i);
             return;
         }
     for (size_t i = near < board->count ? near : board->count; i-- > 0;)
         if (gsn_board_is_item(&board->at[i])) {
-            choose(view, i);
+            choose_line(view, i);
             return;
         }
     set_text(&view->chosen, NULL);
@@ -110,7 +232,7 @@ static void choose_again(struct gsn_queue_view *view)
 }
 
 /* So many items on (or back, where negative). */
-static void move(struct gsn_queue_view *view, long by)
+static void move_choice(struct gsn_queue_view *view, long by)
 {
     const struct gsn_board *board = view->board;
     size_t at = view->at;
@@ -126,12 +248,12 @@ static void move(struct gsn_queue_view *view, long by)
             by++;
         }
     if (view->chosen)
-        choose(view, at);
+        choose_line(view, at);
 }
 
 int64_t gsn_queue_view_specimen(const struct gsn_queue_view *view)
 {
-    const struct gsn_board_line *line = chosen(view);
+    const struct gsn_board_line *line = chosen_line(view);
 
     return line ? line->specimen : 0;
 }
@@ -183,13 +305,13 @@ struct columns {
     int name, state_at, detail_at, detail, age_at, next_at;
 };
 
-enum { SYMBOL = 2, STATE = 9, AGE = 6, NEXT = 6, GAP = 2, NAME_LEAST = 10, PANEL_INDENT = 2 };
+enum { SYMBOL = 2, STATE = 9, AGE = 6, NEXT = 6, NAME_MIN = 10, PANEL_INDENT = 2 };
 
 static struct columns columns_of(const struct gsn_queue_view *view, int width)
 {
     const int with_next = width >= 60, with_age = width >= 50;
     const int right = (with_next ? GAP + NEXT : 0) + (with_age ? GAP + AGE : 0);
-    struct columns c = { .name = NAME_LEAST };
+    struct columns c = { .name = NAME_MIN };
 
     for (size_t i = 0; i < view->board->count; i++) {
         const struct gsn_board_line *line = &view->board->at[i];
@@ -198,8 +320,8 @@ static struct columns columns_of(const struct gsn_queue_view *view, int width)
 
         c.name = wanted > c.name ? wanted : c.name;
     }
-    c.name = c.name > width / 4 && width / 4 > NAME_LEAST ? width / 4 : c.name;
-    c.name = c.name > width / 4 ? NAME_LEAST : c.name;
+    c.name = c.name > width / 4 && width / 4 > NAME_MIN ? width / 4 : c.name;
+    c.name = c.name > width / 4 ? NAME_MIN : c.name;
     c.state_at = SYMBOL + c.name + GAP;
     c.detail_at = c.state_at + STATE + GAP;
     c.detail = width - right - c.detail_at;
@@ -227,7 +349,7 @@ static void put_item(const struct gsn_queue_view *view, struct gsn_screen *scree
                      const struct columns *c, const struct gsn_board_line *line)
 {
     const struct gsn_look *look = gsn_look_of(line->state);
-    const int is_chosen = line == chosen(view);
+    const int is_chosen = line == chosen_line(view);
     const int indent = gsn_board_is_part(line) ? PANEL_INDENT : 0;
     const struct gsn_ink ink = { .hue = look->hue, .chosen = is_chosen };
     const struct gsn_ink calm = { .stress = GSN_STRESS_LOW, .chosen = is_chosen };
@@ -318,7 +440,7 @@ static int put_head(const struct gsn_queue_view *view, struct gsn_screen *screen
         gsn_screen_put(screen, ++row, 0, width, plain, view->counts);
     row++;
     if (gsn_screen_rows(screen) >= AIRY_ROWS)
-        return gsn_page_advice(screen, row, row + MOST_ABOUT_SERVICE - 1, ink, view->store_dir,
+        return put_advice_page(screen, row, row + MOST_ABOUT_SERVICE - 1, ink, view->store_dir,
                                said);
     put_told(view, screen, row, 0, ink, said);
     return row + 1;
@@ -336,7 +458,7 @@ static size_t items_to(const struct gsn_queue_view *view, size_t end)
 /* What to do about the chosen line, in full. */
 static void put_advice(const struct gsn_queue_view *view, struct gsn_screen *screen, int row)
 {
-    const struct gsn_board_line *line = chosen(view);
+    const struct gsn_board_line *line = chosen_line(view);
 
     if (view->message)
         put_told(view, screen, row, 0, high, view->message);
@@ -366,12 +488,12 @@ void gsn_queue_view_draw(struct gsn_queue_view *view, struct gsn_screen *screen)
     const int rows = gsn_screen_rows(screen), airy = rows >= AIRY_ROWS;
 
     gsn_screen_wipe(screen);
-    if (rows < GSN_PAGE_LEAST_ROWS || gsn_screen_columns(screen) < GSN_PAGE_LEAST_COLUMNS)
-        gsn_page_too_small(screen);
+    if (rows < MIN_ROWS || gsn_screen_columns(screen) < MIN_COLUMNS)
+        put_too_small(screen);
     else if (view->page == PAGE_HELP)
-        gsn_page_help(screen);
+        put_help(screen);
     else if (view->page == PAGE_DETAILS && view->chosen)
-        gsn_page_details(chosen(view), view->store_dir, view->now, screen);
+        put_details(chosen_line(view), view->store_dir, view->now, screen);
     else {
         const int from = put_head(view, screen) + airy;
 
@@ -383,9 +505,9 @@ void gsn_queue_view_draw(struct gsn_queue_view *view, struct gsn_screen *screen)
 
 /* ---- keys -------------------------------------------------------------------------------- */
 
-static enum gsn_queue_wish retry(struct gsn_queue_view *view)
+static enum gsn_queue_wish wish_retry(struct gsn_queue_view *view)
 {
-    const struct gsn_board_line *line = chosen(view);
+    const struct gsn_board_line *line = chosen_line(view);
 
     if (line && line->specimen && strcmp(line->state, "failed") == 0)
         return GSN_QUEUE_WISH_RETRY;
@@ -407,17 +529,17 @@ enum gsn_queue_wish gsn_queue_view_key(struct gsn_queue_view *view, int key)
     switch (key) {
     case GSN_KEY_UP:
     case 'k':
-        move(view, -1);
+        move_choice(view, -1);
         break;
     case GSN_KEY_DOWN:
     case 'j':
-        move(view, 1);
+        move_choice(view, 1);
         break;
     case GSN_KEY_PAGE_UP:
-        move(view, -page);
+        move_choice(view, -page);
         break;
     case GSN_KEY_PAGE_DOWN:
-        move(view, page);
+        move_choice(view, page);
         break;
     case GSN_KEY_HOME:
         choose_near(view, 0);
@@ -433,7 +555,7 @@ enum gsn_queue_wish gsn_queue_view_key(struct gsn_queue_view *view, int key)
         view->page = PAGE_HELP;
         break;
     case 'r':
-        return retry(view);
+        return wish_retry(view);
     case 'R':
         return GSN_QUEUE_WISH_RETRY_ALL;
     default:

@@ -1,9 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/screen.h"
 
-#include "ui/terminal.h"
-#include "ui/text.h"
-
 #include <langinfo.h>
 #include <locale.h>
 #include <ncurses.h>
@@ -12,6 +9,8 @@
 #include <string.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
+
+#include "ui/text.h"
 
 enum {
     ESCAPE_MS = 25,  /* an escape that nothing follows within this is the key */
@@ -119,7 +118,7 @@ void gsn_screen_wipe(struct gsn_screen *screen)
     (void)erase();
 }
 
-static attr_t attributes(struct gsn_ink ink)
+static attr_t attributes_of(struct gsn_ink ink)
 {
     if (ink.chosen)
         return A_REVERSE;
@@ -140,7 +139,7 @@ void gsn_screen_put(struct gsn_screen *screen, int row, int column, int columns,
         return;
     if (!screen->utf8)
         gsn_text_ascii(cell);
-    (void)attr_set(attributes(ink), screen->colour && !ink.chosen ? (short)ink.hue : 0, NULL);
+    (void)attr_set(attributes_of(ink), screen->colour && !ink.chosen ? (short)ink.hue : 0, NULL);
     (void)mvaddstr(row, column, cell);
     (void)attr_set(A_NORMAL, 0, NULL);
 }

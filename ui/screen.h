@@ -7,17 +7,20 @@
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
-#include "ui/look.h"
+#include "ui/text.h"
 
 struct gsn_screen;
 
 /* colour 0: none, whatever the terminal can. gives. Fails with GSN_E_UNSUPPORTED when the terminal
  * (or what TERM says of it) cannot place text. */
 int gsn_screen_open(int colour, struct gsn_screen **ret_screen, struct gsn_error *err);
+
 void gsn_screen_free(struct gsn_screen *screen);
+
 GSN_DEFINE_AUTO(gsn_screen);
 
 int gsn_screen_rows(const struct gsn_screen *screen);
+
 int gsn_screen_columns(const struct gsn_screen *screen);
 
 enum gsn_stress { GSN_STRESS_NONE, GSN_STRESS_LOW, GSN_STRESS_HIGH };
@@ -30,9 +33,11 @@ struct gsn_ink {
 
 /* Nothing is seen before gsn_screen_show(). */
 void gsn_screen_wipe(struct gsn_screen *screen);
+
 /* Puts the text into exactly so many columns, cut or filled; what lies outside is left out. */
 void gsn_screen_put(struct gsn_screen *screen, int row, int column, int columns, struct gsn_ink ink,
                     const char *text);
+
 void gsn_screen_show(struct gsn_screen *screen);
 
 enum gsn_key {
@@ -52,5 +57,8 @@ enum gsn_key {
 
 /* Waits at most so long for a key. */
 int gsn_screen_key(struct gsn_screen *screen, int wait_ms);
+
+/* Whether the terminal that TERM names can place text; 0 also when nobody knows it. */
+int gsn_terminal_places_text(void);
 
 #endif

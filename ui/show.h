@@ -6,13 +6,11 @@
 #define GSN_UI_SHOW_H
 
 #include "storage/bench.h"
-#include "storage/candidate.h"
-#include "storage/catalog.h"
 #include "storage/decision.h"
+#include "storage/catalog.h"
 #include "storage/panel_log.h"
-#include "storage/overview.h"
-#include "storage/queue.h"
 #include "storage/result.h"
+#include "storage/queue.h"
 #include "ui/ui.h"
 
 #include <jansson.h>
@@ -36,9 +34,6 @@ struct gsn_show {
  * the rest of view is left alone. */
 int gsn_show_load_sections(struct gsn_store *store, const char *name, struct gsn_show *view,
                            struct gsn_error *err);
-/* Everything. */
-int gsn_show_load(struct gsn_store *store, const char *name, struct gsn_show *view,
-                  struct gsn_error *err);
 void gsn_show_done(struct gsn_show *view);
 
 /* Whether this word is among its flags. */
@@ -46,28 +41,8 @@ int gsn_show_has_flag(const struct gsn_section_row *section, const char *flag);
 /* What was answered about a place, or NULL. */
 const struct gsn_decision_row *gsn_show_decision_on(const struct gsn_show *view, int64_t number,
                                                     int64_t slot);
-/* Whether a source delivers this specimen. */
-int gsn_show_delivers(const struct gsn_show *view, const char *source);
-int64_t gsn_show_panel_number(const struct gsn_show *view, int64_t id);
 /* The first of a section's candidates, which follow each other, and their number. */
 size_t gsn_show_candidates(const struct gsn_show *view, const struct gsn_section_row *s,
                            const struct gsn_candidate_row **ret_first);
-
-/* show_next.c */
-
-/* gives: `gieson decide SPECIMEN PLACE ANSWER`, or NULL when memory runs out. */
-char *gsn_show_decide_command(const struct gsn_show *view, int64_t number, int64_t slot,
-                              const char *answer);
-/* gives: the command that answers what a held panel waits for, or that says which number it has; or
- * NULL. */
-char *gsn_show_panel_action(const struct gsn_show *view, const struct gsn_panel_row *panel);
-/* gives: the command that answers what a section waits for, or NULL. */
-char *gsn_show_section_action(const struct gsn_show *view, const struct gsn_section_row *s);
-
-/* show_text.c and show_json.c */
-
-void gsn_show_print(const struct gsn_ui *ui, const struct gsn_show *view);
-/* gives. */
-json_t *gsn_show_json(const struct gsn_show *view);
 
 #endif

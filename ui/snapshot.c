@@ -1,16 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/snapshot.h"
 
-#include "storage/advice.h"
-#include "storage/service.h"
-#include "ui/look.h"
-#include "ui/text.h"
-
 #include <math.h>
 #include <string.h>
 
+#include "storage/advice.h"
+#include "storage/bench.h"
+#include "ui/text.h"
+
 /* Takes text, which is NULL when memory ran out. */
-static int replace(char **old, char *text, struct gsn_error *err)
+static int replace_text(char **old, char *text, struct gsn_error *err)
 {
     if (!text)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
@@ -28,10 +27,12 @@ static int take_result(struct gsn_store *store, const struct gsn_overview_row *f
         return GSN_OK;
     row->run = from->run;
     row->state = strcmp(from->run_state, "withheld") == 0 ? "withheld" : "reported";
-    r = from->run_message[0] ? replace(&row->detail, gsn_strdup(from->run_message), err) : GSN_OK;
+    r = from->run_message[0] ? replace_text(&row->detail, gsn_strdup(from->run_message), err)
+                             : GSN_OK;
     if (r < 0)
         return r;
-    return replace(&row->report, gsn_format("%s/%s", gsn_store_dir(store), from->report_path), err);
+    return replace_text(&row->report, gsn_format("%s/%s", gsn_store_dir(store), from->report_path),
+                        err);
 }
 
 static int tell_progress(const struct gsn_overview_job *job, const char *panel,
@@ -41,11 +42,11 @@ static int tell_progress(const struct gsn_overview_job *job, const char *panel,
 
     row->state = "working";
     if (!job->stage[0])
-        return replace(&row->detail, gsn_format("%s%sstarting", panel, between), err);
-    return replace(&row->detail,
-                   gsn_format("%s%s%s %lld/%lld", panel, between, job->stage, (long long)job->done,
-                              (long long)job->total),
-                   err);
+        return replace_text(&row->detail, gsn_format("%s%sstarting", panel, between), err);
+    return replace_text(&row->detail,
+                        gsn_format("%s%s%s %lld/%lld", panel, between, job->stage,
+                                   (long long)job->done, (long long)job->total),
+                        err);
 }
 
 /* Jobs speak louder than an older result, and failures louder than other jobs. */
@@ -56,7 +57,7 @@ static int take_job(const struct gsn_overview_job *job, const char *panel,
         return GSN_OK;
     if (strcmp(job->state, "failed") == 0) {
         row->state = "failed";
-        return replace(&row->detail, gsn_strdup(job->message), err);
+        return replace_text(&row->detail, gsn_strdup(job->message), err);
     }
     if (strcmp(job->state, "running") == 0)
         return tell_progress(job, panel, row, err);
@@ -69,8 +70,8 @@ static int take_job(const struct gsn_overview_job *job, const char *panel,
 }
 
 /* What waits is worked by itself where somebody works the queue. */
-static int advise(const struct gsn_snapshot *snapshot, int has_work, struct gsn_snapshot_row *row,
-                  struct gsn_error *err)
+static int advise_action(const struct gsn_snapshot *snapshot, int has_work,
+                         struct gsn_snapshot_row *row, struct gsn_error *err)
 {
     gsn_auto_mem(char) name = gsn_advice_word(row->name);
     const char *verb = NULL;
@@ -78,30 +79,31 @@ static int advise(const struct gsn_snapshot *snapshot, int has_work, struct gsn_
     if (!name)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (strcmp(row->state, "waiting") == 0 && !has_work && row->panels == 0)
-        return replace(&row->detail, gsn_strdup("no panel yet"), err);
+        return replace_text(&row->detail, gsn_strdup("no panel yet"), err);
     if (strcmp(row->state, "waiting") == 0)
-        return has_work && !snapshot->queue ? replace(&row->action, gsn_strdup("gieson run"), err)
-                                            : GSN_OK;
+        return has_work && !snapshot->queue
+                   ? replace_text(&row->action, gsn_strdup("gieson run"), err)
+                   : GSN_OK;
     if (strcmp(row->state, "failed") == 0)
         verb = "retry";
     else if (row->panels_refused > 0 || strcmp(row->state, "withheld") == 0)
         verb = "show";
     else if (row->run)
         verb = "report";
-    return verb ? replace(&row->action, gsn_format("gieson %s %s", verb, name), err) : GSN_OK;
+    return verb ? replace_text(&row->action, gsn_format("gieson %s %s", verb, name), err) : GSN_OK;
 }
 
 static int take_words(const struct gsn_overview_row *from, struct gsn_snapshot_row *row,
                       struct gsn_error *err)
 {
     const struct gsn_overview_job *job = &from->job;
-    int r = replace(&row->name, gsn_strdup(from->name), err);
+    int r = replace_text(&row->name, gsn_strdup(from->name), err);
 
     if (r >= 0)
-        r = replace(&row->group, gsn_strdup(from->group), err);
+        r = replace_text(&row->group, gsn_strdup(from->group), err);
     if (r >= 0 && strcmp(job->state, "running") == 0)
-        r = replace(&row->progress,
-                    gsn_look_progress(job->stage, job->done, job->total, job->eta_s), err);
+        r = replace_text(&row->progress,
+                         gsn_look_progress(job->stage, job->done, job->total, job->eta_s), err);
     return r;
 }
 
@@ -141,7 +143,7 @@ static int take_row(struct gsn_store *store, const struct gsn_snapshot *snapshot
     }
     if (r >= 0)
         r = take_job(&from->job, "", row, err);
-    return r >= 0 ? advise(snapshot, has_work, row, err) : r;
+    return r >= 0 ? advise_action(snapshot, has_work, row, err) : r;
 }
 
 /* A lock that we may not read says nothing, and is no reason to show nothing. */
@@ -178,7 +180,7 @@ static int take_bench(struct gsn_store *store, struct gsn_snapshot *snapshot, st
     if (r >= 0)
         r = gsn_scan_list(store, "unfiled", 0, &snapshot->unfiled, err);
     if (r >= 0)
-        r = gsn_scan_count_unsettled(store, &snapshot->unsettled, err);
+        r = gsn_scan_count_staged(store, &snapshot->unsettled, err);
     if (r >= 0)
         r = gsn_overview_panels(store, &snapshot->panels, err);
     if (r >= 0)

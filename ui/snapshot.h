@@ -7,7 +7,7 @@
 #define GSN_UI_SNAPSHOT_H
 
 #include "storage/bench.h"
-#include "storage/overview.h"
+#include "storage/result.h"
 #include "storage/queue.h"
 #include "storage/scan.h"
 #include "storage/store.h"

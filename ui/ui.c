@@ -1,11 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/ui.h"
 
-#include "storage/advice.h"
-
-#include "pipeline/core/process.h"
-#include "ui/text.h"
-
 #include <errno.h>
 #include <math.h>
 #include <stdarg.h>
@@ -15,6 +10,10 @@
 #include <sys/ioctl.h>
 #include <sysexits.h>
 #include <time.h>
+
+#include "pipeline/core/process.h"
+#include "storage/advice.h"
+#include "ui/text.h"
 
 void gsn_ui_wrap(const struct gsn_ui *ui, int indent, const char *text)
 {

@@ -46,11 +46,11 @@ void bench_init(struct bench *bench, const struct ptp_faults *faults)
 
 void bench_open(struct bench *bench)
 {
-    const struct gsn_ptp_door door = { memory_door, &bench->bus };
+    const struct gsn_ptp_opener opener = { memory_opener, &bench->bus };
     struct gsn_error err = { 0 };
     void *self = NULL;
 
-    CHECK_OK(gsn_ptp_source_new(&door, &bench->options, &self, &err), err);
+    CHECK_OK(gsn_ptp_source_new(&opener, &bench->options, &self, &err), err);
     CHECK_OK(gsn_source_make(&gsn_ptp_source_ops, self, "ptp:SN0001", &bench->options,
                              &bench->source, &err),
              err);

@@ -9,7 +9,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "acquire/natural.h"
+#include "acquire/source.h"
 #include "acquire/spool.h"
 #include "pipeline/core/file.h"
 #include "tests/check.h"

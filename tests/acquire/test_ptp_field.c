@@ -535,12 +535,12 @@ static int held_by_another(void *context, struct gsn_ptp_transport **ret_transpo
 
 TEST(who_holds_the_device_is_passed_on)
 {
-    const struct gsn_ptp_door door = { held_by_another, NULL };
+    const struct gsn_ptp_opener opener = { held_by_another, NULL };
     const struct gsn_source_options options = { .settle_ms = 1000 };
     struct gsn_error err = { 0 };
     void *self = NULL;
 
-    CHECK(gsn_ptp_source_new(&door, &options, &self, &err) == GSN_E_BUSY);
+    CHECK(gsn_ptp_source_new(&opener, &options, &self, &err) == GSN_E_BUSY);
     CHECK(strstr(err.text, "gvfs") && self == NULL);
 }
 

@@ -213,13 +213,13 @@ TEST(whatever_a_responder_says_nothing_crashes_and_nothing_hangs)
         struct gsn_error err = { 0 };
         struct memory_bus bus = { 0 };
         struct liar liar;
-        const struct gsn_ptp_door door = { memory_door, &bus };
+        const struct gsn_ptp_opener opener = { memory_opener, &bus };
         void *self = NULL;
 
         stand_between(&liar, model, seed);
         bus.model = &liar.usb;
         add_objects(model, bytes);
-        CHECK_OK(gsn_ptp_source_new(&door, &options, &self, &err), err);
+        CHECK_OK(gsn_ptp_source_new(&opener, &options, &self, &err), err);
         CHECK_OK(gsn_source_make(&gsn_ptp_source_ops, self, "ptp:any", &options, &source, &err),
                  err);
         for (int i = 0; i < TURNS; i++)

@@ -684,10 +684,10 @@ TEST(facts_are_what_the_device_said)
 
 static int poll_and_read(struct bench *bench, struct gsn_error *err)
 {
-    const struct gsn_ptp_door door = { memory_door, &bench->bus };
+    const struct gsn_ptp_opener opener = { memory_opener, &bench->bus };
     uint8_t bytes[3000];
     void *self = NULL;
-    int r = gsn_ptp_source_new(&door, &bench->options, &self, err);
+    int r = gsn_ptp_source_new(&opener, &bench->options, &self, err);
 
     for (int i = 0; r >= 0 && i < 4; i++) {
         gsn_auto(gsn_source_events) events = gsn_alloc_array(1, sizeof *events);

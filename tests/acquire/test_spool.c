@@ -18,7 +18,7 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/store.h"
 #include "tests/check.h"
 #include "tests/storage/scratch.h"
@@ -293,9 +293,9 @@ TEST(the_reserve_is_kept_to_the_byte_before_one_is_written)
     CHECK(got.size == 77 && diary[0] == '\0' && count_in(&scratch, "objects/tmp") == 0);
     free_bytes = 2; /* less than the panel itself */
     CHECK(gsn_spool_take(spool, "abc", 3, "P1.tif", &got, &err) == GSN_E_LIMIT);
-    CHECK(gsn_spool_has_room(spool, 3, &err) == GSN_E_LIMIT);
+    CHECK(gsn_spool_has_space(spool, 3, &err) == GSN_E_LIMIT);
     free_bytes = (512 << 20) + 3;
-    CHECK_OK(gsn_spool_has_room(spool, 3, &err), err);
+    CHECK_OK(gsn_spool_has_space(spool, 3, &err), err);
     CHECK_OK(gsn_spool_take(spool, "abc", 3, "P1.tif", &got, &err), err);
     free_bytes = UINT64_MAX;
 }

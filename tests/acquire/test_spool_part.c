@@ -364,8 +364,8 @@ TEST(parts_give_way_when_a_picture_needs_the_room)
 
     break_off(&bench, 600000);
     free_bytes = 10;
-    CHECK_OK(gsn_spool_has_room(bench.spool, 400000, &err), err);
-    CHECK(gsn_spool_has_room(bench.spool, SIZE, &err) == GSN_E_LIMIT);
+    CHECK_OK(gsn_spool_has_space(bench.spool, 400000, &err), err);
+    CHECK(gsn_spool_has_space(bench.spool, SIZE, &err) == GSN_E_LIMIT);
     CHECK(temporaries(&bench, NULL, 0) == 1);
     /* Its own part stays: it is what the room is wanted for. */
     CHECK(take_item(&bench, SIZE, &got, &err) == GSN_E_LIMIT);

@@ -2,7 +2,8 @@
 
 /* The V4L2 source, unmodified, against cameras behind /dev/videoN as umockdev makes them believed.
  */
-#include "acquire/v4l2_source.h"
+#include "acquire/v4l2_device.h"
+#include "acquire/source.h"
 
 #include <errno.h>
 #include <fcntl.h>

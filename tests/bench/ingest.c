@@ -2,8 +2,6 @@
 
 /* What it costs to keep a picture. All of it happens in a folder below the one the program was
  * started in, because the disk is what is measured: start it where the store will be. */
-#include "tests/bench/folder.h"
-
 #include <fcntl.h>
 #include <math.h>
 #include <openssl/evp.h>
@@ -15,7 +13,7 @@
 #include <unistd.h>
 
 #include "acquire/spool.h"
-#include "acquire/spool_copy.h"
+#include "tests/bench/folder.h"
 
 /* ---- a picture's bytes ---- */
 
@@ -95,22 +93,6 @@ int __wrap_gsn_hash_add(struct gsn_hash *hash, const void *bytes, size_t size,
     return r;
 }
 
-/* The spool's pass into a file, without the sync. */
-static void pass_alone(struct picture *picture)
-{
-    char path[100];
-    const int fd = new_file(picture, path);
-    const struct gsn_spool_feed feed = { gsn_spool_read_fd, &picture->fd, picture->size };
-    gsn_auto(gsn_spool_copy) copy = NULL;
-    struct gsn_error err = { 0 };
-
-    bench_need(gsn_spool_copy_new(&copy, &err), &err, "copy");
-    hash_cpu = 0;
-    bench_need(gsn_spool_copy_run(copy, &feed, fd, path, &err), &err, "copy");
-    picture->pass_cpu = hash_cpu;
-    need(close(fd) == 0 && unlink(path) == 0, path);
-}
-
 static void take_whole(struct picture *picture)
 {
     const double start = seconds(CLOCK_MONOTONIC);
@@ -118,8 +100,10 @@ static void take_whole(struct picture *picture)
     struct gsn_error err = { 0 };
     char path[200];
 
+    hash_cpu = 0;
     bench_need(gsn_spool_take_fd(picture->spool, picture->fd, "picture", &spooled, &err), &err,
                "take");
+    picture->pass_cpu = hash_cpu;
     picture->total_s = seconds(CLOCK_MONOTONIC) - start;
     need(spooled.found == GSN_SPOOL_NEW, "a new object");
     (void)snprintf(path, sizeof path, "%s/objects/%.2s/%s", picture->folder.path,
@@ -166,7 +150,6 @@ static void bench_picture(size_t size)
     for (size_t i = 0; i < rounds; i++) {
         hash_alone(&picture);
         copy_alone(&picture, piece);
-        pass_alone(&picture);
         take_whole(&picture);
         all[HASH][i] = picture.hash_cpu;
         all[PASS][i] = picture.pass_cpu;

@@ -193,7 +193,7 @@ static void time_log(struct logs *logs, int which, const struct gsn_scan_row *sc
     int again = 0;
 
     if (which == OURS)
-        bench_need(gsn_scan_take(logs->store, scan, 0, 1, &id, &again, &err), &err, "scan");
+        bench_need(gsn_scan_stage(logs->store, scan, 0, 1, &id, &again, &err), &err, "scan");
     else if (which == SAME)
         insert_same(&logs->same, scan, number);
     else if (which == BARE)

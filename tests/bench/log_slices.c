@@ -74,14 +74,14 @@ static struct gsn_section_row section(size_t number, size_t slot)
                                    .area_px = 400000 + at };
 
     for (size_t m = 0; m < GSN_ROW_MARKS; m++)
-        row.marker[m] = (struct gsn_marker_row){ .found = 1,
-                                                 .x_px = at * .25 + (double)m,
-                                                 .y_px = at * .125,
-                                                 .radius_px = 9.5,
-                                                 .cov_xx = .01,
-                                                 .cov_xy = .001,
-                                                 .cov_yy = .02,
-                                                 .score = .9 };
+        row.marker[m] = (struct gsn_fiducial_row){ .found = 1,
+                                                   .x_px = at * .25 + (double)m,
+                                                   .y_px = at * .125,
+                                                   .radius_px = 9.5,
+                                                   .cov_xx = .01,
+                                                   .cov_xy = .001,
+                                                   .cov_yy = .02,
+                                                   .score = .9 };
     return row;
 }
 

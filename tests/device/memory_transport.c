@@ -201,7 +201,7 @@ int memory_transport_open(struct memory_bus *bus, struct gsn_ptp_transport **ret
     return GSN_OK;
 }
 
-int memory_door(void *bus, struct gsn_ptp_transport **ret_transport, struct gsn_error *err)
+int memory_opener(void *bus, struct gsn_ptp_transport **ret_transport, struct gsn_error *err)
 {
     return memory_transport_open(bus, ret_transport, err);
 }

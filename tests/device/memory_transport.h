@@ -23,8 +23,8 @@ struct memory_bus {
  * Fails with GSN_E_NOTFOUND when the model is unplugged. */
 int memory_transport_open(struct memory_bus *bus, struct gsn_ptp_transport **ret_transport,
                           struct gsn_error *err);
-/* For a struct gsn_ptp_door; context is the bus. */
-int memory_door(void *bus, struct gsn_ptp_transport **ret_transport, struct gsn_error *err);
+/* For a struct gsn_ptp_opener; context is the bus. */
+int memory_opener(void *bus, struct gsn_ptp_transport **ret_transport, struct gsn_error *err);
 
 /* Lets time pass. */
 void memory_bus_sleep(struct memory_bus *bus, int64_t ms);

@@ -19,7 +19,7 @@
 #include "storage/bench.h"
 #include "storage/queue.h"
 #include "storage/scan.h"
-#include "systemd/job.h"
+#include "systemd/worker/job.h"
 #include "tests/check.h"
 #include "tests/device/aside.h"
 #include "tests/device/umock_v4l2.h"

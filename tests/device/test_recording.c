@@ -6,7 +6,7 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "acquire/ptp_record.h"
+#include "acquire/ptp_transport.h"
 #include "acquire/source.h"
 #include "pipeline/core/file.h"
 #include "tests/check.h"

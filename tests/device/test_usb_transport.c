@@ -11,8 +11,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "acquire/ptp_record.h"
-#include "acquire/usb_address.h"
+#include "acquire/ptp_transport.h"
 #include "tests/check.h"
 #include "tests/device/ptp_model.h"
 #include "tests/device/umock.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* A device played from the record of one (acquire/ptp_record.h): it answers each question as the
+/* A device played from the record of one (acquire/ptp_transport.h): it answers each question as the
  * recorded device did, packet boundaries and all, under the transaction number of who asks now.
  *
  * A question that was asked several times gets its answers in turn, and then the last one again.

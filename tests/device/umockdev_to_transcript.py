@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: AGPL-3.0-or-later
-"""Turns an ioctl recording of umockdev of a PTP device into the record that acquire/ptp_record.h
+"""Turns an ioctl recording of umockdev of a PTP device into the record that acquire/ptp_transport.h
 describes. A recording is a tree: below a request lie the reads that followed it, and below the
 first line of each depth the alternatives of other runs. The first run that was recorded is taken.
 

@@ -26,9 +26,9 @@ export ASAN_OPTIONS=abort_on_error=1:quarantine_size_mb=8
 # What is judged, and what that needs besides.
 sources_of() {
     case $1 in
-    container) echo "acquire/container.c acquire/container_tiff.c" ;;
+    container) echo "acquire/container.c" ;;
     uvc) echo "acquire/uvc.c" ;;
-    ptp) ls acquire/ptp_*.c | grep -v ptp_record ;;
+    ptp) ls acquire/ptp_*.c | grep -v ptp_transport ;;
     volume) ls pipeline/decode/volume*.c ;;
     job) echo "pipeline/protocol.c" && ls pipeline/stated_*.c ;;
     esac

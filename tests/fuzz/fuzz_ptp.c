@@ -159,7 +159,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     struct ptp_model *const model = ptp_model_new("SN0001", NULL);
     struct spoiler spoiler = { .truth = ptp_model_usb(model), .at = bytes, .left = size };
     struct memory_bus bus = { .model = &spoiler.usb };
-    const struct gsn_ptp_door door = { memory_door, &bus };
+    const struct gsn_ptp_opener door = { memory_opener, &bus };
     struct gsn_source *source = NULL;
     struct gsn_error err = { 0 };
     void *self = NULL;

@@ -48,7 +48,7 @@ FOREIGN = {
     r"(tiffio|jpeglib|png)\.h": r"^pipeline/(decode|export|phantom)/",
     r"(zlib|openslide/.*|lcms2)\.h": r"^pipeline/(decode|export)/",
     r"libcamera/.*": r"^acquire/libcamera_source\.cpp$",
-    r"libusb\.h": r"^acquire/usb_(find|transport)\.c$",
+    r"libusb\.h": r"^acquire/usb_transport\.c$",
     r"openssl/.*": r"^pipeline/core/hash\.c$",
     r"n?curses(w/.*)?\.h": r"^ui/",
     r"(seccomp|linux/(landlock|seccomp))\.h": r"^pipeline/core/sandbox\.c$",

@@ -8,7 +8,7 @@
 
 #include "acquire/spool.h"
 #include "storage/catalog.h"
-#include "systemd/intake.h"
+#include "systemd/ingest/intake.h"
 
 enum { NOW = 1700000000 };
 
@@ -89,7 +89,7 @@ static int run(struct session *session, struct gsn_error *err)
                 r = take(session, &events->at[i], err);
         }
         if (r >= 0)
-            r = gsn_scan_settle(session->intake.store, err);
+            r = gsn_scan_commit_staged(session->intake.store, err);
     }
     return r;
 }

@@ -8,7 +8,7 @@
 #include <string.h>
 
 #include "acquire/spool.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/queue.h"
 #include "storage/scan.h"
 #include "storage/store.h"

@@ -24,17 +24,16 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/result.h"
 #include "storage/scan.h"
-#include "storage/schema.h"
 #include "storage/sql.h"
 #include "storage/store.h"
-#include "systemd/backup.h"
-#include "systemd/import.h"
-#include "systemd/job.h"
-#include "systemd/scrub.h"
-#include "systemd/verify.h"
+#include "systemd/worker/backup.h"
+#include "systemd/worker/import.h"
+#include "systemd/worker/job.h"
+#include "systemd/worker/scrub.h"
+#include "systemd/worker/verify.h"
 #include "tests/pipeline/drawn_panel.h"
 #include "tests/power/bench.h"
 #include "tests/power/fault.h"
@@ -183,7 +182,7 @@ static void ingest_and_die(const struct places *places)
      */
     if (power_ingest(&all, &taken, &err) < 0 || taken != PICTURES ||
         gsn_store_open(places->made, GSN_STORE_WRITE, &store, &err) < 0 ||
-        gsn_scan_take(store, &late, 1, 1800000000, &id, &again, &err) < 0)
+        gsn_scan_stage(store, &late, 1, 1800000000, &id, &again, &err) < 0)
         power_give_up(err.text);
     _exit(0);
 }

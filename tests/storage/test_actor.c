@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/actor.h"
+#include "storage/audit_log.h"
 
 #include <stdlib.h>
 #include <string.h>

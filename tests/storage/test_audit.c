@@ -9,10 +9,10 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/pagesum.h"
 #include "storage/result.h"
-#include "storage/schema.h"
+#include "storage/sql.h"
 #include "tests/storage/bench.h"
 
 /* What an audit told, a line each. */

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/scan.h"
 #include "storage/sql.h"
 #include "tests/storage/bench.h"

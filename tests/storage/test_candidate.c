@@ -1,11 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/candidate.h"
+#include "storage/decision.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "storage/decision.h"
-#include "storage/overview.h"
+#include "storage/result.h"
 #include "tests/storage/bench.h"
 
 static struct gsn_candidate_row candidate(int64_t slot, double share, const char *differs)
@@ -18,7 +17,7 @@ static struct gsn_candidate_row candidate(int64_t slot, double share, const char
                                      .differs = differs };
 
     for (int m = 0; m < 2; m++)
-        row.marker[m] = (struct gsn_marker_row){ 1, 812.37 + m, 400.5, 7.5, .01, -.002, .03, .9 };
+        row.marker[m] = (struct gsn_fiducial_row){ 1, 812.37 + m, 400.5, 7.5, .01, -.002, .03, .9 };
     return row;
 }
 

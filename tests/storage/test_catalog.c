@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "storage/event.h"
+#include "storage/audit_log.h"
 
 TEST(a_specimen_reads_back_as_it_was_written)
 {

@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "storage/catalog.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/panel_log.h"
 #include "storage/queue.h"
 #include "tests/storage/bench.h"

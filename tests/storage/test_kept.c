@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/kept.h"
+#include "storage/sql.h"
 
 #include <sqlite3.h>
 #include <stdio.h>

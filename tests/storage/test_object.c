@@ -1,9 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/object.h"
+#include "storage/catalog.h"
 
 #include <string.h>
 
-#include "storage/attachment.h"
 #include "storage/scan.h"
 #include "tests/storage/bench.h"
 
@@ -30,8 +29,8 @@ static void fill(struct gsn_store *store)
     mask.sha256 = bench_digest(3);
     CHECK_OK(gsn_attachment_put(store, two, &mask, &again, &err), err);
     blank.sha256 = bench_digest(4);
-    CHECK_OK(gsn_scan_take(store, &blank, 0, NOON, &id, &again, &err), err);
-    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &blank, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(store, &err), err);
 }
 
 TEST(each_object_is_listed_once_by_digest_and_in_pieces)

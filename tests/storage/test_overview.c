@@ -1,12 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/overview.h"
+#include "storage/result.h"
 
 #include <string.h>
 #include <unistd.h>
 
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/queue.h"
-#include "storage/result.h"
 #include "tests/storage/bench.h"
 
 static struct gsn_overview_rows *list(struct gsn_store *store)

@@ -4,7 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "storage/schema.h"
 #include "storage/sql.h"
 
 TEST(a_panel_reads_back_as_it_was_written)
@@ -142,7 +141,7 @@ static struct gsn_section_row section(int64_t slot, int64_t serial)
 
     for (int i = 0; i < GSN_ROW_MARKS; i++)
         row.marker[i] =
-            (struct gsn_marker_row){ 1, 0.1 * i, 1e5 / 3 + i, 9, 0.01, -0.001, 0.02, 7 };
+            (struct gsn_fiducial_row){ 1, 0.1 * i, 1e5 / 3 + i, 9, 0.01, -0.001, 0.02, 7 };
     return row;
 }
 
@@ -155,7 +154,7 @@ TEST(sections_and_marks_read_back_to_the_last_bit)
     const int64_t specimen = bench_add_specimen(store, "S", "g", "");
     const int64_t panel = bench_add_panel(store, specimen, 1);
     struct gsn_section_row rows[3] = { section(1, 12), section(2, 0), section(3, 11) };
-    const struct gsn_marker_row *lost;
+    const struct gsn_fiducial_row *lost;
 
     rows[0].marker[1].found = 0;
     CHECK_OK(gsn_section_replace(store, panel, rows, 3, &err), err);

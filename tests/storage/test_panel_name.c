@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/panel_name.h"
+#include "storage/panel_log.h"
 
 #include <string.h>
 

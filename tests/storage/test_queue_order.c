@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/queue_order.h"
+#include "storage/queue.h"
 
 #include <stdbool.h>
 

@@ -4,10 +4,9 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/panel_log.h"
 #include "storage/queue.h"
-#include "storage/schema.h"
 #include "storage/sql.h"
 #include "tests/storage/bench.h"
 
@@ -33,9 +32,9 @@ static struct gsn_scan_row *arrive(struct gsn_store *store, const char *name, un
     int64_t id = 0;
     int again = -1;
 
-    CHECK_OK(gsn_scan_take(store, &row, number, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, number, NOON, &id, &again, &err), err);
     CHECK(again == 0);
-    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(store, &err), err);
     CHECK_OK(gsn_scan_get(store, id, &got, &err), err);
     return got;
 }
@@ -96,8 +95,8 @@ TEST(the_newest_of_a_subject_is_that_of_this_source)
     rows[2].subject = "blank";
     rows[3].source = "camera";
     for (size_t i = 0; i < 4; i++)
-        CHECK_OK(gsn_scan_take(store, &rows[i], 0, NOON, &id, &again, &err), err);
-    CHECK_OK(gsn_scan_settle(store, &err), err);
+        CHECK_OK(gsn_scan_stage(store, &rows[i], 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(store, &err), err);
     CHECK_OK(gsn_scan_newest(store, "flatbed", "panel", &panel, &err), err);
     CHECK(strcmp(panel->name, "2") == 0);
     CHECK_OK(gsn_scan_newest(store, "flatbed", "blank", &blank, &err), err);
@@ -206,20 +205,20 @@ TEST(a_picture_is_safe_and_known_before_it_is_settled)
 
     (void)bench_add_specimen(store, "S", "g", "");
     row.key = "SN1/1";
-    CHECK_OK(gsn_scan_take(store, &row, 7, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 7, NOON, &id, &again, &err), err);
     CHECK(again == 0 && ask(reader, "SELECT count(*) FROM inbox") == 1);
     CHECK(ask(reader, "SELECT count(*) FROM scan") == 0);
-    CHECK_OK(gsn_scan_count_unsettled(reader, &unsettled, &err), err);
+    CHECK_OK(gsn_scan_count_staged(reader, &unsettled, &err), err);
     CHECK(unsettled == 1);
     CHECK_OK(gsn_scan_is_known(reader, "SN1/1", &known, &err), err);
     CHECK(known == 1);
-    CHECK_OK(gsn_scan_take(store, &row, 7, NOON + 9, &same, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 7, NOON + 9, &same, &again, &err), err);
     CHECK(again == 1 && same == id);
 
     /* Killed here, and started again. */
     gsn_store_free(store);
     store = bench_open(&scratch, GSN_STORE_WRITE);
-    CHECK_OK(gsn_scan_count_unsettled(reader, &unsettled, &err), err);
+    CHECK_OK(gsn_scan_count_staged(reader, &unsettled, &err), err);
     CHECK(unsettled == 0);
     CHECK_OK(gsn_scan_get(reader, id, &got, &err), err);
     CHECK(strcmp(got->state, "filed") == 0 && number_of(reader, got->panel_id) == 7);
@@ -242,9 +241,9 @@ TEST(nothing_is_written_between_a_picture_and_its_filing)
     int64_t id[2];
     int again;
 
-    CHECK_OK(gsn_scan_take(store, &first, 1, NOON, &id[0], &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &first, 1, NOON, &id[0], &again, &err), err);
     (void)bench_add_specimen(other, "S", "g", "");
-    CHECK_OK(gsn_scan_take(store, &second, 2, NOON, &id[1], &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &second, 2, NOON, &id[1], &again, &err), err);
     CHECK_OK(gsn_scan_expect(other, "flatbed", NULL, "ann", NOON, &err), err);
     CHECK_OK(gsn_scan_get(other, id[0], &before, &err), err);
     CHECK_OK(gsn_scan_get(other, id[1], &after, &err), err);
@@ -283,16 +282,16 @@ TEST(two_handles_take_no_picture_twice)
         struct gsn_digest digest;
         const struct gsn_scan_row row = picture(i, &digest);
 
-        CHECK_OK(gsn_scan_take(store[i / 3 % 2], &row, 0, NOON, &id, &again, &err), err);
+        CHECK_OK(gsn_scan_stage(store[i / 3 % 2], &row, 0, NOON, &id, &again, &err), err);
         CHECK(again == 0 && id == i + 1);
         if (i % 11 == 10)
-            CHECK_OK(gsn_scan_settle(store[i % 2], &err), err);
+            CHECK_OK(gsn_scan_commit_staged(store[i % 2], &err), err);
         /* All that came so far, to either. */
         for (unsigned k = 0; k <= i; k++) {
             struct gsn_digest old_digest;
             const struct gsn_scan_row old = picture(k, &old_digest);
 
-            CHECK_OK(gsn_scan_take(store[k % 2], &old, 0, NOON, &id, &again, &err), err);
+            CHECK_OK(gsn_scan_stage(store[k % 2], &old, 0, NOON, &id, &again, &err), err);
             CHECK(again == 1 && id == k + 1);
         }
     }
@@ -311,12 +310,12 @@ TEST(an_id_that_was_rolled_back_hides_no_picture)
     int again = -1;
 
     CHECK_OK(gsn_store_begin(store, &err), err);
-    CHECK_OK(gsn_scan_take(store, &undone, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &undone, 0, NOON, &id, &again, &err), err);
     gsn_store_rollback(store);
-    CHECK_OK(gsn_scan_take(other, &row, 0, NOON, &same, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(other, &row, 0, NOON, &same, &again, &err), err);
     CHECK(same == id);
-    CHECK_OK(gsn_scan_take(store, &next, 0, NOON, &id, &again, &err), err);
-    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &next, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
     CHECK(again == 1 && id == same);
 }
 
@@ -329,13 +328,13 @@ TEST(what_is_rolled_back_leaves_the_inbox_as_it_was)
     int64_t id;
     int again;
 
-    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
     CHECK_OK(gsn_store_begin(store, &err), err);
     CHECK(ask(store, "SELECT count(*) FROM scan") == 1);
     gsn_store_rollback(store);
     CHECK(ask(store, "SELECT count(*) FROM scan") == 0);
     CHECK(ask(store, "SELECT count(*) FROM inbox") == 1);
-    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(store, &err), err);
     CHECK(ask(store, "SELECT count(*) FROM scan") == 1);
 }
 
@@ -351,11 +350,11 @@ TEST(a_long_burst_is_settled_on_its_way)
     for (unsigned i = 1; i <= BURST; i++) {
         const struct gsn_scan_row row = arrival("x", i);
 
-        CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+        CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
         CHECK(again == 0 && id == i);
         CHECK(ask(store, "SELECT count(*) FROM inbox") <= MOST);
     }
-    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(store, &err), err);
     CHECK(ask(store, "SELECT count(*) FROM scan") == BURST);
     CHECK(ask(store, "SELECT max(id) FROM scan") == BURST);
 }
@@ -373,7 +372,7 @@ TEST(one_picture_dirties_one_page)
     for (unsigned i = 0; i <= PICTURES; i++) {
         const struct gsn_scan_row row = arrival("x", i);
 
-        CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+        CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
         if (i == 0)
             frames = wal_frames(&scratch);
     }
@@ -394,7 +393,7 @@ TEST(the_same_picture_again_writes_nothing)
     (void)bench_add_specimen(store, "S", "g", "");
     first = arrive(store, "S-P1.tif", 1, 1);
     events = ask(store, "SELECT count(*) FROM event");
-    CHECK_OK(gsn_scan_take(store, &row, 1, NOON + 1, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 1, NOON + 1, &id, &again, &err), err);
     CHECK(again == 1 && id == first->id);
     CHECK(ask(store, "SELECT count(*) FROM scan") == 1);
     CHECK(ask(store, "SELECT count(*) FROM event") == events);
@@ -412,7 +411,7 @@ TEST(a_picture_that_nobody_could_place_is_not_placed_by_coming_again)
 
     (void)bench_add_specimen(store, "S", "g", "");
     CHECK_OK(gsn_scan_expect(store, "flatbed", "S", "ann", NOON, &err), err);
-    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
     CHECK(again == 1 && id == first->id);
     CHECK(ask(store, "SELECT count(*) FROM scan WHERE state = 'unfiled'") == 1);
     CHECK(ask(store, "SELECT (SELECT count(*) FROM panel) + (SELECT count(*) FROM job)") == 0);
@@ -449,8 +448,8 @@ TEST(blank_glass_and_dark_frames_are_kept_and_are_no_panels)
         int again = -1;
 
         row.subject = subjects[i];
-        CHECK_OK(gsn_scan_take(store, &row, 1, NOON, &id, &again, &err), err);
-        CHECK_OK(gsn_scan_settle(store, &err), err);
+        CHECK_OK(gsn_scan_stage(store, &row, 1, NOON, &id, &again, &err), err);
+        CHECK_OK(gsn_scan_commit_staged(store, &err), err);
         CHECK_OK(gsn_scan_get(store, id, &got, &err), err);
         CHECK(strcmp(got->state, "kept") == 0 && got->panel_id == 0);
         CHECK(gsn_scan_file(store, id, "S", 1, "ann", NOON, &err) == GSN_E_INPUT);
@@ -515,12 +514,12 @@ TEST(a_clock_that_jumps_changes_neither_order_nor_history)
         int64_t id = 0;
         int again = -1;
 
-        CHECK_OK(gsn_scan_take(store, &row, i + 1, times[i], &id, &again, &err), err);
+        CHECK_OK(gsn_scan_stage(store, &row, i + 1, times[i], &id, &again, &err), err);
         CHECK(id == i + 1 && again == 0);
         if (i % 2)
-            CHECK_OK(gsn_scan_settle(store, &err), err);
+            CHECK_OK(gsn_scan_commit_staged(store, &err), err);
     }
-    CHECK_OK(gsn_scan_settle(store, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(store, &err), err);
     CHECK_OK(gsn_scan_list(store, NULL, 0, &rows, &err), err);
     CHECK_OK(gsn_panel_list(store, 1, &panels, &err), err);
     CHECK(rows->count == 5 && rows->at[0].id == 5 && panels->count == 5);
@@ -640,14 +639,14 @@ TEST(a_key_is_known_once_its_scan_is_there_and_an_empty_one_never)
     int64_t id = 0;
     int again = -1, known = -1;
 
-    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
     CHECK_OK(gsn_scan_is_known(store, "", &known, &err), err);
     CHECK(known == 0);
     row = arrival("b", 2);
     row.key = "SN1/1/b/4711/20260101T120000";
     CHECK_OK(gsn_scan_is_known(store, row.key, &known, &err), err);
     CHECK(known == 0);
-    CHECK_OK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err), err);
     CHECK_OK(gsn_scan_is_known(store, row.key, &known, &err), err);
     CHECK(known == 1);
 }
@@ -681,11 +680,11 @@ TEST(what_is_no_scan_is_refused_and_the_output_stays_untouched)
     int again = 56;
 
     row.sha256 = "no digest";
-    CHECK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err) == GSN_E_INPUT);
+    CHECK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err) == GSN_E_INPUT);
     CHECK(strstr(err.text, "scan a"));
     row = arrival("a", 1);
     row.size = 0;
-    CHECK(gsn_scan_take(store, &row, 0, NOON, &id, &again, &err) == GSN_E_INPUT);
+    CHECK(gsn_scan_stage(store, &row, 0, NOON, &id, &again, &err) == GSN_E_INPUT);
     CHECK(id == 55 && again == 56);
     CHECK(ask(store, "SELECT count(*) FROM event") == 0);
 }
@@ -695,7 +694,7 @@ static int take_once(struct gsn_store *store, const struct gsn_scan_row *row, st
     int64_t id;
     int again;
 
-    return gsn_scan_take(store, row, 1, NOON, &id, &again, err);
+    return gsn_scan_stage(store, row, 1, NOON, &id, &again, err);
 }
 
 static int list_once(struct gsn_store *store, struct gsn_error *err)
@@ -715,7 +714,7 @@ TEST(running_out_of_memory_leaks_nothing)
     (void)bench_add_specimen(store, "S", "g", "");
     CHECK_EVERY_OOM(take_once(store, &filed, &err), err);
     CHECK_EVERY_OOM(take_once(store, &unfiled, &err), err);
-    CHECK_EVERY_OOM(gsn_scan_settle(store, &err), err);
+    CHECK_EVERY_OOM(gsn_scan_commit_staged(store, &err), err);
     CHECK_EVERY_OOM(gsn_scan_file(store, 2, "S", 2, "ann", NOON, &err), err);
     CHECK_EVERY_OOM(gsn_scan_expect(store, "flatbed", "S", "ann", NOON, &err), err);
     CHECK_EVERY_OOM(list_once(store, &err), err);
@@ -780,7 +779,7 @@ TEST(a_store_of_the_third_schema_is_brought_up_with_its_ledger_kept)
     CHECK(ask(store, "SELECT integrity_check = 'ok' FROM pragma_integrity_check") == 1);
     CHECK_OK(gsn_scan_get(store, 41, &old, &err), err);
     CHECK(strcmp(old->reason, "why") == 0 && old->arrived == 5);
-    CHECK_OK(gsn_scan_take(store, &row, 4, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_stage(store, &row, 4, NOON, &id, &again, &err), err);
     CHECK(again == 1 && id == 41);
     fresh = arrive(store, "S-P5.tif", 4, 5);
     CHECK(fresh->id == 42);

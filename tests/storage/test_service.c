@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "storage/service.h"
+#include "storage/bench.h"
 
 #include "pipeline/core/mem.h"
 

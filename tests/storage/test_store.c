@@ -12,7 +12,7 @@
 #include <unistd.h>
 
 #include "pipeline/core/file.h"
-#include "storage/event.h"
+#include "storage/audit_log.h"
 #include "storage/sql.h"
 
 /* SQLite calls these two and finds ours first. */

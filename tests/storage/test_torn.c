@@ -6,8 +6,8 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
-#include "storage/event.h"
-#include "storage/object.h"
+#include "storage/audit_log.h"
+#include "storage/catalog.h"
 #include "storage/queue.h"
 #include "storage/sql.h"
 #include "tests/check.h"
@@ -159,8 +159,8 @@ static void deliver(const struct stage *stage, const char *name, const struct gs
     int64_t id;
     int again;
 
-    CHECK_OK(gsn_scan_take(stage->store, &row, 3, NOON, &id, &again, &err), err);
-    CHECK_OK(gsn_scan_settle(stage->store, &err), err);
+    CHECK_OK(gsn_scan_stage(stage->store, &row, 3, NOON, &id, &again, &err), err);
+    CHECK_OK(gsn_scan_commit_staged(stage->store, &err), err);
 }
 
 static int lists_object(const struct stage *stage, const struct gsn_digest *digest)

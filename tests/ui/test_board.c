@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "ui/board.h"
 
-#include "ui/look.h"
 #include "ui/text.h"
 
 #include <locale.h>

@@ -75,7 +75,7 @@ def sums_are_right(database):
 
 
 def event_hash(previous, row):
-    """storage/event.h"""
+    """storage/audit_log.h"""
     number, when, actor, kind, subject, text = row
     digest = hashlib.sha256()
     for part in (previous, f"{number} {when}", actor, kind, subject, text):

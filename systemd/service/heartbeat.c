@@ -1,0 +1,134 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The heartbeat pipe of a child, and the signal that ends it.
+ *
+ * A byte goes into the pipe at every sign of life, four times a second at most. The parent's
+ * watchdog (supervise.c) counts the time between them. A thread waits for SIGTERM and SIGINT,
+ * because a driver may hang: it makes the descriptor gsn_heartbeat_fd() readable, and 1.8 s later
+ * ends the process where it stands. Nothing is lost by that, for nothing was acknowledged that is
+ * not durable. A pipe that nobody reads any more (EPIPE) asks to stop as well: whoever listened is
+ * gone. */
+#include "systemd/service/heartbeat.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <pthread.h>
+#include <signal.h>
+#include <stdbool.h>
+#include <string.h>
+#include <sys/eventfd.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { BEAT_MS = 250, GRACE_MS = 1800 };
+
+struct gsn_heartbeat {
+    int stop; /* an eventfd */
+    int fd;   /* -1: none */
+    int64_t beat_ms;
+    char said;
+    bool has_thread;
+    pthread_t thread;
+};
+
+int64_t gsn_now_ms(void)
+{
+    struct timespec now;
+
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+static void ask_to_stop(const struct gsn_heartbeat *heartbeat)
+{
+    (void)eventfd_write(heartbeat->stop, 1);
+}
+
+static sigset_t end_signals(void)
+{
+    sigset_t set;
+
+    (void)sigemptyset(&set);
+    (void)sigaddset(&set, SIGTERM);
+    (void)sigaddset(&set, SIGINT);
+    return set;
+}
+
+static void *wait_for_signal(void *context)
+{
+    const struct gsn_heartbeat *const heartbeat = context;
+    const struct timespec grace = { .tv_sec = GRACE_MS / 1000,
+                                    .tv_nsec = (GRACE_MS % 1000) * 1000000L };
+    const sigset_t set = end_signals();
+    int signal_number = 0;
+
+    if (sigwait(&set, &signal_number) != 0)
+        return NULL;
+    ask_to_stop(heartbeat);
+    (void)nanosleep(&grace, NULL);
+    _exit(128 + signal_number);
+}
+
+int gsn_heartbeat_new(int heartbeat_fd, struct gsn_heartbeat **ret_heartbeat, struct gsn_error *err)
+{
+    gsn_auto(gsn_heartbeat) heartbeat = gsn_alloc_array(1, sizeof *heartbeat);
+    const sigset_t set = end_signals();
+    int failure;
+
+    if (!heartbeat)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a heartbeat");
+    heartbeat->fd = heartbeat_fd;
+    heartbeat->stop = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+    if (heartbeat->stop < 0)
+        return gsn_fail(err, GSN_E_IO, "eventfd: %s", strerror(errno));
+    if (heartbeat_fd >= 0)
+        (void)fcntl(heartbeat_fd, F_SETFL, O_NONBLOCK);
+    if (heartbeat_fd >= 0)
+        (void)fcntl(heartbeat_fd, F_SETFD, FD_CLOEXEC);
+    (void)signal(SIGPIPE, SIG_IGN);
+    (void)pthread_sigmask(SIG_BLOCK, &set, NULL);
+    failure = pthread_create(&heartbeat->thread, NULL, wait_for_signal, heartbeat);
+    if (failure)
+        return gsn_fail(err, GSN_E_IO, "a thread could not be started: %s", strerror(failure));
+    heartbeat->has_thread = true;
+    *ret_heartbeat = gsn_steal(&heartbeat);
+    return GSN_OK;
+}
+
+void gsn_heartbeat_free(struct gsn_heartbeat *heartbeat)
+{
+    if (!heartbeat)
+        return;
+    if (heartbeat->has_thread) {
+        (void)pthread_cancel(heartbeat->thread);
+        (void)pthread_join(heartbeat->thread, NULL);
+    }
+    if (heartbeat->stop >= 0)
+        (void)close(heartbeat->stop);
+    gsn_free(heartbeat);
+}
+
+void gsn_heartbeat_beat(struct gsn_heartbeat *heartbeat, char what)
+{
+    const int64_t now = gsn_now_ms();
+
+    if (heartbeat->fd < 0 || (heartbeat->said == what && now - heartbeat->beat_ms < BEAT_MS))
+        return;
+    heartbeat->said = what;
+    heartbeat->beat_ms = now;
+    if (write(heartbeat->fd, &what, 1) < 0 && errno == EPIPE)
+        ask_to_stop(heartbeat);
+}
+
+int gsn_heartbeat_fd(const struct gsn_heartbeat *heartbeat)
+{
+    return heartbeat->stop;
+}
+
+int gsn_heartbeat_is_over(const struct gsn_heartbeat *heartbeat)
+{
+    struct pollfd stop = { .fd = heartbeat->stop, .events = POLLIN };
+
+    return poll(&stop, 1, 0) > 0;
+}

@@ -62,6 +62,8 @@ DOOR = "/* door */"
 INCLUDE = re.compile(r'^\s*#\s*include\s+(["<])([^">]+)[">]')
 # A statement that begins with a call of ours which takes err and lets its answer fall.
 DROPPED = re.compile(r"^\s+gsn_\w+\((?!.*\breturn\b).*[(, ]err\);\s*$")
+INTERNAL = re.compile(r"_(internal|parts)\.h$")
+STRUCT = re.compile(r"^struct\s+(gsn_\w+)\s*\{", re.M)
 STATEMENT_ENDS = (";", "{", "}", ":", "*/")
 
 
@@ -127,8 +129,36 @@ def check_calls(path, text, say):
             previous = bare.strip()
 
 
+def check_internal(path, text, say):
+    """A header of one folder's own is included by that folder alone."""
+    for number, line in enumerate(text.splitlines(), 1):
+        match = INCLUDE.match(line)
+        if match and INTERNAL.search(match.group(2)) and \
+                match.group(2).rsplit("/", 1)[0] != path.rsplit("/", 1)[0]:
+            say(path, number, f"{match.group(2)} is its own folder's")
+
+
+def check_structs(texts, say):
+    """One name, one structure: headers of two folders can be included together."""
+    where = {}
+    for path, text in texts.items():
+        for match in STRUCT.finditer(strip_comments(text)):
+            where.setdefault(match.group(1), []).append(path)
+    for name, paths in where.items():
+        if len(paths) > 1:
+            say(paths[1], 1, f"struct {name} is defined in {paths[0]} too")
+
+
+def check_doors(texts, say):
+    """A door that nobody walks through is no rule."""
+    for pattern in FOREIGN:
+        include = re.compile(r'^\s*#\s*include\s+<' + pattern + r'>', re.M)
+        if not any(include.search(text) for text in texts.values()):
+            say("tests/layers/house_rules.py", 1, f"no file includes <{pattern}>: the door goes")
+
+
 def check_licence(path, text, say):
-    if path.endswith((".c", ".h", ".cpp")) and \
+    if path.endswith((".c", ".h", ".cpp", ".hpp")) and \
             "SPDX-License-Identifier: AGPL-3.0-or-later" not in text[:120]:
         say(path, 1, "the SPDX line is missing")
 
@@ -138,15 +168,19 @@ def check(root):
 
     def say(path, number, sentence):
         found.append(f"{path}:{number}: {sentence}")
+    texts = {}
     for room in ROOMS:
         for file in sorted((root / room).rglob("*")):
-            if file.suffix not in (".c", ".h", ".cpp"):
+            if file.suffix not in (".c", ".h", ".cpp", ".hpp"):
                 continue
             path = file.relative_to(root).as_posix()
-            text = file.read_text(encoding="utf-8")
+            text = texts[path] = file.read_text(encoding="utf-8")
             check_includes(path, text, say)
             check_calls(path, text, say)
+            check_internal(path, text, say)
             check_licence(path, text, say)
+    check_structs(texts, say)
+    check_doors(texts, say)
     return found
 
 
@@ -164,6 +198,10 @@ PLANTED = {
     "an unhandled error": ("pipeline/core/planted.c",
                            SPDX + "int f(struct gsn_error *err)\n{\n    gsn_file_mkdir(\"x\", err);\n"
                            "    return 0;\n}\n", "an error is dropped"),
+    "a folder's own header": (
+        "pipeline/planted.c", SPDX + '#include "pipeline/model/dms_internal.h"\n', "own folder's"),
+    "a name for two structures": (
+        "ui/planted.h", SPDX + "struct gsn_error {\n    int code;\n};\n", "is defined in"),
     "a missing licence line": ("acquire/planted.c", "int f(void);\n", "SPDX line is missing"),
 }
 
@@ -180,6 +218,11 @@ def self_test(root):
                 print(f"{name}, planted in {path}, was not found")
                 return 1
             print(f"{name}: found")
+    FOREIGN[r"never\.h"] = r"^ui/"
+    if not any("the door goes" in line for line in check(root)):
+        print("a door that no file uses was not found")
+        return 1
+    print("a door that no file uses: found")
     return 0
 
 

@@ -13,7 +13,7 @@
 #include "pipeline/measure/tissue_volume.h"
 #include "pipeline/model/refine.h"
 #include "pipeline/protocol.h"
-#include "pipeline/stain/level.h"
+#include "pipeline/stain/normalisation.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -13,14 +13,12 @@
 #include "pipeline/register/strain.h"
 #include "pipeline/register/tissue/pose_check.h"
 #include "pipeline/specimen.h"
-#include "pipeline/stain/cloud.h"
-#include "pipeline/stain/dust.h"
-#include "pipeline/stain/lamp.h"
-#include "pipeline/stain/level_tissues.h"
-#include "pipeline/stain/reference.h"
-#include "pipeline/stain/mask.h"
-#include "pipeline/stain/tone.h"
-#include "pipeline/stain/turned.h"
+#include "pipeline/stain/artefact/dust.h"
+#include "pipeline/stain/error_propagation.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/illumination_drift.h"
+#include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/staining_uniformity.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -2,7 +2,7 @@
 
 /* The colours of a specimen's tissue, panel by panel on the panels' common scale, and the mean
  * colour of its region: what tells later, beside another specimen's, where tissue without collagen
- * lies (stain/edge.h).
+ * lies (stain/hue_distribution.h).
  *
  * A cell counts where it and the cells beside it are tissue, so that none is cut by an edge. What
  * levelling took off a panel's density, or a reference tissue divided it by, is taken off the red

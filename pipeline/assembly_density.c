@@ -9,8 +9,9 @@
 #include "pipeline/evenness.h"
 #include "pipeline/masking.h"
 #include "pipeline/register/stack/resample_colour.h"
-#include "pipeline/stain/absorb.h"
-#include "pipeline/stain/spread.h"
+#include "pipeline/stain/artefact/detection.h"
+#include "pipeline/stain/collagen_density.h"
+#include "pipeline/stain/error_propagation.h"
 
 #include <math.h>
 #include <stdio.h>

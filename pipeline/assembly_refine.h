@@ -8,7 +8,8 @@
 #include "pipeline/assembly_parts.h"
 #include "pipeline/masking.h"
 #include "pipeline/register/tissue/refine.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/artefact/detection.h"
+#include "pipeline/stain/collagen_density.h"
 
 /* The sections in cells about the region, while they are gathered and compared. */
 struct gsn_refine_work {

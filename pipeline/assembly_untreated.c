@@ -2,14 +2,14 @@
 #include "pipeline/assembly_untreated.h"
 
 #include "pipeline/core/robust.h"
-#include "pipeline/stain/reference.h"
-#include "pipeline/stain/segment.h"
-#include "pipeline/stain/tissue.h"
+#include "pipeline/imaging/threshold.h"
+#include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/tissue_segmentation.h"
 
 #include <math.h>
 #include <string.h>
 
-/* As the root is told (stain/tissue.c): what is less than this of the red of bone is loose tissue,
+/* As the root is told (stain/tissue_segmentation.c): what is less than this of the red of bone is loose tissue,
  * what is more is bone. */
 static const double LEAST_OF_BONE = 0.35, MOST_OF_BONE = 0.82;
 

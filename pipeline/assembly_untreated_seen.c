@@ -2,6 +2,7 @@
 #include "pipeline/assembly_untreated.h"
 
 #include "pipeline/core/robust.h"
+#include "pipeline/stain/unmixing.h"
 
 #include <math.h>
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/band.h"
 
-#include "pipeline/stain/tissue.h"
+#include "pipeline/stain/tissue_segmentation.h"
 
 #include <math.h>
 

@@ -2,7 +2,9 @@
 #include "pipeline/calibration_panel.h"
 
 #include "pipeline/calibration_patches.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/calibration.h"
+#include "pipeline/stain/optical_density.h"
+#include "pipeline/stain/vector_estimation.h"
 
 #include <math.h>
 #include <stdio.h>

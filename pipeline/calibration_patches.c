@@ -3,7 +3,7 @@
 
 #include "pipeline/register/panel_reduce.h"
 #include "pipeline/register/split.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/optical_density.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -6,7 +6,7 @@
 #define GSN_PIPELINE_CALIBRATION_PATCHES_H
 
 #include "pipeline/scan.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/optical_density.h"
 #include "pipeline/stated_calibration.h"
 
 #ifdef __cplusplus

@@ -7,7 +7,7 @@
 
 #include "pipeline/core/grid.h"
 #include "pipeline/register/stack/resample.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/optical_density.h"
 
 #ifdef __cplusplus
 extern "C" {

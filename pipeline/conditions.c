@@ -3,7 +3,9 @@
 
 #include "pipeline/masking.h"
 #include "pipeline/register/panel_reduce.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/artefact/dust.h"
+#include "pipeline/stain/illumination_drift.h"
+#include "pipeline/stain/staining_uniformity.h"
 
 #include <math.h>
 #include <stdio.h>

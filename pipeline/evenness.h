@@ -3,7 +3,7 @@
 /* How evenly the panels of a specimen are stained.
  *
  * A bath that dyes one panel a tenth stronger than the next shows as a tenth more collagen. Where
- * neither a stated tissue (pipeline/stain/reference.h) nor tissue that is found (stain/level.h)
+ * neither a stated tissue (pipeline/stain/normalisation.h) nor tissue that is found (stain/normalisation.h)
  * takes that out, it can still be seen: the strongest stained tissue of every panel is the same kind
  * of tissue, so the scatter of its density from panel to panel is what the bath did. The next
  * specimen's panels may be off by as much. */

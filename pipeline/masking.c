@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/masking.h"
 
-#include "pipeline/stain/unmix.h"
+#include "pipeline/stain/artefact/detection.h"
+#include "pipeline/stain/unmixing.h"
+#include "pipeline/stain/vector_estimation.h"
 
 #include <limits.h>
 #include <math.h>

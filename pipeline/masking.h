@@ -19,7 +19,7 @@ int gsn_masking_tissue(const struct gsn_scan *scan, unsigned panel,
                        const struct gsn_assembly *assembly, struct gsn_image **ret_tissue,
                        struct gsn_error *err);
 
-/* gives: the labels of the panel's sections (stain/mask.h), in the assembly's order, and says
+/* gives: the labels of the panel's sections (stain/artefact/detection.h), in the assembly's order, and says
  * nothing in the assembly. Ink is what neither `dyes` nor, where all sections show it, the
  * panel's own tissue explains. ret_figures: room for as many sections as the assembly has. borrows:
  * scan, dyes, assembly. Fails as gsn_mask_find(). */

@@ -9,7 +9,7 @@
 #include "pipeline/core/image.h"
 #include "pipeline/register/markers.h"
 
-#include "pipeline/stain/redness.h"
+#include "pipeline/stain/flat_field.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -6,8 +6,8 @@
 #include <string.h>
 #include <strings.h>
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/nearest.h"
-#include "pipeline/stain/age.h"
 #include "pipeline/stated_region.h"
 #include "pipeline/stated_value.h"
 
@@ -166,9 +166,9 @@ static int read_stain(const json_t *job, struct gsn_protocol *p, struct gsn_erro
         r = gsn_stated_text(job, "scanned", &p->scanned, err);
     if (r < 0)
         return r;
-    if (p->stained[0] && gsn_age_day(p->stained, &stained, NULL) < 0)
+    if (p->stained[0] && gsn_calendar_day(p->stained, &stained, NULL) < 0)
         return gsn_stated_bad(err, "stained", "a date such as \"2026-03-31\"");
-    if (p->scanned[0] && gsn_age_day(p->scanned, &scanned, NULL) < 0)
+    if (p->scanned[0] && gsn_calendar_day(p->scanned, &scanned, NULL) < 0)
         return gsn_stated_bad(err, "scanned", "a date such as \"2026-03-31\"");
     if (p->stained[0] && p->scanned[0] && scanned < stained)
         return gsn_stated_bad(err, "scanned", "no earlier than \"stained\"");

@@ -8,7 +8,7 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/geom.h"
 #include "pipeline/core/grid.h"
-#include "pipeline/stain/tissue.h"
+#include "pipeline/stain/tissue_segmentation.h"
 
 #ifdef __cplusplus
 extern "C" {

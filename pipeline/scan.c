@@ -2,7 +2,8 @@
 #include "pipeline/scan.h"
 
 #include "pipeline/register/panel_reduce.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/artefact/dust.h"
+#include "pipeline/stain/vector_estimation.h"
 #include "pipeline/upright.h"
 
 #include <math.h>

@@ -7,8 +7,7 @@
 
 #include "pipeline/decode/apart.h"
 #include "pipeline/protocol.h"
-#include "pipeline/stain/dust.h"
-#include "pipeline/stain/dyes.h"
+#include "pipeline/stain/artefact/dust.h"
 #include "pipeline/tile_density.h"
 
 #ifdef __cplusplus

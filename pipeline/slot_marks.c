@@ -4,7 +4,7 @@
 #include "pipeline/core/mem.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/core/robust.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/optical_density.h"
 
 #include <math.h>
 #include <string.h>

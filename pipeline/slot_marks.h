@@ -6,7 +6,7 @@
 
 #include "pipeline/register/markers.h"
 #include "pipeline/scan.h"
-#include "pipeline/stain/absorb.h"
+#include "pipeline/stain/optical_density.h"
 
 #ifdef __cplusplus
 extern "C" {

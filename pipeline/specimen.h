@@ -16,10 +16,9 @@
 #include "pipeline/examine.h"
 #include "pipeline/protocol.h"
 #include "pipeline/register/pose.h"
-#include "pipeline/stain/cloud.h"
-#include "pipeline/stain/dyes.h"
-#include "pipeline/stain/level_tissues.h"
-#include "pipeline/stain/turned.h"
+#include "pipeline/stain/error_propagation.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/normalisation.h"
 
 #ifdef __cplusplus
 extern "C" {

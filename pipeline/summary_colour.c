@@ -5,14 +5,14 @@
  * Red that a table of vectors sees is red and what yellow and dark dye leak into it, so a table
  * that is a few degrees off is wrong by several points, in every panel alike. Of the treated region
  * take away so much of the control's that no collagen is left: the colours of all cells of both
- * blocks, pooled, say how much (stain/edge.h), and no table enters. That is the largest loss that
+ * blocks, pooled, say how much (stain/hue_distribution.h), and no table enters. That is the largest loss that
  * can be. What the purest cells hold of collagen is then taken off: half-normal, PUREST of the
  * control's tissue over what remains, which is 0.10 of red over yellow and dark, what anatomies of
  * the study's four kinds showed at their 2 % quantile (0.01 to 0.10). Where the foremost cells have
  * no common hue no tissue is poor in collagen, and only the upper bound is known.
  *
  *     1. the control's colours as this specimen's bath would show them: red by the link of
- *        untreated tissue (stain/level.h), yellow by the yellow of the same tissue
+ *        untreated tissue (stain/normalisation.h), yellow by the yellow of the same tissue
  *     2. edge of the pooled cells; where each panel has its own, whose scatter is the error
  *     3. distribution of the loss: edge less purity, and around it what the stain leaves open
  *        (tissue that job.json states to hold no collagen replaces the guess: its hue, carried
@@ -25,8 +25,9 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/measure/stats.h"
-#include "pipeline/stain/edge.h"
-#include "pipeline/stain/unmix.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/unmixing.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -8,7 +8,9 @@
 #include "pipeline/core/hash.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/report/report.h"
-#include "pipeline/stain/edge.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/stain_vectors.h"
 #include "pipeline/summary.h"
 
 #ifdef __cplusplus

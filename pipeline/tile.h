@@ -8,7 +8,7 @@
 #include "pipeline/pictures.h"
 #include "pipeline/scan.h"
 #include "pipeline/specimen.h"
-#include "pipeline/stain/segment.h"
+#include "pipeline/stain/collagen_density.h"
 #include "pipeline/tile_density.h"
 
 #ifdef __cplusplus

@@ -9,16 +9,15 @@
  * 2. Codes are averaged in cells of 4 x 4 before the logarithm, so what a JPEG blurs stays out.
  *    What the mean moves by in cells twice as large is what finer detail may still do to it.
  * 3. Amounts of dye by least squares (Ruifrok and Johnston 2001), with vectors of a table that are
- *    as uncertain as the table says; the slopes are those of stain/spread.h.
+ *    as uncertain as the table says; the slopes are those of stain/error_propagation.h.
  *
  * How strongly the slide was stained no picture tells by itself. It multiplies all three dyes
  * alike, so the share of the red one is free of it. One pass over the picture, four over its cells.
  */
 #include "pipeline/tile_density.h"
 
-#include "pipeline/stain/absorb.h"
-#include "pipeline/stain/segment.h"
-#include "pipeline/stain/spread.h"
+#include "pipeline/stain/collagen_density.h"
+#include "pipeline/stain/error_propagation.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -7,7 +7,7 @@
 #ifndef GSN_PIPELINE_TILE_DENSITY_H
 #define GSN_PIPELINE_TILE_DENSITY_H
 
-#include "pipeline/stain/dyes.h"
+#include "pipeline/stain/stain_vectors.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -38,6 +38,19 @@ struct gsn_vec3 gsn_vec3_cross(struct gsn_vec3 a, struct gsn_vec3 b);
 double gsn_vec3_dot(struct gsn_vec3 a, struct gsn_vec3 b);
 double gsn_vec3_length(struct gsn_vec3 a);
 
+/* Three numbers in a row, such as a colour, as a vector. */
+static inline double gsn_dot3(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* ret is neither a nor b. */
+static inline void gsn_cross3(const double a[3], const double b[3], double ret[3])
+{
+    for (int c = 0; c < 3; c++)
+        ret[c] = a[(c + 1) % 3] * b[(c + 2) % 3] - a[(c + 2) % 3] * b[(c + 1) % 3];
+}
+
 #ifdef __cplusplus
 }
 #endif

@@ -5,6 +5,8 @@
  * class. */
 #include "pipeline/imaging/threshold.h"
 
+#include <math.h>
+
 size_t gsn_otsu_cut(const size_t *histogram, size_t bins, double *ret_apart)
 {
     double count = 0, all = 0, best = 0, below = 0, sum = 0, apart = 0;
@@ -32,4 +34,27 @@ size_t gsn_otsu_cut(const size_t *histogram, size_t bins, double *ret_apart)
     if (ret_apart)
         *ret_apart = apart;
     return (first + last) / 2 + 1;
+}
+
+double gsn_otsu(const float *values, size_t count)
+{
+    enum { STEPS = 512 };
+    size_t bin[STEPS] = { 0 };
+    double low, high;
+
+    if (count == 0)
+        return NAN;
+    low = high = values[0];
+    for (size_t i = 1; i < count; i++) {
+        low = fmin(low, values[i]);
+        high = fmax(high, values[i]);
+    }
+    if (!(high > low))
+        return low;
+    for (size_t i = 0; i < count; i++) {
+        const size_t at = (size_t)((values[i] - low) / (high - low) * STEPS);
+
+        bin[at < STEPS ? at : STEPS - 1]++;
+    }
+    return low + (high - low) * (double)gsn_otsu_cut(bin, STEPS, NULL) / STEPS;
 }

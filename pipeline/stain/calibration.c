@@ -1,8 +1,27 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Stain vectors and the strength of a stain from a calibration panel.
+ *
+ *   1. Of a patch, cells far from its median (dust, scratches) are left out.
+ *   2. The vector of a dye is the line through the origin of optical density from which its cells
+ *      lie least away (total least squares; the first eigenvector of the moments, by power
+ *      iteration).
+ *   3. Its covariance is the scatter of cells, or of patches where they scatter by more (a
+ * sandwich: blocks that know nothing of each other), with what all cells of a patch share: the
+ * error of the white, colours that a file rounds block by block.
+ *   4. Standards of known density: the gain is the line through the origin; what lies off it by 8 %
+ *      is refused.
+ *   5. Vectors of the panel against those that a slide infers: chi-square with two degrees of
+ *      freedom.
+ *
+ * Fails with a sentence that names the patch: too pale, of mixed hues, in the wrong place, or no
+ * patch of red or yellow at all. */
 #include "pipeline/stain/calibration.h"
 
+#include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/core/robust.h"
+#include "pipeline/stain/unmixing.h"
 
 #include <assert.h>
 #include <math.h>
@@ -29,14 +48,10 @@ static const double DISAGREEING = 13.816;
 
 static const char *const NAMES[] = { "red", "yellow", "dark" };
 
-static double dot(const double a[3], const double b[3])
+/* Degrees; of any lengths. */
+static double angle_between(const double a[3], const double b[3])
 {
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static double angle_deg(const double a[3], const double b[3])
-{
-    return acos(fmin(dot(a, b) / sqrt(dot(a, a) * dot(b, b)), 1)) / RAD;
+    return acos(fmin(gsn_dot3(a, b) / sqrt(gsn_dot3(a, a) * gsn_dot3(b, b)), 1)) / RAD;
 }
 
 static double *vector_of(struct gsn_dyes *dyes, int dye)
@@ -46,7 +61,7 @@ static double *vector_of(struct gsn_dyes *dyes, int dye)
 
 /* ---- one patch --------------------------------------------------------------------------- */
 
-static double median(const double *value, size_t count)
+static double median_of(const double *value, size_t count)
 {
     double copy[GSN_PATCH_CELLS];
 
@@ -63,12 +78,12 @@ static size_t choose_cells(const struct gsn_patch *patch, int ret_kept[GSN_PATCH
     for (int c = 0; c < 3; c++) {
         for (int i = 0; i < GSN_PATCH_CELLS; i++)
             away[i] = patch->od[i][c];
-        centre[c] = median(away, GSN_PATCH_CELLS);
+        centre[c] = median_of(away, GSN_PATCH_CELLS);
     }
     for (int i = 0; i < GSN_PATCH_CELLS; i++)
         away[i] = hypot(hypot(patch->od[i][0] - centre[0], patch->od[i][1] - centre[1]),
                         patch->od[i][2] - centre[2]);
-    most = STRAY * 1.4826 * median(away, GSN_PATCH_CELLS);
+    most = STRAY * 1.4826 * median_of(away, GSN_PATCH_CELLS);
     for (int i = 0; i < GSN_PATCH_CELLS; i++)
         count += (size_t)(ret_kept[i] = away[i] <= most);
     return count;
@@ -94,14 +109,14 @@ static int check_patch(const struct gsn_patch *patch, struct gsn_error *err)
     double mean[3], spread = 0;
 
     mean_of(patch, mean);
-    if (!(sqrt(dot(mean, mean)) >= PALEST_OD))
+    if (!(sqrt(gsn_dot3(mean, mean)) >= PALEST_OD))
         return gsn_fail(err, GSN_E_STAIN,
                         "patch %u of row %u (%s) is too pale to have a hue (optical density %.2f, "
                         "at least %.2f is needed): stain it longer",
-                        patch->place, patch->row, name, sqrt(dot(mean, mean)), PALEST_OD);
+                        patch->place, patch->row, name, sqrt(gsn_dot3(mean, mean)), PALEST_OD);
     for (int i = 0; i < GSN_PATCH_CELLS; i++)
         if (kept[i])
-            spread += angle_deg(patch->od[i], mean) * angle_deg(patch->od[i], mean);
+            spread += angle_between(patch->od[i], mean) * angle_between(patch->od[i], mean);
     spread = sqrt(spread / (double)count);
     if (!(spread <= UNEVEN_DEG))
         return gsn_fail(err, GSN_E_STAIN,
@@ -123,9 +138,9 @@ static void direction_of(const double moment[3][3], double ret[3])
         double next[3];
 
         for (int c = 0; c < 3; c++)
-            next[c] = dot(moment[c], v);
+            next[c] = gsn_dot3(moment[c], v);
         for (int c = 0; c < 3; c++)
-            v[c] = next[c] / sqrt(dot(next, next));
+            v[c] = next[c] / sqrt(gsn_dot3(next, next));
     }
     for (int c = 0; c < 3; c++)
         ret[c] = fmax(v[c], 0);
@@ -175,8 +190,8 @@ static struct pull pull_of(const struct gsn_patch *patches, size_t count, int dy
             continue;
         (void)choose_cells(&patches[p], kept);
         for (int i = 0; i < GSN_PATCH_CELLS; i++) {
-            const double *od = patches[p].od[i], along = dot(od, v);
-            const double across[2] = { along * dot(od, way[0]), along * dot(od, way[1]) };
+            const double *od = patches[p].od[i], along = gsn_dot3(od, v);
+            const double across[2] = { along * gsn_dot3(od, way[0]), along * gsn_dot3(od, way[1]) };
 
             if (!kept[i])
                 continue;
@@ -227,11 +242,11 @@ static int check_agreement(const struct gsn_patch *patches, size_t count, int dy
         if ((int)patches[p].kind != dye)
             continue;
         mean_of(&patches[p], mean);
-        if (angle_deg(mean, v) > UNEVEN_DEG)
+        if (angle_between(mean, v) > UNEVEN_DEG)
             return gsn_fail(err, GSN_E_STAIN,
                             "patch %u of row %u does not agree with the other patches of %s (they "
                             "are %.1f degrees apart): one of them is mixed",
-                            patches[p].place, patches[p].row, NAMES[dye], angle_deg(mean, v));
+                            patches[p].place, patches[p].row, NAMES[dye], angle_between(mean, v));
     }
     return GSN_OK;
 }
@@ -251,7 +266,7 @@ static int check_alike(const struct gsn_patch *const first[3], const struct gsn_
 
     for (int k = 0; k < 3; k++) {
         const int other = (k + 1) % 3;
-        const double apart = angle_deg(vector_of(&copy, k), vector_of(&copy, other));
+        const double apart = angle_between(vector_of(&copy, k), vector_of(&copy, other));
 
         if (first[k] && first[other] && !(apart > ALIKE_DEG))
             return gsn_fail(err, GSN_E_STAIN,
@@ -266,11 +281,11 @@ static int check_place(const struct gsn_patch *patch, const struct gsn_dyes *exp
                        const double v[3], struct gsn_error *err)
 {
     struct gsn_dyes there = *expected;
-    const double astray = angle_deg(v, vector_of(&there, (int)patch->kind));
+    const double astray = angle_between(v, vector_of(&there, (int)patch->kind));
     int nearest = (int)patch->kind;
 
     for (int k = 0; k < 3; k++)
-        if (angle_deg(v, vector_of(&there, k)) < angle_deg(v, vector_of(&there, nearest)))
+        if (angle_between(v, vector_of(&there, k)) < angle_between(v, vector_of(&there, nearest)))
             nearest = k;
     if (nearest != (int)patch->kind)
         return gsn_fail(err, GSN_E_STAIN,
@@ -338,7 +353,7 @@ int gsn_calibration_dyes(const struct gsn_patch *patches, size_t count,
             for (int b = 0; b < 2; b++)
                 fit.covariance[2 * k + a][2 * k + b] = own[a][b];
         fit.deviation_deg[k] = sqrt(own[0][0] + own[1][1]) / RAD;
-        fit.moved_deg[k] = angle_deg(vector_of(&before, k), vector_of(&fit.dyes, k));
+        fit.moved_deg[k] = angle_between(vector_of(&before, k), vector_of(&fit.dyes, k));
         fit.pixels += pull.count;
     }
     (void)snprintf(fit.dyes.name, sizeof fit.dyes.name, "calibrated-1");
@@ -405,7 +420,7 @@ int gsn_calibration_gain(const struct gsn_patch *patches, size_t count, const st
         squares += patches[p].density * patches[p].density;
         products += patches[p].density * red[p];
         floor2 += patches[p].density * patches[p].density *
-                  dot(patches[p].floor_od, patches[p].floor_od) / 3;
+                  gsn_dot3(patches[p].floor_od, patches[p].floor_od) / 3;
         empty += patches[p].density <= 0;
         zeros += patches[p].density <= 0 ? red[p] : 0;
     }
@@ -439,13 +454,13 @@ struct gsn_dyes_apart gsn_dyes_compare(const struct gsn_dyes_fit *calibrated,
 
         gsn_dyes_ways(vector_of(&from, k), way);
         for (int i = 0; i < 2; i++) {
-            d[i] = dot(vector_of(&to, k), way[i]);
+            d[i] = gsn_dot3(vector_of(&to, k), way[i]);
             for (int j = 0; j < 2; j++)
                 c[i][j] = calibrated->covariance[2 * k + i][2 * k + j] +
                           inferred->covariance[2 * k + i][2 * k + j];
         }
         det = c[0][0] * c[1][1] - c[0][1] * c[1][0];
-        apart.deg[k] = angle_deg(vector_of(&from, k), vector_of(&to, k));
+        apart.deg[k] = angle_between(vector_of(&from, k), vector_of(&to, k));
         apart.expected[k] = sqrt(c[0][0] + c[1][1]) / RAD;
         apart.disagree[k] =
             c[1][1] * d[0] * d[0] - 2 * c[0][1] * d[0] * d[1] + c[0][0] * d[1] * d[1] >

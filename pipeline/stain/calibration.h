@@ -11,8 +11,8 @@
 #ifndef GSN_STAIN_CALIBRATION_H
 #define GSN_STAIN_CALIBRATION_H
 
-#include "pipeline/stain/dyes.h"
-#include "pipeline/stain/reference.h"
+#include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/stain_vectors.h"
 
 #ifdef __cplusplus
 extern "C" {

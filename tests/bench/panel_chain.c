@@ -11,8 +11,8 @@
 #include "pipeline/register/panel_reduce.h"
 #include "pipeline/register/pose.h"
 #include "pipeline/register/stack/resample_colour.h"
-#include "pipeline/stain/absorb.h"
-#include "pipeline/stain/mask.h"
+#include "pipeline/stain/artefact/detection.h"
+#include "pipeline/stain/collagen_density.h"
 
 #include "tests/bench/bench.h"
 

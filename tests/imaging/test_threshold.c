@@ -2,6 +2,7 @@
 #include "pipeline/imaging/threshold.h"
 
 #include "tests/check.h"
+#include <string.h>
 
 enum { CASES = 200, BINS = 64 };
 
@@ -59,4 +60,26 @@ TEST(one_class_has_no_distance)
     double apart = -1;
 
     CHECK(gsn_otsu_cut(bin, BINS, &apart) >= 1 && apart == 0);
+}
+
+TEST(otsu_cuts_between_two_classes)
+{
+    float values[1000];
+
+    for (size_t i = 0; i < 1000; i++)
+        values[i] = (i < 700 ? 0.1f : 0.9f) + 0.0001f * (float)(i % 100);
+    CHECK(gsn_otsu(values, 1000) > 0.11 && gsn_otsu(values, 1000) < 0.9);
+    /* Equally good cuts: the middle of the gap. */
+    CHECK_NEAR(gsn_otsu(values, 1000), 0.505, 0.01);
+    CHECK(gsn_otsu(values, 0) != gsn_otsu(values, 0)); /* NaN */
+    CHECK_NEAR(gsn_otsu(values, 1), 0.1f, 0);
+}
+
+TEST(otsu_of_a_ramp_is_its_middle)
+{
+    float values[4096];
+
+    for (size_t i = 0; i < 4096; i++)
+        values[i] = (float)i / 4095;
+    CHECK_NEAR(gsn_otsu(values, 4096), 0.5, 1.0 / 512);
 }

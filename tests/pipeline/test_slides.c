@@ -4,8 +4,8 @@
  * part of the product). None of them is stained by Van Gieson. */
 #include "pipeline/core/robust.h"
 #include "pipeline/decode/decode.h"
-#include "pipeline/stain/absorb.h"
-#include "pipeline/stain/mask.h"
+#include "pipeline/stain/artefact/detection.h"
+#include "pipeline/stain/unmixing.h"
 
 #include "tests/check.h"
 

@@ -2,7 +2,9 @@
 
 /* What is said of a loss by dye vectors that calibration panels tell, or nobody, from evidence that
  * is stated here. */
-#include "pipeline/stain/unmix.h"
+#include "pipeline/stain/error_propagation.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/unmixing.h"
 #include "pipeline/summary.h"
 
 #include "tests/check.h"

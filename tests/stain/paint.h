@@ -5,7 +5,7 @@
 #ifndef GSN_TESTS_STAIN_PAINT_H
 #define GSN_TESTS_STAIN_PAINT_H
 
-#include "pipeline/stain/redness.h"
+#include "pipeline/stain/stain_vectors.h"
 
 struct scan {
     enum gsn_light light;

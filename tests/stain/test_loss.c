@@ -8,8 +8,9 @@
 
 #include <string.h>
 
-#include "pipeline/stain/absorb.h"
-#include "pipeline/stain/spread.h"
+#include "pipeline/stain/error_propagation.h"
+#include "pipeline/stain/optical_density.h"
+#include "pipeline/stain/vector_estimation.h"
 #include "tests/stain/paint.h"
 
 #include <stdlib.h>

@@ -4,7 +4,7 @@
 #include "pipeline/core/file.h"
 #include "pipeline/phantom/buffer.h"
 #include "pipeline/phantom/delivery.h"
-#include "pipeline/phantom/expose.h"
+#include "pipeline/phantom/panel.h"
 #include "pipeline/phantom/stain.h"
 
 #include <math.h>

@@ -4,7 +4,7 @@
 #ifndef GSN_PHANTOM_OVERLAY_H
 #define GSN_PHANTOM_OVERLAY_H
 
-#include "pipeline/phantom/expose.h"
+#include "pipeline/phantom/panel.h"
 
 #ifdef __cplusplus
 extern "C" {

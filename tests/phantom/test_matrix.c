@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "pipeline/phantom/matrix.h"
+#include "pipeline/phantom/label.h"
 #include "pipeline/phantom/panel.h"
 
 enum { SIDE = GSN_PHANTOM_MATRIX_SIDE };

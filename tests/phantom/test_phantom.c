@@ -10,7 +10,6 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/phantom/phantom.h"
-#include "pipeline/phantom/tables.h"
 #include "pipeline/phantom/truth.h"
 
 enum { MOST_BYTES = 64 << 20 };

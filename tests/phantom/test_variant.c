@@ -2,7 +2,6 @@
 #include "tests/check.h"
 
 #include "pipeline/core/file.h"
-#include "pipeline/phantom/expose.h"
 #include "pipeline/phantom/panel.h"
 #include "pipeline/phantom/truth.h"
 

@@ -22,7 +22,7 @@
 #include "storage/audit_log.h"
 #include "storage/sql.h"
 
-static const char *const tasks[] = { "takes panels in", "works the queue" };
+static const char *const tasks[] = { "takes panels in", "does the jobs" };
 
 /* Who serves the store. */
 

@@ -483,12 +483,12 @@ int gsn_board_is_item(const struct gsn_board_line *line)
 static const char *service_words(const struct gsn_snapshot *snapshot)
 {
     if (snapshot->intake && snapshot->queue)
-        return "giesond takes panels in and works the queue";
+        return "giesond takes panels in and does the jobs";
     if (snapshot->intake)
-        return "giesond takes panels in; only `gieson run` works the queue";
+        return "giesond takes panels in; only `gieson run` does the jobs";
     if (snapshot->queue)
-        return "giesond works the queue; nothing comes in by itself";
-    return "giesond is not running: nothing comes in; only `gieson run` works the queue";
+        return "giesond does the jobs; nothing comes in by itself";
+    return "giesond is not running: nothing comes in; only `gieson run` does the jobs";
 }
 
 char *gsn_board_service(const struct gsn_snapshot *snapshot)

@@ -386,6 +386,6 @@ int gsn_cmd_decide(const struct gsn_ui *ui, int argc, char **argv)
     else
         gsn_text_line(stdout, "%s of %s: %s%s%s%s", q.place, q.specimen, q.word,
                       q.object ? " " : "", q.object ? q.object : "",
-                      again ? ", as it was" : "; `gieson run` works it");
+                      again ? ", as it was" : "; `gieson run` does it");
     return EX_OK;
 }

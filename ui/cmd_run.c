@@ -258,7 +258,7 @@ int gsn_cmd_retry(const struct gsn_ui *ui, int argc, char **argv)
     if (ui->json)
         gsn_ui_print_json(ui, json_pack("{s:I}", "waiting_again", (json_int_t)count));
     else
-        gsn_ui_say(ui, "%zu job%s again; `gieson run` works them", count,
+        gsn_ui_say(ui, "%zu job%s again; `gieson run` does them", count,
                    count == 1 ? " waits" : "s wait");
     return EX_OK;
 }
@@ -415,7 +415,7 @@ static int find_run(struct gsn_store *store, const char *name, struct gsn_run_ro
         if (runs->at[i].json_path[0])
             latest = runs->at[i].id;
     if (!latest)
-        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` works the queue",
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` does the jobs",
                         name);
     return gsn_run_get(store, latest, ret_run, err);
 }

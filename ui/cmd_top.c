@@ -126,7 +126,7 @@ static void retry_jobs(const struct watch *watch, struct gsn_queue_view *view, i
         said = gsn_strdup(err.text);
     else
         said = gsn_format("%zu failed job%s again%s", count, count == 1 ? " waits" : "s wait",
-                          watch->queue ? "" : "; `gieson run` works them");
+                          watch->queue ? "" : "; `gieson run` does them");
     gsn_queue_view_say(view, said);
 }
 

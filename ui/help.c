@@ -32,12 +32,13 @@ static const struct gsn_help pages[] = {
       "there already is left as it is.",
       "", "gieson new R07-left" },
     { "run", "",
-      "Works the queue to its end. Ends with 65 when a job failed, or when every specimen in the\n"
+      "Does all jobs that wait. Ends with 65 when a job failed, or when every specimen in the\n"
       "store is withheld.",
       "  --threads N          0 (all) to 64; the bytes of a report do not depend on it\n",
       "gieson run --threads 2" },
     { "night", "",
-      "Works every specimen that changed since its last report, prints a line for each, and makes "
+      "Computes every specimen that changed since its last report, prints a line for each, and "
+      "makes "
       "the\n"
       "pages of all studies again.",
       "  --threads N          0 (all) to 64\n", "gieson night" },
@@ -121,7 +122,7 @@ static const struct gsn_help pages[] = {
       "gieson integral R07-left --level 0.3 --level 0.5\n"
       "gieson integral R07-left --plane 0,0,300,0,0,1 --json" },
     { "verify", "RUN | SPECIMEN",
-      "Works a finished run again and compares every byte; ends with 1 when one\n"
+      "Computes a finished run again and compares every byte; ends with 1 when one\n"
       "differs.",
       "", "gieson verify R07-left" },
     { "scrub", "", "Reads every stored original again and compares its hash.",

@@ -323,7 +323,7 @@ static void print_choice(const struct gsn_show *view, const struct gsn_section_r
     else if (gsn_show_has_flag(s, "decided"))
         gsn_text_line(stdout, "    what %s chose does not fit the stack and is not used", d->actor);
     else
-        gsn_text_line(stdout, "    %.*s, as %s said; `gieson run` works it",
+        gsn_text_line(stdout, "    %.*s, as %s said; `gieson run` does it",
                       (int)strcspn(d->answer + 5, " ") + 5, d->answer, d->actor);
 }
 

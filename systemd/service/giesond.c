@@ -626,7 +626,7 @@ static const struct argp_option options[] = {
     { "store", 's', "DIR", 0, "The store (default: $GIESON_STORE, else the configuration's)", 0 },
     { "config", 'c', "FILE", 0, "The configuration (default: " GSN_CONFIG_FILE ")", 0 },
     { "watch", 'w', "FOLDER", 0, "A folder that pictures come into; may be given often", 0 },
-    { "only", OPT_ONLY, "PART", 0, "intake: serve the sources; queue: work the queue", 0 },
+    { "only", OPT_ONLY, "PART", 0, "intake: serve the sources; queue: do the jobs", 0 },
     { "check-config", OPT_CHECK, NULL, 0, "Say what is wrong with the configuration, and end", 0 },
     { "json", OPT_JSON, NULL, 0, "--check-config: print JSON", 0 },
     { 0 },

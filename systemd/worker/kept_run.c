@@ -42,7 +42,7 @@ static int find_run(struct gsn_store *store, const char *name, struct gsn_run_ro
         if (runs->at[i].json_path[0])
             latest = runs->at[i].id;
     if (!latest)
-        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` works the queue",
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` does the jobs",
                         name);
     return gsn_run_get(store, latest, ret_run, err);
 }
@@ -111,8 +111,8 @@ static int say_missing(const struct gsn_kept_run *kept, const char *name, struct
                         "what to do",
                         run, specimen, name, kept->run->message, specimen);
     return gsn_fail(err, GSN_E_NOTFOUND,
-                    "run %lld of %s, by gieson %s, kept no %s: `gieson night` works it again", run,
-                    specimen, kept->run->version, name);
+                    "run %lld of %s, by gieson %s, kept no %s: `gieson night` computes it again",
+                    run, specimen, kept->run->version, name);
 }
 
 int gsn_kept_run_file(struct gsn_store *store, const struct gsn_kept_run *kept, const char *name,

@@ -377,7 +377,7 @@ static int read_specimen(struct gsn_study_files *f, struct gsn_store *store,
     if (r < 0)
         return r;
     if (!last)
-        s->left_out = say_text(f, "has no report yet: `gieson run` works the queue");
+        s->left_out = say_text(f, "has no report yet: `gieson run` does the jobs");
     else if (strcmp(last->state, "reported") != 0)
         s->left_out = say_text(f, "%s: %.400s", last->state, last->message);
     else

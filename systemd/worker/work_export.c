@@ -78,7 +78,7 @@ static int choose_region(const struct export *e, const struct gsn_mask **ret_reg
         return gsn_fail(
             err, GSN_E_NOTFOUND,
             "the model of run %lld, by gieson %s, does not say where the region is: add "
-            "--whole for all of its domain, or `gieson night` works it again",
+            "--whole for all of its domain, or `gieson night` computes it again",
             (long long)e->kept->run->id, e->kept->run->version);
     *ret_region = e->request->whole ? NULL : e->model->region;
     return GSN_OK;

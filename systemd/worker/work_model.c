@@ -105,7 +105,7 @@ static const struct gsn_mask *require_region(const struct asked *a, struct gsn_e
     if (!a->model->region)
         (void)gsn_fail(err, GSN_E_NOTFOUND,
                        "the model of run %lld, by gieson %s, does not say where the region is: "
-                       "`gieson night` works it again, and --whole takes all of its domain",
+                       "`gieson night` computes it again, and --whole takes all of its domain",
                        (long long)a->kept->run->id, a->kept->run->version);
     return a->model->region;
 }

@@ -215,7 +215,7 @@ static void print_import(const struct gsn_work_request *request, const char *spe
     if (counts->left_out)
         gsn_work_print(stdout, " %u file%s left out,", counts->left_out,
                        counts->left_out == 1 ? "" : "s");
-    gsn_work_print_advice(request, stdout, " ", "`gieson run` works the queue");
+    gsn_work_print_advice(request, stdout, " ", "`gieson run` does the jobs");
 }
 
 static int is_file(const char *path)

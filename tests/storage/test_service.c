@@ -45,7 +45,7 @@ TEST(a_second_service_is_refused_and_its_output_stays_untouched)
     CHECK_OK(gsn_service_take(scratch.dir, GSN_SERVICE_QUEUE, &lock, &err), err);
     CHECK(gsn_service_take(scratch.dir, GSN_SERVICE_QUEUE, &second, &err) == GSN_E_BUSY);
     CHECK(second == -7);
-    CHECK(strstr(err.text, "another giesond works the queue for ") == err.text);
+    CHECK(strstr(err.text, "another giesond does the jobs for ") == err.text);
     CHECK_OK(gsn_service_take(scratch.dir, GSN_SERVICE_INTAKE, &other, &err), err);
     (void)close(other);
     (void)close(lock);

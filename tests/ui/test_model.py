@@ -275,7 +275,7 @@ class Refusals(Model):
         write_volume(self.folder / "v.nrrd")
         self.assertEqual(self.call("import", "--volume", str(self.folder / "v.nrrd"), "--specimen",
                                    "young").returncode, 0)
-        self.assertIn("young has no report yet: `gieson run` works the queue",
+        self.assertIn("young has no report yet: `gieson run` does the jobs",
                       self.complaint(66, "probe", "young", 1, 2, 3))
 
     @contextlib.contextmanager

@@ -158,7 +158,7 @@ class Keys(Top):
         terminal.press(*["Down"] * 5)
         self.wait_chosen(terminal, 6)
         terminal.press("r")
-        terminal.wait_for_text("1 failed job waits again; `gieson --store store run` works them")
+        terminal.wait_for_text("1 failed job waits again; `gieson --store store run` does them")
         terminal.wait_for(lambda screen: "0 failed" in screen and "x GVP-D-S03" not in screen)
         self.assertIn("GVP-D-S03", self.chosen(terminal))
 
@@ -275,13 +275,13 @@ class Live(Top):
         terminal = self.busy()
         self.assertIn("giesond is not running: nothing comes in", terminal.screen())
         both = self.hold(0, 1)
-        terminal.wait_for_text("giesond takes panels in and works the queue")
+        terminal.wait_for_text("giesond takes panels in and does the jobs")
         both.close()
         terminal.wait_for_text("giesond is not running")
         with self.hold(0):
-            terminal.wait_for_text("giesond takes panels in; only `gieson --store store run` works the queue")
+            terminal.wait_for_text("giesond takes panels in; only `gieson --store store run` does the jobs")
         with self.hold(1):
-            terminal.wait_for_text("giesond works the queue; nothing comes in by itself")
+            terminal.wait_for_text("giesond does the jobs; nothing comes in by itself")
 
     def test_the_service_itself_is_seen_to_come_and_go(self):
         terminal = self.open()
@@ -295,7 +295,7 @@ class Live(Top):
                                     str(config)], env=self.environment(),
                                    stderr=subprocess.DEVNULL)
         try:
-            terminal.wait_for_text("giesond takes panels in and works the queue")
+            terminal.wait_for_text("giesond takes panels in and does the jobs")
             terminal.wait_for(lambda screen: re.search(r"(?m)^\+ scanner +ready", screen))
             bench.png(scans / "R07-P07.png", 32, 32, seed=7)
             terminal.wait_for_text("panel 7")

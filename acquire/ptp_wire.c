@@ -1,4 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* PTP as bytes: containers, texts and datasets of ISO 15740 in the form that USB carries (little
+ * endian, PIMA 15740, annex D).
+ *
+ * Steps. A reader walks over the bytes that are there: each number and text is taken only when it
+ * is all there. Texts are UTF-16 with a count; pairs of surrogates become UTF-8, a lone one and
+ * control characters U+FFFD. Lists of codes are kept as far as there is room for them, and passed
+ * by their length beyond that.
+ *
+ * How it fails: a dataset that breaks off is GSN_E_INPUT and leaves the outputs untouched. A last
+ * text may be missing altogether, as of many responders. tests/fuzz gives it strangers' bytes. */
 #include "acquire/ptp_wire.h"
 
 #include <assert.h>

@@ -1,4 +1,16 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The descriptors of a USB Video Class camera (1.0 to 1.5), read before anybody opens it.
+ *
+ * Steps. The configuration is walked descriptor by descriptor (USB 2.0, 9.5): the camera terminal
+ * and the processing unit of the VideoControl interface say which controls there are
+ * (UVC 1.5, 3.7.2.3 and 3.7.2.5); the VideoStreaming interface says formats and frame sizes with
+ * their shortest interval. A camera can be locked when automatic exposure and white balance can be
+ * switched off and their values and the gain be set.
+ *
+ * How it fails: GSN_E_INPUT for a descriptor that is shorter than what it must hold,
+ * GSN_E_UNSUPPORTED for a device that is no camera. Lengths are the device's and are not trusted.
+ */
 #include "acquire/uvc.h"
 
 #include <stdbool.h>

@@ -1,4 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The store's name in commands that people are to copy.
+ *
+ * A sentence is walked backquote by backquote; behind `gieson` goes --store DIR, quoted for a
+ * shell, unless gieson opens that store by itself (GIESON_STORE, or the usual one). Apart from the
+ * programs, because gieson and gieson-work both give advice. */
 #include "storage/advice.h"
 
 #include <stdlib.h>

@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* `gieson status`: the store at one moment as a table, as blocks where the terminal is narrow, or
+ * as JSON.
+ *
+ * The next command stands behind a row where there is room, else on a line of its own, never cut:
+ * it is there to be copied. Above the specimens: who serves the store, what comes in, what needs a
+ * person. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The pages of `gieson help`: one a verb, with an example that can be typed; and the nearest verb
+ * to a mistyped one, by the fewest slips of the hand (pipeline/core/nearest.h). */
 #include "ui/help.h"
 
 #include <stdio.h>

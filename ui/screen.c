@@ -1,4 +1,13 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A terminal as rows of columns, by ncurses.
+ *
+ * Opening asks terminfo whether the terminal can place text at all, takes colours where it has
+ * them, and gives the terminal back when it is freed. What the reader's locale cannot show becomes
+ * "?" (text.h). A signal that ends the program, and a terminal that is gone, come as keys, so that
+ * the loop ends in one place.
+ *
+ * How it fails: GSN_E_UNSUPPORTED for a terminal without cursor addressing. */
 #include "ui/screen.h"
 
 #include <langinfo.h>

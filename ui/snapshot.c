@@ -1,4 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The store at one moment, read in a few queries: specimens, jobs, sources, troubles, scans.
+ *
+ * Steps. The overview's rows first (storage/result.h), then jobs are put to their specimens, then
+ * the state in a word: failed, working, waiting, withheld or reported; the next action is a command
+ * where a person can do something. Who serves the store is asked of its lock.
+ *
+ * How it fails: as the store does; nothing is given then. */
 #include "ui/snapshot.h"
 
 #include <math.h>

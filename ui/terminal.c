@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What terminfo says of the terminal. Apart from screen.c, and with our header first, because <term.h>
- * takes the names "columns" and "lines" for itself. */
+/* What terminfo says of the terminal. Apart from screen.c, and with our header first, because
+ * <term.h> takes the names "columns" and "lines" for itself. */
 #include "ui/screen.h"
 
 #include <ncurses.h>

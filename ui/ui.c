@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What every verb of `gieson` shares: opening the store, words for people, starting a helper
+ * program.
+ *
+ * Words go to stderr, wrapped to the terminal's width, with the store in the commands they advise
+ * (storage/advice.h); data goes to stdout. A helper is a program beside this one; its exit status
+ * is handed on. A mistake costs one line. */
 #include "ui/ui.h"
 
 #include <errno.h>

@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* One line of the service's log: to the journal as fields (systemd.journal-fields(7)) when stderr
+ * is the journal, else as a line on stderr.
+ *
+ * Whether it is the journal is told by $JOURNAL_STREAM, which names the device and inode of the
+ * stream. Names come from devices and strangers' disks: what a terminal would obey, or what would
+ * begin a line of its own, is shown as '?'. Logging never fails; what cannot be written is lost. */
 #include "systemd/service/log.h"
 
 #include <stdarg.h>

@@ -1,4 +1,19 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Keeps the queue served: gieson-work, one process a job, never more at once than allowed.
+ *
+ * Steps of a look.
+ * 1. Jobs that wait are counted; while the disk is below half of its reserve, none is started.
+ * 2. A worker is started for each that may run, with limits of memory, processor and time
+ * (spawn.h).
+ * 3. Its exit says what follows. Done: look again at once. Nothing to claim: put off for 5 s,
+ * doubled to a minute, for others are at what is left. Failed within 2 s of its start: put off for
+ * 1 s, doubled to a minute, for it has met something that will not pass at once.
+ * 4. One that outlives its time is killed, and its job fails with a sentence. One that died leaves
+ * a lease that the next claim finds dead; one that is stopped with the service releases its lease
+ * first.
+ *
+ * How it fails: a worker that cannot be started is logged, and tried again later. */
 #include "systemd/service/queue_runner.h"
 
 #include <errno.h>

@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A child process with limits, the descriptors it is given, and nothing else.
+ *
+ * Between fork and exec only async-signal-safe calls: signals to their defaults, PR_SET_PDEATHSIG
+ * (the kernel ends the child when its parent dies), a low priority where asked for, close_range()
+ * over everything but what it is given, RLIMIT_AS and RLIMIT_CPU, exec. The descriptors are first
+ * lifted out of each other's way, then put in place.
+ *
+ * How it fails: a pipe that exec closes brings back errno when it did not come to that, so the
+ * failure is the caller's and has a sentence. */
 #include "systemd/service/spawn.h"
 
 #include <assert.h>

@@ -4,6 +4,7 @@
 #include "pipeline/assembly_parts.h"
 #include "pipeline/assembly_tissue.h"
 #include "pipeline/conditions.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <stdio.h>
 #include <stdlib.h>

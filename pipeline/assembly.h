@@ -10,7 +10,7 @@
 #include "pipeline/core/colour_grid.h"
 #include "pipeline/pictures.h"
 #include "pipeline/register/order/sequence.h"
-#include "pipeline/register/strain.h"
+#include "pipeline/register/pose/strain.h"
 #include "pipeline/register/tissue/pose_check.h"
 #include "pipeline/specimen.h"
 #include "pipeline/stain/artefact/dust.h"

@@ -2,6 +2,9 @@
 #include "pipeline/assembly_parts.h"
 
 #include "pipeline/slot_marks.h"
+#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/register/fiducial/correspondence.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <string.h>
 

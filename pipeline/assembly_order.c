@@ -3,6 +3,7 @@
 
 #include "pipeline/assembly_parts.h"
 #include "pipeline/register/order/seriation.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -137,7 +138,7 @@ static int by_serial(const void *a, const void *b)
 struct search {
     const struct gsn_section_planes *planes;
     const struct gsn_assembly *a;
-    struct gsn_section_path *path;
+    struct gsn_seriation *path;
     struct gsn_layout layout;
     struct place *place; /* room for all planes */
     size_t *order;       /* likewise */
@@ -156,7 +157,7 @@ static void try_reading(struct search *s, const struct reading *reading)
     qsort(s->place, s->planes->count, sizeof *s->place, by_serial);
     for (size_t k = 0; k < s->planes->count; k++)
         s->order[k] = s->place[k].plane;
-    gain = gsn_section_path_gain(s->path, s->order);
+    gain = gsn_seriation_gain(s->path, s->order);
     if (gain > s->gain) {
         s->gain = gain;
         s->best = *reading;
@@ -227,13 +228,13 @@ static size_t plane_of(const struct gsn_sequence_plane *plane, size_t count, uns
 
 /* Share of the pairs so far apart that would show, were they swapped; as much as they now speak
  * against it. */
-static double share_shown(const struct gsn_section_path *path, size_t count, size_t apart)
+static double share_shown(const struct gsn_seriation *path, size_t count, size_t apart)
 {
     size_t shown = 0, pairs = 0;
 
     for (size_t i = 0; i + apart < count; i++)
         if (apart > 1 || (i > 0 && i + 2 < count)) {
-            shown += gsn_section_path_exchange(path, i, i + apart) < -SHORTER;
+            shown += gsn_seriation_exchange_gain(path, i, i + apart) < -SHORTER;
             pairs++;
         }
     return pairs ? (double)shown / (double)pairs : 0;
@@ -242,7 +243,7 @@ static double share_shown(const struct gsn_section_path *path, size_t count, siz
 /* Sections look swapped where the way through the tissue says so, too: what changes between
  * neighbours is as large as what a fold or a bath does to them, and 4 of 9 specimens in true order
  * had such notes. All of them are dropped where all sections are out of place. */
-static void confirm_swaps(const struct gsn_section_path *path,
+static void confirm_swaps(const struct gsn_seriation *path,
                           const struct gsn_sequence_plane *plane, size_t count, int misordered,
                           struct gsn_sequence *sequence)
 {
@@ -253,7 +254,7 @@ static void confirm_swaps(const struct gsn_section_path *path,
         const struct gsn_sequence_finding *f = &sequence->finding[i];
 
         if (f->kind != GSN_SEQUENCE_SWAP ||
-            (!misordered && gsn_section_path_exchange(path, plane_of(plane, count, f->a),
+            (!misordered && gsn_seriation_exchange_gain(path, plane_of(plane, count, f->a),
                                                       plane_of(plane, count, f->b)) > SHORTER))
             sequence->finding[kept++] = *f;
     }
@@ -272,7 +273,7 @@ static int examine_layout(const struct gsn_section_planes *planes,
 {
     gsn_auto_mem(struct place) place = gsn_alloc_array(planes->count + 1, sizeof *place);
     gsn_auto_mem(size_t) order = gsn_alloc_array(planes->count + 1, sizeof *order);
-    gsn_auto(gsn_section_path) path = NULL;
+    gsn_auto(gsn_seriation) path = NULL;
     struct search search = { .planes = planes,
                              .a = a,
                              .layout = gsn_protocol_layout(protocol),
@@ -288,7 +289,7 @@ static int examine_layout(const struct gsn_section_planes *planes,
 
         panels = panel > panels ? panel : panels;
     }
-    r = gsn_section_path_new(plane, planes->count, planes->columns, planes->rows, &path, err);
+    r = gsn_seriation_new(plane, planes->count, planes->columns, planes->rows, &path, err);
     search.path = path;
     if (r >= 0)
         try_all(&search, panels < MOST_PANELS ? panels : MOST_PANELS);

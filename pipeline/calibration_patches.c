@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/calibration_patches.h"
 
-#include "pipeline/register/panel_reduce.h"
-#include "pipeline/register/split.h"
+#include "pipeline/register/panel/reduce.h"
+#include "pipeline/register/panel/segment.h"
 #include "pipeline/stain/optical_density.h"
 
 #include <math.h>
@@ -135,7 +135,7 @@ static int find_pieces(struct field *field, struct gsn_error *err)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a calibration panel");
     for (size_t i = 0; i < count; i++)
         mask[i] = field->total->value[i] >= GSN_TISSUE_OD;
-    r = gsn_split_pieces(mask, field->total->width, field->total->height, 0, &pieces, NULL, err);
+    r = gsn_segment_mask(mask, field->total->width, field->total->height, 0, &pieces, NULL, err);
     if (r < 0)
         return r;
     field->piece = gsn_alloc_array(pieces->count + 1, sizeof *field->piece);

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/candidate.h"
 
-#include "pipeline/register/pose_fit.h"
-#include "pipeline/register/rigid.h"
+#include "pipeline/register/pose/weighted_fit.h"
+#include "pipeline/register/pose/rigid.h"
+#include "pipeline/register/fiducial/correspondence.h"
 
 #include <assert.h>
 #include <math.h>

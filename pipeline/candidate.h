@@ -10,7 +10,8 @@
 #ifndef GSN_PIPELINE_CANDIDATE_H
 #define GSN_PIPELINE_CANDIDATE_H
 
-#include "pipeline/register/pose.h"
+#include "pipeline/register/pose/pose.h"
+#include "pipeline/register/fiducial/correspondence.h"
 
 #ifdef __cplusplus
 extern "C" {

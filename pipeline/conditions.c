@@ -2,7 +2,7 @@
 #include "pipeline/conditions.h"
 
 #include "pipeline/masking.h"
-#include "pipeline/register/panel_reduce.h"
+#include "pipeline/register/panel/reduce.h"
 #include "pipeline/stain/artefact/dust.h"
 #include "pipeline/stain/illumination_drift.h"
 #include "pipeline/stain/staining_uniformity.h"

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/examine_parts.h"
 
-#include "pipeline/register/panel.h"
+#include "pipeline/register/panel/slots.h"
 #include "pipeline/upright.h"
 
 #include <stdarg.h>

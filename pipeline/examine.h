@@ -10,8 +10,9 @@
 #include "pipeline/candidate.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/protocol.h"
-#include "pipeline/register/markers.h"
+#include "pipeline/register/fiducial/fiducial.h"
 #include "pipeline/scan.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <limits.h>
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/examine_parts.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <math.h>
 #include <string.h>

@@ -4,6 +4,10 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/slot_marks.h"
 #include "pipeline/upright.h"
+#include "pipeline/register/fiducial/triangle.h"
+#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/register/fiducial/correspondence.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <math.h>
 #include <string.h>

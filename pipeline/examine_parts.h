@@ -6,7 +6,7 @@
 #define GSN_PIPELINE_EXAMINE_PARTS_H
 
 #include "pipeline/examine.h"
-#include "pipeline/register/panel.h"
+#include "pipeline/register/panel/slots.h"
 
 #ifdef __cplusplus
 extern "C" {

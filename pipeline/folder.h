@@ -11,7 +11,7 @@
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/pose/pose.h"
 #include "pipeline/register/tissue/pose_graph.h"
 
 #ifdef __cplusplus

@@ -1,5 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder_parts.h"
+#include "pipeline/register/fiducial/triangle.h"
+#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/register/fiducial/correspondence.h"
 
 void gsn_folder_stated_marks(const struct gsn_section_folder *folder,
                              struct gsn_point ret_mark_um[GSN_MARKS])

@@ -7,7 +7,7 @@
 
 #include "pipeline/decode/apart.h"
 #include "pipeline/folder.h"
-#include "pipeline/register/mark_spots.h"
+#include "pipeline/register/fiducial/colour.h"
 
 #ifdef __cplusplus
 extern "C" {

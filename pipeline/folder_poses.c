@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/folder_parts.h"
-#include "pipeline/register/strain.h"
+#include "pipeline/register/pose/strain.h"
 
 #include <math.h>
 #include <stdio.h>

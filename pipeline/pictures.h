@@ -7,7 +7,7 @@
 
 #include "pipeline/account.h"
 #include "pipeline/core/image.h"
-#include "pipeline/register/markers.h"
+#include "pipeline/register/fiducial/fiducial.h"
 
 #include "pipeline/stain/flat_field.h"
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/scan.h"
 
-#include "pipeline/register/panel_reduce.h"
+#include "pipeline/register/panel/reduce.h"
 #include "pipeline/stain/artefact/dust.h"
 #include "pipeline/stain/vector_estimation.h"
 #include "pipeline/upright.h"

@@ -5,6 +5,9 @@
 #include "pipeline/core/parallel.h"
 #include "pipeline/core/robust.h"
 #include "pipeline/stain/optical_density.h"
+#include "pipeline/register/panel/slots.h"
+#include "pipeline/register/fiducial/detect.h"
+#include "pipeline/register/fiducial/learn.h"
 
 #include <math.h>
 #include <string.h>

@@ -4,9 +4,10 @@
 #ifndef GSN_PIPELINE_SLOT_MARKS_H
 #define GSN_PIPELINE_SLOT_MARKS_H
 
-#include "pipeline/register/markers.h"
+#include "pipeline/register/fiducial/fiducial.h"
 #include "pipeline/scan.h"
 #include "pipeline/stain/optical_density.h"
+#include "pipeline/register/panel/slots.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -15,7 +15,7 @@
 #include "pipeline/core/progress.h"
 #include "pipeline/examine.h"
 #include "pipeline/protocol.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/pose/pose.h"
 #include "pipeline/stain/error_propagation.h"
 #include "pipeline/stain/hue_distribution.h"
 #include "pipeline/stain/normalisation.h"

@@ -5,6 +5,7 @@
 #include "pipeline/assembly_tissue.h"
 #include "pipeline/conditions.h"
 #include "pipeline/pose_words.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <math.h>
 #include <stdio.h>

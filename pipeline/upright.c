@@ -3,6 +3,9 @@
 
 #include "pipeline/examine.h"
 #include "pipeline/slot_marks.h"
+#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/register/fiducial/correspondence.h"
+#include "pipeline/register/panel/slots.h"
 
 #include <math.h>
 #include <string.h>

@@ -69,6 +69,26 @@ int gsn_erode(uint8_t *set, uint32_t width, uint32_t height, double radius, stru
     });
 }
 
+int gsn_dilate_values(float *value, uint32_t width, uint32_t height, double radius,
+                      struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        cv::Mat all = gsn::over(value, width, height, CV_32F);
+
+        cv::dilate(all, all, disc(radius));
+    });
+}
+
+int gsn_erode_values(float *value, uint32_t width, uint32_t height, double radius,
+                     struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        cv::Mat all = gsn::over(value, width, height, CV_32F);
+
+        cv::erode(all, all, disc(radius));
+    });
+}
+
 int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, struct gsn_error *err)
 {
     return gsn::guarded(err, [&] {

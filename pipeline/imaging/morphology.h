@@ -14,10 +14,16 @@ extern "C" {
 #endif
 
 /* What lies within `radius` pixels of the set, centre to centre; the radius need not be whole. */
-int gsn_dilate(uint8_t *set, uint32_t width, uint32_t height, double radius,
-               struct gsn_error *err);
+int gsn_dilate(uint8_t *set, uint32_t width, uint32_t height, double radius, struct gsn_error *err);
 /* What lies deeper than that in the set: the complement's dilation, taken away. */
 int gsn_erode(uint8_t *set, uint32_t width, uint32_t height, double radius, struct gsn_error *err);
+
+/* The largest, or the smallest, of the values within `radius` pixels of each; width x height
+ * numbers, none of them NaN, changed in place. */
+int gsn_dilate_values(float *value, uint32_t width, uint32_t height, double radius,
+                      struct gsn_error *err);
+int gsn_erode_values(float *value, uint32_t width, uint32_t height, double radius,
+                     struct gsn_error *err);
 
 /* Adds what no way over 8 neighbours from the first pixel reaches; that pixel is not of the set. */
 int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, struct gsn_error *err);

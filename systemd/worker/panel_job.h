@@ -7,7 +7,7 @@
 #include "pipeline/candidate.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/examine.h"
-#include "pipeline/register/markers.h"
+#include "pipeline/register/fiducial/fiducial.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
 #include "storage/queue.h"

@@ -7,12 +7,15 @@
 #include "pipeline/core/file.h"
 #include "pipeline/core/process.h"
 #include "pipeline/decode/apart.h"
-#include "pipeline/register/panel.h"
-#include "pipeline/register/panel_reduce.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/panel/slots.h"
+#include "pipeline/register/panel/reduce.h"
+#include "pipeline/register/pose/pose.h"
 #include "pipeline/register/stack/resample_colour.h"
 #include "pipeline/stain/artefact/detection.h"
 #include "pipeline/stain/collagen_density.h"
+#include "pipeline/register/fiducial/detect.h"
+#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/register/fiducial/correspondence.h"
 
 #include "tests/bench/bench.h"
 

@@ -2,7 +2,7 @@
 #include "pipeline/assembly_parts.h"
 
 #include "pipeline/core/mem.h"
-#include "pipeline/register/strain.h"
+#include "pipeline/register/pose/strain.h"
 
 #include "tests/check.h"
 #include "tests/register/mounted.h"

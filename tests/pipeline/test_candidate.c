@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/candidate.h"
+#include "pipeline/register/fiducial/correspondence.h"
 
 #include "tests/check.h"
 

@@ -5,7 +5,7 @@
 #include "pipeline/core/robust.h"
 #include "pipeline/decode/apart.h"
 #include "pipeline/folder.h"
-#include "pipeline/register/rigid.h"
+#include "pipeline/register/pose/rigid.h"
 #include "tests/check.h"
 
 #include <stdio.h>

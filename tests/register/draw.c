@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/register/draw.h"
+#include "pipeline/register/fiducial/detect.h"
 
 #include <math.h>
 

@@ -7,7 +7,8 @@
 
 #include "pipeline/core/geom.h"
 #include "pipeline/core/image.h"
-#include "pipeline/register/markers.h"
+#include "pipeline/register/fiducial/fiducial.h"
+#include "pipeline/register/fiducial/detect.h"
 
 #include <stdint.h>
 

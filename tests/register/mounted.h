@@ -4,7 +4,7 @@
 #ifndef GSN_TESTS_REGISTER_MOUNTED_H
 #define GSN_TESTS_REGISTER_MOUNTED_H
 
-#include "pipeline/register/pose.h"
+#include "pipeline/register/pose/pose.h"
 
 #include "tests/register/draw.h"
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/register/panel.h"
+#include "pipeline/register/panel/slots.h"
 
 #include "tests/check.h"
 #include "tests/register/draw.h"

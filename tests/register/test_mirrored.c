@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/register/markers.h"
-#include "pipeline/register/pose.h"
+#include "pipeline/register/fiducial/fiducial.h"
+#include "pipeline/register/pose/pose.h"
 
 #include "tests/check.h"
 #include "pipeline/phantom/geometry.h"
+#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/register/fiducial/correspondence.h"
 #include "tests/register/draw.h"
 #include "tests/register/mounted.h"
 
@@ -74,11 +76,11 @@ static void see_tissue(struct gsn_mark_candidates *s, const struct mounted *m,
     const double c = cos(m->angle), n = sin(m->angle), stain = exp(0.15 * draw_normal(chance));
 
     s->map.cell = 170 / MOUNTED_PX;
-    s->map.origin.x = m->centre_px.x - GSN_MARK_MAP / 2.0 * s->map.cell;
-    s->map.origin.y = m->centre_px.y - GSN_MARK_MAP / 2.0 * s->map.cell;
-    for (int i = 0; i < GSN_MARK_MAP * GSN_MARK_MAP; i++) {
-        const double x = 170 * (i % GSN_MARK_MAP + 0.5 - GSN_MARK_MAP / 2.0);
-        const double y = 170 * (i / GSN_MARK_MAP + 0.5 - GSN_MARK_MAP / 2.0);
+    s->map.origin.x = m->centre_px.x - GSN_THUMBNAIL_SIDE / 2.0 * s->map.cell;
+    s->map.origin.y = m->centre_px.y - GSN_THUMBNAIL_SIDE / 2.0 * s->map.cell;
+    for (int i = 0; i < GSN_THUMBNAIL_SIDE * GSN_THUMBNAIL_SIDE; i++) {
+        const double x = 170 * (i % GSN_THUMBNAIL_SIDE + 0.5 - GSN_THUMBNAIL_SIDE / 2.0);
+        const double y = 170 * (i / GSN_THUMBNAIL_SIDE + 0.5 - GSN_THUMBNAIL_SIDE / 2.0);
         const double u = c * x + n * y;
         const struct gsn_point um = { m->flipped ? -u : u, c * y - n * x };
 

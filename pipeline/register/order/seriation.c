@@ -24,7 +24,7 @@
  * deviation of n values scatters by 1.17 / sqrt(n) of itself (Rousseeuw and Croux, 1993). */
 enum { SQUARE = 6, LEAST = 24, STEPS = 2 };
 
-struct gsn_section_path {
+struct gsn_seriation {
     size_t count;
     double *unlike; /* count * count */
     double error;   /* of one step in the order as given; 0: not told */
@@ -32,7 +32,7 @@ struct gsn_section_path {
     double *room;   /* count: scratch */
 };
 
-void gsn_section_path_free(struct gsn_section_path *path)
+void gsn_seriation_free(struct gsn_seriation *path)
 {
     if (!path)
         return;
@@ -80,16 +80,16 @@ static double measure_unlike(const float *a, const float *b, size_t squares)
     return scale > 0 ? 1 - (ab - sa * sb / n) / scale : 1;
 }
 
-static double unlike_along(const struct gsn_section_path *path, const size_t *order, size_t i,
+static double unlike_along(const struct gsn_seriation *path, const size_t *order, size_t i,
                            size_t j)
 {
-    return order ? gsn_section_path_unlike(path, order[i], order[j])
-                 : gsn_section_path_unlike(path, i, j);
+    return order ? gsn_seriation_distance(path, order[i], order[j])
+                 : gsn_seriation_distance(path, i, j);
 }
 
 /* Along an order, NULL: as given. Four differences of one error each are in a sum; the median of a
  * normal error is 0.6745 of it. room: of as many numbers as planes. */
-static double estimate_step_error(const struct gsn_section_path *path, const size_t *order,
+static double estimate_step_error(const struct gsn_seriation *path, const size_t *order,
                                   double *room)
 {
     const size_t n = path->count;
@@ -109,11 +109,11 @@ static double estimate_step_error(const struct gsn_section_path *path, const siz
     return fmax(gsn_median(room, count) / (2 * 0.6745), (double)FLT_EPSILON);
 }
 
-int gsn_section_path_new(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
-                         size_t rows, struct gsn_section_path **ret_path, struct gsn_error *err)
+int gsn_seriation_new(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
+                         size_t rows, struct gsn_seriation **ret_path, struct gsn_error *err)
 {
     const size_t squares = columns / SQUARE * (rows / SQUARE);
-    gsn_auto(gsn_section_path) path = gsn_alloc_array(1, sizeof *path);
+    gsn_auto(gsn_seriation) path = gsn_alloc_array(1, sizeof *path);
     gsn_auto_mem(float) value = gsn_alloc_array(count * squares + 1, sizeof *value);
 
     if (path) {
@@ -135,7 +135,7 @@ int gsn_section_path_new(const struct gsn_sequence_plane *planes, size_t count, 
     return GSN_OK;
 }
 
-double gsn_section_path_unlike(const struct gsn_section_path *path, size_t i, size_t j)
+double gsn_seriation_distance(const struct gsn_seriation *path, size_t i, size_t j)
 {
     return path->unlike[i * path->count + j];
 }
@@ -146,7 +146,7 @@ static int is_step(size_t a, size_t b)
     return a != b && (a > b ? a - b : b - a) <= STEPS;
 }
 
-double gsn_section_path_gain(struct gsn_section_path *path, const size_t *order)
+double gsn_seriation_gain(struct gsn_seriation *path, const size_t *order)
 {
     const size_t n = path->count;
     size_t *place = path->place;
@@ -158,11 +158,11 @@ double gsn_section_path_gain(struct gsn_section_path *path, const size_t *order)
     for (size_t i = 0; i < n; i++)
         for (size_t j = i + 1; j < n && j <= i + STEPS; j++) {
             if (!is_step(place[i], place[j])) {
-                shorter += gsn_section_path_unlike(path, i, j);
+                shorter += gsn_seriation_distance(path, i, j);
                 steps++;
             }
             if (!is_step(order[i], order[j])) {
-                shorter -= gsn_section_path_unlike(path, order[i], order[j]);
+                shorter -= gsn_seriation_distance(path, order[i], order[j]);
                 steps++;
             }
         }
@@ -172,7 +172,7 @@ double gsn_section_path_gain(struct gsn_section_path *path, const size_t *order)
 
 /* The mean difference of a plane from those up to so many places around a place, but for i and j
  * and those that lie around both. ret_count: of how many. */
-static double average_unlike(const struct gsn_section_path *path, size_t plane, size_t place,
+static double average_unlike(const struct gsn_seriation *path, size_t plane, size_t place,
                              size_t i, size_t j, size_t steps, size_t *ret_count)
 {
     const size_t first = place > steps ? place - steps : 0, other = place == i ? j : i;
@@ -182,14 +182,14 @@ static double average_unlike(const struct gsn_section_path *path, size_t plane, 
     for (size_t k = first; k <= place + steps && k < path->count; k++) {
         if (k == i || k == j || (k > other ? k - other : other - k) <= steps)
             continue;
-        sum += gsn_section_path_unlike(path, plane, k);
+        sum += gsn_seriation_distance(path, plane, k);
         count++;
     }
     *ret_count = count;
     return count ? sum / (double)count : 0;
 }
 
-static double measure_exchange(const struct gsn_section_path *path, size_t i, size_t j,
+static double measure_exchange(const struct gsn_seriation *path, size_t i, size_t j,
                                size_t steps)
 {
     size_t here, there;
@@ -203,7 +203,7 @@ static double measure_exchange(const struct gsn_section_path *path, size_t i, si
                : 0;
 }
 
-double gsn_section_path_exchange(const struct gsn_section_path *path, size_t i, size_t j)
+double gsn_seriation_exchange_gain(const struct gsn_seriation *path, size_t i, size_t j)
 {
     double least = INFINITY;
 

@@ -16,27 +16,27 @@
 extern "C" {
 #endif
 
-struct gsn_section_path;
+struct gsn_seriation;
 
 /* gives: planes in the order that is stated. Fails with GSN_E_NOMEM. */
-int gsn_section_path_new(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
-                         size_t rows, struct gsn_section_path **ret_path, struct gsn_error *err);
-void gsn_section_path_free(struct gsn_section_path *path);
-GSN_DEFINE_AUTO(gsn_section_path);
+int gsn_seriation_new(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
+                      size_t rows, struct gsn_seriation **ret_path, struct gsn_error *err);
+void gsn_seriation_free(struct gsn_seriation *path);
+GSN_DEFINE_AUTO(gsn_seriation);
 
 /* 1 - correlation of two planes' densities; 0: alike. */
-double gsn_section_path_unlike(const struct gsn_section_path *path, size_t i, size_t j);
+double gsn_seriation_distance(const struct gsn_seriation *path, size_t i, size_t j);
 
 /* By how many standard errors the way through the planes in another order is shorter than as they
  * are given; negative: it is longer. order: count numbers of planes, each once; 0 where they go the
  * same way, or where planes are too few to tell what a step's error is. */
-double gsn_section_path_gain(struct gsn_section_path *path, const size_t *order);
+double gsn_seriation_gain(struct gsn_seriation *path, const size_t *order);
 
 /* The same of two planes that take each other's places: by how many standard errors each is nearer
  * to those around the other's place than to those around its own, both together. Neighbours alone
  * must show it, and neighbours with those two places away: the smaller of the two counts. 0 for the
  * last two at either end, of which nothing tells which is the last. */
-double gsn_section_path_exchange(const struct gsn_section_path *path, size_t i, size_t j);
+double gsn_seriation_exchange_gain(const struct gsn_seriation *path, size_t i, size_t j);
 
 #ifdef __cplusplus
 }

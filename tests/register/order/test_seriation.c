@@ -23,13 +23,13 @@ static void draw(const double angle[SECTIONS])
     }
 }
 
-static struct gsn_section_path *path_of(const double angle[SECTIONS])
+static struct gsn_seriation *path_of(const double angle[SECTIONS])
 {
-    struct gsn_section_path *path = NULL;
+    struct gsn_seriation *path = NULL;
     struct gsn_error err = { 0 };
 
     draw(angle);
-    CHECK_OK(gsn_section_path_new(planes, SECTIONS, COLUMNS, ROWS, &path, &err), err);
+    CHECK_OK(gsn_seriation_new(planes, SECTIONS, COLUMNS, ROWS, &path, &err), err);
     return path;
 }
 
@@ -54,15 +54,15 @@ TEST(two_sections_differ_by_one_less_their_correlation)
     double angle[SECTIONS];
 
     angles(angle);
-    gsn_auto(gsn_section_path) path = path_of(angle);
+    gsn_auto(gsn_seriation) path = path_of(angle);
 
     for (size_t i = 0; i < SECTIONS; i++)
         for (size_t j = 0; j < SECTIONS; j++)
-            CHECK_NEAR(gsn_section_path_unlike(path, i, j), 1 - cos(angle[i] - angle[j]), 1e-5);
+            CHECK_NEAR(gsn_seriation_distance(path, i, j), 1 - cos(angle[i] - angle[j]), 1e-5);
     density[3][17] = NAN; /* one cell of 36 that nobody saw */
-    gsn_section_path_free(gsn_steal(&path));
+    gsn_seriation_free(gsn_steal(&path));
     path = path_of(angle);
-    CHECK_NEAR(gsn_section_path_unlike(path, 3, 4), 1 - cos(angle[3] - angle[4]), 1e-5);
+    CHECK_NEAR(gsn_seriation_distance(path, 3, 4), 1 - cos(angle[3] - angle[4]), 1e-5);
 }
 
 TEST(the_way_in_order_is_shorter_by_what_the_two_orders_do_not_share)
@@ -77,14 +77,14 @@ TEST(the_way_in_order_is_shorter_by_what_the_two_orders_do_not_share)
         back[k] = SECTIONS - 1 - k;
         mixed[k] = angle[snake[k]];
     }
-    gsn_auto(gsn_section_path) right = path_of(angle);
-    gsn_auto(gsn_section_path) wrong = path_of(mixed);
+    gsn_auto(gsn_seriation) right = path_of(angle);
+    gsn_auto(gsn_seriation) wrong = path_of(mixed);
 
-    CHECK(gsn_section_path_gain(right, same) == 0 && gsn_section_path_gain(right, back) == 0);
+    CHECK(gsn_seriation_gain(right, same) == 0 && gsn_seriation_gain(right, back) == 0);
     /* The snake is its own inverse: what one way gains the other loses. */
-    CHECK_NEAR(gsn_section_path_gain(wrong, snake), -gsn_section_path_gain(right, snake),
-               1e-3 * gsn_section_path_gain(wrong, snake));
-    CHECK(gsn_section_path_gain(wrong, snake) > 6);
+    CHECK_NEAR(gsn_seriation_gain(wrong, snake), -gsn_seriation_gain(right, snake),
+               1e-3 * gsn_seriation_gain(wrong, snake));
+    CHECK(gsn_seriation_gain(wrong, snake) > 6);
 }
 
 /* In steps of one angle the differences are closed forms: section i at the place of j meets the
@@ -97,43 +97,43 @@ TEST(two_exchanged_sections_fit_better_where_the_other_lies)
     memcpy(swapped, angle, sizeof swapped);
     swapped[3] = angle[7];
     swapped[7] = angle[3];
-    gsn_auto(gsn_section_path) right = path_of(angle);
-    gsn_auto(gsn_section_path) wrong = path_of(swapped);
+    gsn_auto(gsn_seriation) right = path_of(angle);
+    gsn_auto(gsn_seriation) wrong = path_of(swapped);
 
     for (size_t i = 0; i < SECTIONS; i++)
         for (size_t j = i + 1; j < SECTIONS; j++) {
-            CHECK(gsn_section_path_exchange(right, i, j) <= 0);
-            CHECK(gsn_section_path_exchange(wrong, i, j) <= gsn_section_path_exchange(wrong, 3, 7));
+            CHECK(gsn_seriation_exchange_gain(right, i, j) <= 0);
+            CHECK(gsn_seriation_exchange_gain(wrong, i, j) <= gsn_seriation_exchange_gain(wrong, 3, 7));
         }
-    print_message("  %.1f swapped, %.1f in order\n", gsn_section_path_exchange(wrong, 3, 7),
-                  gsn_section_path_exchange(right, 3, 7));
-    CHECK(gsn_section_path_exchange(wrong, 3, 7) > 0);
-    CHECK(gsn_section_path_exchange(right, 3, 7) < -6);
-    CHECK(gsn_section_path_exchange(right, 0, 1) == 0);
-    CHECK(gsn_section_path_exchange(right, SECTIONS - 2, SECTIONS - 1) == 0);
+    print_message("  %.1f swapped, %.1f in order\n", gsn_seriation_exchange_gain(wrong, 3, 7),
+                  gsn_seriation_exchange_gain(right, 3, 7));
+    CHECK(gsn_seriation_exchange_gain(wrong, 3, 7) > 0);
+    CHECK(gsn_seriation_exchange_gain(right, 3, 7) < -6);
+    CHECK(gsn_seriation_exchange_gain(right, 0, 1) == 0);
+    CHECK(gsn_seriation_exchange_gain(right, SECTIONS - 2, SECTIONS - 1) == 0);
 }
 
 TEST(sections_that_do_not_differ_and_too_few_tell_nothing)
 {
     const double still[SECTIONS] = { 0 };
     size_t snake[SECTIONS], other[SECTIONS];
-    gsn_auto(gsn_section_path) path = path_of(still);
-    gsn_auto(gsn_section_path) few = NULL;
+    gsn_auto(gsn_seriation) path = path_of(still);
+    gsn_auto(gsn_seriation) few = NULL;
     struct gsn_error err = { 0 };
 
     snake_of(snake);
-    CHECK(fabs(gsn_section_path_gain(path, snake)) < 6);
+    CHECK(fabs(gsn_seriation_gain(path, snake)) < 6);
     for (size_t k = 0; k < SECTIONS - 1; k++)
         other[k] = k == 1 ? 2 : k == 2 ? 1 : k;
-    CHECK_OK(gsn_section_path_new(planes, SECTIONS - 1, COLUMNS, ROWS, &few, &err), err);
-    CHECK(gsn_section_path_gain(few, other) == 0);
+    CHECK_OK(gsn_seriation_new(planes, SECTIONS - 1, COLUMNS, ROWS, &few, &err), err);
+    CHECK(gsn_seriation_gain(few, other) == 0);
 }
 
 static int once(struct gsn_error *err)
 {
-    gsn_auto(gsn_section_path) path = NULL;
+    gsn_auto(gsn_seriation) path = NULL;
 
-    return gsn_section_path_new(planes, SECTIONS, COLUMNS, ROWS, &path, err);
+    return gsn_seriation_new(planes, SECTIONS, COLUMNS, ROWS, &path, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

@@ -10,8 +10,10 @@
  * what lies outside takes the pixel beside it. (4) Where voxels are coarser than pixels, a tent as
  * wide as two voxels instead.
  *
- * Fails, with the grid untouched, when the picture is grey, the box reaches outside of it or the
- * pose cannot be undone. */
+ * Cost: about 10 ns a voxel where samples are in proportion to light, 19 ns by the table (SSE4 and
+ * AVX2 by hand had 7 and 5; of the 40 s of a specimen of L1 that is 2 ms). Fails, with the grid
+ * untouched, when the picture is grey, the box reaches outside of it or the pose cannot be undone.
+ */
 #include "pipeline/register/stack/resample_colour.h"
 
 #include "pipeline/core/parallel.h"
@@ -24,7 +26,16 @@ enum { ONE = 1 << 14 };
 /* Voxels along and across a tile: the lines of pixels under one stay in the nearest cache. */
 enum { TILE = 128, ROWS = 16 };
 
-gsn_colour_row_run gsn_colour_row_sse4, gsn_colour_row_avx2;
+/* One row of voxels, all of whose pixels are there. */
+struct row {
+    const struct gsn_image *image;
+    const struct gsn_stack_light *light;
+    int64_t x, y;   /* of the upper left of the first voxel's four pixels, in 2^-32 pixels */
+    int64_t dx, dy; /* to the next voxel */
+    size_t count;
+    uint8_t *to;
+    ptrdiff_t ahead; /* bytes from a pixel to one that will be wanted soon; may be outside */
+};
 
 struct job {
     const struct gsn_stack_section *section;
@@ -35,7 +46,7 @@ struct job {
     double reach;     /* half width of the tent, pixels; 1: bilinear */
     size_t planes;    /* of the grid, those of the section */
     const size_t *of; /* which */
-    gsn_colour_row_run *run;
+    void (*mix_row)(const struct row *row);
 };
 
 static unsigned get_light(const struct gsn_image *image, const struct gsn_stack_light *light,
@@ -66,7 +77,8 @@ static unsigned fraction(int64_t x)
     return (unsigned)(x >> 18 & (ONE - 1));
 }
 
-void gsn_colour_row_plain(const struct gsn_colour_row *row)
+/* Samples through the table. */
+static void mix_row_by_table(const struct row *row)
 {
     const size_t width = row->image->width;
     int64_t x = row->x, y = row->y;
@@ -79,17 +91,28 @@ void gsn_colour_row_plain(const struct gsn_colour_row *row)
     }
 }
 
-gsn_colour_row_run *gsn_colour_row_even(enum gsn_colour_isa isa)
+/* 8-bit samples in proportion to light need no table; the upper pixel and the one below it are
+ * mixed in one multiplication, in the halves of a number. */
+static void mix_row_even(const struct row *row)
 {
-    switch (isa) {
-#ifdef __x86_64__
-    case GSN_COLOUR_SSE4:
-        return __builtin_cpu_supports("sse4.1") ? gsn_colour_row_sse4 : NULL;
-    case GSN_COLOUR_AVX2:
-        return __builtin_cpu_supports("avx2") ? gsn_colour_row_avx2 : NULL;
-#endif
-    default:
-        return NULL;
+    const uint8_t *samples = row->image->samples, *code = row->light->code;
+    const size_t stride = 3 * (size_t)row->image->width;
+    int64_t x = row->x, y = row->y;
+    uint8_t *to = row->to;
+
+    for (size_t i = 0; i < row->count; i++, x += row->dx, y += row->dy, to += 3) {
+        const uint8_t *upper = samples + (size_t)(y >> 32) * stride + 3 * (size_t)(x >> 32);
+        const uint8_t *lower = upper + stride;
+        const uint64_t tx = fraction(x), ty = fraction(y);
+
+        __builtin_prefetch(upper + row->ahead);
+        for (size_t c = 0; c < 3; c++) {
+            const uint64_t left = upper[c] | (uint64_t)lower[c] << 32;
+            const uint64_t right = upper[c + 3] | (uint64_t)lower[c + 3] << 32;
+            const uint64_t both = (left * (ONE - tx) + right * tx) >> 7;
+
+            to[c] = code[((both & 0x7fff) * (ONE - ty) + (both >> 32) * ty) >> 16];
+        }
     }
 }
 
@@ -116,14 +139,14 @@ static void mix_at_edge(const struct job *job, int64_t x, int64_t y, uint8_t *to
     mix_four(job->image, job->light, at, fraction(x), fraction(y), to);
 }
 
-/* Whether all four pixels lie in the box and the one after them in the picture. */
+/* Whether all four pixels lie in the box. */
 static int is_inside(const struct job *job, int64_t x, int64_t y)
 {
     const struct gsn_stack_section *s = job->section;
     const int64_t u = x >> 32, v = y >> 32;
 
     return u >= s->x && v >= s->y && u + 1 < (int64_t)s->x + s->width &&
-           v + 1 < (int64_t)s->y + s->height && u + 2 < job->image->width;
+           v + 1 < (int64_t)s->y + s->height;
 }
 
 /* The voxels of a line, along one of its axes, that may lie over the box: low to high, and a voxel
@@ -143,7 +166,7 @@ static void narrow_range(int64_t at, int64_t step, int64_t low, int64_t high, si
 }
 
 /* A line crosses a box in one piece: its ends are looked for from both sides. */
-static struct gsn_colour_row mix_row_ends(const struct job *job, struct gsn_colour_row row)
+static struct row mix_row_ends(const struct job *job, struct row row)
 {
     const struct gsn_stack_section *s = job->section;
     const int64_t x = row.x, y = row.y;
@@ -170,10 +193,10 @@ static struct gsn_colour_row mix_row_ends(const struct job *job, struct gsn_colo
 
 /* Rows of voxels side by side, a tile after the other: a section lies at any angle, and pixels that
  * one row has passed are then still at hand for the next. */
-static void mix_rows(const struct job *job, const struct gsn_colour_row *rows, size_t count)
+static void mix_rows(const struct job *job, const struct row *rows, size_t count)
 {
     const ptrdiff_t stride = 3 * (ptrdiff_t)job->image->width;
-    struct gsn_colour_row rest[ROWS];
+    struct row rest[ROWS];
     size_t left = 0;
 
     for (size_t k = 0; k < count; k++) {
@@ -182,7 +205,7 @@ static void mix_rows(const struct job *job, const struct gsn_colour_row *rows, s
     }
     for (size_t at = 0; at < left; at += TILE) {
         for (size_t k = 0; k < count; k++) {
-            struct gsn_colour_row tile = rest[k];
+            struct row tile = rest[k];
 
             if (at >= tile.count)
                 continue;
@@ -193,7 +216,7 @@ static void mix_rows(const struct job *job, const struct gsn_colour_row *rows, s
             tile.ahead =
                 stride * (ptrdiff_t)(TILE * tile.dy >> 32) + 3 * (ptrdiff_t)(TILE * tile.dx >> 32);
             tile.count = tile.count - at < TILE ? tile.count - at : TILE;
-            job->run(&tile);
+            job->mix_row(&tile);
         }
     }
 }
@@ -228,20 +251,20 @@ static int64_t to_fixed(double x)
 }
 
 /* A row of the lattice whose voxels are no larger than pixels. */
-static struct gsn_colour_row make_row(const struct job *job, size_t y, size_t z)
+static struct row make_row(const struct job *job, size_t y, size_t z)
 {
     const struct gsn_lattice *at = &job->grid->at;
     const struct gsn_vec3 um = gsn_lattice_centre(at, 0, y, z);
     const struct gsn_point px = gsn_affine_apply(&job->back, (struct gsn_point){ um.x, um.y });
 
-    return (struct gsn_colour_row){ .image = job->image,
-                                    .light = job->light,
-                                    .x = to_fixed(px.x - 0.5),
-                                    .y = to_fixed(px.y - 0.5),
-                                    .dx = to_fixed(job->back.m00 * at->step_um.x),
-                                    .dy = to_fixed(job->back.m10 * at->step_um.x),
-                                    .count = at->nx,
-                                    .to = job->grid->rgb + 3 * gsn_lattice_index(at, 0, y, z) };
+    return (struct row){ .image = job->image,
+                         .light = job->light,
+                         .x = to_fixed(px.x - 0.5),
+                         .y = to_fixed(px.y - 0.5),
+                         .dx = to_fixed(job->back.m00 * at->step_um.x),
+                         .dy = to_fixed(job->back.m10 * at->step_um.x),
+                         .count = at->nx,
+                         .to = job->grid->rgb + 3 * gsn_lattice_index(at, 0, y, z) };
 }
 
 static void average_row(const struct job *job, size_t y, size_t z)
@@ -262,7 +285,7 @@ static int fill_rows(size_t index, void *context, struct gsn_error *err)
     const struct job *job = context;
     const size_t ny = job->grid->at.ny, blocks = (ny + ROWS - 1) / ROWS;
     const size_t first = index % blocks * ROWS, z = job->of[index / blocks];
-    struct gsn_colour_row rows[ROWS];
+    struct row rows[ROWS];
     size_t count = 0;
 
     (void)err;
@@ -325,7 +348,8 @@ int gsn_stack_resample_colour(const struct gsn_stack_section *section,
                               double interval_um, unsigned threads, struct gsn_colour_grid *grid,
                               struct gsn_error *err)
 {
-    struct job job = { section, image, light, grid, .run = gsn_colour_row_plain };
+    struct job job = { section, image, light, grid,
+                       .mix_row = is_even(image, light) ? mix_row_even : mix_row_by_table };
     gsn_auto_mem(size_t) planes = NULL;
     int r = check_section(section, image, err);
 
@@ -340,9 +364,6 @@ int gsn_stack_resample_colour(const struct gsn_stack_section *section,
     job.of = planes;
     job.back = gsn_affine_inverse(&section->panel_to_block_um);
     job.reach = gsn_stack_reach(&section->panel_to_block_um, &grid->at);
-    for (int isa = 0; is_even(image, light) && isa < GSN_COLOUR_ISAS; isa++)
-        if (gsn_colour_row_even((enum gsn_colour_isa)isa))
-            job.run = gsn_colour_row_even((enum gsn_colour_isa)isa);
     return is_far(&job) ? GSN_OK
                         : gsn_parallel_for((grid->at.ny + ROWS - 1) / ROWS * job.planes, threads,
                                            fill_rows, &job, err);

@@ -37,28 +37,6 @@ int gsn_stack_resample_colour(const struct gsn_stack_section *section,
                               double interval_um, unsigned threads, struct gsn_colour_grid *grid,
                               struct gsn_error *err);
 
-/* ---- the inner loop, for its tests -------------------------------------------------------- */
-
-/* One row of voxels, all of whose pixels are there. */
-struct gsn_colour_row {
-    const struct gsn_image *image;
-    const struct gsn_stack_light *light;
-    int64_t x, y;   /* of the upper left of the first voxel's four pixels, in 2^-32 pixels */
-    int64_t dx, dy; /* to the next voxel */
-    size_t count;
-    uint8_t *to;
-    ptrdiff_t ahead; /* bytes from a pixel to one that will be wanted soon; may be outside */
-};
-typedef void gsn_colour_row_run(const struct gsn_colour_row *row);
-
-/* Samples through the table. */
-gsn_colour_row_run gsn_colour_row_plain;
-enum gsn_colour_isa { GSN_COLOUR_SSE4, GSN_COLOUR_AVX2, GSN_COLOUR_ISAS };
-
-/* 8-bit samples in proportion to light. NULL where this processor cannot run it. Reads up to the
- * third pixel to the right. */
-gsn_colour_row_run *gsn_colour_row_even(enum gsn_colour_isa isa);
-
 #ifdef __cplusplus
 }
 #endif

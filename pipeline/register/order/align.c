@@ -18,6 +18,7 @@
 #include "pipeline/register/order/align.h"
 
 #include "pipeline/core/linalg.h"
+#include "pipeline/imaging/smooth.h"
 
 #include <assert.h>
 #include <math.h>
@@ -42,54 +43,6 @@ size_t gsn_sequence_around(size_t n, size_t i, size_t j, size_t ret_at[GSN_SEQUE
 
 /* Cells of a row that are worked out together. */
 enum { STRIP = 128 };
-
-/* ---- smoothing and medians ---------------------------------------------------------------- */
-
-/* Once by (1 2 1) / 4 along a row, ends held. */
-static void smooth_row(float *cell, size_t count)
-{
-    float old[STRIP + 2], before = cell[0];
-
-    for (size_t first = 0; first < count; first += STRIP) {
-        const size_t width = count - first < STRIP ? count - first : STRIP;
-
-        old[0] = before;
-        memcpy(old + 1, cell + first, width * sizeof *old);
-        old[width + 1] = first + width < count ? cell[first + width] : old[width];
-        before = old[width];
-        for (size_t k = 0; k < width; k++)
-            cell[first + k] = 0.25f * old[k] + 0.5f * old[k + 1] + 0.25f * old[k + 2];
-    }
-}
-
-/* The same along some columns side by side. */
-static void smooth_columns(float *cell, size_t width, size_t columns, size_t rows)
-{
-    float before[STRIP];
-
-    memcpy(before, cell, width * sizeof *before);
-    for (size_t y = 0; y < rows; y++) {
-        float *row = cell + y * columns;
-        const float *after = y + 1 < rows ? row + columns : row;
-
-        for (size_t k = 0; k < width; k++) {
-            const float own = row[k];
-
-            row[k] = 0.25f * before[k] + 0.5f * own + 0.25f * after[k];
-            before[k] = own;
-        }
-    }
-}
-
-void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times)
-{
-    for (int pass = 0; pass < times; pass++) {
-        for (size_t y = 0; y < rows; y++)
-            smooth_row(cells + y * columns, columns);
-        for (size_t x = 0; x < columns; x += STRIP)
-            smooth_columns(cells + x, columns - x < STRIP ? columns - x : STRIP, columns, rows);
-    }
-}
 
 /* ---- what registration and stain explain -------------------------------------------------- */
 
@@ -624,7 +577,7 @@ int gsn_sequence_register(struct gsn_sequence_tissue *t, struct gsn_error *err)
     /* Apart, as what lies around a plane is not to be corrected before it. */
     for (size_t k = 0; k < t->n; k++) {
         compute_surroundings(t, k, t->onto);
-        gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
+        gsn_smooth_binomial(t->onto, t->columns, t->rows, 1);
         remove_residual(t, k, t->onto, corrected + k * cells);
     }
     memcpy(t->value, corrected, t->n * cells * sizeof *t->value);
@@ -640,6 +593,6 @@ void gsn_sequence_register_again(struct gsn_sequence_tissue *t, size_t place)
     for (int pass = 0; pass < PASSES; pass++)
         register_onto(t, k, t->onto);
     resample_plane(t, k);
-    gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
+    gsn_smooth_binomial(t->onto, t->columns, t->rows, 1);
     remove_residual(t, k, t->onto, value);
 }

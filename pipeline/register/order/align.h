@@ -35,9 +35,6 @@ enum { GSN_SEQUENCE_SIDE = 3, GSN_SEQUENCE_AROUND = 2 * GSN_SEQUENCE_SIDE };
 /* Up to GSN_SEQUENCE_SIDE sections on either side of place i of n, those at i and j left out. */
 size_t gsn_sequence_around(size_t n, size_t i, size_t j, size_t ret_at[GSN_SEQUENCE_AROUND]);
 
-/* By (1 2 1) / 4 along both axes, some times; ends held. */
-void gsn_sequence_smooth(float *cells, size_t columns, size_t rows, int times);
-
 /* What a square of cells says: of the plane at the first place, of that at the second, predicted.
  */
 struct gsn_sequence_square {

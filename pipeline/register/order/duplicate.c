@@ -16,6 +16,7 @@
  * multiply_patches in add_products(): pairs far below the limit are told by some ten patches each.
  */
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/smooth.h"
 #include "pipeline/register/order/findings.h"
 #include "pipeline/register/tissue/pairwise.h"
 
@@ -129,8 +130,8 @@ static void fill_texture(struct texture *t, size_t i, const float *density)
         weight[c] = isnan(density[c]) ? 0.0f : 1.0f;
         smooth[c] = isnan(density[c]) ? 0 : density[c];
     }
-    gsn_sequence_smooth(smooth, t->columns, t->rows, SMOOTHINGS);
-    gsn_sequence_smooth(weight, t->columns, t->rows, SMOOTHINGS);
+    gsn_smooth_binomial(smooth, t->columns, t->rows, SMOOTHINGS);
+    gsn_smooth_binomial(weight, t->columns, t->rows, SMOOTHINGS);
     for (size_t c = 0; c < cells; c++) {
         value[c] = density[c] > least ? density[c] - smooth[c] / weight[c] : 0;
         if (density[c] > least)

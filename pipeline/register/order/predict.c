@@ -15,6 +15,7 @@
 #include "pipeline/register/order/predict.h"
 
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/smooth.h"
 
 #include <math.h>
 #include <string.h>
@@ -247,7 +248,7 @@ int gsn_sequence_learn_noise(struct gsn_sequence_tissue *t, struct gsn_error *er
         }
         t->noise2[c] = (float)(gsn_median(square, t->n) / MEDIAN_SQUARE);
     }
-    gsn_sequence_smooth(t->noise2, t->columns, t->rows, NOISE_SMOOTHINGS);
+    gsn_smooth_binomial(t->noise2, t->columns, t->rows, NOISE_SMOOTHINGS);
     for (size_t c = 0; c < cells; c++) {
         t->noise2[c] += (float)LEAST_NOISE2;
         t->deviation[c] = sqrtf(t->noise2[c]);
@@ -343,7 +344,7 @@ static void compute_median_between(const struct gsn_sequence_tissue *t, size_t i
             plane[count++] = t->place[middle_place + d];
     }
     gsn_sequence_median(t, plane, count, t->onto);
-    gsn_sequence_smooth(t->onto, t->columns, t->rows, 1);
+    gsn_smooth_binomial(t->onto, t->columns, t->rows, 1);
 }
 
 /* Leaves the change predicted in change, where it is predictable, its smooth square in energy, and
@@ -377,7 +378,7 @@ static struct gsn_sequence_modes compute_differences(const struct gsn_sequence_t
                               GSN_SEQUENCE_DIFFERENCES);
     for (size_t c = 0; c < cells; c++)
         t->energy[c] = t->change[c] * t->change[c];
-    gsn_sequence_smooth(t->energy, t->columns, t->rows, SMOOTHINGS);
+    gsn_smooth_binomial(t->energy, t->columns, t->rows, SMOOTHINGS);
     *ret_noise = line_noise_between(&a, &b);
     return modes;
 }

@@ -19,6 +19,7 @@
 #include <string.h>
 
 #include "pipeline/imaging/filter.h"
+#include "pipeline/imaging/smooth.h"
 
 enum { LEAST_CELLS = 16, SURROUNDINGS = 6, SAMPLED = 4096 };
 
@@ -140,41 +141,11 @@ int gsn_tissue_reduce(const struct gsn_image *image, double cell, struct gsn_pla
 
 /* ---- density -> bands --------------------------------------------------------------------- */
 
-/* One line by (1 2 1) / 4, ends held. from and onto may not overlap. */
-static void blur_lines(const float *from, float *onto, size_t w, size_t h)
-{
-    for (size_t y = 0; y < h; y++) {
-        const float *in = from + y * w;
-        float *out = onto + y * w;
-
-        out[0] = 0.75f * in[0] + 0.25f * in[1];
-        for (size_t x = 1; x + 1 < w; x++)
-            out[x] = 0.25f * in[x - 1] + 0.5f * in[x] + 0.25f * in[x + 1];
-        out[w - 1] = 0.75f * in[w - 1] + 0.25f * in[w - 2];
-    }
-}
-
-static void blur_columns(const float *from, float *onto, size_t w, size_t h)
-{
-    for (size_t y = 0; y < h; y++) {
-        const float *in = from + y * w, *before = y > 0 ? in - w : in;
-        const float *after = y + 1 < h ? in + w : in;
-        float *out = onto + y * w;
-
-        for (size_t x = 0; x < w; x++)
-            out[x] = 0.25f * before[x] + 0.5f * in[x] + 0.25f * after[x];
-    }
-}
-
 /* By the binomial of variance passes / 2 cells. */
-static void blur_level(const float *from, float *onto, float *scratch, size_t w, size_t h,
-                       int passes)
+static void blur_level(const float *from, float *onto, size_t w, size_t h, int passes)
 {
     memcpy(onto, from, w * h * sizeof *onto);
-    for (int i = 0; i < passes; i++) {
-        blur_lines(onto, scratch, w, h);
-        blur_columns(scratch, onto, w, h);
-    }
+    gsn_smooth_binomial(onto, w, h, passes);
 }
 
 static void compute_slopes(struct gsn_tissue_band *band)
@@ -230,8 +201,8 @@ static int make_band(const float *level, float *scratch, struct gsn_tissue_band 
     float *narrow = band->value, *wide = scratch + cells;
     int r;
 
-    blur_level(level, narrow, scratch, band->w, band->h, 1);
-    blur_level(narrow, wide, scratch, band->w, band->h, 4);
+    blur_level(level, narrow, band->w, band->h, 1);
+    blur_level(narrow, wide, band->w, band->h, 4);
     for (size_t i = 0; i < cells; i++)
         band->value[i] -= wide[i];
     r = normalise_locally(band, scratch, err);
@@ -246,8 +217,8 @@ static void make_whole(const float *level, float *scratch, struct gsn_tissue *t)
     const size_t cells = last->w * last->h;
     double square = 0;
 
-    blur_level(level, t->whole, scratch, last->w, last->h, 1);
-    blur_level(level, scratch + cells, scratch, last->w, last->h, SURROUNDINGS * SURROUNDINGS);
+    blur_level(level, t->whole, last->w, last->h, 1);
+    blur_level(level, scratch + cells, last->w, last->h, SURROUNDINGS * SURROUNDINGS);
     for (size_t i = 0; i < cells; i++) {
         t->whole[i] -= scratch[cells + i];
         square += (double)(t->whole[i] * t->whole[i]);
@@ -310,7 +281,7 @@ static int make_bands(struct gsn_tissue *t, float *level, float *scratch, struct
             make_whole(level, scratch, t);
             return measure_centre(t, err);
         }
-        blur_level(level, scratch + cells, scratch, band->w, band->h, 1);
+        blur_level(level, scratch + cells, band->w, band->h, 1);
         r = gsn_halve(scratch + cells, (uint32_t)band->w, (uint32_t)band->h, level, err);
         if (r < 0)
             return r;

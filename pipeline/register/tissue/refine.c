@@ -23,6 +23,7 @@
 #include "pipeline/core/linalg.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/smooth.h"
 #include "pipeline/register/tissue/refine_weights.h"
 
 #include <assert.h>
@@ -140,8 +141,7 @@ static int allocate_planes(struct gsn_refine_comparison *c)
 {
     const size_t count = c->stack->count, most = c->stack->side / LEAST_WAVE;
 
-    if (gsn_refine_dft_init(&c->dft, c->stack->side, most) < 0)
-        return GSN_E_NOMEM;
+    c->dft = (struct gsn_refine_dft){ c->stack->side, most };
     c->pairs = gsn_refine_dft_count(&c->dft);
     c->rings = most + 1;
     c->taper = gsn_alloc_array(c->cells, sizeof *c->taper);
@@ -170,7 +170,6 @@ static void gsn_refine_comparison_free(struct gsn_refine_comparison *c)
 {
     if (!c)
         return;
-    gsn_refine_dft_done(&c->dft);
     gsn_free(c->taper);
     gsn_free(c->placed);
     gsn_free(c->weight);
@@ -300,7 +299,7 @@ static int blur_difference(size_t k, void *context, struct gsn_error *err)
 
         off[i] = isnan(laid) ? 0 : laid - c->line[k * c->cells + i];
     }
-    gsn_refine_blur(c->stack->side, SCALE_CELLS[c->vote], scratch, off);
+    gsn_smooth_gaussian(off, c->stack->side, c->stack->side, SCALE_CELLS[c->vote], scratch);
     return GSN_OK;
 }
 
@@ -383,18 +382,21 @@ static double taper_freedom(const struct gsn_refine_comparison *c)
 }
 
 /* What of the line is tissue, in room->plane. */
-static void smooth_line(const struct gsn_refine_comparison *c, size_t k,
-                        struct gsn_refine_buffers *room)
+static int smooth_line(const struct gsn_refine_comparison *c, size_t k,
+                       struct gsn_refine_buffers *room, struct gsn_error *err)
 {
-    gsn_refine_dft_forward(&c->dft, c->line + k * c->cells, room->scratch, room->pairs);
-    for (size_t i = 0; i < c->pairs; i++) {
+    const float *line = c->line + k * c->cells;
+    const int r = gsn_refine_dft_forward(&c->dft, line, room->scratch, room->pairs, err);
+
+    for (size_t i = 0; r >= 0 && i < c->pairs; i++) {
         const size_t ring = gsn_refine_dft_ring(&c->dft, i);
         const float told = ring < c->rings ? (float)c->coherence[ring] : 0;
 
         room->pairs[2 * i] *= told;
         room->pairs[2 * i + 1] *= told;
     }
-    gsn_refine_dft_inverse(&c->dft, room->pairs, room->scratch, room->plane);
+    return r < 0 ? r
+                 : gsn_refine_dft_inverse(&c->dft, room->pairs, room->scratch, room->plane, err);
 }
 
 /* Weighed slopes of the plane, per um. */
@@ -418,8 +420,8 @@ static void compute_slopes(const struct gsn_refine_comparison *c, size_t k,
 }
 
 /* What a part of a move makes of the weighed slopes. */
-static void transform_part(const struct gsn_refine_comparison *c, size_t p,
-                           struct gsn_refine_buffers *room, float *ret_pairs)
+static int transform_part(const struct gsn_refine_comparison *c, size_t p,
+                          struct gsn_refine_buffers *room, float *ret_pairs, struct gsn_error *err)
 {
     const size_t side = c->stack->side;
 
@@ -429,7 +431,7 @@ static void transform_part(const struct gsn_refine_comparison *c, size_t p,
         basis_at(c->stack, (double)(i % side), (double)(i / side), bx, by);
         room->plane[i] = (float)(bx[p] * room->gradient[0][i] + by[p] * room->gradient[1][i]);
     }
-    gsn_refine_dft_forward(&c->dft, room->plane, room->scratch, ret_pairs);
+    return gsn_refine_dft_forward(&c->dft, room->plane, room->scratch, ret_pairs, err);
 }
 
 static double frequency_weight(const struct gsn_refine_comparison *c, size_t i, double even)
@@ -461,35 +463,43 @@ static void sum_equation(const struct gsn_refine_comparison *c,
 
 /* The section's own slopes against those that its line predicts: its texture has no part in the
  * line, so what they share is how it answers to a move. */
-static void add_response(const struct gsn_refine_comparison *c, size_t k,
-                         struct gsn_refine_buffers *room, double even)
+static int add_response(const struct gsn_refine_comparison *c, size_t k,
+                        struct gsn_refine_buffers *room, double even, struct gsn_error *err)
 {
+    int r = GSN_OK;
+
     memcpy(room->plane, c->filled + k * c->cells, c->cells * sizeof *room->plane);
     compute_slopes(c, k, room);
-    for (size_t p = 0; p < PARTS; p++) {
-        transform_part(c, p, room, room->pairs);
-        for (size_t i = 0; i < c->pairs; i++)
+    for (size_t p = 0; r >= 0 && p < PARTS; p++) {
+        r = transform_part(c, p, room, room->pairs, err);
+        for (size_t i = 0; r >= 0 && i < c->pairs; i++)
             c->response[k][p] += frequency_weight(c, i, even) *
                                  gsn_refine_product(room->column[p] + 2 * i, room->pairs + 2 * i);
     }
+    return r;
 }
 
-static void compare_section(const struct gsn_refine_comparison *c, size_t k,
-                            struct gsn_refine_buffers *room, float *left)
+static int compare_section(const struct gsn_refine_comparison *c, size_t k,
+                           struct gsn_refine_buffers *room, float *left, struct gsn_error *err)
 {
     const double even = taper_freedom(c);
+    int r = smooth_line(c, k, room, err);
 
-    smooth_line(c, k, room);
+    if (r < 0)
+        return r;
     compute_slopes(c, k, room);
     for (size_t i = 0, at = k * c->cells; i < c->cells; i++, at++)
         left[i] = isnan(c->placed[at]) ? 0
                                        : (room->plane[i] - c->placed[at]) * c->taper[i] *
                                              c->weight[at] * c->local[at];
-    for (size_t p = 0; p < PARTS; p++)
-        transform_part(c, p, room, room->column[p]);
-    gsn_refine_dft_forward(&c->dft, left, room->scratch, room->pairs);
+    for (size_t p = 0; r >= 0 && p < PARTS; p++)
+        r = transform_part(c, p, room, room->column[p], err);
+    if (r >= 0)
+        r = gsn_refine_dft_forward(&c->dft, left, room->scratch, room->pairs, err);
+    if (r < 0)
+        return r;
     sum_equation(c, room, even, &c->equation[k]);
-    add_response(c, k, room, even);
+    return add_response(c, k, room, even, err);
 }
 
 static int make_equation(size_t k, void *context, struct gsn_error *err)
@@ -508,7 +518,7 @@ static int make_equation(size_t k, void *context, struct gsn_error *err)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory to compare the sections' tissue");
     r = gsn_refine_buffers_init(c, &room, err);
     if (r >= 0)
-        compare_section(c, k, &room, left);
+        r = compare_section(c, k, &room, left, err);
     gsn_refine_buffers_done(&room);
     return r;
 }

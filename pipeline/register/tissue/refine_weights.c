@@ -17,29 +17,11 @@
 
 #include "pipeline/core/parallel.h"
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/fourier.h"
+#include "pipeline/imaging/smooth.h"
 
 #include <math.h>
 #include <string.h>
-
-int gsn_refine_dft_init(struct gsn_refine_dft *w, size_t side, size_t most)
-{
-    *w = (struct gsn_refine_dft){ .side = side, .most = most };
-    w->cosine = gsn_alloc_array(side, sizeof *w->cosine);
-    w->sine = gsn_alloc_array(side, sizeof *w->sine);
-    if (!w->cosine || !w->sine)
-        return GSN_E_NOMEM;
-    for (size_t i = 0; i < side; i++) {
-        w->cosine[i] = (float)cos(2 * M_PI * (double)i / (double)side);
-        w->sine[i] = (float)sin(2 * M_PI * (double)i / (double)side);
-    }
-    return GSN_OK;
-}
-
-void gsn_refine_dft_done(struct gsn_refine_dft *w)
-{
-    gsn_free(w->cosine);
-    gsn_free(w->sine);
-}
 
 static size_t count_rows(const struct gsn_refine_dft *w)
 {
@@ -63,108 +45,48 @@ size_t gsn_refine_dft_ring(const struct gsn_refine_dft *w, size_t i)
     return (size_t)(hypot(u, v) + 0.5);
 }
 
-/* Row frequency of the row-th pair, as a step through the tables. */
-static size_t step_of_row(const struct gsn_refine_dft *w, size_t row)
+/* Where the pair of column frequency u and row v lies in a whole transform. */
+static size_t find_pair(const struct gsn_refine_dft *w, size_t u, size_t v)
 {
-    return (row + w->side - w->most) % w->side;
+    return (v + w->side - w->most) % w->side * w->side + u;
 }
 
-void gsn_refine_dft_forward(const struct gsn_refine_dft *w, const float *plane, float *scratch,
-                            float *ret_pairs)
+int gsn_refine_dft_forward(const struct gsn_refine_dft *w, const float *plane, float *scratch,
+                           float *ret_pairs, struct gsn_error *err)
 {
-    const size_t n = w->side, columns = w->most + 1, rows = count_rows(w);
+    const size_t rows = count_rows(w);
+    int r;
 
-    memset(scratch, 0, 2 * n * columns * sizeof *scratch);
-    for (size_t u = 0; u < columns; u++)
-        for (size_t y = 0; y < n; y++) {
-            float re = 0, im = 0;
-
-            for (size_t x = 0, at = 0; x < n; x++) {
-                re += plane[y * n + x] * w->cosine[at];
-                im -= plane[y * n + x] * w->sine[at];
-                at += u;
-                at -= at >= n ? n : 0;
-            }
-            scratch[2 * (u * n + y)] = re;
-            scratch[2 * (u * n + y) + 1] = im;
-        }
-    for (size_t u = 0; u < columns; u++)
-        for (size_t v = 0; v < rows; v++) {
-            const size_t step = step_of_row(w, v);
-            float re = 0, im = 0;
-
-            for (size_t y = 0, at = 0; y < n; y++) {
-                const float a = scratch[2 * (u * n + y)], b = scratch[2 * (u * n + y) + 1];
-
-                re += a * w->cosine[at] + b * w->sine[at];
-                im += b * w->cosine[at] - a * w->sine[at];
-                at += step;
-                at -= at >= n ? n : 0;
-            }
-            ret_pairs[2 * (u * rows + v)] = re;
-            ret_pairs[2 * (u * rows + v) + 1] = im;
-        }
-}
-
-void gsn_refine_dft_inverse(const struct gsn_refine_dft *w, const float *pairs, float *scratch,
-                            float *ret_plane)
-{
-    const size_t n = w->side, columns = w->most + 1, rows = count_rows(w);
-    const float scale = 1 / (float)(n * n);
-
-    for (size_t u = 0; u < columns; u++)
-        for (size_t y = 0; y < n; y++) {
-            float re = 0, im = 0;
-
-            for (size_t v = 0; v < rows; v++) {
-                const size_t at = step_of_row(w, v) * y % n;
-                const float a = pairs[2 * (u * rows + v)], b = pairs[2 * (u * rows + v) + 1];
-
-                re += a * w->cosine[at] - b * w->sine[at];
-                im += b * w->cosine[at] + a * w->sine[at];
-            }
-            scratch[2 * (u * n + y)] = re;
-            scratch[2 * (u * n + y) + 1] = im;
-        }
-    memset(ret_plane, 0, n * n * sizeof *ret_plane);
-    for (size_t u = 0; u < columns; u++)
-        for (size_t y = 0; y < n; y++) {
-            const float times = u > 0 ? 2 * scale : scale;
-            const float re = times * scratch[2 * (u * n + y)];
-            const float im = times * scratch[2 * (u * n + y) + 1];
-
-            for (size_t x = 0, at = 0; x < n; x++) {
-                ret_plane[y * n + x] += re * w->cosine[at] - im * w->sine[at];
-                at += u;
-                at -= at >= n ? n : 0;
-            }
-        }
-}
-
-/* Separable; ends beyond the square count as 0. scratch: as large as the plane. */
-void gsn_refine_blur(size_t side, double sigma, float *scratch, float *plane)
-{
-    const long reach = (long)ceil(3 * sigma), n = (long)side;
-
-    for (int pass = 0; pass < 2; pass++) {
-        const float *from = pass ? scratch : plane;
-        float *to = pass ? plane : scratch;
-        const long along = pass ? n : 1, across = pass ? 1 : n;
-
-        for (long i = 0; i < n; i++)
-            for (long k = 0; k < n; k++) {
-                double sum = 0, weight = 0;
-
-                for (long d = -reach; d <= reach; d++) {
-                    const double w = exp(-0.5 * (double)(d * d) / (sigma * sigma));
-
-                    weight += w;
-                    if (k + d >= 0 && k + d < n)
-                        sum += w * (double)from[i * across + (k + d) * along];
-                }
-                to[i * across + k * along] = (float)(sum / weight);
-            }
+    for (size_t i = 0; i < w->side * w->side; i++) {
+        scratch[2 * i] = plane[i];
+        scratch[2 * i + 1] = 0;
     }
+    r = gsn_fourier(scratch, (uint32_t)w->side, (uint32_t)w->side, 0, err);
+    for (size_t i = 0; r >= 0 && i < gsn_refine_dft_count(w); i++)
+        memcpy(ret_pairs + 2 * i, scratch + 2 * find_pair(w, i / rows, i % rows),
+               2 * sizeof *ret_pairs);
+    return r;
+}
+
+/* The plane is real: the pairs left out are the conjugates of these, and add the same real part. */
+int gsn_refine_dft_inverse(const struct gsn_refine_dft *w, const float *pairs, float *scratch,
+                           float *ret_plane, struct gsn_error *err)
+{
+    const size_t rows = count_rows(w), cells = w->side * w->side;
+    int r;
+
+    memset(scratch, 0, 2 * cells * sizeof *scratch);
+    for (size_t i = 0; i < gsn_refine_dft_count(w); i++) {
+        const float times = (float)gsn_refine_dft_times(w, i) / (float)cells;
+        float *to = scratch + 2 * find_pair(w, i / rows, i % rows);
+
+        to[0] = times * pairs[2 * i];
+        to[1] = times * pairs[2 * i + 1];
+    }
+    r = gsn_fourier(scratch, (uint32_t)w->side, (uint32_t)w->side, 1, err);
+    for (size_t i = 0; r >= 0 && i < cells; i++)
+        ret_plane[i] = scratch[2 * i];
+    return r;
 }
 
 /* Tissues differ in how coarse they are: from so many sections on either side, in patches of so
@@ -225,8 +147,8 @@ static int learn_section(size_t k, void *context, struct gsn_error *err)
     memset(even, 0, c->cells * sizeof *even);
     memset(shown, 0, c->cells * sizeof *shown);
     sum_squares(c, k, even, shown);
-    gsn_refine_blur(c->stack->side, PATCH_CELLS, scratch, even);
-    gsn_refine_blur(c->stack->side, PATCH_CELLS, scratch, shown);
+    gsn_smooth_gaussian(even, c->stack->side, c->stack->side, PATCH_CELLS, scratch);
+    gsn_smooth_gaussian(shown, c->stack->side, c->stack->side, PATCH_CELLS, scratch);
     mean = mean_square_of(c, even, shown);
     for (size_t i = 0; i < c->cells; i++) {
         const double here = shown[i] > LEAST_SHOWN ? (double)(even[i] / shown[i]) : mean;
@@ -273,7 +195,7 @@ int gsn_refine_buffers_init(const struct gsn_refine_comparison *c, struct gsn_re
     room->plane = gsn_alloc_array(c->cells, sizeof *room->plane);
     room->gradient[0] = gsn_alloc_array(c->cells, sizeof *room->plane);
     room->gradient[1] = gsn_alloc_array(c->cells, sizeof *room->plane);
-    room->scratch = gsn_alloc_array(2 * c->stack->side * c->rings, sizeof *room->scratch);
+    room->scratch = gsn_alloc_array(2 * c->cells, sizeof *room->scratch);
     room->pairs = gsn_alloc_array(pairs, sizeof *room->pairs);
     full = room->plane && room->gradient[0] && room->gradient[1] && room->scratch && room->pairs;
     for (size_t p = 0; p < PARTS; p++) {
@@ -293,8 +215,8 @@ double gsn_refine_product(const float *a, const float *b)
  * as that is from place to place. */
 enum what { SECTION, LINE, OFF };
 
-static void transform_plane(const struct gsn_refine_comparison *c, size_t k, enum what what,
-                            struct gsn_refine_buffers *room, float *ret_pairs)
+static int transform_plane(const struct gsn_refine_comparison *c, size_t k, enum what what,
+                           struct gsn_refine_buffers *room, float *ret_pairs, struct gsn_error *err)
 {
     for (size_t i = 0, at = k * c->cells; i < c->cells; i++, at++) {
         const float off = isnan(c->placed[at]) ? 0 : (c->placed[at] - c->line[at]) * c->local[at];
@@ -302,7 +224,7 @@ static void transform_plane(const struct gsn_refine_comparison *c, size_t k, enu
 
         room->plane[i] = value * c->taper[i];
     }
-    gsn_refine_dft_forward(&c->dft, room->plane, room->scratch, ret_pairs);
+    return gsn_refine_dft_forward(&c->dft, room->plane, room->scratch, ret_pairs, err);
 }
 
 static void add_common(const struct gsn_refine_comparison *c, const float *section,
@@ -332,12 +254,14 @@ static int transform_section(size_t k, void *context, struct gsn_error *err)
     if (!c->flanked[k])
         return GSN_OK;
     r = gsn_refine_buffers_init(c, &room, err);
-    if (r >= 0) {
-        transform_plane(c, k, SECTION, &room, room.column[0]);
-        transform_plane(c, k, LINE, &room, room.column[1]);
-        transform_plane(c, k, OFF, &room, c->wave + 2 * k * c->pairs);
+    if (r >= 0)
+        r = transform_plane(c, k, SECTION, &room, room.column[0], err);
+    if (r >= 0)
+        r = transform_plane(c, k, LINE, &room, room.column[1], err);
+    if (r >= 0)
+        r = transform_plane(c, k, OFF, &room, c->wave + 2 * k * c->pairs, err);
+    if (r >= 0)
         add_common(c, room.column[0], room.column[1], common);
-    }
     gsn_refine_buffers_done(&room);
     return r;
 }

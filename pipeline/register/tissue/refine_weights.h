@@ -16,32 +16,25 @@ enum {
 /* The lowest harmonics of a square: column frequencies 0..most, row frequencies -most..most. */
 struct gsn_refine_dft {
     size_t side, most;
-    float *cosine, *sine; /* owned; of 2 pi i / side */
 };
 
-int gsn_refine_dft_init(struct gsn_refine_dft *dft, size_t side, size_t most);
-void gsn_refine_dft_done(struct gsn_refine_dft *dft);
 /* Values of one transform: (most + 1) * (2 most + 1) pairs of real and imaginary part. */
 size_t gsn_refine_dft_count(const struct gsn_refine_dft *dft);
 /* How many times the i-th pair stands for in the whole plane, and the ring that it lies in; a ring
  * beyond most is none. */
 double gsn_refine_dft_times(const struct gsn_refine_dft *dft, size_t i);
 size_t gsn_refine_dft_ring(const struct gsn_refine_dft *dft, size_t i);
-/* scratch: 2 * side * (most + 1) floats. */
-void gsn_refine_dft_forward(const struct gsn_refine_dft *dft, const float *plane, float *scratch,
-                            float *ret_pairs);
-void gsn_refine_dft_inverse(const struct gsn_refine_dft *dft, const float *pairs, float *scratch,
-                            float *ret_plane);
+/* scratch: 2 * side * side floats. Fail as gsn_fourier() does. */
+int gsn_refine_dft_forward(const struct gsn_refine_dft *dft, const float *plane, float *scratch,
+                           float *ret_pairs, struct gsn_error *err);
+int gsn_refine_dft_inverse(const struct gsn_refine_dft *dft, const float *pairs, float *scratch,
+                           float *ret_plane, struct gsn_error *err);
 
 /* What one section's comparison says: information about its move against its neighbours', and that
  * times the move. */
 struct gsn_refine_equation {
     double information[PARTS][PARTS], right[PARTS];
 };
-
-/* Separable, of this standard deviation in cells; what lies beyond the square counts as 0. scratch:
- * as large as the plane. */
-void gsn_refine_blur(size_t side, double sigma, float *scratch, float *plane);
 
 /* What a section and its line hold of a ring: of both together, of the line, of the section. */
 struct gsn_refine_common {

@@ -16,7 +16,7 @@
  * oval (oval.h) is tried.
  *
  * Fails when memory runs out; too few sectors that agree, or a fit that runs away, is a mark that
- * is not found. Cost: some 0.1 ms for a radius of 15 pixels; single precision for pixels, in loops
+ * is not found. Pixels are summed in single precision, in loops
  * that the compiler makes vectors of. */
 #include "pipeline/register/fiducial/contour.h"
 

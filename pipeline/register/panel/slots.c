@@ -9,7 +9,7 @@
  * with a margin of 150 um that no neighbour's half of the way is in, shares that are lost beyond
  * the border, and where a cut is doubtful; what is left over is listed.
  *
- * Fails as the grid does. Cost: some milliseconds after the panel has been made small. */
+ * Fails as the grid does. */
 #include "pipeline/register/panel/slots.h"
 
 #include "pipeline/register/panel/grid.h"

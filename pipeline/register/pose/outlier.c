@@ -7,8 +7,8 @@
  * steps find how far out it reaches the level, and the tail of F beyond that is averaged over 200
  * directions that cover half a sphere evenly (golden angle).
  *
- * Fails (-1) where the vectors have no spread in some direction. Cost: 0.1 ms a section whose marks
- * contradict the stack, which is why chi-squared is asked first. */
+ * Fails (-1) where the vectors have no spread in some direction. Asked only of a section whose
+ * marks contradict the stack, which is why chi-squared is asked first. */
 #include "pipeline/register/pose/outlier.h"
 
 #include "pipeline/core/distributions.h"

@@ -12,7 +12,7 @@
  * each. 6. The summary.
  *
  * Fails when no section has three marks, when the triangle is degenerate or too nearly equilateral
- * to tell which mark is which, and when memory runs out. Cost: some milliseconds for 100 sections.
+ * to tell which mark is which, and when memory runs out.
  */
 #include "pipeline/register/pose/pose.h"
 

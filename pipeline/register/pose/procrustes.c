@@ -11,7 +11,7 @@
  * of the variance beyond what the marks' own fits say grows with these (Akaike's criterion).
  * gsn_procrustes_initialise() begins with the medoid: the section most like the others.
  *
- * Cannot fail; a section without a motion has infinite squares. Cost: some 30 rounds of 2
+ * Cannot fail; a section without a motion has infinite squares. Cost: at most 100 rounds of 2
  * closed-form fits a section. */
 #include "pipeline/register/pose/procrustes_internal.h"
 

@@ -13,7 +13,7 @@
  * kept where they are beyond 0.1 % of chance. 4. What is left is split into noise, alike in all
  * directions, and strain. 5. Limits for the tests of single sections.
  *
- * Fails when memory runs out; from fewer than 12 sections nothing is learnt. Cost: some ms. */
+ * Fails when memory runs out; from fewer than 12 sections nothing is learnt. */
 #include "pipeline/register/pose/procrustes_internal.h"
 
 #include "pipeline/core/distributions.h"

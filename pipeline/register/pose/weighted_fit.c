@@ -9,7 +9,7 @@
  * chi-squared, what of it goes when a mark may lie anywhere, and three white numbers that the test
  * for outliers takes. 4. The strain, shrunk by its noise, and its covariance with the pose's error.
  *
- * Fails as rigid.h does and where a covariance is not positive. Cost: some 10 us a section. */
+ * Fails as rigid.h does and where a covariance is not positive. */
 #include "pipeline/register/pose/weighted_fit.h"
 
 #include "pipeline/core/linalg.h"

@@ -2,10 +2,11 @@
 #include "pipeline/upright.h"
 
 #include "pipeline/examine.h"
-#include "pipeline/slot_marks.h"
-#include "pipeline/register/fiducial/learn.h"
+#include "pipeline/imaging/warp.h"
 #include "pipeline/register/fiducial/correspondence.h"
+#include "pipeline/register/fiducial/learn.h"
 #include "pipeline/register/panel/slots.h"
+#include "pipeline/slot_marks.h"
 
 #include <math.h>
 #include <string.h>
@@ -20,66 +21,17 @@ static const double MOUNTED_DEG = 40;
 
 /* ---- turning ----------------------------------------------------------------------------- */
 
-static void swap_pixels(uint8_t *a, uint8_t *b, size_t bytes)
-{
-    for (size_t i = 0; i < bytes; i++) {
-        const uint8_t kept = a[i];
-
-        a[i] = b[i];
-        b[i] = kept;
-    }
-}
-
-/* Turns count pixels from first on end for end. */
-static void reverse(const struct gsn_image *image, size_t first, size_t count)
-{
-    const size_t pixel = (size_t)image->channels * (image->bits / 8);
-    uint8_t *from = (uint8_t *)image->samples + first * pixel;
-
-    for (size_t i = 0; i < count / 2; i++)
-        swap_pixels(from + i * pixel, from + (count - 1 - i) * pixel, pixel);
-}
-
-/* By a quarter, clockwise. */
-static int turn_quarter(struct gsn_image *image, struct gsn_error *err)
-{
-    const size_t pixel = (size_t)image->channels * (image->bits / 8);
-    const uint32_t width = image->width, height = image->height;
-    gsn_auto_mem(uint8_t) was = gsn_alloc(gsn_image_bytes(image));
-    uint8_t *to = image->samples;
-
-    if (!was)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory while turning a panel upright");
-    memcpy(was, image->samples, gsn_image_bytes(image));
-    for (size_t x = 0; x < width; x++)
-        for (size_t y = height; y-- > 0; to += pixel)
-            memcpy(to, was + (y * width + x) * pixel, pixel);
-    image->width = height;
-    image->height = width;
-    return GSN_OK;
-}
-
-/* The quarter comes first, as it alone can fail: to mirror and then turn to the right is to turn to
- * the left and then mirror. */
 int gsn_upright_turn(struct gsn_picture *picture, struct gsn_dust_turn turn, struct gsn_error *err)
 {
-    struct gsn_image *image = picture->image;
-    const int lying = turn.quarters % 2 == 1;
-    const int half = lying ? (turn.quarters == 3) != (turn.mirrored != 0) : turn.quarters == 2;
-    const double x = picture->px_um_x;
-    const int r = lying ? turn_quarter(image, err) : GSN_OK;
+    const int r = gsn_turn_image(picture->image, turn.mirrored, turn.quarters, err);
 
-    if (r < 0)
-        return r;
-    if (lying) {
+    if (r >= 0 && turn.quarters % 2 == 1) {
+        const double x = picture->px_um_x;
+
         picture->px_um_x = picture->px_um_y;
         picture->px_um_y = x;
     }
-    if (half)
-        reverse(image, 0, (size_t)image->width * image->height);
-    for (size_t y = 0; turn.mirrored && y < image->height; y++)
-        reverse(image, y * image->width, image->width);
-    return GSN_OK;
+    return r;
 }
 
 /* ---- the code on the label --------------------------------------------------------------- */

@@ -4,7 +4,7 @@
  * centre to centre. A small disc is a structuring element for cv::dilate and cv::erode; beyond WIDE
  * pixels, where going over all of the disc costs more, the exact distance (cv::distanceTransform,
  * Felzenszwalb and Huttenlocher 2012) is compared with the radius. Both give the same pixels. Holes
- * are filled by cv::floodFill from outside. */
+ * are filled by cv::floodFill from a frame around the set (cv::copyMakeBorder). */
 #include "pipeline/imaging/morphology.h"
 
 #include <cmath>
@@ -89,13 +89,21 @@ int gsn_erode_values(float *value, uint32_t width, uint32_t height, double radiu
     });
 }
 
-int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, struct gsn_error *err)
+int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, int neighbours,
+                   struct gsn_error *err)
 {
     return gsn::guarded(err, [&] {
-        cv::Mat all = gsn::over(set, width, height, CV_8U);
+        const cv::Mat all = gsn::over(set, width, height, CV_8U);
+        cv::Mat framed;
 
-        cv::floodFill(all, cv::Point(0, 0), cv::Scalar(2), nullptr, cv::Scalar(), cv::Scalar(), 8);
-        for (size_t i = 0; i < static_cast<size_t>(width) * height; i++)
-            set[i] = set[i] != 2;
+        cv::copyMakeBorder(all, framed, 1, 1, 1, 1, cv::BORDER_CONSTANT, cv::Scalar(0));
+        cv::floodFill(framed, cv::Point(0, 0), cv::Scalar(2), nullptr, cv::Scalar(), cv::Scalar(),
+                      neighbours);
+        for (uint32_t y = 0; y < height; y++) {
+            const uint8_t *row = framed.ptr<uint8_t>(static_cast<int>(y) + 1) + 1;
+
+            for (uint32_t x = 0; x < width; x++)
+                set[static_cast<size_t>(y) * width + x] = row[x] != 2;
+        }
     });
 }

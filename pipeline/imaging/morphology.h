@@ -25,8 +25,9 @@ int gsn_dilate_values(float *value, uint32_t width, uint32_t height, double radi
 int gsn_erode_values(float *value, uint32_t width, uint32_t height, double radius,
                      struct gsn_error *err);
 
-/* Adds what no way over 8 neighbours from the first pixel reaches; that pixel is not of the set. */
-int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, struct gsn_error *err);
+/* Adds what no way over so many neighbours, 4 or 8, from beyond the border reaches. */
+int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, int neighbours,
+                   struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -21,6 +21,7 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/morphology.h"
 #include "pipeline/imaging/threshold.h"
 
 #include <math.h>
@@ -351,40 +352,15 @@ static void tidy_set(struct body *b)
     shift_border(b, 1);
 }
 
-static size_t take_background(uint8_t *set, size_t at, uint32_t *list, size_t n)
-{
-    if (set[at] != 1)
-        return n;
-    set[at] = 2;
-    list[n] = (uint32_t)at;
-    return n + 1;
-}
-
 /* What is enclosed within one section becomes 1: the pulp opens at the end of the block. */
-static void fill_sections(struct body *b)
+static int fill_sections(struct body *b, struct gsn_error *err)
 {
-    const size_t nx = b->at.nx, ny = b->at.ny, plane = nx * ny;
+    const size_t plane = b->at.nx * b->at.ny;
+    int r = GSN_OK;
 
-    for (size_t z = 0; z < b->at.nz; z++) {
-        uint8_t *set = b->set + z * plane;
-        size_t n = 0;
-
-        for (size_t i = 0; i < plane; i++)
-            set[i] = !set[i];
-        for (size_t i = 0; i < plane; i++) /* from the border of the section */
-            if (i < nx || i + nx >= plane || i % nx == 0 || i % nx + 1 == nx)
-                n = take_background(set, i, b->list, n);
-        for (size_t done = 0; done < n; done++) {
-            const size_t i = b->list[done];
-
-            n = i % nx > 0 ? take_background(set, i - 1, b->list, n) : n;
-            n = i % nx + 1 < nx ? take_background(set, i + 1, b->list, n) : n;
-            n = i >= nx ? take_background(set, i - nx, b->list, n) : n;
-            n = i + nx < plane ? take_background(set, i + nx, b->list, n) : n;
-        }
-        for (size_t i = 0; i < plane; i++)
-            set[i] = set[i] != 2;
-    }
+    for (size_t z = 0; z < b->at.nz && r >= 0; z++)
+        r = gsn_fill_holes(b->set + z * plane, (uint32_t)b->at.nx, (uint32_t)b->at.ny, 4, err);
+    return r;
 }
 
 /* ---- the component tree ------------------------------------------------------------------ */
@@ -623,29 +599,34 @@ static double show_candidate(struct body *b, const struct component *c, double *
     return n > 0 ? gsn_order_pick(scratch, n, n / 2) : 0;
 }
 
-/* The core of the root as the set, and the level between it and what lies around it. Whether there
- * is one. */
+/* The core of the root as the set, and the level between it and what lies around it; an empty set
+ * where there is none. */
 static int find_core(struct body *b, const struct component *found, struct work *w,
-                     struct gsn_tissue_levels *levels)
+                     struct gsn_tissue_levels *levels, struct gsn_error *err)
 {
     for (int k = 0; k < COMPONENTS && found[k].voxels > 0; k++) {
         const double dentine = show_candidate(b, &found[k], w->scratch);
         double around, denser;
         size_t grown;
+        int r;
 
         if (!(dentine < MOST_OF_BONE * levels->bone))
             continue;
         (void)grow_set(b, 0, 1, &grown); /* back to where the level was */
-        fill_sections(b);
+        r = fill_sections(b, err);
+        if (r < 0)
+            return r;
         around = look_around(b, dentine, w->keep, w->scratch, &denser);
         if (around < LEAST_AROUND * levels->bone || denser > MOST_DENSER)
             continue;
         levels->dentine = dentine;
         levels->border = (dentine + around) / 2;
         (void)show_candidate(b, &found[k], w->scratch);
-        return 1;
+        return GSN_OK;
     }
-    return 0;
+    memset(b->set, 0, b->count);
+    levels->dentine = 0;
+    return GSN_OK;
 }
 
 /* ---- the watershed ----------------------------------------------------------------------- */
@@ -707,19 +688,23 @@ static void run_flood(struct flood *f)
 
 /* The set, the core of a root, becomes the root: what belongs to it and not to the bone or the
  * glass, and is denser than the ligament. */
-static void flood_root(struct body *b, const struct gsn_tissue_levels *levels, struct work *w)
+static int flood_root(struct body *b, const struct gsn_tissue_levels *levels, struct work *w,
+                      struct gsn_error *err)
 {
     struct flood f = { .b = b, .whose = w->keep, .next = w->next, .most = levels->bone };
     const double bone = fmax(levels->border, MOST_OF_BONE * levels->bone);
+    int r;
 
     for (size_t i = 0; i < b->count; i++)
         f.whose[i] = b->set[i] ? ROOT : b->least[i] > bone || b->value[i] < GLASS ? OTHER : NOBODY;
     run_flood(&f);
     for (size_t i = 0; i < b->count; i++)
         b->set[i] = b->set[i] || (f.whose[i] == ROOT && b->value[i] > levels->border);
-    fill_sections(b);
+    r = fill_sections(b, err);
+    if (r < 0)
+        return r;
     tidy_set(b);
-    fill_sections(b);
+    return fill_sections(b, err);
 }
 
 /* The levels anew, from the root that the set is; its pulp is left out. */
@@ -753,16 +738,17 @@ static int find_root(struct body *b, struct gsn_tissue_levels *levels, struct gs
     r = list_components(b, levels->bone, found, err);
     if (r < 0)
         return r;
-    if (!find_core(b, found, &w, levels)) {
-        memset(b->set, 0, b->count);
-        return GSN_OK;
-    }
+    r = find_core(b, found, &w, levels, err);
+    if (r < 0 || !(levels->dentine > 0))
+        return r;
     /* The whole root says better than its core how dense dentine is, and which density lies midway
      * to the ligament. */
     memcpy(core, b->set, b->count);
     for (int pass = 0; pass < PASSES; pass++) {
         memcpy(b->set, core, b->count);
-        flood_root(b, levels, &w);
+        r = flood_root(b, levels, &w, err);
+        if (r < 0)
+            return r;
         update_levels(b, &w, levels);
     }
     return GSN_OK;
@@ -821,13 +807,13 @@ static void take_bone(struct body *b, struct gsn_tissue_levels *levels)
 }
 
 /* The outline: voids within a section belong to it. */
-static void take_all(struct body *b, struct gsn_tissue_levels *levels)
+static int take_all(struct body *b, struct gsn_tissue_levels *levels, struct gsn_error *err)
 {
     levels->border = GLASS;
     for (size_t i = 0; i < b->count; i++)
         b->set[i] = (double)b->value[i] > levels->border;
     tidy_set(b);
-    fill_sections(b);
+    return fill_sections(b, err);
 }
 
 static int find_set(struct body *b, enum gsn_tissue_kind tissue, struct gsn_tissue_levels *levels,
@@ -840,7 +826,7 @@ static int find_set(struct body *b, enum gsn_tissue_kind tissue, struct gsn_tiss
     if (r >= 0 && tissue == GSN_TISSUE_BONE)
         take_bone(b, levels);
     if (r >= 0 && tissue == GSN_TISSUE_ALL)
-        take_all(b, levels);
+        r = take_all(b, levels, err);
     return r;
 }
 

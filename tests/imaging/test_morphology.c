@@ -74,9 +74,51 @@ TEST(holes_are_what_no_way_from_outside_reaches)
                 set[y * WIDTH + x] = x == 10 || x == 29 || y == 10 || y == 19;
         if (gap)
             set[10 * WIDTH + 10] = 0;
-        CHECK_OK(gsn_fill_holes(set, WIDTH, HEIGHT, &err), err);
+        CHECK_OK(gsn_fill_holes(set, WIDTH, HEIGHT, 8, &err), err);
         for (int i = 0; i < PIXELS; i++)
             count += set[i];
         CHECK(count == (gap ? 55u : 200u));
+    }
+}
+
+/* Grown from the border cell by cell until nothing changes. */
+static void fill_slowly(uint8_t *set, int width, int height, int neighbours)
+{
+    static uint8_t outside[PIXELS];
+    int more = 1;
+
+    memset(outside, 0, sizeof outside);
+    while (more) {
+        more = 0;
+        for (int i = 0; i < width * height; i++) {
+            const int x = i % width, y = i / width;
+            int reached = x == 0 || y == 0 || x == width - 1 || y == height - 1;
+
+            if (set[i] || outside[i])
+                continue;
+            for (int v = y - 1; v <= y + 1 && !reached; v++)
+                for (int u = x - 1; u <= x + 1 && !reached; u++)
+                    reached = outside[v * width + u] && (neighbours == 8 || u == x || v == y);
+            more |= outside[i] = (uint8_t)reached;
+        }
+    }
+    for (int i = 0; i < width * height; i++)
+        set[i] = !outside[i];
+}
+
+TEST(holes_are_those_of_a_slow_search)
+{
+    uint32_t seed = 5;
+
+    for (unsigned k = 0; k < CASES; k++) {
+        const int width = 1 + (int)(k % 23), height = 1 + (int)(k % 19);
+        uint8_t set[PIXELS], slow[PIXELS];
+        struct gsn_error err = { 0 };
+
+        draw(set, 300 + k, &seed);
+        memcpy(slow, set, sizeof set);
+        CHECK_OK(gsn_fill_holes(set, (uint32_t)width, (uint32_t)height, k % 2 ? 8 : 4, &err), err);
+        fill_slowly(slow, width, height, k % 2 ? 8 : 4);
+        CHECK(memcmp(set, slow, (size_t)(width * height)) == 0);
     }
 }

@@ -27,7 +27,7 @@ static int work(void)
     return gsn_dilate(set, SIDE, SIDE, 6.5, NULL) >= 0 &&
            gsn_dilate(set, SIDE, SIDE, 20, NULL) >= 0 && gsn_erode(set, SIDE, SIDE, 3, NULL) >= 0 &&
            gsn_erode(set, SIDE, SIDE, 15, NULL) >= 0 &&
-           gsn_fill_holes(set, SIDE, SIDE, NULL) >= 0 &&
+           gsn_fill_holes(set, SIDE, SIDE, 8, NULL) >= 0 &&
            gsn_components_find(set, SIDE, SIDE, &all, NULL) >= 0 && all->count == 1 &&
            gsn_box_mean(&plane, 3, &mean, NULL) >= 0 &&
            gsn_fourier(number, SIDE, SIDE, 0, NULL) >= 0;

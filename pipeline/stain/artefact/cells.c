@@ -252,7 +252,7 @@ static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
     r = gsn_dilate(cells->outline, cells->nx, cells->ny, CLEFT_UM / cells->um, err);
     if (r >= 0)
         r = gsn_erode(cells->outline, cells->nx, cells->ny, CLEFT_UM / cells->um, err);
-    return r < 0 ? r : gsn_fill_holes(cells->outline, cells->nx, cells->ny, err);
+    return r < 0 ? r : gsn_fill_holes(cells->outline, cells->nx, cells->ny, 8, err);
 }
 
 int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_absorber *absorber,

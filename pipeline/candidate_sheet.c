@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/candidate_sheet.h"
 
+#include "pipeline/imaging/filter.h"
+#include "pipeline/imaging/morphology.h"
 #include "pipeline/core/robust.h"
 #include "pipeline/decode/png_write.h"
 #include "pipeline/render/canvas.h"
@@ -221,29 +223,32 @@ int gsn_candidate_sheet_look(struct gsn_candidate_sheet *sheet, const struct gsn
 
 /* ---- drawing ----------------------------------------------------------------------------- */
 
-/* Of a cell and those around it, what most are: specks of dust have no outline. */
-static int is_inside(const uint8_t *inside, int x, int y)
-{
-    int count = 0;
-
-    if (x < 1 || y < 1 || x >= SIDE_PX - 1 || y >= SIDE_PX - 1)
-        return 0;
-    for (int v = y - 1; v <= y + 1; v++)
-        for (int u = x - 1; u <= x + 1; u++)
-            count += inside[v * SIDE_PX + u];
-    return count >= 5;
-}
-
-static void draw_outline(struct gsn_image *image, const uint8_t *inside)
+/* Of a cell and those around it, what most are: specks of dust have no outline. The outline is what
+ * has a cell of the outside beside it. */
+static int draw_outline(struct gsn_image *image, const uint8_t *inside, struct gsn_error *err)
 {
     static const struct gsn_colour ink = { .r = 0, .g = 110, .b = 230 };
+    gsn_auto_mem(uint8_t) set = gsn_memdup(inside, CELLS);
+    gsn_auto_mem(uint8_t) inner = NULL;
+    int r;
 
-    for (int y = 0; y < SIDE_PX; y++)
-        for (int x = 0; x < SIDE_PX; x++)
-            if (is_inside(inside, x, y) &&
-                (!is_inside(inside, x - 1, y) || !is_inside(inside, x + 1, y) ||
-                 !is_inside(inside, x, y - 1) || !is_inside(inside, x, y + 1)))
-                gsn_canvas_put(image, x, y, ink);
+    if (!set)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a section's outline");
+    r = gsn_median_3(set, SIDE_PX, SIDE_PX, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < SIDE_PX; i++)
+        set[i] = set[CELLS - 1 - i] = set[i * SIDE_PX] = set[i * SIDE_PX + SIDE_PX - 1] = 0;
+    inner = gsn_memdup(set, CELLS);
+    if (!inner)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a section's outline");
+    r = gsn_erode(inner, SIDE_PX, SIDE_PX, 1, err);
+    if (r < 0)
+        return r;
+    for (int i = 0; i < CELLS; i++)
+        if (set[i] && !inner[i])
+            gsn_canvas_put(image, i % SIDE_PX, i / SIDE_PX, ink);
+    return GSN_OK;
 }
 
 int gsn_candidate_sheet_draw(struct gsn_candidate_sheet *sheet, struct gsn_assembly *a,
@@ -262,7 +267,9 @@ int gsn_candidate_sheet_draw(struct gsn_candidate_sheet *sheet, struct gsn_assem
             if (!figure->laid[c])
                 continue;
             if (inside)
-                draw_outline(figure->laid[c], inside);
+                r = draw_outline(figure->laid[c], inside, err);
+            if (r < 0)
+                return r;
             picture->width = picture->height = SIDE_PX;
             r = gsn_png_encode(figure->laid[c], &picture->png, &picture->size, err);
         }

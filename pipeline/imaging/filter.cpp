@@ -27,6 +27,29 @@ int gsn_box_sum(const float *from, uint32_t width, uint32_t height, uint32_t rad
     });
 }
 
+/* A power of two as scale is exact, with fused multiply-adds as without. */
+int gsn_differences(const float *from, uint32_t width, uint32_t height, double scale, float *dx,
+                    float *dy, struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        const cv::Mat all = gsn::over(from, width, height, CV_32F);
+        cv::Mat across = gsn::over(dx, width, height, CV_32F);
+        cv::Mat down = gsn::over(dy, width, height, CV_32F);
+
+        cv::Sobel(all, across, CV_32F, 1, 0, 1, scale, 0, cv::BORDER_REPLICATE);
+        cv::Sobel(all, down, CV_32F, 0, 1, 1, scale, 0, cv::BORDER_REPLICATE);
+    });
+}
+
+int gsn_median_3(uint8_t *bytes, uint32_t width, uint32_t height, struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        cv::Mat all = gsn::over(bytes, width, height, CV_8U);
+
+        cv::medianBlur(all, all, 3);
+    });
+}
+
 int gsn_halve(const float *from, uint32_t width, uint32_t height, float *to,
               struct gsn_error *err)
 {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Linear filters of float planes, and a plane at half the resolution. */
+/* Filters of planes and of bytes, differences, and a plane at half the resolution. */
 #ifndef GSN_IMAGING_FILTER_H
 #define GSN_IMAGING_FILTER_H
 
@@ -18,6 +18,15 @@ int gsn_box_mean(const struct gsn_plane *plane, uint32_t radius, struct gsn_plan
  * to is another plane of that size. */
 int gsn_box_sum(const float *from, uint32_t width, uint32_t height, uint32_t radius, float *to,
                 struct gsn_error *err);
+
+/* Differences of the neighbours on either side, right less left into dx and lower less upper into dy,
+ * times scale; at the border the plane goes on as its edge. dx and dy are planes of that size. */
+int gsn_differences(const float *from, uint32_t width, uint32_t height, double scale, float *dx,
+                    float *dy, struct gsn_error *err);
+
+/* The median of 3 x 3 bytes (of a set: what most of them are); at the border the picture goes on as
+ * its edge. In place. */
+int gsn_median_3(uint8_t *bytes, uint32_t width, uint32_t height, struct gsn_error *err);
 
 /* The means of two by two pixels, (width / 2) * (height / 2) of them, whose corners coincide; a last
  * odd row or column is left out. width and height are 2 or more. */

@@ -4,6 +4,7 @@
 #include "pipeline/imaging/fourier.h"
 #include "pipeline/imaging/imaging.h"
 #include "pipeline/imaging/morphology.h"
+#include "pipeline/imaging/warp.h"
 
 #include "pipeline/core/sandbox.h"
 #include "tests/check.h"
@@ -20,6 +21,8 @@ static int work(void)
     static uint8_t set[PIXELS];
     static float number[2 * PIXELS];
     const struct gsn_plane plane = { SIDE, SIDE, number };
+    static float slope[2 * SIDE * SIDE];
+    struct gsn_image picture = { SIDE, SIDE, 1, 8, set };
     gsn_auto(gsn_components) all = NULL;
     gsn_auto(gsn_plane) mean = NULL;
 
@@ -29,7 +32,9 @@ static int work(void)
            gsn_erode(set, SIDE, SIDE, 15, NULL) >= 0 &&
            gsn_fill_holes(set, SIDE, SIDE, 8, NULL) >= 0 &&
            gsn_components_find(set, SIDE, SIDE, &all, NULL) >= 0 && all->count == 1 &&
-           gsn_box_mean(&plane, 3, &mean, NULL) >= 0 &&
+           gsn_median_3(set, SIDE, SIDE, NULL) >= 0 &&
+           gsn_differences(number, SIDE, SIDE, 0.5, slope, slope + SIDE * SIDE, NULL) >= 0 &&
+           gsn_turn_image(&picture, 1, 1, NULL) >= 0 && gsn_box_mean(&plane, 3, &mean, NULL) >= 0 &&
            gsn_fourier(number, SIDE, SIDE, 0, NULL) >= 0;
 }
 

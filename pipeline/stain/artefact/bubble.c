@@ -127,18 +127,19 @@ static void add_vote(const struct gsn_mask_cells *cells, double x, double y, uin
         votes[(size_t)(y / BIN) * (cells->nx / BIN + 1) + (size_t)(x / BIN)]++;
 }
 
-static void cast_votes(const struct gsn_mask_cells *cells, const struct gsn_plane *dark,
+/* dx, dy: differences of the dark dye over two cells. */
+static void cast_votes(const struct gsn_mask_cells *cells, const float *dx, const float *dy,
                        uint32_t *votes)
 {
     const double least = LEAST_RADIUS_UM / cells->um, most = MOST_RADIUS_UM / cells->um;
 
     for (uint32_t y = 1; y + 1 < cells->ny; y++)
         for (uint32_t x = 1; x + 1 < cells->nx; x++) {
-            const float *p = dark->value + (size_t)y * cells->nx + x;
-            const double gx = p[1] - p[-1], gy = p[cells->nx] - p[-(long)cells->nx];
+            const size_t i = (size_t)y * cells->nx + x;
+            const double gx = dx[i], gy = dy[i];
             const double g = sqrt(gx * gx + gy * gy);
 
-            if (g < STEEP || cells->label[(size_t)y * cells->nx + x])
+            if (g < STEEP || cells->label[i])
                 continue;
             for (double r = least; r <= most; r += BIN) {
                 add_vote(cells, x + r * gx / g, y + r * gy / g, votes);
@@ -178,12 +179,19 @@ int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
     gsn_auto(gsn_plane) dark = NULL;
     gsn_auto_mem(uint32_t) votes = gsn_alloc_array(nx * ny, sizeof *votes);
     gsn_auto_mem(uint8_t) set = gsn_alloc_array((size_t)cells->nx * cells->ny, 1);
-    const int r = votes && set ? gsn_box_mean(cells->dark, 1, &dark, err)
-                               : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    gsn_auto_mem(float) slope = gsn_alloc_array(2 * (size_t)cells->nx * cells->ny, sizeof *slope);
+    float *const dy = slope ? slope + (size_t)cells->nx * cells->ny : NULL;
+    int r;
 
+    if (!votes || !set || !slope)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
+    r = gsn_box_mean(cells->dark, 1, &dark, err);
     if (r < 0)
         return r;
-    cast_votes(cells, dark, votes);
+    r = gsn_differences(dark->value, cells->nx, cells->ny, 1, slope, dy, err);
+    if (r < 0)
+        return r;
+    cast_votes(cells, slope, dy, votes);
     for (int i = 0; i < TRIES; i++) {
         const size_t best = take_best(votes, nx, ny);
         const struct ring ring = best_ring(cells, dark, &compass, ((double)(best % nx) + 0.5) * BIN,

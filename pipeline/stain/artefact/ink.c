@@ -15,6 +15,7 @@
  * Fewer than four sections do not vote. Grey pencil is paler than ink and stays. */
 #include "pipeline/core/mem.h"
 #include "pipeline/core/robust.h"
+#include "pipeline/imaging/filter.h"
 #include "pipeline/imaging/morphology.h"
 #include "pipeline/stain/artefact/cells.h"
 #include "pipeline/stain/unmixing.h"
@@ -68,16 +69,6 @@ static size_t bin_of(const struct gsn_mask_cells *cells, size_t i)
            (size_t)bin_along(cells->even[0]->value[i] / sum);
 }
 
-static float even_bin(const float count[BINS], int x, int y)
-{
-    float sum = 0;
-
-    for (int v = y > 0 ? y - 1 : 0; v <= y + 1 && v < ACROSS; v++)
-        for (int u = x > 0 ? x - 1 : 0; u <= x + 1 && u < ACROSS; u++)
-            sum += count[v * ACROSS + u];
-    return sum / 9;
-}
-
 static double length_at(const struct gsn_mask_cells *cells, size_t i)
 {
     return sqrt(cells->even[0]->value[i] * cells->even[0]->value[i] +
@@ -86,10 +77,12 @@ static double length_at(const struct gsn_mask_cells *cells, size_t i)
 }
 
 /* list: scratch, a value for each cell. */
-static void count_hues(const struct gsn_mask_cells *cells, double *list, struct hues *ret)
+static int count_hues(const struct gsn_mask_cells *cells, double *list, struct hues *ret,
+                      struct gsn_error *err)
 {
-    float count[BINS] = { 0 };
+    float count[BINS] = { 0 }, sum[BINS];
     size_t all = 0;
+    int r;
 
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
         if (cells->tissue[i] && !cells->label[i]) {
@@ -98,8 +91,12 @@ static void count_hues(const struct gsn_mask_cells *cells, double *list, struct 
         }
     ret->votes = all >= LEAST_CELLS;
     ret->length = all > 0 ? gsn_order_pick(list, all, all / 2) : 0;
+    r = gsn_box_sum(count, ACROSS, ACROSS, 1, sum, err);
+    if (r < 0)
+        return r;
     for (int b = 0; b < BINS; b++)
-        ret->share[b] = all > 0 ? even_bin(count, b % ACROSS, b / ACROSS) / (float)all : 0;
+        ret->share[b] = all > 0 ? sum[b] / 9 / (float)all : 0;
+    return GSN_OK;
 }
 
 /* Medians over the sections that vote. list: scratch. */
@@ -185,8 +182,10 @@ int gsn_mask_own_hues(struct gsn_mask_cells *const *cells, size_t count, const s
         return r;
     if (!hues || !list)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
-    for (size_t k = 0; k < count; k++)
-        count_hues(cells[k], list, &hues[k]);
+    for (size_t k = 0; k < count && r >= 0; k++)
+        r = count_hues(cells[k], list, &hues[k], err);
+    if (r < 0)
+        return r;
     find_usual(hues, count, list, &usual);
     for (size_t k = 0; k < count && r >= 0; k++)
         r = lower_foreign(cells[k], &hues[k], &usual, &mix, err);

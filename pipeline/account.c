@@ -162,8 +162,8 @@ static int measure(const struct voxels *v, const struct gsn_grid *grid,
                                                  .progress = options->progress };
     const size_t tets = gsn_dms_mesh(account->space)->tet_count;
     const int sections = protocol->kind == GSN_KIND_SECTIONS;
-    const struct gsn_level scale =
-        options->scale.gain > 0 ? options->scale : (struct gsn_level){ .gain = 1 };
+    const struct gsn_gain_offset scale =
+        options->scale.gain > 0 ? options->scale : (struct gsn_gain_offset){ .gain = 1 };
     double thresholds[GSN_ACCOUNT_THRESHOLDS], here[GSN_ACCOUNT_THRESHOLDS];
     int r;
 

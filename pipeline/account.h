@@ -54,7 +54,7 @@ struct gsn_account_options {
     const struct gsn_colour_grid *colour; /* shown beside it, on the same lattice; NULL: none */
     /* How densities that the protocol's thresholds are meant in read here, gain * density + offset:
      * those of the baseline, in this specimen's stain. All zeros: as they are. */
-    struct gsn_level scale;
+    struct gsn_gain_offset scale;
     const struct gsn_grid *shown; /* what the cuts show beside the model; NULL: the grid itself */
 };
 

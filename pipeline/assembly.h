@@ -57,9 +57,9 @@ struct gsn_assembly_section {
     struct gsn_tissue_place place;     /* of one that its marks do not lay */
     double clipped;  /* share of its tissue with a sample at either end of the codes; masked */
     char flags[160]; /* words with one space between */
-    struct gsn_mask_figures masked;               /* what of it is not measured, and why */
+    struct gsn_artefact_figures masked;           /* what of it is not measured, and why */
     double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
-    struct gsn_tone tone;                         /* its dyes; no pixels: not looked at */
+    struct gsn_stain_amounts tone;                /* its dyes; no pixels: not looked at */
     double thickness; /* against the panel's other sections; 1: as they are, or not told */
     struct gsn_account_picture thumbnail;                         /* png owned; size 0: none */
     struct gsn_candidates candidates;                             /* as the stack lays them */
@@ -71,19 +71,19 @@ struct gsn_assembly_panel {
     const struct gsn_specimen_panel *given; /* borrowed from the specimen */
     int opened;
     int lossy; /* whether its picture is a JPEG */
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_specimen_stain stain;
     struct gsn_calibrated calibrated; /* by its calibration panel, where one is stated */
     struct gsn_stain_gain gain;       /* what its densities were divided by */
     int levelled;                     /* whether it was compared with the panels beside it */
     size_t place;                     /* then, along the block among those that were; 0-based */
-    struct gsn_level level;           /* its densities were: minus offset, divided by gain */
+    struct gsn_gain_offset level;     /* its densities were: minus offset, divided by gain */
     double strength;  /* density of its strongest stained tissue; NaN: not known, 0: not opened */
     double red_error; /* relative standard error of its red by vectors and white; 0: the
                          vectors were taken as exact */
     unsigned cell_px; /* side of the cells in which lamp, tones and dust were looked for */
-    struct gsn_lamp lamp;      /* how steady its light was */
-    struct gsn_tone tone;      /* of all its sections */
+    struct gsn_illumination lamp;  /* how steady its light was */
+    struct gsn_stain_amounts tone; /* of all its sections */
     struct gsn_dust_turn turn; /* as in its scan */
     char note[400];
 };
@@ -99,13 +99,13 @@ enum gsn_untreated {
 /* What of the panels was compared, and with which tissue other specimens can be. */
 struct gsn_levelling {
     int done;                       /* whether the panels could be compared with each other */
-    struct gsn_level_fit fit;       /* of the steps between them */
+    struct gsn_gain_fit fit;        /* of the steps between them */
     size_t panels;                  /* that were compared */
-    double share[GSN_LEVEL_PANELS]; /* of the region's voxels with data, by place; they sum to 1 */
-    struct gsn_level_tissues tissues; /* by enum gsn_untreated, on the panels' common scale */
-    double yellow[GSN_LEVEL_TISSUES]; /* of them in the region's planes, OD; NaN: not seen */
-    struct gsn_turned_left vectors;   /* what the dye vectors leave open beside those tissues */
-    struct gsn_turned_scatter turns;  /* where the vectors were taken as exact: what they turn by
+    double share[GSN_GAIN_PANELS];  /* of the region's voxels with data, by place; they sum to 1 */
+    struct gsn_control_tissues tissues;   /* by enum gsn_untreated, on the panels' common scale */
+    double yellow[GSN_CONTROL_TISSUES];   /* of them in the region's planes, OD; NaN: not seen */
+    struct gsn_vector_error_left vectors; /* what the dye vectors leave open beside those tissues */
+    struct gsn_vector_scatter turns;  /* where the vectors were taken as exact: what they turn by
                                          from panel to panel; vectors is then per rad^2 of it */
     char why[480];                    /* why not done, or empty */
 };
@@ -145,7 +145,7 @@ struct gsn_assembly {
     struct gsn_grid *tissue_grid;   /* owned; its density as stained */
     struct gsn_dust *dust;          /* owned; what is dark on each panel */
     size_t spot_count;              /* of the scanner's dust */
-    struct gsn_mask_disc *spot;     /* owned; pixels as the scanner gave them */
+    struct gsn_artefact_disc *spot; /* owned; pixels as the scanner gave them */
     unsigned spot_panels;           /* that were compared for it */
     struct gsn_columns *columns;    /* owned; NULL where there is no grid */
     struct gsn_levelling levelling;

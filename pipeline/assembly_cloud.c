@@ -12,12 +12,12 @@
 #include <math.h>
 
 /* What brings a panel's density to the common scale: (density - offset) / gain. */
-static struct gsn_level level_of(const struct gsn_assembly *a,
-                                 const struct gsn_assembly_panel *panel)
+static struct gsn_gain_offset level_of(const struct gsn_assembly *a,
+                                       const struct gsn_assembly_panel *panel)
 {
     if (panel->levelled)
         return panel->level;
-    return (struct gsn_level){
+    return (struct gsn_gain_offset){
         a->by_standards || (a->tissue_grid && !a->not_comparable[0]) ? panel->gain.gain : 1, 0
     };
 }
@@ -26,7 +26,7 @@ static struct gsn_level level_of(const struct gsn_assembly *a,
 static void cell_od(const struct gsn_assembly *a, const struct gsn_assembly_panel *panel, size_t i,
                     double ret_od[3])
 {
-    const struct gsn_level level = level_of(a, panel);
+    const struct gsn_gain_offset level = level_of(a, panel);
     const struct gsn_dyes *dyes = &panel->stain.fit.dyes;
     const double seen = (double)a->columns->density->value[i];
     /* Levelled columns hold the common scale already. */

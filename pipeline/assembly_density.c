@@ -31,9 +31,9 @@ struct work {
     const struct gsn_specimen *specimen;
     const struct gsn_specimen_options *options;
     const struct gsn_scan *scan;
-    const struct gsn_absorber *absorber;
-    const struct gsn_red_reader *reader;
-    const struct gsn_mask_labels *labels;
+    const struct gsn_od_reader *absorber;
+    const struct gsn_collagen_reader *reader;
+    const struct gsn_artefact_labels *labels;
     struct gsn_assembly_light light;
     unsigned panel; /* 1-based */
     struct gsn_assembly *a;
@@ -129,12 +129,13 @@ static int lay_into(const struct work *work, size_t i, struct gsn_grid *grid, st
 
     if (!gsn_stack_footprint(&grid->at, work->specimen->protocol->interval_um, &section))
         return GSN_OK;
-    r = gsn_red_box(work->reader,
-                    &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height },
-                    1, &density, err);
+    r = gsn_collagen_box(
+        work->reader,
+        &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height }, 1, &density,
+        err);
     if (r < 0)
         return r;
-    gsn_mask_apply(work->labels, gsn_masking_index(work->a, i), section.x, section.y, density);
+    gsn_artefact_apply(work->labels, gsn_masking_index(work->a, i), section.x, section.y, density);
     section.density = density;
     section.plane_x = section.x;
     section.plane_y = section.y;
@@ -159,15 +160,15 @@ static int see_section(const struct work *work, size_t i, unsigned apart,
     const struct gsn_panel_section *seen = &work->a->section[i].seen;
     const struct gsn_pixel_box box = { seen->x, seen->y, seen->width, seen->height };
     gsn_auto(gsn_plane) density = NULL;
-    int r = gsn_red_box(work->reader, &box, apart, &density, err);
+    int r = gsn_collagen_box(work->reader, &box, apart, &density, err);
 
     if (r < 0)
         return r;
     for (uint32_t y = 0; y < density->height; y++) {
         struct gsn_plane row = { density->width, 1, density->value + (size_t)y * density->width };
 
-        gsn_mask_apply(work->labels, gsn_masking_index(work->a, i), seen->x,
-                       seen->y + (int)(y * apart), &row);
+        gsn_artefact_apply(work->labels, gsn_masking_index(work->a, i), seen->x,
+                           seen->y + (int)(y * apart), &row);
     }
     *ret_density = gsn_steal(&density);
     return GSN_OK;
@@ -251,15 +252,15 @@ static int judge_vectors(const struct gsn_scan *scan, struct gsn_assembly_panel 
                          struct gsn_error *err)
 {
     const struct gsn_dyes_fit *fit = &panel->stain.fit;
-    struct gsn_red_mean red;
+    struct gsn_collagen_mean red;
     int r;
 
     if (!(fit->deviation_deg[0] > 0))
         return GSN_OK;
-    r = gsn_red_mean(scan->od, NULL, &fit->dyes, &red, err);
+    r = gsn_collagen_mean(scan->od, NULL, &fit->dyes, &red, err);
     if (r < 0)
         return r;
-    panel->red_error = gsn_red_error(&red, fit, WHITE_ERROR_OD);
+    panel->red_error = gsn_collagen_mean_error(&red, fit, WHITE_ERROR_OD);
     return GSN_OK;
 }
 
@@ -284,13 +285,13 @@ static int lay_sections(struct work *work, double *ret_strength, struct gsn_erro
 static int lay_panel(struct work *work, struct gsn_assembly_panel *panel, struct gsn_error *err)
 {
     const struct gsn_dyes *dyes = &panel->stain.fit.dyes;
-    gsn_auto(gsn_absorber) absorber = NULL;
-    gsn_auto(gsn_red_reader) reader = NULL;
-    gsn_auto(gsn_mask_labels) labels = NULL;
-    int r = gsn_absorber_new(work->scan->picture->image, &work->scan->glass, &absorber, err);
+    gsn_auto(gsn_od_reader) absorber = NULL;
+    gsn_auto(gsn_collagen_reader) reader = NULL;
+    gsn_auto(gsn_artefact_labels) labels = NULL;
+    int r = gsn_od_reader_new(work->scan->picture->image, &work->scan->glass, &absorber, err);
 
     if (r >= 0)
-        r = gsn_red_reader_new(absorber, dyes, &reader, err);
+        r = gsn_collagen_reader_new(absorber, dyes, &reader, err);
     if (r >= 0)
         r = gsn_masking_find(work->scan, dyes, work->panel, work->options->threads, work->a,
                              &labels, err);

@@ -143,7 +143,7 @@ static double middle(const size_t z[SIDE])
 }
 
 static int line_between(struct view *v, const size_t before[SIDE], const size_t after[SIDE],
-                        struct gsn_level_line *ret_line, struct gsn_error *err)
+                        struct gsn_gain_line *ret_line, struct gsn_error *err)
 {
     size_t n = 0;
     int r;
@@ -156,7 +156,7 @@ static int line_between(struct view *v, const size_t before[SIDE], const size_t 
         v->before[n] = x;
         v->after[n++] = y;
     }
-    r = gsn_level_line(v->before, v->after, n, ret_line, err);
+    r = gsn_gain_line(v->before, v->after, n, ret_line, err);
     if (r >= 0)
         ret_line->lag = middle(after) - middle(before);
     return r;
@@ -166,8 +166,8 @@ static int line_between(struct view *v, const size_t before[SIDE], const size_t 
 struct order {
     size_t *plane; /* owned */
     size_t planes, panels;
-    size_t first[GSN_LEVEL_PANELS + 1]; /* of each panel, and the end */
-    int panel[GSN_LEVEL_PANELS];
+    size_t first[GSN_GAIN_PANELS + 1]; /* of each panel, and the end */
+    int panel[GSN_GAIN_PANELS];
 };
 
 static int order_planes(const struct view *v, struct order *o, struct gsn_error *err)
@@ -182,7 +182,7 @@ static int order_planes(const struct view *v, struct order *o, struct gsn_error 
             /* One with too few sections cannot be compared. */
             if (o->panels > 0 && o->planes - o->first[o->panels - 1] < SIDE)
                 o->planes = o->first[--o->panels];
-            if (o->panels == GSN_LEVEL_PANELS)
+            if (o->panels == GSN_GAIN_PANELS)
                 break;
             o->panel[o->panels] = v->panel[z];
             o->first[o->panels++] = o->planes;
@@ -196,7 +196,7 @@ static int order_planes(const struct view *v, struct order *o, struct gsn_error 
 }
 
 /* The comparisons within the panels; those that cannot be made do not count. */
-static int compare_within(struct view *v, const struct order *o, struct gsn_level_line *line,
+static int compare_within(struct view *v, const struct order *o, struct gsn_gain_line *line,
                           size_t *ret_count, struct gsn_error *why)
 {
     *ret_count = 0;
@@ -212,7 +212,7 @@ static int compare_within(struct view *v, const struct order *o, struct gsn_leve
     return GSN_OK;
 }
 
-static int compare_panels(struct view *v, const struct order *o, struct gsn_level_line *step,
+static int compare_panels(struct view *v, const struct order *o, struct gsn_gain_line *step,
                           struct gsn_error *why)
 {
     int r = GSN_OK;
@@ -242,11 +242,11 @@ static int spread_of(struct view *v, double at[2], struct gsn_error *why)
     return GSN_OK;
 }
 
-static int compare(struct view *v, const struct order *o, struct gsn_level *level,
-                   struct gsn_level_fit *fit, struct gsn_error *why)
+static int compare(struct view *v, const struct order *o, struct gsn_gain_offset *level,
+                   struct gsn_gain_fit *fit, struct gsn_error *why)
 {
-    gsn_auto_mem(struct gsn_level_line) within = gsn_alloc_array(v->planes + 1, sizeof *within);
-    struct gsn_level_line step[GSN_LEVEL_PANELS];
+    gsn_auto_mem(struct gsn_gain_line) within = gsn_alloc_array(v->planes + 1, sizeof *within);
+    struct gsn_gain_line step[GSN_GAIN_PANELS];
     double at[2];
     size_t lines;
     int r = within ? GSN_OK : gsn_fail(why, GSN_E_NOMEM, "out of memory for comparing panels");
@@ -259,7 +259,7 @@ static int compare(struct view *v, const struct order *o, struct gsn_level *leve
         r = compare_within(v, o, within, &lines, why);
     if (r >= 0)
         r = compare_panels(v, o, step, why);
-    return r < 0 ? r : gsn_level_chain(step, o->panels - 1, within, lines, at, level, fit, why);
+    return r < 0 ? r : gsn_gain_chain(step, o->panels - 1, within, lines, at, level, fit, why);
 }
 
 /* ---- levelling ----------------------------------------------------------------------------- */
@@ -278,7 +278,7 @@ static void apply(const struct gsn_specimen *specimen, struct gsn_assembly *a,
     }
 }
 
-static void take_levels(const struct order *o, const struct gsn_level *level,
+static void take_levels(const struct order *o, const struct gsn_gain_offset *level,
                         struct gsn_assembly *a)
 {
     for (size_t p = 0; p < o->panels; p++) {
@@ -293,7 +293,7 @@ static void take_levels(const struct order *o, const struct gsn_level *level,
 static int level_view(const struct gsn_specimen *specimen, struct gsn_assembly *a, struct view *v,
                       struct gsn_error *err)
 {
-    struct gsn_level level[GSN_LEVEL_PANELS];
+    struct gsn_gain_offset level[GSN_GAIN_PANELS];
     struct gsn_error why = { 0 };
     struct order o;
     int r = order_planes(v, &o, err);
@@ -323,8 +323,8 @@ int gsn_assembly_level(const struct gsn_specimen *specimen, struct gsn_assembly 
     int r;
 
     for (size_t p = 0; p < a->panel_count; p++)
-        a->panel[p].level = (struct gsn_level){ 1, 0 };
-    for (size_t i = 0; i < GSN_LEVEL_TISSUES; i++)
+        a->panel[p].level = (struct gsn_gain_offset){ 1, 0 };
+    for (size_t i = 0; i < GSN_CONTROL_TISSUES; i++)
         a->levelling.tissues.value[i] = a->levelling.yellow[i] = (double)NAN;
     if (!a->columns || a->tissue_grid || a->by_standards)
         return GSN_OK;

@@ -102,7 +102,7 @@ int gsn_assembly_seek_marks(const struct gsn_specimen *specimen,
     gsn_auto_mem(struct gsn_slot) slots = NULL;
     gsn_auto_mem(struct gsn_mark_candidates) candidates = NULL;
     gsn_auto_mem(size_t) section = NULL;
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     struct search search = { .in = { .scan = scan,
                                      .layout = gsn_protocol_layout(specimen->protocol),
                                      .threads = options->threads } };
@@ -115,7 +115,7 @@ int gsn_assembly_seek_marks(const struct gsn_specimen *specimen,
     section = gsn_alloc_array(a->section_count, sizeof *section);
     if (!slots || !candidates || !section)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
     if (r < 0)
         return r;
     search.in.absorber = absorber;

@@ -25,8 +25,8 @@ struct gsn_refine_work {
     double radius_um;
     struct gsn_refine_stack stack;
     /* The panel that is open. */
-    const struct gsn_red_reader *reader;
-    const struct gsn_mask_labels *labels;
+    const struct gsn_collagen_reader *reader;
+    const struct gsn_artefact_labels *labels;
     unsigned panel;
 };
 

@@ -25,14 +25,14 @@ static int gather_section(size_t k, void *context, struct gsn_error *err)
 
     if (s->panel != w->panel || !gsn_stack_footprint(&w->grid->at, interval, &section))
         return GSN_OK;
-    r = gsn_red_box(w->reader,
-                    &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height },
-                    1, &density, err);
+    r = gsn_collagen_box(
+        w->reader, &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height },
+        1, &density, err);
     if (r < 0)
         return r;
     for (size_t p = 0; p < (size_t)density->width * density->height; p++)
         density->value[p] = isnan(density->value[p]) ? NAN : sqrtf(fmaxf(density->value[p], 0));
-    gsn_mask_apply(w->labels, gsn_masking_index(w->a, i), section.x, section.y, density);
+    gsn_artefact_apply(w->labels, gsn_masking_index(w->a, i), section.x, section.y, density);
     section.density = density;
     section.plane_x = section.x;
     section.plane_y = section.y;
@@ -43,20 +43,20 @@ static int gather_scan(struct gsn_refine_work *w, const struct gsn_specimen_pane
                        const struct gsn_scan *scan, struct gsn_error *err)
 {
     struct gsn_assembly_panel panel = { .given = given };
-    gsn_auto_mem(struct gsn_mask_figures) figures =
+    gsn_auto_mem(struct gsn_artefact_figures) figures =
         gsn_alloc_array(w->a->section_count, sizeof *figures);
-    gsn_auto(gsn_absorber) absorber = NULL;
-    gsn_auto(gsn_red_reader) reader = NULL;
-    gsn_auto(gsn_mask_labels) labels = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
+    gsn_auto(gsn_collagen_reader) reader = NULL;
+    gsn_auto(gsn_artefact_labels) labels = NULL;
     int r;
 
     if (!figures)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory to lay sections by their tissue");
     r = gsn_assembly_find_dyes(w->specimen, w->options, scan, w->a, &panel, err);
     if (r >= 0)
-        r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+        r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
     if (r >= 0)
-        r = gsn_red_reader_new(absorber, &panel.stain.fit.dyes, &reader, err);
+        r = gsn_collagen_reader_new(absorber, &panel.stain.fit.dyes, &reader, err);
     if (r >= 0)
         r = gsn_masking_label(scan, &panel.stain.fit.dyes, given->number, w->options->threads, w->a,
                               &labels, figures, err);

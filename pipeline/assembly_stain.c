@@ -51,13 +51,13 @@ static void judge_evenness(const struct gsn_specimen *specimen, struct gsn_assem
 /* Shares of the region's voxels by levelled panel; returns their mean density, 0 where none has
  * data. */
 static double share_panels(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                           double share[GSN_LEVEL_PANELS])
+                           double share[GSN_GAIN_PANELS])
 {
     const struct gsn_lattice *at = &a->grid->at;
     size_t total = 0, i = 0;
     double sum = 0;
 
-    memset(share, 0, GSN_LEVEL_PANELS * sizeof *share);
+    memset(share, 0, GSN_GAIN_PANELS * sizeof *share);
     for (size_t z = 0; z < at->nz; z++) {
         const struct gsn_assembly_panel *panel = gsn_assembly_panel_of_serial(
             a, gsn_assembly_serial_of_plane(at, z, specimen->protocol->interval_um));
@@ -71,7 +71,7 @@ static double share_panels(const struct gsn_specimen *specimen, struct gsn_assem
                     total++;
                 }
     }
-    for (size_t p = 0; p < GSN_LEVEL_PANELS && total > 0; p++)
+    for (size_t p = 0; p < GSN_GAIN_PANELS && total > 0; p++)
         share[p] /= (double)total;
     return total > 0 ? sum / (double)total : 0;
 }
@@ -84,7 +84,7 @@ static double step_error(const struct gsn_specimen *specimen, struct gsn_assembl
     if (!a->levelling.done || !a->grid || !a->region)
         return 0;
     mean = share_panels(specimen, a, a->levelling.share);
-    return mean > 0 ? gsn_level_error(&a->levelling.fit, a->levelling.share, mean) / mean : 0;
+    return mean > 0 ? gsn_gain_error(&a->levelling.fit, a->levelling.share, mean) / mean : 0;
 }
 
 /* The vectors of all panels lean on one prior, so their errors are taken as common; gains are

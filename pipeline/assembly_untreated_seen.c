@@ -18,9 +18,9 @@ struct sight {
 };
 
 /* What a panel's sections say together. */
-static struct gsn_level_seen seen_on(const struct sight *sight, size_t count, double *scratch)
+static struct gsn_control_seen seen_on(const struct sight *sight, size_t count, double *scratch)
 {
-    struct gsn_level_seen seen = { .panel = sight->panel->place, .sections = count };
+    struct gsn_control_seen seen = { .panel = sight->panel->place, .sections = count };
     double mean = 0;
 
     for (size_t i = 0; i < count; i++) {
@@ -37,7 +37,7 @@ static struct gsn_level_seen seen_on(const struct sight *sight, size_t count, do
 
 /* What is seen of one tissue, panel by panel. */
 struct panels_seen {
-    struct gsn_level_seen panel[GSN_LEVEL_PANELS];
+    struct gsn_control_seen panel[GSN_GAIN_PANELS];
     size_t count;
 };
 
@@ -47,7 +47,7 @@ static void sum_up(const struct sight *sight, size_t count, double *scratch,
     ret_seen->count = 0;
     if (count < LEAST_SECTIONS)
         return;
-    for (size_t i = 0, end; i < count && ret_seen->count < GSN_LEVEL_PANELS; i = end) {
+    for (size_t i = 0, end; i < count && ret_seen->count < GSN_GAIN_PANELS; i = end) {
         for (end = i; end < count && sight[end].panel == sight[i].panel;)
             end++;
         ret_seen->panel[ret_seen->count++] = seen_on(sight + i, end - i, scratch);
@@ -94,14 +94,14 @@ static void mean_od(const struct gsn_untreated_field *f, const struct gsn_assemb
 /* Adds the first count columns, as a panel's vectors see them. */
 static int add_turned(const struct gsn_untreated_field *f, const struct gsn_assembly *a,
                       const struct gsn_assembly_panel *panel, size_t count,
-                      struct gsn_turned *turned, struct gsn_error *err)
+                      struct gsn_vector_error *turned, struct gsn_error *err)
 {
     double od[3];
 
     if (count == 0)
         return GSN_OK;
     mean_od(f, a, count, od);
-    return gsn_turned_add(turned, &panel->stain.fit.dyes, od, (double)count, err);
+    return gsn_vector_error_add(turned, &panel->stain.fit.dyes, od, (double)count, err);
 }
 
 /* A mean over planes. */
@@ -147,8 +147,8 @@ static size_t list_region(const struct gsn_untreated_field *f, const struct gsn_
 
 static int measure_kind(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                         struct gsn_untreated_field *f, unsigned kind, const double *weight,
-                        struct sight *sight, struct panels_seen *seen, struct gsn_turned *turned,
-                        struct gsn_error *err)
+                        struct sight *sight, struct panels_seen *seen,
+                        struct gsn_vector_error *turned, struct gsn_error *err)
 {
     struct average yellow = { 0 };
     size_t n = 0;
@@ -186,11 +186,12 @@ static int has_errors(const struct gsn_assembly *a)
 
 /* The vectors of all panels lean on one prior, and the tissue misleads them alike: their errors are
  * taken as common. */
-static void mean_covariance(const struct gsn_assembly *a, double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
+static void mean_covariance(const struct gsn_assembly *a,
+                            double ret[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS])
 {
     for (size_t p = 0; p < a->panel_count; p++)
-        for (int m = 0; m < GSN_DYE_TURNS && a->panel[p].levelled; m++)
-            for (int n = 0; n < GSN_DYE_TURNS; n++)
+        for (int m = 0; m < GSN_DYE_ROTATIONS && a->panel[p].levelled; m++)
+            for (int n = 0; n < GSN_DYE_ROTATIONS; n++)
                 ret[m][n] += a->panel[p].stain.fit.covariance[m][n] / (double)a->levelling.panels;
 }
 
@@ -200,11 +201,11 @@ static double zero_variance(const struct gsn_levelling *l)
     double erring = 0;
 
     for (size_t p = 0; p < l->panels; p++) {
-        double lever[GSN_LEVEL_PANELS];
+        double lever[GSN_GAIN_PANELS];
 
         for (size_t i = 0; i < l->panels; i++)
             lever[i] = (i == p) - 1 / (double)l->panels;
-        erring += gsn_level_covariance(&l->fit, lever, 0, lever, 0) / ((double)l->panels - 1);
+        erring += gsn_gain_covariance(&l->fit, lever, 0, lever, 0) / ((double)l->panels - 1);
     }
     return fmax(0, l->fit.offset_scatter * l->fit.offset_scatter - erring);
 }
@@ -212,29 +213,29 @@ static double zero_variance(const struct gsn_levelling *l)
 /* Vectors that were taken as exact are not: each panel's bath turns them a little, and yellow that
  * counts as red is an offset. The mean over the region's panels keeps a share of independent turns.
  * Where they put density 0 the offsets say themselves. */
-static void judge_scatter(const struct gsn_turned *tissue, const struct gsn_turned *region,
-                          struct gsn_levelling *l)
+static void judge_scatter(const struct gsn_vector_error *tissue,
+                          const struct gsn_vector_error *region, struct gsn_levelling *l)
 {
-    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS] = { { 0 } }, kept = 0;
+    double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS] = { { 0 } }, kept = 0;
 
     if (l->panels < 2)
         return;
     for (size_t p = 0; p < l->panels; p++)
         kept += l->share[p] * l->share[p];
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         covariance[m][m] = kept;
     l->turns =
-        gsn_turned_scatter_of(tissue, GSN_UNTREATED_KINDS, zero_variance(l), (double)l->panels - 1);
-    l->vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, region, covariance);
+        gsn_vector_scatter_of(tissue, GSN_UNTREATED_KINDS, zero_variance(l), (double)l->panels - 1);
+    l->vectors = gsn_vector_error_left_of(tissue, GSN_UNTREATED_KINDS, region, covariance);
     l->vectors.zero = l->vectors.both = 0;
 }
 
 static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly *a,
-                       const struct gsn_untreated_field *f, const struct gsn_turned *tissue,
+                       const struct gsn_untreated_field *f, const struct gsn_vector_error *tissue,
                        struct gsn_error *err)
 {
-    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS] = { { 0 } };
-    struct gsn_turned region = { 0 };
+    double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS] = { { 0 } };
+    struct gsn_vector_error region = { 0 };
     int r = GSN_OK;
 
     for (size_t z = 0; z < f->at.nz && r >= 0; z++) {
@@ -250,7 +251,8 @@ static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly 
         return GSN_OK;
     }
     mean_covariance(a, covariance);
-    a->levelling.vectors = gsn_turned_left_of(tissue, GSN_UNTREATED_KINDS, &region, covariance);
+    a->levelling.vectors =
+        gsn_vector_error_left_of(tissue, GSN_UNTREATED_KINDS, &region, covariance);
     return GSN_OK;
 }
 
@@ -259,17 +261,17 @@ static int judge_turns(const struct gsn_specimen *specimen, struct gsn_assembly 
 static void judge_tissues(const struct panels_seen seen[GSN_UNTREATED_KINDS],
                           struct gsn_assembly *a)
 {
-    const struct gsn_level_frame frame = { &a->levelling.fit, a->levelling.share,
-                                           height_of(a->region) };
-    const struct gsn_level_seen *panel[GSN_LEVEL_TISSUES];
-    size_t count[GSN_LEVEL_TISSUES];
+    const struct gsn_control_frame frame = { &a->levelling.fit, a->levelling.share,
+                                             height_of(a->region) };
+    const struct gsn_control_seen *panel[GSN_CONTROL_TISSUES];
+    size_t count[GSN_CONTROL_TISSUES];
 
-    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_LEVEL_TISSUES, "one list of tissues");
+    _Static_assert((int)GSN_UNTREATED_KINDS == (int)GSN_CONTROL_TISSUES, "one list of tissues");
     for (size_t k = 0; k < GSN_UNTREATED_KINDS; k++) {
         panel[k] = seen[k].panel;
         count[k] = seen[k].count;
     }
-    gsn_level_tissues_at(&frame, panel, count, &a->levelling.tissues);
+    gsn_control_tissues_at(&frame, panel, count, &a->levelling.tissues);
 }
 
 int gsn_untreated_measure(const struct gsn_specimen *specimen, struct gsn_assembly *a,
@@ -277,7 +279,7 @@ int gsn_untreated_measure(const struct gsn_specimen *specimen, struct gsn_assemb
 {
     gsn_auto_mem(struct sight) sight = gsn_alloc_array(f->at.nz, sizeof *sight);
     gsn_auto_mem(double) weight = gsn_alloc_array(f->at.nz, sizeof *weight);
-    struct gsn_turned turned[GSN_UNTREATED_KINDS] = { { 0 } };
+    struct gsn_vector_error turned[GSN_UNTREATED_KINDS] = { { 0 } };
     struct panels_seen seen[GSN_UNTREATED_KINDS];
     int r = sight && weight ? GSN_OK
                             : gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a block");

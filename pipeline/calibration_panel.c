@@ -24,15 +24,15 @@ static const double LEAST_WHITE = 0.6;
 static int check_clipped(const struct gsn_scan *scan, const struct gsn_pixel_box *box,
                          const struct gsn_stated_patch *stated, struct gsn_error *err)
 {
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     size_t clipped = 0;
-    int r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    int r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
 
     if (r < 0)
         return r;
     for (int y = box->y; y < box->y + box->height; y++)
         for (int x = box->x; x < box->x + box->width; x++)
-            clipped += (size_t)gsn_absorber_clipped(absorber, (uint32_t)x, (uint32_t)y);
+            clipped += (size_t)gsn_od_reader_clipped(absorber, (uint32_t)x, (uint32_t)y);
     if ((double)clipped > MOST_CLIPPED * box->width * box->height)
         return gsn_fail(err, GSN_E_STAIN,
                         "patch %u of row %u is clipped (%.0f %% of it is at an end of the codes): "
@@ -58,8 +58,8 @@ static int read_cells(const struct gsn_scan *scan, const struct gsn_pixel_box *b
 {
     const size_t width = (size_t)box->width;
     gsn_auto_mem(float) row = gsn_alloc_array(3 * width, sizeof *row);
-    gsn_auto(gsn_absorber) absorber = NULL;
-    const int r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    gsn_auto(gsn_od_reader) absorber = NULL;
+    const int r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
 
     if (r < 0)
         return r;
@@ -73,7 +73,7 @@ static int read_cells(const struct gsn_scan *scan, const struct gsn_pixel_box *b
         for (int y = y0; y < y1; y++) {
             float *const od[3] = { row, row + width, row + 2 * width };
 
-            gsn_absorber_row(absorber, (uint32_t)box->x, (uint32_t)(box->y + y), width, od);
+            gsn_od_reader_row(absorber, (uint32_t)box->x, (uint32_t)(box->y + y), width, od);
             add_row((const float *const *)od, box->width, sum);
         }
         for (int k = 0; k < GSN_PATCH_SIDE; k++) {
@@ -98,7 +98,7 @@ static void fill_floor(const struct gsn_scan *scan, const struct gsn_pixel_box *
 
     for (unsigned c = 0; c < 3; c++) {
         const double od = patch->od[GSN_PATCH_CELLS / 2][c];
-        const double light = fmin(gsn_glass_at(&scan->glass, x, y, c) * pow(10, -od), 1);
+        const double light = fmin(gsn_flat_field_at(&scan->glass, x, y, c) * pow(10, -od), 1);
         const double more = gsn_light_encode(scan->glass.light, light) + rounded / 255;
         const double moved =
             gsn_light_of_sample(scan->glass.light, (unsigned)(65535 * fmin(more, 1)), 16);
@@ -142,7 +142,7 @@ static int read_patches(const struct gsn_scan *scan, const struct gsn_stated_cal
 
 /* ---- the panel --------------------------------------------------------------------------- */
 
-static int check_glass(const struct gsn_glass *glass, struct gsn_error *err)
+static int check_glass(const struct gsn_flat_field *glass, struct gsn_error *err)
 {
     const double *w = glass->white;
     const double least = fmin(w[0], fmin(w[1], w[2])), most = fmax(w[0], fmax(w[1], w[2]));

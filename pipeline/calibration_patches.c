@@ -39,7 +39,7 @@ static int make_total(struct field *field, struct gsn_error *err)
 {
     const struct gsn_image *image = field->scan->picture->image;
     gsn_auto(gsn_image) small = NULL;
-    struct gsn_glass glass = field->scan->glass;
+    struct gsn_flat_field glass = field->scan->glass;
     int r;
 
     field->step = gsn_panel_step(field->scan->px_um);
@@ -48,7 +48,7 @@ static int make_total(struct field *field, struct gsn_error *err)
         return r;
     glass.width = small->width;
     glass.height = small->height;
-    return gsn_absorb_total(small, &glass, &field->total, err);
+    return gsn_od_total(small, &glass, &field->total, err);
 }
 
 /* The part of a piece that its rim does not reach, in cells. */

@@ -74,7 +74,7 @@ static void tally_row(const struct gsn_stack_section *s, int y, const float *den
 }
 
 static int tally_section(const struct gsn_stack_section *s, unsigned apart,
-                         const struct gsn_absorber *absorber, const struct gsn_lattice *at,
+                         const struct gsn_od_reader *absorber, const struct gsn_lattice *at,
                          struct tally *tally, struct gsn_error *err)
 {
     const size_t width = (size_t)s->width;
@@ -86,7 +86,7 @@ static int tally_section(const struct gsn_stack_section *s, unsigned apart,
     for (uint32_t k = 0; k < s->density->height; k++) {
         const int y = (int)(k * apart);
 
-        gsn_absorber_row(absorber, (uint32_t)s->x, (uint32_t)(s->y + y), width, od);
+        gsn_od_reader_row(absorber, (uint32_t)s->x, (uint32_t)(s->y + y), width, od);
         tally_row(s, y, s->density->value + (size_t)k * width, od, at, tally);
     }
     return GSN_OK;
@@ -111,7 +111,7 @@ static void keep(const struct tally *tally, double pixels, size_t plane, size_t 
 }
 
 int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *section,
-                    unsigned apart, const struct gsn_absorber *absorber, double interval_um,
+                    unsigned apart, const struct gsn_od_reader *absorber, double interval_um,
                     struct gsn_error *err)
 {
     const struct gsn_lattice *at = &columns->density->at;

@@ -32,7 +32,7 @@ GSN_DEFINE_AUTO(gsn_columns);
  * row of its box; absorber: of its panel, tells tissue from glass. Sections of different planes may
  * be added side by side. Fails with GSN_E_NOMEM. borrows: all. */
 int gsn_columns_add(struct gsn_columns *columns, const struct gsn_stack_section *section,
-                    unsigned apart, const struct gsn_absorber *absorber, double interval_um,
+                    unsigned apart, const struct gsn_od_reader *absorber, double interval_um,
                     struct gsn_error *err);
 
 /* gives: per cell of one plane how far it is, in um, from the nearest that a region lies above or

@@ -64,7 +64,7 @@ static struct gsn_pixel_box in_cells(const struct gsn_pixel_box *box, int side)
 static int see_cells(struct look *look, struct gsn_error *err)
 {
     const struct gsn_image *image = look->scan->picture->image;
-    struct gsn_glass glass = look->scan->glass;
+    struct gsn_flat_field glass = look->scan->glass;
     gsn_auto(gsn_image) small = NULL;
     int r;
 
@@ -75,13 +75,13 @@ static int see_cells(struct look *look, struct gsn_error *err)
         return r;
     glass.width = small->width;
     glass.height = small->height;
-    return gsn_absorb_thin(small, &glass, 1, look->od, err);
+    return gsn_od_thin(small, &glass, 1, look->od, err);
 }
 
 static int add_dust(const struct look *look, const struct gsn_pixel_box *box, struct gsn_error *err)
 {
     struct gsn_assembly *a = look->a;
-    gsn_auto_mem(struct gsn_mask_disc) mark =
+    gsn_auto_mem(struct gsn_artefact_disc) mark =
         gsn_alloc_array(GSN_MARKS * a->section_count + 1, sizeof *mark);
     size_t count = 0;
     int r = mark ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
@@ -96,17 +96,17 @@ static int add_dust(const struct look *look, const struct gsn_pixel_box *box, st
             const struct gsn_mark *one = &a->section[i].seen.mark[m];
 
             if (one->found)
-                mark[count++] =
-                    (struct gsn_mask_disc){ .px = { one->px.x / look->side,
-                                                    one->px.y / look->side },
-                                            .radius_px = MARK_RADII * one->radius_px / look->side };
+                mark[count++] = (struct gsn_artefact_disc){
+                    .px = { one->px.x / look->side, one->px.y / look->side },
+                    .radius_px = MARK_RADII * one->radius_px / look->side
+                };
         }
     return gsn_dust_add(a->dust, look->od, look->scan->px_um * look->side, look->scan->upright.turn,
                         box, mark, count, err);
 }
 
 /* gives: in cells of the box 0, or NaN where the section is masked. */
-static int mask_of(const struct look *look, const struct gsn_mask_labels *labels, size_t i,
+static int mask_of(const struct look *look, const struct gsn_artefact_labels *labels, size_t i,
                    const struct gsn_pixel_box *box, struct gsn_plane **ret_mask,
                    struct gsn_error *err)
 {
@@ -118,14 +118,14 @@ static int mask_of(const struct look *look, const struct gsn_mask_labels *labels
         return r;
     for (int y = box->y; y < box->y + box->height; y++)
         for (int x = box->x; x < box->x + box->width; x++)
-            if (gsn_mask_label(labels, section, x * look->side + look->side / 2,
-                               y * look->side + look->side / 2))
+            if (gsn_artefact_label(labels, section, x * look->side + look->side / 2,
+                                   y * look->side + look->side / 2))
                 mask->value[(size_t)y * mask->width + (size_t)x] = NAN;
     *ret_mask = mask;
     return GSN_OK;
 }
 
-static int add_tone(const struct look *look, const struct gsn_mask_labels *labels, size_t i,
+static int add_tone(const struct look *look, const struct gsn_artefact_labels *labels, size_t i,
                     struct gsn_error *err)
 {
     struct gsn_assembly_section *s = &look->a->section[i];
@@ -135,13 +135,13 @@ static int add_tone(const struct look *look, const struct gsn_mask_labels *label
     int r = mask_of(look, labels, i, &box, &mask, err);
 
     if (r >= 0)
-        r = gsn_tone_of(look->od, mask, &look->panel->stain.fit.dyes, &box, &s->tone, err);
+        r = gsn_stain_amounts_of(look->od, mask, &look->panel->stain.fit.dyes, &box, &s->tone, err);
     if (r >= 0)
-        look->panel->tone = gsn_tone_sum(&look->panel->tone, &s->tone);
+        look->panel->tone = gsn_stain_amounts_sum(&look->panel->tone, &s->tone);
     return r;
 }
 
-static int look_at_cells(const struct look *look, const struct gsn_mask_labels *labels,
+static int look_at_cells(const struct look *look, const struct gsn_artefact_labels *labels,
                          struct gsn_error *err)
 {
     const struct gsn_pixel_box whole = box_of_all(look->a, look->panel->given->number);
@@ -149,14 +149,14 @@ static int look_at_cells(const struct look *look, const struct gsn_mask_labels *
     int r = GSN_OK;
 
     look->panel->turn = look->scan->upright.turn;
-    look->panel->lamp = gsn_lamp_look(look->od, &box);
+    look->panel->lamp = gsn_illumination_drift(look->od, &box);
     for (size_t i = 0; i < look->a->section_count && r >= 0; i++)
         if (is_there(&look->a->section[i], look->panel->given->number))
             r = add_tone(look, labels, i, err);
     return r < 0 ? r : add_dust(look, &box, err);
 }
 
-int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_mask_labels *labels,
+int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_artefact_labels *labels,
                         struct gsn_assembly_panel *panel, struct gsn_assembly *a,
                         struct gsn_error *err)
 {
@@ -180,7 +180,7 @@ static void add_flag(struct gsn_assembly_section *s, const char *word)
 }
 
 /* Of one panel, whose sections shared one bath. tone and place: room for all sections. */
-static void judge_thickness(struct gsn_assembly *a, unsigned panel, struct gsn_tone *tone,
+static void judge_thickness(struct gsn_assembly *a, unsigned panel, struct gsn_stain_amounts *tone,
                             size_t *place)
 {
     size_t count = 0;
@@ -193,7 +193,7 @@ static void judge_thickness(struct gsn_assembly *a, unsigned panel, struct gsn_t
     for (size_t k = 0; k < count; k++) {
         struct gsn_assembly_section *s = &a->section[place[k]];
 
-        s->thickness = gsn_tone_thickness(tone, count, k);
+        s->thickness = gsn_stain_amounts_thickness(tone, count, k);
         if (s->thickness != 1)
             add_flag(s, s->thickness > 1 ? "thick" : "thin");
     }
@@ -232,7 +232,7 @@ static double take_out(struct gsn_grid *grid, size_t z, struct gsn_point um, dou
     return all ? (double)lost / (double)all : 0;
 }
 
-static void mask_spot(const struct gsn_mask_disc *spot, double px_um, double interval_um,
+static void mask_spot(const struct gsn_artefact_disc *spot, double px_um, double interval_um,
                       struct gsn_assembly_section *s, struct gsn_assembly *a)
 {
     enum { DUST = 9 };
@@ -255,7 +255,7 @@ static void mask_spot(const struct gsn_mask_disc *spot, double px_um, double int
 }
 
 /* A spot beside the section is the scanner's trouble, not the section's. */
-static int covers(const struct gsn_mask_disc *spot, const struct gsn_panel_section *seen)
+static int covers(const struct gsn_artefact_disc *spot, const struct gsn_panel_section *seen)
 {
     return spot->px.x >= seen->x && spot->px.x < seen->x + seen->width && spot->px.y >= seen->y &&
            spot->px.y < seen->y + seen->height;
@@ -279,10 +279,11 @@ static void mask_dust(const struct gsn_specimen *specimen, struct gsn_assembly *
         if (!panel || (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
             continue;
         for (size_t k = 0; k < a->spot_count; k++) {
-            const struct gsn_mask_disc cells = gsn_dust_upright(a->dust, &a->spot[k], panel->turn);
-            const struct gsn_mask_disc spot = { .px = { cells.px.x * panel->cell_px,
-                                                        cells.px.y * panel->cell_px },
-                                                .radius_px = cells.radius_px * panel->cell_px };
+            const struct gsn_artefact_disc cells =
+                gsn_dust_upright(a->dust, &a->spot[k], panel->turn);
+            const struct gsn_artefact_disc spot = { .px = { cells.px.x * panel->cell_px,
+                                                            cells.px.y * panel->cell_px },
+                                                    .radius_px = cells.radius_px * panel->cell_px };
 
             if (!covers(&spot, &s->seen))
                 continue;
@@ -297,7 +298,8 @@ static void mask_dust(const struct gsn_specimen *specimen, struct gsn_assembly *
 int gsn_conditions_judge(const struct gsn_specimen *specimen, struct gsn_assembly *a,
                          struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_tone) tone = gsn_alloc_array(a->section_count + 1, sizeof *tone);
+    gsn_auto_mem(struct gsn_stain_amounts) tone =
+        gsn_alloc_array(a->section_count + 1, sizeof *tone);
     gsn_auto_mem(size_t) place = gsn_alloc_array(a->section_count + 1, sizeof *place);
     int r = GSN_OK;
 

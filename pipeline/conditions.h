@@ -16,7 +16,7 @@ extern "C" {
 /* Looks at one panel: fills lamp, tone and turn of it and the tones of its sections, and adds to
  * the assembly's map of dust, all in cells of about 20 um. Fails with GSN_E_STAIN as gsn_unmix()
  * and with GSN_E_NOMEM. borrows: scan, labels. */
-int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_mask_labels *labels,
+int gsn_conditions_look(const struct gsn_scan *scan, const struct gsn_artefact_labels *labels,
                         struct gsn_assembly_panel *panel, struct gsn_assembly *assembly,
                         struct gsn_error *err);
 

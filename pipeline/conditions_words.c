@@ -52,7 +52,7 @@ static int say_lamp(const struct gsn_assembly_panel *p, struct gsn_conditions_wo
 static int say_bath(const struct gsn_assembly_panel *p, const struct gsn_protocol *protocol,
                     struct gsn_conditions_words *words)
 {
-    const double ratio = gsn_tone_yellow_to_red(&p->tone);
+    const double ratio = gsn_stain_amounts_yellow_to_red(&p->tone);
     const double low = protocol->yellow_to_red[0], high = protocol->yellow_to_red[1];
 
     if (!(low > 0) || isnan(ratio) || (ratio >= low && ratio <= high))

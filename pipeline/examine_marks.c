@@ -331,9 +331,9 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     double side;
-    int r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    int r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
 
     if (r < 0)
         return r;
@@ -426,7 +426,7 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     struct search search = {
         { scan, NULL, gsn_protocol_layout(protocol), 0, found, count, threads }, candidates
     };
@@ -441,7 +441,7 @@ int gsn_examine_marks(const struct gsn_scan *scan, const struct gsn_protocol *pr
     }
     if (!candidates || !scratch)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
-    r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
     if (r < 0)
         return r;
     search.in.absorber = absorber;

@@ -21,17 +21,17 @@ static int is_there(const struct gsn_assembly_section *s, unsigned panel)
     return s->panel == panel && s->seen.width > 0 && s->seen.height > 0;
 }
 
-static struct gsn_mask_section place_of(const struct gsn_panel_section *seen)
+static struct gsn_artefact_section place_of(const struct gsn_panel_section *seen)
 {
-    struct gsn_mask_section place = {
+    struct gsn_artefact_section place = {
         .x = seen->x, .y = seen->y, .width = seen->width, .height = seen->height
     };
 
     for (size_t m = 0; m < GSN_MARKS; m++)
         if (seen->mark[m].found)
             place.halo[place.halo_count++] =
-                (struct gsn_mask_disc){ .px = { seen->mark[m].px.x, seen->mark[m].px.y },
-                                        .radius_px = HALO_RADII * seen->mark[m].radius_px };
+                (struct gsn_artefact_disc){ .px = { seen->mark[m].px.x, seen->mark[m].px.y },
+                                            .radius_px = HALO_RADII * seen->mark[m].radius_px };
     return place;
 }
 
@@ -108,19 +108,19 @@ static int find_own(const struct gsn_scan *scan, unsigned panel, const struct gs
 
 int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
                       unsigned threads, const struct gsn_assembly *a,
-                      struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
-                      struct gsn_error *err)
+                      struct gsn_artefact_labels **ret_labels,
+                      struct gsn_artefact_figures *ret_figures, struct gsn_error *err)
 {
     struct gsn_dyes own = *dyes;
-    gsn_auto_mem(struct gsn_mask_section) places =
+    gsn_auto_mem(struct gsn_artefact_section) places =
         gsn_alloc_array(a->section_count, sizeof *places);
-    struct gsn_mask_panel look = { .image = scan->picture->image,
-                                   .od = scan->od,
-                                   .glass = &scan->glass,
-                                   .dyes = dyes,
-                                   .px_um = scan->px_um,
-                                   .section = places,
-                                   .own = &own };
+    struct gsn_artefact_panel look = { .image = scan->picture->image,
+                                       .od = scan->od,
+                                       .glass = &scan->glass,
+                                       .dyes = dyes,
+                                       .px_um = scan->px_um,
+                                       .section = places,
+                                       .own = &own };
     int r;
 
     if (!places)
@@ -131,14 +131,14 @@ int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, 
     for (size_t i = 0; i < a->section_count; i++)
         if (is_there(&a->section[i], panel))
             places[look.section_count++] = place_of(&a->section[i].seen);
-    return gsn_mask_find(&look, threads, ret_labels, ret_figures, err);
+    return gsn_artefact_find(&look, threads, ret_labels, ret_figures, err);
 }
 
 int gsn_masking_find(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
-                     unsigned threads, struct gsn_assembly *a, struct gsn_mask_labels **ret_labels,
-                     struct gsn_error *err)
+                     unsigned threads, struct gsn_assembly *a,
+                     struct gsn_artefact_labels **ret_labels, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_mask_figures) figures =
+    gsn_auto_mem(struct gsn_artefact_figures) figures =
         gsn_alloc_array(a->section_count, sizeof *figures);
     int r;
 
@@ -163,7 +163,7 @@ size_t gsn_masking_index(const struct gsn_assembly *a, size_t i)
 }
 
 /* The label of the pixel of section k that shows this voxel. */
-static unsigned label_at(const struct gsn_mask_labels *labels, size_t k,
+static unsigned label_at(const struct gsn_artefact_labels *labels, size_t k,
                          const struct gsn_affine *block_to_panel, struct gsn_vec3 u)
 {
     const struct gsn_point um = { u.x, u.y };
@@ -171,10 +171,10 @@ static unsigned label_at(const struct gsn_mask_labels *labels, size_t k,
 
     if (!(px.x >= 0 && px.y >= 0 && px.x < INT_MAX && px.y < INT_MAX))
         return 0;
-    return gsn_mask_label(labels, k, (int)px.x, (int)px.y);
+    return gsn_artefact_label(labels, k, (int)px.x, (int)px.y);
 }
 
-static void count_plane(const struct gsn_mask_labels *labels, size_t k,
+static void count_plane(const struct gsn_artefact_labels *labels, size_t k,
                         const struct gsn_mask *region, size_t z, struct gsn_assembly_section *s)
 {
     const struct gsn_affine block_to_panel = gsn_affine_inverse(&s->pose.panel_to_block_um);
@@ -208,8 +208,8 @@ static size_t plane_of(const struct gsn_assembly_section *s, double interval_um,
     return z >= 0 && z < (double)at->nz ? (size_t)z : at->nz;
 }
 
-void gsn_masking_region(const struct gsn_mask_labels *labels, unsigned panel, double interval_um,
-                        struct gsn_assembly *a)
+void gsn_masking_region(const struct gsn_artefact_labels *labels, unsigned panel,
+                        double interval_um, struct gsn_assembly *a)
 {
     for (size_t i = 0; a->region && i < a->section_count; i++) {
         struct gsn_assembly_section *s = &a->section[i];

@@ -104,7 +104,7 @@ static int give_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol
                               255 * protocol->white[2] };
 
     note(scan, "white point as stated in the job, not measured");
-    return gsn_glass_given(image->width, image->height, light, white, &scan->glass, err);
+    return gsn_flat_field_given(image->width, image->height, light, white, &scan->glass, err);
 }
 
 /* ---- which side is up -------------------------------------------------------------------- */
@@ -258,7 +258,7 @@ static int find_glass(struct gsn_scan *scan, const struct gsn_protocol *protocol
 
     if (protocol->has_white)
         return give_glass(scan, protocol, scan->light, err);
-    r = gsn_glass_estimate(scan->picture->image, scan->light, &scan->glass, err);
+    r = gsn_flat_field_estimate(scan->picture->image, scan->light, &scan->glass, err);
     return r == GSN_E_STAIN && protocol->kind == GSN_KIND_TILE ? take_palest(scan, err) : r;
 }
 
@@ -276,7 +276,7 @@ int gsn_scan_open(struct gsn_decoder *decoder, int picture_fd, const struct gsn_
     r = find_glass(scan, protocol, err);
     scan->apart = apart_of(scan->picture->image, protocol);
     if (r >= 0)
-        r = gsn_absorb_thin(scan->picture->image, &scan->glass, scan->apart, scan->od, err);
+        r = gsn_od_thin(scan->picture->image, &scan->glass, scan->apart, scan->od, err);
     if (r < 0)
         return r;
     *ret_scan = gsn_steal(&scan);
@@ -286,7 +286,7 @@ int gsn_scan_open(struct gsn_decoder *decoder, int picture_fd, const struct gsn_
 /* First on a picture of at most COARSE pixels across, where the fit costs nothing; a panel so
  * crowded that little glass is left in cells that large is looked at more closely. */
 static int survey_glass(const struct gsn_image *small, enum gsn_light light,
-                        struct gsn_glass *ret_glass, struct gsn_error *err)
+                        struct gsn_flat_field *ret_glass, struct gsn_error *err)
 {
     enum { COARSE = 128 };
     const uint32_t longest = small->width > small->height ? small->width : small->height;
@@ -297,9 +297,9 @@ static int survey_glass(const struct gsn_image *small, enum gsn_light light,
     if (step > 1 && small->width / step >= 16 && small->height / step >= 16) {
         r = gsn_panel_reduce(small, step, &coarse, err);
         if (r >= 0)
-            r = gsn_glass_estimate(coarse, light, ret_glass, NULL);
+            r = gsn_flat_field_estimate(coarse, light, ret_glass, NULL);
     }
-    return r == GSN_E_STAIN ? gsn_glass_estimate(small, light, ret_glass, err) : r;
+    return r == GSN_E_STAIN ? gsn_flat_field_estimate(small, light, ret_glass, err) : r;
 }
 
 /* The glass stands in parts of the picture, so it fits the same picture at any size. */
@@ -308,7 +308,7 @@ static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol, st
     const struct gsn_image *image = scan->picture->image;
     const enum gsn_light light = scan->light = light_of(scan, protocol);
     gsn_auto(gsn_image) small = NULL;
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     int r;
 
     note_dyes(scan, protocol);
@@ -327,7 +327,7 @@ static int survey(struct gsn_scan *scan, const struct gsn_protocol *protocol, st
     glass.height = small->height;
     scan->glass.width = image->width;
     scan->glass.height = image->height;
-    return gsn_absorb_total(small, &glass, &scan->total, err);
+    return gsn_od_total(small, &glass, &scan->total, err);
 }
 
 int gsn_scan_survey(struct gsn_decoder *decoder, int picture_fd,

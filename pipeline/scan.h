@@ -23,7 +23,7 @@ struct gsn_upright {
 
 struct gsn_scan {
     struct gsn_picture *picture; /* RGB */
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_plane *od[3]; /* of every apart-th pixel in both directions, for statistics;
                                 NULL after gsn_scan_survey() */
     unsigned apart;          /* 1 for a tile */
@@ -45,8 +45,8 @@ struct gsn_scan {
  * the built-in dye vectors were measured (codes in proportion to light), and that is noted; those
  * of a tile as sRGB, which is what pictures are kept in that say nothing.
  *
- * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_glass_estimate() do; with
- * GSN_E_WITHHELD when it is to be told which way round it lies and that is not clear; with
+ * decoder: as for gsn_decode_apart(). Fails as gsn_decode_apart() and gsn_flat_field_estimate() do;
+ * with GSN_E_WITHHELD when it is to be told which way round it lies and that is not clear; with
  * GSN_E_INPUT when neither job nor file states the pixel size of a panel, or it is grey; with
  * GSN_E_STAIN when whoever took the picture says in it that its colours must not be measured.
  * borrows: picture_fd, protocol, upright. */

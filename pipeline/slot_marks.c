@@ -47,10 +47,10 @@ static struct gsn_slot search_window(const struct gsn_scan *scan, const struct g
 static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
                     float *to)
 {
-    gsn_absorber_red(context, x, y, apart, count, to);
+    gsn_od_reader_red(context, x, y, apart, count, to);
 }
 
-int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
+int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_od_reader *absorber,
                    const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
                    unsigned burn, const struct gsn_triangle_prior *prior,
                    struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)

@@ -19,7 +19,7 @@ double gsn_slot_typical_side(const struct gsn_slot *slots, size_t count, double 
 /* Sections of a panel, where their marks are looked for. */
 struct gsn_slot_search {
     const struct gsn_scan *scan;
-    const struct gsn_absorber *absorber; /* of the scan's picture and glass */
+    const struct gsn_od_reader *absorber; /* of the scan's picture and glass */
     struct gsn_layout layout;
     double side; /* of the typical section's box, px */
     const struct gsn_slot *slots;
@@ -36,7 +36,7 @@ int gsn_slots_marks(const struct gsn_slot_search *search, const struct gsn_point
 /* One section. burn: of gsn_mark_burns, where prior is NULL. absorber: of the scan's picture and
  * glass; side: of the typical section's box, px; prior: what the panel's sections have taught, or
  * NULL. Fails as gsn_markers_candidates(). */
-int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_absorber *absorber,
+int gsn_slot_marks(const struct gsn_scan *scan, const struct gsn_od_reader *absorber,
                    const struct gsn_layout *layout, double side, const struct gsn_slot *slot,
                    unsigned burn, const struct gsn_triangle_prior *prior,
                    struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);

@@ -156,7 +156,7 @@ static int account_of_stack(const struct gsn_assembly *assembly,
                             struct gsn_error *err)
 {
     struct gsn_account_options how = account_options(options);
-    struct gsn_level_link link;
+    struct gsn_batch_calibration link;
     gsn_auto(gsn_grid) bridged = NULL;
     int r = copy_grid(assembly->grid, &bridged, err);
 
@@ -167,7 +167,7 @@ static int account_of_stack(const struct gsn_assembly *assembly,
     how.shown = assembly->grid;
     how.colour = assembly->colour;
     if (gsn_stain_link(specimen, assembly, &link, NULL) >= 0)
-        how.scale = (struct gsn_level){ link.gain, link.offset };
+        how.scale = (struct gsn_gain_offset){ link.gain, link.offset };
     return try_account(bridged, assembly->region, specimen, &how, ret_account, why, err);
 }
 

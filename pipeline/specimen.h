@@ -52,8 +52,8 @@ struct gsn_specimen_decision {
 
 /* What one specimen of a baseline hands on beside its figures. */
 struct gsn_specimen_control {
-    struct gsn_level_tissues tissues;
-    double yellow[GSN_LEVEL_TISSUES]; /* of them, OD; NaN: not seen */
+    struct gsn_control_tissues tissues;
+    double yellow[GSN_CONTROL_TISSUES]; /* of them, OD; NaN: not seen */
     double region_od[3];              /* mean R, G and B of its region; NaN: not known */
     double free_od[3];                /* of its stated tissue without collagen; NaN: none */
     struct gsn_cloud *cloud;          /* of its tissue; NULL: not known */
@@ -71,8 +71,8 @@ struct gsn_specimen_baseline {
      * that were neither measured nor bridged. */
     double unmeasured, unknown;
     /* That nobody treated; NaN: not known of every one of the specimens. */
-    struct gsn_level_tissues tissues;
-    struct gsn_turned_scatter
+    struct gsn_control_tissues tissues;
+    struct gsn_vector_scatter
         turns; /* of its panels' dye vectors, where they were taken as exact */
     const struct gsn_specimen_control *control; /* each of the specimens */
     const char *definition, *dyes;

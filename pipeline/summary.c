@@ -77,11 +77,11 @@ static void measure_row(struct gsn_specimen_result *result, const char *name, do
 }
 
 /* What others need that have this specimen for their baseline. */
-static void keep_tissues(const struct gsn_level_tissues *tissues,
+static void keep_tissues(const struct gsn_control_tissues *tissues,
                          struct gsn_specimen_result *result)
 {
-    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
-        const double value = tissues->value[t], error = gsn_level_tissue_error(tissues, t);
+    for (unsigned t = 0; t < GSN_CONTROL_TISSUES; t++) {
+        const double value = tissues->value[t], error = gsn_control_tissue_error(tissues, t);
 
         measure_row(result, gsn_specimen_tissue_measure(t), value, value - 1.96 * error,
                     value + 1.96 * error, "density");
@@ -109,7 +109,7 @@ static void keep_measures(const struct gsn_evidence *e, const struct gsn_draft *
     if (gsn_draft_own_scale_error(e) > 0)
         measure_row(result, "own_scale_error", gsn_draft_own_scale_error(e), NAN, NAN, "density");
     if (e->assembly && e->account) {
-        const struct gsn_turned_scatter *turns = &e->assembly->levelling.turns;
+        const struct gsn_vector_scatter *turns = &e->assembly->levelling.turns;
 
         keep_tissues(&e->assembly->levelling.tissues, result);
         if (turns->freedom > 0) {

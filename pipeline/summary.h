@@ -30,7 +30,7 @@ struct gsn_evidence {
  * treated. Fails with GSN_E_STAIN when there is no baseline with a result, the
  * panels were not levelled, or too little tissue is alike. */
 int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_assembly *assembly,
-                   struct gsn_level_link *ret_link, struct gsn_error *err);
+                   struct gsn_batch_calibration *ret_link, struct gsn_error *err);
 
 /* Fills json, html, measures, definition, dyes, withheld and message of result. borrows: evidence.
  * Fails with GSN_E_NOMEM. */

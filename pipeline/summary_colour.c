@@ -71,7 +71,7 @@ struct side {
 
 /* All cells, panel after panel. */
 struct pool {
-    struct gsn_edge_point *point; /* owned */
+    struct gsn_hue_edge_point *point; /* owned */
     size_t points, panels;
     size_t *first; /* owned; of each panel, and the end */
     size_t own;    /* panels that are this specimen's, first */
@@ -113,12 +113,12 @@ static void bring_over(const struct gsn_unmixer *mix, const struct gsn_dyes *dye
 }
 
 /* The yellow of tissue that both have, here over there; 1: none is. */
-static double yellow_against(const double here[GSN_LEVEL_TISSUES],
-                             const double there[GSN_LEVEL_TISSUES])
+static double yellow_against(const double here[GSN_CONTROL_TISSUES],
+                             const double there[GSN_CONTROL_TISSUES])
 {
     double sum[2] = { 0 };
 
-    for (int t = 0; t < GSN_LEVEL_TISSUES; t++)
+    for (int t = 0; t < GSN_CONTROL_TISSUES; t++)
         if (!isnan(here[t]) && !isnan(there[t])) {
             sum[0] += here[t];
             sum[1] += there[t];
@@ -145,7 +145,7 @@ static void add_cloud(const struct gsn_cloud *cloud, const struct gsn_unmixer *m
         if (panel->bins == 0)
             continue;
         for (size_t i = 0; i < panel->bins; i++) {
-            struct gsn_edge_point *point = &pool->point[pool->points];
+            struct gsn_hue_edge_point *point = &pool->point[pool->points];
             double od[3], all;
 
             gsn_cloud_bin_od(&panel->bin[i], od);
@@ -296,7 +296,7 @@ static double spread_quantile(const struct spread *s, double share)
 /* ---- loss -------------------------------------------------------------------------------- */
 
 /* Standard error of the mean edge of both sides, by what their panels have. ret_mean: of them. */
-static int judge_panels(const struct gsn_edge *edge, const struct pool *pool, double *ret_mean,
+static int judge_panels(const struct gsn_hue_edge *edge, const struct pool *pool, double *ret_mean,
                         double *ret_error, size_t ret_panels[2], struct gsn_error *err)
 {
     double sum = 0, square = 0, n;
@@ -304,8 +304,8 @@ static int judge_panels(const struct gsn_edge *edge, const struct pool *pool, do
     ret_panels[0] = ret_panels[1] = 0;
     for (size_t p = 0; p < pool->panels; p++) {
         double at;
-        const int r = gsn_edge_of(edge, pool->point + pool->first[p],
-                                  pool->first[p + 1] - pool->first[p], &at, NULL);
+        const int r = gsn_hue_edge_of(edge, pool->point + pool->first[p],
+                                      pool->first[p + 1] - pool->first[p], &at, NULL);
 
         if (r == GSN_E_NOMEM)
             return gsn_fail(err, r, "out of memory for the colours of two specimens");
@@ -345,7 +345,7 @@ struct free_tissue {
     double purest;      /* deviation of the half-normal collagen that it holds all the same */
 };
 
-static struct free_tissue look_at_free(const struct gsn_edge *edge, const struct sides *sides)
+static struct free_tissue look_at_free(const struct gsn_hue_edge *edge, const struct sides *sides)
 {
     const double all = sides->free_all / sides->stated;
     const double control = sides->there[0] + sides->there[1] + sides->there[2];
@@ -376,7 +376,7 @@ static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const
                            struct spread *ret_spread)
 {
     struct gsn_error why = { 0 };
-    struct gsn_edge edge;
+    struct gsn_hue_edge edge;
     const double edge_error = pool->lossy ? EDGE_ERROR_LOSSY : EDGE_ERROR;
     double mean = 0, error = 0, step;
     size_t panels[2];
@@ -384,7 +384,7 @@ static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const
 
     if (fabs(1 - sides->apparent) < LEAST_LOST)
         return "too little is lost to see the colour of what remains";
-    r = gsn_edge_find(pool->point, pool->points, sides->there, sides->here, &edge, &why);
+    r = gsn_hue_edge_find(pool->point, pool->points, sides->there, sides->here, &edge, &why);
     if (r >= 0)
         r = judge_panels(&edge, pool, &mean, &error, panels, &why);
     if (r == GSN_E_NOMEM)
@@ -396,10 +396,10 @@ static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const
                              "fewer than %d panels of each specimen show tissue of the colour that "
                              "is left where collagen is gone",
                              LEAST_PANELS);
-    step = (gsn_edge_ratio(&edge, sides->there, sides->here, 0.01) -
-            gsn_edge_ratio(&edge, sides->there, sides->here, -0.01)) /
+    step = (gsn_hue_edge_ratio(&edge, sides->there, sides->here, 0.01) -
+            gsn_hue_edge_ratio(&edge, sides->there, sides->here, -0.01)) /
            0.02;
-    ret_spread->most = 100 * (1 - gsn_edge_ratio(&edge, sides->there, sides->here, -mean));
+    ret_spread->most = 100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -mean));
     ret_spread->per_purest = 100 * step;
     ret_spread->deviation = hypot(100 * step * hypot(error, edge_error), sides->deviation);
     ret_spread->purest = PUREST;
@@ -412,7 +412,8 @@ static const char *by_edge(struct gsn_draft *d, const struct sides *sides, const
         /* No cell holds less than no collagen, so such tissue is not far inside the cloud. */
         if (tissue.at - mean > 1.96 * hypot(deviation, tissue.purest))
             return contradict(d, &tissue, mean);
-        ret_spread->most = 100 * (1 - gsn_edge_ratio(&edge, sides->there, sides->here, -tissue.at));
+        ret_spread->most =
+            100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -tissue.at));
         ret_spread->purest = tissue.purest;
         ret_spread->deviation = hypot(100 * step * deviation, sides->deviation);
         return NULL;

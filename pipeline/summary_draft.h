@@ -46,8 +46,8 @@ struct gsn_draft {
     struct gsn_report_units units;
     struct gsn_report_tile tile;
     int linked; /* whether untreated tissue tells how the baseline was stained */
-    struct gsn_level_link link;
-    struct gsn_edge edge;  /* of both specimens' colours, where the loss was narrowed by it */
+    struct gsn_batch_calibration link;
+    struct gsn_hue_edge edge; /* of both specimens' colours, where the loss was narrowed by it */
     size_t edge_panels;    /* that show it; 0: the loss was not */
     int by_colours;        /* whether the loss is one whose vectors nobody measured */
     double loss_by_colour; /* standard error of the loss that it leaves, per cent */

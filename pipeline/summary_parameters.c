@@ -37,7 +37,7 @@ static const char *light_of(const struct gsn_assembly *a, struct gsn_draft *d)
 
     for (size_t i = 0; i < a->panel_count && used < sizeof line; i++) {
         const struct gsn_assembly_panel *p = &a->panel[i];
-        const double ratio = gsn_tone_yellow_to_red(&p->tone);
+        const double ratio = gsn_stain_amounts_yellow_to_red(&p->tone);
         int n;
 
         if (!p->opened)
@@ -82,7 +82,7 @@ static const char *tissues_of(const struct gsn_evidence *e, struct gsn_draft *d)
     size_t used = 0;
 
     for (size_t k = 0; k < GSN_UNTREATED_KINDS && used < sizeof line; k++) {
-        const struct gsn_level_tissues *tissues = &e->assembly->levelling.tissues;
+        const struct gsn_control_tissues *tissues = &e->assembly->levelling.tissues;
         char control[48] = "";
         int n;
 
@@ -92,7 +92,7 @@ static const char *tissues_of(const struct gsn_evidence *e, struct gsn_draft *d)
             (void)snprintf(control, sizeof control, " (baseline %.3f)", b->tissues.value[k]);
         n = snprintf(line + used, sizeof line - used, "%s%s %.3f +- %.3f%s", used ? "; " : "",
                      gsn_draft_tissue_name((unsigned)k), tissues->value[k],
-                     gsn_level_tissue_error(tissues, k), control);
+                     gsn_control_tissue_error(tissues, k), control);
         used += n > 0 ? (size_t)n : 0;
     }
     return gsn_draft_say(d, "%s", used ? line : "none was found");

@@ -36,11 +36,11 @@ const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other)
 static const double SPECIMENS_OVER_PANELS = 2;
 
 int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_assembly *assembly,
-                   struct gsn_level_link *ret_link, struct gsn_error *err)
+                   struct gsn_batch_calibration *ret_link, struct gsn_error *err)
 {
     const struct gsn_specimen_baseline *b = &specimen->baseline;
     const struct gsn_levelling *l = assembly ? &assembly->levelling : NULL;
-    struct gsn_level spread;
+    struct gsn_gain_offset spread;
 
     if (!l || !l->done || b->specimens == 0)
         return gsn_fail(err, GSN_E_STAIN,
@@ -48,7 +48,7 @@ int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_assembl
     /* Two specimens are stained on two days, and differ by no less than panels of one day do. */
     spread.gain = SPECIMENS_OVER_PANELS * l->fit.gain_scatter;
     spread.offset = SPECIMENS_OVER_PANELS * l->fit.offset_scatter;
-    return gsn_level_between(&l->tissues, &b->tissues, &spread, ret_link, err);
+    return gsn_batch_calibrate(&l->tissues, &b->tissues, &spread, ret_link, err);
 }
 
 void gsn_draft_find_link(const struct gsn_evidence *e, struct gsn_draft *d)
@@ -157,9 +157,9 @@ void gsn_draft_definition(const struct gsn_evidence *e, struct gsn_draft *d)
 }
 
 /* What vectors that were taken as exact turn by from panel to panel, as both sides' panels say. */
-static struct gsn_turned_scatter turns_of_both(const struct gsn_evidence *e)
+static struct gsn_vector_scatter turns_of_both(const struct gsn_evidence *e)
 {
-    return gsn_turned_together(&e->assembly->levelling.turns, &e->specimen->baseline.turns);
+    return gsn_vector_scatter_pool(&e->assembly->levelling.turns, &e->specimen->baseline.turns);
 }
 
 /* Relative standard error, by its dye vectors, of a density that is compared with a baseline by
@@ -168,12 +168,12 @@ static struct gsn_turned_scatter turns_of_both(const struct gsn_evidence *e)
 static double vectors_error(const struct gsn_evidence *e, double ratio)
 {
     const struct gsn_levelling *l = &e->assembly->levelling;
-    const struct gsn_turned_scatter both = turns_of_both(e);
+    const struct gsn_vector_scatter both = turns_of_both(e);
 
     if (!l->vectors.known)
         return 0;
-    return gsn_turned_error(&l->vectors, ratio) *
-           (l->turns.freedom > 0 ? gsn_turned_wide(&both) : 1);
+    return gsn_vector_error_of_loss(&l->vectors, ratio) *
+           (l->turns.freedom > 0 ? gsn_vector_scatter_deviation(&both) : 1);
 }
 
 /* That by all that the stain leaves open. What the steps between panels do is in the errors of the
@@ -210,8 +210,8 @@ void gsn_draft_link_sides(const struct gsn_evidence *e, const struct gsn_draft *
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
 
     control->mean = d->link.gain * b->mean_density + d->link.offset;
-    control->standard_error =
-        hypot(d->link.gain * b->own_scale_error, gsn_level_link_error(&d->link, b->mean_density));
+    control->standard_error = hypot(d->link.gain * b->own_scale_error,
+                                    gsn_batch_calibration_error(&d->link, b->mean_density));
     treated->standard_error =
         own_error(e, treated->mean / control->mean) * e->account->density.mean;
 }

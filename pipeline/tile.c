@@ -87,7 +87,7 @@ static int compare(const struct gsn_specimen *specimen, struct gsn_decoder *deco
     if (r >= 0)
         r = gsn_decode_apart(decoder, mask_fd, NULL, &reference, err);
     if (r >= 0)
-        r = gsn_mask_compare(map, reference->image, &tile->overlap, err);
+        r = gsn_collagen_compare(map, reference->image, &tile->overlap, err);
     if (r < 0)
         return gsn_fail_at(err, "the reference mask");
     tile->compared = 1;
@@ -114,7 +114,7 @@ static int map_collagen(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_red_share(red, yellow, dark, &tile->fit.dyes, &share, err);
     if (r >= 0)
-        r = gsn_tissue_plane(scan->od, &scan->glass, &total, &least, err);
+        r = gsn_od_tissue(scan->od, &scan->glass, &total, &least, err);
     if (r >= 0)
         r = gsn_plane_above(total, least, &tissue, err);
     if (r >= 0)

@@ -16,7 +16,7 @@ extern "C" {
 #endif
 
 struct gsn_tile {
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_dyes_fit fit;
     double px_um; /* 0: nobody states it */
     int light_assumed, by_palest;

@@ -77,7 +77,7 @@ static int compare_palest_first(const void *a, const void *b)
 
 static int average_palest(const struct gsn_image *image, const struct gsn_image *cells,
                           enum gsn_light light, const struct cell *sorted, size_t count,
-                          struct gsn_glass *ret_glass, struct gsn_error *err)
+                          struct gsn_flat_field *ret_glass, struct gsn_error *err)
 {
     double white[3] = { 0 };
 
@@ -90,7 +90,7 @@ static int average_palest(const struct gsn_image *image, const struct gsn_image 
         return gsn_fail(err, GSN_E_STAIN,
                         "this picture is dark everywhere: no part of it is pale enough to tell how "
                         "bright the empty slide is");
-    return gsn_glass_given(image->width, image->height, light, white, ret_glass, err);
+    return gsn_flat_field_given(image->width, image->height, light, white, ret_glass, err);
 }
 
 static double share_clipped(const struct gsn_image *image, const struct gsn_image *cells,
@@ -161,10 +161,10 @@ static void looked_done(struct looked *looked)
 }
 #define looked_auto __attribute__((cleanup(looked_done))) struct looked
 
-static int look_in_cells(const struct gsn_image *image, const struct gsn_glass *glass,
+static int look_in_cells(const struct gsn_image *image, const struct gsn_flat_field *glass,
                          uint32_t side, struct looked *looked, struct gsn_error *err)
 {
-    struct gsn_glass same = *glass; /* in parts of the picture, so it fits at any size */
+    struct gsn_flat_field same = *glass; /* in parts of the picture, so it fits at any size */
     gsn_auto(gsn_image) cells = NULL;
     gsn_auto(gsn_plane) total = NULL;
     double least;
@@ -174,9 +174,9 @@ static int look_in_cells(const struct gsn_image *image, const struct gsn_glass *
         return r;
     same.width = cells->width;
     same.height = cells->height;
-    r = gsn_absorb_thin(cells, &same, 1, looked->od, err);
+    r = gsn_od_thin(cells, &same, 1, looked->od, err);
     if (r >= 0)
-        r = gsn_tissue_plane(looked->od, &same, &total, &least, err);
+        r = gsn_od_tissue(looked->od, &same, &total, &least, err);
     return r < 0 ? r : gsn_plane_above(total, least, &looked->tissue, err);
 }
 
@@ -207,43 +207,43 @@ static int average_dyes(const struct looked *looked, const struct gsn_dyes *dyes
 }
 
 /* The mean alone, in cells of this side, by this white. */
-static int mean_otherwise(const struct gsn_image *image, const struct gsn_glass *glass,
+static int mean_otherwise(const struct gsn_image *image, const struct gsn_flat_field *glass,
                           uint32_t side, const struct gsn_dyes *dyes, double *ret_mean,
                           struct gsn_error *err)
 {
-    struct gsn_red_mean red;
+    struct gsn_collagen_mean red;
     looked_auto looked = { .tissue = NULL };
     int r = look_in_cells(image, glass, side, &looked, err);
 
     if (r >= 0)
-        r = gsn_red_mean(looked.od, looked.tissue, dyes, &red, err);
+        r = gsn_collagen_mean(looked.od, looked.tissue, dyes, &red, err);
     if (r >= 0)
         *ret_mean = red.mean;
     return r;
 }
 
-static double error_by_vectors(const struct gsn_red_mean *red, const struct gsn_dyes_fit *fit)
+static double error_by_vectors(const struct gsn_collagen_mean *red, const struct gsn_dyes_fit *fit)
 {
     double variance = 0;
 
-    for (size_t i = 0; i < GSN_DYE_TURNS; i++)
-        for (size_t j = 0; j < GSN_DYE_TURNS; j++)
+    for (size_t i = 0; i < GSN_DYE_ROTATIONS; i++)
+        for (size_t j = 0; j < GSN_DYE_ROTATIONS; j++)
             variance += red->by_turn[i] * fit->covariance[i][j] * red->by_turn[j];
     return sqrt(fmax(variance, 0));
 }
 
-int gsn_tile_density(const struct gsn_image *image, const struct gsn_glass *glass,
-                     const struct gsn_glass *darker, const struct gsn_dyes_fit *fit,
+int gsn_tile_density(const struct gsn_image *image, const struct gsn_flat_field *glass,
+                     const struct gsn_flat_field *darker, const struct gsn_dyes_fit *fit,
                      struct gsn_tile_density *ret_density, struct gsn_error *err)
 {
     struct gsn_tile_density density = { 0 };
-    struct gsn_red_mean red;
+    struct gsn_collagen_mean red;
     looked_auto looked = { .tissue = NULL };
     double coarse = 0, otherwise;
     int r = look_in_cells(image, glass, CELL, &looked, err);
 
     if (r >= 0)
-        r = gsn_red_mean(looked.od, looked.tissue, &fit->dyes, &red, err);
+        r = gsn_collagen_mean(looked.od, looked.tissue, &fit->dyes, &red, err);
     if (r >= 0)
         r = average_dyes(&looked, &fit->dyes, &density, err);
     if (r >= 0)

@@ -16,8 +16,8 @@ extern "C" {
 /* How bright the empty slide is, where too little of it shows to be measured as glass is: by the
  * palest parts of the picture. */
 struct gsn_palest {
-    struct gsn_glass glass;  /* even; its fraction is 0 */
-    struct gsn_glass darker; /* the same by four times as much of the picture */
+    struct gsn_flat_field glass;  /* even; its fraction is 0 */
+    struct gsn_flat_field darker; /* the same by four times as much of the picture */
     double share;            /* of the picture that was taken */
     double clipped;          /* share of its samples at the highest code */
 };
@@ -41,8 +41,8 @@ struct gsn_tile_density {
 /* fit: the vectors and how well they are known. darker: NULL where the glass was measured or
  * stated. Fails with GSN_E_STAIN when there is no tissue or the dyes are too alike, GSN_E_INPUT on
  * a picture of less than one cell, GSN_E_NOMEM. */
-int gsn_tile_density(const struct gsn_image *image, const struct gsn_glass *glass,
-                     const struct gsn_glass *darker, const struct gsn_dyes_fit *fit,
+int gsn_tile_density(const struct gsn_image *image, const struct gsn_flat_field *glass,
+                     const struct gsn_flat_field *darker, const struct gsn_dyes_fit *fit,
                      struct gsn_tile_density *ret_density, struct gsn_error *err);
 
 #ifdef __cplusplus

@@ -167,7 +167,7 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
     gsn_auto_mem(struct gsn_mark_candidates) candidates =
         gsn_alloc_array(count + 1, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count + 1, sizeof *scratch);
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     struct gsn_triangle_prior prior = { 0 };
     struct gsn_slot_search search = { .scan = scan,
                                       .layout = reading->layout,
@@ -182,7 +182,7 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
     if (!protocol->has_markers)
         return GSN_OK;
-    r = gsn_absorber_new(scan->picture->image, &scan->glass, &absorber, err);
+    r = gsn_od_reader_new(scan->picture->image, &scan->glass, &absorber, err);
     search.absorber = absorber;
     search.side = gsn_slot_typical_side(reading->slot, count, scratch);
     if (r >= 0)

@@ -20,7 +20,7 @@ void gsn_components_free(struct gsn_components *components)
     gsn_free(components);
 }
 
-static void measure(const uint32_t *pixel, uint32_t width, struct gsn_component *c)
+static void measure_component(const uint32_t *pixel, uint32_t width, struct gsn_component *c)
 {
     const double n = static_cast<double>(c->area);
     double sum_x = 0, sum_y = 0, xx = 0, yy = 0, xy = 0;
@@ -121,7 +121,7 @@ int gsn_components_find(const uint8_t *set, uint32_t width, uint32_t height,
     if (r >= 0) {
         list_pixels(label, pixels, place, all);
         for (size_t c = 0; c < all->count; c++)
-            measure(all->pixel + all->component[c].first, width, &all->component[c]);
+            measure_component(all->pixel + all->component[c].first, width, &all->component[c]);
         *ret_components = all;
     } else {
         gsn_components_free(all);

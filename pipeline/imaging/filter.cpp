@@ -10,7 +10,7 @@
 #include "pipeline/imaging/opencv.hpp"
 
 /* How many of the 2 r + 1 places about i lie on a line of n. */
-static uint32_t places(uint32_t i, uint32_t n, uint32_t r)
+static uint32_t count_places(uint32_t i, uint32_t n, uint32_t r)
 {
     return std::min(i, r) + 1 + std::min(n - 1 - i, r);
 }
@@ -78,7 +78,7 @@ int gsn_box_mean(const struct gsn_plane *plane, uint32_t radius, struct gsn_plan
     for (uint32_t y = 0; y < plane->height; y++)
         for (uint32_t x = 0; x < plane->width; x++)
             mean->value[static_cast<size_t>(y) * plane->width + x] /= static_cast<float>(
-                places(x, plane->width, radius) * places(y, plane->height, radius));
+                count_places(x, plane->width, radius) * count_places(y, plane->height, radius));
     *ret_mean = mean;
     return GSN_OK;
 }

@@ -11,7 +11,7 @@ static int keep_quiet(int, const char *, const char *, const char *, int, void *
     return 0;
 }
 
-static void prepare()
+static void prepare_opencv()
 {
     cv::redirectError(keep_quiet);
     cv::setNumThreads(1);
@@ -29,7 +29,7 @@ void gsn_imaging_open(void)
 {
     static std::once_flag once;
 
-    std::call_once(once, prepare);
+    std::call_once(once, prepare_opencv);
 }
 
 const char *gsn_imaging_version(void)

@@ -180,7 +180,7 @@ static struct pull pull_of(const struct gsn_patch *patches, size_t count, int dy
     struct pull pull = { .count = 0 };
     double way[2][3];
 
-    gsn_dyes_ways(v, way);
+    gsn_dyes_tangents(v, way);
     for (size_t p = 0; p < count; p++) {
         const double *floor_od = patches[p].floor_od;
         double block[2] = { 0 }, length = 0;
@@ -452,7 +452,7 @@ struct gsn_dyes_apart gsn_dyes_compare(const struct gsn_dyes_fit *calibrated,
     for (int k = 0; k < 3; k++) {
         double way[2][3], d[2], c[2][2], det;
 
-        gsn_dyes_ways(vector_of(&from, k), way);
+        gsn_dyes_tangents(vector_of(&from, k), way);
         for (int i = 0; i < 2; i++) {
             d[i] = gsn_dot3(vector_of(&to, k), way[i]);
             for (int j = 0; j < 2; j++)

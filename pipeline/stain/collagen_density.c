@@ -37,10 +37,11 @@ static void amount_of(const struct gsn_unmixer *mix, unsigned subset, int i, flo
     }
 }
 
-struct gsn_red_weights gsn_red_weights_of(const struct gsn_unmixer *mix, double full_red_od)
+struct gsn_collagen_weights gsn_collagen_weights_of(const struct gsn_unmixer *mix,
+                                                    double full_red_od)
 {
     static const int pairs[3][2] = { { 0, 1 }, { 0, 2 }, { 1, 2 } };
-    struct gsn_red_weights w = { .per_red = (float)(1 / full_red_od) };
+    struct gsn_collagen_weights w = { .per_red = (float)(1 / full_red_od) };
 
     for (int i = 0; i < 3; i++) {
         const unsigned both = 1u << pairs[i][0] | 1u << pairs[i][1];
@@ -54,11 +55,11 @@ struct gsn_red_weights gsn_red_weights_of(const struct gsn_unmixer *mix, double 
     return w;
 }
 
-void gsn_red_row(const struct gsn_red_weights *weights, const float *restrict red,
-                 const float *restrict green, const float *restrict blue, size_t count,
-                 float *restrict to)
+void gsn_collagen_row(const struct gsn_collagen_weights *weights, const float *restrict red,
+                      const float *restrict green, const float *restrict blue, size_t count,
+                      float *restrict to)
 {
-    const struct gsn_red_weights w = *weights;
+    const struct gsn_collagen_weights w = *weights;
 
     for (size_t i = 0; i < count; i++) {
         const float r = red[i], g = green[i], b = blue[i];
@@ -98,16 +99,16 @@ void gsn_red_row(const struct gsn_red_weights *weights, const float *restrict re
 
 /* ---- boxes of a picture ------------------------------------------------------------------ */
 
-struct gsn_red_reader {
-    const struct gsn_absorber *absorber;
-    struct gsn_red_weights weights;
+struct gsn_collagen_reader {
+    const struct gsn_od_reader *absorber;
+    struct gsn_collagen_weights weights;
 };
 
-int gsn_red_reader_new(const struct gsn_absorber *absorber, const struct gsn_dyes *dyes,
-                       struct gsn_red_reader **ret_reader, struct gsn_error *err)
+int gsn_collagen_reader_new(const struct gsn_od_reader *absorber, const struct gsn_dyes *dyes,
+                            struct gsn_collagen_reader **ret_reader, struct gsn_error *err)
 {
     struct gsn_unmixer mix;
-    struct gsn_red_reader *reader;
+    struct gsn_collagen_reader *reader;
     const int r = gsn_unmixer_init(&mix, dyes, err);
 
     if (r < 0)
@@ -116,35 +117,35 @@ int gsn_red_reader_new(const struct gsn_absorber *absorber, const struct gsn_dye
     if (!reader)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for densities");
     reader->absorber = absorber;
-    reader->weights = gsn_red_weights_of(&mix, dyes->full_red_od);
+    reader->weights = gsn_collagen_weights_of(&mix, dyes->full_red_od);
     *ret_reader = reader;
     return GSN_OK;
 }
 
-void gsn_red_reader_free(struct gsn_red_reader *reader)
+void gsn_collagen_reader_free(struct gsn_collagen_reader *reader)
 {
     gsn_free(reader);
 }
 
 /* Of count pixels from (x, y) on; NaN where they are tissue and clipped. scratch: 3 x count. */
-static void read_row(const struct gsn_red_reader *reader, uint32_t x, uint32_t y, size_t count,
+static void read_row(const struct gsn_collagen_reader *reader, uint32_t x, uint32_t y, size_t count,
                      float *scratch, float *to)
 {
-    const struct gsn_absorber *absorber = reader->absorber;
+    const struct gsn_od_reader *absorber = reader->absorber;
     float *const od[3] = { scratch, scratch + count, scratch + 2 * count };
 
-    gsn_absorber_row(absorber, x, y, count, od);
-    gsn_red_row(&reader->weights, od[0], od[1], od[2], count, to);
-    if (!gsn_absorber_at_end(absorber, x, y, count))
+    gsn_od_reader_row(absorber, x, y, count, od);
+    gsn_collagen_row(&reader->weights, od[0], od[1], od[2], count, to);
+    if (!gsn_od_reader_at_end(absorber, x, y, count))
         return;
     for (size_t i = 0; i < count; i++)
         if (od[0][i] + od[1][i] + od[2][i] > GSN_TISSUE_OD &&
-            gsn_absorber_clipped(absorber, x + (uint32_t)i, y))
+            gsn_od_reader_clipped(absorber, x + (uint32_t)i, y))
             to[i] = NAN;
 }
 
-int gsn_red_box(const struct gsn_red_reader *reader, const struct gsn_pixel_box *box,
-                unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err)
+int gsn_collagen_box(const struct gsn_collagen_reader *reader, const struct gsn_pixel_box *box,
+                     unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err)
 {
     const uint32_t width = (uint32_t)box->width;
     const uint32_t height = ((uint32_t)box->height + apart - 1) / apart;
@@ -298,8 +299,8 @@ static int is_set(const struct gsn_image *image, uint32_t x, uint32_t y)
     return gsn_image_at(image, x, y, image->channels == 3 ? 1 : 0) >= half;
 }
 
-int gsn_mask_compare(const struct gsn_image *map, const struct gsn_image *reference,
-                     struct gsn_overlap *ret_overlap, struct gsn_error *err)
+int gsn_collagen_compare(const struct gsn_image *map, const struct gsn_image *reference,
+                         struct gsn_overlap *ret_overlap, struct gsn_error *err)
 {
     struct gsn_overlap overlap = { .pixels = (size_t)map->width * map->height };
 

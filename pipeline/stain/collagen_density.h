@@ -15,37 +15,38 @@ extern "C" {
 #endif
 
 /* Collagen-equivalent density; red that is honestly below 0 stays so (collagen_density.c). */
-struct gsn_red_reader;
+struct gsn_collagen_reader;
 
 /* gives; borrows absorber. Fails as gsn_unmix(). */
-int gsn_red_reader_new(const struct gsn_absorber *absorber, const struct gsn_dyes *dyes,
-                       struct gsn_red_reader **ret_reader, struct gsn_error *err);
+int gsn_collagen_reader_new(const struct gsn_od_reader *absorber, const struct gsn_dyes *dyes,
+                            struct gsn_collagen_reader **ret_reader, struct gsn_error *err);
 
-void gsn_red_reader_free(struct gsn_red_reader *reader);
+void gsn_collagen_reader_free(struct gsn_collagen_reader *reader);
 
-GSN_DEFINE_AUTO(gsn_red_reader);
+GSN_DEFINE_AUTO(gsn_collagen_reader);
 
 /* gives: every apart-th row inside the box, NaN where it is tissue and clipped. The box lies in the
  * picture. Fails with GSN_E_NOMEM. */
-int gsn_red_box(const struct gsn_red_reader *reader, const struct gsn_pixel_box *box,
-                unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err);
+int gsn_collagen_box(const struct gsn_collagen_reader *reader, const struct gsn_pixel_box *box,
+                     unsigned apart, struct gsn_plane **ret_density, struct gsn_error *err);
 
 /* ---- rows of densities ------------------------------------------------------------------- */
 
 /* The unmixer in single precision: what each solution takes of R, G and B. Straight from the
  * densities, for a Gram matrix squares the error that similar dyes make of rounding. */
-struct gsn_red_weights {
+struct gsn_collagen_weights {
     float dye[3][3];
     float all[3][3];     /* amounts where all three dyes are used */
     float pair[3][2][3]; /* where two of them are: (0, 1), (0, 2), (1, 2) */
     float per_red;       /* 1 over the length that counts as density 1 */
 };
 
-struct gsn_red_weights gsn_red_weights_of(const struct gsn_unmixer *mix, double full_red_od);
+struct gsn_collagen_weights gsn_collagen_weights_of(const struct gsn_unmixer *mix,
+                                                    double full_red_od);
 /* Collagen density of count pixels with these optical densities. Amounts may be negative, as far as
  * an error of the vectors makes them so. */
-void gsn_red_row(const struct gsn_red_weights *weights, const float *red, const float *green,
-                 const float *blue, size_t count, float *to);
+void gsn_collagen_row(const struct gsn_collagen_weights *weights, const float *red,
+                      const float *green, const float *blue, size_t count, float *to);
 
 /* gives: red of all three dyes, 0..1; 0 where together they are less than 0.15, too pale to have a
  * hue. The planes as gsn_unmix gives them.
@@ -90,8 +91,8 @@ struct gsn_overlap {
 /* Compares two maps; a sample of half the highest code or more counts as set (so that a JPEG mask
  * may be used); of an RGB reference the green channel is read.
  * Fails with GSN_E_INPUT when they differ in size. */
-int gsn_mask_compare(const struct gsn_image *map, const struct gsn_image *reference,
-                     struct gsn_overlap *ret_overlap, struct gsn_error *err);
+int gsn_collagen_compare(const struct gsn_image *map, const struct gsn_image *reference,
+                         struct gsn_overlap *ret_overlap, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

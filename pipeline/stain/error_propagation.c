@@ -81,20 +81,20 @@ static int find_slope(struct gsn_plane *const od[3], const struct gsn_image *mas
 }
 
 static int find_slopes(struct gsn_plane *const od[3], const struct gsn_image *mask,
-                       const struct gsn_dyes *dyes, size_t stride, struct gsn_red_mean *red,
+                       const struct gsn_dyes *dyes, size_t stride, struct gsn_collagen_mean *red,
                        struct gsn_error *err)
 {
     int r = GSN_OK;
 
-    for (int m = 0; m < GSN_DYE_TURNS && r >= 0; m++) {
+    for (int m = 0; m < GSN_DYE_ROTATIONS && r >= 0; m++) {
         static const double none[2][3] = { { 0 } };
-        double turn[2][GSN_DYE_TURNS] = { { 0 } };
+        double turn[2][GSN_DYE_ROTATIONS] = { { 0 } };
 
         turn[0][m] = -TURN;
         turn[1][m] = TURN;
 
-        const struct gsn_dyes turned[2] = { gsn_dyes_turned(dyes, turn[0]),
-                                            gsn_dyes_turned(dyes, turn[1]) };
+        const struct gsn_dyes turned[2] = { gsn_dyes_rotated(dyes, turn[0]),
+                                            gsn_dyes_rotated(dyes, turn[1]) };
 
         r = find_slope(od, mask, turned, none, stride, 2 * TURN, &red->by_turn[m], err);
     }
@@ -110,11 +110,12 @@ static int find_slopes(struct gsn_plane *const od[3], const struct gsn_image *ma
     return r;
 }
 
-int gsn_red_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
-                 const struct gsn_dyes *dyes, struct gsn_red_mean *ret_mean, struct gsn_error *err)
+int gsn_collagen_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
+                      const struct gsn_dyes *dyes, struct gsn_collagen_mean *ret_mean,
+                      struct gsn_error *err)
 {
     static const double none[3] = { 0 };
-    struct gsn_red_mean red = { 0 };
+    struct gsn_collagen_mean red = { 0 };
     struct total all;
     int r;
 
@@ -133,19 +134,19 @@ int gsn_red_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
 }
 
 /* a' C b */
-static double covariance_of(const double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS],
-                            const double a[GSN_DYE_TURNS], const double b[GSN_DYE_TURNS])
+static double covariance_of(const double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS],
+                            const double a[GSN_DYE_ROTATIONS], const double b[GSN_DYE_ROTATIONS])
 {
     double sum = 0;
 
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
-        for (int n = 0; n < GSN_DYE_TURNS; n++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
+        for (int n = 0; n < GSN_DYE_ROTATIONS; n++)
             sum += a[m] * covariance[m][n] * b[n];
     return sum;
 }
 
-double gsn_red_error(const struct gsn_red_mean *red, const struct gsn_dyes_fit *fit,
-                     double white_od)
+double gsn_collagen_mean_error(const struct gsn_collagen_mean *red, const struct gsn_dyes_fit *fit,
+                               double white_od)
 {
     double variance = covariance_of(fit->covariance, red->by_turn, red->by_turn);
 
@@ -159,21 +160,21 @@ double gsn_red_error(const struct gsn_red_mean *red, const struct gsn_dyes_fit *
 /* Tissues that are more alike tell no line. */
 static const double LEAST_APART = 0.05;
 
-int gsn_turned_add(struct gsn_turned *t, const struct gsn_dyes *dyes, const double od[3],
-                   double weight, struct gsn_error *err)
+int gsn_vector_error_add(struct gsn_vector_error *t, const struct gsn_dyes *dyes,
+                         const double od[3], double weight, struct gsn_error *err)
 {
-    static const double none[GSN_DYE_TURNS] = { 0 };
+    static const double none[GSN_DYE_ROTATIONS] = { 0 };
     const double all = t->weight + weight, share = all > 0 ? weight / all : 0;
-    struct gsn_optics optics;
+    struct gsn_dyes_inverse optics;
     double amount[3] = { 0 };
 
-    if (!gsn_dyes_look_through(dyes, none, &optics))
+    if (!gsn_dyes_invert(dyes, none, &optics))
         return gsn_fail(err, GSN_E_STAIN, "the dyes of %s lie in one plane", dyes->name);
     for (int k = 0; k < 3; k++)
         for (int c = 0; c < 3; c++)
             amount[k] += optics.inverse[k][c] * od[c];
     /* The inverse turns against the vectors: each takes along what there is of its dye. */
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
         double leak = 0;
 
         for (int c = 0; c < 3; c++)
@@ -191,7 +192,7 @@ struct line {
     double red, squares;
 };
 
-static struct line line_of(const struct gsn_turned *tissue, size_t count)
+static struct line line_of(const struct gsn_vector_error *tissue, size_t count)
 {
     struct line line = { 0 };
 
@@ -208,8 +209,8 @@ static struct line line_of(const struct gsn_turned *tissue, size_t count)
 }
 
 /* Of the line through the changes that one turn makes, where it is at a density. */
-static double change_at(const struct line *line, const struct gsn_turned *tissue, size_t count,
-                        int turn, double density)
+static double change_at(const struct line *line, const struct gsn_vector_error *tissue,
+                        size_t count, int turn, double density)
 {
     double sum = 0;
 
@@ -221,64 +222,65 @@ static double change_at(const struct line *line, const struct gsn_turned *tissue
     return sum;
 }
 
-struct gsn_turned_left gsn_turned_left_of(const struct gsn_turned *tissue, size_t count,
-                                          const struct gsn_turned *region,
-                                          const double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS])
+struct gsn_vector_error_left
+gsn_vector_error_left_of(const struct gsn_vector_error *tissue, size_t count,
+                         const struct gsn_vector_error *region,
+                         const double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS])
 {
     const struct line line = line_of(tissue, count);
-    double off[GSN_DYE_TURNS], zero[GSN_DYE_TURNS];
+    double off[GSN_DYE_ROTATIONS], zero[GSN_DYE_ROTATIONS];
 
     if (line.tissues < 2 || !(line.squares > LEAST_APART * LEAST_APART) || !(region->weight > 0) ||
         !(region->red > 0))
-        return (struct gsn_turned_left){ 0 };
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+        return (struct gsn_vector_error_left){ 0 };
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
         off[m] =
             (region->by_turn[m] - change_at(&line, tissue, count, m, region->red)) / region->red;
         zero[m] = change_at(&line, tissue, count, m, 0) / region->red;
     }
-    return (struct gsn_turned_left){ 1, covariance_of(covariance, off, off),
-                                     covariance_of(covariance, zero, zero),
-                                     covariance_of(covariance, off, zero) };
+    return (struct gsn_vector_error_left){ 1, covariance_of(covariance, off, off),
+                                           covariance_of(covariance, zero, zero),
+                                           covariance_of(covariance, off, zero) };
 }
 
-struct gsn_turned_scatter gsn_turned_scatter_of(const struct gsn_turned *tissue, size_t count,
+struct gsn_vector_scatter gsn_vector_scatter_of(const struct gsn_vector_error *tissue, size_t count,
                                                 double zero_variance, double freedom)
 {
     const struct line line = line_of(tissue, count);
     double squares = 0;
 
     if (line.tissues < 2 || !(line.squares > LEAST_APART * LEAST_APART))
-        return (struct gsn_turned_scatter){ 0 };
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+        return (struct gsn_vector_scatter){ 0 };
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
         const double zero = change_at(&line, tissue, count, m, 0);
 
         squares += zero * zero;
     }
     if (!(squares > 0))
-        return (struct gsn_turned_scatter){ 0 };
-    return (struct gsn_turned_scatter){ zero_variance / squares, freedom };
+        return (struct gsn_vector_scatter){ 0 };
+    return (struct gsn_vector_scatter){ zero_variance / squares, freedom };
 }
 
-struct gsn_turned_scatter gsn_turned_together(const struct gsn_turned_scatter *a,
-                                              const struct gsn_turned_scatter *b)
+struct gsn_vector_scatter gsn_vector_scatter_pool(const struct gsn_vector_scatter *a,
+                                                  const struct gsn_vector_scatter *b)
 {
     const double freedom = a->freedom + b->freedom;
 
     if (!(freedom > 0))
-        return (struct gsn_turned_scatter){ 0 };
-    return (struct gsn_turned_scatter){
+        return (struct gsn_vector_scatter){ 0 };
+    return (struct gsn_vector_scatter){
         (a->variance * a->freedom + b->variance * b->freedom) / freedom, freedom
     };
 }
 
-double gsn_turned_wide(const struct gsn_turned_scatter *scatter)
+double gsn_vector_scatter_deviation(const struct gsn_vector_scatter *scatter)
 {
     const double free = scatter->freedom;
 
     return free > 0 ? sqrt(scatter->variance * (free > 3 ? free / (free - 2) : 3)) : 0;
 }
 
-double gsn_turned_error(const struct gsn_turned_left *left, double ratio)
+double gsn_vector_error_of_loss(const struct gsn_vector_error_left *left, double ratio)
 {
     const double lost = 1 - ratio;
 

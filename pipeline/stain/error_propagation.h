@@ -26,22 +26,23 @@ extern "C" {
  * share the vectors, and most of the leak cancels in the ratio of their densities. */
 
 /* The mean density of a piece of tissue, and what moves it. */
-struct gsn_red_mean {
+struct gsn_collagen_mean {
     double mean;                   /* collagen-equivalent density, 1 = full */
-    double by_turn[GSN_DYE_TURNS]; /* per radian */
+    double by_turn[GSN_DYE_ROTATIONS]; /* per radian */
     double by_white[3];            /* per unit of optical density that the white is off */
 };
 
 /* mask: 8-bit grey, 0 leaves a pixel out; NULL takes all. Pixels that are not finite are left out.
  * Fails with GSN_E_STAIN when no pixel is left or the dyes cannot be told apart, GSN_E_INPUT when
  * sizes differ. */
-int gsn_red_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
-                 const struct gsn_dyes *dyes, struct gsn_red_mean *ret_mean, struct gsn_error *err);
+int gsn_collagen_mean(struct gsn_plane *const od[3], const struct gsn_image *mask,
+                      const struct gsn_dyes *dyes, struct gsn_collagen_mean *ret_mean,
+                      struct gsn_error *err);
 
 /* Relative standard error of the mean. fit: of the dyes that it was unmixed with. white_od:
  * standard error of the white, per channel. */
-double gsn_red_error(const struct gsn_red_mean *red, const struct gsn_dyes_fit *fit,
-                     double white_od);
+double gsn_collagen_mean_error(const struct gsn_collagen_mean *red, const struct gsn_dyes_fit *fit,
+                               double white_od);
 
 /* ---- what an error of the vectors leaves in a loss --------------------------------------- */
 
@@ -62,19 +63,19 @@ double gsn_red_error(const struct gsn_red_mean *red, const struct gsn_dyes_fit *
  */
 
 /* A tissue's mean density, and how it moves as the vectors turn. Begins as zeros. */
-struct gsn_turned {
+struct gsn_vector_error {
     double red;
-    double by_turn[GSN_DYE_TURNS]; /* per radian */
+    double by_turn[GSN_DYE_ROTATIONS]; /* per radian */
     double weight;                 /* of all that was added */
 };
 
 /* Adds tissue of these mean densities, seen with these vectors.
  * Fails with GSN_E_STAIN when the vectors lie in one plane. */
-int gsn_turned_add(struct gsn_turned *tissue, const struct gsn_dyes *dyes, const double od[3],
-                   double weight, struct gsn_error *err);
+int gsn_vector_error_add(struct gsn_vector_error *tissue, const struct gsn_dyes *dyes,
+                         const double od[3], double weight, struct gsn_error *err);
 
 /* Variances, relative to the density of the region. */
-struct gsn_turned_left {
+struct gsn_vector_error_left {
     int known;
     double off;  /* by what the region is off the line through the untreated tissues */
     double zero; /* by where that line puts density 0 */
@@ -83,31 +84,32 @@ struct gsn_turned_left {
 
 /* What is left in a region's density. Not known where fewer than two tissues have weight, the
  * region has none, or the tissues are of one density. */
-struct gsn_turned_left gsn_turned_left_of(const struct gsn_turned *tissue, size_t count,
-                                          const struct gsn_turned *region,
-                                          const double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS]);
+struct gsn_vector_error_left
+gsn_vector_error_left_of(const struct gsn_vector_error *tissue, size_t count,
+                         const struct gsn_vector_error *region,
+                         const double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS]);
 
 /* What vectors turn by from panel to panel. */
-struct gsn_turned_scatter {
+struct gsn_vector_scatter {
     double variance; /* of one turn, rad^2 */
     double freedom;  /* degrees of, that it is known by; 0: not known */
 };
 
 /* The scatter that makes density 0 scatter by this variance from panel to panel. Not known where
  * the tissues tell no line. */
-struct gsn_turned_scatter gsn_turned_scatter_of(const struct gsn_turned *tissue, size_t count,
+struct gsn_vector_scatter gsn_vector_scatter_of(const struct gsn_vector_error *tissue, size_t count,
                                                 double zero_variance, double freedom);
 
 /* Of two specimens' panels together. */
-struct gsn_turned_scatter gsn_turned_together(const struct gsn_turned_scatter *a,
-                                              const struct gsn_turned_scatter *b);
+struct gsn_vector_scatter gsn_vector_scatter_pool(const struct gsn_vector_scatter *a,
+                                                  const struct gsn_vector_scatter *b);
 
 /* Standard deviation of one turn, rad, wide enough that 1.96 of it hold 95 % though it is known
  * from few panels (the standard deviation of Student's distribution); 0: not known. */
-double gsn_turned_wide(const struct gsn_turned_scatter *scatter);
+double gsn_vector_scatter_deviation(const struct gsn_vector_scatter *scatter);
 
 /* Relative standard error of the region's density over the baseline's, when it is this. */
-double gsn_turned_error(const struct gsn_turned_left *left, double ratio);
+double gsn_vector_error_of_loss(const struct gsn_vector_error_left *left, double ratio);
 
 #ifdef __cplusplus
 }

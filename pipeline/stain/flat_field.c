@@ -61,10 +61,11 @@ int gsn_light_table(enum gsn_light light, unsigned bits, double **ret_table, str
 
 /* ---- the surface ------------------------------------------------------------------------- */
 
-int gsn_glass_given(uint32_t width, uint32_t height, enum gsn_light light, const double white[3],
-                    struct gsn_glass *ret_glass, struct gsn_error *err)
+int gsn_flat_field_given(uint32_t width, uint32_t height, enum gsn_light light,
+                         const double white[3], struct gsn_flat_field *ret_glass,
+                         struct gsn_error *err)
 {
-    struct gsn_glass glass = { .light = light, .width = width, .height = height };
+    struct gsn_flat_field glass = { .light = light, .width = width, .height = height };
 
     for (int c = 0; c < 3; c++) {
         if (!(white[c] >= 1 && white[c] <= 255))
@@ -77,7 +78,8 @@ int gsn_glass_given(uint32_t width, uint32_t height, enum gsn_light light, const
     return GSN_OK;
 }
 
-void gsn_glass_row(const struct gsn_glass *glass, uint32_t y, unsigned channel, double ret[3])
+void gsn_flat_field_row(const struct gsn_flat_field *glass, uint32_t y, unsigned channel,
+                        double ret[3])
 {
     const double *s = glass->surface[channel];
     const double v = 2 * (y + 0.5) / glass->height - 1;
@@ -87,12 +89,13 @@ void gsn_glass_row(const struct gsn_glass *glass, uint32_t y, unsigned channel, 
     ret[2] = s[3];
 }
 
-double gsn_glass_at(const struct gsn_glass *glass, uint32_t x, uint32_t y, unsigned channel)
+double gsn_flat_field_at(const struct gsn_flat_field *glass, uint32_t x, uint32_t y,
+                         unsigned channel)
 {
     const double u = 2 * (x + 0.5) / glass->width - 1;
     double row[3];
 
-    gsn_glass_row(glass, y, channel, row);
+    gsn_flat_field_row(glass, y, channel, row);
     return pow(10, row[0] + u * (row[1] + u * row[2]));
 }
 
@@ -419,7 +422,7 @@ static double find_glass(const struct gsn_glass_cells *all, struct gsn_glass_sur
     return fmax(first_share, 0);
 }
 
-static void describe_glass(const struct gsn_glass_cells *all, struct gsn_glass *glass)
+static void describe_glass(const struct gsn_glass_cells *all, struct gsn_flat_field *glass)
 {
     enum { POINTS = 16 };
     size_t near = 0, top = 0;
@@ -436,17 +439,19 @@ static void describe_glass(const struct gsn_glass_cells *all, struct gsn_glass *
         double sum = 0;
 
         for (uint32_t i = 0; i < POINTS * POINTS; i++)
-            sum += gsn_glass_at(glass, (uint32_t)((i % POINTS + 0.5) * glass->width / POINTS),
-                                (uint32_t)((i / POINTS + 0.5) * glass->height / POINTS), c);
+            sum += gsn_flat_field_at(glass, (uint32_t)((i % POINTS + 0.5) * glass->width / POINTS),
+                                     (uint32_t)((i / POINTS + 0.5) * glass->height / POINTS), c);
         glass->white[c] = 255 * gsn_light_encode(glass->light, sum / (POINTS * POINTS));
     }
 }
 
 static int estimate_glass(const struct gsn_image *image, enum gsn_light light,
-                          struct gsn_glass_cells *all, struct gsn_glass *ret_glass,
+                          struct gsn_glass_cells *all, struct gsn_flat_field *ret_glass,
                           struct gsn_error *err)
 {
-    struct gsn_glass glass = { .light = light, .width = image->width, .height = image->height };
+    struct gsn_flat_field glass = { .light = light,
+                                    .width = image->width,
+                                    .height = image->height };
     struct gsn_glass_surface surface;
     const int r = cut_cells(image, light, all, err);
 
@@ -465,8 +470,8 @@ static int estimate_glass(const struct gsn_image *image, enum gsn_light light,
     return GSN_OK;
 }
 
-int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
-                       struct gsn_glass *ret_glass, struct gsn_error *err)
+int gsn_flat_field_estimate(const struct gsn_image *image, enum gsn_light light,
+                            struct gsn_flat_field *ret_glass, struct gsn_error *err)
 {
     struct gsn_glass_cells all = { .nx = 0 };
     int r;

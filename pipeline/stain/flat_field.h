@@ -35,7 +35,7 @@ int gsn_light_table(enum gsn_light light, unsigned bits, double **ret_table, str
  * log10 of linear light of channel c at pixel (x, y) is
  *     s[0] + s[1] u + s[2] v + s[3] u^2 + s[4] u v + s[5] v^2,  s = surface[c],
  * with u = 2 (x + 0.5) / width - 1 and v the same in y and height. */
-struct gsn_glass {
+struct gsn_flat_field {
     enum gsn_light light;
     uint32_t width, height;
     double surface[3][6];
@@ -49,19 +49,22 @@ struct gsn_glass {
  * pen do not pull it. borrows: an RGB image.
  * Fails with GSN_E_STAIN when less than 15 % of the picture is blank glass (the sentence names the
  * share), GSN_E_INPUT when the image is grey or smaller than 16 x 16, GSN_E_NOMEM. */
-int gsn_glass_estimate(const struct gsn_image *image, enum gsn_light light,
-                       struct gsn_glass *ret_glass, struct gsn_error *err);
+int gsn_flat_field_estimate(const struct gsn_image *image, enum gsn_light light,
+                            struct gsn_flat_field *ret_glass, struct gsn_error *err);
 
 /* An even glass of a known white (codes 0..255, in R, G, B), for tiles that show none.
  * Fails with GSN_E_INPUT on a code outside 1..255. */
-int gsn_glass_given(uint32_t width, uint32_t height, enum gsn_light light, const double white[3],
-                    struct gsn_glass *ret_glass, struct gsn_error *err);
+int gsn_flat_field_given(uint32_t width, uint32_t height, enum gsn_light light,
+                         const double white[3], struct gsn_flat_field *ret_glass,
+                         struct gsn_error *err);
 
 /* Linear light of the glass at a pixel. */
-double gsn_glass_at(const struct gsn_glass *glass, uint32_t x, uint32_t y, unsigned channel);
+double gsn_flat_field_at(const struct gsn_flat_field *glass, uint32_t x, uint32_t y,
+                         unsigned channel);
 
 /* log10 of the glass's light along row y is ret[0] + ret[1] u + ret[2] u^2. */
-void gsn_glass_row(const struct gsn_glass *glass, uint32_t y, unsigned channel, double ret[3]);
+void gsn_flat_field_row(const struct gsn_flat_field *glass, uint32_t y, unsigned channel,
+                        double ret[3]);
 
 #ifdef __cplusplus
 }

@@ -183,7 +183,7 @@ static int frame_of(const double control[3], const double remains[3], double slo
 }
 
 /* Cells whose c / b lies near `shift`, by their a / b. */
-static void gather_cells(const double frame[3][3], const struct gsn_edge_point *point,
+static void gather_cells(const double frame[3][3], const struct gsn_hue_edge_point *point,
                          size_t points, double shift, struct line *line)
 {
     memset(line->cells, 0, sizeof line->cells);
@@ -273,8 +273,8 @@ static double quantile_of(const struct line *line, double share)
 }
 
 /* The edge at a place across; NaN: too few cells. */
-static double edge_at(const double frame[3][3], const struct gsn_edge_point *point, size_t points,
-                      double shift, struct line *line)
+static double edge_at(const double frame[3][3], const struct gsn_hue_edge_point *point,
+                      size_t points, double shift, struct line *line)
 {
     gather_cells(frame, point, points, shift, line);
     if (!(line->all >= LEAST_CELLS))
@@ -287,7 +287,7 @@ static double edge_at(const double frame[3][3], const struct gsn_edge_point *poi
 
 /* What is sought, and among what. */
 struct search {
-    const struct gsn_edge_point *point;
+    const struct gsn_hue_edge_point *point;
     size_t points;
     const double *control, *treated;
     double slope;
@@ -348,12 +348,13 @@ static double find_ratio(const struct search *s)
     return (below + above) / 2;
 }
 
-int gsn_edge_find(const struct gsn_edge_point *point, size_t points, const double control[3],
-                  const double treated[3], struct gsn_edge *ret_edge, struct gsn_error *err)
+int gsn_hue_edge_find(const struct gsn_hue_edge_point *point, size_t points,
+                      const double control[3], const double treated[3],
+                      struct gsn_hue_edge *ret_edge, struct gsn_error *err)
 {
     gsn_auto_mem(struct line) line = gsn_alloc_array(1, sizeof *line);
     struct search s = { point, points, control, treated, 0, line };
-    struct gsn_edge edge = { .cells = 0 };
+    struct gsn_hue_edge edge = { .cells = 0 };
     double ratio = (double)NAN, before = 0, tilt_before = (double)NAN;
 
     if (!line)
@@ -387,8 +388,8 @@ int gsn_edge_find(const struct gsn_edge_point *point, size_t points, const doubl
     return GSN_OK;
 }
 
-int gsn_edge_of(const struct gsn_edge *edge, const struct gsn_edge_point *point, size_t points,
-                double *ret_at, struct gsn_error *err)
+int gsn_hue_edge_of(const struct gsn_hue_edge *edge, const struct gsn_hue_edge_point *point,
+                    size_t points, double *ret_at, struct gsn_error *err)
 {
     gsn_auto_mem(struct line) line = gsn_alloc_array(1, sizeof *line);
     double at;
@@ -402,8 +403,8 @@ int gsn_edge_of(const struct gsn_edge *edge, const struct gsn_edge_point *point,
     return GSN_OK;
 }
 
-double gsn_edge_ratio(const struct gsn_edge *edge, const double control[3], const double treated[3],
-                      double purest)
+double gsn_hue_edge_ratio(const struct gsn_hue_edge *edge, const double control[3],
+                          const double treated[3], double purest)
 {
     const double *collagen = edge->frame[0], *remains = edge->frame[1];
 

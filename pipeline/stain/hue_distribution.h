@@ -113,7 +113,7 @@ void gsn_cloud_bin_od(const struct gsn_cloud_bin *bin, double ret_od[3]);
  * found is the largest that it can be, and what the purest cells hold is to be taken off it. */
 
 /* Cells of one hue. */
-struct gsn_edge_point {
+struct gsn_hue_edge_point {
     double hue[3]; /* shares of R, G and B; they sum to 1 */
     double cells;
     double variance[3]; /* of each share, by the noise of the scan */
@@ -122,7 +122,7 @@ struct gsn_edge_point {
 /* Optical density in amounts of three colours: of the control's tissue, of what remains once
  * collagen is gone, and of what lies across to both; each in R + G + B of it. The first is 0 on the
  * edge of the cloud. */
-struct gsn_edge {
+struct gsn_hue_edge {
     double frame[3][3]; /* rows: what an amount takes of R, G and B */
     double remains[3];  /* the hue of the second */
     double vertex; /* how wide the foremost cells are spread, from half a per cent of them to 5 %,
@@ -132,17 +132,18 @@ struct gsn_edge {
 
 /* control, treated: mean optical density of the two. Fails with GSN_E_STAIN when the line between
  * them does not leave the cloud where it has cells enough, or there is no line; GSN_E_NOMEM. */
-int gsn_edge_find(const struct gsn_edge_point *point, size_t points, const double control[3],
-                  const double treated[3], struct gsn_edge *ret_edge, struct gsn_error *err);
+int gsn_hue_edge_find(const struct gsn_hue_edge_point *point, size_t points,
+                      const double control[3], const double treated[3],
+                      struct gsn_hue_edge *ret_edge, struct gsn_error *err);
 
 /* Where other cells, of one panel for instance, have their edge: control's tissue over what
  * remains. Fails with GSN_E_STAIN when fewer than 300 cells are near it; GSN_E_NOMEM. */
-int gsn_edge_of(const struct gsn_edge *edge, const struct gsn_edge_point *point, size_t points,
-                double *ret_at, struct gsn_error *err);
+int gsn_hue_edge_of(const struct gsn_hue_edge *edge, const struct gsn_hue_edge_point *point,
+                    size_t points, double *ret_at, struct gsn_error *err);
 
 /* Treated over control, 1 - loss, when the purest cells hold so much of the control's tissue. */
-double gsn_edge_ratio(const struct gsn_edge *edge, const double control[3], const double treated[3],
-                      double purest);
+double gsn_hue_edge_ratio(const struct gsn_hue_edge *edge, const double control[3],
+                          const double treated[3], double purest);
 
 #ifdef __cplusplus
 }

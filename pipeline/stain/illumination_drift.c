@@ -100,10 +100,11 @@ static double spread_of_bands(struct look *look, int along)
     return seen < 3 ? (double)NAN : high - low;
 }
 
-struct gsn_lamp gsn_lamp_look(struct gsn_plane *const od[3], const struct gsn_pixel_box *box)
+struct gsn_illumination gsn_illumination_drift(struct gsn_plane *const od[3],
+                                               const struct gsn_pixel_box *box)
 {
     struct look look = { .od = od, .box = box };
-    struct gsn_lamp lamp = { .rows = spread_of_bands(&look, 1) };
+    struct gsn_illumination lamp = { .rows = spread_of_bands(&look, 1) };
 
     lamp.columns = spread_of_bands(&look, 0);
     lamp.residual = look.count ? sqrt(look.sum_of_squares / (double)look.count) : (double)NAN;

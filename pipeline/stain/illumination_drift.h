@@ -14,15 +14,16 @@
 extern "C" {
 #endif
 
-struct gsn_lamp {
+struct gsn_illumination {
     double residual; /* root mean square of the glass about its surface; NaN: too little glass */
     double rows;     /* how far the brightest band of rows is from the darkest; NaN: not told */
     double columns;  /* the same across, for scanners that move that way */
 };
 
-/* od: R, G and B of the panel, as gsn_absorb_thin() gives them. box: the part of the picture to
+/* od: R, G and B of the panel, as gsn_od_thin() gives them. box: the part of the picture to
  * look at, where no label and no frame is; it lies in the picture. borrows: both. */
-struct gsn_lamp gsn_lamp_look(struct gsn_plane *const od[3], const struct gsn_pixel_box *box);
+struct gsn_illumination gsn_illumination_drift(struct gsn_plane *const od[3],
+                                               const struct gsn_pixel_box *box);
 
 #ifdef __cplusplus
 }

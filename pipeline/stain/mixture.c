@@ -38,7 +38,7 @@ struct seen {
     double log_jacobian; /* of z by the densities */
 };
 
-static void see_pixel(const struct gsn_stain_pixel *pixel, const struct gsn_optics *optics,
+static void see_pixel(const struct gsn_stain_pixel *pixel, const struct gsn_dyes_inverse *optics,
                       struct seen *ret)
 {
     const double(*w)[3] = optics->inverse;
@@ -69,17 +69,17 @@ static void see_pixel(const struct gsn_stain_pixel *pixel, const struct gsn_opti
 
 /* What each class says: pull is precision (z - mean), weight the share of the pixel it claims. */
 struct claim {
-    double weight[GSN_CLASSES], pull[GSN_CLASSES][3];
+    double weight[GSN_MIXTURE_CLASSES], pull[GSN_MIXTURE_CLASSES][3];
     double log_density;
 };
 
-static void claim_pixel(const struct gsn_classes *classes, const struct seen *seen,
+static void claim_pixel(const struct gsn_mixture *classes, const struct seen *seen,
                         struct claim *ret)
 {
     double stray = STRAY / STRAY_VOLUME, sum = stray;
 
     for (size_t j = 0; j < classes->count; j++) {
-        const struct gsn_class *class = &classes->class[j];
+        const struct gsn_mixture_class *class = &classes->class[j];
         double u[3], square = 0;
 
         for (int k = 0; k < 3; k++)
@@ -113,7 +113,7 @@ static void add_moments(struct moments *m, double weight, const double z[3])
     }
 }
 
-static void set_class(const struct moments *m, double all, struct gsn_class *class)
+static void set_class(const struct moments *m, double all, struct gsn_mixture_class *class)
 {
     double covariance[3][3], l[3][3], log_det = 0;
 
@@ -137,8 +137,8 @@ static void set_class(const struct moments *m, double all, struct gsn_class *cla
 /* A class of less than this share of the pixels has no shape of its own any more. */
 static const double LEAST_SHARE = 0.01;
 
-static void set_classes(const struct moments m[GSN_CLASSES], size_t pixels,
-                        struct gsn_classes *classes)
+static void set_classes(const struct moments m[GSN_MIXTURE_CLASSES], size_t pixels,
+                        struct gsn_mixture *classes)
 {
     double all = 0;
     size_t kept = 0;
@@ -153,12 +153,12 @@ static void set_classes(const struct moments m[GSN_CLASSES], size_t pixels,
 }
 
 /* Classes to begin with: thirds of the pixels by their share of red. */
-void gsn_classes_start(struct gsn_classes *classes, size_t count,
-                       const struct gsn_stain_sample *sample, const struct gsn_optics *optics)
+void gsn_mixture_start(struct gsn_mixture *classes, size_t count,
+                       const struct gsn_stain_sample *sample, const struct gsn_dyes_inverse *optics)
 {
     enum { SHARES = 256 };
     size_t bin[SHARES] = { 0 }, below = 0;
-    struct moments m[GSN_CLASSES] = { { 0 } };
+    struct moments m[GSN_MIXTURE_CLASSES] = { { 0 } };
     size_t class_of[SHARES];
     struct seen seen;
 
@@ -182,10 +182,10 @@ void gsn_classes_start(struct gsn_classes *classes, size_t count,
     set_classes(m, sample->count, classes);
 }
 
-void gsn_classes_refit(struct gsn_classes *classes, const struct gsn_stain_sample *sample,
-                       const struct gsn_optics *optics)
+void gsn_mixture_refit(struct gsn_mixture *classes, const struct gsn_stain_sample *sample,
+                       const struct gsn_dyes_inverse *optics)
 {
-    struct moments m[GSN_CLASSES] = { { 0 } };
+    struct moments m[GSN_MIXTURE_CLASSES] = { { 0 } };
 
     for (size_t i = 0; i < sample->count; i++) {
         struct seen seen;
@@ -199,9 +199,9 @@ void gsn_classes_refit(struct gsn_classes *classes, const struct gsn_stain_sampl
     set_classes(m, sample->count, classes);
 }
 
-double gsn_classes_likelihood(const struct gsn_classes *classes,
+double gsn_mixture_likelihood(const struct gsn_mixture *classes,
                               const struct gsn_stain_sample *sample,
-                              const struct gsn_optics *optics)
+                              const struct gsn_dyes_inverse *optics)
 {
     double sum = 0;
 
@@ -220,8 +220,8 @@ double gsn_classes_likelihood(const struct gsn_classes *classes,
 
 /* Slopes of one pixel's log-likelihood. A vector that moves by dv changes amount k by
  * -(inverse[k] . dv) times its own amount, and the noises likewise. */
-static void score_turns(const struct gsn_classes *classes, const struct seen *seen,
-                        const struct claim *of, const struct gsn_optics *optics, double *ret)
+static void score_turns(const struct gsn_mixture *classes, const struct seen *seen,
+                        const struct claim *of, const struct gsn_dyes_inverse *optics, double *ret)
 {
     double pull[3] = { 0 }, claimed = 0;
 
@@ -230,7 +230,7 @@ static void score_turns(const struct gsn_classes *classes, const struct seen *se
         for (int k = 0; k < 3; k++)
             pull[k] += of->weight[j] * of->pull[j][k];
     }
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
         const int moving = m / 2;
         double sum = 0;
 
@@ -254,12 +254,12 @@ static void score_turns(const struct gsn_classes *classes, const struct seen *se
     }
 }
 
-static void score_classes(const struct gsn_classes *classes, const struct claim *of, double *ret)
+static void score_classes(const struct gsn_mixture *classes, const struct claim *of, double *ret)
 {
     const size_t last = classes->count - 1;
 
     for (size_t j = 0; j < classes->count; j++) {
-        const struct gsn_class *class = &classes->class[j];
+        const struct gsn_mixture_class *class = &classes->class[j];
         const double *pull = of->pull[j];
 
         for (int k = 0; k < 3; k++)
@@ -272,24 +272,24 @@ static void score_classes(const struct gsn_classes *classes, const struct claim 
     }
 }
 
-size_t gsn_classes_unknowns(const struct gsn_classes *classes)
+size_t gsn_mixture_unknowns(const struct gsn_mixture *classes)
 {
     return classes->count * 9 + classes->count - 1;
 }
 
 /* Frees the turns' slopes of what the classes could follow of them:
  * outer[turn][class] outer[class][class]^-1. */
-static void free_of_classes(size_t unknowns, const double *slope, struct gsn_scores *s)
+static void free_of_classes(size_t unknowns, const double *slope, struct gsn_mixture_scores *s)
 {
-    double a[GSN_CLASS_UNKNOWNS * GSN_CLASS_UNKNOWNS], follow[GSN_CLASS_UNKNOWNS];
-    const size_t base = GSN_DYE_TURNS;
+    double a[GSN_MIXTURE_UNKNOWNS * GSN_MIXTURE_UNKNOWNS], follow[GSN_MIXTURE_UNKNOWNS];
+    const size_t base = GSN_DYE_ROTATIONS;
     int definite;
 
     for (size_t i = 0; i < unknowns; i++)
         for (size_t j = 0; j < unknowns; j++)
             a[i * unknowns + j] = s->outer[base + i][base + j] * (i == j ? 1 + 1e-9 : 1);
     definite = gsn_cholesky(a, unknowns, unknowns) == 0;
-    for (size_t m = 0; m < GSN_DYE_TURNS; m++) {
+    for (size_t m = 0; m < GSN_DYE_ROTATIONS; m++) {
         for (size_t i = 0; i < unknowns; i++)
             follow[i] = definite ? s->outer[m][base + i] : 0;
         if (definite)
@@ -297,7 +297,7 @@ static void free_of_classes(size_t unknowns, const double *slope, struct gsn_sco
         s->total[m] = slope[m];
         for (size_t i = 0; i < unknowns; i++)
             s->total[m] -= follow[i] * slope[base + i];
-        for (size_t n = 0; n < GSN_DYE_TURNS; n++) {
+        for (size_t n = 0; n < GSN_DYE_ROTATIONS; n++) {
             s->information[m][n] = s->outer[m][n];
             for (size_t i = 0; i < unknowns; i++)
                 s->information[m][n] -= follow[i] * s->outer[n][base + i];
@@ -305,10 +305,10 @@ static void free_of_classes(size_t unknowns, const double *slope, struct gsn_sco
     }
 }
 
-void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
-                       const struct gsn_optics *optics, struct gsn_scores *ret_scores)
+void gsn_mixture_score(const struct gsn_mixture *classes, const struct gsn_stain_sample *sample,
+                       const struct gsn_dyes_inverse *optics, struct gsn_mixture_scores *ret_scores)
 {
-    const size_t all = GSN_DYE_TURNS + gsn_classes_unknowns(classes);
+    const size_t all = GSN_DYE_ROTATIONS + gsn_mixture_unknowns(classes);
     double slope[GSN_SCORE_UNKNOWNS] = { 0 };
 
     memset(ret_scores->outer, 0, sizeof ret_scores->outer);
@@ -320,7 +320,7 @@ void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain
         see_pixel(&sample->pixel[i], optics, &seen);
         claim_pixel(classes, &seen, &of);
         score_turns(classes, &seen, &of, optics, score);
-        score_classes(classes, &of, score + GSN_DYE_TURNS);
+        score_classes(classes, &of, score + GSN_DYE_ROTATIONS);
         for (size_t m = 0; m < all; m++) {
             slope[m] += score[m];
             for (size_t n = 0; n <= m; n++)
@@ -330,7 +330,7 @@ void gsn_classes_score(const struct gsn_classes *classes, const struct gsn_stain
     for (size_t m = 0; m < all; m++)
         for (size_t n = 0; n < m; n++)
             ret_scores->outer[n][m] = ret_scores->outer[m][n];
-    free_of_classes(gsn_classes_unknowns(classes), slope, ret_scores);
+    free_of_classes(gsn_mixture_unknowns(classes), slope, ret_scores);
 }
 
 /* ---- misfit ------------------------------------------------------------------------------ */
@@ -339,13 +339,13 @@ enum { BINS = 16 };
 
 /* The classes along one direction: normals in one dimension. */
 struct along {
-    double mean[GSN_CLASSES], deviation[GSN_CLASSES];
+    double mean[GSN_MIXTURE_CLASSES], deviation[GSN_MIXTURE_CLASSES];
 };
 
-static void look_along(const struct gsn_classes *classes, const double way[3], struct along *ret)
+static void look_along(const struct gsn_mixture *classes, const double way[3], struct along *ret)
 {
     for (size_t j = 0; j < classes->count; j++) {
-        const struct gsn_class *class = &classes->class[j];
+        const struct gsn_mixture_class *class = &classes->class[j];
         double covariance[3][3], variance = 0;
 
         memcpy(covariance, class->precision, sizeof covariance);
@@ -361,7 +361,7 @@ static void look_along(const struct gsn_classes *classes, const double way[3], s
 }
 
 /* Share of the classes that lies below. */
-static double share_below(const struct gsn_classes *classes, const struct along *along, double z)
+static double share_below(const struct gsn_mixture *classes, const struct along *along, double z)
 {
     double below = 0;
 
@@ -382,8 +382,8 @@ static double relative_entropy(const size_t bin[BINS], size_t all)
     return sum;
 }
 
-double gsn_classes_misfit(const struct gsn_classes *classes, const struct gsn_stain_sample *sample,
-                          const struct gsn_optics *optics)
+double gsn_mixture_misfit(const struct gsn_mixture *classes, const struct gsn_stain_sample *sample,
+                          const struct gsn_dyes_inverse *optics)
 {
     /* Each amount, how two go together, and how they go against each other. */
     static const double way[][3] = { { 1, 0, 0 },  { 0, 1, 0 },  { 0, 0, 1 },

@@ -166,8 +166,8 @@ static double weigh_by_distance(const double *x, const double *y, size_t count, 
     return median;
 }
 
-int gsn_level_line(const double *before, const double *after, size_t count,
-                   struct gsn_level_line *ret_line, struct gsn_error *err)
+int gsn_gain_line(const double *before, const double *after, size_t count,
+                  struct gsn_gain_line *ret_line, struct gsn_error *err)
 {
     gsn_auto_mem(double) weight = NULL;
     gsn_auto_mem(double) scratch = NULL;
@@ -197,20 +197,19 @@ int gsn_level_line(const double *before, const double *after, size_t count,
         if (!(median > 0))
             break;
     }
-    *ret_line = (struct gsn_level_line){ .slope = slope, .offset = offset, .cells = count };
+    *ret_line = (struct gsn_gain_line){ .slope = slope, .offset = offset, .cells = count };
     return GSN_OK;
 }
 
 /* ---- the chain --------------------------------------------------------------------------- */
 
 /* How far a line lifts a density. */
-static double lift_at(const struct gsn_level_line *line, double at)
+static double lift_at(const struct gsn_gain_line *line, double at)
 {
     return (line->slope - 1) * at + line->offset;
 }
 
-static void learn_drift(const struct gsn_level_line *within, size_t lines,
-                        struct gsn_level_fit *fit)
+static void learn_drift(const struct gsn_gain_line *within, size_t lines, struct gsn_gain_fit *fit)
 {
     double sum[2] = { 0 }, square[3] = { 0 }, lags = 0; /* sum of their squares */
     const double n = (double)lines;
@@ -240,7 +239,7 @@ static void learn_drift(const struct gsn_level_line *within, size_t lines,
 }
 
 /* A step in units of its error, squared. */
-static double size_of_step(const struct gsn_level_fit *fit, double lag, const double d[2])
+static double size_of_step(const struct gsn_gain_fit *fit, double lag, const double d[2])
 {
     double c[3], det;
 
@@ -250,14 +249,14 @@ static double size_of_step(const struct gsn_level_fit *fit, double lag, const do
     return (c[2] * d[0] * d[0] - 2 * c[1] * d[0] * d[1] + c[0] * d[1] * d[1]) / det;
 }
 
-static void step_of(const struct gsn_level_line *line, const struct gsn_level_fit *fit, double d[2])
+static void step_of(const struct gsn_gain_line *line, const struct gsn_gain_fit *fit, double d[2])
 {
     for (int k = 0; k < 2; k++)
         d[k] = lift_at(line, fit->at[k]) - fit->drift[k] * line->lag;
 }
 
-static double share_kept(const struct gsn_level_line *step, size_t steps,
-                         const struct gsn_level_fit *fit)
+static double share_kept(const struct gsn_gain_line *step, size_t steps,
+                         const struct gsn_gain_fit *fit)
 {
     double sum = 0, d[2];
 
@@ -269,7 +268,7 @@ static double share_kept(const struct gsn_level_line *step, size_t steps,
 }
 
 /* Levels on the scale of the first panel become levels on the scale of their mean. */
-static void centre_levels(struct gsn_level *level, size_t panels, struct gsn_level_fit *fit)
+static void centre_levels(struct gsn_gain_offset *level, size_t panels, struct gsn_gain_fit *fit)
 {
     double gain = 0, offset = 0, gains = 0, offsets = 0;
 
@@ -289,16 +288,16 @@ static void centre_levels(struct gsn_level *level, size_t panels, struct gsn_lev
     }
 }
 
-int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
-                    const struct gsn_level_line *within, size_t lines, const double at[2],
-                    struct gsn_level *ret_level, struct gsn_level_fit *ret_fit,
-                    struct gsn_error *err)
+int gsn_gain_chain(const struct gsn_gain_line *step, size_t steps,
+                   const struct gsn_gain_line *within, size_t lines, const double at[2],
+                   struct gsn_gain_offset *ret_level, struct gsn_gain_fit *ret_fit,
+                   struct gsn_error *err)
 {
-    struct gsn_level_fit fit = { .at = { at[0], at[1] }, .steps = steps };
+    struct gsn_gain_fit fit = { .at = { at[0], at[1] }, .steps = steps };
 
-    if (steps >= GSN_LEVEL_PANELS)
+    if (steps >= GSN_GAIN_PANELS)
         return gsn_fail(err, GSN_E_STAIN, "%zu panels: one block has %d at most", steps + 1,
-                        GSN_LEVEL_PANELS);
+                        GSN_GAIN_PANELS);
     if (lines < LEAST_LINES)
         return gsn_fail(err, GSN_E_STAIN,
                         "only %zu times could sections of one panel be compared with each other, "
@@ -315,15 +314,15 @@ int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
             return gsn_fail(err, GSN_E_STAIN,
                             "what is dense on one panel is pale on the next: look at the poses");
     }
-    ret_level[0] = (struct gsn_level){ 1, 0 };
+    ret_level[0] = (struct gsn_gain_offset){ 1, 0 };
     for (size_t i = 0; i < steps; i++) {
         double d[2], slope, offset;
 
         step_of(&step[i], &fit, d);
         slope = 1 + fit.kept * (d[1] - d[0]) / (at[1] - at[0]);
         offset = fit.kept * d[0] - (slope - 1) * at[0];
-        ret_level[i + 1] =
-            (struct gsn_level){ slope * ret_level[i].gain, slope * ret_level[i].offset + offset };
+        ret_level[i + 1] = (struct gsn_gain_offset){ slope * ret_level[i].gain,
+                                                     slope * ret_level[i].offset + offset };
     }
     centre_levels(ret_level, steps + 1, &fit);
     *ret_fit = fit;
@@ -331,7 +330,7 @@ int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
 }
 
 /* Covariance of a step's lift at two densities. */
-static double at_densities(const struct gsn_level_fit *fit, const double c[3], double a, double b)
+static double at_densities(const struct gsn_gain_fit *fit, const double c[3], double a, double b)
 {
     const double width = fit->at[1] - fit->at[0];
     const double ua = (a - fit->at[0]) / width, ub = (b - fit->at[0]) / width;
@@ -339,8 +338,8 @@ static double at_densities(const struct gsn_level_fit *fit, const double c[3], d
     return (1 - ua) * (1 - ub) * c[0] + ((1 - ua) * ub + ua * (1 - ub)) * c[1] + ua * ub * c[2];
 }
 
-double gsn_level_covariance(const struct gsn_level_fit *fit, const double *a, double density_a,
-                            const double *b, double density_b)
+double gsn_gain_covariance(const struct gsn_gain_fit *fit, const double *a, double density_a,
+                           const double *b, double density_b)
 {
     double behind_a = 0, behind_b = 0, steps = 0, drift_a = 0, drift_b = 0;
 
@@ -356,14 +355,14 @@ double gsn_level_covariance(const struct gsn_level_fit *fit, const double *a, do
            drift_a * drift_b * at_densities(fit, fit->drift_covariance, density_a, density_b);
 }
 
-double gsn_level_error(const struct gsn_level_fit *fit, const double *share, double density)
+double gsn_gain_error(const struct gsn_gain_fit *fit, const double *share, double density)
 {
     const size_t panels = fit->steps + 1;
-    double lever[GSN_LEVEL_PANELS];
+    double lever[GSN_GAIN_PANELS];
 
     for (size_t p = 0; p < panels; p++)
         lever[p] = share[p] - 1 / (double)panels;
-    return sqrt(fmax(0, gsn_level_covariance(fit, lever, density, lever, density)));
+    return sqrt(fmax(0, gsn_gain_covariance(fit, lever, density, lever, density)));
 }
 
 /* ---- control tissues of one specimen ----------------------------------------------------- */
@@ -385,12 +384,12 @@ static const double LEAST_VARIANCE = 1e-6;
 
 /* What all panels say of one tissue. */
 struct tissue {
-    const struct gsn_level_seen *seen;
+    const struct gsn_control_seen *seen;
     size_t count;
     double density;                  /* about where the steps lift it */
-    double weight[GSN_LEVEL_PANELS]; /* of the panels that see it */
-    double lever[GSN_LEVEL_PANELS];  /* of all panels, against the region's shares */
-    double noise[GSN_LEVEL_PANELS];  /* variance, of the panels that see it */
+    double weight[GSN_GAIN_PANELS];  /* of the panels that see it */
+    double lever[GSN_GAIN_PANELS];   /* of all panels, against the region's shares */
+    double noise[GSN_GAIN_PANELS];   /* variance, of the panels that see it */
 };
 
 /* Squares of sections, and by how many degrees of freedom they are known. */
@@ -398,7 +397,7 @@ struct scatter {
     double squares, of_density, free;
 };
 
-static void add_scatter(const struct gsn_level_seen *seen, size_t count, struct scatter *s)
+static void add_scatter(const struct gsn_control_seen *seen, size_t count, struct scatter *s)
 {
     for (size_t i = 0; i < count; i++) {
         const double free = seen[i].sections > 0 ? (double)seen[i].sections - 1 : 0;
@@ -410,12 +409,12 @@ static void add_scatter(const struct gsn_level_seen *seen, size_t count, struct 
 }
 
 /* Variance of one section over its density squared, by all tissues and panels. */
-static double relative_variance(const struct gsn_level_seen *const seen[GSN_LEVEL_TISSUES],
-                                const size_t count[GSN_LEVEL_TISSUES])
+static double relative_variance(const struct gsn_control_seen *const seen[GSN_CONTROL_TISSUES],
+                                const size_t count[GSN_CONTROL_TISSUES])
 {
     struct scatter all = { 0 };
 
-    for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++)
+    for (size_t t = 0; t < GSN_CONTROL_TISSUES; t++)
         add_scatter(seen[t], count[t], &all);
     return all.free >= LEAST_FREE && all.of_density > 0 ? all.squares / all.of_density
                                                         : SCATTER * SCATTER;
@@ -423,7 +422,7 @@ static double relative_variance(const struct gsn_level_seen *const seen[GSN_LEVE
 
 /* Sections of one tissue may scatter by more than those of all do; that they scatter by less is
  * chance. */
-static void tissue_init(const struct gsn_level_seen *seen, size_t count, double relative,
+static void tissue_init(const struct gsn_control_seen *seen, size_t count, double relative,
                         struct tissue *t)
 {
     struct scatter own = { 0 };
@@ -440,26 +439,26 @@ static void tissue_init(const struct gsn_level_seen *seen, size_t count, double 
 }
 
 /* Covariance of what two panels are off by. */
-static double covariance_of(const struct gsn_level_frame *frame, const struct tissue *t, size_t i,
+static double covariance_of(const struct gsn_control_frame *frame, const struct tissue *t, size_t i,
                             size_t j)
 {
     const size_t panels = frame->fit->steps + 1;
     const double slope = SLOPE_PER_UM * t->density;
-    double one[GSN_LEVEL_PANELS], other[GSN_LEVEL_PANELS];
+    double one[GSN_GAIN_PANELS], other[GSN_GAIN_PANELS];
 
     for (size_t p = 0; p < panels; p++)
         one[p] = other[p] = -frame->share[p];
     one[t->seen[i].panel] += 1;
     other[t->seen[j].panel] += 1;
-    return gsn_level_covariance(frame->fit, one, t->density, other, t->density) +
+    return gsn_gain_covariance(frame->fit, one, t->density, other, t->density) +
            slope * slope * (t->seen[i].z_um - frame->at_um) * (t->seen[j].z_um - frame->at_um) +
            (i == j ? t->noise[i] : 0);
 }
 
 /* The weights of the panels: the best linear unbiased ones. */
-static void weigh_panels(const struct gsn_level_frame *frame, struct tissue *t)
+static void weigh_panels(const struct gsn_control_frame *frame, struct tissue *t)
 {
-    double covariance[GSN_LEVEL_PANELS * GSN_LEVEL_PANELS], sum = 0;
+    double covariance[GSN_GAIN_PANELS * GSN_GAIN_PANELS], sum = 0;
 
     for (size_t i = 0; i < t->count; i++) {
         t->weight[i] = 1;
@@ -477,7 +476,7 @@ static void weigh_panels(const struct gsn_level_frame *frame, struct tissue *t)
     }
 }
 
-static double own_variance(const struct gsn_level_frame *frame, const struct tissue *t)
+static double own_variance(const struct gsn_control_frame *frame, const struct tissue *t)
 {
     double away = 0, noise = 0;
 
@@ -488,16 +487,16 @@ static double own_variance(const struct gsn_level_frame *frame, const struct tis
     return noise + SLOPE_PER_UM * SLOPE_PER_UM * t->density * t->density * away * away;
 }
 
-void gsn_level_tissues_at(const struct gsn_level_frame *frame,
-                          const struct gsn_level_seen *const seen[GSN_LEVEL_TISSUES],
-                          const size_t count[GSN_LEVEL_TISSUES],
-                          struct gsn_level_tissues *ret_tissues)
+void gsn_control_tissues_at(const struct gsn_control_frame *frame,
+                            const struct gsn_control_seen *const seen[GSN_CONTROL_TISSUES],
+                            const size_t count[GSN_CONTROL_TISSUES],
+                            struct gsn_control_tissues *ret_tissues)
 {
     const double relative = relative_variance(seen, count);
-    struct tissue tissue[GSN_LEVEL_TISSUES];
-    struct gsn_level_tissues ret = { 0 };
+    struct tissue tissue[GSN_CONTROL_TISSUES];
+    struct gsn_control_tissues ret = { 0 };
 
-    for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++) {
+    for (size_t t = 0; t < GSN_CONTROL_TISSUES; t++) {
         tissue_init(seen[t], count[t], relative, &tissue[t]);
         if (count[t] > 0)
             weigh_panels(frame, &tissue[t]);
@@ -505,18 +504,18 @@ void gsn_level_tissues_at(const struct gsn_level_frame *frame,
         for (size_t i = 0; i < count[t]; i++)
             ret.value[t] += tissue[t].weight[i] * seen[t][i].value;
     }
-    for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++)
-        for (size_t u = 0; u < GSN_LEVEL_TISSUES; u++)
+    for (size_t t = 0; t < GSN_CONTROL_TISSUES; t++)
+        for (size_t u = 0; u < GSN_CONTROL_TISSUES; u++)
             ret.covariance[t][u] =
                 count[t] == 0 || count[u] == 0
                     ? (double)NAN
-                    : gsn_level_covariance(frame->fit, tissue[t].lever, tissue[t].density,
-                                           tissue[u].lever, tissue[u].density) +
+                    : gsn_gain_covariance(frame->fit, tissue[t].lever, tissue[t].density,
+                                          tissue[u].lever, tissue[u].density) +
                           (t == u ? own_variance(frame, &tissue[t]) : 0);
     *ret_tissues = ret;
 }
 
-double gsn_level_tissue_error(const struct gsn_level_tissues *tissues, size_t tissue)
+double gsn_control_tissue_error(const struct gsn_control_tissues *tissues, size_t tissue)
 {
     return sqrt(tissues->covariance[tissue][tissue]);
 }
@@ -533,23 +532,23 @@ static const double ANIMALS = 0.02, NUCLEI = 0.005;
 static const double GENEROUS = 4;
 
 /* Baths that are even still differ: less than this is not worth a name. */
-static const struct gsn_level LEAST_SPREAD = { 1e-3, 5e-4 };
+static const struct gsn_gain_offset LEAST_SPREAD = { 1e-3, 5e-4 };
 
 /* The tissues that both show. */
 struct pairs {
     size_t count;
-    double here[GSN_LEVEL_TISSUES], there[GSN_LEVEL_TISSUES];
-    double
-        covariance[GSN_LEVEL_TISSUES * GSN_LEVEL_TISSUES]; /* of their differences; count x count */
+    double here[GSN_CONTROL_TISSUES], there[GSN_CONTROL_TISSUES];
+    double covariance[GSN_CONTROL_TISSUES *
+                      GSN_CONTROL_TISSUES]; /* of their differences; count x count */
 };
 
-static void pair_up(const struct gsn_level_tissues *here, const struct gsn_level_tissues *there,
+static void pair_up(const struct gsn_control_tissues *here, const struct gsn_control_tissues *there,
                     struct pairs *p)
 {
-    size_t kind[GSN_LEVEL_TISSUES];
+    size_t kind[GSN_CONTROL_TISSUES];
 
     *p = (struct pairs){ 0 };
-    for (size_t t = 0; t < GSN_LEVEL_TISSUES; t++)
+    for (size_t t = 0; t < GSN_CONTROL_TISSUES; t++)
         if (!isnan(here->value[t]) && !isnan(there->value[t])) {
             p->here[p->count] = here->value[t];
             p->there[p->count] = there->value[t];
@@ -566,7 +565,7 @@ static void pair_up(const struct gsn_level_tissues *here, const struct gsn_level
 }
 
 /* How many times spread, squared, the tissues' differences allow for; 1 at least. */
-static double find_widening(const struct pairs *p, const struct gsn_level *spread)
+static double find_widening(const struct pairs *p, const struct gsn_gain_offset *spread)
 {
     double excess = 0, expected = 0;
 
@@ -581,9 +580,9 @@ static double find_widening(const struct pairs *p, const struct gsn_level *sprea
 }
 
 /* x becomes covariance^-1 x. */
-static int divide_by_covariance(const struct pairs *p, double x[GSN_LEVEL_TISSUES])
+static int divide_by_covariance(const struct pairs *p, double x[GSN_CONTROL_TISSUES])
 {
-    double covariance[GSN_LEVEL_TISSUES * GSN_LEVEL_TISSUES];
+    double covariance[GSN_CONTROL_TISSUES * GSN_CONTROL_TISSUES];
 
     memcpy(covariance, p->covariance, sizeof covariance);
     return gsn_solve_spd(covariance, p->count, p->count, x) == 0;
@@ -591,9 +590,10 @@ static int divide_by_covariance(const struct pairs *p, double x[GSN_LEVEL_TISSUE
 
 /* Generalised least squares of the differences by a straight line, whose gain and offset have these
  * variances beforehand. */
-static int fit_link(const struct pairs *p, const double prior[2], struct gsn_level_link *link)
+static int fit_link(const struct pairs *p, const double prior[2],
+                    struct gsn_batch_calibration *link)
 {
-    double slope[GSN_LEVEL_TISSUES] = { 0 }, one[GSN_LEVEL_TISSUES] = { 0 };
+    double slope[GSN_CONTROL_TISSUES] = { 0 }, one[GSN_CONTROL_TISSUES] = { 0 };
     double n00 = 1 / prior[0], n01 = 0, n11 = 1 / prior[1], r0 = 0, r1 = 0, det;
 
     for (size_t i = 0; i < p->count; i++) {
@@ -612,16 +612,16 @@ static int fit_link(const struct pairs *p, const double prior[2], struct gsn_lev
         r1 += one[i] * off;
     }
     det = n00 * n11 - n01 * n01;
-    *link = (struct gsn_level_link){ .gain = 1 + (n11 * r0 - n01 * r1) / det,
-                                     .offset = (n00 * r1 - n01 * r0) / det,
-                                     .covariance = { n11 / det, -n01 / det, n00 / det },
-                                     .tissues = p->count };
+    *link = (struct gsn_batch_calibration){ .gain = 1 + (n11 * r0 - n01 * r1) / det,
+                                            .offset = (n00 * r1 - n01 * r0) / det,
+                                            .covariance = { n11 / det, -n01 / det, n00 / det },
+                                            .tissues = p->count };
     return 1;
 }
 
-static double find_disagreement(const struct pairs *p, const struct gsn_level_link *link)
+static double find_disagreement(const struct pairs *p, const struct gsn_batch_calibration *link)
 {
-    double off[GSN_LEVEL_TISSUES] = { 0 }, scaled[GSN_LEVEL_TISSUES] = { 0 }, sum = 0;
+    double off[GSN_CONTROL_TISSUES] = { 0 }, scaled[GSN_CONTROL_TISSUES] = { 0 }, sum = 0;
 
     for (size_t i = 0; i < p->count; i++)
         off[i] = scaled[i] = p->here[i] - link->gain * p->there[i] - link->offset;
@@ -631,13 +631,14 @@ static double find_disagreement(const struct pairs *p, const struct gsn_level_li
     return sqrt(fmax(0, sum));
 }
 
-int gsn_level_between(const struct gsn_level_tissues *here, const struct gsn_level_tissues *there,
-                      const struct gsn_level *spread, struct gsn_level_link *ret_link,
-                      struct gsn_error *err)
+int gsn_batch_calibrate(const struct gsn_control_tissues *here,
+                        const struct gsn_control_tissues *there,
+                        const struct gsn_gain_offset *spread,
+                        struct gsn_batch_calibration *ret_link, struct gsn_error *err)
 {
-    const struct gsn_level least = { fmax(spread->gain, LEAST_SPREAD.gain),
-                                     fmax(spread->offset, LEAST_SPREAD.offset) };
-    struct gsn_level_link link;
+    const struct gsn_gain_offset least = { fmax(spread->gain, LEAST_SPREAD.gain),
+                                           fmax(spread->offset, LEAST_SPREAD.offset) };
+    struct gsn_batch_calibration link;
     struct pairs pairs;
     double wide;
 
@@ -660,7 +661,7 @@ int gsn_level_between(const struct gsn_level_tissues *here, const struct gsn_lev
     return GSN_OK;
 }
 
-double gsn_level_link_error(const struct gsn_level_link *link, double density)
+double gsn_batch_calibration_error(const struct gsn_batch_calibration *link, double density)
 {
     const double *c = link->covariance;
 

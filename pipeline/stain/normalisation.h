@@ -85,7 +85,7 @@ int gsn_stain_gain_of_others(const struct gsn_stain_gain *gains, size_t count,
  * many sections; their mean is taken off as the tissue's own drift, their scatter is the error. */
 
 /* after = slope * before + offset. */
-struct gsn_level_line {
+struct gsn_gain_line {
     double slope, offset;
     double lag;   /* sections between the middles of the two sides */
     size_t cells; /* that it rests on */
@@ -95,24 +95,24 @@ struct gsn_level_line {
  * by more than four of their median deviation hardly count. lag of ret_line is not set.
  * Fails with GSN_E_STAIN when there are fewer than 100 cells or they are so alike that a line is
  * not told; GSN_E_NOMEM. No value may be NaN. */
-int gsn_level_line(const double *before, const double *after, size_t count,
-                   struct gsn_level_line *ret_line, struct gsn_error *err);
+int gsn_gain_line(const double *before, const double *after, size_t count,
+                  struct gsn_gain_line *ret_line, struct gsn_error *err);
 
-struct gsn_level {
+struct gsn_gain_offset {
     double gain, offset;
 };
 
 /* Panels of one block, at most. */
-enum { GSN_LEVEL_PANELS = 64 };
+enum { GSN_GAIN_PANELS = 64 };
 
 /* How well the panels could be levelled. */
-struct gsn_level_fit {
+struct gsn_gain_fit {
     double at[2];               /* the two densities between which tissue lies mostly */
     double drift[2];            /* what tissue itself changes by at those, per section */
     double covariance[3];       /* of one step at those: 00, 01, 11 */
     double drift_covariance[3]; /* of drift; what it is off by, all steps are off by */
     size_t steps;
-    double lag[GSN_LEVEL_PANELS];        /* of each step, sections */
+    double lag[GSN_GAIN_PANELS];         /* of each step, sections */
     double kept;                         /* share of the steps that is more than error, 0..1 */
     double gain_scatter, offset_scatter; /* standard deviations from panel to panel */
 };
@@ -122,23 +122,23 @@ struct gsn_level_fit {
  * panels share is not told by steps. Steps are shrunk by the share of them that their own error
  * explains (their sum of squares in units of the error is compared with that of mere error), so
  * panels that are even stay as they are.
- * Fails with GSN_E_STAIN when there are too few lines, GSN_LEVEL_PANELS steps or a step turns the
+ * Fails with GSN_E_STAIN when there are too few lines, GSN_GAIN_PANELS steps or a step turns the
  * order of densities round.
  */
-int gsn_level_chain(const struct gsn_level_line *step, size_t steps,
-                    const struct gsn_level_line *within, size_t lines, const double at[2],
-                    struct gsn_level *ret_level, struct gsn_level_fit *ret_fit,
-                    struct gsn_error *err);
+int gsn_gain_chain(const struct gsn_gain_line *step, size_t steps,
+                   const struct gsn_gain_line *within, size_t lines, const double at[2],
+                   struct gsn_gain_offset *ret_level, struct gsn_gain_fit *ret_fit,
+                   struct gsn_error *err);
 
 /* Covariance of what the errors of the steps lift two sums over panels by: one weighs the panels by
  * a, the other by b, and they lie at these densities. Weights are fit->steps + 1 each; those of one
  * sum to 0, as all panels alike are nobody's step. */
-double gsn_level_covariance(const struct gsn_level_fit *fit, const double *a, double density_a,
-                            const double *b, double density_b);
+double gsn_gain_covariance(const struct gsn_gain_fit *fit, const double *a, double density_a,
+                           const double *b, double density_b);
 
 /* Standard error of a mean density, at that density, over panels with these shares of the region
  * (they sum to 1), against the mean of all panels. */
-double gsn_level_error(const struct gsn_level_fit *fit, const double *share, double density);
+double gsn_gain_error(const struct gsn_gain_fit *fit, const double *share, double density);
 
 /* ---- two specimens: inter-batch calibration ---------------------------------------------- */
 
@@ -160,10 +160,10 @@ double gsn_level_error(const struct gsn_level_fit *fit, const double *share, dou
  * tissue's sections scatter, and tissue thins or thickens along a block by as much as nobody knows
  * before. Each panel counts as much as these errors leave of it (generalised least squares). */
 
-enum { GSN_LEVEL_TISSUES = 3 };
+enum { GSN_CONTROL_TISSUES = 3 };
 
 /* What one panel says of a tissue. */
-struct gsn_level_seen {
+struct gsn_control_seen {
     size_t panel; /* place along the block among the levelled panels, 0-based */
     double z_um;  /* mean height of its sections */
     double value; /* median of their densities, levelled */
@@ -173,28 +173,28 @@ struct gsn_level_seen {
 
 /* Where the tissues are to be compared: the region's shares of the panels (they sum to 1), and its
  * mean height in the block. */
-struct gsn_level_frame {
-    const struct gsn_level_fit *fit;
+struct gsn_control_frame {
+    const struct gsn_gain_fit *fit;
     const double *share; /* borrowed; one per levelled panel */
     double at_um;
 };
 
-struct gsn_level_tissues {
-    double value[GSN_LEVEL_TISSUES]; /* NaN: not seen */
-    double covariance[GSN_LEVEL_TISSUES][GSN_LEVEL_TISSUES];
+struct gsn_control_tissues {
+    double value[GSN_CONTROL_TISSUES]; /* NaN: not seen */
+    double covariance[GSN_CONTROL_TISSUES][GSN_CONTROL_TISSUES];
 };
 
-/* seen: of each tissue its panels (GSN_LEVEL_PANELS at most), count: how many. */
-void gsn_level_tissues_at(const struct gsn_level_frame *frame,
-                          const struct gsn_level_seen *const seen[GSN_LEVEL_TISSUES],
-                          const size_t count[GSN_LEVEL_TISSUES],
-                          struct gsn_level_tissues *ret_tissues);
+/* seen: of each tissue its panels (GSN_GAIN_PANELS at most), count: how many. */
+void gsn_control_tissues_at(const struct gsn_control_frame *frame,
+                            const struct gsn_control_seen *const seen[GSN_CONTROL_TISSUES],
+                            const size_t count[GSN_CONTROL_TISSUES],
+                            struct gsn_control_tissues *ret_tissues);
 
 /* Standard error of one tissue's density. */
-double gsn_level_tissue_error(const struct gsn_level_tissues *tissues, size_t tissue);
+double gsn_control_tissue_error(const struct gsn_control_tissues *tissues, size_t tissue);
 
 /* How one specimen's densities read in the stain of another: here = gain * there + offset. */
-struct gsn_level_link {
+struct gsn_batch_calibration {
     double gain, offset;
     double covariance[3]; /* of gain and offset: 00, 01, 11 */
     size_t tissues;       /* that both show */
@@ -206,12 +206,13 @@ struct gsn_level_link {
  * much as the tissues differ no more than by error and as spread allows: it says what standard
  * deviations of gain and offset the panels' own scatter makes likely between two specimens.
  * Fails with GSN_E_STAIN when they share fewer than two. */
-int gsn_level_between(const struct gsn_level_tissues *here, const struct gsn_level_tissues *there,
-                      const struct gsn_level *spread, struct gsn_level_link *ret_link,
-                      struct gsn_error *err);
+int gsn_batch_calibrate(const struct gsn_control_tissues *here,
+                        const struct gsn_control_tissues *there,
+                        const struct gsn_gain_offset *spread,
+                        struct gsn_batch_calibration *ret_link, struct gsn_error *err);
 
 /* Standard error of gain * density + offset. */
-double gsn_level_link_error(const struct gsn_level_link *link, double density);
+double gsn_batch_calibration_error(const struct gsn_batch_calibration *link, double density);
 
 #ifdef __cplusplus
 }

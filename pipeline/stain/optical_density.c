@@ -7,7 +7,7 @@
  * table look-up and two multiply-adds, about 1.9 ns for the three of a pixel. Readers are constant
  * after they are made and may be shared by threads.
  *
- * What separates tissue from glass (gsn_tissue_plane) is found in the histogram of the total
+ * What separates tissue from glass (gsn_od_tissue) is found in the histogram of the total
  * density's square root: Otsu's cut first (1979, 10.1109/TSMC.1979.4310076), then the emptiest
  * stretch below it, for pale tissue lies nearer to glass than to dense tissue. */
 #include "pipeline/stain/optical_density.h"
@@ -17,13 +17,13 @@
 
 #include <math.h>
 
-struct gsn_absorber {
+struct gsn_od_reader {
     const struct gsn_image *image;
-    const struct gsn_glass *glass;
+    const struct gsn_flat_field *glass;
     float *table; /* log10 of light of each code */
 };
 
-static int check_picture(const struct gsn_image *image, const struct gsn_glass *glass,
+static int check_picture(const struct gsn_image *image, const struct gsn_flat_field *glass,
                          struct gsn_error *err)
 {
     if (image->channels != 3)
@@ -85,7 +85,7 @@ static void below_glass(const float g[3], uint32_t width, uint32_t x0, size_t co
 }
 
 /* Of one channel, or of all three added up for c = 3. */
-static void glass_row(const struct gsn_glass *glass, uint32_t y, unsigned c, float ret[3])
+static void glass_row(const struct gsn_flat_field *glass, uint32_t y, unsigned c, float ret[3])
 {
     double sum[3] = { 0 };
 
@@ -94,7 +94,7 @@ static void glass_row(const struct gsn_glass *glass, uint32_t y, unsigned c, flo
 
         if (c != 3 && c != k)
             continue;
-        gsn_glass_row(glass, y, k, row);
+        gsn_flat_field_row(glass, y, k, row);
         for (int i = 0; i < 3; i++)
             sum[i] += row[i];
     }
@@ -102,8 +102,8 @@ static void glass_row(const struct gsn_glass *glass, uint32_t y, unsigned c, flo
         ret[i] = (float)sum[i];
 }
 
-int gsn_absorb_total(const struct gsn_image *image, const struct gsn_glass *glass,
-                     struct gsn_plane **ret_total, struct gsn_error *err)
+int gsn_od_total(const struct gsn_image *image, const struct gsn_flat_field *glass,
+                 struct gsn_plane **ret_total, struct gsn_error *err)
 {
     const size_t width = image->width;
     gsn_auto_mem(float) table = NULL;
@@ -128,7 +128,7 @@ int gsn_absorb_total(const struct gsn_image *image, const struct gsn_glass *glas
 }
 
 /* Every apart-th pixel of row y. */
-static void thin_row(const struct gsn_absorber *absorber, uint32_t y, unsigned apart, size_t count,
+static void thin_row(const struct gsn_od_reader *absorber, uint32_t y, unsigned apart, size_t count,
                      float *const to[3])
 {
     const struct gsn_image *image = absorber->image;
@@ -147,17 +147,17 @@ static void thin_row(const struct gsn_absorber *absorber, uint32_t y, unsigned a
     }
 }
 
-int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass, unsigned apart,
-                    struct gsn_plane *ret_od[3], struct gsn_error *err)
+int gsn_od_thin(const struct gsn_image *image, const struct gsn_flat_field *glass, unsigned apart,
+                struct gsn_plane *ret_od[3], struct gsn_error *err)
 {
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     gsn_auto(gsn_plane) red = NULL;
     gsn_auto(gsn_plane) green = NULL;
     gsn_auto(gsn_plane) blue = NULL;
     struct gsn_plane **const plane[3] = { &red, &green, &blue };
     const uint32_t width = (image->width + apart - 1) / apart;
     const uint32_t height = (image->height + apart - 1) / apart;
-    int r = gsn_absorber_new(image, glass, &absorber, err);
+    int r = gsn_od_reader_new(image, glass, &absorber, err);
 
     for (int c = 0; c < 3 && r >= 0; c++)
         r = gsn_plane_new(width, height, plane[c], err);
@@ -168,7 +168,7 @@ int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass
         float *const to[3] = { red->value + at, green->value + at, blue->value + at };
 
         if (apart == 1)
-            gsn_absorber_row(absorber, 0, y, width, to);
+            gsn_od_reader_row(absorber, 0, y, width, to);
         else
             thin_row(absorber, y * apart, apart, width, to);
     }
@@ -179,10 +179,10 @@ int gsn_absorb_thin(const struct gsn_image *image, const struct gsn_glass *glass
 
 /* ---- row by row -------------------------------------------------------------------------- */
 
-int gsn_absorber_new(const struct gsn_image *image, const struct gsn_glass *glass,
-                     struct gsn_absorber **ret_absorber, struct gsn_error *err)
+int gsn_od_reader_new(const struct gsn_image *image, const struct gsn_flat_field *glass,
+                      struct gsn_od_reader **ret_absorber, struct gsn_error *err)
 {
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     int r = check_picture(image, glass, err);
 
     if (r < 0)
@@ -198,7 +198,7 @@ int gsn_absorber_new(const struct gsn_image *image, const struct gsn_glass *glas
     return r;
 }
 
-void gsn_absorber_free(struct gsn_absorber *absorber)
+void gsn_od_reader_free(struct gsn_od_reader *absorber)
 {
     if (!absorber)
         return;
@@ -207,7 +207,7 @@ void gsn_absorber_free(struct gsn_absorber *absorber)
 }
 
 /* log10 of light of all three channels, each pixel touched once. */
-static void light_rows(const struct gsn_absorber *absorber, size_t at, size_t count,
+static void light_rows(const struct gsn_od_reader *absorber, size_t at, size_t count,
                        float *const to[3])
 {
     const float *table = absorber->table;
@@ -232,8 +232,8 @@ static void light_rows(const struct gsn_absorber *absorber, size_t at, size_t co
     }
 }
 
-void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count,
-                      float *const od[3])
+void gsn_od_reader_row(const struct gsn_od_reader *absorber, uint32_t x, uint32_t y, size_t count,
+                       float *const od[3])
 {
     const uint32_t width = absorber->image->width;
 
@@ -248,7 +248,7 @@ void gsn_absorber_row(const struct gsn_absorber *absorber, uint32_t x, uint32_t 
 
 /* log10 of light of every apart-th red sample. Rows as far apart as the pixels come next, and no
  * processor guesses them. */
-static void light_thin(const struct gsn_absorber *absorber, size_t first, uint32_t apart,
+static void light_thin(const struct gsn_od_reader *absorber, size_t first, uint32_t apart,
                        size_t count, float *restrict to)
 {
     const size_t stride = 3 * (size_t)apart,
@@ -270,8 +270,8 @@ static void light_thin(const struct gsn_absorber *absorber, size_t first, uint32
     }
 }
 
-void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, uint32_t apart,
-                      size_t count, float *to)
+void gsn_od_reader_red(const struct gsn_od_reader *absorber, uint32_t x, uint32_t y, uint32_t apart,
+                       size_t count, float *to)
 {
     const uint32_t width = absorber->image->width;
     const float step = 2.0F / (float)width;
@@ -286,7 +286,7 @@ void gsn_absorber_red(const struct gsn_absorber *absorber, uint32_t x, uint32_t 
     }
 }
 
-int gsn_absorber_at_end(const struct gsn_absorber *absorber, uint32_t x, uint32_t y, size_t count)
+int gsn_od_reader_at_end(const struct gsn_od_reader *absorber, uint32_t x, uint32_t y, size_t count)
 {
     const struct gsn_image *image = absorber->image;
     const size_t first = 3 * ((size_t)y * image->width + x);
@@ -306,7 +306,7 @@ int gsn_absorber_at_end(const struct gsn_absorber *absorber, uint32_t x, uint32_
     return found != 0;
 }
 
-int gsn_absorber_clipped(const struct gsn_absorber *absorber, uint32_t x, uint32_t y)
+int gsn_od_reader_clipped(const struct gsn_od_reader *absorber, uint32_t x, uint32_t y)
 {
     const struct gsn_image *image = absorber->image;
     const unsigned top = image->bits == 8 ? 255 : 65535;
@@ -367,8 +367,8 @@ static double find_valley(const float *values, size_t count, double end)
 /* The palest stain that a scan of 8 bits tells from glass, R + G + B. */
 #define PALEST 0.05
 
-int gsn_tissue_plane(struct gsn_plane *const od[3], const struct gsn_glass *glass,
-                     struct gsn_plane **ret_total, double *ret_threshold, struct gsn_error *err)
+int gsn_od_tissue(struct gsn_plane *const od[3], const struct gsn_flat_field *glass,
+                  struct gsn_plane **ret_total, double *ret_threshold, struct gsn_error *err)
 {
     const size_t count = (size_t)od[0]->width * od[0]->height;
     gsn_auto(gsn_plane) total = NULL;

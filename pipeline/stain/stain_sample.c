@@ -79,7 +79,7 @@ static double deviation_at(const struct limits *limits, int c, double density)
 
 /* Codes are read with the same error everywhere, densities with one that grows as the light
  * falls: the darkest that speaks is found by halving. */
-static struct limits limits_of(const struct gsn_glass *glass)
+static struct limits limits_of(const struct gsn_flat_field *glass)
 {
     const double noise = fmax(glass->noise_od, QUANTISED);
     struct limits limits = { .light = glass->light,
@@ -117,7 +117,7 @@ static int tells_hue(struct gsn_plane *const od[3], const struct gsn_image *mask
 }
 
 int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *const od[3],
-                         const struct gsn_image *mask, const struct gsn_glass *glass,
+                         const struct gsn_image *mask, const struct gsn_flat_field *glass,
                          struct gsn_error *err)
 {
     struct gsn_stain_pixel *more;

@@ -35,7 +35,7 @@ GSN_DEFINE_AUTO(gsn_stain_sample);
  * are those as pale as glass. borrows all. Fails with GSN_E_INPUT when sizes differ, GSN_E_NOMEM;
  * the sample is then as before. */
 int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *const od[3],
-                         const struct gsn_image *mask, const struct gsn_glass *glass,
+                         const struct gsn_image *mask, const struct gsn_flat_field *glass,
                          struct gsn_error *err);
 
 /* How far the stained pixels lie from every mixture of the dyes: the median angle; 0 for a slide

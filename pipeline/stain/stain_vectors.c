@@ -10,7 +10,8 @@
  * for one fixed axis that no dye is near, so that neighbouring vectors have neighbouring bases and
  * turns of one panel mean the same as those of another. A turn is a step along the basis, then back
  * to length 1; what would be negative is 0, for no dye makes light. The inverse of three vectors
- * (gsn_optics) is their colour deconvolution without a constraint (Ruifrok and Johnston 2001). */
+ * (gsn_dyes_inverse) is their colour deconvolution without a constraint (Ruifrok and Johnston
+ * 2001). */
 #include "pipeline/stain/stain_vectors.h"
 
 #include "pipeline/core/geom.h"
@@ -70,7 +71,7 @@ struct gsn_dyes_prior gsn_dyes_prior_builtin(enum gsn_light light)
 
 /* ---- turns ------------------------------------------------------------------------------- */
 
-void gsn_dyes_ways(const double v[3], double ret_way[2][3])
+void gsn_dyes_tangents(const double v[3], double ret_way[2][3])
 {
     /* No dye, absorbing what it may, lies nearer than 45 degrees to this, so neighbouring vectors
      * have neighbouring ways. */
@@ -85,13 +86,13 @@ static void turn_one(const double v[3], const double turn[2], double ret[3])
 {
     double way[2][3];
 
-    gsn_dyes_ways(v, way);
+    gsn_dyes_tangents(v, way);
     for (int c = 0; c < 3; c++)
         ret[c] = fmax(v[c] + turn[0] * way[0][c] + turn[1] * way[1][c], 0);
     normalise_vector(ret);
 }
 
-struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS])
+struct gsn_dyes gsn_dyes_rotated(const struct gsn_dyes *dyes, const double turn[GSN_DYE_ROTATIONS])
 {
     struct gsn_dyes turned = *dyes;
 
@@ -101,10 +102,10 @@ struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[G
     return turned;
 }
 
-int gsn_dyes_look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS],
-                          struct gsn_optics *ret)
+int gsn_dyes_invert(const struct gsn_dyes *dyes, const double turn[GSN_DYE_ROTATIONS],
+                    struct gsn_dyes_inverse *ret)
 {
-    const struct gsn_dyes turned = gsn_dyes_turned(dyes, turn);
+    const struct gsn_dyes turned = gsn_dyes_rotated(dyes, turn);
     const double *from[3] = { dyes->red, dyes->yellow, dyes->dark };
     const double *v[3] = { turned.red, turned.yellow, turned.dark };
     double det, way[2][3];
@@ -116,11 +117,11 @@ int gsn_dyes_look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE
         for (int c = 0; c < 3; c++)
             ret->inverse[k][c] /= det;
     ret->log_det = log(fabs(det));
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
         const int k = m / 2;
         double along;
 
-        gsn_dyes_ways(from[k], way);
+        gsn_dyes_tangents(from[k], way);
         along = gsn_dot3(way[m % 2], v[k]);
         for (int c = 0; c < 3; c++)
             ret->slope[m][c] = way[m % 2][c] - along * v[k][c];
@@ -151,7 +152,7 @@ struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior)
 {
     struct gsn_dyes_fit fit = { .dyes = prior->dyes };
 
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         fit.covariance[m][m] =
             prior->deviation_deg[m / 2] * RAD * prior->deviation_deg[m / 2] * RAD;
     gsn_dyes_describe(prior, &fit);

@@ -4,7 +4,7 @@
  * how well.
  *
  * A vector has two ways to turn, so three have six: red 0 and 1, yellow 2 and 3, dark 4 and 5, in
- * radians, along the tangents that gsn_dyes_ways() gives. */
+ * radians, along the tangents that gsn_dyes_tangents() gives. */
 #ifndef GSN_STAIN_STAIN_VECTORS_H
 #define GSN_STAIN_STAIN_VECTORS_H
 
@@ -27,7 +27,7 @@ struct gsn_dyes {
 /* The vectors the phantom is coloured with ("van-gieson-gvp-1"): linear codes, 0.62 is full. */
 struct gsn_dyes gsn_dyes_builtin(void);
 
-enum { GSN_DYE_TURNS = 6 };
+enum { GSN_DYE_ROTATIONS = 6 };
 
 /* Where the vectors are expected: those of the protocol, or of the batch's calibration. */
 struct gsn_dyes_prior {
@@ -41,7 +41,7 @@ struct gsn_dyes_prior gsn_dyes_prior_builtin(enum gsn_light light);
 
 struct gsn_dyes_fit {
     struct gsn_dyes dyes;
-    double covariance[GSN_DYE_TURNS][GSN_DYE_TURNS]; /* rad^2, around dyes */
+    double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS]; /* rad^2, around dyes */
     double deviation_deg[3]; /* of red, yellow and dark: root of both ways' variances */
     double moved_deg[3];     /* from the prior's vectors */
     size_t pixels, classes;  /* of tissue that the evidence was enough for */
@@ -62,22 +62,22 @@ double gsn_dyes_angle_deg(const double a[3], const double b[3]);
 /* The two ways a vector without negative entries can turn, unit vectors across to it and to each
  * other. Vectors that differ little have ways that differ little, so the turns of one panel and
  * those of another, or of the prior, mean the same. */
-void gsn_dyes_ways(const double vector[3], double ret_way[2][3]);
+void gsn_dyes_tangents(const double vector[3], double ret_way[2][3]);
 
 /* The dyes with each vector turned; lengths stay 1, entries that would be negative are 0. */
-struct gsn_dyes gsn_dyes_turned(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS]);
+struct gsn_dyes gsn_dyes_rotated(const struct gsn_dyes *dyes, const double turn[GSN_DYE_ROTATIONS]);
 
 /* The way from densities to amounts: amount k = inverse[k] . density. */
-struct gsn_optics {
+struct gsn_dyes_inverse {
     double inverse[3][3];
     double log_det;                 /* of the vectors */
-    double slope[GSN_DYE_TURNS][3]; /* of the vector that the turn belongs to */
+    double slope[GSN_DYE_ROTATIONS][3]; /* of the vector that the turn belongs to */
 };
 
 /* The vectors at these turns, their inverse, and how they move with each turn. Returns 0 when they
  * lie nearly in one plane. */
-int gsn_dyes_look_through(const struct gsn_dyes *dyes, const double turn[GSN_DYE_TURNS],
-                          struct gsn_optics *ret_optics);
+int gsn_dyes_invert(const struct gsn_dyes *dyes, const double turn[GSN_DYE_ROTATIONS],
+                    struct gsn_dyes_inverse *ret_optics);
 
 #ifdef __cplusplus
 }

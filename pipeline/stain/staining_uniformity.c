@@ -31,7 +31,7 @@ static const double LEAST_AMOUNT = 0.02;
 enum { MOST_LOOKED_AT = 40000, LEAST_PIXELS = 300, LEAST_OTHERS = 4, MOST_SECTIONS = 64 };
 
 static int add_pixel(struct gsn_plane *const od[3], const struct gsn_plane *density,
-                     const struct gsn_unmixer *mix, size_t i, struct gsn_tone *sum)
+                     const struct gsn_unmixer *mix, size_t i, struct gsn_stain_amounts *sum)
 {
     const double d[3] = { od[0]->value[i], od[1]->value[i], od[2]->value[i] };
     double amount[3];
@@ -45,12 +45,12 @@ static int add_pixel(struct gsn_plane *const od[3], const struct gsn_plane *dens
     return 1;
 }
 
-int gsn_tone_of(struct gsn_plane *const od[3], const struct gsn_plane *density,
-                const struct gsn_dyes *dyes, const struct gsn_pixel_box *box,
-                struct gsn_tone *ret_tone, struct gsn_error *err)
+int gsn_stain_amounts_of(struct gsn_plane *const od[3], const struct gsn_plane *density,
+                         const struct gsn_dyes *dyes, const struct gsn_pixel_box *box,
+                         struct gsn_stain_amounts *ret_tone, struct gsn_error *err)
 {
     const int step = 1 + (int)sqrt((double)box->width * box->height / MOST_LOOKED_AT);
-    struct gsn_tone tone = { .pixels = 0 };
+    struct gsn_stain_amounts tone = { .pixels = 0 };
     struct gsn_unmixer mix;
     const int r = gsn_unmixer_init(&mix, dyes, err);
 
@@ -66,9 +66,10 @@ int gsn_tone_of(struct gsn_plane *const od[3], const struct gsn_plane *density,
     return GSN_OK;
 }
 
-struct gsn_tone gsn_tone_sum(const struct gsn_tone *a, const struct gsn_tone *b)
+struct gsn_stain_amounts gsn_stain_amounts_sum(const struct gsn_stain_amounts *a,
+                                               const struct gsn_stain_amounts *b)
 {
-    struct gsn_tone sum = { .pixels = a->pixels + b->pixels };
+    struct gsn_stain_amounts sum = { .pixels = a->pixels + b->pixels };
 
     for (int k = 0; k < 3 && sum.pixels > 0; k++)
         sum.amount[k] = (a->amount[k] * (double)a->pixels + b->amount[k] * (double)b->pixels) /
@@ -76,7 +77,7 @@ struct gsn_tone gsn_tone_sum(const struct gsn_tone *a, const struct gsn_tone *b)
     return sum;
 }
 
-double gsn_tone_yellow_to_red(const struct gsn_tone *tone)
+double gsn_stain_amounts_yellow_to_red(const struct gsn_stain_amounts *tone)
 {
     return tone->pixels < LEAST_PIXELS || tone->amount[0] < LEAST_AMOUNT
                ? (double)NAN
@@ -84,7 +85,7 @@ double gsn_tone_yellow_to_red(const struct gsn_tone *tone)
 }
 
 /* The median over the sections of dye k, of those with enough tissue. */
-static double median_of(const struct gsn_tone *tone, size_t count, int k)
+static double median_of(const struct gsn_stain_amounts *tone, size_t count, int k)
 {
     double value[MOST_SECTIONS];
     size_t n = 0;
@@ -97,7 +98,7 @@ static double median_of(const struct gsn_tone *tone, size_t count, int k)
 
 /* Mean over the dyes of the logarithm of a section's amount over the usual one; *apart is how far
  * the dyes are from agreeing. */
-static double factor_of(const struct gsn_tone *tone, const double usual[3], double *apart)
+static double factor_of(const struct gsn_stain_amounts *tone, const double usual[3], double *apart)
 {
     double low = INFINITY, high = -INFINITY, sum = 0;
     int dyes = 0;
@@ -117,7 +118,7 @@ static double factor_of(const struct gsn_tone *tone, const double usual[3], doub
     return dyes ? sum / dyes : 0;
 }
 
-double gsn_tone_thickness(const struct gsn_tone *tone, size_t count, size_t which)
+double gsn_stain_amounts_thickness(const struct gsn_stain_amounts *tone, size_t count, size_t which)
 {
     double usual[3], scatter[MOST_SECTIONS], factor, apart, unused;
     size_t n = 0;

@@ -39,9 +39,9 @@ static const double INDEPENDENT = 200;
 struct vector_search {
     const struct gsn_stain_sample *sample;
     const struct gsn_dyes *dyes; /* the prior's */
-    double precision[GSN_DYE_TURNS];
-    double turn[GSN_DYE_TURNS];
-    struct gsn_classes classes;
+    double precision[GSN_DYE_ROTATIONS];
+    double turn[GSN_DYE_ROTATIONS];
+    struct gsn_mixture classes;
     double weight; /* of each pixel */
     double best;   /* the objective here */
 };
@@ -65,68 +65,68 @@ enum { SLOPE_REFITS = 8 };
  * and Dunson 2019, 10.1080/01621459.2018.1469995). */
 static double weigh_pixel(const struct vector_search *search)
 {
-    struct gsn_optics optics;
+    struct gsn_dyes_inverse optics;
     double misfit;
 
-    (void)gsn_dyes_look_through(search->dyes, search->turn, &optics);
-    misfit = gsn_classes_misfit(&search->classes, search->sample, &optics);
+    (void)gsn_dyes_invert(search->dyes, search->turn, &optics);
+    misfit = gsn_mixture_misfit(&search->classes, search->sample, &optics);
     return 1 / (1 + MISFIT_SHARES * misfit * (double)search->sample->count);
 }
 
 /* Slopes of the likelihood at other turns, the classes following. */
-static void slopes_at(const struct vector_search *s, const double turn[GSN_DYE_TURNS],
-                      struct gsn_scores *scores)
+static void slopes_at(const struct vector_search *s, const double turn[GSN_DYE_ROTATIONS],
+                      struct gsn_mixture_scores *scores)
 {
-    struct gsn_classes classes = s->classes;
-    struct gsn_optics optics;
+    struct gsn_mixture classes = s->classes;
+    struct gsn_dyes_inverse optics;
 
-    (void)gsn_dyes_look_through(s->dyes, turn, &optics);
+    (void)gsn_dyes_invert(s->dyes, turn, &optics);
     for (int i = 0; i < SLOPE_REFITS; i++)
-        gsn_classes_refit(&classes, s->sample, &optics);
-    gsn_classes_score(&classes, s->sample, &optics, scores);
+        gsn_mixture_refit(&classes, s->sample, &optics);
+    gsn_mixture_score(&classes, s->sample, &optics, scores);
 }
 
 /* What the pixels add to the prior's precision, in units of that. */
-static void find_curvature(const struct vector_search *s, struct gsn_scores *scores,
-                           double ret[GSN_DYE_TURNS][GSN_DYE_TURNS])
+static void find_curvature(const struct vector_search *s, struct gsn_mixture_scores *scores,
+                           double ret[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS])
 {
-    double bend[GSN_DYE_TURNS][GSN_DYE_TURNS];
+    double bend[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS];
 
-    for (int n = 0; n < GSN_DYE_TURNS; n++) {
-        double side[2][GSN_DYE_TURNS];
+    for (int n = 0; n < GSN_DYE_ROTATIONS; n++) {
+        double side[2][GSN_DYE_ROTATIONS];
 
         for (int way = 0; way < 2; way++) {
-            double turn[GSN_DYE_TURNS];
+            double turn[GSN_DYE_ROTATIONS];
 
             memcpy(turn, s->turn, sizeof turn);
             turn[n] += way ? REACH : -REACH;
             slopes_at(s, turn, scores);
             memcpy(side[way], scores->total, sizeof side[way]);
         }
-        for (int m = 0; m < GSN_DYE_TURNS; m++)
+        for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
             bend[m][n] = (side[0][m] - side[1][m]) / (2 * REACH);
     }
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
-        for (int n = 0; n < GSN_DYE_TURNS; n++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
+        for (int n = 0; n < GSN_DYE_ROTATIONS; n++)
             ret[m][n] =
                 s->weight * (bend[m][n] + bend[n][m]) / 2 / sqrt(s->precision[m] * s->precision[n]);
 }
 
 /* Of the turns found, rad^2; never wider than the prior. scores: scratch. */
 /* Where the likelihood bends the wrong way, the pixels tell nothing. */
-static void find_covariance(const struct vector_search *s, struct gsn_scores *scores,
-                            double ret_covariance[GSN_DYE_TURNS][GSN_DYE_TURNS])
+static void find_covariance(const struct vector_search *s, struct gsn_mixture_scores *scores,
+                            double ret_covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS])
 {
-    double told[GSN_DYE_TURNS][GSN_DYE_TURNS], value[GSN_DYE_TURNS],
-        axis[GSN_DYE_TURNS][GSN_DYE_TURNS];
+    double told[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS], value[GSN_DYE_ROTATIONS],
+        axis[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS];
 
     find_curvature(s, scores, told);
-    gsn_eigen_symmetric(&told[0][0], GSN_DYE_TURNS, value, &axis[0][0]);
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
-        for (int n = 0; n < GSN_DYE_TURNS; n++) {
+    gsn_eigen_symmetric(&told[0][0], GSN_DYE_ROTATIONS, value, &axis[0][0]);
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
+        for (int n = 0; n < GSN_DYE_ROTATIONS; n++) {
             double sum = 0;
 
-            for (int k = 0; k < GSN_DYE_TURNS; k++)
+            for (int k = 0; k < GSN_DYE_ROTATIONS; k++)
                 sum += axis[m][k] * axis[n][k] / (1 + fmax(value[k], 0));
             ret_covariance[m][n] = sum / sqrt(s->precision[m] * s->precision[n]);
         }
@@ -134,60 +134,61 @@ static void find_covariance(const struct vector_search *s, struct gsn_scores *sc
 
 /* ---- the search -------------------------------------------------------------------------- */
 
-static double objective_at(const struct vector_search *s, const struct gsn_classes *classes,
-                           const double turn[GSN_DYE_TURNS])
+static double objective_at(const struct vector_search *s, const struct gsn_mixture *classes,
+                           const double turn[GSN_DYE_ROTATIONS])
 {
-    struct gsn_optics optics;
+    struct gsn_dyes_inverse optics;
     double sum;
 
-    if (!gsn_dyes_look_through(s->dyes, turn, &optics))
+    if (!gsn_dyes_invert(s->dyes, turn, &optics))
         return -INFINITY;
-    sum = s->weight * gsn_classes_likelihood(classes, s->sample, &optics);
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    sum = s->weight * gsn_mixture_likelihood(classes, s->sample, &optics);
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         sum -= s->precision[m] * turn[m] * turn[m] / 2;
     return sum;
 }
 
 /* The objective at other turns, once the classes have followed there. */
-static double objective_following(const struct vector_search *s, const double turn[GSN_DYE_TURNS],
-                                  struct gsn_classes *ret_classes)
+static double objective_following(const struct vector_search *s,
+                                  const double turn[GSN_DYE_ROTATIONS],
+                                  struct gsn_mixture *ret_classes)
 {
-    struct gsn_optics optics;
+    struct gsn_dyes_inverse optics;
 
-    if (!gsn_dyes_look_through(s->dyes, turn, &optics))
+    if (!gsn_dyes_invert(s->dyes, turn, &optics))
         return -INFINITY;
     *ret_classes = s->classes;
     for (int i = 0; i < REFITS; i++)
-        gsn_classes_refit(ret_classes, s->sample, &optics);
+        gsn_mixture_refit(ret_classes, s->sample, &optics);
     return objective_at(s, ret_classes, turn);
 }
 
 /* One Fisher step; returns the longest turn made in it. */
-static double take_fisher_step(struct vector_search *s, struct gsn_scores *scores)
+static double take_fisher_step(struct vector_search *s, struct gsn_mixture_scores *scores)
 {
-    double a[GSN_DYE_TURNS * GSN_DYE_TURNS], b[GSN_DYE_TURNS], longest = 0;
-    struct gsn_optics optics;
+    double a[GSN_DYE_ROTATIONS * GSN_DYE_ROTATIONS], b[GSN_DYE_ROTATIONS], longest = 0;
+    struct gsn_dyes_inverse optics;
 
-    (void)gsn_dyes_look_through(s->dyes, s->turn, &optics);
-    gsn_classes_score(&s->classes, s->sample, &optics, scores);
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
-        for (int n = 0; n < GSN_DYE_TURNS; n++)
-            a[m * GSN_DYE_TURNS + n] = s->weight * scores->information[m][n];
-        a[m * GSN_DYE_TURNS + m] += s->precision[m];
+    (void)gsn_dyes_invert(s->dyes, s->turn, &optics);
+    gsn_mixture_score(&s->classes, s->sample, &optics, scores);
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
+        for (int n = 0; n < GSN_DYE_ROTATIONS; n++)
+            a[m * GSN_DYE_ROTATIONS + n] = s->weight * scores->information[m][n];
+        a[m * GSN_DYE_ROTATIONS + m] += s->precision[m];
         b[m] = s->weight * scores->total[m] - s->precision[m] * s->turn[m];
     }
-    if (gsn_solve_spd(a, GSN_DYE_TURNS, GSN_DYE_TURNS, b) < 0)
+    if (gsn_solve_spd(a, GSN_DYE_ROTATIONS, GSN_DYE_ROTATIONS, b) < 0)
         return 0;
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         longest = fmax(longest, fabs(b[m]));
 
     double scale = fmin(1, LONGEST_STEP / longest);
 
     for (int i = 0; i < HALVINGS; i++, scale /= 2) {
-        struct gsn_classes classes;
-        double turn[GSN_DYE_TURNS], there;
+        struct gsn_mixture classes;
+        double turn[GSN_DYE_ROTATIONS], there;
 
-        for (int m = 0; m < GSN_DYE_TURNS; m++)
+        for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
             turn[m] = s->turn[m] + scale * b[m];
         there = objective_following(s, turn, &classes);
         if (there > s->best) {
@@ -204,19 +205,19 @@ static double take_fisher_step(struct vector_search *s, struct gsn_scores *score
  * unknowns would explain of chance. */
 static double evidence_of(const struct vector_search *s)
 {
-    const double unknowns = (double)gsn_classes_unknowns(&s->classes);
+    const double unknowns = (double)gsn_mixture_unknowns(&s->classes);
 
     return s->best - unknowns / 2 * log(s->weight * (double)s->sample->count);
 }
 
-static int search_with(size_t classes, struct vector_search *s, struct gsn_scores *scores,
+static int search_with(size_t classes, struct vector_search *s, struct gsn_mixture_scores *scores,
                        struct gsn_error *err)
 {
-    struct gsn_optics optics;
+    struct gsn_dyes_inverse optics;
 
-    if (!gsn_dyes_look_through(s->dyes, s->turn, &optics))
+    if (!gsn_dyes_invert(s->dyes, s->turn, &optics))
         return gsn_fail(err, GSN_E_STAIN, "the dyes of %s lie in one plane", s->dyes->name);
-    gsn_classes_start(&s->classes, classes, s->sample, &optics);
+    gsn_mixture_start(&s->classes, classes, s->sample, &optics);
     s->best = objective_following(s, s->turn, &s->classes);
     for (int i = 0; i < ROUNDS; i++)
         if (take_fisher_step(s, scores) < SETTLED && i > 2)
@@ -225,12 +226,13 @@ static int search_with(size_t classes, struct vector_search *s, struct gsn_score
 }
 
 /* With as many classes as the evidence goes for. */
-static int search_best(struct vector_search *s, struct gsn_scores *scores, struct gsn_error *err)
+static int search_best(struct vector_search *s, struct gsn_mixture_scores *scores,
+                       struct gsn_error *err)
 {
     const struct vector_search start = *s;
     int r = GSN_OK;
 
-    for (size_t classes = 1; classes <= GSN_CLASSES && r >= 0; classes++) {
+    for (size_t classes = 1; classes <= GSN_MIXTURE_CLASSES && r >= 0; classes++) {
         struct vector_search other = start;
 
         r = search_with(classes, &other, scores, err);
@@ -264,7 +266,7 @@ static int check_apart(const struct gsn_dyes *dyes, struct gsn_error *err)
 static int fit_turns(struct vector_search *s, const struct gsn_dyes_prior *prior,
                      struct gsn_dyes_fit *ret_fit, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_scores) scores = gsn_alloc_array(1, sizeof *scores);
+    gsn_auto_mem(struct gsn_mixture_scores) scores = gsn_alloc_array(1, sizeof *scores);
     struct gsn_dyes_fit fit = { .pixels = s->sample->count };
     struct vector_search first = *s;
     int r;
@@ -279,7 +281,7 @@ static int fit_turns(struct vector_search *s, const struct gsn_dyes_prior *prior
     if (r < 0)
         return r;
     find_covariance(s, scores, fit.covariance);
-    fit.dyes = gsn_dyes_turned(&prior->dyes, s->turn);
+    fit.dyes = gsn_dyes_rotated(&prior->dyes, s->turn);
     fit.classes = s->classes.count;
     fit.strays = s->classes.strays;
     fit.worth = s->weight * (double)s->sample->count;
@@ -327,7 +329,7 @@ int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dy
         return r;
     search.sample = few;
     search.weight = fmin(1, INDEPENDENT / (double)few->count);
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         search.precision[m] =
             1 / (prior->deviation_deg[m / 2] * RAD * prior->deviation_deg[m / 2] * RAD);
     return fit_turns(&search, prior, ret_fit, err);

@@ -233,7 +233,7 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
         json_pack("{s:s, s:s, s:s, s:{s:o, s:o, s:o, s:o}}", "definition", result->definition,
                   "dyes", result->dyes, "own_key", own_key, "colours", "region_od",
                   numbers_of(c->region_od, 3), "free_od", numbers_of(c->free_od, 3), "yellow",
-                  numbers_of(c->yellow, GSN_LEVEL_TISSUES), "panels", panels_of(c->cloud));
+                  numbers_of(c->yellow, GSN_CONTROL_TISSUES), "panels", panels_of(c->cloud));
     char *dumped = json_dumps(root, JSON_COMPACT);
     char *text = dumped ? gsn_strdup(dumped) : NULL;
 
@@ -294,7 +294,7 @@ int gsn_run_colours(const struct gsn_run_row *run, struct gsn_specimen_control *
 
     take_numbers(json_object_get(from, "region_od"), colours->region_od, 3);
     take_numbers(json_object_get(from, "free_od"), colours->free_od, 3);
-    take_numbers(json_object_get(from, "yellow"), colours->yellow, GSN_LEVEL_TISSUES);
+    take_numbers(json_object_get(from, "yellow"), colours->yellow, GSN_CONTROL_TISSUES);
     if (json_array_size(panels) > 0)
         r = gsn_cloud_new(json_array_size(panels), &cloud, err);
     for (size_t p = 0; r >= 0 && p < json_array_size(panels); p++)
@@ -350,11 +350,11 @@ static int finished_run(struct gsn_store *store, int64_t specimen, struct gsn_ru
 }
 
 /* A control's; NaN: it does not have that. */
-static struct gsn_level_tissues tissues_of(const struct gsn_measure_rows *rows)
+static struct gsn_control_tissues tissues_of(const struct gsn_measure_rows *rows)
 {
-    struct gsn_level_tissues ret;
+    struct gsn_control_tissues ret;
 
-    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+    for (unsigned t = 0; t < GSN_CONTROL_TISSUES; t++) {
         const struct gsn_measure_row *row = row_named(rows, gsn_specimen_tissue_measure(t));
         const double error = row ? (row->upper - row->lower) / (2 * 1.96) : (double)NAN;
 
@@ -368,11 +368,11 @@ static struct gsn_level_tissues tissues_of(const struct gsn_measure_rows *rows)
 }
 
 /* Sums over controls; what one of them lacks is not known of all. */
-static void add_tissues(const struct gsn_level_tissues *tissues, struct gsn_specimen_baseline *b)
+static void add_tissues(const struct gsn_control_tissues *tissues, struct gsn_specimen_baseline *b)
 {
-    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+    for (unsigned t = 0; t < GSN_CONTROL_TISSUES; t++) {
         b->tissues.value[t] += tissues->value[t];
-        for (unsigned u = 0; u < GSN_LEVEL_TISSUES; u++)
+        for (unsigned u = 0; u < GSN_CONTROL_TISSUES; u++)
             b->tissues.covariance[t][u] += tissues->covariance[t][u];
     }
 }
@@ -382,19 +382,19 @@ static void share_tissues(struct gsn_specimen_baseline *b)
 {
     const double n = (double)b->specimens;
 
-    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+    for (unsigned t = 0; t < GSN_CONTROL_TISSUES; t++) {
         b->tissues.value[t] /= n;
-        for (unsigned u = 0; u < GSN_LEVEL_TISSUES; u++)
+        for (unsigned u = 0; u < GSN_CONTROL_TISSUES; u++)
             b->tissues.covariance[t][u] /= n * n;
     }
 }
 
 static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
 {
-    const struct gsn_turned_scatter turns = { known_measure(rows, "vector_turns"),
+    const struct gsn_vector_scatter turns = { known_measure(rows, "vector_turns"),
                                               known_measure(rows, "vector_turns_freedom") };
 
-    b->turns = gsn_turned_together(&b->turns, &turns);
+    b->turns = gsn_vector_scatter_pool(&b->turns, &turns);
 }
 
 /* One more of the specimens, and what it hands on beside its figures. */

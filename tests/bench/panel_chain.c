@@ -29,7 +29,7 @@ static const struct gsn_layout LAYOUT = { BENCH_ROWS, BENCH_COLUMNS, GSN_ORDER_R
 
 /* What is known of a panel after its sections were found. */
 struct found {
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_slot slot[BENCH_SECTIONS];
 };
 
@@ -44,11 +44,11 @@ static void split(const struct gsn_image *image, double px_um, struct found *fou
 
     bench_need(gsn_panel_reduce(image, step, &small, &err), &err, "split");
     bench_need(gsn_panel_reduce(small, (small->width + 127) / 128, &coarse, &err), &err, "split");
-    bench_need(gsn_glass_estimate(coarse, GSN_LIGHT_CODES_LINEAR, &found->glass, &err), &err,
+    bench_need(gsn_flat_field_estimate(coarse, GSN_LIGHT_CODES_LINEAR, &found->glass, &err), &err,
                "split");
     found->glass.width = small->width;
     found->glass.height = small->height;
-    bench_need(gsn_absorb_total(small, &found->glass, &total, &err), &err, "split");
+    bench_need(gsn_od_total(small, &found->glass, &total, &err), &err, "split");
     bench_need(gsn_panel_split(total, step, &LAYOUT, px_um, GSN_SLOT_UNSAID, found->slot, NULL,
                                NULL, &err),
                &err, "split");
@@ -123,7 +123,7 @@ static double children_cpu(void)
 static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
                     float *to)
 {
-    gsn_absorber_red(context, x, y, apart, count, to);
+    gsn_od_reader_red(context, x, y, apart, count, to);
 }
 
 /* Marks and pose of every section, in pixels of the panel. */
@@ -135,13 +135,13 @@ static void find_poses(const struct bench_panel *panel, const struct gsn_image *
     struct gsn_pose_input input[BENCH_SECTIONS] = { { 0 } };
     const struct gsn_pose_options options = { .markers_um = panel->triangle_um };
     struct gsn_triangle_prior prior = { 0 };
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     struct gsn_mark_density red;
     struct gsn_pose_summary summary;
     struct gsn_error err = { 0 };
 
     memcpy(prior.mark_um, panel->triangle_um, sizeof prior.mark_um);
-    bench_need(gsn_absorber_new(image, &found->glass, &absorber, &err), &err, "chain");
+    bench_need(gsn_od_reader_new(image, &found->glass, &absorber, &err), &err, "chain");
     red = (struct gsn_mark_density){ image->width, image->height, absorber, red_row };
     for (unsigned i = 0; i < BENCH_SECTIONS; i++)
         bench_need(
@@ -189,14 +189,14 @@ static int lay_density(const struct bench_panel *panel, const struct gsn_image *
 {
     const struct gsn_lattice at = block_of(panel);
     const struct gsn_dyes dyes = gsn_dyes_builtin();
-    gsn_auto(gsn_absorber) absorber = NULL;
-    gsn_auto(gsn_red_reader) reader = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
+    gsn_auto(gsn_collagen_reader) reader = NULL;
     gsn_auto(gsn_grid) grid = NULL;
     struct gsn_error err = { 0 };
     int count = 0;
 
-    bench_need(gsn_absorber_new(image, &found->glass, &absorber, &err), &err, "chain");
-    bench_need(gsn_red_reader_new(absorber, &dyes, &reader, &err), &err, "chain");
+    bench_need(gsn_od_reader_new(image, &found->glass, &absorber, &err), &err, "chain");
+    bench_need(gsn_collagen_reader_new(absorber, &dyes, &reader, &err), &err, "chain");
     bench_need(gsn_grid_new(&at, &grid, &err), &err, "chain");
     for (unsigned i = 0; i < BENCH_SECTIONS; i++) {
         const struct gsn_slot *slot = &found->slot[i];
@@ -205,10 +205,10 @@ static int lay_density(const struct bench_panel *panel, const struct gsn_image *
 
         if (pose[i].state != GSN_POSE_OK || !gsn_stack_footprint(&at, 24, &section))
             continue;
-        bench_need(gsn_red_box(reader,
-                               &(struct gsn_pixel_box){ section.x, section.y, section.width,
-                                                        section.height },
-                               1, &density, &err),
+        bench_need(gsn_collagen_box(reader,
+                                    &(struct gsn_pixel_box){ section.x, section.y, section.width,
+                                                             section.height },
+                                    1, &density, &err),
                    &err, "chain");
         section.density = density;
         section.plane_x = section.x;
@@ -254,21 +254,24 @@ static int lay_colour(const struct bench_panel *panel, const struct gsn_image *i
 static void find_masks(const struct bench_panel *panel, const struct gsn_image *image,
                        const struct found *found)
 {
-    struct gsn_mask_section place[BENCH_SECTIONS] = { { 0 } };
-    struct gsn_mask_figures figures[BENCH_SECTIONS];
+    struct gsn_artefact_section place[BENCH_SECTIONS] = { { 0 } };
+    struct gsn_artefact_figures figures[BENCH_SECTIONS];
     const struct gsn_dyes dyes = gsn_dyes_builtin();
     struct gsn_plane *od[3];
-    struct gsn_mask_panel look = { image, od, &found->glass, &dyes, panel->px_um, 0, place, NULL };
-    gsn_auto(gsn_mask_labels) labels = NULL;
+    struct gsn_artefact_panel look = {
+        image, od, &found->glass, &dyes, panel->px_um, 0, place, NULL
+    };
+    gsn_auto(gsn_artefact_labels) labels = NULL;
     struct gsn_error err = { 0 };
 
     for (unsigned i = 0; i < BENCH_SECTIONS; i++)
-        place[look.section_count++] = (struct gsn_mask_section){ .x = found->slot[i].x,
-                                                                 .y = found->slot[i].y,
-                                                                 .width = found->slot[i].width,
-                                                                 .height = found->slot[i].height };
-    bench_need(gsn_absorb_thin(image, &found->glass, 5, od, &err), &err, "chain");
-    bench_need(gsn_mask_find(&look, 1, &labels, figures, &err), &err, "chain");
+        place[look.section_count++] =
+            (struct gsn_artefact_section){ .x = found->slot[i].x,
+                                           .y = found->slot[i].y,
+                                           .width = found->slot[i].width,
+                                           .height = found->slot[i].height };
+    bench_need(gsn_od_thin(image, &found->glass, 5, od, &err), &err, "chain");
+    bench_need(gsn_artefact_find(&look, 1, &labels, figures, &err), &err, "chain");
     for (int c = 0; c < 3; c++)
         gsn_plane_free(od[c]);
 }

@@ -118,7 +118,7 @@ TEST(volumes_above_a_density_are_on_the_baselines_scale)
     struct gsn_account_options options = OPTIONS;
     struct gsn_error err = { 0 };
 
-    options.scale = (struct gsn_level){ 0.75, 0.05 };
+    options.scale = (struct gsn_gain_offset){ 0.75, 0.05 };
     CHECK_OK(gsn_account_make(grid, region, protocol, &options, &account, &err), err);
     CHECK_NEAR(account->bound[0].threshold, 0.6, 0);
     CHECK_NEAR(account->bound[0].lower_um3, 0.5 * BOX_UM3, 5e-3 * BOX_UM3);

@@ -55,7 +55,7 @@ static double grain(size_t i)
 }
 
 struct drawing {
-    struct gsn_level stain[PANELS];
+    struct gsn_gain_offset stain[PANELS];
     double loss;
     double spill; /* what bone beside the region has lost with it, falling off with the distance */
     double thinning; /* of all bone along the block, per um */
@@ -69,7 +69,7 @@ static void put(const struct drawing *d, struct gsn_grid *grid, struct gsn_grid 
     for (size_t i = 0; i < gsn_lattice_count(at); i++) {
         const struct gsn_vec3 u =
             gsn_lattice_centre(at, i % at->nx, i / at->nx % at->ny, i / at->nx / at->ny);
-        const struct gsn_level *stain = &d->stain[(int)(u.z / 24) / PER_PANEL];
+        const struct gsn_gain_offset *stain = &d->stain[(int)(u.z / 24) / PER_PANEL];
         double density = density_at(u, d->loss);
 
         if (d->uniform && !isnan(density))
@@ -273,7 +273,7 @@ TEST(a_block_without_contrast_is_not_levelled_and_says_so)
 
     bone.uniform = 1;
     for (int p = 0; p < PANELS; p++)
-        bone.stain[p] = (struct gsn_level){ 1, 0 };
+        bone.stain[p] = (struct gsn_gain_offset){ 1, 0 };
     gsn_auto(gsn_assembly) a = draw(&bone);
     const double before = region_mean(a);
 
@@ -307,7 +307,7 @@ TEST(one_panel_has_tissue_but_no_steps)
     CHECK_OK(level(a, &err), err);
     CHECK(a->levelling.done && a->levelling.panels == 1 && !a->panel[1].levelled);
     CHECK_NEAR(a->levelling.tissues.value[GSN_UNTREATED_DENSE], 0.88, 0.01);
-    CHECK(gsn_level_tissue_error(&a->levelling.tissues, GSN_UNTREATED_DENSE) < 0.01);
+    CHECK(gsn_control_tissue_error(&a->levelling.tissues, GSN_UNTREATED_DENSE) < 0.01);
     CHECK(!a->levelling.vectors.known); /* nothing scatters */
 }
 
@@ -336,8 +336,8 @@ TEST(what_vectors_do_alike_to_untreated_tissue_and_region_is_not_counted)
     stain_columns(a, &stated);
     CHECK_OK(level(a, &err), err);
     CHECK(a->levelling.vectors.known);
-    CHECK_NEAR(gsn_turned_error(&a->levelling.vectors, 1), 0, 1e-3);
-    CHECK(gsn_turned_error(&a->levelling.vectors, 0.6) > 0.01);
+    CHECK_NEAR(gsn_vector_error_of_loss(&a->levelling.vectors, 1), 0, 1e-3);
+    CHECK(gsn_vector_error_of_loss(&a->levelling.vectors, 0.6) > 0.01);
     stain_columns(b, &exact);
     CHECK_OK(level(b, &err), err);
     CHECK(b->levelling.vectors.known && b->levelling.turns.freedom == PANELS - 1);
@@ -414,14 +414,14 @@ TEST(a_cell_holds_the_mean_of_its_tissue)
 {
     const struct gsn_lattice at = { 4, 4, 2, { 16, 16, 12 }, { 32, 32, 24 } };
     gsn_auto(gsn_image) image = half_a_tissue();
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
-    CHECK_OK(gsn_glass_given(16, 16, GSN_LIGHT_CODES_LINEAR, (const double[3]){ 255, 255, 255 },
-                             &glass, &err),
+    CHECK_OK(gsn_flat_field_given(16, 16, GSN_LIGHT_CODES_LINEAR,
+                                  (const double[3]){ 255, 255, 255 }, &glass, &err),
              err);
-    CHECK_OK(gsn_absorber_new(image, &glass, &absorber, &err), err);
+    CHECK_OK(gsn_od_reader_new(image, &glass, &absorber, &err), err);
     for (unsigned apart = 1; apart <= 2; apart++) {
         gsn_auto(gsn_columns) columns = NULL;
         gsn_auto(gsn_plane) density = NULL;

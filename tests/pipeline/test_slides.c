@@ -18,16 +18,16 @@
 
 struct seen {
     uint32_t width, height;
-    struct gsn_mask_labels *labels;
+    struct gsn_artefact_labels *labels;
     struct gsn_plane *red, *total;
-    struct gsn_mask_figures figures;
+    struct gsn_artefact_figures figures;
     double clear;
     uint8_t *ink; /* 1 where a pixel can be nothing but ink */
 };
 
 static void seen_done(struct seen *s)
 {
-    gsn_mask_labels_free(s->labels);
+    gsn_artefact_labels_free(s->labels);
     gsn_plane_free(s->red);
     gsn_plane_free(s->total);
     gsn_free(s->ink);
@@ -85,27 +85,27 @@ static void state_white(const struct gsn_image *image, double ret_white[3])
 static void look(const struct gsn_image *image, double px_um, struct seen *s)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
-    const struct gsn_mask_section all = { .width = (int)image->width,
-                                          .height = (int)image->height };
-    struct gsn_glass glass;
+    const struct gsn_artefact_section all = { .width = (int)image->width,
+                                              .height = (int)image->height };
+    struct gsn_flat_field glass;
     struct gsn_plane *od[3];
     struct gsn_error err = { 0 };
     double white[3];
 
     s->width = image->width;
     s->height = image->height;
-    if (gsn_glass_estimate(image, GSN_LIGHT_CODES_LINEAR, &glass, &err) < 0) {
+    if (gsn_flat_field_estimate(image, GSN_LIGHT_CODES_LINEAR, &glass, &err) < 0) {
         state_white(image, white);
-        CHECK_OK(gsn_glass_given(image->width, image->height, GSN_LIGHT_CODES_LINEAR, white, &glass,
-                                 &err),
+        CHECK_OK(gsn_flat_field_given(image->width, image->height, GSN_LIGHT_CODES_LINEAR, white,
+                                      &glass, &err),
                  err);
     }
-    CHECK_OK(gsn_absorb_thin(image, &glass, 1, od, &err), err);
-    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, &all, NULL };
+    CHECK_OK(gsn_od_thin(image, &glass, 1, od, &err), err);
+    const struct gsn_artefact_panel panel = { image, od, &glass, &dyes, px_um, 1, &all, NULL };
 
-    CHECK_OK(gsn_mask_find(&panel, 1, &s->labels, &s->figures, &err), err);
+    CHECK_OK(gsn_artefact_find(&panel, 1, &s->labels, &s->figures, &err), err);
     CHECK_OK(gsn_unmix(od, &dyes, 1, &s->red, NULL, NULL, &err), err);
-    CHECK_OK(gsn_tissue_plane(od, &glass, &s->total, &s->clear, &err), err);
+    CHECK_OK(gsn_od_tissue(od, &glass, &s->total, &s->clear, &err), err);
     for (int c = 0; c < 3; c++)
         gsn_plane_free(od[c]);
 }
@@ -153,8 +153,9 @@ static double collagen(const struct seen *s, int masked)
     size_t n = 0;
 
     for (size_t i = 0; i < count; i++)
-        n += s->red->value[i] > COLLAGEN &&
-             !(masked && gsn_mask_label(s->labels, 0, (int)(i % s->width), (int)(i / s->width)));
+        n +=
+            s->red->value[i] > COLLAGEN &&
+            !(masked && gsn_artefact_label(s->labels, 0, (int)(i % s->width), (int)(i / s->width)));
     return (double)n / (double)count;
 }
 
@@ -164,10 +165,9 @@ static size_t ink(const struct seen *s, int counted)
     size_t n = 0;
 
     for (size_t i = 0; i < count; i++)
-        n +=
-            s->ink[i] &&
-            (!counted || (s->red->value[i] > COLLAGEN &&
-                          !gsn_mask_label(s->labels, 0, (int)(i % s->width), (int)(i / s->width))));
+        n += s->ink[i] && (!counted || (s->red->value[i] > COLLAGEN &&
+                                        !gsn_artefact_label(s->labels, 0, (int)(i % s->width),
+                                                            (int)(i / s->width))));
     return n;
 }
 

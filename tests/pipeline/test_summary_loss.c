@@ -249,7 +249,7 @@ TEST(what_both_sides_share_wholly_counts_as_they_differ)
 
         told_init(&t, 2);
         t.account.density.mean = ratio[k] * CONTROL;
-        t.assembly.levelling.vectors = (struct gsn_turned_left){ 1, 0, SHARED * SHARED, 0 };
+        t.assembly.levelling.vectors = (struct gsn_vector_error_left){ 1, 0, SHARED * SHARED, 0 };
         gsn_auto(gsn_specimen_result) result = summarised(&t);
 
         CHECK_NEAR(by_vectors(result), 100 * ratio[k] * fabs(1 - ratio[k]) * SHARED, 1e-9);
@@ -301,7 +301,8 @@ TEST(without_a_loss_what_both_sides_share_is_not_in_the_interval)
 
     told_init(&t, 2);
     t.account.density.mean = CONTROL;
-    t.assembly.levelling.vectors = (struct gsn_turned_left){ 1, OWN * OWN, SHARED * SHARED, 0 };
+    t.assembly.levelling.vectors =
+        (struct gsn_vector_error_left){ 1, OWN * OWN, SHARED * SHARED, 0 };
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     CHECK_NEAR(by_vectors(result), 100 * OWN, 1e-9);
@@ -314,7 +315,7 @@ TEST(nothing_inferred_leaves_no_row_and_the_interval_by_the_rest_of_the_stain)
     told_auto t;
 
     told_init(&t, 2);
-    t.assembly.levelling.vectors = (struct gsn_turned_left){ 0 };
+    t.assembly.levelling.vectors = (struct gsn_vector_error_left){ 0 };
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     CHECK(is_nan(by_vectors(result)));
@@ -330,9 +331,9 @@ TEST(exact_vectors_are_off_by_what_the_panels_of_both_specimens_scatter)
     told_auto t;
 
     told_init(&t, 5);
-    t.assembly.levelling.vectors = (struct gsn_turned_left){ 1, OWN * OWN, 0, 0 };
-    t.assembly.levelling.turns = (struct gsn_turned_scatter){ 0.002, 4 };
-    t.specimen.baseline.turns = (struct gsn_turned_scatter){ 0.004, 6 };
+    t.assembly.levelling.vectors = (struct gsn_vector_error_left){ 1, OWN * OWN, 0, 0 };
+    t.assembly.levelling.turns = (struct gsn_vector_scatter){ 0.002, 4 };
+    t.specimen.baseline.turns = (struct gsn_vector_scatter){ 0.004, 6 };
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     CHECK_NEAR(by_vectors(result), 100 * TREATED / CONTROL * OWN * turn, 1e-9);
@@ -344,7 +345,7 @@ TEST(exact_vectors_are_off_by_what_the_panels_of_both_specimens_scatter)
 /* ---- vectors that nobody measured ------------------------------------------------------------ */
 
 /* The bath that coloured everything, each vector some degrees off the table's. */
-static const double BATH_TURN[GSN_DYE_TURNS] = { 0.03, -0.02, 0.06, 0.05, -0.05, 0.04 };
+static const double BATH_TURN[GSN_DYE_ROTATIONS] = { 0.03, -0.02, 0.06, 0.05, -0.05, 0.04 };
 
 static void colour_of(const struct gsn_dyes *bath, const double amount[3], double od[3])
 {
@@ -411,7 +412,7 @@ static void narrowed_done(struct narrowed *n)
 static void narrowed_init(struct narrowed *n, double left, int turned, size_t panels, int pure)
 {
     const struct gsn_dyes table = gsn_dyes_builtin();
-    const struct gsn_dyes bath = turned ? gsn_dyes_turned(&table, BATH_TURN) : table;
+    const struct gsn_dyes bath = turned ? gsn_dyes_rotated(&table, BATH_TURN) : table;
     struct told *t = &n->told;
 
     told_init(t, panels);
@@ -491,7 +492,7 @@ TEST(tissue_that_is_stated_to_hold_no_collagen_replaces_the_guess)
 {
     for (int pure = 0; pure < 2; pure++) {
         const struct gsn_dyes table = gsn_dyes_builtin();
-        const struct gsn_dyes bath = gsn_dyes_turned(&table, BATH_TURN);
+        const struct gsn_dyes bath = gsn_dyes_rotated(&table, BATH_TURN);
         narrowed_auto n;
 
         narrowed_init(&n, 0.6, 1, 3, pure);
@@ -510,7 +511,7 @@ TEST(tissue_that_is_stated_to_hold_no_collagen_replaces_the_guess)
 TEST(tissue_that_is_stated_to_hold_none_and_is_red_is_not_taken_for_it)
 {
     const struct gsn_dyes table = gsn_dyes_builtin();
-    const struct gsn_dyes bath = gsn_dyes_turned(&table, BATH_TURN);
+    const struct gsn_dyes bath = gsn_dyes_rotated(&table, BATH_TURN);
     narrowed_auto n;
 
     narrowed_init(&n, 0.6, 1, 3, 1);

@@ -60,7 +60,7 @@ void paint(struct gsn_image *image, uint32_t x, uint32_t y, const struct scan *s
     }
 }
 
-double paint_density(const struct gsn_image *image, const struct gsn_glass *glass, uint32_t x,
+double paint_density(const struct gsn_image *image, const struct gsn_flat_field *glass, uint32_t x,
                      uint32_t y, unsigned channel)
 {
     const unsigned sample = gsn_image_at(image, x, y, channel);

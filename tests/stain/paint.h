@@ -27,7 +27,7 @@ double scan_light(const struct scan *scan, const struct gsn_image *image, uint32
 void paint(struct gsn_image *image, uint32_t x, uint32_t y, const struct scan *scan,
            const struct gsn_dyes *dyes, const double amount[3], struct dice *dice);
 /* The optical density that a sample means before this glass; a sample of 0 is half a code. */
-double paint_density(const struct gsn_image *image, const struct gsn_glass *glass, uint32_t x,
+double paint_density(const struct gsn_image *image, const struct gsn_flat_field *glass, uint32_t x,
                      uint32_t y, unsigned channel);
 /* A picture of bare glass. */
 struct gsn_image *paint_glass(uint32_t width, uint32_t height, uint32_t bits,

@@ -255,8 +255,8 @@ TEST(running_out_of_memory_leaks_nothing)
 /* A slide whose yellow lies far off, and one that lies where its own error lets it. */
 TEST(vectors_apart_by_more_than_their_errors_disagree)
 {
-    const double little[GSN_DYE_TURNS] = { 0.02, 0.01, 0.02, -0.03, 0.05, 0.02 };
-    const double much[GSN_DYE_TURNS] = { 0, 0, 0.4, 0, 0, 0 };
+    const double little[GSN_DYE_ROTATIONS] = { 0.02, 0.01, 0.02, -0.03, 0.05, 0.02 };
+    const double much[GSN_DYE_ROTATIONS] = { 0, 0, 0.4, 0, 0, 0 };
     const struct panel panel = panel_of(0.002, 6);
     struct gsn_dyes_fit calibrated, slide;
     struct gsn_error err = { 0 };
@@ -264,13 +264,13 @@ TEST(vectors_apart_by_more_than_their_errors_disagree)
 
     CHECK_OK(fit(&panel, &calibrated, &err), err);
     slide = calibrated;
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         slide.covariance[m][m] = 0.02 * 0.02;
-    slide.dyes = gsn_dyes_turned(&calibrated.dyes, little);
+    slide.dyes = gsn_dyes_rotated(&calibrated.dyes, little);
     apart = gsn_dyes_compare(&calibrated, &slide);
     CHECK(!apart.disagree[RED] && !apart.disagree[YELLOW] && !apart.disagree[DARK]);
     CHECK_NEAR(apart.deg[RED], hypot(0.02, 0.01) * 180 / M_PI, 0.01);
-    slide.dyes = gsn_dyes_turned(&calibrated.dyes, much);
+    slide.dyes = gsn_dyes_rotated(&calibrated.dyes, much);
     apart = gsn_dyes_compare(&calibrated, &slide);
     CHECK(!apart.disagree[RED] && apart.disagree[YELLOW] && !apart.disagree[DARK]);
     CHECK(apart.deg[YELLOW] > 3 * apart.expected[YELLOW]);

@@ -51,14 +51,14 @@ TEST(a_row_is_unmixed_as_each_pixel_is)
     float *const od[3] = { red, green, blue };
     const struct gsn_dyes dyes = gsn_dyes_builtin();
     struct gsn_unmixer mix;
-    struct gsn_red_weights weights;
+    struct gsn_collagen_weights weights;
     struct gsn_error err = { 0 };
     size_t far = 0;
 
     draw_densities(od);
     CHECK_OK(gsn_unmixer_init(&mix, &dyes, &err), err);
-    weights = gsn_red_weights_of(&mix, dyes.full_red_od);
-    gsn_red_row(&weights, red, green, blue, COUNT, amount);
+    weights = gsn_collagen_weights_of(&mix, dyes.full_red_od);
+    gsn_collagen_row(&weights, red, green, blue, COUNT, amount);
     for (size_t i = 0; i < COUNT; i++) {
         const double pixel[3] = { red[i], green[i], blue[i] };
         const double exact = exact_red(&mix, pixel) / dyes.full_red_od;
@@ -69,7 +69,7 @@ TEST(a_row_is_unmixed_as_each_pixel_is)
     CHECK(far <= COUNT / 2000);
 }
 
-static void draw_picture(struct gsn_image **ret_image, struct gsn_glass *glass)
+static void draw_picture(struct gsn_image **ret_image, struct gsn_flat_field *glass)
 {
     const double white[3] = { 240, 238, 236 };
     struct gsn_error err = { 0 };
@@ -78,7 +78,7 @@ static void draw_picture(struct gsn_image **ret_image, struct gsn_glass *glass)
     CHECK_OK(gsn_image_new(WIDTH, HEIGHT, 3, 8, ret_image, &err), err);
     for (size_t i = 0; i < 3 * WIDTH * HEIGHT; i++)
         ((uint8_t *)(*ret_image)->samples)[i] = (uint8_t)(60 + next(&seed) % 160);
-    CHECK_OK(gsn_glass_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, white, glass, &err), err);
+    CHECK_OK(gsn_flat_field_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, white, glass, &err), err);
 }
 
 static void set(struct gsn_image *image, size_t x, size_t y, uint8_t r, uint8_t g, uint8_t b)
@@ -96,11 +96,11 @@ TEST(clipped_tissue_has_no_density_and_bare_glass_has)
     const struct gsn_pixel_box box = { 3, 2, 20, 10 };
     const struct gsn_dyes dyes = gsn_dyes_builtin();
     gsn_auto(gsn_image) image = NULL;
-    gsn_auto(gsn_absorber) absorber = NULL;
-    gsn_auto(gsn_red_reader) reader = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
+    gsn_auto(gsn_collagen_reader) reader = NULL;
     gsn_auto(gsn_plane) density = NULL;
     gsn_auto(gsn_plane) thin = NULL;
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_error err = { 0 };
     size_t holes = 0;
 
@@ -108,14 +108,14 @@ TEST(clipped_tissue_has_no_density_and_bare_glass_has)
     set(image, 4, 2, 0, 90, 90);
     set(image, 5, 2, 255, 90, 90);
     set(image, 6, 2, 255, 255, 255);
-    CHECK_OK(gsn_absorber_new(image, &glass, &absorber, &err), err);
-    CHECK_OK(gsn_red_reader_new(absorber, &dyes, &reader, &err), err);
-    CHECK_OK(gsn_red_box(reader, &box, 1, &density, &err), err);
+    CHECK_OK(gsn_od_reader_new(image, &glass, &absorber, &err), err);
+    CHECK_OK(gsn_collagen_reader_new(absorber, &dyes, &reader, &err), err);
+    CHECK_OK(gsn_collagen_box(reader, &box, 1, &density, &err), err);
     CHECK(isnan(density->value[1]) && isnan(density->value[2]) && density->value[3] == 0);
     for (size_t i = 0; i < 200; i++)
         holes += isnan(density->value[i]) ? 1 : 0;
     CHECK(holes == 2);
-    CHECK_OK(gsn_red_box(reader, &box, 3, &thin, &err), err);
+    CHECK_OK(gsn_collagen_box(reader, &box, 3, &thin, &err), err);
     CHECK(thin->width == 20 && thin->height == 4);
     CHECK(memcmp(thin->value + 20, density->value + 60, 20 * sizeof(float)) == 0);
 }
@@ -124,7 +124,7 @@ TEST(a_thin_plane_holds_single_pixels_of_the_picture)
 {
     gsn_auto(gsn_image) image = NULL;
     struct gsn_plane *thin[3];
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_error err = { 0 };
 
     draw_picture(&image, &glass);
@@ -132,7 +132,7 @@ TEST(a_thin_plane_holds_single_pixels_of_the_picture)
     glass.surface[1][3] = 0.03;
     glass.surface[1][5] = -0.02;
     for (unsigned apart = 1; apart <= 3; apart += 2) {
-        CHECK_OK(gsn_absorb_thin(image, &glass, apart, thin, &err), err);
+        CHECK_OK(gsn_od_thin(image, &glass, apart, thin, &err), err);
         CHECK(thin[0]->width == (WIDTH + apart - 1) / apart);
         CHECK(thin[0]->height == (HEIGHT + apart - 1) / apart);
         for (unsigned c = 0; c < 3; c++) {
@@ -146,22 +146,22 @@ TEST(a_thin_plane_holds_single_pixels_of_the_picture)
     }
 }
 
-static int read_once(const struct gsn_image *image, const struct gsn_glass *glass,
+static int read_once(const struct gsn_image *image, const struct gsn_flat_field *glass,
                      const struct gsn_dyes *dyes, struct gsn_error *err)
 {
     const struct gsn_pixel_box box = { 0, 0, 9, 9 };
-    gsn_auto(gsn_absorber) absorber = NULL;
-    gsn_auto(gsn_red_reader) reader = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
+    gsn_auto(gsn_collagen_reader) reader = NULL;
     gsn_auto(gsn_plane) density = NULL;
     struct gsn_plane *thin[3];
-    int r = gsn_absorber_new(image, glass, &absorber, err);
+    int r = gsn_od_reader_new(image, glass, &absorber, err);
 
     if (r >= 0)
-        r = gsn_red_reader_new(absorber, dyes, &reader, err);
+        r = gsn_collagen_reader_new(absorber, dyes, &reader, err);
     if (r >= 0)
-        r = gsn_red_box(reader, &box, 1, &density, err);
+        r = gsn_collagen_box(reader, &box, 1, &density, err);
     if (r >= 0)
-        r = gsn_absorb_thin(image, glass, 4, thin, err);
+        r = gsn_od_thin(image, glass, 4, thin, err);
     for (int c = 0; c < 3 && r >= 0; c++)
         gsn_plane_free(thin[c]);
     return r;
@@ -171,7 +171,7 @@ TEST(dyes_that_are_too_alike_are_refused_and_no_memory_leaks)
 {
     struct gsn_dyes dyes = gsn_dyes_builtin();
     gsn_auto(gsn_image) image = NULL;
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_error err = { 0 };
 
     draw_picture(&image, &glass);
@@ -277,18 +277,18 @@ TEST(overlap_has_its_closed_forms)
     struct gsn_error err = { 0 };
     struct gsn_overlap overlap;
 
-    CHECK_OK(gsn_mask_compare(map, reference, &overlap, &err), err);
+    CHECK_OK(gsn_collagen_compare(map, reference, &overlap, &err), err);
     CHECK_NEAR(overlap.dice, 2.0 * 2 / 7, 1e-15);
     CHECK_NEAR(overlap.false_positive, 0.5, 1e-15);
     CHECK_NEAR(overlap.false_negative, 1.0 / 3, 1e-15);
     CHECK(overlap.pixels == 8 && overlap.map_px == 4 && overlap.reference_px == 3);
-    CHECK_OK(gsn_mask_compare(map, map, &overlap, &err), err);
+    CHECK_OK(gsn_collagen_compare(map, map, &overlap, &err), err);
     CHECK_NEAR(overlap.dice, 1, 0);
-    CHECK_OK(gsn_mask_compare(map, nothing, &overlap, &err), err);
+    CHECK_OK(gsn_collagen_compare(map, nothing, &overlap, &err), err);
     CHECK_NEAR(overlap.dice, 0, 0);
     CHECK_NEAR(overlap.false_positive, 1, 0);
     CHECK_NEAR(overlap.false_negative, 0, 0);
-    CHECK_OK(gsn_mask_compare(nothing, nothing, &overlap, &err), err);
+    CHECK_OK(gsn_collagen_compare(nothing, nothing, &overlap, &err), err);
     CHECK_NEAR(overlap.dice, 1, 0);
 }
 
@@ -300,13 +300,13 @@ TEST(a_reference_of_other_depth_or_colour_is_read_and_one_of_other_size_refused)
     struct gsn_error err = { 0 };
     struct gsn_overlap overlap = { .pixels = 77 };
 
-    CHECK(gsn_mask_compare(map, narrow, &overlap, &err) == GSN_E_INPUT);
+    CHECK(gsn_collagen_compare(map, narrow, &overlap, &err) == GSN_E_INPUT);
     assert_string_equal(err.text, "the mask is of 3 x 1 pixels, the picture of 4 x 1");
     CHECK(overlap.pixels == 77);
     CHECK_OK(gsn_image_new(4, 1, 3, 16, &deep, &err), err);
     ((uint16_t *)deep->samples)[1] = 32768; /* green of pixel 0 */
     ((uint16_t *)deep->samples)[4] = 32767; /* just too dark */
-    CHECK_OK(gsn_mask_compare(map, deep, &overlap, &err), err);
+    CHECK_OK(gsn_collagen_compare(map, deep, &overlap, &err), err);
     CHECK(overlap.reference_px == 1 && overlap.both_px == 1);
 }
 

@@ -28,7 +28,7 @@ static void cover(struct gsn_image *image, const struct scan *scan, double side,
 }
 
 /* The largest error of the glass anywhere in the picture, as a share of the light. */
-static double worst_error(const struct gsn_glass *glass, const struct scan *scan,
+static double worst_error(const struct gsn_flat_field *glass, const struct scan *scan,
                           const struct gsn_image *image)
 {
     double worst = 0;
@@ -39,7 +39,7 @@ static double worst_error(const struct gsn_glass *glass, const struct scan *scan
                 const double white = gsn_light_of_sample(scan->light, (unsigned)scan->white[c], 8);
                 const double truth = white * scan_light(scan, image, x, y);
 
-                worst = fmax(worst, fabs(gsn_glass_at(glass, x, y, c) / truth - 1));
+                worst = fmax(worst, fabs(gsn_flat_field_at(glass, x, y, c) / truth - 1));
             }
         }
     }
@@ -51,9 +51,9 @@ TEST(bare_glass_is_measured_to_a_tenth_of_a_percent)
     struct dice dice = { 1 };
     gsn_auto(gsn_image) image = paint_glass(400, 300, 8, &even, &dice);
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
-    CHECK_OK(gsn_glass_estimate(image, even.light, &glass, &err), err);
+    CHECK_OK(gsn_flat_field_estimate(image, even.light, &glass, &err), err);
     CHECK(worst_error(&glass, &even, image) < 0.001);
     CHECK_NEAR(glass.white[0], 248, 0.2);
     CHECK_NEAR(glass.white[2], 238, 0.2);
@@ -74,10 +74,10 @@ TEST(uneven_light_is_followed_in_both_meanings_of_the_samples)
             struct dice dice = { 2 };
             gsn_auto(gsn_image) image = paint_glass(460, 312, 8, &scan, &dice);
             struct gsn_error err = { 0 };
-            struct gsn_glass glass;
+            struct gsn_flat_field glass;
 
             cover(image, &scan, 0.6, (const double[3]){ 0.4, 0.3, 0.05 }, &dice);
-            CHECK_OK(gsn_glass_estimate(image, scan.light, &glass, &err), err);
+            CHECK_OK(gsn_flat_field_estimate(image, scan.light, &glass, &err), err);
             /* Light of 1 - x has a logarithm of -x - x^2/2: at the darkest corner x is 0.18, and
              * what a quadratic cannot follow there is 0.8 %. */
             CHECK(worst_error(&glass, &scan, image) < (i < 2 ? 0.003 : 0.008));
@@ -95,10 +95,10 @@ TEST(seventy_per_cent_of_tissue_do_not_move_the_glass)
         struct dice dice = { 3 };
         gsn_auto(gsn_image) image = paint_glass(460, 312, 8, &even, &dice);
         struct gsn_error err = { 0 };
-        struct gsn_glass glass;
+        struct gsn_flat_field glass;
 
         cover(image, &even, sqrt(0.7), stain[i], &dice);
-        CHECK_OK(gsn_glass_estimate(image, even.light, &glass, &err), err);
+        CHECK_OK(gsn_flat_field_estimate(image, even.light, &glass, &err), err);
         CHECK(worst_error(&glass, &even, image) < 0.003);
         CHECK_NEAR(glass.fraction, 0.3, 0.08);
     }
@@ -120,14 +120,14 @@ TEST(a_white_label_with_text_and_pen_do_not_pull_it)
     struct dice dice = { 4 };
     gsn_auto(gsn_image) image = paint_glass(460, 312, 8, &scan, &dice);
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
     cover(image, &scan, 0.6, (const double[3]){ 0.4, 0.3, 0.05 }, &dice);
     rectangle(image, 0, 40, 0, 312, paper);
     for (uint32_t y = 30; y < 280; y += 8)
         rectangle(image, 8, 30, y, y + 4, ink);
     rectangle(image, 150, 400, 100, 106, pen);
-    CHECK_OK(gsn_glass_estimate(image, scan.light, &glass, &err), err);
+    CHECK_OK(gsn_flat_field_estimate(image, scan.light, &glass, &err), err);
     CHECK(worst_error(&glass, &scan, image) < 0.003);
 }
 
@@ -137,10 +137,10 @@ TEST(too_little_glass_is_refused_and_the_share_named)
     struct dice dice = { 5 };
     gsn_auto(gsn_image) image = paint_glass(460, 312, 8, &even, &dice);
     struct gsn_error err = { 0 };
-    struct gsn_glass glass = { .width = 77 };
+    struct gsn_flat_field glass = { .width = 77 };
 
     cover(image, &even, 0.96, (const double[3]){ 0.02, 0.25, 0.02 }, &dice);
-    CHECK(gsn_glass_estimate(image, even.light, &glass, &err) == GSN_E_STAIN);
+    CHECK(gsn_flat_field_estimate(image, even.light, &glass, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "% of this picture is blank glass; at least 15 % is needed"));
     CHECK(glass.width == 77);
 }
@@ -149,10 +149,10 @@ TEST(a_picture_without_any_light_is_refused)
 {
     gsn_auto(gsn_image) image = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass = { .width = 77 };
+    struct gsn_flat_field glass = { .width = 77 };
 
     CHECK_OK(gsn_image_new(100, 100, 3, 16, &image, &err), err);
-    CHECK(gsn_glass_estimate(image, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_STAIN);
+    CHECK(gsn_flat_field_estimate(image, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_STAIN);
     CHECK(glass.width == 77);
 }
 
@@ -162,9 +162,9 @@ TEST(overexposed_glass_is_told)
     struct dice dice = { 6 };
     gsn_auto(gsn_image) image = paint_glass(200, 200, 16, &scan, &dice);
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
-    CHECK_OK(gsn_glass_estimate(image, scan.light, &glass, &err), err);
+    CHECK_OK(gsn_flat_field_estimate(image, scan.light, &glass, &err), err);
     CHECK_NEAR(glass.overexposed, 0.5, 0.02);
 }
 
@@ -173,19 +173,19 @@ TEST(grey_and_tiny_pictures_are_refused)
     gsn_auto(gsn_image) grey = NULL;
     gsn_auto(gsn_image) tiny = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
     CHECK_OK(gsn_image_new(100, 100, 1, 8, &grey, &err), err);
     CHECK_OK(gsn_image_new(15, 100, 3, 8, &tiny, &err), err);
-    CHECK(gsn_glass_estimate(grey, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_INPUT);
-    CHECK(gsn_glass_estimate(tiny, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_INPUT);
+    CHECK(gsn_flat_field_estimate(grey, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_INPUT);
+    CHECK(gsn_flat_field_estimate(tiny, GSN_LIGHT_SRGB, &glass, &err) == GSN_E_INPUT);
 }
 
 static int estimate_once(const struct gsn_image *image, struct gsn_error *err)
 {
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
-    return gsn_glass_estimate(image, GSN_LIGHT_SRGB, &glass, err);
+    return gsn_flat_field_estimate(image, GSN_LIGHT_SRGB, &glass, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)
@@ -233,11 +233,11 @@ TEST(a_given_white_is_the_same_everywhere)
 {
     const double white[3] = { 255, 245, 234 };
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
-    CHECK_OK(gsn_glass_given(40, 30, GSN_LIGHT_SRGB, white, &glass, &err), err);
-    CHECK_NEAR(gsn_glass_at(&glass, 0, 0, 1), pow((245 / 255.0 + 0.055) / 1.055, 2.4), 1e-12);
-    CHECK_NEAR(gsn_glass_at(&glass, 39, 29, 1), gsn_glass_at(&glass, 20, 7, 1), 0);
+    CHECK_OK(gsn_flat_field_given(40, 30, GSN_LIGHT_SRGB, white, &glass, &err), err);
+    CHECK_NEAR(gsn_flat_field_at(&glass, 0, 0, 1), pow((245 / 255.0 + 0.055) / 1.055, 2.4), 1e-12);
+    CHECK_NEAR(gsn_flat_field_at(&glass, 39, 29, 1), gsn_flat_field_at(&glass, 20, 7, 1), 0);
     CHECK_NEAR(glass.white[2], 234, 0);
     CHECK_NEAR(glass.fraction, 0, 0);
 }
@@ -245,11 +245,11 @@ TEST(a_given_white_is_the_same_everywhere)
 TEST(a_black_white_is_refused)
 {
     struct gsn_error err = { 0 };
-    struct gsn_glass glass = { .width = 77 };
+    struct gsn_flat_field glass = { .width = 77 };
 
-    CHECK(gsn_glass_given(4, 4, GSN_LIGHT_SRGB, (const double[3]){ 255, 0, 255 }, &glass, &err) ==
-          GSN_E_INPUT);
-    CHECK(gsn_glass_given(4, 4, GSN_LIGHT_SRGB, (const double[3]){ NAN, 9, 9 }, &glass, &err) ==
-          GSN_E_INPUT);
+    CHECK(gsn_flat_field_given(4, 4, GSN_LIGHT_SRGB, (const double[3]){ 255, 0, 255 }, &glass,
+                               &err) == GSN_E_INPUT);
+    CHECK(gsn_flat_field_given(4, 4, GSN_LIGHT_SRGB, (const double[3]){ NAN, 9, 9 }, &glass,
+                               &err) == GSN_E_INPUT);
     CHECK(glass.width == 77);
 }

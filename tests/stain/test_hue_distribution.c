@@ -34,7 +34,7 @@ static void mix(const struct tissue *tissue, double red, double yellow, double d
 }
 
 /* Cells with any share of dark; returns how many points. */
-static size_t make(const struct tissue *tissue, size_t cells, struct gsn_edge_point *point)
+static size_t make(const struct tissue *tissue, size_t cells, struct gsn_hue_edge_point *point)
 {
     struct dice dice = { 23 };
 
@@ -59,23 +59,23 @@ static size_t make(const struct tissue *tissue, size_t cells, struct gsn_edge_po
 }
 
 /* The ratio found where this is true. */
-static double found(const struct tissue *tissue, double truth, struct gsn_edge *edge)
+static double found(const struct tissue *tissue, double truth, struct gsn_hue_edge *edge)
 {
-    static struct gsn_edge_point point[CELLS];
+    static struct gsn_hue_edge_point point[CELLS];
     struct gsn_error err = { 0 };
     const size_t points = make(tissue, CELLS, point);
     double control[3], treated[3];
 
     mix(tissue, 0.55, 0.18, 0.01, control);
     mix(tissue, 0.55 * truth, 0.18 * truth + 0.15, 0.01 * truth + 0.07, treated);
-    CHECK_OK(gsn_edge_find(point, points, control, treated, edge, &err), err);
-    return gsn_edge_ratio(edge, control, treated, 0);
+    CHECK_OK(gsn_hue_edge_find(point, points, control, treated, edge, &err), err);
+    return gsn_hue_edge_ratio(edge, control, treated, 0);
 }
 
 TEST(tissue_without_collagen_tells_the_loss_whatever_the_dyes)
 {
     static const struct tissue tissue = { .pure = 0.1, .least = 0.02 };
-    struct gsn_edge edge;
+    struct gsn_hue_edge edge;
 
     for (double truth = 0.3; truth < 0.95; truth += 0.2)
         CHECK_NEAR(found(&tissue, truth, &edge), truth, 0.004);
@@ -87,7 +87,7 @@ TEST(noise_of_the_scan_does_not_move_the_edge)
 {
     static const struct tissue clean = { .pure = 0.1, .least = 0.02 },
                                noisy = { .pure = 0.1, .least = 0.02, .noise_od = 0.004 };
-    struct gsn_edge edge;
+    struct gsn_hue_edge edge;
 
     CHECK_NEAR(found(&noisy, 0.6, &edge), found(&clean, 0.6, &edge), 0.01);
 }
@@ -99,7 +99,7 @@ TEST(a_linear_map_of_all_colours_changes_nothing)
     static const struct tissue plain = { .pure = 0.1, .least = 0.02, .noise_od = 0.002 }, mapped = {
         .pure = 0.1, .least = 0.02, .noise_od = 0.002, .map = map
     };
-    struct gsn_edge edge;
+    struct gsn_hue_edge edge;
 
     CHECK_NEAR(found(&mapped, 0.6, &edge), found(&plain, 0.6, &edge), 0.006);
 }
@@ -109,7 +109,7 @@ TEST(the_loss_is_the_largest_that_can_be_and_a_known_purity_mends_it)
 {
     static const struct tissue tissue = { .pure = 0, .least = 0.06 };
     static const double control_all = 0.55 * 1.61 + 0.18 * 1.54 + 0.01 * 1.73;
-    struct gsn_edge edge;
+    struct gsn_hue_edge edge;
     double control[3], treated[3];
     const double ratio = found(&tissue, 0.6, &edge);
     /* Red over what is not red where the line leaves the cloud, in the control's tissue over what
@@ -119,14 +119,14 @@ TEST(the_loss_is_the_largest_that_can_be_and_a_known_purity_mends_it)
     CHECK(ratio < 0.58);
     mix(&tissue, 0.55, 0.18, 0.01, control);
     mix(&tissue, 0.55 * 0.6, 0.18 * 0.6 + 0.15, 0.01 * 0.6 + 0.07, treated);
-    CHECK_NEAR(gsn_edge_ratio(&edge, control, treated, purest), 0.6, 0.01);
+    CHECK_NEAR(gsn_hue_edge_ratio(&edge, control, treated, purest), 0.6, 0.01);
 }
 
 TEST(a_block_without_pure_tissue_has_a_wide_vertex)
 {
     static const struct tissue pure = { .pure = 0.25, .least = 0.02 },
                                none = { .pure = 0, .least = 0.15 };
-    struct gsn_edge sharp, wide;
+    struct gsn_hue_edge sharp, wide;
 
     (void)found(&pure, 0.6, &sharp);
     (void)found(&none, 0.6, &wide);
@@ -137,33 +137,33 @@ TEST(the_edge_of_the_same_cells_is_0_and_that_of_redder_ones_above)
 {
     static const struct tissue tissue = { .pure = 0.1, .least = 0.02 },
                                redder = { .pure = 0, .least = 0.06 };
-    static struct gsn_edge_point point[CELLS];
+    static struct gsn_hue_edge_point point[CELLS];
     struct gsn_error err = { 0 };
-    struct gsn_edge edge;
+    struct gsn_hue_edge edge;
     double at;
 
     (void)found(&tissue, 0.6, &edge);
-    CHECK_OK(gsn_edge_of(&edge, point, make(&tissue, CELLS, point), &at, &err), err);
+    CHECK_OK(gsn_hue_edge_of(&edge, point, make(&tissue, CELLS, point), &at, &err), err);
     CHECK_NEAR(at, 0, 0.005);
-    CHECK_OK(gsn_edge_of(&edge, point, make(&redder, CELLS, point), &at, &err), err);
+    CHECK_OK(gsn_hue_edge_of(&edge, point, make(&redder, CELLS, point), &at, &err), err);
     CHECK(at > 0.08 && at < 0.3);
-    CHECK(gsn_edge_of(&edge, point, make(&redder, 200, point), &at, &err) == GSN_E_STAIN);
+    CHECK(gsn_hue_edge_of(&edge, point, make(&redder, 200, point), &at, &err) == GSN_E_STAIN);
 }
 
 TEST(no_loss_no_line_and_no_cells_are_refused)
 {
     static const struct tissue tissue = { .pure = 0.1, .least = 0.02 };
-    static const struct gsn_edge before = { .vertex = 7 };
-    static struct gsn_edge_point point[CELLS];
+    static const struct gsn_hue_edge before = { .vertex = 7 };
+    static struct gsn_hue_edge_point point[CELLS];
     const size_t points = make(&tissue, CELLS, point);
     struct gsn_error err = { 0 };
-    struct gsn_edge edge = before;
+    struct gsn_hue_edge edge = before;
     double control[3], treated[3];
 
     mix(&tissue, 0.55, 0.18, 0.01, control);
     mix(&tissue, 0.33, 0.26, 0.08, treated);
-    CHECK(gsn_edge_find(point, points, control, control, &edge, &err) == GSN_E_STAIN);
-    CHECK(gsn_edge_find(point, 100, control, treated, &edge, &err) == GSN_E_STAIN);
+    CHECK(gsn_hue_edge_find(point, points, control, control, &edge, &err) == GSN_E_STAIN);
+    CHECK(gsn_hue_edge_find(point, 100, control, treated, &edge, &err) == GSN_E_STAIN);
     CHECK(memcmp(&edge, &before, sizeof edge) == 0);
     CHECK(strstr(err.text, "too little tissue") != NULL);
 }
@@ -171,15 +171,15 @@ TEST(no_loss_no_line_and_no_cells_are_refused)
 static int find_once(struct gsn_error *err)
 {
     static const struct tissue tissue = { .pure = 0.1, .least = 0.02 };
-    static struct gsn_edge_point point[8000];
-    struct gsn_edge edge;
+    static struct gsn_hue_edge_point point[8000];
+    struct gsn_hue_edge edge;
     double control[3], treated[3], at;
     int r;
 
     mix(&tissue, 0.55, 0.18, 0.01, control);
     mix(&tissue, 0.33, 0.26, 0.08, treated);
-    r = gsn_edge_find(point, make(&tissue, 8000, point), control, treated, &edge, err);
-    return r < 0 ? r : gsn_edge_of(&edge, point, 8000, &at, err);
+    r = gsn_hue_edge_find(point, make(&tissue, 8000, point), control, treated, &edge, err);
+    return r < 0 ? r : gsn_hue_edge_of(&edge, point, 8000, &at, err);
 }
 
 TEST(running_out_of_memory_leaves_nothing_behind)

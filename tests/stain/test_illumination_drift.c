@@ -55,7 +55,7 @@ static const struct gsn_pixel_box ALL = { 0, 0, WIDTH, HEIGHT };
 TEST(a_steady_lamp_leaves_only_noise)
 {
     planes_auto p = drawn(steady, steady);
-    const struct gsn_lamp lamp = gsn_lamp_look(p.od, &ALL);
+    const struct gsn_illumination lamp = gsn_illumination_drift(p.od, &ALL);
 
     /* 0.006 of a pixel and channel is 0.006 / 8 / sqrt(3) of a block. */
     CHECK_NEAR(lamp.residual, 0.006 / 8 / sqrt(3), 1e-4);
@@ -67,24 +67,24 @@ TEST(a_lamp_that_flickers_is_measured_along_the_way_it_moves)
 {
     planes_auto down = drawn(flicker, steady);
     planes_auto across = drawn(steady, flicker);
-    struct gsn_lamp lamp = gsn_lamp_look(down.od, &ALL);
+    struct gsn_illumination lamp = gsn_illumination_drift(down.od, &ALL);
 
     CHECK_NEAR(lamp.rows, 0.04, 0.002);
     CHECK(lamp.columns < 0.03);
     CHECK_NEAR(lamp.residual, 0.02 / sqrt(2), 0.001);
-    lamp = gsn_lamp_look(across.od, &ALL);
+    lamp = gsn_illumination_drift(across.od, &ALL);
     CHECK_NEAR(lamp.columns, 0.04, 0.002);
 }
 
 TEST(a_picture_without_glass_tells_nothing)
 {
     planes_auto p = drawn(steady, steady);
-    struct gsn_lamp lamp;
+    struct gsn_illumination lamp;
 
     for (size_t i = 0; i < WIDTH * HEIGHT; i++)
         p.od[1]->value[i] += 0.3F;
-    lamp = gsn_lamp_look(p.od, &ALL);
+    lamp = gsn_illumination_drift(p.od, &ALL);
     CHECK(isnan(lamp.rows) && isnan(lamp.columns) && isnan(lamp.residual));
-    lamp = gsn_lamp_look(p.od, &(struct gsn_pixel_box){ 0, 0, 0, 0 });
+    lamp = gsn_illumination_drift(p.od, &(struct gsn_pixel_box){ 0, 0, 0, 0 });
     CHECK(isnan(lamp.rows) && isnan(lamp.residual));
 }

@@ -119,7 +119,7 @@ static struct gsn_image *draw(double red, const struct gsn_dyes *dyes, const str
 /* One slide as the product sees it: with the glass that it measured itself. */
 struct slide {
     struct gsn_plane *od[3];
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct gsn_image *mask;
 };
 
@@ -142,8 +142,8 @@ static struct slide *slide_new(double red, const struct gsn_dyes *dyes, int came
     struct slide *slide = gsn_alloc_array(1, sizeof *slide);
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_glass_estimate(image, scan.light, &slide->glass, &err), err);
-    CHECK_OK(gsn_absorb_thin(image, &slide->glass, 1, slide->od, &err), err);
+    CHECK_OK(gsn_flat_field_estimate(image, scan.light, &slide->glass, &err), err);
+    CHECK_OK(gsn_od_thin(image, &slide->glass, 1, slide->od, &err), err);
     CHECK_OK(gsn_image_new(WIDTH, HEIGHT, 1, 8, &slide->mask, &err), err);
     for (uint32_t y = 0; y < HEIGHT; y++)
         for (uint32_t x = 0; x < WIDTH; x++)
@@ -166,32 +166,35 @@ static double by_sampling(void)
 
 /* Variance of the logarithm of the ratio by vectors and whites. Vectors that both share move it by
  * what the relative slopes of the two differ by; the whites are each its own. */
-static double by_stain(const struct gsn_red_mean red[2], const struct gsn_dyes_fit *const fit[2])
+static double by_stain(const struct gsn_collagen_mean red[2],
+                       const struct gsn_dyes_fit *const fit[2])
 {
     const struct gsn_dyes_fit exact = { .dyes = fit[0]->dyes };
-    struct gsn_red_mean both = { .mean = 1 };
+    struct gsn_collagen_mean both = { .mean = 1 };
     double each = 0;
 
-    for (int m = 0; m < GSN_DYE_TURNS; m++)
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         both.by_turn[m] = red[1].by_turn[m] / red[1].mean - red[0].by_turn[m] / red[0].mean;
     for (int s = 0; s < 2; s++) {
-        const double own = gsn_red_error(&red[s], fit[0] == fit[1] ? &exact : fit[s], WHITE_OD);
+        const double own =
+            gsn_collagen_mean_error(&red[s], fit[0] == fit[1] ? &exact : fit[s], WHITE_OD);
 
         each += own * own;
     }
-    return fit[0] == fit[1] ? each + pow(gsn_red_error(&both, fit[0], 0), 2) : each;
+    return fit[0] == fit[1] ? each + pow(gsn_collagen_mean_error(&both, fit[0], 0), 2) : each;
 }
 
 /* A ratio is even in its logarithm. */
 static struct loss loss_with(const struct slide *const slide[2],
                              const struct gsn_dyes_fit *const fit[2])
 {
-    struct gsn_red_mean red[2];
+    struct gsn_collagen_mean red[2];
     struct gsn_error err = { 0 };
     double left, reach;
 
     for (int s = 0; s < 2; s++)
-        CHECK_OK(gsn_red_mean(slide[s]->od, slide[s]->mask, &fit[s]->dyes, &red[s], &err), err);
+        CHECK_OK(gsn_collagen_mean(slide[s]->od, slide[s]->mask, &fit[s]->dyes, &red[s], &err),
+                 err);
     left = red[1].mean / red[0].mean;
     reach = 1.959964 * sqrt(by_stain(red, fit) + by_sampling());
     return (struct loss){ 100 * (1 - left), 100 * (1 - left * exp(reach)),
@@ -315,23 +318,23 @@ TEST(the_slopes_are_those_of_the_mean)
     struct dice dice = { 5 };
     const struct gsn_dyes dyes = stated(GSN_LIGHT_SRGB);
     gsn_auto(slide) slide = slide_new(0.7, &dyes, 1, &dice);
-    struct gsn_red_mean red, other;
+    struct gsn_collagen_mean red, other;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_red_mean(slide->od, slide->mask, &dyes, &red, &err), err);
+    CHECK_OK(gsn_collagen_mean(slide->od, slide->mask, &dyes, &red, &err), err);
     CHECK_NEAR(red.mean, 0.7, 0.01);
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
-        double by[GSN_DYE_TURNS] = { 0 };
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
+        double by[GSN_DYE_ROTATIONS] = { 0 };
 
         by[m] = 0.02;
-        const struct gsn_dyes there = gsn_dyes_turned(&dyes, by);
+        const struct gsn_dyes there = gsn_dyes_rotated(&dyes, by);
 
-        CHECK_OK(gsn_red_mean(slide->od, slide->mask, &there, &other, &err), err);
+        CHECK_OK(gsn_collagen_mean(slide->od, slide->mask, &there, &other, &err), err);
         CHECK_NEAR(other.mean, red.mean + 0.02 * red.by_turn[m], 0.003);
     }
     for (size_t i = 0; i < (size_t)WIDTH * HEIGHT; i++)
         slide->od[1]->value[i] += 0.01f;
-    CHECK_OK(gsn_red_mean(slide->od, slide->mask, &dyes, &other, &err), err);
+    CHECK_OK(gsn_collagen_mean(slide->od, slide->mask, &dyes, &other, &err), err);
     CHECK_NEAR(other.mean, red.mean + 0.01 * red.by_white[1], 2e-4);
 }
 
@@ -339,17 +342,18 @@ TEST(the_slopes_are_those_of_the_mean)
 TEST(the_error_is_by_the_slopes_and_what_they_are_slopes_of)
 {
     struct gsn_dyes_fit fit = { .dyes = stated(GSN_LIGHT_SRGB) };
-    const struct gsn_red_mean red = { .mean = 0.5,
-                                      .by_turn = { [0] = 0.3, [3] = -0.2 },
-                                      .by_white = { 0, -2, 1.5 } };
+    const struct gsn_collagen_mean red = { .mean = 0.5,
+                                           .by_turn = { [0] = 0.3, [3] = -0.2 },
+                                           .by_white = { 0, -2, 1.5 } };
 
-    CHECK_NEAR(gsn_red_error(&red, &fit, 0), 0, 0);
-    CHECK_NEAR(gsn_red_error(&red, &fit, 0.001), 0.005, 1e-12); /* 2 and 1.5 make 2.5 */
+    CHECK_NEAR(gsn_collagen_mean_error(&red, &fit, 0), 0, 0);
+    CHECK_NEAR(gsn_collagen_mean_error(&red, &fit, 0.001), 0.005, 1e-12); /* 2 and 1.5 make 2.5 */
     fit.covariance[0][0] = 0.04 * 0.04;
     fit.covariance[3][3] = 0.06 * 0.06;
-    CHECK_NEAR(gsn_red_error(&red, &fit, 0), hypot(0.012, 0.012) / 0.5, 1e-12);
+    CHECK_NEAR(gsn_collagen_mean_error(&red, &fit, 0), hypot(0.012, 0.012) / 0.5, 1e-12);
     fit.covariance[0][3] = fit.covariance[3][0] = 0.04 * 0.06;
-    CHECK_NEAR(gsn_red_error(&red, &fit, 0.001), 0.005, 1e-12); /* one takes back the other */
+    CHECK_NEAR(gsn_collagen_mean_error(&red, &fit, 0.001), 0.005,
+               1e-12); /* one takes back the other */
 }
 
 TEST(no_tissue_and_other_sizes_are_refused)
@@ -358,16 +362,16 @@ TEST(no_tissue_and_other_sizes_are_refused)
     const struct gsn_dyes_fit fit = { .dyes = stated(GSN_LIGHT_SRGB) };
     gsn_auto(gsn_image) mask = NULL;
     gsn_auto(gsn_image) small = NULL;
-    struct gsn_red_mean red = { .mean = -7 };
+    struct gsn_collagen_mean red = { .mean = -7 };
     struct gsn_error err = { 0 };
 
     for (int c = 0; c < 3; c++)
         CHECK_OK(gsn_plane_new(10, 10, &od[c], &err), err);
     CHECK_OK(gsn_image_new(10, 10, 1, 8, &mask, &err), err);
     CHECK_OK(gsn_image_new(9, 10, 1, 8, &small, &err), err);
-    CHECK(gsn_red_mean(od, mask, &fit.dyes, &red, &err) == GSN_E_STAIN);
+    CHECK(gsn_collagen_mean(od, mask, &fit.dyes, &red, &err) == GSN_E_STAIN);
     CHECK(strcmp(err.text, "there is no tissue to measure") == 0);
-    CHECK(gsn_red_mean(od, small, &fit.dyes, &red, &err) == GSN_E_INPUT);
+    CHECK(gsn_collagen_mean(od, small, &fit.dyes, &red, &err) == GSN_E_INPUT);
     CHECK_NEAR(red.mean, -7, 0);
     for (int c = 0; c < 3; c++)
         gsn_plane_free(od[c]);

@@ -12,7 +12,7 @@ enum { CELLS = 600, MOST_PANELS = 5, SIDES = 4, MOST_LINES = MOST_PANELS * (SIDE
  * of three sections. */
 struct block {
     size_t panels;
-    struct gsn_level stain[MOST_PANELS];
+    struct gsn_gain_offset stain[MOST_PANELS];
     double drift;  /* of the tissue, relative, per group */
     double noise;  /* of a cell */
     double lesion; /* loss of a tenth of the cells from the third panel on */
@@ -39,12 +39,12 @@ static void measure(const struct block *b, size_t panel, size_t group, struct di
     }
 }
 
-static int chain(const struct block *b, struct dice *dice, struct gsn_level *level,
-                 struct gsn_level_fit *fit, struct gsn_error *err)
+static int chain(const struct block *b, struct dice *dice, struct gsn_gain_offset *level,
+                 struct gsn_gain_fit *fit, struct gsn_error *err)
 {
     static const double at[2] = { 0.2, 0.88 };
     static double value[MOST_PANELS][SIDES][CELLS];
-    struct gsn_level_line step[MOST_PANELS], within[MOST_LINES];
+    struct gsn_gain_line step[MOST_PANELS], within[MOST_LINES];
     size_t lines = 0;
     int r = GSN_OK;
 
@@ -53,28 +53,28 @@ static int chain(const struct block *b, struct dice *dice, struct gsn_level *lev
             measure(b, p, g, dice, value[p][g]);
     for (size_t p = 0; p < b->panels && r >= 0; p++) {
         for (size_t g = 0; g + 1 < SIDES && r >= 0; g++) {
-            r = gsn_level_line(value[p][g], value[p][g + 1], CELLS, &within[lines], err);
+            r = gsn_gain_line(value[p][g], value[p][g + 1], CELLS, &within[lines], err);
             within[lines++].lag = 3;
         }
         if (r >= 0 && p + 1 < b->panels)
-            r = gsn_level_line(value[p][SIDES - 1], value[p + 1][0], CELLS, &step[p], err);
+            r = gsn_gain_line(value[p][SIDES - 1], value[p + 1][0], CELLS, &step[p], err);
         step[p].lag = 3;
     }
-    return r < 0 ? r : gsn_level_chain(step, b->panels - 1, within, lines, at, level, fit, err);
+    return r < 0 ? r : gsn_gain_chain(step, b->panels - 1, within, lines, at, level, fit, err);
 }
 
 /* The stain on the scale of the panels' mean. */
-static struct gsn_level truth_of(const struct block *b, size_t panel)
+static struct gsn_gain_offset truth_of(const struct block *b, size_t panel)
 {
-    struct gsn_level mean = { 0 };
+    struct gsn_gain_offset mean = { 0 };
 
     for (size_t p = 0; p < b->panels; p++) {
         mean.gain += b->stain[p].gain / (double)b->panels;
         mean.offset += b->stain[p].offset / (double)b->panels;
     }
-    return (struct gsn_level){ b->stain[panel].gain / mean.gain,
-                               b->stain[panel].offset -
-                                   b->stain[panel].gain / mean.gain * mean.offset };
+    return (struct gsn_gain_offset){ b->stain[panel].gain / mean.gain,
+                                     b->stain[panel].offset -
+                                         b->stain[panel].gain / mean.gain * mean.offset };
 }
 
 static const struct block STAINED = {
@@ -86,13 +86,13 @@ static const struct block STAINED = {
 static void check_levels(const struct block *b, double tolerance)
 {
     struct dice dice = { 11 };
-    struct gsn_level level[MOST_PANELS];
-    struct gsn_level_fit fit;
+    struct gsn_gain_offset level[MOST_PANELS];
+    struct gsn_gain_fit fit;
     struct gsn_error err = { 0 };
 
     CHECK_OK(chain(b, &dice, level, &fit, &err), err);
     for (size_t p = 0; p < b->panels; p++) {
-        const struct gsn_level truth = truth_of(b, p);
+        const struct gsn_gain_offset truth = truth_of(b, p);
 
         for (double d = 0.2; d < 1; d += 0.3)
             CHECK_NEAR(level[p].gain * d + level[p].offset, truth.gain * d + truth.offset,
@@ -127,13 +127,13 @@ TEST(panels_that_differ_by_noise_alone_stay_as_they_are)
 {
     struct block even = { .panels = 5, .noise = 0.02 };
     struct dice dice = { 12 };
-    struct gsn_level level[MOST_PANELS];
-    struct gsn_level_fit fit;
+    struct gsn_gain_offset level[MOST_PANELS];
+    struct gsn_gain_fit fit;
     struct gsn_error err = { 0 };
     double worst = 0, kept = 0;
 
     for (size_t p = 0; p < 5; p++)
-        even.stain[p] = (struct gsn_level){ 1, 0 };
+        even.stain[p] = (struct gsn_gain_offset){ 1, 0 };
     for (int draw = 0; draw < 40; draw++) {
         CHECK_OK(chain(&even, &dice, level, &fit, &err), err);
         kept += fit.kept / 40;
@@ -155,19 +155,19 @@ TEST(the_error_said_is_the_error_made)
 
     b.noise = 0.05;
     for (int draw = 0; draw < 200; draw++) {
-        struct gsn_level level[MOST_PANELS];
-        struct gsn_level_fit fit;
+        struct gsn_gain_offset level[MOST_PANELS];
+        struct gsn_gain_fit fit;
         double off = 0;
 
         CHECK_OK(chain(&b, &dice, level, &fit, &err), err);
         for (size_t p = 0; p < 5; p++) {
-            const struct gsn_level truth = truth_of(&b, p);
+            const struct gsn_gain_offset truth = truth_of(&b, p);
             const double seen = truth.gain * 0.8 + truth.offset;
 
             off += share[p] * ((seen - level[p].offset) / level[p].gain - 0.8);
         }
         squares += off * off / 200;
-        said += pow(gsn_level_error(&fit, share, 0.8), 2) / 200;
+        said += pow(gsn_gain_error(&fit, share, 0.8), 2) / 200;
     }
     CHECK(sqrt(said) > 0.8 * sqrt(squares) && sqrt(said) < 1.6 * sqrt(squares));
 }
@@ -177,11 +177,11 @@ TEST(one_panel_is_its_own_scale)
     struct block one = { .panels = 1, .stain = { { 1.2, 0.05 } }, .noise = 0.01 };
     const double share[MOST_PANELS] = { 0.5, 0.5 };
     struct dice dice = { 14 };
-    struct gsn_level level[MOST_PANELS];
-    struct gsn_level_fit fit;
+    struct gsn_gain_offset level[MOST_PANELS];
+    struct gsn_gain_fit fit;
     struct gsn_error err = { 0 };
 
-    one.stain[0] = (struct gsn_level){ 1.2, 0.05 };
+    one.stain[0] = (struct gsn_gain_offset){ 1.2, 0.05 };
     for (int i = 0; i < 3; i++)
         one.drift = 0.001 * i;
     CHECK(chain(&one, &dice, level, &fit, &err) == GSN_E_STAIN); /* three lines do not tell */
@@ -189,41 +189,41 @@ TEST(one_panel_is_its_own_scale)
     one.stain[1] = one.stain[0];
     CHECK_OK(chain(&one, &dice, level, &fit, &err), err);
     CHECK_NEAR(level[0].gain, level[1].gain, 0.01);
-    CHECK_NEAR(gsn_level_error(&fit, share, 0.8), 0, 0);
+    CHECK_NEAR(gsn_gain_error(&fit, share, 0.8), 0, 0);
 }
 
 TEST(tissue_all_of_one_density_tells_no_line)
 {
     double x[CELLS], y[CELLS];
     struct dice dice = { 15 };
-    struct gsn_level_line line = { .slope = -7 };
+    struct gsn_gain_line line = { .slope = -7 };
     struct gsn_error err = { 0 };
 
     for (size_t i = 0; i < CELLS; i++) {
         x[i] = 0.8 + 0.01 * dice_normal(&dice);
         y[i] = 0.9 + 0.01 * dice_normal(&dice);
     }
-    CHECK(gsn_level_line(x, y, CELLS, &line, &err) == GSN_E_STAIN);
+    CHECK(gsn_gain_line(x, y, CELLS, &line, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "all of one density, so gain and offset"));
-    CHECK(gsn_level_line(x, y, 99, &line, &err) == GSN_E_STAIN);
+    CHECK(gsn_gain_line(x, y, 99, &line, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "only 99 cells of tissue are seen on both sides"));
     CHECK(line.slope == -7);
 }
 
 TEST(dense_and_pale_that_change_places_are_refused)
 {
-    const struct gsn_level_line within[4] = {
+    const struct gsn_gain_line within[4] = {
         { 1, 0.001, 3, 500 }, { 1, -0.001, 3, 500 }, { 1.001, 0, 3, 500 }, { 0.999, 0, 3, 500 }
     };
-    const struct gsn_level_line turned = { -0.5, 0.9, 3, 500 };
+    const struct gsn_gain_line turned = { -0.5, 0.9, 3, 500 };
     const double at[2] = { 0.2, 0.88 };
-    struct gsn_level level[2] = { { -7, 0 }, { -7, 0 } };
-    struct gsn_level_fit fit = { .kept = -7 };
+    struct gsn_gain_offset level[2] = { { -7, 0 }, { -7, 0 } };
+    struct gsn_gain_fit fit = { .kept = -7 };
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_level_chain(&turned, 1, within, 4, at, level, &fit, &err) == GSN_E_STAIN);
+    CHECK(gsn_gain_chain(&turned, 1, within, 4, at, level, &fit, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "look at the poses"));
-    CHECK(gsn_level_chain(&turned, 1, within, 3, at, level, &fit, &err) == GSN_E_STAIN);
+    CHECK(gsn_gain_chain(&turned, 1, within, 3, at, level, &fit, &err) == GSN_E_STAIN);
     assert_non_null(strstr(err.text, "only 3 times"));
     CHECK(level[0].gain == -7 && fit.kept == -7);
 }
@@ -231,11 +231,11 @@ TEST(dense_and_pale_that_change_places_are_refused)
 static int one_line(struct gsn_error *err)
 {
     double x[CELLS], y[CELLS];
-    struct gsn_level_line line;
+    struct gsn_gain_line line;
 
     for (size_t i = 0; i < CELLS; i++)
         y[i] = 1.1 * (x[i] = tissue(i));
-    return gsn_level_line(x, y, CELLS, &line, err);
+    return gsn_gain_line(x, y, CELLS, &line, err);
 }
 
 TEST(running_out_of_memory_is_said)

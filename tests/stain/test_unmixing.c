@@ -155,10 +155,10 @@ static struct gsn_plane *red_of(struct gsn_plane *const od[3], const struct gsn_
     CHECK_OK(gsn_unmixer_init(&mixer, dyes, &err), err);
     CHECK_OK(gsn_plane_new(od[0]->width, od[0]->height, &red, &err), err);
 
-    const struct gsn_red_weights weights = gsn_red_weights_of(&mixer, dyes->full_red_od);
+    const struct gsn_collagen_weights weights = gsn_collagen_weights_of(&mixer, dyes->full_red_od);
 
-    gsn_red_row(&weights, od[0]->value, od[1]->value, od[2]->value,
-                (size_t)red->width * red->height, red->value);
+    gsn_collagen_row(&weights, od[0]->value, od[1]->value, od[2]->value,
+                     (size_t)red->width * red->height, red->value);
     return red;
 }
 
@@ -172,12 +172,12 @@ TEST(a_turned_vector_multiplies_red_and_adds_to_it)
 
     for (int draw = 0; draw < 200; draw++) {
         gsn_auto(planes) planes = planes_new(11, 1);
-        double turn[GSN_DYE_TURNS];
+        double turn[GSN_DYE_ROTATIONS];
 
-        for (int k = 0; k < GSN_DYE_TURNS; k++)
+        for (int k = 0; k < GSN_DYE_ROTATIONS; k++)
             turn[k] = draw == 0 ? 0 : 2 * M_PI / 180 * fmax(fmin(dice_normal(&dice), 2), -2);
 
-        const struct gsn_dyes turned = gsn_dyes_turned(&dyes, turn);
+        const struct gsn_dyes turned = gsn_dyes_rotated(&dyes, turn);
 
         for (int i = 0; i <= 10; i++) {
             const double density = 0.1 * i;
@@ -255,7 +255,7 @@ static double seen_density(const struct scan *scan, uint32_t bits, double od_mea
     gsn_auto(planes) planes = gsn_alloc_array(1, sizeof *planes);
     gsn_auto(gsn_plane) red = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     struct dice dice = { 42 }, unused = { 1 };
     double sum = 0;
 
@@ -268,8 +268,8 @@ static double seen_density(const struct scan *scan, uint32_t bits, double od_mea
 
         paint(image, i % 200, i / 200, scan, &dyes, amount, &unused);
     }
-    CHECK_OK(gsn_glass_given(200, 200, scan->light, scan->white, &glass, &err), err);
-    CHECK_OK(gsn_absorb_thin(image, &glass, 1, planes->od, &err), err);
+    CHECK_OK(gsn_flat_field_given(200, 200, scan->light, scan->white, &glass, &err), err);
+    CHECK_OK(gsn_od_thin(image, &glass, 1, planes->od, &err), err);
     CHECK_OK(gsn_unmix(planes->od, &dyes, 2, &red, NULL, NULL, &err), err);
     for (size_t i = 0; i < 40000; i++)
         sum += red->value[i];
@@ -301,11 +301,11 @@ TEST(the_density_of_no_light_is_finite)
     gsn_auto(gsn_image) image = paint_glass(30, 20, 8, &scan, &dice);
     gsn_auto(planes) planes = gsn_alloc_array(1, sizeof *planes);
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
     ((uint8_t *)image->samples)[4] = 0;
-    CHECK_OK(gsn_glass_given(30, 20, scan.light, scan.white, &glass, &err), err);
-    CHECK_OK(gsn_absorb_thin(image, &glass, 1, planes->od, &err), err);
+    CHECK_OK(gsn_flat_field_given(30, 20, scan.light, scan.white, &glass, &err), err);
+    CHECK_OK(gsn_od_thin(image, &glass, 1, planes->od, &err), err);
     CHECK_NEAR(planes->od[1]->value[1], log10(500), 1e-6);
     CHECK_NEAR(planes->od[0]->value[1], 0, 1e-6);
 }
@@ -320,10 +320,10 @@ TEST(one_and_two_threads_give_the_same_bytes)
     gsn_auto(gsn_plane) red = NULL;
     gsn_auto(gsn_plane) again = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
 
-    CHECK_OK(gsn_glass_given(131, 97, scan.light, scan.white, &glass, &err), err);
-    CHECK_OK(gsn_absorb_thin(image, &glass, 1, planes->od, &err), err);
+    CHECK_OK(gsn_flat_field_given(131, 97, scan.light, scan.white, &glass, &err), err);
+    CHECK_OK(gsn_od_thin(image, &glass, 1, planes->od, &err), err);
     CHECK_OK(gsn_unmix(planes->od, &dyes, 1, &red, NULL, NULL, &err), err);
     CHECK_OK(gsn_unmix(planes->od, &dyes, 2, &again, NULL, NULL, &err), err);
     assert_memory_equal(red->value, again->value, 131 * 97 * sizeof(float));
@@ -339,21 +339,21 @@ TEST(pictures_and_planes_of_the_wrong_kind_are_refused)
     gsn_auto(gsn_plane) odd = NULL;
     struct gsn_plane *od[3] = { NULL, NULL, NULL }, *red = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     double threshold = -7;
 
     CHECK_OK(gsn_image_new(10, 10, 1, 8, &grey, &err), err);
     CHECK_OK(gsn_image_new(10, 11, 3, 8, &colour, &err), err);
     CHECK_OK(gsn_plane_new(9, 10, &odd, &err), err);
-    CHECK_OK(gsn_glass_given(10, 10, GSN_LIGHT_SRGB, white, &glass, &err), err);
-    CHECK(gsn_absorb_thin(grey, &glass, 1, od, &err) == GSN_E_INPUT);
-    CHECK(gsn_absorb_thin(colour, &glass, 1, od, &err) == GSN_E_INPUT);
+    CHECK_OK(gsn_flat_field_given(10, 10, GSN_LIGHT_SRGB, white, &glass, &err), err);
+    CHECK(gsn_od_thin(grey, &glass, 1, od, &err) == GSN_E_INPUT);
+    CHECK(gsn_od_thin(colour, &glass, 1, od, &err) == GSN_E_INPUT);
     assert_string_equal(err.text, "the glass was measured on 10 x 10 pixels, not on 10 x 11");
 
     struct gsn_plane *const mixed[3] = { planes->od[0], odd, planes->od[2] };
 
     CHECK(gsn_unmix(mixed, &dyes, 1, &red, NULL, NULL, &err) == GSN_E_INPUT);
-    CHECK(gsn_tissue_plane(mixed, &glass, &red, &threshold, &err) == GSN_E_INPUT);
+    CHECK(gsn_od_tissue(mixed, &glass, &red, &threshold, &err) == GSN_E_INPUT);
     CHECK(gsn_red_share(odd, planes->od[1], planes->od[2], &dyes, &red, &err) == GSN_E_INPUT);
     CHECK(od[0] == NULL && red == NULL);
     CHECK_NEAR(threshold, -7, 0);
@@ -369,7 +369,7 @@ TEST(the_tissue_threshold_lies_between_glass_and_the_palest_tissue)
     gsn_auto(gsn_plane) total = NULL;
     gsn_auto(gsn_image) tissue = NULL;
     struct gsn_error err = { 0 };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     double threshold = 0;
     size_t wrong = 0;
 
@@ -380,9 +380,9 @@ TEST(the_tissue_threshold_lies_between_glass_and_the_palest_tissue)
                   x < 25 ? (const double[3]){ 0, 0.12, 0 }
                          : (const double[3]){ 0.6, 0.2, y < 10 ? 1.2 : 0 },
                   &dice);
-    CHECK_OK(gsn_glass_estimate(image, scan.light, &glass, &err), err);
-    CHECK_OK(gsn_absorb_thin(image, &glass, 1, planes->od, &err), err);
-    CHECK_OK(gsn_tissue_plane(planes->od, &glass, &total, &threshold, &err), err);
+    CHECK_OK(gsn_flat_field_estimate(image, scan.light, &glass, &err), err);
+    CHECK_OK(gsn_od_thin(image, &glass, 1, planes->od, &err), err);
+    CHECK_OK(gsn_od_tissue(planes->od, &glass, &total, &threshold, &err), err);
     CHECK_OK(gsn_plane_above(total, threshold, &tissue, &err), err);
     for (size_t i = 0; i < 20000; i++)
         wrong += (((uint8_t *)tissue->samples)[i] == 255) != (i % 200 < 50);
@@ -399,22 +399,22 @@ static int whole_way(const struct gsn_image *image, struct gsn_error *err)
     gsn_auto(gsn_plane) dark = NULL;
     gsn_auto(gsn_plane) share = NULL;
     gsn_auto(gsn_plane) total = NULL;
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     double threshold;
     int r;
 
     planes = gsn_alloc_array(1, sizeof *planes);
     if (!planes)
         return GSN_E_NOMEM;
-    r = gsn_glass_given(image->width, image->height, GSN_LIGHT_SRGB, white, &glass, err);
+    r = gsn_flat_field_given(image->width, image->height, GSN_LIGHT_SRGB, white, &glass, err);
     if (r >= 0)
-        r = gsn_absorb_thin(image, &glass, 1, planes->od, err);
+        r = gsn_od_thin(image, &glass, 1, planes->od, err);
     if (r >= 0)
         r = gsn_unmix(planes->od, &dyes, 1, &red, &yellow, &dark, err);
     if (r >= 0)
         r = gsn_red_share(red, yellow, dark, &dyes, &share, err);
     if (r >= 0)
-        r = gsn_tissue_plane(planes->od, &glass, &total, &threshold, err);
+        r = gsn_od_tissue(planes->od, &glass, &total, &threshold, err);
     return r;
 }
 

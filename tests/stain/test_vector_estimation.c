@@ -46,11 +46,12 @@ static struct gsn_image *paint_slide(const struct scan *scan, const struct gsn_d
 static int densities(const struct gsn_image *image, const struct scan *scan,
                      struct gsn_plane *ret_od[3], struct gsn_error *err)
 {
-    struct gsn_glass glass;
-    int r = gsn_glass_given(image->width, image->height, scan->light, scan->white, &glass, err);
+    struct gsn_flat_field glass;
+    int r =
+        gsn_flat_field_given(image->width, image->height, scan->light, scan->white, &glass, err);
 
     if (r >= 0)
-        r = gsn_absorb_thin(image, &glass, 1, ret_od, err);
+        r = gsn_od_thin(image, &glass, 1, ret_od, err);
     return r;
 }
 
@@ -64,9 +65,9 @@ static void planes_free(struct gsn_plane *od[3])
 static struct gsn_stain_sample *sampled(struct gsn_plane *const od[3], const struct gsn_image *mask,
                                         enum gsn_light light)
 {
-    const struct gsn_glass glass = { .light = light,
-                                     .white = { 248, 244, 238 },
-                                     .noise_od = 0.003 };
+    const struct gsn_flat_field glass = { .light = light,
+                                          .white = { 248, 244, 238 },
+                                          .noise_od = 0.003 };
     struct gsn_stain_sample *sample = NULL;
     struct gsn_error err = { 0 };
 
@@ -195,7 +196,7 @@ TEST(vectors_that_differ_little_turn_the_same_ways)
                 v[1][c] += 0.02;
                 unit(v[1]);
                 for (int k = 0; k < 2; k++)
-                    gsn_dyes_ways(v[k], way[k]);
+                    gsn_dyes_tangents(v[k], way[k]);
                 for (int k = 0; k < 2; k++) {
                     CHECK_NEAR(degrees(way[0][k], way[1][k]), 0, 2.5);
                     CHECK_NEAR(degrees(way[0][k], v[0]), 90, 1e-6);
@@ -209,11 +210,11 @@ TEST(a_turn_keeps_the_length_and_the_angle)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
 
-    for (int m = 0; m < GSN_DYE_TURNS; m++) {
-        double turn[GSN_DYE_TURNS] = { 0 };
+    for (int m = 0; m < GSN_DYE_ROTATIONS; m++) {
+        double turn[GSN_DYE_ROTATIONS] = { 0 };
 
         turn[m] = 0.05;
-        const struct gsn_dyes there = gsn_dyes_turned(&dyes, turn);
+        const struct gsn_dyes there = gsn_dyes_rotated(&dyes, turn);
         const double moved[3] = { degrees(there.red, dyes.red), degrees(there.yellow, dyes.yellow),
                                   degrees(there.dark, dyes.dark) };
 
@@ -410,7 +411,7 @@ TEST(real_picrosirius_is_segmented_like_its_authors_did)
     CHECK_OK(gsn_unmix(od, &fit.dyes, 2, &red, &yellow, &dark, &err), err);
     CHECK_OK(gsn_red_share(red, yellow, dark, &fit.dyes, &share, &err), err);
     CHECK_OK(gsn_collagen_map(share, red, NULL, NAN, &map, &figures, &err), err);
-    CHECK_OK(gsn_mask_compare(map, mask, &overlap, &err), err);
+    CHECK_OK(gsn_collagen_compare(map, mask, &overlap, &err), err);
     print_message("picrosirius: Dice %.3f, area %.3f against %.3f\n", overlap.dice,
                   (double)overlap.map_px / (double)overlap.pixels,
                   (double)overlap.reference_px / (double)overlap.pixels);
@@ -447,7 +448,7 @@ TEST(planes_and_masks_of_other_sizes_are_refused)
     const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(GSN_LIGHT_CODES_LINEAR);
     struct gsn_dyes_fit fit;
     struct gsn_plane *od[3] = { NULL, NULL, NULL };
-    const struct gsn_glass glass = { .white = { 248, 244, 238 } };
+    const struct gsn_flat_field glass = { .white = { 248, 244, 238 } };
     gsn_auto(gsn_stain_sample) sample = NULL;
     gsn_auto(gsn_image) mask = NULL;
     struct gsn_error err = { 0 };
@@ -468,7 +469,7 @@ TEST(planes_and_masks_of_other_sizes_are_refused)
 
 static int infer_once(struct gsn_plane *const od[3], struct gsn_error *err)
 {
-    const struct gsn_glass glass = { .light = GSN_LIGHT_SRGB, .white = { 248, 244, 238 } };
+    const struct gsn_flat_field glass = { .light = GSN_LIGHT_SRGB, .white = { 248, 244, 238 } };
     const struct gsn_dyes_prior prior = gsn_dyes_prior_builtin(GSN_LIGHT_SRGB);
     gsn_auto(gsn_stain_sample) sample = NULL;
     struct gsn_stain_look look;

@@ -41,7 +41,7 @@ static void detail_done(struct detail *d)
 }
 
 /* Tissue well away from borders, which are sharp or not for reasons of their own. */
-static int inner_tissue(const struct gsn_mask_cells *cells, uint8_t **ret_set,
+static int inner_tissue(const struct gsn_artefact_cells *cells, uint8_t **ret_set,
                         struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
@@ -59,7 +59,7 @@ static int inner_tissue(const struct gsn_mask_cells *cells, uint8_t **ret_set,
 }
 
 /* Squares of the two kinds of detail of green's density, where light is absorbed most. */
-static void take_detail(const struct gsn_mask_cells *cells, const uint8_t *inner,
+static void take_detail(const struct gsn_artefact_cells *cells, const uint8_t *inner,
                         const struct gsn_plane *broad, struct detail *d)
 {
     const float *g = cells->od[1]->value;
@@ -92,7 +92,7 @@ static int smooth_in_place(struct gsn_plane **plane, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int measure_detail(const struct gsn_mask_cells *cells, const uint8_t *inner,
+static int measure_detail(const struct gsn_artefact_cells *cells, const uint8_t *inner,
                           struct detail *d, struct gsn_error *err)
 {
     struct gsn_plane **const planes[] = { &d->fine, &d->coarse, &d->noise, &d->share };
@@ -120,8 +120,8 @@ static float detail_ratio(const struct detail *d, size_t i)
     return (float)fmax(0, (d->fine->value[i] - 1.25 * noise) / coarse);
 }
 
-int gsn_mask_sharpness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_sharpness,
-                       double *ret_median, struct gsn_error *err)
+int gsn_artefact_sharpness(const struct gsn_artefact_cells *cells, struct gsn_plane **ret_sharpness,
+                           double *ret_median, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     struct detail d = { NULL, NULL, NULL, NULL };
@@ -149,8 +149,8 @@ int gsn_mask_sharpness(const struct gsn_mask_cells *cells, struct gsn_plane **re
     return GSN_OK;
 }
 
-int gsn_mask_blur(struct gsn_mask_cells *cells, const struct gsn_plane *sharpness, double usual,
-                  struct gsn_error *err)
+int gsn_artefact_blur(struct gsn_artefact_cells *cells, const struct gsn_plane *sharpness,
+                      double usual, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) set = gsn_alloc_array(count, 1);
@@ -168,6 +168,6 @@ int gsn_mask_blur(struct gsn_mask_cells *cells, const struct gsn_plane *sharpnes
     for (size_t i = 0; i < count; i++)
         set[i] &= cells->outline[i];
     if (r >= 0)
-        gsn_mask_cells_mark(cells, set, GSN_DEFECT_BLUR);
+        gsn_artefact_cells_mark(cells, set, GSN_DEFECT_BLUR);
     return r;
 }

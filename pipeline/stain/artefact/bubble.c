@@ -75,7 +75,7 @@ static float value_at(const struct gsn_plane *plane, double x, double y)
 
 /* How well a rim shows at this radius: the share of the directions inside the box. What cannot
  * become more than `least` any more is 0. */
-static double rate_ring(const struct gsn_mask_cells *cells, const struct gsn_plane *dark,
+static double rate_ring(const struct gsn_artefact_cells *cells, const struct gsn_plane *dark,
                         const struct compass *compass, const struct ring *ring, double least)
 {
     const double rim = RIM_UM / cells->um;
@@ -104,7 +104,7 @@ static double rate_ring(const struct gsn_mask_cells *cells, const struct gsn_pla
 }
 
 /* The best ring around a place, of those that are seen well enough. */
-static struct ring best_ring(const struct gsn_mask_cells *cells, const struct gsn_plane *dark,
+static struct ring best_ring(const struct gsn_artefact_cells *cells, const struct gsn_plane *dark,
                              const struct compass *compass, double x, double y)
 {
     struct ring best = { .seen = NEARLY_SEEN };
@@ -121,14 +121,14 @@ static struct ring best_ring(const struct gsn_mask_cells *cells, const struct gs
     return best;
 }
 
-static void add_vote(const struct gsn_mask_cells *cells, double x, double y, uint32_t *votes)
+static void add_vote(const struct gsn_artefact_cells *cells, double x, double y, uint32_t *votes)
 {
     if (x >= 0 && y >= 0 && x < cells->nx && y < cells->ny)
         votes[(size_t)(y / BIN) * (cells->nx / BIN + 1) + (size_t)(x / BIN)]++;
 }
 
 /* dx, dy: differences of the dark dye over two cells. */
-static void cast_votes(const struct gsn_mask_cells *cells, const float *dx, const float *dy,
+static void cast_votes(const struct gsn_artefact_cells *cells, const float *dx, const float *dy,
                        uint32_t *votes)
 {
     const double least = LEAST_RADIUS_UM / cells->um, most = MOST_RADIUS_UM / cells->um;
@@ -162,7 +162,7 @@ static size_t take_best(uint32_t *votes, size_t nx, size_t ny)
     return best;
 }
 
-static void add_disc(const struct gsn_mask_cells *cells, const struct ring *ring, uint8_t *set)
+static void add_disc(const struct gsn_artefact_cells *cells, const struct ring *ring, uint8_t *set)
 {
     const double radius = ring->radius + RIM_UM / cells->um;
 
@@ -172,7 +172,7 @@ static void add_disc(const struct gsn_mask_cells *cells, const struct ring *ring
                 set[(size_t)y * cells->nx + x] = 1;
 }
 
-int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
+int gsn_artefact_bubbles(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t nx = cells->nx / BIN + 1, ny = cells->ny / BIN + 1;
     const struct compass compass = all_around();
@@ -200,6 +200,6 @@ int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err)
         if (ring.seen >= SEEN)
             add_disc(cells, &ring, set);
     }
-    gsn_mask_cells_mark(cells, set, GSN_DEFECT_BUBBLE);
+    gsn_artefact_cells_mark(cells, set, GSN_DEFECT_BUBBLE);
     return GSN_OK;
 }

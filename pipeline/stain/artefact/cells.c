@@ -39,7 +39,7 @@ static const double LEAST_COLOUR = 0.06, LEAST_TINT = 0.01;
 /* Rounding to codes of 8 bits moves bright light by a deviation of 0.29 codes. */
 static const double ROUNDING_OD = 0.0006;
 
-void gsn_mask_cells_free(struct gsn_mask_cells *cells)
+void gsn_artefact_cells_free(struct gsn_artefact_cells *cells)
 {
     if (!cells)
         return;
@@ -60,10 +60,10 @@ void gsn_mask_cells_free(struct gsn_mask_cells *cells)
 
 /* ---- cutting out ------------------------------------------------------------------------- */
 
-static struct gsn_mask_cells size_cells(const struct gsn_mask_panel *panel,
-                                        const struct gsn_mask_section *section)
+static struct gsn_artefact_cells size_cells(const struct gsn_artefact_panel *panel,
+                                            const struct gsn_artefact_section *section)
 {
-    struct gsn_mask_cells c = { .x0 = section->x, .y0 = section->y };
+    struct gsn_artefact_cells c = { .x0 = section->x, .y0 = section->y };
 
     c.side = (uint32_t)fmax(1, floor(CELL_UM / panel->px_um));
     c.um = c.side * panel->px_um;
@@ -76,8 +76,8 @@ static struct gsn_mask_cells size_cells(const struct gsn_mask_panel *panel,
 
 /* Rows of one section on their way into its cells. */
 struct pour {
-    const struct gsn_absorber *absorber;
-    const struct gsn_mask_section *section;
+    const struct gsn_od_reader *absorber;
+    const struct gsn_artefact_section *section;
     float *od[3];           /* of one row */
     size_t tissue, clipped; /* pixels */
 };
@@ -96,23 +96,23 @@ static void add_row(const float *row, size_t width, size_t side, float *cell)
 
 static void count_row(struct pour *pour, uint32_t y)
 {
-    const struct gsn_mask_section *section = pour->section;
+    const struct gsn_artefact_section *section = pour->section;
     const uint32_t x0 = (uint32_t)section->x, width = (uint32_t)section->width;
     uint32_t tissue = 0;
 
     for (uint32_t x = 0; x < width; x++)
         tissue += pour->od[0][x] + pour->od[1][x] + pour->od[2][x] > GSN_TISSUE_OD;
     pour->tissue += tissue;
-    if (tissue == 0 || !gsn_absorber_at_end(pour->absorber, x0, y, width))
+    if (tissue == 0 || !gsn_od_reader_at_end(pour->absorber, x0, y, width))
         return;
     for (uint32_t x = 0; x < width; x++)
         pour->clipped += pour->od[0][x] + pour->od[1][x] + pour->od[2][x] > GSN_TISSUE_OD &&
-                         gsn_absorber_clipped(pour->absorber, x0 + x, y);
+                         gsn_od_reader_clipped(pour->absorber, x0 + x, y);
 }
 
 /* Sums become means; the rim is clear glass. */
-static void divide_sums(const struct gsn_mask_cells *cells, const struct gsn_mask_section *section,
-                        struct gsn_plane *into)
+static void divide_sums(const struct gsn_artefact_cells *cells,
+                        const struct gsn_artefact_section *section, struct gsn_plane *into)
 {
     for (uint32_t y = 0; y * cells->side < (uint32_t)section->height; y++)
         for (uint32_t x = 0; x * cells->side < (uint32_t)section->width; x++) {
@@ -126,9 +126,9 @@ static void divide_sums(const struct gsn_mask_cells *cells, const struct gsn_mas
 }
 
 /* Mean density of the pixels of each cell, in one pass over the section. */
-static int average_pixels(const struct gsn_absorber *absorber,
-                          const struct gsn_mask_section *section, struct gsn_mask_cells *cells,
-                          struct gsn_error *err)
+static int average_pixels(const struct gsn_od_reader *absorber,
+                          const struct gsn_artefact_section *section,
+                          struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t width = (size_t)section->width;
     gsn_auto_mem(float) rows = gsn_alloc_array(3 * width, sizeof *rows);
@@ -140,7 +140,7 @@ static int average_pixels(const struct gsn_absorber *absorber,
     for (uint32_t y = 0; r >= 0 && y < (uint32_t)section->height; y++) {
         const size_t at = (size_t)(cells->rim + y / cells->side) * cells->nx + cells->rim;
 
-        gsn_absorber_row(absorber, (uint32_t)section->x, (uint32_t)section->y + y, width, pour.od);
+        gsn_od_reader_row(absorber, (uint32_t)section->x, (uint32_t)section->y + y, width, pour.od);
         for (int c = 0; c < 3; c++)
             add_row(pour.od[c], width, cells->side, cells->od[c]->value + at);
         count_row(&pour, (uint32_t)section->y + y);
@@ -153,7 +153,7 @@ static int average_pixels(const struct gsn_absorber *absorber,
 
 /* What no mixture of the dyes explains, of densities smoothed over 3 x 3 cells: the noise of single
  * pixels lies outside of every mixture. */
-static int find_foreign(struct gsn_mask_cells *cells, struct gsn_plane *const od[3],
+static int find_foreign(struct gsn_artefact_cells *cells, struct gsn_plane *const od[3],
                         const struct gsn_dyes *dyes, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) red = NULL;
@@ -177,7 +177,7 @@ static int find_foreign(struct gsn_mask_cells *cells, struct gsn_plane *const od
     return r;
 }
 
-static int explain_colours(struct gsn_mask_cells *cells, const struct gsn_dyes *dyes,
+static int explain_colours(struct gsn_artefact_cells *cells, const struct gsn_dyes *dyes,
                            struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
@@ -201,7 +201,7 @@ static int explain_colours(struct gsn_mask_cells *cells, const struct gsn_dyes *
 
 /* Whether a piece has colour: stained tissue has dye in it, a smear, a shadow or a line has none.
  */
-static int has_colour(const struct gsn_mask_cells *cells, const struct gsn_components *pieces,
+static int has_colour(const struct gsn_artefact_cells *cells, const struct gsn_components *pieces,
                       const struct gsn_component *piece)
 {
     double mean[3] = { 0 };
@@ -217,7 +217,7 @@ static int has_colour(const struct gsn_mask_cells *cells, const struct gsn_compo
 }
 
 /* Only the large pieces of what is not glass and has colour. */
-static int find_tissue(struct gsn_mask_cells *cells, struct gsn_error *err)
+static int find_tissue(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_components) pieces = NULL;
@@ -244,7 +244,7 @@ static int find_tissue(struct gsn_mask_cells *cells, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
+static int draw_outline(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     int r;
 
@@ -255,11 +255,12 @@ static int draw_outline(struct gsn_mask_cells *cells, struct gsn_error *err)
     return r < 0 ? r : gsn_fill_holes(cells->outline, cells->nx, cells->ny, 8, err);
 }
 
-int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_absorber *absorber,
-                       const struct gsn_mask_section *section, double clear,
-                       struct gsn_mask_cells **ret_cells, struct gsn_error *err)
+int gsn_artefact_cells_cut(const struct gsn_artefact_panel *panel,
+                           const struct gsn_od_reader *absorber,
+                           const struct gsn_artefact_section *section, double clear,
+                           struct gsn_artefact_cells **ret_cells, struct gsn_error *err)
 {
-    gsn_auto(gsn_mask_cells) cells = gsn_alloc_array(1, sizeof *cells);
+    gsn_auto(gsn_artefact_cells) cells = gsn_alloc_array(1, sizeof *cells);
     size_t count;
     int r;
 
@@ -288,15 +289,16 @@ int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_abso
 
 /* ---- sets of cells ----------------------------------------------------------------------- */
 
-void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum gsn_defect defect)
+void gsn_artefact_cells_mark(struct gsn_artefact_cells *cells, const uint8_t *set,
+                             enum gsn_defect defect)
 {
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++)
         if (set[i])
             cells->label[i] = (uint16_t)(cells->label[i] | defect);
 }
 
-int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure, uint8_t *weak,
-                        double um, struct gsn_error *err)
+int gsn_artefact_cells_grow(const struct gsn_artefact_cells *cells, const uint8_t *sure,
+                            uint8_t *weak, double um, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_components) pieces = NULL;
@@ -322,8 +324,8 @@ int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure,
     return r;
 }
 
-int gsn_mask_cells_broad(const struct gsn_mask_cells *cells, uint8_t *set, double half_um,
-                         struct gsn_error *err)
+int gsn_artefact_cells_broad(const struct gsn_artefact_cells *cells, uint8_t *set, double half_um,
+                             struct gsn_error *err)
 {
     gsn_auto_mem(uint8_t) core = gsn_memdup(set, (size_t)cells->nx * cells->ny);
     int r;
@@ -331,5 +333,5 @@ int gsn_mask_cells_broad(const struct gsn_mask_cells *cells, uint8_t *set, doubl
     if (!core)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     r = gsn_erode(core, cells->nx, cells->ny, half_um / cells->um, err);
-    return r < 0 ? r : gsn_mask_cells_grow(cells, core, set, 3 * half_um, err);
+    return r < 0 ? r : gsn_artefact_cells_grow(cells, core, set, 3 * half_um, err);
 }

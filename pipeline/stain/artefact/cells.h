@@ -14,7 +14,7 @@
 extern "C" {
 #endif
 
-struct gsn_mask_cells {
+struct gsn_artefact_cells {
     uint32_t nx, ny, rim;                  /* rim: cells around the box */
     uint32_t side;                         /* pixels per cell, per axis */
     double um;                             /* of a cell */
@@ -32,13 +32,14 @@ struct gsn_mask_cells {
 };
 
 /* gives. Fails as gsn_unmix() and with GSN_E_NOMEM. */
-int gsn_mask_cells_cut(const struct gsn_mask_panel *panel, const struct gsn_absorber *absorber,
-                       const struct gsn_mask_section *section, double clear,
-                       struct gsn_mask_cells **ret_cells, struct gsn_error *err);
+int gsn_artefact_cells_cut(const struct gsn_artefact_panel *panel,
+                           const struct gsn_od_reader *absorber,
+                           const struct gsn_artefact_section *section, double clear,
+                           struct gsn_artefact_cells **ret_cells, struct gsn_error *err);
 
-void gsn_mask_cells_free(struct gsn_mask_cells *cells);
+void gsn_artefact_cells_free(struct gsn_artefact_cells *cells);
 
-GSN_DEFINE_AUTO(gsn_mask_cells);
+GSN_DEFINE_AUTO(gsn_artefact_cells);
 
 /* Length of density that nothing but ink has. */
 #define GSN_DARKEST_OD 1.2
@@ -50,41 +51,42 @@ GSN_DEFINE_AUTO(gsn_mask_cells);
 /* Before the detectors, over all sections of a panel: where a colour is the tissue's own by `own`,
  * the dyes as the panel's tissue shows them, `foreign` becomes what those leave unexplained. Only
  * halos may have labels. Fails as gsn_unmixer_init() and with GSN_E_NOMEM. */
-int gsn_mask_own_hues(struct gsn_mask_cells *const *cells, size_t count, const struct gsn_dyes *own,
-                      struct gsn_error *err);
+int gsn_artefact_own_hues(struct gsn_artefact_cells *const *cells, size_t count,
+                          const struct gsn_dyes *own, struct gsn_error *err);
 
 /* Sets the bit where set is 1. */
-void gsn_mask_cells_mark(struct gsn_mask_cells *cells, const uint8_t *set, enum gsn_defect defect);
+void gsn_artefact_cells_mark(struct gsn_artefact_cells *cells, const uint8_t *set,
+                             enum gsn_defect defect);
 
 /* Gives the pieces of `weak` that hold a cell of `sure`, as far as um from one, in weak.
  * Fails with GSN_E_NOMEM. */
-int gsn_mask_cells_grow(const struct gsn_mask_cells *cells, const uint8_t *sure, uint8_t *weak,
-                        double um, struct gsn_error *err);
+int gsn_artefact_cells_grow(const struct gsn_artefact_cells *cells, const uint8_t *sure,
+                            uint8_t *weak, double um, struct gsn_error *err);
 
 /* Leaves of the set what is broader than twice half_um, and what goes on from there for 3 half_um.
  * Fails with GSN_E_NOMEM. */
-int gsn_mask_cells_broad(const struct gsn_mask_cells *cells, uint8_t *set, double half_um,
-                         struct gsn_error *err);
+int gsn_artefact_cells_broad(const struct gsn_artefact_cells *cells, uint8_t *set, double half_um,
+                             struct gsn_error *err);
 
 /* The detectors, each of which sets its own bit; all fail with GSN_E_NOMEM only. */
-int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err);
+int gsn_artefact_ink(struct gsn_artefact_cells *cells, struct gsn_error *err);
 
-int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err);
+int gsn_artefact_voids(struct gsn_artefact_cells *cells, struct gsn_error *err);
 
-int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err);
+int gsn_artefact_folds(struct gsn_artefact_cells *cells, struct gsn_error *err);
 
-int gsn_mask_bubbles(struct gsn_mask_cells *cells, struct gsn_error *err);
+int gsn_artefact_bubbles(struct gsn_artefact_cells *cells, struct gsn_error *err);
 
-int gsn_mask_specks(struct gsn_mask_cells *cells, struct gsn_error *err);
+int gsn_artefact_debris(struct gsn_artefact_cells *cells, struct gsn_error *err);
 
 /* gives: how sharp the tissue is around each cell, NaN where that cannot be told, and the median of
  * it (NaN when there is none). Labels count as masked. */
-int gsn_mask_sharpness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_sharpness,
-                       double *ret_median, struct gsn_error *err);
+int gsn_artefact_sharpness(const struct gsn_artefact_cells *cells, struct gsn_plane **ret_sharpness,
+                           double *ret_median, struct gsn_error *err);
 
 /* usual: the median over the sections that the section is compared with. */
-int gsn_mask_blur(struct gsn_mask_cells *cells, const struct gsn_plane *sharpness, double usual,
-                  struct gsn_error *err);
+int gsn_artefact_blur(struct gsn_artefact_cells *cells, const struct gsn_plane *sharpness,
+                      double usual, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

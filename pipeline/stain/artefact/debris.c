@@ -53,7 +53,7 @@ enum {
 #define GRAIN_WIDE_UM 40.0
 
 /* The darkest of three cells across the line: a hair bends away from a straight row of cells. */
-static float red_light_at(const struct gsn_mask_cells *cells, long x, long y, long dx, long dy)
+static float red_light_at(const struct gsn_artefact_cells *cells, long x, long y, long dx, long dy)
 {
     float most = 0;
 
@@ -98,7 +98,7 @@ static struct star draw_star(void)
     return star;
 }
 
-static int on_line(const struct gsn_mask_cells *cells, const struct star *star, long x, long y)
+static int on_line(const struct gsn_artefact_cells *cells, const struct star *star, long x, long y)
 {
     for (int angle = 0; angle < ANGLES; angle++) {
         const struct arm *arm = &star->arm[angle];
@@ -125,7 +125,7 @@ static int on_line(const struct gsn_mask_cells *cells, const struct star *star, 
 }
 
 /* Sorts lines into edges and hairs; what is shorter than a line is nothing. */
-static int sort_lines(struct gsn_mask_cells *cells, const uint8_t *lines, uint8_t *edges,
+static int sort_lines(struct gsn_artefact_cells *cells, const uint8_t *lines, uint8_t *edges,
                       uint8_t *hairs, struct gsn_error *err)
 {
     gsn_auto(gsn_components) pieces = NULL;
@@ -142,7 +142,7 @@ static int sort_lines(struct gsn_mask_cells *cells, const uint8_t *lines, uint8_
     return r;
 }
 
-static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
+static int find_lines(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) around = NULL;
@@ -164,13 +164,13 @@ static int find_lines(struct gsn_mask_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = gsn_dilate(hairs, cells->nx, cells->ny, LINE_WIDE_UM / cells->um, err);
     if (r >= 0)
-        gsn_mask_cells_mark(cells, edges, GSN_DEFECT_EDGE);
+        gsn_artefact_cells_mark(cells, edges, GSN_DEFECT_EDGE);
     if (r >= 0)
-        gsn_mask_cells_mark(cells, hairs, GSN_DEFECT_HAIR);
+        gsn_artefact_cells_mark(cells, hairs, GSN_DEFECT_HAIR);
     return r;
 }
 
-static int find_grains(struct gsn_mask_cells *cells, struct gsn_error *err)
+static int find_grains(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) dark = NULL;
@@ -190,11 +190,11 @@ static int find_grains(struct gsn_mask_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = gsn_dilate(grains, cells->nx, cells->ny, GRAIN_WIDE_UM / cells->um, err);
     if (r >= 0)
-        gsn_mask_cells_mark(cells, grains, GSN_DEFECT_DEBRIS);
+        gsn_artefact_cells_mark(cells, grains, GSN_DEFECT_DEBRIS);
     return r;
 }
 
-int gsn_mask_specks(struct gsn_mask_cells *cells, struct gsn_error *err)
+int gsn_artefact_debris(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const int r = find_lines(cells, err);
 

@@ -45,26 +45,26 @@ const char *gsn_defect_reason(unsigned i)
 
 /* What the cells of one section say. */
 struct box {
-    struct gsn_mask_section at;
+    struct gsn_artefact_section at;
     uint32_t side, nx, rim;
     uint16_t *label; /* owned */
 };
 
-struct gsn_mask_labels {
+struct gsn_artefact_labels {
     size_t count;
     struct box *box; /* owned */
 };
 
 /* One section at work. */
 struct part {
-    struct gsn_mask_cells *cells;
+    struct gsn_artefact_cells *cells;
     struct gsn_plane *sharpness;
     double median;
 };
 
 struct work {
-    const struct gsn_mask_panel *panel;
-    const struct gsn_absorber *absorber;
+    const struct gsn_artefact_panel *panel;
+    const struct gsn_od_reader *absorber;
     struct part *part; /* per section */
     double clear;      /* density below which is glass */
     double usual;      /* sharpness of the panel's sections */
@@ -73,21 +73,21 @@ struct work {
 static void work_done(struct work *work)
 {
     for (size_t i = 0; work->part && i < work->panel->section_count; i++) {
-        gsn_mask_cells_free(work->part[i].cells);
+        gsn_artefact_cells_free(work->part[i].cells);
         gsn_plane_free(work->part[i].sharpness);
     }
     gsn_free(work->part);
 }
 
 /* Whether a pixel's centre, or a cell's, lies in a disc. */
-static int in_disc(const struct gsn_mask_disc *disc, double x, double y)
+static int in_disc(const struct gsn_artefact_disc *disc, double x, double y)
 {
     const double dx = x - disc->px.x, dy = y - disc->px.y;
 
     return dx * dx + dy * dy <= disc->radius_px * disc->radius_px;
 }
 
-static void mark_halos(const struct gsn_mask_section *section, struct gsn_mask_cells *cells)
+static void mark_halos(const struct gsn_artefact_section *section, struct gsn_artefact_cells *cells)
 {
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++) {
         const double x = cells->x0 + cells->side * ((double)(i % cells->nx) + 0.5 - cells->rim);
@@ -102,9 +102,9 @@ static void mark_halos(const struct gsn_mask_section *section, struct gsn_mask_c
 static int cut_section(size_t i, void *context, struct gsn_error *err)
 {
     const struct work *work = context;
-    const struct gsn_mask_section *section = &work->panel->section[i];
-    const int r = gsn_mask_cells_cut(work->panel, work->absorber, section, work->clear,
-                                     &work->part[i].cells, err);
+    const struct gsn_artefact_section *section = &work->panel->section[i];
+    const int r = gsn_artefact_cells_cut(work->panel, work->absorber, section, work->clear,
+                                         &work->part[i].cells, err);
 
     if (r >= 0)
         mark_halos(section, work->part[i].cells);
@@ -115,13 +115,13 @@ static int cut_section(size_t i, void *context, struct gsn_error *err)
 static int compare_hues(const struct work *work, struct gsn_error *err)
 {
     const size_t count = work->panel->section_count;
-    gsn_auto_mem(struct gsn_mask_cells *) cells = gsn_alloc_array(count, sizeof(void *));
+    gsn_auto_mem(struct gsn_artefact_cells *) cells = gsn_alloc_array(count, sizeof(void *));
 
     if (!cells)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     for (size_t i = 0; i < count; i++)
         cells[i] = work->part[i].cells;
-    return gsn_mask_own_hues(cells, count, work->panel->own, err);
+    return gsn_artefact_own_hues(cells, count, work->panel->own, err);
 }
 
 /* Everything that a section shows by itself. Ink comes first, so that no other detector is misled
@@ -130,18 +130,18 @@ static int look_at_section(size_t i, void *context, struct gsn_error *err)
 {
     const struct work *work = context;
     struct part *part = &work->part[i];
-    int r = gsn_mask_ink(part->cells, err);
+    int r = gsn_artefact_ink(part->cells, err);
 
     if (r >= 0)
-        r = gsn_mask_folds(part->cells, err);
+        r = gsn_artefact_folds(part->cells, err);
     if (r >= 0)
-        r = gsn_mask_bubbles(part->cells, err);
+        r = gsn_artefact_bubbles(part->cells, err);
     if (r >= 0)
-        r = gsn_mask_specks(part->cells, err);
+        r = gsn_artefact_debris(part->cells, err);
     if (r >= 0)
-        r = gsn_mask_voids(part->cells, err);
+        r = gsn_artefact_voids(part->cells, err);
     if (r >= 0)
-        r = gsn_mask_sharpness(part->cells, &part->sharpness, &part->median, err);
+        r = gsn_artefact_sharpness(part->cells, &part->sharpness, &part->median, err);
     return r;
 }
 
@@ -149,7 +149,7 @@ static int compare_section(size_t i, void *context, struct gsn_error *err)
 {
     const struct work *work = context;
 
-    return gsn_mask_blur(work->part[i].cells, work->part[i].sharpness, work->usual, err);
+    return gsn_artefact_blur(work->part[i].cells, work->part[i].sharpness, work->usual, err);
 }
 
 /* The median of the sections' own. */
@@ -168,11 +168,11 @@ static int find_usual(struct work *work, struct gsn_error *err)
     return GSN_OK;
 }
 
-static struct gsn_mask_figures count_areas(const struct part *part)
+static struct gsn_artefact_figures count_areas(const struct part *part)
 {
-    const struct gsn_mask_cells *cells = part->cells;
+    const struct gsn_artefact_cells *cells = part->cells;
     const double area = cells->um * cells->um;
-    struct gsn_mask_figures figures = { .sharpness = part->median, .clipped = cells->clipped };
+    struct gsn_artefact_figures figures = { .sharpness = part->median, .clipped = cells->clipped };
 
     for (size_t i = 0; i < (size_t)cells->nx * cells->ny; i++) {
         if (!cells->outline[i])
@@ -185,14 +185,14 @@ static struct gsn_mask_figures count_areas(const struct part *part)
     return figures;
 }
 
-static int check_panel(const struct gsn_mask_panel *panel, struct gsn_error *err)
+static int check_panel(const struct gsn_artefact_panel *panel, struct gsn_error *err)
 {
     const uint32_t width = panel->image->width, height = panel->image->height;
 
     if (!(panel->px_um > 0))
         return gsn_fail(err, GSN_E_INPUT, "the pixel size must be positive to look for defects");
     for (size_t i = 0; i < panel->section_count; i++) {
-        const struct gsn_mask_section *s = &panel->section[i];
+        const struct gsn_artefact_section *s = &panel->section[i];
 
         if (s->x < 0 || s->y < 0 || s->width <= 0 || s->height <= 0 ||
             (uint32_t)s->x + (uint32_t)s->width > width ||
@@ -208,7 +208,7 @@ static int find_defects(struct work *work, unsigned threads, struct gsn_error *e
 {
     const size_t sections = work->panel->section_count;
     gsn_auto(gsn_plane) total = NULL;
-    int r = gsn_tissue_plane(work->panel->od, work->panel->glass, &total, &work->clear, err);
+    int r = gsn_od_tissue(work->panel->od, work->panel->glass, &total, &work->clear, err);
 
     if (r >= 0)
         r = gsn_parallel_for(sections, threads, cut_section, work, err);
@@ -222,20 +222,20 @@ static int find_defects(struct work *work, unsigned threads, struct gsn_error *e
 }
 
 /* Takes the labels out of the cells. */
-static int keep_labels(struct work *work, struct gsn_mask_labels **ret_labels,
+static int keep_labels(struct work *work, struct gsn_artefact_labels **ret_labels,
                        struct gsn_error *err)
 {
-    struct gsn_mask_labels *labels = gsn_alloc_array(1, sizeof *labels);
+    struct gsn_artefact_labels *labels = gsn_alloc_array(1, sizeof *labels);
 
     if (labels)
         labels->box = gsn_alloc_array(work->panel->section_count, sizeof *labels->box);
     if (!labels || !labels->box) {
-        gsn_mask_labels_free(labels);
+        gsn_artefact_labels_free(labels);
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     }
     labels->count = work->panel->section_count;
     for (size_t i = 0; i < labels->count; i++) {
-        const struct gsn_mask_cells *cells = work->part[i].cells;
+        const struct gsn_artefact_cells *cells = work->part[i].cells;
 
         labels->box[i] = (struct box){ .at = work->panel->section[i],
                                        .side = cells->side,
@@ -247,16 +247,16 @@ static int keep_labels(struct work *work, struct gsn_mask_labels **ret_labels,
     return GSN_OK;
 }
 
-int gsn_mask_find(const struct gsn_mask_panel *panel, unsigned threads,
-                  struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
-                  struct gsn_error *err)
+int gsn_artefact_find(const struct gsn_artefact_panel *panel, unsigned threads,
+                      struct gsn_artefact_labels **ret_labels,
+                      struct gsn_artefact_figures *ret_figures, struct gsn_error *err)
 {
     struct work work = { .panel = panel };
-    gsn_auto(gsn_absorber) absorber = NULL;
+    gsn_auto(gsn_od_reader) absorber = NULL;
     int r = check_panel(panel, err);
 
     if (r >= 0)
-        r = gsn_absorber_new(panel->image, panel->glass, &absorber, err);
+        r = gsn_od_reader_new(panel->image, panel->glass, &absorber, err);
     if (r < 0)
         return r;
     work.absorber = absorber;
@@ -271,7 +271,7 @@ int gsn_mask_find(const struct gsn_mask_panel *panel, unsigned threads,
     return r;
 }
 
-void gsn_mask_labels_free(struct gsn_mask_labels *labels)
+void gsn_artefact_labels_free(struct gsn_artefact_labels *labels)
 {
     if (!labels)
         return;
@@ -281,7 +281,7 @@ void gsn_mask_labels_free(struct gsn_mask_labels *labels)
     gsn_free(labels);
 }
 
-unsigned gsn_mask_label(const struct gsn_mask_labels *labels, size_t section, int x, int y)
+unsigned gsn_artefact_label(const struct gsn_artefact_labels *labels, size_t section, int x, int y)
 {
     const struct box *box = &labels->box[section];
     const int u = x - box->at.x, v = y - box->at.y;
@@ -303,7 +303,8 @@ static int clamp_to(double value, int low, int high)
     return value < low ? low : value > high ? high : (int)value;
 }
 
-static void apply_disc(const struct gsn_mask_disc *disc, int x0, int y0, struct gsn_plane *density)
+static void apply_disc(const struct gsn_artefact_disc *disc, int x0, int y0,
+                       struct gsn_plane *density)
 {
     const int left = clamp_to(disc->px.x - disc->radius_px - x0, 0, (int)density->width);
     const int right = clamp_to(disc->px.x + disc->radius_px - x0 + 1, 0, (int)density->width);
@@ -331,8 +332,8 @@ static void apply_row(const struct box *box, const uint16_t *cell, int u, float 
     }
 }
 
-void gsn_mask_apply(const struct gsn_mask_labels *labels, size_t section, int x0, int y0,
-                    struct gsn_plane *density)
+void gsn_artefact_apply(const struct gsn_artefact_labels *labels, size_t section, int x0, int y0,
+                        struct gsn_plane *density)
 {
     const struct box *box = &labels->box[section];
 

@@ -39,35 +39,35 @@ const char *gsn_defect_word(unsigned i);
 /* What it is and what may be done about it, as a clause: "the tissue lies double". */
 const char *gsn_defect_reason(unsigned i);
 
-struct gsn_mask_disc {
+struct gsn_artefact_disc {
     struct {
         double x, y;
     } px;
     double radius_px;
 };
 
-struct gsn_mask_section {
+struct gsn_artefact_section {
     int x, y, width, height; /* box of the section */
     size_t halo_count;
-    struct gsn_mask_disc halo[4]; /* around its laser marks, masked as they are */
+    struct gsn_artefact_disc halo[4]; /* around its laser marks, masked as they are */
 };
 
-struct gsn_mask_panel {
+struct gsn_artefact_panel {
     const struct gsn_image *image; /* RGB */
     struct gsn_plane *const *od;   /* R, G, B of the panel or of a sample of its pixels, from which
                                       is told what is tissue and what is glass */
-    const struct gsn_glass *glass;
+    const struct gsn_flat_field *glass;
     const struct gsn_dyes *dyes;
     double px_um;
     size_t section_count;
-    const struct gsn_mask_section *section;
+    const struct gsn_artefact_section *section;
     const struct gsn_dyes *own; /* the dyes as the panel's own tissue shows them: where its sections
                                    have a colour in common that they explain, it is no ink; NULL
                                    where that is not known */
 };
 
 /* What was masked within the outline of one section; areas of several reasons overlap. */
-struct gsn_mask_figures {
+struct gsn_artefact_figures {
     double outline_um2; /* tissue with its holes filled; 0: no tissue */
     double masked_um2;  /* for any reason */
     double area_um2[GSN_DEFECTS];
@@ -76,27 +76,27 @@ struct gsn_mask_figures {
 };
 
 /* The labels of a panel's sections, in cells; halos are round to the pixel. */
-struct gsn_mask_labels;
+struct gsn_artefact_labels;
 
-void gsn_mask_labels_free(struct gsn_mask_labels *labels);
+void gsn_artefact_labels_free(struct gsn_artefact_labels *labels);
 
-GSN_DEFINE_AUTO(gsn_mask_labels);
+GSN_DEFINE_AUTO(gsn_artefact_labels);
 
 /* Bits of enum gsn_defect of a panel pixel, as the section-th of the panel's sections has it; 0
  * beyond its box. */
-unsigned gsn_mask_label(const struct gsn_mask_labels *labels, size_t section, int x, int y);
+unsigned gsn_artefact_label(const struct gsn_artefact_labels *labels, size_t section, int x, int y);
 
 /* gives: the labels, and one record per section; borrows: all of panel. Does not depend on threads.
  * Fails with GSN_E_INPUT when a box lies outside the panel or px_um is not positive, as
  * gsn_unmix(), and with GSN_E_NOMEM. */
-int gsn_mask_find(const struct gsn_mask_panel *panel, unsigned threads,
-                  struct gsn_mask_labels **ret_labels, struct gsn_mask_figures *ret_figures,
-                  struct gsn_error *err);
+int gsn_artefact_find(const struct gsn_artefact_panel *panel, unsigned threads,
+                      struct gsn_artefact_labels **ret_labels,
+                      struct gsn_artefact_figures *ret_figures, struct gsn_error *err);
 
 /* Density is no number any more where the section has a label. (x0, y0): the panel pixel that the
  * first of the plane is. */
-void gsn_mask_apply(const struct gsn_mask_labels *labels, size_t section, int x0, int y0,
-                    struct gsn_plane *density);
+void gsn_artefact_apply(const struct gsn_artefact_labels *labels, size_t section, int x0, int y0,
+                        struct gsn_plane *density);
 
 #ifdef __cplusplus
 }

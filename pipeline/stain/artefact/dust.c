@@ -109,7 +109,7 @@ static float contrast_at(const float *dark, size_t nx, size_t i, size_t reach)
     return dark[i] - around;
 }
 
-static int in_discs(const struct gsn_dust *dust, const struct gsn_mask_disc *disc, size_t discs,
+static int in_discs(const struct gsn_dust *dust, const struct gsn_artefact_disc *disc, size_t discs,
                     uint32_t x, uint32_t y)
 {
     for (size_t i = 0; i < discs; i++)
@@ -146,7 +146,7 @@ static size_t raw_cell(const struct gsn_dust *dust, const struct gsn_plane *od,
 
 int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px_um,
                  struct gsn_dust_turn turn, const struct gsn_pixel_box *box,
-                 const struct gsn_mask_disc *disc, size_t discs, struct gsn_error *err)
+                 const struct gsn_artefact_disc *disc, size_t discs, struct gsn_error *err)
 {
     gsn_auto_mem(float) dark = NULL;
     gsn_auto_mem(uint8_t) contrast = NULL;
@@ -189,22 +189,23 @@ int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px
 
 /* ---- spots ------------------------------------------------------------------------------- */
 
-static struct gsn_mask_disc spot_of(const struct gsn_dust *dust, const struct gsn_component *piece)
+static struct gsn_artefact_disc spot_of(const struct gsn_dust *dust,
+                                        const struct gsn_component *piece)
 {
     const double across = fmax(piece->width, piece->height);
 
-    return (struct gsn_mask_disc){ .px = { (piece->x + 0.5 * piece->width) * dust->side,
-                                           (piece->y + 0.5 * piece->height) * dust->side },
-                                   .radius_px = (across / 2 + MARGIN) * dust->side };
+    return (struct gsn_artefact_disc){ .px = { (piece->x + 0.5 * piece->width) * dust->side,
+                                               (piece->y + 0.5 * piece->height) * dust->side },
+                                       .radius_px = (across / 2 + MARGIN) * dust->side };
 }
 
-int gsn_dust_find(const struct gsn_dust *dust, struct gsn_mask_disc **ret_spot, size_t *ret_count,
-                  unsigned *ret_panels, struct gsn_error *err)
+int gsn_dust_find(const struct gsn_dust *dust, struct gsn_artefact_disc **ret_spot,
+                  size_t *ret_count, unsigned *ret_panels, struct gsn_error *err)
 {
     const size_t cells = (size_t)dust->nx * dust->ny;
     gsn_auto_mem(uint8_t) map = gsn_alloc_array(cells + 1, 1);
     gsn_auto(gsn_components) pieces = NULL;
-    gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
+    gsn_auto_mem(struct gsn_artefact_disc) spot = NULL;
     size_t count = 0, seeds = 0;
 
     for (size_t i = 0; map && dust->panels >= LEAST_PANELS && i < cells; i++)
@@ -227,12 +228,14 @@ int gsn_dust_find(const struct gsn_dust *dust, struct gsn_mask_disc **ret_spot, 
     return GSN_OK;
 }
 
-struct gsn_mask_disc gsn_dust_upright(const struct gsn_dust *dust, const struct gsn_mask_disc *spot,
-                                      struct gsn_dust_turn turn)
+struct gsn_artefact_disc gsn_dust_upright(const struct gsn_dust *dust,
+                                          const struct gsn_artefact_disc *spot,
+                                          struct gsn_dust_turn turn)
 {
     const struct place raw = { turn.mirrored ? dust->width - spot->px.x : spot->px.x, spot->px.y,
                                dust->width, dust->height };
     const struct place upright = turn_place(raw, turn.quarters);
 
-    return (struct gsn_mask_disc){ .px = { upright.x, upright.y }, .radius_px = spot->radius_px };
+    return (struct gsn_artefact_disc){ .px = { upright.x, upright.y },
+                                       .radius_px = spot->radius_px };
 }

@@ -36,16 +36,17 @@ GSN_DEFINE_AUTO(gsn_dust);
  * another scan and is left out. Fails with GSN_E_NOMEM. borrows: all. */
 int gsn_dust_add(struct gsn_dust *dust, struct gsn_plane *const od[3], double px_um,
                  struct gsn_dust_turn turn, const struct gsn_pixel_box *box,
-                 const struct gsn_mask_disc *disc, size_t discs, struct gsn_error *err);
+                 const struct gsn_artefact_disc *disc, size_t discs, struct gsn_error *err);
 
 /* gives: the spots, from top to bottom, and on how many panels they were seen; none below three
  * panels, for two may agree by chance. Fails with GSN_E_NOMEM. */
-int gsn_dust_find(const struct gsn_dust *dust, struct gsn_mask_disc **ret_spot, size_t *ret_count,
-                  unsigned *ret_panels, struct gsn_error *err);
+int gsn_dust_find(const struct gsn_dust *dust, struct gsn_artefact_disc **ret_spot,
+                  size_t *ret_count, unsigned *ret_panels, struct gsn_error *err);
 
 /* Where a spot is on the upright picture of a panel. */
-struct gsn_mask_disc gsn_dust_upright(const struct gsn_dust *dust, const struct gsn_mask_disc *spot,
-                                      struct gsn_dust_turn turn);
+struct gsn_artefact_disc gsn_dust_upright(const struct gsn_dust *dust,
+                                          const struct gsn_artefact_disc *spot,
+                                          struct gsn_dust_turn turn);
 
 #ifdef __cplusplus
 }

@@ -47,7 +47,7 @@ struct line {
     double a, k;
 };
 
-static int is_counted(const struct gsn_mask_cells *cells, size_t i)
+static int is_counted(const struct gsn_artefact_cells *cells, size_t i)
 {
     /* A cell full of the dark dye says little of the other two. */
     return cells->tissue[i] && !cells->label[i] && cells->dark->value[i] < 0.3F;
@@ -55,7 +55,7 @@ static int is_counted(const struct gsn_mask_cells *cells, size_t i)
 
 /* Fits yellow = a - k red with Tukey's biweight; k is not negative, for that would take a section
  * that is thicker on one side for the rule. Returns 0 when there is too little tissue. */
-static int fit_line(const struct gsn_mask_cells *cells, const struct gsn_plane *red,
+static int fit_line(const struct gsn_artefact_cells *cells, const struct gsn_plane *red,
                     const struct gsn_plane *yellow, struct line *ret_line)
 {
     struct line line = { 0, 0 };
@@ -142,8 +142,8 @@ static int on_fold(const struct gsn_plane *thick, const uint8_t *tissue, const s
 
 /* The mean of a straight row of cells, in steps as on_fold() takes them; NaN where not all of it is
  * tissue to be counted. */
-static double row_mean(const struct gsn_mask_cells *cells, const struct gsn_plane *thick, size_t i,
-                       size_t stride)
+static double row_mean(const struct gsn_artefact_cells *cells, const struct gsn_plane *thick,
+                       size_t i, size_t stride)
 {
     double sum = 0;
 
@@ -159,7 +159,7 @@ static double row_mean(const struct gsn_mask_cells *cells, const struct gsn_plan
 
 /* Divides the thickness by its median. How much rows of cells differ by their grain alone is taken
  * from the middle two thirds of them, which folds do not reach. */
-static int scale_thickness(const struct gsn_mask_cells *cells, struct gsn_plane *thick,
+static int scale_thickness(const struct gsn_artefact_cells *cells, struct gsn_plane *thick,
                            double *ret_deviation, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
@@ -188,8 +188,8 @@ static int scale_thickness(const struct gsn_mask_cells *cells, struct gsn_plane 
 }
 
 /* The line is that of places, not of single cells: grain in the red dye would flatten it. */
-static int fit_places(const struct gsn_mask_cells *cells, struct line *ret_line, int *ret_fitted,
-                      struct gsn_error *err)
+static int fit_places(const struct gsn_artefact_cells *cells, struct line *ret_line,
+                      int *ret_fitted, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) red = NULL;
     gsn_auto(gsn_plane) yellow = NULL;
@@ -203,7 +203,7 @@ static int fit_places(const struct gsn_mask_cells *cells, struct line *ret_line,
 }
 
 /* gives: NULL when there is too little tissue. */
-static int measure_thickness(const struct gsn_mask_cells *cells, struct gsn_plane **ret_thick,
+static int measure_thickness(const struct gsn_artefact_cells *cells, struct gsn_plane **ret_thick,
                              double *ret_deviation, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) thick = NULL;
@@ -226,7 +226,7 @@ static int measure_thickness(const struct gsn_mask_cells *cells, struct gsn_plan
     return r;
 }
 
-int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
+int gsn_artefact_folds(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto(gsn_plane) thick = NULL;
@@ -250,11 +250,11 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
                   on_fold(thick, cells->tissue, &star, least, (long)(i % cells->nx),
                           (long)(i / cells->nx));
     }
-    r = gsn_mask_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
+    r = gsn_artefact_cells_grow(cells, sure, weak, FOLD_WIDE_UM, err);
     if (r >= 0)
         r = gsn_dilate(weak, cells->nx, cells->ny, 1.5, err);
     if (r >= 0)
-        gsn_mask_cells_mark(cells, weak, GSN_DEFECT_FOLD);
+        gsn_artefact_cells_mark(cells, weak, GSN_DEFECT_FOLD);
     return r;
 }
 
@@ -264,7 +264,7 @@ int gsn_mask_folds(struct gsn_mask_cells *cells, struct gsn_error *err)
 #define LEAST_VOID_UM 80.0
 
 /* What a mark burnt is its halo's. */
-int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err)
+int gsn_artefact_voids(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) clear = gsn_alloc_array(count, 1);
@@ -281,7 +281,7 @@ int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err)
     r = gsn_erode(core, cells->nx, cells->ny, LEAST_VOID_UM / 2 / cells->um, err);
     if (r < 0)
         return r;
-    r = gsn_mask_cells_grow(cells, core, clear, 1e9, err);
+    r = gsn_artefact_cells_grow(cells, core, clear, 1e9, err);
     if (r < 0)
         return r;
     /* The cells at its border hold glass too. */
@@ -290,6 +290,6 @@ int gsn_mask_voids(struct gsn_mask_cells *cells, struct gsn_error *err)
         return r;
     for (size_t i = 0; i < count; i++)
         clear[i] &= cells->outline[i];
-    gsn_mask_cells_mark(cells, clear, GSN_DEFECT_VOID);
+    gsn_artefact_cells_mark(cells, clear, GSN_DEFECT_VOID);
     return GSN_OK;
 }

@@ -61,7 +61,7 @@ static int bin_along(double share)
     return bin < ACROSS ? bin : ACROSS - 1;
 }
 
-static size_t bin_of(const struct gsn_mask_cells *cells, size_t i)
+static size_t bin_of(const struct gsn_artefact_cells *cells, size_t i)
 {
     const double sum = fmax(cells->total->value[i], 1e-6);
 
@@ -69,7 +69,7 @@ static size_t bin_of(const struct gsn_mask_cells *cells, size_t i)
            (size_t)bin_along(cells->even[0]->value[i] / sum);
 }
 
-static double length_at(const struct gsn_mask_cells *cells, size_t i)
+static double length_at(const struct gsn_artefact_cells *cells, size_t i)
 {
     return sqrt(cells->even[0]->value[i] * cells->even[0]->value[i] +
                 cells->even[1]->value[i] * cells->even[1]->value[i] +
@@ -77,7 +77,7 @@ static double length_at(const struct gsn_mask_cells *cells, size_t i)
 }
 
 /* list: scratch, a value for each cell. */
-static int count_hues(const struct gsn_mask_cells *cells, double *list, struct hues *ret,
+static int count_hues(const struct gsn_artefact_cells *cells, double *list, struct hues *ret,
                       struct gsn_error *err)
 {
     float count[BINS] = { 0 }, sum[BINS];
@@ -120,7 +120,7 @@ static void find_usual(const struct hues *hues, size_t count, double *list, stru
 }
 
 /* gives: 1 where the section is dark over the breadth of a stroke. */
-static int find_dark(const struct gsn_mask_cells *cells, double darkest, uint8_t **ret_dark,
+static int find_dark(const struct gsn_artefact_cells *cells, double darkest, uint8_t **ret_dark,
                      struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
@@ -130,10 +130,10 @@ static int find_dark(const struct gsn_mask_cells *cells, double darkest, uint8_t
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
     for (size_t i = 0; i < count; i++)
         (*ret_dark)[i] = length_at(cells, i) > darkest;
-    return gsn_mask_cells_broad(cells, *ret_dark, GSN_STROKE_HALF_UM, err);
+    return gsn_artefact_cells_broad(cells, *ret_dark, GSN_STROKE_HALF_UM, err);
 }
 
-static int lower_foreign(struct gsn_mask_cells *cells, const struct hues *hues,
+static int lower_foreign(struct gsn_artefact_cells *cells, const struct hues *hues,
                          const struct usual *usual, const struct gsn_unmixer *own,
                          struct gsn_error *err)
 {
@@ -157,7 +157,7 @@ static int lower_foreign(struct gsn_mask_cells *cells, const struct hues *hues,
 }
 
 /* gives: room for a value of each section and for one of each cell of any of them. */
-static double *new_scratch(struct gsn_mask_cells *const *cells, size_t count)
+static double *new_scratch(struct gsn_artefact_cells *const *cells, size_t count)
 {
     size_t most = count;
 
@@ -169,8 +169,8 @@ static double *new_scratch(struct gsn_mask_cells *const *cells, size_t count)
     return gsn_alloc_array(most, sizeof(double));
 }
 
-int gsn_mask_own_hues(struct gsn_mask_cells *const *cells, size_t count, const struct gsn_dyes *own,
-                      struct gsn_error *err)
+int gsn_artefact_own_hues(struct gsn_artefact_cells *const *cells, size_t count,
+                          const struct gsn_dyes *own, struct gsn_error *err)
 {
     gsn_auto_mem(struct hues) hues = gsn_alloc_array(count, sizeof *hues);
     gsn_auto_mem(double) list = new_scratch(cells, count);
@@ -214,14 +214,14 @@ int gsn_mask_own_hues(struct gsn_mask_cells *const *cells, size_t count, const s
  * as broad as a stroke. */
 #define BLACK_EVEN 0.65
 
-static int new_set(const struct gsn_mask_cells *cells, uint8_t **ret_set, struct gsn_error *err)
+static int new_set(const struct gsn_artefact_cells *cells, uint8_t **ret_set, struct gsn_error *err)
 {
     *ret_set = gsn_alloc_array((size_t)cells->nx * cells->ny, 1);
     return *ret_set ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 }
 
 /* The length of the three densities. */
-static double magnitude_at(const struct gsn_mask_cells *cells, size_t i)
+static double magnitude_at(const struct gsn_artefact_cells *cells, size_t i)
 {
     double sum = 0;
 
@@ -230,7 +230,7 @@ static double magnitude_at(const struct gsn_mask_cells *cells, size_t i)
     return sqrt(sum);
 }
 
-static int is_black(const struct gsn_mask_cells *cells, size_t i)
+static int is_black(const struct gsn_artefact_cells *cells, size_t i)
 {
     const double r = cells->even[0]->value[i], g = cells->even[1]->value[i],
                  b = cells->even[2]->value[i];
@@ -240,7 +240,7 @@ static int is_black(const struct gsn_mask_cells *cells, size_t i)
 }
 
 /* Adds broad black to sure. */
-static int add_black(const struct gsn_mask_cells *cells, uint8_t *sure, struct gsn_error *err)
+static int add_black(const struct gsn_artefact_cells *cells, uint8_t *sure, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) black = NULL;
@@ -249,13 +249,13 @@ static int add_black(const struct gsn_mask_cells *cells, uint8_t *sure, struct g
     for (size_t i = 0; r >= 0 && i < count; i++)
         black[i] = (uint8_t)is_black(cells, i);
     if (r >= 0)
-        r = gsn_mask_cells_broad(cells, black, GSN_STROKE_HALF_UM, err);
+        r = gsn_artefact_cells_broad(cells, black, GSN_STROKE_HALF_UM, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         sure[i] |= black[i];
     return r;
 }
 
-int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err)
+int gsn_artefact_ink(struct gsn_artefact_cells *cells, struct gsn_error *err)
 {
     const size_t count = (size_t)cells->nx * cells->ny;
     gsn_auto_mem(uint8_t) sure = NULL;
@@ -275,10 +275,10 @@ int gsn_mask_ink(struct gsn_mask_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = add_black(cells, sure, err);
     if (r >= 0)
-        r = gsn_mask_cells_grow(cells, sure, weak, FADES_UM, err);
+        r = gsn_artefact_cells_grow(cells, sure, weak, FADES_UM, err);
     if (r >= 0)
         r = gsn_dilate(weak, cells->nx, cells->ny, SMEAR_UM / cells->um, err);
     if (r >= 0)
-        gsn_mask_cells_mark(cells, weak, GSN_DEFECT_INK);
+        gsn_artefact_cells_mark(cells, weak, GSN_DEFECT_INK);
     return r;
 }

@@ -20,8 +20,8 @@ static const double WHITE[3] = { 248, 244, 238 };
 struct scene {
     float od[3][COUNT];
     uint8_t truth[COUNT]; /* what was damaged */
-    struct gsn_mask_labels *labels;
-    struct gsn_mask_figures figures;
+    struct gsn_artefact_labels *labels;
+    struct gsn_artefact_figures figures;
 };
 
 static size_t index_of(int x, int y)
@@ -92,12 +92,12 @@ static struct scene *draw(double grain_size)
 static void scene_free(struct scene **scene)
 {
     if (*scene)
-        gsn_mask_labels_free((*scene)->labels);
+        gsn_artefact_labels_free((*scene)->labels);
     gsn_free(*scene);
 }
 #define scene_auto __attribute__((cleanup(scene_free))) struct scene *
 
-static void scan(const struct scene *scene, struct gsn_image *image, struct gsn_glass *glass)
+static void scan(const struct scene *scene, struct gsn_image *image, struct gsn_flat_field *glass)
 {
     struct gsn_error err = { 0 };
     struct dice dice = { 7 };
@@ -109,11 +109,11 @@ static void scan(const struct scene *scene, struct gsn_image *image, struct gsn_
 
             ((uint8_t *)image->samples)[3 * i + c] = (uint8_t)fmin(fmax(code, 0), 255);
         }
-    CHECK_OK(gsn_glass_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, WHITE, glass, &err), err);
+    CHECK_OK(gsn_flat_field_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, WHITE, glass, &err), err);
     glass->noise_od = NOISE / 244 / log(10);
 }
 
-static int find_with(struct scene *scene, const struct gsn_mask_section *section, double px_um,
+static int find_with(struct scene *scene, const struct gsn_artefact_section *section, double px_um,
                      unsigned threads, struct gsn_error *err)
 {
     const struct gsn_dyes dyes = gsn_dyes_builtin();
@@ -122,24 +122,24 @@ static int find_with(struct scene *scene, const struct gsn_mask_section *section
     gsn_auto(gsn_plane) green = NULL;
     gsn_auto(gsn_plane) blue = NULL;
     struct gsn_plane *od[3] = { NULL, NULL, NULL };
-    struct gsn_glass glass;
+    struct gsn_flat_field glass;
     int r = gsn_image_new(WIDTH, HEIGHT, 3, 8, &image, err);
 
     if (r < 0)
         return r;
     scan(scene, image, &glass);
-    r = gsn_absorb_thin(image, &glass, 1, od, err);
+    r = gsn_od_thin(image, &glass, 1, od, err);
     red = od[0];
     green = od[1];
     blue = od[2];
     if (r < 0)
         return r;
-    const struct gsn_mask_panel panel = { image, od, &glass, &dyes, px_um, 1, section, NULL };
+    const struct gsn_artefact_panel panel = { image, od, &glass, &dyes, px_um, 1, section, NULL };
 
-    return gsn_mask_find(&panel, threads, &scene->labels, &scene->figures, err);
+    return gsn_artefact_find(&panel, threads, &scene->labels, &scene->figures, err);
 }
 
-static const struct gsn_mask_section ALL = { .width = WIDTH, .height = HEIGHT };
+static const struct gsn_artefact_section ALL = { .width = WIDTH, .height = HEIGHT };
 
 static void find(struct scene *scene)
 {
@@ -150,7 +150,7 @@ static void find(struct scene *scene)
 
 static unsigned label_at(const struct scene *scene, int x, int y)
 {
-    return gsn_mask_label(scene->labels, 0, x, y);
+    return gsn_artefact_label(scene->labels, 0, x, y);
 }
 
 /* The share of what was damaged that is masked, and masked for this reason. */
@@ -419,12 +419,12 @@ TEST(empty_glass_has_no_outline_and_neither_has_a_smear)
 
 TEST(a_halo_is_masked_to_the_pixel_and_what_it_covers_is_no_debris)
 {
-    struct gsn_mask_section section = ALL;
+    struct gsn_artefact_section section = ALL;
     struct gsn_error err = { 0 };
     scene_auto scene = draw(0.3);
 
     section.halo_count = 1;
-    section.halo[0] = (struct gsn_mask_disc){ .px = { 200.5, 140.25 }, .radius_px = 9.5 };
+    section.halo[0] = (struct gsn_artefact_disc){ .px = { 200.5, 140.25 }, .radius_px = 9.5 };
     for (int y = 0; y < HEIGHT; y++)
         for (int x = 0; x < WIDTH; x++)
             if (hypot(x + 0.5 - 200.5, y + 0.5 - 140.25) < 5)
@@ -445,7 +445,7 @@ TEST(a_density_that_is_masked_is_no_number)
     fold(scene, 240, 9);
     find(scene);
     CHECK_OK(gsn_plane_new(WIDTH, HEIGHT, &density, &err), err);
-    gsn_mask_apply(scene->labels, 0, 0, 0, density);
+    gsn_artefact_apply(scene->labels, 0, 0, 0, density);
     for (int y = 0; y < HEIGHT; y++)
         for (int x = 0; x < WIDTH; x++)
             CHECK((label_at(scene, x, y) != 0) == !(density->value[index_of(x, y)] == 0));
@@ -453,7 +453,7 @@ TEST(a_density_that_is_masked_is_no_number)
 
 TEST(a_box_outside_of_the_panel_is_refused)
 {
-    const struct gsn_mask_section beyond = { .x = 10, .width = WIDTH, .height = 20 };
+    const struct gsn_artefact_section beyond = { .x = 10, .width = WIDTH, .height = 20 };
     scene_auto scene = draw(0);
     struct gsn_error err = { 0 };
 
@@ -465,10 +465,10 @@ TEST(a_box_outside_of_the_panel_is_refused)
 
 static int find_and_forget(struct scene *scene, struct gsn_error *err)
 {
-    const struct gsn_mask_section part = { .x = 180, .y = 100, .width = 90, .height = 80 };
+    const struct gsn_artefact_section part = { .x = 180, .y = 100, .width = 90, .height = 80 };
     const int r = find_with(scene, &part, PX_UM, 1, err);
 
-    gsn_mask_labels_free(scene->labels);
+    gsn_artefact_labels_free(scene->labels);
     scene->labels = NULL;
     return r;
 }

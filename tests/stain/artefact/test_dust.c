@@ -86,8 +86,8 @@ static void set_upright(struct panel *p, struct gsn_dust_turn way)
 /* Four panels, the last of which was turned by turn; a speck over tissue, one over glass, and one
  * that only dirty panels have. */
 static int searched(struct gsn_dust_turn turn, unsigned panels, unsigned dirty,
-                    struct gsn_dust **ret_dust, struct gsn_mask_disc **ret_spot, size_t *ret_count,
-                    unsigned *ret_panels, struct gsn_error *err)
+                    struct gsn_dust **ret_dust, struct gsn_artefact_disc **ret_spot,
+                    size_t *ret_count, unsigned *ret_panels, struct gsn_error *err)
 {
     gsn_auto(gsn_dust) dust = NULL;
     int r = gsn_dust_new(&dust, err);
@@ -118,7 +118,7 @@ static int searched(struct gsn_dust_turn turn, unsigned panels, unsigned dirty,
 /* Case 10. */
 TEST(what_is_dark_at_one_place_of_all_panels_is_found_and_nothing_else)
 {
-    gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
+    gsn_auto_mem(struct gsn_artefact_disc) spot = NULL;
     struct gsn_error err = { 0 };
     unsigned panels = 0;
     size_t count = 0;
@@ -146,9 +146,9 @@ TEST(a_panel_that_was_turned_upright_is_compared_as_it_was_scanned)
         const struct gsn_dust_turn turn = { way & 1, way >> 1 };
         const struct gsn_point truth = (way & 1 ? mirrored : upright)[way >> 1];
         gsn_auto(gsn_dust) dust = NULL;
-        gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
+        gsn_auto_mem(struct gsn_artefact_disc) spot = NULL;
         struct gsn_error err = { 0 };
-        struct gsn_mask_disc there;
+        struct gsn_artefact_disc there;
         unsigned panels = 0;
         size_t count = 0;
 
@@ -164,9 +164,9 @@ TEST(a_panel_that_was_turned_upright_is_compared_as_it_was_scanned)
 TEST(two_panels_may_agree_by_chance_and_marks_are_no_dust)
 {
     gsn_auto(gsn_dust) dust = NULL;
-    gsn_auto_mem(struct gsn_mask_disc) none = NULL;
-    gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
-    const struct gsn_mask_disc mark = { { 30, 180 }, 5 };
+    gsn_auto_mem(struct gsn_artefact_disc) none = NULL;
+    gsn_auto_mem(struct gsn_artefact_disc) spot = NULL;
+    const struct gsn_artefact_disc mark = { { 30, 180 }, 5 };
     struct gsn_error err = { 0 };
     unsigned panels = 0;
     size_t count = 7;
@@ -188,7 +188,7 @@ TEST(two_panels_may_agree_by_chance_and_marks_are_no_dust)
 
 static int whole(struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_mask_disc) spot = NULL;
+    gsn_auto_mem(struct gsn_artefact_disc) spot = NULL;
     unsigned panels;
     size_t count;
 

@@ -25,17 +25,17 @@ struct panel {
     struct gsn_dyes dyes; /* its own */
     struct gsn_image *image;
     struct gsn_plane *od[3];
-    struct gsn_glass glass;
-    struct gsn_mask_section section[SECTIONS];
+    struct gsn_flat_field glass;
+    struct gsn_artefact_section section[SECTIONS];
     size_t section_count;
     uint8_t *pen; /* 2 where a pen drew, 1 within 130 um of it */
-    struct gsn_mask_labels *labels;
-    struct gsn_mask_figures figures[SECTIONS];
+    struct gsn_artefact_labels *labels;
+    struct gsn_artefact_figures figures[SECTIONS];
 };
 
 static void forget(struct panel *p)
 {
-    gsn_mask_labels_free(p->labels);
+    gsn_artefact_labels_free(p->labels);
     p->labels = NULL;
 }
 
@@ -117,10 +117,10 @@ static void draw(struct panel *p, const struct gsn_dyes *dyes, int pen, size_t a
     p->dyes = *dyes;
     p->section_count = SECTIONS;
     for (int i = 0; i < SECTIONS; i++)
-        p->section[i] = (struct gsn_mask_section){ .x = i % COLUMNS * PITCH_X,
-                                                   .y = i / COLUMNS * PITCH_Y,
-                                                   .width = PITCH_X,
-                                                   .height = PITCH_Y };
+        p->section[i] = (struct gsn_artefact_section){ .x = i % COLUMNS * PITCH_X,
+                                                       .y = i / COLUMNS * PITCH_Y,
+                                                       .width = PITCH_X,
+                                                       .height = PITCH_Y };
     p->pen = gsn_alloc_array(COUNT, 1);
     CHECK_OK(gsn_image_new(WIDTH, HEIGHT, 3, 8, &p->image, &err), err);
     for (int at = 0; at < COUNT; at++) {
@@ -139,25 +139,26 @@ static void draw(struct panel *p, const struct gsn_dyes *dyes, int pen, size_t a
             ((uint8_t *)p->image->samples)[3 * at + c] = (uint8_t)fmin(fmax(code, 0), 255);
         }
     }
-    CHECK_OK(gsn_glass_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, WHITE, &p->glass, &err), err);
+    CHECK_OK(gsn_flat_field_given(WIDTH, HEIGHT, GSN_LIGHT_CODES_LINEAR, WHITE, &p->glass, &err),
+             err);
     p->glass.noise_od = NOISE / 244 / log(10);
-    CHECK_OK(gsn_absorb_thin(p->image, &p->glass, 1, p->od, &err), err);
+    CHECK_OK(gsn_od_thin(p->image, &p->glass, 1, p->od, &err), err);
 }
 
 static int find_with(struct panel *p, const struct gsn_dyes *own, struct gsn_error *err)
 {
     const struct gsn_dyes stated = gsn_dyes_builtin();
-    const struct gsn_mask_panel panel = { .image = p->image,
-                                          .od = p->od,
-                                          .glass = &p->glass,
-                                          .dyes = &stated,
-                                          .px_um = PX_UM,
-                                          .section_count = p->section_count,
-                                          .section = p->section,
-                                          .own = own };
+    const struct gsn_artefact_panel panel = { .image = p->image,
+                                              .od = p->od,
+                                              .glass = &p->glass,
+                                              .dyes = &stated,
+                                              .px_um = PX_UM,
+                                              .section_count = p->section_count,
+                                              .section = p->section,
+                                              .own = own };
 
     forget(p);
-    return gsn_mask_find(&panel, 2, &p->labels, p->figures, err);
+    return gsn_artefact_find(&panel, 2, &p->labels, p->figures, err);
 }
 
 static void find(struct panel *p, const struct gsn_dyes *own)
@@ -180,7 +181,7 @@ static double ink_of(const struct panel *p, int drawn)
             p->pen[at] != (drawn ? 2 : 0))
             continue;
         all++;
-        ink += (gsn_mask_label(p->labels, i, x, y) & GSN_DEFECT_INK) != 0;
+        ink += (gsn_artefact_label(p->labels, i, x, y) & GSN_DEFECT_INK) != 0;
     }
     return (double)ink / (double)all;
 }
@@ -238,7 +239,7 @@ static void draw_bands(struct panel *p, const double od[3], int times)
         gsn_plane_free(p->od[c]);
         p->od[c] = NULL;
     }
-    CHECK_OK(gsn_absorb_thin(p->image, &p->glass, 1, p->od, &err), err);
+    CHECK_OK(gsn_od_thin(p->image, &p->glass, 1, p->od, &err), err);
 }
 
 /* Share of the widest band that is ink. */
@@ -253,7 +254,7 @@ static double banded_ink(const struct panel *p, int times)
             if (!in_tissue(u, v))
                 continue;
             all++;
-            ink += (gsn_mask_label(p->labels, BANDED, x, y) & GSN_DEFECT_INK) != 0;
+            ink += (gsn_artefact_label(p->labels, BANDED, x, y) & GSN_DEFECT_INK) != 0;
         }
     return (double)ink / (double)all;
 }
@@ -340,7 +341,7 @@ TEST(running_out_of_memory_leaks_nothing)
     draw(&p, &dyes, NO_PEN, 1);
     p.section_count = 4;
     for (int i = 0; i < SECTIONS; i++) /* little of each is enough */
-        p.section[i] = (struct gsn_mask_section){
+        p.section[i] = (struct gsn_artefact_section){
             .x = p.section[i].x + 50, .y = p.section[i].y + 40, .width = 40, .height = 40
         };
     CHECK_EVERY_OOM(find_and_forget(&p, &err), err);

@@ -90,8 +90,8 @@ static void add_control(struct gsn_store *store, const struct control *c)
     CHECK_OK(gsn_run_finish(store, id, &end, NOON, &err), err);
 }
 
-static const struct control ONE = { "c", 1, 0.002, 4, GSN_LEVEL_TISSUES, NULL },
-                            OTHER = { "d", 1.2, 0.005, 2, GSN_LEVEL_TISSUES, NULL };
+static const struct control ONE = { "c", 1, 0.002, 4, GSN_CONTROL_TISSUES, NULL },
+                            OTHER = { "d", 1.2, 0.005, 2, GSN_CONTROL_TISSUES, NULL };
 
 static struct gsn_job_inputs *loaded(struct gsn_store *store, int64_t id)
 {
@@ -113,7 +113,7 @@ TEST(the_tissues_of_one_control_come_back_with_their_errors_and_what_these_share
     const struct gsn_specimen_baseline *b = &gsn_job_inputs_specimen(inputs)->baseline;
 
     CHECK(b->specimens == 1);
-    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+    for (unsigned t = 0; t < GSN_CONTROL_TISSUES; t++) {
         CHECK_NEAR(b->tissues.value[t], VALUE[t], 1e-12);
         CHECK_NEAR(b->tissues.covariance[t][t], ERROR[t] * ERROR[t], 1e-12);
         for (unsigned u = 0; u < t; u++) {
@@ -139,7 +139,7 @@ TEST(the_tissues_of_several_controls_are_their_mean)
 
     CHECK(b->specimens == 2);
     CHECK_NEAR(b->mean_density, 1.1, 1e-12);
-    for (unsigned t = 0; t < GSN_LEVEL_TISSUES; t++) {
+    for (unsigned t = 0; t < GSN_CONTROL_TISSUES; t++) {
         CHECK_NEAR(b->tissues.value[t], 1.1 * VALUE[t], 1e-12);
         CHECK_NEAR(b->tissues.covariance[t][t], ERROR[t] * ERROR[t] / 2, 1e-12);
         for (unsigned u = 0; u < t; u++)
@@ -161,7 +161,7 @@ TEST(a_tissue_that_one_control_lacks_is_not_known)
     other.tissues--;
     add_control(store, &other);
     gsn_auto(gsn_job_inputs) inputs = loaded(store, id);
-    const struct gsn_level_tissues *tissues = &gsn_job_inputs_specimen(inputs)->baseline.tissues;
+    const struct gsn_control_tissues *tissues = &gsn_job_inputs_specimen(inputs)->baseline.tissues;
     const double lacked = tissues->value[other.tissues];
 
     for (unsigned t = 0; t < other.tissues; t++)

@@ -28,7 +28,7 @@
 #include <time.h>
 
 #include "pipeline/core/file.h"
-#include "pipeline/protocol.h"
+#include "pipeline/specimen/protocol.h"
 #include "storage/catalog.h"
 
 enum {

@@ -38,7 +38,7 @@
 #include "acquire/spool.h"
 #include "pipeline/core/file.h"
 #include "pipeline/decode/volume.h"
-#include "pipeline/protocol.h"
+#include "pipeline/specimen/protocol.h"
 #include "storage/audit_log.h"
 #include "storage/bench.h"
 #include "storage/catalog.h"

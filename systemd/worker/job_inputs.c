@@ -613,18 +613,18 @@ static struct gsn_panel_section section_of(const struct gsn_job_inputs *m,
 {
     struct gsn_panel_section section = gsn_panel_section_of_row(row);
 
-    if (section.sighting == GSN_SIGHT_NEEDS_EYE || strstr(section.flags, "decided"))
+    if (section.sighting == GSN_SIGHT_NEEDS_EYE || gsn_flags_has(&section.flags, GSN_FLAG_DECIDED))
         gsn_candidates_from_rows(m->candidates, row->panel_id, row->slot, &section.candidates);
     /* One that was taken as it was so likely, and not by a person, is taken again or not. */
-    if (!strstr(section.flags, "decided"))
+    if (!gsn_flags_has(&section.flags, GSN_FLAG_DECIDED))
         section.candidates.chosen = 0;
     return section;
 }
 
-static struct gsn_upright upright_of(const struct gsn_panel_row *row)
+static struct gsn_orientation upright_of(const struct gsn_panel_row *row)
 {
-    struct gsn_upright upright = { .turn = { .mirrored = row->mirrored != 0,
-                                             .quarters = (unsigned)row->quarters } };
+    struct gsn_orientation upright = { .turn = { .mirrored = row->mirrored != 0,
+                                                 .quarters = (unsigned)row->quarters } };
 
     (void)snprintf(upright.note, sizeof upright.note, "%s", row->turn_note);
     return upright;

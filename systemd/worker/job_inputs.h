@@ -7,7 +7,7 @@
 
 #include "pipeline/core/hash.h"
 #include "pipeline/decode/apart.h"
-#include "pipeline/specimen.h"
+#include "pipeline/specimen/specimen.h"
 #include "storage/result.h"
 #include "storage/store.h"
 

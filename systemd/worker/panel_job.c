@@ -6,7 +6,7 @@
  * 1. The object is opened after its bytes were found to have its hash.
  * 2. Operator decisions about this very picture (its hash) are read; one that chooses among scans
  * is followed.
- * 3. pipeline/examine.h splits the panel, finds the fiducial marks and the way it lies.
+ * 3. pipeline/specimen/panel_analysis.h splits the panel, finds the fiducial marks and the way it lies.
  * 4. What the label or the name says is compared with the job; a contradiction holds the panel.
  * 5. Sections, candidates of doubtful poses, the turn, and the end of the job are one transaction.
  *
@@ -249,18 +249,20 @@ static int is_refusal(int code)
 
 /* The job. */
 
-static struct gsn_section_row row_of(const struct gsn_panel_section *s)
+/* flags: made for the row, and borrowed by it. */
+static struct gsn_section_row row_of(const struct gsn_panel_section *s, char flags[GSN_FLAGS_TEXT])
 {
     struct gsn_section_row row = { .slot = s->slot + 1,
                                    .serial = s->serial + 1,
                                    .state = gsn_sighting_name(s->sighting),
-                                   .flags = s->flags,
+                                   .flags = flags,
                                    .bbox_x = s->x,
                                    .bbox_y = s->y,
                                    .bbox_w = s->width,
                                    .bbox_h = s->height,
                                    .area_px = s->area_px };
 
+    gsn_flags_text(&s->flags, flags);
     gsn_fiducials_to_rows(s->mark, row.marker);
     return row;
 }
@@ -279,7 +281,7 @@ struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *
     for (int i = GSN_SIGHT_FOUND; i <= GSN_SIGHT_HELD; i++)
         if (strcmp(row->state, gsn_sighting_name((enum gsn_sighting)i)) == 0)
             s.sighting = (enum gsn_sighting)i;
-    (void)snprintf(s.flags, sizeof s.flags, "%s", row->flags);
+    s.flags = gsn_flags_of_text(row->flags);
     gsn_fiducials_from_rows(row->marker, s.mark);
     return s;
 }
@@ -353,12 +355,13 @@ static int write_outcome(struct gsn_store *store, int64_t panel, const struct ou
     const size_t count =
         findings && strcmp(outcome->state, "registered") == 0 ? findings->count : 0;
     gsn_auto_mem(struct gsn_section_row) rows = gsn_alloc_array(count, sizeof *rows);
+    gsn_auto_mem(char) flags = gsn_alloc_array(count, GSN_FLAGS_TEXT);
     int r = GSN_OK;
 
-    if (!rows)
+    if (!rows || !flags)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the rows of a panel");
     for (size_t i = 0; i < count; i++)
-        rows[i] = row_of(&findings->section[i]);
+        rows[i] = row_of(&findings->section[i], flags + i * GSN_FLAGS_TEXT);
     if (findings)
         r = gsn_panel_set_size(store, panel, findings->width, findings->height, findings->px_um,
                                err);
@@ -496,7 +499,7 @@ static int examine_picture(struct gsn_store *store, struct gsn_decoder *decoder,
     answers.at = answer;
 
     if (r >= 0)
-        r = gsn_panel_examine(decoder, picture_fd, protocol,
+        r = gsn_panel_analyse(decoder, picture_fd, protocol,
                               (unsigned)(panel->number ? panel->number : 1), &answers,
                               options->threads, progress, ret_findings, err);
     return r;

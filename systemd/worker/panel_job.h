@@ -4,9 +4,9 @@
 #ifndef GSN_SYSTEMD_WORKER_PANEL_JOB_H
 #define GSN_SYSTEMD_WORKER_PANEL_JOB_H
 
-#include "pipeline/candidate.h"
+#include "pipeline/specimen/fiducial_poses.h"
 #include "pipeline/core/progress.h"
-#include "pipeline/examine.h"
+#include "pipeline/specimen/panel_analysis.h"
 #include "pipeline/register/fiducial/fiducial.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
@@ -35,7 +35,7 @@ int gsn_panel_job(struct gsn_store *store, const struct gsn_job_row *job,
 int gsn_panel_look_again(struct gsn_store *store, int64_t specimen_id, int64_t panel_id,
                          const struct gsn_job_options *options, struct gsn_error *err);
 
-/* A row read back as what gsn_panel_examine() found. */
+/* A row read back as what gsn_panel_analyse() found. */
 struct gsn_panel_section gsn_panel_section_of_row(const struct gsn_section_row *row);
 
 /* Whether it was registered before it was kept how its picture was set upright: then it must be

@@ -130,7 +130,7 @@ static int marks_agree(const struct motion *motion, double a_um, double b_um)
 
 static int survey_picture(struct gsn_store *store, struct gsn_decoder *decoder,
                           const struct gsn_protocol *protocol, const char *sha256,
-                          const struct gsn_upright *upright, struct gsn_scan **ret_scan,
+                          const struct gsn_orientation *upright, struct gsn_scan **ret_scan,
                           struct gsn_error *err)
 {
     gsn_auto_fd picture_fd = -1;
@@ -216,11 +216,11 @@ static int compare_tissue(const struct gsn_scan *a, const struct gsn_scan *b,
 
 static int compare_pictures(struct gsn_store *store, struct gsn_decoder *decoder,
                             const struct gsn_protocol *protocol, const char *a_sha256,
-                            const struct gsn_upright *a_upright, const struct gsn_panel_row *b,
+                            const struct gsn_orientation *a_upright, const struct gsn_panel_row *b,
                             const struct motion *motion, double *ret_texture, struct gsn_error *err)
 {
-    const struct gsn_upright b_upright = { .turn = { .mirrored = b->mirrored != 0,
-                                                     .quarters = (unsigned)b->quarters } };
+    const struct gsn_orientation b_upright = { .turn = { .mirrored = b->mirrored != 0,
+                                                         .quarters = (unsigned)b->quarters } };
     gsn_auto(gsn_scan) scan_a = NULL;
     gsn_auto(gsn_scan) scan_b = NULL;
     int r = survey_picture(store, decoder, protocol, a_sha256, a_upright, &scan_a, err);
@@ -237,8 +237,8 @@ int gsn_rescan_compare(struct gsn_store *store, struct gsn_decoder *decoder,
                        const struct gsn_panel_row *a, const struct gsn_panel_row *b,
                        struct gsn_rescan *ret_rescan, struct gsn_error *err)
 {
-    const struct gsn_upright upright = { .turn = { .mirrored = a->mirrored != 0,
-                                                   .quarters = (unsigned)a->quarters } };
+    const struct gsn_orientation upright = { .turn = { .mirrored = a->mirrored != 0,
+                                                       .quarters = (unsigned)a->quarters } };
     gsn_auto_mem(struct pairs) pairs = gsn_alloc(sizeof *pairs);
     struct gsn_rescan rescan = { .texture = NAN };
     struct motion motion;

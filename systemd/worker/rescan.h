@@ -8,7 +8,7 @@
 #ifndef GSN_SYSTEMD_WORKER_RESCAN_H
 #define GSN_SYSTEMD_WORKER_RESCAN_H
 
-#include "pipeline/examine.h"
+#include "pipeline/specimen/panel_analysis.h"
 #include "storage/panel_log.h"
 
 struct gsn_rescan {

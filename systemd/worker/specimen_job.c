@@ -422,7 +422,7 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
     if (r >= 0)
         r = gsn_job_inputs_load(store, job->specimen_id, decoder, &inputs, err);
     if (r >= 0)
-        r = gsn_specimen_work(gsn_job_inputs_specimen(inputs), &how, &result, err);
+        r = gsn_specimen_process(gsn_job_inputs_specimen(inputs), &how, &result, err);
     if (r < 0)
         return r;
     parameters = gsn_run_parameters(gsn_job_inputs_own_key(inputs), result);

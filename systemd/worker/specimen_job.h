@@ -6,7 +6,7 @@
 
 #include "pipeline/core/hash.h"
 #include "pipeline/core/progress.h"
-#include "pipeline/specimen.h"
+#include "pipeline/specimen/specimen.h"
 #include "storage/audit.h"
 #include "storage/panel_log.h"
 #include "storage/queue.h"
@@ -15,7 +15,7 @@
 
 /* Works the specimen of a claimed job, writes its report and ends run and job in one transaction;
  * then asks for the specimens whose baseline this is. Where an older gieson looked at its panels,
- * the job waits again until they were looked at anew. Fails as gsn_specimen_work() does. */
+ * the job waits again until they were looked at anew. Fails as gsn_specimen_process() does. */
 int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      const struct gsn_job_options *options, const struct gsn_progress *progress,
                      struct gsn_error *err);

@@ -370,7 +370,7 @@ static int process_again(const struct gsn_verify *verify, struct gsn_store *copy
     if (r >= 0)
         r = gsn_job_inputs_load(copy, run->specimen_id, decoder, &inputs, err);
     if (r >= 0)
-        r = gsn_specimen_work(gsn_job_inputs_specimen(inputs), &how, &result, err);
+        r = gsn_specimen_process(gsn_job_inputs_specimen(inputs), &how, &result, err);
     if (r >= 0)
         r = gsn_panel_list(copy, run->specimen_id, &panels, err);
     if (r >= 0)

@@ -3,7 +3,7 @@
 /* The verbs about picture files without a store: `check` decodes strictly and says what each file
  * is; `register` gives the poses of a folder of section pictures as a table or JSON.
  *
- * The work of `register` is pipeline/folder.h; here its options become records and its result
+ * The work of `register` is pipeline/folder/register_folder.h; here its options become records and its result
  * words: for each section the pose, its error ellipse, what is known of the tissue, and why one was
  * left out. Exit status 0 when every picture could be used, else 65; usage errors 64. */
 
@@ -18,7 +18,7 @@
 #include "pipeline/core/file.h"
 #include "pipeline/core/process.h"
 #include "pipeline/decode/apart.h"
-#include "pipeline/folder.h"
+#include "pipeline/folder/register_folder.h"
 #include "systemd/worker/work_verbs.h"
 
 /* `gieson-work register`: a plain folder of section pictures, as poses on stdout. */

@@ -33,7 +33,7 @@ struct found {
     struct gsn_slot slot[BENCH_SECTIONS];
 };
 
-/* Glass on cells of half a millimetre, sections on cells of 50 um: pipeline/scan.c. */
+/* Glass on cells of half a millimetre, sections on cells of 50 um: pipeline/specimen/scan.c. */
 static void split(const struct gsn_image *image, double px_um, struct found *found)
 {
     const unsigned step = gsn_panel_step(px_um);
@@ -183,7 +183,7 @@ static struct gsn_lattice block_of(const struct bench_panel *panel)
                                  .step_um = { panel->px_um, panel->px_um, 24 } };
 }
 
-/* Collagen density of every section in the block frame, as pipeline/assembly_density.c lays it. */
+/* Collagen density of every section in the block frame, as pipeline/specimen/density_stack.c has it. */
 static int lay_density(const struct bench_panel *panel, const struct gsn_image *image,
                        const struct found *found, const struct gsn_pose *pose)
 {
@@ -219,7 +219,7 @@ static int lay_density(const struct bench_panel *panel, const struct gsn_image *
     return count;
 }
 
-/* True colours of every section in the block frame, as pipeline/assembly_density.c lays them. */
+/* True colours of every section in the block frame, as pipeline/specimen/density_stack.c has them. */
 static int lay_colour(const struct bench_panel *panel, const struct gsn_image *image,
                       const struct found *found, const struct gsn_pose *pose)
 {

@@ -23,7 +23,7 @@
 #include "tests/check.h"
 #include "tests/device/aside.h"
 #include "tests/device/umock_v4l2.h"
-#include "tests/pipeline/drawn_panel.h"
+#include "tests/specimen/drawn_panel.h"
 #include "tests/storage/bench.h"
 
 enum { PADDING = 32, REST = 3, GENEROUS_MS = 60000, SKIPPED = 77 };

@@ -30,7 +30,7 @@ sources_of() {
     uvc) echo "acquire/uvc.c" ;;
     ptp) ls acquire/ptp_*.c | grep -v ptp_transport ;;
     volume) ls pipeline/decode/volume*.c ;;
-    job) echo "pipeline/protocol.c" && ls pipeline/stated_*.c ;;
+    job) echo "pipeline/specimen/protocol.c" ;;
     esac
 }
 needs_of() {

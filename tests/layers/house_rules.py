@@ -31,7 +31,8 @@ LAYERS = {
     "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),
     "pipeline/phantom": ("pipeline/core",),
     "pipeline/study": ("pipeline/core", "pipeline/measure", "pipeline/report"),
-    "pipeline": ("pipeline",),
+    "pipeline/folder": ("pipeline/core", "pipeline/decode", "pipeline/register"),
+    "pipeline/specimen": ("pipeline",),
     "ui": ("pipeline/core", "storage"),
     "systemd": ("pipeline", "acquire", "storage"),
 }
@@ -90,7 +91,7 @@ def layer_of(path):
 def allowed(owner, header):
     if layer_of(header) == "pipeline/phantom":
         return owner == "pipeline/phantom"
-    if owner == "pipeline" or owner == "systemd":
+    if owner in ("pipeline/specimen", "systemd"):
         return any(header.startswith(f + "/") for f in LAYERS[owner] + (owner,))
     target = layer_of(header)
     return target == owner or target in LAYERS[owner]
@@ -188,7 +189,7 @@ SPDX = "/* SPDX-License-Identifier: AGPL-3.0-or-later */\n"
 PLANTED = {
     "a layer violation": ("storage/planted.c", SPDX + '#include "pipeline/model/dms.h"\n',
                           "storage may not include"),
-    "ui reaching into the pipeline": ("ui/planted.c", SPDX + '#include "pipeline/protocol.h"\n',
+    "ui reaching into the pipeline": ("ui/planted.c", SPDX + '#include "pipeline/specimen/protocol.h"\n',
                                       "ui may not include"),
     "the product built on the phantom": (
         "systemd/planted.c", SPDX + '#include "pipeline/phantom/plan.h"\n', "systemd may not include"),

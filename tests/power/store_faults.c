@@ -34,7 +34,7 @@
 #include "systemd/worker/job.h"
 #include "systemd/worker/scrub.h"
 #include "systemd/worker/verify.h"
-#include "tests/pipeline/drawn_panel.h"
+#include "tests/specimen/drawn_panel.h"
 #include "tests/power/bench.h"
 #include "tests/power/fault.h"
 #include "tests/power/ingest.h"

@@ -6,7 +6,7 @@
 #include "tests/check.h"
 
 #include "pipeline/core/file.h"
-#include "tests/pipeline/drawn_panel.h"
+#include "tests/specimen/drawn_panel.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -136,7 +136,7 @@ def main():
               else said)
         if not refused:
             wrong.append("haematoxylin and eosin")
-    slides = subprocess.run([tests / "test_pipeline_slides"], capture_output=True, text=True)
+    slides = subprocess.run([tests / "test_specimen_slides"], capture_output=True, text=True)
     for line in (slides.stdout + slides.stderr).splitlines():
         if not line.startswith("["):
             print(line)

@@ -8,10 +8,10 @@
  * the planes by which the order of sections is looked at; there every two neighbours (but of the
  * last two at either end), every two sections that are two and three apart, and FAR pairs drawn
  * from those farther apart change places, each alone. A minute for a dozen swaps. */
-#include "pipeline/assembly.h"
+#include "pipeline/specimen/reconstruction.h"
 #include "pipeline/core/file.h"
 #include "pipeline/decode/volume.h"
-#include "pipeline/examine.h"
+#include "pipeline/specimen/panel_analysis.h"
 #include "tests/register/draw.h"
 
 #include <math.h>
@@ -192,7 +192,7 @@ static int add_panel(struct panels *p, const char *folder, unsigned number, stru
     if (r >= 0)
         r = gsn_file_open(path, &fd, err);
     if (r >= 0)
-        r = gsn_panel_examine(NULL, fd, p->protocol, number, NULL, 0, NULL, &p->findings[i], err);
+        r = gsn_panel_analyse(NULL, fd, p->protocol, number, NULL, 0, NULL, &p->findings[i], err);
     if (r < 0)
         return r;
     (void)snprintf(p->name[i], sizeof p->name[i], "P%02u", number);
@@ -241,9 +241,9 @@ static int assemble(struct panels *p, struct gsn_error *err)
         .open = open_panel,
         .context = p,
     };
-    gsn_auto(gsn_assembly) assembly = NULL;
+    gsn_auto(gsn_reconstruction) assembly = NULL;
 
-    return gsn_assembly_make(&specimen, &options, &assembly, err);
+    return gsn_reconstruct(&specimen, &options, &assembly, err);
 }
 
 int main(int argc, char **argv)

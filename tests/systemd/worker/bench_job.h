@@ -8,7 +8,7 @@
 #include "systemd/worker/import.h"
 #include "systemd/worker/job.h"
 #include "systemd/worker/verify.h"
-#include "tests/pipeline/drawn_panel.h"
+#include "tests/specimen/drawn_panel.h"
 #include "tests/storage/bench.h"
 
 #include <string.h>

@@ -10,7 +10,7 @@
 #include "storage/panel_log.h"
 #include "storage/result.h"
 #include "tests/check.h"
-#include "tests/pipeline/drawn_panel.h"
+#include "tests/specimen/drawn_panel.h"
 #include "tests/systemd/worker/bench_job.h"
 
 #include <math.h>

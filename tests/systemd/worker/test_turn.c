@@ -8,8 +8,8 @@
 #include "systemd/worker/job.h"
 #include "systemd/worker/specimen_job.h"
 #include "tests/check.h"
-#include "tests/pipeline/drawn_label.h"
-#include "tests/pipeline/drawn_panel.h"
+#include "tests/specimen/drawn_label.h"
+#include "tests/specimen/drawn_panel.h"
 #include "tests/systemd/worker/bench_job.h"
 
 #include <string.h>

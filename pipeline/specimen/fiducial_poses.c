@@ -1,0 +1,537 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Poses of all sections by their marks, and the candidates where more than one is possible.
+ *
+ * 1. The marks of all sections that may be used go into one solution (register/pose.h): the common
+ *    triangle, then a weighted rigid fit a section.
+ * 2. What the job says about strain is done with the sections' own stretch: reported, ignored, or
+ *    taken out.
+ * 3. A section has candidates where its panel leaves open which spots are its marks, or where its
+ *    three marks contradict the stack: then each pair of them. Each is fitted to the triangle, its
+ *    error predicted, and what sets it apart from the first is put into words for a person.
+ * 4. A person's choice names the spots, not a number, so it holds for as long as they are there.
+ *
+ * A stack that cannot be solved is a state, with a sentence. */
+#include "pipeline/specimen/fiducial_poses.h"
+
+#include "pipeline/register/fiducial/correspondence.h"
+#include "pipeline/register/fiducial/fiducial.h"
+#include "pipeline/register/pose/pose.h"
+#include "pipeline/register/pose/rigid.h"
+#include "pipeline/register/pose/strain.h"
+#include "pipeline/register/pose/tre.h"
+#include "pipeline/register/pose/weighted_fit.h"
+#include "pipeline/specimen/poses.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* A spot is the one that was meant when it lies within this share of its radius. */
+static const double SAME_SPOT = 0.5;
+
+/* Two ways to lay a section that differ by less than this are turned alike, in words. */
+static const double TOLD_DEG = 5;
+
+static struct gsn_candidate candidate_of(const struct gsn_mark mark[GSN_MARKS], int mirrored,
+                                         double share)
+{
+    struct gsn_candidate candidate = {
+        .mirrored = mirrored, .flipped = mirrored, .share = share, .error_um = NAN
+    };
+
+    memcpy(candidate.mark, mark, sizeof candidate.mark);
+    return candidate;
+}
+
+void gsn_candidates_of_rivals(const struct gsn_mark_rival *rivals, size_t count,
+                              struct gsn_candidates *ret_list)
+{
+    struct gsn_candidates list = { .count = count };
+
+    assert(count <= GSN_CANDIDATES);
+    for (size_t i = 0; i < count; i++)
+        list.at[i] = candidate_of(rivals[i].mark, rivals[i].mirrored, rivals[i].share);
+    *ret_list = list;
+}
+
+void gsn_candidates_of_marks(const struct gsn_mark mark[GSN_MARKS], int mirrored,
+                             struct gsn_candidates *ret_list)
+{
+    struct gsn_candidates list = { .count = GSN_MARKS + 1 };
+
+    for (size_t i = 0; i <= GSN_MARKS; i++) {
+        list.at[i] = candidate_of(mark, mirrored, NAN);
+        if (i < GSN_MARKS)
+            list.at[i].mark[i] = (struct gsn_mark){ .found = 0 };
+    }
+    *ret_list = list;
+}
+
+void gsn_candidates_of_gross(const struct gsn_mark mark[GSN_MARKS], const struct gsn_pose *pose,
+                             struct gsn_candidates *ret_list)
+{
+    struct gsn_candidates list = { .count = 0 };
+
+    for (int place = 0; place < GSN_MARKS; place++) {
+        const struct gsn_pose_candidate *best = NULL;
+        struct gsn_candidate *to = &list.at[list.count];
+        int out = 0;
+
+        /* The place-th by share; of equals the mark of the lower number is left out first. */
+        for (int i = 0; i < GSN_MARKS; i++) {
+            int before = 0;
+
+            for (int k = 0; k < GSN_MARKS; k++)
+                before += pose->candidate[k].share > pose->candidate[i].share ||
+                          (pose->candidate[k].share == pose->candidate[i].share && k < i);
+            if (before == place) {
+                best = &pose->candidate[i];
+                out = i;
+            }
+        }
+        if (!best || gsn_affine_det(&best->panel_to_block_um) == 0)
+            continue;
+        *to = candidate_of(mark, pose->flipped, best->share);
+        to->mark[out] = (struct gsn_mark){ .found = 0 };
+        to->laid = 1;
+        to->panel_to_block_um = best->panel_to_block_um;
+        to->error_um = best->tre_um;
+        list.count++;
+    }
+    *ret_list = list;
+}
+
+/* Marks in um, mirrored where the section is, beside where they belong; their number. */
+static size_t lay_out(const struct gsn_candidate *c, double px_um,
+                      const struct gsn_point triangle[GSN_MARKS], struct gsn_point from[GSN_MARKS],
+                      struct gsn_point onto[GSN_MARKS])
+{
+    size_t count = 0;
+
+    for (int i = 0; i < GSN_MARKS; i++) {
+        if (!c->mark[i].found)
+            continue;
+        from[count] =
+            (struct gsn_point){ (c->mirrored ? -c->mark[i].px.x : c->mark[i].px.x) * px_um,
+                                c->mark[i].px.y * px_um };
+        onto[count++] = triangle[i];
+    }
+    return count;
+}
+
+void gsn_candidates_lay(struct gsn_candidates *list, double px_um,
+                        const struct gsn_point triangle[GSN_MARKS])
+{
+    for (size_t i = 0; i < list->count; i++) {
+        struct gsn_candidate *c = &list->at[i];
+        struct gsn_point from[GSN_MARKS], onto[GSN_MARKS];
+        const size_t count = lay_out(c, px_um, triangle, from, onto);
+        struct gsn_rigid motion;
+
+        if (count < 2 || gsn_rigid_fit(from, onto, NULL, count, &motion, NULL, NULL) < 0)
+            continue;
+        c->laid = 1;
+        c->flipped = c->mirrored;
+        c->panel_to_block_um = gsn_rigid_to_affine(&motion, px_um, c->mirrored);
+    }
+}
+
+/* Every mark with the error of the stack's typical one: what a spot's own fit says of it is small
+ * beside the question whether it is a mark. */
+void gsn_candidates_predict(struct gsn_candidates *list, double px_um,
+                            const struct gsn_pose_summary *summary,
+                            const struct gsn_pose_targets *targets)
+{
+    const struct gsn_point *t = summary->mean_triangle;
+    const double variance = 0.5 * summary->fle_um * summary->fle_um;
+
+    for (size_t i = 0; i < list->count; i++) {
+        struct gsn_candidate *c = &list->at[i];
+        struct gsn_pose_fit_input input = { .about = { (t[0].x + t[1].x + t[2].x) / GSN_MARKS,
+                                                       (t[0].y + t[1].y + t[2].y) / GSN_MARKS } };
+        struct gsn_pose_fit fit;
+
+        if (!c->laid || !(variance > 0))
+            continue;
+        input.count = lay_out(c, px_um, t, input.from, input.onto);
+        for (size_t m = 0; m < input.count; m++)
+            input.cov[m] = (struct gsn_cov2){ variance, 0, variance };
+        for (int k = 0; k < 3 && summary->stretches; k++)
+            input.strain[k][k] = summary->strain_sd[k] * summary->strain_sd[k];
+        if (gsn_pose_fit(&input, &fit, NULL) >= 0)
+            c->error_um = gsn_pose_tre_rms(&fit.error, targets, 0);
+    }
+}
+
+struct gsn_point gsn_candidate_direction(const struct gsn_affine *map)
+{
+    const double sign = gsn_affine_det(map) < 0 ? -1 : 1;
+    const double size = hypot(map->m00, map->m10);
+
+    return (struct gsn_point){ sign * map->m00 / size, sign * map->m10 / size };
+}
+
+/* ---- in words ---------------------------------------------------------------------------- */
+
+static int same_spot(const struct gsn_mark *a, const struct gsn_mark *b)
+{
+    return a->found && b->found && a->px.x == b->px.x && a->px.y == b->px.y;
+}
+
+/* Whether both call the same spots marks, whatever their numbers. */
+static int same_spots(const struct gsn_candidate *a, const struct gsn_candidate *b)
+{
+    for (int i = 0; i < GSN_MARKS; i++) {
+        int seen = !a->mark[i].found;
+
+        for (int k = 0; k < GSN_MARKS; k++)
+            seen |= same_spot(&a->mark[i], &b->mark[k]);
+        if (!seen)
+            return 0;
+    }
+    return 1;
+}
+
+static int count_found(const struct gsn_candidate *c)
+{
+    return c->mark[0].found + c->mark[1].found + c->mark[2].found;
+}
+
+static void say_marks(const struct gsn_candidate *c, char words[GSN_CANDIDATE_WORDS])
+{
+    const int missing = !c->mark[0].found ? 1 : !c->mark[1].found ? 2 : 3;
+
+    if (count_found(c) == GSN_MARKS)
+        (void)snprintf(words, GSN_CANDIDATE_WORDS, "on all three marks");
+    else
+        (void)snprintf(words, GSN_CANDIDATE_WORDS, "on two marks, without mark %d", missing);
+}
+
+/* The angle by which b is turned against a, -180..180 degrees. */
+static double turned_deg(const struct gsn_candidate *a, const struct gsn_candidate *b)
+{
+    const struct gsn_point p = gsn_candidate_direction(&a->panel_to_block_um);
+    const struct gsn_point q = gsn_candidate_direction(&b->panel_to_block_um);
+
+    return atan2(p.x * q.y - p.y * q.x, p.x * q.x + p.y * q.y) * 180 / M_PI;
+}
+
+static void say_same(const struct gsn_candidate *first, const struct gsn_candidate *c,
+                     char words[GSN_CANDIDATE_WORDS])
+{
+    const double turn = first->laid && c->laid ? fabs(turned_deg(first, c)) : 0;
+    const int over = first->mirrored != c->mirrored;
+    char turned[40] = "";
+
+    if (turn >= TOLD_DEG)
+        (void)snprintf(turned, sizeof turned, "turned by %.0f degrees", turn);
+    (void)snprintf(words, GSN_CANDIDATE_WORDS, "the same spots%s%s%s%s",
+                   over || turned[0] ? ", " : " with other numbers", over ? "the other way up" : "",
+                   over && turned[0] ? " and " : "", turned);
+}
+
+/* Whether they only leave out another of the same marks. */
+static int only_leaves_out(const struct gsn_candidate *first, const struct gsn_candidate *c)
+{
+    for (int i = 0; i < GSN_MARKS; i++)
+        if (first->mark[i].found && c->mark[i].found && !same_spot(&first->mark[i], &c->mark[i]))
+            return 0;
+    return first->mirrored == c->mirrored;
+}
+
+/* The spots that the first does not have. */
+static void say_others(const struct gsn_candidate *first, const struct gsn_candidate *c,
+                       char words[GSN_CANDIDATE_WORDS])
+{
+    const char *glue = ": ";
+
+    say_marks(c, words);
+    for (int i = 0; i < GSN_MARKS && !only_leaves_out(first, c); i++) {
+        const size_t used = strlen(words);
+        int known = !c->mark[i].found;
+
+        for (int k = 0; k < GSN_MARKS; k++)
+            known |= same_spot(&c->mark[i], &first->mark[k]);
+        if (known)
+            continue;
+        (void)snprintf(words + used, GSN_CANDIDATE_WORDS - used,
+                       "%smark %d is the spot at (%.0f, %.0f) px", glue, i + 1, c->mark[i].px.x,
+                       c->mark[i].px.y);
+        glue = ", ";
+    }
+}
+
+void gsn_candidates_say(struct gsn_candidates *list, struct gsn_point upright)
+{
+    for (size_t i = 0; i < list->count; i++) {
+        struct gsn_candidate *c = &list->at[i];
+        const struct gsn_candidate *first = &list->at[0];
+
+        if (c->laid) {
+            const struct gsn_point d = gsn_candidate_direction(&c->panel_to_block_um);
+
+            c->rotated180 = d.x * upright.x + d.y * upright.y < 0;
+        }
+        if (i == 0)
+            say_marks(c, c->differs);
+        else if (same_spots(first, c) && same_spots(c, first))
+            say_same(first, c, c->differs);
+        else
+            say_others(first, c, c->differs);
+    }
+}
+
+/* ---- what a person meant ----------------------------------------------------------------- */
+
+static int is_meant(const struct gsn_candidate *c, const struct gsn_candidate_choice *choice)
+{
+    /* Three marks tell by themselves which way up they lie. */
+    if (count_found(c) < GSN_MARKS && !c->mirrored != !choice->mirrored)
+        return 0;
+    for (int i = 0; i < GSN_MARKS; i++) {
+        const struct gsn_mark *m = &c->mark[i];
+
+        if (!m->found != !choice->found[i])
+            return 0;
+        if (m->found && !(hypot(m->px.x - choice->px[i].x, m->px.y - choice->px[i].y) <=
+                          SAME_SPOT * m->radius_px))
+            return 0;
+    }
+    return 1;
+}
+
+unsigned gsn_candidates_meant(const struct gsn_candidates *list,
+                              const struct gsn_candidate_choice *choice)
+{
+    for (size_t i = 0; i < list->count; i++)
+        if (is_meant(&list->at[i], choice))
+            return (unsigned)i + 1;
+    return 0;
+}
+
+/* As gsn_pose_solve() takes them. */
+static struct gsn_pose_targets targets_of(const struct gsn_pose_summary *summary,
+                                          const struct gsn_pose_options *options)
+{
+    const struct gsn_point *t = summary->mean_triangle;
+    const double rho = summary->rho_um, x = (t[0].x + t[1].x + t[2].x) / GSN_MARKS,
+                 y = (t[0].y + t[1].y + t[2].y) / GSN_MARKS;
+    const struct gsn_point around[] = {
+        { x + rho, y }, { x - rho, y }, { x, y + rho }, { x, y - rho }
+    };
+
+    return options->target_count > 0
+               ? gsn_pose_targets_of(options->targets_um, options->target_count)
+               : gsn_pose_targets_of(around, 4);
+}
+
+/* Upright is the job's frame, or else the way most sections lie. */
+static struct gsn_point upright_of(const struct gsn_poses *poses, int declared)
+{
+    struct gsn_point upright = { declared, 0 };
+
+    for (size_t i = 0; i < poses->section_count && !declared; i++) {
+        struct gsn_point d;
+
+        if (!poses->section[i].posed)
+            continue;
+        d = gsn_candidate_direction(&poses->section[i].pose.panel_to_block_um);
+        upright.x += d.x;
+        upright.y += d.y;
+    }
+    return upright;
+}
+
+/* Lays a section's candidates in the stack that the marks solved. */
+static void lay_candidates(const struct gsn_specimen *specimen, const struct gsn_poses *poses,
+                           const struct gsn_pose_targets *targets, struct gsn_section *s)
+{
+    const double px_um = gsn_specimen_find_panel(specimen, s->panel)->px_um;
+    struct gsn_point onto[GSN_MARKS];
+
+    gsn_axes_at(&poses->summary.axes, s->seen.serial, poses->summary.mean_triangle, onto);
+    gsn_candidates_lay(&s->candidates, px_um, onto);
+    gsn_candidates_predict(&s->candidates, px_um, &poses->summary, targets);
+}
+
+/* Lays the candidates of every section that has some in the solved stack; sections whose three
+ * marks contradict it get theirs. */
+static void list_candidates(const struct gsn_specimen *specimen,
+                            const struct gsn_pose_options *options, struct gsn_poses *poses)
+{
+    const struct gsn_pose_targets targets = targets_of(&poses->summary, options);
+    const struct gsn_point upright = upright_of(poses, options->markers_um != NULL);
+
+    for (size_t i = 0; i < poses->section_count; i++) {
+        struct gsn_section *s = &poses->section[i];
+
+        if (s->pose.gross && s->pose.state == GSN_POSE_OK)
+            gsn_candidates_of_gross(s->seen.mark, &s->pose, &s->candidates);
+        else if (s->candidates.count > 0)
+            lay_candidates(specimen, poses, &targets, s);
+        gsn_candidates_say(&s->candidates, upright);
+    }
+}
+
+void gsn_candidates_offer_marks(const struct gsn_specimen *specimen,
+                                const struct gsn_pose_options *options,
+                                const struct gsn_poses *poses, struct gsn_section *s)
+{
+    const struct gsn_pose_targets targets = targets_of(&poses->summary, options);
+
+    gsn_candidates_of_marks(s->seen.mark, s->pose.flipped, &s->candidates);
+    lay_candidates(specimen, poses, &targets, s);
+    gsn_candidates_say(&s->candidates, upright_of(poses, options->markers_um != NULL));
+}
+
+enum { MOST_TARGETS = 4096 };
+
+int gsn_region_targets(const struct gsn_mask *region, struct gsn_point **ret_points,
+                       size_t *ret_count, struct gsn_error *err)
+{
+    const size_t total = region ? gsn_mask_count(region) : 0;
+    const size_t every = total / MOST_TARGETS + 1;
+    gsn_auto_mem(struct gsn_point) points = gsn_alloc_array(total / every + 1, sizeof *points);
+    size_t seen = 0, count = 0;
+
+    if (!points)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for target points");
+    for (size_t i = 0; total && i < gsn_lattice_count(&region->at); i++) {
+        const size_t x = i % region->at.nx, y = i / region->at.nx % region->at.ny;
+        struct gsn_vec3 u;
+
+        if (!region->inside[i] || seen++ % every != 0)
+            continue;
+        u = gsn_lattice_centre(&region->at, x, y, 0);
+        points[count++] = (struct gsn_point){ .x = u.x, .y = u.y };
+    }
+    *ret_points = gsn_steal(&points);
+    *ret_count = count;
+    return GSN_OK;
+}
+
+/* What a person chose is used, two marks or not; one that contradicts the stack is still said to be
+ * doubtful. */
+static enum gsn_section_state state_of(const struct gsn_section *section)
+{
+    const struct gsn_pose *pose = &section->pose;
+    const int pair = pose->state == GSN_POSE_TWO_MARKS;
+    const int decided = section->candidates.chosen > 0;
+
+    /* Of two sections that have grown together, the tissue is not parted, whatever their marks say.
+     */
+    if (!section->posed || section->seen.sighting == GSN_SIGHT_HELD ||
+        (pose->gross && !(pair && decided)))
+        return GSN_SECTION_HELD;
+    return (pair && !decided) || pose->gross ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
+}
+
+static void take_pose(struct gsn_section *section, const struct gsn_pose *pose)
+{
+    struct gsn_mark in_order[GSN_MARKS];
+
+    section->pose = *pose;
+    section->posed = pose->state != GSN_POSE_NONE;
+    for (size_t i = 0; i < GSN_MARKS; i++)
+        in_order[i] = section->seen.mark[pose->order[i]];
+    if (section->posed)
+        memcpy(section->seen.mark, in_order, sizeof in_order);
+    if (pose->gross)
+        gsn_flags_add(&section->flags, GSN_FLAG_RESIDUAL);
+    if (pose->flipped)
+        gsn_flags_add(&section->flags, GSN_FLAG_FLIPPED);
+    if (pose->rotated180)
+        gsn_flags_add(&section->flags, GSN_FLAG_TURNED);
+    section->state = state_of(section);
+}
+
+static enum gsn_strain_mode strain_mode(const struct gsn_protocol *protocol)
+{
+    static const enum gsn_strain_mode modes[] = {
+        [GSN_PROTOCOL_STRAIN_REPORTED] = GSN_STRAIN_REPORTED,
+        [GSN_PROTOCOL_STRAIN_RIGID] = GSN_STRAIN_RIGID,
+        [GSN_PROTOCOL_STRAIN_CORRECTED] = GSN_STRAIN_CORRECTED,
+        [GSN_PROTOCOL_STRAIN_TISSUE] = GSN_STRAIN_TISSUE,
+    };
+
+    return modes[protocol->strain];
+}
+
+/* Does with the sections' strain what the protocol says. */
+static void use_strain(struct gsn_poses *poses, const struct gsn_pose_options *options)
+{
+    const struct gsn_pose_targets targets =
+        gsn_pose_targets_of(options->targets_um, options->target_count);
+    struct gsn_affine mean = { 1, 0, 0, 0, 1, 0 };
+
+    if (poses->summary.as_declared)
+        mean = gsn_strain_of_mean(poses->summary.mean_triangle, options->markers_um);
+    for (size_t i = 0; i < poses->section_count; i++) {
+        struct gsn_section *s = &poses->section[i];
+
+        if (!s->posed || !poses->summary.stretches ||
+            (poses->strain_mode != GSN_STRAIN_CORRECTED && poses->strain_mode != GSN_STRAIN_TISSUE))
+            continue;
+        s->pose.panel_to_block_um = gsn_strain_corrected(&s->pose);
+        s->pose.panel_to_block_um = gsn_affine_compose(&s->pose.panel_to_block_um, &mean);
+        if (targets.count > 0)
+            s->pose.tre_um = gsn_pose_tre_rms(&s->pose.error, &targets, 1);
+    }
+}
+
+int gsn_poses_by_fiducials(const struct gsn_specimen *specimen, const struct gsn_mask *region,
+                           struct gsn_poses *poses, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_pose_input) inputs =
+        gsn_alloc_array(poses->section_count, sizeof *inputs);
+    gsn_auto_mem(struct gsn_pose) solved = gsn_alloc_array(poses->section_count, sizeof *solved);
+    gsn_auto_mem(struct gsn_point) targets = NULL;
+    struct gsn_pose_options options = { .markers_um = specimen->protocol->has_markers
+                                                          ? specimen->protocol->markers_um
+                                                          : NULL };
+    struct gsn_error why = { 0 };
+    size_t count = 0;
+    int r;
+
+    poses->strain_mode = GSN_STRAIN_RIGID;
+    if (specimen->protocol->registration == GSN_PROTOCOL_TISSUE)
+        return GSN_OK;
+    if (!inputs || !solved)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for poses");
+    r = gsn_region_targets(region, &targets, &options.target_count, err);
+    if (r < 0)
+        return r;
+    options.targets_um = targets;
+    for (size_t i = 0; i < poses->section_count; i++)
+        if (poses->section[i].state == GSN_SECTION_HELD) {
+            inputs[count] = (struct gsn_pose_input){
+                .serial = poses->section[i].seen.serial,
+                .px_um = gsn_specimen_find_panel(specimen, poses->section[i].panel)->px_um,
+                .mirrored = gsn_flags_has(&poses->section[i].seen.flags, GSN_FLAG_MIRRORED)
+            };
+            memcpy(inputs[count].marks, poses->section[i].seen.mark, sizeof inputs[count].marks);
+            count++;
+        }
+    r = gsn_pose_solve(inputs, count, &options, solved, &poses->summary, &why);
+    if (r == GSN_E_NOMEM)
+        return gsn_fail(err, r, "%s", why.text);
+    poses->solved = r >= 0;
+    if (r < 0)
+        (void)snprintf(poses->unsolved, sizeof poses->unsolved, "%s%s", why.text,
+                       r == GSN_E_MARKERS ? "; if no marks were burnt, state \"registration\": "
+                                            "\"tissue\" in job.json"
+                                          : "");
+    for (size_t i = 0, p = 0; r >= 0 && i < poses->section_count; i++)
+        if (poses->section[i].state == GSN_SECTION_HELD)
+            take_pose(&poses->section[i], &solved[p++]);
+    if (r < 0)
+        return GSN_OK;
+    list_candidates(specimen, &options, poses);
+    poses->panel_stretch = gsn_strain_of_panel(inputs, solved, count, options.markers_um,
+                                               poses->summary.mean_triangle);
+    poses->strain_mode = strain_mode(specimen->protocol);
+    use_strain(poses, &options);
+    return GSN_OK;
+}

@@ -1,0 +1,378 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* One specimen on its way to its report.
+ *
+ * Three kinds of specimen meet here, and end in the same report builder:
+ *
+ *     sections:  panels -> poses -> density stack -> common scale -> analysis -> report
+ *     volume:    voxels -> analysis -> report
+ *     tile:      picture -> dyes -> collagen map -> report
+ *
+ * A stage that fails for what the specimen is (too few marks, too little of the region seen, a
+ * stain that cannot be read) does not end the run: its sentence becomes the reason why the report
+ * has no figure. A stage that fails for the machine (memory, disk, a process) ends it. The caller
+ * brings bytes and rows and keeps the result: this file knows no store. Most of the time is spent
+ * in the density stack (decoding, masks) and in the fit. */
+#include "pipeline/specimen/specimen.h"
+
+#include "pipeline/decode/apart.h"
+#include "pipeline/model/model_file.h"
+#include "pipeline/register/stack/gap_interpolation.h"
+#include "pipeline/specimen/analysis.h"
+#include "pipeline/specimen/reconstruction.h"
+#include "pipeline/specimen/region.h"
+#include "pipeline/specimen/report_builder.h"
+#include "pipeline/specimen/tile.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/normalisation.h"
+
+#include <stdio.h>
+#include <string.h>
+
+/* What speaks of the inputs, not of the machine: the report is made all the same, without the
+ * figure and with the sentence. */
+static int is_about_inputs(int code)
+{
+    return code == GSN_E_WITHHELD || code == GSN_E_STAIN || code == GSN_E_MARKERS ||
+           code == GSN_E_INPUT || code == GSN_E_UNSUPPORTED || code == GSN_E_LIMIT;
+}
+
+static int keep_poses(const struct gsn_reconstruction *a, struct gsn_specimen_result *result,
+                      struct gsn_error *err)
+{
+    result->pose = gsn_alloc_array(a->poses.section_count, sizeof *result->pose);
+    result->stain = gsn_alloc_array(a->densities.panel_count, sizeof *result->stain);
+    result->candidates = gsn_alloc_array(a->poses.section_count, sizeof *result->candidates);
+    if (!result->pose || !result->stain || !result->candidates)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the poses of a specimen");
+    for (size_t i = 0; i < a->poses.section_count; i++)
+        if (a->poses.section[i].posed)
+            result->pose[result->pose_count++] =
+                (struct gsn_specimen_pose){ .panel = a->poses.section[i].panel,
+                                            .slot = a->poses.section[i].seen.slot,
+                                            .serial = a->poses.section[i].seen.serial,
+                                            .pose = a->poses.section[i].pose };
+    for (size_t i = 0; i < a->poses.section_count; i++)
+        if (a->poses.section[i].candidates.count > 0)
+            result->candidates[result->candidates_count++] =
+                (struct gsn_specimen_candidates){ .panel = a->poses.section[i].panel,
+                                                  .slot = a->poses.section[i].seen.slot,
+                                                  .list = a->poses.section[i].candidates };
+    for (size_t i = 0; i < a->densities.panel_count; i++)
+        if (a->densities.panel[i].opened)
+            result->stain[result->stain_count++] = a->densities.panel[i].stain;
+    return GSN_OK;
+}
+
+/* Makes room for one more file; the caller fills in its bytes. */
+static struct gsn_specimen_file *add_file(struct gsn_specimen_result *result, const char *name)
+{
+    result->file[result->file_count].name = name;
+    return &result->file[result->file_count++];
+}
+
+static int keep_colour(const struct gsn_reconstruction *a, struct gsn_specimen_result *result,
+                       struct gsn_error *err)
+{
+    struct gsn_specimen_file *file = add_file(result, "colour.nrrd");
+
+    return gsn_colour_grid_nrrd(a->densities.colour, &file->bytes, &file->size, err);
+}
+
+/* What the model's file says of each tetrahedron: the analysis's units, one array a figure. */
+static int list_cells(const struct gsn_analysis *analysis, size_t tets, double **ret_density,
+                      double **ret_share, struct gsn_error *err)
+{
+    gsn_auto_mem(double) density = gsn_alloc_array(tets, sizeof *density);
+    gsn_auto_mem(double) share = gsn_alloc_array(tets, sizeof *share);
+
+    if (!density || !share)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a model of %zu tetrahedra", tets);
+    for (size_t t = 0; t < tets; t++) {
+        density[t] = analysis->units[t].mean;
+        share[t] = analysis->units[t].inside_share;
+    }
+    *ret_density = gsn_steal(&density);
+    *ret_share = gsn_steal(&share);
+    return GSN_OK;
+}
+
+/* The fitted spline as a file; nothing where there is no fit. */
+static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask *region,
+                      const struct gsn_specimen *specimen, struct gsn_specimen_result *result,
+                      struct gsn_error *err)
+{
+    gsn_auto_mem(double) density = NULL;
+    gsn_auto_mem(double) share = NULL;
+    gsn_auto_mem(char) parameters = NULL;
+    struct gsn_specimen_file *file;
+    int r;
+
+    if (!analysis)
+        return GSN_OK;
+    r = list_cells(analysis, gsn_dms_mesh(analysis->space)->tet_count, &density, &share, err);
+    if (r < 0)
+        return r;
+    parameters =
+        gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "
+                   "\"rms_residual\": %.9g}",
+                   specimen->key, analysis->tolerance, analysis->smoothing, analysis->fit.fit.rms);
+    if (!parameters)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the model's parameters");
+    file = add_file(result, "model.vtkhdf");
+    return gsn_model_file_write(analysis->spline,
+                                &(struct gsn_model_cells){ .density = density,
+                                                           .inside_share = share,
+                                                           .residual = analysis->fit.tet_rms,
+                                                           .samples = analysis->fit.tet_samples },
+                                region,
+                                &(struct gsn_model_notes){ .name = specimen->protocol->specimen,
+                                                           .parameters = parameters,
+                                                           .version = GSN_VERSION },
+                                &file->bytes, &file->size, err);
+}
+
+static struct gsn_analysis_options analysis_options(const struct gsn_specimen_options *options)
+{
+    return (struct gsn_analysis_options){ .mesher = options->mesher,
+                                          .threads = options->threads,
+                                          .progress = options->progress };
+}
+
+/* Makes the analysis, or says in why what stands against it. */
+static int try_analysis(const struct gsn_grid *grid, const struct gsn_mask *region,
+                        const struct gsn_specimen *specimen, const struct gsn_analysis_options *how,
+                        struct gsn_analysis **ret_analysis, struct gsn_error *why,
+                        struct gsn_error *err)
+{
+    const int r = gsn_analyse(grid, region, specimen->protocol, how, ret_analysis, why);
+
+    if (r < 0 && !is_about_inputs(r)) {
+        if (err)
+            *err = *why;
+        return r;
+    }
+    return GSN_OK;
+}
+
+static int copy_grid(const struct gsn_grid *grid, struct gsn_grid **ret_copy, struct gsn_error *err)
+{
+    const int r = gsn_grid_new(&grid->at, ret_copy, err);
+
+    if (r >= 0)
+        memcpy((*ret_copy)->value, grid->value, gsn_lattice_count(&grid->at) * sizeof *grid->value);
+    return r;
+}
+
+/* The analysis of a stack whose short gaps are bridged; the cuts show it as it is. */
+static int analyse_stack(const struct gsn_reconstruction *stack,
+                         const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options,
+                         struct gsn_analysis **ret_analysis,
+                         struct gsn_gap_interpolation *ret_bridge, struct gsn_error *why,
+                         struct gsn_error *err)
+{
+    struct gsn_analysis_options how = analysis_options(options);
+    struct gsn_batch_calibration link;
+    gsn_auto(gsn_grid) bridged = NULL;
+    int r = copy_grid(stack->densities.grid, &bridged, err);
+
+    if (r >= 0)
+        r = gsn_gap_interpolate(bridged, stack->region, ret_bridge, err);
+    if (r < 0)
+        return r;
+    how.shown = stack->densities.grid;
+    how.colour = stack->densities.colour;
+    if (gsn_stain_link(specimen, &stack->scale, &link, NULL) >= 0)
+        how.scale = (struct gsn_gain_offset){ link.gain, link.offset };
+    return try_analysis(bridged, stack->region, specimen, &how, ret_analysis, why, err);
+}
+
+/* Marks whose places in the block nobody stated lie in a frame of their own: its origin and its
+ * turn follow from the mounting, and a region of the block lies anywhere in it. By tissue alone the
+ * job states the frame's section. */
+static int check_frame(const struct gsn_specimen *specimen, const struct gsn_reconstruction *a,
+                       struct gsn_error *why)
+{
+    const struct gsn_protocol *p = specimen->protocol;
+    const struct gsn_point *t = a->poses.summary.mean_triangle;
+    char unknown[120] = "";
+
+    if (p->has_markers || a->poses.by_tissue.done || !a->poses.solved ||
+        !(gsn_region_has_coordinates(&p->region) ||
+          gsn_region_has_coordinates(&p->reference_tissue) ||
+          gsn_region_has_coordinates(&p->collagen_free)))
+        return GSN_OK;
+    if (p->unknown)
+        (void)snprintf(unknown, sizeof unknown, "; it has keys that are not used: %.80s",
+                       p->unknown);
+    return gsn_fail(why, GSN_E_WITHHELD,
+                    "the region is stated in the block frame, but \"markers_um\" is not stated in "
+                    "job.json%s: where the region lies is not known. State where the three marks "
+                    "lie in the block; a region that was drawn on this stack has them at "
+                    "[[%.0f, %.0f], [%.0f, %.0f], [%.0f, %.0f]]",
+                    unknown, t[0].x, t[0].y, t[1].x, t[1].y, t[2].x, t[2].y);
+}
+
+/* What specimens that have this one for their baseline need beside its figures. */
+static void keep_control(struct gsn_reconstruction *a, struct gsn_specimen_result *result)
+{
+    result->colours.tissues = a->scale.levelling.tissues;
+    memcpy(result->colours.yellow, a->scale.levelling.yellow, sizeof result->colours.yellow);
+    memcpy(result->colours.region_od, a->scale.region_od, sizeof result->colours.region_od);
+    memcpy(result->colours.free_od, a->scale.free_od, sizeof result->colours.free_od);
+    result->colours.cloud = gsn_steal(&a->scale.cloud);
+}
+
+static int process_sections(const struct gsn_specimen *specimen,
+                            const struct gsn_specimen_options *options,
+                            struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    gsn_auto(gsn_reconstruction) stack = NULL;
+    gsn_auto(gsn_analysis) analysis = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_report_inputs inputs = { .specimen = specimen };
+    int r = gsn_reconstruct(specimen, options, &stack, &why);
+
+    gsn_decoder_rest(options->decoder);
+
+    if (r < 0 && !is_about_inputs(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    if (r >= 0)
+        r = check_frame(specimen, stack, &why);
+    if (r >= 0 && stack->densities.misordered[0])
+        r = gsn_fail(&why, GSN_E_WITHHELD, "%s", stack->densities.misordered);
+    if (r >= 0 && stack->densities.grid)
+        r = analyse_stack(stack, specimen, options, &analysis, &inputs.bridge, &why, err);
+    else if (r >= 0 && !stack->poses.solved)
+        (void)gsn_fail(&why, GSN_E_WITHHELD, "%s", stack->poses.unsolved);
+    else if (r >= 0 && stack->no_region[0])
+        (void)gsn_fail(&why, GSN_E_WITHHELD, "%s", stack->no_region);
+    else if (r >= 0)
+        (void)gsn_fail(&why, GSN_E_WITHHELD,
+                       "no region of interest is stated: add \"region\" to job.json");
+    if (r < 0 && !is_about_inputs(r))
+        return r;
+    if (stack && (r = keep_poses(stack, result, err)) < 0)
+        return r;
+    if (stack && stack->densities.grid && (r = keep_colour(stack, result, err)) < 0)
+        return r;
+    if ((r = keep_model(analysis, stack ? stack->region : NULL, specimen, result, err)) < 0)
+        return r;
+    inputs.reconstruction = stack;
+    inputs.analysis = analysis;
+    inputs.withheld = analysis ? NULL : why.text;
+    gsn_progress_say(options->progress, "report", 0, 1);
+    r = gsn_report_build(&inputs, result, err);
+    if (r >= 0 && stack)
+        keep_control(stack, result);
+    return r;
+}
+
+/* The whole volume, where no region is stated. */
+static int mask_whole_volume(const struct gsn_grid *volume, struct gsn_mask **ret_mask,
+                             struct gsn_error *err)
+{
+    const int r = gsn_mask_new(&volume->at, ret_mask, err);
+
+    if (r >= 0)
+        memset((*ret_mask)->inside, 1, gsn_lattice_count(&volume->at));
+    return r;
+}
+
+static int process_volume(const struct gsn_specimen *specimen,
+                          const struct gsn_specimen_options *options,
+                          struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    const struct gsn_analysis_options how = analysis_options(options);
+    gsn_auto(gsn_mask) made = NULL;
+    gsn_auto(gsn_analysis) analysis = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_report_inputs inputs = { .specimen = specimen };
+    int r = GSN_OK;
+
+    if (specimen->protocol->region.kind == GSN_REGION_BAND)
+        r = gsn_band_region(&specimen->protocol->region, specimen->region, specimen->volume,
+                            options->threads, &made, &why);
+    else if (specimen->protocol->region.kind > GSN_REGION_MASK)
+        r = gsn_region_raster(&specimen->protocol->region, &specimen->volume->at, &made, &why);
+    else if (!specimen->region)
+        r = mask_whole_volume(specimen->volume, &made, &why);
+    if (r < 0 && !is_about_inputs(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    if (r >= 0)
+        r = try_analysis(specimen->volume, made ? made : specimen->region, specimen, &how,
+                         &analysis, &why, err);
+    if (r < 0 && !is_about_inputs(r))
+        return r;
+    if ((r = keep_model(analysis, made ? made : specimen->region, specimen, result, err)) < 0)
+        return r;
+    inputs.analysis = analysis;
+    inputs.withheld = analysis ? NULL : why.text;
+    return gsn_report_build(&inputs, result, err);
+}
+
+static int process_tile(const struct gsn_specimen *specimen,
+                        const struct gsn_specimen_options *options,
+                        struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    gsn_auto(gsn_tile) tile = NULL;
+    struct gsn_error why = { 0 };
+    struct gsn_report_inputs inputs = { .specimen = specimen };
+    const int r = gsn_tile_process(specimen, options, &tile, &why);
+
+    if (r < 0 && !is_about_inputs(r)) {
+        if (err)
+            *err = why;
+        return r;
+    }
+    inputs.tile = tile;
+    inputs.withheld = tile ? NULL : why.text;
+    return gsn_report_build(&inputs, result, err);
+}
+
+int gsn_specimen_process(const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options,
+                         struct gsn_specimen_result **ret_result, struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_result) result = gsn_alloc_array(1, sizeof *result);
+    int r;
+
+    if (!result)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the result of a specimen");
+    switch (specimen->protocol->kind) {
+    case GSN_KIND_VOLUME:
+        r = process_volume(specimen, options, result, err);
+        break;
+    case GSN_KIND_TILE:
+        r = process_tile(specimen, options, result, err);
+        break;
+    default:
+        r = process_sections(specimen, options, result, err);
+    }
+    if (r < 0)
+        return r;
+    *ret_result = gsn_steal(&result);
+    return GSN_OK;
+}
+
+void gsn_specimen_result_free(struct gsn_specimen_result *result)
+{
+    if (!result)
+        return;
+    gsn_free(result->json);
+    gsn_free(result->html);
+    for (size_t i = 0; i < result->file_count; i++)
+        gsn_free(result->file[i].bytes);
+    gsn_free(result->pose);
+    gsn_free(result->candidates);
+    gsn_free(result->stain);
+    gsn_cloud_free(result->colours.cloud);
+    gsn_free(result);
+}

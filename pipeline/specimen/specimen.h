@@ -1,0 +1,174 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The conductor: takes what is known of a specimen through every stage to its report.
+ *
+ *     sections:  marks -> poses -> density of each panel -> stack -> analysis -> report
+ *     volume:    voxels -> analysis -> report
+ *     tile:      picture -> dyes -> collagen map -> report
+ *
+ * It knows no store: the caller brings bytes and rows, and keeps what comes back. The same inputs
+ * give the same bytes, whatever the number of threads. */
+#ifndef GSN_SPECIMEN_SPECIMEN_H
+#define GSN_SPECIMEN_SPECIMEN_H
+
+#include "pipeline/core/grid.h"
+#include "pipeline/core/progress.h"
+#include "pipeline/register/pose/pose.h"
+#include "pipeline/specimen/panel_analysis.h"
+#include "pipeline/specimen/protocol.h"
+#include "pipeline/stain/error_propagation.h"
+#include "pipeline/stain/hue_distribution.h"
+#include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/stain_vectors.h"
+
+/* A panel as it was logged; sections come from gsn_panel_analyse(), possibly in an earlier process.
+ * A panel that was refused or is held has none. All borrowed. */
+struct gsn_specimen_panel {
+    unsigned number; /* 1-based; 0: unknown */
+    const char *file, *sha256, *state, *message;
+    size_t size;
+    double px_um;                   /* as examined; 0 without sections */
+    struct gsn_orientation upright; /* as examined: whoever opens it again turns it alike */
+    size_t section_count;
+    const struct gsn_panel_section *section;
+};
+
+/* A file that the figures rest on, for the provenance. */
+struct gsn_specimen_input {
+    const char *name, *sha256;
+    size_t size;
+};
+
+/* What a person decided about a panel or one of its slots; for the report. */
+struct gsn_specimen_decision {
+    unsigned panel, slot; /* both 1-based; slot 0: the panel as a whole */
+    const char *answer, *actor, *reason;
+    int64_t time;
+    int is_pose; /* whether it chose a pose */
+};
+
+/* What one specimen of a baseline hands on beside its figures. */
+struct gsn_specimen_control {
+    struct gsn_control_tissues tissues;
+    double yellow[GSN_CONTROL_TISSUES]; /* of them, OD; NaN: not seen */
+    double region_od[3];              /* mean R, G and B of its region; NaN: not known */
+    double free_od[3];                /* of its stated tissue without collagen; NaN: none */
+    struct gsn_cloud *cloud;          /* of its tissue; NULL: not known */
+};
+
+/* The control's figures; name is "" when the job states no baseline. */
+struct gsn_specimen_baseline {
+    const char *name;
+    size_t specimens; /* with a result; more than one for a group; 0: none yet */
+    size_t withheld;  /* that were run and have no figure */
+    double mean_density, volume_mm3;
+    double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
+    double own_scale_error;    /* that without what its stain as a whole may be off by */
+    /* Of the specimen of which least is known: shares of its region that were not measured, and
+     * that were neither measured nor bridged. */
+    double unmeasured, unknown;
+    /* That nobody treated; NaN: not known of every one of the specimens. */
+    struct gsn_control_tissues tissues;
+    struct gsn_vector_scatter
+        turns; /* of its panels' dye vectors, where they were taken as exact */
+    const struct gsn_specimen_control *control; /* each of the specimens */
+    const char *definition, *dyes;
+};
+
+struct gsn_specimen {
+    const struct gsn_protocol *protocol;
+    size_t panel_count;
+    const struct gsn_specimen_panel *panel; /* in order of number */
+    const struct gsn_mask *region;          /* of a mask file, or NULL */
+    const struct gsn_grid *volume;          /* kind volume */
+    const char *picture_sha256;             /* kind tile */
+    const char *reference_sha256;           /* kind tile, may be NULL */
+    const char *const *calibration_sha256;  /* one for each that the protocol states, in its order;
+                                               an entry is NULL where the file did not come */
+    struct gsn_specimen_baseline baseline;
+    size_t input_count;
+    const struct gsn_specimen_input *input;
+    size_t decision_count;
+    const struct gsn_specimen_decision *decision;
+    const char *key; /* hash of inputs, parameters and version */
+
+    /* Opens an object whose bytes have been checked. gives: a descriptor to close(). */
+    int (*open)(void *context, const char *sha256, int *ret_fd, struct gsn_error *err);
+    void *context;
+};
+
+struct gsn_decoder; /* pipeline/decode/apart.h */
+
+struct gsn_specimen_options {
+    const char *mesher;          /* path of gieson-mesh */
+    struct gsn_decoder *decoder; /* NULL: as for gsn_decode_apart() */
+    unsigned threads;            /* 0: all */
+    const struct gsn_progress *progress;
+};
+
+struct gsn_specimen_pose {
+    unsigned panel, slot, serial; /* panel 1-based, the others 0-based */
+    struct gsn_pose pose;
+};
+
+/* The poses to choose from of one section. */
+struct gsn_specimen_candidates {
+    unsigned panel, slot; /* panel 1-based, slot 0-based */
+    struct gsn_candidates list;
+};
+
+/* What the stain of one panel was. */
+struct gsn_specimen_stain {
+    unsigned panel;
+    struct gsn_dyes_fit fit; /* covariance 0: taken as exact */
+    double white[3];
+};
+
+struct gsn_specimen_measure {
+    const char *name, *unit;
+    double value, lower, upper; /* NaN where there is none */
+};
+
+/* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections), and
+ * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit). */
+struct gsn_specimen_file {
+    const char *name;
+    uint8_t *bytes; /* owned */
+    size_t size;
+};
+
+enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 2 };
+
+struct gsn_specimen_result {
+    int withheld;      /* 1: no figure could be given, the report says why */
+    char message[480]; /* why withheld, or empty */
+    char *json, *html; /* owned */
+    size_t json_size, html_size;
+    size_t file_count;
+    struct gsn_specimen_file file[GSN_SPECIMEN_FILES];
+    char definition[96], dyes[48];
+    size_t pose_count;
+    struct gsn_specimen_pose *pose; /* owned */
+    size_t candidates_count;
+    struct gsn_specimen_candidates *candidates; /* owned */
+    size_t stain_count;
+    struct gsn_specimen_stain *stain;    /* owned */
+    struct gsn_specimen_control colours; /* for those whose baseline it is; cloud owned */
+    size_t measure_count;
+    struct gsn_specimen_measure measure[GSN_SPECIMEN_MEASURES];
+};
+
+/* The measure by which a tissue's density is handed on: its value, and 95 % to either side. */
+const char *gsn_specimen_tissue_measure(unsigned tissue);
+/* That by which the covariance of two tissues' densities is. */
+const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other);
+
+/* gives. A specimen whose evidence is too thin has a result too: withheld, with a report that names
+ * the evidence and the next action. Fails with GSN_E_NOMEM, GSN_E_IO, GSN_E_PROCESS, GSN_E_FIT. */
+int gsn_specimen_process(const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options,
+                         struct gsn_specimen_result **ret_result, struct gsn_error *err);
+void gsn_specimen_result_free(struct gsn_specimen_result *result);
+GSN_DEFINE_AUTO(gsn_specimen_result);
+
+#endif

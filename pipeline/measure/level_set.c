@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* How much of a region of voxels is above a threshold, with bounds that are guaranteed.
+/* Level set volume: how much of a region of voxels is above a threshold, with bounds that are
+ * guaranteed.
  *
  * Method: branch and bound on equation (10): on a box the spline is a linear function plus an
  * interval (enclosure.h), and both ends of the interval are half-spaces whose share of the box has

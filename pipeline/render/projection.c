@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The X-ray picture: the integral of a spline along the line of sight of every pixel, exact.
+/* The X-ray picture: the ray integral of a spline along the line of sight of every pixel, exact.
  *
  * Method: projection of simplex splines: seen along a line they are bivariate splines of one degree
  * more (docs/MATH.md, section 4, equations (7) and (8)). Object order: the shadow of a tetrahedron

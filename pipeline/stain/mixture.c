@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* A mixture of log-normal classes, fitted by expectation-maximisation (Dempster, Laird and Rubin
+/* EM mixture: log-normal classes, fitted by expectation-maximisation (Dempster, Laird and Rubin
  * 1977), and its scores by the stain vectors.
  *
  * An amount a seen with noise s enters as z = log((a + sqrt(a^2 + 4 s^2)) / 2), which is log a

@@ -4,7 +4,8 @@
  *
  * Steps of gsn_markers_candidates(). 1. The slot is reduced to cells of some 25 um by a few pixels
  * of each; where burns may be holes, all pixels are read and what a dark rim encloses is filled
- * (grey-value closing and reconstruction). 2. Edges of coverslips are bridged (line.h), the
+ * (grey-value closing by pipeline/imaging, and reconstruction, which OpenCV's core and imgproc do not
+ * have). 2. Edges of coverslips are bridged (line.h), the
  * thumbnail of the tissue is taken. 3. Blobs, the strongest first, or, once it is learnt what marks
  * look like, those that look most like them first. 4. Each is localised from the pixels around it;
  * where the fit wandered so far that it saw too little tissue, it is begun anew from there. 5. Of

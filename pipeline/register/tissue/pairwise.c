@@ -3,7 +3,7 @@
 /* Registers one section onto another by their tissue alone, at all rotations and on both faces.
  *
  * Steps: (1) starts: the cross-correlation of the coarsest level of both sections by Fourier
- * transforms, for every rotation in steps of 5 degrees (the plain face is the real part, the
+ * transforms (phase correlation without whitening: the bands are even already), for every rotation in steps of 5 degrees (the plain face is the real part, the
  * mirrored one the imaginary: one transform serves both); the highest peaks, at most one of
  * rotations that are nearly the same. (2) Each start is improved in the two coarsest bands, by
  * Gauss-Newton on the differences of the bands (Lucas and Kanade 1981), cells that differ much

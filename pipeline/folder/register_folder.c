@@ -45,8 +45,8 @@
 
 /* One section while the stack is worked. */
 struct section_work {
-    struct gsn_mark_spots *spots; /* NULL when the picture could not be read */
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_colour_candidates *spots; /* NULL when the picture could not be read */
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     int mirrored;
     struct gsn_pose pose;
     struct gsn_tissue *tissue; /* NULL when it is not asked for or shows nothing */
@@ -162,7 +162,7 @@ static int search_picture(struct folder_job *folder, const char *dir, size_t i,
 
     began = process_cpu_ms();
     if (r >= 0)
-        r = gsn_mark_spots_find(picture->image, folder->px_um, &folder->work[i].spots, &own);
+        r = gsn_colour_candidates_find(picture->image, folder->px_um, &folder->work[i].spots, &own);
     if (r >= 0)
         r = look_at_tissue(folder, i, picture->image, &own);
     folder->work[i].search_ms = process_cpu_ms() - began;
@@ -177,16 +177,16 @@ static int search_picture(struct folder_job *folder, const char *dir, size_t i,
 
 /* The caller guarantees that the marks are stated. */
 static void get_stated_marks(const struct folder_job *folder,
-                             struct gsn_point ret_mark_um[GSN_MARKS])
+                             struct gsn_point ret_mark_um[GSN_FIDUCIALS])
 {
-    for (size_t i = 0; i < GSN_MARKS; i++)
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++)
         ret_mark_um[i] = (struct gsn_point){ folder->options->mark[i].x * folder->unit,
                                              folder->options->mark[i].y * folder->unit };
 }
 
 /* The candidates of all sections that could be read, one after the other. */
 static size_t collect_candidates(const struct folder_job *folder,
-                                 struct gsn_mark_candidates *candidates)
+                                 struct gsn_fiducial_candidates *candidates)
 {
     size_t n = 0;
 
@@ -199,7 +199,7 @@ static size_t collect_candidates(const struct folder_job *folder,
 static int know_triangle(const struct folder_job *folder, struct gsn_triangle_prior *ret_prior,
                          struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+    gsn_auto_mem(struct gsn_fiducial_candidates) candidates =
         gsn_alloc_array(folder->stack->count, sizeof *candidates);
     struct gsn_triangle_prior prior = { 0 };
     size_t n;
@@ -211,9 +211,9 @@ static int know_triangle(const struct folder_job *folder, struct gsn_triangle_pr
     if (folder->options->mark)
         get_stated_marks(folder, prior.mark_um);
     else
-        r = gsn_markers_consensus(candidates, n, &prior, err);
+        r = gsn_fiducials_vote_triangle(candidates, n, &prior, err);
     if (r >= 0)
-        r = gsn_markers_learn(candidates, n, &prior, err);
+        r = gsn_fiducials_learn(candidates, n, &prior, err);
     if (r >= 0)
         *ret_prior = prior;
     return r;
@@ -223,7 +223,7 @@ static size_t found_of(const struct section_work *work)
 {
     size_t found = 0;
 
-    for (size_t k = 0; k < GSN_MARKS; k++)
+    for (size_t k = 0; k < GSN_FIDUCIALS; k++)
         found += work->marks[k].found != 0;
     return found;
 }
@@ -234,22 +234,22 @@ static void choose_marks(struct folder_job *folder, size_t i,
     struct section_work *work = &folder->work[i];
     struct gsn_folder_section *section = &folder->stack->section[i];
 
-    gsn_markers_choose(&work->spots->candidates, prior, work->marks, &work->mirrored,
-                       &section->score, &section->runner_up);
+    gsn_fiducials_match(&work->spots->candidates, prior, work->marks, &work->mirrored,
+                        &section->score, &section->runner_up);
 }
 
 /* Measures the spots that were chosen, or all of them. */
 static int measure_spots(struct section_work *work, int all, struct gsn_error *err)
 {
     for (size_t i = 0; i < work->spots->candidates.count; i++) {
-        const struct gsn_mark *spot = &work->spots->candidates.mark[i];
+        const struct gsn_fiducial *spot = &work->spots->candidates.mark[i];
         int wanted = all;
         int r;
 
-        for (size_t k = 0; k < GSN_MARKS; k++)
+        for (size_t k = 0; k < GSN_FIDUCIALS; k++)
             wanted |= work->marks[k].found && work->marks[k].px.x == spot->px.x &&
                       work->marks[k].px.y == spot->px.y;
-        r = wanted ? gsn_mark_spots_measure(work->spots, i, err) : GSN_OK;
+        r = wanted ? gsn_colour_candidates_localise(work->spots, i, err) : GSN_OK;
         if (r < 0)
             return r;
     }
@@ -267,7 +267,7 @@ static int choose_all(struct folder_job *folder, const struct gsn_triangle_prior
         if (!work->spots)
             continue;
         choose_marks(folder, i, prior);
-        r = measure_spots(work, found_of(work) < GSN_MARKS, err);
+        r = measure_spots(work, found_of(work) < GSN_FIDUCIALS, err);
         if (last)
             choose_marks(folder, i, prior);
     }
@@ -294,42 +294,43 @@ static int choose_all_marks(struct folder_job *folder, struct gsn_error *err)
 /* ---- other burns than the ordinary ------------------------------------------------------- */
 
 static int look_for_burns(const struct folder_job *folder, const char *dir, size_t i,
-                          struct gsn_mark_candidates *found, size_t apart, struct gsn_error *err)
+                          struct gsn_fiducial_candidates *found, size_t apart,
+                          struct gsn_error *err)
 {
-    const struct gsn_mark_candidates *seen = &folder->work[i].spots->candidates;
+    const struct gsn_fiducial_candidates *seen = &folder->work[i].spots->candidates;
     gsn_auto(gsn_picture) picture = NULL;
     int r = open_picture(folder, dir, i, &picture, err);
 
     found[0] = *seen;
-    for (unsigned burn = 1; r >= 0 && burn < GSN_MARK_BURNS; burn++)
-        r = gsn_mark_spots_find_burns(picture->image, folder->px_um, seen->tissue_px, burn,
-                                      &found[burn * apart], err);
+    for (unsigned burn = 1; r >= 0 && burn < GSN_BURNS; burn++)
+        r = gsn_colour_candidates_find_burns(picture->image, folder->px_um, seen->tissue_px, burn,
+                                             &found[burn * apart], err);
     return r < 0 ? gsn_fail_at(err, "%s", folder->stack->section[i].file) : GSN_OK;
 }
 
-static void take_burns(struct folder_job *folder, const struct gsn_mark_candidates *found)
+static void take_burns(struct folder_job *folder, const struct gsn_fiducial_candidates *found)
 {
     for (size_t i = 0, n = 0; i < folder->stack->count; i++) {
-        struct gsn_mark_spots *spots = folder->work[i].spots;
+        struct gsn_colour_candidates *spots = folder->work[i].spots;
 
         if (!spots)
             continue;
         spots->candidates = found[n++];
-        for (size_t k = 0; k < GSN_MARK_CANDIDATES; k++)
+        for (size_t k = 0; k < GSN_FIDUCIAL_CANDIDATES; k++)
             spots->measured[k] = 1;
     }
 }
 
 /* Where few sections show marks of the ordinary size: reads the pictures again and looks for other
- * kinds of burns (gsn_markers_burn()), and chooses among those. chosen: what
+ * kinds of burns (gsn_fiducials_choose_burn()), and chooses among those. chosen: what
  * choose_all_marks() said. Fails with GSN_E_MARKERS, GSN_E_PROCESS, GSN_E_NOMEM. */
 static int choose_burns(struct folder_job *folder, const char *dir, int chosen,
                         struct gsn_error *err)
 {
     const size_t count = folder->stack->count;
-    gsn_auto_mem(struct gsn_mark_candidates) found =
-        gsn_alloc_array(GSN_MARK_BURNS * count, sizeof *found);
-    struct gsn_point stated[GSN_MARKS];
+    gsn_auto_mem(struct gsn_fiducial_candidates) found =
+        gsn_alloc_array(GSN_BURNS * count, sizeof *found);
+    struct gsn_point stated[GSN_FIDUCIALS];
     const struct gsn_point *mark_um = folder->options->mark ? stated : NULL;
     size_t readable, n = 0;
     unsigned burn = 0;
@@ -340,14 +341,14 @@ static int choose_burns(struct folder_job *folder, const char *dir, int chosen,
     if (mark_um)
         get_stated_marks(folder, stated);
     readable = collect_candidates(folder, found);
-    r = gsn_markers_are_odd(found, readable, mark_um, &odd, err);
+    r = gsn_fiducials_are_odd(found, readable, mark_um, &odd, err);
     if (r < 0 || !odd)
         return r < 0 ? r : chosen;
     for (size_t i = 0; r >= 0 && i < count; i++)
         if (folder->work[i].spots)
             r = look_for_burns(folder, dir, i, &found[n++], readable, err);
     if (r >= 0)
-        r = gsn_markers_burn(found, readable, mark_um, &burn, err);
+        r = gsn_fiducials_choose_burn(found, readable, mark_um, &burn, err);
     if (r < 0 || burn == 0)
         return r < 0 ? r : chosen;
     take_burns(folder, found + burn * readable);
@@ -508,7 +509,7 @@ static int solve_poses(struct folder_job *folder, struct gsn_error *err)
     const size_t count = folder->stack->count;
     gsn_auto_mem(struct gsn_pose_input) inputs = gsn_alloc_array(count, sizeof *inputs);
     gsn_auto_mem(struct gsn_pose) poses = gsn_alloc_array(count, sizeof *poses);
-    struct gsn_point targets[TARGETS * TARGETS], marks[GSN_MARKS];
+    struct gsn_point targets[TARGETS * TARGETS], marks[GSN_FIDUCIALS];
     struct gsn_pose_options options = { .targets_um = targets, .sizes = 1 };
     int r;
 
@@ -693,14 +694,14 @@ static double median_search_ms(const struct folder_job *folder)
 static int fail_without_marks(const struct folder_job *folder, const char *why,
                               struct gsn_error *err)
 {
-    const double least_um = GSN_MARK_LEAST_PX * folder->px_um;
+    const double least_um = GSN_FIDUCIAL_MIN_PX * folder->px_um;
 
-    if (!(folder->options->px_um > 0 && least_um > GSN_MARK_LEAST_UM))
+    if (!(folder->options->px_um > 0 && least_um > GSN_FIDUCIAL_MIN_UM))
         return gsn_fail(err, GSN_E_MARKERS, "%s", why);
     return gsn_fail(err, GSN_E_MARKERS,
                     "%s; at %.4g um a pixel marks of less than %.3g um radius (%g pixels; holes: "
                     "%.3g um) may not be told from grain: scan finer if they are so small",
-                    why, folder->px_um, least_um, GSN_MARK_LEAST_PX, 2 * least_um);
+                    why, folder->px_um, least_um, GSN_FIDUCIAL_MIN_PX, 2 * least_um);
 }
 
 static int register_folder(struct folder_job *folder, const char *dir, struct gsn_error *err)
@@ -754,7 +755,7 @@ int gsn_folder_register(const char *dir, const struct gsn_folder_options *option
     folder.unit = options->px_um > 0 ? 1 : GSN_FOLDER_PX_UM;
     r = register_folder(&folder, dir, err);
     for (size_t i = 0; i < stack->count; i++) {
-        gsn_mark_spots_free(work[i].spots);
+        gsn_colour_candidates_free(work[i].spots);
         gsn_tissue_free(work[i].tissue);
     }
     if (r < 0)

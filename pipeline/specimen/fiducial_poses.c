@@ -34,8 +34,8 @@ static const double SAME_SPOT = 0.5;
 /* Two ways to lay a section that differ by less than this are turned alike, in words. */
 static const double TOLD_DEG = 5;
 
-static struct gsn_candidate candidate_of(const struct gsn_mark mark[GSN_MARKS], int mirrored,
-                                         double share)
+static struct gsn_candidate candidate_of(const struct gsn_fiducial mark[GSN_FIDUCIALS],
+                                         int mirrored, double share)
 {
     struct gsn_candidate candidate = {
         .mirrored = mirrored, .flipped = mirrored, .share = share, .error_um = NAN
@@ -45,7 +45,7 @@ static struct gsn_candidate candidate_of(const struct gsn_mark mark[GSN_MARKS], 
     return candidate;
 }
 
-void gsn_candidates_of_rivals(const struct gsn_mark_rival *rivals, size_t count,
+void gsn_candidates_of_rivals(const struct gsn_fiducial_hypothesis *rivals, size_t count,
                               struct gsn_candidates *ret_list)
 {
     struct gsn_candidates list = { .count = count };
@@ -56,34 +56,34 @@ void gsn_candidates_of_rivals(const struct gsn_mark_rival *rivals, size_t count,
     *ret_list = list;
 }
 
-void gsn_candidates_of_marks(const struct gsn_mark mark[GSN_MARKS], int mirrored,
+void gsn_candidates_of_marks(const struct gsn_fiducial mark[GSN_FIDUCIALS], int mirrored,
                              struct gsn_candidates *ret_list)
 {
-    struct gsn_candidates list = { .count = GSN_MARKS + 1 };
+    struct gsn_candidates list = { .count = GSN_FIDUCIALS + 1 };
 
-    for (size_t i = 0; i <= GSN_MARKS; i++) {
+    for (size_t i = 0; i <= GSN_FIDUCIALS; i++) {
         list.at[i] = candidate_of(mark, mirrored, NAN);
-        if (i < GSN_MARKS)
-            list.at[i].mark[i] = (struct gsn_mark){ .found = 0 };
+        if (i < GSN_FIDUCIALS)
+            list.at[i].mark[i] = (struct gsn_fiducial){ .found = 0 };
     }
     *ret_list = list;
 }
 
-void gsn_candidates_of_gross(const struct gsn_mark mark[GSN_MARKS], const struct gsn_pose *pose,
-                             struct gsn_candidates *ret_list)
+void gsn_candidates_of_gross(const struct gsn_fiducial mark[GSN_FIDUCIALS],
+                             const struct gsn_pose *pose, struct gsn_candidates *ret_list)
 {
     struct gsn_candidates list = { .count = 0 };
 
-    for (int place = 0; place < GSN_MARKS; place++) {
+    for (int place = 0; place < GSN_FIDUCIALS; place++) {
         const struct gsn_pose_candidate *best = NULL;
         struct gsn_candidate *to = &list.at[list.count];
         int out = 0;
 
         /* The place-th by share; of equals the mark of the lower number is left out first. */
-        for (int i = 0; i < GSN_MARKS; i++) {
+        for (int i = 0; i < GSN_FIDUCIALS; i++) {
             int before = 0;
 
-            for (int k = 0; k < GSN_MARKS; k++)
+            for (int k = 0; k < GSN_FIDUCIALS; k++)
                 before += pose->candidate[k].share > pose->candidate[i].share ||
                           (pose->candidate[k].share == pose->candidate[i].share && k < i);
             if (before == place) {
@@ -94,7 +94,7 @@ void gsn_candidates_of_gross(const struct gsn_mark mark[GSN_MARKS], const struct
         if (!best || gsn_affine_det(&best->panel_to_block_um) == 0)
             continue;
         *to = candidate_of(mark, pose->flipped, best->share);
-        to->mark[out] = (struct gsn_mark){ .found = 0 };
+        to->mark[out] = (struct gsn_fiducial){ .found = 0 };
         to->laid = 1;
         to->panel_to_block_um = best->panel_to_block_um;
         to->error_um = best->tre_um;
@@ -105,12 +105,12 @@ void gsn_candidates_of_gross(const struct gsn_mark mark[GSN_MARKS], const struct
 
 /* Marks in um, mirrored where the section is, beside where they belong; their number. */
 static size_t lay_out(const struct gsn_candidate *c, double px_um,
-                      const struct gsn_point triangle[GSN_MARKS], struct gsn_point from[GSN_MARKS],
-                      struct gsn_point onto[GSN_MARKS])
+                      const struct gsn_point triangle[GSN_FIDUCIALS],
+                      struct gsn_point from[GSN_FIDUCIALS], struct gsn_point onto[GSN_FIDUCIALS])
 {
     size_t count = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         if (!c->mark[i].found)
             continue;
         from[count] =
@@ -122,11 +122,11 @@ static size_t lay_out(const struct gsn_candidate *c, double px_um,
 }
 
 void gsn_candidates_lay(struct gsn_candidates *list, double px_um,
-                        const struct gsn_point triangle[GSN_MARKS])
+                        const struct gsn_point triangle[GSN_FIDUCIALS])
 {
     for (size_t i = 0; i < list->count; i++) {
         struct gsn_candidate *c = &list->at[i];
-        struct gsn_point from[GSN_MARKS], onto[GSN_MARKS];
+        struct gsn_point from[GSN_FIDUCIALS], onto[GSN_FIDUCIALS];
         const size_t count = lay_out(c, px_um, triangle, from, onto);
         struct gsn_rigid motion;
 
@@ -149,8 +149,9 @@ void gsn_candidates_predict(struct gsn_candidates *list, double px_um,
 
     for (size_t i = 0; i < list->count; i++) {
         struct gsn_candidate *c = &list->at[i];
-        struct gsn_pose_fit_input input = { .about = { (t[0].x + t[1].x + t[2].x) / GSN_MARKS,
-                                                       (t[0].y + t[1].y + t[2].y) / GSN_MARKS } };
+        struct gsn_pose_fit_input input = { .about = { (t[0].x + t[1].x + t[2].x) / GSN_FIDUCIALS,
+                                                       (t[0].y + t[1].y + t[2].y) /
+                                                           GSN_FIDUCIALS } };
         struct gsn_pose_fit fit;
 
         if (!c->laid || !(variance > 0))
@@ -175,7 +176,7 @@ struct gsn_point gsn_candidate_direction(const struct gsn_affine *map)
 
 /* ---- in words ---------------------------------------------------------------------------- */
 
-static int same_spot(const struct gsn_mark *a, const struct gsn_mark *b)
+static int same_spot(const struct gsn_fiducial *a, const struct gsn_fiducial *b)
 {
     return a->found && b->found && a->px.x == b->px.x && a->px.y == b->px.y;
 }
@@ -183,10 +184,10 @@ static int same_spot(const struct gsn_mark *a, const struct gsn_mark *b)
 /* Whether both call the same spots marks, whatever their numbers. */
 static int same_spots(const struct gsn_candidate *a, const struct gsn_candidate *b)
 {
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         int seen = !a->mark[i].found;
 
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             seen |= same_spot(&a->mark[i], &b->mark[k]);
         if (!seen)
             return 0;
@@ -203,7 +204,7 @@ static void say_marks(const struct gsn_candidate *c, char words[GSN_CANDIDATE_WO
 {
     const int missing = !c->mark[0].found ? 1 : !c->mark[1].found ? 2 : 3;
 
-    if (count_found(c) == GSN_MARKS)
+    if (count_found(c) == GSN_FIDUCIALS)
         (void)snprintf(words, GSN_CANDIDATE_WORDS, "on all three marks");
     else
         (void)snprintf(words, GSN_CANDIDATE_WORDS, "on two marks, without mark %d", missing);
@@ -235,7 +236,7 @@ static void say_same(const struct gsn_candidate *first, const struct gsn_candida
 /* Whether they only leave out another of the same marks. */
 static int only_leaves_out(const struct gsn_candidate *first, const struct gsn_candidate *c)
 {
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (first->mark[i].found && c->mark[i].found && !same_spot(&first->mark[i], &c->mark[i]))
             return 0;
     return first->mirrored == c->mirrored;
@@ -248,11 +249,11 @@ static void say_others(const struct gsn_candidate *first, const struct gsn_candi
     const char *glue = ": ";
 
     say_marks(c, words);
-    for (int i = 0; i < GSN_MARKS && !only_leaves_out(first, c); i++) {
+    for (int i = 0; i < GSN_FIDUCIALS && !only_leaves_out(first, c); i++) {
         const size_t used = strlen(words);
         int known = !c->mark[i].found;
 
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             known |= same_spot(&c->mark[i], &first->mark[k]);
         if (known)
             continue;
@@ -288,10 +289,10 @@ void gsn_candidates_say(struct gsn_candidates *list, struct gsn_point upright)
 static int is_meant(const struct gsn_candidate *c, const struct gsn_candidate_choice *choice)
 {
     /* Three marks tell by themselves which way up they lie. */
-    if (count_found(c) < GSN_MARKS && !c->mirrored != !choice->mirrored)
+    if (count_found(c) < GSN_FIDUCIALS && !c->mirrored != !choice->mirrored)
         return 0;
-    for (int i = 0; i < GSN_MARKS; i++) {
-        const struct gsn_mark *m = &c->mark[i];
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
+        const struct gsn_fiducial *m = &c->mark[i];
 
         if (!m->found != !choice->found[i])
             return 0;
@@ -316,8 +317,8 @@ static struct gsn_pose_targets targets_of(const struct gsn_pose_summary *summary
                                           const struct gsn_pose_options *options)
 {
     const struct gsn_point *t = summary->mean_triangle;
-    const double rho = summary->rho_um, x = (t[0].x + t[1].x + t[2].x) / GSN_MARKS,
-                 y = (t[0].y + t[1].y + t[2].y) / GSN_MARKS;
+    const double rho = summary->rho_um, x = (t[0].x + t[1].x + t[2].x) / GSN_FIDUCIALS,
+                 y = (t[0].y + t[1].y + t[2].y) / GSN_FIDUCIALS;
     const struct gsn_point around[] = {
         { x + rho, y }, { x - rho, y }, { x, y + rho }, { x, y - rho }
     };
@@ -349,7 +350,7 @@ static void lay_candidates(const struct gsn_specimen *specimen, const struct gsn
                            const struct gsn_pose_targets *targets, struct gsn_section *s)
 {
     const double px_um = gsn_specimen_find_panel(specimen, s->panel)->px_um;
-    struct gsn_point onto[GSN_MARKS];
+    struct gsn_point onto[GSN_FIDUCIALS];
 
     gsn_axes_at(&poses->summary.axes, s->seen.serial, poses->summary.mean_triangle, onto);
     gsn_candidates_lay(&s->candidates, px_um, onto);
@@ -430,11 +431,11 @@ static enum gsn_section_state state_of(const struct gsn_section *section)
 
 static void take_pose(struct gsn_section *section, const struct gsn_pose *pose)
 {
-    struct gsn_mark in_order[GSN_MARKS];
+    struct gsn_fiducial in_order[GSN_FIDUCIALS];
 
     section->pose = *pose;
     section->posed = pose->state != GSN_POSE_NONE;
-    for (size_t i = 0; i < GSN_MARKS; i++)
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++)
         in_order[i] = section->seen.mark[pose->order[i]];
     if (section->posed)
         memcpy(section->seen.mark, in_order, sizeof in_order);

@@ -3,10 +3,10 @@
 /* The poses that a doubtful section may have, for a person to choose from.
  *
  * A candidate is a way to call spots of the section its marks; its pose follows by laying them on
- * the triangle. Those that one panel alone shows come from gsn_markers_rivals(); a section whose
- * three marks contradict the stack has those that leave one of them out. A person's choice names
- * the spots and not the number, so that it holds for as long as they are there. Marks are in pixels
- * of the upright picture. */
+ * the triangle. Those that one panel alone shows come from gsn_fiducials_hypotheses(); a section
+ * whose three marks contradict the stack has those that leave one of them out. A person's choice
+ * names the spots and not the number, so that it holds for as long as they are there. Marks are in
+ * pixels of the upright picture. */
 #ifndef GSN_SPECIMEN_FIDUCIAL_POSES_H
 #define GSN_SPECIMEN_FIDUCIAL_POSES_H
 
@@ -15,13 +15,13 @@
 #include "pipeline/register/pose/pose.h"
 #include "pipeline/register/pose/tre.h"
 
-enum { GSN_CANDIDATES = GSN_MARK_RIVALS, GSN_CANDIDATE_WORDS = 160 };
+enum { GSN_CANDIDATES = GSN_FIDUCIAL_HYPOTHESES, GSN_CANDIDATE_WORDS = 160 };
 
 struct gsn_candidate {
-    struct gsn_mark mark[GSN_MARKS]; /* marks 1..3 */
-    int mirrored;                    /* against the triangle by which they were called marks */
-    double share;                    /* how likely, of those listed; NaN: not told */
-    int laid;                        /* whether the map is known */
+    struct gsn_fiducial mark[GSN_FIDUCIALS]; /* marks 1..3 */
+    int mirrored; /* against the triangle by which they were called marks */
+    double share; /* how likely, of those listed; NaN: not told */
+    int laid;     /* whether the map is known */
     struct gsn_affine panel_to_block_um;
     int flipped, rotated180;
     double
@@ -37,26 +37,26 @@ struct gsn_candidates {
 
 /* What a person chose: where the marks are. */
 struct gsn_candidate_choice {
-    struct gsn_point px[GSN_MARKS];
-    int found[GSN_MARKS];
+    struct gsn_point px[GSN_FIDUCIALS];
+    int found[GSN_FIDUCIALS];
     int mirrored;
 };
 
 /* What the panel alone shows. */
-void gsn_candidates_of_rivals(const struct gsn_mark_rival *rivals, size_t count,
+void gsn_candidates_of_rivals(const struct gsn_fiducial_hypothesis *rivals, size_t count,
                               struct gsn_candidates *ret_list);
 /* Of a section with three marks: each pair of them, that without mark 1 first, then all three. The
  * caller guarantees that all are found. */
-void gsn_candidates_of_marks(const struct gsn_mark mark[GSN_MARKS], int mirrored,
+void gsn_candidates_of_marks(const struct gsn_fiducial mark[GSN_FIDUCIALS], int mirrored,
                              struct gsn_candidates *ret_list);
 /* Of a section whose pose is gross with three marks: as the stack lays them, the likeliest first.
  */
-void gsn_candidates_of_gross(const struct gsn_mark mark[GSN_MARKS], const struct gsn_pose *pose,
-                             struct gsn_candidates *ret_list);
+void gsn_candidates_of_gross(const struct gsn_fiducial mark[GSN_FIDUCIALS],
+                             const struct gsn_pose *pose, struct gsn_candidates *ret_list);
 
 /* Lays every candidate on the triangle of the marks; one that cannot be laid stays as it is. */
 void gsn_candidates_lay(struct gsn_candidates *list, double px_um,
-                        const struct gsn_point triangle[GSN_MARKS]);
+                        const struct gsn_point triangle[GSN_FIDUCIALS]);
 /* Predicts the errors of those that are laid, by the marks' localisation error in the whole stack.
  */
 void gsn_candidates_predict(struct gsn_candidates *list, double px_um,

@@ -66,21 +66,22 @@ int gsn_fiducial_search_section(const struct gsn_scan *scan, const struct gsn_od
                                 const struct gsn_layout *layout, double side,
                                 const struct gsn_slot *slot, unsigned burn,
                                 const struct gsn_triangle_prior *prior,
-                                struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+                                struct gsn_fiducial_candidates *ret_candidates,
+                                struct gsn_error *err)
 {
     const struct gsn_slot window = search_window(scan, layout, side, slot);
     const struct gsn_image *image = scan->picture->image;
-    const struct gsn_mark_density red = { image->width, image->height, absorber, red_row };
+    const struct gsn_density_source red = { image->width, image->height, absorber, red_row };
 
-    return prior ? gsn_markers_seek(&red, &window, scan->px_um, prior, ret_candidates, err)
-                 : gsn_markers_candidates_of(&red, &window, scan->px_um, burn, ret_candidates, err);
+    return prior ? gsn_fiducials_detect_like(&red, &window, scan->px_um, prior, ret_candidates, err)
+                 : gsn_fiducials_detect_burn(&red, &window, scan->px_um, burn, ret_candidates, err);
 }
 
 /* One kind of burn in all sections. */
 struct kind {
     const struct gsn_fiducial_search *search;
     unsigned burn;
-    struct gsn_mark_candidates *candidates;
+    struct gsn_fiducial_candidates *candidates;
 };
 
 static int search_slot(size_t index, void *context, struct gsn_error *err)
@@ -96,7 +97,7 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
 }
 
 static int search_kind(const struct gsn_fiducial_search *search, unsigned burn,
-                       struct gsn_mark_candidates *candidates, struct gsn_error *err)
+                       struct gsn_fiducial_candidates *candidates, struct gsn_error *err)
 {
     struct kind kind = { search, burn, candidates };
 
@@ -105,25 +106,25 @@ static int search_kind(const struct gsn_fiducial_search *search, unsigned burn,
 
 int gsn_fiducial_search_panel(const struct gsn_fiducial_search *search,
                               const struct gsn_point *mark_um,
-                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+                              struct gsn_fiducial_candidates *ret_candidates, struct gsn_error *err)
 {
     const size_t count = search->count;
-    gsn_auto_mem(struct gsn_mark_candidates) all = NULL;
+    gsn_auto_mem(struct gsn_fiducial_candidates) all = NULL;
     unsigned burn = 0;
     int odd, r = search_kind(search, 0, ret_candidates, err);
 
     if (r >= 0)
-        r = gsn_markers_are_odd(ret_candidates, count, mark_um, &odd, err);
+        r = gsn_fiducials_are_odd(ret_candidates, count, mark_um, &odd, err);
     if (r < 0 || !odd)
         return r;
-    all = gsn_alloc_array(GSN_MARK_BURNS * count, sizeof *all);
+    all = gsn_alloc_array(GSN_BURNS * count, sizeof *all);
     if (!all)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the marks of a panel");
     memcpy(all, ret_candidates, count * sizeof *all);
-    for (unsigned k = 1; r >= 0 && k < GSN_MARK_BURNS; k++)
+    for (unsigned k = 1; r >= 0 && k < GSN_BURNS; k++)
         r = search_kind(search, k, all + k * count, err);
     if (r >= 0)
-        r = gsn_markers_burn(all, count, mark_um, &burn, err);
+        r = gsn_fiducials_choose_burn(all, count, mark_um, &burn, err);
     if (r < 0)
         return r;
     memcpy(ret_candidates, all + burn * count, count * sizeof *all);

@@ -23,20 +23,22 @@ struct gsn_fiducial_search {
     unsigned threads;
 };
 
-/* The spots around each of the sections, of the kind of burn that they have (gsn_markers_burn()).
- * mark_um: the job's triangle, or NULL. ret_candidates has room for all. Fails as
- * gsn_markers_candidates(). */
+/* The spots around each of the sections, of the kind of burn that they have
+ * (gsn_fiducials_choose_burn()). mark_um: the job's triangle, or NULL. ret_candidates has room for
+ * all. Fails as gsn_fiducials_detect(). */
 int gsn_fiducial_search_panel(const struct gsn_fiducial_search *search,
                               const struct gsn_point *mark_um,
-                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+                              struct gsn_fiducial_candidates *ret_candidates,
+                              struct gsn_error *err);
 
-/* One section. burn: of gsn_mark_burns, where prior is NULL. absorber: of the scan's picture and
+/* One section. burn: of gsn_burns, where prior is NULL. absorber: of the scan's picture and
  * glass; side: of the typical section's box, px; prior: what the panel's sections have taught, or
- * NULL. Fails as gsn_markers_candidates(). */
+ * NULL. Fails as gsn_fiducials_detect(). */
 int gsn_fiducial_search_section(const struct gsn_scan *scan, const struct gsn_od_reader *absorber,
                                 const struct gsn_layout *layout, double side,
                                 const struct gsn_slot *slot, unsigned burn,
                                 const struct gsn_triangle_prior *prior,
-                                struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+                                struct gsn_fiducial_candidates *ret_candidates,
+                                struct gsn_error *err);
 
 #endif

@@ -143,19 +143,19 @@ static int read_as(const struct gsn_scan *scan, unsigned rows, unsigned columns,
 /* ---- the marks --------------------------------------------------------------------------- */
 
 /* How far a section is turned clockwise, once it is mirrored back. */
-static double turned_deg(const struct gsn_point block[GSN_MARKS],
-                         const struct gsn_mark mark[GSN_MARKS], int mirrored)
+static double turned_deg(const struct gsn_point block[GSN_FIDUCIALS],
+                         const struct gsn_fiducial mark[GSN_FIDUCIALS], int mirrored)
 {
     struct gsn_point a = { 0 }, b = { 0 };
     double along = 0, across = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
-        a.x += block[i].x / GSN_MARKS;
-        a.y += block[i].y / GSN_MARKS;
-        b.x += mark[i].px.x / GSN_MARKS;
-        b.y += mark[i].px.y / GSN_MARKS;
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
+        a.x += block[i].x / GSN_FIDUCIALS;
+        a.y += block[i].y / GSN_FIDUCIALS;
+        b.x += mark[i].px.x / GSN_FIDUCIALS;
+        b.y += mark[i].px.y / GSN_FIDUCIALS;
     }
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const double ux = block[i].x - a.x, uy = block[i].y - a.y;
         const double vx = (mirrored ? -1 : 1) * (mark[i].px.x - b.x), vy = mark[i].px.y - b.y;
 
@@ -183,7 +183,7 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
                      struct gsn_error *err)
 {
     const size_t count = reading->count;
-    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+    gsn_auto_mem(struct gsn_fiducial_candidates) candidates =
         gsn_alloc_array(count + 1, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count + 1, sizeof *scratch);
     gsn_auto(gsn_od_reader) absorber = NULL;
@@ -208,13 +208,13 @@ static int ask_marks(const struct gsn_scan *scan, const struct gsn_protocol *pro
         r = gsn_fiducial_search_panel(&search, protocol->markers_um, candidates, err);
     memcpy(prior.mark_um, protocol->markers_um, sizeof prior.mark_um);
     if (r >= 0)
-        r = gsn_markers_learn(candidates, count, &prior, err);
+        r = gsn_fiducials_learn(candidates, count, &prior, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
-        struct gsn_mark mark[GSN_MARKS];
+        struct gsn_fiducial mark[GSN_FIDUCIALS];
         int mirrored = 0;
         double deg, quarters;
 
-        gsn_markers_choose(&candidates[i], &prior, mark, &mirrored, NULL, NULL);
+        gsn_fiducials_match(&candidates[i], &prior, mark, &mirrored, NULL, NULL);
         if (!mark[0].found || !mark[1].found || !mark[2].found)
             continue;
         deg = turned_deg(prior.mark_um, mark, mirrored);

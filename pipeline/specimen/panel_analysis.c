@@ -161,7 +161,7 @@ static void apply_answers(const struct gsn_panel_answers *answers, struct gsn_sl
 
 /* The triangle to look for: the protocol's, or what the sections of this panel agree on. */
 static int know_triangle(const struct gsn_protocol *protocol,
-                         const struct gsn_mark_candidates *candidates, size_t count,
+                         const struct gsn_fiducial_candidates *candidates, size_t count,
                          struct gsn_triangle_prior *ret_prior, struct gsn_error *err)
 {
     struct gsn_triangle_prior prior = { 0 };
@@ -169,9 +169,9 @@ static int know_triangle(const struct gsn_protocol *protocol,
 
     if (protocol->has_markers)
         memcpy(prior.mark_um, protocol->markers_um, sizeof prior.mark_um);
-    else if ((r = gsn_markers_consensus(candidates, count, &prior, err)) < 0)
+    else if ((r = gsn_fiducials_vote_triangle(candidates, count, &prior, err)) < 0)
         return r;
-    r = gsn_markers_learn(candidates, count, &prior, err);
+    r = gsn_fiducials_learn(candidates, count, &prior, err);
     if (r < 0)
         return r;
     *ret_prior = prior;
@@ -185,24 +185,24 @@ struct sight {
     int mirrored, ambiguous, decided;
 };
 
-static int count_found(const struct gsn_mark mark[GSN_MARKS])
+static int count_found(const struct gsn_fiducial mark[GSN_FIDUCIALS])
 {
     return mark[0].found + mark[1].found + mark[2].found;
 }
 
 /* Sections whose marks could be others get their candidates. */
 static struct sight choose_marks(struct gsn_panel_section *section,
-                                 const struct gsn_mark_candidates *candidates,
+                                 const struct gsn_fiducial_candidates *candidates,
                                  const struct gsn_triangle_prior *prior)
 {
-    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    struct gsn_fiducial_hypothesis rivals[GSN_FIDUCIAL_HYPOTHESES];
     struct sight sight = { 0 };
     double score = 0, runner_up = 0;
 
-    gsn_markers_choose(candidates, prior, section->mark, &sight.mirrored, &score, &runner_up);
+    gsn_fiducials_match(candidates, prior, section->mark, &sight.mirrored, &score, &runner_up);
     sight.ambiguous = score > 0 && 20 * runner_up > score;
-    if (count_found(section->mark) < GSN_MARKS)
-        gsn_candidates_of_rivals(rivals, gsn_markers_rivals(candidates, prior, rivals),
+    if (count_found(section->mark) < GSN_FIDUCIALS)
+        gsn_candidates_of_rivals(rivals, gsn_fiducials_hypotheses(candidates, prior, rivals),
                                  &section->candidates);
     return sight;
 }
@@ -214,7 +214,7 @@ static void state_marks(struct gsn_panel_section *section, const struct sight *s
     /* What has grown together is held, whatever its marks. */
     if (section->sighting != GSN_SIGHT_HELD)
         section->sighting =
-            found == GSN_MARKS || sight->decided ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
+            found == GSN_FIDUCIALS || sight->decided ? GSN_SIGHT_FOUND : GSN_SIGHT_NEEDS_EYE;
     if (found == 2)
         gsn_flags_add(&section->flags, GSN_FLAG_TWO_MARKS);
     else if (found < 2)
@@ -246,7 +246,7 @@ static void take_choice(struct gsn_panel_section *section, const struct gsn_pane
 
     if (!answer || answer->elsewhere)
         return;
-    if (count_found(section->mark) == GSN_MARKS)
+    if (count_found(section->mark) == GSN_FIDUCIALS)
         gsn_candidates_of_marks(section->mark, answer->choice.mirrored, &section->candidates);
     meant = gsn_candidates_meant(&section->candidates, &answer->choice);
     if (meant == 0)
@@ -281,10 +281,10 @@ static void add_direction(const struct gsn_panel_section *section, const struct 
                           struct gsn_point *upright)
 {
     struct gsn_candidates own;
-    const struct gsn_candidate *whole = &own.at[GSN_MARKS];
+    const struct gsn_candidate *whole = &own.at[GSN_FIDUCIALS];
     struct gsn_point d;
 
-    if (count_found(section->mark) < GSN_MARKS)
+    if (count_found(section->mark) < GSN_FIDUCIALS)
         return;
     gsn_candidates_of_marks(section->mark, sight->mirrored, &own);
     gsn_candidates_lay(&own, px_um, prior->mark_um);
@@ -389,7 +389,7 @@ static void lay_candidates(const struct gsn_triangle_prior *prior, struct gsn_po
 
 struct search {
     struct gsn_fiducial_search in;
-    struct gsn_mark_candidates *candidates; /* one for each section */
+    struct gsn_fiducial_candidates *candidates; /* one for each section */
 };
 
 static int search_slot(size_t index, void *context, struct gsn_error *err)
@@ -403,12 +403,12 @@ static int search_slot(size_t index, void *context, struct gsn_error *err)
     return r < 0 ? gsn_fail_at(err, "slot %u", slot->slot + 1) : GSN_OK;
 }
 
-static int count_chosen(const struct gsn_mark_candidates *candidates,
+static int count_chosen(const struct gsn_fiducial_candidates *candidates,
                         const struct gsn_triangle_prior *prior)
 {
-    struct gsn_mark mark[GSN_MARKS];
+    struct gsn_fiducial mark[GSN_FIDUCIALS];
 
-    gsn_markers_choose(candidates, prior, mark, NULL, NULL, NULL);
+    gsn_fiducials_match(candidates, prior, mark, NULL, NULL, NULL);
     return count_found(mark);
 }
 
@@ -420,10 +420,10 @@ static int seek_again(const struct search *search, size_t index,
     const struct gsn_fiducial_search *in = &search->in;
     const struct gsn_slot *slot = &in->slots[index];
     const int before = count_chosen(&search->candidates[index], prior);
-    struct gsn_mark_candidates again;
+    struct gsn_fiducial_candidates again;
     int r;
 
-    if (before == GSN_MARKS || !prior->learnt)
+    if (before == GSN_FIDUCIALS || !prior->learnt)
         return GSN_OK;
     r = gsn_fiducial_search_section(in->scan, in->absorber, &in->layout, in->side, slot, 0, prior,
                                     &again, err);
@@ -437,7 +437,7 @@ static int seek_again(const struct search *search, size_t index,
 /* ---- whether the pixels are as large as stated ------------------------------------------- */
 
 /* Sides of a triangle from the shortest to the longest. */
-static void sides_of(const struct gsn_point mark[GSN_MARKS], double side[3])
+static void sides_of(const struct gsn_point mark[GSN_FIDUCIALS], double side[3])
 {
     for (int i = 0; i < 3; i++)
         side[i] = hypot(mark[(i + 1) % 3].x - mark[i].x, mark[(i + 1) % 3].y - mark[i].y);
@@ -453,8 +453,8 @@ static void sides_of(const struct gsn_point mark[GSN_MARKS], double side[3])
 
 /* How many times larger the known triangle is than the one seen; 0 when they differ in shape by
  * more than sections stretch. */
-static double scale_of(const struct gsn_point known[GSN_MARKS],
-                       const struct gsn_point seen[GSN_MARKS])
+static double scale_of(const struct gsn_point known[GSN_FIDUCIALS],
+                       const struct gsn_point seen[GSN_FIDUCIALS])
 {
     static const double STRETCH = 0.05;
     double a[3], b[3], low = INFINITY, high = 0;
@@ -478,7 +478,7 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
     static const double times[] = { 0.5, 2, 0.25, 4, 0.125, 8 };
     /* Sections swell and shrink by some per cent. */
     static const double SAME = 0.1;
-    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+    gsn_auto_mem(struct gsn_fiducial_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     gsn_auto(gsn_od_reader) absorber = NULL;
@@ -502,7 +502,7 @@ static int pixels_by_marks(const struct gsn_scan *scan, const struct gsn_protoco
         other.px_um = scan->px_um * times[i];
         r = gsn_parallel_for(count, threads, search_slot, &search, err);
         if (r >= 0)
-            r = gsn_markers_consensus(candidates, count, &seen, err);
+            r = gsn_fiducials_vote_triangle(candidates, count, &seen, err);
         if (r == GSN_E_NOMEM)
             return r;
         scale = r >= 0 ? scale_of(protocol->markers_um, seen.mark_um) : 0;
@@ -560,14 +560,14 @@ static void pass_over_marks(const struct gsn_slot *found, size_t count,
 /* Why there may be no marks at all. */
 static void say_too_coarse(const struct gsn_scan *scan, struct gsn_panel_findings *findings)
 {
-    const double least_um = GSN_MARK_LEAST_PX * scan->px_um;
+    const double least_um = GSN_FIDUCIAL_MIN_PX * scan->px_um;
 
-    if (least_um > GSN_MARK_LEAST_UM)
+    if (least_um > GSN_FIDUCIAL_MIN_UM)
         add_note(findings,
                  "no section shows three marks: at %.4g um a pixel those of less than %.3g "
                  "um radius (%g pixels; holes: %.3g um) may not be told from grain: scan "
                  "finer if they are so small",
-                 scan->px_um, least_um, GSN_MARK_LEAST_PX, 2 * least_um);
+                 scan->px_um, least_um, GSN_FIDUCIAL_MIN_PX, 2 * least_um);
 }
 
 /* Marks of all sections of the panel: found slots and their numbers in findings. A panel whose
@@ -577,7 +577,7 @@ static int find_panel_marks(const struct gsn_scan *scan, const struct gsn_protoc
                             const struct gsn_panel_answers *answers, unsigned threads,
                             struct gsn_panel_findings *findings, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+    gsn_auto_mem(struct gsn_fiducial_candidates) candidates =
         gsn_alloc_array(count, sizeof *candidates);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);
     gsn_auto(gsn_od_reader) absorber = NULL;
@@ -617,7 +617,7 @@ static int find_panel_marks(const struct gsn_scan *scan, const struct gsn_protoc
             return r;
         if (agreed)
             sight = choose_marks(section, &candidates[i], &prior);
-        if (count_found(section->mark) == GSN_MARKS) {
+        if (count_found(section->mark) == GSN_FIDUCIALS) {
             lie.marked++;
             lie.mirrored += sight.mirrored != 0;
             lie.turned += is_turned(section, &sight, &prior, scan->px_um) != 0;

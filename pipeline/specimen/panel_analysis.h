@@ -38,7 +38,7 @@ struct gsn_panel_section {
     struct gsn_section_flags flags;
     int x, y, width, height;
     double area_px;
-    struct gsn_mark mark[GSN_MARKS];
+    struct gsn_fiducial mark[GSN_FIDUCIALS];
     struct gsn_candidates candidates; /* of a section whose marks could be others, or of which a
                                          person chose: laid in the block or in the panel's own
                                          triangle, errors not predicted */

@@ -58,7 +58,7 @@ struct gsn_section {
 
 /* The marks of a section as they are known by now. */
 struct gsn_section_marks {
-    struct gsn_mark mark[GSN_MARKS];
+    struct gsn_fiducial mark[GSN_FIDUCIALS];
 };
 
 /* What became of the sections that were to be placed by their tissue. */

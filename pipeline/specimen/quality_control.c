@@ -54,17 +54,17 @@ static int is_there(const struct gsn_section *s, unsigned panel)
 }
 
 static struct gsn_artefact_section place_of(const struct gsn_panel_section *seen,
-                                        const struct gsn_mark mark[GSN_MARKS])
+                                            const struct gsn_fiducial mark[GSN_FIDUCIALS])
 {
     struct gsn_artefact_section place = {
         .x = seen->x, .y = seen->y, .width = seen->width, .height = seen->height
     };
 
-    for (size_t m = 0; m < GSN_MARKS; m++)
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++)
         if (mark[m].found)
             place.halo[place.halo_count++] =
                 (struct gsn_artefact_disc){ .px = { mark[m].px.x, mark[m].px.y },
-                                        .radius_px = HALO_RADII * mark[m].radius_px };
+                                            .radius_px = HALO_RADII * mark[m].radius_px };
     return place;
 }
 
@@ -75,9 +75,9 @@ static void add_flags(struct gsn_section_density *s)
             gsn_flags_add(&s->flags, GSN_FLAG_DEFECT + bit);
 }
 
-static int near_mark(const struct gsn_mark mark[GSN_MARKS], double x, double y)
+static int near_mark(const struct gsn_fiducial mark[GSN_FIDUCIALS], double x, double y)
 {
-    for (int m = 0; m < GSN_MARKS; m++)
+    for (int m = 0; m < GSN_FIDUCIALS; m++)
         if (mark[m].found &&
             hypot(x - mark[m].px.x, y - mark[m].px.y) <= MARK_REACH * mark[m].radius_px)
             return 1;
@@ -139,19 +139,20 @@ static int find_own(const struct gsn_scan *scan, unsigned panel, const struct gs
 
 int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
                       unsigned threads, const struct gsn_poses *poses,
-                      const struct gsn_section_marks *marks, struct gsn_artefact_labels **ret_labels,
+                      const struct gsn_section_marks *marks,
+                      struct gsn_artefact_labels **ret_labels,
                       struct gsn_artefact_figures *ret_figures, struct gsn_error *err)
 {
     struct gsn_dyes own = *dyes;
     gsn_auto_mem(struct gsn_artefact_section) places =
         gsn_alloc_array(poses->section_count, sizeof *places);
     struct gsn_artefact_panel look = { .image = scan->picture->image,
-                                   .od = scan->od,
-                                   .glass = &scan->glass,
-                                   .dyes = dyes,
-                                   .px_um = scan->px_um,
-                                   .section = places,
-                                   .own = &own };
+                                       .od = scan->od,
+                                       .glass = &scan->glass,
+                                       .dyes = dyes,
+                                       .px_um = scan->px_um,
+                                       .section = places,
+                                       .own = &own };
     int r;
 
     if (!places)
@@ -242,9 +243,9 @@ static size_t plane_of(const struct gsn_section *s, double interval_um,
     return z >= 0 && z < (double)at->nz ? (size_t)z : at->nz;
 }
 
-void gsn_masking_region(const struct gsn_artefact_labels *labels, unsigned panel, double interval_um,
-                        const struct gsn_mask *region, const struct gsn_poses *poses,
-                        struct gsn_densities *densities)
+void gsn_masking_region(const struct gsn_artefact_labels *labels, unsigned panel,
+                        double interval_um, const struct gsn_mask *region,
+                        const struct gsn_poses *poses, struct gsn_densities *densities)
 {
     for (size_t i = 0; region && i < poses->section_count; i++) {
         const struct gsn_section *s = &poses->section[i];
@@ -341,7 +342,7 @@ static int add_dust(const struct cells_view *look, const struct gsn_pixel_box *b
 {
     const struct gsn_poses *poses = look->poses;
     gsn_auto_mem(struct gsn_artefact_disc) mark =
-        gsn_alloc_array(GSN_MARKS * poses->section_count + 1, sizeof *mark);
+        gsn_alloc_array(GSN_FIDUCIALS * poses->section_count + 1, sizeof *mark);
     size_t count = 0;
     int r = mark ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for a map of dust");
 
@@ -351,22 +352,22 @@ static int add_dust(const struct cells_view *look, const struct gsn_pixel_box *b
         return r;
     for (size_t i = 0; i < poses->section_count; i++)
         for (size_t m = 0;
-             is_there(&poses->section[i], look->panel->given->number) && m < GSN_MARKS; m++) {
-            const struct gsn_mark *one = &look->densities->marks[i].mark[m];
+             is_there(&poses->section[i], look->panel->given->number) && m < GSN_FIDUCIALS; m++) {
+            const struct gsn_fiducial *one = &look->densities->marks[i].mark[m];
 
             if (one->found)
-                mark[count++] =
-                    (struct gsn_artefact_disc){ .px = { one->px.x / look->side,
-                                                    one->px.y / look->side },
-                                            .radius_px = MARK_RADII * one->radius_px / look->side };
+                mark[count++] = (struct gsn_artefact_disc){
+                    .px = { one->px.x / look->side, one->px.y / look->side },
+                    .radius_px = MARK_RADII * one->radius_px / look->side
+                };
         }
     return gsn_dust_add(look->densities->dust, look->od, look->scan->px_um * look->side,
                         look->scan->upright.turn, box, mark, count, err);
 }
 
 /* gives: in cells of the box 0, or NaN where the section is masked. */
-static int mask_of(const struct cells_view *look, const struct gsn_artefact_labels *labels, size_t i,
-                   const struct gsn_pixel_box *box, struct gsn_plane **ret_mask,
+static int mask_of(const struct cells_view *look, const struct gsn_artefact_labels *labels,
+                   size_t i, const struct gsn_pixel_box *box, struct gsn_plane **ret_mask,
                    struct gsn_error *err)
 {
     const size_t section = gsn_masking_index(look->poses, i);
@@ -378,14 +379,14 @@ static int mask_of(const struct cells_view *look, const struct gsn_artefact_labe
     for (int y = box->y; y < box->y + box->height; y++)
         for (int x = box->x; x < box->x + box->width; x++)
             if (gsn_artefact_label(labels, section, x * look->side + look->side / 2,
-                               y * look->side + look->side / 2))
+                                   y * look->side + look->side / 2))
                 mask->value[(size_t)y * mask->width + (size_t)x] = NAN;
     *ret_mask = mask;
     return GSN_OK;
 }
 
-static int add_tone(const struct cells_view *look, const struct gsn_artefact_labels *labels, size_t i,
-                    struct gsn_error *err)
+static int add_tone(const struct cells_view *look, const struct gsn_artefact_labels *labels,
+                    size_t i, struct gsn_error *err)
 {
     struct gsn_section_density *s = &look->densities->section[i];
     const struct gsn_pixel_box whole = box_of(&look->poses->section[i].seen);
@@ -435,7 +436,8 @@ int gsn_quality_measure_panel(const struct gsn_scan *scan, const struct gsn_arte
 
 /* Of one panel, whose sections shared one bath. tone and place: room for all sections. */
 static void judge_thickness(const struct gsn_poses *poses, unsigned panel,
-                            struct gsn_densities *densities, struct gsn_stain_amounts *tone, size_t *place)
+                            struct gsn_densities *densities, struct gsn_stain_amounts *tone,
+                            size_t *place)
 {
     size_t count = 0;
 
@@ -526,10 +528,11 @@ static void mask_dust(const struct gsn_specimen *specimen, const struct gsn_mask
         if (!panel || (s->state != GSN_SECTION_USED && s->state != GSN_SECTION_DOUBTFUL))
             continue;
         for (size_t k = 0; k < d->spot_count; k++) {
-            const struct gsn_artefact_disc cells = gsn_dust_upright(d->dust, &d->spot[k], panel->turn);
+            const struct gsn_artefact_disc cells =
+                gsn_dust_upright(d->dust, &d->spot[k], panel->turn);
             const struct gsn_artefact_disc spot = { .px = { cells.px.x * panel->cell_px,
-                                                        cells.px.y * panel->cell_px },
-                                                .radius_px = cells.radius_px * panel->cell_px };
+                                                            cells.px.y * panel->cell_px },
+                                                    .radius_px = cells.radius_px * panel->cell_px };
 
             if (!spot_covers(&spot, &section->seen))
                 continue;
@@ -545,7 +548,8 @@ static void mask_dust(const struct gsn_specimen *specimen, const struct gsn_mask
 int gsn_quality_judge(const struct gsn_specimen *specimen, const struct gsn_mask *region,
                       const struct gsn_poses *poses, struct gsn_densities *d, struct gsn_error *err)
 {
-    gsn_auto_mem(struct gsn_stain_amounts) tone = gsn_alloc_array(poses->section_count + 1, sizeof *tone);
+    gsn_auto_mem(struct gsn_stain_amounts) tone =
+        gsn_alloc_array(poses->section_count + 1, sizeof *tone);
     gsn_auto_mem(size_t) place = gsn_alloc_array(poses->section_count + 1, sizeof *place);
     int r = GSN_OK;
 

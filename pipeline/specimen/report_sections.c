@@ -245,7 +245,7 @@ static void fill_section(const struct gsn_reconstruction *a, size_t i, const str
 {
     const struct gsn_section *s = &a->poses.section[i];
     const struct gsn_section_density *shown = &a->densities.section[i];
-    const struct gsn_mark *mark = a->densities.marks[i].mark;
+    const struct gsn_fiducial *mark = a->densities.marks[i].mark;
     const struct gsn_layout layout = gsn_protocol_layout(p);
     struct gsn_report_section *row = &d->section[i];
 
@@ -275,7 +275,7 @@ static void fill_section(const struct gsn_reconstruction *a, size_t i, const str
     fill_masked(shown, row);
     row->flags = d->flag[i];
     row->flag_count = list_flags(d, &shown->flags, d->flag[i]);
-    for (size_t m = 0; m < GSN_MARKS; m++) {
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++) {
         row->marker_found[m] = mark[m].found;
         row->marker_px[m] = mark[m].px;
         row->residual_um[m] = s->posed ? s->pose.residual_um[m] : NAN;
@@ -556,7 +556,7 @@ static void fill_registration(const struct gsn_reconstruction *a,
         sum += s->pose.rms_um * s->pose.rms_um;
         tre += s->pose.tre_um;
         r->worst_tre_um = fmax(r->worst_tre_um, s->pose.tre_um);
-        for (size_t m = 0; m < GSN_MARKS; m++)
+        for (size_t m = 0; m < GSN_FIDUCIALS; m++)
             r->worst_residual_um = fmax(r->worst_residual_um, s->pose.residual_um[m]);
     }
     if (r->sections_posed > 0) {
@@ -638,7 +638,7 @@ static struct gsn_report_candidate candidate_of(const struct gsn_candidate *c,
                                                      .width = picture->width,
                                                      .height = picture->height } };
 
-    for (size_t m = 0; m < GSN_MARKS; m++) {
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++) {
         row.marker_found[m] = c->mark[m].found;
         row.marker_px[m] = c->mark[m].px;
     }

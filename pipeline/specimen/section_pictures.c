@@ -65,7 +65,7 @@ static void draw_ring(struct gsn_image *image, double x, double y, double radius
 }
 
 int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, int y, int width,
-                  int height, const struct gsn_mark mark[GSN_MARKS], unsigned longest_px,
+                  int height, const struct gsn_fiducial mark[GSN_FIDUCIALS], unsigned longest_px,
                   struct gsn_png_picture *ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
@@ -85,7 +85,7 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                                     y + (int)(v * (uint32_t)height / h),
                                     x + (int)((u + 1) * (uint32_t)width / w),
                                     y + (int)((v + 1) * (uint32_t)height / h)));
-    for (size_t i = 0; i < GSN_MARKS; i++)
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++)
         if (mark[i].found)
             draw_ring(small, (mark[i].px.x - x) * scale, (mark[i].px.y - y) * scale,
                       fmax(4, 2.2 * mark[i].radius_px * scale));

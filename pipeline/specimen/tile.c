@@ -158,7 +158,7 @@ static int add_picture(const struct gsn_image *image, enum gsn_light light, cons
                        const char *title, const char *caption, struct gsn_tile *tile,
                        struct gsn_error *err)
 {
-    static const struct gsn_mark none[GSN_MARKS] = { 0 };
+    static const struct gsn_fiducial none[GSN_FIDUCIALS] = { 0 };
     struct gsn_png_picture *kept = &tile->picture[tile->picture_count];
     const int r = gsn_thumbnail(image, light, 0, 0, (int)image->width, (int)image->height, none,
                                 LONGEST_PX, kept, err);

@@ -299,7 +299,7 @@ static void name_marks(struct gsn_section *s)
 
 static void forget_marks(struct gsn_section *s)
 {
-    for (size_t m = 0; m < GSN_MARKS; m++)
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++)
         s->seen.mark[m].found = 0;
 }
 
@@ -577,9 +577,9 @@ size_t gsn_poses_count_by_tissue(const struct gsn_poses *poses)
 /* The sections of one panel, where marks are looked for. */
 struct panel_search {
     struct gsn_fiducial_search in;
-    struct gsn_slot *slots;                 /* those with tissue */
-    struct gsn_mark_candidates *candidates; /* one for each */
-    size_t *section;                        /* its place in the reconstruction */
+    struct gsn_slot *slots;                     /* those with tissue */
+    struct gsn_fiducial_candidates *candidates; /* one for each */
+    size_t *section;                            /* its place in the reconstruction */
 };
 
 static int is_wanted(const struct gsn_section *s, unsigned panel)
@@ -621,10 +621,10 @@ static void list_sections(const struct gsn_poses *poses, unsigned panel,
 static int name_placed_marks(const struct panel_search *search, size_t index,
                              const struct gsn_pose_summary *summary,
                              const struct gsn_triangle_prior *learnt, const struct gsn_section *s,
-                             struct gsn_mark ret_mark[GSN_MARKS], struct gsn_error *err)
+                             struct gsn_fiducial ret_mark[GSN_FIDUCIALS], struct gsn_error *err)
 {
     struct gsn_triangle_prior prior = *learnt;
-    struct gsn_mark_candidates candidates;
+    struct gsn_fiducial_candidates candidates;
     const struct gsn_fiducial_search *in = &search->in;
     const int r = gsn_fiducial_search_section(in->scan, in->absorber, &in->layout, in->side,
                                               &search->slots[index], 0, learnt, &candidates, err);
@@ -632,8 +632,8 @@ static int name_placed_marks(const struct panel_search *search, size_t index,
     if (r < 0)
         return r;
     gsn_axes_at(&summary->axes, s->seen.serial, summary->mean_triangle, prior.mark_um);
-    gsn_markers_place(&candidates, &prior, &s->place.panel_to_block_um, s->place.error_um,
-                      ret_mark);
+    gsn_fiducials_match_placed(&candidates, &prior, &s->place.panel_to_block_um, s->place.error_um,
+                               ret_mark);
     return GSN_OK;
 }
 
@@ -652,7 +652,7 @@ static int search_panel(struct panel_search *search, unsigned panel, const struc
     memcpy(prior.mark_um, poses->summary.mean_triangle, sizeof prior.mark_um);
     r = gsn_fiducial_search_panel(&search->in, prior.mark_um, search->candidates, err);
     if (r >= 0)
-        r = gsn_markers_learn(search->candidates, count, &prior, err);
+        r = gsn_fiducials_learn(search->candidates, count, &prior, err);
     for (size_t i = 0; r >= 0 && prior.learnt && i < count; i++) {
         const size_t k = search->section[i];
 
@@ -669,7 +669,7 @@ int gsn_fiducials_by_tissue(const struct gsn_specimen *specimen,
                             struct gsn_section_marks *ret_marks, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_slot) slots = NULL;
-    gsn_auto_mem(struct gsn_mark_candidates) candidates = NULL;
+    gsn_auto_mem(struct gsn_fiducial_candidates) candidates = NULL;
     gsn_auto_mem(size_t) section = NULL;
     gsn_auto(gsn_od_reader) absorber = NULL;
     struct panel_search search = { .in = { .scan = scan,

@@ -6,7 +6,8 @@
  * 1. The object is opened after its bytes were found to have its hash.
  * 2. Operator decisions about this very picture (its hash) are read; one that chooses among scans
  * is followed.
- * 3. pipeline/specimen/panel_analysis.h splits the panel, finds the fiducial marks and the way it lies.
+ * 3. pipeline/specimen/panel_analysis.h splits the panel, finds the fiducial marks and the way it
+ * lies.
  * 4. What the label or the name says is compared with the job; a contradiction holds the panel.
  * 5. Sections, candidates of doubtful poses, the turn, and the end of the job are one transaction.
  *
@@ -30,14 +31,14 @@
 #include "storage/result.h"
 #include "systemd/worker/rescan.h"
 
-_Static_assert((int)GSN_ROW_MARKS == (int)GSN_MARKS, "a row has room for a section's marks");
+_Static_assert((int)GSN_ROW_MARKS == (int)GSN_FIDUCIALS, "a row has room for a section's marks");
 
 /* Rows and records. */
 
-void gsn_fiducials_to_rows(const struct gsn_mark mark[GSN_MARKS],
+void gsn_fiducials_to_rows(const struct gsn_fiducial mark[GSN_FIDUCIALS],
                            struct gsn_fiducial_row ret_rows[GSN_ROW_MARKS])
 {
-    for (size_t m = 0; m < GSN_MARKS; m++)
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++)
         ret_rows[m] = (struct gsn_fiducial_row){ .found = mark[m].found,
                                                  .x_px = mark[m].px.x,
                                                  .y_px = mark[m].px.y,
@@ -49,19 +50,19 @@ void gsn_fiducials_to_rows(const struct gsn_mark mark[GSN_MARKS],
 }
 
 void gsn_fiducials_from_rows(const struct gsn_fiducial_row rows[GSN_ROW_MARKS],
-                             struct gsn_mark ret_mark[GSN_MARKS])
+                             struct gsn_fiducial ret_mark[GSN_FIDUCIALS])
 {
-    for (size_t m = 0; m < GSN_MARKS; m++) {
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++) {
         const struct gsn_fiducial_row *row = &rows[m];
 
-        ret_mark[m] = row->found ? (struct gsn_mark){ .px = { row->x_px, row->y_px },
-                                                      .radius_px = row->radius_px,
-                                                      .cov_xx = row->cov_xx,
-                                                      .cov_xy = row->cov_xy,
-                                                      .cov_yy = row->cov_yy,
-                                                      .score = row->score,
-                                                      .found = 1 }
-                                 : (struct gsn_mark){ 0 };
+        ret_mark[m] = row->found ? (struct gsn_fiducial){ .px = { row->x_px, row->y_px },
+                                                          .radius_px = row->radius_px,
+                                                          .cov_xx = row->cov_xx,
+                                                          .cov_xy = row->cov_xy,
+                                                          .cov_yy = row->cov_yy,
+                                                          .score = row->score,
+                                                          .found = 1 }
+                                 : (struct gsn_fiducial){ 0 };
     }
 }
 
@@ -178,7 +179,7 @@ static int read_pose(const char *text, const char *sha256, struct gsn_panel_answ
     if (!answer->choice.mirrored && strncmp(at, " up", 3) != 0)
         return 0;
     at += answer->choice.mirrored ? 5 : 3;
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         at = take_mark(at, &answer->choice.px[i], &answer->choice.found[i]);
     return at && !*at;
 }

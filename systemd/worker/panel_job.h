@@ -44,12 +44,12 @@ int gsn_panel_lacks_turn(const struct gsn_panel_row *row);
 
 /* A section's marks, between the pipeline's record and the store's rows. */
 
-void gsn_fiducials_to_rows(const struct gsn_mark mark[GSN_MARKS],
+void gsn_fiducials_to_rows(const struct gsn_fiducial mark[GSN_FIDUCIALS],
                            struct gsn_fiducial_row ret_rows[GSN_ROW_MARKS]);
 
 /* One that was not found comes back as nothing but that; its contrast is not kept. */
 void gsn_fiducials_from_rows(const struct gsn_fiducial_row rows[GSN_ROW_MARKS],
-                             struct gsn_mark ret_mark[GSN_MARKS]);
+                             struct gsn_fiducial ret_mark[GSN_FIDUCIALS]);
 
 /* The poses that a doubtful section may have, between the pipeline's record and the store's rows.
  */

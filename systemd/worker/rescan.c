@@ -97,7 +97,7 @@ static void pair_findings(const struct gsn_panel_findings *findings,
         const size_t slot = (size_t)rows->at[i].slot - 1;
 
         for (size_t m = 0;
-             m < GSN_MARKS && rows->at[i].panel_id == other->id && slot < findings->count; m++)
+             m < GSN_FIDUCIALS && rows->at[i].panel_id == other->id && slot < findings->count; m++)
             if (findings->section[slot].mark[m].found)
                 add_pair(pairs, findings->section[slot].mark[m].px, findings->px_um,
                          &rows->at[i].marker[m], other->px_um);
@@ -114,7 +114,7 @@ static void pair_rows(const struct gsn_section_rows *rows, const struct gsn_pane
 
             if (p->panel_id != a->id || q->panel_id != b->id || p->slot != q->slot)
                 continue;
-            for (size_t m = 0; m < GSN_MARKS; m++)
+            for (size_t m = 0; m < GSN_FIDUCIALS; m++)
                 if (p->marker[m].found)
                     add_pair(pairs, (struct gsn_point){ p->marker[m].x_px, p->marker[m].y_px },
                              a->px_um, &q->marker[m], b->px_um);

@@ -3,9 +3,10 @@
 /* The verbs about picture files without a store: `check` decodes strictly and says what each file
  * is; `register` gives the poses of a folder of section pictures as a table or JSON.
  *
- * The work of `register` is pipeline/folder/register_folder.h; here its options become records and its result
- * words: for each section the pose, its error ellipse, what is known of the tissue, and why one was
- * left out. Exit status 0 when every picture could be used, else 65; usage errors 64. */
+ * The work of `register` is pipeline/folder/register_folder.h; here its options become records and
+ * its result words: for each section the pose, its error ellipse, what is known of the tissue, and
+ * why one was left out. Exit status 0 when every picture could be used, else 65; usage errors 64.
+ */
 
 #include <jansson.h>
 #include <malloc.h>
@@ -71,12 +72,13 @@ static int take_length(const char *text, const char *option, double *ret_length,
     return GSN_OK;
 }
 
-static int take_marks(const char *text, struct gsn_point ret_mark[GSN_MARKS], struct gsn_error *err)
+static int take_marks(const char *text, struct gsn_point ret_mark[GSN_FIDUCIALS],
+                      struct gsn_error *err)
 {
     json_t *numbers = numbers_of(text);
-    const int fine = json_array_size(numbers) == 2 * GSN_MARKS;
+    const int fine = json_array_size(numbers) == 2 * GSN_FIDUCIALS;
 
-    for (size_t i = 0; fine && i < GSN_MARKS; i++)
+    for (size_t i = 0; fine && i < GSN_FIDUCIALS; i++)
         ret_mark[i] = (struct gsn_point){ json_number_value(json_array_get(numbers, 2 * i)),
                                           json_number_value(json_array_get(numbers, 2 * i + 1)) };
     json_decref(numbers);
@@ -229,7 +231,7 @@ static size_t lost_of(const struct gsn_folder_stack *stack)
 static int register_folder(const struct gsn_register_request *request, struct gsn_decoder *decoder,
                            struct gsn_error *err)
 {
-    struct gsn_point mark[GSN_MARKS];
+    struct gsn_point mark[GSN_FIDUCIALS];
     struct gsn_folder_options options = { .decoder = decoder, .by_tissue = request->by_tissue };
     gsn_auto(gsn_folder_stack) stack = NULL;
     int r = take_length(request->px_um, "px-um", &options.px_um, err);

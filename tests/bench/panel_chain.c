@@ -130,29 +130,28 @@ static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart,
 static void find_poses(const struct bench_panel *panel, const struct gsn_image *image,
                        const struct found *found, struct gsn_pose *pose, double *ret_worst)
 {
-    gsn_auto_mem(struct gsn_mark_candidates) candidates =
+    gsn_auto_mem(struct gsn_fiducial_candidates) candidates =
         bench_alloc(BENCH_SECTIONS, sizeof *candidates);
     struct gsn_pose_input input[BENCH_SECTIONS] = { { 0 } };
     const struct gsn_pose_options options = { .markers_um = panel->triangle_um };
     struct gsn_triangle_prior prior = { 0 };
     gsn_auto(gsn_od_reader) absorber = NULL;
-    struct gsn_mark_density red;
+    struct gsn_density_source red;
     struct gsn_pose_summary summary;
     struct gsn_error err = { 0 };
 
     memcpy(prior.mark_um, panel->triangle_um, sizeof prior.mark_um);
     bench_need(gsn_od_reader_new(image, &found->glass, &absorber, &err), &err, "chain");
-    red = (struct gsn_mark_density){ image->width, image->height, absorber, red_row };
+    red = (struct gsn_density_source){ image->width, image->height, absorber, red_row };
     for (unsigned i = 0; i < BENCH_SECTIONS; i++)
-        bench_need(
-            gsn_markers_candidates(&red, &found->slot[i], panel->px_um, &candidates[i], &err), &err,
-            "chain");
-    bench_need(gsn_markers_learn(candidates, BENCH_SECTIONS, &prior, &err), &err, "chain");
+        bench_need(gsn_fiducials_detect(&red, &found->slot[i], panel->px_um, &candidates[i], &err),
+                   &err, "chain");
+    bench_need(gsn_fiducials_learn(candidates, BENCH_SECTIONS, &prior, &err), &err, "chain");
     for (unsigned i = 0; i < BENCH_SECTIONS; i++) {
         input[i].serial = i;
         input[i].px_um = panel->px_um;
-        gsn_markers_choose(&candidates[i], &prior, input[i].marks, &input[i].mirrored, NULL, NULL);
-        for (unsigned m = 0; m < GSN_MARKS && input[i].marks[m].found; m++)
+        gsn_fiducials_match(&candidates[i], &prior, input[i].marks, &input[i].mirrored, NULL, NULL);
+        for (unsigned m = 0; m < GSN_FIDUCIALS && input[i].marks[m].found; m++)
             *ret_worst = fmax(*ret_worst, hypot(input[i].marks[m].px.x - panel->mark[i][m].x,
                                                 input[i].marks[m].px.y - panel->mark[i][m].y));
     }
@@ -183,7 +182,8 @@ static struct gsn_lattice block_of(const struct bench_panel *panel)
                                  .step_um = { panel->px_um, panel->px_um, 24 } };
 }
 
-/* Collagen density of every section in the block frame, as pipeline/specimen/density_stack.c has it. */
+/* Collagen density of every section in the block frame, as pipeline/specimen/density_stack.c has
+ * it. */
 static int lay_density(const struct bench_panel *panel, const struct gsn_image *image,
                        const struct found *found, const struct gsn_pose *pose)
 {
@@ -219,7 +219,8 @@ static int lay_density(const struct bench_panel *panel, const struct gsn_image *
     return count;
 }
 
-/* True colours of every section in the block frame, as pipeline/specimen/density_stack.c has them. */
+/* True colours of every section in the block frame, as pipeline/specimen/density_stack.c has them.
+ */
 static int lay_colour(const struct bench_panel *panel, const struct gsn_image *image,
                       const struct found *found, const struct gsn_pose *pose)
 {

@@ -14,7 +14,7 @@
 #include <unistd.h>
 
 enum { SIDE = 420, SECTIONS = 7, LOST = 4, BARE = 5, BROKEN = 6 };
-static const struct gsn_point MARKS[GSN_MARKS] = { { -120, -50 }, { 100, -80 }, { 20, 110 } };
+static const struct gsn_point MARKS[GSN_FIDUCIALS] = { { -120, -50 }, { 100, -80 }, { 20, 110 } };
 
 /* How section i lies: frame -> picture, pixel centres at whole numbers. */
 static struct gsn_affine mounting(int i)
@@ -36,7 +36,7 @@ static void write_section(const char *path, int i)
     size_t size;
 
     draw_tissue_picture(value, SIDE, SIDE, 195, &chance);
-    for (int k = 0; k < GSN_MARKS; k++) {
+    for (int k = 0; k < GSN_FIDUCIALS; k++) {
         struct draw_spot spot = { .radius = 16, .alpha = 0.96, .cut = NAN };
 
         spot.centre = gsn_affine_apply(&map, MARKS[k]);

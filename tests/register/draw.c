@@ -109,7 +109,7 @@ static void plane_row(const void *context, uint32_t x, uint32_t y, uint32_t apar
         to[i] = from[i * apart];
 }
 
-struct gsn_mark_density draw_density(const struct gsn_plane *plane)
+struct gsn_density_source draw_density(const struct gsn_plane *plane)
 {
-    return (struct gsn_mark_density){ plane->width, plane->height, plane, plane_row };
+    return (struct gsn_density_source){ plane->width, plane->height, plane, plane_row };
 }

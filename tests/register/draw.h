@@ -41,6 +41,6 @@ struct draw_mark draw_phantom_mark(struct gsn_point centre, double px_um);
 void draw_burn(struct gsn_plane *plane, const struct draw_mark *mark);
 
 /* A plane as what markers are looked for in. borrows; keeps: plane. */
-struct gsn_mark_density draw_density(const struct gsn_plane *plane);
+struct gsn_density_source draw_density(const struct gsn_plane *plane);
 
 #endif

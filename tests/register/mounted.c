@@ -8,9 +8,9 @@
 #include <math.h>
 #include <stdlib.h>
 
-const struct gsn_point mounted_marks[GSN_MARKS] = { { -2050, -1000 },
-                                                    { 1700, -1500 },
-                                                    { -1500, 1300 } };
+const struct gsn_point mounted_marks[GSN_FIDUCIALS] = { { -2050, -1000 },
+                                                        { 1700, -1500 },
+                                                        { -1500, 1300 } };
 const struct gsn_pose_options mounted_declared = { .markers_um = mounted_marks };
 
 struct gsn_point mounted_px(const struct mounted *m, struct gsn_point um)
@@ -36,7 +36,7 @@ static double drawn(struct draw_chance *chance, int heavy)
 static void draw_marks(struct gsn_pose_input *input, const struct mounted *m,
                        const struct mounted_world *w, struct draw_chance *chance)
 {
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const double poor = draw_uniform(chance, 0, 1) < w->unequal ? 4 : 1;
         const double way = draw_uniform(chance, 0, M_PI), c = cos(way), s = sin(way);
         const double along = poor * w->fit_um / MOUNTED_PX * draw_normal(chance);
@@ -45,7 +45,7 @@ static void draw_marks(struct gsn_pose_input *input, const struct mounted *m,
         const double va = pow(poor * said, 2), vb = pow(said, 2);
         const struct gsn_point um = { w->marks[i].x + input->serial * w->slope[i].x,
                                       w->marks[i].y + input->serial * w->slope[i].y };
-        struct gsn_mark *mark = &input->marks[i];
+        struct gsn_fiducial *mark = &input->marks[i];
 
         mark->found = 1;
         mark->px = mounted_px(m, um);

@@ -9,7 +9,7 @@
 #include "tests/register/draw.h"
 
 /* The phantom's triangle (PHANTOM.md section 3) and its pixel. */
-extern const struct gsn_point mounted_marks[GSN_MARKS];
+extern const struct gsn_point mounted_marks[GSN_FIDUCIALS];
 extern const struct gsn_pose_options mounted_declared;
 #define MOUNTED_PX 16.0
 
@@ -32,8 +32,8 @@ struct mounted_world {
     double modest;       /* the fits say this many times too little, where it is more than 1 */
     double strain_sd[3];
     int heavy; /* strain with Student's t, 3 degrees of freedom, same scale */
-    struct gsn_point slope[GSN_MARKS]; /* um per section */
-    double missing;                    /* share of sections that have lost one mark */
+    struct gsn_point slope[GSN_FIDUCIALS]; /* um per section */
+    double missing;                        /* share of sections that have lost one mark */
 };
 
 /* Where a point of the block appears, with the section's strain. */

@@ -43,7 +43,7 @@ static const struct bench L3 = {
     .most_decoys = 6,
 };
 
-static struct gsn_mark_candidates sections[SECTIONS];
+static struct gsn_fiducial_candidates sections[SECTIONS];
 static float block[WIDE * HIGH];
 
 /* The phantom's block in its middle. */
@@ -70,7 +70,7 @@ static double tissue_at(struct gsn_point um)
 }
 
 /* The section's tissue in cells, each of which differs by a tenth from the block's. */
-static void see_tissue(struct gsn_mark_candidates *s, const struct mounted *m,
+static void see_tissue(struct gsn_fiducial_candidates *s, const struct mounted *m,
                        struct draw_chance *chance)
 {
     const double c = cos(m->angle), n = sin(m->angle), stain = exp(0.15 * draw_normal(chance));
@@ -88,10 +88,10 @@ static void see_tissue(struct gsn_mark_candidates *s, const struct mounted *m,
     }
 }
 
-static void add_spot(struct gsn_mark_candidates *s, const struct gsn_mark *looks,
+static void add_spot(struct gsn_fiducial_candidates *s, const struct gsn_fiducial *looks,
                      struct draw_chance *chance)
 {
-    struct gsn_mark spot = *looks;
+    struct gsn_fiducial spot = *looks;
 
     spot.found = 1;
     /* In any order: each new one changes places with one that is there. */
@@ -106,14 +106,14 @@ static void see(const struct bench *bench, const struct mounted_stack *stack, si
                 struct draw_chance *chance)
 {
     const unsigned decoys = (unsigned)draw_uniform(chance, 0, bench->most_decoys + 1);
-    struct gsn_mark_candidates *s = &sections[i];
+    struct gsn_fiducial_candidates *s = &sections[i];
 
-    *s = (struct gsn_mark_candidates){ .px_um = MOUNTED_PX };
+    *s = (struct gsn_fiducial_candidates){ .px_um = MOUNTED_PX };
     s->tissue_px = mounted_px(&stack->mounting[i], (struct gsn_point){ 120 * draw_normal(chance),
                                                                        120 * draw_normal(chance) });
     see_tissue(s, &stack->mounting[i], chance);
-    for (int m = 0; m < GSN_MARKS; m++) {
-        struct gsn_mark spot = stack->input[i].marks[m];
+    for (int m = 0; m < GSN_FIDUCIALS; m++) {
+        struct gsn_fiducial spot = stack->input[i].marks[m];
 
         spot.radius_px = 75 / MOUNTED_PX * (1 + draw_uniform(chance, -0.1, 0.1));
         spot.contrast = 0.4 * exp(0.1 * draw_normal(chance));
@@ -122,7 +122,7 @@ static void see(const struct bench *bench, const struct mounted_stack *stack, si
             add_spot(s, &spot, chance);
     }
     for (unsigned k = 0; k < decoys; k++) {
-        struct gsn_mark spot = stack->input[i].marks[0];
+        struct gsn_fiducial spot = stack->input[i].marks[0];
 
         /* Debris, heaps of pigment, ink, rims: 40 to 130 um, few as round as a mark. */
         spot.px = mounted_px(&stack->mounting[i],
@@ -142,11 +142,11 @@ static void number(struct mounted_stack *stack)
     struct gsn_error err = { 0 };
 
     memcpy(prior.mark_um, mounted_marks, sizeof prior.mark_um);
-    CHECK_OK(gsn_markers_learn(sections, stack->count, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(sections, stack->count, &prior, &err), err);
     CHECK(prior.learnt);
     for (size_t i = 0; i < stack->count; i++)
-        gsn_markers_choose(&sections[i], &prior, stack->input[i].marks, &stack->input[i].mirrored,
-                           NULL, NULL);
+        gsn_fiducials_match(&sections[i], &prior, stack->input[i].marks, &stack->input[i].mirrored,
+                            NULL, NULL);
 }
 
 struct tally {
@@ -157,8 +157,8 @@ struct tally {
 
 static int is_misnumbered(const struct mounted_stack *s, size_t i)
 {
-    for (int m = 0; m < GSN_MARKS; m++) {
-        const struct gsn_mark *mark = &s->input[i].marks[m];
+    for (int m = 0; m < GSN_FIDUCIALS; m++) {
+        const struct gsn_fiducial *mark = &s->input[i].marks[m];
         const struct gsn_point true_px = mounted_px(&s->mounting[i], mounted_marks[m]);
 
         if (mark->found && hypot(mark->px.x - true_px.x, mark->px.y - true_px.y) > 150 / MOUNTED_PX)

@@ -11,9 +11,9 @@
 #include <string.h>
 
 static const double PX_UM = 10;
-static const struct gsn_point TRIANGLE[GSN_MARKS] = { { -700, -350 },
-                                                      { 600, -520 },
-                                                      { -520, 450 } };
+static const struct gsn_point TRIANGLE[GSN_FIDUCIALS] = { { -700, -350 },
+                                                          { 600, -520 },
+                                                          { -520, 450 } };
 
 /* A section of pixels turned by this angle and shifted, mirrored in x before that. */
 static struct gsn_point seen_at(struct gsn_point um, double deg, int mirrored)
@@ -24,12 +24,12 @@ static struct gsn_point seen_at(struct gsn_point um, double deg, int mirrored)
     return (struct gsn_point){ 500 + (mirrored ? -p.x : p.x) / PX_UM, 400 + p.y / PX_UM };
 }
 
-static void see(struct gsn_mark mark[GSN_MARKS], double deg, int mirrored)
+static void see(struct gsn_fiducial mark[GSN_FIDUCIALS], double deg, int mirrored)
 {
-    for (int i = 0; i < GSN_MARKS; i++)
-        mark[i] = (struct gsn_mark){ .px = seen_at(TRIANGLE[i], deg, mirrored),
-                                     .radius_px = 7.5,
-                                     .found = 1 };
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
+        mark[i] = (struct gsn_fiducial){ .px = seen_at(TRIANGLE[i], deg, mirrored),
+                                         .radius_px = 7.5,
+                                         .found = 1 };
 }
 
 static const struct gsn_point UPRIGHT = { 1, 0 };
@@ -39,7 +39,7 @@ static const struct gsn_point UPRIGHT = { 1, 0 };
 TEST(pairs_and_triple_of_one_section_are_laid_where_it_was)
 {
     for (int mirrored = 0; mirrored < 2; mirrored++) {
-        struct gsn_mark mark[GSN_MARKS];
+        struct gsn_fiducial mark[GSN_FIDUCIALS];
         struct gsn_candidates list;
 
         see(mark, 150, mirrored);
@@ -67,8 +67,8 @@ TEST(pairs_and_triple_of_one_section_are_laid_where_it_was)
 /* Two marks leave two ways round and two ways up. */
 static void four_ways(struct gsn_candidates *ret_list)
 {
-    struct gsn_mark_rival rivals[4] = { 0 };
-    struct gsn_mark mark[GSN_MARKS];
+    struct gsn_fiducial_hypothesis rivals[4] = { 0 };
+    struct gsn_fiducial mark[GSN_FIDUCIALS];
 
     see(mark, 0, 0);
     for (int k = 0; k < 4; k++) {
@@ -96,7 +96,7 @@ TEST(what_differs_is_said_of_the_same_spots)
 
 TEST(another_spot_is_named_by_its_place)
 {
-    struct gsn_mark_rival rivals[2] = { 0 };
+    struct gsn_fiducial_hypothesis rivals[2] = { 0 };
     struct gsn_candidates list;
 
     see(rivals[0].mark, 0, 0);
@@ -113,16 +113,16 @@ TEST(the_error_is_that_of_the_formula_and_larger_on_two_marks)
 {
     struct gsn_pose_summary summary = { .fle_um = 6 };
     struct gsn_point centre = { 0 }, around[4];
-    struct gsn_mark mark[GSN_MARKS];
+    struct gsn_fiducial mark[GSN_FIDUCIALS];
     struct gsn_candidates list;
     double rho = 0;
 
     memcpy(summary.mean_triangle, TRIANGLE, sizeof TRIANGLE);
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         centre.x += TRIANGLE[i].x / 3;
         centre.y += TRIANGLE[i].y / 3;
     }
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         rho += (pow(TRIANGLE[i].x - centre.x, 2) + pow(TRIANGLE[i].y - centre.y, 2)) / 3;
     rho = sqrt(rho);
     for (int i = 0; i < 4; i++)
@@ -153,7 +153,7 @@ TEST(gross_candidates_come_by_their_likelihood_and_one_that_could_not_be_laid_is
                                    .candidate = { { .share = 0.1, .tre_um = 1 },
                                                   { map, .share = 0.2, .tre_um = 20 },
                                                   { map, .share = 0.7, .tre_um = 7 } } };
-    struct gsn_mark mark[GSN_MARKS];
+    struct gsn_fiducial mark[GSN_FIDUCIALS];
     struct gsn_candidates list;
 
     see(mark, 0, 0);
@@ -168,7 +168,7 @@ static struct gsn_candidate_choice choice_of(const struct gsn_candidate *c, doub
 {
     struct gsn_candidate_choice choice = { .mirrored = c->mirrored };
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         choice.found[i] = c->mark[i].found;
         choice.px[i] = (struct gsn_point){ c->mark[i].px.x + off_px, c->mark[i].px.y };
     }

@@ -30,7 +30,7 @@ static void draw(struct mounted_stack *s)
         const struct mounted before = s->mounting[i];
 
         s->mounting[i].strain[0] += LONGER;
-        for (int k = 0; k < GSN_MARKS; k++) {
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
             const struct gsn_point from = mounted_px(&before, mounted_marks[k]);
             const struct gsn_point to = mounted_px(&s->mounting[i], mounted_marks[k]);
 

@@ -222,7 +222,7 @@ TEST(a_person_says_whether_label_or_marks_are_right)
             CHECK_OK(examine_labelled(mirrored, quarters, JOB_MARKED, &marked, &by_marks, &err),
                      err);
             for (size_t i = 0; i < truth->count; i++) {
-                const struct gsn_mark *is = &truth->section[i].mark[0];
+                const struct gsn_fiducial *is = &truth->section[i].mark[0];
 
                 CHECK_NEAR(by_marks->section[i].mark[0].px.x, is->px.x, 1e-3);
                 CHECK_NEAR(by_marks->section[i].mark[0].px.y, is->px.y, 1e-3);

@@ -46,8 +46,8 @@ static double worst_mark(const struct drawn_panel *panel, const struct gsn_panel
     double worst = 0;
 
     for (unsigned slot = 0; slot < DRAWN_SLOTS; slot++)
-        for (unsigned m = 0; m < GSN_MARKS; m++) {
-            const struct gsn_mark *mark = &findings->section[slot].mark[m];
+        for (unsigned m = 0; m < GSN_FIDUCIALS; m++) {
+            const struct gsn_fiducial *mark = &findings->section[slot].mark[m];
             const struct gsn_point at = drawn_panel_place(panel, slot, drawn_marks_um[m]);
 
             if (mark->found)

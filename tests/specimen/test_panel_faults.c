@@ -240,7 +240,7 @@ static void check_same(const struct gsn_panel_findings *a, const struct gsn_pane
         CHECK(a->section[i].serial == b->section[i].serial);
         CHECK(a->section[i].sighting == b->section[i].sighting);
         CHECK(a->section[i].x == b->section[i].x && a->section[i].y == b->section[i].y);
-        for (int m = 0; m < GSN_MARKS; m++) {
+        for (int m = 0; m < GSN_FIDUCIALS; m++) {
             CHECK_NEAR(a->section[i].mark[m].px.x, b->section[i].mark[m].px.x, 1e-3);
             CHECK_NEAR(a->section[i].mark[m].px.y, b->section[i].mark[m].px.y, 1e-3);
         }

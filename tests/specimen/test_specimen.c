@@ -420,8 +420,8 @@ TEST(a_section_whose_marks_could_be_others_is_held_and_said)
     drawn_specimen_even(&d, MARKS_JOB, 0.6);
     struct gsn_panel_section *s = &d.findings[1]->section[2];
 
-    for (size_t m = 0; m < GSN_MARKS; m++)
-        s->mark[m] = (struct gsn_mark){ .found = 0 };
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++)
+        s->mark[m] = (struct gsn_fiducial){ .found = 0 };
     s->sighting = GSN_SIGHT_NEEDS_EYE;
     s->flags = gsn_flags_of_text("ambiguous-marks");
     gsn_auto(gsn_specimen_result) result = worked(&d, 1);

@@ -99,10 +99,10 @@ static double off_um(const struct gsn_section *s)
 /* Section 5 shows marks where they were burnt, of the ones in this set, and no others. */
 static void check_burnt(const struct gsn_reconstruction *a, unsigned marks)
 {
-    const struct gsn_mark *mark = a->densities.marks[5].mark;
+    const struct gsn_fiducial *mark = a->densities.marks[5].mark;
     const struct drawn_panel panel = drawn_panel_of(2, 24, DRAWN_DENSITY);
 
-    for (unsigned m = 0; m < GSN_MARKS; m++) {
+    for (unsigned m = 0; m < GSN_FIDUCIALS; m++) {
         const struct gsn_point at = drawn_panel_place(&panel, 1, drawn_marks_um[m]);
 
         CHECK(mark[m].found == (int)(marks >> m & 1));
@@ -140,7 +140,7 @@ TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
             lopsided_panels(panels);
             drawn_specimen_init(&d, DRAWN_JOB, panels, 3);
             struct gsn_panel_section *s = &d.findings[1]->section[1];
-            const struct gsn_mark second = s->mark[1];
+            const struct gsn_fiducial second = s->mark[1];
 
             if (swapped) {
                 s->mark[1] = s->mark[2];
@@ -167,7 +167,7 @@ TEST(two_marks_that_the_tissue_contradicts_are_not_taken_for_marks)
 /* Spots of section 5 that lie as its marks would if it were face down. */
 static void mistake_marks(const struct drawn_panel *panel, struct gsn_panel_section *s)
 {
-    for (size_t m = 0; m < GSN_MARKS; m++)
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++)
         s->mark[m].px = drawn_panel_place(
             panel, 1, (struct gsn_point){ -drawn_marks_um[m].x, drawn_marks_um[m].y });
 }
@@ -207,7 +207,7 @@ TEST(three_marks_that_the_tissue_contradicts_do_not_lay_a_section)
 /* Section 5 with no marks told, and marks 2 and 3, or 3 and 2, or other spots, to choose from. */
 static void leave_open(const struct drawn_panel *panel, struct gsn_panel_section *s, int rivals)
 {
-    struct gsn_mark second = { .radius_px = 3, .score = 0.9, .found = 1 }, third = second;
+    struct gsn_fiducial second = { .radius_px = 3, .score = 0.9, .found = 1 }, third = second;
 
     second.px = drawn_panel_place(panel, 1, drawn_marks_um[1]);
     third.px = drawn_panel_place(panel, 1, drawn_marks_um[2]);

@@ -26,7 +26,7 @@ static const double EXPLAINED = 0.9, EXPLAINED_SD = 0.15;
  * looks. */
 static const double DISGUISED = 0.02;
 
-double gsn_appearance_distance(const struct gsn_mark *mark, double px_um,
+double gsn_appearance_distance(const struct gsn_fiducial *mark, double px_um,
                                const struct gsn_triangle_prior *prior)
 {
     const double contrast = log(mark->contrast / prior->contrast) / ALIKE;
@@ -35,7 +35,7 @@ double gsn_appearance_distance(const struct gsn_mark *mark, double px_um,
     return 0.5 * (contrast * contrast + radius * radius);
 }
 
-double gsn_appearance_residual(const struct gsn_mark *mark)
+double gsn_appearance_residual(const struct gsn_fiducial *mark)
 {
     return pow(fmax(EXPLAINED - mark->score, 0) / EXPLAINED_SD, 2);
 }
@@ -55,27 +55,28 @@ static double expected_share(int k)
     return k > 0 ? exp(-0.5 * ldexp(1, k - 1)) : 1;
 }
 
-static double unlike_in_all(const struct gsn_mark *mark, double px_um,
+static double unlike_in_all(const struct gsn_fiducial *mark, double px_um,
                             const struct gsn_triangle_prior *prior)
 {
     return gsn_appearance_distance(mark, px_um, prior) + gsn_appearance_residual(mark);
 }
 
-static double distance_um(const struct gsn_mark_candidates *section, struct gsn_point px)
+static double distance_um(const struct gsn_fiducial_candidates *section, struct gsn_point px)
 {
     return section->px_um * hypot(px.x - section->tissue_px.x, px.y - section->tissue_px.y);
 }
 
-static int is_one_of(const struct gsn_mark marks[GSN_MARKS], const struct gsn_mark *blob)
+static int is_one_of(const struct gsn_fiducial marks[GSN_FIDUCIALS],
+                     const struct gsn_fiducial *blob)
 {
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (marks[i].px.x == blob->px.x && marks[i].px.y == blob->px.y)
             return 1;
     return 0;
 }
 
-void gsn_appearance_count(const struct gsn_mark_candidates *section,
-                          const struct gsn_mark marks[GSN_MARKS],
+void gsn_appearance_count(const struct gsn_fiducial_candidates *section,
+                          const struct gsn_fiducial marks[GSN_FIDUCIALS],
                           const struct gsn_triangle_prior *prior,
                           struct gsn_appearance_counts *counts)
 {
@@ -84,14 +85,14 @@ void gsn_appearance_count(const struct gsn_mark_candidates *section,
     assert(section && marks && prior && counts);
 
     /* Farther out than its marks, a section may show those of its neighbours. */
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         reach_um = fmax(reach_um, distance_um(section, marks[i].px));
         counts->marks += 1;
         for (int k = class_of(unlike_in_all(&marks[i], section->px_um, prior)); k >= 0; k--)
             counts->alike[k] += 1;
     }
     for (size_t i = 0; i < section->count; i++) {
-        const struct gsn_mark *blob = &section->mark[i];
+        const struct gsn_fiducial *blob = &section->mark[i];
 
         if (distance_um(section, blob->px) > reach_um || is_one_of(marks, blob))
             continue;
@@ -122,7 +123,7 @@ void gsn_appearance_learn(const struct gsn_appearance_counts *counts,
     }
 }
 
-double gsn_appearance_ratio(const struct gsn_mark *mark, double px_um,
+double gsn_appearance_ratio(const struct gsn_fiducial *mark, double px_um,
                             const struct gsn_triangle_prior *prior)
 {
     const int k = class_of(unlike_in_all(mark, px_um, prior));
@@ -141,7 +142,7 @@ static double density_at(double away_um, double variance)
 
 /* Odds for a blob so far from where a mark belongs. What lays that place has variances of its own,
  * per axis, in an ordinary section and in any other. */
-static double ratio_of(const struct gsn_mark *blob, double px_um,
+static double ratio_of(const struct gsn_fiducial *blob, double px_um,
                        const struct gsn_triangle_prior *prior, const struct gsn_displacement *moves,
                        double away_um, double ordinary, double other)
 {
@@ -154,7 +155,7 @@ static double ratio_of(const struct gsn_mark *blob, double px_um,
            gsn_appearance_ratio(blob, px_um, prior);
 }
 
-double gsn_third_mark_ratio(const struct gsn_mark *blob, double px_um,
+double gsn_third_mark_ratio(const struct gsn_fiducial *blob, double px_um,
                             const struct gsn_triangle_prior *prior,
                             const struct gsn_displacement *moves, double away_um, double apart_um,
                             double across_um)
@@ -170,7 +171,7 @@ double gsn_third_mark_ratio(const struct gsn_mark *blob, double px_um,
                     carried * moves->loose_um * moves->loose_um);
 }
 
-double gsn_placed_mark_ratio(const struct gsn_mark *blob, double px_um,
+double gsn_placed_mark_ratio(const struct gsn_fiducial *blob, double px_um,
                              const struct gsn_triangle_prior *prior,
                              const struct gsn_displacement *moves, double away_um, double error_um)
 {
@@ -189,24 +190,24 @@ static const double FAINTEST = 0.3;
  * be half burnt in, and half of the rest bleached. */
 static const double STRONGER = 2.5, FAINTER = 5, RADIUS_FACTOR = 2;
 
-static double strength_of(const struct gsn_mark *mark)
+static double strength_of(const struct gsn_fiducial *mark)
 {
     return mark->contrast * mark->score;
 }
 
 /* The strength that one of three marks burnt alike reaches, in a section with the marks and maybe a
  * blot of ink or two: the third strongest. */
-static double third_strength(const struct gsn_mark_candidates *section)
+static double third_strength(const struct gsn_fiducial_candidates *section)
 {
-    const size_t third = section->count < GSN_MARKS ? section->count : GSN_MARKS;
+    const size_t third = section->count < GSN_FIDUCIALS ? section->count : GSN_FIDUCIALS;
 
     return third > 0 ? strength_of(&section->mark[third - 1]) : 0;
 }
 
-int gsn_appearance_acceptable(const struct gsn_mark_candidates *section, size_t i,
+int gsn_appearance_acceptable(const struct gsn_fiducial_candidates *section, size_t i,
                               const struct gsn_triangle_prior *prior)
 {
-    const struct gsn_mark *mark = &section->mark[i];
+    const struct gsn_fiducial *mark = &section->mark[i];
     const double um = mark->radius_px * section->px_um;
 
     if (!prior->learnt)
@@ -216,21 +217,21 @@ int gsn_appearance_acceptable(const struct gsn_mark_candidates *section, size_t 
            um <= RADIUS_FACTOR * prior->radius_um && um >= prior->radius_um / RADIUS_FACTOR;
 }
 
-static double clipped_distance(const struct gsn_mark *mark, double px_um,
+static double clipped_distance(const struct gsn_fiducial *mark, double px_um,
                                const struct gsn_triangle_prior *prior)
 {
     return fmin(gsn_appearance_distance(mark, px_um, prior), GSN_APPEARANCE_DISTANCE_MAX);
 }
 
-double gsn_appearance_sum(const struct gsn_mark_candidates *section,
-                          const struct gsn_triangle_prior *prior, const int candidate[GSN_MARKS],
-                          double most)
+double gsn_appearance_sum(const struct gsn_fiducial_candidates *section,
+                          const struct gsn_triangle_prior *prior,
+                          const int candidate[GSN_FIDUCIALS], double most)
 {
     const double third = third_strength(section);
     double sum = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
-        const struct gsn_mark *mark;
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
+        const struct gsn_fiducial *mark;
 
         if (candidate[i] < 0)
             continue;
@@ -245,10 +246,10 @@ double gsn_appearance_sum(const struct gsn_mark_candidates *section,
     return sum;
 }
 
-int gsn_appearance_alike(const struct gsn_mark_candidates *section,
-                         const struct gsn_triangle_prior *prior, const int candidate[GSN_MARKS])
+int gsn_appearance_alike(const struct gsn_fiducial_candidates *section,
+                         const struct gsn_triangle_prior *prior, const int candidate[GSN_FIDUCIALS])
 {
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (candidate[i] >= 0 &&
             clipped_distance(&section->mark[candidate[i]], section->px_um, prior) > ALIKE_MOST)
             return 0;

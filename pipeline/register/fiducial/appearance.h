@@ -19,15 +19,15 @@ extern "C" {
 
 /* -2 ln of the likelihood that a blob's looks give: burns of one stack are about as strong and as
  * large as each other. The caller guarantees that the prior is learnt. */
-double gsn_appearance_distance(const struct gsn_mark *mark, double px_um,
+double gsn_appearance_distance(const struct gsn_fiducial *mark, double px_um,
                                const struct gsn_triangle_prior *prior);
 
 /* The same for what the fit leaves unexplained of the picture: dirt that touches the mark. */
-double gsn_appearance_residual(const struct gsn_mark *mark);
+double gsn_appearance_residual(const struct gsn_fiducial *mark);
 
 /* How many times more often a mark looks like this blob than blobs that are none do, these per
  * um^2: the odds of its looks, in um^2. The caller guarantees that the prior is learnt. */
-double gsn_appearance_ratio(const struct gsn_mark *mark, double px_um,
+double gsn_appearance_ratio(const struct gsn_fiducial *mark, double px_um,
                             const struct gsn_triangle_prior *prior);
 
 /* Burns that are seen where one belongs. */
@@ -46,8 +46,8 @@ struct gsn_appearance_counts {
 };
 
 /* Adds one section, its marks and its other blobs. borrows: everything. */
-void gsn_appearance_count(const struct gsn_mark_candidates *section,
-                          const struct gsn_mark marks[GSN_MARKS],
+void gsn_appearance_count(const struct gsn_fiducial_candidates *section,
+                          const struct gsn_fiducial marks[GSN_FIDUCIALS],
                           const struct gsn_triangle_prior *prior,
                           struct gsn_appearance_counts *counts);
 
@@ -63,14 +63,14 @@ struct gsn_displacement {
 
 /* Odds for a blob that lies away_um from where two marks apart_um from each other put the third,
  * whose place is across_um from their middle. */
-double gsn_third_mark_ratio(const struct gsn_mark *blob, double px_um,
+double gsn_third_mark_ratio(const struct gsn_fiducial *blob, double px_um,
                             const struct gsn_triangle_prior *prior,
                             const struct gsn_displacement *moves, double away_um, double apart_um,
                             double across_um);
 
 /* The same for one that lies away_um from where something else than marks lays the mark, with this
  * error per axis. */
-double gsn_placed_mark_ratio(const struct gsn_mark *blob, double px_um,
+double gsn_placed_mark_ratio(const struct gsn_fiducial *blob, double px_um,
                              const struct gsn_triangle_prior *prior,
                              const struct gsn_displacement *moves, double away_um, double error_um);
 
@@ -78,18 +78,19 @@ double gsn_placed_mark_ratio(const struct gsn_mark *blob, double px_um,
 #define GSN_APPEARANCE_DISTANCE_MAX 8.0
 
 /* Whether a blob is of a strength and size that a mark may have. */
-int gsn_appearance_acceptable(const struct gsn_mark_candidates *section, size_t i,
+int gsn_appearance_acceptable(const struct gsn_fiducial_candidates *section, size_t i,
                               const struct gsn_triangle_prior *prior);
 
 /* -2 ln of the likelihood of these blobs' looks, no blob counting for more than most. candidate:
  * indices, or -1 where a mark is not there. */
-double gsn_appearance_sum(const struct gsn_mark_candidates *section,
-                          const struct gsn_triangle_prior *prior, const int candidate[GSN_MARKS],
-                          double most);
+double gsn_appearance_sum(const struct gsn_fiducial_candidates *section,
+                          const struct gsn_triangle_prior *prior,
+                          const int candidate[GSN_FIDUCIALS], double most);
 
 /* Whether all of them look as the stack's marks do. */
-int gsn_appearance_alike(const struct gsn_mark_candidates *section,
-                         const struct gsn_triangle_prior *prior, const int candidate[GSN_MARKS]);
+int gsn_appearance_alike(const struct gsn_fiducial_candidates *section,
+                         const struct gsn_triangle_prior *prior,
+                         const int candidate[GSN_FIDUCIALS]);
 
 #ifdef __cplusplus
 }

@@ -41,7 +41,7 @@ size_t gsn_blob_cell_px(double px_um)
 
 /* A blob of a further scale than the first. */
 struct later {
-    struct gsn_mark blob;
+    struct gsn_fiducial blob;
     size_t scale;
 };
 
@@ -50,7 +50,7 @@ struct search {
     struct gsn_wavelet wavelet;
     double answer[RADII][SCALES]; /* of a disc of contrast 1, by its radius */
     double radius[RADII];         /* cells */
-    struct gsn_mark *blobs;       /* the strongest so far, strongest first */
+    struct gsn_fiducial *blobs;   /* the strongest so far, strongest first */
     size_t count, most;
     struct later *later; /* row by row: the first scale's blobs are weighed before them */
     size_t later_count, later_room;
@@ -125,19 +125,19 @@ static double peak_offset(double before, double at, double after)
 }
 
 /* The disc that answers most nearly as this place does. */
-static struct gsn_mark fit_disc(const struct search *search, const struct place *at)
+static struct gsn_fiducial fit_disc(const struct search *search, const struct place *at)
 {
     const struct gsn_blob_field *field = search->field;
     const double dx = peak_offset(answer_at(at, -1, 0), answer_at(at, 0, 0), answer_at(at, 1, 0));
     const double dy = peak_offset(answer_at(at, 0, -1), answer_at(at, 0, 0), answer_at(at, 0, 1));
     const double cell = field->cell_px;
     double own[SCALES] = { 0 };
-    struct gsn_mark mark = { .px = { field->origin_px.x + ((double)at->x + 0.5 + dx) * cell,
-                                     field->origin_px.y + ((double)at->y + 0.5 + dy) * cell },
-                             .score = -1,
-                             .cov_xx = cell * cell / 12,
-                             .cov_yy = cell * cell / 12,
-                             .found = 1 };
+    struct gsn_fiducial mark = { .px = { field->origin_px.x + ((double)at->x + 0.5 + dx) * cell,
+                                         field->origin_px.y + ((double)at->y + 0.5 + dy) * cell },
+                                 .score = -1,
+                                 .cov_xx = cell * cell / 12,
+                                 .cov_yy = cell * cell / 12,
+                                 .found = 1 };
 
     for (size_t k = 0; k < search->wavelet.scales; k++)
         own[k] = answer_at(&(struct place){ at->wavelet, at->x, at->y, k }, 0, 0);
@@ -160,14 +160,14 @@ static struct gsn_mark fit_disc(const struct search *search, const struct place 
 }
 
 /* Of equal contrast, the rounder one is rather a mark. */
-static double strength_of(const struct gsn_mark *blob)
+static double strength_of(const struct gsn_fiducial *blob)
 {
     return blob->contrast * blob->score;
 }
 
 /* Keeps the strongest most blobs, strongest first; of two within a radius the stronger stays. */
-static void keep_strongest(struct gsn_mark *kept, size_t *count, size_t most,
-                           const struct gsn_mark *blob)
+static void keep_strongest(struct gsn_fiducial *kept, size_t *count, size_t most,
+                           const struct gsn_fiducial *blob)
 {
     size_t at, n = 0;
 
@@ -191,7 +191,7 @@ static void keep_strongest(struct gsn_mark *kept, size_t *count, size_t most,
     kept[at] = *blob;
 }
 
-static int keep_later(struct search *search, const struct gsn_mark *blob, size_t scale,
+static int keep_later(struct search *search, const struct gsn_fiducial *blob, size_t scale,
                       struct gsn_error *err)
 {
     if (search->later_count == search->later_room) {
@@ -210,7 +210,7 @@ static int keep_later(struct search *search, const struct gsn_mark *blob, size_t
 /* What may be a blob, at a cell whose answer none of the four beside it surpasses. */
 static int add_peak(struct search *search, const struct place *at, struct gsn_error *err)
 {
-    struct gsn_mark blob;
+    struct gsn_fiducial blob;
 
     if (!is_peak(at) || is_ridge(at))
         return GSN_OK;
@@ -294,11 +294,11 @@ static int search_rows(struct search *search, struct gsn_error *err)
 }
 
 int gsn_blobs_find(const struct gsn_blob_field *field, double px_um, size_t most,
-                   struct gsn_mark *ret_blobs, size_t *ret_count, struct gsn_error *err)
+                   struct gsn_fiducial *ret_blobs, size_t *ret_count, struct gsn_error *err)
 {
     const double cell_um = field->cell_px * px_um;
     const size_t scales = gsn_burn_radius_max_um / cell_um > THIRD_SCALE ? 3 : 2;
-    gsn_auto_mem(struct gsn_mark) blobs = gsn_alloc(most * sizeof *blobs);
+    gsn_auto_mem(struct gsn_fiducial) blobs = gsn_alloc(most * sizeof *blobs);
     struct search search = { .field = field, .blobs = blobs, .most = most };
     int r;
 

@@ -36,7 +36,7 @@ size_t gsn_blob_cell_px(double px_um);
  * that of a cell. borrows: field. ret_blobs has room for most of them; ret_count may be 0. Fails
  * with GSN_E_NOMEM. */
 int gsn_blobs_find(const struct gsn_blob_field *field, double px_um, size_t most,
-                   struct gsn_mark *ret_blobs, size_t *ret_count, struct gsn_error *err);
+                   struct gsn_fiducial *ret_blobs, size_t *ret_count, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

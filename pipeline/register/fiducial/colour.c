@@ -3,11 +3,11 @@
 /* Method: Fisher's linear discriminant (1936) of mark and tissue mixes a picture's channels into
  * one plane, in which the mark is localised.
  *
- * Steps of gsn_mark_spots_find(). 1. Two pixels of a row of each cell stand for it, so that most
- * rows are never read; blobs (blob.h) are found in the first channel; tissue is what is darker than
- * Otsu's level. 2. A window around each blob is kept, and the picture may go. Steps of
- * gsn_mark_spots_measure(). 1. Blocks of a fifth of a radius in the ring around the mark; those
- * that hold debris or holes are left out. 2. Their differences from block to block are the
+ * Steps of gsn_colour_candidates_find(). 1. Two pixels of a row of each cell stand for it, so that
+ * most rows are never read; blobs (blob.h) are found in the first channel; tissue is what is darker
+ * than Otsu's level. 2. A window around each blob is kept, and the picture may go. Steps of
+ * gsn_colour_candidates_localise(). 1. Blocks of a fifth of a radius in the ring around the mark;
+ * those that hold debris or holes are left out. 2. Their differences from block to block are the
  * covariance of what the fit cannot know. 3. The weights, the plane, the fit; where it fails, six
  * more are begun around the middle, since a mark and its debris are one blob from afar.
  *
@@ -370,10 +370,10 @@ static struct gsn_point find_tissue(const struct gsn_image *image, size_t step)
                  : (struct gsn_point){ image->width / 2.0, image->height / 2.0 };
 }
 
-static int cut_window(const struct gsn_image *image, struct gsn_mark_spots *found, size_t i,
+static int cut_window(const struct gsn_image *image, struct gsn_colour_candidates *found, size_t i,
                       struct gsn_error *err)
 {
-    const struct gsn_mark *mark = &found->candidates.mark[i];
+    const struct gsn_fiducial *mark = &found->candidates.mark[i];
     const double reach = WINDOW * mark->radius_px + 2;
     const int x0 = (int)fmax(floor(mark->px.x - reach), 0);
     const int y0 = (int)fmax(floor(mark->px.y - reach), 0);
@@ -394,10 +394,10 @@ static int cut_window(const struct gsn_image *image, struct gsn_mark_spots *foun
     return GSN_OK;
 }
 
-int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
-                        struct gsn_mark_spots **ret_found, struct gsn_error *err)
+int gsn_colour_candidates_find(const struct gsn_image *picture, double px_um,
+                               struct gsn_colour_candidates **ret_found, struct gsn_error *err)
 {
-    gsn_auto(gsn_mark_spots) found = gsn_alloc_array(1, sizeof *found);
+    gsn_auto(gsn_colour_candidates) found = gsn_alloc_array(1, sizeof *found);
     gsn_auto_mem(float) od = NULL;
     struct gsn_blob_field field = { .cell_px = 1 };
     size_t step;
@@ -421,7 +421,7 @@ int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
     gsn_thumbnail_take(&field, &found->candidates.map);
     found->candidates.px_um = px_um;
     found->candidates.tissue_px = find_tissue(picture, step);
-    r = gsn_blobs_find(&field, px_um, GSN_MARK_CANDIDATES, found->candidates.mark,
+    r = gsn_blobs_find(&field, px_um, GSN_FIDUCIAL_CANDIDATES, found->candidates.mark,
                        &found->candidates.count, err);
     while (found->candidates.count > 0 &&
            found->candidates.mark[found->candidates.count - 1].contrast <
@@ -451,28 +451,29 @@ static void red_row(const void *context, uint32_t x, uint32_t y, uint32_t apart,
         to[i] = red->table[code_at(red->image, (first + i * apart) * red->image->channels)];
 }
 
-int gsn_mark_spots_find_burns(const struct gsn_image *picture, double px_um,
-                              struct gsn_point tissue_px, unsigned burn,
-                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+int gsn_colour_candidates_find_burns(const struct gsn_image *picture, double px_um,
+                                     struct gsn_point tissue_px, unsigned burn,
+                                     struct gsn_fiducial_candidates *ret_candidates,
+                                     struct gsn_error *err)
 {
     const struct gsn_slot slot = { .found = 1,
                                    .width = (int)picture->width,
                                    .height = (int)picture->height,
                                    .centre_px = tissue_px };
     struct red red = { .image = picture };
-    const struct gsn_mark_density density = { picture->width, picture->height, &red, red_row };
+    const struct gsn_density_source density = { picture->width, picture->height, &red, red_row };
 
     assert(picture && ret_candidates);
 
     density_table(red.table, 1);
-    return gsn_markers_candidates_of(&density, &slot, px_um, burn, ret_candidates, err);
+    return gsn_fiducials_detect_burn(&density, &slot, px_um, burn, ret_candidates, err);
 }
 
-void gsn_mark_spots_free(struct gsn_mark_spots *found)
+void gsn_colour_candidates_free(struct gsn_colour_candidates *found)
 {
     if (!found)
         return;
-    for (size_t i = 0; i < GSN_MARK_CANDIDATES; i++)
+    for (size_t i = 0; i < GSN_FIDUCIAL_CANDIDATES; i++)
         gsn_image_free(found->window[i]);
     gsn_free(found);
 }
@@ -480,13 +481,13 @@ void gsn_mark_spots_free(struct gsn_mark_spots *found)
 /* ---- localised when it matters --------------------------------------------------------------- */
 
 /* The fit from one start, in the picture's pixels. */
-static int fit_once(const struct gsn_mark_spots *found, size_t i, struct gsn_point at,
-                    struct gsn_mark *ret_mark, struct gsn_error *err)
+static int fit_once(const struct gsn_colour_candidates *found, size_t i, struct gsn_point at,
+                    struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
     const double radius = found->candidates.mark[i].radius_px;
     const struct gsn_point start = { at.x - found->x[i], at.y - found->y[i] };
     gsn_auto(gsn_plane) plane = NULL;
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
     double contrast;
     int r = mix_window(found->window[i], start, radius, &plane, &contrast, err);
 
@@ -501,9 +502,10 @@ static int fit_once(const struct gsn_mark_spots *found, size_t i, struct gsn_poi
     return GSN_OK;
 }
 
-int gsn_mark_spots_measure(struct gsn_mark_spots *found, size_t i, struct gsn_error *err)
+int gsn_colour_candidates_localise(struct gsn_colour_candidates *found, size_t i,
+                                   struct gsn_error *err)
 {
-    struct gsn_mark best = { 0 };
+    struct gsn_fiducial best = { 0 };
     struct gsn_point at;
     double beside;
     int r;

@@ -21,32 +21,35 @@
 extern "C" {
 #endif
 
-struct gsn_mark_spots {
-    struct gsn_mark_candidates candidates; /* coarse as long as they are not measured */
-    int measured[GSN_MARK_CANDIDATES];
-    struct gsn_image *window[GSN_MARK_CANDIDATES];
-    int x[GSN_MARK_CANDIDATES], y[GSN_MARK_CANDIDATES]; /* place of the window's first pixel */
+struct gsn_colour_candidates {
+    struct gsn_fiducial_candidates candidates; /* coarse as long as they are not measured */
+    int measured[GSN_FIDUCIAL_CANDIDATES];
+    struct gsn_image *window[GSN_FIDUCIAL_CANDIDATES];
+    int x[GSN_FIDUCIAL_CANDIDATES],
+        y[GSN_FIDUCIAL_CANDIDATES]; /* place of the window's first pixel */
 };
 
 /* borrows: picture, codes of transmitted light (whatever the curve). gives: ret_spots. Finding
  * nothing is no error. Fails with GSN_E_INPUT when px_um is not positive or too coarse for a mark;
  * GSN_E_NOMEM. */
-int gsn_mark_spots_find(const struct gsn_image *picture, double px_um,
-                        struct gsn_mark_spots **ret_spots, struct gsn_error *err);
-void gsn_mark_spots_free(struct gsn_mark_spots *spots);
-GSN_DEFINE_AUTO(gsn_mark_spots);
+int gsn_colour_candidates_find(const struct gsn_image *picture, double px_um,
+                               struct gsn_colour_candidates **ret_spots, struct gsn_error *err);
+void gsn_colour_candidates_free(struct gsn_colour_candidates *spots);
+GSN_DEFINE_AUTO(gsn_colour_candidates);
 
-/* Looks for another kind of burn than the ordinary, of gsn_mark_burns: in the red channel alone,
+/* Looks for another kind of burn than the ordinary, of gsn_burns: in the red channel alone,
  * and every blob is measured. borrows: picture. tissue_px: centre of the tissue. Fails as
- * gsn_markers_candidates(). */
-int gsn_mark_spots_find_burns(const struct gsn_image *picture, double px_um,
-                              struct gsn_point tissue_px, unsigned burn,
-                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+ * gsn_fiducials_detect(). */
+int gsn_colour_candidates_find_burns(const struct gsn_image *picture, double px_um,
+                                     struct gsn_point tissue_px, unsigned burn,
+                                     struct gsn_fiducial_candidates *ret_candidates,
+                                     struct gsn_error *err);
 
 /* Replaces candidate i by what the fit says; one that is no disc keeps its place and loses its
  * score. Does nothing for one that is measured already. The caller guarantees i < count. Fails with
  * GSN_E_NOMEM. */
-int gsn_mark_spots_measure(struct gsn_mark_spots *spots, size_t i, struct gsn_error *err);
+int gsn_colour_candidates_localise(struct gsn_colour_candidates *spots, size_t i,
+                                   struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -781,7 +781,7 @@ static double part_by_prior(const struct gsn_contour *fit, const double *a, cons
 }
 
 /* The inverse of the information; larger where the sectors say so, but for what is belief. */
-static int find_covariance(const struct gsn_contour *fit, matrix h, struct gsn_mark *mark)
+static int find_covariance(const struct gsn_contour *fit, matrix h, struct gsn_fiducial *mark)
 {
     const double larger = find_inflation(fit) * find_unevenness(fit);
     double column[2][UNKNOWNS] = { { 0 } };
@@ -809,7 +809,7 @@ static double share_of_rim(const struct gsn_contour *fit)
     return sum / (double)fit->sectors;
 }
 
-static int run_fit(struct gsn_contour *fit, struct gsn_mark *mark)
+static int run_fit(struct gsn_contour *fit, struct gsn_fiducial *mark)
 {
     matrix h;
 
@@ -829,9 +829,9 @@ static int run_fit(struct gsn_contour *fit, struct gsn_mark *mark)
 /* One fit; stretch: NULL for a round mark. Returns the share of the rim that agrees, or 0. */
 static double fit_outline(struct gsn_contour *fit, const struct gsn_plane *plane,
                           struct gsn_point start, double radius_px,
-                          const struct gsn_oval_stretch *stretch, struct gsn_mark *ret_mark)
+                          const struct gsn_oval_stretch *stretch, struct gsn_fiducial *ret_mark)
 {
-    struct gsn_mark mark = { 0 };
+    struct gsn_fiducial mark = { 0 };
 
     fit->radius = radius_px;
     fit->sectors = (size_t)fmin(fmax(2 * M_PI * radius_px / SECTOR_PX, SECTORS_MIN), SECTORS);
@@ -862,14 +862,14 @@ static void clear_buffers(struct gsn_contour *fit, float *floats, int *cells, si
 }
 
 int gsn_contour_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                    struct gsn_mark *ret_mark, struct gsn_error *err)
+                    struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
     /* An oval may be 1.6 times as large as was thought. */
     const size_t side = (size_t)ceil(1.6 * 2 * REACH * radius_px) + 3, room = side * side;
     gsn_auto_mem(float) floats = gsn_alloc(FLOATS * room * sizeof *floats);
     gsn_auto_mem(int) cells = gsn_alloc(room * sizeof *cells);
     gsn_auto_mem(struct gsn_contour) fit = gsn_alloc_array(1, sizeof *fit);
-    struct gsn_mark mark = { 0 }, oval = { 0 };
+    struct gsn_fiducial mark = { 0 }, oval = { 0 };
     struct gsn_oval_stretch stretch;
 
     assert(plane && radius_px > 0 && ret_mark);

@@ -33,7 +33,7 @@ extern "C" {
  * when too few sectors agree on a round edge, or the fit runs away: that is no error. Fails with
  * GSN_E_NOMEM. */
 int gsn_contour_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                    struct gsn_mark *ret_mark, struct gsn_error *err);
+                    struct gsn_fiducial *ret_mark, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -4,13 +4,14 @@
  * likelihood over that of a section without marks, with the tissue's thumbnail as a further
  * witness; the winner is refused where a hypothesis that contradicts it is half as likely.
  *
- * Steps of gsn_markers_choose(). 1. Triples whose sides are within reach of the prior's are aligned
- * (rigid.h) and scored: misfit under a mixture of ordinary, loose and torn sections, appearance
- * (appearance.h), and the density of blobs that lie anywhere. A triple of which one may as well lie
- * there by chance is dropped. 2. The thumbnails weigh the hypotheses. 3. The best triple is held
- * against pairs that contradict it: the third may be a blob that lies where a mark would, were the
- * section turned. 4. Where no triple is trusted, pairs: as far apart as they should be, or folded
- * ones, for which the thumbnail must speak 20 to 1. 5. The odds that the section has marks at all.
+ * Steps of gsn_fiducials_match(). 1. Triples whose sides are within reach of the prior's are
+ * aligned (rigid.h) and scored: misfit under a mixture of ordinary, loose and torn sections,
+ * appearance (appearance.h), and the density of blobs that lie anywhere. A triple of which one may
+ * as well lie there by chance is dropped. 2. The thumbnails weigh the hypotheses. 3. The best
+ * triple is held against pairs that contradict it: the third may be a blob that lies where a mark
+ * would, were the section turned. 4. Where no triple is trusted, pairs: as far apart as they should
+ * be, or folded ones, for which the thumbnail must speak 20 to 1. 5. The odds that the section has
+ * marks at all.
  *
  * Cannot fail; a section whose marks are in doubt gets none. Cost: most triples fail on their first
  * side; some thousand closed-form fits a section with many blobs. */
@@ -44,7 +45,7 @@ enum { HYPOTHESES = 128 };
 
 /* One way to call candidates marks. */
 struct hypothesis {
-    int candidate[GSN_MARKS]; /* index, or -1: this mark is not there */
+    int candidate[GSN_FIDUCIALS]; /* index, or -1: this mark is not there */
     int mirrored;
     double over_none;  /* likelihood over that of a section without marks, tissue left aside */
     double likelihood; /* the same, with what the tissue says */
@@ -87,7 +88,7 @@ static const double LIKELIHOOD_MIN = 0.0111;
 
 /* How far the sections of the stack move their marks. The caller guarantees that the prior is
  * learnt. */
-static struct gsn_displacement find_displacement(const struct gsn_mark_candidates *section,
+static struct gsn_displacement find_displacement(const struct gsn_fiducial_candidates *section,
                                                  const struct gsn_triangle_prior *prior)
 {
     const double loose = gsn_triangle_tolerance(prior, section->px_um);
@@ -109,7 +110,7 @@ static double normal_density(double chi2, double tolerance_um, double sd_um, int
 
 /* Density of a misfit, whatever befell the section: 1 dimension for two marks, 3 for three, of
  * which the size has a deviation of its own. */
-static double misfit_density(const struct gsn_mark_candidates *section,
+static double misfit_density(const struct gsn_fiducial_candidates *section,
                              const struct gsn_triangle_prior *prior, double chi2, int freedom)
 {
     const struct gsn_displacement m = find_displacement(section, prior);
@@ -130,7 +131,7 @@ static int knows_looks(const struct gsn_triangle_prior *prior)
 
 /* Where blobs lie, um^2: as far as was counted, or else a disc over which the section's own blobs
  * would spread as they do, and never less than one as large as the triangle. */
-static double area_of(const struct gsn_mark_candidates *section,
+static double area_of(const struct gsn_fiducial_candidates *section,
                       const struct gsn_triangle_prior *prior)
 {
     const double n = fmax((double)section->count, 1);
@@ -151,7 +152,7 @@ static double area_of(const struct gsn_mark_candidates *section,
 
 /* How much likelier the blobs look so and lie somewhere each as marks than as blobs that are none:
  * by what the stack taught, or as rare as those of this section that may be marks. */
-static double looks_odds(const struct gsn_mark_candidates *section,
+static double looks_odds(const struct gsn_fiducial_candidates *section,
                          const struct gsn_triangle_prior *prior,
                          const struct hypothesis *hypothesis, double area_um2)
 {
@@ -162,7 +163,7 @@ static double looks_odds(const struct gsn_mark_candidates *section,
     if (!knows_looks(prior))
         odds = exp(-0.5 * gsn_appearance_sum(section, prior, hypothesis->candidate,
                                              GSN_APPEARANCE_DISTANCE_MAX));
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (hypothesis->candidate[i] >= 0)
             odds *= knows_looks(prior)
                         ? gsn_appearance_ratio(&section->mark[hypothesis->candidate[i]],
@@ -175,7 +176,7 @@ static double looks_odds(const struct gsn_mark_candidates *section,
  * would then lie anywhere. A triangle may lie anywhere, turned by any angle and on either face; in
  * coordinates in which each mark counts alike, d^2a d^2b d^2c = 3 sqrt(3) rho d^2centroid dangle
  * d^3shape, and sqrt(2) distance d^2centre dangle dlength for two. */
-static double over_none(const struct gsn_mark_candidates *section,
+static double over_none(const struct gsn_fiducial_candidates *section,
                         const struct gsn_triangle_prior *prior, const struct hypothesis *hypothesis,
                         double chi2)
 {
@@ -186,12 +187,13 @@ static double over_none(const struct gsn_mark_candidates *section,
     if (is_triple(hypothesis))
         return pow(GSN_FIDUCIAL_SEEN, 3) * odds * misfit_density(section, prior, chi2, 3) /
                (4 * M_PI * area * 3 * sqrt(3) * gsn_triangle_size(mark));
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (hypothesis->candidate[i] < 0)
             return pow(GSN_FIDUCIAL_SEEN, 2) * (1 - GSN_FIDUCIAL_SEEN) * odds *
                    misfit_density(section, prior, chi2, 1) /
                    (4 * M_PI * area * M_SQRT2 *
-                    gsn_fiducial_distance(mark[(i + 1) % GSN_MARKS], mark[(i + 2) % GSN_MARKS]));
+                    gsn_fiducial_distance(mark[(i + 1) % GSN_FIDUCIALS],
+                                          mark[(i + 2) % GSN_FIDUCIALS]));
     return 0;
 }
 
@@ -203,7 +205,7 @@ static int is_plausible_pair(double chi2)
 
 /* Scores a hypothesis by its misfit in tolerances; more than three standard deviations of anything
  * are not believed, of a pair's length where torn_pair is its tolerance. */
-static void score_misfit(const struct gsn_mark_candidates *section,
+static void score_misfit(const struct gsn_fiducial_candidates *section,
                          const struct gsn_triangle_prior *prior, double chi2, double torn_pair,
                          struct hypothesis *hypothesis)
 {
@@ -224,7 +226,7 @@ static void score_misfit(const struct gsn_mark_candidates *section,
  * neighbour's marks. The tissue's centre moves by some of its size when a piece is lost or pen is
  * taken for it.
  */
-static int is_far_off(const struct gsn_mark_candidates *section,
+static int is_far_off(const struct gsn_fiducial_candidates *section,
                       const struct gsn_triangle_prior *prior, const struct gsn_rigid *motion,
                       int mirrored)
 {
@@ -243,20 +245,20 @@ static int is_far_off(const struct gsn_mark_candidates *section,
 static double find_size_misfit(const struct gsn_point *from, const struct gsn_point *onto,
                                size_t count)
 {
-    return count == GSN_MARKS ? fabs(gsn_triangle_size(from) - gsn_triangle_size(onto)) : 0;
+    return count == GSN_FIDUCIALS ? fabs(gsn_triangle_size(from) - gsn_triangle_size(onto)) : 0;
 }
 
 /* Aligns the marks of a hypothesis with the prior's; ret_chi2 is the misfit in tolerances. */
-static int align_marks(const struct gsn_mark_candidates *section,
+static int align_marks(const struct gsn_fiducial_candidates *section,
                        const struct gsn_triangle_prior *prior, const struct hypothesis *hypothesis,
                        struct gsn_rigid *ret_motion, double *ret_chi2)
 {
-    struct gsn_point from[GSN_MARKS], onto[GSN_MARKS];
+    struct gsn_point from[GSN_FIDUCIALS], onto[GSN_FIDUCIALS];
     const double sd = gsn_triangle_tolerance(prior, section->px_um);
     size_t count = 0;
     double rms, size;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         if (hypothesis->candidate[i] < 0)
             continue;
         from[count] = gsn_fiducial_to_um(section->mark[hypothesis->candidate[i]].px, section->px_um,
@@ -272,16 +274,16 @@ static int align_marks(const struct gsn_mark_candidates *section,
 
 /* Odds that one of three blobs is a mark and does not lie there by chance, if the two others are
  * marks: motion lays these. */
-static double third_odds(const struct gsn_mark_candidates *section,
+static double third_odds(const struct gsn_fiducial_candidates *section,
                          const struct gsn_triangle_prior *prior,
                          const struct hypothesis *hypothesis, int third,
                          const struct gsn_rigid *motion)
 {
-    const int a = (third + 1) % GSN_MARKS, b = (third + 2) % GSN_MARKS;
+    const int a = (third + 1) % GSN_FIDUCIALS, b = (third + 2) % GSN_FIDUCIALS;
     const struct gsn_point *mark = prior->mark_um;
     const struct gsn_point middle = { 0.5 * (mark[a].x + mark[b].x),
                                       0.5 * (mark[a].y + mark[b].y) };
-    const struct gsn_mark *blob = &section->mark[hypothesis->candidate[third]];
+    const struct gsn_fiducial *blob = &section->mark[hypothesis->candidate[third]];
     const struct gsn_displacement moves = find_displacement(section, prior);
     const double away = gsn_fiducial_distance(
         gsn_rigid_apply(motion, gsn_fiducial_to_um(blob->px, section->px_um, hypothesis->mirrored)),
@@ -293,7 +295,7 @@ static double third_odds(const struct gsn_mark_candidates *section,
 }
 
 /* Whether one of three blobs may as well be there by chance, the two others being the marks. */
-static int is_by_chance(const struct gsn_mark_candidates *section,
+static int is_by_chance(const struct gsn_fiducial_candidates *section,
                         const struct gsn_triangle_prior *prior, const struct hypothesis *hypothesis,
                         int third)
 {
@@ -305,21 +307,21 @@ static int is_by_chance(const struct gsn_mark_candidates *section,
            third_odds(section, prior, hypothesis, third, &pair.motion) < RATIO_MIN;
 }
 
-static int is_any_by_chance(const struct gsn_mark_candidates *section,
+static int is_any_by_chance(const struct gsn_fiducial_candidates *section,
                             const struct gsn_triangle_prior *prior,
                             const struct hypothesis *hypothesis)
 {
     int any = 0;
 
-    for (int i = 0; i < GSN_MARKS && prior->learnt && prior->chance[GSN_APPEARANCE_CLASSES - 1] > 0;
-         i++)
+    for (int i = 0;
+         i < GSN_FIDUCIALS && prior->learnt && prior->chance[GSN_APPEARANCE_CLASSES - 1] > 0; i++)
         any |= is_by_chance(section, prior, hypothesis, i);
     return any;
 }
 
 /* Aligns the hypothesis and scores it; torn_pair: how many tolerances a pair may be too short or
  * too long. 0: it is beyond what happens to marks, or one of three lies there by chance. */
-static int score_hypothesis(const struct gsn_mark_candidates *section,
+static int score_hypothesis(const struct gsn_fiducial_candidates *section,
                             const struct gsn_triangle_prior *prior, double torn_pair,
                             struct hypothesis *hypothesis)
 {
@@ -334,7 +336,7 @@ static int score_hypothesis(const struct gsn_mark_candidates *section,
 }
 
 /* Whether nothing tore or folded: the marks lie as far apart as sections stretch. */
-static int fits_well(const struct gsn_mark_candidates *section,
+static int fits_well(const struct gsn_fiducial_candidates *section,
                      const struct gsn_triangle_prior *prior, const struct hypothesis *hypothesis)
 {
     struct gsn_rigid motion;
@@ -367,7 +369,7 @@ static void keep_likeliest(struct hypotheses *hypotheses, const struct hypothesi
         hypotheses->item[at] = *hypothesis;
 }
 
-static void add_if_plausible(const struct gsn_mark_candidates *section,
+static void add_if_plausible(const struct gsn_fiducial_candidates *section,
                              const struct gsn_triangle_prior *prior, double torn_pair,
                              struct hypothesis *hypothesis, struct hypotheses *hypotheses)
 {
@@ -385,7 +387,8 @@ static struct span span_of(double length, double off)
     return (struct span){ pow(fmax(length - off, 0), 2), pow(length + off, 2) };
 }
 
-static int is_in_span(const struct span *span, const struct gsn_mark *a, const struct gsn_mark *b)
+static int is_in_span(const struct span *span, const struct gsn_fiducial *a,
+                      const struct gsn_fiducial *b)
 {
     const double dx = a->px.x - b->px.x, dy = a->px.y - b->px.y;
     const double squares = dx * dx + dy * dy;
@@ -395,26 +398,26 @@ static int is_in_span(const struct span *span, const struct gsn_mark *a, const s
 
 /* The sides of the prior's triangle in pixels, from each mark to the next, so many tolerances
  * longer or shorter. */
-static void sides_of(const struct gsn_mark_candidates *section,
+static void sides_of(const struct gsn_fiducial_candidates *section,
                      const struct gsn_triangle_prior *prior, double tolerances,
-                     struct span ret_side[GSN_MARKS])
+                     struct span ret_side[GSN_FIDUCIALS])
 {
     const double off = tolerances * gsn_triangle_tolerance(prior, section->px_um) / section->px_um;
 
-    for (int i = 0; i < GSN_MARKS; i++)
-        ret_side[i] =
-            span_of(gsn_fiducial_distance(prior->mark_um[i], prior->mark_um[(i + 1) % GSN_MARKS]) /
-                        section->px_um,
-                    off);
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
+        ret_side[i] = span_of(
+            gsn_fiducial_distance(prior->mark_um[i], prior->mark_um[(i + 1) % GSN_FIDUCIALS]) /
+                section->px_um,
+            off);
 }
 
-static void add_triples(const struct gsn_mark_candidates *section,
+static void add_triples(const struct gsn_fiducial_candidates *section,
                         const struct gsn_triangle_prior *prior, const int *usable,
                         struct hypotheses *hypotheses)
 {
-    const struct gsn_mark *mark = section->mark;
+    const struct gsn_fiducial *mark = section->mark;
     const int n = (int)section->count;
-    struct span side[GSN_MARKS];
+    struct span side[GSN_FIDUCIALS];
 
     sides_of(section, prior, prior->learnt ? 3 * TORN : 6, side);
     for (int a = 0; a < n; a++) {
@@ -434,12 +437,12 @@ static void add_triples(const struct gsn_mark_candidates *section,
     }
 }
 
-static void add_pairs(const struct gsn_mark_candidates *section,
+static void add_pairs(const struct gsn_fiducial_candidates *section,
                       const struct gsn_triangle_prior *prior, const int *usable, double torn_pair,
                       struct hypotheses *hypotheses)
 {
     const int n = (int)section->count;
-    struct span side[GSN_MARKS];
+    struct span side[GSN_FIDUCIALS];
 
     /* A misfit of a length is shared by two marks. */
     sides_of(section, prior, PAIR_REACH * torn_pair, side);
@@ -447,14 +450,14 @@ static void add_pairs(const struct gsn_mark_candidates *section,
         for (int b = 0; b < n; b++) {
             if (a == b || !usable[a] || !usable[b])
                 continue;
-            for (int k = 0; k < 2 * GSN_MARKS; k++) {
+            for (int k = 0; k < 2 * GSN_FIDUCIALS; k++) {
                 struct hypothesis hypothesis = { .candidate = { -1, -1, -1 }, .mirrored = k % 2 };
 
                 if (!is_in_span(&side[k / 2], &section->mark[a], &section->mark[b]))
                     continue;
                 /* Every pair comes in both orders, so the next mark round is enough. */
                 hypothesis.candidate[k / 2] = a;
-                hypothesis.candidate[(k / 2 + 1) % GSN_MARKS] = b;
+                hypothesis.candidate[(k / 2 + 1) % GSN_FIDUCIALS] = b;
                 add_if_plausible(section, prior, torn_pair, &hypothesis, hypotheses);
             }
         }
@@ -496,10 +499,10 @@ static void rank_hypothesis(struct ranking *ranking, const struct hypothesis *hy
 /* Whether both call the same blobs marks, whatever their numbers. */
 static int has_same_blobs(const struct hypothesis *a, const struct hypothesis *b)
 {
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         int seen = 0;
 
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             seen |= a->candidate[i] == b->candidate[k];
         if (!seen)
             return 0;
@@ -508,7 +511,7 @@ static int has_same_blobs(const struct hypothesis *a, const struct hypothesis *b
 }
 
 /* Notes how unlike the others' tissue this one's is. */
-static void compare_thumbnail(const struct gsn_mark_candidates *section,
+static void compare_thumbnail(const struct gsn_fiducial_candidates *section,
                               const struct gsn_triangle_prior *prior, struct hypothesis *hypothesis)
 {
     hypothesis->unlike =
@@ -525,7 +528,7 @@ static double thumbnail_ratio(double unlike, double other)
 
 /* Two marks leave two ways round and two ways up, and three may be mixed with a look-alike; the
  * tissue tells. Of three blobs that are the same, it does not say which way up they are. */
-static void weigh_by_thumbnail(const struct gsn_mark_candidates *section,
+static void weigh_by_thumbnail(const struct gsn_fiducial_candidates *section,
                                const struct gsn_triangle_prior *prior,
                                struct hypotheses *hypotheses)
 {
@@ -551,7 +554,7 @@ static void weigh_by_thumbnail(const struct gsn_mark_candidates *section,
 }
 
 /* Where there is no picture, a pair is told by the tissue's centre. */
-static void weigh_by_centre(const struct gsn_mark_candidates *section,
+static void weigh_by_centre(const struct gsn_fiducial_candidates *section,
                             const struct gsn_triangle_prior *prior, struct hypotheses *hypotheses)
 {
     const double sd = fmax(prior->tissue_sd_um, TISSUE_SD_MIN_UM);
@@ -605,7 +608,7 @@ static const double UNHEARD = 1e-5;
 /* Whether a pair calls nothing else than three do. */
 static int is_contained(const struct hypothesis *pair, const struct hypothesis *three)
 {
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (pair->candidate[i] >= 0 && pair->candidate[i] != three->candidate[i])
             return 0;
     return pair->mirrored == three->mirrored;
@@ -613,7 +616,7 @@ static int is_contained(const struct hypothesis *pair, const struct hypothesis *
 
 static int uses_candidate(const struct hypothesis *hypothesis, int candidate)
 {
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (hypothesis->candidate[i] == candidate)
             return 1;
     return 0;
@@ -621,13 +624,13 @@ static int uses_candidate(const struct hypothesis *hypothesis, int candidate)
 
 /* Pairs that contradict the three: all of them where only a tear could have brought the three where
  * they are, or else those of their own blobs. */
-static void find_rivals(const struct gsn_mark_candidates *section,
+static void find_rivals(const struct gsn_fiducial_candidates *section,
                         const struct gsn_triangle_prior *prior, const int *usable,
                         const struct hypothesis *three, struct hypotheses *rivals)
 {
     const int torn = !fits_well(section, prior, three);
     struct hypotheses all;
-    int own[GSN_MARK_CANDIDATES];
+    int own[GSN_FIDUCIAL_CANDIDATES];
 
     rivals->count = all.count = 0;
     for (size_t i = 0; i < section->count; i++)
@@ -643,7 +646,7 @@ static void find_rivals(const struct gsn_mark_candidates *section,
 
 /* Three against two that have lost the third: a blob that lies where the third would be, if the
  * section lay otherwise than it does, was taken for it. The tissue's picture is the witness. */
-static void compare_with_pairs(const struct gsn_mark_candidates *section,
+static void compare_with_pairs(const struct gsn_fiducial_candidates *section,
                                const struct gsn_triangle_prior *prior, const int *usable,
                                struct hypothesis *three, double *runner_up)
 {
@@ -691,7 +694,7 @@ static double odds_against_none(const struct gsn_triangle_prior *prior,
 }
 
 /* Two marks and no third: as far apart as they should be, or else what a fold leaves of them. */
-static struct hypothesis find_pairs(const struct gsn_mark_candidates *section,
+static struct hypothesis find_pairs(const struct gsn_fiducial_candidates *section,
                                     const struct gsn_triangle_prior *prior, const int *usable,
                                     struct hypotheses *hypotheses, double *ret_runner_up)
 {
@@ -713,11 +716,11 @@ static struct hypothesis find_pairs(const struct gsn_mark_candidates *section,
 }
 
 /* Finds the hypotheses of a section and chooses. */
-static struct hypothesis find_hypotheses(const struct gsn_mark_candidates *section,
+static struct hypothesis find_hypotheses(const struct gsn_fiducial_candidates *section,
                                          const struct gsn_triangle_prior *prior,
                                          struct hypotheses *hypotheses, double *ret_runner_up)
 {
-    int usable[GSN_MARK_CANDIDATES];
+    int usable[GSN_FIDUCIAL_CANDIDATES];
     struct hypothesis hypothesis;
 
     hypotheses->count = 0;
@@ -736,10 +739,10 @@ static struct hypothesis find_hypotheses(const struct gsn_mark_candidates *secti
     return hypothesis;
 }
 
-void gsn_markers_choose(const struct gsn_mark_candidates *section,
-                        const struct gsn_triangle_prior *prior,
-                        struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
-                        double *ret_runner_up)
+void gsn_fiducials_match(const struct gsn_fiducial_candidates *section,
+                         const struct gsn_triangle_prior *prior,
+                         struct gsn_fiducial ret_marks[GSN_FIDUCIALS], int *ret_mirrored,
+                         double *ret_score, double *ret_runner_up)
 {
     struct hypotheses hypotheses;
     struct hypothesis hypothesis;
@@ -753,10 +756,10 @@ void gsn_markers_choose(const struct gsn_mark_candidates *section,
     /* Two marks are for a person to look at, so that they are rather there than not is enough. */
     trusted =
         is_trustworthy(&hypothesis, runner_up) && odds >= (is_triple(&hypothesis) ? RATIO_MIN : 1);
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         ret_marks[i] = trusted && hypothesis.candidate[i] >= 0
                            ? section->mark[hypothesis.candidate[i]]
-                           : (struct gsn_mark){ 0 };
+                           : (struct gsn_fiducial){ 0 };
     if (ret_mirrored)
         *ret_mirrored = trusted && hypothesis.mirrored;
     all = hypothesis.likelihood > 0 ? hypothesis.likelihood * (1 + 1 / odds) + runner_up : 1;
@@ -773,7 +776,7 @@ static int by_likelihood(const void *left, const void *right)
 
     if (a->likelihood != b->likelihood)
         return a->likelihood > b->likelihood ? -1 : 1;
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (a->candidate[i] != b->candidate[i])
             return a->candidate[i] < b->candidate[i] ? -1 : 1;
     return a->mirrored - b->mirrored;
@@ -791,11 +794,11 @@ static int is_told(const struct hypotheses *hypotheses, size_t i)
     return 0;
 }
 
-double gsn_hypotheses_over_none(const struct gsn_mark_candidates *section,
+double gsn_hypotheses_over_none(const struct gsn_fiducial_candidates *section,
                                 const struct gsn_triangle_prior *prior)
 {
     struct hypotheses hypotheses = { .count = 0 };
-    int usable[GSN_MARK_CANDIDATES];
+    int usable[GSN_FIDUCIAL_CANDIDATES];
     double sum = 0;
 
     for (size_t i = 0; i < section->count; i++)
@@ -806,9 +809,9 @@ double gsn_hypotheses_over_none(const struct gsn_mark_candidates *section,
     return sum;
 }
 
-size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
-                          const struct gsn_triangle_prior *prior,
-                          struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS])
+size_t gsn_fiducials_hypotheses(const struct gsn_fiducial_candidates *section,
+                                const struct gsn_triangle_prior *prior,
+                                struct gsn_fiducial_hypothesis ret_rivals[GSN_FIDUCIAL_HYPOTHESES])
 {
     struct hypotheses hypotheses;
     double runner_up, sum = 0, none = 0;
@@ -818,15 +821,15 @@ size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
 
     (void)find_hypotheses(section, prior, &hypotheses, &runner_up);
     qsort(hypotheses.item, hypotheses.count, sizeof hypotheses.item[0], by_likelihood);
-    for (size_t i = 0; i < hypotheses.count && count < GSN_MARK_RIVALS; i++) {
+    for (size_t i = 0; i < hypotheses.count && count < GSN_FIDUCIAL_HYPOTHESES; i++) {
         const struct hypothesis *hypothesis = &hypotheses.item[i];
-        struct gsn_mark_rival *rival = &ret_rivals[count];
+        struct gsn_fiducial_hypothesis *rival = &ret_rivals[count];
 
         if (!(hypothesis->likelihood > 0) || is_told(&hypotheses, i))
             continue;
-        *rival = (struct gsn_mark_rival){ .mirrored = hypothesis->mirrored,
-                                          .share = hypothesis->likelihood };
-        for (int m = 0; m < GSN_MARKS; m++)
+        *rival = (struct gsn_fiducial_hypothesis){ .mirrored = hypothesis->mirrored,
+                                                   .share = hypothesis->likelihood };
+        for (int m = 0; m < GSN_FIDUCIALS; m++)
             if (hypothesis->candidate[m] >= 0)
                 rival->mark[m] = section->mark[hypothesis->candidate[m]];
         if (count == 0)
@@ -847,15 +850,15 @@ struct blobs {
     double odds, other;
 };
 
-static int is_given(const struct gsn_mark marks[GSN_MARKS], const struct gsn_mark *blob)
+static int is_given(const struct gsn_fiducial marks[GSN_FIDUCIALS], const struct gsn_fiducial *blob)
 {
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (marks[i].found && marks[i].px.x == blob->px.x && marks[i].px.y == blob->px.y)
             return 1;
     return 0;
 }
 
-static struct blobs find_blobs_at(const struct gsn_mark_candidates *section,
+static struct blobs find_blobs_at(const struct gsn_fiducial_candidates *section,
                                   const struct gsn_triangle_prior *prior,
                                   const struct gsn_affine *panel_to_um, double error_um, int mark)
 {
@@ -863,7 +866,7 @@ static struct blobs find_blobs_at(const struct gsn_mark_candidates *section,
     struct blobs blobs = { 0 };
 
     for (size_t i = 0; i < section->count; i++) {
-        const struct gsn_mark *blob = &section->mark[i];
+        const struct gsn_fiducial *blob = &section->mark[i];
         const double away =
             gsn_fiducial_distance(gsn_affine_apply(panel_to_um, blob->px), prior->mark_um[mark]);
         const double odds =
@@ -882,13 +885,14 @@ static struct blobs find_blobs_at(const struct gsn_mark_candidates *section,
     return blobs;
 }
 
-void gsn_markers_place(const struct gsn_mark_candidates *section,
-                       const struct gsn_triangle_prior *prior, const struct gsn_affine *panel_to_um,
-                       double error_um, struct gsn_mark marks[GSN_MARKS])
+void gsn_fiducials_match_placed(const struct gsn_fiducial_candidates *section,
+                                const struct gsn_triangle_prior *prior,
+                                const struct gsn_affine *panel_to_um, double error_um,
+                                struct gsn_fiducial marks[GSN_FIDUCIALS])
 {
     assert(section && prior && prior->learnt && panel_to_um && marks);
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         struct blobs blobs;
 
         if (marks[i].found)

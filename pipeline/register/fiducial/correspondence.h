@@ -26,36 +26,37 @@ extern "C" {
  * refused, all three marks not found, when the second is more than half of the first. In a triangle
  * too nearly isosceles the numbering that leaves the section unmirrored wins, and the pose says so.
  */
-void gsn_markers_choose(const struct gsn_mark_candidates *section,
-                        const struct gsn_triangle_prior *prior,
-                        struct gsn_mark ret_marks[GSN_MARKS], int *ret_mirrored, double *ret_score,
-                        double *ret_runner_up);
+void gsn_fiducials_match(const struct gsn_fiducial_candidates *section,
+                         const struct gsn_triangle_prior *prior,
+                         struct gsn_fiducial ret_marks[GSN_FIDUCIALS], int *ret_mirrored,
+                         double *ret_score, double *ret_runner_up);
 
 /* One way to call blobs of a section its marks. */
-struct gsn_mark_rival {
-    struct gsn_mark mark[GSN_MARKS]; /* numbered as in the prior */
+struct gsn_fiducial_hypothesis {
+    struct gsn_fiducial mark[GSN_FIDUCIALS]; /* numbered as in the prior */
     int mirrored;
     double share; /* of the likelihood of all that are listed; they sum to 1 */
 };
 
-/* What gsn_markers_choose() chose from, for a person to choose: the likeliest, the best first. Of
+/* What gsn_fiducials_match() chose from, for a person to choose: the likeliest, the best first. Of
  * three blobs that are as well turned over, only the likelier is listed, since three marks tell
  * that by themselves or never. Returns how many there are. */
-size_t gsn_markers_rivals(const struct gsn_mark_candidates *section,
-                          const struct gsn_triangle_prior *prior,
-                          struct gsn_mark_rival ret_rivals[GSN_MARK_RIVALS]);
+size_t gsn_fiducials_hypotheses(const struct gsn_fiducial_candidates *section,
+                                const struct gsn_triangle_prior *prior,
+                                struct gsn_fiducial_hypothesis ret_rivals[GSN_FIDUCIAL_HYPOTHESES]);
 
 /* The marks of a section that something else than marks has laid, its tissue: panel_to_um lays
  * pixels on the frame of the prior, with this error per axis. A mark that is not found yet becomes
  * the blob that is one 20 to 1, by how far it is from the mark's place and by its looks, unless
  * another blob is half as likely or more. The caller guarantees that the prior is learnt. */
-void gsn_markers_place(const struct gsn_mark_candidates *section,
-                       const struct gsn_triangle_prior *prior, const struct gsn_affine *panel_to_um,
-                       double error_um, struct gsn_mark marks[GSN_MARKS]);
+void gsn_fiducials_match_placed(const struct gsn_fiducial_candidates *section,
+                                const struct gsn_triangle_prior *prior,
+                                const struct gsn_affine *panel_to_um, double error_um,
+                                struct gsn_fiducial marks[GSN_FIDUCIALS]);
 
 /* How much likelier the section has three marks, anywhere, than none; without what the tissue says.
  */
-double gsn_hypotheses_over_none(const struct gsn_mark_candidates *section,
+double gsn_hypotheses_over_none(const struct gsn_fiducial_candidates *section,
                                 const struct gsn_triangle_prior *prior);
 
 #ifdef __cplusplus

@@ -2,14 +2,14 @@
 
 /* Method: candidates by multi-scale blobs (blob.h), each then localised (localise.h).
  *
- * Steps of gsn_markers_candidates(). 1. The slot is reduced to cells of some 25 um by a few pixels
+ * Steps of gsn_fiducials_detect(). 1. The slot is reduced to cells of some 25 um by a few pixels
  * of each; where burns may be holes, all pixels are read and what a dark rim encloses is filled
- * (grey-value closing by pipeline/imaging, and reconstruction, which OpenCV's core and imgproc do not
- * have). 2. Edges of coverslips are bridged (line.h), the
- * thumbnail of the tissue is taken. 3. Blobs, the strongest first, or, once it is learnt what marks
- * look like, those that look most like them first. 4. Each is localised from the pixels around it;
- * where the fit wandered so far that it saw too little tissue, it is begun anew from there. 5. Of
- * two in one place the stronger stays; of too many, the least round goes.
+ * (grey-value closing by pipeline/imaging, and reconstruction, which OpenCV's core and imgproc do
+ * not have). 2. Edges of coverslips are bridged (line.h), the thumbnail of the tissue is taken. 3.
+ * Blobs, the strongest first, or, once it is learnt what marks look like, those that look most like
+ * them first. 4. Each is localised from the pixels around it; where the fit wandered so far that it
+ * saw too little tissue, it is begun anew from there. 5. Of two in one place the stronger stays; of
+ * too many, the least round goes.
  *
  * Fails when the pixel size or the slot is out of range, and when memory runs out. Cost: the
  * wavelet's pass over the cells and the fits of at most 64 blobs. */
@@ -161,7 +161,7 @@ static void fill_holes(struct gsn_blob_field *field)
             field->od[i] = n > 0 ? (float)(sum / n) : 0;
 }
 
-int gsn_density_reduce(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+int gsn_density_reduce(const struct gsn_density_source *density, const struct gsn_slot *slot,
                        size_t step, struct gsn_blob_field *field, struct gsn_error *err)
 {
     const size_t taps = step < TAPS ? step : TAPS, width = field->width;
@@ -188,7 +188,7 @@ int gsn_density_reduce(const struct gsn_mark_density *density, const struct gsn_
 }
 
 /* The darkest of the pixels of each small cell of side px; those masked take no part. */
-static void find_darkest(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+static void find_darkest(const struct gsn_density_source *density, const struct gsn_slot *slot,
                          size_t side, size_t y, size_t count, float *row, float *ret_darkest)
 {
     for (size_t i = 0; i < count; i++)
@@ -201,7 +201,7 @@ static void find_darkest(const struct gsn_mark_density *density, const struct gs
     }
 }
 
-int gsn_density_reduce_filled(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+int gsn_density_reduce_filled(const struct gsn_density_source *density, const struct gsn_slot *slot,
                               size_t step, struct gsn_blob_field *field, struct gsn_error *err)
 {
     /* Cells of a third of a cell, or of a pixel. */
@@ -232,9 +232,9 @@ int gsn_density_reduce_filled(const struct gsn_mark_density *density, const stru
 /* ---- one fit --------------------------------------------------------------------------------- */
 
 /* One fit, with the pixels around its start. */
-static int fit_once(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                    struct gsn_point start, double radius_px, int holes, struct gsn_mark *ret_mark,
-                    struct gsn_error *err)
+static int fit_once(const struct gsn_density_source *density, const struct gsn_slot *slot,
+                    struct gsn_point start, double radius_px, int holes,
+                    struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
     const double reach = WINDOW * radius_px + 2;
     const int x0 = (int)fmax(floor(start.x - reach), slot->x);
@@ -243,7 +243,7 @@ static int fit_once(const struct gsn_mark_density *density, const struct gsn_slo
     const int y1 = (int)fmin(ceil(start.y + reach), slot->y + slot->height);
     gsn_auto_mem(float) value = gsn_alloc((size_t)(x1 - x0) * (size_t)(y1 - y0) * sizeof *value);
     const struct gsn_plane window = { (uint32_t)(x1 - x0), (uint32_t)(y1 - y0), value };
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
     int r;
 
     assert(x1 > x0 && y1 > y0);
@@ -270,7 +270,7 @@ static int fit_once(const struct gsn_mark_density *density, const struct gsn_slo
 /* Whether the pixels that a fit looked at reach as far around the mark that it found as around one
  * whose radius was guessed as wrongly as it may be. Of tissue that was hardly seen, the level is
  * what a slope from elsewhere makes of it, and with it the contrast. */
-static int is_seen(struct gsn_point start, double radius_px, const struct gsn_mark *mark)
+static int is_seen(struct gsn_point start, double radius_px, const struct gsn_fiducial *mark)
 {
     const double moved = hypot(mark->px.x - start.x, mark->px.y - start.y);
 
@@ -284,16 +284,16 @@ static int is_inside(const struct gsn_slot *slot, struct gsn_point at)
            at.y <= slot->y + slot->height;
 }
 
-int gsn_density_localise(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+int gsn_density_localise(const struct gsn_density_source *density, const struct gsn_slot *slot,
                          struct gsn_point start, double radius_px, int holes,
-                         struct gsn_mark *ret_mark, struct gsn_error *err)
+                         struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
     int r = fit_once(density, slot, start, radius_px, holes, &mark, err);
 
     for (int again = 0; r >= 0 && mark.found && !is_seen(start, radius_px, &mark); again++) {
         if (again == AGAIN || !is_inside(slot, mark.px)) {
-            mark = (struct gsn_mark){ 0 };
+            mark = (struct gsn_fiducial){ 0 };
             break;
         }
         start = mark.px;
@@ -309,8 +309,8 @@ int gsn_density_localise(const struct gsn_mark_density *density, const struct gs
 /* ---- candidates ------------------------------------------------------------------------------ */
 
 static const double PX_MOST_UM = 40;
-const struct gsn_mark_burn gsn_mark_burns[GSN_MARK_BURNS] = { { 1, 0 }, { 0.35, 0 }, { 3, 0 },
-                                                              { 1, 1 }, { 0.35, 1 }, { 3, 1 } };
+const struct gsn_burn gsn_burns[GSN_BURNS] = { { 1, 0 }, { 0.35, 0 }, { 3, 0 },
+                                               { 1, 1 }, { 0.35, 1 }, { 3, 1 } };
 
 /* Blobs that are measured: ink over the tissue has dozens that are darker than any mark, and few of
  * them are round. */
@@ -323,12 +323,12 @@ static const double FAINTEST = 0.125;
 /* Those among which the ones like a known mark are looked for. */
 enum { BLOBS_KNOWN = 1024 };
 
-static double strength_of(const struct gsn_mark *mark)
+static double strength_of(const struct gsn_fiducial *mark)
 {
     return mark->contrast * mark->score;
 }
 
-static void drop_candidate(struct gsn_mark_candidates *candidates, size_t at)
+static void drop_candidate(struct gsn_fiducial_candidates *candidates, size_t at)
 {
     for (size_t k = at; k + 1 < candidates->count; k++)
         candidates->mark[k] = candidates->mark[k + 1];
@@ -337,7 +337,7 @@ static void drop_candidate(struct gsn_mark_candidates *candidates, size_t at)
 
 /* Of too many, the one that is least of a disc goes, however dark: ink is dark. Whether the new one
  * may come. */
-static int make_room(struct gsn_mark_candidates *candidates, const struct gsn_mark *mark)
+static int make_room(struct gsn_fiducial_candidates *candidates, const struct gsn_fiducial *mark)
 {
     size_t worst = 0;
 
@@ -351,12 +351,12 @@ static int make_room(struct gsn_mark_candidates *candidates, const struct gsn_ma
 }
 
 /* Puts a mark in its place by strength; of two on one blob the stronger stays. */
-static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_mark *mark)
+static void add_mark(struct gsn_fiducial_candidates *candidates, const struct gsn_fiducial *mark)
 {
     size_t at;
 
     for (size_t i = 0; i < candidates->count; i++) {
-        const struct gsn_mark *other = &candidates->mark[i];
+        const struct gsn_fiducial *other = &candidates->mark[i];
         const double apart = hypot(other->px.x - mark->px.x, other->px.y - mark->px.y);
 
         if (apart >= fmax(other->radius_px, mark->radius_px))
@@ -365,7 +365,7 @@ static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_ma
             return;
         drop_candidate(candidates, i--);
     }
-    if (candidates->count == GSN_MARK_CANDIDATES && !make_room(candidates, mark))
+    if (candidates->count == GSN_FIDUCIAL_CANDIDATES && !make_room(candidates, mark))
         return;
     for (at = candidates->count++; at > 0; at--) {
         if (strength_of(&candidates->mark[at - 1]) >= strength_of(mark))
@@ -377,29 +377,30 @@ static void add_mark(struct gsn_mark_candidates *candidates, const struct gsn_ma
 
 /* The strength below which a blob is none of the marks, as far as they have been measured: three
  * are burnt alike, and the third strongest is one of them unless it is ink. */
-static double least_strength(const struct gsn_mark_candidates *candidates)
+static double least_strength(const struct gsn_fiducial_candidates *candidates)
 {
-    return candidates->count < GSN_MARKS ? 0
-                                         : FAINTEST * strength_of(&candidates->mark[GSN_MARKS - 1]);
+    return candidates->count < GSN_FIDUCIALS
+               ? 0
+               : FAINTEST * strength_of(&candidates->mark[GSN_FIDUCIALS - 1]);
 }
 
 /* Of blobs that come the likeliest first, there need be no more than there is room for; of those
  * that come the strongest first, none that is too faint. */
-static int is_enough(const struct gsn_mark_candidates *candidates, const struct gsn_mark *next,
-                     int likeliest_first)
+static int is_enough(const struct gsn_fiducial_candidates *candidates,
+                     const struct gsn_fiducial *next, int likeliest_first)
 {
-    return likeliest_first ? candidates->count == GSN_MARK_CANDIDATES
+    return likeliest_first ? candidates->count == GSN_FIDUCIAL_CANDIDATES
                            : strength_of(next) < least_strength(candidates);
 }
 
-static int localise_blobs(const struct gsn_mark_density *density, const struct gsn_slot *slot,
-                          const struct gsn_mark *blobs, size_t count, int likeliest_first,
-                          struct gsn_mark_candidates *candidates, struct gsn_error *err)
+static int localise_blobs(const struct gsn_density_source *density, const struct gsn_slot *slot,
+                          const struct gsn_fiducial *blobs, size_t count, int likeliest_first,
+                          struct gsn_fiducial_candidates *candidates, struct gsn_error *err)
 {
-    const struct gsn_mark_burn *burn = &gsn_mark_burns[candidates->burn];
+    const struct gsn_burn *burn = &gsn_burns[candidates->burn];
 
     for (size_t i = 0; i < count && !is_enough(candidates, &blobs[i], likeliest_first); i++) {
-        struct gsn_mark mark;
+        struct gsn_fiducial mark;
         const int r = gsn_density_localise(density, slot, blobs[i].px, blobs[i].radius_px,
                                            burn->holes, &mark, err);
         const double um = mark.radius_px * candidates->px_um / burn->scale;
@@ -413,20 +414,20 @@ static int localise_blobs(const struct gsn_mark_density *density, const struct g
     return GSN_OK;
 }
 
-static double appearance_distance(const struct gsn_mark *blob, double px_um,
+static double appearance_distance(const struct gsn_fiducial *blob, double px_um,
                                   const struct gsn_triangle_prior *prior)
 {
     return gsn_appearance_distance(blob, px_um, prior) + gsn_appearance_residual(blob);
 }
 
 /* Brings the blobs that are most like the known marks to the front; how many may be any. */
-static size_t sort_by_appearance(struct gsn_mark *blobs, size_t count, double px_um,
+static size_t sort_by_appearance(struct gsn_fiducial *blobs, size_t count, double px_um,
                                  const struct gsn_triangle_prior *prior)
 {
     const size_t wanted = count < BLOBS ? count : BLOBS;
 
     for (size_t i = 0; i < wanted; i++) {
-        struct gsn_mark kept;
+        struct gsn_fiducial kept;
         size_t best = i;
 
         for (size_t k = i + 1; k < count; k++)
@@ -441,11 +442,11 @@ static size_t sort_by_appearance(struct gsn_mark *blobs, size_t count, double px
 }
 
 /* prior: what marks look like, or NULL. */
-static int search_slot(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+static int search_slot(const struct gsn_density_source *density, const struct gsn_slot *slot,
                        const struct gsn_triangle_prior *prior,
-                       struct gsn_mark_candidates *candidates, struct gsn_error *err)
+                       struct gsn_fiducial_candidates *candidates, struct gsn_error *err)
 {
-    const struct gsn_mark_burn *burn = &gsn_mark_burns[candidates->burn];
+    const struct gsn_burn *burn = &gsn_burns[candidates->burn];
     /* Larger burns in larger cells are the ordinary kind again. */
     const double px_um = candidates->px_um / burn->scale;
     const size_t step = gsn_blob_cell_px(px_um);
@@ -454,10 +455,10 @@ static int search_slot(const struct gsn_mark_density *density, const struct gsn_
                                     .cell_px = (double)step,
                                     .origin_px = { slot->x, slot->y } };
     gsn_auto_mem(float) values = gsn_alloc_array(field.width * field.height + 1, sizeof *values);
-    gsn_auto_mem(struct gsn_mark) blobs =
+    gsn_auto_mem(struct gsn_fiducial) blobs =
         gsn_alloc_array(prior ? BLOBS_KNOWN : BLOBS, sizeof *blobs);
     struct gsn_lined_density lined = { .density = density };
-    const struct gsn_mark_density open = gsn_density_without_lines(&lined);
+    const struct gsn_density_source open = gsn_density_without_lines(&lined);
     size_t count;
     int r;
 
@@ -476,11 +477,11 @@ static int search_slot(const struct gsn_mark_density *density, const struct gsn_
     return r < 0 ? r : localise_blobs(&open, slot, blobs, count, prior != NULL, candidates, err);
 }
 
-static int detect_in_slot(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+static int detect_in_slot(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
                           double px_um, unsigned burn, const struct gsn_triangle_prior *prior,
-                          struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+                          struct gsn_fiducial_candidates *ret_candidates, struct gsn_error *err)
 {
-    struct gsn_mark_candidates candidates = { .px_um = px_um, .burn = burn };
+    struct gsn_fiducial_candidates candidates = { .px_um = px_um, .burn = burn };
     int r;
 
     if (!(px_um > 0 && px_um <= PX_MOST_UM))
@@ -503,25 +504,25 @@ static int detect_in_slot(const struct gsn_mark_density *red_od, const struct gs
     return GSN_OK;
 }
 
-int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
-                           double px_um, struct gsn_mark_candidates *ret_candidates,
-                           struct gsn_error *err)
+int gsn_fiducials_detect(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
+                         double px_um, struct gsn_fiducial_candidates *ret_candidates,
+                         struct gsn_error *err)
 {
-    return gsn_markers_candidates_of(red_od, slot, px_um, 0, ret_candidates, err);
+    return gsn_fiducials_detect_burn(red_od, slot, px_um, 0, ret_candidates, err);
 }
 
-int gsn_markers_candidates_of(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+int gsn_fiducials_detect_burn(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
                               double px_um, unsigned burn,
-                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+                              struct gsn_fiducial_candidates *ret_candidates, struct gsn_error *err)
 {
-    assert(red_od && slot && burn < GSN_MARK_BURNS && ret_candidates);
+    assert(red_od && slot && burn < GSN_BURNS && ret_candidates);
 
     return detect_in_slot(red_od, slot, px_um, burn, NULL, ret_candidates, err);
 }
 
-int gsn_markers_seek(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
-                     double px_um, const struct gsn_triangle_prior *prior,
-                     struct gsn_mark_candidates *ret_candidates, struct gsn_error *err)
+int gsn_fiducials_detect_like(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
+                              double px_um, const struct gsn_triangle_prior *prior,
+                              struct gsn_fiducial_candidates *ret_candidates, struct gsn_error *err)
 {
     assert(red_od && slot && prior && ret_candidates);
 

@@ -19,7 +19,7 @@ extern "C" {
 
 /* Optical density of the red channel, of width x height pixels, where it is asked for: row() puts
  * every apart-th pixel of row y from x on, count of them, to where it is told. NaN: masked. */
-struct gsn_mark_density {
+struct gsn_density_source {
     uint32_t width, height;
     const void *context;
     void (*row)(const void *context, uint32_t x, uint32_t y, uint32_t apart, size_t count,
@@ -29,36 +29,38 @@ struct gsn_mark_density {
 /* borrows: red_od. Blobs are told from some of the slot's pixels. Finding nothing is no error.
  * Fails with GSN_E_INPUT when px_um is not positive, too coarse for a mark of 100 um, or the slot
  * is empty or reaches outside the panel; GSN_E_NOMEM. */
-int gsn_markers_candidates(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
-                           double px_um, struct gsn_mark_candidates *ret_candidates,
-                           struct gsn_error *err);
+int gsn_fiducials_detect(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
+                         double px_um, struct gsn_fiducial_candidates *ret_candidates,
+                         struct gsn_error *err);
 
-/* The same for another kind of burn than the ordinary, of gsn_mark_burns. */
-int gsn_markers_candidates_of(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
+/* The same for another kind of burn than the ordinary, of gsn_burns. */
+int gsn_fiducials_detect_burn(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
                               double px_um, unsigned burn,
-                              struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+                              struct gsn_fiducial_candidates *ret_candidates,
+                              struct gsn_error *err);
 
 /* The same, once it is learnt what marks look like: blobs like that are measured, where without it
  * the darkest are, and ink has more of those than there is room for. Before anything is learnt it
- * does the same as gsn_markers_candidates(), and it fails as that does. */
-int gsn_markers_seek(const struct gsn_mark_density *red_od, const struct gsn_slot *slot,
-                     double px_um, const struct gsn_triangle_prior *prior,
-                     struct gsn_mark_candidates *ret_candidates, struct gsn_error *err);
+ * does the same as gsn_fiducials_detect(), and it fails as that does. */
+int gsn_fiducials_detect_like(const struct gsn_density_source *red_od, const struct gsn_slot *slot,
+                              double px_um, const struct gsn_triangle_prior *prior,
+                              struct gsn_fiducial_candidates *ret_candidates,
+                              struct gsn_error *err);
 
 /* Averages some pixels of each step x step to a cell of the field, whose first begins at the slot's
  * corner; masked pixels take no part. Fails with GSN_E_NOMEM. */
-int gsn_density_reduce(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+int gsn_density_reduce(const struct gsn_density_source *density, const struct gsn_slot *slot,
                        size_t step, struct gsn_blob_field *field, struct gsn_error *err);
 
 /* The same with holes filled that a dark rim encloses (gsn_fill_dark_rims): all pixels are read,
  * and rims are kept closed where they are as narrow as a third of a cell. */
-int gsn_density_reduce_filled(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+int gsn_density_reduce_filled(const struct gsn_density_source *density, const struct gsn_slot *slot,
                               size_t step, struct gsn_blob_field *field, struct gsn_error *err);
 
 /* gsn_fiducial_localise() with the pixels of the slot around start; holes: filled first. */
-int gsn_density_localise(const struct gsn_mark_density *density, const struct gsn_slot *slot,
+int gsn_density_localise(const struct gsn_density_source *density, const struct gsn_slot *slot,
                          struct gsn_point start, double radius_px, int holes,
-                         struct gsn_mark *ret_mark, struct gsn_error *err);
+                         struct gsn_fiducial *ret_mark, struct gsn_error *err);
 
 /* Makes a hole with a dark rim into a dark disc: a laser that burns through leaves light inside a
  * charred rim.

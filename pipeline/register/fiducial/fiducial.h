@@ -9,10 +9,10 @@
  * lengths of the triangle, which turning and mirroring leave alone (correspondence.h). Positions
  * are in panel pixels with centres at +0.5, triangles in micrometres.
  *
- * The order of work over a stack: gsn_markers_candidates() for each section (detect.h); where the
- * protocol gives no triangle, gsn_markers_consensus() over all of them (triangle.h);
- * gsn_markers_learn() over all of them (learn.h); gsn_markers_choose() for each (correspondence.h);
- * gsn_markers_seek() and another choice where marks are missing. */
+ * The order of work over a stack: gsn_fiducials_detect() for each section (detect.h); where the
+ * protocol gives no triangle, gsn_fiducials_vote_triangle() over all of them (triangle.h);
+ * gsn_fiducials_learn() over all of them (learn.h); gsn_fiducials_match() for each
+ * (correspondence.h); gsn_fiducials_detect_like() and another choice where marks are missing. */
 #ifndef GSN_REGISTER_FIDUCIAL_FIDUCIAL_H
 #define GSN_REGISTER_FIDUCIAL_FIDUCIAL_H
 
@@ -25,28 +25,28 @@ extern "C" {
 #endif
 
 enum {
-    GSN_MARKS = 3,
-    GSN_MARK_CANDIDATES = 96,
+    GSN_FIDUCIALS = 3,
+    GSN_FIDUCIAL_CANDIDATES = 96,
     GSN_THUMBNAIL_SIDE = 40,
-    GSN_MARK_RIVALS = 4,
+    GSN_FIDUCIAL_HYPOTHESES = 4,
     GSN_APPEARANCE_CLASSES = 8,
-    GSN_MARK_BURNS = 6
+    GSN_BURNS = 6
 };
 
 /* What a laser leaves. All marks of a block are alike, so a stack is searched for one kind. */
-struct gsn_mark_burn {
+struct gsn_burn {
     double scale; /* 1: radii of 40 to 150 um are looked for; otherwise so many times that */
     int holes;    /* burnt through: light in a dark rim. Dark discs are found as well. */
 };
 
 /* From 14 to 450 um, the ordinary kind first. */
-extern const struct gsn_mark_burn gsn_mark_burns[GSN_MARK_BURNS];
+extern const struct gsn_burn gsn_burns[GSN_BURNS];
 /* Discs of 20 to 300 um radius are found where that is so many pixels or more, holes where it is
  * twice as many; smaller ones may be missed. */
-#define GSN_MARK_LEAST_UM 20.0
-#define GSN_MARK_LEAST_PX 2.0
+#define GSN_FIDUCIAL_MIN_UM 20.0
+#define GSN_FIDUCIAL_MIN_PX 2.0
 
-struct gsn_mark {
+struct gsn_fiducial {
     struct gsn_point px;
     double radius_px;
     double contrast;               /* optical density of the disc above the tissue around it */
@@ -64,22 +64,23 @@ struct gsn_tissue_thumbnail {
 };
 
 /* Every blob of one section that may be a mark, the likeliest first. */
-struct gsn_mark_candidates {
+struct gsn_fiducial_candidates {
     double px_um;
-    unsigned burn;              /* what was looked for, of gsn_mark_burns */
+    unsigned burn;              /* what was looked for, of gsn_burns */
     struct gsn_point tissue_px; /* centre of the section's tissue */
     struct gsn_tissue_thumbnail map;
     size_t count;
-    struct gsn_mark mark[GSN_MARK_CANDIDATES];
+    struct gsn_fiducial mark[GSN_FIDUCIAL_CANDIDATES];
 };
 
 /* What is known of the triangle before looking at a section. */
 struct gsn_triangle_prior {
-    struct gsn_point mark_um[GSN_MARKS]; /* marks 1..3, in the block frame when the protocol gives
-                                            them, otherwise in a frame of the triangle's own */
+    struct gsn_point
+        mark_um[GSN_FIDUCIALS]; /* marks 1..3, in the block frame when the protocol gives
+                               them, otherwise in a frame of the triangle's own */
     /* Learnt from the stack; all 0 as long as nothing is known. */
     int learnt;
-    unsigned burn;              /* of gsn_mark_burns: 0, or what the sections were searched for */
+    unsigned burn;              /* of gsn_burns: 0, or what the sections were searched for */
     struct gsn_point tissue_um; /* centre of the tissue, same frame */
     double tissue_sd_um;        /* its scatter per axis from section to section */
     double contrast, radius_um; /* of the typical mark */

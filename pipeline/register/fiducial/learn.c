@@ -3,12 +3,12 @@
 /* Method: robust statistics (medians, median deviations) of the sections whose three marks are
  * clear, in two rounds; the share of sections that have marks by expectation and maximisation.
  *
- * Steps of gsn_markers_learn(). 1. Each section's marks are matched by what is known so far. 2.
+ * Steps of gsn_fiducials_learn(). 1. Each section's marks are matched by what is known so far. 2.
  * Where at least three are clear: contrast, radius, place of the tissue and the misfit of a rigid
  * triangle, the counts of appearance (appearance.h), the mean thumbnail. 3. Again, since what the
  * first round took for marks by the triangle alone the second holds against their appearance. 4.
- * The share of sections with marks. gsn_markers_burn() does that for each kind of burn, and the
- * kind with which most sections are clear is the stack's.
+ * The share of sections with marks. gsn_fiducials_choose_burn() does that for each kind of burn,
+ * and the kind with which most sections are clear is the stack's.
  *
  * Fails when memory runs out; of fewer than three clear sections nothing is learnt. Cost: two
  * matchings a section, and as many for each kind of burn. */
@@ -38,26 +38,26 @@ static const double STRETCH_TAUGHT = 2;
 /* What learning gathers: one number per section and kind. */
 enum { TISSUE_X, TISSUE_Y, CONTRAST, RADIUS, MISFIT, KINDS };
 
-static int gather_section(const struct gsn_mark_candidates *section,
+static int gather_section(const struct gsn_fiducial_candidates *section,
                           const struct gsn_triangle_prior *prior, double found[KINDS],
-                          struct gsn_mark marks[GSN_MARKS], struct gsn_rigid *ret_motion,
+                          struct gsn_fiducial marks[GSN_FIDUCIALS], struct gsn_rigid *ret_motion,
                           int *ret_mirrored)
 {
-    struct gsn_point from[GSN_MARKS], tissue;
+    struct gsn_point from[GSN_FIDUCIALS], tissue;
     struct gsn_rigid best = { 0 };
     double least = INFINITY;
     int mirrored = 0;
 
-    gsn_markers_choose(section, prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(section, prior, marks, NULL, NULL, NULL);
     if (!marks[0].found || !marks[1].found || !marks[2].found)
         return 0;
     for (int k = 0; k < 2; k++) {
         struct gsn_rigid motion;
         double rms;
 
-        for (int i = 0; i < GSN_MARKS; i++)
+        for (int i = 0; i < GSN_FIDUCIALS; i++)
             from[i] = gsn_fiducial_to_um(marks[i].px, section->px_um, k);
-        if (gsn_rigid_fit(from, prior->mark_um, NULL, GSN_MARKS, &motion, &rms, NULL) < 0 ||
+        if (gsn_rigid_fit(from, prior->mark_um, NULL, GSN_FIDUCIALS, &motion, &rms, NULL) < 0 ||
             rms >= least)
             continue;
         least = rms;
@@ -71,9 +71,9 @@ static int gather_section(const struct gsn_mark_candidates *section,
     found[TISSUE_X] = tissue.x;
     found[TISSUE_Y] = tissue.y;
     found[MISFIT] = least;
-    found[CONTRAST] = (marks[0].contrast + marks[1].contrast + marks[2].contrast) / GSN_MARKS;
-    found[RADIUS] =
-        (marks[0].radius_px + marks[1].radius_px + marks[2].radius_px) / GSN_MARKS * section->px_um;
+    found[CONTRAST] = (marks[0].contrast + marks[1].contrast + marks[2].contrast) / GSN_FIDUCIALS;
+    found[RADIUS] = (marks[0].radius_px + marks[1].radius_px + marks[2].radius_px) / GSN_FIDUCIALS *
+                    section->px_um;
     return 1;
 }
 
@@ -98,26 +98,26 @@ static void learn_numbers(double *value, size_t count, size_t n, struct gsn_tria
 }
 
 /* What marks of clear sections look like, and what is seen beside them. */
-static void learn_looks(const struct gsn_mark_candidates *sections, const int *clear,
-                        const struct gsn_mark *marks, size_t count,
+static void learn_looks(const struct gsn_fiducial_candidates *sections, const int *clear,
+                        const struct gsn_fiducial *marks, size_t count,
                         struct gsn_triangle_prior *prior)
 {
     struct gsn_appearance_counts counts = { .marks = 0 };
 
     for (size_t i = 0; i < count; i++)
         if (clear[i])
-            gsn_appearance_count(&sections[i], &marks[GSN_MARKS * i], prior, &counts);
+            gsn_appearance_count(&sections[i], &marks[GSN_FIDUCIALS * i], prior, &counts);
     gsn_appearance_learn(&counts, prior);
 }
 
 /* One round: from what is known before it to what the sections then say. */
-static int learn_once(const struct gsn_mark_candidates *sections, size_t count,
+static int learn_once(const struct gsn_fiducial_candidates *sections, size_t count,
                       struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
     gsn_auto_mem(double) value = gsn_alloc_array(count * KINDS, sizeof *value);
     gsn_auto_mem(struct gsn_rigid) motion = gsn_alloc_array(count, sizeof *motion);
     gsn_auto_mem(int) clear = gsn_alloc_array(2 * count, sizeof *clear);
-    gsn_auto_mem(struct gsn_mark) marks = gsn_alloc_array(GSN_MARKS * count, sizeof *marks);
+    gsn_auto_mem(struct gsn_fiducial) marks = gsn_alloc_array(GSN_FIDUCIALS * count, sizeof *marks);
     size_t n = 0;
 
     if (!value || !motion || !clear || !marks)
@@ -125,7 +125,7 @@ static int learn_once(const struct gsn_mark_candidates *sections, size_t count,
     for (size_t i = 0; i < count; i++) {
         double found[KINDS];
 
-        clear[i] = gather_section(&sections[i], prior, found, &marks[GSN_MARKS * i], &motion[i],
+        clear[i] = gather_section(&sections[i], prior, found, &marks[GSN_FIDUCIALS * i], &motion[i],
                                   &clear[count + i]);
         for (size_t k = 0; clear[i] && k < KINDS; k++)
             value[k * count + n] = found[k];
@@ -143,7 +143,7 @@ static int learn_once(const struct gsn_mark_candidates *sections, size_t count,
 /* The share of sections that have marks at all, by its likelihood (EM; one section more with marks
  * and one without, as nothing is certain). Blobs that lie like the triangle by chance do so in few
  * sections of a stack without marks, and are then worth nothing in any. */
-static double share_marked(const struct gsn_mark_candidates *sections, size_t count,
+static double share_marked(const struct gsn_fiducial_candidates *sections, size_t count,
                            const struct gsn_triangle_prior *prior, double *over_none)
 {
     double share = 0.5;
@@ -160,8 +160,8 @@ static double share_marked(const struct gsn_mark_candidates *sections, size_t co
     return share;
 }
 
-int gsn_markers_learn(const struct gsn_mark_candidates *sections, size_t count,
-                      struct gsn_triangle_prior *prior, struct gsn_error *err)
+int gsn_fiducials_learn(const struct gsn_fiducial_candidates *sections, size_t count,
+                        struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
     gsn_auto_mem(double) over_none = gsn_alloc_array(count, sizeof *over_none);
     struct gsn_triangle_prior learnt;
@@ -195,7 +195,7 @@ struct show {
     double radius_um;
 };
 
-static int try_burn(const struct gsn_mark_candidates *sections, size_t count,
+static int try_burn(const struct gsn_fiducial_candidates *sections, size_t count,
                     const struct gsn_point *mark_um, struct show *ret_show, struct gsn_error *err)
 {
     struct gsn_triangle_prior prior = { 0 };
@@ -205,13 +205,13 @@ static int try_burn(const struct gsn_mark_candidates *sections, size_t count,
     if (mark_um)
         memcpy(prior.mark_um, mark_um, sizeof prior.mark_um);
     else
-        r = gsn_markers_consensus(sections, count, &prior, NULL);
+        r = gsn_fiducials_vote_triangle(sections, count, &prior, NULL);
     if (r >= 0)
-        r = gsn_markers_learn(sections, count, &prior, err);
+        r = gsn_fiducials_learn(sections, count, &prior, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
-        struct gsn_mark mark[GSN_MARKS];
+        struct gsn_fiducial mark[GSN_FIDUCIALS];
 
-        gsn_markers_choose(&sections[i], &prior, mark, NULL, NULL, NULL);
+        gsn_fiducials_match(&sections[i], &prior, mark, NULL, NULL, NULL);
         show.clear += mark[0].found && mark[1].found && mark[2].found;
     }
     if (r < 0 && r != GSN_E_MARKERS)
@@ -222,8 +222,8 @@ static int try_burn(const struct gsn_mark_candidates *sections, size_t count,
     return GSN_OK;
 }
 
-int gsn_markers_are_odd(const struct gsn_mark_candidates *sections, size_t count,
-                        const struct gsn_point *mark_um, int *ret_odd, struct gsn_error *err)
+int gsn_fiducials_are_odd(const struct gsn_fiducial_candidates *sections, size_t count,
+                          const struct gsn_point *mark_um, int *ret_odd, struct gsn_error *err)
 {
     struct show show;
     const int r = try_burn(sections, count, mark_um, &show, err);
@@ -239,23 +239,24 @@ int gsn_markers_are_odd(const struct gsn_mark_candidates *sections, size_t count
     return GSN_OK;
 }
 
-int gsn_markers_burn(const struct gsn_mark_candidates *sections, size_t count,
-                     const struct gsn_point *mark_um, unsigned *ret_burn, struct gsn_error *err)
+int gsn_fiducials_choose_burn(const struct gsn_fiducial_candidates *sections, size_t count,
+                              const struct gsn_point *mark_um, unsigned *ret_burn,
+                              struct gsn_error *err)
 {
-    struct show show[GSN_MARK_BURNS];
+    struct show show[GSN_BURNS];
     size_t most = 0;
     unsigned best = 0;
 
     assert((sections || count == 0) && ret_burn);
 
-    for (unsigned k = 0; k < GSN_MARK_BURNS; k++) {
+    for (unsigned k = 0; k < GSN_BURNS; k++) {
         const int r = try_burn(sections + k * count, count, mark_um, &show[k], err);
 
         if (r < 0)
             return r;
         most = show[k].clear > most ? show[k].clear : most;
     }
-    for (unsigned k = 1; k < GSN_MARK_BURNS; k++) {
+    for (unsigned k = 1; k < GSN_BURNS; k++) {
         const int allowed = 2 * show[k].clear >= count && show[k].clear > show[0].clear;
 
         if (allowed && 10 * show[k].clear >= 9 * most &&

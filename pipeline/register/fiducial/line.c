@@ -276,10 +276,10 @@ static void row_without(const void *context, uint32_t x, uint32_t y, uint32_t ap
     }
 }
 
-struct gsn_mark_density gsn_density_without_lines(const struct gsn_lined_density *lined)
+struct gsn_density_source gsn_density_without_lines(const struct gsn_lined_density *lined)
 {
     assert(lined && lined->density);
 
-    return (struct gsn_mark_density){ lined->density->width, lined->density->height, lined,
-                                      row_without };
+    return (struct gsn_density_source){ lined->density->width, lined->density->height, lined,
+                                        row_without };
 }

@@ -27,7 +27,7 @@ struct gsn_coverslip_line {
 
 /* A density with the lines that lie over it. borrows; keeps: density. */
 struct gsn_lined_density {
-    const struct gsn_mark_density *density;
+    const struct gsn_density_source *density;
     size_t count;
     struct gsn_coverslip_line line[GSN_COVERSLIP_LINES];
 };
@@ -38,7 +38,7 @@ size_t gsn_coverslip_lines_bridge(struct gsn_blob_field *field, double px_um,
                                   struct gsn_coverslip_line ret_line[GSN_COVERSLIP_LINES]);
 
 /* The density with NaN where lines lie. borrows; keeps: lined. */
-struct gsn_mark_density gsn_density_without_lines(const struct gsn_lined_density *lined);
+struct gsn_density_source gsn_density_without_lines(const struct gsn_lined_density *lined);
 
 #ifdef __cplusplus
 }

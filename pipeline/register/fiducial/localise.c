@@ -306,7 +306,7 @@ static double share_explained(const struct window *w, const double *v)
 }
 
 /* The 2 x 2 block of the inverse of J^T W J that belongs to the centre. */
-static int find_covariance(const struct window *w, const double *v, struct gsn_mark *mark)
+static int find_covariance(const struct window *w, const double *v, struct gsn_fiducial *mark)
 {
     double h[UNKNOWNS][UNKNOWNS], g[UNKNOWNS], column[2][UNKNOWNS];
     const double inflation = correlate_residuals(w, v);
@@ -383,12 +383,12 @@ static void guess_unknowns(const struct window *w, double *v)
 }
 
 /* stretch: NULL for a round mark. pixels has room for all within reach. */
-static struct gsn_mark fit_disc(const struct gsn_plane *plane, struct gsn_point start,
-                                double radius_px, const struct gsn_oval_stretch *stretch,
-                                struct pixel *pixels)
+static struct gsn_fiducial fit_disc(const struct gsn_plane *plane, struct gsn_point start,
+                                    double radius_px, const struct gsn_oval_stretch *stretch,
+                                    struct pixel *pixels)
 {
     struct window w = { .pixel = pixels, .radius = radius_px };
-    struct gsn_mark mark = { 0 };
+    struct gsn_fiducial mark = { 0 };
     double v[UNKNOWNS];
     int settled = 1;
 
@@ -404,7 +404,7 @@ static struct gsn_mark fit_disc(const struct gsn_plane *plane, struct gsn_point 
     mark.score = share_explained(&w, v);
     if (!settled || !(mark.contrast >= CONTRAST_LEAST) || !(mark.score >= SCORE_LEAST) ||
         !find_covariance(&w, v, &mark))
-        return (struct gsn_mark){ 0 };
+        return (struct gsn_fiducial){ 0 };
     mark.px = (struct gsn_point){ v[CX], v[CY] };
     if (stretch)
         gsn_oval_unstretch(stretch, &mark);
@@ -414,13 +414,13 @@ static struct gsn_mark fit_disc(const struct gsn_plane *plane, struct gsn_point 
 }
 
 static int fit_small(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                     struct gsn_mark *ret_mark, struct gsn_error *err)
+                     struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
     /* An oval may be 1.6 times as large as was thought. */
     const size_t side = (size_t)ceil(1.6 * 2 * GSN_LOCALISE_REACH * radius_px) + 3;
     gsn_auto_mem(struct pixel) pixels = gsn_alloc_array(side * side, sizeof *pixels);
     struct gsn_oval_stretch stretch;
-    struct gsn_mark mark, oval;
+    struct gsn_fiducial mark, oval;
 
     if (!pixels)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
@@ -435,7 +435,7 @@ static int fit_small(const struct gsn_plane *plane, struct gsn_point start, doub
 }
 
 int gsn_fiducial_localise(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                          struct gsn_mark *ret_mark, struct gsn_error *err)
+                          struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
     assert(plane && radius_px > 0 && ret_mark);
 

@@ -34,7 +34,7 @@ extern "C" {
  * too little, or less than half of the disc is
  * inside the plane and unmasked: that is no error. Fails with GSN_E_NOMEM. */
 int gsn_fiducial_localise(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
-                          struct gsn_mark *ret_mark, struct gsn_error *err);
+                          struct gsn_fiducial *ret_mark, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -126,7 +126,7 @@ int gsn_oval_find(const struct gsn_plane *plane, struct gsn_point *start, double
     return 1;
 }
 
-void gsn_oval_unstretch(const struct gsn_oval_stretch *stretch, struct gsn_mark *mark)
+void gsn_oval_unstretch(const struct gsn_oval_stretch *stretch, struct gsn_fiducial *mark)
 {
     /* The inverse: the determinant is 1. */
     const double xx = stretch->yy, xy = -stretch->xy, yy = stretch->xx;

@@ -33,7 +33,7 @@ int gsn_oval_find(const struct gsn_plane *plane, struct gsn_point *start, double
                   struct gsn_oval_stretch *ret_stretch);
 
 /* A mark of the stretched picture, relative to where that begins, in the picture as it is. */
-void gsn_oval_unstretch(const struct gsn_oval_stretch *stretch, struct gsn_mark *mark);
+void gsn_oval_unstretch(const struct gsn_oval_stretch *stretch, struct gsn_fiducial *mark);
 
 #ifdef __cplusplus
 }

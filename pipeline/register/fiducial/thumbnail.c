@@ -70,7 +70,7 @@ static struct gsn_point centre_of(const struct gsn_tissue_thumbnail *map, size_t
 }
 
 /* From the block, um, to the column and row of a section's map. */
-static struct gsn_affine to_map(const struct gsn_mark_candidates *section,
+static struct gsn_affine to_map(const struct gsn_fiducial_candidates *section,
                                 const struct gsn_rigid *motion, int mirrored)
 {
     const struct gsn_tissue_thumbnail *map = &section->map;
@@ -103,8 +103,8 @@ static void see_row(const struct gsn_tissue_thumbnail *map, const struct gsn_aff
     }
 }
 
-static int typical_cell(const struct gsn_mark_candidates *sections, const int *used, size_t count,
-                        double *ret_cell, struct gsn_error *err)
+static int typical_cell(const struct gsn_fiducial_candidates *sections, const int *used,
+                        size_t count, double *ret_cell, struct gsn_error *err)
 {
     gsn_auto_mem(double) cell = gsn_alloc_array(count, sizeof *cell);
     size_t n = 0;
@@ -120,9 +120,9 @@ static int typical_cell(const struct gsn_mark_candidates *sections, const int *u
 }
 
 /* Adds what a section shows to each cell of the mean that it shows. */
-static void add_section(const struct gsn_mark_candidates *section, const struct gsn_rigid *motion,
-                        int mirrored, const struct gsn_tissue_thumbnail *mean, double *sum,
-                        double *n)
+static void add_section(const struct gsn_fiducial_candidates *section,
+                        const struct gsn_rigid *motion, int mirrored,
+                        const struct gsn_tissue_thumbnail *mean, double *sum, double *n)
 {
     const struct gsn_affine to_cells = to_map(section, motion, mirrored);
 
@@ -137,10 +137,10 @@ static void add_section(const struct gsn_mark_candidates *section, const struct 
     }
 }
 
-int gsn_thumbnail_mean(const struct gsn_mark_candidates *sections, const struct gsn_rigid *motions,
-                       const int *mirrored, const int *used, size_t count,
-                       struct gsn_point centre_um, struct gsn_tissue_thumbnail *ret_tissue,
-                       struct gsn_error *err)
+int gsn_thumbnail_mean(const struct gsn_fiducial_candidates *sections,
+                       const struct gsn_rigid *motions, const int *mirrored, const int *used,
+                       size_t count, struct gsn_point centre_um,
+                       struct gsn_tissue_thumbnail *ret_tissue, struct gsn_error *err)
 {
     struct gsn_tissue_thumbnail tissue = make_empty();
     double sum[CELLS] = { 0 }, n[CELLS] = { 0 }, all = 0;
@@ -197,7 +197,7 @@ static double find_dissimilarity(const struct moments *m)
     return xy > 0 && xx > 0 && yy > 0 ? 1 - fmin(xy * xy / (xx * yy), 1) : 1;
 }
 
-double gsn_thumbnail_dissimilarity(const struct gsn_mark_candidates *section,
+double gsn_thumbnail_dissimilarity(const struct gsn_fiducial_candidates *section,
                                    const struct gsn_tissue_thumbnail *tissue,
                                    const struct gsn_rigid *motion, int mirrored)
 {

@@ -25,14 +25,14 @@ void gsn_thumbnail_take(const struct gsn_blob_field *field, struct gsn_tissue_th
 /* The mean of sections laid by motions (um to block, mirrored first where mirrored[i]); used[i]
  * says which take part. ret_tissue.cell is 0 when none of them has a picture. Fails with
  * GSN_E_NOMEM. */
-int gsn_thumbnail_mean(const struct gsn_mark_candidates *sections, const struct gsn_rigid *motions,
-                       const int *mirrored, const int *used, size_t count,
-                       struct gsn_point centre_um, struct gsn_tissue_thumbnail *ret_tissue,
-                       struct gsn_error *err);
+int gsn_thumbnail_mean(const struct gsn_fiducial_candidates *sections,
+                       const struct gsn_rigid *motions, const int *mirrored, const int *used,
+                       size_t count, struct gsn_point centre_um,
+                       struct gsn_tissue_thumbnail *ret_tissue, struct gsn_error *err);
 
 /* 0..1: how little of the section, laid so, is like the mean. 1 where there is nothing to compare.
  */
-double gsn_thumbnail_dissimilarity(const struct gsn_mark_candidates *section,
+double gsn_thumbnail_dissimilarity(const struct gsn_fiducial_candidates *section,
                                    const struct gsn_tissue_thumbnail *tissue,
                                    const struct gsn_rigid *motion, int mirrored);
 

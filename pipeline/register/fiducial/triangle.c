@@ -3,11 +3,11 @@
 /* Method: voting of triangle shapes (as pose clustering, Stockman 1987): every triple of a
  * section's six strongest candidates votes for the triangles of like sides.
  *
- * Steps of gsn_markers_consensus(). 1. The triples of each section, by their ascending sides. 2.
- * The triple that most sections have one like, of equals the one that differs least. 3. It is
- * refused where fewer than three sections or half of them agree, or where as many would by chance
- * (the tail of the binomial distribution times the number of triples). 4. Its sides are the medians
- * of those that agree, its sense of rotation the majority's.
+ * Steps of gsn_fiducials_vote_triangle(). 1. The triples of each section, by their ascending
+ * sides. 2. The triple that most sections have one like, of equals the one that differs least. 3.
+ * It is refused where fewer than three sections or half of them agree, or where as many would by
+ * chance (the tail of the binomial distribution times the number of triples). 4. Its sides are the
+ * medians of those that agree, its sense of rotation the majority's.
  *
  * Fails when no triangle is common, and when memory runs out. Cost: 20 triples a section against
  * all others: 400 n^2 comparisons. */
@@ -31,14 +31,14 @@ struct gsn_point gsn_fiducial_to_um(struct gsn_point px, double px_um, int mirro
     return (struct gsn_point){ mirrored ? -px.x * px_um : px.x * px_um, px.y * px_um };
 }
 
-double gsn_triangle_size(const struct gsn_point corner[GSN_MARKS])
+double gsn_triangle_size(const struct gsn_point corner[GSN_FIDUCIALS])
 {
     double squares = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++)
-        squares += pow(gsn_fiducial_distance(corner[i], corner[(i + 1) % GSN_MARKS]), 2);
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
+        squares += pow(gsn_fiducial_distance(corner[i], corner[(i + 1) % GSN_FIDUCIALS]), 2);
     /* The mean squared distance of n points from their centroid is the sum over pairs / n^2. */
-    return sqrt(squares) / GSN_MARKS;
+    return sqrt(squares) / GSN_FIDUCIALS;
 }
 
 double gsn_triangle_tolerance(const struct gsn_triangle_prior *prior, double px_um)
@@ -61,8 +61,8 @@ static const double MOST_CHANCE = 0.05;
 
 /* An unnumbered triple of one section: its sides by length, and which way round they run. */
 struct triple {
-    double side[GSN_MARKS]; /* um, ascending */
-    int turn;               /* sign of the cross product with the corners numbered by the sides */
+    double side[GSN_FIDUCIALS]; /* um, ascending */
+    int turn; /* sign of the cross product with the corners numbered by the sides */
 };
 
 struct shapes {
@@ -71,16 +71,17 @@ struct shapes {
 };
 
 /* Numbers the corners by the sides: 1 between the shortest (to 2) and the longest (to 3). */
-static struct triple triple_of(const struct gsn_point corner[GSN_MARKS], double px_um)
+static struct triple triple_of(const struct gsn_point corner[GSN_FIDUCIALS], double px_um)
 {
     struct triple triple = { 0 };
-    int by_length[GSN_MARKS] = { 0, 1, 2 }; /* side i is opposite to corner i */
-    double side[GSN_MARKS];
+    int by_length[GSN_FIDUCIALS] = { 0, 1, 2 }; /* side i is opposite to corner i */
+    double side[GSN_FIDUCIALS];
 
-    for (int i = 0; i < GSN_MARKS; i++)
-        side[i] =
-            gsn_fiducial_distance(corner[(i + 1) % GSN_MARKS], corner[(i + 2) % GSN_MARKS]) * px_um;
-    for (int i = 1; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
+        side[i] = gsn_fiducial_distance(corner[(i + 1) % GSN_FIDUCIALS],
+                                        corner[(i + 2) % GSN_FIDUCIALS]) *
+                  px_um;
+    for (int i = 1; i < GSN_FIDUCIALS; i++) {
         for (int k = i; k > 0 && side[by_length[k]] < side[by_length[k - 1]]; k--) {
             const int swap = by_length[k];
 
@@ -88,7 +89,7 @@ static struct triple triple_of(const struct gsn_point corner[GSN_MARKS], double 
             by_length[k - 1] = swap;
         }
     }
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         triple.side[i] = side[by_length[i]];
     /* Mark 3 is opposite to the shortest side, 1 to the middle one, 2 to the longest. */
     {
@@ -101,7 +102,7 @@ static struct triple triple_of(const struct gsn_point corner[GSN_MARKS], double 
     return triple;
 }
 
-static void shapes_of(const struct gsn_mark_candidates *section, struct shapes *shapes)
+static void shapes_of(const struct gsn_fiducial_candidates *section, struct shapes *shapes)
 {
     const struct gsn_triangle_prior nothing = { 0 };
     struct gsn_point blob[TRIED];
@@ -115,7 +116,7 @@ static void shapes_of(const struct gsn_mark_candidates *section, struct shapes *
     for (size_t a = 0; a < n; a++) {
         for (size_t b = a + 1; b < n; b++) {
             for (size_t c = b + 1; c < n; c++) {
-                const struct gsn_point corner[GSN_MARKS] = { blob[a], blob[b], blob[c] };
+                const struct gsn_point corner[GSN_FIDUCIALS] = { blob[a], blob[b], blob[c] };
 
                 shapes->triple[shapes->count++] = triple_of(corner, section->px_um);
             }
@@ -128,7 +129,7 @@ static double shape_distance(const struct triple *a, const struct triple *b)
 {
     double sum = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const double off = (a->side[i] - b->side[i]) / (3 * GSN_TRIANGLE_STRETCH * a->side[2]);
 
         if (!(fabs(off) <= 1))
@@ -220,7 +221,7 @@ static struct triple typical_triple(const struct shapes *shapes, size_t count,
 {
     struct triple result = { 0 };
 
-    for (int k = 0; k < GSN_MARKS; k++) {
+    for (int k = 0; k < GSN_FIDUCIALS; k++) {
         size_t n = 0;
         int turn = 0;
 
@@ -240,7 +241,7 @@ static struct triple typical_triple(const struct shapes *shapes, size_t count,
 }
 
 /* The corners of a triangle with these sides, mark 1 in the origin and mark 2 along x. */
-static void corners_of(const struct triple *triple, struct gsn_point ret_corner[GSN_MARKS])
+static void corners_of(const struct triple *triple, struct gsn_point ret_corner[GSN_FIDUCIALS])
 {
     const double s = triple->side[0], m = triple->side[1], l = triple->side[2];
     const double x = (s * s + l * l - m * m) / (2 * s);
@@ -250,8 +251,8 @@ static void corners_of(const struct triple *triple, struct gsn_point ret_corner[
     ret_corner[2] = (struct gsn_point){ x, triple->turn * sqrt(fmax(l * l - x * x, 0)) };
 }
 
-int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t count,
-                          struct gsn_triangle_prior *ret_prior, struct gsn_error *err)
+int gsn_fiducials_vote_triangle(const struct gsn_fiducial_candidates *sections, size_t count,
+                                struct gsn_triangle_prior *ret_prior, struct gsn_error *err)
 {
     gsn_auto_mem(struct shapes) shapes = gsn_alloc_array(count, sizeof *shapes);
     gsn_auto_mem(double) scratch = gsn_alloc_array(count, sizeof *scratch);

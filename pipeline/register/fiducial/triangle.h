@@ -20,7 +20,7 @@ extern "C" {
 double gsn_fiducial_distance(struct gsn_point a, struct gsn_point b);
 struct gsn_point gsn_fiducial_to_um(struct gsn_point px, double px_um, int mirrored);
 /* Root mean square distance of the corners from their centroid. */
-double gsn_triangle_size(const struct gsn_point corner[GSN_MARKS]);
+double gsn_triangle_size(const struct gsn_point corner[GSN_FIDUCIALS]);
 /* That stretch in um, with half a pixel for what is measured. */
 double gsn_triangle_tolerance(const struct gsn_triangle_prior *prior, double px_um);
 
@@ -30,8 +30,8 @@ double gsn_triangle_tolerance(const struct gsn_triangle_prior *prior, double px_
  * sections is taken as the right way up. Nothing is learnt yet. Fails with GSN_E_MARKERS when fewer
  * than 3 sections, or fewer than half of those with three candidates, agree, or so many as blobs
  * that are no marks would by chance. */
-int gsn_markers_consensus(const struct gsn_mark_candidates *sections, size_t count,
-                          struct gsn_triangle_prior *ret_prior, struct gsn_error *err);
+int gsn_fiducials_vote_triangle(const struct gsn_fiducial_candidates *sections, size_t count,
+                                struct gsn_triangle_prior *ret_prior, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -123,7 +123,7 @@ static const double OFF = 10;
 
 /* Half of the directions, as L is even. L has a width of 1 / |g|, above 1 / OFF, in t: the
  * trapezoidal rule is then exact to 1e-7. */
-enum { TURNS = 24, TERMS = GSN_MARKS * TURNS, WAYS = 200, STEPS = 40 };
+enum { TURNS = 24, TERMS = GSN_FIDUCIALS * TURNS, WAYS = 200, STEPS = 40 };
 
 /* Farther out no chance is left that matters. */
 static const double FAR = 1e3;
@@ -133,11 +133,11 @@ struct ratio {
     double g[TERMS][3], half[TERMS]; /* |g|^2 / 2 */
 };
 
-static struct ratio ratio_of(const double off[GSN_MARKS][2][3])
+static struct ratio ratio_of(const double off[GSN_FIDUCIALS][2][3])
 {
     struct ratio ratio;
 
-    for (int m = 0; m < GSN_MARKS; m++)
+    for (int m = 0; m < GSN_FIDUCIALS; m++)
         for (int k = 0; k < TURNS; k++) {
             const double t = M_PI * k / TURNS, c = OFF * cos(t), s = OFF * sin(t);
             double *g = ratio.g[m * TURNS + k];
@@ -210,7 +210,7 @@ static double find_reach(const struct ratio *ratio, const struct ray *ray, doubl
     return r;
 }
 
-double gsn_outlier_false_alarm(const double left[3], const double off[GSN_MARKS][2][3],
+double gsn_outlier_false_alarm(const double left[3], const double off[GSN_FIDUCIALS][2][3],
                                double freedom, double widening)
 {
     const double far = sqrt(left[0] * left[0] + left[1] * left[1] + left[2] * left[2]);

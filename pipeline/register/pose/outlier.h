@@ -43,7 +43,7 @@ int gsn_robust_covariance(struct gsn_robust_vector *vectors, size_t count, doubl
  * off are those of weighted_fit.h; |left|^2 / widening is three times Fisher's F with 3 and freedom
  * degrees of freedom (INFINITY: chi-squared), as the scale of left was itself estimated.
  * Deterministic, good to a hundredth of itself where it is about 0.001. */
-double gsn_outlier_false_alarm(const double left[3], const double off[GSN_MARKS][2][3],
+double gsn_outlier_false_alarm(const double left[3], const double off[GSN_FIDUCIALS][2][3],
                                double freedom, double widening);
 
 #ifdef __cplusplus

@@ -35,10 +35,10 @@ static void turn_to_majority(struct gsn_procrustes *s)
     size_t mirrored = 0;
 
     for (size_t i = 0; i < s->count; i++)
-        mirrored += s->member[i].marks == GSN_MARKS && s->member[i].mirrored;
+        mirrored += s->member[i].marks == GSN_FIDUCIALS && s->member[i].mirrored;
     if (2 * mirrored <= s->with_three)
         return;
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         s->triangle[i].x = -s->triangle[i].x;
     gsn_procrustes_fit(s);
 }
@@ -52,7 +52,7 @@ static int set_frame(struct gsn_procrustes *s, struct gsn_error *err)
     int r;
 
     if (s->declared) {
-        r = gsn_rigid_fit(s->triangle, s->declared, NULL, GSN_MARKS, &motion, NULL, err);
+        r = gsn_rigid_fit(s->triangle, s->declared, NULL, GSN_FIDUCIALS, &motion, NULL, err);
         if (r < 0)
             return r;
     } else {
@@ -61,7 +61,7 @@ static int set_frame(struct gsn_procrustes *s, struct gsn_error *err)
         motion.dx = -(motion.cos * c.x - motion.sin * c.y);
         motion.dy = -(motion.sin * c.x + motion.cos * c.y);
     }
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         s->triangle[i] = gsn_rigid_apply(&motion, s->triangle[i]);
     gsn_procrustes_align(s, gsn_procrustes_acceptable(s));
     return GSN_OK;
@@ -100,12 +100,12 @@ static void list_candidates(const struct gsn_procrustes *s, const struct gsn_pro
     const double most = fmax(fmax(fit->blame[0], fit->blame[1]), fit->blame[2]);
     double sum = 0;
 
-    for (size_t i = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++) {
         pose->candidate[i] = fit_without(s, m, marks, i, targets);
         pose->candidate[i].share = exp(0.5 * (fit->blame[i] - most));
         sum += pose->candidate[i].share;
     }
-    for (size_t i = 0; i < GSN_MARKS; i++)
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++)
         pose->candidate[i].share /= sum;
 }
 
@@ -115,7 +115,7 @@ static void note_residuals(const struct gsn_procrustes_member *m,
 {
     double sum = 0;
 
-    for (size_t i = 0, k = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0, k = 0; i < GSN_FIDUCIALS; i++) {
         if (!m->input->marks[m->order[i]].found)
             continue;
         pose->residual_um[i] =
@@ -146,7 +146,7 @@ static int contradicts_stack(const struct gsn_procrustes *s, const struct gsn_po
     }
     if (coarser > 0 && gsn_pose_fit(&blunt, &again, NULL) < 0)
         return 1;
-    if (marks->count < GSN_MARKS || again.chi2 <= s->side_limit)
+    if (marks->count < GSN_FIDUCIALS || again.chi2 <= s->side_limit)
         return again.chi2 > s->side_limit;
     return gsn_outlier_false_alarm(again.left, (const double(*)[2][3])again.off, s->spread_freedom,
                                    s->widening) < GSN_POSE_ALPHA;
@@ -165,7 +165,7 @@ static struct gsn_pose pose_of(const struct gsn_procrustes *s, struct gsn_procru
     if (gsn_pose_fit(&marks, &fit, NULL) < 0)
         return pose;
     m->motion = fit.motion;
-    pose.state = marks.count == GSN_MARKS ? GSN_POSE_OK : GSN_POSE_TWO_MARKS;
+    pose.state = marks.count == GSN_FIDUCIALS ? GSN_POSE_OK : GSN_POSE_TWO_MARKS;
     pose.flipped = m->mirrored;
     memcpy(pose.order, m->order, sizeof pose.order);
     pose.panel_to_block_um = gsn_rigid_to_affine(&fit.motion, m->input->px_um, m->mirrored);
@@ -176,7 +176,7 @@ static struct gsn_pose pose_of(const struct gsn_procrustes *s, struct gsn_procru
     pose.tre_um = gsn_pose_tre_rms(&pose.error, targets, 0);
     pose.chi2 = fit.chi2;
     pose.gross = contradicts_stack(s, &marks, &fit);
-    if (pose.gross && marks.count == GSN_MARKS)
+    if (pose.gross && marks.count == GSN_FIDUCIALS)
         list_candidates(s, m, &marks, &fit, targets, &pose);
     return pose;
 }
@@ -231,7 +231,7 @@ static struct gsn_pose_summary summarise_stack(const struct gsn_procrustes *s,
     sum.chirality = declared && 2 * mirrored > sum.with_three ? -1 : 1;
     for (int i = 0; i < 3; i++)
         sum.strain_sd[i] = sqrt(fmax(s->strain[i][i], 0));
-    for (int i = 0; declared && i < GSN_MARKS; i++)
+    for (int i = 0; declared && i < GSN_FIDUCIALS; i++)
         sum.side_ratio[i] = gsn_triangle_side(s->triangle, i) / gsn_triangle_side(declared, i);
     if (declared)
         sum.scale_vs_declared = sum.rho_um / gsn_triangle_rho(declared);
@@ -247,22 +247,22 @@ static int check_inputs(const struct gsn_pose_input *inputs, size_t count,
         if (!(inputs[i].px_um > 0 && isfinite(inputs[i].px_um)))
             return gsn_fail(err, GSN_E_INPUT, "section %u: a pixel of %g um", inputs[i].serial + 1,
                             inputs[i].px_um);
-        for (int k = 0; k < GSN_MARKS; k++) {
-            const struct gsn_mark *mark = &inputs[i].marks[k];
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
+            const struct gsn_fiducial *mark = &inputs[i].marks[k];
 
             if (mark->found && !(isfinite(mark->px.x) && isfinite(mark->px.y)))
                 return gsn_fail(err, GSN_E_INPUT, "section %u: the place of mark %d is not finite",
                                 inputs[i].serial + 1, k + 1);
         }
     }
-    for (int k = 0; declared && k < GSN_MARKS; k++) {
+    for (int k = 0; declared && k < GSN_FIDUCIALS; k++) {
         if (!isfinite(declared[k].x) || !isfinite(declared[k].y))
             return gsn_fail(err, GSN_E_INPUT, "markers_um: the place of mark %d is not finite",
                             k + 1);
         if (gsn_triangle_side(declared, k) <= 1e-9 * gsn_triangle_rho(declared) ||
             gsn_triangle_rho(declared) == 0)
             return gsn_fail(err, GSN_E_MARKERS, "markers_um: marks %d and %d coincide", k + 1,
-                            (k + 1) % GSN_MARKS + 1);
+                            (k + 1) % GSN_FIDUCIALS + 1);
     }
     return GSN_OK;
 }
@@ -325,7 +325,7 @@ int gsn_pose_solve(const struct gsn_pose_input *inputs, size_t count,
                    struct gsn_pose_summary *ret_summary, struct gsn_error *err)
 {
     gsn_auto_mem(struct gsn_procrustes_member) member = gsn_alloc_array(count, sizeof *member);
-    gsn_auto_mem(double) scratch = gsn_alloc_array(count * GSN_MARKS, sizeof *scratch);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(count * GSN_FIDUCIALS, sizeof *scratch);
     struct gsn_procrustes s = { .member = member,
                                 .count = count,
                                 .scratch = scratch,
@@ -386,7 +386,7 @@ void gsn_pose_likeliest(const struct gsn_pose *pose, const struct gsn_point *tar
 
     assert(pose->gross && pose->state == GSN_POSE_OK);
 
-    for (int i = 1; i < GSN_MARKS; i++)
+    for (int i = 1; i < GSN_FIDUCIALS; i++)
         if (c[i].share > c[best].share)
             best = i;
     if (!is_laid(&c[best])) {
@@ -394,7 +394,7 @@ void gsn_pose_likeliest(const struct gsn_pose *pose, const struct gsn_point *tar
         *ret_error_um = hypot(pose->tre_um, pose->rms_um);
         return;
     }
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         if (is_laid(&c[i]))
             square += c[i].share * (c[i].tre_um * c[i].tre_um +
                                     mean_square_apart(&c[best].panel_to_block_um,

@@ -46,9 +46,9 @@ void gsn_axes_at(const struct gsn_axes *axes, double serial, const struct gsn_po
 
 struct gsn_pose_input {
     unsigned serial; /* 0-based; used in sentences only */
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     double px_um;
-    int mirrored; /* what gsn_markers_choose() said; used only where two marks were found, since
+    int mirrored; /* what gsn_fiducials_match() said; used only where two marks were found, since
                      three tell by themselves */
 };
 
@@ -73,8 +73,8 @@ struct gsn_pose {
     int flipped;                         /* mounted face down: mirrored back by panel_to_block_um */
     int rotated180;                      /* turned by more than 90 degrees */
     struct gsn_affine panel_to_block_um; /* determinant px_um^2, negative when flipped */
-    double residual_um[GSN_MARKS];       /* distance of each mark from the mean triangle's; 0 where
-                                            it was not found */
+    double residual_um[GSN_FIDUCIALS];   /* distance of each mark from the mean triangle's; 0 where
+                                        it was not found */
     double rms_um;                       /* root mean square of those found */
     double tre_um;                       /* predicted, root mean square over the targets */
     double chi2; /* of the residuals under the stack's covariance: 3 degrees of freedom with three
@@ -83,13 +83,14 @@ struct gsn_pose {
                     likelihood of one of three being wrong (outlier.h), or by chi2 of two: a mark
                     is wrong or the section is torn or stretched. The pose is that of all marks and
                     must not be used: a person chooses a candidate */
-    struct gsn_pose_candidate candidate[GSN_MARKS]; /* gross with three marks: [i] leaves out mark
-                                                       i; otherwise 0 */
-    struct gsn_pose_error error;                    /* from which the error at any point follows */
+    struct gsn_pose_candidate candidate[GSN_FIDUCIALS]; /* gross with three marks: [i] leaves out
+                                                       mark i; otherwise 0 */
+    struct gsn_pose_error error; /* from which the error at any point follows */
     double strain[3]; /* of this section, shrunk by its noise: common, x against y, shear. The pose
                          does not use it (strain.h does); 0 where the stack shows none */
-    unsigned char order[GSN_MARKS]; /* mark i is the input's marks[order[i]]; other than 0 1 2 only
-                                       where flips cannot be told and two marks were swapped back */
+    unsigned char
+        order[GSN_FIDUCIALS]; /* mark i is the input's marks[order[i]]; other than 0 1 2 only
+                             where flips cannot be told and two marks were swapped back */
 };
 
 struct gsn_pose_summary {
@@ -98,10 +99,10 @@ struct gsn_pose_summary {
     double freedom; /* degrees of freedom fle_um is known with; INFINITY: only from the fits */
     double
         rho_um; /* root mean square distance of the mean triangle's corners from their centroid */
-    struct gsn_point mean_triangle[GSN_MARKS]; /* block frame */
-    double scale_vs_declared;     /* size of the mean triangle over that of the protocol's; 1 when
-                                     none was given. Far from 1: the pixel size is wrong */
-    double side_ratio[GSN_MARKS]; /* the same for sides 1-2, 2-3, 3-1 */
+    struct gsn_point mean_triangle[GSN_FIDUCIALS]; /* block frame */
+    double scale_vs_declared; /* size of the mean triangle over that of the protocol's; 1 when
+                                 none was given. Far from 1: the pixel size is wrong */
+    double side_ratio[GSN_FIDUCIALS]; /* the same for sides 1-2, 2-3, 3-1 */
     double isosceles_sigma; /* smallest difference of two sides, or the smallest height when that is
                                less, over the localisation error per axis (not below a tenth of a
                                pixel) */

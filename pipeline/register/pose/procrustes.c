@@ -25,34 +25,34 @@
 
 enum { NUMBERINGS = 6, MEDOID_MOST = 400 };
 
-static const unsigned char NUMBERING[NUMBERINGS][GSN_MARKS] = { { 0, 1, 2 }, { 1, 0, 2 },
-                                                                { 0, 2, 1 }, { 2, 1, 0 },
-                                                                { 1, 2, 0 }, { 2, 0, 1 } };
+static const unsigned char NUMBERING[NUMBERINGS][GSN_FIDUCIALS] = { { 0, 1, 2 }, { 1, 0, 2 },
+                                                                    { 0, 2, 1 }, { 2, 1, 0 },
+                                                                    { 1, 2, 0 }, { 2, 0, 1 } };
 
 static double distance_between(struct gsn_point a, struct gsn_point b)
 {
     return hypot(a.x - b.x, a.y - b.y);
 }
 
-struct gsn_point gsn_triangle_centroid(const struct gsn_point p[GSN_MARKS])
+struct gsn_point gsn_triangle_centroid(const struct gsn_point p[GSN_FIDUCIALS])
 {
-    return (struct gsn_point){ (p[0].x + p[1].x + p[2].x) / GSN_MARKS,
-                               (p[0].y + p[1].y + p[2].y) / GSN_MARKS };
+    return (struct gsn_point){ (p[0].x + p[1].x + p[2].x) / GSN_FIDUCIALS,
+                               (p[0].y + p[1].y + p[2].y) / GSN_FIDUCIALS };
 }
 
-double gsn_triangle_rho(const struct gsn_point p[GSN_MARKS])
+double gsn_triangle_rho(const struct gsn_point p[GSN_FIDUCIALS])
 {
     const struct gsn_point c = gsn_triangle_centroid(p);
     double squares = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         squares += pow(distance_between(p[i], c), 2);
-    return sqrt(squares / GSN_MARKS);
+    return sqrt(squares / GSN_FIDUCIALS);
 }
 
-double gsn_triangle_side(const struct gsn_point p[GSN_MARKS], int i)
+double gsn_triangle_side(const struct gsn_point p[GSN_FIDUCIALS], int i)
 {
-    return distance_between(p[i], p[(i + 1) % GSN_MARKS]);
+    return distance_between(p[i], p[(i + 1) % GSN_FIDUCIALS]);
 }
 
 static struct gsn_point in_um(const struct gsn_pose_input *input, int mark, int mirrored)
@@ -68,11 +68,11 @@ static double try_numbering(const struct gsn_procrustes_member *m, const unsigne
                             int mirrored, const struct gsn_point *triangle,
                             struct gsn_rigid *ret_motion)
 {
-    struct gsn_point from[GSN_MARKS], onto[GSN_MARKS];
-    double weight[GSN_MARKS], rms, sum = 0;
+    struct gsn_point from[GSN_FIDUCIALS], onto[GSN_FIDUCIALS];
+    double weight[GSN_FIDUCIALS], rms, sum = 0;
     size_t count = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         if (!m->input->marks[order[i]].found)
             continue;
         from[count] = in_um(m->input, order[i], mirrored);
@@ -124,9 +124,9 @@ static const unsigned char *swap_of(const struct gsn_point *triangle)
     int corner = 0;
     double least = INFINITY;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
-        const double apart =
-            fabs(gsn_triangle_side(triangle, i) - gsn_triangle_side(triangle, (i + 2) % GSN_MARKS));
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
+        const double apart = fabs(gsn_triangle_side(triangle, i) -
+                                  gsn_triangle_side(triangle, (i + 2) % GSN_FIDUCIALS));
 
         if (apart < least) {
             least = apart;
@@ -150,7 +150,7 @@ void gsn_procrustes_align(struct gsn_procrustes *s, double acceptable)
         struct gsn_procrustes_member *m = &s->member[i];
 
         gsn_axes_at(&s->axes, m->input->serial, s->triangle, m->onto);
-        if (m->marks == GSN_MARKS)
+        if (m->marks == GSN_FIDUCIALS)
             align_three(m, s->flips_told, acceptable);
         else if (m->marks == 2)
             align_two(m, s->flips_told);
@@ -166,16 +166,16 @@ void gsn_procrustes_initialise(struct gsn_procrustes *s)
 
     for (size_t i = 0; i < s->count; i += every) {
         const struct gsn_procrustes_member *m = &s->member[i];
-        struct gsn_point own[GSN_MARKS];
+        struct gsn_point own[GSN_FIDUCIALS];
         double median;
         size_t k = 0;
 
-        if (m->marks != GSN_MARKS)
+        if (m->marks != GSN_FIDUCIALS)
             continue;
-        for (int j = 0; j < GSN_MARKS; j++)
+        for (int j = 0; j < GSN_FIDUCIALS; j++)
             own[j] = in_um(m->input, j, 0);
         for (size_t j = 0; j < s->count; j += every) {
-            if (s->member[j].marks != GSN_MARKS)
+            if (s->member[j].marks != GSN_FIDUCIALS)
                 continue;
             memcpy(s->member[j].onto, own, sizeof own);
             align_three(&s->member[j], 1, 0);
@@ -202,8 +202,8 @@ size_t gsn_procrustes_observation(const struct gsn_procrustes *s,
     const double px2 = m->input->px_um * m->input->px_um, excess = gsn_procrustes_excess(s, &scale);
     struct gsn_pose_fit_input in = { .about = gsn_triangle_centroid(s->triangle) };
 
-    for (int i = 0; i < GSN_MARKS; i++) {
-        const struct gsn_mark *mark = &m->input->marks[m->order[i]];
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
+        const struct gsn_fiducial *mark = &m->input->marks[m->order[i]];
         const double unknown = m->variance[m->order[i]] / px2;
         const double xx = usable_variance(mark->cov_xx, unknown),
                      yy = usable_variance(mark->cov_yy, unknown);
@@ -276,7 +276,7 @@ static void weigh_marks(struct gsn_procrustes *s)
     const double excess = gsn_procrustes_excess(s, &scale);
 
     for (size_t i = 0; i < s->count; i++)
-        for (int k = 0; k < GSN_MARKS; k++) {
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
             const double own = fit_variance(s->member[i].input, k);
 
             s->member[i].variance[k] = own >= 0 && isfinite(own)
@@ -295,14 +295,14 @@ void gsn_procrustes_add_observations(struct gsn_procrustes *s, const struct gsn_
         *m = (struct gsn_procrustes_member){ .input = &inputs[i],
                                              .order = { 0, 1, 2 },
                                              .squares = INFINITY };
-        for (int k = 0; k < GSN_MARKS; k++) {
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
             const double own = fit_variance(&inputs[i], k);
 
             m->marks += inputs[i].marks[k].found != 0;
             if (inputs[i].marks[k].found && own >= 0 && isfinite(own))
                 s->scratch[marks++] = own;
         }
-        s->with_three += m->marks == GSN_MARKS;
+        s->with_three += m->marks == GSN_FIDUCIALS;
     }
     s->fit_um2 = marks > 0 ? gsn_median(s->scratch, marks) : 0;
     for (size_t i = 0; i < s->count; i++)
@@ -329,7 +329,7 @@ static void estimate_noise(struct gsn_procrustes *s)
     size_t k = 0;
 
     for (size_t i = 0; i < s->count; i++)
-        if (s->member[i].marks == GSN_MARKS)
+        if (s->member[i].marks == GSN_FIDUCIALS)
             s->scratch[k++] = s->member[i].squares;
     gsn_sort(s->scratch, k);
     factor = gsn_median(s->scratch, k) / CHI2_MEDIAN;
@@ -349,7 +349,7 @@ static void estimate_noise(struct gsn_procrustes *s)
     }
     limit = GSN_POSE_CHI2_GROSS * fmax(factor, s->finest / fmax(s->mark_um2, 1e-300));
     for (size_t i = 0; i < s->count; i++)
-        s->member[i].inlier = s->member[i].marks == GSN_MARKS && s->member[i].squares <= limit;
+        s->member[i].inlier = s->member[i].marks == GSN_FIDUCIALS && s->member[i].squares <= limit;
     /* Never 0, from where no factor leads away. */
     s->mark_um2 = fmax(s->with_three > 1 ? s->mark_um2 * factor * n / (n - 1) : 0, rounding_um2(s));
     s->freedom = 3 * (n - 1);
@@ -363,8 +363,8 @@ static void estimate_noise(struct gsn_procrustes *s)
 /* Moves the triangle to the mean of the inliers laid on it; how far its corners went. */
 static double update_triangle(struct gsn_procrustes *s)
 {
-    struct gsn_point mean[GSN_MARKS] = { 0 };
-    double weight[GSN_MARKS] = { 0 }, moved = 0;
+    struct gsn_point mean[GSN_FIDUCIALS] = { 0 };
+    double weight[GSN_FIDUCIALS] = { 0 }, moved = 0;
     struct gsn_rigid back;
 
     for (size_t k = 0; k < s->count; k++) {
@@ -374,7 +374,7 @@ static double update_triangle(struct gsn_procrustes *s)
         if (!m->inlier)
             continue;
         (void)gsn_procrustes_observation(s, m, &laid);
-        for (int i = 0; i < GSN_MARKS; i++) {
+        for (int i = 0; i < GSN_FIDUCIALS; i++) {
             const struct gsn_point p = gsn_rigid_apply(&m->motion, laid.from[i]);
             const double w = 1 / m->variance[m->order[i]];
 
@@ -385,13 +385,13 @@ static double update_triangle(struct gsn_procrustes *s)
     }
     if (weight[0] == 0)
         return 0;
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         mean[i] = (struct gsn_point){ s->triangle[i].x + mean[i].x / weight[i],
                                       s->triangle[i].y + mean[i].y / weight[i] };
     /* The mean may be anywhere as a whole: it stays where the triangle was. */
-    if (gsn_rigid_fit(mean, s->triangle, NULL, GSN_MARKS, &back, NULL, NULL) < 0)
+    if (gsn_rigid_fit(mean, s->triangle, NULL, GSN_FIDUCIALS, &back, NULL, NULL) < 0)
         return 0;
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const struct gsn_point p = gsn_rigid_apply(&back, mean[i]);
 
         moved = fmax(moved, hypot(p.x - s->triangle[i].x, p.y - s->triangle[i].y));
@@ -412,10 +412,10 @@ static double shape_um2(const struct gsn_procrustes *s)
         struct gsn_pose_fit_input laid;
         double square = 0, along = 0, length = 0;
 
-        if (m->marks != GSN_MARKS || !isfinite(m->squares))
+        if (m->marks != GSN_FIDUCIALS || !isfinite(m->squares))
             continue;
         (void)gsn_procrustes_observation(s, m, &laid);
-        for (int i = 0; i < GSN_MARKS; i++) {
+        for (int i = 0; i < GSN_FIDUCIALS; i++) {
             const struct gsn_point p = gsn_rigid_apply(&m->motion, laid.from[i]);
             const double x = p.x - laid.onto[i].x, y = p.y - laid.onto[i].y;
             const double ux = laid.onto[i].x - about.x, uy = laid.onto[i].y - about.y;
@@ -475,18 +475,18 @@ static double find_deviance(const struct gsn_procrustes *s)
 
     for (size_t i = 0; i < s->count; i++) {
         const struct gsn_procrustes_member *m = &s->member[i];
-        double weight[GSN_MARKS], all = 0, turn = 0, x = 0, y = 0;
+        double weight[GSN_FIDUCIALS], all = 0, turn = 0, x = 0, y = 0;
 
-        if (m->marks != GSN_MARKS || !isfinite(m->squares))
+        if (m->marks != GSN_FIDUCIALS || !isfinite(m->squares))
             continue;
-        for (int k = 0; k < GSN_MARKS; k++) {
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
             weight[k] = 1 / m->variance[m->order[k]];
             all += weight[k];
             x += weight[k] * m->onto[k].x;
             y += weight[k] * m->onto[k].y;
             sum -= 2 * log(weight[k]);
         }
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             turn += weight[k] * (pow(m->onto[k].x - x / all, 2) + pow(m->onto[k].y - y / all, 2));
         sum += 2 * log(all) + log(turn) + fmin(m->squares, GSN_POSE_CHI2_GROSS);
     }

@@ -19,10 +19,10 @@ extern "C" {
 struct gsn_procrustes_member {
     const struct gsn_pose_input *input;
     size_t marks;
-    struct gsn_point onto[GSN_MARKS]; /* the stack's triangle at this section's z */
-    double variance[GSN_MARKS];       /* of each mark per axis, um^2; input's numbering */
+    struct gsn_point onto[GSN_FIDUCIALS]; /* the stack's triangle at this section's z */
+    double variance[GSN_FIDUCIALS];       /* of each mark per axis, um^2; input's numbering */
     int mirrored;
-    unsigned char order[GSN_MARKS];
+    unsigned char order[GSN_FIDUCIALS];
     struct gsn_rigid motion; /* onto its triangle */
     double squares;          /* weighted squared residuals; infinite where there is no motion */
     int inlier;
@@ -32,7 +32,7 @@ struct gsn_procrustes {
     struct gsn_procrustes_member *member;
     size_t count, with_three;
     double *scratch; /* room for 3 * count */
-    struct gsn_point triangle[GSN_MARKS];
+    struct gsn_point triangle[GSN_FIDUCIALS];
     double mark_um2; /* variance per axis of the median mark; with strain in it until learnt */
     double fit_um2;  /* the same by the fits' own account */
     double follows;  /* share of what is more than that account which grows with each mark's own */
@@ -58,9 +58,9 @@ struct gsn_procrustes {
 #define GSN_POSE_CHI2_GROSS 16.26624
 
 /* ---- procrustes.c ---------------------------------------------------------------------------- */
-double gsn_triangle_side(const struct gsn_point triangle[GSN_MARKS], int i);
-struct gsn_point gsn_triangle_centroid(const struct gsn_point p[GSN_MARKS]);
-double gsn_triangle_rho(const struct gsn_point p[GSN_MARKS]);
+double gsn_triangle_side(const struct gsn_point triangle[GSN_FIDUCIALS], int i);
+struct gsn_point gsn_triangle_centroid(const struct gsn_point p[GSN_FIDUCIALS]);
+double gsn_triangle_rho(const struct gsn_point p[GSN_FIDUCIALS]);
 /* The marks found in um, in the pose's numbering, mirrored where the section is; their number. */
 size_t gsn_procrustes_observation(const struct gsn_procrustes *s,
                                   const struct gsn_procrustes_member *m,

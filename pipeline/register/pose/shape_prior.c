@@ -24,7 +24,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { COORDS = 2 * GSN_MARKS, TERMS = 3, ROUNDS = 4 };
+enum { COORDS = 2 * GSN_FIDUCIALS, TERMS = 3, ROUNDS = 4 };
 
 /* Chi-squared beyond which 0.1 % lie with 5 degrees of freedom: those in which three variances and
  * their axes can differ from being one. */
@@ -76,7 +76,7 @@ static int make_maps(const struct gsn_procrustes *s, struct lesson *l)
     double normal[3][3] = { 0 }, jk[3][3] = { 0 };
     double j[COORDS][3], k[COORDS][3];
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const struct gsn_point u = { s->triangle[i].x - about.x, s->triangle[i].y - about.y };
 
         gsn_pose_jacobian(u, &j[2 * i], &k[2 * i]);
@@ -142,7 +142,7 @@ static void add_section(const struct gsn_procrustes *s, const struct gsn_procrus
     double y[COORDS];
 
     (void)gsn_procrustes_observation(s, m, &laid);
-    for (size_t i = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++) {
         const struct gsn_point p = gsn_rigid_apply(&m->motion, laid.from[i]);
 
         y[2 * i] = p.x - laid.onto[i].x;
@@ -161,9 +161,9 @@ static void gather_sections(const struct gsn_procrustes *s, struct lesson *l)
         const struct gsn_procrustes_member *m = &s->member[i];
         double worst = 0;
 
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             worst = fmax(worst, m->variance[k]);
-        if (m->marks == GSN_MARKS && isfinite(m->squares) && worst <= POOR * s->mark_um2)
+        if (m->marks == GSN_FIDUCIALS && isfinite(m->squares) && worst <= POOR * s->mark_um2)
             add_section(s, m, l);
     }
     for (size_t i = 0; i < l->count; i++) {
@@ -272,7 +272,7 @@ static void to_marks(const struct lesson *l, const double whitened[3], struct gs
     for (size_t i = 0; i < 3; i++)
         for (size_t j = 0; j <= i; j++)
             strain[i] += l->lower[i][j] * whitened[j];
-    for (size_t m = 0; m < GSN_MARKS; m++) {
+    for (size_t m = 0; m < GSN_FIDUCIALS; m++) {
         ret_mark[m] = (struct gsn_point){ 0, 0 };
         for (size_t c = 0; c < 3; c++) {
             ret_mark[m].x += l->shape[2 * m][c] * strain[c];
@@ -288,11 +288,11 @@ static double sd_of(const struct lesson *l, size_t term)
 
     for (size_t c = 0; c < 3; c++) {
         const double unit[3] = { c == 0, c == 1, c == 2 };
-        struct gsn_point mark[GSN_MARKS];
+        struct gsn_point mark[GSN_FIDUCIALS];
 
         /* The whitened spread is near 1 each way; its trace is shared evenly. */
         to_marks(l, unit, mark);
-        for (size_t m = 0; m < GSN_MARKS; m++)
+        for (size_t m = 0; m < GSN_FIDUCIALS; m++)
             sum += l->spread[c][c] * (mark[m].x * mark[m].x + mark[m].y * mark[m].y);
     }
     return sqrt(sum * l->inverse[term][term] / COORDS);
@@ -314,7 +314,7 @@ static int learn_axes(struct gsn_procrustes *s, struct lesson *l)
     axes.slanted = is_significant(l, 1);
     to_marks(l, l->term[1], axes.slope);
     axes.slope_sd = sd_of(l, 1) / l->half;
-    for (size_t i = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++) {
         axes.slope[i].x /= l->half;
         axes.slope[i].y /= l->half;
     }
@@ -330,12 +330,12 @@ static int learn_axes(struct gsn_procrustes *s, struct lesson *l)
  * shows well farther out than the others. */
 static void move_triangle(struct gsn_procrustes *s, const struct lesson *l)
 {
-    struct gsn_point shift[GSN_MARKS];
+    struct gsn_point shift[GSN_FIDUCIALS];
 
     if (!s->axes.bent && !s->axes.slanted && !(s->sizes && s->stretches))
         return;
     to_marks(l, l->term[0], shift);
-    for (size_t i = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++) {
         s->triangle[i].x += shift[i].x;
         s->triangle[i].y += shift[i].y;
     }
@@ -420,7 +420,7 @@ static void compare_with_declared(struct gsn_procrustes *s, const struct lesson 
 
     if (!s->declared || !s->stretches || l->terms > 1)
         return;
-    for (size_t i = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++) {
         y[2 * i] = s->triangle[i].x - s->declared[i].x;
         y[2 * i + 1] = s->triangle[i].y - s->declared[i].y;
     }

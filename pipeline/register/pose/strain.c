@@ -19,7 +19,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { COORDS = 2 * GSN_MARKS, UNKNOWNS = 4 };
+enum { COORDS = 2 * GSN_FIDUCIALS, UNKNOWNS = 4 };
 
 /* Pixels less square than this matter to nothing: half the tolerance of a pixel size. */
 static const double PRACTICAL = 0.005;
@@ -49,14 +49,14 @@ struct gsn_affine gsn_strain_corrected(const struct gsn_pose *pose)
 }
 
 /* (0, 0), (1, 0) and (0, 1) -> the triangle. */
-static struct gsn_affine onto_triangle(const struct gsn_point t[GSN_MARKS])
+static struct gsn_affine onto_triangle(const struct gsn_point t[GSN_FIDUCIALS])
 {
     return (struct gsn_affine){ t[1].x - t[0].x, t[2].x - t[0].x, t[0].x,
                                 t[1].y - t[0].y, t[2].y - t[0].y, t[0].y };
 }
 
-struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_MARKS],
-                                     const struct gsn_point declared[GSN_MARKS])
+struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_FIDUCIALS],
+                                     const struct gsn_point declared[GSN_FIDUCIALS])
 {
     const struct gsn_affine from = onto_triangle(mean), onto = onto_triangle(declared);
     const struct gsn_affine back = gsn_affine_inverse(&from);
@@ -64,8 +64,8 @@ struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_MARKS],
     return gsn_affine_compose(&back, &onto);
 }
 
-void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
-                        const struct gsn_point to[GSN_MARKS], double ret_strain[3])
+void gsn_strain_between(const struct gsn_point from[GSN_FIDUCIALS],
+                        const struct gsn_point to[GSN_FIDUCIALS], double ret_strain[3])
 {
     const struct gsn_point about = { (from[0].x + from[1].x + from[2].x) / 3,
                                      (from[0].y + from[1].y + from[2].y) / 3 };
@@ -73,9 +73,9 @@ void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
     struct gsn_rigid motion;
 
     memset(ret_strain, 0, 3 * sizeof *ret_strain);
-    if (gsn_rigid_fit(to, from, NULL, GSN_MARKS, &motion, NULL, NULL) < 0)
+    if (gsn_rigid_fit(to, from, NULL, GSN_FIDUCIALS, &motion, NULL, NULL) < 0)
         return;
-    for (size_t i = 0; i < GSN_MARKS; i++) {
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++) {
         const struct gsn_point p = gsn_rigid_apply(&motion, to[i]);
         const struct gsn_point u = { from[i].x - about.x, from[i].y - about.y };
         double j[2][3], k[2][3];
@@ -97,11 +97,11 @@ void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
 
 /* The section's marks, laid rigidly; whether it can be asked. */
 static int laid_marks(const struct gsn_pose_input *input, const struct gsn_pose *pose,
-                      struct gsn_point ret_mark[GSN_MARKS])
+                      struct gsn_point ret_mark[GSN_FIDUCIALS])
 {
     if (pose->state != GSN_POSE_OK || pose->gross)
         return 0;
-    for (size_t i = 0; i < GSN_MARKS; i++)
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++)
         ret_mark[i] = gsn_affine_apply(&pose->panel_to_block_um, input->marks[pose->order[i]].px);
     return 1;
 }
@@ -168,7 +168,7 @@ static int fit_common(const struct gsn_pose_input *inputs, const struct gsn_pose
     double found[2], sd, square;
 
     for (size_t i = 0; i < count; i++) {
-        struct gsn_point marks[GSN_MARKS];
+        struct gsn_point marks[GSN_FIDUCIALS];
         double strain[3];
 
         if (!laid_marks(&inputs[i], &poses[i], marks))
@@ -193,7 +193,7 @@ static int fit_common(const struct gsn_pose_input *inputs, const struct gsn_pose
 struct gsn_strain_common gsn_strain_of_panel(const struct gsn_pose_input *inputs,
                                              const struct gsn_pose *poses, size_t count,
                                              const struct gsn_point *declared,
-                                             const struct gsn_point mean[GSN_MARKS])
+                                             const struct gsn_point mean[GSN_FIDUCIALS])
 {
     struct gsn_strain_common common = { 0 };
 

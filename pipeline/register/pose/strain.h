@@ -40,8 +40,8 @@ struct gsn_affine gsn_strain_corrected(const struct gsn_pose *pose);
 /* The block as the stack's mean triangle has it -> as the protocol's has it. Some sixty sections
  * that each stretch by a hundredth stretch by a thousandth in the mean; where the mean triangle is
  * as_declared, that is laid over the strain of each. Neither triangle lies on one line. */
-struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_MARKS],
-                                     const struct gsn_point declared[GSN_MARKS]);
+struct gsn_affine gsn_strain_of_mean(const struct gsn_point mean[GSN_FIDUCIALS],
+                                     const struct gsn_point declared[GSN_FIDUCIALS]);
 
 /* What all sections have in common: the scan's fault, not the tissue's. */
 struct gsn_strain_common {
@@ -57,12 +57,12 @@ struct gsn_strain_common {
 struct gsn_strain_common gsn_strain_of_panel(const struct gsn_pose_input *inputs,
                                              const struct gsn_pose *poses, size_t count,
                                              const struct gsn_point *declared,
-                                             const struct gsn_point mean[GSN_MARKS]);
+                                             const struct gsn_point mean[GSN_FIDUCIALS]);
 
 /* The strain that turns triangle `from` into `to`, but for a rigid motion; 0 where there is none to
  * tell. */
-void gsn_strain_between(const struct gsn_point from[GSN_MARKS],
-                        const struct gsn_point to[GSN_MARKS], double ret_strain[3]);
+void gsn_strain_between(const struct gsn_point from[GSN_FIDUCIALS],
+                        const struct gsn_point to[GSN_FIDUCIALS], double ret_strain[3]);
 
 #ifdef __cplusplus
 }

@@ -18,7 +18,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { COORDS = 2 * GSN_MARKS, STEPS = 4 };
+enum { COORDS = 2 * GSN_FIDUCIALS, STEPS = 4 };
 
 void gsn_pose_jacobian(struct gsn_point u, double ret_pose[2][3], double ret_strain[2][3])
 {
@@ -33,7 +33,7 @@ void gsn_pose_jacobian(struct gsn_point u, double ret_pose[2][3], double ret_str
 struct system {
     size_t n;
     double j[COORDS][3], k[COORDS][3];
-    double own[GSN_MARKS][3];      /* Omega's diagonal blocks: xx, xy, yy */
+    double own[GSN_FIDUCIALS][3];  /* Omega's diagonal blocks: xx, xy, yy */
     double weight[COORDS][COORDS]; /* Omega^-1 */
     double gain[3][COORDS];        /* pose error = -gain residual */
     double pose[3][3];
@@ -175,7 +175,7 @@ static void whiten_residuals(const struct system *s, double q[COORDS][COORDS], c
         fit->left[k] = 0;
         for (size_t i = 0; i < COORDS; i++)
             fit->left[k] += a[k][i] * y[i];
-        for (size_t m = 0; m < GSN_MARKS; m++) {
+        for (size_t m = 0; m < GSN_FIDUCIALS; m++) {
             const double xx = sqrt(s->own[m][0]), xy = s->own[m][1] / xx;
 
             fit->off[m][0][k] = a[k][2 * m] * xx + a[k][2 * m + 1] * xy;
@@ -205,7 +205,7 @@ static void judge_residuals(const struct system *s, const double *y, size_t mark
             for (size_t i = 0; i < 3; i++)
                 q[a][b] -= wj[a][i] * s->gain[i][b];
         }
-    for (size_t m = 0; marks == GSN_MARKS && m < marks; m++) {
+    for (size_t m = 0; marks == GSN_FIDUCIALS && m < marks; m++) {
         const size_t a = 2 * m, b = a + 1;
         const double det = q[a][a] * q[b][b] - q[a][b] * q[b][a];
 
@@ -214,7 +214,7 @@ static void judge_residuals(const struct system *s, const double *y, size_t mark
                                       det
                                 : 0;
     }
-    if (marks == GSN_MARKS)
+    if (marks == GSN_FIDUCIALS)
         whiten_residuals(s, q, y, fit);
 }
 
@@ -264,10 +264,10 @@ int gsn_pose_fit(const struct gsn_pose_fit_input *input, struct gsn_pose_fit *re
 {
     struct gsn_pose_fit fit = { .error.about = input->about };
     struct system s = { .n = 2 * input->count };
-    double y[COORDS], weight[GSN_MARKS];
+    double y[COORDS], weight[GSN_FIDUCIALS];
     int r;
 
-    assert(input->count >= 2 && input->count <= GSN_MARKS && ret_fit);
+    assert(input->count >= 2 && input->count <= GSN_FIDUCIALS && ret_fit);
 
     for (size_t i = 0; i < input->count; i++) {
         const struct gsn_point u = { input->onto[i].x - input->about.x,

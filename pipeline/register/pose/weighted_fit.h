@@ -17,21 +17,21 @@ extern "C" {
 #endif
 
 struct gsn_pose_fit_input {
-    size_t count;                                      /* of marks: 2 or 3 */
-    struct gsn_point from[GSN_MARKS], onto[GSN_MARKS]; /* um */
-    struct gsn_cov2 cov[GSN_MARKS];                    /* um^2, in the frame of from */
-    struct gsn_point about;                            /* strain moves nothing there */
-    double strain[3][3];                               /* the stack's; 0: rigid sections */
+    size_t count;                                              /* of marks: 2 or 3 */
+    struct gsn_point from[GSN_FIDUCIALS], onto[GSN_FIDUCIALS]; /* um */
+    struct gsn_cov2 cov[GSN_FIDUCIALS];                        /* um^2, in the frame of from */
+    struct gsn_point about;                                    /* strain moves nothing there */
+    double strain[3][3];                                       /* the stack's; 0: rigid sections */
 };
 
 struct gsn_pose_fit {
     struct gsn_rigid motion;
-    double chi2;             /* 2 count - 3 degrees of freedom */
-    double blame[GSN_MARKS]; /* how much of chi2 goes when that mark may lie anywhere */
+    double chi2;                 /* 2 count - 3 degrees of freedom */
+    double blame[GSN_FIDUCIALS]; /* how much of chi2 goes when that mark may lie anywhere */
     /* With three marks: the residuals as three numbers, independent and standard normal where no
      * mark is wrong, and what a mark adds to them that is off by its standard deviation along
      * either axis of its own covariance, strain included. */
-    double left[3], off[GSN_MARKS][2][3];
+    double left[3], off[GSN_FIDUCIALS][2][3];
     double strain[3];            /* best estimate, shrunk by its noise */
     struct gsn_pose_error error; /* freedom is left 0 */
 };

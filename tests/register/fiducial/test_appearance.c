@@ -19,9 +19,9 @@ static struct gsn_triangle_prior taught(void)
     return prior;
 }
 
-static struct gsn_mark spot(double contrast, double radius_um)
+static struct gsn_fiducial spot(double contrast, double radius_um)
 {
-    return (struct gsn_mark){
+    return (struct gsn_fiducial){
         .contrast = contrast, .radius_px = radius_um / PX, .score = 0.95, .found = 1
     };
 }
@@ -29,7 +29,7 @@ static struct gsn_mark spot(double contrast, double radius_um)
 static double odds(double contrast, double away_um)
 {
     const struct gsn_triangle_prior prior = taught();
-    const struct gsn_mark mark = spot(contrast, 75);
+    const struct gsn_fiducial mark = spot(contrast, 75);
 
     return gsn_third_mark_ratio(&mark, PX, &prior, &MOVES, away_um, 3000, 2000);
 }
@@ -49,7 +49,7 @@ TEST(in_its_place_the_odds_are_those_of_the_three_spreads)
 TEST(beside_a_place_of_its_own_error_the_odds_are_those_of_the_three_spreads)
 {
     const struct gsn_triangle_prior prior = taught();
-    const struct gsn_mark mark = spot(0.4, 75);
+    const struct gsn_fiducial mark = spot(0.4, 75);
     const double variance[3] = { 900 + 2500, 1600 + 2500, 57600 + 2500 };
     const double share[3] = { 0.9, 0.07, 0.03 };
 
@@ -81,7 +81,7 @@ TEST(the_odds_fall_with_the_distance_and_with_the_looks)
 TEST(looks_of_the_typical_mark_cost_nothing)
 {
     const struct gsn_triangle_prior prior = taught();
-    struct gsn_mark mark = spot(0.4, 75);
+    struct gsn_fiducial mark = spot(0.4, 75);
 
     CHECK_NEAR(gsn_appearance_distance(&mark, PX, &prior), 0, 1e-12);
     CHECK(gsn_appearance_residual(&mark) == 0);
@@ -92,7 +92,7 @@ TEST(looks_of_the_typical_mark_cost_nothing)
 }
 
 /* A spot that differs from the typical mark by so much in contrast alone. */
-static struct gsn_mark as_unlike(double unlike)
+static struct gsn_fiducial as_unlike(double unlike)
 {
     return spot(0.4 * exp(0.15 * sqrt(2 * unlike)), 75);
 }
@@ -101,7 +101,7 @@ static struct gsn_mark as_unlike(double unlike)
 TEST(looks_weigh_as_marks_have_them_more_often_than_other_spots)
 {
     struct gsn_triangle_prior prior = taught();
-    const struct gsn_mark plain = as_unlike(0), odd = as_unlike(5);
+    const struct gsn_fiducial plain = as_unlike(0), odd = as_unlike(5);
 
     prior.alike[3] = 0.005;
     prior.chance[3] = 0.04e-6;
@@ -115,7 +115,7 @@ TEST(looks_weigh_as_marks_have_them_more_often_than_other_spots)
 TEST(what_is_seen_beside_the_marks_is_counted_as_far_as_they_reach)
 {
     const struct gsn_triangle_prior prior = taught();
-    struct gsn_mark_candidates section = { .px_um = PX, .tissue_px = { 100, 100 }, .count = 6 };
+    struct gsn_fiducial_candidates section = { .px_um = PX, .tissue_px = { 100, 100 }, .count = 6 };
     struct gsn_appearance_counts counts = { .area_um2 = 5 };
     const struct gsn_point at[6] = { { 200, 100 }, { 40, 100 },  { 100, 150 },
                                      { 120, 120 }, { 100, 180 }, { 100, 201 } };

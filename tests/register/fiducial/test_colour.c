@@ -25,41 +25,41 @@ static void draw_section(struct gsn_image *image, double alpha, int decoys, uint
     struct draw_chance chance = { seed };
 
     draw_tissue_picture(value, SIDE, SIDE, 200, &chance);
-    for (int i = 0; i < GSN_MARKS + decoys; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS + decoys; i++) {
         struct draw_spot spot = { .radius = RADIUS, .alpha = i == 0 ? alpha : 0.96, .cut = NAN };
 
-        spot.centre = i < GSN_MARKS ? place(i)
-                                    : (struct gsn_point){ draw_uniform(&chance, 120, 300),
-                                                          draw_uniform(&chance, 190, 240) };
+        spot.centre = i < GSN_FIDUCIALS ? place(i)
+                                        : (struct gsn_point){ draw_uniform(&chance, 120, 300),
+                                                              draw_uniform(&chance, 190, 240) };
         for (int k = 0; k < 4; k++)
             spot.lobe[k / 2][k % 2] = 0.02 * draw_normal(&chance);
-        if (i >= GSN_MARKS)
+        if (i >= GSN_FIDUCIALS)
             spot.radius = draw_uniform(&chance, 8, 20);
         draw_spot_on(value, SIDE, SIDE, &spot);
     }
     draw_codes(value, image, 3, &chance);
 }
 
-static struct gsn_mark_spots *find(const struct gsn_image *image)
+static struct gsn_colour_candidates *find(const struct gsn_image *image)
 {
-    struct gsn_mark_spots *spots = NULL;
+    struct gsn_colour_candidates *spots = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_mark_spots_find(image, PX, &spots, &err), err);
+    CHECK_OK(gsn_colour_candidates_find(image, PX, &spots, &err), err);
     for (size_t i = 0; i < spots->candidates.count; i++)
-        CHECK_OK(gsn_mark_spots_measure(spots, i, &err), err);
+        CHECK_OK(gsn_colour_candidates_localise(spots, i, &err), err);
     return spots;
 }
 
 /* Squared error of the three marks; all must be found. */
-static double squares_of(const struct gsn_mark_spots *spots, double *claimed)
+static double squares_of(const struct gsn_colour_candidates *spots, double *claimed)
 {
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     double sum = 0, runner_up;
 
-    gsn_markers_choose(&spots->candidates, &PRIOR, marks, NULL, NULL, &runner_up);
+    gsn_fiducials_match(&spots->candidates, &PRIOR, marks, NULL, NULL, &runner_up);
     CHECK(runner_up < 0.5);
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         CHECK(marks[i].found);
         sum += pow(marks[i].px.x - place(i).x, 2) + pow(marks[i].px.y - place(i).y, 2);
         *claimed += marks[i].cov_xx + marks[i].cov_yy;
@@ -77,7 +77,7 @@ TEST(marks_in_changing_tissue_are_found_among_other_spots)
 
     CHECK_OK(gsn_image_new(SIDE, SIDE, 3, 8, &image, &err), err);
     for (int n = 0; n < 14; n++) {
-        gsn_auto(gsn_mark_spots) spots = NULL;
+        gsn_auto(gsn_colour_candidates) spots = NULL;
 
         draw_section(image, 0.96, n % 7, (uint64_t)n + 1);
         spots = find(image);
@@ -97,7 +97,7 @@ TEST(a_mark_that_is_half_burnt_in_is_found)
 
     CHECK_OK(gsn_image_new(SIDE, SIDE, 3, 16, &image, &err), err);
     for (int n = 0; n < 6; n++) {
-        gsn_auto(gsn_mark_spots) spots = NULL;
+        gsn_auto(gsn_colour_candidates) spots = NULL;
 
         draw_section(image, 0.5, 0, (uint64_t)n + 40);
         spots = find(image);
@@ -109,7 +109,7 @@ TEST(a_mark_that_is_half_burnt_in_is_found)
 TEST(the_tissue_is_centred_where_it_lies)
 {
     gsn_auto(gsn_image) image = NULL;
-    gsn_auto(gsn_mark_spots) spots = NULL;
+    gsn_auto(gsn_colour_candidates) spots = NULL;
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_image_new(SIDE, SIDE, 3, 8, &image, &err), err);
@@ -141,18 +141,18 @@ TEST(what_is_no_disc_loses_its_score_and_its_place_stays)
 
     for (int k = 0; k < 3; k++) {
         gsn_auto(gsn_image) image = NULL;
-        gsn_auto(gsn_mark_spots) spots = NULL;
+        gsn_auto(gsn_colour_candidates) spots = NULL;
         struct gsn_error err = { 0 };
-        struct gsn_mark before;
+        struct gsn_fiducial before;
 
         CHECK_OK(gsn_image_new(240, 240, 1, 8, &image, &err), err);
         for (int i = 0; i < 240 * 240; i++)
             ((uint8_t *)image->samples)[i] = (uint8_t)shapes[k](i % 240 - 120, i / 240 - 120);
-        CHECK_OK(gsn_mark_spots_find(image, PX, &spots, &err), err);
+        CHECK_OK(gsn_colour_candidates_find(image, PX, &spots, &err), err);
         CHECK(spots->candidates.count == 1);
         before = spots->candidates.mark[0];
         CHECK(before.score > 0.5);
-        CHECK_OK(gsn_mark_spots_measure(spots, 0, &err), err);
+        CHECK_OK(gsn_colour_candidates_localise(spots, 0, &err), err);
         CHECK(spots->candidates.mark[0].score == 0);
         CHECK(spots->candidates.mark[0].px.x == before.px.x &&
               spots->candidates.mark[0].px.y == before.px.y);
@@ -162,22 +162,22 @@ TEST(what_is_no_disc_loses_its_score_and_its_place_stays)
 TEST(a_pixel_size_that_is_none_is_refused)
 {
     gsn_auto(gsn_image) image = NULL;
-    struct gsn_mark_spots *spots = NULL;
+    struct gsn_colour_candidates *spots = NULL;
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_image_new(40, 40, 1, 8, &image, &err), err);
-    CHECK(gsn_mark_spots_find(image, 0, &spots, &err) == GSN_E_INPUT);
-    CHECK(gsn_mark_spots_find(image, 60, &spots, &err) == GSN_E_INPUT);
+    CHECK(gsn_colour_candidates_find(image, 0, &spots, &err) == GSN_E_INPUT);
+    CHECK(gsn_colour_candidates_find(image, 60, &spots, &err) == GSN_E_INPUT);
     CHECK(spots == NULL);
 }
 
 static int find_once(const struct gsn_image *image, struct gsn_error *err)
 {
-    gsn_auto(gsn_mark_spots) spots = NULL;
-    int r = gsn_mark_spots_find(image, PX, &spots, err);
+    gsn_auto(gsn_colour_candidates) spots = NULL;
+    int r = gsn_colour_candidates_find(image, PX, &spots, err);
 
     for (size_t i = 0; r >= 0 && i < spots->candidates.count; i++)
-        r = gsn_mark_spots_measure(spots, i, err);
+        r = gsn_colour_candidates_localise(spots, i, err);
     return r;
 }
 

@@ -65,13 +65,13 @@ static double error_of(struct fault fault, double radius, double contrast, doubl
         const struct gsn_point start = { c.x + draw_uniform(&chance, -2, 2),
                                          c.y + draw_uniform(&chance, -2, 2) };
         struct gsn_error err = { 0 };
-        struct gsn_mark mark;
+        struct gsn_fiducial mark;
 
         draw_faulty(c, radius, contrast, fault, &chance);
         draw_noise(&plane, &chance, sd);
-        CHECK_OK(gsn_contour_fit(&plane, start, radius * draw_uniform(&chance, 0.85, 1.15), &mark,
-                                   &err),
-                 err);
+        CHECK_OK(
+            gsn_contour_fit(&plane, start, radius * draw_uniform(&chance, 0.85, 1.15), &mark, &err),
+            err);
         CHECK(mark.found);
         squares += pow(mark.px.x - c.x, 2) + pow(mark.px.y - c.y, 2);
         claimed += mark.cov_xx + mark.cov_yy;
@@ -183,7 +183,7 @@ TEST(a_faint_mark_in_texture_knows_that_it_is_measured_worse)
     for (int n = 0; n < RUNS; n++) {
         const struct gsn_point c = { draw_uniform(&chance, 47, 49), draw_uniform(&chance, 47, 49) };
         struct gsn_error err = { 0 };
-        struct gsn_mark mark;
+        struct gsn_fiducial mark;
 
         draw_faulty(c, 16, 0.5, (struct fault){ .lobes = 0.02 }, &chance);
         draw_noise(&plane, &chance, 0.02);
@@ -209,7 +209,7 @@ TEST(tissue_that_is_another_further_out_does_not_pull_the_mark)
     for (int n = 0; n < RUNS; n++) {
         const struct gsn_point c = { draw_uniform(&chance, 47, 49), draw_uniform(&chance, 47, 49) };
         struct gsn_error err = { 0 };
-        struct gsn_mark mark;
+        struct gsn_fiducial mark;
 
         draw_faulty(c, radius, 1, (struct fault){ .lobes = 0.01 }, &chance);
         for (size_t i = 0; i < SIDE * SIDE; i++) {
@@ -230,7 +230,7 @@ TEST(what_has_no_round_edge_is_no_mark)
 {
     struct draw_chance chance = { 3 };
     struct gsn_error err = { 0 };
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
 
     draw_fill(&plane, 0);
     draw_box(&plane, 20, 44, 60, 8, 1);
@@ -246,7 +246,7 @@ TEST(what_has_no_round_edge_is_no_mark)
 static int fit_once(struct gsn_error *err)
 {
     struct draw_chance chance = { 1 };
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
 
     draw_faulty((struct gsn_point){ 48, 48 }, 12, 1, (struct fault){ 0 }, &chance);
     return gsn_contour_fit(&plane, (struct gsn_point){ 48, 48 }, 12, &mark, err);

@@ -53,7 +53,7 @@ static void draw_section(double angle, int flipped, unsigned marks, uint64_t see
         draw_ellipse(&panel, at, 3, 3, 0, draw_normal(&chance) * 0.02);
     }
     draw_noise(&panel, &chance, 0.02);
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const struct draw_mark burn =
             draw_phantom_mark(mount(PRIOR.mark_um[i], angle, flipped), PX);
 
@@ -62,7 +62,7 @@ static void draw_section(double angle, int flipped, unsigned marks, uint64_t see
     }
 }
 
-static void check_mark(const struct gsn_mark *mark, int i, double angle, int flipped)
+static void check_mark(const struct gsn_fiducial *mark, int i, double angle, int flipped)
 {
     const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, flipped);
 
@@ -76,16 +76,17 @@ static void check_mark(const struct gsn_mark *mark, int i, double angle, int fli
 
 /* Candidates and choice for one section. */
 static int find_marks(const struct gsn_plane *red_od, const struct gsn_slot *slot, double px_um,
-                      const struct gsn_triangle_prior *prior, struct gsn_mark ret_marks[GSN_MARKS],
-                      int *ret_mirrored, double *ret_runner_up, struct gsn_error *err)
+                      const struct gsn_triangle_prior *prior,
+                      struct gsn_fiducial ret_marks[GSN_FIDUCIALS], int *ret_mirrored,
+                      double *ret_runner_up, struct gsn_error *err)
 {
-    const struct gsn_mark_density density = draw_density(red_od);
-    struct gsn_mark_candidates candidates;
-    const int r = gsn_markers_candidates(&density, slot, px_um, &candidates, err);
+    const struct gsn_density_source density = draw_density(red_od);
+    struct gsn_fiducial_candidates candidates;
+    const int r = gsn_fiducials_detect(&density, slot, px_um, &candidates, err);
 
     if (r < 0)
         return r;
-    gsn_markers_choose(&candidates, prior, ret_marks, ret_mirrored, NULL, ret_runner_up);
+    gsn_fiducials_match(&candidates, prior, ret_marks, ret_mirrored, NULL, ret_runner_up);
     return GSN_OK;
 }
 
@@ -96,14 +97,14 @@ TEST(three_marks_are_found_and_numbered_however_the_section_lies)
     for (int n = 0; n < 12; n++) {
         const double angle = 0.6 * n;
         const int flipped = n % 2;
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         struct gsn_error err = { 0 };
         double runner_up;
         int mirrored;
 
         draw_section(angle, flipped, 7, (uint64_t)n);
         CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, &mirrored, &runner_up, &err), err);
-        for (int i = 0; i < GSN_MARKS; i++)
+        for (int i = 0; i < GSN_FIDUCIALS; i++)
             check_mark(&marks[i], i, angle, flipped);
         CHECK(mirrored == flipped && runner_up < 0.01);
     }
@@ -115,7 +116,7 @@ TEST(debris_is_not_taken_for_a_mark)
 
     for (int n = 0; n < 6; n++) {
         struct draw_chance chance = { (uint64_t)n };
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         struct gsn_error err = { 0 };
         double runner_up;
 
@@ -128,7 +129,7 @@ TEST(debris_is_not_taken_for_a_mark)
             draw_ellipse(&panel, at, r, r, 0, 0.5);
         }
         CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, &runner_up, &err), err);
-        for (int i = 0; i < GSN_MARKS; i++)
+        for (int i = 0; i < GSN_FIDUCIALS; i++)
             check_mark(&marks[i], i, 0.3, 0);
         CHECK(runner_up < 0.5);
     }
@@ -137,10 +138,10 @@ TEST(debris_is_not_taken_for_a_mark)
 /* Three are burnt alike, but one may be half burnt in, and half of that bleached. */
 TEST(a_spot_of_a_quarter_of_the_marks_strength_is_still_measured)
 {
-    const struct gsn_mark_density density = draw_density(&panel);
+    const struct gsn_density_source density = draw_density(&panel);
     const struct gsn_slot slot = whole_panel();
     struct draw_mark burn = draw_phantom_mark((struct gsn_point){ 130.3, 200.6 }, PX);
-    struct gsn_mark_candidates section;
+    struct gsn_fiducial_candidates section;
     struct gsn_error err = { 0 };
     size_t near = 0;
 
@@ -148,7 +149,7 @@ TEST(a_spot_of_a_quarter_of_the_marks_strength_is_still_measured)
     burn.bleach = 0;
     burn.depth = 0.15 + 0.25 * (burn.depth - 0.15);
     draw_burn(&panel, &burn);
-    CHECK_OK(gsn_markers_candidates(&density, &slot, PX, &section, &err), err);
+    CHECK_OK(gsn_fiducials_detect(&density, &slot, PX, &section, &err), err);
     for (size_t i = 0; i < section.count; i++)
         near +=
             fabs(section.mark[i].px.x - 130.3) < 0.5 && fabs(section.mark[i].px.y - 200.6) < 0.5;
@@ -159,21 +160,21 @@ TEST(masked_pixels_do_no_harm)
 {
     const struct gsn_slot slot = whole_panel();
     const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     struct gsn_error err = { 0 };
 
     draw_section(0, 0, 7, 1);
     draw_box(&panel, 200, 200, 40, 40, NAN);
     draw_box(&panel, (int)one.x + 3, (int)one.y - 8, 3, 16, NAN);
     CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         check_mark(&marks[i], i, 0, 0);
 }
 
 TEST(tissue_without_marks_has_none)
 {
     const struct gsn_slot slot = whole_panel();
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     struct gsn_error err = { 0 };
 
     draw_section(0, 0, 0, 1);
@@ -185,20 +186,20 @@ TEST(tissue_without_marks_has_none)
 }
 
 /* Candidates without a picture. */
-static void add(struct gsn_mark_candidates *section, struct gsn_point px, double contrast)
+static void add(struct gsn_fiducial_candidates *section, struct gsn_point px, double contrast)
 {
-    section->mark[section->count++] = (struct gsn_mark){
+    section->mark[section->count++] = (struct gsn_fiducial){
         .px = px, .radius_px = 75 / PX, .contrast = contrast, .score = 1, .found = 1
     };
 }
 
-static struct gsn_mark_candidates section_of(const struct gsn_triangle_prior *prior, double angle,
-                                             int flipped, unsigned marks)
+static struct gsn_fiducial_candidates section_of(const struct gsn_triangle_prior *prior,
+                                                 double angle, int flipped, unsigned marks)
 {
-    struct gsn_mark_candidates section = { .px_um = PX };
+    struct gsn_fiducial_candidates section = { .px_um = PX };
 
     section.tissue_px = mount((struct gsn_point){ 0, 0 }, angle, flipped);
-    for (int i = GSN_MARKS; i-- > 0;) {
+    for (int i = GSN_FIDUCIALS; i-- > 0;) {
         if (marks & (1u << i))
             add(&section, mount(prior->mark_um[i], angle, flipped), 0.4);
     }
@@ -207,14 +208,14 @@ static struct gsn_mark_candidates section_of(const struct gsn_triangle_prior *pr
 
 static struct gsn_triangle_prior learnt(void)
 {
-    struct gsn_mark_candidates sections[5];
+    struct gsn_fiducial_candidates sections[5];
     struct gsn_triangle_prior prior = PRIOR;
     struct gsn_error err = { 0 };
 
     for (int i = 0; i < 5; i++)
         sections[i] = section_of(&PRIOR, 0.1 * i, i == 2, 7);
     sections[4].count = 0;
-    CHECK_OK(gsn_markers_learn(sections, 5, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(sections, 5, &prior, &err), err);
     return prior;
 }
 
@@ -232,12 +233,12 @@ TEST(the_stack_teaches_what_a_mark_looks_like_and_where_the_tissue_lies)
 
 TEST(two_sections_teach_nothing)
 {
-    struct gsn_mark_candidates sections[2] = { section_of(&PRIOR, 0, 0, 7),
-                                               section_of(&PRIOR, 1, 0, 7) };
+    struct gsn_fiducial_candidates sections[2] = { section_of(&PRIOR, 0, 0, 7),
+                                                   section_of(&PRIOR, 1, 0, 7) };
     struct gsn_triangle_prior prior = PRIOR;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_markers_learn(sections, 2, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(sections, 2, &prior, &err), err);
     CHECK(!prior.learnt);
 }
 
@@ -248,14 +249,14 @@ TEST(of_two_marks_the_tissue_tells_which_is_which)
     for (int n = 0; n < 24; n++) {
         const double angle = 0.5 * n;
         /* Mark 2 is gone: the tissue's centre lies well to one side of the other two. */
-        const struct gsn_mark_candidates section = section_of(&PRIOR, angle, n % 2, 5);
-        struct gsn_mark marks[GSN_MARKS];
+        const struct gsn_fiducial_candidates section = section_of(&PRIOR, angle, n % 2, 5);
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         int mirrored;
 
-        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        gsn_fiducials_match(&section, &prior, marks, &mirrored, NULL, NULL);
         CHECK(marks[0].found && !marks[1].found && marks[2].found && mirrored == n % 2);
         CHECK_NEAR(marks[0].px.x, mount(PRIOR.mark_um[0], angle, n % 2).x, 1e-9);
-        gsn_markers_choose(&section, &PRIOR, marks, NULL, NULL, NULL);
+        gsn_fiducials_match(&section, &PRIOR, marks, NULL, NULL, NULL);
         CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
     }
 }
@@ -264,35 +265,37 @@ TEST(two_marks_that_the_tissue_cannot_tell_are_not_guessed)
 {
     const struct gsn_triangle_prior prior = learnt();
     /* Mark 1 is gone: the tissue's centre lies in the middle of the other two. */
-    const struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 6);
-    struct gsn_mark marks[GSN_MARKS];
+    const struct gsn_fiducial_candidates section = section_of(&PRIOR, 0, 0, 6);
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     double score, runner_up;
 
-    gsn_markers_choose(&section, &prior, marks, NULL, &score, &runner_up);
+    gsn_fiducials_match(&section, &prior, marks, NULL, &score, &runner_up);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
     CHECK(runner_up > 0.5 * score);
 }
 
-static struct gsn_mark_candidates pictured(double angle, int flipped, unsigned marks, uint64_t seed)
+static struct gsn_fiducial_candidates pictured(double angle, int flipped, unsigned marks,
+                                               uint64_t seed)
 {
     const struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = draw_density(&panel);
-    struct gsn_mark_candidates section;
+    const struct gsn_density_source density = draw_density(&panel);
+    struct gsn_fiducial_candidates section;
     struct gsn_error err = { 0 };
 
     draw_section(angle, flipped, marks, seed);
-    CHECK_OK(gsn_markers_candidates(&density, &slot, PX, &section, &err), err);
+    CHECK_OK(gsn_fiducials_detect(&density, &slot, PX, &section, &err), err);
     return section;
 }
 
 /* Three upright sections and a mirrored one, and what is learnt from them. */
-static void learn_pictured(struct gsn_mark_candidates sections[4], struct gsn_triangle_prior *prior)
+static void learn_pictured(struct gsn_fiducial_candidates sections[4],
+                           struct gsn_triangle_prior *prior)
 {
     struct gsn_error err = { 0 };
 
     for (int i = 0; i < 4; i++)
         sections[i] = pictured(0.9 * i, i == 2, 7, (uint64_t)i);
-    CHECK_OK(gsn_markers_learn(sections, 4, prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(sections, 4, prior, &err), err);
 }
 
 /* Case 20. Without mark 1 the tissue's centre lies in the middle of the other two: outline and root
@@ -300,21 +303,21 @@ static void learn_pictured(struct gsn_mark_candidates sections[4], struct gsn_tr
 TEST(of_any_two_marks_the_picture_tells_which_is_which)
 {
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_mark_candidates sections[4];
+    struct gsn_fiducial_candidates sections[4];
 
     learn_pictured(sections, &prior);
     CHECK(prior.tissue.cell > 0);
     for (int n = 0; n < 18; n++) {
         const double angle = 0.7 * n;
         const int lost = n % 3, flipped = n % 2;
-        const struct gsn_mark_candidates section =
+        const struct gsn_fiducial_candidates section =
             pictured(angle, flipped, 7U & ~(1U << lost), (uint64_t)(10 + n));
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         int mirrored;
 
-        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        gsn_fiducials_match(&section, &prior, marks, &mirrored, NULL, NULL);
         CHECK(mirrored == flipped);
-        for (int i = 0; i < GSN_MARKS; i++) {
+        for (int i = 0; i < GSN_FIDUCIALS; i++) {
             const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, flipped);
 
             CHECK(marks[i].found == (i != lost));
@@ -330,7 +333,7 @@ static double apart_px(struct gsn_point a, struct gsn_point b)
 }
 
 /* Brings a mark nearer to another one, as a fold between the two does. */
-static void fold(struct gsn_mark_candidates *section, struct gsn_point mark,
+static void fold(struct gsn_fiducial_candidates *section, struct gsn_point mark,
                  struct gsn_point towards, double um)
 {
     const double length = apart_px(mark, towards);
@@ -345,10 +348,11 @@ static void fold(struct gsn_mark_candidates *section, struct gsn_point mark,
     }
 }
 
-static int count_found(const struct gsn_mark_candidates *section,
-                       const struct gsn_triangle_prior *prior, struct gsn_mark marks[GSN_MARKS])
+static int count_found(const struct gsn_fiducial_candidates *section,
+                       const struct gsn_triangle_prior *prior,
+                       struct gsn_fiducial marks[GSN_FIDUCIALS])
 {
-    gsn_markers_choose(section, prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(section, prior, marks, NULL, NULL, NULL);
     return marks[0].found + marks[1].found + marks[2].found;
 }
 
@@ -358,7 +362,7 @@ static int count_found(const struct gsn_mark_candidates *section,
 TEST(two_marks_that_a_fold_has_brought_nearer_are_told_by_the_picture_alone)
 {
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_mark_candidates sections[4];
+    struct gsn_fiducial_candidates sections[4];
     size_t told = 0;
 
     learn_pictured(sections, &prior);
@@ -367,9 +371,9 @@ TEST(two_marks_that_a_fold_has_brought_nearer_are_told_by_the_picture_alone)
         const int lost = n % 3, flipped = n % 2, a = (lost + 1) % 3, b = (lost + 2) % 3;
         const struct gsn_point from = mount(PRIOR.mark_um[a], angle, flipped),
                                onto = mount(PRIOR.mark_um[b], angle, flipped);
-        struct gsn_mark_candidates section =
+        struct gsn_fiducial_candidates section =
             pictured(angle, flipped, 7U & ~(1U << lost), (uint64_t)(10 + n));
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
 
         fold(&section, from, onto, 350);
         if (count_found(&section, &prior, marks) > 0) {
@@ -389,18 +393,18 @@ TEST(two_marks_that_a_fold_has_brought_nearer_are_told_by_the_picture_alone)
 TEST(three_spots_that_look_like_marks_are_the_marks_of_a_torn_section)
 {
     const struct gsn_triangle_prior prior = learnt();
-    struct gsn_mark_candidates section = section_of(&PRIOR, 0.4, 0, 5);
+    struct gsn_fiducial_candidates section = section_of(&PRIOR, 0.4, 0, 5);
     struct gsn_point torn = mount(PRIOR.mark_um[1], 0.4, 0);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
     torn.x += 250 / PX;
     add(&section, torn, 0.4);
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
     CHECK(marks[0].found && marks[1].found && marks[2].found);
     CHECK_NEAR(marks[1].px.x, torn.x, 1e-9);
     /* A blot twice as large is none. */
     section.mark[2].radius_px *= 1.9;
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
     CHECK(marks[0].found && !marks[1].found && marks[2].found);
 }
 
@@ -408,18 +412,18 @@ TEST(three_spots_that_look_like_marks_are_the_marks_of_a_torn_section)
 TEST(a_spot_that_may_be_there_by_chance_is_not_the_third_mark)
 {
     const struct gsn_triangle_prior prior = learnt();
-    struct gsn_mark_candidates section = section_of(&PRIOR, 0.4, 0, 5);
+    struct gsn_fiducial_candidates section = section_of(&PRIOR, 0.4, 0, 5);
     struct gsn_point beside = mount(PRIOR.mark_um[1], 0.4, 0);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
     beside.x += 130 / PX;
     add(&section, beside, 0.15);
     section.mark[2].score = 0.62;
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
     CHECK(marks[0].found && !marks[1].found && marks[2].found);
     /* In the very place it is a mark that is half burnt in. */
     section.mark[2].px = mount(PRIOR.mark_um[1], 0.4, 0);
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
     CHECK(marks[0].found && marks[1].found && marks[2].found);
 }
 
@@ -429,13 +433,13 @@ static struct gsn_triangle_prior taught_by_blots(void)
 {
     enum { SECTIONS = 8, FAINT = 6 };
     struct draw_chance chance = { 5 };
-    struct gsn_mark_candidates sections[SECTIONS];
+    struct gsn_fiducial_candidates sections[SECTIONS];
     struct gsn_triangle_prior prior = PRIOR;
     struct gsn_error err = { 0 };
 
     for (int i = 0; i < SECTIONS; i++) {
         sections[i] = section_of(&PRIOR, 0.7 * i, i % 2, 7);
-        for (int m = 0; m < GSN_MARKS; m++) {
+        for (int m = 0; m < GSN_FIDUCIALS; m++) {
             sections[i].mark[m].px.x += 35 / PX * draw_normal(&chance);
             sections[i].mark[m].px.y += 35 / PX * draw_normal(&chance);
             sections[i].mark[m].contrast *= exp(0.07 * draw_normal(&chance));
@@ -445,10 +449,10 @@ static struct gsn_triangle_prior taught_by_blots(void)
                                           draw_uniform(&chance, 130, 290) };
 
             add(&sections[i], at, k < FAINT ? 0.1 : 0.44);
-            sections[i].mark[GSN_MARKS + k].score = 0.57;
+            sections[i].mark[GSN_FIDUCIALS + k].score = 0.57;
         }
     }
-    CHECK_OK(gsn_markers_learn(sections, SECTIONS, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(sections, SECTIONS, &prior, &err), err);
     CHECK(prior.chance[0] > 0);
     return prior;
 }
@@ -458,18 +462,18 @@ TEST(a_blot_of_tissue_beside_the_lost_marks_place_is_not_that_mark)
 {
     const struct gsn_triangle_prior prior = taught_by_blots();
     /* Two and a half standard deviations of where the others put it. */
-    static const double BESIDE_UM[GSN_MARKS] = { 140, 215, 150 };
+    static const double BESIDE_UM[GSN_FIDUCIALS] = { 140, 215, 150 };
 
-    for (int lost = 0; lost < GSN_MARKS; lost++)
+    for (int lost = 0; lost < GSN_FIDUCIALS; lost++)
         for (int plain = 0; plain < 2; plain++) {
-            struct gsn_mark_candidates section = section_of(&PRIOR, 0.4, 0, 7U & ~(1U << lost));
+            struct gsn_fiducial_candidates section = section_of(&PRIOR, 0.4, 0, 7U & ~(1U << lost));
             struct gsn_point beside = mount(PRIOR.mark_um[lost], 0.4, 0);
-            struct gsn_mark marks[GSN_MARKS];
+            struct gsn_fiducial marks[GSN_FIDUCIALS];
 
             beside.x += BESIDE_UM[lost] / PX;
             add(&section, beside, plain ? 0.4 : 0.46);
             section.mark[2].score = plain ? 0.9 : 0.56;
-            gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+            gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
             CHECK(marks[lost].found == plain);
         }
 }
@@ -493,25 +497,25 @@ static struct gsn_point third_if_upright(struct gsn_point a, struct gsn_point b,
 TEST(a_spot_where_another_pose_would_have_the_lost_mark_turns_no_section_over)
 {
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_mark_candidates sections[4];
+    struct gsn_fiducial_candidates sections[4];
     size_t told = 0;
 
     learn_pictured(sections, &prior);
     for (int n = 0; n < 18; n++) {
         const double angle = 0.7 * n;
         const int lost = n % 3, a = (lost + 1) % 3, b = (lost + 2) % 3;
-        struct gsn_mark_candidates section =
+        struct gsn_fiducial_candidates section =
             pictured(angle, 1, 7U & ~(1U << lost), (uint64_t)(10 + n));
         struct gsn_point spot = third_if_upright(
             mount(PRIOR.mark_um[a], angle, 1), mount(PRIOR.mark_um[b], angle, 1), lost, n / 3 % 2);
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         int mirrored;
 
         spot.x += 50 / PX;
-        section.count -= section.count == GSN_MARK_CANDIDATES;
+        section.count -= section.count == GSN_FIDUCIAL_CANDIDATES;
         add(&section, spot, 0.42);
-        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
-        CHECK(marks[0].found + marks[1].found + marks[2].found < GSN_MARKS);
+        gsn_fiducials_match(&section, &prior, marks, &mirrored, NULL, NULL);
+        CHECK(marks[0].found + marks[1].found + marks[2].found < GSN_FIDUCIALS);
         if (marks[a].found) {
             CHECK(mirrored && marks[b].found);
             told++;
@@ -528,15 +532,15 @@ TEST(a_neighbours_mark_does_not_unseat_three_of_a_section_that_has_shrunk)
     static const double SHRUNK = 0.945, TURNED = 25 * M_PI / 180;
     const struct gsn_point middle = { WIDTH / 2, HEIGHT / 2 };
     struct gsn_triangle_prior prior = PRIOR;
-    struct gsn_mark_candidates sections[4], section = { .px_um = PX, .tissue_px = middle };
-    struct gsn_mark marks[GSN_MARKS];
-    struct gsn_point at[GSN_MARKS], other, side;
+    struct gsn_fiducial_candidates sections[4], section = { .px_um = PX, .tissue_px = middle };
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
+    struct gsn_point at[GSN_FIDUCIALS], other, side;
 
     learn_pictured(sections, &prior);
     section.map = sections[0].map;
     for (int i = 0; i < GSN_THUMBNAIL_SIDE * GSN_THUMBNAIL_SIDE; i++)
         section.map.value[i] = 0.2F;
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const struct gsn_point um = { SHRUNK * PRIOR.mark_um[i].x, SHRUNK * PRIOR.mark_um[i].y };
 
         at[i] = mount(um, 0.4, 0);
@@ -547,8 +551,8 @@ TEST(a_neighbours_mark_does_not_unseat_three_of_a_section_that_has_shrunk)
     other.x = at[1].x + cos(TURNED) * side.x - sin(TURNED) * side.y;
     other.y = at[1].y + sin(TURNED) * side.x + cos(TURNED) * side.y;
     add(&section, other, 0.42);
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
-    for (int i = 0; i < GSN_MARKS; i++)
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         CHECK(marks[i].found && apart_px(marks[i].px, at[i]) < 1e-9);
 }
 
@@ -556,11 +560,11 @@ TEST(a_neighbours_mark_does_not_unseat_three_of_a_section_that_has_shrunk)
 TEST(a_neighbours_marks_are_not_this_sections)
 {
     const struct gsn_triangle_prior prior = learnt();
-    struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial_candidates section = section_of(&PRIOR, 0, 0, 7);
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
     section.tissue_px.x += 8000 / PX;
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
 }
 
@@ -570,7 +574,7 @@ TEST(ink_and_edges_of_glass_do_not_crowd_out_the_marks)
     const struct gsn_triangle_prior prior = learnt();
     const struct gsn_slot slot = whole_panel();
     struct draw_chance chance = { 3 };
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     struct gsn_error err = { 0 };
 
     draw_section(0, 0, 7, 1);
@@ -582,7 +586,7 @@ TEST(ink_and_edges_of_glass_do_not_crowd_out_the_marks)
             draw_uniform(&chance, 2, 12), draw_uniform(&chance, 2, 5), draw_uniform(&chance, 0, 3),
             draw_uniform(&chance, 0.6, 1.6));
     CHECK_OK(find_marks(&panel, &slot, PX, &prior, marks, NULL, NULL, &err), err);
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         check_mark(&marks[i], i, 0, 0);
 }
 
@@ -614,13 +618,13 @@ TEST(an_edge_of_glass_over_two_marks_hides_neither)
         const double angle = 0.05 * n;
         const struct gsn_point a = mount(PRIOR.mark_um[0], angle, 0),
                                b = mount(PRIOR.mark_um[1], angle, 0);
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         struct gsn_error err = { 0 };
 
         draw_section(angle, 0, 7, (uint64_t)n);
         draw_edge((struct gsn_point){ a.x, a.y - n }, (b.y - a.y + 6) / (b.x - a.x));
         CHECK_OK(find_marks(&panel, &slot, PX, &PRIOR, marks, NULL, NULL, &err), err);
-        for (int i = 0; i < GSN_MARKS; i++) {
+        for (int i = 0; i < GSN_FIDUCIALS; i++) {
             const struct gsn_point truth = mount(PRIOR.mark_um[i], angle, 0);
 
             CHECK(marks[i].found);
@@ -634,29 +638,29 @@ TEST(what_marks_look_like_finds_them_among_any_number_of_blots)
 {
     const struct gsn_triangle_prior prior = learnt();
     const struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = draw_density(&panel);
-    struct gsn_mark_candidates section;
-    struct gsn_mark marks[GSN_MARKS];
+    const struct gsn_density_source density = draw_density(&panel);
+    struct gsn_fiducial_candidates section;
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     struct gsn_error err = { 0 };
 
     draw_section(0, 0, 7, 1);
     draw_blots();
-    CHECK_OK(gsn_markers_seek(&density, &slot, PX, &prior, &section, &err), err);
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
-    for (int i = 0; i < GSN_MARKS; i++)
+    CHECK_OK(gsn_fiducials_detect_like(&density, &slot, PX, &prior, &section, &err), err);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         check_mark(&marks[i], i, 0, 0);
 }
 
 TEST(as_long_as_nothing_is_learnt_the_darkest_spots_are_sought)
 {
     const struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = draw_density(&panel);
-    struct gsn_mark_candidates plain = { 0 }, sought = { 0 };
+    const struct gsn_density_source density = draw_density(&panel);
+    struct gsn_fiducial_candidates plain = { 0 }, sought = { 0 };
     struct gsn_error err = { 0 };
 
     draw_section(0.5, 1, 7, 2);
-    CHECK_OK(gsn_markers_candidates(&density, &slot, PX, &plain, &err), err);
-    CHECK_OK(gsn_markers_seek(&density, &slot, PX, &PRIOR, &sought, &err), err);
+    CHECK_OK(gsn_fiducials_detect(&density, &slot, PX, &plain, &err), err);
+    CHECK_OK(gsn_fiducials_detect_like(&density, &slot, PX, &PRIOR, &sought, &err), err);
     CHECK(plain.count == sought.count && plain.count > 2);
     for (size_t i = 0; i < plain.count; i++)
         CHECK(plain.mark[i].px.x == sought.mark[i].px.x &&
@@ -666,14 +670,14 @@ TEST(as_long_as_nothing_is_learnt_the_darkest_spots_are_sought)
 TEST(a_section_that_has_swollen_is_found)
 {
     struct gsn_triangle_prior large = PRIOR;
-    struct gsn_mark_candidates section;
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial_candidates section;
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         large.mark_um[i] =
             (struct gsn_point){ 1.045 * PRIOR.mark_um[i].x, 1.045 * PRIOR.mark_um[i].y };
     section = section_of(&large, 0.2, 0, 7);
-    gsn_markers_choose(&section, &PRIOR, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &PRIOR, marks, NULL, NULL, NULL);
     CHECK(marks[0].found && marks[1].found && marks[2].found);
 }
 
@@ -684,7 +688,7 @@ enum { STACK = 24 };
 /* A stack of sections with so many round spots that look as the marks do, over 5 mm by 5 mm; marks
  * first, where there are any, in sections that differ in size by half a per cent. */
 static void draw_spots(int marks, size_t spots, uint64_t seed,
-                       struct gsn_mark_candidates sections[STACK])
+                       struct gsn_fiducial_candidates sections[STACK])
 {
     struct draw_chance chance = { seed };
 
@@ -693,8 +697,8 @@ static void draw_spots(int marks, size_t spots, uint64_t seed,
         const double size = 1 + 0.005 * draw_normal(&chance);
 
         sections[i] =
-            (struct gsn_mark_candidates){ .px_um = PX, .tissue_px = { WIDTH / 2, HEIGHT / 2 } };
-        for (int k = 0; marks && k < GSN_MARKS; k++)
+            (struct gsn_fiducial_candidates){ .px_um = PX, .tissue_px = { WIDTH / 2, HEIGHT / 2 } };
+        for (int k = 0; marks && k < GSN_FIDUCIALS; k++)
             add(&sections[i],
                 mount((struct gsn_point){ size * PRIOR.mark_um[k].x, size * PRIOR.mark_um[k].y },
                       angle, 0),
@@ -708,22 +712,22 @@ static void draw_spots(int marks, size_t spots, uint64_t seed,
 }
 
 /* Sections of which three spots were called marks, and those of which they are not the marks. */
-static size_t called(const struct gsn_mark_candidates sections[STACK], size_t *ret_wrong)
+static size_t called(const struct gsn_fiducial_candidates sections[STACK], size_t *ret_wrong)
 {
     struct gsn_triangle_prior prior = PRIOR;
     struct gsn_error err = { 0 };
     size_t found = 0;
 
     *ret_wrong = 0;
-    CHECK_OK(gsn_markers_learn(sections, STACK, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(sections, STACK, &prior, &err), err);
     for (size_t i = 0; i < STACK; i++) {
-        struct gsn_mark marks[GSN_MARKS];
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         int wrong = 0;
 
-        gsn_markers_choose(&sections[i], &prior, marks, NULL, NULL, NULL);
+        gsn_fiducials_match(&sections[i], &prior, marks, NULL, NULL, NULL);
         if (!marks[0].found || !marks[1].found || !marks[2].found)
             continue;
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             wrong |= apart_px(marks[k].px, sections[i].mark[k].px) > 0;
         found++;
         *ret_wrong += wrong != 0;
@@ -733,7 +737,7 @@ static size_t called(const struct gsn_mark_candidates sections[STACK], size_t *r
 
 TEST(among_spots_that_look_like_marks_none_is_taken_for_one)
 {
-    static struct gsn_mark_candidates sections[STACK];
+    static struct gsn_fiducial_candidates sections[STACK];
 
     for (size_t spots = 0; spots <= 60; spots += 10) {
         size_t found = 0, wrong = 0;
@@ -754,7 +758,7 @@ TEST(among_spots_that_look_like_marks_none_is_taken_for_one)
 /* Some triples lie like the triangle by chance; what the other sections lack, they lack. */
 TEST(a_stack_without_marks_has_none)
 {
-    static struct gsn_mark_candidates sections[STACK];
+    static struct gsn_fiducial_candidates sections[STACK];
 
     for (size_t spots = 6; spots <= 24; spots += 6)
         for (uint64_t seed = 1; seed <= 5; seed++) {
@@ -768,24 +772,24 @@ TEST(a_stack_without_marks_has_none)
 TEST(one_mark_is_no_section)
 {
     const struct gsn_triangle_prior prior = learnt();
-    const struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 1);
-    struct gsn_mark marks[GSN_MARKS];
+    const struct gsn_fiducial_candidates section = section_of(&PRIOR, 0, 0, 1);
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
-    gsn_markers_choose(&section, &prior, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &prior, marks, NULL, NULL, NULL);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
 }
 
 TEST(a_rival_spot_beside_a_mark_makes_the_section_doubtful)
 {
-    struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);
+    struct gsn_fiducial_candidates section = section_of(&PRIOR, 0, 0, 7);
     struct gsn_point beside = mount(PRIOR.mark_um[1], 0, 0);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
     double score, runner_up;
 
     beside.x += 1;
     beside.y += 1;
     add(&section, beside, 0.4);
-    gsn_markers_choose(&section, &PRIOR, marks, NULL, &score, &runner_up);
+    gsn_fiducials_match(&section, &PRIOR, marks, NULL, &score, &runner_up);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
     CHECK(score + runner_up > 0.9 && score + runner_up <= 1 && runner_up > 0.5 * score);
 }
@@ -794,13 +798,13 @@ TEST(a_rival_spot_beside_a_mark_makes_the_section_doubtful)
  * three marks tell that. */
 TEST(the_rivals_of_a_doubtful_section_are_listed)
 {
-    struct gsn_mark_candidates section = section_of(&PRIOR, 0.3, 1, 7);
+    struct gsn_fiducial_candidates section = section_of(&PRIOR, 0.3, 1, 7);
     const struct gsn_point mark = mount(PRIOR.mark_um[1], 0.3, 1);
-    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    struct gsn_fiducial_hypothesis rivals[GSN_FIDUCIAL_HYPOTHESES];
     size_t count;
 
     add(&section, (struct gsn_point){ mark.x + 1, mark.y + 1 }, 0.4);
-    count = gsn_markers_rivals(&section, &PRIOR, rivals);
+    count = gsn_fiducials_hypotheses(&section, &PRIOR, rivals);
     CHECK(count == 2);
     CHECK_NEAR(rivals[0].share + rivals[1].share, 1, 1e-12);
     CHECK(rivals[0].share >= rivals[1].share && rivals[1].share > 0.3);
@@ -818,9 +822,9 @@ TEST(the_rivals_of_a_doubtful_section_are_listed)
 TEST(two_marks_have_as_many_rivals_as_there_are_ways_to_lay_them)
 {
     const struct gsn_triangle_prior prior = learnt();
-    const struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 6);
-    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
-    const size_t count = gsn_markers_rivals(&section, &prior, rivals);
+    const struct gsn_fiducial_candidates section = section_of(&PRIOR, 0, 0, 6);
+    struct gsn_fiducial_hypothesis rivals[GSN_FIDUCIAL_HYPOTHESES];
+    const size_t count = gsn_fiducials_hypotheses(&section, &prior, rivals);
     int is_true = 0;
 
     CHECK(count == 4);
@@ -836,21 +840,21 @@ TEST(two_marks_have_as_many_rivals_as_there_are_ways_to_lay_them)
 TEST(a_section_without_marks_has_no_rivals)
 {
     const struct gsn_triangle_prior prior = learnt();
-    const struct gsn_mark_candidates one = section_of(&PRIOR, 0, 0, 1),
-                                     none = section_of(&PRIOR, 0, 0, 0);
-    struct gsn_mark_rival rivals[GSN_MARK_RIVALS];
+    const struct gsn_fiducial_candidates one = section_of(&PRIOR, 0, 0, 1),
+                                         none = section_of(&PRIOR, 0, 0, 0);
+    struct gsn_fiducial_hypothesis rivals[GSN_FIDUCIAL_HYPOTHESES];
 
-    CHECK(gsn_markers_rivals(&one, &prior, rivals) == 0);
-    CHECK(gsn_markers_rivals(&none, &prior, rivals) == 0);
+    CHECK(gsn_fiducials_hypotheses(&one, &prior, rivals) == 0);
+    CHECK(gsn_fiducials_hypotheses(&none, &prior, rivals) == 0);
 }
 
 TEST(a_wrong_pixel_size_matches_nothing)
 {
-    struct gsn_mark_candidates section = section_of(&PRIOR, 0, 0, 7);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial_candidates section = section_of(&PRIOR, 0, 0, 7);
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
     section.px_um = 21.17;
-    gsn_markers_choose(&section, &PRIOR, marks, NULL, NULL, NULL);
+    gsn_fiducials_match(&section, &PRIOR, marks, NULL, NULL, NULL);
     CHECK(!marks[0].found && !marks[1].found && !marks[2].found);
 }
 
@@ -860,11 +864,11 @@ TEST(in_an_isosceles_triangle_a_section_is_taken_as_upright)
                                                   { -1500, 0 }, { 1503, 0 }, { 0, 2000 } } };
 
     for (int flipped = 0; flipped < 2; flipped++) {
-        const struct gsn_mark_candidates section = section_of(&prior, 0.2, flipped, 7);
-        struct gsn_mark marks[GSN_MARKS];
+        const struct gsn_fiducial_candidates section = section_of(&prior, 0.2, flipped, 7);
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
         int mirrored;
 
-        gsn_markers_choose(&section, &prior, marks, &mirrored, NULL, NULL);
+        gsn_fiducials_match(&section, &prior, marks, &mirrored, NULL, NULL);
         CHECK(marks[0].found && marks[1].found && marks[2].found && !mirrored);
         CHECK_NEAR(marks[0].px.x, mount(prior.mark_um[flipped], 0.2, flipped).x, 1e-9);
     }
@@ -872,7 +876,7 @@ TEST(in_an_isosceles_triangle_a_section_is_taken_as_upright)
 
 TEST(sections_agree_on_a_triangle)
 {
-    struct gsn_mark_candidates sections[7];
+    struct gsn_fiducial_candidates sections[7];
     struct gsn_triangle_prior prior;
     struct gsn_error err = { 0 };
     struct draw_chance chance = { 5 };
@@ -886,7 +890,7 @@ TEST(sections_agree_on_a_triangle)
             add(&sections[i], at, 0.5);
         }
     }
-    CHECK_OK(gsn_markers_consensus(sections, 7, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_vote_triangle(sections, 7, &prior, &err), err);
     /* Shortest 1-2, longest 1-3: the protocol's marks 3, 1 and 2. */
     CHECK_NEAR(hypot(prior.mark_um[1].x, prior.mark_um[1].y), hypot(550, 2300), 1);
     CHECK_NEAR(hypot(prior.mark_um[2].x - prior.mark_um[1].x, prior.mark_um[2].y), hypot(3750, 500),
@@ -897,21 +901,21 @@ TEST(sections_agree_on_a_triangle)
 /* Sides 3-1, 1-2, 2-3 of the protocol are 2365, 3783 and 4252 um long. */
 TEST(the_agreed_triangle_numbers_every_section_alike)
 {
-    struct gsn_mark_candidates sections[5];
+    struct gsn_fiducial_candidates sections[5];
     struct gsn_triangle_prior prior;
     struct gsn_error err = { 0 };
 
     for (int i = 0; i < 5; i++)
         sections[i] = section_of(&PRIOR, 0.8 * i, i == 3, 7);
-    CHECK_OK(gsn_markers_consensus(sections, 5, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_vote_triangle(sections, 5, &prior, &err), err);
     for (int i = 0; i < 5; i++) {
-        struct gsn_mark marks[GSN_MARKS];
-        const int protocol[GSN_MARKS] = { 2, 0, 1 };
+        struct gsn_fiducial marks[GSN_FIDUCIALS];
+        const int protocol[GSN_FIDUCIALS] = { 2, 0, 1 };
         int mirrored;
 
-        gsn_markers_choose(&sections[i], &prior, marks, &mirrored, NULL, NULL);
+        gsn_fiducials_match(&sections[i], &prior, marks, &mirrored, NULL, NULL);
         CHECK(mirrored == (i == 3));
-        for (int k = 0; k < GSN_MARKS; k++) {
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
             const struct gsn_point truth = mount(PRIOR.mark_um[protocol[k]], 0.8 * i, i == 3);
 
             CHECK(marks[k].found);
@@ -923,13 +927,13 @@ TEST(the_agreed_triangle_numbers_every_section_alike)
 
 TEST(sections_that_do_not_agree_are_refused)
 {
-    struct gsn_mark_candidates sections[6];
+    struct gsn_fiducial_candidates sections[6];
     struct gsn_triangle_prior prior = { .contrast = 77 };
     struct gsn_error err = { 0 };
     struct draw_chance chance = { 6 };
 
     for (int i = 0; i < 6; i++) {
-        sections[i] = (struct gsn_mark_candidates){ .px_um = PX };
+        sections[i] = (struct gsn_fiducial_candidates){ .px_um = PX };
         for (int k = 0; k < 3; k++) {
             const struct gsn_point at = { draw_uniform(&chance, 50, 370),
                                           draw_uniform(&chance, 50, 370) };
@@ -937,29 +941,29 @@ TEST(sections_that_do_not_agree_are_refused)
             add(&sections[i], at, 0.5);
         }
     }
-    CHECK(gsn_markers_consensus(sections, 6, &prior, &err) == GSN_E_MARKERS);
+    CHECK(gsn_fiducials_vote_triangle(sections, 6, &prior, &err) == GSN_E_MARKERS);
     CHECK(strstr(err.text, "no common triangle of marks: of 6 sections"));
-    CHECK(gsn_markers_consensus(NULL, 0, &prior, &err) == GSN_E_MARKERS);
+    CHECK(gsn_fiducials_vote_triangle(NULL, 0, &prior, &err) == GSN_E_MARKERS);
     CHECK(prior.contrast == 77);
 }
 
 TEST(bad_questions_are_refused_and_the_output_stays_untouched)
 {
-    const struct gsn_mark_density density = draw_density(&panel);
+    const struct gsn_density_source density = draw_density(&panel);
     struct gsn_slot slot = whole_panel();
-    struct gsn_mark_candidates candidates = { .count = 77 };
+    struct gsn_fiducial_candidates candidates = { .count = 77 };
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_markers_candidates(&density, &slot, 0, &candidates, &err) == GSN_E_INPUT);
-    CHECK(gsn_markers_seek(&density, &slot, -1, &PRIOR, &candidates, &err) == GSN_E_INPUT);
-    CHECK(gsn_markers_candidates(&density, &slot, NAN, &candidates, &err) == GSN_E_INPUT);
-    CHECK(gsn_markers_candidates(&density, &slot, 60, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_fiducials_detect(&density, &slot, 0, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_fiducials_detect_like(&density, &slot, -1, &PRIOR, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_fiducials_detect(&density, &slot, NAN, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_fiducials_detect(&density, &slot, 60, &candidates, &err) == GSN_E_INPUT);
     slot.x = 1;
-    CHECK(gsn_markers_candidates(&density, &slot, PX, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_fiducials_detect(&density, &slot, PX, &candidates, &err) == GSN_E_INPUT);
     CHECK(strcmp(err.text, "the box of slot 1 reaches outside the panel") == 0);
     slot = whole_panel();
     slot.found = 0;
-    CHECK(gsn_markers_candidates(&density, &slot, PX, &candidates, &err) == GSN_E_INPUT);
+    CHECK(gsn_fiducials_detect(&density, &slot, PX, &candidates, &err) == GSN_E_INPUT);
     CHECK(candidates.count == 77);
 }
 
@@ -967,7 +971,7 @@ static int find_once(struct gsn_error *err)
 {
     struct gsn_slot slot = whole_panel();
     const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
-    struct gsn_mark marks[GSN_MARKS];
+    struct gsn_fiducial marks[GSN_FIDUCIALS];
 
     slot.x = (int)one.x - 20;
     slot.y = (int)one.y - 20;
@@ -978,26 +982,26 @@ static int find_once(struct gsn_error *err)
 static int seek_once(const struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
     struct gsn_slot slot = whole_panel();
-    const struct gsn_mark_density density = draw_density(&panel);
+    const struct gsn_density_source density = draw_density(&panel);
     const struct gsn_point one = mount(PRIOR.mark_um[0], 0, 0);
-    struct gsn_mark_candidates section;
+    struct gsn_fiducial_candidates section;
 
     slot.x = (int)one.x - 20;
     slot.y = (int)one.y - 20;
     slot.width = slot.height = 40;
-    return gsn_markers_seek(&density, &slot, PX, prior, &section, err);
+    return gsn_fiducials_detect_like(&density, &slot, PX, prior, &section, err);
 }
 
 static int learn_once(struct gsn_error *err)
 {
-    struct gsn_mark_candidates sections[3];
+    struct gsn_fiducial_candidates sections[3];
     struct gsn_triangle_prior prior;
     int r;
 
     for (int i = 0; i < 3; i++)
         sections[i] = section_of(&PRIOR, 0.1 * i, 0, 7);
-    r = gsn_markers_consensus(sections, 3, &prior, err);
-    return r < 0 ? r : gsn_markers_learn(sections, 3, &prior, err);
+    r = gsn_fiducials_vote_triangle(sections, 3, &prior, err);
+    return r < 0 ? r : gsn_fiducials_learn(sections, 3, &prior, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

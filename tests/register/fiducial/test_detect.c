@@ -19,7 +19,7 @@ static struct gsn_slot slot_at(int x, int y, int width, int height)
 
 static struct gsn_blob_field reduced(const struct gsn_slot *slot, size_t step)
 {
-    const struct gsn_mark_density density = draw_density(&plane);
+    const struct gsn_density_source density = draw_density(&plane);
     struct gsn_blob_field field = { .width = (size_t)slot->width / step,
                                     .height = (size_t)slot->height / step,
                                     .cell_px = (double)step,
@@ -66,7 +66,7 @@ TEST(masked_cells_take_the_mean_of_the_others)
 /* The window that is read around a spot holds all that the fit looks at. */
 TEST(a_mark_is_where_the_whole_plane_shows_it)
 {
-    const struct gsn_mark_density density = draw_density(&plane);
+    const struct gsn_density_source density = draw_density(&plane);
     const struct gsn_slot slot = slot_at(0, 0, WIDTH, HEIGHT);
     struct draw_chance chance = { 4 };
     struct gsn_error err = { 0 };
@@ -76,7 +76,7 @@ TEST(a_mark_is_where_the_whole_plane_shows_it)
                                       draw_uniform(&chance, 30, 60) };
         const double px_um = n % 2 ? 6 : 16, radius = 75 / px_um;
         const struct draw_mark burn = draw_phantom_mark(at, px_um);
-        struct gsn_mark own, all;
+        struct gsn_fiducial own, all;
 
         draw_fill(&plane, 0.1);
         draw_burn(&plane, &burn);
@@ -94,7 +94,7 @@ TEST(a_mark_is_where_the_whole_plane_shows_it)
  * surroundings it has seen next to nothing. It is then as good as one that began there. */
 TEST(what_a_mark_stands_out_by_is_told_by_the_tissue_around_it)
 {
-    const struct gsn_mark_density density = draw_density(&plane);
+    const struct gsn_density_source density = draw_density(&plane);
     const struct gsn_slot slot = slot_at(0, 0, WIDTH, HEIGHT);
     const double radius = 5.4, begun = 0.5 * radius;
     struct draw_chance chance = { 9 };
@@ -105,7 +105,7 @@ TEST(what_a_mark_stands_out_by_is_told_by_the_tissue_around_it)
         const struct gsn_point c = { draw_uniform(&chance, 55, 65), draw_uniform(&chance, 40, 50) };
         const double angle = draw_uniform(&chance, 0, 2 * M_PI);
         const struct gsn_point rim = { c.x + begun * cos(angle), c.y + begun * sin(angle) };
-        struct gsn_mark mark;
+        struct gsn_fiducial mark;
 
         draw_fill(&plane, 0.1);
         draw_ellipse(&plane, c, radius, radius, 0, 0.15);
@@ -121,10 +121,10 @@ TEST(what_a_mark_stands_out_by_is_told_by_the_tissue_around_it)
 
 static int read_once(struct gsn_error *err)
 {
-    const struct gsn_mark_density density = draw_density(&plane);
+    const struct gsn_density_source density = draw_density(&plane);
     const struct gsn_slot slot = slot_at(0, 0, WIDTH, HEIGHT);
     struct gsn_blob_field field = { .width = 20, .height = 20, .cell_px = 4, .od = cells };
-    struct gsn_mark mark = { .score = 77 };
+    struct gsn_fiducial mark = { .score = 77 };
     int r = gsn_density_reduce(&density, &slot, 4, &field, err);
 
     if (r >= 0)

@@ -139,9 +139,9 @@ TEST(a_field_too_small_for_a_line_has_none)
 
 TEST(what_a_line_covers_is_masked_and_nothing_else)
 {
-    const struct gsn_mark_density density = draw_density(&panel);
+    const struct gsn_density_source density = draw_density(&panel);
     const struct gsn_lined_density lined = { &density, 1, { { 1, 100, 0.1, 2 } } };
-    const struct gsn_mark_density open = gsn_density_without_lines(&lined);
+    const struct gsn_density_source open = gsn_density_without_lines(&lined);
     float row[100];
 
     draw_tissue(2);

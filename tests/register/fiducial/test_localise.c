@@ -16,10 +16,10 @@ static void draw_disc(struct gsn_plane *plane, struct gsn_point c, double radius
     }
 }
 
-static struct gsn_mark fit(const struct gsn_plane *plane, struct gsn_point start, double radius)
+static struct gsn_fiducial fit(const struct gsn_plane *plane, struct gsn_point start, double radius)
 {
     struct gsn_error err = { 0 };
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
 
     CHECK_OK(gsn_fiducial_localise(plane, start, radius, &mark, &err), err);
     return mark;
@@ -33,7 +33,7 @@ TEST(a_clean_disc_is_found_where_it_is)
 
     for (int n = 0; n < 20; n++) {
         const struct gsn_point c = { draw_uniform(&chance, 31, 33), draw_uniform(&chance, 31, 33) };
-        struct gsn_mark mark;
+        struct gsn_fiducial mark;
 
         draw_disc(&plane, c, 9, 1);
         mark = fit(&plane, (struct gsn_point){ 32.7, 31.6 }, 7.5);
@@ -65,7 +65,7 @@ TEST(noise_costs_no_more_than_the_cramer_rao_bound)
         for (int n = 0; n < runs; n++) {
             const struct gsn_point c = { draw_uniform(&chance, 31, 33),
                                          draw_uniform(&chance, 31, 33) };
-            struct gsn_mark mark;
+            struct gsn_fiducial mark;
 
             draw_disc(&plane, c, radius, s);
             draw_noise(&plane, &chance, q);
@@ -97,14 +97,14 @@ static void draw_tissue(struct gsn_plane *plane, struct draw_chance *chance)
 }
 
 /* The phantom's mark near the middle of tissue, and where it is found. */
-static struct gsn_mark found_burn(double px_um, double radius_px, struct draw_chance *chance,
-                                  struct gsn_point *ret_centre)
+static struct gsn_fiducial found_burn(double px_um, double radius_px, struct draw_chance *chance,
+                                      struct gsn_point *ret_centre)
 {
     static float value[SIDE * SIDE];
     struct gsn_plane plane = { SIDE, SIDE, value };
     const struct gsn_point c = { draw_uniform(chance, 31, 33), draw_uniform(chance, 31, 33) };
     const struct draw_mark burn = draw_phantom_mark(c, px_um);
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
 
     draw_tissue(&plane, chance);
     draw_burn(&plane, &burn);
@@ -122,7 +122,7 @@ TEST(a_burn_in_rough_tissue_is_found_and_its_error_is_known)
 
     for (int n = 0; n < runs; n++) {
         struct gsn_point c;
-        const struct gsn_mark mark = found_burn(16, 5.5, &chance, &c);
+        const struct gsn_fiducial mark = found_burn(16, 5.5, &chance, &c);
 
         CHECK_NEAR(mark.radius_px, 75 / 16.0, 0.25);
         squares += pow(mark.px.x - c.x, 2) + pow(mark.px.y - c.y, 2);
@@ -142,7 +142,7 @@ TEST(a_burn_of_two_pixels_radius_is_found_every_time)
     for (int n = 0; n < 200; n++) {
         const double px_um = n % 2 ? 24 : 40;
         struct gsn_point c;
-        const struct gsn_mark mark = found_burn(px_um, 75 / px_um, &chance, &c);
+        const struct gsn_fiducial mark = found_burn(px_um, 75 / px_um, &chance, &c);
 
         CHECK_NEAR(mark.px.x, c.x, 0.1);
         CHECK_NEAR(mark.px.y, c.y, 0.1);
@@ -157,7 +157,7 @@ TEST(the_edge_of_the_tissue_pulls_the_mark_by_little)
     struct draw_chance chance = { 4 };
     const struct gsn_point c = { 32.3, 31.8 };
     const struct draw_mark burn = draw_phantom_mark(c, 16);
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
 
     draw_fill(&plane, 0.15);
     draw_box(&plane, 0, 0, SIDE, 23, 0);
@@ -175,7 +175,7 @@ TEST(a_masked_strip_widens_the_covariance)
     struct gsn_plane plane = { SIDE, SIDE, value };
     struct draw_chance chance = { 5 };
     const struct gsn_point c = { 32.2, 32.4 };
-    struct gsn_mark whole, part;
+    struct gsn_fiducial whole, part;
 
     draw_disc(&plane, c, 9, 1);
     draw_noise(&plane, &chance, 0.05);
@@ -210,7 +210,7 @@ static int fit_once(struct gsn_error *err)
 {
     static float value[SIDE * SIDE];
     struct gsn_plane plane = { SIDE, SIDE, value };
-    struct gsn_mark mark;
+    struct gsn_fiducial mark;
 
     draw_disc(&plane, (struct gsn_point){ 32, 32 }, 6, 1);
     return gsn_fiducial_localise(&plane, (struct gsn_point){ 32, 32 }, 6, &mark, err);

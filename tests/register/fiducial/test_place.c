@@ -7,9 +7,9 @@
 #include <string.h>
 
 static const double PX = 16;
-static const struct gsn_point MARK_UM[GSN_MARKS] = { { -2050, -1000 },
-                                                     { 1700, -1500 },
-                                                     { -1500, 1300 } };
+static const struct gsn_point MARK_UM[GSN_FIDUCIALS] = { { -2050, -1000 },
+                                                         { 1700, -1500 },
+                                                         { -1500, 1300 } };
 enum { DECOYS = 4 };
 /* In the block's frame, a millimetre and more from every mark. */
 static const struct gsn_point DECOY_UM[DECOYS] = {
@@ -41,28 +41,29 @@ static struct gsn_affine mounted(double angle, int flipped)
     return gsn_affine_compose(&centre, &turned);
 }
 
-static void add_spot(struct gsn_mark_candidates *section, const struct gsn_affine *to_um,
+static void add_spot(struct gsn_fiducial_candidates *section, const struct gsn_affine *to_um,
                      struct gsn_point um)
 {
     const struct gsn_affine back = gsn_affine_inverse(to_um);
 
-    section->mark[section->count++] = (struct gsn_mark){ .px = gsn_affine_apply(&back, um),
-                                                         .radius_px = 75 / PX,
-                                                         .contrast = 0.4,
-                                                         .score = 0.95,
-                                                         .found = 1 };
+    section->mark[section->count++] = (struct gsn_fiducial){ .px = gsn_affine_apply(&back, um),
+                                                             .radius_px = 75 / PX,
+                                                             .contrast = 0.4,
+                                                             .score = 0.95,
+                                                             .found = 1 };
 }
 
-static struct gsn_mark_candidates with_decoys(const struct gsn_affine *to_um)
+static struct gsn_fiducial_candidates with_decoys(const struct gsn_affine *to_um)
 {
-    struct gsn_mark_candidates section = { .px_um = PX };
+    struct gsn_fiducial_candidates section = { .px_um = PX };
 
     for (int i = 0; i < DECOYS; i++)
         add_spot(&section, to_um, DECOY_UM[i]);
     return section;
 }
 
-static int is_at(const struct gsn_mark *mark, const struct gsn_affine *to_um, struct gsn_point um)
+static int is_at(const struct gsn_fiducial *mark, const struct gsn_affine *to_um,
+                 struct gsn_point um)
 {
     const struct gsn_point at = gsn_affine_apply(to_um, mark->px);
 
@@ -77,15 +78,15 @@ TEST(marks_are_named_by_where_their_section_lies)
     for (unsigned there = 0; there < 8; there++)
         for (int turn = 0; turn < 24; turn++) {
             const struct gsn_affine to_um = mounted(0.26 * turn, turn % 2);
-            struct gsn_mark_candidates section = with_decoys(&to_um);
-            struct gsn_mark marks[GSN_MARKS] = { 0 };
+            struct gsn_fiducial_candidates section = with_decoys(&to_um);
+            struct gsn_fiducial marks[GSN_FIDUCIALS] = { 0 };
 
-            for (int i = GSN_MARKS - 1; i >= 0; i--)
+            for (int i = GSN_FIDUCIALS - 1; i >= 0; i--)
                 if (there >> i & 1)
                     add_spot(&section, &to_um,
                              (struct gsn_point){ MARK_UM[i].x + 90, MARK_UM[i].y - 60 });
-            gsn_markers_place(&section, &prior, &to_um, 40, marks);
-            for (int i = 0; i < GSN_MARKS; i++) {
+            gsn_fiducials_match_placed(&section, &prior, &to_um, 40, marks);
+            for (int i = 0; i < GSN_FIDUCIALS; i++) {
                 CHECK(marks[i].found == (int)(there >> i & 1));
                 if (marks[i].found)
                     CHECK(is_at(&marks[i], &to_um,
@@ -103,21 +104,21 @@ TEST(a_spot_that_may_lie_there_by_chance_is_no_mark)
 
     for (int far = 0; far < 2; far++)
         for (int dirt = 0; dirt < 2; dirt++) {
-            struct gsn_mark_candidates section = { .px_um = PX };
-            struct gsn_mark marks[GSN_MARKS] = { 0 };
+            struct gsn_fiducial_candidates section = { .px_um = PX };
+            struct gsn_fiducial marks[GSN_FIDUCIALS] = { 0 };
 
             add_spot(&section, &to_um,
                      (struct gsn_point){ MARK_UM[1].x + (far ? 700 : 50), MARK_UM[1].y });
             section.mark[0].contrast *= dirt ? 2.6 : 1;
-            gsn_markers_place(&section, &prior, &to_um, 40, marks);
+            gsn_fiducials_match_placed(&section, &prior, &to_um, 40, marks);
             CHECK(marks[1].found == (!far && !dirt));
         }
     {
-        struct gsn_mark_candidates section = { .px_um = PX };
-        struct gsn_mark marks[GSN_MARKS] = { 0 };
+        struct gsn_fiducial_candidates section = { .px_um = PX };
+        struct gsn_fiducial marks[GSN_FIDUCIALS] = { 0 };
 
         add_spot(&section, &to_um, MARK_UM[1]);
-        gsn_markers_place(&section, &prior, &to_um, 20000, marks);
+        gsn_fiducials_match_placed(&section, &prior, &to_um, 20000, marks);
         CHECK(!marks[1].found);
     }
 }
@@ -128,13 +129,13 @@ TEST(of_two_spots_that_are_about_as_likely_neither_is_the_mark)
     const struct gsn_affine to_um = mounted(2, 1);
 
     for (int closer = 0; closer < 2; closer++) {
-        struct gsn_mark_candidates section = { .px_um = PX };
-        struct gsn_mark marks[GSN_MARKS] = { 0 };
+        struct gsn_fiducial_candidates section = { .px_um = PX };
+        struct gsn_fiducial marks[GSN_FIDUCIALS] = { 0 };
 
         add_spot(&section, &to_um, (struct gsn_point){ MARK_UM[0].x, MARK_UM[0].y + 200 });
         add_spot(&section, &to_um,
                  (struct gsn_point){ MARK_UM[0].x, MARK_UM[0].y - (closer ? 20 : 195) });
-        gsn_markers_place(&section, &prior, &to_um, 40, marks);
+        gsn_fiducials_match_placed(&section, &prior, &to_um, 40, marks);
         CHECK(marks[0].found == closer && !marks[1].found && !marks[2].found);
         if (closer)
             CHECK(is_at(&marks[0], &to_um, (struct gsn_point){ MARK_UM[0].x, MARK_UM[0].y - 20 }));
@@ -146,15 +147,15 @@ TEST(marks_that_are_known_stay)
 {
     const struct gsn_triangle_prior prior = taught();
     const struct gsn_affine to_um = mounted(0.5, 0);
-    struct gsn_mark_candidates section = { .px_um = PX };
-    struct gsn_mark marks[GSN_MARKS] = { 0 };
+    struct gsn_fiducial_candidates section = { .px_um = PX };
+    struct gsn_fiducial marks[GSN_FIDUCIALS] = { 0 };
 
     add_spot(&section, &to_um, MARK_UM[0]);
     add_spot(&section, &to_um, MARK_UM[1]);
     marks[0] = section.mark[1];
     marks[2] = section.mark[1];
     marks[2].px.x += 30;
-    gsn_markers_place(&section, &prior, &to_um, 40, marks);
+    gsn_fiducials_match_placed(&section, &prior, &to_um, 40, marks);
     CHECK(is_at(&marks[0], &to_um, MARK_UM[1]));
     CHECK(!marks[1].found);
     CHECK(marks[2].px.x == section.mark[1].px.x + 30);

@@ -94,9 +94,9 @@ TEST(filling_twice_is_filling_once)
 
 /* ---- burns of all sizes ------------------------------------------------------------------ */
 
-static const struct gsn_point TRIANGLE[GSN_MARKS] = { { -1150, -700 },
-                                                      { 950, -900 },
-                                                      { -550, 1000 } };
+static const struct gsn_point TRIANGLE[GSN_FIDUCIALS] = { { -1150, -700 },
+                                                          { 950, -900 },
+                                                          { -550, 1000 } };
 enum { SECTIONS = 4, WIDE_UM = 4200, FINE = 6 };
 
 struct drawn {
@@ -172,13 +172,13 @@ static void draw(const struct drawn *drawn, int section, struct gsn_plane *plane
     draw_noise(plane, &chance, 0.015);
 }
 
-/* All kinds of burns in all sections, as gsn_markers_burn() wants them. */
-static void search(const struct drawn *drawn, struct gsn_mark_candidates *ret_sections)
+/* All kinds of burns in all sections, as gsn_fiducials_choose_burn() wants them. */
+static void search(const struct drawn *drawn, struct gsn_fiducial_candidates *ret_sections)
 {
     const uint32_t side = (uint32_t)(WIDE_UM / drawn->px_um);
     gsn_auto_mem(float) value = gsn_alloc_array((size_t)side * side, sizeof *value);
     struct gsn_plane plane = { side, side, value };
-    const struct gsn_mark_density density = draw_density(&plane);
+    const struct gsn_density_source density = draw_density(&plane);
     const struct gsn_slot slot = {
         .found = 1, .width = (int)side, .height = (int)side, .centre_px = { 0.5 * side, 0.5 * side }
     };
@@ -187,8 +187,8 @@ static void search(const struct drawn *drawn, struct gsn_mark_candidates *ret_se
     CHECK(value);
     for (int i = 0; i < SECTIONS; i++) {
         draw(drawn, i, &plane);
-        for (unsigned k = 0; k < GSN_MARK_BURNS; k++)
-            CHECK_OK(gsn_markers_candidates_of(&density, &slot, drawn->px_um, k,
+        for (unsigned k = 0; k < GSN_BURNS; k++)
+            CHECK_OK(gsn_fiducials_detect_burn(&density, &slot, drawn->px_um, k,
                                                &ret_sections[k * SECTIONS + (unsigned)i], &err),
                      err);
     }
@@ -202,30 +202,30 @@ struct tally {
 
 static struct tally find(const struct drawn *drawn)
 {
-    static struct gsn_mark_candidates sections[GSN_MARK_BURNS * SECTIONS];
+    static struct gsn_fiducial_candidates sections[GSN_BURNS * SECTIONS];
     struct gsn_triangle_prior prior = { 0 };
     struct gsn_error err = { 0 };
     struct tally tally = { 0 };
-    const struct gsn_mark_candidates *of;
+    const struct gsn_fiducial_candidates *of;
 
     search(drawn, sections);
-    CHECK_OK(gsn_markers_burn(sections, SECTIONS, TRIANGLE, &tally.burn, &err), err);
+    CHECK_OK(gsn_fiducials_choose_burn(sections, SECTIONS, TRIANGLE, &tally.burn, &err), err);
     of = sections + tally.burn * SECTIONS;
     memcpy(prior.mark_um, TRIANGLE, sizeof prior.mark_um);
-    CHECK_OK(gsn_markers_learn(of, SECTIONS, &prior, &err), err);
+    CHECK_OK(gsn_fiducials_learn(of, SECTIONS, &prior, &err), err);
     for (int i = 0; i < SECTIONS; i++) {
-        struct gsn_mark mark[GSN_MARKS];
+        struct gsn_fiducial mark[GSN_FIDUCIALS];
         int found = 0, near = 0;
 
-        gsn_markers_choose(&of[i], &prior, mark, NULL, NULL, NULL);
-        for (int m = 0; m < GSN_MARKS; m++) {
+        gsn_fiducials_match(&of[i], &prior, mark, NULL, NULL, NULL);
+        for (int m = 0; m < GSN_FIDUCIALS; m++) {
             const struct gsn_point at = place_of(drawn, i, m);
 
             found += mark[m].found;
             near += mark[m].found && hypot(mark[m].px.x - at.x, mark[m].px.y - at.y) <
                                          0.25 * drawn->radius_um / drawn->px_um;
         }
-        tally.right += near == GSN_MARKS;
+        tally.right += near == GSN_FIDUCIALS;
         tally.wrong += found > near;
     }
     return tally;
@@ -234,7 +234,7 @@ static struct tally find(const struct drawn *drawn)
 static void check_all_found(double px_um, const double *radius_um, size_t count, int hole)
 {
     for (size_t i = 0; i < count; i++) {
-        const struct drawn drawn = { px_um, radius_um[i], hole, GSN_MARKS, 5 + i };
+        const struct drawn drawn = { px_um, radius_um[i], hole, GSN_FIDUCIALS, 5 + i };
         const struct tally tally = find(&drawn);
 
         print_message("  %g um at %g um a pixel%s: %d of %d, %d wrong, kind %u\n", radius_um[i],
@@ -264,7 +264,7 @@ TEST(holes_are_found_from_four_pixels_on)
 TEST(marks_that_are_too_small_to_see_are_not_guessed)
 {
     for (int hole = 0; hole < 2; hole++) {
-        const struct drawn drawn = { 24, 20, hole, GSN_MARKS, 77 };
+        const struct drawn drawn = { 24, 20, hole, GSN_FIDUCIALS, 77 };
         const struct tally tally = find(&drawn);
 
         CHECK(tally.wrong == 0);
@@ -281,18 +281,19 @@ TEST(sections_without_marks_have_none_of_any_kind)
 
 TEST(ordinary_marks_are_of_the_ordinary_kind_and_nothing_else_is_asked)
 {
-    static struct gsn_mark_candidates sections[GSN_MARK_BURNS * SECTIONS];
-    const struct drawn drawn = { 10.58, 75, 0, GSN_MARKS, 21 }, large = { 10.58, 300, 0, 3, 22 };
+    static struct gsn_fiducial_candidates sections[GSN_BURNS * SECTIONS];
+    const struct drawn drawn = { 10.58, 75, 0, GSN_FIDUCIALS, 21 },
+                       large = { 10.58, 300, 0, 3, 22 };
     struct gsn_error err = { 0 };
     unsigned burn = 7;
     int odd = 7;
 
     search(&drawn, sections);
-    CHECK_OK(gsn_markers_are_odd(sections, SECTIONS, TRIANGLE, &odd, &err), err);
-    CHECK_OK(gsn_markers_burn(sections, SECTIONS, TRIANGLE, &burn, &err), err);
+    CHECK_OK(gsn_fiducials_are_odd(sections, SECTIONS, TRIANGLE, &odd, &err), err);
+    CHECK_OK(gsn_fiducials_choose_burn(sections, SECTIONS, TRIANGLE, &burn, &err), err);
     CHECK(odd == 0 && burn == 0);
     search(&large, sections);
-    CHECK_OK(gsn_markers_are_odd(sections, SECTIONS, TRIANGLE, &odd, &err), err);
+    CHECK_OK(gsn_fiducials_are_odd(sections, SECTIONS, TRIANGLE, &odd, &err), err);
     CHECK(odd == 1);
 }
 
@@ -305,13 +306,13 @@ static int fill_once(struct gsn_error *err)
 
 static int burn_once(struct gsn_error *err)
 {
-    static struct gsn_mark_candidates sections[GSN_MARK_BURNS * SECTIONS];
+    static struct gsn_fiducial_candidates sections[GSN_BURNS * SECTIONS];
     unsigned burn = 7;
-    int odd = 7, r = gsn_markers_are_odd(sections, SECTIONS, NULL, &odd, err);
+    int odd = 7, r = gsn_fiducials_are_odd(sections, SECTIONS, NULL, &odd, err);
 
     CHECK(r >= 0 || odd == 7);
     if (r >= 0)
-        r = gsn_markers_burn(sections, SECTIONS, NULL, &burn, err);
+        r = gsn_fiducials_choose_burn(sections, SECTIONS, NULL, &burn, err);
     CHECK(r >= 0 || burn == 7);
     return r;
 }

@@ -8,23 +8,23 @@ static const struct mounted_world EVEN = { .marks = mounted_marks, .angle = M_PI
 
 /* A slope less what a shift and a twist common to all three axes can explain: least squares of the
  * six coordinates on (1, 0), (0, 1) and the turn about the centroid. */
-static void less_common(struct gsn_point slope[GSN_MARKS])
+static void less_common(struct gsn_point slope[GSN_FIDUCIALS])
 {
     const struct gsn_point c = { -1850.0 / 3, -400 };
     struct gsn_point mean = { 0, 0 };
     double turn = 0, square = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         mean.x += slope[i].x / 3;
         mean.y += slope[i].y / 3;
     }
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const double x = mounted_marks[i].x - c.x, y = mounted_marks[i].y - c.y;
 
         turn += x * slope[i].y - y * slope[i].x;
         square += x * x + y * y;
     }
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const double x = mounted_marks[i].x - c.x, y = mounted_marks[i].y - c.y;
 
         slope[i].x -= mean.x - turn / square * y;
@@ -38,17 +38,17 @@ TEST(axes_that_are_not_parallel_are_found_and_followed)
     struct draw_chance chance = { 11 };
     struct mounted_world world = EVEN;
     struct mounted_stack s = mounted_new(125);
-    struct gsn_point truth[GSN_MARKS] = { { 0.5, 0 }, { -0.72, 0.2 }, { 0.1, -0.6 } };
+    struct gsn_point truth[GSN_FIDUCIALS] = { { 0.5, 0 }, { -0.72, 0.2 }, { 0.1, -0.6 } };
     size_t gross = 0;
     double squares = 0;
 
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         world.slope[i] = truth[i];
     mounted_draw(&s, &world, &chance);
     mounted_solve(&s, &mounted_declared);
     less_common(truth);
     CHECK(s.summary.axes.slanted && !s.summary.axes.bent);
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         print_message("  axis %d: %.3f %.3f um per section, truth %.3f %.3f, sd %.3f\n", i + 1,
                       s.summary.axes.slope[i].x, s.summary.axes.slope[i].y, truth[i].x, truth[i].y,
                       s.summary.axes.slope_sd);
@@ -75,13 +75,13 @@ TEST(a_slope_that_all_axes_share_is_not_seen)
     struct mounted_world world = EVEN;
     struct mounted_stack s = mounted_new(60);
 
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         world.slope[i] = (struct gsn_point){ 2 - 2e-4 * (mounted_marks[i].y + 400),
                                              -3 + 2e-4 * (mounted_marks[i].x + 1850.0 / 3) };
     mounted_draw(&s, &world, &chance);
     mounted_solve(&s, &mounted_declared);
     CHECK(!s.summary.axes.slanted && !s.summary.axes.bent);
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         CHECK_NEAR(hypot(s.summary.axes.slope[i].x, s.summary.axes.slope[i].y), 0,
                    6 * s.summary.axes.slope_sd);
     mounted_done(&s);

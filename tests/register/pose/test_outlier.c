@@ -19,7 +19,7 @@ static double length(const double v[3])
 TEST(along_one_line_it_is_the_test_of_one_number)
 {
     static const double line[3] = { 0.48, -0.6, 0.64 };
-    double off[GSN_MARKS][2][3] = { 0 }, left[3];
+    double off[GSN_FIDUCIALS][2][3] = { 0 }, left[3];
 
     for (int i = 0; i < 3; i++) {
         off[0][0][i] = 0.9 * line[i];
@@ -36,9 +36,9 @@ TEST(along_one_line_it_is_the_test_of_one_number)
  * Fisher's F. */
 TEST(for_small_mistakes_in_all_directions_it_is_chi_squared)
 {
-    static const double off[GSN_MARKS][2][3] = { { { 1e-3, 0, 0 }, { 0, 1e-3, 0 } },
-                                                 { { 0, 1e-3, 0 }, { 0, 0, 1e-3 } },
-                                                 { { 0, 0, 1e-3 }, { 1e-3, 0, 0 } } };
+    static const double off[GSN_FIDUCIALS][2][3] = { { { 1e-3, 0, 0 }, { 0, 1e-3, 0 } },
+                                                     { { 0, 1e-3, 0 }, { 0, 0, 1e-3 } },
+                                                     { { 0, 0, 1e-3 }, { 1e-3, 0, 0 } } };
     const double at = sqrt(16.26624 / 3), f = sqrt(12.5527);
 
     CHECK_NEAR(gsn_outlier_false_alarm((double[]){ at, -at, at }, off, INFINITY, 1), 1e-3, 1e-6);
@@ -55,9 +55,9 @@ struct section {
 
 static struct gsn_cov2 cov_of(int mark, int alike)
 {
-    static const struct gsn_cov2 own[GSN_MARKS] = { { 100, 0, 100 },
-                                                    { 900, -250, 150 },
-                                                    { 60, 20, 80 } };
+    static const struct gsn_cov2 own[GSN_FIDUCIALS] = { { 100, 0, 100 },
+                                                        { 900, -250, 150 },
+                                                        { 60, 20, 80 } };
 
     return own[alike ? 0 : mark];
 }
@@ -70,12 +70,12 @@ static struct gsn_point along(struct gsn_cov2 v, double first, double second)
     return (struct gsn_point){ xx * first, xy * first + sqrt(v.yy - xy * xy) * second };
 }
 
-static void measure(struct section *s, int alike, const double off[GSN_MARKS][2])
+static void measure(struct section *s, int alike, const double off[GSN_FIDUCIALS][2])
 {
     struct gsn_error err = { 0 };
 
-    s->input = (struct gsn_pose_fit_input){ .count = GSN_MARKS };
-    for (int m = 0; m < GSN_MARKS; m++) {
+    s->input = (struct gsn_pose_fit_input){ .count = GSN_FIDUCIALS };
+    for (int m = 0; m < GSN_FIDUCIALS; m++) {
         const struct gsn_cov2 v = cov_of(m, alike);
         const struct gsn_point d = along(v, off[m][0], off[m][1]);
 
@@ -98,21 +98,21 @@ static double dot(const double a[3], const double b[3])
  * seen, and here the section is hardly turned. */
 TEST(residuals_are_white_and_move_as_stated)
 {
-    static const double noise[GSN_MARKS][2] = { { 0.3, -1.2 }, { 0.8, 0.4 }, { -1.1, 0.2 } };
+    static const double noise[GSN_FIDUCIALS][2] = { { 0.3, -1.2 }, { 0.8, 0.4 }, { -1.1, 0.2 } };
     struct section s;
 
     measure(&s, 0, noise);
     CHECK_NEAR(dot(s.fit.left, s.fit.left), s.fit.chi2, 1e-9);
-    for (int wrong = 0; wrong < 2 * GSN_MARKS; wrong++) {
+    for (int wrong = 0; wrong < 2 * GSN_FIDUCIALS; wrong++) {
         const double *added = s.fit.off[wrong / 2][wrong % 2];
-        double more[GSN_MARKS][2];
+        double more[GSN_FIDUCIALS][2];
         struct section other;
 
         memcpy(more, noise, sizeof more);
         more[wrong / 2][wrong % 2] += 1;
         measure(&other, 0, more);
         CHECK(length(added) > 0.1);
-        for (int k = 0; k < 2 * GSN_MARKS; k++)
+        for (int k = 0; k < 2 * GSN_FIDUCIALS; k++)
             CHECK_NEAR(dot(other.fit.left, other.fit.off[k / 2][k % 2]),
                        dot(s.fit.left, s.fit.off[k / 2][k % 2]) +
                            dot(added, s.fit.off[k / 2][k % 2]),
@@ -121,16 +121,16 @@ TEST(residuals_are_white_and_move_as_stated)
 }
 
 struct tally {
-    size_t clean, blamed, faults[GSN_MARKS], missed[GSN_MARKS], missed_by_chi2;
+    size_t clean, blamed, faults[GSN_FIDUCIALS], missed[GSN_FIDUCIALS], missed_by_chi2;
 };
 
 /* How the residuals come about does not matter once they are white: off says what a mark does. */
-static void tally(struct tally *t, const double off[GSN_MARKS][2][3], double sigmas, size_t clean,
-                  size_t faults, struct draw_chance *chance)
+static void tally(struct tally *t, const double off[GSN_FIDUCIALS][2][3], double sigmas,
+                  size_t clean, size_t faults, struct draw_chance *chance)
 {
     for (size_t i = 0; i < clean + faults; i++) {
         const double way = draw_uniform(chance, 0, 2 * M_PI);
-        const size_t mark = i % GSN_MARKS;
+        const size_t mark = i % GSN_FIDUCIALS;
         double left[3];
         int gross;
 
@@ -140,8 +140,8 @@ static void tally(struct tally *t, const double off[GSN_MARKS][2][3], double sig
                 (i < clean ? 0
                            : sigmas * (cos(way) * off[mark][0][k] + sin(way) * off[mark][1][k]));
         /* Nearer than this, not even a single side would be beyond its limit. */
-        gross =
-            pow(length(left), 2) > 10.82757 && gsn_outlier_false_alarm(left, off, INFINITY, 1) < 1e-3;
+        gross = pow(length(left), 2) > 10.82757 &&
+                gsn_outlier_false_alarm(left, off, INFINITY, 1) < 1e-3;
         t->clean += i < clean;
         t->blamed += i < clean && gross;
         t->faults[mark] += i >= clean;
@@ -150,7 +150,7 @@ static void tally(struct tally *t, const double off[GSN_MARKS][2][3], double sig
     }
 }
 
-static size_t sum(const size_t n[GSN_MARKS])
+static size_t sum(const size_t n[GSN_FIDUCIALS])
 {
     return n[0] + n[1] + n[2];
 }
@@ -178,7 +178,7 @@ TEST(a_mark_twelve_sigma_off_is_found_in_99_of_100)
     struct tally t = { 0 }, eight = { 0 };
     struct section s;
 
-    measure(&s, 1, (const double[GSN_MARKS][2]){ { 0 } });
+    measure(&s, 1, (const double[GSN_FIDUCIALS][2]){ { 0 } });
     tally(&t, s.fit.off, 12, 100000, trials, &chance);
     say(&t);
     CHECK((double)sum(t.missed) <= 0.01 * (double)trials);
@@ -196,7 +196,7 @@ TEST(false_alarms_are_one_in_a_thousand_for_marks_of_any_covariance)
     struct tally t = { 0 };
     struct section s;
 
-    measure(&s, 0, (const double[GSN_MARKS][2]){ { 0 } });
+    measure(&s, 0, (const double[GSN_FIDUCIALS][2]){ { 0 } });
     tally(&t, s.fit.off, 12, 100000, 0, &chance);
     say(&t);
     check_false_alarms(&t);

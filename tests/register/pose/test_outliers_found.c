@@ -28,7 +28,7 @@ static struct tally inject(const struct mounted_world *world, size_t sections, d
         for (size_t i = first; i < sections; i += 10) {
             const double way = draw_uniform(&chance, 0, 2 * M_PI);
             const double by = draw_uniform(&chance, off, off_to) / MOUNTED_PX;
-            struct gsn_mark *mark = &s.input[i].marks[i / 10 % GSN_MARKS];
+            struct gsn_fiducial *mark = &s.input[i].marks[i / 10 % GSN_FIDUCIALS];
 
             mark->px.x += by * cos(way);
             mark->px.y += by * sin(way);
@@ -37,7 +37,7 @@ static struct tally inject(const struct mounted_world *world, size_t sections, d
         for (size_t i = 0; i < sections; i++) {
             const size_t wrong = i % 10 == first, caught = s.pose[i].gross != 0;
             const struct gsn_pose_candidate *c = s.pose[i].candidate;
-            const size_t mark = i / 10 % GSN_MARKS;
+            const size_t mark = i / 10 % GSN_FIDUCIALS;
 
             t.faults += wrong;
             t.found += wrong && caught;
@@ -73,7 +73,9 @@ static const struct mounted_world EVEN = { .marks = mounted_marks, .angle = M_PI
  * of the phantom's. The stack knows neither the triangle nor the marks' errors beforehand. */
 TEST(a_mark_twelve_sigma_off_is_found_and_clean_sections_are_not_blamed)
 {
-    static const struct gsn_point compact[GSN_MARKS] = { { 0, 0 }, { 3000, 0 }, { 1200, 2300 } };
+    static const struct gsn_point compact[GSN_FIDUCIALS] = { { 0, 0 },
+                                                             { 3000, 0 },
+                                                             { 1200, 2300 } };
     const struct mounted_world good = { .marks = compact, .angle = M_PI, .burn_um = 10 };
     const struct tally best = inject(&good, 125, 120, 120, mounted_trials(1500), 10);
     const struct tally t = inject(&EVEN, 125, 120, 120, mounted_trials(10000), 1);
@@ -153,7 +155,9 @@ static size_t flips_wrong(double sigmas, size_t trials, uint64_t seed, size_t *r
     const double sigma = 20, a = 3000, b = a + sigmas * sigma;
     /* Sides 1-2: a, 1-3: b, 2-3: 2600. */
     const double x = (a * a + b * b - 2600.0 * 2600.0) / (2 * a);
-    const struct gsn_point marks[GSN_MARKS] = { { 0, 0 }, { a, 0 }, { x, sqrt(b * b - x * x) } };
+    const struct gsn_point marks[GSN_FIDUCIALS] = { { 0, 0 },
+                                                    { a, 0 },
+                                                    { x, sqrt(b * b - x * x) } };
     const struct gsn_pose_options options = { .markers_um = marks };
     const struct mounted_world world = {
         .marks = marks, .angle = M_PI, .flips = 0.2, .burn_um = sigma
@@ -167,7 +171,7 @@ static size_t flips_wrong(double sigmas, size_t trials, uint64_t seed, size_t *r
         mounted_draw(&s, &world, &chance);
         for (size_t i = 0; i < s.count; i++)
             if (s.mounting[i].flipped) {
-                const struct gsn_mark swap = s.input[i].marks[1];
+                const struct gsn_fiducial swap = s.input[i].marks[1];
 
                 s.input[i].marks[1] = s.input[i].marks[2];
                 s.input[i].marks[2] = swap;

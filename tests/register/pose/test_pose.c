@@ -8,9 +8,9 @@
 
 #include <string.h>
 
-static const struct gsn_point MARKS[GSN_MARKS] = { { -2050, -1000 },
-                                                   { 1700, -1500 },
-                                                   { -1500, 1300 } };
+static const struct gsn_point MARKS[GSN_FIDUCIALS] = { { -2050, -1000 },
+                                                       { 1700, -1500 },
+                                                       { -1500, 1300 } };
 static const struct gsn_pose_options DECLARED = { .markers_um = MARKS };
 static const double PX = 16;
 
@@ -44,7 +44,7 @@ static struct gsn_pose_input section_of(const struct mounting *m, const struct g
 {
     struct gsn_pose_input input = { .px_um = PX };
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         input.marks[i].found = 1;
         input.marks[i].px = mount(m, marks[i]);
         input.marks[i].px.x += sigma_um / PX * draw_normal(chance);
@@ -187,7 +187,7 @@ TEST(twelve_sections_are_enough_for_the_localisation_error)
  * though the marks come numbered as if nothing were flipped. */
 TEST(flips_are_told_exactly_where_sides_differ_by_ten_sigma)
 {
-    const struct gsn_point marks[GSN_MARKS] = { { 0, 0 }, { 3000, 0 }, { 900, 2600 } };
+    const struct gsn_point marks[GSN_FIDUCIALS] = { { 0, 0 }, { 3000, 0 }, { 900, 2600 } };
     const struct gsn_pose_options options = { .markers_um = marks };
     struct draw_chance chance = { 4 };
     struct bench b = bench_new(2000);
@@ -197,7 +197,7 @@ TEST(flips_are_told_exactly_where_sides_differ_by_ten_sigma)
     for (size_t i = 0; i < b.count; i++) {
         /* Sides 2-3 and 1-2 are the near-equal ones, so mirroring looks like swapping 1 and 3. */
         if (b.mounting[i].flipped) {
-            const struct gsn_mark swap = b.input[i].marks[0];
+            const struct gsn_fiducial swap = b.input[i].marks[0];
 
             b.input[i].marks[0] = b.input[i].marks[2];
             b.input[i].marks[2] = swap;
@@ -225,9 +225,9 @@ TEST(sections_of_many_sizes_tell_their_flips)
 
     for (size_t i = 0; i < b.count; i++) {
         const double size = 1 + 0.03 * draw_normal(&chance);
-        struct gsn_point marks[GSN_MARKS];
+        struct gsn_point marks[GSN_FIDUCIALS];
 
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             marks[k] = (struct gsn_point){ size * MARKS[k].x, size * MARKS[k].y };
         b.mounting[i] = any_mounting(&chance, M_PI, 0.3);
         b.input[i] = section_of(&b.mounting[i], marks, 15, &chance);
@@ -242,7 +242,7 @@ TEST(sections_of_many_sizes_tell_their_flips)
 
 TEST(an_isosceles_triangle_calls_nothing_flipped)
 {
-    const struct gsn_point marks[GSN_MARKS] = { { -1500, 0 }, { 1510, 0 }, { 0, 2000 } };
+    const struct gsn_point marks[GSN_FIDUCIALS] = { { -1500, 0 }, { 1510, 0 }, { 0, 2000 } };
     const struct gsn_pose_options options = { .markers_um = marks };
     struct draw_chance chance = { 5 };
     struct bench b = bench_new(60);
@@ -261,7 +261,7 @@ TEST(an_isosceles_triangle_calls_nothing_flipped)
 
 TEST(an_equilateral_triangle_is_refused)
 {
-    const struct gsn_point marks[GSN_MARKS] = { { -1000, 0 }, { 1000, 0 }, { 0, 1732 } };
+    const struct gsn_point marks[GSN_FIDUCIALS] = { { -1000, 0 }, { 1000, 0 }, { 0, 1732 } };
     const struct gsn_pose_options options = { .markers_um = marks };
     struct draw_chance chance = { 6 };
     struct bench b = bench_new(12);
@@ -285,7 +285,7 @@ TEST(a_wrong_mark_is_found_and_a_good_section_is_not_blamed)
     bench_fill(&b, MARKS, 0.2, 0, 10, &chance);
     for (size_t i = 0; i < b.count; i += 10) {
         const double way = draw_uniform(&chance, 0, 2 * M_PI);
-        struct gsn_mark *mark = &b.input[i].marks[i / 10 % GSN_MARKS];
+        struct gsn_fiducial *mark = &b.input[i].marks[i / 10 % GSN_FIDUCIALS];
 
         mark->px.x += 120 / PX * cos(way);
         mark->px.y += 120 / PX * sin(way);
@@ -320,7 +320,7 @@ static void wrong_marks(double sigmas, double *ret_error, double *ret_printed,
     bench_fill(&b, MARKS, M_PI, 0.1, 10, &chance);
     for (size_t i = 0; i < b.count; i += 8) {
         const double angle = draw_uniform(&chance, 0, 2 * M_PI), off = sigmas * 10 / PX;
-        struct gsn_mark *mark = &b.input[i].marks[i / 8 % GSN_MARKS];
+        struct gsn_fiducial *mark = &b.input[i].marks[i / 8 % GSN_FIDUCIALS];
 
         mark->px.x += off * cos(angle);
         mark->px.y += off * sin(angle);
@@ -404,7 +404,7 @@ TEST(two_marks_give_a_pose_with_a_larger_error)
 
     bench_fill(&b, MARKS, M_PI, 0.3, 3, &chance);
     for (size_t i = 0; i < 6; i++) {
-        b.input[i].marks[i % GSN_MARKS].found = 0;
+        b.input[i].marks[i % GSN_FIDUCIALS].found = 0;
         b.input[i].mirrored = b.mounting[i].flipped;
     }
     b.input[6].marks[0].found = b.input[6].marks[1].found = 0;
@@ -415,7 +415,7 @@ TEST(two_marks_give_a_pose_with_a_larger_error)
         CHECK(b.pose[i].state == GSN_POSE_TWO_MARKS);
         CHECK(b.pose[i].flipped == b.mounting[i].flipped);
         CHECK(b.pose[i].tre_um > 1.1 * b.pose[20].tre_um);
-        CHECK(b.pose[i].residual_um[i % GSN_MARKS] == 0);
+        CHECK(b.pose[i].residual_um[i % GSN_FIDUCIALS] == 0);
         CHECK(error_at(&b, i, (struct gsn_point){ 411, 646 }) < 5 * b.pose[i].tre_um);
     }
     bench_done(&b);
@@ -487,7 +487,7 @@ TEST(a_poorly_fitted_mark_has_less_say)
 
     bench_fill(&b, MARKS, 0.2, 0, 2, &chance);
     for (size_t i = 0; i < b.count; i++) {
-        struct gsn_mark *mark = &b.input[i].marks[i % GSN_MARKS];
+        struct gsn_fiducial *mark = &b.input[i].marks[i % GSN_FIDUCIALS];
 
         if (i % 2)
             continue;
@@ -498,8 +498,8 @@ TEST(a_poorly_fitted_mark_has_less_say)
     for (size_t i = 0; i < b.count; i += 2)
         blind += pow(error_at(&b, i, target), 2);
     for (size_t i = 0; i < b.count; i++) {
-        for (int k = 0; k < GSN_MARKS; k++) {
-            const int poor = i % 2 == 0 && (size_t)k == i % GSN_MARKS;
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
+            const int poor = i % 2 == 0 && (size_t)k == i % GSN_FIDUCIALS;
 
             b.input[i].marks[k].cov_xx = b.input[i].marks[k].cov_yy = poor ? 1.58 : 0.0156;
         }
@@ -517,7 +517,7 @@ TEST(what_cannot_be_solved_is_refused_and_the_outputs_stay_untouched)
 {
     struct draw_chance chance = { 15 };
     const struct mounting upright = { 0, 0, { 500, 500 } };
-    const struct gsn_point same[GSN_MARKS] = { { 5, 5 }, { 5, 5 }, { 90, 5 } };
+    const struct gsn_point same[GSN_FIDUCIALS] = { { 5, 5 }, { 5, 5 }, { 90, 5 } };
     const struct gsn_pose_options coinciding = { .markers_um = same };
     struct gsn_pose_input good[3], bad[3];
     struct gsn_pose poses[3];

@@ -163,11 +163,11 @@ static struct in_mean mean_errors(const struct gsn_pose_options *options, size_t
 
 /* The share of a mark's shift that the target goes along with, when a triangle is laid on another.
  */
-static void shares_of(struct gsn_point target, double ret_share[GSN_MARKS])
+static void shares_of(struct gsn_point target, double ret_share[GSN_FIDUCIALS])
 {
-    for (int i = 0; i < GSN_MARKS; i++) {
-        const struct gsn_point *a = &mounted_marks[(i + 1) % GSN_MARKS];
-        const struct gsn_point *b = &mounted_marks[(i + 2) % GSN_MARKS], *c = &mounted_marks[i];
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
+        const struct gsn_point *a = &mounted_marks[(i + 1) % GSN_FIDUCIALS];
+        const struct gsn_point *b = &mounted_marks[(i + 2) % GSN_FIDUCIALS], *c = &mounted_marks[i];
 
         ret_share[i] = ((b->x - a->x) * (target.y - a->y) - (b->y - a->y) * (target.x - a->x)) /
                        ((b->x - a->x) * (c->y - a->y) - (b->y - a->y) * (c->x - a->x));
@@ -178,10 +178,10 @@ static void shares_of(struct gsn_point target, double ret_share[GSN_MARKS])
 TEST(what_sections_stretch_by_in_the_mean_is_undone_on_the_declared_marks)
 {
     const struct in_mean mean = mean_errors(&mounted_declared, mounted_trials(200));
-    double share[GSN_MARKS], left = 0;
+    double share[GSN_FIDUCIALS], left = 0;
 
     shares_of(TARGET, share);
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         left += 2 * pow(LEVEL2.burn_um * share[i], 2) / 60;
     print_message("  in the mean %.2f um, on the declared marks %.2f (%.2f by the marks alone); "
                   "agreed %.3f\n",
@@ -193,20 +193,22 @@ TEST(what_sections_stretch_by_in_the_mean_is_undone_on_the_declared_marks)
 
 TEST(declared_marks_that_chance_does_not_explain_are_not_taken)
 {
-    struct gsn_point wider[GSN_MARKS];
+    struct gsn_point wider[GSN_FIDUCIALS];
     const struct gsn_pose_options options = { .markers_um = wider };
 
-    for (int i = 0; i < GSN_MARKS; i++)
+    for (int i = 0; i < GSN_FIDUCIALS; i++)
         wider[i] = (struct gsn_point){ 1.01 * mounted_marks[i].x, 1.01 * mounted_marks[i].y };
     CHECK(mean_errors(&options, 20).agreed == 0);
 }
 
 TEST(the_mean_triangle_goes_exactly_onto_the_declared_one)
 {
-    const struct gsn_point mean[GSN_MARKS] = { { -2040, -1003 }, { 1711, -1490 }, { -1502, 1295 } };
+    const struct gsn_point mean[GSN_FIDUCIALS] = { { -2040, -1003 },
+                                                   { 1711, -1490 },
+                                                   { -1502, 1295 } };
     const struct gsn_affine map = gsn_strain_of_mean(mean, mounted_marks);
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         const struct gsn_point p = gsn_affine_apply(&map, mean[i]);
 
         CHECK_NEAR(p.x, mounted_marks[i].x, 1e-9);
@@ -227,7 +229,7 @@ TEST(a_section_compressed_along_the_knife_shows_it_and_keeps_a_rigid_pose)
         s.mounting[i].strain[0] = by / 2;
         s.mounting[i].strain[1] = by / 2 * cos(2 * angle);
         s.mounting[i].strain[2] = by / 2 * sin(2 * angle);
-        for (int k = 0; k < GSN_MARKS; k++)
+        for (int k = 0; k < GSN_FIDUCIALS; k++)
             s.input[i].marks[k].px = mounted_px(&s.mounting[i], mounted_marks[k]);
     }
     mounted_solve(&s, &mounted_declared);
@@ -263,10 +265,10 @@ TEST(the_strain_between_two_triangles_is_what_was_put_in)
     const struct mounted m = { .angle = 1.1,
                                .strain = { 0.004, -0.002, 0.003 },
                                .about = { -1850.0 / 3, -400 } };
-    struct gsn_point to[GSN_MARKS];
+    struct gsn_point to[GSN_FIDUCIALS];
     double strain[3];
 
-    for (int i = 0; i < GSN_MARKS; i++) {
+    for (int i = 0; i < GSN_FIDUCIALS; i++) {
         to[i] = mounted_px(&m, mounted_marks[i]);
         to[i].x *= MOUNTED_PX;
         to[i].y *= MOUNTED_PX;
@@ -287,7 +289,7 @@ static struct gsn_strain_common scanned(double longer, double angle, int declare
     world.angle = angle;
     mounted_draw(&s, &world, &chance);
     for (size_t i = 0; i < s.count; i++)
-        for (int k = 0; k < GSN_MARKS; k++) {
+        for (int k = 0; k < GSN_FIDUCIALS; k++) {
             s.input[i].marks[k].px.x *= 1 + longer / 2;
             s.input[i].marks[k].px.y *= 1 - longer / 2;
         }

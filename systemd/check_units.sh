@@ -26,10 +26,12 @@ said=$(systemd-analyze verify --man=no --recursive-errors=no "$units"/*.service 
     2>&1) || status=1
 [ -z "$said" ] || wrong "$said"
 
-# Tenths: 0 is closed, 100 is open. Only the one that talks to devices is above 5.
+# Tenths: 0 is closed, 100 is open. Above 5 is the one that talks to devices; open is the one that
+# runs what the admin says, which may be a mailer.
 for unit in "$units"/*.service; do
     most=5
     [ "${unit##*/}" != gieson.service ] || most=10
+    [ "${unit##*/}" != gieson-notify@.service ] || most=100
     systemd-analyze security --offline=true --no-pager --threshold=$most "$unit" \
         >"$root/exposure" || wrong "$(cat "$root/exposure")"
     tail -n 1 "$root/exposure"
@@ -63,7 +65,27 @@ grep -q '^StateDirectoryMode=2750' "$units/gieson.service" || wrong "the service
 # One store for all: where the directory is, where the configuration says, what the timers' services
 # are told.
 grep -qx 'Directory=/var/lib/gieson' "$folder/gieson.conf" || wrong "gieson.conf has another store"
-for unit in gieson-night gieson-scrub gieson-scrub-quick; do
+for unit in gieson-night gieson-scrub gieson-scrub-quick gieson-notify@; do
     grep -qx 'Environment=GIESON_STORE=%S/gieson' "$units/$unit.service" || wrong "$unit: its store"
+done
+
+# What the notifying service runs, as it stands in the unit: a paragraph of the night, a sentence of
+# the rest, and the result.
+mkdir "$root/store"
+printf 'a paragraph\n' >"$root/store/night.txt"
+printf '#!/bin/sh\necho "$@"\ncat\n' >"$root/notify"
+chmod +x "$root/notify"
+tell() {
+    sed -n "s/^ExecStart=\/bin\/sh -c '\(.*\)'$/\1/p" "$units/gieson-notify@.service" |
+        sed -e "s|%i|$1|g" -e 's|\$\$|$|g' -e "s|[^ ]*/notify|$root/notify|" >"$root/told.sh"
+    GIESON_STORE="$root/store" MONITOR_SERVICE_RESULT=$2 sh "$root/told.sh"
+}
+[ "$(tell gieson-night success)" = "gieson-night success
+a paragraph" ] || wrong "the night is told as: $(tell gieson-night success)"
+[ "$(tell gieson-scrub exit-code)" = "gieson-scrub exit-code
+gieson-scrub ended: exit-code. journalctl -u gieson-scrub says what was found." ] ||
+    wrong "a look over the store is told as: $(tell gieson-scrub exit-code)"
+for unit in gieson-night gieson-scrub gieson-scrub-quick; do
+    grep -qx 'OnFailure=gieson-notify@%p.service' "$units/$unit.service" || wrong "$unit fails in silence"
 done
 exit $status

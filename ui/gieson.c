@@ -37,6 +37,7 @@ static const struct {
     { "check", gsn_cmd_check },       { "check-config", gsn_cmd_check_config },
     { "register", gsn_cmd_register }, { "devices", gsn_cmd_devices },
     { "demo", gsn_cmd_demo },         { "phantom", gsn_cmd_phantom },
+    { "trace", gsn_cmd_trace },
 };
 
 static const char doc[] =
@@ -53,6 +54,8 @@ static const char doc[] =
     "  top                 the same on a screen that follows; ? lists its keys\n"
     "  show SPECIMEN       its panels, sections and figures\n"
     "  report SPECIMEN     where its report is; with --json the report itself\n"
+    "  trace SPECIMEN      what its figure rests on: runs, sections, files, hashes,\n"
+    "                      and what changed since the run before (or of a study)\n"
     "  study [NAME]        the groups of a study, their losses and intervals over\n"
     "                      animals: a page, a table, JSON\n"
     "  plan                how many animals a difference needs\n"

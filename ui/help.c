@@ -58,6 +58,11 @@ static const struct gsn_help pages[] = {
       "gieson decide R07-left 2.6 pose 2 --because 'the crack is on the left'" },
     { "report", "SPECIMEN", "Where its latest report is; with --json the report itself.", "",
       "gieson report R07-left\ngieson report R07-left --json | jq .loss_percent" },
+    { "trace", "SPECIMEN | STUDY",
+      "What a figure rests on: how it is computed, the baseline's runs, the sections that were not\n"
+      "used and why, every file with its hash, what people decided; and each parameter, file and\n"
+      "figure in which it differs from the run before. Of a study: its animals and their runs.",
+      "", "gieson trace R07-left" },
     { "study", "[NAME [STATEMENT]]",
       "Makes the page of a study (of all without a name) from the latest reports: groups, losses "
       "with\n"

@@ -29,7 +29,7 @@ gsn_verb gsn_cmd_status, gsn_cmd_top, gsn_cmd_show, gsn_cmd_import, gsn_cmd_run,
     gsn_cmd_report, gsn_cmd_verify, gsn_cmd_check, gsn_cmd_demo, gsn_cmd_phantom, gsn_cmd_file,
     gsn_cmd_expect, gsn_cmd_capture, gsn_cmd_check_config, gsn_cmd_devices, gsn_cmd_night,
     gsn_cmd_scrub, gsn_cmd_register, gsn_cmd_decide, gsn_cmd_new, gsn_cmd_backup, gsn_cmd_restore,
-    gsn_cmd_study, gsn_cmd_plan, gsn_cmd_index, gsn_cmd_model;
+    gsn_cmd_study, gsn_cmd_plan, gsn_cmd_index, gsn_cmd_model, gsn_cmd_trace;
 
 /* Prints a line, or a text wrapped to the terminal and set in by indent, as advice
  * (storage/advice.h). */

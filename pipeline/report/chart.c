@@ -1,7 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/report/chart.h"
 
+#include "pipeline/core/mem.h"
+#include "pipeline/core/robust.h"
+
 #include <math.h>
+#include <time.h>
 
 /* Data to drawing: a rectangle of user units with the data's ranges along its sides. */
 struct frame {
@@ -254,5 +258,121 @@ void gsn_chart_loss(struct gsn_report_text *text, double baseline, double specim
     open_svg(text, 400, 38, "Mean density of the baseline above, of this specimen below");
     loss_bar(text, 0, baseline, scale, "base");
     loss_bar(text, 22, specimen, scale, "own");
+    gsn_report_text_raw(text, "</svg>\n");
+}
+
+/* ---- a figure by the day --------------------------------------------------------------------- */
+
+enum { SECONDS_A_DAY = 86400 };
+
+/* The days and the values that there are, with some room; 0: fewer than two of them. */
+static int find_ranges(const struct gsn_chart_dot *dot, size_t count, struct frame *frame)
+{
+    size_t seen = 0;
+
+    frame->x0 = frame->y0 = INFINITY;
+    frame->x1 = frame->y1 = -INFINITY;
+    for (size_t i = 0; i < count; i++) {
+        const double day = (double)dot[i].when / SECONDS_A_DAY;
+
+        if (!isfinite(dot[i].value) || dot[i].when <= 0)
+            continue;
+        seen++;
+        frame->x0 = fmin(frame->x0, day);
+        frame->x1 = fmax(frame->x1, day);
+        frame->y0 = fmin(frame->y0, dot[i].value);
+        frame->y1 = fmax(frame->y1, dot[i].value);
+    }
+    return seen >= 2;
+}
+
+static void write_day(struct gsn_report_text *text, const struct frame *frame, double day,
+                      const char *anchor)
+{
+    const time_t when = (time_t)(day * SECONDS_A_DAY);
+    struct tm at = { 0 };
+    char said[16] = "";
+
+    (void)gmtime_r(&when, &at);
+    (void)strftime(said, sizeof said, "%Y-%m-%d", &at);
+    gsn_report_text_print(text, "<text x=\"%.1f\" y=\"%.1f\" text-anchor=\"%s\">%s</text>\n",
+                          place_x(frame, day), frame->bottom + 15, anchor, said);
+}
+
+/* Lines at whole steps between the ends. */
+static void write_levels(struct gsn_report_text *text, const struct frame *frame, double step)
+{
+    const long first = lround(ceil(frame->y0 / step - 1e-9));
+    const long last = lround(floor(frame->y1 / step + 1e-9));
+
+    for (long i = first; i <= last; i++) {
+        const double y = place_y(frame, (double)i * step);
+
+        gsn_report_text_print(text, "<path class=\"grid\" d=\"M%.1f %.1fH%.1f\"/>\n", frame->left,
+                              y, frame->right);
+        write_label(text, frame->left - 6, y + 4, "end", (double)i * step, decimals_of(step));
+    }
+}
+
+static void draw_median(struct gsn_report_text *text, const struct frame *frame,
+                        const struct gsn_chart_dot *dot, size_t count)
+{
+    gsn_auto_mem(double) value = gsn_alloc_array(count, sizeof *value);
+    size_t n = 0;
+    double y;
+
+    if (!value) {
+        text->failed = 1;
+        return;
+    }
+    for (size_t i = 0; i < count; i++)
+        if (isfinite(dot[i].value) && dot[i].when > 0)
+            value[n++] = dot[i].value;
+    y = place_y(frame, gsn_median(value, n));
+    gsn_report_text_print(text, "<path class=\"median\" d=\"M%.1f %.1fH%.1f\"/>\n", frame->left, y,
+                          frame->right);
+}
+
+void gsn_chart_days(struct gsn_report_text *text, const char *what, const char *unit,
+                    const struct gsn_chart_dot *dot, size_t count)
+{
+    struct frame frame = { 56, 34, 546, 150, 0, 0, 0, 0 };
+    const int drawn = find_ranges(dot, count, &frame);
+    double step;
+    int one_day;
+
+    if (!drawn)
+        return;
+    one_day = frame.x1 - frame.x0 < 1;
+    if (one_day) {
+        frame.x0 -= 0.5;
+        frame.x1 += 0.5;
+    }
+    step = gsn_chart_step(fmax(frame.y1 - frame.y0, 1e-3 * fmax(fabs(frame.y1), 1e-3)), 4);
+    frame.y0 = step * floor(frame.y0 / step - 0.25);
+    frame.y1 = step * ceil(frame.y1 / step + 0.25);
+    open_svg(text, 560, 176, what);
+    gsn_report_text_print(text, "<text class=\"name\" x=\"2.0\" y=\"%.1f\">", frame.top - 14);
+    gsn_report_text_escape(text, what);
+    gsn_report_text_print(text, "%s%s</text>\n", *unit ? ", " : "", unit);
+    write_levels(text, &frame, step);
+    if (one_day) {
+        write_day(text, &frame, (frame.x0 + frame.x1) / 2, "middle");
+    } else {
+        write_day(text, &frame, frame.x0, "start");
+        write_day(text, &frame, frame.x1, "end");
+    }
+    draw_median(text, &frame, dot, count);
+    for (size_t i = 0; i < count; i++) {
+        if (!isfinite(dot[i].value) || dot[i].when <= 0)
+            continue;
+        gsn_report_text_print(text, "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3\"><title>",
+                              place_x(&frame, (double)dot[i].when / SECONDS_A_DAY),
+                              place_y(&frame, dot[i].value));
+        gsn_report_text_escape(text, dot[i].name);
+        gsn_report_text_raw(text, ": ");
+        gsn_report_text_digits(text, dot[i].value, 4);
+        gsn_report_text_print(text, "%s%s</title></circle>\n", *unit ? " " : "", unit);
+    }
     gsn_report_text_raw(text, "</svg>\n");
 }

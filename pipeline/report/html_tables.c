@@ -239,6 +239,17 @@ static void row_measure(struct gsn_report_text *text, const struct gsn_report_va
         row_digits(text, row->name, row->value, row->unit);
 }
 
+/* "0.51 to 0.52", in brackets or not. */
+static void put_range(struct gsn_report_text *text, const char *open, double lower, double upper,
+                      int digits, const char *close)
+{
+    gsn_report_text_raw(text, open);
+    gsn_report_text_digits(text, lower, digits);
+    gsn_report_text_raw(text, " to ");
+    gsn_report_text_digits(text, upper, digits);
+    gsn_report_text_raw(text, close);
+}
+
 void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->volume_count == 0)
@@ -253,8 +264,7 @@ void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *rep
               "tissue.</p>\n");
     open_table(text, "figures",
                "<th class=\"num\">Density above</th><th class=\"num\">Tissue, mm\xC2\xB3</th>"
-               "<th class=\"num\">from</th><th class=\"num\">to</th>"
-               "<th class=\"num\">Model, at least</th><th class=\"num\">at most</th>"
+               "<th class=\"num\">Fitted model, mm\xC2\xB3</th>"
                "<th class=\"num\">Share of the region</th>");
     for (size_t i = 0; i < report->volume_count; i++) {
         const struct gsn_report_volume *volume = &report->volumes[i];
@@ -266,14 +276,10 @@ void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *rep
         gsn_report_text_plain(text, volume->threshold);
         gsn_report_text_raw(text, "</td><td class=\"num\">");
         gsn_report_text_digits(text, volume->estimate_mm3, 4);
+        if (given)
+            put_range(text, " (", volume->interval_lower_mm3, volume->interval_upper_mm3, 4, ")");
         gsn_report_text_raw(text, "</td><td class=\"num\">");
-        gsn_report_text_digits(text, volume->interval_lower_mm3, 4);
-        gsn_report_text_raw(text, "</td><td class=\"num\">");
-        gsn_report_text_digits(text, volume->interval_upper_mm3, 4);
-        gsn_report_text_raw(text, "</td><td class=\"num\">");
-        gsn_report_text_digits(text, volume->lower_mm3, 5);
-        gsn_report_text_raw(text, "</td><td class=\"num\">");
-        gsn_report_text_digits(text, volume->upper_mm3, 5);
+        put_range(text, "", volume->lower_mm3, volume->upper_mm3, 5, "");
         gsn_report_text_raw(text, "</td><td class=\"num\">");
         gsn_report_text_number(text, 100 * middle / report->region.volume_mm3, 1);
         gsn_report_text_raw(text, " %</td></tr>\n");

@@ -5,10 +5,12 @@
  * From the top: how many specimens there are and how they stand; what needs a person, each with its
  * first cause; then a table a study, a row a specimen: group, week, loss with its interval in
  * figures and drawn on one scale for the whole page, density, warnings, day of the report. A blind
- * study shows what its own records show, which is neither groups nor losses. Nothing is fetched and
+ * study shows what its own records show, which is neither groups nor losses. Last what the bench was
+ * like from day to day. Nothing is fetched and
  * nothing runs. Fails only when memory runs out. Costs a line of text a specimen. */
 #include "pipeline/study/index_page.h"
 
+#include "pipeline/report/chart.h"
 #include "pipeline/report/html.h"
 
 #include <math.h>
@@ -223,6 +225,62 @@ static void add_study(struct gsn_report_text *text, const struct scale *scale,
     gsn_report_text_raw(text, "</tbody></table></div>\n</section>\n");
 }
 
+/* ---- the bench --------------------------------------------------------------------------- */
+
+/* gives: every specimen's value of one figure of the bench, and one more; NULL: memory ran out. */
+static struct gsn_chart_dot *gather_dots(const struct gsn_index_study *study, size_t count,
+                                         enum gsn_bench_figure figure, size_t specimens)
+{
+    struct gsn_chart_dot *dot = gsn_alloc_array(specimens + 1, sizeof *dot);
+    size_t n = 0;
+
+    for (size_t k = 0; dot && k < count; k++)
+        for (size_t i = 0; i < study[k].input->specimen_count; i++) {
+            const struct gsn_study_specimen *const s = &study[k].input->specimen[i];
+
+            dot[n++] = (struct gsn_chart_dot){ s->first, s->bench[figure], s->name };
+        }
+    return dot;
+}
+
+/* How white, stain and registration move from day to day, which no single report can show. */
+static void add_bench(struct gsn_report_text *text, const struct gsn_index_study *study,
+                      size_t count, size_t specimens)
+{
+    static const struct {
+        const char *what, *unit;
+    } figure[GSN_BENCH_FIGURES] = {
+        [GSN_BENCH_WHITE] = { "White of the glass", "codes" },
+        [GSN_BENCH_STAIN] = { "Strength of the stain against the baseline's", "" },
+        [GSN_BENCH_FLE] = { "Localisation error of a mark (FLE)", "\xC2\xB5m" },
+        [GSN_BENCH_TRE] = { "Mean error of the registration (TRE)", "\xC2\xB5m" },
+    };
+    size_t drawn = 0;
+
+    for (int k = 0; k < GSN_BENCH_FIGURES && !text->failed; k++) {
+        gsn_auto_mem(struct gsn_chart_dot) dot =
+            gather_dots(study, count, (enum gsn_bench_figure)k, specimens);
+        size_t values = 0;
+
+        for (size_t i = 0; dot && i < specimens; i++)
+            values += isfinite(dot[i].value) && dot[i].when > 0;
+        text->failed |= !dot;
+        if (values < 2)
+            continue;
+        if (drawn++ == 0)
+            gsn_report_text_raw(
+                text, "<section>\n<h2>The bench, day by day</h2>\n<p class=\"lead\">One dot a "
+                      "specimen, on the day of its first report; the line is their median. A step or "
+                      "a slope in all of them is the scanner, the bath or the laser, not the "
+                      "animals.</p>\n<div class=\"charts\">\n");
+        gsn_report_text_raw(text, "<figure class=\"drawing\">\n");
+        gsn_chart_days(text, figure[k].what, figure[k].unit, dot, specimens);
+        gsn_report_text_raw(text, "</figure>\n");
+    }
+    if (drawn > 0)
+        gsn_report_text_raw(text, "</div>\n</section>\n");
+}
+
 int gsn_index_page(const struct gsn_index_study *study, size_t count, const char *version,
                    char **ret_bytes, size_t *ret_size, struct gsn_error *err)
 {
@@ -238,6 +296,7 @@ int gsn_index_page(const struct gsn_index_study *study, size_t count, const char
         add_person(&text, study, count);
     for (size_t k = 0; k < count; k++)
         add_study(&text, &scale, &study[k]);
+    add_bench(&text, study, count, tally.specimens);
     if (tally.specimens == 0)
         gsn_report_text_raw(&text, "<p class=\"lead\">No specimen was taken in yet: "
                                    "<code>gieson import FOLDER</code>.</p>\n");

@@ -22,6 +22,17 @@ extern "C" {
 
 enum { GSN_STUDY_MEASURES = 12 };
 
+/* What a report says of the bench and not of the animal: mean white of the glass, codes; stain
+ * against the baseline's, factor; localisation error of a mark (FLE) and mean error of the
+ * registration over the region (TRE), um. */
+enum gsn_bench_figure {
+    GSN_BENCH_WHITE,
+    GSN_BENCH_STAIN,
+    GSN_BENCH_FLE,
+    GSN_BENCH_TRE,
+    GSN_BENCH_FIGURES
+};
+
 struct gsn_study_measure {
     const char *name; /* "density", "volume_above_0.5", ... */
     const char *unit;
@@ -42,6 +53,8 @@ struct gsn_study_specimen {
     const char *page; /* its report, from the store's folder, as a link; NULL: not shown */
     size_t warnings;  /* of its report */
     int64_t finished; /* when that was made, s since 1970; 0: there is none */
+    int64_t first;    /* and its first report, near the day of its scans; 0: there is none */
+    double bench[GSN_BENCH_FIGURES]; /* what the bench was like; NaN: not known */
     const char *key;  /* of its run, 64 hexadecimal digits, or empty */
 };
 

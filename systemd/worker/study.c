@@ -29,6 +29,9 @@
 
 enum { MOST_REPORT_BYTES = 1 << 28, MOST_VOLUMES = GSN_STUDY_MEASURES - 2 };
 
+/* An interval of 95 % has so many standard errors either way. */
+static const double TWO_SIDED_95 = 1.96;
+
 struct gsn_study_files {
     struct gsn_study_input input;
     struct gsn_study_measure measure[GSN_STUDY_MEASURES];
@@ -144,6 +147,32 @@ static double read_row(const json_t *root, const char *name)
     return NAN;
 }
 
+/* The mean of the glass over all panels that are used and its three channels. */
+static double read_white(const json_t *root)
+{
+    const json_t *panel, *code;
+    double sum = 0;
+    size_t i, c, count = 0;
+
+    json_array_foreach(json_object_get(root, "panels"), i, panel)
+        json_array_foreach(json_object_get(panel, "white"), c, code)
+        {
+            sum += json_number_value(code);
+            count++;
+        }
+    return count ? sum / (double)count : NAN;
+}
+
+static void read_bench(const json_t *root, struct gsn_study_specimen *s)
+{
+    const json_t *const registration = json_object_get(root, "registration");
+
+    s->bench[GSN_BENCH_WHITE] = read_white(root);
+    s->bench[GSN_BENCH_STAIN] = read_row(root, "Stain against the baseline's, factor");
+    s->bench[GSN_BENCH_FLE] = read_number(registration, "fle_um");
+    s->bench[GSN_BENCH_TRE] = read_number(registration, "mean_tre_um");
+}
+
 /* The number of a threshold among the study's; adds it while there is room. */
 static size_t find_threshold(struct gsn_study_files *f, double threshold)
 {
@@ -156,9 +185,13 @@ static size_t find_threshold(struct gsn_study_files *f, double threshold)
     return i;
 }
 
+/* Of sections what the report says of the tissue, nothing where it withholds that; an imported
+ * volume has no sections that could tell, so there it is the fitted model's. */
 static void read_volumes(struct gsn_study_files *f, const json_t *root,
                          struct gsn_study_specimen *s)
 {
+    const char *const kind = json_string_value(json_object_get(root, "kind"));
+    const int of_sections = kind && strcmp(kind, "specimen") == 0;
     const json_t *row;
     size_t i;
 
@@ -166,8 +199,16 @@ static void read_volumes(struct gsn_study_files *f, const json_t *root,
     {
         const size_t t = find_threshold(f, read_number(row, "threshold"));
 
-        if (t < MOST_VOLUMES)
+        if (t >= MOST_VOLUMES)
+            continue;
+        if (!of_sections) {
             s->value[2 + t] = 0.5 * (read_number(row, "lower_mm3") + read_number(row, "upper_mm3"));
+            continue;
+        }
+        s->value[2 + t] = read_number(row, "estimate_mm3");
+        s->error[2 + t] = (read_number(row, "interval_upper_mm3") -
+                           read_number(row, "interval_lower_mm3")) /
+                          (2 * TWO_SIDED_95);
     }
 }
 
@@ -303,6 +344,7 @@ static int read_report(struct gsn_study_files *f, struct gsn_store *store,
     if (r >= 0) {
         s->value[1] = read_number(json_object_get(root, "region"), "volume_mm3");
         read_volumes(f, root, s);
+        read_bench(root, s);
         if (*row->baseline)
             read_loss(root, baseline, s);
         else
@@ -363,6 +405,8 @@ static int read_specimen(struct gsn_study_files *f, struct gsn_store *store,
                                       .key = "" };
     for (size_t m = 0; m < GSN_STUDY_MEASURES; m++)
         s->value[m] = s->error[m] = NAN;
+    for (size_t k = 0; k < GSN_BENCH_FIGURES; k++)
+        s->bench[k] = NAN;
     for (size_t i = 0; r >= 0 && i < runs->count; i++)
         if (strcmp(runs->at[i].state, "running") != 0) {
             last = &runs->at[i];
@@ -370,6 +414,7 @@ static int read_specimen(struct gsn_study_files *f, struct gsn_store *store,
         }
     if (r >= 0 && last) {
         s->finished = last->finished;
+        s->first = first_report;
         s->page = *last->report_path ? keep_text(f, gsn_study_link(last->report_path)) : NULL;
         if (*last->report_path && !s->page)
             r = fail_memory(err);
@@ -404,7 +449,8 @@ static int name_measures(struct gsn_study_files *f, struct gsn_error *err)
     for (size_t i = 0; i < f->threshold_count; i++) {
         const char *const name = say_text(f, "volume_above_%.9g", f->threshold[i]);
         const char *const what =
-            say_text(f, "volume of the region with a density above %.9g, middle of its bounds",
+            say_text(f, "volume of the region's tissue with a density above %.9g; of an imported "
+                        "volume, of its fitted model",
                      f->threshold[i]);
 
         if (!name || !what)

@@ -18,10 +18,13 @@ static struct gsn_study_specimen specimen(const char *name, double loss)
                                     .loss_upper = loss + 2,
                                     .page = "reports/a/0123/report.html",
                                     .key = "",
-                                    .finished = 1764115200 };
+                                    .finished = 1764115200,
+                                    .first = 1764115200 };
 
     for (size_t m = 0; m < GSN_STUDY_MEASURES; m++)
         s.value[m] = s.error[m] = NAN;
+    for (size_t k = 0; k < GSN_BENCH_FIGURES; k++)
+        s.bench[k] = NAN;
     s.value[0] = 0.5;
     return s;
 }
@@ -79,6 +82,27 @@ TEST(what_has_no_figure_needs_a_person_unless_one_left_it_out)
     assert_non_null(strstr(page, "withheld: no &quot;baseline&quot;"));
     assert_null(strstr(page, "excluded by mueller"));
     assert_null(strstr(page, "<svg"));
+}
+
+/* From 250 codes on the 26th to 240 ten days later, steps of 5: 235 to 255, so that 250 lies a
+ * quarter below the upper end: 34 + 116 / 4. */
+TEST(what_the_bench_was_like_is_drawn_by_the_day)
+{
+    struct gsn_study_specimen two[] = { specimen("a", 40), specimen("b", 3) };
+
+    two[0].bench[GSN_BENCH_WHITE] = 250;
+    two[1].bench[GSN_BENCH_WHITE] = 240;
+    two[1].bench[GSN_BENCH_FLE] = 1; /* one alone says nothing of a drift */
+    two[1].first += 10 * 86400;
+    gsn_auto_mem(char) page = page_of(two, 2, NULL);
+
+    assert_non_null(strstr(page, "The bench, day by day"));
+    assert_non_null(strstr(page, "text-anchor=\"start\">2025-11-26<"));
+    assert_non_null(strstr(page, "text-anchor=\"end\">2025-12-06<"));
+    assert_non_null(strstr(page, "cx=\"56.0\" cy=\"63.0\" r=\"3\"><title>a: 250.0 codes<"));
+    assert_non_null(strstr(page, "cx=\"546.0\" cy=\"121.0\" r=\"3\"><title>b: 240.0 codes<"));
+    assert_non_null(strstr(page, "class=\"median\" d=\"M56.0 92.0H546.0\""));
+    assert_null(strstr(page, "FLE"));
 }
 
 TEST(a_store_without_specimens_says_what_to_do)

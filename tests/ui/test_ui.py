@@ -43,6 +43,12 @@ ODD_NAMES = ["x" * 1000, "Gelenk Ü 7 \u6d4b\u8bd5", "e\u0301" * 30, "\u6d4b" * 
 class Words(Bench):
     """Mistakes on the command line: 64, one line that names it."""
 
+    def test_a_refused_word_is_told_with_its_verb(self):
+        self.empty_store()
+        for verb in ("run", "night"):
+            self.assertEqual(self.call(verb, "more").stderr,
+                             f'gieson: {verb} takes only --threads N, not "more"\n')
+
     def test_a_mistake_is_one_line_and_64(self):
         self.empty_store()
         for args in ([], ["frobnicate"], [""], ["status", "more"], ["top", "more"], ["top", "--json"], ["show"], ["show", "a", "b"],
@@ -230,6 +236,41 @@ class Plain(Bench):
         self.assertEqual(told, pathlib.Path(lines[2]).read_text(encoding="utf-8"))
         for key in ("specimen", "baseline", "loss_percent", "region", "volumes", "sections"):
             self.assertIn(key, json.loads(told))
+
+    def test_a_trace_names_files_hashes_and_what_changed(self):
+        self.reported_tile()
+        picture = (self.folder / "tile.png").read_bytes()
+        first = self.json("trace", "tile")
+        digest = hashlib.sha256(picture).hexdigest()
+        self.assertIn(("tile.png", digest), [(f["name"], f["sha256"]) for f in first["inputs"]])
+        self.assertEqual((first["run"], first["compared_with_run"], first["changes"]), (1, None, []))
+        told = self.call("trace", "tile").stdout
+        self.assertIn(f"from tile.png, sha256 {digest}\n", told.replace("\n    ", " "))
+        self.assertRegex(told, r"^tile: no loss; run 1 of \d{4}-\d\d-\d\d, gieson \S+, key [0-9a-f]{8}\n")
+        png(self.folder / "tile.png", seed=4)
+        self.assertEqual(self.call("import", "--replace", "--tile", str(self.folder / "tile.png"))
+                         .returncode, 0)
+        self.assertEqual(self.call("run").returncode, 0)
+        again = self.json("trace", "tile")
+        now = hashlib.sha256((self.folder / "tile.png").read_bytes()).hexdigest()
+        self.assertEqual((again["run"], again["compared_with_run"]), (2, 1))
+        self.assertIn(f"file tile.png: {now}, was {digest}", again["changes"])
+        self.assertIn("against run 1:\n", self.call("trace", "tile").stdout)
+        path = pathlib.Path(self.call("report", "tile").stdout.splitlines()[2])
+        path.write_bytes(path.read_bytes().replace(b"tile", b"tale"))
+        self.assertIn("not those that the run wrote", self.refused(self.call("trace", "tile"), 65))
+
+    def test_a_study_is_traced_to_its_animals(self):
+        self.imported("one")
+        self.assertIn("no specimen and no study", self.refused(self.call("trace", "none"), 66))
+        place = self.job("one", study="s1", animal="A7")
+        self.assertEqual(self.call("import", "--replace", place).returncode, 0)
+        self.assertEqual(self.call("trace", "s1").stdout,
+                         "animal A7, specimen one: has no report yet\n")
+        self.call("run")
+        self.assertRegex(self.call("trace", "s1").stdout.replace("\n    ", " "),
+                         r"^animal A7, specimen one: run 1, report.json [0-9a-f]{64}: "
+                         r"`gieson trace one`\n$")
 
     def test_verify_says_that_the_bytes_are_the_same(self):
         self.reported_tile()
@@ -807,7 +848,10 @@ class Night(Bench):
     """What changed is worked, and nothing else."""
 
     def worked(self, **more):
-        return [(r["specimen"], r["state"]) for r in self.json("night", **more)["worked"]]
+        done = self.call("--json", "night", **more)
+        told = [(r["specimen"], r["state"]) for r in json.loads(done.stdout)["worked"]]
+        self.assertEqual(done.returncode, 65 if any(s != "reported" for _, s in told) else 0)
+        return told
 
     def test_new_panels_and_new_settings_are_worked_and_a_second_night_has_nothing_to_do(self):
         self.imported("one")
@@ -819,7 +863,14 @@ class Night(Bench):
         self.assertEqual(self.worked(), [])
         place = self.job("one", week=3)
         self.assertEqual(self.call("import", "--replace", place).returncode, 0)
-        self.assertRegex(self.call("night").stdout, r"^one: withheld: .+\n$")
+        done = self.call("night")
+        self.assertRegex(done.stdout, r"^one: withheld: .+\n$")
+        self.assertEqual(done.returncode, 65)
+        words = (self.store / "night.txt").read_text()
+        self.assertRegex(words, r"^gieson, \d{4}-\d\d-\d\d \d\d:\d\d: 1 specimen computed, 0 reported, "
+                         r"1 withheld\. \d+ panels? and \d+ sections? of the store need a person: "
+                         r"`gieson status`\. All of it: \S+/index.html\n"
+                         r"one: withheld: .+; next: `gieson .+`\n$")
         png(place + "/scan_P02.png", 32, 32, seed=5)
         self.assertEqual(self.call("import", place).returncode, 0)
         self.assertEqual(self.worked(), [("one", "withheld")])

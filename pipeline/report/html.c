@@ -284,6 +284,15 @@ static void add_area_card(struct gsn_report_text *text, const struct gsn_report_
     close_card(text, "", area->name);
 }
 
+/* by: as in report.json. */
+static const char *words_of_way(const char *by)
+{
+    if (by && strcmp(by, "tissue") == 0)
+        return "by their tissue";
+    return by && strcmp(by, "marks+tissue") == 0 ? "by their laser marks and their tissue"
+                                                 : "by their three laser marks";
+}
+
 static void add_cards(struct gsn_report_text *text, const struct gsn_report *report)
 {
     gsn_report_text_raw(text, "<div class=\"cards\">\n");
@@ -322,9 +331,12 @@ static void add_cards(struct gsn_report_text *text, const struct gsn_report *rep
         gsn_report_text_raw(text, " <small>of ");
         gsn_report_text_count(text, report->registration->sections_expected);
         gsn_report_text_raw(text, "</small>");
-        close_card(text, "by their three laser marks", "");
+        close_card(text, words_of_way(report->registration->by), "");
     }
-    add_area_card(text, &report->area_figure);
+    /* Where volumes are given their table has the share of the region, of the tissue and not of
+     * single voxels: one quantity, one number. */
+    if (report->volume_count == 0)
+        add_area_card(text, &report->area_figure);
     gsn_report_text_raw(text, "</div>\n");
 }
 

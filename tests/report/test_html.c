@@ -212,6 +212,23 @@ TEST(without_a_baseline_the_density_stands_in_front)
     sample_free(sample);
 }
 
+/* The share above a density is in the table of volumes; a second one, of single voxels, would be
+ * another number for what reads as the same. */
+TEST(what_is_above_a_density_has_one_number)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+    struct gsn_report *report = sample_report(sample);
+    gsn_auto_mem(char) page = page_of(report);
+    gsn_auto_mem(char) without = NULL;
+
+    assert_null(strstr(page, "Area figure"));
+    assert_non_null(strstr(page, "by their laser marks and their tissue"));
+    report->volume_count = 0;
+    without = page_of(report);
+    assert_non_null(strstr(without, "Area figure"));
+    sample_free(sample);
+}
+
 TEST(the_contact_sheet_shows_every_slot_with_its_state_in_words)
 {
     struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);

@@ -441,11 +441,6 @@ static struct item *find_item(struct camera *camera, uint64_t number)
     return NULL;
 }
 
-static int no_item(uint64_t item, struct gsn_error *err)
-{
-    return gsn_fail(err, GSN_E_NOTFOUND, "item %llu is not ready", (unsigned long long)item);
-}
-
 int gsn_camera_read(void *self, uint64_t item, uint64_t offset, void *buffer, size_t size,
                     size_t *ret_got, struct gsn_error *err)
 {
@@ -453,7 +448,7 @@ int gsn_camera_read(void *self, uint64_t item, uint64_t offset, void *buffer, si
     size_t left;
 
     if (!kept)
-        return no_item(item, err);
+        return gsn_source_no_item(item, err);
     left = offset < kept->size ? kept->size - (size_t)offset : 0;
     *ret_got = left < size ? left : size;
     if (*ret_got)
@@ -466,7 +461,7 @@ int gsn_camera_acknowledge(void *self, uint64_t item, struct gsn_error *err)
     struct item *const kept = find_item(self, item);
 
     if (!kept)
-        return no_item(item, err);
+        return gsn_source_no_item(item, err);
     clear_item(kept);
     return GSN_OK;
 }

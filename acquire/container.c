@@ -566,10 +566,3 @@ int gsn_container_check_fd(int fd, struct gsn_container *ret_container, struct g
     *ret_container = answer;
     return GSN_OK;
 }
-
-const char *gsn_container_kind_name(enum gsn_container_kind kind)
-{
-    static const char *const names[] = { "unknown", "PNG", "JPEG", "TIFF", "PAM" };
-
-    return names[kind];
-}

@@ -39,9 +39,6 @@ int gsn_container_check_fd(int fd, struct gsn_container *ret_container, struct g
 /* The same for bytes in memory; cannot fail. */
 struct gsn_container gsn_container_check(const void *bytes, size_t size);
 
-/* "PNG", "JPEG", "TIFF", "PAM" or "unknown". */
-const char *gsn_container_kind_name(enum gsn_container_kind kind);
-
 #ifdef __cplusplus
 }
 #endif

@@ -581,11 +581,6 @@ static struct file *find_ready(struct folder *folder, uint64_t item)
     return NULL;
 }
 
-static int no_item(uint64_t item, struct gsn_error *err)
-{
-    return gsn_fail(err, GSN_E_NOTFOUND, "item %llu is not ready", (unsigned long long)item);
-}
-
 static int folder_read(void *self, uint64_t item, uint64_t offset, void *buffer, size_t size,
                        size_t *ret_got, struct gsn_error *err)
 {
@@ -596,7 +591,7 @@ static int folder_read(void *self, uint64_t item, uint64_t offset, void *buffer,
     bool same;
 
     if (!file)
-        return no_item(item, err);
+        return gsn_source_no_item(item, err);
     r = open_file(folder, file, &fd, err);
     if (r < 0)
         return r;
@@ -622,7 +617,7 @@ static int folder_acknowledge(void *self, uint64_t item, struct gsn_error *err)
     struct file *const file = find_ready(self, item);
 
     if (!file)
-        return no_item(item, err);
+        return gsn_source_no_item(item, err);
     file->state = FILE_DONE;
     return GSN_OK;
 }

@@ -59,7 +59,8 @@ static char plain_character(char c)
     return c >= ' ' && c <= '~' ? c : '?';
 }
 
-void gsn_text_add_line(struct gsn_text *text, const char *key, const char *value)
+/* One line of what a device said: control characters and bytes that are no ASCII become '?'. */
+static void add_line(struct gsn_text *text, const char *key, const char *value)
 {
     gsn_text_add(text, "# %s: ", key);
     for (size_t i = 0; value[i]; i++)
@@ -67,7 +68,8 @@ void gsn_text_add_line(struct gsn_text *text, const char *key, const char *value
     gsn_text_add(text, "\n");
 }
 
-void gsn_text_add_json(struct gsn_text *text, const char *value)
+/* A JSON string with its quotes. Bytes that are no ASCII become '?'. */
+static void add_json_string(struct gsn_text *text, const char *value)
 {
     gsn_text_add(text, "\"");
     for (size_t i = 0; value[i]; i++) {
@@ -129,24 +131,6 @@ uint32_t gsn_pixel_format_code(const struct gsn_pixel_format *format)
     for (unsigned i = 0; i < 4; i++)
         code |= (uint32_t)(unsigned char)format->fourcc[i] << 8 * i;
     return code;
-}
-
-const struct gsn_pixel_format *gsn_pixel_format_v4l2(uint32_t fourcc)
-{
-    for (size_t i = 0; i < COUNT; i++) {
-        if (gsn_pixel_format_code(&formats[i]) == fourcc)
-            return &formats[i];
-    }
-    return NULL;
-}
-
-const struct gsn_pixel_format *gsn_pixel_format_libcamera(const char *name)
-{
-    for (size_t i = 0; i < COUNT; i++) {
-        if (strcmp(formats[i].libcamera, name) == 0)
-            return &formats[i];
-    }
-    return NULL;
 }
 
 const struct gsn_pixel_format *gsn_pixel_format_named(const char *fourcc)
@@ -406,21 +390,21 @@ static void add_controls(struct gsn_text *text, const struct gsn_frame *frame)
 static void add_optional(struct gsn_text *text, const char *key, const char *value)
 {
     if (value)
-        gsn_text_add_line(text, key, value);
+        add_line(text, key, value);
 }
 
 static void add_lines(struct gsn_text *text, const struct gsn_frame *frame)
 {
     gsn_text_add(text, "# gieson frame 1\n");
-    gsn_text_add_line(text, "device", frame->device);
-    gsn_text_add_line(text, "interface", frame->interface);
-    gsn_text_add_line(text, "format", frame->format->fourcc);
+    add_line(text, "device", frame->device);
+    add_line(text, "interface", frame->interface);
+    add_line(text, "format", frame->format->fourcc);
     gsn_text_add(text, "# size: %u x %u\n", frame->width, frame->height);
     add_optional(text, "colorspace", frame->colorspace);
     add_optional(text, "matrix", frame->matrix);
     add_optional(text, "range", frame->range);
     add_optional(text, "transfer", frame->transfer);
-    gsn_text_add_line(text, "subject", gsn_frame_subject(frame->subject));
+    add_line(text, "subject", gsn_frame_subject(frame->subject));
     add_controls(text, frame);
     add_optional(text, "not to be measured", frame->withheld);
 }
@@ -569,7 +553,7 @@ static int encode_jpeg(const struct gsn_frame *frame, struct gsn_text *lines, ui
         return r;
     add_lines(lines, frame);
     if (!stream.has_tables)
-        gsn_text_add_line(lines, "Huffman tables", "the standard ones, put in");
+        add_line(lines, "Huffman tables", "the standard ones, put in");
     if (lines->starved)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a frame");
     return keep_jpeg(frame, &stream, lines->at, ret_bytes, ret_size, err);
@@ -592,13 +576,13 @@ static void add_member(struct gsn_text *text, const char *key, const char *value
     if (!value)
         return;
     gsn_text_add(text, ",\"%s\":", key);
-    gsn_text_add_json(text, value);
+    add_json_string(text, value);
 }
 
 static void add_control_members(struct gsn_text *text, const struct gsn_frame_control *control)
 {
     gsn_text_add(text, "{\"name\":");
-    gsn_text_add_json(text, control->name);
+    add_json_string(text, control->name);
     if (control->is_known)
         gsn_text_add(text, ",\"value\":%lld", (long long)control->value);
     if (control->unit[0])
@@ -614,7 +598,7 @@ int gsn_frame_facts(const struct gsn_frame *frame, unsigned damaged, const char 
     struct gsn_text text = { 0 };
 
     gsn_text_add(&text, "{\"device\":");
-    gsn_text_add_json(&text, frame->device);
+    add_json_string(&text, frame->device);
     add_member(&text, "interface", frame->interface);
     add_member(&text, "format", frame->format->fourcc);
     gsn_text_add(&text, ",\"width\":%u,\"height\":%u,\"stride\":%u", frame->width, frame->height,

@@ -57,12 +57,8 @@ struct gsn_pixel_format {
                                  the first pixel, and from one pixel's to the next's */
 };
 
-/* borrows: a row of the table, valid for ever; NULL when no row has that code or name. */
-const struct gsn_pixel_format *gsn_pixel_format_v4l2(uint32_t fourcc);
-
-const struct gsn_pixel_format *gsn_pixel_format_libcamera(const char *name);
-
-/* By a code as a person writes it ("YUYV", "Y16"), blanks at its end left away or not. */
+/* borrows: a row of the table, valid for ever; NULL when there is none. By a code as a person
+ * writes it ("YUYV", "Y16"), blanks at its end left away or not. */
 const struct gsn_pixel_format *gsn_pixel_format_named(const char *fourcc);
 
 /* V4L2's number of the code. */
@@ -90,12 +86,6 @@ struct gsn_text {
 
 void gsn_text_add(struct gsn_text *text, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
-
-/* One line of what a device said: control characters and bytes that are no ASCII become '?'. */
-void gsn_text_add_line(struct gsn_text *text, const char *key, const char *value);
-
-/* A JSON string with its quotes. Bytes that are no ASCII become '?'. */
-void gsn_text_add_json(struct gsn_text *text, const char *value);
 
 struct gsn_frame_control {
     const char *name;   /* "exposure", "gain", "white balance", ... */

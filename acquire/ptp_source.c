@@ -288,11 +288,6 @@ static int ptp_poll(void *self, int64_t now_ms, struct gsn_source_events *events
     return GSN_OK;
 }
 
-static int no_item(uint64_t item, struct gsn_error *err)
-{
-    return gsn_fail(err, GSN_E_NOTFOUND, "item %llu is not ready", (unsigned long long)item);
-}
-
 /* A piece of it, and after the last piece the question whether it is still the same. A device that
  * began anew meanwhile may have given the handle to another object. */
 static int read_piece(struct gsn_ptp_source *source, struct gsn_ptp_object *object, uint64_t offset,
@@ -350,7 +345,7 @@ static int ptp_read(void *self, uint64_t item, uint64_t offset, void *buffer, si
     int r;
 
     if (!object)
-        return no_item(item, err);
+        return gsn_source_no_item(item, err);
     if (!source->device)
         return gsn_fail(err, GSN_E_IO, "%.100s: the device is away", object->name);
     if (offset >= object->size || size == 0) {
@@ -370,7 +365,7 @@ static int finish_item(struct gsn_ptp_source *source, uint64_t item, bool delete
     struct gsn_ptp_object *const object = gsn_ptp_table_find(&source->table, item);
 
     if (!object)
-        return no_item(item, err);
+        return gsn_source_no_item(item, err);
     object->state = GSN_PTP_TAKEN;
     object->failures = 0;
     object->delete_due = delete_there;

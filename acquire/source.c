@@ -116,6 +116,11 @@ const char *gsn_source_address(const struct gsn_source *source)
     return source->address;
 }
 
+int gsn_source_no_item(uint64_t item, struct gsn_error *err)
+{
+    return gsn_fail(err, GSN_E_NOTFOUND, "item %llu is not ready", (unsigned long long)item);
+}
+
 int gsn_source_poll(struct gsn_source *source, int64_t now_ms,
                     struct gsn_source_events **ret_events, int *ret_ended, struct gsn_error *err)
 {

@@ -175,6 +175,9 @@ struct gsn_source_ops {
     void (*close)(void *self);
 };
 
+/* Fails with GSN_E_NOTFOUND: read, acknowledge and keep of an item that is not READY. */
+int gsn_source_no_item(uint64_t item, struct gsn_error *err);
+
 /* A source that its maker opened himself (a device behind a bus of the maker's own). address is
  * only told again; takes: self, also on failure. gives: the source. */
 int gsn_source_make(const struct gsn_source_ops *ops, void *self, const char *address,

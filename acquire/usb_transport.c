@@ -29,6 +29,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/error.h"
 #include "pipeline/core/file.h"
 #include "pipeline/core/mem.h"
@@ -493,14 +494,6 @@ static int take_event(struct usb *usb, void *buffer, size_t size, size_t *ret_go
     }
 }
 
-static int64_t now_ms(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
-
 /* Sleeps until libusb has something to do; ret_stopped: stop_fd can be read. */
 static int sleep_until(struct usb *usb, int timeout_ms, int stop_fd, int *ret_stopped,
                        struct gsn_error *err)
@@ -523,10 +516,10 @@ static int sleep_until(struct usb *usb, int timeout_ms, int stop_fd, int *ret_st
 static int usb_wait(void *self, int timeout_ms, int stop_fd, struct gsn_error *err)
 {
     struct usb *const usb = self;
-    const int64_t end = now_ms() + timeout_ms;
+    const int64_t end = gsn_now_ms() + timeout_ms;
 
     for (int stopped = 0;;) {
-        const int64_t left = timeout_ms < 0 ? -1 : end - now_ms();
+        const int64_t left = timeout_ms < 0 ? -1 : end - gsn_now_ms();
         int r;
 
         r = expect_event(usb, err);

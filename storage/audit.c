@@ -337,15 +337,10 @@ static int hash_column(struct gsn_hash *hash, sqlite3_stmt *row, int column, str
     }
 }
 
-static void finalize_statement(sqlite3_stmt **statement)
-{
-    (void)sqlite3_finalize(*statement);
-}
-
 static int hash_rows(struct gsn_store *store, const char *sql, int64_t run, struct gsn_hash *hash,
                      struct gsn_error *err)
 {
-    __attribute__((cleanup(finalize_statement))) sqlite3_stmt *statement = NULL;
+    gsn_auto_statement statement = NULL;
     int step, r = GSN_OK;
 
     if (sqlite3_prepare_v2(gsn_store_handle(store), sql, -1, &statement, NULL) != SQLITE_OK ||

@@ -245,16 +245,11 @@ static const char *text_of(sqlite3_stmt *row, int column)
     return text ? (const char *)text : "";
 }
 
-static void finalize_statement(sqlite3_stmt **statement)
-{
-    (void)sqlite3_finalize(*statement);
-}
-
 /* Row by row: a log of years need not fit into memory. */
 int gsn_event_verify(struct gsn_store *store, const char *known_head,
                      struct gsn_event_verdict *ret_verdict, struct gsn_error *err)
 {
-    __attribute__((cleanup(finalize_statement))) sqlite3_stmt *row = NULL;
+    gsn_auto_statement row = NULL;
     struct gsn_event_verdict verdict = { 0 };
     struct gsn_digest digest, previous = no_event;
     int step = SQLITE_DONE, r = GSN_OK;

@@ -12,6 +12,7 @@
 #include "storage/result.h"
 
 #include "storage/audit.h"
+#include "storage/catalog.h"
 #include "storage/sql.h"
 
 #define RUN(type, name)                                                                            \
@@ -241,6 +242,27 @@ int gsn_run_list(struct gsn_store *store, int64_t specimen_id, struct gsn_run_ro
 {
     return run_rows(store, SELECT_RUN "WHERE ?1 IN (0, specimen_id) ORDER BY id",
                     SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
+}
+
+int gsn_run_latest_report(struct gsn_store *store, const char *specimen_name,
+                          struct gsn_run_row **ret_run, struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_row) specimen = NULL;
+    gsn_auto(gsn_run_rows) runs = NULL;
+    int64_t latest = 0;
+    int r = gsn_specimen_get(store, specimen_name, &specimen, err);
+
+    if (r >= 0)
+        r = gsn_run_list(store, specimen->id, &runs, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < runs->count; i++)
+        if (runs->at[i].json_path[0])
+            latest = runs->at[i].id;
+    if (!latest)
+        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` does the jobs",
+                        specimen_name);
+    return gsn_run_get(store, latest, ret_run, err);
 }
 
 int gsn_measure_list(struct gsn_store *store, int64_t run_id, struct gsn_measure_rows **ret_rows,

@@ -134,6 +134,11 @@ int gsn_run_get(struct gsn_store *store, int64_t id, struct gsn_run_row **ret_ru
 int gsn_run_list(struct gsn_store *store, int64_t specimen_id, struct gsn_run_rows **ret_rows,
                  struct gsn_error *err);
 
+/* gives: the specimen's last run that left a report. Fails with GSN_E_NOTFOUND, and the sentence
+ * says whether there is no such specimen or no report yet. */
+int gsn_run_latest_report(struct gsn_store *store, const char *specimen_name,
+                          struct gsn_run_row **ret_run, struct gsn_error *err);
+
 /* give: in the order they were written. */
 int gsn_measure_list(struct gsn_store *store, int64_t run_id, struct gsn_measure_rows **ret_rows,
                      struct gsn_error *err);

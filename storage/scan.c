@@ -313,9 +313,11 @@ static int place_staged(struct gsn_store *store, const struct gsn_scan_row *scan
     return r;
 }
 
-int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
-                       int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
-                       struct gsn_error *err)
+/* Makes a scan the panel of a specimen and asks for it; the specimen, which rests on it, is to be
+ * asked for next. The same bytes were its panel before: ret_again becomes 1 and nothing is asked.
+ */
+static int put_panel(struct gsn_store *store, const struct gsn_scan_row *scan, int64_t specimen_id,
+                     int64_t number, int64_t *ret_panel, int *ret_again, struct gsn_error *err)
 {
     const struct gsn_panel_row row = { .specimen_id = specimen_id,
                                        .number = number,
@@ -401,8 +403,8 @@ static int commit_panel(struct gsn_store *store, const struct letter *scan, stru
         return gsn_event_tail(store, &progress->log, err);
     }
     if (r >= 0)
-        r = gsn_scan_put_panel(store, &scan->row, place->specimen, place->number, &place->panel,
-                               &again, err);
+        r = put_panel(store, &scan->row, place->specimen, place->number, &place->panel, &again,
+                      err);
 
     if (r < 0 || again || place->specimen == progress->asked)
         return r;
@@ -644,7 +646,7 @@ static int file_scan(struct gsn_store *store, int64_t id, const char *name, unsi
     if (r >= 0)
         r = check_sections(specimen, err);
     if (r >= 0)
-        r = gsn_scan_put_panel(store, scan, specimen->id, number, &panel, &known, err);
+        r = put_panel(store, scan, specimen->id, number, &panel, &known, err);
     if (r >= 0 && known)
         r = renumber_panel(store, scan, specimen->id, panel, number, err);
     if (r >= 0 && !known)

@@ -9,6 +9,7 @@
 
 #include "storage/store.h"
 
+#include <sqlite3.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -82,6 +83,13 @@ void gsn_sql_free_rows(const struct gsn_sql_shape *shape, void *rows, size_t cou
 /* The fields of a struct as arguments, from ?1 on: fills values[0..shape->count-1]. */
 struct gsn_sql_args gsn_sql_fields(const struct gsn_sql_shape *shape, const void *row,
                                    struct gsn_sql_value *values);
+
+/* For a statement on the stack, read row by row. */
+static inline void gsn_statement_done(sqlite3_stmt **statement)
+{
+    (void)sqlite3_finalize(*statement);
+}
+#define gsn_auto_statement __attribute__((cleanup(gsn_statement_done))) sqlite3_stmt *
 
 /* The id of the row inserted last. */
 int64_t gsn_sql_last_id(struct gsn_store *store);

@@ -31,6 +31,7 @@
 #include "pipeline/core/hash.h"
 #include "storage/audit.h"
 #include "storage/pagesum.h"
+#include "storage/scan.h"
 #include "storage/sql.h"
 #include "storage/transaction.h"
 

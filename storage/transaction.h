@@ -8,10 +8,11 @@
 #define GSN_STORAGE_TRANSACTION_H
 
 #include "pipeline/core/hash.h"
-#include "storage/panel_log.h"
-#include "storage/scan.h"
 
 #include <stdint.h>
+
+struct gsn_store;
+struct gsn_panel_row;
 
 /* The rows of a panel's sections lie side by side: schema/006_slices.sql. */
 #define SECTIONS_OF(panel) "id BETWEEN " panel " * 4096 AND " panel " * 4096 + 4095 "
@@ -27,13 +28,6 @@ int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel,
 /* As gsn_queue_add(), of a panel that is known to be the specimen's; 0: the specimen's own job. */
 int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                   struct gsn_error *err);
-
-/* Makes a scan the panel of a specimen and asks for it; the specimen, which rests on it, is to be
- * asked for next. The same bytes were its panel before: ret_again becomes 1 and nothing is asked.
- */
-int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
-                       int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
-                       struct gsn_error *err);
 
 /* Commits what lies in the staging table; for gsn_store_begin(). */
 int gsn_scan_commit_all_staged(struct gsn_store *store, struct gsn_error *err);

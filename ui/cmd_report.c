@@ -30,28 +30,6 @@ enum { MOST_REPORT_BYTES = 1 << 28 };
 
 /* ---- the report ------------------------------------------------------------------------------ */
 
-/* gives: the latest run of a specimen that left a report. */
-static int find_run(struct gsn_store *store, const char *name, struct gsn_run_row **ret_run,
-                    struct gsn_error *err)
-{
-    gsn_auto(gsn_specimen_row) specimen = NULL;
-    gsn_auto(gsn_run_rows) runs = NULL;
-    int64_t latest = 0;
-    int r = gsn_specimen_get(store, name, &specimen, err);
-
-    if (r >= 0)
-        r = gsn_run_list(store, specimen->id, &runs, err);
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < runs->count; i++)
-        if (runs->at[i].json_path[0])
-            latest = runs->at[i].id;
-    if (!latest)
-        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` does the jobs",
-                        name);
-    return gsn_run_get(store, latest, ret_run, err);
-}
-
 /* A report that is not what the run wrote is not handed out, whichever half of it was asked for. */
 static int check_files(struct gsn_store *store, const struct gsn_run_row *run,
                        struct gsn_error *err)
@@ -91,7 +69,7 @@ int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
     store = gsn_ui_store(ui, GSN_STORE_READ, &status);
     if (!store)
         return status;
-    r = find_run(store, argv[1], &run, &err);
+    r = gsn_run_latest_report(store, argv[1], &run, &err);
     if (r < 0)
         return gsn_ui_complain(ui, &err, r);
     json = gsn_format("%s/%s", gsn_store_dir(store), run->json_path);
@@ -282,7 +260,7 @@ static json_t *trace_baseline(struct gsn_store *store, const struct gsn_specimen
         gsn_auto(gsn_run_row) run = NULL;
         const json_t *region;
 
-        if (find_run(store, rows->at[i].name, &run, NULL) < 0 ||
+        if (gsn_run_latest_report(store, rows->at[i].name, &run, NULL) < 0 ||
             read_run(store, run->id, &of, NULL) < 0) {
             (void)json_array_append_new(list, json_pack("{s:o, s:n, s:n, s:n}", "specimen",
                                                         gsn_text_json(rows->at[i].name), "run",
@@ -504,7 +482,7 @@ static int trace_study(const struct gsn_ui *ui, struct gsn_store *store, const c
 
         if (strcmp(row->study, study) != 0)
             continue;
-        if (find_run(store, row->name, &run, NULL) < 0) {
+        if (gsn_run_latest_report(store, row->name, &run, NULL) < 0) {
             (void)json_array_append_new(
                 list, json_pack("{s:o, s:o, s:n, s:n}", "animal",
                                 gsn_text_json(*row->animal ? row->animal : row->name), "specimen",
@@ -538,7 +516,7 @@ static int trace_one(const struct gsn_ui *ui, struct gsn_store *store,
     auto_traced before = { 0 };
     gsn_auto(gsn_run_row) run = NULL;
     json_t *trace;
-    int r = find_run(store, specimen->name, &run, err);
+    int r = gsn_run_latest_report(store, specimen->name, &run, err);
 
     if (r >= 0)
         r = read_run(store, run->id, &now, err);

@@ -1,10 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The calendar: a date as a number of days. Short, since libc reads dates in the local time zone only
- * and takes 2026-02-30 for the second of March. */
+/* The calendar: a date as a number of days, since libc reads dates in the local time zone only and
+ * takes 2026-02-30 for the second of March. And a clock that only runs on. */
 #include "pipeline/core/calendar.h"
 
 #include <string.h>
+#include <time.h>
 
 static int days_of_month(int year, int month)
 {
@@ -41,4 +42,12 @@ int gsn_calendar_day(const char *text, long *ret_day, struct gsn_error *err)
         days += days_of_month(year, m);
     *ret_day = days + day - 1;
     return GSN_OK;
+}
+
+int64_t gsn_now_ms(void)
+{
+    struct timespec now;
+
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }

@@ -194,24 +194,11 @@ void gsn_fd_close(int *fd)
     *fd = -1;
 }
 
-int gsn_file_from_bytes(const void *bytes, size_t size, int *ret_fd, struct gsn_error *err)
+void gsn_dir_close(DIR **dir)
 {
-    gsn_auto_fd fd = memfd_create("gieson-bytes", MFD_CLOEXEC);
-    const uint8_t *from = bytes;
-
-    for (size_t done = 0; fd >= 0 && done < size;) {
-        const ssize_t put = write(fd, from + done, size - done);
-
-        if (put < 0 && errno != EINTR)
-            gsn_fd_close(&fd);
-        done += put > 0 ? (size_t)put : 0;
-    }
-    if (fd < 0)
-        return gsn_fail(err, GSN_E_IO, "no memory for a file of %zu bytes: %s", size,
-                        strerror(errno));
-    *ret_fd = fd;
-    fd = -1;
-    return GSN_OK;
+    if (*dir)
+        (void)closedir(*dir);
+    *dir = NULL;
 }
 
 static int write_all(int fd, const char *path, const uint8_t *bytes, size_t size,

@@ -8,6 +8,7 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/mem.h"
 
+#include <dirent.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -40,14 +41,14 @@ int gsn_file_open_in(const char *folder, const char *name, int *ret_fd, struct g
 void gsn_fd_close(int *fd);
 #define gsn_auto_fd __attribute__((cleanup(gsn_fd_close))) int
 
+/* For an open folder on the stack, in the same way; NULL: none. */
+void gsn_dir_close(DIR **dir);
+#define gsn_auto_dir __attribute__((cleanup(gsn_dir_close))) DIR *
+
 /* The content of an open regular file, wherever its position is, as gsn_file_read() gives it. name:
  * for the sentence. */
 int gsn_file_read_open(int fd, const char *name, size_t limit, uint8_t **ret_bytes,
                        size_t *ret_size, struct gsn_error *err);
-
-/* gives: a descriptor to close(), of a file without a name that holds the bytes. Fails with
- * GSN_E_IO. */
-int gsn_file_from_bytes(const void *bytes, size_t size, int *ret_fd, struct gsn_error *err);
 
 /* A file to be locked, made when it is missing. gives: a descriptor to close(). Fails with
  * GSN_E_IO. */

@@ -7,6 +7,8 @@
 #ifndef GSN_CORE_GEOM_H
 #define GSN_CORE_GEOM_H
 
+#include <math.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -14,6 +16,11 @@ extern "C" {
 struct gsn_point {
     double x, y;
 };
+
+static inline double gsn_point_distance(struct gsn_point a, struct gsn_point b)
+{
+    return hypot(a.x - b.x, a.y - b.y);
+}
 
 struct gsn_vec3 {
     double x, y, z;
@@ -42,6 +49,11 @@ double gsn_vec3_length(struct gsn_vec3 a);
 static inline double gsn_dot3(const double a[3], const double b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static inline double gsn_length3(const double v[3])
+{
+    return sqrt(gsn_dot3(v, v));
 }
 
 /* ret is neither a nor b. */

@@ -124,6 +124,16 @@ void gsn_band_solve(const double *factor, size_t n, size_t wide, double *x)
     (void)gsl_linalg_cholesky_band_svx(&of_factor.matrix, &of_x.vector);
 }
 
+double gsn_quadratic_form(const double *a, size_t n, const double *x)
+{
+    double sum = 0;
+
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            sum += x[i] * a[i * n + j] * x[j];
+    return sum;
+}
+
 /* ---- eigenvalues --------------------------------------------------------------------------- */
 
 void gsn_eigen_symmetric(double *a, size_t n, double *ret_value, double *ret_vector)

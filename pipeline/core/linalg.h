@@ -41,6 +41,9 @@ int gsn_band_cholesky(double *band, size_t n, size_t wide);
 /* x is the right side before. */
 void gsn_band_solve(const double *factor, size_t n, size_t wide, double *x);
 
+/* x' a x. */
+double gsn_quadratic_form(const double *a, size_t n, const double *x);
+
 /* Eigenvalues of a symmetric matrix, the largest first, and unit vectors: column k of ret_vector
  * belongs to value k; its sign is arbitrary. Both have n rows, ret_vector of n. a is spoilt.
  * n <= GSN_LINALG_FEW. */

@@ -40,7 +40,8 @@ union beside {
     struct cmsghdr aligned;
 };
 
-int gsn_decode_send(int socket, int fd)
+/* The worker's half: sends a descriptor. Returns 0, or -1 with errno. */
+static int send_descriptor(int socket, int fd)
 {
     char byte = 0;
     union beside beside = { .room = { 0 } };
@@ -352,7 +353,7 @@ static int start_child(struct channel *channel, struct gsn_error *err)
         return r;
     }
     /* One that is gone already will be missed when it is asked. */
-    (void)gsn_decode_send(channel->socket, channel->memory);
+    (void)send_descriptor(channel->socket, channel->memory);
     return GSN_OK;
 }
 
@@ -385,7 +386,7 @@ static int ask_child(struct channel *channel, int fd, uint64_t size,
     if (r >= 0 && LIMITS_MEMORY)
         r = gsn_process_allow(channel->child, channel->size + OWN_BYTES + size, err);
     if (r >= 0)
-        (void)gsn_decode_send(channel->socket, fd);
+        (void)send_descriptor(channel->socket, fd);
     return r;
 }
 

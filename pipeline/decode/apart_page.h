@@ -30,8 +30,6 @@ struct gsn_decode_page {
 };
 enum { GSN_DECODE_PAGE_BYTES = 4096 };
 
-/* The worker's half: sends a descriptor. Returns 0, or -1 with errno. */
-int gsn_decode_send(int socket, int fd);
 /* The decoder's: the next descriptor; -1 when the worker has no more, or is gone. */
 int gsn_decode_receive(int socket);
 

@@ -16,6 +16,7 @@
  * machine finds the same, and in time. */
 #include "pipeline/decode/codes.h"
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/decode/raster.h"
 
 #include <dmtx.h>
@@ -24,7 +25,12 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-#include <time.h>
+
+struct code_page {
+    uint32_t width, height;
+    uint8_t *grey;
+    int64_t until_ms; /* of gsn_now_ms(): then the search is given up */
+};
 
 /* --- Data Matrix --- */
 
@@ -76,7 +82,7 @@ static int scan_data_matrix(DmtxDecode *decoder, int mirrored, long most_ms,
     return added;
 }
 
-static int look_flipped(const struct gsn_code_page *page, int mirrored, struct gsn_picture *picture,
+static int look_flipped(const struct code_page *page, int mirrored, struct gsn_picture *picture,
                         int *ret_added, struct gsn_error *err)
 {
     DmtxImage *image =
@@ -93,21 +99,22 @@ static int look_flipped(const struct gsn_code_page *page, int mirrored, struct g
     }
     (void)dmtxDecodeSetProp(decoder, DmtxPropScanGap, SCAN_GAP);
     *ret_added =
-        scan_data_matrix(decoder, mirrored, (long)(page->until_ms - gsn_codes_clock()), picture);
+        scan_data_matrix(decoder, mirrored, (long)(page->until_ms - gsn_now_ms()), picture);
     (void)dmtxDecodeDestroy(&decoder);
     (void)dmtxImageDestroy(&image);
     return GSN_OK;
 }
 
-/* A mirrored symbol cannot be read, so the page is looked at both ways. The library flips top to
- * bottom, which is left to right and half a turn. */
-int gsn_codes_dmtx(const struct gsn_code_page *page, struct gsn_picture *picture,
-                   struct gsn_error *err)
+/* Adds the Data Matrices behind the codes that were found, as far as there is room. Fails with
+ * GSN_E_NOMEM. A mirrored symbol cannot be read, so the page is looked at both ways. The library
+ * flips top to bottom, which is left to right and half a turn. */
+static int find_data_matrices(const struct code_page *page, struct gsn_picture *picture,
+                              struct gsn_error *err)
 {
     int added = 0, r = GSN_OK;
 
     for (int mirrored = 0; r >= 0 && !added && mirrored < 2; mirrored++)
-        if (gsn_codes_clock() < page->until_ms)
+        if (gsn_now_ms() < page->until_ms)
             r = look_flipped(page, mirrored, picture, &added, err);
     return r;
 }
@@ -128,8 +135,8 @@ static double bar_code_turn(const zbar_symbol_t *symbol)
     }
 }
 
-int gsn_codes_zbar(const struct gsn_code_page *page, struct gsn_picture *picture,
-                   struct gsn_error *err)
+static int find_barcodes(const struct code_page *page, struct gsn_picture *picture,
+                         struct gsn_error *err)
 {
     zbar_image_scanner_t *scanner = zbar_image_scanner_create();
     zbar_image_t *image = zbar_image_create();
@@ -184,14 +191,6 @@ enum {
 
 /* A label is read within a fifth of a second. What looks like print for so long is none. */
 static const int64_t MOST_MS = 4000;
-
-int64_t gsn_codes_clock(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
 
 struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind, const void *text,
                                   size_t size)
@@ -248,7 +247,7 @@ struct area {
 };
 
 /* The code that only one pixel in fifty is brighter than. */
-static unsigned white_of(const struct gsn_code_page *page)
+static unsigned white_of(const struct code_page *page)
 {
     const size_t count = (size_t)page->width * page->height;
     size_t histogram[256] = { 0 }, above = 0;
@@ -278,7 +277,7 @@ static int is_print(const uint8_t *from, size_t width, unsigned dark)
             down >= CHANGES_ONE);
 }
 
-static void find_print(const struct gsn_code_page *page, const struct blocks *blocks)
+static void find_print(const struct code_page *page, const struct blocks *blocks)
 {
     const unsigned dark = white_of(page) * DARK_PERCENT / 100;
 
@@ -322,16 +321,16 @@ static struct area take_area(const struct blocks *blocks, uint32_t x, uint32_t y
 
 /* ---- reading ----------------------------------------------------------------------------- */
 
-static int read_page(const struct gsn_code_page *page, struct gsn_picture *picture,
+static int read_page(const struct code_page *page, struct gsn_picture *picture,
                      struct gsn_error *err)
 {
-    const int r = gsn_codes_dmtx(page, picture, err);
+    const int r = find_data_matrices(page, picture, err);
 
-    return r < 0 ? r : gsn_codes_zbar(page, picture, err);
+    return r < 0 ? r : find_barcodes(page, picture, err);
 }
 
 /* An area of print with the white around it, as a page of its own. */
-static int read_area(const struct gsn_code_page *page, const struct area *area,
+static int read_area(const struct code_page *page, const struct area *area,
                      struct gsn_picture *picture, struct gsn_error *err)
 {
     const uint32_t x0 = area->x0 > 0 ? (area->x0 - 1) * BLOCK : 0;
@@ -339,10 +338,10 @@ static int read_area(const struct gsn_code_page *page, const struct area *area,
     const uint32_t right = (area->x1 + 1) * BLOCK, below = (area->y1 + 1) * BLOCK;
     const uint32_t x1 = right < page->width ? right : page->width;
     const uint32_t y1 = below < page->height ? below : page->height;
-    const struct gsn_code_page part = { .width = x1 - x0,
-                                        .height = y1 - y0,
-                                        .until_ms = page->until_ms };
-    struct gsn_code_page copy = part;
+    const struct code_page part = { .width = x1 - x0,
+                                    .height = y1 - y0,
+                                    .until_ms = page->until_ms };
+    struct code_page copy = part;
     gsn_auto_mem(uint8_t) grey = gsn_alloc((size_t)part.width * part.height);
 
     if (!grey)
@@ -354,7 +353,7 @@ static int read_area(const struct gsn_code_page *page, const struct area *area,
     return read_page(&copy, picture, err);
 }
 
-static int read_areas(const struct gsn_code_page *page, struct gsn_picture *picture,
+static int read_areas(const struct code_page *page, struct gsn_picture *picture,
                       struct gsn_error *err)
 {
     struct blocks blocks = { .width = page->width / BLOCK, .height = page->height / BLOCK };
@@ -366,7 +365,7 @@ static int read_areas(const struct gsn_code_page *page, struct gsn_picture *pict
     blocks.print = print;
     find_print(page, &blocks);
     for (uint32_t i = 0; i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0 &&
-                         gsn_codes_clock() < page->until_ms;
+                         gsn_now_ms() < page->until_ms;
          i++) {
         struct area area;
 
@@ -387,9 +386,9 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
     const struct gsn_image *image = picture->image;
     const uint32_t longest = image->width > image->height ? image->width : image->height;
     const unsigned step = (longest + LONGEST - 1) / LONGEST;
-    struct gsn_code_page page = { .width = image->width / step,
-                                  .height = image->height / step,
-                                  .until_ms = gsn_codes_clock() + MOST_MS };
+    struct code_page page = { .width = image->width / step,
+                              .height = image->height / step,
+                              .until_ms = gsn_now_ms() + MOST_MS };
     gsn_auto_mem(uint8_t) grey = NULL;
     int r;
 
@@ -403,7 +402,7 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
             grey[(size_t)y * page.width + x] = mean_brightest(image, x * step, y * step, step);
     page.grey = grey;
     r = longest <= SMALL ? read_page(&page, picture, err) : read_areas(&page, picture, err);
-    if (r >= 0 && picture->code_count == 0 && gsn_codes_clock() >= page.until_ms)
+    if (r >= 0 && picture->code_count == 0 && gsn_now_ms() >= page.until_ms)
         gsn_picture_remark(picture, "no code was found within the time for it: much on this "
                                     "picture looks like print");
     return r;

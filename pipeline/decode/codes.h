@@ -11,22 +11,6 @@
 
 #include "pipeline/decode/decode.h"
 
-struct gsn_code_page {
-    uint32_t width, height;
-    uint8_t *grey;
-    int64_t until_ms; /* of gsn_codes_clock(): then the search is given up */
-};
-
-/* Milliseconds of a clock that only runs on. */
-int64_t gsn_codes_clock(void);
-
-/* Adds the codes of its kind behind those in picture->code, as far as there is room.
- * Fails with GSN_E_NOMEM. */
-int gsn_codes_dmtx(const struct gsn_code_page *page, struct gsn_picture *picture,
-                   struct gsn_error *err);
-int gsn_codes_zbar(const struct gsn_code_page *page, struct gsn_picture *picture,
-                   struct gsn_error *err);
-
 /* Keeps a text as data: at most GSN_CODE_BYTES - 1 bytes, what does not print becomes '?'. Returns
  * the new code, or NULL when there is no room. */
 struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind, const void *text,

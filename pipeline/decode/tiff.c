@@ -107,7 +107,11 @@ static int walk_chain(const struct chain *chain, uint64_t at, unsigned *ret_page
     return GSN_OK;
 }
 
-int gsn_tiff_count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_error *err)
+/* Counts the pages by walking the chain of directories, without libtiff.
+ *
+ * Fails with GSN_E_INPUT when a directory lies beyond the end or the chain turns back on itself,
+ * and with GSN_E_LIMIT beyond 1024 pages. */
+static int count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_error *err)
 {
     struct chain chain = { file, file.at[0] == 'M', 4, 2, 12 };
     uint64_t first = 4;
@@ -157,7 +161,9 @@ static int is_aperio(TIFF *tiff)
     return strncmp(description(tiff), "Aperio", 6) == 0;
 }
 
-double gsn_tiff_aperio_um(TIFF *tiff)
+/* Pixels in um as Aperio's scanners write them into the description ("|MPP = 0.499"); 0: it does
+ * not say. */
+static double aperio_um(TIFF *tiff)
 {
     const char *at = is_aperio(tiff) ? strstr(description(tiff), "|MPP = ") : NULL;
     struct gsn_words number = { 0 };
@@ -208,7 +214,7 @@ static int finest_um(TIFF *tiff, double *ret_um, struct gsn_error *err)
     struct gsn_picture stated = { 0 };
     uint16_t unit = RESUNIT_NONE;
     float x = 0, y = 0;
-    double um = gsn_tiff_aperio_um(tiff);
+    double um = aperio_um(tiff);
 
     (void)TIFFGetField(tiff, TIFFTAG_XRESOLUTION, &x);
     (void)TIFFGetField(tiff, TIFFTAG_YRESOLUTION, &y);
@@ -242,8 +248,11 @@ static unsigned level_for(const struct slide *slide, double um, double target_um
     return level;
 }
 
-int gsn_tiff_choose_level(struct gsn_tiff *t, const struct gsn_decode_limits *limits,
-                          struct gsn_picture *picture, struct gsn_error *err)
+/* Opens the page of the level that limits ask for, and says which in the picture's note.
+ * Fails with GSN_E_INPUT when there is no such level, or the pixels' size is not stated or not the
+ * same along both axes. */
+static int choose_level(struct gsn_tiff *t, const struct gsn_decode_limits *limits,
+                        struct gsn_picture *picture, struct gsn_error *err)
 {
     const char *vendor = is_aperio(t->tiff) ? "Aperio slide" : "tiled slide";
     struct slide slide = { 0 };
@@ -604,7 +613,7 @@ static void read_pitch(const struct gsn_tiff *t, struct gsn_picture *picture)
     if (unit == RESUNIT_INCH || unit == RESUNIT_CENTIMETER)
         gsn_picture_pitch(picture, (double)x, (double)y, unit == RESUNIT_INCH ? 25400 : 10000);
     if (!(picture->px_um_x > 0))
-        picture->px_um_x = picture->px_um_y = gsn_tiff_aperio_um(t->tiff);
+        picture->px_um_x = picture->px_um_y = aperio_um(t->tiff);
 }
 
 /* --- the whole --- */
@@ -659,12 +668,12 @@ int gsn_tiff_decode(struct gsn_bytes file, const struct gsn_decode_limits *limit
     struct gsn_tiff t = { .file = file };
     int r;
 
-    r = gsn_tiff_count_pages(file, &picture->pages, err);
+    r = count_pages(file, &picture->pages, err);
     if (r < 0)
         return r;
     r = open_page(&t, err);
     if (r >= 0 && limits->slide)
-        r = gsn_tiff_choose_level(&t, limits, picture, err);
+        r = choose_level(&t, limits, picture, err);
     if (r >= 0 && t.said_code != GSN_OK)
         r = refuse_said(&t, "the directory of its level cannot be read", err);
     if (r >= 0)

@@ -26,22 +26,6 @@ struct gsn_tiff {
     char said[160]; /* its text */
 };
 
-/* Counts the pages by walking the chain of directories, without libtiff.
- *
- * Fails with GSN_E_INPUT when a directory lies beyond the end or the chain turns back on itself,
- * and with GSN_E_LIMIT beyond 1024 pages. */
-int gsn_tiff_count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_error *err);
-
-/* Pixels in um as Aperio's scanners write them into the description ("|MPP = 0.499"); 0: it does
- * not say. */
-double gsn_tiff_aperio_um(TIFF *tiff);
-
-/* Opens the page of the level that limits ask for, and says which in the picture's note.
- * Fails with GSN_E_INPUT when there is no such level, or the pixels' size is not stated or not the
- * same along both axes. */
-int gsn_tiff_choose_level(struct gsn_tiff *t, const struct gsn_decode_limits *limits,
-                          struct gsn_picture *picture, struct gsn_error *err);
-
 /* Decodes all strips or tiles of the open page onto the canvas. */
 int gsn_tiff_read_pixels(struct gsn_tiff *t, const struct gsn_raster *canvas,
                          struct gsn_error *err);

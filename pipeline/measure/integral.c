@@ -14,6 +14,7 @@
  * 56 bytes each. */
 #include "pipeline/measure/integral.h"
 
+#include "pipeline/core/geom.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/measure/sum.h"
 #include "pipeline/model/batch.h"
@@ -94,17 +95,6 @@ static int make_room(struct points *p, size_t more, struct gsn_error *err)
     return GSN_OK;
 }
 
-static double length_of(const double v[3])
-{
-    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-}
-
-static void find_cross(const double a[3], const double b[3], double ret_cross[3])
-{
-    for (int c = 0; c < 3; c++)
-        ret_cross[c] = a[(c + 1) % 3] * b[(c + 2) % 3] - a[(c + 2) % 3] * b[(c + 1) % 3];
-}
-
 /* Barycentric points and weights of Dunavant's rule of degree 4. */
 static void add_triangle(struct points *p, const double a[3], const double b[3], const double c[3])
 {
@@ -117,8 +107,8 @@ static void add_triangle(struct points *p, const double a[3], const double b[3],
         edge[0][k] = b[k] - a[k];
         edge[1][k] = c[k] - a[k];
     }
-    find_cross(edge[0], edge[1], cross);
-    area = length_of(cross) / 2;
+    gsn_cross3(edge[0], edge[1], cross);
+    area = gsn_length3(cross) / 2;
     for (int i = 0; i < RULE; i++, p->count++) {
         double share[3] = { outer[i / 3], outer[i / 3], outer[i / 3] };
 
@@ -194,11 +184,11 @@ static int find_polygon(const struct plane *plane, const struct gsn_vec3 *centre
 static int orient_plane(const double point[3], const double normal[3], struct plane *plane,
                         struct gsn_error *err)
 {
-    const double length = length_of(normal);
+    const double length = gsn_length3(normal);
     int least = 0;
     double along[3] = { 0 }, scale;
 
-    if (!(length > 0) || !isfinite(length) || !isfinite(length_of(point)))
+    if (!(length > 0) || !isfinite(length) || !isfinite(gsn_length3(point)))
         return gsn_fail(err, GSN_E_INPUT, "a plane is a point and a normal that is not (0, 0, 0)");
     for (int c = 0; c < 3; c++) {
         plane->point[c] = point[c];
@@ -207,11 +197,11 @@ static int orient_plane(const double point[3], const double normal[3], struct pl
             least = c;
     }
     along[least] = 1;
-    find_cross(plane->normal, along, plane->axis[0]);
-    scale = length_of(plane->axis[0]);
+    gsn_cross3(plane->normal, along, plane->axis[0]);
+    scale = gsn_length3(plane->axis[0]);
     for (int c = 0; c < 3; c++)
         plane->axis[0][c] /= scale;
-    find_cross(plane->normal, plane->axis[0], plane->axis[1]);
+    gsn_cross3(plane->normal, plane->axis[0], plane->axis[1]);
     return GSN_OK;
 }
 
@@ -340,7 +330,7 @@ static struct span find_span(const struct gsn_tets *mesh, size_t tet, const doub
         for (int e = 0; e < 2; e++)
             for (int c = 0; c < 3; c++)
                 edge[e][c] = mesh->vertex[mesh->tet[tet][(k + 2 + e) % 4]][c] - corner[c];
-        find_cross(edge[0], edge[1], normal);
+        gsn_cross3(edge[0], edge[1], normal);
         for (int c = 0; c < 3; c++) {
             at[0] += normal[c] * (a[c] - corner[c]);
             at[1] += normal[c] * (b[c] - corner[c]);
@@ -381,7 +371,7 @@ int gsn_segment_inside(const struct gsn_tets *mesh, const double a[3], const dou
             share += span[i].to - fmax(end, span[i].from);
             end = span[i].to;
         }
-    *ret_um = share * length_of(d);
+    *ret_um = share * gsn_length3(d);
     return GSN_OK;
 }
 
@@ -451,7 +441,7 @@ int gsn_region_segment(const struct gsn_spline *spline, const struct gsn_mask *r
             if (r < 0)
                 break;
             integral += part;
-            um += (t[i] - begin) * length_of(d);
+            um += (t[i] - begin) * gsn_length3(d);
             begin = -1;
         }
     }

@@ -57,8 +57,8 @@ static struct gsn_phantom_batch batch_of(const struct gsn_phantom_plan *plan, in
     return bath;
 }
 
-void gsn_phantom_dye_patch_od(const struct gsn_phantom_plan *plan, int batch,
-                              enum gsn_phantom_dye dye, double ret_od[3])
+static void dye_patch_od(const struct gsn_phantom_plan *plan, int batch, enum gsn_phantom_dye dye,
+                         double ret_od[3])
 {
     const struct gsn_phantom_batch b = batch_of(plan, batch);
     const struct gsn_phantom_recipe *recipe = gsn_phantom_recipe();
@@ -113,7 +113,7 @@ int gsn_phantom_calibration_draw(const struct gsn_phantom_plan *plan, int batch,
         lay_patch(gsn_phantom_patch_of(plan, i), of_patch, &glass);
     }
     for (enum gsn_phantom_dye dye = GSN_PHANTOM_RED; dye <= GSN_PHANTOM_NUCLEAR; dye++) {
-        gsn_phantom_dye_patch_od(plan, batch, dye, of_patch);
+        dye_patch_od(plan, batch, dye, of_patch);
         lay_patch(gsn_phantom_dye_patch_of(plan, dye), of_patch, &glass);
     }
     (void)snprintf(name, sizeof name, "C%02d", batch > 0 ? batch : 1);
@@ -168,7 +168,7 @@ static void tell_dyes(const struct gsn_phantom_plan *plan, int batch, const char
         const struct gsn_phantom_patch p = gsn_phantom_dye_patch_of(plan, dye);
         double od[3];
 
-        gsn_phantom_dye_patch_od(plan, batch, dye, od);
+        dye_patch_od(plan, batch, dye, od);
         gsn_phantom_buffer_print(table, "%s,%d,%s,%u,%u,%u,%u,%.9f,%.9f,%.9f\n", name, batch,
                                  dyes[dye], p.x, p.y, p.width, p.height, od[0], od[1], od[2]);
     }

@@ -28,9 +28,6 @@ struct gsn_phantom_patch gsn_phantom_patch_of(const struct gsn_phantom_plan *pla
  * tissue that is full of it holds. */
 struct gsn_phantom_patch gsn_phantom_dye_patch_of(const struct gsn_phantom_plan *plan,
                                                   enum gsn_phantom_dye dye);
-void gsn_phantom_dye_patch_od(const struct gsn_phantom_plan *plan, int batch,
-                              enum gsn_phantom_dye dye, double ret_od[3]);
-
 /* The optical density of patch i in a batch, from 1. */
 void gsn_phantom_patch_od(const struct gsn_phantom_plan *plan, int batch, int i, double ret_od[3]);
 

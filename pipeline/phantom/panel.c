@@ -25,11 +25,6 @@ static const double LABEL_TOP_UM = 1200, LABEL_LOW_UM = 5200, LABEL_RIGHT_UM = 3
 static const struct gsn_point MATRIX_UM = { 320, 3200 };
 static const double MODULE_UM = 96, LEAST_MODULE_PX = 3;
 
-static uint32_t to_px(double um, double px_um, uint32_t most)
-{
-    return (uint32_t)fmin(fmax(round(um / px_um), 0), most);
-}
-
 static void draw_ink(const struct gsn_phantom_glass *glass, uint32_t x, uint32_t y)
 {
     for (size_t c = 0; c < 3; c++)
@@ -54,8 +49,8 @@ static void write_matrix(const struct gsn_phantom_glass *glass, double frame_um,
                          const struct gsn_phantom_matrix *matrix)
 {
     const double px_um = glass->px_um;
-    const uint32_t x0 = to_px(frame_um + MATRIX_UM.x, px_um, glass->width);
-    const uint32_t y0 = to_px(frame_um + MATRIX_UM.y, px_um, glass->height);
+    const uint32_t x0 = gsn_phantom_to_px(frame_um + MATRIX_UM.x, px_um, glass->width);
+    const uint32_t y0 = gsn_phantom_to_px(frame_um + MATRIX_UM.y, px_um, glass->height);
     const uint32_t module = (uint32_t)fmax(round(MODULE_UM / px_um), LEAST_MODULE_PX);
     const uint32_t side = GSN_PHANTOM_MATRIX_SIDE * module;
 
@@ -68,10 +63,10 @@ static void write_matrix(const struct gsn_phantom_glass *glass, double frame_um,
 /* Sticks the label on its head: each pixel of it changes places with the one across its middle. */
 static void turn_label(const struct gsn_phantom_glass *glass, double frame_um)
 {
-    const uint32_t left = to_px(frame_um, glass->px_um, glass->width);
-    const uint32_t right = to_px(frame_um + LABEL_RIGHT_UM, glass->px_um, glass->width);
-    const uint32_t top = to_px(frame_um + LABEL_TOP_UM, glass->px_um, glass->height);
-    const uint32_t low = to_px(frame_um + LABEL_LOW_UM, glass->px_um, glass->height);
+    const uint32_t left = gsn_phantom_to_px(frame_um, glass->px_um, glass->width);
+    const uint32_t right = gsn_phantom_to_px(frame_um + LABEL_RIGHT_UM, glass->px_um, glass->width);
+    const uint32_t top = gsn_phantom_to_px(frame_um + LABEL_TOP_UM, glass->px_um, glass->height);
+    const uint32_t low = gsn_phantom_to_px(frame_um + LABEL_LOW_UM, glass->px_um, glass->height);
     const size_t count = (size_t)(right - left) * (low - top);
 
     for (size_t i = 0; i < count / 2; i++) {

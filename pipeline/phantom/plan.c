@@ -139,6 +139,11 @@ double gsn_phantom_frame_um(const struct gsn_phantom_plan *plan)
     return plan->variant.black_frame_px * plan->px_um;
 }
 
+uint32_t gsn_phantom_to_px(double um, double px_um, uint32_t most)
+{
+    return (uint32_t)fmin(fmax(round(um / px_um), 0), most);
+}
+
 struct gsn_point gsn_phantom_slot_centre_um(const struct gsn_phantom_plan *plan, int slot)
 {
     const double frame = gsn_phantom_frame_um(plan);

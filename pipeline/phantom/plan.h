@@ -171,6 +171,9 @@ struct gsn_point gsn_phantom_material(const struct gsn_phantom_section *section,
 /* Its inverse, m: p = c + R(theta) diag(sx, sy) Flip X / px_um. */
 struct gsn_affine gsn_phantom_panel_map(const struct gsn_phantom_section *section, double px_um);
 
+/* A length as whole pixels, at least 0 and at most so many. */
+uint32_t gsn_phantom_to_px(double um, double px_um, uint32_t most);
+
 /* Where a slot lies on a panel, in um from the upper left corner of its picture. */
 struct gsn_point gsn_phantom_slot_centre_um(const struct gsn_phantom_plan *plan, int slot);
 

@@ -19,20 +19,15 @@ struct brush {
     struct gsn_phantom_random nuclei;
 };
 
-static uint32_t to_px(double um, double px_um, uint32_t most)
-{
-    return (uint32_t)fmin(fmax(round(um / px_um), 0), most);
-}
-
 static struct gsn_phantom_window window_of(const struct gsn_phantom_plan *plan, int slot)
 {
     const struct gsn_point centre = gsn_phantom_slot_centre_um(plan, slot);
     const double half = gsn_phantom_slot_half_um;
     const struct gsn_phantom_window window = {
-        to_px(centre.x - half, plan->px_um, plan->width),
-        to_px(centre.y - half, plan->px_um, plan->height),
-        to_px(centre.x + half, plan->px_um, plan->width),
-        to_px(centre.y + half, plan->px_um, plan->height),
+        gsn_phantom_to_px(centre.x - half, plan->px_um, plan->width),
+        gsn_phantom_to_px(centre.y - half, plan->px_um, plan->height),
+        gsn_phantom_to_px(centre.x + half, plan->px_um, plan->width),
+        gsn_phantom_to_px(centre.y + half, plan->px_um, plan->height),
     };
     return window;
 }

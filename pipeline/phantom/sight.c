@@ -209,8 +209,9 @@ struct gsn_phantom_reading gsn_phantom_sight_read(const struct gsn_phantom_sight
     return gsn_phantom_defect_read(sight->rent, gsn_phantom_sight_block(sight, p));
 }
 
-int gsn_phantom_sight_find(const struct gsn_phantom_sight *sight, struct gsn_point material,
-                           struct gsn_point *ret_p)
+/* Where material is seen; 0 when nowhere. */
+static int find_sight(const struct gsn_phantom_sight *sight, struct gsn_point material,
+                      struct gsn_point *ret_p)
 {
     struct gsn_point x;
 
@@ -229,8 +230,7 @@ static const struct gsn_phantom_defect *hider(const struct gsn_phantom_sight *si
     const struct gsn_phantom_plan *plan = sight->plan;
     struct gsn_point p;
 
-    if (!gsn_phantom_sight_find(sight, material, &p) ||
-        gsn_phantom_sight_read(sight, p).layers != 1)
+    if (!find_sight(sight, material, &p) || gsn_phantom_sight_read(sight, p).layers != 1)
         return sight->rent;
     for (size_t i = 0; i < plan->defects; i++) {
         const struct gsn_phantom_defect *d = &plan->defect[i];
@@ -265,7 +265,7 @@ const char *gsn_phantom_sight_mark(const struct gsn_phantom_sight *sight, int ma
     const struct gsn_phantom_defect *by = NULL;
     int hidden = 0;
 
-    if (!gsn_phantom_sight_find(sight, m->centre, ret_p))
+    if (!find_sight(sight, m->centre, ret_p))
         *ret_p = gsn_phantom_sight_panel(sight, m->centre);
     if (sight->section->shows < 0)
         return gsn_phantom_defect_name(sight->section->panel == sight->plan->missing_panel

@@ -32,10 +32,6 @@ struct gsn_point gsn_phantom_sight_panel(const struct gsn_phantom_sight *sight,
 
 struct gsn_phantom_reading gsn_phantom_sight_read(const struct gsn_phantom_sight *sight,
                                                   struct gsn_point p);
-/* Where material is seen; 0 when nowhere. */
-int gsn_phantom_sight_find(const struct gsn_phantom_sight *sight, struct gsn_point material,
-                           struct gsn_point *ret_p);
-
 /* What hides a mark: "" when it is seen, else "empty_slot", "missing" or the name of a defect. When
  * the material is seen nowhere ret_p is where it would be, were there no rent. */
 const char *gsn_phantom_sight_mark(const struct gsn_phantom_sight *sight, int mark,

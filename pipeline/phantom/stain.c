@@ -58,7 +58,8 @@ double gsn_phantom_nuclei_mean(const struct gsn_phantom_field *field, double dep
     return GSN_PHANTOM_NUCLEI_FULL * field->tissue * n;
 }
 
-double gsn_phantom_texture_amplitude(const struct gsn_phantom_field *field)
+/* Amplitude of the textures at this point. */
+static double texture_amplitude(const struct gsn_phantom_field *field)
 {
     double amplitude = 0;
 
@@ -72,7 +73,7 @@ void gsn_phantom_optical_density(const struct gsn_phantom_field *field,
                                  const struct gsn_phantom_local *local, double ret_od[3])
 {
     const double density = gsn_phantom_density(field, stain->depth);
-    const double amplitude = gsn_phantom_texture_amplitude(field);
+    const double amplitude = texture_amplitude(field);
     const double red = stain->red_gain * RECIPE.red_amount * density *
                        fmax(RECIPE.least_texture, 1 + amplitude * local->red_texture) *
                        (1 + 2 * stain->ramp * local->ramp_place);

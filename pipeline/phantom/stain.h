@@ -46,9 +46,6 @@ extern const double gsn_phantom_white[3];
 /* 6 n. */
 double gsn_phantom_nuclei_mean(const struct gsn_phantom_field *field, double depth);
 
-/* Amplitude of the textures at this point. */
-double gsn_phantom_texture_amplitude(const struct gsn_phantom_field *field);
-
 void gsn_phantom_optical_density(const struct gsn_phantom_field *field,
                                  const struct gsn_phantom_stain *stain,
                                  const struct gsn_phantom_local *local, double ret_od[3]);

@@ -288,8 +288,9 @@ void gsn_canvas_box(struct gsn_image *image, int x, int y, int width, int height
     }
 }
 
-void gsn_canvas_frame(struct gsn_image *image, int x, int y, int width, int height,
-                      struct gsn_colour colour)
+/* A frame one pixel wide, outside of the box. */
+static void draw_frame(struct gsn_image *image, int x, int y, int width, int height,
+                       struct gsn_colour colour)
 {
     gsn_canvas_box(image, x - 1, y - 1, width + 2, 1, colour);
     gsn_canvas_box(image, x - 1, y + height, width + 2, 1, colour);
@@ -449,7 +450,7 @@ void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int
     for (int j = 0; j < height; j++)
         gsn_canvas_box(image, x, y + j, width, 1,
                        gsn_colour_of(map, 1.0 - (j + 0.5) / (double)height));
-    gsn_canvas_frame(image, x, y, width, height, ink);
+    draw_frame(image, x, y, width, height, ink);
     for (int k = 0; (first + k) * step <= high + 1e-9 * step; k++) {
         /* + 0.0 makes a zero of a minus zero. */
         const double value = (first + k) * step + 0.0;
@@ -503,7 +504,7 @@ int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height
         return r;
     if (plate->title)
         gsn_canvas_text(sheet, x, 9, 1, plate->title, ink);
-    gsn_canvas_frame(sheet, x, y, w, h, faint);
+    draw_frame(sheet, x, y, w, h, faint);
     if (plate->has_scale)
         gsn_canvas_colour_bar(sheet, x + w + MARGIN, bar_top, BAR,
                               larger_of(40, y + h - bar_top - 4), plate->map, plate->low,

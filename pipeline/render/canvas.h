@@ -32,9 +32,6 @@ void gsn_canvas_put(struct gsn_image *image, int x, int y, struct gsn_colour col
 void gsn_canvas_mix(struct gsn_image *image, int x, int y, struct gsn_colour colour, double weight);
 void gsn_canvas_box(struct gsn_image *image, int x, int y, int width, int height,
                     struct gsn_colour colour);
-/* A frame one pixel wide, outside of the box. */
-void gsn_canvas_frame(struct gsn_image *image, int x, int y, int width, int height,
-                      struct gsn_colour colour);
 /* Diagonal hatching that says "no data", never to be taken for a value. */
 void gsn_canvas_no_data(struct gsn_image *image, int x, int y);
 /* Anti-aliased, round ends; coordinates have pixel centres at +0.5. */

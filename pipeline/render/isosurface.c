@@ -832,19 +832,3 @@ double gsn_trimesh_area(const struct gsn_trimesh *surface)
     }
     return area;
 }
-
-double gsn_trimesh_volume(const struct gsn_trimesh *surface)
-{
-    const double *origin = surface->vertex_count > 0 ? surface->vertex[0] : NULL;
-    double volume = 0.0;
-
-    /* Signed tetrahedra to a vertex of the surface itself: nothing large cancels. */
-    for (size_t t = 0; t < surface->triangle_count; t++) {
-        double n[3];
-        const double *a = area_vector(surface, t, n);
-
-        for (int k = 0; k < 3; k++)
-            volume += n[k] * (a[k] - origin[k]) / 6.0;
-    }
-    return volume;
-}

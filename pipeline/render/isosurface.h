@@ -41,9 +41,8 @@ unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um)
 int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
                    unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err);
 
-/* Area in um^2; enclosed volume in um^3 (meaningful for a closed surface). */
+/* um^2 */
 double gsn_trimesh_area(const struct gsn_trimesh *surface);
-double gsn_trimesh_volume(const struct gsn_trimesh *surface);
 
 struct gsn_trimesh_style {
     struct gsn_colour colour; /* of the surface; all 0: bone white */

@@ -15,6 +15,7 @@
  * threads. */
 #include "pipeline/render/projection.h"
 
+#include "pipeline/core/geom.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/render/canvas.h"
 #include "pipeline/render/ray.h"
@@ -28,22 +29,10 @@
 
 static const double margin = 0.06; /* of the picture, on every side */
 
-static double dot_product(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static void cross_product(const double a[3], const double b[3], double ret[3])
-{
-    ret[0] = a[1] * b[2] - a[2] * b[1];
-    ret[1] = a[2] * b[0] - a[0] * b[2];
-    ret[2] = a[0] * b[1] - a[1] * b[0];
-}
-
 /* Whether the vector could be brought to length 1. */
 static int make_unit(double a[3])
 {
-    const double length = sqrt(dot_product(a, a));
+    const double length = sqrt(gsn_dot3(a, a));
 
     if (!isfinite(length) || !(length > 0.0))
         return 0;
@@ -62,11 +51,11 @@ static int find_axes(const struct gsn_view *view, struct gsn_camera *camera)
     }
     if (!make_unit(camera->into) || !make_unit(up))
         return 0;
-    cross_product(camera->into, up, camera->right);
+    gsn_cross3(camera->into, up, camera->right);
     /* Nearly parallel to the view, up says nothing that survives rounding. */
-    if (dot_product(camera->right, camera->right) < 1e-12 || !make_unit(camera->right))
+    if (gsn_dot3(camera->right, camera->right) < 1e-12 || !make_unit(camera->right))
         return 0;
-    cross_product(camera->into, camera->right, camera->down);
+    gsn_cross3(camera->into, camera->right, camera->down);
     return 1;
 }
 
@@ -75,13 +64,13 @@ void gsn_camera_project(const struct gsn_camera *camera, const double point[3], 
 {
     const double away[3] = { point[0] - camera->centre[0], point[1] - camera->centre[1],
                              point[2] - camera->centre[2] };
-    const double depth = dot_product(away, camera->into);
+    const double depth = gsn_dot3(away, camera->into);
     double scale = camera->px_per_um;
 
     if (camera->eye_um > 0.0)
         scale *= camera->eye_um / (camera->eye_um + depth);
-    ret_pixel[0] = 0.5 * camera->width + scale * dot_product(away, camera->right);
-    ret_pixel[1] = 0.5 * camera->height + scale * dot_product(away, camera->down);
+    ret_pixel[0] = 0.5 * camera->width + scale * gsn_dot3(away, camera->right);
+    ret_pixel[1] = 0.5 * camera->height + scale * gsn_dot3(away, camera->down);
     *ret_depth = depth;
 }
 
@@ -97,8 +86,8 @@ static double centre_camera(const struct gsn_tets *mesh, struct gsn_camera *came
         double low = INFINITY, high = -INFINITY;
 
         for (size_t v = 0; v < mesh->vertex_count; v++) {
-            low = fmin(low, dot_product(mesh->vertex[v], axis[k]));
-            high = fmax(high, dot_product(mesh->vertex[v], axis[k]));
+            low = fmin(low, gsn_dot3(mesh->vertex[v], axis[k]));
+            high = fmax(high, gsn_dot3(mesh->vertex[v], axis[k]));
         }
         for (int a = 0; a < 3; a++)
             camera->centre[a] += 0.5 * (low + high) * axis[k][a];
@@ -108,7 +97,7 @@ static double centre_camera(const struct gsn_tets *mesh, struct gsn_camera *came
                                  mesh->vertex[v][1] - camera->centre[1],
                                  mesh->vertex[v][2] - camera->centre[2] };
 
-        radius2 = fmax(radius2, dot_product(away, away));
+        radius2 = fmax(radius2, gsn_dot3(away, away));
     }
     return sqrt(radius2);
 }
@@ -188,8 +177,9 @@ static unsigned convex_hull(double (*point)[2], unsigned count, double (*ret_hul
     return size;
 }
 
-void gsn_shadow_make(const struct gsn_dms *space, size_t tet, const struct gsn_camera *camera,
-                     struct gsn_shadow *ret_shadow)
+/* The camera is orthographic. */
+static void make_shadow(const struct gsn_dms *space, size_t tet, const struct gsn_camera *camera,
+                        struct gsn_shadow *ret_shadow)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
     const double(*knot)[3] = gsn_dms_knots(space);
@@ -340,7 +330,7 @@ int gsn_projection(const struct gsn_spline *spline, const struct gsn_view *view,
     if (!shadow)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", count);
     for (size_t t = 0; t < count; t++)
-        gsn_shadow_make(space, t, &camera, &shadow[t]);
+        make_shadow(space, t, &camera, &shadow[t]);
     projecting.shadow = shadow;
     projecting.plane = plane;
     r = project_rows(&projecting, threads, progress, err);

@@ -21,10 +21,6 @@ struct gsn_shadow {
     double top, bottom;
 };
 
-/* The camera is orthographic. */
-void gsn_shadow_make(const struct gsn_dms *space, size_t tet, const struct gsn_camera *camera,
-                     struct gsn_shadow *ret_shadow);
-
 /* The pixels [*ret_first, *ret_end) of a row whose centres the shadow covers, generous by rounding;
  * none: first = end. */
 void gsn_shadow_span(const struct gsn_shadow *shadow, uint32_t row, uint32_t width,

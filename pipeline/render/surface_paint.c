@@ -1,4 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/core/geom.h"
 #include "pipeline/render/isosurface.h"
 
 #include <math.h>
@@ -40,11 +41,6 @@ struct painting {
     int x, y;
 };
 
-static double dot_product(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 static struct corner project_vertex(const struct painting *painting, size_t v)
 {
     const struct gsn_camera *camera = painting->camera;
@@ -59,7 +55,7 @@ static struct corner project_vertex(const struct painting *painting, size_t v)
     corner.y = (float)(pixel[1] * SAMPLES);
     corner.depth = (float)(camera->eye_um > 0.0 ? -1.0 / (camera->eye_um + depth) : depth);
     for (int a = 0; a < 3; a++)
-        corner.normal[a] = (float)dot_product(normal, axis[a]);
+        corner.normal[a] = (float)gsn_dot3(normal, axis[a]);
     return corner;
 }
 
@@ -108,16 +104,16 @@ static void shade_sample(const struct sample *sample, struct gsn_colour colour, 
     const double base[3] = { colour.r, colour.g, colour.b };
     double n[3] = { (double)sample->normal[0], (double)sample->normal[1],
                     (double)sample->normal[2] };
-    const double length = sqrt(dot_product(n, n)), turn = n[2] > 0.0 ? -1.0 : 1.0;
+    const double length = sqrt(gsn_dot3(n, n)), turn = n[2] > 0.0 ? -1.0 : 1.0;
     const double half[3] = { to_light[0], to_light[1], to_light[2] - 1.0 };
     double diffuse, shine, fill;
 
     for (int a = 0; a < 3; a++)
         n[a] *= turn / fmax(1e-12, length);
-    diffuse = fmax(0.0, dot_product(n, to_light));
+    diffuse = fmax(0.0, gsn_dot3(n, to_light));
     /* A weak light from below right keeps the dark side readable. */
     fill = fmax(0.0, 0.6 * n[0] + 0.5 * n[1] - 0.62 * n[2]);
-    shine = pow(fmax(0.0, dot_product(n, half) / sqrt(dot_product(half, half))), 40.0);
+    shine = pow(fmax(0.0, gsn_dot3(n, half) / sqrt(gsn_dot3(half, half))), 40.0);
     for (int a = 0; a < 3; a++)
         ret_rgb[a] = fmin(255.0, base[a] * (0.30 + 0.66 * diffuse + 0.14 * fill) + 52.0 * shine);
 }
@@ -188,7 +184,7 @@ static void face_normal(const struct gsn_tets *mesh, size_t tet, int opposite, d
         ret[a] =
             (p[1][m] - p[0][m]) * (p[2][n] - p[0][n]) - (p[1][n] - p[0][n]) * (p[2][m] - p[0][m]);
     }
-    length = sqrt(dot_product(ret, ret));
+    length = sqrt(gsn_dot3(ret, ret));
     if ((apex[0] - p[0][0]) * ret[0] + (apex[1] - p[0][1]) * ret[1] + (apex[2] - p[0][2]) * ret[2] >
         0.0)
         length = -length;
@@ -243,7 +239,7 @@ static void draw_outline(const struct painting *painting, const struct gsn_tets 
                 double a[2], b[2], depth;
 
                 turn_around(mesh, t, k, u, v, there);
-                if (dot_product(here, there) > 0.9)
+                if (gsn_dot3(here, there) > 0.9)
                     continue;
                 gsn_camera_project(painting->camera, mesh->vertex[u], a, &depth);
                 gsn_camera_project(painting->camera, mesh->vertex[v], b, &depth);

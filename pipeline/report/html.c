@@ -10,11 +10,6 @@
 #include "pipeline/report/chart.h"
 #include "pipeline/report/words.h"
 
-static int has_text(const char *said)
-{
-    return said && *said;
-}
-
 void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
                     const char *said)
 {
@@ -87,7 +82,7 @@ int gsn_html_head(struct gsn_report_text *text, const char *name, const char *ki
 
 static void add_id(struct gsn_report_text *text, const char *name, const char *value)
 {
-    if (!has_text(value))
+    if (!gsn_html_is_said(value))
         return;
     gsn_report_text_print(text, "<li>%s <b>", name);
     gsn_report_text_escape(text, value);
@@ -146,7 +141,7 @@ static void add_verdict(struct gsn_report_text *text, const struct gsn_report *r
 
     gsn_report_text_print(text, "<div class=\"verdict %s\"><p class=\"state\">%s</p>",
                           style[report->verdict], said[report->verdict]);
-    if (has_text(report->verdict_reason)) {
+    if (gsn_html_is_said(report->verdict_reason)) {
         gsn_report_text_raw(text, "<p>");
         gsn_report_text_escape(text, report->verdict_reason);
         gsn_report_text_raw(text, "</p>");
@@ -216,8 +211,8 @@ static void add_loss(struct gsn_report_text *text, const struct gsn_report *repo
                             "difference of the two densities.</p>\n");
     } else {
         gsn_report_text_raw(text, "<p class=\"big word\">withheld</p>\n<p>");
-        gsn_report_text_escape(text, has_text(report->loss_reason) ? report->loss_reason
-                                                                   : "No reason given.");
+        gsn_report_text_escape(text, gsn_html_is_said(report->loss_reason) ? report->loss_reason
+                                                                           : "No reason given.");
         gsn_report_text_raw(text, "</p>\n");
     }
     gsn_report_text_raw(text, "</div>\n");
@@ -232,7 +227,7 @@ static void add_density(struct gsn_report_text *text, const struct gsn_report *r
                         "</p>\n<p class=\"big\">");
     gsn_report_text_number(text, report->region.mean_density, 3);
     gsn_report_text_raw(text, "</p>\n<p class=\"soft\">");
-    gsn_report_text_escape(text, has_text(report->loss_reason)
+    gsn_report_text_escape(text, gsn_html_is_said(report->loss_reason)
                                      ? report->loss_reason
                                      : "No baseline is named, so there is no loss to report.");
     gsn_report_text_raw(text, "</p></div>\n</div>\n");
@@ -308,7 +303,7 @@ static void add_cards(struct gsn_report_text *text, const struct gsn_report *rep
         gsn_report_text_raw(text, " (white, detail, dye vectors; not the strength of the stain); ");
     }
     gsn_report_text_escape(text, report->density_name);
-    if (has_text(report->density_version)) {
+    if (gsn_html_is_said(report->density_version)) {
         gsn_report_text_raw(text, ", ");
         gsn_report_text_escape(text, report->density_version);
     }
@@ -346,7 +341,7 @@ static void add_summary(struct gsn_report_text *text, const struct gsn_report *r
     add_verdict(text, report);
     if (report->tile)
         add_area(text, report);
-    else if (has_text(report->baseline))
+    else if (gsn_html_is_said(report->baseline))
         add_loss(text, report);
     else
         add_density(text, report);

@@ -21,6 +21,12 @@ extern const size_t gsn_html_style_size;
 int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
                   struct gsn_error *err);
 
+/* Whether there is a text to show. */
+static inline int gsn_html_is_said(const char *text)
+{
+    return text && *text;
+}
+
 /* <img> with the picture as a data: URI. */
 void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
                     const char *said);

@@ -13,11 +13,6 @@
 
 /* --- choices and decisions --- */
 
-static int is_said(const char *text)
-{
-    return text && *text;
-}
-
 int gsn_html_has_choices(const struct gsn_report *report)
 {
     for (size_t i = 0; i < report->section_count; i++)
@@ -79,7 +74,7 @@ static void add_section(struct gsn_report_text *text, const struct gsn_report *r
         if (report->sections[i].serial + 1 == section->compared_with)
             gsn_report_text_print(text, "The blue line is the outline of section %u.%u. ",
                                   report->sections[i].panel, report->sections[i].slot + 1);
-    if (is_said(section->command)) {
+    if (gsn_html_is_said(section->command)) {
         gsn_report_text_raw(text, "To choose: <code>");
         gsn_report_text_escape(text, section->command);
         gsn_report_text_raw(text, " <i>number</i></code>");
@@ -129,8 +124,8 @@ void gsn_html_decisions(struct gsn_report_text *text, const struct gsn_report *r
         add_cell(text, d->answer);
         add_cell(text, d->actor);
         add_cell(text, d->time);
-        add_cell(text, is_said(d->reason) ? d->reason : "\xE2\x80\x93");
-        add_cell(text, is_said(d->effect) ? d->effect : "\xE2\x80\x93");
+        add_cell(text, gsn_html_is_said(d->reason) ? d->reason : "\xE2\x80\x93");
+        add_cell(text, gsn_html_is_said(d->effect) ? d->effect : "\xE2\x80\x93");
         gsn_report_text_raw(text, "</tr>\n");
     }
     gsn_report_text_raw(text, "</tbody></table></div></section>\n");

@@ -43,9 +43,6 @@ static const double FULL = 0.7, LONGEST = 2;
 /* A printed code is as dark in one cell as it is pale in the next. */
 static const double MOTTLED = 0.35;
 
-/* Patches are alike in area within this factor. */
-static const double SAME_AREA = 1.6;
-
 /* Of a patch on each side: its rim is smeared, and the scan blurs it. */
 static const double RIM = 0.2;
 
@@ -121,6 +118,11 @@ static int is_patch(const struct field *field, const struct gsn_component *piece
            !is_mottled(field->total, piece);
 }
 
+static int are_alike(double a, double b)
+{
+    return a <= GSN_PANEL_SAME_AREA * b && b <= GSN_PANEL_SAME_AREA * a;
+}
+
 /* How many pieces have about the area of this one. */
 static size_t count_alike(const struct gsn_component *piece, size_t count, size_t own)
 {
@@ -128,8 +130,7 @@ static size_t count_alike(const struct gsn_component *piece, size_t count, size_
     size_t sum = 0;
 
     for (size_t i = 0; i < count; i++)
-        sum +=
-            (double)piece[i].area <= SAME_AREA * area && area <= SAME_AREA * (double)piece[i].area;
+        sum += are_alike((double)piece[i].area, area) ? 1 : 0;
     return sum;
 }
 
@@ -148,7 +149,7 @@ static void keep_alike(struct field *field)
     for (size_t i = 0; i < field->count; i++) {
         const struct gsn_component piece = field->piece[i];
 
-        if ((double)piece.area <= SAME_AREA * area && area <= SAME_AREA * (double)piece.area)
+        if (are_alike((double)piece.area, area))
             field->piece[kept++] = piece;
     }
     field->count = kept;
@@ -275,9 +276,6 @@ static int find_patches(const struct gsn_scan *scan, const struct gsn_protocol_c
 
 static const double MOST_CLIPPED = 0.01, MOST_OVEREXPOSED = 0.05;
 
-/* Of the white of a panel: test_glass finds it within a tenth of a percent. */
-static const double WHITE_ERROR_OD = 0.0005;
-
 /* Codes, of 255, that the colour of an even patch is off by at the qualities that scanners use:
  * steps of its mean brightness and of its mean two colours, turned into R, G and B. */
 static const double JPEG_CODES = 0.5;
@@ -369,7 +367,7 @@ static void fill_floor(const struct gsn_scan *scan, const struct gsn_pixel_box *
         const double moved =
             gsn_light_of_sample(scan->glass.light, (unsigned)(65535 * fmin(more, 1)), 16);
 
-        patch->floor_od[c] = hypot(WHITE_ERROR_OD, rounded > 0 ? log10(moved / light) : 0);
+        patch->floor_od[c] = hypot(GSN_WHITE_ERROR_OD, rounded > 0 ? log10(moved / light) : 0);
     }
 }
 

@@ -12,6 +12,9 @@
 /* Cells of this size are a quarter of the thinnest ligament; the root is looked for in such. */
 #define GSN_COARSE_UM 32.0
 
+/* A lesion does not end where the region does: nothing nearer to it is compared. */
+#define GSN_SURROUNDINGS_UM 300.0
+
 struct gsn_coarse_grid {
     struct gsn_grid *density; /* mean over the cell's tissue; NaN: not seen, or glass in it */
     struct gsn_grid *tissue;  /* share of the cell's seen pixels that is tissue; NaN: not seen */

@@ -6,7 +6,7 @@
  * is found by its shape (stain/tissue_segmentation.h). Each column is dense, loose, dentine or
  * neither by its share of the density of bone.
  * 2. Columns count that lie two from the border of their tissue and, but for dentine, more than
- *    SURROUNDINGS_UM from the region; of these the half that is farther off.
+ *    GSN_SURROUNDINGS_UM from the region; of these the half that is farther off.
  * 3. Sections give one value each, panels the median of theirs; the three tissues are brought to
  * the height of the region (stain/normalisation.h).
  * 4. What errors of the dye vectors leave open beside these tissues (stain/error_propagation.h): by
@@ -43,14 +43,6 @@ struct tissue_field {
 };
 
 /* ---- which tissue each column is ------------------------------------------------------------ */
-
-/* As the root is told (stain/tissue_segmentation.c): what is less than this of the red of bone is
- * loose tissue, what is more is bone. */
-static const double LEAST_OF_BONE = 0.35, MOST_OF_BONE = 0.82;
-
-/* A lesion does not end where the region does: nothing nearer is looked at, and of what is left the
- * half that is farther off. */
-static const double SURROUNDINGS_UM = 300;
 
 /* Columns from the border of a tissue: what is blurred over it is neither. */
 enum { RIM = 2, LEAST_COLUMNS = 50 };
@@ -145,10 +137,10 @@ static int find_root(const struct gsn_coarse_grid *columns, struct gsn_mask **re
 static uint8_t kind_of(double value, double bone, int in_root, double border)
 {
     if (in_root)
-        return value > border && value < MOST_OF_BONE * bone ? 1 + GSN_CONTROL_DENTINE : 0;
-    if (value >= MOST_OF_BONE * bone)
+        return value > border && value < GSN_MOST_OF_BONE * bone ? 1 + GSN_CONTROL_DENTINE : 0;
+    if (value >= GSN_MOST_OF_BONE * bone)
         return 1 + GSN_CONTROL_DENSE;
-    return value <= LEAST_OF_BONE * bone ? 1 + GSN_CONTROL_LOOSE : 0;
+    return value <= GSN_LEAST_OF_BONE * bone ? 1 + GSN_CONTROL_LOOSE : 0;
 }
 
 static void tell_kinds(struct tissue_field *f, const struct gsn_mask *root,
@@ -182,7 +174,7 @@ static int is_untreated(const struct tissue_field *f, const struct gsn_mask *reg
 {
     if (kind == 1 + GSN_CONTROL_DENTINE)
         return !gsn_mask_has(region, gsn_lattice_centre(&f->at, x, y, z));
-    return f->away->value[y * f->at.nx + x] > (float)SURROUNDINGS_UM;
+    return f->away->value[y * f->at.nx + x] > (float)GSN_SURROUNDINGS_UM;
 }
 
 /* Lists the tissue's columns in one section; returns how many. */

@@ -101,9 +101,6 @@ enum { THUMBNAIL_PX = 132 };
  * it is the darkest that is missing. */
 static const double TOLD_CLIPPED = 0.01, MOST_CLIPPED = 0.2;
 
-/* Of the white of a panel: test_glass finds it within a tenth of a percent. */
-static const double WHITE_ERROR_OD = 0.0005;
-
 /* One panel while its sections are laid into the stack. */
 struct panel_work {
     const struct gsn_specimen *specimen;
@@ -340,7 +337,7 @@ static int judge_vectors(const struct gsn_scan *scan, struct gsn_stack_panel *pa
     r = gsn_collagen_mean(scan->od, NULL, &fit->dyes, &red, err);
     if (r < 0)
         return r;
-    panel->red_error = gsn_collagen_mean_error(&red, fit, WHITE_ERROR_OD);
+    panel->red_error = gsn_collagen_mean_error(&red, fit, GSN_WHITE_ERROR_OD);
     return GSN_OK;
 }
 

@@ -332,9 +332,6 @@ static int divide_by_gains(const struct gsn_specimen *specimen, const struct gsn
  * the same tissue. Three sections a side: fewer are at the mercy of one, more drift apart. */
 enum { CELL_COLUMNS = 4, SIDE = 3 };
 
-/* A lesion does not end where the region does. */
-static const double SURROUNDINGS_UM = 300;
-
 /* ---- cells --------------------------------------------------------------------------------- */
 
 /* What is compared: cells of whole columns, and the panel of every plane. */
@@ -410,7 +407,7 @@ static int find_footprint(const struct gsn_specimen *specimen, const struct gsn_
     int r;
 
     if (region)
-        return gsn_coarse_grid_footprint(region, at, SURROUNDINGS_UM, ret_footprint, err);
+        return gsn_coarse_grid_footprint(region, at, GSN_SURROUNDINGS_UM, ret_footprint, err);
     flat.nz = 1;
     r = gsn_mask_new(&flat, &none, err);
     for (size_t i = 0; r >= 0 && i < gsn_lattice_count(&flat); i++) {
@@ -418,7 +415,7 @@ static int find_footprint(const struct gsn_specimen *specimen, const struct gsn_
 
         none->inside[i] =
             stated->radius_um > 0 && hypot(u.x - stated->centre.x, u.y - stated->centre.y) <=
-                                         stated->radius_um + SURROUNDINGS_UM;
+                                         stated->radius_um + GSN_SURROUNDINGS_UM;
     }
     if (r >= 0)
         *ret_footprint = gsn_steal(&none);

@@ -276,9 +276,6 @@ void gsn_masking_gaps(double interval_um, const struct gsn_mask *region,
 /* Dust of half a cell still darkens it. */
 static const double CELL_UM = 20;
 
-/* Around a mark, in its radii: bleached rim and blur. */
-static const double MARK_RADII = 2;
-
 static struct gsn_pixel_box box_of(const struct gsn_panel_section *seen)
 {
     return (struct gsn_pixel_box){ seen->x, seen->y, seen->width, seen->height };
@@ -358,7 +355,7 @@ static int add_dust(const struct cells_view *look, const struct gsn_pixel_box *b
             if (one->found)
                 mark[count++] = (struct gsn_artefact_disc){
                     .px = { one->px.x / look->side, one->px.y / look->side },
-                    .radius_px = MARK_RADII * one->radius_px / look->side
+                    .radius_px = HALO_RADII * one->radius_px / look->side
                 };
         }
     return gsn_dust_add(look->densities->dust, look->od, look->scan->px_um * look->side,

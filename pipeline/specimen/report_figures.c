@@ -12,6 +12,7 @@
 #include "pipeline/register/stack/gap_interpolation.h"
 #include "pipeline/specimen/section_order.h"
 #include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/stain_sample.h"
 #include "pipeline/stain/staining_uniformity.h"
 #include "pipeline/stain/tissue_segmentation.h"
 
@@ -202,9 +203,6 @@ static void tell_origin(const struct gsn_tile *t, const struct gsn_protocol *p,
                               t->fit.deviation_deg[0]));
 }
 
-/* From here on a slide of sections would be refused (gsn_stain_fits()). */
-static const double UNLIKE_DEG = 8;
-
 static void warn_of_tile(const struct gsn_tile *t, const struct gsn_protocol *p,
                          struct gsn_builder *d)
 {
@@ -219,7 +217,7 @@ static void warn_of_tile(const struct gsn_tile *t, const struct gsn_protocol *p,
                                t->light_assumed ? " samples are coded as sRGB" : "",
                                t->light_assumed && table ? ";" : "",
                                table ? " the dyes are those of the built-in table" : ""));
-    if (table && t->fit.apart_deg > UNLIKE_DEG)
+    if (table && t->fit.apart_deg > GSN_STAIN_APART_DEG)
         gsn_builder_warn(
             d,
             gsn_builder_say(d,

@@ -28,8 +28,6 @@
 #include <stdio.h>
 #include <string.h>
 
-#define RAD (M_PI / 180)
-
 /* Below it an error of the white of a thousandth turns a vector by half a degree. */
 static const double PALEST_OD = 0.12;
 /* Cells of one dye share a hue; noise and grain of a scan turn them by less than a degree. */
@@ -37,8 +35,6 @@ static const double UNEVEN_DEG = 3;
 /* Another maker's dye or another rinse turns a vector by 5 degrees to a side, a mixture of red and
  * yellow in equal parts by 13. The dark dye may be another counterstain: haematoxylin is 28 off. */
 static const double ASTRAY_DEG = 12;
-/* Vectors of one dye seen twice lie nearer than that. */
-static const double ALIKE_DEG = 6;
 /* Standards that do not follow a line: a patch is in the wrong place, or the scan is clipped. */
 static const double BENT = 0.08;
 /* Cells further from their patch's median than so many deviations are dust or a scratch. */
@@ -51,7 +47,7 @@ static const char *const NAMES[] = { "red", "yellow", "dark" };
 /* Degrees; of any lengths. */
 static double angle_between(const double a[3], const double b[3])
 {
-    return acos(fmin(gsn_dot3(a, b) / sqrt(gsn_dot3(a, a) * gsn_dot3(b, b)), 1)) / RAD;
+    return acos(fmin(gsn_dot3(a, b) / sqrt(gsn_dot3(a, a) * gsn_dot3(b, b)), 1)) / GSN_RADIANS;
 }
 
 static double *vector_of(struct gsn_dyes *dyes, int dye)
@@ -268,7 +264,7 @@ static int check_alike(const struct gsn_patch *const first[3], const struct gsn_
         const int other = (k + 1) % 3;
         const double apart = angle_between(vector_of(&copy, k), vector_of(&copy, other));
 
-        if (first[k] && first[other] && !(apart > ALIKE_DEG))
+        if (first[k] && first[other] && !(apart > GSN_DYES_APART_DEG))
             return gsn_fail(err, GSN_E_STAIN,
                             "the patches of %s and %s show one dye (they are %.1f degrees apart): "
                             "the same dye twice",
@@ -352,7 +348,7 @@ int gsn_calibration_dyes(const struct gsn_patch *patches, size_t count,
         for (int a = 0; a < 2; a++)
             for (int b = 0; b < 2; b++)
                 fit.covariance[2 * k + a][2 * k + b] = own[a][b];
-        fit.deviation_deg[k] = sqrt(own[0][0] + own[1][1]) / RAD;
+        fit.deviation_deg[k] = sqrt(own[0][0] + own[1][1]) / GSN_RADIANS;
         fit.moved_deg[k] = angle_between(vector_of(&before, k), vector_of(&fit.dyes, k));
         fit.pixels += pull.count;
     }
@@ -461,7 +457,7 @@ struct gsn_dyes_apart gsn_dyes_compare(const struct gsn_dyes_fit *calibrated,
         }
         det = c[0][0] * c[1][1] - c[0][1] * c[1][0];
         apart.deg[k] = angle_between(vector_of(&from, k), vector_of(&to, k));
-        apart.expected[k] = sqrt(c[0][0] + c[1][1]) / RAD;
+        apart.expected[k] = sqrt(c[0][0] + c[1][1]) / GSN_RADIANS;
         apart.disagree[k] =
             c[1][1] * d[0] * d[0] - 2 * c[0][1] * d[0] * d[1] + c[0][0] * d[1] * d[1] >
             DISAGREEING * det;

@@ -45,6 +45,9 @@ struct gsn_flat_field {
     double overexposed; /* share of the glass pixels with a channel at its highest code */
 };
 
+/* What the white of a panel is off by, optical density: a tenth of a per cent of its light. */
+#define GSN_WHITE_ERROR_OD 0.0005
+
 /* Finds the blank glass by itself and fits the surface to it, robustly: tissue, labels, marks and
  * pen do not pull it. borrows: an RGB image.
  * Fails with GSN_E_STAIN when less than 15 % of the picture is blank glass (the sentence names the

@@ -119,6 +119,9 @@ enum { LEAST_CELLS = 100, LEAST_LINES = 4, MOST_ROUNDS = 30 };
  */
 static const double LEAST_CONTRAST = 0.05;
 
+/* Rounding and JPEG leave a thousandth between any two pictures. */
+static const double LEAST_VARIANCE = 1e-6;
+
 struct moments {
     double x, y, xx, yy, xy;
 };
@@ -233,9 +236,8 @@ static void learn_drift(const struct gsn_gain_line *within, size_t lines, struct
         fit->covariance[k] = square[k] / (n - 1);
         fit->drift_covariance[k] = square[k] / (n - 1) / lags;
     }
-    /* Rounding and JPEG leave a thousandth between any two pictures. */
-    fit->covariance[0] += 1e-6;
-    fit->covariance[2] += 1e-6;
+    fit->covariance[0] += LEAST_VARIANCE;
+    fit->covariance[2] += LEAST_VARIANCE;
 }
 
 /* A step in units of its error, squared. */
@@ -378,9 +380,6 @@ enum { LEAST_FREE = 4 };
 
 /* A median's variance against a mean's. */
 static const double MEDIAN = 1.57;
-
-/* Rounding and JPEG leave a thousandth between any two pictures. */
-static const double LEAST_VARIANCE = 1e-6;
 
 /* What all panels say of one tissue. */
 struct tissue {

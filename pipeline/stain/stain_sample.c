@@ -13,6 +13,7 @@
  * 1000 stained pixels, without picric acid's yellow or without acid fuchsin's red is refused. */
 #include "pipeline/stain/stain_sample.h"
 
+#include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/core/robust.h"
 #include "pipeline/stain/optical_density.h"
@@ -153,8 +154,6 @@ int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *cons
 
 /* ---- the look of a slide ----------------------------------------------------------------- */
 
-static const double MOST_APART_DEG = 8;
-
 /* Picric acid absorbs blue 2.7 times as much as green, and half as yellow is a pixel that it fills.
  * Acid fuchsin absorbs green more than red by three tenths of all that it absorbs, haematoxylin and
  * picric acid by a twentieth at most; so what a pixel holds of it shows under any amount of yellow.
@@ -165,15 +164,10 @@ static const double YELLOW = 1.5, RED = 0.12;
  * haematoxylin and eosin's 0.01 at most. */
 static const double LEAST_SHARE = 0.02;
 
-static double length_of(const double v[3])
-{
-    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-}
-
 /* The angle between a density and the nearest mixture. */
 static double apart_deg(const struct gsn_unmixer *mix, const double od[3])
 {
-    return asin(fmin(gsn_unmixer_left(mix, od) / length_of(od), 1)) * 180 / M_PI;
+    return asin(fmin(gsn_unmixer_left(mix, od) / gsn_length3(od), 1)) * 180 / M_PI;
 }
 
 static int judge_look(const struct gsn_stain_look *look, struct gsn_error *err)
@@ -210,7 +204,7 @@ int gsn_stain_look(const struct gsn_stain_sample *sample, struct gsn_stain_look 
         const float *at = sample->pixel[i].od;
         const double od[3] = { at[0], at[1], at[2] };
 
-        if (!(length_of(od) > GSN_PALE_OD))
+        if (!(gsn_length3(od) > GSN_PALE_OD))
             continue;
         look.pixels++;
         yellow += od[2] > YELLOW * od[1];
@@ -256,7 +250,7 @@ int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes 
 
     if (r < 0)
         return r;
-    if (middle > MOST_APART_DEG)
+    if (middle > GSN_STAIN_APART_DEG)
         return gsn_fail(err, GSN_E_STAIN,
                         "this does not look like Van Gieson: half of its stained pixels lie more "
                         "than %.0f degrees from every mixture of fuchsin, picric acid and "

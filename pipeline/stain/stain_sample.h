@@ -44,6 +44,9 @@ int gsn_stain_sample_add(struct gsn_stain_sample *sample, struct gsn_plane *cons
 int gsn_stain_apart(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,
                     double *ret_apart_deg, struct gsn_error *err);
 
+/* A slide farther off is of another stain. */
+#define GSN_STAIN_APART_DEG 8.0
+
 /* The same, and beyond 8 degrees the slide is refused: haematoxylin and eosin come to 11.
  * Fails with GSN_E_STAIN; the sentence gives the figure. GSN_E_NOMEM. */
 int gsn_stain_fits(const struct gsn_stain_sample *sample, const struct gsn_dyes *dyes,

@@ -19,8 +19,6 @@
 #include <math.h>
 #include <string.h>
 
-#define RAD (M_PI / 180)
-
 /* A named set of vectors, and how far a bath's may lie from it. */
 struct named {
     struct gsn_dyes dyes;
@@ -133,7 +131,7 @@ int gsn_dyes_invert(const struct gsn_dyes *dyes, const double turn[GSN_DYE_ROTAT
 
 double gsn_dyes_angle_deg(const double a[3], const double b[3])
 {
-    return acos(fmin(gsn_dot3(a, b), 1)) / RAD;
+    return acos(fmin(gsn_dot3(a, b), 1)) / GSN_RADIANS;
 }
 
 void gsn_dyes_describe(const struct gsn_dyes_prior *prior, struct gsn_dyes_fit *fit)
@@ -145,7 +143,7 @@ void gsn_dyes_describe(const struct gsn_dyes_prior *prior, struct gsn_dyes_fit *
     fit->moved_deg[2] = gsn_dyes_angle_deg(a->dark, b->dark);
     for (int k = 0; k < 3; k++)
         fit->deviation_deg[k] =
-            sqrt(fit->covariance[2 * k][2 * k] + fit->covariance[2 * k + 1][2 * k + 1]) / RAD;
+            sqrt(fit->covariance[2 * k][2 * k] + fit->covariance[2 * k + 1][2 * k + 1]) / GSN_RADIANS;
 }
 
 struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior)
@@ -154,7 +152,7 @@ struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior)
 
     for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         fit.covariance[m][m] =
-            prior->deviation_deg[m / 2] * RAD * prior->deviation_deg[m / 2] * RAD;
+            prior->deviation_deg[m / 2] * GSN_RADIANS * prior->deviation_deg[m / 2] * GSN_RADIANS;
     gsn_dyes_describe(prior, &fit);
     return fit;
 }

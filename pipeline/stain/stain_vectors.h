@@ -14,6 +14,9 @@
 extern "C" {
 #endif
 
+/* A degree. */
+#define GSN_RADIANS (M_PI / 180)
+
 /* Three dyes by their optical density in R, G and B. Vectors have length 1, no negative entry.
  *
  * They are named data: they belong to a stain batch and to one meaning of the samples. */
@@ -55,6 +58,9 @@ struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior);
 
 /* Fills deviation_deg from the covariance and moved_deg from the vectors. */
 void gsn_dyes_describe(const struct gsn_dyes_prior *prior, struct gsn_dyes_fit *fit);
+
+/* Vectors of one dye seen twice lie nearer than this. */
+#define GSN_DYES_APART_DEG 6.0
 
 /* Degrees between two vectors of length 1. */
 double gsn_dyes_angle_deg(const double a[3], const double b[3]);

@@ -365,10 +365,6 @@ static int fill_sections(struct body *b, struct gsn_error *err)
 
 /* ---- the component tree ------------------------------------------------------------------ */
 
-/* Of the red of bone: below it there is loose tissue, above it bone. */
-#define LEAST_OF_BONE 0.35
-#define MOST_OF_BONE 0.82
-
 enum { COMPONENTS = 192 };
 
 /* A body that stands alone among what is denser than a level. */
@@ -418,7 +414,7 @@ static void join_components(struct tree *t, uint32_t a, uint32_t b)
 static int level_of(const struct body *b, size_t i, double bone)
 {
     const double share = b->least[i] / bone;
-    const double at = (MOST_OF_BONE - share) / (MOST_OF_BONE - LEAST_OF_BONE) * LEVELS;
+    const double at = (GSN_MOST_OF_BONE - share) / (GSN_MOST_OF_BONE - GSN_LEAST_OF_BONE) * LEVELS;
 
     return at < 0 ? 0 : at >= LEVELS ? LEVELS : (int)at;
 }
@@ -470,7 +466,7 @@ static void list_candidates(const struct body *b, const struct tree *t, size_t t
         const uint32_t i = b->list[k];
 
         if (t->up[i] == i && t->voxels[i] * voxel >= LEAST_CORE_UM3 &&
-            t->sum[i] < MOST_OF_BONE * bone * t->voxels[i])
+            t->sum[i] < GSN_MOST_OF_BONE * bone * t->voxels[i])
             note_candidate(
                 best, &(struct component){ .above = above, .voxels = t->voxels[i], .voxel = i });
     }
@@ -509,7 +505,7 @@ static int list_components(struct body *b, double bone, struct component ret_fou
     sort_voxels(b, bone, begins);
     for (size_t k = 0; k < LEVELS; k++) {
         const double share =
-            MOST_OF_BONE - (MOST_OF_BONE - LEAST_OF_BONE) * (double)(k + 1) / LEVELS;
+            GSN_MOST_OF_BONE - (GSN_MOST_OF_BONE - GSN_LEAST_OF_BONE) * (double)(k + 1) / LEVELS;
 
         lower_level(b, &t, begins[k], begins[k + 1]);
         list_candidates(b, &t, begins[k + 1], share * bone, bone, &ret_found[k * PER_LEVEL]);
@@ -610,7 +606,7 @@ static int find_core(struct body *b, const struct component *found, struct work 
         size_t grown;
         int r;
 
-        if (!(dentine < MOST_OF_BONE * levels->bone))
+        if (!(dentine < GSN_MOST_OF_BONE * levels->bone))
             continue;
         (void)grow_set(b, 0, 1, &grown); /* back to where the level was */
         r = fill_sections(b, err);
@@ -692,7 +688,7 @@ static int flood_root(struct body *b, const struct gsn_tissue_levels *levels, st
                       struct gsn_error *err)
 {
     struct flood f = { .b = b, .whose = w->keep, .next = w->next, .most = levels->bone };
-    const double bone = fmax(levels->border, MOST_OF_BONE * levels->bone);
+    const double bone = fmax(levels->border, GSN_MOST_OF_BONE * levels->bone);
     int r;
 
     for (size_t i = 0; i < b->count; i++)

@@ -30,6 +30,10 @@ enum gsn_tissue_kind {
 /* "root", "bone", "tissue". */
 const char *gsn_tissue_name(enum gsn_tissue_kind tissue);
 
+/* Of the red of bone: what has less is loose tissue, what has more is bone. */
+#define GSN_LEAST_OF_BONE 0.35
+#define GSN_MOST_OF_BONE 0.82
+
 struct gsn_tissue_levels {
     double bone, dentine; /* densities; dentine is 0 where there is no root */
     double border;        /* what is above it belongs to the tissue that was looked for */

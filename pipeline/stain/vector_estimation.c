@@ -25,10 +25,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#define RAD (M_PI / 180)
-#define LONGEST_STEP (3 * RAD)
-#define SETTLED (0.03 * RAD)
-#define LEAST_APART_DEG 6.0 /* vectors of one dye seen twice lie nearer than that */
+#define LONGEST_STEP (3 * GSN_RADIANS)
+#define SETTLED (0.03 * GSN_RADIANS)
 
 enum { ROUNDS = 30, REFITS = 3, HALVINGS = 6, MOST_PIXELS = 4000 };
 
@@ -253,7 +251,7 @@ static int check_apart(const struct gsn_dyes *dyes, struct gsn_error *err)
     for (int k = 0; k < 3; k++) {
         const double apart = gsn_dyes_angle_deg(v[k], v[(k + 1) % 3]);
 
-        if (!(apart > LEAST_APART_DEG))
+        if (!(apart > GSN_DYES_APART_DEG))
             return gsn_fail(err, GSN_E_STAIN,
                             "the %s and the %s dye of this slide come out only %.1f degrees apart: "
                             "it shows one of them twice",
@@ -331,6 +329,6 @@ int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dy
     search.weight = fmin(1, INDEPENDENT / (double)few->count);
     for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
         search.precision[m] =
-            1 / (prior->deviation_deg[m / 2] * RAD * prior->deviation_deg[m / 2] * RAD);
+            1 / (prior->deviation_deg[m / 2] * GSN_RADIANS * prior->deviation_deg[m / 2] * GSN_RADIANS);
     return fit_turns(&search, prior, ret_fit, err);
 }

@@ -32,6 +32,7 @@
 #include "acquire/folder_source.h"
 #include "acquire/source.h"
 #include "acquire/spool.h"
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/process.h"
 #include "storage/bench.h"
 #include "storage/catalog.h"

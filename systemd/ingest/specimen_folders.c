@@ -30,6 +30,7 @@
 #include <unistd.h>
 
 #include "acquire/source.h"
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/file.h"
 #include "pipeline/core/process.h"
 #include "systemd/service/log.h"

@@ -10,6 +10,8 @@
  * gone. */
 #include "systemd/service/heartbeat.h"
 
+#include "pipeline/core/calendar.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
@@ -31,14 +33,6 @@ struct gsn_heartbeat {
     bool has_thread;
     pthread_t thread;
 };
-
-int64_t gsn_now_ms(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
 
 static void ask_to_stop(const struct gsn_heartbeat *heartbeat)
 {

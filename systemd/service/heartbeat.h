@@ -37,7 +37,4 @@ int gsn_heartbeat_is_over(const struct gsn_heartbeat *heartbeat);
 /* Can be read once it is time to stop. */
 int gsn_heartbeat_fd(const struct gsn_heartbeat *heartbeat);
 
-/* Milliseconds of a clock that never goes back. */
-int64_t gsn_now_ms(void);
-
 #endif

@@ -27,6 +27,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/process.h"
 #include "storage/queue.h"
 #include "systemd/service/heartbeat.h"

@@ -33,6 +33,7 @@
 #include <unistd.h>
 
 #include "acquire/source.h"
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/process.h"
 #include "storage/bench.h"
 #include "systemd/service/heartbeat.h"

@@ -334,13 +334,6 @@ static int check_jobs(struct gsn_store *store, gsn_audit_found *found, void *con
 
 /* ---- what lies there and what is known ---------------------------------------------------- */
 
-static void close_folder(DIR **folder)
-{
-    if (*folder)
-        (void)closedir(*folder);
-}
-#define auto_folder __attribute__((cleanup(close_folder))) DIR *
-
 static int by_digest(const void *a, const void *b)
 {
     return strcmp(((const struct gsn_object_row *)a)->sha256,
@@ -376,7 +369,7 @@ static void check_folder_of_objects(struct gsn_store *store, const char *shelf,
                                     void *context)
 {
     struct path path;
-    auto_folder folder = opendir(put_path(&path, store, "objects", shelf, NULL));
+    gsn_auto_dir folder = opendir(put_path(&path, store, "objects", shelf, NULL));
 
     for (const struct dirent *e; folder && (e = readdir(folder));) {
         char sha256[2 + 256];
@@ -398,7 +391,7 @@ static int check_objects(struct gsn_store *store, int sizes, gsn_audit_found *fo
 {
     gsn_auto(gsn_object_rows) rows = NULL;
     struct path all;
-    auto_folder folder = opendir(put_path(&all, store, "objects", ".", NULL));
+    gsn_auto_dir folder = opendir(put_path(&all, store, "objects", ".", NULL));
     int r = gsn_object_list(store, "", INT32_MAX, &rows, err);
 
     for (size_t i = 0; r >= 0 && sizes && i < rows->count; i++) {
@@ -441,7 +434,7 @@ static void check_folders_of(struct gsn_store *store, const char *specimen,
                              const struct gsn_run_rows *runs, gsn_audit_found *found, void *context)
 {
     struct path path;
-    auto_folder folder = opendir(put_path(&path, store, "reports", specimen, NULL));
+    gsn_auto_dir folder = opendir(put_path(&path, store, "reports", specimen, NULL));
 
     for (const struct dirent *e; folder && (e = readdir(folder));) {
         (void)put_path(&path, store, "reports", specimen, e->d_name);
@@ -455,7 +448,7 @@ static int check_report_folders(struct gsn_store *store, gsn_audit_found *found,
                                 struct gsn_error *err)
 {
     struct path path;
-    auto_folder folder = opendir(put_path(&path, store, "reports", ".", NULL));
+    gsn_auto_dir folder = opendir(put_path(&path, store, "reports", ".", NULL));
     gsn_auto(gsn_run_rows) runs = NULL;
     const int r = gsn_run_list(store, 0, &runs, err);
 

@@ -46,16 +46,9 @@ static int no_memory(struct gsn_error *err)
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for a backup");
 }
 
-static void close_folder(DIR **folder)
-{
-    if (*folder)
-        (void)closedir(*folder);
-}
-#define auto_folder __attribute__((cleanup(close_folder))) DIR *
-
 static int check_empty(const char *dir, struct gsn_error *err)
 {
-    auto_folder folder = opendir(dir);
+    gsn_auto_dir folder = opendir(dir);
 
     if (!folder)
         return errno == ENOENT ? gsn_file_mkdir(dir, err)
@@ -158,7 +151,7 @@ static int copy_folder(struct backup *b, const char *relative, struct gsn_error 
 {
     gsn_auto_mem(char) from = gsn_format("%s/%s", gsn_store_dir(b->store), relative);
     gsn_auto_mem(char) to = gsn_format("%s/%s", b->dir, relative);
-    auto_folder folder = from ? opendir(from) : NULL;
+    gsn_auto_dir folder = from ? opendir(from) : NULL;
     int r = from && to ? gsn_file_mkdir(to, err) : no_memory(err);
 
     for (const struct dirent *e; r >= 0 && folder && (e = readdir(folder));) {

@@ -36,6 +36,7 @@
 #include "acquire/container.h"
 #include "acquire/source.h"
 #include "acquire/spool.h"
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/file.h"
 #include "pipeline/decode/volume.h"
 #include "pipeline/specimen/protocol.h"
@@ -640,14 +641,6 @@ static int take_item(struct import_work *in, struct gsn_source *source,
     return r < 0 ? r : gsn_source_acknowledge(source, item->item, err);
 }
 
-static int64_t now_ms(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
-
 /* all pictures of the folder become panels. Fails with GSN_E_BUSY when the folder
  * keeps changing, and as the source, the spool and the store do. */
 static int take_panels(struct import_work *in, struct gsn_error *err)
@@ -667,7 +660,7 @@ static int take_panels(struct import_work *in, struct gsn_error *err)
 
         if (look > 0)
             (void)nanosleep(&pause, NULL);
-        r = gsn_source_poll(source, now_ms(), &events, &ended, err);
+        r = gsn_source_poll(source, gsn_now_ms(), &events, &ended, err);
         for (size_t i = 0; r >= 0 && i < events->count; i++) {
             const struct gsn_source_event *event = &events->at[i];
 

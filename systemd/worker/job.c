@@ -18,6 +18,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/hash.h"
 #include "storage/queue.h"
 #include "storage/result.h"
@@ -40,18 +41,10 @@ struct teller {
 
 /* A job. */
 
-static int64_t now_ms(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
-}
-
 static void note_progress(void *context, const char *stage, size_t done, size_t total)
 {
     struct teller *teller = context;
-    const int64_t now = now_ms();
+    const int64_t now = gsn_now_ms();
     struct gsn_error quiet = { 0 };
     double eta = NAN;
 

@@ -242,7 +242,9 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
     return text;
 }
 
-char *gsn_run_parameter(const struct gsn_run_row *run, const char *name)
+/* A text of a run's parameters ("definition", "dyes", "own_key"), or "" where an older version
+ * wrote none. gives; NULL: out of memory. */
+static char *read_parameter(const struct gsn_run_row *run, const char *name)
 {
     json_t *root = json_loads(run->parameters_json, 0, NULL);
     const char *text = json_string_value(json_object_get(root, name));
@@ -283,8 +285,10 @@ static int take_bins(const json_t *from, struct gsn_cloud_panel *panel, struct g
     return GSN_OK;
 }
 
-int gsn_run_colours(const struct gsn_run_row *run, struct gsn_specimen_control *colours,
-                    struct gsn_error *err)
+/* What the colours of its tissue were: region_od, yellow and cloud, which is given; not known (NaN,
+ * NULL) where an older version told none. Fails with GSN_E_NOMEM. */
+static int read_colours(const struct gsn_run_row *run, struct gsn_specimen_control *colours,
+                        struct gsn_error *err)
 {
     json_t *root = json_loads(run->parameters_json, 0, NULL);
     const json_t *from = json_object_get(root, "colours");
@@ -407,7 +411,7 @@ static int take_control(struct gsn_job_inputs *m, const struct gsn_measure_rows 
     *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
     add_tissues(&control->tissues, b);
     add_turns(measures, b);
-    return gsn_run_colours(run, control, err);
+    return read_colours(run, control, err);
 }
 
 /* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
@@ -430,7 +434,7 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
         r = gsn_measure_list(m->store, run->id, &measures, &quiet);
     if (r < 0)
         return gsn_fail(err, r, "%s", quiet.text);
-    own_key = gsn_run_parameter(run, "own_key");
+    own_key = read_parameter(run, "own_key");
     if (!own_key || json_array_append_new(m->baseline_keys, json_string(own_key)) < 0)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
     mean = measure_named(measures, "mean_density");
@@ -449,8 +453,8 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
     if (!m->definition) {
-        m->definition = gsn_run_parameter(run, "definition");
-        m->dyes = gsn_run_parameter(run, "dyes");
+        m->definition = read_parameter(run, "definition");
+        m->dyes = read_parameter(run, "dyes");
     }
     return m->definition && m->dyes ? GSN_OK
                                     : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");

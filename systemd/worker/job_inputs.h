@@ -44,15 +44,6 @@ const char *gsn_job_inputs_own_key(const struct gsn_job_inputs *inputs);
 /* gives; NULL: out of memory. */
 char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *result);
 
-/* A text of a run's parameters ("definition", "dyes", "own_key"), or "" where an older version
- * wrote none. gives; NULL: out of memory. */
-char *gsn_run_parameter(const struct gsn_run_row *run, const char *name);
-
-/* What the colours of its tissue were: region_od, yellow and cloud, which is given; not known (NaN,
- * NULL) where an older version told none. Fails with GSN_E_NOMEM. */
-int gsn_run_colours(const struct gsn_run_row *run, struct gsn_specimen_control *colours,
-                    struct gsn_error *err);
-
 #ifdef __cplusplus
 }
 #endif

@@ -26,27 +26,6 @@ void gsn_kept_run_free(struct gsn_kept_run *kept)
     gsn_free(kept);
 }
 
-static int find_run(struct gsn_store *store, const char *name, struct gsn_run_row **ret_run,
-                    struct gsn_error *err)
-{
-    gsn_auto(gsn_specimen_row) specimen = NULL;
-    gsn_auto(gsn_run_rows) runs = NULL;
-    int64_t latest = 0;
-    int r = gsn_specimen_get(store, name, &specimen, err);
-
-    if (r >= 0)
-        r = gsn_run_list(store, specimen->id, &runs, err);
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < runs->count; i++)
-        if (runs->at[i].json_path[0])
-            latest = runs->at[i].id;
-    if (!latest)
-        return gsn_fail(err, GSN_E_NOTFOUND, "%s has no report yet: `gieson run` does the jobs",
-                        name);
-    return gsn_run_get(store, latest, ret_run, err);
-}
-
 /* gives: a file of the store that has this hash. */
 static int read_checked(struct gsn_store *store, const struct gsn_run_row *run,
                         const char *relative, const char *sha256, size_t limit, uint8_t **ret_bytes,
@@ -74,7 +53,7 @@ int gsn_kept_run_open(struct gsn_store *store, const char *specimen, struct gsn_
 
     if (!kept)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a run");
-    r = find_run(store, specimen, &kept->run, err);
+    r = gsn_run_latest_report(store, specimen, &kept->run, err);
     if (r >= 0)
         r = read_checked(store, kept->run, kept->run->json_path, kept->run->json_sha256,
                          MOST_REPORT_BYTES, &bytes, &size, err);

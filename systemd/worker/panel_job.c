@@ -215,9 +215,11 @@ static int read_answer(const struct gsn_decision_row *row, const char *sha256,
     return 1;
 }
 
-int gsn_decisions_read(const struct gsn_decision_rows *rows, int64_t number, const char *sha256,
-                       struct gsn_panel_answer **ret_answers, size_t *ret_count,
-                       struct gsn_error *err)
+/* gives: the answers about this panel's own picture, whose scan has this hash. An answer of an
+ * unknown form is passed over: a newer program may have written it. Fails with GSN_E_NOMEM. */
+static int read_decisions(const struct gsn_decision_rows *rows, int64_t number, const char *sha256,
+                          struct gsn_panel_answer **ret_answers, size_t *ret_count,
+                          struct gsn_error *err)
 {
     struct gsn_panel_answer *answers = gsn_alloc_array(rows->count, sizeof *answers);
     size_t count = 0;
@@ -232,7 +234,8 @@ int gsn_decisions_read(const struct gsn_decision_rows *rows, int64_t number, con
     return GSN_OK;
 }
 
-const char *gsn_decisions_chosen(const struct gsn_decision_rows *rows, int64_t number)
+/* The hash of the scan of this panel number that was chosen, or NULL. borrows: rows. */
+static const char *find_chosen(const struct gsn_decision_rows *rows, int64_t number)
 {
     for (size_t i = 0; i < rows->count; i++)
         if (rows->at[i].number == number && rows->at[i].slot == 0 &&
@@ -468,7 +471,7 @@ static int check_label(struct gsn_store *store, const struct gsn_specimen_row *s
 
 static int is_chosen(const struct gsn_decision_rows *decided, const struct gsn_panel_row *panel)
 {
-    const char *chosen = gsn_decisions_chosen(decided, panel->number);
+    const char *chosen = find_chosen(decided, panel->number);
 
     return chosen && strcmp(chosen, panel->sha256) == 0;
 }
@@ -476,7 +479,7 @@ static int is_chosen(const struct gsn_decision_rows *decided, const struct gsn_p
 static int check_choice(const struct gsn_decision_rows *decided, const struct gsn_panel_row *panel,
                         struct gsn_error *why)
 {
-    if (!gsn_decisions_chosen(decided, panel->number) || is_chosen(decided, panel))
+    if (!find_chosen(decided, panel->number) || is_chosen(decided, panel))
         return GSN_OK;
     return gsn_fail(why, GSN_E_WITHHELD,
                     "another scan of panel %lld was chosen; this one is kept beside it",
@@ -496,7 +499,7 @@ static int examine_picture(struct gsn_store *store, struct gsn_decoder *decoder,
     int r = gsn_object_open(store, panel->sha256, &picture_fd, err);
 
     if (r >= 0)
-        r = gsn_decisions_read(decided, panel->number, panel->sha256, &answer, &answers.count, err);
+        r = read_decisions(decided, panel->number, panel->sha256, &answer, &answers.count, err);
     answers.at = answer;
 
     if (r >= 0)

@@ -19,6 +19,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
 #include "storage/audit_log.h"
@@ -43,14 +44,6 @@ struct round {
     char after[65];                    /* the last object that was read */
     int64_t kept;                      /* seconds: when that was written down */
 };
-
-static int64_t now_s(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec;
-}
 
 /* ---- where a round stands ---------------------------------------------------------------- */
 
@@ -95,7 +88,7 @@ static int write_progress(struct round *round, struct gsn_error *err)
 
     if (!path || !text)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    round->kept = now_s();
+    round->kept = gsn_now_ms() / 1000;
     return gsn_file_write(path, text, strlen(text), err);
 }
 
@@ -222,7 +215,7 @@ static int scrub_object(struct round *round, const struct gsn_object_row *object
     else if (was_damaged(round, sha256))
         r = gsn_trouble_clear(scrub->store, SOURCE, sha256, scrub->actor, time(NULL), err);
     (void)snprintf(round->after, sizeof round->after, "%s", sha256);
-    if (r >= 0 && now_s() - round->kept >= KEEP_EVERY_S)
+    if (r >= 0 && gsn_now_ms() / 1000 - round->kept >= KEEP_EVERY_S)
         r = write_progress(round, err);
     return r;
 }
@@ -316,7 +309,7 @@ static int end_round(struct round *round, struct gsn_error *err)
 static int go_round(struct round *round, struct gsn_error *err)
 {
     const unsigned minutes = round->scrub->minutes;
-    const int64_t end = now_s() + 60 * (int64_t)minutes;
+    const int64_t end = gsn_now_ms() / 1000 + 60 * (int64_t)minutes;
 
     for (;;) {
         gsn_auto(gsn_object_rows) objects = NULL;
@@ -325,7 +318,7 @@ static int go_round(struct round *round, struct gsn_error *err)
         if (r >= 0 && objects->count == 0)
             return end_round(round, err);
         for (size_t i = 0; r >= 0 && i < objects->count; i++) {
-            if (minutes && now_s() >= end)
+            if (minutes && gsn_now_ms() / 1000 >= end)
                 return write_progress(round, err);
             r = scrub_object(round, &objects->at[i], err);
         }
@@ -337,7 +330,7 @@ static int go_round(struct round *round, struct gsn_error *err)
 int gsn_scrub_run(const struct gsn_scrub *scrub, struct gsn_scrub_counts *ret_counts,
                   struct gsn_error *err)
 {
-    struct round round = { .scrub = scrub, .kept = now_s(), .found = json_object() };
+    struct round round = { .scrub = scrub, .kept = gsn_now_ms() / 1000, .found = json_object() };
     int r = round.found ? read_progress(&round, err) : gsn_fail(err, GSN_E_NOMEM, "out of memory");
 
     if (r >= 0)

@@ -171,7 +171,7 @@ static int make_rows(const struct gsn_specimen_result *result, const struct gsn_
     return GSN_OK;
 }
 
-static int same_number(double a, double b)
+int gsn_same_number(double a, double b)
 {
     return memcmp(&a, &b, sizeof a) == 0 || (isnan(a) && isnan(b));
 }
@@ -183,9 +183,9 @@ static int same_measures(const struct gsn_measure_rows *was, const struct gsn_me
 
     for (size_t i = 0; ret && i < count; i++)
         ret = strcmp(was->at[i].name, is[i].name) == 0 &&
-              same_number(was->at[i].value, is[i].value) &&
-              same_number(was->at[i].lower, is[i].lower) &&
-              same_number(was->at[i].upper, is[i].upper) &&
+              gsn_same_number(was->at[i].value, is[i].value) &&
+              gsn_same_number(was->at[i].lower, is[i].lower) &&
+              gsn_same_number(was->at[i].upper, is[i].upper) &&
               strcmp(was->at[i].unit, is[i].unit) == 0;
     return ret;
 }
@@ -199,10 +199,10 @@ static int same_poses(const struct gsn_pose_rows *was, const struct gsn_pose_row
 
         ret = a->panel_id == b->panel_id && a->slot == b->slot && a->serial == b->serial &&
               a->flipped == b->flipped && a->rotated180 == b->rotated180 &&
-              same_number(a->m00, b->m00) && same_number(a->m01, b->m01) &&
-              same_number(a->m02, b->m02) && same_number(a->m10, b->m10) &&
-              same_number(a->m11, b->m11) && same_number(a->m12, b->m12) &&
-              same_number(a->rms_um, b->rms_um) && same_number(a->tre_um, b->tre_um);
+              gsn_same_number(a->m00, b->m00) && gsn_same_number(a->m01, b->m01) &&
+              gsn_same_number(a->m02, b->m02) && gsn_same_number(a->m10, b->m10) &&
+              gsn_same_number(a->m11, b->m11) && gsn_same_number(a->m12, b->m12) &&
+              gsn_same_number(a->rms_um, b->rms_um) && gsn_same_number(a->tre_um, b->tre_um);
     }
     return ret;
 }
@@ -215,9 +215,9 @@ static int same_stains(const struct gsn_stain_rows *was, const struct gsn_stain_
     for (size_t i = 0; ret && i < count; i++) {
         ret = was->at[i].panel_id == is[i].panel_id && strcmp(was->at[i].source, is[i].source) == 0;
         for (size_t c = 0; ret && c < 3; c++)
-            ret = same_number(was->at[i].white[c], is[i].white[c]);
+            ret = gsn_same_number(was->at[i].white[c], is[i].white[c]);
         for (size_t c = 0; ret && c < 9; c++)
-            ret = same_number(was->at[i].vector[c], is[i].vector[c]);
+            ret = gsn_same_number(was->at[i].vector[c], is[i].vector[c]);
     }
     return ret;
 }

@@ -20,6 +20,9 @@ int gsn_specimen_job(struct gsn_store *store, const struct gsn_job_row *job,
                      const struct gsn_job_options *options, const struct gsn_progress *progress,
                      struct gsn_error *err);
 
+/* As a row keeps it: the same bytes, or both no number. */
+int gsn_same_number(double a, double b);
+
 /* Tells which rows of a finished run are not those of this result. panels: as the result was made
  * from. */
 int gsn_specimen_compare_rows(struct gsn_store *store, int64_t run,

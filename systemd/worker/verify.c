@@ -107,18 +107,14 @@ static int make_copy(struct gsn_store *store, struct copy *copy, struct gsn_erro
 
 /* ---- a panel's rows ----------------------------------------------------------------------- */
 
-static int same_number(double a, double b)
-{
-    return memcmp(&a, &b, sizeof a) == 0 || (isnan(a) && isnan(b));
-}
-
 static int same_mark(const struct gsn_fiducial_row *a, const struct gsn_fiducial_row *b)
 {
     return a->found == b->found &&
-           (!a->found || (same_number(a->x_px, b->x_px) && same_number(a->y_px, b->y_px) &&
-                          same_number(a->radius_px, b->radius_px) &&
-                          same_number(a->cov_xx, b->cov_xx) && same_number(a->cov_xy, b->cov_xy) &&
-                          same_number(a->cov_yy, b->cov_yy) && same_number(a->score, b->score)));
+           (!a->found ||
+            (gsn_same_number(a->x_px, b->x_px) && gsn_same_number(a->y_px, b->y_px) &&
+             gsn_same_number(a->radius_px, b->radius_px) && gsn_same_number(a->cov_xx, b->cov_xx) &&
+             gsn_same_number(a->cov_xy, b->cov_xy) && gsn_same_number(a->cov_yy, b->cov_yy) &&
+             gsn_same_number(a->score, b->score)));
 }
 
 /* What about a slot is not the same, or NULL. */
@@ -128,9 +124,9 @@ static const char *find_difference(const struct gsn_section_row *a, const struct
         return "its number";
     if (strcmp(a->state, b->state) != 0 || strcmp(a->flags, b->flags) != 0)
         return "its state";
-    if (!same_number(a->bbox_x, b->bbox_x) || !same_number(a->bbox_y, b->bbox_y) ||
-        !same_number(a->bbox_w, b->bbox_w) || !same_number(a->bbox_h, b->bbox_h) ||
-        !same_number(a->area_px, b->area_px))
+    if (!gsn_same_number(a->bbox_x, b->bbox_x) || !gsn_same_number(a->bbox_y, b->bbox_y) ||
+        !gsn_same_number(a->bbox_w, b->bbox_w) || !gsn_same_number(a->bbox_h, b->bbox_h) ||
+        !gsn_same_number(a->area_px, b->area_px))
         return "where it lies";
     for (size_t m = 0; m < GSN_ROW_MARKS; m++)
         if (!same_mark(&a->marker[m], &b->marker[m]))
@@ -172,7 +168,7 @@ static void compare_sections(const struct gsn_panel_row *panel, const struct gsn
 static int same_panel(const struct gsn_panel_row *was, const struct gsn_panel_row *is)
 {
     return strcmp(was->message, is->message) == 0 && was->width == is->width &&
-           was->height == is->height && same_number(was->px_um, is->px_um) &&
+           was->height == is->height && gsn_same_number(was->px_um, is->px_um) &&
            (!was->turn_known || (was->mirrored == is->mirrored && was->quarters == is->quarters &&
                                  strcmp(was->turn_note, is->turn_note) == 0));
 }

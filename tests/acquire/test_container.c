@@ -227,7 +227,6 @@ TEST(other_bytes_are_unknown)
 
         CHECK(got.kind == GSN_CONTAINER_UNKNOWN && got.complete == 0 && got.reason[0] != '\0');
     }
-    CHECK(strcmp(gsn_container_kind_name(GSN_CONTAINER_UNKNOWN), "unknown") == 0);
 }
 
 /* As libtiff leaves it between TIFFWriteCheckpointDirectory() and the last strip. */
@@ -393,7 +392,6 @@ TEST(a_pam_is_complete_when_its_last_sample_is_there)
     }
     got = gsn_container_check(draft.at, draft.size);
     CHECK(got.kind == GSN_CONTAINER_PAM && got.complete && !got.reason[0]);
-    CHECK(strcmp(gsn_container_kind_name(got.kind), "PAM") == 0);
     got = gsn_container_check(huge, sizeof huge - 1);
     CHECK(got.kind == GSN_CONTAINER_PAM && !got.complete);
     got = gsn_container_check("P7\nWIDTH 1\nENDHDR\n", 18);

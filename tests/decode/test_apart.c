@@ -6,6 +6,7 @@
 #include "tests/check.h"
 #include "tests/decode/awkward_files.h"
 #include "tests/decode/make.h"
+#include "tests/memory_file.h"
 
 #include <string.h>
 #include <unistd.h>
@@ -301,7 +302,7 @@ static int decode_next(size_t i, void *context, struct gsn_error *err)
     struct crowd *crowd = context;
     gsn_auto_fd fd = -1;
     gsn_auto(gsn_picture) picture = NULL;
-    int r = gsn_file_from_bytes(crowd->png.bytes, crowd->png.size, &fd, err);
+    int r = gsn_memory_file(crowd->png.bytes, crowd->png.size, &fd, err);
 
     (void)i;
     if (r >= 0)

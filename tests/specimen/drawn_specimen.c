@@ -3,6 +3,7 @@
 
 #include "pipeline/core/file.h"
 #include "tests/check.h"
+#include "tests/memory_file.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -13,7 +14,7 @@ static int open_png(void *context, const char *sha256, int *ret_fd, struct gsn_e
 
     for (size_t i = 0; i < d->count; i++)
         if (strcmp(d->sha256[i], sha256) == 0)
-            return gsn_file_from_bytes(d->png[i], d->panel[i].size, ret_fd, err);
+            return gsn_memory_file(d->png[i], d->panel[i].size, ret_fd, err);
     return gsn_fail(err, GSN_E_NOTFOUND, "there is no object %s", sha256);
 }
 

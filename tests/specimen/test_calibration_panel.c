@@ -7,6 +7,7 @@
 #include "pipeline/stain/calibration.h"
 #include "pipeline/stain/normalisation.h"
 #include "tests/check.h"
+#include "tests/memory_file.h"
 #include "tests/specimen/drawn_specimen.h"
 
 #include <math.h>
@@ -228,7 +229,7 @@ static int open_any(void *context, const char *sha256, int *ret_fd, struct gsn_e
 
     for (size_t i = 0; i < 3; i++)
         if (strcmp(s->sha256[i], sha256) == 0)
-            return gsn_file_from_bytes(s->png[i], s->size[i], ret_fd, err);
+            return gsn_memory_file(s->png[i], s->size[i], ret_fd, err);
     return s->inner.open(s->inner.context, sha256, ret_fd, err);
 }
 

@@ -7,6 +7,7 @@
 #include "pipeline/stain/stain_vectors.h"
 #include "tests/check.h"
 #include "tests/decode/make.h"
+#include "tests/memory_file.h"
 #include "tests/specimen/drawn_specimen.h"
 
 #include <math.h>
@@ -31,8 +32,8 @@ static int open_tile(void *context, const char *sha256, int *ret_fd, struct gsn_
     const struct tile *tile = context;
     const int second = strcmp(sha256, "reference") == 0;
 
-    return gsn_file_from_bytes(second ? tile->reference : tile->picture,
-                               second ? tile->reference_size : tile->picture_size, ret_fd, err);
+    return gsn_memory_file(second ? tile->reference : tile->picture,
+                           second ? tile->reference_size : tile->picture_size, ret_fd, err);
 }
 
 static void paint(struct gsn_image *image, uint32_t x, uint32_t y)

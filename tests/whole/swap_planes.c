@@ -12,6 +12,7 @@
 #include "pipeline/core/file.h"
 #include "pipeline/decode/volume.h"
 #include "pipeline/specimen/panel_analysis.h"
+#include "tests/memory_file.h"
 #include "tests/register/draw.h"
 
 #include <math.h>
@@ -176,7 +177,7 @@ static int open_panel(void *context, const char *sha256, int *ret_fd, struct gsn
 
     for (size_t i = 0; i < p->count; i++)
         if (strcmp(p->panel[i].sha256, sha256) == 0)
-            return gsn_file_from_bytes(p->bytes[i], p->panel[i].size, ret_fd, err);
+            return gsn_memory_file(p->bytes[i], p->panel[i].size, ret_fd, err);
     return gsn_fail(err, GSN_E_NOTFOUND, "there is no object %s", sha256);
 }
 

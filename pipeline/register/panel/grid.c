@@ -79,7 +79,7 @@ static double square_of(double x)
     return x * x;
 }
 
-struct gsn_point gsn_panel_grid_centre(const struct gsn_panel_grid *grid, int place)
+static struct gsn_point slot_centre(const struct gsn_panel_grid *grid, int place)
 {
     const double x = (double)((unsigned)place % grid->columns) * grid->pitch_x;
     const double y = (double)((unsigned)place / grid->columns) * grid->pitch_y;
@@ -113,7 +113,7 @@ static double stranger_cost(const struct problem *p, size_t i)
 static double slot_cost(const struct problem *p, const struct gsn_panel_grid *grid, size_t i,
                         int place)
 {
-    const struct gsn_point at = gsn_panel_grid_centre(grid, place);
+    const struct gsn_point at = slot_centre(grid, place);
 
     return (square_of(p->centre[i].x - at.x) + square_of(p->centre[i].y - at.y)) / 2 /
            square_of(p->hand);
@@ -162,8 +162,7 @@ static struct span line_span(const struct answer *a, int along_x, unsigned line)
     const struct gsn_panel_grid *g = &a->grid;
     const unsigned from = along_x ? line : line * g->columns;
     const unsigned to = from + (along_x ? (g->rows - 1) * g->columns : g->columns - 1);
-    const struct gsn_point p = gsn_panel_grid_centre(g, (int)from),
-                           q = gsn_panel_grid_centre(g, (int)to);
+    const struct gsn_point p = slot_centre(g, (int)from), q = slot_centre(g, (int)to);
 
     return along_x ? (struct span){ fmin(p.x, q.x), fmax(p.x, q.x) }
                    : (struct span){ fmin(p.y, q.y), fmax(p.y, q.y) };

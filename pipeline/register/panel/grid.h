@@ -56,7 +56,6 @@ int gsn_panel_grid_fit(const struct gsn_point *centre, size_t count,
                        const struct gsn_grid_prior *prior, struct gsn_panel_grid *ret_grid,
                        struct gsn_slot_assignment *ret_assigned, struct gsn_error *err);
 
-struct gsn_point gsn_panel_grid_centre(const struct gsn_panel_grid *grid, int place);
 /* The place whose centre is nearest, or GSN_NO_PLACE beyond half a pitch outside the grid. */
 int gsn_panel_grid_place(const struct gsn_panel_grid *grid, struct gsn_point at);
 

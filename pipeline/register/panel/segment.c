@@ -19,6 +19,7 @@
  * Cost: a few passes over some 200 000 cells; the cut tries 200 x 31 lines. */
 #include "pipeline/register/panel/segment.h"
 
+#include "pipeline/core/geom.h"
 #include "pipeline/imaging/morphology.h"
 #include "pipeline/imaging/threshold.h"
 
@@ -468,11 +469,6 @@ static double side_of_line(const struct line *line, struct gsn_point at)
            (line->end[1].y - line->end[0].y) * (at.x - line->end[0].x);
 }
 
-static double distance_between(struct gsn_point a, struct gsn_point b)
-{
-    return hypot(a.x - b.x, a.y - b.y);
-}
-
 /* The nearest centre; between the two nearest the line decides where there is one. */
 static size_t find_owner(const struct cluster *c, struct gsn_point at)
 {
@@ -480,11 +476,11 @@ static size_t find_owner(const struct cluster *c, struct gsn_point at)
     const struct line *line;
 
     for (size_t i = 1; i < c->count; i++)
-        if (distance_between(at, c->centre[i]) < distance_between(at, c->centre[first]))
+        if (gsn_point_distance(at, c->centre[i]) < gsn_point_distance(at, c->centre[first]))
             first = i;
     for (size_t i = 0; i < c->count; i++)
-        if (i != first && (second == c->count || distance_between(at, c->centre[i]) <
-                                                     distance_between(at, c->centre[second])))
+        if (i != first && (second == c->count || gsn_point_distance(at, c->centre[i]) <
+                                                     gsn_point_distance(at, c->centre[second])))
             second = i;
     line = first < second ? &c->line[first][second] : &c->line[second][first];
     if (!line->is || side_of_line(line, at) * side_of_line(line, c->centre[first]) >= 0)
@@ -545,7 +541,7 @@ static void find_centres(struct cluster *c)
         for (size_t i = 0; i < c->count; i++) {
             const struct gsn_point now = part[i].area ? gsn_part_centre(&part[i]) : c->centre[i];
 
-            moved = fmax(moved, distance_between(now, c->centre[i]));
+            moved = fmax(moved, gsn_point_distance(now, c->centre[i]));
             c->centre[i] = now;
         }
         if (moved < 0.1)
@@ -561,13 +557,13 @@ static int find_lines(struct cluster *c, double size, struct gsn_error *err)
             struct line *line = &c->line[i][k];
             int r;
 
-            if (!(distance_between(pair[0], pair[1]) < REACH * size) ||
-                !(distance_between(pair[0], pair[1]) > 0))
+            if (!(gsn_point_distance(pair[0], pair[1]) < REACH * size) ||
+                !(gsn_point_distance(pair[0], pair[1]) > 0))
                 continue;
             r = find_cut(c->components, c->component, pair, line->end, &line->width, err);
             if (r < 0)
                 return r;
-            line->is = distance_between(line->end[0], line->end[1]) > 0;
+            line->is = gsn_point_distance(line->end[0], line->end[1]) > 0;
         }
     return GSN_OK;
 }

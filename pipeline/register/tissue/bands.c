@@ -18,6 +18,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "pipeline/core/robust.h"
 #include "pipeline/imaging/filter.h"
 #include "pipeline/imaging/smooth.h"
 
@@ -72,24 +73,18 @@ static void add_row(const struct gsn_image *image, uint32_t y, double cell, uint
     }
 }
 
-static int compare_values(const void *a, const void *b)
-{
-    const float x = *(const float *)a, y = *(const float *)b;
-
-    return (x > y) - (x < y);
-}
-
 /* Turns the means of one channel into optical density and adds them up. */
 static void add_density(const float *mean, size_t cells, float *density)
 {
     const size_t every = cells / SAMPLED + 1;
-    float sample[SAMPLED], white;
+    double sample[SAMPLED];
     size_t count = 0;
+    float white;
 
     for (size_t i = 0; i < cells; i += every)
         sample[count++] = mean[i];
-    qsort(sample, count, sizeof *sample, compare_values);
-    white = fmaxf(sample[(size_t)(BRIGHTEST * (double)(count - 1))], 1e-6f);
+    white = fmaxf((float)gsn_order_pick(sample, count, (size_t)(BRIGHTEST * (double)(count - 1))),
+                  1e-6f);
     for (size_t i = 0; i < cells; i++)
         density[i] += log10f(white / fmaxf(mean[i], white * 1e-3f));
 }

@@ -573,6 +573,16 @@ static int best_two(const struct gsn_tissue *a, const struct gsn_tissue *b, stru
 }
 
 /* Coarse bands show little else than the outline, which may fit in two ways: all bands choose. */
+double gsn_tissue_apart(struct gsn_point centre, double radius, const struct gsn_affine *p,
+                        const struct gsn_affine *q)
+{
+    const struct gsn_point u = gsn_affine_apply(p, centre), v = gsn_affine_apply(q, centre);
+    const double turn =
+        hypot(hypot(p->m00 - q->m00, p->m01 - q->m01), hypot(p->m10 - q->m10, p->m11 - q->m11));
+
+    return hypot(hypot(u.x - v.x, u.y - v.y), M_SQRT1_2 * turn * radius);
+}
+
 int gsn_tissue_search(const struct gsn_tissue *a, const struct gsn_tissue *b,
                       struct gsn_tissue_match *ret_match, struct gsn_error *err)
 {

@@ -89,14 +89,9 @@ void gsn_tissue_refine_coarse(const struct gsn_tissue *a, const struct gsn_tissu
                               const struct gsn_affine *start, struct gsn_affine *ret_a_to_b,
                               double *ret_evidence);
 
-/* Evidence below this is chance: the best of all motions that were tried. */
-#define GSN_TISSUE_LEAST_EVIDENCE 24
-
-/* How many times the evidence of the best other motion makes one sure. An outline alone, which fits
- * in many ways, gives all of them about the same. Right motions have 1.6 times that of the best
- * other and more; two sections of other blocks with like outlines reach 1.5 in one case of forty.
- */
-#define GSN_TISSUE_SURE 1.5
+/* How far apart two motions put tissue of this centre and radius of gyration, root mean square. */
+double gsn_tissue_apart(struct gsn_point centre, double radius, const struct gsn_affine *p,
+                        const struct gsn_affine *q);
 
 #ifdef __cplusplus
 }

@@ -31,6 +31,14 @@ static const double CHANCE = 3.6;
 /* Fits with less than this share of the usual evidence are worth a search. */
 static const double POOR = 0.5;
 
+/* Votes of less evidence than this say nothing: chance alone gives as much. */
+static const double LEAST_EVIDENCE = 24;
+
+/* Another place takes over with so many times the evidence: an outline alone, which fits in many
+ * ways, gives all of them about the same. Right motions have 1.6 times that of the best other and
+ * more; two sections of other blocks with like outlines reach 1.5 in one case of forty. */
+static const double BETTER = 1.5;
+
 /* Where one neighbour's tissue puts a section. */
 struct vote {
     size_t of;
@@ -53,18 +61,6 @@ struct check {
     double *room;
     double usual, evidence; /* medians over the stack */
 };
-
-/* How far apart two motions put a section's tissue, root mean square. */
-static double measure_apart(const struct gsn_tissue *t, const struct gsn_affine *p,
-                            const struct gsn_affine *q)
-{
-    const struct gsn_point centre = gsn_tissue_centre(t);
-    const struct gsn_point u = gsn_affine_apply(p, centre), v = gsn_affine_apply(q, centre);
-    const double turn =
-        hypot(hypot(p->m00 - q->m00, p->m01 - q->m01), hypot(p->m10 - q->m10, p->m11 - q->m11));
-
-    return hypot(hypot(u.x - v.x, u.y - v.y), M_SQRT1_2 * turn * gsn_tissue_radius(t));
-}
 
 static int is_usable(const struct gsn_tissue_section *s)
 {
@@ -125,9 +121,10 @@ static double measure_spread(const struct gsn_tissue *t, const struct look *look
         double d;
         size_t k = count;
 
-        if (v->evidence < GSN_TISSUE_LEAST_EVIDENCE)
+        if (v->evidence < LEAST_EVIDENCE)
             continue;
-        d = measure_apart(t, &v->to_block, &middle->to_block);
+        d = gsn_tissue_apart(gsn_tissue_centre(t), gsn_tissue_radius(t), &v->to_block,
+                             &middle->to_block);
         for (; k > 0 && far[k - 1] > d; k--)
             far[k] = far[k - 1];
         far[k] = d;
@@ -149,7 +146,7 @@ static void weigh_votes(const struct check *c, size_t i)
         double spread;
 
         evidence[k] = v->evidence;
-        if (v->evidence < GSN_TISSUE_LEAST_EVIDENCE)
+        if (v->evidence < LEAST_EVIDENCE)
             continue;
         look->fit++;
         spread = measure_spread(s->tissue, look, v);
@@ -159,8 +156,10 @@ static void weigh_votes(const struct check *c, size_t i)
         }
     }
     look->evidence = look->votes > 0 ? gsn_median(evidence, look->votes) : 0;
-    look->apart =
-        look->middle ? measure_apart(s->tissue, &look->middle->to_block, &s->to_block) : 0;
+    look->apart = look->middle
+                      ? gsn_tissue_apart(gsn_tissue_centre(s->tissue), gsn_tissue_radius(s->tissue),
+                                         &look->middle->to_block, &s->to_block)
+                      : 0;
 }
 
 /* Most of its neighbours, two at least, have something to say of it. */
@@ -223,7 +222,7 @@ static int search_place(struct check *c, size_t i, struct gsn_error *err)
     double most = 0;
 
     for (size_t k = 0; k < look->votes; k++)
-        most += GSN_TISSUE_SURE * look->vote[k].evidence;
+        most += BETTER * look->vote[k].evidence;
     memcpy(best, look->vote, sizeof best);
     for (size_t k = 0; k < look->votes; k++) {
         const struct gsn_tissue_section *other = &s[look->vote[k].of];

@@ -100,16 +100,6 @@ static struct edge *find_edge(const struct graph *g, size_t a, size_t b)
     return NULL;
 }
 
-static double quadratic_form(const double m[3][3], const double x[3])
-{
-    double sum = 0;
-
-    for (size_t p = 0; p < 3; p++)
-        for (size_t q = 0; q < 3; q++)
-            sum += x[p] * m[p][q] * x[q];
-    return sum;
-}
-
 /* Columns of a grid about the centre that is given, upright in the frame that to leads to. */
 static struct gsn_affine make_grid(const struct gsn_affine *to, struct gsn_point centre,
                                    double radius)
@@ -155,7 +145,7 @@ static double sum_pulls(const struct graph *g, const struct edge *e)
     if (columns < 2 || gsn_invert_spd(&information[0][0], 3, 3) < 0)
         return 1;
     for (size_t k = 0; k < GSN_TISSUE_COLUMNS; k++)
-        sum += quadratic_form(information, pull[k]) / 3;
+        sum += gsn_quadratic_form(&information[0][0], 3, pull[k]) / 3;
     return fmax(sum * (double)columns / (double)(columns - 1), 1);
 }
 
@@ -209,21 +199,10 @@ static int compare_all(struct graph *g, struct gsn_error *err)
     return r;
 }
 
-/* How far apart two motions put a section's tissue, root mean square. */
-static double distance_between(const struct node *n, const struct gsn_affine *p,
-                               const struct gsn_affine *q)
-{
-    const struct gsn_point u = gsn_affine_apply(p, n->centre), v = gsn_affine_apply(q, n->centre);
-    const double turn =
-        hypot(hypot(p->m00 - q->m00, p->m01 - q->m01), hypot(p->m10 - q->m10, p->m11 - q->m11));
-
-    return hypot(hypot(u.x - v.x, u.y - v.y), M_SQRT1_2 * turn * n->radius);
-}
-
 static int is_one_motion(const struct node *n, const struct gsn_affine *p,
                          const struct gsn_affine *q)
 {
-    return distance_between(n, p, q) < ONE_MOTION * n->radius;
+    return gsn_tissue_apart(n->centre, n->radius, p, q) < ONE_MOTION * n->radius;
 }
 
 /* What the triangles say of a section. */
@@ -605,7 +584,7 @@ static void add_edge(struct graph *g, struct edge *e)
     if (!is_usable(g, e) || edge_information(g, e, w) < 0)
         return;
     measure_residual(&a->to_block, &by_b, a->centre, left);
-    e->chi2 = quadratic_form(w, left);
+    e->chi2 = gsn_quadratic_form(&w[0][0], 3, left);
     e->weight = HALF / (HALF + e->chi2);
     (void)edge_weight(g, e, w);
     edge_jacobians(g, e, j);
@@ -771,7 +750,7 @@ static void add_mark_errors(const struct graph *g)
             gsn_band_solve(g->a, 3 * g->count, g->wide, g->b);
             for (size_t k = 0; k < g->count; k++)
                 if (g->node[k].held)
-                    variance[p] += quadratic_form(g->node[k].holding, &g->b[3 * k]);
+                    variance[p] += gsn_quadratic_form(&g->node[k].holding[0][0], 3, &g->b[3 * k]);
         }
         g->node[i].error += average_over_tissue(&g->node[i], variance);
     }

@@ -759,16 +759,6 @@ static void fill_covariances(struct joint *j)
         }
 }
 
-static double quadratic_form(const matrix m, const double v[PARTS])
-{
-    double sum = 0;
-
-    for (size_t p = 0; p < PARTS; p++)
-        for (size_t q = 0; q < PARTS; q++)
-            sum += v[p] * m[p][q] * v[q];
-    return sum;
-}
-
 /* What a comparison still differs by, over its variance. */
 static double residual_of(const struct joint *j, size_t k)
 {
@@ -782,7 +772,7 @@ static double residual_of(const struct joint *j, size_t k)
             if (part_of_section(j, k, a) != 0)
                 left[p] -= part_of_section(j, k, a) * j->step[(k + a - AROUND) * PARTS + p];
     }
-    return quadratic_form(j->equation[k].information, left);
+    return gsn_quadratic_form(&j->equation[k].information[0][0], PARTS, left);
 }
 
 /* Variances from what priors and comparisons are left with, over the degrees of freedom that each
@@ -800,7 +790,7 @@ static void estimate_factors(struct joint *j)
             for (size_t q = 0; q < PARTS; q++)
                 told -= j->prior[k][p][q] * j->covariance[k][q][p] / j->prior_factor;
         }
-        of_priors += quadratic_form(j->prior[k], moved);
+        of_priors += gsn_quadratic_form(&j->prior[k][0][0], PARTS, moved);
         if (!(j->worth[k] > 0))
             continue;
         left = residual_of(j, k);

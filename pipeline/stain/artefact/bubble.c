@@ -6,7 +6,7 @@
  *
  *   1. Hough votes of steep places, for radii of 250 to 1400 um (Kimme, Ballard and Sklansky 1975).
  *   2. Around the twelve best bins the ring that is seen along most of its way.
- *   3. A ring that is seen along 70 % of it, of at least 40 % inside the box, is a bubble.
+ *   3. A ring that is seen along more than 70 % of it, of at least 40 % inside the box, is a bubble.
  *
  * A rim that shows as no dark ring, as in thin mountant, is not found. */
 #include "pipeline/core/mem.h"
@@ -35,12 +35,9 @@ enum {
 /* Rise of the dark dye over two cells that makes a vote. */
 #define STEEP 0.04
 
-/* A ring is seen along this share of its way, and not along a smaller share of it by chance: the
+/* A ring is seen along more than this share of its way, and not along a smaller share of it by chance: the
  * rest may lie beneath a fold or outside of the box. */
 #define SEEN 0.7
-
-/* No share of whole directions lies between this and the one above. */
-#define NEARLY_SEEN (SEEN - 1e-6)
 #define LEAST_IN_BOX 0.4
 
 struct ring {
@@ -107,7 +104,7 @@ static double rate_ring(const struct gsn_artefact_cells *cells, const struct gsn
 static struct ring best_ring(const struct gsn_artefact_cells *cells, const struct gsn_plane *dark,
                              const struct compass *compass, double x, double y)
 {
-    struct ring best = { .seen = NEARLY_SEEN };
+    struct ring best = { .seen = SEEN };
 
     for (int v = -WANDER; v <= WANDER; v += 2)
         for (int u = -WANDER; u <= WANDER; u += 2)
@@ -197,7 +194,7 @@ int gsn_artefact_bubbles(struct gsn_artefact_cells *cells, struct gsn_error *err
         const struct ring ring = best_ring(cells, dark, &compass, ((double)(best % nx) + 0.5) * BIN,
                                            ((double)(best / nx) + 0.5) * BIN);
 
-        if (ring.seen >= SEEN)
+        if (ring.seen > SEEN)
             add_disc(cells, &ring, set);
     }
     gsn_artefact_cells_mark(cells, set, GSN_DEFECT_BUBBLE);

@@ -69,6 +69,7 @@ static size_t bin_of(const struct gsn_artefact_cells *cells, size_t i)
            (size_t)bin_along(cells->even[0]->value[i] / sum);
 }
 
+/* The length of the three densities. */
 static double length_at(const struct gsn_artefact_cells *cells, size_t i)
 {
     return sqrt(cells->even[0]->value[i] * cells->even[0]->value[i] +
@@ -220,23 +221,13 @@ static int new_set(const struct gsn_artefact_cells *cells, uint8_t **ret_set, st
     return *ret_set ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for masks");
 }
 
-/* The length of the three densities. */
-static double magnitude_at(const struct gsn_artefact_cells *cells, size_t i)
-{
-    double sum = 0;
-
-    for (int c = 0; c < 3; c++)
-        sum += cells->even[c]->value[i] * cells->even[c]->value[i];
-    return sqrt(sum);
-}
-
 static int is_black(const struct gsn_artefact_cells *cells, size_t i)
 {
     const double r = cells->even[0]->value[i], g = cells->even[1]->value[i],
                  b = cells->even[2]->value[i];
     const double least = fmin(r, fmin(g, b)), most = fmax(r, fmax(g, b));
 
-    return magnitude_at(cells, i) > GSN_DARKEST_OD && least > BLACK_EVEN * most;
+    return length_at(cells, i) > GSN_DARKEST_OD && least > BLACK_EVEN * most;
 }
 
 /* Adds broad black to sure. */
@@ -265,7 +256,7 @@ int gsn_artefact_ink(struct gsn_artefact_cells *cells, struct gsn_error *err)
     if (r >= 0)
         r = new_set(cells, &weak, err);
     for (size_t i = 0; r >= 0 && i < count; i++) {
-        const double v = magnitude_at(cells, i), foreign = cells->foreign->value[i];
+        const double v = length_at(cells, i), foreign = cells->foreign->value[i];
         const int halo = (cells->label[i] & GSN_DEFECT_HALO) != 0;
 
         sure[i] = !halo && v > INK_OD && foreign > BEYOND + BEYOND_SHARE * v;

@@ -8,9 +8,8 @@
  *    (register/order/sequence.h), also among held sections.
  * 3. The way through all sections (register/order/seriation.h: sum of the changes from one to the
  * next) is compared with that of other readings of the layout: row, column, snake, panels turned by
- * half, two panels exchanged. A reading that is shorter by SHORTER standard errors means that z is
- * wrong: no figure is given.
- * 4. A single swap is told only where the way through the tissue confirms it.
+ * half, two panels exchanged. A reading that is shorter by gsn_seriation_shorter standard errors
+ * means that z is wrong: no figure is given, and no single swap is named.
  *
  * What is found are flags and sentences for a person; nothing is moved. What the tissue of this
  * block could not have shown is reported as well. */
@@ -246,13 +245,6 @@ void gsn_section_planes_settle(struct gsn_section_planes *planes)
             mean_of((double)planes->density[i], (double)planes->seen[i], planes->cell_um);
 }
 
-/* The way through the sections is shorter by this many standard errors, or the order stands as it
- * is stated. Errors have long tails, so no probability is claimed: on eleven phantoms of levels L1
- * and L2 and on the Visible Human's axial cuts no other order came nearer to the true one than
- * 2.4 below it, and of these eleven a snake that was called rows showed on ten by 7.7 to 26 (on one
- * with half of its sections missing by 3.9). */
-static const double SHORTER = 6;
-
 struct section_name {
     char text[24];
 };
@@ -445,54 +437,15 @@ static void say_reading(const struct search *s, char *ret_sentence, size_t size)
         what, s->gain);
 }
 
-/* ---- single swaps -------------------------------------------------------------------------- */
-
-static size_t plane_of(const struct gsn_sequence_plane *plane, size_t count, unsigned serial)
+/* Where all sections are out of place, no two of them are named. */
+static void drop_swaps(struct gsn_sequence *sequence)
 {
-    size_t k = 0;
-
-    while (k < count && plane[k].serial != serial)
-        k++;
-    return k;
-}
-
-/* Share of the pairs so far apart that would show, were they swapped; as much as they now speak
- * against it. */
-static double share_shown(const struct gsn_seriation *path, size_t count, size_t apart)
-{
-    size_t shown = 0, pairs = 0;
-
-    for (size_t i = 0; i + apart < count; i++)
-        if (apart > 1 || (i > 0 && i + 2 < count)) {
-            shown += gsn_seriation_exchange_gain(path, i, i + apart) < -SHORTER;
-            pairs++;
-        }
-    return pairs ? (double)shown / (double)pairs : 0;
-}
-
-/* Sections look swapped where the way through the tissue says so, too: what changes between
- * neighbours is as large as what a fold or a bath does to them, and 4 of 9 specimens in true order
- * had such notes. All of them are dropped where all sections are out of place. */
-static void confirm_swaps(const struct gsn_seriation *path, const struct gsn_sequence_plane *plane,
-                          size_t count, int misordered, struct gsn_sequence *sequence)
-{
-    static const double NEARLY_ALL = 0.95;
     size_t kept = 0;
 
-    for (size_t i = 0; i < sequence->count; i++) {
-        const struct gsn_sequence_finding *f = &sequence->finding[i];
-
-        if (f->kind != GSN_SEQUENCE_SWAP ||
-            (!misordered && gsn_seriation_exchange_gain(path, plane_of(plane, count, f->a),
-                                                        plane_of(plane, count, f->b)) > SHORTER))
-            sequence->finding[kept++] = *f;
-    }
+    for (size_t i = 0; i < sequence->count; i++)
+        if (sequence->finding[i].kind != GSN_SEQUENCE_SWAP)
+            sequence->finding[kept++] = sequence->finding[i];
     sequence->count = kept;
-    for (size_t f = 1; f <= GSN_SEQUENCE_NEAR; f++)
-        sequence->shown[f - 1] = fmin(sequence->shown[f - 1], share_shown(path, count, f));
-    for (size_t f = sequence->reach; f > 0 && f < count && share_shown(path, count, f) < NEARLY_ALL;
-         f++)
-        sequence->reach = f + 1 < count ? (unsigned)f + 1 : 0;
 }
 
 static int examine_layout(const struct gsn_section_planes *planes,
@@ -523,10 +476,10 @@ static int examine_layout(const struct gsn_section_planes *planes,
     search.path = path;
     if (r >= 0)
         try_all(&search, panels < MOST_PANELS ? panels : MOST_PANELS);
-    if (r >= 0 && search.gain > SHORTER)
+    if (r >= 0 && search.gain > gsn_seriation_shorter) {
         say_reading(&search, densities->misordered, sizeof densities->misordered);
-    if (r >= 0)
-        confirm_swaps(path, plane, planes->count, densities->misordered[0] != '\0', sequence);
+        drop_swaps(sequence);
+    }
     return r;
 }
 
@@ -586,10 +539,10 @@ void gsn_section_order_sentence(const struct gsn_sequence_finding *finding, unsi
 
     if (finding->kind == GSN_SEQUENCE_SWAP)
         (void)snprintf(ret_sentence, GSN_POSE_SENTENCE,
-                       "sections %s and %s look swapped: from one to the other the tissue changes "
-                       "against the way it changes around them, by %.1f standard errors where %.1f "
-                       "along it are expected; nothing was moved: look at both",
-                       a.text, b.text, finding->against, finding->predicted);
+                       "sections %s and %s look swapped: each is more like those around the "
+                       "other's place than those around its own, by %.1f standard errors together; "
+                       "nothing was moved: look at both",
+                       a.text, b.text, finding->evidence);
     else if (finding->kind == GSN_SEQUENCE_EXCLUDED_DUPLICATE)
         say_held(finding, slots, ret_sentence);
     else

@@ -86,9 +86,8 @@ TEST(a_section_that_is_there_twice_is_flagged_and_left_alone)
 
     CHECK_OK(look(&a, &sequence, &err), err);
     for (size_t i = 0; i < sequence->count; i++)
-        print_message("  %d %u %u %.2f %.2f of %.2f\n", (int)sequence->finding[i].kind,
-                      sequence->finding[i].a, sequence->finding[i].b, sequence->finding[i].evidence,
-                      sequence->finding[i].against, sequence->finding[i].predicted);
+        print_message("  %d %u %u %.2f\n", (int)sequence->finding[i].kind, sequence->finding[i].a,
+                      sequence->finding[i].b, sequence->finding[i].evidence);
     CHECK(sequence->count == 1 && sequence->finding[0].kind == GSN_SEQUENCE_DUPLICATE);
     for (unsigned k = 0; k < SECTIONS; k++) {
         CHECK(strcmp(text_of(&shown[k].flags).text, k == AGAIN       ? "same-as-8.1?"
@@ -327,19 +326,16 @@ TEST(a_held_section_is_seen_in_cells_of_its_own)
 /* Case 30. */
 TEST(a_swap_is_a_proposal_in_words)
 {
-    const struct gsn_sequence_finding finding = { .kind = GSN_SEQUENCE_SWAP,
-                                                  .a = 17,
-                                                  .b = 18,
-                                                  .evidence = 20,
-                                                  .against = 3.1,
-                                                  .predicted = 4.25 };
+    const struct gsn_sequence_finding finding = {
+        .kind = GSN_SEQUENCE_SWAP, .a = 17, .b = 18, .evidence = 9.25
+    };
     char sentence[GSN_POSE_SENTENCE];
 
     gsn_section_order_sentence(&finding, 12, sentence);
     CHECK(strcmp(sentence,
-                 "sections 2.6 and 2.7 look swapped: from one to the other the tissue changes "
-                 "against the way it changes around them, by 3.1 standard errors where 4.2 "
-                 "along it are expected; nothing was moved: look at both") == 0);
+                 "sections 2.6 and 2.7 look swapped: each is more like those around the other's "
+                 "place than those around its own, by 9.2 standard errors together; nothing was "
+                 "moved: look at both") == 0);
 }
 
 TEST(what_the_tissue_cannot_show_is_said_with_what_it_would_cost)

@@ -2,12 +2,8 @@
 
 /* Whether the sections lie in the order of their numbers, by their tissue.
  *
- * Tissue changes little from one section to the next, but where it does, at the rims of spaces and
- * of the root, it goes on the way it goes around: the step from one section to another is compared
- * with the step that the sections around both predict, cell by cell, weighed by what a cell's
- * noise leaves of it. In each other's places the two would show the contrary, and with the two
- * exchanged all around would fit better. Sections are registered onto each other by their
- * tissue before, and scaled, so that registration, warp and stain do not matter. What share of
+ * Tissue changes little from one section to the next. Two that lie in each other's places are each
+ * more like those around the other's place than like those around their own. What share of
  * swaps would show is told from what the stack's own sections show.
  *
  * A section that is there twice shares with its second mount the texture that neighbours do not
@@ -54,15 +50,11 @@ enum gsn_sequence_kind {
 struct gsn_sequence_finding {
     enum gsn_sequence_kind kind;
     unsigned a, b;   /* serial numbers, as given */
-    double evidence; /* how far the changes run against their order that a swap turns over, and half
-                        of how much better all fits exchanged, in standard errors; of a duplicate
-                        the share of their texture that both have in common, where one is excluded
-                        of the best quarter of it */
+    double evidence; /* by how many standard errors both are more like those around the other's
+                        place; of a duplicate the share of their texture that both have in common,
+                        where one is excluded of the best quarter of it */
     double usual;    /* share of their texture that neighbours have in common, likewise */
     int held[2];     /* of a duplicate: whether a is not registered, and b */
-    /* Of a swap, in standard errors: how far the change from one to the other runs against the way
-     * it goes around them, and how far it should go along. */
-    double against, predicted;
 };
 
 struct gsn_sequence {

@@ -24,6 +24,8 @@
  * deviation of n values scatters by 1.17 / sqrt(n) of itself (Rousseeuw and Croux, 1993). */
 enum { SQUARE = 6, LEAST = 24, STEPS = 2 };
 
+const double gsn_seriation_shorter = 6;
+
 struct gsn_seriation {
     size_t count;
     double *unlike; /* count * count */
@@ -110,7 +112,7 @@ static double estimate_step_error(const struct gsn_seriation *path, const size_t
 }
 
 int gsn_seriation_new(const struct gsn_sequence_plane *planes, size_t count, size_t columns,
-                         size_t rows, struct gsn_seriation **ret_path, struct gsn_error *err)
+                      size_t rows, struct gsn_seriation **ret_path, struct gsn_error *err)
 {
     const size_t squares = columns / SQUARE * (rows / SQUARE);
     gsn_auto(gsn_seriation) path = gsn_alloc_array(1, sizeof *path);
@@ -170,36 +172,62 @@ double gsn_seriation_gain(struct gsn_seriation *path, const size_t *order)
     return steps > 0 && error > 0 ? shorter / (error * sqrt((double)steps)) : 0;
 }
 
-/* The mean difference of a plane from those up to so many places around a place, but for i and j
- * and those that lie around both. ret_count: of how many. */
-static double average_unlike(const struct gsn_seriation *path, size_t plane, size_t place,
-                             size_t i, size_t j, size_t steps, size_t *ret_count)
+/* By how much a plane that lies elsewhere is nearer than the one at a place to those up to so many
+ * steps around it, in the mean; those that lie around both have no say. ret_count: of how many. */
+static double measure_nearer(const struct gsn_seriation *path, size_t place, size_t other,
+                             size_t steps, size_t *ret_count)
 {
-    const size_t first = place > steps ? place - steps : 0, other = place == i ? j : i;
+    const size_t first = place > steps ? place - steps : 0;
     double sum = 0;
     size_t count = 0;
 
     for (size_t k = first; k <= place + steps && k < path->count; k++) {
-        if (k == i || k == j || (k > other ? k - other : other - k) <= steps)
+        if (k == place || k == other || (k > other ? k - other : other - k) <= steps)
             continue;
-        sum += gsn_seriation_distance(path, plane, k);
+        sum += gsn_seriation_distance(path, place, k) - gsn_seriation_distance(path, other, k);
         count++;
     }
     *ret_count = count;
     return count ? sum / (double)count : 0;
 }
 
-static double measure_exchange(const struct gsn_seriation *path, size_t i, size_t j,
-                               size_t steps)
+static int is_part(size_t first, size_t i)
+{
+    return i >= first && i < first + 4;
+}
+
+/* The error of a step as the rest of the stack has it, by its standard deviation: of many folds
+ * some look like swaps. */
+static double estimate_error_of_others(const struct gsn_seriation *path, size_t i, size_t j)
+{
+    double sum = 0, squares = 0, count = 0;
+
+    for (size_t k = 0; k + 3 < path->count; k++) {
+        const double left =
+            gsn_seriation_distance(path, k, k + 1) + gsn_seriation_distance(path, k + 2, k + 3) -
+            gsn_seriation_distance(path, k, k + 2) - gsn_seriation_distance(path, k + 1, k + 3);
+
+        if (is_part(k, i) || is_part(k, j))
+            continue;
+        sum += left;
+        squares += left * left;
+        count++;
+    }
+    return count > 0 ? fmax(path->error, sqrt(fmax(squares - sum * sum / count, 0) / count) / 2)
+                     : 0;
+}
+
+/* At both places the other must be nearer, so the lesser of the two counts twice: one section that
+ * is folded is far from those around itself, too, and anyone is nearer to them. */
+static double measure_exchange(const struct gsn_seriation *path, size_t i, size_t j, size_t steps)
 {
     size_t here, there;
-    const double nearer = average_unlike(path, i, i, i, j, steps, &here) -
-                          average_unlike(path, i, j, i, j, steps, &there) +
-                          average_unlike(path, j, j, i, j, steps, &there) -
-                          average_unlike(path, j, i, i, j, steps, &here);
+    const double error = path->error > 0 ? estimate_error_of_others(path, i, j) : 0;
+    const double nearer = 2 * fmin(measure_nearer(path, i, j, steps, &here),
+                                   measure_nearer(path, j, i, steps, &there));
 
-    return here > 0 && there > 0 && path->error > 0
-               ? nearer / (path->error * sqrt(2 / (double)here + 2 / (double)there))
+    return here > 0 && there > 0 && error > 0
+               ? nearer / (error * sqrt(2 / (double)here + 2 / (double)there))
                : 0;
 }
 
@@ -212,4 +240,22 @@ double gsn_seriation_exchange_gain(const struct gsn_seriation *path, size_t i, s
     for (size_t steps = 1; steps <= STEPS; steps++)
         least = fmin(least, measure_exchange(path, i, j, steps));
     return least;
+}
+
+static void exchange_numbers(double *a, double *b)
+{
+    const double kept = *a;
+
+    *a = *b;
+    *b = kept;
+}
+
+void gsn_seriation_exchange(struct gsn_seriation *path, size_t i, size_t j)
+{
+    const size_t n = path->count;
+
+    for (size_t k = 0; k < n; k++)
+        exchange_numbers(&path->unlike[i * n + k], &path->unlike[j * n + k]);
+    for (size_t k = 0; k < n; k++)
+        exchange_numbers(&path->unlike[k * n + i], &path->unlike[k * n + j]);
 }

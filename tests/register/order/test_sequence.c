@@ -1,9 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/register/order/sequence.h"
 
-#include "pipeline/register/order/findings.h"
-#include "pipeline/register/order/predict.h"
-
 #include "tests/check.h"
 #include "pipeline/phantom/geometry.h"
 #include "tests/register/draw.h"
@@ -178,69 +175,55 @@ TEST(a_stack_in_order_has_nothing_to_propose)
     CHECK((double)proposals <= 0.02 * (double)trials + 0.5);
 }
 
-struct swaps {
-    size_t made, found, others;
-    double shown; /* as told by the stacks in order, NEAR apart and more */
-};
-
-/* A swap in each half of a stack, or one where they are farther apart than that: anywhere but of
- * the last two at either end, which sequence.h does not tell. */
-static struct swaps swap_and_look(unsigned least, unsigned most, size_t trials)
+/* Two sections drawn from all, in each other's places, alone in their stack. */
+static void swap_any(struct draw_chance *chance, unsigned ret_at[2])
 {
-    struct draw_chance chance = { 2 + least };
-    struct swaps all = { 0 };
-    const unsigned count = 2 * most < SECTIONS / 2 ? 2 : 1, part = SECTIONS / count;
+    do {
+        ret_at[0] = (unsigned)draw_uniform(chance, 0, SECTIONS);
+        ret_at[1] = (unsigned)draw_uniform(chance, 0, SECTIONS);
+    } while (ret_at[0] >= ret_at[1] ||
+             (ret_at[1] == ret_at[0] + 1 && (ret_at[0] == 0 || ret_at[1] == SECTIONS - 1)));
+    planes[ret_at[0]].density = seen[ret_at[1]];
+    planes[ret_at[1]].density = seen[ret_at[0]];
+}
+
+/* Case 30. Of swaps of two sections so far apart as the stack says that they show, 19 of 20 are
+ * named, and whatever the distance no others. The long run: GIESON_TRIALS=1000
+ * build/bench/tests/test_register_order_sequence. */
+TEST(swapped_sections_are_named_from_as_far_apart_as_is_said_and_nothing_else)
+{
+    struct draw_chance chance = { 2 };
+    const size_t trials = mounted_trials(20);
+    size_t made = 0, found = 0, near = 0, others = 0;
+    double reach = 0;
 
     for (size_t t = 0; t < trials; t++) {
-        unsigned at[2][2];
-        size_t found = 0;
+        unsigned at[2];
 
         see_all(&chance);
         gsn_auto(gsn_sequence) before = examined(SECTIONS);
-
-        all.shown += before->shown[least < GSN_SEQUENCE_NEAR ? least - 1 : GSN_SEQUENCE_NEAR - 1] /
-                     (double)trials;
-        for (unsigned i = 0; i < count; i++) {
-            const unsigned far = (unsigned)draw_uniform(&chance, least, most + 1);
-
-            at[i][0] =
-                i * part + (unsigned)draw_uniform(&chance, far == 1, part - far - (far == 1));
-            at[i][1] = at[i][0] + far;
-            planes[at[i][0]].density = seen[at[i][1]];
-            planes[at[i][1]].density = seen[at[i][0]];
-        }
+        swap_any(&chance, at);
         gsn_auto(gsn_sequence) s = examined(SECTIONS);
+        const size_t is = has(s, GSN_SEQUENCE_SWAP, at[0], at[1]) != 0;
+        const int told = before->reach > 0 && at[1] - at[0] >= before->reach;
 
-        for (unsigned i = 0; i < count; i++)
-            found += has(s, GSN_SEQUENCE_SWAP, at[i][0], at[i][1]) != 0;
-        all.made += count;
-        all.found += found;
-        all.others += s->count - found;
+        reach += before->reach / (double)trials;
+        made += (size_t)told;
+        found += told ? is : 0;
+        near += told ? 0 : is;
+        others += s->count - is;
     }
-    print_message("  %u to %u apart: %zu of %zu found, %.0f %% told, %zu other proposals\n", least,
-                  most, all.found, all.made, 100 * all.shown, all.others);
-    return all;
+    print_message(
+        "  %zu of %zu swaps found as far apart as is said (%.1f), %zu nearer ones of %zu; "
+        "%zu other proposals\n",
+        found, made, reach, near, trials - made, others);
+    CHECK(2 * made > trials && (double)found >= 0.95 * (double)made);
+    CHECK((double)others <= 0.02 * (double)trials);
 }
 
-/* Case 30. docs/user/register.md says what share shows on registered planes. The long run:
- * GIESON_TRIALS=1000 build/bench/tests/test_register_order_sequence. */
-TEST(swapped_sections_are_proposed_and_nothing_else)
-{
-    const size_t trials = mounted_trials(2);
-    const struct swaps near = swap_and_look(1, 1, trials), two = swap_and_look(2, 3, trials),
-                       far = swap_and_look(4, 24, 2 * trials);
-
-    CHECK((double)near.found >= 0.75 * (double)near.made);
-    CHECK((double)two.found >= 0.75 * (double)two.made);
-    CHECK((double)far.found >= 0.95 * (double)far.made);
-    CHECK((double)(near.others + two.others + far.others) <= 0.05 * (double)near.made);
-}
-
-/* A slanting block moves on from section to section, and a section among strangers at the other end
- * is registered onto them: only registered again where it belongs does it show the contrary of what
- * is predicted there, and not a third of it; and only when those around are registered again, too,
- * do all fit better by six standard errors, half of which the evidence counts. */
-TEST(sections_from_either_end_are_laid_again_where_they_belong)
+/* Far from each other and at the ends, where only one side speaks; the block slants, so that all
+ * moves on from section to section. */
+TEST(sections_from_either_end_are_told_in_a_block_that_slants)
 {
     static const unsigned pair[][2] = {
         { 1, SECTIONS - 1 }, { 0, SECTIONS - 2 }, { 1, SECTIONS - 2 }, { 2, SECTIONS - 3 }
@@ -258,8 +241,6 @@ TEST(sections_from_either_end_are_laid_again_where_they_belong)
 
         CHECK(has(s, GSN_SEQUENCE_SWAP, a, b));
         CHECK(s->count == 1);
-        CHECK(s->finding[0].against > 0.5 * s->finding[0].predicted);
-        CHECK(s->finding[0].evidence - s->finding[0].against > 3);
     }
 }
 
@@ -271,157 +252,23 @@ TEST(what_a_torn_section_lacks_says_nothing_of_those_beside_it)
     size_t found = 0, others = 0;
 
     for (unsigned t = 0; t < 6; t++) {
-        const unsigned torn = t & 1 ? 0 : SECTIONS - 1, a = torn ? SECTIONS - 4 : 1;
+        const unsigned torn = t & 1 ? 0 : SECTIONS - 1, a = torn ? 2 : 1;
+        const unsigned b = torn ? SECTIONS - 2 : SECTIONS - 3;
 
         see_all(&chance);
         for (int c = 0; c < CELLS; c++)
             if (c % COLUMNS < COLUMNS / 2)
                 seen[torn][c] = NAN;
-        planes[a].density = seen[a + 2];
-        planes[a + 2].density = seen[a];
+        planes[a].density = seen[b];
+        planes[b].density = seen[a];
         gsn_auto(gsn_sequence) s = examined(SECTIONS);
 
-        found += has(s, GSN_SEQUENCE_SWAP, a, a + 2) != 0;
+        found += has(s, GSN_SEQUENCE_SWAP, a, b) != 0;
         others += s->count;
     }
     others -= found;
     print_message("  %zu of 6 swaps found, %zu other proposals\n", found, others);
     CHECK(found == 6 && others == 0);
-}
-
-/* Of a line through seven planes: each lacks a tenth of its cells, where some other value stands.
- */
-static void foretell_with(float stand_in, float ret_value[CELLS], unsigned char told[CELLS])
-{
-    enum { PLANES = 7, PLACE = 3 };
-    static float value[PLANES * CELLS], deviation[CELLS];
-    static unsigned char known[PLANES * CELLS];
-    size_t place[PLANES];
-    double z[PLANES];
-    struct draw_chance chance = { 41 };
-    const struct gsn_sequence_tissue t = { .n = PLANES,
-                                           .columns = COLUMNS,
-                                           .rows = ROWS,
-                                           .z = z,
-                                           .place = place,
-                                           .value = value,
-                                           .known = known,
-                                           .deviation = deviation };
-
-    for (int k = 0; k < PLANES; k++) {
-        z[k] = k;
-        place[k] = (size_t)k;
-    }
-    for (int c = 0; c < PLANES * CELLS; c++) {
-        const float own = 5 + (float)(c / CELLS) + (float)(0.01 * draw_normal(&chance));
-
-        known[c] = draw_uniform(&chance, 0, 1) > 0.1;
-        value[c] = known[c] ? own : stand_in;
-    }
-    for (int c = 0; c < CELLS; c++)
-        deviation[c] = 1;
-    memset(told, 1, CELLS);
-    const struct gsn_sequence_line line = gsn_sequence_line_at(z, PLANES, PLACE, PLACE, PLACE);
-
-    gsn_sequence_predict(&t, &line, PLACE, 1, ret_value, told);
-}
-
-/* A straight line through all planes but one, of which a side of three that lacks one of them is
- * off by no more than its weight times how far that lies from the others. */
-TEST(what_stands_in_for_cells_that_a_section_lacks_is_not_looked_at)
-{
-    static float low[CELLS], high[CELLS];
-    static unsigned char told[CELLS], told_too[CELLS];
-    size_t count = 0;
-
-    foretell_with(-100, low, told);
-    foretell_with(100, high, told_too);
-    for (int c = 0; c < CELLS; c++) {
-        CHECK(told[c] == told_too[c]);
-        count += told[c];
-        if (told[c]) {
-            CHECK(low[c] == high[c]);
-            CHECK(fabs((double)low[c] - 8) < 1.1);
-        }
-    }
-    CHECK(count > 0.99 * CELLS && count < CELLS);
-}
-
-static struct gsn_sequence_finding named(enum gsn_sequence_kind kind, unsigned a, unsigned b,
-                                         double evidence)
-{
-    return (struct gsn_sequence_finding){ .kind = kind, .a = a, .b = b, .evidence = evidence };
-}
-
-/* 0 and 3 changed places, and 2 and 3 are one section: 2 1 2 0. Without the first mount 1 and 3
- * seem to have changed places, without the second 0 and 3 do, which leaves the mounts side by side.
- */
-TEST(the_swap_that_leaves_two_mounts_side_by_side_stands)
-{
-    static const float cell[1] = { 1 };
-    const struct gsn_sequence_plane four[] = { { 0, cell }, { 1, cell }, { 2, cell }, { 3, cell } };
-    struct gsn_sequence_finding own[4] = { named(GSN_SEQUENCE_DUPLICATE, 0, 2, 0.6),
-                                           named(GSN_SEQUENCE_SWAP, 2, 3, 9) },
-                                others[] = { named(GSN_SEQUENCE_SWAP, 0, 3, 2) };
-    struct gsn_sequence found = { .count = 2, .finding = own };
-    const struct gsn_sequence other = { .count = 1, .finding = others };
-    char out[4], room[3];
-
-    gsn_sequence_leave_out(four, &found, 0, out, 4);
-    CHECK(out[0] && !out[1] && !out[2] && !out[3]);
-    gsn_sequence_leave_out(four, &found, 1, out, 4);
-    CHECK(!out[0] && !out[1] && out[2] && !out[3]);
-    CHECK(!gsn_sequence_is_settled(four, &found));
-    own[1] = named(GSN_SEQUENCE_SWAP, 1, 3, 9);
-    gsn_sequence_agree(four, &other, &found, room);
-    CHECK(found.count == 2);
-    CHECK(has(&found, GSN_SEQUENCE_SWAP, 0, 3) && has(&found, GSN_SEQUENCE_DUPLICATE, 0, 2));
-    own[0] = named(GSN_SEQUENCE_DUPLICATE, 0, 1, 0.6);
-    found.count = 1;
-    CHECK(gsn_sequence_is_settled(four, &found));
-}
-
-/* Two sections drawn from all, in each other's places, alone in their stack. */
-static void swap_any(struct draw_chance *chance, unsigned ret_at[2])
-{
-    do {
-        ret_at[0] = (unsigned)draw_uniform(chance, 0, SECTIONS);
-        ret_at[1] = (unsigned)draw_uniform(chance, 0, SECTIONS);
-    } while (ret_at[0] >= ret_at[1] ||
-             (ret_at[1] == ret_at[0] + 1 && (ret_at[0] == 0 || ret_at[1] == SECTIONS - 1)));
-    planes[ret_at[0]].density = seen[ret_at[1]];
-    planes[ret_at[1]].density = seen[ret_at[0]];
-}
-
-/* The long run: GIESON_TRIALS=10000 build/bench/tests/test_register_order_sequence. */
-TEST(any_two_sections_in_each_others_places_are_proposed)
-{
-    enum { FAR = GSN_SEQUENCE_NEAR + 1 };
-    struct draw_chance chance = { 12 };
-    const size_t trials = mounted_trials(6);
-    size_t made[FAR] = { 0 }, found[FAR] = { 0 }, all = 0, others = 0;
-
-    for (size_t t = 0; t < trials; t++) {
-        unsigned at[2];
-
-        see_all(&chance);
-        swap_any(&chance, at);
-        gsn_auto(gsn_sequence) s = examined(SECTIONS);
-        const size_t is = has(s, GSN_SEQUENCE_SWAP, at[0], at[1]) != 0;
-        const unsigned apart = at[1] - at[0] < FAR ? at[1] - at[0] : FAR;
-
-        made[apart - 1]++;
-        found[apart - 1] += is;
-        all += is;
-        others += s->count - is;
-    }
-    print_message(
-        "  %zu of %zu swaps found (%.2f %%): neighbours %zu of %zu, two apart %zu of %zu, "
-        "three %zu of %zu, farther %zu of %zu; %zu other proposals\n",
-        all, trials, 100 * (double)all / (double)trials, found[0], made[0], found[1], made[1],
-        found[2], made[2], found[3], made[3], others);
-    CHECK((double)all >= 0.99 * (double)trials);
-    CHECK((double)others <= 0.02 * (double)trials);
 }
 
 /* Case 31: the slot of section a + 1 holds a second mount of section a. */
@@ -463,8 +310,8 @@ TEST(a_section_mounted_twice_is_found_across_the_stack)
     }
 }
 
-/* A swap of a section that is there twice, or of one beside it: [2 1 2 0 ...], say. The pair is
- * named, or none; the two mounts are named all the same. */
+/* A swap of a section that is there twice, or of one beside it: [2 1 2 0 ...], say. The two mounts
+ * are named, and where the swap is of neither, it or none. */
 TEST(beside_a_section_mounted_twice_no_wrong_pair_is_named)
 {
     static const unsigned pair[][2] = {
@@ -495,7 +342,7 @@ TEST(beside_a_section_mounted_twice_no_wrong_pair_is_named)
     others -= found;
     print_message("  %zu of %zu swaps found, %zu other proposals\n", found, trials, others);
     CHECK(duplicates == trials);
-    CHECK(others == 0 && 4 * found >= 3 * trials);
+    CHECK(others == 0);
 }
 
 TEST(sections_without_detail_of_their_own_are_not_called_duplicates)

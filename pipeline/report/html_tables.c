@@ -418,7 +418,7 @@ static void add_files(struct gsn_report_text *text, const char *title,
 static void add_parameters(struct gsn_report_text *text, const struct gsn_report *report)
 {
     gsn_report_text_raw(text,
-                        "<details><summary>Parameters</summary><div class=\"scroll\"><table>"
+                        "<details open><summary>Parameters</summary><div class=\"scroll\"><table>"
                         "<thead><tr><th>Name</th><th class=\"num\">Value</th><th>Unit</th></tr>"
                         "</thead><tbody>\n");
     for (size_t i = 0; i < report->parameter_count; i++) {

@@ -319,6 +319,7 @@ int gsn_scale_count_colours(const struct gsn_specimen *specimen, const struct gs
     gsn_auto(gsn_cloud_tally) tally = NULL;
     gsn_auto(gsn_mask) without = NULL;
     struct sum inside = { .cells = 0 }, none = { .cells = 0 };
+    double before, squares = 0;
     int r;
 
     mean_of(&inside, scale->region_od);
@@ -339,12 +340,15 @@ int gsn_scale_count_colours(const struct gsn_specimen *specimen, const struct gs
         scale->cloud->panel[p].panel = d->panel[p].stain.panel;
         scale->cloud->panel[p].noise = noise_of(&d->panel[p]);
         scale->cloud->panel[p].lossy = d->panel[p].lossy;
+        before = none.cells;
         for (size_t z = 0; z < at->nz; z++)
             if (gsn_panel_of_plane(poses, d, at, z, specimen->protocol->interval_um) == (int)p)
                 add_plane(region, d, scale, p, without, z, tally, &inside, &none);
+        squares += (none.cells - before) * (none.cells - before);
         r = gsn_cloud_tally_take(tally, &scale->cloud->panel[p], err);
     }
     mean_of(&inside, scale->region_od);
     mean_of(&none, scale->free_od);
+    scale->free_panels = squares > 0 ? none.cells * none.cells / squares : 0;
     return r;
 }

@@ -64,6 +64,7 @@ struct gsn_scale {
                                 as the coarse grid is */
     double region_od[3];     /* mean R, G and B of the region's tissue on it; NaN: none is seen */
     double free_od[3]; /* of the stated tissue without collagen; NaN: none is stated, or seen */
+    double free_panels; /* that it lies in, counted by its cells; 0: in none */
 };
 
 /* Brings the densities to one scale, in place: by standards, by a stated reference tissue, or by

@@ -19,7 +19,8 @@
  *
  *     1. the control's colours as this specimen's bath would show them: red by the link of
  *        untreated tissue (stain/normalisation.h), yellow by the yellow of the same tissue
- *     2. edge of the pooled cells; where each panel has its own, whose scatter is the error
+ *     2. edge of the pooled cells, and where each panel has its own: that of this specimen's panels
+ *        counts, and what panels scatter by is the error
  *     3. distribution of the loss: edge less purity, and around it what the stain leaves open
  *        (tissue that job.json states to hold no collagen replaces the guess: its hue, carried
  *        along the edge to the mixture that remains, less what a density up to FREE_MOST makes)
@@ -28,6 +29,7 @@
  */
 #include "pipeline/specimen/report_builder.h"
 
+#include "pipeline/core/distributions.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/measure/stats.h"
 #include "pipeline/stain/hue_distribution.h"
@@ -202,12 +204,14 @@ struct sides {
     double free[3];   /* of tissue that is stated to hold no collagen, in R + G + B of it */
     double free_all;  /* R + G + B of it, summed over the specimens */
     int stated;       /* of how many specimens; 0: of none */
+    double free_panels; /* that it lies in, of all of them */
     double apparent;  /* treated over control */
     double density;   /* of the control */
     double deviation; /* of the loss by all but the vectors, per cent */
 };
 
-static void add_free(const double od[3], struct sides *sides)
+/* panels: that it lies in; 0: an older run did not count them, and one is the least. */
+static void add_free(const double od[3], double panels, struct sides *sides)
 {
     const double all = od[0] + od[1] + od[2];
 
@@ -216,6 +220,7 @@ static void add_free(const double od[3], struct sides *sides)
     for (int c = 0; c < 3; c++)
         sides->free[c] += od[c] / all;
     sides->free_all += all;
+    sides->free_panels += fmax(1, panels);
     sides->stated++;
 }
 
@@ -245,7 +250,7 @@ static void add_controls(const struct gsn_report_inputs *e, const struct gsn_bui
         for (int c = 0; c < 3; c++)
             od[c] = control->free_od[c];
         bring_over(mix, dyes, &side, od);
-        add_free(od, sides);
+        add_free(od, control->free_panels, sides);
     }
     ret_control->panels = pool->panels - before;
 }
@@ -309,31 +314,46 @@ static double spread_quantile(const struct spread *s, double share)
 
 /* ---- loss -------------------------------------------------------------------------------- */
 
-/* Standard error of the mean edge of both sides, by what their panels have. ret_mean: of them. */
-static int judge_panels(const struct gsn_hue_edge *edge, const struct pool *pool, double *ret_mean,
-                        double *ret_error, size_t ret_panels[2], struct gsn_error *err)
-{
-    double sum = 0, square = 0, n;
+/* The edge panel by panel. A panel whose bath or light lies apart has its edge apart, and all of its
+ * tissue with it: so the edge that counts is that of the panels which the treated region was seen in.
+ * (The control's tissue lies on the axis from collagen, where the edge has no say.) */
+struct panel_edges {
+    double mean;      /* of this specimen's panels */
+    double scatter;   /* from panel to panel within a specimen, so wide that 1.96 of it hold 95 %
+                         though it is known from few */
+    size_t panels[2]; /* this specimen's that show an edge, and the controls' */
+};
 
-    ret_panels[0] = ret_panels[1] = 0;
+static int judge_panels(const struct gsn_hue_edge *edge, const struct pool *pool,
+                        struct panel_edges *ret_edges, struct gsn_error *err)
+{
+    double sum[2] = { 0 }, square[2] = { 0 }, apart = 0, freedom;
+    struct panel_edges edges = { 0 };
+
     for (size_t p = 0; p < pool->panels; p++) {
+        const int side = p >= pool->own;
         double at;
         const int r = gsn_hue_edge_of(edge, pool->point + pool->first[p],
-                                  pool->first[p + 1] - pool->first[p], &at, NULL);
+                                      pool->first[p + 1] - pool->first[p], &at, NULL);
 
         if (r == GSN_E_NOMEM)
             return gsn_fail(err, r, "out of memory for the colours of two specimens");
         if (r < 0)
             continue;
-        ret_panels[p >= pool->own]++;
-        sum += at;
-        square += at * at;
+        edges.panels[side]++;
+        sum[side] += at;
+        square[side] += at * at;
     }
-    n = (double)(ret_panels[0] + ret_panels[1]);
-    *ret_mean = n > 0 ? sum / n : 0;
-    /* Known from few panels: the variance of Student's distribution. */
-    *ret_error =
-        n > 3 ? sqrt(fmax(0, square / n - *ret_mean * *ret_mean) / (n - 1) * (n - 1) / (n - 3)) : 0;
+    freedom = (double)(edges.panels[0] + edges.panels[1]) - 2;
+    for (int side = 0; side < 2; side++)
+        if (edges.panels[side] > 0)
+            apart += square[side] - sum[side] * sum[side] / (double)edges.panels[side];
+    if (edges.panels[0] > 0)
+        edges.mean = sum[0] / (double)edges.panels[0];
+    if (freedom > 0)
+        edges.scatter =
+            sqrt(fmax(0, apart) / freedom) * gsn_student_quantile(0.975, freedom) / 1.96;
+    *ret_edges = edges;
     return GSN_OK;
 }
 
@@ -393,41 +413,45 @@ static const char *by_edge(struct gsn_builder *d, const struct sides *sides,
     struct gsn_error why = { 0 };
     struct gsn_hue_edge edge;
     const double edge_error = pool->lossy ? EDGE_ERROR_LOSSY : EDGE_ERROR;
-    double mean = 0, error = 0, step;
-    size_t panels[2];
+    struct panel_edges panels = { 0 };
+    double own, error, step;
     int r;
 
     if (fabs(1 - sides->apparent) < LEAST_LOST)
         return "too little is lost to see the colour of what remains";
     r = gsn_hue_edge_find(pool->point, pool->points, sides->there, sides->here, &edge, &why);
     if (r >= 0)
-        r = judge_panels(&edge, pool, &mean, &error, panels, &why);
+        r = judge_panels(&edge, pool, &panels, &why);
     if (r == GSN_E_NOMEM)
         d->out_of_memory = 1;
     if (r < 0)
         return gsn_builder_say(d, "%s", why.text);
-    if (panels[0] < LEAST_PANELS || panels[1] < LEAST_PANELS)
+    if (panels.panels[0] < LEAST_PANELS || panels.panels[1] < LEAST_PANELS)
         return gsn_builder_say(
             d,
             "fewer than %d panels of each specimen show tissue of the colour that "
             "is left where collagen is gone",
             LEAST_PANELS);
+    own = (double)panels.panels[0];
+    error = panels.scatter / sqrt(own);
     step = (gsn_hue_edge_ratio(&edge, sides->there, sides->here, 0.01) -
             gsn_hue_edge_ratio(&edge, sides->there, sides->here, -0.01)) /
            0.02;
-    ret_spread->most = 100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -mean));
+    ret_spread->most = 100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -panels.mean));
     ret_spread->per_purest = 100 * step;
     ret_spread->deviation = hypot(100 * step * hypot(error, edge_error), sides->deviation);
     ret_spread->purest = PUREST;
     d->edge = edge;
-    d->edge_panels = panels[0] + panels[1];
+    d->edge_panels = panels.panels[0] + panels.panels[1];
     if (sides->stated) {
         const struct free_tissue tissue = look_at_free(&edge, sides);
-        const double deviation = hypot(hypot(error, edge_error), tissue.slope_error);
+        /* It lies in some panels, the region in all of its own. */
+        const double carried = panels.scatter * sqrt(1 / own + 1 / sides->free_panels);
+        const double deviation = hypot(hypot(carried, edge_error), tissue.slope_error);
 
         /* No cell holds less than no collagen, so such tissue is not far inside the cloud. */
-        if (tissue.at - mean > 1.96 * hypot(deviation, tissue.purest))
-            return note_contradiction(d, &tissue, mean);
+        if (tissue.at - panels.mean > 1.96 * hypot(deviation, tissue.purest))
+            return note_contradiction(d, &tissue, panels.mean);
         ret_spread->most = 100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -tissue.at));
         ret_spread->purest = tissue.purest;
         ret_spread->deviation = hypot(100 * step * deviation, sides->deviation);
@@ -464,7 +488,7 @@ static const char *narrow_loss(const struct gsn_report_inputs *e, struct gsn_bui
     add_cloud(e->reconstruction->scale.cloud, mix, dyes, NULL, pool);
     pool->own = pool->panels;
     add_controls(e, d, mix, dyes, pool, &there, &sides);
-    add_free(e->reconstruction->scale.free_od, &sides);
+    add_free(e->reconstruction->scale.free_od, e->reconstruction->scale.free_panels, &sides);
     for (int c = 0; c < 3; c++) {
         sides.here[c] = e->reconstruction->scale.region_od[c];
         sides.there[c] = there.od[c];

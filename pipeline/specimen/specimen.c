@@ -221,6 +221,7 @@ static void keep_control(struct gsn_reconstruction *a, struct gsn_specimen_resul
     memcpy(result->colours.yellow, a->scale.levelling.yellow, sizeof result->colours.yellow);
     memcpy(result->colours.region_od, a->scale.region_od, sizeof result->colours.region_od);
     memcpy(result->colours.free_od, a->scale.free_od, sizeof result->colours.free_od);
+    result->colours.free_panels = a->scale.free_panels;
     result->colours.cloud = gsn_steal(&a->scale.cloud);
 }
 

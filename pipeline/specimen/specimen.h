@@ -53,6 +53,7 @@ struct gsn_specimen_control {
     double yellow[GSN_CONTROL_TISSUES]; /* of them, OD; NaN: not seen */
     double region_od[3];              /* mean R, G and B of its region; NaN: not known */
     double free_od[3];                /* of its stated tissue without collagen; NaN: none */
+    double free_panels;               /* that it lies in; 0: not known */
     struct gsn_cloud *cloud;          /* of its tissue; NULL: not known */
 };
 

@@ -230,9 +230,9 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
 {
     const struct gsn_specimen_control *c = &result->colours;
     json_t *root =
-        json_pack("{s:s, s:s, s:s, s:{s:o, s:o, s:o, s:o}}", "definition", result->definition,
+        json_pack("{s:s, s:s, s:s, s:{s:o, s:o, s:f, s:o, s:o}}", "definition", result->definition,
                   "dyes", result->dyes, "own_key", own_key, "colours", "region_od",
-                  numbers_of(c->region_od, 3), "free_od", numbers_of(c->free_od, 3), "yellow",
+                  numbers_of(c->region_od, 3), "free_od", numbers_of(c->free_od, 3), "free_panels", c->free_panels, "yellow",
                   numbers_of(c->yellow, GSN_CONTROL_TISSUES), "panels", panels_of(c->cloud));
     char *dumped = json_dumps(root, JSON_COMPACT);
     char *text = dumped ? gsn_strdup(dumped) : NULL;
@@ -298,6 +298,7 @@ static int read_colours(const struct gsn_run_row *run, struct gsn_specimen_contr
 
     take_numbers(json_object_get(from, "region_od"), colours->region_od, 3);
     take_numbers(json_object_get(from, "free_od"), colours->free_od, 3);
+    colours->free_panels = json_number_value(json_object_get(from, "free_panels"));
     take_numbers(json_object_get(from, "yellow"), colours->yellow, GSN_CONTROL_TISSUES);
     if (json_array_size(panels) > 0)
         r = gsn_cloud_new(json_array_size(panels), &cloud, err);

@@ -478,6 +478,52 @@ TEST(a_jpeg_on_either_side_leaves_the_loss_more_open)
     }
 }
 
+/* One panel of a side was in another bath, and with it a third of that side's region. */
+static void set_panel_apart(struct narrowed *n, int of_control, double left, double turn)
+{
+    const double more[GSN_DYE_ROTATIONS] = { turn, -turn, turn, turn, -turn, turn };
+    const struct gsn_dyes table = gsn_dyes_builtin();
+    const struct gsn_dyes bath = gsn_dyes_rotated(&table, BATH_TURN);
+    const struct gsn_dyes apart = gsn_dyes_rotated(&bath, more);
+    struct gsn_cloud *cloud = of_control ? n->control.cloud : n->told.stack.scale.cloud;
+    double *region = of_control ? n->control.region_od : n->told.stack.scale.region_od;
+    const double amount[3] = { 0.52 * left, 0.18 + 0.14 * (1 - left), 0.01 + 0.14 * (1 - left) };
+    struct gsn_cloud *other = cells_of(&apart, cloud->panels, 1);
+    const struct gsn_cloud_panel kept = cloud->panel[1];
+    double here[3], there[3];
+
+    cloud->panel[1] = other->panel[1];
+    other->panel[1] = kept;
+    gsn_cloud_free(other);
+    colour_of(&bath, amount, here);
+    colour_of(&apart, amount, there);
+    for (int c = 0; c < 3; c++)
+        region[c] += (there[c] - here[c]) / (double)cloud->panels;
+    *(of_control ? &n->told.specimen.baseline.mean_density : &n->told.analysis.density.mean) =
+        seen_density(&table, region);
+}
+
+/* The edge that counts is that of the panels the treated region was seen in; what panels scatter by
+ * is in the interval, whichever side shows it. */
+TEST(panels_of_another_bath_leave_the_loss_more_open_and_still_right)
+{
+    for (int of_control = 0; of_control < 2; of_control++) {
+        narrowed_auto alike, apart;
+
+        narrowed_init(&alike, 0.6, 1, 3, 1);
+        narrowed_init(&apart, 0.6, 1, 3, 1);
+        set_panel_apart(&apart, of_control, of_control ? 1 : 0.6, 0.03);
+        gsn_auto(gsn_specimen_result) a = summarised(&alike.told);
+        gsn_auto(gsn_specimen_result) b = summarised(&apart.told);
+        const struct gsn_specimen_measure narrow = measure(a, "loss"), wide = measure(b, "loss");
+
+        CHECK(wide.lower < 40 && 40 < wide.upper);
+        CHECK(wide.upper - wide.lower > 1.05 * (narrow.upper - narrow.lower));
+        if (!of_control)
+            CHECK_NEAR(wide.value, 40, 2);
+    }
+}
+
 TEST(no_loss_stays_none_in_any_bath_and_is_known_well)
 {
     narrowed_auto n;

@@ -179,6 +179,7 @@ TEST(what_a_run_hands_on_of_its_colours_comes_back_beside_its_tissues)
                                                 .dyes = "set",
                                                 .colours = { .region_od = { 1.0 / 3, 0.5, 0.25 },
                                                              .free_od = { 0.1, 0.2, 0.3 },
+                                                             .free_panels = 2.5,
                                                              .yellow = { 0.125, (double)NAN, 0.5 },
                                                              .cloud = &cloud } };
     struct control whole = ONE, none = OTHER;
@@ -198,6 +199,7 @@ TEST(what_a_run_hands_on_of_its_colours_comes_back_beside_its_tissues)
     assert_string_equal(b->dyes, "set");
     CHECK(b->specimens == 2);
     CHECK(control[0].region_od[0] == 1.0 / 3 && control[0].region_od[2] == 0.25);
+    CHECK(control[0].free_panels == 2.5 && control[1].free_panels == 0);
     CHECK(control[0].free_od[2] == 0.3 && isnan(control[1].free_od[0]));
     CHECK(control[0].yellow[0] == 0.125 && isnan(control[0].yellow[1]));
     CHECK(control[0].cloud && control[0].cloud->panels == 1); /* one holds nothing */

@@ -30,8 +30,8 @@
 
 /* --- the mesher --- */
 
-/* Quality asked of every mesh: the radii of clouds follow the smallest altitudes, and slivers would
- * shrink them. */
+/* Quality asked where the caller asks for none: the radii of clouds follow the smallest altitudes,
+ * and slivers would shrink them. */
 static const double RADIUS_EDGE = 1.4, MIN_DIHEDRAL_DEG = 14;
 
 enum { WALL_S = 120 };
@@ -63,8 +63,9 @@ static int ask_mesher(const struct gsn_domain_options *options,
     size_t asked_size = 0, answer_size = 0;
     int r;
 
-    question.options.radius_edge = RADIUS_EDGE;
-    question.options.min_dihedral_deg = MIN_DIHEDRAL_DEG;
+    question.options.radius_edge = options->radius_edge > 0 ? options->radius_edge : RADIUS_EDGE;
+    question.options.min_dihedral_deg =
+        options->dihedral_deg > 0 ? options->dihedral_deg : MIN_DIHEDRAL_DEG;
     r = gsn_mesh_question_pack(&question, &asked, &asked_size, err);
 
     if (r >= 0)

@@ -352,7 +352,7 @@ int gsn_cells_surface(const struct gsn_cells *cells, struct gsn_surface **ret_su
     if (!ids)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the domain's surface");
     trace_surface(cells, ids, &vertices, &facets, NULL);
-    r = gsn_surface_new(vertices, facets, &surface, err);
+    r = gsn_surface_new(vertices, facets, 0, &surface, err);
     if (r < 0)
         return r;
     facets = 0;
@@ -542,8 +542,8 @@ static void mark_tet(const struct gsn_tets *mesh, size_t tet, const struct gsn_l
             }
 }
 
-static int verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *region,
-                         struct gsn_error *err)
+int gsn_domain_verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *region,
+                             struct gsn_error *err)
 {
     const size_t count = gsn_lattice_count(&region->at);
     gsn_auto_mem(uint8_t) held = gsn_alloc_array(count, 1);
@@ -565,5 +565,5 @@ int gsn_domain_verify_cells(const struct gsn_tets *mesh, const struct gsn_cells 
 
     if (r >= 0)
         r = verify_boundary(mesh, cells, err);
-    return r < 0 ? r : verify_voxels(mesh, region, err);
+    return r < 0 ? r : gsn_domain_verify_voxels(mesh, region, err);
 }

@@ -52,8 +52,8 @@ int gsn_cells_surface(const struct gsn_cells *cells, struct gsn_surface **ret_su
 /* One question to the mesher's process, and its answer as a mesh. */
 
 /* gives: the answer, conforming, oriented and in the order of space; whether it fills the right
- * place is the caller's to verify. The quality is set here, whatever the question's options say;
- * their largest volume is kept. Fails with GSN_E_MESH, GSN_E_PROCESS, GSN_E_NOMEM. */
+ * place is the caller's to verify. The quality is that of the options, whatever the question's say;
+ * its largest volume is kept. Fails with GSN_E_MESH, GSN_E_PROCESS, GSN_E_NOMEM. */
 int gsn_domain_ask(const struct gsn_domain_options *options,
                    const struct gsn_mesh_question *question, struct gsn_tets **ret_mesh,
                    struct gsn_error *err);
@@ -73,6 +73,10 @@ int gsn_domain_order(struct gsn_soup *soup, struct gsn_error *err);
  * Fails with GSN_E_MESH saying what does not hold, GSN_E_NOMEM. */
 int gsn_domain_verify_cells(const struct gsn_tets *mesh, const struct gsn_cells *cells,
                             const struct gsn_mask *region, struct gsn_error *err);
+
+/* Every voxel centre of the region is inside. Fails with GSN_E_MESH, GSN_E_NOMEM. */
+int gsn_domain_verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *region,
+                             struct gsn_error *err);
 
 /* Volume and boundary area agree to 1e-9. Fails with GSN_E_MESH. */
 int gsn_domain_verify_same(const struct gsn_tets *mesh, const struct gsn_tets *before,

@@ -2,27 +2,30 @@
 
 /* Least squares: the control points that make a spline follow samples, and how well it predicts.
  *
- * Method: normal equations with a small penalty on the gradient (Tikhonov), solved by conjugate
- * gradients (fit_system.c). The penalty is that of the polynomial with all clouds collapsed, which
- * has a closed form in Bernstein products. Two-fold cross-validation, and generalised
- * cross-validation of one fit: P. Craven, G. Wahba, "Smoothing noisy data with spline functions",
- * 1979, 10.1007/BF01404567.
+ * Method: normal equations with two penalties, solved by conjugate gradients (fit_system.c): a
+ * little of the gradient (Tikhonov), in closed form for the polynomial with all clouds collapsed,
+ * and the jump of the gradient across faces (face_jump.c), as much as two-fold cross-validation
+ * asks for. Generalised cross-validation of one fit: P. Craven, G. Wahba, "Smoothing noisy data
+ * with spline functions", 1979, 10.1007/BF01404567.
  *
  * Steps: (1) sort the samples by tetrahedron and evaluate the basis at all of them (fit_rows.c);
- * (2) add the penalty to each tetrahedron's block; (3) assemble, solve for deviations from the
- * mean; (4) residuals per tetrahedron.
+ * (2) assemble the equations, fold by fold; (3) with folds, go up a ladder of weights as long as
+ * each fold predicts the other better: the error there is a quadratic form of the other's
+ * equations, so that no sample is evaluated twice; (4) solve with both folds for deviations from
+ * the mean; (5) residuals per tetrahedron.
  *
  * Failure: GSN_E_INPUT names the first sample that is not finite or lies outside the mesh;
  * GSN_E_FIT when the solver does not reach its tolerance. Cost: evaluation of the samples
- * dominates; the solver passes over the matrix once a step. */
+ * dominates; the solver passes over matrix and faces once a step. */
 #include "pipeline/model/fit.h"
 
-#include "pipeline/model/batch.h"
+#include "pipeline/model/face_jump.h"
 #include "pipeline/model/fit_system.h"
 #include "pipeline/model/barycentric.h"
 
 #include <assert.h>
 #include <math.h>
+#include <string.h>
 
 /* --- the gradient penalty --- */
 
@@ -104,8 +107,8 @@ void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_te
 
 /* --- the fit --- */
 
-static const double SMOOTHING = 1e-6, TOLERANCE = 1e-10;
-enum { ITERATIONS = 2000, STEPS = 4 };
+static const double SMOOTHING = 1e-6, TOLERANCE = 1e-8;
+enum { ITERATIONS = 10000, STEPS = 4 };
 
 static struct gsn_fit_options with_defaults(const struct gsn_fit_options *options)
 {
@@ -120,9 +123,9 @@ static struct gsn_fit_options with_defaults(const struct gsn_fit_options *option
     return full;
 }
 
-/* The penalty smoothing * h^2 * integral |grad s|^2 in sample units, i.e. times samples per volume
- * where there are samples; h is the edge of a regular tetrahedron of the mean volume. */
-static double penalty_weight(const struct gsn_fit_rows *rows, double smoothing)
+/* d h^2: samples per volume where there are samples, times the square of the edge of a regular
+ * tetrahedron of the mean volume. */
+static double penalty_unit(const struct gsn_fit_rows *rows)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(rows->space);
     double volume = 0, sampled = 0;
@@ -134,45 +137,172 @@ static double penalty_weight(const struct gsn_fit_rows *rows, double smoothing)
         if (rows->start[t] < rows->start[t + 1])
             sampled += here;
     }
-    return smoothing * (double)rows->samples->count / sampled *
+    return (double)rows->samples->count / sampled *
            pow(6 * sqrt(2) * volume / (double)mesh->tet_count, 2.0 / 3);
 }
 
-static int add_penalty(struct gsn_fit_rows *rows, double smoothing, struct gsn_error *err)
+static int find_roughness(struct gsn_fit_rows *rows, struct gsn_error *err)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(rows->space);
-    const double weight = penalty_weight(rows, smoothing);
     gsn_auto_mem(struct gsn_fit_smooth) smooth = gsn_alloc_array(1, sizeof *smooth);
 
     if (!smooth)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the gradient penalty");
     gsn_fit_smooth_init(smooth, rows->space);
     for (size_t t = 0; t < mesh->tet_count; t++)
-        gsn_fit_smooth_add(smooth, mesh, t, weight, rows->block + t * rows->packed);
+        gsn_fit_smooth_add(smooth, mesh, t, 1, rows->rough + t * rows->packed);
     return GSN_OK;
+}
+
+/* The equations of a fit, and what weighs their parts. */
+struct equations {
+    const struct gsn_fit_rows *rows;
+    const struct gsn_fit_options *options;
+    struct gsn_fit_system system;
+    struct gsn_fit_patches *patches;
+    double unit; /* of both penalties, for all samples */
+};
+
+static void equations_done(struct equations *eq)
+{
+    gsn_fit_system_done(&eq->system);
+    gsn_fit_patches_free(eq->patches);
+}
+
+static int equations_init(struct equations *eq, struct gsn_fit_rows *rows,
+                          const struct gsn_fit_options *options, struct gsn_error *err)
+{
+    gsn_auto(gsn_face_jumps) jumps = NULL;
+    int r = find_roughness(rows, err);
+
+    *eq = (struct equations){ .rows = rows, .options = options, .unit = penalty_unit(rows) };
+    if (r >= 0 && (options->fold || options->jump > 0))
+        r = gsn_face_jumps_new(rows->space, &jumps, err);
+    if (r >= 0)
+        r = gsn_fit_system_assemble(&eq->system, rows, jumps, options->threads, err);
+    return r < 0 ? r : gsn_fit_patches_new(rows->space, &eq->patches, err);
+}
+
+/* Solves for the folds whose weight is 1; the penalties weigh as many samples as those have. x is
+ * where to begin. */
+static int solve_folds(struct equations *eq, const double fold[2], double jump, double tolerance,
+                       unsigned iterations, double *x, unsigned *ret_iterations,
+                       struct gsn_error *err)
+{
+    const size_t *count = eq->rows->count;
+    const double unit = eq->unit * (fold[0] * (double)count[0] + fold[1] * (double)count[1]) /
+                        (double)eq->rows->samples->count;
+    int r;
+
+    gsn_fit_system_combine(&eq->system, fold, unit * eq->options->smoothing, unit * jump);
+    r = gsn_fit_patches_invert(eq->patches, &eq->system, eq->options->threads, err);
+    if (r >= 0)
+        r = gsn_fit_system_solve(&eq->system, eq->patches, tolerance, iterations,
+                                 eq->options->threads, x, ret_iterations, err);
+    return r;
+}
+
+/* --- cross-validation --- */
+
+/* The ladder of weights. A rung must lower the predicted error by this part of it: a fit that
+ * predicts no better for being smoother is left as it is. */
+static const double FIRST_JUMP = 1e-5, RUNG = 4, GAIN = 1e-4;
+enum { RUNGS = 9 };
+
+/* Predictions need not be solved to more digits than they are compared in, nor with more than this
+ * part of the iterations. */
+static const double ROUGHLY = 1e-4;
+enum { HURRY = 10 };
+
+/* Rms error at the samples of each fold of a fit to those of the other. x: of each fold, where to
+ * begin, and the answer. */
+static int predict_folds(struct equations *eq, double jump, double *const x[2], double *scratch,
+                         double *ret_rms, struct gsn_error *err)
+{
+    static const double FOLD[2][2] = { { 1, 0 }, { 0, 1 } };
+    const double tolerance = fmax(ROUGHLY, eq->options->tolerance);
+    double sum = 0;
+
+    for (size_t k = 0; k < 2; k++) {
+        unsigned iterations;
+        const int r = solve_folds(eq, FOLD[k], jump, tolerance, eq->options->iterations / HURRY,
+                                  x[k], &iterations, err);
+
+        if (r < 0)
+            return r;
+        sum += gsn_fit_system_squares(&eq->system, 1 - k, eq->rows->squares[1 - k], x[k], scratch);
+    }
+    *ret_rms = sqrt(sum / (double)eq->rows->samples->count);
+    return GSN_OK;
+}
+
+/* The weight at which the folds predict each other best; x becomes where to begin with it. Where
+ * samples leave a wide gap, or those of one fold do, a small weight leaves it to next to nothing
+ * what lies in there, and iterations without end find out: such rungs are passed over. The heaviest
+ * weights take as long; the ladder ends there. */
+static int choose_jump(struct equations *eq, double *ret_x, double *ret_jump, double *ret_predicted,
+                       struct gsn_error *err)
+{
+    const size_t n = eq->system.unknowns;
+    gsn_auto_mem(double) first = gsn_alloc_array(n, sizeof *first);
+    gsn_auto_mem(double) second = gsn_alloc_array(n, sizeof *second);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(n, sizeof *scratch);
+    double *const x[2] = { first, second };
+    double jump = eq->options->jump > 0 ? eq->options->jump : FIRST_JUMP, best = INFINITY;
+    struct gsn_error why = { 0 };
+    int failed = GSN_OK;
+
+    if (!first || !second || !scratch)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the values at a fold");
+    for (unsigned rung = 0; rung < RUNGS; rung++, jump *= RUNG) {
+        double rms;
+        const int r = predict_folds(eq, jump, x, scratch, &rms, &why);
+
+        if (r == GSN_E_FIT && isfinite(best))
+            break;
+        if (r == GSN_E_FIT) {
+            memset(first, 0, n * sizeof *first);
+            memset(second, 0, n * sizeof *second);
+            failed = r;
+            continue;
+        }
+        if (r < 0)
+            return gsn_fail(err, r, "%s", why.text);
+        if (!(rms < best * (1 - GAIN)))
+            break;
+        best = rms;
+        *ret_jump = jump;
+        *ret_predicted = rms;
+        for (size_t i = 0; i < n; i++)
+            ret_x[i] = (first[i] + second[i]) / 2;
+    }
+    return isfinite(best) ? GSN_OK : gsn_fail(err, failed, "%s", why.text);
 }
 
 /* gives: the control values of the fit. */
 static int solve_system(struct gsn_fit_rows *rows, const struct gsn_fit_options *options,
-                        double **ret_control, unsigned *ret_iterations, struct gsn_error *err)
+                        double **ret_control, struct gsn_fit_report *report, struct gsn_error *err)
 {
-    struct gsn_fit_system system = { .unknowns = 0 };
-    gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(rows->space), sizeof *control);
+    static const double BOTH[2] = { 1, 1 };
+    const size_t unknowns = gsn_dms_controls(rows->space);
+    struct equations eq;
+    gsn_auto_mem(double) control = gsn_alloc_array(unknowns, sizeof *control);
     int r;
 
     if (!control)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the control points");
-    r = add_penalty(rows, options->smoothing, err);
-    if (r >= 0)
-        r = gsn_fit_system_assemble(&system, rows, options->threads, err);
+    report->jump = options->jump;
+    r = equations_init(&eq, rows, options, err);
     gsn_progress_say(options->progress, "fit", 2, STEPS);
+    if (r >= 0 && options->fold)
+        r = choose_jump(&eq, control, &report->jump, &report->predicted, err);
     if (r >= 0)
-        r = gsn_fit_system_solve(&system, options->tolerance, options->iterations, control,
-                                 ret_iterations, err);
-    gsn_fit_system_done(&system);
+        r = solve_folds(&eq, BOTH, report->jump, options->tolerance, options->iterations, control,
+                        &report->iterations, err);
+    equations_done(&eq);
     if (r < 0)
         return r;
-    for (size_t i = 0; i < gsn_dms_controls(rows->space); i++)
+    for (size_t i = 0; i < unknowns; i++)
         control[i] += rows->mean;
     *ret_control = gsn_steal(&control);
     return GSN_OK;
@@ -227,14 +357,14 @@ static int fit_rows(struct gsn_fit_rows *rows, const struct gsn_samples *samples
 {
     gsn_auto_mem(double) control = NULL;
     gsn_auto(gsn_spline) spline = NULL;
-    int r = gsn_fit_rows_sort(rows, space, samples, options->threads, err);
+    int r = gsn_fit_rows_sort(rows, space, samples, options->fold, options->threads, err);
 
     gsn_progress_say(options->progress, "fit", 0, STEPS);
     if (r >= 0)
         r = gsn_fit_rows_evaluate(rows, options->threads, err);
     gsn_progress_say(options->progress, "fit", 1, STEPS);
     if (r >= 0)
-        r = solve_system(rows, options, &control, &figures->report.iterations, err);
+        r = solve_system(rows, options, &control, &figures->report, err);
     gsn_progress_say(options->progress, "fit", 3, STEPS);
     if (r >= 0)
         r = find_figures(rows, control, options->threads, figures, err);
@@ -257,8 +387,8 @@ int gsn_fit(const struct gsn_dms *space, const struct gsn_samples *samples,
     int r;
 
     assert(space && samples && options && ret_spline && ret_report);
-    if (!(full.smoothing > 0) || !isfinite(full.smoothing) || !(full.tolerance > 0) ||
-        !(full.tolerance < 1))
+    if (!(full.smoothing > 0) || !isfinite(full.smoothing) || !(full.jump >= 0) ||
+        !isfinite(full.jump) || !(full.tolerance > 0) || !(full.tolerance < 1))
         return gsn_fail(err, GSN_E_INPUT, "smoothing %g and tolerance %g cannot be used",
                         full.smoothing, full.tolerance);
     r = fit_rows(&rows, samples, space, &full, ret_spline, &figures, err);
@@ -271,100 +401,6 @@ int gsn_fit(const struct gsn_dms *space, const struct gsn_samples *samples,
             *ret_tet_rms = gsn_steal(&figures.tet_rms);
     }
     figures_done(&figures);
-    return r;
-}
-
-/* --- cross-validation --- */
-
-enum { CHUNK = 1 << 16 }; /* samples whose values are held at once */
-
-/* The samples of one fold. */
-struct half {
-    struct gsn_samples samples;
-    double (*at)[3];
-    float *value;
-};
-
-static void half_done(struct half *half)
-{
-    gsn_free(half->at);
-    gsn_free(half->value);
-}
-
-static int take_half(const struct gsn_samples *samples, const uint8_t *fold, uint8_t which,
-                     struct half *half, struct gsn_error *err)
-{
-    size_t count = 0;
-
-    *half = (struct half){ .at = gsn_alloc_array(samples->count, sizeof *half->at),
-                           .value = gsn_alloc_array(samples->count, sizeof *half->value) };
-    if (!half->at || !half->value)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a fold of the samples");
-    for (size_t i = 0; i < samples->count; i++)
-        if (fold[i] == which) {
-            for (size_t c = 0; c < 3; c++)
-                half->at[count][c] = samples->at[i][c];
-            half->value[count++] = samples->value[i];
-        }
-    half->samples = (struct gsn_samples){ .count = count,
-                                          .at = (const double(*)[3])half->at,
-                                          .value = half->value };
-    return GSN_OK;
-}
-
-/* Adds the squared errors at the samples of the other fold. Those on the mesh's upper boundary have
- * no value by the half-open rule; the domain is larger than the region, so there are none. */
-static int add_errors(const struct gsn_spline *spline, const struct gsn_samples *samples,
-                      unsigned threads, double *sum, struct gsn_error *err)
-{
-    gsn_auto_mem(double) value = gsn_alloc_array(CHUNK, sizeof *value);
-
-    if (!value)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the values at a fold");
-    for (size_t first = 0; first < samples->count; first += CHUNK) {
-        const size_t left = samples->count - first, count = left < CHUNK ? left : CHUNK;
-        const int r =
-            gsn_spline_eval_many(spline, samples->at + first, count, threads, value, NULL, err);
-
-        if (r < 0)
-            return r;
-        for (size_t i = 0; i < count; i++) {
-            const double error = value[i] - (double)samples->value[first + i];
-
-            *sum += isnan(value[i]) ? 0 : error * error;
-        }
-    }
-    return GSN_OK;
-}
-
-static int one_way(const struct gsn_dms *space, const struct half *seen, const struct half *unseen,
-                   const struct gsn_fit_options *options, double *sum, struct gsn_error *err)
-{
-    gsn_auto(gsn_spline) spline = NULL;
-    struct gsn_fit_report report;
-    const int r = gsn_fit(space, &seen->samples, options, &spline, &report, NULL, NULL, err);
-
-    return r < 0 ? r : add_errors(spline, &unseen->samples, options->threads, sum, err);
-}
-
-int gsn_cross_validate(const struct gsn_dms *space, const struct gsn_samples *samples,
-                       const uint8_t *fold, const struct gsn_fit_options *options, double *ret_rms,
-                       struct gsn_error *err)
-{
-    struct half half[2] = { { .at = NULL }, { .at = NULL } };
-    double sum = 0;
-    int r = take_half(samples, fold, 0, &half[0], err);
-
-    if (r >= 0)
-        r = take_half(samples, fold, 1, &half[1], err);
-    if (r >= 0)
-        r = one_way(space, &half[0], &half[1], options, &sum, err);
-    if (r >= 0)
-        r = one_way(space, &half[1], &half[0], options, &sum, err);
-    half_done(&half[0]);
-    half_done(&half[1]);
-    if (r >= 0)
-        *ret_rms = sqrt(sum / (double)samples->count);
     return r;
 }
 

@@ -2,10 +2,20 @@
 
 /* Least squares: the control points that make the spline follow the samples.
  *
- * Minimises  sum (s(u_i) - f_i)^2 + smoothing * d * h^2 * integral |grad s|^2,  d the samples per
- * um^3 where there are samples, h the edge of a regular tetrahedron of the mean volume. The penalty
- * fills tetrahedra without samples harmonically from those around them (a part of the mesh without
- * any gets the mean of all samples) and leaves the mean residual at 0.
+ * Minimises, with d the samples per um^3 where there are samples and h the edge of a regular
+ * tetrahedron of the mean volume,
+ *
+ *     sum (s(u_i) - f_i)^2 + d h^2 ( smoothing * integral |grad s|^2 + jump * P(s) ),
+ *
+ * P the jump of the gradient across faces (face_jump.h). The first penalty fills tetrahedra without
+ * samples from those around them (a part of the mesh without any gets the mean of all samples) and
+ * leaves the mean residual at 0; it is small. The second is what smooths: a spline of degree n >= 2
+ * that has no jumps bends as it likes, so walls are not flattened as by the first.
+ *
+ * How much it smooths is found by cross-validation: samples of one fold are predicted by a fit to
+ * those of the other, both ways. What repeats in both folds is signal: with alternate sections as
+ * folds the micro texture of a stain, which no two sections share, counts as noise although it is
+ * smooth within a section.
  *
  * The normal equations are assembled tetrahedron by tetrahedron and solved by conjugate gradients
  * with Jacobi preconditioning; sums run in a fixed order, so the answer does not depend on the
@@ -28,8 +38,11 @@ struct gsn_samples {
 
 struct gsn_fit_options {
     double smoothing;    /* relative weight of the gradient penalty; 0: 1e-6 */
-    double tolerance;    /* relative residual of the solver; 0: 1e-10 */
-    unsigned iterations; /* at most; 0: 2000 */
+    double jump;         /* and of the jumps across faces; with folds the least that is tried (0:
+                            1e-5). Shared control points only, but for 0 without folds */
+    const uint8_t *fold; /* 0 or 1 for every sample, both present; NULL: none */
+    double tolerance;    /* relative residual of the solver; 0: 1e-8 */
+    unsigned iterations; /* at most; 0: 10000 */
     unsigned threads;    /* 0: all */
     const struct gsn_progress *progress;
 };
@@ -38,6 +51,8 @@ struct gsn_fit_report {
     size_t unknowns, samples, empty_tets; /* empty: no sample inside, "no data" */
     unsigned iterations;
     double rms, worst; /* of the residuals s(u_i) - f_i */
+    double jump;       /* the weight that was taken */
+    double predicted;  /* with folds: rms error at samples of a fold that the fit has not seen */
 };
 
 /* gives: the spline, and per tetrahedron the number of samples in it and their rms residual (each
@@ -49,22 +64,11 @@ int gsn_fit(const struct gsn_dms *space, const struct gsn_samples *samples,
             struct gsn_fit_report *ret_report, uint32_t **ret_tet_samples, double **ret_tet_rms,
             struct gsn_error *err);
 
-/* How well a spline space predicts samples it has not seen: what decides between a coarse and a
- * fine space. The residual of a fit cannot, it falls with every unknown that follows the noise. */
-
-/* Root mean square error at the samples of one fold of a fit to those of the other, both ways.
- *
- * fold: 0 or 1 for every sample, each at least once. What repeats in both folds is signal: with
- * alternate sections as folds the micro texture of a stain, which no two sections share, counts as
- * noise although it is smooth within a section. borrows: everything. Fails as gsn_fit() does. */
-int gsn_cross_validate(const struct gsn_dms *space, const struct gsn_samples *samples,
-                       const uint8_t *fold, const struct gsn_fit_options *options, double *ret_rms,
-                       struct gsn_error *err);
-
-/* The same from one fit alone, for independent noise: generalised cross-validation (Craven and
- * Wahba 1979, 10.1007/BF01404567), rms / (1 - unknowns / samples). Unknowns of tetrahedra without
- * samples follow nothing and are not counted. tets: of the mesh. INFINITY when the samples do not
- * carry the unknowns. */
+/* How well a fit predicts samples it has not seen, for independent noise and without folds: what
+ * decides between a coarse and a fine space. The residual cannot, it falls with every unknown that
+ * follows the noise. Generalised cross-validation (Craven and Wahba 1979, 10.1007/BF01404567), rms
+ * / (1 - unknowns / samples). Unknowns of tetrahedra without samples follow nothing and are not
+ * counted. tets: of the mesh. INFINITY when the samples do not carry the unknowns. */
 double gsn_generalised_cross_validation(const struct gsn_fit_report *fit, size_t tets);
 
 #ifdef __cplusplus

@@ -76,19 +76,36 @@ static int sort_samples(struct gsn_fit_rows *rows, const uint32_t *tet, struct g
     return GSN_OK;
 }
 
+/* How many samples each fold has. */
+static int count_folds(struct gsn_fit_rows *rows, struct gsn_error *err)
+{
+    for (size_t i = 0; i < rows->samples->count; i++)
+        rows->count[rows->fold ? rows->fold[i] & 1 : 0]++;
+    for (size_t k = 0; k < rows->folds; k++)
+        if (rows->count[k] == 0)
+            return gsn_fail(err, GSN_E_INPUT, "fold %zu has no samples", k);
+    return GSN_OK;
+}
+
 int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
-                      const struct gsn_samples *samples, unsigned threads, struct gsn_error *err)
+                      const struct gsn_samples *samples, const uint8_t *fold, unsigned threads,
+                      struct gsn_error *err)
 {
     gsn_auto_mem(uint32_t) tet = NULL;
     struct location where = { .rows = rows };
     double sum = 0;
     int r;
 
-    *rows = (struct gsn_fit_rows){ .space = space, .samples = samples };
+    *rows = (struct gsn_fit_rows){
+        .space = space, .samples = samples, .fold = fold, .folds = fold ? 2 : 1
+    };
     if (samples->count == 0)
         return gsn_fail(err, GSN_E_INPUT, "there are no samples to fit");
     if (samples->count > MOST_SAMPLES)
         return gsn_fail(err, GSN_E_LIMIT, "%zu samples are more than a fit takes", samples->count);
+    r = count_folds(rows, err);
+    if (r < 0)
+        return r;
     tet = gsn_alloc_array(samples->count, sizeof *tet);
     if (!tet)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", samples->count);
@@ -157,9 +174,10 @@ static bool in_core(const struct cell *cell, const double u[3])
 static void add_core(struct gsn_fit_rows *rows, const struct cell *cell, size_t sample)
 {
     const size_t functions = gsn_dms_functions(rows->space);
+    const size_t fold = rows->fold ? rows->fold[sample] & 1 : 0;
     const double target = rows->samples->value[sample] - rows->mean;
-    double *block = rows->block + cell->tet * rows->packed;
-    double *right = rows->right + cell->tet * functions;
+    double *block = rows->block[fold] + cell->tet * rows->packed;
+    double *right = rows->right[fold] + cell->tet * functions;
     double value[GSN_DMS_MAX_FUNCTIONS];
 
     gsn_bpatch_basis(gsn_dms_degree(rows->space), cell->knot, rows->samples->at[sample], value,
@@ -315,6 +333,22 @@ static int join_parts(struct gsn_fit_rows *rows, struct part *part, size_t parts
     return GSN_OK;
 }
 
+/* Of the targets: those in seams are what they are less of the mean that the functions there make.
+ */
+static void sum_squares(struct gsn_fit_rows *rows)
+{
+    size_t seam = 0;
+
+    for (size_t i = 0; i < rows->samples->count; i++) {
+        const size_t sample = rows->order[i], fold = rows->fold ? rows->fold[sample] & 1 : 0;
+        const bool in_seam = seam < rows->seams && rows->seam_sample[seam] == sample;
+        const double target =
+            in_seam ? rows->seam_target[seam++] : (double)rows->samples->value[sample] - rows->mean;
+
+        rows->squares[fold] += target * target;
+    }
+}
+
 int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(rows->space)->tet_count;
@@ -324,14 +358,21 @@ int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gs
     int r;
 
     rows->packed = functions * (functions + 1) / 2;
-    rows->block = gsn_alloc_array(tets, rows->packed * sizeof *rows->block);
-    rows->right = gsn_alloc_array(tets, functions * sizeof *rows->right);
+    for (size_t k = 0; k < rows->folds; k++) {
+        rows->block[k] = gsn_alloc_array(tets, rows->packed * sizeof *rows->block[k]);
+        rows->right[k] = gsn_alloc_array(tets, functions * sizeof *rows->right[k]);
+        if (!rows->block[k] || !rows->right[k])
+            return out_of_memory(err);
+    }
+    rows->rough = gsn_alloc_array(tets, rows->packed * sizeof *rows->rough);
     rows->seam_of_tet = gsn_alloc_array(tets + 1, sizeof *rows->seam_of_tet);
-    if (!part || !rows->block || !rows->right || !rows->seam_of_tet)
+    if (!part || !rows->rough || !rows->seam_of_tet)
         return out_of_memory(err);
     r = gsn_parallel_for(tasks, threads, evaluate_task, &work, err);
     if (r >= 0)
         r = join_parts(rows, part, tasks, err);
+    if (r >= 0)
+        sum_squares(rows);
     for (size_t p = 0; p < tasks; p++)
         part_done(&part[p]);
     return r;
@@ -341,8 +382,11 @@ void gsn_fit_rows_done(struct gsn_fit_rows *rows)
 {
     gsn_free(rows->start);
     gsn_free(rows->order);
-    gsn_free(rows->block);
-    gsn_free(rows->right);
+    for (size_t k = 0; k < 2; k++) {
+        gsn_free(rows->block[k]);
+        gsn_free(rows->right[k]);
+    }
+    gsn_free(rows->rough);
     gsn_free(rows->seam_first);
     gsn_free(rows->seam_sample);
     gsn_free(rows->seam_target);

@@ -5,6 +5,7 @@
 #define GSN_MODEL_FIT_SYSTEM_H
 
 #include "pipeline/model/dms.h"
+#include "pipeline/model/face_jump.h"
 #include "pipeline/model/fit.h"
 
 #ifdef __cplusplus
@@ -22,13 +23,18 @@ extern "C" {
 struct gsn_fit_rows {
     const struct gsn_dms *space;
     const struct gsn_samples *samples;
-    double mean;     /* of the values; the fit is of the deviations from it */
-    uint32_t *start; /* tetrahedron t has order[start[t] .. start[t + 1]) */
-    uint32_t *order; /* sample numbers */
+    const uint8_t *fold; /* 0 or 1 for every sample; NULL: all 0 */
+    size_t folds;        /* 1 or 2 */
+    double mean;         /* of the values; the fit is of the deviations from it */
+    uint32_t *start;     /* tetrahedron t has order[start[t] .. start[t + 1]) */
+    uint32_t *order;     /* sample numbers */
 
-    size_t packed; /* entries of a block: f <= g, row by row */
-    double *block; /* per tetrahedron: sum N_f N_g over its core samples */
-    double *right; /* per tetrahedron and function: sum N_f (value - mean) */
+    size_t packed;    /* entries of a block: f <= g, row by row */
+    double *block[2]; /* of a fold, per tetrahedron: sum N_f N_g over its core samples */
+    double *right[2]; /* and function: sum N_f (value - mean) */
+    double *rough; /* per tetrahedron: integral of grad N_f . grad N_g, in um; filled by the fit */
+    size_t count[2];   /* samples of a fold */
+    double squares[2]; /* sum of their targets' squares */
 
     size_t seams;          /* rows */
     size_t *seam_first;    /* row r has the terms seam_first[r] .. seam_first[r + 1] */
@@ -39,11 +45,12 @@ struct gsn_fit_rows {
     size_t *seam_of_tet; /* tetrahedron t has the rows seam_of_tet[t] .. seam_of_tet[t + 1] */
 };
 
-/* Sorts the samples. Fails with GSN_E_INPUT naming the first sample that is not finite or lies
- * outside the mesh, GSN_E_LIMIT on more than 2^31, GSN_E_NOMEM. End with gsn_fit_rows_done() in
- * either case. keeps: space, samples. */
+/* Sorts the samples; fold may be NULL. Fails with GSN_E_INPUT naming the first sample that is not
+ * finite or lies outside the mesh, or when a fold has none, GSN_E_LIMIT on more than 2^31,
+ * GSN_E_NOMEM. End with gsn_fit_rows_done() in either case. keeps: space, samples, fold. */
 int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
-                      const struct gsn_samples *samples, unsigned threads, struct gsn_error *err);
+                      const struct gsn_samples *samples, const uint8_t *fold, unsigned threads,
+                      struct gsn_error *err);
 /* Evaluates the basis at all of them. Fails with GSN_E_NOMEM. */
 int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gsn_error *err);
 void gsn_fit_rows_done(struct gsn_fit_rows *rows);
@@ -78,27 +85,60 @@ void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_te
                         size_t tet, double weight, double *block);
 
 /* Compressed rows, all of the matrix: row i has the entries first[i] .. first[i + 1], their columns
- * ascending. */
+ * ascending. value and right are what gsn_fit_system_combine() made of the parts. */
 struct gsn_fit_system {
     size_t unknowns;
     size_t *first;
     uint32_t *column;
     double *value;
     double *right;
+    size_t folds;
+    int jumps;                                        /* whether there are any */
+    double *fold_value[2], *rough_value, *jump_value; /* parts of value */
+    double *fold_right[2];
 };
 
-/* Sums blocks and seam rows. Fails with GSN_E_NOMEM; end with gsn_fit_system_done() in either
- * case. */
+/* Sums blocks and seam rows, fold by fold, the roughness, and G' G of the jumps unless that is
+ * NULL. Fails with GSN_E_NOMEM; end with gsn_fit_system_done() in either case. */
 int gsn_fit_system_assemble(struct gsn_fit_system *system, const struct gsn_fit_rows *rows,
-                            unsigned threads, struct gsn_error *err);
+                            const struct gsn_face_jumps *jumps, unsigned threads,
+                            struct gsn_error *err);
 void gsn_fit_system_done(struct gsn_fit_system *system);
 
-/* Conjugate gradients from 0, preconditioned by the diagonal, until the residual in the norm of
- * that preconditioner is tolerance times its first. Fails with GSN_E_FIT when the iterations do
- * not suffice or the matrix is not positive, with GSN_E_NOMEM; x, of unknowns values, is then
+/* The equations of the folds with these weights (1 or 0), of roughness and jumps with those. */
+void gsn_fit_system_combine(struct gsn_fit_system *system, const double fold[2], double rough,
+                          double jump);
+
+/* Sum of squares that these control points leave of a fold's samples whose targets have this sum of
+ * squares. */
+double gsn_fit_system_squares(const struct gsn_fit_system *system, size_t fold, double squares,
+                              const double *x, double *scratch);
+
+/* What makes conjugate gradients quick: the equations around each vertex solved by themselves, all
+ * other control points held (additive Schwarz, J. Schoeberl, 1999, 10.1007/s002110050465). The
+ * jumps couple what a diagonal would treat one by one. */
+struct gsn_fit_patches;
+
+/* gives: which control points belong to each vertex. Fails with GSN_E_NOMEM. */
+int gsn_fit_patches_new(const struct gsn_dms *space, struct gsn_fit_patches **ret_patches,
+                        struct gsn_error *err);
+/* Inverts the part of each vertex of the matrix as last weighed, in single precision. Fails with
+ * GSN_E_FIT naming a control point that nothing determines, GSN_E_NOMEM. */
+int gsn_fit_patches_invert(struct gsn_fit_patches *patches, const struct gsn_fit_system *system,
+                           unsigned threads, struct gsn_error *err);
+void gsn_fit_patches_free(struct gsn_fit_patches *patches);
+GSN_DEFINE_AUTO(gsn_fit_patches);
+/* The sum over the vertices of their inverse times their part of x; ret is not x. */
+void gsn_fit_patches_apply(const struct gsn_fit_patches *patches, const double *x, double *ret,
+                           unsigned threads);
+
+/* Conjugate gradients from x, preconditioned by the patches, until the residual in the norm of that
+ * preconditioner is tolerance times that of 0. Fails with GSN_E_FIT when the iterations do not
+ * suffice or the matrix is not positive, with GSN_E_NOMEM; x, of unknowns values, is then
  * undefined. */
-int gsn_fit_system_solve(const struct gsn_fit_system *system, double tolerance, unsigned iterations,
-                         double *x, unsigned *ret_iterations, struct gsn_error *err);
+int gsn_fit_system_solve(const struct gsn_fit_system *system, const struct gsn_fit_patches *patches,
+                         double tolerance, unsigned iterations, unsigned threads, double *x,
+                         unsigned *ret_iterations, struct gsn_error *err);
 
 #ifdef __cplusplus
 }

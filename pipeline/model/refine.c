@@ -18,10 +18,6 @@ static const double LIMIT = 0.25, COMES_OUT_AT = 0.5;
 /* A round must lower the predicted error by this part of it: less is not worth the unknowns. */
 static const double GAIN = 1e-3;
 
-/* The penalty's weight, where none is given, and how it is raised when there are folds. */
-static const double SMOOTHING = 1e-6, SMOOTHING_FACTOR = 4;
-enum { SMOOTHING_STEPS = 8 };
-
 /* A mesh with its fit. */
 struct state {
     struct gsn_dms *space;
@@ -63,8 +59,6 @@ static int complete_options(const struct gsn_adapt_options *options, struct gsn_
     *ret = *options;
     if (ret->degree == 0)
         ret->degree = DEGREE;
-    if (ret->fit.smoothing == 0)
-        ret->fit.smoothing = SMOOTHING;
     if (ret->cloud == 0)
         ret->cloud = CLOUD;
     if (ret->samples_per_unknown == 0)
@@ -100,14 +94,13 @@ static int fit_state(struct state *state, const struct gsn_samples *samples,
     int r = gsn_fit(state->space, samples, &options->fit, &state->spline, &state->fit,
                     &state->tet_samples, &state->tet_rms, err);
 
-    if (r >= 0 && options->fold)
-        r = gsn_cross_validate(state->space, samples, options->fold, &options->fit,
-                               &state->predicted, err);
-    else if (r >= 0)
-        state->predicted =
-            gsn_generalised_cross_validation(&state->fit, gsn_dms_mesh(state->space)->tet_count);
     if (r < 0)
         state_done(state);
+    else
+        state->predicted = options->fit.fold
+                               ? state->fit.predicted
+                               : gsn_generalised_cross_validation(
+                                     &state->fit, gsn_dms_mesh(state->space)->tet_count);
     return r;
 }
 
@@ -296,60 +289,7 @@ static int refine_rounds(struct state *state, const struct gsn_samples *samples,
     return r;
 }
 
-/* A fit on the same space with another weight of the penalty; next owns a space of its own. */
-static int fit_again(const struct gsn_tets *mesh, const struct gsn_samples *samples,
-                     const struct gsn_adapt_options *options, struct state *next,
-                     struct gsn_error *err)
-{
-    int r = space_on(mesh, options, &next->space, err);
-
-    if (r >= 0)
-        r = fit_state(next, samples, options, err);
-    return r;
-}
-
-/* The first fit. Where samples leave a wide gap, or those of one fold do, little smoothing leaves
- * it to next to nothing what lies in there, and iterations without end find out: then it is raised,
- * which folds may ask for anyway, until the equations can be solved. */
-static int first_state(const struct gsn_tets *mesh, const struct gsn_samples *samples,
-                       struct gsn_adapt_options *options, struct state *state,
-                       struct gsn_error *err)
-{
-    int r = fit_again(mesh, samples, options, state, err);
-
-    for (unsigned step = 0; r == GSN_E_FIT && options->fold && step < SMOOTHING_STEPS; step++) {
-        options->fit.smoothing *= SMOOTHING_FACTOR;
-        r = fit_again(mesh, samples, options, state, err);
-    }
-    return r;
-}
-
-/* Raises the weight of the penalty as long as samples not seen are predicted better for it: as much
- * smoothing as the noise asks for, and no constant that would bias a clean field. */
-static int tune_smoothing(struct state *state, const struct gsn_samples *samples,
-                          struct gsn_adapt_options *options, struct gsn_error *err)
-{
-    for (unsigned step = 0; options->fold && step < SMOOTHING_STEPS; step++) {
-        struct gsn_adapt_options more = *options;
-        struct state next = { .space = NULL };
-        int r;
-
-        more.fit.smoothing *= SMOOTHING_FACTOR;
-        r = fit_again(gsn_dms_mesh(state->space), samples, &more, &next, err);
-        if (r < 0)
-            return r;
-        if (!(next.predicted < state->predicted * (1 - GAIN))) {
-            state_done(&next);
-            return GSN_OK;
-        }
-        state_done(state);
-        *state = next;
-        *options = more;
-    }
-    return GSN_OK;
-}
-
-int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
+int gsn_adapt(const struct gsn_tets *mesh, const struct gsn_samples *samples,
               const struct gsn_adapt_options *options, struct gsn_dms **ret_space,
               struct gsn_spline **ret_spline, struct gsn_adapt_report *ret_report,
               struct gsn_error *err)
@@ -357,19 +297,15 @@ int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
     struct gsn_adapt_report report = { .rounds = 0 };
     struct gsn_adapt_options full;
     struct state state = { .space = NULL };
-    gsn_auto(gsn_tets) mesh = NULL;
     int r;
 
-    assert(region && samples && options && ret_space && ret_spline && ret_report);
+    assert(mesh && samples && options && ret_space && ret_spline && ret_report);
     r = complete_options(options, &full, err);
     if (r >= 0)
-        r = gsn_domain_build(region, &full.domain, &mesh, err);
+        r = space_on(mesh, &full, &state.space, err);
     if (r >= 0)
-        r = first_state(mesh, samples, &full, &state, err);
-    if (r >= 0)
-        r = tune_smoothing(&state, samples, &full, err);
+        r = fit_state(&state, samples, &full, err);
     if (r >= 0) {
-        report.smoothing = full.fit.smoothing;
         record_round(&report, &state, full.tolerance, true);
         r = refine_rounds(&state, samples, &full, &report, err);
     }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* From a region and its samples to a fitted spline: mesh, fit, refine where the fit is poor.
+/* From a mesh and samples to a fitted spline: fit, refine where the fit is poor.
  *
  * A round splits the tetrahedra whose rms residual is above the tolerance and whose samples can
  * carry more unknowns, makes new clouds and fits again from the samples; splitting into four alone
@@ -9,7 +9,6 @@
 #ifndef GSN_MODEL_REFINE_H
 #define GSN_MODEL_REFINE_H
 
-#include "pipeline/core/grid.h"
 #include "pipeline/model/domain.h"
 #include "pipeline/model/fit.h"
 
@@ -20,8 +19,8 @@ extern "C" {
 enum { GSN_ADAPT_MOST_ROUNDS = 16 };
 
 struct gsn_adapt_options {
-    struct gsn_domain_options domain;
-    struct gsn_fit_options fit; /* with folds its smoothing is the least that is used */
+    struct gsn_domain_options domain; /* of refinements */
+    struct gsn_fit_options fit; /* with folds every round chooses its own weight of the jumps */
     unsigned degree;            /* 0: 2 */
     double cloud;               /* radius / smallest altitude, see gsn_dms_clouds(); 0: 0.015 */
     double tolerance;           /* rms residual of a tetrahedron, in the unit of the samples */
@@ -29,8 +28,6 @@ struct gsn_adapt_options {
     size_t most_unknowns;       /* that refinement may reach; 0: as many as the samples carry */
     double samples_per_unknown; /* at least; 0: 8 */
     unsigned samples_per_tet;   /* at least, on average, in a new tetrahedron; 0: 20 */
-    const uint8_t *fold; /* 0 or 1 for every sample, both present: how they are cross-validated;
-                            NULL: as if their noise were independent */
     const struct gsn_progress *progress;
 };
 
@@ -55,8 +52,6 @@ struct gsn_adapt_report {
     struct gsn_adapt_round round[GSN_ADAPT_MOST_ROUNDS + 1];
     enum gsn_adapt_end end;
     struct gsn_error why;      /* with GSN_ADAPT_FAILED */
-    double smoothing;          /* weight of the penalty; with folds, as they asked for, or as much
-                                  more as the equations did */
     struct gsn_fit_report fit; /* of the result */
     uint32_t *tet_samples;     /* per tetrahedron of the result; 0: "no data" */
     double *tet_rms;
@@ -64,13 +59,12 @@ struct gsn_adapt_report {
 void gsn_adapt_report_done(struct gsn_adapt_report *report);
 
 /* gives: the space, the spline on it (which keeps the space: free it first) and the report, to be
- * ended with gsn_adapt_report_done().
+ * ended with gsn_adapt_report_done(). borrows: mesh, the first one.
  *
- * Fails as gsn_domain_build() and gsn_fit() do when no first fit can be made, with folds at any
- * smoothing that they may ask for, with GSN_E_INPUT on
- * options out of range and with GSN_E_NOMEM at any time; a refinement that fails otherwise ends
- * the rounds and leaves the last good fit. */
-int gsn_adapt(const struct gsn_mask *region, const struct gsn_samples *samples,
+ * Fails as gsn_fit() does when no first fit can be made, with GSN_E_INPUT on options out of range
+ * and with GSN_E_NOMEM at any time; a refinement that fails otherwise ends the rounds and leaves
+ * the last good fit. */
+int gsn_adapt(const struct gsn_tets *mesh, const struct gsn_samples *samples,
               const struct gsn_adapt_options *options, struct gsn_dms **ret_space,
               struct gsn_spline **ret_spline, struct gsn_adapt_report *ret_report,
               struct gsn_error *err);

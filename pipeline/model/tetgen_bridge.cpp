@@ -48,11 +48,13 @@ void fill_points(tetgenio &in, const double (*vertex)[3], size_t count)
 /* tetgenio frees with delete[], and facets only as far as they were initialised. */
 void fill_facets(tetgenio &in, const gsn_surface &surface)
 {
-    in.facetlist = new tetgenio::facet[surface.facet_count];
-    for (size_t f = 0; f < surface.facet_count; f++)
+    const size_t count = surface.facet_count + surface.inner_count;
+
+    in.facetlist = new tetgenio::facet[count];
+    for (size_t f = 0; f < count; f++)
         tetgenio::init(&in.facetlist[f]);
-    in.numberoffacets = checked_int(surface.facet_count);
-    for (size_t f = 0; f < surface.facet_count; f++) {
+    in.numberoffacets = checked_int(count);
+    for (size_t f = 0; f < count; f++) {
         const size_t corners = gsn_surface_corners(&surface, f);
         tetgenio::facet &facet = in.facetlist[f];
 
@@ -100,12 +102,14 @@ bool in_range(const gsn_tetgen_options &options)
            options.min_dihedral_deg >= 0 && options.min_dihedral_deg <= 18;
 }
 
-/* p: a surface, r: a mesh; q: quality; a: largest volume, without a number one per tetrahedron. */
+/* p: a surface, r: a mesh; q: quality; a: largest volume, without a number one per tetrahedron; Y:
+ * facets stay as they are, so that no vertex leaves the surface that inner ones stand for. */
 void switches(const gsn_mesh_question &question, char *text, size_t room)
 {
     const gsn_tetgen_options &options = question.options;
-    int length = std::snprintf(text, room, "%cq%.6f/%.6fQ", question.surface ? 'p' : 'r',
-                               options.radius_edge, options.min_dihedral_deg);
+    const bool keeps = question.surface && question.surface->inner_count > 0;
+    int length = std::snprintf(text, room, "%cq%.6f/%.6f%sQ", question.surface ? 'p' : 'r',
+                               options.radius_edge, options.min_dihedral_deg, keeps ? "Y" : "");
 
     if (!question.surface)
         std::snprintf(text + length, room - static_cast<size_t>(length), "a");

@@ -27,16 +27,17 @@ struct edge {
     uint32_t ascending;
 };
 
-int gsn_surface_new(size_t vertex_count, size_t facet_count, struct gsn_surface **ret_surface,
-                    struct gsn_error *err)
+int gsn_surface_new(size_t vertex_count, size_t facet_count, size_t inner_count,
+                    struct gsn_surface **ret_surface, struct gsn_error *err)
 {
     gsn_auto(gsn_surface) surface = gsn_alloc_array(1, sizeof *surface);
 
     if (surface) {
         surface->vertex = gsn_alloc_array(vertex_count, sizeof *surface->vertex);
-        surface->facet = gsn_alloc_array(facet_count, sizeof *surface->facet);
+        surface->facet = gsn_alloc_array(facet_count + inner_count, sizeof *surface->facet);
         surface->vertex_count = vertex_count;
         surface->facet_count = facet_count;
+        surface->inner_count = inner_count;
     }
     if (!surface || !surface->vertex || !surface->facet)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a surface of %zu facets", facet_count);
@@ -82,7 +83,7 @@ static int collect_edges(const struct gsn_surface *surface, struct edge *edges, 
 {
     size_t count = 0;
 
-    for (size_t f = 0; f < surface->facet_count; f++) {
+    for (size_t f = 0; f < surface->facet_count + surface->inner_count; f++) {
         const size_t corners = gsn_surface_corners(surface, f);
 
         for (size_t k = 0; k < corners; k++) {
@@ -91,7 +92,8 @@ static int collect_edges(const struct gsn_surface *surface, struct edge *edges, 
 
             if (from == to || high >= surface->vertex_count)
                 return gsn_fail(err, GSN_E_MESH, "surface facet %zu has impossible corners", f);
-            edges[count++] = (struct edge){ low << 32 | high, from < to };
+            if (f < surface->facet_count)
+                edges[count++] = (struct edge){ low << 32 | high, from < to };
         }
     }
     *ret_count = count;
@@ -133,7 +135,7 @@ enum kind { KIND_FILL, KIND_REFINE, KIND_MESH, KIND_REFUSAL, KINDS };
 static const char MAGIC[KINDS][8] = { "gsnfill1", "gsnrefi1", "gsnmesh1", "gsnnope1" };
 
 enum {
-    COUNTS = 3,              /* of vertices, facets, tetrahedra */
+    COUNTS = 3,              /* of vertices, facets, tetrahedra or inner facets */
     HEADER = 8 + 8 * COUNTS, /* every message */
     OPTIONS = 3 * 8,         /* behind the header of a question */
     VERTEX = 24,
@@ -287,7 +289,8 @@ int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **r
     const struct gsn_surface *surface = question->surface;
     const struct gsn_soup *mesh = question->mesh;
     const size_t count[COUNTS] = { mesh ? mesh->vertex_count : surface->vertex_count,
-                                   mesh ? 0 : surface->facet_count, mesh ? mesh->tet_count : 0 };
+                                   mesh ? 0 : surface->facet_count,
+                                   mesh ? mesh->tet_count : surface->inner_count };
     const size_t size = question_size(count, mesh != NULL);
     struct cursor at;
     uint8_t *bytes = begin_message(mesh ? KIND_REFINE : KIND_FILL, count, size, &at);
@@ -299,10 +302,10 @@ int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **r
     put_double(&at, question->options.min_dihedral_deg);
     put_vertices(&at, mesh ? mesh->vertex : surface->vertex, count[0]);
     if (surface)
-        put_corners(&at, surface->facet, count[1]);
+        put_corners(&at, surface->facet, count[1] + count[2]);
     if (mesh)
         put_corners(&at, mesh->tet, count[2]);
-    for (size_t t = 0; t < count[2]; t++)
+    for (size_t t = 0; mesh && t < count[2]; t++)
         put_double(&at, question->max_um3[t]);
     *ret_bytes = bytes;
     *ret_size = size;
@@ -312,12 +315,12 @@ int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **r
 static int get_surface(struct cursor *at, const size_t count[COUNTS],
                        struct gsn_mesh_question *question, struct gsn_error *err)
 {
-    const int r = gsn_surface_new(count[0], count[1], &question->surface, err);
+    const int r = gsn_surface_new(count[0], count[1], count[2], &question->surface, err);
 
     if (r < 0)
         return r;
     get_vertices(at, question->surface->vertex, count[0]);
-    get_corners(at, question->surface->facet, count[1]);
+    get_corners(at, question->surface->facet, count[1] + count[2]);
     return GSN_OK;
 }
 
@@ -348,7 +351,7 @@ int gsn_mesh_question_unpack(const uint8_t *bytes, size_t size,
     int r;
 
     if ((!refine && !is_kind(bytes, size, KIND_FILL)) || !get_counts(bytes, &at, count) ||
-        count[refine ? 1 : 2] != 0 || question_size(count, refine) != size)
+        (refine && count[1] != 0) || question_size(count, refine) != size)
         return gsn_fail(err, GSN_E_INPUT, "%zu bytes that are no question for a mesher", size);
     question.options.max_tet_um3 = get_double(&at);
     question.options.radius_edge = get_double(&at);

@@ -24,16 +24,17 @@ extern "C" {
 #define GSN_SURFACE_NONE UINT32_MAX
 
 /* Facets are flat, convex and anticlockwise seen from outside; four corners, or three and
- * GSN_SURFACE_NONE. */
+ * GSN_SURFACE_NONE. Behind them stand inner facets, which tetrahedra must not cross either, but
+ * which need not close. Vertices of no facet become vertices of tetrahedra as well. */
 struct gsn_surface {
-    size_t vertex_count, facet_count;
+    size_t vertex_count, facet_count, inner_count;
     double (*vertex)[3];
-    uint32_t (*facet)[4];
+    uint32_t (*facet)[4]; /* facet_count + inner_count */
 };
 
 /* gives: zeroed vertices and facets. Fails with GSN_E_NOMEM. */
-int gsn_surface_new(size_t vertex_count, size_t facet_count, struct gsn_surface **ret_surface,
-                    struct gsn_error *err);
+int gsn_surface_new(size_t vertex_count, size_t facet_count, size_t inner_count,
+                    struct gsn_surface **ret_surface, struct gsn_error *err);
 void gsn_surface_free(struct gsn_surface *surface);
 GSN_DEFINE_AUTO(gsn_surface);
 
@@ -41,8 +42,9 @@ GSN_DEFINE_AUTO(gsn_surface);
 size_t gsn_surface_corners(const struct gsn_surface *surface, size_t facet);
 
 /* Passes a surface that encloses something: coordinates finite, corners in range and distinct, and
- * every edge run through exactly once in each direction. Crossings are the mesher's to find.
- * Fails with GSN_E_MESH naming the vertex, facet or edge; with GSN_E_NOMEM. */
+ * every edge of those that are not inner run through exactly once in each direction. Crossings are
+ * the mesher's to find. Fails with GSN_E_MESH naming the vertex, facet or edge; with GSN_E_NOMEM.
+ */
 int gsn_surface_check(const struct gsn_surface *surface, struct gsn_error *err);
 
 /* Vertices (um) and tetrahedra that nobody has verified yet. */

@@ -832,3 +832,37 @@ double gsn_trimesh_area(const struct gsn_trimesh *surface)
     }
     return area;
 }
+
+int gsn_trimesh_trim(struct gsn_trimesh *s, const struct gsn_mask *region, struct gsn_error *err)
+{
+    gsn_auto_mem(uint32_t) moved = gsn_alloc_array(s->vertex_count + 1, sizeof *moved);
+    size_t kept = 0, vertices = 0;
+
+    if (!moved)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu vertices", s->vertex_count);
+    for (size_t t = 0; t < s->triangle_count; t++) {
+        double middle[3] = { 0 };
+
+        for (int k = 0; k < 3; k++)
+            for (int c = 0; c < 3; c++)
+                middle[c] += s->vertex[s->triangle[t][k]][c] / 3;
+        if (!gsn_mask_has(region, gsn_vec3_make(middle[0], middle[1], middle[2])))
+            continue;
+        for (int k = 0; k < 3; k++)
+            moved[s->triangle[t][k]] = 1;
+        memcpy(s->triangle[kept++], s->triangle[t], sizeof *s->triangle);
+    }
+    for (size_t v = 0; v < s->vertex_count; v++) {
+        if (!moved[v])
+            continue;
+        memcpy(s->vertex[vertices], s->vertex[v], sizeof *s->vertex);
+        memcpy(s->normal[vertices], s->normal[v], sizeof *s->normal);
+        moved[v] = (uint32_t)vertices++;
+    }
+    for (size_t t = 0; t < kept; t++)
+        for (int k = 0; k < 3; k++)
+            s->triangle[t][k] = moved[s->triangle[t][k]];
+    s->triangle_count = kept;
+    s->vertex_count = vertices;
+    return GSN_OK;
+}

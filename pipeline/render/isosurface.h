@@ -8,6 +8,7 @@
 #ifndef GSN_RENDER_ISOSURFACE_H
 #define GSN_RENDER_ISOSURFACE_H
 
+#include "pipeline/core/grid.h"
 #include "pipeline/core/image.h"
 #include "pipeline/model/spline.h"
 #include "pipeline/render/canvas.h"
@@ -40,6 +41,11 @@ unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um)
  * GSN_E_NOMEM. */
 int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
                    unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err);
+
+/* Drops the triangles whose middle is beyond the region, and vertices that none uses: what the
+ * spline says there is no data. Fails with GSN_E_NOMEM. */
+int gsn_trimesh_trim(struct gsn_trimesh *surface, const struct gsn_mask *region,
+                     struct gsn_error *err);
 
 /* um^2 */
 double gsn_trimesh_area(const struct gsn_trimesh *surface);

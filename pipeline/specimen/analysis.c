@@ -115,35 +115,46 @@ static const double CLOUD = 0.003;
 
 enum { ROUNDS = 5, MOST_UNKNOWNS = 150000, MOST_CELLS = 2000000 };
 
+/* What layers along walls may cost: no more unknowns than the samples carry, at so many a vertex of
+ * a quadratic spline. */
+enum { SAMPLES_PER_UNKNOWN = 8, UNKNOWNS_PER_VERTEX = 8 };
+
 static bool both_folds(const struct voxels *v)
 {
     return v->count > 0 && memchr(v->fold, 0, v->count) && memchr(v->fold, 1, v->count);
 }
 
-static int fit_spline(const struct voxels *v, const struct gsn_lattice *at,
+static int fit_spline(const struct voxels *v, const struct gsn_grid *grid,
                       const struct gsn_mask *region, const struct gsn_analysis_options *options,
                       struct gsn_analysis *analysis, struct gsn_error *err)
 {
     const struct gsn_samples samples = { .count = v->count,
                                          .at = (const double(*)[3])v->at,
                                          .value = v->value };
-    const double tet_um3 = FIRST_TET_VOXELS * gsn_lattice_voxel_um3(at);
+    const double tet_um3 = FIRST_TET_VOXELS * gsn_lattice_voxel_um3(&grid->at);
     const double edge_um = cbrt(6 * M_SQRT2 * tet_um3); /* of a regular tetrahedron */
-    const struct gsn_adapt_options adapt = { .domain = { .mesher = options->mesher,
-                                                         .cell_um = CELL_PER_TET_EDGE * edge_um,
-                                                         .max_tet_um3 = 1.5 * tet_um3 },
-                                             .fit = { .threads = options->threads,
-                                                      .progress = options->progress },
-                                             .cloud = CLOUD,
-                                             .tolerance = analysis->tolerance,
-                                             .rounds = ROUNDS,
-                                             .most_unknowns = MOST_UNKNOWNS,
-                                             .fold = both_folds(v) ? v->fold : NULL,
-                                             .progress = options->progress };
-    int r = gsn_adapt(region, &samples, &adapt, &analysis->space, &analysis->spline, &analysis->fit,
-                      err);
+    const double carried = fmin(MOST_UNKNOWNS, (double)v->count / SAMPLES_PER_UNKNOWN);
+    const struct gsn_wall_options walls = { .most_points =
+                                                (size_t)(carried / UNKNOWNS_PER_VERTEX) };
+    struct gsn_adapt_options adapt = { .domain = { .mesher = options->mesher,
+                                                   .cell_um = CELL_PER_TET_EDGE * edge_um,
+                                                   .max_tet_um3 = 1.5 * tet_um3 },
+                                       .fit = { .fold = both_folds(v) ? v->fold : NULL,
+                                                .threads = options->threads,
+                                                .progress = options->progress },
+                                       .cloud = CLOUD,
+                                       .tolerance = analysis->tolerance,
+                                       .rounds = ROUNDS,
+                                       .most_unknowns = MOST_UNKNOWNS,
+                                       .progress = options->progress };
+    gsn_auto(gsn_tets) mesh = NULL;
+    int r = gsn_domain_follow(grid, region, &walls, &adapt.domain, &mesh, &analysis->domain, err);
 
-    analysis->smoothing = analysis->fit.smoothing;
+    adapt.domain.radius_edge = analysis->domain.radius_edge;
+    adapt.domain.dihedral_deg = analysis->domain.dihedral_deg;
+    if (r >= 0)
+        r = gsn_adapt(mesh, &samples, &adapt, &analysis->space, &analysis->spline, &analysis->fit,
+                      err);
     for (size_t i = 0; r >= 0 && i < analysis->fit.rounds; i++)
         if (analysis->fit.round[i].accepted)
             analysis->over_tolerance = analysis->fit.round[i].over_tolerance;
@@ -395,8 +406,8 @@ static int draw_xray(const struct gsn_analysis_options *options, const char *uni
     return GSN_OK;
 }
 
-static int draw_surface(const struct gsn_analysis_options *options, struct gsn_analysis *analysis,
-                        struct gsn_error *err)
+static int draw_surface(const struct gsn_mask *region, const struct gsn_analysis_options *options,
+                        struct gsn_analysis *analysis, struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "isosurface", "Isosurface");
     const double level = analysis->bound[analysis->bound_count / 2].threshold;
@@ -408,6 +419,8 @@ static int draw_surface(const struct gsn_analysis_options *options, struct gsn_a
                            options->threads, &triangles, err);
 
     if (r >= 0)
+        r = gsn_trimesh_trim(triangles, region, err);
+    if (r >= 0)
         r = gsn_trimesh_paint(triangles, mesh, &view, NULL, options->threads, &image, err);
     if (r >= 0)
         r = encode_picture(image, picture, err);
@@ -416,7 +429,7 @@ static int draw_surface(const struct gsn_analysis_options *options, struct gsn_a
     (void)snprintf(picture->caption, sizeof picture->caption,
                    "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
                    "normals from the spline's own gradient. Open where it meets the edge of the "
-                   "domain.",
+                   "region.",
                    level, triangles->triangle_count);
     analysis->picture_count++;
     return GSN_OK;
@@ -441,7 +454,7 @@ static int draw_pictures(const struct gsn_grid *grid, const struct gsn_mask *reg
         r = draw_xray(options, protocol->kind == GSN_KIND_VOLUME ? "value x um" : NULL, analysis,
                       err);
     gsn_progress_say(options->progress, "pictures", 4, 5);
-    return r < 0 ? r : draw_surface(options, analysis, err);
+    return r < 0 ? r : draw_surface(region, options, analysis, err);
 }
 
 /* ---- together ---------------------------------------------------------------------------- */
@@ -463,7 +476,7 @@ static int make_analysis(const struct voxels *v, const struct gsn_grid *grid,
                               ? protocol->tolerance
                               : fmax(TOLERANCE_SHARE * (v->high - v->low),
                                      FLOAT_SHARE * fmax(fabs(v->low), fabs(v->high)));
-    r = fit_spline(v, &grid->at, region, options, analysis, err);
+    r = fit_spline(v, grid, region, options, analysis, err);
     if (r >= 0)
         r = measure_region(v, grid, region, protocol, options, analysis, err);
     if (r >= 0)

@@ -26,10 +26,11 @@ struct gsn_png_picture {
 };
 
 struct gsn_analysis {
-    struct gsn_dms *space;       /* owned */
-    struct gsn_spline *spline;   /* owned */
-    struct gsn_adapt_report fit; /* its arrays are owned */
-    double tolerance, smoothing;
+    struct gsn_dms *space;           /* owned */
+    struct gsn_spline *spline;       /* owned */
+    struct gsn_domain_report domain; /* what the mesh follows */
+    struct gsn_adapt_report fit;     /* its arrays are owned */
+    double tolerance;
     size_t over_tolerance; /* tetrahedra whose rms residual is above the tolerance */
     double coverage;       /* share of the region's voxels that have data, 0..1 */
     struct gsn_region_density density;

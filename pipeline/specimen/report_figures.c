@@ -23,6 +23,19 @@
 /* More bridged than this is said in the verdict; less are the halos and dust of every stack. */
 static const double BRIDGED_UNSAID = 0.02;
 
+/* What the model's tetrahedra follow. */
+static const char *name_mesh(const struct gsn_analysis *analysis)
+{
+    switch (analysis->domain.kind) {
+    case GSN_DOMAIN_WALLS:
+        return "layers along the walls of the density";
+    case GSN_DOMAIN_RIM:
+        return "the region's rim; no wall is sharp";
+    default:
+        return "cubes; the mesher refused layers along the walls";
+    }
+}
+
 static void fill_fit(const struct gsn_analysis *analysis, struct gsn_builder *d)
 {
     const struct gsn_fit_report *fit = &analysis->fit.fit;
@@ -36,10 +49,16 @@ static void fill_fit(const struct gsn_analysis *analysis, struct gsn_builder *d)
                                           tets - fit->empty_tets - analysis->over_tolerance,
                                       .rms = fit->rms,
                                       .worst = fit->worst,
-                                      .smoothing = analysis->smoothing,
+                                      .smoothing = fit->jump,
                                       .tolerance = analysis->tolerance,
                                       .degree = gsn_dms_degree(analysis->space) };
     d->report.fit = &d->fit;
+    if (analysis->domain.kind == GSN_DOMAIN_CUBES)
+        gsn_builder_warn(d,
+                         gsn_builder_say(d,
+                                         "the model's mesh does not follow walls, and is coarser "
+                                         "there: %s",
+                                         analysis->domain.why.text));
     d->units = (struct gsn_report_units){ .first = analysis->summary.low,
                                           .last = analysis->summary.high,
                                           .bin = analysis->summary.bin,
@@ -477,7 +496,8 @@ void gsn_builder_parameters(const struct gsn_report_inputs *e, struct gsn_builde
     if (e->analysis) {
         gsn_builder_value(rows, count, "spline degree", gsn_dms_degree(e->analysis->space), "");
         gsn_builder_value(rows, count, "fit tolerance", e->analysis->tolerance, "density");
-        gsn_builder_value(rows, count, "smoothing", e->analysis->smoothing, "");
+        gsn_builder_value(rows, count, "smoothing", e->analysis->fit.fit.jump, "");
+        gsn_builder_text(rows, count, "mesh", name_mesh(e->analysis));
     }
     if (p->unknown)
         gsn_builder_warn(

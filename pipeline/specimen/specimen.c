@@ -113,10 +113,10 @@ static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask
     r = list_cells(analysis, gsn_dms_mesh(analysis->space)->tet_count, &density, &share, err);
     if (r < 0)
         return r;
-    parameters =
-        gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "
-                   "\"rms_residual\": %.9g}",
-                   specimen->key, analysis->tolerance, analysis->smoothing, analysis->fit.fit.rms);
+    parameters = gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "
+                            "\"rms_residual\": %.9g}",
+                            specimen->key, analysis->tolerance, analysis->fit.fit.jump,
+                            analysis->fit.fit.rms);
     if (!parameters)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the model's parameters");
     file = add_file(result, "model.vtkhdf");

@@ -29,7 +29,7 @@ static struct gsn_surface *cube_surface(void)
     struct gsn_surface *surface = NULL;
     struct gsn_error err = { 0 };
 
-    bench_need(gsn_surface_new(8, 6, &surface, &err), &err, "surface");
+    bench_need(gsn_surface_new(8, 6, 0, &surface, &err), &err, "surface");
     memcpy(surface->vertex, VERTEX, sizeof VERTEX);
     memcpy(surface->facet, FACET, sizeof FACET);
     return surface;

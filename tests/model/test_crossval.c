@@ -14,6 +14,11 @@ static double linear(const double u[3])
     return 3 + u[0] / 4 - u[1] / 8 + u[2] / 2;
 }
 
+static double wave(const double u[3])
+{
+    return sin(u[0] / 13) * cos(u[1] / 17) + sin(u[2] / 15);
+}
+
 static double angle(double plane, unsigned which)
 {
     uint64_t dice = (uint64_t)(plane * 1000) * 2654435761u + which;
@@ -51,6 +56,7 @@ static int adapt(double (*f)(const double u[3]), int with_folds, struct gsn_adap
                  struct gsn_error *err)
 {
     gsn_auto(gsn_mask) region = shape_mask(8, 8, 8, 10, 10, 10, shape_everywhere);
+    gsn_auto(gsn_tets) mesh = shape_mesh(region, 40, 30000);
     struct shape_samples grid = shape_grid(0, 80, GRID, f);
     gsn_auto_mem(uint8_t) fold = folds(&grid.samples);
     struct gsn_adapt_options options = options_with(2);
@@ -58,8 +64,8 @@ static int adapt(double (*f)(const double u[3]), int with_folds, struct gsn_adap
     gsn_auto(gsn_spline) spline = NULL;
     int r;
 
-    options.fold = with_folds ? fold : NULL;
-    r = fold ? gsn_adapt(region, &grid.samples, &options, &space, &spline, ret, err)
+    options.fit.fold = with_folds ? fold : NULL;
+    r = fold ? gsn_adapt(mesh, &grid.samples, &options, &space, &spline, ret, err)
              : gsn_fail(err, GSN_E_NOMEM, "out of memory");
     shape_samples_done(&grid);
     return r;
@@ -75,7 +81,7 @@ TEST(texture_of_one_fold_is_not_followed)
     /* Taken for independent noise it is followed: within a plane it is smooth. */
     CHECK(alone.round[1].accepted);
     CHECK(!folded.round[1].accepted && folded.end == GSN_ADAPT_NO_GAIN);
-    CHECK(folded.smoothing > 10 * alone.smoothing);
+    CHECK(alone.fit.jump == 0 && folded.fit.jump > 0);
     gsn_adapt_report_done(&alone);
     gsn_adapt_report_done(&folded);
 }
@@ -107,9 +113,9 @@ TEST(independent_noise_is_priced_by_its_unknowns)
 
 /* Square of the errors at the samples of one fold, one after the other. */
 static double errors_of_fold(const struct gsn_dms *space, const struct gsn_samples *samples,
-                             const uint8_t *fold, uint8_t seen, struct gsn_error *err)
+                             const uint8_t *fold, uint8_t seen, double jump, struct gsn_error *err)
 {
-    const struct gsn_fit_options options = { .threads = 1 };
+    const struct gsn_fit_options options = { .jump = jump, .threads = 1 };
     struct shape_samples half = { .at = gsn_alloc_array(samples->count, sizeof *half.at),
                                   .value = gsn_alloc_array(samples->count, sizeof *half.value) };
     gsn_auto(gsn_spline) spline = NULL;
@@ -139,33 +145,64 @@ static double errors_of_fold(const struct gsn_dms *space, const struct gsn_sampl
     return sum;
 }
 
-TEST(the_error_is_that_of_single_points_for_more_samples_than_are_held_at_once)
+TEST(the_error_predicted_is_that_of_two_fits_at_single_points)
 {
     gsn_auto(gsn_dms) space = shape_space(2, 0.05, 100000);
     struct shape_samples grid = shape_grid(0, 80, 52, texture);
     gsn_auto_mem(uint8_t) fold = folds(&grid.samples);
+    struct gsn_fit_report report[2];
     struct gsn_error err = { 0 };
-    double rms[2] = { 0, 0 }, sum;
+    double sum;
 
     for (unsigned k = 0; k < 2; k++) {
-        const struct gsn_fit_options options = { .threads = k + 1 };
+        const struct gsn_fit_options options = { .fold = fold, .threads = k + 1 };
+        gsn_auto(gsn_spline) spline = NULL;
 
-        CHECK_OK(gsn_cross_validate(space, &grid.samples, fold, &options, &rms[k], &err), err);
+        CHECK_OK(gsn_fit(space, &grid.samples, &options, &spline, &report[k], NULL, NULL, &err),
+                 err);
     }
-    CHECK(memcmp(&rms[0], &rms[1], sizeof rms[0]) == 0);
-    sum = errors_of_fold(space, &grid.samples, fold, 0, &err) +
-          errors_of_fold(space, &grid.samples, fold, 1, &err);
-    CHECK_NEAR(rms[0], sqrt(sum / (double)grid.samples.count), 1e-12);
+    CHECK(memcmp(&report[0], &report[1], sizeof report[0]) == 0);
+    CHECK(report[0].jump > 0);
+    sum = errors_of_fold(space, &grid.samples, fold, 0, report[0].jump, &err) +
+          errors_of_fold(space, &grid.samples, fold, 1, report[0].jump, &err);
+    CHECK_NEAR(report[0].predicted / sqrt(sum / (double)grid.samples.count), 1, 1e-4);
     shape_samples_done(&grid);
+}
+
+/* More noise, more smoothing. */
+TEST(the_weight_follows_the_noise)
+{
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 20000);
+    double before = 0;
+
+    for (unsigned k = 0; k < 3; k++) {
+        static const double SIGMA[3] = { 0.001, 0.05, 1 };
+        struct shape_samples grid = shape_grid(0, 80, GRID, wave);
+        gsn_auto_mem(uint8_t) fold = folds(&grid.samples);
+        const struct gsn_fit_options options = { .fold = fold, .threads = 2 };
+        gsn_auto(gsn_spline) spline = NULL;
+        struct gsn_fit_report report;
+        struct gsn_error err = { 0 };
+        uint64_t dice = 20260101 + k;
+
+        for (size_t i = 0; i < grid.samples.count; i++)
+            grid.value[i] += (float)(SIGMA[k] * shape_normal(&dice));
+        CHECK_OK(gsn_fit(space, &grid.samples, &options, &spline, &report, NULL, NULL, &err), err);
+        CHECK(report.jump > before);
+        CHECK(report.predicted > SIGMA[k]);
+        before = report.jump;
+        shape_samples_done(&grid);
+    }
 }
 
 static int validate_once(const struct gsn_dms *space, const struct gsn_samples *samples,
                          const uint8_t *fold, struct gsn_error *err)
 {
-    const struct gsn_fit_options options = { .threads = 1 };
-    double rms;
+    const struct gsn_fit_options options = { .fold = fold, .threads = 1 };
+    gsn_auto(gsn_spline) spline = NULL;
+    struct gsn_fit_report report;
 
-    return gsn_cross_validate(space, samples, fold, &options, &rms, err);
+    return gsn_fit(space, samples, &options, &spline, &report, NULL, NULL, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

@@ -38,7 +38,7 @@ static struct gsn_surface *surface_of(const double (*vertex)[3], size_t vertices
     struct gsn_surface *surface = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_surface_new(vertices, facets, &surface, &err), err);
+    CHECK_OK(gsn_surface_new(vertices, facets, 0, &surface, &err), err);
     memcpy(surface->vertex, vertex, vertices * sizeof *vertex);
     memcpy(surface->facet, facet, facets * sizeof *facet);
     return surface;

@@ -96,9 +96,11 @@ TEST(the_penalty_of_a_polynomial_is_the_integral_of_its_squared_gradient)
 }
 
 /* The matrix and right hand side, each entry from gsn_dms_basis() at every sample. */
-static void dense_equations(const struct gsn_dms *space, const struct gsn_samples *samples,
-                            double mean, double *matrix, double *right)
+static void dense_equations(const struct gsn_dms *space, const struct shape_samples *grid,
+                            const uint8_t *fold, const double weight[2], double mean,
+                            double *matrix, double *right)
 {
+    const struct gsn_samples *samples = &grid->samples;
     const size_t n = gsn_dms_controls(space);
     struct gsn_dms_term term[1024];
     size_t hint = 0, count = 0;
@@ -106,6 +108,8 @@ static void dense_equations(const struct gsn_dms *space, const struct gsn_sample
     for (size_t i = 0; i < samples->count; i++) {
         double target = samples->value[i];
 
+        if (weight[fold[i]] == 0)
+            continue;
         CHECK(gsn_dms_basis(space, samples->at[i], 0, &hint, term, 1024, &count) == GSN_OK);
         CHECK(count <= 1024);
         for (size_t a = 0; a < count; a++)
@@ -142,24 +146,48 @@ static void check_system(const struct gsn_fit_system *system, const double *matr
     }
 }
 
+/* Both folds, and each by itself. */
+static void check_folds(struct gsn_fit_system *system, const struct gsn_dms *space,
+                        const struct shape_samples *grid, const uint8_t *fold, double mean)
+{
+    static const double WEIGHT[3][2] = { { 1, 0 }, { 0, 1 }, { 1, 1 } };
+    const size_t n = gsn_dms_controls(space);
+
+    for (size_t w = 0; w < 3; w++) {
+        gsn_auto_mem(double) matrix = gsn_alloc_array(n * n, sizeof *matrix);
+        gsn_auto_mem(double) right = gsn_alloc_array(n, sizeof *right);
+
+        CHECK(matrix && right);
+        gsn_fit_system_combine(system, WEIGHT[w], 0, 0);
+        dense_equations(space, grid, fold, WEIGHT[w], mean, matrix, right);
+        check_system(system, matrix, right);
+    }
+}
+
+static uint8_t *alternate_planes(const struct shape_samples *grid, size_t plane)
+{
+    uint8_t *fold = gsn_alloc_array(grid->samples.count, 1);
+
+    CHECK(fold);
+    for (size_t i = 0; i < grid->samples.count; i++)
+        fold[i] = i / plane % 2;
+    return fold;
+}
+
 static void check_assembly(unsigned degree, double cloud)
 {
     gsn_auto(gsn_dms) space = shape_space(degree, cloud, 60000);
-    const size_t n = gsn_dms_controls(space);
     struct shape_samples grid = shape_grid(0, 80, 16, wave);
-    gsn_auto_mem(double) matrix = gsn_alloc_array(n * n, sizeof *matrix);
-    gsn_auto_mem(double) right = gsn_alloc_array(n, sizeof *right);
+    gsn_auto_mem(uint8_t) fold = alternate_planes(&grid, 16 * 16);
     struct gsn_fit_rows rows;
     struct gsn_fit_system system;
     struct gsn_error err = { 0 };
 
-    CHECK(matrix && right);
-    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples, 2, &err), err);
+    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples, fold, 2, &err), err);
     CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
-    CHECK_OK(gsn_fit_system_assemble(&system, &rows, 2, &err), err);
+    CHECK_OK(gsn_fit_system_assemble(&system, &rows, NULL, 2, &err), err);
     CHECK(rows.seams > 0 && rows.seams < grid.samples.count);
-    dense_equations(space, &grid.samples, rows.mean, matrix, right);
-    check_system(&system, matrix, right);
+    check_folds(&system, space, &grid, fold, rows.mean);
     gsn_fit_system_done(&system);
     gsn_fit_rows_done(&rows);
     shape_samples_done(&grid);
@@ -173,33 +201,120 @@ TEST(the_equations_are_those_of_the_basis_sample_by_sample)
     check_assembly(3, 0.02);
 }
 
-/* A chain of n unknowns, -1 2 -1, and its known answer. */
-TEST(conjugate_gradients_solve_a_chain)
+/* Equations of a fit with jumps, weighed so that they are as stiff as any. */
+static void make_equations(const struct gsn_dms *space, const struct gsn_samples *samples,
+                           double jump, struct gsn_fit_system *system)
 {
-    enum { N = 50 };
-    size_t first[N + 1] = { 0 };
-    uint32_t column[3 * N];
-    double value[3 * N], right[N] = { 0 }, x[N];
-    struct gsn_fit_system system = { N, first, column, value, right };
+    static const double ALL[2] = { 1, 0 };
+    gsn_auto(gsn_face_jumps) jumps = NULL;
+    struct gsn_fit_rows rows;
     struct gsn_error err = { 0 };
-    unsigned iterations = 0;
-    size_t at = 0;
 
-    for (size_t i = 0; i < N; i++) {
-        for (size_t j = i > 0 ? i - 1 : 0; j <= i + 1 && j < N; j++) {
-            column[at] = (uint32_t)j;
-            value[at++] = i == j ? 2 : -1;
-        }
-        first[i + 1] = at;
+    CHECK_OK(gsn_face_jumps_new(space, &jumps, &err), err);
+    CHECK_OK(gsn_fit_rows_sort(&rows, space, samples, NULL, 2, &err), err);
+    CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
+    CHECK_OK(gsn_fit_system_assemble(system, &rows, jumps, 2, &err), err);
+    gsn_fit_system_combine(system, ALL, 0, jump);
+    gsn_fit_rows_done(&rows);
+}
+
+static double multiply_row(const struct gsn_fit_system *system, size_t i, const double *x)
+{
+    double sum = 0;
+
+    for (size_t k = system->first[i]; k < system->first[i + 1]; k++)
+        sum += system->value[k] * x[system->column[k]];
+    return sum;
+}
+
+TEST(conjugate_gradients_find_the_answer_they_were_given)
+{
+    for (unsigned degree = 1; degree <= 3; degree++) {
+        gsn_auto(gsn_dms) space = shape_space(degree, 0.02, 60000);
+        struct shape_samples grid = shape_grid(-40, 120, 24, wave);
+        const size_t n = gsn_dms_controls(space);
+        gsn_auto_mem(double) x = gsn_alloc_array(n, sizeof *x);
+        gsn_auto_mem(double) truth = gsn_alloc_array(n, sizeof *truth);
+        gsn_auto(gsn_fit_patches) patches = NULL;
+        struct gsn_fit_system system;
+        struct gsn_error err = { 0 };
+        unsigned iterations = 0;
+        uint64_t dice = 7;
+
+        CHECK(x && truth);
+        make_equations(space, &grid.samples, 10, &system);
+        for (size_t i = 0; i < n; i++)
+            truth[i] = shape_normal(&dice);
+        for (size_t i = 0; i < n; i++)
+            system.right[i] = multiply_row(&system, i, truth);
+        CHECK_OK(gsn_fit_patches_new(space, &patches, &err), err);
+        CHECK_OK(gsn_fit_patches_invert(patches, &system, 2, &err), err);
+        CHECK_OK(gsn_fit_system_solve(&system, patches, 1e-12, 2000, 2, x, &iterations, &err), err);
+        for (size_t i = 0; i < n; i++)
+            CHECK_NEAR(x[i], truth[i], 1e-6);
+        /* a good start needs fewer */
+        CHECK_OK(gsn_fit_system_solve(&system, patches, 1e-9, 2, 2, x, &iterations, &err), err);
+        memset(x, 0, n * sizeof *x);
+        CHECK(gsn_fit_system_solve(&system, patches, 1e-12, 3, 2, x, &iterations, &err) ==
+              GSN_E_FIT);
+        CHECK(strstr(err.text, "3 iterations"));
+        gsn_fit_system_done(&system);
+        shape_samples_done(&grid);
     }
-    right[N - 1] = N + 1; /* answer: x_i = i + 1 */
-    CHECK_OK(gsn_fit_system_solve(&system, 1e-12, 2 * N, x, &iterations, &err), err);
-    for (size_t i = 0; i < N; i++)
-        CHECK_NEAR(x[i], (double)i + 1, 1e-9);
+}
 
-    CHECK(gsn_fit_system_solve(&system, 1e-12, 5, x, &iterations, &err) == GSN_E_FIT);
-    CHECK(strstr(err.text, "5 iterations"));
-    value[3] = 0;
-    CHECK(gsn_fit_system_solve(&system, 1e-12, 99, x, &iterations, &err) == GSN_E_FIT);
-    CHECK(strstr(err.text, "control point 1"));
+TEST(a_control_point_that_nothing_determines_is_named)
+{
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
+    struct shape_samples grid = shape_grid(0, 10, 4, wave);
+    gsn_auto(gsn_fit_patches) patches = NULL;
+    struct gsn_fit_system system;
+    struct gsn_error err = { 0 };
+
+    make_equations(space, &grid.samples, 0, &system);
+    CHECK_OK(gsn_fit_patches_new(space, &patches, &err), err);
+    CHECK(gsn_fit_patches_invert(patches, &system, 2, &err) == GSN_E_FIT);
+    CHECK(strstr(err.text, "is not determined by anything"));
+    gsn_fit_system_done(&system);
+    shape_samples_done(&grid);
+}
+
+/* The error at the other fold is a quadratic form of its equations. */
+TEST(the_squares_that_control_points_leave_are_those_of_the_samples)
+{
+    gsn_auto(gsn_dms) space = shape_space(2, 0.05, 60000);
+    struct shape_samples grid = shape_grid(0, 80, 20, wave);
+    gsn_auto_mem(uint8_t) fold = alternate_planes(&grid, 20 * 20);
+    const size_t n = gsn_dms_controls(space);
+    gsn_auto_mem(double) x = gsn_alloc_array(n, sizeof *x);
+    gsn_auto_mem(double) scratch = gsn_alloc_array(n, sizeof *scratch);
+    gsn_auto(gsn_spline) spline = NULL;
+    double truth[2] = { 0 };
+    struct gsn_fit_rows rows;
+    struct gsn_fit_system system;
+    struct gsn_error err = { 0 };
+    uint64_t dice = 3;
+    size_t hint = 0;
+
+    CHECK(x && scratch);
+    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples, fold, 2, &err), err);
+    CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
+    CHECK_OK(gsn_fit_system_assemble(&system, &rows, NULL, 2, &err), err);
+    for (size_t i = 0; i < n; i++)
+        x[i] = rows.mean + shape_normal(&dice);
+    CHECK_OK(gsn_spline_new(space, x, &spline, &err), err);
+    for (size_t i = 0; i < n; i++)
+        x[i] -= rows.mean;
+    for (size_t i = 0; i < grid.samples.count; i++) {
+        double value;
+
+        CHECK(gsn_spline_eval(spline, grid.at[i], &hint, &value, NULL) == GSN_OK);
+        truth[fold[i]] += pow(value - (double)grid.value[i], 2);
+    }
+    for (size_t k = 0; k < 2; k++)
+        CHECK_NEAR(gsn_fit_system_squares(&system, k, rows.squares[k], x, scratch) / truth[k], 1,
+                   1e-10);
+    gsn_fit_system_done(&system);
+    gsn_fit_rows_done(&rows);
+    shape_samples_done(&grid);
 }

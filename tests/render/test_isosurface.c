@@ -98,6 +98,27 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
     kuhn_done(&kuhn);
 }
 
+/* Half a ball: of a region that ends at x = 0. */
+TEST(a_trimmed_surface_ends_where_the_region_ends)
+{
+    const struct gsn_lattice at = { 1, 2, 2, { 500, -500, -500 }, { 1000, 1000, 1000 } };
+    gsn_auto(gsn_mask) region = NULL;
+    gsn_auto(gsn_trimesh) surface = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(gsn_mask_new(&at, &region, &err), err);
+    memset(region->inside, 1, gsn_lattice_count(&at));
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, 2, 0, &surface, &err), err);
+    CHECK_OK(gsn_trimesh_trim(surface, region, &err), err);
+    CHECK_NEAR(gsn_trimesh_area(surface) / (2 * M_PI * radius * radius), 1, 0.02);
+    for (size_t v = 0; v < surface->vertex_count; v++)
+        CHECK(surface->vertex[v][0] > -100);
+    CHECK(open_edges(surface) > 0);
+    kuhn_done(&kuhn);
+}
+
 TEST(triangles_turn_with_their_normals)
 {
     gsn_auto(gsn_trimesh) surface = NULL;

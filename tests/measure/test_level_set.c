@@ -202,6 +202,29 @@ TEST(random_splines_lie_between_their_bounds_and_thresholds_are_in_order)
     }
 }
 
+TEST(a_spline_that_ends_sharply_at_the_boundary_lies_between_its_bounds)
+{
+    const struct quadric q = { 0.0, { 1e-3, 0.0, 0.0 }, { 0.0, 0.0, 0.0 } };
+    const double thresholds[THRESHOLDS] = { 0.5, 1.0, 1.5 }, whole = pow(2000.0, 3);
+    gsn_auto(gsn_mask) region = full_mask(low, 100.0, 20, 20, 20);
+    struct gsn_volume_bound bound[THRESHOLDS];
+    double estimate[THRESHOLDS];
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.02, &q, &kuhn, &err), err);
+    CHECK_OK(
+        gsn_level_set_volume(kuhn.spline, region, thresholds, THRESHOLDS, NULL, bound, &err), err);
+    by_points(kuhn.spline, region, thresholds, estimate);
+    for (int t = 0; t < THRESHOLDS; t++) {
+        /* The value falls to 0 in the clouds at the faces alone, so it is at most the linear one. */
+        CHECK(bound[t].lower_um3 <= whole * (1.0 - thresholds[t] / 2.0));
+        CHECK(bound[t].lower_um3 <= 1.03 * estimate[t] && bound[t].upper_um3 >= 0.97 * estimate[t]);
+        CHECK(bound[t].upper_um3 - bound[t].lower_um3 <= 0.1 * whole);
+    }
+    kuhn_done(&kuhn);
+}
+
 TEST(the_parts_of_a_region_add_up)
 {
     const struct quadric q = ellipsoid(700.0, 600.0, 500.0);

@@ -24,8 +24,6 @@
 
 enum { LEAST_CELLS = 16, SURROUNDINGS = 6, SAMPLED = 4096 };
 
-/* Denser than any tissue: pen and dirt count no more than this. */
-static const float MOST_OD = 3;
 /* The brightest hundredth of the cells is glass, wherever there is any. */
 static const double BRIGHTEST = 0.99;
 /* The contrast around a cell is that within nine cells; glass, where there is none, is not blown
@@ -311,7 +309,7 @@ int gsn_tissue_new(const struct gsn_plane *density, double cell, struct gsn_tiss
     if (!t->whole)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the tissue of a section");
     for (size_t i = 0; i < cells; i++)
-        level[i] = isnan(density->value[i]) ? 0 : fminf(fmaxf(density->value[i], 0), MOST_OD);
+        level[i] = isnan(density->value[i]) ? 0 : fmaxf(density->value[i], 0);
     r = make_bands(t, level, scratch, err);
     if (r < 0)
         return r;

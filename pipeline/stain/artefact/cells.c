@@ -33,8 +33,8 @@ static const double LEAST_PIECE = 0.05;
 static const double LEAST_SECTION_UM2 = 500.0 * 500.0;
 
 /* How much more of one channel than of another a piece must absorb, as a share of the sum of all
- * three (the palest dye mixtures have 0.2, grey has 0), and in codes of 8 bits about 5. */
-static const double LEAST_COLOUR = 0.06, LEAST_TINT = 0.01;
+ * three: the palest dye mixtures have 0.2, grey has 0. */
+static const double LEAST_COLOUR = 0.06;
 
 /* Rounding to codes of 8 bits moves bright light by a deviation of 0.29 codes. */
 static const double ROUNDING_OD = 0.0006;
@@ -213,7 +213,7 @@ static int has_colour(const struct gsn_artefact_cells *cells, const struct gsn_c
     const double most = fmax(mean[0], fmax(mean[1], mean[2]));
     const double least = fmin(mean[0], fmin(mean[1], mean[2]));
 
-    return most - least > fmax(LEAST_COLOUR * (mean[0] + mean[1] + mean[2]), LEAST_TINT);
+    return most - least > LEAST_COLOUR * (mean[0] + mean[1] + mean[2]);
 }
 
 /* Only the large pieces of what is not glass and has colour. */

@@ -38,8 +38,6 @@ enum {
 /* No single cell is looked at that is not darker than its surroundings. */
 #define CELL_OD 0.06
 
-/* Char and metal count as a hair does: one grain does not make a line. */
-#define MOST_OD 0.6F
 #define LEAST_LINE_UM 350.0
 #define LINE_WIDE_UM 30.0
 
@@ -66,7 +64,7 @@ static float red_light_at(const struct gsn_artefact_cells *cells, long x, long y
             most = here > most ? here : most;
         }
     }
-    return most < MOST_OD ? most : MOST_OD;
+    return most;
 }
 
 /* The cells of lines through a cell, from that cell. */

@@ -1,12 +1,13 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Method: central moments of the thresholded shape (Hu 1962), their window an ellipse that follows
- * them; the shape is an oval where it differs from the ellipse of its moments by little.
+ * them.
  *
  * Steps of gsn_oval_find(). 1. The level half way between the disc and what is around it. 2. Four
  * rounds: moments of what is higher within 1.3 times the ellipse of the round before. 3. Refused
- * are shapes that are no ellipse (a disc that has lost an arc), nearly round, longer than two to
- * one, or elsewhere. 4. The stretch is the inverse root of the moments, these with determinant 1.
+ * are shapes that are nearly round, longer than two to one, or elsewhere; what is no ellipse the
+ * fit on the stretched pixels refuses. 4. The stretch is the inverse root of the moments, these
+ * with determinant 1.
  *
  * Cannot fail. It is a file of its own because both fits (localise.c, contour.c) ask it. */
 #include "pipeline/register/fiducial/oval.h"
@@ -18,10 +19,6 @@ const double gsn_oval_axes_max = 2, gsn_oval_round_score = 0.99;
 
 /* Axes that differ by less are a round mark's. */
 static const double AXES_LEAST = 1.2;
-/* A disc that has lost an arc, or has debris beside it, is no ellipse: cut at 0.6 of its radius it
- * differs from that of its moments by a tenth. Of a small one, pixels of the rim differ as well,
- * so much divided by its radius. */
-static const double UNLIKE_MOST = 0.05, UNLIKE_RIM = 0.3;
 /* Of fewer pixels, moments say nothing. */
 enum { PIXELS_LEAST = 24 };
 
@@ -52,7 +49,6 @@ static double level_between(const struct gsn_plane *plane, struct gsn_point star
 struct oval {
     struct gsn_point centre;
     double xx, xy, yy; /* of a uniform ellipse: a quarter of the squared half axes */
-    double unlike;     /* what is in one of the two, ellipse before and shape, as a share of this */
 };
 
 static int update_moments(const struct gsn_plane *plane, double level, struct oval *oval)
@@ -60,7 +56,7 @@ static int update_moments(const struct gsn_plane *plane, double level, struct ov
     static const double BEYOND = 1.3;
     const double det = oval->xx * oval->yy - oval->xy * oval->xy;
     const double far = BEYOND * 2 * sqrt(oval->xx + oval->yy);
-    double n = 0, other = 0, x1 = 0, y1 = 0, xx = 0, xy = 0, yy = 0;
+    double n = 0, x1 = 0, y1 = 0, xx = 0, xy = 0, yy = 0;
 
     for (int y = (int)fmax(floor(oval->centre.y - far), 0);
          y < (int)plane->height && y < oval->centre.y + far; y++) {
@@ -70,12 +66,8 @@ static int update_moments(const struct gsn_plane *plane, double level, struct ov
             const double square =
                 (oval->yy * dx * dx - 2 * oval->xy * dx * dy + oval->xx * dy * dy) / det;
 
-            const int is = plane->value[(size_t)y * plane->width + (size_t)x] > level;
-
-            if (square > 4 * BEYOND * BEYOND)
-                continue;
-            other += is != (square <= 4);
-            if (!is)
+            if (square > 4 * BEYOND * BEYOND ||
+                !(plane->value[(size_t)y * plane->width + (size_t)x] > level))
                 continue;
             n += 1;
             x1 += dx;
@@ -90,8 +82,7 @@ static int update_moments(const struct gsn_plane *plane, double level, struct ov
     *oval = (struct oval){ { oval->centre.x + x1 / n, oval->centre.y + y1 / n },
                            xx / n - x1 * x1 / (n * n),
                            xy / n - x1 * y1 / (n * n),
-                           yy / n - y1 * y1 / (n * n),
-                           other / n };
+                           yy / n - y1 * y1 / (n * n) };
     return oval->xx * oval->yy > oval->xy * oval->xy;
 }
 
@@ -102,7 +93,7 @@ int gsn_oval_find(const struct gsn_plane *plane, struct gsn_point *start, double
     const double quarter = 0.25 * *radius * *radius;
     const double level = 0.5 * (level_between(plane, *start, 0, 0.5 * *radius) +
                                 level_between(plane, *start, 1.8 * *radius, 2.3 * *radius));
-    struct oval oval = { *start, quarter, 0, quarter, 0 };
+    struct oval oval = { *start, quarter, 0, quarter };
     double det, half, aspect, by;
 
     assert(plane && start && radius && ret_stretch);
@@ -113,8 +104,7 @@ int gsn_oval_find(const struct gsn_plane *plane, struct gsn_point *start, double
     det = sqrt(oval.xx * oval.yy - oval.xy * oval.xy);
     half = 0.5 * (oval.xx + oval.yy) / det;
     aspect = half + sqrt(fmax(half * half - 1, 0));
-    if (oval.unlike > UNLIKE_MOST + UNLIKE_RIM / (2 * sqrt(det)) || aspect < AXES_LEAST ||
-        aspect > gsn_oval_axes_max || 2 * sqrt(det) > 1.6 * *radius ||
+    if (aspect < AXES_LEAST || aspect > gsn_oval_axes_max || 2 * sqrt(det) > 1.6 * *radius ||
         hypot(oval.centre.x - start->x, oval.centre.y - start->y) > *radius)
         return 0;
     /* The inverse of the root of the moments, these with determinant 1. */

@@ -86,7 +86,8 @@ static const double FAINT = 4;
 /* exp(-4.5): three standard deviations. */
 static const double LIKELIHOOD_MIN = 0.0111;
 
-/* How far the sections of the stack move their marks. The caller guarantees that it is known. */
+/* How far the sections of the stack move their marks. The caller guarantees that the prior is
+ * learnt. */
 static struct gsn_displacement find_displacement(const struct gsn_fiducial_candidates *section,
                                                  const struct gsn_triangle_prior *prior)
 {
@@ -115,7 +116,7 @@ static double misfit_density(const struct gsn_fiducial_candidates *section,
     const struct gsn_displacement m = find_displacement(section, prior);
     const double size = freedom == 3 ? SIZE : 1;
 
-    if (!(prior->stretch_um > 0))
+    if (!prior->learnt || !(prior->stretch_um > 0))
         return normal_density(chi2, m.loose_um, m.loose_um, freedom) / size;
     return (m.ordinary * normal_density(chi2, m.loose_um, m.ordinary_um, freedom) +
             m.loose * normal_density(chi2, m.loose_um, m.loose_um, freedom) +

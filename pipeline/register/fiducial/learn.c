@@ -110,9 +110,8 @@ static void learn_looks(const struct gsn_fiducial_candidates *sections, const in
     gsn_appearance_learn(&counts, prior);
 }
 
-/* One round: from what is known before it to what the sections then say, where so many are clear.
- */
-static int learn_once(const struct gsn_fiducial_candidates *sections, size_t count, size_t least,
+/* One round: from what is known before it to what the sections then say. */
+static int learn_once(const struct gsn_fiducial_candidates *sections, size_t count,
                       struct gsn_triangle_prior *prior, struct gsn_error *err)
 {
     gsn_auto_mem(double) value = gsn_alloc_array(count * KINDS, sizeof *value);
@@ -132,33 +131,13 @@ static int learn_once(const struct gsn_fiducial_candidates *sections, size_t cou
             value[k * count + n] = found[k];
         n += (size_t)clear[i];
     }
-    if (n < least)
+    if (n < FEWEST_SECTIONS)
         return GSN_OK;
     learn_numbers(value, count, n, prior);
     prior->learnt = 1;
     learn_looks(sections, clear, marks, count, prior);
     return gsn_thumbnail_mean(sections, motion, clear + count, clear, count, prior->tissue_um,
                               &prior->tissue, err);
-}
-
-/* Among many spots some lie like the marks by chance, as far as sections may stretch. Most stretch
- * less: where too few are clear, half so far is tried, and again, until half of them are. */
-static int learn_first(const struct gsn_fiducial_candidates *sections, size_t count,
-                       struct gsn_triangle_prior *prior, struct gsn_error *err)
-{
-    enum { HALVINGS = 3 };
-    const double size = gsn_triangle_size(prior->mark_um);
-    const size_t half = (count + 1) / 2;
-    int r = learn_once(sections, count, FEWEST_SECTIONS, prior, err);
-
-    for (int k = 1; r >= 0 && !prior->learnt && k <= HALVINGS; k++) {
-        prior->stretch_um = ldexp(GSN_TRIANGLE_STRETCH * size, -k);
-        r = learn_once(sections, count, half > FEWEST_SECTIONS ? half : FEWEST_SECTIONS, prior,
-                       err);
-    }
-    if (!prior->learnt)
-        prior->stretch_um = 0;
-    return r;
 }
 
 /* The share of sections that have marks at all, by its likelihood (EM; one section more with marks
@@ -195,10 +174,9 @@ int gsn_fiducials_learn(const struct gsn_fiducial_candidates *sections, size_t c
     learnt = *prior;
     learnt.marked = 0;
     learnt.burn = count > 0 ? sections[0].burn : 0;
-    r = learn_first(sections, count, &learnt, err);
-    /* What the first round took for marks by the triangle alone, the others hold against looks. */
-    for (int round = 1; round < ROUNDS && r >= 0; round++)
-        r = learn_once(sections, count, FEWEST_SECTIONS, &learnt, err);
+    /* What the first round took for marks by the triangle alone, the second holds against looks. */
+    for (int round = 0; round < ROUNDS && r >= 0; round++)
+        r = learn_once(sections, count, &learnt, err);
     if (r < 0)
         return r;
     learnt.marked = share_marked(sections, count, &learnt, over_none);

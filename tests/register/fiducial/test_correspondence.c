@@ -925,6 +925,36 @@ TEST(the_agreed_triangle_numbers_every_section_alike)
     }
 }
 
+/* As many spots as a section of dirty tissue has, and no mark. An agreement that chance makes in one
+ * of twenty stacks is taken for one; of 100 more than 12 is no such chance (one in a thousand). */
+TEST(spots_at_random_seldom_share_a_triangle)
+{
+    static struct gsn_fiducial_candidates sections[24];
+    int agreed = 0;
+
+    for (uint64_t draw = 1; draw <= 20; draw++)
+        for (size_t spots = 8; spots <= 40; spots += 8) {
+            struct draw_chance chance = { draw };
+            struct gsn_triangle_prior prior = { 0 };
+            struct gsn_error err = { 0 };
+
+            memset(sections, 0, sizeof sections);
+            for (size_t i = 0; i < 24; i++) {
+                sections[i].px_um = 10;
+                sections[i].count = spots;
+                for (size_t k = 0; k < spots; k++) {
+                    sections[i].mark[k].found = 1;
+                    sections[i].mark[k].radius_px = 7;
+                    sections[i].mark[k].contrast = 1;
+                    sections[i].mark[k].px.x = draw_uniform(&chance, 0, 900);
+                    sections[i].mark[k].px.y = draw_uniform(&chance, 0, 900);
+                }
+            }
+            agreed += gsn_fiducials_vote_triangle(sections, 24, &prior, &err) >= 0;
+        }
+    CHECK(agreed <= 12);
+}
+
 TEST(sections_that_do_not_agree_are_refused)
 {
     struct gsn_fiducial_candidates sections[6];

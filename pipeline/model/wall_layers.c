@@ -298,7 +298,7 @@ static double find_steepest(const struct gsn_grid *data, double low, double high
 
                 if (!isfinite(place))
                     continue;
-                bin = place < BINS ? (size_t)place : BINS - 1;
+                bin = place < 0 ? 0 : place < BINS ? (size_t)place : BINS - 1;
                 gsn_field_gradient(data, at, g);
                 slope[bin] += sqrt(gsn_dot3(g, g));
                 count[bin]++;
@@ -307,7 +307,7 @@ static double find_steepest(const struct gsn_grid *data, double low, double high
     for (size_t b = 1; b + 1 < BINS; b++) {
         /* of three bins, against chance */
         const double seen = count[b - 1] + count[b] + count[b + 1];
-        const double here = (slope[b - 1] + slope[b] + slope[b + 1]) / seen;
+        const double here = seen > 0 ? (slope[b - 1] + slope[b] + slope[b + 1]) / seen : 0;
 
         if (count[b] >= SEEN * total && here > best) {
             best = here;

@@ -103,10 +103,10 @@ class Closed(Model):
         self.assertLess(cell["residual"], FIT)
 
     def test_a_probe_beyond_the_region_says_so(self):
-        said = self.ask("probe", "block", -55, 100, 100)
+        said = self.ask("probe", "block", -30, 100, 100)
         self.assertIs(said["in_region"], False)
         self.assertEqual(said["cell"]["samples"], 0)
-        words = self.call("probe", "block", "-55", "100", "100").stdout
+        words = self.call("probe", "block", "-30", "100", "100").stdout
         self.assertIn("beyond the region of interest", words)
         self.assertIn("no sample: the value is made up", words)
 

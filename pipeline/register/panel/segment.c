@@ -4,7 +4,8 @@
  * Vincent 1993), connected components (pipeline/imaging), k-means of equal sections where several
  * grew together (Lloyd 1982).
  *
- * Steps. 1. gsn_segment_tissue(): the histogram of the densities is parted into glass and tissue.
+ * Steps. 1. gsn_segment_tissue(): what is black along a whole side of the picture, the scanner's bed
+ * or the holder, is taken off; the histogram of the densities is parted into glass and tissue.
  * 2. gsn_segment_mask(): the mask in a frame of empty cells is closed with a cross, so that things
  * along the border do not grow; its components are found. Where threads are asked for, the mask is
  * worn down by crosses and squares in turn, as an octagon does, so that a thread counts the same
@@ -205,6 +206,56 @@ static void clip_density(const struct gsn_plane *tissue, float *ret_value)
     }
 }
 
+/* Of the cells along a side of the picture, for a dark component to be what lies beyond the panel: a
+ * section leaves glass on either side of itself. */
+static const double WHOLE_SIDE = 0.9;
+
+/* Whether the component holds a whole side of the picture. */
+static int is_bed(const struct gsn_components *components, size_t i, uint32_t height)
+{
+    const uint32_t width = components->width;
+    const uint32_t *pixel = components->pixel + components->component[i].first;
+    size_t left = 0, right = 0, top = 0, bottom = 0;
+
+    for (size_t k = 0; k < components->component[i].area; k++) {
+        const uint32_t x = pixel[k] % width, y = pixel[k] / width;
+
+        left += x == 0;
+        right += x == width - 1;
+        top += y == 0;
+        bottom += y == height - 1;
+    }
+    return (double)(left > right ? left : right) >= WHOLE_SIDE * height ||
+           (double)(top > bottom ? top : bottom) >= WHOLE_SIDE * width;
+}
+
+/* Makes glass of the dark bed around the panel, and of the cell beside it, which is half of it. */
+static int clear_bed(float *value, uint8_t *dark, uint32_t width, uint32_t height,
+                     struct gsn_error *err)
+{
+    const size_t count = (size_t)width * height;
+    gsn_auto(gsn_components) components = NULL;
+    int r;
+
+    for (size_t i = 0; i < count; i++)
+        dark[i] = value[i] >= (float)DARKEST;
+    r = gsn_components_find(dark, width, height, &components, err);
+    if (r < 0)
+        return r;
+    memset(dark, 0, count);
+    for (size_t i = 0; i < components->count; i++) {
+        const struct gsn_component *c = &components->component[i];
+        const size_t area = is_bed(components, i, height) ? c->area : 0;
+
+        for (size_t k = 0; k < area; k++)
+            dark[components->pixel[c->first + k]] = 1;
+    }
+    r = gsn_dilate(dark, width, height, SQUARE, err);
+    for (size_t i = 0; r >= 0 && i < count; i++)
+        value[i] = dark[i] ? 0 : value[i];
+    return r;
+}
+
 /* Otsu's threshold between glass and tissue; ret_apart is the distance of their means. */
 static double find_threshold(const float *value, size_t count, double *ret_apart)
 {
@@ -229,10 +280,14 @@ int gsn_segment_tissue(const struct gsn_plane *tissue, double cell_um,
     gsn_auto_mem(uint8_t) mask = gsn_alloc(count);
     double apart;
     float threshold;
+    int r;
 
     if (!value || !mask)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while splitting a panel");
     clip_density(tissue, value);
+    r = clear_bed(value, mask, tissue->width, tissue->height, err);
+    if (r < 0)
+        return r;
     threshold = (float)find_threshold(value, count, &apart);
     for (size_t i = 0; i < count; i++)
         mask[i] = apart >= TISSUE_LEAST && value[i] >= threshold;

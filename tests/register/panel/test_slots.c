@@ -103,6 +103,29 @@ TEST(twelve_sections_are_twelve_slots)
     }
 }
 
+/* The scanner's bed, or its lid, along one side, two or all. */
+TEST(a_dark_bed_around_the_panel_is_no_section)
+{
+    enum { BED = 30 };
+    struct gsn_slot slots[SLOTS];
+    struct gsn_error err = { 0 };
+
+    for (unsigned sides = 1; sides < 16; sides++) {
+        draw_glass(1);
+        draw_slots(0x2d3, 5);
+        if (sides & 1)
+            draw_box(&panel, 0, 0, WIDTH, BED, 2.5);
+        if (sides & 2)
+            draw_box(&panel, 0, 0, BED, HEIGHT, 2.5);
+        if (sides & 4)
+            draw_box(&panel, 0, HEIGHT - BED, WIDTH, BED, 2.5);
+        if (sides & 8)
+            draw_box(&panel, WIDTH - BED, 0, BED, HEIGHT, 2.5);
+        CHECK_OK(split(slots, NULL, NULL, &err), err);
+        check_slots(slots, 0x2d3, 5);
+    }
+}
+
 /* Half a pitch is 100 pixels. Each section is drawn as it lies, and its slot is known. */
 static void check_places(const struct gsn_slot *slots, const struct gsn_point *at, unsigned present)
 {

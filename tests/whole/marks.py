@@ -5,13 +5,17 @@
     marks.py BIN table  [--seed N]... [--px UM]... [--keep FOLDER]   discs and holes of 20 to 300 um
     marks.py BIN decoys [--seed N]... [--keep FOLDER]                0 to 60 round spots a section
     marks.py BIN none   [--seed N]... [--keep FOLDER]                no marks, 0 to 30 spots a section
+    marks.py BIN sizes  [--seed N]... [--px UM]... [--keep FOLDER]   sections that differ in size
 
 BIN is the programs' folder. Tissue, outline, debris and light are those of the generator in
 ../shared/peers; burns are drawn here: ovals up to 1.6 to 1 with a lobed edge, a hole with a charred
 rim of a fifth to a third of its radius. Nothing is stated but the pixel size. A section counts as
 found where its pose puts all three marks within 1.5 pixels, or 0.15 radii, of their places, in the
-frame that most sections agree on; as wrong where it does not and no flag says so. Exit 1: less than 98 % found of marks of two pixels (holes: four) and more, or any wrong; 77:
-../shared or python3-opencv is missing."""
+frame that most sections agree on; as wrong where it does not and no flag says so. Sizes differ by a
+normal factor of 0, 0.5, 2 and 5 %, the marks are stated, and the errors at the five points of each
+section are held against its ellipses. Exit 1: less than 98 % found of marks of two pixels (holes: four)
+and more, any wrong, or ellipses that hold what they should with less than one chance in a thousand;
+77: ../shared or python3-opencv is missing."""
 import argparse
 import json
 import os
@@ -71,16 +75,18 @@ def burn(picture, at, radius, chance, hole, aspect, rim):
 
 
 def draw_section(tissue, i, seed, px_um, spots):
-    """spots: radius_um, hole, marks, decoys. The tissue of section i is drawn once for all of them."""
+    """spots: radius_um, hole, marks, decoys, standard deviation of the size in per cent. The tissue of
+    section i is drawn once for all of them."""
     side = int(round(BLOCK_UM / px_um))
     k = side / 1500
     base = tissue.render(i)
-    for radius_um, hole, marks, decoys in spots:
+    for radius_um, hole, marks, decoys, sizes in spots:
         chance = numpy.random.RandomState((seed * 100003 + i) % 2**32)
         angle, shift = chance.uniform(-180, 180), chance.uniform(-40, 40, 2) * k
         face = -1.0 if chance.uniform() < .15 else 1.0
         c, s = numpy.cos(numpy.radians(angle)), numpy.sin(numpy.radians(angle))
-        turn = numpy.array([[c * face, -s], [s * face, c]])
+        size = 1 + sizes / 100 * numpy.random.RandomState((seed * 7919 + i) % 2**32).normal()
+        turn = size * numpy.array([[c * face, -s], [s * face, c]])
         middle = numpy.array([(side - 1) / 2] * 2)
         centre = middle + shift
         motion = numpy.hstack([turn, (centre - turn @ middle)[:, None]])
@@ -116,7 +122,8 @@ def draw_sets(folder, seed, px_um, spots, sections):
     """One folder for each of spots; those that are there are taken as they are."""
     side = int(round(BLOCK_UM / px_um))
     names = [f"{seed}-{px_um:g}um-{'hole' if s[1] else 'disc'}{s[0]}"
-             f"{'' if s[2] else '-none'}-decoys{s[3]}" for s in spots]
+             f"{'' if s[2] else '-none'}-decoys{s[3]}"
+             f"{f'-sizes{s[4]:g}' if s[4] else ''}" for s in spots]
     missing = [k for k, name in enumerate(names) if not (folder / name / "truth.json").exists()]
     tissue = gen_sections.Tissue(sections, side, seed) if missing else None
     slices = {k: [] for k in missing}
@@ -176,8 +183,8 @@ def table(o, folder):
     for px_um in o.px or (4, 10.58, 24):
         cells = {}
         for seed in o.seed or (900,):
-            spots = [(r, hole, 1, 0) for hole in (0, 1) for r in RADII_UM]
-            for place, (r, hole, _, _) in zip(draw_sets(folder, seed, px_um, spots, 12), spots):
+            spots = [(r, hole, 1, 0, 0) for hole in (0, 1) for r in RADII_UM]
+            for place, (r, hole, *_) in zip(draw_sets(folder, seed, px_um, spots, 12), spots):
                 got = score(o.programs, place, r)
                 cells.setdefault((hole, r), []).append(got)
         for hole in (0, 1):
@@ -196,7 +203,7 @@ def table(o, folder):
 def decoys(o, folder):
     good = True
     for seed in o.seed or (900,):
-        spots = [(75, 0, 1, n) for n in (0, 5, 10, 20, 30, 60)]
+        spots = [(75, 0, 1, n, 0) for n in (0, 5, 10, 20, 30, 60)]
         for place, spot in zip(draw_sets(folder, seed, 10.58, spots, 12), spots):
             found, wrong, all_, off, said = score(o.programs, place, 75)
             print(f"seed {seed}, {spot[3]} decoys: found {found} of {all_}, wrong {wrong}, median "
@@ -208,7 +215,7 @@ def decoys(o, folder):
 def none(o, folder):
     good = True
     for seed in o.seed or (900,):
-        spots = [(75, 0, 0, n) for n in (0, 10, 30)]
+        spots = [(75, 0, 0, n, 0) for n in (0, 10, 30)]
         for place, spot in zip(draw_sets(folder, seed, 10.58, spots, 24), spots):
             found, wrong, all_, _, said = score(o.programs, place, 75)
             print(f"seed {seed}, no marks, {spot[3]} spots: {found + wrong} of {all_} laid by marks "
@@ -217,10 +224,54 @@ def none(o, folder):
     return good
 
 
+def in_ellipses(programs, folder):
+    """Of each section with a pose: whether each of its ellipses holds the error there."""
+    truth = json.loads((folder / "truth.json").read_text())
+    marks = numpy.array(truth["canon_px"]) * truth["px"]
+    done = subprocess.run([programs / "gieson", "--json", "register", folder, "--px-um",
+                           str(truth["px"]), "--marks",
+                           " ".join(f"{x:.6f},{y:.6f}" for x, y in marks)],
+                          capture_output=True, text=True)
+    said, held = json.loads(done.stdout or "{}"), []
+    for s in truth["slices"]:
+        section = said.get("gieson", {"section": {}})["section"].get(s["file"], {})
+        held.append([])
+        for x, y, longer, shorter, angle in section.get("ellipse95_px", ()):
+            # The frame is in um, the truth's in pixels.
+            found = square(said[s["file"]]) @ [x, y, 1]
+            true = square(s["matrix"]) @ [x / truth["px"], y / truth["px"], 1]
+            error = numpy.linalg.inv(square(s["matrix"])[:2, :2]) @ (found - true)[:2]
+            c, s_ = numpy.cos(numpy.radians(angle)), numpy.sin(numpy.radians(angle))
+            held[-1].append(((c * error[0] + s_ * error[1]) / longer) ** 2 +
+                            ((c * error[1] - s_ * error[0]) / shorter) ** 2)
+    return held, done.stderr.strip()
+
+
+def sizes(o, folder):
+    """The five points of one section err together, so a section counts with the share it holds."""
+    good = True
+    for px_um in o.px or (24,):
+        for seed in o.seed or (900,):
+            spots = [(75, 0, 1, 0, percent) for percent in (0, .5, 2, 5)]
+            for place, spot in zip(draw_sets(folder, seed, px_um, spots, 96), spots):
+                held, said = in_ellipses(o.programs, place)
+                shares = [numpy.mean(numpy.array(h) <= 1) for h in held if h]
+                if not shares:
+                    print(f"seed {seed}, sizes differ by {spot[4]} %: no pose. {said[:90]}")
+                    good = False
+                    continue
+                share, spread = numpy.mean(shares), numpy.std(shares) / len(shares) ** .5
+                print(f"seed {seed}, {px_um:g} um/px, sizes differ by {spot[4]} %: {len(shares)} of "
+                      f"{len(held)} with a pose, ellipses of 95 % hold {100 * share:.1f} % of errors "
+                      f"(+-{100 * spread:.1f})", flush=True)
+                good &= share > .95 - 3.3 * max(spread, .22 / len(shares) ** .5)
+    return good
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("programs", type=pathlib.Path)
-    parser.add_argument("what", choices=("table", "decoys", "none"))
+    parser.add_argument("what", choices=("table", "decoys", "none", "sizes"))
     parser.add_argument("--seed", type=int, action="append")
     parser.add_argument("--px", type=float, action="append")
     parser.add_argument("--keep", type=pathlib.Path, help="folder of the sets; made where missing")
@@ -228,7 +279,7 @@ def main():
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory(prefix="gieson-marks-") as scratch:
         folder = o.keep or pathlib.Path(scratch)
-        return 0 if {"table": table, "decoys": decoys, "none": none}[o.what](o, folder) else 1
+        return 0 if {"table": table, "decoys": decoys, "none": none, "sizes": sizes}[o.what](o, folder) else 1
 
 
 if __name__ == "__main__":

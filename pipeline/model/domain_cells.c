@@ -502,6 +502,27 @@ static int verify_boundary(const struct gsn_tets *mesh, const struct gsn_cells *
                       err);
 }
 
+void gsn_domain_voxels_near(const struct gsn_tets *mesh, size_t tet, const struct gsn_lattice *at,
+                            double margin, size_t ret_first[3], size_t ret_end[3])
+{
+    const double origin[3] = { at->origin_um.x, at->origin_um.y, at->origin_um.z };
+    const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
+    const size_t n[3] = { at->nx, at->ny, at->nz };
+
+    for (size_t k = 0; k < 3; k++) {
+        double low = INFINITY, high = -INFINITY;
+
+        for (size_t v = 0; v < 4; v++) {
+            low = fmin(low, mesh->vertex[mesh->tet[tet][v]][k]);
+            high = fmax(high, mesh->vertex[mesh->tet[tet][v]][k]);
+        }
+        low = ceil((low - origin[k]) / step[k] - margin);
+        high = floor((high - origin[k]) / step[k] + margin) + 1;
+        ret_first[k] = low > 0 ? (size_t)low : 0;
+        ret_end[k] = high > 0 ? (size_t)fmin(high, (double)n[k]) : 0;
+    }
+}
+
 /* Marks the voxel centres that a tetrahedron holds, its boundary included. */
 static void mark_tet(const struct gsn_tets *mesh, size_t tet, const struct gsn_lattice *at,
                      uint8_t *held)
@@ -513,23 +534,9 @@ static void mark_tet(const struct gsn_tets *mesh, size_t tet, const struct gsn_l
     const struct gsn_vec3 bc = gsn_vec3_cross(b, c), ca = gsn_vec3_cross(c, a),
                           ab = gsn_vec3_cross(a, b);
     const double det = gsn_vec3_dot(a, bc);
-    const double origin[3] = { at->origin_um.x, at->origin_um.y, at->origin_um.z };
-    const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
-    const size_t n[3] = { at->nx, at->ny, at->nz };
     size_t first[3], end[3];
 
-    for (size_t k = 0; k < 3; k++) {
-        double low = INFINITY, high = -INFINITY;
-
-        for (size_t v = 0; v < 4; v++) {
-            low = fmin(low, mesh->vertex[mesh->tet[tet][v]][k]);
-            high = fmax(high, mesh->vertex[mesh->tet[tet][v]][k]);
-        }
-        low = fmax(0, ceil((low - origin[k]) / step[k] - TOUCHES));
-        high = fmin((double)n[k], floor((high - origin[k]) / step[k] + TOUCHES) + 1);
-        first[k] = (size_t)low;
-        end[k] = high > 0 ? (size_t)high : 0;
-    }
+    gsn_domain_voxels_near(mesh, tet, at, TOUCHES, first, end);
     for (size_t z = first[2]; z < end[2]; z++)
         for (size_t y = first[1]; y < end[1]; y++)
             for (size_t x = first[0]; x < end[0]; x++) {

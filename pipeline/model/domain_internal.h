@@ -82,6 +82,11 @@ int gsn_domain_verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask 
 int gsn_domain_verify_same(const struct gsn_tets *mesh, const struct gsn_tets *before,
                            struct gsn_error *err);
 
+/* The voxels from first to before end, along each axis, whose centres lie within margin (in voxels)
+ * of the tetrahedron's box. */
+void gsn_domain_voxels_near(const struct gsn_tets *mesh, size_t tet, const struct gsn_lattice *at,
+                            double margin, size_t ret_first[3], size_t ret_end[3]);
+
 /* um^3, um^2. */
 double gsn_domain_volume(const struct gsn_tets *mesh);
 double gsn_domain_area(const struct gsn_tets *mesh);

@@ -142,23 +142,10 @@ static bool touches_box(const double (*corner)[3], const double half[3])
 static bool touches_region(const struct gsn_tets *mesh, size_t tet, const struct gsn_mask *region)
 {
     const struct gsn_lattice *at = &region->at;
-    const double origin[3] = { at->origin_um.x, at->origin_um.y, at->origin_um.z };
     const double half[3] = { at->step_um.x / 2, at->step_um.y / 2, at->step_um.z / 2 };
-    const size_t n[3] = { at->nx, at->ny, at->nz };
     size_t first[3], end[3];
 
-    for (size_t k = 0; k < 3; k++) {
-        double low = INFINITY, high = -INFINITY;
-
-        for (size_t v = 0; v < 4; v++) {
-            low = fmin(low, mesh->vertex[mesh->tet[tet][v]][k]);
-            high = fmax(high, mesh->vertex[mesh->tet[tet][v]][k]);
-        }
-        low = ceil((low - origin[k]) / (2 * half[k]) - 0.5);
-        high = floor((high - origin[k]) / (2 * half[k]) + 0.5) + 1;
-        first[k] = low > 0 ? (size_t)low : 0;
-        end[k] = high > 0 ? (size_t)fmin(high, (double)n[k]) : 0;
-    }
+    gsn_domain_voxels_near(mesh, tet, at, 0.5, first, end);
     for (size_t z = first[2]; z < end[2]; z++)
         for (size_t y = first[1]; y < end[1]; y++)
             for (size_t x = first[0]; x < end[0]; x++) {

@@ -128,6 +128,7 @@ static void describe_page(const struct gsn_picture *picture, struct gsn_decode_p
     page->channels = picture->image->channels;
     page->bits = picture->image->bits;
     page->pages = picture->pages;
+    page->lossy = (uint32_t)picture->lossy;
     page->transfer = (uint32_t)picture->transfer;
     page->px_um_x = picture->px_um_x;
     page->px_um_y = picture->px_um_y;
@@ -510,6 +511,7 @@ static int keep_samples(struct channel *channel, const struct gsn_decode_page *s
     picture->px_um_y = said->px_um_y;
     picture->transfer = (enum gsn_transfer)said->transfer;
     picture->pages = said->pages;
+    picture->lossy = said->lossy != 0;
     (void)snprintf(picture->kind, sizeof picture->kind, "%s", said->kind);
     (void)snprintf(picture->note, sizeof picture->note, "%s", said->note);
     (void)snprintf(picture->withheld, sizeof picture->withheld, "%s", said->withheld);

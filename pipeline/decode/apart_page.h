@@ -10,7 +10,7 @@
 
 #include "pipeline/decode/decode.h"
 
-#define GSN_DECODE_PAGE_MAGIC "gsndec5"
+#define GSN_DECODE_PAGE_MAGIC "gsndec6"
 
 struct gsn_decode_page {
     char magic[8];
@@ -22,7 +22,7 @@ struct gsn_decode_page {
     uint32_t answered;
     int32_t code;
     char text[480];
-    uint32_t width, height, channels, bits, pages, transfer;
+    uint32_t width, height, channels, bits, pages, transfer, lossy;
     double px_um_x, px_um_y;
     char kind[24], note[160], withheld[160], profile[96];
     uint32_t printed_count;

@@ -60,6 +60,7 @@ struct gsn_picture {
     double px_um_x, px_um_y; /* pixel pitch along the upright axes; 0: the file does not say */
     enum gsn_transfer transfer;
     unsigned pages; /* pages in the file; the first one is decoded */
+    int lossy;      /* its samples went through JPEG, in a file of its own or inside a TIFF */
     char kind[24];  /* "JPEG", "TIFF", "BigTIFF", "PNG" or "PAM" */
     char note[160]; /* what was passed over or applied, "; " between; empty when nothing was */
     /* Why colours of this picture must not be measured, as whoever took it says in the file (its

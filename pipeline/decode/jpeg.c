@@ -345,6 +345,7 @@ int gsn_jpeg_decode(struct gsn_bytes file, const struct gsn_decode_limits *limit
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while decoding JPEG");
     reader->file = file;
     reader->err = err;
+    picture->lossy = 1;
     r = read_guarded(reader, limits, picture);
     if (r >= 0) {
         const struct gsn_frame_notes notes = gsn_frame_notes_of_jpeg(file);

@@ -655,6 +655,7 @@ static int decode_page(struct gsn_tiff *t, const struct gsn_decode_limits *limit
 
     read_pitch(t, picture);
     picture->transfer = read_transfer(t, picture);
+    picture->lossy = t->compression == COMPRESSION_JPEG;
     note_remark(t, picture);
     r = gsn_raster_open(&canvas, &layout, limits, picture, err);
     if (r < 0)

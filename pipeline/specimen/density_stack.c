@@ -426,7 +426,7 @@ static int open_panel(struct panel_work *work, struct gsn_stack_panel *panel,
     if (r < 0)
         return r;
     panel->opened = 1;
-    panel->lossy = strcmp(scan->picture->kind, "JPEG") == 0;
+    panel->lossy = scan->picture->lossy;
     panel->glass = scan->glass;
     stain->panel = number;
     memcpy(stain->white, scan->glass.white, sizeof stain->white);

@@ -33,7 +33,7 @@ struct gsn_section_density {
 struct gsn_stack_panel {
     const struct gsn_specimen_panel *given; /* borrowed from the specimen */
     int opened;
-    int lossy; /* whether its picture is a JPEG */
+    int lossy; /* whether its picture went through JPEG */
     struct gsn_flat_field glass;
     struct gsn_specimen_stain stain;
     struct gsn_calibrated calibrated; /* by its calibration panel, where one is stated */

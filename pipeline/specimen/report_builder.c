@@ -509,6 +509,7 @@ int gsn_report_build(const struct gsn_report_inputs *e, struct gsn_specimen_resu
         gsn_builder_bridge(e, &d);
         gsn_builder_find_link(e, &d);
         gsn_builder_evenness(e, &d);
+        gsn_builder_compression(e, &d);
         if (d.linked)
             gsn_builder_link(e, &d);
     }

@@ -110,6 +110,7 @@ void gsn_builder_tile(const struct gsn_report_inputs *e, struct gsn_builder *d);
 void gsn_builder_find_link(const struct gsn_report_inputs *e, struct gsn_builder *d);
 void gsn_builder_evenness(const struct gsn_report_inputs *e, struct gsn_builder *d);
 void gsn_builder_link(const struct gsn_report_inputs *e, struct gsn_builder *d);
+void gsn_builder_compression(const struct gsn_report_inputs *e, struct gsn_builder *d);
 void gsn_builder_definition(const struct gsn_report_inputs *e, struct gsn_builder *d);
 
 /* The baseline as it would read in this specimen's stain, and what that leaves open on both sides.

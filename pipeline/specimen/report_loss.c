@@ -54,7 +54,7 @@ static const double SLOPE_ERROR = 0.3;
  * which the study's middle values scattered by at a turn of 5 degrees without scatter. */
 static const double EDGE_ERROR = 0.03;
 
-/* The same where a panel of either side is a JPEG, whose colours run over from tissue to
+/* The same where a panel of either side went through JPEG, whose colours run over from tissue to
  * tissue: 2.7 points there, at quality 85. */
 static const double EDGE_ERROR_LOSSY = 0.10;
 
@@ -91,7 +91,7 @@ struct pool {
     size_t points, panels;
     size_t *first; /* owned; of each panel, and the end */
     size_t own;    /* panels that are this specimen's, first */
-    int lossy;     /* whether any of them is a JPEG */
+    int lossy;     /* whether any of them went through JPEG */
 };
 
 static void pool_done(struct pool *pool)

@@ -198,6 +198,33 @@ static double vectors_error(const struct gsn_report_inputs *e, double ratio)
            (l->turns.freedom > 0 ? gsn_vector_scatter_deviation(&both) : 1);
 }
 
+/* What JPEG does to a mean density, relative: red of patches of 170 pixels of two real tiles, at
+ * quality 85. It took 2.1 +- 0.7 % of one in picrosirius red and 0.1 +- 0.6 % of one in haematoxylin
+ * and eosin, by how fine their texture is, so that a loss keeps part of it. */
+static const double BY_JPEG = 0.013;
+
+static int is_lossy(const struct gsn_report_inputs *e)
+{
+    for (size_t i = 0; i < e->reconstruction->densities.panel_count; i++)
+        if (e->reconstruction->densities.panel[i].opened &&
+            e->reconstruction->densities.panel[i].lossy)
+            return 1;
+    return 0;
+}
+
+void gsn_builder_compression(const struct gsn_report_inputs *e, struct gsn_builder *d)
+{
+    if (!e->reconstruction || !is_lossy(e))
+        return;
+    gsn_builder_value(d->measure, &d->report.measure_count,
+                      "Standard error of the mean density by JPEG", 100 * BY_JPEG, "%");
+    gsn_builder_warn(d, gsn_builder_say(d,
+                                        "panels went through JPEG, which takes the colour of fine "
+                                        "texture: a mean density is off by %.1f %% (standard error): "
+                                        "let the scanner write PNG or TIFF without JPEG",
+                                        100 * BY_JPEG));
+}
+
 /* That by all that the stain leaves open. What the steps between panels do is in the errors of the
  * tissues, which stand for the panels that bear the region. */
 static double own_error(const struct gsn_report_inputs *e, double ratio)
@@ -208,9 +235,10 @@ static double own_error(const struct gsn_report_inputs *e, double ratio)
                                           a->scale.step_error * a->scale.step_error));
 
     /* Inferred vectors are the most of the other. */
-    return a->scale.levelling.vectors.known && !(a->scale.levelling.turns.freedom > 0)
-               ? vectors
-               : hypot(vectors, other);
+    return hypot(is_lossy(e) ? BY_JPEG : 0,
+                 a->scale.levelling.vectors.known && !(a->scale.levelling.turns.freedom > 0)
+                     ? vectors
+                     : hypot(vectors, other));
 }
 
 /* Standard error of the mean density by what the stain leaves open; 0: not known. Of its own scale
@@ -223,7 +251,8 @@ double gsn_builder_own_scale_error(const struct gsn_report_inputs *e)
 double gsn_builder_density_error(const struct gsn_report_inputs *e)
 {
     return e->reconstruction && e->analysis
-               ? hypot(e->reconstruction->scale.red_error, e->reconstruction->scale.common_error) *
+               ? hypot(is_lossy(e) ? BY_JPEG : 0, hypot(e->reconstruction->scale.red_error,
+                                                        e->reconstruction->scale.common_error)) *
                      e->analysis->density.mean
                : 0;
 }

@@ -52,7 +52,7 @@ struct gsn_cloud_bin {
 struct gsn_cloud_panel {
     unsigned panel;            /* its number, 1-based */
     double noise;              /* variance of a cell's optical density at density 0, one channel */
-    int lossy;                 /* whether its file is a JPEG, whose colours run over */
+    int lossy;                 /* whether it went through JPEG, whose colours run over */
     struct gsn_cloud_bin *bin; /* owned; in order of at */
     size_t bins;
 };

@@ -35,7 +35,7 @@ static struct gsn_decoder *new_decoder(const char *program)
 
 static int same_text_and_numbers(const struct gsn_picture *a, const struct gsn_picture *b)
 {
-    return a->pages == b->pages && a->transfer == b->transfer &&
+    return a->pages == b->pages && a->lossy == b->lossy && a->transfer == b->transfer &&
            memcmp(&a->px_um_x, &b->px_um_x, sizeof a->px_um_x) == 0 &&
            memcmp(&a->px_um_y, &b->px_um_y, sizeof a->px_um_y) == 0 &&
            strcmp(a->kind, b->kind) == 0 && strcmp(a->note, b->note) == 0 &&

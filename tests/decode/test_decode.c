@@ -28,6 +28,7 @@ static void check_exact(struct made file, const struct gsn_image *truth, const c
     CHECK(same_picture(picture->image, truth));
     CHECK(strcmp(picture->kind, kind) == 0);
     CHECK(strcmp(picture->note, note) == 0);
+    CHECK(!picture->lossy);
 }
 
 /* --- TIFF --- */
@@ -219,6 +220,7 @@ TEST(jpeg_inside_tiff_is_the_picture_that_jpeg_alone_gives)
     gsn_auto(gsn_picture) b = decode(&alone);
 
     CHECK(same_picture(a->image, b->image));
+    CHECK(a->lossy && b->lossy);
 }
 
 TEST(jpeg_tiles_of_rgb_come_close_to_what_went_in)

@@ -325,6 +325,23 @@ TEST(nothing_inferred_leaves_no_row_and_the_interval_by_the_rest_of_the_stain)
     check_interval(result, TREATED, TREATED * BESIDE_STEPS, of_linked_control());
 }
 
+/* 1.3 % of a mean density, as two real tiles have it. */
+TEST(a_panel_that_went_through_jpeg_widens_the_interval_and_is_told)
+{
+    const double jpeg = 0.013;
+    told_auto t;
+
+    told_init(&t, 2);
+    t.stack.scale.levelling.vectors = (struct gsn_vector_error_left){ 0 };
+    t.panel[1].lossy = 1;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    check_interval(result, TREATED, TREATED * hypot(BESIDE_STEPS, jpeg), of_linked_control());
+    CHECK_NEAR(measure(result, "mean_density_error").value,
+               TREATED * hypot(jpeg, hypot(BY_ALL, IN_COMMON)), 1e-12);
+    assert_non_null(strstr(result->html, "let the scanner write PNG or TIFF without JPEG"));
+}
+
 /* Vectors that were taken as exact turn as much as the panels of both specimens scatter by, of
  * which there are few: Student's distribution with n degrees of freedom has the variance n / (n -
  * 2). */

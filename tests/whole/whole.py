@@ -141,7 +141,7 @@ def accuracy(bench, args):
         variant = place.folder / "calibration.json"
         place.folder.mkdir(parents=True, exist_ok=True)
         variant.write_text('{"calibration": true}')
-        folders = {s: place.phantom(s, args.level, seed, "--variant", variant)
+        folders = {s: place.phantom(s, args.level, seed, "--variant", variant, "--px", args.px)
                    for s in ["S00", *args.specimen]}
         for folder in folders.values():
             place.call("import", folder)
@@ -269,7 +269,7 @@ def loss(bench, args):
 
 def identical(bench, args):
     stores = []
-    scans = [bench.phantom(specimen, "L0", 3) for specimen in ("S00", "S02")]
+    scans = [bench.phantom(specimen, "L0", 3, "--px", 24) for specimen in ("S00", "S02")]
     for threads in (1, 2):
         place = Bench(bench.bin, bench.folder / f"threads-{threads}")
         for folder in scans:
@@ -425,6 +425,7 @@ def main():
     parser.add_argument("--level", default="L0")
     parser.add_argument("--seed", type=int, action="append")
     parser.add_argument("--specimen", action="append")
+    parser.add_argument("--px", type=float, default=10.58, help="accuracy: um a pixel")
     parser.add_argument("--sound", action="store_true",
                         help="marks: fail on what is wrong and used, not on what was not found")
     parser.add_argument("--ready", help="a folder with phantoms made before")

@@ -37,12 +37,13 @@ void gsn_html_unit(struct gsn_report_text *text, const char *unit)
     gsn_report_text_escape(text, unit);
 }
 
-/* The hash of the style sheet as the policy names it: base64 of the raw 32 bytes. */
-static int add_policy(struct gsn_report_text *text, struct gsn_error *err)
+/* 'sha256-...' as a policy names what it allows: base64 of the raw 32 bytes. */
+static int add_hash(struct gsn_report_text *text, const unsigned char *bytes, size_t size,
+                    struct gsn_error *err)
 {
     struct gsn_digest digest;
     unsigned char raw[32];
-    const int r = gsn_sha256(gsn_html_style, gsn_html_style_size, &digest, err);
+    const int r = gsn_sha256(bytes, size, &digest, err);
 
     if (r < 0)
         return r;
@@ -52,22 +53,36 @@ static int add_policy(struct gsn_report_text *text, struct gsn_error *err)
         raw[i] = (unsigned char)((high <= '9' ? high - '0' : high - 'a' + 10) << 4 |
                                  (low <= '9' ? low - '0' : low - 'a' + 10));
     }
-    gsn_report_text_raw(
-        text, "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
-              "img-src data:; style-src 'sha256-");
+    gsn_report_text_raw(text, "'sha256-");
     gsn_report_text_base64(text, raw, sizeof raw);
-    gsn_report_text_raw(text, "'; base-uri 'none'; form-action 'none'\">\n");
+    gsn_report_text_raw(text, "'; ");
     return GSN_OK;
 }
 
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
+static int add_policy(struct gsn_report_text *text, int scripted, struct gsn_error *err)
+{
+    int r;
+
+    gsn_report_text_raw(
+        text, "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
+              "img-src data:; style-src ");
+    r = add_hash(text, gsn_html_style, gsn_html_style_size, err);
+    if (r >= 0 && scripted) {
+        gsn_report_text_raw(text, "script-src ");
+        r = add_hash(text, gsn_html_viewer_script, gsn_html_viewer_script_size, err);
+    }
+    gsn_report_text_raw(text, "base-uri 'none'; form-action 'none'\">\n");
+    return r;
+}
+
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, int scripted,
                   struct gsn_error *err)
 {
     int r;
 
     gsn_report_text_raw(text,
                         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
-    r = add_policy(text, err);
+    r = add_policy(text, scripted, err);
     if (r < 0)
         return r;
     gsn_report_text_raw(text,
@@ -121,6 +136,7 @@ static void add_contents(struct gsn_report_text *text, const struct gsn_report *
     gsn_report_text_raw(text, "<nav aria-label=\"Contents\"><ul>\n");
     add_link(text, "warnings", "Warnings", report->warning_count > 0);
     add_link(text, "volumes", "Volumes", report->volume_count > 0);
+    add_link(text, "model", "Model", report->model != NULL);
     add_link(text, "pictures", "Pictures", report->picture_count > 0);
     add_link(text, "tile", "Collagen map", report->tile != NULL);
     add_link(text, "charts", "Charts", has_charts(report));
@@ -432,15 +448,16 @@ static void add_foot(struct gsn_report_text *text, const struct gsn_report *repo
                             ". Density is what the dye shows: young fibrils take less fuchsin than "
                             "mature collagen, and figures of different stains must not be pooled");
     gsn_report_text_raw(text,
-                        ". This file holds everything it shows and fetches nothing.</p></footer>\n"
-                        "</body>\n</html>\n");
+                        ". This file holds everything it shows and fetches nothing.</p></footer>\n");
+    gsn_html_script(text, report);
+    gsn_report_text_raw(text, "</body>\n</html>\n");
 }
 
 int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,
                     struct gsn_error *err)
 {
     gsn_auto_report_text text = { .bytes = NULL };
-    const int r = gsn_html_head(&text, report->specimen, "", err);
+    const int r = gsn_html_head(&text, report->specimen, "", report->model != NULL, err);
 
     if (r < 0)
         return r;
@@ -449,6 +466,7 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     add_summary(&text, report);
     add_warnings(&text, report);
     gsn_html_volumes(&text, report);
+    gsn_html_viewer(&text, report);
     add_pictures(&text, report);
     gsn_html_tile(&text, report);
     add_charts(&text, report);

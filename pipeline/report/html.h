@@ -16,9 +16,14 @@ extern "C" {
 extern const unsigned char gsn_html_style[];
 extern const size_t gsn_html_style_size;
 
-/* Everything up to and with <body>: the policy that nothing is fetched and nothing runs, the title
- * (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM. */
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
+/* viewer.js, likewise. */
+extern const unsigned char gsn_html_viewer_script[];
+extern const size_t gsn_html_viewer_script_size;
+
+/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs, or
+ * viewer.js alone; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
+ */
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, int scripted,
                   struct gsn_error *err);
 
 /* Whether there is a text to show. */
@@ -32,6 +37,10 @@ void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *p
                     const char *said);
 /* A unit as people write it: mm3 becomes mm with a raised 3. */
 void gsn_html_unit(struct gsn_report_text *text, const char *unit);
+
+/* html_viewer.c: the model to turn and ask; its script, which comes last. */
+void gsn_html_viewer(struct gsn_report_text *text, const struct gsn_report *report);
+void gsn_html_script(struct gsn_report_text *text, const struct gsn_report *report);
 
 /* html_sheet.c: every slot of every panel, as laid out on the glass. */
 void gsn_html_sheet(struct gsn_report_text *text, const struct gsn_report *report);

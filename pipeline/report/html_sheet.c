@@ -81,7 +81,11 @@ static void add_slot(struct gsn_report_text *text, const struct gsn_report_secti
     const int any_mark =
         section->marker_found[0] || section->marker_found[1] || section->marker_found[2];
 
-    gsn_report_text_print(text, "<td class=\"slot %s\">", look->style);
+    gsn_report_text_print(text, "<td class=\"slot %s\"", look->style);
+    if (section->posed) /* the viewer finds it by this */
+        gsn_report_text_print(text, " id=\"section-%u\" data-z=\"%.9g\"", section->serial,
+                              section->z_um);
+    gsn_report_text_raw(text, ">");
     if (section->thumbnail.size)
         gsn_html_image(text, &section->thumbnail, "");
     else

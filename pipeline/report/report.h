@@ -170,6 +170,15 @@ struct gsn_report_picture {
     struct gsn_report_png png;
 };
 
+/* The model as the page's viewer reads it (pipeline/export/page_model.h). */
+struct gsn_report_model {
+    const uint8_t *bytes;
+    size_t size;
+    size_t cells, of; /* in it, of so many with tissue of the region */
+    double apart_um;  /* corners nearer than this were drawn together; 0: none were */
+    const char *unit; /* of its values */
+};
+
 struct gsn_report_exclusion {
     const char *what, *reason;
 };
@@ -219,6 +228,7 @@ struct gsn_report {
     const struct gsn_report_fit *fit;                   /* NULL: none was done */
     const struct gsn_report_units *units;               /* NULL: none */
     const struct gsn_report_tile *tile;                 /* NULL unless the kind is tile */
+    const struct gsn_report_model *model;               /* NULL: none */
     const struct gsn_report_picture *pictures;
     size_t picture_count;
     const char *const *warnings;

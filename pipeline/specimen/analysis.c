@@ -452,6 +452,9 @@ static int draw_pictures(const struct gsn_grid *grid, const struct gsn_mask *reg
         gsn_cut_range(grid, region, &scale.low, &scale.high);
         scale.unit = "value";
     }
+    analysis->low = scale.low;
+    analysis->high = scale.high;
+    analysis->unit = scale.unit;
     gsn_progress_say(options->progress, "pictures", 0, 5);
     r = draw_cuts(grid, region, &scale, options, analysis, err);
     gsn_progress_say(options->progress, "pictures", 3, 5);

@@ -41,6 +41,8 @@ struct gsn_analysis {
         bound[GSN_ANALYSIS_THRESHOLDS];  /* threshold: as the protocol means it */
     struct gsn_tissue_volumes tissue;    /* of sections, for the thresholds of bound */
     double above_threshold, above_share; /* area figure: share of sampled voxels above it */
+    double low, high; /* ends of the pictures' colour scale */
+    const char *unit; /* of the values */
     size_t picture_count;
     struct gsn_png_picture picture[GSN_ANALYSIS_PICTURES];
 };

@@ -6,6 +6,7 @@
 #define GSN_SPECIMEN_REPORT_BUILDER_H
 
 #include "pipeline/core/hash.h"
+#include "pipeline/export/page_model.h"
 #include "pipeline/measure/loss.h"
 #include "pipeline/register/pose/pose.h"
 #include "pipeline/register/pose/strain.h"
@@ -24,6 +25,7 @@ struct gsn_report_inputs {
     const struct gsn_specimen *specimen;
     const struct gsn_reconstruction *reconstruction;
     const struct gsn_analysis *analysis;
+    const struct gsn_page_model *page; /* the analysis's model for the viewer, or NULL */
     const struct gsn_tile *tile;
     struct gsn_gap_interpolation
         bridge;           /* what was bridged before the analysis; region 0: no sections */
@@ -71,6 +73,7 @@ struct gsn_builder {
     struct gsn_report_fit fit;
     struct gsn_report_units units;
     struct gsn_report_tile tile;
+    struct gsn_report_model model;
     int linked; /* whether untreated tissue tells how the baseline was stained */
     struct gsn_batch_calibration link;
     struct gsn_hue_edge edge;  /* of both specimens' colours, where the loss was narrowed by it */

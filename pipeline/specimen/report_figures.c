@@ -143,6 +143,15 @@ void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *
         };
     r->pictures = d->picture;
     r->picture_count = analysis->picture_count;
+    if (e->page) {
+        d->model = (struct gsn_report_model){ .bytes = e->page->bytes,
+                                              .size = e->page->size,
+                                              .cells = e->page->cells,
+                                              .of = e->page->of,
+                                              .apart_um = e->page->apart_um,
+                                              .unit = analysis->unit };
+        r->model = &d->model;
+    }
     r->area_figure =
         (struct gsn_report_value){ .name = gsn_builder_say(d, "share of sampled voxels above %.4g",
                                                            analysis->above_threshold),

@@ -16,6 +16,7 @@
 #include "pipeline/specimen/specimen.h"
 
 #include "pipeline/decode/apart.h"
+#include "pipeline/export/page_model.h"
 #include "pipeline/model/model_file.h"
 #include "pipeline/register/stack/gap_interpolation.h"
 #include "pipeline/specimen/analysis.h"
@@ -97,20 +98,47 @@ static int list_cells(const struct gsn_analysis *analysis, size_t tets, double *
     return GSN_OK;
 }
 
-/* The fitted spline as a file; nothing where there is no fit. */
+/* For the viewer in the report; none where no cell has tissue, or it cannot be made so small. */
+static int pack_model(const struct gsn_analysis *analysis, const struct gsn_model_cells *cells,
+                      const struct gsn_mask *region, unsigned threads, struct gsn_page_model **ret_page, struct gsn_error *err)
+{
+    const struct gsn_page_options options = { .region = region,
+                                              .low = analysis->low,
+                                              .high = analysis->high,
+                                              .most_bytes = GSN_PAGE_BYTES };
+    gsn_auto(gsn_page_model) page = NULL;
+    const int r = gsn_page_model_new(analysis->spline, cells, &options, threads, &page, err);
+
+    if (r == GSN_E_LIMIT)
+        return GSN_OK;
+    if (r >= 0 && page->cells > 0)
+        *ret_page = gsn_steal(&page);
+    return r;
+}
+
+/* The fitted spline as a file, and packed for the report; nothing where there is no fit. */
 static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask *region,
-                      const struct gsn_specimen *specimen, struct gsn_specimen_result *result,
+                      const struct gsn_specimen *specimen, unsigned threads,
+                      struct gsn_specimen_result *result, struct gsn_page_model **ret_page,
                       struct gsn_error *err)
 {
     gsn_auto_mem(double) density = NULL;
     gsn_auto_mem(double) share = NULL;
     gsn_auto_mem(char) parameters = NULL;
+    struct gsn_model_cells cells;
     struct gsn_specimen_file *file;
     int r;
 
     if (!analysis)
         return GSN_OK;
     r = list_cells(analysis, gsn_dms_mesh(analysis->space)->tet_count, &density, &share, err);
+    if (r < 0)
+        return r;
+    cells = (struct gsn_model_cells){ .density = density,
+                                      .inside_share = share,
+                                      .residual = analysis->fit.tet_rms,
+                                      .samples = analysis->fit.tet_samples };
+    r = pack_model(analysis, &cells, region, threads, ret_page, err);
     if (r < 0)
         return r;
     parameters = gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "
@@ -120,12 +148,7 @@ static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask
     if (!parameters)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the model's parameters");
     file = add_file(result, "model.vtkhdf");
-    return gsn_model_file_write(analysis->spline,
-                                &(struct gsn_model_cells){ .density = density,
-                                                           .inside_share = share,
-                                                           .residual = analysis->fit.tet_rms,
-                                                           .samples = analysis->fit.tet_samples },
-                                region,
+    return gsn_model_file_write(analysis->spline, &cells, region,
                                 &(struct gsn_model_notes){ .name = specimen->protocol->specimen,
                                                            .parameters = parameters,
                                                            .version = GSN_VERSION },
@@ -231,6 +254,7 @@ static int process_sections(const struct gsn_specimen *specimen,
 {
     gsn_auto(gsn_reconstruction) stack = NULL;
     gsn_auto(gsn_analysis) analysis = NULL;
+    gsn_auto(gsn_page_model) page = NULL;
     struct gsn_error why = { 0 };
     struct gsn_report_inputs inputs = { .specimen = specimen };
     int r = gsn_reconstruct(specimen, options, &stack, &why);
@@ -261,10 +285,13 @@ static int process_sections(const struct gsn_specimen *specimen,
         return r;
     if (stack && stack->densities.grid && (r = keep_colour(stack, result, err)) < 0)
         return r;
-    if ((r = keep_model(analysis, stack ? stack->region : NULL, specimen, result, err)) < 0)
+    r = keep_model(analysis, stack ? stack->region : NULL, specimen, options->threads, result, &page,
+                   err);
+    if (r < 0)
         return r;
     inputs.reconstruction = stack;
     inputs.analysis = analysis;
+    inputs.page = page;
     inputs.withheld = analysis ? NULL : why.text;
     gsn_progress_say(options->progress, "report", 0, 1);
     r = gsn_report_build(&inputs, result, err);
@@ -291,6 +318,7 @@ static int process_volume(const struct gsn_specimen *specimen,
     const struct gsn_analysis_options how = analysis_options(options);
     gsn_auto(gsn_mask) made = NULL;
     gsn_auto(gsn_analysis) analysis = NULL;
+    gsn_auto(gsn_page_model) page = NULL;
     struct gsn_error why = { 0 };
     struct gsn_report_inputs inputs = { .specimen = specimen };
     int r = GSN_OK;
@@ -312,9 +340,12 @@ static int process_volume(const struct gsn_specimen *specimen,
                          &analysis, &why, err);
     if (r < 0 && !is_about_inputs(r))
         return r;
-    if ((r = keep_model(analysis, made ? made : specimen->region, specimen, result, err)) < 0)
+    r = keep_model(analysis, made ? made : specimen->region, specimen, options->threads, result,
+                   &page, err);
+    if (r < 0)
         return r;
     inputs.analysis = analysis;
+    inputs.page = page;
     inputs.withheld = analysis ? NULL : why.text;
     return gsn_report_build(&inputs, result, err);
 }

@@ -287,7 +287,7 @@ int gsn_index_page(const struct gsn_index_study *study, size_t count, const char
     const struct scale scale = find_scale(study, count);
     const struct tally tally = count_specimens(study, count);
     gsn_auto_report_text text = { .bytes = NULL };
-    const int r = gsn_html_head(&text, "Specimens and studies", "", err);
+    const int r = gsn_html_head(&text, "Specimens and studies", "", 0, err);
 
     if (r < 0)
         return r;

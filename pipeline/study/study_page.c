@@ -65,7 +65,7 @@ static void put_p(struct gsn_report_text *text, double p)
 static int add_head(struct gsn_report_text *text, const struct gsn_study *study,
                     struct gsn_error *err)
 {
-    const int r = gsn_html_head(text, study->input.name, " \xC2\xB7 study", err);
+    const int r = gsn_html_head(text, study->input.name, " \xC2\xB7 study", 0, err);
 
     if (r < 0)
         return r;

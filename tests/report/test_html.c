@@ -11,6 +11,8 @@
 
 enum { MOST_DEPTH = 64, MOST_NAME = 24 };
 
+static const char hostile[] = "\"><script>alert('1')</script>&\x01\x80\xE2\x80\xAE\xC3\xA9";
+
 static char *page_of(const struct gsn_report *report)
 {
     struct gsn_error err = { 0 };
@@ -61,7 +63,7 @@ static const char *skip_attributes(const char *at, int *ret_closed)
 /* Every element is closed in the right order, and text holds no stray < or bare &. */
 static void check_well_formed(const char *page)
 {
-    static const char *const empty[] = { "meta", "img", "br", NULL };
+    static const char *const empty[] = { "meta", "img", "br", "input", NULL };
     char open[MOST_DEPTH][MOST_NAME];
     size_t depth = 0;
 
@@ -92,6 +94,10 @@ static void check_well_formed(const char *page)
         if (closing) {
             CHECK(depth > 0);
             assert_string_equal(open[--depth], found);
+        } else if (strcmp(found, "script") == 0) {
+            at = strstr(at, "</script>");
+            assert_non_null(at);
+            at += 9;
         } else if (!closed && !is_one_of(found, empty)) {
             CHECK(depth < MOST_DEPTH);
             memcpy(open[depth++], found, sizeof found);
@@ -123,13 +129,11 @@ TEST(every_kind_of_page_is_well_formed_and_fetches_nothing)
 }
 
 /* CSP Level 3, section 2.3.1: base64 of the SHA-256 of the text between the tags. */
-TEST(the_policy_allows_just_this_style_sheet)
+static void add_hash_between(const char *page, const char *open, const char *close,
+                             struct gsn_report_text *wanted)
 {
-    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
-    gsn_auto_mem(char) page = page_of(sample_report(sample));
-    const char *const from = strstr(page, "<style>") + 7;
-    const char *const to = strstr(page, "</style>");
-    gsn_auto_report_text wanted = { .bytes = NULL };
+    const char *const from = strstr(page, open) + strlen(open);
+    const char *const to = strstr(from, close);
     struct gsn_error err = { 0 };
     struct gsn_digest digest;
     uint8_t raw[32];
@@ -141,10 +145,44 @@ TEST(the_policy_allows_just_this_style_sheet)
         CHECK(sscanf(digest.hex + 2 * i, "%2x", &byte) == 1);
         raw[i] = (uint8_t)byte;
     }
-    gsn_report_text_raw(&wanted, "content=\"default-src 'none'; img-src data:; style-src 'sha256-");
-    gsn_report_text_base64(&wanted, raw, sizeof raw);
-    gsn_report_text_raw(&wanted, "'; base-uri 'none'; form-action 'none'\">");
-    assert_non_null(strstr(page, wanted.bytes));
+    gsn_report_text_raw(wanted, "'sha256-");
+    gsn_report_text_base64(wanted, raw, sizeof raw);
+    gsn_report_text_raw(wanted, "'; ");
+}
+
+TEST(the_policy_allows_just_this_style_sheet_and_where_there_is_a_model_its_viewer)
+{
+    static const uint8_t model_bytes[] = "any bytes";
+    const struct gsn_report_model model = { .bytes = model_bytes,
+                                            .size = sizeof model_bytes,
+                                            .cells = 5,
+                                            .of = 9,
+                                            .apart_um = 30,
+                                            .unit = hostile };
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+
+    for (int with = 0; with < 2; with++) {
+        gsn_auto_report_text wanted = { .bytes = NULL };
+        gsn_auto_mem(char) page = NULL;
+
+        sample_report(sample)->model = with ? &model : NULL;
+        page = page_of(sample_report(sample));
+        check_well_formed(page);
+        gsn_report_text_raw(&wanted, "content=\"default-src 'none'; img-src data:; style-src ");
+        add_hash_between(page, "<style>", "</style>", &wanted);
+        if (with) {
+            gsn_report_text_raw(&wanted, "script-src ");
+            add_hash_between(page, "<script>", "</script>", &wanted);
+        }
+        gsn_report_text_raw(&wanted, "base-uri 'none'; form-action 'none'\">");
+        assert_non_null(strstr(page, wanted.bytes));
+        CHECK((strstr(page, "5 of the 9 cells") != NULL) == with);
+        CHECK((strstr(page, "<a href=\"#model\">") != NULL) == with);
+        CHECK((strstr(page, ">YW55IGJ5dGVzAA==</script>") != NULL) == with);
+        assert_null(strstr(page, "http:"));
+        assert_null(strstr(page, "https:"));
+        assert_null(strstr(page, "alert('1')"));
+    }
     sample_free(sample);
 }
 
@@ -305,8 +343,6 @@ TEST(the_scan_that_is_used_heads_its_panel_and_the_others_follow)
     assert_non_null(strstr(second, "no scan of it was delivered"));
     check_well_formed(page);
 }
-
-static const char hostile[] = "\"><script>alert('1')</script>&\x01\x80\xE2\x80\xAE\xC3\xA9";
 
 TEST(hostile_texts_anywhere_stay_text)
 {

@@ -1,0 +1,212 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: AGPL-3.0-or-later
+"""The report's page in a browser: the model that is turned, cut and asked in it.
+
+    test_page.py BIN Viewer      exit 77 (skipped) without Chromium
+
+The specimen is a block of 32 x 32 x 24 voxels with a ball of high density in it, one corner empty.
+"""
+import csv
+import math
+import pathlib
+import re
+import struct
+import sys
+import tempfile
+import unittest
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+import bench
+import browser
+
+SIDE, HIGH, STEP = 32, 24, 10.0
+CELLS = 10  # that are asked
+
+
+def write_volume(path):
+    def value(x, y, z):
+        r = math.dist((x, y, z), (16, 15, 11))
+        return 0.15 + 0.7 / (1 + math.exp((r - 8) / 1.2)) + 0.002 * x
+
+    head = (f"NRRD0004\ntype: float\nendian: little\ndimension: 3\nspace dimension: 3\n"
+            f"sizes: {SIDE} {SIDE} {HIGH}\nspace directions: ({STEP},0,0) (0,{STEP},0) "
+            f"(0,0,{STEP})\nspace origin: (-50,100,20)\nspace units: \"um\" \"um\" \"um\"\n"
+            "encoding: raw\n\n")
+    voxels = [math.nan if x < 9 and y < 9 else value(x, y, z)
+              for z in range(HIGH) for y in range(SIDE) for x in range(SIDE)]
+    path.write_bytes(head.encode() + struct.pack(f"<{len(voxels)}f", *voxels))
+
+
+class Viewer(bench.Bench):
+    @classmethod
+    def setUpClass(cls):
+        cls.kept = tempfile.TemporaryDirectory(prefix="gieson-page-")
+        cls.addClassCleanup(cls.kept.cleanup)
+        write_volume(pathlib.Path(cls.kept.name) / "ball.nrrd")
+        worker = cls("call")
+        worker.folder = pathlib.Path(cls.kept.name)
+        worker.store = worker.folder / "store"
+        for command in (["import", "--volume", str(worker.folder / "ball.nrrd"), "--specimen",
+                         "ball"], ["run"]):
+            done = worker.call(*command)
+            assert done.returncode == 0, done.stderr
+        cls.page = next(worker.store.glob("reports/*/*/report.html"))
+        table = worker.folder / "units.csv"
+        assert worker.call("export", "ball", str(table)).returncode == 0
+        with open(table, newline="", encoding="utf-8") as file:
+            cls.units = list(csv.DictReader(file))
+
+    def setUp(self):
+        super().setUp()
+        self.store = pathlib.Path(self.kept.name) / "store"
+
+    @staticmethod
+    def open_page(seen):
+        """Opens it and scrolls to the model; the box of its canvas."""
+        seen.open(Viewer.page)
+        seen.until("+document.getElementById('viewer').dataset.drawn > 0")
+        seen.ask("document.getElementById('viewer-model').scrollIntoView({block: 'center', "
+                 "behavior: 'instant'})")
+        return seen.ask("(b => [b.x, b.y, b.width, b.height])(document.getElementById("
+                        "'viewer-model').getBoundingClientRect())")
+
+    @staticmethod
+    def set_to(seen, **values):
+        for name, value in values.items():
+            seen.ask(f"(e => {{ e.value = '{value}'; e.dispatchEvent(new Event('input')); }})"
+                     f"(document.getElementById('viewer-{name}'))")
+
+    @staticmethod
+    def read_cell(seen):
+        """What the page says of the cell that is chosen; None: none is."""
+        head = seen.ask("(document.querySelector('#viewer-cell h3') || {}).textContent")
+        if not head:
+            return None
+        rows = seen.ask("[...document.querySelectorAll('#viewer-cell dt')].map(e => "
+                        "[e.textContent, e.nextSibling.textContent])")
+        said = {name: value.replace("\u2212", "-") for name, value in rows}
+        said["number"] = int(head.split()[1])
+        return said
+
+    def check_cell(self, said):
+        """Against the exported table and the probe, digit for digit."""
+        row = self.units[said["number"]]
+        middle = [row[c] for c in ("x_um", "y_um", "z_um")]
+        probe = self.json("probe", "ball", *middle)
+        cell = probe["cell"]
+        self.assertEqual(cell["number"], said["number"])
+        digits = len(said["Mean density"].partition(".")[2])
+        self.assertGreaterEqual(digits, 4)
+        self.assertEqual(said["Mean density"], f"{float(row['density']):.{digits}f}")
+        unit = 10 ** digits
+        self.assertEqual(said["Certainly above"],
+                         f"{math.floor(cell['lower'] * unit) / unit:.{digits}f}")
+        self.assertEqual(said["Certainly below"],
+                         f"{math.ceil(cell['upper'] * unit) / unit:.{digits}f}")
+        self.assertEqual(said["Samples"], row["samples"])
+        self.assertEqual(said["Their residual, rms"], f"{float(row['residual']):.{digits}f}"
+                         if row["residual"] else "not known")
+        self.assertEqual(said["Volume"], f"{float(row['volume_um3']):.0f} µm³")
+        self.assertEqual(said["In the region"], f"{100 * float(row['inside_share']):.1f} %")
+        place = [int(v) for v in re.findall(r"-?\d+", said["Middle, µm"])]
+        for got, wanted in zip(place, middle):
+            self.assertLess(abs(got - float(wanted)), 0.6)
+
+    def test_ten_cells_that_are_clicked_show_the_models_own_figures(self):
+        seen_cells = {}
+        with browser.Browser(1280, 900) as seen:
+            x, y, wide, high = self.open_page(seen)
+            for shrink in (100, 70):
+                self.set_to(seen, shrink=shrink)
+                for i in range(60):
+                    if len(seen_cells) >= CELLS * (2 if shrink < 100 else 1):
+                        break
+                    seen.click(x + wide * (0.3 + 0.4 * (i * 0.618 % 1)),
+                               y + high * (0.3 + 0.4 * (i * 0.755 % 1)))
+                    said = self.read_cell(seen)
+                    if said:
+                        seen_cells[said["number"]] = said
+            self.assertGreaterEqual(len(seen_cells), 2 * CELLS)
+            self.assertEqual([r for r in seen.requests if not r.startswith(("file:", "data:"))], [])
+            self.assertEqual(len([r for r in seen.requests if r.startswith("file:")]), 1)
+            self.assertEqual(seen.said, [])
+        for said in list(seen_cells.values())[:CELLS] + list(seen_cells.values())[-2:]:
+            self.check_cell(said)
+
+    def test_the_cell_on_the_cut_is_the_one_that_lies_there(self):
+        """Seen straight along z: the pixel says where, and the cell must be the probe's."""
+        with browser.Browser(1000, 800) as seen:
+            x, y, wide, high = self.open_page(seen)
+            self.set_to(seen, cut="z", place=500)
+            for _ in range(20):
+                seen.ask("document.getElementById('viewer-model').dispatchEvent(new KeyboardEvent("
+                         "'keydown', { key: 'ArrowDown' }))")
+            place = seen.ask("document.getElementById('viewer-place-said').textContent")
+            z = float(re.search(r"-?\d+", place.replace("\u2212", "-")).group())
+            seen.click(x + wide / 2, y + high / 2)
+            said = self.read_cell(seen)
+        self.assertIsNotNone(said)
+        numbers = [[float(u[c]) for u in self.units if u["density"]] for c in ("x_um", "y_um")]
+        middle = [(min(n) + max(n)) / 2 for n in numbers]
+        # The middle of the cells' middles is within a cell of that of the box.
+        middle_said = [int(v) for v in re.findall(r"-?\d+", said["Middle, µm"])]
+        self.assertLess(math.dist(middle_said, [*middle, z]), 80)
+
+    def test_levels_bound_the_volume_of_a_cell(self):
+        with browser.Browser(1000, 800) as seen:
+            x, y, wide, high = self.open_page(seen)
+            self.set_to(seen, **{"from": 500})
+            checked = 0
+            for number in range(0, len(self.units), max(1, len(self.units) // 40)):
+                seen.ask("(e => { e.value = '%d'; e.dispatchEvent(new Event('change')); })"
+                         "(document.getElementById('viewer-number'))" % number)
+                said = self.read_cell(seen)
+                if not said or said["number"] != number:
+                    continue
+                name = next(n for n in said if n.startswith("Above"))
+                low, high_ = map(int, re.fullmatch(r"(\d+) to (\d+) µm³", said[name]).groups())
+                volume = float(self.units[number]["volume_um3"])
+                self.assertLessEqual(low, high_)
+                self.assertLessEqual(high_, volume + 1)
+                level = float(name.split()[1])
+                if float(said["Certainly above"]) > level:
+                    self.assertGreaterEqual(high_, math.floor(volume))
+                if float(said["Certainly below"]) < level:
+                    self.assertEqual(low, 0)
+                checked += 1
+            self.assertGreater(checked, 10)
+            self.assertEqual(seen.said, [])
+
+    def test_the_page_fits_a_phone_and_the_keys_turn_the_model(self):
+        with browser.Browser(400, 800) as seen:
+            self.open_page(seen)
+            self.assertEqual(seen.ask("document.documentElement.scrollWidth"), 400)
+            drawn = int(seen.ask("document.getElementById('viewer').dataset.drawn"))
+            seen.ask("document.getElementById('viewer-model').focus()")
+            seen.tell("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft")
+            seen.until(f"+document.getElementById('viewer').dataset.drawn > {drawn}")
+            self.assertEqual(seen.said, [])
+
+    def test_without_webgl_a_sentence_stands_in_for_it(self):
+        with browser.Browser(1000, 800) as seen:
+            seen.tell("Page.addScriptToEvaluateOnNewDocument", source="""
+                HTMLCanvasElement.prototype.getContext = () => null;""")
+            seen.open(self.page)
+            self.assertTrue(seen.ask("document.getElementById('viewer').hidden"))
+            self.assertIn("WebGL2", seen.ask("document.getElementById('viewer-none').innerText"))
+            self.assertGreater(seen.ask("document.querySelectorAll('#pictures img').length"), 3)
+
+    def test_the_page_weighs_no_more_than_is_promised(self):
+        self.assertLess(self.page.stat().st_size, 4e6)
+
+
+def main():
+    bench.BIN = pathlib.Path(sys.argv[1]).resolve()
+    if not browser.path():
+        print("SKIPPED: no chromium: nobody looked at the report's page", file=sys.stderr)
+        sys.exit(bench.SKIPPED)
+    unittest.main(argv=[sys.argv[0], sys.argv[2]], verbosity=1)
+
+
+if __name__ == "__main__":
+    main()

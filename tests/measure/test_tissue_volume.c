@@ -211,12 +211,14 @@ TEST(volumes_of_a_real_tooth_under_a_real_grain_are_its_own)
         for (int t = 0; t < LEVELS; t++) {
             const double truth = TOOTH_VOXELS[t] * voxel_um3;
 
+            if (isnan(v.volume[t].estimate_um3)) {
+                (void)printf("  D > %.2f: withheld\n", level[t]);
+                continue;
+            }
             (void)printf("  D > %.2f: %+.2f %% (%+.2f to %+.2f)\n", level[t],
                          100 * (v.volume[t].estimate_um3 / truth - 1),
                          100 * (v.volume[t].lower_um3 / truth - 1),
                          100 * (v.volume[t].upper_um3 / truth - 1));
-            if (isnan(v.volume[t].estimate_um3))
-                continue;
             given++;
             covered += v.volume[t].lower_um3 <= truth && v.volume[t].upper_um3 >= truth;
         }

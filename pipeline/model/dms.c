@@ -55,6 +55,44 @@ static int check_folds(unsigned degree, const double (*knot)[3], double whole, d
     return GSN_OK;
 }
 
+/* Knots of one corner nearer to each other than this part of an edge, and yet apart, differ by too
+ * few digits of their coordinates: values of the spline come out wrong in the fifth digit. */
+static const double THINNEST = 1e-10;
+
+static double distance_of(const double a[3], const double b[3])
+{
+    return hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
+}
+
+static double shortest_edge(const double *const corner[4])
+{
+    double least = INFINITY;
+
+    for (unsigned k = 1; k < 4; k++)
+        for (unsigned l = 0; l < k; l++)
+            least = fmin(least, distance_of(corner[k], corner[l]));
+    return least;
+}
+
+static int check_thickness(unsigned degree, const double (*knot)[3], double edge,
+                           struct gsn_error *err)
+{
+    for (unsigned k = 0; k < 4; k++)
+        for (unsigned i = 1; i <= degree; i++)
+            for (unsigned j = 0; j < i; j++) {
+                const double apart =
+                    distance_of(knot[k * (degree + 1) + i], knot[k * (degree + 1) + j]);
+
+                if (apart > 0 && apart < THINNEST * edge)
+                    return gsn_fail(err, GSN_E_MESH,
+                                    "two knots of a corner are %.3g of an edge apart, less than "
+                                    "%g is too thin for double precision: make the cloud larger, "
+                                    "or the knots the same",
+                                    apart / edge, THINNEST);
+            }
+    return GSN_OK;
+}
+
 void gsn_dms_measure(unsigned degree, const double (*knot)[3], struct gsn_dms_shape *shape)
 {
     for (unsigned k = 0; k < 4; k++)
@@ -89,6 +127,8 @@ int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, 
             "its volume, %g, is out of the range of what double precision can work with",
             whole / 6);
     r = check_folds(degree, knot, whole, margin, err);
+    if (r >= 0)
+        r = check_thickness(degree, knot, shortest_edge(corner), err);
     if (r < 0)
         return r;
     gsn_barycentric_init(&ret_shape->frame, corner[0], corner[1], corner[2], corner[3]);

@@ -50,8 +50,9 @@ int gsn_dms_clouds(const struct gsn_tets *mesh, unsigned degree, double fraction
                    double (**ret_knots)[3], struct gsn_error *err);
 
 /* gives: the space; copies mesh and knots. degree is 1..GSN_DMS_MAX_DEGREE.
- * Fails with GSN_E_MESH naming the tetrahedron when a cloud is not valid, GSN_E_INPUT on a degree
- * or coordinate out of range, GSN_E_NOMEM. */
+ * Fails with GSN_E_MESH naming the tetrahedron when a cloud is not valid: knots fold over, or two
+ * of a vertex are less than 1e-10 of an edge apart and not the same; GSN_E_INPUT on a degree or
+ * coordinate out of range, GSN_E_NOMEM. */
 int gsn_dms_new(const struct gsn_tets *mesh, unsigned degree, const double (*knots)[3],
                 enum gsn_dms_sharing sharing, struct gsn_dms **ret_space, struct gsn_error *err);
 void gsn_dms_free(struct gsn_dms *space);

@@ -61,7 +61,8 @@ void gsn_dms_shape_of(const struct gsn_dms *space, size_t tet, struct gsn_dms_sh
 
 /* The shape of a tetrahedron from its knots in local order. Fails with GSN_E_MESH, without a
  * place, when some det X_beta, |beta| <= degree, is not greater than margin times that of the
- * tetrahedron, or sum high is not less than widest. */
+ * tetrahedron, two knots of a corner are too near to each other, or sum high is not less than
+ * widest. */
 int gsn_dms_shape_init(unsigned degree, const double (*knot)[3], double margin, double widest,
                        struct gsn_dms_shape *ret_shape, struct gsn_error *err);
 /* Finds low and high for the frame that is there. */

@@ -12,11 +12,11 @@
  * (2) assemble the equations, fold by fold; (3) with folds, go up a ladder of weights as long as
  * each fold predicts the other better: the error there is a quadratic form of the other's
  * equations, so that no sample is evaluated twice; (4) solve with both folds for deviations from
- * the mean; (5) residuals per tetrahedron.
+ * the mean; (5) residuals per tetrahedron. Further channels begin with (4).
  *
  * Failure: GSN_E_INPUT names the first sample that is not finite or lies outside the mesh;
- * GSN_E_FIT when the solver does not reach its tolerance. Cost: evaluation of the samples
- * dominates; the solver passes over matrix and faces once a step. */
+ * GSN_E_FIT when the solver does not reach its tolerance, unless the caller is forgiving. Cost:
+ * evaluation of the samples dominates; the solver passes over matrix and faces once a step. */
 #include "pipeline/model/fit.h"
 
 #include "pipeline/model/face_jump.h"
@@ -107,20 +107,29 @@ void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_te
 
 /* --- the fit --- */
 
-static const double SMOOTHING = 1e-6, TOLERANCE = 1e-8;
+static const double TOLERANCE = 1e-8;
 enum { ITERATIONS = 10000, STEPS = 4 };
 
 static struct gsn_fit_options with_defaults(const struct gsn_fit_options *options)
 {
     struct gsn_fit_options full = *options;
 
-    if (full.smoothing == 0)
-        full.smoothing = SMOOTHING;
     if (full.tolerance == 0)
         full.tolerance = TOLERANCE;
     if (full.iterations == 0)
         full.iterations = ITERATIONS;
     return full;
+}
+
+/* Whether a tetrahedron has samples; those of weight 0 are none. */
+static int counts_there(const struct gsn_fit_rows *rows, size_t tet)
+{
+    const double *weight = rows->samples->weight;
+
+    for (size_t i = rows->start[tet]; i < rows->start[tet + 1]; i++)
+        if (!weight || weight[rows->order[i]] > 0)
+            return 1;
+    return 0;
 }
 
 /* d h^2: samples per volume where there are samples, times the square of the edge of a regular
@@ -134,10 +143,10 @@ static double penalty_unit(const struct gsn_fit_rows *rows)
         const double here = gsn_tets_volume(mesh, t);
 
         volume += here;
-        if (rows->start[t] < rows->start[t + 1])
+        if (counts_there(rows, t))
             sampled += here;
     }
-    return (double)rows->samples->count / sampled *
+    return (rows->mass[0] + rows->mass[1]) / sampled *
            pow(6 * sqrt(2) * volume / (double)mesh->tet_count, 2.0 / 3);
 }
 
@@ -156,7 +165,7 @@ static int find_roughness(struct gsn_fit_rows *rows, struct gsn_error *err)
 
 /* The equations of a fit, and what weighs their parts. */
 struct equations {
-    const struct gsn_fit_rows *rows;
+    struct gsn_fit_rows *rows;
     const struct gsn_fit_options *options;
     struct gsn_fit_system system;
     struct gsn_fit_patches *patches;
@@ -183,18 +192,24 @@ static int equations_init(struct equations *eq, struct gsn_fit_rows *rows,
     return r < 0 ? r : gsn_fit_patches_new(rows->space, &eq->patches, err);
 }
 
-/* Solves for the folds whose weight is 1; the penalties weigh as many samples as those have. x is
- * where to begin. */
+/* The equations of the folds whose weight is 1; the penalties weigh as many samples as those have.
+ */
+static void weigh_equations(struct equations *eq, const double fold[2], double jump)
+{
+    const double *mass = eq->rows->mass;
+    const double unit = eq->unit * (fold[0] * mass[0] + fold[1] * mass[1]) / (mass[0] + mass[1]);
+
+    gsn_fit_system_combine(&eq->system, fold, unit * eq->options->smoothing, unit * jump);
+}
+
+/* Solves them. x is where to begin. */
 static int solve_folds(struct equations *eq, const double fold[2], double jump, double tolerance,
                        unsigned iterations, double *x, unsigned *ret_iterations,
                        struct gsn_error *err)
 {
-    const size_t *count = eq->rows->count;
-    const double unit = eq->unit * (fold[0] * (double)count[0] + fold[1] * (double)count[1]) /
-                        (double)eq->rows->samples->count;
     int r;
 
-    gsn_fit_system_combine(&eq->system, fold, unit * eq->options->smoothing, unit * jump);
+    weigh_equations(eq, fold, jump);
     r = gsn_fit_patches_invert(eq->patches, &eq->system, eq->options->threads, err);
     if (r >= 0)
         r = gsn_fit_system_solve(&eq->system, eq->patches, tolerance, iterations,
@@ -232,7 +247,7 @@ static int predict_folds(struct equations *eq, double jump, double *const x[2], 
             return r;
         sum += gsn_fit_system_squares(&eq->system, 1 - k, eq->rows->squares[1 - k], x[k], scratch);
     }
-    *ret_rms = sqrt(sum / (double)eq->rows->samples->count);
+    *ret_rms = sqrt(sum / (eq->rows->mass[0] + eq->rows->mass[1]));
     return GSN_OK;
 }
 
@@ -279,101 +294,154 @@ static int choose_jump(struct equations *eq, double *ret_x, double *ret_jump, do
     return isfinite(best) ? GSN_OK : gsn_fail(err, failed, "%s", why.text);
 }
 
-/* gives: the control values of the fit. */
-static int solve_system(struct gsn_fit_rows *rows, const struct gsn_fit_options *options,
-                        double **ret_control, struct gsn_fit_report *report, struct gsn_error *err)
-{
-    static const double BOTH[2] = { 1, 1 };
-    const size_t unknowns = gsn_dms_controls(rows->space);
-    struct equations eq;
-    gsn_auto_mem(double) control = gsn_alloc_array(unknowns, sizeof *control);
-    int r;
+/* --- the channels of a fit --- */
 
-    if (!control)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the control points");
-    report->jump = options->jump;
-    r = equations_init(&eq, rows, options, err);
-    gsn_progress_say(options->progress, "fit", 2, STEPS);
-    if (r >= 0 && options->fold)
-        r = choose_jump(&eq, control, &report->jump, &report->predicted, err);
-    if (r >= 0)
-        r = solve_folds(&eq, BOTH, report->jump, options->tolerance, options->iterations, control,
-                        &report->iterations, err);
-    equations_done(&eq);
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < unknowns; i++)
-        control[i] += rows->mean;
-    *ret_control = gsn_steal(&control);
-    return GSN_OK;
-}
-
-/* The figures of a fit, and per tetrahedron. */
-struct figures {
+/* What comes out of one channel. */
+struct channel {
+    struct gsn_spline *spline;
     struct gsn_fit_report report;
-    uint32_t *tet_samples;
-    double *tet_rms;
 };
 
-static void figures_done(struct figures *figures)
+/* The answer of one channel of the equations. The first one chooses the weight of the jumps and
+ * makes the preconditioner. */
+static int solve_channel(struct equations *eq, int first, double *control,
+                         struct gsn_fit_report *report, struct gsn_error *err)
 {
-    gsn_free(figures->tet_samples);
-    gsn_free(figures->tet_rms);
+    static const double BOTH[2] = { 1, 1 };
+    const struct gsn_fit_options *options = eq->options;
+    int r = GSN_OK;
+
+    if (first && options->fold)
+        r = choose_jump(eq, control, &report->jump, &report->predicted, err);
+    if (r >= 0)
+        weigh_equations(eq, BOTH, report->jump);
+    if (r >= 0 && first)
+        r = gsn_fit_patches_invert(eq->patches, &eq->system, options->threads, err);
+    if (r < 0)
+        return r;
+    r = gsn_fit_system_solve(&eq->system, eq->patches, options->tolerance, options->iterations,
+                             options->threads, control, &report->iterations, err);
+    report->unconverged = r == GSN_E_FIT && options->forgiving;
+    if (report->unconverged) {
+        report->iterations = options->iterations;
+        r = GSN_OK;
+    }
+    for (size_t i = 0; r >= 0 && i < eq->system.unknowns; i++)
+        control[i] += eq->rows->mean;
+    return r;
 }
 
+/* tet_samples, tet_rms: room for the tetrahedra, or NULL. */
 static int find_figures(const struct gsn_fit_rows *rows, const double *control, unsigned threads,
-                        struct figures *figures, struct gsn_error *err)
+                        struct gsn_fit_report *report, uint32_t *tet_samples, double *tet_rms,
+                        struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(rows->space)->tet_count;
     gsn_auto_mem(struct gsn_fit_residual) residual = gsn_alloc_array(tets, sizeof *residual);
     double squares = 0;
     int r;
 
-    figures->tet_samples = gsn_alloc_array(tets, sizeof *figures->tet_samples);
-    figures->tet_rms = gsn_alloc_array(tets, sizeof *figures->tet_rms);
-    if (!residual || !figures->tet_samples || !figures->tet_rms)
+    if (!residual)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the residuals");
     r = gsn_fit_rows_residuals(rows, control, threads, residual, err);
     if (r < 0)
         return r;
+    report->empty_tets = 0;
+    report->worst = 0;
     for (size_t t = 0; t < tets; t++) {
         const uint32_t count = rows->start[t + 1] - rows->start[t];
 
-        figures->tet_samples[t] = count;
-        figures->tet_rms[t] = count ? sqrt(residual[t].squares / count) : 0;
-        figures->report.empty_tets += count == 0;
-        figures->report.worst = fmax(figures->report.worst, residual[t].worst);
+        if (tet_samples)
+            tet_samples[t] = count;
+        if (tet_rms)
+            tet_rms[t] = residual[t].mass > 0 ? sqrt(residual[t].squares / residual[t].mass) : 0;
+        report->empty_tets += !counts_there(rows, t);
+        report->worst = fmax(report->worst, residual[t].worst);
         squares += residual[t].squares;
     }
-    figures->report.unknowns = gsn_dms_controls(rows->space);
-    figures->report.samples = rows->samples->count;
-    figures->report.rms = sqrt(squares / (double)rows->samples->count);
+    report->unknowns = gsn_dms_controls(rows->space);
+    report->samples = rows->inside;
+    report->outside = rows->samples->count - rows->inside;
+    report->first_outside = report->outside ? rows->first_outside : 0;
+    report->rms = sqrt(squares / (rows->mass[0] + rows->mass[1]));
     return GSN_OK;
 }
 
-static int fit_rows(struct gsn_fit_rows *rows, const struct gsn_samples *samples,
-                    const struct gsn_dms *space, const struct gsn_fit_options *options,
-                    struct gsn_spline **ret_spline, struct figures *figures, struct gsn_error *err)
+/* control: where the solver begins, all 0. */
+static int fit_channel(struct equations *eq, int first, double *control, struct channel *channel,
+                       uint32_t *tet_samples, double *tet_rms, struct gsn_error *err)
 {
-    gsn_auto_mem(double) control = NULL;
-    gsn_auto(gsn_spline) spline = NULL;
-    int r = gsn_fit_rows_sort(rows, space, samples, options->fold, options->threads, err);
+    int r = solve_channel(eq, first, control, &channel->report, err);
 
+    gsn_progress_say(eq->options->progress, "fit", 3, STEPS);
+    if (r >= 0)
+        r = find_figures(eq->rows, control, eq->options->threads, &channel->report, tet_samples,
+                         tet_rms, err);
+    return r < 0 ? r : gsn_spline_new(eq->rows->space, control, &channel->spline, err);
+}
+
+/* The channels after the first, whose equations those are. */
+static int fit_others(struct equations *eq, const double *const *value, size_t channels,
+                      double *control, struct channel *channel, struct gsn_error *err)
+{
+    struct gsn_samples samples = *eq->rows->samples;
+
+    for (size_t c = 1; c < channels; c++) {
+        int r;
+
+        samples.exact = value[c];
+        channel[c].report = (struct gsn_fit_report){ .jump = channel[0].report.jump };
+        memset(control, 0, eq->system.unknowns * sizeof *control);
+        r = gsn_fit_rows_aim(eq->rows, &samples, eq->options->threads, err);
+        if (r >= 0) {
+            gsn_fit_system_aim(&eq->system, eq->rows);
+            r = fit_channel(eq, 0, control, &channel[c], NULL, NULL, err);
+        }
+        if (r < 0)
+            return err ? gsn_fail_at(err, "channel %zu", c) : r;
+    }
+    return GSN_OK;
+}
+
+/* All channels. value: of each, or NULL with the samples' own as the only one. */
+static int fit_all(const struct gsn_dms *space, const struct gsn_samples *samples,
+                   const double *const *value, size_t channels,
+                   const struct gsn_fit_options *options, struct channel *channel,
+                   uint32_t *tet_samples, double *tet_rms, struct gsn_error *err)
+{
+    gsn_auto_mem(double) control = gsn_alloc_array(gsn_dms_controls(space), sizeof *control);
+    struct gsn_fit_rows rows;
+    struct equations eq = { .patches = NULL };
+    int r;
+
+    if (!control)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the control points");
+    channel[0].report.jump = options->jump;
+    r = gsn_fit_rows_sort(&rows, space, samples, options, err);
     gsn_progress_say(options->progress, "fit", 0, STEPS);
     if (r >= 0)
-        r = gsn_fit_rows_evaluate(rows, options->threads, err);
+        r = gsn_fit_rows_evaluate(&rows, options->threads, err);
     gsn_progress_say(options->progress, "fit", 1, STEPS);
     if (r >= 0)
-        r = solve_system(rows, options, &control, &figures->report, err);
-    gsn_progress_say(options->progress, "fit", 3, STEPS);
+        r = equations_init(&eq, &rows, options, err);
+    gsn_progress_say(options->progress, "fit", 2, STEPS);
     if (r >= 0)
-        r = find_figures(rows, control, options->threads, figures, err);
+        r = fit_channel(&eq, 1, control, &channel[0], tet_samples, tet_rms, err);
     if (r >= 0)
-        r = gsn_spline_new(space, control, &spline, err);
+        r = fit_others(&eq, value, channels, control, channel, err);
     gsn_progress_say(options->progress, "fit", STEPS, STEPS);
-    if (r >= 0)
-        *ret_spline = gsn_steal(&spline);
+    equations_done(&eq);
+    gsn_fit_rows_done(&rows);
     return r;
+}
+
+static int check_options(const struct gsn_fit_options *options, struct gsn_error *err)
+{
+    if (!(options->smoothing >= 0) || !isfinite(options->smoothing) || !(options->jump >= 0) ||
+        !isfinite(options->jump) || !(options->tolerance > 0) || !(options->tolerance < 1))
+        return gsn_fail(err, GSN_E_INPUT, "smoothing %g, jumps %g and tolerance %g cannot be used",
+                        options->smoothing, options->jump, options->tolerance);
+    return GSN_OK;
 }
 
 int gsn_fit(const struct gsn_dms *space, const struct gsn_samples *samples,
@@ -382,25 +450,59 @@ int gsn_fit(const struct gsn_dms *space, const struct gsn_samples *samples,
             struct gsn_error *err)
 {
     const struct gsn_fit_options full = with_defaults(options);
-    struct figures figures = { .tet_rms = NULL };
-    struct gsn_fit_rows rows;
+    const size_t tets = gsn_dms_mesh(space)->tet_count;
+    struct channel channel = { .spline = NULL };
+    gsn_auto_mem(uint32_t) tet_samples = NULL;
+    gsn_auto_mem(double) tet_rms = NULL;
     int r;
 
     assert(space && samples && options && ret_spline && ret_report);
-    if (!(full.smoothing > 0) || !isfinite(full.smoothing) || !(full.jump >= 0) ||
-        !isfinite(full.jump) || !(full.tolerance > 0) || !(full.tolerance < 1))
-        return gsn_fail(err, GSN_E_INPUT, "smoothing %g and tolerance %g cannot be used",
-                        full.smoothing, full.tolerance);
-    r = fit_rows(&rows, samples, space, &full, ret_spline, &figures, err);
-    gsn_fit_rows_done(&rows);
-    if (r >= 0) {
-        *ret_report = figures.report;
-        if (ret_tet_samples)
-            *ret_tet_samples = gsn_steal(&figures.tet_samples);
-        if (ret_tet_rms)
-            *ret_tet_rms = gsn_steal(&figures.tet_rms);
+    r = check_options(&full, err);
+    if (r < 0)
+        return r;
+    tet_samples = gsn_alloc_array(tets, sizeof *tet_samples);
+    tet_rms = gsn_alloc_array(tets, sizeof *tet_rms);
+    if (!tet_samples || !tet_rms)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the residuals");
+    r = fit_all(space, samples, NULL, 1, &full, &channel, tet_samples, tet_rms, err);
+    if (r < 0) {
+        gsn_spline_free(channel.spline);
+        return r;
     }
-    figures_done(&figures);
+    *ret_spline = channel.spline;
+    *ret_report = channel.report;
+    if (ret_tet_samples)
+        *ret_tet_samples = gsn_steal(&tet_samples);
+    if (ret_tet_rms)
+        *ret_tet_rms = gsn_steal(&tet_rms);
+    return GSN_OK;
+}
+
+int gsn_fit_channels(const struct gsn_dms *space, const struct gsn_samples *samples,
+                     const double *const *value, size_t channels,
+                     const struct gsn_fit_options *options, struct gsn_spline **ret_splines,
+                     struct gsn_fit_report *ret_reports, struct gsn_error *err)
+{
+    const struct gsn_fit_options full = with_defaults(options);
+    gsn_auto_mem(struct channel) channel = gsn_alloc_array(channels, sizeof *channel);
+    struct gsn_samples first = *samples;
+    int r = check_options(&full, err);
+
+    assert(space && value && channels > 0 && ret_splines && ret_reports);
+    if (r < 0)
+        return r;
+    if (!channel)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu channels", channels);
+    first.exact = value[0];
+    r = fit_all(space, &first, value, channels, &full, channel, NULL, NULL, err);
+    for (size_t c = 0; c < channels; c++) {
+        if (r < 0) {
+            gsn_spline_free(channel[c].spline);
+            continue;
+        }
+        ret_splines[c] = channel[c].spline;
+        ret_reports[c] = channel[c].report;
+    }
     return r;
 }
 

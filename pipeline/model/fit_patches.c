@@ -153,7 +153,9 @@ static int invert_patch(const struct gsn_fit_system *system, const uint32_t *con
     take_matrix(system, control, n, matrix);
     for (size_t a = 0; a < n; a++)
         if (!(matrix[a * n + a] > 0) || !isfinite(1 / matrix[a * n + a]))
-            return gsn_fail(err, GSN_E_FIT, "control point %u is not determined by anything",
+            return gsn_fail(err, GSN_E_FIT,
+                            "control point %u is not determined by anything: no sample is near, "
+                            "and there is no smoothing",
                             (unsigned)control[a]);
     whole = gsn_invert_spd(matrix, n, n) == 0;
     if (!whole) {

@@ -30,11 +30,29 @@ static size_t smaller_of(size_t a, size_t b)
     return a < b ? a : b;
 }
 
+static double value_of(const struct gsn_samples *samples, size_t i)
+{
+    return samples->exact ? samples->exact[i] : (double)samples->value[i];
+}
+
+static double weight_of(const struct gsn_samples *samples, size_t i)
+{
+    return samples->weight ? samples->weight[i] : 1;
+}
+
+static size_t fold_of(const struct gsn_fit_rows *rows, size_t i)
+{
+    return rows->fold ? rows->fold[i] & 1 : 0;
+}
+
 /* ---- where every sample lies ---- */
+
+static const uint32_t OUTSIDE = UINT32_MAX;
 
 struct location {
     const struct gsn_fit_rows *rows;
-    uint32_t *tet;
+    int forgiving;
+    uint32_t *tet; /* or OUTSIDE */
 };
 
 static int locate_task(size_t task, void *context, struct gsn_error *err)
@@ -46,14 +64,19 @@ static int locate_task(size_t task, void *context, struct gsn_error *err)
 
     for (size_t i = task * SAMPLES_A_TASK; i < end; i++) {
         const double *u = samples->at[i];
+        int r;
 
-        if (!isfinite(samples->value[i]) || !isfinite(u[0] + u[1] + u[2]))
+        if (!isfinite(value_of(samples, i)) || !isfinite(u[0] + u[1] + u[2]))
             return gsn_fail(err, GSN_E_INPUT, "sample %zu is not finite", i);
-        if (gsn_dms_locate(where->rows->space, u, tet, &tet) != GSN_OK)
+        if (!(weight_of(samples, i) >= 0) || !isfinite(weight_of(samples, i)))
+            return gsn_fail(err, GSN_E_INPUT, "sample %zu has the weight %g", i,
+                            weight_of(samples, i));
+        r = gsn_dms_locate(where->rows->space, u, tet, &tet);
+        if (r != GSN_OK && !where->forgiving)
             return gsn_fail(err, GSN_E_INPUT,
                             "sample %zu at (%.6g, %.6g, %.6g) um lies outside the mesh", i, u[0],
                             u[1], u[2]);
-        where->tet[i] = (uint32_t)tet;
+        where->tet[i] = r == GSN_OK ? (uint32_t)tet : OUTSIDE;
     }
     return GSN_OK;
 }
@@ -68,56 +91,83 @@ static int sort_samples(struct gsn_fit_rows *rows, const uint32_t *tet, struct g
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", count);
     /* start[t + 1] counts up from the first of t to the first of t + 1. */
     for (size_t i = 0; i < count; i++)
-        rows->start[tet[i] + 2]++;
+        if (tet[i] != OUTSIDE)
+            rows->start[tet[i] + 2]++;
     for (size_t t = 0; t < tets; t++)
         rows->start[t + 2] += rows->start[t + 1];
     for (size_t i = 0; i < count; i++)
-        rows->order[rows->start[tet[i] + 1]++] = (uint32_t)i;
+        if (tet[i] != OUTSIDE)
+            rows->order[rows->start[tet[i] + 1]++] = (uint32_t)i;
     return GSN_OK;
 }
 
-/* How many samples each fold has. */
-static int count_folds(struct gsn_fit_rows *rows, struct gsn_error *err)
+/* How much each fold has inside the mesh, and what is outside of it. */
+static int weigh_folds(struct gsn_fit_rows *rows, const uint32_t *tet, struct gsn_error *err)
 {
-    for (size_t i = 0; i < rows->samples->count; i++)
-        rows->count[rows->fold ? rows->fold[i] & 1 : 0]++;
+    rows->first_outside = rows->samples->count;
+    for (size_t i = 0; i < rows->samples->count; i++) {
+        if (tet[i] == OUTSIDE) {
+            rows->first_outside = smaller_of(rows->first_outside, i);
+            continue;
+        }
+        rows->inside++;
+        rows->mass[fold_of(rows, i)] += weight_of(rows->samples, i);
+    }
+    if (rows->inside == 0)
+        return gsn_fail(err, GSN_E_INPUT, "all %zu samples lie outside the mesh",
+                        rows->samples->count);
     for (size_t k = 0; k < rows->folds; k++)
-        if (rows->count[k] == 0)
-            return gsn_fail(err, GSN_E_INPUT, "fold %zu has no samples", k);
+        if (!(rows->mass[k] > 0))
+            return rows->folds == 1
+                       ? gsn_fail(err, GSN_E_INPUT, "no sample in the mesh has a weight above 0")
+                       : gsn_fail(err, GSN_E_INPUT, "fold %zu has no samples", k);
+    return GSN_OK;
+}
+
+/* Mean of the values with their weights, summed in the order of the samples. */
+static int find_mean(struct gsn_fit_rows *rows, struct gsn_error *err)
+{
+    const struct gsn_samples *samples = rows->samples;
+    gsn_auto_mem(uint8_t) inside = gsn_alloc_array(samples->count, 1);
+    double sum = 0;
+
+    if (!inside)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", samples->count);
+    for (size_t i = 0; i < rows->inside; i++)
+        inside[rows->order[i]] = 1;
+    for (size_t i = 0; i < samples->count; i++)
+        if (inside[i])
+            sum += weight_of(samples, i) * value_of(samples, i);
+    rows->mean = sum / (rows->mass[0] + rows->mass[1]);
     return GSN_OK;
 }
 
 int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
-                      const struct gsn_samples *samples, const uint8_t *fold, unsigned threads,
+                      const struct gsn_samples *samples, const struct gsn_fit_options *options,
                       struct gsn_error *err)
 {
     gsn_auto_mem(uint32_t) tet = NULL;
-    struct location where = { .rows = rows };
-    double sum = 0;
+    struct location where = { .rows = rows, .forgiving = options->forgiving };
     int r;
 
     *rows = (struct gsn_fit_rows){
-        .space = space, .samples = samples, .fold = fold, .folds = fold ? 2 : 1
+        .space = space, .samples = samples, .fold = options->fold, .folds = options->fold ? 2 : 1
     };
     if (samples->count == 0)
         return gsn_fail(err, GSN_E_INPUT, "there are no samples to fit");
     if (samples->count > MOST_SAMPLES)
         return gsn_fail(err, GSN_E_LIMIT, "%zu samples are more than a fit takes", samples->count);
-    r = count_folds(rows, err);
-    if (r < 0)
-        return r;
     tet = gsn_alloc_array(samples->count, sizeof *tet);
     if (!tet)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", samples->count);
     where.tet = tet;
-    r = gsn_parallel_for(tasks_for(samples->count, SAMPLES_A_TASK), threads, locate_task, &where,
-                         err);
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < samples->count; i++)
-        sum += samples->value[i];
-    rows->mean = sum / (double)samples->count;
-    return sort_samples(rows, tet, err);
+    r = gsn_parallel_for(tasks_for(samples->count, SAMPLES_A_TASK), options->threads, locate_task,
+                         &where, err);
+    if (r >= 0)
+        r = weigh_folds(rows, tet, err);
+    if (r >= 0)
+        r = sort_samples(rows, tet, err);
+    return r < 0 ? r : find_mean(rows, err);
 }
 
 /* ---- what every sample contributes ---- */
@@ -174,8 +224,9 @@ static bool in_core(const struct cell *cell, const double u[3])
 static void add_core(struct gsn_fit_rows *rows, const struct cell *cell, size_t sample)
 {
     const size_t functions = gsn_dms_functions(rows->space);
-    const size_t fold = rows->fold ? rows->fold[sample] & 1 : 0;
-    const double target = rows->samples->value[sample] - rows->mean;
+    const size_t fold = fold_of(rows, sample);
+    const double weight = weight_of(rows->samples, sample);
+    const double target = value_of(rows->samples, sample) - rows->mean;
     double *block = rows->block[fold] + cell->tet * rows->packed;
     double *right = rows->right[fold] + cell->tet * functions;
     double value[GSN_DMS_MAX_FUNCTIONS];
@@ -183,9 +234,11 @@ static void add_core(struct gsn_fit_rows *rows, const struct cell *cell, size_t 
     gsn_bpatch_basis(gsn_dms_degree(rows->space), cell->knot, rows->samples->at[sample], value,
                      NULL);
     for (size_t f = 0; f < functions; f++) {
-        right[f] += value[f] * target;
+        const double weighted = weight * value[f];
+
+        right[f] += weighted * target;
         for (size_t g = f; g < functions; g++)
-            *block++ += value[f] * value[g];
+            *block++ += weighted * value[g];
     }
 }
 
@@ -246,7 +299,7 @@ static int add_seam(struct part *part, const struct gsn_fit_rows *rows, size_t t
         sum += part->value[i];
     part->terms += count;
     part->sample[part->rows] = (uint32_t)sample;
-    part->target[part->rows] = rows->samples->value[sample] - rows->mean * sum;
+    part->target[part->rows] = value_of(rows->samples, sample) - rows->mean * sum;
     part->end[part->rows++] = part->terms;
     return GSN_OK;
 }
@@ -339,13 +392,14 @@ static void sum_squares(struct gsn_fit_rows *rows)
 {
     size_t seam = 0;
 
-    for (size_t i = 0; i < rows->samples->count; i++) {
-        const size_t sample = rows->order[i], fold = rows->fold ? rows->fold[sample] & 1 : 0;
+    rows->squares[0] = rows->squares[1] = 0;
+    for (size_t i = 0; i < rows->inside; i++) {
+        const size_t sample = rows->order[i];
         const bool in_seam = seam < rows->seams && rows->seam_sample[seam] == sample;
         const double target =
-            in_seam ? rows->seam_target[seam++] : (double)rows->samples->value[sample] - rows->mean;
+            in_seam ? rows->seam_target[seam++] : value_of(rows->samples, sample) - rows->mean;
 
-        rows->squares[fold] += target * target;
+        rows->squares[fold_of(rows, sample)] += weight_of(rows->samples, sample) * target * target;
     }
 }
 
@@ -396,6 +450,79 @@ void gsn_fit_rows_done(struct gsn_fit_rows *rows)
     *rows = (struct gsn_fit_rows){ .space = NULL };
 }
 
+/* ---- other values at the same samples ---- */
+
+static void aim_seam(struct gsn_fit_rows *rows, size_t row)
+{
+    double sum = 0;
+
+    for (size_t i = rows->seam_first[row]; i < rows->seam_first[row + 1]; i++)
+        sum += rows->seam_value[i];
+    rows->seam_target[row] = value_of(rows->samples, rows->seam_sample[row]) - rows->mean * sum;
+}
+
+static void aim_core(struct gsn_fit_rows *rows, const struct cell *cell, size_t sample)
+{
+    const size_t functions = gsn_dms_functions(rows->space);
+    const double target = value_of(rows->samples, sample) - rows->mean;
+    double *right = rows->right[fold_of(rows, sample)] + cell->tet * functions;
+    double value[GSN_DMS_MAX_FUNCTIONS];
+
+    gsn_bpatch_basis(gsn_dms_degree(rows->space), cell->knot, rows->samples->at[sample], value,
+                     NULL);
+    for (size_t f = 0; f < functions; f++)
+        right[f] += weight_of(rows->samples, sample) * value[f] * target; /* as add_core() */
+}
+
+static void aim_tet(struct gsn_fit_rows *rows, size_t tet)
+{
+    const size_t functions = gsn_dms_functions(rows->space);
+    size_t seam = rows->seam_of_tet[tet];
+    struct cell cell;
+
+    for (size_t k = 0; k < rows->folds; k++)
+        memset(rows->right[k] + tet * functions, 0, functions * sizeof *rows->right[k]);
+    if (rows->start[tet] < rows->start[tet + 1])
+        cell_init(&cell, rows->space, tet);
+    for (size_t i = rows->start[tet]; i < rows->start[tet + 1]; i++) {
+        const size_t sample = rows->order[i];
+
+        if (seam < rows->seam_of_tet[tet + 1] && rows->seam_sample[seam] == sample)
+            aim_seam(rows, seam++);
+        else
+            aim_core(rows, &cell, sample);
+    }
+}
+
+static int aim_task(size_t task, void *context, struct gsn_error *err)
+{
+    struct gsn_fit_rows *rows = context;
+    const size_t end = smaller_of((task + 1) * TETS_A_TASK, gsn_dms_mesh(rows->space)->tet_count);
+
+    (void)err;
+    for (size_t t = task * TETS_A_TASK; t < end; t++)
+        aim_tet(rows, t);
+    return GSN_OK;
+}
+
+int gsn_fit_rows_aim(struct gsn_fit_rows *rows, const struct gsn_samples *samples, unsigned threads,
+                     struct gsn_error *err)
+{
+    int r;
+
+    for (size_t i = 0; i < samples->count; i++)
+        if (!isfinite(value_of(samples, i)))
+            return gsn_fail(err, GSN_E_INPUT, "sample %zu is not finite", i);
+    rows->samples = samples;
+    r = find_mean(rows, err);
+    if (r >= 0)
+        r = gsn_parallel_for(tasks_for(gsn_dms_mesh(rows->space)->tet_count, TETS_A_TASK), threads,
+                             aim_task, rows, err);
+    if (r >= 0)
+        sum_squares(rows);
+    return r;
+}
+
 /* ---- how far the fit is from every sample ---- */
 
 struct comparison {
@@ -440,10 +567,13 @@ static struct gsn_fit_residual compare_tet(const struct comparison *with, size_t
         const bool in_seam = seam < rows->seam_of_tet[tet + 1] && rows->seam_sample[seam] == sample;
         const double value =
             in_seam ? seam_value(with, seam++) : core_value(with, &cell, rows->samples->at[sample]);
-        const double off = value - rows->samples->value[sample];
+        const double off = value - value_of(rows->samples, sample);
+        const double weight = weight_of(rows->samples, sample);
 
-        sum.squares += off * off;
-        sum.worst = fmax(sum.worst, fabs(off));
+        sum.squares += weight * off * off;
+        sum.mass += weight;
+        if (weight > 0)
+            sum.worst = fmax(sum.worst, fabs(off));
     }
     return sum;
 }

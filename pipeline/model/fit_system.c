@@ -77,7 +77,6 @@ struct row {
     uint32_t *mark; /* 1 + the row that used the column last */
     uint32_t *column;
     size_t count;
-    double right[2];
 };
 
 static double *row_at(struct row *row, size_t i, uint32_t column)
@@ -98,13 +97,22 @@ static size_t packed_index(size_t functions, size_t f, size_t g)
     return low * functions - low * (low + 1) / 2 + high;
 }
 
+static size_t seam_fold(const struct gsn_fit_rows *rows, size_t seam)
+{
+    return rows->fold ? rows->fold[rows->seam_sample[seam]] & 1 : 0;
+}
+
+static double seam_weight(const struct gsn_fit_rows *rows, size_t seam)
+{
+    return rows->samples->weight ? rows->samples->weight[rows->seam_sample[seam]] : 1;
+}
+
 static void row_sum(const struct assembly *work, size_t i, struct row *row)
 {
     const struct gsn_fit_rows *rows = work->rows;
     const size_t functions = work->functions;
 
     row->count = 0;
-    row->right[0] = row->right[1] = 0;
     for (size_t p = work->places.first[i]; p < work->places.first[i + 1]; p++) {
         const size_t place = work->places.at[p], tet = place / functions, f = place % functions;
 
@@ -116,17 +124,14 @@ static void row_sum(const struct assembly *work, size_t i, struct row *row)
                 sum[fold] += rows->block[fold][at];
             sum[ROUGH] += rows->rough[at];
         }
-        for (size_t fold = 0; fold < rows->folds; fold++)
-            row->right[fold] += rows->right[fold][place];
     }
     for (size_t p = work->terms.first[i]; p < work->terms.first[i + 1]; p++) {
         const size_t term = work->terms.at[p], seam = work->term_row[term];
-        const size_t fold = rows->fold ? rows->fold[rows->seam_sample[seam]] : 0;
-        const double value = rows->seam_value[term];
+        const size_t fold = seam_fold(rows, seam);
+        const double value = seam_weight(rows, seam) * rows->seam_value[term];
 
         for (size_t q = rows->seam_first[seam]; q < rows->seam_first[seam + 1]; q++)
             row_at(row, i, rows->seam_control[q])[fold] += value * rows->seam_value[q];
-        row->right[fold] += value * rows->seam_target[seam];
     }
     for (size_t p = work->jumps ? work->sides.first[i] : 0;
          work->jumps && p < work->sides.first[i + 1]; p++) {
@@ -196,8 +201,6 @@ static int assemble_rows(const struct assembly *work, size_t first, size_t end, 
             part->column[part->count++] = row->column[n];
         }
         system->first[i + 1] = row->count; /* joined: becomes the end of row i */
-        for (size_t k = 0; k < system->folds; k++)
-            system->fold_right[k][i] = row->right[k];
     }
     return GSN_OK;
 }
@@ -322,6 +325,8 @@ int gsn_fit_system_assemble(struct gsn_fit_system *system, const struct gsn_fit_
         r = gsn_parallel_for(parts, threads, assemble_task, &work, err);
     if (r >= 0)
         r = join_parts(system, work.part, parts, err);
+    if (r >= 0)
+        gsn_fit_system_aim(system, rows);
     for (size_t p = 0; work.part && p < parts; p++)
         part_done(&work.part[p]);
     users_done(&work.places);
@@ -332,6 +337,28 @@ int gsn_fit_system_assemble(struct gsn_fit_system *system, const struct gsn_fit_
     gsn_free(work.term_row);
     gsn_free(work.part);
     return r;
+}
+
+void gsn_fit_system_aim(struct gsn_fit_system *system, const struct gsn_fit_rows *rows)
+{
+    const size_t functions = gsn_dms_functions(rows->space);
+
+    for (size_t k = 0; k < system->folds; k++)
+        memset(system->fold_right[k], 0, system->unknowns * sizeof *system->fold_right[k]);
+    for (size_t t = 0; t < gsn_dms_mesh(rows->space)->tet_count; t++) {
+        const uint32_t *id = gsn_dms_control_ids(rows->space, t);
+
+        for (size_t k = 0; k < system->folds; k++)
+            for (size_t f = 0; f < functions; f++)
+                system->fold_right[k][id[f]] += rows->right[k][t * functions + f];
+    }
+    for (size_t seam = 0; seam < rows->seams; seam++) {
+        double *right = system->fold_right[seam_fold(rows, seam)];
+
+        for (size_t i = rows->seam_first[seam]; i < rows->seam_first[seam + 1]; i++)
+            right[rows->seam_control[i]] +=
+                seam_weight(rows, seam) * rows->seam_value[i] * rows->seam_target[seam];
+    }
 }
 
 void gsn_fit_system_done(struct gsn_fit_system *system)
@@ -393,7 +420,7 @@ static double dot_product(const double *a, const double *b, size_t count)
 }
 
 void gsn_fit_system_combine(struct gsn_fit_system *system, const double fold[2], double rough,
-                          double jump)
+                            double jump)
 {
     const size_t total = system->first[system->unknowns];
 

@@ -23,18 +23,20 @@ extern "C" {
 struct gsn_fit_rows {
     const struct gsn_dms *space;
     const struct gsn_samples *samples;
-    const uint8_t *fold; /* 0 or 1 for every sample; NULL: all 0 */
-    size_t folds;        /* 1 or 2 */
-    double mean;         /* of the values; the fit is of the deviations from it */
-    uint32_t *start;     /* tetrahedron t has order[start[t] .. start[t + 1]) */
-    uint32_t *order;     /* sample numbers */
+    const uint8_t *fold;  /* 0 or 1 for every sample; NULL: all 0 */
+    size_t folds;         /* 1 or 2 */
+    double mean;          /* of the values; the fit is of the deviations from it */
+    size_t inside;        /* samples in the mesh, those that count */
+    size_t first_outside; /* when there are others */
+    uint32_t *start;      /* tetrahedron t has order[start[t] .. start[t + 1]) */
+    uint32_t *order;      /* sample numbers */
 
     size_t packed;    /* entries of a block: f <= g, row by row */
-    double *block[2]; /* of a fold, per tetrahedron: sum N_f N_g over its core samples */
-    double *right[2]; /* and function: sum N_f (value - mean) */
-    double *rough; /* per tetrahedron: integral of grad N_f . grad N_g, in um; filled by the fit */
-    size_t count[2];   /* samples of a fold */
-    double squares[2]; /* sum of their targets' squares */
+    double *block[2]; /* of a fold, per tetrahedron: sum w N_f N_g over its core samples */
+    double *right[2]; /* and function: sum w N_f (value - mean) */
+    double *rough;  /* per tetrahedron: integral of grad N_f . grad N_g, in um; filled by the fit */
+    double mass[2]; /* the weights of a fold's samples: their number when all are 1 */
+    double squares[2]; /* sum of w times their targets' squares */
 
     size_t seams;          /* rows */
     size_t *seam_first;    /* row r has the terms seam_first[r] .. seam_first[r + 1] */
@@ -45,18 +47,23 @@ struct gsn_fit_rows {
     size_t *seam_of_tet; /* tetrahedron t has the rows seam_of_tet[t] .. seam_of_tet[t + 1] */
 };
 
-/* Sorts the samples; fold may be NULL. Fails with GSN_E_INPUT naming the first sample that is not
- * finite or lies outside the mesh, or when a fold has none, GSN_E_LIMIT on more than 2^31,
- * GSN_E_NOMEM. End with gsn_fit_rows_done() in either case. keeps: space, samples, fold. */
+/* Sorts the samples; of the options fold, threads and forgiving count. Fails with GSN_E_INPUT
+ * naming the first sample that is not finite or lies outside the mesh, or when a fold has none,
+ * GSN_E_LIMIT on more than 2^31, GSN_E_NOMEM. End with gsn_fit_rows_done() in either case. keeps:
+ * space, samples, fold. */
 int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
-                      const struct gsn_samples *samples, const uint8_t *fold, unsigned threads,
+                      const struct gsn_samples *samples, const struct gsn_fit_options *options,
                       struct gsn_error *err);
 /* Evaluates the basis at all of them. Fails with GSN_E_NOMEM. */
 int gsn_fit_rows_evaluate(struct gsn_fit_rows *rows, unsigned threads, struct gsn_error *err);
+/* Other values at the same samples: mean, right sides and squares become theirs. keeps: samples, of
+ * the same places and weights. Fails with GSN_E_INPUT naming the first value that is not finite. */
+int gsn_fit_rows_aim(struct gsn_fit_rows *rows, const struct gsn_samples *samples, unsigned threads,
+                     struct gsn_error *err);
 void gsn_fit_rows_done(struct gsn_fit_rows *rows);
 
 struct gsn_fit_residual {
-    double squares, worst; /* sum of squares, largest absolute value */
+    double squares, mass, worst; /* sum of w times squares, of w, largest absolute value */
 };
 
 /* The residuals of each tetrahedron's samples with these control points; ret has room for all. */
@@ -104,10 +111,12 @@ int gsn_fit_system_assemble(struct gsn_fit_system *system, const struct gsn_fit_
                             const struct gsn_face_jumps *jumps, unsigned threads,
                             struct gsn_error *err);
 void gsn_fit_system_done(struct gsn_fit_system *system);
+/* The right sides become those of the rows' values; assembling has done so already. */
+void gsn_fit_system_aim(struct gsn_fit_system *system, const struct gsn_fit_rows *rows);
 
 /* The equations of the folds with these weights (1 or 0), of roughness and jumps with those. */
 void gsn_fit_system_combine(struct gsn_fit_system *system, const double fold[2], double rough,
-                          double jump);
+                            double jump);
 
 /* Sum of squares that these control points leave of a fold's samples whose targets have this sum of
  * squares. */
@@ -134,8 +143,8 @@ void gsn_fit_patches_apply(const struct gsn_fit_patches *patches, const double *
 
 /* Conjugate gradients from x, preconditioned by the patches, until the residual in the norm of that
  * preconditioner is tolerance times that of 0. Fails with GSN_E_FIT when the iterations do not
- * suffice or the matrix is not positive, with GSN_E_NOMEM; x, of unknowns values, is then
- * undefined. */
+ * suffice or the matrix is not positive, and x is then as near as it came: every step lowers the
+ * sum that is minimised. Fails with GSN_E_NOMEM, x untouched. */
 int gsn_fit_system_solve(const struct gsn_fit_system *system, const struct gsn_fit_patches *patches,
                          double tolerance, unsigned iterations, unsigned threads, double *x,
                          unsigned *ret_iterations, struct gsn_error *err);

@@ -46,6 +46,7 @@ static uint8_t *folds(const struct gsn_samples *samples)
 static struct gsn_adapt_options options_with(unsigned rounds)
 {
     return (struct gsn_adapt_options){ .domain = shape_options(40, 30000),
+                                       .fit = { .smoothing = GSN_FIT_SMOOTHING },
                                        .tolerance = 0.01,
                                        .samples_per_unknown = 3,
                                        .samples_per_tet = 8,
@@ -115,7 +116,9 @@ TEST(independent_noise_is_priced_by_its_unknowns)
 static double errors_of_fold(const struct gsn_dms *space, const struct gsn_samples *samples,
                              const uint8_t *fold, uint8_t seen, double jump, struct gsn_error *err)
 {
-    const struct gsn_fit_options options = { .jump = jump, .threads = 1 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING,
+                                             .jump = jump,
+                                             .threads = 1 };
     struct shape_samples half = { .at = gsn_alloc_array(samples->count, sizeof *half.at),
                                   .value = gsn_alloc_array(samples->count, sizeof *half.value) };
     gsn_auto(gsn_spline) spline = NULL;
@@ -155,7 +158,9 @@ TEST(the_error_predicted_is_that_of_two_fits_at_single_points)
     double sum;
 
     for (unsigned k = 0; k < 2; k++) {
-        const struct gsn_fit_options options = { .fold = fold, .threads = k + 1 };
+        const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING,
+                                                 .fold = fold,
+                                                 .threads = k + 1 };
         gsn_auto(gsn_spline) spline = NULL;
 
         CHECK_OK(gsn_fit(space, &grid.samples, &options, &spline, &report[k], NULL, NULL, &err),
@@ -179,7 +184,9 @@ TEST(the_weight_follows_the_noise)
         static const double SIGMA[3] = { 0.001, 0.05, 1 };
         struct shape_samples grid = shape_grid(0, 80, GRID, wave);
         gsn_auto_mem(uint8_t) fold = folds(&grid.samples);
-        const struct gsn_fit_options options = { .fold = fold, .threads = 2 };
+        const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING,
+                                                 .fold = fold,
+                                                 .threads = 2 };
         gsn_auto(gsn_spline) spline = NULL;
         struct gsn_fit_report report;
         struct gsn_error err = { 0 };
@@ -198,7 +205,9 @@ TEST(the_weight_follows_the_noise)
 static int validate_once(const struct gsn_dms *space, const struct gsn_samples *samples,
                          const uint8_t *fold, struct gsn_error *err)
 {
-    const struct gsn_fit_options options = { .fold = fold, .threads = 1 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING,
+                                             .fold = fold,
+                                             .threads = 1 };
     gsn_auto(gsn_spline) spline = NULL;
     struct gsn_fit_report report;
 

@@ -57,6 +57,28 @@ static struct gsn_tets *two_blocks(double origin, double edge)
     return mesh;
 }
 
+TEST(clouds_that_are_too_thin_are_refused)
+{
+    const size_t cells[3] = { 2, 2, 2 };
+    gsn_auto(gsn_tets) mesh = kuhn_mesh(cells, 0);
+    gsn_auto(gsn_dms) space = NULL;
+    double(*knots)[3] = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK(gsn_dms_clouds(mesh, 2, 1e-11, &knots, &err) == GSN_E_MESH && !knots);
+    CHECK(strstr(err.text, "less than 1e-10 is too thin"));
+    CHECK_OK(gsn_dms_clouds(mesh, 2, 1e-9, &knots, &err), err);
+    /* One pair of knots nearer than that, which are not the same; then the same. */
+    memcpy(knots[3 * 13 + 1], knots[3 * 13 + 2], sizeof *knots);
+    knots[3 * 13 + 1][0] += 1e-11;
+    CHECK(gsn_dms_new(mesh, 2, (const double(*)[3])knots, GSN_DMS_SHARED, &space, &err) ==
+          GSN_E_MESH);
+    CHECK(strstr(err.text, "tetrahedron") && strstr(err.text, "of an edge apart"));
+    memcpy(knots[3 * 13 + 1], knots[3 * 13 + 2], sizeof *knots);
+    CHECK_OK(gsn_dms_new(mesh, 2, (const double(*)[3])knots, GSN_DMS_SHARED, &space, &err), err);
+    gsn_free(knots);
+}
+
 /* gives: a cube of cubes, four of ten missing. */
 static struct gsn_tets *cheese(void)
 {

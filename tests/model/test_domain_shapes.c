@@ -110,7 +110,7 @@ struct shape_samples shape_grid(double low, double high, size_t n, double (*f)(c
             grid.at[i][k] = low + (high - low) * ((double)at[k] + 0.5) / (double)n;
         grid.value[i] = (float)f(grid.at[i]);
     }
-    grid.samples = (struct gsn_samples){ n * n * n, grid.at, grid.value };
+    grid.samples = (struct gsn_samples){ .count = n * n * n, .at = grid.at, .value = grid.value };
     return grid;
 }
 

@@ -80,7 +80,7 @@ TEST(a_constant_is_reproduced_even_where_nothing_was_measured)
     for (unsigned degree = 1; degree <= 3; degree++) {
         gsn_auto(gsn_dms) space = shape_space(degree, 0.02, 20000);
         struct gsn_fit_report report;
-        const struct gsn_fit_options options = { .threads = 2 };
+        const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 2 };
         gsn_auto(gsn_spline) spline = fitted(space, &grid.samples, &options, &report);
 
         for (size_t i = 0; i < gsn_dms_controls(space); i++)
@@ -112,7 +112,7 @@ TEST(the_residuals_sum_to_nothing)
 {
     struct shape_samples grid = shape_grid(0, 80, GRID, wave);
     gsn_auto(gsn_dms) space = shape_space(2, 0.02, 20000);
-    const struct gsn_fit_options options = { 0 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING };
     struct gsn_fit_report report;
     gsn_auto(gsn_spline) spline = fitted(space, &grid.samples, &options, &report);
     double sum = 0;
@@ -128,7 +128,7 @@ TEST(the_report_agrees_with_the_spline)
     struct shape_samples grid = shape_grid(0, 80, GRID, wave);
     gsn_auto(gsn_dms) space = shape_space(2, 0.02, 20000);
     const size_t tets = gsn_dms_mesh(space)->tet_count;
-    const struct gsn_fit_options options = { .threads = 2 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 2 };
     gsn_auto(gsn_spline) spline = NULL;
     gsn_auto_mem(uint32_t) samples = NULL;
     gsn_auto_mem(double) rms = NULL;
@@ -200,7 +200,7 @@ TEST(one_thread_and_three_give_the_same_bits)
     struct shape_samples grid = shape_grid(0, 80, GRID, wave);
     gsn_auto(gsn_dms) space = shape_space(2, 0.05, 5000);
     struct gsn_fit_report first;
-    struct gsn_fit_options options = { .threads = 1 };
+    struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 1 };
     gsn_auto(gsn_spline) one = fitted(space, &grid.samples, &options, &first);
 
     for (unsigned threads = 2; threads <= 3; threads++) {
@@ -241,7 +241,7 @@ TEST(a_missing_section_is_bridged_smoothly)
     struct shape_samples grid = shape_grid(0, 80, GRID, linear);
     struct shape_samples waves = shape_grid(0, 80, GRID, wave);
     gsn_auto(gsn_dms) space = shape_space(2, 0.02, 5000);
-    const struct gsn_fit_options options = { 0 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING };
     struct gsn_fit_report report;
     gsn_auto(gsn_spline) spline = NULL;
 
@@ -267,7 +267,7 @@ TEST(where_nothing_was_measured_the_field_stays_in_range)
 {
     struct shape_samples grid = shape_grid(0, 80, GRID, linear);
     gsn_auto(gsn_dms) space = shape_space(2, 0.02, 20000);
-    const struct gsn_fit_options options = { 0 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING };
     struct gsn_fit_report report;
     gsn_auto(gsn_spline) spline = NULL;
     double low = INFINITY, high = -INFINITY;
@@ -302,8 +302,8 @@ TEST(a_part_without_any_sample_gets_the_mean)
     double(*knots)[3] = NULL;
     const double sampled[4][3] = { { 5, 5, 5 }, { 25, 5, 5 }, { 5, 25, 5 }, { 5, 5, 25 } };
     const float value[4] = { 1, 2, 4, 5 };
-    const struct gsn_samples samples = { 4, sampled, value };
-    const struct gsn_fit_options options = { 0 };
+    const struct gsn_samples samples = { .count = 4, .at = sampled, .value = value };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING };
     struct gsn_fit_report report;
     gsn_auto(gsn_spline) spline = NULL;
     struct gsn_error err = { 0 };
@@ -320,7 +320,8 @@ TEST(bad_samples_are_refused_by_their_number)
 {
     struct shape_samples grid = shape_grid(0, 80, GRID, wave);
     gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
-    const struct gsn_fit_options options = { .threads = 2 }, silly = { .smoothing = -1 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 2 },
+                                 silly = { .smoothing = -1 };
     struct gsn_samples none = { 0 };
     struct gsn_fit_report report = { .unknowns = 77 };
     struct gsn_spline *spline = NULL;
@@ -346,7 +347,7 @@ TEST(too_few_iterations_are_an_error)
 {
     struct shape_samples grid = shape_grid(0, 80, GRID, wave);
     gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
-    const struct gsn_fit_options options = { .iterations = 3 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .iterations = 3 };
     struct gsn_fit_report report;
     struct gsn_spline *spline = NULL;
     struct gsn_error err = { 0 };
@@ -356,10 +357,154 @@ TEST(too_few_iterations_are_an_error)
     shape_samples_done(&grid);
 }
 
+TEST(a_forgiving_fit_gives_its_best_and_says_so)
+{
+    struct shape_samples grid = shape_grid(0, 80, GRID, wave);
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
+    struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .forgiving = 1 };
+    struct gsn_fit_report whole, cut;
+    gsn_auto(gsn_spline) best = fitted(space, &grid.samples, &options, &whole);
+    gsn_auto(gsn_spline) early = NULL;
+
+    CHECK(!whole.unconverged && whole.outside == 0);
+    options.iterations = 3;
+    early = fitted(space, &grid.samples, &options, &cut);
+    CHECK(cut.unconverged && cut.iterations == 3);
+    CHECK(cut.rms > whole.rms && cut.rms < 10 * whole.rms + 0.1);
+    shape_samples_done(&grid);
+}
+
+TEST(a_forgiving_fit_leaves_out_what_is_outside_and_counts_it)
+{
+    struct shape_samples grid = shape_grid(0, 80, GRID, wave);
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .forgiving = 1 };
+    const size_t all = grid.samples.count;
+    struct gsn_fit_report few, some;
+    gsn_auto(gsn_spline) short_of = NULL;
+    gsn_auto(gsn_spline) with = NULL;
+
+    grid.at[all - 1][2] = grid.at[all - 3][0] = 1e5;
+    grid.samples.count = all - 3;
+    short_of = fitted(space, &grid.samples, &options, &few);
+    grid.samples.count = all;
+    grid.at[all - 2][1] = -1e5;
+    with = fitted(space, &grid.samples, &options, &some);
+    CHECK(some.outside == 3 && some.first_outside == all - 3 && some.samples == all - 3);
+    CHECK(memcmp(gsn_spline_controls(short_of), gsn_spline_controls(with),
+                 gsn_dms_controls(space) * sizeof(double)) == 0);
+    shape_samples_done(&grid);
+}
+
+/* With 2 for a sample there twice, and 0 for one that is not there. */
+TEST(a_weight_is_how_often_a_sample_counts)
+{
+    struct shape_samples grid = shape_grid(0, 80, GRID, wave);
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
+    const struct gsn_fit_options options = { .smoothing = 1e-4, .jump = 1e-3, .tolerance = 1e-13 };
+    const size_t count = grid.samples.count;
+    gsn_auto_mem(double) weight = gsn_alloc_array(count, sizeof *weight);
+    gsn_auto_mem(float) value = gsn_alloc_array(2 * count, sizeof *value);
+    double(*at)[3] = gsn_alloc_array(2 * count, sizeof *at);
+    struct gsn_samples repeated = { .at = (const double(*)[3])at, .value = value };
+    struct gsn_fit_report one, two;
+    gsn_auto(gsn_spline) weighted = NULL;
+    gsn_auto(gsn_spline) plain = NULL;
+
+    for (size_t i = 0; i < count; i++) {
+        weight[i] = (double)(i % 3);
+        for (size_t k = 0; k < i % 3; k++) {
+            memcpy(at[repeated.count], grid.at[i], sizeof *at);
+            value[repeated.count++] = grid.value[i];
+        }
+    }
+    grid.samples.weight = weight;
+    weighted = fitted(space, &grid.samples, &options, &one);
+    plain = fitted(space, &repeated, &options, &two);
+    CHECK_NEAR(one.rms, two.rms, 1e-9);
+    for (size_t i = 0; i < gsn_dms_controls(space); i++)
+        CHECK_NEAR(gsn_spline_controls(weighted)[i], gsn_spline_controls(plain)[i], 1e-6);
+    weight[5] = -1;
+    {
+        struct gsn_spline *none = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK(gsn_fit(space, &grid.samples, &options, &none, &one, NULL, NULL, &err) ==
+              GSN_E_INPUT);
+        CHECK(strstr(err.text, "sample 5 has the weight -1"));
+    }
+    gsn_free(at);
+    shape_samples_done(&grid);
+}
+
+TEST(many_channels_are_as_many_fits)
+{
+    struct shape_samples grid = shape_grid(0, 80, GRID, wave);
+    gsn_auto(gsn_dms) space = shape_space(3, 0.02, 60000);
+    const size_t count = grid.samples.count;
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .jump = 1e-3 };
+    gsn_auto_mem(double) first = gsn_alloc_array(count, sizeof *first);
+    gsn_auto_mem(double) second = gsn_alloc_array(count, sizeof *second);
+    gsn_auto_mem(double) weight = gsn_alloc_array(count, sizeof *weight);
+    const double *const value[3] = { first, second, first };
+    struct gsn_spline *spline[3] = { NULL };
+    struct gsn_fit_report report[3], alone;
+    struct gsn_error err = { 0 };
+
+    for (size_t i = 0; i < count; i++) {
+        first[i] = wave(grid.at[i]) / 3; /* no float */
+        second[i] = linear(grid.at[i]);
+        weight[i] = 1 + (double)(i % 5);
+    }
+    grid.samples.weight = weight;
+    CHECK_OK(gsn_fit_channels(space, &grid.samples, value, 3, &options, spline, report, &err), err);
+    for (size_t c = 0; c < 3; c++) {
+        gsn_auto(gsn_spline) by_itself = NULL;
+
+        grid.samples.exact = value[c];
+        by_itself = fitted(space, &grid.samples, &options, &alone);
+        CHECK(memcmp(gsn_spline_controls(by_itself), gsn_spline_controls(spline[c]),
+                     gsn_dms_controls(space) * sizeof(double)) == 0);
+        CHECK(alone.rms == report[c].rms && alone.iterations == report[c].iterations);
+        gsn_spline_free(spline[c]);
+        spline[c] = NULL;
+    }
+    second[17] = INFINITY;
+    CHECK(gsn_fit_channels(space, &grid.samples, value, 3, &options, spline, report, &err) ==
+          GSN_E_INPUT);
+    CHECK(strcmp(err.text, "channel 1: sample 17 is not finite") == 0);
+    CHECK(!spline[0] && !spline[1] && !spline[2]);
+    shape_samples_done(&grid);
+}
+
+/* The penalty pulls a steep field flat by a part; without one nothing does. */
+TEST(no_smoothing_is_none)
+{
+    struct shape_samples grid = shape_grid(-40, 120, 32, linear);
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 60000);
+    const struct gsn_fit_options none = { .tolerance = 1e-13, .forgiving = 1 };
+    struct gsn_fit_report report;
+    gsn_auto(gsn_spline) spline = fitted(space, &grid.samples, &none, &report);
+
+    CHECK(report.rms < 1e-9);
+    CHECK(largest_error(spline, 5, linear) < 1e-9);
+    grid.samples.count = 3; /* in the middle */
+    grid.samples.at += 16 * (32 * 32 + 32 + 1);
+    grid.samples.value += 16 * (32 * 32 + 32 + 1);
+    {
+        struct gsn_spline *lost = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK(gsn_fit(space, &grid.samples, &none, &lost, &report, NULL, NULL, &err) == GSN_E_FIT);
+        CHECK(strstr(err.text, "is not determined by anything"));
+    }
+    shape_samples_done(&grid);
+}
+
 static int fit_once(const struct gsn_dms *space, const struct gsn_samples *samples,
                     struct gsn_error *err)
 {
-    const struct gsn_fit_options options = { .threads = 2 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 2 };
     gsn_auto(gsn_spline) spline = NULL;
     gsn_auto_mem(uint32_t) count = NULL;
     gsn_auto_mem(double) rms = NULL;

@@ -183,7 +183,9 @@ static void check_assembly(unsigned degree, double cloud)
     struct gsn_fit_system system;
     struct gsn_error err = { 0 };
 
-    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples, fold, 2, &err), err);
+    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples,
+                               &(struct gsn_fit_options){ .fold = fold, .threads = 2 }, &err),
+             err);
     CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
     CHECK_OK(gsn_fit_system_assemble(&system, &rows, NULL, 2, &err), err);
     CHECK(rows.seams > 0 && rows.seams < grid.samples.count);
@@ -211,7 +213,9 @@ static void make_equations(const struct gsn_dms *space, const struct gsn_samples
     struct gsn_error err = { 0 };
 
     CHECK_OK(gsn_face_jumps_new(space, &jumps, &err), err);
-    CHECK_OK(gsn_fit_rows_sort(&rows, space, samples, NULL, 2, &err), err);
+    CHECK_OK(
+        gsn_fit_rows_sort(&rows, space, samples, &(struct gsn_fit_options){ .threads = 2 }, &err),
+        err);
     CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
     CHECK_OK(gsn_fit_system_assemble(system, &rows, jumps, 2, &err), err);
     gsn_fit_system_combine(system, ALL, 0, jump);
@@ -297,7 +301,9 @@ TEST(the_squares_that_control_points_leave_are_those_of_the_samples)
     size_t hint = 0;
 
     CHECK(x && scratch);
-    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples, fold, 2, &err), err);
+    CHECK_OK(gsn_fit_rows_sort(&rows, space, &grid.samples,
+                               &(struct gsn_fit_options){ .fold = fold, .threads = 2 }, &err),
+             err);
     CHECK_OK(gsn_fit_rows_evaluate(&rows, 2, &err), err);
     CHECK_OK(gsn_fit_system_assemble(&system, &rows, NULL, 2, &err), err);
     for (size_t i = 0; i < n; i++)

@@ -45,6 +45,7 @@ static double noise(const double u[3])
 static struct gsn_adapt_options options_with(double tolerance, unsigned rounds)
 {
     return (struct gsn_adapt_options){ .domain = shape_options(40, 30000),
+                                       .fit = { .smoothing = GSN_FIT_SMOOTHING },
                                        .tolerance = tolerance,
                                        .rounds = rounds };
 }

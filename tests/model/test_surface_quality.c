@@ -156,7 +156,9 @@ static struct voxels voxels_of(const struct gsn_grid *grid, const struct gsn_gri
         v.clean[n] = (double)clean->value[i];
         v.data.value[n++] = grid->value[i];
     }
-    v.data.samples = (struct gsn_samples){ n, (const double(*)[3])v.data.at, v.data.value };
+    v.data.samples = (struct gsn_samples){ .count = n,
+                                           .at = (const double(*)[3])v.data.at,
+                                           .value = v.data.value };
     return v;
 }
 
@@ -217,7 +219,7 @@ static double rms_of(const struct gsn_spline *spline, const struct voxels *v)
 static double free_kinks(const struct gsn_dms *space, const struct voxels *v,
                          const struct gsn_face_jumps *jumps)
 {
-    const struct gsn_fit_options options = { .threads = 2 };
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 2 };
     gsn_auto(gsn_spline) spline = NULL;
     struct gsn_fit_report report;
     struct gsn_error err = { 0 };
@@ -234,7 +236,7 @@ static struct row run_shape(const struct shape *shape, double noise, uint64_t se
     gsn_auto(gsn_dms) space = NULL;
     gsn_auto(gsn_spline) spline = NULL;
     gsn_auto(gsn_face_jumps) jumps = NULL;
-    struct gsn_fit_options options = { .threads = 2 };
+    struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .threads = 2 };
     struct gsn_fit_report report;
     struct gsn_error err = { 0 };
     struct voxels v;

@@ -104,7 +104,42 @@ def check_keys():
             wrong.append(f"gieson.conf.5 explains {key}, which giesond does not know")
 
 
+def in_one_line(text):
+    return " ".join(text.split())
+
+
+def check_library():
+    """Every function of gieson-spline.h is in the synopsis of one page, as it is declared, and that page's
+    name or an alias of it; every member of its structures is explained."""
+    header = re.sub(r"/\*.*?\*/", "", (sources / "pipeline/library/gieson-spline.h").read_text(), flags=re.S)
+    declared = {name: in_one_line(takes) for name, takes in
+                re.findall(r"\b(gsn_\w+)\(([^;{]*?)\)(?:\)\[3\])?;", header, re.S)}
+    told, explained, named = {}, set(), set()
+    for page in sorted(folder.glob("*.3")):
+        text = page.read_text()
+        named.update(re.findall(r"^\.Nm (gsn_\w+)", text, re.M))
+        for name, takes in re.findall(r"^\.Fo (\w+)\n((?:\.Fa .*\n)*)\.Fc$", text, re.M):
+            told[name] = ", ".join(re.findall(r'^\.Fa "(.*)"$', takes, re.M))
+        for line in re.findall(r"^\.It Va (.*)$", text, re.M):
+            explained.update(re.findall(r"\w+", line))
+    assert len(declared) > 20, declared
+    for name in sorted(declared.keys() ^ told.keys()):
+        wrong.append(f"{name}: only {'gieson-spline.h' if name in declared else 'a page'} knows it")
+    for name in sorted(declared.keys() & told.keys()):
+        if declared[name] != told[name]:
+            wrong.append(f"{name} takes ({declared[name]}), its page says ({told[name]})")
+    for name in sorted(declared.keys() ^ named):
+        wrong.append(f"{name}: no page has that name, or no function")
+    members = set()
+    for body in re.findall(r"^struct gsn_\w+ \{(.*?)^\};", header, re.S | re.M):
+        for line in re.findall(r"([^;]+);", body):
+            members.update(re.findall(r"(\w+)\)?(?:\[\d\])?(?=,|$)", in_one_line(line)))
+    for member in sorted(members - explained):
+        wrong.append(f"the member {member} is on no page")
+
+
 check_pages()
+check_library()
 check_keys()
 check_verbs()
 check_options()

@@ -28,6 +28,8 @@ LAYERS = {
     "pipeline/measure": ("pipeline/core", "pipeline/model"),
     "pipeline/render": ("pipeline/core", "pipeline/model"),
     "pipeline/export": ("pipeline/core", "pipeline/model", "pipeline/render"),
+    "pipeline/library": ("pipeline/core", "pipeline/model", "pipeline/measure", "pipeline/render",
+                         "pipeline/export"),
     "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),
     "pipeline/phantom": ("pipeline/core",),
     "pipeline/study": ("pipeline/core", "pipeline/measure", "pipeline/report"),

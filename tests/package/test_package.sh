@@ -63,6 +63,18 @@ for file in usr/bin/gieson usr/bin/giesond usr/libexec/gieson/gieson-work \
     usr/share/doc/gieson/docs/user/README.md usr/share/bash-completion/completions/gieson; do
     test -f "$work/in/$file" || wrong "the package has no $file"
 done
+# The library's packages, each with its own.
+for name in libgieson-spline0 libgieson-spline-dev python3-gieson-spline; do
+    dpkg-deb -x "$work/one/${name}_${version}"_*.deb "$work/library"
+    ! grep -rlaF "$work" "$work/library" || wrong "the place of the build is in $name"
+done
+for file in include/gieson-spline/gieson-spline.h include/gieson-spline/pipeline/core/error.h \
+    lib/*/libgieson-spline.so lib/*/libgieson-spline.so.0 lib/*/pkgconfig/gieson-spline.pc \
+    lib/python3/dist-packages/gieson_spline.py share/man/man3/gieson-spline.3.gz \
+    share/man/man3/gsn_field_free.3.gz share/doc/libgieson-spline-dev/examples/mesh.c; do
+    # shellcheck disable=SC2086
+    test -f "$(echo "$work/library/usr"/$file)" || wrong "the library's packages have no $file"
+done
 python3 "$sources/tests/docs/test_links.py" "$work/in/usr/share/doc/gieson/docs" || wrong "the manual"
 test -d "$work/in/etc/gieson/conf.d" || wrong "the package has no etc/gieson/conf.d"
 # Every program that the build makes is in it, also those that are new.

@@ -9,7 +9,8 @@
  *
  * Steps: (1) slabs of layers, resampled at the Gauss points (model/resample.h); (2) sums that lose
  * nothing (Neumaier) row by row, in a fixed order; (3) units: mean, share, state; (4) quartiles by
- * order statistics, a histogram with ends that the caller fixes.
+ * order statistics, a histogram with ends that the caller fixes. What sections err by is told by
+ * second differences of their means.
  *
  * Failure: GSN_E_INPUT names a voxel outside the mesh; GSN_E_NOMEM.
  * Cost: nine values a voxel at the resampler's price; a unit the integral of its pieces. */
@@ -17,6 +18,7 @@
 
 #include "pipeline/core/parallel.h"
 #include "pipeline/measure/overlap.h"
+#include "pipeline/measure/sum.h"
 #include "pipeline/model/resample.h"
 
 #include <assert.h>
@@ -193,6 +195,54 @@ int gsn_region_density(const struct gsn_spline *spline, const struct gsn_mask *r
     density.volume_um3 = (double)voxels * gsn_lattice_voxel_um3(&region->at);
     *ret_density = density;
     return GSN_OK;
+}
+
+/* --- its sections --- */
+
+/* Mean over the region's voxels of one section that have data. */
+struct section {
+    double mean, voxels;
+};
+
+static struct section section_at(const struct gsn_grid *grid, const struct gsn_mask *region,
+                                 size_t z)
+{
+    const struct gsn_lattice *const at = &grid->at;
+    struct gsn_sum sum = { 0 };
+    double voxels = 0;
+
+    for (size_t y = 0; y < at->ny; y++)
+        for (size_t x = 0; x < at->nx; x++) {
+            const double value = (double)grid->value[gsn_lattice_index(at, x, y, z)];
+
+            if (isnan(value) || !gsn_mask_has(region, gsn_lattice_centre(at, x, y, z)))
+                continue;
+            gsn_sum_add(&sum, value);
+            voxels++;
+        }
+    return (struct section){ (sum.value + sum.rest) / voxels, voxels };
+}
+
+double gsn_section_error(const struct gsn_grid *grid, const struct gsn_mask *region)
+{
+    struct section last = { NAN, 0 }, before = { NAN, 0 };
+    double squares = 0, weights = 0, voxels = 0, voxels_squared = 0;
+
+    for (size_t z = 0; z < grid->at.nz; z++) {
+        const struct section here = section_at(grid, region, z);
+
+        voxels += here.voxels;
+        voxels_squared += here.voxels * here.voxels;
+        if (before.voxels > 0 && last.voxels > 0 && here.voxels > 0) {
+            const double off = last.mean - 0.5 * (before.mean + here.mean);
+
+            squares += last.voxels * off * off;
+            weights += last.voxels;
+        }
+        before = last;
+        last = here;
+    }
+    return sqrt(squares / weights / 1.5 * voxels_squared) / voxels;
 }
 
 /* --- tetrahedra as units --- */

@@ -33,6 +33,15 @@ int gsn_region_density(const struct gsn_spline *spline, const struct gsn_mask *r
                        unsigned threads, const struct gsn_progress *progress,
                        struct gsn_region_density *ret_density, struct gsn_error *err);
 
+/* Standard error of the mean over the region by what each section errs by itself, such as its
+ * thickness, its place and its own stain; in the grid's unit. A section is a plane of constant z.
+ *
+ * Sections are taken to differ smoothly but for that: what one is off the middle of its two
+ * neighbours has 3/2 of its variance (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986),
+ * weighed by voxels. NaN without three sections in a row. region has the grid's lattice, or another
+ * one. borrows: both. */
+double gsn_section_error(const struct gsn_grid *grid, const struct gsn_mask *region);
+
 enum gsn_unit_state {
     GSN_UNIT_OK,
     GSN_UNIT_OUTSIDE, /* shares no volume with the region: its mean is not tissue */

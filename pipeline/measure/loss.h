@@ -3,7 +3,10 @@
 /* How much collagen was lost, against a baseline that has a name.
  *
  * Relative per cent and points are different things and both are given: a density that falls from
- * 0.40 to 0.30 is a loss of 25 per cent and of 10 points. A loss may be negative. */
+ * 0.40 to 0.30 is a loss of 25 per cent and of 10 points. A loss may be negative.
+ *
+ * Regions are comparable that one rule laid on each animal's own anatomy, of whatever size; by
+ * different rules, or where a rule is not known, only of one volume. */
 #ifndef GSN_MEASURE_LOSS_H
 #define GSN_MEASURE_LOSS_H
 
@@ -19,10 +22,14 @@ struct gsn_loss_side {
     const char *definition; /* name and version of the density definition; must agree */
     const char *dyes;       /* name of the set of dye vectors; must agree */
     double mean;            /* density over the region */
-    double volume_um3;      /* of the region; must agree to 0.1 % */
+    const char *region;     /* the rule that laid the region, in words; "" or NULL: not known */
+    double volume_um3;      /* of the region */
     double standard_error;  /* of the mean; 0: not known */
     double freedom;         /* degrees of freedom of that error; 0: known variance */
 };
+
+/* Whether two volumes are one but for rounding (0.1 %). */
+int gsn_loss_is_one_volume(double a_um3, double b_um3);
 
 struct gsn_loss {
     double percent; /* 100 (1 - treated / baseline) */

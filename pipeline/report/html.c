@@ -165,6 +165,24 @@ static void add_verdict(struct gsn_report_text *text, const struct gsn_report *r
     gsn_report_text_raw(text, "</div>\n");
 }
 
+/* That two regions are not of one size, where they are not. */
+static void add_regions(struct gsn_report_text *text, const struct gsn_report *report)
+{
+    const double here = report->region.volume_mm3, there = report->baseline_volume_mm3;
+
+    if (!isfinite(report->loss_percent) || !(there > 0))
+        return;
+    gsn_report_text_raw(text, "<p class=\"soft\">One rule (");
+    gsn_report_text_escape(text, report->region.description);
+    gsn_report_text_raw(text, ") laid regions of unlike size: ");
+    gsn_report_text_digits(text, here, 3);
+    gsn_report_text_raw(text, " mm\xC2\xB3 here, ");
+    gsn_report_text_digits(text, there, 3);
+    gsn_report_text_raw(text, " mm\xC2\xB3 in the baseline (");
+    gsn_report_text_number(text, 100 * (here / there - 1), 0);
+    gsn_report_text_raw(text, " %). Their densities are compared, not their amounts.</p>\n");
+}
+
 /* The two bars and what they stand for. */
 static void add_comparison(struct gsn_report_text *text, const struct gsn_report *report)
 {
@@ -192,7 +210,9 @@ static void add_comparison(struct gsn_report_text *text, const struct gsn_report
         gsn_report_text_number(text, report->loss_points, 1);
         gsn_report_text_raw(text, " points</td></tr>\n");
     }
-    gsn_report_text_raw(text, "</table></div>\n");
+    gsn_report_text_raw(text, "</table>\n");
+    add_regions(text, report);
+    gsn_report_text_raw(text, "</div>\n");
 }
 
 static void add_interval(struct gsn_report_text *text, const struct gsn_report *report)

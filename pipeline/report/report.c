@@ -433,6 +433,9 @@ static void put_head(const struct gsn_report *report, json_t *root, struct gsn_j
     gsn_json_put(writer, root, "verdict_reason", gsn_json_text_or_null(report->verdict_reason));
     gsn_json_put(writer, root, "baseline", gsn_json_text_or_null(report->baseline));
     gsn_json_put(writer, root, "baseline_mean_density", gsn_json_figure(report->baseline_mean));
+    gsn_json_put(writer, root, "baseline_region_volume_mm3",
+                 report->baseline_volume_mm3 > 0 ? gsn_json_figure(report->baseline_volume_mm3)
+                                                 : json_null());
     gsn_json_put(writer, root, "zero_density", gsn_json_figure(report->zero_density));
     gsn_json_put(writer, root, "loss_percent", gsn_json_figure(report->loss_percent));
     gsn_json_put(writer, root, "loss_interval", interval_of(report, writer));

@@ -42,7 +42,7 @@ struct gsn_report_region {
     double volume_mm3;
     double mean_density;
     double coverage;         /* share of the region with data, 0..1 */
-    const char *description; /* "wpdl <= d < wpdl+450, ..." or the mask's file name */
+    const char *description; /* how it is laid, or the mask's file name */
 };
 
 /* The volume of {s > threshold} in the region, s being the fitted model, lies between these two:
@@ -209,6 +209,7 @@ struct gsn_report {
     const char *loss_interval;     /* "95 %, stain and white"; NULL: no interval is known */
     const char *loss_reason;       /* why it is withheld */
     double baseline_mean;          /* density */
+    double baseline_volume_mm3;    /* of its region, where that has another size; 0: it has not */
     double zero_density; /* that no collagen reads as, from which both are counted; NaN: 0 */
 
     const char *density_name;            /* "collagen-equivalent density" */

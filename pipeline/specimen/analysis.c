@@ -225,6 +225,7 @@ static int measure_region(const struct voxels *v, const struct gsn_grid *grid,
                                  analysis->bound, err);
     for (size_t i = 0; r >= 0 && i < analysis->bound_count; i++)
         analysis->bound[i].threshold = thresholds[i];
+    analysis->section_error = sections ? gsn_section_error(grid, region) : (double)NAN;
     if (r >= 0 && sections)
         r = gsn_tissue_volumes(grid, region, here, analysis->bound_count, options->threads,
                                &analysis->tissue, err);

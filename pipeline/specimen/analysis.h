@@ -34,6 +34,7 @@ struct gsn_analysis {
     size_t over_tolerance; /* tetrahedra whose rms residual is above the tolerance */
     double coverage;       /* share of the region's voxels that have data, 0..1 */
     struct gsn_region_density density;
+    double section_error; /* of the mean density, by what each section errs by itself; NaN */
     struct gsn_unit *units; /* owned; one per tetrahedron */
     struct gsn_units_summary summary;
     size_t bound_count;

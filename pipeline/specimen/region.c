@@ -19,6 +19,7 @@
 #include "pipeline/stain/tissue_segmentation.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 /* Voxels kept around the region of interest, so that cuts show what lies beside it. */
@@ -42,6 +43,35 @@ int gsn_region_has_coordinates(const struct gsn_region *region)
 {
     return region->kind == GSN_REGION_BAND ? region->file != NULL || region->radius_um > 0
                                            : region->kind != GSN_REGION_NONE;
+}
+
+void gsn_region_describe(const struct gsn_region *region, char *text, size_t room)
+{
+    const struct gsn_vec3 side = gsn_vec3_sub(region->high, region->low);
+
+    switch (region->kind) {
+    case GSN_REGION_NONE:
+        (void)snprintf(text, room, "the whole volume");
+        return;
+    case GSN_REGION_MASK:
+        (void)snprintf(text, room, "%s", region->file);
+        return;
+    case GSN_REGION_BOX:
+        (void)snprintf(text, room, "a box of %g x %g x %g um", side.x, side.y, side.z);
+        return;
+    case GSN_REGION_CYLINDER:
+        (void)snprintf(text, room, "a cylinder of radius %g um and height %g um",
+                       region->radius_um, side.z);
+        return;
+    case GSN_REGION_SPHERE:
+        (void)snprintf(text, room, "a sphere of radius %g um", region->radius_um);
+        return;
+    case GSN_REGION_BAND:
+        (void)snprintf(text, room, "%g to %g um from the surface of %s%s", region->low_um,
+                       region->high_um, region->file ? "" : "the ",
+                       region->file ? region->file : gsn_tissue_name(region->from));
+        return;
+    }
 }
 
 int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,

@@ -33,6 +33,10 @@ struct gsn_region {
  * within a cylinder. */
 int gsn_region_has_coordinates(const struct gsn_region *region);
 
+/* The rule that lays it, in words without coordinates, which are each animal's own: a mask by its
+ * file's name. Cut to the room. */
+void gsn_region_describe(const struct gsn_region *region, char *text, size_t room);
+
 /* gives: the shape as a mask on this lattice, by voxel centres.
  * Fails with GSN_E_INPUT when no voxel centre lies inside. The kind is box, cylinder or sphere. */
 int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,

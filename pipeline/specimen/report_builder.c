@@ -468,6 +468,8 @@ static int write_report(const struct gsn_report_inputs *e, struct gsn_builder *d
     (void)snprintf(result->message, sizeof result->message, "%s", r->verdict_reason);
     (void)snprintf(result->definition, sizeof result->definition, "%s", r->density_name);
     (void)snprintf(result->dyes, sizeof result->dyes, "%s", r->density_version);
+    (void)snprintf(result->region, sizeof result->region, "%s",
+                   r->region.description ? r->region.description : "");
     keep_measures(e, d, result);
     return GSN_OK;
 }

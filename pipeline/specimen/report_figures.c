@@ -110,21 +110,15 @@ static struct gsn_report_volume describe_volume(const struct gsn_analysis *analy
 void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *d)
 {
     const struct gsn_analysis *analysis = e->analysis;
-    const struct gsn_protocol *p = e->specimen->protocol;
+    char rule[200];
     struct gsn_report *r = &d->report;
 
+    gsn_region_describe(&e->specimen->protocol->region, rule, sizeof rule);
     r->region = (struct gsn_report_region){
         .volume_mm3 = 1e-9 * analysis->density.volume_um3,
         .mean_density = analysis->density.mean,
         .coverage = analysis->coverage,
-        .description =
-            p->region.kind == GSN_REGION_MASK   ? p->region.file
-            : p->region.kind == GSN_REGION_NONE ? "the whole volume"
-            : p->region.kind == GSN_REGION_BAND
-                ? gsn_builder_say(d, "%g to %g um from the surface of %s%s", p->region.low_um,
-                                  p->region.high_um, p->region.file ? "" : "the ",
-                                  p->region.file ? p->region.file : gsn_tissue_name(p->region.from))
-                : "a shape stated in job.json"
+        .description = gsn_builder_say(d, "%s", rule)
     };
     for (size_t i = 0; i < analysis->bound_count; i++)
         d->volume[i] = describe_volume(analysis, i);
@@ -157,6 +151,10 @@ void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *
                                                            analysis->above_threshold),
                                    .value = 100 * analysis->above_share,
                                    .unit = "%" };
+    if (isfinite(analysis->section_error))
+        gsn_builder_value(d->measure, &r->measure_count,
+                          "Standard error of the mean density by sections",
+                          100 * analysis->section_error / analysis->density.mean, "%");
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, lower quartile of density",
                       analysis->summary.quartile1, "density");
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, upper quartile of density",

@@ -698,12 +698,14 @@ void gsn_builder_loss(const struct gsn_report_inputs *e, struct gsn_builder *d)
                                      .dyes = b->dyes,
                                      .mean = b->mean_density,
                                      .standard_error = b->mean_density_error,
+                                     .region = b->region,
                                      .volume_um3 = 1e9 * b->volume_mm3 };
     struct gsn_loss_side treated = { .name = r->specimen,
                                      .definition = r->density_name,
                                      .dyes = r->density_version,
                                      .mean = r->region.mean_density,
                                      .standard_error = gsn_builder_density_error(e),
+                                     .region = r->region.description,
                                      .volume_um3 = 1e9 * r->region.volume_mm3 };
     struct gsn_loss loss;
 
@@ -713,6 +715,8 @@ void gsn_builder_loss(const struct gsn_report_inputs *e, struct gsn_builder *d)
     if (d->linked)
         gsn_builder_link_sides(e, d, &control, &treated);
     r->baseline_mean = control.mean;
+    if (!gsn_loss_is_one_volume(treated.volume_um3, control.volume_um3))
+        r->baseline_volume_mm3 = b->volume_mm3;
     r->loss_reason = compare_sides(e, d, &control, &treated, &loss);
     if (r->loss_reason) {
         gsn_builder_warn(d, r->loss_reason);

@@ -74,6 +74,7 @@ struct gsn_specimen_baseline {
         turns; /* of its panels' dye vectors, where they were taken as exact */
     const struct gsn_specimen_control *control; /* each of the specimens */
     const char *definition, *dyes;
+    const char *region; /* the rule of their regions; "": not known, or not one */
 };
 
 struct gsn_specimen {
@@ -147,7 +148,7 @@ struct gsn_specimen_result {
     size_t json_size, html_size;
     size_t file_count;
     struct gsn_specimen_file file[GSN_SPECIMEN_FILES];
-    char definition[96], dyes[48];
+    char definition[96], dyes[48], region[200];
     size_t pose_count;
     struct gsn_specimen_pose *pose; /* owned */
     size_t candidates_count;

@@ -13,7 +13,7 @@
  * s = chi / sqrt(freedom), by Simpson's rule: GSL has none.
  *
  * Failure: too few animals give NaN and never a guess. Cost: constant, but for permutations, which
- * grow with the number of ways, and the interval of g, two bisections over an integral. */
+ * grow with the number of ways, and the interval of g, some ten integrals an end. */
 #include "pipeline/study/inference.h"
 
 #include "pipeline/core/distributions.h"
@@ -88,22 +88,33 @@ double gsn_noncentral_t(double t, double freedom, double noncentrality)
     return fmin(fmax(sum * step / 3, 0), 1);
 }
 
-/* The noncentrality with which t is passed with this probability; P falls as it grows. */
+/* The noncentrality with which t is passed with this probability; P falls as it grows. Regula falsi
+ * that halves the weight of an end that stays (Dowell and Jarratt 1971, "Illinois"). */
 static double invert_noncentrality(double t, double freedom, double probability)
 {
-    double low = t - 1, high = t + 1;
+    double low = t - 1, high = t + 1, above, below;
 
-    while (gsn_noncentral_t(t, freedom, low) < probability && t - low < 1e4)
+    while ((above = gsn_noncentral_t(t, freedom, low) - probability) < 0 && t - low < 1e4)
         low = t - 2 * (t - low);
-    while (gsn_noncentral_t(t, freedom, high) > probability && high - t < 1e4)
+    while ((below = gsn_noncentral_t(t, freedom, high) - probability) > 0 && high - t < 1e4)
         high = t + 2 * (high - t);
-    for (int i = 0; i < 60; i++) {
-        const double middle = 0.5 * (low + high);
+    for (int i = 0, stays = 0; i < 60 && high - low > 1e-12 * (1 + fabs(t)); i++) {
+        const double here = low + (high - low) * above / (above - below);
+        const double off = gsn_noncentral_t(t, freedom, here) - probability;
 
-        if (gsn_noncentral_t(t, freedom, middle) > probability)
-            low = middle;
-        else
-            high = middle;
+        if (off == 0)
+            return here;
+        if (off > 0) {
+            low = here;
+            above = off;
+            below *= stays > 0 ? 0.5 : 1;
+            stays = 1;
+        } else {
+            high = here;
+            below = off;
+            above *= stays < 0 ? 0.5 : 1;
+            stays = -1;
+        }
     }
     return 0.5 * (low + high);
 }
@@ -192,25 +203,29 @@ double gsn_permutation_least_p(size_t n_a, size_t n_b)
     return fmin(1, 2 / round(count_ways(n_a + n_b, n_a < n_b ? n_a : n_b)));
 }
 
-/* The next k of n indices in lexical order; 0 after the last. */
-static int advance_choice(size_t *choice, size_t k, size_t n)
+/* The next k of n indices in lexical order; returns the first place that changed, k after the
+ * last. */
+static size_t advance_choice(size_t *choice, size_t k, size_t n)
 {
-    size_t i = k;
+    size_t i = k, changed;
 
     while (i > 0 && choice[i - 1] == n - k + i - 1)
         i--;
     if (i == 0)
-        return 0;
-    choice[i - 1]++;
+        return k;
+    changed = i - 1;
+    choice[changed]++;
     for (; i < k; i++)
         choice[i] = choice[i - 1] + 1;
-    return 1;
+    return changed;
 }
 
-/* How many of all ways differ by at least as much as the first n_a values do from the rest. */
-static double share_at_least(const double *value, size_t n, size_t n_a, size_t *choice)
+/* How many of all ways differ by at least as much as the first n_a values do from the rest. sum:
+ * room for n_a + 1, of the first values chosen, so that a way costs what it changes. */
+static double share_at_least(const double *value, size_t n, size_t n_a, size_t *choice, double *sum)
 {
     double total = 0, size = 0, seen = 0, ways = 0, as_far = 0;
+    size_t changed = 0;
 
     for (size_t i = 0; i < n; i++) {
         total += value[i];
@@ -221,16 +236,16 @@ static double share_at_least(const double *value, size_t n, size_t n_a, size_t *
     seen = fabs(seen - (double)n_a / (double)n * total);
     for (size_t i = 0; i < n_a; i++)
         choice[i] = i;
+    sum[0] = 0;
     do {
-        double sum = 0;
-
-        for (size_t i = 0; i < n_a; i++)
-            sum += value[choice[i]];
+        for (size_t i = changed; i < n_a; i++)
+            sum[i + 1] = sum[i] + value[choice[i]];
         ways++;
         /* A tie is a tie, whatever the order of addition made of its last bits. */
-        as_far += fabs(sum - (double)n_a / (double)n * total) >=
+        as_far += fabs(sum[n_a] - (double)n_a / (double)n * total) >=
                   seen - 64 * DBL_EPSILON * (double)n * size;
-    } while (advance_choice(choice, n_a, n));
+        changed = advance_choice(choice, n_a, n);
+    } while (changed < n_a);
     return as_far / ways;
 }
 
@@ -238,6 +253,7 @@ int gsn_permutation_p(const double *a, size_t n_a, const double *b, size_t n_b, 
                       struct gsn_error *err)
 {
     gsn_auto_mem(double) value = NULL;
+    gsn_auto_mem(double) sum = NULL;
     gsn_auto_mem(size_t) choice = NULL;
 
     if (n_a == 0 || n_b == 0)
@@ -247,14 +263,15 @@ int gsn_permutation_p(const double *a, size_t n_a, const double *b, size_t n_b, 
                         "%zu and %zu animals can be dealt out in more than %d ways", n_a, n_b,
                         (int)GSN_PERMUTATIONS);
     value = gsn_alloc_array(n_a + n_b, sizeof *value);
+    sum = gsn_alloc_array(n_a + 1, sizeof *sum);
     choice = gsn_alloc_array(n_a, sizeof *choice);
-    if (!value || !choice)
+    if (!value || !sum || !choice)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a permutation test");
     for (size_t i = 0; i < n_a; i++)
         value[i] = a[i];
     for (size_t i = 0; i < n_b; i++)
         value[n_a + i] = b[i];
-    *ret_p = share_at_least(value, n_a + n_b, n_a, choice);
+    *ret_p = share_at_least(value, n_a + n_b, n_a, choice, sum);
     return GSN_OK;
 }
 

@@ -9,7 +9,7 @@
  * or with the control of all time points where there is none; treated groups are compared with each
  * other at each time point. 5. Welch's p is corrected by Holm over all comparisons of one kind and
  * measure. 6. The variance of a loss is split into what animals differ by and what measuring them
- * adds: the spread seen between animals holds both, so the animals' own is what is left.
+ * adds: the spread seen between animals holds both, so the animals' own is what is left, or none.
  *
  * Failure: groups without animals, animals without spread and measures that nobody has leave NaN.
  * Cost: sorting, and the exact permutations (inference.h). */
@@ -72,6 +72,7 @@ static void add_to_animal(struct gsn_study_animal *animal, const struct gsn_stud
         animal->error[m] += s->error[m] * s->error[m];
     }
     animal->vector_error += s->vector_error * s->vector_error;
+    animal->section_error += s->section_error * s->section_error;
     animal->specimens++;
 }
 
@@ -84,6 +85,7 @@ static void finish_animal(struct gsn_study_animal *animal, size_t measures)
         animal->error[m] = sqrt(animal->error[m]) / n;
     }
     animal->vector_error = sqrt(animal->vector_error) / n;
+    animal->section_error = sqrt(animal->section_error) / n;
 }
 
 /* sorted: count specimens that take part. */
@@ -159,15 +161,21 @@ static double combine_errors(const struct gsn_study *study, const struct gsn_stu
     return n ? sqrt(sum / (double)n) : NAN;
 }
 
-static double combine_vector_errors(const struct gsn_study *study,
-                                    const struct gsn_study_cell *cell)
+/* What is not known of an animal counts as none. */
+static void combine_parts(const struct gsn_study *study, struct gsn_study_cell *cell)
 {
-    double sum = 0;
+    double vectors = 0, sections = 0;
 
-    for (size_t i = cell->first; i < cell->first + cell->count; i++)
-        if (isfinite(study->animal[i].vector_error))
-            sum += study->animal[i].vector_error * study->animal[i].vector_error;
-    return sqrt(sum / (double)cell->count);
+    for (size_t i = cell->first; i < cell->first + cell->count; i++) {
+        const struct gsn_study_animal *const animal = &study->animal[i];
+
+        if (isfinite(animal->vector_error))
+            vectors += animal->vector_error * animal->vector_error;
+        if (isfinite(animal->section_error))
+            sections += animal->section_error * animal->section_error;
+    }
+    cell->vector_error = sqrt(vectors / (double)cell->count);
+    cell->section_error = sqrt(sections / (double)cell->count);
 }
 
 static void finish_cells(struct gsn_study *study, double *value)
@@ -179,16 +187,35 @@ static void finish_cells(struct gsn_study *study, double *value)
             cell->mean[m] = gsn_group_mean_of(value, collect_values(study, cell, m, value));
             cell->error[m] = combine_errors(study, cell, m);
         }
-        cell->vector_error = combine_vector_errors(study, cell);
+        combine_parts(study, cell);
     }
 }
 
 /* ---- comparisons --------------------------------------------------------------------------- */
 
-/* The variance of the mean of n animals that measuring makes; 0 where it is not known. */
-static double measured_variance(const struct gsn_group_mean *mean, double error)
+/* Of one side: slope is d loss / d mean. Of the first measure its error is split as well. */
+static struct gsn_study_share split_side(const struct gsn_group_mean *mean,
+                                         const struct gsn_study_cell *cell, size_t measure,
+                                         double slope)
 {
-    return isfinite(error) ? error * error / (double)mean->n : 0;
+    const double unit = slope * slope / (double)mean->n;
+    const double seen = mean->sd * mean->sd * unit;
+    const double error = cell->error[measure] * cell->error[measure] * unit;
+    const double used = fmin(error, seen);
+    const double scale = error > 0 ? used / error : 1;
+    struct gsn_study_share share = { .animals = seen, NAN, NAN, NAN };
+
+    if (!isfinite(error))
+        return share;
+    share.animals = seen - used;
+    share.vectors = share.sections = 0;
+    if (measure == 0) {
+        share.vectors = fmin(cell->vector_error * cell->vector_error * unit, error) * scale;
+        share.sections =
+            fmin(cell->section_error * cell->section_error * unit * scale, used - share.vectors);
+    }
+    share.measurement = used - share.vectors - share.sections;
+    return share;
 }
 
 static struct gsn_study_budget split_variance(const struct gsn_study_comparison *c,
@@ -198,26 +225,13 @@ static struct gsn_study_budget split_variance(const struct gsn_study_comparison 
     /* d loss / d mean_a and d mean_b, in per cent */
     const double slope_a = 100 / c->mean_b.mean;
     const double slope_b = 100 * c->mean_a.mean / (c->mean_b.mean * c->mean_b.mean);
-    const double seen_a = c->mean_a.sd * c->mean_a.sd / (double)c->mean_a.n * slope_a * slope_a;
-    const double seen_b = c->mean_b.sd * c->mean_b.sd / (double)c->mean_b.n * slope_b * slope_b;
-    const double error_a = measured_variance(&c->mean_a, a->error[c->measure]) * slope_a * slope_a;
-    const double error_b = measured_variance(&c->mean_b, b->error[c->measure]) * slope_b * slope_b;
-    struct gsn_study_budget budget = { .total = seen_a + seen_b };
 
-    if (c->measure == 0) {
-        budget.vectors = measured_variance(&c->mean_a, a->vector_error) * slope_a * slope_a;
-        budget.vectors_control = measured_variance(&c->mean_b, b->vector_error) * slope_b * slope_b;
-    }
-    budget.vectors = fmin(budget.vectors, error_a);
-    budget.vectors_control = fmin(budget.vectors_control, error_b);
-    budget.measurement = error_a - budget.vectors;
-    budget.measurement_control = error_b - budget.vectors_control;
-    if (!isfinite(a->error[c->measure]) && !isfinite(b->error[c->measure]))
-        budget.vectors = budget.vectors_control = budget.measurement = budget.measurement_control =
-            NAN;
-    budget.animals = fmax(seen_a - error_a, 0);
-    budget.animals_control = fmax(seen_b - error_b, 0);
-    return budget;
+    return (struct gsn_study_budget){
+        .total = c->mean_a.sd * c->mean_a.sd / (double)c->mean_a.n * slope_a * slope_a +
+                 c->mean_b.sd * c->mean_b.sd / (double)c->mean_b.n * slope_b * slope_b,
+        .treated = split_side(&c->mean_a, a, c->measure, slope_a),
+        .control = split_side(&c->mean_b, b, c->measure, slope_b)
+    };
 }
 
 /* Room for the values of two sides. */
@@ -235,7 +249,7 @@ static int compare_sides(struct gsn_study *study, struct gsn_study_comparison *c
     c->mean_b = gsn_group_mean_of(sides->b, sides->n_b);
     c->difference = gsn_group_compare(&c->mean_a, &c->mean_b);
     c->loss = (struct gsn_group_loss){ NAN, NAN, NAN };
-    c->budget = (struct gsn_study_budget){ NAN, NAN, NAN, NAN, NAN, NAN, NAN };
+    c->budget = (struct gsn_study_budget){ NAN, { NAN, NAN, NAN, NAN }, { NAN, NAN, NAN, NAN } };
     c->p_exact = c->p_holm = NAN;
     c->p_least = gsn_permutation_least_p(sides->n_a, sides->n_b);
     if (c->kind == GSN_STUDY_LOSS) {

@@ -47,6 +47,7 @@ struct gsn_study_specimen {
     double value[GSN_STUDY_MEASURES];    /* in the order of the study's measures; NaN: none */
     double error[GSN_STUDY_MEASURES];    /* standard error of the measurement; NaN: not known */
     double vector_error;                 /* the part of error[0] that dye vectors make; NaN: none */
+    double section_error; /* that which sections make, each by itself: cutting, registration; NaN */
     double loss, loss_lower, loss_upper; /* its own report's, per cent; NaN: none */
     const char *left_out;                /* why it takes no part; NULL: it does */
     int excluded;                        /* and that a person said so */
@@ -75,7 +76,7 @@ struct gsn_study_animal {
     size_t cell; /* that it belongs to */
     double value[GSN_STUDY_MEASURES];
     double error[GSN_STUDY_MEASURES]; /* of that mean, as if specimens erred independently */
-    double vector_error;
+    double vector_error, section_error;
     size_t specimens;
 };
 
@@ -87,7 +88,7 @@ struct gsn_study_cell {
     size_t first, count; /* of the animals */
     struct gsn_group_mean mean[GSN_STUDY_MEASURES];
     double error[GSN_STUDY_MEASURES]; /* root mean square of its animals' errors; NaN: not known */
-    double vector_error;
+    double vector_error, section_error; /* the same of those; 0: not known */
 };
 
 enum gsn_study_kind {
@@ -95,14 +96,19 @@ enum gsn_study_kind {
     GSN_STUDY_TREATMENT, /* two groups that are both no control, or none is known */
 };
 
-/* Which part of the variance of a loss is whose; per cent squared, NaN where there is no loss. They
- * add up to total, but where the measurement's own error is larger than the spread seen. Where no
- * error of measurement is known, its parts are NaN and the animals' hold them. */
+/* Which part of the variance of a loss is whose; per cent squared, NaN where there is no loss. The
+ * parts add up to total: measuring takes no more than all of the spread that is seen. Where no error
+ * of measurement is known, its parts are NaN and the animals' hold them. */
+struct gsn_study_share {
+    double animals;     /* true spread, over the number of animals */
+    double vectors;     /* dye vectors */
+    double sections;    /* what each section errs by itself: cutting, registration, fit */
+    double measurement; /* all other error of measurement: stain and white */
+};
+
 struct gsn_study_budget {
     double total;
-    double animals, animals_control; /* true spread, over the number of animals */
-    double vectors, measurement;     /* dye vectors; all other error of measurement */
-    double vectors_control, measurement_control;
+    struct gsn_study_share treated, control;
 };
 
 struct gsn_study_comparison {

@@ -377,15 +377,58 @@ static void put_share(struct gsn_report_text *text, double part, double total)
 {
     gsn_report_text_raw(text, "<td class=\"num\">");
     gsn_report_text_number(text, total > 0 ? 100 * part / total : NAN, 0);
-    gsn_report_text_raw(text, " %</td>");
+    gsn_report_text_raw(text, isfinite(part) ? " %</td>" : "</td>");
+}
+
+/* The parts of one budget as the page has them, both sides together but for the animals. */
+enum { BUDGET_PARTS = 5 };
+static const struct {
+    const char *name, *helps;
+} BUDGET[BUDGET_PARTS] = {
+    { "Animals, treated", "more treated animals" },
+    { "Animals, control", "more control animals" },
+    { "Dye vectors", "a calibration panel with each batch" },
+    { "Stain and white", "a steadier bath and lamp" },
+    { "Sections", "more or better sections" },
+};
+
+static void sum_budget(const struct gsn_study_budget *b, double part[BUDGET_PARTS])
+{
+    part[0] = b->treated.animals;
+    part[1] = b->control.animals;
+    part[2] = b->treated.vectors + b->control.vectors;
+    part[3] = b->treated.measurement + b->control.measurement;
+    part[4] = b->treated.sections + b->control.sections;
+}
+
+static const char *find_remedy(const double part[BUDGET_PARTS])
+{
+    size_t largest = 0;
+
+    for (size_t i = 1; i < BUDGET_PARTS; i++)
+        if (part[i] > part[largest])
+            largest = i;
+    return BUDGET[largest].helps;
+}
+
+static void add_budget_row(struct gsn_report_text *text, const struct gsn_study *study,
+                           const struct gsn_study_comparison *c)
+{
+    double part[BUDGET_PARTS];
+
+    sum_budget(&c->budget, part);
+    gsn_report_text_raw(text, "<tr><th scope=\"row\">");
+    put_cell_name(text, &study->cell[c->a]);
+    gsn_report_text_raw(text, "</th><td class=\"num\">");
+    gsn_report_text_number(text, sqrt(c->budget.total), 2);
+    gsn_report_text_raw(text, " points</td>");
+    for (size_t i = 0; i < BUDGET_PARTS; i++)
+        put_share(text, part[i], c->budget.total);
+    gsn_report_text_print(text, "<td>%s</td></tr>\n", find_remedy(part));
 }
 
 static void add_budget(struct gsn_report_text *text, const struct gsn_study *study)
 {
-    static const char *const heads[] = {
-        "Loss of",          "Standard error", "Animals, treated",
-        "Animals, control", "Dye vectors",    "Other measurement"
-    };
     size_t count = 0;
 
     for (size_t i = 0; i < study->comparison_count; i++)
@@ -393,29 +436,18 @@ static void add_budget(struct gsn_report_text *text, const struct gsn_study *stu
     if (count == 0)
         return;
     gsn_report_text_raw(
-        text, "<section>\n<h2>What limits the answer</h2>\n<p class=\"lead\">Of the "
-              "variance of each loss, the share that animals make and the share that "
-              "measuring them adds. The largest column is where effort pays: more animals, "
-              "a calibration panel (dye vectors), more sections or better scans "
-              "(other).</p>\n");
-    open_table(text, heads, sizeof heads / sizeof heads[0]);
-    for (size_t i = 0; i < study->comparison_count; i++) {
-        const struct gsn_study_comparison *const c = &study->comparison[i];
-        const struct gsn_study_budget *const b = &c->budget;
-
-        if (c->measure != 0 || !(b->total > 0))
-            continue;
-        gsn_report_text_raw(text, "<tr><th scope=\"row\">");
-        put_cell_name(text, &study->cell[c->a]);
-        gsn_report_text_raw(text, "</th><td class=\"num\">");
-        gsn_report_text_number(text, sqrt(b->total), 2);
-        gsn_report_text_raw(text, " points</td>");
-        put_share(text, b->animals, b->total);
-        put_share(text, b->animals_control, b->total);
-        put_share(text, b->vectors + b->vectors_control, b->total);
-        put_share(text, b->measurement + b->measurement_control, b->total);
-        gsn_report_text_raw(text, "</tr>\n");
-    }
+        text, "<section>\n<h2>What limits the answer</h2>\n<p class=\"lead\">Of the variance of "
+              "each loss, the share that animals make and the shares that measuring them adds; "
+              "they add up to all of it. The largest is where effort pays. An error that all "
+              "animals share, such as one wrong table of dyes, is in none of them.</p>\n"
+              "<div class=\"table scroll\"><table><thead><tr><th>Loss of</th>"
+              "<th class=\"num\">Standard error</th>");
+    for (size_t i = 0; i < BUDGET_PARTS; i++)
+        gsn_report_text_print(text, "<th class=\"num\">%s</th>", BUDGET[i].name);
+    gsn_report_text_raw(text, "<th>Helps most</th></tr></thead><tbody>\n");
+    for (size_t i = 0; i < study->comparison_count; i++)
+        if (study->comparison[i].measure == 0 && study->comparison[i].budget.total > 0)
+            add_budget_row(text, study, &study->comparison[i]);
     close_table(text);
 }
 

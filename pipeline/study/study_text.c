@@ -203,13 +203,16 @@ static json_t *make_animals(struct gsn_json_writer *w, const struct gsn_study *s
 
 static json_t *make_budget(struct gsn_json_writer *w, const struct gsn_study_budget *b)
 {
+    const struct gsn_study_share *const t = &b->treated, *const c = &b->control;
     const struct pair pair[] = { { "total", b->total },
-                                 { "animals", b->animals },
-                                 { "animals_control", b->animals_control },
-                                 { "dye_vectors", b->vectors },
-                                 { "dye_vectors_control", b->vectors_control },
-                                 { "measurement", b->measurement },
-                                 { "measurement_control", b->measurement_control } };
+                                 { "animals", t->animals },
+                                 { "animals_control", c->animals },
+                                 { "dye_vectors", t->vectors },
+                                 { "dye_vectors_control", c->vectors },
+                                 { "sections", t->sections },
+                                 { "sections_control", c->sections },
+                                 { "measurement", t->measurement },
+                                 { "measurement_control", c->measurement } };
     json_t *object = json_object();
 
     put_pairs(w, object, pair, sizeof pair / sizeof pair[0]);

@@ -53,7 +53,7 @@ struct gsn_job_inputs {
     const char **calibration_sha256; /* its entries are the attachments' */
     struct gsn_mask *region;
     struct gsn_grid *volume;
-    char *definition, *dyes; /* of the baseline */
+    char *definition, *dyes, *rule; /* of the baseline */
     struct gsn_specimen_control *control;
     json_t *baseline_keys;
     char *inputs;
@@ -230,8 +230,9 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
 {
     const struct gsn_specimen_control *c = &result->colours;
     json_t *root =
-        json_pack("{s:s, s:s, s:s, s:{s:o, s:o, s:f, s:o, s:o}}", "definition", result->definition,
-                  "dyes", result->dyes, "own_key", own_key, "colours", "region_od",
+        json_pack("{s:s, s:s, s:s, s:s, s:{s:o, s:o, s:f, s:o, s:o}}", "definition",
+                  result->definition, "dyes", result->dyes, "region", result->region, "own_key",
+                  own_key, "colours", "region_od",
                   numbers_of(c->region_od, 3), "free_od", numbers_of(c->free_od, 3), "free_panels", c->free_panels, "yellow",
                   numbers_of(c->yellow, GSN_CONTROL_TISSUES), "panels", panels_of(c->cloud));
     char *dumped = json_dumps(root, JSON_COMPACT);
@@ -242,7 +243,7 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
     return text;
 }
 
-/* A text of a run's parameters ("definition", "dyes", "own_key"), or "" where an older version
+/* A text of a run's parameters ("definition", "dyes", "region", "own_key"), or "" where an older version
  * wrote none. gives; NULL: out of memory. */
 static char *read_parameter(const struct gsn_run_row *run, const char *name)
 {
@@ -425,6 +426,7 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     gsn_auto(gsn_run_row) run = NULL;
     gsn_auto(gsn_measure_rows) measures = NULL;
     gsn_auto_mem(char) own_key = NULL;
+    gsn_auto_mem(char) region = NULL;
     struct gsn_error quiet = { 0 };
     double mean;
     int r = finished_run(m->store, control->id, &run, &quiet);
@@ -453,12 +455,17 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
     b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
     b->volume_mm3 += measure_named(measures, "region_volume");
+    region = read_parameter(run, "region");
     if (!m->definition) {
         m->definition = read_parameter(run, "definition");
         m->dyes = read_parameter(run, "dyes");
+        m->rule = region ? gsn_strdup(region) : NULL;
     }
-    return m->definition && m->dyes ? GSN_OK
-                                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    if (!m->definition || !m->dyes || !m->rule || !region)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    if (strcmp(m->rule, region) != 0)
+        m->rule[0] = '\0';
+    return GSN_OK;
 }
 
 /* The mean of the baseline's specimens, and the keys of their runs. */
@@ -489,6 +496,7 @@ static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
     }
     b->definition = m->definition ? m->definition : "";
     b->dyes = m->dyes ? m->dyes : "";
+    b->region = m->rule ? m->rule : "";
     return r;
 }
 
@@ -898,6 +906,7 @@ void gsn_job_inputs_free(struct gsn_job_inputs *m)
     gsn_free(m->calibration_sha256);
     gsn_free(m->definition);
     gsn_free(m->dyes);
+    gsn_free(m->rule);
     for (size_t i = 0; m->control && i < m->specimen.baseline.specimens; i++)
         gsn_cloud_free(m->control[i].cloud);
     gsn_free(m->control);

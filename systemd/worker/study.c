@@ -278,6 +278,15 @@ static void read_own_density(const struct gsn_measure_rows *rows, struct gsn_stu
     }
 }
 
+/* What sections err by is not in the interval of a loss, which is of stain and white. */
+static void read_section_error(const json_t *root, struct gsn_study_specimen *s)
+{
+    s->section_error =
+        read_row(root, "Standard error of the mean density by sections") / 100 * s->value[0];
+    if (isfinite(s->section_error) && isfinite(s->error[0]))
+        s->error[0] = hypot(s->error[0], s->section_error);
+}
+
 /* From a loss and its interval (1.96 standard errors to either side). */
 static void read_loss(const json_t *root, double baseline, struct gsn_study_specimen *s)
 {
@@ -349,6 +358,7 @@ static int read_report(struct gsn_study_files *f, struct gsn_store *store,
             read_loss(root, baseline, s);
         else
             read_own_density(rows, s);
+        read_section_error(root, s);
         s->key = keep_text(f, gsn_strdup(run->key));
         s->warnings = json_array_size(json_object_get(root, "warnings"));
         if (!s->key)
@@ -399,6 +409,7 @@ static int read_specimen(struct gsn_study_files *f, struct gsn_store *store,
                                       .group = row->group,
                                       .week = row->week,
                                       .vector_error = NAN,
+                                      .section_error = NAN,
                                       .loss = NAN,
                                       .loss_lower = NAN,
                                       .loss_upper = NAN,

@@ -420,3 +420,24 @@ TEST(running_out_of_memory_leaks_nothing)
     CHECK_EVERY_OOM(everything(&kuhn, region, &err), err);
     kuhn_done(&kuhn);
 }
+
+/* A trend along z is none of it; what each section is off by is: 0.02 up and down in turn, of 10
+ * sections alike in size, gives 2 x 0.02 off its neighbours' middle. */
+TEST(what_sections_err_by_is_told_from_a_trend)
+{
+    gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 6, 5, 10);
+    gsn_auto(gsn_grid) grid = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_grid_new(&region->at, &grid, &err), err);
+    for (size_t i = 0; i < gsn_lattice_count(&region->at); i++)
+        grid->value[i] = (float)(0.5 + 0.01 * (double)(i / 30));
+    CHECK_NEAR(gsn_section_error(grid, region), 0, 1e-7);
+    for (size_t i = 0; i < gsn_lattice_count(&region->at); i++)
+        grid->value[i] += i / 30 % 2 ? 0.02f : -0.02f;
+    CHECK_NEAR(gsn_section_error(grid, region), 0.04 / sqrt(1.5) / sqrt(10), 1e-6);
+    for (size_t i = 0; i < gsn_lattice_count(&region->at); i++)
+        if (i / 30 % 3 == 0)
+            grid->value[i] = NAN; /* no three sections in a row */
+    CHECK(!(gsn_section_error(grid, region) >= 0));
+}

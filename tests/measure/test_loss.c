@@ -82,7 +82,7 @@ TEST(what_cannot_be_compared_is_refused_by_name)
     struct gsn_loss_side other = side("S02", 0.30);
 
     other.volume_um3 *= 1.0011;
-    check_refused(&control, &other, GSN_E_INPUT, "the regions differ: S00 has 2.5 mm3, S02 has");
+    check_refused(&control, &other, GSN_E_INPUT, "the regions differ: S00 has 2.5 mm3 (not known how), S02 has");
     other = side("S02", 0.30);
     other.definition = "area fraction 1";
     check_refused(&control, &other, GSN_E_INPUT, "the density definitions differ");
@@ -94,6 +94,24 @@ TEST(what_cannot_be_compared_is_refused_by_name)
     other = side("S02", 0.30);
     other.standard_error = -1.0;
     check_refused(&control, &other, GSN_E_INPUT, "S02: standard error");
+}
+
+/* A band 180 um wide about two roots of unlike size is one region on two animals. */
+TEST(regions_that_one_rule_laid_are_compared_whatever_their_size)
+{
+    struct gsn_loss_side control = side("S00", 0.40), other = side("S02", 0.30);
+    struct gsn_loss loss;
+    struct gsn_error err = { 0 };
+
+    control.volume_um3 = 0.612e9;
+    other.volume_um3 = 0.555e9;
+    control.region = other.region = "180 to 630 um from the surface of the root";
+    CHECK_OK(gsn_loss(&control, &other, 0.95, &loss, &err), err);
+    CHECK_NEAR(loss.percent, 25, 1e-12);
+    other.region = "0 to 630 um from the surface of the root";
+    check_refused(&control, &other, GSN_E_INPUT, "S02 has 0.555 mm3 (0 to 630 um");
+    control.region = "";
+    check_refused(&control, &other, GSN_E_INPUT, "S00 has 0.612 mm3 (not known how)");
 }
 
 TEST(a_region_of_the_same_size_up_to_rounding_is_the_same)

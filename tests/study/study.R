@@ -38,7 +38,7 @@ compare <- function(kind, group, week, against, a, b) {
   r
 }
 
-treated <- sort(unique(d$group[d$role == "treated"]))
+treated <- sort(unique(d$group[d$role == "treated"]), method = "radix") # as bytes, not a language
 controls <- unique(d$group[d$role == "control"])
 losses <- list()
 between <- list()

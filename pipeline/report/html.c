@@ -15,8 +15,9 @@ void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *p
 {
     gsn_report_text_raw(text, "<img alt=\"");
     gsn_report_text_escape(text, said);
-    gsn_report_text_print(text, "\" width=\"%u\" height=\"%u\" src=\"data:image/png;base64,",
-                          png->width, png->height);
+    gsn_report_text_print(text, "\" width=\"%u\" height=\"%u\" src=\"data:image/%s;base64,",
+                          png->width, png->height,
+                          png->size > 1 && png->bytes[0] == 0xFF ? "jpeg" : "png");
     gsn_report_text_base64(text, png->bytes, png->size);
     gsn_report_text_raw(text, "\">");
 }
@@ -26,6 +27,8 @@ void gsn_html_unit(struct gsn_report_text *text, const char *unit)
     static const char *const known[][2] = {
         { "mm3", "mm\xC2\xB3" },        { "um3", "\xC2\xB5m\xC2\xB3" }, { "mm2", "mm\xC2\xB2" },
         { "um2", "\xC2\xB5m\xC2\xB2" }, { "um", "\xC2\xB5m" },          { "percent", "%" },
+        { "mm2/mm3", "mm\xC2\xB2/mm\xC2\xB3" },
+        { "1/mm3", "1/mm\xC2\xB3" },
     };
 
     for (size_t i = 0; unit && i < sizeof known / sizeof known[0]; i++) {
@@ -145,6 +148,7 @@ static void add_contents(struct gsn_report_text *text, const struct gsn_report *
     add_link(text, "decisions", "Decided by people", report->decision_count > 0);
     add_link(text, "measures", "Measures", 1);
     add_link(text, "exclusions", "Left out", report->exclusion_count > 0);
+    add_link(text, "methods", "Methods", 1);
     add_link(text, "provenance", "Provenance", 1);
     gsn_report_text_raw(text, "</ul></nav>\n</header>\n");
 }
@@ -420,8 +424,15 @@ static void add_pictures(struct gsn_report_text *text, const struct gsn_report *
 {
     if (report->picture_count == 0)
         return;
-    gsn_report_text_print(text, "<section id=\"pictures\"><h2>%s</h2>\n<div class=\"pictures\">\n",
+    gsn_report_text_print(text, "<section id=\"pictures\"><h2>%s</h2>\n",
                           report->tile ? "Picture and map" : "Pictures");
+    if (!report->tile)
+        gsn_report_text_raw(
+            text, "<p class=\"lead\">Good: data and model look alike, and the line of the region "
+                  "follows the tissue that it should. The line lies elsewhere: correct "
+                  "<code>region</code> in job.json. A step between rows of a cut through the stack: "
+                  "look at those sections in the contact sheet.</p>\n");
+    gsn_report_text_raw(text, "<div class=\"pictures\">\n");
     for (size_t i = 0; i < report->picture_count; i++) {
         const struct gsn_report_picture *picture = &report->pictures[i];
 
@@ -439,7 +450,11 @@ static void add_charts(struct gsn_report_text *text, const struct gsn_report *re
 {
     if (!has_charts(report))
         return;
-    gsn_report_text_raw(text, "<section id=\"charts\"><h2>Charts</h2>\n<div class=\"charts\">\n");
+    gsn_report_text_raw(
+        text, "<section id=\"charts\"><h2>Charts</h2>\n<p class=\"lead\">Good: a level row of small "
+              "residuals. One section far above its neighbours: look at it in the contact sheet, and "
+              "leave it out by <code>gieson decide</code> if its marks are wrong. A whole panel above "
+              "the others: scan it again.</p>\n<div class=\"charts\">\n");
     if (report->registration && report->section_count > 0) {
         gsn_report_text_raw(text, "<figure><div class=\"drawing\">\n");
         gsn_chart_residuals(text, report);
@@ -495,6 +510,7 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     gsn_html_decisions(&text, report);
     gsn_html_measures(&text, report);
     gsn_html_exclusions(&text, report);
+    gsn_html_methods(&text, report);
     gsn_html_provenance(&text, report);
     add_foot(&text, report);
     if (text.failed)

@@ -45,6 +45,9 @@ void gsn_html_script(struct gsn_report_text *text, const struct gsn_report *repo
 /* html_sheet.c: every slot of every panel, as laid out on the glass. */
 void gsn_html_sheet(struct gsn_report_text *text, const struct gsn_report *report);
 
+/* html_methods.c: what was done, in words for a manuscript, and how to cite the run. */
+void gsn_html_methods(struct gsn_report_text *text, const struct gsn_report *report);
+
 /* html_tables.c: the poses that a person may choose from, and what people decided. */
 void gsn_html_choices(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_decisions(struct gsn_report_text *text, const struct gsn_report *report);

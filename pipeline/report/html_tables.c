@@ -352,7 +352,12 @@ static void add_units(struct gsn_report_text *text, const struct gsn_report_unit
 
 void gsn_html_measures(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_report_text_raw(text, "<section id=\"measures\"><h2>Measures</h2>\n");
+    gsn_report_text_raw(
+        text, "<section id=\"measures\"><h2>Measures</h2>\n<p class=\"lead\">All figures. Quote the "
+              "loss with its interval, the mean density and the share of the region with data; the "
+              "rest says how far to trust them. A predicted error (TRE) above the thickness of the "
+              "structures that matter: more or better marks. Names such as BV/TV are those of "
+              "ASBMR; they have no interval.</p>\n");
     open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
     if (!report->tile) {
         if (report->baseline && *report->baseline) {

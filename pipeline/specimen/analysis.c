@@ -225,6 +225,12 @@ static int measure_region(const struct voxels *v, const struct gsn_grid *grid,
                                  analysis->bound, err);
     for (size_t i = 0; r >= 0 && i < analysis->bound_count; i++)
         analysis->bound[i].threshold = thresholds[i];
+    if (r >= 0)
+        r = gsn_bone_measure(grid, region, here[analysis->bound_count / 2], options->threads,
+                             &analysis->bone, err);
+    analysis->has_bone = r >= 0;
+    if (r == GSN_E_LIMIT)
+        r = GSN_OK;
     analysis->section_error = sections ? gsn_section_error(grid, region) : (double)NAN;
     if (r >= 0 && sections)
         r = gsn_tissue_volumes(grid, region, here, analysis->bound_count, options->threads,

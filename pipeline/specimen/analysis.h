@@ -8,6 +8,7 @@
 #include "pipeline/core/colour_grid.h"
 #include "pipeline/core/grid.h"
 #include "pipeline/core/progress.h"
+#include "pipeline/measure/bone.h"
 #include "pipeline/measure/density.h"
 #include "pipeline/measure/level_set.h"
 #include "pipeline/measure/tissue_volume.h"
@@ -41,6 +42,8 @@ struct gsn_analysis {
     struct gsn_volume_bound
         bound[GSN_ANALYSIS_THRESHOLDS];  /* threshold: as the protocol means it */
     struct gsn_tissue_volumes tissue;    /* of sections, for the thresholds of bound */
+    struct gsn_bone bone;                /* above the density of above_threshold */
+    int has_bone;                        /* 0: too many voxels to measure it in */
     double above_threshold, above_share; /* area figure: share of sampled voxels above it */
     double low, high; /* ends of the pictures' colour scale */
     const char *unit; /* of the values */

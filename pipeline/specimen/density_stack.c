@@ -68,6 +68,9 @@ int gsn_densities_crop_colour(struct gsn_densities *d, struct gsn_error *err)
 int gsn_stack_light_table(enum gsn_light light, unsigned bits,
                           struct gsn_stack_light_table *ret_light, struct gsn_error *err)
 {
+    /* Codes of which nobody says that they follow a curve are shown as they are, as any viewer shows
+     * the scan and the contact sheet does. */
+    const enum gsn_light shown = light == GSN_LIGHT_CODES_LINEAR ? light : GSN_LIGHT_SRGB;
     const size_t samples = (size_t)1 << bits, steps = GSN_STACK_FULL_LIGHT / 4 + 1;
     struct gsn_stack_light_table made = { gsn_alloc(samples * sizeof(uint16_t)), gsn_alloc(steps) };
 
@@ -81,7 +84,7 @@ int gsn_stack_light_table(enum gsn_light light, unsigned bits,
     for (size_t i = 0; i < steps; i++) {
         /* The middle of the four lights that share a code. */
         const double middle = fmin((4.0 * (double)i + 1.5) / GSN_STACK_FULL_LIGHT, 1);
-        const long code = lround(255 * gsn_light_encode(GSN_LIGHT_SRGB, middle));
+        const long code = lround(255 * gsn_light_encode(shown, middle));
 
         made.code[i] = (uint8_t)(code > 0 ? code : 1);
     }
@@ -95,7 +98,8 @@ void gsn_stack_light_table_done(struct gsn_stack_light_table *light)
     gsn_free(light->code);
 }
 
-enum { THUMBNAIL_PX = 132 };
+/* Shown at half its size, so that it can be enlarged. */
+enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 85 };
 
 /* A hundredth of the tissue clipped is told; of a fifth the mean of what is left says little, for
  * it is the darkest that is missing. */
@@ -148,8 +152,8 @@ static int draw_thumbnails(const struct gsn_scan *scan, unsigned number,
         if (poses->section[i].panel != number || seen->width <= 0 || seen->height <= 0)
             continue;
         r = gsn_thumbnail(scan->picture->image, scan->glass.light, seen->x, seen->y, seen->width,
-                          seen->height, d->marks[i].mark, THUMBNAIL_PX, &d->section[i].thumbnail,
-                          err);
+                          seen->height, d->marks[i].mark, THUMBNAIL_PX, THUMBNAIL_QUALITY,
+                          &d->section[i].thumbnail, err);
         if (r < 0)
             return r;
     }

@@ -107,6 +107,42 @@ static struct gsn_report_volume describe_volume(const struct gsn_analysis *analy
     };
 }
 
+/* As the table of volumes has it: of the tissue, else of the model. */
+static double volume_of(const struct gsn_report_volume *volume)
+{
+    return isfinite(volume->estimate_mm3) ? volume->estimate_mm3
+                                          : (volume->lower_mm3 + volume->upper_mm3) / 2;
+}
+
+/* Under the names and in the units of ASBMR. The share of the region is that of the table of
+ * volumes: one quantity, one number. */
+static void add_bone(const struct gsn_analysis *analysis, struct gsn_builder *d)
+{
+    const struct gsn_bone *const b = &analysis->bone;
+    const double share = volume_of(&d->volume[analysis->bound_count / 2]) /
+                         d->report.region.volume_mm3;
+    const struct {
+        const char *name;
+        double value;
+        const char *unit;
+    } row[] = { { "BV/TV", 100 * share, "%" },
+                { "BS/BV", 1e3 * b->surface_um2 / b->bone_um3, "mm2/mm3" },
+                { "Tb.Th", 1e-3 * b->thickness_um, "mm" },
+                { "Tb.Th, standard deviation", 1e-3 * b->thickness_sd, "mm" },
+                { "Tb.Th, largest", 1e-3 * b->thickness_most, "mm" },
+                { "Conn.D", (double)(1 - b->euler) / (1e-9 * b->tissue_um3), "1/mm3" },
+                { "Components", (double)b->components, "" },
+                { "Euler number", (double)b->euler, "" } };
+
+    if (!analysis->has_bone || b->components == 0)
+        return;
+    for (size_t i = 0; i < sizeof row / sizeof row[0]; i++)
+        gsn_builder_value(d->measure, &d->report.measure_count,
+                          gsn_builder_say(d, "%s, of what is denser than %.4g", row[i].name,
+                                          analysis->above_threshold),
+                          row[i].value, row[i].unit);
+}
+
 void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *d)
 {
     const struct gsn_analysis *analysis = e->analysis;
@@ -155,6 +191,7 @@ void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *
         gsn_builder_value(d->measure, &r->measure_count,
                           "Standard error of the mean density by sections",
                           100 * analysis->section_error / analysis->density.mean, "%");
+    add_bone(analysis, d);
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, lower quartile of density",
                       analysis->summary.quartile1, "density");
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, upper quartile of density",

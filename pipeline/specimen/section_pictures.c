@@ -13,6 +13,7 @@
 #include "pipeline/specimen/section_pictures.h"
 
 #include "pipeline/core/robust.h"
+#include "pipeline/decode/jpeg_write.h"
 #include "pipeline/decode/png_write.h"
 #include "pipeline/imaging/filter.h"
 #include "pipeline/imaging/morphology.h"
@@ -24,7 +25,7 @@
 #include <string.h>
 
 /* What a profile made linear is coded again, or it would come out dark; other codes are shown as
- * they are. */
+ * they are, as any viewer shows the scan, and as the cuts do (gsn_stack_light_table()). */
 static uint8_t code_of(enum gsn_light light, double share)
 {
     return (uint8_t)(255 * (light == GSN_LIGHT_PROFILE ? gsn_light_encode(GSN_LIGHT_SRGB, share)
@@ -66,7 +67,7 @@ static void draw_ring(struct gsn_image *image, double x, double y, double radius
 
 int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, int y, int width,
                   int height, const struct gsn_fiducial mark[GSN_FIDUCIALS], unsigned longest_px,
-                  struct gsn_png_picture *ret_picture, struct gsn_error *err)
+                  int quality, struct gsn_png_picture *ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
     const int longest = width > height ? width : height;
@@ -91,7 +92,8 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                       fmax(4, 2.2 * mark[i].radius_px * scale));
     ret_picture->width = small->width;
     ret_picture->height = small->height;
-    return gsn_png_encode(small, &ret_picture->png, &ret_picture->size, err);
+    return quality ? gsn_jpeg_encode(small, quality, &ret_picture->png, &ret_picture->size, err)
+                   : gsn_png_encode(small, &ret_picture->png, &ret_picture->size, err);
 }
 
 int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,

@@ -161,7 +161,7 @@ static int add_picture(const struct gsn_image *image, enum gsn_light light, cons
     static const struct gsn_fiducial none[GSN_FIDUCIALS] = { 0 };
     struct gsn_png_picture *kept = &tile->picture[tile->picture_count];
     const int r = gsn_thumbnail(image, light, 0, 0, (int)image->width, (int)image->height, none,
-                                LONGEST_PX, kept, err);
+                                LONGEST_PX, 0, kept, err);
 
     if (r < 0)
         return r;

@@ -44,6 +44,9 @@ struct gsn_study_files {
     size_t text_count, text_room;
     struct gsn_digest digest;
     int frozen;
+    const char *baseline; /* that was read last; NULL: none yet */
+    double baseline_density;
+    const char *baseline_group;
 };
 
 void gsn_study_files_free(struct gsn_study_files *f)
@@ -229,8 +232,9 @@ static int open_report(struct gsn_store *store, const struct gsn_run_row *run, j
     return *ret_root ? GSN_OK : gsn_fail(err, GSN_E_INPUT, "%s is no JSON", run->json_path);
 }
 
-/* Mean density of the specimens that a baseline stands for, and the group of the first. */
-static int read_baseline(struct gsn_study_files *f, struct gsn_store *store,
+/* Mean density of the specimens that a baseline stands for, without this one, and the group of the
+ * first. */
+static int average_controls(struct gsn_study_files *f, struct gsn_store *store,
                          const struct gsn_specimen_row *row, double *ret_density,
                          const char **ret_group, struct gsn_error *err)
 {
@@ -285,6 +289,29 @@ static void read_section_error(const json_t *root, struct gsn_study_specimen *s)
         read_row(root, "Standard error of the mean density by sections") / 100 * s->value[0];
     if (isfinite(s->section_error) && isfinite(s->error[0]))
         s->error[0] = hypot(s->error[0], s->section_error);
+}
+
+/* The same, read once for all specimens that are compared with one baseline and are none of its
+ * own. */
+static int read_baseline(struct gsn_study_files *f, struct gsn_store *store,
+                         const struct gsn_specimen_row *row, double *ret_density,
+                         const char **ret_group, struct gsn_error *err)
+{
+    const int is_own = strcmp(row->baseline, row->group) == 0 || strcmp(row->baseline, row->name) == 0;
+    int r;
+
+    if (f->baseline && !is_own && strcmp(f->baseline, row->baseline) == 0) {
+        *ret_density = f->baseline_density;
+        *ret_group = f->baseline_group;
+        return GSN_OK;
+    }
+    r = average_controls(f, store, row, ret_density, ret_group, err);
+    if (r >= 0 && !is_own) {
+        f->baseline = row->baseline;
+        f->baseline_density = *ret_density;
+        f->baseline_group = *ret_group;
+    }
+    return r;
 }
 
 /* From a loss and its interval (1.96 standard errors to either side). */

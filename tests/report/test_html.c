@@ -123,7 +123,8 @@ TEST(every_kind_of_page_is_well_formed_and_fetches_nothing)
         assert_null(strstr(page, " style=")); /* the policy would drop it */
         assert_null(strstr(page, ">nan<"));
         for (const char *at = strstr(page, "src="); at; at = strstr(at + 1, "src="))
-            CHECK(strncmp(at, "src=\"data:image/png;base64,", 27) == 0);
+            CHECK(strncmp(at, "src=\"data:image/png;base64,", 27) == 0 ||
+                  strncmp(at, "src=\"data:image/jpeg;base64,", 28) == 0);
         sample_free(sample);
     }
 }
@@ -448,5 +449,18 @@ TEST(running_out_of_memory_leaks_nothing)
     struct gsn_error err = { 0 };
 
     CHECK_EVERY_OOM(html_once(sample_report(sample), &err), err);
+    sample_free(sample);
+}
+
+TEST(a_page_says_what_was_done_in_words_for_a_manuscript)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+    gsn_auto_mem(char) page = page_of(sample_report(sample));
+    const char *const methods = strstr(page, "id=\"methods\"");
+
+    CHECK(methods);
+    CHECK(strstr(methods, "were stacked by rigid registration"));
+    CHECK(strstr(methods, sample_report(sample)->key));
+    CHECK(strstr(methods, "computer program"));
     sample_free(sample);
 }

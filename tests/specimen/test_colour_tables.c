@@ -27,8 +27,8 @@ TEST(a_picture_coded_by_srgb_keeps_its_codes)
     gsn_stack_light_table_done(&light);
 }
 
-/* IEC 61966-2-1: half of the light is code 188. */
-TEST(codes_in_proportion_to_light_become_srgb)
+/* As any viewer shows them, and the contact sheet. */
+TEST(codes_in_proportion_to_light_are_shown_as_they_are)
 {
     struct gsn_stack_light_table light;
     struct gsn_error err = { 0 };
@@ -36,7 +36,12 @@ TEST(codes_in_proportion_to_light_become_srgb)
     CHECK_OK(gsn_stack_light_table(GSN_LIGHT_CODES_LINEAR, 8, &light, &err), err);
     for (unsigned i = 0; i < 256; i++)
         CHECK(light.of_sample[i] == 128 * i);
-    CHECK(code_of(&light, 255) == 255 && code_of(&light, 128) == 188);
+    for (unsigned i = 1; i < 256; i++)
+        CHECK(code_of(&light, i) == i);
+    gsn_stack_light_table_done(&light);
+    /* IEC 61966-2-1: half of the light is code 188. */
+    CHECK_OK(gsn_stack_light_table(GSN_LIGHT_PROFILE, 16, &light, &err), err);
+    CHECK(code_of(&light, 32896) == 188);
     gsn_stack_light_table_done(&light);
 }
 

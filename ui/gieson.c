@@ -62,7 +62,7 @@ static const char doc[] =
     "  index               the front page of the store: every specimen and study\n"
     "  export SPECIMEN FILE\n"
     "                      its model for other programs: .vtkhdf .vtu .csv .stl\n"
-    "                      .ply .nrrd .nii.gz .ome.tif\n"
+    "                      .ply .glb .nrrd .nii.gz .ome.tif\n"
     "  probe SPECIMEN X Y Z\n"
     "                      the model at a point, and the pixels it rests on\n"
     "  line SPECIMEN X1 Y1 Z1 X2 Y2 Z2\n"

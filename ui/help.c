@@ -94,7 +94,7 @@ static const struct gsn_help pages[] = {
       "Writes the model of its last run as a file of another program; the ending says which:\n"
       ".vtkhdf .vtu       the model itself, Bezier tetrahedra, for ParaView and VTK\n"
       ".csv               its tetrahedra (micro-units), a row each\n"
-      ".stl .ply          the surface at one density\n"
+      ".stl .ply .glb     the surface at one density, closed where the region ends\n"
       ".nrrd .nii.gz      the density on a grid (default: the stack's own voxels)\n"
       ".ome.tif           the aligned sections in true colour\n"
       "Surfaces and volumes end where the region ends. A file that exists is not written over.",

@@ -3,7 +3,8 @@
 /* Method: both formats are a head of known length and rows of fixed size, so the bytes are laid out
  * in one allocation.
  * Reference: 3D Systems, "StereoLithography Interface Specification" (binary: 80 bytes of text, a
- * count, 50 bytes a facet); Turk, "The PLY Polygon File Format" (1994).
+ * count, 50 bytes a facet); Turk, "The PLY Polygon File Format" (1994); Khronos, "glTF 2.0
+ * Specification", 4.4 (binary).
  * Failure: memory, and more triangles than the formats' counts hold. */
 #include "pipeline/export/surface_file.h"
 
@@ -110,6 +111,102 @@ int gsn_ply_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t
         *at++ = 3;
         at = put_value(at, surface->triangle[t], sizeof surface->triangle[t]);
     }
+    *ret_bytes = bytes;
+    *ret_size = size;
+    return GSN_OK;
+}
+
+/* ---- glTF ---------------------------------------------------------------------------------- */
+
+enum { GLB_HEAD = 12, GLB_CHUNK = 8, GLB_VERTEX = 12, GLB_FACE = 12 };
+
+/* The ends of the surface along each axis. */
+static void find_ends(const struct gsn_trimesh *s, double low[3], double high[3])
+{
+    for (int c = 0; c < 3; c++) {
+        low[c] = INFINITY;
+        high[c] = -INFINITY;
+        for (size_t v = 0; v < s->vertex_count; v++) {
+            low[c] = fmin(low[c], s->vertex[v][c]);
+            high[c] = fmax(high[c], s->vertex[v][c]);
+        }
+    }
+}
+
+/* gives: what the binary chunk holds: places, normals, corners; padded with blanks to a multiple of
+ * four. NULL: no memory. */
+static char *describe_glb(const struct gsn_trimesh *s, const double middle[3], const float half[3])
+{
+    const size_t points = GLB_VERTEX * s->vertex_count, faces = GLB_FACE * s->triangle_count;
+
+    return gsn_format(
+        "{\"asset\":{\"version\":\"2.0\",\"generator\":\"gieson\"},\"scene\":0,"
+        "\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"translation\":[%.9g,%.9g,%.9g],"
+        "\"scale\":[1e-6,1e-6,1e-6]}],\"meshes\":[{\"primitives\":[{\"attributes\":{"
+        "\"POSITION\":0,\"NORMAL\":1},\"indices\":2,\"material\":0}]}],\"materials\":[{"
+        "\"pbrMetallicRoughness\":{\"baseColorFactor\":[0.85,0.8,0.7,1],\"metallicFactor\":0,"
+        "\"roughnessFactor\":0.7},\"doubleSided\":true}],\"accessors\":[{\"bufferView\":0,"
+        "\"componentType\":5126,\"count\":%zu,\"type\":\"VEC3\",\"min\":[%.9g,%.9g,%.9g],"
+        "\"max\":[%.9g,%.9g,%.9g]},{\"bufferView\":1,\"componentType\":5126,\"count\":%zu,"
+        "\"type\":\"VEC3\"},{\"bufferView\":2,\"componentType\":5125,\"count\":%zu,"
+        "\"type\":\"SCALAR\"}],\"bufferViews\":[{\"buffer\":0,\"byteLength\":%zu,"
+        "\"target\":34962},{\"buffer\":0,\"byteOffset\":%zu,\"byteLength\":%zu,\"target\":34962},"
+        "{\"buffer\":0,\"byteOffset\":%zu,\"byteLength\":%zu,\"target\":34963}],\"buffers\":[{"
+        "\"byteLength\":%zu}]}",
+        1e-6 * middle[0], 1e-6 * middle[1], 1e-6 * middle[2], s->vertex_count, -(double)half[0],
+        -(double)half[1], -(double)half[2], (double)half[0], (double)half[1], (double)half[2],
+        s->vertex_count, 3 * s->triangle_count, points, points, points, 2 * points, faces,
+        2 * points + faces);
+}
+
+static uint8_t *put_chunk(uint8_t *at, uint32_t size, const char kind[4])
+{
+    return put_value(put_value(at, &size, sizeof size), kind, 4);
+}
+
+int gsn_glb_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t *ret_size,
+                  struct gsn_error *err)
+{
+    const size_t binary = 2 * GLB_VERTEX * surface->vertex_count + GLB_FACE * surface->triangle_count;
+    gsn_auto_mem(char) text = NULL;
+    double low[3], high[3], middle[3];
+    float half[3];
+    size_t length, padded, size;
+    uint8_t *bytes, *at;
+
+    assert(ret_bytes && ret_size);
+
+    if (binary > INT32_MAX / 2)
+        return gsn_fail(err, GSN_E_LIMIT, "%zu triangles are more than such a file can hold",
+                        surface->triangle_count);
+    find_ends(surface, low, high);
+    for (int c = 0; c < 3; c++) {
+        middle[c] = (low[c] + high[c]) / 2;
+        half[c] = (float)(high[c] - middle[c]);
+    }
+    text = describe_glb(surface, middle, half);
+    length = text ? strlen(text) : 0;
+    padded = (length + 3) / 4 * 4;
+    size = GLB_HEAD + 2 * GLB_CHUNK + padded + binary;
+    bytes = at = text ? gsn_alloc(size) : NULL;
+    if (!bytes)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu triangles",
+                        surface->triangle_count);
+    at = put_value(at, "glTF", 4);
+    at = put_value(at, &(uint32_t){ 2 }, 4);
+    at = put_value(at, &(uint32_t){ (uint32_t)size }, 4);
+    at = put_chunk(at, (uint32_t)padded, "JSON");
+    memset(at, ' ', padded);
+    (void)put_value(at, text, length);
+    at = put_chunk(at + padded, (uint32_t)binary, "BIN\0");
+    for (size_t v = 0; v < surface->vertex_count; v++)
+        for (int c = 0; c < 3; c++) {
+            const float place = (float)(surface->vertex[v][c] - middle[c]);
+
+            at = put_value(at, &(float){ fminf(half[c], fmaxf(-half[c], place)) }, sizeof place);
+        }
+    at = put_value(at, surface->normal, GLB_VERTEX * surface->vertex_count);
+    (void)put_value(at, surface->triangle, GLB_FACE * surface->triangle_count);
     *ret_bytes = bytes;
     *ret_size = size;
     return GSN_OK;

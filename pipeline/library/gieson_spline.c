@@ -494,7 +494,7 @@ int gsn_field_write_surface(const struct gsn_field *field, double level, unsigne
 
     if (!stl && !ends_with(path, ".ply"))
         return refuse_ending(path, ".stl or .ply", err);
-    r = gsn_isosurface(field->spline, level, subdivision, 0, &surface, err);
+    r = gsn_isosurface(field->spline, level, NULL, subdivision, 0, &surface, err);
     if (r >= 0 && surface->triangle_count == 0)
         r = gsn_fail(err, GSN_E_INPUT, "the field is %g nowhere, so there is no surface", level);
     if (r >= 0)

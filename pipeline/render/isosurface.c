@@ -2,6 +2,9 @@
 
 /* The isosurface of a spline as a closed triangle mesh.
  *
+ * What is marched is the height: s - level, or, where that is less, the distance from the region's
+ * border at a fixed rate. It is 0 on the surface of the solid {s >= level} in the region.
+ *
  * Method: marching tetrahedra on a subdivision of the domain, with crossings on edges found on the
  * spline itself and not by interpolation. Every tetrahedron is cut into 8^level path simplices of
  * the cubes of a lattice (H. Freudenthal 1942; H. W. Kuhn 1960), alike on both sides of a face, so
@@ -19,6 +22,7 @@
 #include "pipeline/render/isosurface.h"
 
 #include "pipeline/core/error.h"
+#include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/model/batch.h"
 #include "pipeline/model/spline.h"
@@ -38,10 +42,11 @@ struct hash_table {
 /* Whether item number has the key. */
 typedef int hash_same(uint32_t number, const void *key, const void *context);
 
-/* A spline, the level that counts as zero, and the finer mesh. borrows. */
+/* A spline, the level that counts as zero, the border that closes it, and the finer mesh. borrows. */
 struct level_function {
     const struct gsn_spline *spline;
     double level;
+    const struct gsn_border *border; /* NULL: none */
     const struct gsn_fine *fine;
 };
 
@@ -300,7 +305,8 @@ static int make_points(const struct gsn_tets *mesh, const struct name *name, int
                        struct gsn_fine *fine, struct gsn_error *err)
 {
     fine->point = gsn_alloc_array(fine->point_count, sizeof *fine->point);
-    if (!fine->point)
+    fine->outer = gsn_alloc_array(fine->point_count, sizeof *fine->outer);
+    if (!fine->point || !fine->outer)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", fine->point_count);
     for (size_t i = 0; i < fine->point_count; i++) {
         for (int k = 0; k < 4 && name[i].weight[k] > 0; k++) {
@@ -310,6 +316,17 @@ static int make_points(const struct gsn_tets *mesh, const struct name *name, int
         }
     }
     return GSN_OK;
+}
+
+/* Places on faces that no other tetrahedron has. */
+static void mark_outer(const struct gsn_tets *mesh, const struct lattice *lattice,
+                       struct gsn_fine *fine)
+{
+    for (size_t t = 0; t < mesh->tet_count; t++)
+        for (int k = 0; k < 4; k++)
+            for (unsigned p = 0; mesh->neighbour[t][k] < 0 && p < fine->places; p++)
+                if (lattice->weight[p][k] == 0)
+                    fine->outer[fine->place[t * fine->places + p]] = 1;
 }
 
 static int fill_lattice(const struct gsn_tets *mesh, const struct lattice *lattice,
@@ -324,6 +341,8 @@ static int fill_lattice(const struct gsn_tets *mesh, const struct lattice *latti
     r = name_places(mesh, lattice, fine, &naming, err);
     if (r == GSN_OK)
         r = make_points(mesh, naming.name, lattice->m, fine, err);
+    if (r == GSN_OK)
+        mark_outer(mesh, lattice, fine);
     hash_done(&naming.slots);
     gsn_free(naming.name);
     return r;
@@ -358,6 +377,7 @@ void gsn_fine_free(struct gsn_fine *fine)
     if (!fine)
         return;
     gsn_free(fine->point);
+    gsn_free(fine->outer);
     gsn_free(fine->home);
     gsn_free(fine->place);
     gsn_free(fine);
@@ -393,10 +413,32 @@ static double height_beside(const struct level_function *level, const double u[3
     return value - level->level;
 }
 
-/* s - level, and its gradient unless that is NULL, at count points in these tetrahedra. */
+/* Height per um beyond the border. Where s is 0..1, as a density is, any such rate finds the roots
+ * as well. */
+static const double RATE = 0.01;
+
+/* Takes the border for the height at u where it is less; whether it is. */
+static int close_height(const struct level_function *level, const double u[3], double *height,
+                        double *gradient)
+{
+    double slope[3], inward;
+
+    if (!level->border)
+        return 0;
+    inward = RATE * gsn_border_at(level->border, u, gradient ? slope : NULL);
+    if (!(inward < *height))
+        return 0;
+    *height = inward;
+    for (int a = 0; gradient && a < 3; a++)
+        gradient[a] = RATE * slope[a];
+    return 1;
+}
+
+/* Heights, their gradients unless that is NULL, and whether they are the border's unless that is
+ * NULL, at count points in these tetrahedra. */
 static int heights_at(const struct level_function *level, const double (*at)[3],
                       const uint32_t *home, size_t count, unsigned threads, double *ret_height,
-                      double (*ret_gradient)[3], struct gsn_error *err)
+                      double (*ret_gradient)[3], uint8_t *ret_closing, struct gsn_error *err)
 {
     const int r =
         gsn_spline_eval_many(level->spline, at, count, threads, ret_height, ret_gradient, err);
@@ -407,11 +449,16 @@ static int heights_at(const struct level_function *level, const double (*at)[3],
                 height_beside(level, at[i], home[i], ret_gradient ? ret_gradient[i] : NULL);
         else
             ret_height[i] -= level->level;
+        const int closing =
+            close_height(level, at[i], &ret_height[i], ret_gradient ? ret_gradient[i] : NULL);
+
+        if (ret_closing)
+            ret_closing[i] = (uint8_t)closing;
     }
     return r;
 }
 
-/* s - level at the fine mesh's points. The half-open rule puts the points of some boundary faces
+/* Heights of the fine mesh's points. The half-open rule puts the points of some boundary faces
  * outside; there it is the limit from inside. threads 0: all; the same bytes on any number. Fails
  * with GSN_E_NOMEM. */
 static int level_heights(const struct level_function *level, unsigned threads, double *ret_height,
@@ -424,10 +471,18 @@ static int level_heights(const struct level_function *level, unsigned threads, d
         const size_t left = fine->point_count - i;
 
         r = heights_at(level, (const double(*)[3])fine->point + i, fine->home + i,
-                       left < CHUNK ? left : CHUNK, threads, ret_height + i, NULL, err);
+                       left < CHUNK ? left : CHUNK, threads, ret_height + i, NULL, NULL, err);
     }
+    /* Where the domain ends inside the border, by less than a voxel, it closes the region too. */
+    for (size_t i = 0; level->border && i < fine->point_count; i++)
+        if (fine->outer[i])
+            ret_height[i] = fmin(ret_height[i], -1e-9);
     return r;
 }
+
+/* Of an edge, that a vertex on the region's border stays away from its ends: more than single
+ * precision tells apart. */
+static const double NEAREST = 1e-3;
 
 /* What is known of one crossing: it lies at t0..t1 of the edge, where the heights are f0 >= 0 and
  * f1 < 0 or, where an end has stayed, a part of these. */
@@ -516,7 +571,7 @@ static int search_step(struct search *search, unsigned threads, struct gsn_error
         search->home[i] = search->level->fine->home[search->edge[v][0]];
     }
     r = heights_at(search->level, (const double(*)[3])search->at, search->home, search->open,
-                   threads, search->height, NULL, err);
+                   threads, search->height, NULL, NULL, err);
     for (size_t i = 0; i < search->open && r >= 0; i++) {
         if (!narrow_crossing(&search->crossing[search->which[i]], search->height[i]))
             search->which[open++] = search->which[i];
@@ -547,8 +602,24 @@ static void set_normal(const struct search *search, size_t i, float ret_normal[3
         ret_normal[a] = (float)(n[a] / sqrt(length));
 }
 
+/* Whether the vertex closes the region. Then it is kept off the ends of its edge: where a point of
+ * the mesh lies on the border, as they do in planes of voxels, several vertices would be in one
+ * place and triangles without area between them. */
+static int level_closes(struct search *search, size_t i, uint8_t *closing)
+{
+    const struct level_function *level = search->level;
+    struct crossing *crossing = &search->crossing[i];
+
+    closing[i] |= level->border && level->fine->outer[search->edge[i][1]];
+    if (!closing[i])
+        return 0;
+    crossing->t = fmin(1 - NEAREST, fmax(NEAREST, crossing->t));
+    return 1;
+}
+
 static int cross_chunk(struct search *search, const double *height, size_t count, unsigned threads,
-                       double (*ret_at)[3], float (*ret_normal)[3], struct gsn_error *err)
+                       double (*ret_at)[3], float (*ret_normal)[3], uint8_t *ret_closing,
+                       struct gsn_error *err)
 {
     int r = GSN_OK;
 
@@ -568,9 +639,12 @@ static int cross_chunk(struct search *search, const double *height, size_t count
     }
     if (r >= 0)
         r = heights_at(search->level, (const double(*)[3])ret_at, search->home, count, threads,
-                       search->height, search->gradient, err);
-    for (size_t i = 0; i < count && r >= 0; i++)
+                       search->height, search->gradient, ret_closing, err);
+    for (size_t i = 0; i < count && r >= 0; i++) {
         set_normal(search, i, ret_normal[i]);
+        if (level_closes(search, i, ret_closing))
+            point_of(search, i, ret_at[i]);
+    }
     return r;
 }
 
@@ -579,7 +653,8 @@ static int cross_chunk(struct search *search, const double *height, size_t count
  * the gradient, along the edge where there is none. threads and failures as above. */
 static int find_crossings(const struct level_function *level, const double *height,
                           const uint32_t (*edge)[2], size_t count, unsigned threads,
-                          double (*ret_at)[3], float (*ret_normal)[3], struct gsn_error *err)
+                          double (*ret_at)[3], float (*ret_normal)[3], uint8_t *ret_closing,
+                          struct gsn_error *err)
 {
     struct search search;
     int r = search_init(&search, level, count < CHUNK ? count : CHUNK, err);
@@ -587,7 +662,7 @@ static int find_crossings(const struct level_function *level, const double *heig
     for (size_t i = 0; i < count && r >= 0; i += CHUNK) {
         search.edge = edge + i;
         r = cross_chunk(&search, height, count - i < CHUNK ? count - i : CHUNK, threads, ret_at + i,
-                        ret_normal + i, err);
+                        ret_normal + i, ret_closing + i, err);
     }
     search_done(&search);
     return r;
@@ -602,6 +677,7 @@ void gsn_trimesh_free(struct gsn_trimesh *surface)
     gsn_free(surface->vertex);
     gsn_free(surface->normal);
     gsn_free(surface->triangle);
+    gsn_free(surface->closing);
     gsn_free(surface);
 }
 
@@ -769,14 +845,17 @@ static int build_surface(struct marching *marching, const struct level_function 
         return r;
     surface->vertex = gsn_alloc_array(surface->vertex_count, sizeof *surface->vertex);
     surface->normal = gsn_alloc_array(surface->vertex_count, sizeof *surface->normal);
-    if (!surface->vertex || !surface->normal)
+    surface->closing = gsn_alloc_array(surface->vertex_count, sizeof *surface->closing);
+    if (!surface->vertex || !surface->normal || !surface->closing)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu vertices", surface->vertex_count);
     return find_crossings(level, height, (const uint32_t(*)[2])marching->edge,
-                          surface->vertex_count, threads, surface->vertex, surface->normal, err);
+                          surface->vertex_count, threads, surface->vertex, surface->normal,
+                          surface->closing, err);
 }
 
-int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
-                   unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err)
+int gsn_isosurface(const struct gsn_spline *spline, double level, const struct gsn_border *border,
+                   unsigned subdivision, unsigned threads, struct gsn_trimesh **ret_surface,
+                   struct gsn_error *err)
 {
     gsn_auto(gsn_fine) fine = NULL;
     gsn_auto(gsn_trimesh) surface = NULL;
@@ -796,7 +875,7 @@ int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdi
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a surface");
     marching.fine = fine;
     marching.surface = surface;
-    r = build_surface(&marching, &(struct level_function){ spline, level, fine }, threads, err);
+    r = build_surface(&marching, &(struct level_function){ spline, level, border, fine }, threads, err);
     hash_done(&marching.slots);
     gsn_free(marching.edge);
     if (r < 0)
@@ -820,49 +899,22 @@ static const double *area_vector(const struct gsn_trimesh *surface, size_t trian
     return a;
 }
 
-double gsn_trimesh_area(const struct gsn_trimesh *surface)
+double gsn_trimesh_area(const struct gsn_trimesh *surface, double *ret_closing)
 {
-    double area = 0.0;
+    double area = 0.0, closing = 0.0;
 
     for (size_t t = 0; t < surface->triangle_count; t++) {
-        double n[3];
+        const uint32_t *corner = surface->triangle[t];
+        double n[3], own;
 
         (void)area_vector(surface, t, n);
-        area += 0.5 * sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        own = 0.5 * sqrt(gsn_dot3(n, n));
+        area += own;
+        if (surface->closing[corner[0]] && surface->closing[corner[1]] &&
+            surface->closing[corner[2]])
+            closing += own;
     }
+    if (ret_closing)
+        *ret_closing = closing;
     return area;
-}
-
-int gsn_trimesh_trim(struct gsn_trimesh *s, const struct gsn_mask *region, struct gsn_error *err)
-{
-    gsn_auto_mem(uint32_t) moved = gsn_alloc_array(s->vertex_count + 1, sizeof *moved);
-    size_t kept = 0, vertices = 0;
-
-    if (!moved)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu vertices", s->vertex_count);
-    for (size_t t = 0; t < s->triangle_count; t++) {
-        double middle[3] = { 0 };
-
-        for (int k = 0; k < 3; k++)
-            for (int c = 0; c < 3; c++)
-                middle[c] += s->vertex[s->triangle[t][k]][c] / 3;
-        if (!gsn_mask_has(region, gsn_vec3_make(middle[0], middle[1], middle[2])))
-            continue;
-        for (int k = 0; k < 3; k++)
-            moved[s->triangle[t][k]] = 1;
-        memcpy(s->triangle[kept++], s->triangle[t], sizeof *s->triangle);
-    }
-    for (size_t v = 0; v < s->vertex_count; v++) {
-        if (!moved[v])
-            continue;
-        memcpy(s->vertex[vertices], s->vertex[v], sizeof *s->vertex);
-        memcpy(s->normal[vertices], s->normal[v], sizeof *s->normal);
-        moved[v] = (uint32_t)vertices++;
-    }
-    for (size_t t = 0; t < kept; t++)
-        for (int k = 0; k < 3; k++)
-            s->triangle[t][k] = moved[s->triangle[t][k]];
-    s->triangle_count = kept;
-    s->vertex_count = vertices;
-    return GSN_OK;
 }

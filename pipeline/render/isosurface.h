@@ -1,10 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The surface {s = level} as triangles, and its picture.
+/* The surface {s = level} as triangles, closed where a region ends, and its picture.
  *
  * Marching tetrahedra on the domain, every tetrahedron cut into 8^subdivision smaller ones; values
  * and normals are those of the spline itself, vertices are moved along their edge until the spline
- * is at the level. Closed inside the domain, open where it meets the domain's boundary. In um. */
+ * is at the level. With a region it bounds the solid {s >= level} in it: where the region ends
+ * (region_border.h) the surface follows its border. Open where it meets the domain's boundary. In
+ * um. */
 #ifndef GSN_RENDER_ISOSURFACE_H
 #define GSN_RENDER_ISOSURFACE_H
 
@@ -12,6 +14,7 @@
 #include "pipeline/core/image.h"
 #include "pipeline/model/spline.h"
 #include "pipeline/render/canvas.h"
+#include "pipeline/render/region_border.h"
 #include "pipeline/render/view.h"
 
 #ifdef __cplusplus
@@ -27,6 +30,7 @@ struct gsn_trimesh {
     double (*vertex)[3];
     float (*normal)[3]; /* of length 1 */
     uint32_t (*triangle)[3];
+    uint8_t *closing; /* of each vertex: 1 on the border of the region, 0 at the level */
 };
 
 void gsn_trimesh_free(struct gsn_trimesh *surface);
@@ -35,20 +39,16 @@ GSN_DEFINE_AUTO(gsn_trimesh);
 /* The subdivision, 0..2, at which the edges of an average tetrahedron are at most edge_um long. */
 unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um);
 
-/* gives: the surface; it has no triangles when s does not cross the level. threads 0: all; the same
- * bytes on any number. Fails with GSN_E_INPUT when the level is not finite or subdivision is above
+/* gives: the surface; it has no triangles when s does not cross the level. border: of a region, or
+ * NULL for all of the domain. threads 0: all; the same bytes on any number. Fails with GSN_E_INPUT when the level is not finite or subdivision is above
  * GSN_ISOSURFACE_MOST_SUBDIVISION, GSN_E_LIMIT when the finer mesh passes 2^31 tetrahedra,
  * GSN_E_NOMEM. */
-int gsn_isosurface(const struct gsn_spline *spline, double level, unsigned subdivision,
-                   unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err);
+int gsn_isosurface(const struct gsn_spline *spline, double level, const struct gsn_border *border,
+                   unsigned subdivision, unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err);
 
-/* Drops the triangles whose middle is beyond the region, and vertices that none uses: what the
- * spline says there is no data. Fails with GSN_E_NOMEM. */
-int gsn_trimesh_trim(struct gsn_trimesh *surface, const struct gsn_mask *region,
-                     struct gsn_error *err);
-
-/* um^2 */
-double gsn_trimesh_area(const struct gsn_trimesh *surface);
+/* um^2; of the triangles that close the region, those whose corners all lie on its border, in
+ * *ret_closing unless NULL. */
+double gsn_trimesh_area(const struct gsn_trimesh *surface, double *ret_closing);
 
 struct gsn_trimesh_style {
     struct gsn_colour colour; /* of the surface; all 0: bone white */

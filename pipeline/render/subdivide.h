@@ -20,6 +20,7 @@ enum {
 struct gsn_fine {
     size_t tet_count, point_count;
     double (*point)[3];
+    uint8_t *outer;      /* of each point: 1 on the boundary of the mesh */
     uint32_t *home;  /* a tetrahedron of the mesh that holds the point */
     uint32_t *place; /* point of lattice place p of tetrahedron t at [t * places + p] */
     unsigned places, parts;

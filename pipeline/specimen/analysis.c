@@ -426,13 +426,14 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_analysis
     const double level = analysis->bound[analysis->bound_count / 2].threshold;
     const struct gsn_tets *mesh = gsn_dms_mesh(analysis->space);
     const struct gsn_view view = view_of(SURFACE_PX);
+    gsn_auto(gsn_border) border = NULL;
     gsn_auto(gsn_trimesh) triangles = NULL;
     gsn_auto(gsn_image) image = NULL;
-    int r = gsn_isosurface(analysis->spline, level, mesh->tet_count > 40000 ? 0 : 1,
-                           options->threads, &triangles, err);
+    int r = gsn_border_new(region, options->threads, &border, err);
 
     if (r >= 0)
-        r = gsn_trimesh_trim(triangles, region, err);
+        r = gsn_isosurface(analysis->spline, level, border, mesh->tet_count > 40000 ? 0 : 1,
+                           options->threads, &triangles, err);
     if (r >= 0)
         r = gsn_trimesh_paint(triangles, mesh, &view, NULL, options->threads, &image, err);
     if (r >= 0)
@@ -441,8 +442,8 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_analysis
         return r;
     (void)snprintf(picture->caption, sizeof picture->caption,
                    "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
-                   "normals from the spline's own gradient. Open where it meets the edge of the "
-                   "region.",
+                   "normals from the spline's own gradient. It bounds what is denser, and follows "
+                   "the edge of the region where that ends.",
                    level, triangles->triangle_count);
     analysis->picture_count++;
     return GSN_OK;

@@ -4,7 +4,8 @@
  * ending says which. The store is only read; a file that exists is never written over.
  *
  * Surfaces and volumes end where the region of interest ends: what the spline says beyond is no
- * measurement. `--whole` takes the whole domain. */
+ * measurement. A surface is closed there: it bounds what is denser than the level in the region.
+ * `--whole` takes the whole domain, where it is open. */
 #include <math.h>
 #include <string.h>
 #include <strings.h>
@@ -25,11 +26,22 @@ static const double MOST_VOXELS = 1 << 28; /* 2 GiB of numbers */
 
 enum kind { KIND_MODEL, KIND_SURFACE, KIND_VOLUME, KIND_STACK };
 
+struct export;
+
+struct format {
+    const char *ending;
+    enum kind kind;
+    int (*make)(struct export *e, struct gsn_error *err);
+    int (*write)(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t *ret_size,
+                 struct gsn_error *err); /* of surfaces */
+};
+
 /* What is asked for, and what has been made of it. */
 struct export
 {
     const struct gsn_work_request *request;
     const char *file;
+    const struct format *format;
     double level, step; /* NaN: not said */
     struct gsn_store *store;
     struct gsn_kept_run *kept;
@@ -88,8 +100,9 @@ static int make_surface(struct export *e, struct gsn_error *err)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(e->model->space);
     const struct gsn_mask *region;
+    gsn_auto(gsn_border) border = NULL;
     gsn_auto(gsn_trimesh) surface = NULL;
-    double edge = e->step;
+    double edge = e->step, area, closing;
     int r = choose_region(e, &region, err);
 
     if (r < 0)
@@ -98,21 +111,24 @@ static int make_surface(struct export *e, struct gsn_error *err)
      */
     if (isnan(edge) && e->model->region)
         edge = fmin(e->model->region->at.step_um.x, e->model->region->at.step_um.z);
-    r = gsn_isosurface(e->model->spline, e->level,
-                       isnan(edge) ? 2 : gsn_isosurface_subdivision(mesh, edge),
-                       e->request->threads, &surface, err);
-    if (r >= 0 && region)
-        r = gsn_trimesh_trim(surface, region, err);
+    if (region)
+        r = gsn_border_new(region, e->request->threads, &border, err);
+    if (r >= 0)
+        r = gsn_isosurface(e->model->spline, e->level, border,
+                           isnan(edge) ? 2 : gsn_isosurface_subdivision(mesh, edge),
+                           e->request->threads, &surface, err);
     if (r >= 0 && surface->triangle_count == 0)
         r = gsn_fail(err, GSN_E_INPUT, "the density is %g nowhere in %s, so there is no surface",
                      e->level, region ? "the region" : "the domain");
     if (r < 0)
         return r;
-    (void)snprintf(e->said, sizeof e->said, "%zu triangles, %.4g mm2, at level %g",
-                   surface->triangle_count, 1e-6 * gsn_trimesh_area(surface), e->level);
-    return strcasecmp(strrchr(e->file, '.'), ".stl") == 0
-               ? gsn_stl_write(surface, &e->bytes, &e->size, err)
-               : gsn_ply_write(surface, &e->bytes, &e->size, err);
+    area = gsn_trimesh_area(surface, &closing);
+    (void)snprintf(e->said, sizeof e->said,
+                   region ? "%zu triangles, %.4g mm2, at level %g, closed by %.4g mm2 where the "
+                            "region ends"
+                          : "%zu triangles, %.4g mm2, at level %g",
+                   surface->triangle_count, 1e-6 * (area - closing), e->level, 1e-6 * closing);
+    return e->format->write(surface, &e->bytes, &e->size, err);
 }
 
 /* The box around the region's voxels, or around the domain. */
@@ -228,16 +244,18 @@ static int make_stack(struct export *e, struct gsn_error *err)
     return gsn_ome_tiff_write(stack, e->request->rest[0], &e->bytes, &e->size, err);
 }
 
-static const struct format {
-    const char *ending;
-    enum kind kind;
-    int (*make)(struct export *e, struct gsn_error *err);
-} formats[] = {
-    { ".vtkhdf", KIND_MODEL, make_vtkhdf }, { ".vtu", KIND_MODEL, make_vtu },
-    { ".csv", KIND_MODEL, make_csv },       { ".stl", KIND_SURFACE, make_surface },
-    { ".ply", KIND_SURFACE, make_surface }, { ".nrrd", KIND_VOLUME, make_volume },
-    { ".nii", KIND_VOLUME, make_volume },   { ".nii.gz", KIND_VOLUME, make_volume },
-    { ".ome.tif", KIND_STACK, make_stack }, { ".ome.tiff", KIND_STACK, make_stack },
+static const struct format formats[] = {
+    { ".vtkhdf", KIND_MODEL, make_vtkhdf, NULL },
+    { ".vtu", KIND_MODEL, make_vtu, NULL },
+    { ".csv", KIND_MODEL, make_csv, NULL },
+    { ".stl", KIND_SURFACE, make_surface, gsn_stl_write },
+    { ".ply", KIND_SURFACE, make_surface, gsn_ply_write },
+    { ".glb", KIND_SURFACE, make_surface, gsn_glb_write },
+    { ".nrrd", KIND_VOLUME, make_volume, NULL },
+    { ".nii", KIND_VOLUME, make_volume, NULL },
+    { ".nii.gz", KIND_VOLUME, make_volume, NULL },
+    { ".ome.tif", KIND_STACK, make_stack, NULL },
+    { ".ome.tiff", KIND_STACK, make_stack, NULL },
 };
 
 /* ---- the verb ------------------------------------------------------------------------------ */
@@ -254,24 +272,24 @@ static const struct format *find_format(const char *file)
 }
 
 /* Which options go with which formats; NULL: it is fine. */
-static const char *find_mistake(const struct format *format, const struct export *e, size_t levels)
+static const char *find_mistake(const struct export *e, size_t levels)
 {
+    const struct format *const format = e->format;
     const int bounded = format && (format->kind == KIND_SURFACE || format->kind == KIND_VOLUME);
 
     if (!format)
-        return "the file's ending says what to write: .vtkhdf, .vtu, .csv, .stl, .ply, .nrrd, "
-               ".nii, "
-               ".nii.gz or .ome.tif";
+        return "the file's ending says what to write: .vtkhdf, .vtu, .csv, .stl, .ply, .glb, "
+               ".nrrd, .nii, .nii.gz or .ome.tif";
     if (format->kind == KIND_SURFACE && levels != 1)
         return "a surface is where the density has one value: say --level V";
     if (format->kind != KIND_SURFACE && levels > 0)
-        return "--level is for surfaces, .stl and .ply";
+        return "--level is for surfaces, .stl, .ply and .glb";
     if (!bounded && !isnan(e->step))
-        return "--step is for volumes and surfaces: .nrrd, .nii, .nii.gz, .stl, .ply";
+        return "--step is for volumes and surfaces: .nrrd, .nii, .nii.gz, .stl, .ply, .glb";
     if (!isnan(e->step) && !(e->step > 0))
         return "--step is a length in micrometres, above 0";
     if (!bounded && e->request->whole)
-        return "--whole is for volumes and surfaces: .nrrd, .nii, .nii.gz, .stl, .ply";
+        return "--whole is for volumes and surfaces: .nrrd, .nii, .nii.gz, .stl, .ply, .glb";
     return NULL;
 }
 
@@ -297,7 +315,6 @@ int gsn_work_export(const struct gsn_work_request *request)
     struct export e
         __attribute__((cleanup(export_done))) = { .request = request, .level = NAN, .step = NAN };
     const size_t levels = json_array_size(request->levels);
-    const struct format *format;
     const char *mistake;
     struct gsn_error err = { 0 };
     int r;
@@ -306,12 +323,12 @@ int gsn_work_export(const struct gsn_work_request *request)
         return gsn_work_usage(request,
                               "export what, and where to? Say `gieson export SPECIMEN FILE`");
     e.file = request->rest[1];
-    format = find_format(e.file);
+    e.format = find_format(e.file);
     if (levels == 1)
         e.level = json_number_value(json_array_get(request->levels, 0));
     if (request->step && !gsn_work_numbers(request->step, 1, &e.step))
         return gsn_work_usage(request, "--step is a length in micrometres, above 0");
-    mistake = find_mistake(format, &e, levels);
+    mistake = find_mistake(&e, levels);
     if (mistake)
         return gsn_work_usage(request, mistake);
     if (access(e.file, F_OK) == 0)
@@ -321,10 +338,10 @@ int gsn_work_export(const struct gsn_work_request *request)
     r = gsn_store_open(request->store_dir, GSN_STORE_READ, &e.store, &err);
     if (r >= 0)
         r = gsn_kept_run_open(e.store, request->rest[0], &e.kept, &err);
-    if (r >= 0 && format->kind != KIND_STACK)
+    if (r >= 0 && e.format->kind != KIND_STACK)
         r = gsn_kept_run_model(e.store, e.kept, &e.model, &err);
     if (r >= 0)
-        r = format->make(&e, &err);
+        r = e.format->make(&e, &err);
     if (r >= 0)
         r = gsn_file_write(e.file, e.bytes, e.size, &err);
     if (r < 0)

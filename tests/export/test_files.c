@@ -119,7 +119,7 @@ static int write_all(const struct gsn_colour_grid *stack, const struct gsn_grid 
                      const struct gsn_model *model, const struct gsn_trimesh *surface,
                      struct gsn_error *err)
 {
-    uint8_t *made[6] = { NULL };
+    uint8_t *made[7] = { NULL };
     size_t size;
     int r = gsn_ome_tiff_write(stack, "R07", &made[0], &size, err);
 
@@ -133,7 +133,9 @@ static int write_all(const struct gsn_colour_grid *stack, const struct gsn_grid 
         r = gsn_units_csv_write(model, &made[4], &size, err);
     if (r >= 0)
         r = gsn_stl_write(surface, &made[5], &size, err);
-    for (size_t i = 0; i < 6; i++)
+    if (r >= 0)
+        r = gsn_glb_write(surface, &made[6], &size, err);
+    for (size_t i = 0; i < 7; i++)
         gsn_free(made[i]);
     return r;
 }
@@ -152,7 +154,7 @@ TEST(running_out_of_memory_leaks_nothing)
 
     CHECK_OK(gsn_grid_new(&AT, &grid, &err), err);
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 2, 0, 1, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 2, NULL, 0, 1, &surface, &err), err);
     model.space = kuhn.space;
     model.spline = kuhn.spline;
     CHECK_EVERY_OOM(write_all(stack, grid, &model, surface, &err), err);

@@ -178,7 +178,7 @@ static void score_surface(const struct shape *shape, const struct gsn_spline *sp
     double squares = 0, angles = 0;
     size_t n = 0;
 
-    CHECK_OK(gsn_isosurface(spline, 0.5, 2, 2, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(spline, 0.5, NULL, 2, 2, &surface, &err), err);
     angle = gsn_alloc_array(surface->vertex_count, sizeof *angle);
     CHECK(angle);
     for (size_t i = 0; i < surface->vertex_count; i++) {

@@ -74,7 +74,7 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
         gsn_auto(gsn_trimesh) surface = NULL;
         double area, volume;
 
-        CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, level, 0, &surface, &err), err);
+        CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, NULL, level, 0, &surface, &err), err);
         CHECK(surface->triangle_count > 100);
         for (size_t v = 0; v < surface->vertex_count; v++) {
             const double *p = surface->vertex[v];
@@ -87,7 +87,7 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
         CHECK(open_edges(surface) == 0);
         /* Euler: V - E + F = 2 for a sphere, with 2 E = 3 F. */
         CHECK(2 * surface->vertex_count == 4 + surface->triangle_count);
-        area = fabs(gsn_trimesh_area(surface) - 4.0 * M_PI * radius * radius);
+        area = fabs(gsn_trimesh_area(surface, NULL) - 4.0 * M_PI * radius * radius);
         volume = fabs(enclosed_volume(surface) - 4.0 / 3.0 * M_PI * pow(radius, 3));
         CHECK(area < 0.35 * area_error && volume < 0.35 * volume_error);
         area_error = area;
@@ -99,23 +99,36 @@ TEST(the_surface_of_a_ball_is_closed_and_lies_on_it)
 }
 
 /* Half a ball: of a region that ends at x = 0. */
-TEST(a_trimmed_surface_ends_where_the_region_ends)
+TEST(a_surface_is_closed_where_the_region_ends)
 {
-    const struct gsn_lattice at = { 1, 2, 2, { 500, -500, -500 }, { 1000, 1000, 1000 } };
+    const struct gsn_lattice at = { 20, 40, 40, { 25, -975, -975 }, { 50, 50, 50 } };
     gsn_auto(gsn_mask) region = NULL;
+    gsn_auto(gsn_border) border = NULL;
     gsn_auto(gsn_trimesh) surface = NULL;
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
+    double area, closing;
 
     CHECK_OK(gsn_mask_new(&at, &region, &err), err);
     memset(region->inside, 1, gsn_lattice_count(&at));
+    CHECK_OK(gsn_border_new(region, 1, &border, &err), err);
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, 2, 0, &surface, &err), err);
-    CHECK_OK(gsn_trimesh_trim(surface, region, &err), err);
-    CHECK_NEAR(gsn_trimesh_area(surface) / (2 * M_PI * radius * radius), 1, 0.02);
-    for (size_t v = 0; v < surface->vertex_count; v++)
-        CHECK(surface->vertex[v][0] > -100);
-    CHECK(open_edges(surface) > 0);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, border, 3, 0, &surface, &err), err);
+    CHECK(open_edges(surface) == 0);
+    CHECK(2 * surface->vertex_count == 4 + surface->triangle_count);
+    area = gsn_trimesh_area(surface, &closing);
+    CHECK_NEAR((area - closing) / (2 * M_PI * radius * radius), 1, 0.05);
+    CHECK_NEAR(closing / (M_PI * radius * radius), 1, 0.1);
+    CHECK_NEAR(enclosed_volume(surface) / (2.0 / 3.0 * M_PI * pow(radius, 3)), 1, 0.02);
+    for (size_t v = 0; v < surface->vertex_count; v++) {
+        const double *p = surface->vertex[v];
+
+        CHECK(p[0] > -0.2); /* a thousandth of an edge */
+        if (surface->closing[v])
+            CHECK(fabs(p[0]) < 0.2 && surface->normal[v][0] < -0.99F);
+        else
+            CHECK_NEAR(sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), radius, 1e-6 * radius);
+    }
     kuhn_done(&kuhn);
 }
 
@@ -126,7 +139,7 @@ TEST(triangles_turn_with_their_normals)
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 0.3, 1, 0, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.3, NULL, 1, 0, &surface, &err), err);
     for (size_t t = 0; t < surface->triangle_count; t++) {
         const uint32_t *v = surface->triangle[t];
         const double *p = surface->vertex[v[0]], *q = surface->vertex[v[1]],
@@ -155,15 +168,15 @@ TEST(a_plane_through_lattice_points_is_one_sheet_clipped_at_the_domain)
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &plane, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, 1, 0, &surface, &err), err);
-    CHECK_NEAR(gsn_trimesh_area(surface), 4e6, 1.0);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.0, NULL, 1, 0, &surface, &err), err);
+    CHECK_NEAR(gsn_trimesh_area(surface, NULL), 4e6, 1.0);
     for (size_t v = 0; v < surface->vertex_count; v++)
         CHECK_NEAR(surface->vertex[v][2], 0.0, 1e-6);
     CHECK(open_edges(surface) > 0);
     gsn_trimesh_free(surface);
     surface = NULL;
-    CHECK_OK(gsn_isosurface(kuhn.spline, 123.4, 1, 0, &surface, &err), err);
-    CHECK_NEAR(gsn_trimesh_area(surface), 4e6, 1.0);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 123.4, NULL, 1, 0, &surface, &err), err);
+    CHECK_NEAR(gsn_trimesh_area(surface, NULL), 4e6, 1.0);
     for (size_t v = 0; v < surface->vertex_count; v++) {
         CHECK_NEAR(surface->vertex[v][2], 123.4, 1e-6);
         CHECK_NEAR((double)surface->normal[v][2], -1.0, 1e-5);
@@ -178,9 +191,9 @@ TEST(a_level_that_is_never_met_gives_no_triangles)
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 5.0, 0, 0, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 5.0, NULL, 0, 0, &surface, &err), err);
     CHECK(surface->triangle_count == 0 && surface->vertex_count == 0);
-    CHECK_NEAR(gsn_trimesh_area(surface), 0.0, 0.0);
+    CHECK_NEAR(gsn_trimesh_area(surface, NULL), 0.0, 0.0);
     CHECK_NEAR(enclosed_volume(surface), 0.0, 0.0);
     kuhn_done(&kuhn);
 }
@@ -194,7 +207,7 @@ TEST(a_rough_surface_is_closed_where_it_does_not_meet_the_boundary)
     size_t count, inner = 0;
 
     CHECK_OK(kuhn_random(low, high, cells, 2, 0.05, 6, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, 1, 0, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, NULL, 1, 0, &surface, &err), err);
     count = 3 * surface->triangle_count;
     edge = gsn_alloc_array(count, sizeof *edge);
     for (size_t i = 0; i < count; i++) {
@@ -246,7 +259,7 @@ TEST(every_vertex_of_a_rough_surface_is_at_the_level_with_the_gradient_s_normal)
     size_t on_box = 0;
 
     CHECK_OK(kuhn_random(low, high, more, 3, 0.05, 6, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, 3, 1, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, NULL, 3, 1, &surface, &err), err);
     /* More than are evaluated together. */
     CHECK(surface->vertex_count > 70000);
     for (size_t v = 0; v < surface->vertex_count; v++) {
@@ -262,7 +275,7 @@ TEST(every_vertex_of_a_rough_surface_is_at_the_level_with_the_gradient_s_normal)
         }
     }
     CHECK(on_box > 100);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, 3, 2, &other, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, 0.05, NULL, 3, 2, &other, &err), err);
     CHECK(other->vertex_count == surface->vertex_count);
     CHECK(memcmp(other->vertex, surface->vertex, surface->vertex_count * sizeof *surface->vertex) ==
           0);
@@ -297,7 +310,7 @@ static int picture(const struct kuhn *kuhn, const struct gsn_view *from, unsigne
 {
     const struct gsn_trimesh_style style = { .title = "level 0", .outline = 1 };
     gsn_auto(gsn_trimesh) surface = NULL;
-    int r = gsn_isosurface(kuhn->spline, 0.0, 1, threads, &surface, err);
+    int r = gsn_isosurface(kuhn->spline, 0.0, NULL, 1, threads, &surface, err);
 
     if (r == GSN_OK)
         r = gsn_trimesh_paint(surface, kuhn->mesh, from, &style, threads, ret_image, err);
@@ -366,8 +379,8 @@ TEST(what_cannot_be_drawn_is_refused)
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
-    CHECK(gsn_isosurface(kuhn.spline, NAN, 0, 0, &surface, &err) == GSN_E_INPUT);
-    CHECK(gsn_isosurface(kuhn.spline, 0.0, 4, 0, &surface, &err) == GSN_E_INPUT);
+    CHECK(gsn_isosurface(kuhn.spline, NAN, NULL, 0, 0, &surface, &err) == GSN_E_INPUT);
+    CHECK(gsn_isosurface(kuhn.spline, 0.0, NULL, 4, 0, &surface, &err) == GSN_E_INPUT);
     CHECK(surface == NULL && strstr(err.text, "subdivision 4 is above 3") != NULL);
     nowhere.direction[0] = nowhere.direction[1] = nowhere.direction[2] = 0.0;
     CHECK(picture(&kuhn, &nowhere, 1, &image, &err) == GSN_E_INPUT);

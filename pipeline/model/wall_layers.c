@@ -8,7 +8,7 @@
  * selection", 1979, 10.1109/TSMC.1979.4310072.
  *
  * Steps: (1) noise, from what a voxel differs from the mean of the planes beside it; (2) voxels
- * smoothed a little, more where there is noise, to find walls only: nobody fits them; (3) the value
+ * smoothed a little, to find walls only: nobody fits them; (3) the value
  * where they are steepest, the medians on its two sides are the plateaus, the level is between
  * them; plateaus that are not well apart are none; (4) where the edges of the lattice cross the
  * level there is wall, as far as the density is steep there; how steep gives the blur; (5) signed
@@ -42,14 +42,13 @@ static const double EDGE_VOXELS = 4.5, RIM_VOXELS = 5;
 static const double RIM_AT[] = { 1.1, 4 };
 static const double CLEAR = 2; /* voxels from a wall's layer: no point of the rim is nearer */
 
-/* Smoothing before walls are looked for, in voxels; it grows from NOISY, a share of the contrast,
- * so that what is left of the noise stays the same, up to WIDEST. */
-static const double SMOOTH = 0.7, WIDEST = 1.5, NOISY = 0.02;
+/* Smoothing before walls are looked for, in voxels. More of it where there is noise made the model
+ * of a tooth worse. */
+static const double SMOOTH = 0.7;
 
-/* A wall is steeper than this share of the steep quarter; and is no wall if that is blurred wider
- * than so many voxels. Plateaus are apart by so many times their spread. */
-static const double STEEP = 0.4, BLURRED = 2.5, APART = 3;
-static const double SEEN = 1e-4;    /* share of the voxels that a bin of their histogram needs */
+/* A wall is steeper than this share of the steep quarter. Plateaus are apart by so many times their
+ * spread. */
+static const double STEEP = 0.4, APART = 3;
 static const double SHARPEST = 0.7; /* voxels: no layers nearer than the voxels resolve */
 
 /* --- small fields on one lattice --- */
@@ -282,11 +281,11 @@ static int find_noise(const struct gsn_grid *data, const struct gsn_mask *inside
 }
 
 /* The value at which the density is steepest on average: halfway up the walls, whatever share of
- * the region lies on either side. Each bin has a hundredth of the range; one with less than SEEN of
- * the voxels says nothing. NaN: there is no such value. */
+ * the region lies on either side. Each bin has a hundredth of the range; an empty one says nothing.
+ * NaN: there is no such value. */
 static double find_steepest(const struct gsn_grid *data, double low, double high)
 {
-    double slope[BINS] = { 0 }, count[BINS] = { 0 }, total = 0, best = 0, level = NAN;
+    double slope[BINS] = { 0 }, count[BINS] = { 0 }, best = 0, level = NAN;
     size_t i = 0, at[3];
 
     for (at[2] = 0; at[2] < data->at.nz; at[2]++)
@@ -302,14 +301,13 @@ static double find_steepest(const struct gsn_grid *data, double low, double high
                 gsn_field_gradient(data, at, g);
                 slope[bin] += sqrt(gsn_dot3(g, g));
                 count[bin]++;
-                total++;
             }
     for (size_t b = 1; b + 1 < BINS; b++) {
         /* of three bins, against chance */
         const double seen = count[b - 1] + count[b] + count[b + 1];
         const double here = seen > 0 ? (slope[b - 1] + slope[b] + slope[b + 1]) / seen : 0;
 
-        if (count[b] >= SEEN * total && here > best) {
+        if (count[b] > 0 && here > best) {
             best = here;
             level = low + ((double)b + 0.5) * (high - low) / BINS;
         }
@@ -395,8 +393,6 @@ static int keep_steep(struct crossings *list, const struct gsn_lattice *at, doub
     width = contrast / (sqrt(2 * M_PI) * gsn_median(slope, kept));
     layers->blur_um = sqrt(fmax(pow(SHARPEST * voxel, 2),
                                 width * width - smoothed_um * smoothed_um - voxel * voxel / 3));
-    if (layers->blur_um > BLURRED * voxel)
-        list->count = 0;
     return GSN_OK;
 }
 
@@ -632,40 +628,14 @@ static int join_points(struct gsn_triangles *walls, const struct gsn_triangles *
     return GSN_OK;
 }
 
-/* How wide the voxels are smoothed to find walls: the noise is against their range, but for its
- * tails. */
-static int choose_smoothing(const struct gsn_grid *data, double noise, double *ret_um,
-                            struct gsn_error *err)
-{
-    const size_t total = gsn_lattice_count(&data->at);
-    gsn_auto_mem(double) value = gsn_alloc_array(total, sizeof *value);
-    double low, high;
-    size_t count = 0;
-
-    if (!value)
-        return fail_memory(err);
-    for (size_t i = 0; i < total; i++)
-        if (isfinite(data->value[i]))
-            value[count++] = (double)data->value[i];
-    low = gsn_order_pick(value, count, count / 200);
-    high = gsn_order_pick(value, count, count - 1 - count / 200);
-    *ret_um =
-        voxel_of(&data->at) *
-        (high > low ? fmin(WIDEST, SMOOTH * fmax(1, pow(noise / (NOISY * (high - low)), 2.0 / 3)))
-                    : SMOOTH);
-    return GSN_OK;
-}
-
 /* Where the voxels, smoothed, have walls. */
 static int find_walls(struct gsn_grid *data, const struct gsn_mask *near,
                       struct gsn_wall_layers *layers, struct crossings *ret_walls,
                       struct gsn_error *err)
 {
-    double smoothed = 0;
-    int r = choose_smoothing(data, layers->noise, &smoothed, err);
+    const double smoothed = SMOOTH * voxel_of(&data->at);
+    int r = smooth_field(data, smoothed, err);
 
-    if (r >= 0)
-        r = smooth_field(data, smoothed, err);
     if (r >= 0)
         r = find_plateaus(data, layers, err);
     if (r < 0 || layers->low == layers->high)

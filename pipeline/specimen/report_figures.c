@@ -134,8 +134,6 @@ static void add_bone(const struct gsn_analysis *analysis, struct gsn_builder *d)
                 { "Components", (double)b->components, "" },
                 { "Euler number", (double)b->euler, "" } };
 
-    if (!analysis->has_bone || b->components == 0)
-        return;
     for (size_t i = 0; i < sizeof row / sizeof row[0]; i++)
         gsn_builder_value(d->measure, &d->report.measure_count,
                           gsn_builder_say(d, "%s, of what is denser than %.4g", row[i].name,
@@ -191,7 +189,8 @@ void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *
         gsn_builder_value(d->measure, &r->measure_count,
                           "Standard error of the mean density by sections",
                           100 * analysis->section_error / analysis->density.mean, "%");
-    add_bone(analysis, d);
+    if (analysis->has_bone && analysis->bone.components > 0)
+        add_bone(analysis, d);
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, lower quartile of density",
                       analysis->summary.quartile1, "density");
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, upper quartile of density",

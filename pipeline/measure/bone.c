@@ -398,8 +398,9 @@ static void sum_thickness(const struct work *w, struct gsn_bone *bone)
         squares += thickness * thickness;
         bone->thickness_most = fmax(bone->thickness_most, thickness);
     }
-    bone->thickness_um = sum / n;
-    bone->thickness_sd = sqrt(fmax(squares / n - bone->thickness_um * bone->thickness_um, 0));
+    bone->thickness_um = n > 0 ? sum / n : (double)NAN;
+    bone->thickness_sd =
+        n > 0 ? sqrt(fmax(squares / n - bone->thickness_um * bone->thickness_um, 0)) : (double)NAN;
 }
 
 static int measure_thickness(struct work *w, unsigned threads, struct gsn_bone *bone,

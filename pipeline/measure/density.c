@@ -220,7 +220,7 @@ static struct section section_at(const struct gsn_grid *grid, const struct gsn_m
             gsn_sum_add(&sum, value);
             voxels++;
         }
-    return (struct section){ (sum.value + sum.rest) / voxels, voxels };
+    return (struct section){ voxels > 0 ? (sum.value + sum.rest) / voxels : (double)NAN, voxels };
 }
 
 double gsn_section_error(const struct gsn_grid *grid, const struct gsn_mask *region)
@@ -242,7 +242,7 @@ double gsn_section_error(const struct gsn_grid *grid, const struct gsn_mask *reg
         before = last;
         last = here;
     }
-    return sqrt(squares / weights / 1.5 * voxels_squared) / voxels;
+    return weights > 0 ? sqrt(squares / weights / 1.5 * voxels_squared) / voxels : (double)NAN;
 }
 
 /* --- tetrahedra as units --- */

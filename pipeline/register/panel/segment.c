@@ -206,11 +206,8 @@ static void clip_density(const struct gsn_plane *tissue, float *ret_value)
     }
 }
 
-/* Of the cells along a side of the picture, for a dark component to be what lies beyond the panel: a
+/* Whether the component holds a whole side of the picture, so that it lies beyond the panel: a
  * section leaves glass on either side of itself. */
-static const double WHOLE_SIDE = 0.9;
-
-/* Whether the component holds a whole side of the picture. */
 static int is_bed(const struct gsn_components *components, size_t i, uint32_t height)
 {
     const uint32_t width = components->width;
@@ -225,8 +222,7 @@ static int is_bed(const struct gsn_components *components, size_t i, uint32_t he
         top += y == 0;
         bottom += y == height - 1;
     }
-    return (double)(left > right ? left : right) >= WHOLE_SIDE * height ||
-           (double)(top > bottom ? top : bottom) >= WHOLE_SIDE * width;
+    return left == height || right == height || top == width || bottom == width;
 }
 
 /* Makes glass of the dark bed around the panel, and of the cell beside it, which is half of it. */

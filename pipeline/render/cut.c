@@ -224,8 +224,10 @@ void gsn_cut_range(const struct gsn_grid *grid, const struct gsn_mask *region, d
             high = fmax(high, (double)grid->value[i]);
         }
     }
-    *ret_low = low <= high ? low : 0.0;
-    *ret_high = low <= high ? high : 1.0;
+    if (low > high)
+        low = high = 0;
+    *ret_low = low;
+    *ret_high = low < high ? high : low + fmax(1, fabs(low));
 }
 
 /* A line on every pixel edge at which the region ends. */

@@ -239,6 +239,10 @@ TEST(the_range_is_that_of_the_region_with_data)
     gsn_cut_range(grid, region, &least, &most);
     CHECK_NEAR(least, 0.25, 0.0);
     CHECK_NEAR(most, 0.5, 0.0);
+    region->inside[3] = 0;
+    gsn_cut_range(grid, region, &least, &most);
+    CHECK_NEAR(least, 0.25, 0.0);
+    CHECK_NEAR(most, 1.25, 0.0);
     memset(region->inside, 0, 4);
     gsn_cut_range(grid, region, &least, &most);
     CHECK_NEAR(least, 0.0, 0.0);

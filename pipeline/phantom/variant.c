@@ -419,6 +419,12 @@ static int check_block(const char *place, const struct gsn_phantom_variant *v,
                         "%s: the region lies at z = %g to %g um, and the block at 0 to %g: change "
                         "\"lesion_um\", \"region_um\" or \"sections\"",
                         place, low, high, g->height);
+    /* Else region.mhd, a voxel a section, is not the region of loss.csv. */
+    if (fabs(remainder(low, g->interval)) > 1e-6 || fabs(remainder(high, g->interval)) > 1e-6)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "%s: the region ends within a section (z = %g to %g um): \"lesion_um\" and "
+                        "\"region_um\" must put both ends on a multiple of %g um",
+                        place, low, high, g->interval);
     for (int i = 0; i < GSN_PHANTOM_MARKS; i++)
         if (hypot(g->mark[i].x, g->mark[i].y) > REACH_UM)
             return gsn_fail(err, GSN_E_INPUT,

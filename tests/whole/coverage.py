@@ -318,7 +318,7 @@ def mistakes(folder, args):
 # --- marks ---
 
 # Eight sections, a panel of them, through the region.
-FEW = {"like": "D", "sections": 8, "interval_um": 150}
+FEW = {"like": "D", "sections": 8, "interval_um": 150, "lesion_um": [411, 646, 450]}
 
 
 def mark_places(report, folder):

@@ -672,6 +672,18 @@ static int estimate_volumes(struct work *w, double sections, const double *thres
     return r;
 }
 
+/* No tissue of the region is larger than the region. */
+static void bound_by_region(const struct gsn_mask *region, struct gsn_tissue_volume *v)
+{
+    const double most = (double)gsn_mask_count(region) * gsn_lattice_voxel_um3(&region->at);
+
+    if (v->upper_um3 > most) {
+        v->upper_um3 = most;
+        v->estimate_um3 = fmin(v->estimate_um3, most);
+        v->lower_um3 = fmin(v->lower_um3, most);
+    }
+}
+
 /* ---- the whole ----------------------------------------------------------------------------- */
 
 /* The box of the grid around its voxels in the region; 0: there are none. */
@@ -810,6 +822,8 @@ int gsn_tissue_volumes(const struct gsn_grid *grid, const struct gsn_mask *regio
     }
     if (r < 0)
         return r;
+    for (size_t t = 0; t < count; t++)
+        bound_by_region(region, &ret.volume[t]);
     *ret_volumes = ret;
     return GSN_OK;
 }

@@ -191,6 +191,12 @@ void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *
                           100 * analysis->section_error / analysis->density.mean, "%");
     if (analysis->has_bone && analysis->bone.components > 0)
         add_bone(analysis, d);
+    else if (!analysis->has_bone)
+        gsn_builder_text(d->measure, &r->measure_count, "Bone morphometry",
+                         gsn_builder_say(d,
+                                         "withheld: it is done in at most %d voxels, and the grid "
+                                         "has more: state a smaller region, or a coarser volume",
+                                         (int)GSN_BONE_VOXELS));
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, lower quartile of density",
                       analysis->summary.quartile1, "density");
     gsn_builder_value(d->measure, &r->measure_count, "Micro-units, upper quartile of density",

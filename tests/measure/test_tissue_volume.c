@@ -283,6 +283,25 @@ TEST(a_slope_without_noise_has_its_own_volume)
     CHECK_NEAR(v.volume[0].estimate_um3, 13.0 * 22 * 12 * 16 * 16 * 24, 1);
 }
 
+TEST(no_tissue_is_larger_than_its_region)
+{
+    gsn_auto(gsn_grid) grid = draw_small(12, 0.1, 1);
+    gsn_auto(gsn_mask) region = whole_of(grid);
+    const double threshold = -1;
+    struct gsn_tissue_volumes v;
+    struct gsn_error err = { 0 };
+    double most;
+
+    /* Each centre of a voxel lies in it, and it is 2 % thinner than they are together. */
+    region->at.step_um.z *= 0.98;
+    most = (double)gsn_mask_count(region) * gsn_lattice_voxel_um3(&region->at);
+    CHECK_OK(gsn_tissue_volumes(grid, region, &threshold, 1, 1, &v, &err), err);
+    CHECK(!v.withheld);
+    CHECK_NEAR(v.volume[0].estimate_um3, most, 1e-6 * most);
+    CHECK_NEAR(v.volume[0].upper_um3, most, 1e-6 * most);
+    CHECK(v.volume[0].lower_um3 <= most);
+}
+
 TEST(noise_that_goes_on_from_section_to_section_is_withheld)
 {
     gsn_auto(gsn_grid) grid = draw_small(24, 0.1, 3);

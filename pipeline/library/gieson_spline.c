@@ -509,22 +509,13 @@ int gsn_field_write_grid(const struct gsn_field *field, const struct gsn_voxels 
     const int nrrd = ends_with(path, ".nrrd"), gzip = ends_with(path, ".nii.gz");
     const struct gsn_lattice at = lattice_of(voxels);
     gsn_auto(gsn_grid) grid = NULL;
-    gsn_auto_mem(double) value = NULL;
     gsn_auto_mem(uint8_t) bytes = NULL;
     size_t size = 0;
     int r;
 
     if (!nrrd && !gzip && !ends_with(path, ".nii"))
         return refuse_ending(path, ".nrrd, .nii or .nii.gz", err);
-    r = gsn_grid_new(&at, &grid, err);
-    if (r < 0)
-        return r;
-    value = gsn_alloc_array(gsn_lattice_count(&at), sizeof *value);
-    if (!value)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", gsn_lattice_count(&at));
-    r = gsn_spline_resample(field->spline, &at, 0, value, err);
-    for (size_t i = 0; r >= 0 && i < gsn_lattice_count(&at); i++)
-        grid->value[i] = (float)value[i];
+    r = gsn_spline_grid(field->spline, &at, 0, &grid, err);
     if (r >= 0)
         r = nrrd ? gsn_nrrd_write(grid, &bytes, &size, err)
                  : gsn_nifti_write(grid, gzip, &bytes, &size, err);

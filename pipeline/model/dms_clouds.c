@@ -254,6 +254,8 @@ static size_t find_faults(const struct gsn_tets *mesh, const struct gsn_simplex_
         folds = gsn_dms_shape_init(sets->degree, (const double(*)[3])own, FRESH_FOLD_MARGIN,
                                    FRESH_WIDEST, &shape, err) < 0;
         special = !gsn_dms_is_general(sets, (const double(*)[3])own);
+        if (special && !err->text[0])
+            (void)gsn_fail(err, GSN_E_MESH, "four of its knots lie in one plane");
         for (int k = 0; k < 4; k++) {
             plan[mesh->tet[t][k]].shrink |= (uint8_t)folds;
             plan[mesh->tet[t][k]].redraw |= (uint8_t)special;

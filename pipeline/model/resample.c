@@ -634,3 +634,25 @@ int gsn_spline_resample(const struct gsn_spline *spline, const struct gsn_lattic
     job.cut = cut;
     return gsn_parallel_for(slabs, threads, fill_slab, &job, err);
 }
+
+int gsn_spline_grid(const struct gsn_spline *spline, const struct gsn_lattice *at, unsigned threads,
+                    struct gsn_grid **ret_grid, struct gsn_error *err)
+{
+    const size_t voxels = gsn_lattice_count(at);
+    gsn_auto(gsn_grid) grid = NULL;
+    gsn_auto_mem(double) value = NULL;
+    int r = gsn_grid_new(at, &grid, err);
+
+    if (r < 0)
+        return r;
+    value = gsn_alloc_array(voxels, sizeof *value);
+    if (!value)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", voxels);
+    r = gsn_spline_resample(spline, at, threads, value, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < voxels; i++)
+        grid->value[i] = (float)value[i];
+    *ret_grid = gsn_steal(&grid);
+    return GSN_OK;
+}

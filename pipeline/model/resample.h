@@ -21,6 +21,10 @@ extern "C" {
 int gsn_spline_resample(const struct gsn_spline *spline, const struct gsn_lattice *at,
                         unsigned threads, double *ret_value, struct gsn_error *err);
 
+/* gives: the same as a grid of floats. */
+int gsn_spline_grid(const struct gsn_spline *spline, const struct gsn_lattice *at, unsigned threads,
+                    struct gsn_grid **ret_grid, struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

@@ -193,7 +193,6 @@ static int make_volume(struct export *e, struct gsn_error *err)
 {
     const struct gsn_mask *region;
     gsn_auto(gsn_grid) grid = NULL;
-    gsn_auto_mem(double) value = NULL;
     struct gsn_lattice at;
     size_t filled = 0;
     int r = choose_region(e, &region, err);
@@ -201,13 +200,7 @@ static int make_volume(struct export *e, struct gsn_error *err)
     if (r >= 0)
         r = choose_lattice(e, region, &at, err);
     if (r >= 0)
-        r = gsn_grid_new(&at, &grid, err);
-    if (r < 0)
-        return r;
-    value = gsn_alloc_array(gsn_lattice_count(&at), sizeof *value);
-    if (!value)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu voxels", gsn_lattice_count(&at));
-    r = gsn_spline_resample(e->model->spline, &at, e->request->threads, value, err);
+        r = gsn_spline_grid(e->model->spline, &at, e->request->threads, &grid, err);
     if (r < 0)
         return r;
     for (size_t i = 0; i < gsn_lattice_count(&at); i++) {
@@ -215,7 +208,8 @@ static int make_volume(struct export *e, struct gsn_error *err)
             region && !gsn_mask_has(region, gsn_lattice_centre(&at, i % at.nx, i / at.nx % at.ny,
                                                                i / at.nx / at.ny));
 
-        grid->value[i] = beyond ? NAN : (float)value[i];
+        if (beyond)
+            grid->value[i] = NAN;
         filled += isnan(grid->value[i]) ? 0 : 1;
     }
     (void)snprintf(e->said, sizeof e->said,

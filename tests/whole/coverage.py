@@ -300,7 +300,11 @@ def mistakes(folder, args):
         block = {"block": {"like": "D", "sections": 36}}
         made = [place.phantom("S00", "L1", args.seed, args.px[0], block),
                 place.phantom("S02", "L1", args.seed, args.px[0], {**block, **wrong})]
-        place.work(*made)
+        refused = [place.call("import", folder, check=False) for folder in made][1]
+        if "is no key" in refused:
+            print(f"{name}: refused at import; named: {refused.splitlines()[0]}", flush=True)
+            return any(w in refused for w in words)
+        place.work()
         report, said = place.report("S02"), place.messages("S02")
         said += [report["verdict_reason"] or "", report["loss_reason"] or "", *report["warnings"]]
         named = next((s for s in said if any(w in s for w in words)), None)

@@ -146,6 +146,7 @@ static int fit_spline(const struct voxels *v, const struct gsn_grid *grid,
                                        .fit = { .smoothing = GSN_FIT_SMOOTHING,
                                                 .fold = both_folds(v) ? v->fold : NULL,
                                                 .threads = options->threads,
+                                                .forgiving = 1, /* the report says so */
                                                 .progress = options->progress },
                                        .cloud = CLOUD,
                                        .tolerance = analysis->tolerance,
@@ -486,9 +487,11 @@ static int make_analysis(const struct voxels *v, const struct gsn_grid *grid,
     analysis->coverage = (double)v->count / (double)v->region;
     if (analysis->coverage < LEAST_COVERAGE)
         return gsn_fail(err, GSN_E_WITHHELD,
-                        "only %.0f %% of the region of interest has data: look at the sections "
-                        "marked missing or held",
-                        100 * analysis->coverage);
+                        "only %.0f %% of the region of interest has data: %s",
+                        100 * analysis->coverage,
+                        protocol->kind == GSN_KIND_SECTIONS
+                            ? "look at the sections marked missing or held"
+                            : "the file holds no numbers there");
     analysis->tolerance = protocol->tolerance > 0
                               ? protocol->tolerance
                               : fmax(TOLERANCE_SHARE * (v->high - v->low),

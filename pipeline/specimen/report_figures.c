@@ -59,6 +59,18 @@ static void fill_fit(const struct gsn_analysis *analysis, struct gsn_builder *d)
                                          "the model's mesh does not follow walls, and is coarser "
                                          "there: %s",
                                          analysis->domain.why.text));
+    if (fit->outside > 0)
+        gsn_builder_warn(d, gsn_builder_say(d,
+                                            "%zu of %zu voxels of the region lie outside the "
+                                            "model's mesh and are not in it",
+                                            fit->outside, fit->samples + fit->outside));
+    if (fit->unconverged)
+        gsn_builder_warn(d, gsn_builder_say(d,
+                                            "the solver of the model's equations was stopped after "
+                                            "%u steps: the model is less smooth and less exact "
+                                            "than it could be (voxels much longer one way than "
+                                            "another are the usual cause)",
+                                            fit->iterations));
     d->units = (struct gsn_report_units){ .first = analysis->summary.low,
                                           .last = analysis->summary.high,
                                           .bin = analysis->summary.bin,

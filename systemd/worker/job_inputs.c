@@ -132,6 +132,15 @@ static int read_volumes(struct gsn_job_inputs *m, const char *folder, struct gsn
     return r;
 }
 
+/* Nobody knows the folder of links: sentences begin with the file's own name. */
+static void drop_folder(const char *folder, struct gsn_error *err)
+{
+    const size_t length = strlen(folder);
+
+    if (strncmp(err->text, folder, length) == 0 && err->text[length] == '/')
+        memmove(err->text, err->text + length + 1, strlen(err->text + length + 1) + 1);
+}
+
 static int find_calibrations(struct gsn_job_inputs *m, struct gsn_error *err)
 {
     const struct gsn_protocol *p = m->protocol;
@@ -164,6 +173,8 @@ static int take_files(struct gsn_job_inputs *m, struct gsn_error *err)
         r = link_files(m, &folder, err);
         if (r >= 0)
             r = read_volumes(m, folder, err);
+        if (r < 0 && folder)
+            drop_folder(folder, err);
         if (folder)
             sweep_links(m, folder);
     }

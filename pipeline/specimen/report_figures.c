@@ -133,6 +133,7 @@ static void add_bone(const struct gsn_analysis *analysis, struct gsn_builder *d)
     const struct gsn_bone *const b = &analysis->bone;
     const double share = volume_of(&d->volume[analysis->bound_count / 2]) /
                          d->report.region.volume_mm3;
+    const char *row_name;
     const struct {
         const char *name;
         double value;
@@ -142,7 +143,6 @@ static void add_bone(const struct gsn_analysis *analysis, struct gsn_builder *d)
                 { "Tb.Th", 1e-3 * b->thickness_um, "mm" },
                 { "Tb.Th, standard deviation", 1e-3 * b->thickness_sd, "mm" },
                 { "Tb.Th, largest", 1e-3 * b->thickness_most, "mm" },
-                { "Conn.D", (double)(1 - b->euler) / (1e-9 * b->tissue_um3), "1/mm3" },
                 { "Components", (double)b->components, "" },
                 { "Euler number", (double)b->euler, "" } };
 
@@ -151,6 +151,15 @@ static void add_bone(const struct gsn_analysis *analysis, struct gsn_builder *d)
                           gsn_builder_say(d, "%s, of what is denser than %.4g", row[i].name,
                                           analysis->above_threshold),
                           row[i].value, row[i].unit);
+    /* Tunnels are counted in one piece: pieces and cavities would be taken off them. */
+    row_name = gsn_builder_say(d, "Conn.D, of what is denser than %.4g", analysis->above_threshold);
+    if (b->components == 1)
+        gsn_builder_value(d->measure, &d->report.measure_count, row_name,
+                          (double)(1 - b->euler) / (1e-9 * b->tissue_um3), "1/mm3");
+    else
+        gsn_builder_text(d->measure, &d->report.measure_count, row_name,
+                         gsn_builder_say(d, "withheld: it is of one connected piece, and there are "
+                                            "%zu", b->components));
 }
 
 void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *d)

@@ -1,4 +1,13 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A colour volume in memory, and as an NRRD file (format NRRD0004 of Teem) with its header and raw
+ * samples in one piece.
+ *
+ * Reading back is no parser of that format: the numbers are scanned out of the header, the header
+ * is written anew from them, and the file is ours when the two are equal byte by byte.
+ *
+ * Failure: GSN_E_INPUT for a file of anybody else or of another length than it states. Cost: one
+ * copy. */
 #include "pipeline/core/colour_grid.h"
 
 #include <stdio.h>

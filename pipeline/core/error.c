@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The sentence of a failure: formatted where it is noticed, places put before it on the way up, cut
+ * where the room ends. The exit statuses are those of sysexits.h. */
 #include "pipeline/core/error.h"
 
 #include <stdarg.h>

@@ -1,4 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Whole files by POSIX calls; reading, writing and fsync() go on after a signal.
+ *
+ * Writing is an atomic replacement: a temporary file beside the target, fsync(), rename() over it,
+ * fsync() of the directory, without which the new name might not survive a power cut. Reading asks
+ * fstat() for the size before it allocates. A name in a folder that others write to is opened one
+ * component after the other, with openat() and O_NOFOLLOW from the folder on, so that neither a
+ * link nor ".." leads out of it.
+ *
+ * Failure: the path and what the system says; a temporary file that was not finished is removed.
+ * Cost: a write waits for the disk twice. */
 #include "pipeline/core/file.h"
 
 #include <errno.h>

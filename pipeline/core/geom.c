@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Plane affine maps and vectors of space, in closed form; the inverse is the adjugate over the
+ * determinant. */
 #include "pipeline/core/geom.h"
 
 #include <assert.h>

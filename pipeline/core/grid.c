@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Lattices, grids and masks: index and place of a voxel, zeroed memory for all of them (refused
+ * where their number overflows), and the voxel whose centre is nearest to a point. */
 #include "pipeline/core/grid.h"
 
 #include <math.h>

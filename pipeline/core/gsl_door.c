@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* GSL's error handler, switched off once (pthread_once) where it is GSL's own (GSL reference
+ * manual, "Error Handling"). */
 #include "pipeline/core/gsl_door.h"
 
 #include <pthread.h>

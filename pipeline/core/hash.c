@@ -1,4 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* SHA-256 (FIPS 180-4) by OpenSSL's EVP. A file is read by pread() in pieces, so that its position
+ * stays; the digest of what was added so far is that of a copy of the state.
+ *
+ * Failure: memory, a file that cannot be read, an OpenSSL without SHA-256. Cost: one pass, 256 KiB.
+ */
 #include "pipeline/core/hash.h"
 
 #include <errno.h>

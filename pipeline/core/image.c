@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Pictures and float planes: zeroed memory for them, refused where it overflows, and a sample by
+ * its place. */
 #include "pipeline/core/image.h"
 
 #include <assert.h>

@@ -1,4 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Memory: counts times sizes are checked for overflow before the one door (mem_door.c) is asked,
+ * and a zeroed array that holds two pages of 2 MiB or more asks the kernel for such pages (madvise,
+ * MADV_HUGEPAGE). A formatted text is measured by vsnprintf() first. Failure: NULL; the caller says
+ * for what. */
 #include "pipeline/core/mem.h"
 
 #include <stdarg.h>

@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The one call of the system's allocator, which the tests replace when they link (ld --wrap) to
+ * make the n-th allocation fail. */
 #include "pipeline/core/mem.h"
 
 #include <stdlib.h>

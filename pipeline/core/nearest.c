@@ -1,4 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Spelling correction by the optimal string alignment distance: the table of R. A. Wagner and M. J.
+ * Fischer, "The string-to-string correction problem", 1974, with the swap of neighbours of F. J.
+ * Damerau, "A technique for computer detection and correction of spelling errors", 1964. Of equally
+ * near words the first of the list is taken.
+ *
+ * Cost: the product of both lengths for each word of the list, three rows of the table at a time.
+ */
 #include "pipeline/core/nearest.h"
 
 #include <ctype.h>

@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Self-scheduling: each thread takes the next index from one atomic counter until there is none,
+ * the caller's own thread among them. Of failures the one of the lowest index is kept, under a
+ * lock. As many threads as the process may run on (sched_getaffinity), 64 at most.
+ *
+ * Failure: that of the body; a thread that cannot be started is done without. Cost: threads are
+ * started and joined in every call, and one atomic addition an index. */
 #include "pipeline/core/parallel.h"
 
 #include <pthread.h>

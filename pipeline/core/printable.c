@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* One pass over UTF-8 (RFC 3629) that puts "?" for the control characters C0, DEL and C1, for bytes
+ * that a terminal takes for C1, and for Unicode's marks of direction; the text never grows. */
 #include "pipeline/core/printable.h"
 
 #include <stddef.h>

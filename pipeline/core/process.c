@@ -1,4 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Child processes by fork() and exec(), with pipes watched by poll().
+ *
+ * A question: (1) SIGPIPE is held back in this thread alone; (2) the child takes its ends of the
+ * pipes, dies with the thread that started it (PR_SET_PDEATHSIG), limits its own address space and
+ * processor time (setrlimit) and becomes the program; (3) question, answer and complaints cross,
+ * whichever is ready, until the child closes its ends or its time is over; (4) its end is awaited
+ * through a pidfd as long as there is time, then it is killed; (5) how it ended becomes the
+ * sentence. A child that stays is the same without question and answer: it has a socket of the
+ * caller's. A child that shares our streams is posix_spawn()'s.
+ *
+ * Failure: GSN_E_PROCESS with the exit status or signal and the child's first complaint;
+ * GSN_E_LIMIT for too long an answer. Cost: a fork; the clock is looked at every 200 ms. */
 #include "pipeline/core/process.h"
 
 #include <errno.h>

@@ -1,4 +1,16 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The sandbox: what Linux lets a process give up, for good.
+ *
+ * Steps: (1) close all descriptors but those that are handed over (close_range); (2) a Landlock
+ * rule set that takes charge of every access this kernel's version knows and allows none
+ * (landlock(7)); (3) limits of 0 on core dumps, the size of files, processes and, unless it may
+ * receive some, descriptors; no new privileges; (4) a seccomp filter, by libseccomp, that lets a
+ * list of system calls through and kills the process for any other (seccomp(2)). The filter comes
+ * last because it would forbid the steps before it.
+ *
+ * Failure: GSN_E_PROCESS names the call that the kernel refused; a kernel without Landlock is no
+ * failure. Cost: once a process; the kernel then runs the filter at each system call. */
 #include "pipeline/core/sandbox.h"
 
 #include <errno.h>

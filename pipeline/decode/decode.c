@@ -1,4 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A picture file from its bytes to samples that may be used.
+ *
+ * Steps: (1) the kind, by the bytes that such files begin with; kinds without a decoder are known
+ * so that the refusal can name them; (2) the codec of that kind fills the picture through raster.h;
+ * (3) what no scan has is refused: transparent pixels, one value everywhere; 16-bit samples of
+ * which the upper bits are never used are remarked on; (4) printed codes (codes.c) and (5) the
+ * embedded ICC profile (icc.c), where asked for.
+ *
+ * Failure: one sentence from whoever refused; nothing of the picture is given then. Cost: the
+ * codec's, and for 16 bits one more pass over the samples. */
 #include "pipeline/decode/decode.h"
 
 #include "pipeline/decode/codes.h"

@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* EXIF (CIPA DC-008, built as TIFF 6.0 is): byte order, the first directory and the Exif directory
+ * that it names; of their entries orientation, resolution, its unit and ColorSpace are taken.
+ *
+ * Failure: a block that does not begin as TIFF does, or a directory that does not lie inside it:
+ * nothing is taken then. A value of another type or outside the block is one that is not stated.
+ * Cost: linear in the entries; no other directory is followed, so there is no cycle to run into. */
 #include "pipeline/decode/exif.h"
 
 enum { TAG_ORIENTATION = 0x112, TAG_X_RESOLUTION = 0x11a, TAG_Y_RESOLUTION = 0x11b };

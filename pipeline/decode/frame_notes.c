@@ -1,4 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Notes of a captured frame: after the line that names them, lines "# key: value", of which four
+ * keys are taken and others passed over. In a JPEG the segments before the scan are walked by their
+ * lengths to the first comment (ITU-T T.81, annex B). Failure: none; a length that does not fit
+ * ends the walk, and what is not said stays empty. */
 #include "pipeline/decode/frame_notes.h"
 
 #include <stdio.h>

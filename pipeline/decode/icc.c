@@ -1,4 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* From code values to linear light by an embedded ICC profile (ICC.1), read by Little CMS.
+ *
+ * Steps: (1) the profile is opened from memory and refused unless it is of RGB, of a scanner,
+ * camera, screen or colour space, and its curves, where it has some, rise from dark to light; (2)
+ * tone curves that are sRGB's (IEC 61966-2-1) or straight, to half a step of 8 bits, only name the
+ * transfer, the samples stay; (3) a profile of curves and a matrix becomes a table for each
+ * channel, without the matrix; one of tables becomes a transform to linear light in the primaries
+ * of sRGB, relative colorimetric; (4) samples are converted from the last to the first, over the
+ * old ones where there is room.
+ *
+ * Failure: GSN_E_NOMEM; a profile that cannot be used is no failure, the picture says why. Cost: a
+ * look-up a sample, or a transform a pixel. */
 #include "pipeline/decode/icc.h"
 
 #include <lcms2.h>

@@ -1,4 +1,16 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Where the pixels of a file go, so that they lie upright as they arrive.
+ *
+ * Method: each of the eight orientations of EXIF and TIFF is an origin and a step for each of the
+ * stored axes. Steps: (1) the size that the header states is checked against the limits; (2)
+ * memory: large pictures are mapped with all their pages at once (madvise, MADV_POPULATE_WRITE) or
+ * lie at a place that the caller lent; (3) runs of pixels come from the codec: copied where they
+ * lie as stored, past the caches where the picture is large (SSE2), scattered where they have to be
+ * turned; (4) pixels more transparent than not are counted on the way.
+ *
+ * Failure: GSN_E_INPUT, GSN_E_LIMIT, GSN_E_NOMEM before any pixel; afterwards none. Cost: each
+ * sample is written once. */
 #include "pipeline/decode/raster.h"
 
 #include <assert.h>

@@ -1,4 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* OpenCV made ready, once in the process (std::call_once): it prints nothing, starts no threads,
+ * and has run one small operation, which loads what it would load later. Failure: none here; a call
+ * that matters fails in its own name. */
 #include "pipeline/imaging/imaging.h"
 
 #include <mutex>

@@ -1,4 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Boxes against half-spaces, tetrahedra and triangles.
+ *
+ * The share of a cube above a linear function: along the axis of the smallest slope the area of the
+ * cut square is piecewise quadratic, so that Gauss' rule of two points on each of its at most five
+ * pieces is exact. The volume common to box and tetrahedron: the tetrahedron is clipped at the six
+ * planes of the box, one after the other, and what a plane leaves is cut into at most three
+ * tetrahedra. Whether a triangle meets the box: the separating axis theorem with the thirteen axes
+ * of T. Akenine-Moeller, "Fast 3D triangle-box overlap testing", J. Graphics Tools 6, 2001.
+ *
+ * Failure: none; a flat tetrahedron has no volume. Cost: constant. */
 #include "pipeline/measure/aabb.h"
 
 #include <math.h>

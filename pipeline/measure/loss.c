@@ -1,4 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The loss: one minus the ratio of two means, in per cent, and their difference in points.
+ *
+ * Method: Fieller's interval of the ratio (E. C. Fieller, "Some problems in interval estimation",
+ * 1954) with Student's quantile at the degrees of freedom of Welch and Satterthwaite; docs/MATH.md,
+ * section 12.
+ *
+ * Steps: (1) both sides are figures of a region; (2) they are of one definition, of one set of
+ * dyes, and of one volume or one rule; (3) the baseline is away from zero; (4) loss and points; (5)
+ * the interval, where both sides have a standard error.
+ *
+ * Failure: GSN_E_INPUT says what differs; GSN_E_WITHHELD where the baseline may be zero. Cost:
+ * none. */
 #include "pipeline/measure/loss.h"
 
 #include <assert.h>

@@ -1,4 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Degrees of freedom of a difference (B. L. Welch, "The generalization of 'Student's' problem when
+ * several different population variances are involved", 1947) and the interval of a ratio: the two
+ * roots of the quadratic in rho that stands in the header (E. C. Fieller, "Some problems in
+ * interval estimation", 1954).
+ *
+ * Failure: GSN_E_WITHHELD where its leading coefficient is not positive: the ratios that the data
+ * allow are then no interval. Cost: none. */
 #include "pipeline/measure/stats.h"
 
 #include <assert.h>

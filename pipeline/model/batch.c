@@ -1,4 +1,20 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A spline at many points at once.
+ *
+ * Method: points are put in the order of the Morton (Z-order) curve through the mesh, so that each
+ * is located from the tetrahedron of the one before; then work is shared by sorting: all points of
+ * a tetrahedron use its polynomial, all points near a face that face's correction, once made ready
+ * (docs/MATH.md, section 13).
+ *
+ * Steps: (1) Morton codes, sorted by radix; (2) chunks of 2048 points go to threads; (3) each point
+ * is located; outside is NaN; (4) sorted by tetrahedron, the polynomials are evaluated by the SIMD
+ * kernels in groups; (5) points outside their tetrahedron's core are paired with the faces that
+ * reach them; (6) the pairs, sorted by face, get their corrections. A point has its faces added in
+ * ascending order wherever a list is cut, so the bits do not depend on the threads.
+ *
+ * Failure: GSN_E_NOMEM, before anything is written. Cost: 32 bytes a point for the order, and a
+ * chunk's work on the stack of each thread. */
 #include "pipeline/model/batch.h"
 
 #include "pipeline/core/parallel.h"

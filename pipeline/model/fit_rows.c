@@ -1,4 +1,21 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What each sample contributes to the normal equations of a fit.
+ *
+ * Method: in the core of a tetrahedron the spline is one polynomial, and the basis at a sample is
+ * that of its B-patch (docs/MATH.md, section 7); near faces, in the seams, it is the row of all
+ * functions that reach the sample (face_correction.c).
+ *
+ * Steps: (1) each sample's tetrahedron, found from that of the sample before; (2) samples sorted by
+ * tetrahedron, in a counting sort; (3) the weight of each fold, and the mean, from which the fit is
+ * of the deviations; (4) tetrahedron by tetrahedron: core samples are summed into its dense block,
+ * upper triangle packed, seam samples keep their row; (5) the rows of all tasks joined in order;
+ * (6) other values at the same places change right sides only; (7) residuals, for which core
+ * samples are evaluated again.
+ *
+ * Failure: GSN_E_INPUT names the first sample that is not finite, has a weight that is none or lies
+ * outside, GSN_E_LIMIT, GSN_E_NOMEM. Cost: a core sample costs a block's worth of multiplications,
+ * a seam sample keeps 12 bytes for each function that reaches it. */
 #include "pipeline/model/fit_system.h"
 
 #include "pipeline/core/parallel.h"

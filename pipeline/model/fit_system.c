@@ -1,4 +1,20 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The sparse normal equations of a fit, and conjugate gradients.
+ *
+ * Method: compressed sparse rows; preconditioned conjugate gradients (M. R. Hestenes, E. Stiefel,
+ * "Methods of conjugate gradients for solving linear systems", 1952) with the patches of
+ * fit_patches.c. The two folds, the roughness and the jumps are kept as parts of one pattern, so
+ * that other weights cost a sum and no assembly.
+ *
+ * Steps: (1) where each unknown occurs in the blocks, the seam rows and the jumps; (2) each row of
+ * the matrix summed over those places into a dense accumulator, its columns sorted; 1024 rows a
+ * task; (3) the tasks' rows joined in order; (4) parts combined with the weights asked for; (5)
+ * iterations until the residual, in the norm of the preconditioner, is small enough.
+ *
+ * Failure: GSN_E_FIT where the iterations do not suffice or the matrix is not positive,
+ * GSN_E_NOMEM. Cost: an entry takes 4 bytes and 8 for each part and their sum; an iteration is one
+ * product with the matrix and one with the patches, its sums in a fixed order. */
 #include "pipeline/model/fit_system.h"
 
 #include "pipeline/core/parallel.h"

@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Which version of the inner loops runs: the widest whose instructions the processor has (CPUID).
+ */
 #include "pipeline/model/kernels.h"
 
 const struct gsn_kernels *gsn_kernels_for(enum gsn_isa isa)

@@ -1,4 +1,18 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The orientation predicate, exact.
+ *
+ * Method: J. R. Shewchuk, "Adaptive precision floating-point arithmetic and fast robust geometric
+ * predicates", 1997: a filter in floating point, then expansions; between them a determinant whose
+ * every operation is seen to be exact, as it is for the coordinates of grids. Products are split by
+ * a fused multiply-add. gsn_orient_side() breaks ties by a symbolic perturbation of the point (as
+ * in H. Edelsbrunner, E. P. Muecke, "Simulation of simplicity", 1990): the sign of the first
+ * component of the plane's normal that is not 0. Values that are divided by are in twice the
+ * precision (T. J. Dekker, "A floating-point technique for extending the available precision",
+ * 1971).
+ *
+ * Failure: none is noticed; products must neither overflow nor underflow. Cost: nearly every
+ * question ends at the filter; an exact determinant has at most 192 parts, on the stack. */
 #include "pipeline/model/orient.h"
 
 #include <math.h>

@@ -1,4 +1,19 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Adaptive refinement: where to have more unknowns, and when to stop.
+ *
+ * Method: the mesh is refined by size where the residual is large, and each mesh is fitted anew
+ * (docs/MATH.md, section 8); a round is taken by its predicted error: two-fold cross-validation
+ * where there are folds, else generalised cross-validation (Craven and Wahba 1979, fit.h).
+ *
+ * Steps: (1) clouds, space and fit on the first mesh; (2) tetrahedra above the tolerance that have
+ * samples enough to be split, those with most squared error first; (3) as many of them as the
+ * budget of unknowns allows; (4) TetGen refines the mesh to their limits of volume, and with half
+ * of them again when more came out than expected; (5) a fit; (6) taken if it predicts better by a
+ * thousandth, and so on.
+ *
+ * Failure: that of the first fit; a later round that fails for the mesh, the mesher or the fit ends
+ * the rounds, and the report says why. Cost: a mesh and a fit a round, the last the largest. */
 #include "pipeline/model/refine.h"
 
 #include "pipeline/model/fit.h"

@@ -1,4 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The smallest items of a search in ascending order: an insertion sort in a fixed array, from which
+ * the greatest falls out when it is full; the least that ever fell out is where the next search
+ * begins. Cost: a search for every 512 items. */
 #include "pipeline/model/sorted_batch.h"
 
 void gsn_sorted_batch_begin(struct gsn_sorted_batch *ascent)

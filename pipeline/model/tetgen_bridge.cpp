@@ -1,4 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* TetGen 1.5 behind one question (H. Si, "TetGen, a Delaunay-based quality tetrahedral mesh
+ * generator", ACM Trans. Math. Softw. 41, 2015).
+ *
+ * Steps: (1) the options are in range; (2) surface or mesh into tetgenio, whose arrays it frees
+ * with delete[]; (3) its switches: p (a surface) or r (refine a mesh), q (radius-edge ratio and
+ * dihedral angle), a (volume), Y where facets must stay whole; (4) what it made is copied out,
+ * unverified.
+ *
+ * Failure: TetGen throws its exit status; the sentence says what that stands for. A crash or a loop
+ * is the caller's to survive. Cost: TetGen's. */
 #include "pipeline/model/tetgen_bridge.h"
 
 #include <algorithm>

@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Bytes in memory whose room doubles when it is full; the file is written at once by
+ * gsn_file_write(). */
 #include "pipeline/phantom/buffer.h"
 
 #include "pipeline/core/file.h"

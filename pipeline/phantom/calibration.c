@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Calibration panels: patches of an even optical density on blank glass, drawn by the same stain,
+ * label and light as panels with sections, so that a reader finds in them what the specimen was
+ * dyed with.
+ *
+ * Steps: (1) the places of the patches, a row of densities above a row of single dyes; (2) the
+ * density of each from the batch's gains and dye vectors; (3) label, light, noise, file; (4) the
+ * tables of truth/ and, where a variant states them, the files that job.json names.
+ *
+ * Failure: memory and disk. Cost: that of one panel each. */
 #include "pipeline/phantom/calibration.h"
 
 #include "pipeline/core/file.h"

@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Integrals over the region of interest by the midpoint rule on a cubic lattice, plane by plane;
+ * planes go to threads and are summed in their order. Then the table of values that the
+ * specification demands of them.
+ *
+ * Failure: GSN_E_NOMEM. Cost: the field at each point of the cylinder around the region, the cube
+ * of one over the step. */
 #include "pipeline/phantom/check.h"
 
 #include "pipeline/core/mem.h"

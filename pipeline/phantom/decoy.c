@@ -1,4 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Decoys: each kind is one or many soft discs, or a soft ring, added to the optical density of the
+ * glass. A grain smaller than a pixel is drawn as large as one and paler by the same area. Cost:
+ * the pixels covered. */
 #include "pipeline/phantom/decoy.h"
 
 #include "pipeline/phantom/stain.h"

@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The defects of sections as maps of the plane: what is seen at a place, and where a material point
+ * is seen.
+ *
+ * Tear and fold act across a line, each in a frame turned so that x crosses it; a lost piece is a
+ * polygon, asked by the even-odd rule, that lies elsewhere under a rigid motion. Strokes of hairs
+ * and pens are curves of Catmull and Rom through their points, as straight pieces. What covers a
+ * place is told by distance.
+ *
+ * Failure: none. Cost: constant, but for the corners of a polygon and the pieces of a stroke. */
 #include "pipeline/phantom/defect.h"
 
 #include <math.h>

@@ -1,4 +1,13 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The delivery: files of a plan, and each file from its picture.
+ *
+ * Steps: (1) one file a panel, in order; at the awkward level roles (missing, cut short, turned, 16
+ * bits, a wrong resolution) and order are dealt out by a shuffle (Fisher and Yates); (2) a picture
+ * is turned the way that it is stored (EXIF orientation) and, at that level, goes through JPEG
+ * twice; (3) the encoder of its extension; (4) what is cut short loses its last bytes.
+ *
+ * Failure: memory. Cost: that of encoding. */
 #include "pipeline/phantom/delivery.h"
 
 #include "pipeline/core/mem.h"

@@ -1,4 +1,18 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The phantom block in closed form: collagen density at a point.
+ *
+ * Method: the block is a superellipse whose outline waves; the root a slanted elliptic paraboloid,
+ * with the distance from it to first order (its value over the length of its gradient); ligament,
+ * bone and surroundings are shells of that distance, marrow spaces are ellipsoids, every border a
+ * cubic smooth step over delta on either side. The lesion is a Gaussian. The numbers are the two
+ * tables; README.md says what each key of a variant changes.
+ *
+ * Steps of gsn_phantom_field_at(): (1) tissue or glass; (2) distance from the root; (3) shares of
+ * the layers, which sum to 1; (4) lesion; (5) density as it was and what the lesion takes.
+ *
+ * Failure: none. Cost: constant; bounds of the outline and boxes around the marrow spaces spare
+ * most points the powers and roots. */
 #include "pipeline/phantom/geometry.h"
 
 #include <math.h>

@@ -1,4 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What lies on the glass, drawn over its sections kind by kind.
+ *
+ * Strokes, discs and edges add to the optical density, each pixel by the share of it that they
+ * cover. Bubbles and defocus blur what comes through: light, not its logarithm, by a separable
+ * Gaussian cut at nine pixels, taken in full inside the disc and less towards its border.
+ *
+ * Failure: GSN_E_NOMEM for the blur. Cost: the pixels of the box around each thing. */
 #include "pipeline/phantom/overlay.h"
 
 #include "pipeline/core/mem.h"

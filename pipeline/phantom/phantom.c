@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A specimen as a folder: panels, calibration, truth, and job.json last, so that a folder that has
+ * one is complete. Failure: memory and disk; what was written stays. Cost: drawing the panels. */
 #include "pipeline/phantom/phantom.h"
 
 #include "pipeline/core/file.h"

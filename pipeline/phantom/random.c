@@ -1,4 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Random numbers: xoshiro256** (D. Blackman, S. Vigna, "Scrambled linear pseudorandom number
+ * generators", 2018), each stream's state made from its name by splitmix64 (G. L. Steele, D. Lea,
+ * C. H. Flood, "Fast splittable pseudorandom number generators", 2014); normals by Box and Muller,
+ * small counts by Knuth's product of uniforms, whole numbers by multiplication, whose relative bias
+ * is below count / 2^32. Nothing fails. */
 #include "pipeline/phantom/random.h"
 
 #include <math.h>

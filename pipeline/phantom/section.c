@@ -1,4 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The pixels of one stained section.
+ *
+ * Steps: (1) the window of the panel that the section may reach; (2) its two textures, as quilts of
+ * its own stream; (3) for each pixel the material that it shows (sight.c): none, one layer, or two
+ * of a fold; (4) for each layer the field of the block, dyes by texture, ramp and a Poisson number
+ * of nuclei, marks burnt in last, and the optical densities added; (5) chatter of the knife as
+ * waves of thickness.
+ *
+ * Failure: GSN_E_NOMEM. Cost: the field at every pixel of the window. */
 #include "pipeline/phantom/section.h"
 
 #include "pipeline/core/mem.h"

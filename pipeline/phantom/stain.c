@@ -1,4 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Dyes to optical density: amounts times unit vectors, added (Beer and Lambert), as unmixing has it
+ * the other way round. The amount of red is proportional to the density, that of yellow falls with
+ * it, nuclei take a share of a pixel; textures scale the first two about a mean of 1. A mark is two
+ * smooth steps, of the disc and of the ring around it. Failure: none. Cost: constant. */
 #include "pipeline/phantom/stain.h"
 
 #include <math.h>

@@ -1,4 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The animals of a study, one after the other, each as phantom.c makes one, and then the table of
+ * their true losses, whose integrals are taken once. Failure: that of the first animal that fails;
+ * those before it stay. */
 #include "pipeline/phantom/study.h"
 
 #include "pipeline/core/file.h"

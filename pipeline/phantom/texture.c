@@ -1,4 +1,13 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Texture by overlapping patches of a photograph.
+ *
+ * Steps: (1) patches of 64 texels, cut from the tile at random and mirrored at random, are laid
+ * every 32, with Hann windows scaled so that the squares of the weights at a texel sum to 1:
+ * independent patches then keep their variance; (2) the mean over 33 x 33 texels is subtracted, by
+ * running sums, so that the texture changes no mean amount of dye.
+ *
+ * Failure: GSN_E_NOMEM. Cost: four patches a texel and two running sums. */
 #include "pipeline/phantom/texture.h"
 
 #include "pipeline/phantom/tiles.h"

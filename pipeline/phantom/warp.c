@@ -1,4 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A smooth random displacement: white noise on the nodes and a rim around them, through a separable
+ * Gaussian, scaled to the root mean square that is asked for; between nodes bilinear. Failure:
+ * none. Cost: 49 x 49 nodes once, four nodes a place. */
 #include "pipeline/phantom/warp.h"
 
 #include <math.h>

@@ -1,4 +1,20 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A triangle mesh as a picture, by a z-buffer.
+ *
+ * Method: vertices are projected, triangles filled by their barycentric coordinates, and normals
+ * interpolated and shaded at each sample (B. T. Phong, "Illumination for computer generated
+ * pictures", 1975), with the half-way vector for the highlight (J. F. Blinn, "Models of light
+ * reflection for computer synthesized pictures", 1977). In perspective the depth kept is -1 /
+ * distance, which is linear across the picture.
+ *
+ * Steps: (1) camera and sheet; (2) all vertices projected; (3) the domain's edges where it bends,
+ * behind; (4) bands of 8 rows go to threads: each fills all triangles into 2 x 2 samples a pixel,
+ * nearest wins, equals in the order of the mesh; (5) the samples of a pixel are shaded, averaged
+ * and mixed over the ground by their share.
+ *
+ * Failure: GSN_E_INPUT on an unusable view, GSN_E_NOMEM. Cost: every triangle is looked at once a
+ * band. */
 #include "pipeline/core/geom.h"
 #include "pipeline/render/isosurface.h"
 

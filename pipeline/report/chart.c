@@ -1,4 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Charts as SVG: one linear map from data to the drawing for each, axes ticked at 1, 2 or 5 times a
+ * power of ten (P. Heckbert, "Nice numbers for graph labels", 1990), and shapes that tell apart
+ * without colour; dots and columns have a title each, which a pointer or a screen reader finds.
+ *
+ * Failure: the text remembers that memory ran out. A histogram or a figure by the day that has no
+ * values is not drawn. Cost: linear in the values. */
 #include "pipeline/report/chart.h"
 
 #include "pipeline/core/mem.h"

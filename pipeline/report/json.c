@@ -1,4 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* JSON (RFC 8259) as jansson's values. Numbers that are not finite do not exist in JSON and become
+ * null; text that is not UTF-8 is mended first, for jansson takes no other. */
 #include "pipeline/report/json.h"
 
 #include "pipeline/report/text.h"

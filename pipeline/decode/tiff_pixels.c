@@ -1,4 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The pixels of one page of a TIFF, from its strips or tiles to the canvas.
+ *
+ * Steps: (1) every strip or tile lies in the file; (2) a piece that is stored as it is needed (not
+ * compressed, in this processor's byte order) is put from where it lies in the file; (3) else
+ * libtiff decodes it: whole strips straight into the picture where they may stay as they are,
+ * otherwise row by row or tile by tile; (4) what is white at 0 is inverted, a palette becomes RGB,
+ * planes that are separate go to their channel one after the other. JPEG in YCbCr is converted by
+ * libjpeg. Reference: TIFF 6.0 (Adobe, 1992).
+ *
+ * Failure: GSN_E_INPUT with the place of the piece and libtiff's complaint, a warning too: no
+ * sample is made up. GSN_E_LIMIT for pieces too large, GSN_E_NOMEM. Cost: that of decoding, and one
+ * row or tile of memory. */
 #include "pipeline/decode/tiff_internal.h"
 
 /* The pixels of one page on their way from libtiff to the canvas. */

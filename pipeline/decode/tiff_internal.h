@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What the three TIFF files share: the open file, what its tags state, and what libtiff said.
+/* What the TIFF files share: the open file, what its tags state, and what libtiff said.
  * Internal to decoding. */
 #ifndef GSN_DECODE_TIFF_INTERNAL_H
 #define GSN_DECODE_TIFF_INTERNAL_H

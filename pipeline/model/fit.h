@@ -17,9 +17,9 @@
  * folds the micro texture of a stain, which no two sections share, counts as noise although it is
  * smooth within a section.
  *
- * The normal equations are assembled tetrahedron by tetrahedron and solved by conjugate gradients
- * with Jacobi preconditioning; sums run in a fixed order, so the answer does not depend on the
- * number of threads. */
+ * The normal equations are assembled tetrahedron by tetrahedron and solved by conjugate gradients,
+ * preconditioned by the inverses of the equations around each vertex (fit_system.h); sums run in a
+ * fixed order, so the answer does not depend on the number of threads. */
 #ifndef GSN_MODEL_FIT_H
 #define GSN_MODEL_FIT_H
 

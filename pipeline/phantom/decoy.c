@@ -25,12 +25,12 @@ const char *gsn_phantom_decoy_name(enum gsn_phantom_decoy_kind kind)
     return name[kind];
 }
 
-/* A ring of this half width; a half width of the radius and more is a disc. */
+/* A soft disc, or a soft ring about paler glass. */
 struct blob {
     struct gsn_point at;
     double radius, edge;
     double od[3]; /* added where the blob is */
-    double rim;   /* 0: a disc; otherwise only its border, so wide, and what is inside is paler */
+    double rim;   /* sigma of the ring; 0: a disc */
 };
 
 /* 0..1: a soft disc, or a soft line along its border. */

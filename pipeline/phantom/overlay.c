@@ -16,7 +16,7 @@
 
 static const double HAIR_OD = 0.6, DUST_OD = 0.9, EDGE_OD = 0.6;
 static const double RIM_OD = 0.35, RIM_PX = 3, INSIDE_SHARE = 0.75, INSIDE_BLUR_PX = 2;
-/* Where an edge 40 um wide is lit from the side it has no hard border. */
+/* A border is as soft as this: a pixel takes the share of it that is covered. */
 static const double SOFT_PX = 1;
 
 static const double PEN[GSN_PHANTOM_PENS][3] = {

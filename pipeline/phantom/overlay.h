@@ -10,8 +10,8 @@
 extern "C" {
 #endif
 
-/* Decoys, then hairs, bubbles, edges and pens, then defocus, of panel 1..5. borrows: plan, glass.
- * Fails with GSN_E_NOMEM. */
+/* Decoys, then hairs, bubbles, edges and pens, then defocus, of a panel, from 1. borrows: plan,
+ * glass. Fails with GSN_E_NOMEM. */
 int gsn_phantom_overlay_draw(const struct gsn_phantom_plan *plan, int panel,
                              const struct gsn_phantom_glass *glass, struct gsn_error *err);
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* A panel as the scanner delivers it: twelve stained sections on glass, and a label. */
+/* A panel as the scanner delivers it: stained sections on glass, and a label. */
 #ifndef GSN_PHANTOM_PANEL_H
 #define GSN_PHANTOM_PANEL_H
 

@@ -1,4 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Cuts across one axis as pictures of values or colours.
+ *
+ * Steps: (1) the frame: the region's bounds with a margin, or a voxel of the region near its mean
+ * for the point through which cuts go; (2) the pixel centres are the nodes of a lattice one voxel
+ * thick, at which the spline is resampled (model/resample.h) and grids give the voxel that the
+ * pixel lies in, without interpolation; (3) values through a colour map on a sheet with scales
+ * (canvas.h), no data hatched; (4) the region's outline along the pixel edges where it begins or
+ * ends.
+ *
+ * Failure: GSN_E_INPUT for an empty region, GSN_E_NOMEM. Cost: one value a pixel. */
 #include "pipeline/render/cut.h"
 
 #include <assert.h>

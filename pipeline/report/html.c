@@ -1,4 +1,18 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The report as one HTML file that fetches nothing.
+ *
+ * Method: parts are appended to one text in the order of the page; what others wrote passes one
+ * escape (text.h). Content Security Policy (W3C) allows pictures inside the file, the style sheet
+ * and the viewer's script by their SHA-256, and nothing else.
+ *
+ * Steps: (1) head with the policy; (2) title and contents, a link for each part that is there; (3)
+ * verdict, the one figure that is asked for, cards; (4) warnings, volumes, model, pictures, charts,
+ * contact sheet, lists, methods, provenance, each left out where the report has nothing for it; (5)
+ * foot and script.
+ *
+ * Failure: the text remembers that memory ran out, and is asked once. Cost: linear in what is
+ * shown; pictures grow by a third as base64. */
 #include "pipeline/report/html.h"
 
 #include <math.h>

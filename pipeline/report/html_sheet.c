@@ -1,4 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The contact sheet: a table for each panel with its slots as they lie on the glass, each with
+ * picture, state, marks and flags. Panels are those that were delivered or that a section names,
+ * ascending.
+ *
+ * Failure: the text remembers that memory ran out. Cost: panels times slots times sections. */
 #include "pipeline/report/html.h"
 
 #include <math.h>

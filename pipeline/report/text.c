@@ -1,4 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* A growing text, and what is written into it: UTF-8 (RFC 3629) decoded strictly, so that overlong
+ * forms, surrogates and stray bytes become U+FFFD; HTML's five special characters escaped; base64
+ * (RFC 4648, section 4); numbers as people read them.
+ *
+ * Failure: sticky; after the first nothing is added. Cost: linear; room doubles. */
 #include "pipeline/report/text.h"
 
 #include <math.h>

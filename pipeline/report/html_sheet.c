@@ -115,8 +115,8 @@ static void add_slot(struct gsn_report_text *text, const struct gsn_report_secti
     gsn_report_text_raw(text, "</td>\n");
 }
 
-/* Where a panel number is in the list of panels; NULL when nothing is known of it. */
-/* Of several scans of one number the one that is used, which the sections shown are from. */
+/* The panel of a number, or NULL: of several scans the one that is used, which the sections shown
+ * are from. */
 static const struct gsn_report_panel *panel_of(const struct gsn_report *report, unsigned number)
 {
     const struct gsn_report_panel *first = NULL;

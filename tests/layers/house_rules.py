@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """The rules of the house that a compiler does not know: who may include whom, which calls have one
-door only, and that no failure is dropped.
+door only, that no failure is dropped, and that every source opens with what it does.
 
     house_rules.py ROOT              checks the tree; prints "file:line: sentence", exit 1 if any
     house_rules.py ROOT --self-test  plants one violation of each rule in a copy and demands that
@@ -166,6 +166,13 @@ def check_licence(path, text, say):
         say(path, 1, "the SPDX line is missing")
 
 
+def check_opening(path, text, say):
+    """A source opens with what it does, before its first line of code."""
+    if path.endswith((".c", ".cpp")) and not re.match(r"/\*.*?\*/\n\s*/\* +(?!clang-format|-)[`\w]", text):
+        say(path, 2, "the file does not open with a comment: what it does, by which method, how it "
+                     "fails, what it costs")
+
+
 def check(root):
     found = []
 
@@ -182,6 +189,7 @@ def check(root):
             check_calls(path, text, say)
             check_internal(path, text, say)
             check_licence(path, text, say)
+            check_opening(path, text, say)
     check_structs(texts, say)
     check_doors(texts, say)
     return found
@@ -206,6 +214,9 @@ PLANTED = {
     "a name for two structures": (
         "ui/planted.h", SPDX + "struct gsn_error {\n    int code;\n};\n", "is defined in"),
     "a missing licence line": ("acquire/planted.c", "int f(void);\n", "SPDX line is missing"),
+    "a source without an opening": (
+        "ui/planted.cpp", SPDX + '#include "ui/planted.h"\n\n/* What f is. */\nint f(void);\n',
+        "does not open with a comment"),
 }
 
 

@@ -341,6 +341,23 @@ int gsn_projection(const struct gsn_spline *spline, const struct gsn_view *view,
     return GSN_OK;
 }
 
+void gsn_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn_camera *camera)
+{
+    static const struct gsn_colour ink[3] = { { 176, 60, 40 }, { 30, 120, 80 }, { 40, 70, 170 } };
+    const double length = 22, at[2] = { x + 36, y - 36 };
+
+    for (int a = 0; a < 3; a++) {
+        const char name[2] = { "xyz"[a], 0 };
+        const double right = camera->right[a], down = camera->down[a];
+        const double off = 9 / fmax(0.2, hypot(right, down));
+        const double tip[2] = { at[0] + length * right, at[1] + length * down };
+
+        gsn_canvas_line(sheet, at[0], at[1], tip[0], tip[1], 2, ink[a]);
+        gsn_canvas_text(sheet, (int)(tip[0] + off * right) - 2, (int)(tip[1] + off * down) - 3, 1,
+                        name, ink[a]);
+    }
+}
+
 int gsn_projection_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
                          const char *title, const char *unit, double low, double high,
                          enum gsn_colour_map map, struct gsn_image **ret_image,
@@ -365,6 +382,7 @@ int gsn_projection_paint(const struct gsn_plane *plane, const struct gsn_camera 
     if (r < 0)
         return r;
     gsn_plate_fill(sheet, x, y, plane, map, plate.low, plate.high);
+    gsn_axes_paint(sheet, x, y + (int)plane->height, camera);
     *ret_image = gsn_steal(&sheet);
     return GSN_OK;
 }

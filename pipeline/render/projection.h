@@ -23,6 +23,10 @@ int gsn_projection(const struct gsn_spline *spline, const struct gsn_view *view,
                    const struct gsn_progress *progress, struct gsn_plane **ret_plane,
                    struct gsn_camera *ret_camera, struct gsn_error *err);
 
+/* Draws the axes of the block as the camera sees them into the lower left corner of a picture, which
+ * is at (x, y); an axis that points at the eye is a dot. */
+void gsn_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn_camera *camera);
+
 /* gives: the picture with colour scale ("density x um" unless unit is given), scale bar and title
  * (may be NULL). low == high: 0 to the largest value. Fails with GSN_E_NOMEM. */
 int gsn_projection_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,

@@ -1,0 +1,1156 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* Ray casting of the spline, in order of visibility.
+ *
+ * Method: object order first (every tetrahedron and every face gives its polynomials to the rays
+ * that meet it; pipeline/model/pieces.h), then ray by ray the pieces in order. No grid, no steps,
+ * no walk from neighbour to neighbour, so that a domain with hollows is no special case. The
+ * emission-absorption integral (N. Max 1995, 10.1109/2945.468400) of a piece with extinction k(t),
+ * colour c and transparency T,
+ *
+ *     int c k T dt,      T = T_0 exp(-tau),      tau = int k dt,
+ *
+ * has tau as a polynomial, once the piece is cut where the density crosses the window's ends. With
+ * one colour it is c (T_0 - T_1), exactly; what the colour differs from that of the middle is
+ * integrated by Gauss's rule of 3 points in Kronrod's of 7, halved until the two agree.
+ *
+ * Steps: (1) the camera, and the pixels that the shadow of each tetrahedron and face may touch;
+ * (2) tile by tile: their pieces of every ray; (3) per ray what the clip leaves, the ends of all
+ * pieces in order, and between two ends the sum of the polynomials there; (4) that sum integrated,
+ * composed, or searched for the level; (5) rays of a pixel averaged.
+ *
+ * Exact but for rounding: X-ray integrals, optical depths, cuts, levels. Held to GSN_RAY_TOLERANCE:
+ * colours. Rays are moved by 1e-9 px so that none runs in a face that pixels line up with.
+ *
+ * Failure: GSN_E_INPUT on a view, style or clip that cannot be; GSN_E_LIMIT; GSN_E_NOMEM.
+ * Cost: per ray its pieces, sorted; each is a quadrature unless its colour hardly varies. */
+#include "pipeline/render/ray_cast.h"
+
+#include "pipeline/core/geom.h"
+#include "pipeline/core/parallel.h"
+#include "pipeline/model/pieces.h"
+#include "pipeline/render/projection.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Of a part of a stretch. A ray's parts take less than twice this in all, and what is behind a ray
+ * that has this little left is not looked at. */
+#define PART_TOLERANCE (GSN_RAY_TOLERANCE / 3)
+
+enum { TILE = 16, PER_CHUNK = 512, MOST_SPANS = 64, BATCHES = 20, COLOURS = 17 };
+
+void gsn_ray_picture_free(struct gsn_ray_picture *picture)
+{
+    if (picture)
+        gsn_free(picture->rgba);
+    gsn_free(picture);
+}
+
+/* --- what is drawn --- */
+
+enum mode { MODE_XRAY, MODE_VOLUME, MODE_SURFACE };
+
+/* Pixels from low to high, inclusive; nothing when low > high. */
+struct reach {
+    int16_t low[2], high[2];
+};
+
+struct casting {
+    enum mode mode;
+    const struct gsn_spline *spline;
+    const struct gsn_ray_clip *clip;
+    const struct gsn_ray_style *style;
+    struct gsn_camera camera; /* of rays, style->across a pixel's side */
+    int with_slope;
+    double colour[COLOURS][3], steepest; /* of the map; most change of a channel a unit of share */
+    double blur; /* a gradient of this size is half shaded: four windows over the picture */
+    size_t items; /* four faces and a tetrahedron each */
+    struct reach *reach;
+    size_t tiles_across, tiles_down, first_tile;
+    size_t *start; /* of a tile's items */
+    uint32_t *item;
+    float *value;      /* X-ray, a ray each */
+    float (*rgba)[4];  /* otherwise */
+};
+
+static void casting_done(struct casting *casting)
+{
+    gsn_free(casting->reach);
+    gsn_free(casting->start);
+    gsn_free(casting->item);
+    gsn_free(casting->value);
+    gsn_free(casting->rgba);
+}
+#define auto_casting __attribute__((cleanup(casting_done))) struct casting
+
+/* --- which pixels a tetrahedron or a face may touch --- */
+
+static void reach_point(const struct gsn_camera *camera, const double point[3], double low[2],
+                        double high[2])
+{
+    double pixel[2], depth;
+
+    gsn_camera_project(camera, point, pixel, &depth);
+    for (int c = 0; c < 2; c++) {
+        low[c] = fmin(low[c], pixel[c]);
+        high[c] = fmax(high[c], pixel[c]);
+    }
+}
+
+static struct reach reach_of(const struct gsn_camera *camera, const double low[2],
+                             const double high[2])
+{
+    const uint32_t size[2] = { camera->width, camera->height };
+    struct reach reach;
+
+    /* Centres at +0.5; a thousandth of a pixel more than the nudge of the rays. */
+    for (int c = 0; c < 2; c++) {
+        reach.low[c] = (int16_t)fmax(0, fmin(32767, ceil(low[c] - 0.501)));
+        reach.high[c] = (int16_t)fmax(-1, fmin(size[c] - 1.0, floor(high[c] - 0.499)));
+    }
+    return reach;
+}
+
+static struct reach reach_tet(const struct casting *casting, size_t tet)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(casting->spline));
+    double low[2] = { INFINITY, INFINITY }, high[2] = { -INFINITY, -INFINITY };
+
+    for (int k = 0; k < 4; k++)
+        reach_point(&casting->camera, mesh->vertex[mesh->tet[tet][k]], low, high);
+    return reach_of(&casting->camera, low, high);
+}
+
+static struct reach reach_face(const struct casting *casting, size_t tet, unsigned corner)
+{
+    const struct gsn_dms *space = gsn_spline_space(casting->spline);
+    const size_t per_cloud = gsn_dms_degree(space) + 1;
+    double low[2] = { INFINITY, INFINITY }, high[2] = { -INFINITY, -INFINITY };
+    struct gsn_prism prism;
+
+    if (!gsn_prism_init(space, tet, corner, &prism))
+        return (struct reach){ { 1, 1 }, { 0, 0 } };
+    for (int k = 0; k < 3; k++) {
+        for (unsigned l = 0; l <= prism.top; l++)
+            reach_point(&casting->camera, gsn_dms_knots(space)[prism.vertex[k] * per_cloud + l],
+                        low, high);
+    }
+    return reach_of(&casting->camera, low, high);
+}
+
+static int reach_chunk(size_t chunk, void *context, struct gsn_error *err)
+{
+    struct casting *casting = context;
+    const size_t tets = casting->items / 5;
+
+    (void)err;
+    for (size_t t = chunk * PER_CHUNK; t < tets && t < (chunk + 1) * PER_CHUNK; t++) {
+        for (unsigned k = 0; k < 4; k++)
+            casting->reach[5 * t + k] = reach_face(casting, t, k);
+        casting->reach[5 * t + 4] = reach_tet(casting, t);
+    }
+    return GSN_OK;
+}
+
+/* Counts the items of tiles, or with fill writes them down. */
+static void visit_tiles(struct casting *casting, int fill)
+{
+    for (size_t i = 0; i < casting->items; i++) {
+        const struct reach reach = casting->reach[i];
+
+        if (reach.low[0] > reach.high[0] || reach.low[1] > reach.high[1])
+            continue;
+        for (int y = reach.low[1] / TILE; y <= reach.high[1] / TILE; y++) {
+            for (int x = reach.low[0] / TILE; x <= reach.high[0] / TILE; x++) {
+                size_t *at = &casting->start[(size_t)y * casting->tiles_across + (size_t)x];
+
+                if (fill)
+                    casting->item[at[1]] = (uint32_t)i;
+                at[fill ? 1 : 2]++;
+            }
+        }
+    }
+}
+
+static int bin_items(struct casting *casting, unsigned threads, struct gsn_error *err)
+{
+    const size_t tets = gsn_dms_mesh(gsn_spline_space(casting->spline))->tet_count;
+    size_t tiles;
+    int r;
+
+    if (tets > UINT32_MAX / 5)
+        return gsn_fail(err, GSN_E_LIMIT, "%zu tetrahedra are too many for a picture", tets);
+    casting->items = 5 * tets;
+    casting->tiles_across = (casting->camera.width + TILE - 1) / TILE;
+    casting->tiles_down = (casting->camera.height + TILE - 1) / TILE;
+    tiles = casting->tiles_across * casting->tiles_down;
+    casting->reach = gsn_alloc_array(casting->items, sizeof *casting->reach);
+    /* Counted two places on, filled one place on: start[i] is where tile i begins. */
+    casting->start = gsn_alloc_array(tiles + 2, sizeof *casting->start);
+    if (!casting->reach || !casting->start)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %zu tetrahedra", tets);
+    r = gsn_parallel_for((tets + PER_CHUNK - 1) / PER_CHUNK, threads, reach_chunk, casting, err);
+    if (r < 0)
+        return r;
+    visit_tiles(casting, 0);
+    for (size_t i = 2; i < tiles + 2; i++)
+        casting->start[i] += casting->start[i - 1];
+    casting->item = gsn_alloc_array(casting->start[tiles + 1], sizeof *casting->item);
+    if (!casting->item)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %zu tetrahedra", tets);
+    visit_tiles(casting, 1);
+    return GSN_OK;
+}
+
+/* --- rays --- */
+
+struct ray {
+    double start[3], into[3], from, to; /* |into| = 1 */
+};
+
+/* The ray of a pixel; its start lies in the plane of the picture. */
+static struct ray ray_of(const struct gsn_camera *camera, uint32_t x, uint32_t y)
+{
+    const double right = (x + 0.5 + 1.1e-9 - 0.5 * camera->width) / camera->px_per_um;
+    const double down = (y + 0.5 + 0.7e-9 - 0.5 * camera->height) / camera->px_per_um;
+    struct ray ray = { .from = -INFINITY, .to = INFINITY };
+    double length = 0;
+
+    for (int c = 0; c < 3; c++) {
+        ray.start[c] = camera->centre[c] + right * camera->right[c] + down * camera->down[c];
+        ray.into[c] = camera->into[c];
+        if (camera->eye_um > 0)
+            ray.into[c] = ray.start[c] - (camera->centre[c] - camera->eye_um * camera->into[c]);
+        length += ray.into[c] * ray.into[c];
+    }
+    length = sqrt(length);
+    for (int c = 0; c < 3; c++)
+        ray.into[c] /= length;
+    if (camera->eye_um > 0)
+        ray.from = -length;
+    return ray;
+}
+
+static void ray_point(const struct ray *ray, double t, double ret[3])
+{
+    for (int c = 0; c < 3; c++)
+        ret[c] = ray->start[c] + t * ray->into[c];
+}
+
+static void clip_half_space(struct ray *ray, double at, double rise)
+{
+    if (rise > 0)
+        ray->from = fmax(ray->from, -at / rise);
+    else if (rise < 0)
+        ray->to = fmin(ray->to, -at / rise);
+    else if (at < 0)
+        ray->to = ray->from;
+}
+
+static void clip_ray(const struct gsn_ray_clip *clip, struct ray *ray)
+{
+    for (int c = 0; clip->has_box && c < 3; c++) {
+        clip_half_space(ray, ray->start[c] - clip->low[c], ray->into[c]);
+        clip_half_space(ray, clip->high[c] - ray->start[c], -ray->into[c]);
+    }
+    for (size_t p = 0; p < clip->plane_count; p++) {
+        const double *plane = clip->plane[p];
+        const double away[3] = { ray->start[0] - plane[0], ray->start[1] - plane[1],
+                                 ray->start[2] - plane[2] };
+
+        clip_half_space(ray, -gsn_dot3(away, plane + 3), -gsn_dot3(ray->into, plane + 3));
+    }
+}
+
+/* --- the pieces of the rays of a tile --- */
+
+struct kept {
+    struct gsn_line_piece piece;
+    uint16_t ray; /* of the tile */
+    uint8_t home; /* of a tetrahedron, not of a face */
+};
+
+/* An end of a piece, or of what the clip leaves (piece = -1). */
+struct end {
+    double at;
+    int32_t piece;
+    int32_t opens;
+};
+
+struct tile {
+    const struct casting *casting;
+    uint32_t low[2], size[2]; /* rays */
+    struct ray ray[TILE * TILE];
+    struct kept *kept;
+    size_t count, room;
+    uint32_t *order; /* of kept, by ray */
+    struct end *end;
+    int32_t *active;
+    size_t end_room;
+};
+
+static void tile_done(struct tile *tile)
+{
+    gsn_free(tile->kept);
+    gsn_free(tile->order);
+    gsn_free(tile->end);
+    gsn_free(tile->active);
+}
+#define auto_tile __attribute__((cleanup(tile_done))) struct tile
+
+static int keep_pieces(struct tile *tile, const struct gsn_line_piece *piece, size_t count,
+                       size_t ray, int home, struct gsn_error *err)
+{
+    if (tile->count + count > tile->room) {
+        const size_t room = 2 * tile->room + count + 1024;
+        struct kept *kept = gsn_realloc_array(tile->kept, room, sizeof *kept);
+
+        if (!kept)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
+        tile->kept = kept;
+        tile->room = room;
+    }
+    for (size_t i = 0; i < count; i++)
+        tile->kept[tile->count++] =
+            (struct kept){ piece[i], (uint16_t)ray, (uint8_t)home };
+    return GSN_OK;
+}
+
+/* What one tetrahedron or face gives to the rays of the tile. */
+static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *face,
+                     struct gsn_error *err)
+{
+    const struct casting *casting = tile->casting;
+    const struct reach reach = casting->reach[item];
+    const int home = item % 5 == 4;
+    struct gsn_line_piece piece[GSN_FACE_CORRECTION_MAX_LEAVES];
+    struct gsn_tet_line tet;
+    int r = GSN_OK;
+
+    if (home)
+        gsn_tet_line_init(casting->spline, item / 5, &tet);
+    else
+        (void)gsn_face_line_init(casting->spline, item / 5, item % 5, face);
+    for (uint32_t y = 0; r >= 0 && y < tile->size[1]; y++) {
+        if ((int)(tile->low[1] + y) < reach.low[1] || (int)(tile->low[1] + y) > reach.high[1])
+            continue;
+        for (uint32_t x = 0; r >= 0 && x < tile->size[0]; x++) {
+            const size_t at = y * TILE + x;
+            const struct ray *ray = &tile->ray[at];
+            size_t count;
+
+            if ((int)(tile->low[0] + x) < reach.low[0] ||
+                (int)(tile->low[0] + x) > reach.high[0] || !(ray->from < ray->to))
+                continue;
+            count = home ? (size_t)gsn_tet_line_piece(&tet, ray->start, ray->into, ray->from,
+                                                      ray->to, casting->with_slope, piece)
+                         : gsn_face_line_pieces(face, ray->start, ray->into, ray->from, ray->to,
+                                                casting->with_slope, piece);
+            r = keep_pieces(tile, piece, count, at, home, err);
+        }
+    }
+    return r;
+}
+
+/* Where the ray is in the region: between the ends of spans. Looked at every half voxel, found to
+ * a millionth of that. */
+static size_t find_spans(const struct gsn_ray_clip *clip, const struct ray *ray, double from,
+                         double to, double ret_span[MOST_SPANS][2])
+{
+    const double step = 0.5 * clip->border_step_um;
+    const size_t steps = (size_t)fmin(1e5, ceil((to - from) / step));
+    size_t count = 0;
+    int was_in = 0;
+
+    for (size_t i = 0; i <= steps && count < MOST_SPANS; i++) {
+        const double t = from + (to - from) * (double)i / (double)steps;
+        double u[3], low = from + (to - from) * ((double)i - 1) / (double)steps, high = t;
+        int is_in;
+
+        ray_point(ray, t, u);
+        is_in = gsn_border_at(clip->border, u, NULL) > 0;
+        while (i > 0 && is_in != was_in && high - low > 1e-6 * step) {
+            const double middle = (low + high) / 2;
+
+            ray_point(ray, middle, u);
+            if ((gsn_border_at(clip->border, u, NULL) > 0) == was_in)
+                low = middle;
+            else
+                high = middle;
+        }
+        if (is_in && !was_in)
+            ret_span[count][0] = high;
+        else if (!is_in && was_in)
+            ret_span[count++][1] = high;
+        was_in = is_in;
+    }
+    if (was_in && count < MOST_SPANS)
+        ret_span[count++][1] = to;
+    return count;
+}
+
+static int by_place(const void *a, const void *b)
+{
+    const struct end *p = a, *q = b;
+
+    if (p->at < q->at || p->at > q->at)
+        return p->at < q->at ? -1 : 1;
+    return (p->piece > q->piece) - (p->piece < q->piece);
+}
+
+/* --- a piece: one polynomial on a stretch of a ray --- */
+
+struct stretch {
+    double from, length;           /* um */
+    double value[4], slope[3][4]; /* in 0..1 */
+    double share;                  /* of the tolerance */
+    int fresh;                     /* nothing of the ray is seen just before it */
+};
+
+static double poly_at(const double c[4], double v)
+{
+    return c[0] + v * (c[1] + v * (c[2] + v * c[3]));
+}
+
+/* The polynomial p(at + scale v), added. */
+static void add_shifted(const double c[4], double at, double scale, double ret[4])
+{
+    const double twice = scale * scale;
+
+    ret[0] += poly_at(c, at);
+    ret[1] += scale * (c[1] + at * (2 * c[2] + 3 * at * c[3]));
+    ret[2] += twice * (c[2] + 3 * at * c[3]);
+    ret[3] += twice * scale * c[3];
+}
+
+/* Bounds on 0..1 by the Bernstein coefficients. */
+static void poly_range(const double c[4], double *ret_low, double *ret_high)
+{
+    const double b[4] = { c[0], c[0] + c[1] / 3, c[0] + (2 * c[1] + c[2]) / 3,
+                          c[0] + c[1] + c[2] + c[3] };
+
+    *ret_low = fmin(fmin(b[0], b[1]), fmin(b[2], b[3]));
+    *ret_high = fmax(fmax(b[0], b[1]), fmax(b[2], b[3]));
+}
+
+/* The root of p - level between two places where it has different signs, p monotone there. */
+static double find_root(const double c[4], double level, double low, double high)
+{
+    const int rises = poly_at(c, high) > level;
+
+    for (int i = 0; i < 60 && high - low > 1e-15; i++) {
+        const double middle = (low + high) / 2;
+
+        if ((poly_at(c, middle) > level) == rises)
+            high = middle;
+        else
+            low = middle;
+    }
+    return (low + high) / 2;
+}
+
+/* Where p is at the level in 0..1, ascending; at most three places. */
+static unsigned find_roots(const double c[4], double level, double ret_root[3])
+{
+    double turn[4] = { 0 }, low, high;
+    unsigned turns = 1, count = 0;
+
+    poly_range(c, &low, &high);
+    if (low > level || high < level)
+        return 0;
+    /* Between the roots of the derivative p is monotone. */
+    if (c[3] != 0) {
+        const double under = c[2] * c[2] - 3 * c[3] * c[1];
+
+        if (under > 0) {
+            const double q = -(c[2] + copysign(sqrt(under), c[2]));
+            const double a = q / (3 * c[3]), b = q != 0 ? c[1] / q : a;
+
+            for (int i = 0; i < 2; i++) {
+                const double at = i ? fmax(a, b) : fmin(a, b);
+
+                if (at > 0 && at < 1)
+                    turn[turns++] = at;
+            }
+        }
+    } else if (c[2] != 0 && -c[1] / (2 * c[2]) > 0 && -c[1] / (2 * c[2]) < 1) {
+        turn[turns++] = -c[1] / (2 * c[2]);
+    }
+    turn[turns] = 1;
+    for (unsigned i = 0; i < turns; i++) {
+        if ((poly_at(c, turn[i]) > level) != (poly_at(c, turn[i + 1]) > level))
+            ret_root[count++] = find_root(c, level, turn[i], turn[i + 1]);
+    }
+    return count;
+}
+
+/* --- emission and absorption --- */
+
+/* What has been seen along a ray. */
+struct seen {
+    double integral;         /* X-ray */
+    double light[3], left;   /* colour, transparency */
+    int done, any;
+};
+
+static void colour_at(const struct casting *casting, double share, double ret[3])
+{
+    const double place = fmin(1, fmax(0, share)) * (COLOURS - 1);
+    const size_t below = (size_t)fmin(COLOURS - 2, place);
+
+    for (int c = 0; c < 3; c++)
+        ret[c] = casting->colour[below][c] + (place - (double)below) *
+                                                 (casting->colour[below + 1][c] -
+                                                  casting->colour[below][c]);
+}
+
+/* What is integrated over a part of a stretch: extinction as a polynomial in 0..1 times length. */
+struct glow {
+    const struct casting *casting;
+    const struct stretch *stretch;
+    const struct ray *ray;
+    double at, scale; /* the part in the stretch */
+    double share[4];  /* of the window */
+    double depth[5];  /* optical, from the part's beginning */
+    double rate[4];   /* its derivative */
+    double middle[3]; /* the colour that is taken off */
+};
+
+/* How bright: darker where the surface of equal density is seen edge on, the more the steeper. */
+static double shade_at(const struct glow *glow, double v)
+{
+    const struct casting *casting = glow->casting;
+    const double shading = casting->style->shading, at = glow->at + glow->scale * v;
+    double gradient[3], steep2, facing;
+
+    if (!casting->with_slope)
+        return 1;
+    for (int c = 0; c < 3; c++)
+        gradient[c] = poly_at(glow->stretch->slope[c], at);
+    steep2 = gsn_dot3(gradient, gradient);
+    facing = gsn_dot3(gradient, glow->ray->into);
+    return 1 - shading * (steep2 - fabs(facing) * sqrt(steep2)) /
+                   (steep2 + casting->blur * casting->blur);
+}
+
+/* Adds the integrand at v, times weight, without the transparency that was left before. */
+static void add_glow(const struct glow *glow, double v, double weight, double sum[3])
+{
+    const double *d = glow->depth;
+    const double depth = v * (d[1] + v * (d[2] + v * (d[3] + v * d[4])));
+    const double bright = weight * exp(-depth) * poly_at(glow->rate, v);
+    const double shade = shade_at(glow, v);
+    double colour[3];
+
+    colour_at(glow->casting, poly_at(glow->share, v), colour);
+    for (int c = 0; c < 3; c++)
+        sum[c] += bright * (shade * colour[c] - glow->middle[c]);
+}
+
+/* Gauss's rule of three points within Kronrod's of seven, on -1..1. */
+static const double node[4] = { 0, 0.774596669241483377, 0.434243749346802558,
+                                0.960491268708020283 };
+static const double gauss[2] = { 8.0 / 9, 5.0 / 9 };
+static const double kronrod[4] = { 0.450916538658474142, 0.268488089868333441,
+                                   0.401397414775962222, 0.104656226026467265 };
+
+static void integrate_glow(const struct glow *glow, double low, double high, double allowed,
+                           unsigned depth, double sum[3])
+{
+    const double middle = (low + high) / 2, half = (high - low) / 2;
+    double rough[3] = { 0 }, fine[3] = { 0 }, differ = 0;
+
+    for (int i = 0; i < 4; i++) {
+        double here[3] = { 0 };
+
+        add_glow(glow, middle + half * node[i], half, here);
+        if (i > 0)
+            add_glow(glow, middle - half * node[i], half, here);
+        for (int c = 0; c < 3; c++) {
+            fine[c] += kronrod[i] * here[c];
+            rough[c] += i < 2 ? gauss[i] * here[c] : 0;
+        }
+    }
+    for (int c = 0; c < 3; c++)
+        differ = fmax(differ, fabs(fine[c] - rough[c]));
+    if (differ > allowed && depth > 0) {
+        integrate_glow(glow, low, middle, allowed / 2, depth - 1, sum);
+        integrate_glow(glow, middle, high, allowed / 2, depth - 1, sum);
+        return;
+    }
+    for (int c = 0; c < 3; c++)
+        sum[c] += fine[c];
+}
+
+/* The part of a stretch between two crossings of the window's ends. */
+static void add_part(const struct casting *casting, const struct ray *ray,
+                     const struct stretch *stretch, const double share[4], double low, double high,
+                     struct seen *seen)
+{
+    const double rate = (high - low) * stretch->length / casting->style->opaque_um;
+    const double middle = poly_at(share, (low + high) / 2);
+    struct glow glow = { casting, stretch, ray, low, high - low, { 0 }, { 0 }, { 0 }, { 0 } };
+    double gone, sum[3] = { 0 }, least, most, spread, allowed;
+
+    if (middle <= 0)
+        return;
+    if (middle >= 1)
+        glow.share[0] = 1;
+    else
+        add_shifted(share, low, high - low, glow.share);
+    for (int i = 0; i < 4; i++) {
+        glow.rate[i] = rate * glow.share[i];
+        glow.depth[i + 1] = glow.rate[i] / (i + 1);
+    }
+    gone = -expm1(-(glow.depth[1] + glow.depth[2] + glow.depth[3] + glow.depth[4]));
+    colour_at(casting, fmin(1, middle), glow.middle);
+    for (int c = 0; c < 3; c++)
+        glow.middle[c] *= shade_at(&glow, 0.5);
+    poly_range(glow.share, &least, &most);
+    spread = casting->with_slope ? 1 : casting->steepest * (most - least);
+    /* The tolerance is shared by the light of the part, but no less than evenly over parts. */
+    allowed = PART_TOLERANCE * fmax(gone, stretch->share / seen->left);
+    if (gone * spread > allowed)
+        integrate_glow(&glow, 0, 1, allowed, 12, sum);
+    for (int c = 0; c < 3; c++)
+        seen->light[c] += seen->left * (gone * glow.middle[c] + sum[c]);
+    seen->left *= 1 - gone;
+    seen->done = seen->left < PART_TOLERANCE;
+}
+
+static void add_volume(const struct casting *casting, const struct ray *ray,
+                       const struct stretch *stretch, struct seen *seen)
+{
+    const double width = casting->style->high - casting->style->low;
+    double share[4], low, high, cut[8] = { 0 };
+    unsigned cuts = 1;
+
+    for (int i = 0; i < 4; i++)
+        share[i] = (stretch->value[i] - (i ? 0 : casting->style->low)) / width;
+    poly_range(share, &low, &high);
+    if (high <= 0)
+        return;
+    for (int end = 0; end < 2; end++) {
+        double root[3];
+        const unsigned roots = find_roots(share, end, root);
+
+        for (unsigned i = 0; i < roots; i++) {
+            unsigned at = cuts++;
+
+            for (; cut[at - 1] > root[i]; at--)
+                cut[at] = cut[at - 1];
+            cut[at] = root[i];
+        }
+    }
+    cut[cuts] = 1;
+    for (unsigned i = 0; i < cuts && !seen->done; i++) {
+        if (cut[i] < cut[i + 1])
+            add_part(casting, ray, stretch, share, cut[i], cut[i + 1], seen);
+    }
+}
+
+/* --- the surface at a level --- */
+
+static const double bone[3] = { 226 / 255.0, 205 / 255.0, 176 / 255.0 };
+static const double to_light[3] = { -0.45, -0.60, -0.66 }; /* right, down, into */
+
+/* A two-sided surface of this normal in the camera's light. */
+static void light_surface(const struct gsn_camera *camera, const double normal[3],
+                          const double base[3], double ret[3])
+{
+    const double *axis[3] = { camera->right, camera->down, camera->into };
+    const double length = sqrt(gsn_dot3(normal, normal));
+    double n[3] = { 0, 0, -1 }, diffuse, fill, half[3], shine;
+
+    for (int c = 0; length > 0 && c < 3; c++)
+        n[c] = gsn_dot3(normal, axis[c]) / length;
+    for (int c = 0; n[2] > 0 && c < 3; c++)
+        n[c] = c < 2 ? -n[c] : n[c];
+    n[2] = -fabs(n[2]);
+    memcpy(half, to_light, sizeof half);
+    half[2] -= 1;
+    diffuse = fmax(0, gsn_dot3(n, to_light));
+    fill = fmax(0, -0.7 * (n[0] * to_light[0] + n[1] * to_light[1]) - 0.5 * n[2]);
+    shine = pow(fmax(0, gsn_dot3(n, half) / sqrt(gsn_dot3(half, half))), 32);
+    for (int c = 0; c < 3; c++)
+        ret[c] = fmin(1, base[c] * (0.30 + 0.62 * diffuse + 0.16 * fill) + 0.15 * shine);
+}
+
+static void meet_surface(const struct casting *casting, const struct ray *ray,
+                         const struct stretch *stretch, double v, int cut, struct seen *seen)
+{
+    const struct gsn_ray_style *style = casting->style;
+    const struct gsn_ray_clip *clip = casting->clip;
+    double u[3], value, gradient[3] = { 0, 0, 0 }, base[3];
+    size_t hint = 0;
+
+    ray_point(ray, stretch->from + v * stretch->length, u);
+    seen->done = 1;
+    seen->left = 0;
+    if (!cut) {
+        (void)gsn_spline_eval(casting->spline, u, &hint, &value, gradient);
+        light_surface(&casting->camera, gradient, bone, seen->light);
+        return;
+    }
+    colour_at(casting, (poly_at(stretch->value, v) - style->low) / (style->high - style->low),
+              base);
+    memcpy(seen->light, base, sizeof base);
+    /* A cut is flat and shows its colour as the scale has it; the border of the region is round. */
+    if (clip && clip->border &&
+        fabs(gsn_border_at(clip->border, u, gradient)) < 1e-3 * clip->border_step_um)
+        light_surface(&casting->camera, gradient, base, seen->light);
+}
+
+static void find_surface(const struct casting *casting, const struct ray *ray,
+                         const struct stretch *stretch, struct seen *seen)
+{
+    double root[3];
+
+    if (stretch->value[0] >= casting->style->level)
+        meet_surface(casting, ray, stretch, 0, stretch->fresh, seen);
+    else if (find_roots(stretch->value, casting->style->level, root) > 0)
+        meet_surface(casting, ray, stretch, root[0], 0, seen);
+}
+
+/* --- a ray --- */
+
+/* The sum of what is active between two ends. */
+static void sum_active(const struct tile *tile, const int32_t *active, size_t count, double from,
+                       double to, struct stretch *ret)
+{
+    *ret = (struct stretch){ .from = from, .length = to - from };
+    for (size_t i = 0; i < count; i++) {
+        const struct gsn_line_piece *piece = &tile->kept[active[i]].piece;
+        const double span = piece->to - piece->from;
+        const double at = (from - piece->from) / span, scale = (to - from) / span;
+
+        add_shifted(piece->value, at, scale, ret->value);
+        for (int c = 0; tile->casting->with_slope && c < 3; c++)
+            add_shifted(piece->slope[c], at, scale, ret->slope[c]);
+    }
+}
+
+static void add_stretch(const struct casting *casting, const struct ray *ray,
+                        const struct stretch *stretch, struct seen *seen)
+{
+    const double *c = stretch->value;
+
+    seen->any = 1;
+    if (casting->mode == MODE_XRAY)
+        seen->integral += stretch->length * (c[0] + c[1] / 2 + c[2] / 3 + c[3] / 4);
+    else if (casting->mode == MODE_VOLUME)
+        add_volume(casting, ray, stretch, seen);
+    else
+        find_surface(casting, ray, stretch, seen);
+}
+
+/* Goes along the ends in order, keeping what is active. */
+static void follow_ray(struct tile *tile, const struct ray *ray, size_t ends, struct seen *seen)
+{
+    const double least = 1e-9 / tile->casting->camera.px_per_um; /* um: rounding of places */
+    size_t active = 0, homes = 0;
+    int open = 0, fresh = 1;
+
+    for (size_t i = 0; i + 1 < ends && !seen->done; i++) {
+        const struct end *end = &tile->end[i];
+        const double next = tile->end[i + 1].at;
+        struct stretch stretch;
+
+        if (end->piece < 0) {
+            open += end->opens ? 1 : -1;
+            fresh |= end->opens;
+        } else if (end->opens) {
+            tile->active[active++] = end->piece;
+            homes += tile->kept[end->piece].home;
+        } else {
+            size_t at = 0;
+
+            while (tile->active[at] != end->piece)
+                at++;
+            active--;
+            memmove(&tile->active[at], &tile->active[at + 1],
+                    (active - at) * sizeof *tile->active);
+            homes -= tile->kept[end->piece].home;
+        }
+        if (!(next - end->at > least))
+            continue;
+        if (!open || homes == 0) {
+            fresh = 1;
+            continue;
+        }
+        sum_active(tile, tile->active, active, end->at, next, &stretch);
+        stretch.fresh = fresh;
+        stretch.share = 1 / (8.0 * (double)ends); /* a stretch has seven parts at most */
+        add_stretch(tile->casting, ray, &stretch, seen);
+        fresh = 0;
+    }
+}
+
+static int make_end_room(struct tile *tile, size_t ends, struct gsn_error *err)
+{
+    struct end *end;
+    int32_t *active;
+
+    if (ends <= tile->end_room)
+        return GSN_OK;
+    end = gsn_realloc_array(tile->end, 2 * ends, sizeof *end);
+    if (end)
+        tile->end = end;
+    active = gsn_realloc_array(tile->active, 2 * ends, sizeof *active);
+    if (active)
+        tile->active = active;
+    if (!end || !active)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a ray");
+    tile->end_room = 2 * ends;
+    return GSN_OK;
+}
+
+/* The pieces order[0..count) belong to the ray. */
+static int cast_ray(struct tile *tile, const struct ray *ray, const uint32_t *order, size_t count,
+                    struct seen *seen, struct gsn_error *err)
+{
+    const struct gsn_ray_clip *clip = tile->casting->clip;
+    double span[MOST_SPANS][2] = { { ray->from, ray->to } };
+    double from = INFINITY, to = -INFINITY;
+    size_t ends = 0, spans = 1;
+    const int r = make_end_room(tile, 2 * count + 2 * MOST_SPANS, err);
+
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < count; i++) {
+        const struct kept *kept = &tile->kept[order[i]];
+
+        tile->end[ends++] = (struct end){ kept->piece.from, (int32_t)order[i], 1 };
+        tile->end[ends++] = (struct end){ kept->piece.to, (int32_t)order[i], 0 };
+        if (kept->home) {
+            from = fmin(from, kept->piece.from);
+            to = fmax(to, kept->piece.to);
+        }
+    }
+    if (!(from < to))
+        return GSN_OK;
+    span[0][0] = from;
+    span[0][1] = to;
+    if (clip && clip->border)
+        spans = find_spans(clip, ray, from, to, span);
+    for (size_t i = 0; i < spans; i++) {
+        tile->end[ends++] = (struct end){ span[i][0], -1, 1 };
+        tile->end[ends++] = (struct end){ span[i][1], -1, 0 };
+    }
+    qsort(tile->end, ends, sizeof *tile->end, by_place);
+    follow_ray(tile, ray, ends, seen);
+    return GSN_OK;
+}
+
+/* Counting sort of the pieces by ray; ret_start[i] is where those of ray i begin. */
+static int order_pieces(struct tile *tile, size_t ret_start[TILE * TILE + 2],
+                        struct gsn_error *err)
+{
+    memset(ret_start, 0, (TILE * TILE + 2) * sizeof *ret_start);
+    tile->order = gsn_alloc_array(tile->count, sizeof *tile->order);
+    if (!tile->order)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
+    for (size_t i = 0; i < tile->count; i++)
+        ret_start[tile->kept[i].ray + 2]++;
+    for (size_t i = 2; i < TILE * TILE + 2; i++)
+        ret_start[i] += ret_start[i - 1];
+    for (size_t i = 0; i < tile->count; i++)
+        tile->order[ret_start[tile->kept[i].ray + 1]++] = (uint32_t)i;
+    return GSN_OK;
+}
+
+static void put_ray(struct casting *casting, size_t at, const struct seen *seen)
+{
+    if (casting->mode == MODE_XRAY) {
+        casting->value[at] = seen->any ? (float)seen->integral : NAN;
+        return;
+    }
+    for (int c = 0; c < 3; c++)
+        casting->rgba[at][c] = (float)((casting->mode == MODE_SURFACE ? 1 - seen->left : 1) *
+                                       seen->light[c]);
+    casting->rgba[at][3] = (float)(1 - seen->left);
+}
+
+static int cast_tile(size_t index, void *context, struct gsn_error *err)
+{
+    struct casting *casting = context;
+    const struct gsn_camera *camera = &casting->camera;
+    const size_t number = casting->first_tile + index;
+    auto_tile tile = { .casting = casting };
+    gsn_auto_mem(struct gsn_face_line) face = gsn_alloc_array(1, sizeof *face);
+    size_t start[TILE * TILE + 2];
+    int r = GSN_OK;
+
+    if (!face)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a tile of the picture");
+    tile.low[0] = (uint32_t)(number % casting->tiles_across) * TILE;
+    tile.low[1] = (uint32_t)(number / casting->tiles_across) * TILE;
+    tile.size[0] = (uint32_t)fmin(TILE, camera->width - tile.low[0]);
+    tile.size[1] = (uint32_t)fmin(TILE, camera->height - tile.low[1]);
+    for (uint32_t y = 0; y < tile.size[1]; y++) {
+        for (uint32_t x = 0; x < tile.size[0]; x++) {
+            tile.ray[y * TILE + x] = ray_of(camera, tile.low[0] + x, tile.low[1] + y);
+            if (casting->clip)
+                clip_ray(casting->clip, &tile.ray[y * TILE + x]);
+        }
+    }
+    for (size_t i = casting->start[number]; r >= 0 && i < casting->start[number + 1]; i++)
+        r = cast_item(&tile, casting->item[i], face, err);
+    if (r >= 0)
+        r = order_pieces(&tile, start, err);
+    for (uint32_t y = 0; r >= 0 && y < tile.size[1]; y++) {
+        for (uint32_t x = 0; r >= 0 && x < tile.size[0]; x++) {
+            const size_t ray = y * TILE + x;
+            struct seen seen = { .left = 1 };
+
+            r = cast_ray(&tile, &tile.ray[ray], &tile.order[start[ray]],
+                         start[ray + 1] - start[ray], &seen, err);
+            put_ray(casting, (size_t)(tile.low[1] + y) * camera->width + tile.low[0] + x, &seen);
+        }
+    }
+    return r;
+}
+
+/* --- pictures --- */
+
+static int check_clip(const struct gsn_ray_clip *clip, struct gsn_error *err)
+{
+    for (int c = 0; clip->has_box && c < 3; c++) {
+        if (!(clip->low[c] < clip->high[c]))
+            return gsn_fail(err, GSN_E_INPUT, "the box to draw is empty along %c", "xyz"[c]);
+    }
+    for (size_t p = 0; p < clip->plane_count; p++) {
+        const double *normal = clip->plane[p] + 3;
+
+        if (!(gsn_dot3(normal, normal) > 0) || !isfinite(gsn_dot3(normal, normal)))
+            return gsn_fail(err, GSN_E_INPUT, "plane %zu to cut at has no normal", p + 1);
+    }
+    return GSN_OK;
+}
+
+static int check_style(enum mode mode, const struct gsn_ray_style *style, struct gsn_error *err)
+{
+    if (style->across < 1 || style->across > 4)
+        return gsn_fail(err, GSN_E_INPUT, "%u rays a pixel's side cannot be, 1 to 4 can",
+                        style->across);
+    if (mode != MODE_XRAY && !(style->low < style->high && isfinite(style->high - style->low)))
+        return gsn_fail(err, GSN_E_INPUT, "the window from %g to %g has no width", style->low,
+                        style->high);
+    if (mode == MODE_VOLUME && !(style->opaque_um > 0))
+        return gsn_fail(err, GSN_E_INPUT, "an opacity over %g um cannot be", style->opaque_um);
+    if (mode == MODE_VOLUME && !(style->shading >= 0 && style->shading <= 1))
+        return gsn_fail(err, GSN_E_INPUT, "a shading of %g is not between 0 and 1",
+                        style->shading);
+    if (mode == MODE_SURFACE && !isfinite(style->level))
+        return gsn_fail(err, GSN_E_INPUT, "a surface needs a level");
+    return GSN_OK;
+}
+
+static void make_colours(struct casting *casting)
+{
+    for (size_t i = 0; i < COLOURS; i++) {
+        const struct gsn_colour colour =
+            gsn_colour_of(casting->style->map, (double)i / (COLOURS - 1));
+
+        casting->colour[i][0] = colour.r / 255.0;
+        casting->colour[i][1] = colour.g / 255.0;
+        casting->colour[i][2] = colour.b / 255.0;
+    }
+    for (size_t i = 1; i < COLOURS; i++) {
+        for (int c = 0; c < 3; c++)
+            casting->steepest =
+                fmax(casting->steepest, (COLOURS - 1) * fabs(casting->colour[i][c] -
+                                                             casting->colour[i - 1][c]));
+    }
+}
+
+static int cast_tiles(struct casting *casting, unsigned threads,
+                      const struct gsn_progress *progress, struct gsn_error *err)
+{
+    const size_t tiles = casting->tiles_across * casting->tiles_down;
+
+    for (size_t batch = 0; batch < BATCHES; batch++) {
+        const size_t first = tiles * batch / BATCHES, end = tiles * (batch + 1) / BATCHES;
+        int r;
+
+        gsn_progress_say(progress, "rays", first, tiles);
+        casting->first_tile = first;
+        r = gsn_parallel_for(end - first, threads, cast_tile, casting, err);
+        if (r < 0)
+            return r;
+    }
+    gsn_progress_say(progress, "rays", tiles, tiles);
+    return GSN_OK;
+}
+
+/* All but the average over the rays of a pixel; the camera given back is that of the pixels. */
+static int cast_rays(struct casting *casting, const struct gsn_view *view, unsigned threads,
+                     const struct gsn_progress *progress, struct gsn_camera *ret_camera,
+                     struct gsn_error *err)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(casting->spline));
+    const unsigned across = casting->style->across;
+    size_t rays;
+    int r = check_style(casting->mode, casting->style, err);
+
+    if (r >= 0 && casting->clip)
+        r = check_clip(casting->clip, err);
+    if (r >= 0)
+        r = gsn_camera_frame(view, mesh, ret_camera, err);
+    if (r < 0)
+        return r;
+    casting->camera = *ret_camera;
+    casting->camera.width *= across;
+    casting->camera.height *= across;
+    casting->camera.px_per_um *= across;
+    if (casting->camera.width > 16384 || casting->camera.height > 16384)
+        return gsn_fail(err, GSN_E_INPUT, "%u x %u rays are too many", casting->camera.width,
+                        casting->camera.height);
+    casting->with_slope = casting->mode == MODE_VOLUME && casting->style->shading > 0;
+    if (casting->with_slope)
+        casting->blur = 4 * (casting->style->high - casting->style->low) *
+                        ret_camera->px_per_um / fmax(view->width, view->height);
+    make_colours(casting);
+    rays = (size_t)casting->camera.width * casting->camera.height;
+    if (casting->mode == MODE_XRAY)
+        casting->value = gsn_alloc_array(rays, sizeof *casting->value);
+    else
+        casting->rgba = gsn_alloc_array(rays, sizeof *casting->rgba);
+    if (!casting->value && !casting->rgba)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu rays", rays);
+    r = bin_items(casting, threads, err);
+    if (r >= 0)
+        r = cast_tiles(casting, threads, progress, err);
+    return r;
+}
+
+int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_view *view,
+                 const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
+                 unsigned threads, const struct gsn_progress *progress,
+                 struct gsn_plane **ret_plane, struct gsn_camera *ret_camera,
+                 struct gsn_error *err)
+{
+    auto_casting casting = { MODE_XRAY, spline, clip, style, .with_slope = 0 };
+    const unsigned across = style->across;
+    gsn_auto(gsn_plane) plane = NULL;
+    struct gsn_camera camera;
+    int r = cast_rays(&casting, view, threads, progress, &camera, err);
+
+    if (r >= 0)
+        r = gsn_plane_new(view->width, view->height, &plane, err);
+    if (r < 0)
+        return r;
+    for (size_t y = 0; y < view->height; y++) {
+        for (size_t x = 0; x < view->width; x++) {
+            double sum = 0;
+            int met = 0;
+
+            for (size_t i = 0; i < (size_t)across * across; i++) {
+                const double value = (double)casting.value[(y * across + i / across) *
+                                                               casting.camera.width +
+                                                           x * across + i % across];
+
+                met |= !isnan(value);
+                sum += isnan(value) ? 0 : value;
+            }
+            plane->value[y * view->width + x] = met ? (float)(sum / (across * across)) : NAN;
+        }
+    }
+    *ret_camera = camera;
+    *ret_plane = gsn_steal(&plane);
+    return GSN_OK;
+}
+
+static int make_picture(struct casting *casting, const struct gsn_view *view, unsigned threads,
+                        const struct gsn_progress *progress, struct gsn_ray_picture **ret_picture,
+                        struct gsn_camera *ret_camera, struct gsn_error *err)
+{
+    const unsigned across = casting->style->across;
+    gsn_auto(gsn_ray_picture) picture = NULL;
+    struct gsn_camera camera;
+    const int r = cast_rays(casting, view, threads, progress, &camera, err);
+
+    if (r < 0)
+        return r;
+    picture = gsn_alloc_array(1, sizeof *picture);
+    if (picture)
+        picture->rgba =
+            gsn_alloc_array((size_t)view->width * view->height, sizeof *picture->rgba);
+    if (!picture || !picture->rgba)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %u x %u pixels",
+                        view->width, view->height);
+    picture->width = view->width;
+    picture->height = view->height;
+    for (size_t y = 0; y < view->height * (size_t)across; y++) {
+        for (size_t x = 0; x < view->width * (size_t)across; x++) {
+            float *to = picture->rgba[y / across * view->width + x / across];
+
+            for (int c = 0; c < 4; c++)
+                to[c] += casting->rgba[y * casting->camera.width + x][c] /
+                         (float)(across * across);
+        }
+    }
+    *ret_camera = camera;
+    *ret_picture = gsn_steal(&picture);
+    return GSN_OK;
+}
+
+int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_view *view,
+                   const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
+                   unsigned threads, const struct gsn_progress *progress,
+                   struct gsn_ray_picture **ret_picture, struct gsn_camera *ret_camera,
+                   struct gsn_error *err)
+{
+    auto_casting casting = { MODE_VOLUME, spline, clip, style, .with_slope = 0 };
+
+    return make_picture(&casting, view, threads, progress, ret_picture, ret_camera, err);
+}
+
+int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_view *view,
+                    const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
+                    unsigned threads, const struct gsn_progress *progress,
+                    struct gsn_ray_picture **ret_picture, struct gsn_camera *ret_camera,
+                    struct gsn_error *err)
+{
+    auto_casting casting = { MODE_SURFACE, spline, clip, style, .with_slope = 0 };
+
+    return make_picture(&casting, view, threads, progress, ret_picture, ret_camera, err);
+}
+
+/* --- the sheet --- */
+
+int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
+                  const struct gsn_ray_style *style, const char *title, const char *note,
+                  struct gsn_image **ret_image, struct gsn_error *err)
+{
+    const struct gsn_plate plate = { .title = title,
+                                     .note = note,
+                                     .um_per_px = 1 / camera->px_per_um,
+                                     .has_scale = 1,
+                                     .unit = "density",
+                                     .low = style->low,
+                                     .high = style->high,
+                                     .map = style->map };
+    gsn_auto(gsn_image) sheet = NULL;
+    int x, y, r;
+
+    r = gsn_plate_new(&plate, picture->width, picture->height, &sheet, &x, &y, err);
+    if (r < 0)
+        return r;
+    for (uint32_t j = 0; j < picture->height; j++) {
+        for (uint32_t i = 0; i < picture->width; i++) {
+            const float *p = picture->rgba[(size_t)j * picture->width + i];
+            uint8_t rgb[3];
+
+            for (int c = 0; c < 3; c++)
+                rgb[c] = (uint8_t)fminf(255, 255 * (p[c] + 1 - p[3]) + 0.5F);
+            gsn_canvas_put(sheet, x + (int)i, y + (int)j,
+                           (struct gsn_colour){ rgb[0], rgb[1], rgb[2] });
+        }
+    }
+    gsn_axes_paint(sheet, x, y + (int)picture->height, camera);
+    *ret_image = gsn_steal(&sheet);
+    return GSN_OK;
+}
